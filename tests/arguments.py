@@ -124,6 +124,7 @@ RESULTS = {
         "FileError",
         "InvalidArgument",
         "NotFinite",
+        "NotSolved",
         "NotTraceable",
         "PinmobileError",
         "Reference",
@@ -541,6 +542,18 @@ ROWS: dict[str, Row] = {
         upper=[90, 9, 9, 9],
         difference=pm.planar_difference,
     ),
+    "LQR": row(robot=the("robot"), Q=[400, 400, 100, 20, 20, 5], R=[1e-3, 1e-3, 2e-2]),
+    "MPC": row(
+        robot=the("robot"),
+        horizon=4,
+        step=0.05,
+        limits=[60, 60, 9],
+        lower=np.full(6, -np.inf),
+        upper=np.full(6, 5.0),
+        Q=[400, 400, 100, 20, 20, 5],
+        R=[1e-3, 1e-3, 2e-2],
+        observer=10,
+    ),
     "ADRC": row(robot=the("robot"), bandwidth=4, observer=20, inertia=[30, 30, 1.5]),
     "DisturbanceObserver": row(controller=pm.PD(1, 1), robot=the("robot"), gain=10),
     "Saturated": row(controller=pm.PD(1, 1), limits=[1, 2, 3]),
@@ -587,6 +600,7 @@ ROWS: dict[str, Row] = {
     "Context.of": row(plant=the("robot"), dt=0.1, t=[0.0, 0.1]),
     "Context.line": row(samples=2),
     "Context.normal": row(name="wheel slip", n=2),
+    "Context.schedule": row(rows=[[1.0, 2.0]]),
     "ConstantForce.nothing": row(),
     "SinusoidalForce.nothing": row(),
     "ViscousFriction.nothing": row(),
@@ -799,6 +813,7 @@ ROWS: dict[str, Row] = {
     "MobileRobot.start": row(reference=partial(lambda: WORLD.trajectory(0.0))),
     "MobileRobot.forward_dynamics_derivatives": row(q=Q, v=V, tau=A),
     "MobileRobot.linearize": row(q=Q, v=V, tau=A),
+    "MobileRobot.linearize_tracked": row(q=Q, v=V, u=A),
     "MobileRobot.regressor": row(q=Q, v=V, a=A),
     "MobileRobot.difference": row(q0=Q, q1=V),
     "MobileRobot.integrate": row(q=Q, dq=V),
@@ -1087,6 +1102,7 @@ ROWS: dict[str, Row] = {
     "WheeledRobot.rate": row(q=FIVE, v=FIVE),
     "WheeledRobot.reduced": row(q=FIVE, v=FIVE),
     "WheeledRobot.start": row(reference=partial(lambda: WORLD.trajectory(0.0))),
+    "WheeledRobot.linearize_tracked": row(q=FIVE, v=FIVE, u=[1, 2]),
     "WheeledRobot.torques": row(q=FIVE, v=FIVE, rates=[1, 2]),
     "WheeledRobot.wheel_rates": row(twist=V, steering=(), turning=()),
     "WheeledRobot.with_parameters": row(radius=[0.1, 0.11], y_left=0.25, spin_inertia=0.01),
@@ -1264,7 +1280,7 @@ def is_part(name: str) -> bool:
     """Tell whether a method is what the loop calls on its parts, with arrays that it made."""
     owner, _, method = name.rpartition(".")
     parts = ("PD", "ComputedTorque", "Decoupled", "PDGravity", "Saturated", "Delayed", "NoisyMeasurement")
-    unsure = ("PID", "SlidingMode", "SuperTwisting", "Adaptive", "ADRC", "DisturbanceObserver")
+    unsure = ("PID", "SlidingMode", "SuperTwisting", "Adaptive", "ADRC", "LQR", "MPC", "DisturbanceObserver")
     of_wheels = (
         "Allocated",
         "Backstepping",

@@ -159,6 +159,27 @@ class Diverged(PinmobileError, ArithmeticError):
         return partial(type(self), time=self.time, q=self.q, v=self.v, rollout=self.rollout), self.args
 
 
+class NotSolved(PinmobileError, ArithmeticError):
+    """A quadratic program has no solution.
+
+    Attributes
+    ----------
+    time : float
+        Time of its sample [s].
+    state : ndarray
+        The tracked state's difference from the reference.
+    problem : dict of str to ndarray
+        H, A, lower, upper and sense: least w' H w / 2 with lower <= A w <= upper.
+    """
+
+    def __init__(self, message: str, *, time: float, state: Any, problem: dict[str, Any]) -> None:
+        super().__init__(message)
+        self.time, self.state, self.problem = time, state, problem
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return partial(type(self), time=self.time, state=self.state, problem=self.problem), self.args
+
+
 class Unreachable(InvalidArgument):
     """A pose cannot be followed within the limits of the robot, or with the clearance that is asked for.
 

@@ -14,7 +14,7 @@ from pinmobile.arrays import Array, ArrayLike, callable_as, finite, frozen, posi
 from pinmobile.errors import InvalidArgument, shown
 
 if TYPE_CHECKING:
-    from pinmobile.compiled import Line, Noise
+    from pinmobile.compiled import Line, Noise, Schedule
 
 Difference: TypeAlias = Callable[[Array, Array], Array]
 
@@ -446,6 +446,30 @@ class Context:
 
         text("name", name)
         return Noise(robot_keys(self.seed, name, range(self.member, self.member + 1))[0], whole("n", n))
+
+    def schedule(self, rows: ArrayLike) -> Schedule:
+        """Return numbers known for each sample, to keep in the state: ``row, schedule = schedule.next()``.
+
+        Such as gains that follow from the reference. All robots of an ensemble have the same.
+
+        Parameters
+        ----------
+        rows : array_like, shape (N + 1, ...)
+            One for each time in `t`.
+
+        Raises
+        ------
+        InvalidArgument
+            If they are not as many, or not finite.
+        """
+        from pinmobile.compiled import Schedule
+
+        found = finite("rows", rows)
+        if found.shape[:1] != self.t.shape:
+            raise InvalidArgument(
+                f"rows has shape {found.shape}, expected ({len(self.t)}, ...), one for each sample"
+            )
+        return Schedule(frozen(found))
 
     @classmethod
     def of(

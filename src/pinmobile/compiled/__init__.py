@@ -3,8 +3,13 @@
 from pinmobile.compiled.batched import Batched
 from pinmobile.compiled.elementary import sincos as sincos
 from pinmobile.compiled.emit import BINS, FIRST, SHIFT, Shape
-from pinmobile.compiled.loop_tape import Loop, arrays_of as arrays_of, initial_memory as initial_memory
-from pinmobile.compiled.memory import Line, Noise, robot_keys
+from pinmobile.compiled.loop_tape import (
+    Loop,
+    arrays_of as arrays_of,
+    check_schedules as check_schedules,
+    initial_memory as initial_memory,
+)
+from pinmobile.compiled.memory import Line, Noise, Schedule, robot_keys
 from pinmobile.compiled.parts import (
     Parts,
     Place,
@@ -59,6 +64,7 @@ __all__ = [
     "Record",
     "Reference",
     "Sample",
+    "Schedule",
     "Shape",
     "Stepped",
     "Summary",

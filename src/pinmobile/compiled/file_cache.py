@@ -308,7 +308,7 @@ def packed(loop: Loop, **others: object) -> bytes:
         "own": loop.own,
         "tabled": loop.tabled,
     }
-    for name in ("uniforms", "rows", "keys", "counted", "sizes", "tracks", "units"):
+    for name in ("uniforms", "rows", "keys", "counted", "scheduled", "sizes", "tracks", "units"):
         found[name] = getattr(loop, name)
     return json.dumps({"loop": found, **others}, separators=(",", ":")).encode()
 
@@ -333,6 +333,7 @@ def unpacked(data: bytes) -> tuple[Loop, dict[str, Any]]:
         unused=[Place(*each) for each in found["unused"]],
         tracks=found["tracks"],
         units=found["units"],
+        scheduled=found["scheduled"],
     )
     vars(loop).update(own=found["own"], tabled=found["tabled"])
     return loop, others

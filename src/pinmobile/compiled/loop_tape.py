@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, ArrayLike
 from pinmobile.compiled.folding import ROBOT, SAMPLE, STATE
-from pinmobile.compiled.memory import Line, Noise, leaves
+from pinmobile.compiled.memory import Line, Noise, Schedule, leaves
 from pinmobile.compiled.parts import Parts, Place
 from pinmobile.compiled.sample import Memory, integrate_of
 from pinmobile.compiled.symbolic import entries, has_symbols, symbols
@@ -86,6 +86,8 @@ class Loop:
         How many numbers the reference of a sample has, where each robot has its own; 0: all have the same.
     units : dict of str to str
         Of the signals among what is kept, by name.
+    scheduled : int
+        How many numbers of a sample come of schedules; they stand behind the reference.
     """
 
     tape: Tape
@@ -102,6 +104,7 @@ class Loop:
     unused: list[Place]
     tracks: int = 0
     units: dict[str, str] = field(default_factory=dict)
+    scheduled: int = 0
 
     @property
     def outputs_kept(self) -> int:
@@ -134,8 +137,8 @@ class Loop:
 
     @property
     def columns(self) -> int:
-        """Numbers of a sample: its time, the reference, and what is tabled."""
-        return 1 + self.sizes[3] + 2 * self.sizes[4] + len(self.tabled)
+        """Numbers of a sample: its time, the reference, what is scheduled, and what is tabled."""
+        return 1 + self.sizes[3] + 2 * self.sizes[4] + self.scheduled + len(self.tabled)
 
     @property
     def outputs(self) -> list[int]:
@@ -146,13 +149,22 @@ class Loop:
 
 
 class _Context:
-    """The context of a controller, whose delays and noise are on the tape, or are numbers."""
+    """The context of a controller, whose delays, noise and schedules are on the tape, or are numbers."""
 
     def __init__(
-        self, given: object, plant: Any, line: Callable[..., Any], normal: Callable[..., Any]
+        self,
+        given: Any,
+        plant: Any,
+        line: Callable[..., Any],
+        normal: Callable[..., Any],
+        schedule: Callable[..., Any],
     ) -> None:
         self._given, self.difference, self.integrate = given, plant.difference, integrate_of(plant)
-        self.line, self.normal = line, normal
+        self.line, self.normal, self._schedule = line, normal, schedule
+
+    def schedule(self, rows: ArrayLike) -> Any:
+        """Return what a controller keeps of rows that are known for each sample, checked."""
+        return self._schedule(self._given.schedule(rows).rows)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._given, name)
@@ -164,6 +176,7 @@ def initial_memory(
     reference: int,
     line: Callable[..., Any] = Line,
     normal: Callable[..., Any] | None = None,
+    schedule: Callable[..., Any] = Schedule,
 ) -> Memory:
     """Return what the parts keep before the first sample.
 
@@ -175,18 +188,52 @@ def initial_memory(
         What the controller's `initial_state` is told; it gets its delays and noise here.
     reference : int
         Number of coordinates that the reference has.
-    line, normal : callable
-        Make a delay and a noise; by default, of numbers, with the key 0.
+    line, normal, schedule : callable
+        Make a delay, a noise and a schedule; by default, of numbers, with the key 0.
     """
     plant = parts.plant
     normal = normal or (lambda name, n: Noise(0, n))
-    own = _Context(context, plant, line, normal)
+    own = _Context(context, plant, line, normal, schedule)
     recorder = None if parts.recorder is None else parts.recorder.initial_state(reference, plant.nu)
     return Memory(
         plant.initial_state(own) if hasattr(plant, "initial_state") else None,
         parts.controller.initial_state(own),
         recorder,
     )
+
+
+def scheduled_rows(parts: Parts, context: object, reference: int) -> list[Array]:
+    """Return the rows of all schedules that the parts ask for, each of shape (N + 1, ...)."""
+    found: list[Array] = []
+
+    def schedule(rows: Array) -> Schedule:
+        found.append(rows)
+        return Schedule(rows)
+
+    initial_memory(parts, context, reference, schedule=schedule)
+    return found
+
+
+def check_schedules(parts: Parts, context: object, reference: int, spread: Iterable[Place]) -> None:
+    """Refuse a spread of what schedules follow from, of which all robots have the same.
+
+    Raises
+    ------
+    NotTraceable
+        If there is such.
+    """
+    places = [place for place in spread if place.path.partition(".")[0] == "controller"]
+    rows = scheduled_rows(parts, context, reference) if places else []
+    values = parts.parameters() if rows else {}
+    for place in places if rows else ():
+        moved = parts.with_parameters({place: values[place] * 1.001 + 1e-6})
+        others = scheduled_rows(moved, context, reference)
+        if not all(map(np.array_equal, rows, others)):
+            raise NotTraceable(
+                f"what the controller knows of each sample follows from {'.'.join(place)}, which each robot "
+                "has of its own",
+                "spread parameters of the plant, or let robots run one after another",
+            )
 
 
 def initial_memories(

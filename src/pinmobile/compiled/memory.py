@@ -1,7 +1,8 @@
 """What a law keeps between samples: a tree of dicts, lists, tuples and dataclasses with numbers in it.
 
-The rest that stands in such a tree (a function, a name, None) must stay as it is. `Line` and `Noise` are what
-a context gives a controller to keep: delays, and white Gaussian noise.
+The rest that stands in such a tree (a function, a name, None) must stay as it is. `Line`, `Noise` and
+`Schedule` are what a context gives a controller to keep: delays, white Gaussian noise, and what is known of
+each sample.
 
 Noise is a function of a robot's key and the sample's number, without a table or a generator. A stream of 64
 bits is SplitMix64 (Steele, Lea and Flood, Fast splittable pseudorandom number generators, 2014) of the key
@@ -133,6 +134,30 @@ class Line:
         kept = mapped(values, lambda x: np.array(x, np.float64))
         past = (*self.past, kept)
         return mapped(past[0], np.copy), Line(self.samples, past[-self.samples :] if self.samples else ())
+
+
+class Schedule:
+    """Numbers that are known for each sample, in a controller's memory: ``row, schedule = schedule.next()``.
+
+    All robots of an ensemble have the same; a compiled loop reads them beside the reference.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (N + 1, ...)
+        Of the samples; after the last, that stays.
+    k : int
+        Number of the sample.
+    """
+
+    goes_on = True  # a new one takes its place at each sample
+
+    def __init__(self, rows: Array, k: int = 0) -> None:
+        self.rows, self.k = rows, k
+
+    def next(self) -> tuple[Any, Schedule]:
+        """Return the row of this sample, shape (...), and the schedule for the next one."""
+        row = self.rows[min(self.k, len(self.rows) - 1)]
+        return np.array(row, np.float64), Schedule(self.rows, self.k + 1)
 
 
 _GOLDEN = 0x9E3779B97F4A7C15

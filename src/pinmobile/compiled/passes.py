@@ -8,8 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.compiled.loop_tape import Leaf, Loop, Ring, arrays_of, initial_memory
-from pinmobile.compiled.memory import Noise, leaves, mapped, matched, normals
+from pinmobile.compiled.loop_tape import (
+    Leaf,
+    Loop,
+    Ring,
+    arrays_of,
+    check_schedules,
+    initial_memory,
+    scheduled_rows,
+)
+from pinmobile.compiled.memory import Noise, Schedule, leaves, mapped, matched, normals
 from pinmobile.compiled.parts import Parts, Place
 from pinmobile.compiled.sample import Memory, Reference, Stepped, one_sample
 from pinmobile.compiled.symbolic import Symbols, Values, entries, symbols
@@ -136,6 +144,7 @@ class _Trace:
 
     def result(self) -> Loop:
         """Return the tape, after it has been compared with itself and with numbers."""
+        check_schedules(self.parts, self.context, len(self.reference.v), self.spread)
         number = self._shaped()
         loop = self._loop()
         fixed = frozenset(
@@ -171,7 +180,13 @@ class _Trace:
     def _memory(self, k: int) -> Memory:
         """Return the memory before any sample, but with the noise of sample k."""
         size = len(self.reference.v)
-        begun = initial_memory(self.parts, self.context, size, normal=lambda name, n: Noise(0, n, k))
+        begun = initial_memory(
+            self.parts,
+            self.context,
+            size,
+            normal=lambda name, n: Noise(0, n, k),
+            schedule=lambda rows: Schedule(rows, k),
+        )
         return self._grown(begun)
 
     def _elsewhere(self) -> _Asked:
@@ -241,8 +256,10 @@ class _Trace:
         """Return the inputs of the tape at a sample."""
         inputs: dict[Any, Any] = {COUNT: np.uint64(asked.k), ("uniform", 0): self.h}
         samples = _flat_numbers([0.0, *self.reference])
-        inputs |= {("sample", i): x for i, x in enumerate(samples)}
         inputs |= {("track", i): x for i, x in enumerate(samples[1:])}
+        rows = scheduled_rows(self.parts, self.context, len(self.reference.v))
+        samples += _flat_numbers([each[min(asked.k, len(each) - 1)] for each in rows])
+        inputs |= {("sample", i): x for i, x in enumerate(samples)}
         inputs |= {("key", i): np.uint64(0) for i in range(len(loop.keys))}
         inputs |= {("state", i): x for i, x in enumerate(_flat_numbers([asked.q, asked.v]))}
         for parameter, leaf in loop.parameters.items():
@@ -283,9 +300,17 @@ class _Pass:
         reference = Reference(
             *(self._new("track" if trace.own_reference else "sample", x.shape) for x in trace.reference)
         )
+        self.next["sample"] = columns = 1 + sum(x.size for x in trace.reference)
         k = symbols([real(tape.input(*COUNT) | float_bits(2.0**52)) - 2.0**52], ())
         numbers = trace._grown(
-            initial_memory(trace.parts, trace.context, len(trace.reference.v), self._line, self._noise)
+            initial_memory(
+                trace.parts,
+                trace.context,
+                len(trace.reference.v),
+                self._line,
+                self._noise,
+                self._schedule,
+            )
         )
         memory = Memory(
             *(self._remembered(owner, tree) for owner, tree in zip(Memory._fields, numbers, strict=True))
@@ -319,6 +344,7 @@ class _Pass:
                 len(trace.reference.v),
             ),
             tracks=self.next["track"],
+            scheduled=self.next["sample"] - columns,
             unused=[
                 name
                 for name, leaf in self.parameters.items()
@@ -382,6 +408,9 @@ class _Pass:
     def _line(self, samples: int) -> _SymbolicLine:
         return _SymbolicLine(self, int(samples))
 
+    def _schedule(self, rows: Array) -> _SymbolicSchedule:
+        return _SymbolicSchedule(self._new("sample", rows.shape[1:]))
+
     def _noise(self, name: str, n: int) -> _SymbolicNoise:
         self.asked.append(name)
         again = self.asked.count(name) - 1
@@ -413,6 +442,20 @@ class _SymbolicLine:
             return symbols(found, np.shape(x))
 
         return mapped(values, delayed), _SymbolicLine(owner, self.samples, pushed=True)
+
+
+class _SymbolicSchedule:
+    """Known numbers of each sample that are on the tape."""
+
+    goes_on = True
+
+    def __init__(self, row: Symbols, taken: bool = False) -> None:
+        self.row, self.taken = row, taken
+
+    def next(self) -> tuple[Symbols, _SymbolicSchedule]:
+        if self.taken:
+            raise NotTraceable("a schedule is asked twice in a sample", "ask once, and keep the row")
+        return self.row, _SymbolicSchedule(self.row, taken=True)
 
 
 class _SymbolicNoise:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, affordable
 from pinmobile.compiled.emit import BINS, Shape, text_of
-from pinmobile.compiled.loop_tape import Loop, initial_memories, initial_memory
+from pinmobile.compiled.loop_tape import Loop, initial_memories, initial_memory, scheduled_rows
 from pinmobile.compiled.memory import leaves, mapped
 from pinmobile.compiled.parts import Parts, Place
 from pinmobile.compiled.processor import Cache, Target, function_of
@@ -145,7 +145,8 @@ class Program:
         first = self._first(parts, context, begin, given, n)
         blocks = self._blocks(start, n, {**nominal, **given}, first, keys or {})
         uniforms = self._uniforms(dt / parts.substeps, {**nominal, **given}, first)
-        samples = self._remembered(t, reference, uniforms, {} if memory is None else memory)
+        rows = scheduled_rows(parts, context, self.loop.sizes[4]) if self.loop.scheduled else []
+        samples = self._remembered(t, reference, uniforms, rows, {} if memory is None else memory)
         kept = self._kept(tracks, len(blocks), len(t))
         counts = self.called(blocks, samples, uniforms, kept, n, every, threads)
         return Outcome(self._kept_memory(begin, blocks, n), counts, self.kept_samples(kept, n))
@@ -223,22 +224,25 @@ class Program:
             found.append(np.broadcast_to(grown, (*ahead, *leaf.shape)))
         return found
 
-    def _remembered(self, t: Array, reference: Reference, uniforms: Array, memory: dict[Any, Any]) -> Array:
+    def _remembered(
+        self, t: Array, reference: Reference, uniforms: Array, rows: list[Array], memory: dict[Any, Any]
+    ) -> Array:
         """Return `_samples`, those of the last run where nothing of what they follow from is another."""
         before = memory.get("samples")
         if before is not None and before[0] is self and all(map(is_, before[1], reference)):
             same = np.array_equal(before[2], t) and np.array_equal(before[3], uniforms)
-            if same:
-                return before[4]  # type: ignore[no-any-return]
-        samples = self._samples(t, reference, uniforms)
+            if same and all(map(np.array_equal, before[4], rows)):
+                return before[5]  # type: ignore[no-any-return]
+        samples = self._samples(t, reference, uniforms, rows)
         if all(map(is_constant, reference)):
-            memory["samples"] = self, reference, t.copy(), uniforms, samples
+            memory["samples"] = self, reference, t.copy(), uniforms, rows, samples
         return samples
 
-    def _samples(self, t: Array, reference: Reference, uniforms: Array) -> Array:
+    def _samples(self, t: Array, reference: Reference, uniforms: Array, rows: list[Array]) -> Array:
         """Return what all robots share of each sample, shape (N + 1, columns)."""
-        given = np.empty((len(t), 1 + sum(part.shape[1] for part in reference)))
-        np.concatenate([t[:, None], *reference], axis=1, out=given)
+        known = [np.reshape(each, (len(t), -1)) for each in rows]
+        given = np.empty((len(t), 1 + sum(part.shape[1] for part in (*reference, *known))))
+        np.concatenate([t[:, None], *reference, *known], axis=1, out=given)
         tabled = self.loop.tabled
         if not tabled:
             return given

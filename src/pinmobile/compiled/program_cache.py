@@ -26,7 +26,7 @@ from pinmobile.arrays import Array
 from pinmobile.compiled.emit import Shape
 from pinmobile.compiled.file_cache import Unknown, key_of, packed, unpacked
 from pinmobile.compiled.loop_tape import initial_memory
-from pinmobile.compiled.memory import Line, Noise
+from pinmobile.compiled.memory import Line, Noise, Schedule
 from pinmobile.compiled.parts import Parts, Place, attributes_of
 from pinmobile.compiled.passes import traced, walk_of
 from pinmobile.compiled.processor import LOOP, Cache, Target
@@ -281,6 +281,8 @@ def _form(x: object, leaves: object = None, depth: int = 0, constant: bool = Fal
         return Line, x.samples
     if isinstance(x, Noise):
         return Noise, x.n
+    if isinstance(x, Schedule):
+        return Schedule, x.rows.shape[1:]
     return _object_form(x, leaves, depth, constant)
 
 

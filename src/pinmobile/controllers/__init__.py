@@ -30,6 +30,8 @@ from pinmobile.controllers.feedback import (
     PDGravity,
     gain_matrix,
 )
+from pinmobile.controllers.lqr import LQR
+from pinmobile.controllers.mpc import MPC
 from pinmobile.controllers.observer import ADRC, DisturbanceObserver
 from pinmobile.controllers.sliding import SlidingMode, SuperTwisting
 from pinmobile.controllers.steering import (
@@ -45,6 +47,8 @@ from pinmobile.controllers.wrappers import Allocated, Delayed, NoisyMeasurement,
 
 __all__ = [
     "ADRC",
+    "LQR",
+    "MPC",
     "PD",
     "PID",
     "Adaptive",

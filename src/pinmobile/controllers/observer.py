@@ -80,16 +80,34 @@ class DisturbanceObserver:
     ) -> tuple[Array, tuple[Any, ...]]:
         """Return the generalised force, shape (..., n), and the next state."""
         inner, (begun, integral, _, _), dt = state
-        robot, still = self.robot, np.zeros(np.shape(v))
-        gravity = robot.gravity(q)
-        momentum = robot.inverse_dynamics(q, still, v) - gravity
-        integral = np.where(begun > 0.0, integral, momentum)
-        estimate = np.asarray(self.gain) * (momentum - integral)
+        estimate, integral, rate = estimated(self.robot, self.gain, q, v, begun, integral)
         tau, inner = answer_of(self.controller, t, q, v, reference, inner)
         tau = tau - estimate
-        turning = np.sum(robot.coriolis_matrix(q, v) * v[..., :, None], axis=-2)
-        rate = tau + turning - gravity + estimate
-        return tau, (inner, (1.0, integral + dt * rate, tau, estimate), dt)
+        return tau, (inner, (1.0, integral + dt * (tau + rate), tau, estimate), dt)
+
+
+def estimated(
+    robot: Any, gain: ArrayLike, q: Array, v: Array, begun: Any, integral: Array
+) -> tuple[Array, Array, Array]:
+    """Return the force that the momentum shows, its integral, and the rate of that without the force applied.
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        The model.
+    gain : array_like, shape () or (n,)
+        Rate of the estimate [1/s].
+    q, v : ndarray, shape (..., n)
+        State.
+    begun, integral : ndarray
+        Whether there was a sample before, and p(0) with what has been integrated since.
+    """
+    gravity = robot.gravity(q)
+    momentum = robot.inverse_dynamics(q, np.zeros(np.shape(v)), v) - gravity
+    integral = np.where(begun > 0.0, integral, momentum)
+    estimate = np.asarray(gain) * (momentum - integral)
+    turning = np.sum(robot.coriolis_matrix(q, v) * v[..., :, None], axis=-2)
+    return estimate, integral, turning - gravity + estimate
 
 
 @final

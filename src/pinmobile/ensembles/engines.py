@@ -21,6 +21,7 @@ from pinmobile.compiled import (
     Stepped,
     Summary,
     arrays_of,
+    check_schedules,
     children,
     derived,
     initial_memory,
@@ -385,6 +386,7 @@ def _as_arrays(scenario: Scenario) -> None:
         If a part returns another shape, fails, or gives a robot beside others another number than alone.
     """
     _check_judged(scenario)
+    check_schedules(scenario.parts.on_arrays(), _context(scenario), scenario.size, scenario.places)
     several = min(_ROWS, scenario.n)
     count = max(2, several)  # one alone is asked beside itself
     draws = {name: np.resize(column, count) for name, column in scenario.draws(0, several).items()}

@@ -48,7 +48,7 @@ _SYMBOLS = {
     **{"Fx": "$F_x$", "Fy": "$F_y$", "Mz": "$M_z$"},
 }
 _POWER = r"$\times 10^{-3}$"
-_ROUNDING = 1e-12  # what is smaller is drawn as the zero that it is
+_ROUNDING = 1e-12  # what is smaller is drawn and told as the rounding that it is
 
 
 def states(
@@ -293,6 +293,8 @@ def draw(column: Iterable[Axes], t: Array, values: Array, **style: Any) -> None:
 def _power(value: float) -> str:
     if value == 0 or 0.01 <= value < 1000:
         return f"{value:.3g}"
+    if value < _ROUNDING:
+        return r"$< 10^{-12}$"
     mantissa, exponent = f"{value:.2e}".split("e")
     return rf"${mantissa}\cdot 10^{{{int(exponent)}}}$"
 

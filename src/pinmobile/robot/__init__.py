@@ -1,6 +1,7 @@
 """`MobileRobot`: a Pinocchio model whose root is the DH chain, and what it carries."""
 
 from pinmobile.robot.arms import Arm
+from pinmobile.robot.complex_step import slopes as slopes
 from pinmobile.robot.joints import BODY_JOINT, joints_of as joints_of
 from pinmobile.robot.linkage import (
     ONE as ONE,

@@ -19,6 +19,7 @@ from pinmobile.compiled import plain
 from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
 from pinmobile.plant import Coordinate, Input, Parameter
+from pinmobile.robot.complex_step import linearized
 from pinmobile.robot.linkage import (
     ZERO,
     Body,
@@ -406,6 +407,10 @@ class ArticulatedBody:
         found = self._moving(q, v).regressor(self._axes, _BASE - 1, self._in_joints(a))
         rows = sorted(zip(self.linkage.v, found, strict=True), key=lambda row: row[0])
         return matrix_of([vector_of(row, q) for _, row in rows])
+
+    def linearize_tracked(self, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
+        """Return A, shape (..., 2 nv, 2 nv), and B, (..., 2 nv, nv), see `MobileRobot.linearize`."""
+        return linearized(self, q, v, u)
 
     def mass_matrix(self, q: Array) -> Array:
         """Return M(q), shape (..., nv, nv)."""

@@ -20,6 +20,7 @@ from pinmobile.closed_form import (
     unchecked_mass_matrix,
 )
 from pinmobile.plant import Coordinate, Input, Parameter
+from pinmobile.robot.complex_step import linearized
 
 BODY_PARAMETERS = (
     Parameter("mass", "kg", "mass of the robot", 0.0, may_vanish=False),
@@ -91,6 +92,10 @@ class PlanarBody:
     def gravity(self, q: Array) -> Array:
         """Return zeros, shape (..., 3): the ground is level."""
         return np.zeros(np.shape(q))
+
+    def linearize_tracked(self, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
+        """Return A, shape (..., 6, 6), and B, (..., 6, 3), see `MobileRobot.linearize`."""
+        return linearized(self, q, v, u)
 
     def integrate(self, q: Array, dq: Array) -> Array:
         """Return q + dq."""

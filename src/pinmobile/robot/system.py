@@ -636,6 +636,10 @@ class System:
         B[..., self.nv :, :] = by_tau
         return Linearization(A, B)
 
+    def linearize_tracked(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> Linearization:
+        """Return `linearize`: what a reference leads, and v, are the whole state of what is pushed."""
+        return self.linearize(q, v, u)
+
     @cached_property
     def weight(self) -> float:
         """Weight of the robot with all that it carries [N]."""

@@ -27,6 +27,7 @@ _ROUNDS, _ENOUGH = 200, 1e-13  # of dry friction: at most, and of the largest wh
 _OF_TORQUES = (
     "inverse_dynamics",
     "check_inverse_dynamics",
+    "linearize_tracked",
     "torques",
     "allocate",
     "allocate_scaled",

@@ -37,6 +37,7 @@ from pinmobile.wheels.kinematics import Choice, Kinematics
 from pinmobile.wheels.reduced import Reduced
 from pinmobile.wheels.standing import Group, groups_of
 from pinmobile.wheels.table import Axis, WheelTable
+from pinmobile.wheels.tracked import Followed, followed, linearized
 
 _BASE = 3
 
@@ -307,6 +308,14 @@ class WheeledBody:
     def independent(self, q: Any, v: Any) -> Any:
         """Return the independent velocities nu of a state that rolls, shape (..., m)."""
         return stacked(self.freedom.velocities(self.state(q, v)), q)
+
+    def linearize_tracked(self, q: Any, v: Any, u: Any) -> tuple[Array, Array]:
+        """Return A and B of the tracked state, see `WheeledRobot.linearize_tracked`."""
+        return linearized(self, q, v, u)
+
+    def followed(self, reference: Any) -> Followed:
+        """Return states, and inputs of least norm, with which it goes along a reference: see `Followed`."""
+        return followed(self, reference)
 
     @property
     def axle(self) -> Any:

@@ -14,7 +14,7 @@ from pinmobile.arrays import Array, ArrayLike, broadcast, finite_answer, frozen,
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Step
-from pinmobile.robot import LOCKED, Load, MobileRobot, Solids, number
+from pinmobile.robot import LOCKED, Linearization, Load, MobileRobot, Solids, number
 from pinmobile.wheels.bearing import Bearing
 from pinmobile.wheels.constraints import ConstrainedTree, Forces
 from pinmobile.wheels.description import read_robot, read_wheels
@@ -395,6 +395,29 @@ class WheeledRobot(Platform, Bearing):
         lead = broadcast(q=q, v=v)
         nu = map(number, self._rolling.freedom.velocities(self._rolling.state(q, v)))
         return np.stack([np.broadcast_to(x, lead) for x in nu], axis=-1)
+
+    @in_numbers
+    def linearize_tracked(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> Linearization:
+        """Return the first-order model of the tracked state, d(e, dnu)/dt = A (e, dnu) + B du.
+
+        e has x, y, psi and the arms, as `difference` has them, and nu the independent velocities: see
+        `Reduced`. Angles of wheels that do not steer do not matter. Slopes are by the complex step, exact but
+        for rounding.
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., nq), (..., nv)
+            State, which rolls.
+        u : array_like, shape (..., nu)
+            Torques [N m].
+
+        Raises
+        ------
+        InvalidArgument
+            If wheels steer, or an argument has another shape.
+        """
+        q, v, u, _ = self._acted(q, v, u, 0.0)
+        return Linearization(*self._rolling.linearize_tracked(q, v, u))
 
     @in_numbers
     def torques(self, q: ArrayLike, v: ArrayLike, rates: ArrayLike) -> Array:

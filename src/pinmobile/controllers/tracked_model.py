@@ -1,0 +1,238 @@
+"""`TrackedModel`: a robot along a reference, to first order, sample by sample."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike, finite, frozen
+from pinmobile.constancy import known
+from pinmobile.controllers.controller import State
+from pinmobile.errors import InvalidArgument, NotTraceable, shown
+from pinmobile.plant import Context, Input, inputs_of
+
+_BASE = 3
+_MOST = 4  # designs that are remembered of a robot
+_SYMMETRIC = 1e-9  # of the largest number, by which a matrix may differ from its transpose
+_STILL = 1e-6  # [m/s, rad/s], below which a reference is at rest
+_T = TypeVar("_T")
+
+
+class TrackedModel(NamedTuple):
+    """First-order model of the tracked state, and what goes along the reference.
+
+    Its state is the error of the reference's coordinates, of which there are n, and of the independent
+    velocities, m of them: of a robot that is pushed they are its v.
+
+    Attributes
+    ----------
+    A, B : ndarray, shape (N + 1, n + m, n + m), (N + 1, n + m, nu)
+        Of each sample: d(dx)/dt = A dx + B du.
+    u, nu : ndarray, shape (N + 1, nu), (N + 1, m)
+        Input and independent velocities of the reference.
+    """
+
+    A: Array
+    B: Array
+    u: Array
+    nu: Array
+
+    def discrete(self, h: float) -> tuple[Array, Array]:
+        """Return A and B of a step h with the input held, by the matrix exponential.
+
+        Parameters
+        ----------
+        h : float
+            Time between two samples [s].
+        """
+        from scipy.linalg import expm
+
+        k, n, m = self.B.shape
+        whole = np.zeros((k, n + m, n + m))
+        whole[:, :n, :n], whole[:, :n, n:] = self.A, self.B
+        found = expm(h * whole)
+        return found[:, :n, :n], found[:, :n, n:]
+
+
+def lawful(robot: Any) -> Any:
+    """Return what a robot is on arrays, the same in all engines; itself where it is nothing else."""
+    try:
+        return robot.traced() if hasattr(robot, "traced") else robot
+    except NotTraceable:
+        return robot
+
+
+def tracked_model(robot: Any, reference: State) -> TrackedModel:
+    """Return the first-order model of a robot along a reference.
+
+    Parameters
+    ----------
+    robot : MobileRobot or WheeledRobot
+        The model.
+    reference : Reference
+        q, v and a at all samples, shape (N + 1, ...).
+
+    Raises
+    ------
+    InvalidArgument
+        If it has not all tracked coordinates, or wheels cannot follow it.
+    """
+    body = lawful(robot)
+    if hasattr(body, "followed"):
+        along = body.followed(reference)
+        A, B = body.linearize_tracked(along.q, along.v, along.u)
+        return TrackedModel(A, B, along.u, along.nu)
+    q, v, a = reference.q, reference.v, reference.a
+    if v.shape[-1] != body.nv:
+        raise InvalidArgument(
+            f"reference has {v.shape[-1]} coordinates, expected all of the robot, {body.nv}: a motion of "
+            "base and arms is WholeBody(robot, base, *joints)"
+        )
+    u = body.inverse_dynamics(q, v, a)
+    A, B = body.linearize_tracked(q, v, u)
+    return TrackedModel(A, B, np.asarray(u), v)
+
+
+def sizes_of(robot: Any) -> tuple[int, int, int]:
+    """Return how many coordinates are tracked, independent velocities and inputs there are.
+
+    Raises
+    ------
+    InvalidArgument
+        If the robot is none that can be linearised so.
+    """
+    is_sized = isinstance(getattr(robot, "nv", None), int)
+    if isinstance(robot, type) or not (is_sized and hasattr(robot, "linearize_tracked")):
+        raise InvalidArgument(
+            f"robot is {shown(robot)}, expected a MobileRobot, or a WheeledRobot that takes torques"
+        )
+    still = np.zeros(robot.nv)
+    A, B = robot.linearize_tracked(robot.rest, still, np.zeros(robot.nu))
+    m = len(robot.reduced(robot.rest, still).nu) if hasattr(robot, "independent") else int(robot.nv)
+    return A.shape[-1] - m, m, B.shape[-1]
+
+
+def weights_of(robot: Any) -> tuple[Array, Array]:
+    """Return the usual weights of the tracked state and of the input, as diagonals.
+
+    Errors cost 400 / m^2 and 100 / rad^2, of velocities 20 and 5, forces 1e-3 / N^2, moments 2e-2 / (N m)^2.
+    """
+    n, m, _ = sizes_of(robot)
+    arms = n - _BASE
+    own = {3: (20.0, 20.0, 5.0), 2: (20.0, 5.0), 1: (20.0,)}[m - arms]
+    units = [each.unit for each in robot.coordinates[_BASE:n]]
+    places = [400.0, 400.0, 100.0, *(400.0 if unit == "m" else 100.0 for unit in units)]
+    speeds = [*own, *(20.0 if unit == "m" else 5.0 for unit in units)]
+    inputs: tuple[Input, ...] = inputs_of(robot)
+    return np.array(places + speeds), np.array([1e-3 if each.unit == "N" else 2e-2 for each in inputs])
+
+
+def weight(name: str, value: ArrayLike, size: int, *, above: bool) -> Array:
+    """Check a weight, a diagonal of shape (size,) or a matrix, and return the matrix, frozen.
+
+    Parameters
+    ----------
+    name : str
+        Of the argument.
+    value : array_like
+        The weight.
+    size : int
+        Numbers of what it weighs.
+    above : bool
+        Whether it must be positive definite; else semidefinite.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is something else.
+    """
+    given = finite(name, value)
+    if given.shape not in ((size,), (size, size)):
+        raise InvalidArgument(f"{name} has shape {given.shape}, expected ({size},) or ({size}, {size})")
+    matrix = np.diag(given) if given.ndim == 1 else given
+    largest = np.abs(matrix).max()
+    if np.abs(matrix - matrix.T).max() > _SYMMETRIC * largest:
+        raise InvalidArgument(f"{name} is not symmetric, expected a symmetric matrix")
+    least = float(np.linalg.eigvalsh(matrix)[0])
+    if not (least > 0 if above else least >= -_SYMMETRIC * largest):
+        definite = "positive definite" if above else "positive semidefinite"
+        raise InvalidArgument(f"{name} has the eigenvalue {least:.3g}, expected a {definite} matrix")
+    return frozen(matrix)
+
+
+def whole_reference(context: Context) -> Any:
+    """Return the reference of all samples.
+
+    Raises
+    ------
+    InvalidArgument
+        If the context has none, as in calls by hand.
+    """
+    if context.reference is None:
+        raise InvalidArgument(
+            "context has no reference, along which the robot is linearised, expected "
+            "Context.of(plant, dt=..., t=..., reference=...)"
+        )
+    return context.reference
+
+
+def check_moves(robot: Any, reference: Any, nu: Array, t: float) -> None:
+    """Refuse a reference that ends at rest, of a robot that cannot move in every direction.
+
+    There the first-order model cannot be controlled: no force moves it sideways.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is such.
+    """
+    if nu.shape[-1] < reference.v.shape[-1] and np.abs(reference.v[-1, :_BASE]).max() < _STILL:
+        raise InvalidArgument(
+            f"reference ends at rest, at t = {t:g} s, where a {type(robot).__name__} that cannot move "
+            "sideways cannot be controlled to first order, so that no gain exists; expected a reference that "
+            "still moves at its end, a shorter duration=, or Backstepping(law, robot)"
+        )
+
+
+def remembered(robot: Any, what: tuple[object, ...], arrays: tuple[Array, ...], make: Callable[[], _T]) -> _T:
+    """Return what follows from a robot and some arrays, made once.
+
+    Parameters
+    ----------
+    robot : robot
+        What is constant is remembered with it.
+    what : tuple
+        What else it follows from.
+    arrays : tuple of ndarray
+        What it follows from.
+    make : callable
+        Makes it.
+    """
+    entry = known(robot)
+    if entry is None:
+        return make()
+    digest = hashlib.sha256()
+    for each in arrays:
+        digest.update(f"{each.shape}".encode() + np.ascontiguousarray(each).tobytes())
+    designs: dict[Any, Any] = entry.memory.setdefault("designs", {})
+    key = (*what, digest.digest())
+    found = designs.get(key)
+    if found is None:
+        found = make()
+        for old in list(designs)[: max(0, len(designs) - _MOST + 1)]:
+            designs.pop(old, None)
+        designs[key] = found
+    return found
+
+
+def tracked_errors(robot: Any, q: Array, v: Array, reference: State, nu: Array) -> Array:
+    """Return the errors of the tracked state, shape (..., n + m), of a state from a reference and its nu."""
+    length, n = np.shape(reference.q)[-1], np.shape(reference.v)[-1]
+    if not hasattr(robot, "independent"):
+        return np.concatenate([robot.difference(q, reference.q), nu - v], axis=-1)
+    desired = np.broadcast_to(reference.q, (*np.shape(q)[:-1], length))
+    whole = np.concatenate([desired, q[..., length:]], axis=-1)
+    return np.concatenate([robot.difference(q, whole)[..., :n], nu - robot.independent(q, v)], axis=-1)

@@ -1,0 +1,97 @@
+"""The first-order model of the tracked state: by the complex step, and by other routes."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import InvalidArgument, MobileRobot, WheeledRobot, WheelTable
+from pinmobile.arrays import Array
+
+BODY = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
+ARM = MobileRobot.box().mount("ur5")
+ON_WHEELS: Any = {
+    "differential": WheeledRobot(BODY, WheelTable.differential(0.1, 0.4)),
+    "mecanum": WheeledRobot(BODY, WheelTable.mecanum(0.5, 0.4, 0.1)),
+    "differential with an arm": WheeledRobot(ARM, WheelTable.differential(0.1, 0.4)),
+}
+
+
+def rolling(robot: WheeledRobot, generator: np.random.Generator) -> tuple[Array, Array]:
+    q = np.append(robot.robot.random_configuration(generator), np.zeros(robot.nq - robot.robot.nq))
+    S = robot.reduced(q, np.zeros(robot.nv)).S
+    return q, S @ generator.normal(size=S.shape[-1])
+
+
+@pytest.mark.parametrize("robot", [BODY, ARM])
+def test_of_a_pushed_body_it_is_pinocchios(robot: MobileRobot) -> None:
+    generator = np.random.default_rng(1)
+    q = robot.random_configuration(generator, (3,))
+    v, u = generator.normal(size=(2, 3, robot.nv))
+    own, its = robot.traced().linearize_tracked(q, v, u), robot.linearize(q, v, u)
+    for mine, other, same in zip(own, its, robot.linearize_tracked(q, v, u), strict=True):
+        # Both are exact; a mass matrix with a condition number of some 1e4 amplifies rounding.
+        assert np.abs(mine - other).max() < 1e-11 * np.abs(other).max()
+        assert np.array_equal(other, same)
+
+
+@pytest.mark.parametrize("name", ON_WHEELS)
+def test_on_wheels_it_is_the_difference_quotient_of_pinocchios_constrained_tree(name: str) -> None:
+    robot = ON_WHEELS[name]
+    generator = np.random.default_rng(2)
+    q, v = rolling(robot, generator)
+    u, n = generator.normal(size=robot.nu), robot.robot.nv
+    nu, h = robot.independent(q, v), 1e-5
+
+    def rates(q: Array, nu: Array, u: Array) -> Array:
+        """Return the rates of the tracked state, nu' as a difference along the motion."""
+        v = robot.reduced(q, np.zeros(robot.nv)).S @ nu
+        a = robot.forward_dynamics(q, v, u)
+        ends = [robot.independent(robot.integrate(q, s * v), v + s * a) for s in (-h, h)]
+        return np.concatenate([v[:n], (ends[1] - ends[0]) / (2 * h)])
+
+    def moved(k: int, step: float) -> Array:
+        x = np.zeros(n + len(nu) + len(u))
+        x[k] = step
+        dq = np.append(x[:n], np.zeros(robot.nv - n))
+        return rates(robot.integrate(q, dq), nu + x[n : n + len(nu)], u + x[n + len(nu) :])
+
+    found = np.hstack(robot.linearize_tracked(q, v, u))
+    step = 1e-4
+    expected = [(moved(k, step) - moved(k, -step)) / (2 * step) for k in range(found.shape[-1])]
+    # Two nested differences: h^2 and step^2 of slopes of order 10, and 1e-16 / (h step) of rounding.
+    assert np.abs(found - np.transpose(expected)).max() < 2e-6 * np.abs(found).max()
+
+
+def test_a_differential_drive_is_as_in_the_closed_form() -> None:
+    robot = ON_WHEELS["differential"]
+    q = np.array([1.0, 2.0, 0.3, 0.0, 0.0])
+    v = robot.reduced(q, np.zeros(5)).S @ [0.7, 0.4]
+    A, B = robot.linearize_tracked(q, v, [0.0, 0.0])
+    c, s = np.cos(0.3), np.sin(0.3)
+    expected = [[0, 0, -0.7 * s, c, 0], [0, 0, 0.7 * c, s, 0], [0, 0, 0, 0, 1]]
+    assert np.abs(A[:3] - expected).max() < 1e-15
+    own = robot.reduced(q, v)
+    assert np.abs(B[3:] - np.linalg.solve(own.M, own.B)).max() < 1e-13 * np.abs(B).max()
+    # n is quadratic in nu, so that central differences are exact.
+    both = [robot.reduced(q, own.S @ (own.nu + d)).n for e in np.eye(2) for d in (e, -e)]
+    slope = np.transpose([(both[0] - both[1]) / 2, (both[2] - both[3]) / 2])
+    assert np.abs(A[3:, 3:] + np.linalg.solve(own.M, slope)).max() < 1e-12
+
+
+def test_many_states_are_each_its_own() -> None:
+    robot, generator = ON_WHEELS["differential with an arm"], np.random.default_rng(3)
+    states = [rolling(robot, generator) for _ in range(300)]
+    q, v = (np.array(x) for x in zip(*states, strict=True))
+    u = generator.normal(size=(300, robot.nu))
+    A, B = robot.linearize_tracked(q, v, u)
+    for k in (0, 255, 256, 299):
+        one = robot.linearize_tracked(q[k], v[k], u[k])
+        assert np.allclose(A[k], one.A, rtol=1e-12, atol=1e-12)
+        assert np.allclose(B[k], one.B, rtol=1e-12, atol=1e-12)
+
+
+def test_wheels_that_steer_are_refused() -> None:
+    car = WheeledRobot(BODY, WheelTable.car(0.6, 0.4, 0.1, yaw_inertia=0.006))
+    with pytest.raises(InvalidArgument, match="steers wheels about 1 axes"):
+        car.linearize_tracked(car.rest, np.zeros(car.nv), np.zeros(car.nu))

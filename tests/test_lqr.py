@@ -1,0 +1,253 @@
+"""The regulator along a reference: published numbers, its theory, wheels, arms, and all engines."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    ARRAYS,
+    COMPILED,
+    LQR,
+    PINOCCHIO,
+    Circle,
+    Context,
+    Delayed,
+    FixedHeading,
+    InvalidArgument,
+    MobileRobot,
+    NoisyMeasurement,
+    Reference,
+    RestToRest,
+    RollingResistance,
+    Saturated,
+    Tangent,
+    Uniform,
+    ViscousFriction,
+    WheeledRobot,
+    WheelTable,
+    ensemble,
+    rk4,
+    simulate,
+)
+from pinmobile.arrays import Array
+from pinmobile.controllers.lqr import riccati
+from pinmobile.controllers.tracked_model import tracked_model
+
+NOMINAL = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
+HEAVY = MobileRobot(mass=36, yaw_inertia=1.56, com=(0.1, 0.05))
+LOADED = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.2, -0.05))
+ARM = MobileRobot.box().mount("ur5")
+CIRCLE = Tangent(Circle(radius=1.5, rate=0.6, duration=30))
+SHORT = Tangent(Circle(radius=1.5, rate=0.6, duration=2))
+RUBBING = (ViscousFriction((10, 20, 2)), RollingResistance((6, 9, 1), 0.01))
+DIFFERENTIAL = WheelTable.differential(0.1, 0.4)
+WHEELED = WheeledRobot(NOMINAL, DIFFERENTIAL)
+
+
+def distance(robot: MobileRobot, controller: Any, forces: Any = ()) -> float:
+    """Return the largest distance from the circle after 5 s [mm]."""
+    given: Any = {"dt": 0.01, "integrator": rk4, "substeps": 4, "engine": COMPILED, "forces": forces}
+    run = simulate(robot, controller, CIRCLE, **given)
+    off = (run.q - run.reference.q)[run.t >= 5, :2]
+    return 1e3 * float(np.linalg.norm(off, axis=-1).max())
+
+
+def test_errors_are_those_of_an_independent_implementation() -> None:
+    own = LQR(NOMINAL)
+    found = [distance(robot, own) for robot in (NOMINAL, HEAVY, LOADED)]
+    found += [distance(NOMINAL, own, RUBBING), distance(HEAVY, Delayed(own, 3))]
+    for mine, printed in zip(found, ("0.076", "5.48", "4.32", "27.8", "27.4"), strict=True):
+        digit = 10.0 ** -len(printed.partition(".")[2])
+        # Two percent, or half a unit of the last digit that is printed.
+        assert abs(mine - float(printed)) <= max(0.02 * float(printed), 0.5 * digit), found
+
+
+def rows(controller: LQR, robot: Any, trajectory: Any, dt: float = 0.01) -> tuple[Array, ...]:
+    """Return the inputs, velocities and gains of all samples."""
+    t = np.arange(round(trajectory.duration / dt) + 1) * dt
+    context = Context.of(robot, dt=dt, t=t, reference=trajectory(t))
+    return tuple(each.rows for each in controller.initial_state(context))
+
+
+@pytest.mark.parametrize("robot", [NOMINAL, WHEELED])
+def test_the_cost_of_a_motion_is_the_cost_to_go_and_no_other_input_costs_less(robot: Any) -> None:
+    t = np.arange(201) * 0.01
+    A, B = tracked_model(robot, SHORT(t)).discrete(0.01)
+    controller = LQR(robot)
+    Q, R = np.asarray(controller.Q), np.asarray(controller.R)
+    K, P = riccati(A, B, Q, R)
+    assert np.array_equal(K, rows(controller, robot, SHORT)[2])
+    start = np.random.default_rng(1).normal(size=len(Q)) * 0.1
+
+    def cost(other: float) -> float:
+        x, total = start, 0.0
+        for k in range(len(A)):
+            u = -K[k] @ x + other * np.sin(k + np.arange(len(R)))
+            total += float(x @ Q @ x + u @ R @ u)
+            x = A[k] @ x + B[k] @ u
+        return total + float(x @ P[-1] @ x)
+
+    least = float(start @ P[0] @ start)
+    # 200 sums of products of numbers that P and Q make up to 1e4 apart.
+    assert cost(0.0) == pytest.approx(least, rel=1e-10)
+    assert min(cost(1.0), cost(-1.0)) > 1.001 * least
+
+
+def test_the_matrix_exponential_is_the_motion_with_the_input_held() -> None:
+    t = np.array([0.0, 0.7])
+    model = tracked_model(NOMINAL, SHORT(t))
+    A, B = model.discrete(0.05)
+    dx, du = np.array([0.1, -0.2, 0.3, 0.1, 0.2, -0.1]), np.array([3.0, -2.0, 1.0])
+    x, h = dx.copy(), 0.05 / 200
+    for _ in range(200):
+
+        def rate(x: Array) -> Array:
+            return np.asarray(model.A[1] @ x + model.B[1] @ du)
+
+        k1 = rate(x)
+        k2 = rate(x + h / 2 * k1)
+        k3 = rate(x + h / 2 * k2)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + h * k3))
+    # Order 4 of a step of 2.5e-4 s.
+    assert np.abs(x - A[1] @ dx - B[1] @ du).max() < 1e-12
+
+
+def test_along_a_reference_without_errors_it_gives_the_inverse_dynamics() -> None:
+    u, nu, gains = rows(LQR(NOMINAL), NOMINAL, SHORT)
+    reference = SHORT(np.arange(201) * 0.01)
+    wanted = NOMINAL.inverse_dynamics(*reference)
+    assert np.abs(u - wanted).max() < 1e-12 * np.abs(wanted).max()
+    assert np.array_equal(nu, reference.v)
+    assert gains.shape == (201, 3, 6)
+
+
+def test_on_wheels_it_comes_back_to_the_reference_and_without_errors_stays() -> None:
+    heavy = WheeledRobot(HEAVY, DIFFERENTIAL)
+    given: Any = {"dt": 0.01, "engine": COMPILED, "duration": 15.0}
+    on = simulate(WHEELED, LQR(WHEELED), CIRCLE, **given)
+    # The reference's input is held for dt, along which it turns by 6e-3 rad.
+    assert np.abs((on.q[:, :3] - on.reference.q)[:, :2]).max() < 1e-3
+    q, v = WHEELED.start(Reference(*(x[0] for x in on.reference)))
+    q = q + np.array([0.2, -0.2, 0.3, 0.0, 0.0])
+    v = heavy.reduced(q, 0 * v).S @ heavy.independent(heavy.rest, 0 * v)
+    run = simulate(heavy, LQR(WHEELED), CIRCLE, q0=q, v0=v, **given)
+    off = np.linalg.norm((run.q[:, :3] - run.reference.q)[:, :2], axis=-1)
+    assert off[0] > 0.28
+    assert off[1000:].max() < 0.02
+
+
+def test_arms_follow_too() -> None:
+    class Nod:
+        duration = 1.0
+
+        def __call__(self, t: Any) -> Reference:
+            angle = 3.0 * np.asarray(t)[..., None]
+            way = 0.2 * np.arange(1, ARM.nv + 1) / ARM.nv
+            q = ARM.rest + way * (1 - np.cos(angle))
+            return Reference(q, way * 3 * np.sin(angle), way * 9 * np.cos(angle))
+
+    start = Nod()(0.0).q + 0.05
+    given: Any = {"dt": 0.01, "integrator": rk4, "engine": COMPILED, "q0": start, "v0": np.zeros(ARM.nv)}
+    run = simulate(ARM, LQR(ARM), Nod(), **given)
+    assert np.abs(run.q - run.reference.q)[-1].max() < 0.02
+
+
+@pytest.mark.parametrize("robot", [NOMINAL, WHEELED])
+def test_all_engines_agree(robot: Any) -> None:
+    noisy = NoisyMeasurement(LQR(robot), 1e-3, 1e-3, seed=1)
+    noise = {"measured_std_q": Uniform(0.0, 1e-3)}  # the wrapper's, of which the gains know nothing
+    for spread, engines in (({}, (COMPILED, ARRAYS, PINOCCHIO)), (noise, (COMPILED, PINOCCHIO))):
+        given: Any = {"dt": 0.01, "seed": 2, "n": 3, "spread": {"mass": Uniform(25, 36), **spread}}
+        runs = [ensemble(robot, Saturated(noisy, 30), SHORT, engine=engine, **given) for engine in engines]
+        for other in runs[1:]:
+            # 200 samples of contracting loops: rounding does not grow.
+            assert np.abs(runs[0].rms_error - other.rms_error).max() < 1e-12
+
+
+def test_rows_are_data_another_reference_gives_other_gains_and_the_same_program() -> None:
+    given: Any = {"dt": 0.01, "integrator": rk4, "engine": COMPILED}
+    other = Tangent(Circle(radius=1.0, rate=-0.9, duration=3))
+    start = np.array([0.1, 0.0, 0.1])
+    for controller, trajectory in ((LQR(NOMINAL), SHORT), (LQR(NOMINAL, R=[1e-4, 1e-4, 1e-3]), other)):
+        q0 = trajectory(0.0).q + start
+        fast = simulate(NOMINAL, controller, trajectory, q0=q0, v0=np.zeros(3), **given)
+        slow = simulate(
+            NOMINAL, controller, trajectory, q0=q0, v0=np.zeros(3), **{**given, "engine": PINOCCHIO}
+        )
+        assert np.abs(fast.q - slow.q).max() < 1e-12
+
+
+def test_a_model_that_differs_from_robot_to_robot_is_run_one_after_another() -> None:
+    spread = {"model_mass": Uniform(20, 40)}
+    given: Any = {"dt": 0.01, "integrator": rk4, "n": 2, "seed": 1, "spread": spread}
+    with pytest.warns(UserWarning, match=r"follows from controller.robot.mass"):
+        found = ensemble(HEAVY, LQR(NOMINAL), SHORT, **given)
+    assert found.engine == repr(PINOCCHIO)
+    masses = found.draws["model_mass"]
+    for mass, error in zip(masses, found.rms_error, strict=True):
+        model = NOMINAL.with_parameters(mass=mass)
+        alone = ensemble(HEAVY, LQR(model), SHORT, **{**given, "n": 1, "spread": {}}, engine=COMPILED)
+        assert np.abs(alone.rms_error[0] - error).max() < 1e-12
+
+
+class Tabled:
+    """A law with a schedule of its own."""
+
+    parameters = ()
+
+    def initial_state(self, context: Context) -> Any:
+        return context.schedule(np.sin(np.outer(context.t, [1.0, 2.0, 3.0])))
+
+    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        row, state = state.next()
+        return 10.0 * row - v, state
+
+
+def test_a_schedule_gives_each_sample_its_row_in_all_engines() -> None:
+    given: Any = {"dt": 0.01, "integrator": rk4}
+    runs = [simulate(NOMINAL, Tabled(), SHORT, engine=engine, **given) for engine in (PINOCCHIO, COMPILED)]
+    for run in runs:
+        assert np.abs(run.u - 10 * np.sin(np.outer(run.t, [1, 2, 3])) + run.v).max() < 1e-12
+
+
+BAD: Any = [
+    (lambda: LQR(NOMINAL, Q=[1, 2, 3]), r"Q has shape \(3,\), expected \(6,\) or \(6, 6\)"),
+    (lambda: LQR(NOMINAL, R=[1, 2, 0]), r"R has the eigenvalue 0, expected a positive definite"),
+    (lambda: LQR(NOMINAL, Q=np.triu(np.ones((6, 6)))), "Q is not symmetric"),
+    (lambda: LQR(NOMINAL, Q=[-1, 1, 1, 1, 1, 1]), "expected a positive semidefinite"),
+    (lambda: LQR(Tangent), "robot is .*, expected a MobileRobot"),
+    (
+        lambda: LQR(WheeledRobot(NOMINAL, WheelTable.car(0.6, 0.4, 0.1, yaw_inertia=0.006))),
+        "steers wheels about 1 axes",
+    ),
+    (
+        lambda: simulate(WHEELED, LQR(WHEELED), Tangent(RestToRest([0, 0], [1, 0], 2)), dt=0.01),
+        "reference ends at rest, at t = 2 s, where a WheeledRobot that cannot move sideways",
+    ),
+    (
+        lambda: rows(LQR(WHEELED), WHEELED, FixedHeading(Circle(radius=1.5, rate=0.6, duration=2), 0.3)),
+        "as its wheels cannot roll",
+    ),
+    (lambda: simulate(ARM, LQR(ARM), SHORT, dt=0.01), "reference has 3 coordinates, expected all"),
+    (lambda: LQR(NOMINAL).initial_state(Context.of(NOMINAL, dt=0.1)), "context has no reference"),
+    (
+        lambda: Context.of(NOMINAL, dt=0.1).schedule(np.zeros((2, 3))),
+        r"rows has shape \(2, 3\), expected \(1, ...\)",
+    ),
+]
+
+
+@pytest.mark.parametrize(("make", "words"), BAD)
+def test_bad_arguments_are_refused(make: Any, words: str) -> None:
+    with pytest.raises(InvalidArgument, match=words):
+        make()
+
+
+def test_a_drive_that_moves_in_every_direction_may_end_at_rest() -> None:
+    mecanum = WheeledRobot(NOMINAL, WheelTable.mecanum(0.5, 0.4, 0.1))
+    straight = FixedHeading(RestToRest([0, 0], [1, 0], 2), 0.0)
+    run = simulate(mecanum, LQR(mecanum), straight, dt=0.01, engine=COMPILED)
+    assert np.abs(run.q[-1, :2] - [1, 0]).max() < 1e-3
+    body = simulate(NOMINAL, LQR(NOMINAL), straight, dt=0.01, engine=COMPILED, integrator=rk4)
+    assert np.abs(body.q[-1, :2] - [1, 0]).max() < 1e-3

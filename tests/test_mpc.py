@@ -1,0 +1,173 @@
+"""Model predictive control: against LQR and a dense program, within limits, without offset, and refused."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    COMPILED,
+    LQR,
+    MPC,
+    Circle,
+    ConstantForce,
+    Context,
+    FixedHeading,
+    InvalidArgument,
+    Lissajous,
+    MobileRobot,
+    NotSolved,
+    Saturated,
+    Tangent,
+    Uniform,
+    WheeledRobot,
+    WheelTable,
+    ensemble,
+    rk4,
+    simulate,
+)
+from pinmobile.arrays import Array
+from pinmobile.controllers.lqr import riccati
+from pinmobile.controllers.tracked_model import tracked_model
+
+NOMINAL = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
+HEAVY = MobileRobot(mass=36, yaw_inertia=1.56, com=(0.1, 0.05))
+LOADED = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.2, -0.05))
+WHEELED = WheeledRobot(NOMINAL, WheelTable.differential(0.1, 0.4))
+LONG = Tangent(Circle(radius=1.5, rate=0.6, duration=10))
+SHORT = Tangent(Circle(radius=1.5, rate=0.6, duration=2))
+T: Array = np.asarray(np.arange(201) * 0.01, np.float64)
+
+
+def asked(controller: Any, robot: Any, q: Array, v: Array) -> Array:
+    """Return the first input."""
+    context = Context.of(robot, dt=0.01, t=T, reference=SHORT(T))
+    return np.asarray(controller(0.0, q, v, SHORT(0.0), controller.initial_state(context))[0])
+
+
+@pytest.mark.parametrize("robot", [NOMINAL, WHEELED])
+def test_it_is_lqr_while_nothing_is_limited_and_its_step_is_that_of_the_loop(robot: Any) -> None:
+    q, v = robot.start(SHORT(0.0))
+    q = robot.integrate(q, np.append([0.1, -0.05, 0.1], np.zeros(robot.nv - 3)))
+    wanted = asked(LQR(robot), robot, q, v)
+    for horizon in (1, 20):
+        found = asked(MPC(robot, horizon, 0.01, limits=1e6, observer=0), robot, q, v)
+        assert np.abs(found - wanted).max() < 1e-12 * np.abs(wanted).max()
+
+
+def test_within_limits_it_is_the_solution_of_the_program_of_all_inputs() -> None:
+    from scipy.optimize import lsq_linear
+
+    step, N, limits = 0.05, 12, np.array([22.0, 22.0, 3.0])
+    controller = MPC(NOMINAL, N, step, limits=limits, observer=0)
+    start, v = SHORT(0.0).q + np.array([-0.3, -0.5, 0.4]), SHORT(0.0).v
+    found = asked(controller, NOMINAL, start, v)
+    model = tracked_model(NOMINAL, SHORT(T))
+    A, B = model.discrete(step)
+    Q, R = 5 * np.asarray(controller.Q), 5 * np.asarray(controller.R)
+    _, P = riccati(A, B, Q, R, 5)
+    # Least squares in all inputs: rows of the roots of the weights, states by powers of the model.
+    x, inputs = np.append(NOMINAL.difference(SHORT(0.0).q, start), np.zeros(3)), np.zeros((6, 3 * N))
+    rows, right = [np.kron(np.eye(N), np.linalg.cholesky(R).T)], [np.zeros(3 * N)]
+    for j in range(N):
+        pick = np.zeros((3, 3 * N))
+        pick[:, 3 * j : 3 * j + 3] = np.eye(3)
+        x, inputs = A[5 * j] @ x, A[5 * j] @ inputs + B[5 * j] @ pick
+        root = np.linalg.cholesky(Q if j < N - 1 else P[5 * N]).T
+        rows.append(root @ inputs)
+        right.append(-root @ x)
+    u = model.u[: 5 * N : 5].ravel()
+    box = np.tile(limits, N)
+    best = lsq_linear(np.vstack(rows), np.concatenate(right), (-box - u, box - u), tol=1e-15)
+    assert (np.abs(np.abs(best.x + u) - box) < 1e-6).sum() > 3
+    # The other solver stops where its cost changes by 1e-15 of itself: inputs within the root of that.
+    assert np.abs(found - (best.x + u)[:3]).max() < 1e-5 * 22
+
+
+def settled(controller: Any) -> tuple[float, Array]:
+    """Return when the distance stays below 20 mm [s], and the largest inputs."""
+    start = LONG(0.0).q + np.array([-0.3, -0.5, 0.4])
+    given: Any = {"dt": 0.01, "integrator": rk4, "substeps": 4, "duration": 6.0}
+    run = simulate(NOMINAL, controller, LONG, q0=start, v0=LONG(0.0).v, **given)
+    off = np.linalg.norm((run.q - run.reference.q)[:, :2], axis=-1)
+    return float(run.t[np.flatnonzero(off > 0.02)[-1] + 1]), np.abs(run.u).max(axis=0)
+
+
+def test_under_limits_it_settles_no_later_than_a_regulator_that_is_cut_off() -> None:
+    limits = (22.0, 22.0, 3.0)
+    (mine, largest), (cut, _) = settled(MPC(NOMINAL, limits=limits)), settled(Saturated(LQR(NOMINAL), limits))
+    assert mine <= cut
+    assert np.array_equal(largest, limits)
+
+
+def test_errors_are_those_of_an_independent_implementation() -> None:
+    for robot, observer, printed in ((HEAVY, 0.0, 5.48), (HEAVY, 10.0, 0.383), (LOADED, 10.0, 0.214)):
+        controller = MPC(NOMINAL, 20, 0.01, observer=observer)
+        run = simulate(robot, controller, LONG, dt=0.01, integrator=rk4, substeps=4)
+        off = (run.q - run.reference.q)[run.t >= 5, :2]
+        # Two percent, or half a unit of the last digit that is printed.
+        assert 1e3 * np.linalg.norm(off, axis=-1).max() == pytest.approx(printed, rel=0.02, abs=5e-4)
+
+
+def test_no_constant_force_leaves_an_error_nor_is_it_taken_from_what_limits_leave() -> None:
+    still, force = FixedHeading(Circle(radius=1.5, rate=0.6, duration=4), 0.3), np.array([12.0, -7.0, 1.5])
+    given: Any = {"dt": 0.01, "integrator": rk4, "forces": [ConstantForce(force)]}
+    run = simulate(NOMINAL, MPC(NOMINAL, limits=(60, 60, 9)), still, **given)
+    without = simulate(NOMINAL, MPC(NOMINAL, limits=(60, 60, 9), observer=0), still, **given)
+    last, other = (np.abs((x.q - x.reference.q)[-1]).max() for x in (run, without))
+    assert last < 0.02 * other
+    # Explicit Euler of the integral: order 1 in dt, along a reference that turns at 0.6 rad/s.
+    assert np.abs(run.signals["disturbance"].values[-1] - force).max() < 0.02 * 12
+
+
+def test_soft_bounds_hold_a_corridor_that_the_reference_leaves() -> None:
+    across = FixedHeading(Lissajous(1.0, 0.6, 0.5, 1.0, duration=6.0), 0.0)
+    endless = np.full(6, np.inf)
+    upper = endless.copy()
+    upper[1] = 0.4
+    given: Any = {"dt": 0.01, "integrator": rk4}
+    free = simulate(NOMINAL, MPC(NOMINAL, observer=0), across, **given)
+    bound = simulate(NOMINAL, MPC(NOMINAL, upper=upper, observer=0), across, **given)
+    assert free.q[:, 1].max() > 0.55
+    assert bound.q[:, 1].max() < 0.42
+
+
+def test_an_ensemble_says_why_it_is_slow_and_how_long_many_would_take() -> None:
+    given: Any = {"dt": 0.01, "n": 2, "seed": 1, "spread": {"mass": Uniform(28, 32)}, "duration": 0.1}
+    with pytest.warns(
+        UserWarning, match=r"quadratic program at each of 11 samples, so that 10,000 robots take"
+    ):
+        found = ensemble(NOMINAL, Saturated(MPC(NOMINAL), 100), SHORT, **given)
+    assert found.engine == "PINOCCHIO"
+    with pytest.raises(InvalidArgument, match="10,000 robots"):
+        ensemble(NOMINAL, MPC(NOMINAL), SHORT, engine=COMPILED, **given)
+
+
+def test_a_program_that_fails_keeps_its_state_and_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    from pinmobile.controllers import mpc
+
+    monkeypatch.setattr(mpc, "_solver", lambda: lambda H, *given, **options: (np.zeros(len(H)), 0.0, -1, {}))
+    with pytest.raises(NotSolved, match="at t = 0 s has no solution") as caught:
+        asked(MPC(NOMINAL, 4, limits=(22, 22, 3)), NOMINAL, SHORT(0.0).q + 0.4, SHORT(0.0).v)
+    assert caught.value.state.shape == (6,)
+    assert caught.value.problem["A"].shape[1] == len(caught.value.problem["H"])
+    assert caught.value.time == 0
+
+
+BAD: Any = [
+    (lambda: simulate(NOMINAL, MPC(NOMINAL, limits=5), SHORT, dt=0.01), "limits exclude the reference: at t"),
+    (
+        lambda: simulate(NOMINAL, MPC(NOMINAL, step=0.025), SHORT, dt=0.01),
+        "step is 0.025 s, expected a whole",
+    ),
+    (lambda: MPC(NOMINAL, limits=[1, 2]), r"limits is \[1.0, 2.0\], expected \(\) or \(3,\) numbers > 0"),
+    (lambda: MPC(NOMINAL, lower=[1, 2]), r"lower has shape \(2,\), expected \(6,\)"),
+    (lambda: MPC(NOMINAL, lower=np.ones(6), upper=np.zeros(6)), "lower is not below upper"),
+    (lambda: MPC(NOMINAL, horizon=0), "horizon is 0, expected"),
+]
+
+
+@pytest.mark.parametrize(("make", "words"), BAD)
+def test_bad_arguments_are_refused(make: Any, words: str) -> None:
+    with pytest.raises(InvalidArgument, match=words):
+        make()
