@@ -1,4 +1,4 @@
-"""The lecture's symbolic derivation, step by step, by sympy, of modified-DH chains and of wheels that roll."""
+"""The lecture's symbolic derivation, step by step, by sympy: of modified-DH chains, and of wheels."""
 
 from pinmobile.derivation.chain import Chain, Link
 from pinmobile.derivation.equations import derive, difference, lagrange, lecture

@@ -26,8 +26,8 @@ _R, _IW = sympy.symbols("r Iw")
 
 _MANY_TURNS = 1000  # [rad]; beyond, nobody means a multiple of 15 degrees
 _FREE = (
-    "What multiplies nu' in S' (M a + n - B tau) with a = S nu' + S_dot nu: forces that keep wheels from slipping "
-    "do no work on motions that roll."
+    "What multiplies nu' in S' (M a + n - B tau), a = S nu' + S_dot nu: forces that keep wheels from "
+    "slipping do no work on motions that roll."
 )
 _REST = "What remains of it without nu' and without torques."
 _PUSHED = "What torques are to nu."
@@ -270,12 +270,16 @@ class _Steps:
         self._steps.append(Step(name, title, why, symbol, told))
         return told
 
-    def _short(self, result: ImmutableMatrix) -> ImmutableMatrix:
-        """Return a result in few terms, grouped by motion, then by mass."""
-        motion = {*self._free.values(), *map(_rate, self._moving)}
-        masses = {each for each in result.free_symbols if re.fullmatch(r"m|I\w+", each.name)}
-        few = result.applyfunc(lambda entry: reduced(entry).xreplace(self._names))
-        return few.applyfunc(lambda entry: grouped(entry, (sorted(motion, key=str), sorted(masses, key=str))))
+    def _short(
+        self, name: str, title: str, why: str, symbol: str, result: ImmutableMatrix
+    ) -> ImmutableMatrix:
+        """Take down a result in few terms, grouped by motion, then by mass."""
+        few = result.applyfunc(reduced).xreplace(self._names)
+        motion = [*self._free.values(), *map(_rate, self._moving)]
+        masses = [each for each in few.free_symbols if re.match(r"m$|I\w", each.name)]
+        grown: ImmutableMatrix = few.applyfunc(lambda entry: grouped(entry, (motion, masses)))
+        self._tell(name, title, why, symbol, grown)
+        return grown
 
     def steered(self, name: str, words: str, place: tuple[Expr, Expr]) -> tuple[_Wheel, Expr]:
         """Take down how Ackermann's law turns a wheel; return it, and the ratio of its rate to delta's."""
@@ -287,7 +291,7 @@ class _Steps:
         k, g, slope = (Symbol(f"{letter}_{name}") for letter in ("k", "g", "gprime"))
         ratio = Function(g.name)(_DELTA)
         why = (
-            "Ackermann's law: all axles meet at the distance L / tan(delta) to the left of the rear one's middle, so "
+            "Ackermann's law: all axles meet L / tan(delta) to the left of the rear one's middle, so "
             "that the wheel is along (1 - y tan(delta) / L, tan(delta)), a vector of this length."
         )
         length = self._tell(k.name, f"Length, {words}", why, sympy.latex(k), root)
@@ -335,27 +339,20 @@ class _Steps:
         M = self._mass_matrix(wheels, steering)
         energy = (rates.T * M * rates)[0] / 2
         n = in_time(M) * rates - ImmutableMatrix([_slope(energy, x) for x in q])
-        why = (
-            "The derivative of M with respect to time, times the rates, less that of the kinetic energy by q."
-        )
-        n = n.applyfunc(reduced)
-        self._tell(
-            "n", "Nonlinear effects", f"Lagrange: {why[0].lower()}{why[1:]}", r"n(q, \dot{q})", self._short(n)
-        )
+        why = "Lagrange: the time derivative of M, times the rates, less the derivatives of the energy by q."
+        self._short("n", "Nonlinear effects", why, r"n(q, \dot{q})", n)
         shares = [{wheel.angle: sympy.S.One} for wheel in wheels] if torques is None else torques
         B = ImmutableMatrix([[share.get(x, 0) for share in shares] for x in q])
-        self._tell("B", "Input matrix", "Which coordinates each torque acts on.", "B", B)
+        self._tell("B", "Input matrix", "What each torque is to the coordinates.", "B", B)
         S_dot = in_time(S).xreplace(motion)
         why = "The derivative of S with respect to time, of motions that roll."
         self._tell("S_dot", "Rate of the null space", why, r"\dot{S}", S_dot)
         rest = M * S_dot * nu + n.xreplace(motion)
-        results = (
-            ("M_nu", "Reduced mass matrix", _FREE, "S^T M S", S.T * M * S),
-            ("n_nu", "Reduced nonlinear effects", _REST, r"S^T (M \dot{S} \nu + n)", S.T * rest),
-            ("B_nu", "Reduced input matrix", _PUSHED, "S^T B", S.T * B),
-        )
-        reduced_model = [self._tell(*told, self._short(result)) for *told, result in results]
-        return ReducedDerivation(tuple(self._steps), q, tuple(nu), *reduced_model, tuple(self._meanings))
+        M_nu = self._short("M_nu", "Reduced mass matrix", _FREE, "S^T M S", S.T * M * S)
+        title, symbol = "Reduced nonlinear effects", r"S^T (M \dot{S} \nu + n)"
+        n_nu = self._short("n_nu", title, _REST, symbol, S.T * rest)
+        B_nu = self._short("B_nu", "Reduced input matrix", _PUSHED, "S^T B", S.T * B)
+        return ReducedDerivation(tuple(self._steps), q, tuple(nu), M_nu, n_nu, B_nu, tuple(self._meanings))
 
     def _slips(self, wheels: Sequence[_Wheel], rates: ImmutableMatrix) -> ImmutableMatrix:
         """Take down the velocity of each wheel at the ground; return all, in the body's velocity."""
@@ -397,7 +394,7 @@ class _Steps:
         rolling = [c * vx - s * vy, s * vx + c * vy, *(by_nu[each] for each in velocities[2:])]
         S = ImmutableMatrix([sympy.expand(each, deep=False) for each in rolling]).jacobian(nu)
         told = ", ".join(map(str, nu))
-        why = f"A S = 0: the rates are S nu, nu = ({told}), and each column is a motion that rolls."
+        why = f"The rates are S nu with nu = ({told}): each column is a motion that rolls, A S = 0."
         self._tell("S", "Null space", why, "S(q)", S)
         return S
 
@@ -405,12 +402,12 @@ class _Steps:
         body = sympy.zeros(len(self._moving))
         body[:3, :3] = lecture().mass_matrix
         why = (
-            "The lecture's, of the whole with its wheels locked; a wheel adds its inertia about the axle, as a solid "
-            "of revolution that moves no mass when it turns"
+            "The lecture's, of the whole with its wheels locked; a wheel adds its inertia about the axle, "
+            "and moves no mass when it spins, as a solid of revolution"
         )
         if steering is not None:
             body += steering
-            why += ", and a steered one Iz ((omega + g deltadot)^2 - omega^2) / 2 to the energy"
+            why += "; a steered one adds Iz ((omega + g deltadot)^2 - omega^2) / 2 to the energy"
         M = ImmutableMatrix(sympy.diag(body, *(wheel.spin_inertia for wheel in wheels)))
         self._tell("M", "Mass matrix, wheels included", f"{why}.", "M(q)", M)
         return M
