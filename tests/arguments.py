@@ -817,6 +817,8 @@ ROWS: dict[str, Row] = {
     ),
     "derivation.RollerWheel": row(x=0.2, y=0.1, angle=0.1, roller=0.7, radius=0.1, spin_inertia=0.01),
     "derivation.RollerWheel.general": row(k=1),
+    "derivation.car": row(),
+    "derivation.differential_drive": row(),
     "derivation.roller_drive": row(wheels=[derivation.RollerWheel(0.2, 0.1, 0, 0.7)]),
     "derivation.Step.latex": row(),
     "derivation.Numeric.mass_matrix": row(q=Q, params=partial(lambda: dict(PARAMS))),

@@ -23,7 +23,6 @@ _TWIST = _VX, _VY, _OMEGA = sympy.symbols("v_x v_y omega")
 _DELTA, _TURNING = sympy.symbols("delta deltadot")
 _R, _IW = sympy.symbols("r Iw")
 
-
 _MANY_TURNS = 1000  # [rad]; beyond, nobody means a multiple of 15 degrees
 _FREE = (
     "What multiplies nu' in S' (M a + n - B tau), a = S nu' + S_dot nu: forces that keep wheels from "
@@ -70,11 +69,11 @@ class RollerWheel:
             plain = value.is_Rational and abs(value) < _MANY_TURNS
             object.__setattr__(self, name, exact_angle(name, float(value)) if plain else value)
         if (abs(self.roller) - sympy.pi / 2).is_nonnegative:
-            raise InvalidArgument(f"roller is {self.roller} rad, expected less than a right angle")
+            raise InvalidArgument(f"roller is {shown(self.roller)} rad, expected less than a right angle")
         if self.radius.is_nonpositive:
-            raise InvalidArgument(f"radius is {self.radius} m, expected > 0")
+            raise InvalidArgument(f"radius is {shown(self.radius)} m, expected > 0")
         if self.spin_inertia.is_negative:
-            raise InvalidArgument(f"spin_inertia is {self.spin_inertia} kg m^2, expected >= 0")
+            raise InvalidArgument(f"spin_inertia is {shown(self.spin_inertia)} kg m^2, expected >= 0")
 
     @classmethod
     def general(cls, k: int) -> RollerWheel:
