@@ -210,6 +210,17 @@ def test_derive_prints_text_or_latex(capsys: pytest.CaptureFixture[str]) -> None
     assert r"\ddot{\psi}" in latex
 
 
+@pytest.mark.parametrize("drive", ["differential", "roller", "car"])
+def test_derive_prints_the_reduced_model_of_a_drive(capsys: pytest.CaptureFixture[str], drive: str) -> None:
+    code, text, _ = typed(capsys, "derive", "--drive", drive)
+    assert code == 0
+    assert "\nNull space\n" in text
+    assert "\nn_nu =\n" in text
+    code, latex, _ = typed(capsys, "derive", "--drive", drive, "--latex")
+    assert code == 0
+    assert "S^T M S" in latex
+
+
 def test_run_is_the_lectures_circle_by_default(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     code, out, _ = typed(capsys, "run", "--out", str(tmp_path / "a" / "b"))
     assert code == 0
@@ -274,6 +285,8 @@ def test_a_run_that_diverges_keeps_what_came_before(
             ["derive", "--table", "slides"],
             "unknown table 'slides', did you mean 'slide'? available: slide, lecture",
         ),
+        (["derive", "--drive", "cart"], "unknown drive 'cart', did you mean 'car'? available: car, "),
+        (["derive", "--drive", "car", "--table", "slide"], "--table does not apply beside --drive"),
         (
             ["run", "--radius", "1", "--trajectory", "via-free"],
             "--radius does not apply to the trajectory 'via-free'",

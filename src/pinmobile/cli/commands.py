@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -206,13 +207,28 @@ def verify(
 
 @app.command()
 def derive(
-    table: Annotated[str, _help("DH table: lecture or slide.")] = "lecture",
+    table: Annotated[str | None, _help("DH table: lecture or slide; lecture.")] = None,
+    drive: Annotated[
+        str | None, _help("Instead, wheels that roll under the lecture's body: differential, roller or car.")
+    ] = None,
     latex: Annotated[bool, _help("Print LaTeX instead of text.", "--latex")] = False,
 ) -> int:
-    """Derive the equations of motion from the DH table, every step of the lecture's symbolic script."""
-    dh = choose("table", table, TABLES)
+    """Derive the equations of motion from the DH table, every step of the lecture's symbolic script.
+
+    With --drive those of a robot on wheels, in independent velocities: velocities at the ground, constraint
+    matrix, null space, reduced model.
+    """
+    if drive is not None:
+        Options({"table": table}).refuse(["table"], "does not apply beside --drive")
+    dh = choose("table", table or "lecture", TABLES)
     with progress(1, "deriving"):
-        derivation = pinmobile.derivation.lecture(dh)
+        reduced = {
+            "differential": pinmobile.derivation.differential_drive,
+            "roller": pinmobile.derivation.roller_drive,
+            "car": pinmobile.derivation.car,
+        }
+        lecture = partial(pinmobile.derivation.lecture, dh)
+        derivation = (lecture if drive is None else choose("drive", drive, reduced))()
     console.print(derivation.latex() if latex else str(derivation), markup=False)
     return 0
 

@@ -199,13 +199,13 @@ def _rounded(expression: Expr) -> Expr:
     return expression.xreplace({c: c.evalf(17) for c in constants if c.is_number})
 
 
-_Assignments = tuple[tuple[Symbol, Expr], ...]
+Assignments = tuple[tuple[Symbol, Expr], ...]
 
 
 def _latex(expression: Expr | ImmutableMatrix) -> str:
     names = {}
     for symbol in expression.free_symbols:
-        if parts := re.fullmatch(r"(I)([cxyz]+\d*)|([xyz])(b?c\d*)", symbol.name):
+        if parts := re.fullmatch(r"(I)([cwxyz]+\d*)|([xyz])(b?c\d*)", symbol.name):
             letter, index = (part for part in parts.groups() if part)
             names[symbol] = f"{letter}_{{{index}}}"
     return str(sympy.latex(expression, symbol_names=names))
@@ -222,7 +222,8 @@ def _text(expression: Expr | ImmutableMatrix) -> str:
     places = [
         f"{i}, {j}" if columns > 1 else str(i) for i in range(1, rows + 1) for j in range(1, columns + 1)
     ]
-    return "\n".join(f"  [{place}] = {entry}" for place, entry in zip(places, expression, strict=True))
+    lines = [f"  [{place}] = {entry}" for place, entry in zip(places, expression, strict=True) if entry]
+    return "\n".join([*lines, "  all others = 0"] if len(lines) < len(places) else lines)
 
 
 @dataclass(frozen=True)
@@ -260,8 +261,52 @@ class Step:
         return f"{self.title}\n  {self.explanation}\n{self.name} =\n{_text(self.expression)}"
 
 
+class Told:
+    """What is told in steps: they are looked up by name, and shown one after the other."""
+
+    steps: tuple[Step, ...]
+    assignments: Assignments
+
+    def __getitem__(self, name: str) -> Step:
+        for step in self.steps:
+            if step.name == name:
+                return step
+        raise UnknownName("step", name, [step.name for step in self.steps])
+
+    def written_out(self, expression: Expr | ImmutableMatrix) -> Expr | ImmutableMatrix:
+        """Return `expression` with every name of `assignments` replaced by what it stands for.
+
+        The result can be very long.
+
+        Raises
+        ------
+        InvalidArgument
+            If `expression` is something else.
+        """
+        if not isinstance(expression, Expr | ImmutableMatrix):
+            raise InvalidArgument(f"expression is {shown(expression)}, expected a sympy expression or matrix")
+        full: dict[Symbol, Expr] = {}
+        for symbol, value in self.assignments:
+            full[symbol] = value.xreplace(full)
+        return expression.xreplace(full)
+
+    def latex(self) -> str:
+        """Return all steps as one LaTeX environment."""
+        lines = (
+            rf"&\text{{{step.title}}}\quad & {step.symbol} &= {_latex(step.expression)}"
+            for step in self.steps
+        )
+        return "\\begin{alignat*}{2}\n" + " \\\\\n".join(lines) + "\n\\end{alignat*}"
+
+    def _repr_latex_(self) -> str:
+        return self.latex()
+
+    def __str__(self) -> str:
+        return "\n\n".join(map(str, self.steps))
+
+
 @dataclass(frozen=True)
-class Derivation:
+class Derivation(Told):
     """The equations of motion M(q) a + n(q, v) = inputs, and how they came about.
 
     `derivation["M"]` is the step of that name. Up to three joints every expression is simplified. Beyond,
@@ -290,7 +335,7 @@ class Derivation:
     inputs: ImmutableMatrix = field(repr=False)
     mass_matrix: ImmutableMatrix = field(repr=False)
     nonlinear_effects: ImmutableMatrix = field(repr=False)
-    assignments: _Assignments = field(repr=False)
+    assignments: Assignments = field(repr=False)
 
     @property
     def q(self) -> tuple[Symbol, ...]:
@@ -312,43 +357,6 @@ class Derivation:
         """Symbols in links and gravity; their names are the keys of `params` in the numeric functions."""
         return self.chain.parameters
 
-    def __getitem__(self, name: str) -> Step:
-        for step in self.steps:
-            if step.name == name:
-                return step
-        raise UnknownName("step", name, [step.name for step in self.steps])
-
-    def written_out(self, expression: Expr | ImmutableMatrix) -> Expr | ImmutableMatrix:
-        """Return `expression` with every name of `assignments` replaced by what it stands for.
-
-        Beyond three joints the result can be very long.
-
-        Raises
-        ------
-        InvalidArgument
-            If `expression` is something else.
-        """
-        if not isinstance(expression, Expr | ImmutableMatrix):
-            raise InvalidArgument(f"expression is {shown(expression)}, expected a sympy expression or matrix")
-        full: dict[Symbol, Expr] = {}
-        for symbol, value in self.assignments:
-            full[symbol] = value.xreplace(full)
-        return expression.xreplace(full)
-
     def numeric(self) -> Numeric:
         """Return M, n and the inputs as fast functions of arrays; keep it, as it keeps what it compiles."""
         return Numeric(self)
-
-    def latex(self) -> str:
-        """Return all steps as one LaTeX environment."""
-        lines = (
-            rf"&\text{{{step.title}}}\quad & {step.symbol} &= {_latex(step.expression)}"
-            for step in self.steps
-        )
-        return "\\begin{alignat*}{2}\n" + " \\\\\n".join(lines) + "\n\\end{alignat*}"
-
-    def _repr_latex_(self) -> str:
-        return self.latex()
-
-    def __str__(self) -> str:
-        return "\n\n".join(map(str, self.steps))

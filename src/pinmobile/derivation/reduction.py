@@ -1,0 +1,429 @@
+"""The reduced models of drives whose wheels roll ideally, derived step by step on the lecture's body."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import sympy
+from sympy import Expr, Function, ImmutableMatrix, Symbol
+from sympy.polys.matrices import DomainMatrix
+
+from pinmobile.arrays import whole
+from pinmobile.derivation.algebra import exact, exact_angle, grouped, reduced
+from pinmobile.derivation.equations import lecture
+from pinmobile.derivation.steps import Assignments, Step, Told
+from pinmobile.errors import InvalidArgument, shown
+
+_BODY = _, _, _PSI = sympy.symbols("x y psi")
+_TWIST = _VX, _VY, _OMEGA = sympy.symbols("v_x v_y omega")
+_DELTA, _TURNING = sympy.symbols("delta deltadot")
+_R, _IW = sympy.symbols("r Iw")
+
+_MANY_TURNS = 1000  # [rad]; beyond, nobody means a multiple of 15 degrees
+_FREE = (
+    "What multiplies nu' in S' (M a + n - B tau), a = S nu' + S_dot nu: forces that keep wheels from "
+    "slipping do no work on motions that roll."
+)
+_REST = "What remains of it without nu' and without torques."
+_PUSHED = "What torques are to nu."
+
+
+@dataclass(frozen=True)
+class RollerWheel:
+    """One row of a table of fixed wheels with rollers, mecanum or omni, in symbols or numbers.
+
+    Parameters
+    ----------
+    x, y : sympy.Expr or float
+        Place of the wheel in the body's frame [m].
+    angle : sympy.Expr or float
+        Angle of its rolling direction from the body's x [rad].
+    roller : sympy.Expr or float
+        Angle of the axis of the roller at the ground from the rolling direction, less than a right one
+        [rad].
+    radius, spin_inertia : sympy.Expr or float, optional
+        By default the symbols r [m] and Iw [kg m^2], the same for all wheels.
+
+    Raises
+    ------
+    InvalidArgument
+        If a value is neither a finite number nor an expression, or a number is not in its range.
+    """
+
+    x: Expr
+    y: Expr
+    angle: Expr
+    roller: Expr
+    radius: Expr = _R
+    spin_inertia: Expr = _IW
+
+    def __post_init__(self) -> None:
+        for name in ("x", "y", "radius", "spin_inertia"):
+            object.__setattr__(self, name, exact(name, getattr(self, name)))
+        for name in ("angle", "roller"):
+            value = exact(name, getattr(self, name))
+            plain = value.is_Rational and abs(value) < _MANY_TURNS
+            object.__setattr__(self, name, exact_angle(name, float(value)) if plain else value)
+        if (abs(self.roller) - sympy.pi / 2).is_nonnegative:
+            raise InvalidArgument(f"roller is {shown(self.roller)} rad, expected less than a right angle")
+        if self.radius.is_nonpositive:
+            raise InvalidArgument(f"radius is {shown(self.radius)} m, expected > 0")
+        if self.spin_inertia.is_negative:
+            raise InvalidArgument(f"spin_inertia is {shown(self.spin_inertia)} kg m^2, expected >= 0")
+
+    @classmethod
+    def general(cls, k: int) -> RollerWheel:
+        """Return wheel `k` with every quantity a symbol: x1, y1, delta1, gamma1, r1 and Iw1 for k = 1."""
+        k = whole("k", k, least=0)
+        return cls(*sympy.symbols(f"x{k} y{k} delta{k} gamma{k} r{k} Iw{k}"))
+
+
+@dataclass(frozen=True)
+class ReducedDerivation(Told):
+    """The equations M nu' + n = B tau in independent velocities nu, and how they came about.
+
+    `derivation["S"]` is the step of that name. Of a car, some quantities of the front wheels have names,
+    by which later steps refer to them.
+
+    Attributes
+    ----------
+    steps : tuple of Step
+        In the order in which they were taken.
+    coordinates : tuple of sympy.Symbol
+        Of body, steering and wheels [m or rad].
+    nu : tuple of sympy.Symbol
+        The independent velocities [m/s or rad/s].
+    mass_matrix : sympy.ImmutableMatrix, shape (m, m)
+        S' M S.
+    nonlinear_effects : sympy.ImmutableMatrix, shape (m, 1)
+        S' (M S_dot nu + n).
+    input_matrix : sympy.ImmutableMatrix, shape (m, inputs)
+        S' B: what torques are to nu.
+    assignments : tuple of (sympy.Symbol, sympy.Expr)
+        The names of intermediate results, each in terms of earlier ones.
+    """
+
+    steps: tuple[Step, ...] = field(repr=False)
+    coordinates: tuple[Symbol, ...]
+    nu: tuple[Symbol, ...]
+    mass_matrix: ImmutableMatrix = field(repr=False)
+    nonlinear_effects: ImmutableMatrix = field(repr=False)
+    input_matrix: ImmutableMatrix = field(repr=False)
+    assignments: Assignments = field(repr=False)
+
+
+class _Wheel(NamedTuple):
+    """A wheel under the body: its name, in words too, and place; `across` is None of one with rollers.
+
+    `along` is what rolls and `across` what may not slide, unit vectors in the body's axes; `rolled` is how
+    fast the first passes for a unit rate of the wheel.
+    """
+
+    name: str
+    words: str
+    place: tuple[Expr, Expr]
+    along: ImmutableMatrix
+    across: ImmutableMatrix | None
+    rolled: Expr
+    spin_inertia: Expr
+
+    @property
+    def angle(self) -> Symbol:
+        return Symbol(f"phi_{self.name}")
+
+
+def differential_drive() -> ReducedDerivation:
+    """Derive two fixed wheels on one axle, nu = (v, omega): speed of its middle, and yaw rate.
+
+    The axle is l ahead of the body's origin and 2 b wide. The result is made once and kept.
+
+    Returns
+    -------
+    derivation : ReducedDerivation
+        With the parameters m, xbc, ybc, Icz of the whole, wheels locked, l, b, r [m] and Iw [kg m^2]; its
+        torques are those of the left and the right wheel [N m].
+    """
+    return _differential_drive()
+
+
+@lru_cache
+def _differential_drive() -> ReducedDerivation:
+    axle, b, speed = sympy.symbols("l b v")
+    told = _Steps(_BODY, {_VX: speed, _OMEGA: _OMEGA})
+    return told.derivation([_tyre(name, words, (axle, side)) for name, words, side in _sides(b)])
+
+
+def roller_drive(wheels: Sequence[RollerWheel] | None = None) -> ReducedDerivation:
+    """Derive fixed wheels with rollers, mecanum or omni, in the body's twist nu = (v_x, v_y, omega).
+
+    Parameters
+    ----------
+    wheels : sequence of RollerWheel, optional
+        The table of the wheels. By default four of `RollerWheel.general`.
+
+    Returns
+    -------
+    derivation : ReducedDerivation
+        With the parameters m, xbc, ybc, Icz of the whole, wheels locked, and the symbols of the table; its
+        torques are those of the wheels [N m].
+
+    Raises
+    ------
+    InvalidArgument
+        If `wheels` is no sequence of one RollerWheel and more.
+    """
+    table = [RollerWheel.general(k) for k in range(1, 5)] if wheels is None else wheels
+    if isinstance(table, str) or not isinstance(table, Sequence) or not table:
+        raise InvalidArgument(f"wheels is {shown(wheels)}, expected a sequence of RollerWheel")
+    for row in table:
+        if not isinstance(row, RollerWheel):
+            raise InvalidArgument(f"wheels has {shown(row)}, expected a RollerWheel")
+    given = {symbol for row in table for value in vars(row).values() for symbol in value.free_symbols}
+    angles = [Symbol(f"phi_{k}") for k in range(1, len(table) + 1)]
+    moving = {*_BODY, *angles, *map(_rate, (*_BODY, *angles)), *_TWIST, *lecture().parameters}
+    if twice := sorted(map(str, given & moving)):
+        raise InvalidArgument(f"wheels gives {twice} two meanings, expected distinct names")
+    return _roller_drive(tuple(table))
+
+
+@lru_cache
+def _roller_drive(table: tuple[RollerWheel, ...]) -> ReducedDerivation:
+    wheels = []
+    for k, row in enumerate(table, 1):
+        angle, rolled = row.angle + row.roller, row.radius * sympy.cos(row.roller)
+        axis = ImmutableMatrix([sympy.cos(angle), sympy.sin(angle)])
+        wheels.append(_Wheel(str(k), f"wheel {k}", (row.x, row.y), axis, None, rolled, row.spin_inertia))
+    return _Steps(_BODY, {each: each for each in _TWIST}).derivation(wheels)
+
+
+def car() -> ReducedDerivation:
+    """Derive a car with two wheels on each axle, nu = (v, deltadot): speed of the rear one, steering rate.
+
+    The body's origin is the middle of the rear axle; delta is the angle of a wheel in the middle of the
+    front one, L ahead, and Ackermann's law turns the two that are there so that all axles meet. The wheels
+    of an axle are 2 b apart, and share its torque equally. The result is made once and kept.
+
+    Returns
+    -------
+    derivation : ReducedDerivation
+        With the parameters m, xbc, ybc, Icz of the whole, wheels locked, L, b, r [m], Iw of each wheel about
+        its axle and Iz of each front one about the vertical [kg m^2]; its torques are those of the rear axle,
+        the front axle and the steering [N m].
+    """
+    return _car()
+
+
+@lru_cache
+def _car() -> ReducedDerivation:
+    wheelbase, b, Iz, speed = sympy.symbols("L b Iz v")
+    told = _Steps((*_BODY, _DELTA), {_VX: speed, _TURNING: _TURNING})
+    rear = [_tyre(f"r{side}", f"rear {words}", (sympy.S.Zero, y)) for side, words, y in _sides(b)]
+    front = [told.steered(f"f{side}", f"front {words}", (wheelbase, y)) for side, words, y in _sides(b)]
+    wheels = [*rear, *(wheel for wheel, _ in front)]
+    ratios = [ratio for _, ratio in front]
+    M = sympy.zeros(4, 4)
+    M[2, 3] = M[3, 2] = Iz * sympy.Add(*ratios)
+    M[3, 3] = Iz * sympy.Add(*(ratio**2 for ratio in ratios))
+    half = sympy.Rational(1, 2)
+    torques = [{wheel.angle: half for wheel in axle} for axle in (wheels[:2], wheels[2:])]
+    return told.derivation(wheels, M, [*torques, {_DELTA: sympy.S.One}])
+
+
+def _sides(b: Expr) -> tuple[tuple[str, str, Expr], ...]:
+    return ("l", "left wheel", b), ("r", "right wheel", -b)
+
+
+def _tyre(name: str, words: str, place: tuple[Expr, Expr]) -> _Wheel:
+    forward, left = ImmutableMatrix([1, 0]), ImmutableMatrix([0, 1])
+    return _Wheel(name, words, place, forward, left, _R, _IW)
+
+
+class _Steps:
+    """Takes down the steps of one drive.
+
+    Parameters
+    ----------
+    moving : tuple of sympy.Symbol
+        Coordinates of body and steering.
+    free : dict of sympy.Symbol to sympy.Symbol
+        Which velocities of body and steering are independent, and what they are called.
+    """
+
+    def __init__(self, moving: tuple[Symbol, ...], free: dict[Symbol, Symbol]) -> None:
+        self._moving, self._free = moving, free
+        self._steps: list[Step] = []
+        self._names: dict[Expr, Expr] = {}
+        self._meanings: list[tuple[Symbol, Expr]] = []
+        self._lengths: dict[Symbol, Expr] = {}
+        c, s, (xdot, ydot, turn) = sympy.cos(_PSI), sympy.sin(_PSI), map(_rate, _BODY)
+        self._twist = ImmutableMatrix([c * xdot + s * ydot, c * ydot - s * xdot, turn])
+        why = "(v_x, v_y, omega): the rates of x and y, turned into the body's axes, and the yaw rate."
+        self._tell("u", "Velocity of the body", why, "u", self._twist)
+
+    def _tell(self, name: str, title: str, why: str, symbol: str, result: Any) -> Any:
+        told = result.xreplace(self._names)
+        self._steps.append(Step(name, title, why, symbol, told))
+        return told
+
+    def _short(
+        self, name: str, title: str, why: str, symbol: str, result: ImmutableMatrix
+    ) -> ImmutableMatrix:
+        """Take down a result in few terms, grouped by motion, then by mass."""
+        few = result.applyfunc(reduced).xreplace(self._names)
+        motion = [*self._free.values(), *map(_rate, self._moving)]
+        masses = [each for each in few.free_symbols if re.match(r"m$|I\w", each.name)]
+        grown: ImmutableMatrix = few.applyfunc(lambda entry: grouped(entry, (motion, masses)))
+        self._tell(name, title, why, symbol, grown)
+        return grown
+
+    def steered(self, name: str, words: str, place: tuple[Expr, Expr]) -> tuple[_Wheel, Expr]:
+        """Take down how Ackermann's law turns a wheel; return it, and the ratio of its rate to delta's."""
+        (L, y), T = place, sympy.tan(_DELTA)
+        towards = ImmutableMatrix([1 - y * T / L, T])
+        square, change = towards.dot(towards), towards.diff(_DELTA)
+        root = sympy.sqrt(square)
+        along, across = towards / root, ImmutableMatrix([-T, towards[0]]) / root
+        k, g, slope = (Symbol(f"{letter}_{name}") for letter in ("k", "g", "gprime"))
+        ratio = Function(g.name)(_DELTA)
+        why = (
+            "Ackermann's law: all axles meet L / tan(delta) to the left of the rear one's middle, so "
+            "that the wheel is along (1 - y tan(delta) / L, tan(delta)), a vector of this length."
+        )
+        length = self._tell(k.name, f"Length, {words}", why, sympy.latex(k), root)
+        self._names |= {square: k**2, root: k, 1 / root: 1 / k, T**2 + 1: sympy.cos(_DELTA) ** -2}
+        why = "That vector, of length one."
+        self._tell(f"e_{name}", f"Direction, {words}", why, f"e_{{{name}}}", along)
+        turned = sympy.factor(sympy.expand(towards[0] * change[1] - towards[1] * change[0]))
+        why = "The derivative of its angle by delta: what that of its direction has across it."
+        first = self._tell(g.name, f"Steering ratio, {words}", why, sympy.latex(g), turned / square)
+        steeper = sympy.factor(sympy.expand(turned.diff(_DELTA) * square - turned * square.diff(_DELTA)))
+        title, why = f"Slope of the steering ratio, {words}", "The derivative of the ratio by delta."
+        second = self._tell(slope.name, title, why, sympy.latex(slope), steeper / square**2)
+        self._names |= {ratio: g, ratio.diff(_DELTA): slope}
+        self._meanings += [(k, length), (g, first), (slope, second)]
+        self._lengths[k] = square
+        return _Wheel(name, words, place, along, across, _R, _IW), ratio
+
+    def derivation(
+        self,
+        wheels: Sequence[_Wheel],
+        steering: sympy.Matrix | None = None,
+        torques: Sequence[dict[Symbol, Expr]] | None = None,
+    ) -> ReducedDerivation:
+        """Take all steps from the velocities at the ground to the reduced model.
+
+        Parameters
+        ----------
+        wheels : sequence of _Wheel
+            In the order of their coordinates.
+        steering : sympy.Matrix, optional
+            What it adds to the mass matrix of body and steering.
+        torques : sequence of dict, optional
+            On which coordinates each torque acts, and with which share; by default one on each wheel.
+        """
+        q = (*self._moving, *(wheel.angle for wheel in wheels))
+        rates = ImmutableMatrix([_rate(each) for each in q])
+        nu = ImmutableMatrix(list(self._free.values()))
+        S = self._null_space(self._slips(wheels, rates), rates, nu)
+        motion = dict(zip(rates, S * nu, strict=True))
+
+        def in_time(matrix: ImmutableMatrix) -> ImmutableMatrix:
+            slopes = (_slope(matrix, x) * _rate(x) for x in self._moving)
+            return sum(slopes, sympy.zeros(*matrix.shape))
+
+        M = self._mass_matrix(wheels, steering)
+        energy = (rates.T * M * rates)[0] / 2
+        n = in_time(M) * rates - ImmutableMatrix([_slope(energy, x) for x in q])
+        why = "Lagrange: the time derivative of M, times the rates, less the derivatives of the energy by q."
+        self._short("n", "Nonlinear effects", why, r"n(q, \dot{q})", n)
+        shares = [{wheel.angle: sympy.S.One} for wheel in wheels] if torques is None else torques
+        B = ImmutableMatrix([[share.get(x, 0) for share in shares] for x in q])
+        self._tell("B", "Input matrix", "What each torque is to the coordinates.", "B", B)
+        S_dot = in_time(S).xreplace(motion)
+        why = "The derivative of S with respect to time, of motions that roll."
+        self._tell("S_dot", "Rate of the null space", why, r"\dot{S}", S_dot)
+        rest = M * S_dot * nu + n.xreplace(motion)
+        M_nu = self._short("M_nu", "Reduced mass matrix", _FREE, "S^T M S", S.T * M * S)
+        title, symbol = "Reduced nonlinear effects", r"S^T (M \dot{S} \nu + n)"
+        n_nu = self._short("n_nu", title, _REST, symbol, S.T * rest)
+        B_nu = self._short("B_nu", "Reduced input matrix", _PUSHED, "S^T B", S.T * B)
+        return ReducedDerivation(tuple(self._steps), q, tuple(nu), M_nu, n_nu, B_nu, tuple(self._meanings))
+
+    def _slips(self, wheels: Sequence[_Wheel], rates: ImmutableMatrix) -> ImmutableMatrix:
+        """Take down the velocity of each wheel at the ground; return all, in the body's velocity."""
+        slips = []
+        for wheel in wheels:
+            x, y = wheel.place
+            centre = ImmutableMatrix([_VX - y * _OMEGA, _VY + x * _OMEGA])
+            held = [wheel.along.dot(centre) - wheel.rolled * _rate(wheel.angle)]
+            why = "Along the axis of the roller at the ground, across which it is free: "
+            if wheel.across is not None:
+                held.append(wheel.across.dot(centre))
+                why = "Along the wheel and across it: "
+            why += "the velocity of its centre, less what it rolls. It must vanish."
+            title, symbol = f"Velocity at the ground, {wheel.words}", f"s_{{{wheel.name}}}"
+            self._tell(f"s_{wheel.name}", title, why, symbol, ImmutableMatrix(held) if held[1:] else held[0])
+            slips += held
+        return ImmutableMatrix(slips)
+
+    def _null_space(
+        self, slips: ImmutableMatrix, rates: ImmutableMatrix, nu: ImmutableMatrix
+    ) -> ImmutableMatrix:
+        """Take down A and S, whose columns are found by elimination, the independent velocities last."""
+        twist = dict(zip(_TWIST, self._twist, strict=True))
+        A = slips.xreplace(twist).jacobian(rates)
+        why = "What multiplies the rates in the velocities at the ground: A times the rates is zero."
+        self._tell("A", "Constraint matrix", why, "A(q)", A)
+        velocities = [*_TWIST, *rates[3:]]
+        free = list(self._free)
+        ordered = [*(each for each in velocities if each not in free), *free]
+        rows = slips.xreplace(self._names).jacobian(ordered)
+        found = DomainMatrix.from_Matrix(rows).to_field().rref()[0]
+        bound = len(ordered) - len(free)
+        solved = -found.to_Matrix()[:bound, bound:]
+        for k, square in self._lengths.items():
+            solved = solved.applyfunc(partial(_shorter, k=k, square=square)).xreplace({k: sympy.sqrt(square)})
+        by_nu = dict(zip(ordered, [*(solved * nu), *nu], strict=True))
+        c, s = sympy.cos(_PSI), sympy.sin(_PSI)
+        vx, vy = by_nu[_VX], by_nu[_VY]
+        rolling = [c * vx - s * vy, s * vx + c * vy, *(by_nu[each] for each in velocities[2:])]
+        S = ImmutableMatrix([sympy.expand(each, deep=False) for each in rolling]).jacobian(nu)
+        told = ", ".join(map(str, nu))
+        why = f"The rates are S nu with nu = ({told}): each column is a motion that rolls, A S = 0."
+        self._tell("S", "Null space", why, "S(q)", S)
+        return S
+
+    def _mass_matrix(self, wheels: Sequence[_Wheel], steering: sympy.Matrix | None) -> ImmutableMatrix:
+        body = sympy.zeros(len(self._moving))
+        body[:3, :3] = lecture().mass_matrix
+        why = (
+            "The lecture's, of the whole with its wheels locked; a wheel adds its inertia about the axle, "
+            "and moves no mass when it spins, as a solid of revolution"
+        )
+        if steering is not None:
+            body += steering
+            why += "; a steered one adds Iz ((omega + g deltadot)^2 - omega^2) / 2 to the energy"
+        M = ImmutableMatrix(sympy.diag(body, *(wheel.spin_inertia for wheel in wheels)))
+        self._tell("M", "Mass matrix, wheels included", f"{why}.", "M(q)", M)
+        return M
+
+
+def _rate(coordinate: Symbol) -> Symbol:
+    letter, bar, index = coordinate.name.partition("_")
+    return Symbol(f"{letter}dot{bar}{index}")
+
+
+def _slope(expression: Any, x: Symbol) -> Any:
+    """Return the derivative, in which that of tan(delta) is 1 / cos^2 delta, which stays whole."""
+    T, tangent = Function("T")(_DELTA), sympy.tan(_DELTA)
+    slope = expression.xreplace({tangent: T}).diff(x)
+    return slope.xreplace({T.diff(_DELTA): sympy.cos(_DELTA) ** -2}).xreplace({T: tangent})
+
+
+def _shorter(entry: Expr, k: Symbol, square: Expr) -> Expr:
+    """Return `entry` with k instead of k^2 / k, where k^2 is written out, if that is shorter."""
+    return min(entry, sympy.cancel(entry * k / square) * k, key=sympy.count_ops)

@@ -1,0 +1,238 @@
+"""The reduced models derived step by step, against the hand-derived ones and a robot on wheels."""
+
+from math import pi
+from typing import Any
+
+import numpy as np
+import pytest
+import sympy
+from sympy import Expr, ImmutableMatrix, Symbol, symbols
+
+from pinmobile import MobileRobot, Motor, WheeledRobot, WheelTable, closed_form
+from pinmobile.arrays import Array
+from pinmobile.derivation import (
+    ReducedDerivation,
+    RollerWheel,
+    car,
+    differential_drive,
+    lecture,
+    roller_drive,
+)
+from pinmobile.errors import InvalidArgument, UnknownName
+
+BODY = {"m": 30.0, "xbc": 0.05, "ybc": -0.02, "Icz": 2.3}
+HAND: dict[str, Any] = {"mass": 30.0, "com": (0.05, -0.02), "yaw_inertia": 2.3}
+ROBOT = MobileRobot(30.0, 2.3, com=(0.05, -0.02, 0.2))
+lx, ly = symbols("lx ly")
+MECANUM = [RollerWheel(i * lx, j * ly, 0, -i * j * pi / 4) for i in (1, -1) for j in (1, -1)]
+"""Front left, front right, rear left, rear right; as in WheelTable.mecanum."""
+
+ROUNDING = 1e-13  # of sums of at most some hundred terms
+DRIVES = {
+    "differential": differential_drive,
+    "roller": roller_drive,
+    "mecanum": lambda: roller_drive(MECANUM),
+    "car": car,
+}
+
+
+def numbers(derivation: ReducedDerivation, values: dict[str, Any]) -> list[Array]:
+    """Return M, n and B."""
+    found = (derivation.mass_matrix, derivation.nonlinear_effects, derivation.input_matrix)
+    given = [Symbol(name) for name in values]
+    written = [derivation.written_out(matrix).tolist() for matrix in found]
+    return [np.array(sympy.lambdify(given, rows, "math")(*values.values()), float) for rows in written]
+
+
+def assert_same(derivation: ReducedDerivation, values: dict[str, Any], other: Any) -> None:
+    M, n, B = numbers(derivation, values)
+    np.testing.assert_allclose(M, other.M, rtol=0, atol=ROUNDING * np.abs(other.M).max())
+    np.testing.assert_allclose(n[:, 0], other.n, rtol=0, atol=10 * ROUNDING * np.abs(other.n).max())
+    np.testing.assert_allclose(B, other.B, rtol=0, atol=ROUNDING * np.abs(other.B).max())
+
+
+def is_zero(expression: Expr | ImmutableMatrix) -> bool:
+    simplified = sympy.simplify(expression)
+    return bool(simplified == 0 * simplified)
+
+
+def test_the_differential_drive_is_the_hand_derived_one() -> None:
+    m, xbc, ybc, Icz, Iw, l, b, r, v, omega = symbols("m xbc ybc Icz Iw l b r v omega")  # noqa: E741
+    derivation, d = differential_drive(), xbc - l
+    inertia = Icz + m * (d**2 + ybc**2) + 2 * Iw * b**2 / r**2
+    assert is_zero(
+        derivation.mass_matrix - ImmutableMatrix([[m + 2 * Iw / r**2, -m * ybc], [-m * ybc, inertia]])
+    )
+    assert is_zero(derivation.nonlinear_effects - ImmutableMatrix([-m * d * omega**2, m * d * v * omega]))
+    assert is_zero(derivation.input_matrix - ImmutableMatrix([[1, 1], [-b, b]]) / r)
+    values = {**BODY, "l": 0.07, "b": 0.25, "r": 0.1, "Iw": 0.03, "v": 0.8, "omega": -0.6}
+    own = {"axle": 0.07, "track": 0.5, "radius": 0.1, "spin_inertia": 0.03}
+    assert_same(derivation, values, closed_form.differential_drive([0.8, -0.6], **HAND, **own))
+
+
+def test_any_roller_wheels_are_the_hand_derived_ones() -> None:
+    rng = np.random.default_rng(3)
+    columns = {
+        "x": rng.uniform(-0.5, 0.5, 4),
+        "y": rng.uniform(-0.5, 0.5, 4),
+        "delta": rng.uniform(-3, 3, 4),
+        "gamma": rng.uniform(-1.2, 1.2, 4),
+        "r": rng.uniform(0.05, 0.2, 4),
+        "Iw": rng.uniform(0.01, 0.1, 4),
+    }
+    x, y, angle, roller, radius, spin = columns.values()
+    wheels = {"x": x, "y": y, "angle": angle, "roller": roller, "radius": radius, "spin_inertia": spin}
+    expected = closed_form.roller_drive([0.4, -0.3, 0.7], **HAND, **wheels)
+    values = {f"{name}{k}": entry for name, column in columns.items() for k, entry in enumerate(column, 1)}
+    twist = {"v_x": 0.4, "v_y": -0.3, "omega": 0.7}
+    assert_same(roller_drive(), {**BODY, **values, **twist}, expected)
+    row = RollerWheel(*(column[1] for column in columns.values()))
+    expected = closed_form.roller_drive(
+        [0.4, -0.3, 0.7], **HAND, **{name: column[1:2] for name, column in wheels.items()}
+    )
+    assert_same(roller_drive([row]), {**BODY, **twist}, expected)
+
+
+@pytest.mark.parametrize("track", [0.4, 0.0])
+@pytest.mark.parametrize("steering", [-1.2, 0.0, 0.5])
+def test_the_car_is_the_hand_derived_one(track: float, steering: float) -> None:
+    values = {**BODY, "L": 0.6, "b": track / 2, "r": 0.1, "Iw": 0.03, "Iz": 0.02}
+    own = {"wheelbase": 0.6, "track": track, "radius": 0.1, "spin_inertia": 0.03, "steered_inertia": 0.02}
+    expected = closed_form.car([0.8, -0.6], steering, **HAND, **own)
+    assert_same(car(), {**values, "delta": steering, "v": 0.8, "deltadot": -0.6}, expected)
+
+
+GEARED = Motor(rotor_inertia=1e-4, gear=10)
+OWN: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
+TABLES = {
+    "differential": (
+        WheelTable.differential(0.5, 0.1, x=0.07, supports=[(-0.2, 0)], motor=GEARED, **OWN),
+        {"l": 0.07, "b": 0.25, "r": 0.1, "Iw": 0.02},
+    ),
+    "mecanum": (
+        WheelTable.mecanum(0.5, 0.4, 0.08, motor=GEARED, **OWN),
+        {"lx": 0.25, "ly": 0.2, "r": 0.08, "Iw": 0.02},
+    ),
+    "car": (WheelTable.car(0.6, 0.4, 0.1, **OWN), {"L": 0.6, "b": 0.2, "r": 0.1, "Iw": 0.01, "Iz": 0.006}),
+}
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_a_robot_on_wheels_has_the_derived_model(kind: str) -> None:
+    table, values = TABLES[kind]
+    wheeled, derivation = WheeledRobot(ROBOT, table), DRIVES[kind]()
+    rng = np.random.default_rng(5)
+    q, v = rng.uniform(-1, 1, wheeled.nq), rng.uniform(-1, 1, wheeled.nv)
+    found = wheeled.reduced(q, wheeled.project(q, v))
+    state = dict(zip(map(str, derivation.nu), found.nu, strict=True))
+    if kind == "car":
+        state["delta"] = q[3]
+    M, n, B = numbers(derivation, {**BODY, **values, **state})
+    B = B[:, [0, 2]] if kind == "car" else B
+    # the tree's inertias are those of the whole less and plus each wheel, and it solves for S
+    np.testing.assert_allclose(found.M, M, rtol=0, atol=10 * ROUNDING * np.abs(M).max())
+    np.testing.assert_allclose(found.n, n[:, 0], rtol=0, atol=10 * ROUNDING * np.abs(M).max())
+    np.testing.assert_allclose(found.B, B, rtol=0, atol=10 * ROUNDING * np.abs(B).max())
+
+
+@pytest.mark.parametrize("kind", DRIVES)
+def test_steps_fit_each_other(kind: str) -> None:
+    derivation = DRIVES[kind]()
+
+    def at(name: str) -> Any:
+        return derivation.written_out(derivation[name].expression)
+
+    S, nu = at("S"), ImmutableMatrix(derivation.nu)
+    rng = np.random.default_rng(7)
+    values = {symbol: rng.uniform(0.3, 0.8) for symbol in at("A").free_symbols}
+    slips, rolling = (np.array(matrix.xreplace(values).evalf(), float) for matrix in (at("A"), S))
+    assert np.abs(slips @ rolling).max() < ROUNDING
+    assert rolling.shape == (len(derivation.coordinates), len(nu))
+    assert np.linalg.matrix_rank(rolling) == len(nu) == rolling.shape[0] - np.linalg.matrix_rank(slips)
+    body, n = lecture(), at("n")
+    assert at("M")[:3, :3] == body.mass_matrix
+    assert is_zero(n[:2, 0] - body.nonlinear_effects[:2, 0])
+    held = n[2].subs({symbols("deltadot"): 0})
+    assert is_zero(held - body.nonlinear_effects[2])
+    assert derivation["M_nu"].expression == derivation.mass_matrix
+    assert derivation["n_nu"].expression == derivation.nonlinear_effects
+    assert derivation["B_nu"].expression == derivation.input_matrix
+    with pytest.raises(UnknownName, match="unknown step 'S_dots', did you mean 'S_dot'"):
+        derivation["S_dots"]
+
+
+def test_the_slope_of_the_steering_ratio_is_its_derivative() -> None:
+    derivation = car()
+    for wheel in ("fl", "fr"):
+        k, g, slope = (derivation.written_out(Symbol(f"{name}_{wheel}")) for name in ("k", "g", "gprime"))
+        angle = sympy.acos(derivation.written_out(derivation[f"e_{wheel}"].expression)[0])
+        at = {"delta": 0.5, "b": 0.2, "L": 0.6}
+        delta = symbols("delta")
+        assert float((angle.diff(delta) - g).subs(at)) == pytest.approx(0, abs=ROUNDING)
+        assert float((g.diff(delta) - slope).subs(at)) == pytest.approx(0, abs=ROUNDING)
+        assert float(k.subs(at)) > 1 - 0.2 / 0.6 * np.tan(0.5)
+
+
+def test_mecanum_wheels_are_the_textbooks() -> None:
+    r, Iw, m = symbols("r Iw m")
+    derivation = roller_drive(MECANUM)
+    J = ImmutableMatrix([[1, -1, -lx - ly], [1, 1, lx + ly], [1, 1, -lx - ly], [1, -1, lx + ly]]) / r
+    assert is_zero(derivation.input_matrix - J.T)
+    assert is_zero(derivation.mass_matrix[0, 0] - m - 4 * Iw / r**2)
+
+
+@pytest.mark.parametrize("kind", DRIVES)
+def test_steps_are_shown_as_the_lectures(kind: str) -> None:
+    derivation = DRIVES[kind]()
+    latex, text = derivation.latex(), str(derivation)
+    assert latex == derivation._repr_latex_()
+    assert latex.count(r"\text{") == len(derivation.steps) == text.count(" =\n")
+    assert latex.count("{") == latex.count("}")
+    names = [step.name for step in derivation.steps]
+    assert len(set(names)) == len(names)
+    order = ["u", "A", "S", "M", "n", "B", "S_dot", "M_nu", "n_nu", "B_nu"]
+    assert [name for name in names if name in order] == order
+    assert all(step.explanation.endswith(".") for step in derivation.steps)
+    for part in (r"\dot{\phi}_{", r"\dot{\psi}", r"\dot{S}", "I_{cz}", "I_{w", "S^T M S"):
+        assert part in latex
+
+
+def test_a_wide_matrix_is_told_by_its_entries(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    lines = str(car()["M"]).splitlines()
+    assert lines[3:5] == ["  [1, 1] = m", "  [1, 3] = -m*(xbc*sin(psi) + ybc*cos(psi))"]
+    assert lines[-1] == "  all others = 0"
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ({"x": np.inf}, "x is inf, expected a finite real number or a sympy expression"),
+        ({"roller": pi / 2}, "roller is pi/2 rad, expected less than a right angle"),
+        ({"roller": -2}, "roller is -2 rad, expected less than a right angle"),
+        ({"radius": 0}, "radius is 0 m, expected > 0"),
+        ({"spin_inertia": -1}, "spin_inertia is -1 kg m^2, expected >= 0"),
+    ],
+)
+def test_a_roller_wheel_refuses(row: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidArgument) as caught:
+        RollerWheel(**{"x": 0, "y": 0, "angle": 0, "roller": 0, **row})
+    assert str(caught.value).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("wheels", "message"),
+    [
+        ([], "wheels is [], expected a sequence of RollerWheel"),
+        ("omni", "wheels is 'omni', expected a sequence of RollerWheel"),
+        ([3], "wheels has 3, expected a RollerWheel"),
+        (
+            [RollerWheel(Symbol("x"), 0, Symbol("omega"), 0)],
+            "wheels gives ['omega', 'x'] two meanings, expected distinct names",
+        ),
+    ],
+)
+def test_a_roller_drive_refuses(wheels: Any, message: str) -> None:
+    with pytest.raises(InvalidArgument) as caught:
+        roller_drive(wheels)
+    assert str(caught.value) == message
