@@ -88,8 +88,8 @@ def identify(
         Load that the robot carried in each log, in the body's frame. With loads that differ, the scale of the
         input is identified too, such as an unknown torque constant.
     method : str
-        ``"output error"``, or ``"weak"``, the start alone: linear and fast, its intervals two to three times
-        as wide where forces are known well.
+        ``"output error"``, or ``"weak"``, the start alone: linear and fast, its intervals several times
+        as wide where forces are known well, and much the same where they are not.
     delay : float, optional
         By which poses come late [s]; without it, it is found.
     rolling_speed : float, optional
