@@ -37,6 +37,7 @@ def lecture(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return folder, done.stdout
 
 
+@pytest.mark.once
 def test_lecture_prints_every_number_beside_the_lectures(lecture: tuple[Path, str]) -> None:
     _, text = lecture
     for (trajectory, controller), (x, y) in EXPECTED.items():
@@ -63,6 +64,7 @@ def test_lecture_shows_both_headings_beside_each_other_and_says_of_which_the_fig
             assert "the figures show the heading that is put right" in section
 
 
+@pytest.mark.once
 def test_no_repr_is_in_a_page_s_title(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     robot = tmp_path / "mine.urdf"
     robot.write_text(MobileRobot(7, 0.5).to_urdf())
@@ -163,6 +165,7 @@ def test_lecture_writes_every_figure_with_an_index_that_says_what_it_shows(lectu
     )
 
 
+@pytest.mark.once
 def test_lecture_says_no_when_a_number_is_not_the_lectures(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -245,6 +248,7 @@ def test_run_takes_a_trajectory_a_controller_a_robot_and_their_parameters(
     np.testing.assert_allclose(rollout.reference.q[210, :2], (1, 2))
 
 
+@pytest.mark.once
 def test_run_with_a_model_that_is_wrong(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     options = ["run", "--duration", "10", "--dt", "0.01", "--out", str(tmp_path)]
     typed(capsys, *options)

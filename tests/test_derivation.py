@@ -18,6 +18,8 @@ from pinmobile.derivation import Derivation, Link, Step, derive, difference, lag
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType
 from pinmobile.errors import InvalidArgument, UnknownName
 
+pytestmark = pytest.mark.once
+
 Numbers = tuple[float, float, float, float, JointType]
 
 R, P = JointType.REVOLUTE, JointType.PRISMATIC
@@ -321,7 +323,6 @@ def test_difference_sees_a_wrong_term() -> None:
         difference(derive(table, links), lecture())
 
 
-@pytest.mark.once
 def test_spatial_chain_is_pinocchios() -> None:
     rng, gravity = np.random.default_rng(5), (0.0, -9.81, 0.0)
     bodies = [random_body(rng) for _ in TWISTED]
@@ -371,7 +372,6 @@ rows = st.tuples(angles, lengths, angles, lengths, st.sampled_from([R, P]))
 
 
 # Not shrunk: a failure would take minutes.
-@pytest.mark.once
 @settings(
     max_examples=settings().max_examples // 5,
     derandomize=True,

@@ -283,6 +283,7 @@ def motion_with(name: str) -> Any:
     return next((motion for start, motion in MOTIONS.items() if name.startswith(start)), TRAJECTORY)
 
 
+@pytest.mark.once
 def test_every_parameter_can_be_spread_and_matters() -> None:
     driven = SinusoidalForce((1, 1, 0.1), 0.5), NoiseForce((1, 1, 0.1), 1.0, seed=0)
     forces = (*driven, RollingResistance((1, 1, 0.1), 0.05), JointFriction(0.1, 0.1, 0.05))

@@ -778,6 +778,7 @@ def test_progress_counts_robots() -> None:
     assert [done for done, _ in seen] == sorted(done for done, _ in seen)
 
 
+@pytest.mark.once
 def test_a_million_robots_fit_in_a_gigabyte() -> None:
     code = (
         f"{PEAK}\n"

@@ -569,6 +569,7 @@ def test_a_heading_of_the_library_may_be_a_table(file: Path) -> None:
         read_of(file, text.replace("psi", "phi"))
 
 
+@pytest.mark.once
 def test_workers_elsewhere_run_the_same_text(capsys: pytest.CaptureFixture[str], file: Path) -> None:
     distributed: Any = pytest.importorskip("distributed")
     options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": ":0", "host": "127.0.0.1"}

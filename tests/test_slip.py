@@ -98,6 +98,7 @@ def test_locked_wheels_slide_as_far_as_friction_says() -> None:
 
 
 @pytest.mark.parametrize("direction", [0.0, 0.7, np.pi / 2])
+@pytest.mark.once
 def test_what_friction_can_hold_on_a_ramp_stays_and_what_it_cannot_accelerates(direction: float) -> None:
     locked = skid(Friction(mu=0.5, rolling=1e3))
     below = WheeledRobot(CENTRAL, locked, Coulomb(ramp=Ramp(np.arctan(0.98 * 0.5), direction)))

@@ -153,6 +153,7 @@ def _imports(path: Path) -> Iterator[str]:
             yield from (alias.name for alias in node.names)
 
 
+@pytest.mark.once
 def test_a_module_imports_only_what_the_design_allows() -> None:
     checked = 0
     for path in FILES:
@@ -215,6 +216,7 @@ def test_no_name_of_a_file_occurs_twice() -> None:
     assert packages & set(names) <= ALONE
 
 
+@pytest.mark.once
 def test_no_function_takes_more_than_seven_arguments_by_position() -> None:
     for path in FILES:
         for node in ast.walk(ast.parse(path.read_text())):
@@ -304,6 +306,7 @@ def test_any_module_may_be_the_first_to_be_used() -> None:
     )
 
 
+@pytest.mark.once
 def test_many_threads_may_use_the_package_first() -> None:
     fresh(
         """if True:
@@ -414,6 +417,7 @@ def test_the_wheel_works_where_it_is_installed(wheel: Path, tmp_path: Path) -> N
     assert "every route agrees" in done.stdout
 
 
+@pytest.mark.once
 def test_no_package_reaches_for_what_is_private_in_another() -> None:
     """A name with an underscore that is read of something else than self is defined in the same package."""
     trees: dict[str, list[Any]] = {}

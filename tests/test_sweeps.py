@@ -256,6 +256,7 @@ def test_a_chunk_is_another_division_of_the_same_numbers(done: Sweep, tmp_path: 
 
 
 @pytest.mark.parametrize("robots", [0, 264, 800])
+@pytest.mark.once
 def test_a_killed_sweep_goes_on_and_ends_with_the_same_store(
     done: Sweep, tmp_path: Path, robots: int
 ) -> None:

@@ -19,6 +19,8 @@ from pinmobile.sweeps import connected
 from tests.sweeping import CHUNK, contents, gains_and_errors
 from tests.test_cli import typed
 
+pytestmark = pytest.mark.once
+
 distributed: Any = pytest.importorskip("distributed")
 ROOT = Path(__file__).parents[1]
 
@@ -168,7 +170,6 @@ def _started(module: str, *words: str) -> Iterator[subprocess.Popen[bytes]]:
             process.kill()
 
 
-@pytest.mark.once
 def test_the_command_takes_a_scheduler(
     capsys: pytest.CaptureFixture[str], cluster: Any, tmp_path: Path
 ) -> None:

@@ -20,6 +20,8 @@ from pinmobile.sweeps.store import Store
 from tests.damage import answer, damaged, full_disk, little_memory
 from tests.sweeping import contents, scenario
 
+pytestmark = pytest.mark.once
+
 CHUNK, ROBOTS = 8, 20
 
 

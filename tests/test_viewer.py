@@ -48,6 +48,8 @@ from pinmobile.viewer.chromium import Browser
 from pinmobile.viewer.recording import gif as encoded_gif
 from tests.chromium import Chromium, Page
 
+pytestmark = pytest.mark.once
+
 BLUE = ImageColor.getrgb(colour(0))[:3]
 
 

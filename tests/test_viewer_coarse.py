@@ -8,6 +8,8 @@ from pinmobile import MobileRobot
 from pinmobile.viewer import Viewer
 from pinmobile.viewer.shapes import coarse
 
+pytestmark = pytest.mark.once
+
 
 def sphere(n: int = 80) -> coal.BVHModelOBBRSS:
     """Return a sphere of radius 1 with 2 n^2 triangles."""

@@ -24,6 +24,8 @@ from pinmobile.viewer.live.window import LiveWindow
 from pinmobile.viewer.pages import OfflineWindow, Visualizer
 from tests.webclient import WebSocket, ask, eventually, listens, resident
 
+pytestmark = pytest.mark.once
+
 Window = OfflineWindow | LiveWindow
 
 

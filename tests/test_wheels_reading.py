@@ -350,6 +350,7 @@ def test_real_robots_whose_origin_is_on_the_axle_follow_a_circle(tmp_path: Path,
 
 
 @pytest.mark.parametrize("name", ["husky", "jackal"])
+@pytest.mark.once
 def test_skid_steered_robots_skid_on_a_circle(tmp_path: Path, name: str) -> None:
     """Sides at the rates of a turn on a wider track, by their makers' multiplier: it turns about as meant."""
     make, ratio = (wheeled.husky, 1.875) if name == "husky" else (wheeled.jackal, 1.5)
