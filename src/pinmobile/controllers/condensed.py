@@ -1,4 +1,4 @@
-"""`Plan` and `Program`: a quadratic program over a horizon, in inputs alone, of what is known at the start."""
+"""`Plan` and `Program`: quadratic programs over a horizon, all but their bounds known at the start."""
 
 from __future__ import annotations
 
