@@ -178,6 +178,17 @@ def test_rows_are_data_another_reference_gives_other_gains_and_the_same_program(
         assert np.abs(fast.q - slow.q).max() < 1e-12
 
 
+def test_a_second_ensemble_reads_no_law_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    from pinmobile.compiled import program_cache
+
+    own = LQR(NOMINAL)
+    given: Any = {"dt": 0.01, "n": 2, "seed": 1, "spread": {"mass": Uniform(25, 36)}, "engine": COMPILED}
+    first = ensemble(NOMINAL, own, SHORT, **given)
+    for name in ("Walk", "walk_of", "traced"):
+        monkeypatch.delattr(program_cache, name)
+    assert np.array_equal(first.rms_error, ensemble(NOMINAL, own, SHORT, **given).rms_error)
+
+
 def test_a_model_that_differs_from_robot_to_robot_is_run_one_after_another() -> None:
     spread = {"model_mass": Uniform(20, 40)}
     given: Any = {"dt": 0.01, "integrator": rk4, "n": 2, "seed": 1, "spread": spread}

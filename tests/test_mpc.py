@@ -12,8 +12,10 @@ from pinmobile import (
     Circle,
     ConstantForce,
     Context,
+    Delayed,
     FixedHeading,
     InvalidArgument,
+    Line,
     Lissajous,
     MobileRobot,
     NotSolved,
@@ -120,6 +122,20 @@ def test_no_constant_force_leaves_an_error_nor_is_it_taken_from_what_limits_leav
     assert np.abs(run.signals["disturbance"].values[-1] - force).max() < 0.02 * 12
 
 
+def test_on_wheels_neither_a_ramp_nor_a_push_leaves_an_error() -> None:
+    along = FixedHeading(Line((0, 0), (4, 0), duration=4.0), 0.0)
+    pushed: Any = {"forces": [ConstantForce((-20.0, 3.0, 2.0))]}
+    for plant, given in ((WHEELED.on_ramp(0.1, 0.3), {}), (WHEELED, pushed)):
+        runs = [simulate(plant, MPC(WHEELED, observer=x), along, dt=0.01, **given) for x in (10.0, 0.0)]
+        mine, other = (np.abs((run.q[:, :3] - run.reference.q)[-1]).max() for run in runs)
+        assert other > 0.05
+        # What is left decays with the slowest pole of the loop, some 2 / s: e^-8.
+        assert mine < 1e-3 * other
+    # A wheel of 0.4 m at 0.05 m from the middle carries half the force, and the moment.
+    wanted = 0.4 * np.array([-20 / 2 - 2 / 0.1, -20 / 2 + 2 / 0.1])
+    assert runs[0].signals["disturbance"].values[-1] == pytest.approx(wanted, rel=1e-3)
+
+
 def test_soft_bounds_hold_a_corridor_that_the_reference_leaves() -> None:
     across = FixedHeading(Lissajous(1.0, 0.6, 0.5, 1.0, duration=6.0), 0.0)
     endless = np.full(6, np.inf)
@@ -134,9 +150,8 @@ def test_soft_bounds_hold_a_corridor_that_the_reference_leaves() -> None:
 
 def test_an_ensemble_says_why_it_is_slow_and_how_long_many_would_take() -> None:
     given: Any = {"dt": 0.01, "n": 2, "seed": 1, "spread": {"mass": Uniform(28, 32)}, "duration": 0.1}
-    with pytest.warns(
-        UserWarning, match=r"quadratic program at each of 11 samples, so that 10,000 robots take"
-    ):
+    words = r"quadratic program at each of 11 samples, so that 10,000 robots take some [\d.e-]+ h"
+    with pytest.warns(UserWarning, match=words):
         found = ensemble(NOMINAL, Saturated(MPC(NOMINAL), 100), SHORT, **given)
     assert found.engine == "PINOCCHIO"
     with pytest.raises(InvalidArgument, match="10,000 robots"):
@@ -144,14 +159,74 @@ def test_an_ensemble_says_why_it_is_slow_and_how_long_many_would_take() -> None:
 
 
 def test_a_program_that_fails_keeps_its_state_and_problem(monkeypatch: pytest.MonkeyPatch) -> None:
-    from pinmobile.controllers import mpc
+    from daqp import solve
 
-    monkeypatch.setattr(mpc, "_solver", lambda: lambda H, *given, **options: (np.zeros(len(H)), 0.0, -1, {}))
+    from pinmobile.controllers import condensed
+
+    monkeypatch.setattr(condensed, "solver", lambda: lambda H, *given, **no: (np.zeros(len(H)), 0.0, -1, {}))
+    start = SHORT(0.0).q + np.array([-0.3, -0.5, 0.4])
     with pytest.raises(NotSolved, match="at t = 0 s has no solution") as caught:
-        asked(MPC(NOMINAL, 4, limits=(22, 22, 3)), NOMINAL, SHORT(0.0).q + 0.4, SHORT(0.0).v)
-    assert caught.value.state.shape == (6,)
-    assert caught.value.problem["A"].shape[1] == len(caught.value.problem["H"])
+        asked(MPC(NOMINAL, 4, limits=(22, 22, 3)), NOMINAL, start, SHORT(0.0).v)
     assert caught.value.time == 0
+    monkeypatch.undo()
+    H, f, A, lower, upper, sense = caught.value.problem.values()
+    z, _, flag, _ = solve(H, f, A, upper, lower, sense)
+    assert flag == 1
+    moved = MPC(NOMINAL, 4, limits=(22, 22, 3))
+    plan = moved.initial_state(Context.of(NOMINAL, dt=0.01, t=T, reference=SHORT(T)))[0]
+    u = plan.u[0] - plan.K[0] @ caught.value.state + plan.moves[0] @ z[:3]
+    assert np.abs(u - asked(moved, NOMINAL, start, SHORT(0.0).v)).max() < 1e-6 * 22
+
+
+def test_a_program_begins_with_the_bounds_of_the_one_before_which_changes_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from daqp import solve
+
+    from pinmobile.controllers import condensed
+
+    tries: list[tuple[bool, int]] = []
+
+    def told(fails: bool) -> Any:
+        def solver(H: Any, f: Any, A: Any, upper: Any, lower: Any, sense: Any, **more: Any) -> Any:
+            begins = bool((sense & 1).any())
+            if fails and begins:
+                return np.zeros(len(H)), 0.0, -6, {}
+            found = solve(H, f, A, upper, lower, sense, **more)
+            tries.append((begins, found[3]["iterations"]))
+            return found
+
+        return solver
+
+    start, runs = SHORT(0.0).q + np.array([-0.3, -0.5, 0.4]), []
+    box = np.array([np.inf, 0.7, np.inf, 1.0, 1.0, np.inf])
+    for fails in (False, True):
+        monkeypatch.setattr(condensed, "solver", lambda fails=fails: told(fails))
+        controller = MPC(NOMINAL, limits=(22, 22, 3), lower=-box, upper=box, observer=0)
+        given: Any = {"dt": 0.01, "q0": start, "v0": SHORT(0.0).v, "duration": 0.3}
+        runs.append(simulate(NOMINAL, controller, SHORT, **given))
+    # daqp holds bounds within 1e-9.
+    assert np.abs(runs[0].u - runs[1].u).max() < 1e-6 * 22
+    warm, cold = ([n for begins, n in tries if begins is which] for which in (True, False))
+    assert len(warm) >= 29
+    assert np.median(warm) < 0.25 * np.median(cold)
+    assert runs[0].signals["active_bounds"].values.max() > 10
+
+
+def test_rows_of_a_program_are_what_its_inputs_do_to_the_model() -> None:
+    box = np.array([1.0, np.inf, np.inf, np.inf, 1.0, np.inf])
+    controller = MPC(NOMINAL, 9, 0.05, upper=box)
+    plan = controller.initial_state(Context.of(NOMINAL, dt=0.01, t=T, reference=SHORT(T)))[0]
+    A, B = tracked_model(NOMINAL, SHORT(T)).discrete(0.05)
+    for k in (0, 180):  # from the second, the horizon reaches beyond the end
+        at, z = plan.at(k), np.cos(np.arange(27.0))
+        program = plan.program(at, np.zeros((9, 5)), np.zeros((9, 5)))
+        x, wanted = np.zeros(6), []
+        for i, own in zip(at[:-1], z.reshape(9, 3), strict=True):
+            u = plan.moves[i] @ own - plan.K[i] @ x
+            x = A[i] @ x + B[i] @ u
+            wanted.append([*u, x[0], x[4]])
+        assert np.abs(program.A @ z - np.ravel(wanted)).max() < 1e-12 * np.abs(wanted).max()
 
 
 BAD: Any = [
@@ -159,6 +234,14 @@ BAD: Any = [
     (
         lambda: simulate(NOMINAL, MPC(NOMINAL, step=0.025), SHORT, dt=0.01),
         "step is 0.025 s, expected a whole",
+    ),
+    (
+        lambda: simulate(NOMINAL, Delayed(Saturated(Delayed(MPC(NOMINAL, 2), 6), 100), 4), SHORT, dt=0.01),
+        "horizon is 0.1 s, no longer than the delay of what it is told, 0.1 s, expected more than 2 steps",
+    ),
+    (
+        lambda: simulate(NOMINAL, MPC(NOMINAL, observer=201), SHORT, dt=0.01),
+        r"gains observer = \[201.0\] are unstable .* dt < 0.00995 s",
     ),
     (lambda: MPC(NOMINAL, limits=[1, 2]), r"limits is \[1.0, 2.0\], expected \(\) or \(3,\) numbers > 0"),
     (lambda: MPC(NOMINAL, lower=[1, 2]), r"lower has shape \(2,\), expected \(6,\)"),

@@ -412,6 +412,8 @@ class Context:
         Size of v of the plant.
     seed, member : int
         What `normal` follows from: the seed of an ensemble, and the robot's number in it.
+    delay : int
+        Samples by which what the controller is told of the state is late, see `Delayed`.
     """
 
     dt: float
@@ -426,6 +428,7 @@ class Context:
     nv: int = 0
     seed: int = 0
     member: int = 0
+    delay: int = 0
 
     def line(self, samples: int) -> Line:
         """Return a delay to keep in the state: ``old, line = line.push(values)``.

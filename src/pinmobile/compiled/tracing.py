@@ -26,8 +26,8 @@ _HERE = str(Path(__file__).parent)
 _MADE_BY_CODE = 1 << 9  # of a class's flags: it comes of a class statement
 _OURS = (_HERE, str(Path(np.__file__).parent), "<__array_function__", "<frozen")
 _OPENED = (FunctionType, MethodType, type, dict, list, tuple)  # Python's own that a law's things stand in
-# By Pinocchio or compiled: what it keeps changes from call to call.
-_RUNS_LAWS = {"pinmobile.robot.pinocchio_calls"}
+# By Pinocchio or compiled, or of what is known of parts: what it keeps changes from call to call.
+_RUNS_LAWS = {"pinmobile.constancy", "pinmobile.robot.pinocchio_calls"}
 _LAWS = ("pinmobile.compiled.parts", "pinmobile.compiled.sample")
 _OWN = "pinmobile.", "namedtuple_"  # the second is what Python makes for named tuples
 _FOREIGN = (

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from time import process_time
 from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, endless_or_finite, frozen, non_negative, positive, real, whole
+from pinmobile.controllers.condensed import Plan, solver
 from pinmobile.controllers.controller import State
-from pinmobile.controllers.lqr import riccati
+from pinmobile.controllers.held import check_held
 from pinmobile.controllers.observer import estimated
 from pinmobile.controllers.tracked_model import (
     check_moves,
@@ -24,51 +26,17 @@ from pinmobile.controllers.tracked_model import (
 from pinmobile.errors import InvalidArgument, NotSolved, NotTraceable
 from pinmobile.plant import Context, Parameter, inputs_of
 
-_SOFT = 8  # of daqp: a bound that may be violated, at a cost
-_TIGHT = 1e-9  # within which daqp holds bounds
-_CALL = 5e-4  # [s] a sample, about
 _MANY = 10_000
 _WHOLE = 1e-9  # relative rounding allowed in step / dt
+_OFF, _TIMES = 0.1, 8  # [m, rad], by which a call that is timed is off the reference, and doublings
 
 
-class _Problem(NamedTuple):
-    """A quadratic program of w, which is by how much inputs differ from those of the gains.
+class _Belief(NamedTuple):
+    """What the observer keeps: whether there was a sample before, its integral, and what it estimates."""
 
-    Attributes
-    ----------
-    H : ndarray, shape (N nu, N nu)
-        Of the cost w' H w / 2.
-    A : ndarray, shape (rows, N nu)
-        Inputs, and bounded states, by w.
-    lower, upper : ndarray, shape (rows,)
-        Bounds of A w.
-    sense : ndarray of int32, shape (rows,)
-        Which of them are soft.
-    """
-
-    H: Array
-    A: Array
-    lower: Array
-    upper: Array
-    sense: Any
-
-
-class _Plan:
-    """What is known of all samples at the start.
-
-    Attributes
-    ----------
-    A, B, K, S : ndarray, shape (N + 1, ...)
-        Of the prediction's step from each sample: model, gains, and R + B' P B.
-    u, x : ndarray, shape (N + 1, nu), (N + 1, n + m)
-        Input and tracked state of the reference.
-    stride : int
-        Samples of a prediction's step.
-    """
-
-    def __init__(self, *arrays: Array, stride: int) -> None:
-        self.A, self.B, self.K, self.S, self.u, self.x = map(frozen, arrays)
-        self.stride = stride
+    begun: float
+    integral: Array
+    disturbance: Array
 
 
 @final
@@ -82,9 +50,11 @@ class MPC:
         |u_d + du| <= limits,   and, where that can be, lower <= x <= upper.
 
     P is the cost to go of `LQR` with the same step, so that while nothing is limited both are the same. d is
-    the force that is not modelled, of the generalised momentum (see `DisturbanceObserver`), taken as
-    constant: so no constant force leaves an error. It needs daqp (Arnstroem, Bemporad and Axehill, 2022), the
-    extra ``pinmobile[mpc]``, and is not compiled.
+    the input that what is not modelled is like, taken as constant: so no constant force leaves an error
+    (Pannocchia and Rawlings, 2003). Of a robot that is pushed its generalised momentum shows it, see
+    `DisturbanceObserver`; on wheels, by what the independent velocities differ from the model about the
+    reference. It needs daqp (Arnstroem, Bemporad and Axehill, 2022), the extra ``pinmobile[mpc]``, which
+    begins with the bounds that were met a sample before, and is not compiled.
 
     Parameters
     ----------
@@ -101,13 +71,14 @@ class MPC:
     Q, R : array_like, optional
         Weights, as of `LQR`, for one time step of the controller.
     observer : float
-        Rate of the estimated force of a robot that is pushed [1/s]; 0: none is estimated. On wheels none is.
+        Rate of the estimate d [1/s]; 0: none is estimated.
 
     Raises
     ------
     InvalidArgument
         If an argument is something else; at the start of a run, if the limits exclude the reference, the step
-        is no whole number of time steps, or as of `LQR`.
+        is no whole number of time steps, the horizon no longer than the delay of what it is told (see
+        `Delayed`), the estimate unstable at this dt, or as of `LQR`.
     NotSolved
         If a quadratic program has no solution.
     """
@@ -160,26 +131,29 @@ class MPC:
             object.__setattr__(self, name, value)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
-        """Return the plan, the sample's number, and the observer's memory."""
-        _solver()
+        """Return the plan, the sample's number, the observer's memory, the last input, and its program's."""
+        solver()
         reference, dt, t = whole_reference(context), float(context.dt), np.asarray(context.t)
         stride = round(self.step / dt)
         if stride < 1 or abs(stride * dt - self.step) > _WHOLE * self.step:
             raise InvalidArgument(f"step is {self.step:g} s, expected a whole number of time steps, {dt:g} s")
+        if self.horizon * stride <= context.delay:
+            raise InvalidArgument(
+                f"horizon is {self.horizon * self.step:g} s, no longer than the delay of what it is told, "
+                f"{context.delay * dt:g} s, expected more than {context.delay / stride:.3g} steps"
+            )
+        check_held(lambda: {"observer": np.asarray(self.observer)}, self._loop, dt)
         Q, R = np.asarray(self.Q), np.asarray(self.R)
 
-        def design() -> _Plan:
+        def design() -> Plan:
             model = tracked_model(self.robot, reference)
             check_moves(self.robot, reference, model.nu, float(t[-1]))
-            A, B = model.discrete(self.step)
-            K, P = riccati(A, B, stride * Q, stride * R, stride)
-            S = stride * R + np.swapaxes(B, -1, -2) @ P[stride:] @ B
-            n = reference.v.shape[-1]
-            x = np.concatenate([reference.q[..., :n], model.nu], axis=-1)
-            return _Plan(A, B, K, S, model.u, x, stride=stride)
+            x = np.concatenate([reference.q[..., : reference.v.shape[-1]], model.nu], axis=-1)
+            sizes = {"stride": stride, "horizon": self.horizon, "kept": self._kept}
+            return Plan(model, x, Q, R, dt=dt, **sizes)
 
-        given = (*reference, Q, R, t)
-        plan = remembered(self.robot, ("MPC", dt, self.step), given, design)
+        given = (*reference, Q, R, t, self._kept)
+        plan = remembered(self.robot, ("MPC", dt, self.step, self.horizon), given, design)
         beyond = np.maximum(self.range[0] - plan.u, plan.u - self.range[1]).max(axis=-1)
         if (beyond >= 0).any():
             k = int(np.argmax(beyond))
@@ -187,104 +161,101 @@ class MPC:
                 f"limits exclude the reference: at t = {t[k]:g} s it needs an input of {plan.u[k].tolist()}, "
                 f"expected limits above that, and not {self.range[1].tolist()}"
             )
-        none = np.zeros(self.robot.nv)
-        return plan, 0, (0.0, none), np.zeros(plan.u.shape[-1]), np.zeros(plan.u.shape[-1]), dt
+        nu, m = plan.u.shape[-1], len(plan.slopes[0])
+        belief = _Belief(0.0, np.zeros(m), np.zeros(nu))
+        return plan, 0, belief, np.zeros(nu), np.zeros(len(plan.sense))
+
+    def _loop(self, dt: float) -> Array:
+        return np.array([[1.0 - dt * self.observer]])
 
     @property
-    def _observes(self) -> bool:
-        return self.observer > 0 and not hasattr(self.robot, "independent")
+    def _kept(self) -> Any:
+        """Which states are bounded, shape (n + m,)."""
+        return np.isfinite(np.asarray(self.lower)) | np.isfinite(np.asarray(self.upper))
+
+    @property
+    def _rolls(self) -> bool:
+        return hasattr(self.robot, "independent")
 
     def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the state, told of the input that is applied, shape (nu,)."""
-        plan, k, (begun, integral), asked, estimate, dt = state
-        if self._observes:
-            integral = integral + dt * (u - asked)
-        return plan, k, (begun, integral), u, estimate, dt
+        plan, k, belief, _, prices = state
+        return plan, k, belief, u, prices
 
     def signals(self, state: tuple[Any, ...]) -> dict[str, Any]:
-        """Return the force that is estimated."""
-        return {"disturbance": ("N, N m", state[4])}
+        """Return the input that the disturbance is like, and how many bounds the program's solution meets."""
+        units = ", ".join(dict.fromkeys(each.unit for each in inputs_of(self.robot)))
+        return {
+            "disturbance": (units, state[2].disturbance),
+            "active_bounds": ("", float(np.count_nonzero(state[4]))),
+        }
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, ...]
     ) -> tuple[Array, tuple[Any, ...]]:
         """Return the input, shape (nu,), and the next state."""
-        plan, k, (begun, integral), _, estimate, dt = state
+        plan, k, belief, last, prices = state
         if not (type(q) is np.ndarray and q.ndim == 1):
-            hours = _MANY * len(plan.u) * _CALL / 3600
+            hours = _MANY * len(plan.u) * self._seconds(plan) / 3600
             raise NotTraceable(
                 f"MPC solves a quadratic program at each of {len(plan.u):,} samples, so that {_MANY:,} "
                 f"robots take some {hours:.2g} h of a processor",
                 "take LQR in Saturated, which is compiled",
             )
-        rate = 0.0 * v
-        if self._observes:
+        dx = -tracked_errors(self.robot, q, v, reference, plan.x[k][np.shape(reference.v)[-1] :])
+        if self.observer > 0:
+            belief = self._believed(plan, k, q, v, dx, belief, last)
+        u, prices = self._input(t, plan, k, dx, belief.disturbance, prices)
+        return u, (plan, min(k + 1, len(plan.u) - 1), belief, u, prices)
+
+    def _believed(
+        self, plan: Plan, k: int, q: Array, v: Array, dx: Array, belief: _Belief, last: Array
+    ) -> _Belief:
+        """Return what is believed at a sample, before which the input was `last`."""
+        begun, integral, _ = belief
+        if not self._rolls:
+            integral = integral + plan.dt * last
             estimate, integral, rate = estimated(self.robot, self.observer, q, v, begun, integral)
-        errors = tracked_errors(self.robot, q, v, reference, plan.x[k][np.shape(reference.v)[-1] :])
-        u = self._input(t, plan, k, -errors, estimate)
-        if self._observes:
-            integral = integral + dt * (u + rate)
-        return u, (plan, min(k + 1, len(plan.u) - 1), (1.0, integral), u, estimate, dt)
+            return _Belief(1.0, integral + plan.dt * rate, estimate)
+        speeds = dx[-len(integral) :]
+        integral = integral + plan.dt * (plan.pushes[k - 1] @ last) if begun else speeds
+        rates = self.observer * (speeds - integral)
+        rest = plan.slopes[k] @ dx - plan.pushes[k] @ plan.u[k] + rates
+        return _Belief(1.0, integral + plan.dt * rest, plan.pulls[k] @ rates)
 
-    def _input(self, t: float, plan: _Plan, k: int, dx: Array, estimate: Array) -> Array:
-        """Return the first input of the horizon."""
-        at = np.minimum(k + plan.stride * np.arange(self.horizon + 1), len(plan.u) - 1)
-        free, states, x = [], [], dx
-        for i in at[:-1]:
-            du = -plan.K[i] @ x
-            free.append(du)
-            x = plan.A[i] @ x + plan.B[i] @ du
-            states.append(x)
-        wanted = plan.u[at[:-1]] - estimate
-        inputs, ahead = np.array(free), np.array(states)
-        low, high = self.range[0] - wanted - inputs, self.range[1] - wanted - inputs
-        desired = plan.x[at[1:]]
-        under, over = np.asarray(self.lower) - desired - ahead, np.asarray(self.upper) - desired - ahead
-        if (low <= 0).all() and (high >= 0).all() and (under <= 0).all() and (over >= 0).all():
-            return np.asarray(wanted[0] + inputs[0])
-        w = self._solved(t, dx, self._problem(plan, at[:-1], low, high, under, over))
-        return np.asarray(np.clip(wanted[0] + inputs[0] + w, *self.range))
-
-    def _problem(self, plan: _Plan, at: Any, low: Array, high: Array, under: Array, over: Array) -> _Problem:
-        """Return the program of what is added to the gains' inputs: its cost has a block for each step."""
-        N, nu, size = len(at), plan.u.shape[-1], plan.A.shape[-1]
-        H, inputs, states = np.zeros((N * nu, N * nu)), np.zeros((N, nu, N * nu)), np.zeros((N, size, N * nu))
-        x = np.zeros((size, N * nu))
-        for j, i in enumerate(at):
-            own = slice(j * nu, (j + 1) * nu)
-            H[own, own] = plan.S[i]
-            inputs[j] = -plan.K[i] @ x
-            inputs[j][:, own] = np.eye(nu)
-            x = plan.A[i] @ x + plan.B[i] @ inputs[j]
-            states[j] = x
-        kept = np.isfinite(np.asarray(self.lower)) | np.isfinite(np.asarray(self.upper))
-        rows = np.concatenate([inputs.reshape(N * nu, -1), states[:, kept].reshape(-1, N * nu)])
-        sense = np.full(len(rows), _SOFT, np.int32)
-        sense[: N * nu] = 0
-        lower = np.concatenate([low.ravel(), under[:, kept].ravel()])
-        return _Problem(H, rows, lower, np.concatenate([high.ravel(), over[:, kept].ravel()]), sense)
-
-    def _solved(self, t: float, dx: Array, problem: _Problem) -> Array:
-        """Return the first nu numbers of the solution."""
-        solve, nothing = _solver(), np.zeros(len(problem.H))
-        H, A, lower, upper, sense = problem
-        w, _, flag, _ = solve(H, nothing, A, upper, lower, sense, primal_tol=_TIGHT)
-        if flag < 1 or not np.isfinite(w).all():
+    def _input(
+        self, t: float, plan: Plan, k: int, dx: Array, estimate: Array, prices: Array
+    ) -> tuple[Array, Array]:
+        """Return the first input of the horizon, and the prices of its bounds."""
+        at, kept = plan.at(k), self._kept
+        inputs, states = plan.ahead(at, dx)
+        inputs += plan.u[at[:-1]] - estimate
+        states = (states + plan.x[at[1:]])[:, kept]
+        lower = np.concatenate([self.range[0] - inputs, np.asarray(self.lower)[kept] - states], axis=-1)
+        upper = np.concatenate([self.range[1] - inputs, np.asarray(self.upper)[kept] - states], axis=-1)
+        if (lower <= 0).all() and (upper >= 0).all():
+            return np.asarray(inputs[0]), 0.0 * prices
+        program = plan.program(at, lower, upper)
+        z, prices, flag = program.solved(prices)
+        if flag <= 0:
             raise NotSolved(
                 f"the quadratic program of MPC at t = {t:g} s has no solution (daqp says {flag}), expected "
                 "numbers that are finite; the error has its state and problem",
                 time=t,
                 state=dx,
-                problem=problem._asdict(),
+                problem=program._asdict(),
             )
-        return np.asarray(w[: self.range[0].size])
+        w = plan.moves[k] @ z[: len(estimate)]
+        return np.asarray(np.clip(inputs[0] + w, *self.range)), prices
 
-
-def _solver() -> Any:
-    try:
-        from daqp import solve
-    except ImportError:
-        raise InvalidArgument(
-            "MPC needs the package daqp, which is not installed: pip install 'pinmobile[mpc]'"
-        ) from None
-    return solve
+    def _seconds(self, plan: Plan) -> float:
+        """Return what a program of this run takes of a processor, so far off that bounds are met [s]."""
+        none = np.zeros(plan.u.shape[-1])
+        for k in range(_TIMES):
+            dx = np.full(plan.x.shape[-1], _OFF * 2**k)
+            begin = process_time()
+            _, prices = self._input(0.0, plan, 0, dx, none, np.zeros(len(plan.sense)))
+            spent = process_time() - begin
+            if prices.any():
+                break
+        return spent

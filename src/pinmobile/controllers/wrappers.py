@@ -78,6 +78,16 @@ class Saturated:
         return np.minimum(np.maximum(tau, -limits), limits), state
 
 
+class _Late:
+    """The context of a controller that is told of the state late."""
+
+    def __init__(self, context: Any, samples: int) -> None:
+        self._context, self.delay = context, context.delay + samples
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._context, name)
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class Delayed:
@@ -107,7 +117,8 @@ class Delayed:
 
     def initial_state(self, context: Context) -> tuple[Any, Any]:
         """Return the state that the wrapped controller starts with, and a line without measurements."""
-        return self.controller.initial_state(context), context.line(self.samples)
+        late: Any = _Late(context, self.samples)
+        return self.controller.initial_state(late), context.line(self.samples)
 
     def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the state, with the wrapped controller told of the input that is applied, shape (..., n)."""
