@@ -565,6 +565,17 @@ ROWS: dict[str, Row] = {
     "Driven": row(controller=pm.PD(1, 1), robot=the("electric")),
     "WheelSpeed": row(law=pm.Tracking(), robot=the("wheeled"), kp=1, ki=2),
     "VelocityCommand": row(law=pm.Tracking(), robot=the("commanded")),
+    "AdaptiveVelocity": row(
+        robot=the("commanded"),
+        ahead=0.2,
+        kp=0.8,
+        saturation=0.2,
+        k=[3, 4],
+        gamma=[0.2, 0.2, 0.02, 1, 0.02, 1],
+        leakage=0.01,
+        lower=[0.01, 0.01, -9, 0.01, -9, 0.01],
+        upper=np.full(6, 9.0),
+    ),
     "RandomSteps": row(lowest=[-0.2, -1], largest=[0.8, 1], hold=[0.4, 2.5], seed=1),
     "VelocityRobot": row(
         theta=THETA, ahead=0.1, limits=[0.8, 1], accelerations=1.0, size=[0.4, 0.3, 0.2], source="a test"
@@ -1302,6 +1313,7 @@ def is_part(name: str) -> bool:
         "Driven",
         "WheelSpeed",
         "VelocityCommand",
+        "AdaptiveVelocity",
         "RandomSteps",
         "Tracking",
         "Kanayama",

@@ -10,6 +10,7 @@ import pytest
 
 from pinmobile import (
     PD,
+    AdaptiveVelocity,
     Backstepping,
     Circle,
     CompositePath,
@@ -44,7 +45,7 @@ from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO, part_of, run_scenar
 from tests.parts import PID, Cart, Eight, Follower, Nodding, SlidingMode, Smoothed, Spring, midpoint
 
 N, DT, DURATION = 3, 0.01, 3.0  # 301 samples
-MOST = 88
+MOST = 92
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
 WRONG = MobileRobot(27.0, 1.1, com=(0.05, 0.0))
 
@@ -74,6 +75,7 @@ CONTROLLERS: dict[str, Any] = {
     "follower": Follower(),
     "command": VelocityCommand(Tracking(), COMMANDED),
     "backstepping": Backstepping(Tracking(), COMMANDED),
+    "adaptive velocity": AdaptiveVelocity(COMMANDED, leakage=0.1),
 }
 WRAPPERS: dict[str, Any] = {
     "bare": lambda controller, limits: controller,
@@ -122,6 +124,7 @@ GAINS: Mapping[str, str] = {
     "follower": "along",
     "command": "zeta",
     "backstepping": "zeta",
+    "adaptive velocity": "point_kp",
 }
 FORCES: Mapping[str, str] = {
     "constant": "force_x",
@@ -138,7 +141,7 @@ OF_PATHS: Mapping[str, tuple[str, float]] = {
     "one after another": ("trajectory.path.paths[1].corner_radius", 0.2),
 }
 MODELS = ("computed torque", "computed torque, wrong", "Decoupled")
-KINEMATIC = ("command", "backstepping")
+KINEMATIC = ("command", "backstepping", "adaptive velocity")
 STARTS = {"start_x": Uniform(-0.2, 0.2), "start_psi": Uniform(-0.3, 0.3)}
 SPREADS = ("nothing", "mass", "gains", "model", "forces", "start", "reference")
 FACTORS: dict[str, tuple[str, ...]] = {
@@ -210,7 +213,7 @@ def compositions() -> list[dict[str, str]]:
 def spread_of(choice: Mapping[str, str]) -> dict[str, Any]:
     controller, steady = choice["controller"], choice["steady"]
     nominal = {"force_x": 3.0, "viscous_forward": 5.0, "rolling_left": 3.0, "stiffness": 8.0}
-    gains = {"pid_kp": 50.0, "layer": 0.5, "along": 8.0, "kp_factor": 1.0, "zeta": 0.7}
+    gains = {"pid_kp": 50.0, "layer": 0.5, "along": 8.0, "kp_factor": 1.0, "zeta": 0.7, "point_kp": 0.8}
     gain = GAINS.get(controller, "kp_factor")
     name, of_path = OF_PATHS[choice["path"]]
     found: dict[str, dict[str, Any]] = {

@@ -7,6 +7,7 @@ leading axes. `Saturated`, `Delayed` and `NoisyMeasurement` wrap any of them, an
 """
 
 from pinmobile.controllers.adaptive import Adaptive
+from pinmobile.controllers.adaptive_velocity import AdaptiveVelocity
 from pinmobile.controllers.backstepping import Backstepping, SwerveTracking
 from pinmobile.controllers.computed_torque import PID, ComputedTorque, Decoupled
 from pinmobile.controllers.controller import (
@@ -52,6 +53,7 @@ __all__ = [
     "PD",
     "PID",
     "Adaptive",
+    "AdaptiveVelocity",
     "Allocated",
     "Backstepping",
     "Changing",

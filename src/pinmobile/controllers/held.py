@@ -68,6 +68,6 @@ def check_held(gains: Callable[[], dict[str, Array]], loop: Callable[[float], Ar
     if good < _SHARE * dt:
         raise InvalidArgument(f"gains {words} are unstable at any dt, expected others")
     raise InvalidArgument(
-        f"gains {words} are unstable with a force that is held for dt = {dt:g} s, expected "
+        f"gains {words} are unstable with an input that is held for dt = {dt:g} s, expected "
         f"dt < {good:.3g} s, or smaller gains"
     )

@@ -93,6 +93,11 @@ def cos(x: Any) -> Any:
     return _through(np.cos, lambda value: -np.sin(value), x)
 
 
+def tanh(x: Any) -> Any:
+    """Return the hyperbolic tangent, with its rate."""
+    return _through(np.tanh, lambda value: 1.0 - np.tanh(value) * np.tanh(value), x)
+
+
 def arctan(x: Any) -> Any:
     """Return the angle whose tangent is x, with its rate."""
     return _through(np.arctan, lambda value: 1.0 / (1.0 + value * value), x)

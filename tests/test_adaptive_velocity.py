@@ -1,0 +1,273 @@
+"""Adaptive control of robots that take speeds: its theory, what it estimates, and what it refuses."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    COMPILED,
+    AdaptiveVelocity,
+    Circle,
+    Context,
+    FixedHeading,
+    InvalidArgument,
+    Line,
+    MobileRobot,
+    Reference,
+    Rollout,
+    Tangent,
+    Uniform,
+    VelocityRobot,
+    ensemble,
+    simulate,
+)
+from pinmobile.arrays import Array
+from pinmobile.controllers import adaptive_velocity
+
+TRUE = VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2])
+WRONG = VelocityRobot(TRUE.theta * [1.3, 0.7, 1.3, 0.7, 0.7, 1.3])
+
+
+class Eights:
+    """Eights, 1 m sin 0.5 t, 0.5 m sin t, again and again."""
+
+    duration = 60.0
+
+    def __call__(self, t: Any) -> Array:
+        return self.derivative(t, 0)
+
+    def derivative(self, t: Any, order: int) -> Array:
+        rate, size = np.array([0.5, 1.0]), np.array([1.0, 0.5])
+        return np.asarray(size * rate**order * np.sin(rate * np.asarray(t)[..., None] + order * np.pi / 2))
+
+
+EIGHT = Tangent(Eights())
+CIRCLE = Tangent(Circle(1.0, 0.5, 400.0))
+OFF = np.array([0.15, -0.1, 0.3])
+
+
+class Rich:
+    """An axle whose speed and yaw rate go to and fro independently, and where that leads."""
+
+    duration = 120.0
+
+    def __init__(self) -> None:
+        self.t = np.arange(0.0, self.duration + 2e-3, 1e-3)
+        u, *_, psi = self._rates(self.t)
+        steps = np.stack([u * np.cos(psi), u * np.sin(psi)], axis=-1)
+        sums = np.cumsum(1e-3 * (steps[1:] + steps[:-1]) / 2, axis=0)
+        self.places = np.concatenate([np.zeros((1, 2)), sums])
+
+    @staticmethod
+    def _rates(t: Array) -> tuple[Array, ...]:
+        u, faster = 0.5 + 0.4 * np.sin(1.7 * t), 0.68 * np.cos(1.7 * t)
+        w = 0.9 * np.sin(1.1 * t) + 0.5 * np.sin(2.3 * t)
+        turning = 0.99 * np.cos(1.1 * t) + 1.15 * np.cos(2.3 * t)
+        psi = 0.9 / 1.1 * (1 - np.cos(1.1 * t)) + 0.5 / 2.3 * (1 - np.cos(2.3 * t))
+        return u, faster, w, turning, psi
+
+    def __call__(self, t: Any) -> Reference:
+        t = np.asarray(t, float)
+        u, faster, w, turning, psi = self._rates(t)
+        x, y = (np.interp(t, self.t, column) for column in self.places.T)
+        c, s = np.cos(psi), np.sin(psi)
+        v = np.stack([u * c, u * s, w], axis=-1)
+        a = np.stack([faster * c - u * w * s, faster * s + u * w * c, turning], axis=-1)
+        return Reference(np.stack([x, y, psi], axis=-1), v, a)
+
+
+def wanted(run: Rollout, controller: AdaptiveVelocity, ahead: float) -> Array:
+    """Return what the kinematic law asks for, of a robot whose body is so far ahead of its axle."""
+    a, off = float(controller.ahead or 0), float(controller.ahead or 0) - ahead
+    psi, psi_r, w_r = run.q[:, 2], run.reference.q[:, 2], run.reference.v[:, 2:]
+    point, point_r = (
+        place + off * np.stack([np.cos(x), np.sin(x)], axis=-1)
+        for place, x in ((run.q[:, :2], psi), (run.reference.q[:, :2], psi_r))
+    )
+    rate = run.reference.v[:, :2] + off * w_r * np.stack([-np.sin(psi_r), np.cos(psi_r)], axis=-1)
+    rate = rate + controller.saturation * np.tanh(controller.kp * (point_r - point) / controller.saturation)
+    c, s = np.cos(psi), np.sin(psi)
+    return np.stack([c * rate[:, 0] + s * rate[:, 1], (c * rate[:, 1] - s * rate[:, 0]) / a], axis=-1)
+
+
+def errors(run: Rollout) -> Any:
+    return np.hypot(*(run.q - run.reference.q)[:, :2].T)
+
+
+class Led:
+    """The pose of a body on a circle of its axle, so far ahead of it."""
+
+    duration = 4.0
+
+    def __init__(self, ahead: float) -> None:
+        self.ahead = ahead
+
+    def __call__(self, t: Any) -> Reference:
+        q, v, a = CIRCLE(t)
+        c, s, w = np.cos(q[..., 2]), np.sin(q[..., 2]), v[..., 2]
+        ways = np.stack([c, s, 0 * c], axis=-1), np.stack([-s, c, 0 * c], axis=-1)
+        w = w[..., None]
+        return Reference(
+            q + self.ahead * ways[0], v + self.ahead * w * ways[1], a - self.ahead * w * w * ways[0]
+        )
+
+
+@pytest.mark.parametrize(
+    ("ahead", "path"), [(0.0, EIGHT), (0.15, FixedHeading(Eights(), 0.3)), (-0.1, Led(-0.1))]
+)
+def test_velocities_of_an_exact_model_fall_to_the_law_as_the_gain_says(ahead: float, path: Any) -> None:
+    """Which they do only where the rates of the law's velocities are right."""
+    robot, dt, k = VelocityRobot(TRUE.theta, ahead), 1e-3, np.array([3.0, 5.0])
+    controller = AdaptiveVelocity(robot, k=k, gamma=0.0)
+    q0 = path(0.0).q + OFF
+    run = simulate(
+        *(robot, controller, path),
+        **{"dt": dt, "duration": 1.5, "q0": q0, "v0": robot.rolling(q0, [-0.1, 0.3]), "engine": COMPILED},
+    )
+    found = wanted(run, controller, ahead) - robot.independent(run.q, run.v)
+    expected = found[0] * np.exp(-np.outer(run.t, k))
+    assert np.abs(found[0]).min() > 0.1
+    # Commands are held for dt: order 1, with velocities that change by some 10 of their own a second.
+    assert np.abs(found - expected).max() < 10 * dt * np.abs(found[0]).max()
+
+
+def test_the_sum_of_squares_falls_in_each_step() -> None:
+    dt, controller = 2e-4, AdaptiveVelocity(WRONG)
+    q0 = EIGHT(0.0).q + OFF
+    v0 = TRUE.rolling(q0, [0.1, -0.5])
+    run = simulate(TRUE, controller, EIGHT, dt=dt, duration=1.0, q0=q0, v0=v0, engine=COMPILED)
+    e = wanted(run, controller, 0.0) - TRUE.independent(run.q, run.v)
+    # A signal is told after its sample, when the estimate has been brought on.
+    off = run.signals["theta"].values[:-1] - TRUE.theta
+    total = (e**2 * TRUE.theta[:2])[1:].sum(axis=-1) / 2 + (off**2 / np.asarray(controller.gamma)).sum(-1) / 2
+    assert total[0] - total[-1] > 0.1 * total[0]
+    assert (np.diff(total) < 0).all()
+
+
+@cache
+def rich() -> Rich:
+    return Rich()
+
+
+def test_estimates_become_right_where_the_motion_is_rich_and_not_on_a_circle() -> None:
+    gamma = 4 * np.asarray(AdaptiveVelocity(WRONG).gamma)
+
+    def last(trajectory: Any) -> Array:
+        controller = AdaptiveVelocity(WRONG, gamma=gamma, kp=0.4)
+        run = simulate(TRUE, controller, trajectory, dt=0.01, duration=120.0, engine=COMPILED)
+        return np.asarray(run.signals["theta"].values[-1])
+
+    found, circle = last(rich()), last(CIRCLE)
+    assert np.abs(found / TRUE.theta - 1)[[0, 1, 3, 5]].max() < 0.1
+    # On a circle at constant speed only a sum of each row is seen: u_c and w_c, which are right.
+    assert np.abs(circle / TRUE.theta - 1).max() > 0.2
+
+
+def test_a_theta_that_is_wrong_by_30_percent_ends_with_less_error_than_without_adaptation() -> None:
+    spread = {f"model_theta_{j + 1}": Uniform(*sorted((0.7 * x, 1.3 * x))) for j, x in enumerate(TRUE.theta)}
+    given: Any = {"n": 50, "spread": spread, "dt": 0.02, "seed": 3, "after": 40.0}
+    with_, without = (
+        ensemble(TRUE, controller, EIGHT, **given)
+        for controller in (AdaptiveVelocity(TRUE), AdaptiveVelocity(TRUE, gamma=0.0))
+    )
+    assert with_.engine == COMPILED.name
+    # A model that is nearly right needs no adaptation, and dt leaves some millimetres.
+    assert np.median(with_.max_distance) < 0.1 * np.median(without.max_distance)
+    assert with_.max_distance.max() < 0.05 < without.max_distance.max()
+
+
+def test_what_limits_keep_commands_from_is_no_reason_to_estimate_more() -> None:
+    class Deaf:
+        """One that is not told of limits."""
+
+        parameters = ()
+
+        def initial_state(self, context: Any) -> Any:
+            return controller.initial_state(context)
+
+        def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
+            return controller(t, q, v, reference, state)
+
+        def signals(self, state: Any) -> Any:
+            return controller.signals(state)
+
+    controller = AdaptiveVelocity(TRUE)
+    robot = VelocityRobot(TRUE.theta, limits=(0.3, 2.0))
+    straight = Tangent(Line((0, 0), (24, 0), 40))
+    given: Any = {"dt": 0.02, "engine": COMPILED, "duration": 20.0}
+    within, beyond = (
+        simulate(robot, each, straight, **given).signals["theta"].values[-1] for each in (controller, Deaf())
+    )
+    assert abs(beyond[3] - 1.1) > 1.0
+    assert np.abs(within - TRUE.theta).max() < 0.02
+
+
+def test_leakage_takes_estimates_back_to_the_first() -> None:
+    controller = AdaptiveVelocity(WRONG, gamma=0.0, leakage=0.5)
+    t: Any = np.arange(2) * 0.1
+    state = controller.initial_state(Context.of(TRUE, dt=0.1, t=t, reference=EIGHT(t)))
+    moved = (np.asarray(WRONG.theta) + 0.1, *state[1:])
+    _, state = controller(0.0, EIGHT(0.0).q, EIGHT(0.0).v, EIGHT(0.0), moved)
+    np.testing.assert_allclose(state[0] - WRONG.theta, 0.1 * (1 - 0.5 * 0.1), rtol=1e-12)
+
+
+def test_estimates_stay_within_their_bounds() -> None:
+    lower, upper = 0.95 * WRONG.theta, 1.05 * WRONG.theta
+    controller = AdaptiveVelocity(WRONG, lower=lower, upper=upper)
+    theta = simulate(TRUE, controller, EIGHT, dt=0.02, engine=COMPILED).signals["theta"].values
+    assert (theta.min(axis=0) >= lower).all()
+    assert (theta.max(axis=0) <= upper).all()
+    assert (theta == lower).any()
+    assert (theta == upper).any()
+
+
+def test_the_bound_of_dt_is_where_the_loop_itself_becomes_unstable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a circle, of whose regressor the mean is all there is."""
+    robot = VelocityRobot([0.3, 0.3, 0.0, 1.0, 0.0, 1.0])
+    controller = AdaptiveVelocity(robot, gamma=[0, 0, 0, 20, 0, 0])
+    with pytest.raises(InvalidArgument, match=r"gains kp = .* dt < ([0-9.]+) s") as caught:
+        simulate(robot, controller, CIRCLE, dt=0.5)
+    bound = float(str(caught.value).rpartition("dt < ")[2].partition(" s")[0])
+    monkeypatch.setattr(adaptive_velocity, "check_held", lambda *given: None)
+
+    def last(dt: float) -> float:
+        start: Any = {"q0": CIRCLE(0.0).q + np.array([0.003, 0, 0]), "v0": CIRCLE(0.0).v}
+        run = simulate(
+            robot, controller, CIRCLE, dt=dt, duration=1000 * dt, substeps=4, engine=COMPILED, **start
+        )
+        return float(errors(run)[-100:].max())
+
+    assert last(0.97 * bound) < 1e-4 < 1e-2 < last(1.03 * bound)
+
+
+BAD: Any = [
+    (lambda: AdaptiveVelocity(MobileRobot.box()), "robot is .*, expected a VelocityRobot"),
+    (lambda: AdaptiveVelocity(TRUE, ahead=0), "ahead is 0.0 m, expected > 0"),
+    (lambda: AdaptiveVelocity(TRUE, ahead=-0.1), r"ahead is -0.1 m, expected > 0"),
+    (lambda: AdaptiveVelocity(TRUE, k=[1, 2, 3]), r"k has shape \(3,\), expected \(\) or \(2,\)"),
+    (lambda: AdaptiveVelocity(TRUE, gamma=-1), "gamma is -1, expected >= 0"),
+    (lambda: AdaptiveVelocity(TRUE, leakage=-1), "leakage is -1.0 1/s, expected >= 0"),
+    (lambda: AdaptiveVelocity(TRUE, upper=[1, 1]), r"upper has shape \(2,\), expected \(6,\)"),
+    (
+        lambda: AdaptiveVelocity(TRUE, upper=[1, 1, 1, 1, 1, 2]),
+        "lower and upper of theta_4 are 0.11 and 1, which exclude that of the robot, 1.1",
+    ),
+    (lambda: AdaptiveVelocity(TRUE, lower=[0, 0, -1, 0, -1, 0]), "lower of theta_1 is 0, expected > 0"),
+    (lambda: simulate(TRUE, AdaptiveVelocity(TRUE, k=30), EIGHT, dt=0.1), r"k = \[30.0\].*expected dt < 0.0"),
+    (
+        lambda: simulate(TRUE, AdaptiveVelocity(TRUE), FixedHeading(Eights(), 0.3), dt=0.02),
+        "reference moves sideways",
+    ),
+    (
+        lambda: simulate(TRUE, AdaptiveVelocity(TRUE), FixedHeading(Line((0, 0), (-2, 0), 4), 0.0), dt=0.02),
+        "reference goes at -0.5 m/s at t = 0 s, expected one that does not go backwards",
+    ),
+]
+
+
+@pytest.mark.parametrize(("make", "words"), BAD)
+def test_bad_arguments_are_refused(make: Any, words: str) -> None:
+    with pytest.raises(InvalidArgument, match=words):
+        make()
