@@ -345,7 +345,8 @@ class Identification:
         left = (measured - predicted) * segments.good[..., None]
         rms = np.sqrt((left**2).sum(axis=(0, 1)) / segments.good.sum())
         t = np.asarray(segments.at * run.dt)
-        return Prediction(*zip(*POSE, strict=True), t, measured, predicted, rms, run.noise)
+        names, units = zip(*POSE, strict=True)
+        return Prediction(names, units, t, measured, predicted, rms, run.noise)
 
 
 def _body(old: Body, mass: float, com: tuple[float, float], yaw_inertia: float) -> Body:

@@ -12,7 +12,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, frozen, positive, positive_or_endless, scalar, seeded, whole
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.identification.log import Log, Samples
+from pinmobile.identification.log import Log, Samples, check_steps, logs_of
 from pinmobile.identification.prediction import POSE, SPEEDS, Prediction
 from pinmobile.identification.velocity_body import ABOVE_ZERO, THETA
 from pinmobile.identification.velocity_fit import Fit, Model, Segments, cut, fit, guess, scaled, speeds
@@ -336,7 +336,7 @@ def identify_velocity(
     model = Model(tuple(free), fixed, 0.0 if ahead is None else scalar("ahead", ahead), frozen(most))
     cuts = cut(runs, seconds, lead)
     first = fit(model, cuts, start)
-    dropped = sum(one.dropped for one in _logs(log))
+    dropped = sum(one.dropped for one in logs_of(log))
     return _told(model, cuts, first, runs[0].dt, seconds, dropped)
 
 
@@ -384,16 +384,9 @@ def _covariance(found: Fit) -> Array:
     return covariance
 
 
-def _logs(log: Log | Sequence[Log]) -> list[Log]:
-    logs = [log] if isinstance(log, Log) else list(log) if isinstance(log, list | tuple) else []
-    if not logs or not all(isinstance(one, Log) for one in logs):
-        raise InvalidArgument(f"log is {shown(log)}, expected a Log, or several")
-    return logs
-
-
 def _runs(log: Log | Sequence[Log], *, least: int, seconds: float, kind: int = 0) -> list[Samples]:
     """Return logs on equal steps, checked."""
-    logs = _logs(log)
+    logs = logs_of(log)
     for one in logs:
         if one.u.shape[1] != 2:
             raise InvalidArgument(
@@ -406,10 +399,7 @@ def _runs(log: Log | Sequence[Log], *, least: int, seconds: float, kind: int = 0
     ):
         raise InvalidArgument("log measures a twist, and another one a pose, expected the same of all")
     steps = [run.dt for run in runs]
-    if max(steps) > 1.001 * min(steps):
-        raise InvalidArgument(
-            f"log has samples every {min(steps):g} and {max(steps):g} s, expected equal steps"
-        )
+    check_steps(steps)
     if seconds < 3 * steps[0]:
         raise InvalidArgument(f"seconds is {seconds:g}, expected 3 samples of {steps[0]:g} s and more")
     count = len(cut(runs, seconds, _lead(runs)).y)
