@@ -346,7 +346,7 @@ def drifting(q: Array) -> Array:
         ),
         (
             lambda: identify(changed(u=lambda u: u[:, :2])),
-            r"^log has 2 inputs, expected 3: \(Fx, Fy, Mz\) .* identify_velocity; joints of arms and steering",
+            r"^log has 2 inputs, expected 3: \(Fx, Fy, Mz\) .* identify_velocity; joints of arms",
         ),
         (
             lambda: identify(log(), on_wheels(BODY)),
