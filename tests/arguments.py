@@ -141,7 +141,7 @@ RESULTS = {
     *("robot.Mountable", "robot.Mountables", "verification.Comparison", "viewer.Recording"),
     *("closed_form.ReducedModel", "wheels.Allocation", "wheels.Forces", "wheels.Reduced"),
     "verification.Verification",
-    *("identification.Predicted", "identification.VelocityIdentification"),
+    "identification.VelocityIdentification",
 }
 
 

@@ -14,6 +14,7 @@ from pinmobile import (
     Backstepping,
     Circle,
     ComputedTorque,
+    Coulomb,
     Driven,
     Identification,
     InvalidArgument,
@@ -26,6 +27,7 @@ from pinmobile import (
     Tangent,
     Tracking,
     UnknownName,
+    VelocityRobot,
     ViscousFriction,
     WheeledRobot,
     WheelTable,
@@ -342,7 +344,27 @@ def drifting(q: Array) -> Array:
             lambda: Log.from_streams(log().t, log().q, log().t + 1e9, log().u),  # type: ignore[arg-type]
             r"^t_u is from 1e\+09 to .* two clocks",
         ),
-        (lambda: identify(changed(u=lambda u: u[:, :2])), r"^log has 2 inputs, expected 3: \(Fx, Fy, Mz\)"),
+        (
+            lambda: identify(changed(u=lambda u: u[:, :2])),
+            r"^log has 2 inputs, expected 3: \(Fx, Fy, Mz\) .* identify_velocity; joints of arms",
+        ),
+        (
+            lambda: identify(log(), on_wheels(BODY)),
+            r"^log has 3 inputs, expected 2: .* left, right; is it of",
+        ),
+        (lambda: identify("run.csv"), r"^log is 'run.csv', expected .*: Log.from_csv makes one$"),  # type: ignore[arg-type]
+        (lambda: identify(driven()), r"^log is .*, expected .*: Log.from_rollout makes one$"),  # type: ignore[arg-type]
+        (
+            lambda: identify(log(), delay=30),
+            r"^delay is 30 s, expected 4\.4 s at most: are these milliseconds",
+        ),
+        (
+            lambda: identify([log(), Log(log().t[::2], log().q[::2], log().u[::2])]),  # type: ignore[index]
+            r"^log has samples every 0\.02 and 0\.04 s, expected equal steps$",
+        ),
+        (lambda: changed(q=lambda q: q[0]), r"^q has shape \(3,\)"),
+        (lambda: Log([], [], []), r"^t has shape \(0,\), expected \(N,\), N > 1$"),
+        (lambda: Log([0.0], [[0.0] * 3], [[0.0] * 3]), r"^t has shape \(1,\)"),
         (lambda: identify([]), r"^log is \[\], expected a Log, or several$"),
         (
             lambda: identify(log(), loads=[None]),
@@ -354,6 +376,39 @@ def drifting(q: Array) -> Array:
 def test_a_log_that_tells_something_else_is_refused_with_what_it_is(call: Any, text: str) -> None:
     with pytest.raises(InvalidArgument, match=text):
         call()
+
+
+def on(table: WheelTable, **how: Any) -> WheeledRobot:
+    return WheeledRobot(MobileRobot.box(30.0, (0.6, 0.4, 0.2)), table, **how)
+
+
+WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.005, "yaw_inertia": 0.003}
+ROLLING = "expected wheels that roll and do not steer, .* such as .* differential, mecanum or omni drive$"
+PAIR = WheelTable.differential(0.5, 0.1, supports=[(0.25, 0), (-0.25, 0)], **WHEEL)
+
+
+@pytest.mark.parametrize(
+    ("robot", "text"),
+    [
+        (
+            lambda: on(WheelTable.swerve([(0.2, 0), (-0.2, 0)], 0.05, **WHEEL)),
+            f"with wheels that steer, {ROLLING}",
+        ),
+        (lambda: on(WheelTable.car(0.5, 0.4, 0.1, **WHEEL)), f"with wheels that steer, {ROLLING}"),
+        (lambda: on(PAIR, ground=Coulomb()), f"with wheels that slip, {ROLLING}"),
+        (
+            lambda: on(WheelTable.skid_steer(0.4, 0.5, 0.1, **WHEEL), ground=Coulomb()),
+            f"with wheels that slip, {ROLLING}",
+        ),
+        (lambda: on(PAIR).mount("ur5"), f"with arms, {ROLLING}"),
+        (lambda: MobileRobot.box().mount("ur5"), r"without arms \(robot.lumped\(\) has them locked\), .*"),
+        (lambda: VelocityRobot([0.3, 0.3, 0, 1, 0, 1]), "take identify_velocity$"),
+    ],
+)
+def test_a_robot_that_is_not_identified_is_refused_with_what_is(robot: Any, text: str) -> None:
+    for call in (lambda: identify(log(), robot()), lambda: excitation(robot())):
+        with pytest.raises(InvalidArgument, match=rf"^robot is .*{text}"):
+            call()
 
 
 # -- files -----------------------------------------------------------------------------------------

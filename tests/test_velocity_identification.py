@@ -1,5 +1,6 @@
 """Theta from logs: published robots found again, delays, limits, firmware of motors, and what is refused."""
 
+import re
 from functools import cache
 from typing import Any
 
@@ -25,6 +26,7 @@ from pinmobile import (
     WheelTable,
     ensemble,
     identify_velocity,
+    plots,
     simulate,
 )
 from pinmobile.arrays import Array
@@ -177,6 +179,16 @@ def test_another_log_is_predicted_to_its_noise() -> None:
     again = found().predict(logged(seed=9))
     assert again.names == ("speed", "yaw rate")
     np.testing.assert_allclose(again.rms, NOISE, rtol=0.1)  # of 580 samples: 3 %
+    log = logged(seed=9)
+    assert log.twist is not None
+    np.testing.assert_array_equal(again.measured, log.twist[:, [0, 2]][np.rint(again.t / DT).astype(int)])
+    left = again.measured - again.predicted
+    np.testing.assert_allclose(np.sqrt((left**2).mean(axis=(0, 1))), again.rms, rtol=0.05)
+    assert re.fullmatch(
+        r"rms of 1\.9 s ahead: speed \S+ mm/s .*, yaw rate \S+ mrad/s \(noise \S+\)", str(again)
+    )
+    figure = plots.prediction(again, width=7.0)
+    assert [axes.get_ylabel() for axes in figure.axes[::2]] == ["speed [m/s]", "yaw rate [rad/s]"]
     other = found().predict(logged(VELOCITY_ROBOTS["pioneer_3dx"], seed=9))
     assert (other.rms > 2 * NOISE).any()
 

@@ -25,14 +25,16 @@ from pinmobile import (
     MobileRobot,
     Polyline,
     Tangent,
+    VelocityRobot,
     constant_acceleration,
     rk4,
     semi_implicit_euler,
 )
-from pinmobile.arrays import positive
+from pinmobile.arrays import ArrayLike, one_of, positive
 from pinmobile.controllers import Controller
 from pinmobile.ensembles import GROUPS, PARAMETERS
-from pinmobile.errors import UnknownName
+from pinmobile.errors import UnknownName, shown
+from pinmobile.identification import VELOCITY_ROBOTS
 from pinmobile.integrators import Integrator
 from pinmobile.paths import Path
 from pinmobile.plant import Parameter, parameters_of
@@ -166,6 +168,49 @@ class Option:
         """Where it stands in a scenario file, such as ``"controller.kp"``."""
         return f"{self.table}.{self.key}"
 
+
+def velocity_robot(
+    preset: str | None = None,
+    theta: ArrayLike | None = None,
+    ahead: float = 0.0,
+    limits: ArrayLike = np.inf,
+    accelerations: ArrayLike = np.inf,
+) -> VelocityRobot:
+    """Return a robot that takes speeds for commands: a published one, or that of six numbers.
+
+    Parameters
+    ----------
+    preset : str, optional
+        Name of one of `VELOCITY_ROBOTS`.
+    theta : array_like, shape (6,), optional
+        In its place.
+    ahead, limits, accelerations
+        As of `VelocityRobot`.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such preset; the message lists those there are.
+    InvalidArgument
+        If neither or both are given, or a number is not what is expected.
+    """
+    if (preset is None) == (theta is None):
+        raise InvalidArgument(
+            f"preset is {shown(preset)} and theta {shown(theta)}, expected one of them; presets: "
+            f"{', '.join(VELOCITY_ROBOTS)}"
+        )
+    others = ahead, limits, accelerations
+    if theta is not None:
+        return VelocityRobot(theta, *others)
+    published = VELOCITY_ROBOTS[one_of("preset", preset, VELOCITY_ROBOTS)]
+    return VelocityRobot(published.theta, *others, published.size, published.source)
+
+
+OF_SPEEDS: Mapping[str, Callable[..., VelocityRobot]] = {"velocity": velocity_robot}
+"""Robots that take speeds for commands, by the type that a scenario file and `pinmobile drive` call them."""
+
+DEFAULT_PRESET = "pioneer_3dx_laser"
+"""The published one that `pinmobile drive` takes where none is named."""
 
 _WHEEL = {"wheel_radius": 0.1}
 _FOUR = {"wheelbase": 0.4, "track": 0.5, **_WHEEL}

@@ -11,11 +11,13 @@ from rich.markup import escape
 
 import pinmobile
 from pinmobile.cli.choices import (
+    DEFAULT_PRESET,
     DRIVES,
     GROUND,
     OF_DRIVES,
     OF_ENSEMBLES,
     OF_LOOPS,
+    OF_SPEEDS,
     OPTIONS,
     SPREAD_FORMS,
     TABLES,
@@ -28,6 +30,7 @@ from pinmobile.cli.options import Options, as_option, body_of, choose, plant_of
 from pinmobile.cli.output import console, output_folder, progress
 from pinmobile.cli.scenario_file import EXAMPLE
 from pinmobile.errors import InvalidArgument
+from pinmobile.identification import VELOCITY_ROBOTS
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -302,8 +305,18 @@ def mount(
 @app.command()
 @_taking(OF_DRIVES, panels=True)
 def drive(
-    name: Annotated[str | None, typer.Argument(help=f"One of {', '.join(DRIVES)}.")] = None,
+    name: Annotated[
+        str | None,
+        typer.Argument(help=f"One of {', '.join(DRIVES)}; or velocity, a robot that takes speeds."),
+    ] = None,
     *,
+    preset: Annotated[
+        str | None,
+        _help(f"Of velocity: {', '.join(VELOCITY_ROBOTS)}; {DEFAULT_PRESET}.", panel=_DRIVE),
+    ] = None,
+    theta: Annotated[
+        str | None, _help("Of velocity, in place of --preset: its six numbers, with commas.", panel=_DRIVE)
+    ] = None,
     urdf: Annotated[Path | None, _help("URDF of a robot, with the wheels that it has.", panel=_DRIVE)] = None,
     package_dir: Annotated[
         list[Path] | None, _help("Folder of package:// in the URDF; repeatable.", panel=_DRIVE)
@@ -328,12 +341,20 @@ def drive(
 
     The drive tells the controller: computed torque where it can move in every direction, backstepping on the
     kinematic tracking law where it cannot, and wheel speeds where wheels skid or more than two are steered,
-    which rolls on no ideal ground: friction is then 0.8.
+    which rolls on no ideal ground: friction is then 0.8. A robot that takes speeds for commands, velocity,
+    is driven by backstepping that knows how late its firmware is.
 
     Example: pinmobile drive mecanum --html out/mecanum.html
     """
-    from pinmobile.cli.drive import OfFile, show_drive, wheeled_of
+    from pinmobile.cli.drive import OfFile, show_drive, velocity_robot_of, wheeled_of
 
+    speeds = {"preset": preset, "theta": theta}
+    if name in OF_SPEEDS:
+        wheels = {"urdf": urdf, "package_dir": package_dir or None, "rollers": rollers, "mu": mu}
+        Options(wheels).refuse([*wheels], f"does not apply to {name}, which takes --preset or --theta")
+        commanded = velocity_robot_of(typed, **speeds)
+        return show_drive(typed, commanded, preset or str(name), dt=dt, html=html, out=out)
+    Options(speeds).refuse([*speeds], "applies to velocity alone")
     if urdf is None:
         Options({"rollers": rollers}).refuse(["rollers"], "applies beside --urdf alone")
     file = None if urdf is None else OfFile(urdf, tuple(package_dir or ()), rollers)

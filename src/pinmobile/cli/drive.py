@@ -1,5 +1,6 @@
 """A robot on wheels drives a path: the controller that fits, what its wheels do, and what the ground does."""
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -7,10 +8,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile import ComputedTorque, Diverged, InvalidArgument, MobileRobot, Rollout, plots, rk4, simulate
+from pinmobile import (
+    ComputedTorque,
+    Diverged,
+    InvalidArgument,
+    MobileRobot,
+    Rollout,
+    UnknownName,
+    VelocityCommand,
+    VelocityRobot,
+    plots,
+    rk4,
+    simulate,
+)
 from pinmobile.arrays import Array, positive, wrap_angle
-from pinmobile.cli.choices import DRIVEN, DRIVES, HEADINGS, Choice
-from pinmobile.cli.options import LECTURE, Options, as_option, choose, moved
+from pinmobile.cli.choices import DEFAULT_PRESET, DRIVEN, DRIVES, HEADINGS, OF_SPEEDS, Choice, velocity_robot
+from pinmobile.cli.options import LECTURE, Options, as_option, choose, moved, numbers
 from pinmobile.cli.output import (
     Picture,
     Section,
@@ -109,16 +122,39 @@ def wheeled_of(
     if name is None:
         raise InvalidArgument(
             "drive needs a drive: 'pinmobile drive mecanum --html out/mecanum.html', or a file by --urdf; "
-            f"available: {', '.join(DRIVES)}",
+            f"available: {', '.join((*DRIVES, *OF_SPEEDS))}",
             argument="",
         )
-    choice = choose("drive", name, DRIVES)
+    if name not in DRIVES:
+        raise UnknownName("drive", name, (*DRIVES, *OF_SPEEDS))
+    choice = DRIVES[name]
     _refuse(
         given,
         choice.takes,
         f"does not apply to {name}, which takes {', '.join(map(as_option, choice.takes))}",
     )
     return _box_on(choice, given, ground, arms)
+
+
+def velocity_robot_of(typed: Mapping[str, Any], preset: str | None, theta: str | None) -> VelocityRobot:
+    """Return the robot that takes speeds for commands that was asked for.
+
+    Parameters
+    ----------
+    typed : mapping of str to any
+        Numbers of drives by option, which do not apply.
+    preset : str or None
+        Of a published one; by default, where there is no theta either, that of the Pioneer 3-DX with a laser.
+    theta : str or None
+        Six numbers with commas.
+    """
+    wheels = {option: typed.get(option) for choice in DRIVES.values() for option in choice.takes}
+    _refuse(wheels, (), "does not apply to velocity, which takes --preset or --theta")
+    if preset is not None and theta is not None:
+        raise InvalidArgument("--theta stands in place of --preset, but there are both")
+    if theta is not None:
+        return velocity_robot(theta=numbers("--theta", theta))
+    return velocity_robot(DEFAULT_PRESET if preset is None else preset)
 
 
 def _refuse(given: Mapping[str, Any], taken: Any, why: str) -> None:
@@ -172,8 +208,10 @@ def trajectory_of(options: Options) -> Trajectory:
     return options.made("heading", heading, moved(options, options.made("trajectory", path)))
 
 
-def controller_of(robot: WheeledRobot) -> tuple[Controller, str]:
+def controller_of(robot: WheeledRobot | VelocityRobot) -> tuple[Controller, str]:
     """Return the controller that fits a drive, and what it is called."""
+    if isinstance(robot, VelocityRobot):
+        return Backstepping(Tracking(), robot), "tracking by backstepping"
     m, s = robot.mobility.mobility, robot.mobility.steerability
     if robot.mobility.is_regular and m == 3:
         return ComputedTorque(robot, *_GAINS), "computed torque"
@@ -251,7 +289,7 @@ class _WheelRates:
 
 def show_drive(
     typed: Mapping[str, Any],
-    robot: WheeledRobot,
+    robot: WheeledRobot | VelocityRobot,
     name: str,
     *,
     dt: float,
@@ -268,17 +306,23 @@ def show_drive(
     reference = trajectory_of(options)
     controller, called = controller_of(robot)
     failed: Diverged | None = None
-    figures = len(FIGURES) + len(_FIGURES) + 1 if folder is not None else 0
+    of_wheels = _FIGURES if hasattr(robot, "contacts") else {}
+    figures = len(FIGURES) + len(of_wheels) + 1 if folder is not None else 0
     with progress(1 + (html is not None) + figures) as bar:
         begin(bar, "simulating")
-        own: dict[str, Any] = {} if robot.ground.slips else {"integrator": rk4}
+        own: dict[str, Any] = {} if hasattr(robot, "step") else {"integrator": rk4}
         try:
             run = simulate(robot, controller, reference, dt=dt, **own)
         except Diverged as error:
             if error.rollout is None:
                 raise
             failed, run = error, error.rollout
-        text = "\n".join([_head(robot, name, called), "", *_judged(run)])
+        rows = _judged(run)
+        if isinstance(robot, VelocityRobot):
+            plain = simulate(robot, VelocityCommand(Tracking(), robot), reference, dt=dt)
+            rows["the same, speeds of the law as commands [m]"] = _farthest(plain)
+        told = [f"{words:44} {in_words(value):>12}" for words, value in rows.items()]
+        text = "\n".join([_head(robot, name, called), "", *told])
         if html is not None:
             begin(bar, "recording the scene")
             _save_page(run, html, f"{name}: {called}")
@@ -288,7 +332,7 @@ def show_drive(
             run.save(folder / "rollout.npz")
             run.to_csv(folder / "rollout.csv")
             pictures = draw({called: run}, folder, "", bar)
-            for figure, caption in _FIGURES.items():
+            for figure, caption in of_wheels.items():
                 begin(bar, f"drawing {figure}")
                 save_figure(getattr(plots, figure)(run), folder / f"{figure}.png")
                 pictures.append(Picture(f"{figure}.png", caption))
@@ -304,11 +348,21 @@ def show_drive(
 def _save_page(run: Rollout, path: Path, title: str) -> None:
     from pinmobile.viewer import Overlays, Viewer
 
-    with Viewer(run.plant, overlays=Overlays(contacts=True, centre=True)) as viewer:
+    wheels = hasattr(run.plant, "contacts")
+    with Viewer(run.plant, overlays=Overlays(contacts=wheels, centre=wheels)) as viewer:
         viewer.record(run, title=title).save_html(path)
 
 
-def _head(robot: WheeledRobot, name: str, called: str) -> str:
+def _head(robot: WheeledRobot | VelocityRobot, name: str, called: str) -> str:
+    if isinstance(robot, VelocityRobot):
+        told = ", ".join(f"{x:g}" for x in robot.theta)
+        late = " and ".join(f"{x:.3g} s" for x in robot.time_constants)
+        lines = [
+            f"{name}: firmware follows speed and yaw rate late by {late}; {called}",
+            f"theta = {told}",
+            *textwrap.wrap(robot.source or ". ".join(robot.problems), 79),
+        ]
+        return "\n".join(lines)
     ground = robot.ground
     stands = "rolling without slip"
     if ground.slips:
@@ -317,23 +371,31 @@ def _head(robot: WheeledRobot, name: str, called: str) -> str:
     return f"{name}: {stands}; {called}\n{robot.mobility}"
 
 
-def _judged(run: Rollout) -> list[str]:
-    """Return what is to be told of a run: errors, torques, friction, slip and loads."""
+def _farthest(run: Rollout) -> float:
+    return float(np.hypot(*run.error[:, :2].T).max())
+
+
+def _judged(run: Rollout) -> dict[str, float]:
+    """Return what is to be told of a run: errors, commands, or torques, friction, slip and loads."""
     plant: Any = run.plant
+    rows = {
+        "largest error in place [m]": _farthest(run),
+        "error at the end [m]": float(np.hypot(*run.error[-1, :2])),
+    }
+    if not hasattr(plant, "contacts"):
+        most = np.abs(run.u).max(axis=0)
+        told = {f"largest {one.name} [{one.unit}]": x for one, x in zip(run.inputs, most, strict=True)}
+        return rows | {words: float(x) for words, x in told.items()}
     found = plant.contacts(run.q, run.v, run.a, run.u, run.signals)
     used = plots.share_of_friction(found)
-    rows = {
-        "largest error in place [m]": float(np.hypot(*run.error[:, :2].T).max()),
-        "error at the end [m]": float(np.hypot(*run.error[-1, :2])),
-        "largest torque of a wheel [N m]": float(np.abs(run.u[:, plant.robot.nv - 3 :]).max()),
-        "largest force of a wheel [N]": float(np.linalg.norm(found.forces, axis=-1).max()),
-    }
+    rows["largest torque of a wheel [N m]"] = float(np.abs(run.u[:, plant.robot.nv - 3 :]).max())
+    rows["largest force of a wheel [N]"] = float(np.linalg.norm(found.forces, axis=-1).max())
     if np.isfinite(used).any():
         rows["largest share of friction [-]"] = float(np.nanmax(used))
         rows["least load of a wheel [N]"] = float(np.nanmin(found.loads))
     if "slides" in run.signals:
         rows["share of time at which a wheel slides [-]"] = float(found.slides.any(axis=1).mean())
-    return [f"{name:44} {in_words(value):>12}" for name, value in rows.items()]
+    return rows
 
 
 def _next(html: Path | None, page: Path | None) -> list[str]:

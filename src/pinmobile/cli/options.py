@@ -377,6 +377,8 @@ def scenario(
         elif lacks is None and name.startswith("model_") and name in PARAMETERS:
             law = type(loop["controller"]).__name__
             raise _unfit(told, name, f"does not apply: {law} believes in no model")
+        elif lacks is None and name in PARAMETERS:
+            raise _unfit(told, name, f"does not apply to this loop, which has {', '.join(own)}")
         else:
             lacking[name] = UnknownName("parameter in spread", name, [*own, *PARAMETERS])
             if lacks is None:

@@ -8,7 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from pinmobile import Axis, InvalidArgument, PinmobileError, Scenario, UnknownName, grid
-from pinmobile.cli.choices import CONTROLLERS, HEADINGS, OF_PARTS, OPTIONS, UNITS, shortened, unknown
+from pinmobile.cli.choices import (
+    CONTROLLERS,
+    HEADINGS,
+    OF_PARTS,
+    OF_SPEEDS,
+    OPTIONS,
+    UNITS,
+    shortened,
+    unknown,
+)
 from pinmobile.cli.options import (
     Options,
     Refused,
@@ -24,6 +33,7 @@ from pinmobile.cli.options import (
 from pinmobile.cli.tables import (
     FORCES,
     NONE,
+    OF_LAWS,
     ROUTES,
     STEPS,
     WRAPPERS,
@@ -41,7 +51,7 @@ from pinmobile.sweeps import Code, Grid, check_draws
 _MOST_BYTES = 8 << 20  # as of a URDF
 
 EXAMPLE = """
-[robot]            # base ("lecture", "box") or urdf, ground; mass, yaw_inertia, com
+[robot]            # base ("lecture", "box") or urdf, ground; mass, yaw_inertia, com; or type = "velocity"
 base = "box"
 [trajectory]       # type and what it takes in `run`; heading, psi, turn_time
 type = "circle"
@@ -67,6 +77,7 @@ def _keys(table: str) -> tuple[str, ...]:
     return tuple(option.key for option in OPTIONS.values() if option.table == table)
 
 
+_CONTROLLERS = {**WRAPPERS, **OF_LAWS}
 _OWN = ("forces", "spread")  # tables whose keys others know
 _TYPED = ("robot", "trajectory", "controller")  # tables that a type may give keys of its own
 _TABLES: Mapping[str, tuple[str, ...]] = {
@@ -183,13 +194,16 @@ class _Reader:
     def _loop(self, tree: Table, options: Options) -> dict[str, Any]:
         """Return the arguments of a scenario that tables stand for."""
         part = self.maker.part
-        robot = part("robot", tree["robot"], NONE) if _is_composed(tree, "robot") else plant_of(options)
+        robot = part("robot", tree["robot"], OF_SPEEDS) if _is_composed(tree, "robot") else plant_of(options)
         beside = {"robot": robot}
         if _is_composed(tree, "controller"):
             taken = self.taken["controller"] if "controller" in self.several else None
-            controller = part("controller", tree["controller"], WRAPPERS, beside=beside, taken=taken)
+            controller = part("controller", tree["controller"], _CONTROLLERS, beside=beside, taken=taken)
         else:
             controller = controller_of(options, robot)
+        # What the file does not say is the robot's own choice.
+        typed = tree.get("loop", {}).get("integrator")
+        step = None if typed is None else part("integrator", typed, STEPS, beside=beside)
         return {
             "robot": robot,
             "controller": controller,
@@ -199,7 +213,7 @@ class _Reader:
                 for name, value in tree.get("forces", {}).items()
             ],
             "dt": options["dt"],
-            "integrator": part("integrator", options["integrator"], STEPS, beside=beside),
+            "integrator": step,
             "substeps": options["substeps"],
         }
 
@@ -247,7 +261,7 @@ def _options(tree: Table) -> Options:
 def _is_composed(tree: Table, table: str) -> bool:
     """Tell whether a table is of a part that takes its keys as the arguments of its class."""
     name = tree.get(table, {}).get("type")
-    composed = {"controller": WRAPPERS, "trajectory": ROUTES}.get(table, NONE)
+    composed = {"robot": OF_SPEEDS, "controller": _CONTROLLERS, "trajectory": ROUTES}.get(table, NONE)
     return is_code(name) or (isinstance(name, str) and name in composed)
 
 
@@ -266,6 +280,8 @@ def _check(tree: Table, swept: Table) -> None:
             named = ", such as [forces.wind]" if table == "forces" else ""
             raise Refused(f"{table} is {content!r}, expected a table{named}", table)
     own = {*_OWN, *(table for table in _TYPED if _may_be_composed(tree, swept, table))}
+    if "robot" not in own and "type" in tree.get("robot", {}):
+        raise Refused(unknown("type of [robot]", str(tree["robot"]["type"]), OF_SPEEDS), "robot.type")
     for table, content in tree.items():
         for key, value in content.items():
             _check_key(f"key {key!r} in [{table}]", table, key, own)

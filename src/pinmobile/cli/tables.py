@@ -10,7 +10,17 @@ from types import ModuleType
 from typing import Any, TypeGuard
 
 from pinmobile import InvalidArgument, PinmobileError, UnknownName, controllers, forces, paths
-from pinmobile.cli.choices import BELIEVED, BODY, CONTROLLERS, INTEGRATORS, OF_PARTS, OPTIONS, PATHS, ROBOTS
+from pinmobile.cli.choices import (
+    BELIEVED,
+    BODY,
+    CONTROLLERS,
+    INTEGRATORS,
+    OF_PARTS,
+    OF_SPEEDS,
+    OPTIONS,
+    PATHS,
+    ROBOTS,
+)
 from pinmobile.cli.options import Options, Refused, choose, controller_of, path_of, plant_of
 from pinmobile.compiled import attributes_of, check_numbers
 from pinmobile.errors import shown
@@ -160,6 +170,12 @@ Parts = Mapping[str, Callable[..., Any]]
 WRAPPERS: Parts = _classes(
     controllers, lambda kind: "controller" in _parameters(kind) and "robot" not in _parameters(kind)
 )
+OF_LAWS: Parts = {
+    **_classes(controllers, lambda kind: {"law", "robot"} <= _parameters(kind).keys()),
+    _short(controllers.RandomSteps): controllers.RandomSteps,
+}
+"""Controllers of what rolls: around a kinematic law, and one that excites."""
+LAWS: Parts = _classes(controllers, lambda kind: hasattr(kind, "check") and "robot" not in _parameters(kind))
 FORCES: Parts = _classes(forces, lambda kind: True)
 ROUTES: Parts = _classes(
     paths, lambda kind: hasattr(kind, "duration") and bool({"path", "paths"} & _parameters(kind).keys())
@@ -360,7 +376,8 @@ class Maker:
 
 def _library(kind: str, beside: Table) -> Parts:
     """Return all parts of the library that a table within a table may name."""
-    found: dict[str, Callable[..., Any]] = {**WRAPPERS, **FORCES, **STEPS, **ROUTES}
+    found: dict[str, Callable[..., Any]] = {**WRAPPERS, **OF_LAWS, **LAWS, **FORCES, **STEPS, **ROUTES}
+    found |= OF_SPEEDS
     for name in ROBOTS:
         found[name] = _Offered(kind, "robot", name, BODY, plant_of)
     for name, path in PATHS.items():

@@ -1,15 +1,12 @@
 """From a log to parameters with intervals that hold, and motions that tell them."""
 
-from pinmobile.identification.estimate import Identification, Prediction
+from pinmobile.identification.estimate import Identification
 from pinmobile.identification.log import Log
 from pinmobile.identification.motions import Excitation, excitation
+from pinmobile.identification.prediction import Prediction
 from pinmobile.identification.procedure import METHODS as METHODS, identify
 from pinmobile.identification.published import VELOCITY_ROBOTS
-from pinmobile.identification.velocity_identification import (
-    Predicted,
-    VelocityIdentification,
-    identify_velocity,
-)
+from pinmobile.identification.velocity_identification import VelocityIdentification, identify_velocity
 from pinmobile.identification.velocity_robot import VelocityRobot
 
 __all__ = [
@@ -17,7 +14,6 @@ __all__ = [
     "Excitation",
     "Identification",
     "Log",
-    "Predicted",
     "Prediction",
     "VelocityIdentification",
     "VelocityRobot",

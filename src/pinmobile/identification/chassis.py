@@ -105,8 +105,8 @@ class Chassis:
         what = next((name for name, is_so in kinds.items() if is_so), "")
         if what:
             raise InvalidArgument(
-                f"robot is {shown(robot)}, with {what}, expected wheels that roll and do not steer: such as "
-                "those of a differential, mecanum or omni drive"
+                f"robot is {shown(robot)}, with {what}, expected wheels that roll and do not steer, on a "
+                "motor each and without arms: such as those of a differential, mecanum or omni drive"
             )
         reduced = robot.reduced(robot.rest, np.zeros(robot.nv))
         S, turning = reduced.S[:3], reduced.S[3:]

@@ -70,11 +70,13 @@ class Cleaned:
         if log.q is None:
             raise InvalidArgument(f"{name} has no poses q, expected these: forces are told by what they move")
         if log.u.shape[1] != chassis.nu:
-            expected = "(Fx, Fy, Mz)" if chassis.B is None else "one for each driven wheel"
-            raise InvalidArgument(
-                f"{name} has {log.u.shape[1]} inputs, expected {chassis.nu}: {expected}; is it of another "
-                "robot?"
+            expected = (
+                "(Fx, Fy, Mz) of a body that is pushed; of wheels that roll give robot=..., of commands of "
+                "speed and yaw rate take identify_velocity; joints of arms and steering are not identified"
+                if chassis.B is None
+                else f"one for each driven wheel, {', '.join(chassis.wheels)}; is it of another robot?"
             )
+            raise InvalidArgument(f"{name} has {log.u.shape[1]} inputs, expected {chassis.nu}: {expected}")
         even = log.samples()
         if len(even.t) * even.dt < 4 * _WINDOW:
             raise InvalidArgument(f"{name} is {even.t[-1]:.3g} s long, too short, expected 20 s and more")

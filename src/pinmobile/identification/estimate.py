@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from pinmobile.identification.chassis import Chassis
 from pinmobile.identification.cleaning import Cleaned
 from pinmobile.identification.log import Log
 from pinmobile.identification.output_error import OutputError, Segments
+from pinmobile.identification.prediction import POSE, Prediction
 from pinmobile.identification.whiteness import Whiteness
 from pinmobile.robot import MobileRobot
 from pinmobile.urdf import Body
@@ -23,36 +24,6 @@ from pinmobile.urdf import Body
 _UNSEEN = 0.02  # share of a parameter's direction that may be unseen before its interval is endless
 _DRAWS = 200  # rounds in which draws that no body has are drawn again
 _AHEAD = 2.0  # [s]
-
-
-class Prediction(NamedTuple):
-    """What was measured, and what the identified robot does under the same input.
-
-    Attributes
-    ----------
-    t : ndarray, shape (S, L)
-        Times since the first sample, of segments each of which starts anew [s].
-    measured, predicted : ndarray, shape (S, L, 3)
-        Poses [m, m, rad].
-    rms : ndarray, shape (3,)
-        Of their difference [m, m, rad].
-    noise : ndarray, shape (3,)
-        Deviation of the sensor's noise: what no prediction can be better than [m, m, rad].
-    """
-
-    t: Array
-    measured: Array
-    predicted: Array
-    rms: Array
-    noise: Array
-
-    def __str__(self) -> str:
-        units = ("x", 1e3, "mm"), ("y", 1e3, "mm"), ("psi", 1e3, "mrad")
-        told = [
-            f"{name} {factor * rms:.3g} {unit} (noise {factor * noise:.3g})"
-            for (name, factor, unit), rms, noise in zip(units, self.rms, self.noise, strict=True)
-        ]
-        return f"rms of {self.t[0, -1] - self.t[0, 0]:.3g} s ahead: {', '.join(told)}"
 
 
 @final
@@ -373,7 +344,9 @@ class Identification:
         predicted, measured = out[..., :3] * run.noise, segments.measured[..., :3] * run.noise
         left = (measured - predicted) * segments.good[..., None]
         rms = np.sqrt((left**2).sum(axis=(0, 1)) / segments.good.sum())
-        return Prediction(np.asarray(segments.at * run.dt), measured, predicted, rms, run.noise)
+        t = np.asarray(segments.at * run.dt)
+        names, units = zip(*POSE, strict=True)
+        return Prediction(names, units, t, measured, predicted, rms, run.noise)
 
 
 def _body(old: Body, mass: float, com: tuple[float, float], yaw_inertia: float) -> Body:

@@ -182,7 +182,14 @@ class Log:
 
     @classmethod
     def from_streams(
-        cls, t_q: ArrayLike, q: ArrayLike, t_u: ArrayLike, u: ArrayLike, **measured: ArrayLike
+        cls,
+        t_q: ArrayLike,
+        q: ArrayLike,
+        t_u: ArrayLike,
+        u: ArrayLike,
+        *,
+        twist: ArrayLike | None = None,
+        wheel_rates: ArrayLike | None = None,
     ) -> Self:
         """Return the log of poses and inputs that have times of their own, by one clock.
 
@@ -194,8 +201,8 @@ class Log:
             Times [s] and poses.
         t_u, u : array_like, shape (M,), (M, nu)
             Times [s] and inputs.
-        **measured : array_like, shape (N, ...)
-            ``twist`` and ``wheel_rates`` at the times of the poses.
+        twist, wheel_rates : array_like, shape (N, ...), optional
+            Measured at the times of the poses.
 
         Raises
         ------
@@ -221,8 +228,14 @@ class Log:
         kept = (t >= first) & (t <= held[-1])
         t = t[kept]
         mean = _mean_held(held, inputs, np.append(t, t[-1] + _step(t)))
-        parts = {name: real(name, x)[kept] for name, x in measured.items()}
-        return cls(t, poses[kept], mean, **parts)
+        measured = {"twist": twist, "wheel_rates": wheel_rates}
+        rows = {name: real(name, x) for name, x in measured.items() if x is not None}
+        for name, array in rows.items():
+            if array.shape[:1] != kept.shape:
+                raise InvalidArgument(
+                    f"{name} has shape {array.shape}, expected ({len(kept)}, ...) as t_q has"
+                )
+        return cls(t, poses[kept], mean, **{name: array[kept] for name, array in rows.items()})
 
     @classmethod
     def from_rollout(
@@ -284,17 +297,20 @@ class Log:
     ) -> Self:
         """Return the log of a CSV file whose header names its columns, units in brackets.
 
-        Without `columns`, time is ``t`` or ``time``, the pose ``x``, ``y`` and ``psi``, ``yaw`` or ``theta``,
-        the inputs all that begin with ``u_``, or ``Fx``, ``Fy``, ``Mz``; the twist those with ``twist_``, and
-        the rates of wheels those with ``rate_``: what `Rollout.to_csv` writes is read so. Units such as
-        ``[deg]``, ``[mm]`` and ``[ms]`` are turned into those of SI.
+        Without `columns`, time is ``t`` or ``time``, the pose ``x``, ``y`` and ``psi``, ``yaw`` or ``theta``
+        or a quaternion ``qx``, ``qy``, ``qz``, ``qw``, the inputs all that begin with ``u_``, or ``Fx``,
+        ``Fy``, ``Mz``; the twist those with ``twist_``, and the rates of wheels those with ``rate_``: what
+        `Rollout.to_csv` writes is read so. Units such as ``[deg]``, ``[mm]`` and ``[ms]`` are turned into
+        those of SI. Between cells are commas, semicolons (then numbers may have decimal commas), tabs or
+        blanks; lines before the header that begin with # are left out; times may be dates as of ISO 8601.
 
         Parameters
         ----------
         path : str or path-like
             The file.
         columns : mapping of str to str or sequence of str, optional
-            Names of columns for ``t``, ``q``, ``u``, ``twist`` and ``wheel_rates``.
+            Names of columns for ``t``, ``q``, ``u``, ``twist`` and ``wheel_rates``, where they are called
+            otherwise; six of ``q`` are x, y and a quaternion (x, y, z, w).
 
         Raises
         ------
@@ -344,6 +360,36 @@ class Log:
         return held if "q" in streams else cls(held.t, None, held.u, held.twist, held.wheel_rates)
 
 
+def logs_of(log: object) -> list[Log]:
+    """Return one log, or several, as a list.
+
+    Raises
+    ------
+    InvalidArgument
+        If there is none, or something else.
+    """
+    logs = [log] if isinstance(log, Log) else list(log) if isinstance(log, list | tuple) else []
+    if not logs or not all(isinstance(each, Log) for each in logs):
+        made = "from_rollout" if isinstance(log, Rollout) else "from_csv"
+        hint = f": Log.{made} makes one" if isinstance(log, str | PathLike | Rollout) else ""
+        raise InvalidArgument(f"log is {shown(log)}, expected a Log, or several{hint}")
+    return logs
+
+
+def check_steps(steps: Sequence[float]) -> None:
+    """Refuse logs whose samples are not equally far apart.
+
+    Raises
+    ------
+    InvalidArgument
+        If they are such.
+    """
+    if max(steps) > 1.001 * min(steps):
+        raise InvalidArgument(
+            f"log has samples every {min(steps):g} and {max(steps):g} s, expected equal steps"
+        )
+
+
 def _step(t: Array) -> float:
     """Return the time between two samples: the mean of the steps that lack none."""
     steps = np.diff(t)
@@ -357,7 +403,9 @@ def _check_times(t: Array, dropped: int) -> None:
     steps = np.diff(t)
     usual = float(np.median(steps))
     if usual > _LONGEST_STEP:
-        raise InvalidArgument(f"t has steps of {usual:g} s, expected seconds: are these milliseconds?")
+        ladder = ((_LONGEST_STEP * 1e6, "nano"), (_LONGEST_STEP * 1e3, "micro"), (0.0, "milli"))
+        small = next(name for least, name in ladder if usual > least)
+        raise InvalidArgument(f"t has steps of {usual:g} s, expected seconds: are these {small}seconds?")
     worst = int(steps.argmax())
     if steps[worst] > _HOLE * usual:
         nan = f"; {dropped} rows had NaN" if dropped else ""

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import re
 from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from itertools import takewhile
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,53 +31,153 @@ def read_csv(
 ) -> tuple[dict[str, Array], int]:
     """Return the columns of a file by role, and how many rows are of another length; see `Log.from_csv`."""
     file = location("path", path)
-    with (
-        refusals("read", "path", file),
-        file.open(newline="", encoding="utf-8-sig", errors="replace") as opened,
-    ):
-        lines = csv.reader(opened)
-        head = next(lines, [])
-        rows = [row for row in lines if row]
-    named = {re.sub(r"\s*\[.*\]\s*$", "", title).strip(): k for k, title in enumerate(head)}
+    head, rows = _table(file)
+    names = [*map(_named, head)]
+    named = {name: k for k, name in enumerate(names) if name}
     if columns is not None and not isinstance(columns, Mapping):
         raise InvalidArgument(f"columns is {shown(columns)}, expected a mapping such as {{'t': 'time', ...}}")
-    wanted = _columns_of(list(named)) if columns is None else dict(columns)
+    known = _columns_of(list(named))
+    wanted = known if columns is None else dict(columns)
     for role in wanted:
         one_of("part of a log", role, ("t", *_ROLES))
-    numbers = np.array([[_number(cell) for cell in row] for row in rows if len(row) == len(head)])
-    if len(numbers) < 2:
+    for roles in (("t",), ("u",), ("q", "twist")):
+        if roles[0] in known and not set(roles) & set(wanted):
+            wanted[roles[0]] = known[roles[0]]
+        if not set(roles) & set(wanted):
+            raise InvalidArgument(
+                f"path is {str(file)!r}, whose columns are {', '.join(named)}: none is known as that of "
+                f"{' or '.join(roles)}, expected columns={{'t': 'time', 'q': ('x', 'y', 'psi'), 'u': (...)}} "
+                "with the names that stand in its header"
+            )
+    kept = [row for row in rows if len(row) == len(head)]
+    if len(kept) < 2:
         raise InvalidArgument(
-            f"path is {str(file)!r}, with {len(numbers)} rows of as many columns as its header, expected more"
+            f"path is {str(file)!r}, with {len(kept)} rows of as many columns as its header, expected more"
         )
     parts: dict[str, Array] = {}
     for role, of_role in wanted.items():
         listed = [of_role] if isinstance(of_role, str) else sequence(f"columns[{role!r}]", of_role, "names")
         for name in listed:
             one_of(f"column of {str(file)!r}", name, named)
-        parts[role] = np.column_stack([_in_si(head[named[n]], numbers[:, named[n]]) for n in listed])
-    for role in ("t", "u"):
-        if role not in parts:
-            raise InvalidArgument(
-                f"path is {str(file)!r}, whose columns are {', '.join(named)}: none is that of {role}, "
-                f"expected columns={{{role!r}: ...}}"
-            )
-    return parts, len(rows) - len(numbers)
+            if names.count(name) > 1:
+                raise InvalidArgument(f"path is {str(file)!r}, with two columns {name!r}, expected one")
+        columns_of_role = [_column(file, head[named[n]], [row[named[n]] for row in kept]) for n in listed]
+        parts[role] = np.column_stack(columns_of_role)
+    if "q" in parts and parts["q"].shape[1] == 2 + _QUATERNION:
+        x, y, *quaternion = parts["q"].T
+        parts["q"] = np.column_stack([x, y, _yaw_of(*quaternion)])
+    return parts, len(rows) - len(kept)
+
+
+def _table(file: Path) -> tuple[list[str], list[list[str]]]:
+    """Return the header of a file and its rows: cells between commas, semicolons, tabs or blanks.
+
+    Lines before the header that begin with # or % are comments; the last of these is the header where numbers
+    follow it.
+    """
+    with refusals("read", "path", file), file.open("rb") as opened:
+        data = opened.read(_MOST_BYTES + 1)  # what is no regular file may never end
+    if len(data) > _MOST_BYTES:
+        raise InvalidArgument(f"path is {str(file)!r}, of more than {_MOST_BYTES >> 20} MiB, expected less")
+    content = _decoded(data)
+    if "\0" in content:
+        raise InvalidArgument(f"path is {str(file)!r}, which is no text, expected a CSV file")
+    lines = [line for line in content.splitlines() if line.strip()]
+    comments = [*takewhile(lambda line: line.lstrip().startswith(_COMMENTS), lines)]
+    lines = lines[len(comments) :]
+    if comments and lines and _is_numbers(lines[0]):
+        lines = [comments[-1].lstrip().lstrip("".join(_COMMENTS)), *lines]
+    if not lines or _is_numbers(lines[0]):
+        said = f"whose first line {shown(lines[0])} has numbers" if lines else "which is empty"
+        raise InvalidArgument(
+            f"path is {str(file)!r}, {said}, expected a header that names the columns, such as "
+            "t,x,y,psi,Fx,Fy,Mz"
+        )
+    between = _separator(lines[0])
+    try:
+        read = csv.reader(lines, delimiter=between, skipinitialspace=True)
+        head, *rows = [[cell.strip() for cell in row] for row in read]
+    except csv.Error as error:
+        raise InvalidArgument(f"path is {str(file)!r}, which is no table of cells: {error}") from error
+    if between != ",":  # a comma is then that of a decimal
+        rows = [[cell.replace(",", ".") for cell in row] for row in rows]
+    return head, rows
+
+
+def _decoded(data: bytes) -> str:
+    wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        return data.decode("utf-16" if wide else "utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+_COMMENTS = "#", "%"
+_SEPARATORS = ";", "\t", ",", " "
+_QUATERNION = 4
+_MOST_BYTES = 1 << 30
+
+
+def _separator(line: str) -> str:
+    """Return what stands between the cells of a header; units in brackets may hold blanks."""
+    bare = re.sub(r"\[[^]]*\]|\([^)]*\)", "", line.strip())
+    return next((each for each in _SEPARATORS if each in bare), ",")
+
+
+def _is_numbers(line: str) -> bool:
+    cells = [cell for cell in re.split(r"[;\t, ]+", line.strip()) if cell]
+    return bool(cells) and not any(np.isnan(_number(cell)) for cell in cells)
+
+
+_UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
+
+
+def _named(title: str) -> str:
+    """Return the name of a column without its unit."""
+    return _UNIT.sub("", title).strip()
+
+
+def _column(file: Path, title: str, cells: Sequence[str]) -> Array:
+    """Return the numbers of a column in units of SI; NaN where a cell holds none."""
+    numbers = np.array([_number(cell) for cell in cells])
+    if np.isnan(numbers).all():
+        numbers = np.array([_moment(cell) for cell in cells])
+        numbers = numbers - (0.0 if np.isnan(numbers).all() else np.nanmin(numbers))
+    if np.isnan(numbers).all():
+        raise InvalidArgument(
+            f"path is {str(file)!r}, whose column {title!r} holds no numbers but {shown(cells[0])}, expected "
+            "numbers"
+        )
+    return _in_si(title, numbers)
+
+
+def _moment(cell: str) -> float:
+    """Return a date with a time in seconds."""
+    try:
+        moment = datetime.fromisoformat(cell)
+    except ValueError:
+        return np.nan
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
 _TURNS = ("psi", "yaw", "theta", "heading")
+_QUATERNIONS = [
+    [f"{name}{axis}" for axis in "xyzw"] for name in ("q", "q_", "quat_", "orientation.", "orientation_")
+]
 _UNITS = {
     **dict.fromkeys(("", "s", "m", "rad", "N", "N m", "Nm", "V", "A", "m/s", "rad/s"), 1.0),
     **{"deg": np.pi / 180, "deg/s": np.pi / 180, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     **{"mm": 1e-3, "cm": 1e-2, "mm/s": 1e-3, "mrad": 1e-3, "mN": 1e-3, "kN": 1e3, "mV": 1e-3, "mA": 1e-3},
     **{"N mm": 1e-3, "mN m": 1e-3, "rpm": 2 * np.pi / 60, "rev/min": 2 * np.pi / 60},
+    **{"\N{DEGREE SIGN}": np.pi / 180, "degrees": np.pi / 180, "radians": 1.0},
 }
 
 
 def _in_si(title: str, column: Array) -> Array:
-    found = re.search(r"\[(.*)\]\s*$", title)
-    unit = found[1].strip() if found else ""
+    found = _UNIT.search(title)
+    unit = re.sub(r"\s*[*.\N{MIDDLE DOT}\N{DOT OPERATOR}]\s*", " ", found[1].strip()) if found else ""
     if unit not in _UNITS:
-        raise UnknownName(f"unit of column {title!r}", unit, _UNITS)
+        raise UnknownName(f"unit of column {title!r}", unit, [each for each in _UNITS if each])
     return column * _UNITS[unit]
 
 
@@ -89,17 +193,20 @@ def _columns_of(names: Sequence[str]) -> dict[str, Sequence[str]]:
     known = {name.casefold(): name for name in names}
     found: dict[str, Sequence[str]] = {}
     time = [known[name] for name in ("t", "time", "stamp", "timestamp") if name in known]
-    turn = [known[name] for name in _TURNS if name in known]
+    turn = [known[name] for name in _TURNS if name in known][:1]
+    turn = turn or next(([known[n] for n in each] for each in _QUATERNIONS if set(each) <= set(known)), [])
     if time:
         found["t"] = time[:1]
     if turn and {"x", "y"} <= set(known):
-        found["q"] = (known["x"], known["y"], turn[0])
+        found["q"] = (known["x"], known["y"], *turn)
     inputs = [name for name in names if name.startswith("u_")]
     inputs = inputs or [known[name] for name in ("fx", "fy", "mz") if name in known]
+    rates = [name for name in names if name.startswith("rate_")]
+    turned = [f"v_{name.removeprefix('u_')}" for name in inputs]  # as Rollout.to_csv calls them
     for role, listed in (
         ("u", inputs),
         ("twist", [name for name in names if name.startswith("twist_")]),
-        ("wheel_rates", [name for name in names if name.startswith("rate_")]),
+        ("wheel_rates", rates or (turned if set(turned) <= set(names) else [])),
     ):
         if listed:
             found[role] = listed
@@ -192,8 +299,12 @@ def _rule(role: str, topic: str, kind: str) -> Row:
 
 
 def _yaw(orientation: Any) -> float:
-    x, y, z, w = orientation.x, orientation.y, orientation.z, orientation.w
-    return float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    return float(_yaw_of(orientation.x, orientation.y, orientation.z, orientation.w))
+
+
+def _yaw_of(x: Any, y: Any, z: Any, w: Any) -> Any:
+    """Return the yaw of quaternions, which need not be of length one."""
+    return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
 def _pose(pose: Any) -> tuple[float, float, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import numpy as np
 
@@ -48,8 +48,6 @@ class Excitation:
     duration: float
     S: Array | None = None
     start: Array = field(default_factory=lambda: np.zeros(3))
-
-    parameters: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         S = None if self.S is None else finite("S", self.S)

@@ -13,7 +13,7 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification.chassis import Chassis
 from pinmobile.identification.cleaning import Cleaned
 from pinmobile.identification.estimate import Identification
-from pinmobile.identification.log import Log
+from pinmobile.identification.log import Log, check_steps, logs_of
 from pinmobile.identification.output_error import Estimate, OutputError, Segments
 from pinmobile.identification.weak_form import WINDOW, Rows, extrapolated, rows_of, solve
 from pinmobile.identification.whiteness import Whiteness, whiteness
@@ -30,6 +30,7 @@ _SEEN = 0.01  # share of its force that a direction must have to be seen
 _EXPLAINED = 0.5  # of the forces' mean square; what explains less is another robot
 _LEVER = 0.25  # [m], of a robot whose size is not known
 _SPEED, _WHEEL_SPEED = 0.01, 0.1  # where dry friction has 71 %: [m/s, rad/s] of a body, [rad/s] of wheels
+_MOST_GIVEN = 0.1  # of the log, a delay that is given
 _SETTLED = 0.05  # samples by which a delay may be off in the simulations
 _DRIFT = 1.0  # sample by which a delay may change along a log
 _MASSES = (0.02, 2e4)  # [kg] of ground robots
@@ -107,9 +108,7 @@ def identify(
         leaves
         something unseen and no robot says what is believed of it: see the message.
     """
-    logs = [log] if isinstance(log, Log) else list(log) if isinstance(log, Sequence) else []
-    if not logs or not all(isinstance(each, Log) for each in logs):
-        raise InvalidArgument(f"log is {shown(log)}, expected a Log, or several")
+    logs = logs_of(log)
     one_of("method", method, METHODS)
     chassis, carried = _chassis(robot, rolling_speed, loads, len(logs))
     prior = prior_of(robot, chassis)
@@ -117,6 +116,8 @@ def identify(
     cleaned = [
         Cleaned.of(one, chassis, each, name) for one, each, name in zip(logs, carried, names, strict=True)
     ]
+    check_steps([one.dt for one in cleaned])
+    given = None if delay is None else _given_delay(delay, cleaned)
     seconds = _segment(cleaned)
     rows = [rows_of(one, chassis) for one in cleaned]
     at = _Setting(cleaned, rows, chassis, _scales(cleaned, rows, chassis), prior)
@@ -130,7 +131,7 @@ def identify(
     believed = np.zeros(len(at.scales)) if prior is None else prior
     basis = at.scales[:, None] * seen
     base = believed if unseen.size else np.zeros_like(believed)
-    late = _first_delay(at, base, basis) if delay is None else scalar("delay", delay) / cleaned[0].dt
+    late = _first_delay(at, base, basis) if given is None else given / cleaned[0].dt
     fit = extrapolated(rows, chassis, _rounded(late), base, basis)
     _check_explained(fit.explained)
     _check_units(chassis, fit.phi, prior)
@@ -197,12 +198,19 @@ def to_chassis(robot: Any, speed: float | None = None, scaled: bool = False) -> 
         return Chassis.rolling(robot, own, scaled)
     if robot is not None and (not isinstance(robot, MobileRobot) or robot.mounts):
         raise InvalidArgument(
-            f"robot is {shown(robot)}, expected a MobileRobot without arms (robot.lumped() has them "
-            "locked), or a "
-            "WheeledRobot"
+            f"robot is {shown(robot)}, expected a MobileRobot without arms (robot.lumped() has them locked), "
+            "or a WheeledRobot whose wheels roll and do not steer; of a robot that takes speeds for commands "
+            "take identify_velocity"
         )
     own = _SPEED if speed is None else positive("rolling_speed", speed, "m/s")
     return Chassis.pushed(own, scaled)
+
+
+def _given_delay(delay: float, logs: Sequence[Cleaned]) -> float:
+    given, most = scalar("delay", delay), _MOST_GIVEN * min(len(one.q) * one.dt for one in logs)
+    if not -most <= given <= most:
+        raise InvalidArgument(f"delay is {given:g} s, expected {most:.3g} s at most: are these milliseconds?")
+    return given
 
 
 def _moments(load: Load) -> Array:

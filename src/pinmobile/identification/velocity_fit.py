@@ -40,6 +40,8 @@ class Segments(NamedTuple):
     ----------
     dt : float
         Time between two samples [s].
+    t : ndarray, shape (S, L)
+        Times since the first sample of the log [s].
     y : ndarray, shape (S, L, k)
         What was measured: speed and yaw rate, or x, y, psi.
     good : ndarray of bool, shape (S, L)
@@ -51,6 +53,7 @@ class Segments(NamedTuple):
     """
 
     dt: float
+    t: Array
     y: Array
     good: NDArray[np.bool_]
     u: Array
@@ -66,10 +69,11 @@ def cut(runs: Sequence[Samples], seconds: float, lead: int) -> Segments:
     """Return logs of one step, cut into segments of so many seconds, whose commands are known."""
     dt = runs[0].dt
     length = max(3, round(seconds / dt))
-    y, good, u = [], [], []
+    t, y, good, u = [], [], [], []
     for run in runs:
         measured = run.q if run.twist is None else run.twist[:, [0, 2]]
         for first in range(lead + 1, len(run.t) - length + 1, length):
+            t.append(run.t[first : first + length])
             y.append(measured[first : first + length])  # type: ignore[index]
             good.append(run.seen[first : first + length])
             at = np.arange(first - lead - 1, first + length + 1)
@@ -78,6 +82,7 @@ def cut(runs: Sequence[Samples], seconds: float, lead: int) -> Segments:
     shape = len(y), length
     return Segments(
         dt,
+        np.array(t).reshape(shape),
         np.array(y).reshape(*shape, size),
         np.array(good, bool).reshape(shape),
         np.array(u).reshape(len(y), length + lead + 2, 2),

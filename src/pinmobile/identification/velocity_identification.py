@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, frozen, positive, positive_or_endless, scalar, seeded, whole
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.identification.log import Log, Samples
+from pinmobile.identification.log import Log, Samples, check_steps, logs_of
+from pinmobile.identification.prediction import POSE, SPEEDS, Prediction
 from pinmobile.identification.velocity_body import ABOVE_ZERO, THETA
 from pinmobile.identification.velocity_fit import Fit, Model, Segments, cut, fit, guess, scaled, speeds
 from pinmobile.identification.velocity_robot import VelocityRobot
@@ -31,25 +32,7 @@ _OTHERS = (
 )
 _NEUTRAL = {"theta_3": 0.0, "theta_4": 1.0, "theta_5": 0.0, "theta_6": 1.0}  # of a robot that loses nothing
 _UNITS = {**{name: unit for name, unit, _ in THETA}, **dict(_OTHERS)}
-_MEASURED = {2: (("speed", "m/s"), ("yaw rate", "rad/s")), 3: (("x", "m"), ("y", "m"), ("psi", "rad"))}
-
-
-class Predicted(NamedTuple):
-    """How well a log is predicted that was not identified from.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Of what was measured: speed and yaw rate, or x, y, psi.
-    rms : ndarray, shape (k,)
-        Of what is measured less what is predicted over a segment.
-    noise : ndarray, shape (k,)
-        The same of the log that was identified from.
-    """
-
-    names: tuple[str, ...]
-    rms: Array
-    noise: Array
+_MEASURED = {len(each): each for each in (SPEEDS, POSE)}
 
 
 @final
@@ -267,19 +250,27 @@ class VelocityIdentification:
                 "which speed and yaw rate change independently"
             )
 
-    def predict(self, log: Log | Sequence[Log]) -> Predicted:
+    def predict(self, log: Log) -> Prediction:
         """Return how well another log is predicted over segments, whose first states alone are fitted.
+
+        Parameters
+        ----------
+        log : Log
+            Another log of the same robot, which measures what that measured from which it was identified.
 
         Raises
         ------
         InvalidArgument
             If it is none, too short, or measures something else.
         """
+        if not isinstance(log, Log):
+            raise InvalidArgument(f"log is {shown(log)}, expected a Log")
         runs = _runs(log, least=1, seconds=self._seconds, kind=len(self.noise))
         cuts = cut(runs, self._seconds, _lead(runs))
         left = fit(self._model, cuts, self.values_in_samples(runs[0].dt), moving=False)
         rms = np.sqrt((left.residual[left.good] ** 2).mean(axis=0))
-        return Predicted(tuple(name for name, _ in _MEASURED[len(self.noise)]), rms, self.noise)
+        names, units = zip(*_MEASURED[len(self.noise)], strict=True)
+        return Prediction(names, units, cuts.t, cuts.y, cuts.y - left.residual, rms, self.noise)
 
     def values_in_samples(self, dt: float) -> Array:
         """Return the values with the delay, where it was identified, in samples of dt [s]."""
@@ -345,7 +336,7 @@ def identify_velocity(
     model = Model(tuple(free), fixed, 0.0 if ahead is None else scalar("ahead", ahead), frozen(most))
     cuts = cut(runs, seconds, lead)
     first = fit(model, cuts, start)
-    dropped = sum(one.dropped for one in _logs(log))
+    dropped = sum(one.dropped for one in logs_of(log))
     return _told(model, cuts, first, runs[0].dt, seconds, dropped)
 
 
@@ -393,16 +384,9 @@ def _covariance(found: Fit) -> Array:
     return covariance
 
 
-def _logs(log: Log | Sequence[Log]) -> list[Log]:
-    logs = [log] if isinstance(log, Log) else list(log) if isinstance(log, list | tuple) else []
-    if not logs or not all(isinstance(one, Log) for one in logs):
-        raise InvalidArgument(f"log is {shown(log)}, expected a Log, or several")
-    return logs
-
-
 def _runs(log: Log | Sequence[Log], *, least: int, seconds: float, kind: int = 0) -> list[Samples]:
     """Return logs on equal steps, checked."""
-    logs = _logs(log)
+    logs = logs_of(log)
     for one in logs:
         if one.u.shape[1] != 2:
             raise InvalidArgument(
@@ -415,10 +399,7 @@ def _runs(log: Log | Sequence[Log], *, least: int, seconds: float, kind: int = 0
     ):
         raise InvalidArgument("log measures a twist, and another one a pose, expected the same of all")
     steps = [run.dt for run in runs]
-    if max(steps) > 1.001 * min(steps):
-        raise InvalidArgument(
-            f"log has samples every {min(steps):g} and {max(steps):g} s, expected equal steps"
-        )
+    check_steps(steps)
     if seconds < 3 * steps[0]:
         raise InvalidArgument(f"seconds is {seconds:g}, expected 3 samples of {steps[0]:g} s and more")
     count = len(cut(runs, seconds, _lead(runs)).y)

@@ -35,7 +35,7 @@ _WIDE, _TALL = (1.4, 1.4, 1.4), (2.8, 1.2, 1.2, 1.2)  # [in]: heights of rows
 _NO_TARGET = "there is no target"
 _PLACES = (("x [m]", "y [m]"), ("", "z [m]"), ("", "distance [m]"), ("t [s]", "angle [rad]"))
 """Words beside the axes of path, height, distance and angle."""
-_POSES = (("x", "m", 1e3, "mm"), ("y", "m", 1e3, "mm"), ("$\\psi$", "rad", 1e3, "mrad"))
+_LETTERS = {"psi": "$\\psi$"}
 _MEASURED: Style = {"color": "#9a9a9a", "linewidth": 3.2, "solid_capstyle": "round"}
 _DEVIATIONS = 2.0  # of the noise, within which 95 of 100 differences lie
 _POINTS = 4000  # points of a line
@@ -147,7 +147,7 @@ def prediction(
     ax: Canvas | None = None,
     width: float | None = None,
 ) -> Figure:
-    """Draw poses that were measured and those foretold, and their difference beside the sensor's noise.
+    """Draw what was measured and what was foretold, and their difference beside the sensor's noise.
 
     Each segment of the prediction starts anew; the band is what 95 of 100 differences would lie within if the
     sensor's noise were all that is left.
@@ -155,11 +155,12 @@ def prediction(
     Parameters
     ----------
     foretold : Prediction
-        What `Identification.predict` returned.
+        What `Identification.predict` or `VelocityIdentification.predict` returned.
     title : str, optional
         Heading of the figure.
     ax, width
-        As in `states`; axes are three of poses, then three of differences, x, y and psi each.
+        As in `states`; axes are, of x, y and psi or of speed and yaw rate each, that of the values, then that
+        of the differences.
 
     Returns
     -------
@@ -172,26 +173,29 @@ def prediction(
         If it is no prediction, or `ax` or `width` is something else.
     """
     if not isinstance(foretold, Prediction):
-        raise InvalidArgument(f"foretold is {shown(foretold)}, expected what Identification.predict returns")
+        raise InvalidArgument(
+            f"foretold is {shown(foretold)}, expected what predict() of an identification returns"
+        )
     sheet = Sheet(ax, width, 10.0)
-    grid = sheet.grid(len(_POSES), 2, (1.7,) * len(_POSES))
+    rows = len(foretold.names)
+    grid = sheet.grid(rows, 2, (1.7,) * rows)
     t = _broken(foretold.t)
     kept = np.arange(0, t.size, max(1, t.size // _POINTS))
     for axes in grid.ravel():
         dress(axes)
-    for k, (name, unit, factor, small) in enumerate(_POSES):
-        poses, differences = grid[k]
+    for k, (name, unit) in enumerate(zip(foretold.names, foretold.units, strict=True)):
+        (values, differences), small = grid[k], f"m{unit}"
         measured, predicted = foretold.measured[..., k], foretold.predicted[..., k]
-        poses.plot(t[kept], _broken(measured)[kept], **_MEASURED)
-        poses.plot(t[kept], _broken(predicted)[kept], color=colour(0), linewidth=1.4)
-        poses.set_ylabel(f"{name} [{unit}]")
-        noise = factor * foretold.noise[k]
+        values.plot(t[kept], _broken(measured)[kept], **_MEASURED)
+        values.plot(t[kept], _broken(predicted)[kept], color=colour(0), linewidth=1.4)
+        values.set_ylabel(f"{_LETTERS.get(name, name)} [{unit}]")
+        noise = 1e3 * foretold.noise[k]
         band = _DEVIATIONS * noise
         differences.axhspan(-band, band, color=tint(ink(), 0.12), linewidth=0)
-        left = factor * _broken(measured - predicted)
+        left = 1e3 * _broken(measured - predicted)
         differences.plot(t[kept], left[kept], color=colour(0), linewidth=0.7)
         differences.set_ylabel(f"difference [{small}]")
-        told = f"rms {factor * foretold.rms[k]:.2g} {small}, noise {noise:.2g} {small}"
+        told = f"rms {1e3 * foretold.rms[k]:.2g} {small}, noise {noise:.2g} {small}"
         differences.set_title(wrapped(told, letters(0.95), sheet.room(2)), fontsize=letters(0.95), loc="left")
     for axes in grid[-1]:
         axes.set_xlabel("t [s]")
