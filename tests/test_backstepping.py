@@ -361,8 +361,11 @@ def test_a_reference_that_wheels_cannot_follow_is_refused_with_its_time() -> Non
         (late, "reference moves sideways, at 0.1 m/s across the fixed axle, at t = 0 s"),
         (LectureHeading(_Back()), "reference turns its heading by 3.14 rad at once at t = 1.01 s"),
     ):
-        with pytest.raises(InvalidArgument, match=message):
-            run(DIFFERENTIAL, ON_TWO, trajectory, 2.0)
+        for controller in (ON_TWO, Allocated(PD(60, 60), DIFFERENTIAL)):
+            with pytest.raises(InvalidArgument, match=message):
+                run(DIFFERENTIAL, controller, trajectory, 2.0)
+    aside = FixedHeading(EIGHT.path, 0.0)  # no matter for a drive that moves in every direction
+    assert len(run(MECANUM, Allocated(PD(60, 60), MECANUM), aside, 0.1)) > 1
     tight = Tangent(Eight(1.0, 4 * np.pi))
     with pytest.raises(
         InvalidArgument, match=r"are steered by 0\.\d+ rad at t = [\d.]+ s, expected at most 0\.698"

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from functools import partial
 from importlib import import_module
 from itertools import combinations
 from pathlib import Path
@@ -42,7 +43,7 @@ def test_at_one_column_of_a_paper_no_word_is_cut_or_meets_another(name: str) -> 
     with rc_context(page.LETTERS):
         figure = page.FIGURES[name](width=3.5)  # which would be refused
         assert figure.get_figwidth() == 3.5
-        assert not sheet._crowded(figure)
+        assert not sheet.crowded(figure, figure.axes)
         assert {text.get_fontsize() for text in figure.findobj(Text) if text.get_text()} >= {8.0}
 
 
@@ -50,14 +51,15 @@ def test_at_one_column_of_a_paper_no_word_is_cut_or_meets_another(name: str) -> 
 def test_at_both_columns_too(name: str) -> None:
     figure = page.FIGURES[name](width=7)
     assert figure.get_figwidth() == 7.0
-    assert not sheet._crowded(figure)
+    assert not sheet.crowded(figure, figure.axes)
 
 
 def test_a_figure_too_narrow_for_its_words_is_refused() -> None:
     words = r"^width is 1.2 in, in which .*: expected a wider figure, or smaller letters, now rcParams\["
     for name in ("path", "states", "errors", "bands", "curves"):
-        with pytest.raises(InvalidArgument, match=words):
+        with pytest.raises(InvalidArgument, match=words) as told:
             page.FIGURES[name](width=1.2)
+        assert "$" not in str(told.value)
     with rc_context({"font.size": 30}), pytest.raises(InvalidArgument, match=r"font.size'\] = 30$"):
         plots.states(RUNS, width=3.5)
     for width, words in (
@@ -68,9 +70,41 @@ def test_a_figure_too_narrow_for_its_words_is_refused() -> None:
             plots.states(RUNS, width=width)
 
 
+def test_a_figure_of_ones_own_too_small_is_refused() -> None:
+    words = r"^ax is of a figure of 0.8 by 0.7 in, in which .*: expected a larger figure, or smaller letters"
+    draw = partial(plots.curves, {"a": [1, 2]}, x=("x", "", [0, 1]), label="b")
+    for layout in ("constrained", None):
+        figure = Figure(figsize=(0.8, 0.7), layout=layout)
+        axes = figure.subplots()
+        before = axes.get_position(original=True).bounds
+        with pytest.raises(InvalidArgument, match=words):
+            draw(ax=axes)
+        if layout is None:  # what judges axes moves none
+            assert axes.get_position(original=True).bounds == before
+            assert axes.get_in_layout()
+            assert figure.get_layout_engine() is None
+    whole = Figure(figsize=(0.8, 0.7), layout="constrained")
+    for part in (whole.subfigures(), whole):
+        with pytest.raises(InvalidArgument, match=words):
+            draw(ax=part)
+    assert draw(ax=Figure(figsize=(3, 2)).subplots()).axes  # its labels are cut off until it is laid out
+
+
+def test_what_fits_in_a_narrow_figure_fits_in_a_wider_one() -> None:
+    # Where its title meets the power of ten of an axis matplotlib moves it, up to the label above.
+    assert plots.errors(RUNS, width=3.5).get_figwidth() == 3.5
+
+
+def test_words_that_a_message_shows_are_plain() -> None:
+    power = "$\\times\\mathdefault{10^{\N{MINUS SIGN}6}}\\mathdefault{}$"  # as matplotlib writes it
+    assert sheet.plain(rf"error in $\psi$, largest $7.4\cdot 10^{{-3}}$ of {power} \$") == (
+        "error in psi, largest 7.4·10⁻³ of \N{MULTIPLICATION SIGN}10⁻⁶ $"
+    )
+
+
 @pytest.mark.parametrize("name", PANELS)
 def test_axes_of_ones_own_are_drawn_on(name: str) -> None:
-    figure = Figure()
+    figure = Figure(figsize=(5 * PANELS[name], 5))
     own = [*figure.subplots(1, PANELS[name], squeeze=False)[0]]
     assert page.FIGURES[name](ax=own if len(own) > 1 else own[0]) is figure
     assert all(axes.has_data() for axes in own)

@@ -115,7 +115,7 @@ class Backstepping:
 
     def _look(self, robot: Any) -> None:
         kind = robot.mobility.mobility, robot.mobility.steerability
-        if kind not in _KINDS:
+        if not has_axle(robot.mobility):
             others = {(3, 0): "ComputedTorque(robot)", (1, 2): "SwerveTracking(robot)"}
             other = others.get(kind, "Allocated(controller, robot)")
             if not robot.mobility.is_regular:
@@ -135,10 +135,7 @@ class Backstepping:
 
     def initial_state(self, context: Context) -> tuple[Any, Any]:
         """Return the law's state, and what is known of the reference's steering: nothing."""
-        try:
-            reference = context.reference
-        except NotTraceable:  # each robot has its own
-            reference = None
+        reference = reference_of(context)
         if reference is not None:
             self._check(np.asarray(context.t), reference)
         steering = None if self._car is None else (0.0, 0.0, float(context.dt))
@@ -209,6 +206,19 @@ def _inverse(robot: object) -> str:
     return "commands" if hasattr(robot, "commands") else "torques"
 
 
+def has_axle(mobility: Any) -> bool:
+    """Tell whether a drive has one fixed axle, along whose wheels alone it can move."""
+    return (mobility.mobility, mobility.steerability) in _KINDS
+
+
+def reference_of(context: Context) -> Any:
+    """Return the reference of all samples; None where each robot has its own, or the context has none."""
+    try:
+        return context.reference
+    except NotTraceable:
+        return None
+
+
 def check_heading(t: Array, reference: Any) -> tuple[Array, Array]:
     """Refuse a reference whose heading jumps, and return its headings and yaw rates, shape (N,)."""
     psi, w = reference.q[:, 2], reference.v[:, 2]
@@ -277,10 +287,7 @@ class SwerveTracking:
 
     def initial_state(self, context: Context) -> tuple[Any, float, float]:
         """Return what is known of the reference's steering rates, nothing, and the sampling time."""
-        try:
-            reference = context.reference
-        except NotTraceable:  # each robot has its own
-            reference = None
+        reference = reference_of(context)
         if reference is not None:
             check_heading(np.asarray(context.t), reference)
         return np.zeros(2), 0.0, float(context.dt)

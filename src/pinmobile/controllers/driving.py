@@ -18,10 +18,10 @@ from pinmobile.arrays import (
     vector,
     whole,
 )
-from pinmobile.controllers.backstepping import speeds_along, tracked
+from pinmobile.controllers.backstepping import reference_of, speeds_along, tracked
 from pinmobile.controllers.controller import Controller, State, answer_of, check_controller, told
 from pinmobile.controllers.steering import KinematicLaw, value_of
-from pinmobile.errors import InvalidArgument, NotTraceable, shown
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Context, Parameter
 from pinmobile.signals import signals_of
 
@@ -169,10 +169,7 @@ class WheelSpeed:
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, Any, Any]:
         """Return the law's state, integrals, their gains, the last input, and the time between samples."""
-        try:
-            reference = context.reference
-        except NotTraceable:  # each robot has its own
-            reference = None
+        reference = reference_of(context)
         if reference is not None:
             t = np.asarray(context.t)
             self.law.check(t, *speeds_along(self._axle, t, reference))
@@ -246,10 +243,7 @@ class VelocityCommand:
 
     def initial_state(self, context: Context) -> Any:
         """Return the law's state."""
-        try:
-            reference = context.reference
-        except NotTraceable:  # each robot has its own
-            reference = None
+        reference = reference_of(context)
         if reference is not None:
             t = np.asarray(context.t)
             self.law.check(t, *speeds_along(self._axle, t, reference))

@@ -6,13 +6,14 @@ the force last.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from hashlib import sha256
 from typing import Any, ClassVar, final
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, whole
+from pinmobile.controllers.backstepping import has_axle, reference_of, speeds_along
 from pinmobile.controllers.controller import (
     Controller,
     State,
@@ -266,6 +267,9 @@ class Allocated:
     force the wheels do not give, such as one across the axle, is recorded as the signal ``residual``, along
     x, y, psi and the arms.
 
+    Where the drive has one fixed axle the reference moves along its wheels, as that of `Backstepping` does:
+    one that moves sideways or whose heading jumps is refused, with its time, when a loop begins.
+
     Parameters
     ----------
     controller : controller
@@ -282,13 +286,20 @@ class Allocated:
 
     controller: Controller
     robot: Any
+    _axle: Array | None = field(init=False, repr=False, default=None)
 
     def __post_init__(self) -> None:
         check_controller(self.controller)
         check_wheels(self.robot, "allocate_scaled")
+        mobility = getattr(self.robot, "mobility", None)  # that which a compiled loop makes of it has none
+        if mobility is not None and has_axle(mobility):
+            object.__setattr__(self, "_axle", frozen(self.robot.axle))
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any]:
         """Return the state that the wrapped controller starts with, and forces: left, and supplied."""
+        reference = reference_of(context)
+        if self._axle is not None and reference is not None:
+            speeds_along(self._axle, np.asarray(context.t), reference)
         body = self.robot.robot
         none = np.zeros(body.nv)
         return self.controller.initial_state(_OfBody(context, body)), none, none  # type: ignore[arg-type]

@@ -22,7 +22,7 @@ from pinmobile.balance import (
 )
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Plant, all_samples, configuration_names_of, coordinates_of, leading_of
-from pinmobile.plots.sheet import Canvas, Sheet, Spot, extent, letters, over, wrapped
+from pinmobile.plots.sheet import Canvas, Sheet, Spot, letters, over_titles, wrapped
 from pinmobile.plots.style import (
     TALL,
     Rollouts,
@@ -47,7 +47,6 @@ _SYMBOLS = {
     **{"x": "$x$", "y": "$y$", "psi": r"$\psi$"},
     **{"Fx": "$F_x$", "Fy": "$F_y$", "Mz": "$M_z$"},
 }
-_POWER = r"$\times 10^{-3}$"
 _ROUNDING = 1e-12  # what is smaller is drawn and told as the rounding that it is
 
 
@@ -75,7 +74,7 @@ def states(
     Raises
     ------
     InvalidArgument
-        If `rollouts`, `ax` or `width` is something else, or the width too small for the labels.
+        If `rollouts`, `ax` or `width` is something else, or the figure too small for the labels.
     """
     runs = labelled(rollouts)
     drawn = {label: _displacement(run, run.q) for label, run in runs.items()}
@@ -115,7 +114,7 @@ def errors(
     Raises
     ------
     InvalidArgument
-        If `rollouts`, `ax` or `width` is something else, or the width too small for the labels.
+        If `rollouts`, `ax` or `width` is something else, or the figure too small for the labels.
     """
     runs = labelled(rollouts)
     names = _names((run.plant, run.labels) for run in runs.values())
@@ -130,18 +129,11 @@ def errors(
         column = grid[:, index]
         style = line_style(0, 1) | {"color": colour(index)}
         draw(column, run.t, run.error, label=label, **style)
-        lines, beside = 1, len(names) > TALL
+        room = sheet.room(len(runs)) / (1 + (len(names) > TALL))
         for axes, (_, unit), values in zip(column, names, run.error.T, strict=False):
             largest = f"largest {_power(float(np.abs(values).max()))} {unit}"
-            words = wrapped(largest, letters(0.95), sheet.room(len(runs)) / (1 + beside))
-            axes.set_title(words, fontsize=letters(0.95), loc="right")
-            # Where there is no room beside the power of ten above the axis, matplotlib puts it higher.
-            full = extent(f"{words.splitlines()[0]} {_POWER}", letters(0.95)) > sheet.room(len(runs)) / (
-                1 + beside
-            )
-            lines = max(lines, words.count("\n") + 1 + full)
-        words = shortened(sheet, label, len(runs))
-        column[0].annotate(words, (0, 1), (0, over(lines + beside)), **heading(index))
+            axes.set_title(wrapped(largest, letters(0.95), room), fontsize=letters(0.95), loc="right")
+        over_titles(column[0], shortened(sheet, label, len(runs)), **heading(index))
     return sheet.finish(title, f"Error: desired minus actual{note}")
 
 
@@ -166,7 +158,7 @@ def forces(
     Raises
     ------
     InvalidArgument
-        If `rollouts`, `ax` or `width` is something else, or the width too small for the labels.
+        If `rollouts`, `ax` or `width` is something else, or the figure too small for the labels.
     """
     runs = labelled(rollouts)
     names = _names((run.plant, [(one.name, one.unit) for one in run.inputs]) for run in runs.values())

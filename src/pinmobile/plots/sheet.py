@@ -6,6 +6,8 @@ import re
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 from importlib import import_module
 from io import BytesIO
 from itertools import combinations
@@ -15,8 +17,10 @@ import numpy as np
 from matplotlib import get_backend, rcParams, rcParamsDefault
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.backend_bases import RendererBase
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.font_manager import FontProperties
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.text import Text
 from matplotlib.textpath import text_to_path
 from matplotlib.transforms import Bbox
@@ -37,6 +41,10 @@ _LEAST = 0.3  # [in] of the sides of axes in which something is to be seen
 _ENDLESS = 1000  # letters, which no figure has room for
 _ROOM = 1.0  # [pt] by which letters may overlap: their boxes have rims
 _MOST_KEYS = 5  # in a row of a legend
+_PLACES: tuple[tuple[bool, Literal["original", "active"]], ...] = ((True, "original"), (False, "active"))
+_SIGNS = {"cdot": "·", "times": "\N{MULTIPLICATION SIGN}"}
+_RAISED = str.maketrans("-\N{MINUS SIGN}0123456789", "⁻⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_ABOVE = "axes fraction"  # where notes above axes are
 _NO_WINDOWS = {"agg", "cairo", "pdf", "pgf", "ps", "svg", "template"}
 
 
@@ -66,6 +74,20 @@ def letters(share: float = 1.0) -> float:
 def over(lines: int) -> float:
     """Return how high above axes there is room over so many lines of a title [pt]."""
     return float(rcParams["axes.titlepad"]) + letters(1.4) * lines
+
+
+def over_titles(axes: Axes, words: str, **style: Any) -> None:
+    """Write a note above axes and the titles that they have, wherever matplotlib puts these.
+
+    It puts them higher where they would meet the power of ten above an axis.
+    """
+    offset = 0, letters(0.45)
+    axes.annotate(words, (0, 1), offset, **style | {"xycoords": (_ABOVE, partial(_titled, axes))})
+
+
+def _titled(axes: Axes, renderer: RendererBase) -> Bbox:
+    """Return where the titles of axes are [px]."""
+    return Bbox.union([title.get_window_extent(renderer) for title in _titles(axes)])
 
 
 def headed(title: object, default: str) -> str:
@@ -112,8 +134,8 @@ def wrapped(words: str, size: float, room: float, **font: Any) -> str:
 class Sheet:
     """A new figure, a figure of the caller's, or axes of the caller's.
 
-    Letters, lines' widths and colours are those of ``rcParams``. A new figure is as high as its panels need,
-    and if its width was asked for, it must have room for its words.
+    Letters, lines' widths and colours are those of ``rcParams``. A new figure is as high as its panels need.
+    One whose width was asked for, and one of the caller's, must have room for what is drawn.
 
     Parameters
     ----------
@@ -280,7 +302,7 @@ class Sheet:
         Raises
         ------
         InvalidArgument
-            If the title is no text, or the figure is too narrow for its words.
+            If the title is no text, or the figure is too small for what was drawn.
         """
         words = headed(title, default)
         if self._given:
@@ -288,6 +310,7 @@ class Sheet:
                 self._given[0].set_title(wrapped(words, letters(1.2), self.width))
             if keys:
                 self._given[0].legend(handles=list(keys), frameon=False)
+            self.check()
             return self.figure
         size, lines = self._heading(title, default)
         heading = self.parent.suptitle(lines, fontsize=size) if lines else None
@@ -299,7 +322,7 @@ class Sheet:
             )
         if height and heading is not None:
             heading.set(y=1 - 0.5 * size / 72 / height, va="top")
-        if self._asked:
+        if self._asked or not self.new:
             self.check()
         return self.figure
 
@@ -352,13 +375,17 @@ class Sheet:
         return max(self._tall[number], *words) + max(titles, default=0.0) + max(left, default=0.0)
 
     def check(self) -> None:
-        """Refuse a figure too narrow for its words.
+        """Refuse a figure too small for what was drawn, however its axes are arranged.
 
         Raises
         ------
         InvalidArgument
             If a word is cut off or meets another one, or axes have no room.
         """
+        own = self._given or list(self.parent.axes)
+        placed = [
+            axes for axes in self._given if axes.get_subplotspec() is None
+        ]  # by hand: no layout moves it
         endless = [each.get_text() for each in self.figure.findobj(Text) if len(each.get_text()) > _ENDLESS]
         if endless:
             why = f"{shown(endless[0])} would be cut off"
@@ -366,15 +393,49 @@ class Sheet:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of a layout without room, which is told below
                 try:
-                    self.figure.draw_without_rendering()
+                    for _ in range(2):  # axes of another size have other ticks, which want another size
+                        with _arranged(self.figure) as is_arranged:
+                            self.figure.draw_without_rendering()
+                            why = crowded(self.figure, own, placed if is_arranged else own)
+                        if not why:
+                            return
                 except (ValueError, OverflowError) as error:
                     raise InvalidArgument(f"the figure cannot be drawn: {error}") from None
-            why = _crowded(self.figure)
-        if why:
-            raise InvalidArgument(
-                f"width is {self.width:g} in, in which {why}: expected a wider figure, or smaller letters, "
-                f"now rcParams['font.size'] = {rcParams['font.size']:g}"
-            )
+        size, larger = f"width is {self.width:g} in", "wider"
+        if not self.new:
+            wide, high = (_inches(self.parent, side) for side in self.parent.bbox.size)
+            size, larger = f"ax is of a figure of {wide:.3g} by {high:.3g} in", "larger"
+        raise InvalidArgument(
+            f"{size}, in which {why}: expected a {larger} figure, or smaller letters, "
+            f"now rcParams['font.size'] = {rcParams['font.size']:g}"
+        )
+
+
+@contextmanager
+def _arranged(figure: Figure) -> Iterator[bool]:
+    """Arrange axes as well as can be for a while, where nothing arranges them yet: a caller may later.
+
+    Tell whether they are arranged.
+    """
+    if figure.get_layout_engine() is not None:
+        yield True
+        return
+    kept = [
+        (axes, axes.get_in_layout(), [(axes.get_position(original), which) for original, which in _PLACES])
+        for axes in figure.axes
+    ]
+    try:
+        try:
+            ConstrainedLayoutEngine().execute(figure)
+        except ZeroDivisionError:  # it cannot do with the grid of a colour bar that is not its own
+            yield False
+        else:
+            yield True
+    finally:
+        for axes, is_laid_out, places in kept:
+            for place, which in places:
+                axes.set_position(place, which)
+            axes.set_in_layout(is_laid_out)
 
 
 def _points(name: Literal["figure.titlesize", "legend.fontsize"]) -> float:
@@ -435,41 +496,63 @@ def _titles(axes: Axes) -> list[Text]:
 
 def _above(axes: Axes) -> list[Text]:
     """Return the notes above axes."""
-    return [each for each in axes.texts if getattr(each, "xycoords", None) == "axes fraction"]
+    found = ((each, getattr(each, "xycoords", None)) for each in axes.texts)
+    return [each for each, where in found if where == _ABOVE or isinstance(where, tuple)]
 
 
-def _words(figure: Figure) -> Iterator[tuple[str, Bbox, bool]]:
-    """Yield the words that must be read, where they are [px], and whether they may meet other ones."""
-    found: list[Text] = [*figure.texts]
-    for legend in figure.legends:
-        found += legend.get_texts()
+def _words(figure: Figure) -> Iterator[tuple[str, Bbox, Axes | None, bool]]:
+    """Yield the words that must be read, where they are [px], whose, and whether they may meet other ones."""
+    parts = [figure, *figure.findobj(SubFigure)]
+    found: list[tuple[Axes | None, Text]] = []
+    for part in parts:
+        found += [(None, text) for text in part.texts]
+        found += [(None, text) for legend in part.legends for text in legend.get_texts()]
     for axes in figure.axes:
-        found += [*_titles(axes), *axes.texts]
+        found += [(axes, text) for text in (*_titles(axes), *axes.texts)]
         for axis in (axes.xaxis, axes.yaxis):
             low, high = sorted(axis.get_view_interval())
             ticks = [tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
-            found += [axis.label, axis.get_offset_text(), *(each for each in ticks if each.get_visible())]
+            labels = axis.label, axis.get_offset_text(), *(each for each in ticks if each.get_visible())
+            found += [(axes, text) for text in labels]
     noted = {each for axes in figure.axes for each in axes.texts if each not in _above(axes)}
-    for each in found:
+    for whose, each in found:
         if each.get_text() and each.get_visible():
-            yield each.get_text().replace("\n", " "), each.get_window_extent(), each in noted
+            yield plain(each.get_text()), each.get_window_extent(), whose, each in noted
 
 
-def _crowded(figure: Figure) -> str:
-    """Return why a figure cannot be read, or nothing."""
+def crowded(figure: Figure, own: Sequence[Axes], placed: Sequence[Axes] = ()) -> str:
+    """Return why these axes of a figure that was drawn cannot be read, or nothing.
+
+    Words of the figure, and of axes beside them, count where they meet words of these. Those of axes in
+    `placed` may be cut off.
+    """
     room = _ROOM * figure.dpi / 72
     least = _LEAST * figure.dpi
-    drawn = [axes.bbox for axes in figure.axes if axes.get_label() != "<colorbar>"]
+    drawn = [axes.bbox for axes in own if axes.get_label() != "<colorbar>"]
     if any(min(box.width, box.height) < least for box in drawn):
         return "its axes have no room"
     whole = figure.bbox.padded(room)
     known = list(_words(figure))
-    for words, box, _ in known:
+    for words, box, whose, _ in known:
+        if whose is not None and (whose not in own or whose in placed):
+            continue
         if not (whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 and box.y1 <= whole.y1):
             return f"{shown(words)} would be cut off"
-    for (words, box), (others, other) in combinations(
-        [(one, box) for one, box, noted in known if not noted], 2
-    ):
-        if box.padded(-room).overlaps(other.padded(-room)):
+    pairs = combinations([(one, box, whose) for one, box, whose, noted in known if not noted], 2)
+    for (words, box, whose), (others, other, theirs) in pairs:
+        is_own = {whose, theirs} & {None, *own}
+        if is_own and box.padded(-room).overlaps(other.padded(-room)):
             return f"{shown(words)} would meet {shown(others)}"
     return ""
+
+
+def plain(words: str) -> str:
+    r"""Return words without the marks of formulas, such as ``3.7·10⁻⁶`` for ``$3.7\cdot 10^{-6}$``."""
+    return " ".join(re.sub(r"(?<!\\)\$([^$]*)\$", _formula, words).replace(r"\$", "$").split())
+
+
+def _formula(found: re.Match[str]) -> str:
+    signs = re.sub(r"\\(cdot|times)\s*", lambda sign: _SIGNS[sign[1]], found[1])
+    powers = r"\^(?:\{\\?\w*\{?([^\d{}]?\d+)\}*|(\d))"
+    raised = re.sub(powers, lambda power: (power[1] or power[2]).translate(_RAISED), signs)
+    return re.sub(r"\\mathdefault|[\\{}_]", "", raised)
