@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.identification.chassis import Chassis
 from pinmobile.identification.cleaning import Cleaned
+from pinmobile.identification.residual_noise import ResidualNoise
 
 _SHIFT = 1e-5  # of a parameter's scale, or of a start's, in differences
-_CONVERGED = 1e-4  # of a variance: steps of less than a hundredth of a deviation
+_CONVERGED = 1e-3  # of a variance: the last step is of less than a thirtieth of a deviation
 _ROUNDING = 1e-12  # of the cost
 _STEP = 0.005  # [s], longest of the integration: dry friction changes its sign within some
+_LATER = (-1, 1)  # samples: the difference of these simulations is the slope by the delay
 _FIRST_PASSES = 2
 _SHARES = np.array([1.0, 0.5, 0.2, 0.05, 0.0])  # of the way of a first state that are tried
 _FIRST_DAMPING, _LARGEST_DAMPING = 1e-9, 1e9
@@ -39,10 +41,8 @@ class Segments(NamedTuple):
         Pose, and rates of wheels where there are any, over their noise.
     good : ndarray, shape (S, L)
         1 where the sample is measured, 0 elsewhere.
-    first, then : ndarray, shape (S, L, nu)
-        Input of the first and of the second part of the time to the next sample.
-    part : float
-        How long the first part is, as a share.
+    delay : float
+        By which poses come late, in samples.
     start : ndarray, shape (S, 3 + k)
         Guess of the first states.
     noise : ndarray, shape (m,)
@@ -53,9 +53,7 @@ class Segments(NamedTuple):
     at: NDArray[np.int_]
     measured: Array
     good: Array
-    first: Array
-    then: Array
-    part: float
+    delay: float
     start: Array
     noise: Array
 
@@ -77,15 +75,14 @@ class Segments(NamedTuple):
             noise = np.concatenate([noise, run.rates_noise])
             measured = np.concatenate([measured, run.rates[k]], axis=-1)
         start = np.concatenate([run.q[k[:, 0]], run.free_velocities(chassis)[k[:, 0]]], axis=-1)
-        good, inputs = run.good[k].astype(float), _inputs(run, k, delay)
-        return cls(run, k, measured / noise, good, *inputs, start, noise)
+        return cls(run, k, measured / noise, run.good[k].astype(float), delay, start, noise)
 
-    def late(self, delay: float) -> Segments:
-        """Return the same segments of poses that come late by another delay, in samples."""
-        first, then, part = _inputs(self.run, self.at, delay)
-        return self._replace(first=first, then=then, part=part)
+    @property
+    def part(self) -> float:
+        """Share of the time to the next sample in which the input is the one before."""
+        return self.delay - np.floor(self.delay)
 
-    def simulated(self, chassis: Chassis, z: Array, phi: Array) -> Array:
+    def simulated(self, chassis: Chassis, z: Array, phi: Array, later: Sequence[int] = (0,)) -> Array:
         """Return what sensors would measure over their noise, shape (S, V, L, m).
 
         Parameters
@@ -96,20 +93,24 @@ class Segments(NamedTuple):
             First states, V of each segment.
         phi : ndarray, shape (V, p) or (S, V, p)
             Parameters, without loads.
+        later : sequence of int, of length 1 or V
+            By how many samples more the pose comes late.
         """
         loaded = np.array(np.broadcast_to(phi, (*z.shape[:2], phi.shape[-1])))
         loaded[..., :4] += self.run.load
         length = self.measured.shape[1]
         states = np.empty((length, *z.shape))
         states[0] = z
-        parts = [(self.first, self.part), (self.then, 1 - self.part)]
+        inputs = [_inputs(self.run, self.at, self.delay + shift)[:2] for shift in later]
+        first, then = (np.stack(each, axis=2) for each in zip(*inputs, strict=True))
+        parts = [(first, self.part), (then, 1 - self.part)]
         for k in range(length - 1):
             now = states[k]
             for u, share in parts:
                 steps = int(np.ceil(share * self.run.dt / _STEP - 1e-9))
                 for _ in range(steps):
                     span = np.array([share * self.run.dt / steps])
-                    now = chassis.stepped(now, u[:, k, None], loaded, span)
+                    now = chassis.stepped(now, u[:, k], loaded, span)
             states[k + 1] = now
         out = states[..., :3]
         if self.measured.shape[-1] > 3:
@@ -117,11 +118,10 @@ class Segments(NamedTuple):
         return np.asarray(np.moveaxis(out / self.noise, 0, 2))
 
 
-def _inputs(run: Cleaned, at: NDArray[np.int_], delay: float) -> tuple[Array, Array, float]:
-    """Return the inputs of both parts of the time to the next sample, and the share of the first."""
+def _inputs(run: Cleaned, at: NDArray[np.int_], delay: float) -> tuple[Array, Array]:
+    """Return the inputs of both parts of the time to the next sample."""
     whole, last = int(np.floor(delay)), len(run.u) - 1
-    before, now = (run.u[np.clip(at - whole - back, 0, last)] for back in (1, 0))
-    return before, now, delay - whole
+    return run.u[np.clip(at - whole - 1, 0, last)], run.u[np.clip(at - whole, 0, last)]
 
 
 class Estimate(NamedTuple):
@@ -131,12 +131,13 @@ class Estimate(NamedTuple):
     ----------
     phi : ndarray, shape (p,)
         The parameters.
+    delay, delay_error : float
+        By which poses come late, in samples, and its deviation: not a number where it was given.
     starts : list of ndarray, shape (S, 3 + k)
         First states of each log's segments.
     covariance : ndarray, shape (p, p)
-        Of them by CR3, the jackknife over segments (Bell and McCaffrey 2002).
-    model_based : ndarray, shape (p, p)
-        As it would be if residuals were white.
+        Of the parameters, by CR3, the jackknife over segments (Bell and McCaffrey 2002); the delay's
+        uncertainty is in it where that was free.
     residuals : list of ndarray, shape (S, L, m)
         Of each log, in the units of what is measured; zero where nothing was.
     good : list of ndarray, shape (S, L)
@@ -145,30 +146,39 @@ class Estimate(NamedTuple):
         Mean square of the residuals over the noise, per degree of freedom.
     segments : int
         How many there are.
-    steps : int
-        How many Gauss-Newton steps were taken.
+    said : ndarray, shape (S, 2)
+        Gradient and curvature of half the cost of each segment by the delay; zero where that was given.
     """
 
     phi: Array
+    delay: float
+    delay_error: float
     starts: list[Array]
     covariance: Array
-    model_based: Array
     residuals: list[Array]
     good: list[Array]
     chi2: float
     segments: int
-    steps: int
+    said: Array
+
+
+class _Point(NamedTuple):
+    """Where a search is."""
+
+    phi: Array
+    delay: float
+    starts: list[Array]
 
 
 class _Linear(NamedTuple):
     """The segments of a log, linearised: J with the starts projected out, and what leads back to them."""
 
-    J: Array  # (S, n, p)
+    J: Array  # (S, n, d)
     e: Array  # (S, n), projected
     Q: Array  # (S, n, s)
     R: Array  # (S, s, s)
     raw: Array  # (S, n), as they are
-    slopes: Array  # (S, n, p)
+    slopes: Array  # (S, n, d)
 
 
 class OutputError:
@@ -180,6 +190,12 @@ class OutputError:
         The segments.
     chassis : Chassis
         The robot.
+    delay : float
+        By which poses come late, in samples.
+    free : bool
+        Whether the delay is sought too: then it follows the parameters, as the last of them.
+    noise : sequence of ResidualNoise
+        Of each log; none: residuals are those of the sensors alone, white.
 
     Attributes
     ----------
@@ -189,60 +205,74 @@ class OutputError:
 
     STEPS: ClassVar[int] = 30
 
-    def __init__(self, logs: Sequence[Segments], chassis: Chassis) -> None:
-        self.logs, self.chassis = logs, chassis
+    def __init__(
+        self,
+        logs: Sequence[Segments],
+        chassis: Chassis,
+        delay: float = 0.0,
+        free: bool = False,
+        noise: Sequence[ResidualNoise] = (),
+    ) -> None:
+        self.logs, self.chassis, self.delay, self.free, self.noise = logs, chassis, delay, free, noise
         self.numbers = sum(int(log.good.sum()) * log.measured.shape[-1] for log in logs)
 
-    def _residuals(self, phi: Array, starts: Sequence[Array]) -> list[Array]:
-        found = []
-        with np.errstate(all="ignore"):
-            for log, z in zip(self.logs, starts, strict=True):
-                out = log.simulated(self.chassis, z[:, None], phi[None])[:, 0]
-                found.append((log.measured - out) * log.good[..., None])
-        return found
+    def _whitened(self, k: int, residuals: Array) -> Array:
+        """Return residuals of a log, shape (S, V, L, m), as white ones of variance 1."""
+        return self.noise[k].whitened(residuals) if self.noise else residuals
 
     def _moved(
-        self, phi: Array, starts: Sequence[Array], parts: Sequence[_Linear], step: Array
-    ) -> tuple[list[Array], float]:
-        """Return the first states that a step leads to, each as far as its segment gains, and the cost."""
+        self, point: _Point, parts: Sequence[_Linear], step: Array, basis: Array
+    ) -> tuple[_Point, float]:
+        """Return where a step leads to, first states as far as their segment gains, and the cost."""
+        phi = point.phi + basis @ step[: basis.shape[1]]
+        delay = point.delay + (float(step[-1]) if self.free else 0.0)
         if not self.chassis.is_possible(phi):
-            return list(starts), np.inf
+            return point, np.inf
         found, total = [], 0.0
-        for log, z, part in zip(self.logs, starts, parts, strict=True):
+        for k, (log, z, part) in enumerate(zip(self._late(delay), point.starts, parts, strict=True)):
             way = _start_step(part, step)
             tried = z[:, None] + _SHARES[:, None] * way[:, None]
             with np.errstate(all="ignore"):
                 out = log.simulated(self.chassis, tried, phi[None])
-                costs = (((log.measured[:, None] - out) * log.good[:, None, :, None]) ** 2).sum(axis=(2, 3))
+                left = self._whitened(k, (log.measured[:, None] - out) * log.good[:, None, :, None])
+                costs = (left**2).sum(axis=(2, 3))
             costs = np.where(np.isfinite(costs), costs, np.inf)
             best = costs.argmin(axis=1)
             found.append(tried[np.arange(len(z)), best])
             total += float(costs.min(axis=1).sum())
-        return found, total
+        return _Point(phi, delay, found), total
 
-    def _linear(self, phi: Array, starts: Sequence[Array], basis: Array) -> list[_Linear]:
-        return [self._linear_of(log, z, phi, basis) for log, z in zip(self.logs, starts, strict=True)]
+    def _late(self, delay: float) -> Sequence[Segments]:
+        return [log._replace(delay=delay) for log in self.logs] if self.free else self.logs
 
-    def _linear_of(self, log: Segments, z: Array, phi: Array, basis: Array) -> _Linear:
+    def _linear(self, point: _Point, basis: Array) -> list[_Linear]:
+        return [self._linear_of(k, point, basis) for k in range(len(self.logs))]
+
+    def _linear_of(self, k: int, point: _Point, basis: Array) -> _Linear:
+        log, z, phi = self._late(point.delay)[k], point.starts[k], point.phi
         p, s = basis.shape[1], z.shape[1]
         off_phi, off_z = _SHIFT * basis.T, _SHIFT * np.eye(s)
-        lanes = 1 + p + s
+        lanes, shifts = 1 + p + s, _LATER if self.free else ()
         phis, states = np.tile(phi, (lanes, 1)), np.tile(z[:, None], (1, lanes, 1))
         phis[1 : p + 1] += off_phi
         states[:, p + 1 :] += off_z
+        seen, later = log.good[:, None, :, None], [*[0] * lanes, *shifts]
+        phis = np.vstack([phis, np.tile(phi, (len(shifts), 1))])
+        states = np.concatenate([states, np.tile(z[:, None], (1, len(shifts), 1))], axis=1)
         with np.errstate(all="ignore"):
-            out = log.simulated(self.chassis, states, phis) * log.good[:, None, :, None]
-        out = out.reshape(*out.shape[:2], -1)
-        measured = (log.measured * log.good[..., None]).reshape(log.number, -1)
-        raw = measured - out[:, 0]
-        by_phi, by_z = (out[:, 1:] - out[:, :1])[:, :p] / _SHIFT, (out[:, p + 1 :] - out[:, :1]) / _SHIFT
-        slopes = np.swapaxes(by_phi, 1, 2)
-        Q, R = np.linalg.qr(np.swapaxes(by_z, 1, 2))
+            out = log.simulated(self.chassis, states, phis, later if shifts else (0,))
+            raw, moved = log.measured[:, None] - out[:, :1], (out[:, 1:lanes] - out[:, :1]) / _SHIFT
+            by_delay = np.diff(out[:, lanes:], axis=1) / np.ptp(_LATER)
+            parts = self._whitened(k, np.concatenate([raw, moved, by_delay], axis=1) * seen)
+        columns = np.swapaxes(parts.reshape(*parts.shape[:2], -1), 1, 2)
+        raw, by_z = columns[..., 0], columns[..., p + 1 : p + 1 + s]
+        slopes = np.concatenate([columns[..., 1 : p + 1], columns[..., p + 1 + s :]], axis=-1)
+        Q, R = np.linalg.qr(by_z)
         J = slopes - Q @ (np.swapaxes(Q, 1, 2) @ slopes)
         e = raw - (Q @ (np.swapaxes(Q, 1, 2) @ raw[..., None]))[..., 0]
         return _Linear(J, e, Q, R, raw, slopes)
 
-    def solve(self, phi: Array, basis: Array, most: int = 30) -> Estimate:
+    def solve(self, phi: Array, basis: Array, most: int = 30, starts: Sequence[Array] = ()) -> Estimate:
         """Return the estimate, from a guess on, within the space of the basis' columns.
 
         Parameters
@@ -253,100 +283,74 @@ class OutputError:
             Directions in which it may go, each of the size that is expected.
         most : int
             Most steps; none: the guess is judged as it is.
+        starts : sequence of ndarray, shape (S, 3 + k)
+            First states to begin with, where they are known.
         """
-        starts, cost, parts = self.started(phi, basis)
+        point, cost, parts = self.started(phi, basis, starts)
         damping, taken = _FIRST_DAMPING, 0
         while taken < most:
             taken += 1
-            H = np.asarray(sum(np.einsum("sni,snj->ij", part.J, part.J) for part in parts))
-            g = np.asarray(sum(np.einsum("sni,sn->i", part.J, part.e) for part in parts))
+            H_i, g_i = _normal(parts)
+            H, g = H_i.sum(axis=0), g_i.sum(axis=0)
             while True:
                 step = np.linalg.lstsq(H + damping * np.diag(np.diag(H)), g, rcond=None)[0]
-                tried = phi + basis @ step
-                moved, new = self._moved(tried, starts, parts, step)
+                moved, new = self._moved(point, parts, step, basis)
                 if new <= cost * (1 + 1e-12) or damping > _LARGEST_DAMPING:
                     break
                 damping = max(10 * damping, 1e-4)
             if new > cost:
                 break
-            phi, starts, near = tried, moved, float(step @ H @ step) <= _CONVERGED * new / self.numbers
-            near, cost = near or cost - new <= _ROUNDING * cost, new
+            said = float(g @ np.linalg.lstsq(g_i.T @ g_i, g, rcond=None)[0])  # beside what segments differ by
+            near = said <= _CONVERGED or cost - new <= _ROUNDING * cost
+            point, cost = moved, new
             damping = max(damping / 10, _FIRST_DAMPING)
-            parts = self._linear(phi, starts, basis)
+            parts = self._linear(point, basis)
             if near:
                 break
-        return self._estimate(phi, starts, basis, parts, taken)
+        return self._estimate(point, basis, parts)
 
-    def started(self, phi: Array, basis: Array) -> tuple[list[Array], float, list[_Linear]]:
-        """Return the first states that fit parameters best, the cost, and the problem linearised there."""
-        starts, cost, nowhere = [log.start for log in self.logs], np.inf, np.zeros(basis.shape[1])
+    def started(
+        self, phi: Array, basis: Array, starts: Sequence[Array] = ()
+    ) -> tuple[_Point, float, list[_Linear]]:
+        """Return parameters with the first states that fit best, the cost, and the problem linearised."""
+        point = _Point(phi, self.delay, list(starts) or [log.start for log in self.logs])
+        nowhere = np.zeros(basis.shape[1] + self.free)
+        parts, cost = self._linear(point, basis), np.inf
+        if starts:
+            return point, sum(float((part.raw**2).sum()) for part in parts), parts
         for _ in range(_FIRST_PASSES):
-            parts = self._linear(phi, starts, basis)
-            starts, cost = self._moved(phi, starts, parts, nowhere)
-        return starts, cost, self._linear(phi, starts, basis)
+            point, cost = self._moved(point, parts, nowhere, basis)
+            parts = self._linear(point, basis)
+        return point, cost, parts
 
-    def lateness(self, delay: float, estimate: Estimate, basis: Array) -> tuple[float, float, Array]:
-        """Return by how many samples poses come later than was taken, its deviation, and what segments say.
-
-        A Gauss-Newton step of the delay, parameters and first states free.
-
-        Parameters
-        ----------
-        delay : float
-            The delay that was taken, in samples.
-        estimate : Estimate
-            What was found.
-        basis : ndarray, shape (p, d)
-            As of `solve`.
-
-        Returns
-        -------
-        later, deviation : float
-            In samples.
-        said : ndarray, shape (S, 2)
-            Gradient and curvature of half the cost of each segment.
-        """
-        said, mixed = [], []
-        parts = self._linear(estimate.phi, estimate.starts, basis)
-        for log, z, part in zip(self.logs, estimate.starts, parts, strict=True):
-            less, more = (
-                log.late(delay + shift).simulated(self.chassis, z[:, None], estimate.phi[None])[:, 0]
-                for shift in (-0.5, 0.5)
-            )
-            slope = ((more - less) * log.good[..., None]).reshape(len(z), -1)
-            slope = slope - (part.Q @ (np.swapaxes(part.Q, 1, 2) @ slope[..., None]))[..., 0]
-            said.append(np.column_stack([(slope * part.e).sum(axis=1), (slope**2).sum(axis=1)]))
-            mixed.append(np.einsum("sni,sn->si", part.J, slope))
-        told, crossed = np.concatenate(said), np.concatenate(mixed)
-        H = np.asarray(sum(np.einsum("sni,snj->ij", part.J, part.J) for part in parts))
-        g_i = np.concatenate([np.einsum("sni,sn->si", part.J, part.e) for part in parts])
-        way = np.linalg.lstsq(H, crossed.sum(axis=0), rcond=None)[0]
-        own = told[:, 0] - g_i @ way  # gradients with the parameters free
-        curvature = max(float(told[:, 1].sum() - crossed.sum(axis=0) @ way), 1e-300)
-        return float(own.sum()) / curvature, float(np.sqrt((own**2).sum())) / curvature, told
-
-    def _estimate(
-        self, phi: Array, starts: Sequence[Array], basis: Array, parts: Sequence[_Linear], steps: int
-    ) -> Estimate:
-        H_i = np.concatenate([np.einsum("sni,snj->sij", part.J, part.J) for part in parts])
-        g_i = np.concatenate([np.einsum("sni,sn->si", part.J, part.e) for part in parts])
-        H, S = H_i.sum(axis=0), len(H_i)
+    def _estimate(self, point: _Point, basis: Array, parts: Sequence[_Linear]) -> Estimate:
+        H_i, g_i = _normal(parts)
+        H, S, p = H_i.sum(axis=0), len(H_i), basis.shape[1]
         d = np.linalg.solve(H - H_i, g_i[..., None])[..., 0]
         jackknife = (S - 1) / S * d.T @ d
-        residuals = self._residuals(phi, starts)
-        freedom = max(1, self.numbers - basis.shape[1] - starts[0].shape[1] * S)
-        chi2 = sum(float((e**2).sum()) for e in residuals) / freedom
+        residuals = []
+        for log, z in zip(self._late(point.delay), point.starts, strict=True):
+            out = log.simulated(self.chassis, z[:, None], point.phi[None])[:, 0]
+            residuals.append((log.measured - out) * log.good[..., None])
+        freedom = max(1, self.numbers - p - point.starts[0].shape[1] * S)
         return Estimate(
-            phi,
-            list(starts),
-            basis @ jackknife @ basis.T,
-            basis @ (chi2 * np.linalg.inv(H)) @ basis.T,
+            point.phi,
+            point.delay,
+            float(np.sqrt(jackknife[-1, -1])) if self.free else np.nan,
+            point.starts,
+            basis @ jackknife[:p, :p] @ basis.T,
             [e * log.noise for e, log in zip(residuals, self.logs, strict=True)],
             [log.good for log in self.logs],
-            chi2,
+            sum(float((e**2).sum()) for e in residuals) / freedom,
             S,
-            steps,
+            np.column_stack([g_i[:, -1], H_i[:, -1, -1]]) if self.free else np.zeros((S, 2)),
         )
+
+
+def _normal(parts: Sequence[_Linear]) -> tuple[Array, Array]:
+    """Return what each segment adds to the normal matrix, shape (S, d, d), and to the right side, (S, d)."""
+    H_i = [np.einsum("sni,snj->sij", part.J, part.J) for part in parts]
+    return np.concatenate(H_i), np.concatenate([np.einsum("sni,sn->si", part.J, part.e) for part in parts])
 
 
 def _start_step(part: _Linear, step: Array) -> Array:

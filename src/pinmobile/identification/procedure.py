@@ -15,6 +15,7 @@ from pinmobile.identification.cleaning import Cleaned
 from pinmobile.identification.estimate import Identification
 from pinmobile.identification.log import Log, check_steps, logs_of
 from pinmobile.identification.output_error import Estimate, OutputError, Segments
+from pinmobile.identification.residual_noise import ResidualNoise
 from pinmobile.identification.weak_form import WINDOW, Rows, extrapolated, rows_of, solve
 from pinmobile.identification.whiteness import Whiteness, whiteness
 from pinmobile.robot import Load, MobileRobot
@@ -31,7 +32,6 @@ _EXPLAINED = 0.5  # of the forces' mean square; what explains less is another ro
 _LEVER = 0.25  # [m], of a robot whose size is not known
 _SPEED, _WHEEL_SPEED = 0.01, 0.1  # where dry friction has 71 %: [m/s, rad/s] of a body, [rad/s] of wheels
 _MOST_GIVEN = 0.1  # of the log, a delay that is given
-_SETTLED = 0.05  # samples by which a delay may be off in the simulations
 _DRIFT = 1.0  # sample by which a delay may change along a log
 _MASSES = (0.02, 2e4)  # [kg] of ground robots
 _TIMES_NOMINAL = 30.0
@@ -137,7 +137,8 @@ def identify(
     _check_units(chassis, fit.phi, prior)
     start = chassis.possible(fit.phi, at.scales)
     most = OutputError.STEPS if method == METHODS[0] else 0
-    estimate, late, error = _by_output_error(at, start, basis, late, seconds, delay is None, most)
+    estimate = _by_output_error(at, start, basis, late, seconds, delay is None, most)
+    late, error = estimate.delay, estimate.delay_error
     if most:
         phi, covariance, freedom = estimate.phi, estimate.covariance, estimate.segments - 1
         _check_units(chassis, phi, prior)
@@ -356,22 +357,26 @@ def _rounded(delay: float) -> float:
 
 def _by_output_error(
     at: _Setting, phi: Array, basis: Array, delay: float, seconds: float, free: bool, most: int
-) -> tuple[Estimate, float, float]:
-    """Return the estimate, and the delay and its deviation in samples."""
-    taken = float(round(delay)) if free else delay
-    known = basis.shape[1] == len(phi) and free
-    for _ in range(4):
-        problem = OutputError([Segments.of(one, at.chassis, taken, seconds) for one in at.logs], at.chassis)
-        estimate = problem.solve(phi, basis, most)
-        if not known:
-            return estimate, delay, np.nan
-        later, error, said = problem.lateness(taken, estimate, basis)
-        found = taken + later
-        if abs(_rounded(found) - taken) < _SETTLED:
-            break
-        taken, phi = _rounded(found), estimate.phi
-    _check_drift(said)
-    return estimate, found, error
+) -> Estimate:
+    """Return the estimate: of residuals as they are, and weighed where noise of forces is behind them."""
+    sought, taken, starts = free and basis.shape[1] == len(phi), delay, []
+    if free:  # first of a delay in whole samples, as that is faster
+        taken = float(round(delay))
+        segments = [Segments.of(one, at.chassis, taken, seconds) for one in at.logs]
+        first = OutputError(segments, at.chassis, taken).solve(phi, basis, most)
+        phi, starts = first.phi, first.starts
+    segments = [Segments.of(one, at.chassis, taken, seconds) for one in at.logs]
+    found = OutputError(segments, at.chassis, taken, sought).solve(phi, basis, most, starts)
+    _check_drift(found.said)
+    if not most or _are_white(found):
+        return found
+    pairs = zip(found.residuals, segments, strict=True)
+    noise = [ResidualNoise.of(e / part.noise, part.good, part.run.dt) for e, part in pairs]
+    if any(each.remembers for each in noise):
+        return found  # a controller may answer to such a force: weights for it would be those of the answer
+    return OutputError(segments, at.chassis, found.delay, sought, noise).solve(
+        found.phi, basis, most, found.starts
+    )
 
 
 def _check_drift(said: Array) -> None:
@@ -430,3 +435,8 @@ def _worst(found: Sequence[Whiteness]) -> Whiteness:
 def _mean_squares(estimate: Estimate) -> Array:
     total = sum((e[..., :3] ** 2).sum(axis=(0, 1)) for e in estimate.residuals)
     return np.asarray(total / sum(good.sum() for good in estimate.good))
+
+
+def _are_white(estimate: Estimate) -> bool:
+    pairs = zip(estimate.residuals, estimate.good, strict=True)
+    return all(whiteness(e, good).is_white for e, good in pairs)
