@@ -5,7 +5,7 @@ Usage: python examples/nonlinear_mpc.py        (after: pip install crocoddyl)
 Over a horizon it makes the sum of e' Q e + du' R du least within limits of the input, by differential dynamic
 programming (Mastalli et al., 2022), on the robot's own Pinocchio model. Three traps:
 
-- nthreads = 1: else crocoddyl's threads spin on every processor, and a solution takes up to 100 times as long.
+- nthreads = 1: else crocoddyl's threads spin on every processor: up to 100 times as long.
 - Euler with a small step: IntegratedActionModelRK compares all its stages with one reference, which moves.
 - The model's angle is not on the circle: the reference is taken in the turn in which the robot is.
 """
