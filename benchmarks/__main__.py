@@ -16,6 +16,7 @@ import ensembles
 import identification
 import imports
 import loop
+import mpc
 import rollout
 import velocity
 import viewing
@@ -35,6 +36,7 @@ PARTS = (
     memory,
     wheels,
     distances,
+    mpc,
     identification,
     velocity,
     viewing,
@@ -51,6 +53,7 @@ PEOPLE = {
     memory: memory.EVERYONE,
     wheels: wheels.EVERYONE,
     distances: distances.EVERYONE,
+    mpc: mpc.EVERYONE,
     identification: identification.EVERYONE,
 }
 

@@ -148,6 +148,13 @@ LOOPS: dict[str, Callable[[Work], float]] = {
     "a user's PID": lambda w: w.many(PID()),
     "a user's sliding mode": lambda w: w.many(SlidingMode()),
     "noise force": lambda w: w.many(forces=[w.of.NoiseForce([1, 1, 0.1], 2.0, 5)]),
+    "PID": lambda w: w.many(w.of.PID(w.robot)),
+    "adaptive": lambda w: w.many(w.of.Adaptive(w.robot)),
+    "sliding mode": lambda w: w.many(w.of.SlidingMode(w.robot)),
+    "super-twisting": lambda w: w.many(w.of.SuperTwisting(w.robot)),
+    "ADRC": lambda w: w.many(w.of.ADRC(w.robot)),
+    "disturbance observer": lambda w: w.many(w.of.DisturbanceObserver(w.computed, gain=GAIN)),
+    "LQR": lambda w: w.many(w.of.LQR(w.robot)),
     "noisy measurement": lambda w: w.many(w.of.NoisyMeasurement(w.computed, 1e-3, 1e-3, 3)),
 }
 """Rows of many robots: seconds of a robot-step."""

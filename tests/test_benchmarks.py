@@ -41,6 +41,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         "loop_work",
         "measuring",
         "memory",
+        "mpc",
         "rollout",
         "stock_server",
         "task",
@@ -267,9 +268,21 @@ def asked(bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytes
     return run
 
 
+def test_predictive_control_is_timed_and_one_that_does_not_come_there_is_wrong(
+    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert bench.mpc.main(["--quick", "--only", "limits", "crocoddyl"]) == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"MPC, limits of the input +from the bounds before +[\d.]+ +[\d.]+ +60", printed)
+    monkeypatch.setattr(bench.mpc, "STEPS", 10)
+    monkeypatch.setattr(bench.mpc, "LATEST", 0.05)
+    assert bench.mpc.main(["--rounds", "1", "--only", "limits"]) == 1
+    assert "WRONG" in capsys.readouterr().out
+
+
 def test_every_benchmark_is_run_and_understands_what_it_is_given(asked: Any) -> None:
     every = ["rollout", "arm", "ensembles", "arm_ensembles", "loop", "calls", "batches"]
-    every += ["memory", "wheels", "distances", "identification", "velocity", "viewing", "imports"]
+    every += ["memory", "wheels", "distances", "mpc", "identification", "velocity", "viewing", "imports"]
     assert list(asked()) == list(asked("--quick", "--rounds", "2")) == every
 
 

@@ -9,6 +9,7 @@ from pinmobile import (
     ARRAYS,
     COMPILED,
     LQR,
+    MPC,
     PINOCCHIO,
     Circle,
     Context,
@@ -176,6 +177,16 @@ def test_rows_are_data_another_reference_gives_other_gains_and_the_same_program(
             NOMINAL, controller, trajectory, q0=q0, v0=np.zeros(3), **{**given, "engine": PINOCCHIO}
         )
         assert np.abs(fast.q - slow.q).max() < 1e-12
+
+
+@pytest.mark.parametrize("kind", [LQR, MPC])
+def test_the_weight_of_the_input_is_spread_one_robot_after_another(kind: Any) -> None:
+    given: Any = {"dt": 0.01, "seed": 1, "duration": 0.2, "engine": PINOCCHIO}
+    found = ensemble(HEAVY, kind(NOMINAL), SHORT, n=2, spread={"input_weight": Uniform(1, 100)}, **given)
+    for weight, error in zip(found.draws["input_weight"], found.rms_error, strict=True):
+        own = kind(NOMINAL, R=weight * np.array([1e-3, 1e-3, 2e-2]))
+        alone = ensemble(HEAVY, own, SHORT, n=1, spread={}, **given)
+        assert np.abs(alone.rms_error[0] - error).max() < 1e-12
 
 
 def test_a_second_ensemble_reads_no_law_anew(monkeypatch: pytest.MonkeyPatch) -> None:

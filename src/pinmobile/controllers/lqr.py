@@ -10,6 +10,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, frozen
 from pinmobile.controllers.controller import State
 from pinmobile.controllers.tracked_model import (
+    INPUT_WEIGHT,
     check_moves,
     remembered,
     sizes_of,
@@ -36,7 +37,8 @@ class LQR:
     are of the reference's coordinates, e, and of the independent velocities, e_v: of a robot that is pushed,
     v; on wheels, those of `WheeledRobot.reduced`, such as speed and yaw rate of a differential drive. To
     first order, nothing makes the sum of e' Q e + du' R du smaller. The gains follow from the reference, and
-    are the same for all robots of an ensemble.
+    are the same for all robots of a compiled ensemble: one that spreads the parameter ``input_weight``, a
+    factor of R, or the believed model, runs them one after another.
 
     Parameters
     ----------
@@ -60,7 +62,7 @@ class LQR:
     Q: ArrayLike | None = None
     R: ArrayLike | None = None
 
-    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    parameters: ClassVar[tuple[Parameter, ...]] = (INPUT_WEIGHT,)
 
     def __post_init__(self) -> None:
         n, m, inputs = sizes_of(self.robot)

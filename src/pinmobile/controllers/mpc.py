@@ -14,6 +14,7 @@ from pinmobile.controllers.controller import State
 from pinmobile.controllers.held import check_held
 from pinmobile.controllers.observer import estimated
 from pinmobile.controllers.tracked_model import (
+    INPUT_WEIGHT,
     check_moves,
     remembered,
     sizes_of,
@@ -69,7 +70,7 @@ class MPC:
     lower, upper : array_like, shape (n + m,), optional
         Soft bounds of the n coordinates and m independent velocities; infinite where there is none.
     Q, R : array_like, optional
-        Weights, as of `LQR`, for one time step of the controller.
+        Weights, as of `LQR`, for one time step of the controller; an ensemble spreads ``input_weight``.
     observer : float
         Rate of the estimate d [1/s]; 0: none is estimated.
 
@@ -94,7 +95,7 @@ class MPC:
     observer: float = 10.0
     range: tuple[Array, Array] = field(init=False, repr=False)
 
-    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    parameters: ClassVar[tuple[Parameter, ...]] = (INPUT_WEIGHT,)
 
     def __post_init__(self) -> None:
         n, m, inputs = sizes_of(self.robot)

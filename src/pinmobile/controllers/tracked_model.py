@@ -12,13 +12,24 @@ from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.constancy import known
 from pinmobile.controllers.controller import State
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
-from pinmobile.plant import Context, Input, inputs_of
+from pinmobile.plant import Context, Input, Parameter, inputs_of
 
 _BASE = 3
 _MOST = 4  # designs that are remembered of a robot
 _SYMMETRIC = 1e-9  # of the largest number, by which a matrix may differ from its transpose
 _STILL = 1e-6  # [m/s, rad/s], below which a reference is at rest
 _T = TypeVar("_T")
+
+INPUT_WEIGHT = Parameter(
+    "input_weight",
+    meaning="factor of R, the weight of the input",
+    least=0.0,
+    may_vanish=False,
+    attribute="R",
+    write=lambda values, column, size: values * column[:, None, None],
+    neutral=1.0,
+)
+"""What an ensemble may spread of a cost: how much force an error is worth."""
 
 
 class TrackedModel(NamedTuple):
