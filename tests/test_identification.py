@@ -342,6 +342,14 @@ def drifting(q: Array) -> Array:
         (lambda: identify(log().between(0, 12)), r"^log is 12 s long, too short, expected at least"),
         (lambda: identify(changed(q=lambda q: 0 * q, u=lambda u: 0 * u)), r"^log has poses that move by 0 m"),
         (lambda: identify(changed(u=lambda u: u[::-1])), r"^log has inputs of which the motion explains"),
+        (
+            lambda: changed(q=lambda q: q * np.nan),
+            r"^q has 2201 rows, and NaN in each, expected rows without$",
+        ),
+        (
+            lambda: changed(u=lambda u: u * np.nan),
+            r"^u has 2201 rows, and NaN in each, expected rows without$",
+        ),
         (lambda: identify(changed(q=drifting)), r"^log has poses whose delay changes by .*two clocks"),
         (
             lambda: Log.from_streams(log().t, log().q, log().t + 1e9, log().u),  # type: ignore[arg-type]
