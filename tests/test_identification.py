@@ -16,6 +16,8 @@ from pinmobile import (
     ComputedTorque,
     Coulomb,
     Driven,
+    FixedHeading,
+    Hold,
     Identification,
     InvalidArgument,
     Load,
@@ -34,6 +36,7 @@ from pinmobile import (
     ensemble,
     excitation,
     identify,
+    law,
     plots,
     rk4,
     simulate,
@@ -339,6 +342,14 @@ def drifting(q: Array) -> Array:
         (lambda: identify(log().between(0, 12)), r"^log is 12 s long, too short, expected at least"),
         (lambda: identify(changed(q=lambda q: 0 * q, u=lambda u: 0 * u)), r"^log has poses that move by 0 m"),
         (lambda: identify(changed(u=lambda u: u[::-1])), r"^log has inputs of which the motion explains"),
+        (
+            lambda: changed(q=lambda q: q * np.nan),
+            r"^q has 2201 rows, and NaN in each, expected rows without$",
+        ),
+        (
+            lambda: changed(u=lambda u: u * np.nan),
+            r"^u has 2201 rows, and NaN in each, expected rows without$",
+        ),
         (lambda: identify(changed(q=drifting)), r"^log has poses whose delay changes by .*two clocks"),
         (
             lambda: Log.from_streams(log().t, log().q, log().t + 1e9, log().u),  # type: ignore[arg-type]
@@ -363,8 +374,8 @@ def drifting(q: Array) -> Array:
             r"^log has samples every 0\.02 and 0\.04 s, expected equal steps$",
         ),
         (lambda: changed(q=lambda q: q[0]), r"^q has shape \(3,\)"),
-        (lambda: Log([], [], []), r"^t has shape \(0,\), expected \(N,\), N > 1$"),
-        (lambda: Log([0.0], [[0.0] * 3], [[0.0] * 3]), r"^t has shape \(1,\)"),
+        (lambda: Log(*np.zeros((3, 0))), r"^t has shape \(0,\), expected \(N,\), N > 1$"),
+        (lambda: Log(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3))), r"^t has shape \(1,\)"),
         (lambda: identify([]), r"^log is \[\], expected a Log, or several$"),
         (
             lambda: identify(log(), loads=[None]),
@@ -427,6 +438,106 @@ def test_a_csv_is_read_with_its_units(tmp_path: Path) -> None:
     np.testing.assert_allclose(other.t, read.t, rtol=0, atol=1e-12)
     with pytest.raises(UnknownName, match=r"unknown column of .*'Fz', .*available: .*Fx"):
         Log.from_csv(tmp_path / "other.csv", {"t": "time", "q": ("x", "y", "yaw"), "u": ("Fx", "Fy", "Fz")})
+
+
+HEAD = "t,x,y,psi,Fx,Fy,Mz"
+_T = 0.02 * np.arange(40)
+FEW = np.column_stack([_T, np.sin(_T), 1 - np.cos(_T), _T - 0.3, 20 * np.cos(9 * _T), 5 - _T, _T - 0.4])
+
+
+def lines_of(table: Array, head: str = HEAD, between: str = ",", point: str = ".") -> str:
+    rows = [between.join(f"{x:.9f}".replace(".", point) for x in row) for row in table]
+    return "\n".join([head.replace(",", between), *rows]) + "\n"
+
+
+def turned(columns: str) -> str:
+    zero, half = 0 * FEW[:, 0], FEW[:, 3] / 2
+    quaternion = 2 * np.column_stack([zero, zero, np.sin(half), np.cos(half)])  # of any length
+    return lines_of(np.column_stack([FEW[:, :3], quaternion, FEW[:, 4:]]), f"t,x,y,{columns},Fx,Fy,Mz")
+
+
+def dated() -> str:
+    stamps = [f"2026-01-31T23:59:59.{round(1e6 * t):06d}Z," for t in FEW[:, 0]]
+    rows = lines_of(FEW[:, 1:], "").splitlines()[1:]
+    return "\n".join([HEAD, *(stamp + row for stamp, row in zip(stamps, rows, strict=True))])
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        lines_of(FEW, between=";"),
+        lines_of(FEW, between=";", point=","),
+        lines_of(FEW, between="\t"),
+        lines_of(FEW, between="  "),
+        lines_of(FEW, between=", "),
+        "# robot: mine, 3 kg\n% by hand\n" + lines_of(FEW),
+        "# a robot\n# " + lines_of(FEW),
+        "\ufeff" + lines_of(FEW, "Time (s),X (m),Y (m),Yaw (rad),FX [N],FY [N],MZ [N\u00b7m]"),
+        lines_of(FEW * [1, 1, 1, 180 / np.pi, 1, 1, 1], "t,x,y,psi [\u00b0],Fx,Fy,Mz"),
+        lines_of(np.column_stack([np.arange(40), FEW]), f",{HEAD}"),
+        turned("qx,qy,qz,qw"),
+        turned("orientation.x,orientation.y,orientation.z,orientation.w"),
+        dated(),
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1", "utf-16"])
+def test_a_csv_is_read_as_others_write_it(content: str, encoding: str, tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_bytes(content.lstrip("\ufeff" if encoding != "utf-8" else "").encode(encoding))
+    read = Log.from_csv(path)
+    expected = Log(FEW[:, 0], FEW[:, 1:4], FEW[:, 4:])
+    np.testing.assert_allclose(read.t - read.t[0], expected.t, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(read.q, expected.q, rtol=0, atol=1e-8)  # type: ignore[arg-type]
+    np.testing.assert_allclose(read.u, expected.u, rtol=0, atol=1e-8)
+
+
+def test_columns_of_other_names_are_told_those_that_are_known_need_not_be(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(lines_of(FEW, "t,px,py,angle,Fx,Fy,Mz"))
+    np.testing.assert_allclose(Log.from_csv(path, {"q": ("px", "py", "angle")}).u, FEW[:, 4:], atol=1e-8)
+    path.write_text(turned("a,b,c,d"))
+    told = Log.from_csv(path, {"q": ("x", "y", "a", "b", "c", "d")}).q
+    np.testing.assert_allclose(told, FEW[:, 1:4], atol=1e-8)  # type: ignore[arg-type]
+
+
+def test_a_csv_of_wheels_has_their_rates(tmp_path: Path) -> None:
+    plant = on_wheels(BODY)
+    still = FixedHeading(Hold((0.0, 0.0), 0.5), 0.0)
+    run = simulate(plant, law(lambda t, q, v, reference: np.array([3.0, 5.0])), still, dt=0.02)
+    run.to_csv(tmp_path / "run.csv")
+    read, expected = Log.from_csv(tmp_path / "run.csv"), Log.from_rollout(run)
+    np.testing.assert_array_equal(read.u, expected.u)
+    np.testing.assert_array_equal(read.wheel_rates, expected.wheel_rates)
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        ("", "which is empty, expected a header that names the columns"),
+        (lines_of(FEW).partition("\n")[2], "whose first line .* has numbers, expected a header that names"),
+        (lines_of(FEW[:1]), "with 1 rows of as many columns as its header, expected more"),
+        (
+            lines_of(FEW, "a,b,c,d,Fx,Fy,Mz"),
+            "whose columns are a, b, .* none is known as that of t, expected",
+        ),
+        (
+            lines_of(FEW, "t,b,c,d,Fx,Fy,Mz"),
+            "whose columns are .*: none is known as that of q or twist, expected columns=",
+        ),
+        (
+            lines_of(FEW, "t,x,y,psi,a,b,c"),
+            "whose columns are .*: none is known as that of u, expected columns=",
+        ),
+        (lines_of(FEW, "t,x,y,psi,Fx,Fy,x"), "with two columns 'x', expected one"),
+        (lines_of(FEW).replace("0.", "zero"), "whose column 't' holds no numbers but 'zero0+', expected"),
+        ("a\0b", "which is no text, expected a CSV file"),
+    ],
+)
+def test_a_file_that_is_no_log_is_refused_with_what_it_has(content: str, text: str, tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(content)
+    with pytest.raises(InvalidArgument, match=rf"^path is '\S+run\.csv', {text}"):
+        Log.from_csv(path)
 
 
 @pytest.mark.parametrize("kind", ["SQLITE3", "MCAP", "ros1"])

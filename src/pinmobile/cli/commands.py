@@ -365,48 +365,42 @@ def drive(
 @app.command()
 def identify(
     log: Annotated[
-        Path, typer.Argument(help="CSV file: t, x, y, psi and u_Fx, u_Fy, u_Mz, units in brackets.")
+        Path,
+        typer.Argument(
+            help="CSV file with t, x, y, psi and Fx, Fy, Mz in its header, units in brackets; a bag or MCAP "
+            "file with --bag."
+        ),
     ],
     *,
+    column: Annotated[
+        list[str] | None,
+        _help("ROLE=NAME,NAME, where columns are called otherwise; q=px,py,angle, say. Repeat it: t, q, u."),
+    ] = None,
     bag: Annotated[
         list[str] | None,
         _help("ROLE=TOPIC, where the file is a bag or MCAP; q=/odom and u=/wrench, say. Repeat it."),
     ] = None,
-    method: Annotated[str, _help("output-error, or weak, which is faster.")] = "output-error",
+    urdf: Annotated[
+        Path | None, _help("Robot as it is believed to be, kept where the log tells nothing.")
+    ] = None,
+    method: Annotated[str | None, _help("output-error, or weak, which is faster; output-error.")] = None,
     delay: Annotated[float | None, _help("By which poses come late (s); by default it is found.")] = None,
     out: Annotated[Path, _help("Folder for the figure.")] = Path("out/identify"),
 ) -> int:
     """Tell mass, centre of mass, yaw inertia and friction, with intervals, from the log of a pushed body.
 
-    It prints the table, and draws what was measured beside what the model that was found foretells.
+    It prints the table, and draws what was measured beside what the model that was found foretells. Two
+    inputs are commands of speed and yaw rate: then it tells theta of a robot that takes speeds.
+
+    A log in degrees, with gaps, of two clocks, too short, without excitation or of another robot is refused
+    in one line, with exit code 2.
 
     Example: pinmobile identify run.csv
     """
-    from pinmobile import Log
-    from pinmobile.cli.output import save_figure
-    from pinmobile.identification import METHODS, identify as identified
-    from pinmobile.plots import prediction
+    from pinmobile.cli.identify import read, show_identification
 
-    if bag:
-        pairs = [word.partition("=") for word in bag]
-        wrong = next(
-            (word for word, pair in zip(bag, pairs, strict=True) if not pair[0] or not pair[2]), None
-        )
-        if wrong is not None:
-            raise InvalidArgument(f"--bag is {wrong!r}, expected ROLE=TOPIC, such as q=/odom")
-        read = Log.from_bag(log, {role: topic for role, _, topic in pairs})
-    else:
-        read = Log.from_csv(log)
-    way = choose("method", method, {each.replace(" ", "-"): each for each in METHODS})
-    with progress(1, "identifying"):
-        found = identified(read, method=way, delay=delay)
-        foretold = found.predict(read)
-    console.print(str(found), markup=False)
-    console.print(str(foretold), markup=False)
-    path = output_folder(out) / f"{log.stem}.png"
-    save_figure(prediction(foretold, title=f"{log.name}: measured and foretold"), path)
-    console.print(f"{path}", markup=False)
-    return 0
+    measured = read(log, column or (), bag or ())
+    return show_identification(measured, log, out, urdf=urdf, method=method, delay=delay)
 
 
 @app.command(context_settings=_TAKES_RUNS)

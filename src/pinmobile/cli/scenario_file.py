@@ -280,8 +280,9 @@ def _check(tree: Table, swept: Table) -> None:
             named = ", such as [forces.wind]" if table == "forces" else ""
             raise Refused(f"{table} is {content!r}, expected a table{named}", table)
     own = {*_OWN, *(table for table in _TYPED if _may_be_composed(tree, swept, table))}
-    if "robot" not in own and "type" in tree.get("robot", {}):
-        raise Refused(unknown("type of [robot]", str(tree["robot"]["type"]), OF_SPEEDS), "robot.type")
+    kind = tree.get("robot", {}).get("type")
+    if "robot" not in own and kind is not None:
+        raise Refused(unknown(f"type of [robot] {kind!r}", str(kind), OF_SPEEDS), "robot.type")
     for table, content in tree.items():
         for key, value in content.items():
             _check_key(f"key {key!r} in [{table}]", table, key, own)

@@ -114,9 +114,11 @@ class Log:
                 raise InvalidArgument(f"{name} has shape {given[name].shape}, expected ({len(t)}, 3)")
         if not {"q", "twist"} & set(given):
             raise InvalidArgument("q is None, and there is no twist, expected one of them: what was measured")
-        bad = np.isnan(np.column_stack(list(given.values()))).any(axis=1)
+        lost = {name: np.isnan(array.reshape(len(t), -1)).any(axis=1) for name, array in given.items()}
+        bad = np.logical_or.reduce(list(lost.values()))
         if bad.all():
-            raise InvalidArgument(f"q has {len(t)} rows, and NaN in each, expected rows without")
+            worst = max(lost, key=lambda name: int(lost[name].sum()))
+            raise InvalidArgument(f"{worst} has {len(t)} rows, and NaN in each, expected rows without")
         given = {name: finite(name, array[~bad]) for name, array in given.items()}
         t = given["t"]
         _check_times(t, int(bad.sum()))

@@ -276,7 +276,16 @@ def _streams(
                 f"path is {file!r}, whose topic {topics[role]!r} has messages of {sorted(lengths)} numbers, "
                 "expected as many in each"
             )
+        if not max(lengths):
+            raise InvalidArgument(
+                f"topics[{role!r}] is {topics[role]!r}, whose messages hold none of it, expected another"
+            )
         t = _NANO * np.array([each - first for each in times[role]], np.float64)
+        if stamps == "header" and not t[-1] > t[0]:
+            raise InvalidArgument(
+                f"stamps is {stamps!r}, and those of topic {topics[role]!r} are the same in all messages, "
+                "expected 'bag': times of arrival"
+            )
         found[role] = t, np.array(rows[role], np.float64)
     return found
 

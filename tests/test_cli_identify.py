@@ -1,0 +1,288 @@
+"""Logs as a person hands them to the command, and robots that take speeds."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pinmobile import Log, MobileRobot, Rollout, VelocityRobot, rk4
+from pinmobile.arrays import Array
+from pinmobile.cli import main
+from pinmobile.cli.choices import DEFAULT_PRESET, OF_SPEEDS, velocity_robot
+from pinmobile.cli.scenario_file import read_grid
+from pinmobile.controllers import Backstepping, RandomSteps, VelocityCommand
+from pinmobile.ensembles import run_scenario
+from pinmobile.identification import VELOCITY_ROBOTS
+from tests.test_identification import log
+from tests.test_velocity_identification import logged
+
+HEAD = "t,x,y,psi,Fx,Fy,Mz"
+
+
+def typed(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    code = main(words)
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def rows() -> Array:
+    return table_of(log())
+
+
+def table_of(read: Log) -> Array:
+    assert read.q is not None
+    return np.column_stack([read.t, read.q, read.u])
+
+
+def written(path: Path, table: Array, head: str = HEAD) -> Path:
+    np.savetxt(path, table, "%.9g", ",", header=head, comments="")
+    return path
+
+
+@pytest.mark.once
+def test_identify_prints_the_table_and_draws_measured_beside_foretold(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path, robot = written(tmp_path / "run.csv", rows()), tmp_path / "robot.urdf"
+    robot.write_text(MobileRobot(30.0, 1.5).to_urdf())
+    out = tmp_path / "figures"
+    code, told, err = typed(capsys, "identify", str(path), "--out", str(out), "--urdf", str(robot))
+    assert (code, err) == (0, "")
+    low, high = map(float, re.findall(r"^mass +\S+ +(\S+) to (\S+) +kg$", told, re.MULTILINE)[0])
+    assert low < 32 < high
+    assert len(re.findall(r"^\w+ +\S+ +\S+ to \S+ ", told, re.MULTILINE)) == 10
+    for words in ("2201 samples at 50 Hz", "rms of 1.98 s ahead: x ", f"{out / 'run.png'}"):
+        assert words in told
+    assert (out / "run.png").stat().st_size > 20_000
+    code, weak, _ = typed(
+        capsys, "identify", str(path), "--out", str(out), "--method", "weak", "--delay", "0"
+    )
+    assert code == 0
+    assert "weak, 22 segments" in weak
+
+
+@pytest.mark.once
+def test_a_log_of_commands_tells_theta(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    read = logged(pose=True)
+    path = written(tmp_path / "run.csv", table_of(read), "stamp,px,py,angle [rad],v,w")
+    columns = ["--column", "q=px,py,angle", "--column", "u=v,w"]
+    code, told, _ = typed(capsys, "identify", str(path), *columns, "--out", str(tmp_path))
+    assert code == 0
+    assert re.search(r"^theta_6 +1\.0\d+", told, re.MULTILINE)
+    assert "rms of 1.9 s ahead: x " in told
+    code, _, err = typed(capsys, "identify", str(path), *columns, "--method", "weak", "--out", str(tmp_path))
+    said = "--method does not apply to a log of commands of speed and yaw rate"
+    assert (code, err) == (2, f"pinmobile: {said}\n")
+
+
+def gap(table: Array) -> Array:
+    return np.delete(table, np.s_[300:330], axis=0)
+
+
+def scaled(column: slice, factor: float) -> Callable[[Array], Array]:
+    def change(table: Array) -> Array:
+        table[:, column] *= factor
+        return table
+
+    return change
+
+
+def slower(table: Array) -> Array:
+    t = table[:, 0].copy()
+    for k in (1, 2, 3):
+        table[:, k] = np.interp(t * (1 - 2e-3), t, table[:, k])
+    return table
+
+
+def backwards(table: Array) -> Array:
+    table[:, 4:] = table[::-1, 4:]
+    return table
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda table: table[::-1], r"t\[1\] is 43\.98 s after 44\.0 s, expected more"),
+        (gap, r"t has a gap from 5\.98 to 6\.6 s .*"),
+        (scaled(np.s_[3:4], 180 / np.pi), r"q has psi from .*: are these degrees\?"),
+        (scaled(np.s_[4:], 1000.0), r"log leads to a mass of 3\.\d+e\+04 kg, .* in newtons.*"),
+        (lambda table: table[:600], r"log is 12 s long, too short, expected at least .*"),
+        (lambda table: table * [1, 0, 0, 0, 1, 1, 1], r"log has poses that move by 0 m, .* see excitation"),
+        (backwards, r"log has inputs of which the motion explains .*another robot.*"),
+        (slower, r"log has poses whose delay changes by .*two clocks.*"),
+        (scaled(np.s_[:1], 1000.0), r"t has steps of 20 s, expected seconds: are these milliseconds\?"),
+    ],
+)
+def test_a_bad_log_is_answered_in_one_line(
+    change: Callable[[Array], Array], text: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = written(tmp_path / "run.csv", change(rows()))
+    code, told, err = typed(capsys, "identify", str(path), "--out", str(tmp_path))
+    assert code == 2
+    assert not told.strip()
+    assert re.fullmatch(rf"pinmobile: LOG is '\S+run\.csv': {text}\n", err), err
+
+
+def test_rows_without_numbers_are_counted(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    table = rows()
+    table[[100, 500], 1] = np.nan
+    path = written(tmp_path / "run.csv", table)
+    code, told, _ = typed(capsys, "identify", str(path), "--method", "weak", "--out", str(tmp_path))
+    assert code == 0
+    assert "2199 samples at 50 Hz, 2 dropped" in told
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("none.csv", r"LOG is '\S+none\.csv', which cannot be read: No such file or directory"),
+        ("run.csv --column q", "--column is 'q', expected ROLE=NAME,NAME, such as q=px,py,angle"),
+        ("run.csv --column q=x,y", r"LOG is '\S+': q has shape \(2201, 2\), expected \(2201, 3\)"),
+        ("run.csv --column q=x,y,spi", "unknown column of .* 'spi', did you mean 'psi'.*"),
+        ("run.csv --column p=x", "unknown part of a log 'p', .*available: t, q, u, twist, wheel_rates"),
+        ("run.csv --bag q", "--bag is 'q', expected ROLE=TOPIC, such as q=/odom"),
+        ("run.csv --bag q=/odom", "--bag is .*, expected those of u and of q or twist, .*"),
+        (
+            "run.csv --bag q=/odom --column q=x,y,psi",
+            "--column applies to a CSV file, and --bag to a bag, .*",
+        ),
+        ("run.csv --method ls", "unknown method 'ls', available: output-error, weak"),
+        ("run.csv --delay 30", r"--delay is 30 s, expected 4\.4 s at most: are these milliseconds\?"),
+        ("run.csv --urdf none.urdf", "--urdf is 'none.urdf', which cannot be read: .*"),
+        (
+            "odd.csv",
+            r"LOG is '\S+', whose columns are a, b, c, d, Fx, Fy, Mz: none is known as that of t, expected "
+            "--column ROLE=NAME,NAME of these, such as --column q=px,py,angle",
+        ),
+        ("bare.csv", r"LOG is '\S+', whose first line '0,\S+ has numbers, expected a header .*"),
+        ("empty.csv", r"LOG is '\S+', which is empty, expected a header .*"),
+    ],
+)
+def test_words_that_say_no_log_are_answered_in_one_line(
+    words: str, message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    written(tmp_path / "run.csv", rows())
+    written(tmp_path / "odd.csv", rows()[:9], HEAD.replace("t,x,y,psi", "a,b,c,d"))
+    np.savetxt(tmp_path / "bare.csv", rows()[:9], "%.9g", ",")
+    (tmp_path / "empty.csv").write_text("")
+    file, *more = words.split()
+    code, _, err = typed(capsys, "identify", str(tmp_path / file), *more, "--out", str(tmp_path))
+    assert code == 2
+    assert re.fullmatch(f"pinmobile: {message}\n", err), err
+
+
+# -- robots that take speeds -----------------------------------------------------------------------
+
+
+def test_drive_drives_a_robot_that_takes_speeds(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ["--preset", "pioneer_3dx", "--duration", "2", "--dt", "0.02", "--out", str(out)]
+    code, told, _ = typed(capsys, "drive", "velocity", *words, "--html", str(tmp_path / "v.html"))
+    assert code == 0
+    assert "pioneer_3dx: firmware follows speed and yaw rate late by 0.558 s and 0.205 s" in told
+    assert "theta is that of a log, not of a type" in " ".join(told.split())
+    values = dict(re.findall(r"^(largest error|the same).*\] +(\S+)$", told, re.MULTILINE))
+    assert float(values["largest error"]) < 0.01 < 0.05 < float(values["the same"])
+    assert {path.name for path in out.iterdir()} >= {"index.html", "path.png", "forces.png", "rollout.npz"}
+    run = Rollout.load(out / "rollout.npz")
+    assert [one.name for one in run.inputs] == ["speed command", "yaw rate command"]
+    assert np.abs(run.error[:, :2]).max() < 0.01
+    code, told, _ = typed(capsys, "drive", "velocity", "--theta", "0.3,0.3,0,1,0,1", "--duration", "1")
+    assert code == 0
+    assert "theta = 0.3, 0.3, 0, 1, 0, 1" in told
+    assert "see it move: add --html" in told
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("velocity --preset Pioneer3-DX", "unknown preset 'Pioneer3-DX', did you mean 'pioneer_3dx' or .*"),
+        ("velocity --theta 1,2", r"--theta has shape \(2,\), expected \(6,\)"),
+        ("velocity --theta 1,a", "--theta is '1,a', expected a number, or numbers with commas"),
+        ("velocity --theta 1 --preset khepera_3", "--theta stands in place of --preset, but there are both"),
+        ("velocity --mu 0.5", "--mu does not apply to velocity, which takes --preset or --theta"),
+        ("velocity --track 0.5", "--track does not apply to velocity, which takes --preset or --theta"),
+        ("mecanum --preset khepera_3", "--preset applies to velocity alone"),
+        ("velocty", "unknown drive 'velocty', did you mean 'velocity'.*"),
+    ],
+)
+def test_words_that_say_no_such_robot_are_answered_in_one_line(
+    words: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, _, err = typed(capsys, "drive", *words.split())
+    assert code == 2
+    assert re.fullmatch(f"pinmobile: {message}\n", err), err
+
+
+FILE = """
+[robot]
+type = "velocity"
+preset = "pioneer_3dx"
+limits = [1.0, 4.0]
+[trajectory]
+type = "circle"
+radius = 1
+rate = 0.5
+duration = 4
+[controller]
+type = "backstepping"
+law = {type = "tracking"}
+[loop]
+dt = 0.05
+[spread]
+theta_1 = {percent = 10}
+model_theta_4 = 1.0
+start_x = {normal = [0, 0.01]}
+[ensemble]
+n = 20
+[grid]
+"robot.preset" = ["pioneer_3dx", "khepera_3"]
+"""
+
+
+def test_a_scenario_file_has_robots_that_take_speeds(tmp_path: Path) -> None:
+    path = tmp_path / "speeds.toml"
+    path.write_text(FILE)
+    pioneer, khepera = read_grid(path).scenarios
+    assert pioneer.robot == velocity_robot("pioneer_3dx", limits=(1.0, 4.0))
+    assert khepera.robot.theta.tolist() == VELOCITY_ROBOTS["khepera_3"].theta.tolist()
+    assert isinstance(pioneer.controller, Backstepping)
+    assert pioneer.integrator is rk4  # the robot's own choice
+    assert run_scenario(pioneer).max_error[:, :2].max() < 0.2
+    path.write_text(FILE.replace('"backstepping"', '"velocity-command"').replace("model_theta_4 = 1.0", ""))
+    assert isinstance(read_grid(path).scenarios[0].controller, VelocityCommand)
+    alone = FILE.split("[spread]")[0].replace('law = {type = "tracking"}', "seed = 3")
+    path.write_text(alone.replace('"backstepping"', '"random-steps"').replace("pioneer_3dx", "robulab_10"))
+    (one,) = read_grid(path).scenarios
+    assert isinstance(one.controller, RandomSteps)
+    assert one.robot.size == VELOCITY_ROBOTS["robulab_10"].size
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ('"velocity"', '"speeds"', r"3: unknown type of \[robot\] 'speeds', available: velocity"),
+        ('"khepera_3"', '"khepera"', "23: unknown preset 'khepera', did you mean 'khepera_3'.*"),
+        ("limits", "limit", "5: unknown argument of velocity 'limit', did you mean 'limits'.*"),
+        ("limits = [1.0, 4.0]", "theta = [1, 2]", "23: preset is .*, expected one of them; presets: .*"),
+        ("[1.0, 4.0]", "[1.0, -4.0]", "5: limits is .*, expected one number > 0, or two: .*"),
+        ("theta_1", "mass", "17: spread of mass does not apply to this loop, which has theta_1, .*"),
+        ("theta_1", "theta_9", "17: unknown parameter in spread 'theta_9', did you mean 'theta_.*"),
+        ('"tracking"', '"trakcing"', r"13: unknown controller\.law 'trakcing', did you mean 'tracking'.*"),
+        ("law =", "lwa =", "13: unknown argument of backstepping 'lwa', .*"),
+    ],
+)
+def test_a_typo_about_such_a_robot_is_answered_with_its_line(
+    old: str, new: str, text: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "speeds.toml").write_text(FILE.replace(old, new))
+    code, _, err = typed(capsys, "sweep", str(tmp_path / "speeds.toml"), "--out", str(tmp_path / "out"))
+    assert code == 2
+    assert re.match(rf"pinmobile: speeds\.toml:{text}$", err, re.MULTILINE), err
+
+
+def test_the_preset_that_is_taken_is_there() -> None:
+    assert isinstance(OF_SPEEDS["velocity"](DEFAULT_PRESET), VelocityRobot)
