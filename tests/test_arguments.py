@@ -41,6 +41,7 @@ from pinmobile import (
     NoisyMeasurement,
     NotFinite,
     PinmobileError,
+    PosePath,
     RestToRest,
     Rollout,
     Same,
@@ -358,6 +359,12 @@ FAULTS = [
         "another part",
         of_many(trajectory=CIRCLE),
         "expected a trajectory: wrap the path in Tangent or FixedHeading,",
+    ),
+    Fault(
+        "another part",
+        of_loop(trajectory=PosePath(Spline([[0, 0, 1], [1, 0, 1]], [0, 1]))),
+        "a path of poses of an end effector, expected a trajectory of the robot's coordinates, such as "
+        "resolve(robot, path)",
     ),
     Fault(
         "another part", of_loop(integrator=PD(1, 1)), "a controller, expected one of pinmobile.integrators"

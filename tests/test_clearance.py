@@ -268,8 +268,12 @@ def test_it_takes_any_leading_axes_wherever_the_robot_is_and_tells_the_smallest(
 def test_a_base_alone_has_no_pairs() -> None:
     found = clearance(BOX, [0, 0, 0])
     assert found.smallest == np.inf
-    assert "no pairs" in repr(found)
-    with pytest.raises(InvalidArgument, match="clearance has no pairs, expected a robot with an arm"):
+    words = (
+        "no pairs, as nothing of the robot moves against another part of it or the ground: expected an arm"
+    )
+    assert words in repr(found)
+    assert str(found).startswith(f"{words}, by robot.mount(...), whose links have shapes")
+    with pytest.raises(InvalidArgument, match=f"clearance has {words}"):
         _ = found.nearest
 
 

@@ -301,8 +301,11 @@ def test_where_only_the_position_is_followed_no_angle_is_wrong() -> None:
     run = simulate(ROBOT, EndEffectorTracking(ROBOT, target), resolve(ROBOT, target, q0=BENT), dt=0.01)
     hand = run.end_effector()
     assert not hand.is_oriented
-    assert hand.max_error()[1] == 0
+    assert np.isnan([*hand.angle, hand.max_error()[1]]).all()
+    assert np.isnan(hand.orientation_error).all()
     assert "rad" not in repr(hand)
+    turn = plots.end_effector(run).axes[3]
+    assert [text.get_text() for text in turn.texts] == ["the target has no orientation"]
     assert hand.distance.max() < 1e-3
 
 

@@ -65,7 +65,7 @@ def test_the_numbers_are_the_lectures() -> None:
 
 
 def test_the_names_it_mentions_exist() -> None:
-    table = README.split("| ask | with |")[1].split("## Conventions")[0]
+    table = README.split("| ask | with |")[1].split("\n\n")[0]
     names = re.findall(r"`(?:pinmobile\.)?([A-Za-z_]\w+)", table)
     assert {"MobileRobot", "ComputedTorque", "simulate", "ensemble", "sweep"} < set(names)
     for name in names:

@@ -5,9 +5,16 @@ from typing import Any
 import pytest
 
 from pinmobile import wheels
-from pinmobile.wheels import Mobility, WheelTable
+from pinmobile.wheels import Mobility, Wheel, WheelTable
 
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.005, "yaw_inertia": 0.003}
+
+
+def test_a_table_tells_what_no_motor_drives() -> None:
+    rows = tuple(Wheel(f"wheel {k}", 0.3 - k, 0.2 - k, 0.1, roller=0.0) for k in range(3))
+    told = "moves by (forward, left, turn) = (0, 1, 0) while no wheel turns: no motor drives that"
+    assert told in str(WheelTable(rows))
+    assert "no motor" not in str(WheelTable.omni(0.2, 0.05, **WHEEL))
 
 
 def test_a_table_prints_its_rows_and_the_type_of_the_drive() -> None:

@@ -21,6 +21,7 @@ from pinmobile import (
     Rolling,
     Scenario,
     SinusoidalForce,
+    Spline,
     UnknownName,
     ViscousFriction,
     Wheel,
@@ -325,6 +326,14 @@ def test_pickled_it_is_the_same_robot(kind: str) -> None:
             "wheel 'a' and wheel 'b' stand in one place, (0, 0) m",
         ),
         (
+            lambda: WheelTable.mecanum(0.5, 0.4, 0.1, roller=0.0),
+            "roller is 0 rad: such wheels all roll along x, and none moves it sideways; expected the X",
+        ),
+        (
+            lambda: WheelTable((Wheel("x", 0.0, 0.2, 0.1), Wheel("y", 0.0, -0.2, 0.1))),
+            "'x' names a wheel or its steering, and a coordinate of the body, expected another name",
+        ),
+        (
             lambda: WheelTable.mecanum(0.4, 0.4, 0.1, roller=-np.pi / 4),
             "roller is -0.785398 rad: the rollers",
         ),
@@ -361,9 +370,12 @@ def test_a_start_that_does_not_roll_is_refused_and_projected_only_if_asked() -> 
     reference = FixedHeading(Hold([0, 0], 0.1), 0.0)
     v0 = np.array([1.0, 0.2, 0.3, 0, 0])
     with pytest.raises(
-        InvalidArgument, match=r"start does not roll: .* slips at .*; expected v0 = robot.project"
+        InvalidArgument, match=r"start does not roll: .* slips at .*; expected .* v0 = robot.project"
     ):
         simulate(wheeled, still, reference, dt=0.01, q0=wheeled.rest, v0=v0)
+    aside = FixedHeading(Spline([[0, 0], [0, 1]], [0, 1], start_velocity=(0, 1)), 0.0)
+    with pytest.raises(InvalidArgument, match=r"^reference at its start does not roll: .* a reference that"):
+        simulate(wheeled, still, aside, dt=0.1)
     v0 = wheeled.project(wheeled.rest, v0)
     run = simulate(wheeled, still, reference, dt=0.01, q0=wheeled.rest, v0=v0)
     assert np.abs(wheeled.constraint_matrix(run.q[-1]) @ run.v[-1]).max() < 1e-14

@@ -36,13 +36,18 @@ def check_difference(difference: object) -> None:
 
 
 def refuse_path(name: str, trajectory: object) -> None:
-    """Refuse a path where a trajectory is expected.
+    """Refuse a path where a trajectory is expected, and one of poses, which has `rows` to follow.
 
     Raises
     ------
     InvalidArgument
         If it is one.
     """
+    if hasattr(trajectory, "rows"):
+        raise InvalidArgument(
+            f"{name} is {shown(trajectory)}, a path of poses of an end effector, expected a trajectory of "
+            "the robot's coordinates, such as resolve(robot, path)"
+        )
     if hasattr(trajectory, "derivative"):
         raise InvalidArgument(
             f"{name} is {shown(trajectory)}, a path, which has no heading, expected a trajectory: wrap the "

@@ -34,6 +34,10 @@ _AT_REST = "touch at rest"
 _APART = "never touch, whatever the joints between them do"
 _STANDS = "stands on the ground"
 
+_NO_PAIRS = (
+    "no pairs, as nothing of the robot moves against another part of it or the ground: expected an arm, by "
+    "robot.mount(...), whose links have shapes, those that a URDF has as <collision>"
+)
 _STARTS = 5  # of the search for a place where two links touch
 _INSIDE = 0.5
 
@@ -91,7 +95,7 @@ class Clearance:
             If no pair counts.
         """
         if not self.pairs:
-            raise InvalidArgument("clearance has no pairs, expected a robot with an arm")
+            raise InvalidArgument(f"clearance has {_NO_PAIRS}")
         return self.pairs[int(self.distances[self.at].argmin())]
 
     def __repr__(self) -> str:
@@ -101,11 +105,11 @@ class Clearance:
     def told(self) -> str:
         """The smallest and its pair, as text."""
         if not self.distances.size:
-            return "no pairs"
+            return _NO_PAIRS if not self.pairs else "of no configuration"
         return f"{self.smallest:.4g} m between {' and '.join(self.nearest)}"
 
     def __str__(self) -> str:
-        lines = [f"smallest clearance {self.told}; {len(self.pairs)} pairs"]
+        lines = [f"smallest clearance {self.told}; {len(self.pairs)} pairs" if self.pairs else self.told]
         reasons = dict.fromkeys(self.left_out.values())
         for reason in reasons:
             pairs = [" - ".join(pair) for pair, why in self.left_out.items() if why == reason]

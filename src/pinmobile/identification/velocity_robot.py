@@ -334,8 +334,8 @@ class VelocityRobot:
         off = float(np.abs(self.project(q, v) - v).max(initial=0.0))
         if off > _OFF * (1 + float(np.abs(v).max(initial=0.0))):
             raise InvalidArgument(
-                f"start does not roll: wheels slide sideways at {off:.3g} m/s; expected v0 = "
-                "robot.project(q0, v0), or a reference that the wheels can follow"
+                f"start does not roll: wheels slide sideways at {off:.3g} m/s; expected a reference "
+                "that the wheels can follow, such as Tangent(path), or v0 = robot.project(q0, v0)"
             )
 
     # Dynamics

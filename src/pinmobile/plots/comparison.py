@@ -32,7 +32,7 @@ from pinmobile.simulation import EndEffector, Rollout
 
 _COLUMN = 3.2  # [in]: of two columns of panels each
 _WIDE, _TALL = (1.4, 1.4, 1.4), (2.8, 1.2, 1.2, 1.2)  # [in]: heights of rows
-_NO_TARGET = "there is no target"
+_NO_TARGET, _NO_ORIENTATION = "there is no target", "the target has no orientation"
 _PLACES = (("x [m]", "y [m]"), ("", "z [m]"), ("", "distance [m]"), ("t [s]", "angle [rad]"))
 """Words beside the axes of path, height, distance and angle."""
 _LETTERS = {"psi": "$\\psi$"}
@@ -87,10 +87,10 @@ def end_effector(
     for t, target in _targets(hands.values()):
         _line(above, *target[:, :2, 3].T, **desired())
         _line(height, t, target[:, 2, 3], **desired())
-    for axes in (way, turn):
+    for axes, none in ((way, _NO_TARGET), (turn, _NO_ORIENTATION if way.lines else _NO_TARGET)):
         axes.set_ylim(bottom=0.0)
         if not axes.lines:
-            axes.text(0.5, 0.5, _NO_TARGET, ha="center", va="center", transform=axes.transAxes)
+            axes.text(0.5, 0.5, none, ha="center", va="center", transform=axes.transAxes)
     names = ", ".join(dict.fromkeys(hand.frame for hand in hands.values()))
     keys = [Line2D([], [], label="target", **desired())] if way.lines else []
     return sheet.finish(title, f"End effector {names}", [*keys, *keys_of(hands, "travelled")])

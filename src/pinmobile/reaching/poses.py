@@ -273,7 +273,7 @@ def error_sizes(error: Array) -> Array:
     Parameters
     ----------
     error : ndarray, shape (..., 6) or (..., 3)
-        As from `pose_error`; where the position alone is followed, the angle is zero.
+        As from `pose_error`; the angle of three numbers is zero.
     """
     return np.stack([np.linalg.norm(part, axis=-1) for part in (error[..., :3], error[..., 3:])], axis=-1)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol, final, runtime_checkable
 
@@ -17,7 +17,6 @@ from pinmobile.arrays import (
     frozen,
     non_negative,
     positive,
-    scalar,
 )
 from pinmobile.errors import InvalidArgument, PinmobileError, Unreachable, shown
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
@@ -128,10 +127,10 @@ class Resolved:
     def error(self) -> Array:
         """From the pose to its target at the times `t`, shape (N + 1, 6) [m, rad], along the inertial axes.
 
-        The last three are the rotation vector; zero where the position alone is followed.
+        The last three are the rotation vector; NaN where the position alone is followed.
         """
         error = pose_error(self.target(self.t).pose, self.robot.frame_pose(self(self.t).q, self.frame))
-        error[:, self.target.rows :] = 0
+        error[:, self.target.rows :] = np.nan
         return frozen(error)
 
     @cached_property
@@ -146,7 +145,7 @@ class Resolved:
         return clearance_of(self.robot, self(self.t).q)
 
     def max_error(self) -> tuple[float, float]:
-        """Return the largest distance [m] and the largest angle [rad] from the target."""
+        """Return the largest distance [m] and the largest angle [rad] from the target, as of `error`."""
         way, turn = error_sizes(self.error).max(axis=0)
         return float(way), float(turn)
 
@@ -207,8 +206,8 @@ def resolve(
         Largest distance and largest angle that are accepted, as of `Resolved.max_error` [m, rad]; infinite:
         any, see `Resolved.error`.
     clearance : float, optional
-        Smallest distance between links, and from them to the ground, that is accepted [m], see `clearance`;
-        by default any, even through the robot's own body: `Resolved.clearance` tells.
+        Smallest distance between links, and from them to the ground, that is accepted, >= 0 [m], see
+        `clearance`; by default any, even through the robot's own body: `Resolved.clearance` tells.
 
     Returns
     -------
@@ -226,7 +225,7 @@ def resolve(
         If an error is beyond the tolerance, or links come nearer than `clearance`; it carries the trajectory.
     """
     _checked_target(robot, target)
-    room = None if clearance is None else scalar("clearance", clearance)
+    room = None if clearance is None else non_negative("clearance", clearance, "m")
     if room is not None:
         _ = robot.solids  # refused before the work, not after it
     name = robot.frame_name(frame)
@@ -252,7 +251,7 @@ def resolve(
         )
     count = max(int(np.ceil(wanted - 1e-9)), 2)
     resolved = Resolved(robot, target, name, start, solver.steps(start, tending, gain, count))
-    _judge(resolved, tolerance)
+    _judge(resolved, tolerance, lambda: _beyond(solver, start, tending, gain, count, tolerance))
     if room is not None:
         _judge_clearance(resolved, room)
     return resolved
@@ -287,16 +286,34 @@ def _checked_posture(robot: MobileRobot, posture: ArrayLike) -> Array:
     return checked_configuration(robot, "posture", np.concatenate([np.zeros(3), arms]))
 
 
-def _judge(resolved: Resolved, tolerance: float) -> None:
-    sizes = error_sizes(resolved.error)
+def _beyond(solver: Solver, start: Array, tending: Array, gain: float, count: int, tolerance: float) -> str:
+    """Return which joint a target would take beyond its limit, and how far; nothing if none does alone."""
+    if not solver.robot.mounts:
+        return ""
+    free = replace(solver, limits=solver.limits.endless())
+    way = Resolved(free.robot, free.target, free.frame, start, free.steps(start, tending, gain, count))
+    q = free.robot.integrate(start, way._curve(way.t))  # not cut off at limits
+    missed = pose_error(free.target(way.t).pose, free.robot.frame_pose(q, free.frame))
+    if not error_sizes(missed[:, : free.target.rows]).max() <= tolerance:
+        return ""
+    joint, value, limit = solver.limits.farthest(q)
+    return (
+        f"; without limits of joints it is met, with {joint} at {value:.3g}, {abs(value - limit):.3g} beyond "
+        f"its limit of {limit:.3g}"
+    )
+
+
+def _judge(resolved: Resolved, tolerance: float, more: Callable[[], str]) -> None:
+    sizes = error_sizes(resolved.error[:, : resolved.target.rows])
     beyond = sizes.max(axis=-1) > tolerance
     if beyond.any():
         k = int(np.argmax(beyond))
         way, turn = sizes[k]
-        most = resolved.max_error()
+        most = sizes.max(axis=0)
         raise Unreachable(
             f"target is missed by {way:.3g} m and {turn:.3g} rad at t = {resolved.t[k]:g} s, expected "
-            f"at most {tolerance:g}; the largest errors are {most[0]:.3g} m and {most[1]:.3g} rad",
+            f"at most {tolerance:g}; the largest errors are {most[0]:.3g} m and {most[1]:.3g} rad"
+            f"{more()}",
             time=float(resolved.t[k]),
             resolved=resolved,
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -49,6 +49,29 @@ class Limits:
         plain = [joint for joint in joints if joint.adds]
         columns = [joint.q.start for joint in plain], [joint.v.start for joint in plain]
         object.__setattr__(self, "_columns", tuple(np.array(ids, dtype=np.intp) for ids in columns))
+
+    def endless(self) -> Limits:
+        """Return the same without limits of positions."""
+        found = replace(self)
+        object.__setattr__(found, "_columns", (np.array([], np.intp),) * 2)
+        return found
+
+    def farthest(self, q: Array) -> tuple[str, float, float]:
+        """Return the joint that is farthest beyond a limit of its position, where it is, and the limit.
+
+        Parameters
+        ----------
+        q : ndarray, shape (N, nq)
+            Configurations, of which one is beyond a limit if any joint is.
+        """
+        in_q, in_v = self._columns
+        lower, upper = self.robot.lower[in_q], self.robot.upper[in_q]
+        beyond = np.maximum(lower - q[:, in_q], q[:, in_q] - upper)
+        at, joint = np.unravel_index(int(beyond.argmax()), beyond.shape)
+        value = float(q[at, in_q[joint]])
+        limit = lower[joint] if value < lower[joint] else upper[joint]
+        one = self.robot.coordinates[in_v[joint]]
+        return f"{one.name} [{one.unit}]", value, float(limit)
 
     def room(self, q: Array) -> Array:
         """Return how far each coordinate is from its lower and its upper limit, shape (2, nv), >= 0."""

@@ -228,7 +228,12 @@ def _start(
     if hasattr(plant, "velocity_limit"):
         check_limits(plant, q, v)
     if hasattr(plant, "check_start"):
-        plant.check_start(q.copy(), v.copy())
+        try:
+            plant.check_start(q.copy(), v.copy())
+        except InvalidArgument as error:
+            if error.argument == "start" and q0 is None and v0 is None:
+                raise error.calling("reference at its start") from None
+            raise
     return q, v
 
 

@@ -77,7 +77,7 @@ class EndEffector:
     def error(self) -> Array:
         """From its pose to the target's along the inertial axes, shape (N + 1, 6) [m, rad].
 
-        The last three are the rotation vector; zero where the position alone is followed.
+        The last three are the rotation vector; NaN where the position alone is followed.
 
         Raises
         ------
@@ -91,7 +91,7 @@ class EndEffector:
             )
         error = pose_error(self.target, self.pose)
         if not self.is_oriented:
-            error[:, _BASE:] = 0.0
+            error[:, _BASE:] = np.nan
         return frozen(error)
 
     @property
@@ -101,7 +101,7 @@ class EndEffector:
 
     @property
     def orientation_error(self) -> Array:
-        """Rotation vector from how it stands to how it should, shape (N + 1, 3) [rad]; raises as `error`."""
+        """Rotation vector from how it stands to how it should, shape (N + 1, 3) [rad]; as of `error`."""
         return self.error[:, _BASE:]
 
     @property
@@ -111,11 +111,11 @@ class EndEffector:
 
     @property
     def angle(self) -> Array:
-        """Angle of the orientation's error, shape (N + 1,) [rad]; raises as `error`."""
+        """Angle of the orientation's error, shape (N + 1,) [rad]; as of `error`, NaN where none is told."""
         return np.asarray(error_sizes(self.error)[:, 1])
 
     def max_error(self) -> tuple[float, float]:
-        """Return the largest distance [m] and the largest angle [rad] from the target; raises as `error`."""
+        """Return the largest distance [m] and the largest angle [rad] from the target, as of `error`."""
         way, turn = error_sizes(self.error).max(axis=0)
         return float(way), float(turn)
 

@@ -160,6 +160,18 @@ class Mobility:
         rank = int(np.sum(s > _RANK * s[0]))
         return tuple(bool(np.abs(row).max(initial=0.0) < 1e-9) for row in u[:, rank:])
 
+    @cached_property
+    def idle(self) -> Array | None:
+        """A body twist, shape (3,), at which no wheel turns or steers, as of omni wheels all along one line.
+
+        Its largest number is 1; None where there is none.
+        """
+        if _rank(self.matrix[:, :3]) == 3:
+            return None
+        twist = np.linalg.svd(self.matrix[:, :3])[2][-1]
+        found = np.round(twist / twist[np.abs(twist).argmax()], 9) + 0.0
+        return np.asarray(found)
+
     def __str__(self) -> str:
         if self.why_not:
             return f"of no type, as it cannot roll without slip: {self.why_not}"
@@ -176,6 +188,10 @@ class Mobility:
         lines.append(
             f"{columns} coordinates, {rows} rows of rank {self.rank}, {columns - self.rank} free velocities"
         )
+        if self.idle is not None:
+            along = ", ".join(f"{x:.3g}" for x in self.idle)
+            moves = f"moves by (forward, left, turn) = ({along}) while no wheel turns"
+            lines.append(f"{moves}: no motor drives that")
         loose = [
             f"{row.kind} of {self.table.names[row.wheel]}"
             for row, known in zip(self._rows, self.determined, strict=True)

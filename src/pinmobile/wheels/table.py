@@ -31,6 +31,7 @@ from pinmobile.wheels.rows import (
 )
 
 _SAME_PLACE = 1e-6  # [m]
+_OF_BODY = "x", "y", "psi"
 _MOST = 1000  # wheels of a circle
 
 
@@ -61,7 +62,8 @@ class WheelTable:
     Raises
     ------
     InvalidArgument
-        If there are no wheels, two have one name or stand in one place, or a coupling does not fit them.
+        If there are no wheels, two have one name or stand in one place, one is called as a coordinate of
+        the body, or a coupling does not fit them.
     """
 
     wheels: tuple[Wheel, ...]
@@ -88,6 +90,12 @@ class WheelTable:
         object.__setattr__(self, "axes", self._axes())
         object.__setattr__(self, "actuators", self._actuators())
         names = [*self.names, *(axis.name for axis in self.axes)]
+        own = next((name for name in names if name in _OF_BODY), None)
+        if own is not None:
+            raise InvalidArgument(
+                f"{own!r} names a wheel or its steering, and a coordinate of the body, expected another "
+                "name: a row is Wheel(name, x, y, radius)"
+            )
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
             raise InvalidArgument(f"{twice!r} names two coordinates of the table, expected names that differ")
@@ -283,6 +291,11 @@ class WheelTable:
             raise InvalidArgument(
                 f"roller is {angle:g} rad: the rollers form an O on a base of {wheelbase:g} by {track:g} m, "
                 "and their axes meet in its middle, so that it cannot turn; expected the X, a positive angle"
+            )
+        if not angle:
+            raise InvalidArgument(
+                "roller is 0 rad: such wheels all roll along x, and none moves it sideways; expected the "
+                "X, a positive angle, or WheelTable.omni(...)"
             )
         signs = {"front_left": -1, "front_right": 1, "rear_left": 1, "rear_right": -1}
         rows = [

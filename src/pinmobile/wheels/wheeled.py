@@ -562,8 +562,8 @@ class WheeledRobot(Platform, Bearing):
                     "v0 in which they turn together"
                 )
             raise InvalidArgument(
-                f"start does not roll: {name} slips at {slip:.3g} m/s; expected "
-                "v0 = robot.project(q0, v0), v0 of zeros, or a reference that the wheels can follow"
+                f"start does not roll: {name} slips at {slip:.3g} m/s; expected a reference that "
+                "the wheels can follow, such as Tangent(path), v0 = robot.project(q0, v0), or v0 of zeros"
             )
 
     def traced(self) -> RollingBody | SlippingBody:
