@@ -604,6 +604,7 @@ ROWS: dict[str, Row] = {
     "Context.normal": row(name="wheel slip", n=2),
     "Context.schedule": row(rows=[[1.0, 2.0]]),
     "ConstantForce.nothing": row(),
+    "Payload.nothing": row(),
     "SinusoidalForce.nothing": row(),
     "ViscousFriction.nothing": row(),
     "RollingResistance.nothing": row(),
@@ -691,7 +692,8 @@ ROWS: dict[str, Row] = {
     "PosePath.through": row(poses=[np.eye(4), np.eye(4)], times=[0.0, 1.0]),
     "clearance": row(robot=the("robot"), q=Q),
     "PosePath.__call__": row(t=[0.1, 0.5]),
-    "ConstantForce": row(force=[1, 2, 3]),
+    "ConstantForce": row(force=[1, 2, 3], begin=0.5, end=1.5),
+    "Payload": row(mass=2.0, at=[0.1, 0.2], when=1.0, yaw_inertia=0.1),
     "SinusoidalForce": row(amplitude=[1, 2, 3], frequency=0.5, phase=0.1),
     "NoiseForce": row(std=[1, 2, 3], bandwidth=2, seed=1),
     "NoiseForce.of_phases": row(std=[1, 2, 3], bandwidth=2, phases=np.zeros((16, 3))),
@@ -1188,6 +1190,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "NoiseForce": lambda: pm.NoiseForce,
     "Context": lambda: pm.Context.of(WORLD.robot, dt=0.1),
     "ConstantForce": lambda: pm.ConstantForce,
+    "Payload": lambda: pm.Payload(2.0, [0.1, 0.2], 1.0),
     "SinusoidalForce": lambda: pm.SinusoidalForce,
     "ViscousFriction": lambda: pm.ViscousFriction,
     "RollingResistance": lambda: pm.RollingResistance,
@@ -1308,13 +1311,29 @@ def is_part(name: str) -> bool:
         "DynamicFeedback",
         "SwerveTracking",
     )
-    forces = ("ConstantForce", "SinusoidalForce", "NoiseForce", "RollingResistance", "ViscousFriction")
+    forces = (
+        "ConstantForce",
+        "Payload",
+        "SinusoidalForce",
+        "NoiseForce",
+        "RollingResistance",
+        "ViscousFriction",
+    )
     called = owner in (*parts, *unsure, *of_wheels, *forces, "EndEffectorTracking", "JointFriction")
     integrators = ("constant_acceleration", "rk4", "semi_implicit_euler")
     return name in integrators or (
         called
         and method
-        in ("__call__", "initial_state", "applied", "signals", "acceleration", "on_coordinates", "check")
+        in (
+            "__call__",
+            "initial_state",
+            "applied",
+            "signals",
+            "acceleration",
+            "on_coordinates",
+            "inertia",
+            "check",
+        )
     )
 
 

@@ -23,6 +23,7 @@ from pinmobile import (
     MobileRobot,
     NoiseForce,
     NoisyMeasurement,
+    Payload,
     PDGravity,
     Polyline,
     RollingResistance,
@@ -89,6 +90,7 @@ STEADY: dict[str, Any] = {
     "constant": (ConstantForce((3.0, -2.0, 0.1)),),
     "viscous": (ViscousFriction((5.0, 9.0, 0.4)),),
     "rolling": (RollingResistance((2.0, 3.0, 0.3), 0.1),),
+    "payload": (Payload(6.0, (0.2, 0.1), 1.0, 0.1),),
     "spring": (Spring(),),
 }
 WAVING: dict[str, Any] = {
