@@ -692,6 +692,7 @@ ROWS: dict[str, Row] = {
     "PosePath.through": row(poses=[np.eye(4), np.eye(4)], times=[0.0, 1.0]),
     "clearance": row(robot=the("robot"), q=Q),
     "PosePath.__call__": row(t=[0.1, 0.5]),
+    "MPC.within": row(limits=50.0),
     "ConstantForce": row(force=[1, 2, 3], begin=0.5, end=1.5),
     "Payload": row(mass=2.0, at=[0.1, 0.2], when=1.0, yaw_inertia=0.1),
     "SinusoidalForce": row(amplitude=[1, 2, 3], frequency=0.5, phase=0.1),

@@ -129,6 +129,7 @@ FORCES: Mapping[str, str] = {
     "constant": "force_x",
     "viscous": "viscous_forward",
     "rolling": "rolling_left",
+    "payload": "payload_mass",
     "spring": "stiffness",
 }
 OF_PATHS: Mapping[str, tuple[str, float]] = {

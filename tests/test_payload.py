@@ -31,6 +31,7 @@ from pinmobile.compiled import reaction
 
 BODY = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
 CIRCLE = Tangent(Circle(radius=1.5, rate=0.6, duration=2))
+INERTIA = (0.2, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, 0.2)
 CARRIED = Payload(10, (0.25, 0.1), 1.0, 0.2)
 
 
@@ -50,7 +51,7 @@ def test_it_is_two_runs_that_are_joined_when_it_comes(integrator: Any, engine: A
     given: Any = {"dt": 0.01, "integrator": integrator, "engine": engine}
     whole = simulate(BODY, controller, CIRCLE, forces=[CARRIED], **given)
     before = simulate(BODY, controller, CIRCLE, duration=1.0, **given)
-    loaded = BODY.attach(Load(10, (0.25, 0.1, 0.1), np.diag([0.2, 0.2, 0.2])), "base_link")
+    loaded = BODY.attach(Load(10, (0.25, 0.1, 0.1), INERTIA), "base_link")
     after = simulate(loaded.lumped(), controller, Later(), q0=before.q[-1], v0=before.v[-1], **given)
     joined = np.vstack([before.q[:-1], after.q])
     jump = np.abs(after.a[0] - before.a[-1]).max()
@@ -69,7 +70,7 @@ def carrying(robot: Any, q: Any, v: Any, u: Any) -> Any:
 
 
 def test_with_an_arm_and_on_wheels_too() -> None:
-    load = Load(10, (0.25, 0.1, 0.1), np.diag([0.2, 0.2, 0.2]))
+    load = Load(10, (0.25, 0.1, 0.1), INERTIA)
     wheels = WheelTable.differential(0.1, 0.4)
     generator = np.random.default_rng(5)
     arm = MobileRobot.box().mount("ur5")

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         tip_over_margin,
         zero_moment_point,
     )
+    from pinmobile.benchmarking import Benchmark, BenchmarkScenario, benchmark
     from pinmobile.controllers import (
         ADRC,
         LQR,
@@ -158,6 +159,8 @@ __all__ = [
     "Allocated",
     "Axis",
     "Backstepping",
+    "Benchmark",
+    "BenchmarkScenario",
     "ByOdometry",
     "Circle",
     "Clearance",
@@ -245,6 +248,7 @@ __all__ = [
     "WheelTable",
     "WheeledRobot",
     "WholeBody",
+    "benchmark",
     "clearance",
     "constant_acceleration",
     "contact_loads",
@@ -290,6 +294,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "tip_over_margin",
         "zero_moment_point",
     ),
+    "benchmarking": ("Benchmark", "BenchmarkScenario", "benchmark"),
     "closed_form": (),
     "compiled": (),
     "constancy": (),

@@ -386,6 +386,24 @@ def identify(
     return 0
 
 
+@app.command()
+def benchmark(
+    scenario: Annotated[
+        list[str] | None, _help("Scenario, such as payload; by default all. Repeat it for more.")
+    ] = None,
+) -> int:
+    """Compare the library's controllers where their model is wrong, and say who comes closest at what price.
+
+    Example: pinmobile benchmark --scenario payload --scenario noise
+    """
+    from pinmobile.arrays import one_of
+    from pinmobile.benchmarking import STANDARD, benchmark as run, contestants
+
+    wanted = [one_of("scenario", name, STANDARD) for name in scenario or STANDARD]
+    console.print(str(run(contestants(), {name: STANDARD[name] for name in wanted})), markup=False)
+    return 0
+
+
 @app.command(context_settings=_TAKES_RUNS)
 def view(
     context: typer.Context,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
@@ -158,6 +158,16 @@ class MPC:
             )
         for name, value in found.items():
             object.__setattr__(self, name, value)
+
+    def within(self, limits: ArrayLike) -> MPC:
+        """Return it with other limits of the inputs.
+
+        Parameters
+        ----------
+        limits : array_like, shape () or (nu,)
+            Largest inputs.
+        """
+        return replace(self, limits=limits)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return the plan, the sample's number, and the observer's memory."""

@@ -79,7 +79,6 @@ class Payload:
         Parameter("payload_when", "s", "when the payload comes", attribute="when"),
         Parameter("payload_inertia", "kg m^2", "its own yaw inertia", 0.0, attribute="yaw_inertia"),
     )
-    needs: ClassVar[str] = "payload_when"
 
     def __post_init__(self) -> None:
         at = finite("at", self.at)
@@ -95,7 +94,7 @@ class Payload:
 
     @classmethod
     def nothing(cls) -> Self:
-        """Return the payload that is none, which a spread gives its mass and its time."""
+        """Return the payload that is none, from the start on, which a spread gives its mass."""
         return cls(0.0, (0.0, 0.0), 0.0)
 
     def _lever(self, pose: Array) -> tuple[Array, Array]:

@@ -88,7 +88,7 @@ def acting(forces: Sequence[Force | CoordinateForce], plant: Plant, push: _Push 
     def under(q: Array, v: Array, u: Array, f: Array) -> Array:
         if own is not None:
             return np.array(own(q, v, u + f))
-        return np.asarray(plant.forward_dynamics(q.copy(), v.copy(), u.copy(), f))
+        return np.asarray(plant.forward_dynamics(q.copy(), v.copy(), u.copy(), f))  # type: ignore[call-arg]
 
     def act(t: float, q: Array, v: Array, u: Array) -> Array:
         f = push(t, q, v)
