@@ -188,8 +188,8 @@ STANDARD: Mapping[str, BenchmarkScenario] = MappingProxyType(
 """The standard scenarios, by name.
 
 A robot of 30 kg, or one that is heavier or lighter by a fifth with its inertia, has its centre of mass 0.1 m
-off, picks up 10 kg at 15 s, is pushed by 25 N from 10 s on, rubs, is measured 30 ms late (and heavier), or with
-noise of 1 mm and 1 cm/s (and heavier), starts 0.6 m off with at most 22 N; or nearly all of that at once.
+off, picks up 10 kg at 15 s, is pushed by 25 N from 10 s on, rubs, is measured 30 ms late (and heavier), or
+with noise of 1 mm and 1 cm/s (and heavier), starts 0.6 m off with at most 22 N; or nearly all of that at once.
 """
 
 
@@ -365,7 +365,7 @@ def benchmark(
 
     With the settings of `contestants` the numbers of `STANDARD` are those of an independent implementation
     (distances after 5 s to 2 % or half a unit of the last digit, 15 % where there is noise), but for: the
-    adaptive law with friction, 3 % more with the payload, where initial estimates and bounds were chosen here;
+    adaptive law with friction, 3 % more with the payload, where estimates and bounds were chosen here;
     and, with noise, super-twisting and ADRC, whose largest distance hangs on what is drawn: over twelve seeds
     1.55 to 2.50 mm and 1.65 to 2.10 mm, where 1.65 and 1.73 mm were published. That adaptive law, not told of
     limits, diverges under them.
