@@ -133,7 +133,7 @@ class BenchmarkScenario:
             made = Saturated(made.within(self.limits) if knows else made, self.limits)
         if self.noise:
             made = NoisyMeasurement(made, self.noise, 10 * self.noise, self.seed)
-        return Delayed(made, self.delay) if self.delay else made  # type: ignore[no-any-return]
+        return Delayed(made, self.delay) if self.delay else made
 
     def run(self, controller: Controller) -> Rollout:
         """Return the run, compiled where the controller's law can be.
@@ -189,7 +189,7 @@ STANDARD: Mapping[str, BenchmarkScenario] = MappingProxyType(
 
 A robot of 30 kg, or one that is heavier or lighter by a fifth with its inertia, has its centre of mass 0.1 m
 off, picks up 10 kg at 15 s, is pushed by 25 N from 10 s on, rubs, is measured 30 ms late (and heavier), or
-with noise of 1 mm and 1 cm/s (and heavier), starts 0.6 m off with at most 22 N; or nearly all of that at once.
+with noise of 1 mm and 1 cm/s (and heavier), starts 0.6 m off with at most 22 N; or nearly all at once.
 """
 
 
@@ -407,7 +407,7 @@ def _score(scenario: BenchmarkScenario, controller: Controller) -> Score:
     try:
         run = scenario.run(controller)
     except Diverged:
-        return Score(*[inf] * 7, _cost(scenario, controller))
+        return Score(inf, inf, inf, inf, inf, inf, inf, _cost(scenario, controller))
     distance = np.linalg.norm(run.error[:, :2], axis=-1)
     counted = run.t >= scenario.after - 1e-9
     inputs = inputs_of(scenario.robot)
@@ -438,7 +438,7 @@ def _rms(values: Array) -> float:
 
 def _cost(scenario: BenchmarkScenario, controller: Controller) -> float:
     """Return the CPU time of a call [s], along the reference."""
-    t = np.arange(_CALLS + 1) * scenario.dt
+    t = np.asarray(np.arange(_CALLS + 1) * scenario.dt, np.float64)
     reference = scenario.trajectory(t)
     made = scenario.around(controller)
     context = Context.of(
