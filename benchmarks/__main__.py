@@ -13,6 +13,7 @@ import batches
 import calls
 import distances
 import ensembles
+import identification
 import imports
 import loop
 import rollout
@@ -34,6 +35,7 @@ PARTS = (
     memory,
     wheels,
     distances,
+    identification,
     velocity,
     viewing,
     imports,
@@ -49,6 +51,7 @@ PEOPLE = {
     memory: memory.EVERYONE,
     wheels: wheels.EVERYONE,
     distances: distances.EVERYONE,
+    identification: identification.EVERYONE,
 }
 
 

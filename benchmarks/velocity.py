@@ -36,7 +36,7 @@ def logged(robot: pm.VelocityRobot, seed: int, kind: str) -> pm.Log:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print, for each kind of log and robot, what is inside its interval and what may as well be zero."""
-    chosen = selecting(__doc__.splitlines()[0]).parse_known_args(arguments)[0]
+    chosen = selecting(__doc__.splitlines()[0]).parse_args(arguments)
     names = list(VELOCITY_ROBOTS)[: 2 if chosen.quick else None]
     for kind in NOISE:
         inside, worst, spent = 0, 0.0, 0.0

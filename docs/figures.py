@@ -29,6 +29,7 @@ from pinmobile import (
     Coulomb,
     Decoupled,
     Ensemble,
+    Log,
     MobileRobot,
     Normal,
     Rollout,
@@ -40,12 +41,15 @@ from pinmobile import (
     WheelTable,
     WholeBody,
     ensemble,
+    excitation,
+    identify,
     integrator_report,
     plots,
     rk4,
     semi_implicit_euler,
     simulate,
 )
+from pinmobile.identification import Prediction
 
 WIDTHS = 3.5, 7.0
 """Of one column of a paper and of both [in]."""
@@ -102,6 +106,15 @@ def reports() -> dict[str, Any]:
     return {"rk4": integrator_report(rk4), "semi-implicit Euler": integrator_report(semi_implicit_euler)}
 
 
+@cache
+def foretold() -> Prediction:
+    """Return what a robot identified from its log foretells of it."""
+    robot = MobileRobot(mass=30, yaw_inertia=1.3)
+    run = simulate(robot, ComputedTorque(robot, 16, 8), excitation(robot, duration=40), dt=0.02)
+    log = Log.from_rollout(run, noise=1e-3)
+    return identify(log, method="weak").predict(log)
+
+
 _GAINS = "gain", "1/s²", [1, 2, 4, 8]
 _ERRORS = {
     "PD": [8.0, 5.0, 4.0, 3.8],
@@ -119,6 +132,8 @@ FIGURES: dict[str, Callable[..., Figure]] = {
     "signals": lambda **how: plots.signals(wheels()["rolls"], **how),
     "balance": lambda **how: plots.balance(arm(), **how),
     "reaction": lambda **how: plots.reaction(arm(), **how),
+    "end_effector": lambda **how: plots.end_effector(arm(), **how),
+    "prediction": lambda **how: plots.prediction(foretold(), **how),
     "wheel_torques": lambda **how: plots.wheel_torques(wheels(), **how),
     "friction": lambda **how: plots.friction(wheels(), **how),
     "slip": lambda **how: plots.slip(wheels(), **how),

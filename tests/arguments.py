@@ -88,7 +88,8 @@ INNER = {
     *("controllers.Changing", "controllers.Tracked"),
     "identification.VelocityIdentification.values_in_samples",
     *("PD.compact", "ComputedTorque.compact", "PDGravity.compact", "MobileRobot.traced"),
-    *("Rolling.of_each_wheel", "Coulomb.of_each_wheel"),
+    *("Rolling.of_each_wheel", "Coulomb.of_each_wheel", "Rolling.check", "Coulomb.check"),
+    *("wheels.Reduced.nearest", "wheels.Reduced.torques"),
     "WheeledRobot.traced",
     *("PosePath.told", "Resolved.signals_at", "EndEffectorTracking.signals_at"),
     *("VelocityRobot.integrator", "VelocityRobot.traced"),
@@ -973,7 +974,7 @@ ROWS: dict[str, Row] = {
         120, values={"a": [1, 2]}, x=("a", "m", [1, 2]), label="b", title="a title", ax=None, width=6.0
     ),
     "plots.drivers": row(
-        60, ensemble=the("ensemble"), share=0.5, by="distance", title="a title", ax=None, width=6.0
+        60, ensemble=the("ensemble"), share=0.5, by="distance", title="a title", ax=None, width=9.0
     ),
     "plots.end_effector": row(
         60, rollouts=the("arm_rollout"), frame=None, title="a title", ax=None, width=5.0

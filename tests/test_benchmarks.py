@@ -35,6 +35,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         "batches",
         "calls",
         "contestants",
+        "identification",
         "imports",
         "loop",
         "loop_work",
@@ -212,6 +213,25 @@ def test_a_batch_that_is_wrong_is_not_timed(bench: SimpleNamespace) -> None:
     assert bench.batches.check(one, "forward", given, right) == (None, "none")
 
 
+def test_intervals_are_counted_and_the_table_of_logs_is_printed(
+    bench: SimpleNamespace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    part = bench.identification
+    (one,) = (one for one in part.EVERYONE if one.name.startswith("least squares"))
+    off = np.array([0.0, 1.0, 2.0])[:, None] * np.ones(10)
+    answers = iter(
+        (part.TRUE + x, np.column_stack([part.TRUE + x - 1.5, part.TRUE + x + 1.5]), 0.5) for x in off
+    )
+    score = part.judged(replace(one, answer=lambda log: next(answers)), part.CASES[0], [None] * 3)
+    np.testing.assert_allclose(score.holds, 2 / 3)  # all but the one that is 2 off
+    assert score.width == pytest.approx(1.5 / 1.96 / np.sqrt(5 / 3))
+    assert score.delay == 0.5
+    assert part.main(["--quick", "--only", "least squares"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith("1 logs of 60 s")
+    assert re.search(r"pose noise, 100 Hz +least squares as most write it( +[\d.]+){3} +- ", printed)
+
+
 def test_calls_of_pinmobile_are_right(bench: SimpleNamespace) -> None:
     assert "WRONG" not in bench.calls.calls_of(bench.calls.PEOPLE[0]).values()
 
@@ -249,7 +269,7 @@ def asked(bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytes
 
 def test_every_benchmark_is_run_and_understands_what_it_is_given(asked: Any) -> None:
     every = ["rollout", "arm", "ensembles", "arm_ensembles", "loop", "calls", "batches"]
-    every += ["memory", "wheels", "distances", "velocity", "viewing", "imports"]
+    every += ["memory", "wheels", "distances", "identification", "velocity", "viewing", "imports"]
     assert list(asked()) == list(asked("--quick", "--rounds", "2")) == every
 
 

@@ -8,16 +8,19 @@ import pytest
 
 from pinmobile import (
     COMPILED,
+    Circle,
     ComputedTorque,
     Coulomb,
     EndEffectorTracking,
     Friction,
     InvalidArgument,
+    Line,
     MobileRobot,
     PosePath,
     Resolved,
     Rollout,
     Spline,
+    Tangent,
     WheeledRobot,
     WheelTable,
     contact_loads,
@@ -150,3 +153,12 @@ def test_a_drive_that_cannot_go_everywhere_is_refused() -> None:
     target = PosePath(Spline([[0.5, 0, 0.5], [0.5, 1, 0.5]], [0, 3]))
     with pytest.raises(InvalidArgument, match=r"^robot is a drive of type \(2, 0\), which cannot accelerate"):
         EndEffectorTracking(robot, target)
+
+
+def test_a_reference_of_the_base_alone_is_refused_in_words() -> None:
+    robot = MobileRobot.box().mount("ur5")
+    pose = robot.frame_pose(robot.rest)
+    target = PosePath(Line(pose[:3, 3], pose[:3, 3] + np.array([0.1, 0.0, 0.0]), 2.0))
+    base = Tangent(Circle(1, 0.5, 2.0))
+    with pytest.raises(InvalidArgument, match="reference has 3 coordinates, expected the 9 of base and arms"):
+        simulate(robot, EndEffectorTracking(robot, target), base, dt=0.01)

@@ -349,3 +349,8 @@ def test_what_does_not_fit_is_refused(
 ) -> None:
     assert main(["drive", *words]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_rollers_are_those_of_a_file(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["drive", "mecanum", "--rollers", "1.2"]) == 2
+    assert "--rollers applies beside --urdf alone" in capsys.readouterr().err

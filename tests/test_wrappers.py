@@ -340,8 +340,8 @@ def once(controller: Any) -> Any:
         (lambda: Saturated(3, 1),  # type: ignore[arg-type]
          "controller is 3, expected a controller: wrap a function in law(...)"),
         (lambda: Delayed(ComputedTorque, 1),  # type: ignore[arg-type]
-         "controller is <class 'pinmobile.controllers.computed_torque.ComputedTorque'>, expected a controller: "
-         "wrap a function in law(...)"),
+         "controller is <class 'pinmobile.controllers.computed_torque.ComputedTorque'>, expected a "
+         "controller: wrap a function in law(...)"),
         (lambda: Saturated(TOLD, (1, 0, 1)), "limits is 0.0, expected > 0"),
         (lambda: Saturated(TOLD, np.ones((2, 3))), "limits has shape (2, 3), expected () or (n,)"),
         (lambda: once(Saturated(TOLD, (1, 2))), "limits has shape (2,), expected () or (3,)"),

@@ -224,6 +224,7 @@ def test_parameters_are_read_only_copies() -> None:
         ),
         (lambda: ViscousFriction((1, -1, 1)), "coefficients is -1.0, expected >= 0"),
         (lambda: ViscousFriction(left=-1), "left is -1.0, expected >= 0"),
+        (lambda: ViscousFriction((1, 1, 1), left=0), "left is 0 beside coefficients, expected one of them"),
         (lambda: ViscousFriction((1, 1, 1), yaw=2), "yaw is 2 beside coefficients, expected one of them"),
         (
             lambda: ViscousFriction(forward=(1, 2), yaw=(1, 2, 3)),

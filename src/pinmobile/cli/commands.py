@@ -334,6 +334,8 @@ def drive(
     """
     from pinmobile.cli.drive import OfFile, show_drive, wheeled_of
 
+    if urdf is None:
+        Options({"rollers": rollers}).refuse(["rollers"], "applies beside --urdf alone")
     file = None if urdf is None else OfFile(urdf, tuple(package_dir or ()), rollers)
     robot = wheeled_of(typed, name, file, mu=mu)
     return show_drive(typed, robot, name or str(urdf), dt=dt, html=html, out=out)

@@ -69,20 +69,21 @@ class ViscousFriction:
         self,
         coefficients: ArrayLike | None = None,
         *,
-        forward: ArrayLike = 0.0,
-        left: ArrayLike = 0.0,
-        yaw: ArrayLike = 0.0,
+        forward: ArrayLike | None = None,
+        left: ArrayLike | None = None,
+        yaw: ArrayLike | None = None,
     ) -> None:
-        given = {"forward": forward, "left": left, "yaw": yaw}
+        said = {"forward": forward, "left": left, "yaw": yaw}
+        given = {name: 0.0 if value is None else value for name, value in said.items()}
         each = {name: not_below_zero(name, numbers(name, value)) for name, value in given.items()}
         if coefficients is None:
             checked = frozen(np.stack(_broadcast(each), axis=-1))
         else:
-            said = [name for name, value in each.items() if value.any()]
-            if said:
-                raise InvalidArgument(
-                    f"{said[0]} is {shown(given[said[0]])} beside coefficients, expected one of them"
-                )
+            for name, value in said.items():
+                if value is not None:
+                    raise InvalidArgument(
+                        f"{name} is {shown(value)} beside coefficients, expected one of them"
+                    )
             checked = not_below_zero("coefficients", triple("coefficients", coefficients))
         object.__setattr__(self, "coefficients", checked)
 

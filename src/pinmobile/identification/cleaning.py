@@ -118,11 +118,12 @@ class Cleaned:
             return np.asarray(self._filtered(self.rates) @ np.linalg.pinv(chassis.A).T)
         return np.asarray(self.twist @ np.linalg.pinv(chassis.S).T)
 
-    def shaken(self, generator: np.random.Generator) -> Cleaned:
-        """Return it with as much noise again as its sensors have."""
-        q, rates = self.q + self.noise * generator.standard_normal(self.q.shape), self.rates
+    def shaken(self, generator: np.random.Generator, level: float) -> Cleaned:
+        """Return it with more noise, of a variance that is a multiple of what its sensors have."""
+        size = np.sqrt(level)
+        q, rates = self.q + size * self.noise * generator.standard_normal(self.q.shape), self.rates
         if rates is not None and self.rates_noise is not None:
-            rates = rates + self.rates_noise * generator.standard_normal(rates.shape)
+            rates = rates + size * self.rates_noise * generator.standard_normal(rates.shape)
         return replace(self, q=q, rates=rates)
 
     def shifted(self, delay: float, edges: Array) -> Array:

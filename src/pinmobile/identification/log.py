@@ -10,7 +10,18 @@ from typing import Any, NamedTuple, Self, final
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, increasing, real, scalar, seeded, whole
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    finite,
+    frozen,
+    increasing,
+    real,
+    representable,
+    scalar,
+    seeded,
+    whole,
+)
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification.logfiles import read_bag, read_csv
 from pinmobile.plant import coordinates_of, inputs_of
@@ -260,8 +271,11 @@ class Log:
         names = [one.name for one in coordinates_of(rollout.plant)]
         wheels = [names.index(one.name) for one in inputs_of(rollout.plant) if one.name in names]
         q, end = np.array(rollout.poses), len(rollout) - late
-        q = q[:end] + sigma["noise"] * generator.standard_normal((end, _POSE))
-        told = u[late:] + sigma["input_noise"] * generator.standard_normal((end, u.shape[1]))
+        with np.errstate(all="ignore"):
+            q = q[:end] + sigma["noise"] * generator.standard_normal((end, _POSE))
+            told = u[late:] + sigma["input_noise"] * generator.standard_normal((end, u.shape[1]))
+        representable("a pose with its noise", q)
+        representable("an input with its noise", told)
         return cls(rollout.t[late:], q, told, None, rollout.v[:end, wheels] if wheels else None)
 
     @classmethod

@@ -15,7 +15,7 @@ from pinmobile.identification.cleaning import Cleaned
 from pinmobile.identification.estimate import Identification
 from pinmobile.identification.log import Log
 from pinmobile.identification.output_error import Estimate, OutputError, Segments
-from pinmobile.identification.weak_form import WINDOW, Rows, rows_of, solve
+from pinmobile.identification.weak_form import WINDOW, Rows, extrapolated, rows_of, solve
 from pinmobile.identification.whiteness import Whiteness, whiteness
 from pinmobile.robot import Load, MobileRobot
 
@@ -88,8 +88,8 @@ def identify(
         Load that the robot carried in each log, in the body's frame. With loads that differ, the scale of the
         input is identified too, such as an unknown torque constant.
     method : str
-        ``"output error"``, or ``"weak"``, the start alone: linear and fast; its intervals leave out what
-        filtered velocities bias, and are too narrow for friction where velocities are near zero.
+        ``"output error"``, or ``"weak"``, the start alone: linear and fast, its intervals several times
+        as wide where forces are known well, and much the same where they are not.
     delay : float, optional
         By which poses come late [s]; without it, it is found.
     rolling_speed : float, optional
@@ -131,7 +131,7 @@ def identify(
     basis = at.scales[:, None] * seen
     base = believed if unseen.size else np.zeros_like(believed)
     late = _first_delay(at, base, basis) if delay is None else scalar("delay", delay) / cleaned[0].dt
-    fit = solve(rows, chassis, _rounded(late), base, basis)
+    fit = extrapolated(rows, chassis, _rounded(late), base, basis)
     _check_explained(fit.explained)
     _check_units(chassis, fit.phi, prior)
     start = chassis.possible(fit.phi, at.scales)
@@ -141,7 +141,7 @@ def identify(
         phi, covariance, freedom = estimate.phi, estimate.covariance, estimate.segments - 1
         _check_units(chassis, phi, prior)
     else:
-        fit = solve(rows, chassis, _rounded(late), base, basis)
+        fit = extrapolated(rows, chassis, _rounded(late), base, basis)
         windows = sum(len(one.q) * one.dt for one in cleaned) / WINDOW
         phi, covariance, freedom = fit.phi, fit.covariance, max(5, round(windows) - len(fit.phi))
     white = [whiteness(e, good) for e, good in zip(estimate.residuals, estimate.good, strict=True)]
@@ -280,7 +280,7 @@ def _directions(at: _Setting) -> tuple[Array, Array]:
     scales = at.scales[: len(at.scales) - chassis.scaled]
     per_row = _row_sizes(at)
     for part in at.rows:
-        Y, N = (each * scales / per_row[:, None] for each in (part.Y, part.shaken))
+        Y, N = (each * scales / per_row[:, None] for each in (part.Y, part.shaken[0] - part.Y))
         gram = gram + np.einsum("nki,nkj->ij", Y, Y) - 1.5 * np.einsum("dnki,dnkj->ij", N, N) / len(N)
         count += Y.shape[0] * Y.shape[1]
     values, vectors = np.linalg.eigh(np.asarray(gram) / count)

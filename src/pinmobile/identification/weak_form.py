@@ -2,6 +2,9 @@
 
 Windows of 0.6 s, weighted by g = (1 - z^2)^4, are integrated by parts. Forces along the inertial axes are
 second derivatives, Fx = d^2/dt^2 (m x + m x_bc c - m y_bc s) + friction, so of these only poses are needed.
+
+Noise of the poses is in the regressor, most where dry friction changes its sign, and would bias all.
+`extrapolated` fits logs that were shaken once and twice as much again, and goes back from there to no noise.
 """
 
 from __future__ import annotations
@@ -20,7 +23,9 @@ _HOPS = 8  # per window
 _LAG = 16  # windows over which residuals hang together: twice those that overlap
 _HUBER = 1.345
 _NORMAL = 1.4826
-_SHAKES = 3  # draws of noise that tell how much of the regressor noise is
+_SHAKES = 3  # draws of noise at each level
+_LEVELS = (1.0, 2.0)  # variance of noise that is added, as a multiple of what there is
+_WEIGHTS = (3.0, -3.0, 1.0)  # of fits with none and these, which a parabola takes to a variance of -1
 _CAP = 3.0  # deviations beyond which a row costs no more
 
 
@@ -31,8 +36,8 @@ class Rows(NamedTuple):
     ----------
     Y : ndarray, shape (n, k, p)
         Rows of the regressor, without that of an unknown scale of the input.
-    shaken : ndarray, shape (draws, n, k, p)
-        What more noise of the sensors, as much as there is, would add to it.
+    shaken : ndarray, shape (levels, draws, n, k, p)
+        The same of poses with more noise.
     known : ndarray, shape (n, k)
         What of the force is that of known inertia, damping and loads.
     run : Cleaned
@@ -57,12 +62,14 @@ class Rows(NamedTuple):
         u = self.run.shifted(delay, edges)
         return np.asarray(_windows(u if chassis.B is None else u @ chassis.B.T, self.g, self.hop))
 
-    def equations(self, chassis: Chassis, delay: float) -> tuple[Array, Array]:
-        """Return the regressor, shape (n, k, p), and what it should give, shape (n, k)."""
-        forces = self.forces(chassis, delay)
+    def equations(self, chassis: Chassis, delay: float) -> tuple[Array, Array, Array]:
+        """Return the regressor, shape (n, k, p), those shaken, and what they should give, shape (n, k)."""
+        forces, Y, shaken = self.forces(chassis, delay), self.Y, self.shaken
         if not chassis.scaled:
-            return self.Y, forces - self.known
-        return np.concatenate([self.Y, -forces[..., None]], axis=-1), -self.known
+            return Y, shaken, forces - self.known
+        column = -forces[..., None]
+        also = np.broadcast_to(column, (*shaken.shape[:-1], 1))
+        return np.concatenate([Y, column], axis=-1), np.concatenate([shaken, also], axis=-1), -self.known
 
 
 class Fit(NamedTuple):
@@ -97,12 +104,19 @@ def rows_of(run: Cleaned, chassis: Chassis) -> Rows:
     g1 = -8 * z * (1 - z * z) ** 3 / half / total
     g2 = (48 * z * z * (1 - z * z) ** 2 - 8 * (1 - z * z) ** 3) / half**2 / total
     g = g / total
+    # As sums, they tell a constant to have no derivative, a ramp to have its slope, a parabola its curvature.
+    g1 = -g1 / (g1 @ z) / half
+    g2 = g2 - g2.sum() * g
+    g2 = 2 * g2 / (g2 @ z**2) / half**2
     build = _inertial if chassis.B is None else _along_free
     Y, known = build(run, chassis, (g, g1, g2), hop)
     loaded = known + Y[..., :4] @ run.load
     generator = np.random.default_rng(0)
-    shaken = [build(run.shaken(generator), chassis, (g, g1, g2), hop)[0] - Y for _ in range(_SHAKES)]
-    return Rows(Y, np.stack(shaken), loaded, run, hop, g)
+    shaken = [
+        [build(run.shaken(generator, level), chassis, (g, g1, g2), hop)[0] for _ in range(_SHAKES)]
+        for level in _LEVELS
+    ]
+    return Rows(Y, np.array(shaken), loaded, run, hop, g)
 
 
 def _windows(column: Array, weights: Array, hop: int) -> Array:
@@ -175,37 +189,73 @@ def solve(
     passes : int
         How often rows are weighted anew.
     """
-    pairs = [part.equations(chassis, delay) for part in parts]
-    Y, y = (np.concatenate(each) for each in zip(*pairs, strict=True))
-    noise = np.concatenate([part.shaken for part in parts], axis=1)
-    noise = np.concatenate([noise, np.zeros((*noise.shape[:3], Y.shape[2] - noise.shape[3]))], axis=-1)
-    count, k, _ = Y.shape
+    Y, _, y = _stacked(parts, chassis, delay)
+    return _fitted(Y, y, parts, prior, basis, passes)[0]
+
+
+def extrapolated(parts: Sequence[Rows], chassis: Chassis, delay: float, prior: Array, basis: Array) -> Fit:
+    """Return what least squares would be of poses without noise: simulation extrapolation.
+
+    Cook and Stefanski (1994): phi is fitted to the log as it is, and with more noise of one and of two times
+    the variance that there is; the parabola through these is taken to a variance of -1, where none is left.
+
+    Parameters
+    ----------
+    parts, chassis, delay, prior, basis
+        As of `solve`.
+    """
+    Y, shaken, y = _stacked(parts, chassis, delay)
+    plain, influence = _fitted(Y, y, parts, prior, basis)
+    phi, influence = _WEIGHTS[0] * plain.phi, _WEIGHTS[0] * influence
+    for weight, level in zip(_WEIGHTS[1:], shaken, strict=True):
+        for each in level:
+            noisy, more = _fitted(each, y, parts, prior, basis)
+            phi, influence = phi + weight / _SHAKES * noisy.phi, influence + weight / _SHAKES * more
+    return plain._replace(phi=phi, covariance=_newey_west(influence, parts, basis.shape[1]))
+
+
+def _stacked(parts: Sequence[Rows], chassis: Chassis, delay: float) -> tuple[Array, Array, Array]:
+    Y, shaken, y = zip(*(part.equations(chassis, delay) for part in parts), strict=True)
+    return np.concatenate(Y), np.concatenate(shaken, axis=2), np.concatenate(y)
+
+
+def _fitted(
+    Y: Array, y: Array, parts: Sequence[Rows], prior: Array, basis: Array, passes: int = 5
+) -> tuple[Fit, Array]:
+    """Return a fit, and how each window moves it, shape (n, p)."""
     least = 1e-12 * np.sqrt((y**2).mean()) + np.finfo(float).tiny
     deviation = np.maximum((y - Y @ prior).std(axis=0), least)
-    weights = np.ones((count, k)) / deviation
+    weights = np.ones(y.shape) / deviation
     for _ in range(passes):
-        A, N = Y * weights[..., None], noise * weights[..., None]
-        extra = np.einsum("dnki,dnkj->ij", N, N) / len(N)  # that noise adds to the normal matrix: a bias
-        normal = np.einsum("nki,nkj->ij", A, A) - extra
-        right = np.einsum("nki,nk->i", A, y * weights) - normal @ prior
-        bread = np.linalg.pinv(basis.T @ normal @ basis, rcond=1e-12, hermitian=True)
-        phi = prior + basis @ (bread @ (basis.T @ right))
+        A = Y * weights[..., None]
+        right = np.einsum("nki,nk->i", A, (y - Y @ prior) * weights)
+        phi = prior + _inverse(A, basis) @ right
         left = y - Y @ phi
         deviation = np.maximum(_NORMAL * np.median(np.abs(left), axis=0), least)
         size = np.abs(left) / deviation
         weights = np.sqrt(np.minimum(1, _HUBER / np.maximum(size, _HUBER))) / deviation
-    scores = np.einsum("nki,nk->ni", A, left * weights) + extra @ phi / count
-    cuts = np.cumsum([len(part.Y) for part in parts])[:-1]
-    half = basis @ bread @ basis.T
-    covariance = half @ sum(_newey_west(part) for part in np.split(scores, cuts)) @ half.T
-    cost = float((np.minimum(size, _CAP) ** 2).mean() * np.prod(deviation) ** (2 / k))
+    scores = np.einsum("nki,nk->ni", Y * weights[..., None], left * weights)
+    # Rows beyond Huber's bound push with a force that does not change: they are not in the slope.
+    influence = scores @ _inverse(Y * ((size < _HUBER) / deviation)[..., None], basis)
+    cost = float((np.minimum(size, _CAP) ** 2).mean() * np.prod(deviation) ** (2 / y.shape[1]))
     explained = 1 - float((left**2).sum() / max((y**2).sum(), least))
-    return Fit(phi, np.asarray(covariance), cost, explained)
+    covariance = _newey_west(influence, parts, basis.shape[1])
+    return Fit(phi, covariance, cost, explained), influence
 
 
-def _newey_west(scores: Array) -> Array:
-    total = scores.T @ scores
-    for lag in range(1, min(_LAG, len(scores) - 1) + 1):
-        part = scores[lag:].T @ scores[:-lag]
-        total = total + (1 - lag / (_LAG + 1)) * (part + part.T)
-    return np.asarray(total)
+def _inverse(A: Array, basis: Array) -> Array:
+    """Return the inverse of the normal matrix within the space of the basis' columns."""
+    normal = basis.T @ np.einsum("nki,nkj->ij", A, A) @ basis
+    return np.asarray(basis @ np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ basis.T)
+
+
+def _newey_west(influence: Array, parts: Sequence[Rows], unknown: int) -> Array:
+    """Return the covariance of a sum of what windows of logs contribute, those near each other correlated."""
+    total = np.zeros((influence.shape[1],) * 2)
+    for each in np.split(influence, np.cumsum([len(part.Y) for part in parts])[:-1]):
+        total = total + each.T @ each
+        for lag in range(1, min(_LAG, len(each) - 1) + 1):
+            product = each[lag:].T @ each[:-lag]
+            total = total + (1 - lag / (_LAG + 1)) * (product + product.T)
+    windows = len(influence) / _HOPS  # that do not overlap
+    return np.asarray(total * windows / max(windows - unknown, 1.0))

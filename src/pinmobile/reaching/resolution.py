@@ -458,6 +458,12 @@ class EndEffectorTracking:
     def _command(self, t: float, q: Array, v: Array, reference: Reference) -> tuple[Array, Array]:
         """Return the acceleration that is asked for, shape (3 + arms,), and the input for it, (nu,)."""
         body, rows = self._body, self.target.rows
+        count = np.shape(reference.v)[-1]
+        if count != body.nv:
+            raise InvalidArgument(
+                f"reference has {count} coordinates, expected the {body.nv} of base and arms, such as a "
+                "trajectory by resolve(robot, target) or WholeBody(robot, base, *joints) gives"
+            )
         own_q, own_v = q[: body.nq], v[: body.nv]
         target = self.target(t)
         J = body.frame_jacobian(own_q, self.frame)

@@ -614,9 +614,13 @@ class System:
 
         The first is by the displacement that `integrate` takes.
         """
-        arguments = {"q": self._here(q), "v": self._v("v", v), "tau": self._v("tau", tau)}
-        stacked = self._each(pinocchio_calls.DERIVATIVES, **arguments)
+        stacked = self._derivatives(q, v, tau=tau)
         return stacked[..., 0, :, :], stacked[..., 1, :, :], stacked[..., 2, :, :]
+
+    def _derivatives(self, q: ArrayLike, v: ArrayLike, **push: ArrayLike) -> Array:
+        """Return the three derivatives stacked; a push has the name that the caller gave it."""
+        pushes = {name: self._v(name, value) for name, value in push.items()}
+        return self._each(pinocchio_calls.DERIVATIVES, q=self._here(q), v=self._v("v", v), **pushes)
 
     def linearize(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Linearization:
         """Return the first-order model of forward dynamics about (q, v, tau).
@@ -624,7 +628,10 @@ class System:
         dq is the displacement that `integrate` takes. Where a joint turns about more than one axis, it turns
         itself while the robot moves: the first block of A is then -ad(v) instead of zero.
         """
-        by_q, by_v, by_tau = self.forward_dynamics_derivatives(q, v, tau)
+        return self._linearized(q, v, tau=tau)
+
+    def _linearized(self, q: ArrayLike, v: ArrayLike, **push: ArrayLike) -> Linearization:
+        by_q, by_v, by_tau = np.moveaxis(self._derivatives(q, v, **push), -3, 0)
         A = np.zeros((*by_q.shape[:-2], 2 * self.nv, 2 * self.nv))
         B = np.zeros((*by_q.shape[:-2], 2 * self.nv, self.nv))
         A[..., : self.nv, self.nv :] = np.eye(self.nv)
@@ -638,7 +645,7 @@ class System:
 
     def linearize_tracked(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> Linearization:
         """Return `linearize`: what a reference leads, and v, are the whole state of what is pushed."""
-        return self.linearize(q, v, u)
+        return self._linearized(q, v, u=u)
 
     @cached_property
     def weight(self) -> float:
