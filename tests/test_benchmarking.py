@@ -54,9 +54,9 @@ def test_it_says_who_comes_closest_at_what_price_and_what_latency_costs(result: 
     assert np.isinf(result.scores["PD"]["delay"].largest)
     chatter = dict(zip(result.scores, result.values("chatter")[:, PLACES.index("noise")], strict=True))
     assert chatter["sliding mode"] > 5 * chatter["computed torque"]
-    assert "sliding mode in " in result.verdict
+    assert "sliding mode in noise (" in result.verdict
     assert "speed times latency, 0.9 m/s x 30 ms" in result.verdict
-    assert "Diverging: PD in delay" in result.verdict
+    assert "Lost: PD in delay (diverges); adaptive, friction in limits (10.2 m off)" in result.verdict
 
 
 def test_scores_are_those_of_the_run() -> None:

@@ -24,8 +24,8 @@ from pinmobile import (
     NoiseForce,
     NoisyMeasurement,
     Normal,
-    RestToRest,
     Payload,
+    RestToRest,
     RollingResistance,
     Same,
     Saturated,
@@ -286,8 +286,8 @@ def motion_with(name: str) -> Any:
 
 def test_every_parameter_can_be_spread_and_matters() -> None:
     driven = SinusoidalForce((1, 1, 0.1), 0.5), NoiseForce((1, 1, 0.1), 1.0, seed=0)
-    forces = (*driven, RollingResistance((1, 1, 0.1), 0.05), JointFriction(0.1, 0.1, 0.05))
-    forces = (*forces, Payload(1.0, (0.1, 0.1), 0.5, 0.1))
+    lasting = RollingResistance((1, 1, 0.1), 0.05), JointFriction(0.1, 0.1, 0.05)
+    forces = (*driven, *lasting, Payload(1.0, (0.1, 0.1), 0.5, 0.1))
     for motion in (TRAJECTORY, *MOTIONS.values()):
         base = made(n=2, forces=forces, duration=2.0, trajectory=motion)
         least = run_scenario(base).max_error
