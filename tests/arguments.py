@@ -35,7 +35,17 @@ from pinmobile.wheels import Motor, WheeledRobot, WheelTable
 from tests import wheeled
 
 MODULES = (
-    *("accuracy", "balance", "closed_form", "controllers", "derivation", "dh", "forces", "ensembles"),
+    *(
+        "accuracy",
+        "balance",
+        "benchmarking",
+        "closed_form",
+        "controllers",
+        "derivation",
+        "dh",
+        "forces",
+        "ensembles",
+    ),
     *(
         "identification",
         "integrators",
@@ -115,7 +125,7 @@ INNER = {
 # What the library makes and users read: nobody calls the class.
 RESULTS = {
     *("robot.Calls", "simulation.Signal", "closed_form.ReducedModel"),
-    *("Identification", "identification.Prediction"),
+    *("Identification", "identification.Prediction", "Benchmark", "benchmarking.Score"),
     *(
         "Clearance",
         "Context",
@@ -391,6 +401,10 @@ MADE: dict[str, Callable[[], Any]] = {
     "log": _logged,
     "log_csv": _logged_csv,
     "identified": lambda: pm.identify(WORLD.log, method="weak"),
+    "scenarios": lambda: {
+        "short": pm.BenchmarkScenario(robot=WORLD.robot, trajectory=WORLD.trajectory, dt=0.1, after=0.2)
+    },
+    "compared": lambda: pm.benchmark({"PD": pm.PD(40, 20)}, WORLD.scenarios),
     "foretold": lambda: WORLD.identified.predict(WORLD.log),
     "robot": lambda: pm.MobileRobot(10.0, 1.2, com=(0.15, 0.05)),
     "base": lambda: pm.MobileRobot(30.0, 1.3, com=(0.0, 0.0, 0.1), size=(0.6, 0.4, 0.25)),
@@ -616,6 +630,7 @@ ROWS: dict[str, Row] = {
     "Context.normal": row(name="wheel slip", n=2),
     "Context.schedule": row(rows=[[1.0, 2.0]]),
     "ConstantForce.nothing": row(),
+    "Payload.nothing": row(),
     "SinusoidalForce.nothing": row(),
     "ViscousFriction.nothing": row(),
     "RollingResistance.nothing": row(),
@@ -703,7 +718,9 @@ ROWS: dict[str, Row] = {
     "PosePath.through": row(poses=[np.eye(4), np.eye(4)], times=[0.0, 1.0]),
     "clearance": row(robot=the("robot"), q=Q),
     "PosePath.__call__": row(t=[0.1, 0.5]),
-    "ConstantForce": row(force=[1, 2, 3]),
+    "MPC.within": row(limits=50.0, lower=[-1, -1], upper=[1, 2, 3]),
+    "ConstantForce": row(force=[1, 2, 3], begin=0.5, end=1.5),
+    "Payload": row(mass=2.0, at=[0.1, 0.2], when=1.0, yaw_inertia=0.1),
     "SinusoidalForce": row(amplitude=[1, 2, 3], frequency=0.5, phase=0.1),
     "NoiseForce": row(std=[1, 2, 3], bandwidth=2, seed=1),
     "NoiseForce.of_phases": row(std=[1, 2, 3], bandwidth=2, phases=np.zeros((16, 3))),
@@ -975,6 +992,36 @@ ROWS: dict[str, Row] = {
         progress=lambda done, n: None,
     ),
     "plots.balance": row(60, rollouts=the("rollout"), footprint=None, title="a title", ax=None, width=6.0),
+    "BenchmarkScenario": row(
+        robot=the("robot"),
+        trajectory=the("trajectory"),
+        forces=[pm.ConstantForce([1, 0, 0])],
+        delay=1,
+        noise=1e-3,
+        limits=[50, 50, 9],
+        lower=[-5, -5],
+        upper=[5, 5],
+        offset=[0.1, 0, 0],
+        event=0.5,
+        band=0.01,
+        after=0.2,
+        dt=0.1,
+        integrator=pm.rk4,
+        substeps=2,
+        seed=1,
+        about="a test",
+    ),
+    "BenchmarkScenario.around": row(controller=pm.PD(40, 20)),
+    "BenchmarkScenario.run": row(40, controller=pm.PD(40, 20)),
+    "benchmark": row(
+        20, controllers={"PD": pm.PD(40, 20)}, scenarios=the("scenarios"), progress=lambda done, total: None
+    ),
+    "benchmarking.contestants": row(),
+    "Benchmark.values": row(measure="rms"),
+    "Benchmark.table": row(measure="chatter"),
+    "Benchmark.details": row(scenario="short"),
+    "Benchmark.to_csv": row(path=partial(lambda: WORLD.folder / "benchmark.csv")),
+    "plots.benchmark": row(60, result=the("compared"), at="short", title="a title", ax=None, width=8.0),
     "plots.bands": row(
         60, ensembles=the("ensemble"), levels=(0.5, 0.9), by=["distance"], title="a title", ax=None, width=6.0
     ),
@@ -1180,7 +1227,10 @@ ROWS: dict[str, Row] = {
 OWNERS: dict[str, Callable[[], Any]] = {
     "robot.Stance": lambda: Stance.of_box((0.6, 0.4, 0.2)),
     "EndEffectorTracking": lambda: pm.EndEffectorTracking(WORLD.armed, WORLD.target),
+    "MPC": lambda: pm.MPC(WORLD.robot),
     "Axis": lambda: pm.Axis([1.0, 2.0]),
+    "Benchmark": lambda: WORLD.compared,
+    "BenchmarkScenario": lambda: WORLD.scenarios["short"],
     "Circle": lambda: WORLD.path,
     "Lissajous": lambda: pm.Lissajous(1, 2, 0.5, 1, 1),
     "CompositePath": lambda: pm.CompositePath([WORLD.path]),
@@ -1200,6 +1250,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "NoiseForce": lambda: pm.NoiseForce,
     "Context": lambda: pm.Context.of(WORLD.robot, dt=0.1),
     "ConstantForce": lambda: pm.ConstantForce,
+    "Payload": lambda: pm.Payload(2.0, [0.1, 0.2], 1.0),
     "SinusoidalForce": lambda: pm.SinusoidalForce,
     "ViscousFriction": lambda: pm.ViscousFriction,
     "RollingResistance": lambda: pm.RollingResistance,
@@ -1321,13 +1372,29 @@ def is_part(name: str) -> bool:
         "DynamicFeedback",
         "SwerveTracking",
     )
-    forces = ("ConstantForce", "SinusoidalForce", "NoiseForce", "RollingResistance", "ViscousFriction")
+    forces = (
+        "ConstantForce",
+        "Payload",
+        "SinusoidalForce",
+        "NoiseForce",
+        "RollingResistance",
+        "ViscousFriction",
+    )
     called = owner in (*parts, *unsure, *of_wheels, *forces, "EndEffectorTracking", "JointFriction")
     integrators = ("constant_acceleration", "rk4", "semi_implicit_euler")
     return name in integrators or (
         called
         and method
-        in ("__call__", "initial_state", "applied", "signals", "acceleration", "on_coordinates", "check")
+        in (
+            "__call__",
+            "initial_state",
+            "applied",
+            "signals",
+            "acceleration",
+            "on_coordinates",
+            "inertia",
+            "check",
+        )
     )
 
 

@@ -24,6 +24,7 @@ from pinmobile import (
     MobileRobot,
     NoiseForce,
     NoisyMeasurement,
+    Payload,
     PDGravity,
     Polyline,
     RollingResistance,
@@ -91,6 +92,7 @@ STEADY: dict[str, Any] = {
     "constant": (ConstantForce((3.0, -2.0, 0.1)),),
     "viscous": (ViscousFriction((5.0, 9.0, 0.4)),),
     "rolling": (RollingResistance((2.0, 3.0, 0.3), 0.1),),
+    "payload": (Payload(6.0, (0.2, 0.1), 1.0, 0.1),),
     "spring": (Spring(),),
 }
 WAVING: dict[str, Any] = {
@@ -130,6 +132,7 @@ FORCES: Mapping[str, str] = {
     "constant": "force_x",
     "viscous": "viscous_forward",
     "rolling": "rolling_left",
+    "payload": "payload_mass",
     "spring": "stiffness",
 }
 OF_PATHS: Mapping[str, tuple[str, float]] = {

@@ -24,6 +24,7 @@ from pinmobile import (
     NoiseForce,
     NoisyMeasurement,
     Normal,
+    Payload,
     RestToRest,
     RollingResistance,
     Same,
@@ -286,7 +287,8 @@ def motion_with(name: str) -> Any:
 @pytest.mark.once
 def test_every_parameter_can_be_spread_and_matters() -> None:
     driven = SinusoidalForce((1, 1, 0.1), 0.5), NoiseForce((1, 1, 0.1), 1.0, seed=0)
-    forces = (*driven, RollingResistance((1, 1, 0.1), 0.05), JointFriction(0.1, 0.1, 0.05))
+    lasting = RollingResistance((1, 1, 0.1), 0.05), JointFriction(0.1, 0.1, 0.05)
+    forces = (*driven, *lasting, Payload(1.0, (0.1, 0.1), 0.5, 0.1))
     for motion in (TRAJECTORY, *MOTIONS.values()):
         base = made(n=2, forces=forces, duration=2.0, trajectory=motion)
         least = run_scenario(base).max_error
@@ -425,7 +427,7 @@ def test_impossible_draws_are_refused_with_their_share(spread: Any, text: str) -
     assert text in str(caught.value)
 
 
-FORCED = (*DRIVEN, RollingResistance((1, 1, 0.1)), JointFriction(0.1))
+FORCED = (*DRIVEN, RollingResistance((1, 1, 0.1)), JointFriction(0.1), Payload(1.0, (0.1, 0.1), 0.5))
 POSITIVE = {
     *("circle_radius", "via_time", "turn_time"),
     "rolling_speed",
@@ -437,6 +439,7 @@ POSITIVE = {
 }
 MAY_VANISH = {
     *("joint_viscous", "joint_coulomb", "sine_frequency", "noise_x", "noise_y", "noise_moment"),
+    *("payload_mass", "payload_inertia"),
     *("viscous_forward", "viscous_left", "viscous_yaw", "rolling_forward", "rolling_left", "rolling_yaw"),
 }
 

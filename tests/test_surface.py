@@ -78,9 +78,19 @@ ALLOWED: dict[str, set[str]] = {
     "balance": {"robot"},
     "proximity": {"robot", "constancy"},
     "reaching": {"robot", "trajectories", "integrators", "plant", "proximity"},
+    "benchmarking": {"files", "simulation", "balance"},
     "identification": {"extras", "files", "forces", "simulation", "wheels"},
     "palette": set(),
-    "plots": {"palette", "files", "simulation", "accuracy", "ensembles", "balance", "identification"},
+    "plots": {
+        "palette",
+        "files",
+        "simulation",
+        "accuracy",
+        "ensembles",
+        "balance",
+        "identification",
+        "benchmarking",
+    },
     "viewer": {"palette", "files", "robot", "simulation", "extras"},
 }
 

@@ -200,7 +200,7 @@ class Recorder:
 def recorder(
     plant: Any,
     forces: Sequence[Any],
-    push: Callable[[float, Array, Array], Array] | None,
+    act: Callable[[float, Array, Array, Array], Array] | None,
     memory: Callable[[], Any],
     tell: Callable[[], Mapping[str, Any]] | None,
     times: list[float],
@@ -213,7 +213,7 @@ def recorder(
         Asked for ``signals(t, q, v, u, f, memory)``.
     forces : sequence of forces
         Asked for ``signals`` of what their law gets: (t, pose, rate), or (t, q, v) on coordinates.
-    push : callable or None
+    act : callable or None
         The generalised force beside the input.
     memory : callable
         What the plant keeps.
@@ -226,7 +226,7 @@ def recorder(
     if hasattr(plant, "signals"):
 
         def of_plant(k: int, q: Array, v: Array, u: Array) -> Any:
-            f = np.zeros(plant.nv) if push is None else push(times[k], q, v)
+            f = np.zeros(plant.nv) if act is None else act(times[k], q, v, u)
             return plant.signals(times[k], q.copy(), v.copy(), u.copy(), f, memory())
 
         sources["plant"] = of_plant

@@ -34,6 +34,7 @@ from pinmobile.compiled.sample import (
     Summary,
     Trace,
     one_sample,
+    reaction as reaction,
     tracking_errors as tracking_errors,
 )
 from pinmobile.compiled.symbolic import plain as plain, symbols as symbols

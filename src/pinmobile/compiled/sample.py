@@ -8,7 +8,7 @@ errors, or all samples.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar, NamedTuple
@@ -309,7 +309,7 @@ def _told(
     """Yield the signals of the parts at a sample, each with what the part is called."""
     plant = parts.plant
     if hasattr(plant, "signals"):
-        f = _pushed(parts, t, q, v) + np.zeros(plant.nv)
+        f = _acting(parts, t, q, v, u) + np.zeros(plant.nv)
         yield "plant", plant.signals(t, q.copy(), v.copy(), u.copy(), f, memory)
     yield "controller", signals_of(parts.controller, inner)
     for i, force in enumerate(parts.forces):
@@ -370,6 +370,49 @@ def _pushed(parts: Parts, t: Moment, q: Values, v: Values) -> Any:
     return sum((_answer(parts, force, force.on_coordinates(t, q, v), np.shape(v)) for force in others), total)
 
 
+def _acting(parts: Parts, t: Moment, q: Values, v: Values, u: Values) -> Any:
+    """Return all forces on the coordinates beside the input, shape (nv,), or 0."""
+    plant, pushed = parts.plant, _pushed(parts, t, q, v)
+    return pushed + reaction(plant, parts.forces, t, q, lambda f: plant.forward_dynamics(q, v, u, pushed + f))
+
+
+def reaction(
+    plant: Any, forces: Iterable[Any], t: Moment, q: Values, accelerate: Callable[[Any], Values]
+) -> Any:
+    """Return by what force on the coordinates the body is held back by what forces make it carry.
+
+    With the mass matrix M that these add to the body, the wrench w = -M a acts on it, a that of the body. As
+    a is linear in w, ``a = a_0 + W w``, it follows from ``(1 + M W) w = -M a_0``.
+
+    Parameters
+    ----------
+    plant : plant
+        Whose first coordinates are x, y and psi of the body.
+    forces : iterable of forces
+        Those with ``inertia(t, pose)`` add that mass matrix, shape (..., 3, 3).
+    t : float
+        Time [s].
+    q : ndarray, shape (..., nq)
+        Configuration.
+    accelerate : callable
+        Returns the acceleration, shape (..., nv), under a further force on the coordinates.
+
+    Returns
+    -------
+    ndarray, shape (..., nv), or float
+        0.0 where none is added.
+    """
+    carried = [force for force in forces if hasattr(force, "inertia")]
+    if not carried:
+        return 0.0
+    M = sum(force.inertia(t, plant.pose(q)) for force in carried)
+    axes = [plant.effort(q, axis + 0.0 * q[..., :3]) for axis in np.eye(3)]
+    free = accelerate(0.0)[..., :3]
+    W = np.stack([accelerate(axis)[..., :3] - free for axis in axes], axis=-1)
+    w = -np.linalg.solve(np.eye(3) + M @ W, M @ free[..., None])[..., 0]
+    return sum(w[..., k : k + 1] * axis for k, axis in enumerate(axes))
+
+
 def _answer(parts: Parts, force: object, found: object, shape: tuple[int, ...]) -> Any:
     """Check that a force returned an array of its shape, and return that."""
     if not hasattr(found, "shape") or np.shape(found) != shape:
@@ -399,7 +442,7 @@ def _integrated(parts: Parts, t: Moment, h: Moment, q: Values, v: Values, u: Val
     def advanced(t: Moment, q: Values, v: Values) -> tuple[Any, Any]:
         def acceleration(time: Moment, moved: Values, rate: Values) -> Any:
             there = integrate(q, moved)
-            return plant.forward_dynamics(there, rate, u, _pushed(parts, time, there, rate))
+            return plant.forward_dynamics(there, rate, u, _acting(parts, time, there, rate, u))
 
         answer = parts.integrator(acceleration, t, np.zeros(plant.nv), v, h)
         if type(answer) is not tuple or len(answer) != 2:
@@ -410,7 +453,7 @@ def _integrated(parts: Parts, t: Moment, h: Moment, q: Values, v: Values, u: Val
         moved, v = answer
         return integrate(q, moved), v
 
-    first = plant.forward_dynamics(q, v, u, _pushed(parts, t, q, v))
+    first = plant.forward_dynamics(q, v, u, _acting(parts, t, q, v, u))
     q, v = advanced(t, q, v)
     for j in range(1, parts.substeps):
         q, v = advanced(t + j * h, q, plant.project(q, v) if _has_constraints(plant) else v)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import process_time
 from typing import Any, ClassVar, NamedTuple, final
 
@@ -130,6 +130,30 @@ class MPC:
             )
         for name, value in found.items():
             object.__setattr__(self, name, value)
+
+    def within(
+        self, limits: ArrayLike | None = None, lower: ArrayLike | None = None, upper: ArrayLike | None = None
+    ) -> MPC:
+        """Return it with other limits of the inputs, or other soft bounds of the first states.
+
+        Parameters
+        ----------
+        limits : array_like, shape () or (nu,), optional
+            Largest inputs; by default its own.
+        lower, upper : array_like, shape (k,), optional
+            Of the first k of the n + m bounded states, such as x and y; by default its own.
+        """
+        given: dict[str, Any] = {} if limits is None else {"limits": limits}
+        for name, bound in (("lower", lower), ("upper", upper)):
+            if bound is not None:
+                first, own = real(name, bound), np.array(getattr(self, name))
+                if first.ndim != 1 or len(first) > len(own):
+                    raise InvalidArgument(
+                        f"{name} has shape {first.shape}, expected (k,) with k <= {len(own)}"
+                    )
+                own[: len(first)] = first
+                given[name] = own
+        return replace(self, **given)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return the plan, the sample's number, the observer's memory, the last input, and its program's."""

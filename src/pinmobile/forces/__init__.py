@@ -9,13 +9,16 @@ from pinmobile.forces.force import (
     noise_frequencies,
 )
 from pinmobile.forces.friction import JointFriction, RollingResistance, ViscousFriction
+from pinmobile.forces.payload import Carried, Payload
 
 __all__ = [
+    "Carried",
     "ConstantForce",
     "CoordinateForce",
     "Force",
     "JointFriction",
     "NoiseForce",
+    "Payload",
     "RollingResistance",
     "SinusoidalForce",
     "ViscousFriction",

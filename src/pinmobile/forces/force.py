@@ -8,7 +8,7 @@ from typing import ClassVar, Protocol, Self, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, representable, seeded, vector
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, representable, scalar, seeded, vector
 from pinmobile.errors import InvalidArgument
 from pinmobile.plant import Parameter
 
@@ -90,26 +90,38 @@ def spread(tau: Array, t: ArrayLike, q: Array) -> Array:
     return np.broadcast_to(tau, np.broadcast_shapes(tau.shape, shape, (*np.shape(t), 1)))
 
 
+def since(t: ArrayLike, begin: ArrayLike) -> Array:
+    """Return 1 from a time on [s] and 0 before it, to the rounding of times, shape (...)."""
+    return np.where(np.subtract(t, begin) > -_ROUNDING, 1.0, 0.0)
+
+
+_ROUNDING = 1e-9  # [s]
 _GOLDEN = 0.6180339887498949  # the golden ratio's fraction: its multiples never come close to repeating
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class ConstantForce:
-    """A constant force in the inertial frame, such as a steady wind.
+    """A constant force in the inertial frame, such as a steady wind, or a push.
 
     Parameters
     ----------
     force : array_like, shape (..., 3)
         (Fx, Fy, Mz) [N, N, N m].
+    begin : float
+        From which time on it acts [s].
+    end : float, optional
+        From which time on it acts no more [s]; by default it does not end.
 
     Raises
     ------
     InvalidArgument
-        If it has another shape or is not finite.
+        If it has another shape or is not finite, or does not end after it begins.
     """
 
     force: ArrayLike
+    begin: float = 0.0
+    end: float | None = None
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("force_x", "N", "constant force along x", attribute="force", entry=0),
@@ -119,6 +131,11 @@ class ConstantForce:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "force", triple("force", self.force))
+        object.__setattr__(self, "begin", scalar("begin", self.begin))
+        if self.end is not None:
+            object.__setattr__(self, "end", scalar("end", self.end))
+            if not self.end > self.begin:
+                raise InvalidArgument(f"end is {self.end} s, expected above begin, {self.begin} s")
 
     @classmethod
     def nothing(cls) -> Self:
@@ -127,7 +144,12 @@ class ConstantForce:
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m]."""
-        return spread(np.asarray(self.force), t, q)
+        force = np.asarray(self.force)
+        if self.begin > 0:
+            force = force * since(t, self.begin)[..., None]
+        if self.end is not None:
+            force = force * (1 - since(t, self.end))[..., None]
+        return spread(force, t, q)
 
 
 @final

@@ -2,6 +2,7 @@
 
 from pinmobile.plots.bands import bands
 from pinmobile.plots.comparison import end_effector, prediction
+from pinmobile.plots.contest import benchmark
 from pinmobile.plots.drivers import drivers
 from pinmobile.plots.plane import animate, path
 from pinmobile.plots.series import balance, errors, forces, reaction, signals, states
@@ -19,6 +20,7 @@ __all__ = [
     "animate",
     "balance",
     "bands",
+    "benchmark",
     "curves",
     "drivers",
     "end_effector",

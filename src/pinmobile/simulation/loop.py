@@ -25,6 +25,7 @@ from pinmobile.signals import Recorder, Signal, recorder
 from pinmobile.simulation.setup import check_same, shorter
 from pinmobile.simulation.substeps import (
     Clock,
+    acting,
     dynamics_of,
     own_steps,
     pushed,
@@ -75,7 +76,8 @@ class Loop:
         push = pushed(forces, plant)
         clock = Clock(self.times, context.dt / substeps, substeps)
         tabled = isinstance(integrator, RungeKuttaNystrom) and self.adds
-        self.dynamics = dynamics_of(plant, push, kept=not tabled)
+        act = acting(forces, plant, push)
+        self.dynamics = dynamics_of(plant, act, kept=not tabled)
         self.own, memory = None, lambda: None
         self.acting = "plant or forces" if forces else "plant"
         self.asked: list[Asked] = []
@@ -89,7 +91,7 @@ class Loop:
             self.advance = steps(integrator, self.dynamics, clock)  # type: ignore[arg-type]
         else:
             self.advance = steps_between_configurations(integrator, plant, self.dynamics, clock)  # type: ignore[arg-type]
-        self.recorder: Recorder | None = recorder(plant, forces, push, memory, tell, self.times)
+        self.recorder: Recorder | None = recorder(plant, forces, act, memory, tell, self.times)
 
     def _controlled(
         self, plant: Plant, controller: Controller, context: Context, integrator: Integrator | None

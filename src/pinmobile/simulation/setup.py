@@ -13,7 +13,7 @@ from pinmobile.controllers import Controller, check_controller, check_memory
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
-from pinmobile.plant import Context, Plant, check_plant, leading_of, refuse_path
+from pinmobile.plant import Context, Plant, check_plant, coordinates_of, leading_of, refuse_path
 from pinmobile.simulation.substeps import stepped
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
@@ -226,6 +226,7 @@ def checked_forces(forces: _Forces, plant: Plant) -> tuple[Force | CoordinateFor
                 f"forces push the body of the plant, a {type(plant).__name__}, which has no {missing[0]}, "
                 "expected one with pose(q), rate(q, v) and effort(q, wrench)"
             )
+    _check_carried(listed, plant)
     if listed and not hasattr(plant, "step"):
         try:
             callable_as("plant.forward_dynamics(q, v, u, f)", plant.forward_dynamics)
@@ -235,6 +236,21 @@ def checked_forces(forces: _Forces, plant: Plant) -> tuple[Force | CoordinateFor
                 "input, expected forward_dynamics(q, v, u, f)"
             ) from None
     return listed
+
+
+def _check_carried(forces: tuple[Any, ...], plant: Plant) -> None:
+    """Refuse forces that add to the inertia of a plant that cannot be asked how the body accelerates."""
+    k = next((k for k, force in enumerate(forces) if hasattr(force, "inertia")), None)
+    if k is None:
+        return
+    first = tuple(one.name for one in coordinates_of(plant)[:3])
+    if hasattr(plant, "step") or first != ("x", "y", "psi"):
+        why = "has a step of its own" if hasattr(plant, "step") else f"begins with the coordinates {first}"
+        raise InvalidArgument(
+            f"forces[{k}] is {shown(forces[k])}, which adds to the inertia of the plant, a "
+            f"{type(plant).__name__}, which {why}; expected one that an integrator brings on, its first "
+            "coordinates x, y and psi of the body"
+        )
 
 
 def check_answers(

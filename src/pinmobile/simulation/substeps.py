@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, NoReturn, TypeAlias
 import numpy as np
 
 from pinmobile.arrays import Array, are_real
+from pinmobile.compiled import reaction
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Acceleration, Integrator, RungeKuttaNystrom
@@ -19,6 +20,8 @@ _WRENCH = (3,)
 _STRAIGHT = 1e-6  # where a Jacobian is the identity it is so exactly, and of a ball joint it is off by tenths
 
 _Push: TypeAlias = Callable[[float, Array, Array], Array]
+Acting: TypeAlias = Callable[[float, Array, Array, Array], Array]
+"""The force on the coordinates beside the input, of t, q, v and u, shape (nv,)."""
 _Advance: TypeAlias = Callable[[int, Array, Array, Array, Array, Array, Array], None]
 _OwnStep: TypeAlias = Callable[[int, Array, Array, Array, Array, Array], None]
 
@@ -46,7 +49,7 @@ class Dynamics(NamedTuple):
     forced: Callable[[float, Array, Array, Array], Array] | None = None
 
 
-def dynamics_of(plant: Plant, push: _Push | None, *, kept: bool) -> Dynamics:
+def dynamics_of(plant: Plant, act: Acting | None, *, kept: bool) -> Dynamics:
     """Return a plant's acceleration, under forces beside its input where there are such.
 
     Where `kept`, an answer outlives the next one, as whoever brings an integrator expects.
@@ -55,7 +58,7 @@ def dynamics_of(plant: Plant, push: _Push | None, *, kept: bool) -> Dynamics:
     if calls is not None:
         raw = calls().forward_dynamics
         free = (lambda q, v, u: np.array(raw(q, v, u))) if kept else raw
-        return Dynamics(free, None if push is None else lambda t, q, v, u: free(q, v, u + push(t, q, v)))
+        return Dynamics(free, None if act is None else lambda t, q, v, u: free(q, v, u + act(t, q, v, u)))
 
     def forward(q: Array, v: Array, u: Array, *f: Array) -> Array:
         found: Array = plant.forward_dynamics(q.copy(), v.copy(), u.copy(), *f)  # its own to write into
@@ -66,9 +69,32 @@ def dynamics_of(plant: Plant, push: _Push | None, *, kept: bool) -> Dynamics:
         return found
 
     def forced(t: float, q: Array, v: Array, u: Array) -> Array:
-        return forward(q, v, u, push(t, q, v))  # type: ignore[misc]
+        return forward(q, v, u, act(t, q, v, u))  # type: ignore[misc]
 
-    return Dynamics(forward, None if push is None else forced)
+    return Dynamics(forward, None if act is None else forced)
+
+
+def acting(forces: Sequence[Force | CoordinateForce], plant: Plant, push: _Push | None) -> Acting | None:
+    """Return all forces on the coordinates beside the input, as functions of t, q, v and u; None: none act.
+
+    That is what `pushed` returns, and what the body is held back by where forces make it carry something.
+    """
+    if push is None:
+        return None
+    if not any(hasattr(force, "inertia") for force in forces):
+        return lambda t, q, v, u: push(t, q, v)
+    own = plant.calls().forward_dynamics if hasattr(plant, "calls") else None
+
+    def under(q: Array, v: Array, u: Array, f: Array) -> Array:
+        if own is not None:
+            return np.array(own(q, v, u + f))
+        return np.asarray(plant.forward_dynamics(q.copy(), v.copy(), u.copy(), f))  # type: ignore[call-arg]
+
+    def act(t: float, q: Array, v: Array, u: Array) -> Array:
+        f = push(t, q, v)
+        return np.asarray(f + reaction(plant, forces, t, q.copy(), lambda more: under(q, v, u, f + more)))
+
+    return act
 
 
 def pushed(forces: Sequence[Force | CoordinateForce], plant: Plant) -> _Push | None:

@@ -1,0 +1,274 @@
+"""`Benchmark`: what controllers did in scenarios, as tables, a file, and a verdict in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from typing import NamedTuple, final
+
+import numpy as np
+
+from pinmobile.arrays import Array, one_of
+from pinmobile.benchmarking.scores import Score
+from pinmobile.benchmarking.situation import BenchmarkScenario
+from pinmobile.files import write
+
+_LOST = 1.0  # [m] off, from which a controller has lost its robot
+_ALIKE = 1.1  # ratio of the largest to the smallest distance in which latency alone shows
+_SMALL = 1e-3  # what is smaller is not told, in the units of tables
+_NEAR = 1.05  # ratio to the least chatter that counts as it
+
+
+class _Unit(NamedTuple):
+    """How a measure is written."""
+
+    words: str
+    short: str
+    unit: str
+    factor: float
+
+
+_UNITS = {
+    "largest": _Unit("largest distance", "largest", "mm", 1e3),
+    "rms": _Unit("rms distance", "rms", "mm", 1e3),
+    "largest_from_start": _Unit("largest distance from the start on", "largest, all", "mm", 1e3),
+    "rms_from_start": _Unit("rms distance from the start on", "rms, all", "mm", 1e3),
+    "force": _Unit("rms force", "force", "N", 1.0),
+    "chatter": _Unit("chatter", "chatter", "N/s", 1.0),
+    "recovery": _Unit("recovered after", "recovered", "s", 1.0),
+    "beyond": _Unit("beyond a wall by", "beyond a wall", "mm", 1e3),
+    "margin": _Unit("smallest tip-over margin", "tip-over margin", "mm", 1e3),
+    "call": _Unit("time of a call", "call", "us", 1e6),
+}
+_ALWAYS = ("largest", "largest_from_start", "chatter", "recovery", "call")
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Benchmark:
+    """Controllers in scenarios: what each does and costs.
+
+    Parameters
+    ----------
+    scores : mapping of str to mapping of str to Score
+        By controller, then by scenario.
+    scenarios : mapping of str to BenchmarkScenario
+        By name.
+    """
+
+    scores: Mapping[str, Mapping[str, Score]]
+    scenarios: Mapping[str, BenchmarkScenario]
+
+    def values(self, measure: str = "largest") -> Array:
+        """Return a number of each score, shape (controllers, scenarios), in SI units.
+
+        Parameters
+        ----------
+        measure : str
+            Name of an attribute of `Score`.
+
+        Raises
+        ------
+        UnknownName
+            If there is none of that name.
+        """
+        one_of("measure", measure, Score._fields)
+        return np.array([[getattr(one, measure) for one in row.values()] for row in self.scores.values()])
+
+    def table(self, measure: str = "largest") -> str:
+        """Return a number of each score as text: a row for each controller, a column for each scenario.
+
+        Parameters
+        ----------
+        measure : str
+            Name of an attribute of `Score`.
+
+        Raises
+        ------
+        UnknownName
+            If there is none of that name.
+        """
+        numbers = self.values(measure) * _UNITS[measure].factor
+        rows = [["", *self.scenarios]]
+        rows += [[name, *map(_digits, row)] for name, row in zip(self.scores, numbers, strict=True)]
+        return "\n".join([f"{_UNITS[measure].words} [{_UNITS[measure].unit}]", *_aligned(rows)])
+
+    def details(self, scenario: str) -> str:
+        """Return all numbers of a scenario as text, a row for each controller.
+
+        Distances from the start on stand beside those of later, in which no transient is left.
+
+        Parameters
+        ----------
+        scenario : str
+            Its name.
+
+        Raises
+        ------
+        UnknownName
+            If there is none of that name.
+        """
+        one = self.scenarios[one_of("scenario", scenario, self.scenarios)]
+        measures = [name for name in _UNITS if one.has_walls or name not in ("beyond", "margin")]
+        heads = [f"{_UNITS[name].short} [{_UNITS[name].unit}]" for name in measures]
+        rows = [["", *heads]]
+        for name, row in self.scores.items():
+            score = row[scenario]
+            rows.append([name, *(_digits(getattr(score, each) * _UNITS[each].factor) for each in measures)])
+        return "\n".join([f"{scenario}: {one.about}" if one.about else scenario, *_aligned(rows)])
+
+    def to_csv(self, path: str | PathLike[str]) -> None:
+        """Write all numbers as CSV: a row for each controller in each scenario, in SI units.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file.
+
+        Raises
+        ------
+        InvalidArgument
+            If there can be no such file.
+        FileError
+            If the system fails, such as of a full disk.
+        """
+        units = {name: one.unit.replace("mm", "m").replace("us", "s") for name, one in _UNITS.items()}
+        lines = [["controller", "scenario", *(f"{name} [{units[name]}]" for name in Score._fields)]]
+        for name, row in self.scores.items():
+            lines += [[name, place, *(f"{number:.17g}" for number in score)] for place, score in row.items()]
+        text = "".join(",".join(map(_quoted, line)) + "\n" for line in lines)
+        write(path, text.encode("utf-8"))
+
+    @property
+    def verdict(self) -> str:
+        """Who comes closest where, at what price, who chatters least, and who loses the robot, in words."""
+        said = [*self._closest(), *self._quietest(), *self._late(), *self._bounded(), *self._lost()]
+        return " ".join(said)
+
+    def _open(self) -> list[int]:
+        """Return the scenarios without walls, which judge by distance."""
+        return [k for k, one in enumerate(self.scenarios.values()) if not one.has_walls]
+
+    def _alike(self) -> list[int]:
+        """Return the scenarios with a delay in which all but the lost come equally close."""
+        found = []
+        for k, one in enumerate(self.scenarios.values()):
+            ends = self._held(k)
+            if one.delay and len(ends) > 1 and ends.max() < _ALIKE * ends.min():
+                found.append(k)
+        return found
+
+    def _held(self, k: int) -> Array:
+        """Return the distances of those who have not lost their robot in a scenario [m]."""
+        largest = self.values()[:, k]
+        return np.asarray(largest[largest < _LOST])
+
+    def _closest(self) -> list[str]:
+        largest, chatter, places = self.values(), self.values("chatter"), list(self.scenarios)
+        judged = [k for k in self._open() if k not in self._alike() and len(self._held(k))]
+        said = []
+        for i, name in enumerate(self.scores):
+            wins = [k for k in judged if np.argmin(largest[:, k]) == i]
+            if wins:
+                where = ", ".join(f"{places[k]} ({_digits(1e3 * largest[i, k])} mm)" for k in wins)
+                ratio = _times(chatter[i, wins], chatter[:, wins].min(axis=0))
+                price = "the least" if ratio.max() < _NEAR else f"{_range(ratio)} times the least"
+                words = f"{name} in {where}, at {_range(chatter[i, wins])} N/s of chatter, {price}"
+                said.append((len(wins), words))
+        said.sort(key=lambda each: -each[0])
+        return [f"Closest after the start: {'; '.join(words for _, words in said)}."] if said else []
+
+    def _quietest(self) -> list[str]:
+        """Say who never chatters much more than the least, and how far off that is."""
+        judged = self._open()
+        chatter, largest = self.values("chatter")[:, judged], self.values()[:, judged]
+        held = (largest < _LOST).all(axis=1)
+        if len(chatter) < 2 or not judged or not held.any():
+            return []
+        ratio = np.where(held, _times(chatter, chatter.min(axis=0)).max(axis=1), np.inf)
+        i = int(np.argmin(ratio))
+        return [
+            f"Least chatter of those who never lose the robot: {list(self.scores)[i]}, nowhere above "
+            f"{ratio[i]:.2g} times the least, {_range(1e3 * largest[i])} mm off."
+        ]
+
+    def _late(self) -> list[str]:
+        said = []
+        for k in self._alike():
+            place, one = list(self.scenarios.items())[k]
+            ends, speed = 1e3 * self._held(k), np.linalg.norm(one.trajectory(0.0).v[:2])
+            said.append(
+                f"In {place} all are alike, {_range(ends)} mm: speed times latency, {speed:.2g} m/s x "
+                f"{1e3 * one.delay * one.dt:.3g} ms."
+            )
+        return said
+
+    def _bounded(self) -> list[str]:
+        """Say who stays within walls and upright, and how soon that recovers."""
+        said = []
+        for place, one in self.scenarios.items():
+            if not one.has_walls:
+                continue
+            scores = {name: row[place] for name, row in self.scores.items()}
+            kept = [
+                f"{name} ({'never recovers' if np.isinf(score.recovery) else f'{score.recovery:.3g} s'})"
+                for name, score in scores.items()
+                if score.beyond == 0 and not score.margin < 0
+            ]
+            far = [f"{name} ({_digits(1e3 * x.beyond)} mm)" for name, x in scores.items() if x.beyond > 0]
+            tips = [name for name, score in scores.items() if score.margin < 0]
+            words = [
+                f"In {place}, within the walls, upright, and recovered after: {', '.join(kept) or 'none'}"
+            ]
+            words += [f"beyond a wall: {', '.join(far)}"] if far else []
+            everyone = len(tips) == len(scores) > 1
+            words += [f"tipping over: {'all' if everyone else ', '.join(tips)}"] if tips else []
+            said.append(f"{'; '.join(words)}.")
+        return said
+
+    def _lost(self) -> list[str]:
+        largest, names, places = self.values(), list(self.scores), list(self.scenarios)
+        lost = [
+            f"{names[i]} in {places[k]} "
+            + ("(diverges)" if np.isinf(largest[i, k]) else f"({largest[i, k]:.3g} m off)")
+            for i, k in np.argwhere(largest > _LOST)
+        ]
+        return [f"Lost: {'; '.join(lost)}."] if lost else []
+
+    def __str__(self) -> str:
+        """Return tables of scenarios without walls, one of each with walls, and the verdict."""
+        walled = [name for name, one in self.scenarios.items() if one.has_walls]
+        tables = [self.table(name) for name in _ALWAYS] if self._open() else []
+        return "\n\n".join([*tables, *map(self.details, walled), self.verdict])
+
+
+def _times(numbers: Array, least: Array) -> Array:
+    """Return ratios, infinite where the least is nothing and 1 of nothing to nothing."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(numbers == least, 1.0, numbers / least)
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> Iterable[str]:
+    wide = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for first, *rest in rows:
+        numbers = (each.rjust(room) for each, room in zip(rest, wide[1:], strict=True))
+        yield "  ".join([first.ljust(wide[0]), *numbers])
+
+
+def _digits(number: float) -> str:
+    if np.isnan(number):
+        return "?"
+    if 0 < abs(number) < _SMALL:
+        return f"<{_SMALL:g}"
+    return "-" if np.isinf(number) else f"{number:.3g}" if abs(number) < 1e3 else f"{number:.0f}"
+
+
+def _range(numbers: Array) -> str:
+    """Return what numbers lie between, in three digits."""
+    low, high = _digits(float(numbers.min())), _digits(float(numbers.max()))
+    return low if low == high else f"{low} to {high}"
+
+
+def _quoted(entry: str) -> str:
+    return '"' + entry.replace('"', '""') + '"' if any(each in entry for each in ',"\n') else entry

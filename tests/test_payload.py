@@ -1,0 +1,132 @@
+"""A load that is picked up midway: against runs that are joined, in all engines, on wheels and with arms."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    ARRAYS,
+    COMPILED,
+    PD,
+    PINOCCHIO,
+    Circle,
+    ComputedTorque,
+    ConstantForce,
+    Coulomb,
+    InvalidArgument,
+    Load,
+    MobileRobot,
+    Payload,
+    Tangent,
+    Uniform,
+    WheeledRobot,
+    WheelTable,
+    ensemble,
+    rk4,
+    semi_implicit_euler,
+    simulate,
+)
+from pinmobile.compiled import reaction
+
+BODY = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
+CIRCLE = Tangent(Circle(radius=1.5, rate=0.6, duration=2))
+INERTIA = (0.2, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, 0.2)
+CARRIED = Payload(10, (0.25, 0.1), 1.0, 0.2)
+
+
+class Later:
+    """What is left of a trajectory after a time."""
+
+    duration = 1.0
+
+    def __call__(self, t: Any) -> Any:
+        return CIRCLE(np.asarray(t) + 1.0)
+
+
+@pytest.mark.parametrize("integrator", [semi_implicit_euler, rk4])
+@pytest.mark.parametrize("engine", [COMPILED, PINOCCHIO])
+def test_it_is_two_runs_that_are_joined_when_it_comes(integrator: Any, engine: Any) -> None:
+    controller = ComputedTorque(BODY, 16, 8)
+    given: Any = {"dt": 0.01, "integrator": integrator, "engine": engine}
+    whole = simulate(BODY, controller, CIRCLE, forces=[CARRIED], **given)
+    before = simulate(BODY, controller, CIRCLE, duration=1.0, **given)
+    loaded = BODY.attach(Load(10, (0.25, 0.1, 0.1), INERTIA), "base_link")
+    after = simulate(loaded.lumped(), controller, Later(), q0=before.q[-1], v0=before.v[-1], **given)
+    joined = np.vstack([before.q[:-1], after.q])
+    jump = np.abs(after.a[0] - before.a[-1]).max()
+    assert jump > 0.3
+    # The last stage of the step before sees the load: a sixth of the jump for a step. Else rounding.
+    close = 0.01 / 6 * jump if integrator is rk4 else 1e-12
+    assert np.abs(whole.q - joined).max() < close
+    assert np.abs(whole.a[100:] - after.a).max() < 100 * close
+
+
+def carrying(robot: Any, q: Any, v: Any, u: Any) -> Any:
+    """Return the acceleration of a robot that carries the payload."""
+    f = robot.effort(q, CARRIED(2.0, robot.pose(q), robot.rate(q, v)))
+    f = f + reaction(robot, [CARRIED], 2.0, q, lambda more: robot.forward_dynamics(q, v, u, f + more))
+    return robot.forward_dynamics(q, v, u, f)
+
+
+def test_with_an_arm_and_on_wheels_too() -> None:
+    load = Load(10, (0.25, 0.1, 0.1), INERTIA)
+    wheels = WheelTable.differential(0.1, 0.4)
+    generator = np.random.default_rng(5)
+    arm = MobileRobot.box().mount("ur5")
+    for robot, loaded in (
+        (arm, arm.attach(load, "base_link")),
+        (WheeledRobot(BODY, wheels), WheeledRobot(BODY.attach(load, "base_link"), wheels)),
+    ):
+        q = robot.integrate(robot.rest, generator.normal(size=robot.nv))
+        v, u = generator.normal(size=robot.nv), generator.normal(size=robot.nu)
+        v = robot.project(q, v) if hasattr(robot, "project") else v
+        found, wanted = carrying(robot, q, v, u), loaded.forward_dynamics(q, v, u)
+        # Differences of accelerations by unit forces: rounding of the one by the size of the other.
+        assert np.abs(found - wanted).max() < 1e-11 * np.abs(wanted).max()
+
+
+def test_all_engines_agree_and_each_robot_has_its_own() -> None:
+    spread = {"payload_mass": Uniform(0, 20), "payload_when": Uniform(0.5, 1.5), "mass": Uniform(25, 36)}
+    push = ConstantForce((3, 1, 0.1), 0.5, 1.2)
+    given: Any = {"dt": 0.01, "integrator": rk4, "seed": 2, "n": 5, "forces": [CARRIED, push]}
+    controller = ComputedTorque(BODY, 16, 8)
+    runs = [
+        ensemble(BODY, controller, CIRCLE, spread=spread, engine=engine, **given)
+        for engine in (COMPILED, ARRAYS, PINOCCHIO)
+    ]
+    # 200 samples of contracting loops: rounding does not grow.
+    for other in runs[1:]:
+        assert np.abs(runs[0].rms_error - other.rms_error).max() < 1e-12
+    assert np.ptp(runs[0].rms_error[:, 0]) > 1e-4
+
+
+def test_a_push_acts_between_its_times() -> None:
+    push = ConstantForce((3, 1, 0.1), 0.5, 1.2)
+    q = np.zeros((4, 3))
+    found = push(np.array([0.49, 0.5, 1.19, 1.2]), q, q)
+    assert np.array_equal(found, np.outer([0, 1, 1, 0], [3, 1, 0.1]))
+
+
+BAD: Any = [
+    (lambda: Payload(-1, (0, 0), 1), "mass is -1.0, expected >= 0"),
+    (lambda: Payload(1, (0, 0, 0), 1), r"at has shape \(3,\), expected \(2,\)"),
+    (lambda: Payload(1, (0, 0), np.nan), "when is nan"),
+    (lambda: ConstantForce((1, 0, 0), 2.0, 1.0), "end is 1.0 s, expected above begin, 2.0 s"),
+    (
+        lambda: simulate(
+            WheeledRobot(BODY, WheelTable.mecanum(0.5, 0.4, 0.1, spin_inertia=0.01), Coulomb()),
+            PD(1, 1),
+            CIRCLE,
+            dt=0.01,
+            forces=[CARRIED],
+        ),
+        "which has a step of its own",
+    ),
+]
+
+
+@pytest.mark.parametrize(("make", "words"), BAD)
+def test_bad_arguments_are_refused(make: Any, words: str) -> None:
+    with pytest.raises(InvalidArgument, match=words):
+        make()
