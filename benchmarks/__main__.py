@@ -20,6 +20,7 @@ import rollout
 import velocity
 import viewing
 import wheels
+import wheels_control
 from measuring import picked, selecting
 
 import memory
@@ -37,6 +38,7 @@ PARTS = (
     distances,
     identification,
     velocity,
+    wheels_control,
     viewing,
     imports,
 )
