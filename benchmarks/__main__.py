@@ -21,6 +21,7 @@ import rollout
 import velocity
 import viewing
 import wheels
+import wheels_control
 from measuring import picked, selecting
 
 import memory
@@ -39,6 +40,7 @@ PARTS = (
     mpc,
     identification,
     velocity,
+    wheels_control,
     viewing,
     imports,
 )

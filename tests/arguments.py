@@ -1185,6 +1185,7 @@ ROWS: dict[str, Row] = {
     "wheels.ByVoltage.difference": row(q0=FIVE, q1=FIVE),
     "wheels.ByVoltage.forward_dynamics": row(q=FIVE, v=FIVE, u=[1, 2], f=FIVE),
     "wheels.ByVoltage.integrate": row(q=FIVE, dq=FIVE),
+    "wheels.ByVoltage.linearize_tracked": row(q=FIVE, v=FIVE, u=[1, 2]),
     "wheels.ByVoltage.mount": row(120, arm=the("arm"), at=(0, 0, 0.2, 0), name="arm"),
     "wheels.ByVoltage.on_ramp": row(angle=0.1, direction=0.2),
     "wheels.ByVoltage.torques_at": row(v=FIVE, u=[1, 2]),

@@ -7,12 +7,24 @@ import pytest
 
 from pinmobile import InvalidArgument, MobileRobot, WheeledRobot, WheelTable
 from pinmobile.arrays import Array
+from pinmobile.wheels import Motor
 
 BODY = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
 ARM = MobileRobot.box().mount("ur5")
+MOTOR = Motor(
+    resistance=1.2,
+    torque_constant=0.03,
+    voltage=1e3,
+    gear=20.0,
+    efficiency=0.8,
+    rotor_inertia=1e-5,
+    viscous=1e-3,
+    coulomb=0.004,
+)
 ON_WHEELS: Any = {
     "differential": WheeledRobot(BODY, WheelTable.differential(0.1, 0.4)),
     "mecanum": WheeledRobot(BODY, WheelTable.mecanum(0.5, 0.4, 0.1)),
+    "differential by volts": WheeledRobot(BODY, WheelTable.differential(0.1, 0.4, motor=MOTOR)).by_voltage(),
     "differential with an arm": WheeledRobot(ARM, WheelTable.differential(0.1, 0.4)),
 }
 
@@ -41,12 +53,14 @@ def test_on_wheels_it_is_the_difference_quotient_of_pinocchios_constrained_tree(
     generator = np.random.default_rng(2)
     q, v = rolling(robot, generator)
     u, n = generator.normal(size=robot.nu), robot.robot.nv
+    u = u * [100.0 if each.unit == "V" else 1.0 for each in robot.inputs]
     nu, h = robot.independent(q, v), 1e-5
 
     def rates(q: Array, nu: Array, u: Array) -> Array:
         """Return the rates of the tracked state, nu' as a difference along the motion."""
         v = robot.reduced(q, np.zeros(robot.nv)).S @ nu
-        a = robot.forward_dynamics(q, v, u)
+        by_torque = getattr(robot, "wheeled", robot)
+        a = by_torque.forward_dynamics(q, v, u if by_torque is robot else robot.torques_at(v, u))
         ends = [robot.independent(robot.integrate(q, s * v), v + s * a) for s in (-h, h)]
         return np.concatenate([v[:n], (ends[1] - ends[0]) / (2 * h)])
 

@@ -43,12 +43,14 @@ class LQR:
     Parameters
     ----------
     robot : MobileRobot or WheeledRobot
-        The model that the controller believes in; wheels must not steer.
+        The model that the controller believes in; wheels must not steer. Of what ``by_voltage()`` returns,
+        inputs are volts, and the model has the motors' back-EMF and friction.
     Q : array_like, shape (n + m,) or (n + m, n + m), optional
         Weight of the n errors of coordinates and m of velocities, positive semidefinite. By default
         400 / m^2, 100 / rad^2, and 20 and 5 of their rates.
     R : array_like, shape (nu,) or (nu, nu), optional
-        Weight of the input beside the reference's, positive definite. By default 1e-3 / N^2, 2e-2 / (N m)^2.
+        Weight of the input beside the reference's, positive definite. By default 1e-3 / N^2, 2e-2 / (N m)^2,
+        and of volts what the torque costs that they give at rest.
 
     Raises
     ------

@@ -60,7 +60,8 @@ class MPC:
     Parameters
     ----------
     robot : MobileRobot or WheeledRobot
-        The model that the controller believes in; wheels must not steer.
+        The model that the controller believes in; wheels must not steer. Of what ``by_voltage()`` returns,
+        inputs and `limits` are volts, see `LQR`.
     horizon : int
         Steps that are predicted.
     step : float

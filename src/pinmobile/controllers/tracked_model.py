@@ -117,9 +117,7 @@ def sizes_of(robot: Any) -> tuple[int, int, int]:
     """
     is_sized = isinstance(getattr(robot, "nv", None), int)
     if isinstance(robot, type) or not (is_sized and hasattr(robot, "linearize_tracked")):
-        raise InvalidArgument(
-            f"robot is {shown(robot)}, expected a MobileRobot, or a WheeledRobot that takes torques"
-        )
+        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot or a WheeledRobot")
     still = np.zeros(robot.nv)
     A, B = robot.linearize_tracked(robot.rest, still, np.zeros(robot.nu))
     m = len(robot.reduced(robot.rest, still).nu) if hasattr(robot, "independent") else int(robot.nv)
@@ -129,7 +127,8 @@ def sizes_of(robot: Any) -> tuple[int, int, int]:
 def weights_of(robot: Any) -> tuple[Array, Array]:
     """Return the usual weights of the tracked state and of the input, as diagonals.
 
-    Errors cost 400 / m^2 and 100 / rad^2, of velocities 20 and 5, forces 1e-3 / N^2, moments 2e-2 / (N m)^2.
+    Errors cost 400 / m^2 and 100 / rad^2, of velocities 20 and 5, forces 1e-3 / N^2, moments 2e-2 / (N m)^2,
+    and volts what the torque costs that they give at rest.
     """
     n, m, _ = sizes_of(robot)
     arms = n - _BASE
@@ -138,7 +137,11 @@ def weights_of(robot: Any) -> tuple[Array, Array]:
     places = [400.0, 400.0, 100.0, *(400.0 if unit == "m" else 100.0 for unit in units)]
     speeds = [*own, *(20.0 if unit == "m" else 5.0 for unit in units)]
     inputs: tuple[Input, ...] = inputs_of(robot)
-    return np.array(places + speeds), np.array([1e-3 if each.unit == "N" else 2e-2 for each in inputs])
+    costs = np.array([1e-3 if each.unit == "N" else 2e-2 for each in inputs])
+    if hasattr(robot, "torques_at"):
+        largest = np.array([each.upper if each.unit == "V" else 1.0 for each in inputs])
+        costs *= (robot.torques_at(np.zeros(robot.nv), largest) / largest) ** 2
+    return np.array(places + speeds), costs
 
 
 def weight(name: str, value: ArrayLike, size: int, *, above: bool) -> Array:

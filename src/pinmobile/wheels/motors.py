@@ -394,16 +394,25 @@ class MotorLaw:
         hold = 0.5 * (back - ahead)
         return Push(0.5 * (ahead + back) + slope * rate, slope, hold)
 
-    def torque(self, k: int, volts: Any, rate: Any) -> Any:
+    def torque(self, k: int, volts: Any, rate: Any, *, clips: bool = True) -> Any:
         """Return the torque of a motor at a rate; at rest dry friction takes what there is."""
-        push = self.push(k, volts, rate)
+        push = self.push(k, volts, rate, clips=clips)
         torque = push.torque - push.slope * rate
         if push.hold is ZERO:
             return torque
         held = choose(rate > 0.0, push.hold, choose(rate < 0.0, -push.hold, within(torque, push.hold)))
         return torque - held
 
-    def needed(self, k: int, torque: Any, rate: Any) -> Any:
+    def slopes(self, k: int, volts: Any, rate: Any) -> tuple[Any, Any]:
+        """Return by how much a motor's torque falls per rate of the wheel, and grows per volt.
+
+        Limits of volts and currents are not looked at; where the torque is limited, both are 0.
+        """
+        motor, (R, kt, b, *_) = self.motors[k], [number(x) for x in self._numbers(k)]
+        slope = self.push(k, volts, rate, clips=False).slope
+        return slope, slope * kt / (motor.gear * (kt * kt + b * R))
+
+    def needed(self, k: int, torque: Any, rate: Any, *, clips: bool = True) -> Any:
         """Return the voltage at which a motor gives a torque at a rate, within its limits.
 
         Dry friction is taken against the rate, of a wheel that stands against the torque.
@@ -413,9 +422,10 @@ class MotorLaw:
         way = choose(rate > 0.0, 1.0, choose(rate < 0.0, -1.0, choose(torque < 0.0, -1.0, 1.0)))
         part = choose(torque * way >= 0.0, 1.0 / share, share)
         i = (torque * part / G + (b * G) * rate + dry * way) / kt
-        if np.isfinite(motor.current):
+        if clips and np.isfinite(motor.current):
             i = within(i, motor.current)
-        return within(R * i + (kt * G) * rate, float(motor.voltage or 0.0))
+        volts = R * i + (kt * G) * rate
+        return within(volts, float(motor.voltage or 0.0)) if clips else volts
 
 
 _RPM = 2 * pi / 60  # [rad/s]

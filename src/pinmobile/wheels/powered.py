@@ -12,6 +12,7 @@ from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
+from pinmobile.arrays import Array
 from pinmobile.compiled import higher, plain, repeated
 from pinmobile.plant import Input, Parameter, Step
 from pinmobile.robot import ZERO, Vector, dot, exact, number, scalars, sine_and_cosine, vector_of as stacked
@@ -19,6 +20,7 @@ from pinmobile.wheels.motors import Beside, Motor, MotorLaw, Motors, Push, theta
 from pinmobile.wheels.multipliers import factored
 from pinmobile.wheels.rolling import State, WheeledBody
 from pinmobile.wheels.slipping import SlippingBody
+from pinmobile.wheels.tracked import Followed
 
 _BASE = 3
 _INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
@@ -27,7 +29,6 @@ _ROUNDS, _ENOUGH = 200, 1e-13  # of dry friction: at most, and of the largest wh
 _OF_TORQUES = (
     "inverse_dynamics",
     "check_inverse_dynamics",
-    "linearize_tracked",
     "torques",
     "allocate",
     "allocate_scaled",
@@ -145,6 +146,28 @@ class VoltageBody:
             column = [exact(x) for x in self.wheeled.table.actuators[i].column]
             found[na + i] = law(k, found[na + i], number(dot(column, rates)))
         return stacked(found, u)
+
+    def followed(self, reference: Any) -> Followed:
+        """Return states and volts, such as they are beyond limits too, along a reference: see `Followed`."""
+        along, law = self.wheeled.followed(reference), self.law
+        return along._replace(u=self._at_rates(along.v, along.u, lambda *x: law.needed(*x, clips=False)))
+
+    def linearize_tracked(self, q: Any, v: Any, u: Any) -> tuple[Array, Array]:
+        """Return A and B of the tracked state for volts, see `ByVoltage.linearize_tracked`."""
+        law = self.law
+        torques = self._at_rates(v, u, lambda *x: law.torque(*x, clips=False))
+        A, B = self.wheeled.linearize_tracked(q, v, torques)
+        own = np.moveaxis(self.wheeled.reduced(q, v).B, -1, 0)  # a torque's power is torque times B' nu
+        na, n = self.wheeled.na, A.shape[-1] - own.shape[-1]
+        rates, volts = [number(_plain(x)) for x in scalars(v)][_BASE + na :], scalars(u)
+        for k, i in enumerate(self.electric):
+            column = [exact(x) for x in self.wheeled.table.actuators[i].column]
+            rate = number(dot(column, rates))
+            slope, gain = law.slopes(k, number(_plain(volts[na + i])), rate)
+            felt = B[..., n:, na + i, None] * own[na + i][..., None, :]
+            A[..., n:, n:] -= np.asarray(slope)[..., None, None] * felt
+            B[..., na + i] *= np.asarray(gain)[..., None]
+        return A, B
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return the acceleration, shape (..., nv): the mean over a short step from the state."""

@@ -8,10 +8,11 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, scalar, vector
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, frozen, scalar, vector
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, UnknownName, shown
 from pinmobile.plant import Input, Parameter, Step
+from pinmobile.robot import Linearization
 from pinmobile.wheels.motors import Beside, constant_force
 from pinmobile.wheels.powered import Driving, VoltageBody, of_wheeled
 from pinmobile.wheels.slipping import SlippingBody
@@ -279,6 +280,28 @@ class ByVoltage:
         """
         v, u = vector("v", v, self.nv), vector("u", u, self.nu)
         return np.asarray(self.traced().torques_at(v, u))
+
+    def linearize_tracked(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> Linearization:
+        """Return the first-order model of the tracked state, see `WheeledRobot.linearize_tracked`.
+
+        Of volts, back-EMF and viscous friction of the motors included; limits of volts and currents are not
+        looked at, and dry friction is that of a wheel that keeps turning.
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., nq), (..., nv)
+            State, which rolls.
+        u : array_like, shape (..., nu)
+            Volts, and torques where there are none, see `inputs`.
+
+        Raises
+        ------
+        InvalidArgument
+            If wheels steer, or an argument has another shape.
+        """
+        q, v, u = self._state(q, v, u)
+        broadcast(q=q, v=v, u=u)
+        return Linearization(*self.traced().linearize_tracked(q, v, u))
 
     def initial_state(self, context: Any = None) -> Driving:
         """Return what motors and wheels keep before the first step."""

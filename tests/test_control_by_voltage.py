@@ -1,0 +1,136 @@
+"""LQR and MPC of robots whose inputs are volts, beside backstepping, on a figure of eight."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    ARRAYS,
+    COMPILED,
+    LQR,
+    MPC,
+    PINOCCHIO,
+    Backstepping,
+    Coulomb,
+    Driven,
+    InvalidArgument,
+    MobileRobot,
+    RestToRest,
+    Rollout,
+    Tangent,
+    Tracking,
+    Uniform,
+    WheeledRobot,
+    WheelTable,
+    ensemble,
+    simulate,
+)
+from pinmobile.wheels import Friction, Motor
+from tests.parts import Eight
+
+VOLTS = 6.0
+MOTOR = Motor(
+    resistance=1.2,
+    torque_constant=0.03,
+    voltage=VOLTS,
+    gear=20.0,
+    rotor_inertia=1e-5,
+    viscous=1e-5,
+    coulomb=0.004,
+    efficiency=0.8,
+)
+TABLE = WheelTable.differential(
+    0.5,
+    0.1,
+    motor=MOTOR,
+    supports=[(-0.2, 0.0), (0.2, 0.0)],
+    friction=Friction(mu=0.3),
+    mass=1.0,
+    spin_inertia=0.01,
+    yaw_inertia=0.006,
+)
+MODEL = WheeledRobot(MobileRobot(30.0, 2.3, com=(0.05, 0.0, 0.2)), TABLE)
+HEAVY = WheeledRobot(MobileRobot(36.0, 2.76, com=(0.05, 0.0, 0.2)), TABLE, Coulomb())
+EIGHT = Tangent(Eight(1.0, 4 * np.pi))  # 1 m sin 0.5 t, 0.5 m sin t
+
+
+def controllers() -> dict[str, Any]:
+    volts = MODEL.by_voltage()
+    return {
+        "backstepping": Driven(Backstepping(Tracking(), MODEL), volts),
+        "LQR": LQR(volts),
+        "LQR of torques": Driven(LQR(MODEL), volts),
+        "MPC": MPC(volts, 20, 0.1),
+    }
+
+
+def run(robot: WheeledRobot, name: str, off: float, duration: float) -> Rollout:
+    """Return a run that starts so far behind and beside the eight, where at all, at rest."""
+    q, v = MODEL.start(EIGHT(0.0))
+    q = q - np.array([off, off, 0, 0, 0])
+    engine = None if name == "MPC" else COMPILED
+    given: Any = {"dt": 0.01, "duration": duration, "engine": engine, "q0": q, "v0": v if not off else 0 * v}
+    return simulate(robot.by_voltage(), controllers()[name], EIGHT, **given)
+
+
+def distance(found: Rollout) -> Any:
+    return np.hypot(*(found.q[:, :2] - found.reference.q[:, :2]).T)
+
+
+@pytest.mark.parametrize("name", controllers())
+def test_each_keeps_to_the_eight_and_what_the_model_does_not_know_costs_a_few_millimetres(name: str) -> None:
+    """Half a sample of the rate of the acceleration, up to 1.5 m/s^3, over gains of some 10 /s^2: 0.75 mm.
+
+    Of a mass that is 20 % more, at up to 0.5 m/s^2, it is 10 mm.
+    """
+    on, off = (distance(run(robot, name, 0.0, 1.5)).max() for robot in (MODEL, HEAVY))
+    assert on < 0.75e-3
+    assert on < off < 10e-3
+
+
+def test_volts_are_limited_and_a_model_with_limits_comes_back_sooner_than_a_regulator_cut_off() -> None:
+    late = {}
+    for name in ("LQR", "MPC"):
+        found = run(HEAVY, name, 0.3, 4.0)
+        assert np.abs(found.u).max() == VOLTS
+        assert (np.abs(found.u) == VOLTS).any(axis=-1).mean() > 0.1
+        late[name] = np.sqrt((distance(found)[200:] ** 2).mean())
+    assert late["MPC"] < 0.7 * late["LQR"]
+
+
+def test_volts_of_the_reference_are_those_of_its_torques_and_rates() -> None:
+    t = np.linspace(0.0, 4.0, 9)
+    body, along = MODEL.by_voltage(), MODEL.traced().followed(EIGHT(t))
+    volts = body.traced().followed(EIGHT(t))
+    np.testing.assert_allclose(volts.u, body.volts_for(along.v, along.u), rtol=1e-12)
+    assert np.abs(volts.u).max() < VOLTS
+    # What limits exclude is told, as they do not clip it.
+    with pytest.raises(InvalidArgument, match="limits exclude the reference: at t = "):
+        simulate(body, MPC(body, limits=3.0), EIGHT, dt=0.01, duration=1.0)
+
+
+def test_the_engines_agree() -> None:
+    robot = MODEL.by_voltage()
+    given: Any = {"dt": 0.01, "n": 3, "seed": 2, "duration": 1.0, "spread": {"mass": Uniform(28, 36)}}
+    found = [
+        ensemble(robot, LQR(robot), EIGHT, engine=each, **given) for each in (COMPILED, ARRAYS, PINOCCHIO)
+    ]
+    for other in found[1:]:
+        # 100 samples of contracting loops: rounding does not grow.
+        assert np.abs(found[0].rms_error - other.rms_error).max() < 1e-12
+
+
+def test_volts_cost_by_default_what_their_torque_costs() -> None:
+    plain = Motor(resistance=1.2, torque_constant=0.03, voltage=VOLTS, gear=20.0)
+    robot = WheeledRobot(MODEL.robot, WheelTable.differential(0.5, 0.1, motor=plain))
+    # 0.03 N m/A times 20, over 1.2 ohm
+    np.testing.assert_allclose(np.diag(np.asarray(LQR(robot.by_voltage()).R)), 0.02 * 0.5**2, rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", [LQR, MPC])
+@pytest.mark.parametrize("robot", [MODEL, MODEL.by_voltage()], ids=["torques", "volts"])
+def test_a_reference_that_ends_at_rest_is_refused_with_the_reason(kind: Any, robot: Any) -> None:
+    straight = Tangent(RestToRest([0, 0], [1, 0], 2))
+    with pytest.raises(InvalidArgument, match=r"ends at rest, at t = 2 s, where .* cannot move sideways"):
+        simulate(robot, kind(robot), straight, dt=0.01)
