@@ -231,7 +231,8 @@ for axes, (name, intervals) in zip(panels, answers.items(), strict=True):
     for row, k in enumerate(shared):
         for seed, (low, high) in enumerate(100 * (bounds[:, k] / truth[k] - 1)):
             y = row + 0.12 * (seed - 2.5)
-            axes.plot([low, high], [y, y], color=colour(0 if inside[seed, k] else 1), linewidth=1.8)
+            own = colour(0 if inside[seed, k] else 1)
+            axes.plot([low, high], [y, y], ".-", color=own, linewidth=1.8, markersize=3)
     axes.axvline(0, color=INK, linewidth=1, linestyle="--")
     axes.set(xlabel="off by [%]", title=name)
     dress(axes)

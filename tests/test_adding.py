@@ -38,7 +38,12 @@ USERS = {
     "benchmarking/situation.py": {"Delayed", "NoisyMeasurement", "Saturated", "Circle", "Tangent"},
     "accuracy/__init__.py": {"ComputedTorque", "Circle", "Tangent"},
     "cli/choices.py": {"PD", "ComputedTorque"},  # with the lecture's gains, which no part knows
-    "cli/drive.py": {"Backstepping", "ComputedTorque", "Tracking"},  # as the drive can move
+    "cli/drive.py": {
+        "Backstepping",
+        "ComputedTorque",
+        "Tracking",
+        "VelocityCommand",
+    },  # as the drive can move
     "cli/mount.py": {"Decoupled", "ComputedTorque"},
     "cli/run.py": {"Allocated", "Backstepping", "Tracking"},  # the lecture's paths on wheels
     "identification/estimate.py": {"JointFriction", "RollingResistance", "ViscousFriction"},  # what was found

@@ -285,6 +285,21 @@ def test_a_known_load_tells_the_motors_constant() -> None:
     assert both.parameters["mass"] == pytest.approx(30.0, rel=0.05)
 
 
+@pytest.mark.once
+def test_currents_and_a_known_load_tell_the_torque_per_ampere() -> None:
+    logs = []
+    for each in (rolled(False), rolled(True)):
+        assert each.wheel_rates is not None
+        currents = (each.u - 30.0 * 0.04 * each.wheel_rates) / 1.2  # what is left of volts by back-EMF
+        logs.append(Log(each.t, each.q, currents, None, each.wheel_rates))
+    believed = on_wheels(MobileRobot(20.0, 1.0)).wheeled
+    found = identify(logs, believed, loads=[None, LOAD], method="weak")
+    low, high = found.interval(0.99)["input_scale"]
+    assert low < 30.0 * 0.04 < high
+    assert found.parameters["input_scale"] == pytest.approx(1.2, rel=0.05)
+    assert found.parameters["mass"] == pytest.approx(30.0, rel=0.05)
+
+
 # -- motions ---------------------------------------------------------------------------------------
 
 

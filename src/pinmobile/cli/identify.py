@@ -55,6 +55,13 @@ def _naming(path: Path) -> Iterator[None]:
 
 
 def _pairs(option: str, words: Sequence[str], expected: str) -> Mapping[str, str]:
+    """Return what words such as ``q=/odom`` pair.
+
+    Raises
+    ------
+    InvalidArgument
+        If one is no pair; the message says what is expected.
+    """
     found = {}
     for word in words:
         role, _, names = word.partition("=")
@@ -70,6 +77,26 @@ def show_identification(
     """Print what the log tells, and draw what was measured beside what is foretold.
 
     A log of two inputs is one of commands of speed and yaw rate, and tells theta.
+
+    Parameters
+    ----------
+    log : Log
+        What was measured.
+    path : Path
+        Its file, by which figure and errors are called.
+    out : Path
+        Folder of the figure.
+    urdf : Path or None
+        Of the robot as it is believed to be; it does not apply to a log of commands.
+    method : str or None
+        Name of the method with hyphens, by default ``"output-error"``; likewise.
+    delay : float or None
+        By which poses come late [s]; None: it is found.
+
+    Raises
+    ------
+    InvalidArgument, UnknownName
+        If an option does not apply, or the log is refused; the message names the file.
     """
     folder = output_folder(out)
     way = choose("method", method or "output-error", {each.replace(" ", "-"): each for each in METHODS})

@@ -170,11 +170,13 @@ Parts = Mapping[str, Callable[..., Any]]
 WRAPPERS: Parts = _classes(
     controllers, lambda kind: "controller" in _parameters(kind) and "robot" not in _parameters(kind)
 )
-OF_LAWS: Parts = {
-    **_classes(controllers, lambda kind: {"law", "robot"} <= _parameters(kind).keys()),
-    _short(controllers.RandomSteps): controllers.RandomSteps,
-}
-"""Controllers of what rolls: around a kinematic law, and one that excites."""
+OF_LAWS: Parts = _classes(
+    controllers,
+    lambda kind: (
+        {"law", "robot"} <= _parameters(kind).keys() or {"lowest", "hold"} <= _parameters(kind).keys()
+    ),
+)
+"""Controllers of what rolls: around a kinematic law, and those that excite."""
 LAWS: Parts = _classes(controllers, lambda kind: hasattr(kind, "check") and "robot" not in _parameters(kind))
 FORCES: Parts = _classes(forces, lambda kind: True)
 ROUTES: Parts = _classes(

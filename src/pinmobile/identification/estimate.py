@@ -199,8 +199,8 @@ class Identification:
         ]
         if not self.chassis.scaled:
             told.append(
-                "all but the centre of mass is in proportion to the torque per input, which was taken as "
-                "stated: a log with a known load tells it, identify([log, loaded], robot, loads=[None, load])"
+                "all of this hangs on the torque per input, which was taken as stated: a log with a known "
+                "load tells it, identify([log, loaded], robot, loads=[None, load])"
             )
         elif self.chassis.damping.shape and any(one.unit == "V" for one in self.prior.inputs):
             told.append("friction has the back-EMF of the motors in it")

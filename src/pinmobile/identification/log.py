@@ -73,8 +73,9 @@ class Log:
         on the circle.
     u : array_like, shape (N, nu)
         Input that is applied from each time to the next, in its unit: of a body that is pushed (Fx, Fy, Mz)
-        in the inertial frame [N, N, N m], of wheels torques [N m] or volts, of a robot that takes velocities
-        its commands (forward, yaw rate) [m/s, rad/s].
+        in the inertial frame [N, N, N m], of wheels torques [N m], volts or, with a load that tells what they
+        are worth, currents [A], of a robot that takes velocities its commands (forward, yaw rate)
+        [m/s, rad/s].
     twist : array_like, shape (N, 3), optional
         Measured body twist: forward, left, yaw rate [m/s, m/s, rad/s].
     wheel_rates : array_like, shape (N, k), optional

@@ -87,7 +87,8 @@ def identify(
         they are. Without it, a body that is pushed.
     loads : sequence of Load or None, optional
         Load that the robot carried in each log, in the body's frame. With loads that differ, the scale of the
-        input is identified too, such as an unknown torque constant.
+        input is identified too, such as an unknown torque constant: of logs of currents it is the torque per
+        ampere.
     method : str
         ``"output error"``, or ``"weak"``, the start alone: linear and fast, its intervals several times
         as wide where forces are known well, and much the same where they are not.
