@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +24,10 @@ from pinmobile.arrays import Array, frozen
 from pinmobile.compiled import Batched
 from pinmobile.errors import InvalidArgument, shown
 
+_GYRATION = 0.01  # [m], least radius of a body
+_LIGHTEST = 0.02  # [kg]
+_NOTHING = 1e-14  # of the largest variance
+_ROUNDED = 1e-6  # of what a bound lacks
 _AXES = (("forward", "N s/m", "N"), ("left", "N s/m", "N"), ("yaw", "N m s", "N m"))
 
 
@@ -195,6 +199,54 @@ class Chassis:
         told[3] = max(told[3], about + 1e-2 * scales[3])
         return told
 
+    def plausible(self, phi: Array, covariance: Array) -> Array:
+        """Return the likeliest parameters of a body whose friction brakes: phi itself if it is one.
+
+        That is min (p - phi)' C^-1 (p - phi) with friction and scale not below zero, and the linear matrix
+        inequality of a body of radius of gyration rho and more::
+
+            [ I - rho^2 m  m x  m y ]
+            [ m x          m    0   ]  >= 0
+            [ m y          0    m   ]
+
+        Both are convex. Where the covariance C has nothing, nothing moves.
+
+        Raises
+        ------
+        InvalidArgument
+            If there is none.
+        """
+        from scipy.optimize import minimize  # here, because it takes long to load
+
+        def slack(p: Array) -> Array:
+            m, mx, my, inertia = p[:4]
+            body = inertia - _GYRATION**2 * m - (mx * mx + my * my) / max(m, _LIGHTEST)
+            return np.concatenate([[m - _LIGHTEST, body], p[4:]])
+
+        if (slack(phi) >= 0).all():
+            return phi
+        values, vectors = np.linalg.eigh(covariance)
+        told = values > _NOTHING * values.max()
+        root = vectors[:, told] * np.sqrt(values[told])
+        size = np.abs(slack(phi)) + 1e-3 * np.abs(phi).max()
+        found = minimize(
+            lambda z: float(z @ z) / 2,
+            np.zeros(root.shape[1]),
+            jac=lambda z: z,
+            method="SLSQP",
+            constraints={"type": "ineq", "fun": lambda z: slack(phi + root @ z) / size},
+            options={"ftol": 1e-12, "maxiter": 200},
+        )
+        body = phi + root @ found.x
+        near = (slack(body) >= -_ROUNDED * size).all()
+        body[4:] = np.maximum(body[4:], 0.0)
+        if not found.success or not near:
+            raise InvalidArgument(
+                f"log leads to a mass of {phi[0]:.3g} kg and a yaw inertia of {self.told(phi)[3]:.3g} kg "
+                "m^2, of which there is no body near: expected a log that tells them to be above zero"
+            )
+        return np.asarray(body)
+
     def rows(self, a_u: Array, a_w: Array, turn: Array, square: Array, rates: Array, dry: Array) -> Array:
         """Return the regressor along the free velocities, shape (n, k, p), a scale of the input left out.
 
@@ -263,21 +315,27 @@ class Chassis:
                     M[i][j] = M[i][j] + factor * entry
         return _solved(M, right)
 
-    def step(self, z: Any, u: Any, phi: Any, span: Any) -> Any:
+    def step(self, z: Any, first: Any, then: Any, phi: Any, spans: Any, *, steps: tuple[int, int]) -> Any:
         """Return the state a while later, shape (3 + k,), by Runge's and Kutta's fourth order.
 
         Parameters
         ----------
         z : shape (3 + k,)
             Pose and free velocities.
-        u : shape (nu,)
-            Input, which is held.
+        first, then : shape (nu,)
+            Inputs, each of which is held for a part of the while.
         phi : shape (p,)
             What is identified.
-        span : shape (1,)
-            How long it is [s].
+        spans : shape (2,)
+            How long a step of each part is [s].
+        steps : tuple of 2 int
+            How many steps each part has.
         """
-        return np.stack(self._runge_kutta([z[i] for i in range(3 + self.free)], u, phi, span[0]))
+        state = [z[i] for i in range(3 + self.free)]
+        for u, span, count in zip((first, then), (spans[0], spans[1]), steps, strict=True):
+            for _ in range(count):
+                state = self._runge_kutta(state, u, phi, span)
+        return np.stack(state)
 
     def _runge_kutta(self, state: Sequence[Any], u: Any, phi: Any, h: Any) -> list[Any]:
         k1 = self._rate(state, u, phi)
@@ -294,10 +352,16 @@ class Chassis:
         c, s = np.cos(psi), np.sin(psi)
         return [c * forward - s * left, s * forward + c * left, r, *self.acceleration(psi, eta, u, phi)]
 
+    def stepped(self, steps: tuple[int, int]) -> Batched:
+        """Return `step` of many states, compiled."""
+        if steps not in self._compiled:
+            shapes = [(3 + self.free,), (self.nu,), (self.nu,), (self.size,), (2,)]
+            self._compiled[steps] = Batched(partial(self.step, steps=steps), shapes, alike=1, pure=True)
+        return self._compiled[steps]
+
     @cached_property
-    def stepped(self) -> Batched:
-        """`step` of many states, compiled."""
-        return Batched(self.step, [(3 + self.free,), (self.nu,), (self.size,), (1,)], alike=1)
+    def _compiled(self) -> dict[tuple[int, int], Batched]:
+        return {}
 
 
 def _dot(row: Array, values: Sequence[Any]) -> Any:

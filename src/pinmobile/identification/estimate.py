@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, final
 
@@ -52,7 +53,8 @@ class Identification:
     hidden : ndarray, shape (p,)
         Share of each parameter's direction that is unseen.
     delay, delay_error : float
-        By which poses come later than inputs, and its deviation [s]; not a number where it was given.
+        By which poses come later than inputs, and its deviation [s]; not a number where it was given. Where
+        it was not, its uncertainty is in the covariance.
     dt : float
         Time between two samples [s].
     outliers, dropped, samples, segments : int
@@ -136,18 +138,43 @@ class Identification:
         InvalidArgument
             If it is no such number.
         """
-        from scipy.stats import t as student  # here, because it takes long to load
-
-        share = scalar("level", level)
-        if not 0 < share < 1:
-            raise InvalidArgument(f"level is {level}, expected a share in (0, 1)")
-        wide = float(student.ppf(0.5 + share / 2, self.freedom)) * np.sqrt(np.diag(self.covariance))
+        wide = self._deviations(level) * np.sqrt(np.diag(self.covariance))
         found: dict[str, tuple[float, float]] = {}
         for one, value, half in zip(self.chassis.quantities, self.parameters.values(), wide, strict=True):
             seen = self.is_seen[one.name]
             low, high = (value - half, value + half) if seen else (-np.inf, np.inf)
             found[one.name] = (max(low, 0.0), max(high, 0.0)) if one.bounded else (low, high)
         return MappingProxyType({name: (float(low), float(high)) for name, (low, high) in found.items()})
+
+    def delay_interval(self, level: float = 0.95) -> tuple[float, float]:
+        """Return an interval of the delay that holds the true one in a share of all logs [s].
+
+        Parameters
+        ----------
+        level : float
+            The share, in (0, 1).
+
+        Returns
+        -------
+        low, high : float
+            Not numbers where the delay was given, or the motion does not tell it.
+
+        Raises
+        ------
+        InvalidArgument
+            If the level is no such number.
+        """
+        half = self._deviations(level) * self.delay_error
+        return self.delay - half, self.delay + half
+
+    def _deviations(self, level: float) -> float:
+        """Return how many deviations there are to each side in Student's interval."""
+        from scipy.stats import t as student  # here, because it takes long to load
+
+        share = scalar("level", level)
+        if not 0 < share < 1:
+            raise InvalidArgument(f"level is {level}, expected a share in (0, 1)")
+        return float(student.ppf(0.5 + share / 2, self.freedom))
 
     def __repr__(self) -> str:
         first = ", ".join(f"{n} {v:.4g} {self.units[n]}" for n, v in list(self.parameters.items())[:4])
@@ -172,8 +199,9 @@ class Identification:
         ]
         if self.unseen:
             found.append(self.unseen)
-        late = "" if np.isnan(self.delay_error) else f" +- {1e3 * self.delay_error:.2g}"
-        found.append(f"poses come {1e3 * self.delay:.3g}{late} ms late: {self.delay / self.dt:.2f} samples")
+        low, high = (1e3 * each for each in self.delay_interval())
+        late = "" if np.isnan(low) else f" (95 % interval {low:.3g} to {high:.3g})"
+        found.append(f"poses come {1e3 * self.delay:.3g} ms late{late}: {self.delay / self.dt:.2f} samples")
         noise, left = self.noise * 1e3, self.residual * 1e3
         found.append(
             f"noise of the pose {noise[0]:.3g} mm, {noise[1]:.3g} mm, {noise[2]:.3g} mrad; left by the model "
@@ -206,20 +234,26 @@ class Identification:
             told.append("friction has the back-EMF of the motors in it")
         return tuple(told)
 
+    @cached_property
+    def plausible(self) -> Array:
+        """The likeliest phi of a body whose friction brakes, shape (p,): phi itself where it is one.
+
+        The nearest in the metric of the covariance, as `robot` and `forces` have it; estimates and intervals
+        are not changed, as that would spoil what intervals hold.
+        """
+        return frozen(self.chassis.plausible(self.phi, self.covariance_of_phi))
+
     def robot(self) -> Any:
         """Return the robot as identified; what a motion in the plane cannot tell stays as believed.
+
+        Its mass, centre of mass and inertia are `plausible`: those found, or the likeliest that a body has.
 
         Raises
         ------
         InvalidArgument
-            If what was found is of no body, see `interval`.
+            If what was found is of no body, nor near one.
         """
-        m, x, y, inertia = list(self.parameters.values())[:4]
-        if not self.chassis.is_possible(self.phi):
-            raise InvalidArgument(
-                f"the mass found is {m:.3g} kg and the yaw inertia {inertia:.3g} kg m^2, expected a log that "
-                "tells them to be above zero"
-            )
+        m, x, y, inertia = self.chassis.told(self.plausible)[:4].tolist()
         if self.prior is None:
             return MobileRobot(m, inertia, com=(x, y))
         own = self.prior.robot if self.chassis.wheels else self.prior
@@ -249,11 +283,11 @@ class Identification:
             raise InvalidArgument(
                 f"robot is {shown(self.prior)}, expected one by_voltage(), and loads that tell the scale"
             )
-        return np.asarray(self.prior.torque_constant * self.parameters["input_scale"])
+        return np.asarray(self.prior.torque_constant * self.plausible[-1])
 
     def forces(self) -> list[Any]:
-        """Return the friction for `simulate`, none below zero."""
-        told = np.maximum(self.chassis.told(self.phi)[4:], 0.0)
+        """Return the friction for `simulate`, none below zero: see `plausible`."""
+        told = self.plausible[4:]
         count = len(self.chassis.A)
         viscous, dry = told[:count], told[count : 2 * count]
         if not self.chassis.wheels:
@@ -332,15 +366,14 @@ class Identification:
         ahead = scalar("seconds", seconds)
         run = Cleaned.of(log, self.chassis, np.zeros(4))
         late = self.delay / run.dt
-        late = float(round(late)) if abs(late - round(late)) <= 0.25 else late
         if not 10 * run.dt <= ahead <= len(run.q) * run.dt - 2 * abs(self.delay) - 4 * run.dt:
             raise InvalidArgument(
                 f"seconds is {seconds}, expected at least 10 samples and at most the log's "
                 f"{len(run.q) * run.dt:g}"
             )
         segments = Segments.of(run, self.chassis, late, ahead)
-        starts, _, _ = OutputError([segments], self.chassis).started(self.phi, np.diag(self.phi + 1e-9))
-        out = segments.simulated(self.chassis, starts[0][:, None], self.phi[None])[:, 0]
+        point, _, _ = OutputError([segments], self.chassis).started(self.phi, np.diag(self.phi + 1e-9))
+        out = segments.simulated(self.chassis, point.starts[0][:, None], self.phi[None])[:, 0]
         predicted, measured = out[..., :3] * run.noise, segments.measured[..., :3] * run.noise
         left = (measured - predicted) * segments.good[..., None]
         rms = np.sqrt((left**2).sum(axis=(0, 1)) / segments.good.sum())

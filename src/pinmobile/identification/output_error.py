@@ -80,7 +80,7 @@ class Segments(NamedTuple):
     @property
     def part(self) -> float:
         """Share of the time to the next sample in which the input is the one before."""
-        return self.delay - np.floor(self.delay)
+        return self.delay - float(np.floor(self.delay))
 
     def simulated(self, chassis: Chassis, z: Array, phi: Array, later: Sequence[int] = (0,)) -> Array:
         """Return what sensors would measure over their noise, shape (S, V, L, m).
@@ -103,15 +103,11 @@ class Segments(NamedTuple):
         states[0] = z
         inputs = [_inputs(self.run, self.at, self.delay + shift)[:2] for shift in later]
         first, then = (np.stack(each, axis=2) for each in zip(*inputs, strict=True))
-        parts = [(first, self.part), (then, 1 - self.part)]
+        shares = np.array([self.part, 1 - self.part]) * self.run.dt
+        counts = np.ceil(shares / _STEP - 1e-9).astype(int)
+        spans, step = shares / np.maximum(counts, 1), chassis.stepped((int(counts[0]), int(counts[1])))
         for k in range(length - 1):
-            now = states[k]
-            for u, share in parts:
-                steps = int(np.ceil(share * self.run.dt / _STEP - 1e-9))
-                for _ in range(steps):
-                    span = np.array([share * self.run.dt / steps])
-                    now = chassis.stepped(now, u[:, k], loaded, span)
-            states[k + 1] = now
+            states[k + 1] = step(states[k], first[:, k], then[:, k], loaded, spans)
         out = states[..., :3]
         if self.measured.shape[-1] > 3:
             out = np.concatenate([out, states[..., 3:] @ chassis.A.T], axis=-1)
@@ -272,7 +268,7 @@ class OutputError:
         e = raw - (Q @ (np.swapaxes(Q, 1, 2) @ raw[..., None]))[..., 0]
         return _Linear(J, e, Q, R, raw, slopes)
 
-    def solve(self, phi: Array, basis: Array, most: int = 30, starts: Sequence[Array] = ()) -> Estimate:
+    def solve(self, phi: Array, basis: Array, most: int = STEPS, starts: Sequence[Array] = ()) -> Estimate:
         """Return the estimate, from a guess on, within the space of the basis' columns.
 
         Parameters

@@ -26,7 +26,6 @@ _SECONDS = 2.0  # of a segment
 _LEAST_SEGMENTS = 20  # fewer tell too little of how they differ
 _SHORTEST = 1.0  # [s] of a segment
 _LATEST, _EARLIEST = 0.3, 0.05  # [s] of delays that are looked for
-_ROUNDED = 0.25  # a delay that is so near a whole number of samples is one
 _SEEN = 0.01  # share of its force that a direction must have to be seen
 _EXPLAINED = 0.5  # of the forces' mean square; what explains less is another robot
 _LEVER = 0.25  # [m], of a robot whose size is not known
@@ -132,21 +131,24 @@ def identify(
     believed = np.zeros(len(at.scales)) if prior is None else prior
     basis = at.scales[:, None] * seen
     base = believed if unseen.size else np.zeros_like(believed)
+    sought = given is None and not unseen.size
     late = _first_delay(at, base, basis) if given is None else given / cleaned[0].dt
-    fit = extrapolated(rows, chassis, _rounded(late), base, basis)
+    fit = extrapolated(rows, chassis, late, base, basis, sought)
     _check_explained(fit.explained)
     _check_units(chassis, fit.phi, prior)
     start = chassis.possible(fit.phi, at.scales)
-    most = OutputError.STEPS if method == METHODS[0] else 0
-    estimate = _by_output_error(at, start, basis, late, seconds, delay is None, most)
-    late, error = estimate.delay, estimate.delay_error
-    if most:
+    if method == METHODS[0]:
+        estimate = _by_output_error(at, start, basis, fit.delay, seconds, sought)
         phi, covariance, freedom = estimate.phi, estimate.covariance, estimate.segments - 1
+        late, error = estimate.delay, estimate.delay_error
         _check_units(chassis, phi, prior)
     else:
-        fit = extrapolated(rows, chassis, _rounded(late), base, basis)
+        segments = [Segments.of(one, chassis, fit.delay, seconds) for one in cleaned]
+        estimate = OutputError(segments, chassis, fit.delay, sought).solve(start, basis, 0)
+        _check_drift(estimate.said)
         windows = sum(len(one.q) * one.dt for one in cleaned) / WINDOW
         phi, covariance, freedom = fit.phi, fit.covariance, max(5, round(windows) - len(fit.phi))
+        late, error = fit.delay, fit.delay_error
     white = [whiteness(e, good) for e, good in zip(estimate.residuals, estimate.good, strict=True)]
     return Identification(
         chassis=chassis,
@@ -352,32 +354,23 @@ def _first_delay(at: _Setting, base: Array, basis: Array) -> float:
     return float(delays[k] + 0.25 * (low - high) / max(low - 2 * mid + high, 1e-300))
 
 
-def _rounded(delay: float) -> float:
-    return float(round(delay)) if abs(delay - round(delay)) <= _ROUNDED else delay
-
-
 def _by_output_error(
-    at: _Setting, phi: Array, basis: Array, delay: float, seconds: float, free: bool, most: int
+    at: _Setting, phi: Array, basis: Array, delay: float, seconds: float, sought: bool
 ) -> Estimate:
     """Return the estimate: of residuals as they are, and weighed where noise of forces is behind them."""
-    sought, taken, starts = free and basis.shape[1] == len(phi), delay, []
-    if free:  # first of a delay in whole samples, as that is faster
-        taken = float(round(delay))
-        segments = [Segments.of(one, at.chassis, taken, seconds) for one in at.logs]
-        first = OutputError(segments, at.chassis, taken).solve(phi, basis, most)
-        phi, starts = first.phi, first.starts
-    segments = [Segments.of(one, at.chassis, taken, seconds) for one in at.logs]
-    found = OutputError(segments, at.chassis, taken, sought).solve(phi, basis, most, starts)
+    segments = [Segments.of(one, at.chassis, delay, seconds) for one in at.logs]
+    found = OutputError(segments, at.chassis, delay, sought).solve(phi, basis)
     _check_drift(found.said)
-    if not most or _are_white(found):
+    if all(whiteness(e, good).is_white for e, good in zip(found.residuals, found.good, strict=True)):
         return found
-    pairs = zip(found.residuals, segments, strict=True)
-    noise = [ResidualNoise.of(e / part.noise, part.good, part.run.dt) for e, part in pairs]
+    noise = [
+        ResidualNoise.of(e / part.noise, part.good, part.run.dt)
+        for e, part in zip(found.residuals, segments, strict=True)
+    ]
     if any(each.remembers for each in noise):
         return found  # a controller may answer to such a force: weights for it would be those of the answer
-    return OutputError(segments, at.chassis, found.delay, sought, noise).solve(
-        found.phi, basis, most, found.starts
-    )
+    weighed = OutputError(segments, at.chassis, found.delay, sought, noise)
+    return weighed.solve(found.phi, basis, starts=found.starts)
 
 
 def _check_drift(said: Array) -> None:
@@ -436,8 +429,3 @@ def _worst(found: Sequence[Whiteness]) -> Whiteness:
 def _mean_squares(estimate: Estimate) -> Array:
     total = sum((e[..., :3] ** 2).sum(axis=(0, 1)) for e in estimate.residuals)
     return np.asarray(total / sum(good.sum() for good in estimate.good))
-
-
-def _are_white(estimate: Estimate) -> bool:
-    pairs = zip(estimate.residuals, estimate.good, strict=True)
-    return all(whiteness(e, good).is_white for e, good in pairs)

@@ -71,11 +71,14 @@ class ResidualNoise:
             tried = [_likeliest(filled[..., j], 1 + (j < poses), kernel) for kernel in kernels]
             costs += [each[0] for each in tried]
             V.append(tried[0][1])
-        others = {int(s): _inverse_root(np.array(V) * np.outer(good[s], good[s]) + np.diag(1 - good[s])) for s in lacking}
-        return cls(_inverse_root(np.array(V)), others, bool(costs[1] < costs[0]))
+        usual, others = np.array(V), {}
+        for s in lacking:
+            there = np.outer(good[s], good[s])
+            others[int(s)] = _inverse_root(usual * there + np.diag(1 - good[s]))
+        return cls(_inverse_root(usual), others, bool(costs[1] < costs[0]))
 
     def whitened(self, residuals: Array) -> Array:
-        """Return residuals, shape (S, V, L, m), as white ones of variance 1; zero where nothing was measured."""
+        """Return residuals, shape (S, V, L, m), made white; zero where nothing was measured."""
         columns = np.moveaxis(residuals, -1, 0)  # (m, S, V, L)
         white = columns @ np.swapaxes(self.usual, 1, 2)[:, None]
         for s, root in self.others.items():

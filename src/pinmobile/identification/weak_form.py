@@ -85,12 +85,16 @@ class Fit(NamedTuple):
         Weighted mean square of what is left, robust.
     explained : float
         Share of the forces' mean square that the model explains.
+    delay, delay_error : float
+        By which poses come late, in samples, and its deviation: not a number where it was given.
     """
 
     phi: Array
     covariance: Array
     cost: float
     explained: float
+    delay: float = np.nan
+    delay_error: float = np.nan
 
 
 def rows_of(run: Cleaned, chassis: Chassis) -> Rows:
@@ -193,7 +197,9 @@ def solve(
     return _fitted(Y, y, parts, prior, basis, passes)[0]
 
 
-def extrapolated(parts: Sequence[Rows], chassis: Chassis, delay: float, prior: Array, basis: Array) -> Fit:
+def extrapolated(
+    parts: Sequence[Rows], chassis: Chassis, delay: float, prior: Array, basis: Array, free: bool = False
+) -> Fit:
     """Return what least squares would be of poses without noise: simulation extrapolation.
 
     Cook and Stefanski (1994): phi is fitted to the log as it is, and with more noise of one and of two times
@@ -203,15 +209,34 @@ def extrapolated(parts: Sequence[Rows], chassis: Chassis, delay: float, prior: A
     ----------
     parts, chassis, delay, prior, basis
         As of `solve`.
+    free : bool
+        Whether the delay is sought too, near the one given: it is one more column, and its uncertainty is in
+        the covariance.
     """
     Y, shaken, y = _stacked(parts, chassis, delay)
+    if free:
+        less, more = (
+            np.concatenate([part.forces(chassis, delay + shift) for part in parts]) for shift in (-0.5, 0.5)
+        )
+        column = (less - more)[..., None]
+        Y = np.concatenate([Y, column], axis=-1)
+        shaken = np.concatenate([shaken, np.broadcast_to(column, (*shaken.shape[:-1], 1))], axis=-1)
+        prior, basis = np.append(prior, 0.0), np.pad(basis, ((0, 1), (0, 1)))
+        basis[-1, -1] = 1.0
     plain, influence = _fitted(Y, y, parts, prior, basis)
     phi, influence = _WEIGHTS[0] * plain.phi, _WEIGHTS[0] * influence
     for weight, level in zip(_WEIGHTS[1:], shaken, strict=True):
         for each in level:
             noisy, more = _fitted(each, y, parts, prior, basis)
             phi, influence = phi + weight / _SHAKES * noisy.phi, influence + weight / _SHAKES * more
-    return plain._replace(phi=phi, covariance=_newey_west(influence, parts, basis.shape[1]))
+    covariance = _newey_west(influence, parts, basis.shape[1])
+    if not free:
+        return plain._replace(phi=phi, covariance=covariance, delay=delay)
+    scale = phi[-2] if chassis.scaled else 1.0  # of the forces, which the column is in proportion to
+    late, error = delay + phi[-1] / scale, np.sqrt(covariance[-1, -1]) / abs(scale)
+    return plain._replace(
+        phi=phi[:-1], covariance=covariance[:-1, :-1], delay=float(late), delay_error=float(error)
+    )
 
 
 def _stacked(parts: Sequence[Rows], chassis: Chassis, delay: float) -> tuple[Array, Array, Array]:
