@@ -11,6 +11,7 @@ import arm
 import arm_ensembles
 import batches
 import calls
+import controllers
 import distances
 import ensembles
 import identification
@@ -37,6 +38,7 @@ PARTS = (
     distances,
     identification,
     velocity,
+    controllers,
     viewing,
     imports,
 )

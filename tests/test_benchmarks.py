@@ -269,7 +269,16 @@ def asked(bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytes
 
 def test_every_benchmark_is_run_and_understands_what_it_is_given(asked: Any) -> None:
     every = ["rollout", "arm", "ensembles", "arm_ensembles", "loop", "calls", "batches"]
-    every += ["memory", "wheels", "distances", "identification", "velocity", "viewing", "imports"]
+    every += [
+        "memory",
+        "wheels",
+        "distances",
+        "identification",
+        "velocity",
+        "controllers",
+        "viewing",
+        "imports",
+    ]
     assert list(asked()) == list(asked("--quick", "--rounds", "2")) == every
 
 
