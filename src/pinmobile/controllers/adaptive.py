@@ -153,7 +153,7 @@ class Adaptive:
         return bound
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
-        """Return how far the estimates are from the robot's own, now and before, a force, and the time step."""
+        """Return how far estimates are off the robot's own, now and before, a force, and the time step."""
 
         def gains() -> dict[str, Array]:
             return {name: np.asarray(getattr(self, name)) for name in ("slope", "kd")}
