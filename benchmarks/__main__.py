@@ -11,6 +11,7 @@ import arm
 import arm_ensembles
 import batches
 import calls
+import controllers
 import distances
 import ensembles
 import identification
@@ -41,6 +42,7 @@ PARTS = (
     identification,
     velocity,
     wheels_control,
+    controllers,
     viewing,
     imports,
 )

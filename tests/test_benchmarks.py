@@ -283,7 +283,7 @@ def test_predictive_control_is_timed_and_one_that_does_not_come_there_is_wrong(
 def test_every_benchmark_is_run_and_understands_what_it_is_given(asked: Any) -> None:
     every = ["rollout", "arm", "ensembles", "arm_ensembles", "loop", "calls", "batches"]
     every += ["memory", "wheels", "distances", "mpc", "identification", "velocity", "wheels_control"]
-    every += ["viewing", "imports"]
+    every += ["controllers", "viewing", "imports"]
     assert list(asked()) == list(asked("--quick", "--rounds", "2")) == every
 
 

@@ -190,7 +190,7 @@ def test_the_observer_is_exact_for_constant_forces_and_as_fast_as_its_gain() -> 
     assert np.abs(at - (1 - np.exp(-1))).max() < 0.01
 
 
-@pytest.mark.parametrize("name", ["PID", "twisting", "observer", "ADRC"])
+@pytest.mark.parametrize("name", ["PID", "twisting", "adaptive", "adaptive, friction", "observer", "ADRC"])
 def test_nothing_winds_up_where_the_force_is_limited(name: str) -> None:
     limits = (22.0, 22.0, 3.0)
     start = CIRCLE(0.0).q + np.array([0.5, -0.3, 0.4])

@@ -99,9 +99,17 @@ CORRIDOR: Mapping[str, BenchmarkScenario] = MappingProxyType(
             limits=(30.0, 30.0, 5.0),
             about="the same with at most 30 N, so that the tip-over margin stays 8 cm",
         ),
+        "corridor, narrower": BenchmarkScenario(
+            **_CORNER | {"offset": None, "upper": (2.9, 4.0)},
+            limits=(30.0, 30.0, 5.0),
+            about="in time, but with a wall 10 cm before the path, which knows nothing of it",
+        ),
     }
 )
-"""A tall robot that is late for a corner of a corridor: it may tip over, or brake too late for the wall."""
+"""A tall robot that is late for a corner of a corridor: it may tip over, or brake too late for the wall.
+
+In the last one it is in time, and the path itself leads through a wall.
+"""
 
 
 def contestants() -> dict[str, Any]:

@@ -15,6 +15,7 @@ from pinmobile.benchmarking.situation import BenchmarkScenario
 from pinmobile.files import write
 
 _LOST = 1.0  # [m] off, from which a controller has lost its robot
+_TOUCH = 1e-3  # [m] beyond a wall that do not count
 _ALIKE = 1.1  # ratio of the largest to the smallest distance in which latency alone shows
 _SMALL = 1e-3  # what is smaller is not told, in the units of tables
 _NEAR = 1.05  # ratio to the least chatter that counts as it
@@ -144,7 +145,7 @@ class Benchmark:
     def verdict(self) -> str:
         """Who comes closest where, at what price, who chatters least, and who loses the robot, in words."""
         said = [*self._closest(), *self._quietest(), *self._late(), *self._bounded(), *self._lost()]
-        return " ".join(said)
+        return "\n".join(said)
 
     def _open(self) -> list[int]:
         """Return the scenarios without walls, which judge by distance."""
@@ -189,8 +190,9 @@ class Benchmark:
         ratio = np.where(held, _times(chatter, chatter.min(axis=0)).max(axis=1), np.inf)
         i = int(np.argmin(ratio))
         return [
-            f"Least chatter of those who never lose the robot: {list(self.scores)[i]}, nowhere above "
-            f"{ratio[i]:.2g} times the least, {_range(1e3 * largest[i])} mm off."
+            f"Least chatter of those who never lose the robot: {list(self.scores)[i]}, "
+            f"{'always' if ratio[i] < _NEAR else f'nowhere above {ratio[i]:.2g} times'} the least, "
+            f"{_range(1e3 * largest[i])} mm off."
         ]
 
     def _late(self) -> list[str]:
@@ -205,18 +207,20 @@ class Benchmark:
         return said
 
     def _bounded(self) -> list[str]:
-        """Say who stays within walls and upright, and how soon that recovers."""
+        """Say who stays within walls, to a millimetre, and upright, and how soon that recovers."""
         said = []
         for place, one in self.scenarios.items():
             if not one.has_walls:
                 continue
             scores = {name: row[place] for name, row in self.scores.items()}
             kept = [
-                f"{name} ({'never recovers' if np.isinf(score.recovery) else f'{score.recovery:.3g} s'})"
+                f"{name} ({'stays off the path' if np.isinf(score.recovery) else f'{score.recovery:.3g} s'})"
                 for name, score in scores.items()
-                if score.beyond == 0 and not score.margin < 0
+                if score.beyond <= _TOUCH and not score.margin < 0
             ]
-            far = [f"{name} ({_digits(1e3 * x.beyond)} mm)" for name, x in scores.items() if x.beyond > 0]
+            far = [
+                f"{name} ({_digits(1e3 * x.beyond)} mm)" for name, x in scores.items() if x.beyond > _TOUCH
+            ]
             tips = [name for name, score in scores.items() if score.margin < 0]
             words = [
                 f"In {place}, within the walls, upright, and recovered after: {', '.join(kept) or 'none'}"

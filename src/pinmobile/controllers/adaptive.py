@@ -26,6 +26,7 @@ _EACH = 10  # parameters of a body in space, as `regressor` has them
 _RATES = (2 / 3, 1 / 15, 1 / 15, 1 / 50)  # gains of the estimates of a body in the plane, per kg of it
 _RUBBING = (2.0, 1.0)  # of viscous friction and of that which does not grow, per diagonal of M,
 _TURNING = 1.8  # and so many times that where a coordinate is an angle
+_ROUNDING = 1e-9  # relative, within which a force is applied as it is asked for
 _LEAST = 0.04  # of the nominal inertia about the centre of mass, which an estimate keeps
 
 
@@ -43,7 +44,8 @@ class Adaptive:
     `inertial_parameters`. With friction, c and f of each coordinate follow, the base's along the body's axes:
     c v_r and f S(v_r), S(z) = z / sqrt(z^2 + speed^2).
 
-    After each step phi is brought back into its bounds, of which a body in the plane has one more: its
+    Of a step whose force is cut off by limits nothing is learnt: errors that these leave would drive phi
+    away. After each step phi is brought back into its bounds, of which a body in the plane has one more: its
     inertia about the centre of mass stays above a share of the nominal.
 
     Parameters
@@ -150,8 +152,8 @@ class Adaptive:
         object.__setattr__(self, name, frozen(bound))
         return bound
 
-    def initial_state(self, context: Context) -> tuple[Any, float]:
-        """Return how far the estimates are from the robot's own parameters, and the time between samples."""
+    def initial_state(self, context: Context) -> tuple[Any, ...]:
+        """Return how far estimates are off the robot's own, now and before, a force, and the time step."""
 
         def gains() -> dict[str, Array]:
             return {name: np.asarray(getattr(self, name)) for name in ("slope", "kd")}
@@ -163,9 +165,16 @@ class Adaptive:
             return double_integrators(dt, kp, gain + diagonal(slope), 0 * kp)
 
         check_held(gains, loop, context.dt)
-        return np.zeros(len(self._nominal)), float(context.dt)
+        none = np.zeros(len(self._nominal))
+        return none, none, np.zeros(self.robot.nv), float(context.dt)
 
-    def signals(self, state: tuple[Any, float]) -> dict[str, Any]:
+    def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Return the state, told of the force that is applied, shape (..., n)."""
+        change, before, tau, dt = state
+        is_whole = np.all(np.abs(u - tau) <= _ROUNDING * (1 + np.abs(tau)), axis=-1)[..., None]
+        return np.where(is_whole, change, before), before, tau, dt
+
+    def signals(self, state: tuple[Any, ...]) -> dict[str, Any]:
         """Return the estimates: of a body in the plane its mass, first moment, inertia; and friction."""
         phi, n = self._nominal + state[0], self.robot.nv
         inertial = phi[..., : len(self._nominal) - 2 * n] if self.friction else phi
@@ -218,10 +227,10 @@ class Adaptive:
         return found
 
     def __call__(
-        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, float]
-    ) -> tuple[Array, tuple[Any, float]]:
+        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, ...]
+    ) -> tuple[Array, tuple[Any, ...]]:
         """Return the generalised force, shape (..., n), and the next state."""
-        change, dt = state
+        change, _, _, dt = state
         robot = self.robot
         s, velocity, acceleration = combined(
             self.difference or robot.difference, np.asarray(self.slope), q, v, reference
@@ -231,7 +240,7 @@ class Adaptive:
         tau = tau + np.sum(Y * change[..., None, :], axis=-1)
         grown = np.asarray(self.gamma) * (np.sum(Y * s[..., :, None], axis=-2) - self.leakage * change)
         is_seen = np.sum(s * s, axis=-1, keepdims=True) >= np.asarray(self.dead_zone)[..., None] ** 2
-        return tau, (self._possible(change + np.where(is_seen, dt * grown, 0.0)), dt)
+        return tau, (self._possible(change + np.where(is_seen, dt * grown, 0.0)), change, tau, dt)
 
     def _possible(self, change: Array) -> Array:
         """Return the estimates in their bounds."""
