@@ -38,6 +38,7 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.controllers.tracking_errors import passive_torque
+from pinmobile.plant import Context
 
 NOMINAL = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
 HEAVY = MobileRobot(mass=36, yaw_inertia=1.56, com=(0.1, 0.05))
@@ -174,6 +175,14 @@ def test_the_sum_of_squares_of_adaptive_control_falls_in_each_step() -> None:
     total = kinetic[1:] + ((phi - true) ** 2 / gamma).sum(axis=-1)[:-1] / 2
     assert total[0] > 1
     assert (np.diff(total) < 0).all()
+
+
+def test_leakage_takes_estimates_back_to_the_first_at_its_rate() -> None:
+    controller, reference = Adaptive(NOMINAL, gamma=0.0, leakage=0.5), SHORT(0.0)
+    change, *others = controller.initial_state(Context.of(NOMINAL, dt=0.01, t=np.arange(2) * 0.01))
+    off = np.asarray(change) + np.array([6.0, 0.6, 0.3, 0.26])
+    _, (after, *_) = controller(0.0, reference.q, reference.v, reference, (off, *others))
+    np.testing.assert_allclose(after, (1 - 0.01 * 0.5) * off, rtol=1e-12)
 
 
 def test_the_observer_is_exact_for_constant_forces_and_as_fast_as_its_gain() -> None:

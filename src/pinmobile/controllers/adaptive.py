@@ -238,7 +238,7 @@ class Adaptive:
         Y = self._regressor(q, v, velocity, acceleration)
         tau = passive_torque(robot, q, v, velocity, acceleration) + np.asarray(self.kd) * s
         tau = tau + np.sum(Y * change[..., None, :], axis=-1)
-        grown = np.asarray(self.gamma) * (np.sum(Y * s[..., :, None], axis=-2) - self.leakage * change)
+        grown = np.asarray(self.gamma) * np.sum(Y * s[..., :, None], axis=-2) - self.leakage * change
         is_seen = np.sum(s * s, axis=-1, keepdims=True) >= np.asarray(self.dead_zone)[..., None] ** 2
         return tau, (self._possible(change + np.where(is_seen, dt * grown, 0.0)), change, tau, dt)
 
