@@ -875,7 +875,15 @@ ROWS: dict[str, Row] = {
     "Log.from_bag": row(path=the("log_csv"), topics={"q": "/odom", "u": "/wrench"}, stamps="header"),
     "Log.from_rollout": row(rollout=the("rollout"), noise=1e-3, input_noise=(1, 1, 0.1), delay=1, seed=0),
     "Log.from_streams": Row(
-        lambda: {"t_q": WORLD.log.t, "q": WORLD.log.q, "t_u": WORLD.log.t, "u": WORLD.log.u}, 60
+        lambda: {
+            "t_q": WORLD.log.t,
+            "q": WORLD.log.q,
+            "t_u": WORLD.log.t,
+            "u": WORLD.log.u,
+            "twist": None,
+            "wheel_rates": None,
+        },
+        60,
     ),
     "identify": row(60, log=the("log"), robot=None, loads=None, method="weak", delay=0.0, rolling_speed=0.01),
     "Identification.interval": row(level=0.9),
