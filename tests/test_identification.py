@@ -115,7 +115,7 @@ def test_a_delay_is_found(seed: int, delay: int) -> None:
 def test_a_delay_between_samples_is_found_by_the_weak_form_and_widens_its_intervals() -> None:
     fine, start = driven(rate=200), 2  # every fourth sample, beginning in the middle of two
     u = fine.u[: 4 * (len(fine.u) // 4)].reshape(-1, 4, 3).mean(axis=1)
-    read = Log(0.02 * np.arange(len(u) - 1), fine.q[4 - start :: 4][: len(u) - 1], u[1:])
+    read = Log(0.02 * np.arange(len(u) - 1.0), fine.q[4 - start :: 4][: len(u) - 1], u[1:])
     weak = identify(read, method="weak")
     assert weak.delay == pytest.approx(0.01, abs=5e-4)
     known = identify(read, method="weak", delay=0.01)
@@ -235,7 +235,7 @@ def test_a_robot_that_no_body_is_becomes_the_likeliest_that_is_one() -> None:
     near = chassis.plausible(phi, C)
     P = np.linalg.inv(C)
 
-    # On the boundary I = rho^2 m + (mx^2 + my^2) / m, without dry friction forward; the best of all else is linear.
+    # On the boundary I = rho^2 m + (mx^2 + my^2) / m, without dry friction forward; all else is at its best.
     fixed, free = [0, 1, 2, 3, 7], [4, 5, 6, 8, 9]
     P = P[np.ix_(fixed, fixed)] - P[np.ix_(fixed, free)] @ np.linalg.solve(
         P[np.ix_(free, free)], P[np.ix_(free, fixed)]
