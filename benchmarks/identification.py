@@ -163,7 +163,7 @@ def by_sysid(log: pm.Log) -> Answer:
 
     found = found_in(log, "output error")
     run = Cleaned.of(log, found.chassis, np.zeros(4))
-    late = float(round(found.delay / found.dt))
+    late = found.delay / found.dt
     problem = OutputError([Segments.of(run, found.chassis, late, SEGMENT)], found.chassis)
     scales = np.sqrt(np.diag(found.covariance_of_phi))
     _, _, (part,) = problem.started(found.phi, np.diag(scales))

@@ -20,7 +20,7 @@ from pinmobile.identification.residual_noise import ResidualNoise
 
 _SHIFT = 1e-5  # of a parameter's scale, or of a start's, in differences
 _CONVERGED = 1e-3  # of a variance: the last step is of less than a thirtieth of a deviation
-_ROUNDING = 1e-12  # of the cost
+_ROUNDING = 1e-9  # of the cost
 _STEP = 0.005  # [s], longest of the integration: dry friction changes its sign within some
 _LATER = (-1, 1)  # samples: the difference of these simulations is the slope by the delay
 _FIRST_PASSES = 2
