@@ -152,7 +152,8 @@ def benchmark(
     - the adaptive law with friction, up to 10 % more, and 40 % less where there is friction: bounds of its
       estimates and the speed of its friction had not been stated, and are chosen here;
     - noise, which is drawn: over twelve seeds super-twisting comes within 1.55 to 2.50 mm and ADRC within
-      1.65 to 2.10 mm, where 1.65 and 1.73 mm had been found; all others within 15 %.
+      1.65 to 2.10 mm, where 1.65 and 1.73 mm had been found; all others within 15 %;
+    - MPC, which had a horizon of 20 steps of 0.01 s: with these, it is so too.
 
     Parameters
     ----------

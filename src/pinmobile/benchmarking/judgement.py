@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
+from textwrap import fill
 from typing import NamedTuple, final
 
 import numpy as np
@@ -14,6 +15,7 @@ from pinmobile.benchmarking.scores import Score
 from pinmobile.benchmarking.situation import BenchmarkScenario
 from pinmobile.files import write
 
+_WIDTH = 110  # letters of a line of the verdict
 _LOST = 1.0  # [m] off, from which a controller has lost its robot
 _TOUCH = 1e-3  # [m] beyond a wall that do not count
 _ALIKE = 1.1  # ratio of the largest to the smallest distance in which latency alone shows
@@ -145,7 +147,7 @@ class Benchmark:
     def verdict(self) -> str:
         """Who comes closest where, at what price, who chatters least, and who loses the robot, in words."""
         said = [*self._closest(), *self._quietest(), *self._late(), *self._bounded(), *self._lost()]
-        return "\n".join(said)
+        return "\n".join(fill(each, _WIDTH, subsequent_indent="  ") for each in said)
 
     def _open(self) -> list[int]:
         """Return the scenarios without walls, which judge by distance."""
