@@ -380,6 +380,22 @@ def test_currents_and_a_known_load_tell_the_torque_per_ampere() -> None:
     assert found.parameters["mass"] == pytest.approx(30.0, rel=0.05)
 
 
+@pytest.mark.once
+@pytest.mark.parametrize("drive", ["mecanum", "omni"])
+def test_a_base_that_moves_in_every_direction_on_its_wheels_is_found(drive: str) -> None:
+    wheel: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.005}
+    tables = {
+        "mecanum": WheelTable.mecanum(0.4, 0.48, 0.09, **wheel),
+        "omni": WheelTable.omni(0.25, 0.06, **wheel),
+    }
+    plant = WheeledRobot(BODY, tables[drive])
+    run = simulate(plant, ComputedTorque(plant), motion(), dt=0.02, substeps=4, engine=COMPILED)
+    believed = WheeledRobot(MobileRobot(20.0, 1.0), tables[drive])
+    found = identify(Log.from_rollout(run, 1e-3, 0.02, seed=1), believed, method="weak")
+    for name, value in {"mass": 30.0, "com_x": 0.06, "com_y": 0.02, "yaw_inertia": 1.3}.items():
+        assert found.parameters[name] == pytest.approx(value, rel=0.05), name
+
+
 # -- motions ---------------------------------------------------------------------------------------
 
 
