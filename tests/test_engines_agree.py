@@ -216,6 +216,7 @@ def compositions() -> list[dict[str, str]]:
 def spread_of(choice: Mapping[str, str]) -> dict[str, Any]:
     controller, steady = choice["controller"], choice["steady"]
     nominal = {"force_x": 3.0, "viscous_forward": 5.0, "rolling_left": 3.0, "stiffness": 8.0}
+    nominal["payload_mass"] = 6.0
     gains = {"pid_kp": 50.0, "layer": 0.5, "along": 8.0, "kp_factor": 1.0, "zeta": 0.7, "point_kp": 0.8}
     gain = GAINS.get(controller, "kp_factor")
     name, of_path = OF_PATHS[choice["path"]]

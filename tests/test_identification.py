@@ -370,7 +370,9 @@ def test_currents_and_a_known_load_tell_the_torque_per_ampere() -> None:
     logs = []
     for each in (rolled(False), rolled(True)):
         assert each.wheel_rates is not None
-        currents = (each.u - 30.0 * 0.04 * each.wheel_rates) / 1.2  # what is left of volts by back-EMF
+        # What back-EMF leaves of the volts, on average over the step for which these are held.
+        mean = (each.wheel_rates + np.roll(each.wheel_rates, -1, axis=0)) / 2
+        currents = (each.u - 30.0 * 0.04 * mean) / 1.2
         logs.append(Log(each.t, each.q, currents, None, each.wheel_rates))
     believed = on_wheels(MobileRobot(20.0, 1.0)).wheeled
     found = identify(logs, believed, loads=[None, LOAD], method="weak")
