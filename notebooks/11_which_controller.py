@@ -1,10 +1,10 @@
 # %% [markdown]
 # # 11 Which controller
 #
-# Notebook 6 asked how wrong the model may be, notebook 10 measured it. Who cannot, or will not, measure has
-# a shelf of controllers that live with a wrong model: integral action, adaptation, sliding modes, observers,
-# prediction. Every paper shows a table in which its own is best. Here is a table of all of them; and then
-# five ways to misread it, each shown by numbers.
+# [Notebook 6](06_how_wrong_may_the_model_be.ipynb) asked how wrong the model may be,
+# [notebook 10](10_from_a_log_to_parameters.ipynb) measured it. Who cannot, or will not, measure has a shelf
+# of controllers that live with a wrong model: integral action, adaptation, sliding modes, observers,
+# prediction. Here is a table of them; and then five ways to misread it, each shown by numbers.
 
 # %%
 from dataclasses import replace
@@ -66,7 +66,7 @@ plots.benchmark(result, at="noise")
 # One column has the same number in every row. A measurement that is 30 ms old shows the robot where it was.
 # Each controller holds *that* against where the robot should be *now*, and drives until both agree: the robot
 # is then ahead of its reference by speed times latency, $0.9 \cdot 0.03 = 27$ mm. No gain changes it, and no
-# robustness, for nothing in the model is wrong. What helps is to compare with the reference *of then*:
+# robustness, for it is not the model that is wrong. What helps is to compare with the reference *of then*:
 
 
 # %%
@@ -158,7 +158,7 @@ for k, (axes, symbol) in enumerate(zip(panels.flat, symbols, strict=True)):
     dress(axes)
 for axes in panels[1]:
     axes.set_xlabel("t [s]")
-panels[0, 0].legend(frameon=False)
+_ = panels[0, 0].legend(frameon=False)
 
 # %%
 print(f"truth      {truth}")
@@ -226,15 +226,16 @@ print(f"\nof {len(draws)} draws of the noise, p = 16 / s is closer in {closer}")
 
 # %% [markdown]
 # The same chatter, and computed torque with $p = 16$/s is ahead in all columns but that of the delay, where
-# all are alike: within its layer, and that is where it stays, the sliding mode *is* a PD of high gain. It
-# is above the line of gains, super-twisting near it; what that has to offer is elsewhere, errors of some
-# hundredths of a millimetre where there is no noise. Below the line are those that integrate what lasts:
-# PID, ADRC, the observer at a moderate rate, and adaptation. A table of distances alone shows none of this.
+# all are alike: within its layer, and that is where it stays, the sliding mode *is* computed torque with
+# high gains. It is above the line of gains, super-twisting near it; what that has to offer is elsewhere,
+# errors of some hundredths of a millimetre where there is no noise. Below the line are those that integrate
+# what lasts: PID, ADRC, the observer at a moderate rate, and adaptation. A table of distances alone shows
+# none of this.
 #
 # ## Reading 4: a push is in no regressor
 #
-# From 10 s on, 25 N push, always to one side of the room. Computed torque gives way by about $F / (m k_p) =
-# 25 / (30 \cdot 16)$ m, 52 mm, and adaptation hardly less:
+# From 10 s on, 25 N push, always to one side of the room. Computed torque gives way by about
+# $F / (m k_p) = 25 / (30 \cdot 16)$ m, 52 mm, and adaptation hardly less:
 
 # %%
 pushed = {
@@ -254,7 +255,7 @@ right.plot(run.t, blamed, "--", color=colour(1), label="adaptive: dry friction s
 left.set(xlabel="t [s]", ylabel="distance [mm]", xlim=(8, 30), ylim=(-3, 98), title="How far it gives way")
 right.set(xlabel="t [s]", ylabel="force [N]", xlim=(8, 30), title="What they take it for")
 left.legend(frameon=False, fontsize=9, ncol=2, loc="upper center")
-right.legend(frameon=False, fontsize=9, loc=(0.4, 0.08))
+right.legend(frameon=False, fontsize=9, loc=(0.24, 0.08))
 for axes in (left, right):
     dress(axes)
 
@@ -267,8 +268,7 @@ print(f"the observer finds {found[-1]:.1f} N; adaptation {blamed[-1]:.0f} N of d
 # %% [markdown]
 # The regressor has columns for mass and friction, none for a hand that pushes. Adaptation explains the push
 # by what it has: something that rubs sideways. That fits for a part of each turn only, and is false.
-# Integral action and the observer take a force as a force. If it adapts, let it have an observer beside it,
-# and believe no estimate of a robot that was pushed.
+# Integral action and the observer take a force as a force. Believe no estimate of a robot that was pushed.
 #
 # ## Reading 5: limits
 #
@@ -349,7 +349,7 @@ dress(axes)
 # |---|---|---|
 # | measurements are late | the reference of then, whoever controls | 27 mm become 0.1 to 6.5 |
 # | the mass is wrong | an observer, or PID | 0.5 or 1 mm, computed torque 6 |
-# | somebody pushes | an observer, or PID | at most 9 or 18 mm, computed torque 67 |
+# | somebody pushes, for long | an observer | 0.1 mm once it is found; computed torque 67 mm |
 # | friction is what is unknown | adaptive control with friction, an observer | 0.9 or 2 mm for 37 |
 # | there is noise, and chatter is dear | ADRC or PID | 2 mm for 7.5, at 1.4 or 1.6 times the chatter |
 # | chatter is free | computed torque with higher gains | 1.3 mm, sliding mode 1.9 |
