@@ -1021,6 +1021,7 @@ ROWS: dict[str, Row] = {
     ),
     "BenchmarkScenario.around": row(controller=pm.PD(40, 20)),
     "BenchmarkScenario.run": row(40, controller=pm.PD(40, 20)),
+    "BenchmarkScenario.scenario": row(controller=pm.PD(40, 20), n=2, spread={"mass": 31.0}, seed=1),
     "benchmark": row(
         20, controllers={"PD": pm.PD(40, 20)}, scenarios=the("scenarios"), progress=lambda done, total: None
     ),

@@ -28,6 +28,7 @@ from pinmobile import (
 )
 from pinmobile.benchmarking import CORRIDOR, NOMINAL, STANDARD, Benchmark, Score, contestants
 from pinmobile.cli import main
+from pinmobile.ensembles import run_scenario
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 published: Any = import_module("controllers")  # the script that runs the whole table
@@ -236,3 +237,13 @@ def test_a_plant_that_tells_no_margin_has_none() -> None:
 
     found = benchmark({"PD": PD(1, 1)}, {"x": replace(SHORT, robot=Bare())})
     assert np.isnan(found.scores["PD"]["x"].margin)
+
+
+def test_a_scenario_is_one_of_ensembles_and_sweeps_too() -> None:
+    for place in ("push", "limits", "payload"):
+        one, controller = replace(STANDARD[place], after=8.0), EACH["observer"]
+        many = run_scenario(one.scenario(controller, 2, {"mass": np.array([30.0, 33.0])}))
+        for k, mass in enumerate((30.0, 33.0)):
+            other = replace(one, robot=MobileRobot(mass, 1.3, (0.1, 0.05)))
+            alone = benchmark({"observer": controller}, {place: other}).scores["observer"][place]
+            assert many.max_distance[k] == pytest.approx(alone.largest, rel=1e-9), (place, mass)

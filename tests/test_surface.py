@@ -78,7 +78,7 @@ ALLOWED: dict[str, set[str]] = {
     "balance": {"robot"},
     "proximity": {"robot", "constancy"},
     "reaching": {"robot", "trajectories", "integrators", "plant", "proximity"},
-    "benchmarking": {"files", "simulation", "balance"},
+    "benchmarking": {"files", "simulation", "balance", "ensembles"},
     "identification": {"extras", "files", "forces", "simulation", "wheels"},
     "palette": set(),
     "plots": {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -21,6 +21,7 @@ from pinmobile.arrays import (
     whole,
 )
 from pinmobile.controllers import Controller, Delayed, NoisyMeasurement, Saturated
+from pinmobile.ensembles import Scenario, Source
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.integrators import Integrator, rk4
 from pinmobile.paths import Circle
@@ -170,3 +171,32 @@ class BenchmarkScenario:
             if not isinstance(error.__cause__, NotTraceable):
                 raise
         return simulate(*loop, engine=PINOCCHIO, **given)
+
+    def scenario(
+        self, controller: Controller, n: int, spread: Mapping[str, Source], *, seed: int = 0
+    ) -> Scenario:
+        """Return the loop of `n` robots that differ, for `run_scenario` and `sweep`.
+
+        Parameters
+        ----------
+        controller : controller
+            As in `benchmark`.
+        n : int
+            Number of robots.
+        spread : mapping of str to Distribution, number or array of shape (n,)
+            What differs, see `Scenario`; a start that is named is that, instead of `offset`.
+        seed : int
+            Of the draws.
+
+        Raises
+        ------
+        InvalidArgument, UnknownName
+            As of `Scenario`.
+        """
+        offset = np.zeros(0) if self.offset is None else np.asarray(self.offset)
+        starts = {f"start_{c.name}": float(by) for c, by in zip(self.robot.coordinates, offset, strict=False)}
+        return Scenario(
+            robot=self.robot, controller=self.around(controller), trajectory=self.trajectory, n=n,
+            spread=starts | dict(spread), dt=self.dt, seed=seed, integrator=self.integrator,
+            substeps=self.substeps, forces=self.forces, after=self.after,
+        )  # fmt: skip

@@ -1,6 +1,13 @@
 """Many robots at once: drawn, run side by side, and summed up."""
 
-from pinmobile.ensembles.distributions import TRUE_MODEL, Distribution, Normal, Same, Uniform
+from pinmobile.ensembles.distributions import (
+    TRUE_MODEL,
+    Distribution,
+    Normal,
+    Same,
+    Source as Source,
+    Uniform,
+)
 from pinmobile.ensembles.engines import way_of as way_of
 from pinmobile.ensembles.outline import Outline, percent as percent
 from pinmobile.ensembles.parameters import (
