@@ -886,6 +886,7 @@ ROWS: dict[str, Row] = {
         60,
     ),
     "identify": row(60, log=the("log"), robot=None, loads=None, method="weak", delay=0.0, rolling_speed=0.01),
+    "Identification.delay_interval": row(level=0.9),
     "Identification.interval": row(level=0.9),
     "Identification.robot": row(),
     "Identification.forces": row(),

@@ -46,7 +46,7 @@ from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO, part_of, run_scenar
 from tests.parts import PID, Cart, Eight, Follower, Nodding, SlidingMode, Smoothed, Spring, midpoint
 
 N, DT, DURATION = 3, 0.01, 3.0  # 301 samples
-MOST = 92
+MOST = 97
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
 WRONG = MobileRobot(27.0, 1.1, com=(0.05, 0.0))
 

@@ -21,7 +21,7 @@ from pinmobile.arrays import (
     whole,
 )
 from pinmobile.controllers import Controller, Delayed, NoisyMeasurement, Saturated
-from pinmobile.ensembles import Scenario, Source
+from pinmobile.ensembles import Scenario, Source, check_mapping
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.integrators import Integrator, rk4
 from pinmobile.paths import Circle
@@ -193,6 +193,7 @@ class BenchmarkScenario:
         InvalidArgument, UnknownName
             As of `Scenario`.
         """
+        check_mapping(spread)
         offset = np.zeros(0) if self.offset is None else np.asarray(self.offset)
         starts = {f"start_{c.name}": float(by) for c, by in zip(self.robot.coordinates, offset, strict=False)}
         return Scenario(

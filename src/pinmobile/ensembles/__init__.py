@@ -7,6 +7,7 @@ from pinmobile.ensembles.distributions import (
     Same,
     Source as Source,
     Uniform,
+    check_mapping as check_mapping,
 )
 from pinmobile.ensembles.engines import way_of as way_of
 from pinmobile.ensembles.outline import Outline, percent as percent
