@@ -5,7 +5,9 @@ Usage: python benchmarks/wheels_control.py [--quick] [--rounds N] [--only WORD .
 The eight is 1 m sin 0.5 t, 0.5 m sin t, for 25 s, sampled at 100 Hz, for which the model needs 5.7 V of
 the 6 V that there are. What follows it is as the model, or 20 % heavier, on ground with dry friction of 0.3,
 where it would need 6.2 V; it starts on the eight, or at rest 0.3 m behind and 0.3 m beside it. Errors are
-those after 5 s; the limit counts where one motor is at it. With --quick, 8 s, of which MPC is left out.
+those after 5 s; the limit counts where one motor is at it. MPC takes the volts for its limits; or, of
+torques, four fifths of what friction holds under the lightest wheel along the eight, so that none slips. With
+--quick, 8 s, of which MPC is left out.
 """
 
 import sys
@@ -63,14 +65,24 @@ class Eight:
 EIGHT = pm.Tangent(Eight())
 
 
+def held(follower: Any) -> float:
+    """Return the torque [N m] that friction holds along the eight, a fifth of it kept back."""
+    along = run(MODEL, follower, 0 * OFF, SECONDS, pm.COMPILED)
+    driven = [one for one in TABLE.wheels if one.motor is not None]
+    least = pm.contact_loads(along).values[:, : len(driven)].min(axis=0)
+    return 0.8 * min(one.friction.mu * N * one.radius for one, N in zip(driven, least, strict=True))
+
+
 def controllers() -> Mapping[str, Any]:
     """Return controllers, each of the model: LQR and MPC of its volts, or of torques that motors give."""
     volts = MODEL.by_voltage()
+    follower = pm.Driven(pm.Backstepping(pm.Tracking(), MODEL), volts)
     return {
-        "backstepping": pm.Driven(pm.Backstepping(pm.Tracking(), MODEL), volts),
+        "backstepping": follower,
         "LQR, torques": pm.Driven(pm.LQR(MODEL), volts),
         "LQR, volts": pm.LQR(volts),
         "MPC, volts": pm.MPC(volts),
+        "MPC, friction": pm.Driven(pm.MPC(MODEL, limits=held(follower)), volts),
     }
 
 
