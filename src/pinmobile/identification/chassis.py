@@ -28,6 +28,7 @@ _GYRATION = 0.01  # [m], least radius of a body
 _LIGHTEST = 0.02  # [kg]
 _NOTHING = 1e-14  # of the largest variance
 _ROUNDED = 1e-6  # of what a bound lacks
+_CUTS = 100  # tangents, of which some ten are needed
 _AXES = (("forward", "N s/m", "N"), ("left", "N s/m", "N"), ("yaw", "N m s", "N m"))
 
 
@@ -216,12 +217,9 @@ class Chassis:
         InvalidArgument
             If there is none.
         """
-        from scipy.optimize import minimize  # here, because it takes long to load
 
         def slack(p: Array) -> Array:
-            m, mx, my, inertia = p[:4]
-            body = inertia - _GYRATION**2 * m - (mx * mx + my * my) / max(m, _LIGHTEST)
-            return np.concatenate([[m - _LIGHTEST, body], p[4:]])
+            return np.concatenate([[p[0] - _LIGHTEST, _inertia_left(p)], p[4:]])
 
         if (slack(phi) >= 0).all():
             return phi
@@ -229,23 +227,26 @@ class Chassis:
         told = values > _NOTHING * values.max()
         root = vectors[:, told] * np.sqrt(values[told])
         size = np.abs(slack(phi)) + 1e-3 * np.abs(phi).max()
-        found = minimize(
-            lambda z: float(z @ z) / 2,
-            np.zeros(root.shape[1]),
-            jac=lambda z: z,
-            method="SLSQP",
-            constraints={"type": "ineq", "fun": lambda z: slack(phi + root @ z) / size},
-            options={"ftol": 1e-12, "maxiter": 200},
+        # Bounds, and tangents of the inequality of the body where a step is beyond it: both are convex.
+        G = np.vstack([root[:1], root[4:]])
+        h = np.concatenate([[_LIGHTEST], 0 * phi[4:]]) - np.append(phi[0], phi[4:])
+        for _ in range(_CUTS):
+            z = _least(G, h)
+            if z is None:
+                break
+            body = phi + root @ z
+            if (slack(body) >= -_ROUNDED * size).all():
+                body[3] += max(0.0, -_inertia_left(body))
+                body[4:] = np.maximum(body[4:], 0.0)
+                return np.asarray(body)
+            m, mx, my = body[:3]
+            tangent = np.array([(mx * mx + my * my) / m**2 - _GYRATION**2, -2 * mx / m, -2 * my / m, 1.0])
+            G = np.vstack([G, tangent @ root[:4]])
+            h = np.append(h, G[-1] @ z - _inertia_left(body))
+        raise InvalidArgument(
+            f"log leads to a mass of {phi[0]:.3g} kg and a yaw inertia of {self.told(phi)[3]:.3g} kg "
+            "m^2, of which there is no body near: expected a log that tells them to be above zero"
         )
-        body = phi + root @ found.x
-        near = (slack(body) >= -_ROUNDED * size).all()
-        body[4:] = np.maximum(body[4:], 0.0)
-        if not found.success or not near:
-            raise InvalidArgument(
-                f"log leads to a mass of {phi[0]:.3g} kg and a yaw inertia of {self.told(phi)[3]:.3g} kg "
-                "m^2, of which there is no body near: expected a log that tells them to be above zero"
-            )
-        return np.asarray(body)
 
     def rows(self, a_u: Array, a_w: Array, turn: Array, square: Array, rates: Array, dry: Array) -> Array:
         """Return the regressor along the free velocities, shape (n, k, p), a scale of the input left out.
@@ -362,6 +363,27 @@ class Chassis:
     @cached_property
     def _compiled(self) -> dict[tuple[int, int], Batched]:
         return {}
+
+
+def _inertia_left(phi: Array) -> float:
+    """Return by how much the inertia about the centre of mass is above that of a least body."""
+    m, mx, my, inertia = phi[:4]
+    return float(inertia - _GYRATION**2 * m - (mx * mx + my * my) / max(m, _LIGHTEST))
+
+
+def _least(G: Array, h: Array) -> Array | None:
+    """Return the shortest z with G z >= h, or None where there is none (Lawson and Hanson, 1974, 23.4)."""
+    from scipy.optimize import nnls  # here, because it takes long to load
+
+    length = np.linalg.norm(G, axis=1)
+    if (h[length == 0] > 0).any():
+        return None
+    told = length > 0
+    G, h = G[told] / length[told, None], h[told] / length[told]
+    far = max(float(np.abs(h).max(initial=0.0)), 1e-300)
+    E, f = np.vstack([G.T, h / far]), np.append(np.zeros(G.shape[1]), 1.0)
+    rest = E @ nnls(E, f)[0] - f
+    return None if rest[-1] > -_NOTHING else np.asarray(-rest[:-1] / rest[-1] * far)
 
 
 def _dot(row: Array, values: Sequence[Any]) -> Any:
