@@ -29,6 +29,8 @@ from pinmobile import (
 from pinmobile.wheels import Friction, Motor
 from tests.parts import Eight
 
+pytestmark = pytest.mark.once
+
 VOLTS = 6.0
 MOTOR = Motor(
     resistance=1.2,

@@ -35,6 +35,8 @@ from pinmobile.identification import VELOCITY_ROBOTS, VelocityIdentification
 from pinmobile.identification.velocity_fit import Model, cut, guess
 from pinmobile.plant import Context
 
+pytestmark = pytest.mark.once
+
 DT, SECONDS = 0.1, 60.0
 NOISE = np.array([0.005, 0.01])  # m/s, rad/s
 POSE_NOISE = np.array([1e-3, 1e-3, 1e-3])  # m, m, rad
@@ -126,7 +128,6 @@ def test_what_is_simulated_is_what_the_plant_does() -> None:
     np.testing.assert_allclose(ways, cuts.y, rtol=0, atol=2e-5)  # of rk4 with 0.1 s beside that with 0.05 s
 
 
-@pytest.mark.once
 def test_where_the_axle_is_and_what_firmware_allows_are_found() -> None:
     robot = VelocityRobot(ROBOT.theta, ahead=0.15)
     one = identify_velocity(logged(robot, pose=True), ahead=None)
@@ -358,7 +359,6 @@ def test_a_motion_that_tells_too_little_is_told_in_words() -> None:
             ask()
 
 
-@pytest.mark.once
 def test_a_log_of_another_robot_is_told() -> None:
     log = logged(seconds=45.0)
     shuffled = changed(log, u=np.random.default_rng(1).permutation(log.u))
