@@ -18,6 +18,8 @@ from pinmobile.identification import VELOCITY_ROBOTS
 from tests.test_identification import log
 from tests.test_velocity_identification import logged
 
+pytestmark = pytest.mark.once
+
 HEAD = "t,x,y,psi,Fx,Fy,Mz"
 
 
@@ -41,7 +43,6 @@ def written(path: Path, table: Array, head: str = HEAD) -> Path:
     return path
 
 
-@pytest.mark.once
 def test_identify_prints_the_table_and_draws_measured_beside_foretold(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -63,7 +64,6 @@ def test_identify_prints_the_table_and_draws_measured_beside_foretold(
     assert "weak, 22 segments" in weak
 
 
-@pytest.mark.once
 def test_a_log_of_commands_tells_theta(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     read = logged(pose=True)
     path = written(tmp_path / "run.csv", table_of(read), "stamp,px,py,angle [rad],v,w")
@@ -101,7 +101,6 @@ def backwards(table: Array) -> Array:
     return table
 
 
-@pytest.mark.once
 @pytest.mark.parametrize(
     ("change", "text"),
     [
