@@ -353,6 +353,14 @@ def test_volts_and_encoders_tell_mass_and_inertia_and_say_what_they_cannot() -> 
     assert known.forces()[0].names[-2:] == ("left", "right")
 
 
+def test_a_gear_that_loses_by_the_direction_of_power_is_refused() -> None:
+    lossy = on_wheels(BODY, Motor(resistance=1.2, torque_constant=0.04, voltage=24.0, efficiency=0.9))
+    with pytest.raises(
+        InvalidArgument, match=r"robot has a gear of efficiency 0.9 at left, .* a log of torques"
+    ):
+        identify(rolled(False), lossy)
+
+
 @pytest.mark.once
 def test_a_known_load_tells_the_motors_constant() -> None:
     wrong = Motor(resistance=1.2, torque_constant=0.06, voltage=24.0, gear=30.0, rotor_inertia=2e-5)

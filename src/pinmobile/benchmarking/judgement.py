@@ -176,7 +176,12 @@ class Benchmark:
             if wins:
                 where = ", ".join(f"{places[k]} ({_digits(1e3 * largest[i, k])} mm)" for k in wins)
                 ratio = _times(chatter[i, wins], chatter[:, wins].min(axis=0))
-                price = "the least" if ratio.max() < _NEAR else f"{_range(ratio)} times the least"
+                more = (
+                    f"{_range(ratio)} times the least"
+                    if np.isfinite(ratio).all()
+                    else "where others have none"
+                )
+                price = "the least" if ratio.max() < _NEAR else more
                 words = f"{name} in {where}, at {_range(chatter[i, wins])} N/s of chatter, {price}"
                 said.append((len(wins), words))
         said.sort(key=lambda each: -each[0])
@@ -189,7 +194,7 @@ class Benchmark:
         held = (largest < _LOST).all(axis=1)
         if len(chatter) < 2 or not judged or not held.any():
             return []
-        ratio = np.where(held, _times(chatter, chatter.min(axis=0)).max(axis=1), np.inf)
+        ratio = np.where(held, _times(chatter, chatter[held].min(axis=0)).max(axis=1), np.inf)
         i = int(np.argmin(ratio))
         return [
             f"Least chatter of those who never lose the robot: {list(self.scores)[i]}, "

@@ -123,7 +123,13 @@ class Chassis:
         for k, each in enumerate(table.actuators):
             motor = each.motor
             if robot.inputs[k].unit == "V":
-                per_volt = motor.gear * motor.efficiency * motor.torque_constant / motor.resistance
+                if motor.efficiency < 1:
+                    raise InvalidArgument(
+                        f"robot has a gear of efficiency {motor.efficiency:g} at {each.name}, whose loss "
+                        "changes with the direction of power and is not identified: expected efficiency 1, "
+                        "so that friction has the loss, or a log of torques"
+                    )
+                per_volt = motor.gear * motor.torque_constant / motor.resistance
                 B[:, k] *= per_volt
                 if not scaled:  # else it is of an unknown size, and counts as friction
                     felt = motor.gear * motor.torque_constant * per_volt
