@@ -136,3 +136,14 @@ def test_a_reference_that_ends_at_rest_is_refused_with_the_reason(kind: Any, rob
     straight = Tangent(RestToRest([0, 0], [1, 0], 2))
     with pytest.raises(InvalidArgument, match=r"ends at rest, at t = 2 s, where .* cannot move sideways"):
         simulate(robot, kind(robot), straight, dt=0.01)
+
+
+@pytest.mark.parametrize("make", [LQR, MPC])
+def test_volts_are_not_taken_for_torques_nor_torques_for_volts(make: Any) -> None:
+    volts = MODEL.by_voltage()
+    q, v = MODEL.start(EIGHT(0.0))
+    given: Any = {"dt": 0.01, "duration": 0.1, "q0": q, "v0": v}
+    with pytest.raises(InvalidArgument, match=r"robot has inputs in V, V, and what is driven in N m, N m"):
+        simulate(MODEL, make(volts), EIGHT, **given)
+    with pytest.raises(InvalidArgument, match=r"robot has inputs in N m, N m, and what is driven in V, V"):
+        simulate(volts, make(MODEL), EIGHT, **given)

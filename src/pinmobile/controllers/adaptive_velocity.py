@@ -18,12 +18,12 @@ from pinmobile.arrays import (
     scalar,
     vector,
 )
-from pinmobile.controllers.backstepping import speeds_along
+from pinmobile.controllers.backstepping import reference_of, speeds_along
 from pinmobile.controllers.controller import State
 from pinmobile.controllers.held import check_held
 from pinmobile.controllers.steering import Changing, cos, rate_of, sin, tanh, value_of
 from pinmobile.controllers.tracking_errors import each_coordinate
-from pinmobile.errors import InvalidArgument, NotTraceable, shown
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Context, Parameter
 
 _SIZE = 6
@@ -157,10 +157,7 @@ class AdaptiveVelocity:
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, Any, float]:
         """Return the robot's theta, that before, errors, commands asked for, and the time between samples."""
-        try:
-            reference = context.reference
-        except NotTraceable:  # each robot has its own
-            reference = None
+        reference = reference_of(context)
         if reference is not None and self._follows_pose:
             t = np.asarray(context.t)
             speed, _ = speeds_along(np.asarray(self.robot.axle), t, reference)

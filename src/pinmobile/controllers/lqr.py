@@ -12,12 +12,10 @@ from pinmobile.controllers.controller import State
 from pinmobile.controllers.tracked_model import (
     INPUT_WEIGHT,
     check_moves,
+    checked_weights,
     remembered,
-    sizes_of,
     tracked_errors,
     tracked_model,
-    weight,
-    weights_of,
     whole_reference,
 )
 from pinmobile.errors import InvalidArgument
@@ -57,7 +55,7 @@ class LQR:
     InvalidArgument
         If an argument is something else, or wheels steer; at the start of a run, if the reference has not all
         coordinates of body and arms, wheels cannot follow it, or it ends at rest on a drive that cannot move
-        sideways.
+        sideways, or if one of robot and plant takes volts.
     """
 
     robot: Any
@@ -67,15 +65,13 @@ class LQR:
     parameters: ClassVar[tuple[Parameter, ...]] = (INPUT_WEIGHT,)
 
     def __post_init__(self) -> None:
-        n, m, inputs = sizes_of(self.robot)
-        usual = weights_of(self.robot)
-        Q, R = (x if given is None else given for x, given in zip(usual, (self.Q, self.R), strict=True))
-        object.__setattr__(self, "Q", weight("Q", Q, n + m, above=False))
-        object.__setattr__(self, "R", weight("R", R, inputs, above=True))
+        for name, value in checked_weights(self.robot, self.Q, self.R).items():
+            object.__setattr__(self, name, value)
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any]:
         """Return the inputs, velocities and gains of all samples, as schedules."""
-        reference, Q, R = whole_reference(context), np.asarray(self.Q), np.asarray(self.R)
+        reference = whole_reference(context, self.robot)
+        Q, R = np.asarray(self.Q), np.asarray(self.R)
         dt, t = float(context.dt), np.asarray(context.t)
 
         def design() -> tuple[Array, Array, Array]:

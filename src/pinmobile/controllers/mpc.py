@@ -16,12 +16,11 @@ from pinmobile.controllers.observer import estimated
 from pinmobile.controllers.tracked_model import (
     INPUT_WEIGHT,
     check_moves,
+    checked_weights,
     remembered,
     sizes_of,
     tracked_errors,
     tracked_model,
-    weight,
-    weights_of,
     whole_reference,
 )
 from pinmobile.errors import InvalidArgument, NotSolved, NotTraceable
@@ -100,11 +99,8 @@ class MPC:
 
     def __post_init__(self) -> None:
         n, m, inputs = sizes_of(self.robot)
-        usual = weights_of(self.robot)
-        Q, R = (x if given is None else given for x, given in zip(usual, (self.Q, self.R), strict=True))
         found: dict[str, Any] = {
-            "Q": weight("Q", Q, n + m, above=False),
-            "R": weight("R", R, inputs, above=True),
+            **checked_weights(self.robot, self.Q, self.R),
             "horizon": whole("horizon", self.horizon),
             "step": positive("step", self.step, "s"),
             "observer": non_negative("observer", self.observer, "1/s"),
@@ -159,7 +155,8 @@ class MPC:
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return the plan, the sample's number, the observer's memory, the last input, and its program's."""
         solver()
-        reference, dt, t = whole_reference(context), float(context.dt), np.asarray(context.t)
+        reference = whole_reference(context, self.robot)
+        dt, t = float(context.dt), np.asarray(context.t)
         stride = round(self.step / dt)
         if stride < 1 or abs(stride * dt - self.step) > _WHOLE * self.step:
             raise InvalidArgument(f"step is {self.step:g} s, expected a whole number of time steps, {dt:g} s")

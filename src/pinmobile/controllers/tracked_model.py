@@ -144,6 +144,19 @@ def weights_of(robot: Any) -> tuple[Array, Array]:
     return np.array(places + speeds), costs
 
 
+def checked_weights(robot: Any, Q: ArrayLike | None, R: ArrayLike | None) -> dict[str, Array]:
+    """Return the matrices Q and R of what is given, and else the usual ones, by name.
+
+    Raises
+    ------
+    InvalidArgument
+        If one is something else, or the robot is none that can be linearised so.
+    """
+    n, m, inputs = sizes_of(robot)
+    Q, R = (x if given is None else given for x, given in zip(weights_of(robot), (Q, R), strict=True))
+    return {"Q": weight("Q", Q, n + m, above=False), "R": weight("R", R, inputs, above=True)}
+
+
 def weight(name: str, value: ArrayLike, size: int, *, above: bool) -> Array:
     """Check a weight, a diagonal of shape (size,) or a matrix, and return the matrix, frozen.
 
@@ -177,14 +190,28 @@ def weight(name: str, value: ArrayLike, size: int, *, above: bool) -> Array:
     return frozen(matrix)
 
 
-def whole_reference(context: Context) -> Any:
-    """Return the reference of all samples.
+def whole_reference(context: Context, robot: Any) -> Any:
+    """Return the reference of all samples, along which a robot is linearised whose inputs are the plant's.
+
+    Parameters
+    ----------
+    context : Context
+        What a controller is told before the first sample.
+    robot : robot
+        The model that it believes in.
 
     Raises
     ------
     InvalidArgument
-        If the context has none, as in calls by hand.
+        If the context has none, as in calls by hand, or one takes volts and the other does not.
     """
+    theirs, own = ([each.unit for each in inputs] for inputs in (context.inputs, inputs_of(robot)))
+    if len(theirs) == len(own) and ([unit == "V" for unit in theirs] != [unit == "V" for unit in own]):
+        raise InvalidArgument(
+            f"robot has inputs in {', '.join(own)}, and what is driven in {', '.join(theirs)}, expected a "
+            "robot of the same inputs: by_voltage() of wheels takes volts, and Driven(controller, robot) "
+            "gives volts for torques"
+        )
     if context.reference is None:
         raise InvalidArgument(
             "context has no reference, along which the robot is linearised, expected "
