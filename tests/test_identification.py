@@ -46,6 +46,7 @@ from pinmobile.arrays import Array
 from pinmobile.identification import Excitation
 from pinmobile.identification.chassis import Chassis
 from pinmobile.identification.cleaning import Cleaned
+from pinmobile.identification.output_error import OutputError, Segments
 from pinmobile.identification.residual_noise import ResidualNoise
 from pinmobile.identification.weak_form import extrapolated, rows_of
 
@@ -143,7 +144,8 @@ def test_noise_of_forces_is_told_from_a_force_that_remembers_and_whitened(memory
     good = np.ones((400, 100))
     good[:200, 40] = 0
     residuals[:200, 40] = 0
-    noise = ResidualNoise.of(residuals, good, dt)
+    answer = np.maximum(np.arange(100) - 0.5, 0.0)  # of a body to a force that is held for a step
+    noise = ResidualNoise.of(residuals, good, dt, np.repeat(answer[None, :, None], 2, axis=2))
     assert noise.remembers == (memory > 0)
     if not memory:
         white = noise.whitened(residuals[:, None])[:, 0]
@@ -154,6 +156,30 @@ def test_noise_of_forces_is_told_from_a_force_that_remembers_and_whitened(memory
             assert kept.sum() >= 99
             np.testing.assert_allclose(np.diag(C)[kept].mean(), 1.0, atol=0.03)
             assert np.abs(np.diag(C, 1)).mean() < 0.06
+
+
+def test_noise_of_forces_pulls_a_mass_as_least_squares_of_its_reciprocal_would() -> None:
+    """Poses of m a = u + w, fitted by sums over u / m: of variance n the slope by m has -n / m more."""
+    rng, dt, chassis = np.random.default_rng(6), 0.02, Chassis.pushed(0.01)
+    u = rng.normal(0, 30.0, (2000, 3)) * np.array([1.0, 1.0, 0.1])
+    none = np.zeros((2000, 3))
+    run = Cleaned(dt, none, np.ones(2000, bool), u, None, np.full(3, 1e-3), None, 0, np.zeros(4))
+    segments = Segments.of(run, chassis, 0.0, 2.0)
+    phi = chassis.phi(np.array([30.0, 0.0, 0.0, 2.0, *np.zeros(6)]))
+    starts = np.zeros((segments.number, 6))
+    answers = segments.responses(chassis, starts, phi)
+    drawn = [
+        np.stack([np.convolve(h, w)[:100] for w in rng.normal(size=(20, 100))]) for h in answers.sum(0).T
+    ]
+    residuals = 2.0 * np.stack(drawn, axis=-1) + rng.normal(size=(20, 100, 3))
+    noise = ResidualNoise.of(residuals, segments.good, dt, answers)
+    assert (noise.share > 15).all()  # of 100
+    problem = OutputError([segments], chassis, noise=[noise])
+    point, _, parts = problem.started(phi, np.eye(10)[:, [0, 3]], [starts])
+    pull = problem.pull(point, parts, np.eye(10)[:, [0, 3]])
+    expected = 20 * noise.share[:2].sum() / 30.0, 20 * noise.share[2] / 2.0
+    # First states take 2 of a segment's 55; of 1,100 numbers and three draws of noise 3 %.
+    np.testing.assert_allclose(pull, expected, rtol=0.1)
 
 
 def test_a_delay_that_is_ignored_spoils_friction() -> None:

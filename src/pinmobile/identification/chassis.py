@@ -172,6 +172,11 @@ class Chassis:
         """How many numbers phi has."""
         return 4 + 2 * len(self.A) + self.scaled
 
+    @property
+    def dry(self) -> slice:
+        """Where phi has dry friction."""
+        return slice(4 + len(self.A), 4 + 2 * len(self.A))
+
     def told(self, phi: Array) -> Array:
         """Return what is told of phi, shape (..., p): com = (m x, m y) / m, and the inertia about it."""
         m, mx, my, inertia = (phi[..., k] for k in range(4))

@@ -3,11 +3,15 @@
 The residual of a segment is (measured - simulated) / noise. Gauss-Newton steps, damped where the cost would
 rise; the first states are projected out of each segment's Jacobian by QR, so that the normal matrix has the
 size of the parameters. Perturbed parameters and states of all segments are simulated side by side.
+
+Noise of a logged force is in the simulation, and so in its slopes too: it would pull parameters to where it
+does less, such as to a larger inertia. By how much a second draw of it tells, which is taken off.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -24,6 +28,10 @@ _ROUNDING = 1e-9  # of the cost
 _STEP = 0.005  # [s], longest of the integration: dry friction changes its sign within some
 _LATER = (-1, 1)  # samples: the difference of these simulations is the slope by the delay
 _FIRST_PASSES = 2
+_SHAKE = 1e-2  # of an input's deviation, to see what noise of it does
+_LEAST_SIZE = 1e-3  # of an input, or of a response to one, as a share of the largest
+_RESPONSES = 3  # of a sensor, as the heading turns them
+_DRAWS = 3  # of noise, by which estimates have a sixth more of what is due to products of noise
 _SHARES = np.array([1.0, 0.5, 0.2, 0.05, 0.0])  # of the way of a first state that are tried
 _FIRST_DAMPING, _LARGEST_DAMPING = 1e-9, 1e9
 
@@ -81,6 +89,35 @@ class Segments(NamedTuple):
     def part(self) -> float:
         """Share of the time to the next sample in which the input is the one before."""
         return self.delay - float(np.floor(self.delay))
+
+    def with_more(self, inputs: Array) -> Segments:
+        """Return the segments of a log with more inputs, shape (N, nu)."""
+        return self._replace(run=replace(self.run, u=self.run.u + inputs))
+
+    @property
+    def sizes(self) -> Array:
+        """Which size the inputs have, shape (nu,)."""
+        sizes = self.run.u.std(axis=0)
+        return np.asarray(np.maximum(sizes, _LEAST_SIZE * sizes.max() + np.finfo(float).tiny))
+
+    def responses(self, chassis: Chassis, starts: Array, phi: Array) -> Array:
+        """Return what sensors answer to inputs that are held for the first step, shape (r, L, m).
+
+        Of a robot at rest without dry friction; of all headings and inputs, the few that have most of it.
+        """
+        resting, smooth = starts.copy(), phi.copy()
+        resting[:, 3:], smooth[chassis.dry] = 0.0, 0.0
+        first = np.clip(self.at[:, 0] - int(np.floor(self.delay)), 0, len(self.run.u) - 1)
+        none, found = np.zeros_like(self.run.u), []
+        for unit in np.diag(self.sizes):
+            held = none.copy()
+            held[first] = unit
+            there = self._replace(run=replace(self.run, u=held))
+            found.append(there.simulated(chassis, resting[:, None], smooth[None])[:, 0])
+            found[-1] = found[-1] - found[-1][:, :1]
+        _, sizes, rows = np.linalg.svd(np.moveaxis(np.concatenate(found), -1, 0), full_matrices=False)
+        sizes = np.where(sizes > _LEAST_SIZE * sizes[:, :1], sizes, 0.0)
+        return np.asarray(np.moveaxis((sizes[..., None] * rows)[:, :_RESPONSES], 0, -1))
 
     def simulated(self, chassis: Chassis, z: Array, phi: Array, later: Sequence[int] = (0,)) -> Array:
         """Return what sensors would measure over their noise, shape (S, V, L, m).
@@ -283,14 +320,16 @@ class OutputError:
             First states to begin with, where they are known.
         """
         point, cost, parts = self.started(phi, basis, starts)
-        damping, taken = _FIRST_DAMPING, 0
+        pull = self.pull(point, parts, basis)
+        damping, taken, gone = _FIRST_DAMPING, 0, np.zeros(len(pull))
         while taken < most:
             taken += 1
-            H_i, g_i = _normal(parts)
+            H_i, g_i = _normal(parts, pull)
             H, g = H_i.sum(axis=0), g_i.sum(axis=0)
             while True:
                 step = np.linalg.lstsq(H + damping * np.diag(np.diag(H)), g, rcond=None)[0]
                 moved, new = self._moved(point, parts, step, basis)
+                new += 2 * float(pull @ (gone + step))
                 if new <= cost * (1 + 1e-12) or damping > _LARGEST_DAMPING:
                     break
                 damping = max(10 * damping, 1e-4)
@@ -298,12 +337,38 @@ class OutputError:
                 break
             said = float(g @ np.linalg.lstsq(g_i.T @ g_i, g, rcond=None)[0])  # beside what segments differ by
             near = said <= _CONVERGED or cost - new <= _ROUNDING * cost
-            point, cost = moved, new
+            point, cost, gone = moved, new, gone + step
             damping = max(damping / 10, _FIRST_DAMPING)
             parts = self._linear(point, basis)
             if near:
                 break
-        return self._estimate(point, basis, parts)
+        return self._estimate(point, basis, parts, pull)
+
+    def pull(self, point: _Point, parts: Sequence[_Linear], basis: Array) -> Array:
+        """Return what noise of the inputs adds to the right side, shape (d,): from other draws of it."""
+        pull, generator = np.zeros(basis.shape[1] + self.free), np.random.default_rng(0)
+        for k, (noise, part) in enumerate(zip(self.noise, parts, strict=False)):
+            log, start = self._late(point.delay)[k], point._replace(starts=[point.starts[k]])
+            shape, unit = log.run.u.shape, _SHAKE * log.sizes
+            before, power = self._simulated(k, log, point), []
+            for row in np.diag(unit):
+                drawn = log.with_more(generator.standard_normal(shape) * row)
+                power.append(((self._simulated(k, drawn, point) - before) ** 2).mean(axis=0).sum(axis=0))
+            sizes = unit * np.sqrt(_shares(np.array(power).T, noise.share))
+            for _ in range(_DRAWS):
+                shaken = log.with_more(generator.standard_normal(shape) * sizes)
+                problem = OutputError([shaken], self.chassis, point.delay, self.free, [noise])
+                there = problem._linear_of(0, start, basis)
+                way, slopes = there.raw - part.raw, there.slopes - part.slopes
+                way = way - (part.Q @ (np.swapaxes(part.Q, 1, 2) @ way[..., None]))[..., 0]
+                pull = pull + np.einsum("sni,sn->i", slopes, way) / _DRAWS
+        return pull
+
+    def _simulated(self, k: int, log: Segments, point: _Point) -> Array:
+        """Return the white residuals of a log's segments, shape (S, L, m)."""
+        out = log.simulated(self.chassis, point.starts[k][:, None], point.phi[None])
+        left = (log.measured[:, None] - out) * log.good[:, None, :, None]
+        return self._whitened(k, left)[:, 0]
 
     def started(
         self, phi: Array, basis: Array, starts: Sequence[Array] = ()
@@ -319,8 +384,8 @@ class OutputError:
             parts = self._linear(point, basis)
         return point, cost, parts
 
-    def _estimate(self, point: _Point, basis: Array, parts: Sequence[_Linear]) -> Estimate:
-        H_i, g_i = _normal(parts)
+    def _estimate(self, point: _Point, basis: Array, parts: Sequence[_Linear], pull: Array) -> Estimate:
+        H_i, g_i = _normal(parts, pull)
         H, S, p = H_i.sum(axis=0), len(H_i), basis.shape[1]
         d = np.linalg.solve(H - H_i, g_i[..., None])[..., 0]
         jackknife = (S - 1) / S * d.T @ d
@@ -343,10 +408,30 @@ class OutputError:
         )
 
 
-def _normal(parts: Sequence[_Linear]) -> tuple[Array, Array]:
-    """Return what each segment adds to the normal matrix, shape (S, d, d), and to the right side, (S, d)."""
-    H_i = [np.einsum("sni,snj->sij", part.J, part.J) for part in parts]
-    return np.concatenate(H_i), np.concatenate([np.einsum("sni,sn->si", part.J, part.e) for part in parts])
+def _normal(parts: Sequence[_Linear], pull: Array) -> tuple[Array, Array]:
+    """Return what each segment adds to the normal matrix, shape (S, d, d), and to the right side, (S, d).
+
+    Each of the segments takes its part of the pull off.
+    """
+    H_i = np.concatenate([np.einsum("sni,snj->sij", part.J, part.J) for part in parts])
+    g_i = np.concatenate([np.einsum("sni,sn->si", part.J, part.e) for part in parts])
+    return H_i, g_i - pull / len(g_i)
+
+
+def _shares(power: Array, share: Array) -> Array:
+    """Return the variances of inputs, none below zero, that explain shares of residuals best.
+
+    Parameters
+    ----------
+    power : ndarray, shape (m, nu)
+        Of residuals, per variance.
+    share : ndarray, shape (m,)
+        Of residuals.
+    """
+    from scipy.optimize import nnls  # here, because it takes long to load
+
+    scale = np.maximum(power.max(axis=1), np.finfo(float).tiny)
+    return np.asarray(nnls(power / scale[:, None], np.maximum(share, 0.0) / scale)[0])
 
 
 def _start_step(part: _Linear, step: Array) -> Array:

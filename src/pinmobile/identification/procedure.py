@@ -364,8 +364,8 @@ def _by_output_error(
     if all(whiteness(e, good).is_white for e, good in zip(found.residuals, found.good, strict=True)):
         return found
     noise = [
-        ResidualNoise.of(e / part.noise, part.good, part.run.dt)
-        for e, part in zip(found.residuals, segments, strict=True)
+        ResidualNoise.of(e / part.noise, part.good, part.run.dt, part.responses(at.chassis, start, found.phi))
+        for e, start, part in zip(found.residuals, found.starts, segments, strict=True)
     ]
     if any(each.remembers for each in noise):
         return found  # a controller may answer to such a force: weights for it would be those of the answer

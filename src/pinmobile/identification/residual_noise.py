@@ -1,20 +1,20 @@
 """`ResidualNoise`: what the noise of a logged force leaves in residuals of output error, and what whitens it.
 
-Noise of the force that is logged is in the simulation, not in the robot: of a segment it leaves its double
-integral in the poses, and its integral in rates of wheels. So the residual of a sensor has the covariance,
-between the times of a segment::
+Noise of the force that is logged is in the simulation, not in the robot: of a segment it leaves in the poses
+what they answer to it, about its double integral. So the residual of a sensor has the covariance, between the
+times of a segment::
 
     V = s_0 I + s_1 G G'
 
-with G the integrals. s_0 and s_1 are those of largest likelihood of what first states cannot explain:
-restricted maximum likelihood (Patterson and Thompson 1971). With V = L L', the residuals L^-1 e are what a
-Kalman filter would call innovations: if they are white, V is right, and least squares of them is the most
-likely estimate, its deviations about half of those that the residuals as they are lead to.
+with G the responses to the inputs. s_0 and s_1 are those of largest likelihood of what first states cannot
+explain: restricted maximum likelihood (Patterson and Thompson 1971). With V = L L', the residuals L^-1 e are
+what a Kalman filter would call innovations: if they are white, V is right, and least squares of them is the
+most likely estimate, its deviations about half of those that the residuals as they are lead to.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,14 +37,17 @@ class ResidualNoise:
         The same of segments that lack some, by their number.
     remembers : bool
         Whether a force that remembers is likelier behind the residuals than one that does not.
+    share : ndarray, shape (m,)
+        Of the squares of a segment's white residuals, what is the force's.
     """
 
     usual: Array
     others: Mapping[int, Array]
     remembers: bool
+    share: Array
 
     @classmethod
-    def of(cls, residuals: Array, good: Array, dt: float, poses: int = 3) -> ResidualNoise:
+    def of(cls, residuals: Array, good: Array, dt: float, responses: Array, poses: int = 3) -> ResidualNoise:
         """Return the noise that residuals tell.
 
         Parameters
@@ -55,6 +58,8 @@ class ResidualNoise:
             1 where something was measured.
         dt : float
             Time between two samples [s].
+        responses : ndarray, shape (r, L, m)
+            To inputs that are held for the first step of a segment.
         poses : int
             How many of the m are of the pose.
         """
@@ -66,16 +71,20 @@ class ResidualNoise:
                 filled[s, :, j] = np.interp(at, at[there], residuals[s, there, j])
         lag = np.abs(at[:, None] - at) * dt / _MEMORY
         kernels = np.eye(len(at)), (1 + lag) * np.exp(-lag)
-        costs, V = np.zeros(2), []
+        costs, V, sensors = np.zeros(2), [], []
         for j in range(residuals.shape[2]):
-            tried = [_likeliest(filled[..., j], 1 + (j < poses), kernel) for kernel in kernels]
+            order, answers = 1 + (j < poses), [h for h in responses[..., j] if h.any()]
+            tried = [_likeliest(filled[..., j], order, _moved(answers, kernel)) for kernel in kernels]
             costs += [each[0] for each in tried]
             V.append(tried[0][1])
+            sensors.append(tried[0][2])
         usual, others = np.array(V), {}
         for s in lacking:
             there = np.outer(good[s], good[s])
             others[int(s)] = _inverse_root(usual * there + np.diag(1 - good[s]))
-        return cls(_inverse_root(usual), others, bool(costs[1] < costs[0]))
+        root = _inverse_root(usual)
+        share = len(at) - np.array(sensors) * (root**2).sum(axis=(1, 2))
+        return cls(root, others, bool(costs[1] < costs[0]), share)
 
     def whitened(self, residuals: Array) -> Array:
         """Return residuals, shape (S, V, L, m), made white; zero where nothing was measured."""
@@ -90,27 +99,35 @@ def _inverse_root(V: Array) -> Array:
     return np.asarray(np.linalg.inv(np.linalg.cholesky(V)))
 
 
-def _likeliest(residuals: Array, order: int, kernel: Array) -> tuple[float, Array]:
-    """Return the cost and the covariance of residuals, shape (S, L), of the likeliest shares of two noises.
+def _moved(responses: Sequence[Array], kernel: Array) -> Array:
+    """Return the covariance of what a force of a covariance leaves, both of shape (L, L), to a factor."""
+    from scipy.linalg import matmul_toeplitz  # here, because it takes long to load
+
+    if not responses:
+        return kernel
+    total, none = np.zeros_like(kernel), np.zeros(len(kernel))
+    for h in responses:
+        total = total + matmul_toeplitz((h, none), matmul_toeplitz((h, none), kernel).T)
+    return np.asarray(total / np.trace(total))
+
+
+def _likeliest(residuals: Array, order: int, moved: Array) -> tuple[float, Array, float]:
+    """Return cost, covariance and the sensor's variance of the likeliest shares of two noises in residuals.
 
     Parameters
     ----------
     residuals : ndarray, shape (S, L)
         Of one sensor.
     order : int
-        How often it integrates the force.
-    kernel : ndarray, shape (L, L)
-        Covariance of the force.
+        How many powers of time first states explain.
+    moved : ndarray, shape (L, L)
+        Covariance of what noise of forces leaves, but for its size.
     """
     from scipy.linalg import null_space  # here, because these take long to load
     from scipy.optimize import minimize_scalar
 
     length = residuals.shape[1]
-    k = np.arange(length) / length
-    since = k[:, None] - k - 0.5 / length  # from the middle of what is held to a sample
-    G = np.maximum(since, 0.0) if order == 2 else (since > 0) / 1.0
-    moved = G @ kernel @ G.T
-    free = null_space(np.vander(k, order).T).T  # what first states cannot explain
+    free = null_space(np.vander(np.arange(length) / length, order).T).T  # what first states cannot explain
     sizes, vectors = np.linalg.eigh(free @ moved @ free.T)
     sizes = np.maximum(sizes / sizes.mean(), 0.0)
     power = ((residuals @ free.T @ vectors) ** 2).mean(axis=0)
@@ -124,4 +141,4 @@ def _likeliest(residuals: Array, order: int, kernel: Array) -> tuple[float, Arra
     ratio = float(np.exp(found.x))
     white = float((power / (1 + ratio * sizes)).mean())
     scale = np.trace(free @ moved @ free.T) / len(sizes)
-    return float(found.fun), np.asarray(white * (np.eye(length) + ratio / scale * moved))
+    return float(found.fun), np.asarray(white * (np.eye(length) + ratio / scale * moved)), white
