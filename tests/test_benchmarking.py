@@ -80,7 +80,7 @@ def test_it_says_who_comes_closest_at_what_price_and_what_latency_costs(result: 
     assert said.startswith("Closest after the start: super-twisting in payload (0.0206 mm), push (6.85 mm)")
     assert "sliding mode in noise (" in said
     assert "Least chatter of those who never lose the robot: " in said
-    assert "In delay all are alike, 27 to 27.9 mm: speed times latency, 0.9 m/s x 30 ms." in said
+    assert "In delay all who hold the robot are alike, 27 to 27.9 mm: speed times latency, 0.9 m/s x" in said
     assert said.endswith("Lost: PD in delay (diverges).")
     assert str(result).endswith(result.verdict)
     assert max(map(len, result.verdict.splitlines())) <= 110
@@ -147,6 +147,42 @@ def small() -> Benchmark:
     good = {"here": scores(largest=2e-3, chatter=4.0), "there": scores(largest=np.inf, chatter=np.inf)}
     bad = {"here": scores(largest=1e-3, chatter=10.0), "there": scores(largest=0.5, chatter=8.0)}
     return Benchmark({"a": good, "b, c": bad}, {"here": SHORT, "there": replace(SHORT, about="far off")})
+
+
+def judged(place: BenchmarkScenario, **rows: tuple[float, float]) -> str:
+    """Return the verdict on controllers of some distances [mm] and chatters in one scenario."""
+    made = {name: {"x": scores(largest=1e-3 * mm, chatter=each)} for name, (mm, each) in rows.items()}
+    return " ".join(Benchmark(made, {"x": place}).verdict.split())
+
+
+def test_who_ties_is_told_so() -> None:
+    said = judged(SHORT, a=(9.0, 2.004), b=(5.04, 4.0), c=(5.0, 2.0))
+    assert said.startswith("Closest after the start: b and c tied in x (5 to 5.04 mm), at 2 to 4 N/s of")
+    assert "never lose the robot: a and c tied, always the least, 5 to 9 mm off." in said
+    assert "Closest after the start: c in x (5 mm), at" in judged(SHORT, b=(5.06, 4.0), c=(5.0, 2.0))
+    # Less than a micrometre is told as that, and is rounding.
+    assert "a and b tied in x (<0.001 mm), at" in judged(SHORT, a=(2e-5, 1.0), b=(8e-4, 1.0))
+
+
+def test_who_loses_the_robot_is_no_measure_of_others() -> None:
+    said = judged(SHORT, a=(5.0, 6.0), b=(7.0, 3.0), lost=(1000.0, 0.1))
+    assert "Closest after the start: a in x (5 mm), at 6 N/s of chatter, 2 times the least." in said
+    assert "Least chatter of those who never lose the robot: b, always the least, 7 mm off." in said
+    assert said.endswith("Lost: lost in x (1 m off).")
+    late = replace(SHORT, delay=3)
+    assert "In x all are alike, 27 to 28 mm" in judged(late, a=(27.0, 1.0), b=(28.0, 1.0))
+    said = judged(late, a=(27.0, 1.0), b=(28.0, 1.0), lost=(np.inf, np.inf))
+    assert "In x all who hold the robot are alike, 27 to 28 mm: speed times latency, 0.9 m/s x 30 ms." in said
+    assert said.endswith("Lost: lost in x (diverges).")
+
+
+def test_no_one_chatters_least_where_each_is_still_in_another_place() -> None:
+    rows = {"a": (0.0, 1.0), "b": (1.0, 0.0)}
+    made = {
+        name: {place: scores(chatter=each) for place, each in zip("xy", row, strict=True)}
+        for name, row in rows.items()
+    }
+    assert "Least chatter" not in Benchmark(made, {"x": SHORT, "y": SHORT}).verdict
 
 
 def test_tables_and_files_have_the_numbers(small: Benchmark, tmp_path: Path) -> None:
