@@ -23,6 +23,7 @@ from pinmobile import (
     Tangent,
     UnknownName,
     benchmark,
+    benchmarking,
     plots,
     tip_over_margin,
 )
@@ -230,6 +231,21 @@ def test_the_command_prints_and_draws(capsys: pytest.CaptureFixture[str], tmp_pa
     assert {file.name for file in tmp_path.iterdir()} == {"benchmark.png", "benchmark.csv", "index.html"}
     assert main(["benchmark", "--scenario", "payloud"]) == 2
     assert "payload" in capsys.readouterr().err
+
+
+def test_without_its_package_predictive_control_is_left_out_and_told(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "daqp", None)
+    monkeypatch.setattr(benchmarking, "STANDARD", {"short": SHORT})
+    assert "MPC" not in contestants()
+    needs = "needs daqp, which is not installed: pip install daqp, or 'pinmobile[mpc]'\n"
+    assert main(["benchmark", "--controller", "PD"]) == 0
+    assert "MPC" not in capsys.readouterr().out
+    assert main(["benchmark"]) == 0
+    assert capsys.readouterr().out.startswith(f"MPC is left out: it {needs}")
+    assert main(["benchmark", "--controller", "PD", "--controller", "MPC"]) == 2
+    assert capsys.readouterr() == ("", f"pinmobile: MPC {needs}")
 
 
 def test_progress_is_told_and_an_error_says_whose_it_is() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from importlib.util import find_spec
 from types import MappingProxyType
 from typing import Any
 
@@ -24,6 +23,7 @@ from pinmobile.controllers import (
     SlidingMode,
     SuperTwisting,
     check_controller,
+    solver,
 )
 from pinmobile.errors import InvalidArgument, PinmobileError, shown
 from pinmobile.forces import ConstantForce, Payload, RollingResistance, ViscousFriction
@@ -131,7 +131,16 @@ def contestants() -> dict[str, Any]:
         "ADRC": ADRC(NOMINAL),
         "LQR": LQR(NOMINAL),
     }
-    return found | ({"MPC": MPC(NOMINAL)} if find_spec("daqp") else {})
+    return found if "MPC" in lacking() else found | {"MPC": MPC(NOMINAL)}
+
+
+def lacking() -> dict[str, InvalidArgument]:
+    """Return what `contestants` leaves out, by name, and the errors that say what it lacks."""
+    try:
+        solver()
+    except InvalidArgument as error:
+        return {"MPC": error}
+    return {}
 
 
 def benchmark(
