@@ -112,6 +112,24 @@ def test_volts_of_the_reference_are_those_of_its_torques_and_rates() -> None:
         simulate(body, MPC(body, limits=3.0), EIGHT, dt=0.01, duration=1.0)
 
 
+def test_limits_beyond_those_of_the_motors_are_refused_as_the_robot_would_cut_inputs_off() -> None:
+    volts, weak = MODEL.by_voltage(), WheelTable.differential(0.5, 0.1, motor=Motor(torque_limit=4.0))
+    torques = WheeledRobot(MODEL.robot, weak)
+    for robot, limits, words in (
+        (volts, 7.0, "has 7 V for left, expected at most 6 V, the largest of its motor"),
+        (volts, [6.0, 6.1], "has 6.1 V for right, expected at most 6 V"),
+        (torques, 4.5, "has 4.5 N m for left, expected at most 4 N m"),
+    ):
+        with pytest.raises(InvalidArgument, match=f"^limits {words}"):
+            MPC(robot, limits=limits)
+        with pytest.raises(InvalidArgument, match=f"^limits {words}"):
+            MPC(robot).within(limits)
+    assert MPC(volts, limits=VOLTS).range[1].tolist() == MPC(volts).range[1].tolist() == [VOLTS, VOLTS]
+    # Where one is endless, the motor's own stays.
+    assert [each.tolist() for each in MPC(volts, limits=[5.0, np.inf]).range] == [[-5.0, -6.0], [5.0, 6.0]]
+    assert MPC(MODEL, limits=1e6).range[1].tolist() == [1e6, 1e6]
+
+
 def test_the_engines_agree() -> None:
     robot = MODEL.by_voltage()
     given: Any = {"dt": 0.01, "n": 3, "seed": 2, "duration": 1.0, "spread": {"mass": Uniform(28, 36)}}
