@@ -19,11 +19,14 @@ from pinmobile import (
     Circle,
     InvalidArgument,
     MobileRobot,
+    NotSolved,
+    PinmobileError,
     SlidingMode,
     Tangent,
     UnknownName,
     benchmark,
     benchmarking,
+    law,
     plots,
     tip_over_margin,
 )
@@ -253,9 +256,30 @@ def test_progress_is_told_and_an_error_says_whose_it_is() -> None:
     quick = replace(SHORT, trajectory=Tangent(Circle(1.5, 0.6, 0.1)))
     benchmark({"a": PD(1, 1), "b": PD(2, 1)}, {"x": quick}, progress=lambda *now: told.append(now))
     assert told == [(1, 2), (2, 2)]
-    with pytest.raises(InvalidArgument, match="limits exclude the reference") as caught:
+    words = r"^limits exclude the reference: .* \(of controllers\['mine'\] in scenarios\['x'\]\)$"
+    with pytest.raises(InvalidArgument, match=words) as caught:
         benchmark({"mine": MPC(NOMINAL, limits=5)}, {"x": SHORT})
-    assert caught.value.__notes__ == ["of controllers['mine'] in scenarios['x']"]
+    assert caught.value.argument == "limits"
+
+
+@pytest.mark.parametrize("error", [
+    NotSolved("no solution", time=1.0, state=0, problem={}),
+    UnknownName("path", "crcle", ["circle"]),
+    ZeroDivisionError("mine"),
+])  # fmt: skip
+def test_errors_keep_their_type_and_what_they_carry(error: Exception) -> None:
+    @law
+    def failing(t: Any, q: Any, v: Any, reference: Any) -> Any:
+        if t > 0.5:
+            raise error
+        return -v
+
+    said, place = str(error), "of controllers['mine'] in scenarios['x']"
+    with pytest.raises(type(error)) as caught:
+        benchmark({"mine": failing}, {"x": SHORT})
+    assert caught.value is error
+    told = [str(error), *getattr(error, "__notes__", [])]
+    assert told == ([f"{said} ({place})"] if isinstance(error, PinmobileError) else [said, place])
 
 
 BAD: Any = [

@@ -181,7 +181,8 @@ def benchmark(
     Raises
     ------
     InvalidArgument
-        If there is no controller or no scenario, or as in `simulate`.
+        If there is no controller or no scenario, or as in `simulate`; then its message, as that of all errors
+        of pinmobile, says of which controller and scenario. What else a controller raises has a note of it.
     """
     for name, given, kind in (
         ("controllers", controllers, "controller"),
@@ -203,10 +204,14 @@ def benchmark(
     total, done = len(controllers) * len(scenarios), 0
     for name, controller in controllers.items():
         for place, scenario in scenarios.items():
+            whose = f"of controllers[{name!r}] in scenarios[{place!r}]"
             try:
                 scores[name][place] = scored(scenario, controller)
             except PinmobileError as error:
-                error.add_note(f"of controllers[{name!r}] in scenarios[{place!r}]")
+                error.args = f"{error} ({whose})", *error.args[1:]
+                raise
+            except Exception as error:
+                error.add_note(whose)
                 raise
             done += 1
             if progress is not None:
