@@ -38,23 +38,29 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 published: Any = import_module("controllers")  # the script that runs the whole table
 
 EACH = {name: one for name, one in contestants().items() if name != "MPC"}
-PLACES = "payload", "push", "noise", "all"  # the others are in test_wrong_model.py
 # Which one draw of the noise decides, or what had not been stated: see REASONS of the script.
-OTHERS = {("adaptive, friction", "payload"): 0.035, ("super-twisting", "noise"): 0.4, ("ADRC", "noise"): 0.25}
+OTHERS = {
+    ("adaptive, friction", "mass +20 %"): 0.1,
+    ("adaptive, friction", "com off"): 0.28,
+    ("adaptive, friction", "payload"): 0.035,
+    ("adaptive, friction", "friction"): 0.42,
+    ("super-twisting", "noise"): 0.4,
+    ("ADRC", "noise"): 0.25,
+}
 SHORT = BenchmarkScenario(trajectory=Tangent(Circle(radius=1.5, rate=0.6, duration=2)), after=1.0)
 
 
 @pytest.fixture(scope="module")
 def result() -> Benchmark:
     """Return the scenarios of the table, run."""
-    return benchmark(EACH, {name: STANDARD[name] for name in (*PLACES, "limits", "delay")})
+    return benchmark(EACH, {name: STANDARD[name] for name in (*published.SCENARIOS, "limits")})
 
 
 @pytest.mark.once
 def test_errors_are_those_of_an_independent_implementation(result: Benchmark) -> None:
     for name in EACH:
         row = dict(zip(published.SCENARIOS, published.PUBLISHED[name][0].split(), strict=True))
-        for place in PLACES:
+        for place in published.SCENARIOS:
             share = OTHERS.get((name, place), 0.15 if STANDARD[place].noise else 0.02)
             found = 1e3 * result.scores[name][place].largest
             assert not published.differs(found, row[place], share), (name, place, found)
@@ -76,12 +82,21 @@ def test_the_table_is_printed_and_a_number_that_is_off_needs_a_reason(
 
 
 @pytest.mark.once
+def test_estimated_friction_is_worth_more_than_estimated_inertia_where_there_is_friction(
+    result: Benchmark,
+) -> None:
+    both, inertia = (result.scores[name]["friction"].largest for name in ("adaptive, friction", "adaptive"))
+    assert both < 0.05 * inertia
+
+
+@pytest.mark.once
 def test_it_says_who_comes_closest_at_what_price_and_what_latency_costs(result: Benchmark) -> None:
     assert np.isinf(result.scores["PD"]["delay"].largest)
-    chatter = dict(zip(result.scores, result.values("chatter")[:, PLACES.index("noise")], strict=True))
+    chatter = {name: row["noise"].chatter for name, row in result.scores.items()}
     assert chatter["sliding mode"] > 5 * chatter["computed torque"]
     said = " ".join(result.verdict.split())
-    assert said.startswith("Closest after the start: super-twisting in payload (0.0206 mm), push (6.85 mm)")
+    assert said.startswith("Closest after the start: super-twisting in nominal (0.00316 mm), mass +20 % (")
+    assert "payload (0.0206 mm), push (6.85 mm), friction (0.0168 mm), limits (" in said
     assert "sliding mode in noise (" in said
     assert "Least chatter of those who never lose the robot: " in said
     assert "In delay all who hold the robot are alike, 27 to 27.9 mm: speed times latency, 0.9 m/s x" in said

@@ -158,7 +158,7 @@ def benchmark(
     With the settings of `contestants`, distances in `STANDARD` are those of an independent implementation to
     2 %, or half a unit of the last digit, but for
 
-    - the adaptive law with friction, up to 10 % more, and 40 % less where there is friction: bounds of its
+    - the adaptive law with friction, up to 27 % more, and 41 % less where there is friction: bounds of its
       estimates and the speed of its friction had not been stated, and are chosen here;
     - noise, which is drawn: over twelve seeds super-twisting comes within 1.55 to 2.50 mm and ADRC within
       1.65 to 2.10 mm, where 1.65 and 1.73 mm had been found; all others within 15 %;
