@@ -1,5 +1,8 @@
 """LQR and MPC of robots whose inputs are volts, beside backstepping, on a figure of eight."""
 
+import sys
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,10 +15,8 @@ from pinmobile import (
     MPC,
     PINOCCHIO,
     Backstepping,
-    Coulomb,
     Driven,
     InvalidArgument,
-    MobileRobot,
     RestToRest,
     Rollout,
     Tangent,
@@ -26,35 +27,13 @@ from pinmobile import (
     ensemble,
     simulate,
 )
-from pinmobile.wheels import Friction, Motor
-from tests.parts import Eight
+from pinmobile.wheels import Motor
 
 pytestmark = pytest.mark.once
 
-VOLTS = 6.0
-MOTOR = Motor(
-    resistance=1.2,
-    torque_constant=0.03,
-    voltage=VOLTS,
-    gear=20.0,
-    rotor_inertia=1e-5,
-    viscous=1e-5,
-    coulomb=0.004,
-    efficiency=0.8,
-)
-TABLE = WheelTable.differential(
-    0.5,
-    0.1,
-    motor=MOTOR,
-    supports=[(-0.2, 0.0), (0.2, 0.0)],
-    friction=Friction(mu=0.3),
-    mass=1.0,
-    spin_inertia=0.01,
-    yaw_inertia=0.006,
-)
-MODEL = WheeledRobot(MobileRobot(30.0, 2.3, com=(0.05, 0.0, 0.2)), TABLE)
-HEAVY = WheeledRobot(MobileRobot(36.0, 2.76, com=(0.05, 0.0, 0.2)), TABLE, Coulomb())
-EIGHT = Tangent(Eight(1.0, 4 * np.pi))  # 1 m sin 0.5 t, 0.5 m sin t
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+races: Any = import_module("wheels_control")  # the script that runs the whole table
+MODEL, HEAVY, EIGHT, VOLTS = races.MODEL, races.HEAVY, races.EIGHT, races.VOLTS
 
 
 def controllers() -> dict[str, Any]:
@@ -69,11 +48,9 @@ def controllers() -> dict[str, Any]:
 
 def run(robot: WheeledRobot, name: str, off: float, duration: float) -> Rollout:
     """Return a run that starts so far behind and beside the eight, where at all, at rest."""
-    q, v = MODEL.start(EIGHT(0.0))
-    q = q - np.array([off, off, 0, 0, 0])
     engine = None if name == "MPC" else COMPILED
-    given: Any = {"dt": 0.01, "duration": duration, "engine": engine, "q0": q, "v0": v if not off else 0 * v}
-    return simulate(robot.by_voltage(), controllers()[name], EIGHT, **given)
+    found: Rollout = races.run(robot, controllers()[name], np.array([-off, -off, 0, 0, 0]), duration, engine)
+    return found
 
 
 def distance(found: Rollout) -> Any:
