@@ -174,6 +174,20 @@ class Nodding:
         )
 
 
+@dataclass(frozen=True)
+class Waving:
+    """A trajectory of a robot with arms: every coordinate leaves its rest and comes back, later ones more."""
+
+    robot: Any
+    duration: float = 1.0
+
+    def __call__(self, t: Any) -> Reference:
+        angle = 3.0 * np.asarray(t)[..., None]
+        way = 0.2 * np.arange(1, self.robot.nv + 1) / self.robot.nv
+        q = self.robot.rest + way * (1 - np.cos(angle))
+        return Reference(q, way * 3 * np.sin(angle), way * 9 * np.cos(angle))
+
+
 class Cart:
     """A plant: two driven wheels on an axle, which roll. q = (x, y, psi, left, right), u = their torques."""
 

@@ -19,10 +19,14 @@ from pinmobile import (
     Circle,
     InvalidArgument,
     MobileRobot,
+    NotSolved,
+    PinmobileError,
     SlidingMode,
     Tangent,
     UnknownName,
     benchmark,
+    benchmarking,
+    law,
     plots,
     tip_over_margin,
 )
@@ -34,23 +38,29 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 published: Any = import_module("controllers")  # the script that runs the whole table
 
 EACH = {name: one for name, one in contestants().items() if name != "MPC"}
-PLACES = "payload", "push", "noise", "all"  # the others are in test_wrong_model.py
 # Which one draw of the noise decides, or what had not been stated: see REASONS of the script.
-OTHERS = {("adaptive, friction", "payload"): 0.035, ("super-twisting", "noise"): 0.4, ("ADRC", "noise"): 0.25}
+OTHERS = {
+    ("adaptive, friction", "mass +20 %"): 0.1,
+    ("adaptive, friction", "com off"): 0.28,
+    ("adaptive, friction", "payload"): 0.035,
+    ("adaptive, friction", "friction"): 0.42,
+    ("super-twisting", "noise"): 0.4,
+    ("ADRC", "noise"): 0.25,
+}
 SHORT = BenchmarkScenario(trajectory=Tangent(Circle(radius=1.5, rate=0.6, duration=2)), after=1.0)
 
 
 @pytest.fixture(scope="module")
 def result() -> Benchmark:
     """Return the scenarios of the table, run."""
-    return benchmark(EACH, {name: STANDARD[name] for name in (*PLACES, "limits", "delay")})
+    return benchmark(EACH, {name: STANDARD[name] for name in (*published.SCENARIOS, "limits")})
 
 
 @pytest.mark.once
 def test_errors_are_those_of_an_independent_implementation(result: Benchmark) -> None:
     for name in EACH:
         row = dict(zip(published.SCENARIOS, published.PUBLISHED[name][0].split(), strict=True))
-        for place in PLACES:
+        for place in published.SCENARIOS:
             share = OTHERS.get((name, place), 0.15 if STANDARD[place].noise else 0.02)
             found = 1e3 * result.scores[name][place].largest
             assert not published.differs(found, row[place], share), (name, place, found)
@@ -72,15 +82,24 @@ def test_the_table_is_printed_and_a_number_that_is_off_needs_a_reason(
 
 
 @pytest.mark.once
+def test_estimated_friction_is_worth_more_than_estimated_inertia_where_there_is_friction(
+    result: Benchmark,
+) -> None:
+    both, inertia = (result.scores[name]["friction"].largest for name in ("adaptive, friction", "adaptive"))
+    assert both < 0.05 * inertia
+
+
+@pytest.mark.once
 def test_it_says_who_comes_closest_at_what_price_and_what_latency_costs(result: Benchmark) -> None:
     assert np.isinf(result.scores["PD"]["delay"].largest)
-    chatter = dict(zip(result.scores, result.values("chatter")[:, PLACES.index("noise")], strict=True))
+    chatter = {name: row["noise"].chatter for name, row in result.scores.items()}
     assert chatter["sliding mode"] > 5 * chatter["computed torque"]
     said = " ".join(result.verdict.split())
-    assert said.startswith("Closest after the start: super-twisting in payload (0.0206 mm), push (6.85 mm)")
+    assert said.startswith("Closest after the start: super-twisting in nominal (0.00316 mm), mass +20 % (")
+    assert "payload (0.0206 mm), push (6.85 mm), friction (0.0168 mm), limits (" in said
     assert "sliding mode in noise (" in said
     assert "Least chatter of those who never lose the robot: " in said
-    assert "In delay all are alike, 27 to 27.9 mm: speed times latency, 0.9 m/s x 30 ms." in said
+    assert "In delay all who hold the robot are alike, 27 to 27.9 mm: speed times latency, 0.9 m/s x" in said
     assert said.endswith("Lost: PD in delay (diverges).")
     assert str(result).endswith(result.verdict)
     assert max(map(len, result.verdict.splitlines())) <= 110
@@ -149,6 +168,42 @@ def small() -> Benchmark:
     return Benchmark({"a": good, "b, c": bad}, {"here": SHORT, "there": replace(SHORT, about="far off")})
 
 
+def judged(place: BenchmarkScenario, **rows: tuple[float, float]) -> str:
+    """Return the verdict on controllers of some distances [mm] and chatters in one scenario."""
+    made = {name: {"x": scores(largest=1e-3 * mm, chatter=each)} for name, (mm, each) in rows.items()}
+    return " ".join(Benchmark(made, {"x": place}).verdict.split())
+
+
+def test_who_ties_is_told_so() -> None:
+    said = judged(SHORT, a=(9.0, 2.004), b=(5.04, 4.0), c=(5.0, 2.0))
+    assert said.startswith("Closest after the start: b and c tied in x (5 to 5.04 mm), at 2 to 4 N/s of")
+    assert "never lose the robot: a and c tied, always the least, 5 to 9 mm off." in said
+    assert "Closest after the start: c in x (5 mm), at" in judged(SHORT, b=(5.06, 4.0), c=(5.0, 2.0))
+    # Less than a micrometre is told as that, and is rounding.
+    assert "a and b tied in x (<0.001 mm), at" in judged(SHORT, a=(2e-5, 1.0), b=(8e-4, 1.0))
+
+
+def test_who_loses_the_robot_is_no_measure_of_others() -> None:
+    said = judged(SHORT, a=(5.0, 6.0), b=(7.0, 3.0), lost=(1000.0, 0.1))
+    assert "Closest after the start: a in x (5 mm), at 6 N/s of chatter, 2 times the least." in said
+    assert "Least chatter of those who never lose the robot: b, always the least, 7 mm off." in said
+    assert said.endswith("Lost: lost in x (1 m off).")
+    late = replace(SHORT, delay=3)
+    assert "In x all are alike, 27 to 28 mm" in judged(late, a=(27.0, 1.0), b=(28.0, 1.0))
+    said = judged(late, a=(27.0, 1.0), b=(28.0, 1.0), lost=(np.inf, np.inf))
+    assert "In x all who hold the robot are alike, 27 to 28 mm: speed times latency, 0.9 m/s x 30 ms." in said
+    assert said.endswith("Lost: lost in x (diverges).")
+
+
+def test_no_one_chatters_least_where_each_is_still_in_another_place() -> None:
+    rows = {"a": (0.0, 1.0), "b": (1.0, 0.0)}
+    made = {
+        name: {place: scores(chatter=each) for place, each in zip("xy", row, strict=True)}
+        for name, row in rows.items()
+    }
+    assert "Least chatter" not in Benchmark(made, {"x": SHORT, "y": SHORT}).verdict
+
+
 def test_tables_and_files_have_the_numbers(small: Benchmark, tmp_path: Path) -> None:
     assert small.table().splitlines() == [
         "largest distance [mm]", "      here  there", "a        2      -", "b, c     1    500",
@@ -196,14 +251,50 @@ def test_the_command_prints_and_draws(capsys: pytest.CaptureFixture[str], tmp_pa
     assert "payload" in capsys.readouterr().err
 
 
+def test_without_its_package_predictive_control_is_left_out_and_told(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "daqp", None)
+    monkeypatch.setattr(benchmarking, "STANDARD", {"short": SHORT})
+    assert "MPC" not in contestants()
+    needs = "needs daqp, which is not installed: pip install daqp, or 'pinmobile[mpc]'\n"
+    assert main(["benchmark", "--controller", "PD"]) == 0
+    assert "MPC" not in capsys.readouterr().out
+    assert main(["benchmark"]) == 0
+    assert capsys.readouterr().out.startswith(f"MPC is left out: it {needs}")
+    assert main(["benchmark", "--controller", "PD", "--controller", "MPC"]) == 2
+    assert capsys.readouterr() == ("", f"pinmobile: MPC {needs}")
+
+
 def test_progress_is_told_and_an_error_says_whose_it_is() -> None:
     told: list[tuple[int, int]] = []
     quick = replace(SHORT, trajectory=Tangent(Circle(1.5, 0.6, 0.1)))
     benchmark({"a": PD(1, 1), "b": PD(2, 1)}, {"x": quick}, progress=lambda *now: told.append(now))
     assert told == [(1, 2), (2, 2)]
-    with pytest.raises(InvalidArgument, match="limits exclude the reference") as caught:
+    words = r"^limits exclude the reference: .* \(of controllers\['mine'\] in scenarios\['x'\]\)$"
+    with pytest.raises(InvalidArgument, match=words) as caught:
         benchmark({"mine": MPC(NOMINAL, limits=5)}, {"x": SHORT})
-    assert caught.value.__notes__ == ["of controllers['mine'] in scenarios['x']"]
+    assert caught.value.argument == "limits"
+
+
+@pytest.mark.parametrize("error", [
+    NotSolved("no solution", time=1.0, state=0, problem={}),
+    UnknownName("path", "crcle", ["circle"]),
+    ZeroDivisionError("mine"),
+])  # fmt: skip
+def test_errors_keep_their_type_and_what_they_carry(error: Exception) -> None:
+    @law
+    def failing(t: Any, q: Any, v: Any, reference: Any) -> Any:
+        if t > 0.5:
+            raise error
+        return -v
+
+    said, place = str(error), "of controllers['mine'] in scenarios['x']"
+    with pytest.raises(type(error)) as caught:
+        benchmark({"mine": failing}, {"x": SHORT})
+    assert caught.value is error
+    told = [str(error), *getattr(error, "__notes__", [])]
+    assert told == ([f"{said} ({place})"] if isinstance(error, PinmobileError) else [said, place])
 
 
 BAD: Any = [

@@ -1,5 +1,8 @@
 """LQR and MPC of robots whose inputs are volts, beside backstepping, on a figure of eight."""
 
+import sys
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,10 +15,8 @@ from pinmobile import (
     MPC,
     PINOCCHIO,
     Backstepping,
-    Coulomb,
     Driven,
     InvalidArgument,
-    MobileRobot,
     RestToRest,
     Rollout,
     Tangent,
@@ -26,35 +27,13 @@ from pinmobile import (
     ensemble,
     simulate,
 )
-from pinmobile.wheels import Friction, Motor
-from tests.parts import Eight
+from pinmobile.wheels import Motor
 
 pytestmark = pytest.mark.once
 
-VOLTS = 6.0
-MOTOR = Motor(
-    resistance=1.2,
-    torque_constant=0.03,
-    voltage=VOLTS,
-    gear=20.0,
-    rotor_inertia=1e-5,
-    viscous=1e-5,
-    coulomb=0.004,
-    efficiency=0.8,
-)
-TABLE = WheelTable.differential(
-    0.5,
-    0.1,
-    motor=MOTOR,
-    supports=[(-0.2, 0.0), (0.2, 0.0)],
-    friction=Friction(mu=0.3),
-    mass=1.0,
-    spin_inertia=0.01,
-    yaw_inertia=0.006,
-)
-MODEL = WheeledRobot(MobileRobot(30.0, 2.3, com=(0.05, 0.0, 0.2)), TABLE)
-HEAVY = WheeledRobot(MobileRobot(36.0, 2.76, com=(0.05, 0.0, 0.2)), TABLE, Coulomb())
-EIGHT = Tangent(Eight(1.0, 4 * np.pi))  # 1 m sin 0.5 t, 0.5 m sin t
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+races: Any = import_module("wheels_control")  # the script that runs the whole table
+MODEL, HEAVY, EIGHT, VOLTS = races.MODEL, races.HEAVY, races.EIGHT, races.VOLTS
 
 
 def controllers() -> dict[str, Any]:
@@ -69,11 +48,9 @@ def controllers() -> dict[str, Any]:
 
 def run(robot: WheeledRobot, name: str, off: float, duration: float) -> Rollout:
     """Return a run that starts so far behind and beside the eight, where at all, at rest."""
-    q, v = MODEL.start(EIGHT(0.0))
-    q = q - np.array([off, off, 0, 0, 0])
     engine = None if name == "MPC" else COMPILED
-    given: Any = {"dt": 0.01, "duration": duration, "engine": engine, "q0": q, "v0": v if not off else 0 * v}
-    return simulate(robot.by_voltage(), controllers()[name], EIGHT, **given)
+    found: Rollout = races.run(robot, controllers()[name], np.array([-off, -off, 0, 0, 0]), duration, engine)
+    return found
 
 
 def distance(found: Rollout) -> Any:
@@ -110,6 +87,24 @@ def test_volts_of_the_reference_are_those_of_its_torques_and_rates() -> None:
     # What limits exclude is told, as they do not clip it.
     with pytest.raises(InvalidArgument, match="limits exclude the reference: at t = "):
         simulate(body, MPC(body, limits=3.0), EIGHT, dt=0.01, duration=1.0)
+
+
+def test_limits_beyond_those_of_the_motors_are_refused_as_the_robot_would_cut_inputs_off() -> None:
+    volts, weak = MODEL.by_voltage(), WheelTable.differential(0.5, 0.1, motor=Motor(torque_limit=4.0))
+    torques = WheeledRobot(MODEL.robot, weak)
+    for robot, limits, words in (
+        (volts, 7.0, "has 7 V for left, expected at most 6 V, the largest of its motor"),
+        (volts, [6.0, 6.1], "has 6.1 V for right, expected at most 6 V"),
+        (torques, 4.5, "has 4.5 N m for left, expected at most 4 N m"),
+    ):
+        with pytest.raises(InvalidArgument, match=f"^limits {words}"):
+            MPC(robot, limits=limits)
+        with pytest.raises(InvalidArgument, match=f"^limits {words}"):
+            MPC(robot).within(limits)
+    assert MPC(volts, limits=VOLTS).range[1].tolist() == MPC(volts).range[1].tolist() == [VOLTS, VOLTS]
+    # Where one is endless, the motor's own stays.
+    assert [each.tolist() for each in MPC(volts, limits=[5.0, np.inf]).range] == [[-5.0, -6.0], [5.0, 6.0]]
+    assert MPC(MODEL, limits=1e6).range[1].tolist() == [1e6, 1e6]
 
 
 def test_the_engines_agree() -> None:

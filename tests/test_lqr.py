@@ -1,4 +1,4 @@
-"""The regulator along a reference: published numbers, its theory, wheels, arms, and all engines."""
+"""The regulator along a reference: its theory, wheels, arms, and all engines."""
 
 from typing import Any
 
@@ -13,18 +13,15 @@ from pinmobile import (
     PINOCCHIO,
     Circle,
     Context,
-    Delayed,
     FixedHeading,
     InvalidArgument,
     MobileRobot,
     NoisyMeasurement,
     Reference,
     RestToRest,
-    RollingResistance,
     Saturated,
     Tangent,
     Uniform,
-    ViscousFriction,
     WheeledRobot,
     WheelTable,
     ensemble,
@@ -32,36 +29,17 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
+from pinmobile.benchmarking import NOMINAL, STANDARD
 from pinmobile.controllers.lqr import riccati
 from pinmobile.controllers.tracked_model import tracked_model
+from tests.parts import Waving
 
-NOMINAL = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
-HEAVY = MobileRobot(mass=36, yaw_inertia=1.56, com=(0.1, 0.05))
-LOADED = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.2, -0.05))
+HEAVY = STANDARD["mass +20 %"].robot
+CIRCLE = STANDARD["nominal"].trajectory
 ARM = MobileRobot.box().mount("ur5")
-CIRCLE = Tangent(Circle(radius=1.5, rate=0.6, duration=30))
 SHORT = Tangent(Circle(radius=1.5, rate=0.6, duration=2))
-RUBBING = (ViscousFriction((10, 20, 2)), RollingResistance((6, 9, 1), 0.01))
 DIFFERENTIAL = WheelTable.differential(0.1, 0.4)
 WHEELED = WheeledRobot(NOMINAL, DIFFERENTIAL)
-
-
-def distance(robot: MobileRobot, controller: Any, forces: Any = ()) -> float:
-    """Return the largest distance from the circle after 5 s [mm]."""
-    given: Any = {"dt": 0.01, "integrator": rk4, "substeps": 4, "engine": COMPILED, "forces": forces}
-    run = simulate(robot, controller, CIRCLE, **given)
-    off = (run.q - run.reference.q)[run.t >= 5, :2]
-    return 1e3 * float(np.linalg.norm(off, axis=-1).max())
-
-
-def test_errors_are_those_of_an_independent_implementation() -> None:
-    own = LQR(NOMINAL)
-    found = [distance(robot, own) for robot in (NOMINAL, HEAVY, LOADED)]
-    found += [distance(NOMINAL, own, RUBBING), distance(HEAVY, Delayed(own, 3))]
-    for mine, printed in zip(found, ("0.076", "5.48", "4.32", "27.8", "27.4"), strict=True):
-        digit = 10.0 ** -len(printed.partition(".")[2])
-        # Two percent, or half a unit of the last digit that is printed.
-        assert abs(mine - float(printed)) <= max(0.02 * float(printed), 0.5 * digit), found
 
 
 def rows(controller: LQR, robot: Any, trajectory: Any, dt: float = 0.01) -> tuple[Array, ...]:
@@ -139,18 +117,9 @@ def test_on_wheels_it_comes_back_to_the_reference_and_without_errors_stays() -> 
 
 
 def test_arms_follow_too() -> None:
-    class Nod:
-        duration = 1.0
-
-        def __call__(self, t: Any) -> Reference:
-            angle = 3.0 * np.asarray(t)[..., None]
-            way = 0.2 * np.arange(1, ARM.nv + 1) / ARM.nv
-            q = ARM.rest + way * (1 - np.cos(angle))
-            return Reference(q, way * 3 * np.sin(angle), way * 9 * np.cos(angle))
-
-    start = Nod()(0.0).q + 0.05
+    start = Waving(ARM)(0.0).q + 0.05
     given: Any = {"dt": 0.01, "integrator": rk4, "engine": COMPILED, "q0": start, "v0": np.zeros(ARM.nv)}
-    run = simulate(ARM, LQR(ARM), Nod(), **given)
+    run = simulate(ARM, LQR(ARM), Waving(ARM), **given)
     assert np.abs(run.q - run.reference.q)[-1].max() < 0.02
 
 

@@ -17,7 +17,6 @@ from pinmobile import (
     InvalidArgument,
     Line,
     Lissajous,
-    MobileRobot,
     NotSolved,
     Saturated,
     Tangent,
@@ -29,12 +28,11 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
+from pinmobile.benchmarking import NOMINAL, STANDARD
 from pinmobile.controllers.lqr import riccati
 from pinmobile.controllers.tracked_model import tracked_model
 
-NOMINAL = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
-HEAVY = MobileRobot(mass=36, yaw_inertia=1.56, com=(0.1, 0.05))
-LOADED = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.2, -0.05))
+HEAVY, LOADED = (STANDARD[name].robot for name in ("mass +20 %", "com off"))
 WHEELED = WheeledRobot(NOMINAL, WheelTable.differential(0.1, 0.4))
 LONG = Tangent(Circle(radius=1.5, rate=0.6, duration=10))
 SHORT = Tangent(Circle(radius=1.5, rate=0.6, duration=2))

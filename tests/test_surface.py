@@ -49,7 +49,7 @@ ALLOWED: dict[str, set[str]] = {
     "paths": {"plant"},
     "trajectories": {"paths", "constancy"},
     "plant": {"compiled"},
-    "controllers": {"plant"},
+    "controllers": {"plant", "extras"},
     "integrators": {"arrays"},
     "forces": {"plant"},
     "simulation": {

@@ -757,7 +757,7 @@ def test_no_encoder_is_told_with_the_extra_that_has_it(
     viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(ViewerError, match=r"pip install imageio-ffmpeg$"):
+    with pytest.raises(ViewerError, match=r"pip install imageio-ffmpeg, or 'pinmobile\[mp4\]'$"):
         viewer.record(runs).save_mp4(tmp_path / "a.mp4")
 
 

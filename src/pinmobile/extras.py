@@ -12,13 +12,14 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "sweeps": ("dask", "distributed", "xarray", "zarr"),
     "mp4": ("imageio-ffmpeg",),
     "bags": ("rosbags",),
+    "mpc": ("daqp",),
 }
 """The packages of each extra, as on PyPI; pyproject.toml has their versions."""
 
 
 def installing(extra: str) -> str:
-    """Return how the packages of an extra are installed, wherever this package came from."""
-    return f"pip install {' '.join(EXTRAS[extra])}"
+    """Return how the packages of an extra are installed, wherever this package came from; and the extra."""
+    return f"pip install {' '.join(EXTRAS[extra])}, or 'pinmobile[{extra}]'"
 
 
 def imported(name: str, extra: str, what: str) -> Any:

@@ -9,6 +9,7 @@ from textwrap import fill
 from typing import NamedTuple, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, one_of
 from pinmobile.benchmarking.scores import Score
@@ -21,6 +22,7 @@ _TOUCH = 1e-3  # [m] beyond a wall that do not count
 _ALIKE = 1.1  # ratio of the largest to the smallest distance in which latency alone shows
 _SMALL = 1e-3  # what is smaller is not told, in the units of tables
 _NEAR = 1.05  # ratio to the least chatter that counts as it
+_TIED = 1.01  # ratio to the best up to which others tie with it
 
 
 class _Unit(NamedTuple):
@@ -80,17 +82,12 @@ class Benchmark:
         return np.array([[getattr(one, measure) for one in row.values()] for row in self.scores.values()])
 
     def table(self, measure: str = "largest") -> str:
-        """Return a number of each score as text: a row for each controller, a column for each scenario.
+        """Return `values` as text: a row for each controller, a column for each scenario.
 
         Parameters
         ----------
-        measure : str
-            Name of an attribute of `Score`.
-
-        Raises
-        ------
-        UnknownName
-            If there is none of that name.
+        measure
+            As of `values`, whose errors it raises.
         """
         numbers = self.values(measure) * _UNITS[measure].factor
         rows = [["", *self.scenarios]]
@@ -145,7 +142,11 @@ class Benchmark:
 
     @property
     def verdict(self) -> str:
-        """Who comes closest where, at what price, who chatters least, and who loses the robot, in words."""
+        """Who comes closest where, at what price, who chatters least, and who loses the robot, in words.
+
+        Who is within 1 % of the best, or a micrometre, ties with it. Those who lose their robot, 1 m and more
+        off, are compared with none.
+        """
         said = [*self._closest(), *self._quietest(), *self._late(), *self._bounded(), *self._lost()]
         return "\n".join(fill(each, _WIDTH, subsequent_indent="  ") for each in said)
 
@@ -155,60 +156,68 @@ class Benchmark:
 
     def _alike(self) -> list[int]:
         """Return the scenarios with a delay in which all but the lost come equally close."""
-        found = []
+        largest, held, found = self.values(), self._held(), []
         for k, one in enumerate(self.scenarios.values()):
-            ends = self._held(k)
+            ends = largest[held[:, k], k]
             if one.delay and len(ends) > 1 and ends.max() < _ALIKE * ends.min():
                 found.append(k)
         return found
 
-    def _held(self, k: int) -> Array:
-        """Return the distances of those who have not lost their robot in a scenario [m]."""
-        largest = self.values()[:, k]
-        return np.asarray(largest[largest < _LOST])
+    def _held(self) -> NDArray[np.bool_]:
+        """Return who has not lost the robot where, shape (controllers, scenarios)."""
+        return np.asarray(self.values() < _LOST)
 
     def _closest(self) -> list[str]:
-        largest, chatter, places = self.values(), self.values("chatter"), list(self.scenarios)
-        judged = [k for k in self._open() if k not in self._alike() and len(self._held(k))]
+        """Say who comes closest where, of those who hold the robot, and at what chatter beside theirs."""
+        held, alike, places = self._held(), self._alike(), list(self.scenarios)
+        mm = 1e3 * np.where(held, self.values(), np.inf)
+        chatter = np.where(held, self.values("chatter"), np.inf)
+        wins: dict[tuple[int, ...], list[int]] = {}
+        for k in self._open():
+            if k not in alike and held[:, k].any():
+                wins.setdefault(_best(mm[:, k]), []).append(k)
         said = []
-        for i, name in enumerate(self.scores):
-            wins = [k for k in judged if np.argmin(largest[:, k]) == i]
-            if wins:
-                where = ", ".join(f"{places[k]} ({_digits(1e3 * largest[i, k])} mm)" for k in wins)
-                ratio = _times(chatter[i, wins], chatter[:, wins].min(axis=0))
-                more = (
-                    f"{_range(ratio)} times the least"
-                    if np.isfinite(ratio).all()
-                    else "where others have none"
-                )
-                price = "the least" if ratio.max() < _NEAR else more
-                words = f"{name} in {where}, at {_range(chatter[i, wins])} N/s of chatter, {price}"
-                said.append((len(wins), words))
-        said.sort(key=lambda each: -each[0])
-        return [f"Closest after the start: {'; '.join(words for _, words in said)}."] if said else []
+        for who, won in sorted(wins.items(), key=lambda each: (-len(each[1]), each[0])):
+            where = ", ".join(f"{places[k]} ({_range(mm[list(who), k])} mm)" for k in won)
+            price = chatter[np.ix_(who, won)]
+            ratio = _times(price, chatter[:, won].min(axis=0))
+            finite = np.isfinite(ratio).all()
+            more = f"{_range(ratio)} times the least" if finite else "where others have none"
+            least = "the least" if ratio.max() < _NEAR else more
+            said.append(f"{self._called(who)} in {where}, at {_range(price)} N/s of chatter, {least}")
+        return [f"Closest after the start: {'; '.join(said)}."] if said else []
 
     def _quietest(self) -> list[str]:
         """Say who never chatters much more than the least, and how far off that is."""
         judged = self._open()
-        chatter, largest = self.values("chatter")[:, judged], self.values()[:, judged]
-        held = (largest < _LOST).all(axis=1)
+        chatter, mm = self.values("chatter")[:, judged], 1e3 * self.values()[:, judged]
+        held = self._held()[:, judged].all(axis=1)
         if len(chatter) < 2 or not judged or not held.any():
             return []
-        ratio = np.where(held, _times(chatter, chatter[held].min(axis=0)).max(axis=1), np.inf)
-        i = int(np.argmin(ratio))
+        ratio = _times(chatter[held], chatter[held].min(axis=0)).max(axis=1)
+        best = list(_best(ratio))
+        who, most = np.flatnonzero(held)[best], ratio[best].max()
+        if np.isinf(most):  # each chatters somewhere where another does not at all
+            return []
         return [
-            f"Least chatter of those who never lose the robot: {list(self.scores)[i]}, "
-            f"{'always' if ratio[i] < _NEAR else f'nowhere above {ratio[i]:.2g} times'} the least, "
-            f"{_range(1e3 * largest[i])} mm off."
+            f"Least chatter of those who never lose the robot: {self._called(who)}, "
+            f"{'always' if most < _NEAR else f'nowhere above {most:.2g} times'} the least, "
+            f"{_range(mm[who])} mm off."
         ]
 
+    def _called(self, who: Iterable[int]) -> str:
+        """Return the names of those who are best, and of several that they tie."""
+        names = [list(self.scores)[i] for i in who]
+        return " and ".join(names) + (" tied" if len(names) > 1 else "")
+
     def _late(self) -> list[str]:
-        said = []
+        said, largest, held = [], self.values(), self._held()
         for k in self._alike():
             place, one = list(self.scenarios.items())[k]
-            ends, speed = 1e3 * self._held(k), np.linalg.norm(one.trajectory(0.0).v[:2])
+            ends, speed = 1e3 * largest[held[:, k], k], np.linalg.norm(one.trajectory(0.0).v[:2])
             said.append(
-                f"In {place} all are alike, {_range(ends)} mm: speed times latency, {speed:.2g} m/s x "
+                f"In {place} all {'' if held[:, k].all() else 'who hold the robot '}are alike, "
+                f"{_range(ends)} mm: speed times latency, {speed:.2g} m/s x "
                 f"{1e3 * one.delay * one.dt:.3g} ms."
             )
         return said
@@ -243,7 +252,7 @@ class Benchmark:
         lost = [
             f"{names[i]} in {places[k]} "
             + ("(diverges)" if np.isinf(largest[i, k]) else f"({largest[i, k]:.3g} m off)")
-            for i, k in np.argwhere(largest > _LOST)
+            for i, k in np.argwhere(~self._held())
         ]
         return [f"Lost: {'; '.join(lost)}."] if lost else []
 
@@ -258,6 +267,11 @@ def _times(numbers: Array, least: Array) -> Array:
     """Return ratios, infinite where the least is nothing and 1 of nothing to nothing."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(numbers == least, 1.0, numbers / least)
+
+
+def _best(numbers: Array) -> tuple[int, ...]:
+    """Return the index of the least number, and of those that tie with it."""
+    return tuple(int(i) for i in np.flatnonzero(numbers <= max(_TIED * numbers.min(), _SMALL)))
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> Iterable[str]:

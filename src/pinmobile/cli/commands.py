@@ -422,15 +422,19 @@ def benchmark(
 
     Example: pinmobile benchmark --scenario payload --scenario noise
     """
-    from pinmobile.benchmarking import CORRIDOR, STANDARD, benchmark as run, contestants
+    from pinmobile.benchmarking import CORRIDOR, STANDARD, benchmark as run, contestants, lacking
     from pinmobile.cli.output import Picture, Section, index_page, save_figure
 
-    scenarios, controllers = {**STANDARD, **CORRIDOR}, contestants()
+    scenarios, controllers, missing = {**STANDARD, **CORRIDOR}, contestants(), lacking()
     for word in scenario or ():
         choose("scenario", word, scenarios)
     for word in controller or ():
+        if word in missing:
+            raise missing[word]
         choose("controller", word, controllers)
     folder = None if out is None else output_folder(out)
+    for name, error in {} if controller else missing.items():
+        console.print(f"{name} is left out: {error.calling('it')}", markup=False)
     with progress(0, "simulating") as bar:
         found = run(
             {name: controllers[name] for name in controller or controllers},

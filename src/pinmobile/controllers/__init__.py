@@ -10,6 +10,7 @@ from pinmobile.controllers.adaptive import Adaptive
 from pinmobile.controllers.adaptive_velocity import AdaptiveVelocity
 from pinmobile.controllers.backstepping import Backstepping, SwerveTracking
 from pinmobile.controllers.computed_torque import PID, ComputedTorque, Decoupled
+from pinmobile.controllers.condensed import solver as solver
 from pinmobile.controllers.controller import (
     Controller,
     InverseDynamics,

@@ -9,7 +9,7 @@ import numpy as np
 from pinmobile.arrays import Array, frozen
 from pinmobile.controllers.lqr import riccati
 from pinmobile.controllers.tracked_model import TrackedModel
-from pinmobile.errors import InvalidArgument
+from pinmobile.extras import imported
 
 _SOFT = 8  # of daqp: a bound that may be violated, at a cost
 _AT_UPPER, _AT_LOWER = 1, 3  # of daqp: a bound that it begins with, as active
@@ -163,10 +163,4 @@ def solver() -> Any:
     InvalidArgument
         If it is not installed.
     """
-    try:
-        from daqp import solve
-    except ImportError:
-        raise InvalidArgument(
-            "MPC needs the package daqp, which is not installed: pip install 'pinmobile[mpc]'"
-        ) from None
-    return solve
+    return imported("daqp", "mpc", "MPC").solve

@@ -27,7 +27,7 @@ from pinmobile.errors import InvalidArgument, NotSolved, NotTraceable
 from pinmobile.plant import Context, Parameter, inputs_of
 
 _MANY = 10_000
-_WHOLE = 1e-9  # relative rounding allowed in step / dt
+_WHOLE = 1e-9  # relative rounding allowed in step / dt, and in limits beside those of motors
 _OFF, _TIMES = 0.1, 8  # [m, rad], by which a call that is timed is off the reference, and doublings
 
 
@@ -66,7 +66,7 @@ class MPC:
     step : float
         Each of them, a whole number of time steps [s]. Some 2 s altogether are worth more than fine steps.
     limits : array_like, shape () or (nu,), optional
-        Largest inputs, which may be infinite; by default those of the robot.
+        Largest inputs, at most those of the robot, which are the default and where one is infinite.
     lower, upper : array_like, shape (n + m,), optional
         Soft bounds of the n coordinates and m independent velocities; infinite where there is none.
     Q, R : array_like, optional
@@ -77,9 +77,9 @@ class MPC:
     Raises
     ------
     InvalidArgument
-        If an argument is something else; at the start of a run, if the limits exclude the reference, the step
-        is no whole number of time steps, the horizon no longer than the delay of what it is told (see
-        `Delayed`), the estimate unstable at this dt, or as of `LQR`.
+        If an argument is something else, or limits are beyond those of the robot; at the start of a run, if
+        the limits exclude the reference, the step is no whole number of time steps, the horizon no longer
+        than the delay of what it is told (see `Delayed`), the estimate unstable at this dt, or as of `LQR`.
     NotSolved
         If a quadratic program has no solution.
     """
@@ -105,15 +105,22 @@ class MPC:
             "step": positive("step", self.step, "s"),
             "observer": non_negative("observer", self.observer, "1/s"),
         }
-        if self.limits is None:
-            own = inputs_of(self.robot)
-            found["range"] = frozen([x.lower for x in own]), frozen([x.upper for x in own])
-        else:
+        own = inputs_of(self.robot)
+        least, most = np.array([x.lower for x in own]), np.array([x.upper for x in own])
+        if self.limits is not None:
             limits = endless_or_finite("limits", self.limits)
             if limits.shape not in ((), (inputs,)) or not (limits > 0).all():
                 raise InvalidArgument(f"limits is {limits.tolist()}, expected () or ({inputs},) numbers > 0")
-            limits = np.broadcast_to(limits, inputs)
-            found |= {"limits": frozen(limits), "range": (frozen(-limits), frozen(limits))}
+            found["limits"] = limits = frozen(np.broadcast_to(limits, inputs))
+            for one, limit in zip(own, limits, strict=True):
+                largest = min(-one.lower, one.upper)
+                if largest * (1 + _WHOLE) < limit < np.inf:
+                    raise InvalidArgument(
+                        f"limits has {limit:.9g} {one.unit} for {one.name}, expected at most {largest:.9g} "
+                        f"{one.unit}, the largest of its motor, beyond which the robot cuts inputs off"
+                    )
+            least, most = np.maximum(least, -limits), np.minimum(most, limits)
+        found["range"] = frozen(least), frozen(most)
         for name, sign in (("lower", -1.0), ("upper", 1.0)):
             given = getattr(self, name)
             bound = sign * endless_or_finite(name, np.inf if given is None else sign * real(name, given))

@@ -18,6 +18,7 @@ from pinmobile.plots.sheet import Canvas, Sheet, Spot, letters, wrapped
 from pinmobile.plots.style import (
     Rollouts,
     Style,
+    called,
     colour,
     desired,
     dress,
@@ -102,8 +103,7 @@ def _hands(runs: Mapping[str, Rollout], frame: str | None) -> dict[str, EndEffec
         try:
             hands[label] = run.end_effector(frame)
         except InvalidArgument as error:
-            name = f"rollouts[{label!r}]" if label else "rollouts"
-            raise InvalidArgument(f"{name}.{error}") from None
+            raise InvalidArgument(f"{called(label)}.{error}") from None
     return hands
 
 

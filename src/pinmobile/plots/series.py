@@ -20,7 +20,7 @@ from pinmobile.balance import (
     required_friction,
     tip_over_margin,
 )
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument
 from pinmobile.plant import Plant, all_samples, configuration_names_of, coordinates_of, leading_of
 from pinmobile.plots.sheet import Canvas, Sheet, Spot, letters, over_titles, wrapped
 from pinmobile.plots.style import (
@@ -40,6 +40,7 @@ from pinmobile.plots.style import (
     stacked,
     thinned,
     titled,
+    with_method,
 )
 from pinmobile.simulation import Rollout
 
@@ -299,6 +300,7 @@ _WRENCH = (
     ("$m_y$", "N m"),
     ("$m_z$", "N m"),
 )
+_GROUNDED = "MobileRobot", "ground_wrench(q, v, a)"  # of `with_method`
 _OUTLINE: Style = {
     "closed": True,
     "facecolor": "#f2f2f2",
@@ -339,7 +341,7 @@ def balance(
     InvalidArgument
         If `rollouts` is something else, not of a `MobileRobot`, or `footprint` is no convex polygon.
     """
-    runs = _of_robots(rollouts)
+    runs = with_method(rollouts, *_GROUNDED)
     sheet = Sheet(ax, width, 11.0)
     spots: list[Spot] = [(0, 0), (1, 0), (slice(0, 2), 1)]
     if sheet.columns(2, 3.2) == 1:
@@ -398,25 +400,13 @@ def reaction(
     UnknownName
         If nothing is mounted by that name.
     """
-    runs = _of_robots(rollouts)
+    runs = with_method(rollouts, *_GROUNDED)
     sheet = Sheet(ax, width, 9.0)
     grid = stacked(sheet, _WRENCH)
     for index, (label, run) in enumerate(runs.items()):
         style = line_style(index, len(runs))
         draw(grid[:, 0], run.t, reaction_wrench(run, mount), label=label, **style)
     return sheet.finish(title, "Force and moment of the arm on the base, at its mount", keys_of(runs))
-
-
-def _of_robots(rollouts: object) -> dict[str, Rollout]:
-    runs = labelled(rollouts)
-    for label, run in runs.items():
-        if not hasattr(run.plant, "ground_wrench"):
-            name = f"rollouts[{label!r}]" if label else "rollouts"
-            raise InvalidArgument(
-                f"{name}.plant is {shown(run.plant)}, expected a MobileRobot, or a plant with "
-                "ground_wrench(q, v, a)"
-            )
-    return runs
 
 
 def _line(axes: Axes, t: Array, values: Array, **style: Any) -> None:

@@ -215,6 +215,11 @@ def labelled(rollouts: object) -> dict[str, Rollout]:
     return named("rollouts", rollouts, Rollout)
 
 
+def called(label: str) -> str:
+    """Return what a message calls one of `labelled` rollouts."""
+    return f"rollouts[{label!r}]" if label else "rollouts"
+
+
 def named(argument: str, values: object, kind: type[_Kind]) -> dict[str, _Kind]:
     """Return what is drawn by label; a single one has the label "".
 
@@ -263,8 +268,18 @@ def planar(rollouts: object) -> dict[str, Rollout]:
         try:
             _ = run.poses
         except InvalidArgument as error:
-            name = f"rollouts[{label!r}]" if label else "rollouts"
-            raise InvalidArgument(f"{name}.{error}") from None
+            raise InvalidArgument(f"{called(label)}.{error}") from None
+    return runs
+
+
+def with_method(rollouts: object, robot: str, method: str) -> dict[str, Rollout]:
+    """Return `labelled` rollouts of plants with a method, ``"pose(q)"``, say, that a `robot` has."""
+    runs = labelled(rollouts)
+    for label, run in runs.items():
+        if not callable(getattr(run.plant, method.partition("(")[0], None)):
+            raise InvalidArgument(
+                f"{called(label)}.plant is {shown(run.plant)}, expected a {robot}, or a plant with {method}"
+            )
     return runs
 
 

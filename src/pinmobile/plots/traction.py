@@ -11,13 +11,25 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument
 from pinmobile.palette import INK, QUIET, SLIDES
 from pinmobile.plant import Contacts
 from pinmobile.plots.sheet import Canvas, Sheet, letters, wrapped
-from pinmobile.plots.style import Rollouts, Style, colour, desired, dress, labelled, line_style, thinned
+from pinmobile.plots.style import (
+    Rollouts,
+    Style,
+    called,
+    colour,
+    desired,
+    dress,
+    labelled,
+    line_style,
+    thinned,
+    with_method,
+)
 from pinmobile.simulation import Rollout
 
+_WHEELED = "WheeledRobot", "contacts(q, v, a, u, signals)"  # of `with_method`
 _WIDTH, _HEIGHT = 5.0, 2.2  # of axes [in]
 _LIMIT: Style = {"color": INK, "linestyle": (0, (4, 3)), "linewidth": 1.2, "zorder": 2}
 _ROUNDING = 1e-9  # what is smaller is drawn as the zero that it is
@@ -48,7 +60,7 @@ def wheel_torques(
     InvalidArgument
         If `rollouts` is something else, or not of robots on wheels.
     """
-    runs = _of_wheels(rollouts)
+    runs = with_method(rollouts, *_WHEELED)
     units = {one.unit for run in runs.values() for one in _driven(run)}
     name = f"torque [{units.pop()}]" if len(units) == 1 else "input"
     sheet, grid = _axes(runs, [name], ax, width)
@@ -85,12 +97,12 @@ def friction(
     InvalidArgument
         If `rollouts` is something else, not of robots on wheels, or the loads of one cannot be told.
     """
-    runs = _of_wheels(rollouts)
+    runs = with_method(rollouts, *_WHEELED)
     found = {label: _contacts(run) for label, run in runs.items()}
     for label, contacts in found.items():
         if not np.isfinite(contacts.limits).any():
             raise InvalidArgument(
-                f"{_called(label)} is of a robot whose loads are not known, expected one that stands on "
+                f"{called(label)} is of a robot whose loads are not known, expected one that stands on "
                 "three points and more: give supports=[(x, y), ...]"
             )
     sheet, grid = _axes(runs, ["force / $\\mu N$ [-]"], ax, width)
@@ -129,7 +141,7 @@ def slip(
     InvalidArgument
         If `rollouts` is something else, or not of robots on wheels.
     """
-    runs = _of_wheels(rollouts)
+    runs = with_method(rollouts, *_WHEELED)
     rows = ["slip along [m/s]", "slip across [m/s]"]
     sheet, grid = _axes(runs, rows, ax, width)
     for (_, run), column in zip(runs.items(), grid.T, strict=True):
@@ -167,7 +179,7 @@ def loads(
     InvalidArgument
         If `rollouts` is something else, or not of robots on wheels.
     """
-    runs = _of_wheels(rollouts)
+    runs = with_method(rollouts, *_WHEELED)
     sheet, grid = _axes(runs, ["load [N]"], ax, width)
     for (_, run), axes in zip(runs.items(), grid[0], strict=True):
         contacts = _contacts(run)
@@ -205,7 +217,7 @@ def odometry(
     for label, run in runs.items():
         if "believed_pose" not in run.signals:
             raise InvalidArgument(
-                f"{_called(label)} has no signal believed_pose, expected a run with "
+                f"{called(label)} has no signal believed_pose, expected a run with "
                 "ByOdometry(controller, table)"
             )
     names = ["y [m]", "odometry off by [m]"]
@@ -235,21 +247,6 @@ def share_of_friction(found: Contacts) -> Array:
         shares = np.where(found.forces == 0, 0.0, found.forces / found.limits)
     rolls = found.limits[..., 0] != found.limits[..., 1]
     return np.asarray(np.where(rolls, np.abs(shares[..., 0]), np.hypot(shares[..., 0], shares[..., 1])))
-
-
-def _called(label: str) -> str:
-    return f"rollouts[{label!r}]" if label else "rollouts"
-
-
-def _of_wheels(rollouts: object) -> dict[str, Rollout]:
-    runs = labelled(rollouts)
-    for label, run in runs.items():
-        if not callable(getattr(run.plant, "contacts", None)):
-            raise InvalidArgument(
-                f"{_called(label)}.plant is {shown(run.plant)}, expected a WheeledRobot, or a plant with "
-                "contacts(q, v, a, u, signals)"
-            )
-    return runs
 
 
 def _contacts(run: Rollout) -> Contacts:
