@@ -160,6 +160,25 @@ def test_a_delay_that_is_ignored_spoils_friction() -> None:
     ignored = identify(log(0, 3), delay=0.0)
     assert abs(ignored.parameters["viscous_forward"] / 6 - 1) > 0.1
     assert not ignored.whiteness.is_white
+    told = "the delay of 0 ms was given, but the log agrees with 59.3 ms: with a wrong delay"
+    assert any(note.startswith(told) for note in ignored.notes)
+    for given in (None, 0.06):
+        assert np.isnan(identify(log(0, 3), method="weak", delay=given).other_delay)
+
+
+def test_a_wrong_delay_is_blamed_and_not_the_inputs_where_the_log_agrees_with_another() -> None:
+    with pytest.raises(
+        InvalidArgument,
+        match=r"^delay is 3 s, with which the log has inputs of which the motion explains 0%; with 59\.3 ms "
+        r"the motion explains 100% of the inputs: expected that, or none, so that it is found$",
+    ):
+        identify(log(0, 3), delay=3.0)
+    with pytest.raises(
+        InvalidArgument, match=r"^delay is 1 s, with which the log leads to a mass of -\d+ kg; "
+    ):
+        identify(rolled(False), on_wheels(BODY), delay=1.0)
+    with pytest.raises(InvalidArgument, match=r"^log leads to a mass of -32 kg, .*inputs the other sign"):
+        identify(changed(u=lambda u: -u), delay=0.0)
 
 
 def test_residuals_are_white_where_the_sensors_noise_is_all_that_is_left() -> None:

@@ -55,6 +55,9 @@ class Identification:
     delay, delay_error : float
         By which poses come later than inputs, and its deviation [s]; not a number where it was given. Where
         it was not, its uncertainty is in the covariance.
+    other_delay : float
+        What the log tells where a delay was given that is more than a sample and five deviations beside it
+        [s]; else not a number.
     dt : float
         Time between two samples [s].
     outliers, dropped, samples, segments : int
@@ -80,6 +83,7 @@ class Identification:
     hidden: Array
     delay: float
     delay_error: float
+    other_delay: float
     dt: float
     outliers: int
     dropped: int
@@ -202,6 +206,11 @@ class Identification:
         low, high = (1e3 * each for each in self.delay_interval())
         late = "" if np.isnan(low) else f" (95 % interval {low:.3g} to {high:.3g})"
         found.append(f"poses come {1e3 * self.delay:.3g} ms late{late}: {self.delay / self.dt:.2f} samples")
+        if np.isfinite(self.other_delay):
+            found.append(
+                f"the delay of {1e3 * self.delay:.3g} ms was given, but the log agrees with "
+                f"{1e3 * self.other_delay:.1f} ms: with a wrong delay estimates and intervals are wrong"
+            )
         noise, left = self.noise * 1e3, self.residual * 1e3
         found.append(
             f"noise of the pose {noise[0]:.3g} mm, {noise[1]:.3g} mm, {noise[2]:.3g} mrad; left by the model "

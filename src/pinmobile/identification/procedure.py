@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -16,7 +17,7 @@ from pinmobile.identification.estimate import Identification
 from pinmobile.identification.log import Log, check_steps, logs_of
 from pinmobile.identification.output_error import Estimate, OutputError, Segments
 from pinmobile.identification.residual_noise import ResidualNoise
-from pinmobile.identification.weak_form import WINDOW, Rows, extrapolated, rows_of, solve
+from pinmobile.identification.weak_form import WINDOW, Fit, Rows, extrapolated, rows_of, solve
 from pinmobile.identification.whiteness import Whiteness, whiteness
 from pinmobile.robot import Load, MobileRobot
 
@@ -31,6 +32,7 @@ _EXPLAINED = 0.5  # of the forces' mean square; what explains less is another ro
 _LEVER = 0.25  # [m], of a robot whose size is not known
 _SPEED, _WHEEL_SPEED = 0.01, 0.1  # where dry friction has 71 %: [m/s, rad/s] of a body, [rad/s] of wheels
 _MOST_GIVEN = 0.1  # of the log, a delay that is given
+_OTHER = 1.0  # sample by which a delay that is given may be beside what the log tells
 _DRIFT = 1.0  # sample by which a delay may change along a log
 _MASSES = (0.02, 2e4)  # [kg] of ground robots
 _TIMES_NOMINAL = 30.0
@@ -134,14 +136,17 @@ def identify(
     sought = given is None and not unseen.size
     late = _first_delay(at, base, basis) if given is None else given / cleaned[0].dt
     fit = extrapolated(rows, chassis, late, base, basis, sought)
-    _check_explained(fit.explained)
-    _check_units(chassis, fit.phi, prior)
+    own = fit if given is None else _own_delay(at, base, basis)
+    with _doubting(given, own, cleaned[0].dt):
+        _check_explained(fit.explained)
+        _check_units(chassis, fit.phi, prior)
     start = chassis.possible(fit.phi, at.scales)
     if method == METHODS[0]:
         estimate = _by_output_error(at, start, basis, fit.delay, seconds, sought)
         phi, covariance, freedom = estimate.phi, estimate.covariance, estimate.segments - 1
         late, error = estimate.delay, estimate.delay_error
-        _check_units(chassis, phi, prior)
+        with _doubting(given, own, cleaned[0].dt):
+            _check_units(chassis, phi, prior)
     else:
         segments = [Segments.of(one, chassis, fit.delay, seconds) for one in cleaned]
         estimate = OutputError(segments, chassis, fit.delay, sought).solve(start, basis, 0)
@@ -162,6 +167,7 @@ def identify(
         hidden=_hidden(unseen),
         delay=late * cleaned[0].dt,
         delay_error=error * cleaned[0].dt,
+        other_delay=_other_delay(given, own, cleaned[0].dt),
         dt=cleaned[0].dt,
         outliers=sum(one.outliers for one in cleaned),
         dropped=sum(one.dropped for one in logs),
@@ -215,6 +221,43 @@ def _given_delay(delay: float, logs: Sequence[Cleaned]) -> float:
     if not -most <= given <= most:
         raise InvalidArgument(f"delay is {given:g} s, expected {most:.3g} s at most: are these milliseconds?")
     return given
+
+
+def _own_delay(at: _Setting, base: Array, basis: Array) -> Fit:
+    """Return the fit at the delay that a log itself tells; it is not a number where it tells none."""
+    nothing = Fit(base, np.zeros((len(base), len(base))), np.inf, 0.0)
+    if basis.shape[1] < len(base):
+        return nothing
+    try:
+        late = _first_delay(at, base, basis)
+        fit = extrapolated(at.rows, at.chassis, late, base, basis, True)
+        _check_explained(fit.explained)
+        _check_units(at.chassis, fit.phi, at.prior)
+    except InvalidArgument:
+        return nothing
+    return fit
+
+
+def _other_delay(given: float | None, own: Fit, dt: float) -> float:
+    """Return the delay that a log tells [s], if it is another one than that given; else not a number."""
+    off = np.nan if given is None else abs(own.delay - given / dt)
+    return own.delay * dt if off > max(_OTHER, _SIGNIFICANT * own.delay_error) else np.nan
+
+
+@contextmanager
+def _doubting(given: float | None, own: Fit, dt: float) -> Iterator[None]:
+    """Blame the delay that was given for what is refused, where the log agrees with another one."""
+    try:
+        yield
+    except InvalidArgument as error:
+        other = _other_delay(given, own, dt)
+        if np.isnan(other):
+            raise
+        told = str(error).partition(", expected")[0].removeprefix("log ")
+        raise InvalidArgument(
+            f"delay is {given:g} s, with which the log {told}; with {1e3 * other:.1f} ms the motion explains "
+            f"{own.explained:.0%} of the inputs: expected that, or none, so that it is found"
+        ) from error
 
 
 def _moments(load: Load) -> Array:
