@@ -28,7 +28,8 @@ from pinmobile.plant import coordinates_of, inputs_of
 from pinmobile.simulation import Rollout
 
 _POSE = 3  # x, y, psi
-_HOLE = 4.5  # steps that may lack their samples: three rows in a row
+_HOLE = 3  # rows in a row that may be lost, with their inputs
+_BRIDGED = 0.3  # [s] of rows without a measurement, half a window of the weak form: over more it is a guess
 _LONGEST_STEP = 5.0  # [s]; times of longer steps are no seconds
 _FASTEST = 60.0  # [m/s]; positions that change faster are no metres
 _FASTEST_TURN = 12.0  # [rad/s], two turns a second; what turns faster is told in degrees
@@ -45,7 +46,7 @@ class Samples(NamedTuple):
     t : ndarray, shape (N,)
         Times since the first sample [s].
     seen : ndarray of bool, shape (N,)
-        Whether there is a row at that time; what stands in others is interpolated.
+        Whether it was measured at that time; what stands elsewhere is interpolated.
     q, u, twist, wheel_rates : ndarray, shape (N, ...), or None
         As in `Log`.
     """
@@ -70,12 +71,13 @@ class Log:
         Times [s].
     q : array_like, shape (N, 3), or None
         Measured pose (x, y, psi) [m, m, rad]; None where only the twist was measured. psi may be unwrapped or
-        on the circle.
+        on the circle. Of rows with NaN here, or in what else is measured, the inputs count; at most 0.3 s of
+        them in a row are bridged.
     u : array_like, shape (N, nu)
         Input that is applied from each time to the next, in its unit: of a body that is pushed (Fx, Fy, Mz)
         in the inertial frame [N, N, N m], of wheels torques [N m], volts or, with a load that tells what they
         are worth, currents [A], of a robot that takes velocities its commands (forward, yaw rate)
-        [m/s, rad/s].
+        [m/s, rad/s]. At most three rows in a row may have NaN: then what was applied before is taken.
     twist : array_like, shape (N, 3), optional
         Measured body twist: forward, left, yaw rate [m/s, m/s, rad/s].
     wheel_rates : array_like, shape (N, k), optional
@@ -84,7 +86,7 @@ class Log:
     Attributes
     ----------
     dropped : int
-        Rows that held a number which is none (NaN), and are left out.
+        Rows that held a number which is none (NaN).
     dt : float
         Time between two samples [s].
 
@@ -115,18 +117,24 @@ class Log:
                 raise InvalidArgument(f"{name} has shape {given[name].shape}, expected ({len(t)}, 3)")
         if not {"q", "twist"} & set(given):
             raise InvalidArgument("q is None, and there is no twist, expected one of them: what was measured")
-        lost = {name: np.isnan(array.reshape(len(t), -1)).any(axis=1) for name, array in given.items()}
-        bad = np.logical_or.reduce(list(lost.values()))
+        lost = _lost(given)
+        bad = _any(lost)
         if bad.all():
             worst = max(lost, key=lambda name: int(lost[name].sum()))
             raise InvalidArgument(f"{worst} has {len(t)} rows, and NaN in each, expected rows without")
-        given = {name: finite(name, array[~bad]) for name, array in given.items()}
-        t = given["t"]
-        _check_times(t, int(bad.sum()))
+        first, last = np.flatnonzero(~bad)[[0, -1]]
+        kept = np.flatnonzero(~lost["t"] & ~lost["u"])
+        kept = kept[(kept >= first) & (kept <= last)]
+        _check_times(t, kept, lost)
         object.__setattr__(self, "dropped", self.dropped + int(bad.sum()))
+        given, seen = {name: array[kept] for name, array in given.items()}, ~bad[kept]
+        for name, array in given.items():
+            finite(name, np.where(np.isnan(array), 0.0, array))
         if "q" in given:
-            _check_pose(t, given["q"])
-            given["q"] = np.column_stack([given["q"][:, :2], np.unwrap(given["q"][:, 2])])
+            q = given["q"] = np.array(given["q"])
+            _check_pose(given["t"][seen], q[seen])
+            q[seen, 2] = np.unwrap(q[seen, 2])
+            q[~seen] = np.nan
         for name, array in given.items():
             object.__setattr__(self, name, frozen(array))
 
@@ -170,15 +178,16 @@ class Log:
     def samples(self) -> Samples:
         """Return it on times of equal steps: what jitters is interpolated, what is lost is told."""
         dt, given = self.dt, self._given()
-        t = given.pop("t") - self.t[0]
+        t, u = given.pop("t") - self.t[0], given.pop("u")
+        there = ~_any(_lost(given))
         steps = np.rint(t / dt).astype(int)
         grid = dt * np.arange(steps[-1] + 1)
         seen = np.zeros(len(grid), bool)
-        seen[steps] = True
-        u = given.pop("u")[np.searchsorted(steps, np.arange(len(grid)), side="right") - 1]
+        seen[steps[there]] = True
+        u = u[np.searchsorted(steps, np.arange(len(grid)), side="right") - 1]
         even = seen.all() and np.abs(t - grid).max() < 1e-3 * dt  # then nothing is to be interpolated
         measured: dict[str, Array] = (
-            given if even else {n: _interpolated(t, x, grid) for n, x in given.items()}
+            given if even else {n: _interpolated(t[there], x[there], grid) for n, x in given.items()}
         )
         parts = (measured.get(name) for name in ("twist", "wheel_rates"))
         return Samples(dt, grid, seen, measured.get("q"), u, *parts)
@@ -230,7 +239,9 @@ class Log:
             )
         kept = (t >= first) & (t <= held[-1])
         t = t[kept]
-        mean = _mean_held(held, inputs, np.append(t, t[-1] + _step(t)))
+        edges, lost = np.append(t, t[-1] + _step(t)), np.isnan(inputs).any(axis=1, keepdims=True)
+        mean = _mean_held(held, np.where(lost, 0.0, inputs), edges)
+        mean[_mean_held(held, np.where(lost, 1.0, 0.0), edges)[:, 0] > 0] = np.nan
         measured = {"twist": twist, "wheel_rates": wheel_rates}
         rows = {name: real(name, x) for name, x in measured.items() if x is not None}
         for name, array in rows.items():
@@ -399,23 +410,66 @@ def _step(t: Array) -> float:
     return float(steps[steps < 1.5 * np.median(steps)].mean())
 
 
-def _check_times(t: Array, dropped: int) -> None:
-    if len(t) < 2:
-        raise InvalidArgument(f"t has {len(t)} times without NaN in their rows, expected more")
+def _lost(given: Mapping[str, Array]) -> dict[str, NDArray[np.bool_]]:
+    """Return which rows have NaN, by the part of the log."""
+    return {name: np.array(np.isnan(x).reshape(len(x), -1).any(axis=1)) for name, x in given.items()}
+
+
+def _any(lost: Mapping[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
+    return np.asarray(np.logical_or.reduce(list(lost.values())))
+
+
+def _check_times(rows: Array, kept: NDArray[np.int_], lost: Mapping[str, NDArray[np.bool_]]) -> None:
+    """Refuse times that do not increase, are of another unit, or lack too many rows in a row.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (N,)
+        All times.
+    kept : ndarray of int
+        Those whose input is known too.
+    lost : mapping of str to ndarray of bool, shape (N,)
+        Where there is NaN, by the part of the log.
+    """
+    there = kept[~_any(lost)[kept]]
+    if len(there) < 2:
+        raise InvalidArgument(f"t has {len(there)} times without NaN in their rows, expected more")
+    t = rows[kept]
     increasing("t", t)
-    steps = np.diff(t)
-    usual = float(np.median(steps))
+    usual = float(np.median(np.diff(t)))
     if usual > _LONGEST_STEP:
         ladder = ((_LONGEST_STEP * 1e6, "nano"), (_LONGEST_STEP * 1e3, "micro"), (0.0, "milli"))
         small = next(name for least, name in ladder if usual > least)
         raise InvalidArgument(f"t has steps of {usual:g} s, expected seconds: are these {small}seconds?")
-    worst = int(steps.argmax())
-    if steps[worst] > _HOLE * usual:
-        nan = f"; {dropped} rows had NaN" if dropped else ""
+    applied = {name: lost[name] for name in ("t", "u")}
+    _check_gaps(rows, kept, applied, usual, _HOLE, "what was applied meanwhile is not known")
+    most = max(_HOLE, round(_BRIDGED / usual))
+    _check_gaps(rows, there, lost, usual, most, f"over more than {_BRIDGED} s what is bridged is a guess")
+
+
+def _check_gaps(
+    rows: Array,
+    kept: NDArray[np.int_],
+    lost: Mapping[str, NDArray[np.bool_]],
+    usual: float,
+    most: int,
+    why: str,
+) -> None:
+    t = rows[kept]
+    worst = int(np.diff(t).argmax())
+    if t[worst + 1] - t[worst] <= (most + 1.5) * usual:
+        return
+    count = {name: int(each[kept[worst] + 1 : kept[worst + 1]].sum()) for name, each in lost.items()}
+    name = max(count, key=lambda each: count[each])
+    if not count[name]:
         raise InvalidArgument(
-            f"t has a gap from {t[worst]:g} to {t[worst + 1]:g} s between steps of {usual:g} s{nan}, "
-            "expected none: make a Log of each side; identify takes several"
+            f"t has a gap from {t[worst]:g} to {t[worst + 1]:g} s between steps of {usual:g} s, expected "
+            "none: cut the log there, identify takes several"
         )
+    raise InvalidArgument(
+        f"{name} has {count[name]} rows of NaN in a row, between {t[worst]:g} and {t[worst + 1]:g} s, "
+        f"expected {most} at most: {why}; cut the log there, identify takes several"
+    )
 
 
 def _check_pose(t: Array, q: Array) -> None:

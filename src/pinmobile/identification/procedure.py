@@ -171,7 +171,7 @@ def identify(
         dt=cleaned[0].dt,
         outliers=sum(one.outliers for one in cleaned),
         dropped=sum(one.dropped for one in logs),
-        samples=sum(len(one) for one in logs),
+        samples=sum(int(one.good.sum()) + one.outliers for one in cleaned),
         segments=estimate.segments,
         noise=cleaned[0].noise,
         chi2=estimate.chi2,
