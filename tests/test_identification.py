@@ -313,6 +313,23 @@ def test_a_robot_that_no_body_is_becomes_the_likeliest_that_is_one() -> None:
     np.testing.assert_allclose(robot.com[:2], near[1:3] / near[0])
 
 
+def test_an_estimate_below_zero_stays_and_is_told_in_words() -> None:
+    deviation = np.sqrt(found().covariance_of_phi[7, 7])
+    phi = np.array(found().phi)
+    phi[7] = -deviation
+    noisy = replace(found(), phi=phi)
+    assert noisy.parameters["rolling_forward"] == -deviation
+    half = found().interval()["rolling_forward"][1] - found().parameters["rolling_forward"]
+    assert noisy.interval()["rolling_forward"] == (0.0, pytest.approx(half))
+    told = (
+        f"rolling_forward is {-deviation:.3g} N, below zero within its uncertainty: the log tells that it is "
+    )
+    assert f"{told}not above {half:.3g}\n" in f"{noisy}\n"
+    phi[7] = -10 * deviation
+    assert "below zero by more than its uncertainty" in str(replace(found(), phi=phi))
+    assert "below zero" not in str(found())
+
+
 def test_an_identification_can_be_pickled() -> None:
     again = pickle.loads(pickle.dumps(found()))
     assert again.parameters == found().parameters

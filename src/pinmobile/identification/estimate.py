@@ -130,7 +130,8 @@ class Identification:
     def interval(self, level: float = 0.95) -> Mapping[str, tuple[float, float]]:
         """Return an interval of each parameter that holds the true one in a share of all logs, by name.
 
-        It is Student's, cut at zero where the parameter cannot be below; endless where nothing is seen.
+        It is Student's; endless where nothing is seen. Of a parameter that cannot be below zero it is cut
+        there, and goes up to its half width where the estimate is below: more is not told of what is small.
 
         Parameters
         ----------
@@ -147,7 +148,7 @@ class Identification:
         for one, value, half in zip(self.chassis.quantities, self.parameters.values(), wide, strict=True):
             seen = self.is_seen[one.name]
             low, high = (value - half, value + half) if seen else (-np.inf, np.inf)
-            found[one.name] = (max(low, 0.0), max(high, 0.0)) if one.bounded else (low, high)
+            found[one.name] = (max(low, 0.0), max(high, half)) if one.bounded else (low, high)
         return MappingProxyType({name: (float(low), float(high)) for name, (low, high) in found.items()})
 
     def delay_interval(self, level: float = 0.95) -> tuple[float, float]:
@@ -223,7 +224,20 @@ class Identification:
             else f"what is left remembers (correlation {rho:.2f} of successive samples): noise of forces, or "
             "a force that is not modelled; the intervals allow for it"
         )
-        return (*found, *self._of_wheels())
+        return (*found, *self._below_zero(), *self._of_wheels())
+
+    def _below_zero(self) -> tuple[str, ...]:
+        """Return what estimates are below zero of what cannot be, and why."""
+        told, wide = [], self._deviations(0.95) * np.sqrt(np.diag(self.covariance))
+        for one, value, half in zip(self.chassis.quantities, self.parameters.values(), wide, strict=True):
+            if one.bounded and value < 0 and self.is_seen[one.name]:
+                why = (
+                    f"within its uncertainty: the log tells that it is not above {half:.3g}"
+                    if value + half >= 0
+                    else f"by more than its uncertainty, {half:.3g}: another force acts than the model has"
+                )
+                told.append(f"{one.name} is {value:.3g} {one.unit}, below zero {why}")
+        return tuple(told)
 
     def _of_wheels(self) -> tuple[str, ...]:
         """Return what a log of wheels cannot tell."""
