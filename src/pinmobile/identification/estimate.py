@@ -18,6 +18,7 @@ from pinmobile.identification.cleaning import Cleaned
 from pinmobile.identification.log import Log
 from pinmobile.identification.output_error import OutputError, Segments
 from pinmobile.identification.prediction import POSE, Prediction
+from pinmobile.identification.slippage import Slippage
 from pinmobile.identification.whiteness import Whiteness
 from pinmobile.robot import MobileRobot
 from pinmobile.urdf import Body
@@ -62,6 +63,8 @@ class Identification:
         Time between two samples [s].
     outliers, dropped, samples, segments : int
         Poses that are outliers; rows with NaN; rows; segments that were simulated.
+    slippage : Slippage or None
+        How far poses are from rolling, of the log that is furthest; None where it cannot be told.
     noise : ndarray, shape (3,)
         Deviation of the noise of the pose, measured from the log [m, m, rad].
     residual : ndarray, shape (3,)
@@ -89,6 +92,7 @@ class Identification:
     dropped: int
     samples: int
     segments: int
+    slippage: Slippage | None
     noise: Array
     residual: Array
     chi2: float
@@ -243,6 +247,7 @@ class Identification:
         """Return what a log of wheels cannot tell."""
         if not self.chassis.wheels:
             return ()
+        slips = (str(self.slippage),) if self.slippage is not None and self.slippage.matters else ()
         M = self.chassis.inertia
         told = [
             f"of mass and yaw inertia the wheels' own inertia cannot be told: {M[0, 0]:.3g} kg and "
@@ -255,7 +260,7 @@ class Identification:
             )
         elif self.chassis.damping.shape and any(one.unit == "V" for one in self.prior.inputs):
             told.append("friction has the back-EMF of the motors in it")
-        return tuple(told)
+        return (*slips, *told)
 
     @cached_property
     def plausible(self) -> Array:

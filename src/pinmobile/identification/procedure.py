@@ -17,6 +17,7 @@ from pinmobile.identification.estimate import Identification
 from pinmobile.identification.log import Log, check_steps, logs_of
 from pinmobile.identification.output_error import Estimate, OutputError, Segments
 from pinmobile.identification.residual_noise import ResidualNoise
+from pinmobile.identification.slippage import Slippage
 from pinmobile.identification.weak_form import WINDOW, Fit, Rows, extrapolated, rows_of, solve
 from pinmobile.identification.whiteness import Whiteness, whiteness
 from pinmobile.robot import Load, MobileRobot
@@ -119,6 +120,8 @@ def identify(
         Cleaned.of(one, chassis, each, name) for one, each, name in zip(logs, carried, names, strict=True)
     ]
     check_steps([one.dt for one in cleaned])
+    told = [Slippage.of(one, chassis, name) for one, name in zip(cleaned, names, strict=True)]
+    slips = [each for each in told if each is not None]
     given = None if delay is None else _given_delay(delay, cleaned)
     seconds = _segment(cleaned)
     rows = [rows_of(one, chassis) for one in cleaned]
@@ -134,10 +137,11 @@ def identify(
     basis = at.scales[:, None] * seen
     base = believed if unseen.size else np.zeros_like(believed)
     sought = given is None and not unseen.size
-    late = _first_delay(at, base, basis) if given is None else given / cleaned[0].dt
+    with _suspecting(slips):
+        late = _first_delay(at, base, basis) if given is None else given / cleaned[0].dt
     fit = extrapolated(rows, chassis, late, base, basis, sought)
     own = fit if given is None else _own_delay(at, base, basis)
-    with _doubting(given, own, cleaned[0].dt):
+    with _suspecting(slips), _doubting(given, own, cleaned[0].dt):
         _check_explained(fit.explained)
         _check_units(chassis, fit.phi, prior)
     start = chassis.possible(fit.phi, at.scales)
@@ -145,7 +149,7 @@ def identify(
         estimate = _by_output_error(at, start, basis, fit.delay, seconds, sought)
         phi, covariance, freedom = estimate.phi, estimate.covariance, estimate.segments - 1
         late, error = estimate.delay, estimate.delay_error
-        with _doubting(given, own, cleaned[0].dt):
+        with _suspecting(slips), _doubting(given, own, cleaned[0].dt):
             _check_units(chassis, phi, prior)
     else:
         segments = [Segments.of(one, chassis, fit.delay, seconds) for one in cleaned]
@@ -171,6 +175,7 @@ def identify(
         dt=cleaned[0].dt,
         outliers=sum(one.outliers for one in cleaned),
         dropped=sum(one.dropped for one in logs),
+        slippage=max(slips, key=lambda each: each.share, default=None),
         samples=sum(int(one.good.sum()) + one.outliers for one in cleaned),
         segments=estimate.segments,
         noise=cleaned[0].noise,
@@ -258,6 +263,18 @@ def _doubting(given: float | None, own: Fit, dt: float) -> Iterator[None]:
             f"delay is {given:g} s, with which the log {told}; with {1e3 * other:.1f} ms the motion explains "
             f"{own.explained:.0%} of the inputs: expected that, or none, so that it is found"
         ) from error
+
+
+@contextmanager
+def _suspecting(slips: Sequence[Slippage]) -> Iterator[None]:
+    """Tell of slip, where there is some, with what is refused for something that may come of it."""
+    try:
+        yield
+    except InvalidArgument as error:
+        worst = max(slips, key=lambda each: each.share, default=None)
+        if worst is None or not worst.matters:
+            raise
+        raise InvalidArgument(f"{error} Its {worst}") from error
 
 
 def _moments(load: Load) -> Array:
