@@ -23,17 +23,12 @@ from pinmobile.arrays import (
     whole,
 )
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.identification.log_rows import any_of, check_pose, check_times, lost_rows, step
 from pinmobile.identification.logfiles import read_bag, read_csv
 from pinmobile.plant import coordinates_of, inputs_of
 from pinmobile.simulation import Rollout
 
 _POSE = 3  # x, y, psi
-_HOLE = 3  # rows in a row that may be lost, with their inputs
-_BRIDGED = 0.3  # [s] of rows without a measurement, half a window of the weak form: over more it is a guess
-_LONGEST_STEP = 5.0  # [s]; times of longer steps are no seconds
-_FASTEST = 60.0  # [m/s]; positions that change faster are no metres
-_FASTEST_TURN = 12.0  # [rad/s], two turns a second; what turns faster is told in degrees
-_WINDOW = 0.25  # [s] over which speeds are looked at, so that noise is none
 
 
 class Samples(NamedTuple):
@@ -117,22 +112,22 @@ class Log:
                 raise InvalidArgument(f"{name} has shape {given[name].shape}, expected ({len(t)}, 3)")
         if not {"q", "twist"} & set(given):
             raise InvalidArgument("q is None, and there is no twist, expected one of them: what was measured")
-        lost = _lost(given)
-        bad = _any(lost)
+        lost = lost_rows(given)
+        bad = any_of(lost)
         if bad.all():
             worst = max(lost, key=lambda name: int(lost[name].sum()))
             raise InvalidArgument(f"{worst} has {len(t)} rows, and NaN in each, expected rows without")
         first, last = np.flatnonzero(~bad)[[0, -1]]
         kept = np.flatnonzero(~lost["t"] & ~lost["u"])
         kept = kept[(kept >= first) & (kept <= last)]
-        _check_times(t, kept, lost)
+        check_times(t, kept, lost)
         object.__setattr__(self, "dropped", self.dropped + int(bad.sum()))
         given, seen = {name: array[kept] for name, array in given.items()}, ~bad[kept]
         for name, array in given.items():
             finite(name, np.where(np.isnan(array), 0.0, array))
         if "q" in given:
             q = given["q"] = np.array(given["q"])
-            _check_pose(given["t"][seen], q[seen])
+            check_pose(given["t"][seen], q[seen])
             q[seen, 2] = np.unwrap(q[seen, 2])
             q[~seen] = np.nan
         for name, array in given.items():
@@ -154,7 +149,7 @@ class Log:
     @property
     def dt(self) -> float:
         """Time between two samples [s]."""
-        return _step(self.t)
+        return step(self.t)
 
     def between(self, start: float, stop: float) -> Self:
         """Return what was measured from one time to before another, counted from the first sample [s].
@@ -179,7 +174,7 @@ class Log:
         """Return it on times of equal steps: what jitters is interpolated, what is lost is told."""
         dt, given = self.dt, self._given()
         t, u = given.pop("t") - self.t[0], given.pop("u")
-        there = ~_any(_lost(given))
+        there = ~any_of(lost_rows(given))
         steps = np.rint(t / dt).astype(int)
         grid = dt * np.arange(steps[-1] + 1)
         seen = np.zeros(len(grid), bool)
@@ -239,7 +234,7 @@ class Log:
             )
         kept = (t >= first) & (t <= held[-1])
         t = t[kept]
-        edges, lost = np.append(t, t[-1] + _step(t)), np.isnan(inputs).any(axis=1, keepdims=True)
+        edges, lost = np.append(t, t[-1] + step(t)), np.isnan(inputs).any(axis=1, keepdims=True)
         mean = _mean_held(held, np.where(lost, 0.0, inputs), edges)
         mean[_mean_held(held, np.where(lost, 1.0, 0.0), edges)[:, 0] > 0] = np.nan
         measured = {"twist": twist, "wheel_rates": wheel_rates}
@@ -401,98 +396,6 @@ def check_steps(steps: Sequence[float]) -> None:
     if max(steps) > 1.001 * min(steps):
         raise InvalidArgument(
             f"log has samples every {min(steps):g} and {max(steps):g} s, expected equal steps"
-        )
-
-
-def _step(t: Array) -> float:
-    """Return the time between two samples: the mean of the steps that lack none."""
-    steps = np.diff(t)
-    return float(steps[steps < 1.5 * np.median(steps)].mean())
-
-
-def _lost(given: Mapping[str, Array]) -> dict[str, NDArray[np.bool_]]:
-    """Return which rows have NaN, by the part of the log."""
-    return {name: np.array(np.isnan(x).reshape(len(x), -1).any(axis=1)) for name, x in given.items()}
-
-
-def _any(lost: Mapping[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
-    return np.asarray(np.logical_or.reduce(list(lost.values())))
-
-
-def _check_times(rows: Array, kept: NDArray[np.int_], lost: Mapping[str, NDArray[np.bool_]]) -> None:
-    """Refuse times that do not increase, are of another unit, or lack too many rows in a row.
-
-    Parameters
-    ----------
-    rows : ndarray, shape (N,)
-        All times.
-    kept : ndarray of int
-        Those whose input is known too.
-    lost : mapping of str to ndarray of bool, shape (N,)
-        Where there is NaN, by the part of the log.
-    """
-    there = kept[~_any(lost)[kept]]
-    if len(there) < 2:
-        raise InvalidArgument(f"t has {len(there)} times without NaN in their rows, expected more")
-    t = rows[kept]
-    increasing("t", t)
-    usual = float(np.median(np.diff(t)))
-    if usual > _LONGEST_STEP:
-        ladder = ((_LONGEST_STEP * 1e6, "nano"), (_LONGEST_STEP * 1e3, "micro"), (0.0, "milli"))
-        small = next(name for least, name in ladder if usual > least)
-        raise InvalidArgument(f"t has steps of {usual:g} s, expected seconds: are these {small}seconds?")
-    applied = {name: lost[name] for name in ("t", "u")}
-    _check_gaps(rows, kept, applied, usual, _HOLE, "what was applied meanwhile is not known")
-    most = max(_HOLE, round(_BRIDGED / usual))
-    _check_gaps(rows, there, lost, usual, most, f"over more than {_BRIDGED} s what is bridged is a guess")
-
-
-def _check_gaps(
-    rows: Array,
-    kept: NDArray[np.int_],
-    lost: Mapping[str, NDArray[np.bool_]],
-    usual: float,
-    most: int,
-    why: str,
-) -> None:
-    t = rows[kept]
-    worst = int(np.diff(t).argmax())
-    if t[worst + 1] - t[worst] <= (most + 1.5) * usual:
-        return
-    count = {name: int(each[kept[worst] + 1 : kept[worst + 1]].sum()) for name, each in lost.items()}
-    name = max(count, key=lambda each: count[each])
-    if not count[name]:
-        raise InvalidArgument(
-            f"t has a gap from {t[worst]:g} to {t[worst + 1]:g} s between steps of {usual:g} s, expected "
-            "none: cut the log there, identify takes several"
-        )
-    raise InvalidArgument(
-        f"{name} has {count[name]} rows of NaN in a row, between {t[worst]:g} and {t[worst + 1]:g} s, "
-        f"expected {most} at most: {why}; cut the log there, identify takes several"
-    )
-
-
-def _check_pose(t: Array, q: Array) -> None:
-    """Refuse poses that change as no robot's in metres and radians do."""
-    apart = max(1, round(_WINDOW / _step(t)))
-    if len(t) <= apart:
-        return
-    dt = t[apart:] - t[:-apart]
-    speed = np.hypot(*(q[apart:, :2] - q[:-apart, :2]).T) / dt
-    if np.median(speed) > _FASTEST:
-        raise InvalidArgument(
-            f"q moves at {np.median(speed):.3g} m/s most of the time, expected metres: are these millimetres?"
-        )
-    jumps = np.abs(np.diff(q[:, 2])) > 1.9 * np.pi
-    turn = np.abs(np.unwrap(q[:, 2])[apart:] - np.unwrap(q[:, 2])[:-apart]) / dt
-    plain = np.abs(q[apart:, 2] - q[:-apart, 2]) / dt
-    in_turns = np.abs(np.diff(q[:, 2]))[jumps]
-    if (in_turns.size and np.median(in_turns) > 4 * np.pi) or (
-        not in_turns.size and max(np.median(turn), np.quantile(plain, 0.9)) > _FASTEST_TURN
-    ):
-        raise InvalidArgument(
-            f"q has psi from {q[:, 2].min():.4g} to {q[:, 2].max():.4g}, which turns at "
-            f"{np.quantile(plain, 0.9):.3g} rad/s and more, expected radians: are these degrees?"
         )
 
 
