@@ -77,6 +77,31 @@ def test_a_log_of_commands_tells_theta(capsys: pytest.CaptureFixture[str], tmp_p
     assert (code, err) == (2, f"pinmobile: {said}\n")
 
 
+def test_what_is_on_each_side_of_a_gap_is_one_robots(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    table, words = rows(), ["--method", "weak", "--out", str(tmp_path)]
+    first = str(written(tmp_path / "first.csv", table[:700]))
+    second = str(written(tmp_path / "second.csv", table[760:]))
+    code, told, err = typed(capsys, "identify", first, second, *words)
+    assert (code, err) == (0, "")
+    assert "2141 samples at 50 Hz, 0 dropped" in told
+    assert re.search(r"^mass +3[12](\.\d+)? ", told, re.MULTILINE)
+    assert f"measured and foretold: {tmp_path / 'second.png'}" in told  # of the longest
+    code, _, err = typed(capsys, "identify", first, *words)
+    assert code == 2
+    assert re.match(r"pinmobile: LOG is '\S+first\.csv': log is 14 s long", err)
+    table[:, 4:] = table[::-1, 4:]
+    other = str(written(tmp_path / "other.csv", table))
+    code, _, err = typed(capsys, "identify", first, other, *words)
+    assert code == 2
+    assert re.match(r"pinmobile: LOG is '\S+first\.csv', '\S+other\.csv': log has inputs of which ", err)
+    brief = str(written(tmp_path / "brief.csv", table[:20]))
+    code, _, err = typed(capsys, "identify", first, brief, *words)
+    assert code == 2
+    assert re.match(r"pinmobile: LOG is '\S+brief\.csv': log is 0\.38 s long, too short", err)
+
+
 def gap(table: Array) -> Array:
     return np.delete(table, np.s_[300:330], axis=0)
 

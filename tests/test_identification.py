@@ -18,6 +18,7 @@ from pinmobile import (
     Coulomb,
     Driven,
     FixedHeading,
+    Friction,
     Hold,
     Identification,
     InvalidArgument,
@@ -48,6 +49,7 @@ from pinmobile.identification.chassis import Chassis
 from pinmobile.identification.cleaning import Cleaned
 from pinmobile.identification.output_error import OutputError, Segments
 from pinmobile.identification.residual_noise import ResidualNoise
+from pinmobile.identification.slippage import Slippage
 from pinmobile.identification.weak_form import extrapolated, rows_of
 
 ROBOT = MobileRobot(32.0, 1.6, com=(0.12, -0.04))
@@ -186,6 +188,25 @@ def test_a_delay_that_is_ignored_spoils_friction() -> None:
     ignored = identify(log(0, 3), delay=0.0)
     assert abs(ignored.parameters["viscous_forward"] / 6 - 1) > 0.1
     assert not ignored.whiteness.is_white
+    told = "the delay of 0 ms was given, but the log agrees with 59.3 ms: with a wrong delay"
+    assert any(note.startswith(told) for note in ignored.notes)
+    for given in (None, 0.06):
+        assert np.isnan(identify(log(0, 3), method="weak", delay=given).other_delay)
+
+
+def test_a_wrong_delay_is_blamed_and_not_the_inputs_where_the_log_agrees_with_another() -> None:
+    with pytest.raises(
+        InvalidArgument,
+        match=r"^delay is 3 s, with which the log has inputs of which the motion explains 0%; with 59\.3 ms "
+        r"the motion explains 100% of the inputs: expected that, or none, so that it is found$",
+    ):
+        identify(log(0, 3), delay=3.0)
+    with pytest.raises(
+        InvalidArgument, match=r"^delay is 1 s, with which the log leads to a mass of -\d+ kg; "
+    ):
+        identify(rolled(False), on_wheels(BODY), delay=1.0)
+    with pytest.raises(InvalidArgument, match=r"^log leads to a mass of -32 kg, .*inputs the other sign"):
+        identify(changed(u=lambda u: -u), delay=0.0)
 
 
 def test_residuals_are_white_where_the_sensors_noise_is_all_that_is_left() -> None:
@@ -212,6 +233,35 @@ def test_outliers_and_rows_without_numbers_are_left_out_and_counted() -> None:
     assert spoiled.dropped == 2
     assert 38 <= spoiled.outliers <= 46
     assert spoiled.parameters["mass"] == pytest.approx(found().parameters["mass"], rel=5e-3)
+
+
+@pytest.mark.parametrize("method", ["weak", "output error"])
+def test_rows_that_lack_a_pose_are_bridged_by_their_inputs_and_counted(method: str) -> None:
+    q = np.array(log().q)
+    q[:5] = np.nan
+    for begin in range(50, 2150, 45):  # 0.3 s of each 0.9 s, beside what outliers were
+        q[begin : begin + 15] = np.nan
+    read = Log(log().t, q, log().u)
+    assert (len(read), read.dropped) == (2196, 710)
+    assert read.samples().seen.sum() == 2201 - 710
+    np.testing.assert_array_equal(read.samples().u, log().u[5:])
+    np.testing.assert_array_equal(Log(read.t, read.q, read.u).samples().seen, read.samples().seen)
+    spoiled = identify(read, method=method)
+    assert (spoiled.samples, spoiled.dropped) == (2201 - 710, 710)
+    assert spoiled.parameters["mass"] == pytest.approx(32.0, rel=0.01)
+    z = (np.array(list(spoiled.parameters.values())) - list(TRUE.values())) / np.sqrt(
+        np.diag(spoiled.covariance)
+    )
+    # Ten that are partly correlated: splines through the noise beside each hole would lead to 2.
+    assert np.sqrt((z**2).mean()) < 1.5
+
+
+def test_a_stream_of_inputs_that_lacks_some_is_not_known_meanwhile_and_no_longer() -> None:
+    u = np.array(log().u)
+    u[700] = np.nan
+    read = Log.from_streams(log().t, log().q, log().t, u)  # type: ignore[arg-type]
+    assert read.dropped == 1
+    np.testing.assert_allclose(read.samples().u[701:2200], log().u[701:2200], atol=1e-9)
 
 
 def test_a_circle_is_refused_and_with_a_robot_what_is_unseen_is_told_and_kept() -> None:
@@ -291,6 +341,23 @@ def test_a_robot_that_no_body_is_becomes_the_likeliest_that_is_one() -> None:
     np.testing.assert_allclose(robot.com[:2], near[1:3] / near[0])
 
 
+def test_an_estimate_below_zero_stays_and_is_told_in_words() -> None:
+    deviation = np.sqrt(found().covariance_of_phi[7, 7])
+    phi = np.array(found().phi)
+    phi[7] = -deviation
+    below = replace(found(), phi=phi)
+    assert below.parameters["rolling_forward"] == -deviation
+    half = found().interval()["rolling_forward"][1] - found().parameters["rolling_forward"]
+    np.testing.assert_allclose(below.interval()["rolling_forward"], (0.0, half))
+    told = (
+        f"rolling_forward is {-deviation:.3g} N, below zero within its uncertainty: the log tells that it is "
+    )
+    assert f"{told}not above {half:.3g}\n" in f"{below}\n"
+    phi[7] = -10 * deviation
+    assert "below zero by more than its uncertainty" in str(replace(found(), phi=phi))
+    assert "below zero" not in str(found())
+
+
 def test_an_identification_can_be_pickled() -> None:
     again = pickle.loads(pickle.dumps(found()))
     assert again.parameters == found().parameters
@@ -348,22 +415,37 @@ BODY = MobileRobot(30.0, 1.3, com=(0.06, 0.02, 0.2))
 LOAD = Load(8.0, (0.1, 0.05, 0.1), size=(0.2, 0.2, 0.2))
 
 
-def on_wheels(body: MobileRobot, motor: Motor = MOTOR) -> Any:
+def on_wheels(
+    body: MobileRobot, motor: Motor = MOTOR, radius: float = 0.1, dry: Friction | None = None
+) -> Any:
     wheel: dict[str, Any] = {"supports": [(-0.3, 0)], "mass": 1.0, "spin_inertia": 0.005}
-    return WheeledRobot(body, WheelTable.differential(0.5, 0.1, motor=motor, **wheel)).by_voltage()
+    if dry is None:
+        return WheeledRobot(body, WheelTable.differential(0.5, radius, motor=motor, **wheel)).by_voltage()
+    table = WheelTable.differential(0.5, radius, motor=motor, friction=dry, **wheel)
+    return WheeledRobot(body, table, Coulomb()).by_voltage()
 
 
 @cache
 def rolled(loaded: bool) -> Log:
+    return noisy(run_on_wheels(loaded), int(loaded))
+
+
+@cache
+def run_on_wheels(loaded: bool = False, dry: Friction | None = None) -> Rollout:
     plant = on_wheels(BODY.attach(LOAD).lumped() if loaded else BODY)
     path = excitation(
         plant, duration=44.0, period=11.0, velocity=(0.8, 1.0, 1.2), acceleration=(1.0, 1.0, 2.0)
     )
     controller = Driven(Backstepping(Tracking(), plant.wheeled), plant)
-    run = simulate(plant, controller, path, dt=0.02, substeps=4, engine=COMPILED)
-    plain = Log.from_rollout(run, 1e-3, 0.02, seed=int(loaded))
+    if dry is not None:
+        return simulate(on_wheels(BODY, dry=dry), controller, path, dt=0.02, engine=COMPILED)
+    return simulate(plant, controller, path, dt=0.02, substeps=4, engine=COMPILED)
+
+
+def noisy(run: Rollout, seed: int) -> Log:
+    plain = Log.from_rollout(run, 1e-3, 0.02, seed=seed)
     assert plain.wheel_rates is not None
-    rates = plain.wheel_rates + np.random.default_rng(4).normal(0, 0.02, plain.wheel_rates.shape)
+    rates = plain.wheel_rates + np.random.default_rng(4 + seed).normal(0, 0.02, plain.wheel_rates.shape)
     return Log(plain.t, plain.q, plain.u, None, rates)
 
 
@@ -385,6 +467,51 @@ def test_a_gear_that_loses_by_the_direction_of_power_is_refused() -> None:
         InvalidArgument, match=r"robot has a gear of efficiency 0.9 at left, .* a log of torques"
     ):
         identify(rolled(False), lossy)
+
+
+@pytest.mark.once
+def test_wheels_that_slip_are_told_from_those_that_roll_with_noise() -> None:
+    slides = noisy(run_on_wheels(dry=Friction(mu=0.1, rolling=0.0)), 0)
+    text = (
+        r"^log has poses that move otherwise than wheels roll, by \S+ m/s, \S+% of the speed, in \d+% of the "
+    )
+    for read in (slides, Log(slides.t, slides.q, slides.u)):  # by encoders, and by the way across the wheels
+        with pytest.raises(InvalidArgument, match=f"{text}time, where noise .*: they slip, or .* that roll$"):
+            identify(read, on_wheels(BODY))
+    creeps = noisy(run_on_wheels(dry=Friction(rolling=0.0, slip=1e-3)), 0)
+    crept = identify(creeps, on_wheels(BODY), method="weak")
+    assert crept.parameters["mass"] > 32  # 30: what is told is not small
+    assert crept.slippage is not None
+    assert 0.01 < crept.slippage.share < 0.05
+    assert any(note.startswith("poses move otherwise than wheels roll, by 0.0") for note in crept.notes)
+    with pytest.raises(InvalidArgument, match=r"two clocks\? Its poses move otherwise than wheels roll"):
+        identify(noisy(run_on_wheels(dry=Friction(rolling=0.0, slip=3e-3)), 0), on_wheels(BODY))
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("dry", [None, Friction(rolling=0.0)])
+def test_wheels_that_roll_are_not_said_to_slip(dry: Friction | None) -> None:
+    chassis, nothing = Chassis.rolling(on_wheels(BODY), 0.1), np.zeros(4)
+    for seed in range(20):
+        read = noisy(run_on_wheels(dry=dry), seed)
+        for each in (read, Log(read.t, read.q, read.u)):
+            slippage = Slippage.of(Cleaned.of(each, chassis, nothing), chassis)
+            assert slippage is not None
+            assert not slippage.is_certain
+            assert slippage.share < 0.005
+            assert slippage.noise < 0.005  # [m/s], of 1 mm at 50 Hz over 0.4 s
+
+
+@pytest.mark.once
+def test_a_wheel_of_another_radius_is_told_by_its_ratio() -> None:
+    why = "ratios of 0.909 forward and 0.909 in yaw explain it, as of wheels of another radius"
+    with pytest.raises(
+        InvalidArgument, match=f"^log has poses that move otherwise than wheels roll, .*: {why}"
+    ):
+        identify(noisy(run_on_wheels(), 0), on_wheels(BODY, radius=0.11))
+    near = identify(noisy(run_on_wheels(), 0), on_wheels(BODY, radius=0.102), method="weak")
+    assert any("ratios of 0.98 forward and 0.98 in yaw explain it" in note for note in near.notes)
+    assert identify(log(), method="weak").slippage is None
 
 
 @pytest.mark.once
@@ -476,7 +603,18 @@ def drifting(q: Array) -> Array:
         (lambda: changed(t=lambda t: t[::-1]), r"^t\[1\] is .* expected more$"),
         (
             lambda: changed(q=holed),
-            r"^t has a gap from 5\.98 to 6\.6 s .* 30 rows had NaN, .*make a Log of each",
+            r"^q has 30 rows of NaN in a row, between 5\.98 and 6\.6 s, expected 15 at most: over more than "
+            r"0\.3 s what is bridged is a guess; cut the log there, identify takes several$",
+        ),
+        (
+            lambda: changed(u=lambda u: np.where(np.arange(2201)[:, None] // 4 == 75, np.nan, u)),
+            r"^u has 4 rows of NaN in a row, between 5\.98 and 6\.08 s, expected 3 at most: what was applied "
+            r"meanwhile is not known; cut the log there",
+        ),
+        (
+            lambda: changed(**dict.fromkeys("tqu", lambda x: np.delete(x, np.s_[300:330], axis=0))),
+            r"^t has a gap from 5\.98 to 6\.6 s between steps of 0\.02 s, expected none: cut the log there, "
+            r"identify takes several$",
         ),
         (lambda: changed(q=np.rad2deg), r"^q has psi from .*: are these degrees\?$"),
         (lambda: changed(q=lambda q: q * 1000 * 100), r"^q moves at .*: are these millimetres\?$"),

@@ -365,10 +365,10 @@ def drive(
 @app.command()
 def identify(
     log: Annotated[
-        Path,
+        list[Path],
         typer.Argument(
             help="CSV file with t, x, y, psi and Fx, Fy, Mz in its header, units in brackets; a bag or MCAP "
-            "file with --bag."
+            "file with --bag. Several are of one robot: runs, or what is on each side of a gap."
         ),
     ],
     *,
@@ -389,8 +389,9 @@ def identify(
 ) -> int:
     """Tell mass, centre of mass, yaw inertia and friction, with intervals, from the log of a pushed body.
 
-    It prints the table, and draws what was measured beside what the model that was found foretells. Two
-    inputs are commands of speed and yaw rate: then it tells theta of a robot that takes speeds.
+    It prints the table, and draws what was measured beside what the model that was found foretells, of
+    several logs that of the longest. Two inputs are commands of speed and yaw rate: then it tells theta of a
+    robot that takes speeds.
 
     A log in degrees, with gaps, of two clocks, too short, without excitation or of another robot is refused
     in one line, with exit code 2.
@@ -399,7 +400,7 @@ def identify(
     """
     from pinmobile.cli.identify import read, show_identification
 
-    measured = read(log, column or (), bag or ())
+    measured = [read(each, column or (), bag or ()) for each in log]
     return show_identification(measured, log, out, urdf=urdf, method=method, delay=delay)
 
 

@@ -31,26 +31,29 @@ def read(path: Path, columns: Sequence[str], topics: Sequence[str]) -> Log:
         raise InvalidArgument("--column applies to a CSV file, and --bag to a bag, expected one of them")
     named = _pairs("--column", columns, "ROLE=NAME,NAME, such as q=px,py,angle")
     told = _pairs("--bag", topics, "ROLE=TOPIC, such as q=/odom")
-    with _naming(path):
+    with _naming([path]):
         if told:
             return Log.from_bag(path, told)
         return Log.from_csv(path, {role: names.split(",") for role, names in named.items()} or None)
 
 
 @contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Let errors call the file as it was typed, and columns and topics by their options."""
+def _naming(paths: Sequence[Path]) -> Iterator[None]:
+    """Let errors call files as they were typed, and columns and topics by their options."""
     try:
         yield
     except UnknownName:
         raise
     except InvalidArgument as error:
-        argument, text = error.argument.partition("[")[0], str(error)
-        said, by_columns, _ = text.partition(", expected columns=")
+        argument, _, number = error.argument.rstrip("]").partition("[")
+        said, by_columns, _ = (text := str(error)).partition(", expected columns=")
         if by_columns:
             text = f"{said}, expected --column ROLE=NAME,NAME of these, such as --column q=px,py,angle"
+        if argument == "log" and number:
+            paths, text = [paths[int(number)]], text.replace(f"[{number}]", "", 1)
         called = {"path": "LOG", "columns": "--column", "topics": "--bag", "delay": "--delay"}
-        told = f"LOG is {str(path)!r}: {argument}" if argument not in called else called[argument]
+        files = ", ".join(repr(str(path)) for path in paths)
+        told = called.get(argument, f"LOG is {files}: {argument}")
         raise InvalidArgument(f"{told}{text[len(argument) :]}", argument="") from error
 
 
@@ -72,18 +75,24 @@ def _pairs(option: str, words: Sequence[str], expected: str) -> Mapping[str, str
 
 
 def show_identification(
-    log: Log, path: Path, out: Path, *, urdf: Path | None, method: str | None, delay: float | None
+    logs: Sequence[Log],
+    paths: Sequence[Path],
+    out: Path,
+    *,
+    urdf: Path | None,
+    method: str | None,
+    delay: float | None,
 ) -> int:
-    """Print what the log tells, and draw what was measured beside what is foretold.
+    """Print what logs tell, and draw what was measured beside what is foretold, of the longest.
 
-    A log of two inputs is one of commands of speed and yaw rate, and tells theta.
+    Logs of two inputs are of commands of speed and yaw rate, and tell theta.
 
     Parameters
     ----------
-    log : Log
+    logs : sequence of Log
         What was measured.
-    path : Path
-        Its file, by which figure and errors are called.
+    paths : sequence of Path
+        Their files, by which figure and errors are called.
     out : Path
         Folder of the figure.
     urdf : Path or None
@@ -96,23 +105,24 @@ def show_identification(
     Raises
     ------
     InvalidArgument, UnknownName
-        If an option does not apply, or the log is refused; the message names the file.
+        If an option does not apply, or a log is refused; the message names the file.
     """
     folder = output_folder(out)
     way = choose("method", method or "output-error", {each.replace(" ", "-"): each for each in METHODS})
+    log, path = max(zip(logs, paths, strict=True), key=lambda each: len(each[0]))
     commands = log.u.shape[1] == _COMMANDS
     for option, value in (("--urdf", urdf), ("--method", method)):
         if commands and value is not None:
             raise InvalidArgument(f"{option} does not apply to a log of commands of speed and yaw rate")
     with LECTURE.naming("urdf", path="urdf"):
         believed = None if urdf is None else MobileRobot.from_urdf(urdf)
-    with progress(2) as bar, _naming(path):
+    with progress(2) as bar, _naming(paths):
         begin(bar, "identifying")
         if commands:
-            theta = identify_velocity(log, delay=delay)
+            theta = identify_velocity(logs, delay=delay)
             table, foretold = str(theta), theta.predict(log)
         else:
-            found = identify(log, believed, method=way, delay=delay)
+            found = identify(logs, believed, method=way, delay=delay)
             table, foretold = str(found), found.predict(log)
         begin(bar, "drawing")
         figure = folder / f"{path.stem}.png"

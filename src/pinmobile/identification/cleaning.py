@@ -19,6 +19,7 @@ _BENT = 3e-3  # share of the way through a window below which nothing is an outl
 _PASSES = 12  # at most
 _CUTOFF = 8.0  # [Hz] of velocities
 _LEAST = 2.0**-40  # of the size of what is measured: below it noise is rounding
+_LONG = 3  # samples in a row that are lost; over more, a spline would swing with the noise beside them
 _NORMAL = 1.4826  # a normal distribution's deviation as a share of its median absolute one
 
 
@@ -31,7 +32,7 @@ class Cleaned:
     dt : float
         Time between two samples [s].
     q : ndarray, shape (N, 3)
-        Poses; those that are lost or outliers are interpolated.
+        Poses; those that are lost or outliers are bridged by what is measured beside them.
     good : ndarray of bool, shape (N,)
         Which are measured.
     u : ndarray, shape (N, nu)
@@ -89,7 +90,8 @@ class Cleaned:
                     f"{name} has wheel_rates of {rates.shape[1]} wheels, expected {len(chassis.A)}: "
                     f"{', '.join(chassis.wheels)}"
                 )
-            rates_noise = _without_outliers(rates, even.seen, even.dt)[2]
+            bridged, _, rates_noise = _without_outliers(rates, even.seen, even.dt)
+            rates = np.where(even.seen[:, None], rates, bridged)
         lost = int((even.seen & ~good).sum())
         rates = rates if chassis.wheels else None
         return cls(even.dt, q, good, even.u, rates, noise, rates_noise, lost, load)
@@ -169,6 +171,18 @@ def _without_outliers(
         inside = np.clip(at[~good], at[good][0], at[good][-1])  # nothing is told beyond the last good one
         q = columns.copy()
         q[~good] = CubicSpline(at[good], columns[good])(inside)
+        _bridge(q, good, size)
         if np.array_equal(before, good):
             break
     return q, good, np.maximum(deviation / np.sqrt(kept), least)
+
+
+def _bridge(q: Array, good: NDArray[np.bool_], size: int) -> None:
+    """Fill long runs of lost samples by polynomials of degree 5 through so many samples on each side."""
+    edges = np.flatnonzero(np.diff(good, prepend=True, append=True))
+    for begin, end in edges.reshape(-1, 2):
+        if end - begin > _LONG:
+            k = np.arange(max(begin - size, 0), min(end + size, len(q)))
+            V = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, len(k)), 5)
+            near, lost = good[k], (k >= begin) & (k < end)
+            q[k[lost]] = V[lost] @ np.linalg.lstsq(V[near], q[k[near]], rcond=None)[0]

@@ -18,6 +18,7 @@ from pinmobile.identification.cleaning import Cleaned
 from pinmobile.identification.log import Log
 from pinmobile.identification.output_error import OutputError, Segments
 from pinmobile.identification.prediction import POSE, Prediction
+from pinmobile.identification.slippage import Slippage
 from pinmobile.identification.whiteness import Whiteness
 from pinmobile.robot import MobileRobot
 from pinmobile.urdf import Body
@@ -55,10 +56,15 @@ class Identification:
     delay, delay_error : float
         By which poses come later than inputs, and its deviation [s]; not a number where it was given. Where
         it was not, its uncertainty is in the covariance.
+    other_delay : float
+        What the log tells where a delay was given that is more than a sample and five deviations beside it
+        [s]; else not a number.
     dt : float
         Time between two samples [s].
     outliers, dropped, samples, segments : int
         Poses that are outliers; rows with NaN; rows; segments that were simulated.
+    slippage : Slippage or None
+        How far poses are from rolling, of the log that is furthest; None where it cannot be told.
     noise : ndarray, shape (3,)
         Deviation of the noise of the pose, measured from the log [m, m, rad].
     residual : ndarray, shape (3,)
@@ -80,11 +86,13 @@ class Identification:
     hidden: Array
     delay: float
     delay_error: float
+    other_delay: float
     dt: float
     outliers: int
     dropped: int
     samples: int
     segments: int
+    slippage: Slippage | None
     noise: Array
     residual: Array
     chi2: float
@@ -126,7 +134,8 @@ class Identification:
     def interval(self, level: float = 0.95) -> Mapping[str, tuple[float, float]]:
         """Return an interval of each parameter that holds the true one in a share of all logs, by name.
 
-        It is Student's, cut at zero where the parameter cannot be below; endless where nothing is seen.
+        It is Student's; endless where nothing is seen. Of a parameter that cannot be below zero it is cut
+        there, and goes up to its half width where the estimate is below: more is not told of what is small.
 
         Parameters
         ----------
@@ -143,7 +152,7 @@ class Identification:
         for one, value, half in zip(self.chassis.quantities, self.parameters.values(), wide, strict=True):
             seen = self.is_seen[one.name]
             low, high = (value - half, value + half) if seen else (-np.inf, np.inf)
-            found[one.name] = (max(low, 0.0), max(high, 0.0)) if one.bounded else (low, high)
+            found[one.name] = (max(low, 0.0), max(high, half)) if one.bounded else (low, high)
         return MappingProxyType({name: (float(low), float(high)) for name, (low, high) in found.items()})
 
     def delay_interval(self, level: float = 0.95) -> tuple[float, float]:
@@ -202,6 +211,11 @@ class Identification:
         low, high = (1e3 * each for each in self.delay_interval())
         late = "" if np.isnan(low) else f" (95 % interval {low:.3g} to {high:.3g})"
         found.append(f"poses come {1e3 * self.delay:.3g} ms late{late}: {self.delay / self.dt:.2f} samples")
+        if np.isfinite(self.other_delay):
+            found.append(
+                f"the delay of {1e3 * self.delay:.3g} ms was given, but the log agrees with "
+                f"{1e3 * self.other_delay:.1f} ms: with a wrong delay estimates and intervals are wrong"
+            )
         noise, left = self.noise * 1e3, self.residual * 1e3
         found.append(
             f"noise of the pose {noise[0]:.3g} mm, {noise[1]:.3g} mm, {noise[2]:.3g} mrad; left by the model "
@@ -214,12 +228,26 @@ class Identification:
             else f"what is left remembers (correlation {rho:.2f} of successive samples): noise of forces, or "
             "a force that is not modelled; the intervals allow for it"
         )
-        return (*found, *self._of_wheels())
+        return (*found, *self._below_zero(), *self._of_wheels())
+
+    def _below_zero(self) -> tuple[str, ...]:
+        """Return what estimates are below zero of what cannot be, and why."""
+        told, wide = [], self._deviations(0.95) * np.sqrt(np.diag(self.covariance))
+        for one, value, half in zip(self.chassis.quantities, self.parameters.values(), wide, strict=True):
+            if one.bounded and value < 0 and self.is_seen[one.name]:
+                why = (
+                    f"within its uncertainty: the log tells that it is not above {half:.3g}"
+                    if value + half >= 0
+                    else f"by more than its uncertainty, {half:.3g}: another force acts than the model has"
+                )
+                told.append(f"{one.name} is {value:.3g} {one.unit}, below zero {why}")
+        return tuple(told)
 
     def _of_wheels(self) -> tuple[str, ...]:
         """Return what a log of wheels cannot tell."""
         if not self.chassis.wheels:
             return ()
+        slips = (str(self.slippage),) if self.slippage is not None and self.slippage.matters else ()
         M = self.chassis.inertia
         told = [
             f"of mass and yaw inertia the wheels' own inertia cannot be told: {M[0, 0]:.3g} kg and "
@@ -232,7 +260,7 @@ class Identification:
             )
         elif self.chassis.damping.shape and any(one.unit == "V" for one in self.prior.inputs):
             told.append("friction has the back-EMF of the motors in it")
-        return tuple(told)
+        return (*slips, *told)
 
     @cached_property
     def plausible(self) -> Array:

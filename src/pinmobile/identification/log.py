@@ -23,16 +23,12 @@ from pinmobile.arrays import (
     whole,
 )
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.identification.log_rows import any_of, check_pose, check_times, lost_rows, step
 from pinmobile.identification.logfiles import read_bag, read_csv
 from pinmobile.plant import coordinates_of, inputs_of
 from pinmobile.simulation import Rollout
 
 _POSE = 3  # x, y, psi
-_HOLE = 4.5  # steps that may lack their samples: three rows in a row
-_LONGEST_STEP = 5.0  # [s]; times of longer steps are no seconds
-_FASTEST = 60.0  # [m/s]; positions that change faster are no metres
-_FASTEST_TURN = 12.0  # [rad/s], two turns a second; what turns faster is told in degrees
-_WINDOW = 0.25  # [s] over which speeds are looked at, so that noise is none
 
 
 class Samples(NamedTuple):
@@ -45,7 +41,7 @@ class Samples(NamedTuple):
     t : ndarray, shape (N,)
         Times since the first sample [s].
     seen : ndarray of bool, shape (N,)
-        Whether there is a row at that time; what stands in others is interpolated.
+        Whether it was measured at that time; what stands elsewhere is interpolated.
     q, u, twist, wheel_rates : ndarray, shape (N, ...), or None
         As in `Log`.
     """
@@ -70,12 +66,13 @@ class Log:
         Times [s].
     q : array_like, shape (N, 3), or None
         Measured pose (x, y, psi) [m, m, rad]; None where only the twist was measured. psi may be unwrapped or
-        on the circle.
+        on the circle. Of rows with NaN here, or in what else is measured, the inputs count; at most 0.3 s of
+        them in a row are bridged.
     u : array_like, shape (N, nu)
         Input that is applied from each time to the next, in its unit: of a body that is pushed (Fx, Fy, Mz)
         in the inertial frame [N, N, N m], of wheels torques [N m], volts or, with a load that tells what they
         are worth, currents [A], of a robot that takes velocities its commands (forward, yaw rate)
-        [m/s, rad/s].
+        [m/s, rad/s]. At most three rows in a row may have NaN: then what was applied before is taken.
     twist : array_like, shape (N, 3), optional
         Measured body twist: forward, left, yaw rate [m/s, m/s, rad/s].
     wheel_rates : array_like, shape (N, k), optional
@@ -84,7 +81,7 @@ class Log:
     Attributes
     ----------
     dropped : int
-        Rows that held a number which is none (NaN), and are left out.
+        Rows that held a number which is none (NaN).
     dt : float
         Time between two samples [s].
 
@@ -115,18 +112,24 @@ class Log:
                 raise InvalidArgument(f"{name} has shape {given[name].shape}, expected ({len(t)}, 3)")
         if not {"q", "twist"} & set(given):
             raise InvalidArgument("q is None, and there is no twist, expected one of them: what was measured")
-        lost = {name: np.isnan(array.reshape(len(t), -1)).any(axis=1) for name, array in given.items()}
-        bad = np.logical_or.reduce(list(lost.values()))
+        lost = lost_rows(given)
+        bad = any_of(lost)
         if bad.all():
             worst = max(lost, key=lambda name: int(lost[name].sum()))
             raise InvalidArgument(f"{worst} has {len(t)} rows, and NaN in each, expected rows without")
-        given = {name: finite(name, array[~bad]) for name, array in given.items()}
-        t = given["t"]
-        _check_times(t, int(bad.sum()))
+        first, last = np.flatnonzero(~bad)[[0, -1]]
+        kept = np.flatnonzero(~lost["t"] & ~lost["u"])
+        kept = kept[(kept >= first) & (kept <= last)]
+        check_times(t, kept, lost)
         object.__setattr__(self, "dropped", self.dropped + int(bad.sum()))
+        given, seen = {name: array[kept] for name, array in given.items()}, ~bad[kept]
+        for name, array in given.items():
+            finite(name, np.where(np.isnan(array), 0.0, array))
         if "q" in given:
-            _check_pose(t, given["q"])
-            given["q"] = np.column_stack([given["q"][:, :2], np.unwrap(given["q"][:, 2])])
+            q = given["q"] = np.array(given["q"])
+            check_pose(given["t"][seen], q[seen])
+            q[seen, 2] = np.unwrap(q[seen, 2])
+            q[~seen] = np.nan
         for name, array in given.items():
             object.__setattr__(self, name, frozen(array))
 
@@ -146,7 +149,7 @@ class Log:
     @property
     def dt(self) -> float:
         """Time between two samples [s]."""
-        return _step(self.t)
+        return step(self.t)
 
     def between(self, start: float, stop: float) -> Self:
         """Return what was measured from one time to before another, counted from the first sample [s].
@@ -170,15 +173,16 @@ class Log:
     def samples(self) -> Samples:
         """Return it on times of equal steps: what jitters is interpolated, what is lost is told."""
         dt, given = self.dt, self._given()
-        t = given.pop("t") - self.t[0]
+        t, u = given.pop("t") - self.t[0], given.pop("u")
+        there = ~any_of(lost_rows(given))
         steps = np.rint(t / dt).astype(int)
         grid = dt * np.arange(steps[-1] + 1)
         seen = np.zeros(len(grid), bool)
-        seen[steps] = True
-        u = given.pop("u")[np.searchsorted(steps, np.arange(len(grid)), side="right") - 1]
+        seen[steps[there]] = True
+        u = u[np.searchsorted(steps, np.arange(len(grid)), side="right") - 1]
         even = seen.all() and np.abs(t - grid).max() < 1e-3 * dt  # then nothing is to be interpolated
         measured: dict[str, Array] = (
-            given if even else {n: _interpolated(t, x, grid) for n, x in given.items()}
+            given if even else {n: _interpolated(t[there], x[there], grid) for n, x in given.items()}
         )
         parts = (measured.get(name) for name in ("twist", "wheel_rates"))
         return Samples(dt, grid, seen, measured.get("q"), u, *parts)
@@ -230,7 +234,9 @@ class Log:
             )
         kept = (t >= first) & (t <= held[-1])
         t = t[kept]
-        mean = _mean_held(held, inputs, np.append(t, t[-1] + _step(t)))
+        edges, lost = np.append(t, t[-1] + step(t)), np.isnan(inputs).any(axis=1, keepdims=True)
+        mean = _mean_held(held, np.where(lost, 0.0, inputs), edges)
+        mean[_mean_held(held, np.where(lost, 1.0, 0.0), edges)[:, 0] > 0] = np.nan
         measured = {"twist": twist, "wheel_rates": wheel_rates}
         rows = {name: real(name, x) for name, x in measured.items() if x is not None}
         for name, array in rows.items():
@@ -390,55 +396,6 @@ def check_steps(steps: Sequence[float]) -> None:
     if max(steps) > 1.001 * min(steps):
         raise InvalidArgument(
             f"log has samples every {min(steps):g} and {max(steps):g} s, expected equal steps"
-        )
-
-
-def _step(t: Array) -> float:
-    """Return the time between two samples: the mean of the steps that lack none."""
-    steps = np.diff(t)
-    return float(steps[steps < 1.5 * np.median(steps)].mean())
-
-
-def _check_times(t: Array, dropped: int) -> None:
-    if len(t) < 2:
-        raise InvalidArgument(f"t has {len(t)} times without NaN in their rows, expected more")
-    increasing("t", t)
-    steps = np.diff(t)
-    usual = float(np.median(steps))
-    if usual > _LONGEST_STEP:
-        ladder = ((_LONGEST_STEP * 1e6, "nano"), (_LONGEST_STEP * 1e3, "micro"), (0.0, "milli"))
-        small = next(name for least, name in ladder if usual > least)
-        raise InvalidArgument(f"t has steps of {usual:g} s, expected seconds: are these {small}seconds?")
-    worst = int(steps.argmax())
-    if steps[worst] > _HOLE * usual:
-        nan = f"; {dropped} rows had NaN" if dropped else ""
-        raise InvalidArgument(
-            f"t has a gap from {t[worst]:g} to {t[worst + 1]:g} s between steps of {usual:g} s{nan}, "
-            "expected none: make a Log of each side; identify takes several"
-        )
-
-
-def _check_pose(t: Array, q: Array) -> None:
-    """Refuse poses that change as no robot's in metres and radians do."""
-    apart = max(1, round(_WINDOW / _step(t)))
-    if len(t) <= apart:
-        return
-    dt = t[apart:] - t[:-apart]
-    speed = np.hypot(*(q[apart:, :2] - q[:-apart, :2]).T) / dt
-    if np.median(speed) > _FASTEST:
-        raise InvalidArgument(
-            f"q moves at {np.median(speed):.3g} m/s most of the time, expected metres: are these millimetres?"
-        )
-    jumps = np.abs(np.diff(q[:, 2])) > 1.9 * np.pi
-    turn = np.abs(np.unwrap(q[:, 2])[apart:] - np.unwrap(q[:, 2])[:-apart]) / dt
-    plain = np.abs(q[apart:, 2] - q[:-apart, 2]) / dt
-    in_turns = np.abs(np.diff(q[:, 2]))[jumps]
-    if (in_turns.size and np.median(in_turns) > 4 * np.pi) or (
-        not in_turns.size and max(np.median(turn), np.quantile(plain, 0.9)) > _FASTEST_TURN
-    ):
-        raise InvalidArgument(
-            f"q has psi from {q[:, 2].min():.4g} to {q[:, 2].max():.4g}, which turns at "
-            f"{np.quantile(plain, 0.9):.3g} rad/s and more, expected radians: are these degrees?"
         )
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -16,7 +17,8 @@ from pinmobile.identification.estimate import Identification
 from pinmobile.identification.log import Log, check_steps, logs_of
 from pinmobile.identification.output_error import Estimate, OutputError, Segments
 from pinmobile.identification.residual_noise import ResidualNoise
-from pinmobile.identification.weak_form import WINDOW, Rows, extrapolated, rows_of, solve
+from pinmobile.identification.slippage import Slippage
+from pinmobile.identification.weak_form import WINDOW, Fit, Rows, extrapolated, rows_of, solve
 from pinmobile.identification.whiteness import Whiteness, whiteness
 from pinmobile.robot import Load, MobileRobot
 
@@ -31,6 +33,7 @@ _EXPLAINED = 0.5  # of the forces' mean square; what explains less is another ro
 _LEVER = 0.25  # [m], of a robot whose size is not known
 _SPEED, _WHEEL_SPEED = 0.01, 0.1  # where dry friction has 71 %: [m/s, rad/s] of a body, [rad/s] of wheels
 _MOST_GIVEN = 0.1  # of the log, a delay that is given
+_OTHER = 1.0  # sample by which a delay that is given may be beside what the log tells
 _DRIFT = 1.0  # sample by which a delay may change along a log
 _MASSES = (0.02, 2e4)  # [kg] of ground robots
 _TIMES_NOMINAL = 30.0
@@ -117,6 +120,8 @@ def identify(
         Cleaned.of(one, chassis, each, name) for one, each, name in zip(logs, carried, names, strict=True)
     ]
     check_steps([one.dt for one in cleaned])
+    told = [Slippage.of(one, chassis, name) for one, name in zip(cleaned, names, strict=True)]
+    slips = [each for each in told if each is not None]
     given = None if delay is None else _given_delay(delay, cleaned)
     seconds = _segment(cleaned)
     rows = [rows_of(one, chassis) for one in cleaned]
@@ -132,16 +137,20 @@ def identify(
     basis = at.scales[:, None] * seen
     base = believed if unseen.size else np.zeros_like(believed)
     sought = given is None and not unseen.size
-    late = _first_delay(at, base, basis) if given is None else given / cleaned[0].dt
+    with _suspecting(slips):
+        late = _first_delay(at, base, basis) if given is None else given / cleaned[0].dt
     fit = extrapolated(rows, chassis, late, base, basis, sought)
-    _check_explained(fit.explained)
-    _check_units(chassis, fit.phi, prior)
+    own = fit if given is None else _own_delay(at, base, basis)
+    with _suspecting(slips), _doubting(given, own, cleaned[0].dt):
+        _check_explained(fit.explained)
+        _check_units(chassis, fit.phi, prior)
     start = chassis.possible(fit.phi, at.scales)
     if method == METHODS[0]:
         estimate = _by_output_error(at, start, basis, fit.delay, seconds, sought)
         phi, covariance, freedom = estimate.phi, estimate.covariance, estimate.segments - 1
         late, error = estimate.delay, estimate.delay_error
-        _check_units(chassis, phi, prior)
+        with _suspecting(slips), _doubting(given, own, cleaned[0].dt):
+            _check_units(chassis, phi, prior)
     else:
         segments = [Segments.of(one, chassis, fit.delay, seconds) for one in cleaned]
         estimate = OutputError(segments, chassis, fit.delay, sought).solve(start, basis, 0)
@@ -162,10 +171,12 @@ def identify(
         hidden=_hidden(unseen),
         delay=late * cleaned[0].dt,
         delay_error=error * cleaned[0].dt,
+        other_delay=_other_delay(given, own, cleaned[0].dt),
         dt=cleaned[0].dt,
         outliers=sum(one.outliers for one in cleaned),
         dropped=sum(one.dropped for one in logs),
-        samples=sum(len(one) for one in logs),
+        slippage=max(slips, key=lambda each: each.share, default=None),
+        samples=sum(int(one.good.sum()) + one.outliers for one in cleaned),
         segments=estimate.segments,
         noise=cleaned[0].noise,
         chi2=estimate.chi2,
@@ -215,6 +226,55 @@ def _given_delay(delay: float, logs: Sequence[Cleaned]) -> float:
     if not -most <= given <= most:
         raise InvalidArgument(f"delay is {given:g} s, expected {most:.3g} s at most: are these milliseconds?")
     return given
+
+
+def _own_delay(at: _Setting, base: Array, basis: Array) -> Fit:
+    """Return the fit at the delay that a log itself tells; it is not a number where it tells none."""
+    nothing = Fit(base, np.zeros((len(base), len(base))), np.inf, 0.0)
+    if basis.shape[1] < len(base):
+        return nothing
+    try:
+        late = _first_delay(at, base, basis)
+        fit = extrapolated(at.rows, at.chassis, late, base, basis, True)
+        _check_explained(fit.explained)
+        _check_units(at.chassis, fit.phi, at.prior)
+    except InvalidArgument:
+        return nothing
+    return fit
+
+
+def _other_delay(given: float | None, own: Fit, dt: float) -> float:
+    """Return the delay that a log tells [s], if it is another one than that given; else not a number."""
+    off = np.nan if given is None else abs(own.delay - given / dt)
+    return own.delay * dt if off > max(_OTHER, _SIGNIFICANT * own.delay_error) else np.nan
+
+
+@contextmanager
+def _doubting(given: float | None, own: Fit, dt: float) -> Iterator[None]:
+    """Blame the delay that was given for what is refused, where the log agrees with another one."""
+    try:
+        yield
+    except InvalidArgument as error:
+        other = _other_delay(given, own, dt)
+        if np.isnan(other):
+            raise
+        told = str(error).partition(", expected")[0].removeprefix("log ")
+        raise InvalidArgument(
+            f"delay is {given:g} s, with which the log {told}; with {1e3 * other:.1f} ms the motion explains "
+            f"{own.explained:.0%} of the inputs: expected that, or none, so that it is found"
+        ) from error
+
+
+@contextmanager
+def _suspecting(slips: Sequence[Slippage]) -> Iterator[None]:
+    """Tell of slip, where there is some, with what is refused for something that may come of it."""
+    try:
+        yield
+    except InvalidArgument as error:
+        worst = max(slips, key=lambda each: each.share, default=None)
+        if worst is None or not worst.matters:
+            raise
+        raise InvalidArgument(f"{error} Its {worst}") from error
 
 
 def _moments(load: Load) -> Array:
