@@ -28,6 +28,7 @@ from pinmobile.wheels import (
     WheeledRobot,
     WheelTable,
 )
+from pinmobile.wheels.motors import MotorLaw
 
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
 GRIPS = Friction(mu=2.0, rolling=0.0)
@@ -116,6 +117,22 @@ def test_on_a_ramp_the_gear_takes_its_share_of_the_power_either_way(slope: float
     k, eta = 0.03, 0.8 if slope > 0 else 1 / 0.8
     expected = (k * volts / 1.2 - 0.004 - load / (eta * 20)) / (20 * (k * k / 1.2 + 1e-5))
     np.testing.assert_allclose(v[-2:], expected, rtol=1e-11)
+
+
+def test_the_smooth_law_of_a_motor_is_its_law_where_its_wheel_turns() -> None:
+    motor = replace(MOTOR, torque_limit=6.0)
+    constants = [np.array([x]) for x in (1.2, 0.03, 1e-5, 0.004, 0.8)]
+    law = MotorLaw([motor], *constants)
+    limited = 0
+    for volts, rate in np.random.default_rng(2).uniform(-1, 1, (200, 2)) * np.array([30.0, 60.0]):
+        torque = law.smooth_torque(0, law.volts(0, volts), rate, np.sign(rate))
+        assert torque == pytest.approx(float(motor.torque(volts, rate)), rel=1e-12, abs=1e-12)
+        limited += abs(torque) == 6.0
+    assert 0 < limited < 150
+    # Between both directions it has no jump.
+    at = [law.smooth_torque(0, 12.0, 0.0, sign) for sign in (-1.0, -1e-9, 0.0, 1e-9, 1.0)]
+    assert at[1] == pytest.approx(at[3], rel=1e-8)
+    assert at[4] == pytest.approx(float(motor.torque(12.0, 1e-12)), rel=1e-9)
 
 
 @GROUNDS

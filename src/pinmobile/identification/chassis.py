@@ -8,7 +8,9 @@ friction along the axes A eta, and what the wheels' own inertia adds, M_w::
        [ m a_w + m x r' - m y r^2   ] + M_w eta' + A' (c A eta + f A eta / sqrt((A eta)^2 + e^2)) = F
        [ m x a_w - m y a_u + I r'   ]
 
-with a_u = u' - r w and a_w = w' + r u. F is R(psi)' u of a body that is pushed, and B u of wheels.
+with a_u = u' - r w and a_w = w' + r u. F is R(psi)' u of a body that is pushed, and B tau of wheels, tau the
+torques: the input, or what motors make of volts and the wheels' rates by their law, limits and losses in the
+gear as they are stated. Where the input's scale is identified, torque constants have it.
 """
 
 from __future__ import annotations
@@ -23,7 +25,11 @@ import numpy as np
 from pinmobile.arrays import Array, frozen
 from pinmobile.compiled import Batched
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.wheels import Motor
+from pinmobile.wheels.motors import MotorLaw
 
+_CONSTANTS = "resistance", "torque_constant", "viscous", "coulomb", "efficiency"
+_STILL = 0.01  # [rad/s], below which the loss of a gear has no direction: motors have a sharp one
 _GYRATION = 0.01  # [m], least radius of a body
 _LIGHTEST = 0.02  # [kg]
 _NOTHING = 1e-14  # of the largest variance
@@ -63,24 +69,24 @@ class Chassis:
         Force of the inputs on the free velocities; None: the input is a force in the inertial frame.
     inertia : ndarray, shape (k, k)
         What turning wheels add to the mass matrix, known.
-    damping : ndarray, shape (k, k)
-        Friction that is known, such as the back-EMF of motors.
     speed : float
         Where dry friction has 71 % of its size.
     wheels : tuple of str
         Names of the driven wheels, whose friction it is; empty of a body that is pushed.
     scaled : bool
         Whether the input's scale is identified too, the last entry of phi.
+    motors : tuple of Motor
+        Of each input, where any takes volts; else empty.
     """
 
     S: Array
     A: Array
     B: Array | None
     inertia: Array
-    damping: Array
     speed: float
     wheels: tuple[str, ...] = ()
     scaled: bool = False
+    motors: tuple[Motor, ...] = ()
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Chassis, tuple(getattr(self, each.name) for each in fields(self))
@@ -89,7 +95,7 @@ class Chassis:
     def pushed(cls, speed: float, scaled: bool = False) -> Chassis:
         """Return the body that is pushed by forces."""
         eye, nothing = frozen(np.eye(3)), frozen(np.zeros((3, 3)))
-        return cls(eye, eye, None, nothing, nothing, speed, scaled=scaled)
+        return cls(eye, eye, None, nothing, speed, scaled=scaled)
 
     @classmethod
     def rolling(cls, robot: Any, speed: float, scaled: bool = False) -> Chassis:
@@ -116,26 +122,14 @@ class Chassis:
         reduced = robot.reduced(robot.rest, np.zeros(robot.nv))
         S, turning = reduced.S[:3], reduced.S[3:]
         names = tuple(each.name for each in table.actuators)
-        B = np.array(reduced.B)
+        B = reduced.B
         inertia = reduced.M - S.T @ robot.robot.mass_matrix(np.zeros(3)) @ S
         columns = np.stack([each.column for each in table.actuators], axis=-1)
-        A, damping = columns.T @ turning, np.zeros_like(inertia)
-        for k, each in enumerate(table.actuators):
-            motor = each.motor
-            if robot.inputs[k].unit == "V":
-                if motor.efficiency < 1:
-                    raise InvalidArgument(
-                        f"robot has a gear of efficiency {motor.efficiency:g} at {each.name}, whose loss "
-                        "changes with the direction of power and is not identified: expected efficiency 1, "
-                        "so that friction has the loss, or a log of torques"
-                    )
-                per_volt = motor.gear * motor.torque_constant / motor.resistance
-                B[:, k] *= per_volt
-                if not scaled:  # else it is of an unknown size, and counts as friction
-                    felt = motor.gear * motor.torque_constant * per_volt
-                    damping += felt * np.outer(A[k], A[k])
-        S, A, B, inertia, damping = (frozen(each) for each in (S, A, B, inertia, damping))
-        return cls(S, A, B, inertia, damping, speed, names, scaled)
+        A = columns.T @ turning
+        volts = any(each.unit == "V" for each in robot.inputs)
+        motors = tuple(each.motor for each in table.actuators) if volts else ()
+        S, A, B, inertia = (frozen(each) for each in (S, A, B, inertia))
+        return cls(S, A, B, inertia, speed, names, scaled, motors)
 
     @property
     def free(self) -> int:
@@ -164,7 +158,8 @@ class Chassis:
         names = self.wheels
         turning = [Quantity(f"joint_viscous_{n}", "N m s/rad", f"friction of {n}", True) for n in names]
         dry = [Quantity(f"joint_coulomb_{n}", "N m", f"dry friction of {n}", True) for n in names]
-        scale = (Quantity("input_scale", "", "torque per input, as a share of what is stated", True),)
+        what = "torque constants" if self.motors else "torque per input"
+        scale = (Quantity("input_scale", "", f"{what}, as a share of what is stated", True),)
         return (*body, *turning, *dry, *scale[: self.scaled])
 
     @property
@@ -291,6 +286,28 @@ class Chassis:
         dry = rates / np.hypot(rates, self.speed)
         return self.rows(du - r * left, dw + r * forward, turn, r * r, rates, dry)
 
+    def torques(self, u: Sequence[Any], rates: Sequence[Any], scale: Any = 1.0) -> list[Any]:
+        """Return the torques of the inputs at rates of their wheels, in numbers, arrays or symbols.
+
+        Parameters
+        ----------
+        u, rates : sequence, shape (nu,)
+            Inputs and rates [rad/s].
+        scale : scalar
+            Of torques per input; of motors, of their torque constants.
+        """
+        if not self.motors:
+            return [scale * x for x in u]
+        numbers = np.array([[getattr(one, name) or 0.0 for one in self.motors] for name in _CONSTANTS])
+        resistance, constant, viscous, coulomb, efficiency = numbers
+        law = MotorLaw(self.motors, resistance, scale * constant, viscous, coulomb, efficiency)
+        return [
+            law.smooth_torque(k, law.volts(k, x), rate, rate / np.sqrt(rate * rate + _STILL**2))
+            if motor.is_electric
+            else scale * x
+            for k, (motor, x, rate) in enumerate(zip(self.motors, u, rates, strict=True))
+        ]
+
     def acceleration(self, psi: Any, eta: Any, u: Any, phi: Any) -> Any:
         """Return eta', shape (k,), of one state, in numbers or symbols."""
         m, mx, my, inertia = phi[0], phi[1], phi[2], phi[3]
@@ -308,17 +325,14 @@ class Chassis:
         ]
         if self.B is None:
             c, s = np.cos(psi), np.sin(psi)
-            force = [c * u[0] + s * u[1], c * u[1] - s * u[0], u[2]]
+            scale = phi[4 + 2 * count] if self.scaled else 1.0
+            force = [scale * each for each in (c * u[0] + s * u[1], c * u[1] - s * u[0], u[2])]
         else:
-            force = [_dot(row, u) for row in self.B]
-        if self.scaled:
-            force = [phi[4 + 2 * count] * each for each in force]
+            torques = self.torques(u, rates, phi[4 + 2 * count] if self.scaled else 1.0)
+            force = [_dot(row, torques) for row in self.B]
         body = (0, 0, m), (1, 1, m), (0, 2, -my), (2, 0, -my), (1, 2, mx), (2, 1, mx), (2, 2, inertia)
         k = self.free
-        right = [
-            force[i] + _dot(self.S[:, i], h) - _dot(self.A[:, i], rubbing) - _dot(self.damping[i], eta)
-            for i in range(k)
-        ]
+        right = [force[i] + _dot(self.S[:, i], h) - _dot(self.A[:, i], rubbing) for i in range(k)]
         M: list[list[Any]] = [[float(self.inertia[i, j]) for j in range(k)] for i in range(k)]
         for i, j in np.ndindex(k, k):
             for a, b, entry in body:

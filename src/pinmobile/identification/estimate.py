@@ -258,8 +258,10 @@ class Identification:
                 "all of this hangs on the torque per input, which was taken as stated: a log with a known "
                 "load tells it, identify([log, loaded], robot, loads=[None, load])"
             )
-        elif self.chassis.damping.shape and any(one.unit == "V" for one in self.prior.inputs):
-            told.append("friction has the back-EMF of the motors in it")
+        if self.chassis.motors:
+            told.append(
+                "motors were taken as stated, with their friction and gears; friction is what these leave"
+            )
         return (*slips, *told)
 
     @cached_property

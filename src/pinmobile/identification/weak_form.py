@@ -23,6 +23,8 @@ _HOPS = 8  # per window
 _LAG = 16  # windows over which residuals hang together: twice those that overlap
 _HUBER = 1.345
 _NORMAL = 1.4826
+_NEAR = 1e-4  # of a scale, in differences
+_ROUNDS, _SAME, _FARTHEST = 10, 1e-4, 3.0  # of a scale: most steps, when it is found, and by which factor
 _SHAKES = 3  # draws of noise at each level
 _LEVELS = (1.0, 2.0)  # variance of noise that is added, as a multiple of what there is
 _WEIGHTS = (3.0, -3.0, 1.0)  # of fits with none and these, which a parabola takes to a variance of -1
@@ -39,9 +41,11 @@ class Rows(NamedTuple):
     shaken : ndarray, shape (levels, draws, n, k, p)
         The same of poses with more noise.
     known : ndarray, shape (n, k)
-        What of the force is that of known inertia, damping and loads.
+        What of the force is that of known inertia and loads.
     run : Cleaned
         The log.
+    rates : ndarray, shape (a, N)
+        Along which there is friction.
     hop : int
         Samples between two windows.
     g : ndarray, shape (size,)
@@ -52,24 +56,34 @@ class Rows(NamedTuple):
     shaken: Array
     known: Array
     run: Cleaned
+    rates: Array
     hop: int
     g: Array
 
-    def forces(self, chassis: Chassis, delay: float) -> Array:
+    def forces(self, chassis: Chassis, delay: float, scale: float = 1.0) -> Array:
         """Return the forces of the windows, of a pose that comes late by so many samples, shape (n, k)."""
         count = len(self.run.q)
         edges = np.asarray(np.arange(count + 1) - 0.5, np.float64)  # half of the input before a sample counts
         u = self.run.shifted(delay, edges)
-        return np.asarray(_windows(u if chassis.B is None else u @ chassis.B.T, self.g, self.hop))
+        if chassis.B is None:
+            return scale * np.asarray(_windows(u, self.g, self.hop))
+        torques = np.stack(chassis.torques([*u.T], [*self.rates], scale), axis=-1)
+        return np.asarray(_windows(torques @ chassis.B.T, self.g, self.hop))
 
-    def equations(self, chassis: Chassis, delay: float) -> tuple[Array, Array, Array]:
-        """Return the regressor, shape (n, k, p), those shaken, and what they should give, shape (n, k)."""
-        forces, Y, shaken = self.forces(chassis, delay), self.Y, self.shaken
+    def equations(self, chassis: Chassis, delay: float, scale: float = 1.0) -> tuple[Array, Array, Array]:
+        """Return the regressor, shape (n, k, p), those shaken, and what they should give, shape (n, k).
+
+        Linear near a scale of the inputs.
+        """
+        forces, Y, shaken = self.forces(chassis, delay, scale), self.Y, self.shaken
         if not chassis.scaled:
             return Y, shaken, forces - self.known
-        column = -forces[..., None]
+        more, less = (self.forces(chassis, delay, scale * (1 + way * _NEAR)) for way in (1, -1))
+        slope = (more - less) / (2 * _NEAR * scale)
+        column = -slope[..., None]
         also = np.broadcast_to(column, (*shaken.shape[:-1], 1))
-        return np.concatenate([Y, column], axis=-1), np.concatenate([shaken, also], axis=-1), -self.known
+        Y, shaken = np.concatenate([Y, column], axis=-1), np.concatenate([shaken, also], axis=-1)
+        return Y, shaken, forces - slope * scale - self.known
 
 
 class Fit(NamedTuple):
@@ -120,7 +134,8 @@ def rows_of(run: Cleaned, chassis: Chassis) -> Rows:
         [build(run.shaken(generator, level), chassis, (g, g1, g2), hop)[0] for _ in range(_SHAKES)]
         for level in _LEVELS
     ]
-    return Rows(Y, np.array(shaken), loaded, run, hop, g)
+    rates = (run.twist if chassis.B is None else run.free_velocities(chassis) @ chassis.A.T).T
+    return Rows(Y, np.array(shaken), loaded, run, rates, hop, g)
 
 
 def _windows(column: Array, weights: Array, hop: int) -> Array:
@@ -169,7 +184,7 @@ def _along_free(run: Cleaned, chassis: Chassis, bump: Sequence[Array], hop: int)
     rates = eta @ chassis.A.T
     dry = rates / np.hypot(rates, chassis.speed)
     Y = chassis.rows(a_u, a_w, -over(r, g1), over(r * r), over(rates), over(dry))
-    known = -over(eta, g1) @ chassis.inertia.T + over(eta) @ chassis.damping.T
+    known = -over(eta, g1) @ chassis.inertia.T
     return Y, known
 
 
@@ -213,10 +228,33 @@ def extrapolated(
         Whether the delay is sought too, near the one given: it is one more column, and its uncertainty is in
         the covariance.
     """
-    Y, shaken, y = _stacked(parts, chassis, delay)
+    fit, scale = _extrapolated(parts, chassis, delay, prior, basis, free, 1.0), 1.0
+    if not (chassis.scaled and chassis.motors):
+        return fit
+    for _ in range(_ROUNDS):  # in which the back-EMF is not linear
+        before = scale
+        scale = float(np.clip(fit.phi[-1], scale / _FARTHEST, scale * _FARTHEST))
+        if abs(scale - before) <= _SAME * scale:
+            break
+        fit = _extrapolated(parts, chassis, delay, prior, basis, free, scale)
+    return fit
+
+
+def _extrapolated(
+    parts: Sequence[Rows],
+    chassis: Chassis,
+    delay: float,
+    prior: Array,
+    basis: Array,
+    free: bool,
+    scale: float,
+) -> Fit:
+    """Return the same of equations that are linear near a scale of the inputs."""
+    Y, shaken, y = _stacked(parts, chassis, delay, scale)
     if free:
         less, more = (
-            np.concatenate([part.forces(chassis, delay + shift) for part in parts]) for shift in (-0.5, 0.5)
+            np.concatenate([part.forces(chassis, delay + shift, scale) for part in parts])
+            for shift in (-0.5, 0.5)
         )
         column = (less - more)[..., None]
         Y = np.concatenate([Y, column], axis=-1)
@@ -232,15 +270,17 @@ def extrapolated(
     covariance = _newey_west(influence, parts, basis.shape[1])
     if not free:
         return plain._replace(phi=phi, covariance=covariance, delay=delay)
-    scale = phi[-2] if chassis.scaled else 1.0  # of the forces, which the column is in proportion to
-    late, error = delay + phi[-1] / scale, np.sqrt(covariance[-1, -1]) / abs(scale)
+    size = phi[-2] / scale if chassis.scaled else 1.0  # of the forces, which the column is in proportion to
+    late, error = delay + phi[-1] / size, np.sqrt(covariance[-1, -1]) / abs(size)
     return plain._replace(
         phi=phi[:-1], covariance=covariance[:-1, :-1], delay=float(late), delay_error=float(error)
     )
 
 
-def _stacked(parts: Sequence[Rows], chassis: Chassis, delay: float) -> tuple[Array, Array, Array]:
-    Y, shaken, y = zip(*(part.equations(chassis, delay) for part in parts), strict=True)
+def _stacked(
+    parts: Sequence[Rows], chassis: Chassis, delay: float, scale: float = 1.0
+) -> tuple[Array, Array, Array]:
+    Y, shaken, y = zip(*(part.equations(chassis, delay, scale) for part in parts), strict=True)
     return np.concatenate(Y), np.concatenate(shaken, axis=2), np.concatenate(y)
 
 

@@ -403,6 +403,24 @@ class MotorLaw:
         held = choose(rate > 0.0, push.hold, choose(rate < 0.0, -push.hold, within(torque, push.hold)))
         return torque - held
 
+    def smooth_torque(self, k: int, volts: Any, rate: Any, sign: Any) -> Any:
+        """Return the torque of a motor whose dry friction and loss of the gear go with a sign that is smooth.
+
+        Parameters
+        ----------
+        k : int
+            Which.
+        volts, rate : scalar
+            Within the limit [V], and of the wheel [rad/s].
+        sign : scalar
+            Of the rate, from -1 to 1.
+        """
+        motor, (_, kt, b, dry, share) = self.motors[k], [number(x) for x in self._numbers(k)]
+        shaft = kt * self.current(k, volts, rate) - (b * motor.gear) * rate - dry * sign
+        driving, driven = share + 1.0 / share, share - 1.0 / share
+        torque = (0.5 * motor.gear) * (driving * shaft + driven * abs(shaft) * sign)
+        return within(torque, motor.torque_limit) if np.isfinite(motor.torque_limit) else torque
+
     def slopes(self, k: int, volts: Any, rate: Any) -> tuple[Any, Any]:
         """Return by how much a motor's torque falls per rate of the wheel, and grows per volt.
 
