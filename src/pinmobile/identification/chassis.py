@@ -25,8 +25,7 @@ import numpy as np
 from pinmobile.arrays import Array, frozen
 from pinmobile.compiled import Batched
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.wheels import Motor
-from pinmobile.wheels.motors import MotorLaw
+from pinmobile.wheels import Motor, MotorLaw
 
 _CONSTANTS = "resistance", "torque_constant", "viscous", "coulomb", "efficiency"
 _STILL = 0.01  # [rad/s], below which the loss of a gear has no direction: motors have a sharp one

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -15,10 +15,11 @@ from pinmobile.identification.chassis import Chassis
 from pinmobile.identification.cleaning import Cleaned
 from pinmobile.identification.estimate import Identification
 from pinmobile.identification.log import Log, check_steps, logs_of
+from pinmobile.identification.observability import Setting, in_words
 from pinmobile.identification.output_error import Estimate, OutputError, Segments
 from pinmobile.identification.residual_noise import ResidualNoise
 from pinmobile.identification.slippage import Slippage
-from pinmobile.identification.weak_form import WINDOW, Fit, Rows, extrapolated, rows_of, solve
+from pinmobile.identification.weak_form import WINDOW, Fit, extrapolated, rows_of, solve
 from pinmobile.identification.whiteness import Whiteness, whiteness
 from pinmobile.robot import Load, MobileRobot
 
@@ -28,9 +29,7 @@ _SECONDS = 2.0  # of a segment
 _LEAST_SEGMENTS = 20  # fewer tell too little of how they differ
 _SHORTEST = 1.0  # [s] of a segment
 _LATEST, _EARLIEST = 0.3, 0.05  # [s] of delays that are looked for
-_SEEN = 0.01  # share of its force that a direction must have to be seen
 _EXPLAINED = 0.5  # of the forces' mean square; what explains less is another robot
-_LEVER = 0.25  # [m], of a robot whose size is not known
 _SPEED, _WHEEL_SPEED = 0.01, 0.1  # where dry friction has 71 %: [m/s, rad/s] of a body, [rad/s] of wheels
 _MOST_GIVEN = 0.1  # of the log, a delay that is given
 _OTHER = 1.0  # sample by which a delay that is given may be beside what the log tells
@@ -38,30 +37,6 @@ _DRIFT = 1.0  # sample by which a delay may change along a log
 _MASSES = (0.02, 2e4)  # [kg] of ground robots
 _TIMES_NOMINAL = 30.0
 _SIGNIFICANT = 5.0  # deviations
-
-
-class _Setting(NamedTuple):
-    """What all stages need.
-
-    Attributes
-    ----------
-    logs : list of Cleaned
-        The logs.
-    rows : list of Rows
-        Their weak forms.
-    chassis : Chassis
-        The robot.
-    scales : ndarray, shape (p,)
-        Sizes that the parameters may be expected to have.
-    prior : ndarray, shape (p,), or None
-        What is believed.
-    """
-
-    logs: list[Cleaned]
-    rows: list[Rows]
-    chassis: Chassis
-    scales: Array
-    prior: Array | None
 
 
 def identify(
@@ -125,8 +100,8 @@ def identify(
     given = None if delay is None else _given_delay(delay, cleaned)
     seconds = _segment(cleaned)
     rows = [rows_of(one, chassis) for one in cleaned]
-    at = _Setting(cleaned, rows, chassis, _scales(cleaned, rows, chassis), prior)
-    seen, unseen = _directions(at)
+    at = Setting.of(cleaned, rows, chassis, prior)
+    seen, unseen = at.directions()
     if unseen.size and prior is None:
         raise InvalidArgument(
             f"log has a motion of rank {seen.shape[1]} of {len(at.scales)}: {in_words(at.chassis, unseen)}; "
@@ -168,7 +143,7 @@ def identify(
         prior=robot,
         rank=seen.shape[1],
         unseen=in_words(chassis, unseen) if unseen.size else "",
-        hidden=_hidden(unseen),
+        hidden=(unseen**2).sum(axis=1),
         delay=late * cleaned[0].dt,
         delay_error=error * cleaned[0].dt,
         other_delay=_other_delay(given, own, cleaned[0].dt),
@@ -228,7 +203,7 @@ def _given_delay(delay: float, logs: Sequence[Cleaned]) -> float:
     return given
 
 
-def _own_delay(at: _Setting, base: Array, basis: Array) -> Fit:
+def _own_delay(at: Setting, base: Array, basis: Array) -> Fit:
     """Return the fit at the delay that a log itself tells; it is not a number where it tells none."""
     nothing = Fit(base, np.zeros((len(base), len(base))), np.inf, 0.0)
     if basis.shape[1] < len(base):
@@ -308,92 +283,7 @@ def _segment(logs: Sequence[Cleaned]) -> float:
     )
 
 
-def _scales(logs: Sequence[Cleaned], rows: Sequence[Rows], chassis: Chassis) -> Array:
-    """Return the size that each parameter has if it alone were behind the forces, by their power."""
-    twist = np.concatenate([one.twist for one in logs])
-    turned = np.concatenate([np.gradient(one.twist, one.dt, axis=0) for one in logs])
-    forces = np.concatenate([one.forces(chassis, 0.0) for one in rows])
-    wrench = forces @ (np.eye(3) if chassis.B is None else np.linalg.pinv(chassis.S))
-    f, moment = np.sqrt((wrench[:, :2] ** 2).sum(axis=1).mean()), np.sqrt((wrench[:, 2] ** 2).mean())
-    noise = np.max([one.noise for one in logs], axis=0)
-    speed, rate = np.sqrt((twist[:, :2] ** 2).sum(axis=1).mean()), np.sqrt((twist[:, 2] ** 2).mean())
-    moved = np.ptp(np.concatenate([one.q for one in logs]), axis=0)
-    if not (moved > 20 * noise).any() or not max(f, moment) > 0:
-        raise InvalidArgument(
-            f"log has poses that move by {moved[0]:.3g} m, {moved[1]:.3g} m and {moved[2]:.3g} rad, and "
-            "forces of "
-            f"{f:.3g} N and {moment:.3g} N m, too little to tell anything: expected a motion that excites, "
-            "see "
-            "excitation"
-        )
-    r = twist[:, 2]
-    across = turned[:, 0] - r * twist[:, 1], turned[:, 1] + r * twist[:, 0]
-    acceleration = np.sqrt((across[0] ** 2 + across[1] ** 2).mean())
-    force = max(f, moment / _LEVER / 4)
-    mass = force / max(acceleration, 1e-3)
-    power = force * speed + max(moment, 0.0) * rate
-    if chassis.wheels:
-        rates = np.sqrt(((twist @ np.linalg.pinv(chassis.S).T @ chassis.A.T) ** 2).mean())
-        per_rate = np.full(len(chassis.A), rates)
-    else:
-        per_rate = np.array([speed, speed, max(rate, speed)])
-    scale = np.ones(1)[: int(chassis.scaled)]
-    body = mass * np.array([1.0, _LEVER, _LEVER, _LEVER**2])
-    return np.concatenate([body, power / per_rate**2, power / per_rate, scale])
-
-
-def _directions(at: _Setting) -> tuple[Array, Array]:
-    """Return orthonormal directions that the motion tells, and those that it leaves unseen, in the scales.
-
-    Seen is what has more than a hundredth of the forces in the weak form's regressor, the part left out that
-    the noise of poses makes: a second draw of it tells how much that is.
-    """
-    chassis, gram, count = at.chassis, 0.0, 0
-    scales = at.scales[: len(at.scales) - chassis.scaled]
-    per_row = _row_sizes(at)
-    for part in at.rows:
-        Y, N = (each * scales / per_row[:, None] for each in (part.Y, part.shaken[0] - part.Y))
-        gram = gram + np.einsum("nki,nkj->ij", Y, Y) - 1.5 * np.einsum("dnki,dnkj->ij", N, N) / len(N)
-        count += Y.shape[0] * Y.shape[1]
-    values, vectors = np.linalg.eigh(np.asarray(gram) / count)
-    told = values > _SEEN**2
-    seen, unseen = vectors[:, told], vectors[:, ~told]
-    if not chassis.scaled:
-        return seen, unseen
-    # The scale is seen where all else is, as loads differ.
-    extended = np.zeros((len(at.scales), seen.shape[1] + 1))
-    extended[:-1, :-1], extended[-1, -1] = seen, 1.0
-    return extended, np.vstack([unseen, np.zeros(unseen.shape[1])])
-
-
-def _row_sizes(at: _Setting) -> Array:
-    forces = np.concatenate([one.forces(at.chassis, 0.0) for one in at.rows])
-    size = np.sqrt((forces**2).mean(axis=0))
-    force = max(np.hypot(*size[:2]) if at.chassis.free == 3 else size[0], 4 * size[-1])
-    return np.array([*[force] * (at.chassis.free - 1), max(size[-1], force * _LEVER)])
-
-
-def in_words(chassis: Chassis, unseen: Array) -> str:
-    """Return what directions of the parameters are unseen, in words."""
-    names = [one.name for one in chassis.quantities]
-    hidden = unseen @ unseen.T
-    alone = [names[k] for k in range(len(names)) if hidden[k, k] > 0.98]
-    mixed = [k for k in range(len(names)) if 0.02 < hidden[k, k] <= 0.98]
-    groups: list[list[int]] = []
-    for k in mixed:
-        near = [g for g in groups if any(abs(hidden[k, j]) > 0.05 for j in g)]
-        groups = [g for g in groups if g not in near] + [[j for g in near for j in g] + [k]]
-    told = [f"the motion does not tell {', '.join(alone)}"] if alone else []
-    told += [f"of {', '.join(names[j] for j in sorted(g))} it tells combinations alone" for g in groups]
-    return "; ".join(told)
-
-
-def _hidden(unseen: Array) -> Array:
-    """Return for each parameter which share of its direction is unseen."""
-    return np.asarray((unseen**2).sum(axis=1))
-
-
-def _first_delay(at: _Setting, base: Array, basis: Array) -> float:
+def _first_delay(at: Setting, base: Array, basis: Array) -> float:
     """Return the delay at which the weak form leaves least, in samples, by a scan and a parabola."""
     if basis.shape[1] < len(base):
         return 0.0  # what hardly changes tells no time
@@ -415,7 +305,7 @@ def _first_delay(at: _Setting, base: Array, basis: Array) -> float:
 
 
 def _by_output_error(
-    at: _Setting, phi: Array, basis: Array, delay: float, seconds: float, sought: bool
+    at: Setting, phi: Array, basis: Array, delay: float, seconds: float, sought: bool
 ) -> Estimate:
     """Return the estimate: of residuals as they are, and weighed where noise of forces is behind them."""
     segments = [Segments.of(one, at.chassis, delay, seconds) for one in at.logs]
