@@ -625,12 +625,23 @@ def drifting(q: Array) -> Array:
             r"identify takes several$",
         ),
         (lambda: changed(q=np.rad2deg), r"^q has psi from .*: are these degrees\?$"),
-        (lambda: changed(q=lambda q: q * 1000 * 100), r"^q moves at .*: are these millimetres\?$"),
+        (
+            lambda: changed(q=lambda q: q * 1000 * 100),
+            r"^q moves at .*: are these centimetres or millimetres\?$",
+        ),
         (lambda: changed(t=lambda t: t * 1000), r"^t has steps of 20 s, .*: are these milliseconds\?$"),
         (lambda: changed(q=lambda q: q[:-1]), r"^q has shape \(2200, 3\), expected \(2201, \.\.\.\)"),
         (
             lambda: identify(changed(u=lambda u: 1000 * u)),
             r"^log leads to a mass of 3\.\d+e\+04 kg, .*newtons",
+        ),
+        (
+            lambda: identify(changed(u=lambda u: 1e-3 * u), method="weak"),
+            r"^log leads to a radius of gyration of 0\.2\d+ m with a mass of 0\.03\d+ kg, .* forces in N,",
+        ),
+        (
+            lambda: identify(changed(u=lambda u: u * np.array([1, 1, 1000.0])), method="weak"),
+            r"^log leads to a radius of gyration of .* kg, .* moments in N m,",
         ),
         (lambda: identify(log().between(0, 12)), r"^log is 12 s long, too short, expected at least"),
         (lambda: identify(changed(q=lambda q: 0 * q, u=lambda u: 0 * u)), r"^log has poses that move by 0 m"),

@@ -108,7 +108,8 @@ def check_pose(t: Array, q: Array) -> None:
     speed = np.hypot(*(q[apart:, :2] - q[:-apart, :2]).T) / dt
     if np.median(speed) > _FASTEST:
         raise InvalidArgument(
-            f"q moves at {np.median(speed):.3g} m/s most of the time, expected metres: are these millimetres?"
+            f"q moves at {np.median(speed):.3g} m/s most of the time, expected metres: are these "
+            "centimetres or millimetres?"
         )
     jumps = np.abs(np.diff(q[:, 2])) > 1.9 * np.pi
     turn = np.abs(np.unwrap(q[:, 2])[apart:] - np.unwrap(q[:, 2])[:-apart]) / dt

@@ -35,6 +35,8 @@ _MOST_GIVEN = 0.1  # of the log, a delay that is given
 _OTHER = 1.0  # sample by which a delay that is given may be beside what the log tells
 _DRIFT = 1.0  # sample by which a delay may change along a log
 _MASSES = (0.02, 2e4)  # [kg] of ground robots
+_WIDEST = 10.0  # [m], radius of gyration, and distance of the centre of mass, of robots
+_LIGHTEST = 1.0  # [kg/m^2], mass of robots per square of the radius of gyration, which have some 100
 _TIMES_NOMINAL = 30.0
 _SIGNIFICANT = 5.0  # deviations
 
@@ -362,14 +364,14 @@ def _check_units(chassis: Chassis, phi: Array, prior: Array | None) -> None:
         raise InvalidArgument(
             f"log leads to a mass of {mass:.3g} kg, expected {_MASSES[0]:g} to {_MASSES[1]:g} kg: {why}?"
         )
-    if chassis.is_possible(phi):
-        radius = float(np.sqrt(chassis.told(phi)[3] / mass))
-        if radius > 20 or np.hypot(phi[1], phi[2]) / mass > 20:
-            raise InvalidArgument(
-                f"log leads to a radius of gyration of {radius:.3g} m, expected that of a robot: is psi in "
-                "radians, "
-                "are moments in N m?"
-            )
+    if not chassis.is_possible(phi):
+        return
+    radius = float(np.sqrt(chassis.told(phi)[3] / mass))
+    if max(radius, np.hypot(phi[1], phi[2]) / mass) > _WIDEST or mass < _LIGHTEST * radius**2:
+        raise InvalidArgument(
+            f"log leads to a radius of gyration of {radius:.3g} m with a mass of {mass:.3g} kg, expected "
+            "those of a robot: are forces in N, moments in N m, positions in metres and psi in radians?"
+        )
 
 
 def _worst(found: Sequence[Whiteness]) -> Whiteness:
