@@ -321,8 +321,12 @@ def _by_output_error(
     ]
     if any(each.remembers for each in noise):
         return found  # a controller may answer to such a force: weights for it would be those of the answer
-    weighed = OutputError(segments, at.chassis, found.delay, sought, noise)
-    return weighed.solve(found.phi, basis, starts=found.starts)
+    problem = OutputError(segments, at.chassis, found.delay, sought, noise)
+    weighed = problem.solve(found.phi, basis, starts=found.starts)
+    # What is left is told of first states that fit best, not of those that noise of forces weighs.
+    there = OutputError([part._replace(delay=weighed.delay) for part in segments], at.chassis)
+    plain = there.solve(weighed.phi, basis[:, :1], 0)
+    return weighed._replace(residuals=plain.residuals, chi2=plain.chi2)
 
 
 def _check_drift(said: Array) -> None:
