@@ -220,15 +220,15 @@ class Score:
         Share of runs whose interval holds the true parameter.
     width : float
         Of intervals beside what the errors need: half a width over 1.96 times the errors' root mean square.
-    delay : float
-        Largest error of the delay, in samples.
+    delay : tuple of 2 float
+        Root mean square and largest of the delay's errors, in samples.
     seconds : float
         Of the processor, for one log.
     """
 
     holds: np.ndarray[Any, Any]
     width: float
-    delay: float
+    delay: tuple[float, float]
     seconds: float
 
 
@@ -244,7 +244,8 @@ def judged(one: Contestant, case: Case, logs: Sequence[pm.Log]) -> Score:
     needed = 1.96 * np.sqrt(((values - TRUE) ** 2).mean(axis=0))
     half = np.sqrt(((ranges[..., 1] - ranges[..., 0]) ** 2).mean(axis=0)) / 2
     width = float(np.median(half / needed))
-    return Score(holds, width, float(np.abs(delays - case.delay).max()), seconds)
+    off = np.abs(delays - case.delay)
+    return Score(holds, width, (float(np.sqrt((off**2).mean())), float(off.max())), seconds)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -267,13 +268,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 f"{100 * score.holds.mean():.1f}",
                 f"{100 * score.holds.min():.0f}",
                 f"{score.width:.2f}",
-                f"{score.delay:.2f}" if one.tells_delay else "-",
+                "{:.2f}, {:.2f}".format(*score.delay) if one.tells_delay else "-",
                 f"{score.seconds:.2f}" if one.timed else "-",
             )
     out = console()
     out.print(shown)
     absent = [] if SYSID else ["mujoco.sysid: not installed: pip install 'mujoco[sysid]'"]
-    say(out, [about(), "delay off: the largest error, in samples", *absent])
+    say(out, [about(), "delay off: root mean square and largest of its errors, in samples", *absent])
     return 0
 
 

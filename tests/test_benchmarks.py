@@ -221,12 +221,12 @@ def test_intervals_are_counted_and_the_table_of_logs_is_printed(
     (one,) = (one for one in part.EVERYONE if one.name.startswith("least squares"))
     off = np.array([0.0, 1.0, 2.0])[:, None] * np.ones(10)
     answers = iter(
-        (part.TRUE + x, np.column_stack([part.TRUE + x - 1.5, part.TRUE + x + 1.5]), 0.5) for x in off
+        (part.TRUE + x, np.column_stack([part.TRUE + x - 1.5, part.TRUE + x + 1.5]), x[0] / 4) for x in off
     )
     score = part.judged(replace(one, answer=lambda log: next(answers)), part.CASES[0], [None] * 3)
     np.testing.assert_allclose(score.holds, 2 / 3)  # all but the one that is 2 off
     assert score.width == pytest.approx(1.5 / 1.96 / np.sqrt(5 / 3))
-    assert score.delay == 0.5
+    assert score.delay == pytest.approx((np.sqrt(5 / 3) / 4, 0.5))
     assert part.main(["--quick", "--only", "least squares"]) == 0
     printed = capsys.readouterr().out
     assert printed.startswith("1 logs of 60 s")
