@@ -478,6 +478,30 @@ def test_gears_that_lose_by_the_direction_of_power_and_motors_that_rub_are_known
 
 
 @pytest.mark.once
+def test_of_wheels_alone_nothing_is_believed_of_the_body() -> None:
+    wheel: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.005, "yaw_inertia": 0.003}
+    volts = WheelTable.differential(0.5, 0.1, motor=MOTOR, **wheel)
+    found = identify(rolled(False), volts, method="weak")
+    known = identify(rolled(False), on_wheels(MobileRobot(20.0, 1.0)), method="weak")
+    np.testing.assert_allclose(found.phi, known.phi, rtol=1e-6, atol=1e-9)
+    assert found.robot().table == volts
+    assert found.robot().inputs[0].unit == "V"
+    assert [one.names for one in found.forces()] == [one.names for one in known.forces()]
+    t = np.linspace(0, 29.98, 1500)
+    q = np.column_stack([np.sin(t), 0 * t, 0 * t]) + np.random.default_rng(1).normal(0, 1e-3, (1500, 3))
+    straight = Log(t, q, -np.sin(t)[:, None] * [1.0, 1.0])
+    torques = WheelTable.differential(0.5, 0.1, **wheel)
+    with pytest.raises(
+        InvalidArgument, match=r"the motion does not tell .*yaw_inertia.*, or robot=\.\.\., whic"
+    ):
+        identify(straight, torques)
+    light = identify(straight, WheeledRobot(MobileRobot(20.0, 1.0), torques))
+    assert light.unseen
+    with pytest.raises(InvalidArgument, match="with wheels that slip"):
+        identify(straight, WheelTable.skid_steer(0.4, 0.5, 0.1, **wheel))
+
+
+@pytest.mark.once
 def test_wheels_that_slip_are_told_from_those_that_roll_with_noise() -> None:
     slides = noisy(run_on_wheels(dry=Friction(mu=0.1, rolling=0.0)), 0)
     text = (

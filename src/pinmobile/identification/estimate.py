@@ -46,7 +46,7 @@ class Identification:
     method : str
         ``"output error"`` or ``"weak"``.
     prior : MobileRobot, WheeledRobot or None
-        What was believed.
+        What was believed; of wheels alone, a body on them of which nothing was.
     rank : int
         How many of the p directions the motion tells.
     unseen : str

@@ -22,6 +22,7 @@ from pinmobile.identification.slippage import Slippage
 from pinmobile.identification.weak_form import WINDOW, Fit, extrapolated, rows_of, solve
 from pinmobile.identification.whiteness import Whiteness, whiteness
 from pinmobile.robot import Load, MobileRobot
+from pinmobile.wheels import WheeledRobot, WheelTable
 
 METHODS = ("output error", "weak")
 
@@ -61,9 +62,10 @@ def identify(
     ----------
     log : Log or sequence of Log
         What was measured: at least 20 s of a motion that excites, see `excitation`.
-    robot : MobileRobot or WheeledRobot, optional
+    robot : MobileRobot, WheeledRobot or WheelTable, optional
         What is believed of the robot: kept where the motion tells nothing; its wheels and motors are taken as
-        they are. Without it, a body that is pushed.
+        they are. Of wheels alone nothing else is believed; the input is volts where they have electric
+        motors, else torques. Without it, a body that is pushed.
     loads : sequence of Load or None, optional
         Load that the robot carried in each log, in the body's frame. With loads that differ, the scale of the
         input is identified too, such as an unknown torque constant: of logs of currents it is the torque per
@@ -90,8 +92,10 @@ def identify(
     """
     logs = logs_of(log)
     one_of("method", method, METHODS)
+    alone = isinstance(robot, WheelTable)
+    robot = _on_wheels(robot) if alone else robot
     chassis, carried = _chassis(robot, rolling_speed, loads, len(logs))
-    prior = prior_of(robot, chassis)
+    prior = None if alone else prior_of(robot, chassis)
     names = ["log"] if len(logs) == 1 else [f"log[{k}]" for k in range(len(logs))]
     cleaned = [
         Cleaned.of(one, chassis, each, name) for one, each, name in zip(logs, carried, names, strict=True)
@@ -196,6 +200,16 @@ def to_chassis(robot: Any, speed: float | None = None, scaled: bool = False) -> 
         )
     own = _SPEED if speed is None else positive("rolling_speed", speed, "m/s")
     return Chassis.pushed(own, scaled)
+
+
+def _on_wheels(table: WheelTable) -> Any:
+    """Return a robot on wheels, of a body that holds them and of which nothing else is meant."""
+    heavy = 1 + 10 * sum(wheel.mass for wheel in table.wheels)
+    square = 1 + max(wheel.x**2 + wheel.y**2 for wheel in table.wheels)
+    spread = 1 + 10 * sum(wheel.yaw_inertia for wheel in table.wheels)
+    robot = WheeledRobot(MobileRobot(heavy, heavy * square + spread), table)
+    electric = any(each.motor.is_electric for each in table.actuators)
+    return robot.by_voltage() if electric else robot
 
 
 def _given_delay(delay: float, logs: Sequence[Cleaned]) -> float:
