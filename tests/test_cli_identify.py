@@ -15,7 +15,8 @@ from pinmobile.cli.scenario_file import read_grid
 from pinmobile.controllers import Backstepping, RandomSteps, VelocityCommand
 from pinmobile.ensembles import run_scenario
 from pinmobile.identification import VELOCITY_ROBOTS
-from tests.test_identification import log
+from tests import wheeled
+from tests.test_identification import log, rolled
 from tests.test_velocity_identification import logged
 
 pytestmark = pytest.mark.once
@@ -194,6 +195,146 @@ def test_words_that_say_no_log_are_answered_in_one_line(
     (tmp_path / "empty.csv").write_text("")
     file, *more = words.split()
     code, _, err = typed(capsys, "identify", str(tmp_path / file), *more, "--out", str(tmp_path))
+    assert code == 2
+    assert re.fullmatch(f"pinmobile: {message}\n", err), err
+
+
+# -- robots on wheels ------------------------------------------------------------------------------
+
+DRIVE = "--drive differential --track 0.5 --wheel-radius 0.1"
+NUMBERS = "--motor resistance=1.2,torque_constant=0.04,voltage=24,gear=30,rotor_inertia=2e-5 --wheel-mass 1"
+ROUND = "0.003 0 0 0.005 0 0.003"
+STEERED = wheeled.robot(
+    wheeled.link("base", wheeled.inertial(20.0)),
+    wheeled.wheels("base", [(0, 0.2, 0.1), (0, -0.2, 0.1)], 0.1, 0.04, 1.0, ROUND),
+    wheeled.link("fork", wheeled.inertial(0.1)),
+    wheeled.joint("swivel", "continuous", "base", "fork", "-0.3 0 0.1", axis="0 0 1"),
+    wheeled.wheels("fork", [(-0.04, 0, 0)], 0.1, 0.04, 1.0, ROUND).replace("wheel_0", "caster"),
+)
+
+
+def on_wheels(path: Path, read: Log, unit: str) -> Path:
+    assert read.wheel_rates is not None
+    head = f"{HEAD[:9]},u_left [{unit}],u_right [{unit}],rate_left,rate_right"
+    return written(path, np.column_stack([table_of(read), read.wheel_rates]), head)
+
+
+def estimate(name: str, told: str) -> float:
+    return float(re.findall(rf"^{name} +(\S+) ", told, re.MULTILINE)[0])
+
+
+def test_volts_of_wheels_tell_the_robot_and_loads_the_scale(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    bare, loaded = (str(on_wheels(tmp_path / f"{k}.csv", rolled(bool(k)), "V")) for k in range(2))
+    words = [*DRIVE.split(), *NUMBERS.split(), "--method", "weak", "--out", str(tmp_path)]
+    code, told, err = typed(capsys, "identify", bare, *words)
+    assert (code, err) == (0, "")
+    assert estimate("mass", told) == pytest.approx(30.0, rel=0.02)
+    assert estimate("yaw_inertia", told) == pytest.approx(1.3, rel=0.02)
+    for said in (
+        "differential: two driven wheels on one axle, two ball casters, of a body of which nothing is "
+        "believed; wheels of 1 kg turn as uniform discs",
+        "inputs: volts of left, right [V], in this order; Motor(resistance=1.2, ",
+        "4.6 kg and 0.287 kg m^2 of it were taken as stated",  # of discs and rotors
+        "run.csv loaded.csv --load none --load 8@0.1,0.05, say",
+    ):
+        assert said in told
+    assert (tmp_path / "0.png").stat().st_size > 20_000
+    loads = ["--load", "none", "--load", "8@0.1,0.05,0.0533"]
+    code, told, err = typed(capsys, "identify", bare, loaded, *loads, *words)
+    assert (code, err) == (0, "")
+    assert estimate("input_scale", told) == pytest.approx(1.0, abs=0.02)
+    light = [*DRIVE.split(), *NUMBERS.split()[:2], "--method", "weak", "--out", str(tmp_path)]
+    code, told, _ = typed(capsys, "identify", bare, *light)
+    assert code == 0
+    assert estimate("mass", told) == pytest.approx(31.0, rel=0.02)  # with what the wheels turn with
+    assert "wheels turn without inertia of their own" in told
+
+
+def test_wheels_of_a_urdf_are_believed_and_those_of_a_drive_are_not(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    t, noise = 0.02 * np.arange(1500), np.random.default_rng(1).normal(0, 1e-3, (1500, 3))
+    q = np.column_stack([np.sin(t), 0 * t, 0 * t]) + noise
+    u = -0.0256 * np.sin(t)  # of 1.55 kg on wheels of 33 mm
+    path = written(tmp_path / "run.csv", np.column_stack([t, q, u, u]), "t,x,y,psi,u_a,u_b")
+    code, _, err = typed(capsys, "identify", str(path), *DRIVE.split(), "--out", str(tmp_path))
+    assert code == 2
+    assert re.fullmatch(
+        r"pinmobile: LOG is '\S+run\.csv': log has a motion of rank \d of 8: .*, see excitation, or --urdf "
+        "FILE of the robot, which is kept where nothing is seen\n",
+        err,
+    )
+    urdf = tmp_path / "waffle.urdf"
+    urdf.write_text(wheeled.turtlebot("waffle").replace("${namespace}", ""))
+    words = ["--urdf", str(urdf), "--method", "weak", "--out", str(tmp_path)]
+    code, told, err = typed(capsys, "identify", str(path), *words)
+    assert (code, err) == (0, "")
+    assert "waffle.urdf: wheels of its file: wheel_left_joint, wheel_right_joint; " in told
+    assert "inputs: torques of wheel_left_joint, wheel_right_joint [N m], in this order" in told
+    assert "the motion does not tell" in told
+    pushed = str(written(tmp_path / "pushed.csv", rows()))
+    code, told, _ = typed(capsys, "identify", pushed, *words)
+    assert code == 0
+    assert "waffle.urdf: inputs are forces on the body" in told
+    assert estimate("mass", told) == pytest.approx(32.0, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--drive car", "unknown drive 'car', available: differential, mecanum, omni"),
+        ("--drive differential", "--drive differential needs --track and --wheel-radius too"),
+        (f"{DRIVE} --wheelbase 1", "--wheelbase does not apply to differential, which takes --track, --w.*"),
+        ("--drive differential --track 0 --wheel-radius 1", "--track is 0.0 m, expected > 0"),
+        ("--drive omni --distance 0.2 --wheel-radius 1", r"LOG is '\S+': log has 2 inputs, expected 3: .*"),
+        (f"{DRIVE} --wheel-mass -1", "--wheel-mass is -1.0 kg, expected >= 0"),
+        (f"{DRIVE} --urdf waffle.urdf", "--urdf does not apply beside --drive, whose numbers are options"),
+        (f"{DRIVE} --motor maxon", "unknown motor 'maxon', available: dynamixel_.*, faulhaber_1331t012sr"),
+        (f"{DRIVE} --motor gaer=2", "unknown number of --motor 'gaer', did you mean 'gear'.*"),
+        (f"{DRIVE} --motor gear=a", "--motor gear is 'a', expected a number, .*"),
+        (f"{DRIVE} --motor gear=2", "--motor is 'gear=2', without a resistance, expected .*"),
+        (f"{DRIVE} --motor resistance=2", "--motor: torque_constant, voltage is not given, expected .*"),
+        (f"{DRIVE} --load 3", r"--load is '3', expected none, KG@X,Y or KG@X,Y,INERTIA \[kg, .*"),
+        (f"{DRIVE} --load 3@a,0", "--load is '3@a,0', expected none, .*"),
+        (f"{DRIVE} --load=-3@0,0", "--load is '-3@0,0': mass is -3.0 kg, expected > 0"),
+        (
+            f"{DRIVE} --load none --load none",
+            "--load comes 2 times, expected 1, one for each LOG in .*",
+        ),
+        (f"{DRIVE} --load none", "--load has the same for all logs, expected loads that differ: .*"),
+        ("--load none", "--load does not apply to a log of commands of speed and yaw rate"),
+        ("--motor pololu_37d_50_12v", "--motor applies to wheels, expected --drive or --urdf beside it"),
+        ("--track 0.5", "--track applies beside --drive alone"),
+        ("--rollers 0.785", "--rollers applies beside --urdf alone"),
+        (
+            "--urdf bare.urdf --motor pololu_37d_50_12v",
+            r"--motor applies to wheels, and --urdf '\S+' has none",
+        ),
+        ("--urdf waffle.urdf --wheel-mass 1", "--wheel-mass does not apply beside --urdf"),
+        ("--urdf waffle.urdf --rollers 2", "--rollers is 2 rad for 2 wheels that are not four.*"),
+        (
+            "--urdf husky.urdf",
+            r"--urdf is '\S+husky\.urdf', whose wheels are on more .*, expected --rollers .*",
+        ),
+        ("--urdf steered.urdf", r"--urdf is '\S+steered\.urdf', with wheels that steer, expected wheels .*"),
+    ],
+)
+def test_words_that_say_no_wheels_are_answered_in_one_line(
+    words: str, message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = on_wheels(tmp_path / "run.csv", rolled(False), "V")
+    files = {
+        "bare": MobileRobot(30.0, 1.5).to_urdf(),
+        "waffle": wheeled.turtlebot("waffle"),
+        "husky": wheeled.husky(),
+        "steered": STEERED,
+    }
+    for name, text in files.items():
+        (tmp_path / f"{name}.urdf").write_text(text)
+    told = [str(tmp_path / word) if word.endswith(".urdf") else word for word in words.split()]
+    code, _, err = typed(capsys, "identify", str(path), *told, "--out", str(tmp_path))
     assert code == 2
     assert re.fullmatch(f"pinmobile: {message}\n", err), err
 

@@ -489,7 +489,7 @@ def test_of_wheels_alone_nothing_is_believed_of_the_body() -> None:
     assert [one.names for one in found.forces()] == [one.names for one in known.forces()]
     t = np.linspace(0, 29.98, 1500)
     q = np.column_stack([np.sin(t), 0 * t, 0 * t]) + np.random.default_rng(1).normal(0, 1e-3, (1500, 3))
-    straight = Log(t, q, -np.sin(t)[:, None] * [1.0, 1.0])
+    straight = Log(t, q, np.column_stack([-np.sin(t), -np.sin(t)]))
     torques = WheelTable.differential(0.5, 0.1, **wheel)
     with pytest.raises(
         InvalidArgument, match=r"the motion does not tell .*yaw_inertia.*, or robot=\.\.\., whic"

@@ -2,7 +2,7 @@
 
 import pathlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from inspect import signature
 from typing import Any, Generic, TypeAlias, TypeVar
@@ -244,6 +244,12 @@ DRIVES: Mapping[str, Choice[WheelTable]] = {
 }
 """Drives by name, each with the numbers of a robot of 0.6 x 0.4 x 0.25 m."""
 
+ROLLING: Mapping[str, Choice[WheelTable]] = {
+    name: replace(DRIVES[name], takes=dict.fromkeys(DRIVES[name].takes))
+    for name in ("differential", "mecanum", "omni")
+}
+"""Those whose wheels roll and do not steer, without numbers: a log is of a robot that has its own."""
+
 DRIVEN: Mapping[str, Choice[Path]] = {
     "circle": Choice(Circle, {"duration": 12.6, "radius": 1.0, "rate": 0.5, **_CIRCLE}, _START),
     "lissajous": Choice(Lissajous, {"duration": 12.6, "rx": 0.8, "ry": 0.8, "wx": 1.0, "wy": 0.5}),
@@ -390,6 +396,7 @@ OF_DRIVES = (
     *_taken({name: HEADINGS[name] for name in ("tangent", "fixed")}, "trajectory"),
 )
 
+OF_ROLLING = tuple(_taken(ROLLING, "drive"))
 OF_ENSEMBLES = tuple(option for option in OPTIONS.values() if option.table == "ensemble")
 OF_LOOPS = tuple(option for option in OPTIONS.values() if option.table != "ensemble")
 BODY, BELIEVED = (tuple(each.name for each in body(prefix)) for prefix in ("", "model_"))

@@ -17,8 +17,10 @@ from pinmobile.cli.choices import (
     OF_DRIVES,
     OF_ENSEMBLES,
     OF_LOOPS,
+    OF_ROLLING,
     OF_SPEEDS,
     OPTIONS,
+    ROLLING,
     SPREAD_FORMS,
     TABLES,
     Numbers,
@@ -31,6 +33,7 @@ from pinmobile.cli.output import console, output_folder, progress
 from pinmobile.cli.scenario_file import EXAMPLE
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification import VELOCITY_ROBOTS
+from pinmobile.wheels import MOTORS
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -363,45 +366,83 @@ def drive(
 
 
 @app.command()
+@_taking(OF_ROLLING, panels=True)
 def identify(
     log: Annotated[
         list[Path],
         typer.Argument(
-            help="CSV file with t, x, y, psi and Fx, Fy, Mz in its header, units in brackets; a bag or MCAP "
-            "file with --bag. Several are of one robot: runs, or what is on each side of a gap."
+            help="CSV file with t, x, y, psi and Fx, Fy, Mz in its header, or of wheels u_left, u_right and "
+            "rate_left, rate_right of encoders, units in brackets; a bag or MCAP file with --bag. Several "
+            "are of one robot: runs, or what is on each side of a gap."
         ),
     ],
     *,
     column: Annotated[
         list[str] | None,
-        _help("ROLE=NAME,NAME, where columns are called otherwise; q=px,py,angle, say. Repeat it: t, q, u."),
+        _help(
+            "ROLE=NAME,NAME, where columns are called otherwise; q=px,py,angle, say. Repeat it: t, q, u, "
+            "wheel_rates."
+        ),
     ] = None,
     bag: Annotated[
         list[str] | None,
         _help("ROLE=TOPIC, where the file is a bag or MCAP; q=/odom and u=/wrench, say. Repeat it."),
     ] = None,
     urdf: Annotated[
-        Path | None, _help("Robot as it is believed to be, kept where the log tells nothing.")
+        Path | None,
+        _help("Robot as it is believed to be, on the wheels that it has; kept where the log tells nothing."),
+    ] = None,
+    rollers: Annotated[
+        float | None,
+        _help("Angle of the rollers of the URDF's wheels (rad), 0.785 of mecanum.", panel=_DRIVE),
+    ] = None,
+    drive: Annotated[
+        str | None,
+        _help(f"Inputs are of the wheels of a drive: {', '.join(ROLLING)}.", panel=_DRIVE),
+    ] = None,
+    wheel_mass: Annotated[
+        float | None,
+        _help("Of each wheel, a uniform disc whose turning is known (kg); 0.", panel=_DRIVE),
+    ] = None,
+    motor: Annotated[
+        str | None,
+        _help(
+            "Inputs are volts, of this motor at each driven wheel: "
+            f"{', '.join(MOTORS)}; or its numbers, resistance=1.2,torque_constant=0.04,voltage=24,gear=30.",
+            panel=_DRIVE,
+        ),
+    ] = None,
+    load: Annotated[
+        list[str] | None,
+        _help(
+            "none, or a known load KG@X,Y or KG@X,Y,INERTIA (m, kg m^2), once for each LOG: loads that "
+            "differ tell the scale of the input."
+        ),
     ] = None,
     method: Annotated[str | None, _help("output-error, or weak, which is faster; output-error.")] = None,
     delay: Annotated[float | None, _help("By which poses come late (s); by default it is found.")] = None,
     out: Annotated[Path, _help("Folder for the figure.")] = Path("out/identify"),
+    **typed: object,
 ) -> int:
-    """Tell mass, centre of mass, yaw inertia and friction, with intervals, from the log of a pushed body.
+    """Tell mass, centre of mass, yaw inertia and friction, with intervals, from a robot's log.
 
-    It prints the table, and draws what was measured beside what the model that was found foretells, of
-    several logs that of the longest. Two inputs are commands of speed and yaw rate: then it tells theta of a
-    robot that takes speeds.
+    Its inputs are forces on a body that is pushed, or torques or volts of wheels, with --drive or a --urdf
+    that has wheels. Two inputs without these are commands of speed and yaw rate: then it tells theta of a
+    robot that takes speeds. It prints the table, and draws what was measured beside what the model that was
+    found foretells, of several logs that of the longest.
 
     A log in degrees, with gaps, of two clocks, too short, without excitation or of another robot is refused
     in one line, with exit code 2.
 
-    Example: pinmobile identify run.csv
+    Example: pinmobile identify run.csv --drive differential --track 0.5 --wheel-radius 0.1
     """
-    from pinmobile.cli.identify import read, show_identification
+    from pinmobile.cli.identify import believed_of, loads_of, read, show_identification
 
     measured = [read(each, column or (), bag or ()) for each in log]
-    return show_identification(measured, log, out, urdf=urdf, method=method, delay=delay)
+    stated = {"urdf": urdf, "rollers": rollers, "wheel_mass": wheel_mass, "motor": motor}
+    robot = believed_of({**typed, **stated}, drive, measured[0].u.shape[1])
+    loads = loads_of(load, len(log))
+    return show_identification(measured, log, out, robot, loads=loads, method=method, delay=delay)
 
 
 @app.command()
