@@ -16,7 +16,7 @@ from pinmobile.identification.log import Log
 _WINDOW = 0.15  # [s] of the cubic whose residual tells outliers and noise
 _OUTLIER = 6.0  # deviations
 _BENT = 3e-3  # share of the way through a window below which nothing is an outlier
-_PASSES = 12  # at most
+_PASSES = 40  # at most
 _CUTOFF = 8.0  # [Hz] of velocities
 _LEAST = 2.0**-40  # of the size of what is measured: below it noise is rounding
 _LONG = 3  # samples in a row that are lost; over more, a spline would swing with the noise beside them
@@ -90,8 +90,8 @@ class Cleaned:
                     f"{name} has wheel_rates of {rates.shape[1]} wheels, expected {len(chassis.A)}: "
                     f"{', '.join(chassis.wheels)}"
                 )
-            bridged, _, rates_noise = _without_outliers(rates, even.seen, even.dt)
-            rates = np.where(even.seen[:, None], rates, bridged)
+            rates, usual, rates_noise = _without_outliers(rates, even.seen, even.dt)
+            good = good & usual
         lost = int((even.seen & ~good).sum())
         rates = rates if chassis.wheels else None
         return cls(even.dt, q, good, even.u, rates, noise, rates_noise, lost, load)
@@ -152,29 +152,36 @@ def _without_outliers(
 ) -> tuple[Array, NDArray[np.bool_], Array]:
     """Return columns whose outliers are interpolated, which rows are none, and the noise of each column.
 
-    What a local cubic leaves tells: unlike a running median, it does not take for outliers what moves fast.
+    What a local cubic leaves tells, beside what it would leave of noise there, which at the ends is less. One
+    outlier is behind all that its neighbours leave, so only the worst of a window is one at a time. Unlike a
+    running median, this does not take for outliers what moves fast.
     """
     from scipy.interpolate import CubicSpline  # here, because these take long to load
+    from scipy.ndimage import maximum_filter1d
     from scipy.signal import savgol_coeffs, savgol_filter
 
     size = max(7, 2 * round(_WINDOW / dt / 2) + 1)
-    kept = 1 - savgol_coeffs(size, 3)[size // 2]  # share of white noise's variance that the residual has
+    follows = np.full(len(columns), savgol_coeffs(size, 3)[size // 2])  # how far the cubic goes with a sample
+    follows[: size // 2] = [savgol_coeffs(size, 3, pos=k, use="dot")[k] for k in range(size // 2)]
+    follows[-(size // 2) :] = follows[: size // 2][::-1]
     at, good, q = np.arange(len(columns)), seen.copy(), columns.copy()
     way = columns[size:] - columns[:-size]
     bent = _BENT * _NORMAL * np.median(np.abs(way), axis=0)  # what a cubic may leave of a motion itself
     for _ in range(_PASSES):
         residual = columns - savgol_filter(q, size, 3, axis=0, mode="interp")
+        residual /= np.sqrt(1 - follows)[:, None]
         deviation = _NORMAL * np.median(np.abs(residual[good]), axis=0)
         least = _LEAST * np.abs(columns).max(axis=0) + np.finfo(float).tiny
-        wild = (np.abs(residual) > np.maximum(_OUTLIER * deviation, bent)).any(axis=1)
-        before, good = good, seen & ~wild
+        size_of = (np.abs(residual) / np.maximum(np.maximum(_OUTLIER * deviation, bent), least)).max(axis=1)
+        worst = size_of >= maximum_filter1d(np.where(good, size_of, 0.0), size)
+        before, good = good, seen & ~((size_of > 1) & (worst | ~good))
         inside = np.clip(at[~good], at[good][0], at[good][-1])  # nothing is told beyond the last good one
         q = columns.copy()
         q[~good] = CubicSpline(at[good], columns[good])(inside)
         _bridge(q, good, size)
         if np.array_equal(before, good):
             break
-    return q, good, np.maximum(deviation / np.sqrt(kept), least)
+    return q, good, np.maximum(deviation, least)
 
 
 def _bridge(q: Array, good: NDArray[np.bool_], size: int) -> None:
