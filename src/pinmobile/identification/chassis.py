@@ -28,7 +28,8 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.wheels import Motor, MotorLaw
 
 _CONSTANTS = "resistance", "torque_constant", "viscous", "coulomb", "efficiency"
-_STILL = 0.01  # [rad/s], below which the loss of a gear has no direction: motors have a sharp one
+_STILL = 2e-3  # [rad/s], where losses of a motor have 71 % of their size; those of real ones are sharp
+_STEP, _RUBBING_STEP = 5e-3, 1e-3  # [s], longest of an integration: friction changes its sign within some
 _GYRATION = 0.01  # [m], least radius of a body
 _LIGHTEST = 0.02  # [kg]
 _NOTHING = 1e-14  # of the largest variance
@@ -127,6 +128,12 @@ class Chassis:
         A = columns.T @ turning
         volts = any(each.unit == "V" for each in robot.inputs)
         motors = tuple(each.motor for each in table.actuators) if volts else ()
+        others = [each.name for each in table.actuators if volts and not each.motor.is_electric]
+        if scaled and others:
+            raise InvalidArgument(
+                f"robot takes volts, and a torque at {', '.join(others)}, which have no scale in common that "
+                "loads could tell: expected volts alone, or no loads"
+            )
         S, A, B, inertia = (frozen(each) for each in (S, A, B, inertia))
         return cls(S, A, B, inertia, speed, names, scaled, motors)
 
@@ -170,6 +177,12 @@ class Chassis:
     def dry(self) -> slice:
         """Where phi has dry friction."""
         return slice(4 + len(self.A), 4 + 2 * len(self.A))
+
+    @property
+    def longest_step(self) -> float:
+        """Longest step with which motions are to be integrated [s]."""
+        rubs = any(each.coulomb or each.efficiency < 1 for each in self.motors)
+        return _RUBBING_STEP if rubs else _STEP
 
     def told(self, phi: Array) -> Array:
         """Return what is told of phi, shape (..., p): com = (m x, m y) / m, and the inertia about it."""

@@ -24,6 +24,7 @@ from pinmobile.robot import MobileRobot
 from pinmobile.urdf import Body
 
 _UNSEEN = 0.02  # share of a parameter's direction that may be unseen before its interval is endless
+_FAR = 0.999  # interval in which a body must be that stands for what was found
 _DRAWS = 200  # rounds in which draws that no body has are drawn again
 _AHEAD = 2.0  # [s]
 
@@ -261,6 +262,8 @@ class Identification:
         if self.chassis.motors:
             told.append(
                 "motors were taken as stated, with their friction and gears; friction is what these leave"
+                if not self.chassis.scaled
+                else "motors were taken as stated but for one scale of all their torque constants"
             )
         return (*slips, *told)
 
@@ -270,8 +273,23 @@ class Identification:
 
         The nearest in the metric of the covariance, as `robot` and `forces` have it; estimates and intervals
         are not changed, as that would spoil what intervals hold.
+
+        Raises
+        ------
+        InvalidArgument
+            If there is none, or none near what was found.
         """
-        return frozen(self.chassis.plausible(self.phi, self.covariance_of_phi))
+        body = self.chassis.plausible(self.phi, self.covariance_of_phi)
+        found, there = self.chassis.told(self.phi), self.chassis.told(body)
+        wide = self._deviations(_FAR) * np.sqrt(np.diag(self.covariance))
+        for k in np.flatnonzero(np.abs(there - found)[:4] > wide[:4] + 1e-9 * np.abs(found[:4])):
+            one = self.chassis.quantities[k]
+            raise InvalidArgument(
+                f"log leads to a {one.meaning} of {found[k]:.4g} {one.unit}, but where friction brakes to "
+                f"{there[k]:.4g}: {'; '.join(self._below_zero()) or 'they do not go together'}; expected a "
+                "robot with the forces that act, is friction of its motors stated too high?"
+            )
+        return frozen(body)
 
     def robot(self) -> Any:
         """Return the robot as identified; what a motion in the plane cannot tell stays as believed.

@@ -151,6 +151,13 @@ class Log:
         """Time between two samples [s]."""
         return step(self.t)
 
+    def is_same(self, other: Log) -> bool:
+        """Tell whether another log has the same numbers."""
+        mine, others = self._given(), other._given()
+        return mine.keys() == others.keys() and all(
+            np.array_equal(mine[name], others[name], equal_nan=True) for name in mine
+        )
+
     def between(self, start: float, stop: float) -> Self:
         """Return what was measured from one time to before another, counted from the first sample [s].
 
@@ -382,6 +389,13 @@ def logs_of(log: object) -> list[Log]:
         made = "from_rollout" if isinstance(log, Rollout) else "from_csv"
         hint = f": Log.{made} makes one" if isinstance(log, str | PathLike | Rollout) else ""
         raise InvalidArgument(f"log is {shown(log)}, expected a Log, or several{hint}")
+    for k, each in enumerate(logs):
+        same = next((j for j in range(k) if logs[j].is_same(each)), None)
+        if same is not None:
+            raise InvalidArgument(
+                f"log[{k}] has the numbers of log[{same}], expected another run: one that counts twice makes "
+                "intervals too narrow"
+            )
     return logs
 
 

@@ -14,6 +14,8 @@ _HOLE = 3  # rows in a row that may be lost, with their inputs
 _BRIDGED = 0.3  # [s] of rows without a measurement, half a window of the weak form: over more it is a guess
 _LONGEST_STEP = 5.0  # [s]; times of longer steps are no seconds
 _FASTEST = 60.0  # [m/s]; positions that change faster are no metres
+_HELD, _OFTEN = 1.0, 20  # [s] for which a pose may be that of a slower sensor, and how often it must be
+_EVENLY = 0.9  # of these
 _FASTEST_TURN = 12.0  # [rad/s], two turns a second; what turns faster is told in degrees
 _WINDOW = 0.25  # [s] over which speeds are looked at, so that noise is none
 
@@ -93,6 +95,19 @@ def _check_gaps(
     )
 
 
+def _check_new(t: Array, q: Array) -> None:
+    """Refuse poses that stand in several rows each, as of a slower sensor, which are not measured anew."""
+    news = np.flatnonzero((np.diff(q, axis=0) != 0).any(axis=1))
+    lasts = np.diff(news)
+    held = lasts[lasts * step(t) < _HELD]  # longer is a robot that stands
+    usual = float(np.median(held)) if len(held) > _OFTEN else 1.0
+    if usual > 1 and (np.abs(held - usual) <= 1).mean() > _EVENLY:
+        raise InvalidArgument(
+            f"q has each pose in {usual:g} rows, of {step(t):.3g} s each, expected it once, and NaN in rows "
+            "where none was measured, or Log.from_streams"
+        )
+
+
 def check_pose(t: Array, q: Array) -> None:
     """Refuse poses that change as no robot's in metres and radians do.
 
@@ -104,6 +119,7 @@ def check_pose(t: Array, q: Array) -> None:
     apart = max(1, round(_WINDOW / step(t)))
     if len(t) <= apart:
         return
+    _check_new(t, q)
     dt = t[apart:] - t[:-apart]
     speed = np.hypot(*(q[apart:, :2] - q[:-apart, :2]).T) / dt
     if np.median(speed) > _FASTEST:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument
 from pinmobile.identification.chassis import Chassis
 from pinmobile.identification.cleaning import Cleaned
 from pinmobile.identification.residual_noise import ResidualNoise
@@ -25,7 +26,6 @@ from pinmobile.identification.residual_noise import ResidualNoise
 _SHIFT = 1e-5  # of a parameter's scale, or of a start's, in differences
 _CONVERGED = 1e-3  # of a variance: the last step is of less than a thirtieth of a deviation
 _ROUNDING = 1e-9  # of the cost
-_STEP = 0.005  # [s], longest of the integration: dry friction changes its sign within some
 _LATER = (-1, 1)  # samples: the difference of these simulations is the slope by the delay
 _FIRST_PASSES = 2
 _SHAKE = 1e-2  # of an input's deviation, to see what noise of it does
@@ -141,7 +141,7 @@ class Segments(NamedTuple):
         inputs = [_inputs(self.run, self.at, self.delay + shift)[:2] for shift in later]
         first, then = (np.stack(each, axis=2) for each in zip(*inputs, strict=True))
         shares = np.array([self.part, 1 - self.part]) * self.run.dt
-        counts = np.ceil(shares / _STEP - 1e-9).astype(int)
+        counts = np.ceil(shares / chassis.longest_step - 1e-9).astype(int)
         spans, step = shares / np.maximum(counts, 1), chassis.stepped((int(counts[0]), int(counts[1])))
         for k in range(length - 1):
             states[k + 1] = step(states[k], first[:, k], then[:, k], loaded, spans)
@@ -179,6 +179,9 @@ class Estimate(NamedTuple):
         Mean square of the residuals over the noise, per degree of freedom.
     segments : int
         How many there are.
+    pulled : float
+        How far noise of the inputs pulls parameters without what is taken off, in deviations of the
+        residuals' noise.
     said : ndarray, shape (S, 2)
         Gradient and curvature of half the cost of each segment by the delay; zero where that was given.
     """
@@ -192,6 +195,7 @@ class Estimate(NamedTuple):
     good: list[Array]
     chi2: float
     segments: int
+    pulled: float
     said: Array
 
 
@@ -320,6 +324,11 @@ class OutputError:
             First states to begin with, where they are known.
         """
         point, cost, parts = self.started(phi, basis, starts)
+        if not all(np.isfinite(part.J).all() and np.isfinite(part.e).all() for part in parts):
+            raise InvalidArgument(
+                "log has inputs by which the robot that fits best runs away from the poses, expected them to "
+                "follow: are inputs of another robot, in another frame, or of another sign?"
+            )
         pull = self.pull(point, parts, basis)
         damping, taken, gone = _FIRST_DAMPING, 0, np.zeros(len(pull))
         while taken < most:
@@ -404,6 +413,7 @@ class OutputError:
             [log.good for log in self.logs],
             sum(float((e**2).sum()) for e in residuals) / freedom,
             S,
+            float(np.sqrt(max(pull @ np.linalg.lstsq(H, pull, rcond=None)[0], 0.0))),
             np.column_stack([g_i[:, -1], H_i[:, -1, -1]]) if self.free else np.zeros((S, 2)),
         )
 

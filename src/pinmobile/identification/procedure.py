@@ -34,6 +34,7 @@ _EXPLAINED = 0.5  # of the forces' mean square; what explains less is another ro
 _SPEED, _WHEEL_SPEED = 0.01, 0.1  # where dry friction has 71 %: [m/s, rad/s] of a body, [rad/s] of wheels
 _MOST_GIVEN = 0.1  # of the log, a delay that is given
 _OTHER = 1.0  # sample by which a delay that is given may be beside what the log tells
+_PULLED = 3.0  # deviations by which noise of inputs may pull output error
 _DRIFT = 1.0  # sample by which a delay may change along a log
 _MASSES = (0.02, 2e4)  # [kg] of ground robots
 _WIDEST = 10.0  # [m], radius of gyration, and distance of the centre of mass, of robots
@@ -72,7 +73,8 @@ def identify(
         ampere.
     method : str
         ``"output error"``, or ``"weak"``, the start alone: linear and fast, its intervals several times
-        as wide where forces are known well, and much the same where they are not.
+        as wide where forces are known well, and much the same where they are not. It is taken too where noise
+        of the inputs would pull output error by more than three deviations.
     delay : float, optional
         By which poses come late [s]; without it, it is found.
     rolling_speed : float, optional
@@ -128,6 +130,8 @@ def identify(
     start = chassis.possible(fit.phi, at.scales)
     if method == METHODS[0]:
         estimate = _by_output_error(at, start, basis, fit.delay, seconds, sought)
+        method = METHODS[0 if estimate.pulled < _PULLED else 1]
+    if method == METHODS[0]:
         phi, covariance, freedom = estimate.phi, estimate.covariance, estimate.segments - 1
         late, error = estimate.delay, estimate.delay_error
         with _suspecting(slips), _doubting(given, own, cleaned[0].dt):
