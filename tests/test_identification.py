@@ -184,6 +184,17 @@ def test_noise_of_forces_pulls_a_mass_as_least_squares_of_its_reciprocal_would()
     np.testing.assert_allclose(pull, expected, rtol=0.1)
 
 
+@pytest.mark.parametrize("row", [0, 1, -1, -2, -3, -8, 700])
+def test_one_wrong_pose_is_one_outlier_at_the_ends_too(row: int) -> None:
+    plain, q = log(1, 0, forces=False), np.array(log(1, 0, forces=False).q)
+    q[row] += np.array([0.3, 0.0, -0.3])
+    cleaned = Cleaned.of(Log(plain.t, q, plain.u), Chassis.pushed(0.01), np.zeros(4))
+    before = Cleaned.of(plain, Chassis.pushed(0.01), np.zeros(4))
+    assert cleaned.outliers == before.outliers + 1
+    assert not cleaned.good[row]
+    np.testing.assert_allclose(cleaned.noise, before.noise, rtol=0.02)
+
+
 def test_a_delay_that_is_ignored_spoils_friction() -> None:
     ignored = identify(log(0, 3), delay=0.0)
     assert abs(ignored.parameters["viscous_forward"] / 6 - 1) > 0.1
@@ -591,6 +602,49 @@ def test_a_base_that_moves_in_every_direction_on_its_wheels_is_found(drive: str)
         assert found.parameters[name] == pytest.approx(value, rel=0.05), name
 
 
+@pytest.mark.once
+def test_an_encoder_that_jumps_once_is_an_outlier() -> None:
+    plain = rolled(False)
+    assert plain.wheel_rates is not None
+    rates = np.array(plain.wheel_rates)
+    rates[500, 0] += 50.0
+    believed = on_wheels(MobileRobot(20.0, 1.0))
+    spiked = identify(Log(plain.t, plain.q, plain.u, None, rates), believed, method="weak")
+    known = identify(plain, believed, method="weak")
+    assert (known.outliers, spiked.outliers) == (0, 1)
+    np.testing.assert_allclose(spiked.phi[:4], known.phi[:4], rtol=2e-3)
+
+
+@pytest.mark.once
+def test_noise_of_torques_that_would_pull_output_error_leads_to_the_weak_form() -> None:
+    plant = on_wheels(BODY).wheeled
+    path = excitation(plant, duration=44.0, period=11.0)
+    run = simulate(plant, Backstepping(Tracking(), plant), path, dt=0.02, substeps=4, engine=COMPILED)
+    plain = Log.from_rollout(run, 1e-3, 0.3, seed=1)
+    assert plain.wheel_rates is not None
+    rates = plain.wheel_rates + np.random.default_rng(4).normal(0, 0.02, plain.wheel_rates.shape)
+    found = identify(Log(plain.t, plain.q, plain.u, None, rates), plant)
+    assert found.method == "weak"
+    low, high = found.interval(0.99)["yaw_inertia"]
+    assert low < 1.3 < high
+
+
+@pytest.mark.once
+def test_a_robot_of_motors_whose_friction_is_stated_too_high_is_refused_by_its_friction() -> None:
+    believed = on_wheels(MobileRobot(20.0, 1.0), replace(MOTOR, coulomb=0.01))
+    found = identify(rolled(False), believed, method="weak")
+    assert found.parameters["mass"] == pytest.approx(30.0, rel=0.03)
+    with pytest.raises(InvalidArgument, match=r"^log leads to a .* is friction of its motors stated too"):
+        found.robot()
+
+
+def test_volts_and_torques_have_no_scale_in_common() -> None:
+    table = on_wheels(BODY).table
+    mixed = WheelTable([table.wheels[0], replace(table.wheels[1], motor=Motor())], table.supports)
+    with pytest.raises(InvalidArgument, match=r"^robot takes volts, and a torque at right, which have no"):
+        identify([rolled(False), rolled(True)], WheeledRobot(BODY, mixed).by_voltage(), loads=[None, LOAD])
+
+
 # -- motions ---------------------------------------------------------------------------------------
 
 
@@ -704,6 +758,18 @@ def drifting(q: Array) -> Array:
         (lambda: changed(q=lambda q: q[0]), r"^q has shape \(3,\)"),
         (lambda: Log(*np.zeros((3, 0))), r"^t has shape \(0,\), expected \(N,\), N > 1$"),
         (lambda: Log(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3))), r"^t has shape \(1,\)"),
+        (
+            lambda: identify([log(), log()]),
+            r"^log\[1\] has the numbers of log\[0\], expected another run",
+        ),
+        (
+            lambda: changed(q=lambda q: np.repeat(q[::5], 5, axis=0)[:2201]),
+            r"^q has each pose in 5 rows, of 0\.02 s each, expected it once, and NaN in rows where",
+        ),
+        (
+            lambda: identify(changed(u=lambda u: u * np.array([1, 1, -1.0]))),
+            r"^log has inputs .* of another sign\?$",
+        ),
         (lambda: identify([]), r"^log is \[\], expected a Log, or several$"),
         (
             lambda: identify(log(), loads=[None]),

@@ -173,7 +173,7 @@ def _without_outliers(
         deviation = _NORMAL * np.median(np.abs(residual[good]), axis=0)
         least = _LEAST * np.abs(columns).max(axis=0) + np.finfo(float).tiny
         size_of = (np.abs(residual) / np.maximum(np.maximum(_OUTLIER * deviation, bent), least)).max(axis=1)
-        worst = size_of >= maximum_filter1d(np.where(good, size_of, 0.0), size)
+        worst = size_of >= maximum_filter1d(np.where(good, size_of, 0.0), 2 * size + 1)
         before, good = good, seen & ~((size_of > 1) & (worst | ~good))
         inside = np.clip(at[~good], at[good][0], at[good][-1])  # nothing is told beyond the last good one
         q = columns.copy()

@@ -301,6 +301,11 @@ class OutputError:
             raw, moved = log.measured[:, None] - out[:, :1], (out[:, 1:lanes] - out[:, :1]) / _SHIFT
             by_delay = np.diff(out[:, lanes:], axis=1) / np.ptp(_LATER)
             parts = self._whitened(k, np.concatenate([raw, moved, by_delay], axis=1) * seen)
+        if not np.isfinite(parts).all():
+            raise InvalidArgument(
+                "log has inputs by which the robot that fits best runs away from the poses, expected poses "
+                "that follow: are inputs of another robot, in another frame, or of another sign?"
+            )
         columns = np.swapaxes(parts.reshape(*parts.shape[:2], -1), 1, 2)
         raw, by_z = columns[..., 0], columns[..., p + 1 : p + 1 + s]
         slopes = np.concatenate([columns[..., 1 : p + 1], columns[..., p + 1 + s :]], axis=-1)
@@ -324,11 +329,6 @@ class OutputError:
             First states to begin with, where they are known.
         """
         point, cost, parts = self.started(phi, basis, starts)
-        if not all(np.isfinite(part.J).all() and np.isfinite(part.e).all() for part in parts):
-            raise InvalidArgument(
-                "log has inputs by which the robot that fits best runs away from the poses, expected them to "
-                "follow: are inputs of another robot, in another frame, or of another sign?"
-            )
         pull = self.pull(point, parts, basis)
         damping, taken, gone = _FIRST_DAMPING, 0, np.zeros(len(pull))
         while taken < most:
