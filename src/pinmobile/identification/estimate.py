@@ -416,8 +416,8 @@ class Identification:
         late = self.delay / run.dt
         if not 10 * run.dt <= ahead <= len(run.q) * run.dt - 2 * abs(self.delay) - 4 * run.dt:
             raise InvalidArgument(
-                f"seconds is {seconds}, expected at least 10 samples and at most the log's "
-                f"{len(run.q) * run.dt:g}"
+                f"seconds is {ahead:g}, expected {10 * run.dt:.3g} and more, ten samples, and less than "
+                f"the log has, {len(run.q) * run.dt:.3g}"
             )
         segments = Segments.of(run, self.chassis, late, ahead)
         point, _, _ = OutputError([segments], self.chassis).started(self.phi, np.diag(self.phi + 1e-9))

@@ -76,7 +76,8 @@ class Log:
     twist : array_like, shape (N, 3), optional
         Measured body twist: forward, left, yaw rate [m/s, m/s, rad/s].
     wheel_rates : array_like, shape (N, k), optional
-        Rates that the encoders of the driven wheels tell, in the order of the inputs [rad/s].
+        Rates that the encoders of the driven wheels tell, in the order of the inputs [rad/s]: those at the
+        times. A difference of two angles is the rate half a step before the later one.
 
     Attributes
     ----------
@@ -106,7 +107,10 @@ class Log:
             raise InvalidArgument(f"t has shape {t.shape}, expected (N,), N > 1")
         for name, array in given.items():
             if name != "t" and (array.ndim != 2 or len(array) != len(t) or not array.shape[1]):
-                raise InvalidArgument(f"{name} has shape {array.shape}, expected ({len(t)}, ...) as t has")
+                width = {"u": "nu", "wheel_rates": "k"}.get(name, f"{_POSE}")
+                raise InvalidArgument(
+                    f"{name} has shape {array.shape}, expected ({len(t)}, {width}), a row for each time"
+                )
         for name in {"q", "twist"} & set(given):
             if given[name].shape[1] != _POSE:
                 raise InvalidArgument(f"{name} has shape {given[name].shape}, expected ({len(t)}, 3)")

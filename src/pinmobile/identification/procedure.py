@@ -70,7 +70,7 @@ def identify(
     loads : sequence of Load or None, optional
         Load that the robot carried in each log, in the body's frame. With loads that differ, the scale of the
         input is identified too, such as an unknown torque constant: of logs of currents it is the torque per
-        ampere.
+        ampere. One scale stands for all inputs.
     method : str
         ``"output error"``, or ``"weak"``, the start alone: linear and fast, its intervals several times
         as wide where forces are known well, and much the same where they are not. It is taken too where noise
