@@ -184,6 +184,11 @@ def test_noise_of_forces_pulls_a_mass_as_least_squares_of_its_reciprocal_would()
     np.testing.assert_allclose(pull, expected, rtol=0.1)
 
 
+def test_draws_that_no_memory_holds_are_refused() -> None:
+    with pytest.raises(InvalidArgument, match=r"^n is 1,000,000,000,000, expected at most 50,000,000"):
+        found().spread(10**12)
+
+
 @pytest.mark.parametrize("row", [0, 1, -1, -2, -3, -8, 700])
 def test_one_wrong_pose_is_one_outlier_at_the_ends_too(row: int) -> None:
     plain, q = log(1, 0, forces=False), np.array(log(1, 0, forces=False).q)

@@ -24,6 +24,7 @@ from pinmobile.robot import MobileRobot
 from pinmobile.urdf import Body
 
 _UNSEEN = 0.02  # share of a parameter's direction that may be unseen before its interval is endless
+_MOST = 50_000_000  # draws
 _FAR = 0.999  # interval in which a body must be that stands for what was found
 _DRAWS = 200  # rounds in which draws that no body has are drawn again
 _AHEAD = 2.0  # [s]
@@ -368,6 +369,8 @@ class Identification:
             If something is unseen, or no draws are of a body.
         """
         count, generator = whole("n", n), seeded("seed", seed)
+        if count > _MOST:
+            raise InvalidArgument(f"n is {count:,}, expected at most {_MOST:,}, whose draws take 8 GB")
         if self.unseen:
             raise InvalidArgument(
                 f"the log leaves something unseen: {self.unseen}; expected one that tells all"
