@@ -157,6 +157,21 @@ def test_outliers_and_lost_rows_are_left_out() -> None:
     assert np.abs(z).max() < 4
 
 
+@pytest.mark.parametrize("k", [1, 100, 500])
+@pytest.mark.parametrize("size", [0.3, 10.0])
+def test_one_pose_that_is_far_off_changes_nothing(k: int, size: float) -> None:
+    """No segment has the first poses, and what the fit begins with does."""
+    robot = VELOCITY_ROBOTS["robulab_10"]
+    log, one = logged(robot, pose=True), found(robot, pose=True)
+    assert log.q is not None
+    q = np.array(log.q)
+    q[k] += [size, -size, size]
+    other = identify_velocity(changed(log, q=q))
+    assert other.outliers == one.outliers + (k > 1)
+    errors = [one.standard_errors[name] for name in one.names]
+    assert np.abs((other.values - one.values) / errors).max() < 0.3
+
+
 def test_several_logs_are_taken_together() -> None:
     halves = [logged().between(0.0, 30.0), logged().between(30.0, 60.5)]
     one = identify_velocity(halves)
