@@ -413,6 +413,17 @@ def test_what_commands_do_not_explain_is_refused(change: Any, why: str, pose: bo
         identify_velocity(change(logged(VELOCITY_ROBOTS["pioneer_3dx"], pose=pose)))
 
 
+def test_what_runs_away_is_refused_in_words() -> None:
+    robot = VELOCITY_ROBOTS["pioneer_3dx"]
+    still = FixedHeading(Hold((0, 0), 60.0), 0.0)
+    log = Log.from_rollout(simulate(robot, RandomSteps(), still, dt=0.05, engine=COMPILED), noise=1e-3)
+    with pytest.raises(InvalidArgument, match=OTHERS):
+        identify_velocity(changed(log, u=log.u[:, ::-1]))
+    one = identify_velocity(log)
+    with pytest.raises(InvalidArgument, match=OTHERS):
+        one.predict(changed(log, u=log.u * [1e3, 1]))
+
+
 def measured(log: Log, times: Any) -> Log:
     if log.q is not None:
         return changed(log, q=log.q * times)

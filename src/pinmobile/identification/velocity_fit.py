@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument
 from pinmobile.identification.log import Samples
 from pinmobile.identification.velocity_body import ABOVE_ZERO, VelocityBody
 
@@ -249,7 +250,28 @@ def fit(model: Model, cuts: Segments, p: Array, *, moving: bool = True) -> Fit:
         Where to begin.
     moving : bool
         Whether p is identified; else the starts of the segments alone are.
+
+    Raises
+    ------
+    InvalidArgument
+        If what is simulated runs away from what was measured.
     """
+    try:
+        with np.errstate(all="ignore"):  # what runs away is refused
+            return _fit(model, cuts, p, moving)
+    except np.linalg.LinAlgError:
+        raise unexplained(0.0) from None
+
+
+def unexplained(share: float) -> InvalidArgument:
+    """Return the error about a log whose commands explain but a share of its motion."""
+    return InvalidArgument(
+        f"log has motion of which the commands explain {max(share, 0):.0%}, expected most: are they of "
+        "another robot, in another frame, or of another sign, or no commands of speed [m/s] and yaw rate [rad/s]?"
+    )
+
+
+def _fit(model: Model, cuts: Segments, p: Array, moving: bool) -> Fit:
     start, moves = starts(cuts), np.full(len(p), moving)
     if moving and not np.isfinite(model.simulate(cuts, p[None], start[None])).all():
         p = np.where(np.isin(np.arange(len(p)), _COUPLING), 0.0, p)  # without it nothing grows
@@ -263,7 +285,10 @@ def fit(model: Model, cuts: Segments, p: Array, *, moving: bool = True) -> Fit:
         deviation = _NORMAL * np.median(np.abs(r), axis=0) + 1e-300
         wild = (np.abs(found.residual) > _OUTLIER * deviation).any(axis=-1)
         new, before = cuts.good & ~wild, covariance
-        covariance = np.cov(r[(np.abs(r) <= _OUTLIER * deviation).all(axis=1)].T)
+        inside = (np.abs(r) <= _OUTLIER * deviation).all(axis=1)
+        if inside.sum() <= r.shape[1]:  # of what is no number none is
+            raise unexplained(0.0)
+        covariance = np.cov(r[inside].T)
         covariance = covariance + np.diag(1e-24 + 1e-12 * np.diag(covariance))
         settled = (new == good).all() and np.allclose(covariance, before, rtol=0.02, atol=0)
         good = new

@@ -16,7 +16,17 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification.log import Log, Samples, check_steps, logs_of
 from pinmobile.identification.prediction import POSE, SPEEDS, Prediction
 from pinmobile.identification.velocity_body import ABOVE_ZERO, THETA
-from pinmobile.identification.velocity_fit import Fit, Model, Segments, cut, fit, guess, scaled, speeds
+from pinmobile.identification.velocity_fit import (
+    Fit,
+    Model,
+    Segments,
+    cut,
+    fit,
+    guess,
+    scaled,
+    speeds,
+    unexplained,
+)
 from pinmobile.identification.velocity_robot import VelocityRobot, limits_of
 
 _LEAST_SEGMENTS = 20
@@ -267,7 +277,7 @@ class VelocityIdentification:
         Raises
         ------
         InvalidArgument
-            If it is none, too short, or measures something else.
+            If it is none, too short, measures something else, or what is predicted runs away from it.
         """
         if not isinstance(log, Log):
             raise InvalidArgument(f"log is {shown(log)}, expected a Log")
@@ -344,8 +354,7 @@ def identify_velocity(
     fixed = 0.0 if given is None else given
     model = Model(tuple(free), fixed, known, frozen(most))
     cuts = cut(runs, seconds, lead)
-    with np.errstate(all="ignore"):  # what runs away is refused
-        first = fit(model, cuts, start)
+    first = fit(model, cuts, start)
     dropped = sum(one.dropped for one in logs_of(log))
     return _told(model, cuts, first, runs[0].dt, seconds, dropped)
 
@@ -360,7 +369,8 @@ def _told(
     square = (residual[good] ** 2).mean(axis=0)
     along = (residual[:, 1:] * residual[:, :-1])[pairs].mean(axis=0) / np.maximum(square, 1e-300)
     explained = _explained(cuts, square, good)
-    _check_explained(explained)
+    if not explained >= _LEAST:
+        raise unexplained(explained)
     _check_units(found)
     delay = model.values(found.p[None])[1][0] * dt
     return VelocityIdentification(
@@ -379,15 +389,6 @@ def _told(
         model,
         seconds,
     )
-
-
-def _check_explained(explained: float) -> None:
-    if not explained >= _LEAST:
-        raise InvalidArgument(
-            f"log has motion of which the commands explain {max(explained, 0):.0%}, expected most: are they "
-            "of another robot, in another frame, or of another sign, or no commands of speed [m/s] and yaw "
-            "rate [rad/s]?"
-        )
 
 
 def _check_units(found: Fit) -> None:
