@@ -267,7 +267,8 @@ def unexplained(share: float) -> InvalidArgument:
     """Return the error about a log whose commands explain but a share of its motion."""
     return InvalidArgument(
         f"log has motion of which the commands explain {max(share, 0):.0%}, expected most: are they of "
-        "another robot, in another frame, or of another sign, or no commands of speed [m/s] and yaw rate [rad/s]?"
+        "another robot, in another frame, or of another sign, or no commands of speed [m/s] and yaw rate "
+        "[rad/s]?"
     )
 
 
