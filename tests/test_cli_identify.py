@@ -324,7 +324,7 @@ def test_wheels_of_a_urdf_are_believed_and_those_of_a_drive_are_not(
 def test_words_that_say_no_wheels_are_answered_in_one_line(
     words: str, message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    path = on_wheels(tmp_path / "run.csv", rolled(False), "V")
+    path = on_wheels(tmp_path / "run.csv", rolled(False), "")
     files = {
         "bare": MobileRobot(30.0, 1.5).to_urdf(),
         "waffle": wheeled.turtlebot("waffle"),
@@ -337,6 +337,51 @@ def test_words_that_say_no_wheels_are_answered_in_one_line(
     code, _, err = typed(capsys, "identify", str(path), *told, "--out", str(tmp_path))
     assert code == 2
     assert re.fullmatch(f"pinmobile: {message}\n", err), err
+
+
+@pytest.mark.parametrize(
+    ("unit", "words", "message"),
+    [
+        ("V", "", "taken for commands: expected --drive, or --urdf, and --motor of their wheels"),
+        ("N m", "", "taken for commands: expected --drive, or --urdf, of their wheels, without --motor"),
+        ("V", DRIVE, "taken for torques: expected --drive, or --urdf, and --motor of their wheels"),
+        ("N m", f"{DRIVE} {NUMBERS}", "taken for volts: expected --drive, .*, without --motor"),
+        ("m/s", DRIVE, "taken for torques: expected two of them, and neither --drive nor --urdf"),
+        ("N*m", "", "taken for commands: .*"),
+        ("mV", "--column u=u_left,u_right", "taken for commands: .*"),
+    ],
+)
+def test_units_of_a_header_say_what_inputs_are(
+    unit: str, words: str, message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = on_wheels(tmp_path / "run.csv", rolled(False), unit)
+    code, _, err = typed(capsys, "identify", str(path), *words.split(), "--out", str(tmp_path))
+    assert code == 2
+    said = rf"LOG is '\S+run\.csv', whose input 'u_left' is in {unit.replace('*', ' ')}, {message}"
+    assert re.fullmatch(f"pinmobile: {said}\n", err), err
+
+
+def test_units_are_of_inputs_that_are_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    read = logged(pose=True)
+    table = np.column_stack([table_of(read), read.u])
+    path = written(
+        tmp_path / "run.csv", table, "# of a robot\nt,x,y,psi,v [m/s],w [rad/s],u_left [V],u_right [V]"
+    )
+    words = ["--column", "u=v,w", "--out", str(tmp_path)]
+    code, told, err = typed(capsys, "identify", str(path), *words)
+    assert (code, err) == (0, "")
+    assert "theta_6" in told
+
+
+def test_messages_say_what_is_typed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    table = rows()
+    path = written(tmp_path / "run.csv", np.column_stack([table, table[:, 4]]), "t,x,y,psi,u_a,u_b,u_c,u_d")
+    code, _, err = typed(capsys, "identify", str(path), "--out", str(tmp_path))
+    assert code == 2
+    assert (
+        "of wheels that roll give --drive or --urdf, of commands of speed and yaw rate give two inputs" in err
+    )
+    assert "identify_velocity" not in err
 
 
 # -- robots that take speeds -----------------------------------------------------------------------

@@ -157,6 +157,21 @@ def test_outliers_and_lost_rows_are_left_out() -> None:
     assert np.abs(z).max() < 4
 
 
+@pytest.mark.parametrize("k", [1, 100, 500])
+@pytest.mark.parametrize("size", [0.3, 10.0])
+def test_one_pose_that_is_far_off_changes_nothing(k: int, size: float) -> None:
+    """No segment has the first poses, and what the fit begins with does."""
+    robot = VELOCITY_ROBOTS["robulab_10"]
+    log, one = logged(robot, pose=True), found(robot, pose=True)
+    assert log.q is not None
+    q = np.array(log.q)
+    q[k] += [size, -size, size]
+    other = identify_velocity(changed(log, q=q))
+    assert other.outliers == one.outliers + (k > 1)
+    errors = [one.standard_errors[name] for name in one.names]
+    assert np.abs((other.values - one.values) / errors).max() < 0.3
+
+
 def test_several_logs_are_taken_together() -> None:
     halves = [logged().between(0.0, 30.0), logged().between(30.0, 60.5)]
     one = identify_velocity(halves)
@@ -297,7 +312,7 @@ def test_a_log_of_motors_and_firmware_tells_the_theta_of_their_formulas() -> Non
     errors = np.array([one.standard_errors[name] for name in one.names[:6]])
     assert (np.abs(off) < 4 * errors).all()
     assert abs(one.delay) < 4 * one.standard_errors["delay"]
-    assert one.explained > 0.999
+    assert one.explained > 0.995  # of what is no straight line; the rest is noise
 
 
 def test_firmware_with_an_integral_has_a_theta_that_comes_near() -> None:
@@ -330,6 +345,15 @@ def changed(log: Log, **new: Any) -> Log:
         ),
         (lambda: identify_velocity(logged(), delay=9.0), r"delay is 9.0 s, expected 0 to 0.6 s, or None"),
         (lambda: identify_velocity(logged(), ahead=None), "ahead is None, and the log measures a twist"),
+        (lambda: identify_velocity(logged(), ahead=100.0), "ahead is 100 m, expected at most 10 m to either"),
+        (
+            lambda: identify_velocity(logged(), accelerations=(1, 1, 1)),
+            r"accelerations is .*, or two: of speed",
+        ),
+        (
+            lambda: found().spread(10**12),
+            "1,000,000,000,000 draws take .* GB, expected at most .*: draw fewer",
+        ),
         (lambda: identify_velocity(logged(), seconds=0.1), "seconds is 0.1, expected 3 samples"),
         (lambda: identify_velocity([logged(), logged(pose=True)]), "a twist, and another one a pose"),
         (lambda: found().interval(1.0), "level is 1, expected one between 0 and 1"),
@@ -359,8 +383,49 @@ def test_a_motion_that_tells_too_little_is_told_in_words() -> None:
             ask()
 
 
-def test_a_log_of_another_robot_is_told() -> None:
-    log = logged(seconds=45.0)
-    shuffled = changed(log, u=np.random.default_rng(1).permutation(log.u))
-    one = identify_velocity(shuffled)
-    assert any("are commands and motion of one robot" in note for note in one.notes)
+OTHERS = (
+    "motion of which the commands explain [0-9]%, expected most: are they of another robot, in another frame"
+)
+UNITS = "expected about 1: are commands in m/s and rad/s"
+
+
+def shuffled(log: Log) -> Log:
+    return changed(log, u=np.random.default_rng(1).permutation(log.u))
+
+
+@pytest.mark.parametrize("pose", [False, True])
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda log: measured(log, [1, 1, -1]), OTHERS),
+        (lambda log: measured(log, [-1, 1, 1]), OTHERS),
+        (lambda log: changed(log, u=log.u[:, ::-1]), OTHERS),
+        (shuffled, OTHERS),
+        (lambda log: changed(log, u=log.u * [1e3, 1]), f"theta_4, command per steady speed, of .*, {UNITS}"),
+        (
+            lambda log: changed(log, u=log.u * [1, 57.3]),
+            f"theta_6, command per steady yaw rate, of .*{UNITS}",
+        ),
+    ],
+)
+def test_what_commands_do_not_explain_is_refused(change: Any, why: str, pose: bool) -> None:
+    with pytest.raises(InvalidArgument, match=why):
+        identify_velocity(change(logged(VELOCITY_ROBOTS["pioneer_3dx"], pose=pose)))
+
+
+def test_what_runs_away_is_refused_in_words() -> None:
+    robot = VELOCITY_ROBOTS["pioneer_3dx"]
+    still = FixedHeading(Hold((0, 0), 60.0), 0.0)
+    log = Log.from_rollout(simulate(robot, RandomSteps(), still, dt=0.05, engine=COMPILED), noise=1e-3)
+    with pytest.raises(InvalidArgument, match=OTHERS):
+        identify_velocity(changed(log, u=log.u[:, ::-1]))
+    one = identify_velocity(log)
+    with pytest.raises(InvalidArgument, match=OTHERS):
+        one.predict(changed(log, u=log.u * [1e3, 1]))
+
+
+def measured(log: Log, times: Any) -> Log:
+    if log.q is not None:
+        return changed(log, q=log.q * times)
+    assert log.twist is not None
+    return changed(log, twist=log.twist * times)

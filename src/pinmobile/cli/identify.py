@@ -1,15 +1,17 @@
 """What a log tells of a robot: the table, and measured beside foretold."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pinmobile import InvalidArgument, Log, MobileRobot, UnknownName, identify, identify_velocity, plots
-from pinmobile.arrays import non_negative, positive
+from pinmobile.arrays import Array, non_negative, positive
 from pinmobile.cli.choices import ROLLING
 from pinmobile.cli.options import LECTURE, Options, as_option, choose, numbers
 from pinmobile.cli.output import begin, console, output_folder, progress, save_figure
@@ -24,11 +26,65 @@ _TYPED = "pinmobile identify run.csv loaded.csv --load none --load 8@0.1,0.05, s
 _SAID = {
     "of wheels that roll give robot=...": "of wheels that roll give --drive or --urdf",
     "or robot=...,": "or --urdf FILE of the robot,",
+    "take identify_velocity;": "give two inputs, and neither --drive nor --urdf;",
+    "Then identify": "Then give --drive or --urdf, or three inputs",
 }
 """What the library says of its arguments, and what is typed for it."""
 
+_KINDS = {
+    **dict.fromkeys(("V", "mV"), "volts"),
+    **dict.fromkeys(("N m", "Nm", "N mm", "mN m"), "torques"),
+    **dict.fromkeys(("m/s", "mm/s", "rad/s", "deg/s"), "commands"),
+}
+"""What inputs are by the unit in their header; what others may be is not judged."""
 
-def read(path: Path, columns: Sequence[str], topics: Sequence[str]) -> Log:
+_TYPE = {
+    "volts": "expected --drive, or --urdf, and --motor of their wheels",
+    "torques": "expected --drive, or --urdf, of their wheels, without --motor",
+    "commands": "expected two of them, and neither --drive nor --urdf",
+}
+"""What is typed beside inputs of a kind."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A log, and what its file says of its inputs.
+
+    Attributes
+    ----------
+    log : Log
+        What was measured.
+    units : mapping of str to str
+        Units of inputs by name, of those whose header has one.
+    """
+
+    log: Log
+    units: Mapping[str, str]
+
+    @property
+    def u(self) -> Array:
+        """Inputs, shape (N, nu)."""
+        return self.log.u
+
+    def check(self, path: Path, taken: str) -> None:
+        """Refuse inputs whose unit is that of another kind than they are taken for.
+
+        Raises
+        ------
+        InvalidArgument
+            If they are such.
+        """
+        for name, unit in self.units.items():
+            kind = _KINDS.get(unit, taken)
+            if kind != taken and not (taken == "forces" and kind == "torques"):
+                raise InvalidArgument(
+                    f"LOG is {str(path)!r}, whose input {name!r} is in {unit}, taken for {taken}: "
+                    f"{_TYPE[kind]}",
+                    argument="",
+                )
+
+
+def read(path: Path, columns: Sequence[str], topics: Sequence[str]) -> Measured:
     """Return the log of a file: of a bag where topics are named, else of a CSV file.
 
     Parameters
@@ -49,8 +105,30 @@ def read(path: Path, columns: Sequence[str], topics: Sequence[str]) -> Log:
     told = _pairs("--bag", topics, "ROLE=TOPIC, such as q=/odom")
     with _naming([path]):
         if told:
-            return Log.from_bag(path, told)
-        return Log.from_csv(path, {role: names.split(",") for role, names in named.items()} or None)
+            return Measured(Log.from_bag(path, told), {})
+        roles = {role: names.split(",") for role, names in named.items()}
+        return Measured(Log.from_csv(path, roles or None), _units(path, roles.get("u")))
+
+
+def _units(path: Path, names: Sequence[str] | None) -> Mapping[str, str]:
+    """Return the units that a header tells of inputs, which are those that begin with u_ if none is named."""
+    with path.open("rb") as file:
+        text = file.read(_HEADER).decode(errors="replace").replace("\0", "")  # of UTF-16
+    lines = [line for line in text.splitlines() if line.strip()]
+    head = [*takewhile(lambda line: _ROW.match(line) is None, lines)][-1:]
+    told = {}
+    for title, unit in _TITLE.findall("".join(head)):
+        for name in (title.strip(), *title.split()[-1:]):  # between cells may be blanks
+            if name.startswith("u_") if names is None else name in names:
+                told[name] = re.sub(_BETWEEN, " ", unit.strip())
+                break
+    return told
+
+
+_HEADER = 1 << 16  # bytes, in which a header is looked for
+_ROW = re.compile(r'[\s"]*(?:[-+.]?\d|nan)', re.IGNORECASE)
+_BETWEEN = r"\s*[*.\s\N{MIDDLE DOT}\N{DOT OPERATOR}]\s*"  # N and m
+_TITLE = re.compile(r"([^,;\t\[\]()]*)[\[(]([^\])]*)[\])]")
 
 
 @contextmanager
@@ -108,11 +186,14 @@ class Believed:
         What its inputs are and what is assumed, in words.
     named : str
         The option that stated it, for messages: ``"--urdf is 'robot.urdf'"``.
+    takes : str
+        What its inputs are: ``"forces"``, ``"torques"`` or ``"volts"``.
     """
 
     robot: Any = None
     told: str = ""
     named: str = ""
+    takes: str = "forces"
 
 
 def believed_of(given: Mapping[str, Any], drive: str | None, inputs: int) -> Believed:
@@ -162,10 +243,10 @@ def _under(body: MobileRobot, urdf: Path, options: Options) -> Believed:
         table = read_wheels(body, **({} if rollers is None else {"rollers": rollers}))
         told = f"{urdf.name}: {table.source}\n{_inputs(table, motor)}"
         if motor is None:
-            return Believed(WheeledRobot(body, table), told, named)
+            return Believed(WheeledRobot(body, table), told, named, "torques")
         rows = (each if each.motor is None else replace(each, motor=motor) for each in table.wheels)
         robot = WheeledRobot(body, replace(table, wheels=tuple(rows)))
-        return Believed(robot.by_voltage(), told, named)
+        return Believed(robot.by_voltage(), told, named, "volts")
     except InvalidArgument as error:
         if rollers is not None and error.argument == "rollers":
             raise error.calling("--rollers") from error
@@ -207,7 +288,8 @@ def _on(drive: str, options: Options) -> Believed:
         else "wheels turn without inertia of their own: what they have is told as the body's, --wheel-mass"
     )
     told = f"{drive}: {choice.label}, of a body of which nothing is believed; {turning}"
-    return Believed(table, f"{told}\n{_inputs(table, motor)}", f"--drive is {drive!r}")
+    takes = "torques" if motor is None else "volts"
+    return Believed(table, f"{told}\n{_inputs(table, motor)}", f"--drive is {drive!r}", takes)
 
 
 def _inputs(table: WheelTable, motor: Motor | None) -> str:
@@ -285,7 +367,7 @@ def _load(word: str) -> Load:
 
 
 def show_identification(
-    logs: Sequence[Log],
+    measured: Sequence[Measured],
     paths: Sequence[Path],
     out: Path,
     believed: Believed,
@@ -301,8 +383,8 @@ def show_identification(
 
     Parameters
     ----------
-    logs : sequence of Log
-        What was measured.
+    measured : sequence of Measured
+        Logs, and units of their inputs.
     paths : sequence of Path
         Their files, by which figure and errors are called.
     out : Path
@@ -323,12 +405,15 @@ def show_identification(
     """
     folder = output_folder(out)
     way = choose("method", method or "output-error", {each.replace(" ", "-"): each for each in METHODS})
+    logs = [each.log for each in measured]
     log, path = max(zip(logs, paths, strict=True), key=lambda each: len(each[0]))
     commands = log.u.shape[1] == _COMMANDS and not believed.told
     typed = {"urdf": believed.robot, "method": method, "load": loads}
     for option, value in typed.items():
         if commands and value is not None:
             raise InvalidArgument(f"--{option} does not apply to a log of commands of speed and yaw rate")
+    for each, file in zip(measured, paths, strict=True):
+        each.check(file, "commands" if commands else believed.takes)
     with progress(2) as bar, _naming(paths, believed.named):
         begin(bar, "identifying")
         if commands:

@@ -10,11 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument
 from pinmobile.identification.log import Samples
 from pinmobile.identification.velocity_body import ABOVE_ZERO, VelocityBody
 
 _WINDOW = 0.8  # [s] of the weak form that gives a start
 _LEAST_WINDOW = 8  # samples of it
+_AROUND, _ENDS = 7, 9  # samples of a running median, and of each end by which it goes on
+_FAST = 0.9  # share of the steps of poses that are shorter than what may be off that
 _SMOOTH = 0.25  # [s] of the cubic by which poses give speeds, for the start alone
 _GUESS = np.array([0.3, 0.3, 0.0, 1.0, 0.0, 1.0])  # where a log tells nothing
 _COUPLING = 2, 4  # theta_3 and theta_5
@@ -44,6 +47,8 @@ class Segments(NamedTuple):
         Times since the first sample of the log [s].
     y : ndarray, shape (S, L, k)
         What was measured: speed and yaw rate, or x, y, psi.
+    calm : ndarray, shape (S, L, k)
+        The same, gross outliers bridged: where a fit begins.
     good : ndarray of bool, shape (S, L)
         Which samples count.
     u : ndarray, shape (S, L + lead + 2, 2)
@@ -55,6 +60,7 @@ class Segments(NamedTuple):
     dt: float
     t: Array
     y: Array
+    calm: Array
     good: NDArray[np.bool_]
     u: Array
     lead: int
@@ -69,12 +75,13 @@ def cut(runs: Sequence[Samples], seconds: float, lead: int) -> Segments:
     """Return logs of one step, cut into segments of so many seconds, whose commands are known."""
     dt = runs[0].dt
     length = max(3, round(seconds / dt))
-    t, y, good, u = [], [], [], []
+    t, y, calm, good, u = [], [], [], [], []
     for run in runs:
-        measured = run.q if run.twist is None else run.twist[:, [0, 2]]
+        measured, bridged = _measured(run), calmed(run)
         for first in range(lead + 1, len(run.t) - length + 1, length):
             t.append(run.t[first : first + length])
-            y.append(measured[first : first + length])  # type: ignore[index]
+            y.append(measured[first : first + length])
+            calm.append(bridged[first : first + length])
             good.append(run.seen[first : first + length])
             at = np.arange(first - lead - 1, first + length + 1)
             u.append(run.u[np.minimum(at, len(run.u) - 1)])
@@ -84,6 +91,7 @@ def cut(runs: Sequence[Samples], seconds: float, lead: int) -> Segments:
         dt,
         np.array(t).reshape(shape),
         np.array(y).reshape(*shape, size),
+        np.array(calm).reshape(*shape, size),
         np.array(good, bool).reshape(shape),
         np.array(u).reshape(len(y), length + lead + 2, 2),
         lead,
@@ -242,11 +250,34 @@ def fit(model: Model, cuts: Segments, p: Array, *, moving: bool = True) -> Fit:
         Where to begin.
     moving : bool
         Whether p is identified; else the starts of the segments alone are.
+
+    Raises
+    ------
+    InvalidArgument
+        If what is simulated runs away from what was measured.
     """
+    try:
+        with np.errstate(all="ignore"):  # what runs away is refused
+            return _fit(model, cuts, p, moving)
+    except np.linalg.LinAlgError:
+        raise unexplained(0.0) from None
+
+
+def unexplained(share: float) -> InvalidArgument:
+    """Return the error about a log whose commands explain but a share of its motion."""
+    return InvalidArgument(
+        f"log has motion of which the commands explain {max(share, 0):.0%}, expected most: are they of "
+        "another robot, in another frame, or of another sign, or no commands of speed [m/s] and yaw rate "
+        "[rad/s]?"
+    )
+
+
+def _fit(model: Model, cuts: Segments, p: Array, moving: bool) -> Fit:
     start, moves = starts(cuts), np.full(len(p), moving)
     if moving and not np.isfinite(model.simulate(cuts, p[None], start[None])).all():
         p = np.where(np.isin(np.arange(len(p)), _COUPLING), 0.0, p)  # without it nothing grows
-    good, covariance = cuts.good, np.diag(np.maximum(np.var(cuts.y, axis=(0, 1)), 1e-12))
+    good = cuts.good & (cuts.calm == cuts.y).all(axis=-1)
+    covariance = np.diag(np.maximum(np.var(cuts.calm, axis=(0, 1)), 1e-12))
     for k in range(_ROUNDS):
         near = cuts._replace(good=good)
         found = _gauss_newton(model, near, p, start, covariance, moves, _CONVERGED if k else _NEAR)
@@ -255,7 +286,10 @@ def fit(model: Model, cuts: Segments, p: Array, *, moving: bool = True) -> Fit:
         deviation = _NORMAL * np.median(np.abs(r), axis=0) + 1e-300
         wild = (np.abs(found.residual) > _OUTLIER * deviation).any(axis=-1)
         new, before = cuts.good & ~wild, covariance
-        covariance = np.cov(r[(np.abs(r) <= _OUTLIER * deviation).all(axis=1)].T)
+        inside = (np.abs(r) <= _OUTLIER * deviation).all(axis=1)
+        if inside.sum() <= r.shape[1]:  # of what is no number none is
+            raise unexplained(0.0)
+        covariance = np.cov(r[inside].T)
         covariance = covariance + np.diag(1e-24 + 1e-12 * np.diag(covariance))
         settled = (new == good).all() and np.allclose(covariance, before, rtol=0.02, atol=0)
         good = new
@@ -271,10 +305,10 @@ def fit(model: Model, cuts: Segments, p: Array, *, moving: bool = True) -> Fit:
 
 def starts(cuts: Segments) -> Array:
     """Return a guess of the states at the beginning of the segments, shape (S, n)."""
-    first = cuts.y[:, 0]
+    first = cuts.calm[:, 0]
     if not cuts.is_pose:
         return first.copy()
-    return np.concatenate([_speeds(cuts.y, cuts.dt)[:, 0], first], axis=-1)
+    return np.concatenate([_speeds(cuts.calm, cuts.dt)[:, 0], first], axis=-1)
 
 
 class _Slopes(NamedTuple):
@@ -433,7 +467,38 @@ def _speeds(poses: Array, dt: float) -> Array:
 
 def speeds(run: Samples) -> Array:
     """Return speed and yaw rate of a log, shape (N, 2): of the twist, or of poses, smoothed."""
-    return _speeds(run.q, run.dt) if run.twist is None else run.twist[:, [0, 2]]  # type: ignore[arg-type]
+    return _speeds(calmed(run), run.dt) if run.twist is None else calmed(run)
+
+
+def calmed(run: Samples) -> Array:
+    """Return what a log measured, shape (N, k), gross outliers of poses bridged: far off a running median.
+
+    Differences of poses make more of an outlier than it is; a twist has none taken, and steps of its own.
+    """
+    x, at = _measured(run), np.arange(len(run.t))
+    if run.twist is not None:
+        return x
+    found = x.copy()
+    for k, column in enumerate(x.T):
+        steps = np.diff(column)
+        ends = [_beyond(column[:_ENDS][::-1])[::-1], _beyond(column[-_ENDS:])]
+        around = np.lib.stride_tricks.sliding_window_view(np.concatenate([ends[0], column, ends[1]]), _AROUND)
+        off = np.abs(column - np.median(around, axis=1))
+        near = off <= _OUTLIER * _NORMAL * np.median(off) + np.quantile(np.abs(steps), _FAST)
+        found[:, k] = np.interp(at, at[near], column[near])
+    return found
+
+
+def _beyond(end: Array) -> Array:
+    """Return how a column would go on behind its end, by medians, shape (_AROUND // 2,)."""
+    at = np.arange(len(end))
+    slope = np.median(np.diff(end))
+    return np.asarray(np.median(end - slope * at) + slope * (len(end) + np.arange(_AROUND // 2)))
+
+
+def _measured(run: Samples) -> Array:
+    """Return speed and yaw rate of a log that has a twist, else x, y and psi, shape (N, k)."""
+    return np.asarray(run.q if run.twist is None else run.twist[:, [0, 2]])
 
 
 def _weak(run: Samples, lead: int) -> tuple[Array, Array, Callable[[float], Array]]:

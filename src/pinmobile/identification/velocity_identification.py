@@ -9,14 +9,25 @@ from types import MappingProxyType
 from typing import Any, final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, frozen, positive, positive_or_endless, scalar, seeded, whole
+from pinmobile.arrays import Array, ArrayLike, affordable, frozen, positive, scalar, seeded, whole
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification.log import Log, Samples, check_steps, logs_of
 from pinmobile.identification.prediction import POSE, SPEEDS, Prediction
 from pinmobile.identification.velocity_body import ABOVE_ZERO, THETA
-from pinmobile.identification.velocity_fit import Fit, Model, Segments, cut, fit, guess, scaled, speeds
-from pinmobile.identification.velocity_robot import VelocityRobot
+from pinmobile.identification.velocity_fit import (
+    Fit,
+    Model,
+    Segments,
+    cut,
+    fit,
+    guess,
+    scaled,
+    speeds,
+    unexplained,
+)
+from pinmobile.identification.velocity_robot import VelocityRobot, limits_of
 
 _LEAST_SEGMENTS = 20
 _LATEST = 0.6  # [s]: longest delay that is looked for
@@ -24,6 +35,9 @@ _MOST_LATE = 60  # the same in samples
 _STILL = 1e-9  # [m/s, rad/s]: commands that change less do not
 _TOGETHER = 0.2  # correlation of residuals of neighbouring samples that is told
 _EXPLAINED = 0.8  # share of what was measured, below which something else is wrong
+_LEAST = 0.5  # the same, below which it is no log of such a robot
+_GAINS = 0.1, 10.0  # command per steady speed or yaw rate of any robot
+_FARTHEST = 10.0  # [m]: ahead of the axle
 _OTHERS = (
     ("delay", "s"),
     ("ahead", "m"),
@@ -59,7 +73,8 @@ class VelocityIdentification:
     correlation : ndarray, shape (k,)
         Of what is left at neighbouring samples: near 0 where it is sensors' noise.
     explained : float
-        Share of what was measured that the model explains, of the worse of speed and yaw rate.
+        Share of what was measured that the model explains, of the worse of speed and yaw rate; of poses, of
+        what is no straight line in time.
     hidden : tuple of str
         Names of what the motion tells nothing of.
     """
@@ -230,6 +245,7 @@ class VelocityIdentification:
         """
         self._refuse_unseen("spread")
         n, generator = whole("n", n), seeded("seed", seed)
+        affordable(f"spread: {n:,} draws", 4.0 * n * len(self.names), "draw fewer at a time")
         freedom, found = self.segments - 1, np.empty((0, len(self.names)))
         root = np.linalg.cholesky(self.covariance + 1e-18 * np.diag(np.diag(self.covariance)))
         bounded = [k for k, name in enumerate(self.names) if k in ABOVE_ZERO or "acceleration" in name]
@@ -261,7 +277,7 @@ class VelocityIdentification:
         Raises
         ------
         InvalidArgument
-            If it is none, too short, or measures something else.
+            If it is none, too short, measures something else, or what is predicted runs away from it.
         """
         if not isinstance(log, Log):
             raise InvalidArgument(f"log is {shown(log)}, expected a Log")
@@ -313,8 +329,8 @@ def identify_velocity(
     Raises
     ------
     InvalidArgument
-        If the log is too short, its input is of another robot, commands do not change, or an argument is not
-        in its range.
+        If the log is too short, its input is of another robot or in other units, commands do not change or
+        explain less than half of the motion, or an argument is not in its range.
     """
     seconds = positive("seconds", seconds, "s")
     runs = _runs(log, least=_LEAST_SEGMENTS, seconds=seconds)
@@ -322,18 +338,21 @@ def identify_velocity(
     given = None if delay is None else scalar("delay", delay) / dt
     if given is not None and not 0 <= given <= lead:
         raise InvalidArgument(f"delay is {delay} s, expected 0 to {lead * dt:.3g} s, or None")
+    known = 0.0 if ahead is None else scalar("ahead", ahead)
+    if abs(known) > _FARTHEST:
+        raise InvalidArgument(f"ahead is {known:g} m, expected at most {_FARTHEST:g} m to either side")
     if ahead is None and runs[0].twist is not None:
         raise InvalidArgument("ahead is None, and the log measures a twist, which does not tell it: give it")
     free = [name for name, of in (("delay", delay), ("ahead", ahead)) if of is None]
     free += [name for name, _ in _OTHERS[2:]] if accelerations is None else []
     most = np.full(2, np.inf)
     if accelerations is not None:
-        most[:] = [positive_or_endless("accelerations", x) for x in np.broadcast_to(accelerations, (2,))]
+        most[:] = limits_of("accelerations", accelerations)
     theta, late = guess(runs, lead, given)
     others = {"delay": late, "ahead": 0.0, **_steepest(runs)}
     start = np.append(theta, [others[name] for name in free])
     fixed = 0.0 if given is None else given
-    model = Model(tuple(free), fixed, 0.0 if ahead is None else scalar("ahead", ahead), frozen(most))
+    model = Model(tuple(free), fixed, known, frozen(most))
     cuts = cut(runs, seconds, lead)
     first = fit(model, cuts, start)
     dropped = sum(one.dropped for one in logs_of(log))
@@ -349,8 +368,10 @@ def _told(
     pairs = good[:, 1:] & good[:, :-1]
     square = (residual[good] ** 2).mean(axis=0)
     along = (residual[:, 1:] * residual[:, :-1])[pairs].mean(axis=0) / np.maximum(square, 1e-300)
-    nu = cuts.y if not cuts.is_pose else cuts.y - cuts.y.mean(axis=1, keepdims=True)
-    spent = nu[good].var(axis=0)
+    explained = _explained(cuts, square, good)
+    if not explained >= _LEAST:
+        raise unexplained(explained)
+    _check_units(found)
     delay = model.values(found.p[None])[1][0] * dt
     return VelocityIdentification(
         names,
@@ -363,11 +384,37 @@ def _told(
         float(delay),
         frozen(np.sqrt(square)),
         frozen(along),
-        float(1 - (square / np.maximum(spent, 1e-300)).max()),
+        explained,
         tuple(name for name, hidden in zip(names, found.unseen, strict=True) if hidden),
         model,
         seconds,
     )
+
+
+def _check_units(found: Fit) -> None:
+    for k in (3, 5):
+        gain, (name, _, meaning) = float(found.p[k]), THETA[k]
+        if not (found.unseen[k] or _GAINS[0] < gain < _GAINS[1]):
+            raise InvalidArgument(
+                f"log leads to {name}, {meaning.partition(':')[0]}, of {gain:.3g}, expected about 1: are "
+                "commands in m/s and rad/s, positions in metres and psi in radians?"
+            )
+
+
+def _explained(cuts: Segments, square: Array, good: NDArray[np.bool_]) -> float:
+    """Return the share that is not left over, of the worse of speed and yaw rate that are commanded."""
+    spent = (_bent(cuts.calm) if cuts.is_pose else cuts.y)[good].var(axis=0)
+    if cuts.is_pose:  # a robot may go along one axis
+        square, spent = (np.array([each[:2].sum(), each[2]]) for each in (square, spent))
+    commanded = np.ptp(cuts.u, axis=(0, 1)) > _STILL
+    return float(1 - (square / np.maximum(spent, 1e-300))[commanded].max(initial=0.0))
+
+
+def _bent(poses: Array) -> Array:
+    """Return what straight lines in time leave of segments of poses, shape (S, L, k): starts are free."""
+    t = np.linspace(-1.0, 1.0, poses.shape[1])[:, None]
+    centred = poses - poses.mean(axis=1, keepdims=True)
+    return np.asarray(centred - t * ((t * centred).sum(axis=1, keepdims=True) / (t * t).sum()))
 
 
 def _covariance(found: Fit) -> Array:

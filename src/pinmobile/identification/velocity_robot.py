@@ -122,8 +122,8 @@ class VelocityRobot:
         new = {
             "theta": frozen(numbers),
             "ahead": scalar("ahead", ahead),
-            "limits": _most("limits", limits),
-            "accelerations": _most("accelerations", accelerations),
+            "limits": limits_of("limits", limits),
+            "accelerations": limits_of("accelerations", accelerations),
             "size": tuple(lengths(size).tolist()),
             "source": text("source", source),
         }
@@ -451,7 +451,7 @@ class VelocityRobot:
         return self._drawn.drawing(np.concatenate([q, np.zeros((*q.shape[:-1], 2))], axis=-1))
 
 
-def _most(name: str, value: ArrayLike) -> Array:
+def limits_of(name: str, value: ArrayLike) -> Array:
     """Return limits of speed and yaw rate, or of their rates, shape (2,)."""
     most = endless_or_finite(name, value)
     if most.shape not in ((), (2,)) or not (most > 0).all():
