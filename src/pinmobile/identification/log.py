@@ -155,7 +155,7 @@ class Log:
         """Time between two samples [s]."""
         return step(self.t)
 
-    def is_same(self, other: Log) -> bool:
+    def _is_same(self, other: Log) -> bool:
         """Tell whether another log has the same numbers."""
         mine, others = self._given(), other._given()
         return mine.keys() == others.keys() and all(
@@ -394,7 +394,7 @@ def logs_of(log: object) -> list[Log]:
         hint = f": Log.{made} makes one" if isinstance(log, str | PathLike | Rollout) else ""
         raise InvalidArgument(f"log is {shown(log)}, expected a Log, or several{hint}")
     for k, each in enumerate(logs):
-        same = next((j for j in range(k) if logs[j].is_same(each)), None)
+        same = next((j for j in range(k) if logs[j]._is_same(each)), None)
         if same is not None:
             raise InvalidArgument(
                 f"log[{k}] has the numbers of log[{same}], expected another run: one that counts twice makes "
