@@ -645,7 +645,7 @@ def test_a_robot_of_motors_whose_friction_is_stated_too_high_is_refused_by_its_f
 
 def test_volts_and_torques_have_no_scale_in_common() -> None:
     table = on_wheels(BODY).table
-    mixed = WheelTable([table.wheels[0], replace(table.wheels[1], motor=Motor())], table.supports)
+    mixed = WheelTable((table.wheels[0], replace(table.wheels[1], motor=Motor())), table.supports)
     with pytest.raises(InvalidArgument, match=r"^robot takes volts, and a torque at right, which have no"):
         identify([rolled(False), rolled(True)], WheeledRobot(BODY, mixed).by_voltage(), loads=[None, LOAD])
 
