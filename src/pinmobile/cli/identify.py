@@ -1,10 +1,8 @@
 """What a log tells of a robot: the table, and measured beside foretold."""
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
-from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +13,7 @@ from pinmobile.arrays import Array, non_negative, positive
 from pinmobile.cli.choices import ROLLING
 from pinmobile.cli.options import LECTURE, Options, as_option, choose, numbers
 from pinmobile.cli.output import begin, console, output_folder, progress, save_figure
-from pinmobile.identification import METHODS
+from pinmobile.identification import METHODS, units_of_inputs
 from pinmobile.robot import Load
 from pinmobile.wheels import MOTORS, Motor, WheeledRobot, WheelTable, read_wheels
 
@@ -107,28 +105,7 @@ def read(path: Path, columns: Sequence[str], topics: Sequence[str]) -> Measured:
         if told:
             return Measured(Log.from_bag(path, told), {})
         roles = {role: names.split(",") for role, names in named.items()}
-        return Measured(Log.from_csv(path, roles or None), _units(path, roles.get("u")))
-
-
-def _units(path: Path, names: Sequence[str] | None) -> Mapping[str, str]:
-    """Return the units that a header tells of inputs, which are those that begin with u_ if none is named."""
-    with path.open("rb") as file:
-        text = file.read(_HEADER).decode(errors="replace").replace("\0", "")  # of UTF-16
-    lines = [line for line in text.splitlines() if line.strip()]
-    head = [*takewhile(lambda line: _ROW.match(line) is None, lines)][-1:]
-    told = {}
-    for title, unit in _TITLE.findall("".join(head)):
-        for name in (title.strip(), *title.split()[-1:]):  # between cells may be blanks
-            if name.startswith("u_") if names is None else name in names:
-                told[name] = re.sub(_BETWEEN, " ", unit.strip())
-                break
-    return told
-
-
-_HEADER = 1 << 16  # bytes, in which a header is looked for
-_ROW = re.compile(r'[\s"]*(?:[-+.]?\d|nan)', re.IGNORECASE)
-_BETWEEN = r"\s*[*.\s\N{MIDDLE DOT}\N{DOT OPERATOR}]\s*"  # N and m
-_TITLE = re.compile(r"([^,;\t\[\]()]*)[\[(]([^\])]*)[\])]")
+        return Measured(Log.from_csv(path, roles or None), units_of_inputs(path, roles.get("u")))
 
 
 @contextmanager

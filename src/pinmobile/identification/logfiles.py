@@ -69,16 +69,41 @@ def read_csv(
     return parts, len(rows) - len(kept)
 
 
-def _table(file: Path) -> tuple[list[str], list[list[str]]]:
-    """Return the header of a file and its rows: cells between commas, semicolons, tabs or blanks.
+def units_of_inputs(path: str | PathLike[str], names: Sequence[str] | None = None) -> dict[str, str]:
+    """Return the units that the header of a CSV file tells of its inputs, by name, empty where it has none.
 
-    Lines before the header that begin with # or % are comments; the last of these is the header where numbers
-    follow it.
+    Parameters
+    ----------
+    path : str or PathLike
+        The file.
+    names : sequence of str, optional
+        Names of the inputs; by default those that `Log.from_csv` takes.
     """
+    file = location("path", path)
+    with refusals("read", "path", file), file.open("rb") as opened:
+        data = opened.read(_HEADER)
+    whole = data if len(data) < _HEADER or _is_wide(data) else data.rpartition(b"\n")[0]
+    head, _ = _cells(file, whole)
+    titles = {_named(title): title for title in head}
+    listed = _columns_of(list(titles)).get("u", ()) if names is None else names
+    return {name: _unit(titles[name]) for name in listed if name in titles}
+
+
+def _table(file: Path) -> tuple[list[str], list[list[str]]]:
+    """Return the header of a file and its rows."""
     with refusals("read", "path", file), file.open("rb") as opened:
         data = opened.read(_MOST_BYTES + 1)  # what is no regular file may never end
     if len(data) > _MOST_BYTES:
         raise InvalidArgument(f"path is {str(file)!r}, of more than {_MOST_BYTES >> 20} MiB, expected less")
+    return _cells(file, data)
+
+
+def _cells(file: Path, data: bytes) -> tuple[list[str], list[list[str]]]:
+    """Return the header of a table and its rows: cells between commas, semicolons, tabs or blanks.
+
+    Lines before the header that begin with # or % are comments; the last of these is the header where numbers
+    follow it.
+    """
     content = _decoded(data)
     if "\0" in content:
         raise InvalidArgument(f"path is {str(file)!r}, which is no text, expected a CSV file")
@@ -104,10 +129,13 @@ def _table(file: Path) -> tuple[list[str], list[list[str]]]:
     return head, rows
 
 
+def _is_wide(data: bytes) -> bool:
+    return data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+
+
 def _decoded(data: bytes) -> str:
-    wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
-        return data.decode("utf-16" if wide else "utf-8-sig")
+        return data.decode("utf-16" if _is_wide(data) else "utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("latin-1")
 
@@ -116,6 +144,7 @@ _COMMENTS = "#", "%"
 _SEPARATORS = ";", "\t", ",", " "
 _QUATERNION = 4
 _MOST_BYTES = 1 << 30
+_HEADER = 1 << 16  # bytes, in which a header is looked for
 
 
 def _separator(line: str) -> str:
@@ -173,9 +202,14 @@ _UNITS = {
 }
 
 
-def _in_si(title: str, column: Array) -> Array:
+def _unit(title: str) -> str:
+    """Return the unit of a column, with a blank between its parts; empty where there is none."""
     found = _UNIT.search(title)
-    unit = re.sub(r"\s*[*.\N{MIDDLE DOT}\N{DOT OPERATOR}]\s*", " ", found[1].strip()) if found else ""
+    return re.sub(r"\s*[*.\N{MIDDLE DOT}\N{DOT OPERATOR}]\s*", " ", found[1].strip()) if found else ""
+
+
+def _in_si(title: str, column: Array) -> Array:
+    unit = _unit(title)
     if unit not in _UNITS:
         raise UnknownName(f"unit of column {title!r}", unit, [each for each in _UNITS if each])
     return column * _UNITS[unit]
