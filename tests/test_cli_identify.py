@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pinmobile import Log, MobileRobot, Rollout, VelocityRobot, rk4
+from pinmobile import Log, MobileRobot, Rollout, VelocityRobot, identification, rk4
 from pinmobile.arrays import Array
 from pinmobile.cli import main
 from pinmobile.cli.choices import DEFAULT_PRESET, OF_SPEEDS, velocity_robot
+from pinmobile.cli.identify import _CALL, _SAID
 from pinmobile.cli.scenario_file import read_grid
 from pinmobile.controllers import Backstepping, RandomSteps, VelocityCommand
 from pinmobile.ensembles import run_scenario
@@ -496,3 +497,12 @@ def test_a_typo_about_such_a_robot_is_answered_with_its_line(
 
 def test_the_preset_that_is_taken_is_there() -> None:
     assert isinstance(OF_SPEEDS["velocity"](DEFAULT_PRESET), VelocityRobot)
+
+
+def test_what_the_command_says_otherwise_is_what_the_library_says() -> None:
+    """Words that are typed stand for words of the library: these must be there, broken over lines or not."""
+    package = Path(identification.__file__).parent
+    library = "".join(path.read_text() for path in sorted(package.glob("*.py")))
+    flat = re.sub(r'"\s*f?"', "", library)
+    for said in (*_SAID, _CALL):
+        assert said in flat, said

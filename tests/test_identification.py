@@ -630,6 +630,8 @@ def test_noise_of_torques_that_would_pull_output_error_leads_to_the_weak_form() 
     rates = plain.wheel_rates + np.random.default_rng(4).normal(0, 0.02, plain.wheel_rates.shape)
     found = identify(Log(plain.t, plain.q, plain.u, None, rates), plant)
     assert found.method == "weak"
+    assert found.pulled > 3
+    assert "would pull output error by" in str(found)
     low, high = found.interval(0.99)["yaw_inertia"]
     assert low < 1.3 < high
 

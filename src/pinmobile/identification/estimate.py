@@ -46,7 +46,9 @@ class Identification:
     freedom : int
         Degrees of freedom of Student's t.
     method : str
-        ``"output error"`` or ``"weak"``.
+        ``"output error"`` or ``"weak"``, which is taken too where inputs are noisy.
+    pulled : float
+        Deviations by which noise of the inputs would pull output error, if it was asked for; else 0.
     prior : MobileRobot, WheeledRobot or None
         What was believed; of wheels alone, a body on them of which nothing was.
     rank : int
@@ -82,6 +84,7 @@ class Identification:
     covariance_of_phi: Array
     freedom: int
     method: str
+    pulled: float
     prior: Any
     rank: int
     unseen: str
@@ -208,6 +211,11 @@ class Identification:
             f"{self.samples} samples at {1 / self.dt:.4g} Hz, {self.dropped} dropped, {self.outliers} "
             f"outliers; {self.method}, {self.segments} segments; rank {self.rank} of {len(self.phi)}"
         ]
+        if self.pulled and self.method == "weak":
+            found.append(
+                f"noise of the inputs would pull output error by {self.pulled:.1f} deviations: the weak form "
+                "is taken in its place"
+            )
         if self.unseen:
             found.append(self.unseen)
         low, high = (1e3 * each for each in self.delay_interval())

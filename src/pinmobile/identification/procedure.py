@@ -127,10 +127,11 @@ def identify(
     with _suspecting(slips), _doubting(given, own, cleaned[0].dt):
         _check_explained(fit.explained)
         _check_units(chassis, fit.phi, prior)
-    start = chassis.possible(fit.phi, at.scales)
+    start, pulled = chassis.possible(fit.phi, at.scales), 0.0
     if method == METHODS[0]:
         estimate = _by_output_error(at, start, basis, fit.delay, seconds, sought)
-        method = METHODS[0 if estimate.pulled < _PULLED else 1]
+        pulled = estimate.pulled
+        method = METHODS[0 if pulled < _PULLED else 1]
     if method == METHODS[0]:
         phi, covariance, freedom = estimate.phi, estimate.covariance, estimate.segments - 1
         late, error = estimate.delay, estimate.delay_error
@@ -150,6 +151,7 @@ def identify(
         covariance_of_phi=covariance,
         freedom=freedom,
         method=method,
+        pulled=pulled,
         prior=robot,
         rank=seen.shape[1],
         unseen=in_words(chassis, unseen) if unseen.size else "",
