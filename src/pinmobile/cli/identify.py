@@ -121,7 +121,10 @@ def _naming(paths: Sequence[Path], robot: str = "") -> Iterator[None]:
         if by_columns:
             text = f"{said}, expected --column ROLE=NAME,NAME of these, such as --column q=px,py,angle"
         if argument == "log" and number:
-            paths, text = [paths[int(number)]], text.replace(f"[{number}]", "", 1)
+            text = text.replace(f"[{number}]", "", 1)
+            for k, path in enumerate(paths):
+                text = text.replace(f"log[{k}]", repr(str(path)))
+            paths = [paths[int(number)]]
         for said, words in _SAID.items():
             text = text.replace(said, words)
         called = {"path": "LOG", "columns": "--column", "topics": "--bag", "delay": "--delay"}

@@ -242,12 +242,14 @@ class Identification:
 
     def _below_zero(self) -> tuple[str, ...]:
         """Return what estimates are below zero of what cannot be, and why."""
-        told, wide = [], self._deviations(0.95) * np.sqrt(np.diag(self.covariance))
-        for one, value, half in zip(self.chassis.quantities, self.parameters.values(), wide, strict=True):
+        told, deviations = [], np.sqrt(np.diag(self.covariance))
+        usual, far = self._deviations(0.95), self._deviations(_FAR)  # of eight, one is beyond 95 % by chance
+        for one, value, sd in zip(self.chassis.quantities, self.parameters.values(), deviations, strict=True):
             if one.bounded and value < 0 and self.is_seen[one.name]:
+                half = usual * sd
                 why = (
                     f"within its uncertainty: the log tells that it is not above {half:.3g}"
-                    if value + half >= 0
+                    if value + far * sd >= 0
                     else f"by more than its uncertainty, {half:.3g}: another force acts than the model has"
                 )
                 told.append(f"{one.name} is {value:.3g} {one.unit}, below zero {why}")
