@@ -207,6 +207,8 @@ class Code:
             if self.shared[i] and self.tape.operations[i][0] != "const":
                 self.argument(i, 0, "sample")
         before, inside, behind = f"before{node}", f"round{node}", f"behind{node}"
+        nested = [i for i in rounds.body if self.tape.operations[i][0] == "repeat"]
+        last = f"behind{nested[-1]}" if nested else inside  # the block in which a round ends
         lines += [f"  br label %{before}", f"{before}:"]
         may_skip = self.tape.known(rounds.settled) is None
         none = ["false" if lanes == 1 else "zeroinitializer"] * len(vectors)
@@ -220,16 +222,18 @@ class Code:
         for j, values in enumerate(first):
             for u in vectors:
                 name = f"{node}_{j}_{u}"
-                ways = f"[ {values[u]}, %{before} ], [ %z{name}, %{inside} ]"
+                ways = f"[ {values[u]}, %{before} ], [ %z{name}, %{last} ]"
                 lines.append(f"  %y{name} = phi {whole} {ways}")
         for u in vectors:
-            ways = f"[ {none[u]}, %{before} ], [ %d{node}_{u}, %{inside} ]"
+            ways = f"[ {none[u]}, %{before} ], [ %d{node}_{u}, %{last} ]"
             lines.append(f"  %e{node}_{u} = phi {truth} {ways}")
-        lines.append(f"  %r{node} = phi i64 [ 1, %{before} ], [ %q{node}, %{inside} ]")
+        lines.append(f"  %r{node} = phi i64 [ 1, %{before} ], [ %q{node}, %{last} ]")
         for i in rounds.body:
             name, *given = self.tape.operations[i]
             if name == "carry":
                 self.values[i] = [f"%y{node}_{given[1]}_{u}" for u in vectors]
+            elif name in ("repeat", "result"):
+                self.values[i] = self._written(i, "sample")
             else:
                 self.values[i] = [self._operation(i, u, "sample", False) for u in vectors]
         for j, i in enumerate(rounds.following):
@@ -252,7 +256,7 @@ class Code:
         if may_skip:
             for j, values in enumerate(first):
                 for u in vectors:
-                    ways = f"[ {values[u]}, %{before} ], [ %z{node}_{j}_{u}, %{inside} ]"
+                    ways = f"[ {values[u]}, %{before} ], [ %z{node}_{j}_{u}, %{last} ]"
                     lines.append(f"  %w{node}_{j}_{u} = phi {whole} {ways}")
             self.results[node] = [[f"%w{node}_{j}_{u}" for u in vectors] for j in range(len(first))]
         return []
@@ -364,11 +368,11 @@ def text_of(loop: Loop, shape: Shape) -> str:
     for ring in loop.rings:
         code.emit(ring.node)
     for node in needed(code.tape, loop.outputs):
-        if code.tape.operations[node][0] == "repeat":
+        if code.tape.operations[node][0] == "repeat" and code.tape.depends[node] < ROUND:
             code.emit(node)  # where every sample passes
     # In the order of the tape: what a law computes for its next line is still in a register there.
     for node in needed(code.tape, [after for _, after in loop.states]):
-        if not code.tape.depends[node] & ROUND:
+        if code.tape.depends[node] < ROUND:
             code.emit(node)
     following = [[code.argument(after, u, "sample") for u in code.vectors()] for _, after in loop.states]
     _keep(code)

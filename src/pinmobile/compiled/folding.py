@@ -9,7 +9,10 @@ from typing import Any, Protocol, TypeAlias, TypeVar
 import numpy as np
 
 UNIFORM, ROBOT, SAMPLE, STATE, ROUND = 1, 2, 4, 8, 16
-"""What a node depends on, as bits: a number of the run, of a robot, of a sample, of the state, of a round."""
+"""What a node depends on, as bits: a number of the run, of a robot, of a sample, of the state, of a round.
+
+Rounds within rounds have twice the bit of those around them.
+"""
 
 
 # Each operation on NumPy's numbers and arrays; `max` and `min` return the second where one is not a number.

@@ -57,7 +57,6 @@ _INPUTS = {
     "track": (SAMPLE | ROBOT, "f"),
     "count": (SAMPLE, "u"),
     "state": (STATE, "f"),
-    "carry": (STATE | ROUND, "f"),
 }
 
 
@@ -76,15 +75,15 @@ def _bits_float(x: int) -> float:
 def operands(operation: _Operation) -> tuple[int, ...]:
     """Return the nodes that an operation is of."""
     name = operation[0]
-    if name == "const" or name in _INPUTS:
+    if name in ("const", "carry") or name in _INPUTS:
         return ()
     if name == "repeat":
-        return operation[3:]
+        return operation[4:]
     return operation[1:2] if name == "result" else (operation[3],) if name == "ring" else operation[1:]
 
 
 class Rounds(NamedTuple):
-    """What a ``("repeat", number, most, done, settled, *first, *following)`` is.
+    """What a ``("repeat", number, level, most, done, settled, *first, *following)`` is.
 
     Attributes
     ----------
@@ -97,7 +96,7 @@ class Rounds(NamedTuple):
     first, following : tuple of int
         Nodes of each number that is carried: before the first round, and after each.
     body : list of int
-        Nodes of a round, in order.
+        Nodes of a round, in order; rounds within it are one node each.
     outside : list of int
         Nodes that a round needs and that are the same in all.
     """
@@ -113,19 +112,19 @@ class Rounds(NamedTuple):
     @classmethod
     def of(cls, tape: Tape, index: int) -> Rounds:
         """Return those of a node."""
-        _, number, most, done, settled, *nodes = tape.operations[index]
+        _, number, level, most, done, settled, *nodes = tape.operations[index]
         half = len(nodes) // 2
         body, outside, todo = set(), {settled, *nodes[:half]}, [done, *nodes[half:]]
         while todo:
             node = todo.pop()
-            if not tape.depends[node] & ROUND:
+            operation = tape.operations[node]
+            if not tape.depends[node] & level:
                 outside.add(node)
             elif node not in body:
                 body.add(node)
-                todo += operands(tape.operations[node])
-        carried = {("carry", number, i) for i in range(half)}
-        if any(tape.operations[i][0] == "carry" and tape.operations[i] not in carried for i in body):
-            raise NotTraceable("rounds within rounds", "write one after the other")
+                todo += cls.of(tape, node).outside if operation[0] == "repeat" else operands(operation)
+                if tape.depends[node] >= 2 * level or (operation[0] == "carry" and operation[1] != number):
+                    raise NotTraceable("a symbol of other rounds was kept", "return it from each round")
         return cls(most, done, settled, (*nodes[:half],), (*nodes[half:],), sorted(body), sorted(outside))
 
 
@@ -158,7 +157,8 @@ class Tape:
         self._known: dict[_Operation, int] = {}
         self._applied: dict[tuple[Any, ...], int] = {}  # what has been asked for, before it was simplified
         self._values: dict[int, Any] = {}  # of constants
-        self._largest, self._where, self._own, self._repeats = largest, where, 0, 0
+        self._largest, self._where, self._own = largest, where, 0
+        self._repeats, self._level = 0, ROUND
 
     @classmethod
     def of(cls, operations: list[_Operation], types: list[str], depends: list[int]) -> Tape:
@@ -195,13 +195,19 @@ class Tape:
     ) -> list[Node]:
         """Return some numbers after rounds of a law: see `repeated`."""
         number, self._repeats = self._repeats, self._repeats + 1
+        level, self._level = self._level, 2 * self._level
         before = [self._as(x, "f").index for x in first]
-        following, done = law([self.input("carry", number, i) for i in range(len(before))])
+        carried = [self._node("f", STATE | level, ("carry", number, i)) for i in range(len(before))]
+        following, done = law(carried)
         after = [self._as(x, "f").index for x in following]
-        ends = (self._as(x, "b").index for x in (done, settled))
-        operation = ("repeat", number, most, *ends, *before, *after)
-        node = self._node("f", STATE, operation)
-        return [self._node("f", STATE, ("result", node.index, i)) for i in range(len(after))]
+        ends = [self._as(x, "b").index for x in (done, settled)]
+        self._level = level
+        depends = 0
+        for index in (*ends, *before, *after):
+            depends |= self.depends[index]
+        depends = STATE | depends & (level - ROUND)  # of the rounds around it
+        node = self._node("f", depends, ("repeat", number, level, most, *ends, *before, *after))
+        return [self._node("f", depends, ("result", node.index, i)) for i in range(len(after))]
 
     def const(self, value: Known, kind: str = "f") -> Node:
         """Return a number, a truth value or 64 bits that are known."""
@@ -422,6 +428,8 @@ def evaluated(
         for index in needed(tape, wanted):
             operation = tape.operations[index]
             name = operation[0]
+            if tape.depends[index] >= ROUND:
+                continue  # of a round, which the rounds compute
             if name == "const":
                 values[index] = DTYPES[operation[1]](tape.known(index))
             elif name == "ring":
@@ -430,8 +438,6 @@ def evaluated(
                 values[index] = _after_rounds(tape, Rounds.of(tape, index), values)
             elif name == "result":
                 values[index] = values[operation[1]][operation[2]]
-            elif tape.depends[index] & ROUND:
-                continue  # of a round, which the rounds compute
             elif name in _INPUTS:
                 # Of one number NumPy's scalar, whose sums are faster than those of an array without axes.
                 values[index] = np.asarray(inputs[operation], DTYPES[tape.types[index]])[()]
@@ -449,7 +455,14 @@ def _after_rounds(tape: Tape, rounds: Rounds, known: Mapping[int, Any]) -> list[
         values = dict(known)
         for index in rounds.body:
             name, *given = tape.operations[index]
-            values[index] = carried[given[1]] if name == "carry" else NUMPY[name](*(values[i] for i in given))
+            if name == "carry":
+                values[index] = carried[given[1]]
+            elif name == "repeat":
+                values[index] = _after_rounds(tape, Rounds.of(tape, index), values)
+            elif name == "result":
+                values[index] = values[given[0]][given[1]]
+            else:
+                values[index] = NUMPY[name](*(values[i] for i in given))
         carried = [
             np.where(done, old, values[i])[()] for old, i in zip(carried, rounds.following, strict=True)
         ]
