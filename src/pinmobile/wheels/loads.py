@@ -10,13 +10,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.compiled import choose, higher, plain
+from pinmobile.compiled import choose, higher, plain, repeated
 from pinmobile.robot import ONE, ZERO, Vector, dot, exact, number, scalars, vector_of as stacked
 
 _BASE = 3
 _FLAT = 1e-9  # of the determinant of all contacts: those that are left stand on a line
 _NOTHING = 1e-12  # of the weight: what rounding makes of a contact without load
-_DROPS = 3  # times that contacts are dropped, at most
+_SOFT = 1e-8  # of the moments of all springs: how little the ground holds where contacts stand on a line
+_EDGE = 1e-6  # of the size of all contacts: how far beyond their edge the weight may press and not tip
 
 
 class Loads(NamedTuple):
@@ -27,8 +28,8 @@ class Loads(NamedTuple):
     values : list of scalars
         Of each contact, none below zero [N].
     tips : scalar
-        1 where no loads of three contacts, or more, balance the robot, which begins to tip over; what is
-        told then carries the weight alone. Else 0.
+        1 where no loads that press balance the robot, which begins to tip over; what is told then carries
+        the weight at the place, on the edge of all contacts, nearest to where it would have to press. Else 0.
     springs : list of scalars
         What equal springs at all contacts would carry that may pull too: below zero where a contact has no
         load [N].
@@ -39,11 +40,12 @@ class Loads(NamedTuple):
     springs: Vector
 
 
-def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any, drops: int | None = None) -> Loads:
+def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any) -> Loads:
     """Return the loads that balance a wrench: those of equal springs, which press and never pull.
 
-    N = K G' (G K G')^-1 b with the rows 1, y, -x of G and b = (fz, mx, my); a contact with N < 0 is dropped,
-    and the others are found again.
+    The least sum of N^2 with N >= 0 and G' N = b, with the rows 1, y, -x of G and b = (fz, mx, my): contacts
+    leave one by one before their load turns negative, and come back where the ground would rise through them
+    (Lawson and Hanson, Solving least squares problems, 1974, chapter 23).
 
     Parameters
     ----------
@@ -51,40 +53,72 @@ def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any, drops: int
         Of the contacts, along the body's axes from its origin on the ground [m].
     fz, mx, my : scalars
         Force of the ground along the vertical [N], and its moment about the body's origin [N m].
-    drops : int, optional
-        How often contacts are dropped; by default as often as may be of use, three times at most.
     """
-    count = min(max(len(places) - 3, 0), _DROPS) if drops is None else drops
-    fz, mx, my = number(fz), number(mx), number(my)
-    kept: Vector = [ONE] * len(places)
-    values, whole = _of_springs(places, kept, [fz, mx, my])
-    springs = values
-    least, tips = -_NOTHING * abs(fz), choose(fz <= 0.0, 1.0, 0.0)
-    for _ in range(count):
-        kept = [choose(x < least, 0.0, number(weight)) for x, weight in zip(values, kept, strict=True)]
-        found, area = _of_springs(places, kept, [fz, mx, my], _FLAT * whole)
-        stands = area > _FLAT * whole
-        values = [choose(stands, x, y) for x, y in zip(found, values, strict=True)]
-        tips = choose(stands, tips, 1.0)
-    for x in values:
-        tips = choose(x < least, 1.0, tips)
-    pressed = [higher(x, 0.0) for x in values]
-    total = sum(pressed[1:], pressed[0])
-    # Where one is below zero that cannot be dropped, the others carry the weight, and moments are left.
-    scale = choose(tips > 0.0, higher(fz, 0.0) / choose(total > 0.0, total, 1.0), 1.0)
-    return Loads([x * scale for x in pressed], tips, springs)
+    n, wrench = len(places), [number(x) for x in (fz, mx, my)]
+    fz, nothing = wrench[0], _NOTHING * abs(wrench[0])
+    springs, whole = _of_springs(places, [ONE] * n, wrench)
+    size = sum((dot(place, place) for place in places), ZERO)
+    press = springs[0] >= -nothing
+    for x in springs[1:]:
+        press = press & (x >= -nothing)
+
+    def one(numbers: Vector) -> tuple[Vector, Any]:
+        kept, old = numbers[:n], numbers[n:]
+        found, _ = _of_springs(places, kept, wrench, _SOFT * size)
+        share, rises, parts = 1.0 + 0.0 * fz, 0.0 * fz, []
+        for k, x, y in zip(kept, old, found, strict=True):
+            falls = (k > 0.0) & (y < 0.0)
+            parts.append(choose(falls, x / choose(falls, x - y, 1.0), 2.0))
+            share = choose(parts[-1] < share, parts[-1], share)
+            rises = higher(choose(k > 0.0, 0.0, y), rises)
+        leaves, joins = share < 1.0, rises > nothing
+        kept = [
+            choose(leaves, choose(part <= share, 0.0, k), choose(joins & (y >= rises), 1.0, k))
+            for k, part, y in zip(kept, parts, found, strict=True)
+        ]
+        new = [choose(k > 0.0, x + share * (y - x), 0.0) for k, x, y in zip(kept, old, found, strict=True)]
+        return [*kept, *new], (share >= 1.0) & (rises <= nothing)
+
+    first = [1.0 + 0.0 * fz] * n + [higher(fz, 0.0) * (1.0 / n)] * n
+    kept, soft = _halves(repeated(one, first, 4 * n, press | (fz <= 0.0)))
+    sharp, area = _of_springs(places, kept, wrench, flat=_FLAT * whole)
+    stands = area > _FLAT * whole
+    values = [choose(k > 0.0, choose(stands, x, y), 0.0) for k, x, y in zip(kept, sharp, soft, strict=True)]
+    values = [higher(choose(press, y, x), 0.0) for x, y in zip(values, springs, strict=True)]
+    total = sum(values[1:], values[0])
+    scale = choose(press, 1.0, higher(fz, 0.0) / choose(total > 0.0, total, 1.0))
+    values = [x * scale for x in values]
+    off = [dot([place[i] for place in places], values) - x for i, x in ((1, wrench[1]), (0, -wrench[2]))]
+    beyond = dot(off, off) > (_EDGE * _EDGE) * size * (fz * fz)
+    return Loads(values, choose(beyond | (fz <= 0.0), 1.0, 0.0), springs)
+
+
+def _halves(x: Vector) -> tuple[Vector, Vector]:
+    return x[: len(x) // 2], x[len(x) // 2 :]
 
 
 def _of_springs(
-    places: Sequence[Vector], weights: Vector, wrench: Vector, flat: Any = None
+    places: Sequence[Vector], weights: Vector, wrench: Vector, soft: Any = None, flat: Any = None
 ) -> tuple[Vector, Any]:
-    """Return the forces of springs, anything where they stand on a line, and the determinant of G K G'."""
+    """Return the forces of springs at all places, where some of them carry, and the determinant of G K G'.
+
+    Parameters
+    ----------
+    weights : list of scalars
+        1 of a spring that carries, else 0.
+    soft : scalar, optional
+        Added to the moments of inertia: springs on a line hold the robot as well as they can.
+    flat : scalar, optional
+        Determinant up to which they stand on a line, and what is told is of no use.
+    """
     rows = [[ONE, y, -x] for x, y in places]
     weighed = [[w * x for x in row] for w, row in zip(weights, rows, strict=True)]
     a, d, e, b, f, c = (
         sum((w[i] * row[j] for w, row in zip(weighed, rows, strict=True)), ZERO)
         for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
     )
+    if soft is not None:
+        b, c = b + soft, c + soft
     minors = [
         [b * c - f * f, e * f - d * c, d * f - e * b],
         [e * f - d * c, a * c - e * e, d * e - a * f],
@@ -93,7 +127,7 @@ def _of_springs(
     area = number(dot([a, d, e], minors[0]))
     share = 1.0 / (area if flat is None else choose(area > flat, area, 1.0))
     bent = [dot(row, wrench) * share for row in minors]
-    return [number(dot(row, bent)) for row in weighed], area
+    return [number(dot(row, bent)) for row in rows], area
 
 
 def places_of(body: Any, steering: Sequence[Any]) -> list[Vector]:
