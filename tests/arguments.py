@@ -1078,7 +1078,7 @@ ROWS: dict[str, Row] = {
         y=[0.2, -0.2],
         radius=[0.1, 0.1],
     ),
-    "Coulomb": row(mu=0.5, ramp=pm.Ramp(0.1), passes=2, sweeps=100, tolerance=1e-9),
+    "Coulomb": row(mu=0.5, ramp=pm.Ramp(0.1), sweeps=100, tolerance=1e-9),
     "Differential": row(wheels=("left", "right"), motor=pm.Motor(), name="drive"),
     "Friction": row(mu=0.8, across=0.02, rolling=0.01, slip=0.1),
     "GearTrain": row(wheels=("left", "right"), ratios=[1.0, 2.0]),

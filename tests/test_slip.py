@@ -103,7 +103,8 @@ def test_what_friction_can_hold_on_a_ramp_stays_and_what_it_cannot_accelerates(d
     locked = skid(Friction(mu=0.5, rolling=1e3))
     below = WheeledRobot(CENTRAL, locked, Coulomb(ramp=Ramp(np.arctan(0.98 * 0.5), direction)))
     held = run(below, (0.0, 0.0), 0.01, 10.0)
-    assert np.abs(held.q).max() < 1e-14
+    # At most what forces of the wheels, found to the tolerance, add to the speed in one step, for all the time.
+    assert np.abs(held.q).max() < below.ground.tolerance * 0.5 * G * 0.01 * 10.0
     angle = np.arctan(1.02 * 0.5)
     above = WheeledRobot(CENTRAL, locked, Coulomb(ramp=Ramp(angle, direction)))
     v = run(above, (0.0, 0.0), 0.01, 1.0).v[-1]
@@ -267,7 +268,7 @@ STEERED = WheelTable.swerve(
 )
 def test_forces_of_all_wheels_are_the_rate_of_momentum(table: WheelTable, armed: bool) -> None:
     own = BODY.mount("ur5") if armed else BODY
-    robot, rng = WheeledRobot(own, table, Coulomb(passes=15)), np.random.default_rng(5)
+    robot, rng = WheeledRobot(own, table, Coulomb(tolerance=1e-15)), np.random.default_rng(5)
     h, q, v, u = 0.002, robot.rest + 0.0, rng.normal(size=robot.nv) * 0.3, rng.normal(size=robot.nu) * 0.1
     v[-4:] = v[-4] * 10 if table is SKID else v[-4:] * 10
     memory: Any = robot.initial_state(None)

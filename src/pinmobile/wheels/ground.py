@@ -116,8 +116,6 @@ class Coulomb:
         wheel's own, ``wheel.friction.mu``.
     ramp : Ramp, optional
         Which way the ground rises; None: it is level.
-    passes : int
-        How often a step finds loads, forces and velocities anew, each from the others.
     sweeps : int
         Most rounds over all wheels in a pass; the signal ``missed`` says where they were too few.
     tolerance : float
@@ -131,7 +129,6 @@ class Coulomb:
 
     mu: float | None = None
     ramp: Ramp | None = None
-    passes: int = 3
     sweeps: int = 200
     tolerance: float = 1e-12
     slips: ClassVar[bool] = True
@@ -140,14 +137,13 @@ class Coulomb:
         _ramp(self.ramp)
         if self.mu is not None:
             object.__setattr__(self, "mu", non_negative("mu", self.mu))
-        for name in ("passes", "sweeps"):
-            object.__setattr__(self, name, whole(name, getattr(self, name), least=1))
+        object.__setattr__(self, "sweeps", whole("sweeps", self.sweeps, least=1))
         object.__setattr__(self, "tolerance", positive("tolerance", self.tolerance))
 
     @property
     def rounds(self) -> Mapping[str, float]:
         """How its forces are found, by name."""
-        return {name: getattr(self, name) for name in ("passes", "sweeps", "tolerance")}
+        return {name: getattr(self, name) for name in ("sweeps", "tolerance")}
 
     def of_each_wheel(self) -> Coulomb:
         """Return the ground on which each wheel has friction of its own."""

@@ -285,7 +285,7 @@ class Push(NamedTuple):
     hold: Any
 
 
-Motors = Callable[[Vector, bool], list[Push]]
+Motors = Callable[[Vector, Any], list[Push]]
 Beside = Callable[[Any, Any, Any], Any]
 """Generalised forces beside the input, of t, q and v."""
 
@@ -344,13 +344,15 @@ class MotorLaw:
         """Return the voltage of a motor within its limit."""
         return within(number(volts), float(self.motors[k].voltage or 0.0))
 
-    def current(self, k: int, volts: Any, rate: Any, *, clips: bool = True) -> Any:
+    def current(self, k: int, volts: Any, rate: Any, *, clips: Any = True) -> Any:
         """Return the current of a motor at a voltage within its limit."""
         motor, (R, kt, *_) = self.motors[k], self._numbers(k)
         asked = (volts - (number(kt) * motor.gear) * rate) / number(R)
-        return within(asked, motor.current) if clips and np.isfinite(motor.current) else asked
+        if clips is False or not np.isfinite(motor.current):
+            return asked
+        return choose(clips, within(asked, motor.current), asked)
 
-    def push(self, k: int, volts: Any, rate: Any, *, clips: bool = True) -> Push:
+    def push(self, k: int, volts: Any, rate: Any, *, clips: Any = True) -> Push:
         """Return what a motor does near a rate.
 
         Parameters
@@ -361,16 +363,16 @@ class MotorLaw:
             Within the limit [V].
         rate : scalar
             Of the wheel [rad/s].
-        clips : bool
+        clips : bool or symbol
             Whether the limit of the current is looked at.
         """
         motor, (R, kt, b, dry, share) = self.motors[k], self._numbers(k)
         R, kt, G = number(R), number(kt), motor.gear
         i = self.current(k, volts, rate, clips=clips)
         felt = kt * kt * G / R
-        if clips and np.isfinite(motor.current):
+        if clips is not False and np.isfinite(motor.current):
             asked = self.current(k, volts, rate, clips=False)
-            felt = choose(abs(asked) <= motor.current, felt, 0.0)
+            felt = choose(clips, choose(abs(asked) <= motor.current, felt, 0.0), felt)
         fall = felt if b is ZERO else felt + number(b) * G  # of the shaft's torque, per rate of the wheel
         shaft = kt * i if b is ZERO else kt * i - (number(b) * G) * rate
         if dry is ZERO and share is ONE:

@@ -194,7 +194,7 @@ class VoltageBody:
         law, given = self.law, [number(_plain(x)) for x in scalars(u)][self.wheeled.na :]
         volts = [law.volts(k, given[i]) for k, i in enumerate(self.electric)]
 
-        def motors(rates: Vector, clips: bool) -> list[Push]:
+        def motors(rates: Vector, clips: Any) -> list[Push]:
             found = [Push(x, ZERO, ZERO) for x in given]
             for k, i in enumerate(self.electric):
                 found[i] = law.push(k, volts[k], rates[i], clips=clips)

@@ -6,14 +6,14 @@ axes, in which nothing depends on the pose; shapes, velocities and loads are tho
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.compiled import choose, higher
+from pinmobile.compiled import choose, repeated
 from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
 from pinmobile.plant import Step
@@ -30,7 +30,7 @@ from pinmobile.robot import (
 )
 from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
 from pinmobile.wheels.judging import measured, measures_of
-from pinmobile.wheels.loads import Loads, item, numbers, quick, wheel_loads
+from pinmobile.wheels.loads import Loads, item, numbers, places_of, pressed, quick, shared_loads, wheel_loads
 from pinmobile.wheels.motors import Beside, Motors, Push, theta
 from pinmobile.wheels.multipliers import factored
 from pinmobile.wheels.rolling import State, WheeledBody
@@ -40,6 +40,8 @@ _BASE = 3
 _INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
 _STILL = 0.5  # of a slip that goes on all the step, what is left of it at least
 _SLIDES = 1 - 1e-9  # of the largest friction
+_PASSES = 40  # at most
+_COARSER = 1e3  # tolerances of forces: share of the weight, and of free fall, that a pass may still change
 
 
 class Grip(NamedTuple):
@@ -73,6 +75,74 @@ class Grip(NamedTuple):
     tips: Any
     rounds: Any
     missed: Any
+
+
+class _Pass(NamedTuple):
+    """What a pass of a step leaves to the next, lists of scalars.
+
+    Attributes
+    ----------
+    after : list of scalars
+        Velocities at the end of the step.
+    contact, spin, multipliers
+        As of `Impulses`.
+    wrench, missing, way : list of 3 scalars
+        What the ground is taken to exert, fz, mx and my; what it exerted beyond that in the pass before; and
+        the last change of the former.
+    inverse : list of 9 scalars
+        Of the derivative of `missing`, by rows.
+    slides : list of scalars, shape (wheels,)
+        Where the slip may go on all the step.
+    rates, torques : list of scalars, shape (actuators,)
+        Where motors drive.
+    loads : list of scalars
+        Of wheels and supports.
+    tips, rounds, missed, count : list of one scalar
+        As of `Grip`, and how many passes there were.
+    """
+
+    after: Vector
+    contact: Vector
+    spin: Vector
+    multipliers: Vector
+    wrench: Vector
+    missing: Vector
+    way: Vector
+    inverse: Vector
+    slides: Vector
+    rates: Vector
+    torques: Vector
+    loads: Vector
+    tips: Vector
+    rounds: Vector
+    missed: Vector
+    count: Vector
+
+    def repeated(self, one: Callable[[_Pass], tuple[_Pass, Any]], most: int) -> _Pass:
+        """Return it after passes, until one says that it is the last."""
+        ends = np.cumsum([0, *map(len, self)]).tolist()
+
+        def of(x: Vector) -> _Pass:
+            return _Pass(*(x[a:b] for a, b in zip(ends, ends[1:], strict=False)))
+
+        def flat(x: _Pass) -> Vector:
+            return [number(y) for part in x for y in part]
+
+        def law(x: Vector) -> tuple[Vector, Any]:
+            found, done = one(of(x))
+            return flat(found), done
+
+        return of(repeated(law, flat(self), most))
+
+
+def _secant(inverse: Vector, step: Vector, change: Vector) -> Vector:
+    """Return the inverse of a derivative, such that it takes a change to its step: Broyden's update."""
+    rows = [inverse[3 * k : 3 * k + 3] for k in range(3)]
+    off = [x - dot(row, change) for x, row in zip(step, rows, strict=True)]
+    left = [dot(step, column) for column in zip(*rows, strict=True)]
+    bottom = number(dot(left, change))
+    share = choose(bottom == 0.0, 0.0, 1.0 / choose(bottom == 0.0, 1.0, bottom))
+    return [x + y * share * z for row, y in zip(rows, off, strict=True) for x, z in zip(row, left, strict=True)]
 
 
 class _Shape(NamedTuple):
@@ -109,7 +179,7 @@ class SlippingBody(WheeledBody):
     ----------
     across, rolling, slip : ndarray, shape (wheels,)
         As of `Friction`.
-    passes, sweeps, tolerance
+    sweeps, tolerance
         As of `Coulomb`.
     rubbing : tuple of int
         Actuators with dry friction, each of wheels that turn together.
@@ -118,7 +188,6 @@ class SlippingBody(WheeledBody):
     across: Any
     rolling: Any
     slip: Any
-    passes: int
     sweeps: int
     tolerance: float
     rubbing: tuple[int, ...] = ()
@@ -225,6 +294,12 @@ class SlippingBody(WheeledBody):
         holding = [at for at in dict.fromkeys(spins) if at in held]
         return _Shape(solve, touches, touched, rest, inertia, [*columns, *(units[at] for at in holding)])
 
+    def _seen(self, state: State, rate: Vector) -> tuple[State, Vector]:
+        """Return a state, and accelerations along the body's axes less gravity in the plane."""
+        vx, vy, w = state.twist
+        pull = self.pull(state)
+        return state, [rate[0] - w * vy - pull[0], rate[1] + w * vx - pull[1], *rate[2:]]
+
     def loads(self, state: State, rate: Vector, q: Any) -> Loads:
         """Return what wheels and supports carry: see `wheel_loads`.
 
@@ -237,10 +312,7 @@ class SlippingBody(WheeledBody):
         q : ndarray
             Any configuration, for its shape.
         """
-        vx, vy, w = state.twist
-        pull = self.pull(state)
-        felt = [rate[0] - w * vy - pull[0], rate[1] + w * vx - pull[1], *rate[2:]]
-        return wheel_loads(self, state, felt, q)
+        return wheel_loads(self, *self._seen(state, rate), q)
 
     def _bounds(
         self, shape: _Shape, loads: Vector, slips: Sequence[Vector], h: Any, pushes: Sequence[Push] = ()
@@ -269,17 +341,21 @@ class SlippingBody(WheeledBody):
             found.append((at, h * exact(abs(float(share))) * pushes[k].hold))
         return found
 
-    def _began(self, shape: _Shape, before: Vector, after: Vector) -> list[Vector]:
-        """Return the slip of each wheel at the start of a step; zero where it does not go on all the time.
+    def _began(
+        self, shape: _Shape, before: Vector, after: Vector, slides: Vector
+    ) -> tuple[list[Vector], Vector]:
+        """Return the slip of each wheel at the start of a step, zero where it does not go on all the time.
 
-        Friction against the mean slip is of second order and takes as much energy as it should; it does
-        not stick, so that a wheel that loses half its slip in the step is taken by its end, as one is whose
-        force is in proportion to its slip.
+        And where it does, which no later pass takes back: what jumps to and fro has no end. Friction against
+        the mean slip is of second order and takes as much energy as it should; it does not stick, so that a
+        wheel that loses half its slip in the step is taken by its end, as one is whose force is in proportion
+        to its slip.
         """
-        found = []
-        for touch, wheel in zip(shape.touches, self.table.wheels, strict=True):
+        found, goes_on = [], []
+        for touch, wheel, on in zip(shape.touches, self.table.wheels, slides, strict=True):
             if wheel.friction.slip:
                 found.append([0.0, 0.0])
+                goes_on.append(on)
                 continue
             old, new = (
                 [number(dot(row, [x[self._kept[k]] for k in shape.touched])) for row in touch.rows]
@@ -288,8 +364,9 @@ class SlippingBody(WheeledBody):
             left = [x * (y - _STILL * x) for x, y in zip(old, new, strict=True)]
             if wheel.roller is None:
                 left = [left[0] + left[1]] * 2
-            found.append([choose(x > 0.0, y, 0.0) for x, y in zip(left, old, strict=True)])
-        return found
+            found.append([choose((x > 0.0) & (on > 0.0), y, 0.0) for x, y in zip(left, old, strict=True)])
+            goes_on.append(choose((left[0] > 0.0) | (left[1] > 0.0), on, 0.0))
+        return found, goes_on
 
     # The step
 
@@ -340,80 +417,134 @@ class SlippingBody(WheeledBody):
         state = self._plain_state(q, v)
         before = [*state.twist, *state.arm_rates, *state.rates]
         middle = self._at_middle(state, q, v, h)
-        psi = numbers(q)[2]
+        psi, begun = numbers(q)[2], self.actuator_rates(state.rates)
         beside = f(self.integrate(q, (0.5 * h) * v), v)
         pushed = not (np.ndim(beside) == 0 and not isinstance(beside, np.ndarray) and beside == 0)
         turning = pushed or bool(self.fall[0] or self.fall[1])
-        after, rate = before, numbers(memory.acceleration)
-        contact, holding, multipliers = (
-            [number(x) for x in numbers(part)] for part in (memory.forces, memory.holding, memory.multipliers)
-        )
-        grip = Impulses([], [x * h for x in contact], [x * h for x in holding], multipliers)
-        rounds: Any = 0.0
-        missed: Any = 0.0
-        began: list[Vector] = [[0.0, 0.0] for _ in self.table.wheels]
-        begun = self.actuator_rates(state.rates)
-        rates, pushes, shares, lag = begun, list[Push](), list[Any](), list[Any]()
-        for again in range(self.passes):
+        shape = self._shape(middle, q, h) if motors is None else None
+        places = places_of(self, middle.steering)
+        size, little = sum((dot(x, x) for x in places), ZERO), _COARSER * self.tolerance
+
+        def at_mean(after: Vector) -> tuple[State, Vector]:
             mean = [0.5 * (x + y) for x, y in zip(before, after, strict=True)]
             at = self._moving(middle, mean)
             if turning:
                 s, c = sine_and_cosine(psi + 0.5 * h * mean[2])
                 at = at._replace(c=c, s=s)
-            if pushed and again:
+            return at, mean
+
+        def pressed_at(after: Vector) -> Vector:
+            rate = [(y - x) / h for x, y in zip(before, after, strict=True)]
+            return [number(x) for x in pressed(self, *self._seen(at_mean(after)[0], rate), q)]
+
+        def one(x: _Pass) -> tuple[_Pass, Any]:
+            at, mean = at_mean(x.after)
+            force = beside
+            if pushed:
                 there = self.in_plane(at, mean, q)
-                beside = f(self.integrate(q, (0.5 * h) * there), there)
-            loads = self.loads(at, rate, q)
+                force = f(self.integrate(q, (0.5 * h) * there), there)
+            loads = shared_loads(places, *x.wrench)
+            now, pushes, shares, torques = shape, list[Push](), list[Any](), u
             if motors is not None:
-                pushes = motors(rates, again > 0)
+                pushes = motors(x.rates, x.count[0] > 0.0)
                 shares = [
-                    theta(h * push.slope * x) if push.slope is not ZERO else ZERO
-                    for push, x in zip(pushes, self._freedom(middle, q), strict=True)
+                    theta(h * push.slope * y) if push.slope is not ZERO else ZERO
+                    for push, y in zip(pushes, self._freedom(middle, q), strict=True)
                 ]
-                lag = [h * share * push.slope for push, share in zip(pushes, shares, strict=True)]
-                torques = [push.torque - push.slope * x for push, x in zip(pushes, begun, strict=True)]
-                u = stacked([*numbers(u)[: self.na], *torques], q)
-            if motors is not None or not again:
-                shape = self._shape(middle, q, h, lag)
-            free = self._free(shape, at, before, u, h, beside, q)
-            bounds = self._bounds(shape, loads.values, began, h, pushes)
+                now = self._shape(
+                    middle, q, h, [h * y * push.slope for push, y in zip(pushes, shares, strict=True)]
+                )
+                given = [push.torque - push.slope * y for push, y in zip(pushes, begun, strict=True)]
+                torques = stacked([*numbers(u)[: self.na], *given], q)
+            free = self._free(now, at, before, torques, h, force, q)
+            began, slides = self._began(now, before, x.after, x.slides)
+            bounds = self._bounds(now, loads.values, began, h, pushes)
             grip = impulses(
-                shape.touches,
+                now.touches,
                 bounds,
-                [number(free[k]) for k in shape.touched],
-                shape.inertia,
-                grip,
+                [number(free[k]) for k in now.touched],
+                now.inertia,
+                Impulses([], x.contact, x.spin, x.multipliers),
                 most=self.sweeps,
                 tolerance=self.tolerance,
             )
-            after = self._after(shape, free, grip)
-            began = self._began(shape, before, after)
-            rate = [(y - x) / h for x, y in zip(before, after, strict=True)]
-            rounds, missed = rounds + grip.rounds, higher(grip.missed, missed)
+            after = self._after(now, free, grip)
+            given, rates = [], []
             if motors is not None:
                 ends = self.actuator_rates(after[_BASE + self.na :])
-                rates = [number(x + share * (y - x)) for x, y, share in zip(begun, ends, shares, strict=True)]
-        mean = [0.5 * (x + y) for x, y in zip(before, after, strict=True)]
+                rates = [number(y + z * (e - y)) for y, e, z in zip(begun, ends, shares, strict=True)]
+                given = [push.torque - push.slope * y for push, y in zip(pushes, rates, strict=True)]
+                for k, y in self._rubbed(now, bounds, pushes, grip, h):
+                    given[k] = given[k] + y
+            # Broyden's method for the wrench whose loads lead to it
+            missing = [y - z for y, z in zip(pressed_at(after), x.wrench, strict=True)]
+            inverse = _secant(x.inverse, x.way, [y - z for y, z in zip(missing, x.missing, strict=True)])
+            inverse = [choose(x.count[0] > 0.0, y, z) for y, z in zip(inverse, x.inverse, strict=True)]
+            way = [number(-dot(inverse[3 * k : 3 * k + 3], missing)) for k in range(3)]
+            enough = little * abs(missing[0] + x.wrench[0])
+            moved = [y - z for y, z in zip(after[:_BASE], x.after, strict=False)]
+            done = (missing[0] * missing[0] * size + dot(missing[1:], missing[1:]) <= enough * enough * size) & (
+                dot(moved, moved) <= (little * h * float(self.fall[2])) ** 2
+            )
+            found = _Pass(
+                after,
+                grip.contact,
+                grip.spin,
+                grip.multipliers,
+                [y + z for y, z in zip(x.wrench, way, strict=True)],
+                missing,
+                way,
+                inverse,
+                slides,
+                rates,
+                given,
+                loads.values,
+                [loads.tips],
+                [x.rounds[0] + grip.rounds],
+                [choose(done, grip.missed, 1.0)],
+                [x.count[0] + 1.0],
+            )
+            return found, done
+
+        guess = [x + h * y for x, y in zip(before, numbers(memory.acceleration), strict=True)]
+        contact, holding, multipliers = (
+            [number(x) for x in numbers(part)] for part in (memory.forces, memory.holding, memory.multipliers)
+        )
+        held = [x * h for x in holding] if self._held else []
+        none = [0.0] * 3
+        start = _Pass(
+            guess,
+            [x * h for x in contact],
+            held,
+            multipliers,
+            pressed_at(guess),
+            none,
+            none,
+            [-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0],
+            [1.0] * len(self.table),
+            [] if motors is None else begun,
+            [] if motors is None else begun,
+            [0.0] * len(places),
+            [0.0],
+            [0.0],
+            [1.0],
+            [0.0],
+        )
+        found = start.repeated(one, _PASSES)
+        after, mean = found.after, at_mean(found.after)[1]
         s, c = sine_and_cosine(psi + 0.5 * h * mean[2])
         moved = self.integrate(q, self.in_plane(state._replace(c=c, s=s), [h * x for x in mean], q))
         s, c = sine_and_cosine(psi + h * mean[2])
         kept = Grip(
-            stacked([x / h for x in grip.contact], q),
-            stacked([x / h for x in grip.spin], q) if grip.spin else memory.holding,
-            stacked(grip.multipliers, q),
-            stacked(rate, q),
-            stacked(loads.values, q),
-            stacked([loads.tips], q)[..., 0],
-            stacked([rounds], q)[..., 0],
-            stacked([missed], q)[..., 0],
+            stacked([x / h for x in found.contact], q),
+            stacked([x / h for x in found.spin], q) if found.spin else memory.holding,
+            stacked(found.multipliers, q),
+            stacked([(y - x) / h for x, y in zip(before, after, strict=True)], q),
+            stacked(found.loads, q),
+            *(stacked(x, q)[..., 0] for x in (found.tips, found.rounds, found.missed)),
         )
-        found = Step(moved, self.in_plane(state._replace(c=c, s=s), after, q), kept)
-        if motors is None:
-            return found, [], []
-        given = [push.torque - push.slope * x for push, x in zip(pushes, rates, strict=True)]
-        for k, x in self._rubbed(shape, bounds, pushes, grip, h):
-            given[k] = given[k] + x
-        return found, given, rates
+        step = Step(moved, self.in_plane(state._replace(c=c, s=s), after, q), kept)
+        return step, found.torques, found.rates
 
     def _rubbed(
         self, shape: _Shape, bounds: Sequence[Bounds], pushes: Sequence[Push], grip: Impulses, h: Any
