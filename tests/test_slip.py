@@ -176,6 +176,68 @@ def test_with_much_friction_wheels_roll(name: str) -> None:
     assert far[0] / far[1] == pytest.approx(2.0 if name == "car" else 4.0, rel=0.1)
 
 
+def rear_driven(com: tuple[float, float, float], support: float, mu: float, **wheel: Any) -> WheeledRobot:
+    """Return a robot whose braking wheels stand behind, and a support in front."""
+    light = {"mass": 0.05, "spin_inertia": 0.004, "yaw_inertia": 0.003}
+    friction = Friction(mu=mu, rolling=0.0)
+    table = WheelTable.differential(0.5, 0.1, supports=[(support, 0)], friction=friction, **light, **wheel)
+    return WheeledRobot(MobileRobot(30.0, 3.0, com=com), table, Coulomb())
+
+
+@pytest.mark.parametrize(
+    ("height", "mu", "torque"),
+    [(0.5, 0.8, 12), (0.2, 0.6, 20), (0.3, 0.6, 20), (0.4, 0.6, 20), (2.0, 1.5, 12)],
+)
+def test_braking_wheels_slide_with_the_load_that_braking_leaves_them(
+    height: float, mu: float, torque: float
+) -> None:
+    """F = mu N and N L = m g (L - x) - F (h - r) - T: for mu (h - r) > L too, where to find one from the
+    other again and again leads away from both."""
+    L, x, r = 0.3, 0.1, 0.1
+    robot = rear_driven((x, 0.0, height), L, mu)
+    force = mu * (30 * G * (L - x) - 2 * torque) / (L + mu * (height - r))
+    a = robot.forward_dynamics(robot.rest, np.zeros(5), [-torque, -torque])
+    assert a[0] == pytest.approx(-force / 30, rel=1e-9)
+    # In a run too, from its first sample, in every engine.
+    here = FixedHeading(Hold([0.0, 0.0], 0.1), 0.0)
+    ways = {"q0": robot.rest, "v0": np.array([5.0, 0, 0, 0, 0])}
+    for engine in (COMPILED, PINOCCHIO):
+        found = simulate(robot, Torques(-torque, -torque), here, dt=0.01, engine=engine, limit=1e9, **ways)
+        # Loads are found to 1e-9 of the weight.
+        np.testing.assert_allclose(found.a[:, 0], -force / 30, rtol=1e-8)
+        assert not found.signals["missed"].values.any()
+        assert not found.signals["tips"].values.any()
+
+
+def test_locked_wheels_behind_a_high_centre_of_mass_slide_all_the_time() -> None:
+    motor = Motor(resistance=1.2, torque_constant=0.05, voltage=24, gear=10, coulomb=50)
+    robot = rear_driven((0.2, 0.0, 0.7), 0.4, 0.8, motor=motor).by_voltage()
+    here = FixedHeading(Hold([0.0, 0.0], 0.5), 0.0)
+    v0 = np.array([5.0, 0, 0, 0, 0])
+    found = simulate(robot, Torques(0, 0), here, dt=0.01, q0=robot.rest, v0=v0, engine=COMPILED, limit=1e9)
+    np.testing.assert_allclose(found.a[:, 0], -0.8 * G * 0.5 / (1 + 0.8 * 0.7 / 0.4), rtol=1e-8)
+
+
+def test_sliding_under_a_high_centre_of_mass_is_of_order_two() -> None:
+    robot = rear_driven((0.05, 0.0, 0.25), 0.3, 0.6)
+    v = np.array([3.0, 0.0, 0.2, -5.0, -5.0])
+    ends = [run(robot, (-16.0, -15.0), h, 0.4, v=v) for h in (0.02, 0.01, 0.005, 0.0005)]
+    assert ends[-1].signals["slides"].values[1:].all()
+    far = [np.abs(end.q[-1, :3] - ends[-1].q[-1, :3]).max() for end in ends[:-1]]
+    assert far[0] < 1e-3
+    assert far[0] / far[1] > 3.5
+    assert far[1] / far[2] > 3.5
+
+
+def test_driving_wheels_that_lift_the_support_are_told_to_tip() -> None:
+    """The torque presses the wheels that it drives: beyond mu (h - r) = L no loads balance the robot."""
+    robot = rear_driven((0.1, 0.0, 0.8), 0.3, 0.8)
+    found = run(robot, (15.0, 15.0), 0.01, 0.1)
+    assert found.signals["tips"].values[1:].all()
+    assert not found.signals["missed"].values.any()
+    np.testing.assert_allclose(found.signals["loads"].values[1:, :2].sum(1), 30 * G, rtol=1e-9)
+
+
 def test_loads_are_those_of_springs_and_press_where_the_weight_does() -> None:
     rng = np.random.default_rng(0)
     for _ in range(20):
@@ -204,6 +266,26 @@ def test_a_wheel_that_would_be_pulled_lifts_off_and_the_others_carry() -> None:
     out = shared_loads(places, 100.0, 0.0, -100.0 * 0.35)
     assert out.tips
     assert sum(out.values) == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_loads_that_balance_are_found_wherever_the_wheels_stand(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for k in range(300):
+        places = rng.uniform(-0.5, 0.5, (8, 2))
+        loads = rng.dirichlet(np.full(8, 0.3)) if k % 2 else rng.dirichlet(np.ones(8)) * (rng.random(8) < 0.5)
+        if not loads.any():
+            continue
+        loads *= 300.0 / loads.sum()
+        rows = np.column_stack([np.ones(8), places[:, 1], -places[:, 0]])
+        found = shared_loads(places.tolist(), *(rows.T @ loads).tolist())
+        assert not found.tips
+        assert min(found.values) >= 0
+        # As near as the weight may press beyond the edge of all contacts and not tip.
+        size = 300.0 * np.sqrt(np.square(places).sum())
+        np.testing.assert_allclose(rows.T @ found.values, rows.T @ loads, rtol=0, atol=1e-6 * size)
+        # Of all loads that balance, those of springs have the least sum of squares.
+        assert np.square(found.values).sum() <= np.square(loads).sum() * (1 + 1e-6)
 
 
 def ground_state(robot: WheeledRobot, q: Array, v: Array, a: Array) -> tuple[Any, list[float]]:

@@ -37,6 +37,7 @@ from pinmobile.arrays import Array
 from pinmobile.compiled.folding import STATE
 from pinmobile.compiled.tape import needed
 from pinmobile.ensembles.engines import way_of
+from pinmobile.integrators import constant_acceleration
 from pinmobile.wheels import Ackermann, Differential, Friction, GearTrain, Mobility, Support
 
 OWN: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
@@ -427,7 +428,14 @@ def test_a_compiled_sample_has_sines_and_mass_matrix_once() -> None:
     controller = law(lambda t, q, v, reference: 0.1 * np.ones(wheeled.nu) + 0.0 * q[0])
     still = FixedHeading(Hold([0, 0], 1.0), 0.0)
     scenario = Scenario(
-        robot=wheeled, controller=controller, trajectory=still, n=2, spread={}, dt=0.02, measures=()
+        robot=wheeled,
+        controller=controller,
+        trajectory=still,
+        n=2,
+        spread={},
+        dt=0.02,
+        measures=(),
+        integrator=constant_acceleration,
     )
     program = way_of(scenario, COMPILED).program
     assert program is not None
@@ -473,6 +481,22 @@ RUNS = {
     "mecanum": [0.3, 0.2, -0.1, 0.25],
     "car": [0.4, 0.0002],
 }
+
+
+def test_the_plant_s_own_integrator_keeps_to_an_arc_at_speed() -> None:
+    """Without torques and with the mass above the axle it goes on along a circle of radius v / w."""
+    wheels = WheelTable.differential(0.5, 0.1, supports=[(-0.3, 0)], mass=1.0, spin_inertia=0.005)
+    robot = WheeledRobot(MobileRobot(30.0, 1.3, com=(0, 0, 0.2)), wheels)
+    v0 = robot.project(robot.rest, [30.0, 0.0, 0.5, *robot.wheel_rates([30.0, 0.0, 0.5])])
+    far, here = [], FixedHeading(Hold([0, 0], 10.0), 0.0)
+    for dt in (0.02, 0.01):
+        run = simulate(
+            robot, law(lambda t, q, v, reference: np.zeros(2)), here, dt=dt, q0=robot.rest, v0=v0, limit=1e6
+        )
+        arc = 60.0 * np.stack([np.sin(0.5 * run.t), 1 - np.cos(0.5 * run.t)], axis=-1)
+        far.append(np.abs(run.q[:, :2] - arc).max())
+    assert far[1] < 1e-8
+    assert far[0] / far[1] > 3.5  # order 2, at least
 
 
 @pytest.mark.parametrize("kind", RUNS)

@@ -64,7 +64,7 @@ class Grip(NamedTuple):
     rounds : float
         How many rounds over all wheels were taken in all passes.
     missed : float
-        1 where the rounds of a pass ended before forces were found to the tolerance.
+        1 where passes, or the rounds of the last, ended before loads and forces were found.
     """
 
     forces: Any
@@ -617,8 +617,9 @@ class SlippingBody(WheeledBody):
         """Return what the ground does, of the step before: a row of the wheels for each.
 
         ``along``, ``across`` and ``loads`` [N], those of the supports behind; ``slip_along`` and
-        ``slip_across`` [m/s], of now; ``slides``, 1 where all friction is used; ``tips``; ``rounds``;
-        ``missed``, 1 where these ended before forces were found to the tolerance of the ground.
+        ``slip_across`` [m/s], of now; ``slides``, 1 where all friction is used; ``tips``, 1 where no loads
+        balance the robot; ``rounds``; ``missed``, 1 where loads and forces were not found to the tolerance
+        of the ground.
         """
         del t, u, f
         state = self.state(q, v)

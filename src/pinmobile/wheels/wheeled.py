@@ -13,6 +13,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite_answer, frozen, in_numbers, positive, vector
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.integrators import rk4
 from pinmobile.plant import Step
 from pinmobile.robot import LOCKED, Linearization, Load, MobileRobot, Solids, number
 from pinmobile.wheels.bearing import Bearing
@@ -62,6 +63,7 @@ class WheeledRobot(Platform, Bearing):
     table: WheelTable = None  # type: ignore[assignment]
     ground: Ground = None  # type: ignore[assignment]
     broadcasts: ClassVar[bool] = True
+    integrator: ClassVar[Any] = rk4  # a lower order loses the way of a turn at speed
 
     def __post_init__(self) -> None:
         if not isinstance(self.robot, MobileRobot):
