@@ -103,7 +103,7 @@ def test_what_friction_can_hold_on_a_ramp_stays_and_what_it_cannot_accelerates(d
     locked = skid(Friction(mu=0.5, rolling=1e3))
     below = WheeledRobot(CENTRAL, locked, Coulomb(ramp=Ramp(np.arctan(0.98 * 0.5), direction)))
     held = run(below, (0.0, 0.0), 0.01, 10.0)
-    # At most what forces of the wheels, found to the tolerance, add to the speed in one step, for all the time.
+    # At most what forces, found to the tolerance, add to the speed in one step, for all the time.
     assert np.abs(held.q).max() < below.ground.tolerance * 0.5 * G * 0.01 * 10.0
     angle = np.arctan(1.02 * 0.5)
     above = WheeledRobot(CENTRAL, locked, Coulomb(ramp=Ramp(angle, direction)))

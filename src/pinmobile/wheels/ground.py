@@ -109,9 +109,9 @@ class Coulomb:
     together, so that what sticks is at rest exactly and nothing is stiff. Steps of 0.01 s and less are of
     use; the error of fixed wheels falls with the square of the step, that of steered ones with the step.
 
-    Loads depend on accelerations, these on friction, and friction on the loads: a step solves for all of them.
-    Where friction presses the wheels on which it acts there may be several solutions; the step takes the one
-    to which the loads of the step before lead, and the signals ``slides`` and ``tips`` tell which it is.
+    Loads depend on accelerations, these on friction, and friction on the loads: a step solves for all of
+    them. Where friction presses the wheels on which it acts there may be several solutions. The step takes
+    the one to which the loads of the step before lead; the signals ``slides`` and ``tips`` state which it is.
     ``tips`` is 1 where no loads balance the robot, ``missed`` where the step found no solution.
 
     Parameters

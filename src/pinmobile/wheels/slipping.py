@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -123,7 +124,7 @@ class _Pass(NamedTuple):
         ends = np.cumsum([0, *map(len, self)]).tolist()
 
         def of(x: Vector) -> _Pass:
-            return _Pass(*(x[a:b] for a, b in zip(ends, ends[1:], strict=False)))
+            return _Pass(*(x[a:b] for a, b in pairwise(ends)))
 
         def flat(x: _Pass) -> Vector:
             return [number(y) for part in x for y in part]
@@ -142,7 +143,8 @@ def _secant(inverse: Vector, step: Vector, change: Vector) -> Vector:
     left = [dot(step, column) for column in zip(*rows, strict=True)]
     bottom = number(dot(left, change))
     share = choose(bottom == 0.0, 0.0, 1.0 / choose(bottom == 0.0, 1.0, bottom))
-    return [x + y * share * z for row, y in zip(rows, off, strict=True) for x, z in zip(row, left, strict=True)]
+    left = [share * x for x in left]
+    return [x + y * z for row, y in zip(rows, off, strict=True) for x, z in zip(row, left, strict=True)]
 
 
 class _Shape(NamedTuple):
@@ -483,9 +485,9 @@ class SlippingBody(WheeledBody):
             way = [number(-dot(inverse[3 * k : 3 * k + 3], missing)) for k in range(3)]
             enough = little * abs(missing[0] + x.wrench[0])
             moved = [y - z for y, z in zip(after[:_BASE], x.after, strict=False)]
-            done = (missing[0] * missing[0] * size + dot(missing[1:], missing[1:]) <= enough * enough * size) & (
-                dot(moved, moved) <= (little * h * float(self.fall[2])) ** 2
-            )
+            off = missing[0] * missing[0] * size + dot(missing[1:], missing[1:])
+            done = off <= enough * enough * size
+            done = done & (dot(moved, moved) <= (little * h * float(self.fall[2])) ** 2)
             found = _Pass(
                 after,
                 grip.contact,
