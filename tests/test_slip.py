@@ -104,7 +104,7 @@ def test_what_friction_can_hold_on_a_ramp_stays_and_what_it_cannot_accelerates(d
     below = WheeledRobot(CENTRAL, locked, Coulomb(ramp=Ramp(np.arctan(0.98 * 0.5), direction)))
     held = run(below, (0.0, 0.0), 0.01, 10.0)
     # At most what forces, found to the tolerance, add to the speed in one step, for all the time.
-    assert np.abs(held.q).max() < below.ground.tolerance * 0.5 * G * 0.01 * 10.0
+    assert np.abs(held.q).max() < Coulomb().tolerance * 0.5 * G * 0.01 * 10.0
     angle = np.arctan(1.02 * 0.5)
     above = WheeledRobot(CENTRAL, locked, Coulomb(ramp=Ramp(angle, direction)))
     v = run(above, (0.0, 0.0), 0.01, 1.0).v[-1]
@@ -178,9 +178,13 @@ def test_with_much_friction_wheels_roll(name: str) -> None:
 
 def rear_driven(com: tuple[float, float, float], support: float, mu: float, **wheel: Any) -> WheeledRobot:
     """Return a robot whose braking wheels stand behind, and a support in front."""
-    light = {"mass": 0.05, "spin_inertia": 0.004, "yaw_inertia": 0.003}
-    friction = Friction(mu=mu, rolling=0.0)
-    table = WheelTable.differential(0.5, 0.1, supports=[(support, 0)], friction=friction, **light, **wheel)
+    wheel |= {
+        "mass": 0.05,
+        "spin_inertia": 0.004,
+        "yaw_inertia": 0.003,
+        "friction": Friction(mu, rolling=0.0),
+    }
+    table = WheelTable.differential(0.5, 0.1, supports=[(support, 0)], **wheel)
     return WheeledRobot(MobileRobot(30.0, 3.0, com=com), table, Coulomb())
 
 
@@ -200,9 +204,9 @@ def test_braking_wheels_slide_with_the_load_that_braking_leaves_them(
     assert a[0] == pytest.approx(-force / 30, rel=1e-9)
     # In a run too, from its first sample, in every engine.
     here = FixedHeading(Hold([0.0, 0.0], 0.1), 0.0)
-    ways = {"q0": robot.rest, "v0": np.array([5.0, 0, 0, 0, 0])}
+    begun, braking = np.array([5.0, 0, 0, 0, 0]), Torques(-torque, -torque)
     for engine in (COMPILED, PINOCCHIO):
-        found = simulate(robot, Torques(-torque, -torque), here, dt=0.01, engine=engine, limit=1e9, **ways)
+        found = simulate(robot, braking, here, dt=0.01, q0=robot.rest, v0=begun, engine=engine, limit=1e9)
         # Loads are found to 1e-9 of the weight.
         np.testing.assert_allclose(found.a[:, 0], -force / 30, rtol=1e-8)
         assert not found.signals["missed"].values.any()

@@ -119,6 +119,30 @@ class _Pass(NamedTuple):
     missed: Vector
     count: Vector
 
+    def corrected(self, exerted: Vector) -> tuple[Vector, Vector, Vector, Vector]:
+        """Return wrench, missing, way and inverse for the next pass: Broyden's method (Math. Comp. 19, 1965).
+
+        Parameters
+        ----------
+        exerted : list of 3 scalars
+            The wrench to which the loads of this one have led.
+        """
+        missing = [y - x for x, y in zip(self.wrench, exerted, strict=True)]
+        change = [y - x for x, y in zip(self.missing, missing, strict=True)]
+        rows = [self.inverse[3 * k : 3 * k + 3] for k in range(3)]
+        off = [x - dot(row, change) for x, row in zip(self.way, rows, strict=True)]
+        left = [dot(self.way, column) for column in zip(*rows, strict=True)]
+        bottom = number(dot(left, change))
+        given = (self.count[0] > 0.0) & (bottom != 0.0)
+        share = choose(given, 1.0 / choose(given, bottom, 1.0), 0.0)
+        rows = [
+            [x + y * (share * z) for x, z in zip(row, left, strict=True)]
+            for row, y in zip(rows, off, strict=True)
+        ]
+        way = [number(-dot(row, missing)) for row in rows]
+        wrench = [x + y for x, y in zip(self.wrench, way, strict=True)]
+        return wrench, missing, way, [x for row in rows for x in row]
+
     def repeated(self, one: Callable[[_Pass], tuple[_Pass, Any]], most: int) -> _Pass:
         """Return it after passes, until one says that it is the last."""
         ends = np.cumsum([0, *map(len, self)]).tolist()
@@ -134,17 +158,6 @@ class _Pass(NamedTuple):
             return flat(found), done
 
         return of(repeated(law, flat(self), most))
-
-
-def _secant(inverse: Vector, step: Vector, change: Vector) -> Vector:
-    """Return the inverse of a derivative, such that it takes a change to its step: Broyden's update."""
-    rows = [inverse[3 * k : 3 * k + 3] for k in range(3)]
-    off = [x - dot(row, change) for x, row in zip(step, rows, strict=True)]
-    left = [dot(step, column) for column in zip(*rows, strict=True)]
-    bottom = number(dot(left, change))
-    share = choose(bottom == 0.0, 0.0, 1.0 / choose(bottom == 0.0, 1.0, bottom))
-    left = [share * x for x in left]
-    return [x + y * z for row, y in zip(rows, off, strict=True) for x, z in zip(row, left, strict=True)]
 
 
 class _Shape(NamedTuple):
@@ -423,7 +436,7 @@ class SlippingBody(WheeledBody):
         beside = f(self.integrate(q, (0.5 * h) * v), v)
         pushed = not (np.ndim(beside) == 0 and not isinstance(beside, np.ndarray) and beside == 0)
         turning = pushed or bool(self.fall[0] or self.fall[1])
-        shape = self._shape(middle, q, h) if motors is None else None
+        fixed = self._shape(middle, q, h) if motors is None else None
         places = places_of(self, middle.steering)
         size, little = sum((dot(x, x) for x in places), ZERO), _COARSER * self.tolerance
 
@@ -446,18 +459,17 @@ class SlippingBody(WheeledBody):
                 there = self.in_plane(at, mean, q)
                 force = f(self.integrate(q, (0.5 * h) * there), there)
             loads = shared_loads(places, *x.wrench)
-            now, pushes, shares, torques = shape, list[Push](), list[Any](), u
+            pushes, shares, lag, torques = list[Push](), list[Any](), list[Any](), u
             if motors is not None:
                 pushes = motors(x.rates, x.count[0] > 0.0)
                 shares = [
                     theta(h * push.slope * y) if push.slope is not ZERO else ZERO
                     for push, y in zip(pushes, self._freedom(middle, q), strict=True)
                 ]
-                now = self._shape(
-                    middle, q, h, [h * y * push.slope for push, y in zip(pushes, shares, strict=True)]
-                )
+                lag = [h * y * push.slope for push, y in zip(pushes, shares, strict=True)]
                 given = [push.torque - push.slope * y for push, y in zip(pushes, begun, strict=True)]
                 torques = stacked([*numbers(u)[: self.na], *given], q)
+            now = self._shape(middle, q, h, lag) if fixed is None else fixed
             free = self._free(now, at, before, torques, h, force, q)
             began, slides = self._began(now, before, x.after, x.slides)
             bounds = self._bounds(now, loads.values, began, h, pushes)
@@ -478,11 +490,7 @@ class SlippingBody(WheeledBody):
                 given = [push.torque - push.slope * y for push, y in zip(pushes, rates, strict=True)]
                 for k, y in self._rubbed(now, bounds, pushes, grip, h):
                     given[k] = given[k] + y
-            # Broyden's method for the wrench whose loads lead to it
-            missing = [y - z for y, z in zip(pressed_at(after), x.wrench, strict=True)]
-            inverse = _secant(x.inverse, x.way, [y - z for y, z in zip(missing, x.missing, strict=True)])
-            inverse = [choose(x.count[0] > 0.0, y, z) for y, z in zip(inverse, x.inverse, strict=True)]
-            way = [number(-dot(inverse[3 * k : 3 * k + 3], missing)) for k in range(3)]
+            wrench, missing, way, inverse = x.corrected(pressed_at(after))
             enough = little * abs(missing[0] + x.wrench[0])
             moved = [y - z for y, z in zip(after[:_BASE], x.after, strict=False)]
             off = missing[0] * missing[0] * size + dot(missing[1:], missing[1:])
@@ -493,7 +501,7 @@ class SlippingBody(WheeledBody):
                 grip.contact,
                 grip.spin,
                 grip.multipliers,
-                [y + z for y, z in zip(x.wrench, way, strict=True)],
+                wrench,
                 missing,
                 way,
                 inverse,
