@@ -98,7 +98,7 @@ class _Pass(NamedTuple):
         Where motors drive.
     loads : list of scalars
         Of wheels and supports.
-    tips, rounds, missed, count : list of one scalar
+    tips, rounds, missed, passes : list of one scalar
         As of `Grip`, and how many passes there were.
     """
 
@@ -117,7 +117,7 @@ class _Pass(NamedTuple):
     tips: Vector
     rounds: Vector
     missed: Vector
-    count: Vector
+    passes: Vector
 
     def corrected(self, exerted: Vector) -> tuple[Vector, Vector, Vector, Vector]:
         """Return wrench, missing, way and inverse for the next pass: Broyden's method (Math. Comp. 19, 1965).
@@ -133,7 +133,7 @@ class _Pass(NamedTuple):
         off = [x - dot(row, change) for x, row in zip(self.way, rows, strict=True)]
         left = [dot(self.way, column) for column in zip(*rows, strict=True)]
         bottom = number(dot(left, change))
-        given = (self.count[0] > 0.0) & (bottom != 0.0)
+        given = (self.passes[0] > 0.0) & (bottom != 0.0)
         share = choose(given, 1.0 / choose(given, bottom, 1.0), 0.0)
         rows = [
             [x + y * (share * z) for x, z in zip(row, left, strict=True)]
@@ -461,7 +461,7 @@ class SlippingBody(WheeledBody):
             loads = shared_loads(places, *x.wrench)
             pushes, shares, lag, torques = list[Push](), list[Any](), list[Any](), u
             if motors is not None:
-                pushes = motors(x.rates, x.count[0] > 0.0)
+                pushes = motors(x.rates, x.passes[0] > 0.0)
                 shares = [
                     theta(h * push.slope * y) if push.slope is not ZERO else ZERO
                     for push, y in zip(pushes, self._freedom(middle, q), strict=True)
@@ -512,7 +512,7 @@ class SlippingBody(WheeledBody):
                 [loads.tips],
                 [x.rounds[0] + grip.rounds],
                 [choose(done, grip.missed, 1.0)],
-                [x.count[0] + 1.0],
+                [x.passes[0] + 1.0],
             )
             return found, done
 
