@@ -1,6 +1,7 @@
 """An arm on the base: against another engine, and against what physics says."""
 
 import pickle
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -31,6 +32,7 @@ from pinmobile import (
     verify,
 )
 from pinmobile.arrays import Array, wrap_angle
+from pinmobile.errors import LimitWarning
 from pinmobile.robot import Mount
 
 AT = (0.1, -0.05, 0.2, 0.4)
@@ -294,6 +296,27 @@ def test_integrate_and_difference_go_around_the_circle(robot: MobileRobot) -> No
     np.testing.assert_array_equal(robot.integrate(q[:1], v)[4], robot.integrate(q[0], v[4]))
     with pytest.raises(InvalidArgument, match=r"expected length one: step it with `integrate`"):
         robot.mass_matrix(np.ones(robot.nq))
+
+
+def test_a_run_beyond_limits_reports_which_when_and_how_far_once() -> None:
+    push = law(lambda t, q, v, reference: np.where(np.arange(9) == 5, 1000.0, 0.0))
+    with pytest.warns(LimitWarning) as told:
+        run = simulate(UR5, push, Still(UR5.rest, 9), dt=0.001, duration=0.2)
+    assert str(told[0].message) == "; ".join(run.events)
+    assert len(told) == 1
+    q, most = run.q[:, 5], UR5.upper[5]
+    k, first = int(np.argmax(q)), int(np.argmax(q > most))
+    assert (
+        f"ur5/elbow_joint reaches {q[k]:.4g} rad at t = {run.t[k]:g} s, beyond its limit of {most:.4g} rad "
+        f"since t = {run.t[first]:g} s"
+    ) in run.events
+    asked = "input of ur5/elbow_joint reaches 1000 N m at t = 0 s, beyond its limit of 150 N m since t = 0 s"
+    assert asked in run.events
+    assert any(one.startswith("ur5/elbow_joint moves at") for one in run.events)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        at_rest = simulate(UR5, PDGravity(UR5, 100, 20), Still(UR5.rest, 9), dt=0.001, duration=0.02)
+    assert at_rest.events == ()
 
 
 def test_arms_with_limits_are_subtracted() -> None:

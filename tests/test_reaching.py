@@ -26,6 +26,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
+from pinmobile.errors import LimitWarning
 from pinmobile.reaching import pose_error
 from pinmobile.reaching.solver import Limits, Solver, bounded_least_squares
 
@@ -240,6 +241,19 @@ def test_a_limit_of_velocity_is_held_and_the_error_made_good_later() -> None:
     assert resolved.max_error()[0] > 0.1
     assert np.abs(resolved.error[-1, : resolved.target.rows]).max() < 1e-4
     assert resolved.error[:, 0].min() > -1e-3  # it comes from behind and does not shoot beyond
+
+
+def test_torques_beyond_limits_are_reported_when_and_how_far() -> None:
+    heavy, up = UR5.attach(Load(40.0), "ur5/tool0"), np.array([[0, 0, 0], [0, 0, 0.1], [0, 0, 0.2]])
+    with pytest.warns(
+        LimitWarning, match=r"^input of ur5/shoulder_lift_joint reaches -?[\d.]+ N m at"
+    ) as told:
+        found = resolve(heavy, PosePath(Spline(START[:3, 3] + up, [0.0, 0.5, 1.0])), q0=BENT, dt=0.1)
+    way = found(found.t)
+    assert len(told) == 1
+    size = np.abs(heavy.inverse_dynamics(*way)).max(axis=0) > heavy.effort_limit
+    named = [one.name for one, beyond in zip(heavy.inputs, size, strict=True) if beyond]
+    assert [one.split()[2] for one in str(told[0].message).split("; ")] == named
 
 
 def test_a_start_at_a_limit_is_left_within_it() -> None:

@@ -23,6 +23,7 @@ from pinmobile import (
     Tangent,
     WheeledRobot,
     WheelTable,
+    constant_acceleration,
     contact_loads,
     resolve,
     simulate,
@@ -68,7 +69,8 @@ def wall(tmp_path_factory: pytest.TempPathFactory) -> Wall:
     wave = hand[:3, 3] + np.stack([0 * s, 2 * s, 0.15 * np.sin(4 * pi * s)], axis=-1)
     target = PosePath(Spline(wave, t), hand[:3, :3])
     motion = resolve(robot.robot, target, q0=BENT, dt=0.02)
-    return Wall(robot, target, motion, simulate(robot, tracking(robot, target), motion, dt=DT))
+    run = simulate(robot, tracking(robot, target), motion, dt=DT, integrator=constant_acceleration)
+    return Wall(robot, target, motion, run)
 
 
 def tracking(robot: WheeledRobot | MobileRobot, target: PosePath, dt: float = DT) -> EndEffectorTracking:
@@ -84,7 +86,8 @@ def test_the_hand_is_where_the_same_robot_without_wheels_has_it(wall: Wall) -> N
     for dt in (2 * DT, DT):
         run = wall.run
         if dt != DT:
-            run = simulate(wall.robot, tracking(wall.robot, wall.target, dt), wall.motion, dt=dt)
+            follower = tracking(wall.robot, wall.target, dt)
+            run = simulate(wall.robot, follower, wall.motion, dt=dt, integrator=constant_acceleration)
         pushed = simulate(body, tracking(body, wall.target, dt), wall.motion, dt=dt)
         far.append(np.abs(run.q[:, : body.nq] - pushed.q).max())
         missed.append(wall.missed(run).max())
@@ -142,7 +145,7 @@ def test_limits_hold_on_wheels(wall: Wall) -> None:
     most = np.where(np.arange(n) < 3, 0.5, wall.robot.robot.velocity_limit)
     assert np.abs(wall.run.v[:, :n]).max(axis=0)[1] > 0.7  # what it takes without
     slow = EndEffectorTracking(wall.robot, wall.target, velocity_limit=most, dt=DT)
-    run = simulate(wall.robot, slow, wall.motion, dt=DT)
+    run = simulate(wall.robot, slow, wall.motion, dt=DT, integrator=constant_acceleration)
     # Wheels that turn while torques are held add 1e-6 in a step; corrected, it is what counts as rounding.
     assert (np.abs(run.v[:, :n]) < most + 1e-9).all()
 

@@ -1,5 +1,6 @@
 """Wheels on dry ground: they stick exactly, slide by Coulomb's law, and their loads balance the robot."""
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -270,6 +271,22 @@ def test_a_wheel_that_would_be_pulled_lifts_off_and_the_others_carry() -> None:
     out = shared_loads(places, 100.0, 0.0, -100.0 * 0.35)
     assert out.tips
     assert sum(out.values) == pytest.approx(100.0)
+
+
+def test_a_robot_that_its_supports_cannot_balance_is_reported_once() -> None:
+    """Its weight presses ahead of the wheels, and the caster stands behind them."""
+    table = WheelTable.differential(0.5, 0.1, supports=[(-0.3, 0)], **WHEEL)
+    ahead, above = (
+        WheeledRobot(MobileRobot(30.0, 1.3, com=(x, 0.05, 0.2)), table, Coulomb()) for x in (0.1, -0.1)
+    )
+    with pytest.warns(errors.LimitWarning, match=r"no loads .* balance the robot: it tips over") as told:
+        found = run(ahead, (0.1, 0.1), 0.01, 0.1)
+    assert len(told) == 1
+    assert str(told[0].message) == found.events[0] == str(found).splitlines()[-1]
+    assert found.events[0].endswith("(from t = 0.01 s, 10 of 11 samples)")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert run(above, (0.1, 0.1), 0.01, 0.1).events == ()
 
 
 @pytest.mark.parametrize("seed", range(4))

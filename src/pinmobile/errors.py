@@ -203,6 +203,10 @@ class SlowerEngine(UserWarning):
     """A loop runs by a slower engine than it could: the message names the part and what it lacks."""
 
 
+class LimitWarning(UserWarning):
+    """A run exceeds limits of its robot, or the robot tips over: see `Rollout.events`."""
+
+
 class ViewerError(PinmobileError, RuntimeError):
     """The viewer cannot do what was asked."""
 

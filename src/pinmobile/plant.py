@@ -554,6 +554,53 @@ def leading_of(plant: object) -> Mapping[int, int]:
     return found
 
 
+_SLACK = 1e-6  # of a limit: what an integrator leaves
+
+
+def limits_exceeded(plant: object, t: Array, q: Array, v: Array, u: Array | None = None) -> tuple[str, ...]:
+    """Return a sentence for each limit of a plant that samples exceed: which, where most, and how far.
+
+    Limits of position are those of `coordinates`, those of speed and torque those of the robot's joints,
+    ``velocity_limit`` and ``effort_limit``.
+
+    Parameters
+    ----------
+    plant : plant
+        Whose limits they are.
+    t, q, v, u : ndarray, shape (N,), (N, nq), (N, nv), (N, nu)
+        The samples; without `u`, torques are left out.
+    """
+    named, found, names = coordinates_of(plant), [], list(configuration_names_of(plant))
+
+    def check(values: Array, lower: float, upper: float, what: str, unit: str) -> None:
+        beyond = np.maximum(lower - values, values - upper)
+        k = int(beyond.argmax())
+        limit = lower if values[k] < lower else upper
+        if beyond[k] > _SLACK * abs(limit):
+            first = t[np.argmax(beyond > _SLACK * abs(limit))]
+            found.append(
+                f"{what} {values[k]:.4g} {unit} at t = {t[k]:g} s, beyond its limit of {limit:.4g} {unit} "
+                f"since t = {first:g} s"
+            )
+
+    for one in named:
+        if np.isfinite([one.lower, one.upper]).any() and one.name in names:
+            check(q[:, names.index(one.name)], one.lower, one.upper, f"{one.name} reaches", one.unit)
+    robots = (plant, getattr(plant, "robot", None))
+    robot = next((each for each in robots if hasattr(each, "effort_limit")), None)
+    if robot is None:
+        return tuple(found)
+    columns = [one.name for one in inputs_of(plant)] if u is not None else []
+    for one, own, speed, effort in zip(
+        coordinates_of(robot), inputs_of(robot), robot.velocity_limit, robot.effort_limit, strict=True
+    ):
+        at = [each.name for each in named].index(one.name)
+        check(v[:, at], -speed, speed, f"{one.name} moves at", f"{one.unit}/s")
+        if u is not None and own.name in columns:
+            check(u[:, columns.index(own.name)], -effort, effort, f"input of {own.name} reaches", own.unit)
+    return tuple(found)
+
+
 def check_plant(plant: object) -> None:
     """Refuse what is no plant, or one whose sizes contradict each other.
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol, final, runtime_checkable
+from warnings import warn
 
 import numpy as np
 
@@ -18,10 +19,10 @@ from pinmobile.arrays import (
     non_negative,
     positive,
 )
-from pinmobile.errors import InvalidArgument, PinmobileError, Unreachable, shown
+from pinmobile.errors import InvalidArgument, LimitWarning, PinmobileError, Unreachable, shown
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
 from pinmobile.paths import within
-from pinmobile.plant import Context
+from pinmobile.plant import Context, limits_exceeded
 from pinmobile.proximity import Clearance, clearance as clearance_of
 from pinmobile.reaching.poses import PosePath, error_sizes, pose_error
 from pinmobile.reaching.solver import (
@@ -223,6 +224,11 @@ def resolve(
         If there is no such frame.
     Unreachable
         If an error is beyond the tolerance, or links come nearer than `clearance`; it carries the trajectory.
+
+    Warns
+    -----
+    LimitWarning
+        Once, if the trajectory takes more torque than the robot's ``effort_limit``.
     """
     _checked_target(robot, target)
     room = None if clearance is None else non_negative("clearance", clearance, "m")
@@ -254,6 +260,10 @@ def resolve(
     _judge(resolved, tolerance, lambda: _beyond(solver, start, tending, gain, count, tolerance))
     if room is not None:
         _judge_clearance(resolved, room)
+    way = resolved(resolved.t)
+    exceeded = limits_exceeded(robot, resolved.t, way.q, way.v, robot.inverse_dynamics(*way))
+    if exceeded:
+        warn("; ".join(exceeded), LimitWarning, stacklevel=2)
     return resolved
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from enum import Enum
 from functools import partial
 from typing import Any, TypeAlias
+from warnings import warn
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from pinmobile.arrays import Array, ArrayLike, finite, positive, whole
 from pinmobile.compiled import Parts, memory_of
 from pinmobile.controllers import Controller
 from pinmobile.divergence import is_near
-from pinmobile.errors import Diverged, InvalidArgument, shown
+from pinmobile.errors import Diverged, InvalidArgument, LimitWarning, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations
@@ -156,6 +157,11 @@ def simulate(
         force.
     Diverged
         If a number is no longer finite or an error is beyond `limit`; it carries what was recorded before.
+
+    Warns
+    -----
+    LimitWarning
+        Once, if the run exceeds limits of the robot, or the robot tips over: see `Rollout.events`.
     """
     dt, limit = positive("dt", dt, "s"), positive("limit", limit)
     integrator = chosen_integrator(plant, integrator)
@@ -195,7 +201,10 @@ def simulate(
             message += _too_stiff(plant, checked, start[0], dt / count)
             raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept) from loop.stopped
     loop.check_again()
-    return _rollout(plant, t, loop, reference, len(t), made, parts)
+    found = _rollout(plant, t, loop, reference, len(t), made, parts)
+    if found.events:
+        warn("; ".join(found.events), LimitWarning, stacklevel=2)
+    return found
 
 
 def _start(

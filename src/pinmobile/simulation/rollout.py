@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from os import PathLike
 from types import MappingProxyType
 from typing import Any
@@ -22,6 +23,7 @@ from pinmobile.plant import (
     coordinates_of,
     inputs_of,
     leading_of,
+    limits_exceeded,
     whole_configurations,
 )
 from pinmobile.signals import Signal
@@ -31,6 +33,10 @@ from pinmobile.trajectories import Reference
 
 _POSE = 3  # x, y, psi
 _RECORDED = ("t", "q", "v", "a", "u", "error")
+_GROUND = {
+    "tips": "no loads of wheels and supports balance the robot: it tips over, which is not simulated",
+    "missed": "loads and forces of the ground were not found to their tolerance",
+}
 
 
 def error_text(value: float) -> str:
@@ -146,8 +152,22 @@ class Rollout:
                 "largest input: " + ", ".join(inputs[: self._led] if self._by_coordinate else inputs),
                 *self._of_joints(),
                 *self._of_end_effector(),
+                *self.events,
             ]
         )
+
+    @cached_property
+    def events(self) -> tuple[str, ...]:
+        """What happened beside the motion, a sentence each.
+
+        Limits of position, speed and torque that were exceeded, and where the ground cannot carry the robot.
+        """
+        found = list(limits_exceeded(self.plant, self.t, self.q, self.v, self.u))
+        for name, words in _GROUND.items() if hasattr(self.plant, "contact_loads") else ():
+            told = np.flatnonzero(self.signals[name].values) if name in self.signals else ()
+            if len(told):
+                found.append(f"{words} (from t = {self.t[told[0]]:g} s, {len(told)} of {len(self)} samples)")
+        return tuple(found)
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
