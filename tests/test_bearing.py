@@ -12,6 +12,8 @@ from pinmobile import (
     COMPILED,
     Circle,
     ComputedTorque,
+    Line,
+    Load,
     MobileRobot,
     Motion,
     Normal,
@@ -176,6 +178,28 @@ def test_balance_takes_robots_on_wheels_with_arms() -> None:
     np.testing.assert_allclose(change, [0, 0, 0, 0, 2 * 0.01 * 10, 0], atol=1e-12)
 
 
+def test_an_arm_at_rest_on_a_ramp_weighs_on_its_mount_along_the_slope_too() -> None:
+    """It exerts its weight m g, and about the mount the moment of that at its centre of mass."""
+    robot = WheeledRobot(BODY.mount("ur5", (0.1, -0.05, 0.3, 0.4)), DIFFERENTIAL)
+    q, still = robot.rest.copy(), np.zeros(robot.nv)
+    q[3:9], q[2] = [0.3, -1.2, 1.6, -0.4, 1.57, 0.2], 0.7
+    level = reaction_wrench(Motion(robot, q, still, still))
+    weight = -level[2]
+    x, y = level[4] / weight, -level[3] / weight
+    angle, direction = 0.2, 0.5
+    found = reaction_wrench(Motion(robot.on_ramp(angle, direction), q, still, still))
+    down = np.array([*(-np.sin(angle) * np.array([np.cos(direction - 0.7), np.sin(direction - 0.7)])), 0])
+    down[2] = -np.cos(angle)
+    np.testing.assert_allclose(found[:3], weight * down, rtol=1e-12)
+    np.testing.assert_allclose(found[:3] @ found[3:], 0, atol=1e-9)  # a single force at the centre of mass
+    np.testing.assert_allclose(found[5], weight * (x * down[1] - y * down[0]), rtol=1e-10)
+    # Sliding down with the slope's own acceleration, it weighs on the mount across the plane alone.
+    falling = still.copy()
+    falling[:2] = -G * np.sin(angle) * np.array([np.cos(direction), np.sin(direction)])
+    free = reaction_wrench(Motion(robot.on_ramp(angle, direction), q, still, falling))
+    np.testing.assert_allclose(free, np.cos(angle) * level, atol=1e-10)
+
+
 @pytest.mark.parametrize(("mu", "speed"), [(0.3, 1.7), (0.8, 2.75)])
 def test_a_turn_too_fast_slides(mu: float, speed: float) -> None:
     friction = Friction(mu=mu, rolling=0.0)
@@ -214,6 +238,29 @@ def test_the_steepest_ramp_is_that_of_friction_and_weight() -> None:
     found = steepest(WheeledRobot(high, rough))
     assert found.what == "support 1 lifts"
     np.testing.assert_allclose(np.tan(found.value), 0.12 / 0.2, rtol=1e-9)
+
+
+def test_a_motor_s_torque_limits_the_ramp_and_less_of_it_at_speed_the_path() -> None:
+    """Of 300 kg, m g sin(angle) r = 2 tau; and tau falls from stall to none at the rate of the free run."""
+    motor, friction = Motor.from_sheet(24, 10, 20, 20), Friction(mu=0.8, rolling=0.0)
+    table = WheelTable.differential(0.5, 0.1, supports=[(0.3, 0.0)], motor=motor, friction=friction, **WHEEL)
+    robot = WheeledRobot(MobileRobot(300.0, 20.0, com=(0.1, 0.0, 0.2)), table)
+    assert [(one.lower, one.upper) for one in robot.inputs] == [(-10.0, 10.0)] * 2
+    found = steepest(robot)
+    assert found.what.endswith("lacks torque")
+    np.testing.assert_allclose(300 * G * np.sin(found.value) * 0.1, 20.0, rtol=1e-9)
+    along = fastest(robot, Tangent(Line((0, 0), (10, 0), 10)))
+    assert along.value == pytest.approx(20 * 0.1)
+    assert along.what.endswith("lacks torque")
+    # On a circle of radius R, w = v / R, the outer wheel drives with m x w r (v / b - w) / 2.
+    x, b, r, R = 0.1, 0.25, 0.1, 2.0
+    v = fastest(robot, Tangent(Circle(R, 0.2, 10))).value
+    drives = 300 * x * (v / R) * r * (v / b - v / R) / 2
+    np.testing.assert_allclose(drives, 10 * (1 - v * (1 + b / R) / r / 20), rtol=1e-6)
+    # An arm's joints count too.
+    arm = WheeledRobot(robot.robot.mount("ur5").attach(Load(60.0), "ur5/tool0"), table)
+    with pytest.raises(errors.InvalidArgument, match=r"at rest: ur5/\w+_joint lacks torque"):
+        fastest(arm, Tangent(Line((0, 0), (10, 0), 10)))
 
 
 def test_what_rolls_is_judged_alike_in_all_engines() -> None:

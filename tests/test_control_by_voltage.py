@@ -104,7 +104,8 @@ def test_limits_beyond_those_of_the_motors_are_refused_as_the_robot_would_cut_in
     assert MPC(volts, limits=VOLTS).range[1].tolist() == MPC(volts).range[1].tolist() == [VOLTS, VOLTS]
     # Where one is endless, the motor's own stays.
     assert [each.tolist() for each in MPC(volts, limits=[5.0, np.inf]).range] == [[-5.0, -6.0], [5.0, 6.0]]
-    assert MPC(MODEL, limits=1e6).range[1].tolist() == [1e6, 1e6]
+    strong = WheeledRobot(MODEL.robot, WheelTable.differential(0.5, 0.1))
+    assert MPC(strong, limits=1e6).range[1].tolist() == [1e6, 1e6]
 
 
 def test_the_engines_agree() -> None:

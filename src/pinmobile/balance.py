@@ -310,11 +310,11 @@ class Limit(NamedTuple):
 
 
 def fastest(plant: Any, trajectory: Any, samples: int = 400) -> Limit:
-    """Return how fast a robot can follow a trajectory before a wheel slips or something lifts off.
+    """Return how fast a robot can follow a trajectory before wheels slip, lift off or lack torque.
 
     The whole trajectory is taken faster or slower: the same places at times that are all shortened alike,
     so that velocities grow with the factor and accelerations with its square. Wheels roll, driven by torques
-    of least norm; limits of motors do not count.
+    of least norm; an electric motor has less torque the faster it turns.
 
     Parameters
     ----------
@@ -361,7 +361,7 @@ def fastest(plant: Any, trajectory: Any, samples: int = 400) -> Limit:
 
 
 def steepest(plant: Any, direction: float = 0.0) -> Limit:
-    """Return the steepest ramp on which a robot stands, held by its motors, before it slips or tips.
+    """Return the steepest ramp on which a robot stands, held by its motors, before it slips, tips or rolls.
 
     Parameters
     ----------
@@ -396,18 +396,20 @@ def steepest(plant: Any, direction: float = 0.0) -> Limit:
 def _first(going: Any, factor: float) -> tuple[float, str, int]:
     """Return the smallest margin or load of a motion, whose it is, and at which sample."""
     told = going.at(factor)
-    if not isinstance(told, tuple) or len(told) != 2:
+    if not isinstance(told, tuple) or len(told) != 3:
         raise InvalidArgument(
-            f"plant follows a reference and tells {shown(told)}, expected ContactLoads and SlipMargins"
+            f"plant follows a reference and tells {shown(told)}, expected ContactLoads, SlipMargins and "
+            "TorqueMargins"
         )
-    loads, margins = told
+    loads, margins, torques = told
     found = []
     for values, names, verb in (
         (loads.springs, loads.names, "lifts"),
         (margins.values, margins.names, "slips"),
+        (torques.values, torques.names, "lacks torque"),
     ):
         at, k = np.unravel_index(int(np.argmin(values)), values.shape)
-        plural = verb.rstrip("s") if " + " in names[k] else verb
+        plural = verb.removesuffix("s") if " + " in names[k] else verb
         found.append((float(values[at, k]), f"{names[k]} {plural}", int(at)))
     return min(found)
 

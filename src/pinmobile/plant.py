@@ -104,8 +104,8 @@ class Plant(Protocol):
         Also what `balance` asks: what each contact carries, and how far from slipping it is in a motion,
         which has q, v, a and u, and of a run ``signals``.
     ``follows(t, reference)``
-        What goes along a reference: its ``at(factor)`` tells `ContactLoads` and `SlipMargins` where it goes
-        so many times as fast.
+        What goes along a reference: its ``at(factor)`` returns `ContactLoads`, `SlipMargins` and
+        `TorqueMargins` where it goes so many times as fast.
     ``on_ramp(angle, direction) -> plant``
         The same on ground that rises by an angle, the way up from the inertial x axis [rad].
     ``measures``, ``measured(t, q, v, a, u, reference) -> (m,)``
@@ -245,6 +245,21 @@ class SlipMargins(NamedTuple):
     values: Array
     along: Array
     across: Array
+
+
+class TorqueMargins(NamedTuple):
+    """How far inputs are from what their motors can do at their rates: for `pinmobile.balance`.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the inputs.
+    values : ndarray, shape (..., nu)
+        Torque that is left, below zero where it would take more [N m]; infinite where there is no limit.
+    """
+
+    names: tuple[str, ...]
+    values: Array
 
 
 class Coordinate(NamedTuple):

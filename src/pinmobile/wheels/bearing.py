@@ -36,13 +36,14 @@ class Bearing:
 
     @in_numbers
     def mount_wrench(self: Any, q: ArrayLike, v: ArrayLike, a: ArrayLike, mount: str | None = None) -> Array:
-        """Return what an arm exerts on the body at its mount, shape (..., 6): see `MobileRobot.mount_wrench`.
-
-        On a ramp, gravity in the plane is left out.
-        """
+        """Return the wrench of an arm on the body at its mount, (..., 6): see `MobileRobot.mount_wrench`."""
         at, rate, faster = self._moving(q, v, a)
-        n, nv = self.robot.nq, self.robot.nv
-        return np.asarray(self.robot.mount_wrench(at[..., :n], rate[..., :nv], faster[..., :nv], mount))
+        n, nv, slack = self.robot.nq, self.robot.nv, self._traced._slack
+        at, rate, faster = at[..., :n], rate[..., :nv], faster[..., :nv].copy()
+        faster[..., :2] -= self._fall[:2]  # gravity in the plane is as if the plane accelerated against it
+        found = np.asarray(self.robot.mount_wrench(at, rate, faster, mount))
+        still = np.zeros_like(rate)
+        return found - slack * self.robot.mount_wrench(at, still, still, mount) if slack else found
 
     def _moving(self: Any, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> tuple[Array, Array, Array]:
         """Return a state and its acceleration, checked, with the same leading axes."""

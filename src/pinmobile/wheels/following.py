@@ -9,7 +9,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
-from pinmobile.plant import ContactLoads, SlipMargins
+from pinmobile.plant import ContactLoads, SlipMargins, TorqueMargins
 from pinmobile.robot import number
 from pinmobile.wheels.loads import wheel_loads
 from pinmobile.wheels.standing import Group, margin
@@ -32,12 +32,15 @@ class Following:
         States.
     rates : ndarray, shape (N, m)
         Rates of the independent velocities.
+    efforts : ndarray, shape (arms,)
+        Largest torques of the arms' joints [N m].
     """
 
     body: Any
     q: Array
     v: Array
     rates: Array
+    efforts: Array
 
     @classmethod
     def of(cls, robot: Any, t: Array, reference: Any) -> Following:
@@ -101,7 +104,7 @@ class Following:
             *np.moveaxis(a[:, _BASE:nv], -1, 0),
             *(faster[:, k] for k in body.choice.free),
         ]
-        found = cls(body, q, rolls, _stacked(rates, (len(t),)))
+        found = cls(body, q, rolls, _stacked(rates, (len(t),)), robot.robot.effort_limit[_BASE:])
         found._driven(q, rolls, found.rates)
         return found
 
@@ -121,8 +124,8 @@ class Following:
             )
         return np.asarray(u)
 
-    def at(self, factor: float) -> tuple[ContactLoads, SlipMargins]:
-        """Return loads and slip margins where it goes along `factor` times as fast, shape (N, k) each."""
+    def at(self, factor: float) -> tuple[ContactLoads, SlipMargins, TorqueMargins]:
+        """Return loads, slip and torque margins where it goes along `factor` times as fast, (N, k) each."""
         body, q, v = self.body, self.q, factor * self.v
         state = body.state(q, v)
         S, gamma = body.freedom.solution(state)
@@ -131,7 +134,16 @@ class Following:
         a = [sum(x * y for x, y in zip(row, rates, strict=True)) + g for row, g in zip(S, rest, strict=True)]
         felt = body.felt(state, [number(x) for x in a])
         u = self._driven(q, v, np.moveaxis(rates, 0, -1))
-        return told(body, state, felt, u, q, (len(q),))
+        return *told(body, state, felt, u, q, (len(q),)), self._margins(v, u)
+
+    def _margins(self, v: Array, u: Array) -> TorqueMargins:
+        """Return what motors have left of their torques, those of arms and wheels."""
+        body, na = self.body, self.body.na
+        rates = v[:, _BASE + na :] @ np.array([each.column for each in body.table.actuators], float).T
+        found = list((self.efforts - np.abs(u[:, :na])).T)
+        for actuator, torque, rate in zip(body.table.actuators, u[:, na:].T, rates.T, strict=True):
+            found.append(actuator.motor.margin(torque, rate))
+        return TorqueMargins(tuple(one.name for one in body.inputs), np.stack(found, axis=-1))
 
 
 def carried(body: Any, state: Any, felt: Any, q: Array, lead: tuple[int, ...]) -> ContactLoads:

@@ -264,6 +264,18 @@ class Motor:
         """Return the torque at the wheel that is held, at a voltage, by default the largest [N m]."""
         return float(self.torque(self._volts("a torque", volts), 0.0))
 
+    @property
+    def largest_torque(self) -> float:
+        """Largest torque at the wheel [N m]: that of stall, or `torque_limit` of a source of torque."""
+        return self.stall_torque() if self.is_electric else self.torque_limit
+
+    def margin(self, torque: Array, rate: Array) -> Array:
+        """Return what is left of the torque that it has at a rate, shape (...) [N m]."""
+        if not self.is_electric:
+            return np.asarray(self.torque_limit - np.abs(torque))
+        way = np.where(torque < 0, -1.0, 1.0)
+        return np.asarray(self.torque(way * self._volts("a torque", None), rate) * way - np.abs(torque))
+
 
 class Push(NamedTuple):
     """What a motor does at the wheel near a rate W: the torque is torque - slope W - hold sgn W.

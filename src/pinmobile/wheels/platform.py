@@ -135,7 +135,7 @@ class Platform:
     def inputs(self) -> tuple[Input, ...]:
         """Each of the nu numbers of an input: the arms' joints, then the actuators in the table's order."""
         own = (
-            Input(actuator.name, "N m", -actuator.motor.torque_limit, actuator.motor.torque_limit)
+            Input(actuator.name, "N m", -actuator.motor.largest_torque, actuator.motor.largest_torque)
             for actuator in self.table.actuators
         )
         return (*self.robot.inputs[BODY_JOINT:], *own)
