@@ -601,7 +601,7 @@ def limits_exceeded(plant: object, t: Array, q: Array, v: Array, u: Array | None
     for one in named:
         if np.isfinite([one.lower, one.upper]).any() and one.name in names:
             check(q[:, names.index(one.name)], one.lower, one.upper, f"{one.name} reaches", one.unit)
-    robots = (plant, getattr(plant, "robot", None))
+    robots: tuple[Any, ...] = (plant, getattr(plant, "robot", None))
     robot = next((each for each in robots if hasattr(each, "effort_limit")), None)
     if robot is None:
         return tuple(found)

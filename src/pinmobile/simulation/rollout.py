@@ -164,7 +164,7 @@ class Rollout:
         """
         found = list(limits_exceeded(self.plant, self.t, self.q, self.v, self.u))
         for name, words in _GROUND.items() if hasattr(self.plant, "contact_loads") else ():
-            told = np.flatnonzero(self.signals[name].values) if name in self.signals else ()
+            told = np.flatnonzero(self.signals[name].values) if name in self.signals else np.empty(0, int)
             if len(told):
                 found.append(f"{words} (from t = {self.t[told[0]]:g} s, {len(told)} of {len(self)} samples)")
         return tuple(found)
