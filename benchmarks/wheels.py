@@ -272,8 +272,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     names = [one.name for one in picked(EVERYONE[len(SINGLE) :], chosen.only)]
     size = (QUICK_ROBOTS, QUICK_STEPS) if chosen.quick else (ROBOTS, STEPS)
     sound &= show_ensembles(out, names, *size, rounds)
-    if any("Coulomb" in name for name in names):
-        show_sweeps(out)
     return 0 if sound else 1
 
 
@@ -337,19 +335,6 @@ def show_ensembles(out: Console, names: Sequence[str], n: int, steps: int, round
     out.print(shown)
     say(out, words)
     return True
-
-
-def show_sweeps(out: Console) -> None:
-    """Print how many sweeps over all wheels a step on Coulomb ground takes, three passes together."""
-    words = []
-    for word, robot, u in (("stick", four(0.8), (0.5, 0.5)), ("slide", four(0.4), (9.0, -9.0))):
-        run = pm.simulate(robot, Torques(*u), standing(STEPS), dt=DT, engine=pm.COMPILED)
-        sweeps, slides = run.signals["rounds"][1][1:], run.signals["slides"][1][1:]
-        words.append(
-            f"four wheels that {word}: {sweeps.mean():.1f} sweeps a step, {sweeps.max():.0f} at most; "
-            f"{100 * slides.mean():.0f} % of the wheels slide"
-        )
-    say(out, words)
 
 
 if __name__ == "__main__":

@@ -233,16 +233,21 @@ class _Trace:
     def _compare_numbers(self, loop: Loop, numbers: Sequence[_Asked]) -> None:
         for asked in numbers:
             inputs, found = self._inputs(loop, asked), asked.found
-            expected = _flat_numbers([found.q, found.v])
-            for leaf, value in zip(loop.leaves, arrays_of(found.memory), strict=True):
-                expected += _flat_numbers([value]) if leaf.kind == "state" else []
-            expected += _flat_numbers(found.record.kept.values())
+            memory = zip(loop.leaves, arrays_of(found.memory), strict=True)
+            kept = [value for leaf, value in memory if leaf.kind == "state"]
+            rows = [_flat_numbers([x]) for x in (found.q, found.v, *kept, *found.record.kept.values())]
+            expected = [x for row in rows for x in row]
+            sizes = [max(map(abs, row)) for row in rows for _ in row]  # forces of wheels share their errors
             wanted = [after for _, after in loop.states]
             wanted += [node for _, nodes in loop.kept.values() for node in nodes]
             with np.errstate(all="ignore"):
                 got = evaluated(loop.tape, wanted, inputs)
                 near = np.isclose(
-                    np.array(got, float), np.array(expected), rtol=1e-7, atol=1e-9, equal_nan=True
+                    np.array(got, float),
+                    np.array(expected),
+                    rtol=1e-7,
+                    atol=1e-9 + 1e-7 * np.nan_to_num(sizes),
+                    equal_nan=True,
                 )
             if not near.all():
                 i = int(np.argmin(near))

@@ -16,8 +16,8 @@ from pinmobile.robot import ONE, ZERO, Vector, dot, exact, number, scalars, vect
 _BASE = 3
 _FLAT = 1e-9  # of the determinant of all contacts: those that are left stand on a line
 _NOTHING = 1e-12  # of the weight: what rounding makes of a contact without load
-_SOFT = 1e-8  # of the moments of all springs: how little the ground holds where contacts stand on a line
-_EDGE = 1e-6  # of the size of all contacts: how far beyond their edge the weight may press and not tip
+_SOFT = 1e-7  # of the moments of all springs: how little the ground holds where contacts stand on a line
+_EDGE = 1e-5  # of the size of all contacts: how far beyond their edge the weight may press and not tip
 
 
 class Loads(NamedTuple):
@@ -98,7 +98,7 @@ def _halves(x: Vector) -> tuple[Vector, Vector]:
 
 
 def _of_springs(
-    places: Sequence[Vector], weights: Vector, wrench: Vector, soft: Any = None, flat: Any = None
+    places: Sequence[Vector], weights: Vector, wrench: Vector, soft: Any = None, flat: Any = 0.0
 ) -> tuple[Vector, Any]:
     """Return the forces of springs at all places, where some of them carry, and the determinant of G K G'.
 
@@ -125,7 +125,7 @@ def _of_springs(
         [d * f - e * b, d * e - a * f, a * b - d * d],
     ]
     area = number(dot([a, d, e], minors[0]))
-    share = 1.0 / (area if flat is None else choose(area > flat, area, 1.0))
+    share = 1.0 / choose(area > flat, area, 1.0)
     bent = [dot(row, wrench) * share for row in minors]
     return [number(dot(row, bent)) for row in rows], area
 

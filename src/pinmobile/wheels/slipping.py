@@ -42,7 +42,8 @@ _INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
 _STILL = 0.5  # of a slip that goes on all the step, what is left of it at least
 _SLIDES = 1 - 1e-9  # of the largest friction
 _PASSES = 40  # at most
-_COARSER = 1e3  # tolerances of forces: share of the weight, and of free fall, that a pass may still change
+_COARSER = 1e2  # tolerances of forces: share of the weight, and of free fall, that a pass may still change
+_LEVEL = 1e2  # times that, where a pass changes no less than the one before: so do forces that come slowly
 
 
 class Grip(NamedTuple):
@@ -62,8 +63,6 @@ class Grip(NamedTuple):
         [N].
     tips : float
         1 where no loads balance the robot.
-    rounds : float
-        How many rounds over all wheels were taken in all passes.
     missed : float
         1 where passes, or the rounds of the last, ended before loads and forces were found.
     """
@@ -74,7 +73,6 @@ class Grip(NamedTuple):
     acceleration: Any
     loads: Any
     tips: Any
-    rounds: Any
     missed: Any
 
 
@@ -87,10 +85,11 @@ class _Pass(NamedTuple):
         Velocities at the end of the step.
     contact, spin, multipliers
         As of `Impulses`.
-    wrench, missing, way : list of 3 scalars
-        What the ground is taken to exert, fz, mx and my; what it exerted beyond that in the pass before; and
-        the last change of the former.
-    inverse : list of 9 scalars
+    assumed, missing, way : list of 6 scalars
+        Twist at the end of the step, over the speed gained in a step of free fall, and what the ground
+        exerts, fz, mx and my, over the weight: what a pass begins with; what the pass before led to beyond
+        that; and the last change of the former.
+    inverse : list of 36 scalars
         Of the derivative of `missing`, by rows.
     slides : list of scalars, shape (wheels,)
         Where the slip may go on all the step.
@@ -98,7 +97,7 @@ class _Pass(NamedTuple):
         Where motors drive.
     loads : list of scalars
         Of wheels and supports.
-    tips, rounds, missed, passes : list of one scalar
+    tips, missed, passes : list of one scalar
         As of `Grip`, and how many passes there were.
     """
 
@@ -106,7 +105,7 @@ class _Pass(NamedTuple):
     contact: Vector
     spin: Vector
     multipliers: Vector
-    wrench: Vector
+    assumed: Vector
     missing: Vector
     way: Vector
     inverse: Vector
@@ -115,21 +114,23 @@ class _Pass(NamedTuple):
     torques: Vector
     loads: Vector
     tips: Vector
-    rounds: Vector
     missed: Vector
     passes: Vector
 
-    def corrected(self, exerted: Vector) -> tuple[Vector, Vector, Vector, Vector]:
-        """Return wrench, missing, way and inverse for the next pass: Broyden's method (Math. Comp. 19, 1965).
+    def corrected(self, found: Vector) -> tuple[Vector, Vector, Vector, Vector]:
+        """Return `assumed`, `missing`, `way` and `inverse` of the next pass.
+
+        By Broyden's method (Mathematics of Computation 19, 1965).
 
         Parameters
         ----------
-        exerted : list of 3 scalars
-            The wrench to which the loads of this one have led.
+        found : list of 6 scalars
+            What this one has led to.
         """
-        missing = [y - x for x, y in zip(self.wrench, exerted, strict=True)]
+        n = len(found)
+        missing = [y - x for x, y in zip(self.assumed, found, strict=True)]
         change = [y - x for x, y in zip(self.missing, missing, strict=True)]
-        rows = [self.inverse[3 * k : 3 * k + 3] for k in range(3)]
+        rows = [self.inverse[n * k : n * (k + 1)] for k in range(n)]
         off = [x - dot(row, change) for x, row in zip(self.way, rows, strict=True)]
         left = [dot(self.way, column) for column in zip(*rows, strict=True)]
         bottom = number(dot(left, change))
@@ -140,8 +141,8 @@ class _Pass(NamedTuple):
             for row, y in zip(rows, off, strict=True)
         ]
         way = [number(-dot(row, missing)) for row in rows]
-        wrench = [x + y for x, y in zip(self.wrench, way, strict=True)]
-        return wrench, missing, way, [x for row in rows for x in row]
+        assumed = [x + y for x, y in zip(self.assumed, way, strict=True)]
+        return assumed, missing, way, [x for row in rows for x in row]
 
     def repeated(self, one: Callable[[_Pass], tuple[_Pass, Any]], most: int) -> _Pass:
         """Return it after passes, until one says that it is the last."""
@@ -393,7 +394,7 @@ class SlippingBody(WheeledBody):
         q = np.concatenate([np.zeros(_BASE), arms, np.zeros(self.joints)])
         found = self.loads(self.state(q, np.zeros(self.size)), still, q)
         zeros = np.zeros(2 * k), np.zeros(len(self._held)), np.zeros(k), np.zeros(self.size)
-        return Grip(*zeros, stacked(found.values, q), 0.0, 0.0, 0.0)
+        return Grip(*zeros, stacked(found.values, q), 0.0, 0.0)
 
     def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Beside, memory: Grip) -> Step:
         """Return the state after a step, and what is kept for the next.
@@ -448,17 +449,23 @@ class SlippingBody(WheeledBody):
                 at = at._replace(c=c, s=s)
             return at, mean
 
-        def pressed_at(after: Vector) -> Vector:
+        gained = h * abs(float(self.fall[2])) if self.fall[2] else 1.0
+        scales = [gained] * _BASE + [number(item(self.weight)) if self.fall[2] else 1.0] * 3
+
+        def led_to(after: Vector) -> Vector:
             rate = [(y - x) / h for x, y in zip(before, after, strict=True)]
-            return [number(x) for x in pressed(self, *self._seen(at_mean(after)[0], rate), q)]
+            exerted = pressed(self, *self._seen(at_mean(after)[0], rate), q)
+            return [x / scale for x, scale in zip([*after[:_BASE], *exerted], scales, strict=True)]
 
         def one(x: _Pass) -> tuple[_Pass, Any]:
-            at, mean = at_mean(x.after)
+            taken = [y * scale for y, scale in zip(x.assumed, scales, strict=True)]
+            end = [*taken[:_BASE], *x.after[_BASE:]]
+            at, mean = at_mean(end)
             force = beside
             if pushed:
                 there = self.in_plane(at, mean, q)
                 force = f(self.integrate(q, (0.5 * h) * there), there)
-            loads = shared_loads(places, *x.wrench)
+            loads = shared_loads(places, *taken[_BASE:])
             pushes, shares, lag, torques = list[Push](), list[Any](), list[Any](), u
             if motors is not None:
                 pushes = motors(x.rates, x.passes[0] > 0.0)
@@ -471,7 +478,7 @@ class SlippingBody(WheeledBody):
                 torques = stacked([*numbers(u)[: self.na], *given], q)
             now = self._shape(middle, q, h, lag) if fixed is None else fixed
             free = self._free(now, at, before, torques, h, force, q)
-            began, slides = self._began(now, before, x.after, x.slides)
+            began, slides = self._began(now, before, end, x.slides)
             bounds = self._bounds(now, loads.values, began, h, pushes)
             grip = impulses(
                 now.touches,
@@ -490,18 +497,19 @@ class SlippingBody(WheeledBody):
                 given = [push.torque - push.slope * y for push, y in zip(pushes, rates, strict=True)]
                 for k, y in self._rubbed(now, bounds, pushes, grip, h):
                     given[k] = given[k] + y
-            wrench, missing, way, inverse = x.corrected(pressed_at(after))
-            enough = little * abs(missing[0] + x.wrench[0])
-            moved = [y - z for y, z in zip(after[:_BASE], x.after, strict=False)]
-            off = missing[0] * missing[0] * size + dot(missing[1:], missing[1:])
-            done = off <= enough * enough * size
-            done = done & (dot(moved, moved) <= (little * h * float(self.fall[2])) ** 2)
+            assumed, missing, way, inverse = x.corrected(led_to(after))
+            off, was = (
+                dot(each[:_BASE], each[:_BASE]) + each[_BASE] * each[_BASE] + dot(each[4:], each[4:]) / size
+                for each in (missing, x.missing)
+            )
+            stays = (x.passes[0] > 0.0) & (off <= (_LEVEL * little) ** 2) & (off >= was)
+            done = (off <= little * little) | stays
             found = _Pass(
                 after,
                 grip.contact,
                 grip.spin,
                 grip.multipliers,
-                wrench,
+                assumed,
                 missing,
                 way,
                 inverse,
@@ -510,7 +518,6 @@ class SlippingBody(WheeledBody):
                 given,
                 loads.values,
                 [loads.tips],
-                [x.rounds[0] + grip.rounds],
                 [choose(done, grip.missed, 1.0)],
                 [x.passes[0] + 1.0],
             )
@@ -521,21 +528,20 @@ class SlippingBody(WheeledBody):
             [number(x) for x in numbers(part)] for part in (memory.forces, memory.holding, memory.multipliers)
         )
         held = [x * h for x in holding] if self._held else []
-        none = [0.0] * 3
+        none = [0.0] * 6
         start = _Pass(
             guess,
             [x * h for x in contact],
             held,
             multipliers,
-            pressed_at(guess),
+            led_to(guess),
             none,
             none,
-            [-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0],
+            [-1.0 if i == j else 0.0 for i in range(6) for j in range(6)],
             [1.0] * len(self.table),
             [] if motors is None else begun,
             [] if motors is None else begun,
             [0.0] * len(places),
-            [0.0],
             [0.0],
             [1.0],
             [0.0],
@@ -551,7 +557,7 @@ class SlippingBody(WheeledBody):
             stacked(found.multipliers, q),
             stacked([(y - x) / h for x, y in zip(before, after, strict=True)], q),
             stacked(found.loads, q),
-            *(stacked(x, q)[..., 0] for x in (found.tips, found.rounds, found.missed)),
+            *(stacked(x, q)[..., 0] for x in (found.tips, found.missed)),
         )
         step = Step(moved, self.in_plane(state._replace(c=c, s=s), after, q), kept)
         return step, found.torques, found.rates
@@ -628,7 +634,7 @@ class SlippingBody(WheeledBody):
 
         ``along``, ``across`` and ``loads`` [N], those of the supports behind; ``slip_along`` and
         ``slip_across`` [m/s], of now; ``slides``, 1 where all friction is used; ``tips``, 1 where no loads
-        balance the robot; ``rounds``; ``missed``, 1 where loads and forces were not found to the tolerance
+        balance the robot; ``missed``, 1 where loads and forces were not found to the tolerance
         of the ground.
         """
         del t, u, f
@@ -652,7 +658,6 @@ class SlippingBody(WheeledBody):
             "slip_across": ("m/s", stacked(slips[1::2], q)),
             "slides": ("", np.where((most > 0.0) & (size >= _SLIDES * most), 1.0, 0.0)),
             "tips": ("", memory.tips),
-            "rounds": ("", memory.rounds),
             "missed": ("", memory.missed),
         }
 
