@@ -1,6 +1,7 @@
 import math
 import pickle
 import re
+import warnings
 from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
@@ -10,8 +11,18 @@ import pytest
 from hypothesis import assume, example, given, settings, strategies as st
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.errors import InvalidArgument
-from pinmobile.paths import Circle, CubicVia, Lissajous, Path, Spline, pieces_of
+from pinmobile.errors import InvalidArgument, LimitWarning
+from pinmobile.paths import (
+    Circle,
+    CompositePath,
+    CubicVia,
+    Hold,
+    Lissajous,
+    Path,
+    RestToRest,
+    Spline,
+    pieces_of,
+)
 from pinmobile.paths.polynomials import PiecewisePolynomial, Polynomial
 from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent, Trajectory
 
@@ -392,11 +403,23 @@ def test_a_turn_takes_the_shorter_way() -> None:
 def test_where_only_the_rate_jumps_at_rest_there_is_no_turn() -> None:
     # u = (1, s), then (1, 0): the heading is continuous, its rate falls from 1 to 0.
     path = Drawn([0, 1, 2], (roots(1), np.convolve(roots(1), [1, -1])), (-roots(0), [0]))
-    trajectory = Tangent(path)
+    with pytest.warns(LimitWarning, match=r"turn rate jumps from -1 to 0 rad/s at t = 1 s") as told:
+        trajectory = Tangent(path)
+    assert len(told) == 1
     assert trajectory.turns.tolist() == []
     q, v, _ = trajectory([1 - 1e-9, 1.0, 1.5])
     np.testing.assert_allclose(on_the_circle(q[:, 2] - np.pi), 0, rtol=0, atol=1e-8)
     np.testing.assert_allclose(np.abs(v[:, 2]), [1, 0, 0], rtol=0, atol=1e-8)
+
+
+def test_a_turn_rate_that_a_hold_ends_is_reported_and_one_that_ends_straight_is_not() -> None:
+    cubic = CubicVia((0, 0), (1, 0.5), (1.5, 2), 5, 10)
+    with pytest.warns(LimitWarning, match=r"from 0\.03077 to 0 rad/s at t = 10 s, where the path rests"):
+        Tangent(CompositePath([cubic, Hold((1.5, 2), 3)]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Tangent(CompositePath([RestToRest((0, 0), (1, 1), 3), Hold((1, 1), 2)]))
+        Tangent(cubic)
 
 
 def test_two_rests_close_together_are_two_turns() -> None:

@@ -204,7 +204,10 @@ class SlowerEngine(UserWarning):
 
 
 class LimitWarning(UserWarning):
-    """A run exceeds limits of its robot, or the robot tips over: see `Rollout.events`."""
+    """A run exceeds limits of its robot, the robot tips over, or a reference asks for endless forces.
+
+    What a run does is in `Rollout.events` too.
+    """
 
 
 class ViewerError(PinmobileError, RuntimeError):

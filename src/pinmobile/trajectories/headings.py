@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import ClassVar
+from warnings import warn
 
 import numpy as np
 
 from pinmobile.arrays import LEAST_ANGLE, Array, ArrayLike, frozen, positive, scalar
 from pinmobile.constancy import constant
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, LimitWarning
 from pinmobile.paths import Path, within
 from pinmobile.plant import Parameter
 from pinmobile.trajectories.direction import (
@@ -31,6 +32,7 @@ _LEVELS = 60
 # A jump below this is rounding of a direction; what rounding the velocity adds comes on top.
 _STRAIGHT = 1e-9
 _ROUNDING = 1e-14
+_LEAST_RATE = 1e-6  # [rad/s], of a jump that is reported
 
 
 @dataclass(frozen=True, eq=False)
@@ -384,6 +386,11 @@ class Tangent:
     InvalidArgument
         If `path` is no path in the plane; never moves; has a corner that it does not rest at; needs to
         turn on the spot but has no `turn_time`; or `turn_time` is not above zero.
+
+    Warns
+    -----
+    LimitWarning
+        If the turn rate jumps where the path rests, which no finite moment can follow.
     """
 
     path: Path
@@ -408,6 +415,7 @@ class Tangent:
         winding = _Winding(direction)
         for jump in winding.jumps:
             _check(jump, self.turn_time)
+        _report_rates(direction, {jump.time for jump in winding.jumps})
         stops = _TurnsOnTheSpot(winding.jumps, self.turn_time or 0.0, float(self.path.duration))
         for name, value in (("_hodograph", direction), ("_winding", winding), ("_stops", stops)):
             object.__setattr__(self, name, value)
@@ -456,3 +464,18 @@ def _check(jump: _Jump, turn_time: float | None) -> None:
             f"turn_time is None, expected > 0 s: the path rests at t = {jump.time} s and its direction "
             f"jumps there, from {before:.6g} deg to {after:.6g} deg"
         )
+
+
+def _report_rates(direction: Hodograph, turns: set[float]) -> None:
+    """Warn of the first rest, but for turns on the spot, at which the turn rate jumps."""
+    for before, after in pairwise(direction.legs):
+        left, right = (float(_derivatives(limit, 0.0)[1]) + 0.0 for limit in (before.tail, after.head))
+        at_rest = not min(before.tail.speed, after.head.speed) and after.head.time not in turns
+        if at_rest and abs(right - left) > _LEAST_RATE:
+            warn(
+                f"the turn rate jumps from {left:.4g} to {right:.4g} rad/s at t = {after.head.time:g} s, "
+                "where the path rests, and no finite moment follows that: let the path end straight ahead",
+                LimitWarning,
+                stacklevel=4,
+            )
+            return
