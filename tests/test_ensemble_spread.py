@@ -393,7 +393,11 @@ def test_every_parameter_can_be_spread_and_matters() -> None:
         ({"after": 1.1}, InvalidArgument, "after is 1.1 s, expected from 0 to the duration, 1 s"),
         ({"after": -0.1}, InvalidArgument, "after is -0.1 s, expected from 0 to the duration, 1 s"),
         ({"every": 0}, InvalidArgument, "every is 0, expected a whole number >= 1"),
-        ({"dt": 0.3}, InvalidArgument, "duration is 1.0 s, expected a whole number of steps dt = 0.3 s"),
+        (
+            {"dt": 0.3, "duration": 1.0},
+            InvalidArgument,
+            "duration is 1.0 s, expected a whole number of steps dt = 0.3 s",
+        ),
         ({"controller": PD}, InvalidArgument, "expected a controller"),
     ],
 )

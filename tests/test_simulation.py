@@ -456,6 +456,18 @@ class TauAlone:
         return np.zeros(3)
 
 
+def test_without_a_duration_a_run_takes_the_whole_steps_of_the_trajectory_s_and_reports_it() -> None:
+    circle = Tangent(Circle(1, 0.5, 10))
+    with pytest.warns(
+        UserWarning, match=r"^the last sample is at t = 9\.99 s, as the trajectory's 10 s are"
+    ) as told:
+        run = simulate(MobileRobot.lecture(), PD(4, 4), circle, dt=0.03)
+    assert len(told) == 1
+    assert (len(run), run.t[-1]) == (334, pytest.approx(9.99, abs=1e-12))
+    given = simulate(MobileRobot.lecture(), PD(4, 4), circle, dt=0.03, duration=9.99)
+    np.testing.assert_allclose(run.q, given.q, rtol=0, atol=1e-12)
+
+
 class ScalarOnly:
     """A trajectory that takes one time only."""
 
@@ -470,7 +482,10 @@ class ScalarOnly:
     [
         ({"dt": 0}, "dt is 0.0 s, expected > 0"),
         ({"dt": float("nan")}, "dt is nan, expected a finite number"),
-        ({"dt": 0.7}, "duration is 12.0 s, expected a whole number of steps dt = 0.7 s, such as 11.9 s"),
+        (
+            {"dt": 0.7, "duration": 12},
+            "duration is 12.0 s, expected a whole number of steps dt = 0.7 s, such as 11.9 s",
+        ),
         ({"duration": -1}, "duration is -1.0 s, expected > 0"),
         ({"duration": 13}, "duration is 13.0 s, expected at most the trajectory's 12.0 s"),
         ({"duration": 0.04}, "dt is 0.1 s, expected at most the duration, 0.04 s"),

@@ -123,7 +123,7 @@ def simulate(
     dt : float
         Sampling time of the controller [s].
     duration : float, optional
-        [s]; a whole number of dt, at most the trajectory's, which is the default.
+        [s]; a whole number of dt, at most the trajectory's; by default the whole steps in the trajectory's.
     q0, v0 : array_like, shape (nq,) and (nv,), optional
         Start, within the joint limits of the plant's arms; by default on the trajectory, completed by the
         plant's ``start``.

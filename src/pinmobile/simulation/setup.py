@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, TypeAlias
+from warnings import warn
 
 import numpy as np
 
@@ -93,7 +94,8 @@ def sample_times(dt: float, duration: float | None, longest: float) -> Array:
     dt : float
         Sampling time > 0 [s].
     duration : float or None
-        Time of the last sample [s]; None: `longest`.
+        Time of the last sample [s]; None: of the whole steps in `longest`, and a warning says where they end
+        before it.
     longest : float
         Duration of the trajectory [s].
 
@@ -116,6 +118,13 @@ def sample_times(dt: float, duration: float | None, longest: float) -> Array:
     affordable(f"the records of {steps + 1:,} samples", _RECORDED * _COORDINATES * (steps + 1), _SHORTER)
     if abs(steps * dt - total) > _WHOLE * total:
         below = int(total / dt)
+        if duration is None:
+            warn(
+                f"the last sample is at t = {below * dt:.12g} s, as the trajectory's {total:.12g} s are no "
+                f"whole number of steps dt = {dt:g} s",
+                stacklevel=3,
+            )
+            return np.asarray(np.arange(below + 1) * dt)
         raise InvalidArgument(
             f"duration is {total} s, expected a whole number of steps dt = {dt} s, "
             f"such as {below * dt:.12g} s"
