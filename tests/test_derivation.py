@@ -152,6 +152,27 @@ def test_lecture_has_exactly_its_mass_matrix_and_nonlinear_effects(table: DHTabl
     assert derivation.chain.q == (y, x, psi)
 
 
+@pytest.mark.parametrize("twist", [1.5708, -1.5708, 4.7124, 3.1416])
+def test_right_angles_of_four_decimals_are_right_and_reported(twist: float) -> None:
+    quarters = round(2 * twist / pi)
+    rows = [(0.0, 0.0), (quarters * sympy.pi / 2, 0.5)]  # a number of sympy stands for the same angle
+    table = DHTable(tuple(DHRow(alpha, a, 0, 0.1, R, f"q{k}") for k, (alpha, a) in enumerate(rows, 1)))
+    assert table.rows[1].alpha == quarters * pi / 2
+    exact = derive(table)
+    words = f"alpha of row 2 is {twist} rad, and the derivation takes {quarters * sympy.pi / 2}"
+    with pytest.warns(UserWarning, match=f"^{re.escape(words)}$"):
+        found = derive(DHTable((table.rows[0], DHRow(twist, 0.5, 0, 0.1, R, "q2"))))
+    assert found.mass_matrix == exact.mass_matrix
+    assert found.nonlinear_effects == exact.nonlinear_effects
+
+
+@pytest.mark.parametrize("twist", ["1.571", "1.0472"])
+def test_other_angles_of_a_table_keep_their_value(twist: str) -> None:
+    table = DHTable((DHRow(0, 0, 0, 0.1, R, "q1"), DHRow(float(twist), 0.5, 0, 0.1, R, "q2")))
+    angles = {each.args[0] for each in Matrix(derive(table).mass_matrix).atoms(sin, cos)}
+    assert sympy.Rational(twist) in angles
+
+
 def test_lecture_prints_the_factored_form() -> None:
     M, n = lecture().mass_matrix, lecture().nonlinear_effects
     assert M == LECTURE_M

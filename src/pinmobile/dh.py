@@ -31,7 +31,7 @@ class DHRow:
     Parameters
     ----------
     alpha : float
-        Link twist alpha_{k-1} [rad].
+        Link twist alpha_{k-1} [rad]; like the others a number of sympy too, such as ``sympy.pi / 2``.
     a : float
         Link length a_{k-1} [m].
     theta : float
@@ -58,7 +58,10 @@ class DHRow:
 
     def __post_init__(self) -> None:
         for name in ("alpha", "a", "theta", "d"):
-            object.__setattr__(self, name, scalar(name, getattr(self, name)))
+            value = getattr(self, name)
+            if getattr(value, "is_number", False):  # of sympy, such as pi / 2
+                value = float(value)
+            object.__setattr__(self, name, scalar(name, value))
         if not isinstance(self.joint, JointType):
             raise InvalidArgument(f"joint is {shown(self.joint)}, expected a JointType")
         if not isinstance(self.variable, str) or not self.variable.isidentifier():

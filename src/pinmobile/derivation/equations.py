@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from math import pi
 from typing import Any
+from warnings import warn
 
 import sympy
 from sympy import Expr, ImmutableMatrix, Symbol
@@ -21,6 +23,7 @@ from pinmobile.errors import InvalidArgument, shown
 
 ZERO = ImmutableMatrix([0, 0, 0])
 _Z = ImmutableMatrix([0, 0, 1])
+_FOUR_DECIMALS = 5e-5  # [rad], of a right angle that is written so
 
 
 @dataclass(frozen=True)
@@ -55,8 +58,8 @@ def joints(record: Record) -> tuple[Joint, ...]:
     chain, found = record.chain, []
     for k, (row, q) in enumerate(zip(chain.table, chain.q, strict=True), 1):
         revolute = row.joint is JointType.REVOLUTE
-        alpha, a = exact_angle("alpha", row.alpha), exact("a", row.a)
-        theta = exact_angle("theta", row.theta) + (q if revolute else 0)
+        alpha, a = _table_angle("alpha", row.alpha, k), exact("a", row.a)
+        theta = _table_angle("theta", row.theta, k) + (q if revolute else 0)
         d = exact("d", row.d) + (0 if revolute else q)
         ca, sa = sympy.cos(alpha), sympy.sin(alpha)
         c, s = record.named(f"c_{k}", sympy.cos(theta)), record.named(f"s_{k}", sympy.sin(theta))
@@ -64,6 +67,15 @@ def joints(record: Record) -> tuple[Joint, ...]:
         axes = (_Z, ZERO) if revolute else (ZERO, _Z)
         found.append(Joint(record.matrix(say.LOCAL, ImmutableMatrix(T), k), *axes))
     return tuple(found)
+
+
+def _table_angle(name: str, value: float, k: int) -> Expr:
+    """Return an angle of row `k` of a table: a right one where four decimals were meant for it."""
+    angle, right = exact_angle(name, value), sympy.Rational(round(2 * value / pi), 2) * sympy.pi
+    if angle == right or not right or abs(value - float(right)) > _FOUR_DECIMALS:
+        return angle
+    warn(f"{name} of row {k} is {value:.12g} rad, and the derivation takes {right}", stacklevel=5)
+    return right
 
 
 def placements(links: tuple[Joint, ...], record: Record) -> list[ImmutableMatrix]:
