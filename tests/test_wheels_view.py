@@ -329,6 +329,21 @@ def test_the_command_drives_the_robot_of_a_file(tmp_path: Path, capsys: pytest.C
     assert "computed torque" in capsys.readouterr().out
 
 
+def test_the_command_does_not_guess_whether_wheels_have_rollers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "husky.urdf"
+    path.write_text(wheeled.husky())
+    words = ["drive", "--urdf", str(path), "--duration", "0.1"]
+    assert main(words) == 2
+    assert "whose wheels are on more than one axle" in (refused := capsys.readouterr().err)
+    assert "give --rollers 0.785 for mecanum wheels, or --rollers none for tyres" in refused
+    assert main([*words, "--rollers", "none"]) == 0
+    assert "husky.urdf: dry friction, mu = 0.8" in capsys.readouterr().out
+    assert main([*words, "--rollers", "some"]) == 2
+    assert "--rollers is 'some', expected a number" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -325,8 +325,10 @@ def drive(
         list[Path] | None, _help("Folder of package:// in the URDF; repeatable.", panel=_DRIVE)
     ] = None,
     rollers: Annotated[
-        float | None,
-        _help("Angle of the rollers of the URDF's wheels (rad), 0.785 of mecanum.", panel=_DRIVE),
+        str | None,
+        _help(
+            "Angle of the rollers of the URDF's wheels (rad), 0.785 of mecanum; none: tyres.", panel=_DRIVE
+        ),
     ] = None,
     mu: Annotated[
         float | None,

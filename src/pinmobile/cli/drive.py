@@ -66,13 +66,13 @@ class OfFile(NamedTuple):
         The URDF.
     package_dirs : tuple of Path
         Where its ``package://`` is.
-    rollers : float or None
-        Angle of its wheels' rollers [rad].
+    rollers : str or None
+        Angle of its wheels' rollers [rad], or ``"none"`` of tyres.
     """
 
     path: Path
     package_dirs: tuple[Path, ...] = ()
-    rollers: float | None = None
+    rollers: str | None = None
 
 
 def wheeled_of(
@@ -109,16 +109,23 @@ def wheeled_of(
         if name is not None:
             raise InvalidArgument(f"--urdf stands for a drive, but there is {name!r} too")
         _refuse(given, (), "does not apply beside --urdf")
-        more: dict[str, Any] = {} if file.rollers is None else {"rollers": file.rollers}
+        more: dict[str, Any] = {}
+        if file.rollers is not None:
+            tyres = file.rollers.strip().lower() == "none"
+            more["rollers"] = {} if tyres else _one("--rollers", file.rollers)
+            ground = ground or (Coulomb(tolerance=_TOLERANCE) if tyres else None)
         with LECTURE.naming("urdf", path="urdf"):
             try:
                 return WheeledRobot.from_urdf(file.path, file.package_dirs, ground=ground, **more)
             except InvalidArgument as error:
-                if file.rollers is not None or "rollers" not in str(error):
+                if more or "rollers is not given" not in str(error):
                     raise
-                # Without a word about rollers they are tyres: those that skid are on ground where they slip.
-                slips = ground or Coulomb(tolerance=_TOLERANCE)
-                return WheeledRobot.from_urdf(file.path, file.package_dirs, ground=slips, rollers={})
+                raise InvalidArgument(
+                    f"--urdf is {str(file.path)!r}, whose wheels are on more than one axle, and the file does not "
+                    "say whether they have rollers: give --rollers 0.785 for mecanum wheels, or --rollers none "
+                    "for tyres, which skid in turns",
+                    argument="",
+                ) from error
     if name is None:
         raise InvalidArgument(
             "drive needs a drive: 'pinmobile drive mecanum --html out/mecanum.html', or a file by --urdf; "
@@ -134,6 +141,11 @@ def wheeled_of(
         f"does not apply to {name}, which takes {', '.join(map(as_option, choice.takes))}",
     )
     return _box_on(choice, given, ground, arms)
+
+
+def _one(option: str, text: str) -> float:
+    (found,) = numbers(option, text)[:1]
+    return found
 
 
 def velocity_robot_of(typed: Mapping[str, Any], preset: str | None, theta: str | None) -> VelocityRobot:
