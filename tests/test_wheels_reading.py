@@ -1,6 +1,7 @@
 """Wheel tables read from URDFs: against numbers by hand and Pinocchio's own tree, and what is refused."""
 
 import pickle
+import warnings
 from collections.abc import Mapping
 from math import cos, pi, radians, sin, tan
 from pathlib import Path
@@ -58,7 +59,8 @@ def near(table: WheelTable, places: list[tuple[float, float]], radius: float, to
     np.testing.assert_allclose(numbers(table), [(x, y, radius) for x, y in places], rtol=0, atol=to)
 
 
-# Real robots: the numbers of their files
+# Real robots: the numbers of their files, whose friction is reported
+pytestmark = pytest.mark.filterwarnings("ignore:base.urdf. damping and friction:UserWarning")
 
 
 def box(x: float, y: float) -> list[tuple[float, float]]:
@@ -94,6 +96,27 @@ def test_jackal_has_four_tyres(tmp_path: Path) -> None:
     table = table_of(tmp_path, wheeled.jackal(), rollers={})
     near(table, box(0.131, 0.187795), 0.098)
     assert {(w.mass, w.spin_inertia, w.yaw_inertia) for w in table.wheels} == {(0.477, 0.0024, 0.0013)}
+
+
+def test_friction_of_a_file_that_changes_nothing_is_reported(tmp_path: Path) -> None:
+    plain = wheeled.turtlebot("burger")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read(tmp_path, plain)
+    held = plain.replace(
+        'wheel_left_joint" type="continuous">',
+        'wheel_left_joint" type="continuous"><dynamics damping="5" friction="2"/>',
+    )
+    assert held != plain
+    slick = '<gazebo reference="wheel_left_link"><mu1>0.1</mu1></gazebo></robot>'
+    with pytest.warns(UserWarning) as told:
+        read(tmp_path, held.replace("</robot>", slick))
+    (words,) = (str(one.message) for one in told)
+    assert words == (
+        "base.urdf: damping and friction of ${namespace}wheel_left_joint act where motors take volts alone (by_voltage): "
+        "give forces=[ViscousFriction(...)], or Friction(rolling=...) of the wheels; mu1 and mu2 of "
+        "wheel_left_link are not used: give ground=Coulomb(mu)"
+    )
 
 
 def test_ridgeback_is_mecanum_where_its_rollers_are_told(tmp_path: Path) -> None:

@@ -121,8 +121,8 @@ def wheeled_of(
                 if more or "rollers is not given" not in str(error):
                     raise
                 raise InvalidArgument(
-                    f"--urdf is {str(file.path)!r}, whose wheels are on more than one axle, and the file does "
-                    "not say whether they have rollers: give --rollers 0.785 for mecanum wheels, or "
+                    f"--urdf is {str(file.path)!r}, whose wheels are on more than one axle, and the file "
+                    "does not say whether they have rollers: give --rollers 0.785 for mecanum wheels, or "
                     "--rollers none for tyres, which skid in turns",
                     argument="",
                 ) from error

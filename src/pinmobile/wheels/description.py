@@ -6,6 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from math import atan2, cos, hypot, sin
 from os import PathLike
+from pathlib import Path
+from warnings import warn
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -143,11 +146,40 @@ def read_robot(
         As in `read_wheels`.
     """
     robot = MobileRobot.from_urdf(path, package_dirs, ground=ground_z)
+    _report_ignored(Path(path))
     if robot.grounded or radius is None:
         return robot
     wheels = WheelJoints(robot, Given(radius=radius, locked=locked))
     lowest = [joint.centre[2] - wheels.radius(joint) for joint in wheels.joints]
     return MobileRobot.from_urdf(path, package_dirs, ground=sum(lowest) / len(lowest))
+
+
+def _report_ignored(path: Path) -> None:
+    """Warn of what a file says of friction that changes nothing."""
+    root = ElementTree.parse(path).getroot()
+    joints, links = [], []
+    for joint in root.findall("joint"):
+        dynamics = joint.find("dynamics")
+        given = () if dynamics is None else (dynamics.get(name, "0") for name in ("damping", "friction"))
+        if any(float(x) for x in given) and joint.get("type") != "fixed":
+            joints.append(str(joint.get("name")))
+    for gazebo in root.findall("gazebo"):
+        if gazebo.find("mu1") is not None or gazebo.find("mu2") is not None:
+            links.append(str(gazebo.get("reference")))
+    words = []
+    if joints:
+        words.append(
+            f"damping and friction of {_listed(joints)} act where motors take volts alone (by_voltage): give "
+            "forces=[ViscousFriction(...)], or Friction(rolling=...) of the wheels"
+        )
+    if links:
+        words.append(f"mu1 and mu2 of {_listed(links)} are not used: give ground=Coulomb(mu)")
+    if words:
+        warn(f"{path.name}: {'; '.join(words)}", stacklevel=4)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names) if len(names) < 4 else f"{names[0]}, {names[1]} and {len(names) - 2} more"
 
 
 class _Reader:
