@@ -109,12 +109,12 @@ def test_friction_of_a_file_that_changes_nothing_is_reported(tmp_path: Path) -> 
     )
     assert held != plain
     slick = '<gazebo reference="wheel_left_link"><mu1>0.1</mu1></gazebo></robot>'
-    with pytest.warns(UserWarning) as told:
+    with pytest.warns(UserWarning, match=r"^base\.urdf: ") as told:
         read(tmp_path, held.replace("</robot>", slick))
     (words,) = (str(one.message) for one in told)
     assert words == (
-        "base.urdf: damping and friction of ${namespace}wheel_left_joint act where motors take volts alone (by_voltage): "
-        "give forces=[ViscousFriction(...)], or Friction(rolling=...) of the wheels; mu1 and mu2 of "
+        "base.urdf: damping and friction of ${namespace}wheel_left_joint act where motors take volts alone "
+        "(by_voltage): give forces=[ViscousFriction(...)], or Friction(rolling=...) of the wheels; mu1 and mu2 of "
         "wheel_left_link are not used: give ground=Coulomb(mu)"
     )
 
