@@ -114,8 +114,8 @@ def test_friction_of_a_file_that_changes_nothing_is_reported(tmp_path: Path) -> 
     (words,) = (str(one.message) for one in told)
     assert words == (
         "base.urdf: damping and friction of ${namespace}wheel_left_joint act where motors take volts alone "
-        "(by_voltage): give forces=[ViscousFriction(...)], or Friction(rolling=...) of the wheels; mu1 and mu2 of "
-        "wheel_left_link are not used: give ground=Coulomb(mu)"
+        "(by_voltage): give forces=[ViscousFriction(...)], or Friction(rolling=...) of the wheels; mu1 and "
+        "mu2 of wheel_left_link are not used: give ground=Coulomb(mu)"
     )
 
 
