@@ -336,7 +336,10 @@ def test_wheels_that_stand_on_no_plane_are_refused_by_name(tmp_path: Path) -> No
     ):
         read(tmp_path, bicycle(0.106))
     # Given the ground, only what touches it carries.
-    assert "what touches the ground, f, has no area" in read(tmp_path, bicycle(0.106), ground=0.0).source
+    assert (
+        "what is within 5 mm of the ground, f, has no area"
+        in read(tmp_path, bicycle(0.106), ground=0.0).source
+    )
 
 
 @pytest.mark.parametrize(
@@ -351,14 +354,14 @@ def test_wheels_that_stand_on_no_plane_are_refused_by_name(tmp_path: Path) -> No
 def test_the_radius_is_that_of_what_is_round_about_the_axle(tmp_path: Path, other: str) -> None:
     robot = read(tmp_path, bicycle(0.1, other + ROLLING))
     assert "at z = 0 m" in robot.source
-    assert "what touches the ground, b, f, has no area" in robot.source
+    assert "what is within 5 mm of the ground, b, f, has no area" in robot.source
 
 
 def test_a_spinning_sensor_is_no_wheel_to_stand_on(tmp_path: Path) -> None:
     lidar = shape("cylinder", 'radius="0.05" length="0.04"')
     spun = link("lidar", lidar), joint("spin", "continuous", "base", "lidar", "0 0 0.9", axis="0 0 1")
     robot = read(tmp_path, bicycle(0.1).replace("</robot>", "".join(spun) + "</robot>"))
-    assert "what touches the ground, b, f, has no area" in robot.source
+    assert "what is within 5 mm of the ground, b, f, has no area" in robot.source
     assert robot.locked_joints == ("b", "f", "spin")
 
 
@@ -374,7 +377,7 @@ def test_a_wheel_hangs_on_its_swivel_and_its_rollers_are_no_wheels(tmp_path: Pat
     np.testing.assert_allclose(found.centre, (0.284, 0, 0.1), atol=1e-15)
     # A roller on the ground is a part of the wheel.
     text = path.read_text().replace('xyz="0.09 0 0"', 'xyz="0 0 -0.09"')
-    assert "what touches the ground, axle, has no area" in read(tmp_path, text).source
+    assert "what is within 5 mm of the ground, axle, has no area" in read(tmp_path, text).source
 
 
 @pytest.mark.parametrize(("z", "standing"), [(0.1, True), (0.104, True), (0.106, False), (-0.1, False)])
@@ -385,7 +388,7 @@ def test_wheels_of_no_radius_stand_where_their_axles_are_level(
     bare = bicycle(z).replace(ROLLING, "").replace("0.5 0 0.1", front)
     bare = bare.replace(inertial(9), inertial(9, "0 0 0.2"))
     robot = read(tmp_path, bare, ground=0.0)
-    assert ("what touches the ground, b, f, has" in robot.source) is standing
+    assert ("what is within 5 mm of the ground, b, f, has" in robot.source) is standing
     assert ("of all shapes none, has" in robot.source) is not standing
 
 

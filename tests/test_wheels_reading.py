@@ -98,6 +98,33 @@ def test_jackal_has_four_tyres(tmp_path: Path) -> None:
     assert {(w.mass, w.spin_inertia, w.yaw_inertia) for w in table.wheels} == {(0.477, 0.0024, 0.0013)}
 
 
+def test_what_counts_as_on_the_ground_is_said_and_rolling_wheels_are_not_locked(tmp_path: Path) -> None:
+    text = wheeled.turtlebot("burger")
+    source = read(tmp_path, text).source
+    assert "locked at rest" in MobileRobot.from_urdf(written(tmp_path, text)).source
+    assert "locked at rest" not in source
+    assert "footprint: what is within 5 mm of the ground" in source
+    assert "supports without friction where the file is within 5 mm of the ground, at" in source
+    held = read(tmp_path, wheeled.pmb2_on_casters(), locked=CASTERS).source
+    (words,) = [part for part in held.split("; ") if part.startswith("locked at rest: ")]
+    assert "wheel_left_joint" not in words
+    assert CASTERS[0] in words
+
+
+def test_a_robot_on_wheels_takes_other_numbers_of_its_body(tmp_path: Path) -> None:
+    robot = read(tmp_path, wheeled.turtlebot("waffle"))
+    other = robot.with_parameters(mass=2.0, mu=0.4)
+    assert other.robot.mass == 2.0
+    assert set(other.mu) == {0.4}
+    assert other == WheeledRobot(robot.robot.with_parameters(mass=2.0), robot.table).with_parameters(mu=0.4)
+
+
+@pytest.mark.xfail(strict=True, reason="C7: a wheeled robot's parameters leave out its body's")
+def test_parameters_of_a_robot_on_wheels_have_the_mass_of_its_body(tmp_path: Path) -> None:
+    robot = read(tmp_path, wheeled.turtlebot("waffle"))
+    assert "mass" in [one.name for one in robot.parameters]
+
+
 def test_friction_of_a_file_that_changes_nothing_is_reported(tmp_path: Path) -> None:
     plain = wheeled.turtlebot("burger")
     with warnings.catch_warnings():

@@ -2,6 +2,7 @@
 
 from pinmobile.robot.arms import Arm
 from pinmobile.robot.complex_step import slopes as slopes
+from pinmobile.robot.geometry import TOUCH as TOUCH
 from pinmobile.robot.joints import BODY_JOINT, joints_of as joints_of
 from pinmobile.robot.linkage import (
     ONE as ONE,

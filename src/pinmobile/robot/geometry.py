@@ -19,7 +19,9 @@ from pinmobile.robot.wellformed import numbers
 _ALONG = 0.995
 """Cosine beyond which two directions are the same: files have angles such as 1.57."""
 _DIMENSIONS = {"box": "size", "cylinder": "radius length", "capsule": "radius length", "sphere": "radius"}
-_TOUCH = 0.005  # [m]: what is so near the ground stands on it
+TOUCH = 0.005
+"""What is so near the ground, or one plane, stands on it [m]."""
+
 _ROUNDING = 1e-9  # [m]
 _LEVEL = 0.1  # sine of the angle by which an axle may be off level: files have angles such as 1.57
 _FOOTPRINT = "base_footprint"  # REP-120: the link that is on the ground, whatever namespace is before it
@@ -214,7 +216,7 @@ def wheels_of(
                 at = place * shape.placement
                 radius = shape.radius_about(at.rotation.T @ axis)
                 aside = np.cross(at.translation - place.translation, axis)
-                if radius is not None and np.linalg.norm(aside) <= _TOUCH:
+                if radius is not None and np.linalg.norm(aside) <= TOUCH:
                     round_about.append((radius, at.translation))
         radius, centre = max(round_about, key=lambda pair: pair[0], default=(None, place.translation))
         x, y, z = (float(number) for number in centre)
@@ -259,11 +261,11 @@ def ground_below(
     lowest = {wheel.name: wheel.centre[2] - wheel.radius for wheel in wheels if wheel.radius is not None}
     if lowest:
         heights = list(lowest.values())
-        if max(heights) - min(heights) > _TOUCH:
+        if max(heights) - min(heights) > TOUCH:
             listed = ", ".join(f"{wheel} at z = {_rounded(z):.4g}" for wheel, z in lowest.items())
             raise InvalidArgument(
                 f"{name}: its wheels do not stand on one plane, their lowest points being {listed} m, "
-                f"expected them within {1e3 * _TOUCH:g} mm, or ground=, the z of the ground in the root "
+                f"expected them within {1e3 * TOUCH:g} mm, or ground=, the z of the ground in the root "
                 "link's frame [m]"
             )
         return _rounded(sum(heights) / len(heights)), "below its wheels by their radii"
@@ -305,15 +307,15 @@ def stance_on(
     placed = [(shape, _place(data, base, shape)) for shape in shapes if shape.joint not in apart]
     heights = [wheel.centre[2] - ground for wheel in wheels]
     # Where a file tells no radius at all, wheels with axles of one height stand on the ground.
-    level = bool(heights) and min(heights) > 0 and max(heights) - min(heights) <= _TOUCH
+    level = bool(heights) and min(heights) > 0 and max(heights) - min(heights) <= TOUCH
     untold = level and all(wheel.radius is None for wheel in wheels)
     points, names, supports = [], [], list[tuple[float, float]]()
     for wheel, height in zip(wheels, heights, strict=True):
-        if untold if wheel.radius is None else abs(height - wheel.radius) <= _TOUCH:
+        if untold if wheel.radius is None else abs(height - wheel.radius) <= TOUCH:
             points.append(np.array([wheel.centre[:2]]))
             names.append(wheel.name)
     for shape, pose in placed:
-        if not shape.mesh and abs(pose.translation[2] - shape.reach(pose.rotation)) <= _TOUCH:
+        if not shape.mesh and abs(pose.translation[2] - shape.reach(pose.rotation)) <= TOUCH:
             face = None if wheels else shape.corners_below(pose)
             # A caster or a skid of a robot on wheels carries at its middle.
             points.append(np.array([pose.translation[:2]]) if face is None else face)
@@ -321,12 +323,12 @@ def stance_on(
             supports += [(float(x), float(y)) for x, y in points[-1]]
     corners = hull(np.concatenate(points)) if points else None
     listed = ", ".join(dict.fromkeys(names)) or "of all shapes none"
-    words = f"what touches the ground, {listed}"
+    words = f"what is within {1e3 * TOUCH:g} mm of the ground, {listed}"
     # A wheel of which nothing is told may stand on the ground too: that changes nothing inside the others.
     lost = [] if untold else [wheel for wheel in wheels if wheel.radius is None and wheel.centre[2] > ground]
     if corners is None:
         words = f"footprint not known: {words}, has no area"
-    elif any(margin_inside(corners, np.array(wheel.centre[:2])) < -_TOUCH for wheel in lost):
+    elif any(margin_inside(corners, np.array(wheel.centre[:2])) < -TOUCH for wheel in lost):
         corners, radii = None, ", ".join(wheel.name for wheel in lost)
         words = f"footprint not known: {words}, but the file does not tell the radius of {radii}"
     else:
@@ -358,4 +360,4 @@ def _top(body: Sequence[tuple[Shape, pin.SE3]], file: VisualFile | None) -> tupl
 
 def _is_above(shape: Shape, pose: pin.SE3) -> bool:
     """Tell whether a shape is more than what a caster is: not a primitive that touches the ground."""
-    return bool(shape.mesh) or pose.translation[2] - shape.reach(pose.rotation) > _TOUCH
+    return bool(shape.mesh) or pose.translation[2] - shape.reach(pose.rotation) > TOUCH

@@ -14,7 +14,7 @@ import numpy as np
 
 from pinmobile.arrays import ArrayLike, sequence
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.robot import MobileRobot
+from pinmobile.robot import TOUCH, MobileRobot
 from pinmobile.wheels.table import (
     DRIVEN,
     FIXED,
@@ -28,7 +28,6 @@ from pinmobile.wheels.table import (
     each_of,
 )
 from pinmobile.wheels.wheel_joints import (
-    PLANE,
     Given,
     WheelJoints,
     left_of,
@@ -215,12 +214,12 @@ class _Reader:
             joint.name: joint.centre[2] - row.radius for joint, row in zip(self.joints, rows, strict=True)
         }
         heights = [*lowest.values(), *([0.0] if self.robot.grounded else [])]
-        if max(heights) - min(heights) > PLANE:
+        if max(heights) - min(heights) > TOUCH:
             listed = ", ".join(f"{name} at z = {z:.4g}" for name, z in lowest.items())
             ground = ", the ground at z = 0" if self.robot.grounded else ""
             raise InvalidArgument(
                 f"wheels do not stand on one plane, their lowest points being {listed}{ground} m, expected "
-                f"them within {1e3 * PLANE:g} mm, other radii, or locked= for those that do not roll"
+                f"them within {1e3 * TOUCH:g} mm, other radii, or locked= for those that do not roll"
             )
 
     def _on_lines(self, rows: Sequence[Wheel]) -> list[Wheel]:
@@ -329,7 +328,8 @@ class _Reader:
             told.append(f"locked: {', '.join(self.given.locked)}")
         if table.supports:
             places = ", ".join(f"({each.x:.4g}, {each.y:.4g})" for each in table.supports)
-            given = "as given" if self.given.supports is not None else "where the file touches the ground"
+            near = f"where the file is within {1e3 * TOUCH:g} mm of the ground"
+            given = "as given" if self.given.supports is not None else near
             told.append(f"supports without friction {given}, at {places} m")
         return told
 

@@ -28,7 +28,8 @@ from pinmobile.wheels.description import joint_signs
 from pinmobile.wheels.drawn import Picture
 from pinmobile.wheels.drive_numbers import DriveNumbers
 from pinmobile.wheels.mobility import Mobility
-from pinmobile.wheels.table import WheelTable
+from pinmobile.wheels.table import FIXED, WheelTable
+from pinmobile.wheels.wheel_joints import wheel_name
 
 _SAME_LINE = 1e-6  # [m]
 
@@ -87,7 +88,15 @@ class Platform:
     @property
     def source(self) -> str:
         """Where its numbers come from, in words."""
-        return f"{self.robot.source.replace(f'; {LOCKED}', '')}; {self.table.source}"
+        locked, turns = self.robot.locked_joints, dict(zip(self.table.names, self.table.wheels, strict=True))
+        moving = set[str]()
+        for joint in self.robot.undercarriage.wheels:
+            if wheel := turns.get(wheel_name(joint.name)):
+                moving |= {joint.name, *(each.name for each in joint.swivels if wheel.steering != FIXED)}
+        held = ", ".join(name for name in locked if name not in moving)
+        words = self.robot.source.replace(f"; {LOCKED}", "")
+        words = words.replace(f"; locked at rest: {', '.join(locked)}", held and f"; locked at rest: {held}")
+        return f"{words}; {self.table.source}"
 
     @property
     def joint_signs(self) -> Mapping[str, int]:

@@ -10,12 +10,9 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, non_negative, one_of, positive, scalar, sequence
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.robot import MobileRobot, Swivel, WheelJoint
+from pinmobile.robot import TOUCH, MobileRobot, Swivel, WheelJoint
 from pinmobile.wheels.motors import Motor
 from pinmobile.wheels.table import DRIVEN, FIXED, FREE, Coupling, Wheel
-
-PLANE = 0.005
-"""What is so near one plane stands on it [m]."""
 
 _TRAIL = 1e-3  # [m]: a wheel nearer to its swivel than that does not trail
 _ROUNDED = 0.002  # [rad] of a multiple of 15 degrees: files have 1.57 and 3.14
@@ -80,7 +77,7 @@ class WheelJoints:
 
     def _stands(self, joint: WheelJoint) -> bool:
         height = joint.centre[2] if self.robot.grounded else 0.0
-        return joint.radius is None or abs(height - joint.radius) <= PLANE
+        return joint.radius is None or abs(height - joint.radius) <= TOUCH
 
     def told(self, key: str, name: str) -> object:
         """Return what is given of a wheel, None for nothing."""

@@ -184,7 +184,8 @@ class WheeledRobot(Platform, Bearing):
         Parameters
         ----------
         **values : float or array_like
-            By the name of a parameter, or of an attribute with all its numbers, such as ``radius``.
+            By the name of a parameter, its own or its body's, such as ``mass``, or of an attribute with all
+            its numbers, such as ``radius``.
 
         Raises
         ------
@@ -193,6 +194,10 @@ class WheeledRobot(Platform, Bearing):
         UnknownName
             If there is no such parameter.
         """
+        of_body = {one.name for one in self.robot.parameters} & values.keys()
+        if of_body:
+            body = self.robot.with_parameters(**{name: values.pop(name) for name in of_body})
+            return WheeledRobot(body, self.table, self.ground).with_parameters(**values)
         robot, table = self._numbers.changed(values)
         return WheeledRobot(robot, table, self.ground.of_each_wheel())
 
