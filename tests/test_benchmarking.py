@@ -177,7 +177,9 @@ def judged(place: BenchmarkScenario, **rows: tuple[float, float]) -> str:
 def test_who_ties_is_told_so() -> None:
     said = judged(SHORT, a=(9.0, 2.004), b=(5.04, 4.0), c=(5.0, 2.0))
     assert said.startswith("Closest after the start: b and c tied in x (5 to 5.04 mm), at 2 to 4 N/s of")
-    assert "never lose the robot: a and c tied, always the least, 5 to 9 mm off." in said
+    assert "never lose the robot: a and c tied, nowhere above 1.002 times the least, 5 to 9 mm off." in said
+    said = judged(SHORT, a=(5.0, 7.36), b=(9.0, 7.33))
+    assert "a in x (5 mm), at 7.36 N/s of chatter, at most 1.004 times the least." in said
     assert "Closest after the start: c in x (5 mm), at" in judged(SHORT, b=(5.06, 4.0), c=(5.0, 2.0))
     # Less than a micrometre is told as that, and is rounding.
     assert "a and b tied in x (<0.001 mm), at" in judged(SHORT, a=(2e-5, 1.0), b=(8e-4, 1.0))

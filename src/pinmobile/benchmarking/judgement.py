@@ -21,7 +21,8 @@ _LOST = 1.0  # [m] off, from which a controller has lost its robot
 _TOUCH = 1e-3  # [m] beyond a wall that do not count
 _ALIKE = 1.1  # ratio of the largest to the smallest distance in which latency alone shows
 _SMALL = 1e-3  # what is smaller is not told, in the units of tables
-_NEAR = 1.05  # ratio to the least chatter that counts as it
+_NEAR = 1.05  # ratio to the least chatter that three digits tell badly
+_LEAST = 1.0005  # ratio to the least chatter that the three digits of tables do not tell from it
 _TIED = 1.01  # ratio to the best up to which others tie with it
 
 
@@ -183,7 +184,8 @@ class Benchmark:
             ratio = _times(price, chatter[:, won].min(axis=0))
             finite = np.isfinite(ratio).all()
             more = f"{_range(ratio)} times the least" if finite else "where others have none"
-            least = "the least" if ratio.max() < _NEAR else more
+            more = f"at most {ratio.max():.4g} times the least" if ratio.max() < _NEAR else more
+            least = "the least" if ratio.max() < _LEAST else more
             said.append(f"{self._called(who)} in {where}, at {_range(price)} N/s of chatter, {least}")
         return [f"Closest after the start: {'; '.join(said)}."] if said else []
 
@@ -201,7 +203,7 @@ class Benchmark:
             return []
         return [
             f"Least chatter of those who never lose the robot: {self._called(who)}, "
-            f"{'always' if most < _NEAR else f'nowhere above {most:.2g} times'} the least, "
+            f"{'always' if most < _LEAST else f'nowhere above {most:.4g} times'} the least, "
             f"{_range(mm[who])} mm off."
         ]
 
