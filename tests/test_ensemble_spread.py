@@ -1,5 +1,6 @@
 """What is drawn for an ensemble, what is refused, and how it is summed up."""
 
+import re
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from pinmobile import (
     ConstantForce,
     Context,
     CubicVia,
+    Delayed,
     FixedHeading,
     Hold,
     InvalidArgument,
@@ -405,6 +407,16 @@ def test_a_scenario_checks_itself(changes: Any, error: Any, text: str) -> None:
     with pytest.raises(error) as caught:
         made(**changes)
     assert text in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["samples", "controller.samples", "controller.controller.samples"])
+def test_what_all_robots_share_is_named_where_a_spread_asks_for_it(name: str) -> None:
+    path = "controller.controller" if name.count(".") == 2 else "controller"
+    delayed = Delayed(PD(4, 4), 3)
+    late = Delayed(delayed, 0) if path != "controller" else delayed
+    words = f"spread has {name!r}, a whole number of {path}, a Delayed, which all robots of an ensemble share"
+    with pytest.raises(InvalidArgument, match=f"^{re.escape(words)}"):
+        made(controller=late, spread={name: Uniform(1, 4)})
 
 
 @pytest.mark.parametrize(

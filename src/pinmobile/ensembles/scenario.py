@@ -12,7 +12,17 @@ from zlib import crc32
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, affordable, finite, positive, scalar, whole
-from pinmobile.compiled import BINS, Noise, Parts, Place, check_made_again, initial_memory, memory_of, once
+from pinmobile.compiled import (
+    BINS,
+    Noise,
+    Parts,
+    Place,
+    check_made_again,
+    children,
+    initial_memory,
+    memory_of,
+    once,
+)
 from pinmobile.ensembles.distributions import (
     Source,
     check_mapping,
@@ -33,7 +43,7 @@ from pinmobile.ensembles.parameters import (
     with_spread_forces,
     written,
 )
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator
 from pinmobile.measures import Measure, channels_of, check_measured, chosen
@@ -154,10 +164,26 @@ class Scenario:
         )
         own = 3 + 2 * self.size + len(self.inputs) + 2 * len(self.judged) + len(self.spread)
         affordable(f"the records of {n:,} robots", own * n, "give a smaller n")
-        self._set(spread=checked_spread(self.spread, n, self.known))
+        try:
+            self._set(spread=checked_spread(self.spread, n, self.known))
+        except UnknownName as error:
+            self._refuse_shared(str(error.name))
+            raise
         check_supports(self.spread, self.parameters)
         once(self._memory, ("made again", *sorted(self.spread)), self._check_made_again)
         once(self._memory, ("answers", *self._told), self._check_answers)
+
+    def _refuse_shared(self, name: str) -> None:
+        """Refuse a spread of what a part has and all robots share, such as the samples of a delay."""
+        parts = list(self._given.by_path())
+        for path, part in parts:  # and those within them
+            own = name.removeprefix(f"{path}.")
+            if own.isidentifier() and isinstance(getattr(part, own, None), int | np.integer):
+                raise InvalidArgument(
+                    f"spread has {name!r}, a whole number of {path}, a {type(part).__name__}, which all "
+                    "robots of an ensemble share: run one ensemble for each value, or a sweep over them"
+                )
+            parts += [(f"{path}.{child}", each) for child, each in children(part)]
 
     def _check_made_again(self) -> bool:
         """Refuse parts with a spread parameter that keep what may follow from it and cannot be made again."""
