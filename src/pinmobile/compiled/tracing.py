@@ -180,7 +180,7 @@ def tracing(parts: Iterable[Any] | Walk) -> Iterator[None]:
                 f"on symbols it raises {type(error).__name__} ({error})",
                 "where an index comes from a symbol, use np.where or np.select"
                 if index
-                else "write it for one state, by NumPy's operators and functions",
+                else "write it for one state, by NumPy's operators and functions, or run it by PINOCCHIO",
                 place_of(error.__traceback__),
             ) from error
         finally:
@@ -192,14 +192,19 @@ def tracing(parts: Iterable[Any] | Walk) -> Iterator[None]:
 
 
 def place_of(traceback: TracebackType | None) -> str:
-    """Return the last line of a law in a traceback: function, line, file and text."""
-    found = ""
+    """Return the last line of a law in a traceback, a user's if there is one: function, line, file and text.
+
+    Compiled modules have no lines to show, and those of other packages are no user's.
+    """
+    found, theirs = "", ""
     while traceback is not None:
-        code = traceback.tb_frame.f_code
+        code, line = traceback.tb_frame.f_code, traceback.tb_lineno
         if not code.co_filename.startswith(_OURS):
-            found = _told(code, traceback.tb_lineno)
+            theirs = _told(code, line)
+            if "site-packages" not in code.co_filename and linecache.getline(code.co_filename, line):
+                found = theirs
         traceback = traceback.tb_next
-    return found
+    return found or theirs
 
 
 def calling_place() -> str:
