@@ -526,3 +526,10 @@ class TestFigures:
             assert figure._repr_png_().startswith(b"\x89PNG")
         assert dict(matplotlib.rcParams) == before
         assert ("matplotlib.pyplot" in sys.modules) == loaded
+
+
+def test_many_drivers_fit_on_a_page() -> None:
+    ends = {"mass": (20, 40), "kp": (3, 5), "kd": (3, 5), "com_x": (-0.1, 0.1), "com_y": (-0.1, 0.1)}
+    spread = {name: Uniform(*each) for name, each in ends.items()} | {"yaw_inertia": Uniform(1, 2)}
+    made = ensemble(ROBOT, PD(4, 4), Tangent(Circle(1, 0.5, 1)), dt=0.05, n=200, seed=1, spread=spread)
+    assert plots.drivers(made).get_size_inches()[0] == 9.0

@@ -21,13 +21,14 @@ from PIL import Image
 
 from pinmobile import plots
 from pinmobile.arrays import Array
-from pinmobile.controllers import PD, ComputedTorque
+from pinmobile.controllers import PD, ComputedTorque, law
 from pinmobile.errors import InvalidArgument
-from pinmobile.paths import Circle, CubicVia
+from pinmobile.paths import Circle, CubicVia, Hold
 from pinmobile.plots.style import si, thinned
 from pinmobile.robot import MobileRobot
 from pinmobile.simulation import Rollout, simulate
-from pinmobile.trajectories import Reference, Tangent, Trajectory
+from pinmobile.trajectories import FixedHeading, Reference, Tangent, Trajectory
+from pinmobile.wheels import Coulomb, WheeledRobot, WheelTable
 
 pytestmark = pytest.mark.once
 
@@ -487,3 +488,33 @@ class TestAnimate:
             InvalidArgument, match=r"^path is '.*folder.gif', which cannot be written: Is a dir"
         ):
             plots.animate(run, folder)
+
+
+def test_signals_of_several_runs_with_vectors_are_told_apart_and_no_legend_covers_them() -> None:
+    table = WheelTable.skid_steer(0.5, 0.4, 0.1, mass=1.0, spin_inertia=0.01, yaw_inertia=0.006)
+    push = law(lambda t, q, v, reference: np.array([3.0, 5.0]))
+    runs = {
+        f"mu {mu}": simulate(
+            WheeledRobot(MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2)), table, Coulomb(mu)),
+            push,
+            FixedHeading(Hold((0, 0), 0.1), 0.0),
+            dt=0.01,
+        )
+        for mu in (0.3, 0.8)
+    }
+    figure = plots.signals(runs, title="")
+    assert figure.get_suptitle() == ""
+    for axes in figure.axes:
+        assert axes.get_legend() is None
+        looks = [(line.get_color(), line.get_linestyle()) for line in axes.lines]
+        assert len(set(looks)) == len(looks) >= 2
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == [
+        "mu 0.3",
+        "mu 0.8",
+        "[0]",
+        "[1]",
+        "[2]",
+        "[3]",
+    ]
+    assert plots.signals(runs).get_suptitle() == "Signals"

@@ -223,7 +223,7 @@ def drivers(
     worst = worst_share(ensemble, share, by)
     found = causes(ensemble, worst)
     shown = found[:_MOST]
-    sheet = Sheet(ax, width, 7.6 if len(shown) <= 3 else 10.8)
+    sheet = Sheet(ax, width, 7.6 if len(shown) <= 3 else 9.0)
     columns = sheet.columns(2 if len(shown) <= 3 else 3, 2.9)
     *panels, scatter = _axes(sheet, len(shown), columns)
     for axes, one in zip(panels, shown, strict=True):

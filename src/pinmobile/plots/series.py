@@ -31,6 +31,7 @@ from pinmobile.plots.style import (
     desired,
     dress,
     heading,
+    ink,
     keys_of,
     labelled,
     laid_out,
@@ -200,24 +201,27 @@ def signals(
     names = [(_symbol(name), unit) for name, unit in units.items()]
     sheet = Sheet(ax, width, _wide(len(names)))
     panels = laid_out(sheet, names)
+    sizes = [values[0].size for run in runs.values() for _, values in run.signals.values()]
+    most = max(sizes)
+
+    def style(index: int, k: int, count: int) -> Style:
+        """Dashes tell runs apart, and where a signal has several entries colours tell these."""
+        if most == 1:
+            return line_style(index, len(runs))
+        return {**line_style(index, len(runs)), "color": colour(k) if count > 1 else ink()}
+
     for axes, name in zip(panels, units, strict=True):
-        for index, (label, run) in enumerate(runs.items()):
-            if name not in run.signals:
-                continue
-            values = run.signals[name].values.reshape(len(run), -1)
-            many = values.shape[1] > 1
-            for k, column in enumerate(values.T):
-                style = (
-                    line_style(k, values.shape[1])
-                    if many and len(runs) == 1
-                    else line_style(index, len(runs))
-                )
-                draw(
-                    [axes], run.t, column[:, None], label=f"{label} [{k}]".strip() if many else label, **style
-                )
-        if any(run.signals[name].values.ndim > 1 for run in runs.values() if name in run.signals):
-            axes.legend(fontsize=letters(0.9))
-    return sheet.finish(title, "Signals", keys_of(runs))
+        for index, run in enumerate(runs.values()):
+            if name in run.signals:
+                values = run.signals[name].values.reshape(len(run), -1)
+                for k, column in enumerate(values.T):
+                    draw([axes], run.t, column[:, None], **style(index, k, values.shape[1]))
+    keys = [
+        Line2D([], [], label=label, **style(index, 0, 1)) for index, label in enumerate(runs) if len(runs) > 1
+    ]
+    if most > 1:
+        keys += [Line2D([], [], label=f"[{k}]", color=colour(k), linewidth=3.0) for k in range(most)]
+    return sheet.finish(title, "Signals", keys)
 
 
 def _wide(count: int) -> float:

@@ -91,14 +91,14 @@ def _titled(axes: Axes, renderer: RendererBase) -> Bbox:
 
 
 def headed(title: object, default: str) -> str:
-    """Return the heading of a figure.
+    """Return the heading of a figure: what was given, "" for none, else the default.
 
     Raises
     ------
     InvalidArgument
         If it is no text.
     """
-    return default if title is None or (isinstance(title, str) and not title) else text("title", title)
+    return default if title is None else "" if isinstance(title, str) and not title else text("title", title)
 
 
 def extent(line: str, size: float, **font: Any) -> float:
