@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
+from pinmobile.errors import PinmobileError
 from pinmobile.identification import Excitation
 from pinmobile.identification.chassis import Chassis
 from pinmobile.identification.cleaning import Cleaned
@@ -904,6 +906,23 @@ def test_columns_of_other_names_are_told_those_that_are_known_need_not_be(tmp_pa
     np.testing.assert_allclose(told, FEW[:, 1:4], atol=1e-8)  # type: ignore[arg-type]
 
 
+def test_a_header_of_many_columns_is_read_in_linear_time_and_told_in_short(tmp_path: Path) -> None:
+    path, many = tmp_path / "run.csv", 40_000
+    path.write_text("\n".join(["[," * many + "t", "0," * many + "0", "0," * many + "1"]))
+    began = process_time()
+    with pytest.raises(InvalidArgument, match="none is known as that of"):
+        Log.from_csv(path)
+    assert process_time() - began < 5  # of half a second, where quadratic time is some 20 s
+    path.write_text(
+        "\n".join([",".join(f"c{k}" for k in range(many + 1)), "0," * many + "0", "1," * many + "1"])
+    )
+    columns = {"t": "c0", "q": ["c1", "c2", "c3"], "u": ["force"]}
+    for given, text in ((None, r", c3, .* and 3\d,\d{3} more: none is"), (columns, r"3\d,\d{3} more$")):
+        with pytest.raises(PinmobileError, match=text) as refused:
+            Log.from_csv(path, given)
+        assert len(str(refused.value)) < 5000
+
+
 def test_a_csv_of_wheels_has_their_rates(tmp_path: Path) -> None:
     plant = on_wheels(BODY)
     still = FixedHeading(Hold((0.0, 0.0), 0.5), 0.0)
@@ -935,6 +954,16 @@ def test_a_csv_of_wheels_has_their_rates(tmp_path: Path) -> None:
         (lines_of(FEW, "t,x,y,psi,Fx,Fy,x"), "with two columns 'x', expected one"),
         (lines_of(FEW).replace("0.", "zero"), "whose column 't' holds no numbers but 'zero0+', expected"),
         ("a\0b", "which is no text, expected a CSV file"),
+        ("#\n" + lines_of(FEW).partition("\n")[2], "whose columns are : none is known as that of t"),
+        (
+            lines_of(FEW, HEAD + " " * 40_000 + "b"),
+            "whose header has a name of 40,003 letters, exp",
+        ),
+        (
+            lines_of(FEW, "t,\x1b[31mred,y,psi,a,b,c"),
+            r"whose columns are t, '\\x1b\[31mred', y, psi",
+        ),
+        (lines_of(FEW, "time\u202e,x,y,psi,a,b,c"), r"whose columns are 'time\\u202e', x, "),
     ],
 )
 def test_a_file_that_is_no_log_is_refused_with_what_it_has(content: str, text: str, tmp_path: Path) -> None:

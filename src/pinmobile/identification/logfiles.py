@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array, location, one_of, sequence, text
-from pinmobile.errors import InvalidArgument, UnknownName, shown
+from pinmobile.errors import InvalidArgument, UnknownName, format_names, shown
 from pinmobile.extras import imported
 from pinmobile.files import refusals
 
@@ -45,7 +45,7 @@ def read_csv(
             wanted[roles[0]] = known[roles[0]]
         if not set(roles) & set(wanted):
             raise InvalidArgument(
-                f"path is {str(file)!r}, whose columns are {', '.join(named)}: none is known as that of "
+                f"path is {str(file)!r}, whose columns are {format_names(named)}: none is known as that of "
                 f"{' or '.join(roles)}, expected columns={{'t': 'time', 'q': ('x', 'y', 'psi'), 'u': (...)}} "
                 "with the names that stand in its header"
             )
@@ -124,6 +124,11 @@ def _cells(file: Path, data: bytes) -> tuple[list[str], list[list[str]]]:
         head, *rows = [[cell.strip() for cell in row] for row in read]
     except csv.Error as error:
         raise InvalidArgument(f"path is {str(file)!r}, which is no table of cells: {error}") from error
+    if (longest := max(map(len, head), default=0)) > _LONGEST_NAME:
+        raise InvalidArgument(
+            f"path is {str(file)!r}, whose header has a name of {longest:,} letters, expected at most "
+            f"{_LONGEST_NAME:,}"
+        )
     if between != ",":  # a comma is then that of a decimal
         rows = [[cell.replace(",", ".") for cell in row] for row in rows]
     return head, rows
@@ -144,12 +149,13 @@ _COMMENTS = "#", "%"
 _SEPARATORS = ";", "\t", ",", " "
 _QUATERNION = 4
 _MOST_BYTES = 1 << 30
+_LONGEST_NAME = 1000  # letters of a column's name, with its unit
 _HEADER = 1 << 16  # bytes, in which a header is looked for
 
 
 def _separator(line: str) -> str:
     """Return what stands between the cells of a header; units in brackets may hold blanks."""
-    bare = re.sub(r"\[[^]]*\]|\([^)]*\)", "", line.strip())
+    bare = re.sub(r"\[[^][]*\]|\([^()]*\)", "", line.strip())
     return next((each for each in _SEPARATORS if each in bare), ",")
 
 
@@ -158,12 +164,12 @@ def _is_numbers(line: str) -> bool:
     return bool(cells) and not any(np.isnan(_number(cell)) for cell in cells)
 
 
-_UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
+_UNIT = re.compile(r"[\[(]([^][()]*)[\])]$")
 
 
 def _named(title: str) -> str:
     """Return the name of a column without its unit."""
-    return _UNIT.sub("", title).strip()
+    return _UNIT.sub("", title.strip()).strip()
 
 
 def _column(file: Path, title: str, cells: Sequence[str]) -> Array:
@@ -204,8 +210,9 @@ _UNITS = {
 
 def _unit(title: str) -> str:
     """Return the unit of a column, with a blank between its parts; empty where there is none."""
-    found = _UNIT.search(title)
-    return re.sub(r"\s*[*.\N{MIDDLE DOT}\N{DOT OPERATOR}]\s*", " ", found[1].strip()) if found else ""
+    found = _UNIT.search(title.strip())
+    parts = re.split(r"[*.\N{MIDDLE DOT}\N{DOT OPERATOR}]", found[1]) if found else ()
+    return " ".join(map(str.strip, parts))
 
 
 def _in_si(title: str, column: Array) -> Array:
