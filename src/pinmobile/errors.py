@@ -84,12 +84,12 @@ class NotTraceable(InvalidArgument):
 
 
 class FileError(PinmobileError, OSError):
-    """The system fails with a file whose path is right: the disk is full, a quota is reached, a device fails.
+    """A file whose path is right fails: the disk is full, a quota is reached, a device fails, it is damaged.
 
     Attributes
     ----------
-    errno : int
-        Number of the system's error, see the module `errno`.
+    errno : int or None
+        Number of the system's error, see the module `errno`; None where the content is damaged.
     filename : str
         The file.
     """

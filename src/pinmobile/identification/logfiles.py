@@ -5,17 +5,19 @@ from __future__ import annotations
 import codecs
 import csv
 import re
+import struct
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import takewhile
-from os import PathLike
+from os import SEEK_END, PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pinmobile.arrays import Array, location, one_of, sequence, text
-from pinmobile.errors import InvalidArgument, UnknownName, format_names, shown
+from pinmobile.errors import FileError, InvalidArgument, PinmobileError, UnknownName, format_names, shown
 from pinmobile.extras import imported
 from pinmobile.files import refusals
 
@@ -272,17 +274,43 @@ def read_bag(
     stores = imported("rosbags.typesys", "bags", "a bag")
     with refusals("read", "path", file):
         file.stat()
-    try:
-        reader = highlevel.AnyReader(
-            [file], default_typestore=stores.get_typestore(stores.Stores.ROS2_HUMBLE)
-        )
-        reader.open()
-    except Exception as error:  # rosbags raises what its readers of several formats raise
-        raise InvalidArgument(f"path is {str(file)!r}, which is no bag that can be read: {error}") from error
-    try:
-        return _streams(reader, topics, stamps, str(file))
-    finally:
-        reader.close()
+        try:
+            reader = highlevel.AnyReader(
+                [file], default_typestore=stores.get_typestore(stores.Stores.ROS2_HUMBLE)
+            )
+        except highlevel.AnyReaderError as error:
+            raise InvalidArgument(f"path is {str(file)!r}, expected a bag: {shown(str(error))}") from error
+        try:
+            for each in sorted(file.glob("*.mcap")) or [file] * (file.suffix == ".mcap"):
+                _check_sums(each)
+            with reader:
+                return _streams(reader, topics, stamps, str(file))
+        except (PinmobileError, PermissionError):
+            raise
+        except Exception as error:  # rosbags and sqlite raise whatever the bytes lead them to
+            why = shown(str(error) or type(error).__name__)
+            message = f"path is {str(file)!r}, which is damaged or no bag: {why}"
+            raise FileError(message, errno=getattr(error, "errno", None), filename=str(file)) from error
+
+
+def _check_sums(file: Path) -> None:
+    """Check what an MCAP file has as CRCs of its data and of its summary; rosbags checks those of chunks."""
+    with file.open("rb") as opened:
+        end = opened.seek(-37, SEEK_END)  # of the footer and the last 8 bytes
+        summary, _, sum_of_summary = struct.unpack("<9xQQI8x", opened.read())
+        start = summary or end
+        opened.seek(start - 4)
+        (sum_of_data,) = struct.unpack("<I", opened.read(4))
+        for name, first, last, expected in (
+            ("data", 0, start - 13, sum_of_data),
+            ("summary", start, end + 25, sum_of_summary),
+        ):
+            opened.seek(first)
+            left, found = last - first if expected else 0, 0
+            while left > 0 and (block := opened.read(min(left, 1 << 20))):
+                left, found = left - len(block), zlib.crc32(block, found)
+            if found != expected:
+                raise ValueError(f"CRC of the {name} of {file.name} is {found:#x}, expected {expected:#x}")
 
 
 def _streams(
