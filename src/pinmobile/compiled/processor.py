@@ -6,6 +6,7 @@ import contextlib
 import ctypes
 import functools
 import hashlib
+import mmap
 import os
 import sys
 import tempfile
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from pinmobile.compiled.emit import ENTRY
+from pinmobile.errors import NotTraceable
 
 CODE, LOOP = ".o", ".loop"
 """Endings of files."""
@@ -118,6 +120,22 @@ def processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def _check_executable() -> None:
+    """Refuse to compile where memory that was written may not be executed, of which LLVM takes no notice."""
+    if sys.platform != "linux":
+        return
+    page = mmap.mmap(-1, mmap.PAGESIZE, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    page[0] = 0
+    first, libc = ctypes.c_char.from_buffer(page), ctypes.CDLL(None, use_errno=True)
+    wanted = ctypes.c_size_t(mmap.PAGESIZE), mmap.PROT_READ | mmap.PROT_EXEC
+    if libc.mprotect(ctypes.c_void_p(ctypes.addressof(first)), *wanted):
+        raise NotTraceable(
+            "this process may not execute memory that it wrote (mprotect: "
+            f"{os.strerror(ctypes.get_errno())})",
+            "let it do so for the fastest engine, as by MemoryDenyWriteExecute=no of its systemd unit",
+        )
+
+
 @dataclass(frozen=True)
 class Target:
     """A processor.
@@ -136,7 +154,14 @@ class Target:
 
     @classmethod
     def here(cls) -> Target:
-        """Return this machine's."""
+        """Return this machine's.
+
+        Raises
+        ------
+        NotTraceable
+            If this process may not execute memory that it wrote.
+        """
+        _check_executable()
         llvm = _llvm()
         features = llvm.get_host_cpu_features()
         lanes = 8 if features.get("avx512f") else 4 if features.get("avx") else 2
