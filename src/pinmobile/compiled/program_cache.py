@@ -32,7 +32,7 @@ from pinmobile.compiled.passes import traced, walk_of
 from pinmobile.compiled.processor import LOOP, Cache, Target
 from pinmobile.compiled.program import Program
 from pinmobile.compiled.sample import Reference
-from pinmobile.compiled.tracing import Walk, is_foreign, uncollected
+from pinmobile.compiled.tracing import Walk, is_foreign, uncollected, untraced
 from pinmobile.constancy import has_slots, is_constant, known
 from pinmobile.errors import NotTraceable
 
@@ -71,6 +71,7 @@ class _Identity(int):
     """What is the same only in this process."""
 
 
+@untraced
 def program_of(
     parts: Parts,
     context: object,
@@ -150,6 +151,7 @@ def _read(cache: Cache, key: str, target: Target) -> Program | None:
     return Program(loop, target, shape, cache=cache, key=key)
 
 
+@untraced
 def memory_of(parts: Parts, *others: object) -> dict[Any, Any]:
     """Return where what follows from the parts of a loop is remembered; of parts that may change, nowhere.
 
