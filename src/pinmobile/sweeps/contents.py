@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
@@ -255,6 +254,8 @@ def _bounded() -> AbstractContextManager[Any]:
 
 @cache
 def _bounded_zstd() -> Any:
+    import asyncio  # here, as it takes a while and Zarr has it
+
     zstd = imported("zarr").codecs.ZstdCodec
 
     class BoundedZstd(zstd):  # type: ignore[misc, valid-type]
