@@ -1021,6 +1021,16 @@ def test_a_damaged_bag_is_told_as_such(kind: str, tmp_path: Path) -> None:
     assert len(Log.from_bag(path, TOPICS)) == 50
 
 
+def test_a_bag_that_lost_messages_is_damaged(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags", reason="needs the extra bags")
+    path = written_bag(tmp_path, "MCAP")
+    file = stored(path)
+    good = file.read_bytes()
+    file.write_bytes(good[:9000] + bytes(3000) + good[12000:])  # zeros of which the reader makes nothing
+    with pytest.raises(FileError, match=r"damaged or no bag: '\d\d messages that the bag counts are gone'"):
+        Log.from_bag(path, TOPICS)
+
+
 def summed(content: bytes) -> bytes:
     """Return an MCAP file of one chunk with the CRCs that rosbags leaves out."""
     data, end = bytearray(content), len(content) - 37

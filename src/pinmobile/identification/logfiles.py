@@ -325,7 +325,9 @@ def _streams(
     times: dict[str, list[int]] = {role: [] for role in topics}
     rows: dict[str, list[Any]] = {role: [] for role in topics}
     wanted = [each for each in reader.connections if each.topic in set(topics.values())]
+    left = sum(each.msgcount for each in wanted)
     for connection, arrived, raw in reader.messages(connections=wanted):
+        left -= 1
         message = reader.deserialize(raw, connection.msgtype)
         header = getattr(message, "header", None) if stamps == "header" else None
         at = arrived if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
@@ -333,6 +335,8 @@ def _streams(
             if topic == connection.topic:
                 times[role].append(at)
                 rows[role].append(rules[role](message))
+    if left > 0:  # as of a chunk without CRC, which is read up to its damage
+        raise ValueError(f"{left} messages that the bag counts are gone")
     empty = next((topic for role, topic in topics.items() if len(rows[role]) < 2), None)
     if empty is not None:
         raise InvalidArgument(f"path is {file!r}, whose topic {empty!r} has fewer than 2 messages")
