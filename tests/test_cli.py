@@ -1,6 +1,7 @@
 """The command as a person types it."""
 
 import re
+import shlex
 import subprocess
 import sys
 from html import unescape
@@ -428,6 +429,27 @@ def test_a_full_disk_is_told_in_one_line_that_names_the_file(
     assert code == 1
     assert err == (f"pinmobile: path is {str(tmp_path / file)!r}, which cannot be written: File too large\n")
     assert [(each.name, each.read_bytes()) for each in tmp_path.iterdir()] == [(file, b"good")]
+
+
+@pytest.mark.parametrize(
+    ("closed", "options", "code", "text"),
+    [
+        (">&-", "--duration 1", 0, ""),
+        (">&-", "--duration 0", 2, "pinmobile: --duration is 0.0 s, .*"),
+        (">&- 2>&-", "--duration 1", 0, ""),
+        ("2>&-", "--duration 0", 2, ""),
+    ],
+)
+def test_a_closed_output_is_no_output(
+    closed: str, options: str, code: int, text: str, tmp_path: Path
+) -> None:
+    words = f"exec {shlex.quote(sys.executable)} -m pinmobile run --out . --dt 0.1 {options} {closed}"
+    done = subprocess.run(
+        ["sh", "-c", words], capture_output=True, text=True, check=False, timeout=100, cwd=tmp_path
+    )
+    assert done.returncode == code
+    assert re.fullmatch(text, (done.stdout + done.stderr).strip()), done
+    assert (tmp_path / "rollout.npz").exists() == (code == 0)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux alone has a device that is full")

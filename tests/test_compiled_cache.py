@@ -58,6 +58,35 @@ def test_a_file_of_another_user_is_not_run(tmp_path: Path, monkeypatch: pytest.M
     assert cache.read("key") is None
 
 
+def test_swapped_files_are_not_run(tmp_path: Path) -> None:
+    cache = Cache(tmp_path)
+    for key, kind in (("one", ".o"), ("other", ".o"), ("one", ".loop")):
+        cache.write(key, f"{key} {kind}".encode(), kind)
+    contents = [(tmp_path / name).read_bytes() for name in ("one.o", "other.o", "one.loop")]
+    for name, content in zip(("other.o", "one.loop", "one.o"), contents, strict=True):
+        (tmp_path / name).write_bytes(content)
+    assert [cache.read("one"), cache.read("other"), cache.read("one", ".loop")] == [None, None, None]
+    (tmp_path / "one.o").write_bytes(contents[0])
+    assert cache.read("one") == b"one .o"
+
+
+@pytest.mark.parametrize("mode", [0o770, 0o702, None])
+def test_a_folder_that_others_may_write_to_is_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int | None
+) -> None:
+    Cache(tmp_path).write("key", b"code")
+    if mode is None:
+        monkeypatch.setattr(os, "getuid", lambda: 12345678)
+    else:
+        tmp_path.chmod(mode)
+    with pytest.warns(UserWarning, match=f"^the folder of machine code '{tmp_path}' is not used"):
+        Cache(tmp_path)
+    cache = Cache(tmp_path)  # of which nothing more is said
+    assert cache.read("key") is None
+    cache.write("other", b"code")
+    assert [each.name for each in tmp_path.iterdir()] == ["key.o"]
+
+
 def test_the_key_is_of_text_and_processor() -> None:
     one = Target("haswell", "", 4)
     assert one.key("text") != one.key("text ")

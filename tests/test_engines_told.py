@@ -1,6 +1,8 @@
 """What results and warnings say of the engine that ran a loop, and of why it was no faster one."""
 
 import json
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,7 @@ from pinmobile import (
     PD,
     PINOCCHIO,
     Circle,
+    ComputedTorque,
     Ensemble,
     InvalidArgument,
     MobileRobot,
@@ -125,6 +128,48 @@ def test_each_engine_that_is_left_has_its_own_reason() -> None:
     assert "np.where" in compiled
     assert "with 3 robots at once a law raises ValueError" in arrays
     assert "compiled" not in arrays
+
+
+_NOT_EXECUTABLE = """
+import ctypes, sys, warnings
+if ctypes.CDLL(None).prctl(65, 1, 0, 0, 0):  # PR_SET_MDWE, of Linux 6.3
+    sys.exit(77)
+import numpy as np
+from pinmobile import *
+robot = MobileRobot.box()
+plan = dict(n=12, dt=0.1, spread={"mass": Uniform(20, 40)})
+loop = robot, ComputedTorque(robot, 4, 4), Tangent(Circle(2, 0.25, 2))
+with warnings.catch_warnings(record=True) as told:
+    warnings.simplefilter("default")
+    for _ in range(2):
+        run = ensemble(*loop, **plan)
+print(run.engine, len(told), told[0].message, run.max_distance.max(), sep="|")
+try:
+    simulate(*loop, dt=0.1, engine=COMPILED)
+except InvalidArgument as error:
+    print(error)
+print(len(robot.mass_matrix(np.zeros((3000, 3)))), verify(robot, states=2).missing, sep="|")
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="prctl is of Linux")
+def test_where_no_memory_may_be_written_and_executed_another_engine_runs_and_says_why() -> None:
+    words = [sys.executable, "-c", _NOT_EXECUTABLE]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=100)
+    if done.returncode == 77:
+        pytest.skip("this kernel has no PR_SET_MDWE")
+    assert done.returncode == 0, done.stderr
+    first, refused, last = done.stdout.splitlines()
+    engine, warned, message, distance = first.split("|")
+    why = "this process may not execute memory that it wrote (mprotect: Permission denied); let it do so "
+    assert (engine, warned) == ("ARRAYS", "1")
+    assert f"not COMPILED: {why}" in message
+    assert refused.startswith(f"engine is COMPILED, which cannot run this: {why}")
+    assert last.startswith(f"3000|compiled for ensembles: {why}")
+    robot, spread = MobileRobot.box(), {"mass": Uniform(20, 40)}
+    run = ensemble(robot, ComputedTorque(robot, 4, 4), CIRCLE, n=12, dt=0.1, spread=spread)
+    assert run.engine == "COMPILED"
+    assert float(distance) == pytest.approx(run.max_distance.max(), rel=1e-9)  # both are exact to rounding
 
 
 @pytest.mark.parametrize("engine", [COMPILED, PINOCCHIO])

@@ -1,4 +1,5 @@
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -30,6 +31,16 @@ def test_unknown_name_lists_the_names_there_are_the_nearest_first() -> None:
     copy = pickle.loads(pickle.dumps(error))
     assert str(copy) == str(error)
     assert copy.available == ("via-stop", "circle")
+
+
+def test_names_that_a_terminal_would_obey_are_quoted_and_the_first_of_many_listed() -> None:
+    error = UnknownName("topic", "\x1b[2J", ["/odom", "/odo\x1b[2Jm", *(f"/topic{k}" for k in range(9999))])
+    assert str(error).startswith(
+        "unknown topic '\\x1b[2J', did you mean '/odo\\x1b[2Jm'? available: '/odo\\x1b[2Jm', /odom, /topic0, "
+    )
+    assert str(error).isprintable()
+    assert re.search(r", /topic\d+ and 9,\d{3} more$", str(error))
+    assert len(error.available) == len(error.listed) == 10_001
 
 
 def test_an_argument_is_known_by_name_and_may_be_called_otherwise() -> None:

@@ -1,10 +1,13 @@
 """From logs to parameters: against what was simulated, against Pinocchio, and what is refused."""
 
 import pickle
+import struct
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -44,6 +47,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
+from pinmobile.errors import FileError, PinmobileError
 from pinmobile.identification import Excitation
 from pinmobile.identification.chassis import Chassis
 from pinmobile.identification.cleaning import Cleaned
@@ -51,6 +55,7 @@ from pinmobile.identification.output_error import OutputError, Segments
 from pinmobile.identification.residual_noise import ResidualNoise
 from pinmobile.identification.slippage import Slippage
 from pinmobile.identification.weak_form import extrapolated, rows_of
+from tests.damage import answer, damaged
 
 ROBOT = MobileRobot(32.0, 1.6, com=(0.12, -0.04))
 TRUE = {
@@ -904,6 +909,23 @@ def test_columns_of_other_names_are_told_those_that_are_known_need_not_be(tmp_pa
     np.testing.assert_allclose(told, FEW[:, 1:4], atol=1e-8)  # type: ignore[arg-type]
 
 
+def test_a_header_of_many_columns_is_read_in_linear_time_and_told_in_short(tmp_path: Path) -> None:
+    path, many = tmp_path / "run.csv", 40_000
+    path.write_text("\n".join(["[," * many + "t", "0," * many + "0", "0," * many + "1"]))
+    began = process_time()
+    with pytest.raises(InvalidArgument, match="none is known as that of"):
+        Log.from_csv(path)
+    assert process_time() - began < 5  # of half a second, where quadratic time is some 20 s
+    path.write_text(
+        "\n".join([",".join(f"c{k}" for k in range(many + 1)), "0," * many + "0", "1," * many + "1"])
+    )
+    columns = {"t": "c0", "q": ["c1", "c2", "c3"], "u": ["force"]}
+    for given, text in ((None, r", c3, .* and 3\d,\d{3} more: none is"), (columns, r"3\d,\d{3} more$")):
+        with pytest.raises(PinmobileError, match=text) as refused:
+            Log.from_csv(path, given)
+        assert len(str(refused.value)) < 5000
+
+
 def test_a_csv_of_wheels_has_their_rates(tmp_path: Path) -> None:
     plant = on_wheels(BODY)
     still = FixedHeading(Hold((0.0, 0.0), 0.5), 0.0)
@@ -935,6 +957,16 @@ def test_a_csv_of_wheels_has_their_rates(tmp_path: Path) -> None:
         (lines_of(FEW, "t,x,y,psi,Fx,Fy,x"), "with two columns 'x', expected one"),
         (lines_of(FEW).replace("0.", "zero"), "whose column 't' holds no numbers but 'zero0+', expected"),
         ("a\0b", "which is no text, expected a CSV file"),
+        ("#\n" + lines_of(FEW).partition("\n")[2], "whose columns are : none is known as that of t"),
+        (
+            lines_of(FEW, HEAD + " " * 40_000 + "b"),
+            "whose header has a name of 40,003 letters, exp",
+        ),
+        (
+            lines_of(FEW, "t,\x1b[31mred,y,psi,a,b,c"),
+            r"whose columns are t, '\\x1b\[31mred', y, psi",
+        ),
+        (lines_of(FEW, "time\u202e,x,y,psi,a,b,c"), r"whose columns are 'time\\u202e', x, "),
     ],
 )
 def test_a_file_that_is_no_log_is_refused_with_what_it_has(content: str, text: str, tmp_path: Path) -> None:
@@ -959,6 +991,80 @@ def test_a_bag_is_read_without_ros(kind: str, tmp_path: Path) -> None:
         Log.from_bag(path, {"q": "/odom", "u": "/force"})
     with pytest.raises(InvalidArgument, match=r"^topics\['q'\] is '/wrench', whose messages are .*Odometry"):
         Log.from_bag(path, {"q": "/wrench", "u": "/wrench"})
+
+
+def stored(bag: Path) -> Path:
+    """Return the file of a bag that has the messages."""
+    return bag if bag.is_file() else next(each for each in bag.iterdir() if each.suffix != ".yaml")
+
+
+TOPICS = {"q": "/odom", "u": "/wrench", "twist": "/odom"}
+
+
+@pytest.mark.parametrize("kind", ["SQLITE3", "MCAP", "ros1"])
+def test_a_damaged_bag_is_told_as_such(kind: str, tmp_path: Path) -> None:
+    pytest.importorskip("rosbags", reason="needs the extra bags")
+    path = written_bag(tmp_path, kind)
+    file, rng, told = stored(path), np.random.default_rng(1), 0
+    good = file.read_bytes()
+    # The header and page 2 of SQLite, the middle of a chunk and all of it, and anything else.
+    pages = [good[:20] + bytes(50) + good[70:], good[:4096] + bytes(64) + good[4160:]]
+    pages += [good[:-1000], good[:20], b"", *(damaged(good, rng) for _ in range(60))]
+    for content in pages:
+        file.write_bytes(content)
+        found = answer(lambda: Log.from_bag(path, TOPICS))
+        if isinstance(found, FileError):
+            assert str(found).startswith(f"path is {str(path)!r}, which is damaged or no bag: ")
+            told += 1
+    assert told > 20
+    file.write_bytes(good)
+    assert len(Log.from_bag(path, TOPICS)) == 50
+
+
+def test_a_bag_that_lost_messages_is_damaged(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags", reason="needs the extra bags")
+    path = written_bag(tmp_path, "MCAP")
+    file = stored(path)
+    good = file.read_bytes()
+    file.write_bytes(good[:9000] + bytes(3000) + good[12000:])  # zeros of which the reader makes nothing
+    with pytest.raises(FileError, match=r"damaged or no bag: '\d\d messages that the bag counts are gone'"):
+        Log.from_bag(path, TOPICS)
+
+
+def summed(content: bytes) -> bytes:
+    """Return an MCAP file of one chunk with the CRCs that rosbags leaves out."""
+    data, end = bytearray(content), len(content) - 37
+    (summary,) = struct.unpack_from("<Q", data, end + 9)
+    chunk = 8 + 9 + struct.unpack_from("<Q", data, 9)[0]  # after the header
+    assert data[chunk] == 6
+    (size,) = struct.unpack_from("<Q", data, chunk + 25)
+    for place, first, last in (
+        (chunk + 33, chunk + 49, chunk + 49 + size),
+        (summary - 4, 0, summary - 13),
+        (end + 25, summary, end + 25),
+    ):
+        struct.pack_into("<I", data, place, zlib.crc32(data[first:last]))
+    return bytes(data)
+
+
+def test_the_sums_of_a_bag_are_checked(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags", reason="needs the extra bags")
+    path = written_bag(tmp_path, "MCAP")
+    file = stored(path)
+    good = summed(file.read_bytes())
+    file.write_bytes(good)
+    assert len(Log.from_bag(path, TOPICS)) == 50
+    without = bytearray(good)  # of the data
+    (summary,) = struct.unpack_from("<Q", good, len(good) - 28)
+    without[summary - 4 : summary] = without[-12:-8] = bytes(4)  # nor of the summary
+    for base, place, name in (
+        (good, len(good) // 2, "CRC of the data of run.mcap is 0x"),
+        (without, len(good) // 2, "Chunk checksum mismatch"),
+        (good, summary + 20, "CRC of the summary of run.mcap is 0x"),
+    ):
+        file.write_bytes(base[:place] + bytes([base[place] ^ 1]) + base[place + 1 :])
+        with pytest.raises(FileError, match=f"which is damaged or no bag: '{name}"):
+            Log.from_bag(path, TOPICS)
 
 
 def written_bag(folder: Path, kind: str) -> Path:

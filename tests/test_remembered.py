@@ -683,7 +683,31 @@ def by_partial(t: float, q: Any, v: Any, reference: Any) -> Any:
     return HALVED() * (reference.q - q) - v
 
 
+def by_code(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return 2.0 * (reference.q - q) - v
+
+
+def by_other_code(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return 20.0 * (reference.q - q) - v
+
+
+def double(x: Any) -> Any:
+    return 2.0 * x
+
+
+def twenty_times(x: Any) -> Any:
+    return 20.0 * x
+
+
+def by_helper(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return double(reference.q - q) - v
+
+
+OWN = {2.0: by_code.__code__, 20.0: by_other_code.__code__}
+HELPERS = {2.0: double.__code__, 20.0: twenty_times.__code__}
 CHANGES: dict[str, tuple[Any, Callable[[float], Any]]] = {
+    "code": (by_code, lambda x: setattr(by_code, "__code__", OWN[x])),  # as %autoreload changes it
+    "code of a helper": (by_helper, lambda x: setattr(double, "__code__", HELPERS[x])),
     "namespace": (by_namespace, lambda x: setattr(BOX, "w", x)),
     "deque": (by_queue, lambda x: QUEUE.__setitem__(0, x)),
     "subclass of a deque": (by_own_queue, lambda x: OWN_QUEUE.__setitem__(0, x)),

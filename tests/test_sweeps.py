@@ -557,6 +557,14 @@ def _untyped(value: Any) -> Any:
         (lambda p: grid(scenario, gain=[math.nan]), r"gain: values\[0\] is nan, expected a finite number"),
         (lambda p: grid(lambda robot: scenario(), robot=[4]), "axis is called 'robot', expected letters"),
         (lambda p: grid(scenario, n=[4, 0]), r"n is 0, expected a whole number >= 1 \(at n = 0\)"),
+        (
+            lambda p: grid(pytest.fail, gain=range(1000), error=range(1000)),  # before any is made
+            r"axes make 1,000,000 scenarios \(1,000 of gain, 1,000 of error\), expected at most 100,000",
+        ),
+        (
+            lambda p: sweep([scenario()] * 100_001, p),
+            "axes make 100,001 scenarios .*, expected at most",
+        ),
         (lambda p: Sweep.open(p), "which is not the store of a sweep"),
     ],
 )

@@ -1,9 +1,11 @@
 """Stores on disks that are full, in folders with other things, of many processes, and damaged."""
 
 import json
+import pickle
 import re
 import shutil
 import threading
+import tracemalloc
 from collections.abc import Callable
 from functools import partial
 from itertools import cycle
@@ -15,6 +17,7 @@ import pytest
 
 from pinmobile import FileError, InvalidArgument, Sweep, grid, sweep
 from pinmobile.sweeps import Grid
+from pinmobile.sweeps.contents import digest_of
 from pinmobile.sweeps.fingerprint import determined_by
 from pinmobile.sweeps.store import Store
 from tests.damage import answer, damaged, full_disk, little_memory
@@ -280,6 +283,81 @@ def test_a_store_that_does_not_say_what_it_is_is_named(
         assert re.search(why, str(found))
     file.write_bytes(content)
     assert Sweep.open(copy).answer()
+
+
+def resigned(name: str, **changed: Any) -> Callable[[bytes], bytes]:
+    """Change what a store says of an array as somebody who knows how to make the digest."""
+
+    def change(tree: dict[str, Any]) -> None:
+        own, attributes = tree["consolidated_metadata"]["metadata"], tree["attributes"]
+        own[name] = {**own.get(name, {}), **changed}
+        mine = json.loads(attributes["pinmobile_sweep"])
+        since = {"errors_from_s": attributes["errors_from_s"]}
+        mine["digest"] = digest_of(
+            {k: v for k, v in mine.items() if k != "digest"}, {k: own[k] for k in mine["arrays"]}, since
+        )
+        attributes["pinmobile_sweep"] = json.dumps(mine)
+
+    return edited(change)
+
+
+class Attack:
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (Path("attacked"),)
+
+
+@pytest.mark.parametrize("name", ["coordinate", "extra"])
+def test_a_store_runs_no_code(copy: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    pickles = pytest.importorskip("numcodecs.pickles")
+    # Older versions have no such switch and always unpickle.
+    monkeypatch.setattr(pickles, "ALLOW_UNSAFE_PICKLE_DECODE", True, raising=False)
+    monkeypatch.chdir(copy)
+    second: dict[str, Any] = {
+        **{"zarr_format": 2, "shape": [3], "chunks": [3], "dtype": "|O", "order": "C", "fill_value": ""},
+        **{"compressor": None, "filters": [{"id": "vlen-utf8"}, {"id": "pickle"}]},
+        **{"attributes": {"_ARRAY_DIMENSIONS": [name]}, "dimension_names": [name]},
+    }
+    file = copy / "zarr.json"
+    file.write_bytes(resigned(name, **second)(file.read_bytes()))
+    (copy / name).mkdir(exist_ok=True)
+    (copy / name / "0").write_bytes(pickle.dumps(Attack()))
+    calls: tuple[Callable[[], Any], ...] = (lambda: Sweep.open(copy)), (lambda: sweep(small(), copy))
+    for call in calls:
+        with pytest.raises(
+            InvalidArgument, match=f"array '{name}' is of .* expected numbers with the codecs"
+        ):
+            call()
+    assert not (copy / "attacked").exists()
+
+
+def test_a_store_declares_no_more_than_a_sweep_has(copy: Path) -> None:
+    file, many = copy / "zarr.json", [400_000_000]
+    grid_of = {"name": "regular", "configuration": {"chunk_shape": many}}
+    file.write_bytes(resigned("time", shape=many, chunk_grid=grid_of)(file.read_bytes()))
+    with pytest.raises(InvalidArgument, match="coordinate 'time' declares 400,000,000 numbers, above 10,0"):
+        Sweep.open(copy)
+
+
+@pytest.mark.parametrize("place", ["time/c/0", "coordinate/c/0", "max_distance/c/0/0"])
+@pytest.mark.parametrize("first", [b"", bytes(488)])
+def test_a_chunk_unpacks_to_no_more_than_it_holds(copy: Path, place: str, first: bytes) -> None:
+    zstd = pytest.importorskip("numcodecs.zstd").Zstd(level=1, checksum=True)
+    frames = (
+        zstd.encode(first) + zstd.encode(bytes(200_000_000)) if first else zstd.encode(bytes(200_000_000))
+    )
+    (copy / place).write_bytes(frames)
+    tracemalloc.start()
+    try:
+        with pytest.raises(InvalidArgument, match=f"of which '.*{place}' cannot be read: "):
+            Sweep.open(copy).answer()
+        assert tracemalloc.get_traced_memory()[1] < 20_000_000
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_sweep_may_go_to_another_process(copy: Path) -> None:
+    found = Sweep.open(copy)
+    assert pickle.loads(pickle.dumps(found)).answer() == found.answer()
 
 
 def test_what_others_write_into_the_metadata_is_no_damage(copy: Path) -> None:

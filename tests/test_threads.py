@@ -5,6 +5,7 @@ import inspect
 import pickle
 import sys
 import threading
+import time
 import weakref
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -31,6 +32,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
+from pinmobile.compiled.symbolic import Symbols
 from pinmobile.robot import Calls, Solids
 from pinmobile.robot.articulated import ArticulatedBody
 from pinmobile.robot.planar import PlanarBody
@@ -267,6 +269,30 @@ def test_an_ensemble_of_a_law_that_asks_a_robot_is_the_same_on_its_default_threa
 
     alone = run(1)
     assert [run(None) for _ in range(2)] == [alone] * 2
+
+
+def test_ensembles_whose_laws_ask_one_robot_run_side_by_side() -> None:
+    robot = MobileRobot(30, 1.3, com=(0.1, 0.05))
+    motion, spread = Tangent(Circle(radius=3, rate=0.1, duration=2)), {"mass": Uniform(20, 40)}
+    traced = threading.Event()
+
+    def run(number: int, pause: float = 0.0) -> Any:
+        def force(t: float, q: Array, v: Array, reference: Any) -> Any:
+            if isinstance(q, Symbols) and pause:  # while this is traced, another thread begins
+                traced.set()
+                time.sleep(pause)
+            error = (number + 1) * (reference.q - q) + 2 * (reference.v - v)
+            return robot.nonlinear_effects(q, v) + robot.mass_matrix(q) @ error
+
+        runs = ensemble(robot, law(force), motion, n=8, spread=spread, dt=0.1)
+        return runs.engine, plain((runs.max_error, runs.rms_error, runs.max_force))
+
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(run, 0, 0.3)
+        assert traced.wait(60)
+        found = [run(1), first.result()]
+    assert found == [run(1), run(0)]
+    assert {engine for engine, _ in found} == {"COMPILED"}
 
 
 def test_a_dead_threads_workspace_goes_away() -> None:

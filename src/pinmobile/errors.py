@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any
 
 _LONGEST = 500  # letters of a value that a message shows
+_LONGEST_LIST = 4000  # letters of a list of names
 
 
 def shown(value: object) -> str:
@@ -19,6 +20,17 @@ def shown(value: object) -> str:
     except Exception:
         return f"<{type(value).__name__} without a repr>"
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}... ({len(text):,} letters)"
+
+
+def format_names(names: Iterable[str]) -> str:
+    """Return names as a message lists them: the first of many, those that a terminal cannot print quoted."""
+    words, room, rest = [], _LONGEST_LIST, 0
+    for name in names:
+        word = name if name.isprintable() and len(name) <= _LONGEST else shown(name)
+        room -= len(word) + 2
+        words += [word] * (room >= 0)
+        rest += room < 0
+    return ", ".join(words) + f" and {rest:,} more" * bool(rest)
 
 
 class PinmobileError(Exception):
@@ -72,12 +84,12 @@ class NotTraceable(InvalidArgument):
 
 
 class FileError(PinmobileError, OSError):
-    """The system fails with a file whose path is right: the disk is full, a quota is reached, a device fails.
+    """A file whose path is right fails: the disk is full, a quota is reached, a device fails, it is damaged.
 
     Attributes
     ----------
-    errno : int
-        Number of the system's error, see the module `errno`.
+    errno : int or None
+        Number of the system's error, see the module `errno`; None where the content is damaged.
     filename : str
         The file.
     """
@@ -122,8 +134,8 @@ class UnknownName(PinmobileError, KeyError):
         asked = name.casefold()[:_LONGEST] if isinstance(name, str) else ""
         near = [plain[match] for match in get_close_matches(asked, plain, n=3)]
         self.listed = (*near, *(known for known in self.available if known not in near))
-        self.meant = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
-        super().__init__(f"unknown {kind} {shown(name)}, {self.meant}available: {', '.join(self.listed)}")
+        self.meant = f"did you mean {' or '.join(map(shown, near))}? " if near else ""
+        super().__init__(f"unknown {kind} {shown(name)}, {self.meant}available: {format_names(self.listed)}")
 
     def __str__(self) -> str:
         # KeyError would show the repr of the message.

@@ -29,6 +29,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         diverged), or the system failed, as of a full disk; 2: the options or files are not what is
         expected; 130: interrupted.
     """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed, as by `>&-`: as with `>/dev/null`
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     try:
         # It imports what it needs itself, so that an interrupt while that loads ends quietly.
         return _run(arguments)

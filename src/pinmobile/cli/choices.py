@@ -33,7 +33,7 @@ from pinmobile import (
 from pinmobile.arrays import ArrayLike, one_of, positive
 from pinmobile.controllers import Controller
 from pinmobile.ensembles import GROUPS, PARAMETERS
-from pinmobile.errors import UnknownName, shown
+from pinmobile.errors import UnknownName, format_names, shown
 from pinmobile.identification import VELOCITY_ROBOTS
 from pinmobile.integrators import Integrator
 from pinmobile.paths import Path
@@ -443,7 +443,7 @@ def unknown(what: str, name: str, available: Iterable[str], rest: str = "") -> s
     """
     error = UnknownName("", name, available)
     if len(error.listed) <= _READABLE:
-        rest = f"available: {', '.join(error.listed)}"
+        rest = f"available: {format_names(error.listed)}"
     return f"unknown {what}, {error.meant}{rest}".rstrip()
 
 

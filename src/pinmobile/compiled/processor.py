@@ -6,10 +6,12 @@ import contextlib
 import ctypes
 import functools
 import hashlib
+import mmap
 import os
 import sys
 import tempfile
 import threading
+import warnings
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,11 +19,12 @@ from pathlib import Path
 from typing import Any
 
 from pinmobile.compiled.emit import ENTRY
+from pinmobile.errors import NotTraceable
 
 CODE, LOOP = ".o", ".loop"
 """Endings of files."""
 
-_MAGIC = b"pinmobile object 1\n"
+_MAGIC = b"pinmobile object 2\n"
 _MOST = 512  # files of 5 to 200 kB
 
 
@@ -39,6 +42,9 @@ class Cache:
 
     def __init__(self, folder: str | os.PathLike[str] | None = None) -> None:
         self.folder = _default() if folder is None else Path(folder) if os.fspath(folder) else None
+        if self.folder is not None and _is_open_to_others(self.folder):
+            _warn_of(self.folder)
+            self.folder = None
 
     def read(self, key: str, kind: str = CODE) -> bytes | None:
         """Return what a key has; None where there is none, or it is damaged or somebody else's."""
@@ -52,7 +58,7 @@ class Cache:
         except OSError:
             return None
         head, code = found[: len(_MAGIC) + 32], found[len(_MAGIC) + 32 :]
-        return code if head == _MAGIC + hashlib.sha256(code).digest() else None
+        return code if head == _head(key, code, kind) else None
 
     def write(self, key: str, code: bytes, kind: str = CODE) -> None:
         """Keep what a key has, all of it or nothing."""
@@ -64,7 +70,7 @@ class Cache:
             handle, name = tempfile.mkstemp(dir=self.folder, suffix=".part")
             try:
                 with os.fdopen(handle, "wb") as file:
-                    file.write(_MAGIC + hashlib.sha256(code).digest() + code)
+                    file.write(_head(key, code, kind) + code)
                 os.replace(name, self._file(key, kind))
             except BaseException:
                 with contextlib.suppress(OSError):
@@ -83,6 +89,29 @@ class Cache:
             for entry in sorted(files, key=lambda entry: entry.stat().st_mtime)[: _MOST // 4]:
                 with contextlib.suppress(OSError):
                     os.unlink(entry.path)
+
+
+def _head(key: str, code: bytes, kind: str) -> bytes:
+    """Return what a file begins with: it binds the content to the key, whatever the file is called."""
+    return _MAGIC + hashlib.sha256(f"{key}{kind}\0".encode() + code).digest()
+
+
+def _is_open_to_others(folder: Path) -> bool:
+    """Tell whether others than this user may write to a folder."""
+    try:
+        found = folder.stat()
+    except OSError:
+        return False
+    return hasattr(os, "getuid") and (found.st_uid != os.getuid() or bool(found.st_mode & 0o022))
+
+
+@functools.cache
+def _warn_of(folder: Path) -> None:
+    warnings.warn(
+        f"the folder of machine code {str(folder)!r} is not used, as others may write to it: `chmod go-w` it "
+        "or let PINMOBILE_CACHE name a folder of your own",
+        stacklevel=3,
+    )
 
 
 def _default() -> Path | None:
@@ -118,6 +147,22 @@ def processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def _check_executable() -> None:
+    """Refuse to compile where memory that was written may not be executed, of which LLVM takes no notice."""
+    if sys.platform != "linux":
+        return
+    page = mmap.mmap(-1, mmap.PAGESIZE, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    page[0] = 0
+    first, libc = ctypes.c_char.from_buffer(page), ctypes.CDLL(None, use_errno=True)
+    wanted = ctypes.c_size_t(mmap.PAGESIZE), mmap.PROT_READ | mmap.PROT_EXEC
+    if libc.mprotect(ctypes.c_void_p(ctypes.addressof(first)), *wanted):
+        raise NotTraceable(
+            "this process may not execute memory that it wrote (mprotect: "
+            f"{os.strerror(ctypes.get_errno())})",
+            "let it do so for the fastest engine, as by MemoryDenyWriteExecute=no of its systemd unit",
+        )
+
+
 @dataclass(frozen=True)
 class Target:
     """A processor.
@@ -136,7 +181,14 @@ class Target:
 
     @classmethod
     def here(cls) -> Target:
-        """Return this machine's."""
+        """Return this machine's.
+
+        Raises
+        ------
+        NotTraceable
+            If this process may not execute memory that it wrote.
+        """
+        _check_executable()
         llvm = _llvm()
         features = llvm.get_host_cpu_features()
         lanes = 8 if features.get("avx512f") else 4 if features.get("avx") else 2

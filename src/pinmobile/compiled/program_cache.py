@@ -32,7 +32,7 @@ from pinmobile.compiled.passes import traced, walk_of
 from pinmobile.compiled.processor import LOOP, Cache, Target
 from pinmobile.compiled.program import Program
 from pinmobile.compiled.sample import Reference
-from pinmobile.compiled.tracing import Walk, is_foreign, uncollected
+from pinmobile.compiled.tracing import Walk, is_foreign, uncollected, untraced
 from pinmobile.constancy import has_slots, is_constant, known
 from pinmobile.errors import NotTraceable
 
@@ -71,6 +71,7 @@ class _Identity(int):
     """What is the same only in this process."""
 
 
+@untraced
 def program_of(
     parts: Parts,
     context: object,
@@ -150,6 +151,7 @@ def _read(cache: Cache, key: str, target: Target) -> Program | None:
     return Program(loop, target, shape, cache=cache, key=key)
 
 
+@untraced
 def memory_of(parts: Parts, *others: object) -> dict[Any, Any]:
     """Return where what follows from the parts of a loop is remembered; of parts that may change, nowhere.
 
@@ -340,10 +342,9 @@ class _Witness:
             (self._referred(function), place, self._referred(walk.cells[cell].cell_contents))
             for cell, (function, place) in walk.closures.items()
         ]
-        self._defaults = [
-            (self._referred(f), f.__defaults__, f.__kwdefaults__)
-            for f in walk.functions
-            if f.__defaults__ or f.__kwdefaults__
+        # A function may get another code, as by IPython's %autoreload, and stay the same object.
+        self._functions = [
+            (self._referred(f), f.__code__, f.__defaults__, f.__kwdefaults__) for f in walk.functions
         ]
         changing = [value for value in values if _can_change(value)]
         self._plain = [
@@ -373,12 +374,18 @@ class _Witness:
                 all(all(map(is_, found(mapping), values)) for mapping, found, values in self._code)
                 and all([mapping[name] is value() for mapping, name, value in self._names])
                 and all([f().__closure__[i].cell_contents is value() for f, i, value in self._cells])
-                and all([f().__defaults__ is a and f().__kwdefaults__ is b for f, a, b in self._defaults])
+                and all([_has(f(), *own) for f, *own in self._functions])
                 and all([_are(_held_by(value()), each) for value, each in self._plain])
                 and all([_form(value(), constant=True) == form for value, form in self._forms])
             )
         except (Unknown, AttributeError, KeyError, ValueError):
             return False
+
+
+def _has(function: FunctionType, code: object, defaults: object, named: object) -> bool:
+    return (
+        function.__code__ is code and function.__defaults__ is defaults and function.__kwdefaults__ is named
+    )
 
 
 def _by_mapping(names: Iterable[tuple[Any, str, Any]]) -> list[tuple[Any, list[str]]]:

@@ -13,13 +13,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from operator import itemgetter
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, MethodType, ModuleType, TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from pinmobile.compiled.functions import constructors
 from pinmobile.errors import NotTraceable
 
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 _lock = threading.RLock()
 _local = threading.local()
 _HERE = str(Path(__file__).parent)
@@ -33,6 +34,17 @@ _OWN = "pinmobile.", "namedtuple_"  # the second is what Python makes for named 
 _FOREIGN = (
     frozenset(("numpy", "scipy", "pinocchio", "llvmlite", "sympy", "matplotlib")) | sys.stdlib_module_names
 )
+
+
+def untraced(function: _Function) -> _Function:
+    """Let a function that reads what tracing replaces wait until no other thread traces."""
+
+    @functools.wraps(function)
+    def run(*given: Any, **options: Any) -> Any:
+        with _lock:
+            return function(*given, **options)
+
+    return run  # type: ignore[return-value]
 
 
 def _is_on() -> bool:

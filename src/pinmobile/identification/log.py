@@ -363,8 +363,10 @@ class Log:
         Raises
         ------
         InvalidArgument
-            If rosbags is not installed, the bag cannot be read, a topic's messages tell something else, or
-            as of `from_streams`.
+            If rosbags is not installed, there is no such bag, a topic's messages tell something else, or as
+            of `from_streams`.
+        FileError
+            If the bag is damaged, as far as its structure and its CRCs tell.
         UnknownName
             If the bag has no such topic: the message lists those it has.
         """

@@ -5,17 +5,19 @@ from __future__ import annotations
 import codecs
 import csv
 import re
+import struct
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import takewhile
-from os import PathLike
+from os import SEEK_END, PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pinmobile.arrays import Array, location, one_of, sequence, text
-from pinmobile.errors import InvalidArgument, UnknownName, shown
+from pinmobile.errors import FileError, InvalidArgument, PinmobileError, UnknownName, format_names, shown
 from pinmobile.extras import imported
 from pinmobile.files import refusals
 
@@ -45,7 +47,7 @@ def read_csv(
             wanted[roles[0]] = known[roles[0]]
         if not set(roles) & set(wanted):
             raise InvalidArgument(
-                f"path is {str(file)!r}, whose columns are {', '.join(named)}: none is known as that of "
+                f"path is {str(file)!r}, whose columns are {format_names(named)}: none is known as that of "
                 f"{' or '.join(roles)}, expected columns={{'t': 'time', 'q': ('x', 'y', 'psi'), 'u': (...)}} "
                 "with the names that stand in its header"
             )
@@ -124,6 +126,11 @@ def _cells(file: Path, data: bytes) -> tuple[list[str], list[list[str]]]:
         head, *rows = [[cell.strip() for cell in row] for row in read]
     except csv.Error as error:
         raise InvalidArgument(f"path is {str(file)!r}, which is no table of cells: {error}") from error
+    if (longest := max(map(len, head), default=0)) > _LONGEST_NAME:
+        raise InvalidArgument(
+            f"path is {str(file)!r}, whose header has a name of {longest:,} letters, expected at most "
+            f"{_LONGEST_NAME:,}"
+        )
     if between != ",":  # a comma is then that of a decimal
         rows = [[cell.replace(",", ".") for cell in row] for row in rows]
     return head, rows
@@ -144,12 +151,13 @@ _COMMENTS = "#", "%"
 _SEPARATORS = ";", "\t", ",", " "
 _QUATERNION = 4
 _MOST_BYTES = 1 << 30
+_LONGEST_NAME = 1000  # letters of a column's name, with its unit
 _HEADER = 1 << 16  # bytes, in which a header is looked for
 
 
 def _separator(line: str) -> str:
     """Return what stands between the cells of a header; units in brackets may hold blanks."""
-    bare = re.sub(r"\[[^]]*\]|\([^)]*\)", "", line.strip())
+    bare = re.sub(r"\[[^][]*\]|\([^()]*\)", "", line.strip())
     return next((each for each in _SEPARATORS if each in bare), ",")
 
 
@@ -158,12 +166,12 @@ def _is_numbers(line: str) -> bool:
     return bool(cells) and not any(np.isnan(_number(cell)) for cell in cells)
 
 
-_UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
+_UNIT = re.compile(r"[\[(]([^][()]*)[\])]$")
 
 
 def _named(title: str) -> str:
     """Return the name of a column without its unit."""
-    return _UNIT.sub("", title).strip()
+    return _UNIT.sub("", title.strip()).strip()
 
 
 def _column(file: Path, title: str, cells: Sequence[str]) -> Array:
@@ -204,8 +212,9 @@ _UNITS = {
 
 def _unit(title: str) -> str:
     """Return the unit of a column, with a blank between its parts; empty where there is none."""
-    found = _UNIT.search(title)
-    return re.sub(r"\s*[*.\N{MIDDLE DOT}\N{DOT OPERATOR}]\s*", " ", found[1].strip()) if found else ""
+    found = _UNIT.search(title.strip())
+    parts = re.split(r"[*.\N{MIDDLE DOT}\N{DOT OPERATOR}]", found[1]) if found else ()
+    return " ".join(map(str.strip, parts))
 
 
 def _in_si(title: str, column: Array) -> Array:
@@ -265,17 +274,43 @@ def read_bag(
     stores = imported("rosbags.typesys", "bags", "a bag")
     with refusals("read", "path", file):
         file.stat()
-    try:
-        reader = highlevel.AnyReader(
-            [file], default_typestore=stores.get_typestore(stores.Stores.ROS2_HUMBLE)
-        )
-        reader.open()
-    except Exception as error:  # rosbags raises what its readers of several formats raise
-        raise InvalidArgument(f"path is {str(file)!r}, which is no bag that can be read: {error}") from error
-    try:
-        return _streams(reader, topics, stamps, str(file))
-    finally:
-        reader.close()
+        try:
+            reader = highlevel.AnyReader(
+                [file], default_typestore=stores.get_typestore(stores.Stores.ROS2_HUMBLE)
+            )
+        except highlevel.AnyReaderError as error:
+            raise InvalidArgument(f"path is {str(file)!r}, expected a bag: {shown(str(error))}") from error
+        try:
+            for each in sorted(file.glob("*.mcap")) or [file] * (file.suffix == ".mcap"):
+                _check_sums(each)
+            with reader:
+                return _streams(reader, topics, stamps, str(file))
+        except (PinmobileError, PermissionError):
+            raise
+        except Exception as error:  # rosbags and sqlite raise whatever the bytes lead them to
+            why = shown(str(error) or type(error).__name__)
+            message = f"path is {str(file)!r}, which is damaged or no bag: {why}"
+            raise FileError(message, errno=getattr(error, "errno", None), filename=str(file)) from error
+
+
+def _check_sums(file: Path) -> None:
+    """Check what an MCAP file has as CRCs of its data and of its summary; rosbags checks those of chunks."""
+    with file.open("rb") as opened:
+        end = opened.seek(-37, SEEK_END)  # of the footer and the last 8 bytes
+        summary, _, sum_of_summary = struct.unpack("<9xQQI8x", opened.read())
+        start = summary or end
+        opened.seek(start - 4)
+        (sum_of_data,) = struct.unpack("<I", opened.read(4))
+        for name, first, last, expected in (
+            ("data", 0, start - 13, sum_of_data),
+            ("summary", start, end + 25, sum_of_summary),
+        ):
+            opened.seek(first)
+            left, found = last - first if expected else 0, 0
+            while left > 0 and (block := opened.read(min(left, 1 << 20))):
+                left, found = left - len(block), zlib.crc32(block, found)
+            if found != expected:
+                raise ValueError(f"CRC of the {name} of {file.name} is {found:#x}, expected {expected:#x}")
 
 
 def _streams(
@@ -290,7 +325,9 @@ def _streams(
     times: dict[str, list[int]] = {role: [] for role in topics}
     rows: dict[str, list[Any]] = {role: [] for role in topics}
     wanted = [each for each in reader.connections if each.topic in set(topics.values())]
+    left = sum(each.msgcount for each in wanted)
     for connection, arrived, raw in reader.messages(connections=wanted):
+        left -= 1
         message = reader.deserialize(raw, connection.msgtype)
         header = getattr(message, "header", None) if stamps == "header" else None
         at = arrived if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
@@ -298,6 +335,8 @@ def _streams(
             if topic == connection.topic:
                 times[role].append(at)
                 rows[role].append(rules[role](message))
+    if left > 0:  # as of a chunk without CRC, which is read up to its damage
+        raise ValueError(f"{left} messages that the bag counts are gone")
     empty = next((topic for role, topic in topics.items() if len(rows[role]) < 2), None)
     if empty is not None:
         raise InvalidArgument(f"path is {file!r}, whose topic {empty!r} has fewer than 2 messages")

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from functools import cache
 from hashlib import sha256
+from math import prod
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,8 @@ METADATA = "zarr.json"
 
 _READ = (2, FORMAT)  # formats whose arrays are these
 _MOST = 40  # rows of a table
+_LONGEST = 10_000_000  # numbers of a coordinate, which is read whole
+_TEXT = 1 << 24  # bytes of all texts of a coordinate
 _ROUNDING = 1e-9  # relative; that of a run is less by some orders, and what people tell apart is more
 
 
@@ -94,8 +98,8 @@ class Sweep:
                     "sweep again to have it written again"
                 )
         axes = {name: Axis(axis["values"], axis["unit"]) for name, axis in there["axes"].items()}
-        with _reading(folder):
-            dataset = imported("xarray").open_zarr(folder, chunks=None, consolidated=True)
+        with _reading(folder), _bounded():
+            dataset = imported("xarray").open_zarr(folder, chunks=None, consolidated=True, zarr_format=3)
         return cls(folder, axes, dataset, grid, attributes["rivals"])
 
     def within(self, share: float = 0.99, by: str = "distance") -> Any:
@@ -241,6 +245,51 @@ def _reading(path: Path) -> Iterator[None]:
         ) from error
 
 
+def _bounded() -> AbstractContextManager[Any]:
+    """Open arrays so that a chunk unpacks to the bytes that its array declares, and to no more."""
+    zarr, codec = imported("zarr"), _bounded_zstd()
+    zarr.registry.register_codec("zstd", codec, qualname="pinmobile")
+    return zarr.config.set({"codecs.zstd": "pinmobile"})  # type: ignore[no-any-return]
+
+
+@cache
+def _bounded_zstd() -> Any:
+    import asyncio  # here, as it takes a while and Zarr has it
+
+    zstd = imported("zarr").codecs.ZstdCodec
+
+    class BoundedZstd(zstd):  # type: ignore[misc, valid-type]
+        def _decode_sync(self, chunk: Any, spec: Any) -> Any:
+            declared = np.dtype(spec.dtype.to_native_dtype())
+            packed, text = chunk.to_bytes(), declared.kind == "T" or declared.hasobject
+            size, most = _unpacked_size(packed), _TEXT if text else prod(spec.shape) * declared.itemsize
+            if size > most or (size < most and not text):
+                raise ValueError(f"it unpacks to {size} bytes, expected {'at most ' * text}{most}")
+            unpacked = np.empty(size, np.uint8)
+            self._zstd_codec.decode(packed, out=unpacked)  # which has room for no more, whatever it says
+            return spec.prototype.buffer.from_array_like(unpacked)
+
+        async def _decode_single(self, chunk: Any, spec: Any) -> Any:
+            return await asyncio.to_thread(self._decode_sync, chunk, spec)
+
+        def __reduce__(self) -> Any:
+            return _zstd_of, (self.to_dict(),)
+
+    return BoundedZstd
+
+
+def _zstd_of(described: Mapping[str, Any]) -> Any:
+    return _bounded_zstd().from_dict(described)
+
+
+def _unpacked_size(frame: bytes) -> int:
+    """Return what the header of a Zstandard frame (RFC 8878, 3.1.1.1) says of its content [bytes]."""
+    kind, single, dictionary = frame[4] >> 6, frame[4] >> 5 & 1, frame[4] & 3
+    start = 6 - single + (0, 1, 2, 4)[dictionary]
+    size = int.from_bytes(frame[start : start + (single, 2, 4, 8)[kind]], "little")
+    return size + 256 if kind == 1 else size
+
+
 def digest_of(mine: Mapping[str, Any], nodes: Mapping[str, Any], since: Mapping[str, Any]) -> str:
     """Return the digest of all that a store says of itself; what others write into its metadata is no part.
 
@@ -283,12 +332,31 @@ def attributes_of(path: Path) -> dict[str, Any]:
         since = {name: attributes[name] for name in ("errors_from_s",) if name in attributes}
         if digest_of(mine, nodes, since) != digest:
             raise ValueError("it is not what was written")
+        for name, node in metadata["consolidated_metadata"]["metadata"].items():
+            _check_plain(name, node)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InvalidArgument(
             f"store is {str(path)!r}, of which {str(file)!r} is damaged: {error}; a new store of the same "
             "sweep has the same file"
         ) from error
     return {**mine, "nodes": nodes}
+
+
+def _check_plain(name: str, node: Mapping[str, Any]) -> None:
+    """Refuse an array with other codecs, which may run code, and a coordinate beyond all sweeps."""
+    if node["zarr_format"] == 3 and node["node_type"] == "group":
+        return
+    codecs = [codec["name"] if isinstance(codec, dict) else codec for codec in node.get("codecs", ())]
+    kind = "text" if node.get("data_type") == "string" else np.dtype(node.get("data_type")).kind
+    expected = ["vlen-utf8" if kind == "text" else "bytes", "zstd"]
+    plain = kind in ("text", *"biuf") and node["zarr_format"] == 3 and not node.get("storage_transformers")
+    if not plain or codecs != expected:
+        raise ValueError(
+            f"array {shown(name)} is of type {shown(node.get('data_type'))} with the codecs {shown(codecs)}, "
+            "expected numbers with the codecs bytes and zstd, or text with vlen-utf8 and zstd"
+        )
+    if node["dimension_names"] == [name] and prod(node["shape"]) > _LONGEST:
+        raise ValueError(f"coordinate {name!r} declares {prod(node['shape']):,} numbers, above {_LONGEST:,}")
 
 
 def coordinates_of(nodes: Mapping[str, Any]) -> list[str]:
@@ -298,8 +366,10 @@ def coordinates_of(nodes: Mapping[str, Any]) -> list[str]:
 
 def damaged(path: Path) -> str:
     """Return in words which file of a store cannot be read."""
-    group = imported("zarr").open_group(path, mode="r")
-    for name in attributes_of(path)["arrays"]:
+    arrays = attributes_of(path)["arrays"]
+    with _bounded():
+        group = imported("zarr").open_group(path, mode="r", zarr_format=3, use_consolidated=True)
+    for name in arrays:
         for file in sorted((path / name / "c").rglob("*")):
             place = file.relative_to(path / name / "c").parts
             if file.is_file() and all(part.isdecimal() for part in place):

@@ -23,6 +23,7 @@ imported = partial(extras.imported, extra="sweeps", what="a sweep")
 """What only sweeps need is imported when it is used."""
 
 Label: TypeAlias = float | str
+_MOST = 100_000  # scenarios, each with some twenty files in a store
 
 
 @final
@@ -196,6 +197,7 @@ class Grid:
                     f"axis is called {name!r}, expected letters, digits, '.', '_', and none of the store's "
                     "own names, such as 'robot' and 'time'"
                 )
+        _check_count(self.axes)
         if len(self.scenarios) != prod(self.shape):
             raise InvalidArgument(f"scenarios are {len(self.scenarios)}, expected {prod(self.shape)}")
         _check_alike(self)
@@ -253,6 +255,7 @@ def grid(make: Callable[..., Scenario], /, **axes: Values) -> Grid:
     if not axes:
         raise InvalidArgument("axes are none, expected at least one, such as gain=[4, 16]")
     named = {name: _axis(name, values) for name, values in axes.items()}
+    _check_count(named)
     scenarios = []
     for index in product(*(range(len(axis)) for axis in named.values())):
         chosen = {name: axis.given[i] for (name, axis), i in zip(named.items(), index, strict=True)}
@@ -268,6 +271,16 @@ def grid(make: Callable[..., Scenario], /, **axes: Values) -> Grid:
             raise InvalidArgument(f"make returned a {type(made).__name__}, expected a Scenario")
         scenarios.append(made)
     return Grid(named, scenarios)
+
+
+def _check_count(axes: Mapping[str, Axis]) -> None:
+    """Refuse more scenarios than a store can have, before any is made."""
+    if (count := prod(map(len, axes.values()))) > _MOST:
+        lengths = ", ".join(f"{len(axis):,} of {name}" for name, axis in axes.items())
+        raise InvalidArgument(
+            f"axes make {count:,} scenarios ({lengths}), expected at most {_MOST:,}: give fewer values, or "
+            "let the robots of a scenario vary by its spread"
+        )
 
 
 def _check_call(make: Callable[..., Scenario], chosen: Mapping[str, Any], place: str) -> None:
