@@ -76,7 +76,12 @@ class Identification:
     chi2 : float
         Mean square of all residuals over the noise: 1 where the sensors' noise is all that is left.
     whiteness : Whiteness
-        Whether residuals remember.
+        Correlation of the residuals.
+    is_noise : bool
+        Whether noise of sensors and inputs explains the residuals. Else the structure of the model is wrong,
+        and intervals are not valid.
+    clipped : str
+        Inputs that stay at their extremes for long, in words; "" where none does.
     """
 
     chassis: Chassis
@@ -102,6 +107,8 @@ class Identification:
     residual: Array
     chi2: float
     whiteness: Whiteness
+    is_noise: bool
+    clipped: str
 
     def __post_init__(self) -> None:
         for name in ("phi", "covariance_of_phi", "hidden", "noise", "residual"):
@@ -139,7 +146,8 @@ class Identification:
     def interval(self, level: float = 0.95) -> Mapping[str, tuple[float, float]]:
         """Return an interval of each parameter that holds the true one in a share of all logs, by name.
 
-        It is Student's; endless where nothing is seen. Of a parameter that cannot be below zero it is cut
+        It is Student's; endless where nothing is seen, and not valid where `is_noise` is false: it does not
+        cover the error of a wrong structure. Of a parameter that cannot be below zero it is cut
         there, and goes up to its half width where the estimate is below: more is not told of what is small.
 
         Parameters
@@ -196,7 +204,9 @@ class Identification:
 
     def __str__(self) -> str:
         intervals, width = self.interval(), max(map(len, self.names))
-        lines = [f"{'':{width}} {'estimate':>10}  {'95 % interval':^23}  unit"]
+        valid = "95 % interval" if self.whiteness.is_white else "95 % if noise alone"
+        header = valid if self.is_noise else "95 %, not valid"
+        lines = [f"{'':{width}} {'estimate':>10}  {header:^23}  unit"]
         for name, value in self.parameters.items():
             low, high = intervals[name]
             lines.append(
@@ -235,9 +245,18 @@ class Identification:
         found.append(
             "what is left is white: noise of the sensors"
             if self.whiteness.is_white
-            else f"what is left remembers (correlation {rho:.2f} of successive samples): noise of forces, or "
-            "a force that is not modelled; the intervals allow for it"
+            else f"what is left is correlated ({rho:.2f} between successive samples) as noise of the inputs "
+            "makes it: if it is that, the intervals hold; they do not cover the error of a force that "
+            "follows the motion and is not in the model, such as rolling resistance that depends on load"
+            if self.is_noise
+            else f"what is left is correlated ({rho:.2f} between successive samples) otherwise or "
+            "more than noise makes it: the structure of the model is wrong, and the intervals are not "
+            "valid; is there slip, a clipped input, a slope, or resistance that depends on load?"
         )
+        if self.clipped:
+            found.append(self.clipped)
+        if not self.chassis.offset:
+            found.append("the motion does not tell constant offsets of inputs from friction: taken as zero")
         return (*found, *self._below_zero(), *self._of_wheels())
 
     def _below_zero(self) -> tuple[str, ...]:
@@ -402,8 +421,9 @@ class Identification:
                 "the log leaves mass and inertia so uncertain that hardly a draw is of a body"
             )
         told = self.chassis.told(phi)
-        told[:, 4:] = np.maximum(told[:, 4:], 0.0)
-        return {name: told[:, k] for k, name in enumerate(self.names) if name != "input_scale"}
+        bounded = self.chassis.bounded
+        told[:, bounded] = np.maximum(told[:, bounded], 0.0)
+        return {name: told[:, k] for k, name in enumerate(self.names[: self.chassis.dry.stop])}
 
     def predict(self, log: Log, seconds: float = _AHEAD) -> Prediction:
         """Return how well the robot that was found foretells another log, beside the noise of its sensors.

@@ -106,7 +106,7 @@ class Segments(NamedTuple):
         Of a robot at rest without dry friction; of all headings and inputs, the few that have most of it.
         """
         resting, smooth = starts.copy(), phi.copy()
-        resting[:, 3:], smooth[chassis.dry] = 0.0, 0.0
+        resting[:, 3:], smooth[chassis.dry], smooth[chassis.offsets] = 0.0, 0.0, 0.0
         first = np.clip(self.at[:, 0] - int(np.floor(self.delay)), 0, len(self.run.u) - 1)
         none, found = np.zeros_like(self.run.u), []
         for unit in np.diag(self.sizes):
@@ -372,6 +372,12 @@ class OutputError:
                 way = way - (part.Q @ (np.swapaxes(part.Q, 1, 2) @ way[..., None]))[..., 0]
                 pull = pull + np.einsum("sni,sn->i", slopes, way) / _DRAWS
         return pull
+
+    def innovations(self, found: Estimate) -> list[Array]:
+        """Return the white residuals of each log, first states that fit best taken off, shape (S, L, m)."""
+        basis, point = np.eye(len(found.phi))[:, :1], _Point(found.phi, found.delay, found.starts)
+        parts = [self._linear_of(k, point, basis) for k in range(len(self.logs))]
+        return [part.e.reshape(log.measured.shape) for part, log in zip(parts, self.logs, strict=True)]
 
     def _simulated(self, k: int, log: Segments, point: _Point) -> Array:
         """Return the white residuals of a log's segments, shape (S, L, m)."""

@@ -307,7 +307,8 @@ def identify_velocity(
     such as encoders tell, else the pose. Output error: the model is simulated over segments, from states that
     are free, and differs least from what was measured, weighted by the covariance of what is left, without
     samples beyond six deviations. Intervals are by the jackknife over segments and Student's t, and hold
-    where what is left is correlated too. The delay is found by the weak form first.
+    where noise is correlated too; they do not cover the error of a wrong structure. The delay is found by the
+    weak form first.
 
     It takes motion in which speed and yaw rate change often and independently, such as that of `RandomSteps`.
 
