@@ -13,6 +13,7 @@ import pytest
 
 from pinmobile import (
     COMPILED,
+    PINOCCHIO,
     Backstepping,
     Circle,
     ComputedTorque,
@@ -692,6 +693,64 @@ def test_a_base_that_moves_in_every_direction_on_its_wheels_is_found(drive: str)
     found = identify(Log.from_rollout(run, 1e-3, 0.02, seed=1), believed, method="weak")
     for name, value in {"mass": 30.0, "com_x": 0.06, "com_y": 0.02, "yaw_inertia": 1.3}.items():
         assert found.parameters[name] == pytest.approx(value, rel=0.05), name
+
+
+def jerky(ahead: float, by_dead_reckoning: bool) -> tuple[WheelTable, Log]:
+    """Return a log without noise at 10 Hz, of a small robot whose torques jump and are often zero."""
+    wheel: dict[str, Any] = {"supports": [(-0.1, 0)], "mass": 0.05, "spin_inertia": 4e-5}
+    table = WheelTable.differential(0.2, 0.033, **wheel)
+    plant = WheeledRobot(MobileRobot(3.75, 0.03, com=(ahead, 0, 0.05)), table)
+    rng, torques = np.random.default_rng(1), np.zeros((601, 2))
+    for k in range(0, 560, 40):
+        torques[k : k + 10] = rng.uniform(-0.02, 0.02, 2)
+        torques[k + 20 : k + 30] = -torques[k]
+    run = simulate(
+        plant,
+        law(lambda t, q, v, reference: torques[round(10 * t)]),
+        FixedHeading(Hold((0, 0), 60.0), 0.0),
+        dt=0.1,
+        substeps=20,
+        engine=PINOCCHIO,
+    )
+    read = Log.from_rollout(run)
+    assert read.wheel_rates is not None
+    if not by_dead_reckoning:
+        return table, Log(read.t, read.q, read.u)
+    speed, turn = 0.033 * np.array([[0.5, 0.5], [-5.0, 5.0]]) @ read.wheel_rates.T
+    psi = np.append(0.0, np.cumsum(0.1 * turn[:-1]))
+    steps = 0.1 * speed * np.array([np.cos(psi), np.sin(psi)])
+    x, y = np.cumsum(np.column_stack([np.zeros(2), steps[:, :-1]]), axis=1)
+    return table, Log(read.t, np.column_stack([x, y, psi]), read.u, None, read.wheel_rates)
+
+
+@pytest.mark.parametrize("ahead", [0.0, 0.02])
+def test_a_log_without_any_noise_tells_the_mass(ahead: float) -> None:
+    table, read = jerky(ahead, by_dead_reckoning=False)
+    exact = identify(read, table)
+    # At 10 Hz, a twentieth of a sample of delay is 5 ms, and takes 3 parts in a thousand of the mass.
+    assert exact.parameters["mass"] == pytest.approx(3.75, rel=5e-3)
+    table, read = jerky(ahead, by_dead_reckoning=True)
+    dead = identify(read, table)
+    # Sums over steps of 0.1 s are off by half a step: the log has errors that no noise has.
+    assert dead.parameters["mass"] == pytest.approx(3.75, rel=0.1)
+    assert not dead.is_noise
+
+
+@pytest.mark.parametrize("rows", [9, 12, 16, 45])
+@pytest.mark.parametrize("dt", [0.5, 0.1])
+def test_short_and_coarse_logs_are_refused_with_the_reason(rows: int, dt: float) -> None:
+    every = round(dt / 0.02)
+    logs = [
+        Log(*(np.array(x)[k : k + rows * every : every] for x in (log().t, log().q, log().u)))
+        for k in range(0, 6 if rows < 45 else 2)
+    ]
+    why = (
+        "has samples every 0.5 s, expected 0.1 s or less"
+        if dt > 0.1
+        else "is .* s long.*, too short, expected"
+    )
+    with pytest.raises(InvalidArgument, match=rf"^log(\[0\])? {why}"):
+        identify(logs)
 
 
 @pytest.mark.once

@@ -28,6 +28,7 @@ _CONVERGED = 1e-3  # of a variance: the last step is of less than a thirtieth of
 _ROUNDING = 1e-9  # of the cost
 _LATER = (-1, 1)  # samples: the difference of these simulations is the slope by the delay
 _FIRST_PASSES = 2
+_MEASURED = 0.5  # share of a segment's samples that count, without which its first state is not told
 _SHAKE = 1e-2  # of an input's deviation, to see what noise of it does
 _LEAST_SIZE = 1e-3  # of an input, or of a response to one, as a share of the largest
 _RESPONSES = 3  # of a sensor, as the heading turns them
@@ -78,6 +79,7 @@ class Segments(NamedTuple):
         begin = max(0, whole + 1)
         count = (min(len(run.q), len(run.q) + whole) - begin) // length
         k = begin + np.arange(count * length).reshape(count, length)
+        k = k[run.good[k].mean(axis=1) >= _MEASURED]
         noise, measured = run.noise, run.q[k]
         if run.rates is not None and run.rates_noise is not None:
             noise = np.concatenate([noise, run.rates_noise])
@@ -402,7 +404,13 @@ class OutputError:
     def _estimate(self, point: _Point, basis: Array, parts: Sequence[_Linear], pull: Array) -> Estimate:
         H_i, g_i = _normal(parts, pull)
         H, S, p = H_i.sum(axis=0), len(H_i), basis.shape[1]
-        d = np.linalg.solve(H - H_i, g_i[..., None])[..., 0]
+        try:
+            d = np.linalg.solve(H - H_i, g_i[..., None])[..., 0]
+        except np.linalg.LinAlgError as error:
+            raise InvalidArgument(
+                f"log has {S} segments, without one of which a parameter is not told: expected a longer log, "
+                "or one that excites more, see excitation"
+            ) from error
         jackknife = (S - 1) / S * d.T @ d
         residuals = []
         for log, z in zip(self._late(point.delay), point.starts, strict=True):

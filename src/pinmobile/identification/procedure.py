@@ -143,6 +143,12 @@ def identify(
         _check_units(chassis, fit.phi, prior)
     start, pulled = chassis.possible(fit.phi, at.scales), 0.0
     segments = [Segments.of(one, chassis, fit.delay, seconds) for one in cleaned]
+    kept = sum(part.number for part in segments)
+    if kept < _LEAST_SEGMENTS // 2:
+        raise InvalidArgument(
+            f"log has {kept} segments of {seconds:g} s in which half of the poses are measured and no "
+            f"outliers, expected {_LEAST_SEGMENTS}: does the motion jump between poses?"
+        )
     if method == METHODS[0]:
         estimate = _by_output_error(at, segments, start, basis, fit.delay, sought)
         pulled = estimate.pulled
@@ -338,8 +344,9 @@ def _segment(logs: Sequence[Cleaned]) -> float:
     for seconds in (_SECONDS, 1.5, _SHORTEST):
         if np.floor(lengths / seconds - 0.3).sum() >= _LEAST_SEGMENTS:
             return seconds
+    pieces = f" in {len(logs)} pieces" if len(logs) > 1 else ""
     raise InvalidArgument(
-        f"log is {lengths.sum():.3g} s long, too short, expected at least "
+        f"log is {lengths.sum():.3g} s long{pieces}, too short, expected at least "
         f"{(_LEAST_SEGMENTS + 0.5) * _SHORTEST:g} s, better 60 s: intervals come from {_LEAST_SEGMENTS} "
         "segments "
         "and more"
