@@ -41,6 +41,7 @@ from pinmobile import (
     ensemble,
     excitation,
     identify,
+    identify_velocity,
     law,
     plots,
     rk4,
@@ -264,7 +265,7 @@ def test_poses_ahead_of_the_inputs_that_move_the_robot_are_refused(ahead: int, m
 def test_an_input_that_was_clipped_is_reported_and_its_intervals_are_not_valid(low: float) -> None:
     assert not found().clipped
     clipped = identify(changed(u=lambda u: np.column_stack([np.clip(u[:, 0], low, 15.0), u[:, 1:]])))
-    assert re.match(r"input 1 of log stays at -\S+ or 15, its extremes, in \d+% of the rows", clipped.clipped)
+    assert re.match(r"input Fx of log stays at -\S+ or 15, its extremes, in \d+% of", clipped.clipped)
     assert clipped.clipped in clipped.notes
     assert not clipped.is_noise
     assert "95 %, not valid" in str(clipped).splitlines()[0]
@@ -670,7 +671,7 @@ def test_currents_and_a_known_load_tell_the_torque_per_ampere() -> None:
         # What back-EMF leaves of the volts, on average over the step for which these are held.
         mean = (each.wheel_rates + np.roll(each.wheel_rates, -1, axis=0)) / 2
         currents = (each.u - 30.0 * 0.04 * mean) / 1.2
-        logs.append(Log(each.t, each.q, currents, None, each.wheel_rates))
+        logs.append(Log(each.t, each.q, currents, None, each.wheel_rates, units=("A", "A")))
     believed = on_wheels(MobileRobot(20.0, 1.0)).wheeled
     found = identify(logs, believed, loads=[None, LOAD], method="weak")
     low, high = found.interval(0.99)["input_scale"]
@@ -740,10 +741,9 @@ def test_a_log_without_any_noise_tells_the_mass(ahead: float) -> None:
 @pytest.mark.parametrize("dt", [0.5, 0.1])
 def test_short_and_coarse_logs_are_refused_with_the_reason(rows: int, dt: float) -> None:
     every = round(dt / 0.02)
-    logs = [
-        Log(*(np.array(x)[k : k + rows * every : every] for x in (log().t, log().q, log().u)))
-        for k in range(0, 6 if rows < 45 else 2)
-    ]
+    t, q, u = (np.array(x) for x in (log().t, log().q, log().u))
+    cuts = [np.s_[k : k + rows * every : every] for k in range(0, 6 if rows < 45 else 2)]
+    logs = [Log(t[cut], q[cut], u[cut]) for cut in cuts]
     why = (
         "has samples every 0.5 s, expected 0.1 s or less"
         if dt > 0.1
@@ -1039,6 +1039,65 @@ def test_a_csv_is_read_as_others_write_it(content: str, encoding: str, tmp_path:
     np.testing.assert_allclose(read.t - read.t[0], expected.t, rtol=0, atol=1e-6)
     np.testing.assert_allclose(read.q, expected.q, rtol=0, atol=1e-8)  # type: ignore[arg-type]
     np.testing.assert_allclose(read.u, expected.u, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("head", "said"),
+    [
+        ("t [m],x,y,psi,Fx,Fy,Mz", r"'t \[m\]' in m, expected s, ms, us, ns"),
+        ("t,x [s],y,psi,Fx,Fy,Mz", r"'x \[s\]' in s, expected m, mm, cm"),
+        ("t,x,y,psi [m],Fx,Fy,Mz", r"'psi \[m\]' in m, expected rad, .*deg"),
+        ("t,x,y,psi,u_left,u_right,rate_left [V]", r"'rate_left \[V\]' in V, expected rad/s, deg/s, rpm"),
+    ],
+)
+def test_a_column_in_a_unit_of_another_quantity_is_refused(head: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(lines_of(FEW, head))
+    with pytest.raises(InvalidArgument, match=f"^columns has {said}"):
+        Log.from_csv(path)
+
+
+def test_inputs_are_turned_into_si_and_refused_where_a_robot_takes_others(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(lines_of(FEW * [1, 1, 1, 1, 1e-3, 1e-3, 1e3], f"{HEAD[:9]},Fx [kN],Fy [kN],Mz [mN m]"))
+    read = Log.from_csv(path)
+    np.testing.assert_allclose(read.u, FEW[:, 4:], atol=1e-5)  # nine digits of a kN
+    assert read.units == ("N", "N", "N m")
+    assert Log.from_csv(path, {"u": "Fx"}).between(0, 0.5).units == ("N",)
+    assert rolled(False).units == ()
+    assert Log.from_rollout(run_on_wheels()).units == ("V", "V")
+    for units, robot, said in (
+        (("A", "A"), on_wheels(BODY).wheeled, "left in A, expected N m: currents take loads="),
+        (
+            ("V", "V"),
+            on_wheels(BODY).wheeled,
+            "left in V, expected N m: volts take wheels with electric",
+        ),
+        (("N m", "N m"), on_wheels(BODY), "left in N m, expected V: torques take wheels without electric"),
+        (("N", "N m"), on_wheels(BODY).wheeled, "left in N, expected N m: forces take robot=None or a Mob"),
+    ):
+        with pytest.raises(InvalidArgument, match=f"^log has input {said}"):
+            identify(replace(rolled(False), units=units), robot)
+    with pytest.raises(InvalidArgument, match=r"^log has input Mz in N, expected N m: forces take"):
+        identify(replace(log(), units=("N", "N", "N")))
+    with pytest.raises(
+        InvalidArgument, match=r"^units is \('N',\), expected 3, one for each input, or none$"
+    ):
+        replace(log(), units=("N",))
+    with pytest.raises(InvalidArgument, match=r"^log has input speed in V, expected m/s: volts"):
+        identify_velocity(replace(rolled(False), units=("V", "V")))
+
+
+@pytest.mark.parametrize(("factor", "said"), [(1.0, False), (1 / 500, True), (500.0, True)])
+def test_a_mass_that_is_implausible_for_the_size_is_questioned(factor: float, said: bool) -> None:
+    asked = [n for n in identify(changed(u=lambda u: factor * u), method="weak").notes if "implausible" in n]
+    assert bool(asked) == said
+    if said:
+        assert re.fullmatch(
+            r"a mass of \S+ kg with a radius of gyration of 0\.2\d m is implausible: robots have 20 to 20000 "
+            r"kg per square metre of it; are inputs in N and N m, positions in m\?",
+            asked[0],
+        )
 
 
 def test_columns_of_other_names_are_told_those_that_are_known_need_not_be(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ is identified, torque constants have it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -151,6 +151,14 @@ class Chassis:
         """Size of the input."""
         return 3 if self.B is None else int(self.B.shape[1])
 
+    @property
+    def inputs(self) -> dict[str, str]:
+        """Units of the inputs by name."""
+        if not self.wheels:
+            return {"Fx": "N", "Fy": "N", "Mz": "N m"}
+        electric = [each.is_electric for each in self.motors] or [False] * len(self.wheels)
+        return {n: "V" if volts else "N m" for n, volts in zip(self.wheels, electric, strict=True)}
+
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
         """What is identified, as it is told: the centre of mass and the inertia about it."""
@@ -164,18 +172,16 @@ class Chassis:
             viscous = [Quantity(f"viscous_{n}", unit, f"viscous friction, {n}", True) for n, unit, _ in _AXES]
             dry = [Quantity(f"rolling_{n}", unit, f"rolling resistance, {n}", True) for n, _, unit in _AXES]
             scale = (Quantity("input_scale", "", "force per input, as a share of what is stated", True),)
-            offsets = self._offsets(("Fx", "Fy", "Mz"), ("N", "N", "N m"))
-            return (*body, *viscous, *dry, *offsets, *scale[: self.scaled])
+            return (*body, *viscous, *dry, *self._offsets(self.inputs.values()), *scale[: self.scaled])
         names = self.wheels
         turning = [Quantity(f"joint_viscous_{n}", "N m s/rad", f"friction of {n}", True) for n in names]
         dry = [Quantity(f"joint_coulomb_{n}", "N m", f"dry friction of {n}", True) for n in names]
         what = "torque constants" if self.motors else "torque per input"
         scale = (Quantity("input_scale", "", f"{what}, as a share of what is stated", True),)
-        offsets = self._offsets(names, ["N m"] * len(names))
-        return (*body, *turning, *dry, *offsets, *scale[: self.scaled])
+        return (*body, *turning, *dry, *self._offsets(["N m"] * len(names)), *scale[: self.scaled])
 
-    def _offsets(self, names: Sequence[str], units: Sequence[str]) -> list[Quantity]:
-        pairs = zip(names, units, strict=True) if self.offset else ()
+    def _offsets(self, units: Iterable[str]) -> list[Quantity]:
+        pairs = zip(self.inputs, units, strict=True) if self.offset else ()
         return [Quantity(f"offset_{n}", unit, f"constant offset of {n}", False) for n, unit in pairs]
 
     @property

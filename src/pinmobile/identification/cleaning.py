@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification.chassis import Chassis
-from pinmobile.identification.log import Log
+from pinmobile.identification.log import Log, check_units
 
 _WINDOW = 0.15  # [s] of the cubic whose residual tells outliers and noise
 _OUTLIER = 6.0  # deviations
@@ -80,6 +80,7 @@ class Cleaned:
                 else f"one for each driven wheel, {', '.join(chassis.wheels)}; is it of another robot?"
             )
             raise InvalidArgument(f"{name} has {log.u.shape[1]} inputs, expected {chassis.nu}: {expected}")
+        check_units(log, name, chassis.inputs, "A" if chassis.scaled and not chassis.motors else "")
         even = log.samples()
         if even.dt > 1.001 * _COARSEST:
             raise InvalidArgument(

@@ -28,6 +28,7 @@ _MOST = 50_000_000  # draws
 _FAR = 0.999  # interval in which a body must be that stands for what was found
 _DRAWS = 200  # rounds in which draws that no body has are drawn again
 _AHEAD = 2.0  # [s]
+_DENSITIES = 20.0, 2e4  # [kg/m^2], mass per square of the radius of gyration; of boxes 12 m / (a^2 + b^2)
 
 
 @final
@@ -257,7 +258,21 @@ class Identification:
             found.append(self.clipped)
         if not self.chassis.offset:
             found.append("the motion does not tell constant offsets of inputs from friction: taken as zero")
-        return (*found, *self._below_zero(), *self._of_wheels())
+        return (*found, *self._below_zero(), *self._of_size(), *self._of_wheels())
+
+    def _of_size(self) -> tuple[str, ...]:
+        """Return a question about a mass that robots of this size do not have, by its radius of gyration."""
+        mass, _, _, inertia = self.chassis.told(self.phi)[:4].tolist()
+        if not all(map(self.is_seen.get, ("mass", "yaw_inertia"))) or min(mass, inertia) <= 0:
+            return ()
+        density = mass**2 / inertia
+        if _DENSITIES[0] < density < _DENSITIES[1]:
+            return ()
+        return (
+            f"a mass of {mass:.3g} kg with a radius of gyration of {np.sqrt(inertia / mass):.2g} m is "
+            f"implausible: robots have {_DENSITIES[0]:g} to {_DENSITIES[1]:g} kg per square metre of it; are "
+            "inputs in N and N m, positions in m?",
+        )
 
     def _below_zero(self) -> tuple[str, ...]:
         """Return what estimates are below zero of what cannot be, and why."""

@@ -110,7 +110,9 @@ def identify(
     check_steps([one.dt for one in cleaned])
     told = [Slippage.of(one, chassis, name) for one, name in zip(cleaned, names, strict=True)]
     slips = [each for each in told if each is not None]
-    clipped = "; ".join(filter(None, (_clipped(one, name) for one, name in zip(logs, names, strict=True))))
+    clipped = "; ".join(
+        filter(None, (_clipped(one, chassis, name) for one, name in zip(logs, names, strict=True)))
+    )
     worst = max(slips, key=lambda each: each.share, default=None)
     hints = [f"Its {worst}"] if worst is not None and worst.matters else []
     hints += [clipped] if clipped else []
@@ -298,15 +300,15 @@ def _suspecting(hints: Sequence[str]) -> Iterator[None]:
         raise InvalidArgument(" ".join([str(error), *hints])) from error
 
 
-def _clipped(log: Log, name: str) -> str:
+def _clipped(log: Log, chassis: Chassis, name: str) -> str:
     """Return which inputs of a log stay at their extremes for long, as clipped ones do; "" if none does."""
     found = []
-    for j, u in enumerate(log.u.T):
+    for one, u in zip(chassis.inputs, log.u.T, strict=True):
         extreme = ((u == u.max()) | (u == u.min())) & (u != 0) & (np.ptp(u) > 0)
         stays = extreme[2:] & (u[2:] == u[1:-1]) & (u[1:-1] == u[:-2])
         if stays.mean() > _CLIPPED:
             found.append(
-                f"input {j + 1} of {name} stays at {u.min():.4g} or {u.max():.4g}, its extremes, in "
+                f"input {one} of {name} stays at {u.min():.4g} or {u.max():.4g}, its extremes, in "
                 f"{stays.mean():.0%} of the rows: if it was clipped, estimates are wrong"
             )
     return "; ".join(found)

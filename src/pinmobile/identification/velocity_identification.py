@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, affordable, frozen, positive, scalar, seeded, whole
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.identification.log import Log, Samples, check_steps, logs_of
+from pinmobile.identification.log import Log, Samples, check_steps, check_units, logs_of
 from pinmobile.identification.prediction import POSE, SPEEDS, Prediction
 from pinmobile.identification.velocity_body import ABOVE_ZERO, THETA
 from pinmobile.identification.velocity_fit import (
@@ -441,6 +441,7 @@ def _runs(log: Log | Sequence[Log], *, least: int, seconds: float, kind: int = 0
                 f"log has {one.u.shape[1]} inputs, expected two, commands of speed and yaw rate: is it of "
                 "a robot that takes forces? Then identify"
             )
+        check_units(one, "log", {"speed": "m/s", "yaw rate": "rad/s"})
     runs = [one.samples() for one in logs]
     if len({run.twist is None for run in runs}) > 1 or (
         kind and {2: False, 3: True}[kind] != (runs[0].twist is None)
