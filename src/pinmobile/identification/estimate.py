@@ -58,6 +58,8 @@ class Identification:
         What it does not tell, in words; "" where it tells all.
     hidden : ndarray, shape (p,)
         Share of each parameter's direction that is unseen.
+    unknown : ndarray, shape (p, d)
+        By how much phi may be off for a prior that is off in each unseen direction: deviations.
     delay, delay_error : float
         By which poses come later than inputs, and its deviation [s]; not a number where it was given. Where
         it was not, its uncertainty is in the covariance.
@@ -95,6 +97,7 @@ class Identification:
     rank: int
     unseen: str
     hidden: Array
+    unknown: Array
     delay: float
     delay_error: float
     other_delay: float
@@ -112,7 +115,7 @@ class Identification:
     clipped: str
 
     def __post_init__(self) -> None:
-        for name in ("phi", "covariance_of_phi", "hidden", "noise", "residual"):
+        for name in ("phi", "covariance_of_phi", "hidden", "unknown", "noise", "residual"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
@@ -133,9 +136,12 @@ class Identification:
 
     @property
     def covariance(self) -> Array:
-        """Covariance of `parameters`, in their order, shape (p, p); by the delta method."""
+        """Covariance of `parameters`, in their order, shape (p, p); by the delta method.
+
+        It has what is not known of unseen directions, in which the prior is kept.
+        """
         D = self.chassis.slopes(self.phi)
-        return np.asarray(D @ self.covariance_of_phi @ D.T)
+        return np.asarray(D @ (self.covariance_of_phi + self.unknown @ self.unknown.T) @ D.T)
 
     @property
     def is_seen(self) -> Mapping[str, bool]:

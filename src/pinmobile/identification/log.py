@@ -334,8 +334,9 @@ class Log:
         or a quaternion ``qx``, ``qy``, ``qz``, ``qw``, the inputs all that begin with ``u_``, or ``Fx``,
         ``Fy``, ``Mz``; the twist those with ``twist_``, and the rates of wheels those with ``rate_``: what
         `Rollout.to_csv` writes is read so. Units such as ``[deg]``, ``[mm]`` and ``[ms]`` are turned into
-        those of SI, and refused where a column is of another quantity; those of inputs are kept. Between cells are commas, semicolons (then numbers may have decimal commas), tabs or
-        blanks; lines before the header that begin with # are left out; times may be dates as of ISO 8601.
+        those of SI, and refused where a column is of another quantity; those of inputs are kept. Between
+        cells are commas, semicolons (then numbers may have decimal commas), tabs or blanks; lines before the
+        header that begin with # are left out; times may be dates as of ISO 8601.
 
         Parameters
         ----------

@@ -181,6 +181,7 @@ def identify(
         rank=seen.shape[1],
         unseen=in_words(chassis, unseen) if unseen.size else "",
         hidden=(unseen**2).sum(axis=1),
+        unknown=at.scales[:, None] * unseen,
         delay=late * cleaned[0].dt,
         delay_error=error * cleaned[0].dt,
         other_delay=_other_delay(given, own, cleaned[0].dt),
