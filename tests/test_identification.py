@@ -439,7 +439,7 @@ def test_a_robot_that_no_body_is_becomes_the_likeliest_that_is_one() -> None:
     np.testing.assert_allclose(near[:3], best, atol=1e-4)
     assert (near - phi) @ np.linalg.solve(C, near - phi) == pytest.approx(cost(best[None])[0], rel=1e-5)
     assert 0 <= near[7] < 1e-9
-    robot = replace(found(), phi=phi, covariance_of_phi=C).robot()
+    robot = replace(found(), phi=phi, covariance_of_phi=C, unknown=np.zeros((10, 0))).robot()
     assert robot.mass == near[0]
     np.testing.assert_allclose(robot.com[:2], near[1:3] / near[0])
 
