@@ -30,7 +30,7 @@ _SAID = {
     INSTEAD["N m"]: "torques take --drive, or --urdf, of their wheels, without --motor",
     INSTEAD["V"]: "volts take --drive, or --urdf, and --motor of their wheels",
     INSTEAD["A"]: "currents take --load, once for each LOG, of loads that differ: they tell the torque per "
-    "ampere; times that they are torques",
+    "ampere; or multiply by it",
     INSTEAD["m/s"]: "commands of speed and yaw rate take neither --drive nor --urdf",
 }
 """What the library says of its arguments, and what is typed for it."""

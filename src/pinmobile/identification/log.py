@@ -421,7 +421,7 @@ INSTEAD = {
     "N": "forces take robot=None or a MobileRobot",
     "N m": "torques take wheels without electric motors",
     "V": "volts take wheels with electric motors, or by_voltage()",
-    "A": "currents take loads=[None, load], which tell the torque per ampere; times that they are torques",
+    "A": "currents take loads=[None, load], which tell the torque per ampere; or multiply by it",
     **dict.fromkeys(("m/s", "rad/s"), "commands of speed and yaw rate take identify_velocity"),
 }
 """What inputs of a unit are to be given to."""
