@@ -356,7 +356,7 @@ def test_words_that_say_no_wheels_are_answered_in_one_line(
         ),
         ("N*m", "", "speed in N m, expected m/s: .*"),
         ("mV", "--column u=u_left,u_right", "speed in V, expected m/s: .*"),
-        ("A", DRIVE, "left in A, expected N m: currents take --load, once for each LOG, .*; or multiply by it"),
+        ("A", DRIVE, "left in A, expected N m: currents take --load, once for each LOG, .* multiply by it"),
         ("mA", f"{DRIVE} --column u=u_left,u_right", "left in A, expected N m: currents take --load.*"),
         ("A", f"{DRIVE} {NUMBERS}", "left in A, expected V: currents take --load.*"),
         ("A", "", "speed in A, expected m/s: currents take --load.*"),
