@@ -55,7 +55,9 @@ def test_identify_prints_the_table_and_draws_measured_beside_foretold(
     assert (code, err) == (0, "")
     low, high = map(float, re.findall(r"^mass +\S+ +(\S+) to (\S+) +kg$", told, re.MULTILINE)[0])
     assert low < 32 < high
-    assert len(re.findall(r"^\w+ +\S+ +\S+ to \S+ ", told, re.MULTILINE)) == 10
+    assert (
+        len(re.findall(r"^\w+ +\S+ +\S+ to \S+ ", told, re.MULTILINE)) == 13
+    )  # ten of the robot, three offsets
     for words in ("2201 samples at 50 Hz", "rms of 1.98 s ahead: x ", f"{out / 'run.png'}"):
         assert words in told
     assert (out / "run.png").stat().st_size > 20_000
@@ -343,13 +345,23 @@ def test_words_that_say_no_wheels_are_answered_in_one_line(
 @pytest.mark.parametrize(
     ("unit", "words", "message"),
     [
-        ("V", "", "taken for commands: expected --drive, or --urdf, and --motor of their wheels"),
-        ("N m", "", "taken for commands: expected --drive, or --urdf, of their wheels, without --motor"),
-        ("V", DRIVE, "taken for torques: expected --drive, or --urdf, and --motor of their wheels"),
-        ("N m", f"{DRIVE} {NUMBERS}", "taken for volts: expected --drive, .*, without --motor"),
-        ("m/s", DRIVE, "taken for torques: expected two of them, and neither --drive nor --urdf"),
-        ("N*m", "", "taken for commands: .*"),
-        ("mV", "--column u=u_left,u_right", "taken for commands: .*"),
+        ("V", "", "speed in V, expected m/s: volts take --drive, or --urdf, and --motor of their wheels"),
+        ("N m", "", "speed in N m, expected m/s: torques take --drive, or --urdf, .*, without --motor"),
+        ("V", DRIVE, "left in V, expected N m: volts take --drive, or --urdf, and --motor of their wheels"),
+        ("N m", f"{DRIVE} {NUMBERS}", "left in N m, expected V: torques take --drive, .*, without --motor"),
+        (
+            "m/s",
+            DRIVE,
+            "left in m/s, expected N m: commands of speed and yaw rate take neither .* nor --urdf",
+        ),
+        ("N*m", "", "speed in N m, expected m/s: .*"),
+        ("mV", "--column u=u_left,u_right", "speed in V, expected m/s: .*"),
+        ("A", DRIVE, "left in A, expected N m: currents take --load, once for each LOG, .* multiply by it"),
+        ("mA", f"{DRIVE} --column u=u_left,u_right", "left in A, expected N m: currents take --load.*"),
+        ("A", f"{DRIVE} {NUMBERS}", "left in A, expected V: currents take --load.*"),
+        ("A", "", "speed in A, expected m/s: currents take --load.*"),
+        ("kN", DRIVE, "left in N, expected N m: forces take neither --drive nor --motor"),
+        ("kN", "", "speed in N, expected m/s: forces take neither --drive nor --motor"),
     ],
 )
 def test_units_of_a_header_say_what_inputs_are(
@@ -358,8 +370,35 @@ def test_units_of_a_header_say_what_inputs_are(
     path = on_wheels(tmp_path / "run.csv", rolled(False), unit)
     code, _, err = typed(capsys, "identify", str(path), *words.split(), "--out", str(tmp_path))
     assert code == 2
-    said = rf"LOG is '\S+run\.csv', whose input 'u_left' is in {unit.replace('*', ' ')}, {message}"
+    said = rf"LOG is '\S+run\.csv': log has input {message}"
     assert re.fullmatch(f"pinmobile: {said}\n", err), err
+
+
+def test_a_twist_has_two_columns_and_dry_friction_its_speed(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    read = logged(pose=False)
+    assert read.twist is not None
+    table = np.column_stack([read.t, read.twist[:, [0, 2]], read.u])
+    path = written(tmp_path / "run.csv", table, "t,u [m/s],w [deg/s],v_set [m/s],w_set [rad/s]")
+    columns = ["--column", "twist=u,w", "--column", "u=v_set,w_set", "--out", str(tmp_path)]
+    table[:, 2] = np.rad2deg(table[:, 2])
+    written(path, table, path.read_text().splitlines()[0])
+    code, told, err = typed(capsys, "identify", str(path), *columns)
+    assert (code, err) == (0, "")
+    assert re.search(r"^theta_6 +1\.0\d+", told, re.MULTILINE)
+    code, _, err = typed(capsys, "identify", str(path), *columns, "--rolling-speed", "0.1")
+    said = "--rolling-speed does not apply to a log of commands of speed and yaw rate"
+    assert (code, err) == (2, f"pinmobile: {said}\n")
+    pushed = str(written(tmp_path / "pushed.csv", rows()))
+    words = ["--method", "weak", "--out", str(tmp_path)]
+    friction = {
+        speed: estimate("rolling_left", typed(capsys, "identify", pushed, *words, *speed)[1])
+        for speed in ((), ("--rolling-speed", "0.01"), ("--rolling-speed", "0.1"))
+    }
+    assert friction[()] == friction["--rolling-speed", "0.01"] != friction["--rolling-speed", "0.1"]
+    code, _, err = typed(capsys, "identify", pushed, *words, "--rolling-speed", "-1")
+    assert (code, err) == (2, "pinmobile: --rolling-speed is -1.0 m/s, expected > 0\n")
 
 
 def test_units_are_of_inputs_that_are_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ ALLOWED: dict[str, set[str]] = {
     "divergence": set(),
     "compiled": {"constancy", "divergence", "measures", "signals"},
     "robot": {"plant", "dh", "urdf", "closed_form"},
-    "wheels": {"robot", "closed_form", "forces", "controllers"},
+    "wheels": {"robot", "closed_form", "forces", "controllers", "integrators"},
     "verification": {"robot", "wheels", "closed_form", "derivation"},
     "paths": {"plant"},
     "trajectories": {"paths", "constancy"},

@@ -59,7 +59,7 @@ class DHRow:
     def __post_init__(self) -> None:
         for name in ("alpha", "a", "theta", "d"):
             value = getattr(self, name)
-            if getattr(value, "is_number", False):  # of sympy, such as pi / 2
+            if getattr(value, "is_number", False) is True:  # of sympy, such as pi / 2
                 value = float(value)
             object.__setattr__(self, name, scalar(name, value))
         if not isinstance(self.joint, JointType):

@@ -382,8 +382,8 @@ def identify(
     column: Annotated[
         list[str] | None,
         _help(
-            "ROLE=NAME,NAME, where columns are called otherwise; q=px,py,angle, say. Repeat it: t, q, u, "
-            "wheel_rates."
+            "ROLE=NAME,NAME, where columns are called otherwise; q=px,py,angle, or twist=speed,yaw_rate, "
+            "say. Repeat it: t, q, u, twist, wheel_rates."
         ),
     ] = None,
     bag: Annotated[
@@ -423,6 +423,10 @@ def identify(
     ] = None,
     method: Annotated[str | None, _help("output-error, or weak, which is faster; output-error.")] = None,
     delay: Annotated[float | None, _help("By which poses come late (s); by default it is found.")] = None,
+    rolling_speed: Annotated[
+        float | None,
+        _help("Speed at which dry friction has 71 % of its size; 0.01 (m/s), of wheels 0.1 (rad/s)."),
+    ] = None,
     out: Annotated[Path, _help("Folder for the figure.")] = Path("out/identify"),
     **typed: object,
 ) -> int:
@@ -440,11 +444,13 @@ def identify(
     """
     from pinmobile.cli.identify import believed_of, loads_of, read, show_identification
 
-    measured = [read(each, column or (), bag or ()) for each in log]
+    logs = [read(each, column or (), bag or ()) for each in log]
     stated = {"urdf": urdf, "rollers": rollers, "wheel_mass": wheel_mass, "motor": motor}
-    robot = believed_of({**typed, **stated}, drive, measured[0].u.shape[1])
+    robot = believed_of({**typed, **stated}, drive, logs[0].u.shape[1])
     loads = loads_of(load, len(log))
-    return show_identification(measured, log, out, robot, loads=loads, method=method, delay=delay)
+    return show_identification(
+        logs, log, out, robot, loads=loads, method=method, delay=delay, rolling_speed=rolling_speed
+    )
 
 
 @app.command()

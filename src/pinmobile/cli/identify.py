@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from pinmobile import InvalidArgument, Log, MobileRobot, UnknownName, identify, identify_velocity, plots
-from pinmobile.arrays import Array, non_negative, positive
+from pinmobile.arrays import non_negative, positive
 from pinmobile.cli.choices import ROLLING
 from pinmobile.cli.options import LECTURE, Options, as_option, choose, numbers
 from pinmobile.cli.output import begin, console, output_folder, progress, save_figure
-from pinmobile.identification import METHODS, units_of_inputs
+from pinmobile.identification import INSTEAD, METHODS
 from pinmobile.robot import Load
 from pinmobile.wheels import MOTORS, Motor, WheeledRobot, WheelTable, read_wheels
 
@@ -26,63 +26,17 @@ _SAID = {
     "or robot=...,": "or --urdf FILE of the robot,",
     "take identify_velocity;": "give two inputs, and neither --drive nor --urdf;",
     "Then identify": "Then give --drive or --urdf, or three inputs",
+    INSTEAD["N"]: "forces take neither --drive nor --motor",
+    INSTEAD["N m"]: "torques take --drive, or --urdf, of their wheels, without --motor",
+    INSTEAD["V"]: "volts take --drive, or --urdf, and --motor of their wheels",
+    INSTEAD["A"]: "currents take --load, once for each LOG, of loads that differ: they tell the torque per "
+    "ampere; or multiply by it",
+    INSTEAD["m/s"]: "commands of speed and yaw rate take neither --drive nor --urdf",
 }
 """What the library says of its arguments, and what is typed for it."""
 
-_KINDS = {
-    **dict.fromkeys(("V", "mV"), "volts"),
-    **dict.fromkeys(("N m", "Nm", "N mm", "mN m"), "torques"),
-    **dict.fromkeys(("m/s", "mm/s", "rad/s", "deg/s"), "commands"),
-}
-"""What inputs are by the unit in their header; what others may be is not judged."""
 
-_TYPE = {
-    "volts": "expected --drive, or --urdf, and --motor of their wheels",
-    "torques": "expected --drive, or --urdf, of their wheels, without --motor",
-    "commands": "expected two of them, and neither --drive nor --urdf",
-}
-"""What is typed beside inputs of a kind."""
-
-
-@dataclass(frozen=True)
-class Measured:
-    """A log, and what its file says of its inputs.
-
-    Attributes
-    ----------
-    log : Log
-        What was measured.
-    units : mapping of str to str
-        Units of inputs by name, of those whose header has one.
-    """
-
-    log: Log
-    units: Mapping[str, str]
-
-    @property
-    def u(self) -> Array:
-        """Inputs, shape (N, nu)."""
-        return self.log.u
-
-    def check(self, path: Path, taken: str) -> None:
-        """Refuse inputs whose unit is that of another kind than they are taken for.
-
-        Raises
-        ------
-        InvalidArgument
-            If they are such.
-        """
-        for name, unit in self.units.items():
-            kind = _KINDS.get(unit, taken)
-            if kind != taken and not (taken == "forces" and kind == "torques"):
-                raise InvalidArgument(
-                    f"LOG is {str(path)!r}, whose input {name!r} is in {unit}, taken for {taken}: "
-                    f"{_TYPE[kind]}",
-                    argument="",
-                )
-
-
-def read(path: Path, columns: Sequence[str], topics: Sequence[str]) -> Measured:
+def read(path: Path, columns: Sequence[str], topics: Sequence[str]) -> Log:
     """Return the log of a file: of a bag where topics are named, else of a CSV file.
 
     Parameters
@@ -103,9 +57,9 @@ def read(path: Path, columns: Sequence[str], topics: Sequence[str]) -> Measured:
     told = _pairs("--bag", topics, "ROLE=TOPIC, such as q=/odom")
     with _naming([path]):
         if told:
-            return Measured(Log.from_bag(path, told), {})
+            return Log.from_bag(path, told)
         roles = {role: names.split(",") for role, names in named.items()}
-        return Measured(Log.from_csv(path, roles or None), units_of_inputs(path, roles.get("u")))
+        return Log.from_csv(path, roles or None)
 
 
 @contextmanager
@@ -128,7 +82,7 @@ def _naming(paths: Sequence[Path], robot: str = "") -> Iterator[None]:
         for said, words in _SAID.items():
             text = text.replace(said, words)
         called = {"path": "LOG", "columns": "--column", "topics": "--bag", "delay": "--delay"}
-        called["loads"] = "--load"
+        called |= {"loads": "--load", "rolling_speed": "--rolling-speed"}
         if argument == "robot" and robot:
             why = max(text.rfind(", with "), text.find(", expected "), key=lambda at: (at >= 0, -at))
             raise InvalidArgument(f"{robot}{text[why:]}", argument="") from error
@@ -166,14 +120,11 @@ class Believed:
         What its inputs are and what is assumed, in words.
     named : str
         The option that stated it, for messages: ``"--urdf is 'robot.urdf'"``.
-    takes : str
-        What its inputs are: ``"forces"``, ``"torques"`` or ``"volts"``.
     """
 
     robot: Any = None
     told: str = ""
     named: str = ""
-    takes: str = "forces"
 
 
 def believed_of(given: Mapping[str, Any], drive: str | None, inputs: int) -> Believed:
@@ -223,10 +174,10 @@ def _under(body: MobileRobot, urdf: Path, options: Options) -> Believed:
         table = read_wheels(body, **({} if rollers is None else {"rollers": rollers}))
         told = f"{urdf.name}: {table.source}\n{_inputs(table, motor)}"
         if motor is None:
-            return Believed(WheeledRobot(body, table), told, named, "torques")
+            return Believed(WheeledRobot(body, table), told, named)
         rows = (each if each.motor is None else replace(each, motor=motor) for each in table.wheels)
         robot = WheeledRobot(body, replace(table, wheels=tuple(rows)))
-        return Believed(robot.by_voltage(), told, named, "volts")
+        return Believed(robot.by_voltage(), told, named)
     except InvalidArgument as error:
         if rollers is not None and error.argument == "rollers":
             raise error.calling("--rollers") from error
@@ -268,8 +219,7 @@ def _on(drive: str, options: Options) -> Believed:
         else "wheels turn without inertia of their own: what they have is told as the body's, --wheel-mass"
     )
     told = f"{drive}: {choice.label}, of a body of which nothing is believed; {turning}"
-    takes = "torques" if motor is None else "volts"
-    return Believed(table, f"{told}\n{_inputs(table, motor)}", f"--drive is {drive!r}", takes)
+    return Believed(table, f"{told}\n{_inputs(table, motor)}", f"--drive is {drive!r}")
 
 
 def _inputs(table: WheelTable, motor: Motor | None) -> str:
@@ -347,7 +297,7 @@ def _load(word: str) -> Load:
 
 
 def show_identification(
-    measured: Sequence[Measured],
+    logs: Sequence[Log],
     paths: Sequence[Path],
     out: Path,
     believed: Believed,
@@ -355,6 +305,7 @@ def show_identification(
     loads: Sequence[Load | None] | None,
     method: str | None,
     delay: float | None,
+    rolling_speed: float | None,
 ) -> int:
     """Print what logs tell, and draw what was measured beside what is foretold, of the longest.
 
@@ -363,8 +314,8 @@ def show_identification(
 
     Parameters
     ----------
-    measured : sequence of Measured
-        Logs, and units of their inputs.
+    logs : sequence of Log
+        What was measured.
     paths : sequence of Path
         Their files, by which figure and errors are called.
     out : Path
@@ -377,6 +328,8 @@ def show_identification(
         Name of the method with hyphens, by default ``"output-error"``; likewise.
     delay : float or None
         By which poses come late [s]; None: it is found.
+    rolling_speed : float or None
+        Where dry friction has reached 71 % of its size [m/s, rad/s]; it does not apply to a log of commands.
 
     Raises
     ------
@@ -385,22 +338,21 @@ def show_identification(
     """
     folder = output_folder(out)
     way = choose("method", method or "output-error", {each.replace(" ", "-"): each for each in METHODS})
-    logs = [each.log for each in measured]
     log, path = max(zip(logs, paths, strict=True), key=lambda each: len(each[0]))
     commands = log.u.shape[1] == _COMMANDS and not believed.told
-    typed = {"urdf": believed.robot, "method": method, "load": loads}
+    typed = {"urdf": believed.robot, "method": method, "load": loads, "rolling-speed": rolling_speed}
     for option, value in typed.items():
         if commands and value is not None:
             raise InvalidArgument(f"--{option} does not apply to a log of commands of speed and yaw rate")
-    for each, file in zip(measured, paths, strict=True):
-        each.check(file, "commands" if commands else believed.takes)
     with progress(2) as bar, _naming(paths, believed.named):
         begin(bar, "identifying")
         if commands:
             theta = identify_velocity(logs, delay=delay)
             table, foretold = str(theta), theta.predict(log)
         else:
-            found = identify(logs, believed.robot, loads=loads, method=way, delay=delay)
+            found = identify(
+                logs, believed.robot, loads=loads, method=way, delay=delay, rolling_speed=rolling_speed
+            )
             table, foretold = str(found).replace(_CALL, _TYPED), found.predict(log)
         begin(bar, "drawing")
         figure = folder / f"{path.stem}.png"

@@ -1,8 +1,7 @@
 """From a log to parameters with intervals that hold, and motions that tell them."""
 
 from pinmobile.identification.estimate import Identification
-from pinmobile.identification.log import Log
-from pinmobile.identification.logfiles import units_of_inputs as units_of_inputs
+from pinmobile.identification.log import INSTEAD as INSTEAD, Log
 from pinmobile.identification.motions import Excitation, excitation
 from pinmobile.identification.prediction import Prediction
 from pinmobile.identification.procedure import METHODS as METHODS, identify

@@ -8,14 +8,15 @@ friction along the axes A eta, and what the wheels' own inertia adds, M_w::
        [ m a_w + m x r' - m y r^2   ] + M_w eta' + A' (c A eta + f A eta / sqrt((A eta)^2 + e^2)) = F
        [ m x a_w - m y a_u + I r'   ]
 
-with a_u = u' - r w and a_w = w' + r u. F is R(psi)' u of a body that is pushed, and B tau of wheels, tau the
-torques: the input, or what motors make of volts and the wheels' rates by their law, limits and losses in the
-gear as they are stated. Where the input's scale is identified, torque constants have it.
+with a_u = u' - r w and a_w = w' + r u. F is R(psi)' u of a body that is pushed, and B tau of wheels, u or tau
+less constant offsets where these are identified; tau are the torques: the input, or what motors make of volts
+and the wheels' rates by their law, limits and losses in the gear as they are stated. Where the input's scale
+is identified, torque constants have it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -77,6 +78,8 @@ class Chassis:
         Whether the input's scale is identified too, the last entry of phi.
     motors : tuple of Motor
         Of each input, where any takes volts; else empty.
+    offset : bool
+        Whether phi has, behind the friction, a constant force or torque by which each input reads too much.
     """
 
     S: Array
@@ -87,6 +90,7 @@ class Chassis:
     wheels: tuple[str, ...] = ()
     scaled: bool = False
     motors: tuple[Motor, ...] = ()
+    offset: bool = False
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Chassis, tuple(getattr(self, each.name) for each in fields(self))
@@ -147,6 +151,14 @@ class Chassis:
         """Size of the input."""
         return 3 if self.B is None else int(self.B.shape[1])
 
+    @property
+    def inputs(self) -> dict[str, str]:
+        """Units of the inputs by name."""
+        if not self.wheels:
+            return {"Fx": "N", "Fy": "N", "Mz": "N m"}
+        electric = [each.is_electric for each in self.motors] or [False] * len(self.wheels)
+        return {n: "V" if volts else "N m" for n, volts in zip(self.wheels, electric, strict=True)}
+
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
         """What is identified, as it is told: the centre of mass and the inertia about it."""
@@ -160,23 +172,37 @@ class Chassis:
             viscous = [Quantity(f"viscous_{n}", unit, f"viscous friction, {n}", True) for n, unit, _ in _AXES]
             dry = [Quantity(f"rolling_{n}", unit, f"rolling resistance, {n}", True) for n, _, unit in _AXES]
             scale = (Quantity("input_scale", "", "force per input, as a share of what is stated", True),)
-            return (*body, *viscous, *dry, *scale[: self.scaled])
+            return (*body, *viscous, *dry, *self._offsets(self.inputs.values()), *scale[: self.scaled])
         names = self.wheels
         turning = [Quantity(f"joint_viscous_{n}", "N m s/rad", f"friction of {n}", True) for n in names]
         dry = [Quantity(f"joint_coulomb_{n}", "N m", f"dry friction of {n}", True) for n in names]
         what = "torque constants" if self.motors else "torque per input"
         scale = (Quantity("input_scale", "", f"{what}, as a share of what is stated", True),)
-        return (*body, *turning, *dry, *scale[: self.scaled])
+        return (*body, *turning, *dry, *self._offsets(["N m"] * len(names)), *scale[: self.scaled])
+
+    def _offsets(self, units: Iterable[str]) -> list[Quantity]:
+        pairs = zip(self.inputs, units, strict=True) if self.offset else ()
+        return [Quantity(f"offset_{n}", unit, f"constant offset of {n}", False) for n, unit in pairs]
 
     @property
     def size(self) -> int:
         """How many numbers phi has."""
-        return 4 + 2 * len(self.A) + self.scaled
+        return 4 + 2 * len(self.A) + self.nu * self.offset + self.scaled
 
     @property
     def dry(self) -> slice:
         """Where phi has dry friction."""
         return slice(4 + len(self.A), 4 + 2 * len(self.A))
+
+    @property
+    def bounded(self) -> list[int]:
+        """Where phi has friction or a scale, which cannot be below zero."""
+        return [k for k, one in enumerate(self.quantities) if one.bounded and k > 3]
+
+    @property
+    def offsets(self) -> slice:
+        """Where phi has offsets of the inputs."""
+        return slice(self.dry.stop, self.size - self.scaled)
 
     @property
     def longest_step(self) -> float:
@@ -235,9 +261,10 @@ class Chassis:
         InvalidArgument
             If there is none.
         """
+        bounded = self.bounded
 
         def slack(p: Array) -> Array:
-            return np.concatenate([[p[0] - _LIGHTEST, _inertia_left(p)], p[4:]])
+            return np.concatenate([[p[0] - _LIGHTEST, _inertia_left(p)], p[bounded]])
 
         if (slack(phi) >= 0).all():
             return phi
@@ -246,8 +273,8 @@ class Chassis:
         root = vectors[:, told] * np.sqrt(values[told])
         size = np.abs(slack(phi)) + 1e-3 * np.abs(phi).max()
         # Bounds, and tangents of the inequality of the body where a step is beyond it: both are convex.
-        G = np.vstack([root[:1], root[4:]])
-        h = np.concatenate([[_LIGHTEST], 0 * phi[4:]]) - np.append(phi[0], phi[4:])
+        G = np.vstack([root[:1], root[bounded]])
+        h = np.concatenate([[_LIGHTEST], 0 * phi[bounded]]) - np.append(phi[0], phi[bounded])
         for _ in range(_CUTS):
             z = _least(G, h)
             if z is None:
@@ -255,7 +282,7 @@ class Chassis:
             body = phi + root @ z
             if (slack(body) >= -_ROUNDED * size).all():
                 body[3] += max(0.0, -_inertia_left(body))
-                body[4:] = np.maximum(body[4:], 0.0)
+                body[bounded] = np.maximum(body[bounded], 0.0)
                 return np.asarray(body)
             m, mx, my = body[:3]
             tangent = np.array([(mx * mx + my * my) / m**2 - _GYRATION**2, -2 * mx / m, -2 * my / m, 1.0])
@@ -335,12 +362,14 @@ class Chassis:
             phi[4 + j] * rate + phi[4 + count + j] * rate / np.sqrt(rate * rate + self.speed**2)
             for j, rate in enumerate(rates)
         ]
+        scale = phi[self.size - 1] if self.scaled else 1.0
+        torques = [scale * each for each in u] if self.B is None else self.torques(u, rates, scale)
+        if self.offset:
+            torques = [each - phi[self.dry.stop + j] for j, each in enumerate(torques)]
         if self.B is None:
-            c, s = np.cos(psi), np.sin(psi)
-            scale = phi[4 + 2 * count] if self.scaled else 1.0
-            force = [scale * each for each in (c * u[0] + s * u[1], c * u[1] - s * u[0], u[2])]
+            (x, y, moment), c, s = torques, np.cos(psi), np.sin(psi)
+            force = [c * x + s * y, c * y - s * x, moment]
         else:
-            torques = self.torques(u, rates, phi[4 + 2 * count] if self.scaled else 1.0)
             force = [_dot(row, torques) for row in self.B]
         body = (0, 0, m), (1, 1, m), (0, 2, -my), (2, 0, -my), (1, 2, mx), (2, 1, mx), (2, 2, inertia)
         k = self.free

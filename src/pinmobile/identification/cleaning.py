@@ -11,14 +11,16 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification.chassis import Chassis
-from pinmobile.identification.log import Log
+from pinmobile.identification.log import Log, check_units
 
 _WINDOW = 0.15  # [s] of the cubic whose residual tells outliers and noise
 _OUTLIER = 6.0  # deviations
 _BENT = 3e-3  # share of the way through a window below which nothing is an outlier
+_OFTEN, _TIMES = 0.8, 4.0  # quantile of what a cubic leaves, and what is no outlier as a multiple of it
 _PASSES = 40  # at most
+_COARSEST, _ROWS = 0.1, 16  # [s] between samples, and of these, that filters and windows need
 _CUTOFF = 8.0  # [Hz] of velocities
-_LEAST = 2.0**-40  # of the size of what is measured: below it noise is rounding
+_FINEST, _FINEST_RATE = 1e-4, 1e-2  # [m, rad], [rad/s]: finer noise, as of a simulation, counts as this
 _LONG = 3  # samples in a row that are lost; over more, a spline would swing with the noise beside them
 _NORMAL = 1.4826  # a normal distribution's deviation as a share of its median absolute one
 
@@ -78,11 +80,17 @@ class Cleaned:
                 else f"one for each driven wheel, {', '.join(chassis.wheels)}; is it of another robot?"
             )
             raise InvalidArgument(f"{name} has {log.u.shape[1]} inputs, expected {chassis.nu}: {expected}")
+        check_units(log, name, chassis.inputs, "A" if chassis.scaled and not chassis.motors else "")
         even = log.samples()
-        if len(even.t) * even.dt < 4 * _WINDOW:
+        if even.dt > 1.001 * _COARSEST:
+            raise InvalidArgument(
+                f"{name} has samples every {even.dt:.3g} s, expected {_COARSEST:g} s or less: how the robot "
+                "moved between them is not known"
+            )
+        if len(even.t) < max(_ROWS, 4 * _WINDOW / even.dt):
             raise InvalidArgument(f"{name} is {even.t[-1]:.3g} s long, too short, expected 20 s and more")
         assert even.q is not None
-        q, good, noise = _without_outliers(even.q, even.seen, even.dt)
+        q, good, noise = _without_outliers(even.q, even.seen, even.dt, _FINEST)
         rates, rates_noise = even.wheel_rates, None
         if rates is not None and chassis.wheels:
             if rates.shape[1] != len(chassis.A):
@@ -90,7 +98,7 @@ class Cleaned:
                     f"{name} has wheel_rates of {rates.shape[1]} wheels, expected {len(chassis.A)}: "
                     f"{', '.join(chassis.wheels)}"
                 )
-            rates, usual, rates_noise = _without_outliers(rates, even.seen, even.dt)
+            rates, usual, rates_noise = _without_outliers(rates, even.seen, even.dt, _FINEST_RATE)
             good = good & usual
         lost = int((even.seen & ~good).sum())
         rates = rates if chassis.wheels else None
@@ -148,7 +156,7 @@ class Cleaned:
 
 
 def _without_outliers(
-    columns: Array, seen: NDArray[np.bool_], dt: float
+    columns: Array, seen: NDArray[np.bool_], dt: float, least: float
 ) -> tuple[Array, NDArray[np.bool_], Array]:
     """Return columns whose outliers are interpolated, which rows are none, and the noise of each column.
 
@@ -171,8 +179,10 @@ def _without_outliers(
         residual = columns - savgol_filter(q, size, 3, axis=0, mode="interp")
         residual /= np.sqrt(1 - follows)[:, None]
         deviation = _NORMAL * np.median(np.abs(residual[good]), axis=0)
-        least = _LEAST * np.abs(columns).max(axis=0) + np.finfo(float).tiny
-        size_of = (np.abs(residual) / np.maximum(np.maximum(_OUTLIER * deviation, bent), least)).max(axis=1)
+        deviation = np.maximum(deviation, least)
+        often = np.quantile(np.abs(residual[good]), _OFTEN, axis=0)  # by which jumps of the acceleration bend
+        bound = np.maximum.reduce([_OUTLIER * deviation, bent, _TIMES * often])
+        size_of = (np.abs(residual) / bound).max(axis=1)
         worst = size_of >= maximum_filter1d(np.where(good, size_of, 0.0), 2 * size + 1)
         before, good = good, seen & ~((size_of > 1) & (worst | ~good))
         inside = np.clip(at[~good], at[good][0], at[good][-1])  # nothing is told beyond the last good one
@@ -181,7 +191,7 @@ def _without_outliers(
         _bridge(q, good, size)
         if np.array_equal(before, good):
             break
-    return q, good, np.maximum(deviation, least)
+    return q, good, deviation
 
 
 def _bridge(q: Array, good: NDArray[np.bool_], size: int) -> None:

@@ -28,6 +28,7 @@ _MOST = 50_000_000  # draws
 _FAR = 0.999  # interval in which a body must be that stands for what was found
 _DRAWS = 200  # rounds in which draws that no body has are drawn again
 _AHEAD = 2.0  # [s]
+_DENSITIES = 20.0, 2e4  # [kg/m^2], mass per square of the radius of gyration; of boxes 12 m / (a^2 + b^2)
 
 
 @final
@@ -57,6 +58,8 @@ class Identification:
         What it does not tell, in words; "" where it tells all.
     hidden : ndarray, shape (p,)
         Share of each parameter's direction that is unseen.
+    unknown : ndarray, shape (p, d)
+        By how much phi may be off for a prior that is off in each unseen direction: deviations.
     delay, delay_error : float
         By which poses come later than inputs, and its deviation [s]; not a number where it was given. Where
         it was not, its uncertainty is in the covariance.
@@ -76,7 +79,12 @@ class Identification:
     chi2 : float
         Mean square of all residuals over the noise: 1 where the sensors' noise is all that is left.
     whiteness : Whiteness
-        Whether residuals remember.
+        Correlation of the residuals.
+    is_noise : bool
+        Whether noise of sensors and inputs explains the residuals. Else the structure of the model is wrong,
+        and intervals are not valid.
+    clipped : str
+        Inputs that stay at their extremes for long, in words; "" where none does.
     """
 
     chassis: Chassis
@@ -89,6 +97,7 @@ class Identification:
     rank: int
     unseen: str
     hidden: Array
+    unknown: Array
     delay: float
     delay_error: float
     other_delay: float
@@ -102,9 +111,11 @@ class Identification:
     residual: Array
     chi2: float
     whiteness: Whiteness
+    is_noise: bool
+    clipped: str
 
     def __post_init__(self) -> None:
-        for name in ("phi", "covariance_of_phi", "hidden", "noise", "residual"):
+        for name in ("phi", "covariance_of_phi", "hidden", "unknown", "noise", "residual"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
@@ -125,9 +136,12 @@ class Identification:
 
     @property
     def covariance(self) -> Array:
-        """Covariance of `parameters`, in their order, shape (p, p); by the delta method."""
+        """Covariance of `parameters`, in their order, shape (p, p); by the delta method.
+
+        It has what is not known of unseen directions, in which the prior is kept.
+        """
         D = self.chassis.slopes(self.phi)
-        return np.asarray(D @ self.covariance_of_phi @ D.T)
+        return np.asarray(D @ (self.covariance_of_phi + self.unknown @ self.unknown.T) @ D.T)
 
     @property
     def is_seen(self) -> Mapping[str, bool]:
@@ -139,7 +153,8 @@ class Identification:
     def interval(self, level: float = 0.95) -> Mapping[str, tuple[float, float]]:
         """Return an interval of each parameter that holds the true one in a share of all logs, by name.
 
-        It is Student's; endless where nothing is seen. Of a parameter that cannot be below zero it is cut
+        It is Student's; endless where nothing is seen, and not valid where `is_noise` is false: it does not
+        cover the error of a wrong structure. Of a parameter that cannot be below zero it is cut
         there, and goes up to its half width where the estimate is below: more is not told of what is small.
 
         Parameters
@@ -196,7 +211,9 @@ class Identification:
 
     def __str__(self) -> str:
         intervals, width = self.interval(), max(map(len, self.names))
-        lines = [f"{'':{width}} {'estimate':>10}  {'95 % interval':^23}  unit"]
+        valid = "95 % interval" if self.whiteness.is_white else "95 % if noise alone"
+        header = valid if self.is_noise else "95 %, not valid"
+        lines = [f"{'':{width}} {'estimate':>10}  {header:^23}  unit"]
         for name, value in self.parameters.items():
             low, high = intervals[name]
             lines.append(
@@ -235,10 +252,33 @@ class Identification:
         found.append(
             "what is left is white: noise of the sensors"
             if self.whiteness.is_white
-            else f"what is left remembers (correlation {rho:.2f} of successive samples): noise of forces, or "
-            "a force that is not modelled; the intervals allow for it"
+            else f"what is left is correlated ({rho:.2f} between successive samples) as noise of the inputs "
+            "makes it: if it is that, the intervals hold; they do not cover the error of a force that "
+            "follows the motion and is not in the model, such as rolling resistance that depends on load"
+            if self.is_noise
+            else f"what is left is correlated ({rho:.2f} between successive samples) otherwise or "
+            "more than noise makes it: the structure of the model is wrong, and the intervals are not "
+            "valid; is there slip, a clipped input, a slope, or resistance that depends on load?"
         )
-        return (*found, *self._below_zero(), *self._of_wheels())
+        if self.clipped:
+            found.append(self.clipped)
+        if not self.chassis.offset:
+            found.append("the motion does not tell constant offsets of inputs from friction: taken as zero")
+        return (*found, *self._below_zero(), *self._of_size(), *self._of_wheels())
+
+    def _of_size(self) -> tuple[str, ...]:
+        """Return a question about a mass that robots of this size do not have, by its radius of gyration."""
+        mass, _, _, inertia = self.chassis.told(self.phi)[:4].tolist()
+        if not all(map(self.is_seen.get, ("mass", "yaw_inertia"))) or min(mass, inertia) <= 0:
+            return ()
+        density = mass**2 / inertia
+        if _DENSITIES[0] < density < _DENSITIES[1]:
+            return ()
+        return (
+            f"a mass of {mass:.3g} kg with a radius of gyration of {np.sqrt(inertia / mass):.2g} m is "
+            f"implausible: robots have {_DENSITIES[0]:g} to {_DENSITIES[1]:g} kg per square metre of it; are "
+            "inputs in N and N m, positions in m?",
+        )
 
     def _below_zero(self) -> tuple[str, ...]:
         """Return what estimates are below zero of what cannot be, and why."""
@@ -402,8 +442,9 @@ class Identification:
                 "the log leaves mass and inertia so uncertain that hardly a draw is of a body"
             )
         told = self.chassis.told(phi)
-        told[:, 4:] = np.maximum(told[:, 4:], 0.0)
-        return {name: told[:, k] for k, name in enumerate(self.names) if name != "input_scale"}
+        bounded = self.chassis.bounded
+        told[:, bounded] = np.maximum(told[:, bounded], 0.0)
+        return {name: told[:, k] for k, name in enumerate(self.names[: self.chassis.dry.stop])}
 
     def predict(self, log: Log, seconds: float = _AHEAD) -> Prediction:
         """Return how well the robot that was found foretells another log, beside the noise of its sensors.

@@ -73,11 +73,15 @@ class Log:
         in the inertial frame [N, N, N m], of wheels torques [N m], volts or, with a load that tells what they
         are worth, currents [A], of a robot that takes velocities its commands (forward, yaw rate)
         [m/s, rad/s]. At most three rows in a row may have NaN: then what was applied before is taken.
-    twist : array_like, shape (N, 3), optional
-        Measured body twist: forward, left, yaw rate [m/s, m/s, rad/s].
+    twist : array_like, shape (N, 3) or (N, 2), optional
+        Measured body twist: forward, left, yaw rate [m/s, m/s, rad/s]; of two columns forward and yaw rate.
     wheel_rates : array_like, shape (N, k), optional
         Rates that the encoders of the driven wheels tell, in the order of the inputs [rad/s]: those at the
         times. A difference of two angles is the rate half a step before the later one.
+
+    units : tuple of str
+        Units of the inputs, as a header says: "N", "N m", "V", "A", "m/s" or "rad/s", or "" where they are
+        not known; () where none is. `identify` refuses those that its robot does not take.
 
     Attributes
     ----------
@@ -99,10 +103,13 @@ class Log:
     twist: Array | None = None
     wheel_rates: Array | None = None
     dropped: int = 0
+    units: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         given = self._given()
-        t = given["t"]
+        t, twist = given["t"], given.get("twist")
+        if twist is not None and twist.ndim == 2 and twist.shape[1] == 2:
+            given["twist"] = np.insert(twist, 1, 0.0, axis=1)
         if t.ndim != 1 or len(t) < 2:
             raise InvalidArgument(f"t has shape {t.shape}, expected (N,), N > 1")
         for name, array in given.items():
@@ -114,6 +121,10 @@ class Log:
         for name in {"q", "twist"} & set(given):
             if given[name].shape[1] != _POSE:
                 raise InvalidArgument(f"{name} has shape {given[name].shape}, expected ({len(t)}, 3)")
+        if len(self.units) not in (0, given["u"].shape[1]):
+            raise InvalidArgument(
+                f"units is {shown(self.units)}, expected {given['u'].shape[1]}, one for each input, or none"
+            )
         if not {"q", "twist"} & set(given):
             raise InvalidArgument("q is None, and there is no twist, expected one of them: what was measured")
         lost = lost_rows(given)
@@ -309,7 +320,9 @@ class Log:
             told = u[late:] + sigma["input_noise"] * generator.standard_normal((end, u.shape[1]))
         representable("a pose with its noise", q)
         representable("an input with its noise", told)
-        return cls(rollout.t[late:], q, told, None, rollout.v[:end, wheels] if wheels else None)
+        units = tuple(one.unit for one in inputs_of(rollout.plant))
+        rates = rollout.v[:end, wheels] if wheels else None
+        return cls(rollout.t[late:], q, told, None, rates, units=units)
 
     @classmethod
     def from_csv(
@@ -321,8 +334,9 @@ class Log:
         or a quaternion ``qx``, ``qy``, ``qz``, ``qw``, the inputs all that begin with ``u_``, or ``Fx``,
         ``Fy``, ``Mz``; the twist those with ``twist_``, and the rates of wheels those with ``rate_``: what
         `Rollout.to_csv` writes is read so. Units such as ``[deg]``, ``[mm]`` and ``[ms]`` are turned into
-        those of SI. Between cells are commas, semicolons (then numbers may have decimal commas), tabs or
-        blanks; lines before the header that begin with # are left out; times may be dates as of ISO 8601.
+        those of SI, and refused where a column is of another quantity; those of inputs are kept. Between
+        cells are commas, semicolons (then numbers may have decimal commas), tabs or blanks; lines before the
+        header that begin with # are left out; times may be dates as of ISO 8601.
 
         Parameters
         ----------
@@ -339,9 +353,9 @@ class Log:
         UnknownName
             If a column is not there.
         """
-        parts, short = read_csv(path, columns)
+        parts, units, short = read_csv(path, columns)
         times = parts.pop("t")[:, 0]
-        return cls(times, parts.pop("q", None), parts.pop("u"), **parts, dropped=short)
+        return cls(times, parts.pop("q", None), parts.pop("u"), **parts, dropped=short, units=units)
 
     @classmethod
     def from_bag(
@@ -403,6 +417,39 @@ def logs_of(log: object) -> list[Log]:
                 "intervals too narrow"
             )
     return logs
+
+
+INSTEAD = {
+    "N": "forces take robot=None or a MobileRobot",
+    "N m": "torques take wheels without electric motors",
+    "V": "volts take wheels with electric motors, or by_voltage()",
+    "A": "currents take loads=[None, load], which tell the torque per ampere; or multiply by it",
+    **dict.fromkeys(("m/s", "rad/s"), "commands of speed and yaw rate take identify_velocity"),
+}
+"""What inputs of a unit are to be given to."""
+
+
+def check_units(log: Log, name: str, expected: Mapping[str, str], also: str = "") -> None:
+    """Refuse inputs whose unit is not that of the robot's.
+
+    Parameters
+    ----------
+    log, name : Log, str
+        The log, and what messages call it.
+    expected : mapping of str to str
+        Units of the robot's inputs by name.
+    also : str
+        Another unit that each may have.
+
+    Raises
+    ------
+    InvalidArgument
+        If one is; the message says what takes it.
+    """
+    for unit, (one, wanted) in zip(log.units, expected.items(), strict=False):
+        if unit not in ("", wanted, also):
+            why = INSTEAD.get(unit, "are columns mixed up?")
+            raise InvalidArgument(f"{name} has input {one} in {unit}, expected {wanted}: {why}")
 
 
 def check_steps(steps: Sequence[float]) -> None:

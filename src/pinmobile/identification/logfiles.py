@@ -30,8 +30,8 @@ Row = Callable[[Any], Any]
 
 def read_csv(
     path: str | PathLike[str], columns: Mapping[str, str | Sequence[str]] | None
-) -> tuple[dict[str, Array], int]:
-    """Return the columns of a file by role, and how many rows are of another length; see `Log.from_csv`."""
+) -> tuple[dict[str, Array], tuple[str, ...], int]:
+    """Return columns by role, units of inputs, and how many rows are of another length: see `Log`."""
     file = location("path", path)
     head, rows = _table(file)
     names = [*map(_named, head)]
@@ -57,38 +57,25 @@ def read_csv(
             f"path is {str(file)!r}, with {len(kept)} rows of as many columns as its header, expected more"
         )
     parts: dict[str, Array] = {}
+    units: tuple[str, ...] = ()
     for role, of_role in wanted.items():
         listed = [of_role] if isinstance(of_role, str) else sequence(f"columns[{role!r}]", of_role, "names")
         for name in listed:
             one_of(f"column of {str(file)!r}", name, named)
             if names.count(name) > 1:
                 raise InvalidArgument(f"path is {str(file)!r}, with two columns {name!r}, expected one")
-        columns_of_role = [_column(file, head[named[n]], [row[named[n]] for row in kept]) for n in listed]
-        parts[role] = np.column_stack(columns_of_role)
+        titles = [head[named[name]] for name in listed]
+        rates: list[str | None] = ["rad/s" if role == "wheel_rates" else None] * len(titles)
+        expected = _EXPECTED.get((role, len(titles)), rates)
+        in_si = [_si_unit(title, each) for title, each in zip(titles, expected, strict=True)]
+        cells = ([row[named[name]] for row in kept] for name in listed)
+        pairs = zip(titles, cells, in_si, strict=True)
+        parts[role] = np.column_stack([factor * _column(file, title, of) for title, of, (_, factor) in pairs])
+        units = tuple(unit for unit, _ in in_si) if role == "u" else units
     if "q" in parts and parts["q"].shape[1] == 2 + _QUATERNION:
         x, y, *quaternion = parts["q"].T
         parts["q"] = np.column_stack([x, y, _yaw_of(*quaternion)])
-    return parts, len(rows) - len(kept)
-
-
-def units_of_inputs(path: str | PathLike[str], names: Sequence[str] | None = None) -> dict[str, str]:
-    """Return the units that the header of a CSV file tells of its inputs, by name, empty where it has none.
-
-    Parameters
-    ----------
-    path : str or PathLike
-        The file.
-    names : sequence of str, optional
-        Names of the inputs; by default those that `Log.from_csv` takes.
-    """
-    file = location("path", path)
-    with refusals("read", "path", file), file.open("rb") as opened:
-        data = opened.read(_HEADER)
-    whole = data if len(data) < _HEADER or _is_wide(data) else data.rpartition(b"\n")[0]
-    head, _ = _cells(file, whole)
-    titles = {_named(title): title for title in head}
-    listed = _columns_of(list(titles)).get("u", ()) if names is None else names
-    return {name: _unit(titles[name]) for name in listed if name in titles}
+    return parts, units, len(rows) - len(kept)
 
 
 def _table(file: Path) -> tuple[list[str], list[list[str]]]:
@@ -175,7 +162,7 @@ def _named(title: str) -> str:
 
 
 def _column(file: Path, title: str, cells: Sequence[str]) -> Array:
-    """Return the numbers of a column in units of SI; NaN where a cell holds none."""
+    """Return the numbers of a column; NaN where a cell holds none."""
     numbers = np.array([_number(cell) for cell in cells])
     if np.isnan(numbers).all():
         numbers = np.array([_moment(cell) for cell in cells])
@@ -185,7 +172,7 @@ def _column(file: Path, title: str, cells: Sequence[str]) -> Array:
             f"path is {str(file)!r}, whose column {title!r} holds no numbers but {shown(cells[0])}, expected "
             "numbers"
         )
-    return _in_si(title, numbers)
+    return numbers
 
 
 def _moment(cell: str) -> float:
@@ -201,13 +188,27 @@ _TURNS = ("psi", "yaw", "theta", "heading")
 _QUATERNIONS = [
     [f"{name}{axis}" for axis in "xyzw"] for name in ("q", "q_", "quat_", "orientation.", "orientation_")
 ]
-_UNITS = {
-    **dict.fromkeys(("", "s", "m", "rad", "N", "N m", "Nm", "V", "A", "m/s", "rad/s"), 1.0),
-    **{"deg": np.pi / 180, "deg/s": np.pi / 180, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    **{"mm": 1e-3, "cm": 1e-2, "mm/s": 1e-3, "mrad": 1e-3, "mN": 1e-3, "kN": 1e3, "mV": 1e-3, "mA": 1e-3},
-    **{"N mm": 1e-3, "mN m": 1e-3, "rpm": 2 * np.pi / 60, "rev/min": 2 * np.pi / 60},
-    **{"\N{DEGREE SIGN}": np.pi / 180, "degrees": np.pi / 180, "radians": 1.0},
+_SI: dict[str, dict[str, float]] = {
+    "s": {"ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "m": {"mm": 1e-3, "cm": 1e-2},
+    "rad": {"radians": 1.0, "mrad": 1e-3} | dict.fromkeys(("deg", "degrees", "\N{DEGREE SIGN}"), np.pi / 180),
+    "m/s": {"mm/s": 1e-3},
+    "rad/s": {"deg/s": np.pi / 180} | dict.fromkeys(("rpm", "rev/min"), 2 * np.pi / 60),
+    "N": {"mN": 1e-3, "kN": 1e3},
+    "N m": {"Nm": 1.0, "N mm": 1e-3, "mN m": 1e-3},
+    "V": {"mV": 1e-3},
+    "A": {"mA": 1e-3},
 }
+"""Units that are read, and what they are of the unit of SI that is kept."""
+_UNITS = {name: (si, x) for si, others in _SI.items() for name, x in {si: 1.0, **others}.items()}
+_EXPECTED: dict[tuple[str, int], Sequence[str | None]] = {
+    ("t", 1): ("s",),
+    ("q", 3): ("m", "m", "rad"),
+    ("q", 6): ("m", "m", "", "", "", ""),
+    ("twist", 2): ("m/s", "rad/s"),
+    ("twist", 3): ("m/s", "m/s", "rad/s"),
+}
+"""Units of the columns of a part of a log; inputs are those of a robot, see `Log.units`."""
 
 
 def _unit(title: str) -> str:
@@ -217,11 +218,27 @@ def _unit(title: str) -> str:
     return " ".join(map(str.strip, parts))
 
 
-def _in_si(title: str, column: Array) -> Array:
+def _si_unit(title: str, expected: str | None) -> tuple[str, float]:
+    """Return the unit of SI that a column is kept in, "" where its title has none, and the factor to it.
+
+    Raises
+    ------
+    UnknownName, InvalidArgument
+        If its unit is not known, or of another quantity than is expected of the column.
+    """
     unit = _unit(title)
+    if not unit:
+        return "", 1.0
     if unit not in _UNITS:
-        raise UnknownName(f"unit of column {title!r}", unit, [each for each in _UNITS if each])
-    return column * _UNITS[unit]
+        raise UnknownName(f"unit of column {title!r}", unit, list(_UNITS))
+    si, factor = _UNITS[unit]
+    if expected is not None and si != expected:
+        raise InvalidArgument(
+            f"columns has {title!r} in {unit}, expected {', '.join([expected, *_SI[expected]])}"
+            if expected
+            else f"columns has {title!r} in {unit}, expected no unit: it is of a quaternion"
+        )
+    return si, factor
 
 
 def _number(cell: str) -> float:

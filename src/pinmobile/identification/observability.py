@@ -61,7 +61,8 @@ class Setting(NamedTuple):
         scales = self.scales[: len(self.scales) - chassis.scaled]
         per_row = self._row_sizes()
         for part in self.rows:
-            Y, N = (each * scales / per_row[:, None] for each in (part.Y, part.shaken[0] - part.Y))
+            regressor, shaken = part.regressors(chassis)
+            Y, N = (each * scales / per_row[:, None] for each in (regressor, shaken[0] - regressor))
             gram = gram + np.einsum("nki,nkj->ij", Y, Y) - 1.5 * np.einsum("dnki,dnkj->ij", N, N) / len(N)
             count += Y.shape[0] * Y.shape[1]
         values, vectors = np.linalg.eigh(np.asarray(gram) / count)
@@ -111,7 +112,8 @@ def _scales(logs: Sequence[Cleaned], rows: Sequence[Rows], chassis: Chassis) -> 
         per_rate = np.array([speed, speed, max(rate, speed)])
     scale = np.ones(1)[: int(chassis.scaled)]
     body = mass * np.array([1.0, _LEVER, _LEVER, _LEVER**2])
-    return np.concatenate([body, power / per_rate**2, power / per_rate, scale])
+    dry = power / per_rate
+    return np.concatenate([body, power / per_rate**2, dry, dry[: len(dry) * chassis.offset], scale])
 
 
 def in_words(chassis: Chassis, unseen: Array) -> str:

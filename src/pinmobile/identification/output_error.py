@@ -28,6 +28,7 @@ _CONVERGED = 1e-3  # of a variance: the last step is of less than a thirtieth of
 _ROUNDING = 1e-9  # of the cost
 _LATER = (-1, 1)  # samples: the difference of these simulations is the slope by the delay
 _FIRST_PASSES = 2
+_MEASURED = 0.5  # share of a segment's samples that count, without which its first state is not told
 _SHAKE = 1e-2  # of an input's deviation, to see what noise of it does
 _LEAST_SIZE = 1e-3  # of an input, or of a response to one, as a share of the largest
 _RESPONSES = 3  # of a sensor, as the heading turns them
@@ -78,6 +79,7 @@ class Segments(NamedTuple):
         begin = max(0, whole + 1)
         count = (min(len(run.q), len(run.q) + whole) - begin) // length
         k = begin + np.arange(count * length).reshape(count, length)
+        k = k[run.good[k].mean(axis=1) >= _MEASURED]
         noise, measured = run.noise, run.q[k]
         if run.rates is not None and run.rates_noise is not None:
             noise = np.concatenate([noise, run.rates_noise])
@@ -106,7 +108,7 @@ class Segments(NamedTuple):
         Of a robot at rest without dry friction; of all headings and inputs, the few that have most of it.
         """
         resting, smooth = starts.copy(), phi.copy()
-        resting[:, 3:], smooth[chassis.dry] = 0.0, 0.0
+        resting[:, 3:], smooth[chassis.dry], smooth[chassis.offsets] = 0.0, 0.0, 0.0
         first = np.clip(self.at[:, 0] - int(np.floor(self.delay)), 0, len(self.run.u) - 1)
         none, found = np.zeros_like(self.run.u), []
         for unit in np.diag(self.sizes):
@@ -373,6 +375,12 @@ class OutputError:
                 pull = pull + np.einsum("sni,sn->i", slopes, way) / _DRAWS
         return pull
 
+    def innovations(self, found: Estimate) -> list[Array]:
+        """Return the white residuals of each log, first states that fit best taken off, shape (S, L, m)."""
+        basis, point = np.eye(len(found.phi))[:, :1], _Point(found.phi, found.delay, found.starts)
+        parts = [self._linear_of(k, point, basis) for k in range(len(self.logs))]
+        return [part.e.reshape(log.measured.shape) for part, log in zip(parts, self.logs, strict=True)]
+
     def _simulated(self, k: int, log: Segments, point: _Point) -> Array:
         """Return the white residuals of a log's segments, shape (S, L, m)."""
         out = log.simulated(self.chassis, point.starts[k][:, None], point.phi[None])
@@ -396,7 +404,13 @@ class OutputError:
     def _estimate(self, point: _Point, basis: Array, parts: Sequence[_Linear], pull: Array) -> Estimate:
         H_i, g_i = _normal(parts, pull)
         H, S, p = H_i.sum(axis=0), len(H_i), basis.shape[1]
-        d = np.linalg.solve(H - H_i, g_i[..., None])[..., 0]
+        try:
+            d = np.linalg.solve(H - H_i, g_i[..., None])[..., 0]
+        except np.linalg.LinAlgError as error:
+            raise InvalidArgument(
+                f"log has {S} segments, without one of which a parameter is not told: expected a longer log, "
+                "or one that excites more, see excitation"
+            ) from error
         jackknife = (S - 1) / S * d.T @ d
         residuals = []
         for log, z in zip(self._late(point.delay), point.starts, strict=True):

@@ -41,6 +41,10 @@ _WIDEST = 10.0  # [m], radius of gyration, and distance of the centre of mass, o
 _LIGHTEST = 1.0  # [kg/m^2], mass of robots per square of the radius of gyration, which have some 100
 _TIMES_NOMINAL = 30.0
 _SIGNIFICANT = 5.0  # deviations
+_COLOURED = 2.5  # times the bound of white residuals: five deviations, of noise that is itself estimated
+_EARLY, _SURE = 0.5, 3.0  # sample, and deviations, by which poses may come before their inputs
+_DOMINANT = 0.9  # correlation of residuals that are next to nothing but forces, which noise alone seldom has
+_CLIPPED = 0.02  # of the rows
 
 
 def identify(
@@ -56,8 +60,10 @@ def identify(
 
     The weak form (accelerations are not needed) gives a start; then simulations of 2 s are fitted to the log
     (output error), and intervals are those of the jackknife over these segments (CR3) with Student's t: they
-    hold where forces are noisy and where an unmodelled force acts. Both methods take the input as held
-    between samples.
+    hold where poses and forces are noisy. They do not cover the error that a wrong structure causes, such as
+    slip or resistance that depends on load: `Identification.is_noise` says whether residuals show one. A
+    constant offset of each input is found too, where the motion tells it from friction. Both methods take the
+    input as held between samples.
 
     Parameters
     ----------
@@ -97,7 +103,6 @@ def identify(
     alone = isinstance(robot, WheelTable)
     robot = _on_wheels(robot) if alone else robot
     chassis, carried = _chassis(robot, rolling_speed, loads, len(logs))
-    prior = None if alone else prior_of(robot, chassis)
     names = ["log"] if len(logs) == 1 else [f"log[{k}]" for k in range(len(logs))]
     cleaned = [
         Cleaned.of(one, chassis, each, name) for one, each, name in zip(logs, carried, names, strict=True)
@@ -105,11 +110,22 @@ def identify(
     check_steps([one.dt for one in cleaned])
     told = [Slippage.of(one, chassis, name) for one, name in zip(cleaned, names, strict=True)]
     slips = [each for each in told if each is not None]
+    clipped = "; ".join(
+        filter(None, (_clipped(one, chassis, name) for one, name in zip(logs, names, strict=True)))
+    )
+    worst = max(slips, key=lambda each: each.share, default=None)
+    hints = [f"Its {worst}"] if worst is not None and worst.matters else []
+    hints += [clipped] if clipped else []
     given = None if delay is None else _given_delay(delay, cleaned)
     seconds = _segment(cleaned)
     rows = [rows_of(one, chassis) for one in cleaned]
-    at = Setting.of(cleaned, rows, chassis, prior)
-    seen, unseen = at.directions()
+    for each in (replace(chassis, offset=True), chassis):  # offsets where the motion tells them
+        prior = None if alone else prior_of(robot, each)
+        at = Setting.of(cleaned, rows, each, prior)
+        seen, unseen = at.directions()
+        if not unseen.size:
+            break
+    chassis = at.chassis
     if unseen.size and prior is None:
         raise InvalidArgument(
             f"log has a motion of rank {seen.shape[1]} of {len(at.scales)}: {in_words(at.chassis, unseen)}; "
@@ -120,30 +136,39 @@ def identify(
     basis = at.scales[:, None] * seen
     base = believed if unseen.size else np.zeros_like(believed)
     sought = given is None and not unseen.size
-    with _suspecting(slips):
+    with _suspecting(hints):
         late = _first_delay(at, base, basis) if given is None else given / cleaned[0].dt
     fit = extrapolated(rows, chassis, late, base, basis, sought)
     own = fit if given is None else _own_delay(at, base, basis)
-    with _suspecting(slips), _doubting(given, own, cleaned[0].dt):
+    with _suspecting(hints), _doubting(given, own, cleaned[0].dt):
         _check_explained(fit.explained)
         _check_units(chassis, fit.phi, prior)
     start, pulled = chassis.possible(fit.phi, at.scales), 0.0
+    segments = [Segments.of(one, chassis, fit.delay, seconds) for one in cleaned]
+    kept = sum(part.number for part in segments)
+    if kept < _LEAST_SEGMENTS // 2:
+        raise InvalidArgument(
+            f"log has {kept} segments of {seconds:g} s in which half of the poses are measured and no "
+            f"outliers, expected {_LEAST_SEGMENTS}: does the motion jump between poses?"
+        )
     if method == METHODS[0]:
-        estimate = _by_output_error(at, start, basis, fit.delay, seconds, sought)
+        estimate = _by_output_error(at, segments, start, basis, fit.delay, sought)
         pulled = estimate.pulled
         method = METHODS[0 if pulled < _PULLED else 1]
     if method == METHODS[0]:
         phi, covariance, freedom = estimate.phi, estimate.covariance, estimate.segments - 1
         late, error = estimate.delay, estimate.delay_error
-        with _suspecting(slips), _doubting(given, own, cleaned[0].dt):
+        with _suspecting(hints), _doubting(given, own, cleaned[0].dt):
             _check_units(chassis, phi, prior)
     else:
-        segments = [Segments.of(one, chassis, fit.delay, seconds) for one in cleaned]
         estimate = OutputError(segments, chassis, fit.delay, sought).solve(start, basis, 0)
         _check_drift(estimate.said)
         windows = sum(len(one.q) * one.dt for one in cleaned) / WINDOW
         phi, covariance, freedom = fit.phi, fit.covariance, max(5, round(windows) - len(fit.phi))
         late, error = fit.delay, fit.delay_error
+    if given is None:
+        with _suspecting(hints):
+            _check_late(late, error, cleaned[0].dt)
     white = [whiteness(e, good) for e, good in zip(estimate.residuals, estimate.good, strict=True)]
     return Identification(
         chassis=chassis,
@@ -156,18 +181,21 @@ def identify(
         rank=seen.shape[1],
         unseen=in_words(chassis, unseen) if unseen.size else "",
         hidden=(unseen**2).sum(axis=1),
+        unknown=at.scales[:, None] * unseen,
         delay=late * cleaned[0].dt,
         delay_error=error * cleaned[0].dt,
         other_delay=_other_delay(given, own, cleaned[0].dt),
         dt=cleaned[0].dt,
         outliers=sum(one.outliers for one in cleaned),
         dropped=sum(one.dropped for one in logs),
-        slippage=max(slips, key=lambda each: each.share, default=None),
+        slippage=worst,
         samples=sum(int(one.good.sum()) + one.outliers for one in cleaned),
         segments=estimate.segments,
         noise=cleaned[0].noise,
         chi2=estimate.chi2,
         whiteness=_worst(white),
+        is_noise=_is_noise(estimate, segments, chassis),
+        clipped=clipped,
         residual=np.sqrt(_mean_squares(estimate)),
     )
 
@@ -263,15 +291,37 @@ def _doubting(given: float | None, own: Fit, dt: float) -> Iterator[None]:
 
 
 @contextmanager
-def _suspecting(slips: Sequence[Slippage]) -> Iterator[None]:
-    """Tell of slip, where there is some, with what is refused for something that may come of it."""
+def _suspecting(hints: Sequence[str]) -> Iterator[None]:
+    """Tell of slip and clipped inputs, where there are some, with what is refused: it may come of them."""
     try:
         yield
     except InvalidArgument as error:
-        worst = max(slips, key=lambda each: each.share, default=None)
-        if worst is None or not worst.matters:
+        if not hints:
             raise
-        raise InvalidArgument(f"{error} Its {worst}") from error
+        raise InvalidArgument(" ".join([str(error), *hints])) from error
+
+
+def _clipped(log: Log, chassis: Chassis, name: str) -> str:
+    """Return which inputs of a log stay at their extremes for long, as clipped ones do; "" if none does."""
+    found = []
+    for one, u in zip(chassis.inputs, log.u.T, strict=True):
+        extreme = ((u == u.max()) | (u == u.min())) & (u != 0) & (np.ptp(u) > 0)
+        stays = extreme[2:] & (u[2:] == u[1:-1]) & (u[1:-1] == u[:-2])
+        if stays.mean() > _CLIPPED:
+            found.append(
+                f"input {one} of {name} stays at {u.min():.4g} or {u.max():.4g}, its extremes, in "
+                f"{stays.mean():.0%} of the rows: if it was clipped, estimates are wrong"
+            )
+    return "; ".join(found)
+
+
+def _check_late(late: float, error: float, dt: float) -> None:
+    if late < -_EARLY - _SURE * error:
+        raise InvalidArgument(
+            f"log has poses {-1e3 * late * dt:.3g} ms ({-late:.1f} samples) ahead of the inputs that move "
+            "the robot, expected a delay of 0 or more: are they of two clocks or swapped columns of time, "
+            "are inputs clipped, or does a force act that the model lacks? delay=0 takes it as zero."
+        )
 
 
 def _moments(load: Load) -> Array:
@@ -297,8 +347,9 @@ def _segment(logs: Sequence[Cleaned]) -> float:
     for seconds in (_SECONDS, 1.5, _SHORTEST):
         if np.floor(lengths / seconds - 0.3).sum() >= _LEAST_SEGMENTS:
             return seconds
+    pieces = f" in {len(logs)} pieces" if len(logs) > 1 else ""
     raise InvalidArgument(
-        f"log is {lengths.sum():.3g} s long, too short, expected at least "
+        f"log is {lengths.sum():.3g} s long{pieces}, too short, expected at least "
         f"{(_LEAST_SEGMENTS + 0.5) * _SHORTEST:g} s, better 60 s: intervals come from {_LEAST_SEGMENTS} "
         "segments "
         "and more"
@@ -317,7 +368,9 @@ def _first_delay(at: Setting, base: Array, basis: Array) -> float:
     costs = np.array([each.cost for each in fits])
     k = int(costs.argmin())
     _check_explained(fits[k].explained)
-    if k in (0, len(delays) - 1):
+    if k == 0:
+        _check_late(delays[k], 0.0, dt)
+    if k == len(delays) - 1:
         raise InvalidArgument(
             f"log has poses that come late by {dt * delays[k]:.3g} s or more, expected less: are poses and "
             "inputs of two clocks?"
@@ -327,18 +380,14 @@ def _first_delay(at: Setting, base: Array, basis: Array) -> float:
 
 
 def _by_output_error(
-    at: Setting, phi: Array, basis: Array, delay: float, seconds: float, sought: bool
+    at: Setting, segments: Sequence[Segments], phi: Array, basis: Array, delay: float, sought: bool
 ) -> Estimate:
     """Return the estimate: of residuals as they are, and weighed where noise of forces is behind them."""
-    segments = [Segments.of(one, at.chassis, delay, seconds) for one in at.logs]
     found = OutputError(segments, at.chassis, delay, sought).solve(phi, basis)
     _check_drift(found.said)
-    if all(whiteness(e, good).is_white for e, good in zip(found.residuals, found.good, strict=True)):
+    if _are_white(found.residuals, found.good):
         return found
-    noise = [
-        ResidualNoise.of(e / part.noise, part.good, part.run.dt, part.responses(at.chassis, start, found.phi))
-        for e, start, part in zip(found.residuals, found.starts, segments, strict=True)
-    ]
+    noise = _noise_of(found, segments, at.chassis)
     if any(each.remembers for each in noise):
         return found  # a controller may answer to such a force: weights for it would be those of the answer
     problem = OutputError(segments, at.chassis, found.delay, sought, noise)
@@ -346,7 +395,32 @@ def _by_output_error(
     # What is left is told of first states that fit best, not of those that noise of forces weighs.
     there = OutputError([part._replace(delay=weighed.delay) for part in segments], at.chassis)
     plain = there.solve(weighed.phi, basis[:, :1], 0)
-    return weighed._replace(residuals=plain.residuals, chi2=plain.chi2)
+    return weighed._replace(starts=plain.starts, residuals=plain.residuals, chi2=plain.chi2)
+
+
+def _noise_of(found: Estimate, segments: Sequence[Segments], chassis: Chassis) -> list[ResidualNoise]:
+    return [
+        ResidualNoise.of(e / part.noise, part.good, part.run.dt, part.responses(chassis, start, found.phi))
+        for e, start, part in zip(found.residuals, found.starts, segments, strict=True)
+    ]
+
+
+def _is_noise(found: Estimate, segments: Sequence[Segments], chassis: Chassis) -> bool:
+    """Tell whether noise of sensors and inputs explains what is left: else the structure is wrong."""
+    if _are_white(found.residuals, found.good):
+        return True
+    before = [whiteness(e, good) for e, good in zip(found.residuals, found.good, strict=True)]
+    if np.abs(_worst(before).correlation).max() > _DOMINANT:
+        return False
+    late = [part._replace(delay=found.delay) for part in segments]
+    problem = OutputError(late, chassis, found.delay, noise=_noise_of(found, late, chassis))
+    left = zip(problem.innovations(found), found.good, strict=True)
+    worst = _worst([whiteness(e, good) for e, good in left])
+    return bool(np.abs(worst.correlation).max() <= _COLOURED * worst.bound)
+
+
+def _are_white(residuals: Sequence[Array], good: Sequence[Array]) -> bool:
+    return all(whiteness(e, each).is_white for e, each in zip(residuals, good, strict=True))
 
 
 def _check_drift(said: Array) -> None:

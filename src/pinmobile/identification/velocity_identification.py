@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, affordable, frozen, positive, scalar, seeded, whole
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.identification.log import Log, Samples, check_steps, logs_of
+from pinmobile.identification.log import Log, Samples, check_steps, check_units, logs_of
 from pinmobile.identification.prediction import POSE, SPEEDS, Prediction
 from pinmobile.identification.velocity_body import ABOVE_ZERO, THETA
 from pinmobile.identification.velocity_fit import (
@@ -307,7 +307,8 @@ def identify_velocity(
     such as encoders tell, else the pose. Output error: the model is simulated over segments, from states that
     are free, and differs least from what was measured, weighted by the covariance of what is left, without
     samples beyond six deviations. Intervals are by the jackknife over segments and Student's t, and hold
-    where what is left is correlated too. The delay is found by the weak form first.
+    where noise is correlated too; they do not cover the error of a wrong structure. The delay is found by the
+    weak form first.
 
     It takes motion in which speed and yaw rate change often and independently, such as that of `RandomSteps`.
 
@@ -440,6 +441,7 @@ def _runs(log: Log | Sequence[Log], *, least: int, seconds: float, kind: int = 0
                 f"log has {one.u.shape[1]} inputs, expected two, commands of speed and yaw rate: is it of "
                 "a robot that takes forces? Then identify"
             )
+        check_units(one, "log", {"speed": "m/s", "yaw rate": "rad/s"})
     runs = [one.samples() for one in logs]
     if len({run.twist is None for run in runs}) > 1 or (
         kind and {2: False, 3: True}[kind] != (runs[0].twist is None)

@@ -70,12 +70,23 @@ class Rows(NamedTuple):
         torques = np.stack(chassis.torques([*u.T], [*self.rates], scale), axis=-1)
         return np.asarray(_windows(torques @ chassis.B.T, self.g, self.hop))
 
+    def regressors(self, chassis: Chassis) -> tuple[Array, Array]:
+        """Return the regressor, with columns of offsets where there are any, and those shaken."""
+        if not chassis.offset:
+            return self.Y, self.shaken
+        columns = np.eye(chassis.nu) if chassis.B is None else chassis.B  # of a constant: bumps have sum 1
+        pair = [
+            np.concatenate([Y, np.broadcast_to(columns, (*Y.shape[:-1], chassis.nu))], axis=-1)
+            for Y in (self.Y, self.shaken)
+        ]
+        return pair[0], pair[1]
+
     def equations(self, chassis: Chassis, delay: float, scale: float = 1.0) -> tuple[Array, Array, Array]:
         """Return the regressor, shape (n, k, p), those shaken, and what they should give, shape (n, k).
 
         Linear near a scale of the inputs.
         """
-        forces, Y, shaken = self.forces(chassis, delay, scale), self.Y, self.shaken
+        forces, (Y, shaken) = self.forces(chassis, delay, scale), self.regressors(chassis)
         if not chassis.scaled:
             return Y, shaken, forces - self.known
         more, less = (self.forces(chassis, delay, scale * (1 + way * _NEAR)) for way in (1, -1))

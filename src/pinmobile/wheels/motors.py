@@ -269,7 +269,7 @@ class Motor:
         """Largest torque at the wheel [N m]: that of stall, or `torque_limit` of a source of torque."""
         return self.stall_torque() if self.is_electric else self.torque_limit
 
-    def margin(self, torque: Array, rate: Array) -> Array:
+    def _margin(self, torque: Array, rate: Array) -> Array:
         """Return what is left of the torque that it has at a rate, shape (...) [N m]."""
         if not self.is_electric:
             return np.asarray(self.torque_limit - np.abs(torque))
