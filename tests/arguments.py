@@ -102,7 +102,7 @@ INNER = {
     *("wheels.Reduced.nearest", "wheels.Reduced.torques"),
     "WheeledRobot.traced",
     *("PosePath.told", "Resolved.signals_at", "EndEffectorTracking.signals_at"),
-    *("VelocityRobot.integrator", "VelocityRobot.traced"),
+    *("VelocityRobot.integrator", "WheeledRobot.integrator", "VelocityRobot.traced"),
     *("MobileRobot.varying", "JointFriction.varying", "JointFriction.with_parameters"),
     "Load.with_numbers",
     *(
