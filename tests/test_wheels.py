@@ -483,6 +483,32 @@ RUNS = {
 }
 
 
+@pytest.mark.parametrize("engine", [PINOCCHIO, COMPILED])
+@pytest.mark.parametrize("volts", [False, True])
+@pytest.mark.parametrize("ground", [Rolling(), Coulomb()], ids=["rolls", "slips"])
+def test_a_steering_axis_stays_at_its_stop_and_leaves_it(ground: Any, volts: bool, engine: Any) -> None:
+    """It stops within what it turns in a step, and its torque pushes it no further."""
+    motor = Motor(resistance=1.0, torque_constant=0.02, voltage=24.0, gear=5.0)
+    wheel: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006, "motor": motor}
+    car = WheelTable.car(0.6, 0.4, 0.1, steering_limit=0.3, **wheel)
+    robot: Any = WheeledRobot(MobileRobot(30.0, 3.0, com=(0.3, 0.0, 0.2)), car, ground)
+    robot, push = (robot.by_voltage(), 0.1) if volts else (robot, 0.02)
+    axis = robot.wheeled.robot.nv if volts else robot.robot.nv
+    steered = np.full(robot.nu, push)
+    there = law(lambda t, q, v, reference: np.where(t < 2.0, 1.0, -0.5) * steered)
+    here = FixedHeading(Hold([0, 0], 4.0), 0.0)
+    zeros = {"q0": robot.rest, "v0": np.zeros(robot.nv)}
+    run = simulate(robot, there, here, dt=0.01, limit=1e6, engine=engine, **zeros)
+    angle = run.q[:, axis]
+    step = np.abs(np.diff(angle)).max()
+    assert 0.3 - step < angle.max() <= 0.3 + step
+    arrived = int(np.argmax(angle > angle.max() - 1e-9))
+    assert arrived < 150
+    np.testing.assert_allclose(angle[arrived:200], angle.max(), rtol=0, atol=1e-9)
+    assert angle[-1] < 0.2
+    assert angle.min() >= -0.3 - step
+
+
 def test_the_plant_s_own_integrator_keeps_to_an_arc_at_speed() -> None:
     """Without torques and with the mass above the axle it goes on along a circle of radius v / w."""
     wheels = WheelTable.differential(0.5, 0.1, supports=[(-0.3, 0)], mass=1.0, spin_inertia=0.005)

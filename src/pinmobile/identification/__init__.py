@@ -1,4 +1,4 @@
-"""From a log to parameters with intervals that hold, and motions that tell them."""
+"""Estimate parameters with confidence intervals from logs, and design motions that identify them."""
 
 from pinmobile.identification.estimate import Identification
 from pinmobile.identification.log import INSTEAD as INSTEAD, Log

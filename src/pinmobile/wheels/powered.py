@@ -18,7 +18,7 @@ from pinmobile.plant import Input, Parameter, Step
 from pinmobile.robot import ZERO, Vector, dot, exact, number, scalars, sine_and_cosine, vector_of as stacked
 from pinmobile.wheels.motors import Beside, Motor, MotorLaw, Motors, Push, theta, within
 from pinmobile.wheels.multipliers import factored
-from pinmobile.wheels.rolling import State, WheeledBody
+from pinmobile.wheels.rolling import State, WheeledBody, stop_of, stopped
 from pinmobile.wheels.slipping import SlippingBody
 from pinmobile.wheels.tracked import Followed
 
@@ -263,6 +263,11 @@ class VoltageBody:
             change = solve([h * number(dot(column, rest)) for column in columns])
             after = [number(x + y) for x, y in zip(nu, change, strict=True)]
             after, impulses = self._held(after, B, solve, pushes, impulses, h)
+            for k, limit in body.stops:
+                row = S[_BASE + na + k]
+                rate = dot(row, after)
+                reached = start.steering[k] + h * (start.rates[k] + share * (rate - start.rates[k]))
+                after = stopped(after, stop_of(reached, limit), rate, row, solve(row))
             mean = [number(x + share * (y - x)) for x, y in zip(nu, after, strict=True)]
             rates = [number(dot(b, mean)) for b in B]
         at = self._moving(middle, S, mean)

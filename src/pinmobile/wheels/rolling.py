@@ -15,6 +15,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from pinmobile.arrays import Array
+from pinmobile.compiled import choose
 from pinmobile.measures import Measure
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.robot import (
@@ -40,6 +41,7 @@ from pinmobile.wheels.table import Axis, WheelTable
 from pinmobile.wheels.tracked import Followed, followed, linearized
 
 _BASE = 3
+_RESTING = 1e-9  # [rad/s], of an axis at its stop
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +136,11 @@ class WheeledBody:
     def kinematics(self) -> Kinematics:
         """Its rows."""
         return Kinematics(self.table, scalars(self.x), scalars(self.y), scalars(self.radius))
+
+    @cached_property
+    def stops(self) -> list[tuple[int, float]]:
+        """Steering axes with a limit, each with its angle [rad]."""
+        return [(k, axis.limit) for k, axis in enumerate(self.table.axes) if np.isfinite(axis.limit)]
 
     @property
     def freedom(self) -> Freedom:
@@ -397,7 +404,12 @@ class RollingBody(WheeledBody):
         effects = self.effects(state, q)
         felt = self.felt(state, gamma)
         rest = [t - n - dot(row, felt) for t, n, row in zip(force, effects, M, strict=True)]
-        rates = _reduced(_through(M, S), S, applied(transposed(S), rest))
+        through, first = _through(M, S), _BASE + self.na
+        rates = _reduced(through, S, applied(transposed(S), rest))
+        for k, limit in self.stops:
+            outward = stop_of(state.steering[k], limit, state.rates[k])
+            more = dot(S[first + k], rates) + gamma[first + k]
+            rates = stopped(rates, outward, more, S[first + k], _reduced(through, S, S[first + k]))
         return self.in_plane(state, [dot(row, rates) + g for row, g in zip(S, gamma, strict=True)], q)
 
     def project(self, q: Any, v: Any) -> Any:
@@ -414,6 +426,11 @@ class RollingBody(WheeledBody):
             through = _through(self.inertia(state, q), S)
             more = _reduced(through, S, applied(through, off))
             rates = [x + y for x, y in zip(rates, more, strict=True)]
+        for k, limit in self.stops:
+            row, through = S[_BASE + self.na + k], _through(self.inertia(state, q), S)
+            rates = stopped(
+                rates, stop_of(state.steering[k], limit), dot(row, rates), row, _reduced(through, S, row)
+            )
         return self.in_plane(state, [dot(row, rates) for row in S], q)
 
     def _off(self, state: State, S: Matrix, nu: Vector) -> Vector:
@@ -440,6 +457,31 @@ def _is_zero(x: Any) -> bool:
 def _through(M: Matrix, S: Matrix) -> Matrix:
     """Return S' M of a symmetric M."""
     return [applied(M, column) for column in transposed(S)]
+
+
+def stop_of(angle: Any, limit: float, rate: Any = 0.0) -> Any:
+    """Return 1 or -1, which way out is, at a steering stop that the angle has reached, and does not leave."""
+    angle, rate = number(angle), number(rate)
+    side = choose(angle >= limit, 1.0, choose(angle <= -limit, -1.0, 0.0))
+    return choose(side * rate >= -_RESTING, side, 0.0)
+
+
+def stopped(values: Vector, outward: Any, more: Any, row: Vector, response: Vector) -> Vector:
+    """Return velocities or accelerations less what a stop takes from an axis that goes on outward.
+
+    Parameters
+    ----------
+    values : list of scalars
+        Of independent velocities, or of all.
+    outward : scalar
+        As of `stop_of`.
+    more : scalar
+        What the axis has.
+    row, response : list of scalars
+        The axis's rate per value, and values per impulse on the axis.
+    """
+    size = choose(outward * number(more) > 0.0, number(more) / number(dot(row, response)), 0.0)
+    return [number(x - y * size) for x, y in zip(values, response, strict=True)]
 
 
 def _reduced(through: Matrix, S: Matrix, right: Vector) -> Vector:

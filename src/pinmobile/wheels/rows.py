@@ -96,7 +96,7 @@ class Wheel:
     friction : Friction
         Of its own.
     steering_limit : float
-        Largest steering angle, to either side [rad].
+        Largest steering angle, to either side [rad]: a stop without rebound, found to what turns in a step.
 
     Raises
     ------

@@ -34,7 +34,7 @@ from pinmobile.wheels.judging import measured, measures_of
 from pinmobile.wheels.loads import Loads, item, numbers, places_of, pressed, quick, shared_loads, wheel_loads
 from pinmobile.wheels.motors import Beside, Motors, Push, theta
 from pinmobile.wheels.multipliers import factored
-from pinmobile.wheels.rolling import State, WheeledBody
+from pinmobile.wheels.rolling import State, WheeledBody, stop_of, stopped
 from pinmobile.wheels.table import GearTrain, WheelTable
 
 _BASE = 3
@@ -490,6 +490,12 @@ class SlippingBody(WheeledBody):
                 tolerance=self.tolerance,
             )
             after = self._after(now, free, grip)
+            for k, limit in self.stops:
+                unit = [ONE if i == _BASE + self.na + k else ZERO for i in range(self.size)]
+                response = self._whole(now.solve(self._reduced(unit)))
+                rate = after[_BASE + self.na + k]
+                reached = state.steering[k] + (0.5 * h) * (state.rates[k] + rate)
+                after = stopped(after, stop_of(reached, limit), rate, unit, response)
             given, rates = [], []
             if motors is not None:
                 ends = self.actuator_rates(after[_BASE + self.na :])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
@@ -24,7 +24,7 @@ from pinmobile.wheels.ground import Coulomb, Ground, Rolling
 from pinmobile.wheels.motors import Beside, constant_force
 from pinmobile.wheels.platform import Platform
 from pinmobile.wheels.reduced import Allocation, Reduced
-from pinmobile.wheels.rolling import RollingBody
+from pinmobile.wheels.rolling import RollingBody, stop_of
 from pinmobile.wheels.slipping import Grip, SlippingBody
 from pinmobile.wheels.table import WheelTable
 from pinmobile.wheels.tree import WheelTree
@@ -273,8 +273,24 @@ class WheeledRobot(Platform, Bearing):
         q, v, u, f = self._acted(q, v, u, f)
         if self.ground.slips:
             return np.asarray(self._slipping.forward_dynamics(q, v, u, f if f.ndim else 0.0))
-        a = self._rolls.accelerations(q, v, u @ self.input_matrix.T + f)
+        force = u @ self.input_matrix.T + f
+        a = self._rolls.accelerations(q, v, force)
+        for axis, unit, outward in self._stops(q, v):
+            response = self._rolls.accelerations(q, v, force + unit) - a
+            a = (
+                a
+                - response
+                * np.where(outward * a[..., axis] > 0, a[..., axis] / response[..., axis], 0.0)[..., None]
+            )
         return finite_answer(a, q=q, v=v, u=u, f=f)
+
+    def _stops(self, q: Array, v: Array | None = None) -> Iterator[tuple[int, Array, Array]]:
+        """Yield coordinate, unit force and way out of steering axes with a limit, as of `stop_of`."""
+        for k, axis in enumerate(self.table.axes):
+            if np.isfinite(axis.limit):
+                at, rate = self.robot.nv + k, 0.0 if v is None else v[..., self.robot.nv + k]
+                outward = stop_of(np.asarray(q[..., self.robot.nq + k]), axis.limit, rate)
+                yield at, np.eye(self.nv)[at], outward
 
     def _acted(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike) -> tuple[Array, ...]:
         """Check a state, an input and forces beside it."""
@@ -312,7 +328,13 @@ class WheeledRobot(Platform, Bearing):
 
     @in_numbers
     def _projected(self, q: ArrayLike, v: ArrayLike) -> Array:
-        return self._rolls.project(self._q(q), self._v("v", v))
+        q, v = self._q(q), self._v("v", v)
+        found, none = self._rolls.project(q, v), np.zeros(self.nv)
+        for axis, unit, outward in self._stops(q):
+            response = self._rolls.accelerations(q, found, unit) - self._rolls.accelerations(q, found, none)
+            size = np.where(outward * found[..., axis] > 0, found[..., axis] / response[..., axis], 0.0)
+            found = found - response * size[..., None]
+        return found
 
     @in_numbers
     def reduced(self, q: ArrayLike, v: ArrayLike) -> Reduced:
