@@ -253,6 +253,34 @@ def test_sliding_under_a_high_centre_of_mass_is_of_order_two() -> None:
     assert far[1] / far[2] > 3.5
 
 
+def test_of_two_solutions_a_step_takes_that_of_the_step_before_and_says_which() -> None:
+    """Locked wheels in front carry nothing at rest: unloaded they do not brake, and braking loads them all.
+
+    With the weight W at x < 0 the wheels lift; braked by mu W at the height h it presses at x + mu h, beyond
+    the wheels. Either follows from itself.
+    """
+    table = WheelTable.differential(
+        0.5,
+        0.1,
+        x=0.3,
+        supports=[(0, 0.1), (0, -0.1), (-0.3, 0.1), (-0.3, -0.1)],
+        friction=Friction(mu=1.0, rolling=1e3),
+        mass=0.05,
+        spin_inertia=0.004,
+        yaw_inertia=0.003,
+    )
+    body: Any = WheeledRobot(MobileRobot(30.0, 3.0, com=(-0.22, 0, 0.6)), table, Coulomb()).traced()
+    v, still = np.array([5.0, 0, 0, 0, 0]), body.initial_state()
+    braked = still._replace(acceleration=np.array([-G, 0, 0, 0, 0]))
+    for memory, a, tips in ((still, 0.0, 0), (braked, -G, 1)):
+        for _ in range(2):  # and it stays with it
+            step = body.step(0.0, np.zeros(5), v, np.zeros(2), 0.01, lambda t, q, v: 0.0, memory)
+            memory = step.memory
+            assert (step.v[0] - v[0]) / 0.01 == pytest.approx(a, abs=1e-7)
+            assert (memory.tips, memory.missed) == (tips, 0)
+            assert memory.loads[:2].sum() == pytest.approx(30 * G * tips, abs=1e-6)
+
+
 def test_driving_wheels_that_lift_the_support_are_told_to_tip() -> None:
     """The torque presses the wheels that it drives: beyond mu (h - r) = L no loads balance the robot."""
     robot = rear_driven((0.1, 0.0, 0.8), 0.3, 0.8)

@@ -111,8 +111,8 @@ class Coulomb:
 
     Loads depend on accelerations, these on friction, and friction on the loads: a step solves for all of
     them. Where friction presses the wheels on which it acts there may be several solutions. The step takes
-    the one to which the loads of the step before lead; the signals ``slides`` and ``tips`` state which it is.
-    ``tips`` is 1 where no loads balance the robot, ``missed`` where the step found no solution.
+    the one to which the accelerations of the step before lead; the signals state it: ``slides``, ``loads``
+    and ``tips``, 1 where no loads balance the robot. ``missed`` is 1 where the step found no solution.
 
     Parameters
     ----------
