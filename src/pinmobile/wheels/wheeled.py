@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
@@ -275,22 +275,22 @@ class WheeledRobot(Platform, Bearing):
             return np.asarray(self._slipping.forward_dynamics(q, v, u, f if f.ndim else 0.0))
         force = u @ self.input_matrix.T + f
         a = self._rolls.accelerations(q, v, force)
-        for axis, unit, outward in self._stops(q, v):
-            response = self._rolls.accelerations(q, v, force + unit) - a
-            a = (
-                a
-                - response
-                * np.where(outward * a[..., axis] > 0, a[..., axis] / response[..., axis], 0.0)[..., None]
-            )
-        return finite_answer(a, q=q, v=v, u=u, f=f)
+        return finite_answer(self._stopped(q, a, v), q=q, v=v, u=u, f=f)
 
-    def _stops(self, q: Array, v: Array | None = None) -> Iterator[tuple[int, Array, Array]]:
-        """Yield coordinate, unit force and way out of steering axes with a limit, as of `stop_of`."""
-        for k, axis in enumerate(self.table.axes):
-            if np.isfinite(axis.limit):
-                at, rate = self.robot.nv + k, 0.0 if v is None else v[..., self.robot.nv + k]
-                outward = stop_of(np.asarray(q[..., self.robot.nq + k]), axis.limit, rate)
-                yield at, np.eye(self.nv)[at], outward
+    def _stopped(self, q: Array, values: Array, v: Array | None = None) -> Array:
+        """Return velocities, or accelerations at `v`, less what stops of steering axes take of them."""
+        for k, one in enumerate(self.table.axes):
+            if np.isfinite(one.limit):
+                axis, none = self.robot.nv + k, np.zeros(self.nv)
+                own, rate = values[..., axis], 0.0 if v is None else v[..., axis]
+                outward = np.asarray(stop_of(q[..., self.robot.nq + k], one.limit, rate))
+                if not outward.any():
+                    continue
+                at_rest = self._rolls.accelerations(q, none, none)
+                response = self._rolls.accelerations(q, none, np.eye(self.nv)[axis]) - at_rest
+                size = np.where(outward * own > 0, own / response[..., axis], 0.0)
+                values = values - response * size[..., None]
+        return values
 
     def _acted(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike) -> tuple[Array, ...]:
         """Check a state, an input and forces beside it."""
@@ -328,13 +328,8 @@ class WheeledRobot(Platform, Bearing):
 
     @in_numbers
     def _projected(self, q: ArrayLike, v: ArrayLike) -> Array:
-        q, v = self._q(q), self._v("v", v)
-        found, none = self._rolls.project(q, v), np.zeros(self.nv)
-        for axis, unit, outward in self._stops(q):
-            response = self._rolls.accelerations(q, found, unit) - self._rolls.accelerations(q, found, none)
-            size = np.where(outward * found[..., axis] > 0, found[..., axis] / response[..., axis], 0.0)
-            found = found - response * size[..., None]
-        return found
+        q = self._q(q)
+        return self._stopped(q, self._rolls.project(q, self._v("v", v)))
 
     @in_numbers
     def reduced(self, q: ArrayLike, v: ArrayLike) -> Reduced:
