@@ -15,7 +15,7 @@ from time import perf_counter
 
 import numpy as np
 from arm_task import SIZE_V
-from contestants import MUJOCO, PINMOBILE, PINOCCHIO, Peer
+from contestants import MUJOCO, PINMOBILE, PYTHON, Peer
 from measuring import Row, about, console, interleaved, median_time, picked, say, selecting, table
 from task import TOLERANCE
 
@@ -131,8 +131,8 @@ BASE = Batcher("pinmobile, one state after another", PINMOBILE, one_by_one)
 EVERYONE = (
     Batcher("pinmobile, batches", PINMOBILE, of_pinmobile),
     BASE,
-    Batcher("Pinocchio, a loop in Python", PINOCCHIO, of_pinocchio),
-    Batcher("Pinocchio in parallel (C++)", PINOCCHIO, in_parallel),
+    Batcher("Pinocchio, a loop in Python", PYTHON, of_pinocchio),
+    Batcher("Pinocchio in parallel (C++)", PYTHON, in_parallel),
     Batcher("MuJoCo, a loop in Python", MUJOCO, of_mujoco),
 )
 

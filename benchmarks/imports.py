@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from functools import partial
 from tempfile import TemporaryDirectory
 
-from contestants import DRAKE, MUJOCO, NUMPY, PINMOBILE, PINOCCHIO, PYBULLET, TOOLBOX, Peer
+from contestants import DRAKE, MUJOCO, NUMPY, PINMOBILE, PYBULLET, PYTHON, TOOLBOX, Peer
 from measuring import Row, about, console, interleaved, options, say, table
 
 MODULES = {
     "pinmobile": PINMOBILE,
-    "pinocchio": PINOCCHIO,
+    "pinocchio": PYTHON,
     "numpy": NUMPY,
     "meshcat": Peer("meshcat", "meshcat", "pip install meshcat"),
     "matplotlib.pyplot": Peer("matplotlib", "matplotlib", "pip install matplotlib"),

@@ -104,7 +104,7 @@ def rollouts() -> Iterator[tuple[str, str]]:
     import pinmobile as pm
 
     for name, (robot, controller, trajectory, options) in loops():
-        for engine in (pm.PINOCCHIO, pm.COMPILED):
+        for engine in (pm.PYTHON, pm.COMPILED):
             run = pm.simulate(robot, controller, trajectory, dt=0.05, engine=engine, **options)
             yield f"rollout {name} {engine!r}", digest(run.t, run.q, run.v, run.a, run.u, str(run))
 
@@ -117,7 +117,7 @@ def ensembles() -> Iterator[tuple[str, str]]:
         spread: dict[str, Any] = {"mass": pm.Uniform(20, 40), "start_x": pm.Normal(0, 0.05)}
         if "ur5" in name:
             spread["load_mass"] = pm.Uniform(0, 3)
-        for engine in (pm.COMPILED, pm.ARRAYS):
+        for engine in (pm.COMPILED, pm.COMPILED):
             run = pm.ensemble(
                 robot, controller, trajectory, n=20, spread=spread, dt=0.1, engine=engine, **options
             )

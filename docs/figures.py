@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from pinmobile import (
-    ARRAYS,
+    COMPILED,
     PD,
     Backstepping,
     Benchmark,
@@ -99,7 +99,7 @@ def many() -> dict[str, Ensemble]:
     spread = {"mass": Uniform(24, 36), "force_x": Normal(0, 0.04), "com_x": Uniform(-0.05, 0.05)}
     laws = {"PD": PD([120, 120, 5.2], [120, 120, 5.2]), "computed torque": ComputedTorque(robot)}
     return {
-        name: ensemble(robot, law, way, n=300, spread=spread, dt=0.1, engine=ARRAYS)
+        name: ensemble(robot, law, way, n=300, spread=spread, dt=0.1, engine=COMPILED)
         for name, law in laws.items()
     }
 

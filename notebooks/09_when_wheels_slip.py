@@ -19,7 +19,7 @@ import numpy as np
 
 from pinmobile import (
     COMPILED,
-    PINOCCHIO,
+    PYTHON,
     Backstepping,
     ByOdometry,
     Circle,
@@ -149,7 +149,7 @@ def effective_track(robot, table):
     """Return the track that a base seems to have in a slow turn in place, as a multiple of its own."""
     base, surface = WheeledRobot(robot, table), 0.02  # [m/s] of the wheels
     turning = surface / table.wheels[0].radius * np.array([-1.0, 1.0, -1.0, 1.0])
-    run = left_alone(base, 0.3, np.concatenate([np.zeros(3), turning]), PINOCCHIO)
+    run = left_alone(base, 0.3, np.concatenate([np.zeros(3), turning]), PYTHON)
     radius, half = table.wheels[0].radius, table.wheels[0].y
     return run.v[-1, 4] * radius / run.v[-1, 2] / half
 

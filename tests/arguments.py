@@ -482,7 +482,7 @@ def ENSEMBLE() -> dict[str, Any]:
         "every": 2,
         "measures": [],
         "traces": [0],
-        "engine": ensembles.ARRAYS,
+        "engine": ensembles.COMPILED,
     }
 
 

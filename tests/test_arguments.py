@@ -82,7 +82,7 @@ CIRCLE = Circle(radius=3, rate=0.1, duration=60)
 LOOP: dict[str, Any] = {"plant": ROBOT, "controller": PD(10, 10), "trajectory": Tangent(CIRCLE), "dt": 0.1}
 MANY: dict[str, Any] = {
     **{"robot": ROBOT, "controller": PD(120, 120), "trajectory": Tangent(CIRCLE), "dt": 0.1},
-    **{"n": 3, "spread": {"mass": Uniform(29, 31)}, "engine": ensembles.ARRAYS},
+    **{"n": 3, "spread": {"mass": Uniform(29, 31)}, "engine": ensembles.COMPILED},
 }
 MASKED: Any = np.ma.masked_array([1.0, 2.0, 3.0], [False, True, False])
 RAGGED: Any = [[1, 2], [3]]
@@ -371,8 +371,8 @@ FAULTS = [
     ),
     Fault(
         "another part",
-        of_many(engine="ARRAYS"),
-        "expected ARRAYS itself: write engine=ARRAYS after 'from pinmobile import ARRAYS'",
+        of_many(engine="COMPILED"),
+        "expected COMPILED itself: write engine=COMPILED after 'from pinmobile import COMPILED'",
     ),
     Fault(
         "another signature",
@@ -504,7 +504,7 @@ def test_what_is_affordable_is_not_refused() -> None:
         affordable("arrays", MEMORY / 8 + 1, "less")
 
 
-@pytest.mark.parametrize("one", [ensembles.ARRAYS, ensembles.COMPILED, TRUE_MODEL], ids=["A", "C", "T"])
+@pytest.mark.parametrize("one", [ensembles.PYTHON, ensembles.COMPILED, TRUE_MODEL], ids=["P", "C", "T"])
 def test_engines_and_the_true_model_come_back_as_themselves(one: Any) -> None:
     assert pickle.loads(pickle.dumps(one)) is one
     assert copy.copy(one) is one

@@ -34,7 +34,7 @@ from pinmobile import (
     rk4,
     simulate,
 )
-from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO, run_scenario
+from pinmobile.ensembles import COMPILED, PYTHON, run_scenario
 from pinmobile.wheels import ByOdometry, Coulomb, Motor, Wheel, WheeledRobot, WheelTable
 from tests.parts import Eight
 
@@ -343,7 +343,7 @@ def test_the_engines_agree(name: str) -> None:
     robot, controller, trajectory, spread = CASES[name]
     more: dict[str, Any] = {"dt": 0.01, "seed": 4, "duration": 0.3, "integrator": rk4}
     scenario = Scenario(robot=robot, controller=controller, trajectory=trajectory, n=3, spread=spread, **more)
-    alone, *others = (run_scenario(scenario, engine=engine) for engine in (PINOCCHIO, ARRAYS, COMPILED))
+    alone, *others = (run_scenario(scenario, engine=engine) for engine in (PYTHON, COMPILED))
     assert not alone.diverged.any()
     for one in others:
         for of in ("max_error", "rms_error", "max_force"):

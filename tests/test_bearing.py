@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    ARRAYS,
     COMPILED,
+    PYTHON,
     Circle,
     ComputedTorque,
     Line,
@@ -288,7 +288,7 @@ def test_what_rolls_is_judged_alike_in_all_engines() -> None:
         min(values) if one.is_margin else max(values)
         for one, (_, values) in zip(robot.measures, judged.values(), strict=True)
     ]
-    for engine in (COMPILED, ARRAYS):
+    for engine in (COMPILED, PYTHON):
         spread: dict[str, Any] = {"mass": Uniform(30.0, 30.0 + 1e-12)}
         each = ensemble(robot, ComputedTorque(robot), path, n=2, spread=spread, dt=0.01, engine=engine)
         np.testing.assert_allclose(each.worst_measure, [worst, worst], atol=1e-7)

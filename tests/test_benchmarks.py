@@ -350,7 +350,7 @@ def test_without_the_peers_every_benchmark_starts_and_knows_who_is_missing() -> 
     peers = json.loads(done.stdout)
     for name in ("MUJOCO", "DRAKE", "TOOLBOX", "PYBULLET", "JAX"):
         assert peers[name] == [False, ""], name
-    for name, package in (("PINMOBILE", "pinmobile"), ("PINOCCHIO", "pin"), ("NUMPY", "numpy")):
+    for name, package in (("PINMOBILE", "pinmobile"), ("PYTHON", "pin"), ("NUMPY", "numpy")):
         assert peers[name] == [True, version(package)], name
 
 

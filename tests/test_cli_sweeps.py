@@ -28,7 +28,7 @@ from pinmobile import (
 )
 from pinmobile.cli.ensembles_and_sweeps import _answer, _differs
 from pinmobile.cli.scenario_file import _TABLES, EXAMPLE, read_grid
-from pinmobile.ensembles import ARRAYS, PARAMETERS
+from pinmobile.ensembles import COMPILED, PARAMETERS
 from pinmobile.sweeps import length
 from tests.damage import answer, damaged, full_disk, little_memory
 from tests.test_cli import typed
@@ -386,7 +386,7 @@ def test_the_answer_of_an_ensemble_is_that_of_99_percent() -> None:
     robot = MobileRobot(30.0, 1.3)
     spread: Any = {"mass": Uniform(24, 36)}
     made = ensemble(
-        robot, PD((120, 120, 5), (120, 120, 5)), CIRCLE, n=50, dt=0.1, spread=spread, engine=ARRAYS
+        robot, PD((120, 120, 5), (120, 120, 5)), CIRCLE, n=50, dt=0.1, spread=spread, engine=COMPILED
     )
     within = [length(made.within(share).distance) for share in (0.99, 0.5)]
     assert within[0] != within[1]

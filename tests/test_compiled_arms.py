@@ -10,9 +10,8 @@ import pinocchio as pin
 import pytest
 
 from pinmobile import (
-    ARRAYS,
     COMPILED,
-    PINOCCHIO,
+    PYTHON,
     ComputedTorque,
     Decoupled,
     Delayed,
@@ -106,7 +105,7 @@ def assert_members(runs: Any, *which: int) -> None:
     for i in which:
         member = runs.member(i)
         alone = simulate(*member[:3], **member.options)
-        assert alone.engine == "PINOCCHIO"
+        assert alone.engine == "PYTHON"
         np.testing.assert_allclose(runs.max_error[i], alone.max_error(), rtol=CLOSE, atol=CLOSE)
         np.testing.assert_allclose(runs.max_force[i], alone.max_input(), rtol=CLOSE, atol=1e-8)
 
@@ -231,7 +230,7 @@ def test_joints_without_limits_are_compiled() -> None:
 
 def test_the_engines_agree_and_the_bits_hang_on_nothing() -> None:
     runs, few = run(n=20, threads=2), run(n=3, threads=1)
-    for engine in (ARRAYS, PINOCCHIO):
+    for engine in (COMPILED, PYTHON):
         other = run(n=3, engine=engine)
         assert other.engine == engine.name
         np.testing.assert_allclose(other.max_error, few.max_error, rtol=1e-9, atol=CLOSE)
@@ -248,7 +247,7 @@ def test_six_seconds_of_a_closed_loop_are_those_of_pinocchio(robot: MobileRobot)
     assert_members(runs, 1)
     member = runs.member(1)
     compiled, usual = (
-        simulate(*member[:3], **member.options, engine=engine) for engine in (COMPILED, PINOCCHIO)
+        simulate(*member[:3], **member.options, engine=engine) for engine in (COMPILED, PYTHON)
     )
     assert len(usual.t) == 601
     for name in ("q", "v", "a", "u"):
@@ -351,9 +350,9 @@ def test_a_link_that_is_not_there_is_named_with_the_nearest() -> None:
 
 def test_a_tree_that_is_too_large_runs_slower_and_says_so() -> None:
     robot = MobileRobot.box(size=(1, 1, 0.5)).mount("tiago_dual", AT)
-    with pytest.warns(SlowerEngine, match="runs by PINOCCHIO.*not COMPILED.*more than 30000 operations"):
+    with pytest.warns(SlowerEngine, match="runs by PYTHON.*not COMPILED.*more than 30000 operations"):
         runs = run(robot, spread={"mass": Uniform(24, 36)}, n=2, dt=0.3)
-    assert runs.engine == PINOCCHIO.name  # few robots are faster one by one than side by side
+    assert runs.engine == PYTHON.name  # few robots are faster one by one than side by side
 
 
 def test_a_ball_joint_runs_one_state_at_a_time_and_says_why() -> None:
@@ -366,7 +365,7 @@ def test_a_ball_joint_runs_one_state_at_a_time_and_says_why() -> None:
         SlowerEngine, match="joint 'ball/socket' is a JointModelSpherical, which has no single axis"
     ):
         runs = run(robot, spread={"kp_factor": Uniform(0.9, 1.1)}, n=2)
-    assert runs.engine == ARRAYS.name
+    assert runs.engine == PYTHON.name
 
 
 def test_what_nobody_was_told_of_may_differ() -> None:

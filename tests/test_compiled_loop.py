@@ -500,7 +500,7 @@ def test_a_law_with_too_many_operations_is_refused() -> None:
 
     error = refused(endless)
     assert "30000 operations" in error.what
-    assert "ARRAYS" in error.instead
+    assert "PYTHON" in error.instead
     assert "endless, line" in error.place
 
 

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    ARRAYS,
     COMPILED,
     LQR,
     MPC,
-    PINOCCHIO,
+    PYTHON,
     Backstepping,
     Driven,
     InvalidArgument,
@@ -111,9 +110,7 @@ def test_limits_beyond_those_of_the_motors_are_refused_as_the_robot_would_cut_in
 def test_the_engines_agree() -> None:
     robot = MODEL.by_voltage()
     given: Any = {"dt": 0.01, "n": 3, "seed": 2, "duration": 1.0, "spread": {"mass": Uniform(28, 36)}}
-    found = [
-        ensemble(robot, LQR(robot), EIGHT, engine=each, **given) for each in (COMPILED, ARRAYS, PINOCCHIO)
-    ]
+    found = [ensemble(robot, LQR(robot), EIGHT, engine=each, **given) for each in (COMPILED, PYTHON)]
     for other in found[1:]:
         # 100 samples of contracting loops: rounding does not grow.
         assert np.abs(found[0].rms_error - other.rms_error).max() < 1e-12

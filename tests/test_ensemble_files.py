@@ -34,7 +34,7 @@ from pinmobile import (
     plots,
     sweep,
 )
-from pinmobile.ensembles import ARRAYS, Outline, run_scenario
+from pinmobile.ensembles import COMPILED, Outline, run_scenario
 from pinmobile.ensembles.variables import PER_ROBOT
 from pinmobile.plots.drivers import causes, worst_share
 from tests.damage import answer, damaged, little_memory, rewritten
@@ -56,7 +56,7 @@ def scenario(**more: Any) -> Scenario:
 
 
 def run(traces: Any = (), **more: Any) -> Ensemble:
-    return run_scenario(scenario(**more), traces=traces, engine=ARRAYS)
+    return run_scenario(scenario(**more), traces=traces, engine=COMPILED)
 
 
 # A controller that believes in 30 kg where there are 4 to 12 is beyond what the step allows for some.

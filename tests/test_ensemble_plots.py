@@ -29,7 +29,7 @@ from pinmobile import (
     ensemble,
     plots,
 )
-from pinmobile.ensembles import ARRAYS
+from pinmobile.ensembles import COMPILED
 from pinmobile.plots.drivers import causes, worst_share
 from pinmobile.plots.style import percent
 from pinmobile.plots.swept import strip_above
@@ -47,7 +47,7 @@ SPREAD: dict[str, Any] = {
 
 def run(controller: Any, spread: dict[str, Any], n: int = 300, duration: float = 20.0) -> Ensemble:
     circle = Tangent(Circle(3, 0.1, duration))
-    return ensemble(ROBOT, controller, circle, n=n, spread=spread, dt=0.1, engine=ARRAYS)
+    return ensemble(ROBOT, controller, circle, n=n, spread=spread, dt=0.1, engine=COMPILED)
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +112,7 @@ class TestBands:
 
     def test_what_a_start_costs_is_drawn_though_errors_count_later(self) -> None:
         aside, circle = {"start_x": Uniform(0.01, 0.02)}, Tangent(Circle(3, 0.1, 20))
-        options: dict[str, Any] = {"n": 50, "spread": aside, "dt": 0.1, "engine": ARRAYS, "after": 10}
+        options: dict[str, Any] = {"n": 50, "spread": aside, "dt": 0.1, "engine": COMPILED, "after": 10}
         made = ensemble(ROBOT, TRUE, circle, **options)
         axes = plots.bands(made).axes[0]
         assert axes.get_title(loc="left").endswith(" from 10 s on")
@@ -152,7 +152,7 @@ class TestBands:
     def test_what_fades_to_nothing_does_not_stretch_logarithmic_axes(self) -> None:
         slow, aside = Tangent(Circle(3, 0.001, 20)), {"start_x": Uniform(0.01, 0.02)}
         fading = ensemble(
-            ROBOT, ComputedTorque(ROBOT, 25, 10), slow, n=300, spread=aside, dt=0.1, engine=ARRAYS
+            ROBOT, ComputedTorque(ROBOT, 25, 10), slow, n=300, spread=aside, dt=0.1, engine=COMPILED
         )
         worst = run(PD(1, 1), {"mass": Uniform(24, 36)})
         axes = plots.bands({"fading": fading, "worst": worst}).axes[0]

@@ -43,7 +43,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.compiled import BINS
-from pinmobile.ensembles import ARRAYS, PARAMETERS, Within, run_scenario
+from pinmobile.ensembles import PARAMETERS, Within, run_scenario
 from pinmobile.ensembles.records import bins_of, edges, quantiles
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
@@ -529,7 +529,7 @@ def test_distributions_check_themselves(make: Any, text: str) -> None:
     [
         (
             {"engine": "numba"},
-            "engine is 'numba', expected COMPILED, ARRAYS, PINOCCHIO of pinmobile, or None",
+            "engine is 'numba', expected COMPILED, PYTHON of pinmobile, or None",
         ),
         ({"threads": 0}, "threads is 0, expected a whole number >= 1"),
         ({"traces": 3}, "traces is 3, expected indices of robots, such as"),
@@ -543,7 +543,7 @@ def test_options_of_a_run_are_checked_before_it(options: Any, text: str) -> None
 
 
 @pytest.mark.parametrize("n", [3, 128])
-def test_what_is_written_for_one_robot_is_compiled_and_on_arrays_told_so(n: int) -> None:
+def test_what_is_written_for_one_robot_is_compiled(n: int) -> None:
     one = law(lambda t, q, v, reference: np.array([-q[0], -q[1], -q[2]]))
 
     def drag(t: float, q: Any, v: Any) -> Any:
@@ -552,8 +552,6 @@ def test_what_is_written_for_one_robot_is_compiled_and_on_arrays_told_so(n: int)
     for controller, forces in ((one, []), (PD(4, 4), [drag])):
         given: dict[str, Any] = {"n": n, "spread": {}, "dt": 0.1, "duration": 2.0, "forces": forces}
         assert ensemble(ROBOT, controller, TRAJECTORY, **given).engine == "COMPILED"
-        with pytest.raises(InvalidArgument, match=r"engine is ARRAYS, which cannot .*one row per robot"):
-            ensemble(ROBOT, controller, TRAJECTORY, **given, engine=ARRAYS)
 
 
 def test_an_integrator_that_returns_no_state_is_told_so() -> None:

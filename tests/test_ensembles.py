@@ -47,7 +47,7 @@ from pinmobile import (
     semi_implicit_euler,
     simulate,
 )
-from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO, part_of, run_scenario
+from pinmobile.ensembles import COMPILED, PYTHON, part_of, run_scenario
 from pinmobile.ensembles.outline import judgement
 from pinmobile.errors import SlowerEngine
 from pinmobile.integrators import RungeKuttaNystrom
@@ -162,7 +162,7 @@ def assert_is_simulated(run: Ensemble, i: int) -> None:
 def test_both_engines_agree_with_simulate(controller: str, trajectory: str) -> None:
     scenario = made(controller=CONTROLLERS[controller], trajectory=TRAJECTORIES[trajectory])
     compiled = run_scenario(scenario, engine=COMPILED)
-    assert_close(compiled, run_scenario(scenario, engine=ARRAYS))
+    assert_close(compiled, run_scenario(scenario, engine=PYTHON))
     assert_is_simulated(compiled, 66)
 
 
@@ -174,7 +174,7 @@ def test_forces_and_integrators_agree_with_simulate(forces: str, integrator: Any
         controller=controller, forces=FORCES[forces], integrator=integrator, substeps=2, n=66, duration=10.0
     )
     compiled = run_scenario(scenario, engine=COMPILED)
-    assert_close(compiled, run_scenario(scenario, engine=ARRAYS))
+    assert_close(compiled, run_scenario(scenario, engine=PYTHON))
     assert_is_simulated(compiled, 65)
 
 
@@ -215,14 +215,14 @@ TWICE: dict[str, Any] = {
 @pytest.mark.parametrize("what", TWICE)
 def test_two_of_a_kind_and_what_is_ones_own_are_as_simulated(what: str) -> None:
     scenario = made(n=3, duration=10.0, **TWICE[what])
-    run = run_scenario(scenario, engine=ARRAYS if "model" in what else COMPILED)
-    assert_close(run, run_scenario(scenario, engine=ARRAYS))
+    run = run_scenario(scenario, engine=PYTHON if "model" in what else COMPILED)
+    assert_close(run, run_scenario(scenario, engine=PYTHON))
     assert_is_simulated(run, 2)
 
 
 def test_a_noisy_robot_is_run_alone_by_any_engine() -> None:
     member = run_scenario(made(controller=CONTROLLERS["noisy"], n=3, duration=3.0)).member(2)
-    alone = [simulate(*member[:3], **member.options, engine=engine) for engine in (PINOCCHIO, COMPILED)]
+    alone = [simulate(*member[:3], **member.options, engine=engine) for engine in (PYTHON, COMPILED)]
     np.testing.assert_allclose(alone[1].q, alone[0].q, rtol=0, atol=1e-12)
     other = simulate(*member[:3], **{**member.options, "member": 1})
     assert np.abs(other.u - alone[0].u).max() > 1e-3
@@ -252,10 +252,10 @@ def test_what_is_ones_own_is_compiled_where_its_law_is_numpys() -> None:
         assert (run.engine, run.why) == ("COMPILED", "")
     # Pinocchio takes numbers alone, one state at a time, or many one after the other.
     scenario = made(n=2, duration=2.0, **TWICE["a model of one's own"])
-    with pytest.warns(SlowerEngine, match=r"runs by ARRAYS.*not COMPILED: .*build_model") as told:
+    with pytest.warns(SlowerEngine, match=r"runs by PYTHON.*not COMPILED: .*build_model") as told:
         run = run_scenario(scenario)
     assert len(told) == 1
-    assert run.engine == "ARRAYS"
+    assert run.engine == "PYTHON"
     assert run.why in str(told[0].message)
     with pytest.raises(InvalidArgument, match=r"engine is COMPILED, which cannot .*build_model"):
         run_scenario(scenario, engine=COMPILED)
@@ -274,7 +274,7 @@ def test_a_start_that_is_a_turn_ahead_is_seen_as_simulate_and_its_controller_see
         duration=10.0,
     )
     compiled = run_scenario(scenario, engine=COMPILED)
-    assert_close(compiled, run_scenario(scenario, engine=ARRAYS))
+    assert_close(compiled, run_scenario(scenario, engine=PYTHON))
     assert_is_simulated(compiled, 1)
     # The lecture's subtraction turns it back by a whole turn: half of one is the farthest.
     farthest = [np.pi, np.pi] if difference is plain_difference else [0.1, 0.2]
@@ -323,7 +323,7 @@ def test_diverging_robots_are_flagged_as_by_simulate_and_the_others_untouched() 
     gains = np.full(130, 4.0)
     gains[[3, 64, 100]] = 900.0, 2000.0, 500.0  # beyond what dt = 0.1 s bears
     spread = {"mass": Uniform(20, 40), "kp": gains}
-    for engine in (COMPILED, ARRAYS):
+    for engine in (COMPILED, PYTHON):
         run = run_scenario(made(n=130, spread=spread), engine=engine)
         assert np.flatnonzero(run.diverged).tolist() == [3, 64, 100]
         for i in (3, 64, 100):
@@ -349,7 +349,7 @@ def test_diverging_robots_are_flagged_as_by_simulate_and_the_others_untouched() 
         assert np.isinf(run.bands((0.95, 0.99)).distance[:, -1]).tolist() == [False, True]
 
 
-@pytest.mark.parametrize("engine", [ARRAYS, COMPILED])
+@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
 def test_half_a_turn_off_all_robots_turn_left_in_every_engine(engine: Any) -> None:
     # Half a turn, and what rounding may make of it: to the right, it would be the other way round.
     off = np.pi + np.array([0.0, 1e-15, -1e-15, 1e-12, -1e-12])
@@ -390,12 +390,12 @@ def test_what_overflows_is_flagged_too() -> None:
     assert run.diverged.all()
     assert_is_simulated(run, 2)
     slow = ensemble(
-        ROBOT, PD(1e200, 1e200), CIRCLE, n=3, spread={"start_x": 1.0}, dt=0.1, limit=1e300, engine=ARRAYS
+        ROBOT, PD(1e200, 1e200), CIRCLE, n=3, spread={"start_x": 1.0}, dt=0.1, limit=1e300, engine=PYTHON
     )
     np.testing.assert_array_equal(slow.diverged_at, run.diverged_at)
 
 
-@pytest.mark.parametrize("engine", [COMPILED, ARRAYS])
+@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
 @pytest.mark.parametrize("forces", ["none", "all"])
 def test_errors_are_kept_from_a_time_on_and_all_else_from_the_start(forces: str, engine: Any) -> None:
     scenario = made(after=20.0, forces=FORCES[forces], n=70)
@@ -427,7 +427,7 @@ def test_who_diverges_before_errors_count_has_none_and_is_beyond_everything() ->
     assert run.within(1.0).distance == np.inf
 
 
-@pytest.mark.parametrize("engine", [COMPILED, ARRAYS])
+@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
 def test_an_acceleration_that_is_none_is_a_divergence_though_its_force_is_finite(engine: Any) -> None:
     scenario = made(controller=PD(1e200, 0), n=2, spread={"mass": 1e-200, "start_x": 1.0}, limit=1e300)
     run = run_scenario(scenario, engine=engine)
@@ -458,7 +458,7 @@ def test_no_controller_is_asked_about_a_robot_that_has_diverged() -> None:
         return 1e5 * (q - reference.q)
 
     spread = {"start_x": np.array([0, 1, 0])}
-    run = run_scenario(made(controller=law(repelled), n=3, spread=spread), engine=ARRAYS)
+    run = run_scenario(made(controller=law(repelled), n=3, spread=spread), engine=PYTHON)
     assert run.diverged[1]
     assert max(worst) <= run.scenario.limit
 
@@ -472,7 +472,7 @@ def test_a_robot_that_is_beyond_the_limit_from_the_start_has_no_records() -> Non
         run.trace(1)
 
 
-@pytest.mark.parametrize("engine", [COMPILED, ARRAYS])
+@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
 @pytest.mark.parametrize("controller", ["computed torque", "noisy"])
 def test_the_same_seed_gives_the_same_bits_however_the_work_is_divided(controller: str, engine: Any) -> None:
     scenario = made(
@@ -524,7 +524,7 @@ def test_another_seed_gives_other_robots() -> None:
     assert not np.isin(one.draws["mass"], other.draws["mass"]).any()
 
 
-@pytest.mark.parametrize("engine", [COMPILED, ARRAYS])
+@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
 @pytest.mark.parametrize("seed", [3, 2**70, np.random.SeedSequence(3, spawn_key=(1,))])
 def test_the_seed_of_a_noise_enters_that_of_every_robot(engine: Any, seed: Any) -> None:
     def run(noise: Any, force: Any) -> Ensemble:
@@ -552,7 +552,7 @@ def test_a_users_own_controller_force_and_integrator_are_compiled() -> None:
     assert run.engine == "COMPILED"
     assert not run.diverged.any()
     assert_is_simulated(run, 64)
-    assert_close(run, run_scenario(scenario, engine=ARRAYS))
+    assert_close(run, run_scenario(scenario, engine=PYTHON))
 
 
 class OwnGains:
@@ -614,7 +614,7 @@ class Summing:
         return KP * error + KD * (reference.v - v) + 0.1 * self.sum, state
 
 
-@pytest.mark.parametrize("engine", [None, COMPILED, ARRAYS, PINOCCHIO])
+@pytest.mark.parametrize("engine", [None, COMPILED, PYTHON])
 def test_what_a_controller_keeps_in_itself_is_refused(engine: Any) -> None:
     generator = np.random.default_rng(0)
     drawing = law(lambda t, q, v, r: KP * (r.q - q) + generator.normal(size=3))
@@ -670,34 +670,24 @@ FOR_ONE: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("what", FOR_ONE)
-def test_laws_for_one_robot_are_compiled_and_refused_on_arrays(what: str) -> None:
+def test_laws_for_one_robot_are_compiled(what: str) -> None:
     scenario = made(n=3, duration=3.0, **FOR_ONE[what])
     run = run_scenario(scenario)
     assert run.engine == "COMPILED"
     assert_is_simulated(run, 2)
-    with pytest.raises(
-        InvalidArgument, match=r"engine is ARRAYS, which cannot run this: .*one row per robot"
-    ):
-        run_scenario(scenario, engine=ARRAYS)
-
-
-def test_one_robot_alone_is_asked_for_rows_too() -> None:
-    for what in ("mixing", "force"):
-        with pytest.raises(InvalidArgument, match=r"ARRAYS, which cannot run this: .*one row per robot"):
-            run_scenario(made(n=1, duration=0.1, **FOR_ONE[what]), engine=ARRAYS)
 
 
 def test_a_law_that_asks_its_state_runs_one_robot_after_another_and_says_so() -> None:
     scenario = made(controller=law(_branching), n=5, duration=3.0)
-    with pytest.warns(SlowerEngine, match=r"runs by PINOCCHIO") as told:
+    with pytest.warns(SlowerEngine, match=r"runs by PYTHON") as told:
         run = run_scenario(scenario)
-    assert run.engine == "PINOCCHIO"
-    for text in ("not COMPILED", "_branching", "np.where", "not ARRAYS", "one row per robot"):
+    assert run.engine == "PYTHON"
+    for text in ("not COMPILED", "_branching", "np.where"):
         assert text in run.why
         assert text in str(told[0].message)
     for i in range(5):
         assert_is_simulated(run, i)
-    same = run_scenario(scenario, engine=PINOCCHIO)
+    same = run_scenario(scenario, engine=PYTHON)
     assert_same(run, same)
     np.testing.assert_array_equal(run.counts, same.counts)
     assert run.counts.sum(axis=-1).tolist() == [[5, 5]] * len(scenario.grid)
@@ -804,5 +794,5 @@ def test_a_law_that_mixes_robots_only_later_runs_one_after_another() -> None:
         run = ensemble(
             ROBOT, law(late), CIRCLE, n=3, dt=0.02, duration=4.0, spread={"start_x": Uniform(-1, 1)}
         )
-    assert run.engine == "PINOCCHIO"
+    assert run.engine == "PYTHON"
     assert_is_simulated(run, 2)

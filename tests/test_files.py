@@ -29,7 +29,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.cli.output import Section, index_page, output_folder, save_figure
-from pinmobile.ensembles import ARRAYS
+from pinmobile.ensembles import COMPILED
 from pinmobile.files import replacing, write
 from pinmobile.viewer import Recording, Viewer
 from tests.damage import full_disk
@@ -37,7 +37,7 @@ from tests.damage import full_disk
 ROBOT = MobileRobot.lecture()
 LOOP: Any = (ROBOT, PD((120, 120, 0.4), (120, 120, 0.4)), Tangent(Circle(3, 0.1, 6)))
 RUN = simulate(*LOOP, dt=0.1)
-ROBOTS = ensemble(*LOOP, n=30, spread={"mass": Uniform(8, 12)}, dt=0.1, engine=ARRAYS)
+ROBOTS = ensemble(*LOOP, n=30, spread={"mass": Uniform(8, 12)}, dt=0.1, engine=COMPILED)
 
 
 def recording() -> Recording:

@@ -16,7 +16,7 @@ import pytest
 
 from pinmobile import (
     COMPILED,
-    PINOCCHIO,
+    PYTHON,
     Backstepping,
     Circle,
     ComputedTorque,
@@ -753,7 +753,7 @@ def jerky(ahead: float, by_dead_reckoning: bool) -> tuple[WheelTable, Log]:
         FixedHeading(Hold((0, 0), 60.0), 0.0),
         dt=0.1,
         substeps=20,
-        engine=PINOCCHIO,
+        engine=PYTHON,
     )
     read = Log.from_rollout(run)
     assert read.wheel_rates is not None

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    ARRAYS,
     COMPILED,
     LQR,
     MPC,
-    PINOCCHIO,
+    PYTHON,
     Circle,
     Context,
     FixedHeading,
@@ -127,7 +126,7 @@ def test_arms_follow_too() -> None:
 def test_all_engines_agree(robot: Any) -> None:
     noisy = NoisyMeasurement(LQR(robot), 1e-3, 1e-3, seed=1)
     noise = {"measured_std_q": Uniform(0.0, 1e-3)}  # the wrapper's, of which the gains know nothing
-    for spread, engines in (({}, (COMPILED, ARRAYS, PINOCCHIO)), (noise, (COMPILED, PINOCCHIO))):
+    for spread, engines in (({}, (COMPILED, PYTHON)), (noise, (COMPILED, PYTHON))):
         given: Any = {"dt": 0.01, "seed": 2, "n": 3, "spread": {"mass": Uniform(25, 36), **spread}}
         runs = [ensemble(robot, Saturated(noisy, 30), SHORT, engine=engine, **given) for engine in engines]
         for other in runs[1:]:
@@ -142,15 +141,13 @@ def test_rows_are_data_another_reference_gives_other_gains_and_the_same_program(
     for controller, trajectory in ((LQR(NOMINAL), SHORT), (LQR(NOMINAL, R=[1e-4, 1e-4, 1e-3]), other)):
         q0 = trajectory(0.0).q + start
         fast = simulate(NOMINAL, controller, trajectory, q0=q0, v0=np.zeros(3), **given)
-        slow = simulate(
-            NOMINAL, controller, trajectory, q0=q0, v0=np.zeros(3), **{**given, "engine": PINOCCHIO}
-        )
+        slow = simulate(NOMINAL, controller, trajectory, q0=q0, v0=np.zeros(3), **{**given, "engine": PYTHON})
         assert np.abs(fast.q - slow.q).max() < 1e-12
 
 
 @pytest.mark.parametrize("kind", [LQR, MPC])
 def test_the_weight_of_the_input_is_spread_one_robot_after_another(kind: Any) -> None:
-    given: Any = {"dt": 0.01, "seed": 1, "duration": 0.2, "engine": PINOCCHIO}
+    given: Any = {"dt": 0.01, "seed": 1, "duration": 0.2, "engine": PYTHON}
     found = ensemble(HEAVY, kind(NOMINAL), SHORT, n=2, spread={"input_weight": Uniform(1, 100)}, **given)
     for weight, error in zip(found.draws["input_weight"], found.rms_error, strict=True):
         own = kind(NOMINAL, R=weight * np.array([1e-3, 1e-3, 2e-2]))
@@ -174,7 +171,7 @@ def test_a_model_that_differs_from_robot_to_robot_is_run_one_after_another() -> 
     given: Any = {"dt": 0.01, "integrator": rk4, "n": 2, "seed": 1, "spread": spread}
     with pytest.warns(UserWarning, match=r"follows from controller.robot.mass"):
         found = ensemble(HEAVY, LQR(NOMINAL), SHORT, **given)
-    assert found.engine == repr(PINOCCHIO)
+    assert found.engine == repr(PYTHON)
     masses = found.draws["model_mass"]
     for mass, error in zip(masses, found.rms_error, strict=True):
         model = NOMINAL.with_parameters(mass=mass)
@@ -197,7 +194,7 @@ class Tabled:
 
 def test_a_schedule_gives_each_sample_its_row_in_all_engines() -> None:
     given: Any = {"dt": 0.01, "integrator": rk4}
-    runs = [simulate(NOMINAL, Tabled(), SHORT, engine=engine, **given) for engine in (PINOCCHIO, COMPILED)]
+    runs = [simulate(NOMINAL, Tabled(), SHORT, engine=engine, **given) for engine in (PYTHON, COMPILED)]
     for run in runs:
         assert np.abs(run.u - 10 * np.sin(np.outer(run.t, [1, 2, 3])) + run.v).max() < 1e-12
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    ARRAYS,
     COMPILED,
-    PINOCCHIO,
+    PYTHON,
     InvalidArgument,
     MobileRobot,
     Uniform,
@@ -117,7 +116,7 @@ def test_what_is_derived_is_derived_for_each_robot(what: str) -> None:
     make, name = MAKE[what]
     with pytest.warns(SlowerEngine, match=r"makes \w+ of kp once; compute it in the law"):
         runs = ensemble(ROBOT, make(100.0), PATH, n=3, spread={name: KP}, **OPTIONS)
-    assert runs.engine == "PINOCCHIO"
+    assert runs.engine == "PYTHON"
     for i, kp in enumerate(KP):
         alone = simulate(ROBOT, make(kp), PATH, **OPTIONS)
         np.testing.assert_allclose(runs.max_error[i], alone.max_error(), rtol=1e-12)
@@ -152,7 +151,7 @@ def test_a_class_that_cannot_be_made_again_is_told_what_to_write(controller: Any
         r"may have made kd of that: expected an __init__ that takes kp and keeps each argument under its own "
         r"name, a dataclass, or with_parameters\(\*\*values\), which returns a new one$"
     )
-    for engine in (None, COMPILED, ARRAYS, PINOCCHIO):
+    for engine in (None, COMPILED, PYTHON):
         with pytest.raises(InvalidArgument, match=why):
             ensemble(ROBOT, controller, PATH, n=3, spread={"kp": KP}, engine=engine, **OPTIONS)
     # What is not spread is nobody's to make again.

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    ARRAYS,
     COMPILED,
     PD,
-    PINOCCHIO,
+    PYTHON,
     ComputedTorque,
     Engine,
     Ensemble,
@@ -115,7 +114,7 @@ def test_each_arm_has_an_end_effector_and_a_bare_robot_no_measure() -> None:
     assert NAMES[-1] not in [one.name for one in unknown.measures]  # whose footprint is not known
 
 
-@pytest.mark.parametrize("engine", [ARRAYS, PINOCCHIO])
+@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
 def test_all_engines_judge_alike(engine: Engine) -> None:
     fast, slow = (run_scenario(scenario(), engine=each) for each in (COMPILED, engine))
     for name in ("worst_measure", "rms_measure", "max_error", "rms_error"):
@@ -338,9 +337,7 @@ def fenced(plant: Any, **options: Any) -> Scenario:
 
 @pytest.mark.parametrize("after", [0.0, 0.6])
 def test_a_plant_of_ones_own_states_measures_in_plain_numpy(after: float) -> None:
-    made = [
-        run_scenario(fenced(Fenced(), after=after), engine=each) for each in (COMPILED, ARRAYS, PINOCCHIO)
-    ]
+    made = [run_scenario(fenced(Fenced(), after=after), engine=each) for each in (COMPILED, PYTHON)]
     for other in made[1:]:
         np.testing.assert_allclose(other.worst_measure, made[0].worst_measure, rtol=CLOSE, atol=CLOSE)
         np.testing.assert_allclose(other.rms_measure, made[0].rms_measure, rtol=CLOSE, atol=CLOSE)
@@ -359,7 +356,7 @@ def test_what_is_infinite_before_errors_count_is_forgotten() -> None:
             early = np.array([-np.inf, np.inf])
             return np.where(np.asarray(t < 0.3)[..., None], early, found)
 
-    for engine in (COMPILED, PINOCCHIO):
+    for engine in (COMPILED, PYTHON):
         late, usual = (run_scenario(fenced(x, after=0.6), engine=engine) for x in (Late(), Fenced()))
         np.testing.assert_allclose(late.worst_measure, usual.worst_measure, rtol=CLOSE)
         np.testing.assert_allclose(late.rms_measure, usual.rms_measure, rtol=CLOSE)
@@ -412,7 +409,7 @@ def test_measures_that_are_not_what_is_expected_are_refused(plant: Any, words: s
         fenced(plant)
 
 
-@pytest.mark.parametrize("engine", [COMPILED, ARRAYS, PINOCCHIO])
+@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
 def test_a_measure_that_becomes_nan_is_refused(engine: Engine) -> None:
     late = stating([ONE], lambda q: np.sqrt(0.1 - q[..., :1]))
     with (
@@ -422,16 +419,6 @@ def test_a_measure_that_becomes_nan_is_refused(engine: Engine) -> None:
         run_scenario(fenced(late), engine=engine)
 
 
-def test_measures_for_one_robot_at_a_time_run_compiled_and_are_told_on_arrays() -> None:
-    def alone(q: Any) -> Any:
-        return np.array([0.3 - q[0]])  # of several robots at once the first's x
-
-    plant = stating([ONE], alone)
-    assert way_of(fenced(plant)).engine is COMPILED
-    with pytest.raises(InvalidArgument, match=r"^engine is ARRAYS, which cannot run this: "):
-        way_of(fenced(plant), ARRAYS)
-
-
 def test_a_plant_that_is_traced_as_another_needs_the_same_measures() -> None:
     class Traced(Fenced):
         def traced(self) -> Any:
@@ -439,12 +426,12 @@ def test_a_plant_that_is_traced_as_another_needs_the_same_measures() -> None:
 
     with pytest.warns(SlowerEngine, match=r"plant, a Traced, states measures that what its traced"):
         runs = run_scenario(fenced(Traced(), n=2))
-    assert runs.engine == "PINOCCHIO"
+    assert runs.engine == "PYTHON"
     assert runs.worst_measure.shape == (2, 2)
 
 
 def test_measures_survive_processes_and_pickles() -> None:
-    way = way_of(scenario(n=2), PINOCCHIO)
+    way = way_of(scenario(n=2), PYTHON)
     assert packed_way(way)
     assert measures_of(UR5) == way.scenario.judged
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import COMPILED, PINOCCHIO, ensemble, errors
+from pinmobile import COMPILED, PYTHON, ensemble, errors
 from pinmobile.arrays import Array
 from pinmobile.compiled import copied
 from pinmobile.controllers import Backstepping, Driven, Tracking, WheelSpeed
@@ -168,7 +168,7 @@ def test_the_error_falls_with_the_square_of_the_step_and_engines_agree(ground: A
     off = [max(np.abs(x.q[-1] - best.q[-1]).max(), np.abs(x.v[-1] - best.v[-1]).max()) for x in ends]
     assert off[0] < 0.01
     assert 3.5 < off[0] / off[1] < 4.5
-    here = run(robot, (12.0, 10.0), 0.02, 0.5, PINOCCHIO)
+    here = run(robot, (12.0, 10.0), 0.02, 0.5, PYTHON)
     np.testing.assert_allclose(here.q, ends[0].q, rtol=0, atol=1e-13)
     np.testing.assert_allclose(here.v, ends[0].v, rtol=0, atol=1e-13)
     for name, signal in here.signals.items():
@@ -342,7 +342,7 @@ def test_controllers_of_motors_give_the_same_in_all_engines(kind: str) -> None:
     q0, v0 = np.append(path(0.0).q, [0.0, 0.0]), np.zeros(robot.nv)
     here, there = (
         simulate(robot, controller, path, dt=0.01, duration=0.3, q0=q0, v0=v0, engine=engine)
-        for engine in (PINOCCHIO, COMPILED)
+        for engine in (PYTHON, COMPILED)
     )
     assert (np.abs(here.u).max(axis=0) > 1.0).all()
     np.testing.assert_allclose(here.u, there.u, rtol=0, atol=1e-9)

@@ -151,7 +151,7 @@ def test_an_ensemble_says_why_it_is_slow_and_how_long_many_would_take() -> None:
     words = r"quadratic program at each of 11 samples, so that 10,000 robots take some [\d.e-]+ h"
     with pytest.warns(UserWarning, match=words):
         found = ensemble(NOMINAL, Saturated(MPC(NOMINAL), 100), SHORT, **given)
-    assert found.engine == "PINOCCHIO"
+    assert found.engine == "PYTHON"
     with pytest.raises(InvalidArgument, match="10,000 robots"):
         ensemble(NOMINAL, MPC(NOMINAL), SHORT, engine=COMPILED, **given)
 

@@ -41,7 +41,7 @@ from pinmobile import (
 )
 from pinmobile.compiled.symbolic import Symbols
 from pinmobile.compiled.tracing import tracing
-from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO, part_of, run_scenario
+from pinmobile.ensembles import COMPILED, PYTHON, part_of, run_scenario
 from pinmobile.ensembles.variables import PER_ROBOT
 from pinmobile.errors import SlowerEngine
 from tests.looping import TwoWheels
@@ -107,8 +107,8 @@ def assert_same(one: Ensemble, other: Ensemble) -> None:
 def test_a_users_part_has_the_same_numbers_by_all_engines(what: str) -> None:
     name, _, values, _ = STATED.get(what, ("mass", "", [25.0, 28.0, 31.0, 34.0], ""))
     scenario = made(what, {**STARTS, name: np.array(values)})
-    runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, ARRAYS, PINOCCHIO)]
-    assert [run.engine for run in runs] == ["COMPILED", "ARRAYS", "PINOCCHIO"]
+    runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, PYTHON)]
+    assert [run.engine for run in runs] == ["COMPILED", "PYTHON"]
     assert not runs[0].diverged.any()
     for run in runs[:2]:
         assert_close(run, runs[2])
@@ -214,7 +214,7 @@ CARTED: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("what", CARTED)
 def test_a_users_plant_has_the_same_numbers_by_all_engines(what: str) -> None:
     scenario = carted(**CARTED[what])
-    runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, ARRAYS, PINOCCHIO)]
+    runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, PYTHON)]
     assert not runs[0].diverged.any()
     assert runs[0].max_error.shape == (N, 3 if what == "pose alone" else 5)
     assert runs[0].max_force.shape == (N, 2)
@@ -223,20 +223,18 @@ def test_a_users_plant_has_the_same_numbers_by_all_engines(what: str) -> None:
     assert run_scenario(scenario).engine == "COMPILED"
     member = runs[0].member(1)
     of_pinocchio, compiled = (
-        simulate(*member[:3], **member.options, engine=engine) for engine in (PINOCCHIO, COMPILED)
+        simulate(*member[:3], **member.options, engine=engine) for engine in (PYTHON, COMPILED)
     )
     assert_as_simulated(compiled, of_pinocchio)
 
 
-def test_a_plant_for_one_state_is_compiled_and_refused_on_arrays() -> None:
+def test_a_plant_for_one_state_is_compiled() -> None:
     spread = {"mass": OF_CART["mass"], "start_[1]": 0.1}  # it does not name its coordinates
     run = run_scenario(carted(robot=TwoWheels(), spread=spread))
     assert run.engine == "COMPILED"
-    assert_close(run, run_scenario(carted(robot=TwoWheels(), spread=spread), engine=PINOCCHIO))
+    assert_close(run, run_scenario(carted(robot=TwoWheels(), spread=spread), engine=PYTHON))
     same = run_scenario(carted(spread={"mass": OF_CART["mass"], "start_y": 0.1}))
     assert_close(run, same)  # the same dynamics, written for many
-    with pytest.raises(InvalidArgument, match=r"^engine is ARRAYS, which .*write laws for one row per robot"):
-        run_scenario(carted(robot=TwoWheels(), spread=spread), engine=ARRAYS)
 
 
 def test_an_ensemble_of_a_users_plant_is_told_by_its_names_and_units(tmp_path: Path) -> None:
@@ -415,10 +413,10 @@ def test_a_law_that_reaches_a_robot_by_a_name_is_compiled(function: Any) -> None
     given: dict[str, Any] = {"n": 2, "spread": MASSES | {"start_x": 0.1}, "dt": 0.02}
     run = ensemble(ROBOT, law(function), motion, **given)
     assert run.engine == "COMPILED"
-    assert_close(run, ensemble(ROBOT, law(function), motion, **given, engine=PINOCCHIO))
+    assert_close(run, ensemble(ROBOT, law(function), motion, **given, engine=PYTHON))
     assert_close(run, ensemble(ROBOT, ComputedTorque(ROBOT), motion, **given))
     other = _closed_over(MobileRobot(50.0, 1.3))  # the same code, another robot
-    runs = [ensemble(ROBOT, law(other), motion, **given, engine=engine) for engine in (COMPILED, PINOCCHIO)]
+    runs = [ensemble(ROBOT, law(other), motion, **given, engine=engine) for engine in (COMPILED, PYTHON)]
     assert_close(*runs)
 
 
@@ -497,7 +495,7 @@ def owned(what: str, **changes: Any) -> Scenario:
 @pytest.mark.parametrize("what", OWN)
 def test_each_robot_follows_a_reference_of_its_own_by_all_engines(what: str) -> None:
     scenario = owned(what)
-    runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, ARRAYS, PINOCCHIO)]
+    runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, PYTHON)]
     for run in runs[:2]:
         assert_close(run, runs[2])
     assert run_scenario(scenario).engine == "COMPILED"
@@ -577,7 +575,7 @@ def test_a_controller_that_looks_ahead_sees_its_own_robots_reference() -> None:
         run = ensemble(
             *(ROBOT, Ahead(), OWN["way"][0]), n=2, spread={"rest_end_y": np.array([0.5, 1.5])}, dt=0.05
         )
-    assert run.engine == "PINOCCHIO"
+    assert run.engine == "PYTHON"
     for i, y in enumerate((0.5, 1.5)):
         motion = FixedHeading(RestToRest([0, 0], [1, y], 6.0), 0.0)
         np.testing.assert_array_equal(run.max_error[i], simulate(ROBOT, Ahead(), motion, dt=0.05).max_error())
@@ -593,7 +591,7 @@ def test_the_models_that_a_trajectory_knows_are_no_parameters_of_it() -> None:
     )
     assert scenario.stated["model_mass"].path == "controller.robot"
     assert scenario.stated["circle_radius"].path == "trajectory.base.path"
-    runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, PINOCCHIO)]
+    runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, PYTHON)]
     assert_close(*runs)
     assert runs[0].member(1).trajectory == WholeBody(ROBOT, Tangent(Circle(2.0, 0.5, 1.0)))
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    ARRAYS,
     COMPILED,
     PD,
-    PINOCCHIO,
+    PYTHON,
     Circle,
     ComputedTorque,
     ConstantForce,
@@ -45,7 +44,7 @@ class Later:
 
 
 @pytest.mark.parametrize("integrator", [semi_implicit_euler, rk4])
-@pytest.mark.parametrize("engine", [COMPILED, PINOCCHIO])
+@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
 def test_it_is_two_runs_that_are_joined_when_it_comes(integrator: Any, engine: Any) -> None:
     controller = ComputedTorque(BODY, 16, 8)
     given: Any = {"dt": 0.01, "integrator": integrator, "engine": engine}
@@ -93,7 +92,7 @@ def test_all_engines_agree_and_each_robot_has_its_own() -> None:
     controller = ComputedTorque(BODY, 16, 8)
     runs = [
         ensemble(BODY, controller, CIRCLE, spread=spread, engine=engine, **given)
-        for engine in (COMPILED, ARRAYS, PINOCCHIO)
+        for engine in (COMPILED, PYTHON)
     ]
     # 200 samples of contracting loops: rounding does not grow.
     for other in runs[1:]:

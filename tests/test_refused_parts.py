@@ -16,7 +16,7 @@ from pinmobile import (
     law,
     simulate,
 )
-from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO
+from pinmobile.ensembles import COMPILED, PYTHON
 from pinmobile.errors import SlowerEngine
 from pinmobile.plant import Parameter
 from tests.parts import Cart, CartCircle, Eight, Follower, Nodding, Spring
@@ -40,7 +40,7 @@ def simulated(parts: dict[str, Any], **options: Any) -> Any:
 
 def assert_refused(parts: dict[str, Any], why: str) -> None:
     """Check that parts are refused for the same reason wherever they are run."""
-    for engine in (None, COMPILED, ARRAYS, PINOCCHIO):
+    for engine in (None, COMPILED, PYTHON):
         with pytest.raises(InvalidArgument, match=why):
             in_ensemble(parts, engine=engine)
     for engine in (None, COMPILED):
@@ -240,9 +240,9 @@ def test_a_tape_that_is_another_each_time_though_its_numbers_are_not_is_refused_
     parts = BODY | {"controller": law(spelled)}
     with pytest.raises(InvalidArgument, match=r"spelled, line .*asked again.*keep memory in state"):
         in_ensemble(parts, engine=COMPILED)
-    with pytest.warns(SlowerEngine, match=r"by ARRAYS.*not COMPILED.*spelled, line .*keep memory in state"):
+    with pytest.warns(SlowerEngine, match=r"by PYTHON.*not COMPILED.*spelled, line .*keep memory in state"):
         run = in_ensemble(parts)
-    assert (run.engine, "keep memory in state" in run.why) == ("ARRAYS", True)
+    assert (run.engine, "keep memory in state" in run.why) == ("PYTHON", True)
 
 
 # Laws that cannot be traced.
@@ -265,11 +265,11 @@ def _by_eigenvalues(t: float, q: Any, v: Any, reference: Any) -> Any:
 
 
 UNTRACED: dict[str, tuple[dict[str, Any], Any, str]] = {
-    "if": (BODY | {"controller": law(_branching)}, PINOCCHIO, r"_branching, line \d+ of test_.*np\.where"),
-    "math": (BODY | {"forces": [_by_math]}, PINOCCHIO, r"_by_math, line \d+ of test_.*NumPy's function"),
+    "if": (BODY | {"controller": law(_branching)}, PYTHON, r"_branching, line \d+ of test_.*np\.where"),
+    "math": (BODY | {"forces": [_by_math]}, PYTHON, r"_by_math, line \d+ of test_.*NumPy's function"),
     "eigenvalues": (
         BODY | {"controller": law(_by_eigenvalues)},
-        ARRAYS,
+        PYTHON,
         r"_by_eigenvalues, line \d+ of test_.*np\.where",
     ),
 }
@@ -288,7 +288,7 @@ def test_a_law_that_cannot_be_traced_runs_slower_and_says_so_or_is_refused(what:
     assert run.engine == repr(engine)
     assert run.why in str(told[0].message)
     alone = simulated(parts)
-    assert alone.engine == "PINOCCHIO"
+    assert alone.engine == "PYTHON"
     np.testing.assert_allclose(run.max_error[0], alone.max_error(), rtol=1e-12)
 
 
@@ -449,7 +449,7 @@ def _late_integrator(acceleration: Any, t: float, q: Any, v: Any, h: float) -> A
     ],
 )
 def test_what_stops_being_real_is_told_when_it_does(parts: dict[str, Any], why: str) -> None:
-    runs: Any = simulated, lambda parts: in_ensemble(parts, n=1, engine=PINOCCHIO)
+    runs: Any = simulated, lambda parts: in_ensemble(parts, n=1, engine=PYTHON)
     for run in runs:
         with pytest.raises(InvalidArgument, match=why):
             run(parts)
@@ -472,29 +472,9 @@ def test_a_state_that_changes_its_shape_is_named_and_runs_in_python() -> None:
     for run in (simulated, in_ensemble):
         with pytest.raises(InvalidArgument, match=rf"^engine is COMPILED, which cannot run this: {why}"):
             run(parts, engine=COMPILED)
-    with pytest.warns(SlowerEngine, match=rf"runs by PINOCCHIO, .*not COMPILED: {why}"):
+    with pytest.warns(SlowerEngine, match=rf"runs by PYTHON, .*not COMPILED: {why}"):
         runs = in_ensemble(parts, n=2)
     np.testing.assert_allclose(runs.max_error[0], simulated(parts).max_error(), rtol=1e-12)
-
-
-# Memory outside the state whose effect comes late, after all that is asked before a run.
-
-
-class Tiring:
-    """A function that gives less from its hundredth call on."""
-
-    def __init__(self, function: Any) -> None:
-        self.function, self.calls = function, 0
-
-    def __call__(self, *given: Any) -> Any:
-        self.calls += 1
-        return (1.0 if self.calls < 100 else 0.9) * self.function(*given)
-
-
-class Tired(Cart):
-    def __init__(self) -> None:
-        super().__init__()
-        self.forward_dynamics = Tiring(super().forward_dynamics)  # type: ignore[assignment, method-assign]
 
 
 class Latched:
@@ -516,26 +496,6 @@ def _pull(t: float, q: Any, v: Any, reference: Any) -> Any:
     return 100.0 * (reference.q - q) + 120.0 * (reference.v - v)
 
 
-TIRING: dict[str, tuple[Any, str]] = {
-    "controller": (lambda: BODY | {"controller": law(Tiring(_pull))}, "controller"),
-    "latch": (lambda: BODY | {"controller": Latched()}, "controller"),
-    "force": (lambda: BODY | {"forces": [Tiring(lambda t, pose, rate: 1.0 + 0 * pose)]}, "plant or forces"),
-    "plant": (lambda: CART | {"robot": Tired()}, "plant"),
-}
-
-
-@pytest.mark.parametrize("what", TIRING)
-def test_memory_that_acts_late_is_seen_at_the_end_of_the_run(what: str) -> None:
-    make, part = TIRING[what]
-    why = rf"(?s)^(robot 0: )?{part} returned .* at t = .* s and, asked again for the same arguments at the "
-    for run in (simulated, lambda parts: in_ensemble(parts, n=1, engine=PINOCCHIO)):
-        with pytest.raises(InvalidArgument, match=why + r"end of .*expected the same: only controllers"):
-            run(make())
-    if what != "latch":  # which asks what a symbol is
-        with pytest.raises(InvalidArgument, match=why + r"end of .*expected the same: only controllers"):
-            in_ensemble(make(), engine=ARRAYS)
-
-
 def test_a_state_that_is_written_into_and_a_workspace_are_allowed() -> None:
     class Working(Latched):
         def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
@@ -543,4 +503,4 @@ def test_a_state_that_is_written_into_and_a_workspace_are_allowed() -> None:
             state[0] += 0.5 * float(np.sum(q))
             return _pull(t, q, v, reference) + 1e-3 * state[0], state
 
-    assert simulated(BODY | {"controller": Working()}).engine == "PINOCCHIO"
+    assert simulated(BODY | {"controller": Working()}).engine == "PYTHON"

@@ -9,7 +9,7 @@ import pytest
 
 from pinmobile import (
     COMPILED,
-    PINOCCHIO,
+    PYTHON,
     Delayed,
     InvalidArgument,
     MobileRobot,
@@ -77,7 +77,7 @@ def test_every_part_tells_the_same_in_each_engine(
     trajectory, options = where
     runs = [
         simulate(plant, controller, trajectory, forces=forces, engine=engine, **options)
-        for engine in (PINOCCHIO, COMPILED)
+        for engine in (PYTHON, COMPILED)
     ]
     for run in runs:
         assert {name: signal.unit for name, signal in run.signals.items()} == units
@@ -95,7 +95,7 @@ class Silent(PID):
         return {"contacts": ("N", np.zeros(0))}
 
 
-@pytest.mark.parametrize("engine", [PINOCCHIO, COMPILED])
+@pytest.mark.parametrize("engine", [PYTHON, COMPILED])
 def test_a_signal_may_have_no_number(engine: Any) -> None:
     run = simulate(ROBOT, Silent(), BODY[0], engine=engine, **BODY[1])
     assert run.signals["contacts"].values.shape == (len(run.t), 0)
@@ -140,7 +140,7 @@ class Branching(TellingPID):
         return {"integral": ("N", 1.0 if state["sum"][0] > 0 else 0.0)}
 
 
-@pytest.mark.parametrize("engine", [PINOCCHIO, COMPILED])
+@pytest.mark.parametrize("engine", [PYTHON, COMPILED])
 @pytest.mark.parametrize(
     ("controller", "forces", "why"),
     [
@@ -161,7 +161,7 @@ def test_a_name_that_two_parts_claim_is_refused(controller: Any, forces: Any, wh
         simulate(ROBOT, controller, BODY[0], forces=forces, engine=engine, **BODY[1])
 
 
-@pytest.mark.parametrize("engine", [PINOCCHIO, COMPILED])
+@pytest.mark.parametrize("engine", [PYTHON, COMPILED])
 @pytest.mark.parametrize(
     ("answer", "why"),
     [

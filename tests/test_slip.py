@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import COMPILED, PINOCCHIO, ViscousFriction, errors, law
+from pinmobile import COMPILED, PYTHON, ViscousFriction, errors, law
 from pinmobile.arrays import Array
 from pinmobile.compiled import Cache, Parts, Program, Reference, Trace, traced
 from pinmobile.integrators import rk4
@@ -206,7 +206,7 @@ def test_braking_wheels_slide_with_the_load_that_braking_leaves_them(
     # In a run too, from its first sample, in every engine.
     here = FixedHeading(Hold([0.0, 0.0], 0.1), 0.0)
     begun, braking = np.array([5.0, 0, 0, 0, 0]), Torques(-torque, -torque)
-    for engine in (COMPILED, PINOCCHIO):
+    for engine in (COMPILED, PYTHON):
         found = simulate(robot, braking, here, dt=0.01, q0=robot.rest, v0=begun, engine=engine, limit=1e9)
         # Loads are found to 1e-8 of the weight.
         np.testing.assert_allclose(found.a[:, 0], -force / 30, rtol=1e-7)
@@ -685,7 +685,7 @@ def test_a_wheel_lifts_in_a_turn_too_fast_and_the_robot_is_told_to_tip() -> None
     assert fast.signals["tips"].values.max() == 1
 
 
-@pytest.mark.parametrize("engine", [PINOCCHIO, COMPILED])
+@pytest.mark.parametrize("engine", [PYTHON, COMPILED])
 def test_forces_are_those_of_mid_step_and_as_accurate(engine: Any) -> None:
     """A drive that sticks, pushed by its wheels and held by a drag: m v' = F - c v, turned by a quarter.
 

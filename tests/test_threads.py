@@ -36,7 +36,7 @@ from pinmobile.compiled.symbolic import Symbols
 from pinmobile.robot import Calls, Solids
 from pinmobile.robot.articulated import ArticulatedBody
 from pinmobile.robot.planar import PlanarBody
-from pinmobile.simulation import ARRAYS
+from pinmobile.simulation import COMPILED
 from pinmobile.urdf import Body
 
 THREADS = 8
@@ -263,7 +263,7 @@ def test_an_ensemble_of_a_law_that_asks_a_robot_is_the_same_on_its_default_threa
             dt=0.02,
             duration=0.4,
             threads=threads,
-            engine=ARRAYS,
+            engine=COMPILED,
         )
         return plain((runs.max_error, runs.rms_error, runs.max_force))
 

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from pinmobile import (
     COMPILED,
-    PINOCCHIO,
+    PYTHON,
     Coulomb,
     FixedHeading,
     Hold,
@@ -412,7 +412,7 @@ def test_compiled_it_rolls_as_in_python_from_the_start_that_is_given(kind: str, 
     v0 += 1e-11  # within what a start may slip
     controller, still = law(lambda t, q, v, reference: u), FixedHeading(Hold([0, 0], 1.0), 0.0)
     given: dict[str, Any] = {"dt": 0.02, "q0": q0, "v0": v0, "substeps": substeps}
-    runs = [simulate(wheeled, controller, still, engine=engine, **given) for engine in (PINOCCHIO, COMPILED)]
+    runs = [simulate(wheeled, controller, still, engine=engine, **given) for engine in (PYTHON, COMPILED)]
     for name in ("q", "v", "a"):
         one, other = (getattr(run, name) for run in runs)
         np.testing.assert_allclose(other, one, rtol=1e-10, atol=1e-10)
@@ -483,7 +483,7 @@ RUNS = {
 }
 
 
-@pytest.mark.parametrize("engine", [PINOCCHIO, COMPILED])
+@pytest.mark.parametrize("engine", [PYTHON, COMPILED])
 @pytest.mark.parametrize("volts", [False, True])
 @pytest.mark.parametrize("ground", [Rolling(), Coulomb()], ids=["rolls", "slips"])
 def test_a_steering_axis_stays_at_its_stop_and_leaves_it(ground: Any, volts: bool, engine: Any) -> None:

@@ -1,7 +1,7 @@
 """Those who run ensembles of arms: as in `ensemble_contestants`, but that a `fleet` is an `ArmFleet`."""
 
 from arm_fleet import ArmEntrant
-from contestants import MUJOCO, PINMOBILE, PINOCCHIO
+from contestants import MUJOCO, PINMOBILE, PYTHON
 from ensemble_contestants import NO_COMPILER, Compiler
 
 CC = Compiler("cc()", "", NO_COMPILER.format("AVX-512"), vectors="avx512f")
@@ -18,14 +18,14 @@ def everyone(arm: str) -> tuple[ArmEntrant, ...]:
         ArmEntrant(f"{arm}: C of the same tape, AVX-512", CC, "of_c"),
         ArmEntrant(
             f"{arm}: Pinocchio, loop in Python",
-            PINOCCHIO,
+            PYTHON,
             "of_pinocchio",
             "one_by_one",
             easier=NO_STATISTICS,
         ),
         ArmEntrant(
             f"{arm}: Pinocchio, rnea and aba in parallel",
-            PINOCCHIO,
+            PYTHON,
             "of_pinocchio",
             easier=f"one payload and one base for all, {NO_STATISTICS}",
             fleet=("alike",),

@@ -77,7 +77,7 @@ class Contestant:
 
 
 PINMOBILE = Peer("pinmobile", "pinmobile", "pip install -e .")
-PINOCCHIO = Peer("pinocchio", "pin", "pip install pin")
+PYTHON = Peer("pinocchio", "pin", "pip install pin")
 NUMPY = Peer("numpy", "numpy", "pip install numpy")
 MUJOCO = Peer("mujoco", "mujoco", "pip install mujoco")
 DRAKE = Peer("pydrake", "drake", "pip install drake")
@@ -85,7 +85,7 @@ TOOLBOX = Peer("roboticstoolbox", "roboticstoolbox-python", "pip install robotic
 PYBULLET = Peer("pybullet", "pybullet", "pip install pybullet")
 OCTAVE = Peer("octave-cli()", "", "apt-get install octave")
 
-RAW = Contestant("raw Pinocchio loop (rnea, aba)", PINOCCHIO, "raw_pinocchio")
+RAW = Contestant("raw Pinocchio loop (rnea, aba)", PYTHON, "raw_pinocchio")
 SIMULATE = Contestant("pinmobile simulate", PINMOBILE, "of_pinmobile")
 
 EVERYONE = (
@@ -94,8 +94,8 @@ EVERYONE = (
     Contestant(
         "pinmobile simulate, and Tangent(Circle) made", PINMOBILE, "of_pinmobile", "rollout_with_trajectory"
     ),
-    Contestant("Pinocchio, the fastest loop found", PINOCCHIO, "raw_pinocchio", "fastest_rollout"),
-    Contestant("Pinocchio as many write it (crba, nle, solve)", PINOCCHIO, "raw_pinocchio", "common_rollout"),
+    Contestant("Pinocchio, the fastest loop found", PYTHON, "raw_pinocchio", "fastest_rollout"),
+    Contestant("Pinocchio as many write it (crba, nle, solve)", PYTHON, "raw_pinocchio", "common_rollout"),
     Contestant("closed form in numpy", NUMPY, "closed_form"),
     Contestant("MuJoCo, the fastest loop found", MUJOCO, "of_mujoco"),
     Contestant("MuJoCo as most write it (fullM, solve)", MUJOCO, "of_mujoco", "common_rollout"),

@@ -12,7 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
 
-from contestants import MUJOCO, NUMPY, PINMOBILE, PINOCCHIO, Contestant, Peer
+from contestants import MUJOCO, NUMPY, PINMOBILE, PYTHON, Contestant, Peer
 from fleet import LECTURE, Figures, Fleet, Run, difference
 
 
@@ -101,7 +101,7 @@ EVERYONE = (
     MUJOCO_CLOSED,
     Entrant(
         "Pinocchio, rnea and aba in parallel",
-        PINOCCHIO,
+        PYTHON,
         "of_pinocchio",
         easier=f"the same model for all, {NO_COUNTS}",
         fleet=("alike",),

@@ -120,7 +120,7 @@ if TYPE_CHECKING:
     from pinmobile.proximity import Clearance, clearance
     from pinmobile.reaching import EndEffectorTracking, PosePath, Resolved, resolve
     from pinmobile.robot import Load, MobileRobot, mountable
-    from pinmobile.simulation import ARRAYS, COMPILED, PINOCCHIO, EndEffector, Engine, Rollout, simulate
+    from pinmobile.simulation import COMPILED, PYTHON, EndEffector, Engine, Rollout, simulate
     from pinmobile.sweeps import Axis, Sweep, grid, sweep
     from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent, WholeBody
     from pinmobile.urdf import shipped_urdf
@@ -145,14 +145,13 @@ __version__ = "0.2.0"
 
 __all__ = [
     "ADRC",
-    "ARRAYS",
     "COMPILED",
     "LECTURE_TABLE",
     "LQR",
     "MPC",
     "PD",
     "PID",
-    "PINOCCHIO",
+    "PYTHON",
     "SLIDE_TABLE",
     "TRUE_MODEL",
     "Ackermann",
@@ -389,7 +388,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "reaching": ("EndEffectorTracking", "PosePath", "Resolved", "resolve"),
     "robot": ("Load", "MobileRobot", "mountable"),
     "signals": (),
-    "simulation": ("ARRAYS", "COMPILED", "PINOCCHIO", "EndEffector", "Engine", "Rollout", "simulate"),
+    "simulation": ("COMPILED", "PYTHON", "EndEffector", "Engine", "Rollout", "simulate"),
     "sweeps": ("Axis", "Sweep", "grid", "sweep"),
     "trajectories": ("FixedHeading", "LectureHeading", "Reference", "Tangent", "WholeBody"),
     "urdf": ("shipped_urdf",),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +10,6 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, frozen, real
 from pinmobile.errors import InvalidArgument, shown
 
-Ask = Callable[[int, Array, Array, Array], Any]
 _DEEPEST = 100  # wrappers in one another
 
 
@@ -143,30 +142,24 @@ def told_at(t: Array, controller: object, trajectory: object) -> dict[str, Signa
 
 
 class Recorder:
-    """Asks at each sample for what parts tell beside states and inputs.
+    """Keeps what parts tell beside states and inputs, sample by sample.
 
     Parameters
     ----------
-    sources : mapping of str to callable
-        By what the part is called in messages: the signals of sample k with state q, v and input u.
     times : list of float
         Of the samples [s].
     """
 
-    def __init__(self, sources: Mapping[str, Ask], times: list[float]) -> None:
-        self._sources, self._times = sources, times
-        self._first: dict[str, Claim] = {}
+    def __init__(self, times: list[float]) -> None:
+        self._times = times
+        self._first: Mapping[str, Claim] = {}
         self._rows: dict[str, list[Array]] = {}
 
-    def __call__(self, k: int, q: Array, v: Array, u: Array) -> None:
-        """Record a sample."""
-        told = [(part, ask(k, q, v, u)) for part, ask in self._sources.items()]
-        if k and not self._first and all(type(signals) is dict and not signals for _, signals in told):
-            return  # as of wrappers of what tells nothing, which this costs least
-        found = claimed(told)
+    def __call__(self, k: int, found: Mapping[str, Claim]) -> None:
+        """Keep the claims of sample k."""
         if not k:
             self._first, self._rows = found, {name: [] for name in found}
-        elif list(found) != list(self._first):
+        elif found.keys() != self._first.keys():
             self._refuse(found, k)
         for name, claim in found.items():
             first = self._first[name]
@@ -179,7 +172,7 @@ class Recorder:
             self._rows[name].append(claim.value)
 
     def _refuse(self, found: Mapping[str, Claim], k: int) -> None:
-        for part in self._sources:
+        for part in dict.fromkeys(claim.part for claim in (*self._first.values(), *found.values())):
             now, before = (
                 [n for n, claim in each.items() if claim.part == part] for each in (found, self._first)
             )
@@ -195,52 +188,3 @@ class Recorder:
             name: Signal(self._first[name].unit, frozen(np.array(rows[:end])))
             for name, rows in self._rows.items()
         }
-
-
-def recorder(
-    plant: Any,
-    forces: Sequence[Any],
-    act: Callable[[float, Array, Array, Array], Array] | None,
-    memory: Callable[[], Any],
-    tell: Callable[[], Mapping[str, Any]] | None,
-    times: list[float],
-) -> Recorder | None:
-    """Return what asks plant, controller and forces for their signals; None where none has any.
-
-    Parameters
-    ----------
-    plant : plant
-        Asked for ``signals(t, q, v, u, f, memory)``.
-    forces : sequence of forces
-        Asked for ``signals`` of what their law gets: (t, pose, rate), or (t, q, v) on coordinates.
-    act : callable or None
-        The generalised force beside the input.
-    memory : callable
-        What the plant keeps.
-    tell : callable or None
-        The controller's signals at the sample that it was asked about last.
-    times : list of float
-        Of the samples [s].
-    """
-    sources: dict[str, Ask] = {}
-    if hasattr(plant, "signals"):
-
-        def of_plant(k: int, q: Array, v: Array, u: Array) -> Any:
-            f = np.zeros(plant.nv) if act is None else act(times[k], q, v, u)
-            return plant.signals(times[k], q.copy(), v.copy(), u.copy(), f, memory())
-
-        sources["plant"] = of_plant
-    if tell is not None:
-        sources["controller"] = lambda k, q, v, u: tell()
-    for i, force in enumerate(forces):
-        if hasattr(force, "signals"):
-            sources[f"forces[{i}]"] = _of_force(plant, force, times)
-    return Recorder(sources, times) if sources else None
-
-
-def _of_force(plant: Any, force: Any, times: list[float]) -> Ask:
-    if hasattr(force, "on_coordinates"):
-        return lambda k, q, v, u: force.signals(times[k], q.copy(), v.copy())
-    return lambda k, q, v, u: force.signals(
-        times[k], np.array(plant.pose(q.copy())), np.array(plant.rate(q.copy(), v.copy()))
-    )

@@ -26,7 +26,7 @@ from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.integrators import Integrator, rk4
 from pinmobile.paths import Circle
 from pinmobile.robot import MobileRobot
-from pinmobile.simulation import COMPILED, PINOCCHIO, Rollout, simulate
+from pinmobile.simulation import COMPILED, PYTHON, Rollout, simulate
 from pinmobile.trajectories import Reference, Tangent
 
 NOMINAL = MobileRobot(mass=30.0, yaw_inertia=1.3, com=(0.1, 0.05))
@@ -170,7 +170,7 @@ class BenchmarkScenario:
         except InvalidArgument as error:
             if not isinstance(error.__cause__, NotTraceable):
                 raise
-        return simulate(*loop, engine=PINOCCHIO, **given)
+        return simulate(*loop, engine=PYTHON, **given)
 
     def scenario(
         self, controller: Controller, n: int, spread: Mapping[str, Source], *, seed: int = 0

@@ -26,6 +26,7 @@ from pinmobile.compiled.processor import Cache, Target, processors as processors
 from pinmobile.compiled.program import Outcome, Program
 from pinmobile.compiled.program_cache import memory_of, once, program_of
 from pinmobile.compiled.sample import (
+    NOTHING as NOTHING,
     Memory,
     Record,
     Reference,

@@ -19,6 +19,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled.memory import is_leaf
+from pinmobile.compiled.symbolic import Moment, Values
 from pinmobile.constancy import known
 from pinmobile.errors import InvalidArgument, NotTraceable, PinmobileError, UnknownName, shown
 
@@ -62,6 +63,79 @@ class Parts:
     recorder: Any = None
     substeps: int = 1
     trajectory: Any = None
+
+    # What the parts are able to is looked up once, before the first sample.
+
+    @functools.cached_property
+    def law(self) -> Any:
+        """The plant as a loop asks it: where it offers unchecked calls, by these, in the thread that asks."""
+        return self.plant if not hasattr(self.plant, "calls") else _Unchecked(self.plant)
+
+    @functools.cached_property
+    def integrate(self) -> Callable[[Any, Any], Any]:
+        """How a displacement moves a configuration: as the plant says, else by addition."""
+        return getattr(self.law, "integrate", None) or np.add
+
+    @functools.cached_property
+    def steps(self) -> bool:
+        """Whether the plant has a step of its own."""
+        return hasattr(self.plant, "step")
+
+    @functools.cached_property
+    def is_constrained(self) -> bool:
+        """Whether velocities are projected before each substep; a plant's own step does so itself."""
+        return hasattr(self.plant, "project") and not self.steps
+
+    @functools.cached_property
+    def displaced(self) -> Callable[..., tuple[Any, Any]]:
+        """How the integrator moves on, given the acceleration at the start."""
+        if hasattr(self.integrator, "displaced"):
+            return self.integrator.displaced  # type: ignore[no-any-return]
+        return functools.partial(displaced, self.integrator)
+
+    @functools.cached_property
+    def limits(self) -> tuple[Array, Array] | None:
+        """The least and the largest input, shape (nu,); None where nothing has a limit."""
+        inputs = getattr(self.plant, "inputs", ())
+        low, high = (
+            np.array([sign * np.inf if (x := getattr(each, side, None)) is None else x for each in inputs])
+            for side, sign in (("lower", -1.0), ("upper", 1.0))
+        )
+        return (low, high) if np.isfinite([low, high]).any() else None
+
+    @functools.cached_property
+    def acting(self) -> tuple[list[tuple[int, Any]], list[tuple[int, Any]]]:
+        """The forces that push the body, and those on the coordinates, each with its number."""
+        found: tuple[list[tuple[int, Any]], ...] = [], []
+        for k, force in enumerate(self.forces):
+            found[hasattr(force, "on_coordinates")].append((k, force))
+        return found[0], found[1]
+
+    @functools.cached_property
+    def carries(self) -> bool:
+        """Whether a force adds to the inertia of the body."""
+        return any(hasattr(force, "inertia") for force in self.forces)
+
+    @functools.cached_property
+    def is_informed(self) -> bool:
+        """Whether the controller is told which input is applied."""
+        return hasattr(self.controller, "applied")
+
+    @functools.cached_property
+    def records_errors(self) -> bool:
+        """Whether the recorder looks at errors."""
+        return self.recorder is not None and getattr(self.recorder, "errors", True)
+
+    @functools.cached_property
+    def is_measured(self) -> bool:
+        """Whether the recorder looks at the plant's measures."""
+        return bool(getattr(self.recorder, "measures", ()))
+
+    @functools.cached_property
+    def tells(self) -> bool:
+        """Whether the recorder keeps signals, and a part has some."""
+        asked = self.plant, self.controller, *self.forces
+        return getattr(self.recorder, "signals", False) and any(hasattr(each, "signals") for each in asked)
 
     def by_path(self) -> Iterator[tuple[str, Any]]:
         """Return the parts, each with its path."""
@@ -174,6 +248,53 @@ class Parts:
             available = (f"{path}.{name}" for path, name in self.parameters())
             raise UnknownName("parameter", f"{parameter[0]}.{parameter[1]}", available)
         return new
+
+
+def displaced(integrator: Any, acceleration: Any, first: Any, t: Moment, v: Values, h: Moment) -> Any:
+    """Return the displacement and the velocity after a step of any integrator."""
+    still = np.zeros(np.shape(v))
+
+    def asked(time: Moment, moved: Values, rate: Values) -> Any:
+        known = moved is still and rate is v and time is t
+        return first if known else acceleration(time, moved, rate)
+
+    answer = integrator(asked, t, still, v, h)
+    if type(answer) is not tuple or len(answer) != 2 or any(np.shape(x) != np.shape(v) for x in answer):
+        raise InvalidArgument(
+            f"integrator returned {shown(answer)}{when(t)}, expected (q, v) of shapes {np.shape(v)} and "
+            f"{np.shape(v)}, of real numbers"
+        )
+    return answer
+
+
+def when(t: Moment) -> str:
+    """Return a time in words, for messages; nothing of a symbol."""
+    return f" at t = {t:g} s" if isinstance(t, float) else ""
+
+
+class _Unchecked:
+    """A plant by its unchecked calls; for the rest, itself."""
+
+    def __init__(self, plant: Any) -> None:
+        calls = plant.calls()
+        accelerated = calls.forward_dynamics
+        self.plant, self.nq, self.nv, self.nu = plant, plant.nq, plant.nv, plant.nu
+        self.integrate, self.pose, self.rate, self.effort = (
+            calls.integrate,
+            calls.pose,
+            calls.rate,
+            calls.effort,
+        )
+        if plant.adds:
+            self.integrate = np.add
+
+        def forward_dynamics(q: Array, v: Array, u: Array, f: Array | None = None) -> Array:
+            return np.array(accelerated(q, v, u if f is None else u + f))  # the next call writes into it
+
+        self.forward_dynamics = forward_dynamics
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.plant, name)
 
 
 def _parameters(path: str, part: object) -> Sequence[tuple[str, str, Array]]:

@@ -174,8 +174,9 @@ class _Trace:
         raise NotTraceable("the memory has another shape at each sample", "keep arrays of one shape in state")
 
     def _at(self, k: int, q: Array, v: Array, memory: Memory) -> Stepped:
-        """Return a sample on numbers."""
-        return one_sample(self.parts, float(k), 0.0, self.h, (q.copy(), v.copy()), self.reference, memory)
+        """Return a sample on numbers; laws may write into what they are given."""
+        reference, own = Reference(*(x.copy() for x in self.reference)), mapped(memory, np.copy)
+        return one_sample(self.parts, float(k), 0.0, self.h, (q.copy(), v.copy()), reference, own)
 
     def _memory(self, k: int) -> Memory:
         """Return the memory before any sample, but with the noise of sample k."""

@@ -11,13 +11,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from math import isfinite
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from pinmobile.arrays import Array, are_real
-from pinmobile.compiled.memory import mapped
-from pinmobile.compiled.parts import Parts
+from pinmobile.compiled.parts import Parts, when
 from pinmobile.compiled.symbolic import Moment, Values, entries, has_symbols
 from pinmobile.divergence import is_alive
 from pinmobile.errors import InvalidArgument, shown
@@ -57,7 +57,7 @@ class Sample(NamedTuple):
     q, v, u, a : ndarray, shape (nq,), (nv,), (nu,), (nv,)
         State, input after all limits, and acceleration.
     error, error_rate : ndarray, shape (n,)
-        Of the coordinates that the reference has.
+        Of the coordinates that the reference has; None where the recorder has ``errors = False``.
     signals : dict of str to Claim
         What parts tell, by name, where the recorder has ``signals = True``; nothing otherwise.
     measured : ndarray, shape (m,)
@@ -70,8 +70,8 @@ class Sample(NamedTuple):
     v: Any
     u: Any
     a: Any
-    error: Values
-    error_rate: Values
+    error: Any
+    error_rate: Any
     signals: Mapping[str, Claim] = {}
     measured: Any = ()
 
@@ -212,6 +212,7 @@ class Trace:
 
     parameters: ClassVar[tuple[str, ...]] = ()
     signals: ClassVar[bool] = True
+    errors: ClassVar[bool] = False
 
     def initial_state(self, n: int, nu: int) -> None:
         """Return None: nothing is kept from one sample to the next."""
@@ -221,6 +222,10 @@ class Trace:
         kept = {"q": sample.q, "v": sample.v, "u": sample.u, "a": sample.a}
         kept |= {f"signal {name}": claim.value for name, claim in sample.signals.items()}
         return Record(state, (), kept, {name: claim.unit for name, claim in sample.signals.items()})
+
+
+NOTHING = Record(None)
+"""The record of one who keeps nothing."""
 
 
 class Stepped(NamedTuple):
@@ -269,45 +274,49 @@ def one_sample(
     memory : Memory
         What the parts keep.
     """
-    plant, controller = parts.plant, parts.controller
+    plant, controller = parts.law, parts.controller
     q, v = state
-    if _has_constraints(plant):
+    if parts.is_constrained:
         # Here, not after the step: this sample's dynamics need the same mass matrix, which a tape has once.
         v = np.where(k == 0.0, v, plant.project(q, v))  # a start is as it was given
-    # What is the loop's own is not a controller's to write into.
-    own = mapped(memory.controller, _copy)
-    answer = controller(t, q.copy(), v.copy(), Reference(*map(_copy, reference)), own)
+    error, error_rate = tracking_errors(plant, q, v, reference) if parts.records_errors else (None, None)
+    answer = controller(t, q.copy(), v.copy(), reference, memory.controller)
     if type(answer) is not tuple or len(answer) != 2:
-        raise InvalidArgument(f"controller returned {answer!r}, expected (u, state)")
-    u, inner = np.asarray(answer[0]), answer[1]
-    expected = (*np.shape(v)[:-1], plant.nu)
-    if np.shape(u) != expected:
-        raise InvalidArgument(f"controller returned an input of shape {np.shape(u)}, expected {expected}")
-    _check_real("controller", u)
-    u = limited(plant, u)
-    if hasattr(controller, "applied"):
-        inner = controller.applied(u, inner)
-    error, error_rate = tracking_errors(plant, q, v, reference)
-    step = _own_step if hasattr(plant, "step") else _integrated
-    acceleration, q1, v1, kept = step(parts, t, h, q, v, u, memory.plant)
-    for name, found in (("plant", acceleration), ("step of the plant", q1), ("step of the plant", v1)):
-        _check_real(name, found)
-    signals = {}
-    if getattr(parts.recorder, "signals", False):
-        signals = claimed(_told(parts, t, q, v, u, memory.plant, inner), _signal)
+        raise InvalidArgument(f"controller returned {shown(answer)}{when(t)}, expected (u, state)")
+    u, inner = answer
+    if type(u) is not np.ndarray or u.dtype != np.float64 or u.shape != (plant.nu,):
+        u = _numbers("controller", u, t, (plant.nu,))
+    if parts.limits is not None:
+        u = np.clip(u, *parts.limits)
+    if parts.is_informed:
+        inner = controller.applied(u.copy(), inner)
+    advance = stepped if parts.steps else integrated
+    acceleration, q1, v1, kept = advance(parts, t, h, q, v, u, memory.plant)
+    signals = claimed(_told(parts, t, q, v, u, memory.plant, inner), _signal) if parts.tells else {}
     measured: Any = ()
-    if getattr(parts.recorder, "measures", ()):
+    if parts.is_measured:
         measured = measured_of(plant, t, q, v, acceleration, u, reference)
     sample = Sample(k, t, q, v, u, acceleration, error, error_rate, signals, measured)
-    record = Record(None) if parts.recorder is None else parts.recorder(sample, memory.recorder)
+    record = NOTHING if parts.recorder is None else parts.recorder(sample, memory.recorder)
     return Stepped(sample, q1, v1, Memory(kept, inner, record.state), record)
+
+
+def _numbers(name: str, found: Any, t: Moment, shape: tuple[int, ...]) -> Any:
+    """Return what a part returned as an array, of this shape and of real numbers."""
+    array = np.asarray(found)
+    if np.shape(array) != shape or not are_real(array):
+        of = "" if are_real(array) else " of real numbers"
+        raise InvalidArgument(
+            f"{name} returned {shown(found)}{when(t)}, expected an array of shape {shape}{of}"
+        )
+    return array
 
 
 def _told(
     parts: Parts, t: Moment, q: Values, v: Values, u: Values, memory: object, inner: object
 ) -> Iterator[tuple[str, Any]]:
     """Yield the signals of the parts at a sample, each with what the part is called."""
-    plant = parts.plant
+    plant = parts.law
     if hasattr(plant, "signals"):
         f = _acting(parts, t, q, v, u) + np.zeros(plant.nv)
         yield "plant", plant.signals(t, q.copy(), v.copy(), u.copy(), f, memory)
@@ -323,15 +332,6 @@ def _signal(name: str, value: Any) -> Array:
     return entries(value) if has_symbols(value) else number(name, value)
 
 
-def _check_real(name: str, found: object) -> None:
-    if not are_real(found):
-        raise InvalidArgument(f"{name} returned {shown(found)}, expected real numbers")
-
-
-def _copy(x: object) -> Any:
-    return x.copy() if hasattr(x, "copy") else x
-
-
 def tracking_errors(plant: Any, q: Values, v: Values, reference: Reference) -> tuple[Any, Any]:
     """Return the error of the reference's coordinates, and its rate, shape (n,) each."""
     n, length = reference.v.shape[-1], reference.q.shape[-1]
@@ -342,37 +342,33 @@ def tracking_errors(plant: Any, q: Values, v: Values, reference: Reference) -> t
     return plant.difference(q, whole)[..., :n], reference.v - v[..., :n]
 
 
-def limited(plant: object, u: Values) -> Any:
-    """Return the input within the plant's limits."""
-    inputs = getattr(plant, "inputs", ())
-    lower, upper = (
-        np.array([getattr(each, side, None) for each in inputs], float) for side in ("lower", "upper")
-    )
-    low, high = np.where(np.isnan(lower), -np.inf, lower), np.where(np.isnan(upper), np.inf, upper)
-    if not (np.isfinite(low).any() or np.isfinite(high).any()):
-        return u
-    return np.clip(u, low, high)
-
-
 def _pushed(parts: Parts, t: Moment, q: Values, v: Values) -> Any:
     """Return the forces on the coordinates beside the input, shape (nv,), or 0."""
-    plant, total = parts.plant, 0.0
-    wrenches = [force for force in parts.forces if not hasattr(force, "on_coordinates")]
+    plant, total = parts.law, 0.0
+    wrenches, others = parts.acting
     if wrenches:
         pose, rate = plant.pose(q), plant.rate(q, v)
-        wrench = sum((_answer(parts, force, force(t, pose, rate), np.shape(pose)) for force in wrenches), 0.0)
+        wrench: Any = 0.0
+        for k, force in wrenches:
+            wrench = wrench + _numbers(f"forces[{k}]", force(t, pose.copy(), rate.copy()), t, np.shape(pose))
+        if type(wrench) is np.ndarray and not isfinite(wrench.sum()):
+            return np.full(plant.nv, np.nan)  # for the run to tell, with all that was before
         total = plant.effort(q, wrench)
         if total is None:
             raise InvalidArgument(
                 f"plant is a {type(plant).__name__}, whose body cannot be pushed, and forces push it"
             )
-    others = [force for force in parts.forces if hasattr(force, "on_coordinates")]
-    return sum((_answer(parts, force, force.on_coordinates(t, q, v), np.shape(v)) for force in others), total)
+    for k, force in others:
+        found = force.on_coordinates(t, q.copy(), v.copy())
+        total = total + _numbers(f"forces[{k}].on_coordinates", found, t, np.shape(v))
+    return total
 
 
 def _acting(parts: Parts, t: Moment, q: Values, v: Values, u: Values) -> Any:
     """Return all forces on the coordinates beside the input, shape (nv,), or 0."""
-    plant, pushed = parts.plant, _pushed(parts, t, q, v)
+    plant, pushed = parts.law, _pushed(parts, t, q, v)
+    if not parts.carries:
+        return pushed
     return pushed + reaction(plant, parts.forces, t, q, lambda f: plant.forward_dynamics(q, v, u, pushed + f))
 
 
@@ -413,59 +409,55 @@ def reaction(
     return sum(w[..., k : k + 1] * axis for k, axis in enumerate(axes))
 
 
-def _answer(parts: Parts, force: object, found: object, shape: tuple[int, ...]) -> Any:
-    """Check that a force returned an array of its shape, and return that."""
-    if not hasattr(found, "shape") or np.shape(found) != shape:
-        k = next(i for i, each in enumerate(parts.forces) if each is force)
-        raise InvalidArgument(f"forces[{k}] returned {shown(found)}, expected an array of shape {shape}")
-    if not are_real(found):
-        k = next(i for i, each in enumerate(parts.forces) if each is force)
-        _check_real(f"forces[{k}]", found)
-    return found
-
-
 def integrate_of(plant: object) -> Any:
     """Return how a displacement moves a plant's configuration: as it says, else by addition."""
     return getattr(plant, "integrate", None) or np.add
 
 
-def _has_constraints(plant: object) -> bool:
-    """Tell whether velocities are projected after each substep; one with a step of its own does so there."""
-    return hasattr(plant, "project") and not hasattr(plant, "step")
-
-
-def _integrated(parts: Parts, t: Moment, h: Moment, q: Values, v: Values, u: Values, memory: object) -> Any:
+def integrated(parts: Parts, t: Moment, h: Moment, q: Values, v: Values, u: Values, memory: object) -> Any:
     """Return the acceleration, and the state after the substeps, by the integrator on displacements."""
-    plant = parts.plant
-    integrate = integrate_of(plant)
+    plant, integrate, first = parts.law, parts.integrate, None
+    for j in range(parts.substeps):
+        time = t + j * h if j else t
+        if j and parts.is_constrained:
+            v = plant.project(q, v)
+        a, begin = _accelerated(parts, time, q, v, u), q
+        first = a if first is None else first
 
-    def advanced(t: Moment, q: Values, v: Values) -> tuple[Any, Any]:
         def acceleration(time: Moment, moved: Values, rate: Values) -> Any:
-            there = integrate(q, moved)
-            return plant.forward_dynamics(there, rate, u, _acting(parts, time, there, rate, u))
+            return _accelerated(parts, time, integrate(begin, moved), rate, u)  # noqa: B023
 
-        answer = parts.integrator(acceleration, t, np.zeros(plant.nv), v, h)
-        if type(answer) is not tuple or len(answer) != 2:
-            raise InvalidArgument(
-                f"integrator returned {shown(answer)} at t = {t:g} s, expected (q, v) of shapes "
-                f"({plant.nv},) and ({plant.nv},)"
-            )
-        moved, v = answer
-        return integrate(q, moved), v
-
-    first = plant.forward_dynamics(q, v, u, _acting(parts, t, q, v, u))
-    q, v = advanced(t, q, v)
-    for j in range(1, parts.substeps):
-        q, v = advanced(t + j * h, q, plant.project(q, v) if _has_constraints(plant) else v)
+        moved, v = parts.displaced(acceleration, a, time, v, h)
+        q = integrate(begin, moved)
     return first, q, v, memory
 
 
-def _own_step(parts: Parts, t: Moment, h: Moment, q: Values, v: Values, u: Values, memory: object) -> Any:
+def _accelerated(parts: Parts, t: Moment, q: Values, v: Values, u: Values) -> Any:
+    """Return the acceleration of the plant, shape (nv,)."""
+    plant = parts.law
+    if parts.forces:
+        found = plant.forward_dynamics(q, v, u, _acting(parts, t, q, v, u))
+    else:
+        found = plant.forward_dynamics(q, v, u)
+    if type(found) is np.ndarray and found.shape == v.shape and found.dtype == np.float64:
+        return found
+    return _numbers("plant.forward_dynamics", found, t, np.shape(v))
+
+
+def stepped(parts: Parts, t: Moment, h: Moment, q: Values, v: Values, u: Values, memory: object) -> Any:
     """Return the mean acceleration of the first substep, and the state after all, by the plant's own step."""
     acceleration = None
     for j in range(parts.substeps):
         time = t + j * h if j else t
-        found = parts.plant.step(time, q, v, u, h, partial(_pushed, parts), memory)
-        acceleration = (found.v - v) / h if acceleration is None else acceleration
-        q, v, memory = found.q, found.v, found.memory
+        found = parts.law.step(time, q, v, u, h, partial(_pushed, parts), memory)
+        if not all(hasattr(found, name) for name in ("q", "v", "memory")):
+            raise InvalidArgument(
+                f"plant.step returned {shown(found)}{when(t)}, expected a Step(q, v, memory)"
+            )
+        q1, v1 = (
+            _numbers(f"{name} of plant.step", getattr(found, name), t, np.shape(x))
+            for name, x in (("q", q), ("v", v))
+        )
+        acceleration = (v1 - v) / h if acceleration is None else acceleration
+        q, v, memory = q1, v1, found.memory
     return acceleration, q, v, memory

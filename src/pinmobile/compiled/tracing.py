@@ -192,7 +192,7 @@ def tracing(parts: Iterable[Any] | Walk) -> Iterator[None]:
                 f"on symbols it raises {type(error).__name__} ({error})",
                 "where an index comes from a symbol, use np.where or np.select"
                 if index
-                else "write it for one state, by NumPy's operators and functions, or run it by PINOCCHIO",
+                else "write it for one state, by NumPy's operators and functions, or run it by PYTHON",
                 place_of(error.__traceback__),
             ) from error
         finally:

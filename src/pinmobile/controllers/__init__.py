@@ -27,7 +27,6 @@ from pinmobile.controllers.driving import Driven, RandomSteps, VelocityCommand, 
 from pinmobile.controllers.feedback import (
     GAINS as GAINS,
     PD,
-    Compact as Compact,
     Gravity,
     PDGravity,
     gain_matrix,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -11,12 +11,10 @@ from pinmobile.arrays import Array, ArrayLike
 from pinmobile.controllers.controller import InverseDynamics, State
 from pinmobile.controllers.feedback import (
     GAINS,
-    Compact,
     amplified,
     check_arms,
     check_gains,
     check_robot,
-    compacted,
     feedback,
     gain_matrix,
     gain_parameters,
@@ -24,7 +22,7 @@ from pinmobile.controllers.feedback import (
 )
 from pinmobile.controllers.held import check_held, double_integrators
 from pinmobile.controllers.tracking_errors import check_model
-from pinmobile.plant import Context, Difference, Parameter, Plant, leading_of
+from pinmobile.plant import Context, Difference, Parameter, leading_of
 
 _BASE = 3  # coordinates of the base: x, y, psi
 
@@ -58,7 +56,6 @@ class ComputedTorque:
     kp: ArrayLike = 4
     kd: ArrayLike = 4
     difference: Difference | None = None
-    kinds: tuple[int, int] = field(init=False, repr=False)
 
     parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 
@@ -70,10 +67,6 @@ class ComputedTorque:
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
-
-    def compact(self, plant: Plant) -> Compact | None:
-        """Return its compact form, where there is one: for loops."""
-        return compacted(self, plant, "inverse_dynamics")
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
@@ -109,7 +102,6 @@ class PID:
     ki: ArrayLike = 64.0
     kd: ArrayLike = 12.0
     difference: Difference | None = None
-    kinds: tuple[int, ...] = field(init=False, repr=False)
 
     parameters: ClassVar[tuple[Parameter, ...]] = (*GAINS, *gain_parameters("ki", "1/s^3"))
 
@@ -147,7 +139,7 @@ class PID:
         integral, _, _, dt = state
         difference = own_difference(self, self.robot)
         command = reference.a + feedback(self, difference, q, v, reference)
-        command = command + amplified("ki", self.ki, self.kinds[2], integral)
+        command = command + amplified("ki", self.ki, integral)
         tau = self.robot.inverse_dynamics(q, v, command)
         gain = dt * difference(q, reference.q)
         return tau, (integral + gain, gain, tau, dt)
@@ -185,7 +177,6 @@ class Decoupled:
     kp: ArrayLike = 4
     kd: ArrayLike = 4
     difference: Difference | None = None
-    kinds: tuple[int, int] = field(init=False, repr=False)
 
     parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar, NamedTuple, Protocol, final
+from typing import Any, ClassVar, Protocol, final
 
 import numpy as np
 
@@ -51,27 +50,6 @@ GAINS = (*gain_parameters("kp"), *gain_parameters("kd"))
 """The parameters of a controller with `kp` and `kd`."""
 
 
-class Compact(NamedTuple):
-    """A law of feedback as a loop may compute it without a call: one matrix product, and one call of a robot.
-
-    Attributes
-    ----------
-    gains : ndarray, shape (n, 2 n)
-        Of (e, e_dot).
-    turning : tuple of int
-        Coordinates whose error is on the circle: the third, or none.
-    inverse_dynamics : callable, optional
-        Of the command, a_d added, where the law has one: ``inverse_dynamics(q, v, command)``.
-    gravity : callable, optional
-        What is added where the law has one: ``gravity(q)``.
-    """
-
-    gains: Array
-    turning: tuple[int, ...]
-    inverse_dynamics: Callable[[Array, Array, Array], Array] | None = None
-    gravity: Callable[[Array], Array] | None = None
-
-
 class Feedback(Protocol):
     """A controller of the errors of configuration and velocity."""
 
@@ -87,10 +65,6 @@ class Feedback(Protocol):
     def difference(self) -> Difference | None:
         """How configurations are compared, where it was told."""
 
-    @property
-    def kinds(self) -> tuple[int, ...]:
-        """Of each gain 0 where it is a number, 1 of each coordinate, 2 a matrix."""
-
 
 class ModelFeedback(Feedback, Protocol):
     """One with a model of the robot."""
@@ -98,34 +72,6 @@ class ModelFeedback(Feedback, Protocol):
     @property
     def robot(self) -> Any:
         """The model that the controller believes in."""
-
-
-def compacted(controller: Feedback, plant: Plant, call: str) -> Compact | None:
-    """Return the compact form of a controller with `kp` and `kd`; None where configurations do not subtract.
-
-    Parameters
-    ----------
-    controller : controller
-        Whose law it is.
-    plant : plant
-        For whose configurations.
-    call : str
-        Which of its robot's unchecked calls it makes; "" for none.
-    """
-    difference, n = own_difference(controller, plant), plant.nv
-    owner = getattr(difference, "__self__", None)
-    bound = getattr(owner, "difference", None) == difference
-    turning = getattr(owner if bound else difference, "turning", None)
-    robot = getattr(controller, "robot", None)
-    sizes = [each.nv for each in (robot, owner if bound else None) if each is not None]
-    if turning not in ((), (2,)) or any(size != n for size in sizes):
-        return None
-    gains = np.hstack([gain_matrix(name, getattr(controller, name), n) for name in ("kp", "kd")])
-    if not call:
-        return Compact(gains, turning)
-    if robot is None or not (hasattr(robot, "calls") and getattr(robot, "adds", False)):
-        return None
-    return Compact(gains, turning, **{call: getattr(robot.calls(), call)})
 
 
 @final
@@ -151,7 +97,6 @@ class PD:
     kp: ArrayLike
     kd: ArrayLike
     difference: Difference | None = None
-    kinds: tuple[int, int] = field(init=False, repr=False)
 
     parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 
@@ -161,10 +106,6 @@ class PD:
     def initial_state(self, context: Context) -> Difference:
         """Return the difference of configurations, by default the plant's."""
         return own_difference(self, context)
-
-    def compact(self, plant: Plant) -> Compact | None:
-        """Return its compact form, where there is one: for loops."""
-        return compacted(self, plant, "")
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: Difference
@@ -252,8 +193,6 @@ def check_gains(controller: Feedback, n: int | None, *more: str) -> None:
         if n is not None:
             gain_matrix(name, gain, n)
         object.__setattr__(controller, name, frozen(gain))
-    # What a gain is for one robot: 0 a number, 1 one for each coordinate, 2 a matrix; many have leading axes.
-    object.__setattr__(controller, "kinds", tuple(np.ndim(getattr(controller, name)) for name in names))
     if controller.difference is not None:
         check_difference(controller.difference)
 
@@ -266,13 +205,22 @@ def feedback(controller: Feedback, difference: Difference, q: Array, v: Array, r
     InvalidArgument
         If state, reference and gains do not fit together.
     """
-    robot = getattr(controller, "robot", None)
-    n = np.shape(reference.v)[-1]
-    if n < np.shape(v)[-1] and robot is not None and n == max(leading_of(robot)):  # wheels have no reference
-        lead, length = np.shape(q)[:-1], np.shape(reference.q)[-1]
-        whole = np.concatenate([np.broadcast_to(reference.q, (*lead, length)), q[..., length:]], axis=-1)
-        error, rate = difference(q, whole)[..., :n], reference.v - v[..., :n]
-        return _sum(controller, error, rate)
+    robot, wanted = getattr(controller, "robot", None), reference.q
+    n = reference.v.shape[-1]
+    if q.shape != wanted.shape or v.shape != reference.v.shape or (robot is not None and robot.nv != n):
+        if robot is not None and n == max(leading_of(robot)) < v.shape[-1]:  # wheels have no reference
+            lead, length = q.shape[:-1], wanted.shape[-1]
+            wanted = np.concatenate([np.broadcast_to(wanted, (*lead, length)), q[..., length:]], axis=-1)
+        else:
+            _check_fit(robot, q, v, reference)
+    error, rate = difference(q, wanted)[..., :n], reference.v - v[..., :n]
+    if error.shape != rate.shape:
+        raise InvalidArgument(f"difference gives shape {error.shape}, expected {rate.shape}")
+    return amplified("kp", controller.kp, error) + amplified("kd", controller.kd, rate)
+
+
+def _check_fit(robot: Any, q: Array, v: Array, reference: State) -> None:
+    """Refuse a state, a reference and a model of different numbers of coordinates."""
     for name, actual, desired in (("q", q, reference.q), ("v", v, reference.v)):
         if actual.shape[-1:] != desired.shape[-1:]:
             raise InvalidArgument(f"{name} has shape {actual.shape}, the reference's has {desired.shape}")
@@ -281,30 +229,20 @@ def feedback(controller: Feedback, difference: Difference, q: Array, v: Array, r
             f"robot of the controller is {shown(robot)}, which has {robot.nv} coordinates, expected "
             f"{v.shape[-1]}, as the plant has"
         )
-    error, rate = difference(q, reference.q), np.subtract(reference.v, v)
-    if error.shape[-1:] != rate.shape[-1:]:
-        raise InvalidArgument(
-            f"difference gives shape {error.shape}, expected {rate.shape}: compare configurations of a robot "
-            "with joints without limits by difference=robot.difference"
-        )
-    return _sum(controller, error, rate)
 
 
-def _sum(controller: Feedback, error: Array, rate: Array) -> Array:
-    kinds = controller.kinds
-    return amplified("kp", controller.kp, kinds[0], error) + amplified("kd", controller.kd, kinds[1], rate)
-
-
-def amplified(name: str, given: ArrayLike, kind: int, error: Array) -> Array:
-    """Return a gain times an error, shape (..., n); before the axes of its kind, the gain may have others."""
-    n, gain = error.shape[-1], np.asarray(given)
-    if gain.shape[gain.ndim - kind :] not in ((), (n,), (n, n)):
+def amplified(name: str, gain: Any, error: Array) -> Array:
+    """Return a gain times an error, shape (..., n)."""
+    if not gain.ndim:
+        return gain * error  # type: ignore[no-any-return]
+    n = error.shape[-1]
+    if gain.shape not in ((n,), (n, n)):
         gain_matrix(name, gain, n)
-    if kind == 2:
-        # Not as a matrix product, whose rounding depends on how many states there are.
-        columns = [gain[..., k] * error[..., k, None] for k in range(n)]
-        return np.asarray(sum(columns[1:], columns[0]))
-    return np.asarray((gain[..., None] if not kind and gain.ndim else gain) * error)
+    if gain.ndim == 1:
+        return gain * error  # type: ignore[no-any-return]
+    # Not as a matrix product, whose rounding hangs on the processor.
+    columns = [gain[:, k] * error[..., k, None] for k in range(n)]
+    return np.asarray(sum(columns[1:], columns[0]))
 
 
 _BASE = 3  # coordinates of the base: x, y, psi
@@ -350,7 +288,6 @@ class PDGravity:
     kp: ArrayLike
     kd: ArrayLike
     difference: Difference | None = None
-    kinds: tuple[int, int] = field(init=False, repr=False)
 
     parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 
@@ -359,10 +296,6 @@ class PDGravity:
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
-
-    def compact(self, plant: Plant) -> Compact | None:
-        """Return its compact form, where there is one: for loops."""
-        return compacted(self, plant, "gravity")
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""

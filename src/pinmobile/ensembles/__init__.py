@@ -26,7 +26,7 @@ from pinmobile.ensembles.records import (
     share_within as share_within,
 )
 from pinmobile.ensembles.result import Bands, Ensemble, Within
-from pinmobile.ensembles.running import Workers as Workers, ensemble, part_of, run_scenario
+from pinmobile.ensembles.running import ensemble, part_of, run_scenario
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.ensembles.variables import (
     LEVELS as LEVELS,
@@ -40,13 +40,12 @@ from pinmobile.ensembles.variables import (
     per_robot as per_robot,
     summed as summed,
 )
-from pinmobile.simulation import ARRAYS, COMPILED, PINOCCHIO, Engine
+from pinmobile.simulation import COMPILED, PYTHON, Engine
 
 __all__ = [
-    "ARRAYS",
     "COMPILED",
     "PARAMETERS",
-    "PINOCCHIO",
+    "PYTHON",
     "TRUE_MODEL",
     "Bands",
     "Distribution",

@@ -1,43 +1,36 @@
-"""How the robots of a scenario are run: compiled, on arrays, or one after another."""
+"""How the robots of a scenario are run: compiled, or one after another in Python."""
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, TypeAlias
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled import (
     BINS,
-    Memory,
-    Noise,
     Parts,
     Place,
     Program,
     Reference,
-    Stepped,
     Summary,
     arrays_of,
-    check_schedules,
     children,
     derived,
     initial_memory,
     once,
-    one_sample,
     program_of,
     robot_keys,
-    tracking_errors,
 )
-from pinmobile.divergence import is_near
-from pinmobile.ensembles.records import Part, bins_of, one_by_one
+from pinmobile.ensembles.records import Part, Records, bins_of, member_of
 from pinmobile.ensembles.scenario import Scenario
-from pinmobile.errors import InvalidArgument, NotTraceable
+from pinmobile.errors import InvalidArgument, NotFinite, NotTraceable
 from pinmobile.measures import measures_of
 from pinmobile.plant import Context
-from pinmobile.simulation import ARRAYS, COMPILED, PINOCCHIO, Engine, check_same, checked_engine
+from pinmobile.simulation import COMPILED, PYTHON, Engine, checked_engine, in_python, sampled
 
 _AT_ONCE = 4096  # robots on arrays
 _ONE_BY_ONE = 16  # robots between two reports of progress
@@ -60,7 +53,7 @@ class Way:
     engine : Engine
         By which engine.
     why : str
-        Why not by a faster one; "" where there is none, or it was asked for.
+        Why not compiled; "" where it is, or the engine was asked for.
     program : Program or None
         Its compiled loop.
     """
@@ -70,59 +63,20 @@ class Way:
     why: str = ""
     program: Program | None = None
 
-    def workers(self, threads: int) -> int:
-        """Return how many threads of Python are worth it: compiled code has its own, Pinocchio locks."""
-        return threads if self.engine is ARRAYS and not self.locks else 1
-
-    @property
-    def alone(self) -> bool:
-        """Whether robots run one after another, so that the first tells what each costs."""
-        return self.engine is PINOCCHIO
-
-    @property
-    def cost(self) -> float:
-        """Seconds that a robot takes at least, of many at once whose model is Pinocchio's."""
-        return len(self.scenario.t) * self.scenario.substeps * _STEP
-
-    def shared(self, start: int, stop: int, workers: int, cost: float) -> list[tuple[int, int]]:
-        """Divide the robots among processes; `cost` is what one takes alone [s]."""
-        share = -(-(stop - start) // workers)
-        if not self.alone:
-            return self._each(start, stop, share)
-        return self._each(start, stop, max(1, min(round(_ANSWER / cost), -(-share // 4))))
-
-    def _each(self, start: int, stop: int, each: int) -> list[tuple[int, int]]:
-        if self.engine is ARRAYS:
-            most = _AT_ONCE
-            if self.scenario.has_own_references:
-                most = min(most, int(_SAMPLED / len(self.scenario.t)))
-            each = max(_ROWS, min(each, most))
-        return [(first, min(first + each, stop)) for first in range(start, stop, each)]
-
-    @cached_property
-    def locks(self) -> bool:
-        """Whether its robots' laws hold the interpreter's lock, so that other processes would help."""
-        return self.engine is PINOCCHIO or (self.engine is ARRAYS and _asks_pinocchio(self.scenario.parts))
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {"scenario": self.scenario, "engine": self.engine, "why": self.why, "program": None}
-
-    def divided(self, start: int, stop: int, threads: int) -> list[tuple[int, int]]:
-        """Divide the robots so that every worker has something to do, and none too much at a time."""
+    def divided(self, start: int, stop: int) -> list[tuple[int, int]]:
+        """Divide the robots so that progress is told and memory stays small."""
+        each = _ONE_BY_ONE
         if self.engine is COMPILED:
             work = _SAMPLED if self.scenario.has_own_references else _WORK
-            return self._each(start, stop, 256 * max(1, min(256, round(work / len(self.scenario.t) / 256))))
-        share = -(-(stop - start) // self.workers(threads))
-        return self._each(start, stop, share if self.engine is ARRAYS else _ONE_BY_ONE)
+            each = 256 * max(1, min(256, round(work / len(self.scenario.t) / 256)))
+        return [(first, min(first + each, stop)) for first in range(start, stop, each)]
 
     def run(self, draws: Mapping[str, Array], start: int, stop: int, threads: int) -> Part:
         """Return the records of the robots from `start` to before `stop`, given what is drawn for these."""
         if self.engine is COMPILED:
             part = _compiled(self, draws, start, stop, threads)
-        elif self.engine is ARRAYS:
-            part = _on_arrays(self.scenario, draws, start, stop)
         else:
-            part = one_by_one(self.scenario, start, stop)
+            part = _in_python(self.scenario, draws, start, stop)
         _check_measured(self.scenario, part, start)
         return part
 
@@ -144,47 +98,23 @@ def _check_measured(scenario: Scenario, part: Part, start: int) -> None:
             )
 
 
-def _asks_pinocchio(parts: Parts) -> bool:
-    """Tell whether a part has a model whose law is no NumPy."""
-
-    def asks(part: object) -> bool:
-        try:
-            if hasattr(part, "traced"):
-                part.traced()
-                return False
-        except NotTraceable:
-            return True
-        return any(asks(child) for _, child in children(part))
-
-    return any(asks(part) for path, part in parts.by_path() if path != "trajectory")
-
-
 def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
-    """Return how a scenario is run: as asked for, by default the fastest way that its parts allow.
+    """Return how a scenario is run: as asked for, by default compiled where its parts allow.
 
     Raises
     ------
     InvalidArgument
         If the engine that is asked for cannot run it, or a parameter is spread that no law uses.
     """
-    asked = checked_engine(engine, COMPILED, ARRAYS, PINOCCHIO)
-    why: list[str] = []
-    for each, way in ((COMPILED, _as_compiled), (ARRAYS, _as_arrays)):
-        if asked is each or (asked is None and not (each is ARRAYS and _are_few(scenario))):
-            try:
-                found = way(scenario)
-                return Way(scenario, each, "; ".join(why), found)
-            except NotTraceable as error:
-                refusal = error.reason
-            if asked is not None:
-                raise InvalidArgument(f"engine is {each!r}, which cannot run this: {refusal}")
-            why.append(f"not {each!r}: {refusal}")
-    return Way(scenario, PINOCCHIO, "; ".join(why))
-
-
-def _are_few(scenario: Scenario) -> bool:
-    """Tell whether robots one after another are faster than arrays of so few."""
-    return scenario.n < getattr(scenario.parts.on_arrays().plant, "worth_arrays", 2)
+    asked = checked_engine(engine, COMPILED, PYTHON)
+    if asked is PYTHON:
+        return Way(scenario, PYTHON)
+    try:
+        return Way(scenario, COMPILED, "", _as_compiled(scenario))
+    except NotTraceable as error:
+        if asked is not None:
+            raise InvalidArgument(f"engine is COMPILED, which cannot run this: {error.reason}") from error
+        return Way(scenario, PYTHON, f"not COMPILED: {error.reason}")
 
 
 def _with_recorder(scenario: Scenario) -> Parts:
@@ -349,137 +279,50 @@ def _compiled(way: Way, draws: Mapping[str, Array], start: int, stop: int, threa
     return Part.of(scenario, outcome.memory.recorder, outcome.counts)
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """A loop of several robots on arrays."""
-
-    parts: Parts
-    memory: Memory
-    q: Array
-    v: Array
-    references: Reference | None = None  # where each has its own
-
-    def at(self, k: int, all_have: Reference) -> Reference:
-        """Return the reference of sample k."""
-        return Reference(*(part[k] for part in self.references or all_have))
-
-
-def _rows(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> _Rows:
-    given = _with_recorder(scenario)
-    parts = given.on_arrays().with_parameters(_values(scenario, draws, start, stop))
-    own = scenario.references(draws, stop - start, start)
-
-    def normal(name: str, n: int) -> Noise:
-        return Noise(robot_keys(scenario.seed, name, range(start, stop)), n)
-
-    memory = initial_memory(parts, _context(scenario), scenario.size, normal=normal)
-    begin = scenario.starts(draws, stop - start, own)
-    return _Rows(parts, memory, *begin, None if own is None else Reference(*own))
-
-
-def _as_arrays(scenario: Scenario) -> None:
-    """Refuse parts that are written for one robot, or that mix the rows of several.
-
-    Raises
-    ------
-    NotTraceable
-        If a part returns another shape, fails, or gives a robot beside others another number than alone.
-    """
-    _check_judged(scenario)
-    check_schedules(scenario.parts.on_arrays(), _context(scenario), scenario.size, scenario.places)
-    several = min(_ROWS, scenario.n)
-    count = max(2, several)  # one alone is asked beside itself
-    draws = {name: np.resize(column, count) for name, column in scenario.draws(0, several).items()}
-    h = scenario.dt / scenario.substeps
-    steps = np.arange(1.0, 1 + count * scenario.robot.nv).reshape(count, -1) * 1e-2  # no two rows alike
-
-    def sampled(first: int, last: int, sample: int) -> tuple[Array, ...]:
-        mine = {name: column[first:last] for name, column in draws.items()}
-        rows = _rows(scenario, mine, first, last)
-        q = np.stack(
-            [
-                rows.parts.plant.integrate(*each)
-                for each in zip(rows.q, np.sin(7 * steps[first:last]) * 0.1, strict=True)
-            ]
-        )
-        v = rows.v + np.sin(11 * steps[first:last]) * 0.1
-        at, time = rows.at(sample, Reference(*scenario.reference)), float(scenario.t[sample])
-        with np.errstate(all="ignore"):
-            found = one_sample(rows.parts, float(sample), time, h, (q, v), at, rows.memory)
-        shapes = {
-            "u": (found.sample.u, (last - first, rows.parts.plant.nu)),
-            "q": (found.q, (last - first, rows.parts.plant.nq)),
-            "v": (found.v, (last - first, rows.parts.plant.nv)),
-        }
-        if scenario.judged:
-            measures = (last - first, len(rows.parts.plant.measures))
-            shapes["measured"] = found.sample.measured, measures
-        for name, (array, shape) in shapes.items():
-            if np.shape(array) != shape:
-                raise NotTraceable(
-                    f"{name} of {last - first} robots at once has shape {np.shape(array)}, expected {shape}",
-                    "write laws for one row per robot: [..., i] and axis=-1",
-                )
-        return tuple(np.asarray(array, np.float64) for array, _ in shapes.values())
-
-    _check_derived(scenario)
-    last = len(scenario.t) - 1
-    for sample in sorted({0, last // 2, last}):  # a law may be another one later
-        time = scenario.t[sample]
+def _in_python(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> Part:
+    records = Records(start, stop)
+    for i in range(start, stop):
         try:
-            together = sampled(0, count, sample)
-            alone = [sampled(i, i + 1, sample) for i in range(count)]
-        except NotTraceable:
+            own = {name: column[i - start : i - start + 1] for name, column in draws.items()}
+            records.put(i, i + 1, _alone(scenario, own, i))
+        except InvalidArgument as error:
+            if type(error) is InvalidArgument and not str(error).startswith("robot "):
+                raise InvalidArgument(f"robot {i}: {error}") from error
+            error.add_note(f"robot {i} of the ensemble")
             raise
         except Exception as error:
-            raise NotTraceable(
-                f"with {count} robots at once a law raises {type(error).__name__} ({error})",
-                "write laws for one row per robot: [..., i] and axis=-1",
-            ) from error
-        for k, name in enumerate(("u", "q", "v", "measured")[: len(together)]):
-            single = np.concatenate([each[k] for each in alone])
-            size = np.abs(np.nan_to_num(single)).max(initial=0.0)
-            if not np.allclose(together[k], single, rtol=_CLOSE, atol=_CLOSE * size, equal_nan=True):
-                raise NotTraceable(
-                    f"{name} of {count} robots at once is not what each has alone at {time:g} s",
-                    "write laws for one row per robot: [..., i] and axis=-1",
-                )
+            error.add_note(f"robot {i} of the ensemble")
+            raise
+    return records.part()
 
 
-def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> Part:
-    rows = _rows(scenario, draws, start, stop)
-    q, v, memory, h = rows.q, rows.v, rows.memory, scenario.dt / scenario.substeps
+def _alone(scenario: Scenario, draws: Mapping[str, Array], i: int) -> Part:
+    """Return the records of robot i, whose loop runs in Python."""
+    member = member_of(scenario, i, draws)
+    reference = sampled(member.trajectory, scenario.t, member.robot)
+    context = Context.of(
+        member.robot, dt=scenario.dt, t=scenario.t, reference=reference, trajectory=member.trajectory
+    )
+    context = replace(context, seed=scenario.seed, member=i)
+    parts = replace(
+        _with_recorder(scenario),
+        plant=member.robot,
+        controller=member.controller,
+        forces=member.options["forces"],
+    )
+    record = parts.recorder.initial_state(scenario.size, parts.plant.nu)
     counts = np.zeros((len(scenario.grid), len(scenario.channels), BINS), np.int32)
-    begin, looked_at = scenario.start, None
-    with np.errstate(all="ignore"):  # what overflows is judged
-        for k, time in enumerate(scenario.t.tolist()):
-            at = rows.at(k, Reference(*scenario.reference))
-            errors = np.concatenate(tracking_errors(rows.parts.plant, q, v, at), axis=-1)
-            alive = (memory.recorder["alive"] > 0.5) & is_near(errors, scenario.limit)
-            # A robot that diverged goes on from the trajectory's start, so that no law sees NaN.
-            q, v = np.where(alive[:, None], q, begin[0]), np.where(alive[:, None], v, begin[1])
-            memory = memory._replace(recorder={**memory.recorder, "alive": np.where(alive, 1.0, 0.0)})
-            asked = rows.parts, float(k), time, h, (q, v), at, memory
-            found = one_sample(*asked)
-            if k <= 1:  # the first is on the trajectory, where many laws give nothing
-                looked_at = asked, found
-            q, v, memory = found.q, found.v, found.memory
+    counts[..., -1] = 1  # of a robot that has diverged
+    for channel, one in enumerate(scenario.channels):
+        if one.is_margin:
+            counts[:, channel] = np.eye(BINS, dtype=np.int32)[0]
+    q, v = (np.array(member.options[name], np.float64) for name in ("q0", "v0"))
+    with np.errstate(all="ignore"), contextlib.suppress(NotFinite):
+        for k, found in enumerate(in_python(parts, context, q, v)):
+            record = found.record.state
+            if not record["alive"]:
+                break
             if k % scenario.stride == 0:
-                for row, size in zip(counts[k // scenario.stride], found.record.counted, strict=True):
-                    row += np.bincount(bins_of(np.asarray(size)), minlength=BINS)
-        if looked_at is not None:
-            _check_again(*looked_at)
-    return Part.of(scenario, memory.recorder, counts)
-
-
-# The arguments of `one_sample`: parts, number and time of the sample, step, state, reference and memory.
-_Asked: TypeAlias = tuple[Parts, float, float, float, tuple[Array, Array], Reference, Memory]
-
-
-def _check_again(asked: _Asked, found: Stepped) -> None:
-    """Refuse parts that answer differently when they are asked for a sample again after the last one."""
-    again, t = one_sample(*asked), float(found.sample.t)
-    acting = "plant or forces" if asked[0].forces else "plant"
-    check_same("controller", t, found.sample.u, again.sample.u)
-    check_same(acting, t, found.sample.a, again.sample.a)
-    check_same("integrator", t, np.hstack([found.q, found.v]), np.hstack([again.q, again.v]))
+                sizes = bins_of(np.array(found.record.counted, np.float64))
+                counts[k // scenario.stride] = np.eye(BINS, dtype=np.int32)[sizes]
+    return Part.of(scenario, {name: np.asarray(x)[None] for name, x in record.items()}, counts)

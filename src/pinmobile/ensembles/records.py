@@ -17,9 +17,8 @@ from pinmobile.arrays import Array, ArrayLike, finite, scalar
 from pinmobile.compiled import BINS, FIRST, SHIFT
 from pinmobile.controllers import Controller
 from pinmobile.ensembles.scenario import Scenario
-from pinmobile.errors import Diverged, InvalidArgument, shown
-from pinmobile.measures import size_of, value_of
-from pinmobile.simulation import Rollout, simulate
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.measures import value_of
 from pinmobile.trajectories import Trajectory
 
 _ROUNDING = 4 * float(np.finfo(np.float64).eps)  # of a share such as 0.07, and of its product with a count
@@ -115,7 +114,7 @@ class Member(NamedTuple):
     options: dict[str, Any]
 
 
-def member_of(scenario: Scenario, i: int) -> Member:
+def member_of(scenario: Scenario, i: int, drawn: Mapping[str, Array] | None = None) -> Member:
     """Return robot i as the arguments of `simulate`.
 
     Parameters
@@ -124,8 +123,10 @@ def member_of(scenario: Scenario, i: int) -> Member:
         Whose robot.
     i : int
         Its index, 0 <= i < n.
+    drawn : mapping of str to ndarray, shape (1,), optional
+        What was drawn for it.
     """
-    draws = scenario.draws(i, i + 1)
+    draws = scenario.draws(i, i + 1) if drawn is None else drawn
     values = {place: value[0] for place, value in scenario.values(draws, i, i + 1).items()}
     parts = scenario.parts.with_parameters(values, remade=True)
     own = scenario.references(draws, 1, i)
@@ -143,68 +144,6 @@ def member_of(scenario: Scenario, i: int) -> Member:
     if scenario.is_noisy:
         options |= {"seed": scenario.seed, "member": i}
     return Member(parts.plant, parts.controller, parts.trajectory, options)
-
-
-def one_by_one(scenario: Scenario, start: int, stop: int) -> Part:
-    """Return the records of robots that `simulate` runs one after another."""
-    records = Records(start, stop)
-    for i in range(start, stop):
-        records.put(i, i + 1, _summed_alone(scenario, i))
-    return records.part()
-
-
-def _summed_alone(scenario: Scenario, i: int) -> Part:
-    """Return the records of robot i, whose number its errors tell."""
-    try:
-        return _summed(scenario, i)
-    except InvalidArgument as error:
-        if type(error) is InvalidArgument and not str(error).startswith("robot "):
-            raise InvalidArgument(f"robot {i}: {error}") from error
-        error.add_note(f"robot {i} of the ensemble")
-        raise
-    except Exception as error:
-        error.add_note(f"robot {i} of the ensemble")
-        raise
-
-
-def _summed(scenario: Scenario, i: int) -> Part:
-    member = member_of(scenario, i)
-    try:
-        rollout: Rollout | None = simulate(*member[:3], **member.options)
-    except Diverged as diverged:
-        rollout = diverged.rollout
-    lived, c, nu = 0 if rollout is None else len(rollout.t), scenario.size, scenario.robot.nu
-    error = np.zeros((0, c)) if rollout is None else np.abs(rollout.error)
-    force = np.zeros((0, nu)) if rollout is None else np.abs(rollout.u)
-    kept, margins = error[scenario.begin :], [one.is_margin for one in scenario.judged]
-    measured = np.zeros((0, len(margins))) if rollout is None else _measured(scenario, rollout)
-    bad, after = np.where(margins, -measured, np.abs(measured)), measured[scenario.begin :]
-    worst = bad[scenario.begin :].max(axis=0, initial=-np.inf)
-    channels = scenario.channels
-    counts = np.zeros((len(scenario.grid), len(channels), BINS), np.int32)
-    sizes = np.where([one.is_margin for one in channels], 0.0, np.full((len(scenario.t), 1), np.inf))
-    strayed = np.where(margins, size_of(measured), bad)
-    sizes[:lived] = np.column_stack([np.hypot(error[:, 0], error[:, 1]), error[:, 2:], strayed])
-    for row, size in zip(counts, sizes[:: scenario.stride], strict=True):
-        row[range(len(channels)), bins_of(size)] += 1
-    return Part(
-        np.array([lived]),
-        kept.max(axis=0, initial=0.0)[None],
-        np.sqrt(np.square(kept[:, :2]).sum(axis=1)).max(initial=0.0)[None],
-        np.sqrt(np.square(kept).sum(axis=0) / max(len(kept), 1))[None],
-        force.max(axis=0, initial=0.0)[None],
-        np.where(margins, -worst, np.maximum(worst, 0.0))[None],
-        np.sqrt(np.square(after).sum(axis=0) / max(len(after), 1))[None],
-        counts,
-    )
-
-
-def _measured(scenario: Scenario, rollout: Rollout) -> Array:
-    """Return what is judged of a robot beside errors at all its samples, shape (N, j)."""
-    if not scenario.judged:
-        return np.zeros((len(rollout), 0))
-    found = rollout.measures()
-    return np.column_stack([found[one.name].values for one in scenario.judged])
 
 
 def edges() -> Array:

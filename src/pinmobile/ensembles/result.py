@@ -129,7 +129,7 @@ class Ensemble:
     traces : dict of int to Rollout
         Everything of the robots that were asked for; of a diverged one until then.
     engine : str
-        How they were run: ``"COMPILED"``, ``"ARRAYS"``, or ``"PINOCCHIO"``, one after another.
+        How they were run: ``"COMPILED"``, or ``"PYTHON"``, one after another.
     why : str
         Why not by a faster engine; "" where there is none.
     """

@@ -3,19 +3,18 @@
 from pinmobile.plant import Plant
 from pinmobile.signals import Signal
 from pinmobile.simulation.closed_loop import (
-    ARRAYS,
     COMPILED,
-    PINOCCHIO,
+    PYTHON,
     Engine,
     checked_engine as checked_engine,
     simulate,
 )
 from pinmobile.simulation.end_effector import EndEffector
+from pinmobile.simulation.loop import in_python as in_python
 from pinmobile.simulation.rollout import Rollout, error_text as error_text
 from pinmobile.simulation.setup import (
     check_answers as check_answers,
     check_controllers_memory as check_controllers_memory,
-    check_same as check_same,
     checked_forces,
     checked_loop,
     checked_substeps,
@@ -31,12 +30,10 @@ from pinmobile.simulation.storage import (
     signal_columns as signal_columns,
     why_unknown as why_unknown,
 )
-from pinmobile.simulation.substeps import stepped
 
 __all__ = [
-    "ARRAYS",
     "COMPILED",
-    "PINOCCHIO",
+    "PYTHON",
     "EndEffector",
     "Engine",
     "Plant",
@@ -49,5 +46,4 @@ __all__ = [
     "sample_times",
     "sampled",
     "simulate",
-    "stepped",
 ]

@@ -12,7 +12,7 @@ from warnings import warn
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, positive, whole
-from pinmobile.compiled import Parts, memory_of
+from pinmobile.compiled import Parts, Trace, memory_of
 from pinmobile.controllers import Controller
 from pinmobile.divergence import is_near
 from pinmobile.errors import Diverged, InvalidArgument, LimitWarning, shown
@@ -39,8 +39,7 @@ from pinmobile.trajectories import Reference, Trajectory, check_limits
 class Engine(Enum):
     """A way to run a closed loop."""
 
-    PINOCCHIO = "one state at a time, in Python, with Pinocchio's dynamics: any parts"
-    ARRAYS = "many robots at once, by NumPy: parts that work on arrays"
+    PYTHON = "one robot at a time, in Python, with Pinocchio's dynamics of a MobileRobot: any parts"
     COMPILED = "laws run on symbols and compiled: parts written in NumPy"
 
     def __repr__(self) -> str:
@@ -49,11 +48,8 @@ class Engine(Enum):
     __str__ = __repr__
 
 
-PINOCCHIO = Engine.PINOCCHIO
-"""One state at a time, in Python, with Pinocchio's dynamics: any parts."""
-
-ARRAYS = Engine.ARRAYS
-"""Many robots at once, by NumPy: parts that work on arrays."""
+PYTHON = Engine.PYTHON
+"""One robot at a time, in Python, with Pinocchio's dynamics of a MobileRobot: any parts."""
 
 COMPILED = Engine.COMPILED
 """Laws run on symbols and compiled: parts written in NumPy."""
@@ -142,7 +138,7 @@ def simulate(
         The loop counts as diverged when an error in a coordinate (psi on the circle) or in a velocity is
         beyond it [m, rad, m/s, rad/s].
     engine : Engine, optional
-        `PINOCCHIO`, by default, or `COMPILED`: the same laws as machine code, for those who run many.
+        `PYTHON`, by default, or `COMPILED`: the same laws as machine code, for those who run many.
     seed, member : int
         What the noise of controllers follows from: the seed of an ensemble, and the robot's number in it.
 
@@ -168,14 +164,15 @@ def simulate(
     checked_loop(plant, controller, trajectory, integrator)
     t = sample_times(dt, duration, trajectory.duration)
     count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
-    asked = checked_engine(engine, PINOCCHIO, COMPILED)
-    chosen = asked or PINOCCHIO
+    asked = checked_engine(engine, PYTHON, COMPILED)
+    chosen = asked or PYTHON
     parts = controller, trajectory
     made = {"engine": repr(chosen), "why": _NOT_ASKED if asked is None else ""}
+    loop_parts = Parts(plant, controller, checked, integrator, Trace(), count)
     kind: Callable[..., _Ran] = Loop
     memory: dict[Any, Any] = {}  # of this call alone, where nothing is remembered
     if chosen is COMPILED:
-        memory = memory_of(Parts(plant, controller, checked, integrator, None, count), trajectory)
+        memory = memory_of(replace(loop_parts, recorder=None), trajectory)
         kind = partial(CompiledLoop, memory=memory)
     reference = sampled(trajectory, t, plant, memory if chosen is COMPILED else None)
     start = _start(plant, reference, q0, v0)
@@ -186,7 +183,7 @@ def simulate(
         check_controllers_memory(controller, context, *start)
         memory["simulated", count, dt, t[-1]] = True
     chunk = len(t) if chosen is COMPILED else _CHUNK
-    loop = kind(plant, controller, integrator, context, count, checked, q0=start[0], v0=start[1])
+    loop = kind(loop_parts, context, *start)
     for begin in range(0, len(t), chunk):
         end = min(begin + chunk, len(t))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below tells
@@ -200,7 +197,6 @@ def simulate(
             message = f"the loop diverged at t = {t[bad]:g} s (sample {bad} of {len(t) - 1}): {why}"
             message += _too_stiff(plant, checked, start[0], dt / count)
             raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept) from loop.stopped
-    loop.check_again()
     found = _rollout(plant, t, loop, reference, len(t), made, parts)
     if found.events:
         warn("; ".join(found.events), LimitWarning, stacklevel=2)

@@ -69,7 +69,7 @@ class Rollout:
     signals : mapping of str to Signal
         What else parts of the loop told at each sample, with its unit.
     engine : str
-        What ran the loop: ``"PINOCCHIO"``, in Python, or ``"COMPILED"``; "" where that is not known.
+        What ran the loop: ``"PYTHON"``, in Python, or ``"COMPILED"``; "" where that is not known.
     why : str
         Why not a faster engine; "" where there is none, or it was asked for.
 

@@ -15,7 +15,6 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
 from pinmobile.plant import Context, Plant, check_plant, coordinates_of, leading_of, refuse_path
-from pinmobile.simulation.substeps import stepped
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 _Forces: TypeAlias = Sequence[Force | CoordinateForce]
@@ -306,7 +305,7 @@ def check_answers(
         _check_repeated(
             "integrator",
             integrator,
-            lambda x, w: stepped(integrator, lambda t, x, w: -x - w, 0.0, x, w, h),
+            lambda x, w: _moved(integrator, x, w, h),
             moves,
         )
 
@@ -357,6 +356,17 @@ def _check_repeated(
         )
 
 
+def _moved(integrator: Integrator, q: Array, v: Array, h: float) -> Array:
+    """Return the state that a step of an integrator leads to."""
+    after = integrator(lambda t, x, w: -x - w, 0.0, q, v, h)
+    if type(after) is not tuple or [np.shape(part) for part in after] != [q.shape, v.shape]:
+        raise InvalidArgument(
+            f"integrator returned {shown(after)}, expected (q, v) of shapes {q.shape} and {v.shape}, of real "
+            "numbers"
+        )
+    return np.concatenate(after)
+
+
 def check_controllers_memory(controller: Controller, context: Context, q: Array, v: Array) -> None:
     """Check that a controller gives the same answer when it is asked again with the same arguments.
 
@@ -369,31 +379,6 @@ def check_controllers_memory(controller: Controller, context: Context, q: Array,
         check_memory(controller, context, q, v)
     except InvalidArgument as error:
         raise shorter(context, error) from error.__cause__
-
-
-def check_same(part: str, t: float, first: Array, again: Array) -> None:
-    """Check that a part gave the same answer when it was asked again after a run.
-
-    Parameters
-    ----------
-    part : str
-        What it is called in messages.
-    t : float
-        The time of what it was asked [s].
-    first, again : ndarray
-        What it answered then, and at the end.
-
-    Raises
-    ------
-    InvalidArgument
-        If they differ by more than rounding.
-    """
-    if not _are_same(first, again):
-        raise InvalidArgument(
-            f"{part} returned {shown(first)} at t = {t:g} s and, asked again for the same arguments at the "
-            f"end of the run, {shown(again)}, expected the same: only controllers have memory, in their "
-            "state, and random numbers come from context.normal(name, n)"
-        )
 
 
 def _are_same(one: Array, other: Array) -> bool:

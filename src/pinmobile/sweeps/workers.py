@@ -14,7 +14,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, callable_as, location, text, whole
 from pinmobile.compiled import processors
-from pinmobile.ensembles import Part, Workers, part_of, way_of
+from pinmobile.ensembles import Part, part_of, way_of
 from pinmobile.errors import InvalidArgument, SchedulerError, SlowerEngine, shown
 from pinmobile.sweeps.code import packed, part_of_packed
 from pinmobile.sweeps.contents import METADATA, Sweep
@@ -154,21 +154,17 @@ Results: TypeAlias = Iterator[tuple[Job, dict[str, Array], Part]]
 
 
 def in_process(grid: Grid, jobs: Sequence[Job]) -> Results:
-    """Yield the draws and records of the jobs, in any order, by a thread for each processor.
-
-    Laws that hold the interpreter's lock run in as many processes, which all jobs share.
-    """
+    """Yield the draws and records of the jobs, in any order, by a thread for each processor."""
     workers = processors()
-    with Workers(workers) as processes, ThreadPoolExecutor(workers) as pool:
+    with ThreadPoolExecutor(workers) as pool:
 
         def submit(job: Job) -> Any:
             scenario = grid.scenarios[job.scenario]
-            return pool.submit(part_of, scenario, job.start, job.stop, processes=processes)
+            return pool.submit(part_of, scenario, job.start, job.stop)
 
         def drop(futures: Iterable[Any]) -> None:
             for future in futures:
                 future.cancel()
-            processes.end()
 
         yield from _collected(submit, jobs, workers + 1, lambda future: future.result(), lambda: None, drop)
 
