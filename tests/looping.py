@@ -365,7 +365,7 @@ def looped(
     memory = initial_memory(parts, context(dt), reference.v.shape[1], Line, lambda name, n: Noise(key, n))
     rows: dict[str, Any] = {"q": [], "v": [], "u": [], "a": []}
     for k, time in enumerate(t):
-        now = Reference(*(x[k] for x in reference))
+        now = Reference(*(x[k].copy() for x in reference))
         found = one_sample(parts, float(k), time, dt / parts.substeps, (q, v), now, memory)
         for name, row in rows.items():
             row.append(getattr(found.sample, name))

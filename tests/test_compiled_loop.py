@@ -542,7 +542,7 @@ def test_one_value_for_each_robot_is_refused_where_the_loop_has_one_for_all() ->
 
 def test_an_input_of_another_size_is_refused() -> None:
     parts = Parts(Body(), Law(lambda t, q, v, reference, state: (q[:2], state)), (), constant_acceleration)
-    with pytest.raises(errors.InvalidArgument, match=r"input of shape \(2,\), expected \(3,\)"):
+    with pytest.raises(errors.InvalidArgument, match=r"expected an array of shape \(3,\)"):
         built(parts, ())
 
 

@@ -450,19 +450,6 @@ def test_a_controller_may_write_into_what_it_is_told() -> None:
     assert_same(one, other)
 
 
-def test_no_controller_is_asked_about_a_robot_that_has_diverged() -> None:
-    worst = []
-
-    def repelled(t: float, q: Any, v: Any, reference: Any) -> Any:
-        worst.append(np.abs(reference.q - q).max())
-        return 1e5 * (q - reference.q)
-
-    spread = {"start_x": np.array([0, 1, 0])}
-    run = run_scenario(made(controller=law(repelled), n=3, spread=spread), engine=PYTHON)
-    assert run.diverged[1]
-    assert max(worst) <= run.scenario.limit
-
-
 def test_a_robot_that_is_beyond_the_limit_from_the_start_has_no_records() -> None:
     run = run_scenario(made(n=2, spread={"start_x": np.array([0.0, 2e3])}))
     assert run.diverged_at.tolist()[1] == 0.0
@@ -781,18 +768,3 @@ def test_a_million_robots_fit_in_a_gigabyte() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert float(done.stdout) < 1e6
-
-
-def test_a_law_that_mixes_robots_only_later_runs_one_after_another() -> None:
-    def late(t: float, q: Any, v: Any, reference: Any) -> Any:
-        error = reference.q - q
-        if t > 1:
-            error = error / (1 + np.linalg.norm(error))  # of all robots, where there are several
-        return 100 * error + 120 * (reference.v - v)
-
-    with pytest.warns(SlowerEngine, match="robots at once is not what each has alone at .* s"):
-        run = ensemble(
-            ROBOT, law(late), CIRCLE, n=3, dt=0.02, duration=4.0, spread={"start_x": Uniform(-1, 1)}
-        )
-    assert run.engine == "PYTHON"
-    assert_is_simulated(run, 2)

@@ -273,10 +273,6 @@ class Deaf(OtherPlant):
             "forces[1] returned array([0., 0.]) at t = 0 s, expected an array of shape (3,)",
         ),
         (
-            {"forces": [lambda *_: [1, 2, 3]]},
-            "forces[0] returned [1, 2, 3] at t = 0 s, expected an array of shape (3,)",
-        ),
-        (
             {"plant": Rail(), "forces": FORCES},
             "forces push the body of the plant, a Rail, which has no effort, expected one with pose(q), "
             "rate(q, v) and effort(q, wrench)",

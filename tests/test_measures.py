@@ -35,11 +35,9 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.compiled import BINS
 from pinmobile.ensembles import run_scenario
-from pinmobile.ensembles.engines import way_of
 from pinmobile.ensembles.records import bins_of, quantiles
-from pinmobile.ensembles.running import packed_way
 from pinmobile.errors import SlowerEngine
-from pinmobile.measures import Measure, measures_of, size_of, value_of
+from pinmobile.measures import Measure, size_of, value_of
 from pinmobile.reaching.poses import error_sizes, pose_error
 from pinmobile.urdf import Body
 from pinmobile.viewer import Viewer
@@ -428,12 +426,6 @@ def test_a_plant_that_is_traced_as_another_needs_the_same_measures() -> None:
         runs = run_scenario(fenced(Traced(), n=2))
     assert runs.engine == "PYTHON"
     assert runs.worst_measure.shape == (2, 2)
-
-
-def test_measures_survive_processes_and_pickles() -> None:
-    way = way_of(scenario(n=2), PYTHON)
-    assert packed_way(way)
-    assert measures_of(UR5) == way.scenario.judged
 
 
 def test_joints_are_held_against_limits_that_they_have() -> None:

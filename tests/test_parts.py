@@ -110,8 +110,7 @@ def test_a_users_part_has_the_same_numbers_by_all_engines(what: str) -> None:
     runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, PYTHON)]
     assert [run.engine for run in runs] == ["COMPILED", "PYTHON"]
     assert not runs[0].diverged.any()
-    for run in runs[:2]:
-        assert_close(run, runs[2])
+    assert_close(*runs)
     assert run_scenario(scenario).engine == "COMPILED"
 
 
@@ -218,8 +217,7 @@ def test_a_users_plant_has_the_same_numbers_by_all_engines(what: str) -> None:
     assert not runs[0].diverged.any()
     assert runs[0].max_error.shape == (N, 3 if what == "pose alone" else 5)
     assert runs[0].max_force.shape == (N, 2)
-    for run in runs[:2]:
-        assert_close(run, runs[2])
+    assert_close(*runs)
     assert run_scenario(scenario).engine == "COMPILED"
     member = runs[0].member(1)
     of_pinocchio, compiled = (
@@ -359,7 +357,7 @@ def test_a_parameter_of_the_first_state_alone_matters() -> None:
         np.testing.assert_allclose(run.max_error[i], alone.max_error(), rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("answer", [5.0, [1, 0, 0], None, np.zeros(2), np.array([5.0])], ids=str)
+@pytest.mark.parametrize("answer", [5.0, None, np.zeros(2), np.array([5.0])], ids=str)
 @pytest.mark.parametrize("engine", [None, COMPILED], ids=str)
 def test_a_force_of_another_shape_is_refused_by_every_engine(answer: Any, engine: Any) -> None:
     with pytest.raises(InvalidArgument, match=r"forces\[0\].*expected an array of shape \(3,\)"):
@@ -496,8 +494,7 @@ def owned(what: str, **changes: Any) -> Scenario:
 def test_each_robot_follows_a_reference_of_its_own_by_all_engines(what: str) -> None:
     scenario = owned(what)
     runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, PYTHON)]
-    for run in runs[:2]:
-        assert_close(run, runs[2])
+    assert_close(*runs)
     assert run_scenario(scenario).engine == "COMPILED"
     motion, spread = OWN[what]
     for i in range(2):

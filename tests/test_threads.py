@@ -36,7 +36,6 @@ from pinmobile.compiled.symbolic import Symbols
 from pinmobile.robot import Calls, Solids
 from pinmobile.robot.articulated import ArticulatedBody
 from pinmobile.robot.planar import PlanarBody
-from pinmobile.simulation import COMPILED
 from pinmobile.urdf import Body
 
 THREADS = 8
@@ -258,12 +257,12 @@ def test_an_ensemble_of_a_law_that_asks_a_robot_is_the_same_on_its_default_threa
             robot,
             law(force),
             motion,
-            n=400,
+            n=40,
             spread=spread,
             dt=0.02,
             duration=0.4,
             threads=threads,
-            engine=COMPILED,
+            engine=PYTHON,
         )
         return plain((runs.max_error, runs.rms_error, runs.max_force))
 

@@ -20,6 +20,7 @@ from pinmobile.compiled.parts import (
     children_at as children_at,
     copied as copied,
     derived as derived,
+    displaced as displaced,
 )
 from pinmobile.compiled.passes import traced
 from pinmobile.compiled.processor import Cache, Target, processors as processors

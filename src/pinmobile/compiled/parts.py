@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, are_real
 from pinmobile.compiled.memory import is_leaf
 from pinmobile.compiled.symbolic import Moment, Values
 from pinmobile.constancy import known
@@ -251,15 +251,18 @@ class Parts:
 
 
 def displaced(integrator: Any, acceleration: Any, first: Any, t: Moment, v: Values, h: Moment) -> Any:
-    """Return the displacement and the velocity after a step of any integrator."""
-    still = np.zeros(np.shape(v))
+    """Return the displacement and the velocity after a step of any integrator, which gets copies."""
+    still, own = np.zeros(np.shape(v)), v.copy()
 
     def asked(time: Moment, moved: Values, rate: Values) -> Any:
-        known = moved is still and rate is v and time is t
-        return first if known else acceleration(time, moved, rate)
+        known = moved is still and rate is own and time is t and type(v) is np.ndarray
+        if known and not still.any() and (own == v).all():  # unless it was written into
+            return first
+        return acceleration(time, moved, rate)
 
-    answer = integrator(asked, t, still, v, h)
-    if type(answer) is not tuple or len(answer) != 2 or any(np.shape(x) != np.shape(v) for x in answer):
+    answer = integrator(asked, t, still, own, h)
+    wrong = type(answer) is not tuple or len(answer) != 2
+    if wrong or any(np.shape(x) != np.shape(v) or not are_real(x) for x in answer):
         raise InvalidArgument(
             f"integrator returned {shown(answer)}{when(t)}, expected (q, v) of shapes {np.shape(v)} and "
             f"{np.shape(v)}, of real numbers"

@@ -10,6 +10,7 @@ from warnings import warn
 import numpy as np
 
 from pinmobile.arrays import Array, affordable, answered, callable_as, frozen, positive, vector, whole
+from pinmobile.compiled import displaced
 from pinmobile.controllers import Controller, check_controller, check_memory
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force
@@ -305,7 +306,7 @@ def check_answers(
         _check_repeated(
             "integrator",
             integrator,
-            lambda x, w: _moved(integrator, x, w, h),
+            lambda x, w: displaced(integrator, lambda t, x, w: -x - w, -w, 0.0, w, h),
             moves,
         )
 
@@ -354,17 +355,6 @@ def _check_repeated(
             f"{shown(again)}, expected the same: only controllers have memory, in their state, and random "
             "numbers come from their context.normal(name, n), or from a NoiseForce"
         )
-
-
-def _moved(integrator: Integrator, q: Array, v: Array, h: float) -> Array:
-    """Return the state that a step of an integrator leads to."""
-    after = integrator(lambda t, x, w: -x - w, 0.0, q, v, h)
-    if type(after) is not tuple or [np.shape(part) for part in after] != [q.shape, v.shape]:
-        raise InvalidArgument(
-            f"integrator returned {shown(after)}, expected (q, v) of shapes {q.shape} and {v.shape}, of real "
-            "numbers"
-        )
-    return np.concatenate(after)
 
 
 def check_controllers_memory(controller: Controller, context: Context, q: Array, v: Array) -> None:
