@@ -1,0 +1,255 @@
+"""The numbers, error texts and tables of the library, frozen while its core is rebuilt.
+
+`python -m tests.frozen` writes tests/data/frozen.json. A run by COMPILED has the same bits on every
+processor, so a digest is kept of it; of laws that call LAPACK, and of runs in Python, some samples are.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import pinmobile as pm
+from pinmobile.controllers import ADRC, PID, Adaptive, SlidingMode, SuperTwisting
+
+FILE = Path(__file__).parent / "data" / "frozen.json"
+COMPILED = pm.COMPILED
+PYTHON = getattr(pm, "PYTHON", None) or pm.PINOCCHIO
+BODY = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05))
+WRONG = pm.MobileRobot(25.0, 1.0)
+CIRCLE = pm.Tangent(pm.Circle(2.0, 0.5, 6.0))
+WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
+MOTOR = pm.Motor(resistance=1.2, torque_constant=0.05, voltage=24.0, gear=10.0, coulomb=0.02)
+
+
+def turning(t: Any, q: Any, v: Any, reference: Any) -> Any:
+    """Return torques of a left and a right side."""
+    return np.array([0.6, 0.7]) + 0.0 * v[:2]
+
+
+def own(t: Any, q: Any, v: Any, reference: Any) -> Any:
+    """Return a user's own law."""
+    return 40.0 * np.tanh(reference.q - q) + 30.0 * (reference.v - v)
+
+
+class Leaky:
+    """A user's controller with memory."""
+
+    def initial_state(self, context: Any) -> Any:
+        return {"sum": np.zeros(3), "dt": context.dt, "difference": context.difference}
+
+    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        error = state["difference"](q, reference.q)
+        total = 0.99 * state["sum"] + state["dt"] * error
+        return 90.0 * error + 30.0 * total + 90.0 * (reference.v - v), {**state, "sum": total}
+
+
+def branching(t: Any, q: Any, v: Any, reference: Any) -> Any:
+    """Return what cannot be compiled."""
+    error = reference.q - q
+    return (120.0 if error[0] > 0 else 100.0) * error + 110.0 * (reference.v - v)
+
+
+def table(kind: str, **more: Any) -> Any:
+    """Return a table of wheels of this kind."""
+    sides = (0.5, 0.1) if kind == "differential" else (0.5, 0.4, 0.1)
+    return getattr(pm.WheelTable, kind)(*sides, **WHEEL, **more)
+
+
+def loops() -> Iterator[tuple[str, tuple[Any, ...], dict[str, Any]]]:
+    """Yield name, parts and options of closed loops: each part, each plant."""
+    pd = pm.PD((120, 110, 5), (120, 110, 5))
+    paths = {
+        "via": pm.CubicVia((0, 0), (2, 2), (0, 4), 3.0, 6.0),
+        "lissajous": pm.Lissajous(2.0, 1.0, 0.5, 1.0, 6.0),
+        "line": pm.Line((0.5, 1.0), (3.0, -1.0), 6.0),
+        "spline": pm.Spline([(0, 0), (1, 0.5), (2, 0.2), (3, 1.0)], [0, 2, 4, 6]),
+    }
+    for name, path in paths.items():
+        yield name, (BODY, pm.ComputedTorque(WRONG, (4, 5, 6), 4), pm.FixedHeading(path, 0.3)), {}
+    controllers = {
+        "PD": pd,
+        "PD, matrix": pm.PD([[90, 5, 0], [3, 80, 1], [0, -1, 5]], 40.0),
+        "computed torque": pm.ComputedTorque(BODY),
+        "PDGravity": pm.PDGravity(BODY, (120, 110, 5), 30.0),
+        "PID": PID(WRONG),
+        "Decoupled": pm.Decoupled(WRONG),
+        "sliding": SlidingMode(WRONG),
+        "super-twisting": SuperTwisting(WRONG),
+        "adaptive": Adaptive(WRONG, friction=True),
+        "ADRC": ADRC(WRONG),
+        "observer": pm.DisturbanceObserver(pm.ComputedTorque(WRONG)),
+        "law": pm.law(own),
+        "leaky": Leaky(),
+        "saturated": pm.Saturated(pd, (20, 15, 2)),
+        "delayed": pm.Delayed(pd, 2),
+        "noisy": pm.NoisyMeasurement(pd, 1e-3, 2e-3, seed=3),
+        "all": pm.Saturated(pm.Delayed(pm.NoisyMeasurement(PID(WRONG), 1e-3, 1e-3, seed=1), 1), (40, 30, 5)),
+    }
+    for name, controller in controllers.items():
+        yield name, (BODY, controller, CIRCLE), {}
+    forces = {
+        "constant": pm.ConstantForce((3, -2, 0.1), 1.0, 3.0),
+        "sine": pm.SinusoidalForce((2, 1, 0.1), 0.5, 0.3),
+        "noise": pm.NoiseForce((1, 2, 0.1), 2.0, seed=5),
+        "viscous": pm.ViscousFriction((5, 9, 0.4)),
+        "resistance": pm.RollingResistance((2, 3, 0.3), 0.1),
+        "joints": pm.JointFriction(2.0, 1.0, 0.05),
+        "payload": pm.Payload(6.0, (0.2, 0.1), 1.0, 0.1),
+    }
+    for name, force in forces.items():
+        yield name, (BODY, pd, CIRCLE), {"forces": (force,), "integrator": pm.rk4, "substeps": 2}
+    yield "all forces", (BODY, pd, CIRCLE), {"forces": tuple(forces.values())}
+    yield "semi-implicit", (BODY, pd, CIRCLE), {"integrator": pm.semi_implicit_euler, "substeps": 3}
+    push: dict[str, Any] = {"limit": 1e6}
+    held = pm.law(turning)
+    for ground in (pm.Rolling(), pm.Coulomb()):
+        kind = type(ground).__name__
+        differential = table("differential", supports=[(-0.3, 0.0)])
+        tall = pm.MobileRobot(30.0, 1.3, com=(0.05, 0.02, 0.2))
+        yield f"differential {kind}", (pm.WheeledRobot(tall, differential, ground), held, CIRCLE), push
+        mecanum = pm.WheeledRobot(tall, table("mecanum"), ground)
+        yield f"mecanum {kind}", (mecanum, pm.Allocated(pd, mecanum), CIRCLE), push
+    skid = pm.WheeledRobot(BODY, table("skid_steer"), pm.Coulomb())
+    yield "skid-steer", (skid, held, CIRCLE), push
+    drive = pm.WheeledRobot(BODY, table("differential"))
+    yield "backstepping", (drive, pm.Backstepping(pm.Tracking(), drive), CIRCLE), {}
+    yield "wheel speed", (drive, pm.WheelSpeed(pm.Kanayama(), drive, 0.5, 0.1), CIRCLE), {}
+    electric = pm.WheeledRobot(BODY, table("differential", motor=MOTOR))
+    yield (
+        "volts",
+        (electric.by_voltage(), pm.Driven(pm.Backstepping(pm.Tracking(), electric), electric), CIRCLE),
+        {},
+    )
+    commanded = pm.VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], accelerations=(2.0, 4.0))
+    yield "commanded", (commanded, pm.VelocityCommand(pm.Tracking(), commanded), CIRCLE), {}
+    bare = pm.MobileRobot.box().mount("ur5")
+    arm = bare.attach(pm.Load(2.0))
+    base = pm.Tangent(pm.Circle(3.0, 0.1, 2.0))
+    yield "ur5", (arm, pm.ComputedTorque(bare, 9, 6), pm.WholeBody(arm, base, pm.Hold(arm.rest[3:], 2.0))), {}
+    yield "ur5, base alone", (arm, pm.law(lambda t, q, v, r: _of_base(q, v, r)), base), {"limit": 1e6}
+
+
+def _of_base(q: Any, v: Any, reference: Any) -> Any:
+    force = 90.0 * (reference.q - q[:3]) + 90.0 * (reference.v - v[:3])
+    return np.concatenate([force, -0.5 * v[3:]])
+
+
+def by_lapack() -> Iterator[tuple[str, tuple[Any, ...], dict[str, Any]]]:
+    """Yield loops whose law is designed by LAPACK."""
+    yield "LQR", (BODY, pm.LQR(WRONG), CIRCLE), {}
+    drive = pm.WheeledRobot(BODY, table("differential"))
+    yield "LQR on wheels", (drive, pm.LQR(drive), CIRCLE), {}
+
+
+def in_python() -> Iterator[tuple[str, tuple[Any, ...], dict[str, Any]]]:
+    """Yield loops that run in Python, of which some cannot be compiled."""
+    yield "branching", (BODY, pm.law(branching), CIRCLE), {}
+    for name, parts, options in loops():
+        if name in ("PD", "computed torque", "all", "all forces", "differential Rolling", "volts", "ur5"):
+            yield name, parts, options
+
+
+SPREADS: dict[str, dict[str, Any]] = {
+    "PD": {"mass": pm.Uniform(25, 35), "com_x": pm.Normal(0.1, 0.02), "start_x": pm.Normal(0, 0.05)},
+    "computed torque": {"yaw_inertia": pm.Uniform(1, 2), "start_psi": pm.Uniform(-0.1, 0.1)},
+    "all": {"mass": pm.Uniform(25, 35)},
+    "noise": {"mass": pm.Uniform(25, 35)},
+    "differential Rolling": {"mass": pm.Uniform(25, 35), "start_x": pm.Uniform(-0.1, 0.1)},
+    "differential Coulomb": {"mass": pm.Uniform(25, 35)},
+    "ur5": {"start_y": pm.Uniform(-0.01, 0.01)},
+}
+
+
+def digest(*arrays: Any) -> str:
+    """Return the digest of arrays."""
+    found = hashlib.sha256()
+    for array in arrays:
+        found.update(np.ascontiguousarray(array).tobytes())
+    return found.hexdigest()[:16]
+
+
+def some(run: Any) -> list[float]:
+    """Return some numbers of a run."""
+    rows = [1, len(run.t) // 2, len(run.t) - 1]
+    return [float(x) for part in (run.q, run.v, run.u, run.a) for k in rows for x in part[k]]
+
+
+ERRORS: dict[str, Callable[[], Any]] = {
+    "mass": lambda: pm.MobileRobot(-1.0, 1.3),
+    "inertia": lambda: pm.MobileRobot(30.0, "a"),  # type: ignore[arg-type]
+    "com": lambda: pm.MobileRobot(30.0, 1.3, com=(1, 2, 3, 4)),
+    "gain": lambda: pm.PD(np.nan, 3),
+    "gain shape": lambda: pm.ComputedTorque(BODY, (1, 2)),
+    "no robot": lambda: pm.ComputedTorque(3),  # type: ignore[arg-type]
+    "slope": lambda: SlidingMode(BODY, slope=-1.0),
+    "leakage": lambda: Adaptive(BODY, leakage=-1.0),
+    "samples": lambda: pm.Delayed(pm.PD(1, 1), -1),
+    "limits": lambda: pm.Saturated(pm.PD(1, 1), -1.0),
+    "std": lambda: pm.NoisyMeasurement(pm.PD(1, 1), -1.0, 0.0, seed=1),
+    "no controller": lambda: pm.Delayed(3, 1),  # type: ignore[arg-type]
+    "force": lambda: pm.ConstantForce((1, 2)),
+    "frequency": lambda: pm.SinusoidalForce((1, 2, 3), -1.0),
+    "friction": lambda: pm.ViscousFriction((-1, 2, 3)),
+    "speed": lambda: pm.RollingResistance((1, 2, 3), 0.0),
+    "payload": lambda: pm.Payload(-1.0, (0, 0), 1.0),
+    "bandwidth": lambda: pm.NoiseForce((1, 1, 1), 0.0, seed=1),
+    "radius": lambda: pm.Circle(-1.0, 0.5, 6.0),
+    "duration": lambda: pm.Line((0, 0), (1, 1), 0.0),
+    "path": lambda: pm.Tangent(3),  # type: ignore[arg-type]
+    "wheel": lambda: pm.WheelTable.differential(0.5, -0.1),
+    "mu": lambda: pm.Friction(mu=-1.0),
+    "motor": lambda: pm.Motor(resistance=-1.0),
+    "dt": lambda: pm.simulate(BODY, pm.PD(1, 1), CIRCLE, dt=0.0),
+    "substeps": lambda: pm.simulate(BODY, pm.PD(1, 1), CIRCLE, dt=0.1, substeps=0),
+    "a path": lambda: pm.simulate(BODY, pm.PD(1, 1), CIRCLE.path, dt=0.1),  # type: ignore[arg-type]
+    "a function": lambda: pm.simulate(BODY, own, CIRCLE, dt=0.1),  # type: ignore[arg-type]
+    "duration of a run": lambda: pm.simulate(BODY, pm.PD(1, 1), CIRCLE, dt=0.1, duration=7.0),
+    "unknown spread": lambda: pm.ensemble(BODY, pm.PD(1, 1), CIRCLE, dt=0.1, n=2, spread={"mas": 1.0}),
+    "impossible": lambda: pm.ensemble(
+        BODY, pm.PD(1, 1), CIRCLE, dt=0.1, n=2, spread={"mass": pm.Uniform(-1, 1)}
+    ),
+    "no robots": lambda: pm.ensemble(BODY, pm.PD(1, 1), CIRCLE, dt=0.1, n=0, spread={}),
+    "uniform": lambda: pm.Uniform(2, 1),
+}
+
+
+def error_of(made: Callable[[], Any]) -> str:
+    """Return the error that this raises, in words."""
+    try:
+        made()
+    except pm.PinmobileError as error:
+        return re.sub(r" at 0x[0-9a-f]+", "", f"{type(error).__name__}: {error}")
+    return "no error"
+
+
+def frozen() -> dict[str, Any]:
+    """Return all that is frozen."""
+    found: dict[str, Any] = {"compiled": {}, "lapack": {}, "python": {}, "ensembles": {}, "tables": {}}
+    for name, parts, options in loops():
+        run = pm.simulate(*parts, dt=0.02, engine=COMPILED, **options)
+        signals = [run.signals[one].values for one in sorted(run.signals)]
+        found["compiled"][name] = digest(run.q, run.v, run.u, run.a, *signals)
+        if name in ("PD", "all", "differential Coulomb", "ur5"):
+            found["tables"][name] = str(run)
+        if name in SPREADS:
+            many = pm.ensemble(*parts, dt=0.02, n=5, seed=3, spread=SPREADS[name], engine=COMPILED, **options)
+            records = many.max_error, many.rms_error, many.max_distance, many.max_force, many.counts
+            found["ensembles"][name] = digest(*records, *many.draws.values(), many.worst_measure)
+            found["tables"][f"ensemble {name}"] = str(many)
+    for kind, given in (("lapack", by_lapack), ("python", in_python)):
+        for name, parts, options in given():
+            engine = COMPILED if kind == "lapack" else PYTHON
+            found[kind][name] = some(pm.simulate(*parts, dt=0.02, engine=engine, **options))
+    found["errors"] = {name: error_of(made) for name, made in ERRORS.items()}
+    return found
+
+
+if __name__ == "__main__":
+    FILE.write_text(json.dumps(frozen(), indent=0) + "\n")
