@@ -18,7 +18,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from ensemble_costs import first_call
-from loop_work import LONGEST, LOOPS, QUICK_ROBOTS, QUICK_STEPS, ROBOTS, RUNS, SHORT, STEPS
+from loop_work import (
+    FIRST as PRINTED,
+    FIRST_RESULTS,
+    LONGEST,
+    LOOPS,
+    QUICK_ROBOTS,
+    QUICK_STEPS,
+    ROBOTS,
+    RUNS,
+    SHORT,
+    STEPS,
+)
 from measuring import Row, about, console, picked, say, selecting, table
 from rich.console import Console
 
@@ -26,7 +37,7 @@ BASE = "computed torque"
 FIRST = ("first ensemble, nothing compiled", "first ensemble, with its files")
 RATIOS = (
     ("ensemble, n = 16", "ensemble, n = 1"),
-    ("simulate, Pinocchio", "raw Pinocchio loop"),
+    ("simulate, Python", "raw Pinocchio loop"),
     ("simulate, compiled", "raw Pinocchio loop"),
 )
 HOW = (
@@ -43,7 +54,7 @@ class Work:
     name: str
 
 
-EVERYONE = tuple(Work(name) for name in (*LOOPS, *RUNS, *FIRST))
+EVERYONE = tuple(Work(name) for name in (*LOOPS, *RUNS, *FIRST, *FIRST_RESULTS))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -63,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # A path of sources that this interpreter was given is not the other's.
         versions = {"before": [chosen.before, "-E", "-s"], **versions}
     out = console()
-    out.print(about(), f"medians over {rounds} interleaved rounds, one thread", sep="; ")
+    out.print(about(), f"medians over {rounds} interleaved rounds, one thread, CPU time", sep="; ")
     found: dict[str, dict[str, Row]] = {version: {name: Row(name) for name in names} for version in versions}
     with TemporaryDirectory(prefix="pinmobile-") as folder:
         for number in range(rounds):
@@ -99,7 +110,21 @@ def told(
             for name in FIRST:
                 times = first_call(empty, interpreter)
                 answers[name] = times if isinstance(times, str) else times[1]
+    for name in FIRST_RESULTS:
+        if name in names:
+            answers[name] = first_result(interpreter, folder, FIRST_RESULTS[name])
     return {name: answers[name] for name in names}
+
+
+def first_result(interpreter: Sequence[str], folder: str, program: str) -> float | str:
+    """Return the seconds of the processor until a process has its first result, its machine code on disk."""
+    environment = {**os.environ, "PINMOBILE_CACHE": folder}
+    for _ in range(2):  # the first fills the folder
+        command = [*interpreter, "-W", "ignore", "-c", program + PRINTED]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+        if done.returncode:
+            return f"FAILED: {(done.stderr.strip().splitlines() or [f'exit {done.returncode}'])[-1]}"
+    return float(done.stdout.splitlines()[-1])
 
 
 def keep(rows: Mapping[str, Row], answers: Mapping[str, float | str]) -> None:
@@ -134,7 +159,7 @@ def show_loops(out: Console, found: Mapping[str, Mapping[str, Row]], quick: bool
 def show_runs(out: Console, found: Mapping[str, Mapping[str, Row]]) -> None:
     """Print the rows of one run, and what some take of others."""
     now = found["now"]
-    names = [name for name in (*RUNS, *FIRST) if name in now]
+    names = [name for name in (*RUNS, *FIRST, *FIRST_RESULTS) if name in now]
     if not names:
         return
     columns = [f"{version}, ms" for version in found]

@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from time import perf_counter
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,27 @@ STEPS, QUICK_STEPS = 1_200, 40
 SHORT, LONGEST = 12, 1.0  # steps to begin with; ten times as many follow on what takes no longer [s]
 SAMPLES = 6_001  # of a rollout
 DT, FINE = 0.05, 0.01  # of an ensemble, of a rollout [s]
+
+
+ENGINES = {"PYTHON": ("PYTHON", "PINOCCHIO"), "COMPILED": ("COMPILED",)}
+"""What engines are called, in this version and in older ones."""
+
+FIRST = "\nfrom time import process_time\nprint()\nprint(process_time())\n"
+PLANAR = "import pinmobile as p; b = p.MobileRobot(30, 1.3, (0.1, 0.05)); "
+FIRST_RESULTS = {
+    "first result, planar": PLANAR + "p.simulate(b, p.ComputedTorque(b), p.Tangent(p.Circle(2, 0.5, 6)), "
+    "dt=0.01, engine=p.COMPILED)",
+    "first result, UR5": "import pinmobile as p; b = p.MobileRobot.box().mount('ur5'); "
+    "t = p.WholeBody(b, p.Tangent(p.Circle(3, 0.1, 2)), p.Hold(b.rest[3:], 2)); "
+    "p.simulate(b, p.ComputedTorque(b, 9, 6), t, dt=0.01, engine=p.COMPILED)",
+    "first result, sliding wheels": "import numpy as np; "
+    + PLANAR
+    + "w = p.WheelTable.differential(0.5, 0.1, supports=[(-0.3, 0)], mass=1.0, spin_inertia=0.01, "
+    "yaw_inertia=0.006); d = p.WheeledRobot(b, w, p.Coulomb()); "
+    "p.simulate(d, p.law(lambda t, q, v, r: np.array([0.6, 0.7]) + 0 * v[:2]), "
+    "p.Tangent(p.Circle(2, 0.5, 6)), dt=0.01, engine=p.COMPILED, limit=1e6)",
+}
+"""First results of a process, whose machine code is on disk: seconds from the start of Python."""
 
 
 class Lacking(Exception):
@@ -109,16 +130,37 @@ class Work:
         """Return the seconds of an ensemble of n robots."""
         return self.timed(lambda: self.ensemble(n, QUICK_STEPS if self.quick else STEPS))
 
-    def rollout(self, **options: Any) -> float:
+    def rollout(self, engine: str, controller: Any = None, robot: Any = None, **options: Any) -> float:
         """Return the seconds of a rollout."""
-        trajectory = self.trajectory((SAMPLES - 1) * FINE)
-        return self.timed(lambda: self.of.simulate(self.robot, self.computed, trajectory, dt=FINE, **options))
+        names = [name for name in ENGINES[engine] if hasattr(self.of, name)]
+        if not names:
+            raise Lacking(f"it has no engine {engine}")
+        trajectory = options.pop("trajectory", None) or self.trajectory((SAMPLES - 1) * FINE)
+        parts = robot or self.robot, controller or self.computed, trajectory
+        given = {"dt": FINE, "engine": getattr(self.of, names[0]), **options}
+        return self.timed(lambda: self.of.simulate(*parts, **given))
 
-    def compiled(self) -> float:
-        """Return the seconds of a compiled rollout."""
-        if not hasattr(self.of, "COMPILED"):
-            raise Lacking("it has no engine COMPILED")
-        return self.rollout(engine=self.of.COMPILED)
+    def pd(self) -> Any:
+        """Return PD."""
+        return self.of.PD(PD_GAINS, PD_GAINS)
+
+    def on_wheels(self, ground: Any) -> float:
+        """Return the seconds of a rollout of a differential drive, a tenth as long."""
+        wheel = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
+        table = self.of.WheelTable.differential(0.5, 0.1, supports=[(-0.3, 0.0)], **wheel)
+        robot = self.of.WheeledRobot(self.of.MobileRobot(30.0, 1.3, com=(0.1, 0.05, 0.2)), table, ground)
+        trajectory = self.trajectory((SAMPLES - 1) // 10 * FINE)
+        return self.rollout(
+            "COMPILED", self.of.law(turning), robot, trajectory=trajectory, limit=1e6, substeps=4
+        )
+
+    def arm(self) -> float:
+        """Return the seconds of a rollout of a UR5 on its base."""
+        robot = self.of.MobileRobot.box().mount("ur5")
+        duration = (SAMPLES - 1) // 2 * FINE
+        joints = self.of.Hold(robot.rest[3:], duration)
+        trajectory = self.of.WholeBody(robot, self.trajectory(duration), joints)
+        return self.rollout("COMPILED", self.of.ComputedTorque(robot, 9, 6), robot, trajectory=trajectory)
 
     def raw(self) -> float:
         """Return the seconds of a raw Pinocchio loop that does the same as the rollout."""
@@ -130,10 +172,22 @@ class Work:
         return median_time(lambda: seconds(run), self.least)
 
 
+def turning(t: float, q: Any, v: Any, reference: Any) -> Any:
+    """Return torques of a left and a right side."""
+    return np.array([0.6, 0.7]) + 0.0 * v[:2]
+
+
+def branching(t: float, q: Any, v: Any, reference: Any) -> Any:
+    """Return PD by a law that cannot be traced."""
+    gains = PD_GAINS if q[0] < 1e9 else 0.0
+    return gains * (reference.q - q) + gains * (reference.v - v)
+
+
 def seconds(run: Callable[[], Any]) -> float:
-    start = perf_counter()
+    """Return the seconds of the processor that a run takes: other work on the machine counts less."""
+    start = process_time()
     run()
-    return perf_counter() - start
+    return process_time() - start
 
 
 LOOPS: dict[str, Callable[[Work], float]] = {
@@ -163,8 +217,17 @@ RUNS: dict[str, Callable[[Work], float]] = {
     "ensemble, n = 1": lambda w: w.few(1),
     "ensemble, n = 16": lambda w: w.few(16),
     "ensemble, n = 100": lambda w: w.few(100),
-    "simulate, compiled": lambda w: w.compiled(),
-    "simulate, Pinocchio": lambda w: w.rollout(),
+    "simulate, compiled": lambda w: w.rollout("COMPILED"),
+    "simulate, compiled, noise": lambda w: w.rollout(
+        "COMPILED", w.of.NoisyMeasurement(w.pd(), 1e-3, 1e-3, 3)
+    ),
+    "simulate, compiled, rk4": lambda w: w.rollout("COMPILED", integrator=w.of.rk4),
+    "simulate, compiled, UR5": lambda w: w.arm(),
+    "simulate, compiled, rolling": lambda w: w.on_wheels(w.of.Rolling()),
+    "simulate, compiled, sliding": lambda w: w.on_wheels(w.of.Coulomb()),
+    "simulate, Python": lambda w: w.rollout("PYTHON"),
+    "simulate, Python, PD": lambda w: w.rollout("PYTHON", w.pd()),
+    "simulate, Python, a law that cannot be traced": lambda w: w.rollout("PYTHON", w.of.law(branching)),
     "raw Pinocchio loop": lambda w: w.raw(),
 }
 """Rows of one run: its seconds."""

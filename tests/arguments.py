@@ -79,7 +79,7 @@ INNER = {
         "simulation.chosen_integrator",
         "simulation.sample_times",
     ),
-    *("simulation.sampled", "simulation.stepped", "sweeps.check_draws", "sweeps.connected", "sweeps.length"),
+    *("simulation.sampled", "sweeps.check_draws", "sweeps.connected", "sweeps.length"),
     *(
         "trajectories.check_limits",
         "integrators.RungeKuttaNystrom",
@@ -97,7 +97,7 @@ INNER = {
     *("ensembles.Outline.description", "ensembles.Outline.difference", "ensembles.Part.of"),
     *("controllers.Changing", "controllers.Tracked"),
     "identification.VelocityIdentification.values_in_samples",
-    *("PD.compact", "ComputedTorque.compact", "PDGravity.compact", "MobileRobot.traced"),
+    "MobileRobot.traced",
     *("Rolling.of_each_wheel", "Coulomb.of_each_wheel", "Rolling.check", "Coulomb.check"),
     *("wheels.Reduced.nearest", "wheels.Reduced.torques"),
     "WheeledRobot.traced",

@@ -20,7 +20,7 @@ from pinmobile.controllers import ADRC, PID, Adaptive, SlidingMode, SuperTwistin
 
 FILE = Path(__file__).parent / "data" / "frozen.json"
 COMPILED = pm.COMPILED
-PYTHON = getattr(pm, "PYTHON", None) or pm.PINOCCHIO
+PYTHON = pm.PYTHON
 BODY = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05))
 WRONG = pm.MobileRobot(25.0, 1.0)
 CIRCLE = pm.Tangent(pm.Circle(2.0, 0.5, 6.0))

@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
+import numpy as np
+
 from pinmobile.arrays import Array, callable_as
 from pinmobile.errors import InvalidArgument, shown
 
@@ -99,6 +101,12 @@ class RungeKuttaNystrom:
         t, v, dt : float, ndarray, float
             Time [s] and velocity at the start, and the step [s].
         """
+        if len(self.nodes) == 1 and type(v) is np.ndarray and v.ndim == 1:
+            # Of a few numbers Python's own are twice as fast, and have the same bits.
+            a, b = self.weights_q[0] * dt * dt, self.weights_v[0] * dt
+            pairs = zip(v.tolist(), first.tolist(), strict=True)
+            x, w = zip(*[(dt * rate + a * gain, rate + b * gain) for rate, gain in pairs], strict=True)
+            return np.array(x), np.array(w)
         found = [first]
         for c, by_q, by_v in zip(self.nodes[1:], self.stages_q[1:], self.stages_v[1:], strict=True):
             found.append(acceleration(t + c * dt, *_moved(v, c * dt, dt, by_q, by_v, found)))

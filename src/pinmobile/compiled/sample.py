@@ -298,7 +298,9 @@ def one_sample(
         measured = measured_of(plant, t, q, v, acceleration, u, reference)
     sample = Sample(k, t, q, v, u, acceleration, error, error_rate, signals, measured)
     record = NOTHING if parts.recorder is None else parts.recorder(sample, memory.recorder)
-    return Stepped(sample, q1, v1, Memory(kept, inner, record.state), record)
+    if kept is not memory.plant or inner is not memory.controller or record is not NOTHING:
+        memory = Memory(kept, inner, record.state)
+    return Stepped(sample, q1, v1, memory, record)
 
 
 def _numbers(name: str, found: Any, t: Moment, shape: tuple[int, ...]) -> Any:

@@ -213,10 +213,14 @@ def feedback(controller: Feedback, difference: Difference, q: Array, v: Array, r
             wanted = np.concatenate([np.broadcast_to(wanted, (*lead, length)), q[..., length:]], axis=-1)
         else:
             _check_fit(robot, q, v, reference)
-    error, rate = difference(q, wanted)[..., :n], reference.v - v[..., :n]
-    if error.shape != rate.shape:
-        raise InvalidArgument(f"difference gives shape {error.shape}, expected {rate.shape}")
-    return amplified("kp", controller.kp, error) + amplified("kd", controller.kd, rate)
+    error = difference(q, wanted)
+    if error.shape[-1:] != v.shape[-1:]:
+        raise InvalidArgument(
+            f"difference gives shape {error.shape}, expected {v.shape}: compare configurations by "
+            "difference=robot.difference"
+        )
+    rate = reference.v - v[..., :n]
+    return amplified("kp", controller.kp, error[..., :n]) + amplified("kd", controller.kd, rate)
 
 
 def _check_fit(robot: Any, q: Array, v: Array, reference: State) -> None:
