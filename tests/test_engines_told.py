@@ -16,13 +16,18 @@ from pinmobile import (
     PYTHON,
     Circle,
     ComputedTorque,
+    Coulomb,
     Ensemble,
     InvalidArgument,
     MobileRobot,
+    Rolling,
     Rollout,
     Scenario,
     Tangent,
     Uniform,
+    ViscousFriction,
+    WheeledRobot,
+    WheelTable,
     ensemble,
     grid,
     law,
@@ -174,3 +179,30 @@ def test_an_engine_as_a_string_is_told_what_to_write(engine: Any) -> None:
     unknown: Any = "ARRAYS"
     with pytest.raises(InvalidArgument, match=r"^engine is 'ARRAYS', expected PYTHON, COMPILED of "):
         simulate(MobileRobot.box(), PD(9, 9), CIRCLE, dt=0.2, engine=unknown)
+
+
+def _branching_torques(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return np.array([0.6, 0.7]) if q[0] < 1e9 else np.zeros(2)
+
+
+@pytest.mark.parametrize("ground", [Rolling(), Coulomb()], ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize("substeps", [1, 3])
+def test_plant_and_forces_are_compiled_where_the_controller_alone_cannot_be(
+    ground: Any, substeps: int
+) -> None:
+    wheel: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
+    table = WheelTable.differential(0.5, 0.1, supports=[(-0.3, 0.0)], **wheel)
+    robot = WheeledRobot(MobileRobot(30.0, 1.3, com=(0.1, 0.05, 0.2)), table, ground)
+    given: dict[str, Any] = {"forces": [ViscousFriction((5.0, 9.0, 0.4))], "substeps": substeps}
+    given |= {"dt": 0.02, "limit": 1e6}
+    traced = law(lambda t, q, v, reference: np.array([0.6, 0.7]) + 0.0 * v[:2])
+    one = simulate(robot, traced, CIRCLE, **given)
+    with pytest.warns(SlowerEngine, match="^this loop runs by PYTHON: plant and forces are compiled, the"):
+        other = simulate(robot, law(_branching_torques), CIRCLE, **given)
+    assert (one.engine, one.why, other.engine) == ("COMPILED", "", "PYTHON")
+    for name in ("q", "v", "u", "a"):
+        here, there = getattr(one, name), getattr(other, name)
+        np.testing.assert_allclose(there, here, rtol=0, atol=1e-9 * (1 + np.abs(here).max()), err_msg=name)
+    assert list(one.signals) == list(other.signals)
+    for name, signal in one.signals.items():
+        np.testing.assert_allclose(other.signals[name].values, signal.values, rtol=0, atol=1e-8, err_msg=name)

@@ -80,6 +80,8 @@ class Plant(Protocol):
         A step of its own in place of an integrator's; ``initial_state(context)`` is its first memory. The
         forces beside the input are a function of time and state, ``f(t, q, v) -> (nv,)``, asked wherever the
         step wants to know them; it returns 0.0 where nothing acts.
+    ``compiles``
+        True where `simulate` compiles a loop if no engine is given.
     ``integrator``
         That which `simulate` takes where none is given; constant_acceleration without.
     ``signals(t, q, v, u, f, memory) -> {name: (unit, value)}``
@@ -150,11 +152,14 @@ class Step(NamedTuple):
         The state at its end.
     memory : any
         What the plant keeps, such as which contacts stick.
+    a : ndarray, shape (nv,), optional
+        The acceleration at its start; by default the mean.
     """
 
     q: Array
     v: Array
     memory: object = None
+    a: Any = None
 
 
 class Contacts(NamedTuple):

@@ -9,7 +9,14 @@ from pinmobile.compiled.loop_tape import (
     check_schedules as check_schedules,
     initial_memory as initial_memory,
 )
-from pinmobile.compiled.memory import Line, Noise, Schedule, robot_keys
+from pinmobile.compiled.memory import (
+    Line,
+    Noise,
+    Schedule,
+    leaves as leaves,
+    mapped as mapped,
+    robot_keys,
+)
 from pinmobile.compiled.parts import (
     Parts,
     Place,
@@ -24,7 +31,7 @@ from pinmobile.compiled.parts import (
 )
 from pinmobile.compiled.passes import traced
 from pinmobile.compiled.processor import Cache, Target, processors as processors
-from pinmobile.compiled.program import Outcome, Program
+from pinmobile.compiled.program import Outcome, Program, aligned as aligned
 from pinmobile.compiled.program_cache import memory_of, once, program_of
 from pinmobile.compiled.sample import (
     NOTHING as NOTHING,
@@ -35,8 +42,10 @@ from pinmobile.compiled.sample import (
     Stepped,
     Summary,
     Trace,
+    moved_on as moved_on,
     one_sample,
     reaction as reaction,
+    told_by as told_by,
     tracking_errors as tracking_errors,
 )
 from pinmobile.compiled.symbolic import plain as plain, symbols as symbols

@@ -290,9 +290,11 @@ def one_sample(
         u = np.clip(u, *parts.limits)
     if parts.is_informed:
         inner = controller.applied(u.copy(), inner)
-    advance = stepped if parts.steps else integrated
-    acceleration, q1, v1, kept = advance(parts, t, h, q, v, u, memory.plant)
-    signals = claimed(_told(parts, t, q, v, u, memory.plant, inner), _signal) if parts.tells else {}
+    acceleration, q1, v1, kept = moved_on(parts, t, h, q, v, u, memory.plant)
+    signals: Mapping[str, Claim] = {}
+    if parts.tells:
+        own = signals_of(controller, inner)
+        signals = claimed(told_by(parts, t, q, v, u, memory.plant, own), _signal)
     measured: Any = ()
     if parts.is_measured:
         measured = measured_of(plant, t, q, v, acceleration, u, reference)
@@ -314,15 +316,16 @@ def _numbers(name: str, found: Any, t: Moment, shape: tuple[int, ...]) -> Any:
     return array
 
 
-def _told(
-    parts: Parts, t: Moment, q: Values, v: Values, u: Values, memory: object, inner: object
+def told_by(
+    parts: Parts, t: Moment, q: Values, v: Values, u: Values, memory: object, own: Any = None
 ) -> Iterator[tuple[str, Any]]:
-    """Yield the signals of the parts at a sample, each with what the part is called."""
+    """Yield the signals of the parts at a sample, with `own` of the controller, each by what it is called."""
     plant = parts.law
     if hasattr(plant, "signals"):
         f = _acting(parts, t, q, v, u) + np.zeros(plant.nv)
         yield "plant", plant.signals(t, q.copy(), v.copy(), u.copy(), f, memory)
-    yield "controller", signals_of(parts.controller, inner)
+    if own is not None:
+        yield "controller", own
     for i, force in enumerate(parts.forces):
         if hasattr(force, "on_coordinates"):
             yield f"forces[{i}]", signals_of(force, t, q.copy(), v.copy())
@@ -446,7 +449,12 @@ def _accelerated(parts: Parts, t: Moment, q: Values, v: Values, u: Values) -> An
     return _numbers("plant.forward_dynamics", found, t, np.shape(v))
 
 
-def stepped(parts: Parts, t: Moment, h: Moment, q: Values, v: Values, u: Values, memory: object) -> Any:
+def moved_on(parts: Parts, t: Moment, h: Moment, q: Values, v: Values, u: Values, memory: object) -> Any:
+    """Return the acceleration, the state after the substeps of a sample, and what the plant keeps."""
+    return (_stepped if parts.steps else integrated)(parts, t, h, q, v, u, memory)
+
+
+def _stepped(parts: Parts, t: Moment, h: Moment, q: Values, v: Values, u: Values, memory: object) -> Any:
     """Return the mean acceleration of the first substep, and the state after all, by the plant's own step."""
     acceleration = None
     for j in range(parts.substeps):
@@ -460,6 +468,8 @@ def stepped(parts: Parts, t: Moment, h: Moment, q: Values, v: Values, u: Values,
             _numbers(f"{name} of plant.step", getattr(found, name), t, np.shape(x))
             for name, x in (("q", q), ("v", v))
         )
-        acceleration = (v1 - v) / h if acceleration is None else acceleration
+        if acceleration is None:
+            own = getattr(found, "a", None)
+            acceleration = (v1 - v) / h if own is None else own
         q, v, memory = q1, v1, found.memory
     return acceleration, q, v, memory

@@ -30,7 +30,15 @@ from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import InvalidArgument, NotFinite, NotTraceable
 from pinmobile.measures import measures_of
 from pinmobile.plant import Context
-from pinmobile.simulation import COMPILED, PYTHON, Engine, checked_engine, in_python, sampled
+from pinmobile.simulation import (
+    COMPILED,
+    PYTHON,
+    Engine,
+    checked_engine,
+    in_python,
+    sampled,
+    with_compiled_plant,
+)
 
 _AT_ONCE = 4096  # robots on arrays
 _ONE_BY_ONE = 16  # robots between two reports of progress
@@ -76,7 +84,7 @@ class Way:
         if self.engine is COMPILED:
             part = _compiled(self, draws, start, stop, threads)
         else:
-            part = _in_python(self.scenario, draws, start, stop)
+            part = _in_python(self, draws, start, stop)
         _check_measured(self.scenario, part, start)
         return part
 
@@ -279,12 +287,12 @@ def _compiled(way: Way, draws: Mapping[str, Array], start: int, stop: int, threa
     return Part.of(scenario, outcome.memory.recorder, outcome.counts)
 
 
-def _in_python(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> Part:
+def _in_python(way: Way, draws: Mapping[str, Array], start: int, stop: int) -> Part:
     records = Records(start, stop)
     for i in range(start, stop):
         try:
             own = {name: column[i - start : i - start + 1] for name, column in draws.items()}
-            records.put(i, i + 1, _alone(scenario, own, i))
+            records.put(i, i + 1, _alone(way.scenario, own, i, compiles=bool(way.why)))
         except InvalidArgument as error:
             if type(error) is InvalidArgument and not str(error).startswith("robot "):
                 raise InvalidArgument(f"robot {i}: {error}") from error
@@ -296,8 +304,8 @@ def _in_python(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
     return records.part()
 
 
-def _alone(scenario: Scenario, draws: Mapping[str, Array], i: int) -> Part:
-    """Return the records of robot i, whose loop runs in Python."""
+def _alone(scenario: Scenario, draws: Mapping[str, Array], i: int, *, compiles: bool) -> Part:
+    """Return the records of robot i, whose controller, or whose loop, runs in Python."""
     member = member_of(scenario, i, draws)
     reference = sampled(member.trajectory, scenario.t, member.robot)
     context = Context.of(
@@ -310,13 +318,16 @@ def _alone(scenario: Scenario, draws: Mapping[str, Array], i: int) -> Part:
         controller=member.controller,
         forces=member.options["forces"],
     )
+    q, v = (np.array(member.options[name], np.float64) for name in ("q0", "v0"))
+    if compiles:
+        with contextlib.suppress(NotTraceable):
+            parts = with_compiled_plant(parts, context, q, v)
     record = parts.recorder.initial_state(scenario.size, parts.plant.nu)
     counts = np.zeros((len(scenario.grid), len(scenario.channels), BINS), np.int32)
     counts[..., -1] = 1  # of a robot that has diverged
     for channel, one in enumerate(scenario.channels):
         if one.is_margin:
             counts[:, channel] = np.eye(BINS, dtype=np.int32)[0]
-    q, v = (np.array(member.options[name], np.float64) for name in ("q0", "v0"))
     with np.errstate(all="ignore"), contextlib.suppress(NotFinite):
         for k, found in enumerate(in_python(parts, context, q, v)):
             record = found.record.state

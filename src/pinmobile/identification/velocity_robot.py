@@ -99,6 +99,7 @@ class VelocityRobot:
     nv: ClassVar[int] = 3
     nu: ClassVar[int] = 2
     broadcasts: ClassVar[bool] = True
+    compiles: ClassVar[bool] = True
     integrator: ClassVar[Any] = rk4
     coordinates: ClassVar[tuple[Coordinate, ...]] = VelocityBody.coordinates
     leading: ClassVar[Mapping[int, int]] = MappingProxyType({3: 3})

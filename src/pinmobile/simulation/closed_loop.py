@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum
-from functools import partial
-from typing import Any, TypeAlias
+from typing import Any
 from warnings import warn
 
 import numpy as np
@@ -15,12 +14,13 @@ from pinmobile.arrays import Array, ArrayLike, finite, positive, whole
 from pinmobile.compiled import Parts, Trace, memory_of
 from pinmobile.controllers import Controller
 from pinmobile.divergence import is_near
-from pinmobile.errors import Diverged, InvalidArgument, LimitWarning, shown
+from pinmobile.errors import Diverged, InvalidArgument, LimitWarning, NotTraceable, SlowerEngine, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations
 from pinmobile.signals import told_at
 from pinmobile.simulation.loop import CompiledLoop, Loop
+from pinmobile.simulation.mixed import with_compiled_plant
 from pinmobile.simulation.rollout import Rollout
 from pinmobile.simulation.setup import (
     check_answers,
@@ -74,8 +74,6 @@ def checked_engine(engine: object, *known: Engine) -> Engine | None:
         )
     raise InvalidArgument(f"engine is {shown(engine)}, expected {', '.join(names)} of pinmobile, or None")
 
-
-_Ran: TypeAlias = Loop | CompiledLoop
 
 _CHUNK = 512  # samples between two looks for divergence
 _NOT_ASKED = f"not {COMPILED!r}, which runs what can be compiled where engine={COMPILED!r} asks for it"
@@ -138,7 +136,9 @@ def simulate(
         The loop counts as diverged when an error in a coordinate (psi on the circle) or in a velocity is
         beyond it [m, rad, m/s, rad/s].
     engine : Engine, optional
-        `PYTHON`, by default, or `COMPILED`: the same laws as machine code, for those who run many.
+        `PYTHON` or `COMPILED`, the same laws as machine code; by default the plant's choice: a MobileRobot
+        runs in Python, with Pinocchio's dynamics, a robot on wheels compiled. Where a controller cannot be
+        compiled, plant and forces are; `Rollout.why` says why.
     seed, member : int
         What the noise of controllers follows from: the seed of an ensemble, and the robot's number in it.
 
@@ -156,6 +156,8 @@ def simulate(
 
     Warns
     -----
+    SlowerEngine
+        If a part keeps a loop from being compiled that by default is.
     LimitWarning
         Once, if the run exceeds limits of the robot, or the robot tips over: see `Rollout.events`.
     """
@@ -165,16 +167,12 @@ def simulate(
     t = sample_times(dt, duration, trajectory.duration)
     count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
     asked = checked_engine(engine, PYTHON, COMPILED)
-    chosen = asked or PYTHON
-    parts = controller, trajectory
-    made = {"engine": repr(chosen), "why": _NOT_ASKED if asked is None else ""}
-    loop_parts = Parts(plant, controller, checked, integrator, Trace(), count)
-    kind: Callable[..., _Ran] = Loop
+    compiles = asked is COMPILED or (asked is None and getattr(plant, "compiles", False))
+    parts = Parts(plant, controller, checked, integrator, Trace(), count)
     memory: dict[Any, Any] = {}  # of this call alone, where nothing is remembered
-    if chosen is COMPILED:
-        memory = memory_of(replace(loop_parts, recorder=None), trajectory)
-        kind = partial(CompiledLoop, memory=memory)
-    reference = sampled(trajectory, t, plant, memory if chosen is COMPILED else None)
+    if compiles:
+        memory = memory_of(replace(parts, recorder=None), trajectory)
+    reference = sampled(trajectory, t, plant, memory if compiles else None)
     start = _start(plant, reference, q0, v0)
     context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
     context = replace(context, seed=whole("seed", seed, least=0), member=whole("member", member, least=0))
@@ -182,8 +180,11 @@ def simulate(
         check_answers(plant, checked, integrator, *start, dt / count)
         check_controllers_memory(controller, context, *start)
         memory["simulated", count, dt, t[-1]] = True
-    chunk = len(t) if chosen is COMPILED else _CHUNK
-    loop = kind(loop_parts, context, *start)
+    loop, why = _engaged(parts, context, start, memory, asked, compiles=compiles)
+    made = {"engine": "COMPILED" if isinstance(loop, CompiledLoop) else "PYTHON", "why": why}
+    if why and compiles:
+        warn(f"this loop runs by PYTHON: {why}", SlowerEngine, stacklevel=2)
+    told, chunk = (controller, trajectory), len(t) if isinstance(loop, CompiledLoop) else _CHUNK
     for begin in range(0, len(t), chunk):
         end = min(begin + chunk, len(t))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below tells
@@ -192,15 +193,41 @@ def simulate(
             continue
         bad, why = _first_bad(plant, loop, reference, begin, end, limit)
         if bad is not None:
-            kept = _rollout(plant, t, loop, reference, bad, made, parts) if bad else None
+            kept = _rollout(plant, t, loop, reference, bad, made, told) if bad else None
             q, v, _, _ = loop.samples(bad, bad + 1)
             message = f"the loop diverged at t = {t[bad]:g} s (sample {bad} of {len(t) - 1}): {why}"
             message += _too_stiff(plant, checked, start[0], dt / count)
             raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept) from loop.stopped
-    found = _rollout(plant, t, loop, reference, len(t), made, parts)
+    found = _rollout(plant, t, loop, reference, len(t), made, told)
     if found.events:
         warn("; ".join(found.events), LimitWarning, stacklevel=2)
     return found
+
+
+def _engaged(
+    parts: Parts,
+    context: Context,
+    start: tuple[Array, Array],
+    memory: dict[Any, Any],
+    asked: Engine | None,
+    *,
+    compiles: bool,
+) -> tuple[Loop | CompiledLoop, str]:
+    """Return the loop by its engine, and why it is not compiled, where that was not asked for."""
+    if not compiles:
+        return Loop(parts, context, *start), _NOT_ASKED if asked is None else ""
+    try:
+        return CompiledLoop(parts, context, *start, memory=memory), ""
+    except NotTraceable as error:
+        if asked is COMPILED:
+            raise InvalidArgument(f"engine is COMPILED, which cannot run this: {error.reason}") from error
+        why = error.reason
+    try:
+        compiled = with_compiled_plant(parts, context, *start)
+    except NotTraceable:
+        return Loop(parts, context, *start), f"not COMPILED: {why}"
+    why = f"plant and forces are compiled, the controller runs in Python; not COMPILED: {why}"
+    return Loop(compiled, context, *start), why
 
 
 def _start(
@@ -249,7 +276,7 @@ def errors_of(plant: Plant, q: Array, reference: Reference) -> Array:
 
 
 def _first_bad(
-    plant: Plant, loop: _Ran, reference: Reference, begin: int, end: int, limit: float
+    plant: Plant, loop: Loop | CompiledLoop, reference: Reference, begin: int, end: int, limit: float
 ) -> tuple[int | None, str]:
     """Return the first sample that is not acceptable, or None, and why."""
     samples = loop.samples(begin, end)
@@ -307,7 +334,7 @@ def _too_stiff(plant: Any, forces: Sequence[Force | CoordinateForce], q: Array, 
 def _rollout(
     plant: Plant,
     t: Array,
-    loop: _Ran,
+    loop: Loop | CompiledLoop,
     reference: Reference,
     end: int,
     made: dict[str, str],

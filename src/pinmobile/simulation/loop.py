@@ -131,7 +131,7 @@ class CompiledLoop:
 
     Raises
     ------
-    InvalidArgument
+    NotTraceable
         If a law cannot be compiled; its line, and what to write instead.
     """
 
@@ -150,11 +150,8 @@ class CompiledLoop:
         def known() -> Program:
             return program_of(parts, context, (q0, v0), first, dt=context.dt, single=True)
 
-        try:
-            _check_telling(parts)
-            program = once(memory, ("single", substeps, context.dt, len(context.t), context.t[-1]), known)
-        except NotTraceable as error:
-            raise InvalidArgument(f"engine is COMPILED, which cannot run this: {error.reason}") from error
+        _check_telling(parts)
+        program = once(memory, ("single", substeps, context.dt, len(context.t), context.t[-1]), known)
         member = range(context.member, context.member + 1)
         keys = {name: robot_keys(context.seed, name, member) for name in program.loop.keys}
         start = q0[None], v0[None]

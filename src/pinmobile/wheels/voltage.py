@@ -55,6 +55,7 @@ class ByVoltage:
     wheeled: Any
 
     broadcasts: ClassVar[bool] = True
+    compiles: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if not isinstance(getattr(self.wheeled, "table", None), WheelTable):

@@ -63,6 +63,7 @@ class WheeledRobot(Platform, Bearing):
     table: WheelTable = None  # type: ignore[assignment]
     ground: Ground = None  # type: ignore[assignment]
     broadcasts: ClassVar[bool] = True
+    compiles: ClassVar[bool] = True
     integrator: ClassVar[Any] = rk4  # a lower order loses the way of a turn at speed
 
     def __post_init__(self) -> None:
