@@ -152,14 +152,11 @@ class Step(NamedTuple):
         The state at its end.
     memory : any
         What the plant keeps, such as which contacts stick.
-    a : ndarray, shape (nv,), optional
-        The acceleration at its start; by default the mean.
     """
 
     q: Array
     v: Array
     memory: object = None
-    a: Any = None
 
 
 class Contacts(NamedTuple):

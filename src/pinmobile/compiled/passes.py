@@ -22,7 +22,7 @@ from pinmobile.compiled.parts import Parts, Place
 from pinmobile.compiled.sample import Memory, Reference, Stepped, one_sample
 from pinmobile.compiled.symbolic import Symbols, Values, entries, symbols
 from pinmobile.compiled.tape import COUNT, LARGEST, Known, Node, Tape, evaluated, float_bits, needed, real
-from pinmobile.compiled.tracing import Walk, calling_place, tracing
+from pinmobile.compiled.tracing import Walk, calling_place, place_of, tracing
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName
 
 
@@ -145,7 +145,12 @@ class _Trace:
     def result(self) -> Loop:
         """Return the tape, after it has been compared with itself and with numbers."""
         check_schedules(self.parts, self.context, len(self.reference.v), self.spread)
-        number = self._shaped()
+        try:
+            number = self._shaped()
+        except AttributeError as error:  # which the robot itself has, that the law was asked with before
+            raise NotTraceable(
+                str(error), "ask a robot for what it has on symbols", place_of(error.__traceback__)
+            ) from error
         loop = self._loop()
         fixed = frozenset(
             (leaf.owner, leaf.path) for leaf in loop.leaves if leaf.kind == "state" and _stays(loop, leaf)

@@ -280,7 +280,7 @@ class System:
         """
         if type(q0) is type(q1) is np.ndarray and q0.shape == q1.shape == (self._engine.nv,):
             displacement = q1 - q0  # in a loop
-            if isfinite(displacement.dot(displacement)):
+            if isfinite(np.vdot(displacement, displacement)):
                 if not LEAST_ANGLE < displacement[2] <= np.pi:
                     displacement[2] = wrap_angle(displacement[2])
                 return displacement

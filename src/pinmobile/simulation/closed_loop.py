@@ -182,7 +182,7 @@ def simulate(
         memory["simulated", count, dt, t[-1]] = True
     loop, why = _engaged(parts, context, start, memory, asked, compiles=compiles)
     made = {"engine": "COMPILED" if isinstance(loop, CompiledLoop) else "PYTHON", "why": why}
-    if why and compiles:
+    if why.startswith("not") and compiles:
         warn(f"this loop runs by PYTHON: {why}", SlowerEngine, stacklevel=2)
     told, chunk = (controller, trajectory), len(t) if isinstance(loop, CompiledLoop) else _CHUNK
     for begin in range(0, len(t), chunk):

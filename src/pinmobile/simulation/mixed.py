@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from math import prod
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,9 +23,18 @@ from pinmobile.compiled import (
     program_of,
     told_by,
 )
-from pinmobile.plant import Context, Step
+from pinmobile.plant import Context
 
 _U = Place("controller", "u")
+
+
+class _Moved(NamedTuple):
+    """A `Step` whose acceleration is that at its start."""
+
+    q: Any
+    v: Any
+    memory: Any
+    a: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +66,9 @@ class _Whole:
         plant = self.inner.plant
         return plant.initial_state(context) if hasattr(plant, "initial_state") else None
 
-    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> Step:
+    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> _Moved:
         a, q, v, memory = moved_on(self.inner, t, h / self.inner.substeps, q, v, u, memory)
-        return Step(q, self.inner.law.project(q, v) if self.inner.is_constrained else v, memory, a)
+        return _Moved(q, self.inner.law.project(q, v) if self.inner.is_constrained else v, memory, a)
 
     def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Any) -> dict[str, Any]:
         return {
@@ -121,7 +130,7 @@ class CompiledPlant:
         """Return what the plant keeps before the first sample."""
         return self._begun
 
-    def step(self, t: float, q: Array, v: Array, u: Array, h: float, f: Any, memory: Any) -> Step:
+    def step(self, t: float, q: Array, v: Array, u: Array, h: float, f: Any, memory: Any) -> _Moved:
         """Return the state a sample later; the forces are its own."""
         row, nq, n = self._row, self.nq, self.nq + self.nv
         row[:nq], row[nq:n], row[self._u : self._u + self.nu] = q, v, u
@@ -143,7 +152,7 @@ class CompiledPlant:
                 return value
             return row[leaf.first : leaf.first + prod(leaf.shape)].reshape(leaf.shape).copy()
 
-        return Step(row[:nq].copy(), row[nq:n].copy(), mapped(memory, after), found["a"])
+        return _Moved(row[:nq].copy(), row[nq:n].copy(), mapped(memory, after), found["a"])
 
     def signals(self, *asked: Any) -> dict[str, Any]:
         """Return what plant and forces told at the sample whose step was the last."""
