@@ -55,12 +55,6 @@ class RungeKuttaNystrom:
     and the step ends at q + h v + h^2 sum_j r_j a_j and v + h sum_j s_j a_j (Hairer, Norsett, Wanner, Solving
     Ordinary Differential Equations I, 1993, section II.14).
 
-    Where q is a displacement between configurations that turn, its rate is not v, but what `rate` makes of
-    both (of a ball joint, by the inverse of dexp). What that is more than v in stage j, d_j, is added as a
-    Runge-Kutta method of weights B and s has it: h sum_j B_ij d_j to q in stage i, h sum_j s_j d_j at the end
-    (Munthe-Kaas, High order Runge-Kutta methods on manifolds, 1999). So rk4 keeps its order there too; to
-    methods of one stage it makes no difference, as d_1 = 0.
-
     Parameters
     ----------
     name : str
@@ -81,30 +75,14 @@ class RungeKuttaNystrom:
     weights_v: tuple[float, ...]
 
     def __call__(
-        self,
-        acceleration: Acceleration,
-        t: float,
-        q: Array,
-        v: Array,
-        dt: float,
-        rate: Callable[[Array, Array], Array] | None = None,
+        self, acceleration: Acceleration, t: float, q: Array, v: Array, dt: float
     ) -> tuple[Array, Array]:
-        """Return configuration and velocity, shape (..., n), a time `dt` later.
-
-        The rate of q is ``rate(q, v)``; by default v.
-        """
-        found, beside = [acceleration(t, q, v)], [] if rate is None else [rate(q, v) - v]
+        """Return configuration and velocity, shape (..., n), a time `dt` later."""
+        found = [acceleration(t, q, v)]
         for c, by_q, by_v in zip(self.nodes[1:], self.stages_q[1:], self.stages_v[1:], strict=True):
             x, w = _moved(q, v, c * dt, dt, by_q, by_v, found)
-            for weight, d in zip(by_v, beside, strict=False):
-                x = x + (weight * dt) * d
             found.append(acceleration(t + c * dt, x, w))
-            if rate is not None:
-                beside.append(rate(x, w) - w)
-        x, w = _moved(q, v, dt, dt, self.weights_q, self.weights_v, found)
-        for weight, d in zip(self.weights_v, beside, strict=False):
-            x = x + (weight * dt) * d
-        return x, w
+        return _moved(q, v, dt, dt, self.weights_q, self.weights_v, found)
 
     def __repr__(self) -> str:
         return self.name

@@ -59,7 +59,7 @@ class Compact(NamedTuple):
     gains : ndarray, shape (n, 2 n)
         Of (e, e_dot).
     turning : tuple of int
-        Coordinates whose error is on the circle: the third, or none.
+        Coordinates whose error is on the circle.
     inverse_dynamics : callable, optional
         Of the command, a_d added, where the law has one: ``inverse_dynamics(q, v, command)``.
     gravity : callable, optional
@@ -118,7 +118,7 @@ def compacted(controller: Feedback, plant: Plant, call: str) -> Compact | None:
     turning = getattr(owner if bound else difference, "turning", None)
     robot = getattr(controller, "robot", None)
     sizes = [each.nv for each in (robot, owner if bound else None) if each is not None]
-    if turning not in ((), (2,)) or any(size != n for size in sizes):
+    if turning is None or any(size != n for size in sizes):
         return None
     gains = np.hstack([gain_matrix(name, getattr(controller, name), n) for name in ("kp", "kd")])
     if not call:

@@ -352,14 +352,15 @@ def _asked(
 def _feedback(compact: Compact, desired: Array, accelerations: Array) -> Control:
     """Return the force of a law of feedback."""
     gains, turning, inverse, gravity = compact
-    n, wrapped = len(gains), bool(turning)
+    n = len(gains)
     error, command = np.empty(2 * n), np.empty(n)
     subtract, add, times_gains, pi = np.subtract, np.add, gains.dot, np.pi
 
     def control(k: int, state: Array, q: Array, v: Array) -> Array:
         subtract(desired[k], state, error)
-        if wrapped and not LEAST_ANGLE < error[2] <= pi:
-            error[2] = wrap_angle(error[2])
+        for i in turning:
+            if not LEAST_ANGLE < error[i] <= pi:
+                error[i] = wrap_angle(error[i])
         times_gains(error, command)
         if gravity is not None:
             add(command, gravity(q), command)

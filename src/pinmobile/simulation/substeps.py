@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from math import isfinite
 from typing import Any, NamedTuple, NoReturn, TypeAlias
 
@@ -17,7 +16,6 @@ from pinmobile.integrators import Acceleration, Integrator, RungeKuttaNystrom
 from pinmobile.plant import Plant, Step
 
 _WRENCH = (3,)
-_STRAIGHT = 1e-6  # where a Jacobian is the identity it is so exactly, and of a ball joint it is off by tenths
 
 _Push: TypeAlias = Callable[[float, Array, Array], Array]
 Acting: TypeAlias = Callable[[float, Array, Array, Array], Array]
@@ -232,32 +230,15 @@ def steps(integrator: Integrator, dynamics: Dynamics, clock: Clock) -> _Advance:
     return advance
 
 
-def _turning(plant: Plant) -> Callable[[Array, Array], Array] | None:
-    """Return the plant's `integrate_jacobian` where a displacement's rate differs from the velocity.
-
-    One displacement tells, which is like any other.
-    """
-    jacobian: Callable[[Array, Array], Array] | None = getattr(plant, "integrate_jacobian", None)
-    if jacobian is None or not hasattr(plant, "neutral"):
-        return None
-    J = jacobian(plant.neutral, np.linspace(0.3, 0.7, plant.nv))
-    return jacobian if np.abs(J - np.eye(plant.nv)).max() > _STRAIGHT else None
-
-
 def steps_between_configurations(
     integrator: Integrator, plant: Plant, dynamics: Dynamics, clock: Clock
 ) -> _Advance:
     """Return the steps of any integrator, which sees the displacement from the start of its step.
 
-    Where that does not change at the velocity, as of a ball joint, a table is told at which rate it does.
     What constraints leave of the velocity is what is left after each step.
     """
     (times, h, substeps), (free, forced), rest = clock, dynamics, np.zeros(plant.nv)
-    # What is given to a plant is a copy, but to what says that it is unchecked.
-    calls = getattr(plant, "calls", None)
-    integrate = calls().integrate if calls is not None else plant.integrate
-    project = getattr(plant, "project", None)
-    jacobian = _turning(plant) if isinstance(integrator, RungeKuttaNystrom) else None
+    integrate, project = plant.integrate, getattr(plant, "project", None)
 
     def advance(k: int, row: Array, q: Array, v: Array, u: Array, a: Array, after: Array) -> None:
         now, base, w = times[k], q.copy(), v.copy()  # the record is nobody's to write into
@@ -271,11 +252,8 @@ def steps_between_configurations(
             x = np.asarray(integrate(base.copy(), displacement))
             return free(x, w, u) if forced is None else forced(time, x, w, u)
 
-        step = integrator
-        if jacobian is not None:
-            step = partial(integrator, rate=lambda d, w: np.linalg.solve(jacobian(base, d), w))  # type: ignore[call-arg]
         for j in range(substeps):
-            displacement, w = stepped(step, acceleration, now + j * h, displacement, w, h)
+            displacement, w = stepped(integrator, acceleration, now + j * h, displacement, w, h)
             base = np.array(integrate(base, displacement))
             if project is not None:
                 w = _answer("plant.project", project(base.copy(), w), now, rest.shape)

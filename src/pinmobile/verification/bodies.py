@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array
 from pinmobile.dh import JointType
-from pinmobile.robot import BODY_JOINT, MobileRobot, Mount, named_frames, prefixed
+from pinmobile.robot import BODY_JOINT, MobileRobot, Mount, joints_of, named_frames, prefixed
 
 _DOWN = np.array([0, 0, -9.81])  # [m/s^2]
 _POSE = ("x", "y", "psi")
@@ -99,18 +99,15 @@ class Parts:
     def _mount(self, mount: Mount, q: Array) -> None:
         """Add the links of an arm as it was read; a joint that is locked has no coordinates."""
         arm, on_base = mount.arm, BODY_JOINT - 1
-        whole, held, rest = arm.whole, arm.held(), arm.rest
+        whole, built, held, rest = arm.file_model, arm.whole, arm.held(), arm.rest
         if mount.numbers is not None:  # which are those of what moves
-            whole, held, rest = mount.model, [], arm.posture
+            whole, built, held, rest = mount.model, mount.model, [], arm.posture
         free = [joint for joint in range(1, whole.njoints) if joint not in held]
         own_q, own_v = np.tile(rest, (self.count, 1)), np.zeros((self.count, whole.nv))
-        at_q, at_v, columns = mount.q.start, mount.v.start, {}
-        for joint in free:
-            nq, nv = whole.nqs[joint], whole.nvs[joint]
-            own_q[:, whole.idx_qs[joint] : whole.idx_qs[joint] + nq] = q[:, at_q : at_q + nq]
-            own_v[:, whole.idx_vs[joint] : whole.idx_vs[joint] + nv] = self.v[:, at_v : at_v + nv]
-            columns[joint] = list(range(at_v, at_v + nv))
-            at_q, at_v = at_q + nq, at_v + nv
+        own_q[:, [built.idx_qs[joint] for joint in free]] = q[:, mount.q]
+        own_v[:, [whole.idx_vs[joint] for joint in free]] = self.v[:, mount.v]
+        own_q = _as_read(whole, own_q)
+        columns = {joint: [k] for k, joint in enumerate(free, mount.v.start)}
         self.links[on_base].add(whole.inertias[0], mount.placement)
         first = len(self.links) - 1  # joint 1 of the arm is the next link
         for joint in range(1, whole.njoints):
@@ -190,6 +187,16 @@ class Parts:
         origin = poses[BODY_JOINT - 1][:, :3, 3]
         points = [com for bodies in placed for _, com, _ in bodies] + [T[:, :3, 3] for T in poses]
         return masses, K, np.linalg.norm(np.stack(points) - origin, axis=-1).max(0)
+
+
+def _as_read(model: pin.Model, q: Array) -> Array:
+    """Return configurations with one number for each joint as a file's own model has them, shape (n, nq)."""
+    parts, at = [], 0
+    for joint in joints_of(model):
+        own = q[:, at : at + joint.nq - joint.continuous]
+        parts.append(np.hstack([np.cos(own), np.sin(own)]) if joint.continuous else own)
+        at += own.shape[1]
+    return np.hstack(parts)
 
 
 def _moved(model: pin.Model, joint: int, foot: pin.SE3, q: Array, v: Array) -> tuple[Array, Array, Array]:

@@ -73,8 +73,8 @@ class WheeledBody:
         Whether it is known where it stands: how high it is, on three places that are not on a line.
     choice : Choice
         Which rows of the wheels determine what, where they roll.
-    coordinates, inputs, ends, parameters
-        As of a plant; `ends` are the items of ``leading``.
+    coordinates, inputs, parameters
+        As of a plant.
     """
 
     robot: Any
@@ -92,7 +92,6 @@ class WheeledBody:
     choice: Choice
     coordinates: tuple[Coordinate, ...]
     inputs: tuple[Input, ...]
-    ends: tuple[tuple[int, int], ...]
     parameters: tuple[Parameter, ...]
 
     broadcasts: ClassVar[bool] = True
@@ -115,7 +114,7 @@ class WheeledBody:
     @property
     def nq(self) -> int:
         """Size of q."""
-        return int(self.robot.nq) + self.joints
+        return self.size
 
     @property
     def nv(self) -> int:
@@ -130,7 +129,7 @@ class WheeledBody:
     @property
     def leading(self) -> dict[int, int]:
         """How many numbers of q the first n coordinates have, for each n that a reference may have."""
-        return dict(self.ends)
+        return {n: n for n in range(_BASE, _BASE + self.na + 1)}
 
     @cached_property
     def kinematics(self) -> Kinematics:
@@ -273,14 +272,10 @@ class WheeledBody:
 
     def integrate(self, q: Any, dq: Any) -> Any:
         """Return the configuration that a displacement leads to."""
-        n = self.robot.nq
-        if n == self.robot.nv:
-            return q + dq
-        moved = self.robot.integrate(q[..., :n], dq[..., : self.robot.nv])
-        return np.concatenate([moved, q[..., n:] + dq[..., self.robot.nv :]], axis=-1)
+        return q + dq
 
     def difference(self, q0: Any, q1: Any) -> Any:
-        """Return the displacement from q0 to q1, that of the heading on the circle, shape (..., nv)."""
+        """Return the displacement from q0 to q1 as `robot` has it, shape (..., nv)."""
         n = self.robot.nq
         own = self.robot.difference(q0[..., :n], q1[..., :n])
         return np.concatenate([own, q1[..., n:] - q0[..., n:]], axis=-1)
