@@ -100,7 +100,7 @@ def test_no_states_are_refused() -> None:
 
 ARMS = {
     "ur5": MobileRobot.box().mount("ur5", (0.1, -0.05, 0.2, 0.4)),
-    # (cos, sin) in q; a joint that is locked; rotors; two arms; loads on base and arm.
+    # Continuous joints; a joint that is locked; rotors; two arms; loads on base and arm.
     "kinova": MobileRobot.box().mount("kinova", (0.1, 0, 0.2, 0.3), locked=["j2s6s200_joint_2"]),
     "talos": MobileRobot.box().mount("talos_arm", (0, 0.1, 0.4, -0.2)),
     "two": MobileRobot(30, 1.3, (0.1, 0.05), dh=SLIDE_TABLE)
@@ -144,13 +144,13 @@ def test_machine_code_that_is_off_by_little_is_seen(
 
 def test_where_there_is_no_machine_code_the_table_says_why() -> None:
     model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
+    joint = model.addJoint(0, pin.JointModelHX(0.1), pin.SE3.Identity(), "screw")
     model.appendBodyToJoint(joint, pin.Inertia(1.0, np.ones(3) / 10, np.eye(3)), pin.SE3.Identity())
     verification = verify(MobileRobot.box().mount(model), states=5)
     assert verification.passed
     assert COMPILED not in {row.route for row in verification.rows}
     assert str(verification).splitlines()[-1].startswith(f"left out, {COMPILED}: joint ")
-    assert "JointModelSpherical, which has no single axis" in verification.missing
+    assert "JointModelHX, neither revolute nor prismatic" in verification.missing
 
 
 def differing(model: pin.Model, wrong: MobileRobot) -> dict[str, float]:
