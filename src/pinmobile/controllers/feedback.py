@@ -284,8 +284,8 @@ def feedback(controller: Feedback, difference: Difference, q: Array, v: Array, r
     error, rate = difference(q, reference.q), np.subtract(reference.v, v)
     if error.shape[-1:] != rate.shape[-1:]:
         raise InvalidArgument(
-            f"difference gives shape {error.shape}, expected {rate.shape}: compare configurations of a robot "
-            "with joints without limits by difference=robot.difference"
+            f"difference gives shape {error.shape}, expected {rate.shape}: compare configurations by the "
+            "plant's own, difference=plant.difference"
         )
     return _sum(controller, error, rate)
 

@@ -420,9 +420,9 @@ class MobileRobot(System):
         """
         if not hasattr(reference, "q"):
             raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
-        desired, sizes = finite("reference.q", reference.q), self.leading.values()
-        if desired.shape[-1:] not in {(size,) for size in sizes}:
-            listed = ", ".join(map(str, sizes))
+        desired = finite("reference.q", reference.q)
+        if desired.shape[-1:] not in [(n,) for n in self.leading]:
+            listed = ", ".join(map(str, self.leading))
             raise InvalidArgument(f"reference.q has shape {desired.shape}, expected (..., k), k of {listed}")
         state = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a), "u": self._v("u", u)}
         lead = broadcast(**state, **{"reference.q": desired})

@@ -497,14 +497,12 @@ class System:
         if not (hasattr(reference, "q") and hasattr(reference, "v")):
             raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
         v, q = finite("reference.v", reference.v), finite("reference.q", reference.q)
-        if self.leading.get(v.size) != q.size or v.ndim != 1 or q.ndim != 1:
-            pairs = ", ".join(f"({numbers},) and ({n},)" for n, numbers in self.leading.items())
+        if v.shape != q.shape or v.shape not in [(n,) for n in self.leading]:
+            listed = ", ".join(f"({n},)" for n in self.leading)
             raise InvalidArgument(
-                f"reference has q and v of shapes {q.shape} and {v.shape}, expected one of {pairs}"
+                f"reference has q and v of shapes {q.shape} and {v.shape}, expected both one of {listed}"
             )
-        rates = np.zeros(self.nv)
-        rates[: v.size] = v
-        return self._q(np.append(q, self.rest[q.size :]), "reference.q"), rates
+        return np.append(q, self.rest[q.size :]), np.append(v, np.zeros(self.nv - v.size))
 
     def calls(self) -> Calls:
         """Return unchecked functions of one state for this thread, for loops: see `Calls`.

@@ -106,7 +106,7 @@ class Platform:
     @cached_property
     def _rows(self) -> Constraints:
         """The rows of its wheels, and their kinematics."""
-        return Constraints(self.table, self.robot.nq, self.robot.nv)
+        return Constraints(self.table, self.robot.nv)
 
     @cached_property
     def _joints(self) -> int:

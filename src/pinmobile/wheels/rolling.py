@@ -156,10 +156,10 @@ class WheeledBody:
         """Return a public state, seen from the body."""
         angles, rates = scalars(q), scalars(v)
         s, c = sine_and_cosine(angles[2])
-        first, arms = self.robot.nq, _BASE + self.na
+        arms = _BASE + self.na
         twist = [c * rates[0] + s * rates[1], c * rates[1] - s * rates[0], rates[2]]
-        steering = angles[first : first + len(self.table.axes)]
-        return State(c, s, angles[_BASE:first], steering, twist, rates[_BASE:arms], rates[arms:])
+        steering = angles[arms : arms + len(self.table.axes)]
+        return State(c, s, angles[_BASE:arms], steering, twist, rates[_BASE:arms], rates[arms:])
 
     def inertia(self, state: State, q: Any) -> Matrix:
         """Return M, (size, size), of body axes."""
@@ -276,7 +276,7 @@ class WheeledBody:
 
     def difference(self, q0: Any, q1: Any) -> Any:
         """Return the displacement from q0 to q1 as `robot` has it, shape (..., nv)."""
-        n = self.robot.nq
+        n = _BASE + self.na
         own = self.robot.difference(q0[..., :n], q1[..., :n])
         return np.concatenate([own, q1[..., n:] - q0[..., n:]], axis=-1)
 
@@ -349,15 +349,15 @@ class WheeledBody:
     def begun(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return q and v of one state, wheels steered to where they go, and rolling."""
         q, v = np.append(q, np.zeros(self.joints)), np.append(v, np.zeros(self.joints))
-        nq, nv, ns = int(self.robot.nq), int(self.robot.nv), len(self.table.axes)
+        n, ns = _BASE + self.na, len(self.table.axes)
         twist = [float(number(x)) for x in self.state(q, v).twist]
-        q[nq : nq + ns] = [self._steered_to(axis, twist) for axis in self.table.axes]
+        q[n : n + ns] = [self._steered_to(axis, twist) for axis in self.table.axes]
         state = self.state(q, v)
         rows = self.kinematics.rows(state.steering, state.twist, state.rates)
         for joint, i in self.choice.joints:
             own = [float(number(x)) for x in rows[i].joints]
-            known = float(number(dot(rows[i].base, state.twist))) + float(np.dot(own, v[nv:]))
-            v[nv + joint] = -(known - own[joint] * v[nv + joint]) / own[joint]
+            known = float(number(dot(rows[i].base, state.twist))) + float(np.dot(own, v[n:]))
+            v[n + joint] = -(known - own[joint] * v[n + joint]) / own[joint]
         return q, v
 
     def _steered_to(self, axis: Axis, twist: Sequence[float]) -> float:
