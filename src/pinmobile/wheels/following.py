@@ -101,7 +101,7 @@ class Following:
         own = len(offset) - body.na - len(body.choice.free)
         rates = [
             *offset[:own],
-            *np.moveaxis(a[:, _BASE:nv], -1, 0),
+            *np.moveaxis(a[:, _BASE:n], -1, 0),
             *(faster[:, k] for k in body.choice.free),
         ]
         found = cls(body, q, rolls, _stacked(rates, (len(t),)), robot.robot.effort_limit[_BASE:])

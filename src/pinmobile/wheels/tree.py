@@ -56,8 +56,7 @@ class WheelTree(System):
         lead = np.broadcast_shapes(q.shape[:-1], v.shape[:-1])
         q, v = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v))
         nv, axes = self._robot.nv, self._table.axes
-        steering, rates = (x[..., nv : nv + len(axes)] for x in (q, v))
-        steering = list(np.moveaxis(steering, -1, 0))
+        steering, rates = list(np.moveaxis(q[..., nv : nv + len(axes)], -1, 0)), v[..., nv : nv + len(axes)]
         steered = {row: k for k, axis in enumerate(axes) for row in axis.wheels}
         size = nv + len(steered) + len(self._table)
         G, bent = np.zeros((*lead, size, self._size)), np.zeros((*lead, size))
