@@ -602,12 +602,12 @@ def test_what_is_said_to_take_instead_has_the_right_derivatives() -> None:
         np.testing.assert_allclose(by_v[:, k], slope / (2 * h), atol=1e-5)
 
 
-@pytest.mark.parametrize("robot", [MobileRobot.box(), UR5], ids=["base", "ur5"])
+@pytest.mark.parametrize("robot", [MobileRobot.box(), UR5, KINOVA], ids=["base", "ur5", "kinova"])
 @pytest.mark.parametrize("limited", [lambda c: c, lambda c: Saturated(c, 1e6)], ids=["bare", "wrapped"])
 def test_pd_with_the_robots_difference_is_pd(robot: MobileRobot, limited: Any) -> None:
     """In the order that Pinocchio has; over a start that is a turn and more away from the reference."""
     start = robot.integrate(robot.rest, np.full(robot.nv, 0.05))
-    start[2] += 7.0
+    start[list(robot.turning or ())] += 7.0
     rest = Still(robot.rest, robot.nv)
     gains = 20 * np.diag(robot.mass_matrix(robot.rest))
     runs = [
