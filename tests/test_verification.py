@@ -23,7 +23,7 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.robot import arms
-from pinmobile.robot.joints import with_angles
+from pinmobile.robot.joints import replace_continuous_joints
 from pinmobile.robot.pinocchio_calls import Engine
 from pinmobile.verification import COMPILED
 
@@ -157,11 +157,11 @@ def test_where_there_is_no_machine_code_the_table_says_why() -> None:
 
 def test_a_continuous_joint_is_compared_with_the_files_own(monkeypatch: pytest.MonkeyPatch) -> None:
     def turned_round(model: pin.Model) -> pin.Model:
-        new = with_angles(model)
+        new = replace_continuous_joints(model)
         new.jointPlacements[1] = new.jointPlacements[1] * pin.SE3(pin.utils.rotate("x", np.pi), np.zeros(3))
         return new
 
-    monkeypatch.setattr(arms, "with_angles", turned_round)
+    monkeypatch.setattr(arms, "replace_continuous_joints", turned_round)
     rows = verify(MobileRobot.box().mount("kinova"), states=5).rows
     wrong = {(row.quantity, row.against) for row in rows if not row.agrees}
     assert wrong == {(quantity, "Newton-Euler of the parts") for quantity in ("M", "n", "tau", "f")}

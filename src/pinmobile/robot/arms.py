@@ -16,9 +16,9 @@ from pinmobile.robot.joints import (
     carries_only_wheels,
     children,
     joints_of,
+    replace_continuous_joints,
     root_of,
     tip_of,
-    with_angles,
 )
 
 Picture: TypeAlias = Callable[[pin.Model], pin.GeometryModel]
@@ -124,7 +124,7 @@ class Arm:
                     "Pinocchio's forward dynamics does not support, expected a model built with mimic=False"
                 )
         squared = _squared(read)
-        whole = with_angles(read)
+        whole = replace_continuous_joints(read)
         rest = _without_root_pose(whole, self.rest)
         joints, held = joints_of(whole), _held(whole, self.locked)
         free = [joint for number, joint in enumerate(joints, 1) if number not in held]

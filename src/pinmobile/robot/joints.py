@@ -111,14 +111,14 @@ def axis_of(model: pin.Model, number: int) -> Array:
     return twist[3:] if twist[3:].any() else twist[:3]
 
 
-_OF_RATES = (
+_JOINT_ARRAYS = (
     *("armature", "rotorInertia", "rotorGearRatio", "damping"),
     *("lowerVelocityLimit", "lowerEffortLimit", "lowerDryFrictionLimit"),
     *("upperVelocityLimit", "upperEffortLimit", "upperDryFrictionLimit"),
 )
 
 
-def with_angles(model: pin.Model) -> pin.Model:
+def replace_continuous_joints(model: pin.Model) -> pin.Model:
     """Return the model with revolute joints without limits, which have one angle, for continuous ones."""
     joints = joints_of(model)
     if not any(joint.continuous for joint in joints):
@@ -140,20 +140,20 @@ def with_angles(model: pin.Model) -> pin.Model:
         pieces = frame.parentJoint, frame.parentFrame, frame.placement, frame.type, frame.inertia
         new.addFrame(pin.Frame(str(number), *pieces), False)
         new.frames[number].name = frame.name
-    for name in _OF_RATES:
+    for name in _JOINT_ARRAYS:
         setattr(new, name, getattr(model, name))
     return new
 
 
-def with_angles_in(model: pin.Model, q: Array) -> Array:
-    """Return a configuration of a model as one of `with_angles(model)`."""
+def convert_configuration(model: pin.Model, q: Array) -> Array:
+    """Return a configuration of a model as one of `replace_continuous_joints(model)`."""
     parts = (
         [np.arctan2(*q[joint.q][::-1])] if joint.continuous else q[joint.q] for joint in joints_of(model)
     )
     return np.concatenate([np.zeros(0), *parts])
 
 
-def circular(model: pin.Model) -> tuple[int, ...]:
+def circular_coordinates(model: pin.Model) -> tuple[int, ...]:
     """Return the coordinates whose errors are taken on the circle: psi and the continuous joints."""
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
     joints = (joint for joint in joints_of(model, BODY_JOINT + 1) if not joint.slides)

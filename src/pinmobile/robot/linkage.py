@@ -15,7 +15,7 @@ from pinmobile.arrays import Array, frozen
 from pinmobile.compiled import Node, maximum, plain, root, sincos, symbols
 from pinmobile.constancy import constant
 from pinmobile.errors import NotTraceable
-from pinmobile.robot.joints import axis_of, circular, joints_of
+from pinmobile.robot.joints import axis_of, circular_coordinates, joints_of
 
 Vector: TypeAlias = list[Any]
 Matrix: TypeAlias = list[list[Any]]
@@ -327,7 +327,7 @@ class Linkage:
             names=tuple(joint.name for joint in joints),
             parents=tuple(int(parent) - 1 for parent in parents),
             turns=tuple(not joint.slides for joint in joints),
-            circular=circular(model),
+            circular=circular_coordinates(model),
             rotations=frozen(without_rounding(np.array(rotations))),
             offsets=frozen(without_rounding(np.array(offsets))),
             axes=frozen(axes[1:]),

@@ -15,7 +15,7 @@ import pinocchio as pin
 from pinmobile.arrays import Array, ArrayLike, location, sequence, vector
 from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName, shown
 from pinmobile.robot.arms import Arm, Origin, Picture
-from pinmobile.robot.joints import joints_of, with_angles, with_angles_in
+from pinmobile.robot.joints import convert_configuration, joints_of, replace_continuous_joints
 from pinmobile.robot.visuals import FilePicture, FileShapes, GivenPicture
 from pinmobile.robot.wellformed import check_freedom, judge_links, urdf_model
 
@@ -162,7 +162,7 @@ def _load_arm(name: str, locked: tuple[str, ...] = ()) -> Arm:
         reason = known.reason if known else str(error) or type(error).__name__
         raise InvalidArgument(f"arm {name!r} cannot be loaded: {reason}") from error
     stands = bool(loader.free_flyer)
-    angles = with_angles_in(model, rest)
+    angles = convert_configuration(model, rest)
     return Arm(Origin("loader", name), model, angles, picture, locked, stands, shapes=shapes)
 
 
@@ -317,8 +317,8 @@ def _from_model(
     shown, solid = (pin.GeometryModel() if each is None else each.clone() for each in (visual, collision))
     _check_geometry("visual", arm, shown)
     _check_geometry("collision", arm, solid)
-    whole = with_angles(arm)
-    usual = _posture(whole, None if kept is None else with_angles_in(arm, vector("q0", kept, arm.nq)))
+    whole = replace_continuous_joints(arm)
+    usual = _posture(whole, None if kept is None else convert_configuration(arm, vector("q0", kept, arm.nq)))
     posture = usual if rest is None else _posture(whole, rest)
     origin = Origin("model", arm.name or "arm")
     shapes = GivenPicture(solid)
@@ -366,7 +366,7 @@ def _check_rest(arm: Arm) -> None:
 def _from_urdf(path: Path, folders: tuple[str, ...], rest: ArrayLike | None, locked: tuple[str, ...]) -> Arm:
     model, root = urdf_model("arm", path)
     picture = FilePicture(path, tuple(map(Path, folders)))
-    whole, origin = with_angles(model), Origin("urdf", str(path), folders)
+    whole, origin = replace_continuous_joints(model), Origin("urdf", str(path), folders)
     shapes, usual = FileShapes(path, picture.package_dirs), pin.neutral(whole)
     arm = Arm(origin, model, _posture(whole, rest), picture, locked, usual=usual, shapes=shapes)
 

@@ -31,7 +31,7 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import pinocchio_calls
 from pinmobile.robot.articulated import ArticulatedBody
-from pinmobile.robot.joints import BODY_JOINT, circular, coordinates, inputs, limits
+from pinmobile.robot.joints import BODY_JOINT, circular_coordinates, coordinates, inputs, limits
 from pinmobile.robot.mounts import Load, Mount, named_frames, resistances
 from pinmobile.robot.pinocchio_calls import Calls, Engine, Law
 
@@ -132,7 +132,7 @@ class System:
 
     @cached_property
     def _circular(self) -> tuple[int, ...]:
-        return circular(self._model)
+        return circular_coordinates(self._model)
 
     @property
     def broadcasts(self) -> bool:

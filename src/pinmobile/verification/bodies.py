@@ -106,7 +106,7 @@ class Parts:
         own_q, own_v = np.tile(rest, (self.count, 1)), np.zeros((self.count, whole.nv))
         own_q[:, [built.idx_qs[joint] for joint in free]] = q[:, mount.q]
         own_v[:, [whole.idx_vs[joint] for joint in free]] = self.v[:, mount.v]
-        own_q = _as_read(whole, own_q)
+        own_q = _file_configurations(whole, own_q)
         columns = {joint: [k] for k, joint in enumerate(free, mount.v.start)}
         self.links[on_base].add(whole.inertias[0], mount.placement)
         first = len(self.links) - 1  # joint 1 of the arm is the next link
@@ -189,7 +189,7 @@ class Parts:
         return masses, K, np.linalg.norm(np.stack(points) - origin, axis=-1).max(0)
 
 
-def _as_read(model: pin.Model, q: Array) -> Array:
+def _file_configurations(model: pin.Model, q: Array) -> Array:
     """Return configurations with one number for each joint as a file's own model has them, shape (n, nq)."""
     parts, at = [], 0
     for joint in joints_of(model):
