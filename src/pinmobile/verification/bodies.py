@@ -34,8 +34,6 @@ class _Link:
         Its pose in the parent's frame.
     S : ndarray, shape (n, 6, m)
         Its twist against the parent, linear and angular, along its own axes, for each of its coordinates.
-    bias : ndarray, shape (n, 6)
-        dS/dt times the rate of its coordinates.
     columns : sequence of m int
         Where its coordinates are in v.
     rotors : ndarray, shape (m,)
@@ -47,7 +45,6 @@ class _Link:
     parent: int
     T: Array
     S: Array
-    bias: Array
     columns: list[int]
     rotors: Array
     bodies: list[tuple[float, Array, Array]] = field(default_factory=list)
@@ -92,8 +89,7 @@ class Parts:
         for k, row in enumerate(robot.dh):
             S = np.zeros((self.count, 6, 1))
             S[:, 2 if row.joint is JointType.PRISMATIC else 5] = 1.0
-            still = np.zeros((self.count, 6))
-            links.append(_Link(k - 1, transforms[:, k], S, still, [order[k]], np.zeros(1)))
+            links.append(_Link(k - 1, transforms[:, k], S, [order[k]], np.zeros(1)))
         return links
 
     def _mount(self, mount: Mount, q: Array) -> None:
@@ -103,9 +99,8 @@ class Parts:
         if mount.numbers is not None:  # which are those of what moves
             whole, built, held, rest = mount.model, mount.model, [], arm.posture
         free = [joint for joint in range(1, whole.njoints) if joint not in held]
-        own_q, own_v = np.tile(rest, (self.count, 1)), np.zeros((self.count, whole.nv))
+        own_q = np.array(np.broadcast_to(rest, (self.count, len(rest))))
         own_q[:, [built.idx_qs[joint] for joint in free]] = q[:, mount.q]
-        own_v[:, [whole.idx_vs[joint] for joint in free]] = self.v[:, mount.v]
         own_q = _file_configurations(whole, own_q)
         columns = {joint: [k] for k, joint in enumerate(free, mount.v.start)}
         self.links[on_base].add(whole.inertias[0], mount.placement)
@@ -113,9 +108,9 @@ class Parts:
         for joint in range(1, whole.njoints):
             above, mine = whole.parents[joint], columns.get(joint, [])
             foot = mount.placement if above == 0 else pin.SE3.Identity()
-            T, S, bias = _moved(whole, joint, foot, own_q, own_v)
+            T, S = _moved(whole, joint, foot, own_q)
             rotors = np.array(whole.armature)[whole.idx_vs[joint] :][: len(mine)]
-            link = _Link(first + above if above else on_base, T, S[..., : len(mine)], bias, mine, rotors)
+            link = _Link(first + above if above else on_base, T, S[..., : len(mine)], mine, rotors)
             link.add(whole.inertias[joint], pin.SE3.Identity())
             self.links.append(link)
         own = prefixed(mount.model, mount.name)
@@ -147,7 +142,7 @@ class Parts:
             twist, rate = rates[link.parent] if link.parent >= 0 else (ground, lifted)
             own = _times(link.S, self.v[:, link.columns])
             w = _seen(link.T, twist) + own
-            dw = _seen(link.T, rate) + _times(link.S, a[:, link.columns]) + link.bias + _cross(w, own)
+            dw = _seen(link.T, rate) + _times(link.S, a[:, link.columns]) + _cross(w, own)
             rates.append((w, dw))
             wrenches.append(sum((_inertial(body, w, dw) for body in link.bodies), np.zeros((self.count, 6))))
         for link, wrench in zip(reversed(self.links), reversed(wrenches), strict=True):
@@ -191,7 +186,7 @@ class Parts:
 
 def _file_configurations(model: pin.Model, q: Array) -> Array:
     """Return configurations with one number for each joint as a file's own model has them, shape (n, nq)."""
-    parts, at = [], 0
+    parts, at = [q[:, :0]], 0
     for joint in joints_of(model):
         own = q[:, at : at + joint.nq - joint.continuous]
         parts.append(np.hstack([np.cos(own), np.sin(own)]) if joint.continuous else own)
@@ -199,16 +194,15 @@ def _file_configurations(model: pin.Model, q: Array) -> Array:
     return np.hstack(parts)
 
 
-def _moved(model: pin.Model, joint: int, foot: pin.SE3, q: Array, v: Array) -> tuple[Array, Array, Array]:
-    """Return T, S and bias of one joint by itself, whose place is seen from `foot`, for each state."""
+def _moved(model: pin.Model, joint: int, foot: pin.SE3, q: Array) -> tuple[Array, Array]:
+    """Return T and S of one joint by itself, whose place is seen from `foot`, for each state."""
     kind, place = model.joints[joint], foot * model.jointPlacements[joint]
-    data, T, S, bias = kind.createData(), [], [], []
-    for own_q, own_v in zip(q, v, strict=True):
-        kind.calc(data, own_q, own_v)
+    data, T, S = kind.createData(), [], []
+    for own in q:
+        kind.calc(data, own)
         T.append((place * data.M).homogeneous)
         S.append(np.reshape(data.S, (6, -1)))
-        bias.append(data.c.vector)
-    return np.stack(T), np.stack(S), np.stack(bias)
+    return np.stack(T), np.stack(S)
 
 
 def _inertial(body: tuple[float, Array, Array], w: Array, dw: Array) -> Array:
