@@ -77,10 +77,8 @@ class Arm:
 
     Attributes
     ----------
-    whole : pin.Model
-        The same, with one angle for each continuous joint.
     model : pin.Model
-        A copy of that without what is locked.
+        A copy of `whole` without what is locked.
     posture : ndarray, shape (model.nq,)
         Its reference posture.
     tip : str
@@ -106,25 +104,23 @@ class Arm:
     stands: bool = False
     usual: Array | None = None
     shapes: Picture | None = None
-    whole: pin.Model = field(init=False)
     model: pin.Model = field(init=False)
     _file_model: pin.Model = field(init=False, repr=False)
-    _whole: pin.Model = field(init=False, repr=False)
     _model: pin.Model = field(init=False, repr=False)
     posture: Array = field(init=False)
     tip: str = field(init=False)
     squared: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        read = _copied(self._file_model)
-        for joint in joints_of(read):
+        file_model = _copied(self._file_model)
+        for joint in joints_of(file_model):
             if joint.mimics:
                 raise InvalidArgument(
                     f"arm {self.origin.value!r}: joint {joint.name!r} mimics another one, which "
                     "Pinocchio's forward dynamics does not support, expected a model built with mimic=False"
                 )
-        squared = _squared(read)
-        whole = replace_continuous_joints(read)
+        squared = _squared(file_model)
+        whole = replace_continuous_joints(file_model)
         rest = _without_root_pose(whole, self.rest)
         joints, held = joints_of(whole), _held(whole, self.locked)
         free = [joint for number, joint in enumerate(joints, 1) if number not in held]
@@ -132,7 +128,7 @@ class Arm:
             if not joint.nq == joint.nv == 1:
                 raise InvalidArgument(
                     f"arm {self.origin.value!r}: joint {joint}, which has several axes, expected one axis: "
-                    f"model it as revolute and prismatic joints in series, or lock it with "
+                    "model it as revolute and prismatic joints in series, or lock it with "
                     f"locked=[{joint.name!r}]"
                 )
         check_bodies(whole, self.origin.value)
@@ -141,8 +137,7 @@ class Arm:
         posture = rest[[joint.q.start for joint in free]]
         check_inertias(model, posture, self.origin.value)
         for name, value in {
-            "file_model": read,
-            "whole": whole,
+            "file_model": file_model,
             "rest": rest,
             "usual": rest if self.usual is None else _without_root_pose(whole, self.usual),
             "model": model,
@@ -152,6 +147,11 @@ class Arm:
             "stands": self.stands or any(joints[j - 1].in_space for j in root_of(whole)),
         }.items():
             object.__setattr__(self, name, value)
+
+    @property
+    def whole(self) -> pin.Model:
+        """A copy of the file's model with one angle for each continuous joint."""
+        return replace_continuous_joints(self.file_model)
 
     def options(self) -> dict[str, object]:
         """Return what `MobileRobot.mount` was asked for beside what it does by default."""
@@ -175,19 +175,20 @@ class Arm:
 
     def held(self) -> list[int]:
         """Return the joints of `whole` that do not move: a root of its own, wheels, and those in `locked`."""
-        return _held(self._whole, self.locked)
+        return _held(self._file_model, self.locked)
 
     def visuals(self) -> pin.GeometryModel:
         """Return what is drawn of it, for `model`."""
-        shown = self.picture(self._whole)
-        _, (kept,) = _reduced(self._whole, [shown], self.held(), self.rest)
+        whole = self.whole
+        _, (kept,) = _reduced(whole, [self.picture(whole)], self.held(), self.rest)
         return kept
 
     def solids(self) -> tuple[pin.GeometryModel, tuple[str, ...]]:
         """Return its collision geometry, for `model`, and the link of each shape."""
-        shapes = pin.GeometryModel() if self.shapes is None else self.shapes(self._whole)
-        links = tuple(link_of(item, self._whole) for item in shapes.geometryObjects)
-        _, (kept,) = _reduced(self._whole, [shapes], self.held(), self.rest)
+        whole = self.whole
+        shapes = pin.GeometryModel() if self.shapes is None else self.shapes(whole)
+        links = tuple(link_of(item, whole) for item in shapes.geometryObjects)
+        _, (kept,) = _reduced(whole, [shapes], self.held(), self.rest)
         return kept, links
 
 
@@ -211,7 +212,7 @@ class _Copied:
         object.__setattr__(arm, self.kept, model)
 
 
-for _name in ("file_model", "whole", "model"):
+for _name in ("file_model", "model"):
     # Not in the class, where a dataclass would take them for defaults.
     setattr(Arm, _name, _Copied(_name))
 
