@@ -21,7 +21,6 @@ from pinmobile.robot.pinocchio_calls import MANY
 from pinmobile.robot.system import System
 from pinmobile.urdf import Body
 from tests.test_linkage import AT, arm_of
-from tests.test_mounted import spherical
 
 CLOSE = 1e-10  # of the largest number; forward dynamics lose the digits of M's condition
 FEW = 12  # states that Pinocchio is asked for one after another
@@ -34,7 +33,7 @@ ROBOTS = {
     "bare": MobileRobot.from_body(FULL),
     "loaded": MobileRobot.from_body(FULL).attach(LOAD),
     "ur5": MobileRobot.from_body(FULL).mount("ur5", AT).attach(LOAD),
-    "kinova": MobileRobot.box().mount("kinova"),  # three of its joints are (cos, sin)
+    "kinova": MobileRobot.box().mount("kinova"),  # four of its joints are continuous
     "two": MobileRobot.box().mount("panda", AT).mount("ur3", (-0.2, 0, 0.2, 0), name="left"),
     "tree": MobileRobot(30.0, 1.1, com=(0.1, -0.05, 0.2)).mount(arm_of(1, 6), AT),  # all kinds, with rotors
 }
@@ -59,8 +58,6 @@ def asked(robot: MobileRobot) -> dict[str, tuple[Any, ...]]:
         "potential_energy": ("q",),
         "regressor": ("qva",),
         "ground_wrench": ("qva",),
-        "integrate": ("qv",),
-        "difference": ("qw",),
         "frame_pose": ("q", "base_link"),
         "frame_jacobian": ("q", robot.end_effector),
         "frame_drift": ("qv", robot.end_effector),
@@ -203,9 +200,12 @@ def test_robots_with_other_numbers_share_what_is_compiled(built: list[bool]) -> 
 def test_what_cannot_be_compiled_stays_with_pinocchio(
     built: list[bool], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ball = MobileRobot.box().mount(spherical(), AT)
-    q, v, _ = states(ball, MANY)
-    np.testing.assert_array_equal(ball.nonlinear_effects(q, v)[7], ball.nonlinear_effects(q[7], v[7]))
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelHX(0.1), pin.SE3.Identity(), "screw")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.ones(3), np.eye(3)), pin.SE3.Identity())
+    screw = MobileRobot.box().mount(model, AT)
+    q, v, _ = states(screw, MANY)
+    np.testing.assert_array_equal(screw.nonlinear_effects(q, v)[7], screw.nonlinear_effects(q[7], v[7]))
     robot = ROBOTS["bare"]
     q, _, _ = states(robot, MANY)
     for frame in ("x", "y"):  # of links that move with a part of the pose
@@ -250,7 +250,7 @@ def test_kinetic_energy_knows_motors_on_axes_of_their_own() -> None:
     model.armature = np.array([0.3])
     robot = MobileRobot.box().mount(model)
     v = np.array([0, 0, 0, 2.0])
-    assert robot.kinetic_energy(robot.neutral, v) == pytest.approx(2.6, rel=1e-12)
+    assert robot.kinetic_energy(robot.rest, v) == pytest.approx(2.6, rel=1e-12)
 
 
 def test_what_is_told_of_the_limits_is_what_holds() -> None:

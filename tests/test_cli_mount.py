@@ -280,16 +280,15 @@ def test_the_columns_of_a_record_are_joints(run: Rollout, tmp_path: Path) -> Non
     run.to_csv(tmp_path / "run.csv")
     header = (tmp_path / "run.csv").read_text().splitlines()[0].split(",")
     first = run.plant.coordinates[3].name
-    assert header[:6] == ["t [s]", "x [m]", "y [m]", "psi [rad]", f"{first}:cos", f"{first}:sin"]
+    assert header[:5] == ["t [s]", "x [m]", "y [m]", "psi [rad]", f"{first} [rad]"]
     assert f"v_{first} [rad/s]" in header
-    assert len(header) == len(set(header)) == 1 + 2 * 12 + 4 * 9
+    assert len(header) == len(set(header)) == 1 + 6 * 9
 
 
 def test_coordinates_have_units(run: Rollout) -> None:
     robot = MobileRobot.box().mount("panda")
     assert tuple(one.unit for one in robot.coordinates) == ("m", "m", *["rad"] * 8, "m", "m")
-    assert robot.configuration_names == tuple(one.name for one in robot.coordinates)
-    assert len(run.plant.configuration_names) == run.plant.nq
+    assert len(run.plant.coordinates) == run.plant.nq == 9
 
 
 def test_figures_name_joints_and_unwrap_their_angles(run: Rollout) -> None:
@@ -302,7 +301,7 @@ def test_figures_name_joints_and_unwrap_their_angles(run: Rollout) -> None:
     assert [axes.get_ylabel() for axes in panels[:4]] == ["[m]", "[m]", "[rad]", "[rad]"]
     assert [axes.get_ylabel() for axes in plots.forces(run).axes[2:4]] == ["[N m]", "[N m]"]
     drawn = panels[3].lines[0].get_ydata()
-    # The angle goes away and back, whatever cosine and sine it has, as far as the joint's speed allows.
+    # The angle goes away and back, as far as the joint's speed allows.
     assert np.ptp(np.asarray(drawn)) == pytest.approx(run.plant.velocity_limit[3] * 0.5 / 1.5, abs=1e-2)
     assert len(plots.errors({"a": run, "b": run}).axes) == 18
     two = plots.states({"a": replace(run, plant=None)}).axes

@@ -154,7 +154,7 @@ def by_mujoco(robot: MobileRobot, states: Any, force: Array) -> Any:
 ALL_KINDS = {
     "ur5": MobileRobot.box().mount("ur5", AT),
     "panda": MobileRobot.box().mount("panda", AT),  # fingers that slide
-    "kinova": MobileRobot.box().mount("kinova", AT),  # cosines and sines
+    "kinova": MobileRobot.box().mount("kinova", AT),  # continuous joints
     "solo8": MobileRobot.box(size=(1, 1, 0.5)).mount("solo8", AT),  # branches
     "loaded": UR5.with_parameters(**{"rotor_ur5/elbow_joint": 0.3, "mass_ur5/forearm_link": 5.0}),
 }
@@ -355,15 +355,13 @@ def test_a_tree_that_is_too_large_runs_slower_and_says_so() -> None:
     assert runs.engine == PYTHON.name  # few robots are faster one by one than side by side
 
 
-def test_a_ball_joint_runs_one_state_at_a_time_and_says_why() -> None:
+def test_a_helical_joint_runs_one_state_at_a_time_and_says_why() -> None:
     model = pin.Model()
-    model.name = "ball"
-    joint = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "socket")
+    model.name = "toy"
+    joint = model.addJoint(0, pin.JointModelHX(0.1), pin.SE3.Identity(), "screw")
     model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0, 0, 0.3]), np.eye(3)), pin.SE3.Identity())
     robot = MobileRobot.box().mount(model, AT)
-    with pytest.warns(
-        SlowerEngine, match="joint 'ball/socket' is a JointModelSpherical, which has no single axis"
-    ):
+    with pytest.warns(SlowerEngine, match="joint 'toy/screw' is a JointModelHX, neither revolute nor"):
         runs = run(robot, spread={"kp_factor": Uniform(0.9, 1.1)}, n=2)
     assert runs.engine == PYTHON.name
 

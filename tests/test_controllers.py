@@ -120,8 +120,8 @@ def test_pd_by_hand_starts_with_the_state_of_its_context() -> None:
     """A turn ahead is nowhere on the circle, for a robot in the plane and for one with round joints."""
     for robot in (ROBOT, MobileRobot.box().mount("kinova")):
         controller, n = PD(2, 1), robot.nv
-        q = robot.integrate(robot.neutral, np.array([0, 0, 2 * np.pi, *np.full(n - 3, 0.1)]))
-        at, rest = Reference(robot.neutral, *np.zeros((2, n))), np.zeros(n)
+        q = np.array([0, 0, 2 * np.pi, *np.full(n - 3, 0.1)])
+        at, rest = Reference(*np.zeros((3, n))), np.zeros(n)
         state = controller.initial_state(Context.of(robot, dt=0.01))
         tau, state = controller(0.0, q, rest, at, state)
         np.testing.assert_allclose(tau, [0, 0, 0, *np.full(n - 3, -0.2)], atol=1e-12)

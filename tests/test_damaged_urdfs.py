@@ -218,7 +218,7 @@ def test_as_many_as_are_allowed_are_read_in_a_thread_with_a_small_stack(tmp_path
             print(read.mass)
             arm = MobileRobot.box().mount("series.urdf")
             arm.visual_model
-            print(arm.mass_matrix(arm.neutral).shape)
+            print(arm.mass_matrix(arm.rest).shape)
         threading.stack_size(256 << 10)
         thread = threading.Thread(target=read)
         thread.start()

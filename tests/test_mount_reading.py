@@ -77,10 +77,10 @@ def chain(*joints: Any) -> pin.Model:
 
 def test_a_urdf_is_mounted_and_a_mesh_that_is_missing_is_named(urdf: Path) -> None:
     robot = BOX.mount(urdf, (0, 0, 0.2, 0))
-    assert (robot.nq, robot.nv) == (6, 5)
+    assert (robot.nq, robot.nv) == (5, 5)
     assert robot.mounts[0].name == "arm"
     assert list(robot.model.names)[4:] == ["arm/shoulder", "arm/elbow"]
-    np.testing.assert_array_equal(robot.lower[3:], [-np.inf, -np.inf, -2])
+    np.testing.assert_array_equal(robot.lower[3:], [-np.inf, -2])
     np.testing.assert_array_equal(robot.effort_limit[3:], [30, 20])
     with pytest.warns(UserWarning, match=r"arm\.urdf: not drawn, since missing: package://arms/upper\.stl$"):
         shown = robot.visual_model.geometryObjects
@@ -433,9 +433,7 @@ def test_a_rollout_brings_its_robot_back(tmp_path: Path, urdf: Path) -> None:
     path = tmp_path / "run.npz"
     load = Load(1.0, (0.1, 0, 0), ((0.1, 0, 0), (0, 0.2, 0), (0, 0, 0.25)))
     robot = (
-        BOX.mount("kinova", (0.1, 0, 0.2, 0.3))
-        .mount(urdf, locked=["elbow"], rest=(0.6, 0.8, 0.1))
-        .attach(load)
+        BOX.mount("kinova", (0.1, 0, 0.2, 0.3)).mount(urdf, locked=["elbow"], rest=(0.9, 0.1)).attach(load)
     )
     run = driven(robot)
     run.save(path)

@@ -96,6 +96,7 @@ def sent(robot: MobileRobot, q: Array) -> dict[str, Array]:
 def test_each_mounts_drives_and_draws(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     robot = MobileRobot.box().mount(name)
     assert robot.nv > 3 or name in ("hector", "iris")  # a quadrotor without an arm is a load
+    assert robot.model.nq == robot.nq == robot.nv  # each joint has one number
     assert all(joint.startswith(f"{name}/") for joint in list(robot.model.names)[BODY_JOINT + 1 :])
     # Building machine code of all takes minutes; test_linkage has it of some.
     refused = mock.Mock(side_effect=NotTraceable("not", "asked for"))
@@ -169,7 +170,7 @@ def test_a_row_is_found_by_its_name() -> None:
 def test_the_list_is_a_table_of_all_of_them() -> None:
     listed = mountable()
     assert {*listed.names, *REFUSED} == set(NAMES)
-    assert len(listed) == len(NAMES) - len(REFUSED)
+    assert len(listed) == len(NAMES) - len(REFUSED) == 66
     (panda,) = (row for row in listed if row.name == "panda")
     assert (panda.joints, round(panda.mass, 3)) == (9, 17.452)
     lines = str(listed).splitlines()

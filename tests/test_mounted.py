@@ -4,7 +4,7 @@ import pickle
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -26,7 +26,6 @@ from pinmobile import (
     UnknownName,
     constant_acceleration,
     law,
-    planar_difference,
     rk4,
     simulate,
     verify,
@@ -38,7 +37,7 @@ from pinmobile.robot import Mount
 AT = (0.1, -0.05, 0.2, 0.4)
 UR5 = MobileRobot.box().mount("ur5", AT)
 PANDA = MobileRobot.box().mount("panda", AT)
-KINOVA = MobileRobot.box().mount("kinova", AT)  # three of its joints are (cos, sin)
+KINOVA = MobileRobot.box().mount("kinova", AT)  # four of its joints are continuous
 TWO = MobileRobot.box().mount("panda", AT).mount("kinova", (-0.1, 0, 0.2, 0)).attach(Load(1.5, (0, 0, 0.1)))
 BENT = [0.1, 1.2, -1, 0, 0, 0, 0]  # a posture of the z1
 ROBOTS = pytest.mark.parametrize("robot", [UR5, KINOVA, TWO], ids=["ur5", "kinova", "two arms and a load"])
@@ -69,13 +68,16 @@ def states(robot: MobileRobot, count: int = 12, seed: int = 4) -> tuple[Array, A
     return robot.random_configuration(rng, (count,)), v, a
 
 
-def spherical() -> pin.Model:
-    """Return a ball joint and a hinge, each with a link."""
+def pendulum(*, continuous: bool) -> pin.Model:
+    """Return two hinges, each with a link; the first one is continuous, or has two turns to either side."""
     model = pin.Model()
-    model.name = "ball"
-    ball = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
-    hinge = model.addJoint(ball, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0, 0, 0.3])), "hinge")
-    for joint in (ball, hinge):
+    model.name = "pendulum"
+    two_turns, root = np.array([4 * np.pi]), pin.SE3.Identity()
+    limits = () if continuous else (0 * two_turns + 50, 0 * two_turns + 9, -two_turns, two_turns)
+    kind = pin.JointModelRUBX() if continuous else pin.JointModelRX()
+    first = model.addJoint(0, kind, root, "swing", *limits)
+    hinge = model.addJoint(first, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0, 0, 0.3])), "hinge")
+    for joint in (first, hinge):
         body = pin.Inertia(1.5, np.array([0.02, 0.01, 0.15]), np.diag([0.03, 0.04, 0.02]))
         model.appendBodyToJoint(joint, body, pin.SE3.Identity())
         model.addJointFrame(joint)
@@ -215,7 +217,7 @@ def test_an_arm_stands_where_it_is_put_and_its_base_counts() -> None:
 
 def test_what_turns_by_pi_in_the_file_turns_the_base_link_only() -> None:
     own = UR5.mounts[0].model
-    pose = UR5.frame_placements(UR5.neutral)[BODY]
+    pose = UR5.frame_placements(np.zeros(9))[BODY]
     np.testing.assert_allclose(
         pose, (UR5.mounts[0].placement * own.jointPlacements[1]).homogeneous, atol=1e-15
     )
@@ -283,19 +285,17 @@ def test_the_free_whole_keeps_momentum_and_energy_to_the_integrators_order() -> 
     np.testing.assert_allclose(first, 2, atol=0.1)
 
 
-@pytest.mark.parametrize("robot", [KINOVA, TWO, MobileRobot.box().mount(spherical(), AT)])
+@pytest.mark.parametrize("robot", [KINOVA, TWO, MobileRobot.box().mount(pendulum(continuous=True), AT)])
 def test_integrate_and_difference_go_around_the_circle(robot: MobileRobot) -> None:
     q, v, _ = states(robot)
     moved = robot.integrate(q, v)
     assert moved.shape == (12, robot.nq)
     np.testing.assert_allclose(robot.difference(q, moved), v, atol=1e-12)
-    np.testing.assert_array_equal(moved[:, :3], q[:, :3] + v[:, :3])  # unwrapped
+    np.testing.assert_array_equal(moved, q + v)  # unwrapped
     circle = robot.mounts[-1].v.start  # the first joint of the last arm is one
     turned = robot.integrate(q, 2 * np.pi * np.eye(robot.nv)[circle])
-    np.testing.assert_allclose(robot.difference(q, turned), 0, atol=1e-7)
+    np.testing.assert_allclose(robot.difference(q, turned), 0, atol=1e-14)
     np.testing.assert_array_equal(robot.integrate(q[:1], v)[4], robot.integrate(q[0], v[4]))
-    with pytest.raises(InvalidArgument, match=r"expected length one: step it with `integrate`"):
-        robot.mass_matrix(np.ones(robot.nq))
 
 
 def test_a_run_beyond_limits_reports_which_when_and_how_far_once() -> None:
@@ -327,7 +327,7 @@ def test_arms_with_limits_are_subtracted() -> None:
     assert UR5.difference(q, q + step)[3] == 6.0  # not the same posture: it has turned once more
 
 
-@pytest.mark.parametrize("robot", [UR5, KINOVA, MobileRobot.box().mount(spherical(), AT)])
+@pytest.mark.parametrize("robot", [UR5, KINOVA])
 def test_linearisation_predicts_the_change_of_the_displacement(robot: MobileRobot) -> None:
     """With q = q*(t) + d: d' = A (d, e) + B u, taken over a short time by the robot's own difference."""
     q, v, _ = (part[0] for part in states(robot, 1))
@@ -363,14 +363,15 @@ def test_computed_torque_takes_the_short_way_and_is_linear_in_the_error(robot: M
     np.testing.assert_allclose(run.error, offset * (1 + 2 * t) * np.exp(-2 * t), atol=0.02)
 
 
-def test_pd_takes_the_plants_difference_where_configurations_do_not_subtract() -> None:
+def test_pd_turns_continuous_joints_the_short_way() -> None:
     goal = KINOVA.integrate(KINOVA.rest, 0.1 * np.ones(9))
-    with pytest.raises(InvalidArgument, match=r"by difference=robot\.difference"):
-        simulate(KINOVA, PD(10, 10, difference=planar_difference), Still(goal, 9), dt=0.01)
     weightless = without_gravity(MobileRobot.box().mount("kinova", AT))
     gains = 4 * np.diag(weightless.mass_matrix(goal))
     held = PD(gains, gains)
-    run = simulate(weightless, held, Still(goal, 9), dt=0.002, q0=KINOVA.rest)
+    start = KINOVA.rest.copy()
+    start[[2, 3]] += 2 * np.pi
+    run = simulate(weightless, held, Still(goal, 9), dt=0.002, q0=start)
+    np.testing.assert_allclose(run.error[0], 0.1, atol=1e-12)
     assert np.abs(run.error[-1]).max() < 0.05 * np.abs(run.error[0]).max()
 
 
@@ -414,7 +415,7 @@ def test_limits_and_postures_are_the_files() -> None:
     np.testing.assert_array_equal(PANDA.effort_limit, [np.inf] * 3 + own.effortLimit.tolist())
     np.testing.assert_array_equal(PANDA.velocity_limit[3:], own.velocityLimit)
     np.testing.assert_array_equal(PANDA.rest[3:10], PANDA.mounts[0].arm.posture[:7])
-    assert np.isinf(KINOVA.lower[3:5]).all()  # (cos, sin)
+    assert np.isinf(KINOVA.lower[3])  # continuous
     unknown = MobileRobot.box().mount("double_pendulum")  # its file writes zero for each
     for limit in (unknown.lower, unknown.upper, unknown.velocity_limit, unknown.effort_limit):
         assert np.isinf(limit).all()
@@ -435,7 +436,7 @@ def test_a_mounted_robot_is_a_value() -> None:
     assert again != again.attach(Load(1.0))
     assert again.base == MobileRobot.box()
     assert repr(UR5).endswith(".mount('ur5', at=(0.1, -0.05, 0.2, 0.4), name='ur5')")
-    for robot in (UR5, TWO, MobileRobot.box().mount(spherical())):
+    for robot in (UR5, TWO, MobileRobot.box().mount(pendulum(continuous=True))):
         copy = pickle.loads(pickle.dumps(robot))
         assert copy == robot
         q, v, _ = states(robot)
@@ -462,14 +463,14 @@ def test_what_is_locked_and_another_rest_are_told_and_can_be_pasted_back(options
 
 
 def test_a_rest_is_told_of_models_and_files_too(tmp_path: Path) -> None:
-    model, path = spherical(), tmp_path / "slide.urdf"
+    model, path = pendulum(continuous=True), tmp_path / "slide.urdf"
     path.write_text(
         '<robot name="slide"><link name="foot"/><link name="slider"><inertial><mass value="2"/>'
         '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
         '<joint name="lift" type="prismatic"><parent link="foot"/><child link="slider"/>'
         '<limit lower="-1" upper="1" effort="30" velocity="2"/></joint></robot>'
     )
-    for arm, rest in ((model, [0, 0, 0, 1, 0.5]), (path, [0.25])):
+    for arm, rest in ((model, [2.0, 0.5]), (path, [0.25])):
         assert "rest=" not in repr(MobileRobot.box().mount(arm))
         assert f"rest={[float(number) for number in rest]}" in repr(MobileRobot.box().mount(arm, rest=rest))
     found = MobileRobot.lecture().mount(path, package_dirs=tmp_path)
@@ -508,27 +509,83 @@ def test_loads_weigh_where_they_are() -> None:
 
 
 def _composite() -> pin.JointModel:
-    joint = pin.JointModelComposite(pin.JointModelRX())
-    joint.addJoint(pin.JointModelRY(), pin.SE3.Identity())
+    joint = pin.JointModelComposite(pin.JointModelPX())
+    joint.addJoint(pin.JointModelPY(), pin.SE3.Identity())
     return joint
 
 
 @pytest.mark.parametrize(
-    "joint",
+    ("joint", "kind"),
     [
-        pin.JointModelSphericalZYX(),
-        pin.JointModelUniversal(np.array([1.0, 0, 0]), np.array([0, 1.0, 0])),
-        _composite(),
+        (pin.JointModelSpherical(), "Spherical"),
+        (pin.JointModelSphericalZYX(), "SphericalZYX"),
+        (pin.JointModelPlanar(), "Planar"),
+        (pin.JointModelTranslation(), "Translation"),
+        (pin.JointModelFreeFlyer(), "FreeFlyer"),
+        (pin.JointModelUniversal(np.array([1.0, 0, 0]), np.array([0, 1.0, 0])), "Universal"),
+        (_composite(), "Composite"),
     ],
-    ids=["angles z, y, x", "universal", "composite"],
+    ids=["ball", "angles z, y, x", "planar", "slides", "free", "universal", "composite"],
 )
-def test_joints_whose_axes_move_with_their_own_angles_are_refused(joint: pin.JointModel) -> None:
-    """Pinocchio leaves dS/dt out of its Coriolis matrix and dS/dq out of its derivatives, in silence."""
-    base = MobileRobot.box(mass=10)
-    with pytest.raises(InvalidArgument, match=r"axes move with its own angles.* as many joints in series"):
-        base.mount(in_series(joint))
-    # Locked, they do no harm.
-    base.mount(in_series(pin.JointModelRZ(), joint, pin.JointModelRX()), locked=["joint1"])
+def test_joints_with_several_axes_are_refused_unless_they_are_locked(
+    joint: pin.JointModel, kind: str
+) -> None:
+    base, model = MobileRobot.box(mass=10), in_series(pin.JointModelRZ(), joint, pin.JointModelRX())
+    model.name = "toy"
+    with pytest.raises(InvalidArgument) as refused:
+        base.mount(model)
+    assert str(refused.value) == (
+        f"arm 'toy': joint 'joint1' is a JointModel{kind}, which has several axes, expected one axis: model "
+        "it as revolute and prismatic joints in series, or lock it with locked=['joint1']"
+    )
+    assert base.mount(model, locked=["joint1"]).nq == 5
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [pin.JointModelRUBX, pin.JointModelRUBY, pin.JointModelRUBZ, pin.JointModelRevoluteUnboundedUnaligned],
+)
+def test_a_continuous_joint_is_an_angle_whose_error_wraps_as_that_of_psi(kind: Any) -> None:
+    model = in_series(pin.JointModelRX(), kind(), pin.JointModelRX())
+    model.armature = np.array([0.1, 0.2, 0.3])
+    robot = MobileRobot.box(mass=10).mount(model, AT)
+    assert model.nq == 4  # of Pinocchio, the angle's cosine and sine
+    assert robot.model.nq == robot.nq == robot.nv == 6
+    psi, angle = robot.coordinates[2], robot.coordinates[4]
+    assert (psi.unit, psi.lower, psi.upper) == (angle.unit, angle.lower, angle.upper)
+    q = np.array([1.0, 2.0, 3.0, 0.5, 3.0, -0.4])
+    for way, left in ((0.2, 0.2), (4.0, 4 - 2 * np.pi), (-4.0, 2 * np.pi - 4), (50.0, 50 - 16 * np.pi)):
+        d = robot.difference(q, robot.integrate(q, np.full(6, way)))
+        np.testing.assert_allclose(d[[2, 4]], left, atol=1e-13)
+        np.testing.assert_allclose(d[[0, 1, 3, 5]], way, atol=1e-13)
+        body = robot.traced().difference(q, q + way)
+        np.testing.assert_allclose(body, d, atol=1e-13)
+    data, own = model.createData(), np.array([0.5, np.cos(3.0), np.sin(3.0), -0.4])
+    M = pin.crba(model, data, own)
+    np.testing.assert_allclose(robot.mass_matrix(q)[3:, 3:], M, atol=1e-14)
+    assert verify(robot, states=20).passed
+
+
+def test_the_reference_posture_of_a_continuous_joint_is_an_angle() -> None:
+    model = pendulum(continuous=True)
+    wrapped = SimpleNamespace(model=model, visual_model=None, q0=np.array([np.cos(2.5), np.sin(2.5), 0.1]))
+    robot = MobileRobot.box().mount(wrapped, AT)
+    np.testing.assert_allclose(robot.rest[3:], [2.5, 0.1], rtol=1e-15)
+    turned = MobileRobot.box().mount(model, AT, rest=[7.0, 0.1])
+    np.testing.assert_array_equal(turned.rest[3:], [7.0, 0.1])
+    with pytest.raises(InvalidArgument, match=r"^rest has shape \(3,\), expected \(\.\.\., 2\)$"):
+        MobileRobot.box().mount(model, AT, rest=[np.cos(2.5), np.sin(2.5), 0.1])
+
+
+def test_a_continuous_joint_moves_as_one_with_two_turns_to_either_side() -> None:
+    """Only the error differs, so the two robots agree in all that has no error beyond half a turn."""
+    free, limited = (MobileRobot.box().mount(pendulum(continuous=each), AT) for each in (True, False))
+    q0 = free.rest + np.array([0, 0, 0.3, 0.2, -0.4])
+    runs = [simulate(robot, PD(30, 8), Still(robot.rest, 5), dt=0.005, q0=q0) for robot in (free, limited)]
+    np.testing.assert_array_equal(runs[0].q, runs[1].q)
+    step = np.array([0, 0, 0, 4.0, 0])
+    assert free.difference(q0, q0 + step)[3] == pytest.approx(4 - 2 * np.pi)
+    assert limited.difference(q0, q0 + step)[3] == pytest.approx(4)
 
 
 def test_what_is_said_to_take_instead_has_the_right_derivatives() -> None:
@@ -545,12 +602,12 @@ def test_what_is_said_to_take_instead_has_the_right_derivatives() -> None:
         np.testing.assert_allclose(by_v[:, k], slope / (2 * h), atol=1e-5)
 
 
-@pytest.mark.parametrize("robot", [MobileRobot.box(), UR5], ids=["base", "ur5"])
+@pytest.mark.parametrize("robot", [MobileRobot.box(), UR5, KINOVA], ids=["base", "ur5", "kinova"])
 @pytest.mark.parametrize("limited", [lambda c: c, lambda c: Saturated(c, 1e6)], ids=["bare", "wrapped"])
 def test_pd_with_the_robots_difference_is_pd(robot: MobileRobot, limited: Any) -> None:
     """In the order that Pinocchio has; over a start that is a turn and more away from the reference."""
     start = robot.integrate(robot.rest, np.full(robot.nv, 0.05))
-    start[2] += 7.0
+    start[list(robot._circular)] += 7.0
     rest = Still(robot.rest, robot.nv)
     gains = 20 * np.diag(robot.mass_matrix(robot.rest))
     runs = [

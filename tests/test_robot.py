@@ -298,7 +298,6 @@ def test_what_is_handed_out_may_be_written_into_and_nothing_changes() -> None:
     np.testing.assert_array_equal(shown.geometry.halfSide, drawn.geometry.halfSide)
     for array in (
         robot.rest,
-        robot.neutral,
         robot.upper,
         robot.velocity_limit,
         robot.body.com,

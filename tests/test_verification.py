@@ -22,6 +22,8 @@ from pinmobile import (
     verify,
 )
 from pinmobile.arrays import Array
+from pinmobile.robot import arms
+from pinmobile.robot.joints import replace_continuous_joints
 from pinmobile.robot.pinocchio_calls import Engine
 from pinmobile.verification import COMPILED
 
@@ -100,7 +102,7 @@ def test_no_states_are_refused() -> None:
 
 ARMS = {
     "ur5": MobileRobot.box().mount("ur5", (0.1, -0.05, 0.2, 0.4)),
-    # (cos, sin) in q; a joint that is locked; rotors; two arms; loads on base and arm.
+    # Continuous joints; a joint that is locked; rotors; two arms; loads on base and arm.
     "kinova": MobileRobot.box().mount("kinova", (0.1, 0, 0.2, 0.3), locked=["j2s6s200_joint_2"]),
     "talos": MobileRobot.box().mount("talos_arm", (0, 0.1, 0.4, -0.2)),
     "two": MobileRobot(30, 1.3, (0.1, 0.05), dh=SLIDE_TABLE)
@@ -144,13 +146,25 @@ def test_machine_code_that_is_off_by_little_is_seen(
 
 def test_where_there_is_no_machine_code_the_table_says_why() -> None:
     model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
+    joint = model.addJoint(0, pin.JointModelHX(0.1), pin.SE3.Identity(), "screw")
     model.appendBodyToJoint(joint, pin.Inertia(1.0, np.ones(3) / 10, np.eye(3)), pin.SE3.Identity())
     verification = verify(MobileRobot.box().mount(model), states=5)
     assert verification.passed
     assert COMPILED not in {row.route for row in verification.rows}
     assert str(verification).splitlines()[-1].startswith(f"left out, {COMPILED}: joint ")
-    assert "JointModelSpherical, which has no single axis" in verification.missing
+    assert "JointModelHX, neither revolute nor prismatic" in verification.missing
+
+
+def test_a_continuous_joint_is_compared_with_the_files_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    def turned_round(model: pin.Model) -> pin.Model:
+        new = replace_continuous_joints(model)
+        new.jointPlacements[1] = new.jointPlacements[1] * pin.SE3(pin.utils.rotate("x", np.pi), np.zeros(3))
+        return new
+
+    monkeypatch.setattr(arms, "replace_continuous_joints", turned_round)
+    rows = verify(MobileRobot.box().mount("kinova"), states=5).rows
+    wrong = {(row.quantity, row.against) for row in rows if not row.agrees}
+    assert wrong == {(quantity, "Newton-Euler of the parts") for quantity in ("M", "n", "tau", "f")}
 
 
 def differing(model: pin.Model, wrong: MobileRobot) -> dict[str, float]:

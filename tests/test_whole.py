@@ -43,7 +43,7 @@ from pinmobile.controllers import planar_difference
 AT = (0.1, -0.05, 0.2, 0.4)
 BARE = MobileRobot.box()
 UR5 = BARE.mount("ur5", AT)
-KINOVA = BARE.mount("kinova", AT)  # three of its joints are (cos, sin)
+KINOVA = BARE.mount("kinova", AT)  # four of its joints are continuous
 TWO = BARE.mount("panda", AT).mount("kinova", (-0.1, 0, 0.2, 0)).attach(Load(1.5, (0, 0, 0.1)))
 ROBOTS = pytest.mark.parametrize("robot", [UR5, KINOVA, TWO], ids=["ur5", "kinova", "two arms and a load"])
 CIRCLE = Tangent(Circle(1, 0.5, 6))
@@ -51,18 +51,15 @@ CIRCLE = Tangent(Circle(1, 0.5, 6))
 
 def rest_of(robot: MobileRobot) -> Array:
     """Return the coordinates of the joints at rest."""
-    return robot.difference(robot.neutral, robot.rest)[3:]
+    return robot.rest[3:]
 
 
 def inward(robot: MobileRobot, way: float) -> list[tuple[Array, Array]]:
     """Return for each arm the coordinates at rest, and those that far from them, away from limits."""
     ends = []
     for mount in robot.mounts:
-        start, model = rest_of(robot)[mount.v.start - 3 : mount.v.stop - 3], mount.model
-        room = np.full(len(start), np.inf)
-        for j in range(1, model.njoints):
-            if model.nqs[j] == 1:
-                room[model.idx_vs[j]] = robot.upper[mount.q][model.idx_qs[j]] - start[model.idx_vs[j]]
+        start = robot.rest[mount.q]
+        room = robot.upper[mount.q] - start
         ends.append((start, start + np.where(way < room, way, -way)))
     return ends
 
@@ -113,8 +110,7 @@ def test_a_joint_without_limits_goes_round_and_round() -> None:
     trajectory = WholeBody(pendulum, CIRCLE, RestToRest(start, start + np.array([20, 0]), 6))
     t = np.linspace(0, 6, 7)
     angle = start[0] + 20 * (10 * (t / 6) ** 3 - 15 * (t / 6) ** 4 + 6 * (t / 6) ** 5)
-    np.testing.assert_allclose(trajectory(t).q[:, 3], np.cos(angle), atol=1e-13)
-    np.testing.assert_allclose(trajectory(t).q[:, 4], np.sin(angle), atol=1e-13)
+    np.testing.assert_allclose(trajectory(t).q[:, 3], angle, atol=1e-13)
 
 
 @ROBOTS
@@ -267,47 +263,10 @@ def test_slides_have_their_limits_in_metres_and_a_limit_itself_is_within() -> No
         WholeBody(panda, CIRCLE, Spline([rest, top + 0.01 * finger], (0, 6)))
 
 
-BRICK = pin.Inertia.FromBox(2.0, 0.3, 0.2, 0.1)
-
-
-def ball() -> MobileRobot:
-    return with_joint(pin.JointModelSpherical(), "ball")
-
-
-def test_slides_along_three_axes_are_coordinates_of_a_path_and_a_planar_joint_is_not() -> None:
-    gantry = with_joint(pin.JointModelTranslation(), "gantry")
-    assert tuple(one.unit for one in gantry.coordinates[3:]) == ("m", "m", "m")
-    whole = WholeBody(gantry, CIRCLE, RestToRest(np.zeros(3), (0.1, 0.2, 0.3), 6))
-    np.testing.assert_allclose(whole(6.0).q[3:], (0.1, 0.2, 0.3))
-    shuttle = with_joint(pin.JointModelRY(), "hinge", pin.JointModelPlanar(), "shuttle")
-    assert tuple(one.unit for one in shuttle.coordinates[4:]) == ("m", "m", "rad")
-    parts = tuple(f"toy/shuttle:{part}" for part in ("x", "y", "cos", "sin"))
-    assert shuttle.configuration_names[4:] == parts
-    adrift = with_joint(pin.JointModelRY(), "hinge", pin.JointModelFreeFlyer(), "adrift")
-    assert tuple(one.unit for one in adrift.coordinates[3:]) == ("rad", *["m"] * 3, *["rad"] * 3)
-    with pytest.raises(InvalidArgument, match="joint 'toy/shuttle' with 3 velocities"):
-        WholeBody(shuttle, CIRCLE, None)
-
-
-def with_joint(*joints: Any) -> MobileRobot:
-    """Return joints in series, each before its name, on the box."""
-    model, last = pin.Model(), 0
-    for joint, name in zip(joints[::2], joints[1::2], strict=True):
-        last = model.addJoint(last, joint, pin.SE3.Identity(), name)
-        model.appendBodyToJoint(last, BRICK, pin.SE3.Identity())
-    model.addFrame(pin.Frame("link", last, 0, pin.SE3.Identity(), pin.FrameType.BODY))
-    return BARE.mount(model, name="toy")
-
-
 @pytest.mark.parametrize(
     ("call", "text"),
     [
         (lambda: WholeBody("ur5", CIRCLE), "robot is 'ur5', expected a MobileRobot"),
-        (
-            lambda: WholeBody(ball(), CIRCLE, None),
-            "robot has joint 'toy/ball' with 3 velocities, expected joints of one, or slides: turns about "
-            "several axes, or beside slides, are no coordinates of a path",
-        ),
         (
             lambda: WholeBody(UR5, Circle(1, 1, 6), None),  # type: ignore[arg-type]
             "base is Circle(radius=1.0, rate=1.0, duration=6.0), a path, which has no heading, expected a "

@@ -159,7 +159,7 @@ def test_parameters_are_read_only_copies() -> None:
             array[0] = 2
 
 
-KINOVA = MobileRobot.box().mount("kinova")  # three of its joints are (cos, sin): nq = 12, nv = 9
+KINOVA = MobileRobot.box().mount("kinova")  # four of its joints are continuous
 
 
 @pytest.mark.parametrize(
@@ -172,10 +172,10 @@ KINOVA = MobileRobot.box().mount("kinova")  # three of its joints are (cos, sin)
     ],
     ids=["computed torque", "PD", "law", "within others"],
 )
-def test_noise_turns_angles_that_are_cos_and_sin(inner: Any) -> None:
+def test_noise_moves_the_joints_of_an_arm(inner: Any) -> None:
     rng, std = np.random.default_rng(2), np.linspace(0.1, 0.9, 9)
     q, v = KINOVA.random_configuration(rng, (4,)), rng.normal(size=(4, 9))
-    at = Reference(KINOVA.neutral, *np.zeros((2, 9)))
+    at = Reference(*np.zeros((3, 9)))
     noisy = NoisyMeasurement(inner, std, 0.2, seed=7)
     tau, _ = noisy(0.0, q, v, at, noisy.initial_state(Context.of(KINOVA, dt=0.1)))
     row: Any = noisy.initial_state(Context.of(KINOVA, dt=0.1))[1].draw()[0]
@@ -196,7 +196,7 @@ def test_all_wrappers_together_hold_an_arm_without_limits_at_rest() -> None:
 def test_noise_has_the_plants_number_of_velocities() -> None:
     long = NoisyMeasurement(ComputedTorque(KINOVA), np.ones(12), 1, 0)
     with pytest.raises(InvalidArgument, match=r"^std_q has shape \(12,\), expected \(\) or \(9,\)$"):
-        long(0.0, KINOVA.neutral, np.zeros(9), REST, long.initial_state(CONTEXT))
+        long(0.0, np.zeros(9), np.zeros(9), REST, long.initial_state(CONTEXT))
 
 
 def test_threads_that_share_a_noisy_controller_get_the_same() -> None:

@@ -91,9 +91,6 @@ class Plant(Protocol):
     ``calls()``
         Unchecked functions of one state, see `pinmobile.robot.Calls`, of a plant whose u is a generalised
         force, to which forces beside it are added.
-    ``integrate_jacobian(q, dq)``, ``neutral``
-        As `MobileRobot` has them, where joints turn about several axes: without, all integrators are taken
-        for displacements that change at the velocity.
     ``drawing(q) -> (k, 4, 4)``, ``visual_model``
         Placements in the inertial frame of the k objects of a `pin.GeometryModel`, which the viewer draws.
     ``contacts(q, v, a, u, signals) -> Contacts``

@@ -276,11 +276,8 @@ def _lattice(values: Sequence[Array]) -> Array:
 
 def _span(robot: Any, rest: Array, column: int) -> tuple[float, float]:
     """Return how far a joint may be from rest to either side: a whole turn is enough."""
-    one, name = robot.coordinates[column], robot.coordinates[column].name
-    index = {each: k for k, each in enumerate(robot.configuration_names)}.get(name)
-    if index is None:
-        return -np.pi, np.pi
-    low, high = one.lower - rest[index], one.upper - rest[index]
+    one = robot.coordinates[column]
+    low, high = one.lower - rest[column], one.upper - rest[column]
     far = np.pi if one.unit == "rad" else 1.0
     if high - low > 2 * far:
         return -far, far

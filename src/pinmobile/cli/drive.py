@@ -263,8 +263,8 @@ class _WheelRates:
         self, t: float, q: Array, v: Array, reference: State, state: tuple[float, Array]
     ) -> tuple[Array, tuple[float, Array]]:
         """Return the torques, shape (nu,), and the next state."""
-        robot, n = self.robot, self.robot.robot.nq
-        axes, nv = len(robot.table.axes), robot.robot.nv
+        robot, nv = self.robot, self.robot.robot.nv
+        axes = len(robot.table.axes)
         c, s = np.cos(q[2]), np.sin(q[2])
         ex, ey = reference.q[:2] - q[:2]
         error = np.array([c * ex + s * ey, c * ey - s * ex, float(wrap_angle(reference.q[2] - q[2]))])
@@ -272,7 +272,7 @@ class _WheelRates:
         twist = np.array([*(ahead + self.ahead * error[:2]), reference.v[2] + self.turn * error[2]])
         if not axes:
             twist[1], twist[2] = 0.0, (twist[2] + self.aside * ahead[0] * error[1]) * self.more
-        angles, turning = q[n : n + axes], v[nv : nv + axes]
+        angles, turning = q[nv : nv + axes], v[nv : nv + axes]
         off = (self._steered_to(twist, angles) - angles + np.pi / 2) % np.pi - np.pi / 2
         missed = robot.wheel_rates(twist, angles, turning) - v[nv + axes :]
         M = np.diagonal(robot.mass_matrix(q))[nv:]

@@ -40,7 +40,6 @@ from pinmobile.cli.output import (
 from pinmobile.cli.run import FIGURES, draw, save_page
 from pinmobile.controllers import Controller
 from pinmobile.measures import in_words
-from pinmobile.robot import joints_of
 
 _RADIUS, _RATE = 1.0, 0.5  # of the circle [m], [rad/s]
 _WAY = {"rad": 0.5, "m": 0.1}  # that each joint goes and comes back
@@ -112,12 +111,12 @@ def mounted(
 
 def demonstration(robot: MobileRobot, duration: float) -> WholeBody:
     """Return the circle, beside it every joint 0.5 rad (0.1 m) away and back, or as far as it can in time."""
-    rest = robot.difference(robot.neutral, robot.rest)
+    rest = robot.rest
     units = np.array([one.unit for one in robot.coordinates])
     way = np.select([units == unit for unit in _WAY], list(_WAY.values()))
     # A cubic from rest to rest is at most 3/2 as fast as on average; it has half the time.
     way = np.minimum(way, robot.velocity_limit * (duration / 2) / 1.5)
-    up, down = (np.minimum(room, way) for room in _room(robot))
+    up, down = (np.minimum(room, way) for room in (robot.upper - rest, rest - robot.lower))
     upwards = np.where(np.isclose(up, down), _lifts(robot, way), up > down)
     target = rest + np.where(upwards, up, -down)
     paths = [
@@ -132,16 +131,6 @@ def _lifts(robot: MobileRobot, way: Array) -> NDArray[np.bool_]:
     moves = np.diag(way)
     higher, lower = (robot.potential_energy(robot.integrate(robot.rest, sign * moves)) for sign in (1, -1))
     return higher >= lower - 1e-9
-
-
-def _room(robot: MobileRobot) -> tuple[Array, Array]:
-    """Return how far each coordinate can go up and down from rest, within its limits, shape (nv,)."""
-    up, down = np.full(robot.nv, np.inf), np.full(robot.nv, np.inf)
-    for joint in joints_of(robot.model):
-        if joint.adds:
-            q, v = joint.q, joint.v
-            up[v], down[v] = robot.upper[q] - robot.rest[q], robot.rest[q] - robot.lower[q]
-    return up, down
 
 
 def list_mountable() -> int:

@@ -282,14 +282,8 @@ class _Unchecked:
         calls = plant.calls()
         accelerated = calls.forward_dynamics
         self.plant, self.nq, self.nv, self.nu = plant, plant.nq, plant.nv, plant.nu
-        self.integrate, self.pose, self.rate, self.effort = (
-            calls.integrate,
-            calls.pose,
-            calls.rate,
-            calls.effort,
-        )
-        if plant.adds:
-            self.integrate = np.add
+        self.pose, self.rate, self.effort = calls.pose, calls.rate, calls.effort
+        self.integrate = np.add if plant.adds else plant.integrate
 
         def forward_dynamics(q: Array, v: Array, u: Array, f: Array | None = None) -> Array:
             return np.array(accelerated(q, v, u if f is None else u + f))  # the next call writes into it

@@ -124,10 +124,10 @@ class Backstepping:
                 f"robot is {robot.mobility.kind}, expected one with a fixed axle: for this one, {other}"
             )
         check_wheels(robot, _inverse(robot))
-        n, size = max(robot.leading), max(robot.leading.values())
+        n = max(robot.leading)
         car = None
         if kind == (1, 1):
-            car = _Car(size, min(float(robot.coordinates[n].upper), np.pi / 2 - 1e-3))
+            car = _Car(n, min(float(robot.coordinates[n].upper), np.pi / 2 - 1e-3))
         object.__setattr__(self, "_n", n)
         object.__setattr__(self, "_car", car)
         object.__setattr__(self, "_axle", frozen(robot.axle))

@@ -233,11 +233,6 @@ def plain_difference(q0: Array, q1: Array) -> Array:
     return np.subtract(q1, q0, dtype=np.float64)
 
 
-# What they take on the circle where they subtract all coordinates, for loops that do so themselves.
-planar_difference.turning = (2,)  # type: ignore[attr-defined]
-plain_difference.turning = ()  # type: ignore[attr-defined]
-
-
 @dataclass(frozen=True)
 class _Law:
     function: Callable[[float, Array, Array, Any], ArrayLike]

@@ -216,8 +216,8 @@ def feedback(controller: Feedback, difference: Difference, q: Array, v: Array, r
     error = difference(q, wanted)
     if error.shape[-1:] != v.shape[-1:]:
         raise InvalidArgument(
-            f"difference gives shape {error.shape}, expected {v.shape}: compare configurations by "
-            "difference=robot.difference"
+            f"difference gives shape {error.shape}, expected {v.shape}: compare configurations by the "
+            "plant's own, difference=plant.difference"
         )
     rate = reference.v - v[..., :n]
     return amplified("kp", controller.kp, error[..., :n]) + amplified("kd", controller.kd, rate)

@@ -147,7 +147,7 @@ class NoisyMeasurement:
     The noise of sample k depends on the seed and k alone, so that a second run gets the same; it is
     `Context.normal`, the same in every engine. Where q and v have leading axes, all of them get the same
     noise, and in an ensemble each robot its own. That of q is a displacement, by which the plant's
-    `integrate` moves q: an angle that is (cos, sin) in q is turned by it.
+    `integrate` moves q.
 
     Parameters
     ----------

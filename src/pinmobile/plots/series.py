@@ -21,7 +21,7 @@ from pinmobile.balance import (
     tip_over_margin,
 )
 from pinmobile.errors import InvalidArgument
-from pinmobile.plant import Plant, all_samples, configuration_names_of, coordinates_of, leading_of
+from pinmobile.plant import Plant, configuration_names_of, coordinates_of
 from pinmobile.plots.sheet import Canvas, Sheet, Spot, letters, over_titles, wrapped
 from pinmobile.plots.style import (
     TALL,
@@ -79,15 +79,14 @@ def states(
         If `rollouts`, `ax` or `width` is something else, or the figure too small for the labels.
     """
     runs = labelled(rollouts)
-    drawn = {label: _displacement(run, run.q) for label, run in runs.items()}
-    names = _names((runs[label].plant, _named(runs[label].plant, x.shape[1])) for label, x in drawn.items())
+    names = _names((run.plant, _named(run.plant, run.q.shape[1])) for run in runs.values())
     sheet = Sheet(ax, width, _wide(len(names)))
     panels = laid_out(sheet, names)
     for index, (label, run) in enumerate(runs.items()):
-        draw(panels, run.t, drawn[label], label=label or "actual", **line_style(index, len(runs)))
+        draw(panels, run.t, run.q, label=label or "actual", **line_style(index, len(runs)))
     for labels in same_references(runs).values():
         run = runs[labels[0]]
-        draw(panels, run.t, _displacement(run, run.reference.q), label="desired", **desired())
+        draw(panels, run.t, run.reference.q, label="desired", **desired())
     keys = [Line2D([], [], label="desired", **desired()), *keys_of(runs, "actual")]
     return sheet.finish(title, "Desired and actual pose", keys)
 
@@ -238,44 +237,18 @@ def _names(named: Iterable[tuple[object, Sequence[tuple[str, str]]]]) -> list[tu
 
 def _symbol(name: str) -> str:
     """Return how a name is written beside axes."""
-    short = name.removesuffix("_joint").replace("_joint:", ":").replace("_", " ").replace("$", r"\$")
+    short = name.removesuffix("_joint").replace("_", " ").replace("$", r"\$")
     return _SYMBOLS.get(name, short)
 
 
 def _named(plant: Plant | None, count: int) -> list[tuple[str, str]]:
-    """Return name and unit of each number of what `_displacement` returns."""
+    """Return name and unit of each number of q."""
     coordinates = coordinates_of(plant)
     if len(coordinates) == count:
         return [(one.name, one.unit) for one in coordinates]
     units = {one.name: one.unit for one in coordinates}
     names = configuration_names_of(plant) or [f"[{k}]" for k in range(count)]
     return [(name, units.get(name, "")) for name in names]
-
-
-def _displacement(run: Rollout, q: Array) -> Array:
-    """Return x, y, psi and the arms' angles and ways, shape (N, n), of configurations, shape (N, m).
-
-    Angles of joints that are (cos, sin) in q are unwrapped; a configuration of a plant that has no neutral
-    one to compare with is as it is.
-    """
-    plant = run.plant
-    if getattr(plant, "nq", 0) == getattr(plant, "nv", 0) or not hasattr(plant, "neutral"):
-        return q
-    length = q.shape[1]
-    whole = np.hstack([q, np.broadcast_to(plant.neutral[length:], (len(q), plant.nq - length))])
-    angles = all_samples(plant, "difference", np.broadcast_to(plant.neutral, whole.shape), whole)
-    unwrapped = np.where(_wrapped(plant), np.unwrap(angles, axis=0), angles)
-    leading = {numbers: n for n, numbers in leading_of(plant).items()}
-    # psi, and what adds, is unwrapped in q already.
-    names = {name: k for k, name in enumerate(configuration_names_of(plant))}
-    for k, one in enumerate(plant.coordinates):
-        if one.name in names:
-            unwrapped[:, k] = whole[:, names[one.name]]
-    return unwrapped[:, : leading[length]]
-
-
-def _wrapped(plant: Plant | None) -> NDArray[np.bool_]:
-    return np.array([one.unit == "rad" for one in coordinates_of(plant)])
 
 
 def draw(column: Iterable[Axes], t: Array, values: Array, **style: Any) -> None:

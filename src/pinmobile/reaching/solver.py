@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen
+from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, vector
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.reaching.poses import PosePath, error_sizes, pose_error
-from pinmobile.robot import BODY_JOINT, MobileRobot, joints_of
+from pinmobile.robot import MobileRobot
 
 _ROUNDING = 1e-9  # of the largest acceleration; that of forward after inverse dynamics is less
 
@@ -21,40 +21,24 @@ class Limits:
     Parameters
     ----------
     robot : MobileRobot
-        Its joints have one velocity each.
+        Whose limits of position they are.
     velocity : ndarray, shape (nv,)
         Largest |v| [m/s, m/s, rad/s, ...], >= 0; inf where there is no limit.
     acceleration : ndarray, shape (nv,)
         Largest |a| [m/s^2, m/s^2, rad/s^2, ...], > 0 and finite.
 
-    Raises
-    ------
-    InvalidArgument
-        If a joint has more than one velocity.
+    positions : bool
+        Whether the robot's limits of position hold.
     """
 
     robot: MobileRobot
     velocity: Array
     acceleration: Array
-    _columns: tuple[Array, Array] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        joints = joints_of(self.robot.model, BODY_JOINT + 1)
-        for joint in joints:
-            if joint.nv != 1:
-                raise InvalidArgument(
-                    f"robot has the joint {joint.name!r} of {joint.nv} velocities, expected joints of one"
-                )
-        # An angle that is (cos, sin) in q has no limit.
-        plain = [joint for joint in joints if joint.adds]
-        columns = [joint.q.start for joint in plain], [joint.v.start for joint in plain]
-        object.__setattr__(self, "_columns", tuple(np.array(ids, dtype=np.intp) for ids in columns))
+    positions: bool = True
 
     def endless(self) -> Limits:
         """Return the same without limits of positions."""
-        found = replace(self)
-        object.__setattr__(found, "_columns", (np.array([], np.intp),) * 2)
-        return found
+        return replace(self, positions=False)
 
     def farthest(self, q: Array) -> tuple[str, float, float]:
         """Return the joint that is farthest beyond a limit of its position, where it is, and the limit.
@@ -64,13 +48,12 @@ class Limits:
         q : ndarray, shape (N, nq)
             Configurations, of which one is beyond a limit if any joint is.
         """
-        in_q, in_v = self._columns
-        lower, upper = self.robot.lower[in_q], self.robot.upper[in_q]
-        beyond = np.maximum(lower - q[:, in_q], q[:, in_q] - upper)
+        lower, upper = self.robot.lower, self.robot.upper
+        beyond = np.maximum(lower - q, q - upper)
         at, joint = np.unravel_index(int(beyond.argmax()), beyond.shape)
-        value = float(q[at, in_q[joint]])
+        value = float(q[at, joint])
         limit = lower[joint] if value < lower[joint] else upper[joint]
-        one = self.robot.coordinates[in_v[joint]]
+        one = self.robot.coordinates[joint]
         return f"{one.name} [{one.unit}]", value, float(limit)
 
     def room(self, q: Array) -> Array:
@@ -79,11 +62,9 @@ class Limits:
 
     def signed_room(self, q: Array) -> Array:
         """Return the same, shape (2, nv), below zero where a coordinate is beyond its limit."""
-        in_q, in_v = self._columns
-        room = np.full((2, self.robot.nv), np.inf)
-        room[0, in_v] = q[in_q] - self.robot.lower[in_q]
-        room[1, in_v] = self.robot.upper[in_q] - q[in_q]
-        return room
+        if not self.positions:
+            return np.full((2, self.robot.nv), np.inf)
+        return np.stack([q - self.robot.lower, self.robot.upper - q])
 
     def ramps(self, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
         """Return the least and the largest acceleration to hold over the next `dt`, each of shape (nv,).
@@ -364,7 +345,7 @@ def checked_configuration(robot: MobileRobot, name: str, value: ArrayLike) -> Ar
     InvalidArgument
         If it has another shape, is not finite, or is outside.
     """
-    q = robot.configuration(value, name)
+    q = vector(name, value, robot.nq)
     if q.shape != (robot.nq,):
         raise InvalidArgument(f"{name} has shape {q.shape}, expected ({robot.nq},)")
     outside = (q < robot.lower) | (q > robot.upper)

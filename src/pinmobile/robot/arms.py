@@ -16,7 +16,7 @@ from pinmobile.robot.joints import (
     carries_only_wheels,
     children,
     joints_of,
-    moves_its_axes,
+    replace_continuous_joints,
     root_of,
     tip_of,
 )
@@ -59,12 +59,12 @@ class Arm:
     ----------
     origin : Origin
         Where it comes from.
-    whole : pin.Model
-        As it was read. A copy is taken, and copies are handed out.
+    file_model : pin.Model
+        As Pinocchio read it. A copy is taken, and copies are handed out.
     rest : ndarray, shape (whole.nq,)
         Its reference posture; the pose of a root of its own is dropped.
     picture : callable
-        Returns the visual `pin.GeometryModel` of `whole`.
+        Returns the visual `pin.GeometryModel` of the model.
     locked : tuple of str
         Joints to lock at rest, beside a root and wheels.
     stands : bool
@@ -73,12 +73,12 @@ class Arm:
     usual : ndarray, shape (whole.nq,), optional
         The reference posture that it has unless another is asked for; by default `rest`.
     shapes : callable, optional
-        Returns the collision `pin.GeometryModel` of `whole`; by default it has none.
+        Returns the collision `pin.GeometryModel` of the model; by default it has none.
 
     Attributes
     ----------
     model : pin.Model
-        A copy of it without what is locked.
+        A copy of `whole` without what is locked.
     posture : ndarray, shape (model.nq,)
         Its reference posture.
     tip : str
@@ -91,13 +91,13 @@ class Arm:
     ------
     InvalidArgument
         If a joint moves nothing that has inertia, carries what no rigid body is, has limits that limit
-        nothing, mimics another one, or has axes that move with its own angles.
+        nothing, mimics another one, or has several axes.
     UnknownName
         If a joint to lock is not there.
     """
 
     origin: Origin
-    whole: pin.Model
+    file_model: pin.Model
     rest: Array
     picture: Picture
     locked: tuple[str, ...] = ()
@@ -105,40 +105,39 @@ class Arm:
     usual: Array | None = None
     shapes: Picture | None = None
     model: pin.Model = field(init=False)
-    _whole: pin.Model = field(init=False, repr=False)
+    _file_model: pin.Model = field(init=False, repr=False)
     _model: pin.Model = field(init=False, repr=False)
     posture: Array = field(init=False)
     tip: str = field(init=False)
     squared: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        whole = _whole(self._whole)
-        rest = _without_root_pose(whole, self.rest)
-        joints = joints_of(whole)
-        for joint in joints:
+        file_model = _copied(self._file_model)
+        for joint in joints_of(file_model):
             if joint.mimics:
                 raise InvalidArgument(
                     f"arm {self.origin.value!r}: joint {joint.name!r} mimics another one, which "
                     "Pinocchio's forward dynamics does not support, expected a model built with mimic=False"
                 )
-        held = _held(whole, self.locked)
+        squared = _squared(file_model)
+        whole = replace_continuous_joints(file_model)
+        rest = _without_root_pose(whole, self.rest)
+        joints, held = joints_of(whole), _held(whole, self.locked)
         free = [joint for number, joint in enumerate(joints, 1) if number not in held]
-        for number, joint in enumerate(joints, 1):
-            if number not in held and moves_its_axes(whole, number):
+        for joint in free:
+            if not joint.nq == joint.nv == 1:
                 raise InvalidArgument(
-                    f"arm {self.origin.value!r}: joint {joint}, whose axes move with its own angles, for "
-                    "which Pinocchio's Coriolis matrix and derivatives are wrong, expected as many joints in "
-                    "series, with one axis each, or a ball joint"
+                    f"arm {self.origin.value!r}: joint {joint}, which has several axes, expected one axis: "
+                    "model it as revolute and prismatic joints in series, or lock it with "
+                    f"locked=[{joint.name!r}]"
                 )
         check_bodies(whole, self.origin.value)
         check_joint_limits(whole, free, self.origin.value)
-        squared = _squared(whole)
         model, _ = _reduced(whole, [], held, rest)
-        parts = [rest[joint.q] for joint in free]
-        posture = np.concatenate(parts) if parts else np.zeros(0)
+        posture = rest[[joint.q.start for joint in free]]
         check_inertias(model, posture, self.origin.value)
         for name, value in {
-            "whole": whole,
+            "file_model": file_model,
             "rest": rest,
             "usual": rest if self.usual is None else _without_root_pose(whole, self.usual),
             "model": model,
@@ -148,6 +147,11 @@ class Arm:
             "stands": self.stands or any(joints[j - 1].in_space for j in root_of(whole)),
         }.items():
             object.__setattr__(self, name, value)
+
+    @property
+    def whole(self) -> pin.Model:
+        """A copy of the file's model with one angle for each continuous joint."""
+        return replace_continuous_joints(self.file_model)
 
     def options(self) -> dict[str, object]:
         """Return what `MobileRobot.mount` was asked for beside what it does by default."""
@@ -171,19 +175,20 @@ class Arm:
 
     def held(self) -> list[int]:
         """Return the joints of `whole` that do not move: a root of its own, wheels, and those in `locked`."""
-        return _held(self._whole, self.locked)
+        return _held(self._file_model, self.locked)
 
     def visuals(self) -> pin.GeometryModel:
         """Return what is drawn of it, for `model`."""
-        shown = self.picture(self._whole)
-        _, (kept,) = _reduced(self._whole, [shown], self.held(), self.rest)
+        whole = self.whole
+        _, (kept,) = _reduced(whole, [self.picture(whole)], self.held(), self.rest)
         return kept
 
     def solids(self) -> tuple[pin.GeometryModel, tuple[str, ...]]:
         """Return its collision geometry, for `model`, and the link of each shape."""
-        shapes = pin.GeometryModel() if self.shapes is None else self.shapes(self._whole)
-        links = tuple(link_of(item, self._whole) for item in shapes.geometryObjects)
-        _, (kept,) = _reduced(self._whole, [shapes], self.held(), self.rest)
+        whole = self.whole
+        shapes = pin.GeometryModel() if self.shapes is None else self.shapes(whole)
+        links = tuple(link_of(item, whole) for item in shapes.geometryObjects)
+        _, (kept,) = _reduced(whole, [shapes], self.held(), self.rest)
         return kept, links
 
 
@@ -207,21 +212,21 @@ class _Copied:
         object.__setattr__(arm, self.kept, model)
 
 
-for _name in ("whole", "model"):
+for _name in ("file_model", "model"):
     # Not in the class, where a dataclass would take them for defaults.
     setattr(Arm, _name, _Copied(_name))
 
 
-def _whole(model: pin.Model) -> pin.Model:
+def _copied(model: pin.Model) -> pin.Model:
     """Return a copy with what Pinocchio needs to lock joints, and a model made joint by joint may lack."""
-    whole = model.copy()
+    copy = model.copy()
     # Pinocchio refuses it otherwise: the least velocity is left at its largest number.
-    whole.lowerVelocityLimit = np.minimum(whole.lowerVelocityLimit, whole.upperVelocityLimit)
-    for joint in range(1, whole.njoints):
+    copy.lowerVelocityLimit = np.minimum(copy.lowerVelocityLimit, copy.upperVelocityLimit)
+    for joint in range(1, copy.njoints):
         # Pinocchio crashes without it.
-        if not whole.existFrame(whole.names[joint], pin.FrameType.JOINT):
-            whole.addJointFrame(joint)
-    return whole
+        if not copy.existFrame(copy.names[joint], pin.FrameType.JOINT):
+            copy.addJointFrame(joint)
+    return copy
 
 
 def _reduced(
@@ -435,7 +440,7 @@ def _weakest(model: pin.Model, posture: Array) -> Iterator[tuple[int, str]]:
         return
     data = model.createData()
     step = np.random.default_rng(_GENERIC).uniform(-1, 1, model.nv)
-    generic = pin.integrate(model, np.array(posture), step)
+    generic = posture + step
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         for where, q in (("at rest", posture), ("at a posture like any other", generic)):
             own = np.diag(pin.crba(model, data, q)).copy()

@@ -95,8 +95,6 @@ class ArticulatedBody:
         Names of the arms, and where they stand unless `places` are varied: x, y, z and yaw [m, m, m, rad].
     coordinates, inputs
         As of a plant.
-    ends : tuple of (int, int)
-        Items of `leading`.
     rest : ndarray, shape (nq,)
         Where what has no reference starts.
     mass, yaw_inertia, com_x, com_y : float
@@ -129,7 +127,6 @@ class ArticulatedBody:
     arms: tuple[tuple[str, tuple[float, ...]], ...]
     coordinates: tuple[Coordinate, ...]
     inputs: tuple[Input, ...]
-    ends: tuple[tuple[int, int], ...]
     rest: Array
     mass: Array | float
     yaw_inertia: Array | float
@@ -177,7 +174,7 @@ class ArticulatedBody:
         tree, base = self.linkage, [bool(getattr(self, name)) for name in _OF_BASE]
         arrays = tree.gravity, tree.axes, *(x for i in range(self.nv) for x in self._joint_own(i))
         fixed = [self.form_of(each) for each in (*self.links, *self.loads)]
-        shape = tree.parents, tree.turns, tree.circles, tree.q, tree.v, len(self.links), self.matter
+        shape = tree.parents, tree.turns, tree.circular, len(self.links), self.matter
         return *shape, *base, *(x.tobytes() for x in arrays), *fixed
 
     def form_of(self, fixed: Fixed) -> tuple[Any, ...]:
@@ -195,7 +192,7 @@ class ArticulatedBody:
     @property
     def leading(self) -> dict[int, int]:
         """How many numbers of q the first n coordinates have, for each n that a reference may have."""
-        return dict(self.ends)
+        return {n: n for n in range(_BASE, self.nv + 1)}
 
     @property
     def nq(self) -> int:
@@ -325,8 +322,7 @@ class ArticulatedBody:
     @cached_property
     def _motors(self) -> Vector:
         """What motors add to the inertias of the joints, in the order of the linkage."""
-        numbers = [*[ZERO] * _BASE, *self._numbers("rotors")]
-        return [numbers[k] for k in self.linkage.v]
+        return [*[ZERO] * _BASE, *self._numbers("rotors")]
 
     @cached_property
     def _by_matrix(self) -> bool:
@@ -343,33 +339,22 @@ class ArticulatedBody:
     def _moving(self, q: Array, v: Array) -> Moving:
         return Moving(self.linkage, self._joints, scalars(q), scalars(v))
 
-    def _in_joints(self, x: Array) -> Vector:
-        numbers = scalars(x)
-        return [numbers[k] for k in self.linkage.v]
-
-    def _public(self, values: Sequence[Any], q: Array) -> Array:
-        """Return numbers of the joints as an array in public order, shape (..., nv), at configurations q."""
-        found = [ZERO] * self.nv
-        for k, value in zip(self.linkage.v, values, strict=True):
-            found[k] = value
-        return vector_of(found, q)
-
     def forward_dynamics(self, q: Array, v: Array, u: Array, f: Array | float = 0.0) -> Array:
         """Return the acceleration, shape (..., nv)."""
         moving, bodies, motors = self._moving(q, v), self._bodies, self._motors
         way = by_matrix if self._by_matrix else Moving.accelerations
-        return self._public(way(moving, bodies, motors, self._in_joints(u + f)), q)
+        return vector_of(way(moving, bodies, motors, scalars(u + f)), q)
 
     def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
         """Return M(q) a + n(q, v), shape (..., nv)."""
-        rates = self._in_joints(a)
+        rates = scalars(a)
         efforts = self._moving(q, v).efforts(self._bodies, rates)
         pairs = zip(efforts, self._motors, rates, strict=True)
-        return self._public([effort + motor * rate for effort, motor, rate in pairs], q)
+        return vector_of([effort + motor * rate for effort, motor, rate in pairs], q)
 
     def nonlinear_effects(self, q: Array, v: Array) -> Array:
         """Return n(q, v), shape (..., nv)."""
-        return self._public(self._moving(q, v).efforts(self._bodies, [ZERO] * self.nv), q)
+        return vector_of(self._moving(q, v).efforts(self._bodies, [ZERO] * self.nv), q)
 
     def coriolis_matrix(self, q: Array, v: Array) -> Array:
         """Return C(q, v), shape (..., nv, nv), of Christoffel's symbols.
@@ -388,11 +373,11 @@ class ArticulatedBody:
         """Return g(q), shape (..., nv)."""
         still = [ZERO] * self.nv
         moving = Moving(self.linkage, self._joints, scalars(q), still)
-        return self._public(moving.efforts(self._bodies, still), q)
+        return vector_of(moving.efforts(self._bodies, still), q)
 
     def kinetic_energy(self, q: Array, v: Array) -> Array:
         """Return v' M(q) v / 2, shape (...)."""
-        moving, rates = self._moving(q, np.zeros(self.nv)), self._in_joints(v)
+        moving, rates = self._moving(q, np.zeros(self.nv)), scalars(v)
         momenta = moving.efforts(self._bodies, rates, falling=False)
         pairs = zip(momenta, self._motors, rates, strict=True)
         return scalar_of(0.5 * dot(rates, [momentum + motor * rate for momentum, motor, rate in pairs]), q)
@@ -404,9 +389,8 @@ class ArticulatedBody:
 
     def regressor(self, q: Array, v: Array, a: Array) -> Array:
         """Return Y(q, v, a), shape (..., nv, 10 bodies): of the base's body, and of each joint's after it."""
-        found = self._moving(q, v).regressor(self._axes, _BASE - 1, self._in_joints(a))
-        rows = sorted(zip(self.linkage.v, found, strict=True), key=lambda row: row[0])
-        return matrix_of([vector_of(row, q) for _, row in rows])
+        found = self._moving(q, v).regressor(self._axes, _BASE - 1, scalars(a))
+        return matrix_of([vector_of(row, q) for row in found])
 
     def linearize_tracked(self, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
         """Return A, shape (..., 2 nv, 2 nv), and B, (..., 2 nv, nv), see `MobileRobot.linearize`."""
@@ -415,11 +399,9 @@ class ArticulatedBody:
     def mass_matrix(self, q: Array) -> Array:
         """Return M(q), shape (..., nv, nv)."""
         M = self._posture(q).mass_matrix(self._bodies)
-        rows: list[Any] = [None] * self.nv
-        for i, k in enumerate(self.linkage.v):
-            M[i][i] = M[i][i] + self._motors[i]
-            rows[k] = self._public(M[i], q)
-        return matrix_of(rows)
+        for i, motor in enumerate(self._motors):
+            M[i][i] = M[i][i] + motor
+        return matrix_of([vector_of(row, q) for row in M])
 
     def ground_wrench(self, q: Array, v: Array, a: Array) -> Array:
         """Return what the ground exerts on the robot, shape (..., 6): force, moment, along and about B."""
@@ -438,7 +420,7 @@ class ArticulatedBody:
 
     def _felt(self, bodies: Sequence[Body], q: Array, v: Array, a: Array) -> tuple[Vector, Vector]:
         """Return the force and the moment, along and about the base's frame, that let bodies move so."""
-        base, forces = _BASE - 1, self._moving(q, v).wrenches(bodies, self._in_joints(a))
+        base, forces = _BASE - 1, self._moving(q, v).wrenches(bodies, scalars(a))
         force, moment = (applied(self._axes[base], each[base]) for each in forces)
         return force, moment
 
@@ -478,7 +460,7 @@ class ArticulatedBody:
         fixed, names = self._frame(frame), self.linkage.names
         J = self._posture(q).jacobian(fixed.joint, self._placed(*fixed[2:]).p)
         ahead = arm and f"{arm}/"
-        own = [k for k, name in zip(self.linkage.v, names, strict=True) if name.startswith(ahead)]
+        own = [k for k, name in enumerate(names) if name.startswith(ahead)]
         return scalar_of(volume([[row[k] for k in own] for row in J]), q)
 
     def frame_drift(self, q: Array, v: Array, frame: str | None = None) -> Array:
@@ -492,36 +474,16 @@ class ArticulatedBody:
         known = {fixed.name: fixed for fixed in self.frames}
         return known[one_of("frame", name, known)]
 
-    def _ways(self) -> Iterator[tuple[int, int, bool]]:
-        """Return of each joint its place in q and in v, and whether q has cosine and sine."""
-        return zip(self.linkage.q, self.linkage.v, self.linkage.circles, strict=True)
-
     def integrate(self, q: Array, dq: Array) -> Array:
         """Return the configuration that a displacement leads to, shape (..., nq)."""
-        if self.nq == self.nv:
-            return q + dq
-        found: list[Any] = [None] * self.nq
-        for at, k, circle in self._ways():
-            if circle:
-                c, s = np.cos(dq[..., k]), np.sin(dq[..., k])
-                x, y = c * q[..., at] - s * q[..., at + 1], s * q[..., at] + c * q[..., at + 1]
-                near = 0.5 * (3.0 - (x * x + y * y))  # 1 / length, which is one but for rounding
-                found[at], found[at + 1] = near * x, near * y
-            else:
-                found[at] = q[..., at] + dq[..., k]
-        return np.stack(np.broadcast_arrays(*found), axis=-1)
+        return q + dq
 
     def difference(self, q0: Array, q1: Array) -> Array:
-        """Return the displacement from q0 to q1, shape (..., nv); angles without end on the circle."""
-        found: list[Any] = [None] * self.nv
-        for at, k, circle in self._ways():
-            if circle:
-                c0, s0, c1, s1 = q0[..., at], q0[..., at + 1], q1[..., at], q1[..., at + 1]
-                found[k] = np.arctan2(c0 * s1 - s0 * c1, c0 * c1 + s0 * s1)
-            else:
-                found[k] = q1[..., at] - q0[..., at]
-        found[_BASE - 1] = wrap_angle(found[_BASE - 1])
-        return np.stack(np.broadcast_arrays(*found), axis=-1)
+        """Return the displacement from q0 to q1, shape (..., nv); psi and continuous joints on the circle."""
+        d, circular = q1 - q0, self.linkage.circular
+        return np.stack(
+            [wrap_angle(d[..., k]) if k in circular else d[..., k] for k in range(self.nv)], axis=-1
+        )
 
     def pose(self, q: Array) -> Array:
         """Return x, y and psi of the body, shape (..., 3)."""
@@ -537,8 +499,8 @@ class ArticulatedBody:
 
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return the q and v with which a reference begins; what it does not lead rests."""
-        size, n = reference.q.shape[-1], reference.v.shape[-1]
-        return np.append(reference.q, self.rest[size:]), np.append(reference.v, np.zeros(self.nv - n))
+        n = reference.v.shape[-1]
+        return np.append(reference.q, self.rest[n:]), np.append(reference.v, np.zeros(self.nv - n))
 
     def numbers_with(self, values: Mapping[str, Any]) -> dict[str, Array]:
         """Return the numbers of all attributes; some, by name of attribute or parameter, are others.
@@ -591,7 +553,7 @@ def articulated(robot: Any, linkage: Linkage) -> ArticulatedBody:
     robot : MobileRobot
         Its names, its body, and what it carries.
     linkage : Linkage
-        Its tree, whose numbers of q and v are public.
+        Its tree, in public order.
     """
     model, numbers = robot._model, [LinkNumbers.of(mount._model) for mount in robot.mounts]
     frames = {
@@ -616,7 +578,6 @@ def articulated(robot: Any, linkage: Linkage) -> ArticulatedBody:
         arms=tuple((mount.name, mount.at) for mount in robot.mounts),
         coordinates=robot.coordinates,
         inputs=robot.inputs,
-        ends=tuple(robot.leading.items()),
         rest=robot.rest,
         mass=robot.mass,
         yaw_inertia=robot.body.yaw_inertia,

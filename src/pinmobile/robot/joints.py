@@ -6,7 +6,7 @@ What Pinocchio calls the types of joints is read here alone.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,9 +18,8 @@ from pinmobile.plant import Coordinate, Input
 BODY_JOINT = 3
 """The joint of the chain that carries the body; those before it carry nothing."""
 
-_SINGLE = re.compile("R[XYZ]|RUB[XYZ]|P[XYZ]|(Revolute|RevoluteUnbounded|Prismatic)Unaligned")
-_SLIDES = {"Planar": 2, "Translation": 3, "FreeFlyer": 3}
-_PARTS = {2: ("cos", "sin"), 4: ("qx", "qy", "qz", "qw")}  # of joints with more numbers in q than in v
+_SINGLE = re.compile("R[XYZ]|P[XYZ]|(Revolute|Prismatic)Unaligned")
+_CONTINUOUS = re.compile("RUB[XYZ]|RevoluteUnboundedUnaligned")
 _FAR = 1e8  # beyond, a limit is none
 _WHEEL_JOINTS = 3  # suspension, steering, wheel
 _TURNS = 1e3 * 2 * np.pi  # [rad]: limits beyond this, both ways, count as none
@@ -68,24 +67,19 @@ class Joint:
         return int(self.v.stop - self.v.start)
 
     @property
-    def adds(self) -> bool:
-        """Whether its displacements add to its part of q, number by number: then it may have limits."""
-        return self.nq == self.nv
-
-    @property
     def single(self) -> bool:
-        """Whether it has one coordinate, about or along one axis."""
+        """Whether it is an ordinary revolute or prismatic joint."""
         return _SINGLE.fullmatch(self.kind) is not None
 
     @property
-    def slides(self) -> int:
-        """How many of its velocities, the first ones, are along an axis; the others are about one."""
-        return _SLIDES.get(self.kind, int(self.kind.startswith("P")))
+    def slides(self) -> bool:
+        """Whether it is a prismatic joint."""
+        return self.nv == 1 and self.kind.startswith("P")
 
     @property
-    def circular(self) -> bool:
-        """Whether it is without limits, and its angle is (cos, sin) in q."""
-        return (self.nq, self.nv) == (2, 1)
+    def continuous(self) -> bool:
+        """Whether it is a continuous revolute joint, whose angle is (cos, sin) in Pinocchio's q."""
+        return _CONTINUOUS.fullmatch(self.kind) is not None
 
     @property
     def mimics(self) -> bool:
@@ -102,30 +96,6 @@ class Joint:
         """Whether it moves freely in space."""
         return "FreeFlyer" in self.kind
 
-    @property
-    def unit(self) -> slice:
-        """Its part of q that has length one: (cos, sin) or a quaternion, which come last, or nothing."""
-        turns = self.circular or "Planar" in self.kind
-        width = 2 if turns else 4 if (self.nq, self.nv) in ((4, 3), (7, 6)) else 0
-        return slice(self.q.stop - width, self.q.stop)
-
-    @property
-    def configuration_names(self) -> list[str]:
-        """Name of each of its numbers in q, such as ``elbow:cos`` where it has two."""
-        parts = ("x", "y", "cos", "sin") if "Planar" in self.kind else _PARTS.get(self.nq)
-        if parts is None or ("Planar" not in self.kind and self.adds):
-            return _numbered(self.name, self.nq)
-        return [f"{self.name}:{part}" for part in parts]
-
-    @property
-    def coordinate_names(self) -> list[str]:
-        """Name of each of its numbers in v."""
-        return _numbered(self.name, self.nv)
-
-
-def _numbered(name: str, count: int) -> list[str]:
-    return [name] if count == 1 else [f"{name}:{k}" for k in range(count)]
-
 
 def joints_of(model: pin.Model, first: int = 1) -> list[Joint]:
     """Return the joints of a model, from a number on."""
@@ -134,23 +104,61 @@ def joints_of(model: pin.Model, first: int = 1) -> list[Joint]:
 
 def axis_of(model: pin.Model, number: int) -> Array:
     """Return the axis, in its frame, of a joint that has a single one."""
-    axes = _axes(model, number, pin.neutral(model)).ravel()
-    return axes[3:] if axes[3:].any() else axes[:3]
-
-
-def _axes(model: pin.Model, number: int, q: Array) -> Array:
-    """Return the twists of a joint's rates, seen from what it carries."""
     kind = model.joints[number]
     data = kind.createData()
-    kind.calc(data, q, np.zeros(model.nv))
-    return np.array(data.S)
+    kind.calc(data, pin.neutral(model), np.zeros(model.nv))
+    twist = np.ravel(data.S)
+    return twist[3:] if twist[3:].any() else twist[:3]
 
 
-def moves_its_axes(model: pin.Model, joint: int) -> bool:
-    """Tell whether the axes of the joint's rates move with its own angles, as seen from what it carries."""
-    still = pin.neutral(model)
-    before, after = (_axes(model, joint, q) for q in (still, pin.integrate(model, still, np.ones(model.nv))))
-    return not np.allclose(before, after, rtol=0, atol=1e-9)
+_JOINT_ARRAYS = (
+    *("armature", "rotorInertia", "rotorGearRatio", "damping"),
+    *("lowerVelocityLimit", "lowerEffortLimit", "lowerDryFrictionLimit"),
+    *("upperVelocityLimit", "upperEffortLimit", "upperDryFrictionLimit"),
+)
+
+
+def replace_continuous_joints(model: pin.Model) -> pin.Model:
+    """Return the model with revolute joints without limits, which have one angle, for continuous ones."""
+    joints = joints_of(model)
+    if not any(joint.continuous for joint in joints):
+        return model
+    new, endless = pin.Model(), np.array([np.inf])
+    new.name, new.gravity = model.name, model.gravity
+    for number, joint in enumerate(joints, 1):
+        kind, most = model.joints[number], (model.effortLimit[joint.v], model.velocityLimit[joint.v])
+        limits = model.lowerPositionLimit[joint.q], model.upperPositionLimit[joint.q]
+        if joint.continuous:
+            kind, limits = pin.JointModelRevoluteUnaligned(axis_of(model, number)), (-endless, endless)
+            if joint.kind[-1] in "XYZ":
+                kind = getattr(pin, f"JointModelR{joint.kind[-1]}")()
+        new.addJoint(model.parents[number], kind, model.jointPlacements[number], joint.name, *most, *limits)
+    for number, inertia in enumerate(model.inertias):
+        new.inertias[number] = inertia
+    for number, frame in enumerate(list(model.frames)[1:], 1):
+        # Pinocchio refuses a second frame of the same name, so they are numbered meanwhile.
+        pieces = frame.parentJoint, frame.parentFrame, frame.placement, frame.type, frame.inertia
+        new.addFrame(pin.Frame(str(number), *pieces), False)
+        new.frames[number].name = frame.name
+    for name in _JOINT_ARRAYS:
+        setattr(new, name, getattr(model, name))
+    return new
+
+
+def convert_configuration(model: pin.Model, q: Array) -> Array:
+    """Return a configuration of a model as one of `replace_continuous_joints(model)`."""
+    parts = (
+        [np.arctan2(*q[joint.q][::-1])] if joint.continuous else q[joint.q] for joint in joints_of(model)
+    )
+    return np.concatenate([np.zeros(0), *parts])
+
+
+def circular_coordinates(model: pin.Model) -> tuple[int, ...]:
+    """Return the coordinates whose errors are taken on the circle: psi and the continuous joints."""
+    lower, upper = model.lowerPositionLimit, model.upperPositionLimit
+    joints = (joint for joint in joints_of(model, BODY_JOINT + 1) if not joint.slides)
+    found = (joint.v.start for joint in joints if upper[joint.q][0] == np.inf == -lower[joint.q][0])
+    return (BODY_JOINT - 1, *found)
 
 
 def children(model: pin.Model) -> list[list[int]]:
@@ -164,12 +172,13 @@ def children(model: pin.Model) -> list[list[int]]:
 def turns_freely(model: pin.Model, joint: int) -> bool:
     """Tell whether a joint turns without end: continuous, or revolute with limits far beyond all use."""
     own = Joint.of(model, joint)
-    if "RevoluteUnbounded" in own.kind or "RUB" in own.kind:
+    if own.continuous:
         return True
-    if not own.kind.startswith("R") or own.nq != 1:
+    if not own.kind.startswith("R"):
         return False
     least, most = (float(limit[own.q][0]) for limit in (model.lowerPositionLimit, model.upperPositionLimit))
-    return -_UNSET < least < -_TURNS and _TURNS < most < _UNSET
+    endless = most == np.inf == -least
+    return endless or (-_UNSET < least < -_TURNS and _TURNS < most < _UNSET)
 
 
 def carries_only_wheels(model: pin.Model, joint: int) -> bool:
@@ -225,24 +234,21 @@ _FORCE_UNITS = {"m": "N", "rad": "N m"}
 
 
 def coordinates(model: pin.Model, lower: Array, upper: Array) -> tuple[Coordinate, ...]:
-    """Return each number of a displacement: x, y, psi, then those of the joints.
+    """Return the coordinates: x, y, psi, then those of the joints.
 
     Parameters
     ----------
     model : pin.Model
         The chain, and what it carries.
     lower, upper : ndarray, shape (nq,)
-        Limits; joints with more numbers in q than in v have none.
+        Limits.
     """
-    free = -np.inf, np.inf
-    found = [Coordinate(name, unit, *free, rate) for name, unit, rate in _BASE]
-    for joint in joints_of(model, BODY_JOINT + 1):
-        pairs = zip(lower[joint.q].tolist(), upper[joint.q].tolist(), strict=True)
-        limits = list(pairs) if joint.adds else [free] * joint.nv
-        units = ["m"] * joint.slides + ["rad"] * (joint.nv - joint.slides)
-        rows = zip(joint.coordinate_names, units, limits, strict=True)
-        found += [Coordinate(name, unit, *limit, f"{name}_rate") for name, unit, limit in rows]
-    return tuple(found)
+    joints = ((joint.name, "m" if joint.slides else "rad") for joint in joints_of(model, BODY_JOINT + 1))
+    named = (*_BASE, *((name, unit, f"{name}_rate") for name, unit in joints))
+    limits = zip(lower.tolist(), upper.tolist(), strict=True)
+    return tuple(
+        Coordinate(name, unit, *limit, rate) for (name, unit, rate), limit in zip(named, limits, strict=True)
+    )
 
 
 def inputs(coordinates: Sequence[Coordinate]) -> tuple[Input, ...]:
@@ -251,37 +257,18 @@ def inputs(coordinates: Sequence[Coordinate]) -> tuple[Input, ...]:
     return tuple(Input(name, _FORCE_UNITS[one.unit]) for name, one in zip(names, coordinates, strict=True))
 
 
-def leading(model: pin.Model) -> dict[int, int]:
-    """Return how many numbers of q the first n coordinates have, for each n at which a joint ends."""
-    return {joint.v.stop: joint.q.stop for joint in joints_of(model, BODY_JOINT)}
+def limits(model: pin.Model) -> tuple[Array, Array, Array, Array]:
+    """Return lower and upper limits and those of velocity and effort, each of shape (nv,).
 
-
-def configuration_names(model: pin.Model) -> tuple[str, ...]:
-    """Return the name of each number in q: x, y, psi, then those of the joints."""
-    arms = (joint.configuration_names for joint in joints_of(model, BODY_JOINT + 1))
-    return (*(name for name, *_ in _BASE), *(name for names in arms for name in names))
-
-
-def limits(model: pin.Model, moving: Iterable[int]) -> tuple[Array, Array, Array, Array]:
-    """Return lower and upper limits, shape (nq,), and those of velocity and effort, shape (nv,).
-
-    Parameters
-    ----------
-    model : pin.Model
-        The chain, and what it carries.
-    moving : iterable of int
-        The joints that may have limits; of others they are infinite, as where a file knows none.
+    They are infinite for the base, and where a file has none.
     """
-    lower, upper = np.full(model.nq, -np.inf), np.full(model.nq, np.inf)
-    speed, effort = np.full(model.nv, np.inf), np.full(model.nv, np.inf)
-    for joint in (Joint.of(model, number) for number in moving):
-        q, v = joint.q, joint.v
-        least, most = model.lowerPositionLimit[q], model.upperPositionLimit[q]
-        # Files write equal limits, or zero, where they know none.
-        if joint.adds:
-            known = least < most
-            lower[q] = np.where(known & (least > -_FAR), least, -np.inf)
-            upper[q] = np.where(known & (most < _FAR), most, np.inf)
-        for target, source in ((speed, model.velocityLimit), (effort, model.effortLimit)):
-            target[v] = np.where((source[v] > 0) & (source[v] < _FAR), source[v], np.inf)
+    lower, upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
+    speed, effort = upper.copy(), upper.copy()
+    arms = slice(BODY_JOINT, None)
+    least, most = model.lowerPositionLimit[arms], model.upperPositionLimit[arms]
+    known = least < most  # files write equal limits, or zero, where they know none
+    lower[arms] = np.where(known & (least > -_FAR), least, -np.inf)
+    upper[arms] = np.where(known & (most < _FAR), most, np.inf)
+    for target, source in ((speed, model.velocityLimit[arms]), (effort, model.effortLimit[arms])):
+        target[arms] = np.where((source > 0) & (source < _FAR), source, np.inf)
     return lower, upper, speed, effort

@@ -15,7 +15,7 @@ from pinmobile.arrays import Array, frozen
 from pinmobile.compiled import Node, maximum, plain, root, sincos, symbols
 from pinmobile.constancy import constant
 from pinmobile.errors import NotTraceable
-from pinmobile.robot.joints import axis_of, joints_of
+from pinmobile.robot.joints import axis_of, circular_coordinates, joints_of
 
 Vector: TypeAlias = list[Any]
 Matrix: TypeAlias = list[list[Any]]
@@ -279,10 +279,10 @@ class Linkage:
         Of the joints.
     parents : tuple of int
         Joint that each hangs on; -1: the world.
-    turns, circles : tuple of bool
-        Whether it turns, or else slides; whether q has cosine and sine of its angle.
-    q, v : tuple of int
-        Its first number in a public q, and its number in v.
+    turns : tuple of bool
+        Whether it turns, or else slides.
+    circular : tuple of int
+        Joints whose errors are taken on the circle.
     rotations : ndarray, shape (n, 3, 3)
         Of its frame, axis z, in that of the joint it hangs on, at zero.
     offsets : ndarray, shape (n, 3)
@@ -296,9 +296,7 @@ class Linkage:
     names: tuple[str, ...]
     parents: tuple[int, ...]
     turns: tuple[bool, ...]
-    circles: tuple[bool, ...]
-    q: tuple[int, ...]
-    v: tuple[int, ...]
+    circular: tuple[int, ...]
     rotations: Array
     offsets: Array
     axes: Array
@@ -306,18 +304,19 @@ class Linkage:
 
     @classmethod
     def of(cls, model: pin.Model) -> Linkage:
-        """Return that of a model; numbers of q and v are those of the model.
+        """Return that of a model; joint k has the number k in q and in v.
 
         Raises
         ------
         NotTraceable
-            If a joint has other than one coordinate.
+            If a joint is neither revolute nor prismatic.
         """
         joints = joints_of(model)
         for joint in joints:
             if not joint.single:
                 raise NotTraceable(
-                    f"joint {joint}, which has no single axis", "give joints in series with one axis each"
+                    f"joint {joint}, neither revolute nor prismatic",
+                    "give revolute and prismatic joints",
                 )
         axes = [np.eye(3), *(_to_z(axis_of(model, j)) for j in range(1, model.njoints))]
         places, parents = list(model.jointPlacements)[1:], list(model.parents)[1:]
@@ -328,9 +327,7 @@ class Linkage:
             names=tuple(joint.name for joint in joints),
             parents=tuple(int(parent) - 1 for parent in parents),
             turns=tuple(not joint.slides for joint in joints),
-            circles=tuple(joint.circular for joint in joints),
-            q=tuple(joint.q.start for joint in joints),
-            v=tuple(joint.v.start for joint in joints),
+            circular=circular_coordinates(model),
             rotations=frozen(without_rounding(np.array(rotations))),
             offsets=frozen(without_rounding(np.array(offsets))),
             axes=frozen(axes[1:]),

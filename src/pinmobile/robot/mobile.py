@@ -370,7 +370,7 @@ class MobileRobot(System):
         """What an ensemble may spread of it.
 
         Of the base its mass, yaw inertia and centre of mass; with arms also those of each link and load, what
-        motors add to joints, and where the arms stand. With a ball joint among its joints, nothing.
+        motors add to joints, and where the arms stand. With a helical joint, nothing.
         """
         if not self.mounts:
             return BODY_PARAMETERS
@@ -420,9 +420,9 @@ class MobileRobot(System):
         """
         if not hasattr(reference, "q"):
             raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
-        desired, sizes = finite("reference.q", reference.q), self.leading.values()
-        if desired.shape[-1:] not in {(size,) for size in sizes}:
-            listed = ", ".join(map(str, sizes))
+        desired = finite("reference.q", reference.q)
+        if desired.shape[-1:] not in [(n,) for n in self.leading]:
+            listed = ", ".join(map(str, self.leading))
             raise InvalidArgument(f"reference.q has shape {desired.shape}, expected (..., k), k of {listed}")
         state = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a), "u": self._v("u", u)}
         lead = broadcast(**state, **{"reference.q": desired})
@@ -440,7 +440,7 @@ class MobileRobot(System):
         Raises
         ------
         NotTraceable
-            If a joint of it has more than one coordinate.
+            If a joint of it is neither revolute nor prismatic.
         """
         if self.mounts:
             return self._articulated
@@ -555,12 +555,13 @@ class MobileRobot(System):
         """Return the robot with an arm on its body; q and v then end with the arm's joints.
 
         A root of its own (free-flyer, planar) is replaced by the chain, and wheels are locked. Its joints and
-        frames are called ``name/...``; its limits, its rotors and its reference posture are kept, and so are
-        its joints' damping and friction, by which `JointFriction.of(robot)` acts. Equal position limits, as
-        lower = upper = 0, and a velocity or effort limit of 0 are none: that is what files write, some of the
-        loaders' too, where they know none. A joint that mimics another in a URDF,
-        as the panda's second finger, moves freely, since Pinocchio's forward dynamics knows no mimic joints;
-        a `pin.Model` that has them is refused. To keep such a joint still, name it in `locked`.
+        frames are called ``name/...``, and each joint has one number in q: a continuous joint is an angle,
+        like psi. Its limits, its rotors and its reference posture are kept, and so are its joints' damping
+        and friction, by which `JointFriction.of(robot)` acts. Equal position limits, as lower = upper = 0,
+        and a velocity or effort limit of 0 are none: that is what files write, some of the loaders' too,
+        where they know none. A joint that mimics another in a URDF, as the panda's second finger, moves
+        freely, since Pinocchio's forward dynamics knows no mimic joints; a `pin.Model` that has them is
+        refused. To keep such a joint still, name it in `locked`.
 
         Parameters
         ----------
@@ -580,17 +581,18 @@ class MobileRobot(System):
         collision : pin.GeometryModel, optional
             What of a `pin.Model` may touch something: see `clearance`.
         rest : array_like, shape (arm's nq,), optional
-            Its reference posture, within its limits; by default the loader's, or the neutral one, brought
-            within them.
+            Its reference posture, one number for each joint beside a root of its own, within its limits; by
+            default the loader's, or the neutral one, brought within them.
         locked : sequence of str
             Its joints that shall not move, at rest.
 
         Raises
         ------
         InvalidArgument
-            If the arm cannot be read, or is larger than `MobileRobot.from_urdf` takes; a joint of it moves no
-            inertia, carries what no rigid body is, or has limits that limit nothing; without `at`, the middle
-            is taken or the top not known; or another argument is not what is expected.
+            If the arm cannot be read, or is larger than `MobileRobot.from_urdf` takes; a joint of it that is
+            not locked has several axes, as a ball joint; a joint moves no inertia, carries what no rigid body
+            is, or has limits that limit nothing; without `at`, the middle is taken or the top not known; or
+            another argument is not what is expected.
         UnknownName
             If no loader has the name; the nearest come first.
         """

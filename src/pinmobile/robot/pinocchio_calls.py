@@ -29,7 +29,7 @@ from pinmobile.robot.mounts import Mount
 class Calls(NamedTuple):
     """Unchecked functions of one state in public order, for the thread alone that asked for them.
 
-    For loops that run millions of times: they take float64 arrays of shape (nq,) and (nv,), and nothing else.
+    For loops that run millions of times: they take float64 arrays of shape (nv,), and nothing else.
     What one returns is overwritten by the next call of any of them: copy what is kept.
 
     Attributes
@@ -44,8 +44,6 @@ class Calls(NamedTuple):
         The acceleration a(q, v, tau), shape (nv,), by ABA. Forces beside the input are added to it.
     gravity : callable
         g(q), shape (nv,).
-    integrate : callable
-        The configuration, shape (nq,), that a displacement (nv,) leads to from q.
     pose, rate : callable
         Those of the body, shape (3,): of q, and of q and v.
     effort : callable
@@ -57,7 +55,6 @@ class Calls(NamedTuple):
     inverse_dynamics: Callable[[Array, Array, Array], Array]
     forward_dynamics: Callable[[Array, Array, Array], Array]
     gravity: Callable[[Array], Array]
-    integrate: Callable[[Array, Array], Array]
     pose: Callable[[Array], Array]
     rate: Callable[[Array, Array], Array]
     effort: Callable[[Array, Array], Array]
@@ -76,15 +73,12 @@ class Law(NamedTuple):
         What that takes after the state.
     order : callable
         ``order(engine, array)`` puts what `run` returns into public order.
-    turns : bool
-        Whether an angle and the same some turns on are the same to it.
     """
 
     run: Callable[..., Any]
     name: str = ""
     options: tuple[str, ...] = ()
     order: Callable[[Engine, Array], Array] = lambda engine, array: array
-    turns: bool = True
 
 
 class _Workspace(local):
@@ -108,17 +102,15 @@ class Engine:
 
     def __init__(self, model: pin.Model) -> None:
         self.model, self._workspace = model, _Workspace(model)
-        self.nq, self.nv = int(model.nq), int(model.nv)
+        self.nv = int(model.nv)
         # Public index of each coordinate of the chain. Swapping two, it is its own inverse.
-        self.order, self.order_q = np.arange(self.nv), np.arange(self.nq)
-        self.order[:2] = self.order_q[:2] = 1, 0
-        self.orders = {self.nv: self.order, self.nq: self.order_q}
+        self.order = np.array([1, 0, *range(2, self.nv)])
         self._square = self.order[:, None], self.order
         self.public = _in_public_order(model)
 
     @cached_property
     def linkage(self) -> Linkage:
-        """Its tree, over scalars; raises `NotTraceable` where a joint has other than one coordinate."""
+        """Its tree, over scalars; raises `NotTraceable` where a joint is neither revolute nor prismatic."""
         return Linkage.of(self.public)
 
     @property
@@ -136,7 +128,6 @@ class Engine:
             inverse_dynamics=partial(pin.rnea, public, data),
             forward_dynamics=partial(pin.aba, public, data),
             gravity=partial(pin.computeGeneralizedGravity, public, data),
-            integrate=partial(pin.integrate, public),
             pose=lambda q: q[:BODY_JOINT],
             rate=lambda q, v: v[:BODY_JOINT],
             effort=(lambda q, wrench: np.concatenate([wrench, still]))
@@ -145,8 +136,8 @@ class Engine:
         )
 
     def reorder(self, array: Array) -> Array:
-        """Return an array (..., nv) or (..., nq) in chain order from public order, or the other way round."""
-        order = self.orders[array.shape[-1]]
+        """Return an array (..., nv) in chain order from public order, or the other way round."""
+        order = self.order
         return array[order] if array.ndim == 1 else array[..., order]  # the first is six times as fast
 
     def reorder_square(self, matrices: Array) -> Array:
@@ -184,7 +175,6 @@ MANY = 500
 _LARGEST = 12_000  # operations: building takes a second or two
 _MOST = 128  # programs that stay
 _FAR = 1e5  # [rad]: beyond, sine and cosine of compiled code lose digits
-_STEP = 1e-4  # [s], of a central difference: its error is of the order of 1e-8 |v|^3 and 1e-12
 _lock = threading.Lock()
 _known: OrderedDict[Any, Batched | None] = OrderedDict()
 
@@ -223,8 +213,8 @@ def stacked(
         for x in arguments.values()
     ]
     if not n:
-        probes = (np.zeros(column.shape[1]) for column in columns[1:])
-        shape = np.shape(law.order(engine, np.asarray(law.run(model, data, pin.neutral(model), *probes))))
+        probes = (np.zeros(column.shape[1]) for column in columns)
+        shape = np.shape(law.order(engine, np.asarray(law.run(model, data, *probes))))
         return np.empty((*lead, *shape))
     rows = [np.array(law.run(model, data, *row)) for row in zip(*columns, strict=True)]
     answer = law.order(engine, np.stack(rows).reshape((*lead, *rows[0].shape)))
@@ -237,7 +227,7 @@ def _compiled(body: ArticulatedBody, law: Law, n: int, **arguments: Array) -> Ar
     if program is None:
         return None
     affordable(f"{law.name} of {n:,} states", 1.0 * n * program.size, "ask for fewer at a time")
-    near = [_near(body, x) if law.turns and name == "q" else x for name, x in arguments.items()]
+    near = [_near(body, x) if name == "q" else x for name, x in arguments.items()]
     answer, squares = program(*near, *body.numbers.values(), threads=processors())
     return answer if np.isfinite(squares).all() else finite_answer(answer, **arguments)
 
@@ -280,30 +270,8 @@ def _near(body: ArticulatedBody, q: Array) -> Array:
     """Return configurations whose angles are within some turns."""
     if max(q.max(), -q.min()) <= _FAR:
         return q
-    near, tree = q.copy(), body.linkage
-    for at, turns, circle in zip(tree.q, tree.turns, tree.circles, strict=True):
-        if turns and not circle:
-            angle = near[..., at]
-            far = np.abs(angle) > _FAR
-            angle[far] = np.arctan2(np.sin(angle[far]), np.cos(angle[far]))
-    return near
-
-
-def _integrated(model: pin.Model, data: pin.Data, q: Array, dq: Array) -> Array:
-    return np.asarray(pin.integrate(model, q, dq))
-
-
-def _integrate_jacobian(model: pin.Model, data: pin.Data, q: Array, dq: Array) -> Array:
-    return np.asarray(pin.dIntegrate(model, q, dq, pin.ArgumentPosition.ARG1))
-
-
-def _difference(model: pin.Model, data: pin.Data, q0: Array, q1: Array) -> Array:
-    return np.asarray(pin.difference(model, q0, q1))
-
-
-INTEGRATED = Law(_integrated, "integrate", order=Engine.reorder, turns=False)
-INTEGRATE_JACOBIAN = Law(_integrate_jacobian, order=Engine.reorder_square)
-DIFFERENCE = Law(_difference, "difference", order=Engine.reorder, turns=False)
+    near = np.arctan2(np.sin(q), np.cos(q))
+    return np.where((np.abs(q) > _FAR) & body.linkage.turns, near, q)
 
 
 def frame_pose(name: str, number: int) -> Law:
@@ -378,12 +346,6 @@ def _placements(model: pin.Model, data: pin.Data, q: Array) -> Array:
     return np.stack([data.oMi[k].homogeneous for k in range(1, model.njoints)])
 
 
-def _turning(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
-    """Return how a displacement from a configuration that moves with v changes by itself."""
-    ahead, behind = (pin.dIntegrate(model, q, h * v, pin.ARG0) for h in (_STEP, -_STEP))
-    return np.asarray((ahead - behind) / (2 * _STEP))
-
-
 def _kinetic_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Any:
     # Pinocchio's own leaves out the motors of joints that turn about an axis of their own.
     with np.errstate(over="ignore", invalid="ignore"):
@@ -409,7 +371,6 @@ POTENTIAL_ENERGY = Law(pin.computePotentialEnergy, "potential_energy")
 REGRESSOR = Law(pin.computeJointTorqueRegressor, "regressor", order=_of_bodies)
 CORIOLIS_MATRIX = Law(pin.computeCoriolisMatrix, order=Engine.reorder_square)
 DERIVATIVES = Law(_derivatives, order=Engine.reorder_square)
-TURNING = Law(_turning, order=Engine.reorder_square)
 
 
 def _ground_wrench(model: pin.Model, data: pin.Data, q: Array, v: Array, a: Array) -> Array:

@@ -238,7 +238,7 @@ def _starts_with_slides(model: pin.Model) -> bool:
     """Tell whether the model is meant as the chain: three joints in series, two prismatic ones among them."""
     if model.njoints < 4 or [model.parents[j] for j in (1, 2, 3)] != [0, 1, 2]:
         return False
-    return sum(joint.slides == joint.nv == 1 for joint in joints_of(model)[:3]) >= 2
+    return sum(joint.slides for joint in joints_of(model)[:3]) >= 2
 
 
 def _is_floating(model: pin.Model, joint: int) -> bool:

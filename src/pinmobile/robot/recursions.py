@@ -45,7 +45,7 @@ class Posture:
     places : sequence of Place
         Of each joint's frame in that of the joint it hangs on, at zero.
     q : list of scalars
-        Configuration, in public order.
+        Configuration.
     """
 
     def __init__(self, linkage: Linkage, places: Sequence[Place], q: Vector) -> None:
@@ -54,12 +54,8 @@ class Posture:
         self.angles: list[tuple[Any, Any] | None] = []  # sine and cosine of those that turn
         self.p: list[Vector] = []  # origins
         for i, (R, p) in enumerate(places):
-            at = linkage.q[i]
-            if linkage.circles[i]:
-                self.angles.append((q[at + 1], q[at]))
-            else:
-                self.angles.append(sine_and_cosine(q[at]) if linkage.turns[i] else None)
-            self.p.append(p if linkage.turns[i] else plus(p, [row[2] * q[at] for row in R]))
+            self.angles.append(sine_and_cosine(q[i]) if linkage.turns[i] else None)
+            self.p.append(p if linkage.turns[i] else plus(p, [row[2] * q[i] for row in R]))
 
     def down(self, i: int, x: Vector) -> Vector:
         """Return a vector of the parent's frame in that of joint i."""
@@ -124,7 +120,7 @@ class Posture:
             way, turn = ([-p[1], p[0], ZERO], z) if self.linkage.turns[j] else (z, [ZERO] * 3)
             for above in ancestors[at:]:
                 way, turn = self.up(above, way), self.up(above, turn)
-            columns[self.linkage.v[j]] = [*way, *turn]
+            columns[j] = [*way, *turn]
             p = plus(self.p[j], self.up(j, p))
         return transposed(columns)
 
@@ -164,11 +160,11 @@ class Posture:
 
 
 class Moving(Posture):
-    """A linkage at a configuration and a velocity, which is given in public order, too."""
+    """A linkage at a configuration and a velocity."""
 
     def __init__(self, linkage: Linkage, places: Sequence[Place], q: Vector, v: Vector) -> None:
         super().__init__(linkage, places, q)
-        self.v = [v[k] for k in linkage.v]
+        self.v = v
         self.w: list[Vector] = []  # angular velocities
         for i, above in enumerate(linkage.parents):
             w = self.down(i, self.w[above]) if above >= 0 else [ZERO] * 3
@@ -469,6 +465,6 @@ def _count(
         return x if isinstance(x, Exact) else early
 
     at = [Place(*known(place)) for place in places]
-    moving = Moving(linkage, at, [late] * (2 * n), [late] * n)
+    moving = Moving(linkage, at, [late] * n, [late] * n)
     way(moving, [Body(*known(body)) for body in bodies], known(rotors), [late] * n)
     return tally[0]

@@ -15,7 +15,7 @@ import pinocchio as pin
 from pinmobile.arrays import Array, ArrayLike, location, sequence, vector
 from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName, shown
 from pinmobile.robot.arms import Arm, Origin, Picture
-from pinmobile.robot.joints import joints_of
+from pinmobile.robot.joints import convert_configuration, joints_of, replace_continuous_joints
 from pinmobile.robot.visuals import FilePicture, FileShapes, GivenPicture
 from pinmobile.robot.wellformed import check_freedom, judge_links, urdf_model
 
@@ -162,7 +162,8 @@ def _load_arm(name: str, locked: tuple[str, ...] = ()) -> Arm:
         reason = known.reason if known else str(error) or type(error).__name__
         raise InvalidArgument(f"arm {name!r} cannot be loaded: {reason}") from error
     stands = bool(loader.free_flyer)
-    return Arm(Origin("loader", name), model, rest, picture, locked, stands, shapes=shapes)
+    angles = convert_configuration(model, rest)
+    return Arm(Origin("loader", name), model, angles, picture, locked, stands, shapes=shapes)
 
 
 def _loaders() -> dict[str, Any]:
@@ -316,8 +317,9 @@ def _from_model(
     shown, solid = (pin.GeometryModel() if each is None else each.clone() for each in (visual, collision))
     _check_geometry("visual", arm, shown)
     _check_geometry("collision", arm, solid)
-    usual = _posture(arm, kept)
-    posture = usual if rest is None else _posture(arm, rest)
+    whole = replace_continuous_joints(arm)
+    usual = _posture(whole, None if kept is None else convert_configuration(arm, vector("q0", kept, arm.nq)))
+    posture = usual if rest is None else _posture(whole, rest)
     origin = Origin("model", arm.name or "arm")
     shapes = GivenPicture(solid)
     return Arm(origin, arm.copy(), posture, GivenPicture(shown), locked, usual=usual, shapes=shapes)
@@ -333,7 +335,7 @@ def _posture(model: pin.Model, rest: ArrayLike | None) -> Array:
     if posture.shape != (model.nq,):
         raise InvalidArgument(f"rest has shape {posture.shape}, expected ({model.nq},)")
     if not pin.isNormalized(model, posture, 1e-6):
-        raise InvalidArgument(f"rest is {posture.tolist()}, expected each (cos, sin) of length one")
+        raise InvalidArgument(f"rest is {posture.tolist()}, expected quaternions of length one")
     return posture
 
 
@@ -352,7 +354,7 @@ def _check_rest(arm: Arm) -> None:
     """Refuse a reference posture outside the limits."""
     model = arm.whole
     for joint in joints_of(model):
-        for k in range(joint.q.start, joint.q.stop) if joint.adds else ():
+        for k in range(joint.q.start, joint.q.stop) if joint.nq == 1 else ():
             least, most = model.lowerPositionLimit[k], model.upperPositionLimit[k]
             # Equal limits are none.
             if least < most and not least - _SLACK <= arm.rest[k] <= most + _SLACK:
@@ -364,9 +366,9 @@ def _check_rest(arm: Arm) -> None:
 def _from_urdf(path: Path, folders: tuple[str, ...], rest: ArrayLike | None, locked: tuple[str, ...]) -> Arm:
     model, root = urdf_model("arm", path)
     picture = FilePicture(path, tuple(map(Path, folders)))
-    origin, posture = Origin("urdf", str(path), folders), _posture(model, rest)
-    shapes = FileShapes(path, picture.package_dirs)
-    arm = Arm(origin, model, posture, picture, locked, usual=pin.neutral(model), shapes=shapes)
+    whole, origin = replace_continuous_joints(model), Origin("urdf", str(path), folders)
+    shapes, usual = FileShapes(path, picture.package_dirs), pin.neutral(whole)
+    arm = Arm(origin, model, _posture(whole, rest), picture, locked, usual=usual, shapes=shapes)
 
     def body_of(link: str) -> Array:
         joint = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint

@@ -31,19 +31,9 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import pinocchio_calls
 from pinmobile.robot.articulated import ArticulatedBody
-from pinmobile.robot.joints import (
-    BODY_JOINT,
-    configuration_names,
-    coordinates,
-    inputs,
-    joints_of,
-    leading,
-    limits,
-)
+from pinmobile.robot.joints import BODY_JOINT, circular_coordinates, coordinates, inputs, limits
 from pinmobile.robot.mounts import Load, Mount, named_frames, resistances
 from pinmobile.robot.pinocchio_calls import Calls, Engine, Law
-
-_UNIT = 1e-6  # how far (cos, sin) or a quaternion may be from length one
 
 
 class Linearization(NamedTuple):
@@ -67,7 +57,7 @@ class System:
     All methods take and return, along the last axis and in the inertial frame: configuration
     q = (x, y, psi) [m, m, rad], velocity v = dq/dt [m/s, m/s, rad/s], acceleration a [m/s^2, m/s^2, rad/s^2]
     and generalised force tau = (Fx, Fy, Mz) [N, N, N m]; after these come the arms' joints, one after the
-    other, in their units. A joint without limits is (cos, sin) in q and one number in v. Leading axes
+    other, in their units, with one number each. A continuous joint is an angle like psi. Leading axes
     broadcast. All raise `InvalidArgument` for arguments of another last axis or that are not finite, and
     `NotFinite` where the answer would not be. They may be called by several threads at once.
 
@@ -78,9 +68,9 @@ class System:
     and up to some seconds for a humanoid, less where its machine code is in the folder of an earlier process
     (``PINMOBILE_CACHE``); robots with other numbers on the same joints, as `with_parameters` makes them,
     share it, unless a number that was zero no longer is. However many they are, one after another go the
-    states of `coriolis_matrix`, `forward_dynamics_derivatives`, `linearize`, `integrate_jacobian` and
-    `frame_placements`; of robots with a ball joint; and of methods that take more than 12,000 operations, as
-    forward dynamics of some 40 joints and the regressor of some 20 do.
+    states of `coriolis_matrix`, `forward_dynamics_derivatives`, `linearize` and `frame_placements`, and of
+    methods that take more than 12,000 operations, as forward dynamics of some 40 joints and the regressor of
+    some 20 do.
     """
 
     _engine: Engine
@@ -100,7 +90,7 @@ class System:
     @property
     def nq(self) -> int:
         """Size of q."""
-        return self._engine.nq
+        return self._engine.nv
 
     @property
     def nv(self) -> int:
@@ -114,7 +104,7 @@ class System:
 
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        """Each of the nv numbers of a displacement: x, y, psi, then those of the arms' joints."""
+        """Each of the nv numbers of q: x, y, psi, then those of the arms' joints."""
         return coordinates(self._model, self.lower, self.upper)
 
     @cached_property
@@ -128,18 +118,12 @@ class System:
     @cached_property
     def leading(self) -> Mapping[int, int]:
         """How many numbers of q the first n coordinates have, for each n that a reference may have."""
-        return MappingProxyType(leading(self._model))
+        return MappingProxyType({n: n for n in range(BODY_JOINT, self.nv + 1)})
 
     @property
     def adds(self) -> bool:
-        """Whether `integrate` adds displacements to q number by number, in both of which psi is the third."""
-        return self.nq == self.nv and type(self).integrate is System.integrate
-
-    @property
-    def turning(self) -> tuple[int, ...] | None:
-        """Coordinates that `difference` takes on the circle where it subtracts all, else None."""
-        own = type(self).difference is System.difference
-        return (2,) if own and self.adds else None
+        """Whether `integrate` adds displacements to q."""
+        return type(self).integrate is System.integrate
 
     @property
     def broadcasts(self) -> bool:
@@ -147,14 +131,8 @@ class System:
         return True
 
     @cached_property
-    def configuration_names(self) -> tuple[str, ...]:
-        """Name of each of the nq numbers in q; of a joint without limits ``name:cos`` and ``name:sin``."""
-        return configuration_names(self._model)
-
-    @cached_property
     def _limits(self) -> tuple[Array, Array, Array, Array]:
-        moving = (joint for mount in self.mounts for joint in mount.moving)
-        lower, upper, speed, effort = map(frozen, limits(self._model, moving))
+        lower, upper, speed, effort = map(frozen, limits(self._model))
         return lower, upper, speed, effort
 
     @property
@@ -199,17 +177,12 @@ class System:
         return self._resistances[1]
 
     @cached_property
-    def neutral(self) -> Array:
-        """Configuration with all coordinates at zero, angles that are (cos, sin) among them, shape (nq,)."""
-        return frozen(self._engine.reorder(pin.neutral(self._model)))
-
-    @cached_property
     def rest(self) -> Array:
         """Configuration at the origin with each arm in its reference posture, shape (nq,).
 
         Where its description has none, its neutral one. All is brought within the limits.
         """
-        q = self.neutral.copy()
+        q = np.zeros(self.nq)
         for mount in self.mounts:
             q[mount.q] = mount.arm.posture
         return frozen(np.clip(q, self.lower, self.upper))
@@ -235,69 +208,39 @@ class System:
             whole("shape", n, least=0) for n in sequence("shape", shape, "a tuple of whole numbers")
         )
         affordable("random configurations", 4.0 * self.nq * prod(shape), "draw fewer at a time")
-        free = generator.uniform(-np.pi, np.pi, (*shape, self.nv))
-        free[..., :2] /= np.pi
-        q = self.integrate(np.broadcast_to(self.neutral, (*shape, self.nq)), free)
+        q = generator.uniform(-np.pi, np.pi, (*shape, self.nq))
+        q[..., :2] /= np.pi
         limited = np.isfinite(self.lower) & np.isfinite(self.upper)
         q[..., limited] = generator.uniform(
             self.lower[limited], self.upper[limited], (*shape, np.count_nonzero(limited))
         )
         return q
 
-    def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
-        """Return the configuration that the displacement `dq` leads to from `q`, shape (..., nq).
+    @cached_property
+    def _circular(self) -> tuple[int, ...]:
+        return circular_coordinates(self._model)
 
-        x, y, psi and joints with one number each add, psi beyond pi too; other joints by Pinocchio.
-        """
+    def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
+        """Return the configuration q + dq, shape (..., nq); psi and continuous joints go beyond pi."""
         q, dq = self._q(q), self._v("dq", dq)
         broadcast(q=q, dq=dq)
-        if self.nq == self.nv:
-            with np.errstate(over="ignore"):
-                return finite_answer(q + dq, q=q, dq=dq)
-        return self._each(pinocchio_calls.INTEGRATED, q=q, dq=dq)
-
-    def integrate_jacobian(self, q: ArrayLike, dq: ArrayLike) -> Array:
-        """Return how `integrate` turns rates of `dq` into velocities, shape (..., nv, nv).
-
-        Where a displacement dq changes at the rate r, the configuration ``integrate(q, dq)`` moves with the
-        velocity J r. J is the identity but for joints that turn about several axes, or turn and slide: of a
-        ball joint it is the right Jacobian of the exponential map.
-
-        Parameters
-        ----------
-        q : array_like, shape (..., nq)
-            Configuration [m, m, rad, ...].
-        dq : array_like, shape (..., nv)
-            Displacement [m, m, rad, ...].
-        """
-        q, dq = self._q(q), self._v("dq", dq)
-        return self._each(pinocchio_calls.INTEGRATE_JACOBIAN, q=q, dq=dq)
+        with np.errstate(over="ignore"):
+            return finite_answer(q + dq, q=q, dq=dq)
 
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
-        """Return the displacement from `q0` to `q1`, shape (..., nv); that of psi lies in (-pi, pi].
-
-        That of joints without limits is taken on the circle too, by Pinocchio; others are subtracted.
-        """
-        if type(q0) is type(q1) is np.ndarray and q0.shape == q1.shape == (self._engine.nv,):
-            displacement = q1 - q0  # in a loop
-            if isfinite(np.vdot(displacement, displacement)):
-                if not LEAST_ANGLE < displacement[2] <= np.pi:
-                    displacement[2] = wrap_angle(displacement[2])
-                return displacement
-        q0, q1 = self._q(q0, "q0"), self._q(q1, "q1")
-        small = q0.ndim == q1.ndim == 1 and isfinite(np.vdot(q0, q0) + np.vdot(q1, q1))
-        if small and self.nq == self.nv:
-            displacement = q1 - q0  # in a loop: it cannot overflow
-        elif self.nq == self.nv:
+        """Return the displacement q1 - q0, shape (..., nv); psi and continuous joints in (-pi, pi]."""
+        shape = (self._engine.nv,)
+        if not (type(q0) is type(q1) is np.ndarray and q0.shape == q1.shape == shape):
+            q0, q1 = self._q(q0, "q0"), self._q(q1, "q1")
             broadcast(q0=q0, q1=q1)
-            with np.errstate(over="ignore"):
-                displacement = finite_answer(q1 - q0, q0=q0, q1=q1)
-        else:
-            broadcast(q0=q0, q1=q1)
-            displacement = self._each(pinocchio_calls.DIFFERENCE, q0=q0, q1=q1)
-        angle = displacement[..., 2]
-        if angle.ndim or not LEAST_ANGLE < angle <= np.pi:  # in a loop it hardly ever is beyond
-            displacement[..., 2] = wrap_angle(angle)
+        displacement = q1 - q0
+        if not isfinite(np.vdot(displacement, displacement)):
+            q0, q1 = self._q(q0, "q0"), self._q(q1, "q1")
+            finite_answer(displacement, q0=q0, q1=q1)
+        for k in self._circular:
+            angle = displacement[..., k]
+            if angle.ndim or not LEAST_ANGLE < angle <= np.pi:  # in a loop it hardly ever is beyond
+                displacement[..., k] = wrap_angle(angle)
         return displacement
 
     def _each(self, law: Law, **arguments: Array) -> Array:
@@ -314,7 +257,7 @@ class System:
         for argument in arguments.values():
             if argument.ndim != 1:
                 return pinocchio_calls.stacked(engine, law, lambda: self._for_many, **arguments)
-            rows.append(argument[engine.orders[len(argument)]])
+            rows.append(argument[engine.order])
         # A copy: Pinocchio hands out views of its data.
         answer = law.order(engine, np.array(law.run(engine.model, engine.data, *rows)))
         return answer if isfinite(np.vdot(answer, answer)) else finite_answer(answer, **arguments)
@@ -335,30 +278,10 @@ class System:
     @property
     @abstractmethod
     def _for_many(self) -> ArticulatedBody | None:
-        """What does the same for many states at once; None where a joint has more than one coordinate."""
-
-    def configuration(self, value: ArrayLike, name: str = "q") -> Array:
-        """Check configurations, and return them as float64, shape (..., nq).
-
-        Parameters
-        ----------
-        value : array_like, shape (..., nq)
-            Configurations [m, m, rad, ...].
-        name : str
-            What they are called, for the message.
-        """
-        return self._q(value, name)
+        """What does the same for many states at once; None where it cannot be traced."""
 
     def _q(self, q: ArrayLike, name: str = "q") -> Array:
-        array = vector(name, q, self.nq)
-        for part, joint in self._unit_parts:
-            off = np.abs(np.linalg.norm(array[..., part], axis=-1) - 1)
-            if off.size and not off.max() <= _UNIT:
-                raise InvalidArgument(
-                    f"{name}[..., {part.start}:{part.stop}] of joint {joint!r} has a length off by "
-                    f"{off.max():.3g}, expected length one: step it with `integrate`"
-                )
-        return array
+        return vector(name, q, self.nq)
 
     def _here(self, q: ArrayLike) -> Array:
         """Return q, checked, with x = y = 0.
@@ -371,12 +294,6 @@ class System:
 
     def _v(self, name: str, value: ArrayLike) -> Array:
         return vector(name, value, self.nv)
-
-    @cached_property
-    def _unit_parts(self) -> tuple[tuple[slice, str], ...]:
-        """The parts of q that lie on a circle or a sphere, and their joints' names."""
-        joints = joints_of(self._model)
-        return tuple((joint.unit, joint.name) for joint in joints if joint.unit.start < joint.unit.stop)
 
     def pose(self, q: ArrayLike) -> Array:
         """Return x, y and psi of the body, shape (..., 3) [m, m, rad]."""
@@ -598,14 +515,12 @@ class System:
         if not (hasattr(reference, "q") and hasattr(reference, "v")):
             raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
         v, q = finite("reference.v", reference.v), finite("reference.q", reference.q)
-        if self.leading.get(v.size) != q.size or v.ndim != 1 or q.ndim != 1:
-            pairs = ", ".join(f"({numbers},) and ({n},)" for n, numbers in self.leading.items())
+        if v.shape != q.shape or v.shape not in [(n,) for n in self.leading]:
+            listed = ", ".join(f"({n},)" for n in self.leading)
             raise InvalidArgument(
-                f"reference has q and v of shapes {q.shape} and {v.shape}, expected one of {pairs}"
+                f"reference has q and v of shapes {q.shape} and {v.shape}, expected both one of {listed}"
             )
-        rates = np.zeros(self.nv)
-        rates[: v.size] = v
-        return self._q(np.append(q, self.rest[q.size :]), "reference.q"), rates
+        return np.append(q, self.rest[q.size :]), np.append(v, np.zeros(self.nv - v.size))
 
     def calls(self) -> Calls:
         """Return unchecked functions of one state for this thread, for loops: see `Calls`.
@@ -639,10 +554,7 @@ class System:
     def forward_dynamics_derivatives(
         self, q: ArrayLike, v: ArrayLike, tau: ArrayLike
     ) -> tuple[Array, Array, Array]:
-        """Return da/dq, da/dv, da/dtau = M^-1, each of shape (..., nv, nv), by Pinocchio's ABA derivatives.
-
-        The first is by the displacement that `integrate` takes.
-        """
+        """Return da/dq, da/dv, da/dtau = M^-1, each of shape (..., nv, nv), by Pinocchio's derivatives."""
         stacked = self._derivatives(q, v, tau=tau)
         return stacked[..., 0, :, :], stacked[..., 1, :, :], stacked[..., 2, :, :]
 
@@ -652,11 +564,7 @@ class System:
         return self._each(pinocchio_calls.DERIVATIVES, q=self._here(q), v=self._v("v", v), **pushes)
 
     def linearize(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Linearization:
-        """Return the first-order model of forward dynamics about (q, v, tau).
-
-        dq is the displacement that `integrate` takes. Where a joint turns about more than one axis, it turns
-        itself while the robot moves: the first block of A is then -ad(v) instead of zero.
-        """
+        """Return the first-order model of forward dynamics about (q, v, tau)."""
         return self._linearized(q, v, tau=tau)
 
     def _linearized(self, q: ArrayLike, v: ArrayLike, **push: ArrayLike) -> Linearization:
@@ -664,10 +572,6 @@ class System:
         A = np.zeros((*by_q.shape[:-2], 2 * self.nv, 2 * self.nv))
         B = np.zeros((*by_q.shape[:-2], 2 * self.nv, self.nv))
         A[..., : self.nv, self.nv :] = np.eye(self.nv)
-        if self.nq != self.nv:
-            A[..., : self.nv, : self.nv] = self._each(
-                pinocchio_calls.TURNING, q=self._q(q), v=self._v("v", v)
-            )
         A[..., self.nv :, : self.nv], A[..., self.nv :, self.nv :] = by_q, by_v
         B[..., self.nv :, :] = by_tau
         return Linearization(A, B)

@@ -123,9 +123,7 @@ def simulate(
         plant's ``start``.
     integrator : callable, optional
         One step of the plant, see `pinmobile.integrators`; by default the plant's own choice, and of one that
-        has none constant_acceleration. The library's keep their order for joints that
-        turn about several axes; a callable of one's own sees their displacement as if it changed at the
-        velocity, and is of order 2 at most for these.
+        has none constant_acceleration.
     substeps : int
         Steps of the integrator per dt.
     forces : sequence of callables

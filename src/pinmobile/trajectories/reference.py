@@ -105,7 +105,7 @@ def check_limits(robot: Any, q: Array, v: Array, t: Array | None = None) -> None
     outside = (q < lower - _SLACK) | (q > upper + _SLACK)
     if outside.any():
         where, column = _first(outside)
-        name, unit = _joint(robot, column, of_q=True)
+        name, unit = robot.coordinates[column][:2]
         raise InvalidArgument(
             f"{'q0' if t is None else 'reference'} has joint {name!r} at {q[where][column]:.9g} {unit}"
             f"{_when(t, where)}, expected {lower[column]:.9g} to {upper[column]:.9g} {unit}"
@@ -113,7 +113,7 @@ def check_limits(robot: Any, q: Array, v: Array, t: Array | None = None) -> None
     fast = np.abs(v) > most * (1 + _SLACK)
     if fast.any():
         where, column = _first(fast)
-        name, unit = _joint(robot, column)
+        name, unit = robot.coordinates[column][:2]
         raise InvalidArgument(
             f"{'v0' if t is None else 'reference'} moves joint {name!r} at {v[where][column]:.9g} {unit}/s"
             f"{_when(t, where)}, expected at most {most[column]:.9g} {unit}/s"
@@ -129,15 +129,6 @@ def _first(found: NDArray[np.bool_]) -> tuple[tuple[int, ...], int]:
     return tuple(row), column
 
 
-def _joint(robot: Any, column: int, *, of_q: bool = False) -> tuple[str, str]:
-    """Return the name of the joint that a number of q or v belongs to, and its unit."""
-    model = robot.model
-    starts, sizes = (model.idx_qs, model.nqs) if of_q else (model.idx_vs, model.nvs)
-    joint = next(j for j in range(1, model.njoints) if 0 <= column - starts[j] < sizes[j])
-    # Joints with limits of q have as many numbers in v.
-    return str(model.names[joint]), robot.coordinates[model.idx_vs[joint] + column - starts[joint]].unit
-
-
 _SAME = 1e-9  # relative difference of two durations that are meant to be one
 _STANDSTILL = 1e-9  # [m/s, rad/s]: the rounding of what ends at rest
 _PROBES = 33  # per analytic piece of a path, its ends included
@@ -147,9 +138,8 @@ _PROBES = 33  # per analytic piece of a path, its ends included
 class WholeBody:
     """A trajectory of the base beside one path per arm, on one clock.
 
-    The coordinates of an arm's path are those of its joints in v: of each its angle [rad] or way [m], of one
-    that is (cos, sin) in q too. Any path of that many coordinates will do: `CubicVia` and `Spline` through
-    postures, `Hold`, `RestToRest`. Those of a configuration q are ``robot.difference(robot.neutral, q)[3:]``.
+    The coordinates of an arm's path are its joints' angles [rad] and ways [m]. Any path of that many
+    coordinates will do: `CubicVia` and `Spline` through postures, `Hold`, `RestToRest`.
 
     It lasts as long as the longest of them. What ends before that must end at rest, and is held there.
 
@@ -167,7 +157,7 @@ class WholeBody:
     InvalidArgument
         If `robot`, `base` or a path is something else; there are more or fewer paths than arms; one has
         other coordinates than its arm, leaves the joint limits of position or velocity, or ends before the
-        others while it moves; or a joint turns about more than one axis, or turns and slides.
+        others while it moves.
     """
 
     robot: Any
@@ -215,9 +205,7 @@ class WholeBody:
         """
         times = within("t", t, self.duration)
         parts = [_held(motion, end, times) for motion, end in self._parts().values()]
-        moved, v, a = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))
-        simple = self.robot.nq == self.robot.nv
-        q = moved if simple else self.robot.integrate(self.robot.neutral, moved)
+        q, v, a = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))
         check_limits(self.robot, q, v, times)
         return Reference(q, v, a)
 
@@ -244,14 +232,6 @@ def _held(motion: Callable[[Array], Reference], end: float, t: Array) -> Referen
 def _check_robot(robot: Any) -> None:
     if not isinstance(getattr(robot, "mounts", None), tuple):
         raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
-    model = robot.model
-    for joint in range(1, model.njoints):
-        # Slides along three axes add up as one does.
-        if model.nvs[joint] > 1 and model.joints[joint].shortname() != "JointModelTranslation":
-            raise InvalidArgument(
-                f"robot has joint {model.names[joint]!r} with {model.nvs[joint]} velocities, expected joints "
-                "of one, or slides: turns about several axes, or beside slides, are no coordinates of a path"
-            )
 
 
 def _check_base(base: Trajectory) -> None:
@@ -272,7 +252,7 @@ def _checked(robot: Any, k: int, path: Path | None, duration: float) -> Path:
     mount = robot.mounts[k]
     size = mount.v.stop - mount.v.start
     if path is None:
-        return Hold(robot.difference(robot.neutral, robot.rest)[mount.v], duration)
+        return Hold(robot.rest[mount.q], duration)
     if isinstance(path, type) or not isinstance(path, Path):
         raise InvalidArgument(f"joints[{k}] is {shown(path)}, expected a path of {size} coordinates, or None")
     point = finite(f"joints[{k}](0)", path(0.0))

@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array
 from pinmobile.dh import JointType
-from pinmobile.robot import BODY_JOINT, MobileRobot, Mount, named_frames, prefixed
+from pinmobile.robot import BODY_JOINT, MobileRobot, Mount, joints_of, named_frames, prefixed
 
 _DOWN = np.array([0, 0, -9.81])  # [m/s^2]
 _POSE = ("x", "y", "psi")
@@ -34,8 +34,6 @@ class _Link:
         Its pose in the parent's frame.
     S : ndarray, shape (n, 6, m)
         Its twist against the parent, linear and angular, along its own axes, for each of its coordinates.
-    bias : ndarray, shape (n, 6)
-        dS/dt times the rate of its coordinates.
     columns : sequence of m int
         Where its coordinates are in v.
     rotors : ndarray, shape (m,)
@@ -47,7 +45,6 @@ class _Link:
     parent: int
     T: Array
     S: Array
-    bias: Array
     columns: list[int]
     rotors: Array
     bodies: list[tuple[float, Array, Array]] = field(default_factory=list)
@@ -92,33 +89,28 @@ class Parts:
         for k, row in enumerate(robot.dh):
             S = np.zeros((self.count, 6, 1))
             S[:, 2 if row.joint is JointType.PRISMATIC else 5] = 1.0
-            still = np.zeros((self.count, 6))
-            links.append(_Link(k - 1, transforms[:, k], S, still, [order[k]], np.zeros(1)))
+            links.append(_Link(k - 1, transforms[:, k], S, [order[k]], np.zeros(1)))
         return links
 
     def _mount(self, mount: Mount, q: Array) -> None:
         """Add the links of an arm as it was read; a joint that is locked has no coordinates."""
         arm, on_base = mount.arm, BODY_JOINT - 1
-        whole, held, rest = arm.whole, arm.held(), arm.rest
+        whole, built, held, rest = arm.file_model, arm.whole, arm.held(), arm.rest
         if mount.numbers is not None:  # which are those of what moves
-            whole, held, rest = mount.model, [], arm.posture
+            whole, built, held, rest = mount.model, mount.model, [], arm.posture
         free = [joint for joint in range(1, whole.njoints) if joint not in held]
-        own_q, own_v = np.tile(rest, (self.count, 1)), np.zeros((self.count, whole.nv))
-        at_q, at_v, columns = mount.q.start, mount.v.start, {}
-        for joint in free:
-            nq, nv = whole.nqs[joint], whole.nvs[joint]
-            own_q[:, whole.idx_qs[joint] : whole.idx_qs[joint] + nq] = q[:, at_q : at_q + nq]
-            own_v[:, whole.idx_vs[joint] : whole.idx_vs[joint] + nv] = self.v[:, at_v : at_v + nv]
-            columns[joint] = list(range(at_v, at_v + nv))
-            at_q, at_v = at_q + nq, at_v + nv
+        own_q = np.array(np.broadcast_to(rest, (self.count, len(rest))))
+        own_q[:, [built.idx_qs[joint] for joint in free]] = q[:, mount.q]
+        own_q = _file_configurations(whole, own_q)
+        columns = {joint: [k] for k, joint in enumerate(free, mount.v.start)}
         self.links[on_base].add(whole.inertias[0], mount.placement)
         first = len(self.links) - 1  # joint 1 of the arm is the next link
         for joint in range(1, whole.njoints):
             above, mine = whole.parents[joint], columns.get(joint, [])
             foot = mount.placement if above == 0 else pin.SE3.Identity()
-            T, S, bias = _moved(whole, joint, foot, own_q, own_v)
+            T, S = _moved(whole, joint, foot, own_q)
             rotors = np.array(whole.armature)[whole.idx_vs[joint] :][: len(mine)]
-            link = _Link(first + above if above else on_base, T, S[..., : len(mine)], bias, mine, rotors)
+            link = _Link(first + above if above else on_base, T, S[..., : len(mine)], mine, rotors)
             link.add(whole.inertias[joint], pin.SE3.Identity())
             self.links.append(link)
         own = prefixed(mount.model, mount.name)
@@ -150,7 +142,7 @@ class Parts:
             twist, rate = rates[link.parent] if link.parent >= 0 else (ground, lifted)
             own = _times(link.S, self.v[:, link.columns])
             w = _seen(link.T, twist) + own
-            dw = _seen(link.T, rate) + _times(link.S, a[:, link.columns]) + link.bias + _cross(w, own)
+            dw = _seen(link.T, rate) + _times(link.S, a[:, link.columns]) + _cross(w, own)
             rates.append((w, dw))
             wrenches.append(sum((_inertial(body, w, dw) for body in link.bodies), np.zeros((self.count, 6))))
         for link, wrench in zip(reversed(self.links), reversed(wrenches), strict=True):
@@ -192,16 +184,25 @@ class Parts:
         return masses, K, np.linalg.norm(np.stack(points) - origin, axis=-1).max(0)
 
 
-def _moved(model: pin.Model, joint: int, foot: pin.SE3, q: Array, v: Array) -> tuple[Array, Array, Array]:
-    """Return T, S and bias of one joint by itself, whose place is seen from `foot`, for each state."""
+def _file_configurations(model: pin.Model, q: Array) -> Array:
+    """Return configurations with one number for each joint as a file's own model has them, shape (n, nq)."""
+    parts, at = [q[:, :0]], 0
+    for joint in joints_of(model):
+        own = q[:, at : at + joint.nq - joint.continuous]
+        parts.append(np.hstack([np.cos(own), np.sin(own)]) if joint.continuous else own)
+        at += own.shape[1]
+    return np.hstack(parts)
+
+
+def _moved(model: pin.Model, joint: int, foot: pin.SE3, q: Array) -> tuple[Array, Array]:
+    """Return T and S of one joint by itself, whose place is seen from `foot`, for each state."""
     kind, place = model.joints[joint], foot * model.jointPlacements[joint]
-    data, T, S, bias = kind.createData(), [], [], []
-    for own_q, own_v in zip(q, v, strict=True):
-        kind.calc(data, own_q, own_v)
+    data, T, S = kind.createData(), [], []
+    for own in q:
+        kind.calc(data, own)
         T.append((place * data.M).homogeneous)
         S.append(np.reshape(data.S, (6, -1)))
-        bias.append(data.c.vector)
-    return np.stack(T), np.stack(S), np.stack(bias)
+    return np.stack(T), np.stack(S)
 
 
 def _inertial(body: tuple[float, Array, Array], w: Array, dw: Array) -> Array:

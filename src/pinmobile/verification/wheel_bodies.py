@@ -57,17 +57,17 @@ class WheelBodies:
 
     def __init__(self, wheeled: WheeledRobot, q: Array, v: Array, *, weightless: bool = False) -> None:
         robot, self.table = wheeled.robot, wheeled.table
-        nq, nv, self.ns = robot.nq, robot.nv, len(wheeled.table.axes)
+        nv, self.ns = robot.nv, len(wheeled.table.axes)
         g = float(np.linalg.norm(robot.model.gravity.linear))
         ramp = wheeled.ground.ramp
         fall = np.array([0.0, 0.0, -g]) if ramp is None else ramp.fall(g)
         self.fall = 0.0 * fall if weightless else fall
-        self.parts = Parts(robot, q[:, :nq], v[:, :nv], self.fall)
+        self.parts = Parts(robot, q[:, :nv], v[:, :nv], self.fall)
         self.beyond = self.parts.beyond()
         self.c, self.s, self.nv = np.cos(q[:, 2]), np.sin(q[:, 2]), nv
         self.twist = np.column_stack([self._along(v), v[:, 2]])
         self.rates = v[:, nv:]
-        self.wheels = [self._moving(row, q[:, nq : nq + self.ns]) for row in range(len(self.table))]
+        self.wheels = [self._moving(row, q[:, nv : nv + self.ns]) for row in range(len(self.table))]
         self.reflected = np.zeros((self.rates.shape[1], self.rates.shape[1]))
         for actuator in self.table.actuators:
             column, rotor = np.array(actuator.column), actuator.motor.gear**2 * actuator.motor.rotor_inertia

@@ -9,7 +9,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, finite
 from pinmobile.errors import InvalidArgument, shown
@@ -237,7 +236,10 @@ class Drawing:
             )
         poses = all_samples(self.plant, "pose", q)
         base = sampled(times, t, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
-        before, after, share = _between(t, times)
+        before = np.clip(np.searchsorted(t, times, side="right") - 1, 0, max(len(t) - 2, 0))
+        after = np.minimum(before + 1, len(t) - 1)
+        span = np.where(after > before, t[after] - t[before], 1.0)
+        share = np.clip((times - t[before]) / span, 0, 1)[:, None]
         ways = all_samples(self.plant, "difference", q[before], q[after])
         return np.hstack([base, all_samples(self.plant, "integrate", q[before], share * ways)])
 
@@ -302,20 +304,7 @@ def configurations(robot: Drawn, t: Array, q: Array, times: Array) -> Array:
         return base
     if robot.nq != q.shape[1]:
         return np.hstack([base, np.broadcast_to(robot.rest[3:], (len(times), robot.nq - 3))])
-    if robot.nq == robot.nv:
-        return np.hstack([base, sampled(times, t, q[:, 3:])])
-    before, after, share = _between(t, times)
-    full: Array = robot.integrate(q[before], share * robot.difference(q[before], q[after]))
-    full[:, :3] = base
-    return full
-
-
-def _between(t: Array, times: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """Return the samples before and after each of the times, and how far on the way it is, shape (n, 1)."""
-    before = np.clip(np.searchsorted(t, times, side="right") - 1, 0, max(len(t) - 2, 0))
-    after = np.minimum(before + 1, len(t) - 1)
-    span = np.where(after > before, t[after] - t[before], 1.0)
-    return before, after, np.clip((times - t[before]) / span, 0, 1)[:, None]
+    return np.hstack([base, sampled(times, t, q[:, 3:])])
 
 
 def links(path: str, robot: Drawn, q: Array) -> list[Channel]:

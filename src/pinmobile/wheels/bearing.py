@@ -38,8 +38,8 @@ class Bearing:
     def mount_wrench(self: Any, q: ArrayLike, v: ArrayLike, a: ArrayLike, mount: str | None = None) -> Array:
         """Return the wrench of an arm on the body at its mount, (..., 6): see `MobileRobot.mount_wrench`."""
         at, rate, faster = self._moving(q, v, a)
-        n, nv, slack = self.robot.nq, self.robot.nv, self._traced._slack
-        at, rate, faster = at[..., :n], rate[..., :nv], faster[..., :nv].copy()
+        n, slack = self.robot.nv, self._traced._slack
+        at, rate, faster = at[..., :n], rate[..., :n], faster[..., :n].copy()
         faster[..., :2] -= self._fall[:2]  # gravity in the plane is as if the plane accelerated against it
         found = np.asarray(self.robot.mount_wrench(at, rate, faster, mount))
         still = np.zeros_like(rate)
@@ -195,8 +195,8 @@ class Bearing:
         if not hasattr(reference, "q"):
             raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
         desired = finite("reference.q", reference.q)
-        if desired.shape[-1:] not in {(size,) for size in self.leading.values()}:
-            listed = ", ".join(map(str, self.leading.values()))
+        if desired.shape[-1:] not in [(n,) for n in self.leading]:
+            listed = ", ".join(map(str, self.leading))
             raise InvalidArgument(f"reference.q has shape {desired.shape}, expected (..., k), k of {listed}")
         state = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a), "u": vector("u", u, self.nu)}
         lead = broadcast(**state, **{"reference.q": desired})

@@ -47,14 +47,13 @@ class Constraints:
     ----------
     table : WheelTable
         The wheels.
-    nq, nv : int
-        Sizes of what the wheels carry: body and arms.
+    nv : int
+        Number of coordinates that the wheels carry: body and arms.
     rows : tuple of int, optional
         Which rows; by default all.
     """
 
     table: WheelTable
-    nq: int
     nv: int
     rows: tuple[int, ...] | None = None
 
@@ -116,8 +115,8 @@ class Constraints:
         A[...] = self._still
         drift[...] = (w * aside)[..., None] * x - (w * ahead)[..., None] * y
         if self._steered:
-            n, nv, axes = self.nq, self.nv, len(self.table.axes)
-            steering = [q[..., n + k] for k in range(axes)]
+            nv, axes = self.nv, len(self.table.axes)
+            steering = [q[..., nv + k] for k in range(axes)]
             rates = [v[..., nv + k] for k in range(self.joints)]
             rows = self.kinematics.rows(steering, [ahead, aside, w], rates)
             for i in self._steered:

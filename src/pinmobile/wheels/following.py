@@ -70,7 +70,7 @@ class Following:
         whole = [robot.robot.start(type(reference)(*(x[k] for x in reference))) for k in range(len(t))]
         began = [body.begun(q, v) for q, v in whole]
         q, v = np.array([q for q, _ in began]), np.array([v for _, v in began])
-        n, nv, ns = int(body.robot.nq), _BASE + body.na, len(body.table.axes)
+        n, ns = _BASE + body.na, len(body.table.axes)
         turning, faster = np.zeros((2, len(t), ns))
         if ns and len(t) > 3:
             from scipy.interpolate import CubicSpline
@@ -79,7 +79,7 @@ class Following:
             q[:, n : n + ns] = angles
             spline = CubicSpline(t, angles)
             turning, faster = spline(t, 1), spline(t, 2)
-        v[:, nv : nv + ns] = turning
+        v[:, n : n + ns] = turning
         state = body.state(q, v)
         S, _ = body.freedom.solution(state)
         nu = body.freedom.velocities(state)
@@ -101,7 +101,7 @@ class Following:
         own = len(offset) - body.na - len(body.choice.free)
         rates = [
             *offset[:own],
-            *np.moveaxis(a[:, _BASE:nv], -1, 0),
+            *np.moveaxis(a[:, _BASE:n], -1, 0),
             *(faster[:, k] for k in body.choice.free),
         ]
         found = cls(body, q, rolls, _stacked(rates, (len(t),)), robot.robot.effort_limit[_BASE:])

@@ -106,7 +106,7 @@ class Platform:
     @cached_property
     def _rows(self) -> Constraints:
         """The rows of its wheels, and their kinematics."""
-        return Constraints(self.table, self.robot.nq, self.robot.nv)
+        return Constraints(self.table, self.robot.nv)
 
     @cached_property
     def _joints(self) -> int:
@@ -117,7 +117,7 @@ class Platform:
     @cached_property
     def nq(self) -> int:
         """Size of q."""
-        return self.robot.nq + self._joints
+        return self.nv
 
     @cached_property
     def nv(self) -> int:
@@ -131,14 +131,9 @@ class Platform:
 
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        """Each of the nv numbers of a displacement: body, arms, steering axes, wheels."""
+        """Each of the nv numbers of q: body, arms, steering axes, wheels."""
         axes = [Coordinate(axis.name, "rad", -axis.limit, axis.limit) for axis in self.table.axes]
         return (*self.robot.coordinates, *axes, *(Coordinate(name, "rad") for name in self.table.names))
-
-    @cached_property
-    def configuration_names(self) -> tuple[str, ...]:
-        """Name of each of the nq numbers in q."""
-        return (*self.robot.configuration_names, *(axis.name for axis in self.table.axes), *self.table.names)
 
     @cached_property
     def inputs(self) -> tuple[Input, ...]:
@@ -152,7 +147,7 @@ class Platform:
     @cached_property
     def leading(self) -> Mapping[int, int]:
         """How many numbers of q the first n coordinates have, for each n that a reference may have."""
-        return MappingProxyType(dict(self.robot.leading))
+        return self.robot.leading
 
     # Numbers
 
@@ -202,15 +197,7 @@ class Platform:
     # Configurations
 
     def _q(self, q: ArrayLike, name: str = "q") -> Array:
-        array = vector(name, q, self.nq)
-        if not self._adds:
-            self.robot.configuration(array[..., : self.robot.nq], name)
-        return array
-
-    @cached_property
-    def _adds(self) -> bool:
-        """Whether each coordinate is one number of q, to which displacements add."""
-        return self.nq == self.nv
+        return vector(name, q, self.nq)
 
     def _v(self, name: str, value: ArrayLike) -> Array:
         return vector(name, value, self.nv)
@@ -231,19 +218,14 @@ class Platform:
         return frozen(np.append(self.robot.rest, np.zeros(self._joints)))
 
     def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
-        """Return the configuration that the displacement `dq` leads to from `q`, shape (..., nq)."""
+        """Return the configuration q + dq, shape (..., nq)."""
         q, dq = self._q(q), self._v("dq", dq)
-        lead = broadcast(q=q, dq=dq) if q.ndim > 1 or dq.ndim > 1 else ()
-        if self._adds:
-            with np.errstate(over="ignore"):
-                return finite_answer(q + dq, q=q, dq=dq)
-        own = self.robot.integrate(q[..., : self.robot.nq], dq[..., : self.robot.nv])
+        broadcast(q=q, dq=dq)
         with np.errstate(over="ignore"):
-            rest = finite_answer(q[..., self.robot.nq :] + dq[..., self.robot.nv :], q=q, dq=dq)
-        return np.concatenate([np.broadcast_to(own, (*lead, own.shape[-1])), rest], axis=-1)
+            return finite_answer(q + dq, q=q, dq=dq)
 
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
-        """Return the displacement from `q0` to `q1`, shape (..., nv); that of psi lies in (-pi, pi]."""
+        """Return the displacement q1 - q0, shape (..., nv); psi and continuous joints in (-pi, pi]."""
         q0, q1 = self._q(q0, "q0"), self._q(q1, "q1")
         broadcast(q0=q0, q1=q1)
         n = self.robot.nq

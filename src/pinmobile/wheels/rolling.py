@@ -73,8 +73,8 @@ class WheeledBody:
         Whether it is known where it stands: how high it is, on three places that are not on a line.
     choice : Choice
         Which rows of the wheels determine what, where they roll.
-    coordinates, inputs, ends, parameters
-        As of a plant; `ends` are the items of ``leading``.
+    coordinates, inputs, parameters
+        As of a plant.
     """
 
     robot: Any
@@ -92,7 +92,6 @@ class WheeledBody:
     choice: Choice
     coordinates: tuple[Coordinate, ...]
     inputs: tuple[Input, ...]
-    ends: tuple[tuple[int, int], ...]
     parameters: tuple[Parameter, ...]
 
     broadcasts: ClassVar[bool] = True
@@ -115,7 +114,7 @@ class WheeledBody:
     @property
     def nq(self) -> int:
         """Size of q."""
-        return int(self.robot.nq) + self.joints
+        return self.size
 
     @property
     def nv(self) -> int:
@@ -130,7 +129,7 @@ class WheeledBody:
     @property
     def leading(self) -> dict[int, int]:
         """How many numbers of q the first n coordinates have, for each n that a reference may have."""
-        return dict(self.ends)
+        return {n: n for n in range(_BASE, _BASE + self.na + 1)}
 
     @cached_property
     def kinematics(self) -> Kinematics:
@@ -157,10 +156,10 @@ class WheeledBody:
         """Return a public state, seen from the body."""
         angles, rates = scalars(q), scalars(v)
         s, c = sine_and_cosine(angles[2])
-        first, arms = self.robot.nq, _BASE + self.na
+        arms = _BASE + self.na
         twist = [c * rates[0] + s * rates[1], c * rates[1] - s * rates[0], rates[2]]
-        steering = angles[first : first + len(self.table.axes)]
-        return State(c, s, angles[_BASE:first], steering, twist, rates[_BASE:arms], rates[arms:])
+        steering = angles[arms : arms + len(self.table.axes)]
+        return State(c, s, angles[_BASE:arms], steering, twist, rates[_BASE:arms], rates[arms:])
 
     def inertia(self, state: State, q: Any) -> Matrix:
         """Return M, (size, size), of body axes."""
@@ -273,15 +272,11 @@ class WheeledBody:
 
     def integrate(self, q: Any, dq: Any) -> Any:
         """Return the configuration that a displacement leads to."""
-        n = self.robot.nq
-        if n == self.robot.nv:
-            return q + dq
-        moved = self.robot.integrate(q[..., :n], dq[..., : self.robot.nv])
-        return np.concatenate([moved, q[..., n:] + dq[..., self.robot.nv :]], axis=-1)
+        return q + dq
 
     def difference(self, q0: Any, q1: Any) -> Any:
-        """Return the displacement from q0 to q1, that of the heading on the circle, shape (..., nv)."""
-        n = self.robot.nq
+        """Return the displacement from q0 to q1 as `robot` has it, shape (..., nv)."""
+        n = _BASE + self.na
         own = self.robot.difference(q0[..., :n], q1[..., :n])
         return np.concatenate([own, q1[..., n:] - q0[..., n:]], axis=-1)
 
@@ -354,15 +349,15 @@ class WheeledBody:
     def begun(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return q and v of one state, wheels steered to where they go, and rolling."""
         q, v = np.append(q, np.zeros(self.joints)), np.append(v, np.zeros(self.joints))
-        nq, nv, ns = int(self.robot.nq), int(self.robot.nv), len(self.table.axes)
+        n, ns = _BASE + self.na, len(self.table.axes)
         twist = [float(number(x)) for x in self.state(q, v).twist]
-        q[nq : nq + ns] = [self._steered_to(axis, twist) for axis in self.table.axes]
+        q[n : n + ns] = [self._steered_to(axis, twist) for axis in self.table.axes]
         state = self.state(q, v)
         rows = self.kinematics.rows(state.steering, state.twist, state.rates)
         for joint, i in self.choice.joints:
             own = [float(number(x)) for x in rows[i].joints]
-            known = float(number(dot(rows[i].base, state.twist))) + float(np.dot(own, v[nv:]))
-            v[nv + joint] = -(known - own[joint] * v[nv + joint]) / own[joint]
+            known = float(number(dot(rows[i].base, state.twist))) + float(np.dot(own, v[n:]))
+            v[n + joint] = -(known - own[joint] * v[n + joint]) / own[joint]
         return q, v
 
     def _steered_to(self, axis: Axis, twist: Sequence[float]) -> float:

@@ -68,11 +68,11 @@ def followed(body: Any, reference: Any) -> Followed:
         If wheels steer or cannot roll so, or no input does it.
     """
     check_steers_not(body)
-    n, tracked = int(body.robot.nq), _BASE + body.na
+    tracked = _BASE + body.na
     lead, joints = reference.q.shape[:-1], body.joints
     q = np.concatenate([reference.q, np.zeros((*lead, joints))], axis=-1)
     v = np.concatenate([reference.v, np.zeros((*lead, joints))], axis=-1)
-    if q.shape[-1] != n + joints or v.shape[-1] != tracked + joints:
+    if q.shape[-1] != tracked + joints or v.shape[-1] != tracked + joints:
         raise InvalidArgument(
             f"reference has {reference.v.shape[-1]} coordinates, expected those of body and arms, {tracked}: "
             "a motion of both is WholeBody(robot, base, *joints)"

@@ -55,8 +55,8 @@ class WheelTree(System):
         """Return a public state as the tree's, its velocity's G, v_tree = G v, and dG/dt v."""
         lead = np.broadcast_shapes(q.shape[:-1], v.shape[:-1])
         q, v = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v))
-        n, nv, axes = self._robot.nq, self._robot.nv, self._table.axes
-        steering, rates = list(np.moveaxis(q[..., n : n + len(axes)], -1, 0)), v[..., nv : nv + len(axes)]
+        nv, axes = self._robot.nv, self._table.axes
+        steering, rates = list(np.moveaxis(q[..., nv : nv + len(axes)], -1, 0)), v[..., nv : nv + len(axes)]
         steered = {row: k for k, axis in enumerate(axes) for row in axis.wheels}
         size = nv + len(steered) + len(self._table)
         G, bent = np.zeros((*lead, size, self._size)), np.zeros((*lead, size))
@@ -71,10 +71,10 @@ class WheelTree(System):
                 angles.append(np.broadcast_to(away, lead))
                 G[..., at, nv + k], bent[..., at] = first, second * rates[..., k] ** 2
                 at += 1
-            angles.append(q[..., n + len(axes) + row])
+            angles.append(q[..., nv + len(axes) + row])
             G[..., at, nv + len(axes) + row] = 1
             at += 1
-        whole = np.concatenate([q[..., :n], np.stack(angles, axis=-1)], axis=-1)
+        whole = np.concatenate([q[..., :nv], np.stack(angles, axis=-1)], axis=-1)
         return whole, np.einsum("...ij,...j->...i", G, v), G, bent
 
     def inertia(self, q: Array) -> Array:

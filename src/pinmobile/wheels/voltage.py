@@ -234,7 +234,7 @@ class ByVoltage:
         return np.asarray(self.wheeled.integrate(q, dq))
 
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
-        """Return the displacement from `q0` to `q1`, shape (..., nv); that of psi lies in (-pi, pi]."""
+        """Return the displacement from `q0` to `q1`, shape (..., nv); as of `wheeled`."""
         return np.asarray(self.wheeled.difference(q0, q1))
 
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Array:

@@ -609,7 +609,6 @@ class WheeledRobot(Platform, Bearing):
             "choice": self.mobility.choice,
             "coordinates": self.coordinates,
             "inputs": self.inputs,
-            "ends": tuple(self.leading.items()),
             "parameters": self.parameters,
         }
 
