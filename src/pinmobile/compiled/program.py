@@ -85,7 +85,7 @@ class Program:
         self.shape = shape or (Shape(1, 1) if single else many)
         self.key = target.key(self.text) if key is None else key
         cache = Cache() if cache is None else cache
-        self._function = function_of(self.key, lambda: self.text, target, cache)
+        self.function = function_of(self.key, lambda: self.text, target, cache)
 
     @cached_property
     def text(self) -> str:
@@ -143,8 +143,8 @@ class Program:
         given = self._given(values or {}, nominal, n)
         begin = initial_memory(parts, context, self.loop.sizes[4])
         first = self._first(parts, context, begin, given, n)
-        blocks = self._blocks(start, n, {**nominal, **given}, first, keys or {})
-        uniforms = self._uniforms(dt / parts.substeps, {**nominal, **given}, first)
+        blocks = self.blocks_of(start, n, {**nominal, **given}, first, keys or {})
+        uniforms = self.uniforms_of(dt / parts.substeps, {**nominal, **given}, first)
         rows = scheduled_rows(parts, context, self.loop.sizes[4]) if self.loop.scheduled else []
         samples = self._remembered(t, reference, uniforms, rows, {} if memory is None else memory)
         kept = self._kept(tracks, len(blocks), len(t))
@@ -233,12 +233,12 @@ class Program:
             same = np.array_equal(before[2], t) and np.array_equal(before[3], uniforms)
             if same and all(map(np.array_equal, before[4], rows)):
                 return before[5]  # type: ignore[no-any-return]
-        samples = self._samples(t, reference, uniforms, rows)
+        samples = self.samples_of(t, reference, uniforms, rows)
         if all(map(is_constant, reference)):
             memory["samples"] = self, reference, t.copy(), uniforms, rows, samples
         return samples
 
-    def _samples(self, t: Array, reference: Reference, uniforms: Array, rows: list[Array]) -> Array:
+    def samples_of(self, t: Array, reference: Reference, uniforms: Array, rows: list[Array]) -> Array:
         """Return what all robots share of each sample, shape (N + 1, columns)."""
         known = [np.reshape(each, (len(t), -1)) for each in rows]
         given = np.empty((len(t), 1 + sum(part.shape[1] for part in (*reference, *known))))
@@ -277,7 +277,7 @@ class Program:
             target[full, :, : n - full * width] = columns[:, full * width :]
             target[full, :, n - full * width :] = columns[:, -1:]
 
-    def _blocks(
+    def blocks_of(
         self,
         start: tuple[Array, Array],
         n: int,
@@ -285,6 +285,7 @@ class Program:
         first: list[Array],
         keys: Mapping[str, NDArray[np.uint64]],
     ) -> Array:
+        """Return the states, the rows and the keys of n robots, in blocks, as the machine code takes them."""
         loop, width = self.loop, self.shape.width
         states = len(loop.states)
         blocks = aligned((-(-n // width), states + loop.rows + len(loop.keys), width))
@@ -311,7 +312,8 @@ class Program:
             self.set_rows(blocks, states + loop.rows + i, key.view(np.float64)[None])
         return blocks
 
-    def _uniforms(self, h: float, values: Mapping[Place, Array], first: list[Array]) -> Array:
+    def uniforms_of(self, h: float, values: Mapping[Place, Array], first: list[Array]) -> Array:
+        """Return the numbers that all robots share: the step, parameters, and memory that stays."""
         found = np.empty(self.loop.uniforms)
         found[0] = h
         for parameter, leaf in self.loop.parameters.items():
@@ -344,7 +346,7 @@ class Program:
         ]
 
         def run(worker: int, begin: int, end: int) -> None:
-            self._function(
+            self.function(
                 blocks.ctypes.data,
                 begin,
                 end,

@@ -110,17 +110,17 @@ class CompiledPlant:
         whole, self._loop = whole.on_symbols(), program.loop
         values, begun = whole.parameters(), initial_memory(whole, context, len(first.v))
         memory = [np.asarray(value, np.float64) for tree in begun for _, value in leaves(tree)]
-        uniforms = program._uniforms(context.dt, values, memory)
-        self._block = program._blocks((q[None], v[None]), 1, values, memory, {})
+        uniforms = program.uniforms_of(context.dt, values, memory)
+        self._block = program.blocks_of((q[None], v[None]), 1, values, memory, {})
         self._row = self._block[0, :, 0]
-        self._samples = program._samples(context.t, reference, uniforms, [])
+        self._samples = program.samples_of(context.t, reference, uniforms, [])
         self._kept = aligned((1, 1, self._loop.outputs_kept, 1))
         self._dt, self._begun = context.dt, begun.plant
         self._uniforms, self._counts, self._rings = uniforms, np.zeros(1, np.int32), aligned((1, 1))
         where = (self._samples, uniforms, self._rings, self._counts, self._kept)
         sample, uniform, rings, counts, kept = (array.ctypes.data for array in where)
         self._first, self._stride = sample, self._samples.strides[0]
-        self._call = partial(program._function, self._block.ctypes.data, 0, 1)
+        self._call = partial(program.function, self._block.ctypes.data, 0, 1)
         self._behind = uniform, rings, counts, 1, 1, kept
         self._u = len(self._loop.states) + self._loop.parameters[_U].first
         self._leaves = [leaf for leaf in self._loop.leaves if leaf.owner == "plant"]
