@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
+import attrs
 import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, callable_as, finite, frozen, positive, sequence, text, whole
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.parts import Leaf, Number, fields_of
 
 if TYPE_CHECKING:
     from pinmobile.compiled import Line, Noise, Schedule
@@ -383,6 +386,8 @@ def parameters_of(part: object) -> tuple[Parameter, ...]:
     InvalidArgument
         If it states one twice.
     """
+    if not hasattr(part, "parameters") and attrs.has(type(part)):
+        return tuple(_declared_by(part))
     found = tuple(
         Parameter(each, attribute=each) if isinstance(each, str) else _with_attribute(each)
         for each in _stated(part)
@@ -394,6 +399,35 @@ def parameters_of(part: object) -> tuple[Parameter, ...]:
             f"a {type(part).__name__} states the parameter {twice!r} twice, expected names that differ"
         )
     return found
+
+
+def _declared_by(part: object) -> Iterator[Parameter]:
+    """Yield the parameters that the fields of a part declare: each number, and each of its entries."""
+    for name, declared, value in fields_of(part):
+        if not isinstance(declared, Number) or declared.fixed or value is None:
+            continue
+        least = -np.inf if declared.above is None and declared.lower is None else declared.above or 0.0
+        least = declared.lower if declared.lower is not None else least
+        is_gain = len(declared.shapes) > 1
+        write = None if not is_gain else _written_gain
+        own = name, declared.unit, declared.doc or name, least, declared.above is None
+        yield Parameter(*own, attribute=name, write=write)
+        labels = Leaf(name, part, declared, value).labels if np.ndim(value) or is_gain else ()
+        for k, label in enumerate(labels):
+            unit, words = declared.unit_of(k), f"{declared.doc or name}, {label}"
+            one = partial(_written_entry, k) if is_gain else None
+            more = f"{name}.{label}", unit, words, least, declared.above is None, name, k, one
+            yield Parameter(*more)
+
+
+def _written_gain(values: Array, column: Array, size: int) -> Array:
+    return np.repeat(column[:, None], size, axis=1)
+
+
+def _written_entry(k: int, values: Array, column: Array, size: int) -> Array:
+    new = values.copy() if values.ndim > 1 else np.repeat(values[:, None], size, axis=1)
+    new[(slice(None), *(k,) * (new.ndim - 1))] = column
+    return new
 
 
 def _with_attribute(parameter: Parameter) -> Parameter:

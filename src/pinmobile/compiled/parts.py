@@ -15,6 +15,7 @@ from operator import is_
 from types import MethodType, ModuleType
 from typing import Any, NamedTuple
 
+import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, are_real
@@ -22,6 +23,7 @@ from pinmobile.compiled.memory import is_leaf
 from pinmobile.compiled.symbolic import Moment, Values
 from pinmobile.constancy import known
 from pinmobile.errors import InvalidArgument, NotTraceable, PinmobileError, UnknownName, shown
+from pinmobile.plant import parameters_of
 
 _NAMED = ("plant", "controller", "integrator", "recorder", "trajectory")
 
@@ -373,11 +375,8 @@ def attributes_of(part: object) -> tuple[str, ...]:
 
     They hold its parameters, and what each robot draws, which a part lists as ``drawn``.
     """
-    stated, drawn = (getattr(part, name, ()) for name in ("parameters", "drawn"))
-    found = [
-        each if isinstance(each, str) else each.attribute or each.name
-        for each in (stated if isinstance(stated, list | tuple) else ())
-    ]
+    drawn = getattr(part, "drawn", ())
+    found = [each.attribute for each in parameters_of(part)]
     return tuple(dict.fromkeys([*found, *(drawn if isinstance(drawn, list | tuple) else ())]))
 
 
@@ -450,6 +449,8 @@ def made_again(part: object, values: Mapping[str, Any], parts: Mapping[str, Any]
     other = copied(part, {}, parts)
     if hasattr(part, "with_parameters"):
         return other.with_parameters(**values) if values else other
+    if attrs.has(type(part)):
+        return attrs.evolve(other, **values)
     if dataclasses.is_dataclass(part) and not isinstance(part, type):
         try:
             return dataclasses.replace(other, **values)
@@ -468,7 +469,8 @@ def made_again(part: object, values: Mapping[str, Any], parts: Mapping[str, Any]
 
 def is_part(x: object) -> bool:
     """Tell whether something that a part holds is a part itself."""
-    return (hasattr(x, "parameters") or hasattr(x, "initial_state")) and not isinstance(x, type)
+    known = hasattr(x, "parameters") or hasattr(x, "initial_state") or attrs.has(type(x))
+    return known and not isinstance(x, type)
 
 
 def check_made_again(name: str, part: object, values: Iterable[str]) -> None:
@@ -488,7 +490,7 @@ def check_made_again(name: str, part: object, values: Iterable[str]) -> None:
     InvalidArgument
         If it is such; what to write.
     """
-    if hasattr(part, "with_parameters") or dataclasses.is_dataclass(part):
+    if hasattr(part, "with_parameters") or dataclasses.is_dataclass(part) or attrs.has(type(part)):
         return
     wanted = set(values)
     if not wanted or type(part).__init__ is object.__init__:

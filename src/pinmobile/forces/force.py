@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, field
-from typing import ClassVar, Protocol, Self, final
+from typing import Any, ClassVar, Protocol, Self, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, representable, scalar, seeded, vector
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, representable, seeded, vector
 from pinmobile.errors import InvalidArgument
+from pinmobile.parts import array, number, part
 from pinmobile.plant import Parameter
 
 
@@ -99,8 +100,12 @@ _ROUNDING = 1e-9  # [s]
 _GOLDEN = 0.6180339887498949  # the golden ratio's fraction: its multiples never come close to repeating
 
 
+AXES = ("x", "y", "moment")
+"""Labels of a wrench on the body."""
+
+
 @final
-@dataclass(frozen=True, eq=False)
+@part
 class ConstantForce:
     """A constant force in the inertial frame, such as a steady wind, or a push.
 
@@ -119,23 +124,14 @@ class ConstantForce:
         If it has another shape or is not finite, or does not end after it begins.
     """
 
-    force: ArrayLike
-    begin: float = 0.0
-    end: float | None = None
+    force: Any = array(shapes=((3,),), unit="N, N, N m", labels=AXES, doc="constant force")
+    begin: float = number(default=0.0, unit="s", doc="time from which the force acts")
+    end: float = number(default=np.inf, unit="s", endless=True, doc="time from which it acts no more")
 
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("force_x", "N", "constant force along x", attribute="force", entry=0),
-        Parameter("force_y", "N", "constant force along y", attribute="force", entry=1),
-        Parameter("moment_z", "N m", "constant moment", attribute="force", entry=2),
-    )
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "force", triple("force", self.force))
-        object.__setattr__(self, "begin", scalar("begin", self.begin))
-        if self.end is not None:
-            object.__setattr__(self, "end", scalar("end", self.end))
-            if not self.end > self.begin:
-                raise InvalidArgument(f"end is {self.end} s, expected above begin, {self.begin} s")
+    def check(self) -> None:
+        """Raise `InvalidArgument` where the force ends before it begins."""
+        if not self.end > self.begin:
+            raise InvalidArgument(f"end is {self.end} s, expected above begin, {self.begin} s")
 
     @classmethod
     def nothing(cls) -> Self:
@@ -144,12 +140,8 @@ class ConstantForce:
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m]."""
-        force = np.asarray(self.force)
-        if self.begin > 0:
-            force = force * since(t, self.begin)[..., None]
-        if self.end is not None:
-            force = force * (1 - since(t, self.end))[..., None]
-        return spread(force, t, q)
+        acts = since(t, self.begin) * (1.0 - since(t, self.end))
+        return self.force * acts[..., None] + 0.0 * q
 
 
 @final

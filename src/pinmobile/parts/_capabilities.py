@@ -1,0 +1,182 @@
+"""Capabilities: small protocols of what a part can do, the one test for them, and the one error without them."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, Protocol, TypeVar
+
+from pinmobile.errors import InvalidArgument, shown
+
+_K = TypeVar("_K")
+
+
+class Integrating(Protocol):
+    """A plant: something with nq, nv, nu, integrate(q, dq) and difference(q0, q1)."""
+
+    def integrate(self, q: Any, dq: Any, /) -> Any:
+        """Return the configuration that a displacement leads to, shape (nq,)."""
+
+    def difference(self, q0: Any, q1: Any, /) -> Any:
+        """Return the displacement from q0 to q1, shape (nv,)."""
+
+
+class Accelerating(Protocol):
+    """A plant with forward_dynamics(q, v, u, f)."""
+
+    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any, /) -> Any:
+        """Return the acceleration under an input and forces beside it, shape (nv,)."""
+
+
+class Stepping(Protocol):
+    """A plant with a step of its own, step(t, q, v, u, h, f, memory)."""
+
+    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any, /) -> Any:
+        """Return the `Step` from a state by a time h; ``f(t, q, v)`` are the forces beside the input."""
+
+
+class Constrained(Protocol):
+    """A plant with project(q, v), the velocity that its constraints leave."""
+
+    def project(self, q: Any, v: Any, /) -> Any:
+        """Return the velocity that the constraints leave, shape (nv,)."""
+
+
+class Pushable(Protocol):
+    """A plant whose body can be pushed: pose(q), rate(q, v) and effort(q, wrench)."""
+
+    def pose(self, q: Any, /) -> Any:
+        """Return x, y, psi of the body, shape (3,)."""
+
+    def rate(self, q: Any, v: Any, /) -> Any:
+        """Return their rates, shape (3,)."""
+
+    def effort(self, q: Any, wrench: Any, /) -> Any:
+        """Return the generalized force of a wrench on the body, shape (nv,)."""
+
+
+class Starting(Protocol):
+    """A plant with start(reference), which completes the first sample of a reference."""
+
+    def start(self, reference: Any, /) -> Any:
+        """Return q and v."""
+
+
+class Remembering(Protocol):
+    """A part with memory: initial_state(context)."""
+
+    def initial_state(self, context: Any, /) -> Any:
+        """Return the memory before the first sample."""
+
+
+class Measuring(Protocol):
+    """A plant with metrics: measures, and measured(t, q, v, a, u, reference)."""
+
+    @property
+    def measures(self) -> Any:
+        """Names, units and meanings of the metrics."""
+
+    def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any, /) -> Any:
+        """Return the metrics of a sample, shape (m,)."""
+
+
+class Signalling(Protocol):
+    """A part with signals(...), further series worth recording."""
+
+    def signals(self, *given: Any) -> Any:
+        """Return a dict of name to (unit, value)."""
+
+
+class Controlling(Protocol):
+    """A controller: wrap a function in law(...)."""
+
+    def initial_state(self, context: Any, /) -> Any:
+        """Return the memory before the first sample."""
+
+    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any, /) -> Any:
+        """Return the input, shape (nu,), and the next memory."""
+
+
+class Informed(Protocol):
+    """A controller with applied(u, state), which takes the input after all limits."""
+
+    def applied(self, u: Any, state: Any, /) -> Any:
+        """Return the next memory."""
+
+
+class OnCoordinates(Protocol):
+    """A force on all coordinates, on_coordinates(t, q, v)."""
+
+    def on_coordinates(self, t: Any, q: Any, v: Any, /) -> Any:
+        """Return the generalized force, shape (nv,)."""
+
+
+class Carried(Protocol):
+    """A force that adds to the inertia of the body, inertia(t, pose)."""
+
+    def inertia(self, t: Any, pose: Any, /) -> Any:
+        """Return what it adds to the mass matrix of the body, shape (3, 3)."""
+
+
+class Following(Protocol):
+    """A trajectory: trajectory(t) -> Reference(q, v, a), and its duration."""
+
+    @property
+    def duration(self) -> float:
+        """Time at which it ends [s]."""
+
+    def __call__(self, t: Any, /) -> Any:
+        """Return the reference at a time, or at several."""
+
+
+class Curved(Protocol):
+    """A path: path(t), path.derivative(t, order) and path.duration."""
+
+    @property
+    def duration(self) -> float:
+        """Time at which it ends [s]."""
+
+    def derivative(self, t: Any, order: int, /) -> Any:
+        """Return a derivative at a time, or at several."""
+
+
+@cache
+def _names(kind: type) -> tuple[str, ...]:
+    return tuple(name for name in vars(kind) if name == "__call__" or not name.startswith("_"))
+
+
+def offers(part: object, kind: type) -> bool:
+    """Tell whether a part has all that a protocol asks for."""
+    return all(hasattr(part, name) for name in _names(kind))
+
+
+def able(part: Any, kind: type[_K]) -> _K | None:
+    """Return the part as one with a capability; None where it has it not."""
+    return part if offers(part, kind) else None
+
+
+def meaning(kind: type) -> str:
+    """Return a capability in words: the first sentence of its docstring."""
+    words = (kind.__doc__ or kind.__name__).split("\n")[0].rstrip(".")
+    return words[:1].lower() + words[1:]
+
+
+def required(name: str, part: Any, kind: type[_K], why: str = "") -> _K:
+    """Return the part as one with a capability.
+
+    Parameters
+    ----------
+    name, part : str, object
+        The argument.
+    kind : protocol
+        The capability.
+    why : str, optional
+        What needs it, such as ``"forces push its body"``.
+
+    Raises
+    ------
+    InvalidArgument
+        If it has it not.
+    """
+    if isinstance(part, type) or not offers(part, kind):
+        raise InvalidArgument(f"{name} is {shown(part)}{why and ', and ' + why}, expected {meaning(kind)}")
+    return part  # type: ignore[no-any-return]

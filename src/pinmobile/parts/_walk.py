@@ -1,0 +1,262 @@
+"""The one walk over the fields of parts: replacement by path, numbers by name, tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.parts._fields import Child, Field, Number, evolved, fields_of, is_part
+
+_T = TypeVar("_T")
+
+
+class Leaf(NamedTuple):
+    """A field that is no part.
+
+    Attributes
+    ----------
+    path : str
+        Such as ``"controller.robot.mass"``.
+    owner : part
+        Whose field it is.
+    declared : Field
+        Its declaration.
+    value : any
+        Its value.
+    """
+
+    path: str
+    owner: Any
+    declared: Field
+    value: Any
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the entries of its last axis; of a single gain, those that it may have."""
+        found = getattr(self.declared, "labels", ())
+        names = tuple(found(self.owner) if callable(found) else found)
+        if not np.ndim(self.value):
+            return names
+        count = np.shape(self.value)[-1]
+        return (*names[:count], *map(str, range(len(names), count)))
+
+
+def entries_of(value: Any) -> list[tuple[str, Any]]:
+    """Return the parts of a field of several, each with its key: name in a mapping, else name or number."""
+    if isinstance(value, Mapping):
+        return list(value.items())
+    names = [getattr(each, "name", None) for each in value]
+    named = all(isinstance(name, str) for name in names) and len(set(names)) == len(names)
+    return [(name if named else str(i), each) for i, (name, each) in enumerate(zip(names, value, strict=True))]
+
+
+def walk(part: Any, path: str = "") -> Iterator[Leaf]:
+    """Yield all fields of a part and of the parts within it, that are no parts themselves."""
+    for name, declared, value in fields_of(part):
+        at = f"{path}.{name}" if path else name
+        for below, each in _inner(at, declared, value):
+            if is_part(each):
+                yield from walk(each, below)
+            else:
+                yield Leaf(below, part, declared, each)
+
+
+def _inner(path: str, declared: Field, value: Any) -> list[tuple[str, Any]]:
+    """Return the values within a field, each with its path: one, or those of a field of several parts."""
+    if isinstance(declared, Child) and declared.many:
+        return [(f"{path}.{key}", each) for key, each in entries_of(value)]
+    return [(path, value)]
+
+
+def parts_of(part: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield a part and all parts within it, each with its path, the outer ones first."""
+    yield path, part
+    for name, declared, value in fields_of(part):
+        for below, each in _inner(f"{path}.{name}" if path else name, declared, value):
+            if is_part(each):
+                yield from parts_of(each, below)
+
+
+def numbers(part: Any) -> dict[str, Leaf]:
+    """Return the numbers that may differ from robot to robot, by path."""
+    return {
+        leaf.path: leaf
+        for leaf in walk(part)
+        if isinstance(leaf.declared, Number) and not leaf.declared.fixed and leaf.value is not None
+    }
+
+
+def replace(part: _T, values: Mapping[str, Any], *, nominal: bool = False) -> _T:
+    """Return a part with other values at some paths; every part on the way is checked like a new one.
+
+    Parameters
+    ----------
+    part : part
+        The original.
+    values : mapping of str to value
+        By path, such as ``{"plant.mass": 12.0}``.
+    nominal : bool
+        Whether the new parts keep their originals, as those with symbols do: see `structure`.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such path.
+    InvalidArgument
+        If a value is not what the field declares.
+    """
+    used: set[str] = set()
+    new = _replaced(part, "", values, nominal, used)
+    for path in values.keys() - used:
+        raise UnknownName("parameter", path, numbers(part))
+    return new
+
+
+def _replaced(part: Any, path: str, values: Mapping[str, Any], nominal: bool, used: set[str]) -> Any:
+    changes: dict[str, Any] = {}
+    for name, declared, value in fields_of(part):
+        at = f"{path}.{name}" if path else name
+        if at in values:
+            changes[name] = values[at]
+            used.add(at)
+        elif any(key.startswith(f"{at}.") for key in values):
+            changed = {
+                below: _replaced(each, below, values, nominal, used) if is_part(each) else each
+                for below, each in _inner(at, declared, value)
+            }
+            if not (isinstance(declared, Child) and declared.many):
+                changes[name] = changed[at]
+            elif isinstance(value, Mapping):
+                changes[name] = dict(zip(value, changed.values(), strict=True))
+            else:
+                changes[name] = tuple(changed.values())
+    if not changes:
+        return part
+    new = evolved(part, changes)
+    if nominal:
+        object.__setattr__(new, "nominal", part)
+    return new
+
+
+class Found(NamedTuple):
+    """What a name means: a field, or one entry of its last axis."""
+
+    leaf: Leaf
+    entry: int | None = None
+
+    @property
+    def path(self) -> str:
+        """Full path of the field, or of the entry."""
+        return self.leaf.path if self.entry is None else f"{self.leaf.path}.{self.label}"
+
+    @property
+    def label(self) -> str:
+        """Name of the entry."""
+        labels = self.leaf.labels
+        return labels[self.entry or 0] if (self.entry or 0) < len(labels) else str(self.entry)
+
+    @property
+    def unit(self) -> str:
+        """Unit of the number."""
+        declared = self.leaf.declared
+        return declared.unit_of(self.entry) if isinstance(declared, Number) else ""
+
+    @property
+    def meaning(self) -> str:
+        """Meaning of the number, as a noun phrase."""
+        doc = self.leaf.declared.doc or self.leaf.path.rpartition(".")[2]
+        return doc if self.entry is None else f"{doc}, {self.label}"
+
+
+def named(part: Any) -> dict[str, Found]:
+    """Return all numbers that may differ, and their entries, by full path."""
+    found: dict[str, Found] = {}
+    for path, leaf in numbers(part).items():
+        found[path] = Found(leaf)
+        for k in range(max(len(leaf.labels), 0)):
+            one = Found(leaf, k)
+            found[one.path] = one
+    return found
+
+
+def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: str = "") -> Found:
+    """Return what a name means: a full path, or the end of one.
+
+    Of several paths with that end the plant's own comes first, then the one nearest to the loop.
+
+    Raises
+    ------
+    UnknownName
+        If no path ends so.
+    InvalidArgument
+        If several that are equally near do.
+    """
+    known = named(part) if known is None else known
+    if name in known:
+        return known[name]
+    tail = f".{name}"
+    ends = sorted(
+        (not path.startswith("plant."), path.count("."), path)
+        for path in known
+        if isinstance(name, str) and path.endswith(tail)
+    )
+    if not ends:
+        raise UnknownName(f"parameter{where and ' in ' + where}", name, known)
+    best = [path for *rank, path in ends if rank == list(ends[0][:2])]
+    if len(best) > 1:
+        raise InvalidArgument(
+            f"{where or 'name'} has {name!r}, which {' and '.join(best)} have, expected one of them: "
+            f"{' or '.join(map(repr, best))}"
+        )
+    return known[best[0]]
+
+
+def spread_values(found: Sequence[tuple[Found, Any]], n: int, size: int = 3) -> dict[str, Any]:
+    """Return the values of n robots at each path, shape (n, ...).
+
+    Parameters
+    ----------
+    found : sequence of (Found, ndarray)
+        Each number, and its values, shape (n,).
+    n : int
+        Number of robots.
+    size : int
+        Number of entries that a gain gets where one of them differs.
+    """
+    values: dict[str, Any] = {}
+    for one, column in sorted(found, key=lambda pair: pair[0].entry is not None):
+        path, base = one.leaf.path, np.asarray(one.leaf.value, np.float64)
+        if one.entry is not None and not base.ndim:
+            base = np.full(size, base)
+        new = values.get(path)
+        if new is None:
+            new = np.array(np.broadcast_to(base, (n, *base.shape)))
+        elif one.entry is not None and new.ndim == 1:
+            new = np.repeat(new[:, None], size, axis=1)
+        if one.entry is None:
+            new[:] = np.reshape(column, (n, *(1,) * base.ndim))
+        else:
+            new[(slice(None), *(one.entry,) * (new.ndim - 1))] = column
+        values[path] = new
+    return values
+
+
+def table(part: Any) -> str:
+    """Return the numbers of a part as lines of path, value, unit, bound and meaning."""
+    rows = [
+        (
+            path,
+            np.array2string(np.asarray(leaf.value), precision=6),
+            leaf.declared.unit,
+            leaf.declared.bound,
+            leaf.declared.doc,
+        )
+        for path, leaf in numbers(part).items()
+        if isinstance(leaf.declared, Number)
+    ]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ("  ".join(x.ljust(w) for x, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+    return "\n".join(lines)
