@@ -556,6 +556,8 @@ def frozen(array: ArrayLike) -> Array:
 
     Its memory is that of `bytes`: a read-only array of a user's own could be made writable again.
     """
+    if getattr(type(array), "is_symbolic", False):
+        return array  # type: ignore[return-value]
     if type(array) is np.ndarray and isinstance(array.base, bytes) and array.dtype == np.float64:
         return array
     whole = np.asarray(array, dtype=np.float64)

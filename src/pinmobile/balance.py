@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, frozen, positive, scalar, vector, whole
-from pinmobile.compiled import Reference
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import ContactLoads, SlipMargins, refuse_path
 from pinmobile.robot import WEIGHTLESS, checked_footprint, margin_inside, pressed_at
+from pinmobile.trajectories import Reference
 
 _FASTEST = 1e6  # times as fast as the reference, beyond which nothing gives way
 _HALVINGS = 40

@@ -17,7 +17,7 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Leaf, Number, fields_of
 
 if TYPE_CHECKING:
-    from pinmobile.compiled import Line, Noise, Schedule
+    from pinmobile.compiled.memory import Line, Noise, Schedule
 
 Difference: TypeAlias = Callable[[Array, Array], Array]
 
@@ -488,7 +488,7 @@ class Context:
 
         What is pushed, a tree of arrays, comes back `samples` samples later; until then, the first does.
         """
-        from pinmobile.compiled import Line
+        from pinmobile.compiled.memory import Line
 
         return Line(whole("samples", samples, least=0))
 
@@ -498,7 +498,7 @@ class Context:
         The n numbers of a sample are standard normal and independent; they follow from the seed, the member,
         the name and the number of the sample alone, and are the same bits in every engine.
         """
-        from pinmobile.compiled import Noise, robot_keys
+        from pinmobile.compiled.memory import Noise, robot_keys
 
         text("name", name)
         return Noise(robot_keys(self.seed, name, range(self.member, self.member + 1))[0], whole("n", n))
@@ -518,7 +518,7 @@ class Context:
         InvalidArgument
             If they are not as many, or not finite.
         """
-        from pinmobile.compiled import Schedule
+        from pinmobile.compiled.memory import Schedule
 
         found = finite("rows", rows)
         if found.shape[:1] != self.t.shape:

@@ -15,7 +15,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.compiled.emit import ENTRY, Code, Shape
-from pinmobile.compiled.loop_tape import Loop
+from pinmobile.compiled.loop_tape import LoopTape
 from pinmobile.compiled.processor import Cache, Target, function_of
 from pinmobile.compiled.program import aligned, shared_out
 from pinmobile.compiled.symbolic import entries, symbols
@@ -157,13 +157,13 @@ def _rows(array: Array, lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
 
 def _traced(
     law: Callable[..., Any], shapes: Sequence[tuple[int, ...]], own: int, largest: int
-) -> tuple[Loop, bool]:
+) -> tuple[LoopTape, bool]:
     tape, given, counts = Tape(largest), [], {"row": 0, "uniform": 1}  # the first uniform is a loop's step
     for k, shape in enumerate(shapes):
         kind, size = "row" if k < own else "uniform", prod(shape)
         given.append(symbols([tape.input(kind, counts[kind] + i) for i in range(size)], shape))
         counts[kind] += size
-    with tracing([law]):
+    with tracing():
         found = law(*given)
     outputs = found if isinstance(found, tuple) else (found,)
     kept = {}
@@ -171,7 +171,7 @@ def _traced(
         nodes = [x if type(x) is Node else tape.const(x) for x in entries(output).reshape(-1)]
         numbers = [tape.apply("select", x, 1.0, 0.0) if x.kind == "b" else x for x in nodes]
         kept[str(i)] = entries(output).shape, [x.index for x in numbers]
-    loop = Loop(
+    loop = LoopTape(
         tape=tape,
         states=[],
         leaves=[],
@@ -188,7 +188,7 @@ def _traced(
     return loop, isinstance(found, tuple)
 
 
-def _text(loop: Loop, shape: Shape, sizes: Sequence[int]) -> str:
+def _text(loop: LoopTape, shape: Shape, sizes: Sequence[int]) -> str:
     """Return the module that runs a law on rows.
 
     Its function has the signature of a loop's, takes ``(places, begin, end, -, -, uniforms, ...)`` of that,
@@ -198,7 +198,7 @@ def _text(loop: Loop, shape: Shape, sizes: Sequence[int]) -> str:
 
     Parameters
     ----------
-    loop : Loop
+    loop : LoopTape
         The law.
     shape : Shape
         How the rows are laid out.
@@ -228,7 +228,7 @@ class _Group(NamedTuple):
 class _Rows(Code):
     """The code of a law on rows."""
 
-    def __init__(self, loop: Loop, shape: Shape) -> None:
+    def __init__(self, loop: LoopTape, shape: Shape) -> None:
         super().__init__(loop, shape)
         self._copies: list[tuple[str, str, int]] = []  # from, to, and how many vectors
 
@@ -396,3 +396,18 @@ class _Rows(Code):
 
     def _order(self, order: Sequence[int]) -> str:
         return f"<{self.shape.lanes} x i32> <{', '.join(f'i32 {j}' for j in order)}>"
+
+
+def copied(part: object, values: Any, parts: Any = None) -> Any:
+    """LEGACY."""
+    import copy
+    import functools
+
+    new = copy.copy(part)
+    for each in type(part).__mro__:
+        for name, attribute in vars(each).items():
+            if isinstance(attribute, functools.cached_property):
+                new.__dict__.pop(name, None)
+    for name, value in values.items():
+        object.__setattr__(new, name, value)
+    return new

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pinmobile.compiled.folding import ROBOT, ROUND, SAMPLE, STATE
-from pinmobile.compiled.loop_tape import Loop
+from pinmobile.compiled.loop_tape import LoopTape
 from pinmobile.compiled.tape import Rounds, needed, operands
 
 ENTRY = "pinmobile_loop"
@@ -73,7 +73,7 @@ class Code:
         How the robots are laid out.
     """
 
-    def __init__(self, loop: Loop, shape: Shape) -> None:
+    def __init__(self, loop: LoopTape, shape: Shape) -> None:
         self.loop, self.tape, self.shape = loop, loop.tape, shape
         self.vector_rows = len(loop.states)
         self.lines: dict[str, list[str]] = {name: [] for name in ("entry", "block", "sample", "count")}
@@ -350,7 +350,7 @@ class Code:
         return self.put("sample", f"add i64 {place}, {offset}")
 
 
-def text_of(loop: Loop, shape: Shape) -> str:
+def text_of(loop: LoopTape, shape: Shape) -> str:
     """Return the module that runs a loop.
 
     Its function ``pinmobile_loop(blocks, begin, end, samples, count, uniforms, ring, counts, every, n,

@@ -1,23 +1,14 @@
-"""A closed loop on a tape: what stands where, and what its memory is before the first sample."""
+"""A closed loop on a tape: what stands where."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Mapping
+import json
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
-from pinmobile.arrays import Array, ArrayLike
 from pinmobile.compiled.folding import ROBOT, SAMPLE, STATE
-from pinmobile.compiled.memory import Line, Noise, Schedule, leaves
-from pinmobile.compiled.parts import Parts, Place
-from pinmobile.compiled.sample import Memory, integrate_of
-from pinmobile.compiled.symbolic import entries, has_symbols, symbols
-from pinmobile.compiled.tape import Node, Tape, evaluated, needed, operands
-from pinmobile.compiled.tracing import tracing
-from pinmobile.errors import NotTraceable
+from pinmobile.compiled.tape import Tape, needed, operands
 
 _WORTH_A_TABLE = 32  # operations of a sample
 
@@ -55,7 +46,7 @@ class Ring:
 
 
 @dataclass(frozen=True)
-class Loop:
+class LoopTape:
     """A closed loop on a tape.
 
     Attributes
@@ -66,7 +57,7 @@ class Loop:
         Nodes of each number of the state: now, and at the next sample; q, v and the memory.
     leaves : list of Leaf
         The arrays of the memory.
-    parameters : dict of Place to Leaf
+    parameters : dict of str to Leaf
         Where each parameter stands.
     uniforms, rows : int
         How many numbers of the run, and of each robot, there are; the first uniform is the step [s].
@@ -80,7 +71,7 @@ class Loop:
         Shape and nodes of what is kept of every sample.
     sizes : (int, int, int, int, int)
         nq, nv, nu, and the numbers of the reference's q and v.
-    unused : list of Place
+    unused : list of str
         Those that no law uses: a spread of one would do nothing.
     tracks : int
         How many numbers the reference of a sample has, where each robot has its own; 0: all have the same.
@@ -93,7 +84,7 @@ class Loop:
     tape: Tape
     states: list[tuple[int, int]]
     leaves: list[Leaf]
-    parameters: dict[Place, Leaf]
+    parameters: dict[str, Leaf]
     uniforms: int
     rows: int
     keys: list[str]
@@ -101,7 +92,7 @@ class Loop:
     counted: list[int]
     kept: dict[str, tuple[tuple[int, ...], list[int]]]
     sizes: tuple[int, int, int, int, int]
-    unused: list[Place]
+    unused: list[str]
     tracks: int = 0
     units: dict[str, str] = field(default_factory=dict)
     scheduled: int = 0
@@ -147,136 +138,44 @@ class Loop:
         pushed = [node for ring in self.rings for node in (ring.node, ring.pushed)]
         return [node for pair in self.states for node in pair] + pushed + self.counted + kept
 
+    def packed(self, **others: object) -> bytes:
+        """Return the loop, and what is to be kept beside it, as JSON."""
+        tape = self.tape
+        found = {name: getattr(self, name) for name in _PLAIN} | {
+            "operations": tape.operations,
+            "types": "".join(tape.types),
+            "depends": tape.depends,
+            "leaves": [vars(leaf) for leaf in self.leaves],
+            "parameters": [[path, vars(leaf)] for path, leaf in self.parameters.items()],
+            "rings": [vars(ring) for ring in self.rings],
+            "kept": [[name, *each] for name, each in self.kept.items()],
+        }
+        return json.dumps({"loop": found, **others}, separators=(",", ":")).encode()
 
-class _Context:
-    """The context of a controller, whose delays, noise and schedules are on the tape, or are numbers."""
-
-    def __init__(
-        self,
-        given: Any,
-        plant: Any,
-        line: Callable[..., Any],
-        normal: Callable[..., Any],
-        schedule: Callable[..., Any],
-    ) -> None:
-        self._given, self.difference, self.integrate = given, plant.difference, integrate_of(plant)
-        self.line, self.normal, self._schedule = line, normal, schedule
-
-    def schedule(self, rows: ArrayLike) -> Any:
-        """Return what a controller keeps of rows that are known for each sample, checked."""
-        return self._schedule(self._given.schedule(rows).rows)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._given, name)
-
-
-def initial_memory(
-    parts: Parts,
-    context: object,
-    reference: int,
-    line: Callable[..., Any] = Line,
-    normal: Callable[..., Any] | None = None,
-    schedule: Callable[..., Any] = Schedule,
-) -> Memory:
-    """Return what the parts keep before the first sample.
-
-    Parameters
-    ----------
-    parts : Parts
-        The loop.
-    context : object
-        What the controller's `initial_state` is told; it gets its delays and noise here.
-    reference : int
-        Number of coordinates that the reference has.
-    line, normal, schedule : callable
-        Make a delay, a noise and a schedule; by default, of numbers, with the key 0.
-    """
-    plant = parts.plant
-    normal = normal or (lambda name, n: Noise(0, n))
-    own = _Context(context, plant, line, normal, schedule)
-    recorder = None if parts.recorder is None else parts.recorder.initial_state(reference, plant.nu)
-    return Memory(
-        plant.initial_state(own) if hasattr(plant, "initial_state") else None,
-        parts.controller.initial_state(own),
-        recorder,
-    )
+    @classmethod
+    def unpacked(cls, data: bytes) -> tuple[LoopTape, dict[str, Any]]:
+        """Return the loop of `packed`, and what was kept beside it."""
+        others = json.loads(data)
+        found = others.pop("loop")
+        operations = [*map(tuple, found.pop("operations"))]
+        tape = Tape.of(operations, [*found.pop("types")], found.pop("depends"))
+        own, tabled = found.pop("own"), found.pop("tabled")
+        found["states"] = [(now, after) for now, after in found["states"]]
+        found["leaves"] = [_leaf(each) for each in found["leaves"]]
+        found["parameters"] = {path: _leaf(each) for path, each in found["parameters"]}
+        found["rings"] = [Ring(**each) for each in found["rings"]]
+        found["kept"] = {name: (tuple(shape), nodes) for name, shape, nodes in found["kept"]}
+        found["sizes"] = tuple(found["sizes"])
+        loop = cls(tape=tape, **found)
+        vars(loop).update(own=own, tabled=tabled)
+        return loop, others
 
 
-def scheduled_rows(parts: Parts, context: object, reference: int) -> list[Array]:
-    """Return the rows of all schedules that the parts ask for, each of shape (N + 1, ...)."""
-    found: list[Array] = []
-
-    def schedule(rows: Array) -> Schedule:
-        found.append(rows)
-        return Schedule(rows)
-
-    initial_memory(parts, context, reference, schedule=schedule)
-    return found
+_PLAIN = (
+    *("states", "uniforms", "rows", "keys", "counted", "scheduled", "sizes", "tracks", "units", "unused"),
+    *("own", "tabled"),
+)
 
 
-def check_schedules(parts: Parts, context: object, reference: int, spread: Iterable[Place]) -> None:
-    """Refuse a spread of what schedules follow from, of which all robots have the same.
-
-    Raises
-    ------
-    NotTraceable
-        If there is such.
-    """
-    places = [place for place in spread if place.path.partition(".")[0] == "controller"]
-    rows = scheduled_rows(parts, context, reference) if places else []
-    values = parts.parameters() if rows else {}
-    for place in places if rows else ():
-        moved = parts.with_parameters({place: values[place] * 1.001 + 1e-6})
-        others = scheduled_rows(moved, context, reference)
-        if not all(map(np.array_equal, rows, others)):
-            raise NotTraceable(
-                f"what the controller knows of each sample follows from {'.'.join(place)}, which each robot "
-                "has of its own",
-                "spread parameters of the plant, or let robots run one after another",
-            )
-
-
-def initial_memories(
-    parts: Parts, context: object, reference: int, spread: Mapping[Place, Array], n: int
-) -> list[Array]:
-    """Return the arrays of the memory of n robots before the first sample, shape (...) or (n, ...).
-
-    Where `initial_state` cannot be run on symbols, it is asked for each robot.
-    """
-    tape = Tape()
-    on_tape: dict[Place, Any] = {}
-    inputs: dict[Any, Any] = {}
-    for name, value in spread.items():
-        columns = np.broadcast_to(value, (n, *value.shape[1:])).reshape(n, -1)
-        first = len(inputs)
-        inputs |= {("row", first + i): column for i, column in enumerate(columns.T)}
-        on_tape[name] = symbols(
-            [tape.input("row", first + i) for i in range(columns.shape[1])], value.shape[1:]
-        )
-    try:
-        with tracing(part for _, part in parts.by_path()):
-            memory = initial_memory(parts.with_parameters(on_tape), context, reference)
-    except NotTraceable:
-        rows = []
-        for i in range(n):
-            mine = parts.with_parameters(
-                {name: np.broadcast_to(x, (n, *x.shape[1:]))[i] for name, x in spread.items()}
-            )
-            rows.append(
-                [np.asarray(x, np.float64) for x in arrays_of(initial_memory(mine, context, reference))]
-            )
-        return [np.array(column) for column in zip(*rows, strict=True)]
-    found = []
-    for value in arrays_of(memory):
-        if not has_symbols(value):
-            found.append(np.asarray(value, np.float64))
-            continue
-        nodes = [x.index if type(x) is Node else tape.const(x).index for x in entries(value).reshape(-1)]
-        known = np.array([np.broadcast_to(x, n) for x in evaluated(tape, nodes, inputs)], np.float64)
-        found.append(known.T.reshape(n, *np.shape(value)))
-    return found
-
-
-def arrays_of(memory: Memory) -> list[Any]:
-    """Return the numbers and arrays of a memory, in order."""
-    return [value for tree in memory for _, value in leaves(tree)]
+def _leaf(found: dict[str, Any]) -> Leaf:
+    return Leaf(**{**found, "shape": tuple(found["shape"])})

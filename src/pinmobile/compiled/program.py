@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from math import prod
-from operator import is_
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, affordable
+from pinmobile.arrays import Array, affordable
 from pinmobile.compiled.emit import BINS, Shape, text_of
-from pinmobile.compiled.loop_tape import Loop, initial_memories, initial_memory, scheduled_rows
-from pinmobile.compiled.memory import leaves, mapped
-from pinmobile.compiled.parts import Parts, Place
+from pinmobile.compiled.loop_tape import LoopTape
 from pinmobile.compiled.processor import Cache, Target, function_of
-from pinmobile.compiled.sample import Memory, Reference
 from pinmobile.compiled.tape import COUNT, evaluated
-from pinmobile.constancy import is_constant
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.errors import InvalidArgument
 
 _SLICE = 2e8  # operations of a vector in one call, some 0.1 s: Ctrl-C is answered in between
 _WORTH = 4e6  # operations of a vector for which a thread is worth starting
@@ -34,16 +29,15 @@ class Outcome(NamedTuple):
 
     Attributes
     ----------
-    memory : Memory
-        What the parts kept after the last sample; each array with the robots as its first axis. That of the
-        recorder is the result.
+    memory : list of ndarray, shape (n, ...)
+        Arrays of the memory after the last sample.
     counts : ndarray of int32, shape (times, sizes, BINS)
         How many robots had which size.
     kept : dict of str to ndarray, shape (n, N + 1, ...)
         What was kept of every sample.
     """
 
-    memory: Memory
+    memory: list[Array]
     counts: NDArray[np.int32]
     kept: dict[str, Array]
 
@@ -53,8 +47,8 @@ class Program:
 
     Parameters
     ----------
-    loop : Loop
-        What `traced` returned.
+    tape : LoopTape
+        The loop.
     target : Target, optional
         The processor; by default this one.
     shape : Shape, optional
@@ -70,7 +64,7 @@ class Program:
 
     def __init__(
         self,
-        loop: Loop,
+        tape: LoopTape,
         target: Target | None = None,
         shape: Shape | None = None,
         single: bool = False,
@@ -78,9 +72,8 @@ class Program:
         key: str | None = None,
     ) -> None:
         target = Target.here() if target is None else target
-        self.loop = loop
-        self._alike: set[frozenset[Place]] = set()  # spreads of these leave the memory alike at first
-        small = loop.own <= _SMALL and len(loop.states) <= _FEW
+        self.tape = tape
+        small = tape.own <= _SMALL and len(tape.states) <= _FEW
         many = Shape(target.lanes, 2 if small else 1)
         self.shape = shape or (Shape(1, 1) if single else many)
         self.key = target.key(self.text) if key is None else key
@@ -90,176 +83,101 @@ class Program:
     @cached_property
     def text(self) -> str:
         """Its code as LLVM's text."""
-        return text_of(self.loop, self.shape)
+        return text_of(self.tape, self.shape)
 
     def run(
         self,
-        parts: Parts,
-        context: object,
         start: tuple[Array, Array],
         t: Array,
-        reference: Reference,
+        reference: tuple[Array, ...],
         *,
-        dt: float,
-        tracks: Reference | None = None,
-        values: Mapping[Place, Any] | None = None,
+        h: float,
+        values: Mapping[str, Array],
+        first: Sequence[Array],
+        rows: Sequence[Array] = (),
+        tracks: tuple[Array, ...] | None = None,
         keys: Mapping[str, NDArray[np.uint64]] | None = None,
         every: int = 1,
         threads: int = 1,
-        memory: dict[Any, Any] | None = None,
     ) -> Outcome:
-        """Return what the robots do.
+        """Return the result of a run.
 
         Parameters
         ----------
-        parts : Parts
-            Of the same structure as those that were traced; their numbers may be others.
-        context : object
-            What the controller's `initial_state` is told.
         start : (ndarray, ndarray), shape (n, nq), (n, nv)
-            Where the n robots start.
+            Start of the n robots.
         t : ndarray, shape (N + 1,)
             Times of the samples [s].
         reference : Reference
             Of all samples, of all robots.
+        h : float
+            Length of a substep [s].
+        values : mapping of str to ndarray, shape (...) or (n, ...)
+            Numbers of the parts by path, of all robots or of each.
+        first : sequence of ndarray, shape (...) or (n, ...)
+            Arrays of the memory before the first sample.
+        rows : sequence of ndarray, shape (N + 1, ...)
+            Rows of the schedules.
         tracks : Reference, optional
-            Each robot's own, shape (N + 1, n, ...), where the loop was traced so.
-        dt : float
-            Time between two samples [s].
-        values : mapping of Place to ndarray, shape (n, ...)
-            What each robot has of its own, of the parameters that were traced so; or one value for all.
+            Each robot's own reference, shape (N + 1, n, ...), where the loop was traced so.
         keys : mapping of str to ndarray of uint64, shape (n,)
             Each robot's key for the noise of a name.
         every : int
             Samples between two counts.
         threads : int
             Most threads.
-        memory : dict, optional
-            Where what all robots share of each sample is kept for the next run of the same.
         """
         n = self._checked(start, t, reference, tracks, every)
-        parts = parts.on_symbols()
-        nominal = parts.parameters()
-        given = self._given(values or {}, nominal, n)
-        begin = initial_memory(parts, context, self.loop.sizes[4])
-        first = self._first(parts, context, begin, given, n)
-        blocks = self.blocks_of(start, n, {**nominal, **given}, first, keys or {})
-        uniforms = self.uniforms_of(dt / parts.substeps, {**nominal, **given}, first)
-        rows = scheduled_rows(parts, context, self.loop.sizes[4]) if self.loop.scheduled else []
-        samples = self._remembered(t, reference, uniforms, rows, {} if memory is None else memory)
+        blocks = self.blocks_of(start, n, values, first, keys or {})
+        uniforms = self.uniforms_of(h, values, first)
+        samples = self.samples_of(t, reference, uniforms, rows)
         kept = self._kept(tracks, len(blocks), len(t))
         counts = self.called(blocks, samples, uniforms, kept, n, every, threads)
-        return Outcome(self._kept_memory(begin, blocks, n), counts, self.kept_samples(kept, n))
+        return Outcome(self._last(blocks, first, n), counts, self.kept_samples(kept, n))
 
     def _checked(
-        self, start: tuple[Array, Array], t: Array, reference: Reference, tracks: Reference | None, every: int
+        self, start: tuple[Array, Array], t: Array, reference: Any, tracks: Any, every: int
     ) -> int:
         """Check that the machine code reads within the arrays, and return the number of robots."""
-        nq, nv, _, length, size = self.loop.sizes
+        nq, nv, _, length, size = self.tape.sizes
         n, count = len(start[0]), len(t)
         if n < 1 or count < 1 or every < 1:
             raise InvalidArgument(
                 f"there are {n} robots, {count} samples, and counts every {every}, expected >= 1"
             )
-        expected: dict[str, tuple[Array, tuple[int, ...]]] = {
-            "q": (start[0], (n, nq)),
-            "v": (start[1], (n, nv)),
-            "reference.q": (reference.q, (count, length)),
-            "reference.v": (reference.v, (count, size)),
-            "reference.a": (reference.a, (count, size)),
-        }
-        if (tracks is None) != (self.loop.tracks == 0):
+        sizes = length, size, size
+        expected = [("q", start[0], (n, nq)), ("v", start[1], (n, nv))]
+        expected += [("reference", x, (count, m)) for x, m in zip(reference, sizes, strict=True)]
+        if (tracks is None) != (self.tape.tracks == 0):
             raise InvalidArgument(f"tracks is {tracks}, expected references as the loop was traced with")
-        for name, array in () if tracks is None else tracks._asdict().items():
-            expected[f"tracks.{name}"] = (array, (count, n, length if name == "q" else size))
-        for name, (array, shape) in expected.items():
+        expected += [("tracks", x, (count, n, m)) for x, m in zip(tracks or (), sizes, strict=False)]
+        for name, array, shape in expected:
             if np.shape(array) != shape:
                 raise InvalidArgument(f"{name} has shape {np.shape(array)}, expected {shape}")
         return n
 
-    def _given(
-        self, values: Mapping[Place, Any], nominal: Mapping[Place, Array], n: int
-    ) -> dict[Place, Array]:
-        """Return the values that were given, of parameters that there are."""
-        places, found = self.loop.parameters, {}
-        if nominal.keys() != places.keys():
-            other = sorted(".".join(name) for name in nominal.keys() ^ places.keys())
-            raise InvalidArgument(
-                f"parts differ from those that were traced in {', '.join(other)}, expected the same"
-            )
-        for (path, name), value in values.items():
-            if (path, name) not in places:
-                raise UnknownName("parameter", f"{path}.{name}", map(".".join, places))
-            leaf, array = places[Place(path, name)], np.asarray(value, np.float64)
-            if leaf.kind == "row" and array.shape not in (leaf.shape, (n, *leaf.shape)):
-                raise InvalidArgument(f"{path}.{name} has shape {array.shape}, expected {(n, *leaf.shape)}")
-            # One value for all is each robot's.
-            alike = leaf.kind == "row" and array.shape == leaf.shape
-            found[Place(path, name)] = np.broadcast_to(array, (n, *leaf.shape)) if alike else array
-        return found
-
-    def _first(
-        self, parts: Parts, context: object, memory: Memory, given: Mapping[Place, Array], n: int
-    ) -> list[Array]:
-        """Return the arrays of the memory before the first sample, shape (...), or (n, ...) of each robot."""
-        places = self.loop.leaves
-        spread = {name: value for name, value in given.items() if self.loop.parameters[name].kind == "row"}
-        owners = {name.path.partition(".")[0] for name in spread}
-        values = [np.asarray(value, np.float64) for tree in memory for _, value in leaves(tree)]
-        each: list[Array] = []
-        if frozenset(spread) not in self._alike and any(leaf.owner in owners for leaf in places):
-            each = initial_memories(parts, context, self.loop.sizes[4], spread, n)
-            # No need to ask again, as that takes longer than a hundred robots.
-            if all(a.ndim == b.ndim for a, b in zip(each, values, strict=True)):
-                self._alike.add(frozenset(spread))
-        found = []
-        for i, leaf in enumerate(places):
-            own = each[i] if each else values[i]
-            if own.ndim == values[i].ndim and own.shape == leaf.shape:
-                found.append(own)
-                continue
-            ahead = (n,) if own.ndim > values[i].ndim else ()
-            missing = len(leaf.shape) - values[i].ndim
-            grown = own.reshape((*ahead, *(1,) * missing, *values[i].shape))
-            found.append(np.broadcast_to(grown, (*ahead, *leaf.shape)))
-        return found
-
-    def _remembered(
-        self, t: Array, reference: Reference, uniforms: Array, rows: list[Array], memory: dict[Any, Any]
-    ) -> Array:
-        """Return `_samples`, those of the last run where nothing of what they follow from is another."""
-        before = memory.get("samples")
-        if before is not None and before[0] is self and all(map(is_, before[1], reference)):
-            same = np.array_equal(before[2], t) and np.array_equal(before[3], uniforms)
-            if same and all(map(np.array_equal, before[4], rows)):
-                return before[5]  # type: ignore[no-any-return]
-        samples = self.samples_of(t, reference, uniforms, rows)
-        if all(map(is_constant, reference)):
-            memory["samples"] = self, reference, t.copy(), uniforms, rows, samples
-        return samples
-
-    def samples_of(self, t: Array, reference: Reference, uniforms: Array, rows: list[Array]) -> Array:
+    def samples_of(self, t: Array, reference: tuple[Array, ...], uniforms: Array, rows: Sequence[Array]) -> Array:
         """Return what all robots share of each sample, shape (N + 1, columns)."""
         known = [np.reshape(each, (len(t), -1)) for each in rows]
         given = np.empty((len(t), 1 + sum(part.shape[1] for part in (*reference, *known))))
         np.concatenate([t[:, None], *reference, *known], axis=1, out=given)
-        tabled = self.loop.tabled
+        tabled = self.tape.tabled
         if not tabled:
             return given
         affordable(
             f"the tables of {len(t):,} samples",
-            len(t) * self.loop.columns,
+            len(t) * self.tape.columns,
             "give a larger dt, or fewer waves",
         )
         inputs: dict[Any, Any] = {COUNT: np.arange(len(t), dtype=np.uint64)}
         inputs |= {("uniform", i): x for i, x in enumerate(uniforms)}
         inputs |= {("sample", i): column for i, column in enumerate(given.T)}
-        columns = (np.broadcast_to(x, len(t)) for x in evaluated(self.loop.tape, tabled, inputs))
+        columns = (np.broadcast_to(x, len(t)) for x in evaluated(self.tape.tape, tabled, inputs))
         return np.ascontiguousarray(np.column_stack([given, *columns]))
 
-    def _kept(self, tracks: Reference | None, blocks: int, samples: int) -> Array:
+    def _kept(self, tracks: tuple[Array, ...] | None, blocks: int, samples: int) -> Array:
         """Return the array of what is kept of every sample, with the robots' own references behind it."""
-        loop, first = self.loop, self.loop.outputs_kept
+        loop, first = self.tape, self.tape.outputs_kept
         kept = aligned((blocks, samples, first + loop.tracks, self.shape.width))
         if tracks is not None:
             numbers = np.concatenate(tracks, axis=-1).swapaxes(1, 2)  # (samples, tracks, n)
@@ -281,12 +199,12 @@ class Program:
         self,
         start: tuple[Array, Array],
         n: int,
-        values: Mapping[Place, Array],
-        first: list[Array],
+        values: Mapping[str, Array],
+        first: Sequence[Array],
         keys: Mapping[str, NDArray[np.uint64]],
     ) -> Array:
         """Return the states, the rows and the keys of n robots, in blocks, as the machine code takes them."""
-        loop, width = self.loop, self.shape.width
+        loop, width = self.tape, self.shape.width
         states = len(loop.states)
         blocks = aligned((-(-n // width), states + loop.rows + len(loop.keys), width))
         q, v = (np.asarray(x, np.float64) for x in start)
@@ -312,11 +230,11 @@ class Program:
             self.set_rows(blocks, states + loop.rows + i, key.view(np.float64)[None])
         return blocks
 
-    def uniforms_of(self, h: float, values: Mapping[Place, Array], first: list[Array]) -> Array:
+    def uniforms_of(self, h: float, values: Mapping[str, Array], first: Sequence[Array]) -> Array:
         """Return the numbers that all robots share: the step, parameters, and memory that stays."""
-        found = np.empty(self.loop.uniforms)
+        found = np.empty(self.tape.uniforms)
         found[0] = h
-        for parameter, leaf in self.loop.parameters.items():
+        for parameter, leaf in self.tape.parameters.items():
             if leaf.kind == "uniform":
                 value = values[parameter]
                 if value.shape != leaf.shape:
@@ -325,7 +243,7 @@ class Program:
                         "what each robot has of its own is named when the loop is traced"
                     )
                 found[leaf.first : leaf.first + value.size] = value.ravel()
-        for leaf, value in zip(self.loop.leaves, first, strict=True):
+        for leaf, value in zip(self.tape.leaves, first, strict=True):
             if leaf.kind == "uniform":
                 found[leaf.first : leaf.first + value.size] = np.ravel(value)
         return found
@@ -334,7 +252,7 @@ class Program:
         self, blocks: Array, samples: Array, uniforms: Array, kept: Array, n: int, every: int, threads: int
     ) -> NDArray[np.int32]:
         """Run the blocks, and return the counts; the arguments are those of the machine code, in arrays."""
-        loop = self.loop
+        loop = self.tape
         work = len(samples) * max(1, loop.own) * self.shape.vectors  # of a block
         workers = max(1, min(threads, len(blocks), int(work * len(blocks) / _WORTH)))
         step = max(1, min(int(_SLICE / work), -(-len(blocks) // (4 * workers))))
@@ -364,29 +282,22 @@ class Program:
         found = counts[:, :times]
         return np.asarray(found[0] if workers == 1 else found.sum(axis=0, dtype=np.int32))
 
-    def _kept_memory(self, memory: Memory, blocks: Array, n: int) -> Memory:
-        """Return the memory as it is at last."""
-        rows = blocks.swapaxes(0, 1)
-        found = []
-        places = iter(self.loop.leaves)
-
-        def last(value: ArrayLike) -> Array:
-            leaf = next(places)
-            size = prod(leaf.shape)
+    def _last(self, blocks: Array, first: Sequence[Array], n: int) -> list[Array]:
+        """Return the arrays of the memory after the last sample, shape (n, ...)."""
+        rows, found = blocks.swapaxes(0, 1), []
+        for leaf, value in zip(self.tape.leaves, first, strict=True):
             if leaf.kind == "uniform":
-                return np.broadcast_to(value, (n, *leaf.shape))
-            first = leaf.first + (len(self.loop.states) if leaf.kind == "row" else 0)
-            flat = rows[first : first + size].reshape(size, prod(rows.shape[1:]))  # of nothing too
-            return flat[:, :n].T.reshape(n, *leaf.shape)
-
-        for tree in memory:
-            found.append(mapped(tree, last))
-        return Memory(*found)
+                found.append(np.broadcast_to(value, (n, *leaf.shape)))
+                continue
+            size, at = prod(leaf.shape), leaf.first + (len(self.tape.states) if leaf.kind == "row" else 0)
+            flat = rows[at : at + size].reshape(size, prod(rows.shape[1:]))  # of nothing too
+            found.append(flat[:, :n].T.reshape(n, *leaf.shape))
+        return found
 
     def kept_samples(self, kept: Array, n: int) -> dict[str, Array]:
         """Return what was kept of the samples of n robots, by name, from the blocks of it."""
         found, first, count = {}, 0, len(kept) * kept.shape[3]
-        for name, (shape, nodes) in self.loop.kept.items():
+        for name, (shape, nodes) in self.tape.kept.items():
             block = kept[:, :, first : first + len(nodes)]  # (blocks, samples, numbers, width)
             robots = np.moveaxis(block, 3, 1).reshape(count, kept.shape[1], len(nodes))[:n]
             found[name] = np.ascontiguousarray(robots).reshape(n, kept.shape[1], *shape)

@@ -1,18 +1,16 @@
-"""Running a law on symbols: NumPy replaced by name where its parts stand, and refusals that name the line."""
+"""Running laws on symbols: NumPy replaced by name where their code stands, and refusals that name the line."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
 import gc
-import inspect
 import linecache
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from operator import itemgetter
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from types import CellType, CodeType, FunctionType, MethodType, ModuleType, TracebackType
+from types import CellType, CodeType, ModuleType, TracebackType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,16 +22,13 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 _lock = threading.RLock()
 _local = threading.local()
 _HERE = str(Path(__file__).parent)
-_MADE_BY_CODE = 1 << 9  # of a class's flags: it comes of a class statement
 _OURS = (_HERE, str(Path(np.__file__).parent), "<__array_function__", "<frozen")
-_OPENED = (FunctionType, MethodType, type, dict, list, tuple)  # Python's own that a law's things stand in
-# By Pinocchio or compiled, or of what is known of parts: what it keeps changes from call to call.
-_RUNS_LAWS = {"pinmobile.constancy", "pinmobile.robot.pinocchio_calls"}
-_LAWS = ("pinmobile.compiled.parts", "pinmobile.compiled.sample")
-_OWN = "pinmobile.", "namedtuple_"  # the second is what Python makes for named tuples
-_FOREIGN = (
-    frozenset(("numpy", "scipy", "pinocchio", "llvmlite", "sympy", "matplotlib")) | sys.stdlib_module_names
+_MACHINERY = "pinmobile.compiled.", "pinmobile.loop._trace", "pinmobile.loop._identity"
+FOREIGN = (
+    frozenset(("numpy", "scipy", "pinocchio", "llvmlite", "sympy", "matplotlib", "attr", "attrs"))
+    | sys.stdlib_module_names
 )
+"""Packages that hold no laws."""
 
 
 def untraced(function: _Function) -> _Function:
@@ -83,63 +78,6 @@ vars(_numpy).update(_replaced)
 _others = {id(getattr(np, name)): other for name, other in _replaced.items()} | {id(np): _numpy}
 
 
-def _by_its_law(name: str, of: Any = None) -> Callable[..., Any]:
-    """Return a method of what has `traced`: that of what this returns; of `of`, or of its first argument."""
-
-    def asked(*given: Any, **options: Any) -> Any:
-        robot, arguments = (given[0], given[1:]) if of is None else (of, given)
-        depth, _local.depth = _local.depth, 0  # it is made of numbers
-        try:
-            own = robot.traced()
-        finally:
-            _local.depth = depth
-        if not hasattr(own, name):
-            known = [each for each in _methods(type(robot)) if hasattr(own, each)]
-            raise NotTraceable(
-                f"{name} of a {type(robot).__name__}, which takes numbers alone",
-                f"a law that is compiled asks it for {', '.join(known)}",
-            )
-        return getattr(own, name)(*arguments, **options)
-
-    return asked
-
-
-def _methods(kind: type) -> tuple[str, ...]:
-    """Return the names of a class's methods, but of `traced` itself."""
-    found = (name for name in dir(kind) if not name.startswith("_") and name != "traced")
-    return tuple(name for name in found if isinstance(inspect.getattr_static(kind, name), FunctionType))
-
-
-def _replacement(value: object) -> Any:
-    """Return what stands for a global or closed over value while a law is traced; None: itself."""
-    if id(value) in _others:
-        return _others[id(value)]
-    if isinstance(value, MethodType) and hasattr(type(value.__self__), "traced"):
-        return _guarded(value, _by_its_law(value.__name__, value.__self__))
-    return None
-
-
-@contextlib.contextmanager
-def _by_their_laws(kinds: Iterable[type]) -> Iterator[None]:
-    """Let the methods of classes that have `traced` answer as what it returns does, in threads that trace.
-
-    So a law reaches a robot that is no attribute of a part: a global, or what a function closes over.
-    """
-    put: list[tuple[type, str, Any]] = []
-    try:
-        for kind in kinds:
-            for name in _methods(kind):
-                put.append((kind, name, vars(kind).get(name)))
-                setattr(kind, name, _guarded(getattr(kind, name), _by_its_law(name)))
-        yield
-    finally:
-        for kind, name, before in reversed(put):
-            if before is None:
-                delattr(kind, name)
-            else:
-                setattr(kind, name, before)
-
-
 @contextlib.contextmanager
 def uncollected() -> Iterator[None]:
     """Look for no garbage: where thousands of small objects are made that stay, it takes a third as long."""
@@ -153,8 +91,15 @@ def uncollected() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def tracing(parts: Iterable[Any] | Walk) -> Iterator[None]:
-    """Let the laws of these parts, or those that a walk has met, run on symbols, in this thread.
+def tracing(namespaces: Iterable[dict[str, Any]] = (), cells: Iterable[CellType] = ()) -> Iterator[None]:
+    """Let laws run on symbols in this thread: the library's, and those whose code looks up these namespaces.
+
+    Parameters
+    ----------
+    namespaces : iterable of dict
+        Globals of the functions that are not the library's.
+    cells : iterable of cell
+        Variables that these functions close over.
 
     Raises
     ------
@@ -162,25 +107,24 @@ def tracing(parts: Iterable[Any] | Walk) -> Iterator[None]:
         If a law does what cannot be done with symbols; it names the line.
     """
     with _lock:
-        walk = parts if isinstance(parts, Walk) else Walk(parts)
+        known = sys.modules.items()
+        spaces = [vars(module) for name, module in list(known) if module is not None and _holds_laws(name)]
+        seen = {id(space) for space in spaces}
+        spaces += [space for space in namespaces if id(space) not in seen]
         changed = [
-            (names, name, value, other)
-            for names in walk.namespaces.values()
-            for name, value in names.items()
-            if (other := _replacement(value)) is not None
+            (space, name, value, _others[id(value)])
+            for space in spaces
+            for name, value in list(space.items())
+            if id(value) in _others
         ]
-        shut = [
-            (cell, cell.cell_contents, other)
-            for cell in walk.cells.values()
-            if (other := _replacement(cell.cell_contents)) is not None
-        ]
-        for names, name, _, other in changed:
-            names[name] = other
-        for cell, _, other in shut:
-            cell.cell_contents = other
+        shut = [(cell, value) for cell in cells if id(value := _content(cell)) in _others]
+        for space, name, _, other in changed:
+            space[name] = other
+        for cell, value in shut:
+            cell.cell_contents = _others[id(value)]
         _local.depth = getattr(_local, "depth", 0) + 1
         try:
-            with uncollected(), _by_their_laws(walk.modelled):
+            with uncollected():
                 yield
         except NotTraceable as error:
             if error.place:
@@ -197,10 +141,21 @@ def tracing(parts: Iterable[Any] | Walk) -> Iterator[None]:
             ) from error
         finally:
             _local.depth -= 1
-            for names, name, value, _ in changed:
-                names[name] = value
-            for cell, value, _ in shut:
+            for space, name, value, _ in changed:
+                space[name] = value
+            for cell, value in shut:
                 cell.cell_contents = value
+
+
+def _content(cell: CellType) -> Any:
+    try:
+        return cell.cell_contents
+    except ValueError:  # not set yet
+        return None
+
+
+def _holds_laws(name: str) -> bool:
+    return name.startswith("pinmobile.") and not name.startswith(_MACHINERY)
 
 
 def place_of(traceback: TracebackType | None) -> str:
@@ -237,125 +192,6 @@ def _told(code: CodeType, line: int) -> str:
     )
 
 
-class Walk:
-    """Everything that the code of some parts refers to by name, found by reading the code.
-
-    Attributes
-    ----------
-    namespaces : dict of int to dict
-        Globals of the functions, by identity.
-    cells : dict of int to cell
-        What functions close over.
-    closures : dict of int to (function, int)
-        A function that closes over a cell, and the cell's place in its closure.
-    names : dict of (int, str) to (mapping, str)
-        Where the code looks up what: globals, modules and classes.
-    modelled : list of type
-        Classes of things that have `traced`, whose own methods are no NumPy.
-    functions : list of function
-        Whose code it is.
-    kinds : dict of type to None
-        Classes that were met, in order.
-    """
-
-    def __init__(self, parts: Iterable[Any]) -> None:
-        self.seen: dict[int, Any] = {}
-        self.namespaces: dict[int, dict[str, Any]] = {}
-        self.cells: dict[int, CellType] = {}
-        self.closures: dict[int, tuple[FunctionType, int]] = {}
-        self.names: dict[tuple[int, str], tuple[Mapping[str, Any], str]] = {}
-        self.modelled: list[type] = []
-        self.functions: list[FunctionType] = []
-        self.kinds: dict[type, None] = {}
-        for part in parts:
-            self.visit(part)
-
-    @property
-    def is_ours(self) -> bool:
-        """Whether all that code is this library's, which asks nothing but its arguments."""
-        return all((f.__module__ or "").startswith(_OWN) for f in self.functions)
-
-    def _met(self, where: object, mapping: Mapping[str, Any], name: str) -> None:
-        self.names[id(where), name] = mapping, name
-
-    def visit(self, thing: object) -> None:
-        """Go through what a thing refers to, once."""
-        if id(thing) in self.seen or thing is None or isinstance(thing, str | int | float | np.ndarray):
-            return
-        self.seen[id(thing)] = thing  # kept, so that no other gets its id
-        if isinstance(thing, FunctionType):
-            self._function(thing)
-        elif isinstance(thing, MethodType):
-            self.visit(thing.__func__)
-            self.visit(thing.__self__)
-        elif isinstance(thing, functools.partial):
-            self.visit((thing.func, *thing.args, *thing.keywords.values()))
-        elif isinstance(thing, property):
-            self.visit(thing.fget)
-        elif isinstance(thing, staticmethod | classmethod):
-            self.visit(thing.__func__)
-        elif isinstance(thing, functools.cached_property):
-            self.visit(thing.func)
-        elif isinstance(thing, type):
-            self._class(thing)
-        elif isinstance(thing, list | tuple):
-            for each in thing:
-                self.visit(each)
-        elif isinstance(thing, dict):
-            for each in list(thing.values()):
-                self.visit(each)
-        elif not isinstance(thing, ModuleType):
-            if hasattr(type(thing), "traced") and type(thing) not in self.modelled:
-                self.modelled.append(type(thing))
-            self._class(type(thing))
-            own = getattr(thing, "__dict__", None)  # some answer to any name with something
-            for each in list(own.values()) if isinstance(own, dict) else ():
-                self.visit(each)
-
-    def _class(self, thing: type) -> None:
-        for each in thing.__mro__:
-            if each in self.kinds:
-                continue
-            self.kinds[each] = None
-            if _is_own(each.__module__, bool(each.__flags__ & _MADE_BY_CODE)):
-                own = vars(each)  # another object each time
-                for name, value in sorted(own.items(), key=itemgetter(0)):
-                    if not name.startswith("__") or name == "__call__":
-                        self._met(each, own, name)
-                    law = name != "__repr__" and not isinstance(value, type)
-                    if law and callable(getattr(value, "__get__", None)):
-                        self.visit(value)
-
-    def _function(self, function: FunctionType) -> None:
-        if hasattr(function, "__wrapped__"):
-            self.visit(function.__wrapped__)
-        if not _is_own(function.__module__ or "", True):
-            return
-        self.functions.append(function)
-        self.namespaces[id(function.__globals__)] = function.__globals__
-        for value in (*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values()):
-            self._named(value, function.__code__)
-        for place, cell in enumerate(function.__closure__ or ()):
-            with contextlib.suppress(ValueError):  # not set yet
-                self.visit(cell.cell_contents)
-                self.cells[id(cell)] = cell
-                self.closures[id(cell)] = function, place
-        for name in sorted(names_of(function.__code__)):
-            if name in function.__globals__:
-                self._met(function.__globals__, function.__globals__, name)
-                self._named(function.__globals__[name], function.__code__)
-
-    def _named(self, value: object, code: CodeType) -> None:
-        """Visit what a name stands for; of a module, what the code can mean in it."""
-        if isinstance(value, ModuleType):
-            if not is_foreign(value.__name__):
-                for name in sorted(names_of(code) & vars(value).keys()):
-                    self._met(value, vars(value), name)
-                    self.visit(vars(value)[name])
-        elif isinstance(value, _OPENED) or not is_foreign(type(value).__module__):
-            self.visit(value)
-
-
 @functools.lru_cache(4096)
 def names_of(code: CodeType) -> frozenset[str]:
     """Return the names that code and the code inside it look up: globals and attributes."""
@@ -363,12 +199,6 @@ def names_of(code: CodeType) -> frozenset[str]:
     return frozenset(code.co_names).union(*map(names_of, inner))
 
 
-def _is_own(module: str, is_code: bool) -> bool:
-    """Tell whether code of a module may be a law's; what `exec` runs without a name counts as builtins."""
-    return not is_foreign(module) or (is_code and module == "builtins")
-
-
 def is_foreign(module: str) -> bool:
-    """Tell whether a module holds no laws: NumPy, the standard library, the machinery here."""
-    own = module.startswith("pinmobile.compiled.") and module not in _LAWS
-    return own or module in _RUNS_LAWS or module.partition(".")[0] in _FOREIGN
+    """Tell whether a module holds no laws: NumPy, the standard library, and others that only compute."""
+    return module.partition(".")[0] in FOREIGN

@@ -11,12 +11,6 @@ from pinmobile.ensembles.distributions import (
 )
 from pinmobile.ensembles.engines import way_of as way_of
 from pinmobile.ensembles.outline import Outline, percent as percent
-from pinmobile.ensembles.parameters import (
-    GROUPS as GROUPS,
-    PARAMETERS,
-    resolved as resolved,
-    with_spread_forces as with_spread_forces,
-)
 from pinmobile.ensembles.records import (
     Member,
     Part,
@@ -44,7 +38,6 @@ from pinmobile.simulation import COMPILED, PYTHON, Engine
 
 __all__ = [
     "COMPILED",
-    "PARAMETERS",
     "PYTHON",
     "TRUE_MODEL",
     "Bands",

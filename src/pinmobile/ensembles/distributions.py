@@ -11,9 +11,8 @@ from zlib import crc32
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, affordable, finite, non_negative, scalar, whole
-from pinmobile.ensembles.parameters import Stated, resolved
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Parameter
+from pinmobile.parts import Found, Number
 
 
 @runtime_checkable
@@ -106,13 +105,13 @@ class Normal:
 class Same:
     """The same number as another one of the robot's, or a multiple of it.
 
-    ``{"mass": Uniform(20, 40), "model_mass": Same("mass")}`` tells the controller the true mass;
+    ``{"mass": Uniform(20, 40), "controller.mass": Same("mass")}`` gives the controller model the true mass;
     ``Same("mass", Normal(1, 0.1))`` a mass that is off by some 10 %.
 
     Parameters
     ----------
     name : str
-        Name of the other parameter, spread or not.
+        Name of the other number, spread or not.
     factor : float, array_like of shape (n,) or distribution
         What it is multiplied by.
     """
@@ -130,11 +129,31 @@ class Same:
             )
 
 
+@final
+@dataclass(frozen=True)
+class Relative:
+    """The nominal number times a factor: ``{"kp": Relative(Uniform(0.8, 1.2))}``; of an array all entries.
+
+    Parameters
+    ----------
+    factor : float, array_like of shape (n,) or distribution
+        Multiplies the nominal value.
+    """
+
+    factor: Distribution | ArrayLike
+
+    def __post_init__(self) -> None:
+        if isinstance(self.factor, Same | Relative):
+            raise InvalidArgument(
+                f"factor is {shown(self.factor)}, expected a number, numbers or a distribution"
+            )
+
+
 class _TrueModel(Mapping[str, Same]):
     """Read only as a view of a dict, and unlike it to be sent to other processes: it comes back as itself."""
 
     def __init__(self, names: Iterable[str]) -> None:
-        self._held = {f"model_{name}": Same(name) for name in names}
+        self._held = {f"controller.{name}": Same(f"plant.{name}") for name in names}
 
     def __getitem__(self, name: str) -> Same:
         return self._held[name]
@@ -152,10 +171,10 @@ class _TrueModel(Mapping[str, Same]):
         return "TRUE_MODEL"
 
 
-TRUE_MODEL: Mapping[str, Same] = _TrueModel(("mass", "yaw_inertia", "com_x", "com_y"))
-"""What tells a controller the truth about its robot: ``spread={"mass": Uniform(20, 40), **TRUE_MODEL}``."""
+TRUE_MODEL: Mapping[str, Same] = _TrueModel(("mass", "yaw_inertia", "com.x", "com.y"))
+"""Spread that gives the controller model each robot's numbers: ``{"mass": Uniform(20, 40), **TRUE_MODEL}``."""
 
-Source: TypeAlias = Distribution | Same | ArrayLike
+Source: TypeAlias = Distribution | Same | Relative | ArrayLike
 
 
 def _checked_generator(generator: object) -> np.random.Generator:
@@ -213,7 +232,11 @@ def drawn(name: str, source: Any, generator: np.random.Generator, size: int) -> 
     return draws
 
 
-def checked_spread(spread: Mapping[str, Source], n: int, known: Mapping[str, list[Stated]]) -> dict[str, Any]:
+Find: TypeAlias = Callable[..., Found]
+"""``find(name, where)`` returns what a name means, or raises."""
+
+
+def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str, Any]:
     """Return a spread whose names and sources are what is expected; arrays are checked and copied.
 
     Parameters
@@ -222,23 +245,23 @@ def checked_spread(spread: Mapping[str, Source], n: int, known: Mapping[str, lis
         As a user gives it.
     n : int
         Number of robots.
-    known : mapping
-        The parameters that there are, by name.
+    find : callable
+        See `Find`.
 
     Raises
     ------
     UnknownName
-        If there is no such parameter.
+        If there is no such number.
     InvalidArgument
         If a source is no distribution, number, array of shape (n,) or `Same`, or refers in a circle.
     """
     check_mapping(spread)
     found = {}
     for name, source in spread.items():
-        resolved(name, known)
+        find(name)
         found[name] = _checked(f"spread[{name!r}]", source, n)
         if isinstance(source, Same):
-            _follow(name, source, spread, known)
+            _follow(name, source, spread, find)
     return found
 
 
@@ -254,29 +277,55 @@ def check_mapping(spread: object) -> None:
         raise InvalidArgument(f"spread is {shown(spread)}, expected a mapping of parameters to distributions")
 
 
-def check_supports(spread: Mapping[str, Any], parameters: Mapping[str, Parameter]) -> None:
-    """Refuse distributions that reach below what is possible, whatever happens to be drawn.
+def check_supports(spread: Mapping[str, Any], found: Mapping[str, Found]) -> None:
+    """Refuse distributions that reach beyond the bounds of a number, whatever happens to be drawn.
 
     Raises
     ------
     InvalidArgument
-        If one does; the message tells the share of its draws.
+        If one does; the message gives the share of its draws.
     """
     for name, source in spread.items():
-        parameter = parameters[name]
-        told = isinstance(source, Uniform) or (hasattr(source, "rvs") and not hasattr(source, "sample"))
-        low = float(source.support()[0]) if told else np.nan
-        if np.isfinite(low) and low < parameter.least:
+        declared, one = found[name].leaf.declared, found[name]
+        known = isinstance(source, Uniform) or (hasattr(source, "rvs") and not hasattr(source, "sample"))
+        least = getattr(declared, "above", None)
+        least = getattr(declared, "lower", None) if least is None else least
+        if least is None or not known:
+            continue
+        low = float(source.support()[0])
+        if np.isfinite(low) and low < least:
             raise InvalidArgument(
-                f"spread[{name!r}] reaches {low:.6g} {parameter.unit} as the {parameter.meaning}, and "
-                f"{float(source.cdf(parameter.least)):.2%} of its draws are impossible; "
-                f"expected {parameter.bound}"
+                f"spread[{name!r}] reaches {low:.6g} {one.unit} as the {one.meaning}, and "
+                f"{float(source.cdf(least)):.2%} of its draws are impossible; "
+                f"expected {declared.bound}"  # type: ignore[attr-defined]
+            )
+
+
+def check_possible(draws: Mapping[str, Array], found: Mapping[str, Found]) -> None:
+    """Refuse draws out of the bounds of a number.
+
+    Raises
+    ------
+    InvalidArgument
+        If there are some; the message gives their share.
+    """
+    for name, column in draws.items():
+        one = found[name]
+        declared = one.leaf.declared
+        wrong = declared.beyond(column) if isinstance(declared, Number) else np.zeros(len(column), bool)
+        if wrong.any():
+            raise InvalidArgument(
+                f"spread[{name!r}] gives {column[wrong].min():.6g} {one.unit} as the "
+                f"{one.meaning}, and {np.count_nonzero(wrong)} of {len(column)} draws "
+                f"({wrong.mean():.2%}) are impossible; expected {declared.bound}"  # type: ignore[attr-defined]
             )
 
 
 def _checked(what: str, source: Any, n: int) -> Any:
     if isinstance(source, Same):
         return Same(source.name, _checked(f"{what}.factor", source.factor, n))
+    if isinstance(source, Relative):
+        return Relative(_checked(f"{what}.factor", source.factor, n))
     if isinstance(source, type):
         raise InvalidArgument(
             f"{what} is the class {source.__name__}, expected one of it, such as Uniform(1, 2)"
@@ -290,14 +339,15 @@ def _checked(what: str, source: Any, n: int) -> Any:
     return values.copy()
 
 
-def _follow(name: str, source: Same, spread: Mapping[str, Any], known: Mapping[str, list[Stated]]) -> None:
-    seen = [name]
+def _follow(name: str, source: Same, spread: Mapping[str, Any], find: Find) -> None:
+    paths, seen = {find(other).path: other for other in spread}, [find(name).path]
     while isinstance(source, Same):
-        resolved(source.name, known, f"spread[{seen[-1]!r}]")
-        seen.append(source.name)
-        if len(set(seen)) < len(seen):
-            raise InvalidArgument(f"spread goes in a circle: {' is the same as '.join(seen)}")
-        source = spread.get(source.name)  # type: ignore[assignment]
+        path = find(source.name, f"spread[{paths[seen[-1]]!r}]").path
+        if path in seen:
+            circle = ", ".join(paths[each] for each in (*seen, path))
+            raise InvalidArgument(f"spread is circular ({circle}): give one its own distribution")
+        seen.append(path)
+        source = spread.get(paths.get(path, ""))  # type: ignore[assignment]
 
 
 _BLOCK = 4096  # robots that are drawn from one stream of random numbers
@@ -305,13 +355,13 @@ _BLOCK = 4096  # robots that are drawn from one stream of random numbers
 
 def stream(seed: int, what: str, *where: int) -> np.random.SeedSequence:
     """Return the seed of a stream of its own for `what`, and for a robot or block of robots."""
-    return np.random.SeedSequence(seed, spawn_key=(crc32(what.encode()), *where))
+    return np.random.SeedSequence(seed, spawn_key=(crc32(what.replace(".", "_").encode()), *where))
 
 
-def draw(
-    spread: Mapping[str, Any], seed: int, start: int, stop: int, nominal: Mapping[str, float]
-) -> dict[str, Array]:
+def draw(spread: Mapping[str, Any], seed: int, start: int, stop: int, find: Find) -> dict[str, Array]:
     """Return the values of the robots from `start` to before `stop`, shape (stop - start,) each.
+
+    Of a `Relative` of an array these are the factors.
 
     Parameters
     ----------
@@ -321,34 +371,38 @@ def draw(
         The seed of the ensemble.
     start, stop : int
         Which robots.
-    nominal : mapping of str to float
-        The values of what is not spread, for `Same`.
+    find : callable
+        See `Find`.
 
     Raises
     ------
     InvalidArgument
-        If a distribution gives what is no number.
+        If a distribution gives something else than numbers.
     """
-    values: dict[str, Array] = {}
+    names, values = {find(name).path: name for name in spread}, dict[str, Array]()
 
-    def of(name: str) -> Array:
-        if name not in values:
-            if name not in spread:
-                if name not in nominal:
-                    raise InvalidArgument(
-                        f"spread refers to {name!r}, which has several numbers, expected one that has one"
-                    )
-                return np.full(stop - start, nominal[name])
-            source = spread[name]
+    def of(path: str, found: Found) -> Array:
+        if path not in values:
+            name = names.get(path)
+            source = None if name is None else spread[name]
             if isinstance(source, Same):
-                values[name] = of(source.name) * _values(f"{name} factor", source.factor, seed, start, stop)
+                other = find(source.name)
+                factor = _values(f"{name} factor", source.factor, seed, start, stop)
+                values[path] = of(other.path, other) * factor
+            elif isinstance(source, Relative):
+                factor = _values(f"{name} factor", source.factor, seed, start, stop)
+                values[path] = factor * (1.0 if found.is_array else found.value)
+            elif name is not None:
+                values[path] = _values(name, source, seed, start, stop)
+            elif found.is_array:
+                raise InvalidArgument(
+                    f"spread refers to {path!r}, which has several numbers, expected one that has one"
+                )
             else:
-                values[name] = _values(name, source, seed, start, stop)
-        return values[name]
+                return np.full(stop - start, found.value)
+        return values[path]
 
-    for name in spread:
-        of(name)
-    return {name: values[name] for name in spread}
+    return {name: of(find(name).path, find(name)) for name in spread}
 
 
 @dataclass(frozen=True)
@@ -373,6 +427,8 @@ def held(spread: Mapping[str, Any], start: int, stop: int) -> dict[str, Any]:
     def part(source: object) -> Any:
         if isinstance(source, Same):
             return Same(source.name, part(source.factor))
+        if isinstance(source, Relative):
+            return Relative(part(source.factor))
         if isinstance(source, np.ndarray) and source.ndim:
             return _Held(start, source[start:stop])
         return source

@@ -10,44 +10,25 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import (
-    BINS,
-    Parts,
-    Place,
-    Program,
-    Reference,
-    Summary,
-    arrays_of,
-    children,
-    derived,
-    initial_memory,
-    once,
-    program_of,
-    robot_keys,
-)
+from pinmobile.compiled import BINS, robot_keys
 from pinmobile.ensembles.records import Part, Records, bins_of, member_of
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import InvalidArgument, NotFinite, NotTraceable
+from pinmobile.loop._engines import in_python
+from pinmobile.loop._loop import Loop
+from pinmobile.loop._program import Compiled
+from pinmobile.loop._python import with_compiled_plant
+from pinmobile.loop._record import Worst
+from pinmobile.loop._trace import arrays_of, initial_memory
 from pinmobile.measures import measures_of
+from pinmobile.parts import evolved, replace as replaced
 from pinmobile.plant import Context
-from pinmobile.simulation import (
-    COMPILED,
-    PYTHON,
-    Engine,
-    checked_engine,
-    in_python,
-    sampled,
-    with_compiled_plant,
-)
+from pinmobile.simulation import COMPILED, PYTHON, Engine, checked_engine, sampled
+from pinmobile.trajectories import Reference
 
-_AT_ONCE = 4096  # robots on arrays
 _ONE_BY_ONE = 16  # robots between two reports of progress
-_STEP = 2e-5  # seconds of a step of one of many robots by Pinocchio, at least
-_ANSWER = 0.5  # seconds between two answers of a process that runs robots one after another, about
 _WORK = 2e7  # robots times samples that are compiled code's at once: some 0.3 s
 _SAMPLED = 1e6  # the same where each robot has a reference of its own: some 200 MB of them
-_ROWS = 4  # of three, rows could be taken for coordinates
-_CLOSE = 1e-9  # of the largest number: rounding, which may depend on how many rows there are
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,14 +43,14 @@ class Way:
         By which engine.
     why : str
         Why not compiled; "" where it is, or the engine was asked for.
-    program : Program or None
+    program : Compiled or None
         Its compiled loop.
     """
 
     scenario: Scenario
     engine: Engine
     why: str = ""
-    program: Program | None = None
+    program: Compiled | None = None
 
     def divided(self, start: int, stop: int) -> list[tuple[int, int]]:
         """Divide the robots so that progress is told and memory stays small."""
@@ -125,17 +106,17 @@ def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
         return Way(scenario, PYTHON, f"not COMPILED: {error.reason}")
 
 
-def _with_recorder(scenario: Scenario) -> Parts:
+def _with_recorder(scenario: Scenario, loop: Loop | None = None) -> Loop:
     begin = float(scenario.begin) if scenario.begin else None
-    parts = scenario.parts
-    stated = [one.name for one in measures_of(parts.plant)]
-    recorder = Summary(
+    loop = scenario.loop if loop is None else loop
+    stated = [one.name for one in measures_of(scenario.robot)]
+    recorder = Worst(
         limit=scenario.limit,
         begin=begin,
         distances=((0, 1), (2,), *((k,) for k in range(3, scenario.size))),
         measures=tuple((stated.index(one.name), one.is_margin) for one in scenario.judged),
     )
-    return Parts(parts.plant, parts.controller, parts.forces, parts.integrator, recorder, parts.substeps)
+    return evolved(loop, {"recorder": recorder})
 
 
 class _Blind:
@@ -158,133 +139,51 @@ def _context(scenario: Scenario) -> Any:
     return _Blind(scenario.context) if scenario.has_own_references else scenario.context
 
 
-def _values(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> dict[Place, Array]:
-    """Return what the loops of robots have of their own."""
-    values, places = scenario.values(draws, start, stop), set(scenario.places)
-    return {place: value for place, value in values.items() if place in places}
-
-
-def _moved(scenario: Scenario, place: Place) -> Parts:
-    """Return the parts of a scenario, made again with another value of one parameter."""
-    parts = scenario.parts
-    value = parts.on_arrays().parameters()[place]
-    return parts.with_parameters({place: value * 1.001 + 1e-6}, remade=True)
-
-
-def _starts_otherwise(scenario: Scenario, place: Place) -> bool:
-    """Tell whether a parameter changes what the parts keep before the first sample."""
-    before, after = (
-        arrays_of(initial_memory(parts.on_arrays(), scenario.context, scenario.size))
-        for parts in (scenario.parts, _moved(scenario, place))
-    )
+def _starts_otherwise(scenario: Scenario, path: str) -> bool:
+    """Tell whether a number changes what the parts keep before the first sample."""
+    value = np.asarray(scenario.find(path).leaf.value, np.float64)
+    loops = scenario.loop, replaced(scenario.loop, {path: value * 1.001 + 1e-6})
+    before, after = (arrays_of(initial_memory(loop, scenario.context)) for loop in loops)
     return any(not np.array_equal(one, other) for one, other in zip(before, after, strict=True))
 
 
-def _check_derived(scenario: Scenario) -> None:
-    """Refuse parts that derive something from a spread parameter when they are made, which a copy lacks.
-
-    Raises
-    ------
-    NotTraceable
-        If there is one.
-    """
-    for stated in scenario.stated.values():
-        place = stated.place
-        if place not in scenario.places:
-            continue
-        # A part may derive of what stands in it, too; one that has `traced` is traced as it is then.
-        way = scenario.parts.on_the_way(place.path)
-        asked = [(path, part) for path, part in way if not hasattr(part, "traced")]
-        if not asked:
-            continue
-        try:
-            moved = _moved(scenario, place)
-        except InvalidArgument:
-            continue  # a value beside the nominal one is not allowed
-        for path, part in asked:
-            *_, (_, other) = moved.on_the_way(path)
-            inner = {name.partition("[")[0] for name, _ in children(part)}
-            name = derived(part, other, inner | ({place.name} if path == place.path else set()))
-            if name:
-                raise NotTraceable(
-                    f"{path}, a {type(part).__name__}, makes {name} of {place.name} once",
-                    "compute it in the law",
-                )
-
-
-def _is_alone(scenario: Scenario) -> bool:
-    """Tell whether there is one robot, whose code takes two thirds of the time where it fills no vectors."""
-    return scenario.n == 1
-
-
-def _as_compiled(scenario: Scenario) -> Program:
-    begins = scenario.begin > 0
-    return once(  # type: ignore[no-any-return]
-        scenario._memory_now(),
-        ("program", tuple(scenario.spread), begins, _is_alone(scenario), *scenario._told),
-        lambda: _program(scenario),
-    )
-
-
-def _check_judged(scenario: Scenario) -> None:
-    """Refuse a plant whose measures differ from those of what is run in its place.
-
-    Raises
-    ------
-    NotTraceable
-        If it is such.
-    """
-    plant = scenario.parts.plant
-    if scenario.judged and measures_of(scenario.parts.on_arrays().plant) != measures_of(plant):
-        raise NotTraceable(
-            f"plant, a {type(plant).__name__}, states measures that what its traced() returns does not",
-            "give that the same measures",
-        )
-
-
-def _program(scenario: Scenario) -> Program:
-    _check_judged(scenario)
-    _check_derived(scenario)
-    parts, at = _with_recorder(scenario), Reference(*(part[0] for part in scenario.reference))
-    program = program_of(
-        *(parts, _context(scenario), scenario.start, at),
-        dt=scenario.dt,
-        spread=scenario.places,
-        single=_is_alone(scenario),
+def _as_compiled(scenario: Scenario) -> Compiled:
+    at = Reference(*(part[0] for part in scenario.reference))
+    compiled = Compiled(
+        *(_with_recorder(scenario), _context(scenario), scenario.start, at),
+        spread=scenario.entries,
+        single=scenario.n == 1,  # code for one takes two thirds of the time where it fills no vectors
         own_reference=scenario.has_own_references,
     )
-    unused = set(program.loop.unused)
-    for name, stated in scenario.stated.items():
-        # What the plant has may not matter to one run, as the mass of what nobody pushes; it is its own.
-        place = stated.place
-        if stated.path != "plant" and place in unused and not _starts_otherwise(scenario, place):
-            of = f", {stated.parameter.meaning}" if stated.parameter.meaning else ""
+    unused = set(compiled.tape.unused)
+    for name, one in scenario.found.items():
+        # The plant's may not matter to one run, as the mass of what nobody pushes; it is its own.
+        path = one.leaf.path
+        if not path.startswith("plant.") and path in unused and not _starts_otherwise(scenario, path):
             raise InvalidArgument(
-                f"spread has {name!r}{of}, which no law of this loop uses, expected a parameter that matters"
+                f"spread has {name!r}, {one.meaning}, which no law of this loop uses, expected a number that "
+                "matters"
             )
-    return program
+    return compiled
 
 
 def _compiled(way: Way, draws: Mapping[str, Array], start: int, stop: int, threads: int) -> Part:
     scenario, program = way.scenario, way.program
     assert program is not None
-    keys = {name: robot_keys(scenario.seed, name, range(start, stop)) for name in program.loop.keys}
+    keys = {name: robot_keys(scenario.seed, name, range(start, stop)) for name in program.tape.keys}
     own = scenario.references(draws, stop - start, start)
+    values = scenario.values(draws, start, stop)
     outcome = program.run(
-        _with_recorder(scenario),
-        _context(scenario),
         scenario.starts(draws, stop - start, own),
         scenario.t,
         Reference(*scenario.reference),
-        dt=scenario.dt,
-        tracks=None if own is None else Reference(*own),
-        values=_values(scenario, draws, start, stop),
+        tracks=own,
+        values={path: value for path, value in values.items() if path in scenario.entries},
         keys=keys,
         every=scenario.stride,
         threads=threads,
-        memory=scenario._memory,
     )
-    return Part.of(scenario, outcome.memory.recorder, outcome.counts)
+    return Part.of(scenario, program.recorded(outcome), outcome.counts)
 
 
 def _in_python(way: Way, draws: Mapping[str, Array], start: int, stop: int) -> Part:
@@ -312,28 +211,24 @@ def _alone(scenario: Scenario, draws: Mapping[str, Array], i: int, *, compiles: 
         member.robot, dt=scenario.dt, t=scenario.t, reference=reference, trajectory=member.trajectory
     )
     context = replace(context, seed=scenario.seed, member=i)
-    parts = replace(
-        _with_recorder(scenario),
-        plant=member.robot,
-        controller=member.controller,
-        forces=member.options["forces"],
-    )
+    parts = member.robot, member.controller, member.trajectory, member.options["forces"]
+    loop = _with_recorder(scenario, Loop(*parts, scenario.integrator, scenario.substeps))
     q, v = (np.array(member.options[name], np.float64) for name in ("q0", "v0"))
     if compiles:
         with contextlib.suppress(NotTraceable):
-            parts = with_compiled_plant(parts, context, q, v)
-    record = parts.recorder.initial_state(scenario.size, parts.plant.nu)
+            loop = with_compiled_plant(loop, context, q, v)
+    record = loop.recorder.initial_state(scenario.size, loop.plant.nu)
     counts = np.zeros((len(scenario.grid), len(scenario.channels), BINS), np.int32)
     counts[..., -1] = 1  # of a robot that has diverged
     for channel, one in enumerate(scenario.channels):
         if one.is_margin:
             counts[:, channel] = np.eye(BINS, dtype=np.int32)[0]
     with np.errstate(all="ignore"), contextlib.suppress(NotFinite):
-        for k, found in enumerate(in_python(parts, context, q, v)):
-            record = found.record.state
+        for k, (_, found) in enumerate(in_python(loop, context, q, v)):
+            record = found.state
             if not record["alive"]:
                 break
             if k % scenario.stride == 0:
-                sizes = bins_of(np.array(found.record.counted, np.float64))
+                sizes = bins_of(np.array(found.counted, np.float64))
                 counts[k // scenario.stride] = np.eye(BINS, dtype=np.int32)[sizes]
     return Part.of(scenario, {name: np.asarray(x)[None] for name, x in record.items()}, counts)

@@ -19,6 +19,7 @@ from pinmobile.controllers import Controller
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.measures import value_of
+from pinmobile.parts import replace
 from pinmobile.trajectories import Trajectory
 
 _ROUNDING = 4 * float(np.finfo(np.float64).eps)  # of a share such as 0.07, and of its product with a count
@@ -127,8 +128,9 @@ def member_of(scenario: Scenario, i: int, drawn: Mapping[str, Array] | None = No
         What was drawn for it.
     """
     draws = scenario.draws(i, i + 1) if drawn is None else drawn
-    values = {place: value[0] for place, value in scenario.values(draws, i, i + 1).items()}
-    parts = scenario.parts.with_parameters(values, remade=True)
+    values = scenario.values(draws, i, i + 1).items()
+    own_values = {path: value[0] for path, value in values if not path.startswith("start")}
+    loop = replace(scenario.loop, own_values)
     own = scenario.references(draws, 1, i)
     q, v = scenario.starts(draws, 1, own)
     options = {
@@ -138,12 +140,12 @@ def member_of(scenario: Scenario, i: int, drawn: Mapping[str, Array] | None = No
         "v0": v[0],
         "integrator": scenario.integrator,
         "substeps": scenario.substeps,
-        "forces": parts.forces,
+        "forces": loop.forces,
         "limit": scenario.limit,
     }
     if scenario.is_noisy:
         options |= {"seed": scenario.seed, "member": i}
-    return Member(parts.plant, parts.controller, parts.trajectory, options)
+    return Member(loop.plant, loop.controller, loop.trajectory, options)
 
 
 def edges() -> Array:

@@ -12,41 +12,38 @@ from zlib import crc32
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, affordable, finite, positive, scalar, whole
-from pinmobile.compiled import (
-    BINS,
-    Noise,
-    Parts,
-    Place,
-    check_made_again,
-    children,
-    initial_memory,
-    memory_of,
-    once,
-)
+from pinmobile.compiled import BINS, Noise
 from pinmobile.ensembles.distributions import (
+    Relative,
     Source,
     check_mapping,
+    check_possible,
     check_supports,
     checked_spread,
     draw,
     held,
     in_blocks,
 )
-from pinmobile.ensembles.parameters import (
-    Stated,
-    check_possible,
-    check_together,
-    nominal_of,
-    resolved,
-    start_parameters,
-    stated_by,
-    with_spread_forces,
-    written,
-)
 from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator
+from pinmobile.loop._identity import is_traced
+from pinmobile.loop._loop import Loop
+from pinmobile.loop._trace import initial_memory
 from pinmobile.measures import Measure, channels_of, check_measured, chosen
+from pinmobile.parts import (
+    Constrained,
+    Found,
+    Whole,
+    able,
+    find,
+    named,
+    parts_of,
+    replace as replaced,
+    spread_entries,
+    spread_values,
+    walk,
+)
 from pinmobile.plant import Context, Coordinate, Input, Parameter
 from pinmobile.simulation import (
     Plant,
@@ -77,7 +74,7 @@ class Scenario:
     ----------
     robot : MobileRobot or other plant
         The nominal one. Loads that are attached to a robot without arms are part of its body; with arms,
-        they, each link and motor, and where arms stand may be spread, see `MobileRobot.parameters`.
+        they, each link and motor, and where arms stand may be spread.
     controller : controller
         As in `simulate`.
     trajectory : trajectory
@@ -86,12 +83,10 @@ class Scenario:
     n : int
         Number of robots.
     spread : mapping of str to Distribution, number or array of shape (n,)
-        What differs, by the names of the parameters that the parts state; of the library's own, see
-        `PARAMETERS`. Where two parts have one of a name, the part is named too:
-        ``"forces[1].viscous_forward"``. What is not named is nominal; the controller believes in its own
-        robot unless ``model_mass`` and the like are named (`TRUE_MODEL`: it knows the truth). A constant
-        force, friction or rolling resistance that is named and not there is added, and a sinusoidal force
-        where ``sine_frequency`` is named.
+        Numbers that differ, by path: ``"plant.mass"``, ``"forces.0.force.x"``, ``"controller.kp"``,
+        ``"trajectory.path.radius"``, ``"start.x"``; the end of a path is enough, ``"mass"`` (the plant's first,
+        then the nearest to the loop). All others are nominal; the controller model has its own numbers unless
+        ``"controller.mass"`` and the like are named (`TRUE_MODEL`: each robot's).
     seed : int
         All draws follow from it; robot i's do not depend on n.
     dt, duration, integrator, substeps, forces, limit
@@ -141,7 +136,7 @@ class Scenario:
             )
         dt = positive("dt", self.dt, "s")
         check_mapping(self.spread)
-        self._set(forces=with_spread_forces(checked_forces(self.forces, self.robot), self.spread))
+        self._set(forces=checked_forces(self.forces, self.robot))
         duration = None if self.duration is None else positive("duration", self.duration, "s")
         t = sample_times(dt, duration, self.trajectory.duration)
         every = max(1, round((len(t) - 1) / _GRID)) if self.every is None else whole("every", self.every)
@@ -156,7 +151,7 @@ class Scenario:
             every=every,
             t=t,
         )
-        self._set(reference=sampled(self.trajectory, t, self.robot, self._memory))
+        self._set(reference=sampled(self.trajectory, t, self.robot))
         affordable(
             f"the bands of {len(self.grid):,} times, every {every} samples,",
             (1 + len(self.channels)) * BINS * len(self.grid),
@@ -165,65 +160,41 @@ class Scenario:
         own = 3 + 2 * self.size + len(self.inputs) + 2 * len(self.judged) + len(self.spread)
         affordable(f"the records of {n:,} robots", own * n, "give a smaller n")
         try:
-            self._set(spread=checked_spread(self.spread, n, self.known))
+            self._set(spread=checked_spread(self.spread, n, self.find))
         except UnknownName as error:
             self._refuse_shared(str(error.name))
             raise
-        check_supports(self.spread, self.parameters)
-        once(self._memory, ("made again", *sorted(self.spread)), self._check_made_again)
-        once(self._memory, ("answers", *self._told), self._check_answers)
+        check_supports(self.spread, self.found)
+        self._check_answers()
+
+    def find(self, name: str, where: str = "spread") -> Found:
+        """Return what a name of the spread means: see `pinmobile.parts.find`."""
+        return find(self._given, name, self._known, where)
+
+    @cached_property
+    def _known(self) -> dict[str, Found]:
+        return named(self._given)
 
     def _refuse_shared(self, name: str) -> None:
-        """Refuse a spread of what a part has and all robots share, such as the samples of a delay."""
-        parts = list(self._given.by_path())
-        for path, part in parts:  # and those within them
-            own = name.removeprefix(f"{path}.")
-            if own.isidentifier() and isinstance(getattr(part, own, None), int | np.integer):
+        """Refuse a spread of a whole number, such as the samples of a delay, which all robots share."""
+        for leaf in walk(self._given):
+            if isinstance(leaf.declared, Whole) and f".{leaf.path}".endswith(f".{name}"):
                 raise InvalidArgument(
-                    f"spread has {name!r}, a whole number of {path}, a {type(part).__name__}, which all "
+                    f"spread has {name!r}, a whole number of a {type(leaf.owner).__name__}, which all "
                     "robots of an ensemble share: run one ensemble for each value, or a sweep over them"
                 )
-            parts += [(f"{path}.{child}", each) for child, each in children(part)]
 
-    def _check_made_again(self) -> bool:
-        """Refuse parts with a spread parameter that keep what may follow from it and cannot be made again."""
-        for path, name in (one.place for one in self.stated.values() if one.path):
-            check_made_again(path, self._given.at(path), [name])
-        return True
-
-    def _check_answers(self) -> bool:
+    def _check_answers(self) -> None:
         """Refuse parts whose answers have other shapes than they should, or are others when asked again."""
         h = self.dt / self.substeps
         if self.judged:
             check_measured(self.robot, *self._beginning(self.robot), self.reference)
         check_answers(self.robot, self.forces, self.integrator, *self._beginning(self.robot), h)
-        q, v = self.start
-        check_controllers_memory(self.controller, self.context, q, v)
-        for k, force in enumerate(self.forces):
-            shape = np.shape(_asked(force, self._on_arrays.plant, q, v))
-            if len(shape) != 1:
-                raise InvalidArgument(
-                    f"forces[{k}] gives shape {shape} for one robot, expected (3,): "
-                    "name in spread what differs"
-                )
-        return True
+        check_controllers_memory(self.controller, self.context, *self.start)
 
     def _set(self, **values: object) -> None:
         for name, value in values.items():
             object.__setattr__(self, name, value)
-
-    @property
-    def _told(self) -> tuple[object, ...]:
-        """What its laws may ask for beside the parts: substeps, times and the seed."""
-        return self.substeps, self.dt, len(self.t), float(self.t[-1]), self.seed, self.judged
-
-    def _memory_now(self) -> dict[Any, Any]:
-        """Return where what follows from its parts is remembered as long as they stay; see `memory_of`."""
-        return memory_of(self._given, self.trajectory)
-
-    @cached_property
-    def _memory(self) -> dict[Any, Any]:
-        return self._memory_now()
 
     def __getstate__(self) -> dict[str, object]:
         # What is made of the fields is made again.
@@ -253,18 +224,9 @@ class Scenario:
         return replace(context, seed=self.seed)
 
     @cached_property
-    def _given(self) -> Parts:
-        own = self.robot, self.controller, tuple(self.forces), self.integrator
-        return Parts(*own, None, self.substeps, self.trajectory)
-
-    @cached_property
-    def _on_arrays(self) -> Parts:
-        return self._given.on_arrays()
-
-    @cached_property
-    def known(self) -> dict[str, list[Stated]]:
-        """What its parts and its start state, by name, and by path and name; what a spread may name."""
-        return once(self._memory, "known", lambda: stated_by(self._on_arrays, self._coordinates))  # type: ignore[no-any-return]
+    def _given(self) -> Loop:
+        parts = self.robot, self.controller, self.trajectory, tuple(self.forces), self.integrator
+        return Loop(*parts, self.substeps)
 
     @cached_property
     def _coordinates(self) -> tuple[Coordinate, ...]:
@@ -292,34 +254,39 @@ class Scenario:
         return channels_of(self.coordinates, self.judged)
 
     @cached_property
-    def stated(self) -> dict[str, Stated]:
-        """What is spread, by name, and the part that has it."""
-        return {name: resolved(name, self.known) for name in self.spread}
+    def found(self) -> dict[str, Found]:
+        """Numbers that are spread, by the names of the spread."""
+        return {name: self.find(name) for name in self.spread}
 
     @cached_property
-    def _in_order(self) -> dict[str, Stated]:
-        """Return `stated` in the order in which parts state it."""
-        return {name: self.stated[name] for name in sorted(self.stated, key=list(self.known).index)}
+    def loop(self) -> Loop:
+        """The loop; numbers that are spread have the shape that they take for each robot."""
+        ones = {name: np.ones(1) for name in self.spread}
+        grown = {
+            path: value[0]
+            for path, value in self._spread_values(ones, 1).items()
+            if value.shape[1:] != np.shape(self._known[path].leaf.value) or self._known[path].leaf.value is None
+        }
+        nominal = {path: np.broadcast_to(self._nominal(path), np.shape(new)) for path, new in grown.items()}
+        return replaced(self._given, nominal) if nominal else self._given
 
-    @cached_property
-    def parts(self) -> Parts:
-        """The parts of its loop; what is spread has the shape that it takes for each robot."""
-        grown = once(self._memory, ("grown", tuple(self.spread)), self._grown)
-        given = self._given.with_parameters(grown, remade=True) if grown else self._given
-        stated = [one for one in self.stated.values() if one.path]
-        return given.varying((one.place, one.parameter.entry) for one in stated)
+    def _nominal(self, path: str) -> Any:
+        value = self._known[path].leaf.value
+        return 1.0 if value is None else value
 
-    def _grown(self) -> dict[Place, Array]:
-        """Return the attributes that take another shape when they are spread."""
-        values = self._on_arrays.parameters()
-        draws = {name: np.array([self.nominal.get(name, 1.0)]) for name in self.spread}
-        wanted = written(self._in_order, draws, values, 1, self.size)
-        return {place: one[0] for place, one in wanted.items() if one.shape[1:] != values[place].shape}
+    def _spread_values(self, draws: Mapping[str, Array], count: int) -> dict[str, Array]:
+        """Return the numbers of robots that are spread, shape (count, ...), by path."""
+        factors = {name for name, source in self.spread.items() if isinstance(source, Relative)}
+        columns = [
+            (one, draws[name], name in factors and one.entry is None and one.is_array)
+            for name, one in self.found.items()
+        ]
+        return spread_values(columns, count, self.size)
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """What is spread, by name."""
-        return {name: stated.parameter for name, stated in self.stated.items()}
+        """Name, unit and meaning of what is spread, by name."""
+        return {name: Parameter(name, one.unit, one.meaning) for name, one in self.found.items()}
 
     @cached_property
     def is_noisy(self) -> bool:
@@ -330,13 +297,13 @@ class Scenario:
             asked.append(name)
             return Noise(0, n)
 
-        initial_memory(self.parts.on_arrays(), self.context, self.size, normal=normal)
+        initial_memory(self.loop, self.context, normal=normal)
         return bool(asked)
 
     @property
     def has_own_references(self) -> bool:
         """Whether a parameter of the trajectory is spread, so that each robot has a reference of its own."""
-        return any(one.is_of_trajectory for one in self.stated.values())
+        return any(one.path.startswith("trajectory.") for one in self.found.values())
 
     def references(self, draws: Mapping[str, Array], count: int, first: int = 0) -> Reference | None:
         """Return each robot's own reference, q, v and a of shape (N + 1, count, ...), or None.
@@ -355,17 +322,16 @@ class Scenario:
         """
         if not self.has_own_references:
             return None
-        alone = Parts(None, None, trajectory=self.parts.trajectory)
-        own = written(self._in_order, draws, alone.parameters(), count, self.size)
+        every = self._spread_values(draws, count).items()
+        own = {path.removeprefix("trajectory."): x for path, x in every if path.startswith("trajectory.")}
         known: dict[bytes, Reference] = {}
         found = Reference(*(np.empty((len(self.t), count, part.shape[1])) for part in self.reference))
         for i in range(count):
-            values = {place: value[i] for place, value in own.items()}
-            key = b"".join(value.tobytes() for value in values.values())
+            values = {path: value[i] for path, value in own.items()}
+            key = b"".join(np.asarray(value).tobytes() for value in values.values())
             try:
                 if key not in known:
-                    made = alone.with_parameters(values, remade=True).trajectory
-                    known[key] = self._sampled(made)
+                    known[key] = self._sampled(replaced(self.trajectory, values))
             except InvalidArgument as error:
                 raise InvalidArgument(f"robot {first + i}: {error}") from error
             for rows, part in zip(found, known[key], strict=True):
@@ -386,40 +352,37 @@ class Scenario:
             )
         return reference
 
-    @property
-    def places(self) -> tuple[Place, ...]:
-        """What each robot's loop has of its own: attributes that are spread, and those that it draws."""
-        spread = [one.place for one in self.stated.values() if one.path and not one.is_of_trajectory]
-        return tuple(dict.fromkeys([*spread, *self._drawn]))
-
     @cached_property
-    def _drawn(self) -> dict[Place, Any]:
-        """The attributes that each robot draws, and the parts that draw them."""
-        parts = self._given.by_path()
-        return {Place(path, name): part for path, part in parts for name in getattr(part, "drawn", ())}
+    def _drawn(self) -> dict[str, Any]:
+        """Numbers that each robot draws whatever is spread, by path, and the parts that draw them."""
+        found = parts_of(self._given)
+        return {f"{path}.{name}": part for path, part in found for name in getattr(part, "drawn", ())}
 
-    def values(self, draws: Mapping[str, Array], start: int, stop: int) -> dict[Place, Array]:
-        """Return what the robots from `start` to before `stop` have of their own, shape (stop - start, ...).
+    def values(self, draws: Mapping[str, Array], start: int, stop: int) -> dict[str, Array]:
+        """Return the numbers of the robots from `start` to before `stop`, shape (stop - start, ...), by path.
 
         Parameters
         ----------
         draws : mapping of str to ndarray, shape (stop - start,)
-            What `draws` gives for them.
+            Of these robots, see `draws`.
         start, stop : int
             Which robots.
-
-        Returns
-        -------
-        values : dict of Place to ndarray
-            Those of the trajectory too, which is no part of the loop.
         """
-        nominal = self.parts.on_arrays().parameters()
-        found = written(self._in_order, draws, nominal, stop - start, self.size)
-        for place, part in self._drawn.items():
-            stream = f"{place.path} of {crc32(part.stream)}"
-            own = partial(_drawn_by, part, place.name)
-            found[place] = in_blocks(stream, own, self.seed, start, stop)
+        found = self._spread_values(draws, stop - start)
+        for path, part in self._drawn.items():
+            where, _, name = path.rpartition(".")
+            stream = f"{_numbered(where)} of {crc32(part.stream)}"
+            found[path] = in_blocks(stream, partial(_drawn_by, part, name), self.seed, start, stop)
         return found
+
+    @cached_property
+    def entries(self) -> dict[str, Any]:
+        """Which entries of the numbers of the loop's law differ from robot to robot, by path."""
+        ones = {name: np.ones(1) for name in self.spread}
+        found = spread_entries(list(self.found.values()), self._spread_values(ones, 1))
+        kept = {path: x for path, x in found.items() if is_traced(path)}
+        known = {leaf.path: leaf.value for leaf in walk(self._given)}
+        return kept | {path: np.ones(np.shape(known[path]), bool) for path in self._drawn}
 
     def starts(
         self, draws: Mapping[str, Array], count: int, references: Reference | None = None
@@ -435,41 +398,33 @@ class Scenario:
         references : Reference, optional
             Their own, as `references` returns them.
         """
-        plant = self.parts.on_arrays().plant
-        names = once(self._memory, "starts", lambda: [x.name for x in start_parameters(self._coordinates)])
-        off = np.zeros((2, count, plant.nv))
-        for k, name in enumerate(names):
-            if name in draws:
-                off[k // plant.nv, :, k % plant.nv] = draws[name]
+        plant, values = self.robot, self._spread_values(draws, count)
+        none = np.zeros((count, plant.nv))
+        off, rates = values.get("start", none), values.get("start_rate", none)
         if references is None:
             q, v = self.start
-            return self._rolled(draws, _moved(plant, q, off[0]), v + off[1], off)
+            return self._rolled(values, _moved(plant, q, off), v + rates)
         firsts = (Reference(*(part[0, i] for part in references)) for i in range(count))
         begun = [self._beginning(plant, at) for at in firsts]
-        moved = [plant.integrate(q, dq) for (q, _), dq in zip(begun, off[0], strict=True)]
-        return self._rolled(draws, np.array(moved, np.float64), np.array([v for _, v in begun]) + off[1], off)
+        moved = [plant.integrate(q, dq) for (q, _), dq in zip(begun, off, strict=True)]
+        return self._rolled(values, np.array(moved, np.float64), np.array([v for _, v in begun]) + rates)
 
-    def _rolled(self, draws: Mapping[str, Array], q: Array, v: Array, off: Array) -> tuple[Array, Array]:
+    def _rolled(self, values: Mapping[str, Array], q: Array, v: Array) -> tuple[Array, Array]:
         """Return starts with the velocities that each robot's constraints, such as rolling, leave."""
-        parts = self.parts.on_arrays()
-        if not hasattr(parts.plant, "project"):
+        project = able(self.robot, Constrained)
+        own = {path: value for path, value in values.items() if path.startswith("plant.")}
+        if project is None or not (own or values.keys() & {"start", "start_rate"}):
             return q, v
-        values = written(self._in_order, draws, parts.parameters(), len(q), self.size)
-        own = {place: value for place, value in values.items() if place.path.partition(".")[0] == "plant"}
-        if not (own or off.any()):
-            return q, v
-        if getattr(parts.plant, "broadcasts", False):
-            return q, np.asarray(parts.with_parameters(own).plant.project(q, v), np.float64)
         found = []
         for k, row in enumerate(zip(q, v, strict=True)):
-            mine = {place: value[k] for place, value in own.items()}
-            found.append(parts.with_parameters(mine, remade=True).plant.project(*row))
+            plant = replaced(self.loop, {path: value[k] for path, value in own.items()}).plant
+            found.append(plant.project(*row))
         return q, np.array(found, np.float64)
 
     @property
     def start(self) -> tuple[Array, Array]:
         """Where the nominal robot starts, shape (nq,) and (nv,)."""
-        q, v = once(self._memory, "start", lambda: self._beginning(self.parts.on_arrays().plant))
+        q, v = self._beginning(self.robot)
         return np.array(q, np.float64), np.array(v, np.float64)
 
     def _beginning(self, plant: Plant, at: Reference | None = None) -> tuple[Array, Array]:
@@ -484,11 +439,6 @@ class Scenario:
     def grid(self) -> Array:
         """Times of the bands, shape (G,) [s]."""
         return self.t[:: self.stride]
-
-    @cached_property
-    def nominal(self) -> dict[str, float]:
-        """The values of the parameters, as far as each is one number."""
-        return once(self._memory, "nominal", lambda: nominal_of(self.known, self._on_arrays.parameters()))  # type: ignore[no-any-return]
 
     def holding(self, start: int, stop: int) -> Scenario:
         """Return what another process needs of this to run the robots from `start` to before `stop`.
@@ -515,10 +465,30 @@ class Scenario:
         first, last = whole("start", start, least=0), self.n if stop is None else whole("stop", stop)
         if not first < last <= self.n:
             raise InvalidArgument(f"start is {first} and stop {last}, expected 0 <= start < stop <= {self.n}")
-        values = draw(self.spread, self.seed, first, last, self.nominal)
-        check_possible(values, self.stated)
-        check_together(values, self._in_order, self.parts.on_arrays(), last - first, self.size)
+        values = draw(self.spread, self.seed, first, last, self.find)
+        check_possible(values, self.found)
+        self._check_together(values, last - first)
         return values
+
+    def _check_together(self, draws: Mapping[str, Array], count: int) -> None:
+        """Refuse draws whose numbers are possible one by one but not together, as a part's `impossible` says.
+
+        Raises
+        ------
+        InvalidArgument
+            If there are some; the message gives their share.
+        """
+        owners = {one.leaf.path.rpartition(".")[0]: one.leaf.owner for one in self.found.values()}
+        judges = {path: owner for path, owner in owners.items() if hasattr(owner, "impossible")}
+        values = self._spread_values(draws, count) if judges else {}
+        for path, owner in judges.items():
+            own = {at.rpartition(".")[2]: x for at, x in values.items() if at.rpartition(".")[0] == path}
+            wrong, expected = owner.impossible(own)
+            if wrong.any():
+                raise InvalidArgument(
+                    f"spread gives {path} in {np.count_nonzero(wrong)} of {count} draws ({wrong.mean():.2%}) "
+                    f"an inertia that no body has, {expected}"
+                )
 
 
 def checked_scenario(scenario: object) -> Scenario:
@@ -557,10 +527,10 @@ def _drawn_by(part: Any, name: str, generator: np.random.Generator, count: int) 
     return np.asarray(part.draw(generator, count)[name])
 
 
-def _asked(force: Force | CoordinateForce, plant: Any, q: Array, v: Array) -> ArrayLike:
-    if hasattr(force, "on_coordinates"):
-        return force.on_coordinates(0.0, q.copy(), v.copy())
-    return force(0.0, plant.pose(q).copy(), plant.rate(q, v).copy())
+def _numbered(path: str) -> str:
+    """Return the path of a force as the streams of random numbers name it."""
+    first, _, rest = path.partition(".")
+    return f"{first}[{rest}]" if rest.isdigit() else path
 
 
 def _moved(plant: Plant, q: Array, displacements: Array) -> Array:

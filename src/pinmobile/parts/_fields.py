@@ -69,6 +69,8 @@ class Number(Field):
         Whether all robots of an ensemble have the same, which the compiled loop takes for a constant.
     endless : bool
         Whether infinity is allowed.
+    optional : bool
+        Whether None is allowed, in place of a number.
     """
 
     unit: str = ""
@@ -79,6 +81,7 @@ class Number(Field):
     labels: tuple[str, ...] | Callable[[Any], Sequence[str]] = ()
     fixed: bool = False
     endless: bool = False
+    optional: bool = False
 
     @property
     def bound(self) -> str:
@@ -88,7 +91,7 @@ class Number(Field):
 
     def checked(self, name: str, value: Any) -> Any:
         """Return a float, or a read-only array; symbols as they are."""
-        if is_symbolic(value):
+        if is_symbolic(value) or (value is None and self.optional):
             return value
         array = (endless_or_finite if self.endless else finite)(name, value)
         if not any(_fits(array.shape, shape) for shape in self.shapes):
@@ -201,9 +204,11 @@ def number(
     upper: float | None = None,
     fixed: bool = False,
     endless: bool = False,
+    optional: bool = False,
 ) -> Any:
     """Declare a number: see `Number`."""
-    return declare(Number(doc, unit, above, lower, upper, fixed=fixed, endless=endless), default)
+    bounds = above, lower, upper
+    return declare(Number(doc, unit, *bounds, fixed=fixed, endless=endless, optional=optional), default)
 
 
 def array(
@@ -328,6 +333,10 @@ def fields_of(part: Any) -> list[tuple[str, Field, Any]]:
 
     The fields of a user's plain frozen dataclass are what their values are: floats and arrays are numbers.
     """
+    if hasattr(type(part), "traced"):  # LEGACY
+        body = part.traced()
+        names = dict.fromkeys(each.attribute or each.name for each in part.parameters)
+        return [(n, Number(shapes=((), ("n",))), getattr(body, n)) for n in names]
     values = ((name, declared, getattr(part, name)) for name, declared in _declared(type(part)))
     return [(name, declared or _seen(value), value) for name, declared, value in values]
 
@@ -351,6 +360,19 @@ def _is_number(value: object) -> bool:
 
 def evolved(part: _T, changes: Mapping[str, Any]) -> _T:
     """Return a part with other values of some fields, checked as those of a new one."""
+    if hasattr(type(part), "traced"):  # LEGACY
+        if not any(map(is_symbolic, changes.values())):
+            return part.with_parameters(**changes)
+        import copy
+
+        new = copy.copy(part.traced())
+        for each in type(new).__mro__:
+            for name, value in vars(each).items():
+                if isinstance(value, functools.cached_property):
+                    new.__dict__.pop(name, None)
+        for name, value in changes.items():
+            object.__setattr__(new, name, value)
+        return new
     if attrs.has(type(part)):
         return attrs.evolve(part, **changes)  # type: ignore[misc]
     return dataclasses.replace(part, **changes)  # type: ignore[type-var]

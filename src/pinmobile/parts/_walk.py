@@ -159,6 +159,20 @@ class Found(NamedTuple):
         return labels[self.entry or 0] if (self.entry or 0) < len(labels) else str(self.entry)
 
     @property
+    def is_array(self) -> bool:
+        """Whether it means several numbers that differ from one another."""
+        value = self.leaf.value
+        return self.entry is None and value is not None and np.ptp(np.asarray(value, np.float64)) != 0
+
+    @property
+    def value(self) -> Any:
+        """The number: of several, the first."""
+        value = np.asarray(self.leaf.value, np.float64)
+        if self.entry is None or not value.ndim:
+            return value.flat[0]
+        return value[(self.entry,) * value.ndim]
+
+    @property
     def unit(self) -> str:
         """Unit of the number."""
         declared = self.leaf.declared
@@ -174,18 +188,18 @@ class Found(NamedTuple):
 def named(part: Any) -> dict[str, Found]:
     """Return all numbers that may differ, and their entries, by full path."""
     found: dict[str, Found] = {}
-    for path, leaf in numbers(part).items():
-        found[path] = Found(leaf)
-        for k in range(max(len(leaf.labels), 0)):
-            one = Found(leaf, k)
-            found[one.path] = one
+    for leaf in walk(part):
+        if isinstance(leaf.declared, Number) and not leaf.declared.fixed:
+            own = [Found(leaf), *(Found(leaf, k) for k in range(len(leaf.labels)))]
+            found |= {one.path: one for one in own}
     return found
 
 
 def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: str = "") -> Found:
-    """Return what a name means: a full path, or the end of one.
+    """Return what a name means: a full path, the end of one, or the end of one within a field of the loop.
 
-    Of several paths with that end the plant's own comes first, then the one nearest to the loop.
+    Of several paths with that end the plant's own comes first, then the one nearest to the loop:
+    ``"mass"`` is the plant's, ``"controller.mass"`` the nearest in the controller.
 
     Raises
     ------
@@ -197,11 +211,11 @@ def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: 
     known = named(part) if known is None else known
     if name in known:
         return known[name]
-    tail = f".{name}"
+    first, _, rest = name.partition(".") if isinstance(name, str) else ("", "", "")
     ends = sorted(
         (not path.startswith("plant."), path.count("."), path)
         for path in known
-        if isinstance(name, str) and path.endswith(tail)
+        if path.endswith(f".{name}") or (rest and path.startswith(f"{first}.") and path.endswith(f".{rest}"))
     )
     if not ends:
         raise UnknownName(f"parameter{where and ' in ' + where}", name, known)
@@ -214,34 +228,43 @@ def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: 
     return known[best[0]]
 
 
-def spread_values(found: Sequence[tuple[Found, Any]], n: int, size: int = 3) -> dict[str, Any]:
+def spread_values(found: Sequence[tuple[Found, Any, bool]], n: int, size: int = 3) -> dict[str, Any]:
     """Return the values of n robots at each path, shape (n, ...).
 
     Parameters
     ----------
-    found : sequence of (Found, ndarray)
-        Each number, and its values, shape (n,).
+    found : sequence of (Found, ndarray, bool)
+        Each number, its values, shape (n,), and whether they are factors of the nominal array.
     n : int
         Number of robots.
     size : int
         Number of entries that a gain gets where one of them differs.
     """
     values: dict[str, Any] = {}
-    for one, column in sorted(found, key=lambda pair: pair[0].entry is not None):
-        path, base = one.leaf.path, np.asarray(one.leaf.value, np.float64)
-        if one.entry is not None and not base.ndim:
-            base = np.full(size, base)
+    for one, column, is_factor in sorted(found, key=lambda each: each[0].entry is not None):
+        path, base = one.leaf.path, np.asarray(0.0 if one.leaf.value is None else one.leaf.value)
         new = values.get(path)
         if new is None:
-            new = np.array(np.broadcast_to(base, (n, *base.shape)))
-        elif one.entry is not None and new.ndim == 1:
-            new = np.repeat(new[:, None], size, axis=1)
+            new = np.array(np.broadcast_to(base.astype(np.float64), (n, *base.shape)))
         if one.entry is None:
-            new[:] = np.reshape(column, (n, *(1,) * base.ndim))
+            by = np.reshape(column, (n, *(1,) * base.ndim))
+            new[...] = new * by if is_factor else by
         else:
+            if new.ndim == 1:
+                new = np.repeat(new[:, None], size, axis=1)
             new[(slice(None), *(one.entry,) * (new.ndim - 1))] = column
         values[path] = new
     return values
+
+
+def spread_entries(found: Sequence[Found], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return which entries of the numbers at each path differ, as arrays of booleans."""
+    entries: dict[str, Any] = {}
+    for one in found:
+        shape = np.shape(values[one.leaf.path])[1:]
+        varies = entries.setdefault(one.leaf.path, np.zeros(shape, bool))
+        varies[(... if one.entry is None else (one.entry,) * len(shape))] = True
+    return entries
 
 
 def table(part: Any) -> str:

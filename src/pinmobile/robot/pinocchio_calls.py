@@ -18,7 +18,8 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, affordable, broadcast, finite_answer
-from pinmobile.compiled import Batched, copied, processors
+from pinmobile.compiled import Batched, processors
+from pinmobile.compiled.batched import copied
 from pinmobile.errors import NotTraceable
 from pinmobile.robot.articulated import ArticulatedBody
 from pinmobile.robot.joints import BODY_JOINT

@@ -10,8 +10,6 @@ from pinmobile.simulation.closed_loop import (
     simulate,
 )
 from pinmobile.simulation.end_effector import EndEffector
-from pinmobile.simulation.loop import in_python as in_python
-from pinmobile.simulation.mixed import with_compiled_plant as with_compiled_plant
 from pinmobile.simulation.rollout import Rollout, error_text as error_text
 from pinmobile.simulation.setup import (
     check_answers as check_answers,

@@ -11,16 +11,16 @@ from warnings import warn
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, positive, whole
-from pinmobile.compiled import Parts, Trace, memory_of
 from pinmobile.controllers import Controller
 from pinmobile.divergence import is_near
 from pinmobile.errors import Diverged, InvalidArgument, LimitWarning, NotTraceable, SlowerEngine, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator
+from pinmobile.loop._engines import CompiledRun, PythonRun
+from pinmobile.loop._loop import Loop
+from pinmobile.loop._python import with_compiled_plant
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations
 from pinmobile.signals import told_at
-from pinmobile.simulation.loop import CompiledLoop, Loop
-from pinmobile.simulation.mixed import with_compiled_plant
 from pinmobile.simulation.rollout import Rollout
 from pinmobile.simulation.setup import (
     check_answers,
@@ -166,23 +166,18 @@ def simulate(
     count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
     asked = checked_engine(engine, PYTHON, COMPILED)
     compiles = asked is COMPILED or (asked is None and getattr(plant, "compiles", False))
-    parts = Parts(plant, controller, checked, integrator, Trace(), count)
-    memory: dict[Any, Any] = {}  # of this call alone, where nothing is remembered
-    if compiles:
-        memory = memory_of(replace(parts, recorder=None), trajectory)
-    reference = sampled(trajectory, t, plant, memory if compiles else None)
+    whole_loop = Loop(plant, controller, trajectory, checked, integrator, count)
+    reference = sampled(trajectory, t, plant)
     start = _start(plant, reference, q0, v0)
     context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
     context = replace(context, seed=whole("seed", seed, least=0), member=whole("member", member, least=0))
-    if ("simulated", count, dt, t[-1]) not in memory:
-        check_answers(plant, checked, integrator, *start, dt / count)
-        check_controllers_memory(controller, context, *start)
-        memory["simulated", count, dt, t[-1]] = True
-    loop, why = _engaged(parts, context, start, memory, asked, compiles=compiles)
-    made = {"engine": "COMPILED" if isinstance(loop, CompiledLoop) else "PYTHON", "why": why}
+    check_answers(plant, checked, integrator, *start, dt / count)
+    check_controllers_memory(controller, context, *start)
+    loop, why = _engaged(whole_loop, context, start, asked, compiles=compiles)
+    made = {"engine": "COMPILED" if isinstance(loop, CompiledRun) else "PYTHON", "why": why}
     if why.startswith("not") and compiles:
         warn(f"this loop runs by PYTHON: {why}", SlowerEngine, stacklevel=2)
-    told, chunk = (controller, trajectory), len(t) if isinstance(loop, CompiledLoop) else _CHUNK
+    told, chunk = (controller, trajectory), len(t) if isinstance(loop, CompiledRun) else _CHUNK
     for begin in range(0, len(t), chunk):
         end = min(begin + chunk, len(t))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below tells
@@ -203,29 +198,28 @@ def simulate(
 
 
 def _engaged(
-    parts: Parts,
+    loop: Loop,
     context: Context,
     start: tuple[Array, Array],
-    memory: dict[Any, Any],
     asked: Engine | None,
     *,
     compiles: bool,
-) -> tuple[Loop | CompiledLoop, str]:
-    """Return the loop by its engine, and why it is not compiled, where that was not asked for."""
+) -> tuple[PythonRun, str]:
+    """Return the run by its engine, and why it is not compiled, where that was not asked for."""
     if not compiles:
-        return Loop(parts, context, *start), _NOT_ASKED if asked is None else ""
+        return PythonRun(loop, context, *start), _NOT_ASKED if asked is None else ""
     try:
-        return CompiledLoop(parts, context, *start, memory=memory), ""
+        return CompiledRun(loop, context, *start), ""
     except NotTraceable as error:
         if asked is COMPILED:
             raise InvalidArgument(f"engine is COMPILED, which cannot run this: {error.reason}") from error
         why = error.reason
     try:
-        compiled = with_compiled_plant(parts, context, *start)
+        compiled = with_compiled_plant(loop, context, *start)
     except NotTraceable:
-        return Loop(parts, context, *start), f"not COMPILED: {why}"
+        return PythonRun(loop, context, *start), f"not COMPILED: {why}"
     why = f"plant and forces are compiled, the controller runs in Python; not COMPILED: {why}"
-    return Loop(compiled, context, *start), why
+    return PythonRun(compiled, context, *start), why
 
 
 def _start(
@@ -274,7 +268,7 @@ def errors_of(plant: Plant, q: Array, reference: Reference) -> Array:
 
 
 def _first_bad(
-    plant: Plant, loop: Loop | CompiledLoop, reference: Reference, begin: int, end: int, limit: float
+    plant: Plant, loop: PythonRun, reference: Reference, begin: int, end: int, limit: float
 ) -> tuple[int | None, str]:
     """Return the first sample that is not acceptable, or None, and why."""
     samples = loop.samples(begin, end)
@@ -332,7 +326,7 @@ def _too_stiff(plant: Any, forces: Sequence[Force | CoordinateForce], q: Array, 
 def _rollout(
     plant: Plant,
     t: Array,
-    loop: Loop | CompiledLoop,
+    loop: PythonRun,
     reference: Reference,
     end: int,
     made: dict[str, str],

@@ -9,12 +9,13 @@ from warnings import warn
 
 import numpy as np
 
-from pinmobile.arrays import Array, affordable, answered, callable_as, frozen, positive, vector, whole
-from pinmobile.compiled import displaced
+from pinmobile.arrays import Array, affordable, answered, callable_as, positive, vector, whole
 from pinmobile.controllers import Controller, check_controller, check_memory
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
+from pinmobile.loop._engines import error_of_sizes
+from pinmobile.loop._loop import displaced
 from pinmobile.plant import Context, Plant, check_plant, coordinates_of, leading_of, refuse_path
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
@@ -26,7 +27,6 @@ _COORDINATES = 3  # of a plant that is not yet looked at
 _MOST = 1e8  # samples
 _SHORTER = "give a larger dt or a shorter duration"
 _MOST_STEPS = 1e11  # of the integrator: days
-_KEPT = 1e5  # numbers of a reference that are kept for the next run
 _SAME = 1e-9  # to which two answers to the same arguments agree
 _RECORDED = 16  # numbers for each coordinate of a sample: of the loop, the reference and the rollout
 
@@ -134,9 +134,7 @@ def sample_times(dt: float, duration: float | None, longest: float) -> Array:
     return np.asarray(np.minimum(t, longest))
 
 
-def sampled(
-    trajectory: Trajectory, t: Array, plant: Plant, memory: dict[Any, Any] | None = None
-) -> Reference:
+def sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
     """Return the reference at the times `t`, shape (N + 1,) [s].
 
     Parameters
@@ -147,17 +145,12 @@ def sampled(
         Times [s].
     plant : plant
         What the reference must fit.
-    memory : dict, optional
-        Where that of the last times is kept, for trajectory and plant that stay as they are.
 
     Raises
     ------
     InvalidArgument
         If what the trajectory gives does not fit the plant, or leaves its joint limits where it has any.
     """
-    before = None if memory is None else memory.get("reference")
-    if before is not None and np.array_equal(before[0], t):
-        return before[1]  # type: ignore[no-any-return]
     affordable(
         f"the records of {len(t):,} samples of {plant.nv} coordinates",
         _RECORDED * len(t) * plant.nv,
@@ -187,9 +180,6 @@ def sampled(
     checked = Reference(*(vector(f"trajectory's {x}", getattr(reference, x), k) for x, k in sizes.items()))
     if hasattr(plant, "velocity_limit"):
         check_limits(plant, checked.q, checked.v, t)
-    if memory is not None and len(t) * n <= _KEPT:
-        checked = Reference(*map(frozen, checked))
-        memory["reference"] = frozen(t), checked
     return checked
 
 
@@ -368,27 +358,11 @@ def check_controllers_memory(controller: Controller, context: Context, q: Array,
     try:
         check_memory(controller, context, q, v)
     except InvalidArgument as error:
-        raise shorter(context, error) from error.__cause__
+        raise error_of_sizes(context, error) from error.__cause__
 
 
 def _are_same(one: Array, other: Array) -> bool:
     """Tell whether two answers to the same arguments agree."""
     return np.shape(one) == np.shape(other) and np.allclose(
         one, other, rtol=_SAME, atol=_SAME, equal_nan=True
-    )
-
-
-def shorter(context: Context, error: InvalidArgument) -> InvalidArgument:
-    """Return an error of a controller; where the reference has not all coordinates, that may be why."""
-    n, count = context.reference.v.shape[1], len(context.coordinates)
-    if n == count or " has shape " not in str(error):
-        return error
-    if n == max(context.leading, default=count):  # wheels have no reference
-        return InvalidArgument(
-            f"{error}; expected a controller of wheels' torques, such as Allocated(controller, robot) makes "
-            "of one of forces on the body"
-        )
-    return InvalidArgument(
-        f"{error}; the reference has the first {n} of {count} coordinates, expected a controller that "
-        "follows these, or a reference of all: a motion of base and arms is WholeBody(robot, base, *joints)"
     )

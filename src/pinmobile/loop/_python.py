@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import partial
 from math import prod
 from typing import Any, NamedTuple
@@ -10,22 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import (
-    Parts,
-    Place,
-    Reference,
-    Trace,
-    aligned,
-    initial_memory,
-    leaves,
-    mapped,
-    moved_on,
-    program_of,
-    told_by,
-)
+from pinmobile.compiled.memory import leaves, mapped
+from pinmobile.compiled.program import aligned
+from pinmobile.loop._loop import Loop, advance, collected_signals
+from pinmobile.loop._program import Compiled
+from pinmobile.loop._record import Samples
+from pinmobile.loop._trace import initial_memory, traced_numbers
+from pinmobile.parts import array, child, evolved, part
 from pinmobile.plant import Context
+from pinmobile.trajectories import Reference
 
-_U = Place("controller", "u")
+_U = "controller.u"
 
 
 class _Moved(NamedTuple):
@@ -37,43 +31,46 @@ class _Moved(NamedTuple):
     a: Any
 
 
-@dataclass(frozen=True, eq=False)
-class _Given:
+@part
+class _Held:
     """A controller whose input is a number of each robot's."""
 
-    u: Any
-    parameters: Any = ("u",)
+    u: Any = array()
 
     def initial_state(self, context: object) -> None:
-        return None
+        """Return None: there is no memory."""
 
     def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: None) -> Any:
+        """Return the input."""
         return self.u, None
 
 
-@dataclass(frozen=True, eq=False)
+@part
 class _Whole:
     """A plant with the forces on it, as one that has a step of its own: all substeps, and what rolls."""
 
-    inner: Parts
+    inner: Any = child(Loop)
 
     def __getattr__(self, name: str) -> Any:
         if name in ("nq", "nv", "nu", "integrate", "difference", "coordinates"):
-            return getattr(self.inner.plant, name)
+            return getattr(self.inner.law, name)
         raise AttributeError(name)
 
     def initial_state(self, context: object) -> Any:
-        plant = self.inner.plant
-        return plant.initial_state(context) if hasattr(plant, "initial_state") else None
+        """Return the memory of the plant."""
+        begin = getattr(self.inner.law, "initial_state", None)
+        return None if begin is None else begin(context)
 
     def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> _Moved:
-        a, q, v, memory = moved_on(self.inner, t, h / self.inner.substeps, q, v, u, memory)
-        return _Moved(q, self.inner.law.project(q, v) if self.inner.is_constrained else v, memory, a)
+        """Return the state a sample later."""
+        loop = self.inner
+        a, q, v, memory = advance(loop, t, h / loop.substeps, q, v, u, memory)
+        return _Moved(q, loop.law.project(q, v) if loop.is_constrained else v, memory, a)
 
     def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Any) -> dict[str, Any]:
-        return {
-            name: pair for _, told in told_by(self.inner, t, q, v, u, memory) for name, pair in told.items()
-        }
+        """Return the signals of plant and forces."""
+        found = collected_signals(self.inner, t, q, v, u, memory)
+        return {name: pair for _, own in found for name, pair in own.items()}
 
 
 class CompiledPlant:
@@ -81,12 +78,12 @@ class CompiledPlant:
 
     Parameters
     ----------
-    parts : Parts
-        The loop.
+    loop : Loop
+        The closed loop.
     context : Context
-        What its controller is told.
+        Argument of the controller's `initial_state`.
     q, v : ndarray, shape (nq,), (nv,)
-        Where it starts.
+        Start.
 
     Raises
     ------
@@ -94,27 +91,28 @@ class CompiledPlant:
         If plant, forces or integrator cannot be compiled.
     """
 
-    def __init__(self, parts: Parts, context: Context, q: Array, v: Array) -> None:
-        self.plant = plant = parts.plant
+    def __init__(self, loop: Loop, context: Context, q: Array, v: Array) -> None:
+        self.plant = plant = loop.plant
         self.nq, self.nv, self.nu = plant.nq, plant.nv, plant.nu
         self.integrate, self.difference = plant.integrate, plant.difference
         for name in ("inputs", "coordinates", "measures", "measured"):
             if hasattr(plant, name):
                 setattr(self, name, getattr(plant, name))
-        inner = replace(parts, controller=None, recorder=None, trajectory=None)
-        whole = Parts(_Whole(inner), _Given(np.zeros(self.nu)), (), None, Trace())
+        held = _Held(np.zeros(self.nu))
+        inner = evolved(loop, {"controller": held, "recorder": None, "trajectory": None})
+        whole = Loop(_Whole(inner), held, recorder=Samples())
         reference = Reference(*context.reference)
         first = Reference(*(part[0] for part in reference))
-        options: dict[str, Any] = {"dt": context.dt, "spread": [_U], "single": True}
-        program = program_of(whole, context, (q, v), first, **options)
-        whole, self._loop = whole.on_symbols(), program.loop
-        values, begun = whole.parameters(), initial_memory(whole, context, len(first.v))
-        memory = [np.asarray(value, np.float64) for tree in begun for _, value in leaves(tree)]
+        spread = {_U: np.ones(self.nu, bool)}
+        compiled = Compiled(whole, context, (q, v), first, spread=spread, single=True)
+        program, self._tape = compiled.program, compiled.tape
+        values, begun = traced_numbers(whole), initial_memory(whole, context)
+        memory = [np.asarray(value, np.float64) for tree in begun[2:] for _, value in leaves(tree)]
         uniforms = program.uniforms_of(context.dt, values, memory)
         self._block = program.blocks_of((q[None], v[None]), 1, values, memory, {})
         self._row = self._block[0, :, 0]
         self._samples = program.samples_of(context.t, reference, uniforms, [])
-        self._kept = aligned((1, 1, self._loop.outputs_kept, 1))
+        self._kept = aligned((1, 1, self._tape.outputs_kept, 1))
         self._dt, self._begun = context.dt, begun.plant
         self._uniforms, self._counts, self._rings = uniforms, np.zeros(1, np.int32), aligned((1, 1))
         where = (self._samples, uniforms, self._rings, self._counts, self._kept)
@@ -122,8 +120,8 @@ class CompiledPlant:
         self._first, self._stride = sample, self._samples.strides[0]
         self._call = partial(program.function, self._block.ctypes.data, 0, 1)
         self._behind = uniform, rings, counts, 1, 1, kept
-        self._u = len(self._loop.states) + self._loop.parameters[_U].first
-        self._leaves = [leaf for leaf in self._loop.leaves if leaf.owner == "plant"]
+        self._u = len(self._tape.states) + self._tape.parameters[_U].first
+        self._leaves = [leaf for leaf in self._tape.leaves if leaf.owner == "plant"]
         self._signals: dict[str, Any] = {}
 
     def initial_state(self, context: object) -> Any:
@@ -139,10 +137,10 @@ class CompiledPlant:
                 row[leaf.first : leaf.first + prod(leaf.shape)] = np.ravel(value)
         self._call(self._first + round(t / self._dt) * self._stride, 1, *self._behind)
         kept, first, found = self._kept[0, 0, :, 0], 0, {}
-        for name, (shape, nodes) in self._loop.kept.items():
+        for name, (shape, nodes) in self._tape.kept.items():
             found[name] = kept[first : first + len(nodes)].reshape(shape).copy()
             first += len(nodes)
-        units = self._loop.units
+        units = self._tape.units
         self._signals = {name: (unit, found[f"signal {name}"]) for name, unit in units.items()}
         places = iter(self._leaves)
 
@@ -159,6 +157,7 @@ class CompiledPlant:
         return self._signals
 
 
-def with_compiled_plant(parts: Parts, context: Context, q: Array, v: Array) -> Parts:
+def with_compiled_plant(loop: Loop, context: Context, q: Array, v: Array) -> Loop:
     """Return the loop with plant and forces as machine code; raises `NotTraceable` where they cannot be."""
-    return replace(parts, plant=CompiledPlant(parts, context, q, v), forces=(), integrator=None, substeps=1)
+    plant = CompiledPlant(loop, context, q, v)
+    return evolved(loop, {"plant": plant, "forces": (), "integrator": None, "substeps": 1})

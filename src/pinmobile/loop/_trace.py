@@ -1,43 +1,38 @@
-"""From the parts of a closed loop to its tape: their laws run on symbols, and compared with themselves."""
+"""From a closed loop to its tape: `step` run on symbols, and compared with itself on numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.compiled.loop_tape import (
-    Leaf,
-    Loop,
-    Ring,
-    arrays_of,
-    check_schedules,
-    initial_memory,
-    scheduled_rows,
-)
-from pinmobile.compiled.memory import Noise, Schedule, leaves, mapped, matched, normals
-from pinmobile.compiled.parts import Parts, Place
-from pinmobile.compiled.sample import Memory, Reference, Stepped, one_sample
-from pinmobile.compiled.symbolic import Symbols, Values, entries, symbols
+from pinmobile.compiled.loop_tape import Leaf, LoopTape, Ring
+from pinmobile.compiled.memory import Line, Noise, Schedule, leaves, mapped, matched, normals
+from pinmobile.compiled.symbolic import Symbols, entries, has_symbols, symbols
 from pinmobile.compiled.tape import COUNT, LARGEST, Known, Node, Tape, evaluated, float_bits, needed, real
-from pinmobile.compiled.tracing import Walk, calling_place, place_of, tracing
-from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName
+from pinmobile.compiled.tracing import calling_place, tracing
+from pinmobile.errors import NotTraceable
+from pinmobile.loop._identity import Identity, is_traced
+from pinmobile.loop._loop import OWNERS, Loop, Record, State, initial, step
+from pinmobile.parts import numbers, replace
+from pinmobile.plant import Context
+from pinmobile.trajectories import Reference
 
 
 def traced(
-    parts: Parts,
-    context: object,
+    loop: Loop,
+    context: Context,
     start: tuple[Array, Array],
     reference: Reference,
     *,
     dt: float,
-    spread: Iterable[Place] = (),
+    identity: Identity,
+    spread: Mapping[str, Any] | None = None,
     largest: int = LARGEST,
     own_reference: bool = False,
-    walk: Walk | None = None,
-) -> Loop:
+) -> LoopTape:
     """Return a closed loop as a tape.
 
     The laws run once on numbers, so that their own errors come as they are, and then on symbols: those that
@@ -45,52 +40,37 @@ def traced(
 
     Parameters
     ----------
-    parts : Parts
-        The loop.
-    context : object
-        What the controller's `initial_state` is told.
+    loop : Loop
+        The closed loop.
+    context : Context
+        Argument of the controller's `initial_state`.
     start : (ndarray, ndarray), shape (nq,), (nv,)
         A start.
     reference : Reference
         Its first sample.
     dt : float
         Time between two samples [s].
-    spread : iterable of Place
-        Those that each robot has a value of its own for; the others are numbers of the run.
+    identity : Identity
+        Of the loop.
+    spread : mapping of str to array of bool, optional
+        Paths of the numbers that differ from robot to robot, with the entries that do; the others are numbers
+        of the run.
     largest : int
         Most nodes of the tape.
     own_reference : bool
         Whether each robot has a reference of its own.
-    walk : Walk, optional
-        Through the parts as they are on symbols, and `one_sample`, where there is one.
 
     Raises
     ------
     NotTraceable
         If a law cannot be run on symbols; its line, and what to write instead.
-    UnknownName
-        If there is no such parameter.
     """
     q, v = (np.asarray(x, np.float64) for x in start)
     given = Reference(*(np.asarray(x, np.float64) for x in reference))
-    parts = parts.on_symbols()
-    trace = _Trace(
-        parts,
-        context,
-        q,
-        v,
-        given,
-        dt / parts.substeps,
-        spread=frozenset(Place(*x) for x in spread),
-        largest=largest,
-    )
-    trace.own_reference, trace.walk = own_reference, walk or walk_of(parts)
+    own = dict(spread or {})
+    trace = _Trace(loop, context, q, v, given, dt / loop.substeps, identity, own, largest)
+    trace.own_reference = own_reference
     return trace.result()
-
-
-def walk_of(parts: Parts) -> Walk:
-    """Return a walk through all that a loop's code refers to."""
-    return Walk([one_sample, *(part for _, part in parts.by_path())])
 
 
 class _Asked(NamedTuple):
@@ -100,96 +80,86 @@ class _Asked(NamedTuple):
     ----------
     k : int
         Number of the sample.
-    q, v : ndarray, shape (nq,), (nv,)
-        State.
-    memory : Memory
-        What the parts keep, as before any sample.
-    found : Stepped
-        What the sample comes to.
+    memory : State
+        The state at the sample.
+    after : State
+        The state at the next sample.
+    record : Record
+        What the recorder made of the sample.
     """
 
     k: int
-    q: Array
-    v: Array
-    memory: Memory
-    found: Stepped
+    memory: State
+    after: State
+    record: Record
 
 
 class _Trace:
-    """The way from parts to a tape."""
-
-    walk: Walk
+    """The way from a loop to its tape."""
 
     def __init__(
         self,
-        parts: Parts,
-        context: object,
+        loop: Loop,
+        context: Context,
         q: Array,
         v: Array,
         reference: Reference,
         h: float,
-        *,
-        spread: frozenset[Place],
+        identity: Identity,
+        spread: dict[str, Any],
         largest: int,
     ) -> None:
-        self.parts, self.context, self.h = parts, context, h
+        self.loop, self.context, self.h, self.identity = loop, context, h, identity
         self.q, self.v, self.reference = q, v, reference
-        self.values = parts.parameters()
-        for parameter in spread - set(self.values):
-            names = (f"{path}.{name}" for path, name in self.values)
-            raise UnknownName("parameter", f"{parameter[0]}.{parameter[1]}", names)
+        self.values = traced_numbers(loop)
         self.spread, self.largest, self.own_reference = spread, largest, False
         self.fixed: frozenset[tuple[str, str]] = frozenset()
         self.shapes: dict[tuple[str, str], tuple[int, ...]] = {}
 
-    def result(self) -> Loop:
+    def result(self) -> LoopTape:
         """Return the tape, after it has been compared with itself and with numbers."""
-        check_schedules(self.parts, self.context, len(self.reference.v), self.spread)
-        try:
-            number = self._shaped()
-        except AttributeError as error:  # which the robot itself has, that the law was asked with before
-            raise NotTraceable(
-                str(error), "ask a robot for what it has on symbols", place_of(error.__traceback__)
-            ) from error
-        loop = self._loop()
+        check_schedules(self.loop, self.context, self.spread)
+        number = self._shaped()
+        tape = self._tape()
         fixed = frozenset(
-            (leaf.owner, leaf.path) for leaf in loop.leaves if leaf.kind == "state" and _stays(loop, leaf)
+            (leaf.owner, leaf.path) for leaf in tape.leaves if leaf.kind == "state" and _stays(tape, leaf)
         )
         if fixed:
             self.fixed = fixed
-            loop = self._loop()
-        if not self.walk.is_ours:
-            self._compare_tapes(loop, self._loop())
-        self._compare_numbers(loop, number)
-        return loop
+            tape = self._tape()
+        if not self.identity.is_ours:
+            self._compare_tapes(tape, self._tape())
+        self._compare_numbers(tape, number)
+        return tape
 
     def _shaped(self) -> list[_Asked]:
         """Return what the laws give on numbers at two samples, after learning the memory's shapes of them."""
         for _ in range(4):
-            memory = self._memory(0)
-            found = self._at(0, self.q, self.v, memory)
+            found = self._at(0, self.q, self.v)
             grew = False
-            for owner, before, after in zip(Memory._fields, memory, found.memory, strict=True):
+            for owner in OWNERS:
+                before, after = getattr(found.memory, owner), getattr(found.after, owner)
                 for path, old, new in matched(before, after, "state"):
                     if np.shape(old) != np.shape(new):
                         self.shapes[owner, path] = _wider(owner, path, np.shape(old), np.shape(new))
                         grew = True
             if not grew:
-                return [_Asked(0, self.q, self.v, memory, found), self._elsewhere()]
+                return [found, self._elsewhere()]
         raise NotTraceable("the memory has another shape at each sample", "keep arrays of one shape in state")
 
-    def _at(self, k: int, q: Array, v: Array, memory: Memory) -> Stepped:
+    def _at(self, k: int, q: Array, v: Array) -> _Asked:
         """Return a sample on numbers; laws may write into what they are given."""
-        reference, own = Reference(*(x.copy() for x in self.reference)), mapped(memory, np.copy)
-        return one_sample(self.parts, float(k), 0.0, self.h, (q.copy(), v.copy()), reference, own)
+        begun = self._memory(k)._replace(q=q, v=v)
+        own = State(q.copy(), v.copy(), *(mapped(getattr(begun, owner), np.copy) for owner in OWNERS))
+        reference = Reference(*(x.copy() for x in self.reference))
+        after, _, record = step(self.loop, float(k), 0.0, self.h, own, reference)
+        return _Asked(k, begun, after, record)
 
-    def _memory(self, k: int) -> Memory:
+    def _memory(self, k: int) -> State:
         """Return the memory before any sample, but with the noise of sample k."""
-        size = len(self.reference.v)
         begun = initial_memory(
-            self.parts,
+            self.loop,
             self.context,
-            size,
             normal=lambda name, n: Noise(0, n, k),
             schedule=lambda rows: Schedule(rows, k),
         )
@@ -199,31 +169,29 @@ class _Trace:
         """Return the same a sample later at another state, which no law takes for a special one."""
         v = self.v + 0.05 * np.sin(1.0 + np.arange(len(self.v)))
         moved = 0.07 * np.cos(2.0 + np.arange(len(self.v)))
-        integrate = getattr(self.parts.plant, "integrate", None) or np.add
-        q = np.asarray(integrate(self.q, moved), np.float64)
-        memory = self._memory(1)
-        return _Asked(1, q, v, memory, self._at(1, q, v, memory))
+        return self._at(1, np.asarray(self.loop.integrate(self.q, moved), np.float64), v)
 
-    def _grown(self, memory: Memory) -> Memory:
+    def _grown(self, memory: State) -> State:
         """Return the memory with arrays of the shapes that they come to have."""
-        found = []
-        for owner, tree in zip(Memory._fields, memory, strict=True):
+        found = {}
+        for owner in OWNERS:
+            tree = getattr(memory, owner)
             paths = iter([path for path, _ in leaves(tree)])
 
             def grow(leaf: ArrayLike, owner: str = owner, paths: Iterator[str] = paths) -> ArrayLike:
                 shape = self.shapes.get((owner, next(paths)))
                 return leaf if shape is None else np.broadcast_to(leaf, shape).copy()
 
-            found.append(mapped(tree, grow))
-        return Memory(*found)
+            found[owner] = mapped(tree, grow)
+        return memory._replace(**found)
 
-    def _loop(self, where: Callable[[], str] | None = None) -> Loop:
-        return _Pass(self, Tape(self.largest, where)).loop()
+    def _tape(self, where: Callable[[], str] | None = None) -> LoopTape:
+        return _Pass(self, Tape(self.largest, where)).loop_tape()
 
-    def _compare_tapes(self, one: Loop, two: Loop) -> None:
+    def _compare_tapes(self, one: LoopTape, two: LoopTape) -> None:
         if one.tape.operations == two.tape.operations and one.outputs == two.outputs:
             return
-        told = self._loop(calling_place)
+        told = self._tape(calling_place)
         ends = [len(told.tape) - 1]
         for other in (one, two):  # a law that takes turns is told apart from one of them
             known = zip(other.tape.operations, told.tape.operations, strict=False)
@@ -236,12 +204,12 @@ class _Trace:
             told.tape.places[min(differ, len(told.tape.places) - 1)],
         )
 
-    def _compare_numbers(self, loop: Loop, numbers: Sequence[_Asked]) -> None:
+    def _compare_numbers(self, loop: LoopTape, numbers: Sequence[_Asked]) -> None:
         for asked in numbers:
-            inputs, found = self._inputs(loop, asked), asked.found
-            memory = zip(loop.leaves, arrays_of(found.memory), strict=True)
+            inputs, after = self._inputs(loop, asked), asked.after
+            memory = zip(loop.leaves, arrays_of(after), strict=True)
             kept = [value for leaf, value in memory if leaf.kind == "state"]
-            rows = [_flat_numbers([x]) for x in (found.q, found.v, *kept, *found.record.kept.values())]
+            rows = [_flat_numbers([x]) for x in (after.q, after.v, *kept, *asked.record.kept.values())]
             expected = [x for row in rows for x in row]
             sizes = [max(map(abs, row)) for row in rows for _ in row]  # forces of wheels share their errors
             wanted = [after for _, after in loop.states]
@@ -263,16 +231,16 @@ class _Trace:
                     "let the law do the same for every kind of array, without isinstance or try",
                 )
 
-    def _inputs(self, loop: Loop, asked: _Asked) -> dict[Any, Any]:
+    def _inputs(self, loop: LoopTape, asked: _Asked) -> dict[Any, Any]:
         """Return the inputs of the tape at a sample."""
         inputs: dict[Any, Any] = {COUNT: np.uint64(asked.k), ("uniform", 0): self.h}
         samples = _flat_numbers([0.0, *self.reference])
         inputs |= {("track", i): x for i, x in enumerate(samples[1:])}
-        rows = scheduled_rows(self.parts, self.context, len(self.reference.v))
+        rows = scheduled_rows(self.loop, self.context)
         samples += _flat_numbers([each[min(asked.k, len(each) - 1)] for each in rows])
         inputs |= {("sample", i): x for i, x in enumerate(samples)}
         inputs |= {("key", i): np.uint64(0) for i in range(len(loop.keys))}
-        inputs |= {("state", i): x for i, x in enumerate(_flat_numbers([asked.q, asked.v]))}
+        inputs |= {("state", i): x for i, x in enumerate(_flat_numbers(asked.memory[:2]))}
         for parameter, leaf in loop.parameters.items():
             values = self.values[parameter].ravel()
             inputs |= {(leaf.kind, leaf.first + i): x for i, x in enumerate(values)}
@@ -291,7 +259,7 @@ class _Pass:
         self.asked: list[str] = []
         self.rings: list[Ring] = []
         self.leaves: list[Leaf] = []
-        self.parameters: dict[Place, Leaf] = {}
+        self.parameters: dict[str, Leaf] = {}
         self.now: list[int] = []
 
     def _new(self, kind: str, shape: tuple[int, ...]) -> Symbols:
@@ -302,10 +270,10 @@ class _Pass:
             self.now += [node.index for node in nodes]
         return symbols(nodes, shape)
 
-    def loop(self) -> Loop:
+    def loop_tape(self) -> LoopTape:
         trace, tape = self.trace, self.tape
         h = self._new("uniform", ())
-        parts = self._symbolic()
+        values = self._symbolic()
         q, v = self._new("state", trace.q.shape), self._new("state", trace.v.shape)
         t = self._new("sample", ())
         reference = Reference(
@@ -313,31 +281,22 @@ class _Pass:
         )
         self.next["sample"] = columns = 1 + sum(x.size for x in trace.reference)
         k = symbols([real(tape.input(*COUNT) | float_bits(2.0**52)) - 2.0**52], ())
-        numbers = trace._grown(
-            initial_memory(
-                trace.parts,
-                trace.context,
-                len(trace.reference.v),
-                self._line,
-                self._noise,
-                self._schedule,
-            )
-        )
-        memory = Memory(
-            *(self._remembered(owner, tree) for owner, tree in zip(Memory._fields, numbers, strict=True))
-        )
-        with tracing(trace.walk):
-            found = one_sample(parts, k, t, h, (q, v), reference, memory)
-            after = self._after(memory, found)
+        makers = self._line, self._noise, self._schedule
+        numbers = trace._grown(initial_memory(trace.loop, trace.context, *makers))
+        state = State(q, v, *(self._remembered(owner, getattr(numbers, owner)) for owner in OWNERS))
+        with tracing(trace.identity.namespaces.values(), trace.identity.cells):
+            loop = replace(trace.loop, values, nominal=True)
+            after, _, record = step(loop, k, t, h, state, reference)
+            ends = self._after(state, after)
         kept = {
             name: (np.shape(x), [self._node(y) for y in entries(x).reshape(-1)])
-            for name, x in found.record.kept.items()
+            for name, x in record.kept.items()
         }
-        counted = [self._node(y) for x in found.record.counted for y in entries(x).reshape(-1)]
-        used = _used(tape, [*after, *counted, *(n for _, nodes in kept.values() for n in nodes)])
-        return Loop(
+        counted = [self._node(y) for x in record.counted for y in entries(x).reshape(-1)]
+        used = _used(tape, [*ends, *counted, *(n for _, nodes in kept.values() for n in nodes)])
+        return LoopTape(
             tape=tape,
-            states=list(zip(self.now, after, strict=True)),
+            states=list(zip(self.now, ends, strict=True)),
             leaves=self.leaves,
             parameters=self.parameters,
             uniforms=self.next["uniform"],
@@ -346,11 +305,11 @@ class _Pass:
             rings=self.rings,
             counted=counted,
             kept=kept,
-            units=dict(found.record.units),
+            units=dict(record.units),
             sizes=(
                 len(trace.q),
                 len(trace.v),
-                parts.plant.nu,
+                loop.plant.nu,
                 len(trace.reference.q),
                 len(trace.reference.v),
             ),
@@ -363,14 +322,18 @@ class _Pass:
             ],
         )
 
-    def _symbolic(self) -> Parts:
-        values = {}
-        for parameter, value in self.trace.values.items():
-            kind = "row" if parameter in self.trace.spread else "uniform"
-            leaf = Leaf("parameter", ".".join(parameter), value.shape, self.next[kind], kind)
-            self.parameters[parameter] = leaf
-            values[parameter] = self._new(kind, value.shape)
-        return self.trace.parts.with_parameters(values)
+    def _symbolic(self) -> dict[str, Symbols]:
+        """Return symbols of the numbers, by path; entries that are zero for all robots are known."""
+        found = {}
+        for path, value in self.trace.values.items():
+            varies = self.trace.spread.get(path)
+            kind = "uniform" if varies is None else "row"
+            self.parameters[path] = Leaf("parameter", path, value.shape, self.next[kind], kind)
+            nodes = entries(self._new(kind, value.shape)).reshape(-1)
+            zero = (value == 0.0) if varies is None else (value == 0.0) & ~varies
+            known = [0.0 if none else node for none, node in zip(zero.reshape(-1), nodes, strict=True)]
+            found[path] = symbols(known, value.shape)
+        return found
 
     def _remembered(self, owner: str, tree: object) -> Any:
         """Return the memory with symbols in it."""
@@ -380,7 +343,7 @@ class _Pass:
             path, array = next(paths), np.asarray(value)
             kind = "state"
             if (owner, path) in self.trace.fixed:
-                drawn = any(parameter.path.partition(".")[0] == owner for parameter in self.trace.spread)
+                drawn = any(path.partition(".")[0] == owner for path in self.trace.spread)
                 kind = "row" if drawn else "uniform"
             self.leaves.append(Leaf(owner, path, array.shape, self.next[kind], kind))
             found = self._new(kind, array.shape)
@@ -388,12 +351,12 @@ class _Pass:
 
         return mapped(tree, remember)
 
-    def _after(self, memory: Memory, found: Stepped) -> list[int]:
+    def _after(self, before: State, found: State) -> list[int]:
         """Return the nodes of the state at the next sample."""
         after = [self._node(x) for part in (found.q, found.v) for x in entries(part).reshape(-1)]
         places = iter(self.leaves)
-        for before, tree in zip(memory, found.memory, strict=True):
-            for path, old, new in matched(before, tree):
+        for owner in OWNERS:
+            for path, old, new in matched(getattr(before, owner), getattr(found, owner)):
                 leaf = next(places)
                 if np.shape(new) not in ((), leaf.shape):
                     raise NotTraceable(
@@ -442,7 +405,7 @@ class _SymbolicLine:
             raise NotTraceable("a delay is pushed twice in a sample", "push all values at once, as a tuple")
         owner = self.owner
 
-        def delayed(x: Values) -> Symbols:
+        def delayed(x: Any) -> Symbols:
             found = []
             for y in entries(x).reshape(-1):
                 pushed = Node(owner.tape, owner._node(y))
@@ -500,12 +463,12 @@ def _flat_numbers(values: Iterable[Any]) -> list[float]:
     return [float(x) for value in values for x in np.asarray(value, np.float64).reshape(-1)]
 
 
-def _stays(loop: Loop, leaf: Leaf) -> bool:
+def _stays(loop: LoopTape, leaf: Leaf) -> bool:
     pairs = loop.states[leaf.first : leaf.first + int(np.prod(leaf.shape))]
     return all(now == after for now, after in pairs)
 
 
-def _name(loop: Loop, i: int) -> str:
+def _name(loop: LoopTape, i: int) -> str:
     """Return what the numbers of the state, and after these what is kept, are called."""
     end = len(loop.states)
     for name, (_, nodes) in loop.kept.items():
@@ -518,8 +481,134 @@ def _name(loop: Loop, i: int) -> str:
     for leaf in loop.leaves:
         if leaf.kind == "state" and leaf.first <= i < leaf.first + int(np.prod(leaf.shape)):
             return f"{leaf.path} of the {leaf.owner}"
-    raise InvalidArgument(f"there is no state {i}")
+    raise IndexError(i)
 
 
 def _used(tape: Tape, wanted: Iterable[int]) -> set[Any]:
     return {tape.operations[i] for i in needed(tape, wanted)}
+
+
+# Memory before the first sample
+
+
+class _Context:
+    """A context whose delays, noise and schedules are made by others, such as those of a tape."""
+
+    def __init__(self, loop: Loop, given: Context, line: Any, normal: Any, schedule: Any) -> None:
+        if hasattr(loop.plant, "traced"):  # LEGACY
+            body = loop.plant.traced()
+            self.difference, self.integrate = body.difference, body.integrate
+        self._given, self.line, self._schedule = given, line, schedule
+        self.normal = normal or (lambda name, n: Noise(0, n))
+
+    def schedule(self, rows: ArrayLike) -> Any:
+        """Return what a controller keeps of rows that are known for each sample, checked."""
+        return self._schedule(self._given.schedule(rows).rows)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._given, name)
+
+
+def initial_memory(
+    loop: Loop,
+    context: Context,
+    line: Callable[..., Any] = Line,
+    normal: Callable[..., Any] | None = None,
+    schedule: Callable[..., Any] = Schedule,
+) -> State:
+    """Return the memory before the first sample; by default with noise of the key 0.
+
+    Parameters
+    ----------
+    loop : Loop
+        The closed loop.
+    context : Context
+        Argument of the controller's `initial_state`, which gets its delays and noise here.
+    line, normal, schedule : callable
+        Make a delay, a noise and a schedule.
+    """
+    return initial(loop, _Context(loop, context, line, normal, schedule))  # type: ignore[arg-type]
+
+
+def scheduled_rows(loop: Loop, context: Context) -> list[Array]:
+    """Return the rows of all schedules that the parts ask for, each of shape (N + 1, ...)."""
+    found: list[Array] = []
+
+    def schedule(rows: Array) -> Schedule:
+        found.append(rows)
+        return Schedule(rows)
+
+    initial_memory(loop, context, schedule=schedule)
+    return found
+
+
+def check_schedules(loop: Loop, context: Context, spread: Iterable[str]) -> None:
+    """Refuse a spread of what schedules follow from, of which all robots have the same.
+
+    Raises
+    ------
+    NotTraceable
+        If there is such.
+    """
+    paths = [path for path in spread if path.startswith("controller.")]
+    rows = scheduled_rows(loop, context) if paths else []
+    values = traced_numbers(loop) if rows else {}
+    for path in paths if rows else ():
+        moved = replace(loop, {path: values[path] * 1.001 + 1e-6})
+        others = scheduled_rows(moved, context)
+        if not all(map(np.array_equal, rows, others)):
+            raise NotTraceable(
+                f"what the controller knows of each sample follows from {path}, which each robot "
+                "has of its own",
+                "spread parameters of the plant, or let robots run one after another",
+            )
+
+
+def traced_numbers(loop: Loop) -> dict[str, Array]:
+    """Return the numbers of a loop that are symbols of its law, by path."""
+    return {
+        path: np.asarray(leaf.value, np.float64)
+        for path, leaf in numbers(loop).items()
+        if is_traced(path)
+    }
+
+
+def initial_memories(
+    loop: Loop, context: Context, spread: Mapping[str, Array], n: int, identity: Identity
+) -> list[Array]:
+    """Return the arrays of the memory of n robots before the first sample, shape (...) or (n, ...).
+
+    Where `initial_state` cannot be run on symbols, it is asked for each robot.
+    """
+    tape = Tape()
+    on_tape: dict[str, Any] = {}
+    inputs: dict[Any, Any] = {}
+    for path, value in spread.items():
+        columns = np.broadcast_to(value, (n, *value.shape[1:])).reshape(n, -1)
+        first = len(inputs)
+        inputs |= {("row", first + i): column for i, column in enumerate(columns.T)}
+        nodes = [tape.input("row", first + i) for i in range(columns.shape[1])]
+        on_tape[path] = symbols(nodes, value.shape[1:])
+    try:
+        with tracing(identity.namespaces.values(), identity.cells):
+            memory = initial_memory(replace(loop, on_tape, nominal=True), context)
+    except NotTraceable:
+        rows = []
+        for i in range(n):
+            own = replace(loop, {path: np.broadcast_to(x, (n, *x.shape[1:]))[i] for path, x in spread.items()})
+            rows.append([np.asarray(x, np.float64) for x in arrays_of(initial_memory(own, context))])
+        return [np.array(column) for column in zip(*rows, strict=True)]
+    found = []
+    for value in arrays_of(memory):
+        if not has_symbols(value):
+            found.append(np.asarray(value, np.float64))
+            continue
+        own_nodes = [x.index if type(x) is Node else tape.const(x).index for x in entries(value).reshape(-1)]
+        columns = np.array([np.broadcast_to(x, n) for x in evaluated(tape, own_nodes, inputs)], np.float64)
+        found.append(columns.T.reshape(n, *np.shape(value)))
+    return found
+
+
+def arrays_of(memory: State) -> list[Any]:
+    """Return the numbers and arrays of a memory, in order."""
+    return [value for owner in OWNERS for _, value in leaves(getattr(memory, owner))]

@@ -1,0 +1,247 @@
+"""What a loop is apart from its numbers: its structure and the code that it calls, compared by value.
+
+Two loops with the same identity run the same compiled program. A law that was changed, reloaded, or closes over
+another number has another identity. Code of this library and of packages that only compute is known by name.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import sys
+import time
+from collections.abc import Hashable, Iterator, Mapping
+from enum import Enum
+from pathlib import Path
+from types import BuiltinFunctionType, CellType, CodeType, FunctionType, MethodType, ModuleType
+from typing import Any
+
+import numpy as np
+
+from pinmobile.compiled.memory import Line, Noise, Schedule, is_leaf
+from pinmobile.compiled.tracing import is_foreign, names_of
+from pinmobile.loop._loop import OWNERS, Loop, State
+from pinmobile.parts import Leaf, Number, fields_of, is_part, parts_of, walk
+
+_BEGAN = time.time()
+_DEEPEST = 60
+_ATOMS = (bool, int, float, complex, str, bytes, type(None), type(...), range, slice)
+_DESCRIPTORS = (staticmethod, classmethod)
+_UNTRACED = ("trajectory", "start", "start_rate")  # fields of a loop that no sample depends on
+
+
+def is_traced(path: str) -> bool:
+    """Tell whether a number of a loop is a symbol of its law: not one of the trajectory or the start."""
+    return path.partition(".")[0] not in _UNTRACED
+
+
+class Identity:
+    """Structure and code of a loop, by value.
+
+    Parameters
+    ----------
+    loop : Loop
+        The closed loop.
+    memory : State
+        Its memory before the first sample.
+    spread : mapping of str to array of bool
+        Paths of the numbers that differ from robot to robot, with the entries that do.
+    others : hashable
+        What else the program depends on.
+
+    Attributes
+    ----------
+    key : tuple
+        Equal for loops that run the same program.
+    is_lasting : bool
+        Whether the key means the same in another process.
+    is_ours : bool
+        Whether all code is the library's.
+    namespaces : dict of int to dict
+        Globals of the functions that are not the library's, by identity.
+    cells : list of cell
+        Variables that these close over.
+    """
+
+    def __init__(
+        self, loop: Loop, memory: State, spread: Mapping[str, Any] | None = None, others: Hashable = ()
+    ) -> None:
+        self.is_lasting, self.is_ours = True, True
+        self.namespaces: dict[int, dict[str, Any]] = {}
+        self.cells: list[CellType] = []
+        self._seen: dict[int, tuple[int, Any]] = {}
+        parts = tuple(self._leaf(leaf, spread or {}) for leaf in walk(loop) if is_traced(leaf.path))
+        classes = tuple(self._class(type(each)) for path, each in parts_of(loop) if is_traced(path))
+        kept = tuple(self._memory(getattr(memory, owner)) for owner in OWNERS)
+        self.key: tuple[Any, ...] = (parts, classes, kept, loop.steps, others)
+        self.kept = [value for _, value in self._seen.values()]  # so that no other object gets their ids
+
+    def _leaf(self, leaf: Leaf, spread: Mapping[str, Any]) -> Hashable:
+        if isinstance(leaf.declared, Number) and not leaf.declared.fixed and leaf.value is not None:
+            varies = spread.get(leaf.path)
+            matters = np.asarray(leaf.value) != 0.0 if varies is None else varies | (leaf.value != 0.0)
+            return leaf.path, np.shape(leaf.value), varies is not None, np.asarray(matters).tobytes()
+        return leaf.path, self._value(leaf.value)
+
+    def _memory(self, tree: Any) -> Hashable:
+        """Return the structure of a memory."""
+        if is_leaf(tree):
+            return np.shape(tree)
+        if isinstance(tree, dict):
+            return tuple((key, self._memory(value)) for key, value in tree.items())
+        if isinstance(tree, list | tuple):
+            return type(tree).__qualname__, tuple(map(self._memory, tree))
+        if isinstance(tree, Line):
+            return "line", tree.samples
+        if isinstance(tree, Noise):
+            return "noise", tree.n
+        if isinstance(tree, Schedule):
+            return "schedule", tree.rows.shape[1:]
+        if isinstance(tree, MethodType) and is_part(tree.__self__):
+            return self._value(tree.__func__), self._class(type(tree.__self__))  # a part of the loop
+        if is_part(tree):
+            return self._class(type(tree)), tuple(self._memory(value) for _, _, value in fields_of(tree))
+        return self._value(tree)
+
+    def _value(self, x: Any) -> Hashable:
+        """Return a value as something that is equal for equal values."""
+        if isinstance(x, _ATOMS):
+            return type(x).__name__, x if x == x else "nan"
+        if isinstance(x, np.ndarray) and x.dtype != object:
+            return "array", x.shape, x.dtype.str, x.tobytes()
+        if isinstance(x, np.generic):
+            return "number", x.dtype.str, x.tobytes()
+        if isinstance(x, FunctionType):
+            return self._function(x)
+        if isinstance(x, type):
+            return self._class(x)
+        if isinstance(x, ModuleType):
+            return "module", x.__name__
+        if isinstance(x, Enum):
+            return "enum", type(x).__qualname__, x.name
+        if isinstance(x, np.ufunc):
+            return "ufunc", x.__name__
+        if id(x) in self._seen:
+            return "seen", self._seen[id(x)][0]
+        self._seen[id(x)] = len(self._seen), x
+        if isinstance(x, list | tuple):
+            return type(x).__qualname__, tuple(map(self._value, x))
+        if isinstance(x, Mapping):
+            return "mapping", tuple((self._value(key), self._value(value)) for key, value in x.items())
+        if isinstance(x, set | frozenset):
+            return "set", frozenset(map(self._value, x))
+        if isinstance(x, MethodType):
+            return "method", self._value(x.__func__), self._value(x.__self__)
+        if isinstance(x, functools.partial):
+            return "partial", self._value((x.func, x.args, x.keywords))
+        if isinstance(x, BuiltinFunctionType):
+            of = x.__self__
+            return "builtin", x.__qualname__, None if isinstance(of, ModuleType) else self._value(of)
+        return self._object(x)
+
+    def _object(self, x: Any) -> Hashable:
+        kind = type(x)
+        if isinstance(x, property | functools.cached_property | staticmethod | classmethod):
+            inner = getattr(x, "fget", None) or getattr(x, "func", None) or getattr(x, "__func__", None)
+            return kind.__name__, self._value(inner)
+        if is_part(x):
+            return self._class(kind), tuple((name, self._value(value)) for name, _, value in fields_of(x))
+        own = getattr(x, "__dict__", None)
+        if isinstance(own, dict) and not is_foreign(kind.__module__) and not _has_slots(kind):
+            return self._class(kind), tuple((name, self._value(value)) for name, value in own.items())
+        if is_foreign(kind.__module__) and kind.__module__.startswith(("numpy", "typing")):
+            return "object", repr(x)
+        self.is_lasting = False
+        return "object", id(x)
+
+    def _class(self, kind: type) -> Hashable:
+        """Return a class: of the library and of others by name, of a user by its methods and values too."""
+        name = kind.__module__, kind.__qualname__
+        if _is_library(kind.__module__) or is_foreign(kind.__module__):
+            return name
+        if id(kind) in self._seen:
+            return (*name, self._seen[id(kind)][0])
+        self._seen[id(kind)] = len(self._seen), kind
+        self.is_ours = False
+        own = [
+            (key, self._value(value))
+            for key, value in vars(kind).items()
+            if not key.startswith("__") or key == "__call__"
+        ]
+        return (*name, tuple(own), tuple(map(self._class, kind.__bases__)))
+
+    def _function(self, function: FunctionType) -> Hashable:
+        """Return a function: of the library and of others by name, of a user by its code and all it refers to."""
+        module = function.__module__ or ""
+        name = module, function.__qualname__
+        library = _is_library(module)
+        if (library or is_foreign(module)) and not function.__closure__ and function.__name__ != "<lambda>":
+            return name
+        if id(function) in self._seen:
+            return (*name, self._seen[id(function)][0])
+        self._seen[id(function)] = len(self._seen), function
+        code = function.__code__
+        found: list[Any] = [code, self._value(function.__defaults__), self._value(function.__kwdefaults__)]
+        for cell in function.__closure__ or ():
+            self.cells.append(cell)
+            try:
+                found.append(self._value(cell.cell_contents))
+            except ValueError:
+                found.append("not set")
+        if "__wrapped__" in vars(function):
+            found.append(self._value(function.__wrapped__))
+        if not library and not is_foreign(module):
+            self.is_ours = False
+            self.namespaces[id(function.__globals__)] = function.__globals__
+            found += self._names(code, function.__globals__)
+        return (*name, *found)
+
+    def _names(self, code: CodeType, space: Mapping[str, Any]) -> Iterator[Hashable]:
+        """Yield what the names of some code stand for in a namespace, and in a user's modules there."""
+        for name in sorted(names_of(code) & space.keys()):
+            value = space[name]
+            yield name, self._value(value)
+            if isinstance(value, ModuleType) and not (
+                is_foreign(value.__name__) or _is_library(value.__name__) or id(value) in self._seen
+            ):
+                self._seen[id(value)] = len(self._seen), value
+                yield from self._names(code, vars(value))
+
+    @property
+    def digest(self) -> str | None:
+        """Name of the loop in any process; None where it has none."""
+        source = _source() if self.is_lasting else None
+        text = source and f"{source} {_text(self.key)}"
+        return None if text is None else hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
+
+
+def _is_library(module: str) -> bool:
+    return module.startswith("pinmobile.") or module == "pinmobile"
+
+
+@functools.cache
+def _has_slots(kind: type) -> bool:
+    """Tell whether objects of a class keep values that no attribute dictionary has."""
+    slots = (vars(each).get("__slots__", ()) for each in kind.__mro__)
+    names = ({each} if isinstance(each, str) else set(each) for each in slots)
+    return any(each - {"__dict__", "__weakref__"} for each in names)
+
+
+@functools.cache
+def _source() -> str | None:
+    """Return what stands for the code of the library, Python and NumPy; None where a file has just changed."""
+    files = [(file, file.stat()) for file in sorted(Path(__file__).parents[1].rglob("*.py"))]
+    if any(stat.st_mtime > _BEGAN for _, stat in files):
+        return None  # another text than the one that was loaded
+    found = [(str(file), stat.st_size, stat.st_mtime_ns) for file, stat in files]
+    return repr((found, sys.version, np.__version__))
+
+
+def _text(x: Any) -> str:
+    """Return a key as text, the same in all processes."""
+    if isinstance(x, CodeType):
+        own = x.co_code, x.co_names, x.co_varnames, x.co_freevars, x.co_cellvars, x.co_flags, x.co_argcount
+        return f"{own} {_text(x.co_consts)}"
+    if isinstance(x, tuple):
+        return f"({','.join(map(_text, x))})"
+    return f"{{{sorted(map(_text, x))}}}" if isinstance(x, frozenset) else repr(x)

@@ -1,0 +1,141 @@
+"""Recorders: what is kept of the samples of a loop.
+
+A recorder is a part like any other: its law is NumPy for one state. It is called as
+``recorder(sample, state) -> Record``, once per sample, after the controller and before the step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from pinmobile.arrays import Array
+from pinmobile.divergence import is_alive
+from pinmobile.loop._loop import Record, Sample
+from pinmobile.measures import size_of
+from pinmobile.parts import number, option, part
+
+
+@final
+@part
+class Worst:
+    """The largest and mean square error, and the largest input, of each robot, while it is alive.
+
+    Once it is not `is_alive`, it has diverged: from then on nothing is taken of it.
+
+    Parameters
+    ----------
+    limit : float
+        Largest error.
+    begin : float or None
+        Number of the first sample of which the error is kept; None: all are, which is faster than 0.
+    distances : tuple of tuples of int
+        Coordinates whose errors make a distance together; of each distance the largest is kept, and its sizes
+        are counted.
+    measures : tuple of (int, bool)
+        Which of the plant's measures are kept and counted, and whether it is a margin, of which the smallest
+        is the worst: see `pinmobile.measures`.
+    """
+
+    limit: float = number(default=np.inf, above=0, endless=True, doc="largest error")
+    begin: Any = number(default=None, optional=True, doc="first sample whose error is kept")
+    distances: tuple[tuple[int, ...], ...] = option(default=((0, 1), (2,)))
+    measures: tuple[tuple[int, bool], ...] = option(default=())
+
+    def initial_state(self, n: int, nu: int) -> dict[str, Array]:
+        """Return the record of no sample, for n errors and nu inputs."""
+        farthest = sum(len(group) > 1 for group in self.distances)
+        return {
+            "alive": np.ones(()),
+            "lived": np.zeros(()),
+            "largest": np.zeros(n),
+            "farthest": np.zeros(farthest),  # squared
+            "squares": np.zeros(n),
+            "inputs": np.zeros(nu),
+            **self._unmeasured(),
+        }
+
+    def _unmeasured(self) -> dict[str, Array]:
+        if not self.measures:
+            return {}
+        worst = np.array([-np.inf if is_margin else 0.0 for _, is_margin in self.measures])
+        return {"worst": worst, "measure_squares": np.zeros(len(worst))}  # margins: the largest -m
+
+    def __call__(self, sample: Sample, state: Mapping[str, Any]) -> Record:
+        """Return the record with one more sample."""
+        errors = np.concatenate([sample.error, sample.error_rate], axis=-1)
+        alive = (state["alive"] > 0.5) & is_alive(errors, self.limit, sample.u, sample.a)
+        one = np.where(alive, 1.0, 0.0)
+        error = np.where(alive[..., None], np.abs(sample.error), 0.0)
+        keep = 1.0 if self.begin is None else np.where(sample.k == self.begin, 0.0, 1.0)
+        squares = error * error
+        groups = [sum(squares[..., i] for i in group) for group in self.distances]
+        far = [square for square, group in zip(groups, self.distances, strict=True) if len(group) > 1]
+        new = {
+            "alive": one,
+            "lived": state["lived"] + one,
+            "largest": _larger(error, state["largest"] * keep),
+            "farthest": _larger(np.stack(far, axis=-1), state["farthest"] * keep)
+            if far
+            else state["farthest"],
+            "squares": state["squares"] * keep + squares,
+            "inputs": _larger(np.where(alive[..., None], np.abs(sample.u), 0.0), state["inputs"]),
+        }
+        sizes = [
+            np.sqrt(np.where(alive, square, np.inf))
+            if len(group) > 1
+            else np.where(alive, error[..., group[0]], np.inf)
+            for square, group in zip(groups, self.distances, strict=True)
+        ]
+        if not self.measures:
+            return Record(new, sizes)
+        kept, found = self._measured(sample, state, alive)
+        return Record(new | kept, sizes + found)
+
+    def _measured(
+        self, sample: Sample, state: Mapping[str, Any], alive: Any
+    ) -> tuple[dict[str, Any], list[Any]]:
+        """Return what is kept of the plant's measures, and their sizes."""
+        columns = [(sample.measured[..., i], is_margin) for i, is_margin in self.measures]
+        bad = [-x if is_margin else np.abs(x) for x, is_margin in columns]
+        before = {name: state[name] for name in ("worst", "measure_squares")}
+        if self.begin is not None:  # what was infinite before is forgotten, too
+            first = self._unmeasured()
+            before = {name: np.where(sample.k == self.begin, first[name], x) for name, x in before.items()}
+        lives = alive[..., None]
+        worst = np.where(lives, np.stack(bad, axis=-1), self._unmeasured()["worst"])
+        squares = np.where(lives, np.stack([x * x for x, _ in columns], axis=-1), 0.0)
+        kept = {
+            "worst": _larger(worst, before["worst"]),
+            "measure_squares": before["measure_squares"] + squares,
+        }
+        sizes = [
+            np.where(alive, size_of(x) if is_margin else y, 0.0 if is_margin else np.inf)
+            for (x, is_margin), y in zip(columns, bad, strict=True)
+        ]
+        return kept, sizes
+
+
+def _larger(a: Any, b: Any) -> Any:
+    """Return the larger of numbers that are known to be some."""
+    return np.where(a > b, a, b)
+
+
+@final
+@part
+class Samples:
+    """All samples: configuration, velocity, input and acceleration, and what parts tell."""
+
+    signals: ClassVar[bool] = True
+    errors: ClassVar[bool] = False
+
+    def initial_state(self, n: int, nu: int) -> None:
+        """Return None: nothing is kept from one sample to the next."""
+
+    def __call__(self, sample: Sample, state: object) -> Record:
+        """Return the sample."""
+        kept = {"q": sample.q, "v": sample.v, "u": sample.u, "a": sample.a}
+        kept |= {f"signal {name}": claim.value for name, claim in sample.signals.items()}
+        return Record(state, (), kept, {name: claim.unit for name, claim in sample.signals.items()})
