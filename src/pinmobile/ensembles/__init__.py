@@ -15,7 +15,6 @@ from pinmobile.ensembles.parameters import (
     GROUPS as GROUPS,
     PARAMETERS,
     resolved as resolved,
-    with_spread_forces as with_spread_forces,
 )
 from pinmobile.ensembles.records import (
     Member,

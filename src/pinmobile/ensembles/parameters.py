@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from types import MethodType, ModuleType
+from types import MethodType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,14 +16,6 @@ from pinmobile.controllers import GAINS
 from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.plant import Coordinate, Parameter, parameters_of
 from pinmobile.robot import BODY_PARAMETERS, PlanarBody
-
-
-def _stating(package: ModuleType) -> tuple[Any, ...]:
-    """Return the kinds of parts of a package that state parameters."""
-    return tuple(kind for kind in map(vars(package).get, package.__all__) if hasattr(kind, "parameters"))
-
-
-_FORCE_OF = {each.name: kind for kind in reversed(_stating(forces)) for each in parameters_of(kind)}
 
 
 class Stated(NamedTuple):
@@ -71,11 +63,9 @@ def _of_model(parameter: Parameter, prefix: str) -> Parameter:
 
 def _of_kinds() -> Iterator[tuple[str, tuple[Parameter, ...]]]:
     for package in (forces, paths, trajectories):
-        for kind in _stating(package):
-            with_ = f", with {kind.needs}" if hasattr(kind, "needs") else ""
-            how = f"added if there is none{with_}" if hasattr(kind, "nothing") else "if there is one"
-            if parameters_of(kind):  # those of a Spline depend on how many points it has
-                yield f"{kind.__name__}, {how}", parameters_of(kind)
+        for kind in map(vars(package).get, package.__all__):
+            if isinstance(kind, type) and (stated := parameters_of(kind)):
+                yield f"{kind.__name__}, if there is one", stated
 
 
 GROUPS: Mapping[str, tuple[Parameter, ...]] = {
@@ -87,8 +77,10 @@ GROUPS: Mapping[str, tuple[Parameter, ...]] = {
 }
 """The parameters of the library's own parts, by what has them."""
 
-PARAMETERS: Mapping[str, Parameter] = {each.name: each for group in GROUPS.values() for each in group}
-"""The same by name: a spread may name these, and those of users' parts."""
+PARAMETERS: Mapping[str, Parameter] = {
+    each.name: each for group in reversed(GROUPS.values()) for each in reversed(group)
+}
+"""The same by name, of several the first: a spread may name these, and those of users' parts."""
 
 
 def _walked(path: str, part: object, prefix: str) -> Iterator[tuple[str, Stated]]:
@@ -135,30 +127,6 @@ def resolved(name: object, known: Mapping[str, list[Stated]], where: str = "spre
             f"{' or '.join(repr(f'{path}.{name}') for path in paths)}"
         )
     return found[0]
-
-
-def with_spread_forces(forces: Sequence[Any], spread: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Return the forces, with those of the library that a spread names and that need no more to be known.
-
-    Raises
-    ------
-    InvalidArgument
-        If more must be known of one.
-    """
-    found = list(forces)
-    for name in spread:
-        kind = _FORCE_OF.get(name)
-        if kind is None or any(name == each.name for force in found for each in parameters_of(force)):
-            continue
-        needs = getattr(kind, "needs", None)
-        if not hasattr(kind, "nothing") or (needs is not None and needs not in spread):
-            also = f"no {needs!r}, and " if needs else ""
-            raise InvalidArgument(
-                f"spread has {name!r} but {also}forces has no {kind.__name__}, expected "
-                f"{'one of them' if needs else 'one'}"
-            )
-        found.append(kind.nothing())
-    return tuple(found)
 
 
 def nominal_of(known: Mapping[str, list[Stated]], values: Mapping[Place, Array]) -> dict[str, float]:

@@ -40,7 +40,6 @@ from pinmobile.ensembles.parameters import (
     resolved,
     start_parameters,
     stated_by,
-    with_spread_forces,
     written,
 )
 from pinmobile.errors import InvalidArgument, UnknownName
@@ -87,11 +86,9 @@ class Scenario:
         Number of robots.
     spread : mapping of str to Distribution, number or array of shape (n,)
         What differs, by the names of the parameters that the parts state; of the library's own, see
-        `PARAMETERS`. Where two parts have one of a name, the part is named too:
-        ``"forces[1].viscous_forward"``. What is not named is nominal; the controller believes in its own
-        robot unless ``model_mass`` and the like are named (`TRUE_MODEL`: it knows the truth). A constant
-        force, friction or rolling resistance that is named and not there is added, and a sinusoidal force
-        where ``sine_frequency`` is named.
+        `PARAMETERS`, such as ``"force.x"`` of a `ConstantForce`. Where two parts have one of a name, the part
+        is named too: ``"forces[1].force.x"``. What is not named is nominal; the controller believes in its
+        own robot unless ``model_mass`` and the like are named (`TRUE_MODEL`: it knows the truth).
     seed : int
         All draws follow from it; robot i's do not depend on n.
     dt, duration, integrator, substeps, forces, limit
@@ -141,7 +138,7 @@ class Scenario:
             )
         dt = positive("dt", self.dt, "s")
         check_mapping(self.spread)
-        self._set(forces=with_spread_forces(checked_forces(self.forces, self.robot), self.spread))
+        self._set(forces=checked_forces(self.forces, self.robot))
         duration = None if self.duration is None else positive("duration", self.duration, "s")
         t = sample_times(dt, duration, self.trajectory.duration)
         every = max(1, round((len(t) - 1) / _GRID)) if self.every is None else whole("every", self.every)

@@ -178,6 +178,8 @@ class Child(Field):
 
 
 def _checked(value: Any, field: attrs.Attribute[Any]) -> Any:
+    if value is None and field.default is None:
+        return None
     return field.metadata["declared"].checked(field.name, value)
 
 
