@@ -190,7 +190,27 @@ def check_sizes(path: Any, *names: str) -> None:
             raise InvalidArgument(f"{name} has shape {shape}, expected {expected[1]}, as {expected[0]}")
 
 
-class Curve:
+class Value:
+    """Abstract base of parts that compare, hash and show by their fields, arrays as tuples."""
+
+    def _values(self) -> dict[str, object]:
+        named = {name: value for name, _, value in fields_of(self)}
+        return {name: _plain(v.tolist()) if isinstance(v, np.ndarray) else v for name, v in named.items()}
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        return self._values() == other._values()
+
+    def __hash__(self) -> int:
+        return hash((type(self), *self._values().values()))
+
+    def __repr__(self) -> str:
+        inside = ", ".join(f"{name}={value!r}" for name, value in self._values().items())
+        return f"{type(self).__name__}({inside})"
+
+
+class Curve(Value):
     """Abstract base of the library's paths: parts that say what they are at checked times.
 
     Equality, hash and repr are from their fields.
@@ -257,22 +277,6 @@ class Curve:
             If a number is not finite, or its points are neither in the plane nor in space.
         """
         return Moved(self, x, y, angle)
-
-    def _values(self) -> dict[str, object]:
-        named = {name: value for name, _, value in fields_of(self)}
-        return {name: _plain(v.tolist()) if isinstance(v, np.ndarray) else v for name, v in named.items()}
-
-    def __eq__(self, other: object) -> bool:
-        if type(other) is not type(self):
-            return NotImplemented
-        return self._values() == other._values()
-
-    def __hash__(self) -> int:
-        return hash((type(self), *self._values().values()))
-
-    def __repr__(self) -> str:
-        inside = ", ".join(f"{name}={value!r}" for name, value in self._values().items())
-        return f"{type(self).__name__}({inside})"
 
 
 def _plain(value: object) -> object:

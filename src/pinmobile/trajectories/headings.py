@@ -15,7 +15,7 @@ from pinmobile.arrays import LEAST_ANGLE, Array, ArrayLike, frozen
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, LimitWarning
 from pinmobile.parts import child, number, part
-from pinmobile.paths import Path, within
+from pinmobile.paths import Path, Value, within
 from pinmobile.trajectories.direction import (
     STANDSTILL,
     Hodograph,
@@ -141,7 +141,7 @@ def _angle(u: Array) -> Array:
 
 
 @part
-class FixedHeading:
+class FixedHeading(Value):
     """Along a path with one heading throughout: a holonomic robot can."""
 
     path: Any = child(Path, doc="path of two coordinates")
@@ -182,7 +182,7 @@ class FixedHeading:
 
 
 @part
-class LectureHeading:
+class LectureHeading(Value):
     """Along a path with the lecture's desired heading; `Tangent` has it right.
 
         psi       = wrapTo2Pi(atan2(y', x'))                            in [0, 2 pi)
@@ -336,7 +336,7 @@ def _quintic(before: Array, after: Array, duration: float) -> Array:
 
 
 @part
-class Tangent:
+class Tangent(Value):
     """Along a path with the heading along its tangent (lecture, section 5.4, and its errata).
 
         psi      = atan2(y', x'), unwrapped from (-pi, pi] at the start

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, ArrayLike, finite, positive
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Following, child, children, option, part
-from pinmobile.paths import Hold, Path, checked_path, pieces_of, within
+from pinmobile.paths import Hold, Path, Value, checked_path, pieces_of, within
 from pinmobile.plant import refuse_path
 
 
@@ -135,7 +135,7 @@ _PROBES = 33  # per analytic piece of a path, its ends included
 
 
 @part
-class WholeBody:
+class WholeBody(Value):
     """A trajectory of the base beside one path per arm, on one clock.
 
     The coordinates of an arm's path are its joints' angles [rad] and ways [m]. Any path of that many
