@@ -7,13 +7,13 @@ the acceleration have shape (..., n), t [s] and dt [s] are numbers. Any callable
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
 import numpy as np
 
 from pinmobile.arrays import Array, callable_as
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.parts import option, part
 
 Acceleration: TypeAlias = Callable[[float, Array, Array], Array]
 
@@ -46,7 +46,7 @@ def check_integrator(integrator: object) -> None:
     )
 
 
-@dataclass(frozen=True)
+@part
 class RungeKuttaNystrom:
     """An explicit Runge-Kutta-Nystrom method: a table.
 
@@ -56,25 +56,14 @@ class RungeKuttaNystrom:
 
     and the step ends at q + h v + h^2 sum_j r_j a_j and v + h sum_j s_j a_j (Hairer, Norsett, Wanner, Solving
     Ordinary Differential Equations I, 1993, section II.14).
-
-    Parameters
-    ----------
-    name : str
-        Name, for people.
-    nodes : tuple of s floats
-        The c above; the first is 0.
-    stages_q, stages_v : tuple of s tuples of floats
-        The A and B above; row i has i - 1 entries.
-    weights_q, weights_v : tuple of s floats
-        The r and s above.
     """
 
-    name: str
-    nodes: tuple[float, ...]
-    stages_q: tuple[tuple[float, ...], ...]
-    stages_v: tuple[tuple[float, ...], ...]
-    weights_q: tuple[float, ...]
-    weights_v: tuple[float, ...]
+    name: str = option(doc="name, for people")
+    nodes: tuple[float, ...] = option(doc="the c above, of s stages; the first is 0")
+    stages_q: tuple[tuple[float, ...], ...] = option(doc="the A above; row i has i - 1 entries")
+    stages_v: tuple[tuple[float, ...], ...] = option(doc="the B above; row i has i - 1 entries")
+    weights_q: tuple[float, ...] = option(doc="the r above")
+    weights_v: tuple[float, ...] = option(doc="the s above")
 
     def __call__(
         self, acceleration: Acceleration, t: float, q: Array, v: Array, dt: float

@@ -6,6 +6,7 @@ import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 import attrs
@@ -386,7 +387,7 @@ def parameters_of(part: object) -> tuple[Parameter, ...]:
     InvalidArgument
         If it states one twice.
     """
-    if not hasattr(part, "parameters") and attrs.has(type(part)):
+    if not hasattr(part, "parameters") and attrs.has(part if isinstance(part, type) else type(part)):
         return tuple(_declared_by(part))
     found = tuple(
         Parameter(each, attribute=each) if isinstance(each, str) else _with_attribute(each)
@@ -402,22 +403,35 @@ def parameters_of(part: object) -> tuple[Parameter, ...]:
 
 
 def _declared_by(part: object) -> Iterator[Parameter]:
-    """Yield the parameters that the fields of a part declare: each number, and each of its entries."""
-    for name, declared, value in fields_of(part):
+    """Yield the parameters that the fields of a part declare: each number, and each of its entries.
+
+    Of a class, entries are those whose labels are the same for all of its parts.
+    """
+    for name, declared, value in _fields_of_kind(part) if isinstance(part, type) else fields_of(part):
         if not isinstance(declared, Number) or declared.fixed or value is None:
             continue
         least = -np.inf if declared.above is None and declared.lower is None else declared.above or 0.0
         least = declared.lower if declared.lower is not None else least
-        is_gain = len(declared.shapes) > 1
+        is_gain = ("n", "n") in declared.shapes
         write = None if not is_gain else _written_gain
         own = name, declared.unit, declared.doc or name, least, declared.above is None
         yield Parameter(*own, attribute=name, write=write)
         labels = Leaf(name, part, declared, value).labels if np.ndim(value) or is_gain else ()
-        for k, label in enumerate(labels):
-            unit, words = declared.unit_of(k), f"{declared.doc or name}, {label}"
+        rows = range(len(value)) if np.ndim(value) == 2 and not is_gain else [None]
+        for row, (k, label) in product(rows, enumerate(labels)):
+            at = label if row is None else f"{row}.{label}"
+            unit, words = declared.unit_of(k), f"{declared.doc or name}, {at}"
             one = partial(_written_entry, k) if is_gain else None
-            more = f"{name}.{label}", unit, words, least, declared.above is None, name, k, one
-            yield Parameter(*more)
+            entry = k if row is None else (row, k)
+            yield Parameter(f"{name}.{at}", unit, words, least, declared.above is None, name, entry, one)
+
+
+def _fields_of_kind(kind: type) -> Iterator[tuple[str, Any, Any]]:
+    for each in attrs.fields(kind):  # type: ignore[arg-type]
+        declared = each.metadata.get("declared")
+        labels = getattr(declared, "labels", ())
+        is_labelled = labels and not callable(labels) and () not in declared.shapes
+        yield each.name, declared, np.zeros(len(labels)) if is_labelled else 0.0
 
 
 def _written_gain(values: Array, column: Array, size: int) -> Array:

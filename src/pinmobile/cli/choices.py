@@ -295,7 +295,7 @@ def _taken(choices: Mapping[str, Choice[Any]], table: str) -> Iterator[Option]:
     for name in dict.fromkeys(each for choice in choices.values() for each in choice.takes):
         having = {kind: choice for kind, choice in choices.items() if name in choice.takes}
         stated = (each for choice in having.values() for each in parameters_of(choice.make))
-        one = _OWN.get(name) or next(each for each in stated if each.attribute == name)
+        one = _OWN.get(name) or [each for each in stated if each.attribute == name][-1]
         first, *others = values = [choice.takes[name] for choice in having.values()]
         which = "" if len(having) == len(choices) else f"{', '.join(having)}: "
         of_others = [
@@ -304,7 +304,7 @@ def _taken(choices: Mapping[str, Choice[Any]], table: str) -> Iterator[Option]:
             if value != first
         ]
         several = one.entry is not None or any(isinstance(value, tuple) for value in values)
-        axes = f" {'X,Y' if name != 'waypoints' else 'X,Y,X,Y,...'}" if one.entry is not None else ""
+        axes = f" {'X,Y' if name != 'waypoints' else 'X,Y,X,Y,...'}" if several and one.unit else ""
         in_units = f" ({one.unit})" if one.unit else ""
         default = "" if first is None else f"; {_told(first)}"
         text = f"{one.meaning.split(', ')[0]}{axes}{in_units}{default}{''.join(of_others)}."

@@ -30,7 +30,7 @@ from pinmobile.cli.choices import (
     Choice,
 )
 from pinmobile.controllers import Controller
-from pinmobile.ensembles import PARAMETERS, resolved, with_spread_forces
+from pinmobile.ensembles import PARAMETERS, resolved
 from pinmobile.errors import shown
 from pinmobile.paths import Path
 from pinmobile.trajectories import Trajectory
@@ -366,8 +366,7 @@ def scenario(
     InvalidArgument, UnknownName
         If something is not what is expected.
     """
-    forces = with_spread_forces(loop.get("forces", ()), spread)
-    bare = Scenario(**{**loop, "forces": forces}, n=1, spread={})
+    bare = Scenario(**loop, n=1, spread={})
     own = [name for name in bare.known if "." not in name and name not in PARAMETERS]
     left, lacking = {}, {}
     for name, value in spread.items():

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from copy import copy
-from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, ClassVar, Protocol, Self, final
 
+import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, representable, seeded, vector
+from pinmobile.arrays import Array, ArrayLike, frozen, representable, seeded
 from pinmobile.errors import InvalidArgument
-from pinmobile.parts import array, number, part
-from pinmobile.plant import Parameter
+from pinmobile.parts import Number, array, declare, evolved, number, option, part
 
 
 class Force(Protocol):
@@ -48,41 +47,6 @@ class CoordinateForce(Protocol):
         """
 
 
-def triple(name: str, value: ArrayLike) -> Array:
-    """Return `value` as a read-only array, shape (..., 3).
-
-    Raises
-    ------
-    InvalidArgument
-        If it has another shape or is not finite.
-    """
-    return frozen(vector(name, value, 3))
-
-
-def numbers(name: str, value: ArrayLike) -> Array:
-    """Return `value` as a read-only array, shape (...).
-
-    Raises
-    ------
-    InvalidArgument
-        If it is not finite.
-    """
-    return frozen(finite(name, value))
-
-
-def not_below_zero(name: str, value: Array) -> Array:
-    """Check that no entry is below zero, and return `value`, shape (...).
-
-    Raises
-    ------
-    InvalidArgument
-        If there is one.
-    """
-    if (value < 0).any():
-        raise InvalidArgument(f"{name} is {value[value < 0][0]}, expected >= 0")
-    return value
-
-
 def spread(tau: Array, t: ArrayLike, q: Array) -> Array:
     """Return `tau`, shape (..., 3), as one for each of the times and poses."""
     shape = np.shape(q)
@@ -97,6 +61,7 @@ def since(t: ArrayLike, begin: ArrayLike) -> Array:
 
 
 _ROUNDING = 1e-9  # [s]
+_TERMS = 16
 _GOLDEN = 0.6180339887498949  # the golden ratio's fraction: its multiples never come close to repeating
 
 
@@ -133,11 +98,6 @@ class ConstantForce:
         if not self.end > self.begin:
             raise InvalidArgument(f"end is {self.end} s, expected above begin, {self.begin} s")
 
-    @classmethod
-    def nothing(cls) -> Self:
-        """Return the force that is none, which a spread gives its size."""
-        return cls(np.zeros(3))
-
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m]."""
         acts = since(t, self.begin) * (1.0 - since(t, self.end))
@@ -145,66 +105,24 @@ class ConstantForce:
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@part
 class SinusoidalForce:
-    """A force amplitude * sin(2 pi frequency t + phase) in the inertial frame.
+    """A force amplitude * sin(2 pi frequency t + phase) in the inertial frame."""
 
-    Parameters
-    ----------
-    amplitude : array_like, shape (..., 3)
-        [N, N, N m].
-    frequency : array_like, shape (...)
-        [Hz], not below zero.
-    phase : array_like, shape (...)
-        [rad].
-
-    Raises
-    ------
-    InvalidArgument
-        If a shape does not fit, a value is not finite, or a frequency is below zero.
-    """
-
-    amplitude: ArrayLike
-    frequency: ArrayLike
-    phase: ArrayLike = 0.0
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("sine_x", "N", "amplitude of the sinusoidal force along x", attribute="amplitude", entry=0),
-        Parameter("sine_y", "N", "amplitude of the sinusoidal force along y", attribute="amplitude", entry=1),
-        Parameter("sine_moment", "N m", "amplitude of the sinusoidal moment", attribute="amplitude", entry=2),
-        Parameter("sine_frequency", "Hz", "its frequency", 0.0, attribute="frequency"),
-        Parameter("sine_phase", "rad", "its phase", attribute="phase"),
+    amplitude: Any = array(
+        shapes=((3,),), unit="N, N, N m", labels=AXES, doc="amplitude of the sinusoidal force"
     )
-    needs: ClassVar[str] = "sine_frequency"
-
-    @classmethod
-    def nothing(cls) -> Self:
-        """Return the force that is none, which a spread gives its size and its frequency."""
-        return cls(np.zeros(3), 0.0)
-
-    def __post_init__(self) -> None:
-        amplitude = triple("amplitude", self.amplitude)
-        frequency = not_below_zero("frequency", numbers("frequency", self.frequency))
-        phase = numbers("phase", self.phase)
-        try:
-            np.broadcast_shapes(amplitude.shape[:-1], frequency.shape, phase.shape)
-        except ValueError:
-            raise InvalidArgument(
-                f"amplitude, frequency and phase have leading shapes {amplitude.shape[:-1]}, "
-                f"{frequency.shape} and {phase.shape}, expected shapes that broadcast"
-            ) from None
-        for name, value in (("amplitude", amplitude), ("frequency", frequency), ("phase", phase)):
-            object.__setattr__(self, name, value)
+    frequency: float = number(lower=0, unit="Hz", doc="frequency of the sinusoidal force")
+    phase: float = number(default=0.0, unit="rad", doc="phase of the sinusoidal force")
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m]."""
-        amplitude, frequency, phase = (np.asarray(x) for x in (self.amplitude, self.frequency, self.phase))
-        wave = np.sin(np.multiply(t, 2 * np.pi * frequency) + phase)
-        return spread(amplitude * wave[..., None], t, q)
+        wave = np.sin(np.multiply(t, 2 * np.pi * self.frequency) + self.phase)
+        return spread(self.amplitude * wave[..., None], t, q)
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@part
 class NoiseForce:
     """Band-limited noise in the inertial frame, a smooth function of time.
 
@@ -219,110 +137,72 @@ class NoiseForce:
     correlation goes to zero with 1 / T. Two forces of one bandwidth do share theirs: one force of the root of
     both squares is what they are meant to be.
 
-    Parameters
-    ----------
-    std : array_like, shape (..., 3)
-        Root mean square of (Fx, Fy, Mz) [N, N, N m], not below zero.
-    bandwidth : float
-        Highest frequency [Hz].
-    seed : int, SeedSequence or Generator
-        Of the phases. In an ensemble, each robot has phases of its own, which follow from this seed and the
-        ensemble's.
-
-    Attributes
-    ----------
-    phases : ndarray, shape (..., TERMS, 3)
-        Phases of the cosines, uniform on [0, 2 pi) [rad].
-    in_phase, quadrature : ndarray, shape (..., TERMS, 3)
-        Their cosines and sines.
-
-    Raises
-    ------
-    InvalidArgument
-        If a shape does not fit, a value is not finite or below zero, or `seed` is none.
+    In an ensemble, each robot has phases of its own, which follow from `seed` and the ensemble's.
     """
 
-    TERMS: ClassVar[int] = 16
-
-    std: ArrayLike
-    bandwidth: float
-    seed: int | np.random.SeedSequence | np.random.Generator | None  # None: of given phases
-    phases: Array = field(init=False, repr=False)
-    in_phase: Array = field(init=False, repr=False)
-    quadrature: Array = field(init=False, repr=False)
-    _rates: Array = field(init=False, repr=False)  # 2 pi f_kj [rad/s], shape (TERMS, 3)
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("noise_x", "N", "rms of the noise force along x", 0.0, attribute="std", entry=0),
-        Parameter("noise_y", "N", "rms of the noise force along y", 0.0, attribute="std", entry=1),
-        Parameter("noise_moment", "N m", "rms of the noise moment", 0.0, attribute="std", entry=2),
-    )
+    TERMS: ClassVar[int] = _TERMS
     drawn: ClassVar[tuple[str, ...]] = ("in_phase", "quadrature")
     determined_by: ClassVar[tuple[str, ...]] = ("std", "bandwidth", "phases")  # its seed may be a Generator
 
-    def __post_init__(self) -> None:
-        drawn = seeded("seed", self.seed).uniform(0, 2 * np.pi, (self.TERMS, 3))
-        self._set(self.std, self.bandwidth, drawn)
+    std: Any = array(
+        shapes=((3,),), lower=0, unit="N, N, N m", labels=AXES, doc="root mean square of the noise force"
+    )
+    bandwidth: float = number(above=0, unit="Hz", fixed=True, doc="highest frequency of the noise")
+    seed: Any = option(doc="seed of the phases: int, SeedSequence or Generator; None of given phases")
+    phases: Any = declare(
+        Number("phases of the cosines, uniform on [0, 2 pi)", "rad", shapes=((_TERMS, 3),), fixed=True),
+        attrs.Factory(lambda force: force._uniform(seeded("seed", force.seed)), takes_self=True),
+        kw_only=True,
+        repr=False,
+    )
 
     @classmethod
     def of_phases(cls, std: ArrayLike, bandwidth: float, phases: ArrayLike) -> Self:
-        """Return the noise with given phases; its seed is None.
+        """Return the noise with given phases of the cosines, shape (TERMS, 3) [rad]; its seed is None."""
+        return cls(std, bandwidth, None, phases=phases)
 
-        Parameters
-        ----------
-        std, bandwidth
-            As in the class.
-        phases : array_like, shape (..., TERMS, 3)
-            Of the cosines [rad].
+    def _uniform(self, generator: np.random.Generator, *count: int) -> Array:
+        return generator.uniform(0, 2 * np.pi, (*count, self.TERMS, 3))
 
-        Raises
-        ------
-        InvalidArgument
-            If a shape does not fit, or a value is not finite or below zero.
-        """
-        force = object.__new__(cls)
-        object.__setattr__(force, "seed", None)
-        force._set(std, bandwidth, phases)
-        return force
+    def check(self) -> None:
+        """Raise `InvalidArgument` where a frequency is beyond the largest number."""
+        self._rates  # noqa: B018
 
-    def _set(self, std: ArrayLike, bandwidth: float, phases: ArrayLike) -> None:
-        deviation, angles = not_below_zero("std", triple("std", std)), finite("phases", phases)
-        if angles.shape[-2:] != (self.TERMS, 3):
-            raise InvalidArgument(f"phases has shape {angles.shape}, expected (..., {self.TERMS}, 3)")
-        try:
-            np.broadcast_shapes(deviation.shape[:-1], angles.shape[:-2])
-        except ValueError:
-            raise InvalidArgument(
-                f"std and phases have leading shapes {deviation.shape[:-1]} and {angles.shape[:-2]}, "
-                "expected shapes that broadcast"
-            ) from None
-        object.__setattr__(self, "std", deviation)
-        object.__setattr__(self, "bandwidth", positive("bandwidth", bandwidth, "Hz"))
-        object.__setattr__(self, "phases", frozen(angles))
-        object.__setattr__(self, "in_phase", frozen(np.cos(angles)))
-        object.__setattr__(self, "quadrature", frozen(np.sin(angles)))
+    @cached_property
+    def in_phase(self) -> Array:
+        """Cosines of the phases, shape (TERMS, 3)."""
+        return frozen(np.cos(self.phases))
+
+    @cached_property
+    def quadrature(self) -> Array:
+        """Sines of the phases, shape (TERMS, 3)."""
+        return frozen(np.sin(self.phases))
+
+    @cached_property
+    def _rates(self) -> Array:
+        """2 pi f_kj, shape (TERMS, 3) [rad/s]."""
         with np.errstate(over="ignore"):
-            rates = representable("2 pi bandwidth", 2 * np.pi * noise_frequencies(self.bandwidth))
-        object.__setattr__(self, "_rates", frozen(rates))
+            return frozen(representable("2 pi bandwidth", 2 * np.pi * noise_frequencies(self.bandwidth)))
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m]."""
         turned = np.asarray(t)[..., None, None] * self._rates  # (..., K, 3), the same for all robots
         waves = self.in_phase * np.cos(turned) - self.quadrature * np.sin(turned)
-        return spread(np.asarray(self.std) * np.sqrt(2 / self.TERMS) * waves.sum(axis=-2), t, q)
+        return spread(self.std * np.sqrt(2 / self.TERMS) * waves.sum(axis=-2), t, q)
 
     def draw(self, generator: np.random.Generator, count: int) -> dict[str, Array]:
         """Return phases for robots that have their own, as `in_phase` and `quadrature`, (count, TERMS, 3)."""
-        phases = generator.uniform(0, 2 * np.pi, (count, self.TERMS, 3))
+        phases = self._uniform(generator, count)
         return {"in_phase": np.cos(phases), "quadrature": np.sin(phases)}
 
     def with_parameters(self, **values: Array) -> Self:
         """Return it with another `std`, `in_phase` or `quadrature`."""
-        new = copy(self)
-        for name, value in values.items():
-            object.__setattr__(new, name, frozen(np.asarray(value, np.float64)))
-        if "in_phase" in values:
-            object.__setattr__(new, "phases", frozen(np.arctan2(new.quadrature, new.in_phase)))
+        drawn = {name: frozen(values[name]) for name in self.drawn if name in values}
+        changes = {"std": values.get("std", self.std)}
+        if drawn:
+            changes["phases"] = np.arctan2(drawn["quadrature"], drawn["in_phase"])
+        new = evolved(self, changes)
+        vars(new).update(drawn)  # to the bit
         return new
 
     @property

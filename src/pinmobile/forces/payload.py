@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar, Protocol, Self, final
+from typing import Any, Protocol, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, scalar
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, ArrayLike
 from pinmobile.forces.force import since, spread
-from pinmobile.plant import Parameter
+from pinmobile.parts import array, number, part
 
 
 class Carried(Protocol):
@@ -36,7 +34,7 @@ class Carried(Protocol):
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@part
 class Payload:
     """A load on the body from a time on, which then moves with it.
 
@@ -49,57 +47,20 @@ class Payload:
         [[m, 0, -m k1], [0, m, m k2], [-m k1, m k2, I + m (x^2 + y^2)]]     (m k2 r^2, m k1 r^2, 0)
 
     with ``k1 = y cos psi + x sin psi`` and ``k2 = x cos psi - y sin psi``, as the closed form of a body does.
-
-    Parameters
-    ----------
-    mass : float
-        [kg], not below zero.
-    at : array_like, shape (2,)
-        Where it is, forward and left of the body's origin [m].
-    when : float
-        From which time on [s].
-    yaw_inertia : float
-        About the vertical through its own centre of mass [kg m^2], not below zero.
-
-    Raises
-    ------
-    InvalidArgument
-        If a shape is wrong, a value is not finite, or a mass or inertia is below zero.
     """
 
-    mass: float
-    at: ArrayLike
-    when: float
-    yaw_inertia: float = 0.0
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("payload_mass", "kg", "mass of the payload", 0.0, attribute="mass"),
-        Parameter("payload_x", "m", "where the payload is, forward", attribute="at", entry=0),
-        Parameter("payload_y", "m", "where the payload is, left", attribute="at", entry=1),
-        Parameter("payload_when", "s", "when the payload comes", attribute="when"),
-        Parameter("payload_inertia", "kg m^2", "its own yaw inertia", 0.0, attribute="yaw_inertia"),
+    mass: float = number(lower=0, unit="kg", doc="mass of the payload")
+    at: Any = array(
+        shapes=((2,),), unit="m", labels=("x", "y"), doc="position of the payload, forward and left"
     )
-
-    def __post_init__(self) -> None:
-        at = finite("at", self.at)
-        if at.shape != (2,):
-            raise InvalidArgument(f"at has shape {at.shape}, expected (2,)")
-        object.__setattr__(self, "at", frozen(at))
-        object.__setattr__(self, "when", scalar("when", self.when))
-        for name in ("mass", "yaw_inertia"):
-            value = scalar(name, getattr(self, name))
-            if value < 0:
-                raise InvalidArgument(f"{name} is {value}, expected >= 0")
-            object.__setattr__(self, name, value)
-
-    @classmethod
-    def nothing(cls) -> Self:
-        """Return the payload that is none, from the start on, which a spread gives its mass."""
-        return cls(0.0, (0.0, 0.0), 0.0)
+    when: float = number(unit="s", doc="time from which the payload is on the body")
+    yaw_inertia: float = number(
+        default=0.0, lower=0, unit="kg m^2", doc="yaw inertia of the payload about its own centre of mass"
+    )
 
     def _lever(self, pose: Array) -> tuple[Array, Array]:
         """Return k1 and k2 of the class, shape (...) [m]."""
-        x, y = np.asarray(self.at)[..., 0], np.asarray(self.at)[..., 1]
+        x, y = self.at[..., 0], self.at[..., 1]
         cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
         return y * cos + x * sin, x * cos - y * sin
 
@@ -113,7 +74,7 @@ class Payload:
         q : ndarray, shape (..., 3)
             Pose of the body [m, m, rad].
         """
-        x, y = np.asarray(self.at)[..., 0], np.asarray(self.at)[..., 1]
+        x, y = self.at[..., 0], self.at[..., 1]
         k1, k2 = self._lever(q)
         here = since(t, self.when) + 0.0 * k1
         m = here * self.mass

@@ -181,6 +181,8 @@ class Child(Field):
 
 
 def _checked(value: Any, field: attrs.Attribute[Any]) -> Any:
+    if value is None and field.default is None:
+        return None
     return field.metadata["declared"].checked(field.name, value)
 
 
@@ -300,7 +302,7 @@ def part(cls: type[_T]) -> type[_T]:
         cls.__attrs_post_init__ = check  # type: ignore[attr-defined]
     if "__reduce__" not in own:
         cls.__reduce__ = lambda self: (_rebuilt, (type(self), _initial(self)))  # type: ignore[method-assign,assignment]
-    return attrs.define(cls, slots=False, eq=False, frozen=True, repr="__repr__" not in own)
+    return attrs.define(cls, slots=False, eq=False, frozen=True, repr=cls.__repr__ is object.__repr__)
 
 
 def _initial(part: Any) -> dict[str, Any]:

@@ -2,61 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import accumulate, pairwise
-from typing import ClassVar, NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, frozen, positive, sequence
+from pinmobile.arrays import Array, ArrayLike, frozen, positive
 from pinmobile.errors import InvalidArgument
-from pinmobile.paths.path import Curve, Path, Piece, any_path, jumps, pieces_of, told
-from pinmobile.plant import Parameter
+from pinmobile.parts import children, part
+from pinmobile.paths.path import Curve, Path, Piece, jumps, pieces_of, told
 
 _SLACK = 1e-9  # [m, m/s], and of their size: the rounding of numbers that were computed
 
 
 @final
-@dataclass(frozen=True, eq=False, repr=False)
+@part
 class CompositePath(Curve):
     """One path after another, each starting where the one before it ends, at the velocity that that has.
 
-    The acceleration may jump, as at the via point of a `CubicVia`.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Paths of as many coordinates each; `path.moved` puts one where another ends.
-
-    Raises
-    ------
-    InvalidArgument
-        If one is no path or has other coordinates, or position or velocity jumps between two; the message
-        tells where and by how much.
+    The acceleration may jump, as at the via point of a `CubicVia`. `path.moved` puts one where another ends.
     """
 
-    paths: Sequence[Path]
-    _starts: Array = field(init=False)  # when they start, and the end [s]
+    paths: Any = children(Path, doc="paths of as many coordinates each")
 
-    parameters: ClassVar[tuple[Parameter, ...]] = ()
-
-    def __post_init__(self) -> None:
-        given = sequence("paths", self.paths, "paths, one after another")
-        if not given:
+    def check(self) -> None:
+        """Raise `InvalidArgument` where a path does not go on where and as the one before it ends."""
+        if not self.paths:
             raise InvalidArgument("paths is empty, expected at least one path")
-        paths = tuple(any_path(f"paths[{k}]", path) for k, path in enumerate(given))
-        shapes = [np.shape(path(0.0)) for path in paths]
+        shapes = [np.shape(path(0.0)) for path in self.paths]
         for k, shape in enumerate(shapes):
             if len(shape) != 1 or shape != shapes[0]:
                 expected = shapes[0] if len(shapes[0]) == 1 else "(n,)"
                 raise InvalidArgument(f"paths[{k}] has points of shape {shape}, expected {expected}")
-        lengths = [positive(f"paths[{k}].duration", path.duration, "s") for k, path in enumerate(paths)]
-        starts = frozen([0.0, *accumulate(lengths)])
-        for name, value in {"paths": paths, "_starts": starts}.items():
-            object.__setattr__(self, name, value)
-        for k, (before, after) in enumerate(pairwise(paths)):
-            _check_joint(k, before, after, starts[k + 1])
+        for k, (before, after) in enumerate(pairwise(self.paths)):
+            _check_joint(k, before, after, self._starts[k + 1])
+
+    @cached_property
+    def _starts(self) -> Array:
+        """Times at which the paths start, and the end [s]."""
+        lengths = (positive(f"paths[{k}].duration", p.duration, "s") for k, p in enumerate(self.paths))
+        return frozen([0.0, *accumulate(lengths)])
 
     @property
     def duration(self) -> float:

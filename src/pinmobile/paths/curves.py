@@ -2,36 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
-from typing import ClassVar, Self
+from functools import cached_property
+from typing import Any
 
+import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, scalar
+from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
-from pinmobile.paths.path import of_point
+from pinmobile.parts import array, number, part
+from pinmobile.paths.path import axes_of, check_sizes
 from pinmobile.paths.polynomials import PiecewisePath, PiecewisePolynomial, hermite, stretch
-from pinmobile.plant import Parameter
-
-_REST = (0.0, 0.0)
 
 
-def _parameters(size: int, *, has_velocity: bool) -> tuple[Parameter, ...]:
-    return (
-        *of_point("via_start", "start", "start of the path", size),
-        *of_point("via", "via", "via point of the path", size),
-        *of_point("via_end", "end", "end of the path", size),
-        Parameter("via_time", "s", "time at the via point", 0.0, may_vanish=False, attribute="t_via"),
-        *(
-            of_point("via_velocity", "via_velocity", "velocity at the via point", size, unit="m/s")
-            if has_velocity
-            else ()
-        ),
-    )
+def _velocity(doc: str) -> Any:
+    at_rest = attrs.Factory(lambda path: np.zeros(len(axes_of(path))), takes_self=True)
+    return array(default=at_rest, unit="m/s", labels=axes_of, doc=doc)
 
 
-@dataclass(frozen=True, init=False, eq=False, repr=False)
+@part
 class CubicVia(PiecewisePath):
     """Two cubics per coordinate, from start to end through a via point (lecture, section 5.1 and 5.2).
 
@@ -41,72 +30,38 @@ class CubicVia(PiecewisePath):
 
     With `via_velocity` given these are two independent cubics, and the acceleration jumps at the via
     point. With it free, velocity and acceleration are continuous there.
-
-    Parameters
-    ----------
-    start, via, end : array_like, shape (n,)
-        The three points [m]; n = 2 in the plane, any n >= 1 is accepted.
-    t_via, t_end : float
-        Times at the last two [s], 0 < t_via < t_end.
-    via_velocity : array_like, shape (n,), optional
-        Velocity at the via point [m/s]; free where left out.
-    start_velocity, end_velocity : array_like, shape (n,), optional
-        Velocities at the ends [m/s]; at rest where left out, for any n.
-
-    Raises
-    ------
-    InvalidArgument
-        If a point or velocity has another shape or is not finite, or the times are out of order.
+    Points are of n >= 1 coordinates, in the plane of 2. At its ends it rests where no velocity is given.
     """
 
-    start: Array
-    via: Array
-    end: Array
-    t_via: float
-    t_end: float
-    via_velocity: Array | None
-    start_velocity: Array
-    end_velocity: Array
+    start: Any = array(unit="m", labels=axes_of, doc="start of the path")
+    via: Any = array(unit="m", labels=axes_of, doc="via point of the path")
+    end: Any = array(unit="m", labels=axes_of, doc="end of the path")
+    t_via: float = number(above=0, unit="s", doc="time at the via point")
+    t_end: float = number(above=0, unit="s", fixed=True, doc="time at the end")
+    via_velocity: Any = array(
+        default=None, unit="m/s", labels=axes_of, doc="velocity at the via point, free without one"
+    )
+    start_velocity: Any = _velocity("velocity at the start")
+    end_velocity: Any = _velocity("velocity at the end")
 
-    parameters: ClassVar[tuple[Parameter, ...]] = _parameters(2, has_velocity=True)
-
-    def __init__(
-        self,
-        start: ArrayLike,
-        via: ArrayLike,
-        end: ArrayLike,
-        t_via: float,
-        t_end: float,
-        via_velocity: ArrayLike | None = None,
-        *,
-        start_velocity: ArrayLike = _REST,
-        end_velocity: ArrayLike = _REST,
-    ) -> None:
-        first = finite("start", start)
-        if first.ndim != 1 or not first.size:
-            raise InvalidArgument(f"start has shape {first.shape}, expected (n,)")
-        n = first.size
-        keep = {
-            "start": frozen(first),
-            "via": _point("via", via, n),
-            "end": _point("end", end, n),
-            "t_via": scalar("t_via", t_via),
-            "t_end": positive("t_end", t_end, "s"),
-            "via_velocity": None if via_velocity is None else _point("via_velocity", via_velocity, n),
-            "start_velocity": _velocity("start_velocity", start_velocity, n),
-            "end_velocity": _velocity("end_velocity", end_velocity, n),
-        }
-        for name, value in keep.items():
-            object.__setattr__(self, name, value)
-        if not 0 < self.t_via < self.t_end:
+    def check(self) -> None:
+        """Raise `InvalidArgument` where shapes differ or the times are out of order."""
+        if not self.start.size:
+            raise InvalidArgument("start has shape (0,), expected (n,) with n >= 1")
+        check_sizes(self, "start", "via", "end", "via_velocity", "start_velocity", "end_velocity")
+        if not self.t_via < self.t_end:
             raise InvalidArgument(f"t_via is {self.t_via} s, expected 0 < t_via < t_end = {self.t_end} s")
         stretch("t_via", self.t_via)
         stretch("t_end - t_via", self.t_end - self.t_via)
-        object.__setattr__(self, "_curve", self._solve())
-        stated = _parameters(n, has_velocity=self.via_velocity is not None)
-        object.__setattr__(self, "parameters", stated)  # in place of those in the plane
+        super().check()
 
-    def _solve(self) -> PiecewisePolynomial:
+    @property
+    def duration(self) -> float:
+        """The time at the end [s]."""
+        return self.t_end
+
+    @cached_property
+    def _curve(self) -> PiecewisePolynomial:
         velocity = self._free_velocity() if self.via_velocity is None else self.via_velocity
         before = hermite(self.t_via, self.start, self.via, self.start_velocity, velocity)
         after = hermite(self.t_end - self.t_via, self.via, self.end, velocity, self.end_velocity)
@@ -123,76 +78,49 @@ class CubicVia(PiecewisePath):
         return np.asarray((before * (s / self.t_end) + after * (t / self.t_end)) / 2)
 
 
-def _point(name: str, value: ArrayLike, size: int | None = None) -> Array:
-    array = finite(name, value)
-    if array.ndim != 1 or size not in (None, array.size):
-        raise InvalidArgument(f"{name} has shape {array.shape}, expected ({'n' if size is None else size},)")
-    return frozen(array)
-
-
-def _velocity(name: str, value: ArrayLike | None, size: int) -> Array:
-    return frozen(np.zeros(size)) if value is None or value is _REST else _point(name, value, size)
-
-
-@dataclass(frozen=True, init=False, eq=False, repr=False)
+@part
 class Spline(PiecewisePath):
     """The cubic spline through waypoints, clamped at its ends; `CubicVia` with a free via is that of three.
 
-    Parameters
-    ----------
-    waypoints : array_like, shape (k, n)
-        The points [m], k >= 2 of n >= 1 coordinates.
-    times : array_like, shape (k,)
-        Times at the points [s]: from zero, strictly increasing.
-    start_velocity, end_velocity : array_like, shape (n,), optional
-        Velocities at the ends [m/s]; at rest where left out.
-
-    Raises
-    ------
-    InvalidArgument
-        If a shape is another, a number is not finite, or the times do not increase from zero.
+    At its ends it rests where no velocity is given.
     """
 
-    waypoints: Array
-    times: Array
-    start_velocity: Array
-    end_velocity: Array
+    waypoints: Any = array(shapes=(("k", "n"),), unit="m", labels=axes_of, doc="waypoints of the path")
+    times: Any = array(unit="s", fixed=True, doc="times at the waypoints, from zero and increasing")
+    start_velocity: Any = _velocity("velocity at the start")
+    end_velocity: Any = _velocity("velocity at the end")
 
-    def __init__(
-        self,
-        waypoints: ArrayLike,
-        times: ArrayLike,
-        *,
-        start_velocity: ArrayLike | None = None,
-        end_velocity: ArrayLike | None = None,
-    ) -> None:
-        points = finite("waypoints", waypoints)
-        if points.ndim != 2 or points.shape[0] < 2 or not points.shape[1]:
-            raise InvalidArgument(f"waypoints has shape {points.shape}, expected (k, n) with k >= 2")
-        keep = {
-            "waypoints": frozen(points),
-            "times": _increasing(finite("times", times), points.shape[0]),
-            "start_velocity": _velocity("start_velocity", start_velocity, points.shape[1]),
-            "end_velocity": _velocity("end_velocity", end_velocity, points.shape[1]),
-        }
-        for name, value in keep.items():
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "_curve", self._solve())
+    def check(self) -> None:
+        """Raise `InvalidArgument` where shapes differ or the times do not increase from zero."""
+        (count, size), times = self.waypoints.shape, self.times
+        if count < 2 or not size:
+            raise InvalidArgument(f"waypoints has shape {(count, size)}, expected (k, n) with k >= 2")
+        if times.shape != (count,):
+            raise InvalidArgument(f"times has shape {times.shape}, expected ({count},), one per waypoint")
+        for name in ("start_velocity", "end_velocity"):
+            if getattr(self, name).shape != (size,):
+                raise InvalidArgument(f"{name} has shape {getattr(self, name).shape}, expected ({size},)")
+        if times[0] != 0:
+            raise InvalidArgument(f"times[0] is {times[0]} s, expected 0")
+        for k, step in enumerate(np.diff(times), 1):
+            if step <= 0:
+                raise InvalidArgument(
+                    f"times[{k}] is {times[k]} s, expected > times[{k - 1}] = {times[k - 1]} s"
+                )
+            stretch(f"times[{k}] - times[{k - 1}]", step)
+        super().check()
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Its waypoints, from 0."""
-        count, n = self.waypoints.shape
-        points = (of_point(f"waypoint_{k}", "waypoints", f"waypoint {k}", n, row=k) for k in range(count))
-        return tuple(each for point in points for each in point)
+    def duration(self) -> float:
+        """The time at the last waypoint [s]."""
+        return float(self.times[-1])
 
-    def _solve(self) -> PiecewisePolynomial:
+    @cached_property
+    def _curve(self) -> PiecewisePolynomial:
         # Here, because scipy is heavy and no other path needs it.
         from scipy.interpolate import CubicSpline
 
         ends = ((1, self.start_velocity), (1, self.end_velocity))
-        for k, step in enumerate(np.diff(self.times), 1):
-            stretch(f"times[{k}] - times[{k - 1}]", step)
         try:
             with np.errstate(all="ignore"):  # PiecewisePolynomial looks
                 highest_first = CubicSpline(self.times, self.waypoints, bc_type=ends).c  # (4, k - 1, n)
@@ -201,102 +129,38 @@ class Spline(PiecewisePath):
         return PiecewisePolynomial(self.times, np.moveaxis(highest_first[::-1], 0, 1))
 
 
-def _increasing(times: Array, size: int) -> Array:
-    if times.shape != (size,):
-        raise InvalidArgument(f"times has shape {times.shape}, expected ({size},), one per waypoint")
-    if times[0] != 0:
-        raise InvalidArgument(f"times[0] is {times[0]} s, expected 0")
-    late = np.flatnonzero(np.diff(times) <= 0)
-    if late.size:
-        k = int(late[0])
-        raise InvalidArgument(f"times[{k + 1}] is {times[k + 1]} s, expected > times[{k}] = {times[k]} s")
-    return frozen(times)
+@part
+class Hold(PiecewisePath):
+    """A point that is held; of no coordinates too, for an arm that has no joints left."""
+
+    point: Any = array(unit="m", labels=axes_of, doc="point that is held")
+    duration: float = number(above=0, unit="s", fixed=True, doc="duration of the path")
+
+    @cached_property
+    def _curve(self) -> PiecewisePolynomial:
+        return PiecewisePolynomial(np.array([0.0, self.duration]), self.point[None, None])
 
 
-def _of_hold(size: int) -> tuple[Parameter, ...]:
-    return of_point("hold", "point", "point that is held", size)
-
-
-def _of_rests(size: int) -> tuple[Parameter, ...]:
-    start = of_point("rest_start", "start", "where the way starts", size)
-    return (*start, *of_point("rest_end", "end", "where the way ends", size))
-
-
-class _Timed(PiecewisePath):
-    """Abstract base: one polynomial that is given its duration."""
-
-    def _values(self) -> dict[str, object]:
-        return {**super()._values(), "duration": self.duration}
-
-    def with_parameters(self, **values: ArrayLike) -> Self:
-        """Return the path of the same duration with other values of its `parameters`, by attribute."""
-        points = {each.name: getattr(self, each.name) for each in fields(self) if each.init}
-        made: Callable[..., Self] = type(self)
-        return made(**{**points, **values}, duration=self.duration)
-
-
-@dataclass(frozen=True, init=False, eq=False, repr=False)
-class Hold(_Timed):
-    """A point that is held.
-
-    Parameters
-    ----------
-    point : array_like, shape (n,)
-        Where [m; rad of joints that turn]; of no coordinates too, for an arm that has no joints left.
-    duration : float
-        How long [s], > 0.
-
-    Raises
-    ------
-    InvalidArgument
-        If the point has another shape or is not finite, or the duration is not above zero.
-    """
-
-    point: Array
-
-    parameters: ClassVar[tuple[Parameter, ...]] = _of_hold(2)
-
-    def __init__(self, point: ArrayLike, duration: float) -> None:
-        object.__setattr__(self, "point", _point("point", point))
-        knots = np.array([0.0, positive("duration", duration, "s")])
-        object.__setattr__(self, "_curve", PiecewisePolynomial(knots, self.point[None, None]))
-        object.__setattr__(self, "parameters", _of_hold(self.point.size))  # in place of those in the plane
-
-
-@dataclass(frozen=True, init=False, eq=False, repr=False)
-class RestToRest(_Timed):
+@part
+class RestToRest(PiecewisePath):
     """The straight way from one point to another, with velocity and acceleration zero at both.
 
     r(t) = start + (end - start) (10 s^3 - 15 s^4 + 6 s^5) with s = t / duration, the quintic; the speed is at
     most 15/8 of the mean one.
-
-    Parameters
-    ----------
-    start, end : array_like, shape (n,)
-        The two points [m; rad of joints that turn].
-    duration : float
-        Time between them [s], > 0.
-
-    Raises
-    ------
-    InvalidArgument
-        If a point has another shape or is not finite, or the duration is not above zero.
     """
 
-    start: Array
-    end: Array
+    start: Any = array(unit="m", labels=axes_of, doc="start of the path")
+    end: Any = array(unit="m", labels=axes_of, doc="end of the path")
+    duration: float = number(above=0, unit="s", fixed=True, doc="duration of the path")
 
-    parameters: ClassVar[tuple[Parameter, ...]] = _of_rests(2)
+    def check(self) -> None:
+        """Raise `InvalidArgument` where shapes differ."""
+        check_sizes(self, "start", "end")
+        super().check()
 
-    def __init__(self, start: ArrayLike, end: ArrayLike, duration: float) -> None:
-        object.__setattr__(self, "start", _point("start", start))
-        object.__setattr__(self, "end", _point("end", end))
-        if self.end.shape != self.start.shape:
-            raise InvalidArgument(f"end has shape {self.end.shape}, expected {self.start.shape}")
-        object.__setattr__(self, "_curve", self._solve(stretch("duration", duration)))
-        object.__setattr__(self, "parameters", _of_rests(self.start.size))  # in place of those in the plane
-
-    def _solve(self, T: float) -> PiecewisePolynomial:
+    @cached_property
+    def _curve(self) -> PiecewisePolynomial:
+        T = stretch("duration", self.duration)
         with np.errstate(all="ignore"):  # PiecewisePolynomial looks
             way = self.end - self.start
             still = np.zeros_like(way)
@@ -304,38 +168,22 @@ class RestToRest(_Timed):
         return PiecewisePolynomial(np.array([0.0, T]), np.array([rows]))
 
 
-def _of_line(size: int) -> tuple[Parameter, ...]:
-    start = of_point("line_start", "start", "start of the path", size)
-    return (*start, *of_point("line_end", "end", "end of the path", size))
+@part
+class Line(PiecewisePath):
+    """The straight line from one point to another at one speed; `RestToRest` starts and ends at rest."""
 
+    start: Any = array(unit="m", labels=axes_of, doc="start of the path")
+    end: Any = array(unit="m", labels=axes_of, doc="end of the path")
+    duration: float = number(above=0, unit="s", fixed=True, doc="duration of the path")
 
-@dataclass(frozen=True, init=False, eq=False, repr=False)
-class Line(_Timed):
-    """The straight line from one point to another at one speed; `RestToRest` starts and ends at rest.
+    def check(self) -> None:
+        """Raise `InvalidArgument` where shapes differ."""
+        check_sizes(self, "start", "end")
+        super().check()
 
-    Parameters
-    ----------
-    start, end : array_like, shape (n,)
-        The two points [m; rad of joints that turn].
-    duration : float
-        Time between them [s], > 0.
-
-    Raises
-    ------
-    InvalidArgument
-        If a point has another shape or is not finite, or the duration is not above zero.
-    """
-
-    start: Array
-    end: Array
-
-    parameters: ClassVar[tuple[Parameter, ...]] = _of_line(2)
-
-    def __init__(self, start: ArrayLike, end: ArrayLike, duration: float) -> None:
-        object.__setattr__(self, "start", _point("start", start))
-        object.__setattr__(self, "end", _point("end", end, self.start.size))
-        T = stretch("duration", duration)
+    @cached_property
+    def _curve(self) -> PiecewisePolynomial:
+        T = stretch("duration", self.duration)
         with np.errstate(all="ignore"):  # PiecewisePolynomial looks
             rows = np.array([[self.start, (self.end - self.start) / T]])
-        object.__setattr__(self, "_curve", PiecewisePolynomial(np.array([0.0, T]), rows))
-        object.__setattr__(self, "parameters", _of_line(self.start.size))  # in place of those in the plane
+        return PiecewisePolynomial(np.array([0.0, T]), rows)

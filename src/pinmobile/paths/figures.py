@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, representable, scalar
+from pinmobile.arrays import Array, representable
 from pinmobile.errors import InvalidArgument
-from pinmobile.paths.path import Curve, Whole, of_point, turned
-from pinmobile.plant import Parameter
+from pinmobile.parts import array, number, part
+from pinmobile.paths.path import Curve, Whole, turned
 
 
 class _Figure(Curve):
@@ -41,44 +40,19 @@ class _Figure(Curve):
 
 
 @final
-@dataclass(frozen=True, eq=False, repr=False)
+@part
 class Lissajous(_Figure):
     """The Lissajous figure that starts at the origin: x = rx sin(wx t), y = ry - ry cos(wy t).
 
     Lecture, section 5.3. A circle for rx = ry and wx = wy (see `Circle`), an ellipse for wx = wy alone.
-
-    Parameters
-    ----------
-    rx, ry : float
-        Amplitudes [m]; a negative one mirrors the figure.
-    wx, wy : float
-        Rates [rad/s].
-    duration : float
-        Time from start to end [s], > 0.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is not finite, or `duration` not above zero.
+    A negative amplitude mirrors the figure.
     """
 
-    rx: float
-    ry: float
-    wx: float
-    wy: float
-    duration: float
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("lissajous_rx", "m", "amplitude of the figure along x", attribute="rx"),
-        Parameter("lissajous_ry", "m", "amplitude of the figure along y", attribute="ry"),
-        Parameter("lissajous_wx", "rad/s", "rate of the figure along x", attribute="wx"),
-        Parameter("lissajous_wy", "rad/s", "rate of the figure along y", attribute="wy"),
-    )
-
-    def __post_init__(self) -> None:
-        for name in ("rx", "ry", "wx", "wy"):
-            object.__setattr__(self, name, scalar(name, getattr(self, name)))
-        object.__setattr__(self, "duration", positive("duration", self.duration, "s"))
+    rx: float = number(unit="m", doc="amplitude of the figure along x")
+    ry: float = number(unit="m", doc="amplitude of the figure along y")
+    wx: float = number(unit="rad/s", doc="rate of the figure along x")
+    wy: float = number(unit="rad/s", doc="rate of the figure along y")
+    duration: float = number(above=0, unit="s", fixed=True, doc="duration of the path")
 
     @property
     def _axes(self) -> tuple[float, float, float, float]:
@@ -90,75 +64,31 @@ class Lissajous(_Figure):
         return curve
 
 
-def _of_circle(*, centre: bool = True, phase: bool = True, heading: bool = True) -> tuple[Parameter, ...]:
-    return (
-        Parameter("circle_radius", "m", "radius of the circle", 0.0, may_vanish=False, attribute="radius"),
-        Parameter("circle_rate", "rad/s", "turn rate on the circle", attribute="rate"),
-        *(of_point("circle_centre", "centre", "middle of the circle") if centre else ()),
-        *((Parameter("circle_phase", "rad", "angle of the start on the circle", attribute="phase"),) * phase),
-        *((Parameter("circle_heading", "rad", "direction at the start", attribute="heading"),) * heading),
-    )
-
-
 @final
-@dataclass(frozen=True, eq=False, repr=False)
+@part
 class Circle(_Figure):
     """A circle; without more words that which starts at the origin along the x axis.
 
         x = x_c + r cos(w t + phase),   y = y_c + r sin(w t + phase)
 
     with the phase -pi/2 and the centre (0, r) where nothing is said: x = r sin(w t), y = r - r cos(w t).
-
-    Parameters
-    ----------
-    radius : float
-        Radius r [m], > 0.
-    rate : float
-        Turn rate w of its tangent [rad/s], positive to the left; a negative one starts backwards.
-    duration : float
-        Time from start to end [s], > 0.
-    centre : array_like, shape (2,), optional
-        Its middle [m]; without one the circle starts at the origin.
-    phase : float, optional
-        Angle from the x axis at which the start is seen from the centre [rad].
-    heading : float, optional
-        In place of the phase, the direction in which the start is driven [rad].
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is not finite, `centre` has another shape, `radius` or `duration` is not above zero, or
-        `phase` and `heading` are both given.
+    A negative rate starts backwards. In place of the phase, `heading` tells where it starts.
     """
 
-    radius: float
-    rate: float
-    duration: float
-    centre: ArrayLike | None = None
-    phase: float | None = None
-    heading: float | None = None
+    radius: float = number(above=0, unit="m", doc="radius of the circle")
+    rate: float = number(unit="rad/s", doc="turn rate on the circle, positive to the left")
+    duration: float = number(above=0, unit="s", fixed=True, doc="duration of the path")
+    centre: Any = array(default=None, shapes=((2,),), unit="m", labels=("x", "y"), doc="middle of the circle")
+    phase: float | None = number(default=None, unit="rad", doc="angle of the start on the circle")
+    heading: float | None = number(default=None, unit="rad", doc="direction at the start")
 
-    parameters: ClassVar[tuple[Parameter, ...]] = _of_circle()
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", positive("radius", self.radius, "m"))
-        object.__setattr__(self, "rate", scalar("rate", self.rate))
-        object.__setattr__(self, "duration", positive("duration", self.duration, "s"))
-        if self.centre is not None:
-            centre = finite("centre", self.centre)
-            if centre.shape != (2,):
-                raise InvalidArgument(f"centre has shape {centre.shape}, expected (2,)")
-            object.__setattr__(self, "centre", frozen(centre))
-        for name in ("phase", "heading"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, scalar(name, getattr(self, name)))
+    def check(self) -> None:
+        """Raise `InvalidArgument` where phase and heading are both given."""
         if self.phase is not None and self.heading is not None:
             raise InvalidArgument(
                 f"heading is {self.heading} rad beside phase = {self.phase} rad, expected one of them: "
                 "each tells the other"
             )
-        said = {name: getattr(self, name) is not None for name in ("centre", "phase", "heading")}
-        object.__setattr__(self, "parameters", _of_circle(**said))
 
     def _values(self) -> dict[str, object]:
         return {name: value for name, value in super()._values().items() if value is not None}

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, ClassVar, Protocol, final, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, final, runtime_checkable
 
+import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, scalar, whole
-from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Parameter
+from pinmobile.arrays import Array, ArrayLike, finite, whole
+from pinmobile.errors import InvalidArgument
+from pinmobile.parts import child, fields_of, number, part, required
 
 # Relative to the duration: room for the rounding of `n * dt`, and for no more.
 _ROUNDING = 4 * float(np.finfo(np.float64).eps)
@@ -18,8 +19,9 @@ _ROUNDING = 4 * float(np.finfo(np.float64).eps)
 
 @runtime_checkable
 class Path(Protocol):
-    """A curve r(t) of n coordinates, 0 <= t <= duration; a user's own class is as good as the library's.
+    """A path: path(t), path.derivative(t, order), path.duration.
 
+    A curve r(t) of n coordinates, 0 <= t <= duration; a user's own class is as good as the library's.
     At a knot `derivative` is the limit from the right, at the end of the path that from the left. A path
     that is not analytic all along says where by an attribute ``pieces``, a tuple of `Piece`; without it
     the whole path counts as one.
@@ -89,21 +91,6 @@ def pieces_of(path: Path) -> tuple[Piece, ...]:
     return tuple(getattr(path, "pieces", ())) or (Whole(path),)
 
 
-def any_path(name: str, path: object) -> Path:
-    """Return what is a path; `name` is that of the argument.
-
-    Raises
-    ------
-    InvalidArgument
-        If it is none.
-    """
-    if isinstance(path, type) or not isinstance(path, Path):
-        raise InvalidArgument(
-            f"{name} is {shown(path)}, expected a path: path(t), path.derivative(t, order), path.duration"
-        )
-    return path
-
-
 def checked_path(path: object, size: int) -> Path:
     """Return a path whose points have 2 or 3 coordinates, and whose pieces meet.
 
@@ -112,7 +99,7 @@ def checked_path(path: object, size: int) -> Path:
     InvalidArgument
         If it is none, its points have another shape, or it jumps.
     """
-    path = any_path("path", path)
+    path = required("path", path, Path)
     shape = np.shape(path(0.0))
     if shape != (size,):
         where = "the plane" if size == 2 else "space"
@@ -183,47 +170,53 @@ def within(name: str, t: ArrayLike, duration: float) -> Array:
     return np.asarray(np.minimum(np.maximum(times, 0.0), duration))
 
 
-def of_point(
-    name: str, attribute: str, meaning: str, size: int = 2, *, unit: str = "m", row: int | None = None
-) -> tuple[Parameter, ...]:
-    """Return the parameters of a point or velocity that a path has: x and y, or numbers of joints.
+def axes_of(path: Any) -> tuple[str, ...]:
+    """Return labels of the coordinates of a path whose first field holds points: x and y, else numbers."""
+    size = np.shape(getattr(path, attrs.fields(type(path))[0].name))[-1]
+    return ("x", "y") if size == 2 else tuple(map(str, range(size)))
 
-    Parameters
-    ----------
-    name : str
-        What they begin with, such as ``"via"``: ``"via_x"``.
-    attribute : str
-        The path's attribute.
-    meaning : str
-        What it is, in words.
-    size : int
-        Number of coordinates.
-    unit : str
-        Of each in the plane; of joints, that is as the joint is.
-    row : int, optional
-        Which of several points that the attribute holds.
+
+def check_sizes(path: Any, *names: str) -> None:
+    """Refuse points or velocities of another number of coordinates than the first.
+
+    Raises
+    ------
+    InvalidArgument
+        If there are such.
     """
-    coordinates = ("x", "y") if size == 2 else tuple(map(str, range(size)))
-    return tuple(
-        Parameter(
-            f"{name}_{each}",
-            unit if size == 2 else "",
-            f"{meaning}, {each if size == 2 else f'coordinate {each}'}",
-            attribute=attribute,
-            entry=k if row is None else (row, k),
-        )
-        for k, each in enumerate(coordinates)
-    )
+    expected, *others = ((name, np.shape(getattr(path, name))) for name in names)
+    for name, shape in others:
+        if shape not in ((), expected[1]):
+            raise InvalidArgument(f"{name} has shape {shape}, expected {expected[1]}, as {expected[0]}")
 
 
-class Curve:
-    """Abstract base of the library's paths: frozen dataclasses that say what they are at checked times.
+class Value:
+    """Abstract base of parts that compare, hash and show by their fields, arrays as tuples."""
 
-    Equality, hash and repr are from their fields: what a dataclass generates itself compares arrays as if
-    they were numbers, which raises.
+    def _values(self) -> dict[str, object]:
+        named = {name: value for name, _, value in fields_of(self)}
+        return {name: _plain(v.tolist()) if isinstance(v, np.ndarray) else v for name, v in named.items()}
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        return self._values() == other._values()
+
+    def __hash__(self) -> int:
+        return hash((type(self), *self._values().values()))
+
+    def __repr__(self) -> str:
+        inside = ", ".join(f"{name}={value!r}" for name, value in self._values().items())
+        return f"{type(self).__name__}({inside})"
+
+
+class Curve(Value):
+    """Abstract base of the library's paths: parts that say what they are at checked times.
+
+    Equality, hash and repr are from their fields.
     """
 
-    if TYPE_CHECKING:  # of a dataclass it may be a field, whose default this would be
+    if TYPE_CHECKING:  # of a part it may be a field
 
         @property
         def duration(self) -> float:
@@ -285,22 +278,6 @@ class Curve:
         """
         return Moved(self, x, y, angle)
 
-    def _values(self) -> dict[str, object]:
-        named = {f.name: getattr(self, f.name) for f in fields(self) if f.init}  # type: ignore[arg-type]
-        return {name: _plain(v.tolist()) if isinstance(v, np.ndarray) else v for name, v in named.items()}
-
-    def __eq__(self, other: object) -> bool:
-        if type(other) is not type(self):
-            return NotImplemented
-        return self._values() == other._values()
-
-    def __hash__(self) -> int:
-        return hash((type(self), *self._values().values()))
-
-    def __repr__(self) -> str:
-        inside = ", ".join(f"{name}={value!r}" for name, value in self._values().items())
-        return f"{type(self).__name__}({inside})"
-
 
 def _plain(value: object) -> object:
     return tuple(map(_plain, value)) if isinstance(value, list) else value
@@ -315,43 +292,20 @@ def turned(vectors: Array, angle: float) -> Array:
 
 
 @final
-@dataclass(frozen=True, eq=False, repr=False)
+@part
 class Moved(Curve):
-    """A path elsewhere: turned about the origin, then shifted. In space, about the z axis and level.
+    """A path elsewhere: turned about the origin, then shifted. In space, about the z axis and level."""
 
-    Parameters
-    ----------
-    path : Path
-        Any path in the plane or in space.
-    x, y : float
-        Where its origin comes to lie [m].
-    angle : float
-        What it is turned by before [rad], positive to the left.
+    path: Any = child(Path, doc="any path in the plane or in space")
+    x: float = number(default=0.0, unit="m", doc="shift of the path along x")
+    y: float = number(default=0.0, unit="m", doc="shift of the path along y")
+    angle: float = number(default=0.0, unit="rad", doc="angle that the path is turned by")
 
-    Raises
-    ------
-    InvalidArgument
-        If `path` is no such path, or a number is not finite.
-    """
-
-    path: Path
-    x: float = 0.0
-    y: float = 0.0
-    angle: float = 0.0
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("moved_x", "m", "where the path is moved to, x", attribute="x"),
-        Parameter("moved_y", "m", "where the path is moved to, y", attribute="y"),
-        Parameter("moved_angle", "rad", "angle that the path is turned by", attribute="angle"),
-    )
-
-    def __post_init__(self) -> None:
-        if np.shape(any_path("path", self.path)(0.0)) not in ((2,), (3,)):
-            raise InvalidArgument(
-                f"path has points of shape {np.shape(self.path(0.0))}, expected (2,) or (3,)"
-            )
-        for name in ("x", "y", "angle"):
-            object.__setattr__(self, name, scalar(name, getattr(self, name)))
+    def check(self) -> None:
+        """Raise `InvalidArgument` where points are neither in the plane nor in space."""
+        shape = np.shape(self.path(0.0))
+        if shape not in ((2,), (3,)):
+            raise InvalidArgument(f"path has points of shape {shape}, expected (2,) or (3,)")
 
     @property
     def duration(self) -> float:

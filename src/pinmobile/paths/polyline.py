@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
-from functools import cache
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
 from math import comb
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, representable
+from pinmobile.arrays import Array, ArrayLike, frozen, representable
 from pinmobile.errors import InvalidArgument
-from pinmobile.paths.path import Curve, Piece, of_point
+from pinmobile.parts import array, number, part
+from pinmobile.paths.path import Curve, Piece, axes_of
 from pinmobile.paths.polynomials import Polynomial, stretch
-from pinmobile.plant import Parameter
 
 # h(s) = 10 s^3 - 15 s^4 + 6 s^5: what of a turn or of a change of speed is made at the share s of its time.
 _SMOOTH = np.polynomial.Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])
@@ -80,16 +80,8 @@ class _Way(NamedTuple):
         return float(self.lengths.sum() - 2 * self.cuts.sum() + sum(each.length for each in self.corners))
 
 
-_PARAMETERS = (
-    Parameter("corner_radius", "m", "least radius of the corners", 0.0, may_vanish=False),
-    Parameter(
-        "polyline_acceleration", "m/s^2", "acceleration at the ends", 0.0, False, attribute="acceleration"
-    ),
-)
-
-
 @final
-@dataclass(frozen=True, eq=False, repr=False)
+@part
 class Polyline(Curve):
     """Straight ways from point to point at one speed, with rounded corners.
 
@@ -98,72 +90,52 @@ class Polyline(Curve):
     circular arcs they are not. The curvature is 1 / `corner_radius` at most, in the middle of the corner,
     and the acceleration speed^2 / `corner_radius`. A corner cuts as much off both of its ways.
 
-    Parameters
-    ----------
-    waypoints : array_like, shape (k, n)
-        The points [m], k >= 2 of n >= 2 coordinates; the path starts at the first and ends at the last.
-    corner_radius : float
-        Least radius of curvature [m], > 0.
-    duration : float
-        Time from start to end [s], > 0.
-    acceleration : float, optional
-        With which, at most, it starts from rest and comes to rest [m/s^2], > 0; without, it moves at its
-        speed from its first point to its last.
-
-    Attributes
-    ----------
-    length : float
-        Of the way [m].
-    speed : float
-        Along it, but for starting and stopping [m/s].
-
-    Raises
-    ------
-    InvalidArgument
-        If a shape is another, a number is not finite or not above zero, a waypoint is that before it, the
-        way turns back at one, between two there is too little room, or the duration is too short for the
-        acceleration; the message tells how much it takes.
+    With an `acceleration` it starts from rest and comes to rest with at most that; without, it moves at its
+    speed from the start to the end.
     """
 
-    waypoints: ArrayLike
-    corner_radius: float
-    duration: float
-    acceleration: float | None = None
-    length: float = field(init=False)
-    speed: float = field(init=False)
-    pieces: tuple[Piece, ...] = field(init=False)
-    _starts: Array = field(init=False)
+    waypoints: Any = array(shapes=(("k", "n"),), unit="m", labels=axes_of, doc="waypoints of the path")
+    corner_radius: float = number(above=0, unit="m", doc="least radius of the corners")
+    duration: float = number(above=0, unit="s", fixed=True, doc="duration of the path")
+    acceleration: float | None = number(
+        default=None, above=0, unit="m/s^2", doc="largest acceleration at the ends"
+    )
 
-    def __post_init__(self) -> None:
-        points = finite("waypoints", self.waypoints)
-        if points.ndim != 2 or min(points.shape) < 2:
-            raise InvalidArgument(
-                f"waypoints has shape {points.shape}, expected (k, n) with k >= 2 and n >= 2"
-            )
-        object.__setattr__(self, "waypoints", frozen(points))
-        for name, unit in (("corner_radius", "m"), ("duration", "s"), ("acceleration", "m/s^2")):
-            if name != "acceleration" or self.acceleration is not None:
-                object.__setattr__(self, name, positive(name, getattr(self, name), unit))
+    def check(self) -> None:
+        """Raise `InvalidArgument` where there is too little room or time; the message tells how much."""
+        shape = self.waypoints.shape
+        if min(shape) < 2:
+            raise InvalidArgument(f"waypoints has shape {shape}, expected (k, n) with k >= 2 and n >= 2")
         stretch("duration", self.duration)
-        way = self._rounded(points)
-        object.__setattr__(self, "length", way.length)
-        object.__setattr__(self, "speed", self._speed())
-        *others, last = self._made(way)
-        pieces = (*others, replace(last, end=self.duration))
-        object.__setattr__(self, "pieces", pieces)
-        object.__setattr__(self, "_starts", frozen([piece.start for piece in pieces]))
+        self.pieces  # noqa: B018
+
+    @cached_property
+    def _way(self) -> _Way:
+        return self._rounded(self.waypoints)
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Its waypoints, from 0, and its numbers."""
-        count, n = np.shape(self.waypoints)
-        points = (of_point(f"waypoint_{k}", "waypoints", f"waypoint {k}", n, row=k) for k in range(count))
-        own = _PARAMETERS[: 1 if self.acceleration is None else 2]
-        return (*(each for point in points for each in point), *own)
+    def length(self) -> float:
+        """Length of the path, corners rounded [m]."""
+        return self._way.length
+
+    @cached_property
+    def speed(self) -> float:
+        """Speed between its ends [m/s]."""
+        return self._speed()
+
+    @cached_property
+    def pieces(self) -> tuple[Piece, ...]:
+        """Straight ways, and the corners between them."""
+        *others, last = self._made(self._way)
+        return (*others, replace(last, end=self.duration))
+
+    @cached_property
+    def _starts(self) -> Array:
+        return frozen([piece.start for piece in self.pieces])
 
     def _at(self, t: Array, order: int) -> Array:
         which = np.searchsorted(self._starts[1:], t, side="right")
-        found = np.empty((*t.shape, np.shape(self.waypoints)[1]))
+        found = np.empty((*t.shape, self.waypoints.shape[1]))
         for k in np.unique(which):
             mine = which == k
             found[mine] = self.pieces[k].derivative(t[mine], order)

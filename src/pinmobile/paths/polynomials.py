@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import perm
 
 import numpy as np
@@ -121,16 +121,16 @@ def _horner(coefficients: Array, s: Array, order: int) -> Array:
     return out
 
 
-@dataclass(frozen=True, init=False, eq=False, repr=False)
 class PiecewisePath(Curve):
-    """Abstract base: a path whose maker has set `_curve`."""
-
-    _curve: PiecewisePolynomial = field(init=False)
+    """Abstract base: a path of polynomials."""
 
     @property
-    def duration(self) -> float:
-        """Time from start to end [s]."""
-        return float(self._curve.knots[-1])
+    def _curve(self) -> PiecewisePolynomial:
+        raise NotImplementedError
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` where a coefficient is beyond the largest number."""
+        self._curve  # noqa: B018
 
     @property
     def pieces(self) -> tuple[Polynomial, ...]:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
-from typing import ClassVar
+from typing import Any, ClassVar
 from warnings import warn
 
 import numpy as np
 
-from pinmobile.arrays import LEAST_ANGLE, Array, ArrayLike, frozen, positive, scalar
+from pinmobile.arrays import LEAST_ANGLE, Array, ArrayLike, frozen
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, LimitWarning
-from pinmobile.paths import Path, within
-from pinmobile.plant import Parameter
+from pinmobile.parts import child, number, part
+from pinmobile.paths import Path, Value, within
 from pinmobile.trajectories.direction import (
     STANDSTILL,
     Hodograph,
@@ -139,33 +140,16 @@ def _angle(u: Array) -> Array:
     return np.asarray(np.arctan2(u[..., 1], u[..., 0]))
 
 
-@dataclass(frozen=True)
-class FixedHeading:
-    """Along a path with one heading throughout: a holonomic robot can.
+@part
+class FixedHeading(Value):
+    """Along a path with one heading throughout: a holonomic robot can."""
 
-    Parameters
-    ----------
-    path : Path
-        A path of two coordinates.
-    psi : float
-        The heading [rad].
+    path: Any = child(Path, doc="path of two coordinates")
+    psi: float = number(unit="rad", doc="heading that is held")
 
-    Raises
-    ------
-    InvalidArgument
-        If `path` is no path in the plane, or `psi` not one finite number.
-    """
-
-    path: Path
-    psi: float
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("fixed_heading", "rad", "heading that is held", attribute="psi"),
-    )
-
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """Raise `InvalidArgument` where the path is none in the plane."""
         plane_path(self.path)
-        object.__setattr__(self, "psi", scalar("psi", self.psi))
 
     @property
     def duration(self) -> float:
@@ -197,8 +181,8 @@ class FixedHeading:
         )
 
 
-@dataclass(frozen=True)
-class LectureHeading:
+@part
+class LectureHeading(Value):
     """Along a path with the lecture's desired heading; `Tangent` has it right.
 
         psi       = wrapTo2Pi(atan2(y', x'))                            in [0, 2 pi)
@@ -213,25 +197,20 @@ class LectureHeading:
     path rests there, and a y' of that size does not turn the heading of a path that runs along x from 0 to a
     whole turn. Where x' alone vanishes the rate is the formula's limit, whatever is left of x'; the lecture's
     script has that or 0 there, as the rounding of its linear solver falls.
-
-    Parameters
-    ----------
-    path : Path
-        A path of two coordinates.
-
-    Raises
-    ------
-    InvalidArgument
-        If `path` is no path in the plane.
     """
 
     on_circle: ClassVar[bool] = False  # a turn too many is an error of 2 pi: `plain_difference`
 
-    path: Path
-    _still: float = field(init=False, repr=False, compare=False)
+    path: Any = child(Path, doc="path of two coordinates")
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_still", STANDSTILL * float(largest(plane_path(self.path), 1).max()))
+    def check(self) -> None:
+        """Raise `InvalidArgument` where the path is none in the plane."""
+        plane_path(self.path)
+        self._still  # noqa: B018
+
+    @cached_property
+    def _still(self) -> float:
+        return STANDSTILL * float(largest(self.path, 1).max())
 
     @property
     def duration(self) -> float:
@@ -356,8 +335,8 @@ def _quintic(before: Array, after: Array, duration: float) -> Array:
     )
 
 
-@dataclass(frozen=True)
-class Tangent:
+@part
+class Tangent(Value):
     """Along a path with the heading along its tangent (lecture, section 5.4, and its errata).
 
         psi      = atan2(y', x'), unwrapped from (-pi, pi] at the start
@@ -372,20 +351,9 @@ class Tangent:
     Parameters
     ----------
     path : Path
-        A path of two coordinates. Derivatives of order 0 to 3 are asked for, higher ones where it rests.
+        Derivatives of order 0 to 3 are asked for, higher ones where it rests.
     turn_time : float, optional
-        How long each turn on the spot lasts [s], > 0. Without it a path that needs one is refused.
-
-    Attributes
-    ----------
-    turns : ndarray, shape (m,)
-        Times at which a turn on the spot begins, on the clock of the trajectory [s].
-
-    Raises
-    ------
-    InvalidArgument
-        If `path` is no path in the plane; never moves; has a corner that it does not rest at; needs to
-        turn on the spot but has no `turn_time`; or `turn_time` is not above zero.
+        Without it a path that needs a turn on the spot is refused.
 
     Warns
     -----
@@ -393,33 +361,32 @@ class Tangent:
         If the turn rate jumps where the path rests, which no finite moment can follow.
     """
 
-    path: Path
-    turn_time: float | None = None
+    path: Any = child(Path, doc="path of two coordinates")
+    turn_time: float | None = number(default=None, above=0, unit="s", doc="time of each turn on the spot")
 
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("turn_time", "s", "time of each turn on the spot", 0.0, may_vanish=False),
-    )
-
-    turns: Array = field(init=False, repr=False, compare=False)
-    _hodograph: Hodograph = field(init=False, repr=False, compare=False)
-    _winding: _Winding = field(init=False, repr=False, compare=False)
-    _stops: _TurnsOnTheSpot = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """Raise `InvalidArgument` where the path has no tangent, or needs turns without a time for them."""
         plane_path(self.path)
-        if self.turn_time is None:
-            object.__setattr__(self, "parameters", ())
-        else:
-            object.__setattr__(self, "turn_time", positive("turn_time", self.turn_time, "s"))
-        direction = hodograph(self.path)
-        winding = _Winding(direction)
-        for jump in winding.jumps:
+        for jump in self._winding.jumps:
             _check(jump, self.turn_time)
-        _report_rates(direction, {jump.time for jump in winding.jumps})
-        stops = _TurnsOnTheSpot(winding.jumps, self.turn_time or 0.0, float(self.path.duration))
-        for name, value in (("_hodograph", direction), ("_winding", winding), ("_stops", stops)):
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "turns", frozen(stops.starts))
+        _report_rates(self._hodograph, {jump.time for jump in self._winding.jumps})
+
+    @property
+    def turns(self) -> Array:
+        """Times at which a turn on the spot begins, on the clock of the trajectory, shape (m,) [s]."""
+        return frozen(self._stops.starts)
+
+    @cached_property
+    def _hodograph(self) -> Hodograph:
+        return hodograph(self.path)
+
+    @cached_property
+    def _winding(self) -> _Winding:
+        return _Winding(self._hodograph)
+
+    @cached_property
+    def _stops(self) -> _TurnsOnTheSpot:
+        return _TurnsOnTheSpot(self._winding.jumps, self.turn_time or 0.0, float(self.path.duration))
 
     @property
     def duration(self) -> float:
@@ -476,6 +443,6 @@ def _report_rates(direction: Hodograph, turns: set[float]) -> None:
                 f"the turn rate jumps from {left:.4g} to {right:.4g} rad/s at t = {after.head.time:g} s, "
                 "where the path rests, and no finite moment follows that: let the path end straight ahead",
                 LimitWarning,
-                stacklevel=4,
+                stacklevel=5,
             )
             return

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -12,7 +11,8 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, finite, positive
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.paths import Hold, Path, checked_path, pieces_of, within
+from pinmobile.parts import Following, child, children, option, part
+from pinmobile.paths import Hold, Path, Value, checked_path, pieces_of, within
 from pinmobile.plant import refuse_path
 
 
@@ -134,8 +134,8 @@ _STANDSTILL = 1e-9  # [m/s, rad/s]: the rounding of what ends at rest
 _PROBES = 33  # per analytic piece of a path, its ends included
 
 
-@dataclass(frozen=True, init=False, repr=False)
-class WholeBody:
+@part
+class WholeBody(Value):
     """A trajectory of the base beside one path per arm, on one clock.
 
     The coordinates of an arm's path are its joints' angles [rad] and ways [m]. Any path of that many
@@ -160,27 +160,33 @@ class WholeBody:
         others while it moves.
     """
 
-    robot: Any
-    base: Trajectory
-    joints: tuple[Path, ...]
-    duration: float = field(compare=False)
+    robot: Any = option(doc="robot whose base and arms move")
+    base: Any = child(Following, doc="trajectory of x, y and psi")
+    joints: Any = children(Path, doc="paths of the arms")
 
-    def __init__(self, robot: Any, base: Trajectory, *joints: Path | None) -> None:
+    def __init__(self, robot: Any, base: Any, *paths: Path | None, joints: Sequence[Path] = ()) -> None:
         _check_robot(robot)
         _check_base(base)
-        if len(joints) != len(robot.mounts):
+        given = paths or joints
+        if len(given) != len(robot.mounts):
             raise InvalidArgument(
-                f"joints has {len(joints)} paths, expected {len(robot.mounts)}, one per arm of the robot"
+                f"joints has {len(given)} paths, expected {len(robot.mounts)}, one per arm of the robot"
             )
-        paths = tuple(_checked(robot, k, path, float(base.duration)) for k, path in enumerate(joints))
-        longest = max([float(base.duration), *(float(path.duration) for path in paths)])
-        for name, value in {"robot": robot, "base": base, "joints": paths, "duration": longest}.items():
-            object.__setattr__(self, name, value)
+        made = [_checked(robot, k, path, float(base.duration)) for k, path in enumerate(given)]
+        self.__attrs_init__(robot, base, made)  # type: ignore[attr-defined]
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` where a part ends while it moves, or leaves the joint limits."""
         for name, (motion, end) in self._parts().items():
-            _check_end(name, motion, end, longest)
+            _check_end(name, motion, end, self.duration)
         # What leaves the limits between these times is refused when it is asked for.
-        for path in paths:
+        for path in self.joints:
             self(np.concatenate([np.linspace(p.start, p.end, _PROBES) for p in pieces_of(path)]))
+
+    @property
+    def duration(self) -> float:
+        """That of the longest part [s]."""
+        return max(float(each.duration) for each in (self.base, *self.joints))
 
     def __repr__(self) -> str:
         return f"WholeBody({', '.join(map(repr, (self.robot, self.base, *self.joints)))})"
@@ -208,10 +214,6 @@ class WholeBody:
         q, v, a = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))
         check_limits(self.robot, q, v, times)
         return Reference(q, v, a)
-
-    def with_parameters(self) -> WholeBody:
-        """Return the motion made again of its parts, which have what may differ: it has no parameters."""
-        return WholeBody(self.robot, self.base, *self.joints)
 
     def _parts(self) -> dict[str, tuple[Callable[[Array], Reference], float]]:
         paths = {f"joints[{k}]": (partial(_along, p), float(p.duration)) for k, p in enumerate(self.joints)}
