@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, callable_as, finite, frozen, positive, sequence, text, whole
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.parts import Leaf, Number, fields_of
+from pinmobile.parts import Leaf, Number, declared_by, fields_of
 
 if TYPE_CHECKING:
     from pinmobile.compiled import Line, Noise, Schedule
@@ -386,7 +386,7 @@ def parameters_of(part: object) -> tuple[Parameter, ...]:
     InvalidArgument
         If it states one twice.
     """
-    if not hasattr(part, "parameters") and attrs.has(type(part)):
+    if not hasattr(part, "parameters") and (attrs.has(type(part)) or attrs.has(part)):  # type: ignore[arg-type]
         return tuple(_declared_by(part))
     found = tuple(
         Parameter(each, attribute=each) if isinstance(each, str) else _with_attribute(each)
@@ -403,7 +403,8 @@ def parameters_of(part: object) -> tuple[Parameter, ...]:
 
 def _declared_by(part: object) -> Iterator[Parameter]:
     """Yield the parameters that the fields of a part declare: each number, and each of its entries."""
-    for name, declared, value in fields_of(part):
+    fields = [(*each, 0.0) for each in declared_by(part)] if isinstance(part, type) else fields_of(part)
+    for name, declared, value in fields:
         if not isinstance(declared, Number) or declared.fixed or value is None:
             continue
         least = -np.inf if declared.above is None and declared.lower is None else declared.above or 0.0
@@ -421,7 +422,7 @@ def _declared_by(part: object) -> Iterator[Parameter]:
 
 
 def _written_gain(values: Array, column: Array, size: int) -> Array:
-    return np.repeat(column[:, None], size, axis=1)
+    return np.repeat(column[:, None], values.shape[-1] if values.ndim > 1 else size, axis=1)
 
 
 def _written_entry(k: int, values: Array, column: Array, size: int) -> Array:

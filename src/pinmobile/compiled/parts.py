@@ -23,6 +23,7 @@ from pinmobile.compiled.memory import is_leaf
 from pinmobile.compiled.symbolic import Moment, Values
 from pinmobile.constancy import known
 from pinmobile.errors import InvalidArgument, NotTraceable, PinmobileError, UnknownName, shown
+from pinmobile.parts import structure
 from pinmobile.plant import parameters_of
 
 _NAMED = ("plant", "controller", "integrator", "recorder", "trajectory")
@@ -414,7 +415,9 @@ def copied(part: object, values: Mapping[str, Any], parts: Mapping[str, Any]) ->
     new = copy.copy(part)
     for each in type(part).__mro__:
         for name, attribute in vars(each).items():
-            if isinstance(attribute, functools.cached_property):
+            if isinstance(attribute, structure):
+                new.__dict__[name] = getattr(part, name)
+            elif isinstance(attribute, functools.cached_property):
                 new.__dict__.pop(name, None)  # it belongs to the old values
     set_ = dict(values)
     for name, value in getattr(part, "__dict__", {}).items():
@@ -565,6 +568,8 @@ def _own(part: object) -> Iterator[tuple[str, Any]]:
     for name, value in getattr(part, "__dict__", {}).items():
         if not isinstance(getattr(type(part), name, None), functools.cached_property):
             yield name, value
+    for each in type(part).__mro__:
+        yield from ((name, getattr(part, name)) for name, x in vars(each).items() if isinstance(x, structure))
 
 
 def _alike(one: object, other: object) -> bool:
