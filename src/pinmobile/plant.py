@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, callable_as, finite, frozen, positive, sequence, text, whole
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.parts import Leaf, Number, fields_of
+from pinmobile.parts import Leaf, Number, declared_by, fields_of
 
 if TYPE_CHECKING:
     from pinmobile.compiled.memory import Line, Noise, Schedule
@@ -435,7 +435,7 @@ def _fields_of_kind(kind: type) -> Iterator[tuple[str, Any, Any]]:
 
 
 def _written_gain(values: Array, column: Array, size: int) -> Array:
-    return np.repeat(column[:, None], size, axis=1)
+    return np.repeat(column[:, None], values.shape[-1] if values.ndim > 1 else size, axis=1)
 
 
 def _written_entry(k: int, values: Array, column: Array, size: int) -> Array:

@@ -9,11 +9,9 @@ leading axes. `Saturated`, `Delayed` and `NoisyMeasurement` wrap any of them, an
 from pinmobile.controllers.adaptive import Adaptive
 from pinmobile.controllers.adaptive_velocity import AdaptiveVelocity
 from pinmobile.controllers.backstepping import Backstepping, SwerveTracking
-from pinmobile.controllers.computed_torque import PID, ComputedTorque, Decoupled
 from pinmobile.controllers.condensed import solver as solver
 from pinmobile.controllers.controller import (
     Controller,
-    InverseDynamics,
     State,
     answer_of as answer_of,
     check_controller,
@@ -24,13 +22,7 @@ from pinmobile.controllers.controller import (
     told as told,
 )
 from pinmobile.controllers.driving import Driven, RandomSteps, VelocityCommand, WheelSpeed
-from pinmobile.controllers.feedback import (
-    GAINS as GAINS,
-    PD,
-    Gravity,
-    PDGravity,
-    gain_matrix,
-)
+from pinmobile.controllers.feedback import PD, PID, ComputedTorque, Decoupled, PDGravity, gain_matrix
 from pinmobile.controllers.lqr import LQR
 from pinmobile.controllers.mpc import MPC
 from pinmobile.controllers.observer import ADRC, DisturbanceObserver
@@ -45,6 +37,7 @@ from pinmobile.controllers.steering import (
     Tracking,
 )
 from pinmobile.controllers.wrappers import Allocated, Delayed, NoisyMeasurement, Saturated
+from pinmobile.parts import Gravitating as Gravity, Invertible as InverseDynamics
 
 __all__ = [
     "ADRC",

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, final
+from typing import Any, final
 
+import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, endless_or_finite, frozen, non_negative, positive, real
+from pinmobile.arrays import Array, frozen
 from pinmobile.controllers.controller import State
-from pinmobile.controllers.feedback import gain_parameters
+from pinmobile.controllers.feedback import SLOPE, OfBody, bound, comparison, coordinates_of
 from pinmobile.controllers.held import check_held, diagonal, double_integrators
-from pinmobile.controllers.tracking_errors import (
-    check_model,
-    combined,
-    each_coordinate,
-    passive_torque,
-)
+from pinmobile.controllers.tracking_errors import combined, passive_torque
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Context, Difference, Parameter
+from pinmobile.parts import Passive, array, child, each, number, option, part, structure
+from pinmobile.plant import Context
 
 _BASE = 3  # coordinates of the base: x, y, psi
 _BODY = 4  # parameters of a body in the plane: m, m com_x, m com_y, and inertia about the frame's vertical
@@ -30,9 +26,15 @@ _ROUNDING = 1e-9  # relative, within which a force is applied as it is asked for
 _LEAST = 0.04  # of the nominal inertia about the centre of mass, which an estimate keeps
 
 
+def _flag(name: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise InvalidArgument(f"{name} is {shown(value)}, expected True or False")
+    return value
+
+
 @final
-@dataclass(frozen=True, eq=False)
-class Adaptive:
+@part
+class Adaptive(OfBody):
     """Adaptive control (Slotine and Li, 1987): the parameters phi of the model are estimated on the way.
 
         tau = Y phi + kd s,   phi' = gamma Y' s,   s = e' + slope e
@@ -79,92 +81,79 @@ class Adaptive:
         run, if the loop is unstable at its dt.
     """
 
-    robot: Any
-    slope: ArrayLike = 4.0
-    kd: ArrayLike | None = None
-    gamma: ArrayLike | None = None
-    friction: bool = False
-    speed: float = 0.01
-    dead_zone: float = 0.0
-    leakage: float = 0.0
-    lower: ArrayLike | None = None
-    upper: ArrayLike | None = None
-    difference: Difference | None = None
-    _nominal: Array = field(init=False, repr=False)
-    _inertia: Array = field(init=False, repr=False)
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        *gain_parameters("slope", "1/s"),
-        *gain_parameters("kd", "N s/m, N m s/rad"),
-        Parameter("dead_zone", "m/s, rad/s", "norm of s below which nothing is estimated", 0.0),
-        Parameter("leakage", "1/s", "rate at which estimates go back to the first", 0.0),
+    robot: Any = child(Passive, doc="model whose parameters are the first estimate")
+    slope: Any = each(default=4.0, above=0.0, unit="1/s", doc=SLOPE, size=coordinates_of)
+    kd: Any = each(
+        default=attrs.Factory(lambda self: 4.0 * np.diagonal(self._inertia), takes_self=True),
+        above=0.0,
+        unit="N s/m, N s/m, N m s/rad",
+        doc="gain of s",
+        size=coordinates_of,
     )
+    gamma: Any = array(default=None, shapes=((), ("p",)), lower=0.0, fixed=True, doc="gains of estimates")
+    friction: bool = option(default=False, doc="whether friction is estimated too", check=_flag)
+    speed: float = number(default=0.01, above=0.0, unit="m/s, rad/s", fixed=True, doc="of friction that does not grow")
+    dead_zone: float = number(
+        default=0.0, lower=0.0, unit="m/s, rad/s", doc="norm of s below which nothing is estimated"
+    )
+    leakage: float = number(
+        default=0.0, lower=0.0, unit="1/s", doc="rate at which estimates go back to the first"
+    )
+    lower: Any = bound(-1.0, "lower bounds of the parameters")
+    upper: Any = bound(1.0, "upper bounds of the parameters")
+    difference: Any = comparison()
 
-    def __post_init__(self) -> None:
-        n = check_model(self.robot, self.difference, "inverse_dynamics", "nonlinear_effects", "gravity")
-        if not isinstance(self.friction, bool):
-            raise InvalidArgument(f"friction is {shown(self.friction)}, expected True or False")
-        if hasattr(self.robot, "rest"):  # what it becomes in a compiled loop has been looked at before
-            self._look(n)
-        for name in ("slope", "kd"):
-            object.__setattr__(self, name, each_coordinate(name, getattr(self, name), n, above=True))
-        object.__setattr__(self, "speed", positive("speed", self.speed))
-        for name in ("dead_zone", "leakage"):
-            object.__setattr__(self, name, non_negative(name, getattr(self, name)))
+    @structure
+    def _inertia(self) -> Array:
+        """Mass matrix at rest."""
+        return frozen(self.robot.mass_matrix(self.robot.rest))
 
-    def _look(self, n: int) -> None:
-        M, mass = self.robot.mass_matrix(self.robot.rest), float(self.robot.mass)
-        object.__setattr__(self, "_inertia", frozen(M))
-        if self.kd is None:
-            object.__setattr__(self, "kd", 4.0 * np.diagonal(M))
-        if n == _BASE:
-            nominal, least = np.array([M[0, 0], M[1, 2], -M[0, 2], M[2, 2]]), np.full(_BODY, -np.inf)
-            least[0], rates = nominal[0] / 10, mass * np.array(_RATES)
-        else:
-            nominal = np.array(self.robot.inertial_parameters)
-            least = np.full(len(nominal), -np.inf)
-            least[::_EACH] = nominal[::_EACH] / 10
-            rates = _of_bodies(nominal)
+    @structure
+    def _nominal(self) -> Array:
+        """The first estimate, shape (p,)."""
+        M = self._inertia
+        is_planar = len(M) == _BASE
+        own = [M[0, 0], M[1, 2], -M[0, 2], M[2, 2]] if is_planar else self.robot.inertial_parameters
+        return frozen(np.concatenate([own, np.zeros(2 * len(M) * self.friction)]))
+
+    def check(self) -> None:
+        """Complete gains and bounds; raise `InvalidArgument` where these exclude the first estimate."""
+        super().check()
+        nominal, M = self._nominal, self._inertia
+        p, n = len(nominal), len(M)
+        size = _BODY if n == _BASE else _EACH
+        inertial = nominal[: p - 2 * n * self.friction]
+        least = np.full(p, -np.inf)
+        least[: len(inertial) : size] = nominal[: len(inertial) : size] / 10
+        rates = float(self.robot.mass) * np.array(_RATES) if n == _BASE else _of_bodies(inertial)
         if self.friction:
-            none = np.zeros(2 * n)
-            nominal, least = np.concatenate([nominal, none]), np.concatenate([least, none])
             sizes = np.where(np.arange(n) < 2, 1.0, _TURNING) * np.diagonal(M)
             rates = np.concatenate([rates, *(rate * sizes for rate in _RUBBING)])
-        p = len(nominal)
-        object.__setattr__(self, "_nominal", frozen(nominal))
-        gamma = rates if self.gamma is None else self.gamma
-        object.__setattr__(self, "gamma", each_coordinate("gamma", gamma, p))
-        lower, upper = self._bound("lower", least, -1.0), self._bound("upper", np.full(p, np.inf), 1.0)
-        outside = ~((lower <= nominal) & (nominal <= upper))
+        for name, usual in (("gamma", rates), ("lower", least), ("upper", np.full(p, np.inf))):
+            given = getattr(self, name)
+            given = np.full(p, given) if isinstance(given, float) else given
+            found = usual if given is None else given
+            if np.shape(found) != (p,):
+                words = f"() or ({p},)" if name == "gamma" else f"({p},)"
+                raise InvalidArgument(f"{name} has shape {np.shape(found)}, expected {words}")
+            object.__setattr__(self, name, frozen(found))
+        outside = ~((self.lower <= nominal) & (nominal <= self.upper))
         if outside.any():
             k = int(outside.argmax())
             raise InvalidArgument(
-                f"lower and upper of parameter {k} are {lower[k]:g} and {upper[k]:g}, which exclude that of "
-                f"the robot, {nominal[k]:g}"
+                f"lower and upper of parameter {k} are {self.lower[k]:g} and {self.upper[k]:g}, which "
+                f"exclude that of the robot, {nominal[k]:g}"
             )
-
-    def _bound(self, name: str, default: Array, sign: float) -> Array:
-        """Keep a bound, by default this one, that may be endless on its side."""
-        given = getattr(self, name)
-        bound = default if given is None else sign * endless_or_finite(name, sign * real(name, given))
-        if bound.shape != default.shape:
-            raise InvalidArgument(f"{name} has shape {bound.shape}, expected {default.shape}")
-        object.__setattr__(self, name, frozen(bound))
-        return bound
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return how far estimates are off the robot's own, now and before, a force, and the time step."""
 
-        def gains() -> dict[str, Array]:
-            return {name: np.asarray(getattr(self, name)) for name in ("slope", "kd")}
-
         def loop(dt: float) -> Array:
-            slope, kd = gains().values()
-            gain = np.linalg.solve(self._inertia, diagonal(kd))
-            kp = gain @ diagonal(slope)
-            return double_integrators(dt, kp, gain + diagonal(slope), 0 * kp)
+            slope, gain = diagonal(self.slope), np.linalg.solve(self._inertia, diagonal(self.kd))
+            kp = gain @ slope
+            return double_integrators(dt, kp, gain + slope, 0 * kp)
 
-        check_held(gains, loop, context.dt)
+        check_held(lambda: {"slope": self.slope, "kd": self.kd}, loop, context.dt)
         none = np.zeros(len(self._nominal))
         return none, none, np.zeros(self.robot.nv), float(context.dt)
 
@@ -232,20 +221,18 @@ class Adaptive:
         """Return the generalised force, shape (..., n), and the next state."""
         change, _, _, dt = state
         robot = self.robot
-        s, velocity, acceleration = combined(
-            self.difference or robot.difference, np.asarray(self.slope), q, v, reference
-        )
+        s, velocity, acceleration = combined(self, q, v, reference)
         Y = self._regressor(q, v, velocity, acceleration)
-        tau = passive_torque(robot, q, v, velocity, acceleration) + np.asarray(self.kd) * s
+        tau = passive_torque(robot, q, v, velocity, acceleration) + self.kd * s
         tau = tau + np.sum(Y * change[..., None, :], axis=-1)
-        grown = np.asarray(self.gamma) * np.sum(Y * s[..., :, None], axis=-2) - self.leakage * change
+        grown = self.gamma * np.sum(Y * s[..., :, None], axis=-2) - self.leakage * change
         is_seen = np.sum(s * s, axis=-1, keepdims=True) >= np.asarray(self.dead_zone)[..., None] ** 2
         return tau, (self._possible(change + np.where(is_seen, dt * grown, 0.0)), change, tau, dt)
 
     def _possible(self, change: Array) -> Array:
         """Return the estimates in their bounds."""
         phi = self._nominal + change
-        phi = np.minimum(np.maximum(phi, np.asarray(self.lower)), np.asarray(self.upper))
+        phi = np.minimum(np.maximum(phi, self.lower), self.upper)
         if self.robot.nv > _BASE:
             return np.asarray(phi - self._nominal)
         m0, mx0, my0, I0 = self._nominal[:_BODY]

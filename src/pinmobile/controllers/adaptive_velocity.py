@@ -2,40 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, final
+from functools import partial
+from typing import Any, final
 
+import attrs
 import numpy as np
 
-from pinmobile.arrays import (
-    Array,
-    ArrayLike,
-    endless_or_finite,
-    frozen,
-    non_negative,
-    positive,
-    real,
-    scalar,
-    vector,
-)
+from pinmobile.arrays import Array, scalar, vector
 from pinmobile.controllers.backstepping import reference_of, speeds_along
 from pinmobile.controllers.controller import State
+from pinmobile.controllers.feedback import bound
 from pinmobile.controllers.held import check_held
 from pinmobile.controllers.steering import Changing, cos, rate_of, sin, tanh, value_of
-from pinmobile.controllers.tracking_errors import each_coordinate
-from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Context, Parameter
+from pinmobile.errors import InvalidArgument
+from pinmobile.parts import Commanded, array, child, number, part, structure
+from pinmobile.plant import Context
 
 _SIZE = 6
 _ABOVE_ZERO = 0, 1, 3, 5  # of theta: inertias and losses
 _LEAST = 0.1  # of the nominal, which an estimate of these keeps
+_FREE = np.where(np.isin(np.arange(_SIZE), _ABOVE_ZERO), 0.0, np.inf)  # others have no bound
 _AHEAD = 0.2  # [m], where the robot's own point is on its axle
 _RATES = (1.0, 1.0, 0.1, 4.0, 0.1, 4.0)  # gains of estimates, per inertia of their row
 _BACKWARDS, _STILL = -1e-6, 1e-6  # [m/s]
 
 
+_usual = partial(attrs.Factory, takes_self=True)
+
+
 @final
-@dataclass(frozen=True, eq=False)
+@part
 class AdaptiveVelocity:
     """Adaptive control of a robot that takes speeds: a point ahead of its axle follows, theta is estimated.
 
@@ -89,61 +85,57 @@ class AdaptiveVelocity:
         the reference.
     """
 
-    robot: Any
-    ahead: float | None = None
-    kp: float = 0.8
-    saturation: float = 0.2
-    k: ArrayLike = 3.0
-    gamma: ArrayLike | None = None
-    leakage: float = 0.0
-    lower: ArrayLike | None = None
-    upper: ArrayLike | None = None
-    _follows_pose: bool = field(init=False, repr=False)
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter(
-            "point_ahead",
-            "m",
-            "from the axle to the point that follows",
-            0.0,
-            may_vanish=False,
-            attribute="ahead",
-        ),
-        Parameter("point_kp", "1/s", "gain of the point's place", 0.0, may_vanish=False, attribute="kp"),
-        Parameter(
-            "saturation", "m/s", "most speed that an error of the place asks for", 0.0, may_vanish=False
-        ),
-        Parameter("k", "1/s", "gain of the velocities", 0.0, may_vanish=False),
-        Parameter("leakage", "1/s", "rate at which estimates go back to the first", 0.0),
+    robot: Any = child(Commanded, doc="model whose theta is the first estimate")
+    ahead: float = number(
+        default=_usual(lambda self: self._own if self._own > 0 else _AHEAD),
+        above=0.0,
+        unit="m",
+        doc="from the axle to the point that follows",
     )
+    kp: float = number(default=0.8, above=0.0, unit="1/s", doc="gain of the point's place")
+    saturation: float = number(
+        default=0.2, above=0.0, unit="m/s", doc="most speed that an error of the place asks for"
+    )
+    k: Any = array(
+        default=3.0,
+        shapes=((), ("n",)),
+        above=0.0,
+        unit="1/s",
+        doc="gain of the velocities",
+        labels=("speed", "yaw_rate"),
+        size=lambda self: 2,
+    )
+    gamma: Any = array(
+        default=_usual(lambda self: np.array(_RATES) * _of_each(self._theta[:2])),
+        shapes=((), ("n",)),
+        lower=0.0,
+        fixed=True,
+        doc="gains of estimates",
+        size=lambda self: _SIZE,
+    )
+    leakage: float = number(
+        default=0.0, lower=0.0, unit="1/s", doc="rate at which estimates go back to the first"
+    )
+    lower: Any = bound(-1.0, "lower bounds of theta", _usual(lambda self: _LEAST * self._theta - _FREE))
+    upper: Any = bound(1.0, "upper bounds of theta", _usual(lambda self: np.full(_SIZE, np.inf)))
 
-    def __post_init__(self) -> None:
-        robot = self.robot
-        if isinstance(robot, type) or not hasattr(robot, "commands"):
-            raise InvalidArgument(f"robot is {shown(robot)}, expected a VelocityRobot")
-        if hasattr(robot, "mobility"):  # what it becomes in a compiled loop has been looked at before
-            self._look(robot)
-        for name, unit in (("ahead", "m"), ("kp", "1/s"), ("saturation", "m/s")):
-            object.__setattr__(self, name, positive(name, getattr(self, name), unit))
-        object.__setattr__(self, "k", each_coordinate("k", self.k, 2, above=True))
-        object.__setattr__(self, "leakage", non_negative("leakage", self.leakage, "1/s"))
+    @structure
+    def _own(self) -> float:
+        """From the axle of the robot to its own point [m]."""
+        return scalar("ahead of robot", self.robot.ahead)
 
-    def _look(self, robot: Any) -> None:
-        own = scalar("ahead of robot", robot.ahead)
-        ahead = (own if own > 0 else _AHEAD) if self.ahead is None else positive("ahead", self.ahead, "m")
-        object.__setattr__(self, "ahead", ahead)
-        object.__setattr__(self, "_follows_pose", bool(ahead != own))
-        theta, least = vector("theta of robot", robot.theta, _SIZE), np.full(_SIZE, -np.inf)
-        least[list(_ABOVE_ZERO)] = _LEAST * theta[list(_ABOVE_ZERO)]
-        gamma = np.array(_RATES) * _of_each(theta[:2]) if self.gamma is None else self.gamma
-        object.__setattr__(self, "gamma", each_coordinate("gamma", gamma, _SIZE))
-        for name, default, sign in (("lower", least, -1.0), ("upper", np.full(_SIZE, np.inf), 1.0)):
-            given = getattr(self, name)
-            bound = default if given is None else sign * endless_or_finite(name, sign * real(name, given))
-            if bound.shape != (_SIZE,):
-                raise InvalidArgument(f"{name} has shape {bound.shape}, expected ({_SIZE},)")
-            object.__setattr__(self, name, frozen(bound))
-        lower, upper = np.asarray(self.lower), np.asarray(self.upper)
+    @structure
+    def _theta(self) -> Array:
+        """Theta of the robot, shape (6,)."""
+        return vector("theta of robot", self.robot.theta, _SIZE)
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` where bounds are none or exclude the robot's theta."""
+        for name in ("lower", "upper"):
+            shape = np.shape(getattr(self, name))
+            if shape != (_SIZE,):
+                raise InvalidArgument(f"{name} has shape {shape}, expected ({_SIZE},)")
+        theta, lower, upper = self._theta, self.lower, self.upper
         outside = ~((lower <= theta) & (theta <= upper))
         if outside.any():
             j = int(outside.argmax())
@@ -155,12 +147,17 @@ class AdaptiveVelocity:
             if lower[j] <= 0:
                 raise InvalidArgument(f"lower of theta_{j + 1} is {lower[j]:g}, expected > 0")
 
+    @structure
+    def _follows_pose(self) -> bool:
+        """Whether the point is another than the robot's own, of which any reference will do."""
+        return bool(self.ahead != self._own)
+
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, Any, float]:
         """Return the robot's theta, that before, errors, commands asked for, and the time between samples."""
         reference = reference_of(context)
         if reference is not None and self._follows_pose:
             t = np.asarray(context.t)
-            speed, _ = speeds_along(np.asarray(self.robot.axle), t, reference)
+            speed, _ = speeds_along(self.robot.axle, t, reference)
             if (speed < _BACKWARDS).any():
                 j = int(np.argmax(speed < _BACKWARDS))
                 raise InvalidArgument(
@@ -174,12 +171,11 @@ class AdaptiveVelocity:
     def _check_held(self, dt: float, reference: Any) -> None:
         """Refuse gains at which place, velocity and estimate, the model exact, are unstable."""
 
-        def gains() -> dict[str, Array]:
-            found = {name: np.asarray(getattr(self, name)) for name in ("kp", "k", "gamma")}
-            return found | {"theta": np.asarray(self.robot.theta)}
+        def gains() -> dict[str, Any]:
+            return {"kp": self.kp, "k": self.k, "gamma": self.gamma, "theta": self.robot.theta}
 
         def loop(dt: float) -> Array:
-            kp, k, gamma, theta = gains().values()
+            kp, k, gamma, theta = map(np.asarray, gains().values())
             inertia, loss, kp = theta[..., :2], theta[..., [3, 5]], kp[..., None] + 0 * k
             decay = np.exp(-dt * loss / inertia)
             gained = (1 - decay) / loss  # of a velocity, per command
@@ -212,7 +208,7 @@ class AdaptiveVelocity:
         nu = self.robot.independent(q, v)
         wanted = self._wanted(q, nu, reference)
         errors = np.stack([value_of(each) for each in wanted], axis=-1) - nu
-        rates = np.stack([rate_of(each) for each in wanted], axis=-1) + np.asarray(self.k) * errors
+        rates = np.stack([rate_of(each) for each in wanted], axis=-1) + self.k * errors
         u, w = nu[..., 0], nu[..., 1]
         columns = rates[..., 0], rates[..., 1], -w * w, u, u * w, w
         Y = np.stack(np.broadcast_arrays(*columns), axis=-1)
@@ -224,8 +220,8 @@ class AdaptiveVelocity:
             ],
             axis=-1,
         )
-        grown = np.asarray(self.gamma) * Y * _of_each(errors) - self.leakage * (theta - self.robot.theta)
-        after = np.minimum(np.maximum(theta + dt * grown, np.asarray(self.lower)), np.asarray(self.upper))
+        grown = self.gamma * Y * _of_each(errors) - self.leakage * (theta - self.robot.theta)
+        after = np.minimum(np.maximum(theta + dt * grown, self.lower), self.upper)
         return asked, (after, theta, errors, asked, dt)
 
     def _wanted(self, q: Array, nu: Array, reference: State) -> tuple[Changing, Changing]:

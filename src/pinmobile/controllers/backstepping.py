@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, callable_as, frozen, positive, wrap_angle
+from pinmobile.arrays import Array, callable_as, frozen, wrap_angle
 from pinmobile.controllers.controller import State, check_wheels
 from pinmobile.controllers.steering import (
+    LAW,
     Changing,
     KinematicLaw,
     Tracked,
@@ -21,8 +21,9 @@ from pinmobile.controllers.steering import (
     sin,
     value_of,
 )
-from pinmobile.errors import InvalidArgument, NotTraceable, shown
-from pinmobile.plant import Context, Parameter
+from pinmobile.errors import InvalidArgument, NotTraceable
+from pinmobile.parts import Commanded, Rolling, able, child, number, part, structure
+from pinmobile.plant import Context
 
 _BASE = 3
 _SIDEWAYS = 1e-6  # [m/s], and relative to the speed: what a reference may move across the axle
@@ -32,23 +33,8 @@ _NO_AXLE = 1e-9  # beside the square of what two axles determine
 _KINDS = ((2, 0), (1, 1))
 
 
-class _Car(NamedTuple):
-    """The one wheel that steers.
-
-    Attributes
-    ----------
-    at : int
-        Entry of q that is its angle.
-    limit : float
-        Largest angle [rad].
-    """
-
-    at: int
-    limit: float
-
-
 @final
-@dataclass(frozen=True, eq=False)
+@part
 class Backstepping:
     """From a kinematic law to the input (Fierro and Lewis, J. Robotic Systems 14(3), 1997).
 
@@ -85,63 +71,54 @@ class Backstepping:
         has not a motor for each independent velocity.
     """
 
-    law: KinematicLaw
-    robot: Any
-    k: float = 10.0
-    steer: float = 10.0
-    arms: float = 2.0
-    _n: int = field(init=False, repr=False)
-    _car: _Car | None = field(init=False, repr=False)
-    _axle: Array = field(init=False, repr=False)
-    _pivot: Array | None = field(init=False, repr=False)
+    law: Any = child(KinematicLaw, doc="kinematic law", expected=LAW)
+    robot: Any = child(Rolling, doc="model of the controller")
+    k: float = number(default=10.0, above=0.0, unit="1/s", doc="gain of the velocities")
+    steer: float = number(default=10.0, above=0.0, unit="1/s", doc="gain of the steering angle")
+    arms: float = number(default=2.0, above=0.0, unit="1/s", doc="gain of the arms")
 
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("k", "1/s", "gain of the velocities", 0.0, may_vanish=False),
-        Parameter("steer", "1/s", "gain of the steering angle", 0.0, may_vanish=False),
-        Parameter("arms", "1/s", "gain of the arms", 0.0, may_vanish=False),
-    )
-
-    def __post_init__(self) -> None:
-        if isinstance(self.law, type) or not all(hasattr(self.law, x) for x in ("initial_state", "check")):
-            raise InvalidArgument(f"law is {shown(self.law)}, expected a kinematic law, such as Tracking()")
+    def check(self) -> None:
+        """Raise `InvalidArgument` where the drive has no fixed axle, or too few motors."""
         callable_as("law(tracked, state)", self.law)
-        for name in ("k", "steer", "arms"):
-            object.__setattr__(self, name, positive(name, getattr(self, name), "1/s"))
-        robot = self.robot
-        if not hasattr(robot, "mobility") or not isinstance(getattr(robot, "nv", None), int):
-            check_wheels(robot, _inverse(robot))  # no robot, or what one becomes in a compiled loop
-        else:
-            self._look(robot)
-
-    def _look(self, robot: Any) -> None:
-        kind = robot.mobility.mobility, robot.mobility.steerability
-        if not has_axle(robot.mobility):
+        mobility = self.robot.mobility
+        if not has_axle(mobility):
             others = {(3, 0): "ComputedTorque(robot)", (1, 2): "SwerveTracking(robot)"}
+            kind = mobility.mobility, mobility.steerability
             other = others.get(kind, "Allocated(controller, robot)")
-            if not robot.mobility.is_regular:
+            if not mobility.is_regular:
                 other = "WheelSpeed(law, robot, kp), where no wheel steers"
             raise InvalidArgument(
-                f"robot is {robot.mobility.kind}, expected one with a fixed axle: for this one, {other}"
+                f"robot is {mobility.kind}, expected one with a fixed axle: for this one, {other}"
             )
-        check_wheels(robot, _inverse(robot))
-        n = max(robot.leading)
-        car = None
-        if kind == (1, 1):
-            car = _Car(n, min(float(robot.coordinates[n].upper), np.pi / 2 - 1e-3))
-        object.__setattr__(self, "_n", n)
-        object.__setattr__(self, "_car", car)
-        object.__setattr__(self, "_axle", frozen(robot.axle))
-        object.__setattr__(self, "_pivot", frozen(robot.pivots[0]) if kind == (1, 1) else None)
+        check_wheels(self.robot)
+
+    @structure
+    def _n(self) -> int:
+        """Coordinates that a reference has: x, y, psi and those of arms."""
+        return max(self.robot.leading)
+
+    @structure
+    def _steers(self) -> tuple[float, Array] | None:
+        """Largest angle of the one wheel that steers [rad], and where it is; None of a fixed axle alone."""
+        robot = self.robot
+        if not robot.mobility.steerability:
+            return None
+        return min(float(robot.coordinates[self._n].upper), np.pi / 2 - 1e-3), frozen(robot.pivots[0])
+
+    @structure
+    def _axle(self) -> Array:
+        """The axle of the robot as it is given, which references follow."""
+        return frozen(self.robot.axle)
 
     def initial_state(self, context: Context) -> tuple[Any, Any]:
         """Return the law's state, and what is known of the reference's steering: nothing."""
         reference = reference_of(context)
         if reference is not None:
-            self._check(np.asarray(context.t), reference)
-        steering = None if self._car is None else (0.0, 0.0, float(context.dt))
+            self._check_reference(np.asarray(context.t), reference)
+        steering = None if self._steers is None else (0.0, 0.0, float(context.dt))
         return self.law.initial_state(context), steering
 
-    def _check(self, t: Array, reference: Any) -> None:
+    def _check_reference(self, t: Array, reference: Any) -> None:
         """Refuse a reference that the wheels cannot follow."""
         if reference.v.shape[-1] != self._n:
             raise InvalidArgument(
@@ -149,14 +126,14 @@ class Backstepping:
                 "those of arms"
             )
         speed, w = speeds_along(self._axle, t, reference)
-        if self._car is not None:
-            angle = np.abs(_steering_angle(self._axle, self._pivot, speed, w))
-            if (angle > self._car.limit).any():
-                k = int(np.argmax(angle > self._car.limit))
+        if self._steers is not None:
+            limit, pivot = self._steers
+            angle = np.abs(_steering_angle(self._axle, pivot, speed, w))
+            if (angle > limit).any():
+                k = int(np.argmax(angle > limit))
                 raise InvalidArgument(
                     f"reference turns so tightly that wheels are steered by {angle[k]:.3g} rad at t = "
-                    f"{t[k]:g} s, "
-                    f"expected at most {self._car.limit:.3g} rad"
+                    f"{t[k]:g} s, expected at most {limit:.3g} rad"
                 )
         self.law.check(t, speed, w)
 
@@ -168,26 +145,28 @@ class Backstepping:
         nu, n = self.robot.independent(q, v), self._n
         known, errors = tracked(self.robot, self.robot.axle, q, v, reference, nu[..., 0])
         (speed, yaw_rate), inner = self.law(known, inner)
-        wanted = [speed, yaw_rate] if self._car is None else [speed]
+        wanted = [speed] if self._steers else [speed, yaw_rate]
         for i in range(_BASE, n):
             rate, desired = reference.v[..., i] - v[..., i], reference.v[..., i]
             wanted.append(
                 Changing(desired + self.arms * errors[..., i], reference.a[..., i] + self.arms * rate)
             )
-        if self._car is not None:
+        if self._steers:
             turn, steering = self._steered(q, nu, known, (speed, yaw_rate), steering)
             wanted.append(turn)
         rates = [rate_of(z) + self.k * (value_of(z) - nu[..., i]) for i, z in enumerate(wanted)]
         wanted_rates = np.stack(np.broadcast_arrays(*rates), axis=-1)
-        return getattr(self.robot, _inverse(self.robot))(q, v, wanted_rates), (inner, steering)
+        commanded = able(self.robot, Commanded)
+        inverse = commanded.commands if commanded else self.robot.torques
+        return inverse(q, v, wanted_rates), (inner, steering)
 
     def _steered(
         self, q: Array, nu: Array, tracked: Tracked, command: tuple[Any, Any], memory: tuple[Any, Any, Any]
     ) -> tuple[Changing, tuple[Any, Any, Any]]:
         """Return the steering rate that is wanted, with its own, and what is known of the reference's."""
         before, known, dt = memory
-        at, limit = self._car or (0, np.inf)
-        angle = q[..., at]
+        limit, _ = self._steers or (np.inf, None)
+        angle = q[..., self._n]
         found = self._angle(*command)
         beyond = np.abs(found.value) > limit
         found = chosen(beyond, np.sign(found.value) * limit, found)
@@ -199,11 +178,6 @@ class Backstepping:
 
     def _angle(self, speed: Any, yaw_rate: Any) -> Any:
         return _steering_angle(self.robot.axle, self.robot.pivots[..., 0, :], speed, yaw_rate)
-
-
-def _inverse(robot: object) -> str:
-    """Return what a robot calls the input at which its velocities change as wanted."""
-    return "commands" if hasattr(robot, "commands") else "torques"
 
 
 def has_axle(mobility: Any) -> bool:
@@ -234,7 +208,7 @@ def check_heading(t: Array, reference: Any) -> tuple[Array, Array]:
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@part
 class SwerveTracking:
     """Follow a pose with two modules that steer and drive, by torques at both.
 
@@ -258,32 +232,24 @@ class SwerveTracking:
         If an argument is something else, or the robot another drive.
     """
 
-    robot: Any
-    kp: float = 2.0
-    k: float = 10.0
-    steer: float = 10.0
-    least: float = 0.05
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("swerve_kp", "1/s", "gain of the pose", 0.0, may_vanish=False, attribute="kp"),
-        Parameter("k", "1/s", "gain of the velocities", 0.0, may_vanish=False),
-        Parameter("steer", "1/s", "gain of the steering angles", 0.0, may_vanish=False),
+    robot: Any = child(Rolling, doc="model of the controller")
+    kp: float = number(default=2.0, above=0.0, unit="1/s", doc="gain of the pose")
+    k: float = number(default=10.0, above=0.0, unit="1/s", doc="gain of the velocities")
+    steer: float = number(default=10.0, above=0.0, unit="1/s", doc="gain of the steering angles")
+    least: float = number(
+        default=0.05, above=0.0, unit="m/s", doc="speed of a module below which it keeps its angle"
     )
 
-    def __post_init__(self) -> None:
-        for name, unit in (("kp", "1/s"), ("k", "1/s"), ("steer", "1/s"), ("least", "m/s")):
-            object.__setattr__(self, name, positive(name, getattr(self, name), unit))
+    def check(self) -> None:
+        """Raise `InvalidArgument` where the robot is another drive."""
         robot = self.robot
-        if not hasattr(robot, "mobility") or not isinstance(getattr(robot, "nv", None), int):
-            check_wheels(robot, "torques")  # no robot, or what one becomes in a compiled loop
-        else:
-            kind = robot.mobility.mobility, robot.mobility.steerability
-            if kind != (1, 2) or max(robot.leading) > _BASE or len(robot.inputs) != 4:
-                raise InvalidArgument(
-                    f"robot is {robot.mobility.kind} with {len(robot.inputs)} inputs, expected two modules "
-                    "that steer and drive, without arms"
-                )
-            check_wheels(robot, "torques")
+        kind = robot.mobility.mobility, robot.mobility.steerability
+        if kind != (1, 2) or max(robot.leading) > _BASE or len(robot.inputs) != 4:
+            raise InvalidArgument(
+                f"robot is {robot.mobility.kind} with {len(robot.inputs)} inputs, expected two modules "
+                "that steer and drive, without arms"
+            )
+        check_wheels(robot)
 
     def initial_state(self, context: Context) -> tuple[Any, float, float]:
         """Return what is known of the reference's steering rates, nothing, and the sampling time."""

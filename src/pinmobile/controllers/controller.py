@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,7 +19,9 @@ from pinmobile.arrays import (
     wrap_angle,
 )
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.parts import Controlling, Informed, able, option, part, required
 from pinmobile.plant import Context
+from pinmobile.signals import signals_of
 
 _SAME = 1e-9  # to which two answers to the same arguments agree
 
@@ -39,20 +40,6 @@ class State(Protocol):
     @property
     def a(self) -> Array:
         """Acceleration."""
-
-
-class InverseDynamics(Protocol):
-    """What `ComputedTorque` needs of a robot."""
-
-    @property
-    def nv(self) -> int:
-        """Size of v."""
-
-    def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
-        """Return M(q) a + n(q, v)."""
-
-    def difference(self, q0: Array, q1: Array, /) -> Array:
-        """Return the displacement from q0 to q1, shape (..., nv)."""
 
 
 class Controller(Protocol):
@@ -79,17 +66,14 @@ def check_controller(controller: object) -> None:
     InvalidArgument
         If it is not.
     """
-    if isinstance(controller, type) or not hasattr(controller, "initial_state"):
-        raise InvalidArgument(
-            f"controller is {shown(controller)}, expected a controller: wrap a function in law(...)"
-        )
+    required("controller", controller, Controlling)
     callable_as("controller(t, q, v, reference, state)", controller)
     try:
         callable_as("controller.initial_state(context)", controller.initial_state)
     except InvalidArgument as error:
         raise InvalidArgument(f"{error}: write def initial_state(self, context)") from None
-    if hasattr(controller, "applied"):
-        callable_as("controller.applied(u, state)", controller.applied)
+    if informed := able(controller, Informed):
+        callable_as("controller.applied(u, state)", informed.applied)
 
 
 def answer_of(
@@ -108,26 +92,14 @@ def answer_of(
     return answer
 
 
-def check_wheels(robot: Any, needs: str) -> None:
-    """Refuse a controller's robot that has no wheels that roll, or not a motor for each independent velocity.
-
-    Parameters
-    ----------
-    robot : WheeledRobot
-        What is looked at; of what it becomes in a compiled loop only whether it is one.
-    needs : str
-        Name of the method that the controller calls.
+def check_wheels(robot: Any) -> None:
+    """Refuse a controller's robot that has not a motor for each independent velocity.
 
     Raises
     ------
     InvalidArgument
         If it is such.
     """
-    is_sized = isinstance(getattr(robot, "nv", None), int)
-    if isinstance(robot, type) or not (is_sized and hasattr(robot, needs)):
-        raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
-    if not hasattr(robot, "mobility"):
-        return
     still = robot.reduced(robot.rest, np.zeros(robot.nv))
     if np.linalg.matrix_rank(still.B) < len(still.M):
         raise InvalidArgument(
@@ -179,7 +151,37 @@ def check_memory(controller: Controller, context: Context, q: Array, v: Array) -
 
 def told(controller: Controller, u: Array, state: object) -> Any:
     """Return the state of a controller after it has been told which input is applied, if it wants to know."""
-    return controller.applied(u, state) if hasattr(controller, "applied") else state
+    informed = able(controller, Informed)
+    return informed.applied(u, state) if informed else state
+
+
+class Wrapper:
+    """What has a controller within it, whose memory is the first of its own."""
+
+    controller: Any
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` where what is wrapped cannot be called as a controller."""
+        check_controller(self.controller)
+
+    def applied(self, u: Array, state: Any) -> Any:
+        """Return the state, with the wrapped controller told of the input that is applied, shape (..., n)."""
+        return told(self.controller, u, state[0]), *state[1:]
+
+    def signals(self, state: Any) -> Any:
+        """Return what the wrapped controller tells beside its input: name to (unit, value)."""
+        return signals_of(self.controller, state[0])
+
+
+class Seen:
+    """The context of a wrapped controller: that of the loop, but for what is given here."""
+
+    def __init__(self, context: Any, **others: Any) -> None:
+        self._context = context
+        vars(self).update(others)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._context, name)
 
 
 def planar_difference(q0: Array, q1: Array) -> Array:
@@ -233,9 +235,9 @@ def plain_difference(q0: Array, q1: Array) -> Array:
     return np.subtract(q1, q0, dtype=np.float64)
 
 
-@dataclass(frozen=True)
+@part
 class _Law:
-    function: Callable[[float, Array, Array, Any], ArrayLike]
+    function: Any = option(check=lambda name, value: callable_as(f"{name}(t, q, v, reference)", value))
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
@@ -266,4 +268,4 @@ def law(function: Callable[[float, Array, Array, Any], ArrayLike]) -> Controller
     InvalidArgument
         If it cannot be called so.
     """
-    return _Law(callable_as("function(t, q, v, reference)", function))
+    return _Law(function)

@@ -2,47 +2,53 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, final
+from typing import Any, final
 
+import attrs
 import numpy as np
 
-from pinmobile.arrays import (
-    Array,
-    ArrayLike,
-    callable_as,
-    finite,
-    frozen,
-    non_negative,
-    positive,
-    vector,
-    whole,
-)
+from pinmobile.arrays import Array, callable_as, frozen, vector
 from pinmobile.controllers.backstepping import reference_of, speeds_along, tracked
-from pinmobile.controllers.controller import Controller, State, answer_of, check_controller, told
-from pinmobile.controllers.steering import KinematicLaw, value_of
-from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Context, Parameter
-from pinmobile.signals import signals_of
+from pinmobile.controllers.controller import Seen, State, Wrapper, answer_of, told
+from pinmobile.controllers.steering import LAW, KinematicLaw, value_of
+from pinmobile.errors import InvalidArgument
+from pinmobile.parts import (
+    Child,
+    Commanded,
+    Controlling,
+    Electric,
+    Powered,
+    Tabled,
+    able,
+    array,
+    child,
+    declare,
+    integer,
+    number,
+    part,
+    structure,
+)
+from pinmobile.plant import Context
 
+_COMMANDS = ("speed", "yaw_rate")
 _BASE = 3
 _TURN = 1 / (2 * np.pi)
 _HALF_SAMPLE = 0.5
 
 
-class _OfTorques:
-    """The context of a controller whose inputs are torques."""
+@attrs.frozen
+class _ByVoltage(Child):
+    """Declaration of a robot that takes volts, or can."""
 
-    def __init__(self, context: Any, inputs: Any) -> None:
-        self._context, self.inputs = context, inputs
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._context, name)
+    def checked(self, name: str, value: Any) -> Any:
+        """Return the robot that takes volts."""
+        powered = None if able(value, Electric) or isinstance(value, type) else able(value, Powered)
+        return super().checked(name, powered.by_voltage() if powered else value)
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class Driven:
+@part
+class Driven(Wrapper):
     """A controller of torques whose robot takes volts: by the inverse of its motors at the present rates.
 
     Volts are held between samples while rates change, so that torques are those asked for at a sample and
@@ -62,30 +68,18 @@ class Driven:
         If `controller` is none, or `robot` has no motors that take volts.
     """
 
-    controller: Controller
-    robot: Any
-
-    def __post_init__(self) -> None:
-        check_controller(self.controller)
-        robot = self.robot
-        if not isinstance(robot, type) and not hasattr(robot, "volts_for") and hasattr(robot, "by_voltage"):
-            object.__setattr__(self, "robot", robot.by_voltage())
-        elif isinstance(robot, type) or not hasattr(robot, "volts_for"):
-            raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot with electric motors")
+    controller: Any = child(Controlling, doc="wrapped controller")
+    robot: Any = declare(_ByVoltage("model of the controller", Electric))
 
     def initial_state(self, context: Context) -> tuple[Any, Any]:
         """Return the state that the wrapped controller starts with, and velocities."""
-        inner = _OfTorques(context, self.robot.wheeled.inputs)
-        return self.controller.initial_state(inner), np.zeros(self.robot.nv)  # type: ignore[arg-type]
+        inner: Any = Seen(context, inputs=self.robot.wheeled.inputs)
+        return self.controller.initial_state(inner), np.zeros(self.robot.nv)
 
     def applied(self, u: Array, state: tuple[Any, Any]) -> tuple[Any, Any]:
         """Return the state, with the wrapped controller told of the torques of an input, shape (..., nu)."""
         inner, v = state
         return told(self.controller, self.robot.torques_at(v, u), inner), v
-
-    def signals(self, state: tuple[Any, Any]) -> Any:
-        """Return what the wrapped controller tells beside its input: name to (unit, value)."""
-        return signals_of(self.controller, state[0])
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any]
@@ -96,7 +90,7 @@ class Driven:
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@part
 class WheelSpeed:
     """From a kinematic law to rates of wheels, each held by its own loop, as firmware of robots does.
 
@@ -123,49 +117,44 @@ class WheelSpeed:
         If an argument is something else, or the robot has wheels that steer, or arms.
     """
 
-    law: KinematicLaw
-    robot: Any
-    kp: float
-    ki: float = 0.0
-    _axle: Array = field(init=False, repr=False)
-    _wanted: Array = field(init=False, repr=False)
-    _measured: tuple[tuple[tuple[int, float], ...], ...] = field(init=False, repr=False)
+    law: Any = child(KinematicLaw, doc="kinematic law", expected=LAW)
+    robot: Any = child(Tabled, doc="model of the controller")
+    kp: float = number(above=0.0, unit="N m s/rad, V s/rad", doc="gain of the rates")
+    ki: float = number(default=0.0, lower=0.0, unit="N m/rad, V/rad", doc="gain of their integrals")
 
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("kp", "N m s/rad, V s/rad", "gain of the rates", 0.0, may_vanish=False),
-        Parameter("ki", "N m/rad, V/rad", "gain of their integrals", 0.0),
-    )
-
-    def __post_init__(self) -> None:
-        if isinstance(self.law, type) or not all(hasattr(self.law, x) for x in ("initial_state", "check")):
-            raise InvalidArgument(f"law is {shown(self.law)}, expected a kinematic law, such as Tracking()")
+    def check(self) -> None:
+        """Raise `InvalidArgument` where the robot has wheels that steer, or arms."""
         callable_as("law(tracked, state)", self.law)
-        object.__setattr__(self, "kp", positive("kp", self.kp))
-        object.__setattr__(self, "ki", non_negative("ki", self.ki))
-        robot = self.robot
-        if isinstance(robot, type) or not hasattr(robot, "table"):
-            raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
-        if hasattr(robot, "wheel_rates"):  # what it becomes in a compiled loop has been looked at before
-            self._look(robot)
-
-    def _look(self, robot: Any) -> None:
-        table = robot.table
-        if table.axes or robot.nu > len(table.actuators):
+        table = self.robot.table
+        if table.axes or self.robot.nu > len(table.actuators):
             raise InvalidArgument(
                 "robot has arms, or wheels that steer, expected one whose inputs are all motors of fixed "
                 "wheels"
             )
-        axle = robot.axle if robot.mobility.is_regular else np.array([0.0, 1.0, 0.0])
-        a, b, arm = axle / np.hypot(axle[0], axle[1])
-        twists = np.array([[b, -a, 0.0], [-arm * a, -arm * b, 1.0]])  # of a speed, and of a yaw rate
-        columns = np.array([each.column for each in table.actuators])
-        first = robot.nv - columns.shape[1]
-        object.__setattr__(self, "_axle", frozen([a, b, arm]))
-        object.__setattr__(self, "_wanted", frozen(robot.wheel_rates(twists) @ columns.T))
-        measured = tuple(
-            tuple((first + i, float(x)) for i, x in enumerate(column) if x) for column in columns
-        )
-        object.__setattr__(self, "_measured", measured)
+
+    @structure
+    def _axle(self) -> Array:
+        """Coefficients of the body twist in the velocity across the axle, shape (3,)."""
+        axle = self.robot.axle if self.robot.mobility.is_regular else np.array([0.0, 1.0, 0.0])
+        return frozen(axle / np.hypot(axle[0], axle[1]))
+
+    @structure
+    def _columns(self) -> Array:
+        """Rate of each motor by those of the wheels, shape (nu, wheels)."""
+        return np.array([actuator.column for actuator in self.robot.table.actuators])
+
+    @structure
+    def _wanted(self) -> Array:
+        """Rates of motors by the speed and by the yaw rate, shape (2, nu)."""
+        a, b, arm = self._axle
+        twists = np.array([[b, -a, 0.0], [-arm * a, -arm * b, 1.0]])
+        return frozen(self.robot.wheel_rates(twists) @ self._columns.T)
+
+    @structure
+    def _measured(self) -> tuple[tuple[tuple[int, float], ...], ...]:
+        """Entries of v that are in the rate of each motor, and their shares."""
+        first = self.robot.nv - self._columns.shape[1]
+        return tuple(tuple((first + i, float(x)) for i, x in enumerate(row) if x) for row in self._columns)
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, Any, Any]:
         """Return the law's state, integrals, their gains, the last input, and the time between samples."""
@@ -207,7 +196,7 @@ class WheelSpeed:
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@part
 class VelocityCommand:
     """A kinematic law's speed and yaw rate, as they are, for the input of a robot that takes these.
 
@@ -227,19 +216,17 @@ class VelocityCommand:
         If an argument is something else.
     """
 
-    law: KinematicLaw
-    robot: Any
-    _axle: Array = field(init=False, repr=False)
+    law: Any = child(KinematicLaw, doc="kinematic law", expected=LAW)
+    robot: Any = child(Commanded, doc="model of the controller")
 
-    def __post_init__(self) -> None:
-        if isinstance(self.law, type) or not all(hasattr(self.law, x) for x in ("initial_state", "check")):
-            raise InvalidArgument(f"law is {shown(self.law)}, expected a kinematic law, such as Tracking()")
+    def check(self) -> None:
+        """Raise `InvalidArgument` where the law cannot be called as one."""
         callable_as("law(tracked, state)", self.law)
-        robot = self.robot
-        if isinstance(robot, type) or not hasattr(robot, "commands"):
-            raise InvalidArgument(f"robot is {shown(robot)}, expected a VelocityRobot")
-        if hasattr(robot, "mobility"):  # what it becomes in a compiled loop has been looked at before
-            object.__setattr__(self, "_axle", frozen(vector("axle of robot", robot.axle, _BASE)))
+
+    @structure
+    def _axle(self) -> Array:
+        """The axle of the robot as it is given, which references follow."""
+        return vector("axle of robot", self.robot.axle, _BASE)
 
     def initial_state(self, context: Context) -> Any:
         """Return the law's state."""
@@ -259,7 +246,7 @@ class VelocityCommand:
 
 
 @final
-@dataclass(frozen=True, init=False, eq=False)
+@part
 class RandomSteps:
     """Speed and yaw rate that jump, independently of each other, to levels that are held for a while.
 
@@ -282,35 +269,34 @@ class RandomSteps:
         zero, or `seed` is no whole number.
     """
 
-    lowest: Array
-    largest: Array
-    hold: Array
-    seed: int
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("shortest_hold", "s", "shortest time that a level is held", 0.0, False, "hold", 0),
-        Parameter("longest_hold", "s", "longest time that a level is held", 0.0, False, "hold", 1),
+    lowest: Any = array(
+        default=(-0.2, -1.3),
+        shapes=((2,),),
+        unit="m/s, rad/s",
+        labels=_COMMANDS,
+        doc="lower bounds of levels",
     )
+    largest: Any = array(
+        default=(0.8, 1.3), shapes=((2,),), unit="m/s, rad/s", labels=_COMMANDS, doc="upper bounds of levels"
+    )
+    hold: Any = array(
+        default=(0.4, 2.5),
+        shapes=((2,),),
+        above=0.0,
+        unit="s",
+        labels=("shortest", "longest"),
+        doc="time that a level is held",
+    )
+    seed: int = integer(default=0, doc="seed of levels and times")
 
-    def __init__(
-        self,
-        lowest: ArrayLike = (-0.2, -1.3),
-        largest: ArrayLike = (0.8, 1.3),
-        hold: ArrayLike = (0.4, 2.5),
-        seed: int = 0,
-    ) -> None:
-        for name, value in (("lowest", lowest), ("largest", largest), ("hold", hold)):
-            given = finite(name, value)
-            if given.shape != (2,):
-                raise InvalidArgument(f"{name} has shape {given.shape}, expected (2,)")
-            object.__setattr__(self, name, frozen(given))
+    def check(self) -> None:
+        """Raise `InvalidArgument` where upper bounds are below lower ones."""
         if (self.largest < self.lowest).any():
             raise InvalidArgument(
                 f"largest is {self.largest.tolist()}, expected at least lowest, {self.lowest.tolist()}"
             )
-        if not 0 < self.hold[0] <= self.hold[1]:
+        if not self.hold[0] <= self.hold[1]:
             raise InvalidArgument(f"hold is {self.hold.tolist()}, expected 0 < shortest <= longest")
-        object.__setattr__(self, "seed", whole("seed", seed, least=0))
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, float]:
         """Return how long levels still hold, levels, the noise that draws them, and the sampling time."""

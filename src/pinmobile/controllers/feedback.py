@@ -2,80 +2,96 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
-from typing import Any, ClassVar, Protocol, final
+from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen
-from pinmobile.controllers.controller import InverseDynamics, State
+from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, real
+from pinmobile.controllers.controller import State
+from pinmobile.controllers.held import check_held, double_integrators
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Context, Difference, Parameter, Plant, check_difference, leading_of
+from pinmobile.parts import Comparing, Gravitating, Inverted, Invertible, able, child, gain, option, part
+from pinmobile.plant import Context, Difference, check_difference, leading_of
+
+SLOPE = "rate at which errors vanish where s does"
+"""What a slope is."""
+
+_BASE = 3  # coordinates of the base: x, y, psi
+_PLACE, _RATE = "N/m, N/m, N m/rad", "N s/m, N s/m, N m s/rad"
 
 
-def _all(values: Array, column: Array, size: int) -> Array:
-    return np.repeat(column[:, None], size, axis=1)
+def coordinates_of(controller: Any) -> int:
+    """Return how many coordinates the model of a controller has."""
+    nv: int = controller.robot.nv
+    return nv
 
 
-def _one(k: int, values: Array, column: Array, size: int) -> Array:
-    new = values.copy() if values.ndim > 1 else np.repeat(values[:, None], size, axis=1)
-    place: tuple[slice | int, ...] = (slice(None), *(k,) * (new.ndim - 1))
-    new[place] = column
-    return new
+def tracked_coordinates_of(controller: Any) -> int:
+    """Return how many coordinates the model of a controller tracks: all, or all but those of wheels."""
+    return max(leading_of(controller.robot))
 
 
-def _times(values: Array, column: Array, size: int) -> Array:
-    return values * column.reshape(-1, *(1,) * (values.ndim - 1))
+def comparison() -> Any:
+    """Declare how configurations are compared: by default, as the plant or the controller's model does."""
+
+    def checked(name: str, value: Any) -> Any:
+        check_difference(value)
+        return value
+
+    return option(default=None, doc="difference(q0, q1), the displacement from q0 to q1", check=checked)
 
 
-def gain_parameters(name: str, unit: str = "") -> tuple[Parameter, ...]:
-    """Return the parameters of a gain of each coordinate: of all, of x, y and psi alone, and a factor."""
-    words = f"{name} of all coordinates, in place of the controller's"
-    return (
-        Parameter(name, unit, words, attribute=name, write=_all),
-        *(
-            Parameter(
-                f"{name}_{c}", unit, f"{name} of {c} alone", attribute=name, entry=k, write=partial(_one, k)
-            )
-            for k, c in enumerate(("x", "y", "psi"))
-        ),
-        Parameter(
-            f"{name}_factor", "", f"by which {name} is multiplied", attribute=name, write=_times, neutral=1.0
-        ),
-    )
+def bound(sign: float, doc: str, default: Any = None) -> Any:
+    """Declare bounds of numbers, which may be endless on their own side: below with sign -1, else above."""
+
+    def checked(name: str, value: Any) -> Any:
+        return frozen(sign * endless_or_finite(name, sign * real(name, value)))
+
+    return option(default=default, doc=doc, check=checked)
 
 
-GAINS = (*gain_parameters("kp"), *gain_parameters("kd"))
-"""The parameters of a controller with `kp` and `kd`."""
+def check_compares(controller: Any) -> None:
+    """Refuse a model without `difference` where its controller has none either.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is such.
+    """
+    if controller.difference is None and not able(controller.robot, Comparing):
+        raise InvalidArgument(
+            f"robot is {shown(controller.robot)}, which has no difference(q0, q1), expected one, or to be "
+            "told how configurations are compared: difference=planar_difference"
+        )
 
 
-class Feedback(Protocol):
-    """A controller of the errors of configuration and velocity."""
+def check_wheelless(robot: Any, wanted: str = "") -> None:
+    """Refuse the model of a controller of base and arms that has wheels; `wanted` is to be written instead.
 
-    @property
-    def kp(self) -> ArrayLike:
-        """Gain of the error in configuration."""
-
-    @property
-    def kd(self) -> ArrayLike:
-        """Gain of that in velocity."""
-
-    @property
-    def difference(self) -> Difference | None:
-        """How configurations are compared, where it was told."""
+    Raises
+    ------
+    InvalidArgument
+        If it is such.
+    """
+    if max(leading_of(robot)) < robot.nv:
+        wanted = wanted or "the body on them, robot.robot, and the controller in Allocated(..., robot)"
+        raise InvalidArgument(f"robot is {shown(robot)}, which has wheels, expected {wanted}")
 
 
-class ModelFeedback(Feedback, Protocol):
-    """One with a model of the robot."""
+class OfBody:
+    """What has a model of base and arms, and compares configurations as it says or as the model does."""
 
-    @property
-    def robot(self) -> Any:
-        """The model that the controller believes in."""
+    robot: Any
+    difference: Any
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` where the robot has wheels or compares nothing."""
+        check_compares(self)
+        check_wheelless(self.robot)
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@part
 class PD:
     """Proportional-derivative control (lecture, section 4): tau = Kp e + Kd e_dot, e = difference(q, q_d).
 
@@ -87,25 +103,15 @@ class PD:
     difference : callable
         ``difference(q0, q1)``: the displacement from q0 to q1; the error is that from q to q_d. By default
         the plant's, which the state keeps; the lecture's is `plain_difference`.
-
-    Raises
-    ------
-    InvalidArgument
-        If a gain has another shape or is not finite.
     """
 
-    kp: ArrayLike
-    kd: ArrayLike
-    difference: Difference | None = None
-
-    parameters: ClassVar[tuple[Parameter, ...]] = GAINS
-
-    def __post_init__(self) -> None:
-        check_gains(self, None)
+    kp: Any = gain(unit=_PLACE, doc="proportional gain")
+    kd: Any = gain(unit=_RATE, doc="derivative gain")
+    difference: Any = comparison()
 
     def initial_state(self, context: Context) -> Difference:
         """Return the difference of configurations, by default the plant's."""
-        return own_difference(self, context)
+        return self.difference or context.difference
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: Difference
@@ -142,62 +148,7 @@ def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:
     return array if array.ndim == 2 else np.diag(np.broadcast_to(array, n))
 
 
-def check_robot(controller: ModelFeedback, needs: str) -> None:
-    """Refuse a controller's robot that has no sizes, no method of that name, or no difference to use.
-
-    Raises
-    ------
-    InvalidArgument
-        If it is no robot.
-    """
-    robot = controller.robot
-    sizes = getattr(robot, "nv", None), getattr(robot, "nq", getattr(robot, "nv", None))
-    if isinstance(robot, type) or not hasattr(robot, needs) or not all(isinstance(n, int) for n in sizes):
-        lacks = "" if not hasattr(robot, "nv") or hasattr(robot, needs) else f", which has no {needs}"
-        raise InvalidArgument(f"robot is {shown(robot)}{lacks}, expected a MobileRobot")
-    if controller.difference is None and not hasattr(robot, "difference"):
-        raise InvalidArgument(
-            f"robot is {shown(robot)}, which has no difference(q0, q1), expected one, or to be told how "
-            "configurations are compared: difference=planar_difference"
-        )
-
-
-def own_difference(controller: Feedback, plant: Context | Plant | InverseDynamics | Gravity) -> Difference:
-    """Return the difference that a controller was given, else its robot's, else a plant's or context's."""
-    own = controller.difference
-    return getattr(controller, "robot", plant).difference if own is None else own
-
-
-def check_gains(controller: Feedback, n: int | None, *more: str) -> None:
-    """Check and freeze `kp`, `kd` and more, and check `difference`, of a controller that is being made.
-
-    Parameters
-    ----------
-    controller : controller
-        With these attributes.
-    n : int or None
-        Number of coordinates, where it is known.
-    more : str
-        Names of its other gains.
-
-    Raises
-    ------
-    InvalidArgument
-        If one is not what is expected.
-    """
-    names = ("kp", "kd", *more)
-    for name in names:
-        gain = finite(name, getattr(controller, name))
-        if n is None and (gain.ndim > 2 or (gain.ndim == 2 and gain.shape[0] != gain.shape[1])):
-            raise InvalidArgument(f"{name} has shape {gain.shape}, expected (), (n,) or (n, n)")
-        if n is not None:
-            gain_matrix(name, gain, n)
-        object.__setattr__(controller, name, frozen(gain))
-    if controller.difference is not None:
-        check_difference(controller.difference)
-
-
-def feedback(controller: Feedback, difference: Difference, q: Array, v: Array, reference: State) -> Array:
+def feedback(controller: Any, difference: Difference, q: Array, v: Array, reference: State) -> Array:
     """Return Kp e + Kd e_dot of a controller that has `kp` and `kd`, shape (..., n).
 
     Raises
@@ -237,7 +188,7 @@ def _check_fit(robot: Any, q: Array, v: Array, reference: State) -> None:
 
 def amplified(name: str, gain: Any, error: Array) -> Array:
     """Return a gain times an error, shape (..., n)."""
-    if not gain.ndim:
+    if type(gain) is float or not np.ndim(gain):
         return gain * error  # type: ignore[no-any-return]
     n = error.shape[-1]
     if gain.shape not in ((n,), (n, n)):
@@ -249,25 +200,8 @@ def amplified(name: str, gain: Any, error: Array) -> Array:
     return np.asarray(sum(columns[1:], columns[0]))
 
 
-_BASE = 3  # coordinates of the base: x, y, psi
-
-
-class Gravity(Protocol):
-    """What `PDGravity` needs of a robot."""
-
-    @property
-    def nv(self) -> int:
-        """Size of v."""
-
-    def gravity(self, q: ArrayLike) -> Array:
-        """Return g(q)."""
-
-    def difference(self, q0: Array, q1: Array, /) -> Array:
-        """Return the displacement from q0 to q1, shape (..., nv)."""
-
-
 @final
-@dataclass(frozen=True, eq=False)
+@part
 class PDGravity:
     """PD with gravity compensation, tau = Kp e + Kd e_dot + g(q) (Takegaki and Arimoto, 1981).
 
@@ -281,44 +215,189 @@ class PDGravity:
         Gains as in `PD`: [N/m] and [N s/m] for a way, [N m/rad] and [N m s/rad] for an angle.
     difference : callable
         ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own.
-
-    Raises
-    ------
-    InvalidArgument
-        If a gain has another shape or is not finite.
     """
 
-    robot: Gravity
-    kp: ArrayLike
-    kd: ArrayLike
-    difference: Difference | None = None
+    robot: Any = child(Gravitating, doc="model of the controller")
+    kp: Any = gain(unit=_PLACE, doc="proportional gain", size=coordinates_of)
+    kd: Any = gain(unit=_RATE, doc="derivative gain", size=coordinates_of)
+    difference: Any = comparison()
 
-    parameters: ClassVar[tuple[Parameter, ...]] = GAINS
-
-    def __post_init__(self) -> None:
-        check_arms(self, "gravity")
+    def check(self) -> None:
+        """Raise `InvalidArgument` where the robot has wheels or compares nothing."""
+        check_compares(self)
+        check_wheelless(self.robot, "Allocated(PDGravity(robot.robot, ...), robot)")
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
-        return feedback(self, own_difference(self, self.robot), q, v, reference) + self.robot.gravity(q), None
+        force = feedback(self, self.difference or self.robot.difference, q, v, reference)
+        return force + self.robot.gravity(q), None
 
 
-def check_arms(controller: ModelFeedback, needs: str) -> None:
-    """Check gains and robot of a controller of base and arms that is being made, and refuse wheels.
+@final
+@part
+class ComputedTorque:
+    """Computed torque, tau = M(q) (a_d + Kd e_dot + Kp e) + n(q, v) (lecture, section 4).
+
+    Of a robot on wheels that moves in every direction, the torques of least norm with which body and arms
+    accelerate so; its reference is of these.
+
+    Parameters
+    ----------
+    robot : MobileRobot or WheeledRobot
+        The model that the controller believes in; it need not be the one that is simulated.
+    kp, kd : array_like, shape (), (n,) or (n, n)
+        Gains [1/s^2] and [1/s]: a scalar, one per coordinate, or a matrix; n is 3 and one for each degree of
+        freedom of the arms.
+    difference : callable
+        ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own. The lecture's is
+        `plain_difference`.
 
     Raises
     ------
     InvalidArgument
-        If one is not what is expected.
+        If a gain has another shape or is not finite, or no torques move the robot in every direction.
     """
-    check_robot(controller, needs)
-    if max(leading_of(controller.robot)) < controller.robot.nv:
-        raise InvalidArgument(
-            f"robot is {shown(controller.robot)}, which has wheels, expected "
-            f"Allocated({type(controller).__name__}"
-            "(robot.robot, ...), robot)"
-        )
-    check_gains(controller, controller.robot.nv)
+
+    robot: Any = child(Invertible, doc="model of the controller")
+    kp: Any = gain(default=4.0, unit="1/s^2", doc="proportional gain", size=tracked_coordinates_of)
+    kd: Any = gain(default=4.0, unit="1/s", doc="derivative gain", size=tracked_coordinates_of)
+    difference: Any = comparison()
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` where no torques move the robot in every direction."""
+        check_compares(self)
+        if robot := able(self.robot, Inverted):
+            robot.check_inverse_dynamics()
+
+    def initial_state(self, context: Context) -> None:
+        """Return None: there is no memory."""
+
+    def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
+        """Return the generalised force, shape (..., n), and None."""
+        command = reference.a + feedback(self, self.difference or self.robot.difference, q, v, reference)
+        return self.robot.inverse_dynamics(q, v, command), None
+
+
+@final
+@part
+class PID(OfBody):
+    """Computed torque with an integral, tau = M(q) (a_d + kd e' + kp e + ki z) + n(q, v), z' = e.
+
+    The integral takes away the error that a constant force, or a wrong mass on a steady path, leaves. While
+    any force that is applied is another than the law's, as where a limit holds, nothing is integrated.
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        The model that the controller believes in; it need not be the one that is simulated.
+    kp, ki, kd : array_like, shape (), (n,) or (n, n)
+        Gains [1/s^2], [1/s^3] and [1/s]; by default three poles at -4 1/s. Stable where ki < kp kd.
+    difference : callable
+        ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own.
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is something else; at the start of a run, if the loop is unstable at its dt.
+    """
+
+    robot: Any = child(Invertible, doc="model of the controller")
+    kp: Any = gain(default=48.0, unit="1/s^2", doc="proportional gain", size=coordinates_of)
+    ki: Any = gain(default=64.0, unit="1/s^3", doc="integral gain", size=coordinates_of)
+    kd: Any = gain(default=12.0, unit="1/s", doc="derivative gain", size=coordinates_of)
+    difference: Any = comparison()
+
+    def initial_state(self, context: Context) -> tuple[Any, Any, Any, float]:
+        """Return the integral, what it gained last, the last force, and the time between samples."""
+        n = self.robot.nv
+
+        def gains() -> dict[str, Any]:
+            return {"kp": self.kp, "kd": self.kd, "ki": self.ki}
+
+        def loop(dt: float) -> Array:
+            return double_integrators(dt, **{name: gain_matrix(name, x, n) for name, x in gains().items()})
+
+        check_held(gains, loop, context.dt)
+        none = np.zeros(n)
+        return none, none, none, float(context.dt)
+
+    def applied(self, u: Array, state: tuple[Any, Any, Any, float]) -> tuple[Any, Any, Any, float]:
+        """Return the state, the integral as it was where another force is applied."""
+        integral, gain, asked, dt = state
+        differs = np.max(np.abs(u - asked), axis=-1, keepdims=True) > 0
+        return integral - np.where(differs, gain, 0.0), gain, asked, dt
+
+    def signals(self, state: tuple[Any, Any, Any, float]) -> dict[str, Any]:
+        """Return the integral of the error."""
+        return {"integral": ("m s, rad s", state[0])}
+
+    def __call__(
+        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any, Any, float]
+    ) -> tuple[Array, tuple[Any, Any, Any, float]]:
+        """Return the generalised force, shape (..., n), and the next state."""
+        integral, _, _, dt = state
+        difference = self.difference or self.robot.difference
+        command = reference.a + feedback(self, difference, q, v, reference)
+        command = command + amplified("ki", self.ki, integral)
+        tau = self.robot.inverse_dynamics(q, v, command)
+        gain = dt * difference(q, reference.q)
+        return tau, (integral + gain, gain, tau, dt)
+
+
+@final
+@part
+class Decoupled:
+    """Computed torque of the base and of the arms, each ignoring that the other moves.
+
+    The base sees the arms as a load that is locked where they are, as `MobileRobot.lumped` has it; the arms
+    see themselves on a base at rest, gravity included. With c = a_d + Kd e_dot + Kp e, parted into base and
+    arms,
+
+        tau_base = M_bb(q) c_b + n_b(q, (v_b, 0)),      tau_arm = M_aa(q) c_a + n_a(q, (0, v_a)).
+
+    What `ComputedTorque` has beyond that is the coupling: M_ba, M_ab, and the products of v_b and v_a.
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        The model that the controller believes in; it need not be the one that is simulated.
+    kp, kd : array_like, shape (), (n,) or (n, n)
+        Gains [1/s^2] and [1/s]: a scalar, one per coordinate, or a matrix.
+    difference : callable
+        ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own.
+    """
+
+    robot: Any = child(Invertible, doc="model of the controller")
+    kp: Any = gain(default=4.0, unit="1/s^2", doc="proportional gain", size=coordinates_of)
+    kd: Any = gain(default=4.0, unit="1/s", doc="derivative gain", size=coordinates_of)
+    difference: Any = comparison()
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` where the robot has wheels or compares nothing."""
+        check_compares(self)
+        check_wheelless(self.robot, "Allocated(Decoupled(robot.robot, ...), robot)")
+
+    def initial_state(self, context: Context) -> None:
+        """Return None: there is no memory."""
+
+    def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
+        """Return the generalised force, shape (..., n), and None."""
+        command = reference.a + feedback(self, self.difference or self.robot.difference, q, v, reference)
+        base = self.robot.inverse_dynamics(q, *map(_of_base, (v, command)))
+        arms = self.robot.inverse_dynamics(q, *map(_of_arms, (v, command)))
+        return np.concatenate([base[..., :_BASE], arms[..., _BASE:]], axis=-1), None
+
+
+def _of_base(rate: Array) -> Array:
+    part = np.zeros(rate.shape)
+    part[..., :_BASE] = rate[..., :_BASE]
+    return part
+
+
+def _of_arms(rate: Array) -> Array:
+    part = np.zeros(rate.shape)
+    part[..., _BASE:] = rate[..., _BASE:]
+    return part

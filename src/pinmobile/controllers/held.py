@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,7 @@ def diagonal(gain: Array) -> Array:
     return np.asarray(gain[..., None] * np.eye(gain.shape[-1]))
 
 
-def check_held(gains: Callable[[], dict[str, Array]], loop: Callable[[float], Array], dt: float) -> None:
+def check_held(gains: Callable[[], dict[str, Any]], loop: Callable[[float], Array], dt: float) -> None:
     """Refuse gains with which a loop of a rigid robot, its model exact, is unstable at this time step.
 
     Gains that are symbols, of robots that each have their own, are not looked at.

@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, frozen
+from pinmobile.arrays import Array, frozen
 from pinmobile.controllers.controller import State
 from pinmobile.controllers.tracked_model import (
-    INPUT_WEIGHT,
+    Weighted,
     check_moves,
-    checked_weights,
     remembered,
     tracked_errors,
     tracked_model,
+    weighting,
     whole_reference,
 )
 from pinmobile.errors import InvalidArgument
-from pinmobile.plant import Context, Parameter
+from pinmobile.parts import Linearized, child, number, part
+from pinmobile.plant import Context
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class LQR:
+@part
+class LQR(Weighted):
     """The linear quadratic regulator along a reference, u = u_d + K(t) (e; e_v), with gains of each sample.
 
     Of the reference's input u_d, and of A and B of the model about each sample with the input held, it takes
@@ -35,8 +35,8 @@ class LQR:
     are of the reference's coordinates, e, and of the independent velocities, e_v: of a robot that is pushed,
     v; on wheels, those of `WheeledRobot.reduced`, such as speed and yaw rate of a differential drive. To
     first order, nothing makes the sum of e' Q e + du' R du smaller. The gains follow from the reference, and
-    are the same for all robots of a compiled ensemble: one that spreads the parameter ``input_weight``, a
-    factor of R, or the believed model, runs them one after another.
+    are the same for all robots of a compiled ensemble: one that spreads ``input_weight`` or the
+    controller's model runs them one after another.
 
     Parameters
     ----------
@@ -49,6 +49,8 @@ class LQR:
     R : array_like, shape (nu,) or (nu, nu), optional
         Weight of the input beside the reference's, positive definite. By default 1e-3 / N^2, 2e-2 / (N m)^2,
         and of volts what the torque costs that they give at rest.
+    input_weight : float
+        Factor of R, > 0.
 
     Raises
     ------
@@ -58,20 +60,15 @@ class LQR:
         sideways, or if one of robot and plant takes volts.
     """
 
-    robot: Any
-    Q: ArrayLike | None = None
-    R: ArrayLike | None = None
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (INPUT_WEIGHT,)
-
-    def __post_init__(self) -> None:
-        for name, value in checked_weights(self.robot, self.Q, self.R).items():
-            object.__setattr__(self, name, value)
+    robot: Any = child(Linearized, doc="model of the controller")
+    Q: Any = weighting(0, "weight of the errors")
+    R: Any = weighting(1, "weight of the input")
+    input_weight: float = number(default=1.0, above=0.0, doc="factor of R, the weight of the input")
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any]:
         """Return the inputs, velocities and gains of all samples, as schedules."""
         reference = whole_reference(context, self.robot)
-        Q, R = np.asarray(self.Q), np.asarray(self.R)
+        Q, R = self.Q, self.input_weight * self.R
         dt, t = float(context.dt), np.asarray(context.t)
 
         def design() -> tuple[Array, Array, Array]:

@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from functools import cached_property
 from time import process_time
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, NamedTuple, final
 
+import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, endless_or_finite, frozen, non_negative, positive, real, whole
+from pinmobile.arrays import Array, ArrayLike, frozen, real
 from pinmobile.controllers.condensed import Plan, solver
 from pinmobile.controllers.controller import State
+from pinmobile.controllers.feedback import bound
 from pinmobile.controllers.held import check_held
 from pinmobile.controllers.observer import estimated
 from pinmobile.controllers.tracked_model import (
-    INPUT_WEIGHT,
+    Weighted,
     check_moves,
-    checked_weights,
     remembered,
-    sizes_of,
     tracked_errors,
     tracked_model,
+    weighting,
     whole_reference,
 )
 from pinmobile.errors import InvalidArgument, NotSolved, NotTraceable
-from pinmobile.plant import Context, Parameter, inputs_of
+from pinmobile.parts import Linearized, Rolling, able, array, child, integer, number, part
+from pinmobile.plant import Context, inputs_of
 
 _MANY = 10_000
 _WHOLE = 1e-9  # relative rounding allowed in step / dt, and in limits beside those of motors
@@ -39,9 +41,13 @@ class _Belief(NamedTuple):
     disturbance: Array
 
 
+def _endless(sign: float) -> Any:
+    return attrs.Factory(lambda self: np.full(sum(self._sizes[:2]), sign * np.inf), takes_self=True)
+
+
 @final
-@dataclass(frozen=True, eq=False)
-class MPC:
+@part
+class MPC(Weighted):
     """Model predictive control along a reference: inputs within limits, by a quadratic program a sample.
 
     Over `horizon` steps of the model about the reference, dx+ = A dx + B (du + d), it makes the sum of
@@ -70,9 +76,11 @@ class MPC:
     lower, upper : array_like, shape (n + m,), optional
         Soft bounds of the n coordinates and m independent velocities; infinite where there is none.
     Q, R : array_like, optional
-        Weights, as of `LQR`, for one time step of the controller; an ensemble spreads ``input_weight``.
+        Weights, as of `LQR`, for one time step of the controller; see there.
     observer : float
         Rate of the estimate d [1/s]; 0: none is estimated.
+    input_weight : float
+        Factor of R, > 0.
 
     Raises
     ------
@@ -84,56 +92,55 @@ class MPC:
         If a quadratic program has no solution.
     """
 
-    robot: Any
-    horizon: int = 40
-    step: float = 0.05
-    limits: ArrayLike | None = None
-    lower: ArrayLike | None = None
-    upper: ArrayLike | None = None
-    Q: ArrayLike | None = None
-    R: ArrayLike | None = None
-    observer: float = 10.0
-    range: tuple[Array, Array] = field(init=False, repr=False)
+    robot: Any = child(Linearized, doc="model of the controller")
+    horizon: int = integer(default=40, least=1, doc="steps that are predicted")
+    step: float = number(default=0.05, above=0.0, unit="s", fixed=True, doc="step of the prediction")
+    limits: Any = array(
+        default=None,
+        shapes=((), ("n",)),
+        above=0.0,
+        endless=True,
+        fixed=True,
+        doc="largest inputs",
+        size=lambda self: self._sizes[2],
+    )
+    lower: Any = bound(-1.0, "lower soft bounds", _endless(-1.0))
+    upper: Any = bound(1.0, "upper soft bounds", _endless(1.0))
+    Q: Any = weighting(0, "weight of the errors")
+    R: Any = weighting(1, "weight of the input")
+    observer: float = number(
+        default=10.0, lower=0.0, unit="1/s", fixed=True, doc="rate of the estimate of the disturbance"
+    )
+    input_weight: float = number(default=1.0, above=0.0, doc="factor of R, the weight of the input")
 
-    parameters: ClassVar[tuple[Parameter, ...]] = (INPUT_WEIGHT,)
-
-    def __post_init__(self) -> None:
-        n, m, inputs = sizes_of(self.robot)
-        found: dict[str, Any] = {
-            **checked_weights(self.robot, self.Q, self.R),
-            "horizon": whole("horizon", self.horizon),
-            "step": positive("step", self.step, "s"),
-            "observer": non_negative("observer", self.observer, "1/s"),
-        }
-        own = inputs_of(self.robot)
-        least, most = np.array([x.lower for x in own]), np.array([x.upper for x in own])
-        if self.limits is not None:
-            limits = endless_or_finite("limits", self.limits)
-            if limits.shape not in ((), (inputs,)) or not (limits > 0).all():
-                raise InvalidArgument(f"limits is {limits.tolist()}, expected () or ({inputs},) numbers > 0")
-            found["limits"] = limits = frozen(np.broadcast_to(limits, inputs))
-            for one, limit in zip(own, limits, strict=True):
-                largest = min(-one.lower, one.upper)
-                if largest * (1 + _WHOLE) < limit < np.inf:
-                    raise InvalidArgument(
-                        f"limits has {limit:.9g} {one.unit} for {one.name}, expected at most {largest:.9g} "
-                        f"{one.unit}, the largest of its motor, beyond which the robot cuts inputs off"
-                    )
-            least, most = np.maximum(least, -limits), np.minimum(most, limits)
-        found["range"] = frozen(least), frozen(most)
-        for name, sign in (("lower", -1.0), ("upper", 1.0)):
-            given = getattr(self, name)
-            bound = sign * endless_or_finite(name, np.inf if given is None else sign * real(name, given))
-            bound = np.broadcast_to(bound, n + m) if given is None else bound
-            if bound.shape != (n + m,):
-                raise InvalidArgument(f"{name} has shape {bound.shape}, expected ({n + m},)")
-            found[name] = frozen(bound)
-        if (found["lower"] >= found["upper"]).any():
+    def check(self) -> None:
+        """Raise `InvalidArgument` where limits are beyond the robot's, or soft bounds leave no room."""
+        super().check()
+        limits = [np.inf] * self._sizes[2] if self.limits is None else self.limits
+        for one, limit in zip(inputs_of(self.robot), limits, strict=True):
+            largest = min(-one.lower, one.upper)
+            if largest * (1 + _WHOLE) < limit < np.inf:
+                raise InvalidArgument(
+                    f"limits has {limit:.9g} {one.unit} for {one.name}, expected at most {largest:.9g} "
+                    f"{one.unit}, the largest of its motor, beyond which the robot cuts inputs off"
+                )
+        size = sum(self._sizes[:2])
+        for name, given in (("lower", self.lower), ("upper", self.upper)):
+            if given.shape != (size,):
+                raise InvalidArgument(f"{name} has shape {given.shape}, expected ({size},)")
+        if (self.lower >= self.upper).any():
             raise InvalidArgument(
                 "lower is not below upper, expected soft bounds between which there is room"
             )
-        for name, value in found.items():
-            object.__setattr__(self, name, value)
+
+    @cached_property
+    def range(self) -> tuple[Array, Array]:
+        """Least and largest inputs, shape (nu,) each."""
+        own = inputs_of(self.robot)
+        least, most = np.array([x.lower for x in own]), np.array([x.upper for x in own])
+        if self.limits is not None:
+            least, most = np.maximum(least, -self.limits), np.minimum(most, self.limits)
+        return frozen(least), frozen(most)
 
     def within(
         self, limits: ArrayLike | None = None, lower: ArrayLike | None = None, upper: ArrayLike | None = None
@@ -148,16 +155,16 @@ class MPC:
             Of the first k of the n + m bounded states, such as x and y; by default its own.
         """
         given: dict[str, Any] = {} if limits is None else {"limits": limits}
-        for name, bound in (("lower", lower), ("upper", upper)):
-            if bound is not None:
-                first, own = real(name, bound), np.array(getattr(self, name))
+        for name, other in (("lower", lower), ("upper", upper)):
+            if other is not None:
+                first, own = real(name, other), np.array(getattr(self, name))
                 if first.ndim != 1 or len(first) > len(own):
                     raise InvalidArgument(
                         f"{name} has shape {first.shape}, expected (k,) with k <= {len(own)}"
                     )
                 own[: len(first)] = first
                 given[name] = own
-        return replace(self, **given)
+        return attrs.evolve(self, **given)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return the plan, the sample's number, the observer's memory, the last input, and its program's."""
@@ -172,8 +179,8 @@ class MPC:
                 f"horizon is {self.horizon * self.step:g} s, no longer than the delay of what it is told, "
                 f"{context.delay * dt:g} s, expected more than {context.delay / stride:.3g} steps"
             )
-        check_held(lambda: {"observer": np.asarray(self.observer)}, self._loop, dt)
-        Q, R = np.asarray(self.Q), np.asarray(self.R)
+        check_held(lambda: {"observer": self.observer}, lambda dt: np.array([[1.0 - dt * self.observer]]), dt)
+        Q, R = self.Q, self.input_weight * self.R
 
         def design() -> Plan:
             model = tracked_model(self.robot, reference)
@@ -195,17 +202,10 @@ class MPC:
         belief = _Belief(0.0, np.zeros(m), np.zeros(nu))
         return plan, 0, belief, np.zeros(nu), np.zeros(len(plan.sense))
 
-    def _loop(self, dt: float) -> Array:
-        return np.array([[1.0 - dt * self.observer]])
-
     @property
     def _kept(self) -> Any:
         """Which states are bounded, shape (n + m,)."""
-        return np.isfinite(np.asarray(self.lower)) | np.isfinite(np.asarray(self.upper))
-
-    @property
-    def _rolls(self) -> bool:
-        return hasattr(self.robot, "independent")
+        return np.isfinite(self.lower) | np.isfinite(self.upper)
 
     def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the state, told of the input that is applied, shape (nu,)."""
@@ -243,7 +243,7 @@ class MPC:
     ) -> _Belief:
         """Return what is believed at a sample, before which the input was `last`."""
         begun, integral, _ = belief
-        if not self._rolls:
+        if not able(self.robot, Rolling):
             integral = integral + plan.dt * last
             estimate, integral, rate = estimated(self.robot, self.observer, q, v, begun, integral)
             return _Belief(1.0, integral + plan.dt * rate, estimate)
@@ -261,8 +261,8 @@ class MPC:
         inputs, states = plan.ahead(at, dx)
         inputs += plan.u[at[:-1]] - estimate
         states = (states + plan.x[at[1:]])[:, kept]
-        lower = np.concatenate([self.range[0] - inputs, np.asarray(self.lower)[kept] - states], axis=-1)
-        upper = np.concatenate([self.range[1] - inputs, np.asarray(self.upper)[kept] - states], axis=-1)
+        lower = np.concatenate([self.range[0] - inputs, self.lower[kept] - states], axis=-1)
+        upper = np.concatenate([self.range[1] - inputs, self.upper[kept] - states], axis=-1)
         if (lower <= 0).all() and (upper >= 0).all():
             return np.asarray(inputs[0]), 0.0 * prices
         program = plan.program(at, lower, upper)

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar, final
+from typing import Any, final
 
+import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike
-from pinmobile.controllers.controller import Controller, State, answer_of, check_controller, told
-from pinmobile.controllers.feedback import gain_parameters
+from pinmobile.arrays import Array
+from pinmobile.controllers.controller import State, Wrapper, answer_of, told
+from pinmobile.controllers.feedback import check_wheelless, coordinates_of
 from pinmobile.controllers.held import check_held
-from pinmobile.controllers.tracking_errors import check_model, each_coordinate
-from pinmobile.plant import Context, Parameter
-from pinmobile.signals import signals_of
+from pinmobile.parts import Controlling, Integrating, Observable, child, each, part
+from pinmobile.plant import Context
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class DisturbanceObserver:
+@part
+class DisturbanceObserver(Wrapper):
     """A controller from whose force the disturbance is taken, as the generalised momentum shows it.
 
         r = gain (p - p(0) - integral of (tau + C' v - g + r)),   p = M(q) v
@@ -42,24 +41,24 @@ class DisturbanceObserver:
         If an argument is something else; at the start of a run, if the estimate is unstable at its dt.
     """
 
-    controller: Controller
-    robot: Any = None
-    gain: ArrayLike = 10.0
+    controller: Any = child(Controlling, doc="wrapped controller")
+    robot: Any = child(
+        Observable,
+        default=attrs.Factory(lambda self: getattr(self.controller, "robot", None), takes_self=True),
+        doc="model by which the momentum is found",
+    )
+    gain: Any = each(default=10.0, above=0.0, unit="1/s", doc="rate of the estimate", size=coordinates_of)
 
-    parameters: ClassVar[tuple[Parameter, ...]] = gain_parameters("gain", "1/s")
-
-    def __post_init__(self) -> None:
-        check_controller(self.controller)
-        if self.robot is None:
-            object.__setattr__(self, "robot", getattr(self.controller, "robot", None))
-        n = check_model(self.robot, None, "inverse_dynamics", "coriolis_matrix", "gravity")
-        object.__setattr__(self, "gain", each_coordinate("gain", self.gain, n, above=True))
+    def check(self) -> None:
+        """Raise `InvalidArgument` where no controller is wrapped, or the robot has wheels."""
+        super().check()
+        check_wheelless(self.robot)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return the wrapped controller's state, its own (begun, integral, last force, estimate), and dt."""
         check_held(
-            lambda: {"gain": np.asarray(self.gain)},
-            lambda dt: 1.0 - dt * np.asarray(self.gain)[..., None, None],
+            lambda: {"gain": self.gain},
+            lambda dt: 1.0 - dt * self.gain[..., None, None],
             context.dt,
         )
         none = np.zeros(self.robot.nv)
@@ -73,7 +72,7 @@ class DisturbanceObserver:
 
     def signals(self, state: tuple[Any, ...]) -> dict[str, Any]:
         """Return the disturbance that is estimated, beside what the wrapped controller tells."""
-        return {**signals_of(self.controller, state[0]), "disturbance": ("N, N m", state[1][3])}
+        return {**super().signals(state), "disturbance": ("N, N m", state[1][3])}
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, ...]
@@ -87,7 +86,7 @@ class DisturbanceObserver:
 
 
 def estimated(
-    robot: Any, gain: ArrayLike, q: Array, v: Array, begun: Any, integral: Array
+    robot: Any, gain: Any, q: Array, v: Array, begun: Any, integral: Array
 ) -> tuple[Array, Array, Array]:
     """Return the force that the momentum shows, its integral, and the rate of that without the force applied.
 
@@ -105,13 +104,13 @@ def estimated(
     gravity = robot.gravity(q)
     momentum = robot.inverse_dynamics(q, np.zeros(np.shape(v)), v) - gravity
     integral = np.where(begun > 0.0, integral, momentum)
-    estimate = np.asarray(gain) * (momentum - integral)
+    estimate = gain * (momentum - integral)
     turning = np.sum(robot.coriolis_matrix(q, v) * v[..., :, None], axis=-2)
     return estimate, integral, turning - gravity + estimate
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@part
 class ADRC:
     """Active disturbance rejection (Han, 2009; Gao, 2003): each coordinate a double integrator, observed.
 
@@ -138,40 +137,41 @@ class ADRC:
         If an argument is something else; at the start of a run, if the loop is unstable at its dt.
     """
 
-    robot: Any
-    bandwidth: ArrayLike = 4.0
-    observer: ArrayLike = 20.0
-    inertia: ArrayLike | None = None
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        *gain_parameters("bandwidth", "1/s"),
-        *gain_parameters("observer", "1/s"),
-        *gain_parameters("inertia", "kg, kg m^2"),
+    robot: Any = child(
+        Integrating, doc="whose configurations are compared and moved", expected="a MobileRobot"
+    )
+    bandwidth: Any = each(default=4.0, above=0.0, unit="1/s", doc="w_c", size=coordinates_of)
+    observer: Any = each(default=20.0, above=0.0, unit="1/s", doc="w_o", size=coordinates_of)
+    inertia: Any = each(
+        default=attrs.Factory(
+            lambda self: np.diagonal(self.robot.mass_matrix(self.robot.rest)), takes_self=True
+        ),
+        above=0.0,
+        unit="kg, kg, kg m^2",
+        doc="inertia of each coordinate",
+        size=coordinates_of,
     )
 
-    def __post_init__(self) -> None:
-        n = check_model(self.robot, None, "difference", "integrate")
-        if self.inertia is None:
-            object.__setattr__(self, "inertia", np.diagonal(self.robot.mass_matrix(self.robot.rest)))
-        for name in ("bandwidth", "observer", "inertia"):
-            object.__setattr__(self, name, each_coordinate(name, getattr(self, name), n, above=True))
+    def check(self) -> None:
+        """Raise `InvalidArgument` where the robot has wheels."""
+        check_wheelless(self.robot)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return whether it has begun, what it expects at the next sample, the last force, and dt."""
         names = ("bandwidth", "observer")
-        check_held(lambda: {name: np.asarray(getattr(self, name)) for name in names}, self._loop, context.dt)
+        check_held(lambda: {name: getattr(self, name) for name in names}, self._loop, context.dt)
         none = np.zeros(self.robot.nv)
-        place = np.zeros(getattr(self.robot, "nq", self.robot.nv))
+        place = np.zeros(self.robot.nq)
         return 0.0, (place, none, none), none, none, float(context.dt)
 
     def _gains(self, dt: float) -> tuple[Any, Any, Any]:
-        pole = np.exp(-dt * np.asarray(self.observer))
+        pole = np.exp(-dt * self.observer)
         off = 1.0 - pole
         return 1.0 - pole**3, 1.5 * off * off * (1.0 + pole) / dt, off * off * off / (dt * dt)
 
     def _loop(self, dt: float) -> Array:
         """Return the loop of an error x, x', and of what is expected of it, shape (..., 5, 5)."""
-        w, gains = np.asarray(self.bandwidth), np.stack(self._gains(dt), axis=-1)
+        w, gains = self.bandwidth, np.stack(self._gains(dt), axis=-1)
         here = np.zeros((*w.shape, 3, 5))  # z1, z2, z3 after the sample, of (x, x', z)
         here[..., 0] = gains
         here[..., 2:] = np.eye(3)
@@ -188,7 +188,7 @@ class ADRC:
     def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the state, what is expected told of the force that is applied, shape (..., n)."""
         begun, (z1, z2, z3), asked, estimate, dt = state
-        a = (u - asked) / np.asarray(self.inertia)
+        a = (u - asked) / self.inertia
         return begun, (self.robot.integrate(z1, (0.5 * dt * dt) * a), z2 + dt * a, z3), u, estimate, dt
 
     def signals(self, state: tuple[Any, ...]) -> dict[str, Any]:
@@ -200,14 +200,14 @@ class ADRC:
     ) -> tuple[Array, tuple[Any, ...]]:
         """Return the generalised force, shape (..., n), and the next state; `v` is not looked at."""
         begun, (z1, z2, z3), _, _, dt = state
-        robot, w = self.robot, np.asarray(self.bandwidth)
+        robot, w = self.robot, self.bandwidth
         z1 = np.where(begun > 0.0, z1, q)
         z2 = np.where(begun > 0.0, z2, reference.v)
         off, (first, second, third) = robot.difference(z1, q), self._gains(dt)
         z1, z2, z3 = robot.integrate(z1, first * off), z2 + second * off, z3 + third * off
         error, rate = robot.difference(z1, reference.q), reference.v - z2
         command = reference.a + w * w * error + 2.0 * w * rate - z3
-        tau = np.asarray(self.inertia) * command
+        tau = self.inertia * command
         a = command + z3
         ahead = robot.integrate(z1, dt * z2 + (0.5 * dt * dt) * a), z2 + dt * a, z3
         return tau, (1.0, ahead, tau, z3, dt)

@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike
+from pinmobile.arrays import Array
 from pinmobile.controllers.controller import State
-from pinmobile.controllers.feedback import gain_parameters
+from pinmobile.controllers.feedback import SLOPE, OfBody, comparison, coordinates_of
 from pinmobile.controllers.held import check_held, diagonal, double_integrators
-from pinmobile.controllers.tracking_errors import (
-    Dynamics,
-    check_model,
-    combined,
-    each_coordinate,
-    passive_torque,
-)
-from pinmobile.plant import Context, Difference, Parameter
+from pinmobile.controllers.tracking_errors import combined, passive_torque
+from pinmobile.parts import Passive, child, each, part
+from pinmobile.plant import Context
 
-_NEEDS = ("inverse_dynamics", "nonlinear_effects", "gravity")
+_REACH = "largest acceleration by the switched part"
+_LAYER = "half the width of the boundary layer"
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class SlidingMode:
+@part
+class SlidingMode(OfBody):
     """Sliding mode with a boundary layer (Slotine and Li, Applied Nonlinear Control, 1991, chapter 7).
 
         tau = M (a_r + damping s + reach sat(s / layer)) + C v_r + g,   s = e' + slope e
@@ -55,53 +50,35 @@ class SlidingMode:
         If an argument is something else; at the start of a run, if the loop is unstable at its dt.
     """
 
-    robot: Dynamics
-    slope: ArrayLike = 4.0
-    damping: ArrayLike = 4.0
-    reach: ArrayLike = 3.0
-    layer: ArrayLike = 0.1
-    difference: Difference | None = None
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        *gain_parameters("slope", "1/s"),
-        *gain_parameters("damping", "1/s"),
-        *gain_parameters("reach", "m/s^2, rad/s^2"),
-        *gain_parameters("layer", "m/s, rad/s"),
-    )
-
-    def __post_init__(self) -> None:
-        n = check_model(self.robot, self.difference, *_NEEDS)
-        for name in ("slope", "layer"):
-            object.__setattr__(self, name, each_coordinate(name, getattr(self, name), n, above=True))
-        for name in ("damping", "reach"):
-            object.__setattr__(self, name, each_coordinate(name, getattr(self, name), n))
+    robot: Any = child(Passive, doc="model of the controller")
+    slope: Any = each(default=4.0, above=0.0, unit="1/s", doc=SLOPE, size=coordinates_of)
+    damping: Any = each(default=4.0, lower=0.0, unit="1/s", doc="gain of s", size=coordinates_of)
+    reach: Any = each(default=3.0, lower=0.0, unit="m/s^2, m/s^2, rad/s^2", doc=_REACH, size=coordinates_of)
+    layer: Any = each(default=0.1, above=0.0, unit="m/s, m/s, rad/s", doc=_LAYER, size=coordinates_of)
+    difference: Any = comparison()
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
         names = ("slope", "damping", "reach", "layer")
 
         def loop(dt: float) -> Array:
-            slope, damping, reach, layer = (np.asarray(getattr(self, name)) for name in names)
-            gain = damping + reach / layer
-            kp, kd = diagonal(slope * gain), diagonal(slope + gain)
+            gain = self.damping + self.reach / self.layer
+            kp, kd = diagonal(self.slope * gain), diagonal(self.slope + gain)
             return double_integrators(dt, kp, kd, 0 * kp)
 
-        check_held(lambda: {name: np.asarray(getattr(self, name)) for name in names}, loop, context.dt)
+        check_held(lambda: {name: getattr(self, name) for name in names}, loop, context.dt)
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
-        robot: Any = self.robot
-        s, velocity, acceleration = combined(
-            self.difference or robot.difference, np.asarray(self.slope), q, v, reference
-        )
-        switched = np.asarray(self.reach) * np.minimum(np.maximum(s / np.asarray(self.layer), -1.0), 1.0)
-        push = np.asarray(self.damping) * s + switched
-        return passive_torque(robot, q, v, velocity, acceleration + push), None
+        s, velocity, acceleration = combined(self, q, v, reference)
+        switched = self.reach * np.minimum(np.maximum(s / self.layer, -1.0), 1.0)
+        push = self.damping * s + switched
+        return passive_torque(self.robot, q, v, velocity, acceleration + push), None
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class SuperTwisting:
+@part
+class SuperTwisting(OfBody):
     """Sliding mode of second order (Levant, 1993): what switches is an integral, so that the force does not.
 
         tau = M (a_r + k1 sqrt|s| sign(s) + z) + C v_r + g,   z' = k2 sign(s),   s = e' + slope e
@@ -120,30 +97,21 @@ class SuperTwisting:
         Gains, >= 0 [sqrt(m/s^3), sqrt(rad/s^3)] and [m/s^3, rad/s^3].
     difference : callable
         ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own.
-
-    Raises
-    ------
-    InvalidArgument
-        If an argument is something else.
     """
 
-    robot: Dynamics
-    slope: ArrayLike = 4.0
-    k1: ArrayLike = 3.0
-    k2: ArrayLike = 3.0
-    difference: Difference | None = None
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        *gain_parameters("slope", "1/s"),
-        *gain_parameters("k1"),
-        *gain_parameters("k2", "m/s^3, rad/s^3"),
+    robot: Any = child(Passive, doc="model of the controller")
+    slope: Any = each(default=4.0, above=0.0, unit="1/s", doc=SLOPE, size=coordinates_of)
+    k1: Any = each(
+        default=3.0,
+        lower=0.0,
+        unit="sqrt(m/s^3), sqrt(m/s^3), sqrt(rad/s^3)",
+        doc="gain of the root",
+        size=coordinates_of,
     )
-
-    def __post_init__(self) -> None:
-        n = check_model(self.robot, self.difference, *_NEEDS)
-        object.__setattr__(self, "slope", each_coordinate("slope", self.slope, n, above=True))
-        for name in ("k1", "k2"):
-            object.__setattr__(self, name, each_coordinate(name, getattr(self, name), n))
+    k2: Any = each(
+        default=3.0, lower=0.0, unit="m/s^3, m/s^3, rad/s^3", doc="gain of the integral", size=coordinates_of
+    )
+    difference: Any = comparison()
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, float]:
         """Return the integral z, what it gained last, the last force, and the time between samples."""
@@ -164,12 +132,9 @@ class SuperTwisting:
     ) -> tuple[Array, tuple[Any, Any, Any, float]]:
         """Return the generalised force, shape (..., n), and the next state."""
         z, _, _, dt = state
-        robot: Any = self.robot
-        s, velocity, acceleration = combined(
-            self.difference or robot.difference, np.asarray(self.slope), q, v, reference
-        )
+        s, velocity, acceleration = combined(self, q, v, reference)
         side = np.sign(s)
-        push = np.asarray(self.k1) * np.sqrt(np.abs(s)) * side + z
-        tau = passive_torque(robot, q, v, velocity, acceleration + push)
-        gain = dt * (np.asarray(self.k2) * side)
+        push = self.k1 * np.sqrt(np.abs(s)) * side + z
+        tau = passive_torque(self.robot, q, v, velocity, acceleration + push)
+        gain = dt * (self.k2 * side)
         return tau, (z + gain, gain, tau, dt)

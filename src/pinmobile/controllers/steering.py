@@ -8,17 +8,20 @@ the chain rule, which `Backstepping` needs.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
-from typing import Any, ClassVar, NamedTuple, Protocol, final
+from typing import Any, NamedTuple, Protocol, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, positive
+from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
-from pinmobile.plant import Context, Parameter
+from pinmobile.parts import number, part
+from pinmobile.plant import Context
 
 _SMALL = 1e-3  # [rad], below which sin(x) / x is its series
 _STILL = 1e-6  # [m/s, rad/s], below which a reference is at rest
+
+LAW = "a kinematic law, such as Tracking()"
+"""What is expected where a law is missing."""
 
 
 @final
@@ -173,7 +176,7 @@ class Tracked(NamedTuple):
 
 
 class KinematicLaw(Protocol):
-    """From what is tracked to speed and yaw rate."""
+    """A kinematic law, such as Tracking(): from what is tracked to speed and yaw rate."""
 
     def initial_state(self, context: Context, /) -> Any:
         """Return the state to start with; None where there is no memory."""
@@ -185,11 +188,6 @@ class KinematicLaw(Protocol):
         """Return (v, w) [m/s, rad/s], and the next state."""
 
 
-def _check_gains(law: Any) -> None:
-    for field in fields(law):
-        object.__setattr__(law, field.name, positive(field.name, getattr(law, field.name)))
-
-
 def _first(t: Array, wrong: Any) -> float | None:
     """Return the first time at which something is wrong, if it ever is."""
     found = np.flatnonzero(wrong)
@@ -197,7 +195,7 @@ def _first(t: Array, wrong: Any) -> float | None:
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@part
 class Tracking:
     """Follow a moving reference, forwards or backwards (De Luca, Oriolo, Vendittelli 2001).
 
@@ -214,16 +212,8 @@ class Tracking:
         Weight of the place beside the heading, > 0 [1/m^2].
     """
 
-    zeta: float = 0.7
-    b: float = 20.0
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("zeta", "", "damping of a tracking law", 0.0, may_vanish=False),
-        Parameter("b", "1/m^2", "weight of the place beside the heading", 0.0, may_vanish=False),
-    )
-
-    def __post_init__(self) -> None:
-        _check_gains(self)
+    zeta: float = number(default=0.7, above=0.0, doc="damping of a tracking law")
+    b: float = number(default=20.0, above=0.0, unit="1/m^2", doc="weight of the place beside the heading")
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
@@ -242,7 +232,7 @@ class Tracking:
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@part
 class Kanayama:
     """Follow a reference that moves forwards (Kanayama, Kimura, Miyazaki, Noguchi, ICRA 1990).
 
@@ -257,18 +247,9 @@ class Kanayama:
         Gains along, across, and of the heading, > 0 [1/s, 1/m^2, 1/m].
     """
 
-    k1: float = 2.0
-    k2: float = 10.0
-    k3: float = 5.0
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("k1", "1/s", "gain along the path", 0.0, may_vanish=False),
-        Parameter("k2", "1/m^2", "gain across the path", 0.0, may_vanish=False),
-        Parameter("k3", "1/m", "gain of the heading", 0.0, may_vanish=False),
-    )
-
-    def __post_init__(self) -> None:
-        _check_gains(self)
+    k1: float = number(default=2.0, above=0.0, unit="1/s", doc="gain along the path")
+    k2: float = number(default=10.0, above=0.0, unit="1/m^2", doc="gain across the path")
+    k3: float = number(default=5.0, above=0.0, unit="1/m", doc="gain of the heading")
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
@@ -291,7 +272,7 @@ class Kanayama:
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@part
 class Parking:
     """Go to a pose and rest there (Aicardi, Casalino, Bicchi, Balestrino, IEEE RAM 2(1), 1995).
 
@@ -310,19 +291,10 @@ class Parking:
         Distance within which it rests, > 0 [m].
     """
 
-    k1: float = 1.0
-    k2: float = 3.0
-    k3: float = 2.0
-    near: float = 1e-3
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("k1", "1/s", "gain of the distance", 0.0, may_vanish=False),
-        Parameter("k2", "1/s", "gain of the bearing", 0.0, may_vanish=False),
-        Parameter("k3", "", "gain of the approach", 0.0, may_vanish=False),
-    )
-
-    def __post_init__(self) -> None:
-        _check_gains(self)
+    k1: float = number(default=1.0, above=0.0, unit="1/s", doc="gain of the distance")
+    k2: float = number(default=3.0, above=0.0, unit="1/s", doc="gain of the bearing")
+    k3: float = number(default=2.0, above=0.0, doc="gain of the approach")
+    near: float = number(default=1e-3, above=0.0, unit="m", doc="distance within which it rests")
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
@@ -355,7 +327,7 @@ def _turned(x: Any) -> Any:
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@part
 class DynamicFeedback:
     """Follow a reference that never rests, by dynamic feedback linearisation (Oriolo et al. 2002).
 
@@ -374,17 +346,9 @@ class DynamicFeedback:
         Least speed that it divides by, > 0 [m/s].
     """
 
-    kp: float = 2.0
-    kd: float = 2.8
-    least: float = 0.05
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("linear_kp", "1/s^2", "gain of the place", 0.0, may_vanish=False, attribute="kp"),
-        Parameter("linear_kd", "1/s", "gain of the velocity", 0.0, may_vanish=False, attribute="kd"),
-    )
-
-    def __post_init__(self) -> None:
-        _check_gains(self)
+    kp: float = number(default=2.0, above=0.0, unit="1/s^2", doc="gain of the place")
+    kd: float = number(default=2.8, above=0.0, unit="1/s", doc="gain of the velocity")
+    least: float = number(default=0.05, above=0.0, unit="m/s", doc="least speed that it divides by")
 
     def initial_state(self, context: Context) -> tuple[float, float, float]:
         """Return the speed, how much of it is known, none as yet, and the time between samples [s]."""

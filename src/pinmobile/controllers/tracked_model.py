@@ -4,32 +4,24 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
+import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.constancy import known
 from pinmobile.controllers.controller import State
-from pinmobile.errors import InvalidArgument, NotTraceable, shown
-from pinmobile.plant import Context, Input, Parameter, inputs_of
+from pinmobile.errors import InvalidArgument, NotTraceable
+from pinmobile.parts import Followed, Rolling, able, option, structure
+from pinmobile.plant import Context, Input, inputs_of
 
 _BASE = 3
 _MOST = 4  # designs that are remembered of a robot
 _SYMMETRIC = 1e-9  # of the largest number, by which a matrix may differ from its transpose
 _STILL = 1e-6  # [m/s, rad/s], below which a reference is at rest
 _T = TypeVar("_T")
-
-INPUT_WEIGHT = Parameter(
-    "input_weight",
-    meaning="factor of R, the weight of the input",
-    least=0.0,
-    may_vanish=False,
-    attribute="R",
-    write=lambda values, column, size: values * column[:, None, None],
-    neutral=1.0,
-)
-"""What an ensemble may spread of a cost: how much force an error is worth."""
 
 
 class TrackedModel(NamedTuple):
@@ -92,8 +84,8 @@ def tracked_model(robot: Any, reference: State) -> TrackedModel:
         If it has not all tracked coordinates, or wheels cannot follow it.
     """
     body = lawful(robot)
-    if hasattr(body, "followed"):
-        along = body.followed(reference)
+    if following := able(body, Followed):
+        along = following.followed(reference)
         A, B = body.linearize_tracked(along.q, along.v, along.u)
         return TrackedModel(A, B, along.u, along.nu)
     q, v, a = reference.q, reference.v, reference.a
@@ -108,19 +100,10 @@ def tracked_model(robot: Any, reference: State) -> TrackedModel:
 
 
 def sizes_of(robot: Any) -> tuple[int, int, int]:
-    """Return how many coordinates are tracked, independent velocities and inputs there are.
-
-    Raises
-    ------
-    InvalidArgument
-        If the robot is none that can be linearised so.
-    """
-    is_sized = isinstance(getattr(robot, "nv", None), int)
-    if isinstance(robot, type) or not (is_sized and hasattr(robot, "linearize_tracked")):
-        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot or a WheeledRobot")
+    """Return how many coordinates are tracked, independent velocities and inputs there are."""
     still = np.zeros(robot.nv)
     A, B = robot.linearize_tracked(robot.rest, still, np.zeros(robot.nu))
-    m = len(robot.reduced(robot.rest, still).nu) if hasattr(robot, "independent") else int(robot.nv)
+    m = len(robot.reduced(robot.rest, still).nu) if able(robot, Rolling) else int(robot.nv)
     return A.shape[-1] - m, m, B.shape[-1]
 
 
@@ -144,21 +127,39 @@ def weights_of(robot: Any) -> tuple[Array, Array]:
     return np.array(places + speeds), costs
 
 
-def checked_weights(robot: Any, Q: ArrayLike | None, R: ArrayLike | None) -> dict[str, Array]:
-    """Return the matrices Q and R of what is given, and else the usual ones, by name.
+class Weighted:
+    """What weighs the errors of a robot along a reference, and its inputs."""
 
-    Raises
-    ------
-    InvalidArgument
-        If one is something else, or the robot is none that can be linearised so.
-    """
-    n, m, inputs = sizes_of(robot)
-    Q, R = (x if given is None else given for x, given in zip(weights_of(robot), (Q, R), strict=True))
-    return {"Q": weight("Q", Q, n + m, above=False), "R": weight("R", R, inputs, above=True)}
+    robot: Any
+    Q: Any
+    R: Any
+    input_weight: float
+
+    @structure
+    def _sizes(self) -> tuple[int, int, int]:
+        return sizes_of(self.robot)
+
+    @structure
+    def _usual(self) -> tuple[Array, Array]:
+        return weights_of(self.robot)
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` where a weight has not the size of what it weighs."""
+        n, m, inputs = self._sizes
+        for name, size in (("Q", n + m), ("R", inputs)):
+            if getattr(self, name).shape != (size, size):
+                given = getattr(self, name).shape
+                raise InvalidArgument(f"{name} has shape {given}, expected ({size},) or ({size}, {size})")
 
 
-def weight(name: str, value: ArrayLike, size: int, *, above: bool) -> Array:
-    """Check a weight, a diagonal of shape (size,) or a matrix, and return the matrix, frozen.
+def weighting(index: int, doc: str) -> Any:
+    """Declare Q or R of what is `Weighted`: a diagonal or a matrix, kept as matrix."""
+    usual = attrs.Factory(lambda self: self._usual[index], takes_self=True)
+    return option(default=usual, doc=doc, check=partial(weight, above=index == 1))
+
+
+def weight(name: str, value: ArrayLike, *, above: bool) -> Array:
+    """Check a weight, a diagonal of shape (n,) or a matrix, and return the matrix, frozen.
 
     Parameters
     ----------
@@ -166,8 +167,6 @@ def weight(name: str, value: ArrayLike, size: int, *, above: bool) -> Array:
         Of the argument.
     value : array_like
         The weight.
-    size : int
-        Numbers of what it weighs.
     above : bool
         Whether it must be positive definite; else semidefinite.
 
@@ -177,8 +176,8 @@ def weight(name: str, value: ArrayLike, size: int, *, above: bool) -> Array:
         If it is something else.
     """
     given = finite(name, value)
-    if given.shape not in ((size,), (size, size)):
-        raise InvalidArgument(f"{name} has shape {given.shape}, expected ({size},) or ({size}, {size})")
+    if given.ndim not in (1, 2) or given.shape[0] != given.shape[-1]:
+        raise InvalidArgument(f"{name} has shape {given.shape}, expected (n,) or (n, n)")
     matrix = np.diag(given) if given.ndim == 1 else given
     largest = np.abs(matrix).max()
     if np.abs(matrix - matrix.T).max() > _SYMMETRIC * largest:
@@ -272,7 +271,7 @@ def remembered(robot: Any, what: tuple[object, ...], arrays: tuple[Array, ...], 
 def tracked_errors(robot: Any, q: Array, v: Array, reference: State, nu: Array) -> Array:
     """Return the errors of the tracked state, shape (..., n + m), of a state from a reference and its nu."""
     length, n = np.shape(reference.q)[-1], np.shape(reference.v)[-1]
-    if not hasattr(robot, "independent"):
+    if not able(robot, Rolling):
         return np.concatenate([robot.difference(q, reference.q), nu - v], axis=-1)
     desired = np.broadcast_to(reference.q, (*np.shape(q)[:-1], length))
     whole = np.concatenate([desired, q[..., length:]], axis=-1)

@@ -6,30 +6,29 @@ the force last.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from hashlib import sha256
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, whole
+from pinmobile.arrays import Array, ArrayLike, frozen
 from pinmobile.controllers.backstepping import has_axle, reference_of, speeds_along
-from pinmobile.controllers.controller import (
-    Controller,
-    State,
-    answer_of,
-    check_controller,
-    check_wheels,
-    told,
-)
+from pinmobile.controllers.controller import Seen, State, Wrapper, answer_of, check_wheels, told
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Context, Parameter, inputs_of, leading_of
-from pinmobile.signals import signals_of
+from pinmobile.parts import Allocating, Controlling, child, each, integer, option, part, structure
+from pinmobile.plant import Context, inputs_of, leading_of
+
+
+def _seed(name: str, value: Any) -> Any:
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not (isinstance(value, np.random.SeedSequence) or (whole and value >= 0)):
+        raise InvalidArgument(f"{name} is {shown(value)}, expected a whole number >= 0 or a SeedSequence")
+    return value
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class Saturated:
+@part
+class Saturated(Wrapper):
     """A controller whose force is limited, as a motor's is.
 
     Parameters
@@ -46,52 +45,25 @@ class Saturated:
         If `controller` is none, or `limits` has another shape, is not finite, or not above zero.
     """
 
-    controller: Controller
-    limits: ArrayLike
+    controller: Any = child(Controlling, doc="wrapped controller")
+    limits: Any = each(above=0.0, endless=True, unit="N, N, N m", doc="largest force of each coordinate")
 
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("limits", "N, N m", "largest force of each coordinate", 0.0, may_vanish=False),
-    )
-
-    def __post_init__(self) -> None:
-        check_controller(self.controller)
-        limits = _per_coordinate("limits", self.limits, endless=True)
-        if not (limits > 0).all():
-            raise InvalidArgument(f"limits is {limits.min()}, expected > 0")
-        object.__setattr__(self, "limits", limits)
-
-    def initial_state(self, context: Context) -> Any:
+    def initial_state(self, context: Context) -> tuple[Any]:
         """Return the state that the wrapped controller starts with."""
-        return self.controller.initial_state(context)
+        return (self.controller.initial_state(context),)
 
-    def applied(self, u: Array, state: object) -> Any:
-        """Return the wrapped controller's state, told of the input that is applied, shape (..., n)."""
-        return told(self.controller, u, state)
-
-    def signals(self, state: object) -> Any:
-        """Return what the wrapped controller tells beside its input: name to (unit, value)."""
-        return signals_of(self.controller, state)
-
-    def __call__(self, t: float, q: Array, v: Array, reference: State, state: object) -> tuple[Array, Any]:
+    def __call__(
+        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any]
+    ) -> tuple[Array, tuple[Any]]:
         """Return the limited force, shape (..., n), and the wrapped controller's next state."""
-        tau, state = answer_of(self.controller, t, q, v, reference, state)
+        tau, inner = answer_of(self.controller, t, q, v, reference, state[0])
         limits = _fitting("limits", self.limits, np.shape(tau)[-1:])
-        return np.minimum(np.maximum(tau, -limits), limits), state
-
-
-class _Late:
-    """The context of a controller that is told of the state late."""
-
-    def __init__(self, context: Any, samples: int) -> None:
-        self._context, self.delay = context, context.delay + samples
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._context, name)
+        return np.minimum(np.maximum(tau, -limits), limits), (inner,)
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class Delayed:
+@part
+class Delayed(Wrapper):
     """A controller that is told of the state some samples late; of the reference it is told in time.
 
     Until there are that many, it is told of the first one.
@@ -109,25 +81,13 @@ class Delayed:
         If `controller` is none, or `samples` no such number.
     """
 
-    controller: Controller
-    samples: int
-
-    def __post_init__(self) -> None:
-        check_controller(self.controller)
-        object.__setattr__(self, "samples", whole("samples", self.samples, least=0))
+    controller: Any = child(Controlling, doc="wrapped controller")
+    samples: int = integer(doc="samples by which the measured state is late")
 
     def initial_state(self, context: Context) -> tuple[Any, Any]:
         """Return the state that the wrapped controller starts with, and a line without measurements."""
-        late: Any = _Late(context, self.samples)
+        late: Any = Seen(context, delay=context.delay + self.samples)
         return self.controller.initial_state(late), context.line(self.samples)
-
-    def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Return the state, with the wrapped controller told of the input that is applied, shape (..., n)."""
-        return told(self.controller, u, state[0]), *state[1:]
-
-    def signals(self, state: tuple[Any, ...]) -> Any:
-        """Return what the wrapped controller tells beside its input: name to (unit, value)."""
-        return signals_of(self.controller, state[0])
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any]
@@ -140,8 +100,8 @@ class Delayed:
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class NoisyMeasurement:
+@part
+class NoisyMeasurement(Wrapper):
     """A controller that is told of the state with white Gaussian noise added.
 
     The noise of sample k depends on the seed and k alone, so that a second run gets the same; it is
@@ -167,28 +127,10 @@ class NoisyMeasurement:
         `seed` is something else, such as a Generator, which would not repeat.
     """
 
-    controller: Controller
-    std_q: ArrayLike
-    std_v: ArrayLike
-    seed: int | np.random.SeedSequence
-
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("measured_std_q", "m, rad", "deviation of the measured q", 0.0, attribute="std_q"),
-        Parameter("measured_std_v", "m/s, rad/s", "deviation of the measured v", 0.0, attribute="std_v"),
-    )
-
-    def __post_init__(self) -> None:
-        check_controller(self.controller)
-        for name in ("std_q", "std_v"):
-            std = _per_coordinate(name, getattr(self, name))
-            if (std < 0).any():
-                raise InvalidArgument(f"{name} is {std.min()}, expected >= 0")
-            object.__setattr__(self, name, std)
-        whole_number = isinstance(self.seed, int | np.integer) and not isinstance(self.seed, bool)
-        if not (isinstance(self.seed, np.random.SeedSequence) or (whole_number and self.seed >= 0)):
-            raise InvalidArgument(
-                f"seed is {shown(self.seed)}, expected a whole number >= 0 or a SeedSequence"
-            )
+    controller: Any = child(Controlling, doc="wrapped controller")
+    std_q: Any = each(lower=0.0, unit="m, m, rad", doc="standard deviation of the measured q")
+    std_v: Any = each(lower=0.0, unit="m/s, m/s, rad/s", doc="standard deviation of the measured v")
+    seed: Any = option(doc="seed of the noise", check=_seed)
 
     @property
     def _name(self) -> str:
@@ -196,7 +138,7 @@ class NoisyMeasurement:
         within, inner = 0, self.controller
         while inner is not None:
             within += isinstance(inner, NoisyMeasurement)
-            inner = getattr(inner, "controller", None)  # type: ignore[assignment]
+            inner = getattr(inner, "controller", None)
         sequence = (
             self.seed if isinstance(self.seed, np.random.SeedSequence) else np.random.SeedSequence(self.seed)
         )
@@ -206,14 +148,6 @@ class NoisyMeasurement:
         """Return the state that the wrapped controller starts with, the noise, and how q moves."""
         noise = context.normal(self._name, 2 * context.nv)
         return self.controller.initial_state(context), noise, context.integrate
-
-    def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Return the state, with the wrapped controller told of the input that is applied, shape (..., n)."""
-        return told(self.controller, u, state[0]), *state[1:]
-
-    def signals(self, state: tuple[Any, ...]) -> Any:
-        """Return what the wrapped controller tells beside its input: name to (unit, value)."""
-        return signals_of(self.controller, state[0])
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any, Any]
@@ -228,13 +162,6 @@ class NoisyMeasurement:
         return tau, (inner, noise, integrate)
 
 
-def _per_coordinate(name: str, value: ArrayLike, *, endless: bool = False) -> Array:
-    array = (endless_or_finite if endless else finite)(name, value)
-    if array.ndim > 1:
-        raise InvalidArgument(f"{name} has shape {array.shape}, expected () or (n,)")
-    return frozen(array)
-
-
 def _fitting(name: str, value: ArrayLike, size: tuple[int, ...]) -> Array:
     """Check that a parameter is of this number of coordinates, and return it."""
     array = np.asarray(value)
@@ -243,22 +170,9 @@ def _fitting(name: str, value: ArrayLike, size: tuple[int, ...]) -> Array:
     return array
 
 
-class _OfBody:
-    """The context of a controller that sees body and arms of a robot on wheels alone."""
-
-    def __init__(self, context: Any, body: Any) -> None:
-        self._context, self.difference, self.integrate = context, body.difference, body.integrate
-        self.nv, self.leading = body.nv, leading_of(body)
-        self.coordinates = context.coordinates[: body.nv]
-        self.inputs = inputs_of(body) if hasattr(body, "inputs") else ()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._context, name)
-
-
 @final
-@dataclass(frozen=True, eq=False)
-class Allocated:
+@part
+class Allocated(Wrapper):
     """A controller of body and arms, such as `PD`, whose force the wheels are to give.
 
     It sees what a robot without wheels would be: the pose, the arms and their rates. What it returns, a force
@@ -284,16 +198,18 @@ class Allocated:
         velocity.
     """
 
-    controller: Controller
-    robot: Any
-    _axle: Array | None = field(init=False, repr=False, default=None)
+    controller: Any = child(Controlling, doc="wrapped controller")
+    robot: Any = child(Allocating, doc="model by which torques are found")
 
-    def __post_init__(self) -> None:
-        check_controller(self.controller)
-        check_wheels(self.robot, "allocate_scaled")
-        mobility = getattr(self.robot, "mobility", None)  # that which a compiled loop makes of it has none
-        if mobility is not None and has_axle(mobility):
-            object.__setattr__(self, "_axle", frozen(self.robot.axle))
+    def check(self) -> None:
+        """Raise `InvalidArgument` where no controller is wrapped, or the robot has too few motors."""
+        super().check()
+        check_wheels(self.robot)
+
+    @structure
+    def _axle(self) -> Array | None:
+        """The axle of a drive that moves along one alone, which references follow."""
+        return frozen(self.robot.axle) if has_axle(self.robot.mobility) else None
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any]:
         """Return the state that the wrapped controller starts with, and forces: left, and supplied."""
@@ -301,8 +217,17 @@ class Allocated:
         if self._axle is not None and reference is not None:
             speeds_along(self._axle, np.asarray(context.t), reference)
         body = self.robot.robot
+        own: Any = Seen(
+            context,
+            difference=body.difference,
+            integrate=body.integrate,
+            nv=body.nv,
+            leading=leading_of(body),
+            coordinates=context.coordinates[: body.nv],
+            inputs=inputs_of(body),
+        )
         none = np.zeros(body.nv)
-        return self.controller.initial_state(_OfBody(context, body)), none, none  # type: ignore[arg-type]
+        return self.controller.initial_state(own), none, none
 
     def applied(self, u: Array, state: Any) -> Any:
         """Return the state, with the wrapped controller told of the force that wheels give, (..., n)."""
@@ -310,7 +235,7 @@ class Allocated:
 
     def signals(self, state: Any) -> dict[str, Any]:
         """Return the force that the wheels do not give, beside what the wrapped controller tells."""
-        return {**signals_of(self.controller, state[0]), "residual": ("N, N m", state[1])}
+        return {**super().signals(state), "residual": ("N, N m", state[1])}
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: Any

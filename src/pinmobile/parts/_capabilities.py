@@ -1,4 +1,4 @@
-"""Capabilities: small protocols of what a part can do, the one test for them, and the one error without them."""
+"""Capabilities: small protocols of what a part can do, the one test for them, and the one error."""
 
 from __future__ import annotations
 
@@ -94,6 +94,145 @@ class Controlling(Protocol):
 
     def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any, /) -> Any:
         """Return the input, shape (nu,), and the next memory."""
+
+
+class Invertible(Protocol):
+    """A MobileRobot."""
+
+    @property
+    def nv(self) -> int:
+        """Size of v."""
+
+    def inverse_dynamics(self, q: Any, v: Any, a: Any, /) -> Any:
+        """Return M(q) a + n(q, v), shape (nv,)."""
+
+
+class Inverted(Protocol):
+    """A robot with check_inverse_dynamics(), which says where it has none."""
+
+    def check_inverse_dynamics(self) -> None:
+        """Raise `InvalidArgument` where no input moves the robot in every direction."""
+
+
+class Comparing(Protocol):
+    """A robot with difference(q0, q1)."""
+
+    def difference(self, q0: Any, q1: Any, /) -> Any:
+        """Return the displacement from q0 to q1, shape (nv,)."""
+
+
+class Gravitating(Protocol):
+    """A MobileRobot."""
+
+    @property
+    def nv(self) -> int:
+        """Size of v."""
+
+    def gravity(self, q: Any, /) -> Any:
+        """Return g(q), shape (nv,)."""
+
+
+class Passive(Protocol):
+    """A MobileRobot."""
+
+    @property
+    def nv(self) -> int:
+        """Size of v."""
+
+    def inverse_dynamics(self, q: Any, v: Any, a: Any, /) -> Any:
+        """Return M(q) a + n(q, v), shape (nv,)."""
+
+    def nonlinear_effects(self, q: Any, v: Any, /) -> Any:
+        """Return n(q, v), shape (nv,)."""
+
+    def gravity(self, q: Any, /) -> Any:
+        """Return g(q), shape (nv,)."""
+
+
+class Observable(Protocol):
+    """A MobileRobot."""
+
+    @property
+    def nv(self) -> int:
+        """Size of v."""
+
+    def inverse_dynamics(self, q: Any, v: Any, a: Any, /) -> Any:
+        """Return M(q) a + n(q, v), shape (nv,)."""
+
+    def coriolis_matrix(self, q: Any, v: Any, /) -> Any:
+        """Return C(q, v) of Christoffel's symbols, shape (nv, nv)."""
+
+    def gravity(self, q: Any, /) -> Any:
+        """Return g(q), shape (nv,)."""
+
+
+class Linearized(Protocol):
+    """A MobileRobot or a WheeledRobot."""
+
+    @property
+    def nv(self) -> int:
+        """Size of v."""
+
+    def linearize_tracked(self, q: Any, v: Any, u: Any, /) -> Any:
+        """Return A and B of the tracked state."""
+
+
+class Rolling(Protocol):
+    """A WheeledRobot."""
+
+    @property
+    def nv(self) -> int:
+        """Size of v."""
+
+    def independent(self, q: Any, v: Any, /) -> Any:
+        """Return the independent velocities."""
+
+
+class Followed(Protocol):
+    """A robot on wheels that roll, followed(reference)."""
+
+    def followed(self, reference: Any, /) -> Any:
+        """Return states, inputs and independent velocities along a reference."""
+
+
+class Tabled(Protocol):
+    """A WheeledRobot."""
+
+    @property
+    def table(self) -> Any:
+        """Its wheels and motors."""
+
+
+class Commanded(Protocol):
+    """A VelocityRobot."""
+
+    def commands(self, q: Any, v: Any, rates: Any, /) -> Any:
+        """Return the commands at which the independent velocities change so."""
+
+
+class Allocating(Protocol):
+    """A WheeledRobot."""
+
+    @property
+    def robot(self) -> Any:
+        """Body and arms."""
+
+    def allocate_scaled(self, q: Any, force: Any, /) -> Any:
+        """Return torques for a force on body and arms, and what of it they leave."""
+
+
+class Electric(Protocol):
+    """A WheeledRobot with electric motors."""
+
+    def volts_for(self, v: Any, torques: Any, /) -> Any:
+        """Return the voltages that give these torques."""
+
+
+class Powered(Protocol):
+    """A WheeledRobot whose motors may take volts: by_voltage()."""
+
+    def by_voltage(self) -> Any:
+        """Return the same robot, which takes volts."""
 
 
 class Informed(Protocol):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import inspect
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, dataclass_transform
@@ -71,6 +72,9 @@ class Number(Field):
         Whether infinity is allowed.
     optional : bool
         Whether None is allowed, in place of a number.
+    size : function of the part, optional
+        Returns how many entries there are: what has another number is refused, and one number becomes an
+        array of them, unless a matrix may take its place.
     """
 
     unit: str = ""
@@ -82,6 +86,7 @@ class Number(Field):
     fixed: bool = False
     endless: bool = False
     optional: bool = False
+    size: Callable[[Any], int] | None = None
 
     @property
     def bound(self) -> str:
@@ -107,6 +112,16 @@ class Number(Field):
         *first, last = (str(shape).replace("'", "") for shape in self.shapes)
         return f"{', '.join(first)} or {last}" if first else last
 
+    def sized(self, name: str, value: Any, n: int) -> Any:
+        """Return a checked value, of n entries."""
+        shape = np.shape(value)
+        if is_symbolic(value) or value is None:
+            return value
+        if any(length != n for length in shape):
+            words = self.expected_shape.replace("n", str(n))
+            raise InvalidArgument(f"{name} has shape {shape}, expected {words}")
+        return value if shape or any(len(each) > 1 for each in self.shapes) else frozen(np.full(n, value))
+
     def beyond(self, values: Any) -> Any:
         """Return which of some values are out of bounds, as an array of booleans."""
         limits = (self.above, np.less_equal), (self.lower, np.less), (self.upper, np.greater)
@@ -121,7 +136,7 @@ class Number(Field):
         wrong = self.beyond(array)
         if wrong.any():
             at = tuple(int(i) for i in np.argwhere(wrong)[0])
-            unit = self.unit_of(at[-1] if at else None)
+            unit = self.unit_of(at[-1]) if at else "" if ", " in self.unit else self.unit
             raise InvalidArgument(f"{name} is {array[at]}{unit and ' ' + unit}, expected {self.bound}")
 
     def unit_of(self, entry: int | None) -> str:
@@ -180,13 +195,20 @@ class Child(Field):
         return value
 
 
-def _checked(value: Any, field: attrs.Attribute[Any]) -> Any:
+def _checked(value: Any, owner: Any, field: attrs.Attribute[Any]) -> Any:
+    """Return the value as the part keeps it; None stands for a default that follows from other fields."""
+    declared: Field = field.metadata["declared"]
+    if value is None and isinstance(field.default, attrs.Factory):  # type: ignore[arg-type]
+        value = field.default.factory(owner)  # type: ignore[union-attr]
     if value is None and field.default is None:
         return None
-    return field.metadata["declared"].checked(field.name, value)
+    found = declared.checked(field.name, value)
+    if isinstance(declared, Number) and declared.size is not None:
+        return declared.sized(field.name, found, declared.size(owner))
+    return found
 
 
-_convert = attrs.Converter(_checked, takes_field=True)  # type: ignore[call-overload]
+_convert = attrs.Converter(_checked, takes_self=True, takes_field=True)  # type: ignore[call-overload]
 
 
 def declare(declared: Field, default: Any = attrs.NOTHING, **options: Any) -> Any:
@@ -225,9 +247,10 @@ def array(
     upper: float | None = None,
     fixed: bool = False,
     endless: bool = False,
+    size: Callable[[Any], int] | None = None,
 ) -> Any:
     """Declare an array of numbers: see `Number`."""
-    return declare(Number(doc, unit, above, lower, upper, shapes, labels, fixed, endless), default)
+    return declare(Number(doc, unit, above, lower, upper, shapes, labels, fixed, endless, size), default)
 
 
 COORDINATES = ("x", "y", "psi")
@@ -235,11 +258,31 @@ COORDINATES = ("x", "y", "psi")
 
 
 def gain(
-    *, default: Any = attrs.NOTHING, unit: str = "", doc: str = "", lower: float | None = None
+    *,
+    default: Any = attrs.NOTHING,
+    unit: str = "",
+    doc: str = "",
+    lower: float | None = None,
+    size: Callable[[Any], int] | None = None,
 ) -> Any:
     """Declare a gain: a number for all coordinates, one for each, or a matrix."""
-    shapes = (), ("n",), ("n", "n")
-    return array(default=default, shapes=shapes, unit=unit, doc=doc, lower=lower, labels=COORDINATES)
+    own: dict[str, Any] = {"lower": lower, "labels": COORDINATES, "size": size}
+    return array(default=default, shapes=((), ("n",), ("n", "n")), unit=unit, doc=doc, **own)
+
+
+def each(
+    *,
+    default: Any = attrs.NOTHING,
+    unit: str = "",
+    doc: str = "",
+    above: float | None = None,
+    lower: float | None = None,
+    endless: bool = False,
+    size: Callable[[Any], int] | None = None,
+) -> Any:
+    """Declare numbers of coordinates: one for all, or one for each."""
+    own: dict[str, Any] = {"above": above, "lower": lower, "labels": COORDINATES, "endless": endless}
+    return array(default=default, shapes=((), ("n",)), unit=unit, doc=doc, size=size, **own)
 
 
 def integer(*, default: Any = attrs.NOTHING, doc: str = "", least: int = 0, most: int = 2**53) -> Any:
@@ -284,25 +327,38 @@ def _rebuilt(cls: type[_T], values: Mapping[str, Any]) -> _T:
 @dataclass_transform(
     frozen_default=True,
     eq_default=False,
-    field_specifiers=(number, array, gain, integer, child, children, option, attrs.field),
+    field_specifiers=(number, array, gain, each, integer, child, children, option, attrs.field),
 )
 def part(cls: type[_T]) -> type[_T]:
     """Make a class a part: frozen, its fields checked as declared, and after them by its own ``check()``.
+
+    A `check` that takes arguments is another thing.
 
     Two parts are the same object or differ; a class that defines ``__eq__`` compares as it says. A part is
     pickled by its fields.
     """
     own = vars(cls)
-    if hasattr(cls, "check"):
+    checks: Any = getattr(cls, "check", None)
+    if checks is not None and len(inspect.signature(checks).parameters) == 1:
 
         def check(self: Any) -> None:
-            if not any(is_symbolic(value) for value in vars(self).values()):
+            values = vars(self).values()  # a part with symbols, and so what holds it, has a nominal one
+            if not any(is_symbolic(x) or "nominal" in getattr(x, "__dict__", ()) for x in values):
                 self.check()
 
         cls.__attrs_post_init__ = check  # type: ignore[attr-defined]
     if "__reduce__" not in own:
         cls.__reduce__ = lambda self: (_rebuilt, (type(self), _initial(self)))  # type: ignore[method-assign,assignment]
+    if "__copy__" not in own:
+        cls.__copy__ = _shallow  # type: ignore[attr-defined]
     return attrs.define(cls, slots=False, eq=False, frozen=True, repr=cls.__repr__ is object.__repr__)
+
+
+def _shallow(part: _T) -> _T:
+    """Return a copy that is not made again: what it keeps, by name, unchecked."""
+    new = object.__new__(type(part))
+    vars(new).update(vars(part))
+    return new
 
 
 def _initial(part: Any) -> dict[str, Any]:
@@ -319,7 +375,8 @@ def is_part(value: object) -> bool:
 
 
 @functools.cache
-def _declared(kind: type) -> tuple[tuple[str, Field | None], ...]:
+def declared_by(kind: type) -> tuple[tuple[str, Field | None], ...]:
+    """Return name and declaration of each field of a class; None of one that is not declared."""
     if attrs.has(kind):
         return tuple((f.name, f.metadata.get("declared")) for f in attrs.fields(kind) if f.init)
     whole = Field()  # not to be taken for a number
@@ -339,7 +396,7 @@ def fields_of(part: Any) -> list[tuple[str, Field, Any]]:
         body = part.traced()
         names = dict.fromkeys(each.attribute or each.name for each in part.parameters)
         return [(n, Number(shapes=((), ("n",))), getattr(body, n)) for n in names]
-    values = ((name, declared, getattr(part, name)) for name, declared in _declared(type(part)))
+    values = ((name, declared, getattr(part, name)) for name, declared in declared_by(type(part)))
     return [(name, declared or _seen(value), value) for name, declared, value in values]
 
 

@@ -50,7 +50,9 @@ def entries_of(value: Any) -> list[tuple[str, Any]]:
         return list(value.items())
     names = [getattr(each, "name", None) for each in value]
     named = all(isinstance(name, str) for name in names) and len(set(names)) == len(names)
-    return [(name if named else str(i), each) for i, (name, each) in enumerate(zip(names, value, strict=True))]
+    return [
+        (name if named else str(i), each) for i, (name, each) in enumerate(zip(names, value, strict=True))
+    ]
 
 
 def walk(part: Any, path: str = "") -> Iterator[Leaf]:

@@ -32,6 +32,7 @@ from types import (
 )
 from typing import Any
 
+import attrs
 import numpy as np
 from numpy.typing import NDArray
 
@@ -225,7 +226,7 @@ class _Forms:
                 name = f"[{key!r}]" if type(key) in (str, int, float, bool) else f"[#{k}]"
                 found[name] = self.of(f"{where}{name}", item)
             return found
-        held = _stated_by(value) if known_name(kind) else _copied(value)
+        held = _stated_by(value) if known_name(kind) or attrs.has(kind) else _copied(value)
         if held is None:
             return self._unknown(where, value)
         told = {"type": kind.__qualname__} if known_name(kind) else {"its class": self.of(where, kind)}
@@ -316,9 +317,10 @@ def _stated_by(value: Any) -> dict[str, Any] | None:
         return {"name": value._name_}
     if hasattr(kind, "_fields"):
         return dict(zip(kind._fields, value, strict=True))
-    if not is_dataclass(value):
+    if not (is_dataclass(value) or attrs.has(kind)):
         return None
-    names = getattr(kind, "determined_by", None) or [each.name for each in fields(value) if each.init]
+    stated = attrs.fields(kind) if attrs.has(kind) else fields(value)  # type: ignore[arg-type]
+    names = getattr(kind, "determined_by", None) or [each.name for each in stated if each.init]
     return {name: getattr(value, name) for name in names}
 
 
