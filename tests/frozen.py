@@ -157,13 +157,13 @@ def in_python() -> Iterator[tuple[str, tuple[Any, ...], dict[str, Any]]]:
 
 
 SPREADS: dict[str, dict[str, Any]] = {
-    "PD": {"mass": pm.Uniform(25, 35), "com_x": pm.Normal(0.1, 0.02), "start_x": pm.Normal(0, 0.05)},
-    "computed torque": {"yaw_inertia": pm.Uniform(1, 2), "start_psi": pm.Uniform(-0.1, 0.1)},
+    "PD": {"mass": pm.Uniform(25, 35), "com_x": pm.Normal(0.1, 0.02), "start.x": pm.Normal(0, 0.05)},
+    "computed torque": {"yaw_inertia": pm.Uniform(1, 2), "start.psi": pm.Uniform(-0.1, 0.1)},
     "all": {"mass": pm.Uniform(25, 35)},
     "noise": {"mass": pm.Uniform(25, 35)},
-    "differential Rolling": {"mass": pm.Uniform(25, 35), "start_x": pm.Uniform(-0.1, 0.1)},
+    "differential Rolling": {"mass": pm.Uniform(25, 35), "start.x": pm.Uniform(-0.1, 0.1)},
     "differential Coulomb": {"mass": pm.Uniform(25, 35)},
-    "ur5": {"start_y": pm.Uniform(-0.01, 0.01)},
+    "ur5": {"start.y": pm.Uniform(-0.01, 0.01)},
 }
 
 

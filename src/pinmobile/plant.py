@@ -497,6 +497,11 @@ class Context:
     member: int = 0
     delay: int = 0
 
+    @property
+    def size(self) -> int:
+        """Number of coordinates of the reference."""
+        return int(np.shape(self.reference.v)[-1])
+
     def line(self, samples: int) -> Line:
         """Return a delay to keep in the state: ``old, line = line.push(values)``.
 

@@ -462,12 +462,11 @@ def displaced(integrator: Any, acceleration: Any, first: Any, t: Any, v: Any, h:
 
 def initial(loop: Loop, context: Context, q: Any = None, v: Any = None) -> State:
     """Return the state before the first sample, with the memory of the parts."""
-    n, nu = np.shape(context.reference.v)[-1], loop.plant.nu
     begin = getattr(loop.law, "initial_state", None)
     return State(
         q,
         v,
         None if begin is None else begin(context),
         loop.controller.initial_state(context),
-        None if loop.recorder is None else loop.recorder.initial_state(n, nu),
+        None if loop.recorder is None else loop.recorder.initial_state(context.size, loop.plant.nu),
     )

@@ -432,6 +432,17 @@ def evolved(part: _T, changes: Mapping[str, Any]) -> _T:
         for name, value in changes.items():
             object.__setattr__(new, name, value)
         return new
-    if attrs.has(type(part)):
+    if not attrs.has(type(part)):
+        return dataclasses.replace(part, **changes)  # type: ignore[type-var]
+    own = attrs.fields(type(part))
+    if not all(f.init and "declared" in f.metadata for f in own):
         return attrs.evolve(part, **changes)  # type: ignore[misc]
-    return dataclasses.replace(part, **changes)  # type: ignore[type-var]
+    new = object.__new__(type(part))  # fields that stay are not checked again
+    vars(new).update({f.name: getattr(part, f.name) for f in own})
+    for f in own:
+        if f.name in changes:
+            vars(new)[f.name] = _checked(changes[f.name], new, f)
+    post = getattr(new, "__attrs_post_init__", None)
+    if post is not None:
+        post()
+    return new

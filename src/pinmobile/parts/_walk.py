@@ -34,14 +34,21 @@ class Leaf(NamedTuple):
     value: Any
 
     @property
-    def labels(self) -> tuple[str, ...]:
-        """Names of the entries of its last axis; of a single gain, those that it may have."""
-        found = getattr(self.declared, "labels", ())
-        names = tuple(found(self.owner) if callable(found) else found)
-        if not np.ndim(self.value):
-            return names
-        count = np.shape(self.value)[-1]
-        return (*names[:count], *map(str, range(len(names), count)))
+    def entries(self) -> dict[str, tuple[int, ...]]:
+        """Indices of the entries by label: of an array, or of one that a gain may become."""
+        labels = getattr(self.declared, "labels", ())
+        names = tuple(labels(self.owner) if callable(labels) else labels)
+        shape = np.shape(self.value) if self.value is not None else ()
+        if not shape or self.is_gain:
+            return {name: (k,) for k, name in enumerate(names)}
+        columns = [*names[: shape[-1]], *map(str, range(len(names), shape[-1]))]
+        rows = list(np.ndindex(shape[:-1]))
+        return {".".join([*map(str, row), name]): (*row, k) for row in rows for k, name in enumerate(columns)}
+
+    @property
+    def is_gain(self) -> bool:
+        """Whether one number, one for each coordinate or a matrix may stand for it."""
+        return ("n", "n") in getattr(self.declared, "shapes", ())
 
 
 def entries_of(value: Any) -> list[tuple[str, Any]]:
@@ -144,21 +151,26 @@ def _replaced(part: Any, path: str, values: Mapping[str, Any], nominal: bool, us
 
 
 class Found(NamedTuple):
-    """What a name means: a field, or one entry of its last axis."""
+    """What a name means: a number or an array, or one entry of it.
+
+    Attributes
+    ----------
+    leaf : Leaf
+        The field.
+    label : str
+        Name of the entry, "" for all.
+    entry : tuple of int, optional
+        Index of the entry.
+    """
 
     leaf: Leaf
-    entry: int | None = None
+    label: str = ""
+    entry: tuple[int, ...] | None = None
 
     @property
     def path(self) -> str:
         """Full path of the field, or of the entry."""
-        return self.leaf.path if self.entry is None else f"{self.leaf.path}.{self.label}"
-
-    @property
-    def label(self) -> str:
-        """Name of the entry."""
-        labels = self.leaf.labels
-        return labels[self.entry or 0] if (self.entry or 0) < len(labels) else str(self.entry)
+        return f"{self.leaf.path}.{self.label}" if self.label else self.leaf.path
 
     @property
     def is_array(self) -> bool:
@@ -169,22 +181,25 @@ class Found(NamedTuple):
     @property
     def value(self) -> Any:
         """The number: of several, the first."""
-        value = np.asarray(self.leaf.value, np.float64)
-        if self.entry is None or not value.ndim:
-            return value.flat[0]
-        return value[(self.entry,) * value.ndim]
+        value = np.asarray(0.0 if self.leaf.value is None else self.leaf.value, np.float64)
+        return value.flat[0] if self.entry is None or not value.ndim else value[self.index(value.ndim)]
+
+    def index(self, axes: int) -> tuple[int, ...]:
+        """Return the index of the entry in an array of so many axes: of a matrix of gains, on its diagonal."""
+        entry = self.entry or ()
+        return entry if len(entry) == axes else entry[-1:] * axes
 
     @property
     def unit(self) -> str:
         """Unit of the number."""
         declared = self.leaf.declared
-        return declared.unit_of(self.entry) if isinstance(declared, Number) else ""
+        return declared.unit_of(self.entry and self.entry[-1]) if isinstance(declared, Number) else ""
 
     @property
     def meaning(self) -> str:
         """Meaning of the number, as a noun phrase."""
         doc = self.leaf.declared.doc or self.leaf.path.rpartition(".")[2]
-        return doc if self.entry is None else f"{doc}, {self.label}"
+        return f"{doc}, {self.label}" if self.label else doc
 
 
 def named(part: Any) -> dict[str, Found]:
@@ -192,9 +207,27 @@ def named(part: Any) -> dict[str, Found]:
     found: dict[str, Found] = {}
     for leaf in walk(part):
         if isinstance(leaf.declared, Number) and not leaf.declared.fixed:
-            own = [Found(leaf), *(Found(leaf, k) for k in range(len(leaf.labels)))]
+            own = [Found(leaf), *(Found(leaf, label, entry) for label, entry in leaf.entries.items())]
             found |= {one.path: one for one in own}
     return found
+
+
+def short_names(known: Mapping[str, Found]) -> list[str]:
+    """Return for each path the shortest end that means it."""
+    found, taken = [], set[str]()
+    for path in sorted(known, key=_nearness):
+        words = path.split(".")
+        least = 2 if known[path].label else 1
+        ends = (".".join(words[k:]) for k in range(len(words) - least, -1, -1))
+        name = next(end for end in ends if end not in taken or end == path)
+        taken |= {".".join(words[k:]) for k in range(len(words))}
+        if not words[-1].isdigit():
+            found.append(name)
+    return found
+
+
+def _nearness(path: str) -> tuple[bool, int]:
+    return not path.startswith("plant."), path.count(".")
 
 
 def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: str = "") -> Found:
@@ -215,12 +248,12 @@ def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: 
         return known[name]
     first, _, rest = name.partition(".") if isinstance(name, str) else ("", "", "")
     ends = sorted(
-        (not path.startswith("plant."), path.count("."), path)
+        (*_nearness(path), path)
         for path in known
         if path.endswith(f".{name}") or (rest and path.startswith(f"{first}.") and path.endswith(f".{rest}"))
     )
     if not ends:
-        raise UnknownName(f"parameter{where and ' in ' + where}", name, known)
+        raise UnknownName(f"parameter{where and ' in ' + where}", name, short_names(known))
     best = [path for *rank, path in ends if rank == list(ends[0][:2])]
     if len(best) > 1:
         raise InvalidArgument(
@@ -254,7 +287,7 @@ def spread_values(found: Sequence[tuple[Found, Any, bool]], n: int, size: int = 
         else:
             if new.ndim == 1:
                 new = np.repeat(new[:, None], size, axis=1)
-            new[(slice(None), *(one.entry,) * (new.ndim - 1))] = column
+            new[(slice(None), *one.index(new.ndim - 1))] = column
         values[path] = new
     return values
 
@@ -265,7 +298,7 @@ def spread_entries(found: Sequence[Found], values: Mapping[str, Any]) -> dict[st
     for one in found:
         shape = np.shape(values[one.leaf.path])[1:]
         varies = entries.setdefault(one.leaf.path, np.zeros(shape, bool))
-        varies[(... if one.entry is None else (one.entry,) * len(shape))] = True
+        varies[... if one.entry is None else one.index(len(shape))] = True
     return entries
 
 
