@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from types import MethodType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
