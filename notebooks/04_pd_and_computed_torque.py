@@ -310,10 +310,12 @@ plots.errors(windy)
 # And ten thousand robots, each with a wind and a start of its own:
 
 # %%
-spread = {"force_x": Uniform(-15, 15), "start_y": Uniform(-1.5, 1.5)}
+calm = ConstantForce((0, 0, 0))  # which the spread makes a wind
+spread = {"force.x": Uniform(-15, 15), "start_y": Uniform(-1.5, 1.5)}
 within = {}
 for name, own in pushing.items():
-    fleet = ensemble(box, Saturated(own, (20, 20, 5)), circle, n=10_000, spread=spread, dt=0.01, after=8)
+    limited = Saturated(own, (20, 20, 5))
+    fleet = ensemble(box, limited, circle, n=10_000, spread=spread, forces=[calm], dt=0.01, after=8)
     within[name] = fleet.within(0.99).distance
     print(f"{name:18} {fleet.engine}: 99 % stay within {1e3 * within[name]:.1f} mm from t = 8 s on")
 

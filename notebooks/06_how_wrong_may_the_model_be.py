@@ -18,12 +18,14 @@ from pinmobile import (
     PD,
     Circle,
     ComputedTorque,
+    ConstantForce,
     MobileRobot,
     NoisyMeasurement,
     Normal,
     Same,
     Tangent,
     Uniform,
+    ViscousFriction,
     ensemble,
     plots,
 )
@@ -71,14 +73,15 @@ from pinmobile.plots.style import colour, dress
 # %%
 nominal = MobileRobot(mass=30, yaw_inertia=1.3)
 circle = Tangent(Circle(radius=3, rate=0.1, duration=60))
+beside = [ConstantForce((0, 0, 0)), ViscousFriction((0, 0, 0))]  # of which the spread gives the size
 spread = {
     "mass": Uniform(24, 36),
     "yaw_inertia": Uniform(0.9, 1.7),
     "com_x": Uniform(-0.05, 0.05),
     "com_y": Uniform(-0.05, 0.05),
-    "viscous_forward": Uniform(0, 0.4),
-    "force_x": Normal(0, 0.05),
-    "force_y": Normal(0, 0.05),
+    "coefficients.forward": Uniform(0, 0.4),
+    "force.x": Normal(0, 0.05),
+    "force.y": Normal(0, 0.05),
 }
 truth = {f"model_{name}": Same(name) for name in ("mass", "yaw_inertia", "com_x", "com_y")}
 pd = PD((120, 120, 5.2), (120, 120, 5.2))  # 4 times 30 kg and 1.3 kg m²
@@ -90,9 +93,13 @@ def noisy(controller):
 
 
 runs = {
-    "PD": ensemble(nominal, noisy(pd), circle, n=10_000, spread=spread, dt=0.1),
-    "nominal model": ensemble(nominal, noisy(computed_torque), circle, n=10_000, spread=spread, dt=0.1),
-    "true model": ensemble(nominal, noisy(computed_torque), circle, n=10_000, spread=spread | truth, dt=0.1),
+    "PD": ensemble(nominal, noisy(pd), circle, n=10_000, spread=spread, forces=beside, dt=0.1),
+    "nominal model": ensemble(
+        nominal, noisy(computed_torque), circle, n=10_000, spread=spread, forces=beside, dt=0.1
+    ),
+    "true model": ensemble(
+        nominal, noisy(computed_torque), circle, n=10_000, spread=spread | truth, forces=beside, dt=0.1
+    ),
 }
 for name, made in runs.items():
     print(f"{name:13} {made!r}")
@@ -141,16 +148,16 @@ radius, rate, kp = 3, 0.1, 4
 
 def predicted(draws, believed_mass, gain_mass=30):
     """Return the largest distance [m] by the rule."""
-    forward = -draws["mass"] * rate**2 * draws["com_x"] + draws["viscous_forward"] * radius * rate
+    forward = -draws["mass"] * rate**2 * draws["com_x"] + draws["coefficients.forward"] * radius * rate
     left = draws["mass"] * (radius * rate**2 - rate**2 * draws["com_y"]) - believed_mass * radius * rate**2
-    wind = np.hypot(draws["force_x"], draws["force_y"])
+    wind = np.hypot(draws["force.x"], draws["force.y"])
     return (np.hypot(forward, left) + wind) / (kp * gain_mass)
 
 
 figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
 deviation = {}
 for k, (name, controller, believed) in enumerate((("PD", pd, 0), ("nominal model", computed_torque, 30))):
-    quiet = ensemble(nominal, controller, circle, n=10_000, spread=spread, dt=0.1)
+    quiet = ensemble(nominal, controller, circle, n=10_000, spread=spread, forces=beside, dt=0.1)
     rule = predicted(quiet.draws, believed)
     deviation[name] = np.abs(quiet.max_distance - rule).max()
     axes.plot(1e3 * rule[::5], 1e3 * quiet.max_distance[::5], ".", markersize=3, color=colour(k), label=name)

@@ -159,7 +159,7 @@ acceleration = 0.6
 [loop]
 dt = 0.05
 [spread]
-"trajectory.path.moved_angle" = {normal = [0.5, 0.1]}
+"trajectory.path.angle" = {normal = [0.5, 0.1]}
 [ensemble]
 n = 5
 """

@@ -13,6 +13,7 @@ from pinmobile import (
     COMPILED,
     PYTHON,
     ComputedTorque,
+    ConstantForce,
     Decoupled,
     Delayed,
     InvalidArgument,
@@ -83,7 +84,7 @@ SPREAD: dict[str, Any] = {
     "load_com_z": Normal(0.05, 0.01),
     "model_load_mass": Same("load_mass"),
     "model_mass_ur5/forearm_link": Uniform(2, 3),
-    "joint_viscous": Uniform(0, 0.3),
+    "viscous": Uniform(0, 0.3),
     "kp_factor": Uniform(0.9, 1.1),
 }
 
@@ -203,8 +204,9 @@ def test_controllers_and_wrappers_of_arms_are_compiled(controller: Any) -> None:
 
 
 def test_rk4_substeps_and_pushes_on_the_base_are_compiled() -> None:
-    spread = {"mass": Uniform(24, 36), "force_x": Uniform(-5, 5), "viscous_forward": Uniform(0, 5)}
-    runs = run(spread=spread, n=2, integrator=rk4, substeps=2)
+    spread = {"mass": Uniform(24, 36), "force.x": Uniform(-5, 5), "coefficients.forward": Uniform(0, 5)}
+    forces = [ConstantForce((0, 0, 0)), ViscousFriction((0, 0, 0))]
+    runs = run(spread=spread, forces=forces, n=2, integrator=rk4, substeps=2)
     assert runs.engine == COMPILED.name
     assert_members(runs, 1)
 
@@ -212,12 +214,14 @@ def test_rk4_substeps_and_pushes_on_the_base_are_compiled() -> None:
 def test_each_joint_has_a_friction_of_its_own() -> None:
     friction = JointFriction.of(UR5)
     spread = {
-        "joint_viscous_ur5/elbow_joint": Uniform(0, 2),
-        "joint_coulomb_ur5/wrist_1_joint": Uniform(0, 1),
+        "viscous.ur5/elbow_joint": Uniform(0, 2),
+        "coulomb.ur5/wrist_1_joint": Uniform(0, 1),
     }
     runs = run(spread=spread, forces=[friction], n=2)
     assert_members(runs, 0, 1)
-    with pytest.raises(InvalidArgument, match=r"^viscous has shape \(2,\), expected \(\) or \(3,\)$"):
+    with pytest.raises(
+        InvalidArgument, match=r"^numbers of coordinates are viscous 2, names 3, expected as many of each$"
+    ):
         JointFriction([1.0, 2.0], names=["x", "y", "psi"])
 
 
@@ -240,9 +244,7 @@ def test_the_engines_agree_and_the_bits_hang_on_nothing() -> None:
 
 @pytest.mark.parametrize("robot", [UR5, ALL_KINDS["kinova"]], ids=["ur5", "kinova"])
 def test_six_seconds_of_a_closed_loop_are_those_of_pinocchio(robot: MobileRobot) -> None:
-    runs = run(
-        robot, n=2, dt=0.01, lasts=6.0, spread={"mass": Uniform(24, 36), "joint_viscous": Uniform(0, 0.05)}
-    )
+    runs = run(robot, n=2, dt=0.01, lasts=6.0, spread={"mass": Uniform(24, 36), "viscous": Uniform(0, 0.05)})
     assert runs.engine == COMPILED.name
     assert_members(runs, 1)
     member = runs.member(1)
@@ -376,14 +378,3 @@ def test_what_nobody_was_told_of_may_differ() -> None:
     q, v = np.array(UR5.rest), np.ones(UR5.nv)
     found: Array = told.nonlinear_effects(q, v)
     np.testing.assert_allclose(found, body.nonlinear_effects(q, v), rtol=1e-12, atol=1e-12)
-
-
-def test_friction_that_is_not_dry_is_not_computed() -> None:
-    friction = JointFriction(0.2)
-    v = np.linspace(-1, 1, 9)
-    assert friction.dry
-    assert not friction.varying([]).dry
-    assert friction.varying([("coulomb", None)]).dry
-    np.testing.assert_array_equal(
-        friction.on_coordinates(0.0, v, v), friction.varying([]).on_coordinates(0.0, v, v)
-    )

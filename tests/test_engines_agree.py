@@ -129,18 +129,18 @@ GAINS: Mapping[str, str] = {
     "adaptive velocity": "point_kp",
 }
 FORCES: Mapping[str, str] = {
-    "constant": "force_x",
-    "viscous": "viscous_forward",
-    "rolling": "rolling_left",
-    "payload": "payload_mass",
+    "constant": "force.x",
+    "viscous": "coefficients.forward",
+    "rolling": "force.left",
+    "payload": "mass",
     "spring": "stiffness",
 }
 OF_PATHS: Mapping[str, tuple[str, float]] = {
     "eight": ("eight_size", 2.0),
-    "circle": ("circle_heading", 0.7),
-    "line": ("line_end_y", -1.0),
+    "circle": ("heading", 0.7),
+    "line": ("trajectory.path.end.y", -1.0),
     "polyline": ("corner_radius", 0.2),
-    "moved": ("moved_angle", 0.5),
+    "moved": ("angle", 0.5),
     "one after another": ("trajectory.path.paths[1].corner_radius", 0.2),
 }
 MODELS = ("computed torque", "computed torque, wrong", "Decoupled")
@@ -215,14 +215,14 @@ def compositions() -> list[dict[str, str]]:
 
 def spread_of(choice: Mapping[str, str]) -> dict[str, Any]:
     controller, steady = choice["controller"], choice["steady"]
-    nominal = {"force_x": 3.0, "viscous_forward": 5.0, "rolling_left": 3.0, "stiffness": 8.0}
-    nominal["payload_mass"] = 6.0
+    nominal = {"force.x": 3.0, "coefficients.forward": 5.0, "force.left": 3.0, "stiffness": 8.0}
+    nominal["mass"] = 6.0
     gains = {"pid_kp": 50.0, "layer": 0.5, "along": 8.0, "kp_factor": 1.0, "zeta": 0.7, "point_kp": 0.8}
     gain = GAINS.get(controller, "kp_factor")
     name, of_path = OF_PATHS[choice["path"]]
     found: dict[str, dict[str, Any]] = {
         "nothing": {},
-        "mass": {"mass": Uniform(20.0, 35.0)}
+        "mass": {"plant.mass": Uniform(20.0, 35.0)}
         if choice["plant"] != "commanded"
         else {"theta_1": Uniform(0.2, 0.3), "ahead": Uniform(-0.1, 0.1), "acceleration": 1.0},
         "gains": {gain: Uniform(0.8 * gains[gain], 1.2 * gains[gain])},

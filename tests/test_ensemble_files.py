@@ -45,13 +45,14 @@ SPREAD: dict[str, Any] = {
     "mass": Uniform(4, 12),
     "model_mass": Same("mass", stats.norm(1.0, scale=0.1)),
     "com_x": np.linspace(0, 0.1, 60),
-    "force_x": Normal(0, 0.04),
+    "force.x": Normal(0, 0.04),
     "kp": 4.0,
 }
 
 
 def scenario(**more: Any) -> Scenario:
     loop = {"robot": ROBOT, "controller": ComputedTorque(MobileRobot(30, 1.3)), "trajectory": CIRCLE}
+    loop["forces"] = [ConstantForce((0, 0, 0))]
     return Scenario(**{**loop, "n": 60, "spread": SPREAD, "dt": 0.1, "seed": 7, "after": 2.0, **more})
 
 
@@ -312,7 +313,7 @@ def test_csv_has_a_row_per_robot_and_every_digit(tmp_path: Path, name: str) -> N
     assert header[0] == "robot"
     assert header[-2:] == ["max_distance [m]", "diverged_at [s]"]
     wanted: dict[str, Any] = {"robot": np.arange(len(one)), "max_distance [m]": one.max_distance}
-    units = {"mass": " [kg]", "model_mass": " [kg]", "com_x": " [m]", "force_x": " [N]", "kp": ""}
+    units = {"mass": " [kg]", "model_mass": " [kg]", "com_x": " [m]", "force.x": " [N]", "kp": ""}
     wanted |= {f"drawn_{each}{units[each]}": values for each, values in one.draws.items()}
     for k, (of, unit) in enumerate((("x", "m"), ("y", "m"), ("psi", "rad"))):
         wanted |= {f"max_error_{of} [{unit}]": one.max_error[:, k]}

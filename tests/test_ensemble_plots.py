@@ -18,6 +18,7 @@ from pinmobile import (
     PD,
     Circle,
     ComputedTorque,
+    ConstantForce,
     Ensemble,
     InvalidArgument,
     MobileRobot,
@@ -40,14 +41,15 @@ ROBOT = MobileRobot(30, 1.3)
 TRUE = ComputedTorque(ROBOT)
 SPREAD: dict[str, Any] = {
     "mass": Uniform(24, 36),
-    "force_x": Normal(0, 0.04),
+    "force.x": Normal(0, 0.04),
     "com_x": Uniform(-0.05, 0.05),
 }
 
 
 def run(controller: Any, spread: dict[str, Any], n: int = 300, duration: float = 20.0) -> Ensemble:
     circle = Tangent(Circle(3, 0.1, duration))
-    return ensemble(ROBOT, controller, circle, n=n, spread=spread, dt=0.1, engine=COMPILED)
+    wind = [ConstantForce((0, 0, 0))]
+    return ensemble(ROBOT, controller, circle, n=n, spread=spread, forces=wind, dt=0.1, engine=COMPILED)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +60,7 @@ def pair() -> dict[str, Ensemble]:
 @pytest.fixture(scope="module")
 def diverging() -> Ensemble:
     """Of these, the lightest fifth and some more diverge: the model is more than five times too heavy."""
-    return run(TRUE, {"mass": Uniform(4, 12), "force_x": Normal(0, 0.02)})
+    return run(TRUE, {"mass": Uniform(4, 12), "force.x": Normal(0, 0.02)})
 
 
 def rows(figure: Figure, columns: int) -> list[list[Axes]]:
@@ -140,7 +142,7 @@ class TestBands:
 
     def test_on_logarithmic_axes_every_band_of_the_best_controller_is_seen(self) -> None:
         # From a start aside to a hundredth of that, and far worse ones beside it.
-        best = run(TRUE, {"start_x": Uniform(0.01, 0.02), "force_x": Uniform(0.001, 0.002)})
+        best = run(TRUE, {"start_x": Uniform(0.01, 0.02), "force.x": Uniform(0.001, 0.002)})
         worst = run(PD(1, 1), {"mass": Uniform(24, 36)})
         figure = plots.bands({"best": best, "worst": worst})
         axes = figure.axes[0]
@@ -362,14 +364,14 @@ class TestCurves:
 class TestDrivers:
     def test_the_title_names_what_drives_the_worst(self, pair: dict[str, Ensemble]) -> None:
         made = pair["computed torque"]
-        assert plots.drivers(made).texts[0].get_text() == "mass drives the worst 5 % most, then force_x"
+        assert plots.drivers(made).texts[0].get_text() == "mass drives the worst 5 % most, then force.x"
         title = plots.drivers(pair["PD"], share=0.2).texts[0].get_text()
         assert title == "mass drives the worst 20 % most"
         assert plots.drivers(made, title="Circle").texts[0].get_text() == "Circle"
 
     def test_the_most_different_comes_first(self, pair: dict[str, Ensemble]) -> None:
         *panels, scatter = plots.drivers(pair["computed torque"]).axes
-        assert [axes.get_xlabel() for axes in panels] == ["mass [kg]", "force_x [N]", "com_x [m]"]
+        assert [axes.get_xlabel() for axes in panels] == ["mass [kg]", "force.x [N]", "com_x [m]"]
         assert scatter.get_xlabel() == "mass [kg]"
         assert scatter.get_ylabel() == "largest distance from the desired position [mm]"
         assert panels[2].get_title(loc="left") == "plays no part"
@@ -419,10 +421,10 @@ class TestDrivers:
         assert [len(np.asarray(line.get_xdata())) for line in scatter.lines] == [270, 30]
 
     def test_the_worst_may_be_those_of_the_heading(self) -> None:
-        made = run(TRUE, {"force_x": Normal(0, 0.04), "moment_z": Normal(0, 0.04)})
-        assert plots.drivers(made).texts[0].get_text() == "force_x drives the worst 5 % most"
+        made = run(TRUE, {"force.x": Normal(0, 0.04), "force.moment": Normal(0, 0.04)})
+        assert plots.drivers(made).texts[0].get_text() == "force.x drives the worst 5 % most"
         figure = plots.drivers(made, by="heading")
-        assert figure.texts[0].get_text() == "moment_z drives the worst 5 % of headings most"
+        assert figure.texts[0].get_text() == "force.moment drives the worst 5 % of headings most"
         scatter = figure.axes[-1]
         assert scatter.get_ylabel() == "largest error of the heading [rad]"
         (worst,) = (
@@ -448,7 +450,7 @@ class TestDrivers:
     def test_crosses_of_diverged_robots_stand_at_their_own_word_above_all_numbers(
         self, heaviest: float, scale: str
     ) -> None:
-        figure = plots.drivers(run(TRUE, {"mass": Uniform(4, heaviest), "force_x": Normal(0, 0.02)}))
+        figure = plots.drivers(run(TRUE, {"mass": Uniform(4, heaviest), "force.x": Normal(0, 0.02)}))
         axes = figure.axes[-1]
         assert axes.get_yscale() == scale
         heights = {float(y) for line in axes.lines[2:] for y in np.ravel(line.get_ydata())}

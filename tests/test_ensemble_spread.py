@@ -27,12 +27,14 @@ from pinmobile import (
     NoisyMeasurement,
     Normal,
     Payload,
+    Polyline,
     RestToRest,
     RollingResistance,
     Same,
     Saturated,
     Scenario,
     SinusoidalForce,
+    Spline,
     Tangent,
     Uniform,
     UnknownName,
@@ -43,7 +45,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.compiled import BINS
-from pinmobile.ensembles import PARAMETERS, Within, run_scenario
+from pinmobile.ensembles import Within, run_scenario
 from pinmobile.ensembles.records import bins_of, edges, quantiles
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
@@ -151,10 +153,11 @@ def test_a_member_is_the_robot_that_was_drawn() -> None:
         "kd_psi": 7.0,
         "kd_factor": 2.0,
         "start_y": 0.3,
-        "force_x": Uniform(1, 2),
-        "viscous_yaw": 0.3,
+        "force.x": Uniform(1, 2),
+        "coefficients.yaw": 0.3,
     }
-    run = run_scenario(made(spread=spread, n=8))
+    forces = ConstantForce((0, 0, 0)), ViscousFriction((0, 0, 0))
+    run = run_scenario(made(spread=spread, n=8, forces=forces))
     member = run.member(7)
     controller: Any = member.controller
     assert member.robot.mass == run.draws["mass"][7]
@@ -163,52 +166,48 @@ def test_a_member_is_the_robot_that_was_drawn() -> None:
     np.testing.assert_array_equal(controller.kd, [8.0, 8.0, 14.0])
     assert member.options["q0"].tolist() == [0.0, 0.3, 0.0]
     steady, viscous = member.options["forces"]
-    assert steady.force.tolist() == [run.draws["force_x"][7], 0.0, 0.0]
+    assert steady.force.tolist() == [run.draws["force.x"][7], 0.0, 0.0]
     assert viscous.coefficients.tolist() == [0.0, 0.0, 0.3]
 
 
-def test_a_sinusoidal_force_is_there_when_its_frequency_is_named() -> None:
-    spread = {"sine_y": Uniform(1, 2), "sine_frequency": 0.5, "sine_phase": Uniform(0, 6)}
-    alone = run_scenario(made(n=3, spread=spread))
-    given = run_scenario(made(n=3, spread=spread, forces=(SinusoidalForce((0, 7, 0), 3.0),)))
-    np.testing.assert_array_equal(alone.max_error, given.max_error)
-    (force,) = alone.member(2).options["forces"]
-    drawn = [alone.draws[name][2] for name in ("sine_y", "sine_frequency", "sine_phase")]
-    assert [force.amplitude[1], force.frequency, force.phase] == drawn
-    assert force.amplitude.tolist() == [0.0, drawn[0], 0.0]
-
-
-DRIVEN = (SinusoidalForce((9, 8, 7), 0.5, 0.1), NoiseForce((6, 5, 4), 1.0, seed=0))
+FORCED = (
+    SinusoidalForce((9, 8, 7), 0.5, 0.1),
+    NoiseForce((6, 5, 4), 1.0, seed=0),
+    RollingResistance((1, 1, 0.1), 0.05),
+    JointFriction(0.1, 0.1, 0.05),
+    Payload(1.0, (0.1, 0.1), 0.5, 0.1),
+    ConstantForce((1, 1, 0.1), 0.1, 0.8),
+    ViscousFriction((1, 1, 0.1)),
+)
 
 
 @pytest.mark.parametrize(
-    ("name", "kind", "field", "expected"),
+    ("name", "k", "field", "expected"),
     [
-        ("force_x", ConstantForce, "force", [0.25, 0, 0]),
-        ("force_y", ConstantForce, "force", [0, 0.25, 0]),
-        ("moment_z", ConstantForce, "force", [0, 0, 0.25]),
-        ("sine_x", SinusoidalForce, "amplitude", [0.25, 8, 7]),
-        ("sine_y", SinusoidalForce, "amplitude", [9, 0.25, 7]),
-        ("sine_moment", SinusoidalForce, "amplitude", [9, 8, 0.25]),
-        ("sine_frequency", SinusoidalForce, "frequency", 0.25),
-        ("sine_phase", SinusoidalForce, "phase", 0.25),
-        ("noise_x", NoiseForce, "std", [0.25, 5, 4]),
-        ("noise_y", NoiseForce, "std", [6, 0.25, 4]),
-        ("noise_moment", NoiseForce, "std", [6, 5, 0.25]),
-        ("viscous_forward", ViscousFriction, "coefficients", [0.25, 0, 0]),
-        ("viscous_left", ViscousFriction, "coefficients", [0, 0.25, 0]),
-        ("viscous_yaw", ViscousFriction, "coefficients", [0, 0, 0.25]),
-        ("rolling_forward", RollingResistance, "force", [0.25, 0, 0]),
-        ("rolling_left", RollingResistance, "force", [0, 0.25, 0]),
-        ("rolling_yaw", RollingResistance, "force", [0, 0, 0.25]),
+        ("forces[5].force.x", 5, "force", [0.25, 1, 0.1]),
+        ("forces[5].force.y", 5, "force", [1, 0.25, 0.1]),
+        ("force.moment", 5, "force", [1, 1, 0.25]),
+        ("amplitude.x", 0, "amplitude", [0.25, 8, 7]),
+        ("amplitude.y", 0, "amplitude", [9, 0.25, 7]),
+        ("amplitude.moment", 0, "amplitude", [9, 8, 0.25]),
+        ("frequency", 0, "frequency", 0.25),
+        ("phase", 0, "phase", 0.25),
+        ("std.x", 1, "std", [0.25, 5, 4]),
+        ("std.y", 1, "std", [6, 0.25, 4]),
+        ("std.moment", 1, "std", [6, 5, 0.25]),
+        ("coefficients.forward", 6, "coefficients", [0.25, 1, 0.1]),
+        ("coefficients.left", 6, "coefficients", [1, 0.25, 0.1]),
+        ("coefficients.yaw", 6, "coefficients", [1, 1, 0.25]),
+        ("force.forward", 2, "force", [0.25, 1, 0.1]),
+        ("force.left", 2, "force", [1, 0.25, 0.1]),
+        ("force.yaw", 2, "force", [1, 1, 0.25]),
+        ("forces[2].speed", 2, "speed", 0.25),
+        ("at.y", 4, "at", [0.1, 0.25]),
     ],
 )
-def test_a_name_of_a_force_stands_for_one_number_of_it(
-    name: str, kind: type, field: str, expected: Any
-) -> None:
-    member = run_scenario(made(n=2, spread={name: 0.25}, forces=DRIVEN)).member(1)
-    (force,) = (one for one in member.options["forces"] if type(one) is kind)
-    np.testing.assert_array_equal(getattr(force, field), expected)
+def test_a_name_of_a_force_stands_for_one_number_of_it(name: str, k: int, field: str, expected: Any) -> None:
+    member = run_scenario(made(n=2, spread={name: 0.25}, forces=FORCED)).member(1)
+    np.testing.assert_array_equal(getattr(member.options["forces"][k], field), expected)
 
 
 @pytest.mark.parametrize(
@@ -266,41 +265,39 @@ def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
 
 
 VIA = CubicVia((0, 0), (0.2, 0.2), (0, 0.4), 1.0, 2.0, (0, 0))
-MOTIONS: dict[str, Any] = {  # by what the names of their parameters begin with
-    "via_": FixedHeading(VIA, 0.3),
-    "turn_time": Tangent(VIA, 0.5),
-    "hold_": FixedHeading(Hold([0, 0], 2.0), 0.3),
-    "lissajous_": FixedHeading(Lissajous(1, 2, 0.5, 1.0, 2.0), 0.3),
-    "rest_": FixedHeading(RestToRest([0, 0], [1, 1], 2.0), 0.3),
-    "circle_phase": FixedHeading(Circle(3.0, 0.1, 2.0, (0.5, -1.0), phase=0.3), 0.3),
-    "circle_centre": FixedHeading(Circle(3.0, 0.1, 2.0, (0.5, -1.0), phase=0.3), 0.3),
-    "circle_heading": FixedHeading(Circle(3.0, 0.1, 2.0, (0.5, -1.0), heading=0.7), 0.3),
-    "line_": FixedHeading(Line((0, 0), (1, 1), 2.0), 0.3),
-    "moved_": FixedHeading(Circle(3.0, 0.1, 2.0).moved(1.0, 2.0, 0.5), 0.3),
-    "fixed_heading": FixedHeading(Circle(3.0, 0.1, 2.0), 0.3),
-}
-
-
-def motion_with(name: str) -> Any:
-    """Return a trajectory that has a parameter, where one has."""
-    return next((motion for start, motion in MOTIONS.items() if name.startswith(start)), TRAJECTORY)
+POLYLINE = Polyline([(0, 0), (1, 0), (1, 1)], 0.2, 2.0, acceleration=9.0)
+MOTIONS: list[Any] = [
+    TRAJECTORY,
+    FixedHeading(VIA, 0.3),
+    Tangent(VIA, 0.5),
+    FixedHeading(Hold([0, 0], 2.0), 0.3),
+    FixedHeading(Lissajous(1, 2, 0.5, 1.0, 2.0), 0.3),
+    FixedHeading(RestToRest([0, 0], [1, 1], 2.0), 0.3),
+    FixedHeading(Circle(3.0, 0.1, 2.0, (0.5, -1.0), phase=0.3), 0.3),
+    FixedHeading(Circle(3.0, 0.1, 2.0, (0.5, -1.0), heading=0.7), 0.3),
+    FixedHeading(Line((0, 0), (1, 1), 2.0), 0.3),
+    FixedHeading(Circle(3.0, 0.1, 2.0).moved(1.0, 2.0, 0.5), 0.3),
+    FixedHeading(Spline([(0, 0), (1, 1), (2, 0)], [0, 1, 2]), 0.3),
+    FixedHeading(POLYLINE, 0.3),
+]
+RIGID = {"trajectory.path.x", "trajectory.path.y"}  # where a whole motion lies, start included
+WHOLE = {"trajectory.path.waypoints"}  # all points in one
 
 
 @pytest.mark.once
 def test_every_parameter_can_be_spread_and_matters() -> None:
-    driven = SinusoidalForce((1, 1, 0.1), 0.5), NoiseForce((1, 1, 0.1), 1.0, seed=0)
-    lasting = RollingResistance((1, 1, 0.1), 0.05), JointFriction(0.1, 0.1, 0.05)
-    forces = (*driven, *lasting, Payload(1.0, (0.1, 0.1), 0.5, 0.1))
-    for motion in (TRAJECTORY, *MOTIONS.values()):
-        base = made(n=2, forces=forces, duration=2.0, trajectory=motion)
+    for motion in MOTIONS:
+        base = made(n=2, forces=FORCED, duration=2.0, trajectory=motion)
         least = run_scenario(base).max_error
-        for name in (each for each in PARAMETERS if motion_with(each) is motion):
-            value = base.nominal.get(name, 1.0) * 1.5 + 0.01
-            run = run_scenario(
-                made(n=2, forces=forces, spread={name: value}, duration=2.0, trajectory=motion)
-            )
-            # Where a whole motion lies, start included, changes no error.
-            assert not np.array_equal(run.max_error, least) or name in ("moved_x", "moved_y"), name
+        stated = [one for several in base.known.values() for one in several]
+        names = dict.fromkeys(f"{one.path}.{one.parameter.name}".lstrip(".") for one in stated)
+        for name in names.keys() - WHOLE:
+            if motion is TRAJECTORY or name.startswith("trajectory."):
+                value = base.nominal.get(name, 1.0) * 1.1 + 0.01
+                run = run_scenario(
+                    made(n=2, forces=FORCED, spread={name: value}, duration=2.0, trajectory=motion)
+                )
+                assert not np.array_equal(run.max_error, least) or name in RIGID, name
 
 
 @pytest.mark.parametrize(
@@ -376,22 +373,12 @@ def test_every_parameter_can_be_spread_and_matters() -> None:
             "unknown parameter in spread 'kp', available: mass, yaw_inertia, ",
         ),
         (
-            {"spread": {"sine_x": 3}},
+            {"spread": {"force.x": 3}, "forces": [ConstantForce((1, 0, 0))] * 2},
             InvalidArgument,
-            "spread has 'sine_x' but no 'sine_frequency', and forces has no SinusoidalForce, expected one of "
-            "them",
+            "spread has 'force.x', which forces[0] and forces[1] have, expected one of them: "
+            "'forces[0].force.x' or 'forces[1].force.x'",
         ),
-        (
-            {"spread": {"force_x": 3}, "forces": [ConstantForce((1, 0, 0))] * 2},
-            InvalidArgument,
-            "spread has 'force_x', which forces[0] and forces[1] have, expected one of them: "
-            "'forces[0].force_x' or 'forces[1].force_x'",
-        ),
-        (
-            {"forces": [ConstantForce(np.zeros((5, 3)))]},
-            InvalidArgument,
-            "forces[0] gives shape (5, 3) for one robot, expected (3,): name in spread what differs",
-        ),
+        ({"spread": {"force.x": 3}}, UnknownName, "unknown parameter in spread 'force.x'"),
         ({"after": 1.1}, InvalidArgument, "after is 1.1 s, expected from 0 to the duration, 1 s"),
         ({"after": -0.1}, InvalidArgument, "after is -0.1 s, expected from 0 to the duration, 1 s"),
         ({"every": 0}, InvalidArgument, "every is 0, expected a whole number >= 1"),
@@ -432,41 +419,58 @@ def test_what_all_robots_share_is_named_where_a_spread_asks_for_it(name: str) ->
             "spread['model_mass'] gives -30 kg as the mass of the controller's",
         ),
         (
-            {"viscous_left": -1.0},
-            "spread['viscous_left'] gives -1 N s/m as the viscous friction, left, and 1000 of",
+            {"coefficients.left": -1.0},
+            "spread['coefficients.left'] gives -1 N s/m as the viscous friction, left, and 1000 of",
         ),
     ],
 )
 def test_impossible_draws_are_refused_with_their_share(spread: Any, text: str) -> None:
     with pytest.raises(InvalidArgument) as caught:
-        run_scenario(made(spread=spread))
+        run_scenario(made(spread=spread, forces=[ViscousFriction((0, 0, 0))]))
     assert text in str(caught.value)
 
 
-FORCED = (*DRIVEN, RollingResistance((1, 1, 0.1)), JointFriction(0.1), Payload(1.0, (0.1, 0.1), 0.5))
 POSITIVE = {
-    *("circle_radius", "via_time", "turn_time"),
-    "rolling_speed",
-    "joint_speed",
-    "mass",
-    "yaw_inertia",
-    "model_mass",
-    "model_yaw_inertia",
+    *("radius", "t_via", "turn_time", "corner_radius", "trajectory.path.acceleration"),
+    *("forces[2].speed", "forces[3].speed"),
+    *("plant.mass", "plant.yaw_inertia", "model_mass", "model_yaw_inertia"),
 }
 MAY_VANISH = {
-    *("joint_viscous", "joint_coulomb", "sine_frequency", "noise_x", "noise_y", "noise_moment"),
-    *("payload_mass", "payload_inertia"),
-    *("viscous_forward", "viscous_left", "viscous_yaw", "rolling_forward", "rolling_left", "rolling_yaw"),
+    *("viscous", "coulomb", "frequency", "std.x", "std.y", "std.moment"),
+    *("forces[4].mass", "forces[4].yaw_inertia"),
+    *("coefficients.forward", "coefficients.left", "coefficients.yaw"),
+    *("force.forward", "force.left", "force.yaw"),
+}
+FREE = {
+    "forces[0].phase",
+    "at.x",
+    "when",
+    "force.moment",
+    "com_x",
+    "start_x",
+    "centre.x",
+    "psi",
+    "via.x",
+    "wy",
 }
 
 
-@pytest.mark.parametrize("name", PARAMETERS)
+def motion_with(name: str) -> Any:
+    """Return a trajectory that has a parameter, where one has."""
+    found = (x for x in MOTIONS if name in made(n=1, trajectory=x, duration=2.0).known)
+    return next(found, TRAJECTORY)
+
+
+@pytest.mark.parametrize("name", sorted(POSITIVE | MAY_VANISH | FREE))
 def test_what_must_not_be_negative_is_refused_below_zero_and_what_must_be_positive_at_zero(name: str) -> None:
+    motion = motion_with(name)
     for value, refused in ((-1e-9, POSITIVE | MAY_VANISH), (0.0, POSITIVE), (1e-9, set())):
-        scenario = made(n=1, spread={name: value}, forces=FORCED, duration=2.0, trajectory=motion_with(name))
+        scenario = made(n=1, spread={name: value}, forces=FORCED, duration=2.0, trajectory=motion)
         if name in refused:
             sign = ">=" if name in MAY_VANISH else ">"
-            with pytest.raises(InvalidArgument, match=rf"spread\['{name}'\] gives .*; expected {sign} 0$"):
+            with pytest.raises(
+                InvalidArgument, match=rf"spread\['{re.escape(name)}'\] gives .*; expected {sign} 0$"
+            ):
                 scenario.draws()
         else:
             assert scenario.draws()[name].tolist() == [value]
@@ -667,8 +671,8 @@ def test_a_wind_without_friction_is_what_the_closed_form_says() -> None:
         PD((40, 50, 4), (90, 90, 6)),
         still,
         n=50,
-        spread={"force_x": np.linspace(-5, 5, 50), "moment_z": 0.2},
-        forces=(ViscousFriction((4.0, 4.0, 0.4)),),
+        spread={"force.x": np.linspace(-5, 5, 50), "force.moment": 0.2},
+        forces=(ConstantForce((0, 0, 0)), ViscousFriction((4.0, 4.0, 0.4))),
         dt=0.05,
     )
     np.testing.assert_allclose(run.max_error[:, 0], np.abs(np.linspace(-5, 5, 50)) / 40, atol=1e-8)

@@ -463,16 +463,16 @@ def test_the_law_of_a_robot_is_its_dynamics() -> None:
 STEADY = PD((100, 100, 5), (100, 100, 5))
 VIA = CubicVia((0, 0), (2, 2), (0, 4), 3.0, 6.0, via_velocity=(0, 0))
 OWN: dict[str, tuple[Any, dict[str, Any]]] = {
-    "circle": (Tangent(Circle(2.0, 0.5, 6.0)), {"circle_radius": (1.0, 3.0), "circle_rate": (0.3, 0.6)}),
+    "circle": (Tangent(Circle(2.0, 0.5, 6.0)), {"radius": (1.0, 3.0), "rate": (0.3, 0.6)}),
     "figure": (
         FixedHeading(Lissajous(2, 1, 0.5, 1.0, 6.0), 0.2),
-        {"lissajous_ry": (0.5, -1), "fixed_heading": (0, 3)},
+        {"ry": (0.5, -1), "psi": (0, 3)},
     ),
-    "turns": (Tangent(VIA, 1.0), {"via_x": (1.0, 3.0), "via_time": (2.5, 4.0), "turn_time": (1.5, 1.0)}),
-    "spline": (Tangent(Spline([[0, 0], [1, 1], [2, 0]], [0, 3, 6])), {"waypoint_1_y": (0.5, 1.5)}),
-    "way": (FixedHeading(RestToRest([0, 0], [1, 1], 6.0), 0.0), {"rest_end_y": (0.5, 1.5)}),
-    "point": (FixedHeading(Hold([0, 0], 6.0), 0.0), {"hold_x": (0.5, 1.5)}),
-    "lecture's heading": (LectureHeading(Circle(2.0, 0.5, 6.0)), {"circle_radius": (1.0, 3.0)}),
+    "turns": (Tangent(VIA, 1.0), {"via.x": (1.0, 3.0), "t_via": (2.5, 4.0), "turn_time": (1.5, 1.0)}),
+    "spline": (Tangent(Spline([[0, 0], [1, 1], [2, 0]], [0, 3, 6])), {"waypoints.1.y": (0.5, 1.5)}),
+    "way": (FixedHeading(RestToRest([0, 0], [1, 1], 6.0), 0.0), {"end.y": (0.5, 1.5)}),
+    "point": (FixedHeading(Hold([0, 0], 6.0), 0.0), {"point.x": (0.5, 1.5)}),
+    "lecture's heading": (LectureHeading(Circle(2.0, 0.5, 6.0)), {"radius": (1.0, 3.0)}),
     "user's": (Nodding(Eight(2.0, 6.0)), {"eight_size": (1.0, 2.0), "angle": (0.1, 0.3)}),
 }
 
@@ -535,7 +535,7 @@ def scenario_member_reference(run: Ensemble, i: int) -> Any:
 
 
 def test_own_references_have_the_same_bits_however_the_robots_are_divided(tmp_path: Path) -> None:
-    scenario = owned("circle", n=7, spread={"circle_radius": Uniform(1, 3), "mass": Uniform(25, 35)})
+    scenario = owned("circle", n=7, spread={"radius": Uniform(1, 3), "mass": Uniform(25, 35)})
     whole = run_scenario(scenario, threads=1)
     for other in (run_scenario(scenario, threads=3), sweep(scenario, tmp_path / "store", chunk=3).ensemble()):
         assert_same(other, whole)
@@ -545,13 +545,13 @@ def test_own_references_have_the_same_bits_however_the_robots_are_divided(tmp_pa
 
 def test_a_trajectory_that_cannot_be_made_is_told_with_the_robots_number() -> None:
     with pytest.raises(InvalidArgument, match=r"^robot 1: t_via is 7.0 s, expected 0 < t_via < t_end"):
-        run_scenario(owned("turns", spread={"via_time": np.array([3.0, 7.0])}))
+        run_scenario(owned("turns", spread={"t_via": np.array([3.0, 7.0])}))
     with pytest.raises(
         InvalidArgument, match=r"^robot 0: its trajectory lasts 6.25 s, expected at least 7 s"
     ):
         run_scenario(owned("turns", duration=7.0, dt=0.1, spread={"turn_time": np.array([0.25, 1.0])}))
     with pytest.raises(InvalidArgument, match=r"reaches -1 m as the radius of the circle, .* expected > 0"):
-        owned("circle", spread={"circle_radius": Uniform(-1, 1)})
+        owned("circle", spread={"radius": Uniform(-1, 1)})
 
 
 @dataclass(frozen=True)
@@ -569,9 +569,7 @@ def test_a_controller_that_looks_ahead_sees_its_own_robots_reference() -> None:
     with pytest.warns(
         SlowerEngine, match="asks its context for the reference, which each robot has of its own"
     ):
-        run = ensemble(
-            *(ROBOT, Ahead(), OWN["way"][0]), n=2, spread={"rest_end_y": np.array([0.5, 1.5])}, dt=0.05
-        )
+        run = ensemble(*(ROBOT, Ahead(), OWN["way"][0]), n=2, spread={"end.y": np.array([0.5, 1.5])}, dt=0.05)
     assert run.engine == "PYTHON"
     for i, y in enumerate((0.5, 1.5)):
         motion = FixedHeading(RestToRest([0, 0], [1, y], 6.0), 0.0)
@@ -585,10 +583,10 @@ def test_the_models_that_a_trajectory_knows_are_no_parameters_of_it() -> None:
     scenario = Scenario(
         robot=ROBOT,
         **given,
-        spread={"model_mass": np.array([25.0, 30.0]), "circle_radius": np.array([1.0, 2.0])},
+        spread={"model_mass": np.array([25.0, 30.0]), "radius": np.array([1.0, 2.0])},
     )
     assert scenario.stated["model_mass"].path == "controller.robot"
-    assert scenario.stated["circle_radius"].path == "trajectory.base.path"
+    assert scenario.stated["radius"].path == "trajectory.base.path"
     runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, PYTHON)]
     assert_close(*runs)
     assert runs[0].member(1).trajectory == WholeBody(ROBOT, Tangent(Circle(2.0, 0.5, 1.0)))

@@ -25,6 +25,7 @@ from pinmobile.paths import (
     Spline,
     pieces_of,
 )
+from pinmobile.plant import parameters_of
 from pinmobile.trajectories import FixedHeading
 
 derandomised = settings(derandomize=True, deadline=None, max_examples=40)
@@ -75,7 +76,7 @@ def test_without_more_words_a_circle_has_the_bits_of_the_lecture_s_figure() -> N
     t = np.linspace(0, 60, 601)
     for order in range(4):
         assert circle.derivative(t, order).tobytes() == figure.derivative(t, order).tobytes()
-    assert [each.name for each in circle.parameters] == ["circle_radius", "circle_rate"]
+    assert [each.name for each in parameters_of(circle)] == ["radius", "rate"]
     assert Circle(3, 0.1, 60, (0, 3)) != circle
     np.testing.assert_array_equal(Circle(3, 0.1, 60, (0, 3), -np.pi / 2)(t), circle(t))
 
@@ -315,20 +316,20 @@ def test_a_user_s_path_that_jumps_is_refused(heading: Callable[[Path], object]) 
 def test_each_robot_has_a_path_of_its_own() -> None:
     turn = Circle(1, 0.5, 4, (3, 2), heading=0)
     path = CompositePath([Line((0, 1), (3, 1), 6), turn]).moved(1, 0, 0.2)
-    spread = {"moved_angle": Uniform(-1, 1), "moved_x": Uniform(0, 1)}
+    spread = {"angle": Uniform(-1, 1), "trajectory.path.x": Uniform(0, 1)}
     runs = ensemble(MobileRobot(30, 1.3), PD(120, 120), Tangent(path), n=5, spread=spread, dt=0.02)
     assert runs.engine == "COMPILED"
     for k in range(5):
         member: Any = runs.member(k)
         robot, controller, reference = member[:3]
         run = simulate(robot, controller, reference, **member.options)
-        assert reference.path.angle == runs.draws["moved_angle"][k]
+        assert reference.path.angle == runs.draws["angle"][k]
         np.testing.assert_allclose(runs.max_error[k], run.max_error(), rtol=0, atol=1e-12)
 
 
 def test_a_spread_that_tears_a_path_apart_is_refused_for_the_robot_that_it_tears() -> None:
     path = CompositePath([Line((0, 1), (3, 1), 6), Circle(1, 0.5, 4, (3, 2), heading=0)])
-    name = "trajectory.path.paths[0].line_end_x"
+    name = "trajectory.path.paths[0].end.x"
     with pytest.raises(InvalidArgument, match=r"^robot 0: paths\[1\] starts at \(3, 1\) m, "):
         ensemble(
             MobileRobot(30, 1.3), PD(120, 120), Tangent(path), n=2, spread={name: Uniform(3.1, 3.2)}, dt=0.1

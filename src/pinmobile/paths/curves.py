@@ -48,7 +48,7 @@ class CubicVia(PiecewisePath):
         """Raise `InvalidArgument` where shapes differ or the times are out of order."""
         if not self.start.size:
             raise InvalidArgument("start has shape (0,), expected (n,) with n >= 1")
-        check_sizes(self, "start", "via", "end", "via_velocity", "start_velocity", "end_velocity")
+        check_sizes(self, "via", "end", "via_velocity", "start_velocity", "end_velocity")
         if not self.t_via < self.t_end:
             raise InvalidArgument(f"t_via is {self.t_via} s, expected 0 < t_via < t_end = {self.t_end} s")
         stretch("t_via", self.t_via)
@@ -97,9 +97,7 @@ class Spline(PiecewisePath):
             raise InvalidArgument(f"waypoints has shape {(count, size)}, expected (k, n) with k >= 2")
         if times.shape != (count,):
             raise InvalidArgument(f"times has shape {times.shape}, expected ({count},), one per waypoint")
-        for name in ("start_velocity", "end_velocity"):
-            if getattr(self, name).shape != (size,):
-                raise InvalidArgument(f"{name} has shape {getattr(self, name).shape}, expected ({size},)")
+        check_sizes(self, "start_velocity", "end_velocity")
         if times[0] != 0:
             raise InvalidArgument(f"times[0] is {times[0]} s, expected 0")
         for k, step in enumerate(np.diff(times), 1):
@@ -155,7 +153,7 @@ class RestToRest(PiecewisePath):
 
     def check(self) -> None:
         """Raise `InvalidArgument` where shapes differ."""
-        check_sizes(self, "start", "end")
+        check_sizes(self, "end")
         super().check()
 
     @cached_property
@@ -178,7 +176,7 @@ class Line(PiecewisePath):
 
     def check(self) -> None:
         """Raise `InvalidArgument` where shapes differ."""
-        check_sizes(self, "start", "end")
+        check_sizes(self, "end")
         super().check()
 
     @cached_property

@@ -177,17 +177,18 @@ def axes_of(path: Any) -> tuple[str, ...]:
 
 
 def check_sizes(path: Any, *names: str) -> None:
-    """Refuse points or velocities of another number of coordinates than the first.
+    """Refuse points or velocities of another number of coordinates than the first field; None is allowed.
 
     Raises
     ------
     InvalidArgument
         If there are such.
     """
-    expected, *others = ((name, np.shape(getattr(path, name))) for name in names)
-    for name, shape in others:
-        if shape not in ((), expected[1]):
-            raise InvalidArgument(f"{name} has shape {shape}, expected {expected[1]}, as {expected[0]}")
+    expected = (len(axes_of(path)),)
+    for name in names:
+        value = getattr(path, name)
+        if value is not None and np.shape(value) != expected:
+            raise InvalidArgument(f"{name} has shape {np.shape(value)}, expected {expected}")
 
 
 class Value:
