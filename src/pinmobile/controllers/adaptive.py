@@ -92,7 +92,7 @@ class Adaptive(OfBody):
     )
     gamma: Any = array(default=None, shapes=((), ("p",)), lower=0.0, fixed=True, doc="gains of estimates")
     friction: bool = option(default=False, doc="whether friction is estimated too", check=_flag)
-    speed: float = number(default=0.01, above=0.0, unit="m/s, rad/s", fixed=True, doc="of friction that does not grow")
+    speed: float = number(default=0.01, above=0.0, unit="m/s, rad/s", doc="of friction that does not grow")
     dead_zone: float = number(
         default=0.0, lower=0.0, unit="m/s, rad/s", doc="norm of s below which nothing is estimated"
     )
@@ -125,6 +125,7 @@ class Adaptive(OfBody):
         inertial = nominal[: p - 2 * n * self.friction]
         least = np.full(p, -np.inf)
         least[: len(inertial) : size] = nominal[: len(inertial) : size] / 10
+        least[len(inertial) :] = 0.0  # of friction
         rates = float(self.robot.mass) * np.array(_RATES) if n == _BASE else _of_bodies(inertial)
         if self.friction:
             sizes = np.where(np.arange(n) < 2, 1.0, _TURNING) * np.diagonal(M)

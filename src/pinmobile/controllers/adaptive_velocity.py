@@ -119,12 +119,12 @@ class AdaptiveVelocity:
     lower: Any = bound(-1.0, "lower bounds of theta", _usual(lambda self: _LEAST * self._theta - _FREE))
     upper: Any = bound(1.0, "upper bounds of theta", _usual(lambda self: np.full(_SIZE, np.inf)))
 
-    @structure
+    @property
     def _own(self) -> float:
         """From the axle of the robot to its own point [m]."""
         return scalar("ahead of robot", self.robot.ahead)
 
-    @structure
+    @property
     def _theta(self) -> Array:
         """Theta of the robot, shape (6,)."""
         return vector("theta of robot", self.robot.theta, _SIZE)

@@ -109,6 +109,12 @@ def estimated(
     return estimate, integral, turning - gravity + estimate
 
 
+def _inertia_at_rest(controller: Any) -> Array:
+    robot = controller.robot
+    check_wheelless(robot)
+    return np.diagonal(robot.mass_matrix(robot.rest))
+
+
 @final
 @part
 class ADRC:
@@ -143,9 +149,7 @@ class ADRC:
     bandwidth: Any = each(default=4.0, above=0.0, unit="1/s", doc="w_c", size=coordinates_of)
     observer: Any = each(default=20.0, above=0.0, unit="1/s", doc="w_o", size=coordinates_of)
     inertia: Any = each(
-        default=attrs.Factory(
-            lambda self: np.diagonal(self.robot.mass_matrix(self.robot.rest)), takes_self=True
-        ),
+        default=attrs.Factory(_inertia_at_rest, takes_self=True),
         above=0.0,
         unit="kg, kg, kg m^2",
         doc="inertia of each coordinate",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple, TypeVar
 
 import attrs
@@ -14,7 +14,7 @@ from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.constancy import known
 from pinmobile.controllers.controller import State
 from pinmobile.errors import InvalidArgument, NotTraceable
-from pinmobile.parts import Followed, Rolling, able, option, structure
+from pinmobile.parts import Followed, Rolling, able, option
 from pinmobile.plant import Context, Input, inputs_of
 
 _BASE = 3
@@ -135,11 +135,11 @@ class Weighted:
     R: Any
     input_weight: float
 
-    @structure
+    @cached_property
     def _sizes(self) -> tuple[int, int, int]:
         return sizes_of(self.robot)
 
-    @structure
+    @cached_property
     def _usual(self) -> tuple[Array, Array]:
         return weights_of(self.robot)
 

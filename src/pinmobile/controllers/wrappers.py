@@ -48,17 +48,23 @@ class Saturated(Wrapper):
     controller: Any = child(Controlling, doc="wrapped controller")
     limits: Any = each(above=0.0, endless=True, unit="N, N, N m", doc="largest force of each coordinate")
 
-    def initial_state(self, context: Context) -> tuple[Any]:
+    def initial_state(self, context: Context) -> Any:
         """Return the state that the wrapped controller starts with."""
-        return (self.controller.initial_state(context),)
+        return self.controller.initial_state(context)
 
-    def __call__(
-        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any]
-    ) -> tuple[Array, tuple[Any]]:
+    def applied(self, u: Array, state: Any) -> Any:
+        """Return the wrapped controller's state, told of the input that is applied, shape (..., n)."""
+        return told(self.controller, u, state)
+
+    def signals(self, state: Any) -> Any:
+        """Return what the wrapped controller tells beside its input: name to (unit, value)."""
+        return super().signals((state,))
+
+    def __call__(self, t: float, q: Array, v: Array, reference: State, state: Any) -> tuple[Array, Any]:
         """Return the limited force, shape (..., n), and the wrapped controller's next state."""
-        tau, inner = answer_of(self.controller, t, q, v, reference, state[0])
+        tau, state = answer_of(self.controller, t, q, v, reference, state)
         limits = _fitting("limits", self.limits, np.shape(tau)[-1:])
-        return np.minimum(np.maximum(tau, -limits), limits), (inner,)
+        return np.minimum(np.maximum(tau, -limits), limits), state
 
 
 @final
