@@ -32,6 +32,7 @@ from types import (
 )
 from typing import Any
 
+import attrs
 import numpy as np
 from numpy.typing import NDArray
 
@@ -129,7 +130,7 @@ def _described(scenario: Scenario, version: str | None) -> dict[str, Any]:
     found["times"] = forms.of("t", scenario.t)
     trajectory = scenario.trajectory
     found["trajectory"] = {"type": type(trajectory).__qualname__}
-    if is_dataclass(trajectory) and known_name(type(trajectory)):
+    if (is_dataclass(trajectory) or attrs.has(type(trajectory))) and known_name(type(trajectory)):
         with suppress(InvalidArgument):  # for the reader alone
             found["trajectory"] |= _Forms(None).of("trajectory", trajectory)
     found["trajectory"]["reference"] = forms.of("reference", np.hstack(scenario.reference))
@@ -316,9 +317,10 @@ def _stated_by(value: Any) -> dict[str, Any] | None:
         return {"name": value._name_}
     if hasattr(kind, "_fields"):
         return dict(zip(kind._fields, value, strict=True))
-    if not is_dataclass(value):
+    if not (is_dataclass(value) or attrs.has(kind)):
         return None
-    names = getattr(kind, "determined_by", None) or [each.name for each in fields(value) if each.init]
+    own = attrs.fields(kind) if attrs.has(kind) else fields(value)
+    names = getattr(kind, "determined_by", None) or [each.name for each in own if each.init]
     return {name: getattr(value, name) for name in names}
 
 
