@@ -99,10 +99,9 @@ def many() -> dict[str, Ensemble]:
     robot, way = MobileRobot(30, 1.3), Tangent(Circle(3, 0.1, 20))
     spread = {"mass": Uniform(24, 36), "force.x": Normal(0, 0.04), "com_x": Uniform(-0.05, 0.05)}
     laws = {"PD": PD([120, 120, 5.2], [120, 120, 5.2]), "computed torque": ComputedTorque(robot)}
+    wind = [ConstantForce((0, 0, 0))]
     return {
-        name: ensemble(
-            robot, law, way, n=300, spread=spread, forces=[ConstantForce((0, 0, 0))], dt=0.1, engine=COMPILED
-        )
+        name: ensemble(robot, law, way, n=300, spread=spread, forces=wind, dt=0.1, engine=COMPILED)
         for name, law in laws.items()
     }
 

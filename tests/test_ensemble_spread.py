@@ -280,7 +280,10 @@ MOTIONS: list[Any] = [
     FixedHeading(Spline([(0, 0), (1, 1), (2, 0)], [0, 1, 2]), 0.3),
     FixedHeading(POLYLINE, 0.3),
 ]
-RIGID = {"trajectory.path.x", "trajectory.path.y"}  # where a whole motion lies, start included
+RIGID = {  # where a whole motion lies, start included
+    f"trajectory.path.{name}"
+    for name in ("x", "y", "centre", "centre.x", "centre.y", "point", "point.x", "point.y")
+}
 WHOLE = {"trajectory.path.waypoints"}  # all points in one
 
 

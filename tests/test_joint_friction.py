@@ -84,7 +84,7 @@ def test_it_slows_wheels_down_in_python_and_in_compiled_code() -> None:
         (lambda: JointFriction(np.nan), "viscous is nan, expected a finite number"),
         (
             lambda: JointFriction((1, 2), (1, 2, 3)),
-            "numbers of coordinates are viscous 2, coulomb 3, expected as many of each",
+            "numbers of coordinates are viscous 2, coulomb 3, expected",
         ),
         (lambda: JointFriction.of(3), "robot is 3, expected a MobileRobot"),
         (

@@ -4,7 +4,7 @@ import pickle
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +44,7 @@ from pinmobile.compiled.tracing import tracing
 from pinmobile.ensembles import COMPILED, PYTHON, part_of, run_scenario
 from pinmobile.ensembles.variables import PER_ROBOT
 from pinmobile.errors import SlowerEngine
+from pinmobile.parts import evolved
 from tests.looping import TwoWheels
 from tests.parts import (
     PID,
@@ -503,7 +504,7 @@ def test_each_robot_follows_a_reference_of_its_own_by_all_engines(what: str) -> 
             stated = scenario.stated[name]
             holder = own if stated.path == "trajectory" else own.path
             new = changed(holder, stated.parameter, values[i])
-            own = new if holder is own else replace(own, path=new)
+            own = new if holder is own else evolved(own, {"path": new})
         begun = own(0.0)
         alone = simulate(
             *(ROBOT, STEADY, own),
@@ -518,15 +519,7 @@ def changed(part: Any, parameter: Any, value: float) -> Any:
     """Return a path or heading with another number, by its constructor."""
     given = np.array(getattr(part, parameter.attribute), float)
     given[() if parameter.entry is None else parameter.entry] = value
-    if isinstance(part, Hold | RestToRest):
-        points = [
-            given if name == parameter.attribute else getattr(part, name)
-            for name in ("start", "end", "point")
-            if hasattr(part, name)
-        ]
-        kind: Any = type(part)
-        return kind(*points, part.duration)
-    return replace(part, **{parameter.attribute: given[()] if given.ndim else float(given)})
+    return evolved(part, {parameter.attribute: given[()] if given.ndim else float(given)})
 
 
 def scenario_member_reference(run: Ensemble, i: int) -> Any:

@@ -399,7 +399,7 @@ def test_a_users_controller_is_compared_with_the_librarys(file: Path) -> None:
         (
             "strength = {uni",
             "strenght = {uni",
-            r"^mine.toml:17: unknown parameter in spread 'strenght', did you mean 'strength'\? "
+            r"^mine.toml:17: unknown parameter in spread 'strenght', did you mean 'strength' or 'start'\? "
             "this loop has ki, strength, and 'pinmobile ensemble --help' lists all of the library",
         ),
         (

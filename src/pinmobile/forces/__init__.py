@@ -1,15 +1,16 @@
 """Forces that no controller asked for: disturbances, friction, rolling resistance."""
 
 from pinmobile.forces.force import (
+    Carried,
     ConstantForce,
     CoordinateForce,
     Force,
     NoiseForce,
+    Payload,
     SinusoidalForce,
     noise_frequencies,
 )
 from pinmobile.forces.friction import JointFriction, RollingResistance, ViscousFriction
-from pinmobile.forces.payload import Carried, Payload
 
 __all__ = [
     "Carried",
