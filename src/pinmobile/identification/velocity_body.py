@@ -1,4 +1,4 @@
-"""`VelocityBody`: the law of a robot that takes speeds for commands, for one state, many, or symbols.
+"""`VelocityDynamics`: the law of a robot that takes speeds for commands, for one state, many, or symbols.
 
 It is what a `VelocityRobot` is to loops of any engine.
 """
@@ -51,7 +51,7 @@ ACCELERATIONS: tuple[Parameter, ...] = tuple(
 
 @final
 @dataclass(frozen=True, eq=False)
-class VelocityBody:
+class VelocityDynamics:
     """A robot that takes speeds for commands, for one state, many, or symbols, unchecked.
 
     Parameters

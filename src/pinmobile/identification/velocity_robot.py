@@ -27,7 +27,7 @@ from pinmobile.arrays import (
     vector,
 )
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.identification.velocity_body import ABOVE_ZERO, ACCELERATIONS, PARAMETERS, THETA, VelocityBody
+from pinmobile.identification.velocity_body import ABOVE_ZERO, ACCELERATIONS, PARAMETERS, THETA, VelocityDynamics
 from pinmobile.integrators import rk4
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.robot import MobileRobot
@@ -101,7 +101,7 @@ class VelocityRobot:
     broadcasts: ClassVar[bool] = True
     compiles: ClassVar[bool] = True
     integrator: ClassVar[Any] = rk4
-    coordinates: ClassVar[tuple[Coordinate, ...]] = VelocityBody.coordinates
+    coordinates: ClassVar[tuple[Coordinate, ...]] = VelocityDynamics.coordinates
     leading: ClassVar[Mapping[int, int]] = MappingProxyType({3: 3})
     mobility: ClassVar[Mobile] = Mobile()
     rest: ClassVar[Array] = frozen(np.zeros(3))
@@ -259,10 +259,10 @@ class VelocityRobot:
         return tuple(found)
 
     @cached_property
-    def _law(self) -> VelocityBody:
-        return VelocityBody(self.theta, self.ahead, self.accelerations, self.inputs, self.parameters)
+    def _law(self) -> VelocityDynamics:
+        return VelocityDynamics(self.theta, self.ahead, self.accelerations, self.inputs, self.parameters)
 
-    def traced(self) -> VelocityBody:
+    def traced(self) -> VelocityDynamics:
         """Return its law over symbols or arrays."""
         return self._law
 

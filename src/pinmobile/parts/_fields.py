@@ -12,10 +12,11 @@ import attrs
 import numpy as np
 
 from pinmobile.arrays import endless_or_finite, finite, frozen, whole as checked_whole
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, NotTraceable, shown
 from pinmobile.parts._capabilities import meaning, offers
 
 _T = TypeVar("_T")
+_Method = TypeVar("_Method", bound=Callable[..., Any])
 _Shape = tuple[int | str, ...]
 _tracing = threading.local()  # `depth` > 0 in a thread that runs laws on symbols
 
@@ -23,6 +24,36 @@ _tracing = threading.local()  # `depth` > 0 in a thread that runs laws on symbol
 def is_symbolic(value: object) -> bool:
     """Tell whether a value is a symbol of a law that is being compiled."""
     return getattr(type(value), "is_symbolic", False)
+
+
+def holds_symbols(value: object) -> bool:
+    """Tell whether a value is a symbol, or a part, or several, with a symbol somewhere within."""
+    if is_symbolic(value):
+        return True
+    if isinstance(value, tuple | list):
+        return any(map(holds_symbols, value))
+    if isinstance(value, Mapping):
+        return any(map(holds_symbols, value.values()))
+    return is_part(value) and any(holds_symbols(each) for _, _, each in fields_of(value))
+
+
+def also_symbols(method: _Method) -> _Method:
+    """Let a method of a part answer by its `array_dynamics` where an argument or a field is a symbol."""
+    name = method.__name__
+
+    @functools.wraps(method)
+    def run(self: Any, *given: Any, **named: Any) -> Any:
+        if not ("nominal" in vars(self) or any(map(is_symbolic, (*given, *named.values())))):
+            return method(self, *given, **named)
+        law = self.array_dynamics
+        if not hasattr(law, name):
+            raise NotTraceable(
+                f"{name} of a {type(self).__name__}, which takes numbers alone",
+                f"write the law by the methods of {type(law).__name__}",
+            )
+        return getattr(law, name)(*given, **named)
+
+    return run  # type: ignore[return-value]
 
 
 class structure(functools.cached_property[_T]):
@@ -69,6 +100,11 @@ class Number(Field):
         Whether all robots of an ensemble have the same, which the compiled loop takes for a constant.
     endless : bool
         Whether infinity is allowed.
+    optional : bool
+        Whether None, for there is none, is allowed.
+    neutral : float
+        Value that leaves the number out of the law where all robots have it: the compiled loop takes it for a
+        constant.
     """
 
     unit: str = ""
@@ -79,6 +115,8 @@ class Number(Field):
     labels: tuple[str, ...] | Callable[[Any], Sequence[str]] = ()
     fixed: bool = False
     endless: bool = False
+    optional: bool = False
+    neutral: float = 0.0
 
     @property
     def bound(self) -> str:
@@ -88,7 +126,7 @@ class Number(Field):
 
     def checked(self, name: str, value: Any) -> Any:
         """Return a float, or a read-only array; symbols as they are."""
-        if is_symbolic(value):
+        if is_symbolic(value) or (value is None and self.optional):
             return value
         array = (endless_or_finite if self.endless else finite)(name, value)
         if not any(_fits(array.shape, shape) for shape in self.shapes):
@@ -201,9 +239,23 @@ def number(
     upper: float | None = None,
     fixed: bool = False,
     endless: bool = False,
+    optional: bool = False,
+    neutral: float = 0.0,
 ) -> Any:
     """Declare a number: see `Number`."""
-    return declare(Number(doc, unit, above, lower, upper, fixed=fixed, endless=endless), default)
+    default = None if optional and default is attrs.NOTHING else default
+    declared = Number(
+        doc,
+        unit,
+        above,
+        lower,
+        upper,
+        fixed=fixed,
+        endless=endless,
+        optional=optional,
+        neutral=neutral,
+    )
+    return declare(declared, default)
 
 
 def array(
@@ -289,13 +341,31 @@ def part(cls: type[_T]) -> type[_T]:
     if hasattr(cls, "check"):
 
         def check(self: Any) -> None:
-            if not any(is_symbolic(value) for value in vars(self).values()):
+            if not holds_symbols(self):
                 self.check()
 
         cls.__attrs_post_init__ = check  # type: ignore[attr-defined]
     if "__reduce__" not in own:
         cls.__reduce__ = lambda self: (_rebuilt, (type(self), _initial(self)))  # type: ignore[method-assign,assignment]
     return attrs.define(cls, slots=False, eq=False, frozen=True, repr="__repr__" not in own)
+
+
+def by_value(cls: type[_T]) -> type[_T]:
+    """Let parts of a class be equal where their fields are, but for those declared with ``eq=False``."""
+
+    def key(self: Any) -> tuple[Any, ...]:
+        return tuple(_comparable(getattr(self, f.name)) for f in attrs.fields(type(self)) if f.eq)
+
+    def same(self: Any, other: object) -> bool:
+        return type(other) is type(self) and key(self) == key(other)
+
+    cls.__eq__ = same  # type: ignore[assignment]
+    cls.__hash__ = lambda self: hash((type(self), key(self)))  # type: ignore[method-assign]
+    return cls
+
+
+def _comparable(value: Any) -> Any:
+    return (value.shape, *value.ravel().tolist()) if isinstance(value, np.ndarray) else value
 
 
 def _initial(part: Any) -> dict[str, Any]:
