@@ -170,7 +170,7 @@ class Model:
     def _simulated(
         self, cuts: Segments, theta: Array, delay: Array, ahead: Array, most: Array, start: Array
     ) -> Array:
-        body = VelocityDynamics(theta[:, None], ahead[:, None], most[:, None], (), ())
+        body = VelocityDynamics(theta[:, None], ahead[:, None], most[:, None], ())
         whole = np.floor(delay).astype(int)
         share = (delay - whole)[:, None, None]
         fastest = (theta[:, [3, 5]] / theta[:, [0, 1]]).max()

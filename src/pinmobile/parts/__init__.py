@@ -48,6 +48,7 @@ from pinmobile.parts._fields import (
 from pinmobile.parts._walk import (
     Found,
     Leaf,
+    entries_of,
     find,
     named,
     numbers,
@@ -88,6 +89,7 @@ __all__ = [
     "child",
     "children",
     "declare",
+    "entries_of",
     "evolved",
     "fields_of",
     "find",

@@ -279,9 +279,7 @@ COORDINATES = ("x", "y", "psi")
 """Labels of the first coordinates of a plant; those of arms and wheels have their number."""
 
 
-def gain(
-    *, default: Any = attrs.NOTHING, unit: str = "", doc: str = "", lower: float | None = None
-) -> Any:
+def gain(*, default: Any = attrs.NOTHING, unit: str = "", doc: str = "", lower: float | None = None) -> Any:
     """Declare a gain: a number for all coordinates, one for each, or a matrix."""
     shapes = (), ("n",), ("n", "n")
     return array(default=default, shapes=shapes, unit=unit, doc=doc, lower=lower, labels=COORDINATES)

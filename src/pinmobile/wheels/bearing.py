@@ -166,7 +166,9 @@ class Bearing:
             As of `Ramp` [rad].
         """
         if not hasattr(self.ground, "ramp"):
-            raise InvalidArgument(f"ground is {shown(self.ground)}, which has no ramp, expected Rolling() or Coulomb()")
+            raise InvalidArgument(
+                f"ground is {shown(self.ground)}, which has no ramp, expected Rolling() or Coulomb()"
+            )
         return type(self)(self.robot, self.table, evolved(self.ground, {"ramp": Ramp(angle, direction)}))
 
     @property

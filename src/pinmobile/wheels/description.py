@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from attrs import evolve
 from math import atan2, cos, hypot, sin
 from os import PathLike
 from pathlib import Path
@@ -11,6 +10,7 @@ from warnings import warn
 from xml.etree import ElementTree
 
 import numpy as np
+from attrs import evolve
 
 from pinmobile.arrays import ArrayLike, sequence
 from pinmobile.errors import InvalidArgument, shown

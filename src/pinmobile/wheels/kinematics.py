@@ -219,7 +219,6 @@ class Kinematics:
                 found[row.wheel] = -(known / row.joints[ns + row.wheel])
         return found
 
-
     def odometry(self, steering: Sequence[Any], joints: Sequence[Any]) -> Vector:
         """Return the body twist that fits rates of joints best, by least squares of all rows.
 

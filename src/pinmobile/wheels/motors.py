@@ -34,7 +34,6 @@ CONSTANTS = "resistance", "torque_constant", "viscous", "coulomb", "efficiency"
 """Numbers of a motor that may differ from robot to robot."""
 
 
-
 @final
 @constant
 @part
@@ -79,12 +78,24 @@ class Motor:
     torque_limit: float = declared_number(
         default=np.inf, unit="N m", above=0, endless=True, fixed=True, doc="largest torque at the wheel"
     )
-    resistance: float | None = declared_number(unit="ohm", above=0, optional=True, doc="resistance of the armature")
-    torque_constant: float | None = declared_number(unit="N m/A", above=0, optional=True, doc="torque constant")
-    voltage: float | None = declared_number(unit="V", above=0, optional=True, fixed=True, doc="largest voltage")
-    gear: float = declared_number(default=1.0, above=0, fixed=True, doc="turns of the motor per turn of the wheel")
-    efficiency: float = declared_number(default=1.0, above=0, upper=1, neutral=1, doc="efficiency of the gear")
-    rotor_inertia: float = declared_number(default=0.0, unit="kg m^2", lower=0, fixed=True, doc="inertia of the rotor")
+    resistance: float | None = declared_number(
+        unit="ohm", above=0, optional=True, doc="resistance of the armature"
+    )
+    torque_constant: float | None = declared_number(
+        unit="N m/A", above=0, optional=True, doc="torque constant"
+    )
+    voltage: float | None = declared_number(
+        unit="V", above=0, optional=True, fixed=True, doc="largest voltage"
+    )
+    gear: float = declared_number(
+        default=1.0, above=0, fixed=True, doc="turns of the motor per turn of the wheel"
+    )
+    efficiency: float = declared_number(
+        default=1.0, above=0, upper=1, neutral=1, doc="efficiency of the gear"
+    )
+    rotor_inertia: float = declared_number(
+        default=0.0, unit="kg m^2", lower=0, fixed=True, doc="inertia of the rotor"
+    )
     viscous: float = declared_number(default=0.0, unit="N m s/rad", lower=0, doc="friction per rate")
     coulomb: float = declared_number(default=0.0, unit="N m", lower=0, doc="dry friction")
     current: float = declared_number(

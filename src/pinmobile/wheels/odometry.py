@@ -17,6 +17,7 @@ from pinmobile.signals import signals_of
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.table import WheelTable
 
+
 @final
 @part
 class ByOdometry:
@@ -102,7 +103,7 @@ class ByOdometry:
         begun = np.asarray(known)[..., None]
         pose, before = pose + (1.0 - begun) * q[..., :3], before + (1.0 - begun) * now
         turned = now - before
-        disturbed = np.concatenate([0.0 * steering, self._noisy(numbers * dt)], axis=-1) + turned
+        disturbed = np.concatenate([0.0 * steering, self.noise * (numbers * dt)], axis=-1) + turned
         rates = begun * disturbed / dt + (1.0 - begun) * v[..., -n:]
         moved = self._displacement((now[..., :ns] + before[..., :ns]) / 2, begun * disturbed)
         along = pose[..., 2] + moved[..., 2] / 2
@@ -115,10 +116,6 @@ class ByOdometry:
         seen_v = np.concatenate([np.stack(speeds, axis=-1), v[..., 3:-n], rates], axis=-1)
         u, inner = answer_of(self.controller, t, seen_q, seen_v, reference, inner)
         return u, (inner, noise, dt, (pose, now, 1.0 + 0.0 * known))
-
-    def _noisy(self, numbers: Any) -> Any:
-        """Return standard normal numbers, shape (..., wheels), as large as the noise."""
-        return np.asarray(self.noise)[..., None] * numbers
 
     def _displacement(self, steering: Any, joints: Any) -> Any:
         """Return the body's displacement, or twist, that fits those of its joints best, shape (..., 3)."""

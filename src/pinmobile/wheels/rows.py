@@ -130,8 +130,8 @@ class Wheel:
         """Raise `InvalidArgument` where rollers are across the rolling direction."""
         if self.roller is not None and not abs(self.roller) <= radians(_LARGEST_ROLLER):
             raise InvalidArgument(
-                f"roller of wheel {self.name!r} is {self.roller:.6g} rad, expected less than a right angle from "
-                "the rolling direction (up to 89 degrees): the wheel could not drive"
+                f"roller of wheel {self.name!r} is {self.roller:.6g} rad, expected less than a right angle "
+                "from the rolling direction (up to 89 degrees): the wheel could not drive"
             )
 
     @property
@@ -291,11 +291,14 @@ class Actuator(NamedTuple):
     column : tuple of floats
         What its torque is to each steering coordinate and then each wheel; its rate is the product with
         theirs.
+    path : str
+        Where the table has its motor, such as ``"wheels.left.motor"``; "" of a steering axis.
     """
 
     name: str
     motor: Motor
     column: tuple[float, ...]
+    path: str = ""
 
 
 @runtime_checkable

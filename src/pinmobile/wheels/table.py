@@ -12,7 +12,7 @@ import numpy as np
 from pinmobile.arrays import ArrayLike, finite, one_of, positive, scalar, sequence, text, whole
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.parts import by_value, children, option, part, structure
+from pinmobile.parts import by_value, children, entries_of, option, part, structure
 from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.motors import Motor
 from pinmobile.wheels.rows import (
@@ -160,14 +160,16 @@ class WheelTable:
             if wheel.motor is not None:
                 column = np.zeros(n)
                 column[len(self.axes) + row] = 1.0
-                found.append(Actuator(wheel.name, wheel.motor, tuple(column.tolist())))
-            for each in self.couplings:
-                if isinstance(each, Differential) and each not in done and wheel.name in each.wheels:
-                    done.add(each)
+                path = f"wheels.{wheel.name}.motor"
+                found.append(Actuator(wheel.name, wheel.motor, tuple(column.tolist()), path))
+            for key, each in entries_of(self.couplings):
+                if isinstance(each, Differential) and key not in done and wheel.name in each.wheels:
+                    done.add(key)
                     column = np.zeros(n)
                     rows = [len(self.axes) + self.names.index(name) for name in each.wheels]
                     column[rows] = 1 / len(rows)
-                    found.append(Actuator(each.name, each.motor, tuple(column.tolist())))
+                    path = f"couplings.{key}.motor"
+                    found.append(Actuator(each.name, each.motor, tuple(column.tolist()), path))
             for k, axis in enumerate(self.axes):
                 if axis.driven and axis.wheels[0] == row:
                     column = np.zeros(n)

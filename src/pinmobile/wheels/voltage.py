@@ -86,6 +86,11 @@ class ByVoltage:
         return table
 
     @property
+    def motor_paths(self) -> tuple[str, ...]:
+        """Where its electric motors stand, in the order of the inputs: see `pinmobile.parts.replace`."""
+        return tuple(f"wheeled.table.{self.table.actuators[k].path}" for k in self._electric)
+
+    @property
     def nq(self) -> int:
         """Size of q."""
         return int(self.wheeled.nq)
