@@ -100,9 +100,10 @@ class Rolling:
         inertias = wheeled.joint_inertias
         for k in mobility.choice.free:
             if not inertias[k] > 0:
-                wheel = table.names[table.axes[k].wheels[0]]
+                axis = table.axes[k]
+                wheel = table.names[axis.wheels[0]]
                 raise InvalidArgument(
-                    f"{table.axes[k].name} of the table has no inertia about its axis, expected one > 0: give "
+                    f"{axis.name} of the table has no inertia about its axis, expected one > 0: give "
                     f"yaw_inertia of wheel {wheel!r}"
                 )
 

@@ -158,23 +158,23 @@ class WheelTable:
         n, found, done = len(self.axes) + len(self), [], set()
         for row, wheel in enumerate(self.wheels):
             if wheel.motor is not None:
-                column = np.zeros(n)
+                column = [0.0] * n
                 column[len(self.axes) + row] = 1.0
                 path = f"wheels.{wheel.name}.motor"
-                found.append(Actuator(wheel.name, wheel.motor, tuple(column.tolist()), path))
+                found.append(Actuator(wheel.name, wheel.motor, tuple(column), path))
             for key, each in entries_of(self.couplings):
                 if isinstance(each, Differential) and key not in done and wheel.name in each.wheels:
                     done.add(key)
-                    column = np.zeros(n)
-                    rows = [len(self.axes) + self.names.index(name) for name in each.wheels]
-                    column[rows] = 1 / len(rows)
+                    column = [0.0] * n
+                    for name in each.wheels:
+                        column[len(self.axes) + self.names.index(name)] = 1 / len(each.wheels)
                     path = f"couplings.{key}.motor"
-                    found.append(Actuator(each.name, each.motor, tuple(column.tolist()), path))
+                    found.append(Actuator(each.name, each.motor, tuple(column), path))
             for k, axis in enumerate(self.axes):
                 if axis.driven and axis.wheels[0] == row:
-                    column = np.zeros(n)
+                    column = [0.0] * n
                     column[k] = 1.0
-                    found.append(Actuator(axis.name, TORQUE, tuple(column.tolist())))
+                    found.append(Actuator(axis.name, TORQUE, tuple(column)))
         return tuple(found)
 
     @classmethod
