@@ -233,7 +233,7 @@ def fleets() -> dict[str, Callable[[int, int], Callable[[], Any]]]:
     """Return the ensembles by name."""
     longest = STEPS * DT
     path, still = pm.Tangent(pm.Circle(2, 0.2, longest)), standing(STEPS)
-    rolling, spread = differential(), {"mass": pm.Uniform(24, 30), "radius_left": pm.Normal(0.1, 0.0005)}
+    rolling, spread = differential(), {"mass": pm.Uniform(24, 30), "left.radius": pm.Normal(0.1, 0.0005)}
     ur5 = WheeledRobot(body().mount("ur5", (0.0, 0.0, 0.2, 0.0)), differential().table)
     arms = pm.WholeBody(ur5.robot, path, Hold(ur5.robot.rest[3:], longest))
     by_wrench = pm.Allocated(pm.PD(50, 20), rolling)

@@ -12,7 +12,6 @@
 # when one wheel is one percent smaller? And what do the wheels feel of an arm?
 
 # %%
-from dataclasses import replace
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -36,6 +35,7 @@ from pinmobile import (
     PosePath,
     Ramp,
     RestToRest,
+    Same,
     Spline,
     Tangent,
     Tracking,
@@ -47,6 +47,7 @@ from pinmobile import (
     ensemble,
     fastest,
     law,
+    parts,
     plots,
     resolve,
     simulate,
@@ -211,15 +212,18 @@ dress(axes)
 # how the two share the force across.
 
 # %%
-driven = WheelTable.differential(
-    0.5, 0.1, supports=[(0.25, 0), (-0.25, 0)], motor=Motor(torque_limit=6.0), **wheel
-)
+places, limited = [(0.25, 0), (-0.25, 0)], Motor(torque_limit=6.0)
+driven = WheelTable.differential(0.5, 0.1, supports=places, motor=limited, **wheel)
 light = MobileRobot(27.0, 2.3, com=(0, 0, 0.15))
-rolling = WheeledRobot(light, driven).with_parameters(mu=0.4)
-tyres = replace(
-    driven, wheels=[replace(each, friction=Friction(mu=0.4, slip=1e-4)) for each in driven.wheels]
-)
-slippery = WheeledRobot(light, tyres, Coulomb())
+
+
+def on(friction):
+    """Return the table with other tyres."""
+    return WheelTable.differential(0.5, 0.1, supports=places, motor=limited, friction=friction, **wheel)
+
+
+rolling = WheeledRobot(light, on(Friction(mu=0.4)))
+slippery = WheeledRobot(light, on(Friction(mu=0.4, slip=1e-4)), Coulomb())
 
 
 def ellipse(faster):
@@ -276,7 +280,11 @@ plots.friction(turns["1.1 of the limit"], title="1.1 of the limit: force in the 
 
 # %%
 judged = WheeledRobot(light, driven)
-uncertain = {"mu": Uniform(0.2, 0.8), "com_z": Uniform(0.1, 0.2)}
+uncertain = {
+    "left.friction.mu": Uniform(0.2, 0.8),
+    "right.friction.mu": Same("left.friction.mu"),
+    "com.z": Uniform(0.1, 0.2),
+}
 paces = np.array([1.4, 1.6, 1.8, 2.0, 2.2, 2.4, 2.6, 2.8])
 told, did, agreed = [], [], []
 for pace in paces:
@@ -315,7 +323,7 @@ dress(axes)
 # %%
 straight = Tangent(RestToRest((0, 0), (10, 0), duration=20))
 believes = ByOdometry(Backstepping(Tracking(), judged), driven)
-smaller = judged.with_parameters(radius_left=0.099)
+smaller = parts.replace(judged, {"table.wheels.left.radius": 0.099})
 misled = simulate(smaller, believes, straight, dt=0.02, engine=COMPILED)
 aside = misled.q[-1, 1]
 thought = misled.signals["believed_pose"].values[-1]
@@ -333,7 +341,7 @@ fleet = ensemble(
     believes,
     straight,
     n=10_000,
-    spread={"radius_left": Normal(0.1, 0.0005), "radius_right": Normal(0.1, 0.0005)},
+    spread={"left.radius": Normal(0.1, 0.0005), "right.radius": Normal(0.1, 0.0005)},
     dt=0.02,
 )
 shares = {0.5: 0.6745, 0.9: 1.6449, 0.99: 2.5758}  # of a normal distribution: standard deviations

@@ -1,11 +1,12 @@
 """Controllers of robots on wheels on the full dynamics: convergence, engines side by side, refusals."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
+from attrs import evolve
 
 from pinmobile import (
     PD,
@@ -265,7 +266,7 @@ def test_allocated_torques_do_what_the_force_would(robot: WheeledRobot) -> None:
 
 
 def test_limits_hold_allocated_torques() -> None:
-    motors = [replace(wheel, motor=Motor(torque_limit=1.0)) for wheel in MECANUM.table.wheels]
+    motors = [evolve(wheel, motor=Motor(torque_limit=1.0)) for wheel in MECANUM.table.wheels]
     robot = WheeledRobot(BODY, WheelTable(tuple(motors)))
     q, tau = robot.rest, np.array([30.0, 40.0, 1.0])
     (u, left), (scaled, rest) = robot.allocate(q, tau), robot.allocate_scaled(q, tau)
@@ -298,7 +299,7 @@ def test_the_rate_of_independent_velocities_is_what_torques_are_for() -> None:
 def test_odometry_of_the_true_table_is_nearly_the_pose_and_a_smaller_wheel_drifts() -> None:
     law, still = Backstepping(Tracking(), DIFFERENTIAL), 0 * OFF
     table = DIFFERENTIAL.table
-    smaller = replace(table, wheels=(replace(table.wheels[0], radius=0.099), table.wheels[1]))
+    smaller = evolve(table, wheels=(evolve(table.wheels[0], radius=0.099), table.wheels[1]))
     drifts = {}
     for name, controller in {
         "true": ByOdometry(law, table),
@@ -331,7 +332,7 @@ CASES: dict[str, tuple[Any, Any, Any, Any]] = {
         DIFFERENTIAL,
         ByOdometry(ON_TWO, DIFFERENTIAL.table, ticks=2000, noise=0.1),
         EIGHT,
-        {**S, "believed_radius_left": Uniform(0.099, 0.101)},
+        {**S, "controller.table.wheels.left.radius": Uniform(0.099, 0.101)},
     ),
     "noisy": (DIFFERENTIAL, Saturated(NoisyMeasurement(ON_TWO, 1e-3, 1e-3, seed=1), 3.0), EIGHT, S),
 }
@@ -427,7 +428,7 @@ def test_wrong_parts_are_refused_when_they_are_made(make: Any, message: str) -> 
 
 def _one_motor() -> WheeledRobot:
     left = Wheel("left", 0.0, 0.25, 0.1, motor=Motor(), **WHEEL)
-    return WheeledRobot(BODY, WheelTable((left, replace(DIFFERENTIAL.table.wheels[1], motor=None))))
+    return WheeledRobot(BODY, WheelTable((left, evolve(DIFFERENTIAL.table.wheels[1], motor=None))))
 
 
 @pytest.mark.parametrize("engine", [None, COMPILED])

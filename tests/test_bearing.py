@@ -1,11 +1,11 @@
 """What the ground bears under wheels: loads, slip margins, fastest speeds, steepest ramps, what is judged."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from attrs import evolve
 
 from pinmobile import (
     COMPILED,
@@ -18,11 +18,13 @@ from pinmobile import (
     Motion,
     Normal,
     RestToRest,
+    Same,
     Tangent,
     Uniform,
     WholeBody,
     ensemble,
     errors,
+    parts,
     reaction_wrench,
     required_friction,
     simulate,
@@ -298,12 +300,18 @@ def test_ensembles_tell_how_many_would_slip_and_how_many_do() -> None:
     table = WheelTable.differential(0.5, 0.1, supports=[(0.25, 0), (-0.25, 0)], **WHEEL)
     body, path = MobileRobot(27.0, 2.3, com=(0.0, 0.0, 0.15)), Tangent(Circle(2, 0.8, 1))
     robot = WheeledRobot(body, table)
-    spread: Any = {"mu": Uniform(0.1, 0.5), "track": Normal(0.5, 0.002), "com_z": Uniform(0.1, 0.2)}
+    spread: Any = {
+        "left.friction.mu": Uniform(0.1, 0.5),
+        "right.friction.mu": Same("left.friction.mu"),
+        "left.y": Normal(0.25, 0.001),
+        "right.y": Same("left.y", -1.0),
+        "com.z": Uniform(0.1, 0.2),
+    }
     law = Backstepping(Tracking(), robot)
     rolling = ensemble(robot, law, path, n=200, dt=0.005, spread=spread, seed=1)
     slides = rolling.largest("slip margin") < 0
     # With half of the weight on the wheels, v^2 / R = mu g / 2 where it begins.
-    mu = rolling.draws["mu"]
+    mu = rolling.draws["left.friction.mu"]
     assert 0.2 < slides.mean() < 0.8
     assert mu[slides].max() < 1.05 * 2 * 1.6**2 / 2 / G < 1.1 * mu[~slides].min()
     assert rolling.worst(1, by="slip margin")[0] == rolling.largest("slip margin").argmin()
@@ -339,7 +347,7 @@ def test_what_is_not_known_is_refused() -> None:
     with pytest.raises(errors.InvalidArgument, match=r"^reference moves the body by"):
         fastest(robot, Tangent(Circle(2, 0.2, 10)))
     left, right = DIFFERENTIAL.wheels
-    one_motor = WheelTable((left, replace(right, motor=None)), DIFFERENTIAL.supports)
+    one_motor = WheelTable((left, evolve(right, motor=None)), DIFFERENTIAL.supports)
     with pytest.raises(errors.InvalidArgument, match=r"^reference needs a force of"):
         steepest(WheeledRobot(BODY, one_motor))
 
@@ -363,21 +371,17 @@ def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None
 
 def test_other_parameters_are_those_of_another_robot() -> None:
     robot = WheeledRobot(BODY, DIFFERENTIAL)
-    other = robot.with_parameters(track=0.6, mu=0.3, com_z=0.25)
-    np.testing.assert_allclose(other.y, [0.3, -0.3])
+    values = {"left.y": 0.3, "right.y": -0.3, "left.friction.mu": 0.3, "right.friction.mu": 0.3}
+    other = parts.replace(robot, {f"table.wheels.{name}": x for name, x in values.items()})
+    np.testing.assert_array_equal(other.y, [0.3, -0.3])
     np.testing.assert_array_equal(other.mu, [0.3, 0.3])
-    np.testing.assert_allclose(other.upright[0], 0.25)
-    at = moving(other)
-    higher = replace(robot, robot=MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.25)))
     wide = WheelTable(
-        tuple(replace(wheel, y=1.2 * wheel.y) for wheel in DIFFERENTIAL.wheels), DIFFERENTIAL.supports
+        tuple(
+            evolve(wheel, y=y, friction=evolve(wheel.friction, mu=0.3))
+            for wheel, y in zip(DIFFERENTIAL.wheels, (0.3, -0.3), strict=True)
+        ),
+        DIFFERENTIAL.supports,
     )
-    expected = replace(higher, table=wide)
-    np.testing.assert_allclose(
-        contact_loads(at).values, expected.contact_loads(at.q, at.v, at.a).values, rtol=1e-9
-    )
-    assert robot.with_parameters() == robot
-    with pytest.raises(errors.InvalidArgument, match=r"^track is 0, expected > 0$"):
-        robot.with_parameters(track=0.0)
-    with pytest.raises(errors.InvalidArgument, match=r"^upright is that of robots without arms"):
-        WheeledRobot(BODY.mount("ur5"), DIFFERENTIAL).with_parameters(upright=0.3)
+    assert other == WheeledRobot(BODY, wide)
+    with pytest.raises(errors.InvalidArgument, match=r"^radius is -0\.1 m, expected > 0$"):
+        parts.replace(robot, {"table.wheels.left.radius": -0.1})

@@ -1,10 +1,11 @@
 """A UR5 on a Ridgeback follows an end effector's path by the torques of its wheels and joints."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import pi
 
 import numpy as np
 import pytest
+from attrs import evolve
 
 from pinmobile import (
     COMPILED,
@@ -60,8 +61,8 @@ def wall(tmp_path_factory: pytest.TempPathFactory) -> Wall:
     path = tmp_path_factory.mktemp("ridgeback") / "ridgeback.urdf"
     path.write_text(wheeled.ridgeback())
     base = WheeledRobot.from_urdf(path, rollers=pi / 4)
-    wheels = tuple(replace(wheel, friction=ROLLERS) for wheel in base.table.wheels)
-    table = replace(base.table, wheels=wheels)
+    wheels = tuple(evolve(wheel, friction=ROLLERS) for wheel in base.table.wheels)
+    table = evolve(base.table, wheels=wheels)
     robot = WheeledRobot(base.robot, table).mount("ur5", at=(0.2, 0, 0.31, 0))
     hand, t = robot.robot.frame_pose(BENT), np.linspace(0, DURATION, 41)
     s = t / DURATION

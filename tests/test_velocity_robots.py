@@ -1,13 +1,13 @@
 """Robots that take speeds for commands: their law, what it follows from, and loops around them."""
 
 import pickle
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 import sympy
+from attrs import evolve
 
 from pinmobile import (
     COMPILED,
@@ -31,6 +31,7 @@ from pinmobile import (
     WheelSpeed,
     WheelTable,
     ensemble,
+    parts,
     rk4,
     simulate,
 )
@@ -150,9 +151,8 @@ def test_accelerations_and_commands_are_limited() -> None:
     rates = np.diff(robot.independent(run.q, run.v), axis=0) / 0.02
     # Within a step rk4 leaves the circle on which the body turns by (w h)^5 / 120.
     assert np.abs(rates).max(axis=0) == pytest.approx([0.8, 1.5], rel=1e-7)
-    names = [one.name for one in robot.parameters]
-    assert names[-2:] == ["acceleration", "yaw_acceleration"]
-    assert "acceleration" not in [one.name for one in VelocityRobot(THETA).parameters]
+    found = parts.find(robot, "yaw_acceleration")
+    assert (found.path, found.unit) == ("accelerations.yaw_acceleration", "rad/s^2")
 
 
 @pytest.mark.parametrize("x", [0.0, -0.1])
@@ -162,7 +162,7 @@ def test_theta_of_motors_is_the_reduced_dynamics_of_the_wheeled_robot(
     x: float, kd: float, efficiency: float
 ) -> None:
     """M nu' + n = B torques, by Pinocchio's tree, with the motors' and the firmware's law solved for nu'."""
-    motor = replace(MOTOR, efficiency=efficiency)
+    motor = evolve(MOTOR, efficiency=efficiency)
     wheeled = on_wheels(x, motor)
     robot = VelocityRobot.from_motors(wheeled.by_voltage() if x else wheeled, KP, kd)
     rng, G, R = np.random.default_rng(3), motor.gear, float(motor.resistance or 0)
@@ -199,7 +199,7 @@ def test_theta_of_motors_is_what_the_wheeled_robot_does() -> None:
 
 
 def test_what_theta_cannot_hold_is_told() -> None:
-    motor = replace(MOTOR, coulomb=0.01, current=10.0)
+    motor = evolve(MOTOR, coulomb=0.01, current=10.0)
     robot = VelocityRobot.from_motors(on_wheels(motor=motor, com=(0.06, 0.02, 0.2)), KP)
     for word in ("dry friction", "limits of 1000 V and 10 A", "centre of mass 0.02 m aside"):
         assert word in robot.source
@@ -223,8 +223,8 @@ def test_physics_leaves_its_mark_on_theta() -> None:
     [
         (lambda: VelocityRobot([1.0, 1.0]), r"theta has shape \(2,\), expected \(6,\)"),
         (lambda: VelocityRobot((-1.0, *THETA[1:])), r"theta\[0\] is -1.0 s, expected > 0"),
-        (lambda: VelocityRobot(THETA, limits=(1.0, -1.0)), "limits is .*, expected one number > 0, or two"),
-        (lambda: VelocityRobot(THETA, accelerations=[1, 1, 1]), "accelerations is .*, or two"),
+        (lambda: VelocityRobot(THETA, limits=(1.0, -1.0)), "limits is .*, expected > 0"),
+        (lambda: VelocityRobot(THETA, accelerations=[1, 1, 1]), "accelerations has shape"),
         (lambda: VelocityRobot.from_motors(MobileRobot.box(), 1.0), "expected a WheeledRobot"),  # type: ignore[arg-type]
         (lambda: VelocityRobot.from_motors(on_wheels(), 0.0), "kp is 0.0 V s/rad, expected > 0"),
         (lambda: VelocityRobot.from_motors(on_wheels(motor=Motor(torque_limit=3.0)), 1.0), "take no volts"),
@@ -318,14 +318,14 @@ def test_published_robots_say_where_they_come_from_and_what_they_break() -> None
 
 def test_it_is_one_value() -> None:
     robot = VelocityRobot(THETA, ahead=0.1, limits=(0.8, np.inf), accelerations=1.0, source="a test")
-    for twin in (pickle.loads(pickle.dumps(robot)), replace(robot), VelocityRobot(**vars_of(robot))):
+    for twin in (pickle.loads(pickle.dumps(robot)), evolve(robot), VelocityRobot(**vars_of(robot))):
         assert twin == robot
         assert hash(twin) == hash(robot)
     assert repr(robot) == (
         "VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], ahead=0.1, limits=(0.8, np.inf), "
         "accelerations=(1, 1))"
     )
-    assert eval(repr(robot)) == replace(robot, source="")
+    assert eval(repr(robot)) == evolve(robot, source="")
     assert robot != VelocityRobot(THETA)
     assert not robot.theta.flags.writeable
     drive = Mobility.of(WheelTable.differential(0.5, 0.1))

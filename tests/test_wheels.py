@@ -320,7 +320,7 @@ def test_pickled_it_is_the_same_robot(kind: str) -> None:
             lambda: WheeledRobot(MobileRobot(1.5, 1.0), DIFFERENTIAL),
             "robot has a mass of 1.5 kg, and its wheels 2 kg",
         ),
-        (lambda: Wheel("a", 0, 0, 0.0), "radius of wheel 'a' is 0"),
+        (lambda: Wheel("a", 0, 0, 0.0), "radius is 0"),
         (lambda: Wheel("a", 0, 0, 0.1, roller=np.pi / 2), "roller of wheel 'a' is 1.5708 rad, expected less"),
         (
             lambda: WheelTable((Wheel("a", 0, 0, 0.1), Wheel("b", 0, 0, 0.2))),

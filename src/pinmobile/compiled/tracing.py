@@ -17,10 +17,10 @@ import numpy as np
 
 from pinmobile.compiled.functions import constructors
 from pinmobile.errors import NotTraceable
+from pinmobile.parts._fields import _tracing as _local
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _lock = threading.RLock()
-_local = threading.local()
 _HERE = str(Path(__file__).parent)
 _OURS = (_HERE, str(Path(np.__file__).parent), "<__array_function__", "<frozen")
 _MACHINERY = "pinmobile.compiled.", "pinmobile.loop._trace", "pinmobile.loop._identity"

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, final
 
 import numpy as np
 
+from pinmobile import parts
 from pinmobile.arrays import Array, frozen, scalar, seeded, whole
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import JointFriction, RollingResistance, ViscousFriction
@@ -20,6 +21,7 @@ from pinmobile.identification.output_error import OutputError, Segments
 from pinmobile.identification.prediction import POSE, Prediction
 from pinmobile.identification.slippage import Slippage
 from pinmobile.identification.whiteness import Whiteness
+from pinmobile.parts import evolved
 from pinmobile.robot import MobileRobot
 from pinmobile.urdf import Body
 
@@ -361,12 +363,13 @@ class Identification:
         if not self.chassis.wheels:
             return new
         wheeled = getattr(self.prior, "wheeled", self.prior)
-        made = replace(wheeled, robot=new)
+        made = evolved(wheeled, {"robot": new})
         if wheeled is self.prior:
             return made
         driven = made.by_voltage()
         if self.chassis.scaled:
-            driven = driven.with_parameters(torque_constant=self.torque_constants)
+            constants = zip(driven.motor_paths, self.torque_constants, strict=True)
+            driven = parts.replace(driven, {f"{path}.torque_constant": k for path, k in constants})
         return driven
 
     @property

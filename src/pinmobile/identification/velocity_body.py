@@ -1,4 +1,4 @@
-"""`VelocityBody`: the law of a robot that takes speeds for commands, for one state, many, or symbols.
+"""`VelocityDynamics`: the law of a robot that takes speeds for commands, for one state, many, or symbols.
 
 It is what a `VelocityRobot` is to loops of any engine.
 """
@@ -11,7 +11,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from pinmobile.arrays import wrap_angle
-from pinmobile.plant import Coordinate, Input, Parameter
+from pinmobile.plant import Coordinate, Input
 
 THETA: tuple[tuple[str, str, str], ...] = (
     ("theta_1", "s", "inertia of the speed, over the gain of its loop"),
@@ -25,33 +25,10 @@ THETA: tuple[tuple[str, str, str], ...] = (
 
 ABOVE_ZERO = 0, 1, 3, 5  # without inertia there is no law, and without losses speeds grow by themselves
 
-PARAMETERS: tuple[Parameter, ...] = (
-    *(
-        Parameter(
-            *(name, unit, meaning),
-            least=0.0 if k in ABOVE_ZERO else -np.inf,
-            may_vanish=k not in ABOVE_ZERO,
-            attribute="theta",
-            entry=k,
-        )
-        for k, (name, unit, meaning) in enumerate(THETA)
-    ),
-    Parameter("ahead", "m", "how far the body's origin is ahead of the axle"),
-)
-"""Of every such robot."""
-
-ACCELERATIONS: tuple[Parameter, ...] = tuple(
-    Parameter(name, unit, meaning, 0.0, may_vanish=False, attribute="accelerations", entry=k)
-    for k, (name, unit, meaning) in enumerate(
-        (("acceleration", "m/s^2", "largest |u'|"), ("yaw_acceleration", "rad/s^2", "largest |w'|"))
-    )
-)
-"""Of one whose firmware limits them."""
-
 
 @final
 @dataclass(frozen=True, eq=False)
-class VelocityBody:
+class VelocityDynamics:
     """A robot that takes speeds for commands, for one state, many, or symbols, unchecked.
 
     Parameters
@@ -62,7 +39,7 @@ class VelocityBody:
         How far the body's origin is ahead of the axle [m].
     accelerations : ndarray, shape (..., 2)
         Largest |u'| and |w'| [m/s^2, rad/s^2].
-    inputs, parameters
+    inputs : tuple of Input
         As of a plant.
     """
 
@@ -70,7 +47,6 @@ class VelocityBody:
     ahead: Any
     accelerations: Any
     inputs: tuple[Input, ...]
-    parameters: tuple[Parameter, ...]
 
     nq: ClassVar[int] = 3
     nv: ClassVar[int] = 3

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification.log import Samples
-from pinmobile.identification.velocity_body import ABOVE_ZERO, VelocityBody
+from pinmobile.identification.velocity_body import ABOVE_ZERO, VelocityDynamics
 
 _WINDOW = 0.8  # [s] of the weak form that gives a start
 _LEAST_WINDOW = 8  # samples of it
@@ -170,7 +170,7 @@ class Model:
     def _simulated(
         self, cuts: Segments, theta: Array, delay: Array, ahead: Array, most: Array, start: Array
     ) -> Array:
-        body = VelocityBody(theta[:, None], ahead[:, None], most[:, None], (), ())
+        body = VelocityDynamics(theta[:, None], ahead[:, None], most[:, None], ())
         whole = np.floor(delay).astype(int)
         share = (delay - whole)[:, None, None]
         fastest = (theta[:, [3, 5]] / theta[:, [0, 1]]).max()
@@ -193,7 +193,7 @@ class Model:
 _LIMITS = "acceleration", "yaw_acceleration"
 
 
-def _advanced(body: VelocityBody, z: Array, u: Array, span: Array | float, steps: int) -> Array:
+def _advanced(body: VelocityDynamics, z: Array, u: Array, span: Array | float, steps: int) -> Array:
     """Return the states a span later, shape (K, S, n), by Runge's and Kutta's fourth order."""
     h = span / steps
     pose = z.shape[-1] > 2

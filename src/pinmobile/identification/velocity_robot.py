@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, final
 
+import attrs
 import numpy as np
 import pinocchio as pin
 
@@ -22,14 +22,26 @@ from pinmobile.arrays import (
     lengths,
     non_negative,
     positive,
-    scalar,
     text,
     vector,
 )
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.identification.velocity_body import ABOVE_ZERO, ACCELERATIONS, PARAMETERS, THETA, VelocityBody
+from pinmobile.identification.velocity_body import ABOVE_ZERO, THETA, VelocityDynamics
 from pinmobile.integrators import rk4
-from pinmobile.plant import Coordinate, Input, Parameter
+from pinmobile.parts import (
+    Number,
+    also_symbols,
+    array,
+    by_value,
+    declare,
+    holds_symbols,
+    is_symbolic,
+    number,
+    option,
+    part,
+    structure,
+)
+from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import MobileRobot
 from pinmobile.wheels import ByVoltage, Reduced, WheeledRobot, WheelTable
 
@@ -50,8 +62,24 @@ class Mobile(NamedTuple):
     steerability: int = 0
 
 
+@attrs.frozen
+class _Pair(Number):
+    """Declaration of two numbers, of which one may stand for both."""
+
+    def checked(self, name: str, value: Any) -> Any:
+        """Return a read-only array of two."""
+        found = super().checked(name, value)
+        return found if is_symbolic(found) else frozen(np.broadcast_to(found, (2,)))
+
+
+def _pair(doc: str, unit: str, labels: tuple[str, str], *, fixed: bool) -> Any:
+    shapes: Any = (), (2,)
+    return declare(_Pair(doc, unit, above=0, shapes=shapes, labels=labels, fixed=fixed, endless=True), np.inf)
+
+
 @final
-@dataclass(frozen=True, init=False, eq=False, repr=False)
+@part
+@by_value
 class VelocityRobot:
     """A base on two driven wheels whose input is the speed and the yaw rate that it should have.
 
@@ -88,12 +116,21 @@ class VelocityRobot:
         If a number is not finite or not in its range, or an array has another shape.
     """
 
-    theta: Array
-    ahead: float
-    limits: Array
-    accelerations: Array
-    size: tuple[float, float, float]
-    source: str
+    theta: Array = array(
+        shapes=((len(THETA),),),
+        unit=", ".join(unit for _, unit, _ in THETA),
+        labels=tuple(name for name, _, _ in THETA),
+        doc="how late the firmware is",
+    )
+    ahead: float = number(default=0.0, unit="m", doc="how far the body's origin is ahead of the axle")
+    limits: Array = _pair("largest commands", "m/s, rad/s", ("speed", "yaw_rate"), fixed=True)
+    accelerations: Array = _pair(
+        "largest |u'| and |w'|", "m/s^2, rad/s^2", ("acceleration", "yaw_acceleration"), fixed=False
+    )
+    size: tuple[float, float, float] = option(
+        default=(0.45, 0.38, 0.25), check=lambda name, value: tuple(lengths(value).tolist())
+    )
+    source: str = option(default="", check=text)
 
     nq: ClassVar[int] = 3
     nv: ClassVar[int] = 3
@@ -101,35 +138,15 @@ class VelocityRobot:
     broadcasts: ClassVar[bool] = True
     compiles: ClassVar[bool] = True
     integrator: ClassVar[Any] = rk4
-    coordinates: ClassVar[tuple[Coordinate, ...]] = VelocityBody.coordinates
+    coordinates: ClassVar[tuple[Coordinate, ...]] = VelocityDynamics.coordinates
     leading: ClassVar[Mapping[int, int]] = MappingProxyType({3: 3})
     mobility: ClassVar[Mobile] = Mobile()
     rest: ClassVar[Array] = frozen(np.zeros(3))
 
-    def __init__(
-        self,
-        theta: ArrayLike,
-        ahead: float = 0.0,
-        limits: ArrayLike = np.inf,
-        accelerations: ArrayLike = np.inf,
-        size: ArrayLike = (0.45, 0.38, 0.25),
-        source: str = "",
-    ) -> None:
-        numbers = finite("theta", theta)
-        if numbers.shape != (len(THETA),):
-            raise InvalidArgument(f"theta has shape {numbers.shape}, expected ({len(THETA)},)")
+    def check(self) -> None:
+        """Raise `InvalidArgument` where a number of theta that has to be above zero is not."""
         for k in ABOVE_ZERO:
-            positive(f"theta[{k}]", numbers[k], THETA[k][1])
-        new = {
-            "theta": frozen(numbers),
-            "ahead": scalar("ahead", ahead),
-            "limits": limits_of("limits", limits),
-            "accelerations": limits_of("accelerations", accelerations),
-            "size": tuple(lengths(size).tolist()),
-            "source": text("source", source),
-        }
-        for name, value in new.items():
-            object.__setattr__(self, name, value)
+            positive(f"theta[{k}]", self.theta[k], THETA[k][1])
 
     @classmethod
     def from_motors(
@@ -172,7 +189,7 @@ class VelocityRobot:
         if not isinstance(robot, WheeledRobot):
             raise InvalidArgument(f"wheeled is {shown(wheeled)}, expected a WheeledRobot")
         kp, kd = positive("kp", kp, "V s/rad"), non_negative("kd", kd, "V s^2/rad")
-        wheel, motor, d = _pair(robot)
+        wheel, motor, d = _pair_of(robot)
         base, r = robot.robot, wheel.radius
         com_x, com_y = float(base.com[0]), float(base.com[1])
         m, b = base.mass, com_x - wheel.x
@@ -200,16 +217,6 @@ class VelocityRobot:
         said = f"motors of a WheeledRobot, gains kp = {kp:g}, kd = {kd:g}; left out: {', '.join(left)}"
         return cls(np.array(theta), **{"ahead": -wheel.x, "size": base.size, "source": said, **others})
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, VelocityRobot) and self._key() == other._key()
-
-    def __hash__(self) -> int:
-        return hash(self._key())
-
-    def _key(self) -> tuple[object, ...]:
-        arrays = (self.theta, self.limits, self.accelerations)
-        return *(tuple(x.tolist()) for x in arrays), self.ahead, self.size, self.source
-
     def __repr__(self) -> str:
         given = [f"[{', '.join(f'{x:.10g}' for x in self.theta)}]"]
         given += [f"ahead={self.ahead:g}"] if self.ahead else []
@@ -220,21 +227,11 @@ class VelocityRobot:
         ]
         return f"VelocityRobot({', '.join(given)})"
 
-    def __reduce__(self) -> tuple[object, ...]:
-        own = self.theta, self.ahead, self.limits, self.accelerations, self.size, self.source
-        return VelocityRobot, own
-
-    @cached_property
+    @structure
     def inputs(self) -> tuple[Input, ...]:
         """The commands: speed and yaw rate."""
         named = ("speed command", "m/s"), ("yaw rate command", "rad/s")
         return tuple(Input(*x, -float(most), float(most)) for x, most in zip(named, self.limits, strict=True))
-
-    @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """What an ensemble may spread: theta, where the axle is, and limits of acceleration, if any."""
-        limited = (one for one, most in zip(ACCELERATIONS, self.accelerations, strict=True) if most < np.inf)
-        return *PARAMETERS, *limited
 
     @property
     def time_constants(self) -> tuple[float, float]:
@@ -259,43 +256,55 @@ class VelocityRobot:
         return tuple(found)
 
     @cached_property
-    def _law(self) -> VelocityBody:
-        return VelocityBody(self.theta, self.ahead, self.accelerations, self.inputs, self.parameters)
+    def array_dynamics(self) -> VelocityDynamics:
+        """Its dynamics for one state, many, or symbols, unchecked."""
+        return VelocityDynamics(self.theta, self.ahead, self.accelerations, self.inputs)
 
-    def traced(self) -> VelocityBody:
-        """Return its law over symbols or arrays."""
-        return self._law
+    @cached_property
+    def law(self) -> Any:
+        """What a loop calls: itself, or its `array_dynamics` where it holds symbols."""
+        return self.array_dynamics if holds_symbols(self) else self
+
+    def traced(self) -> VelocityDynamics:
+        """Return its `array_dynamics`."""
+        return self.array_dynamics
 
     @property
-    def axle(self) -> Array:
+    def axle(self) -> Any:
         """Coefficients of the body twist in the velocity across the wheels, which is zero, shape (3,)."""
-        return np.asarray(self._law.axle)
+        return self.array_dynamics.axle
 
     # Kinematics
 
+    @also_symbols
     @in_numbers
     def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
         """Return the configuration that the displacement `dq` leads to from `q`, shape (..., 3)."""
-        return np.asarray(self._law.integrate(*_three(q=q, dq=dq)))
+        return np.asarray(self.array_dynamics.integrate(*_three(q=q, dq=dq)))
 
+    @also_symbols
     @in_numbers
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
         """Return the displacement from `q0` to `q1`, shape (..., 3); that of psi lies in (-pi, pi]."""
-        return np.asarray(self._law.difference(*_three(q0=q0, q1=q1)))
+        return np.asarray(self.array_dynamics.difference(*_three(q0=q0, q1=q1)))
 
+    @also_symbols
     def pose(self, q: ArrayLike) -> Array:
         """Return x, y, psi, shape (..., 3) [m, m, rad]."""
         return vector("q", q, 3)
 
+    @also_symbols
     def rate(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return the rates of x, y, psi, shape (..., 3) [m/s, m/s, rad/s]."""
         return _three(q=q, v=v)[1]
 
+    @also_symbols
     @in_numbers
     def independent(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return speed along the wheels and yaw rate, shape (..., 2) [m/s, rad/s]."""
-        return np.asarray(self._law.independent(*_three(q=q, v=v)))
+        return np.asarray(self.array_dynamics.independent(*_three(q=q, v=v)))
 
+    @also_symbols
     @in_numbers
     def rolling(self, q: ArrayLike, nu: ArrayLike) -> Array:
         """Return v of a speed and a yaw rate, shape (..., 3) [m/s, m/s, rad/s].
@@ -307,12 +316,13 @@ class VelocityRobot:
         """
         q, nu = vector("q", q, 3), vector("nu", nu, 2)
         broadcast(q=q, nu=nu)
-        return np.asarray(self._law.rolling(q, nu))
+        return np.asarray(self.array_dynamics.rolling(q, nu))
 
+    @also_symbols
     @in_numbers
     def project(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return the velocity that rolling leaves, shape (..., 3)."""
-        return np.asarray(self._law.project(*_three(q=q, v=v)))
+        return np.asarray(self.array_dynamics.project(*_three(q=q, v=v)))
 
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return the q and v with which a reference begins, shape (3,); what moves sideways is left out."""
@@ -341,6 +351,7 @@ class VelocityRobot:
 
     # Dynamics
 
+    @also_symbols
     @in_numbers
     def rates(self, nu: ArrayLike, u: ArrayLike) -> Array:
         """Return the rates of speed and yaw rate, shape (..., 2) [m/s^2, rad/s^2].
@@ -354,8 +365,9 @@ class VelocityRobot:
         """
         nu, u = vector("nu", nu, 2), vector("u", u, 2)
         broadcast(nu=nu, u=u)
-        return np.asarray(self._law.rates(nu, u))
+        return np.asarray(self.array_dynamics.rates(nu, u))
 
+    @also_symbols
     @in_numbers
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Array:
         """Return the acceleration, shape (..., 3) [m/s^2, m/s^2, rad/s^2].
@@ -380,8 +392,9 @@ class VelocityRobot:
             raise InvalidArgument(
                 f"f is {shown(f)}, expected none: what firmware does about a force, theta does not tell"
             )
-        return np.asarray(self._law.forward_dynamics(q, v, u))
+        return np.asarray(self.array_dynamics.forward_dynamics(q, v, u))
 
+    @also_symbols
     @in_numbers
     def commands(self, q: ArrayLike, v: ArrayLike, rates: ArrayLike) -> Array:
         """Return the input at which speed and yaw rate change as wanted, shape (..., 2) [m/s, rad/s].
@@ -398,7 +411,7 @@ class VelocityRobot:
         """
         (q, v), rates = _three(q=q, v=v), vector("rates", rates, 2)
         broadcast(q=q, v=v, rates=rates)
-        return np.asarray(self._law.commands(q, v, rates))
+        return np.asarray(self.array_dynamics.commands(q, v, rates))
 
     @in_numbers
     def regressor(self, q: ArrayLike, v: ArrayLike, rates: ArrayLike) -> Array:
@@ -411,7 +424,7 @@ class VelocityRobot:
         """
         (q, v), rates = _three(q=q, v=v), vector("rates", rates, 2)
         broadcast(q=q, v=v, rates=rates)
-        nu = self._law.independent(q, v)
+        nu = self.array_dynamics.independent(q, v)
         parts = np.broadcast_arrays(nu[..., 0], nu[..., 1], rates[..., 0], rates[..., 1])
         u, w, faster, turning = parts
         zero = np.zeros(u.shape)
@@ -425,11 +438,13 @@ class VelocityRobot:
         M is diag(theta_1, theta_2) [s]. Limits of acceleration are not in it.
         """
         q, v = _three(q=q, v=v)
-        nu = self._law.independent(q, v)
+        nu = self.array_dynamics.independent(q, v)
         lead = nu.shape[:-1]
         M, B = (np.broadcast_to(x, (*lead, 2, 2)) for x in (np.diag(self.theta[:2]), np.eye(2)))
-        ways = (np.broadcast_to(self._law.rolling(q, way), (*lead, 3)) for way in np.eye(2))
-        return Reduced(M, self._law.commands(q, v, np.zeros(2)), B, np.stack(list(ways), axis=-1), nu)
+        ways = (np.broadcast_to(self.array_dynamics.rolling(q, way), (*lead, 3)) for way in np.eye(2))
+        return Reduced(
+            M, self.array_dynamics.commands(q, v, np.zeros(2)), B, np.stack(list(ways), axis=-1), nu
+        )
 
     # What is drawn
 
@@ -469,7 +484,7 @@ def _three(**arrays: ArrayLike) -> tuple[Array, Array]:
     return one, other
 
 
-def _pair(robot: WheeledRobot) -> tuple[Any, Any, float]:
+def _pair_of(robot: WheeledRobot) -> tuple[Any, Any, float]:
     """Return a wheel, a motor and the track of a robot on two driven wheels that are alike."""
     table = robot.table
     if robot.robot.nv > 3 or table.axes or table.couplings or len(table) != 2 or len(table.actuators) != 2:

@@ -79,7 +79,8 @@ class Identity:
     def _leaf(self, leaf: Leaf, spread: Mapping[str, Any]) -> Hashable:
         if isinstance(leaf.declared, Number) and not leaf.declared.fixed and leaf.value is not None:
             varies = spread.get(leaf.path)
-            matters = np.asarray(leaf.value) != 0.0 if varies is None else varies | (leaf.value != 0.0)
+            matters = np.asarray(leaf.value) != leaf.declared.neutral
+            matters = matters if varies is None else matters | varies
             return leaf.path, np.shape(leaf.value), varies is not None, np.asarray(matters).tobytes()
         return leaf.path, self._value(leaf.value)
 

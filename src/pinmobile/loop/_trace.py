@@ -323,15 +323,18 @@ class _Pass:
         )
 
     def _symbolic(self) -> dict[str, Symbols]:
-        """Return symbols of the numbers, by path; entries that are zero for all robots are known."""
+        """Return symbols of the numbers, by path; entries that are neutral for all robots are known."""
         found = {}
-        for path, value in self.trace.values.items():
+        for path, leaf in numbers(self.trace.loop).items():
+            if not is_traced(path):
+                continue
+            value, neutral = self.trace.values[path], leaf.declared.neutral  # type: ignore[attr-defined]
             varies = self.trace.spread.get(path)
             kind = "uniform" if varies is None else "row"
             self.parameters[path] = Leaf("parameter", path, value.shape, self.next[kind], kind)
             nodes = entries(self._new(kind, value.shape)).reshape(-1)
-            zero = (value == 0.0) if varies is None else (value == 0.0) & ~varies
-            known = [0.0 if none else node for none, node in zip(zero.reshape(-1), nodes, strict=True)]
+            same = (value == neutral) if varies is None else (value == neutral) & ~varies
+            known = [neutral if one else node for one, node in zip(same.reshape(-1), nodes, strict=True)]
             found[path] = symbols(known, value.shape)
         return found
 

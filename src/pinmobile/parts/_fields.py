@@ -13,10 +13,11 @@ import attrs
 import numpy as np
 
 from pinmobile.arrays import endless_or_finite, finite, frozen, whole as checked_whole
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, NotTraceable, shown
 from pinmobile.parts._capabilities import meaning, offers
 
 _T = TypeVar("_T")
+_Method = TypeVar("_Method", bound=Callable[..., Any])
 _Shape = tuple[int | str, ...]
 _tracing = threading.local()  # `depth` > 0 in a thread that runs laws on symbols
 
@@ -24,6 +25,34 @@ _tracing = threading.local()  # `depth` > 0 in a thread that runs laws on symbol
 def is_symbolic(value: object) -> bool:
     """Tell whether a value is a symbol of a law that is being compiled."""
     return getattr(type(value), "is_symbolic", False)
+
+
+def holds_symbols(value: object) -> bool:
+    """Tell whether a value is a symbol, a part that holds symbols, or several of which one is."""
+    if isinstance(value, tuple | list):
+        return any(map(holds_symbols, value))
+    if isinstance(value, Mapping):
+        return any(map(holds_symbols, value.values()))
+    return is_symbolic(value) or "nominal" in getattr(value, "__dict__", ())
+
+
+def also_symbols(method: _Method) -> _Method:
+    """Let a method of a part answer by its `array_dynamics` where an argument or a field is a symbol."""
+    name = method.__name__
+
+    @functools.wraps(method)
+    def run(self: Any, *given: Any, **named: Any) -> Any:
+        if not ("nominal" in vars(self) or any(map(is_symbolic, (*given, *named.values())))):
+            return method(self, *given, **named)
+        law = self.array_dynamics
+        if not hasattr(law, name):
+            raise NotTraceable(
+                f"{name} of a {type(self).__name__}, which takes numbers alone",
+                f"write the law by the methods of {type(law).__name__}",
+            )
+        return getattr(law, name)(*given, **named)
+
+    return run  # type: ignore[return-value]
 
 
 class structure(functools.cached_property[_T]):
@@ -75,6 +104,9 @@ class Number(Field):
     size : function of the part, optional
         Returns how many entries there are: what has another number is refused, and one number becomes an
         array of them, unless a matrix may take its place.
+    neutral : float
+        Value that leaves the number out of the law where all robots have it: the compiled loop takes it for a
+        constant.
     """
 
     unit: str = ""
@@ -87,6 +119,7 @@ class Number(Field):
     endless: bool = False
     optional: bool = False
     size: Callable[[Any], int] | None = None
+    neutral: float = 0.0
 
     @property
     def bound(self) -> str:
@@ -229,10 +262,22 @@ def number(
     fixed: bool = False,
     endless: bool = False,
     optional: bool = False,
+    neutral: float = 0.0,
 ) -> Any:
     """Declare a number: see `Number`."""
-    bounds = above, lower, upper
-    return declare(Number(doc, unit, *bounds, fixed=fixed, endless=endless, optional=optional), default)
+    default = None if optional and default is attrs.NOTHING else default
+    declared = Number(
+        doc,
+        unit,
+        above,
+        lower,
+        upper,
+        fixed=fixed,
+        endless=endless,
+        optional=optional,
+        neutral=neutral,
+    )
+    return declare(declared, default)
 
 
 def array(
@@ -342,8 +387,7 @@ def part(cls: type[_T]) -> type[_T]:
     if checks is not None and len(inspect.signature(checks).parameters) == 1:
 
         def check(self: Any) -> None:
-            values = vars(self).values()  # a part with symbols, and so what holds it, has a nominal one
-            if not any(is_symbolic(x) or "nominal" in getattr(x, "__dict__", ()) for x in values):
+            if not any(map(holds_symbols, vars(self).values())):
                 self.check()
 
         cls.__attrs_post_init__ = check  # type: ignore[attr-defined]
@@ -359,6 +403,24 @@ def _shallow(part: _T) -> _T:
     new = object.__new__(type(part))
     vars(new).update(vars(part))
     return new
+
+
+def by_value(cls: type[_T]) -> type[_T]:
+    """Let parts of a class be equal where their fields are, but for those declared with ``eq=False``."""
+
+    def key(self: Any) -> tuple[Any, ...]:
+        return tuple(_comparable(getattr(self, f.name)) for f in attrs.fields(type(self)) if f.eq)
+
+    def same(self: Any, other: object) -> bool:
+        return type(other) is type(self) and key(self) == key(other)
+
+    cls.__eq__ = same  # type: ignore[assignment]
+    cls.__hash__ = lambda self: hash((type(self), key(self)))  # type: ignore[method-assign]
+    return cls
+
+
+def _comparable(value: Any) -> Any:
+    return (value.shape, *value.ravel().tolist()) if isinstance(value, np.ndarray) else value
 
 
 def _initial(part: Any) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -12,6 +11,7 @@ from pinmobile import closed_form
 from pinmobile.arrays import Array
 from pinmobile.compiled import Batched, Cache
 from pinmobile.errors import InvalidArgument, NotTraceable
+from pinmobile.parts import evolved
 from pinmobile.plant import Step
 from pinmobile.verification.wheel_bodies import WheelBodies
 from pinmobile.wheels import Ackermann, Coulomb, WheeledRobot
@@ -269,7 +269,9 @@ def _slipping(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> t
     ground = wheeled.ground
     if not isinstance(ground, Coulomb):
         raise InvalidArgument(f"ground is {ground!r}, expected one on which a step can be compared")
-    robot = WheeledRobot(wheeled.robot, wheeled.table, replace(ground, sweeps=_SWEEPS, tolerance=_TOLERANCE))
+    robot = WheeledRobot(
+        wheeled.robot, wheeled.table, evolved(ground, {"sweeps": _SWEEPS, "tolerance": _TOLERANCE})
+    )
     q, v, u, f = _states(robot, states, rng)
     trains = WheelBodies(robot, q, v).trains()
     v = v - v @ np.linalg.pinv(trains) @ trains  # wheels on a train turn together from the start

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, in_numbers, vector
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.measures import Measure
+from pinmobile.parts import also_symbols, evolved
 from pinmobile.plant import ContactLoads, Contacts, SlipMargins
 from pinmobile.wheels.following import Following, carried, told
 from pinmobile.wheels.ground import Ramp
@@ -38,7 +38,7 @@ class Bearing:
     def mount_wrench(self: Any, q: ArrayLike, v: ArrayLike, a: ArrayLike, mount: str | None = None) -> Array:
         """Return the wrench of an arm on the body at its mount, (..., 6): see `MobileRobot.mount_wrench`."""
         at, rate, faster = self._moving(q, v, a)
-        n, slack = self.robot.nv, self._traced._slack
+        n, slack = self.robot.nv, self.array_dynamics._slack
         at, rate, faster = at[..., :n], rate[..., :n], faster[..., :n].copy()
         faster[..., :2] -= self._fall[:2]  # gravity in the plane is as if the plane accelerated against it
         found = np.asarray(self.robot.mount_wrench(at, rate, faster, mount))
@@ -54,7 +54,7 @@ class Bearing:
 
     def _felt(self: Any, q: Array, v: Array, a: Array) -> tuple[Any, list[Any]]:
         """Return the state, and accelerations along the body's axes less gravity in the plane."""
-        body = self._traced
+        body = self.array_dynamics
         state, c, s = body.state(q, v), np.cos(q[..., 2]), np.sin(q[..., 2])
         along = [c * a[..., 0] + s * a[..., 1], c * a[..., 1] - s * a[..., 0]]
         return state, body.felt(state, [*along, *np.moveaxis(a[..., 2:], -1, 0)])
@@ -65,7 +65,7 @@ class Bearing:
                 "robot does not tell how high it is above the ground, on which the loads of its wheels "
                 "depend; expected one read with ground="
             )
-        self._check_places()
+        self.check_area()
 
     @in_numbers
     def contact_loads(self: Any, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> ContactLoads:
@@ -81,7 +81,7 @@ class Bearing:
         self._check_stands()
         at, rate, faster = self._moving(q, v, a)
         state, felt = self._felt(at, rate, faster)
-        return carried(self._traced, state, felt, at, at.shape[:-1])
+        return carried(self.array_dynamics, state, felt, at, at.shape[:-1])
 
     def slip_margins(self: Any, motion: Any) -> SlipMargins:
         """Return the friction that each wheel, or axle, has left before it slips.
@@ -98,9 +98,9 @@ class Bearing:
             With q, v, a and u.
         """
         self._check_stands()
-        if self.ground.slips:
+        if not self._rolls_ideally:
             return self._recorded_margins(motion)  # type: ignore[no-any-return]
-        body = self._traced
+        body = self.array_dynamics
         if not body.groups:
             raise InvalidArgument(
                 "robot has wheels on a gear train, which share what it transmits, so rolling does not tell "
@@ -165,7 +165,11 @@ class Bearing:
         angle, direction : float
             As of `Ramp` [rad].
         """
-        return type(self)(self.robot, self.table, replace(self.ground, ramp=Ramp(angle, direction)))
+        if not hasattr(self.ground, "ramp"):
+            raise InvalidArgument(
+                f"ground is {shown(self.ground)}, which has no ramp, expected Rolling() or Coulomb()"
+            )
+        return type(self)(self.robot, self.table, evolved(self.ground, {"ramp": Ramp(angle, direction)}))
 
     @property
     def measures(self: Any) -> tuple[Measure, ...]:
@@ -176,8 +180,9 @@ class Bearing:
         limits, the largest torque of what motors allow; with arms, what is judged of these, see
         `MobileRobot.measures`.
         """
-        return self._traced.measures  # type: ignore[no-any-return]
+        return self.array_dynamics.measures  # type: ignore[no-any-return]
 
+    @also_symbols
     def measured(
         self: Any, t: ArrayLike, q: ArrayLike, v: ArrayLike, a: ArrayLike, u: ArrayLike, reference: Any
     ) -> Array:
@@ -202,6 +207,6 @@ class Bearing:
         lead = broadcast(**state, **{"reference.q": desired})
         q, v, a, u, desired = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (*state.values(), desired))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            found = np.asarray(self._traced.measured(t, q, v, a, u, reference._replace(q=desired)))
+            found = np.asarray(self.array_dynamics.measured(t, q, v, a, u, reference._replace(q=desired)))
         finite_answer(np.where(found == -np.inf, 0.0, found), **state)  # a margin may be minus infinity
         return np.array(np.broadcast_to(found, (*lead, len(self.measures))))

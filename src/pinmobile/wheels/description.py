@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from math import atan2, cos, hypot, sin
 from os import PathLike
 from pathlib import Path
@@ -11,6 +10,7 @@ from warnings import warn
 from xml.etree import ElementTree
 
 import numpy as np
+from attrs import evolve
 
 from pinmobile.arrays import ArrayLike, sequence
 from pinmobile.errors import InvalidArgument, shown
@@ -202,7 +202,7 @@ class _Reader:
         self._check_told(rows)
         driven = self._driven(rows)
         rows = [
-            replace(row, motor=motor_of(joint)) if joint.name in driven else row
+            evolve(row, motor=motor_of(joint)) if joint.name in driven else row
             for row, joint in zip(rows, self.joints, strict=True)
         ]
         supports = self._supports(rows)
@@ -236,7 +236,7 @@ class _Reader:
             away = sum(line) / len(line) - offsets[k] if max(line) > min(line) else 0.0
             if away:
                 angle = rows[k].angle
-                found[k] = replace(
+                found[k] = evolve(
                     rows[k],
                     x=to_length(rows[k].x + away * cos(angle)),
                     y=to_length(rows[k].y + away * sin(angle)),

@@ -26,7 +26,7 @@ class Following:
 
     Parameters
     ----------
-    body : RollingBody
+    body : RollingDynamics
         What rolls.
     q, v : ndarray, shape (N, nq), (N, nv)
         States.

@@ -54,7 +54,7 @@ class Freedom:
 
     Parameters
     ----------
-    body : WheeledBody
+    body : WheeledDynamics
         Whose they are.
     """
 

@@ -2,21 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from math import cos, pi, sin
-from typing import ClassVar, final
+from typing import Any, ClassVar, Protocol, final
 
-from pinmobile.arrays import Array, frozen, non_negative, positive, scalar, whole
+from pinmobile.arrays import Array, frozen, scalar
 from pinmobile.constancy import constant
-from pinmobile.errors import InvalidArgument, shown
-from pinmobile.wheels.platform import Platform
-from pinmobile.wheels.slipping import led
+from pinmobile.errors import InvalidArgument
+from pinmobile.parts import by_value, child, integer, number, part
+from pinmobile.wheels.rolling import RollingDynamics
+from pinmobile.wheels.rows import column
+from pinmobile.wheels.slipping import SlippingDynamics, led
+
+
+class Ground(Protocol):
+    """A ground with dynamics(wheeled), such as Rolling() or Coulomb().
+
+    It supplies the law of a robot on it: a `WheeledDynamics` with ``forward_dynamics(q, v, u, f)``, or with
+    ``initial_state(context)`` and ``step(t, q, v, u, h, f, memory)``; what else this has, such as ``signals``
+    or ``project``, the robot has too. A ground may have as well:
+
+    - ``check_robot(wheeled)``, which refuses robots that it cannot carry;
+    - ``ramp``, a `Ramp` or None;
+    - ``slips``, False where the wheels roll ideally: their constraints are then those of `WheeledRobot`.
+    """
+
+    def dynamics(self, wheeled: Any, /) -> Any:
+        """Return the dynamics of a `WheeledRobot` on it, over numbers, arrays or symbols."""
 
 
 @final
 @constant
-@dataclass(frozen=True)
+@part
+@by_value
 class Ramp:
     """A plane that rises; x, y and psi are then those in the plane.
 
@@ -28,15 +45,13 @@ class Ramp:
         Of the way straight up, from the inertial x axis [rad].
     """
 
-    angle: float
-    direction: float = 0.0
+    angle: float = number(unit="rad", lower=0, fixed=True, doc="angle of the plane with the level")
+    direction: float = number(default=0.0, unit="rad", fixed=True, doc="direction straight up")
 
-    def __post_init__(self) -> None:
-        angle = scalar("angle of a Ramp", self.angle)
-        if not 0 <= angle < pi / 2:
-            raise InvalidArgument(f"angle of a Ramp is {angle:g} rad, expected one in [0, pi / 2)")
-        object.__setattr__(self, "angle", angle)
-        object.__setattr__(self, "direction", scalar("direction of a Ramp", self.direction))
+    def check(self) -> None:
+        """Raise `InvalidArgument` where it is as steep as a wall."""
+        if not self.angle < pi / 2:
+            raise InvalidArgument(f"angle of a Ramp is {self.angle:g} rad, expected one in [0, pi / 2)")
 
     def fall(self, g: float) -> Array:
         """Return gravity along the axes of the plane, shape (3,) [m/s^2], from what it is straight down."""
@@ -45,14 +60,14 @@ class Ramp:
         return frozen([down * cos(self.direction), down * sin(self.direction), -g * cos(self.angle)])
 
 
-def _ramp(ramp: object) -> None:
-    if ramp is not None and not isinstance(ramp, Ramp):
-        raise InvalidArgument(f"ramp is {shown(ramp)}, expected a Ramp(angle, direction) or None")
+def _ramp() -> Any:
+    return child(Ramp, optional=True, expected="a Ramp(angle, direction) or None")
 
 
 @final
 @constant
-@dataclass(frozen=True)
+@part
+@by_value
 class Rolling:
     """Wheels roll without slip, whatever force that takes: constraints on the velocities.
 
@@ -67,32 +82,26 @@ class Rolling:
         Whether wheels may slip, here False.
     """
 
-    ramp: Ramp | None = None
+    ramp: Ramp | None = _ramp()
     slips: ClassVar[bool] = False
-    mu: ClassVar[None] = None
-    rounds: ClassVar[Mapping[str, float]] = {}
 
-    def __post_init__(self) -> None:
-        _ramp(self.ramp)
+    def dynamics(self, wheeled: Any) -> RollingDynamics:
+        """Return the dynamics of a robot on it."""
+        return RollingDynamics(**wheeled.terms)
 
-    def of_each_wheel(self) -> Rolling:
-        """Return the ground on which each wheel has friction of its own: itself."""
-        return self
-
-    def check(self, platform: Platform, inertias: Array) -> None:
-        """Refuse steering that nothing holds and that has no inertia.
-
-        Parameters
-        ----------
-        platform : Platform
-            What stands on it.
-        inertias : ndarray, shape (axes + wheels,)
-            Diagonal of its mass matrix, of steering axes and wheels [kg m^2].
-        """
-        for k in platform.mobility.choice.free:
+    def check_robot(self, wheeled: Any) -> None:
+        """Refuse drives that cannot roll, and steering that nothing holds and that has no inertia."""
+        mobility, table = wheeled.mobility, wheeled.table
+        if not mobility.is_regular:
+            raise InvalidArgument(
+                f"table cannot roll without slip: {mobility.why_not}; expected a drive that can, or "
+                "ground=Coulomb()"
+            )
+        inertias = wheeled.joint_inertias
+        for k in mobility.choice.free:
             if not inertias[k] > 0:
-                axis = platform.table.axes[k]
-                wheel = platform.table.names[axis.wheels[0]]
+                axis = table.axes[k]
+                wheel = table.names[axis.wheels[0]]
                 raise InvalidArgument(
                     f"{axis.name} of the table has no inertia about its axis, expected one > 0: give "
                     f"yaw_inertia of wheel {wheel!r}"
@@ -101,7 +110,8 @@ class Rolling:
 
 @final
 @constant
-@dataclass(frozen=True)
+@part
+@by_value
 class Coulomb:
     """Wheels stick while the ground can hold them, and slide beyond: dry friction of Coulomb's law.
 
@@ -132,44 +142,37 @@ class Coulomb:
         Whether wheels may slip, here True.
     """
 
-    mu: float | None = None
-    ramp: Ramp | None = None
-    sweeps: int = 200
-    tolerance: float = 1e-12
+    mu: float | None = number(optional=True, lower=0, doc="coefficient of friction of all wheels")
+    ramp: Ramp | None = _ramp()
+    sweeps: int = integer(default=200, least=1, doc="most rounds over all wheels in a pass")
+    tolerance: float = number(default=1e-12, above=0, fixed=True, doc="change of a force that is none")
     slips: ClassVar[bool] = True
 
-    def __post_init__(self) -> None:
-        _ramp(self.ramp)
+    def dynamics(self, wheeled: Any) -> SlippingDynamics:
+        """Return the dynamics of a robot on it."""
+        terms, wheels = wheeled.terms, wheeled.table.wheels
+        own: dict[str, Any] = {
+            name: frozen([getattr(wheel.friction, name) for wheel in wheels])
+            for name in ("across", "rolling", "slip")
+        }
         if self.mu is not None:
-            object.__setattr__(self, "mu", non_negative("mu", self.mu))
-        object.__setattr__(self, "sweeps", whole("sweeps", self.sweeps, least=1))
-        object.__setattr__(self, "tolerance", positive("tolerance", self.tolerance))
+            own["mu"] = column([self.mu] * len(wheels))
+        return SlippingDynamics(**terms | own, sweeps=self.sweeps, tolerance=self.tolerance)
 
-    @property
-    def rounds(self) -> Mapping[str, float]:
-        """How its forces are found, by name."""
-        return {name: getattr(self, name) for name in ("sweeps", "tolerance")}
-
-    def of_each_wheel(self) -> Coulomb:
-        """Return the ground on which each wheel has friction of its own."""
-        return replace(self, mu=None)
-
-    def check(self, platform: Platform, inertias: Array) -> None:
-        """Refuse what cannot be computed where wheels slip: see `Rolling.check`."""
-        if not platform.grounded:
+    def check_robot(self, wheeled: Any) -> None:
+        """Refuse what cannot be computed where wheels slip."""
+        if not wheeled.grounded:
             raise InvalidArgument(
                 "robot does not tell where its body's origin is above the ground, on which the loads of its "
                 "wheels depend; expected one read with ground=, or ground=Rolling()"
             )
-        led(platform.table)
-        platform._check_places()
-        names = (*(axis.name for axis in platform.table.axes), *platform.table.names)
-        for name, inertia in zip(names, inertias, strict=True):
+        table = wheeled.table
+        led(table)
+        wheeled.check_area()
+        names = (*(axis.name for axis in table.axes), *table.names)
+        for name, inertia in zip(names, wheeled.joint_inertias, strict=True):
             if not inertia > 0:
                 raise InvalidArgument(
                     f"{name} of the table has no inertia about its axis, expected one > 0 where wheels slip: "
                     "give spin_inertia, and yaw_inertia of wheels that steer"
                 )
-
-
-Ground = Rolling | Coulomb

@@ -43,15 +43,13 @@ def limits_of(body: Any) -> list[tuple[int, float]]:
     return [(k, limit) for k, limit in found if np.isfinite(limit)]
 
 
-def measures_of(body: Any, *, slips: bool) -> tuple[Measure, ...]:
+def measures_of(body: Any) -> tuple[Measure, ...]:
     """Return what `measured` gives.
 
     Parameters
     ----------
-    body : WheeledBody
+    body : WheeledDynamics
         Whose they are.
-    slips : bool
-        Whether its wheels may slip.
     """
     arms, found = arms_of(body), []
     if arms is not None:
@@ -64,7 +62,7 @@ def measures_of(body: Any, *, slips: bool) -> tuple[Measure, ...]:
     if body.stands:
         words = "smallest load of a wheel or support, as springs that pull too would share them"
         found.append(Measure("load", "N", words, "smallest"))
-    if slips:
+    if body.slips:
         found.append(Measure("slip", "m/s", "largest velocity at which a wheel slides on the ground"))
     elif body.stands and body.groups:
         words = "smallest friction that a wheel, or an axle, has left before it slips"
@@ -72,19 +70,17 @@ def measures_of(body: Any, *, slips: bool) -> tuple[Measure, ...]:
     return tuple(found)
 
 
-def measured(body: Any, q: Any, v: Any, a: Any, u: Any, desired: Any, *, slips: bool) -> Any:
+def measured(body: Any, q: Any, v: Any, a: Any, u: Any, desired: Any) -> Any:
     """Return the measures of a robot that moves so, shape (..., m).
 
     Parameters
     ----------
-    body : WheeledBody
+    body : WheeledDynamics
         Whose they are.
     q, v, a, u : ndarray, shape (..., nq), (..., nv), (..., nv), (..., nu)
         State, acceleration and input.
     desired : ndarray, shape (..., k)
         Where the reference has the first numbers of q.
-    slips : bool
-        Whether its wheels may slip.
     """
     state, found, arms = body.state(q, v), [], arms_of(body)
     if arms is not None and arms.tips:
@@ -96,13 +92,13 @@ def measured(body: Any, q: Any, v: Any, a: Any, u: Any, desired: Any, *, slips: 
             most = higher(abs(number(inputs[k])) * (1.0 / limit), most)
         found.append(most)
     if body.stands:
-        found += _of_ground(body, state, a, u, q, slips=slips)
-    if slips:
+        found += _of_ground(body, state, a, u, q)
+    if body.slips:
         found.append(_slip(body, state))
     return vector_of([number(x) for x in found], q)
 
 
-def _of_ground(body: Any, state: Any, a: Any, u: Any, q: Any, *, slips: bool) -> Vector:
+def _of_ground(body: Any, state: Any, a: Any, u: Any, q: Any) -> Vector:
     rates = scalars(a)
     along = [state.c * rates[0] + state.s * rates[1], state.c * rates[1] - state.s * rates[0], *rates[2:]]
     felt, found = body.felt(state, along), []
@@ -116,7 +112,7 @@ def _of_ground(body: Any, state: Any, a: Any, u: Any, q: Any, *, slips: bool) ->
     places = places_of(body, state.steering)
     shared = shared_loads(places, fz, mx, my)
     found.append(lowest(shared.springs))
-    if not slips and body.groups:
+    if not body.slips and body.groups:
         found.append(lowest(margin(body, state, felt, u, shared.values, q).margins))
     return found
 

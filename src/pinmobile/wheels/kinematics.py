@@ -13,7 +13,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.robot import ZERO, Matrix, Vector, cross, dot, exact, number, sine_and_cosine
+from pinmobile.robot import (
+    ZERO,
+    Matrix,
+    Vector,
+    cross,
+    dot,
+    exact,
+    number,
+    sine_and_cosine,
+    solved as solved_by,
+)
+from pinmobile.wheels.loads import item
 from pinmobile.wheels.rows import GearTrain, Rows
 
 
@@ -85,7 +96,7 @@ class Kinematics:
     def of(cls, table: Rows) -> Kinematics:
         """Return that of a table's own numbers."""
         x, y, radius = (
-            [exact(getattr(wheel, name)) for wheel in table.wheels] for name in ("x", "y", "radius")
+            [exact(item(getattr(wheel, name))) for wheel in table.wheels] for name in ("x", "y", "radius")
         )
         return cls(table, x, y, radius)
 
@@ -207,6 +218,22 @@ class Kinematics:
                 known = dot(row.base, twist) + dot(row.joints[:ns], turning)
                 found[row.wheel] = -(known / row.joints[ns + row.wheel])
         return found
+
+    def odometry(self, steering: Sequence[Any], joints: Sequence[Any]) -> Vector:
+        """Return the body twist that fits rates of joints best, by least squares of all rows.
+
+        Parameters
+        ----------
+        steering : sequence of scalars
+            Steering coordinates [rad].
+        joints : sequence of scalars
+            Rates of the steering coordinates and then the wheels [rad/s].
+        """
+        rows = self.rows(steering, [ZERO] * 3, [ZERO] * self.n)
+        columns = [[row.base[k] for row in rows] for k in range(3)]
+        known = [-dot(row.joints, joints) for row in rows]
+        square = [[dot(a, b) for b in columns] for a in columns]
+        return solved_by(square, [dot(column, known) for column in columns], [2, 1, 0])
 
 
 class Choice(NamedTuple):

@@ -149,7 +149,7 @@ def pressed(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
 
     Parameters
     ----------
-    body : WheeledBody
+    body : WheeledDynamics
         The robot.
     state : State
         Shape and velocities.

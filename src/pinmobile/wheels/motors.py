@@ -9,6 +9,7 @@ from math import pi
 from types import MappingProxyType
 from typing import Any, NamedTuple, final
 
+import attrs
 import numpy as np
 
 from pinmobile.arrays import (
@@ -19,21 +20,24 @@ from pinmobile.arrays import (
     in_numbers,
     non_negative,
     positive,
-    positive_or_endless,
     scalar,
     text,
 )
 from pinmobile.compiled import choose
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.parts import by_value, number as declared_number, option, part
 from pinmobile.robot import ONE, ZERO, Vector, number, scalars
 
-_ELECTRIC = {"resistance": "ohm", "torque_constant": "N m/A", "voltage": "V"}
+_ELECTRIC = "resistance", "torque_constant", "voltage"
+CONSTANTS = "resistance", "torque_constant", "viscous", "coulomb", "efficiency"
+"""Numbers of a motor that may differ from robot to robot."""
 
 
 @final
 @constant
-@dataclass(frozen=True)
+@part
+@by_value
 class Motor:
     """A direct-current motor with its gear, or, without numbers, a source of torque.
 
@@ -71,45 +75,48 @@ class Motor:
         voltage are given.
     """
 
-    torque_limit: float = np.inf
-    resistance: float | None = None
-    torque_constant: float | None = None
-    voltage: float | None = None
-    gear: float = 1.0
-    efficiency: float = 1.0
-    rotor_inertia: float = 0.0
-    viscous: float = 0.0
-    coulomb: float = 0.0
-    current: float = np.inf
-    source: str = ""
+    torque_limit: float = declared_number(
+        default=np.inf, unit="N m", above=0, endless=True, fixed=True, doc="largest torque at the wheel"
+    )
+    resistance: float | None = declared_number(
+        unit="ohm", above=0, optional=True, doc="resistance of the armature"
+    )
+    torque_constant: float | None = declared_number(
+        unit="N m/A", above=0, optional=True, doc="torque constant"
+    )
+    voltage: float | None = declared_number(
+        unit="V", above=0, optional=True, fixed=True, doc="largest voltage"
+    )
+    gear: float = declared_number(
+        default=1.0, above=0, fixed=True, doc="turns of the motor per turn of the wheel"
+    )
+    efficiency: float = declared_number(
+        default=1.0, above=0, upper=1, neutral=1, doc="efficiency of the gear"
+    )
+    rotor_inertia: float = declared_number(
+        default=0.0, unit="kg m^2", lower=0, fixed=True, doc="inertia of the rotor"
+    )
+    viscous: float = declared_number(default=0.0, unit="N m s/rad", lower=0, doc="friction per rate")
+    coulomb: float = declared_number(default=0.0, unit="N m", lower=0, doc="dry friction")
+    current: float = declared_number(
+        default=np.inf, unit="A", above=0, endless=True, fixed=True, doc="largest current"
+    )
+    source: str = option(default="", check=text)
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """Raise `InvalidArgument` where some numbers of an electric motor are missing, or too large."""
         given = {name: getattr(self, name) for name in _ELECTRIC}
-        lacking = ", ".join(name for name, value in given.items() if value is None)
-        if lacking and any(value is not None for value in given.values()):
+        missing = ", ".join(name for name, value in given.items() if value is None)
+        if missing and any(value is not None for value in given.values()):
             raise InvalidArgument(
-                f"{lacking} of a Motor is not given, expected resistance, torque_constant and voltage, "
+                f"{missing} of a Motor is not given, expected resistance, torque_constant and voltage, "
                 "or none of them: a source of torque"
             )
-        new: dict[str, float] = {}
-        for name, unit in _ELECTRIC.items():
-            if given[name] is not None:
-                new[name] = positive(f"{name} of a Motor", given[name], unit)
-        new["gear"] = positive("gear of a Motor", self.gear)
-        new["efficiency"] = positive("efficiency of a Motor", self.efficiency)
-        if new["efficiency"] > 1:
-            raise InvalidArgument(f"efficiency of a Motor is {new['efficiency']:g}, expected one in (0, 1]")
-        for name, unit in (("rotor_inertia", "kg m^2"), ("viscous", "N m s/rad"), ("coulomb", "N m")):
-            new[name] = non_negative(f"{name} of a Motor", getattr(self, name), unit)
-        for name, unit in (("torque_limit", "N m"), ("current", "A")):
-            new[name] = positive_or_endless(f"{name} of a Motor", getattr(self, name), unit)
-        if not np.isfinite(new["gear"] * new["gear"] * max(new["rotor_inertia"], 1.0)):
+        if not np.isfinite(self.gear * self.gear * max(self.rotor_inertia, 1.0)):
             raise InvalidArgument(
-                f"gear of a Motor is {new['gear']:g} with a rotor inertia of {new['rotor_inertia']:g} "
+                f"gear of a Motor is {self.gear:g} with a rotor inertia of {self.rotor_inertia:g} "
                 "kg m^2, whose square times it is beyond 1.8e308: expected less"
             )
-        for name, value in {**new, "source": text("source", self.source)}.items():
-            object.__setattr__(self, name, value)
 
     @classmethod
     def from_sheet(
@@ -177,9 +184,8 @@ class Motor:
         return cls(**{**known, "gear": G, **others})
 
     def __repr__(self) -> str:
-        own = {name: getattr(self, name) for name in type(self).__dataclass_fields__}
-        plain = {name: field.default for name, field in type(self).__dataclass_fields__.items()}
-        return f"Motor({', '.join(f'{name}={x!r}' for name, x in own.items() if x != plain[name])})"
+        given = ((f.name, getattr(self, f.name), f.default) for f in attrs.fields(Motor))
+        return f"Motor({', '.join(f'{name}={x!r}' for name, x, default in given if x != default)})"
 
     @property
     def is_electric(self) -> bool:

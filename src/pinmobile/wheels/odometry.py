@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, finite, frozen, non_negative, positive, whole
-from pinmobile.controllers import Controller, State, answer_of, check_controller, told
-from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Context, Parameter
-from pinmobile.robot import ZERO, Vector, dot, scalars, solved as solved_by, vector_of as stacked
+from pinmobile.arrays import Array
+from pinmobile.controllers import State, answer_of, check_controller, told
+from pinmobile.errors import InvalidArgument
+from pinmobile.parts import Controlling, child, integer, number, part
+from pinmobile.plant import Context
+from pinmobile.robot import ZERO, scalars, vector_of as stacked
 from pinmobile.signals import signals_of
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.table import WheelTable
 
-_NUMBERS = (("radius", "radius", 0.0), ("x", "place forward", -np.inf), ("y", "place to the left", -np.inf))
-
 
 @final
-@dataclass(frozen=True, eq=False)
+@part
 class ByOdometry:
     """A controller that is told the pose that its wheels' encoders lead to, instead of the true one.
 
@@ -43,8 +41,6 @@ class ByOdometry:
         Standard deviation of each wheel's measured rate, >= 0 [rad/s]; white.
     seed : int
         Of the noise.
-    x, y, radius : array_like, shape (wheels,), optional
-        What it believes in place of the table's numbers [m].
 
     Raises
     ------
@@ -52,70 +48,25 @@ class ByOdometry:
         If an argument is something else, or the wheels do not tell how the body moves.
     """
 
-    controller: Controller
-    table: WheelTable
-    ticks: float | None = None
-    noise: float = 0.0
-    seed: int = 0
-    x: Any = None
-    y: Any = None
-    radius: Any = None
+    controller: Any = child(Controlling)
+    table: WheelTable = child(WheelTable, expected="a WheelTable")
+    ticks: float | None = number(above=0, optional=True, fixed=True, doc="ticks of an encoder per turn")
+    noise: float = number(default=0.0, lower=0, unit="rad/s", doc="deviation of measured wheel rates")
+    seed: int = integer(default=0, doc="seed of the noise")
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """Raise `InvalidArgument` where rates of the wheels do not tell how the body moves."""
         check_controller(self.controller)
-        if not isinstance(self.table, WheelTable):
-            raise InvalidArgument(f"table is {shown(self.table)}, expected a WheelTable")
-        if self.ticks is not None:
-            object.__setattr__(self, "ticks", positive("ticks", self.ticks))
-        object.__setattr__(self, "noise", non_negative("noise", self.noise, "rad/s"))
-        object.__setattr__(self, "seed", whole("seed", self.seed, least=0))
-        for name, _, _ in _NUMBERS:
-            own = getattr(self, name)
-            numbers = [getattr(wheel, name) for wheel in self.table.wheels] if own is None else own
-            kept = finite(name, numbers)
-            if kept.shape != (len(self.table),):
-                raise InvalidArgument(
-                    f"{name} has shape {kept.shape}, expected ({len(self.table)},), one per wheel"
-                )
-            if name == "radius" and not (kept > 0).all():
-                raise InvalidArgument(f"radius is {shown(numbers)} m, expected numbers > 0")
-            object.__setattr__(self, name, frozen(kept))
-        rows = self._kinematics.rows(*self._still)
-        if np.linalg.matrix_rank(np.array([stacked(row.base, self.x) for row in rows])) < 3:
+        ns = len(self.table.axes)
+        rows = self._kinematics.rows([ZERO] * ns, [ZERO] * 3, [ZERO] * (ns + len(self.table)))
+        if np.linalg.matrix_rank(np.array([[float(x) for x in row.base] for row in rows])) < 3:
             raise InvalidArgument(
                 "table does not tell by its wheels' rates how the body moves, expected rows of rank 3"
             )
 
-    @property
-    def _still(self) -> tuple[Vector, Vector, Vector]:
-        """Steering angles, twist and rates that are zero."""
-        ns = len(self.table.axes)
-        return [ZERO] * ns, [ZERO] * 3, [ZERO] * (ns + len(self.table))
-
-    @property
-    def _kinematics(self) -> Kinematics:
-        return Kinematics(self.table, *(scalars(x) for x in (self.x, self.y, self.radius)))
-
     @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """What may differ from robot to robot of what it believes, and the noise."""
-        believed = (
-            Parameter(
-                f"believed_{name}_{wheel}",
-                "m",
-                f"{meaning} of wheel {wheel}, as odometry believes",
-                least,
-                may_vanish=name != "radius",
-                attribute=name,
-                entry=k,
-            )
-            for name, meaning, least in _NUMBERS
-            for k, wheel in enumerate(self.table.names)
-        )
-        noise = Parameter(
-            "encoder_noise", "rad/s", "deviation of measured wheel rates", 0.0, attribute="noise"
-        )
-        return (*believed, noise)
+    def _kinematics(self) -> Kinematics:
+        return Kinematics.of(self.table)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return the wrapped controller's state, the noise, the sampling time, and that nothing is known."""
@@ -152,7 +103,7 @@ class ByOdometry:
         begun = np.asarray(known)[..., None]
         pose, before = pose + (1.0 - begun) * q[..., :3], before + (1.0 - begun) * now
         turned = now - before
-        disturbed = np.concatenate([0.0 * steering, self._noisy(numbers * dt)], axis=-1) + turned
+        disturbed = np.concatenate([0.0 * steering, self.noise * (numbers * dt)], axis=-1) + turned
         rates = begun * disturbed / dt + (1.0 - begun) * v[..., -n:]
         moved = self._displacement((now[..., :ns] + before[..., :ns]) / 2, begun * disturbed)
         along = pose[..., 2] + moved[..., 2] / 2
@@ -166,17 +117,6 @@ class ByOdometry:
         u, inner = answer_of(self.controller, t, seen_q, seen_v, reference, inner)
         return u, (inner, noise, dt, (pose, now, 1.0 + 0.0 * known))
 
-    def _noisy(self, numbers: Any) -> Any:
-        """Return standard normal numbers, shape (..., wheels), as large as the noise."""
-        return np.asarray(self.noise)[..., None] * numbers
-
     def _displacement(self, steering: Any, joints: Any) -> Any:
         """Return the body's displacement, or twist, that fits those of its joints best, shape (..., 3)."""
-        kinematics = self._kinematics
-        _, twist, rates = self._still
-        rows, moved = kinematics.rows(scalars(steering), twist, rates), scalars(joints)
-        columns = [[row.base[k] for row in rows] for k in range(3)]
-        known = [-dot(row.joints, moved) for row in rows]
-        square = [[dot(a, b) for b in columns] for a in columns]
-        found = solved_by(square, [dot(column, known) for column in columns], [2, 1, 0])
-        return stacked(found, joints)
+        return stacked(self._kinematics.odometry(scalars(steering), scalars(joints)), joints)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -21,13 +21,14 @@ from pinmobile.arrays import (
     vector,
 )
 from pinmobile.errors import InvalidArgument
-from pinmobile.plant import Coordinate, Input, Parameter
+from pinmobile.parts import also_symbols, holds_symbols, structure
+from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import BODY_JOINT, LOCKED, MobileRobot, Mount, hull, number
 from pinmobile.wheels.constraints import Constraints
 from pinmobile.wheels.description import joint_signs
 from pinmobile.wheels.drawn import Picture
-from pinmobile.wheels.drive_numbers import DriveNumbers
 from pinmobile.wheels.mobility import Mobility
+from pinmobile.wheels.rows import column
 from pinmobile.wheels.table import FIXED, WheelTable
 from pinmobile.wheels.wheel_joints import wheel_name
 
@@ -37,14 +38,14 @@ _SAME_LINE = 1e-6  # [m]
 class Platform:
     """Abstract base: coordinates and inputs of a robot on wheels, its rows, and how it looks.
 
-    Its maker sets `robot`, the whole with wheels locked at their table angles, and `table`, its wheels, and
-    says which of their numbers may differ.
+    Its maker sets `robot`, the whole with wheels locked at their table angles, and `table`, its wheels.
     """
 
     robot: MobileRobot
     table: WheelTable
+    array_dynamics: Any
 
-    @cached_property
+    @structure
     def mobility(self) -> Mobility:
         """What the wheels let it do."""
         return Mobility.of(self.table)
@@ -53,30 +54,37 @@ class Platform:
         if not self.mobility.is_regular:
             raise InvalidArgument(f"robot cannot roll without slip: {self.mobility.why_not}")
 
-    @cached_property
+    @structure
     def _places(self) -> Array:
         """Where it touches the ground at steering angles zero, wheels and then supports, shape (k, 2) [m]."""
         places = [wheel.centre for wheel in self.table.wheels]
         return frozen([*places, *((each.x, each.y) for each in self.table.supports)])
 
-    @cached_property
+    @structure
     def _has_area(self) -> bool:
         ones = np.ones((len(self._places), 1))
         return bool(np.linalg.matrix_rank(np.hstack([ones, self._places]), tol=_SAME_LINE) == 3)
 
-    def _check_places(self) -> None:
+    def check_area(self) -> None:
+        """Refuse a robot that stands on one line.
+
+        Raises
+        ------
+        InvalidArgument
+            If it does.
+        """
         if not self._has_area:
             raise InvalidArgument(
                 f"table has {len(self._places)} places where the robot stands, on one line, expected three "
                 "that are not: give supports=[(x, y), ...], where casters stand"
             )
 
-    @property
+    @structure
     def grounded(self) -> bool:
         """Whether the body's origin is known to lie on the ground; if not, nothing is known of its loads."""
         return self.robot.grounded
 
-    @cached_property
+    @structure
     def footprint(self) -> Array | None:
         """Corners of what it stands on, wheels at steering angles zero and supports, shape (k, 2) [m].
 
@@ -103,7 +111,7 @@ class Platform:
         """Of each wheel of its file 1, or -1 where the joint there turns the other way."""
         return MappingProxyType(joint_signs(self.robot, self.table))
 
-    @cached_property
+    @structure
     def _rows(self) -> Constraints:
         """The rows of its wheels, and their kinematics."""
         return Constraints(self.table, self.robot.nv)
@@ -114,28 +122,28 @@ class Platform:
 
     # Sizes and names
 
-    @cached_property
+    @structure
     def nq(self) -> int:
         """Size of q."""
         return self.nv
 
-    @cached_property
+    @structure
     def nv(self) -> int:
         """Size of v and a."""
         return self.robot.nv + self._joints
 
-    @cached_property
+    @structure
     def nu(self) -> int:
         """Size of the input."""
         return self.robot.nv - BODY_JOINT + len(self.table.actuators)
 
-    @cached_property
+    @structure
     def coordinates(self) -> tuple[Coordinate, ...]:
         """Each of the nv numbers of q: body, arms, steering axes, wheels."""
         axes = [Coordinate(axis.name, "rad", -axis.limit, axis.limit) for axis in self.table.axes]
         return (*self.robot.coordinates, *axes, *(Coordinate(name, "rad") for name in self.table.names))
 
-    @cached_property
+    @structure
     def inputs(self) -> tuple[Input, ...]:
         """Each of the nu numbers of an input: the arms' joints, then the actuators in the table's order."""
         own = (
@@ -144,55 +152,32 @@ class Platform:
         )
         return (*self.robot.inputs[BODY_JOINT:], *own)
 
-    @cached_property
+    @structure
     def leading(self) -> Mapping[int, int]:
         """How many numbers of q the first n coordinates have, for each n that a reference may have."""
         return self.robot.leading
 
     # Numbers
 
-    @property
-    @abstractmethod
-    def _numbers(self) -> DriveNumbers:
-        """What may differ from robot to robot."""
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """What an ensemble may spread of its wheels; that of the body are the robot's."""
-        return self._numbers.parameters
-
-    @property
-    def x(self) -> Array:
+    @cached_property
+    def x(self) -> Any:
         """Where the wheels' pivots stand, forward, shape (wheels,) [m]."""
-        return self._numbers.columns["x"]
+        return column([wheel.x for wheel in self.table.wheels])
 
-    @property
-    def y(self) -> Array:
+    @cached_property
+    def y(self) -> Any:
         """Where the wheels' pivots stand, to the left, shape (wheels,) [m]."""
-        return self._numbers.columns["y"]
+        return column([wheel.y for wheel in self.table.wheels])
 
-    @property
-    def radius(self) -> Array:
+    @cached_property
+    def radius(self) -> Any:
         """Of the wheels, shape (wheels,) [m]."""
-        return self._numbers.columns["radius"]
+        return column([wheel.radius for wheel in self.table.wheels])
 
-    @property
-    def spin_inertia(self) -> Array:
+    @cached_property
+    def spin_inertia(self) -> Any:
         """Of the wheels about their axles, shape (wheels,) [kg m^2]."""
-        return self._numbers.columns["spin_inertia"]
-
-    @property
-    def mu(self) -> Array:
-        """Coefficients of friction of the wheels, of rollers along their axes, shape (wheels,)."""
-        return self._numbers.columns["mu"]
-
-    @property
-    def upright(self) -> Array:
-        """What the ground alone feels of a robot without arms, shape (3,) [m, kg m^2, kg m^2].
-
-        Height of the centre of mass, and inertia xz and yz about it.
-        """
-        return self._numbers.columns["upright"]
+        return column([wheel.spin_inertia for wheel in self.table.wheels])
 
     # Configurations
 
@@ -212,11 +197,12 @@ class Platform:
         array, n = finite(name, value), len(self.table.axes)
         return np.zeros(n) if array.shape == (0,) else vector(name, array, n)
 
-    @cached_property
+    @structure
     def rest(self) -> Array:
         """Configuration at the origin, arms in their reference posture, shape (nq,)."""
         return frozen(np.append(self.robot.rest, np.zeros(self._joints)))
 
+    @also_symbols
     def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
         """Return the configuration q + dq, shape (..., nq)."""
         q, dq = self._q(q), self._v("dq", dq)
@@ -224,6 +210,7 @@ class Platform:
         with np.errstate(over="ignore"):
             return finite_answer(q + dq, q=q, dq=dq)
 
+    @also_symbols
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
         """Return the displacement q1 - q0, shape (..., nv); psi and continuous joints in (-pi, pi]."""
         q0, q1 = self._q(q0, "q0"), self._q(q1, "q1")
@@ -233,15 +220,18 @@ class Platform:
         with np.errstate(over="ignore"):
             return np.concatenate([own, finite_answer(q1[..., n:] - q0[..., n:], q0=q0, q1=q1)], axis=-1)
 
+    @also_symbols
     def pose(self, q: ArrayLike) -> Array:
         """Return x, y and psi of the body, shape (..., 3) [m, m, rad]."""
         return self._q(q)[..., :BODY_JOINT].copy()
 
+    @also_symbols
     def rate(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return the rates of x, y and psi of the body, shape (..., 3) [m/s, m/s, rad/s]."""
         q, v = self._q(q), self._v("v", v)
         return np.array(np.broadcast_to(v[..., :BODY_JOINT], (*broadcast(q=q, v=v), BODY_JOINT)))
 
+    @also_symbols
     def effort(self, q: ArrayLike, wrench: ArrayLike) -> Array:
         """Return the generalised force of a wrench on the body, shape (..., nv) [N, N, N m, ...]."""
         q, wrench = self._q(q), vector("wrench", wrench, BODY_JOINT)
@@ -298,7 +288,7 @@ class Platform:
         """Of each row of `constraint_matrix` its wheel and direction, such as ``"left rolling"``."""
         return self._rows.names
 
-    @cached_property
+    @structure
     def _input_matrix(self) -> Array:
         arms = self.robot.nv - BODY_JOINT
         B = np.zeros((self.nv, self.nu))
@@ -312,6 +302,7 @@ class Platform:
         """B, shape (nv, nu): the generalised force of an input is B u."""
         return self._input_matrix
 
+    @also_symbols
     @in_numbers
     def wheel_rates(self, twist: ArrayLike, steering: ArrayLike = (), turning: ArrayLike = ()) -> Array:
         """Return the rates of the wheels that roll at a body twist, shape (..., wheels) [rad/s].
@@ -330,6 +321,7 @@ class Platform:
         rates = map(number, self._rows.kinematics.wheel_rates(*parts))
         return np.stack([np.broadcast_to(rate, lead) for rate in rates], axis=-1)
 
+    @also_symbols
     @in_numbers
     def odometry(self, rates: ArrayLike, steering: ArrayLike = (), turning: ArrayLike = ()) -> Array:
         """Return the body twist that fits measured rates of the wheels best, shape (..., 3) [m/s, rad/s].
@@ -356,7 +348,7 @@ class Platform:
         return np.asarray(-np.linalg.pinv(A[..., :BODY_JOINT]) @ known[..., None])[..., 0]
 
     @cached_property
-    def axle(self) -> Array:
+    def axle(self) -> Any:
         """Coefficients of the body twist in the velocity across the fixed wheels, shape (3,).
 
         Raises
@@ -368,7 +360,7 @@ class Platform:
         if not (choice.body and choice.is_fixed):
             raise InvalidArgument(f"robot is {self.mobility.kind}, which has no fixed axle")
         self._check_rolls()
-        return self._rows.base_of(choice.body[0])
+        return self.array_dynamics.axle if holds_symbols(self) else self._rows.base_of(choice.body[0])
 
     @in_numbers
     def lateral_velocity(self, q: ArrayLike, v: ArrayLike) -> Array:

@@ -1,4 +1,4 @@
-"""`VoltageBody`: a robot on wheels whose motors take volts, for one state, many, or symbols.
+"""`VoltageDynamics`: a robot on wheels whose motors take volts, for one state, many, or symbols.
 
 It is what a `ByVoltage` is to loops of any engine.
 """
@@ -7,19 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled import higher, plain, repeated
-from pinmobile.plant import Input, Parameter, Step
+from pinmobile.plant import Input, Step
 from pinmobile.robot import ZERO, Vector, dot, exact, number, scalars, sine_and_cosine, vector_of as stacked
-from pinmobile.wheels.motors import Beside, Motor, MotorLaw, Motors, Push, theta, within
+from pinmobile.wheels.motors import Beside, MotorLaw, Motors, Push, theta, within
 from pinmobile.wheels.multipliers import factored
-from pinmobile.wheels.rolling import State, WheeledBody, stop_of, stopped
-from pinmobile.wheels.slipping import SlippingBody
+from pinmobile.wheels.rolling import State, stop_of, stopped
 from pinmobile.wheels.tracked import Followed
 
 _BASE = 3
@@ -27,6 +25,10 @@ _INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
 _PASSES = 3
 _ROUNDS, _ENOUGH = 200, 1e-13  # of dry friction: at most, and of the largest what may still change
 _OF_TORQUES = (
+    "array_dynamics",
+    "law",
+    "nominal",
+    "terms",
     "inverse_dynamics",
     "check_inverse_dynamics",
     "torques",
@@ -63,33 +65,25 @@ class Driving(NamedTuple):
 
 @final
 @dataclass(frozen=True, eq=False)
-class VoltageBody:
+class VoltageDynamics:
     """A robot on wheels with motors that take volts, for one state, many, or symbols, unchecked.
 
     Parameters
     ----------
-    wheeled : RollingBody or SlippingBody
-        Of the same robot, whose inputs are torques.
-    motors : tuple of Motor
-        The electric ones, in the order of the inputs.
+    wheeled : WheeledDynamics
+        Of the same robot, whose inputs are torques: one that rolls, or has a step that motors drive.
+    law : MotorLaw
+        Of the electric motors, in the order of the inputs.
     electric : tuple of int
         Which actuators they are.
-    resistance, torque_constant, viscous, coulomb, efficiency : ndarray, shape (motors,)
-        As of `Motor`.
-    inputs, parameters
+    inputs : tuple of Input
         As of a plant.
     """
 
-    wheeled: WheeledBody
-    motors: tuple[Motor, ...]
+    wheeled: Any
+    law: MotorLaw
     electric: tuple[int, ...]
-    resistance: Any
-    torque_constant: Any
-    viscous: Any
-    coulomb: Any
-    efficiency: Any
     inputs: tuple[Input, ...]
-    parameters: tuple[Parameter, ...]
 
     broadcasts: ClassVar[bool] = True
 
@@ -111,22 +105,10 @@ class VoltageBody:
         """Size of the input."""
         return self.wheeled.nu
 
-    @cached_property
-    def law(self) -> MotorLaw:
-        """Of its motors."""
-        return MotorLaw(
-            self.motors,
-            self.resistance,
-            self.torque_constant,
-            self.viscous,
-            self.coulomb,
-            self.efficiency,
-        )
-
     def initial_state(self, context: Any = None) -> Driving:
         """Return what it keeps at first: no current flows."""
-        slips, none = isinstance(self.wheeled, SlippingBody), np.zeros(len(self.motors))
-        grip = self.wheeled.initial_state(context) if slips else ()  # type: ignore[attr-defined]
+        none = np.zeros(len(self.electric))
+        grip = self.wheeled.initial_state(context) if self.wheeled.slips else ()
         return Driving(none, none, none, none, grip)
 
     def volts_for(self, v: Any, torques: Any) -> Any:
@@ -204,7 +186,7 @@ class VoltageBody:
             return f(t + 0.5 * h, q, v)
 
         grip: Any = ()
-        if isinstance(self.wheeled, SlippingBody):
+        if self.wheeled.slips:
             after, torques, rates = self.wheeled.driven(q, v, u, h, beside, memory.grip, motors)
             holding, grip = memory.holding, after.memory
         else:
@@ -335,9 +317,7 @@ class VoltageBody:
 
         With what the ground did where wheels may slip.
         """
-        slips = isinstance(self.wheeled, SlippingBody)
-        ask = self.wheeled.signals if slips else None  # type: ignore[attr-defined]
-        ground = ask(t, q, v, u, f, memory.grip) if ask else {}
+        ground = self.wheeled.signals(t, q, v, u, f, memory.grip) if self.wheeled.slips else {}
         own = {
             "volts": ("V", memory.volts),
             "currents": ("A", memory.currents),

@@ -1,4 +1,4 @@
-"""`RollingBody`: a robot whose wheels roll ideally, for one state, many, or symbols.
+"""`RollingDynamics`: a robot whose wheels roll ideally, for one state, many, or symbols.
 
 It is what a `WheeledRobot` on ideal ground is to compiled loops and to loops on arrays. It knows wheels as
 terms of the energy in the plane and rolling as independent velocities; Pinocchio's tree and its constraint
@@ -17,7 +17,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.compiled import choose
 from pinmobile.measures import Measure
-from pinmobile.plant import Coordinate, Input, Parameter
+from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import (
     ZERO,
     Matrix,
@@ -45,7 +45,7 @@ _RESTING = 1e-9  # [rad/s], of an axis at its stop
 
 
 @dataclass(frozen=True, eq=False)
-class WheeledBody:
+class WheeledDynamics:
     """A body, its arms and its wheels, free to slip: mass matrix and nonlinear effects along the body's axes.
 
     Parameters
@@ -73,7 +73,7 @@ class WheeledBody:
         Whether it is known where it stands: how high it is, on three places that are not on a line.
     choice : Choice
         Which rows of the wheels determine what, where they roll.
-    coordinates, inputs, parameters
+    coordinates, inputs
         As of a plant.
     """
 
@@ -92,9 +92,9 @@ class WheeledBody:
     choice: Choice
     coordinates: tuple[Coordinate, ...]
     inputs: tuple[Input, ...]
-    parameters: tuple[Parameter, ...]
 
     broadcasts: ClassVar[bool] = True
+    slips: ClassVar[bool] = True
 
     @property
     def na(self) -> int:
@@ -140,6 +140,16 @@ class WheeledBody:
     def stops(self) -> list[tuple[int, float]]:
         """Steering axes with a limit, each with its angle [rad]."""
         return [(k, axis.limit) for k, axis in enumerate(self.table.axes) if np.isfinite(axis.limit)]
+
+    @cached_property
+    def measures(self) -> tuple[Measure, ...]:
+        """What is worth judging about it: see `WheeledRobot.measures`."""
+        return measures_of(self)
+
+    def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+        """Return its measures, shape (..., m)."""
+        del t
+        return measured(self, q, v, a, u, reference.q)
 
     @property
     def freedom(self) -> Freedom:
@@ -292,6 +302,16 @@ class WheeledBody:
         """Return the generalised force of a wrench on the body, shape (..., nv)."""
         return stacked([*scalars(wrench), *[ZERO] * (self.nv - _BASE)], q)
 
+    def wheel_rates(self, twist: Any, steering: Any = (), turning: Any = ()) -> Any:
+        """Return the rates of the wheels that roll at a body twist, see `WheeledRobot.wheel_rates`."""
+        angles, turns = (scalars(x) if len(x) else [ZERO] * len(self.table.axes) for x in (steering, turning))
+        return stacked(self.kinematics.wheel_rates(angles, scalars(twist), turns), twist)
+
+    def odometry(self, rates: Any, steering: Any = (), turning: Any = ()) -> Any:
+        """Return the body twist that fits rates of the wheels best, see `WheeledRobot.odometry`."""
+        angles, turns = (scalars(x) if len(x) else [ZERO] * len(self.table.axes) for x in (steering, turning))
+        return stacked(self.kinematics.odometry(angles, [*turns, *scalars(rates)]), rates)
+
     def reduced(self, q: Any, v: Any) -> Reduced:
         """Return the dynamics of the independent velocities: M nu' + n = B u, see `Reduced`."""
         return self.freedom.reduced(q, v)
@@ -373,23 +393,15 @@ class WheeledBody:
 
 @final
 @dataclass(frozen=True, eq=False)
-class RollingBody(WheeledBody):
+class RollingDynamics(WheeledDynamics):
     """A robot whose wheels roll ideally, unchecked."""
+
+    slips: ClassVar[bool] = False
 
     @cached_property
     def groups(self) -> tuple[Group, ...]:
         """Wheels, alone or together, as their lateral forces are determined; none on gear trains."""
         return groups_of(self)
-
-    @cached_property
-    def measures(self) -> tuple[Measure, ...]:
-        """What is worth judging about it: see `WheeledRobot.measures`."""
-        return measures_of(self, slips=False)
-
-    def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
-        """Return its measures, shape (..., m)."""
-        del t
-        return measured(self, q, v, a, u, reference.q, slips=False)
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return a = S nu' + gamma, S' M S nu' = S' (tau - n - M gamma), shape (..., nv)."""

@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import cos, radians, sin
-from typing import NamedTuple, Protocol, final, runtime_checkable
+from typing import Any, NamedTuple, Protocol, final, runtime_checkable
 
+import attrs
 import numpy as np
 
-from pinmobile.arrays import (
-    finite,
-    non_negative,
-    one_of,
-    positive,
-    positive_or_endless,
-    scalar,
-    sequence,
-    text,
-)
+from pinmobile.arrays import Array, finite, frozen, one_of, sequence, text
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.parts import Number, by_value, child, declare, is_symbolic, number, option, part
 from pinmobile.wheels.motors import Motor
 
 FIXED, DRIVEN, FREE = "fixed", "driven", "free"
@@ -31,7 +23,8 @@ TORQUE = Motor()  # a source of torque without limits
 
 @final
 @constant
-@dataclass(frozen=True)
+@part
+@by_value
 class Friction:
     """Dry friction between a wheel and the ground, and in the wheel.
 
@@ -50,19 +43,25 @@ class Friction:
         Slip velocity per force before the wheel slides [m/(N s)]; 0: none, which is Coulomb's law.
     """
 
-    mu: float = 0.8
-    across: float = 0.02
-    rolling: float = 0.01
-    slip: float = 0.0
+    mu: float = number(default=0.8, lower=0, doc="coefficient of friction")
+    across: float = number(default=0.02, lower=0, fixed=True, doc="coefficient of friction across rollers")
+    rolling: float = number(default=0.01, lower=0, fixed=True, doc="rolling resistance per load")
+    slip: float = number(default=0.0, lower=0, unit="m/(N s)", fixed=True, doc="slip velocity per force")
 
-    def __post_init__(self) -> None:
-        for name, unit in (("mu", ""), ("across", ""), ("rolling", ""), ("slip", "m/(N s)")):
-            object.__setattr__(self, name, non_negative(name, getattr(self, name), unit))
+
+def _checked_name(name: str, value: Any) -> str:
+    checked = text(name, value)
+    if not checked.strip() or set('/,":.') & set(checked):
+        raise InvalidArgument(
+            f"{name} is {shown(checked)}, expected a word without slash, comma, colon, dot and quotation mark"
+        )
+    return checked
 
 
 @final
 @constant
-@dataclass(frozen=True)
+@part
+@by_value
 class Wheel:
     """One row of a wheel table.
 
@@ -104,54 +103,36 @@ class Wheel:
         If a number is not finite or not in its range, or a name is none.
     """
 
-    name: str
-    x: float
-    y: float
-    radius: float
-    angle: float = 0.0
-    steering: str = FIXED
-    trail: tuple[float, float] = (0.0, 0.0)
-    roller: float | None = None
-    mass: float = 0.0
-    spin_inertia: float = 0.0
-    yaw_inertia: float = 0.0
-    motor: Motor | None = None
-    friction: Friction = Friction()
-    steering_limit: float = np.inf
+    name: str = option(check=_checked_name)
+    x: float = number(unit="m", doc="place forward")
+    y: float = number(unit="m", doc="place to the left")
+    radius: float = number(unit="m", above=0, doc="radius")
+    angle: float = number(default=0.0, unit="rad", fixed=True, doc="angle of the rolling direction")
+    steering: str = option(default=FIXED, check=lambda name, value: one_of(name, value, _STEERING))
+    trail: Array = declare(
+        Number("centre from the pivot, along and across", "m", shapes=((2,),), fixed=True),
+        (0.0, 0.0),
+        repr=lambda trail: repr(tuple(trail.tolist())),
+    )
+    roller: float | None = number(unit="rad", optional=True, fixed=True, doc="angle of the rollers' axes")
+    mass: float = number(default=0.0, unit="kg", lower=0, fixed=True, doc="mass")
+    spin_inertia: float = number(default=0.0, unit="kg m^2", lower=0, doc="inertia about the axle")
+    yaw_inertia: float = number(
+        default=0.0, unit="kg m^2", lower=0, fixed=True, doc="inertia about the vertical through its centre"
+    )
+    motor: Motor | None = child(Motor, optional=True, expected="a Motor")
+    friction: Friction = child(Friction, default=Friction(), expected="a Friction")
+    steering_limit: float = number(
+        default=np.inf, unit="rad", above=0, endless=True, fixed=True, doc="largest steering angle"
+    )
 
-    def __post_init__(self) -> None:
-        name = text("name", self.name)
-        if not name.strip() or set('/,":') & set(name):
+    def check(self) -> None:
+        """Raise `InvalidArgument` where rollers are across the rolling direction."""
+        if self.roller is not None and not abs(self.roller) <= radians(_LARGEST_ROLLER):
             raise InvalidArgument(
-                f"name is {shown(name)}, expected a word without slash, comma, colon and quotation mark"
+                f"roller of wheel {self.name!r} is {self.roller:.6g} rad, expected less than a right angle "
+                "from the rolling direction (up to 89 degrees): the wheel could not drive"
             )
-        own = f"of wheel {name!r}"
-        numbers = {key: scalar(f"{key} {own}", getattr(self, key)) for key in ("x", "y", "angle")}
-        numbers["radius"] = positive(f"radius {own}", self.radius, "m")
-        for key, unit in (("mass", "kg"), ("spin_inertia", "kg m^2"), ("yaw_inertia", "kg m^2")):
-            numbers[key] = non_negative(f"{key} {own}", getattr(self, key), unit)
-        one_of(f"steering {own}", self.steering, _STEERING)
-        trail = finite(f"trail {own}", self.trail)
-        if trail.shape != (2,):
-            raise InvalidArgument(f"trail {own} has shape {trail.shape}, expected (2,): along e and n")
-        if self.roller is not None:
-            numbers["roller"] = self._roller(own)
-        for key, kind in (("motor", Motor), ("friction", Friction)):
-            value = getattr(self, key)
-            if not isinstance(value, kind) and not (key == "motor" and value is None):
-                raise InvalidArgument(f"{key} {own} is {shown(value)}, expected a {kind.__name__}")
-        numbers["steering_limit"] = positive_or_endless(f"steering_limit {own}", self.steering_limit, "rad")
-        for key, value in {**numbers, "trail": tuple(trail.tolist())}.items():
-            object.__setattr__(self, key, value)
-
-    def _roller(self, own: str) -> float:
-        angle = scalar(f"roller {own}", self.roller)  # type: ignore[arg-type]
-        if not abs(angle) <= radians(_LARGEST_ROLLER):
-            raise InvalidArgument(
-                f"roller {own} is {angle:.6g} rad, expected less than a right angle from the rolling "
-                "direction (up to 89 degrees): the wheel could not drive"
-            )
-        return angle
 
     @property
     def centre(self) -> tuple[float, float]:
@@ -163,7 +144,8 @@ class Wheel:
 
 @final
 @constant
-@dataclass(frozen=True)
+@part
+@by_value
 class Support:
     """A support without friction, such as a ball caster: it takes a load, and nothing else.
 
@@ -173,17 +155,26 @@ class Support:
         Where it touches the ground, in the body's frame [m].
     """
 
-    x: float
-    y: float
+    x: float = number(unit="m", fixed=True, doc="place forward")
+    y: float = number(unit="m", fixed=True, doc="place to the left")
 
-    def __post_init__(self) -> None:
-        for name in ("x", "y"):
-            object.__setattr__(self, name, scalar(f"{name} of a support", getattr(self, name)))
+
+def _names(least: int) -> Any:
+    """Return the check of a field of names of wheels."""
+
+    def check(name: str, value: Any) -> tuple[str, ...]:
+        names = tuple(text(f"one of {name}", one) for one in sequence(name, value, "names of wheels"))
+        if len(names) < least or len(set(names)) < len(names):
+            raise InvalidArgument(f"{name} is {shown(value)}, expected {least} different names or more")
+        return names
+
+    return check
 
 
 @final
 @constant
-@dataclass(frozen=True)
+@part
+@by_value
 class GearTrain:
     """Wheels that turn together, as those of one side of a skid-steer base do: a chain or gears.
 
@@ -195,25 +186,25 @@ class GearTrain:
         Rate of each, relative to each other; by default all turn alike.
     """
 
-    wheels: tuple[str, ...]
-    ratios: tuple[float, ...] = ()
+    wheels: tuple[str, ...] = option(check=_names(2))
+    ratios: tuple[float, ...] = option(
+        default=attrs.Factory(lambda train: (1.0,) * len(train.wheels), takes_self=True),
+        check=lambda name, value: tuple(np.ravel(finite(name, value)).tolist()),
+    )
 
-    def __post_init__(self) -> None:
-        names = _names("GearTrain", self.wheels, least=2)
-        ratios = finite("ratios", self.ratios)
-        ratios = ratios if ratios.size else np.ones(len(names))
-        if ratios.shape != (len(names),) or not ratios.all():
+    def check(self) -> None:
+        """Raise `InvalidArgument` where there is not one ratio per wheel."""
+        if len(self.ratios) != len(self.wheels) or not all(self.ratios):
             raise InvalidArgument(
-                f"ratios is {shown(self.ratios)}, expected {len(names)} numbers other than zero, "
+                f"ratios is {shown(self.ratios)}, expected {len(self.wheels)} numbers other than zero, "
                 "one per wheel"
             )
-        object.__setattr__(self, "wheels", names)
-        object.__setattr__(self, "ratios", tuple(ratios.tolist()))
 
 
 @final
 @constant
-@dataclass(frozen=True)
+@part
+@by_value
 class Differential:
     """An open differential: one motor that turns at the mean rate of its wheels, with equal torques on them.
 
@@ -227,21 +218,15 @@ class Differential:
         That of its input.
     """
 
-    wheels: tuple[str, ...]
-    motor: Motor = TORQUE
-    name: str = "differential"
-
-    def __post_init__(self) -> None:
-        names = _names("Differential", self.wheels, least=2)
-        if not isinstance(self.motor, Motor):
-            raise InvalidArgument(f"motor of a Differential is {shown(self.motor)}, expected a Motor")
-        object.__setattr__(self, "wheels", names)
-        object.__setattr__(self, "name", text("name of a Differential", self.name))
+    wheels: tuple[str, ...] = option(check=_names(2))
+    motor: Motor = child(Motor, default=TORQUE, expected="a Motor")
+    name: str = option(default="differential", check=_checked_name)
 
 
 @final
 @constant
-@dataclass(frozen=True)
+@part
+@by_value
 class Ackermann:
     """Wheels that one steering angle turns so that all axles meet in one point.
 
@@ -257,23 +242,14 @@ class Ackermann:
         That of the steering coordinate.
     """
 
-    wheels: tuple[str, ...]
-    axle: float = 0.0
-    name: str = "steering"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "wheels", _names("Ackermann", self.wheels, least=1))
-        object.__setattr__(self, "axle", scalar("axle", self.axle))
-        object.__setattr__(self, "name", text("name of an Ackermann", self.name))
+    wheels: tuple[str, ...] = option(check=_names(1))
+    axle: float = number(default=0.0, unit="m", fixed=True, doc="place of the fixed axle, forward")
+    name: str = option(default="steering", check=_checked_name)
 
 
-def _names(kind: str, wheels: Sequence[str], least: int) -> tuple[str, ...]:
-    names = tuple(text(f"a wheel of {kind}", name) for name in sequence("wheels", wheels, "names of wheels"))
-    if len(names) < least or len(set(names)) < len(names):
-        raise InvalidArgument(
-            f"wheels of {kind} is {shown(wheels)}, expected {least} different names or more"
-        )
-    return names
+def column(values: Sequence[Any]) -> Any:
+    """Return numbers or symbols, such as one for each wheel, as an array, shape (k,)."""
+    return np.stack(values) if any(map(is_symbolic, values)) else frozen(values)
 
 
 Coupling = GearTrain | Differential | Ackermann
@@ -315,11 +291,14 @@ class Actuator(NamedTuple):
     column : tuple of floats
         What its torque is to each steering coordinate and then each wheel; its rate is the product with
         theirs.
+    path : str
+        Where the table has its motor, such as ``"wheels.left.motor"``; "" of a steering axis.
     """
 
     name: str
     motor: Motor
     column: tuple[float, ...]
+    path: str = ""
 
 
 @runtime_checkable

@@ -1,4 +1,4 @@
-"""`SlippingBody`: a robot whose wheels stick and slide on dry ground, for one state, many, or symbols.
+"""`SlippingDynamics`: a robot whose wheels stick and slide on dry ground, for one state, many, or symbols.
 
 It is what a `WheeledRobot` on `Coulomb` ground is. A step is implicit in the velocities along the body's
 axes, in which nothing depends on the pose; shapes, velocities and loads are those of mid-step.
@@ -10,13 +10,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
 from pinmobile.compiled import choose, repeated
 from pinmobile.errors import InvalidArgument
-from pinmobile.measures import Measure
 from pinmobile.plant import Step
 from pinmobile.robot import (
     ONE,
@@ -30,11 +29,10 @@ from pinmobile.robot import (
     vector_of as stacked,
 )
 from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
-from pinmobile.wheels.judging import measured, measures_of
 from pinmobile.wheels.loads import Loads, item, numbers, places_of, pressed, quick, shared_loads, wheel_loads
 from pinmobile.wheels.motors import Beside, Motors, Push, theta
 from pinmobile.wheels.multipliers import factored
-from pinmobile.wheels.rolling import State, WheeledBody, stop_of, stopped
+from pinmobile.wheels.rolling import State, WheeledDynamics, stop_of, stopped
 from pinmobile.wheels.table import GearTrain, WheelTable
 
 _BASE = 3
@@ -188,7 +186,7 @@ class _Shape(NamedTuple):
 
 @final
 @dataclass(frozen=True, eq=False)
-class SlippingBody(WheeledBody):
+class SlippingDynamics(WheeledDynamics):
     """A robot whose wheels stick and slide on dry ground, unchecked.
 
     Parameters
@@ -208,15 +206,7 @@ class SlippingBody(WheeledBody):
     tolerance: float
     rubbing: tuple[int, ...] = ()
 
-    @cached_property
-    def measures(self) -> tuple[Measure, ...]:
-        """What is worth judging about it: see `WheeledRobot.measures`."""
-        return measures_of(self, slips=True)
-
-    def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
-        """Return its measures, shape (..., m)."""
-        del t
-        return measured(self, q, v, a, u, reference.q, slips=True)
+    memory: ClassVar[type] = Grip
 
     # Gear trains
 

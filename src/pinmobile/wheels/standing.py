@@ -105,7 +105,7 @@ def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any)
 
     Parameters
     ----------
-    body : RollingBody
+    body : RollingDynamics
         What rolls.
     state, felt, q
         As in `pressed`.

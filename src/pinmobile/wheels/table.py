@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence, Set
-from dataclasses import dataclass, field
+from functools import cached_property
 from math import cos, degrees, hypot, pi, radians, sin
 from typing import Any, Self, final
 
@@ -12,6 +12,7 @@ import numpy as np
 from pinmobile.arrays import ArrayLike, finite, one_of, positive, scalar, sequence, text, whole
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.parts import by_value, children, entries_of, option, part, structure
 from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.motors import Motor
 from pinmobile.wheels.rows import (
@@ -37,7 +38,8 @@ _MOST = 1000  # wheels of a circle
 
 @final
 @constant
-@dataclass(frozen=True, eq=False, repr=False)
+@part
+@by_value
 class WheelTable:
     """The wheels of a drive, what supports the robot beside them, and what couples them.
 
@@ -52,13 +54,6 @@ class WheelTable:
     source : str
         Where its numbers come from, in words; no part of what makes two tables equal.
 
-    Attributes
-    ----------
-    axes : tuple of Axis
-        The steering coordinates, in the order of the table.
-    actuators : tuple of Actuator
-        The inputs, in the order of the table: of each row its wheel's, then its steering axis's.
-
     Raises
     ------
     InvalidArgument
@@ -66,29 +61,23 @@ class WheelTable:
         the body, or a coupling does not fit them.
     """
 
-    wheels: tuple[Wheel, ...]
-    supports: tuple[Support, ...] = ()
-    couplings: tuple[Coupling, ...] = ()
-    source: str = "wheels made from numbers"
-    axes: tuple[Axis, ...] = field(init=False)
-    actuators: tuple[Actuator, ...] = field(init=False)
+    wheels: tuple[Wheel, ...] = children(Wheel, expected="Wheel(...)")
+    supports: tuple[Support, ...] = children(Support, default=(), expected="Support(x, y)")
+    couplings: tuple[Coupling, ...] = children(
+        (GearTrain, Differential, Ackermann), default=(), expected="GearTrain, Differential or Ackermann"
+    )
+    source: str = option(default="wheels made from numbers", check=text, eq=False)
 
-    def __post_init__(self) -> None:
-        wheels = _kept("wheels", self.wheels, (Wheel,), "Wheel(...)")
-        if not wheels:
+    def check(self) -> None:
+        """Raise `InvalidArgument` where there are no wheels, or names, places or couplings do not fit."""
+        for name in ("wheels", "supports", "couplings"):
+            sequence(name, getattr(self, name), "a sequence")
+        if not self.wheels:
             raise InvalidArgument("wheels is empty, expected Wheel(...), one per row")
-        supports = _kept("supports", self.supports, (Support,), "Support(x, y)")
-        kinds = (GearTrain, Differential, Ackermann)
-        couplings = _kept("couplings", self.couplings, kinds, "GearTrain, Differential or Ackermann")
-        _check_places(wheels, supports)
-        given = {"wheels": wheels, "supports": supports, "couplings": couplings}
-        for key, value in {**given, "source": text("source", self.source)}.items():
-            object.__setattr__(self, key, value)
-        for coupling in couplings:
+        _check_places(self.wheels, self.supports)
+        for coupling in self.couplings:
             for name in coupling.wheels:
                 one_of(f"wheel of a {type(coupling).__name__}", name, self.names)
-        object.__setattr__(self, "axes", self._axes())
-        object.__setattr__(self, "actuators", self._actuators())
         names = [*self.names, *(axis.name for axis in self.axes)]
         own = next((name for name in names if name in _OF_BODY), None)
         if own is not None:
@@ -107,15 +96,6 @@ class WheelTable:
 
     def __len__(self) -> int:
         return len(self.wheels)
-
-    def _key(self) -> tuple[object, ...]:
-        return self.wheels, self.supports, self.couplings
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, WheelTable) and self._key() == other._key()
-
-    def __hash__(self) -> int:
-        return hash(self._key())
 
     def __repr__(self) -> str:
         rows = f"[{', '.join(map(repr, self.wheels))}]"
@@ -137,7 +117,9 @@ class WheelTable:
         lines += [f"{type(each).__name__} of {', '.join(each.wheels)}" for each in self.couplings]
         return "\n".join([*lines, str(Mobility.of(self))])
 
-    def _axes(self) -> tuple[Axis, ...]:
+    @structure
+    def axes(self) -> tuple[Axis, ...]:
+        """The steering coordinates, in the order of the table."""
         shared = {
             name: each for each in self.couplings if isinstance(each, Ackermann) for name in each.wheels
         }
@@ -170,25 +152,29 @@ class WheelTable:
         limit = min(self.wheels[row].steering_limit for row in rows)
         return Axis(together.name, rows, together.axle, DRIVEN in kinds, limit)
 
-    def _actuators(self) -> tuple[Actuator, ...]:
+    @cached_property
+    def actuators(self) -> tuple[Actuator, ...]:
+        """The inputs, in the order of the table: of each row its wheel's, then its steering axis's."""
         n, found, done = len(self.axes) + len(self), [], set()
         for row, wheel in enumerate(self.wheels):
             if wheel.motor is not None:
-                column = np.zeros(n)
+                column = [0.0] * n
                 column[len(self.axes) + row] = 1.0
-                found.append(Actuator(wheel.name, wheel.motor, tuple(column.tolist())))
-            for each in self.couplings:
-                if isinstance(each, Differential) and each not in done and wheel.name in each.wheels:
-                    done.add(each)
-                    column = np.zeros(n)
-                    rows = [len(self.axes) + self.names.index(name) for name in each.wheels]
-                    column[rows] = 1 / len(rows)
-                    found.append(Actuator(each.name, each.motor, tuple(column.tolist())))
+                path = f"wheels.{wheel.name}.motor"
+                found.append(Actuator(wheel.name, wheel.motor, tuple(column), path))
+            for key, each in entries_of(self.couplings):
+                if isinstance(each, Differential) and key not in done and wheel.name in each.wheels:
+                    done.add(key)
+                    column = [0.0] * n
+                    for name in each.wheels:
+                        column[len(self.axes) + self.names.index(name)] = 1 / len(each.wheels)
+                    path = f"couplings.{key}.motor"
+                    found.append(Actuator(each.name, each.motor, tuple(column), path))
             for k, axis in enumerate(self.axes):
                 if axis.driven and axis.wheels[0] == row:
-                    column = np.zeros(n)
+                    column = [0.0] * n
                     column[k] = 1.0
-                    found.append(Actuator(axis.name, TORQUE, tuple(column.tolist())))
+                    found.append(Actuator(axis.name, TORQUE, tuple(column)))
         return tuple(found)
 
     @classmethod
@@ -429,14 +415,6 @@ def _told(wheel: Wheel) -> tuple[str, ...]:
         "" if wheel.roller is None else f"{degrees(wheel.roller):.4g} deg",
         "" if wheel.motor is None else "yes",
     )
-
-
-def _kept(name: str, given: object, kinds: tuple[type, ...], expected: str) -> tuple[Any, ...]:
-    entries = sequence(name, given, expected)
-    for k, each in enumerate(entries):
-        if not isinstance(each, kinds):
-            raise InvalidArgument(f"{name}[{k}] is {shown(each)}, expected {expected}")
-    return entries
 
 
 def _check_places(wheels: Sequence[Wheel], supports: Sequence[Support]) -> None:

@@ -40,7 +40,7 @@ def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: M
     steering = list(np.moveaxis(q[:, wheeled.robot.nq : wheeled.robot.nq + len(table.axes)], -1, 0))
     places, directions = _placed(Kinematics.of(table), q, steering)
     mu = wheeled.mu
-    if wheeled.ground.slips:
+    if not wheeled._rolls_ideally:
         _check_signals(signals, n)
         forces = np.stack([signals["along"].values, signals["across"].values], axis=-1)
         slips = np.stack([signals["slip_along"].values, signals["slip_across"].values], axis=-1)
@@ -120,7 +120,7 @@ def _constrained(wheeled: Any, q: Array, v: Array, u: Array) -> Array:
 
 def _rolls_over(wheeled: Any, q: Array, v: Array) -> Array:
     """Return how fast the ground passes across rollers, shape (n, k) [m/s]; 0 of tyres."""
-    found, rolling = np.zeros((len(q), len(wheeled.table))), wheeled.traced()
+    found, rolling = np.zeros((len(q), len(wheeled.table))), wheeled.array_dynamics
     state = rolling.state(q, v)
     for row in rolling.kinematics.rows(state.steering, state.twist, state.rates, across=True):
         if row.kind == "across":
@@ -133,7 +133,7 @@ def _rolls_over(wheeled: Any, q: Array, v: Array) -> Array:
 def _carried(wheeled: Any, q: Array, v: Array, a: Array) -> Array:
     """Return the loads of the wheels, shape (n, k) [N]; not a number where they cannot be told."""
     k = len(wheeled.table)
-    if not wheeled.traced().stands:
+    if not wheeled.array_dynamics.stands:
         return np.full((len(q), k), np.nan)
     return np.asarray(wheeled.contact_loads(q, v, a).values[:, :k])
 

@@ -57,7 +57,7 @@ def followed(body: Any, reference: Any) -> Followed:
 
     Parameters
     ----------
-    body : WheeledBody
+    body : WheeledDynamics
         What rolls.
     reference : Reference
         q, v and a of body and arms, shape (N, ...).
@@ -118,7 +118,7 @@ def linearized(body: Any, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
 
     Parameters
     ----------
-    body : WheeledBody
+    body : WheeledDynamics
         Whose wheels do not steer.
     q, v, u : ndarray, shape (..., nq), (..., nv), (..., nu)
         State, which rolls, and input.

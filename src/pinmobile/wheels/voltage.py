@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, ClassVar, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite, frozen, scalar, vector
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, vector
 from pinmobile.constancy import constant
-from pinmobile.errors import InvalidArgument, UnknownName, shown
-from pinmobile.plant import Input, Parameter, Step
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.parts import also_symbols, by_value, child, holds_symbols, is_symbolic, part, structure
+from pinmobile.plant import Input, Step
 from pinmobile.robot import Linearization
-from pinmobile.wheels.motors import Beside, constant_force
-from pinmobile.wheels.powered import Driving, VoltageBody, of_wheeled
-from pinmobile.wheels.slipping import SlippingBody
-from pinmobile.wheels.table import Differential, WheelTable
-
-_CONSTANTS = (
-    ("resistance", "ohm", "resistance of the armature", False),
-    ("torque_constant", "N m/A", "torque constant", False),
-    ("viscous", "N m s/rad", "friction per rate", True),
-    ("coulomb", "N m", "dry friction", True),
-    ("efficiency", "", "efficiency of the gear", False),
-)
+from pinmobile.wheels.motors import CONSTANTS, Beside, Motor, MotorLaw, constant_force
+from pinmobile.wheels.powered import Driving, VoltageDynamics, of_wheeled
+from pinmobile.wheels.rows import column
+from pinmobile.wheels.table import WheelTable
+from pinmobile.wheels.wheeled import WheeledRobot
 
 
 @final
 @constant
-@dataclass(frozen=True, eq=False, repr=False)
+@part
+@by_value
 class ByVoltage:
     """A robot on wheels whose inputs are the voltages of its motors: what `WheeledRobot.by_voltage` returns.
 
@@ -52,37 +47,34 @@ class ByVoltage:
         independently of each other.
     """
 
-    wheeled: Any
+    wheeled: WheeledRobot = child(WheeledRobot, expected="a WheeledRobot")
 
     broadcasts: ClassVar[bool] = True
     compiles: ClassVar[bool] = True
 
-    def __post_init__(self) -> None:
-        if not isinstance(getattr(self.wheeled, "table", None), WheelTable):
-            raise InvalidArgument(f"wheeled is {shown(self.wheeled)}, expected a WheeledRobot")
+    def check(self) -> None:
+        """Raise `InvalidArgument` where no motor takes volts, or the ground knows no such motors."""
         if not self._electric:
             raise InvalidArgument(
                 "table has no motor that takes volts, expected Motor(resistance=..., torque_constant=..., "
                 "voltage=...)"
             )
-        if self.wheeled.ground.slips:
-            body = self.wheeled.traced()
-            for k in self._rubbing:
-                if len(body.turned_by(k)) > 1:
-                    raise InvalidArgument(
-                        f"motor of {self.table.actuators[k].name!r} has dry friction, or losses in its gear, "
-                        "and turns wheels that slip independently of each other, expected coulomb=0 and "
-                        "efficiency=1, or ground=Rolling()"
-                    )
+        body = self.wheeled.array_dynamics
+        if body.slips and not hasattr(body, "driven"):
+            raise InvalidArgument(
+                f"ground is {shown(self.wheeled.ground)}, whose law has no step that motors drive, expected "
+                "Rolling() or Coulomb()"
+            )
+        for k in self._rubbing if body.slips else ():
+            if len(body.turned_by(k)) > 1:
+                raise InvalidArgument(
+                    f"motor of {self.table.actuators[k].name!r} has dry friction, or losses in its gear, "
+                    "and turns wheels that slip independently of each other, expected coulomb=0 and "
+                    "efficiency=1, or ground=Rolling()"
+                )
 
     def __getattr__(self, name: str) -> Any:
         return of_wheeled(self, name)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, ByVoltage) and self.wheeled == other.wheeled
-
-    def __hash__(self) -> int:
-        return hash(("volts", self.wheeled))
 
     def __repr__(self) -> str:
         return f"{self.wheeled!r}.by_voltage()"
@@ -92,6 +84,11 @@ class ByVoltage:
         """Its wheels."""
         table: WheelTable = self.wheeled.table
         return table
+
+    @property
+    def motor_paths(self) -> tuple[str, ...]:
+        """Where its electric motors stand, in the order of the inputs: see `pinmobile.parts.replace`."""
+        return tuple(f"wheeled.table.{self.table.actuators[k].path}" for k in self._electric)
 
     @property
     def nq(self) -> int:
@@ -108,7 +105,7 @@ class ByVoltage:
         """Size of the input."""
         return int(self.wheeled.nu)
 
-    @cached_property
+    @structure
     def _electric(self) -> tuple[int, ...]:
         """Actuators that take volts."""
         return tuple(k for k, each in enumerate(self.table.actuators) if each.motor.is_electric)
@@ -116,10 +113,14 @@ class ByVoltage:
     @cached_property
     def _rubbing(self) -> tuple[int, ...]:
         """Actuators with dry friction, and those whose gear has losses, which hold too."""
-        motors = [each.motor for each in self.table.actuators]
-        return tuple(k for k in self._electric if motors[k].coulomb or motors[k].efficiency < 1)
 
-    @cached_property
+        def rubs(motor: Motor) -> bool:
+            lossless = not is_symbolic(motor.efficiency) and motor.efficiency == 1
+            return is_symbolic(motor.coulomb) or motor.coulomb > 0 or not lossless
+
+        return tuple(k for k in self._electric if rubs(self.table.actuators[k].motor))
+
+    @structure
     def inputs(self) -> tuple[Input, ...]:
         """Each of the nu numbers of an input: volts of electric motors, torques of all else."""
         own, first = list(self.wheeled.inputs), self.nu - len(self.table.actuators)
@@ -129,114 +130,34 @@ class ByVoltage:
         return tuple(own)
 
     @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """What an ensemble may spread of its motors; that of wheels and body are those of the robot."""
-        found = []
-        for attribute, unit, meaning, may_vanish in _CONSTANTS:
-            for at, k in enumerate(self._electric):
-                each = self.table.actuators[k]
-                if may_vanish and not getattr(each.motor, attribute):
-                    continue  # what is not there stays away
-                if attribute == "efficiency" and each.motor.efficiency == 1:
-                    continue
-                found.append(
-                    Parameter(
-                        f"{attribute}_{each.name}",
-                        unit,
-                        f"{meaning} of motor {each.name}",
-                        0.0,
-                        may_vanish=may_vanish,
-                        attribute=attribute,
-                        entry=at,
-                    )
-                )
-        return tuple(found)
+    def array_dynamics(self) -> VoltageDynamics:
+        """Its dynamics for one state, many, or symbols, unchecked."""
+        body, motors = self.wheeled.array_dynamics, [self.table.actuators[k].motor for k in self._electric]
+        if body.slips:
+            body = replace(body, rubbing=self._rubbing)
+        columns = {name: column([getattr(motor, name) for motor in motors]) for name in CONSTANTS}
+        return VoltageDynamics(body, MotorLaw(motors, **columns), self._electric, self.inputs)
+
+    def traced(self) -> Any:
+        """Return its `array_dynamics`."""
+        return self.array_dynamics
 
     @cached_property
-    def _constants(self) -> dict[str, Array]:
-        motors = [self.table.actuators[k].motor for k in self._electric]
-        return {name: frozen([getattr(motor, name) for motor in motors]) for name, *_ in _CONSTANTS}
+    def law(self) -> Any:
+        """What a loop calls: itself, or its `array_dynamics` where it holds symbols."""
+        return self.array_dynamics if holds_symbols(self) else self
 
-    def with_parameters(self, **values: ArrayLike) -> ByVoltage:
-        """Return the robot with other values of its `parameters`.
-
-        Parameters
-        ----------
-        **values : float or array_like
-            By the name of a parameter, or of an attribute such as ``resistance`` with all its numbers.
-
-        Raises
-        ------
-        InvalidArgument
-            If there can be no such motor, or an array has another shape.
-        UnknownName
-            If there is no such parameter.
-        """
-        constants = {name: np.array(x) for name, x in self._constants.items()}
-        named = {each.name: each for each in self.parameters}
-        for name, value in values.items():
-            if name in named:
-                constants[named[name].attribute][named[name].entry] = scalar(name, value)
-            elif name in constants:
-                given = vector(name, value, len(self._electric))
-                if given.ndim > 1:
-                    raise InvalidArgument(
-                        f"{name} has shape {given.shape}, expected ({len(self._electric)},)"
-                    )
-                constants[name] = given
-            else:
-                raise UnknownName("parameter of a robot", name, named)
-        motors = {}
-        for at, k in enumerate(self._electric):
-            own = self.table.actuators[k]
-            new: dict[str, Any] = {name: float(x[at]) for name, x in constants.items()}
-            motors[own.name] = replace(own.motor, **new)
-        wheels = [
-            replace(wheel, motor=motors[wheel.name]) if wheel.name in motors else wheel
-            for wheel in self.table.wheels
-        ]
-        couplings = [
-            replace(each, motor=motors[each.name])
-            if isinstance(each, Differential) and each.name in motors
-            else each
-            for each in self.table.couplings
-        ]
-        table = WheelTable(wheels, self.table.supports, couplings)  # type: ignore[arg-type]
-        return ByVoltage(replace(self.wheeled, table=table))
-
-    @property
-    def resistance(self) -> Array:
-        """Of the motors' armatures, shape (motors,) [ohm]."""
-        return self._constants["resistance"]
-
-    @property
-    def torque_constant(self) -> Array:
-        """Of the motors, shape (motors,) [N m/A]."""
-        return self._constants["torque_constant"]
-
-    @property
-    def viscous(self) -> Array:
-        """Friction of the motors per rate, shape (motors,) [N m s/rad]."""
-        return self._constants["viscous"]
-
-    @property
-    def coulomb(self) -> Array:
-        """Dry friction of the motors, shape (motors,) [N m]."""
-        return self._constants["coulomb"]
-
-    @property
-    def efficiency(self) -> Array:
-        """Of the gears, shape (motors,)."""
-        return self._constants["efficiency"]
-
+    @also_symbols
     def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
         """Return the configuration that the displacement `dq` leads to from `q`, shape (..., nq)."""
         return np.asarray(self.wheeled.integrate(q, dq))
 
+    @also_symbols
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
         """Return the displacement from `q0` to `q1`, shape (..., nv); as of `wheeled`."""
         return np.asarray(self.wheeled.difference(q0, q1))
 
+    @also_symbols
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Array:
         """Return the acceleration, shape (..., nv) [m/s^2, ...]: the mean over a short step from the state.
 
@@ -251,11 +172,12 @@ class ByVoltage:
         """
         beside = finite("f", f)
         force = vector("f", beside, self.nv) if beside.ndim or beside else 0.0
-        return np.asarray(self.traced().forward_dynamics(*self._state(q, v, u), force))
+        return np.asarray(self.array_dynamics.forward_dynamics(*self._state(q, v, u), force))
 
     def _state(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array]:
         return vector("q", q, self.nq), vector("v", v, self.nv), vector("u", u, self.nu)
 
+    @also_symbols
     def volts_for(self, v: ArrayLike, torques: ArrayLike) -> Array:
         """Return the input at which motors give torques at the present rates, shape (..., nu).
 
@@ -269,8 +191,9 @@ class ByVoltage:
             As inputs of the robot by torques [N m].
         """
         v, torques = vector("v", v, self.nv), vector("torques", torques, self.nu)
-        return np.asarray(self.traced().volts_for(v, torques))
+        return np.asarray(self.array_dynamics.volts_for(v, torques))
 
+    @also_symbols
     def torques_at(self, v: ArrayLike, u: ArrayLike) -> Array:
         """Return the torques that motors give at the present rates, shape (..., nu) [N m].
 
@@ -280,8 +203,9 @@ class ByVoltage:
             Velocities, and volts.
         """
         v, u = vector("v", v, self.nv), vector("u", u, self.nu)
-        return np.asarray(self.traced().torques_at(v, u))
+        return np.asarray(self.array_dynamics.torques_at(v, u))
 
+    @also_symbols
     def linearize_tracked(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> Linearization:
         """Return the first-order model of the tracked state, see `WheeledRobot.linearize_tracked`.
 
@@ -302,12 +226,13 @@ class ByVoltage:
         """
         q, v, u = self._state(q, v, u)
         broadcast(q=q, v=v, u=u)
-        return Linearization(*self.traced().linearize_tracked(q, v, u))
+        return Linearization(*self.array_dynamics.linearize_tracked(q, v, u))
 
     def initial_state(self, context: Any = None) -> Driving:
         """Return what motors and wheels keep before the first step."""
-        return self.traced().initial_state(context)
+        return self.array_dynamics.initial_state(context)
 
+    @also_symbols
     def step(
         self,
         t: float,
@@ -320,13 +245,14 @@ class ByVoltage:
     ) -> Step:
         """Return the state a step later, under forces ``f(t, q, v)`` of mid-step, or such as stay."""
         beside = f if callable(f) else constant_force(finite("f", f))
-        return self.traced().step(t, *self._state(q, v, u), h, beside, memory)
+        return self.array_dynamics.step(t, *self._state(q, v, u), h, beside, memory)
 
+    @also_symbols
     def signals(
         self, t: float, q: Array, v: Array, u: Array, f: ArrayLike, memory: Driving
     ) -> dict[str, tuple[str, Any]]:
         """Return what motors, and the ground where wheels slip, did in the step before."""
-        return self.traced().signals(t, q, v, u, f, memory)
+        return self.array_dynamics.signals(t, q, v, u, f, memory)
 
     def mount(self, arm: Any, at: ArrayLike | None = None, **options: Any) -> ByVoltage:
         """Return the robot with an arm on its body: see `MobileRobot.mount`."""
@@ -339,17 +265,3 @@ class ByVoltage:
     def on_ramp(self, angle: float, direction: float = 0.0) -> ByVoltage:
         """Return the robot on ground that rises: see `WheeledRobot.on_ramp`."""
         return ByVoltage(self.wheeled.on_ramp(angle, direction))
-
-    def traced(self) -> VoltageBody:
-        """Return its dynamics over symbols or arrays."""
-        return self._traced
-
-    @cached_property
-    def _traced(self) -> VoltageBody:
-        body = self.wheeled.traced()
-        if isinstance(body, SlippingBody):
-            body = replace(body, rubbing=self._rubbing)
-        motors = tuple(self.table.actuators[k].motor for k in self._electric)
-        return VoltageBody(
-            body, motors, self._electric, **self._constants, inputs=self.inputs, parameters=self.parameters
-        )

@@ -264,4 +264,4 @@ def left_of(angle: float) -> Array:
 
 def wheel_name(name: str) -> str:
     """Return the name of a joint as that of a wheel."""
-    return "".join("_" if letter in '/,":' else letter for letter in name)
+    return "".join("_" if letter in '/,":.' else letter for letter in name)

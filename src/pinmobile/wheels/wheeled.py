@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from os import PathLike
-from typing import Any, ClassVar, Self, final
+from typing import TYPE_CHECKING, Any, ClassVar, Self, final
 
 import numpy as np
 
@@ -14,29 +14,33 @@ from pinmobile.arrays import Array, ArrayLike, broadcast, finite_answer, frozen,
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import rk4
+from pinmobile.parts import also_symbols, by_value, child, holds_symbols, is_symbolic, part, structure
 from pinmobile.plant import Step
-from pinmobile.robot import LOCKED, Linearization, Load, MobileRobot, Solids, number
+from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, Load, MobileRobot, Solids, number
 from pinmobile.wheels.bearing import Bearing
 from pinmobile.wheels.constraints import ConstrainedTree, Forces
 from pinmobile.wheels.description import read_robot, read_wheels
-from pinmobile.wheels.drive_numbers import DriveNumbers
 from pinmobile.wheels.ground import Coulomb, Ground, Rolling
+from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.motors import Beside, constant_force
 from pinmobile.wheels.platform import Platform
 from pinmobile.wheels.reduced import Allocation, Reduced
-from pinmobile.wheels.rolling import RollingBody, stop_of
-from pinmobile.wheels.slipping import Grip, SlippingBody
+from pinmobile.wheels.rolling import RollingDynamics, stop_of
+from pinmobile.wheels.rows import column
 from pinmobile.wheels.table import WheelTable
 from pinmobile.wheels.tree import WheelTree
 from pinmobile.wheels.tyres import Tyres
-from pinmobile.wheels.voltage import ByVoltage
+
+if TYPE_CHECKING:
+    from pinmobile.wheels.voltage import ByVoltage
 
 _OFF = 1e-9  # of a start's rates, beyond which it does not roll
 
 
 @final
 @constant
-@dataclass(frozen=True, eq=False, repr=False)
+@part
+@by_value
 class WheeledRobot(Platform, Bearing):
     """A robot on wheels: q = (x, y, psi, arms, steering, wheels), u = torques at arms, wheels and axes.
 
@@ -49,7 +53,7 @@ class WheeledRobot(Platform, Bearing):
         The whole, wheels locked at their table angles: its mass, centre of mass and inertia hold the wheels'.
     table : WheelTable
         Its wheels; by default those of the file that it was read from, see `read_wheels`.
-    ground : Rolling or Coulomb, optional
+    ground : Rolling, Coulomb or other `Ground`, optional
         What it stands on; by default `Rolling` where the drive can roll without slip, else `Coulomb`.
 
     Raises
@@ -59,38 +63,98 @@ class WheeledRobot(Platform, Bearing):
         no body.
     """
 
-    robot: MobileRobot
-    table: WheelTable = None  # type: ignore[assignment]
-    ground: Ground = None  # type: ignore[assignment]
+    robot: MobileRobot = child(MobileRobot, expected="a MobileRobot")
+    table: WheelTable = child(WheelTable, expected="a WheelTable")
+    ground: Any = child(Ground)
     broadcasts: ClassVar[bool] = True
     compiles: ClassVar[bool] = True
     integrator: ClassVar[Any] = rk4  # a lower order loses the way of a turn at speed
 
-    def __post_init__(self) -> None:
-        if not isinstance(self.robot, MobileRobot):
-            raise InvalidArgument(f"robot is {shown(self.robot)}, expected a MobileRobot")
-        if self.table is None:
-            object.__setattr__(self, "table", read_wheels(self.robot))
-        if not isinstance(self.table, WheelTable):
-            raise InvalidArgument(f"table is {shown(self.table)}, expected a WheelTable")
-        mobility = self.mobility
-        if self.ground is None:
-            object.__setattr__(self, "ground", Rolling() if mobility.is_regular else Coulomb())
-        if not isinstance(self.ground, Rolling | Coulomb):
-            raise InvalidArgument(f"ground is {shown(self.ground)}, expected Rolling(...) or Coulomb(...)")
-        if not (self.ground.slips or mobility.is_regular):
-            raise InvalidArgument(
-                f"table cannot roll without slip: {mobility.why_not}; expected a drive that can, or "
-                "ground=Coulomb()"
-            )
-        self.ground.check(self, self._inertias)
+    def __init__(self, robot: MobileRobot, table: WheelTable | None = None, ground: Any = None) -> None:
+        if table is None:
+            table = read_wheels(robot)
+        if ground is None:
+            ground = Rolling() if Mobility.of(table).is_regular else Coulomb()
+        self.__attrs_init__(robot, table, ground)  # type: ignore[attr-defined]
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` where the ground cannot carry the robot."""
+        if hasattr(self.ground, "check_robot"):
+            self.ground.check_robot(self)
+
+    @property
+    def _rolls_ideally(self) -> bool:
+        """Whether constraints hold the wheels, so that Pinocchio's tree under them gives the numbers."""
+        return not getattr(self.ground, "slips", True)
+
+    @cached_property
+    def array_dynamics(self) -> Any:
+        """Its dynamics on its ground, a `WheeledDynamics`, for one state, many, or symbols, unchecked."""
+        return self.ground.dynamics(self)
+
+    @cached_property
+    def law(self) -> Any:
+        """What a loop calls: itself, or its `array_dynamics` where it holds symbols."""
+        return self.array_dynamics if holds_symbols(self) else self
+
+    @cached_property
+    def terms(self) -> dict[str, Any]:
+        """Arguments of a `WheeledDynamics`, numbers or symbols, whatever the ground."""
+        return {
+            "robot": dynamics_of(self.robot),
+            "table": self.table,
+            **{name: getattr(self, name) for name in ("x", "y", "radius", "spin_inertia", "upright")},
+            "mu": column([wheel.friction.mu for wheel in self.table.wheels]),
+            "rotors": frozen([actuator.motor.reflected_inertia for actuator in self.table.actuators]),
+            "fall": self._fall,
+            "footprint": self.footprint,
+            "stands": self.grounded and self._has_area,
+            "choice": self.mobility.choice,
+            "coordinates": self.coordinates,
+            "inputs": self.inputs,
+        }
+
+    @cached_property
+    def _rolling(self) -> RollingDynamics:
+        """Its dynamics on ground where it rolls."""
+        self._check_rolls()
+        return self.array_dynamics if self._rolls_ideally else RollingDynamics(**self.terms)
+
+    @property
+    def mu(self) -> Array:
+        """Coefficients of friction of the wheels, of rollers along their axes, shape (wheels,)."""
+        return self.array_dynamics.mu  # type: ignore[no-any-return]
+
+    @cached_property
+    def upright(self) -> Any:
+        """What the ground alone feels of a robot without arms, shape (3,) [m, kg m^2, kg m^2].
+
+        Height of the centre of mass, and inertia xz and yz about it.
+        """
+        own = vars(self.robot).get("nominal")
+        if own is None or own.mounts:
+            return self._upright
+        com, (height, xz, yz) = self.robot.com, self._upright
+        z = com[2] if len(com) > 2 else 0.0
+        if own.loads:
+            whole, alone = own.lumped().mass, own.mass
+            loads = whole * height - alone * (own.com[2] if len(own.com) > 2 else 0.0)
+            z = (self.robot.mass * z + loads) / (self.robot.mass + (whole - alone))
+        return column([z, xz, yz])
+
+    @structure
+    def _upright(self) -> Array:
+        if self.robot.mounts:
+            return frozen(np.zeros(3))
+        inertia = self.robot.lumped().model.inertias[BODY_JOINT]
+        return frozen([inertia.lever[2], inertia.inertia[0, 2], inertia.inertia[1, 2]])
 
     @cached_property
     def _tree(self) -> WheelTree:
         return WheelTree(self.robot, self.table, self._fall)
 
-    @cached_property
-    def _inertias(self) -> Array:
+    @structure
+    def joint_inertias(self) -> Array:
         """Diagonal of M at rest, of steering axes and wheels; it needs a body that is left without them."""
         return frozen(np.diagonal(self.mass_matrix(self.rest))[self.robot.nv :])
 
@@ -102,31 +166,15 @@ class WheeledRobot(Platform, Bearing):
         few = replace(self._rows, rows=tuple(independent))
         return ConstrainedTree(self._tree, self._rows, few)
 
-    @cached_property
-    def _numbers(self) -> DriveNumbers:
-        return DriveNumbers(self.robot, self.table, self.ground.mu)
-
-    @cached_property
+    @structure
     def _fall(self) -> Array:
         """Gravity along the axes of the plane, shape (3,) [m/s^2]."""
-        g, ramp = np.array(self.robot.model.gravity.linear), self.ground.ramp
+        g, ramp = np.array(self.robot.model.gravity.linear), getattr(self.ground, "ramp", None)
         return frozen(g) if ramp is None else ramp.fall(float(np.linalg.norm(g)))
-
-    def _key(self) -> tuple[object, ...]:
-        return self.robot, self.table, self.ground
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, WheeledRobot) and self._key() == other._key()
-
-    def __hash__(self) -> int:
-        return hash(self._key())
 
     def __repr__(self) -> str:
         body = repr(self.robot).removesuffix(f" with {LOCKED}")
         return f"WheeledRobot({body}, {self.table!r}, {self.ground!r})"
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return WheeledRobot, (self.robot, self.table, self.ground)
 
     @classmethod
     def from_urdf(
@@ -177,30 +225,9 @@ class WheeledRobot(Platform, Bearing):
 
     def by_voltage(self) -> ByVoltage:
         """Return the same robot whose input is volts, one per electric motor: see `ByVoltage`."""
+        from pinmobile.wheels.voltage import ByVoltage  # which holds a WheeledRobot
+
         return ByVoltage(self)
-
-    def with_parameters(self, **values: ArrayLike) -> WheeledRobot:
-        """Return the robot with other values of its `parameters`.
-
-        Parameters
-        ----------
-        **values : float or array_like
-            By the name of a parameter, its own or its body's, such as ``mass``, or of an attribute with all
-            its numbers, such as ``radius``.
-
-        Raises
-        ------
-        InvalidArgument
-            If a value is not possible, or an array has another shape.
-        UnknownName
-            If there is no such parameter.
-        """
-        of_body = {one.name for one in self.robot.parameters} & values.keys()
-        if of_body:
-            body = self.robot.with_parameters(**{name: values.pop(name) for name in of_body})
-            return WheeledRobot(body, self.table, self.ground).with_parameters(**values)
-        robot, table = self._numbers.changed(values)
-        return WheeledRobot(robot, table, self.ground.of_each_wheel())
 
     # Dynamics
 
@@ -255,6 +282,7 @@ class WheeledRobot(Platform, Bearing):
         broadcast(q=q, v=v)
         return np.asarray(np.einsum("...i,...ij,...j->...", v, self.mass_matrix(q), v) / 2)
 
+    @also_symbols
     @in_numbers
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Array:
         """Return the acceleration, shape (..., nv) [m/s^2, ...].
@@ -272,8 +300,8 @@ class WheeledRobot(Platform, Bearing):
             Generalised forces beside them.
         """
         q, v, u, f = self._acted(q, v, u, f)
-        if self.ground.slips:
-            return np.asarray(self._slipping.forward_dynamics(q, v, u, f if f.ndim else 0.0))
+        if not self._rolls_ideally:
+            return np.asarray(self.array_dynamics.forward_dynamics(q, v, u, f if f.ndim else 0.0))
         force = u @ self.input_matrix.T + f
         a = self._rolls.accelerations(q, v, force)
         return finite_answer(self._stopped(q, a, v), q=q, v=v, u=u, f=f)
@@ -303,9 +331,9 @@ class WheeledRobot(Platform, Bearing):
     @in_numbers
     def constraint_forces(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Forces:
         """Return the forces of the ground at the wheels, and which of them rolling determines."""
-        if self.ground.slips:
+        if not self._rolls_ideally:
             raise InvalidArgument(
-                "constraint_forces is asked of wheels on Coulomb ground, which no constraint holds, expected "
+                "constraint_forces is asked of wheels that may slip, which no constraint holds, expected "
                 "ground=Rolling(); their forces are in the signals of a run"
             )
         q, v, u, f = self._acted(q, v, u, f)
@@ -315,23 +343,26 @@ class WheeledRobot(Platform, Bearing):
 
     # What the ground adds: a loop asks by name for what a plant can do
 
-    def _where_it_slips(self, name: str) -> SlippingBody:
-        if not self.ground.slips:
+    def _of_ground(self, name: str) -> Any:
+        """Return a method of the dynamics that not all grounds supply."""
+        if not hasattr(self.array_dynamics, name):
             raise AttributeError(f"a WheeledRobot on {type(self.ground).__name__} ground has no {name}")
-        return self._slipping
+        return getattr(self.array_dynamics, name)
 
     @property
     def project(self) -> Callable[[ArrayLike, ArrayLike], Array]:
         """``project(q, v)``: the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
-        if self.ground.slips:
-            raise AttributeError("a WheeledRobot whose wheels slip has no project")
-        return self._projected
+        own: Callable[[ArrayLike, ArrayLike], Array] = self._of_ground("project")
+        return self._projected if self._rolls_ideally and not holds_symbols(self) else own
 
     @in_numbers
     def _projected(self, q: ArrayLike, v: ArrayLike) -> Array:
+        if is_symbolic(q) or is_symbolic(v):
+            return self.array_dynamics.project(q, v)  # type: ignore[no-any-return]
         q = self._q(q)
         return self._stopped(q, self._rolls.project(q, self._v("v", v)))
 
+    @also_symbols
     @in_numbers
     def reduced(self, q: ArrayLike, v: ArrayLike) -> Reduced:
         """Return the dynamics of the independent velocities, of Pinocchio's tree: see `Reduced`.
@@ -357,6 +388,7 @@ class WheeledRobot(Platform, Bearing):
             S_T @ M @ columns, np.einsum("...ij,...j->...i", S_T, n), S_T @ self.input_matrix, columns, nu
         )
 
+    @also_symbols
     @in_numbers
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return the input of least norm with which body and arms accelerate so, shape (..., nu) [N m].
@@ -413,6 +445,7 @@ class WheeledRobot(Platform, Bearing):
                 "direction; expected a motor for each degree of freedom"
             )
 
+    @also_symbols
     @in_numbers
     def independent(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return the independent velocities nu of a state that rolls, shape (..., m): see `Reduced`."""
@@ -421,6 +454,7 @@ class WheeledRobot(Platform, Bearing):
         nu = map(number, self._rolling.freedom.velocities(self._rolling.state(q, v)))
         return np.stack([np.broadcast_to(x, lead) for x in nu], axis=-1)
 
+    @also_symbols
     @in_numbers
     def linearize_tracked(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> Linearization:
         """Return the first-order model of the tracked state, d(e, dnu)/dt = A (e, dnu) + B du.
@@ -444,6 +478,7 @@ class WheeledRobot(Platform, Bearing):
         q, v, u, _ = self._acted(q, v, u, 0.0)
         return Linearization(*self._rolling.linearize_tracked(q, v, u))
 
+    @also_symbols
     @in_numbers
     def torques(self, q: ArrayLike, v: ArrayLike, rates: ArrayLike) -> Array:
         """Return the input of least norm with which independent velocities change so, shape (..., nu) [N m].
@@ -459,12 +494,14 @@ class WheeledRobot(Platform, Bearing):
         return own.torques(vector("rates", rates, own.nu.shape[-1]))
 
     @cached_property
-    def pivots(self) -> Array:
+    def pivots(self) -> Any:
         """Where each axis steers a wheel, x, y, and its angle at zero, shape (axes, 3) [m, m, rad].
 
         Of an Ackermann pair it is the wheel in their middle.
         """
-        return frozen(self._traced.pivots) if self.table.axes else frozen(np.zeros((0, 3)))
+        if not self.table.axes:
+            return frozen(np.zeros((0, 3)))
+        return self.array_dynamics.pivots if holds_symbols(self) else frozen(self.array_dynamics.pivots)
 
     @in_numbers
     def allocate(self, q: ArrayLike, tau: ArrayLike) -> Allocation:
@@ -493,12 +530,13 @@ class WheeledRobot(Platform, Bearing):
 
     def _missed(self, q: Array, tau: Array, u: Array) -> Array:
         """Return what of a force the wheels and joints do not supply, shape (..., 3 + arms)."""
-        state = self._traced.state(q, np.zeros(self.nv))
-        had = np.array([number(x) for x in self._traced.freedom.supplied(state, u)])
+        state = self.array_dynamics.state(q, np.zeros(self.nv))
+        had = np.array([number(x) for x in self.array_dynamics.freedom.supplied(state, u)])
         x, y = had[:2].copy()
         had[:2] = state.c * x - state.s * y, state.s * x + state.c * y
         return np.asarray(tau - had)
 
+    @also_symbols
     @in_numbers
     def allocate_scaled(self, q: ArrayLike, tau: ArrayLike) -> tuple[Array, Array]:
         """Return torques for a force on body and arms, scaled by one factor into limits, and what is left.
@@ -524,12 +562,12 @@ class WheeledRobot(Platform, Bearing):
 
         Steered wheels point to where they go, and all roll; what the reference leaves out of the arms rests.
         """
-        return self._traced.begun(*self.robot.start(reference))
+        return self.array_dynamics.begun(*self.robot.start(reference))
 
     @property
-    def initial_state(self) -> Callable[[Any], Grip]:
+    def initial_state(self) -> Callable[[Any], Any]:
         """``initial_state(context)``: what the wheels keep before the first step, where they slip."""
-        return self._where_it_slips("initial_state").initial_state
+        return self._of_ground("initial_state")  # type: ignore[no-any-return]
 
     @property
     def step(self) -> Callable[..., Step]:
@@ -537,13 +575,13 @@ class WheeledRobot(Platform, Bearing):
 
         ``f(t, q, v)`` has the generalised forces beside the input, at mid-step; an array has those that stay.
         """
-        self._where_it_slips("step")
-        return self._stepped
+        own: Callable[..., Step] = self._of_ground("step")
+        return own if holds_symbols(self) else self._stepped
 
     @property
     def signals(self) -> Callable[..., dict[str, tuple[str, Any]]]:
         """``signals(t, q, v, u, f, memory)``: what the ground does at the wheels, where they slip."""
-        return self._where_it_slips("signals").signals
+        return self._of_ground("signals")  # type: ignore[no-any-return]
 
     def _stepped(
         self,
@@ -553,16 +591,22 @@ class WheeledRobot(Platform, Bearing):
         u: ArrayLike,
         h: float,
         f: Beside | ArrayLike,
-        memory: Grip,
+        memory: Any,
     ) -> Step:
+        if is_symbolic(q) or is_symbolic(v) or is_symbolic(u):
+            return self.array_dynamics.step(t, q, v, u, h, f, memory)  # type: ignore[no-any-return]
         q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
         beside = f if callable(f) else constant_force(self._f(f))
         h = positive("h", h, "s")
-        if not isinstance(memory, Grip):
+        if not isinstance(memory, getattr(self.array_dynamics, "memory", object)):
             raise InvalidArgument(
                 f"memory is {shown(memory)}, expected what initial_state or a step returned"
             )
-        return self._slipping.step(t, q, v, u, h, beside, memory)
+        return self.array_dynamics.step(t, q, v, u, h, beside, memory)
+
+    def traced(self) -> Any:
+        """Return its `array_dynamics`."""
+        return self.array_dynamics
 
     def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
         """Refuse a start at which wheels on one gear train turn at different rates, or those that roll slip.
@@ -579,9 +623,9 @@ class WheeledRobot(Platform, Bearing):
             slips = finite_answer((A @ v[..., None])[..., 0], q=q, v=v)
         names, off = self.constraint_names, np.abs(slips).reshape(-1, A.shape[-2]).max(axis=0, initial=0.0)
         for name, slip in zip(names, off, strict=True):
-            if (self.ground.slips and name != "train") or slip <= _OFF * (1 + float(np.abs(v).max())):
+            if (not self._rolls_ideally and name != "train") or slip <= _OFF * (1 + float(np.abs(v).max())):
                 continue
-            if self.ground.slips:
+            if not self._rolls_ideally:
                 raise InvalidArgument(
                     f"start turns wheels of a gear train at different rates, {slip:.3g} m/s apart; expected "
                     "v0 in which they turn together"
@@ -591,42 +635,7 @@ class WheeledRobot(Platform, Bearing):
                 "the wheels can follow, such as Tangent(path), v0 = robot.project(q0, v0), or v0 of zeros"
             )
 
-    def traced(self) -> RollingBody | SlippingBody:
-        """Return its dynamics over symbols or arrays."""
-        return self._traced
 
-    @cached_property
-    def _common(self) -> dict[str, Any]:
-        """What its dynamics over symbols or arrays are made of, whatever the ground."""
-        return {
-            **self._numbers.columns,
-            "robot": self.robot.traced(),
-            "table": self.table,
-            "rotors": frozen([actuator.motor.reflected_inertia for actuator in self.table.actuators]),
-            "fall": self._fall,
-            "footprint": self.footprint,
-            "stands": self.grounded and self._has_area,
-            "choice": self.mobility.choice,
-            "coordinates": self.coordinates,
-            "inputs": self.inputs,
-            "parameters": self.parameters,
-        }
-
-    @cached_property
-    def _rolling(self) -> RollingBody:
-        """The same robot on ground where it rolls."""
-        self._check_rolls()
-        return RollingBody(**self._common)
-
-    @property
-    def _traced(self) -> RollingBody | SlippingBody:
-        return self._slipping if self.ground.slips else self._rolling
-
-    @cached_property
-    def _slipping(self) -> SlippingBody:
-        names = ("across", "rolling", "slip")
-        own: dict[str, Any] = {
-            name: frozen([getattr(wheel.friction, name) for wheel in self.table.wheels]) for name in names
-        }
-        own |= self.ground.rounds
-        return SlippingBody(**self._common, **own)
+def dynamics_of(robot: Any) -> Any:
+    """Return the dynamics of a robot over symbols or arrays."""
+    return robot.array_dynamics if hasattr(robot, "array_dynamics") else robot.traced()
