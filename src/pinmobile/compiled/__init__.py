@@ -58,6 +58,7 @@ from pinmobile.compiled.tape import (
     root as root,
     square_root as square_root,
 )
+from pinmobile.compiled.vectorize import vectorize
 
 __all__ = [
     "BINS",
@@ -88,4 +89,5 @@ __all__ = [
     "program_of",
     "robot_keys",
     "traced",
+    "vectorize",
 ]

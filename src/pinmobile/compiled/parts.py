@@ -71,7 +71,7 @@ class Parts:
     @functools.cached_property
     def law(self) -> Any:
         """The plant as a loop asks it: where it offers unchecked calls, by these, in the thread that asks."""
-        return self.plant if not hasattr(self.plant, "calls") else _Unchecked(self.plant)
+        return getattr(self.plant, "law", self.plant)
 
     @functools.cached_property
     def integrate(self) -> Callable[[Any, Any], Any]:
@@ -275,25 +275,6 @@ def displaced(integrator: Any, acceleration: Any, first: Any, t: Moment, v: Valu
 def when(t: Moment) -> str:
     """Return a time in words, for messages; nothing of a symbol."""
     return f" at t = {t:g} s" if isinstance(t, float) else ""
-
-
-class _Unchecked:
-    """A plant by its unchecked calls; for the rest, itself."""
-
-    def __init__(self, plant: Any) -> None:
-        calls = plant.calls()
-        accelerated = calls.forward_dynamics
-        self.plant, self.nq, self.nv, self.nu = plant, plant.nq, plant.nv, plant.nu
-        self.pose, self.rate, self.effort = calls.pose, calls.rate, calls.effort
-        self.integrate = np.add if plant.adds else plant.integrate
-
-        def forward_dynamics(q: Array, v: Array, u: Array, f: Array | None = None) -> Array:
-            return np.array(accelerated(q, v, u if f is None else u + f))  # the next call writes into it
-
-        self.forward_dynamics = forward_dynamics
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.plant, name)
 
 
 def _parameters(path: str, part: object) -> Sequence[tuple[str, str, Array]]:

@@ -19,10 +19,10 @@ import numpy as np
 
 from pinmobile.compiled.functions import constructors
 from pinmobile.errors import NotTraceable
+from pinmobile.parts._fields import _tracing as _local
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _lock = threading.RLock()
-_local = threading.local()
 _HERE = str(Path(__file__).parent)
 _MADE_BY_CODE = 1 << 9  # of a class's flags: it comes of a class statement
 _OURS = (_HERE, str(Path(np.__file__).parent), "<__array_function__", "<frozen")

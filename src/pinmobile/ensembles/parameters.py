@@ -15,7 +15,7 @@ from pinmobile.compiled import Parts, Place, children_at
 from pinmobile.controllers import GAINS
 from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.plant import Coordinate, Parameter, parameters_of
-from pinmobile.robot import BODY_PARAMETERS, PlanarBody
+from pinmobile.robot import PlanarDynamics
 
 
 def _stating(package: ModuleType) -> tuple[Any, ...]:
@@ -78,10 +78,17 @@ def _of_kinds() -> Iterator[tuple[str, tuple[Parameter, ...]]]:
                 yield f"{kind.__name__}, {how}", parameters_of(kind)
 
 
+BODY_PARAMETERS = (
+    Parameter("mass", "kg", "mass of the robot", 0.0, may_vanish=False),
+    Parameter("yaw_inertia", "kg m^2", "yaw inertia of the robot", 0.0, may_vanish=False),
+    Parameter("com_x", "m", "centre of mass of the robot, forward"),
+    Parameter("com_y", "m", "centre of mass of the robot, left"),
+)
+
 GROUPS: Mapping[str, tuple[Parameter, ...]] = {
     "the robot": BODY_PARAMETERS,
     "the controller's model": tuple(_of_model(each, "model_") for each in BODY_PARAMETERS),
-    "the start, relative to the trajectory's start": start_parameters(PlanarBody.coordinates),
+    "the start, relative to the trajectory's start": start_parameters(PlanarDynamics.coordinates),
     "gains: one for all coordinates, one for each, or a common factor": GAINS,
     **dict(_of_kinds()),
 }

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar, dataclass_transform
 
 import attrs
@@ -25,7 +26,27 @@ def is_symbolic(value: object) -> bool:
     return getattr(type(value), "is_symbolic", False)
 
 
-class structure(functools.cached_property[_T]):
+@contextlib.contextmanager
+def on_numbers() -> Iterator[None]:
+    """Let code run on numbers in a thread that runs laws on symbols."""
+    depth, _tracing.depth = getattr(_tracing, "depth", 0), 0
+    try:
+        yield
+    finally:
+        _tracing.depth = depth
+
+
+class numeric(functools.cached_property[_T]):
+    """A cached property whose code makes arrays of numbers, also while laws run on symbols."""
+
+    def __get__(self, part: Any, owner: Any = None) -> Any:
+        if part is None or self.attrname in vars(part):
+            return super().__get__(part, owner)
+        with on_numbers():
+            return super().__get__(part, owner)
+
+
+class structure(numeric[_T]):
     """A cached property that depends on numbers alone: a part that holds symbols has that of its numbers."""
 
     def __get__(self, part: Any, owner: Any = None) -> Any:
@@ -227,9 +248,7 @@ COORDINATES = ("x", "y", "psi")
 """Labels of the first coordinates of a plant; those of arms and wheels have their number."""
 
 
-def gain(
-    *, default: Any = attrs.NOTHING, unit: str = "", doc: str = "", lower: float | None = None
-) -> Any:
+def gain(*, default: Any = attrs.NOTHING, unit: str = "", doc: str = "", lower: float | None = None) -> Any:
     """Declare a gain: a number for all coordinates, one for each, or a matrix."""
     shapes = (), ("n",), ("n", "n")
     return array(default=default, shapes=shapes, unit=unit, doc=doc, lower=lower, labels=COORDINATES)
@@ -251,9 +270,11 @@ def child(
     return declare(Child(doc, kind, False, optional, expected), default)
 
 
-def children(kind: Any, *, default: Any = attrs.NOTHING, doc: str = "", expected: str = "") -> Any:
-    """Declare several parts, in a sequence or a mapping by name."""
-    return declare(Child(doc, kind, True, False, expected), default)
+def children(
+    kind: Any, *, default: Any = attrs.NOTHING, doc: str = "", expected: str = "", **options: Any
+) -> Any:
+    """Declare several parts, in a sequence or a mapping by name; `options` are those of `attrs.field`."""
+    return declare(Child(doc, kind, True, False, expected), default, **options)
 
 
 def option(*, default: Any = attrs.NOTHING, doc: str = "", check: Any = None, **options: Any) -> Any:

@@ -600,7 +600,7 @@ class WheeledRobot(Platform, Bearing):
         """What its dynamics over symbols or arrays are made of, whatever the ground."""
         return {
             **self._numbers.columns,
-            "robot": self.robot.traced(),
+            "robot": self.robot.array_dynamics,
             "table": self.table,
             "rotors": frozen([actuator.motor.reflected_inertia for actuator in self.table.actuators]),
             "fall": self._fall,
