@@ -39,6 +39,7 @@ if TYPE_CHECKING:
         zero_moment_point,
     )
     from pinmobile.benchmarking import Benchmark, BenchmarkScenario, benchmark
+    from pinmobile.compiled import vectorize
     from pinmobile.controllers import (
         ADRC,
         LQR,
@@ -275,6 +276,7 @@ __all__ = [
     "steepest",
     "sweep",
     "tip_over_margin",
+    "vectorize",
     "verify",
     "zero_moment_point",
 ]
@@ -297,7 +299,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     ),
     "benchmarking": ("Benchmark", "BenchmarkScenario", "benchmark"),
     "closed_form": (),
-    "compiled": (),
+    "compiled": ("vectorize",),
     "constancy": (),
     "controllers": (
         "PD",

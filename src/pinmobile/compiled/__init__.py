@@ -24,6 +24,7 @@ from pinmobile.compiled.tape import (
     root as root,
     square_root as square_root,
 )
+from pinmobile.compiled.vectorize import vectorize
 
 __all__ = [
     "BINS",
@@ -40,4 +41,5 @@ __all__ = [
     "Shape",
     "Target",
     "robot_keys",
+    "vectorize",
 ]

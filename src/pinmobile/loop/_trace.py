@@ -497,10 +497,7 @@ def _used(tape: Tape, wanted: Iterable[int]) -> set[Any]:
 class _Context:
     """A context whose delays, noise and schedules are made by others, such as those of a tape."""
 
-    def __init__(self, loop: Loop, given: Context, line: Any, normal: Any, schedule: Any) -> None:
-        if hasattr(loop.plant, "traced"):  # LEGACY
-            body = loop.plant.traced()
-            self.difference, self.integrate = body.difference, body.integrate
+    def __init__(self, given: Context, line: Any, normal: Any, schedule: Any) -> None:
         self._given, self.line, self._schedule = given, line, schedule
         self.normal = normal or (lambda name, n: Noise(0, n))
 
@@ -530,7 +527,7 @@ def initial_memory(
     line, normal, schedule : callable
         Make a delay, a noise and a schedule.
     """
-    return initial(loop, _Context(loop, context, line, normal, schedule))  # type: ignore[arg-type]
+    return initial(loop, _Context(context, line, normal, schedule))  # type: ignore[arg-type]
 
 
 def scheduled_rows(loop: Loop, context: Context) -> list[Array]:

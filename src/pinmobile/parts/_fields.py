@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import inspect
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar, dataclass_transform
 
 import attrs
@@ -55,7 +56,27 @@ def also_symbols(method: _Method) -> _Method:
     return run  # type: ignore[return-value]
 
 
-class structure(functools.cached_property[_T]):
+@contextlib.contextmanager
+def on_numbers() -> Iterator[None]:
+    """Let code run on numbers in a thread that runs laws on symbols."""
+    depth, _tracing.depth = getattr(_tracing, "depth", 0), 0
+    try:
+        yield
+    finally:
+        _tracing.depth = depth
+
+
+class numeric(functools.cached_property[_T]):
+    """A cached property whose code makes arrays of numbers, also while laws run on symbols."""
+
+    def __get__(self, part: Any, owner: Any = None) -> Any:
+        if part is None or self.attrname in vars(part):
+            return super().__get__(part, owner)
+        with on_numbers():
+            return super().__get__(part, owner)
+
+
+class structure(numeric[_T]):
     """A cached property that depends on numbers alone: a part that holds symbols has that of its numbers."""
 
     def __get__(self, part: Any, owner: Any = None) -> Any:
@@ -346,9 +367,11 @@ def child(
     return declare(Child(doc, kind, False, optional, expected), default)
 
 
-def children(kind: Any, *, default: Any = attrs.NOTHING, doc: str = "", expected: str = "") -> Any:
-    """Declare several parts, in a sequence or a mapping by name."""
-    return declare(Child(doc, kind, True, False, expected), default)
+def children(
+    kind: Any, *, default: Any = attrs.NOTHING, doc: str = "", expected: str = "", **options: Any
+) -> Any:
+    """Declare several parts, in a sequence or a mapping by name; `options` are those of `attrs.field`."""
+    return declare(Child(doc, kind, True, False, expected), default, **options)
 
 
 def option(*, default: Any = attrs.NOTHING, doc: str = "", check: Any = None, **options: Any) -> Any:
@@ -454,10 +477,6 @@ def fields_of(part: Any) -> list[tuple[str, Field, Any]]:
 
     The fields of a user's plain frozen dataclass are what their values are: floats and arrays are numbers.
     """
-    if hasattr(type(part), "traced"):  # LEGACY
-        body = part.traced()
-        names = dict.fromkeys(each.attribute or each.name for each in part.parameters)
-        return [(n, Number(shapes=((), ("n",))), getattr(body, n)) for n in names]
     values = ((name, declared, getattr(part, name)) for name, declared in declared_by(type(part)))
     return [(name, declared or _seen(value), value) for name, declared, value in values]
 
@@ -481,19 +500,6 @@ def _is_number(value: object) -> bool:
 
 def evolved(part: _T, changes: Mapping[str, Any]) -> _T:
     """Return a part with other values of some fields, checked as those of a new one."""
-    if hasattr(type(part), "traced"):  # LEGACY
-        if not any(map(is_symbolic, changes.values())):
-            return part.with_parameters(**changes)
-        import copy
-
-        new = copy.copy(part.traced())
-        for each in type(new).__mro__:
-            for name, value in vars(each).items():
-                if isinstance(value, functools.cached_property):
-                    new.__dict__.pop(name, None)
-        for name, value in changes.items():
-            object.__setattr__(new, name, value)
-        return new
     if not attrs.has(type(part)):
         return dataclasses.replace(part, **changes)  # type: ignore[type-var]
     own = attrs.fields(type(part))

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from pinmobile.errors import InvalidArgument, UnknownName
-from pinmobile.parts._fields import Child, Field, Number, evolved, fields_of, is_part
+from pinmobile.parts._fields import Child, Field, Number, _Option, evolved, fields_of, is_part
 
 _T = TypeVar("_T")
 
@@ -67,7 +67,7 @@ def walk(part: Any, path: str = "") -> Iterator[Leaf]:
     for name, declared, value in fields_of(part):
         at = f"{path}.{name}" if path else name
         for below, each in _inner(at, declared, value):
-            if is_part(each):
+            if _is_within(declared, each):
                 yield from walk(each, below)
             else:
                 yield Leaf(below, part, declared, each)
@@ -80,12 +80,17 @@ def _inner(path: str, declared: Field, value: Any) -> list[tuple[str, Any]]:
     return [(path, value)]
 
 
+def _is_within(declared: Field, value: Any) -> bool:
+    """Tell whether a value is a part of the part that has it; what an option holds is not."""
+    return is_part(value) and not isinstance(declared, _Option)
+
+
 def parts_of(part: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     """Yield a part and all parts within it, each with its path, the outer ones first."""
     yield path, part
     for name, declared, value in fields_of(part):
         for below, each in _inner(f"{path}.{name}" if path else name, declared, value):
-            if is_part(each):
+            if _is_within(declared, each):
                 yield from parts_of(each, below)
 
 
@@ -131,7 +136,7 @@ def _replaced(part: Any, path: str, values: Mapping[str, Any], nominal: bool, us
         if at in values:
             changes[name] = values[at]
             used.add(at)
-        elif any(key.startswith(f"{at}.") for key in values):
+        elif not isinstance(declared, _Option) and any(key.startswith(f"{at}.") for key in values):
             changed = {
                 below: _replaced(each, below, values, nominal, used) if is_part(each) else each
                 for below, each in _inner(at, declared, value)

@@ -1,6 +1,7 @@
 """`MobileRobot`: a Pinocchio model whose root is the DH chain, and what it carries."""
 
 from pinmobile.robot.arms import Arm
+from pinmobile.robot.articulated import ArticulatedDynamics as ArticulatedDynamics
 from pinmobile.robot.complex_step import slopes as slopes
 from pinmobile.robot.geometry import TOUCH as TOUCH
 from pinmobile.robot.joints import BODY_JOINT, joints_of as joints_of
@@ -21,9 +22,9 @@ from pinmobile.robot.linkage import (
     vector_of as vector_of,
 )
 from pinmobile.robot.mobile import MobileRobot
-from pinmobile.robot.mounts import Load, Mount, named_frames as named_frames, prefixed as prefixed
-from pinmobile.robot.pinocchio_calls import Calls, Engine as Engine
-from pinmobile.robot.planar import BODY_PARAMETERS as BODY_PARAMETERS, PlanarBody as PlanarBody
+from pinmobile.robot.mounts import Link, Load, Mount, named_frames as named_frames, prefixed as prefixed
+from pinmobile.robot.pinocchio_calls import Engine as Engine, UncheckedDynamics
+from pinmobile.robot.planar import PlanarDynamics as PlanarDynamics
 from pinmobile.robot.reading import LOCKED as LOCKED
 from pinmobile.robot.solids import Solid as Solid, Solids as Solids, body_box as body_box
 from pinmobile.robot.sources import EXCEPTIONS, Mountable, Mountables, kept_arm as kept_arm, mountable
@@ -48,8 +49,8 @@ __all__ = [
     "BODY_JOINT",
     "EXCEPTIONS",
     "Arm",
-    "Calls",
     "Linearization",
+    "Link",
     "Load",
     "MobileRobot",
     "Mount",
@@ -57,5 +58,6 @@ __all__ = [
     "Mountables",
     "Stance",
     "System",
+    "UncheckedDynamics",
     "mountable",
 ]

@@ -1,24 +1,24 @@
-"""`ArticulatedBody`: the dynamics of a body with arms in the plane, for one state, many, or symbols.
+"""`ArticulatedDynamics`: the dynamics of a body with arms in the plane, for one state, many, or symbols.
 
-It is what a `MobileRobot` with arms is to compiled loops and to loops on arrays: see `PlanarBody`.
+It is what a `MobileRobot` with arms is to compiled loops and to loops on arrays: see `PlanarDynamics`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, Self, final
+from typing import Any, NamedTuple, Self, final
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, finite, frozen, one_of, scalar, wrap_angle
-from pinmobile.compiled import plain
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, frozen, wrap_angle
+from pinmobile.compiled import Node, plain, symbols
+from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.measures import Measure
-from pinmobile.plant import Coordinate, Input, Parameter
+from pinmobile.parts import is_symbolic
+from pinmobile.plant import Coordinate, Input
 from pinmobile.robot.complex_step import linearized
 from pinmobile.robot.linkage import (
     ZERO,
@@ -40,20 +40,13 @@ from pinmobile.robot.linkage import (
     single,
     vector_of,
     volume,
-    without_rounding,
 )
-from pinmobile.robot.mounts import LinkNumbers, Mount, are_impossible, body_parameters, named_frames
-from pinmobile.robot.planar import BODY_PARAMETERS
+from pinmobile.robot.mounts import assemble, named_frames
 from pinmobile.robot.recursions import Moving, Posture, by_matrix, operations
 from pinmobile.robot.stance import Judgement
 
 _BASE = 3  # joints, coordinates and numbers of q of the base; the last carries its body
-_OF_BASE = ("mass", "yaw_inertia", "com_x", "com_y")
-_OF_BODIES = ("masses", "coms", "inertias")
-_OTHERS = (*_OF_BODIES, *(f"load_{name}" for name in _OF_BODIES), "rotors", "places", "upright")
-_PLACE = {"at_x": "m", "at_y": "m", "at_z": "m", "at_yaw": "rad"}
 _SHARED = 1.05  # the way by the mass matrix shares products of velocities with a controller's own dynamics
-_DIGITS = 15  # of places on an arm [m], and of what is turned there
 
 
 class Fixed(NamedTuple):
@@ -66,9 +59,9 @@ class Fixed(NamedTuple):
     joint : int
         Of the linkage.
     arm : int
-        Which arm it is a part of, if it stands on the base where that does; else -1.
+        Number of the arm that it is a part of, if it is fixed to that arm's root; else -1.
     R, p : ndarray, shape (3, 3), (3,)
-        Its orientation and origin in the joint's frame [m].
+        Its orientation and origin in the joint's frame, or in that of the arm's root [m].
     """
 
     name: str
@@ -78,116 +71,187 @@ class Fixed(NamedTuple):
     p: Array
 
 
-@final
 @dataclass(frozen=True, eq=False)
-class ArticulatedBody:
-    """A body in the plane that carries arms and loads, by recursions over its joints, unchecked.
+class Tree:
+    """The structure of a robot: all but its masses, inertias and rotors, and where its arms stand.
 
-    What is each robot's own has leading axes before the shapes below.
-
-    Parameters
+    Attributes
     ----------
     linkage : Linkage
-        Its joints; the first three are the base's.
-    links, loads, frames : tuple of Fixed
-        Where the bodies below stand, and what has a name.
-    arms : tuple of (str, (float, float, float, float))
-        Names of the arms, and where they stand unless `places` are varied: x, y, z and yaw [m, m, m, rad].
+        Its joints; the first three are the base's, and arms stand at the body's origin.
+    roots : tuple of int
+        For each joint the number of the arm whose root it hangs on; else -1.
+    links : tuple of Fixed
+        What has mass, one arm after the other.
+    frames : dict of str to Fixed
+        What has a name.
+    arms : tuple of str
+        Names of the arms.
     coordinates, inputs
         As of a plant.
     rest : ndarray, shape (nq,)
         Where what has no reference starts.
-    mass, yaw_inertia, com_x, com_y : float
-        Of the base's own body, as in `PlanarBody`.
-    upright : ndarray, shape (3,)
-        Of the same body, what the ground alone feels: height of the centre of mass [m], and inertia xz and yz
-        about it, as shares of the yaw inertia, with which they grow.
-    masses, coms, inertias : ndarray, shape (links,), (3 links,), (6 links,)
-        Of each link, along the axes of its frame: mass, centre of mass, and inertia (xx, yy, zz, xy, xz, yz)
-        about that [kg, m, kg m^2].
-    load_masses, load_coms, load_inertias : ndarray
-        The same of the loads.
-    rotors : ndarray, shape (nv - 3,)
-        What the motors of the arms' joints add to their inertias [kg m^2, kg].
-    places : ndarray, shape (4 arms,)
-        Where the arms stand.
-    judgement : Judgement
-        What is worth judging about it.
+    judgement : Judgement or None
+        What is worth judging about it; None without arms.
     end_effector : str
         The frame that is meant where none is named.
-    varied : frozenset of (str, int), optional
-        Attributes and entries that differ from robot to robot; of others, what is zero is left out, and where
-        an arm stands is a constant. By default, all may differ.
     """
 
     linkage: Linkage
+    roots: tuple[int, ...]
     links: tuple[Fixed, ...]
-    loads: tuple[Fixed, ...]
-    frames: tuple[Fixed, ...]
-    arms: tuple[tuple[str, tuple[float, ...]], ...]
+    frames: dict[str, Fixed]
+    arms: tuple[str, ...]
     coordinates: tuple[Coordinate, ...]
     inputs: tuple[Input, ...]
     rest: Array
-    mass: Array | float
-    yaw_inertia: Array | float
-    com_x: Array | float
-    com_y: Array | float
-    masses: Array
-    coms: Array
-    inertias: Array
-    load_masses: Array
-    load_coms: Array
-    load_inertias: Array
-    rotors: Array
-    places: Array
-    upright: Array
-    judgement: Judgement
+    judgement: Judgement | None
     end_effector: str
-    varied: frozenset[tuple[str, object]] | None = None
-    matter: tuple[tuple[bool, ...], ...] = ()
 
-    broadcasts: ClassVar[bool] = True
-    EXPECTED: ClassVar[str] = "expected principal moments >= 0, none above the sum of the other two"
+    @classmethod
+    def of(cls, robot: Any, base: pin.Model) -> Tree:
+        """Return that of a robot, whose base in public order is a model.
 
-    def __post_init__(self) -> None:
-        matter = (
-            tuple(bool(x) or self._differs(name, k) for k, x in enumerate(getattr(self, name)))
-            for name in _OTHERS
+        Raises
+        ------
+        NotTraceable
+            If a joint is neither revolute nor prismatic.
+        """
+        model, arms = assemble(base, robot.mounts, at_origin=True), tuple(each.name for each in robot.mounts)
+        linkage, links = Linkage.of(model), list[Fixed]()
+        for k, mount in enumerate(robot.mounts):
+            root, *others = (f"{mount.name}/{link.name}" for link in mount.links)
+            links.append(Fixed(root, _BASE - 1, k, frozen(np.eye(3)), frozen(np.zeros(3))))
+            for joint, name in enumerate(others, mount.v.start):
+                links.append(Fixed(name, joint, -1, frozen(linkage.axes[joint].T), frozen(np.zeros(3))))
+        return cls(
+            linkage=linkage,
+            roots=tuple(
+                arms.index(name.partition("/")[0]) if parent == _BASE - 1 else -1
+                for name, parent in zip(linkage.names, linkage.parents, strict=True)
+            ),
+            links=tuple(links),
+            frames={
+                name: _fixed(linkage, name, model.frames[k], arms)
+                for name, k in named_frames(model).items()
+                if model.frames[k].parentJoint >= _BASE  # those of the virtual links move with a part of it
+            },
+            arms=arms,
+            coordinates=robot.coordinates,
+            inputs=robot.inputs,
+            rest=robot.rest,
+            judgement=Judgement.of(robot) if arms else None,
+            end_effector=robot.end_effector,
         )
-        object.__setattr__(self, "matter", tuple(matter))
 
-    def _differs(self, name: str, entry: int) -> bool:
-        return self.varied is None or (name, entry) in self.varied
 
-    def varying(self, entries: Iterable[tuple[str, object]]) -> Self:
-        """Return it, told which attributes and entries of its parameters differ from robot to robot."""
-        return replace(self, varied=frozenset(entries))
+def _fixed(linkage: Linkage, name: str, frame: pin.Frame, arms: Sequence[str]) -> Fixed:
+    joint, (arm, slash, _) = frame.parentJoint - 1, name.partition("/")
+    turn, place = linkage.axes[joint].T, frame.placement
+    root = arms.index(arm) if slash and joint == _BASE - 1 and arm in arms else -1
+    return Fixed(name, joint, root, frozen(turn @ place.rotation), frozen(turn @ place.translation))
 
-    def each_its_own(self) -> Self:
-        """Return it with all numbers varying that are not zero: robots with such others have its `form`."""
-        names = ((name, k) for name in _OTHERS for k, x in enumerate(getattr(self, name)) if x)
-        return self.varying(names)
 
-    @cached_property
-    def form(self) -> tuple[Any, ...]:
-        """What its laws are made of beside its `numbers`: kinematics, and which numbers are zero."""
-        tree, base = self.linkage, [bool(getattr(self, name)) for name in _OF_BASE]
-        arrays = tree.gravity, tree.axes, *(x for i in range(self.nv) for x in self._joint_own(i))
-        fixed = [self.form_of(each) for each in (*self.links, *self.loads)]
-        shape = tree.parents, tree.turns, tree.circular, len(self.links), self.matter
-        return *shape, *base, *(x.tobytes() for x in arrays), *fixed
+class Solid(NamedTuple):
+    """Mass [kg], centre of mass [m] and inertia (xx, yy, zz, xy, xz, yz) about it [kg m^2], as scalars."""
 
-    def form_of(self, fixed: Fixed) -> tuple[Any, ...]:
-        """Return what the laws know of something that stands still on a joint."""
-        name = fixed.name.partition("/")[0]
-        owner = [arm for arm, _ in self.arms].index(name) if "/" in fixed.name else -1
-        return owner, fixed.joint, fixed.arm, *(x.tobytes() for x in self._own_place(*fixed[2:]))
+    mass: Any
+    com: Vector
+    inertia: Vector
+
+    @classmethod
+    def of(cls, body: Any) -> Solid:
+        """Return those of a link or a load."""
+        return cls(single(plain(body.mass)), entries_of(body.com), entries_of(body.inertia))
+
+
+def entries_of(x: Any) -> Vector:
+    """Return a few numbers or symbols as scalars."""
+    return scalars(x if is_symbolic(x) else np.asarray(x, np.float64))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class ArticulatedDynamics:
+    """A body in the plane that carries arms and loads, by recursions over its joints, unchecked.
+
+    What it is made of are scalars: numbers or symbols.
+
+    Parameters
+    ----------
+    tree : Tree
+        The structure.
+    mass, yaw_inertia : scalar
+        Of the base's own body [kg, kg m^2].
+    com : list of 3 scalars
+        Its centre of mass [m].
+    shares : (float, float)
+        Its inertia xz and yz, which the ground alone feels, as shares of the yaw inertia.
+    links : list of Solid
+        What arms are made of, along the axes of their frames.
+    loads : list of (str, Solid)
+        Each with its frame.
+    rotors : list of scalars
+        What the motors of the arms' joints add to their inertias [kg m^2, kg].
+    places : list of lists of 4 scalars
+        Where the arms stand: x, y, z and yaw [m, m, m, rad].
+    """
+
+    tree: Tree
+    mass: Any
+    yaw_inertia: Any
+    com: Vector
+    shares: tuple[float, float]
+    links: list[Solid]
+    loads: list[tuple[str, Solid]]
+    rotors: Vector
+    places: list[Vector]
+
+    @classmethod
+    def of(cls, robot: Any) -> Self:
+        """Return the dynamics of a `MobileRobot`, of numbers or of symbols.
+
+        Raises
+        ------
+        NotTraceable
+            If a joint is neither revolute nor prismatic.
+        """
+        return cls(
+            tree=robot.tree,
+            mass=single(plain(robot.mass)),
+            yaw_inertia=single(plain(robot.yaw_inertia)),
+            com=entries_of(robot.com),
+            shares=robot.inertia_shares,
+            links=[Solid.of(link) for mount in robot.mounts for link in mount.links],
+            loads=[(load.frame, Solid.of(load)) for load in robot.loads],
+            rotors=[x for mount in robot.mounts for x in entries_of(mount.rotors)],
+            places=[entries_of(mount.at) for mount in robot.mounts],
+        )
 
     @property
-    def numbers(self) -> dict[str, Array]:
-        """What differs between robots of one `form`, by attribute."""
-        base = {name: np.asarray(getattr(self, name)) for name in _OF_BASE if getattr(self, name)}
-        return base | {name: getattr(self, name) for name in _OTHERS}
+    def linkage(self) -> Linkage:
+        """Its joints."""
+        return self.tree.linkage
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """As of a plant."""
+        return self.tree.coordinates
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """As of a plant."""
+        return self.tree.inputs
+
+    @property
+    def rest(self) -> Array:
+        """Where what has no reference starts, shape (nq,)."""
+        return self.tree.rest
+
+    @property
+    def judgement(self) -> Judgement | None:
+        """What is worth judging about it."""
+        return self.tree.judgement
 
     @property
     def leading(self) -> dict[int, int]:
@@ -197,7 +261,7 @@ class ArticulatedBody:
     @property
     def nq(self) -> int:
         """Size of q."""
-        return len(self.rest)
+        return len(self.linkage)
 
     @property
     def nv(self) -> int:
@@ -215,80 +279,26 @@ class ArticulatedBody:
         return 15 * self.nv
 
     @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """What may be spread: of the base, of links and loads, of motors, and where arms stand."""
-        found = [replace(each, attribute=each.name) for each in BODY_PARAMETERS]
-        for k, link in enumerate(self.links):
-            found += body_parameters(k, "", f"_{link.name}", link.name)
-        for k, load in enumerate(self.loads):
-            after = f"_{k + 1}" if k else ""
-            found += body_parameters(k, "load_", after, f"the load at {load.name}")
-        for k, joint in enumerate(self.coordinates[_BASE:]):
-            unit, meaning = "kg" if joint.unit == "m" else "kg m^2", f"inertia that the motor of {joint.name}"
-            name = f"rotor_{joint.name}"
-            found.append(
-                Parameter(name, unit, f"{meaning} adds, of the robot", 0.0, attribute="rotors", entry=k)
-            )
-        for k, (arm, _) in enumerate(self.arms):
-            for j, (name, unit) in enumerate(_PLACE.items()):
-                meaning = f"{name.removeprefix('at_')} of where {arm} stands on the robot"
-                entry = len(_PLACE) * k + j
-                found.append(Parameter(f"{name}_{arm}", unit, meaning, attribute="places", entry=entry))
-        return tuple(found)
-
-    def _numbers(self, name: str) -> Vector:
-        """Return the entries of an attribute; what is zero for all robots, as such."""
-        entries, matter = scalars(getattr(self, name)), self.matter[_OTHERS.index(name)]
-        return [x if own else ZERO for x, own in zip(entries, matter, strict=True)]
-
-    @cached_property
-    def _stands(self) -> list[Place | None]:
-        """Where the arms stand; None where that is the same for all robots."""
-        numbers, found = self._numbers("places"), []
-        for arm in range(len(self.arms)):
-            *origin, yaw = numbers[4 * arm : 4 * arm + 4]
-            found.append(Place.about_z(yaw, origin) if self._moves(arm) else None)
-        return found
-
-    def _moves(self, arm: int) -> bool:
-        """Tell whether an arm stands elsewhere on other robots."""
-        return any(self._differs("places", 4 * arm + j) for j in range(4))
-
-    def _own_place(self, arm: int, R: Array, p: Array) -> tuple[Array, Array]:
-        """Return where something stands in its joint's frame, or on its arm, where that moves."""
-        if arm < 0 or not self._moves(arm):
-            return R, p
-        x, y, z, yaw = self.arms[arm][1]
-        c, s = np.cos(yaw), np.sin(yaw)
-        back = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        # Rounded, it is the same wherever the arm stands.
-        turn, origin = (np.round(array, _DIGITS) for array in (back @ R, back @ (p - [x, y, z])))
-        return without_rounding(turn), without_rounding(origin)
+    def _stands(self) -> list[Place]:
+        """Where the arms stand."""
+        return [Place.about_z(yaw, origin) for *origin, yaw in self.places]
 
     def _placed(self, arm: int, R: Array, p: Array) -> Place:
-        """Return where something stands in its joint's frame, on an arm or not."""
-        place, stand = Place.of(*self._own_place(arm, R, p)), self._stands[arm] if arm >= 0 else None
-        return place if stand is None else place.within(stand)
-
-    def _joint_own(self, i: int) -> tuple[Array, Array]:
-        return self._own_place(*self._joint(i))
-
-    def _joint(self, i: int) -> tuple[int, Array, Array]:
-        """Return where a joint stands in that which it hangs on: its arm, if that stands there, and how."""
-        tree = self.linkage
-        name, on_base = tree.names[i].partition("/")[0], tree.parents[i] == _BASE - 1
-        arm = [arm for arm, _ in self.arms].index(name) if on_base else -1
-        return arm, tree.rotations[i], tree.offsets[i]
+        """Return where something stands in its joint's frame, on the root of an arm or not."""
+        place = Place.of(R, p)
+        return place if arm < 0 else place.within(self._stands[arm])
 
     @cached_property
     def _joints(self) -> list[Place]:
         """Where the joints stand in those that they hang on."""
-        return [self._placed(*self._joint(i)) for i in range(self.nv)]
+        tree = self.tree
+        rows = zip(tree.roots, tree.linkage.rotations, tree.linkage.offsets, strict=True)
+        return [self._placed(*row) for row in rows]
 
     def _base(self, z: Any = ZERO, xz: Any = ZERO, yz: Any = ZERO) -> Body:
-        """Return the base's own body, `upright` of it as given."""
-        mass, inertia, x, y = (single(plain(getattr(self, name))) for name in _OF_BASE)
-        return Body.of(mass, [x, y, z], [ZERO, ZERO, inertia, ZERO, xz * inertia, yz * inertia])
+        """Return the base's own body, with what the ground alone feels of it."""
+        inertia = self.yaw_inertia
+        return Body.of(self.mass, [*self.com[:2], z], [ZERO, ZERO, inertia, ZERO, xz * inertia, yz * inertia])
 
     @cached_property
     def _bodies(self) -> list[Body]:
@@ -298,20 +308,19 @@ class ArticulatedBody:
     @cached_property
     def _bodies_on_ground(self) -> list[Body]:
         """What is fixed to each joint, grouped so that the base's still feels what it does of the ground."""
-        carried = self._carried(self._base(*self._numbers("upright")))
+        carried = self._carried(self._base(self.com[2], *map(exact, self.shares)))
         return regrouped(self.linkage, self._joints, carried, _BASE - 1)
 
     def _carried(self, base: Body, before: str = "") -> list[Body]:
         """Return what is fixed to each joint: the base's body, and links and loads whose names begin so."""
         found = [Body.none() for _ in self.coordinates]
         found[_BASE - 1] = base
-        for prefix, frames in (("", self.links), ("load_", self.loads)):
-            masses, coms, inertias = (self._numbers(f"{prefix}{name}") for name in _OF_BODIES)
-            for k, (name, joint, arm, R, p) in enumerate(frames):
-                if name.startswith(before):
-                    body = Body.of(masses[k], coms[3 * k : 3 * k + 3], inertias[6 * k : 6 * k + 6])
-                    place = self._placed(arm, R, p)
-                    found[joint] = found[joint].joined(body.turned(place.R).moved(place.p))
+        tree = self.tree
+        loads = [(tree.frames[frame], solid) for frame, solid in self.loads]
+        for (name, joint, arm, R, p), solid in (*zip(tree.links, self.links, strict=True), *loads):
+            if name.startswith(before):
+                place = self._placed(arm, R, p)
+                found[joint] = found[joint].joined(Body.of(*solid).turned(place.R).moved(place.p))
         return found
 
     @cached_property
@@ -322,16 +331,13 @@ class ArticulatedBody:
     @cached_property
     def _motors(self) -> Vector:
         """What motors add to the inertias of the joints, in the order of the linkage."""
-        return [*[ZERO] * _BASE, *self._numbers("rotors")]
+        return [*[ZERO] * _BASE, *self.rotors]
 
     @cached_property
     def _by_matrix(self) -> bool:
         """Whether accelerations come by the mass matrix, or else by articulated bodies: as takes less."""
-        known, key = self.linkage.counted, (self.varied, self.matter)
-        if key not in known:
-            by_bodies, by_mass_matrix = operations(self.linkage, self._joints, self._bodies, self._motors)
-            known[key] = by_mass_matrix < _SHARED * by_bodies
-        return known[key]
+        by_bodies, by_mass_matrix = operations(self.linkage, self._joints, self._bodies, self._motors)
+        return by_mass_matrix < _SHARED * by_bodies
 
     def _posture(self, q: Array) -> Posture:
         return Posture(self.linkage, self._joints, scalars(q))
@@ -408,14 +414,13 @@ class ArticulatedBody:
         force, moment = self._felt(self._bodies_on_ground, q, v, a)
         return vector_of([*force, *moment], q)
 
-    def mount_wrench(self, q: Array, v: Array, a: Array, mount: str) -> Array:
+    def mount_wrench(self, q: Array, v: Array, a: Array, mount: str | None = None) -> Array:
         """Return what an arm exerts on the base, shape (..., 6), along the base's axes, about the mount."""
-        arm = [name for name, _ in self.arms].index(mount)
-        bodies = regrouped(self.linkage, self._joints, self._carried(Body.none(), f"{mount}/"), _BASE - 1)
+        arm = 0 if mount is None else self.tree.arms.index(mount)
+        name = f"{self.tree.arms[arm]}/"
+        bodies = regrouped(self.linkage, self._joints, self._carried(Body.none(), name), _BASE - 1)
         force, moment = self._felt(bodies, q, v, a)
-        stand = self._stands[arm]
-        at = [exact(x) for x in self.arms[arm][1][:3]] if stand is None else stand.p
-        about = plus(moment, cross(force, at))
+        about = plus(moment, cross(force, self._stands[arm].p))
         return vector_of([-x for x in (*force, *about)], q)
 
     def _felt(self, bodies: Sequence[Body], q: Array, v: Array, a: Array) -> tuple[Vector, Vector]:
@@ -427,19 +432,21 @@ class ArticulatedBody:
     @property
     def weight(self) -> Any:
         """Weight of all that it is made of [N]."""
-        total = single(plain(self.mass))
-        for name in ("masses", "load_masses"):
-            for mass in self._numbers(name):
-                total = total + mass
-        return number(total * float(np.linalg.norm(self.linkage.gravity)))
+        total = self.mass
+        for solid in (*self.links, *(solid for _, solid in self.loads)):
+            total = total + solid.mass
+        weight = number(total * float(np.linalg.norm(self.linkage.gravity)))
+        return symbols([weight], ()) if type(weight) is Node else weight
 
     @property
     def measures(self) -> tuple[Measure, ...]:
         """What is worth judging about it: see `MobileRobot.measures`."""
-        return self.judgement.measures
+        return () if self.judgement is None else self.judgement.measures
 
     def measured(self, t: Array | float, q: Array, v: Array, a: Array, u: Array, reference: Any) -> Array:
         """Return its measures, shape (..., m)."""
+        if self.judgement is None:
+            return np.zeros((*np.shape(q)[:-1], 0))
         return self.judgement.measured(self, q, v, a, u, reference.q)
 
     def frame_pose(self, q: Array, frame: str | None = None) -> Array:
@@ -455,13 +462,20 @@ class ArticulatedBody:
         J = self._posture(q).jacobian(fixed.joint, self._placed(*fixed[2:]).p)
         return matrix_of([vector_of(row, q) for row in J])
 
-    def manipulability(self, q: Array, frame: str | None = None, arm: str = "") -> Array:
+    def manipulability(self, q: Array, frame: str | None = None, *, arm: str = "") -> Array:
         """Return sqrt(det J J'), shape (...), of all coordinates, or of those of an arm alone."""
         fixed, names = self._frame(frame), self.linkage.names
         J = self._posture(q).jacobian(fixed.joint, self._placed(*fixed[2:]).p)
         ahead = arm and f"{arm}/"
         own = [k for k, name in enumerate(names) if name.startswith(ahead)]
         return scalar_of(volume([[row[k] for k in own] for row in J]), q)
+
+    def arm_manipulability(self, q: Array, frame: str | None = None) -> Array:
+        """Return that of the arm that carries the frame alone, the base held, shape (...)."""
+        arm, slash, _ = self._frame(frame).name.partition("/")
+        if not slash:
+            raise InvalidArgument(f"frame is {arm!r}, expected one of an arm")
+        return self.manipulability(q, frame, arm=arm)
 
     def frame_drift(self, q: Array, v: Array, frame: str | None = None) -> Array:
         """Return dJ/dt v, shape (..., 6), J as in `frame_jacobian`."""
@@ -470,9 +484,13 @@ class ArticulatedBody:
         return vector_of([*line, *spin], q)
 
     def _frame(self, name: str | None) -> Fixed:
-        name = self.end_effector if name is None else name
-        known = {fixed.name: fixed for fixed in self.frames}
-        return known[one_of("frame", name, known)]
+        name = self.tree.end_effector if name is None else name
+        if name not in self.tree.frames:
+            raise NotTraceable(
+                f"frame {name!r}, which moves with a part of the pose",
+                f"take one of {', '.join(self.tree.frames)}",
+            )
+        return self.tree.frames[name]
 
     def integrate(self, q: Array, dq: Array) -> Array:
         """Return the configuration that a displacement leads to, shape (..., nq)."""
@@ -501,106 +519,3 @@ class ArticulatedBody:
         """Return the q and v with which a reference begins; what it does not lead rests."""
         n = reference.v.shape[-1]
         return np.append(reference.q, self.rest[n:]), np.append(reference.v, np.zeros(self.nv - n))
-
-    def numbers_with(self, values: Mapping[str, Any]) -> dict[str, Array]:
-        """Return the numbers of all attributes; some, by name of attribute or parameter, are others.
-
-        Raises
-        ------
-        InvalidArgument
-            If an array has another shape, a number is not what is expected, or no body has such an inertia.
-        """
-        found = {name: np.array(getattr(self, name), np.float64) for name in (*_OF_BASE, *_OTHERS)}
-        for name, value in values.items():
-            if name in found:
-                array = finite(name, value)
-                if array.shape != found[name].shape:
-                    raise InvalidArgument(f"{name} has shape {array.shape}, expected {found[name].shape}")
-                found[name] = array
-        for parameter in self.parameters:
-            array, entry = found[parameter.attribute], parameter.entry if parameter.entry is not None else ()
-            if parameter.name in values and parameter.name not in found:
-                array[entry] = scalar(parameter.name, values[parameter.name])
-            if not parameter.allows(array[entry]):
-                raise InvalidArgument(f"{parameter.name} is {array[entry]:g}, expected {parameter.bound}")
-        for name, _ in self.impossible({name: array[None] for name, array in found.items()}):
-            raise InvalidArgument(f"inertia of {name} is one that no body has, {self.EXPECTED}")
-        return found
-
-    def impossible(self, values: Mapping[str, Array]) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-        """Return the bodies that are drawn as no body is: their names, and of which of m robots, shape (m,).
-
-        Parameters
-        ----------
-        values : mapping of str to ndarray, shape (m, ...)
-            Attributes that differ.
-        """
-        for prefix, frames, kind in (("", self.links, ""), ("load_", self.loads, "load at ")):
-            drawn, masses = values.get(f"{prefix}inertias"), values.get(f"{prefix}masses")
-            if drawn is not None and frames:
-                own = getattr(self, f"{prefix}masses") if masses is None else masses
-                wrong = are_impossible(drawn.reshape(len(drawn), len(frames), 6), own)
-                for k, fixed in enumerate(frames):
-                    if wrong[:, k].any():
-                        yield f"{kind}{fixed.name}", wrong[:, k]
-
-
-def articulated(robot: Any, linkage: Linkage) -> ArticulatedBody:
-    """Return the dynamics of a robot with arms.
-
-    Parameters
-    ----------
-    robot : MobileRobot
-        Its names, its body, and what it carries.
-    linkage : Linkage
-        Its tree, in public order.
-    """
-    model, numbers = robot._model, [LinkNumbers.of(mount._model) for mount in robot.mounts]
-    frames = {
-        name: _fixed(linkage, name, model.frames[k], robot.mounts)
-        for name, k in named_frames(model).items()
-        if model.frames[k].parentJoint >= _BASE  # those of the virtual links move with a part of the pose
-    }
-    links = []
-    for k, mount in enumerate(robot.mounts):
-        place, (root, *others) = mount.placement, mount.links
-        links.append(Fixed(root, _BASE - 1, k, frozen(place.rotation), frozen(place.translation)))
-        for joint, name in enumerate(others, mount.joints.start - 1):
-            links.append(Fixed(name, joint, -1, frozen(linkage.axes[joint].T), frozen(np.zeros(3))))
-    loads = [load for _, load in robot.loads]
-    of_links = (np.concatenate([[], *(each[k].ravel() for each in numbers)]) for k in range(3))
-    masses, coms, inertias = map(frozen, of_links)
-    return ArticulatedBody(
-        linkage=linkage,
-        links=tuple(links),
-        loads=tuple(frames[name] for name, _ in robot.loads),
-        frames=tuple(frames.values()),
-        arms=tuple((mount.name, mount.at) for mount in robot.mounts),
-        coordinates=robot.coordinates,
-        inputs=robot.inputs,
-        rest=robot.rest,
-        mass=robot.mass,
-        yaw_inertia=robot.body.yaw_inertia,
-        com_x=float(robot.body.com[0]),
-        com_y=float(robot.body.com[1]),
-        masses=masses,
-        coms=coms,
-        inertias=inertias,
-        load_masses=frozen([load.mass for load in loads]),
-        load_coms=frozen(np.ravel([load.com for load in loads])),
-        load_inertias=frozen(np.ravel([load.six for load in loads])),
-        rotors=frozen(np.concatenate([[], *(each.rotors for each in numbers)])),
-        places=frozen(np.ravel([mount.at for mount in robot.mounts])),
-        upright=frozen([robot.body.com[2], *(robot.body.inertia[2, :2] / robot.body.yaw_inertia)]),
-        judgement=Judgement.of(robot),
-        end_effector=robot.end_effector,
-    )
-
-
-def _fixed(linkage: Linkage, name: str, frame: pin.Frame, mounts: Sequence[Mount]) -> Fixed:
-    joint = frame.parentJoint - 1
-    turn, place = linkage.axes[joint].T, frame.placement
-    own = [k for k, mount in enumerate(mounts) if name.startswith(f"{mount.name}/") and joint == _BASE - 1]
-    return Fixed(
-        name, joint, own[0] if own else -1, frozen(turn @ place.rotation), frozen(turn @ place.translation)
-    )

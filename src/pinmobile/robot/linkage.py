@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -336,11 +335,6 @@ class Linkage:
 
     def __len__(self) -> int:
         return len(self.names)
-
-    @cached_property
-    def counted(self) -> dict[Any, bool]:
-        """What is known of the operations that its dynamics take, by what is zero in them."""
-        return {}
 
 
 def _to_z(axis: Array) -> Array:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeAlias, final
+from typing import Any, final
 
+import attrs
 import numpy as np
 import pinocchio as pin
 
@@ -20,52 +20,74 @@ from pinmobile.arrays import (
     broadcast,
     finite,
     finite_answer,
+    frozen,
     lengths,
     location,
-    positive,
-    scalar,
     sequence,
     text,
 )
 from pinmobile.constancy import constant
 from pinmobile.dh import LECTURE_TABLE, DHTable
-from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
+from pinmobile.errors import InvalidArgument, NotTraceable, shown
 from pinmobile.measures import Measure
-from pinmobile.plant import Parameter
+from pinmobile.parts import (
+    Number,
+    children,
+    declare,
+    is_symbolic,
+    number,
+    numeric,
+    option,
+    part,
+    structure,
+    walk,
+)
 from pinmobile.robot.arms import check_whole
-from pinmobile.robot.articulated import ArticulatedBody, articulated
+from pinmobile.robot.articulated import ArticulatedDynamics, Tree
 from pinmobile.robot.joints import BODY_JOINT
 from pinmobile.robot.mounts import (
     Load,
     Mount,
     assemble,
     checked_name,
+    com_field,
     free_name,
     free_place,
-    mount_after,
     placed,
-    with_numbers,
 )
-from pinmobile.robot.pinocchio_calls import Engine
-from pinmobile.robot.planar import BODY_PARAMETERS, PlanarBody
+from pinmobile.robot.pinocchio_calls import Engine, UncheckedDynamics, in_public_order
+from pinmobile.robot.planar import PlanarDynamics
 from pinmobile.robot.reading import LOCKED, Reading, build_model, check_chain, read_model, read_urdf
 from pinmobile.robot.solids import Solids, body_box, body_shapes, carried_shapes
 from pinmobile.robot.sources import existing_folders, read_arm
 from pinmobile.robot.stance import Judgement, Stance
-from pinmobile.robot.system import System
+from pinmobile.robot.system import System, by_values
 from pinmobile.robot.undercarriage import Undercarriage
 from pinmobile.robot.visuals import VisualFile, add_carried, box_visuals, read_visuals
 from pinmobile.robot.wellformed import check_freedom
 
-_Size: TypeAlias = tuple[float, float, float]
-_Bare: TypeAlias = tuple[
-    urdf.Body, _Size, DHTable, str, Stance, tuple[str, ...], VisualFile | None, Undercarriage
-]
+
+@attrs.frozen
+class _Size(Number):
+    """Declaration of the sides of the box that is drawn."""
+
+    def checked(self, name: str, value: Any) -> tuple[float, ...]:
+        """Return a tuple of floats."""
+        return tuple(lengths(value).tolist())
+
+
+def _checked_chain(name: str, table: DHTable) -> DHTable:
+    check_chain(table)
+    return table
+
+
+def _frozen(name: str, inertia: Array | None) -> Array | None:
+    return None if inertia is None else frozen(inertia)
 
 
 @final
 @constant
-@dataclass(frozen=True, eq=False, repr=False)
+@part
 class MobileRobot(System):
     """A rigid body on the chain prismatic y, prismatic x, revolute z, with Pinocchio's dynamics.
 
@@ -88,12 +110,12 @@ class MobileRobot(System):
 
     Attributes
     ----------
-    source : str
-        Where its numbers come from, in words.
-    body : pinmobile.urdf.Body
-        Mass, centre of mass and inertia.
-    stance : Stance
-        How it stands: `footprint`, `top` and `grounded` are of it.
+    mounts : tuple of Mount
+        Its arms.
+    loads : tuple of Load
+        What is attached to it.
+    reference_inertia : ndarray, shape (3, 3), or None
+        Inertia of the body about all axes, which grows with `yaw_inertia`; None: the same about all.
     locked_joints : tuple of str
         Joints of its file that are locked at rest: wheels, and what carries them.
     undercarriage : Undercarriage
@@ -107,53 +129,85 @@ class MobileRobot(System):
         a chain of prismatic y, prismatic x, revolute z.
     """
 
-    mass: float
-    yaw_inertia: float
-    com: tuple[float, ...] = (0.0, 0.0, 0.0)
-    size: tuple[float, float, float] = (0.6, 0.4, 0.2)
-    dh: DHTable = LECTURE_TABLE
-    source: str = field(default="made from numbers", init=False)
-    body: urdf.Body = field(init=False)
-    stance: Stance = field(init=False)
-    locked_joints: tuple[str, ...] = field(default=(), init=False)
-    undercarriage: Undercarriage = field(default=Undercarriage(), init=False)
-    mounts: tuple[Mount, ...] = field(default=(), init=False)
-    loads: tuple[tuple[str, Load], ...] = field(default=(), init=False)
-    _engine: Engine = field(init=False)
-    _looks: VisualFile | None = field(default=None, init=False)
-    _varied: frozenset[tuple[str, object]] | None = field(default=None, init=False)
-    _tracings: dict[frozenset[tuple[str, object]] | None, ArticulatedBody] = field(init=False)
-    _variants: dict[frozenset[tuple[str, object]], MobileRobot] = field(init=False)
+    mass: float = number(unit="kg", above=0, doc="mass of the robot")
+    yaw_inertia: float = number(
+        unit="kg m^2", above=0, doc="inertia of the robot about the vertical through its centre of mass"
+    )
+    com: Any = com_field((0.0, 0.0, 0.0), shapes=((2,), (3,)), doc="centre of mass of the robot")
+    size: Any = declare(
+        _Size("sides of the box that is drawn", "m", 0.0, shapes=((3,),), fixed=True), (0.6, 0.4, 0.2)
+    )
+    dh: DHTable = option(default=LECTURE_TABLE, check=_checked_chain, doc="the chain that carries it")
+    mounts: tuple[Mount, ...] = children(Mount, default=(), kw_only=True, doc="arms on it")
+    loads: tuple[Load, ...] = children(Load, default=(), kw_only=True, doc="loads that are attached to it")
+    # The plane feels Izz alone. Ixx = Iyy = Izz is a body that exists; diag(0, 0, Izz) is not.
+    reference_inertia: Array | None = option(
+        default=None, check=_frozen, kw_only=True, doc="inertia about all axes, which grows with yaw_inertia"
+    )
+    _stance: Stance | None = option(default=None, kw_only=True, doc="how it stands; None: as its box")
+    _source: str = option(default="made from numbers", kw_only=True, doc="where its numbers come from")
+    locked_joints: tuple[str, ...] = option(
+        default=(), kw_only=True, doc="locked joints of its file"
+    )
+    undercarriage: Undercarriage = option(default=Undercarriage(), kw_only=True, doc="wheels of its file")
+    _looks: VisualFile | None = option(default=None, kw_only=True, doc="the file that says how it looks")
 
-    def __post_init__(self) -> None:
-        com = finite("com", self.com)
-        if com.shape not in ((2,), (3,)):
-            raise InvalidArgument(f"com has shape {com.shape}, expected (2,) or (3,)")
-        mass, inertia = positive("mass", self.mass, "kg"), positive("yaw_inertia", self.yaw_inertia, "kg m^2")
-        # The plane feels Izz alone. Ixx = Iyy = Izz is a body that exists; diag(0, 0, Izz) is not.
-        self._take(urdf.Body(mass, np.append(com, 0.0)[:3], np.diag([inertia] * 3)), None)
+    def check(self) -> None:
+        """Raise `InvalidArgument` where no body has its numbers, or its dynamics are lost to rounding."""
+        if self._is_symbolic:
+            return
+        self.body  # noqa: B018 (it checks itself)
+        if self.mounts or self.loads:
+            check_whole(self._model, self._numeric.reorder(self.rest))
 
-    def _take(self, body: urdf.Body, stance: Stance | None) -> None:
-        size = lengths(self.size)
-        check_chain(self.dh)
-        for name, value in {
-            "mass": body.mass,
-            "yaw_inertia": body.yaw_inertia,
-            "com": tuple(body.com.tolist()),
-            "size": tuple(size.tolist()),
-            "body": body,
-            "stance": Stance.of_box(size) if stance is None else stance,
-            "_engine": Engine(build_model(self.dh, body)),
-            "_tracings": {},
-            "_variants": {},
-        }.items():
-            object.__setattr__(self, name, value)
+    @cached_property
+    def _is_symbolic(self) -> bool:
+        return any(is_symbolic(leaf.value) for leaf in walk(self))
+
+    @numeric
+    def body(self) -> urdf.Body:
+        """Mass, centre of mass and inertia of the base's body."""
+        if self._is_symbolic:
+            raise NotTraceable(
+                "the body of a MobileRobot whose numbers are symbols", "take its mass, yaw_inertia and com"
+            )
+        inertia = self.reference_inertia
+        if inertia is None:
+            inertia = np.diag([self.yaw_inertia] * 3)
+        elif inertia[2, 2] != self.yaw_inertia:
+            inertia = inertia * (self.yaw_inertia / inertia[2, 2])
+        return urdf.Body(self.mass, np.array(self.com), inertia)
+
+    @property
+    def inertia_shares(self) -> tuple[float, float]:
+        """The body's inertia xz and yz, as shares of the yaw inertia."""
+        inertia = self.reference_inertia
+        if inertia is None:
+            return 0.0, 0.0
+        xz, yz = (inertia[2, :2] / inertia[2, 2]).tolist()
+        return xz, yz
+
+    @numeric
+    def _engine(self) -> Engine | None:  # type: ignore[override]
+        if self._is_symbolic:
+            return None
+        base = build_model(self.dh, self.body)
+        return Engine(assemble(base, self.mounts, self.loads) if self.mounts or self.loads else base)
+
+    @numeric
+    def stance(self) -> Stance:
+        """How it stands: `footprint`, `top` and `grounded` are of it."""
+        return Stance.of_box(self.size) if self._stance is None else self._stance
+
+    @property
+    def source(self) -> str:
+        """Where its numbers come from, in words."""
+        return self._source + _of_files(self.mounts)
 
     def __repr__(self) -> str:
         table = "" if self.dh == LECTURE_TABLE else f", dh={self.dh!r}"
         mounted = "".join(map(repr, self.mounts))
-        attached = "".join(f".attach({load!r}, frame={frame!r})" for frame, load in self.loads)
-        attached += f".with_parameters(**{changed!r})" if (changed := self.changes) else ""
+        attached = "".join(f".attach({load!r}, frame={load.frame!r})" for load in self.loads)
         return (
             f"MobileRobot(mass={self.mass!r}, yaw_inertia={self.yaw_inertia!r}, com={self.com!r}, "
             f"size={self.size!r}{table}){mounted}{attached}"
@@ -164,19 +218,12 @@ class MobileRobot(System):
         return *own, self.stance._key(), self.mounts, self.loads
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, MobileRobot) and self._key() == other._key()
+        if not isinstance(other, MobileRobot) or self._is_symbolic or other._is_symbolic:
+            return self is other
+        return self._key() == other._key()
 
     def __hash__(self) -> int:
-        return hash(self._key())
-
-    def __reduce__(self) -> tuple[object, ...]:
-        # A pin.Data is not worth keeping: it is made again from the parameters.
-        return _restored, (self._own(self.body), self.mounts, self.loads)
-
-    def _own(self, body: urdf.Body, source: str | None = None) -> _Bare:
-        bare = self.source.removesuffix(_of_files(self.mounts)) if source is None else source
-        kept = self.stance, self.locked_joints, self._looks, self.undercarriage
-        return body, self.size, self.dh, bare, *kept
+        return object.__hash__(self) if self._is_symbolic else hash(self._key())
 
     @property
     def footprint(self) -> Array | None:
@@ -340,18 +387,18 @@ class MobileRobot(System):
             raise InvalidArgument(f"body is {shown(body)}, expected a pinmobile.urdf.Body")
         if stance is not None and not isinstance(stance, Stance):
             raise InvalidArgument(f"stance is {shown(stance)}, expected a pinmobile.robot.Stance")
-        robot = object.__new__(cls)
         locked = sequence("locked_joints", locked_joints, "names of joints")
-        given = {
-            "size": size,
-            "dh": dh,
-            "source": text("source", source),
-            "locked_joints": tuple(text(f"locked_joints[{k}]", name) for k, name in enumerate(locked)),
-        }
-        for name, value in given.items():
-            object.__setattr__(robot, name, value)
-        robot._take(body, stance)
-        return robot
+        return cls(
+            body.mass,
+            body.yaw_inertia,
+            body.com,
+            size,
+            dh,
+            reference_inertia=body.inertia,
+            stance=stance,
+            source=text("source", source),
+            locked_joints=tuple(text(f"locked_joints[{k}]", name) for k, name in enumerate(locked)),
+        )
 
     def with_body(self, body: urdf.Body, source: str) -> MobileRobot:
         """Return the bare robot that has another body, and looks and stands the same.
@@ -363,23 +410,18 @@ class MobileRobot(System):
         source : str
             Where they come from, in words.
         """
-        return _restored(self._own(body, source))
+        return attrs.evolve(
+            self,
+            mass=body.mass,
+            yaw_inertia=body.yaw_inertia,
+            com=body.com,
+            reference_inertia=body.inertia,
+            source=source,
+            mounts=(),
+            loads=(),
+        )
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """What an ensemble may spread of it.
-
-        Of the base its mass, yaw inertia and centre of mass; with arms also those of each link and load, what
-        motors add to joints, and where the arms stand. With a helical joint, nothing.
-        """
-        if not self.mounts:
-            return BODY_PARAMETERS
-        try:
-            return self._articulated.parameters
-        except NotTraceable:
-            return ()
-
-    @cached_property
+    @structure
     def _judgement(self) -> Judgement:
         return Judgement.of(self)
 
@@ -393,6 +435,7 @@ class MobileRobot(System):
         """
         return self._judgement.measures if self.mounts else ()
 
+    @by_values()
     def measured(
         self, t: ArrayLike, q: ArrayLike, v: ArrayLike, a: ArrayLike, u: ArrayLike, reference: Any
     ) -> Array:
@@ -434,8 +477,19 @@ class MobileRobot(System):
         finite_answer(np.where(found == -np.inf, 0.0, found), **state)  # a margin may be minus infinity
         return found
 
-    def traced(self) -> PlanarBody | ArticulatedBody:
-        """Return its dynamics over symbols or arrays; without arms, loads count as the body's.
+    @structure
+    def nv(self) -> int:
+        """Size of v and a."""
+        return BODY_JOINT + sum(len(mount.joint_names) for mount in self.mounts)
+
+    @structure
+    def tree(self) -> Tree:
+        """Its structure; raises `NotTraceable` where a joint is neither revolute nor prismatic."""
+        return Tree.of(self, in_public_order(build_model(self.dh, self.body)))
+
+    @numeric
+    def array_dynamics(self) -> PlanarDynamics | ArticulatedDynamics:
+        """The same dynamics in NumPy, unchecked, for one state or many, of numbers or symbols.
 
         Raises
         ------
@@ -444,101 +498,36 @@ class MobileRobot(System):
         """
         if self.mounts:
             return self._articulated
-        return self._planar
+        mass, inertia, (x, y) = self.mass, self.yaw_inertia, (self.com[0], self.com[1])
+        if self.loads and not self._is_symbolic:
+            bare = self.lumped()
+            mass, inertia, (x, y) = bare.mass, bare.yaw_inertia, bare.com[:2]
+        elif self.loads:
+            own = [(each.mass, each.com, each.inertia[2]) for each in self.loads]
+            bodies: list[Any] = [(mass, self.com, inertia), *own]
+            mass = sum(m for m, _, _ in bodies)
+            x, y = (sum(m * com[k] for m, com, _ in bodies) / mass for k in range(2))
+            about: Any = sum(
+                own + m * (com[0] * com[0] + com[1] * com[1]) for m, com, own in bodies
+            )
+            inertia = about - mass * (x * x + y * y)
+        return PlanarDynamics(mass, inertia, x, y)
 
-    @cached_property
-    def _planar(self) -> PlanarBody:
-        bare = self.lumped() if self.loads else self
-        return PlanarBody(bare.mass, bare.body.yaw_inertia, *bare.com[:2])
+    @numeric
+    def _articulated(self) -> ArticulatedDynamics:
+        return ArticulatedDynamics.of(self)
 
-    @property
-    def _articulated(self) -> ArticulatedBody:
-        found = self._tracings.get(self._varied)
-        if found is None:
-            found = articulated(self, self._engine.linkage)
-            found = found if self._varied is None else found.varying(self._varied)
-            self._tracings[self._varied] = found
-        return found
-
-    @cached_property
-    def _for_many(self) -> ArticulatedBody | None:
-        try:
-            return articulated(self, self._engine.linkage).each_its_own()
-        except NotTraceable:
-            return None
-
-    def varying(self, entries: Iterable[tuple[str, object]]) -> MobileRobot:
-        """Return it, told which of its `parameters` differ from robot to robot.
-
-        What `traced` returns then has built in what else is zero, and where arms stand.
-
-        Parameters
-        ----------
-        entries : iterable of (str, int)
-            Attribute and entry of each.
-        """
-        told = frozenset(entries)
-        if not self.mounts or told == self._varied:
-            return self
-        if told not in self._variants:  # one object, of which what follows is remembered
-            new = object.__new__(MobileRobot)
-            vars(new).update(vars(self), _varied=told)
-            self._variants[told] = new
-        return self._variants[told]
-
-    def with_parameters(self, **values: ArrayLike) -> MobileRobot:
-        """Return the robot with other values of its `parameters`; without arms, loads count as the body's.
-
-        Parameters
-        ----------
-        **values : float or array_like
-            By the name of a parameter, or of an attribute of what `traced` returns, with all its numbers.
-
-        Raises
-        ------
-        InvalidArgument
-            If a body with these values cannot exist, or an array has another shape.
-        UnknownName
-            If there is no such parameter.
-        """
-        named = {parameter.name: parameter for parameter in self.parameters}
-        attributes = {parameter.attribute or parameter.name for parameter in named.values()}
-        for name in values:
-            if name not in named and name not in attributes:
-                raise UnknownName("parameter of a robot", name, named)
-        if self.mounts:
-            return self._with_numbers(self._articulated.numbers_with(values))
-        bare = self.lumped() if self.loads else self
-        old = bare.mass, bare.body.yaw_inertia, *bare.com[:2]
-        pairs = zip(BODY_PARAMETERS, old, strict=True)
-        mass, inertia, x, y = (scalar(one.name, values.get(one.name, number)) for one, number in pairs)
-        body = urdf.Body(mass, np.array([x, y, bare.com[2]]), np.diag([inertia] * 3))
-        return bare.with_body(body, "with other parameters")
+    @numeric
+    def _array_ways(self) -> tuple[Any, ...]:
+        return self.array_dynamics, self._articulated
 
     @property
-    def changes(self) -> dict[str, float]:
-        """The parameters of its arms' links and motors that are not the arms' own, by name."""
-        if all(mount.numbers is None for mount in self.mounts):
-            return {}
-        own = self._carrying(tuple(replace(mount, numbers=None) for mount in self.mounts), self.loads)
-        ours, theirs, found = self._articulated, own._articulated, {}
-        for one in ours.parameters:
-            entry = one.entry or 0
-            new, old = (np.ravel(getattr(each, one.attribute))[entry] for each in (ours, theirs))
-            if new != old:
-                found[one.name] = float(new)
-        return found
+    def law(self) -> Any:
+        """What a loop calls for one state, unchecked, in this thread alone: look it up once.
 
-    def _with_numbers(self, new: Mapping[str, Array]) -> MobileRobot:
-        """Return the robot with arms that has other numbers, by attribute of what `traced` returns."""
-        inertia = self.body.inertia * (float(new["yaw_inertia"]) / self.body.yaw_inertia)
-        com = np.array([new["com_x"], new["com_y"], self.body.com[2]])
-        body = urdf.Body(float(new["mass"]), com, inertia)
-        own = self._own(body, f"{self._own(body)[3]}; with other parameters")
-        return _restored(own, *with_numbers(self.mounts, self.loads, new))
-
-    def _carrying(self, mounts: tuple[Mount, ...], loads: tuple[tuple[str, Load], ...]) -> MobileRobot:
-        return _restored(self._own(self.body), mounts, loads)
+        Of numbers it is by Pinocchio, see `UncheckedDynamics`; of symbols `array_dynamics`.
+        """
+        return self.array_dynamics if self._engine is None else UncheckedDynamics(self, self._engine)
 
     def mount(
         self,
@@ -602,8 +591,8 @@ class MobileRobot(System):
         place = free_place(self.mounts, self.stance.top, ready) if asked is None else asked
         wanted = checked_name(name if name is not None else Path(ready.origin.value).stem)
         taken = {mount.name for mount in self.mounts}
-        mount = mount_after(self._model, ready, free_name(wanted, taken), place)
-        return self._carrying((*self.mounts, mount), self.loads)
+        mount = Mount.after(self.nv, ready, free_name(wanted, taken), place)
+        return attrs.evolve(self, mounts=(*self.mounts, mount))
 
     def attach(self, load: Load, frame: str | None = None) -> MobileRobot:
         """Return the robot with a load fixed to one of its frames.
@@ -630,12 +619,12 @@ class MobileRobot(System):
             raise InvalidArgument(
                 f"frame is {name!r}, a virtual link, expected 'base_link' or a frame of an arm"
             )
-        return self._carrying(self.mounts, (*self.loads, (name, load)))
+        return attrs.evolve(self, loads=(*self.loads, attrs.evolve(load, frame=name)))
 
     @property
     def base(self) -> MobileRobot:
         """The robot without what it carries."""
-        return self._carrying((), ()) if self.mounts or self.loads else self
+        return attrs.evolve(self, mounts=(), loads=()) if self.mounts or self.loads else self
 
     def lumped(self, q: ArrayLike | None = None) -> MobileRobot:
         """Return the bare robot that has the mass and inertia of all, arms locked where they are.
@@ -655,7 +644,7 @@ class MobileRobot(System):
             posture = np.concatenate([np.zeros(3), posture])
         if posture.shape != (self.nq,):
             raise InvalidArgument(f"q has shape {posture.shape}, expected ({self.nq},) or ({self.nq - 3},)")
-        total = self._engine.composite(self._here(posture))
+        total = self._numeric.composite(self._here(posture))
         body = urdf.Body(total.mass, total.lever, total.inertia)
         return self.with_body(body, f"{self.source}; arms locked")
 
@@ -730,8 +719,15 @@ class MobileRobot(System):
 
 
 def _read(reading: Reading, looks: VisualFile | None) -> MobileRobot:
-    own = reading.body, reading.size, reading.table, reading.source, reading.stance, reading.locked
-    return _restored((*own, looks, reading.undercarriage))
+    robot = MobileRobot.from_body(
+        reading.body,
+        reading.size,
+        reading.table,
+        reading.source,
+        stance=reading.stance,
+        locked_joints=reading.locked,
+    )
+    return attrs.evolve(robot, looks=looks, undercarriage=reading.undercarriage)
 
 
 def _of_files(mounts: Sequence[Mount]) -> str:
@@ -742,17 +738,3 @@ def _of_files(mounts: Sequence[Mount]) -> str:
         for name, joints in told
         if joints
     )
-
-
-def _restored(
-    bare: _Bare, mounts: tuple[Mount, ...] = (), loads: tuple[tuple[str, Load], ...] = ()
-) -> MobileRobot:
-    body, size, dh, source, stance, locked_joints, looks, undercarriage = bare
-    robot = MobileRobot.from_body(body, size, dh, source, stance=stance, locked_joints=locked_joints)
-    engine = Engine(assemble(robot._model, mounts, loads)) if mounts or loads else robot._engine
-    own = {"mounts": mounts, "loads": loads, "_engine": engine, "source": source + _of_files(mounts)}
-    for name, value in {"_looks": looks, "undercarriage": undercarriage, **own}.items():
-        object.__setattr__(robot, name, value)
-    if mounts or loads:
-        check_whole(robot._model, robot._engine.reorder(robot.rest))
-    return robot

@@ -2,94 +2,63 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any
 
+import attrs
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, finite, lengths, positive, text
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Parameter
+from pinmobile.parts import Number, array, children, declare, is_symbolic, number, option, part, structure
 from pinmobile.robot.arms import Arm
 from pinmobile.urdf import Body, box_inertia
 
+_SLACK = 1e-9  # of the moments of inertia, relative, and of the mass [m^2]: files carry as many digits
+_MOMENTS = ("xx", "yy", "zz", "xy", "xz", "yz")
+_EXPECTED = "expected principal moments >= 0, none above the sum of the other two"
 
-class LinkNumbers(NamedTuple):
-    """Masses, centres of mass and inertias of an arm's root and links, and what its motors add.
+
+@attrs.frozen
+class Entries(Number):
+    """Declaration of a few numbers that are kept as a tuple; entries that are not given are zero.
 
     Attributes
     ----------
-    masses, coms, inertias : ndarray, shape (links,), (links, 3), (links, 6)
-        Inertias are (xx, yy, zz, xy, xz, yz) about the centres of mass [kg, m, kg m^2].
-    rotors : ndarray, shape (nv,)
-        [kg m^2, kg].
+    length : int
+        How many.
     """
 
-    masses: Array
-    coms: Array
-    inertias: Array
-    rotors: Array
+    length: int = 3
 
-    @classmethod
-    def of(cls, model: pin.Model) -> LinkNumbers:
-        """Return those of a model."""
-        bodies = [model.inertias[joint] for joint in range(model.njoints)]
-        masses, coms = np.array([body.mass for body in bodies]), np.array([body.lever for body in bodies])
-        inertias = np.array([_six(body.inertia) for body in bodies])
-        return cls(masses, coms, inertias, np.array(model.armature))
-
-    def put_into(self, model: pin.Model) -> pin.Model:
-        """Return a copy of the model that has them."""
-        new = model.copy()
-        for joint, (mass, com, six) in enumerate(zip(*self[:3], strict=True)):
-            new.inertias[joint] = pin.Inertia(mass, com, _matrix_of(six))
-        new.armature = self.rotors
-        return new
+    def checked(self, name: str, value: Any) -> Any:
+        """Return a tuple of floats; symbols as they are."""
+        found = super().checked(name, value)
+        if is_symbolic(found):
+            return found
+        numbers = found.tolist()
+        return (*numbers, *[0.0] * (self.length - len(numbers)))
 
 
-def _six(inertia: Array) -> Array:
+def com_field(default: Any = attrs.NOTHING, **options: Any) -> Any:
+    """Declare a centre of mass that is kept as a tuple of 3 numbers."""
+    return declare(Entries(unit="m", labels=("x", "y", "z"), **options), default)
+
+
+def six_of(inertia: Array) -> Array:
+    """Return (xx, yy, zz, xy, xz, yz) of an inertia, shape (3, 3)."""
     return inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
-def _matrix_of(six: Array) -> Array:
+def matrix_of_six(six: Array) -> Array:
     """Return the matrix of (xx, yy, zz, xy, xz, yz)."""
     return six[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
 
 
-_COM = ("com_x", "com_y", "com_z")
-_INERTIA = ("inertia_xx", "inertia_yy", "inertia_zz", "inertia_xy", "inertia_xz", "inertia_yz")
-_SLACK = 1e-9  # of the moments of inertia, relative, and of the mass [m^2]: files carry as many digits
-
-
-def body_parameters(k: int, before: str, after: str, of: str) -> list[Parameter]:
-    """Return the parameters of the k-th link or load."""
-    named = [("mass", "masses", k, "kg", "mass", 0.0)]
-    named += [
-        (name, "coms", 3 * k + j, "m", f"{name[-1]} of the centre of mass", -np.inf)
-        for j, name in enumerate(_COM)
-    ]
-    for j, name in enumerate(_INERTIA):
-        least = 0.0 if j < 3 else -np.inf
-        named.append((name, "inertias", 6 * k + j, "kg m^2", f"{name[-2:]} of the inertia", least))
-    return [
-        Parameter(
-            f"{before}{name}{after}",
-            unit,
-            f"{meaning} of {of}, of the robot",
-            least,
-            may_vanish=not (before and name == "mass"),
-            attribute=f"{before}{attribute}",
-            entry=entry,
-        )
-        for name, attribute, entry, unit, meaning, least in named
-    ]
-
-
-def are_impossible(inertias: Array, masses: Array) -> NDArray[np.bool_]:
+def are_impossible(inertias: Array, masses: ArrayLike) -> NDArray[np.bool_]:
     """Tell which inertias (xx, yy, zz, xy, xz, yz) about a centre of mass no body has, shape (...)."""
     xx, yy, zz, xy, xz, yz = np.moveaxis(inertias, -1, 0)
     full = np.stack([np.stack(row, -1) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))], -2)
@@ -99,7 +68,76 @@ def are_impossible(inertias: Array, masses: Array) -> NDArray[np.bool_]:
     return np.asarray(far | (moments[..., 0] < -slack))
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+def _inertia_field(of: str) -> Any:
+    doc = f"inertia of {of} about its centre of mass"
+    return array(shapes=((6,),), unit="kg m^2", labels=_MOMENTS, doc=doc)
+
+
+@part
+class Link:
+    """What of an arm moves together, along the axes of its joint's frame.
+
+    Parameters
+    ----------
+    name : str
+        Of its first link with a mass.
+    mass : float
+        [kg].
+    com : array_like, shape (3,)
+        Centre of mass [m].
+    inertia : array_like, shape (6,)
+        xx, yy, zz, xy, xz, yz about the centre of mass [kg m^2].
+
+    Raises
+    ------
+    InvalidArgument
+        If no rigid body has these.
+    """
+
+    name: str = option(doc="name of the link")
+    mass: float = number(unit="kg", lower=0.0, doc="mass of the link")
+    com: Any = array(shapes=((3,),), unit="m", labels=("x", "y", "z"), doc="centre of mass of the link")
+    inertia: Any = _inertia_field("the link")
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` where no rigid body has its inertia."""
+        if are_impossible(self.inertia, self.mass):
+            raise InvalidArgument(f"inertia of {self.name} is one that no body has, {_EXPECTED}")
+
+    @property
+    def body(self) -> pin.Inertia:
+        """Its inertia."""
+        return pin.Inertia(self.mass, self.com, matrix_of_six(self.inertia))
+
+    def key(self) -> tuple[object, ...]:
+        """Return what makes two links the same one."""
+        return self.name, self.mass, self.com.tobytes(), self.inertia.tobytes()
+
+
+def links_of(model: pin.Model) -> tuple[Link, ...]:
+    """Return what moves together in the model of an arm: first what is fixed to its root."""
+    rows = zip(_link_names(model), model.inertias, strict=True)
+    return tuple(
+        Link(name, float(body.mass), np.array(body.lever), six_of(body.inertia)) for name, body in rows
+    )
+
+
+def _link_names(model: pin.Model) -> list[str]:
+    found = [str(name) for name in model.names]
+    links = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
+
+    def has_mass(link: pin.Frame) -> bool:
+        # Pinocchio keeps a link's mass with the joint that it hangs on, if that is a fixed one.
+        above = model.frames[link.parentFrame] if link.parentFrame < model.nframes else link
+        return bool(above.type == pin.FrameType.JOINT or above.inertia.mass > 0)
+
+    # What comes later here is taken: what has a mass, and of that the first.
+    for frame in sorted(reversed(links), key=has_mass):
+        found[frame.parentJoint] = str(frame.name)
+    return found
+
+
+@part
 class Mount:
     """An arm at its place on the body.
 
@@ -111,21 +149,58 @@ class Mount:
         Where it stands on the body: x, y, z and yaw [m, m, m, rad].
     arm : Arm
         What is mounted; `arm.model` is its own `pin.Model`.
-    q, v : slice
-        Its part of a configuration and of a velocity.
-    joints : slice
-        Its part of the joints of the robot's `model`.
-    numbers : LinkNumbers, optional
-        What its links and motors have in place of what the arm has.
+    first : int
+        Number of its first coordinate in those of the robot.
+    links : tuple of Link
+        What is fixed to its root, then what is fixed to each of its joints.
+    rotors : ndarray, shape (joints,)
+        What motors add to the inertias of its joints [kg m^2, kg where one slides].
     """
 
-    name: str
-    at: tuple[float, float, float, float]
-    arm: Arm
-    q: slice
-    v: slice
-    joints: slice
-    numbers: LinkNumbers | None = None
+    name: str = option(doc="name of the arm")
+    at: Any = declare(
+        Entries(
+            unit="m, m, m, rad",
+            labels=("x", "y", "z", "yaw"),
+            shapes=((4,),),
+            doc="where the arm stands",
+            length=4,
+        )
+    )
+    arm: Arm = option(doc="the arm as it was read")
+    first: int = option(doc="number of its first coordinate")
+    links: tuple[Link, ...] = children(Link, doc="what of the arm moves together")
+    rotors: Any = array(
+        unit="kg m^2",
+        lower=0.0,
+        labels=lambda mount: mount.joint_names,
+        doc="inertia that motors add to joints, kg where one slides",
+    )
+
+    @classmethod
+    def after(cls, coordinates: int, arm: Arm, name: str, at: tuple[float, ...]) -> Mount:
+        """Return the mount of an arm that comes after so many coordinates."""
+        return cls(name, at, arm, coordinates, links_of(arm._model), arm._model.armature)
+
+    @structure
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of its joints."""
+        return tuple(map(str, list(self.arm._model.names)[1:]))
+
+    @property
+    def v(self) -> slice:
+        """Its part of a velocity."""
+        return slice(self.first, self.first + len(self.joint_names))
+
+    @property
+    def q(self) -> slice:
+        """Its part of a configuration."""
+        return self.v
+
+    @property
+    def joints(self) -> slice:
+        """Its part of the joints of the robot's `model`."""
+        return slice(self.v.start + 1, self.v.stop + 1)
 
     @property
     def tip(self) -> str:
@@ -140,7 +215,19 @@ class Mount:
     @cached_property
     def _model(self) -> pin.Model:
         """The model itself, which is only read."""
-        return self.arm._model if self.numbers is None else self.numbers.put_into(self.arm._model)
+        if not self.is_changed:
+            return self.arm._model
+        new = self.arm._model.copy()
+        for joint, link in enumerate(self.links):
+            new.inertias[joint] = link.body
+        new.armature = np.array(self.rotors)
+        return new
+
+    @cached_property
+    def is_changed(self) -> bool:
+        """Whether its links or motors have other numbers than those of the arm as it was read."""
+        own = Mount.after(self.first, self.arm, self.name, self.at)
+        return self._key() != own._key()
 
     @property
     def moving(self) -> range:
@@ -148,26 +235,9 @@ class Mount:
         return range(self.joints.start, self.joints.stop)
 
     @property
-    def links(self) -> tuple[str, ...]:
-        """What moves together, by the name of its first link with a mass: first what is fixed to the root."""
-        model = self._model
-        found = [str(name) for name in model.names]
-        links = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
-
-        def has_mass(link: pin.Frame) -> bool:
-            # Pinocchio keeps a link's mass with the joint that it hangs on, if that is a fixed one.
-            above = model.frames[link.parentFrame] if link.parentFrame < model.nframes else link
-            return bool(above.type == pin.FrameType.JOINT or above.inertia.mass > 0)
-
-        # What comes later here is taken: what has a mass, and of that the first.
-        for frame in sorted(reversed(links), key=has_mass):
-            found[frame.parentJoint] = str(frame.name)
-        return tuple(f"{self.name}/{name}" for name in found)
-
-    @property
     def placement(self) -> pin.SE3:
         """Pose of its root in the body's frame."""
-        return _placement(self.at)
+        return pin.SE3(pin.utils.rotate("z", self.at[3]), np.array(self.at[:3]))
 
     def __repr__(self) -> str:
         words = {"at": self.at, "name": self.name, **self.arm.options()}
@@ -175,8 +245,8 @@ class Mount:
         return f".mount({self.arm.origin.value!r}, {listed})"
 
     def _key(self) -> tuple[object, ...]:
-        own = () if self.numbers is None else tuple(map(np.ndarray.tobytes, self.numbers))
-        return self.name, self.at, self.arm.key(), own
+        links = tuple(link.key() for link in self.links)
+        return self.name, self.at, self.arm.key(), links, self.rotors.tobytes()
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Mount) and self._key() == other._key() and self._model == other._model
@@ -185,7 +255,11 @@ class Mount:
         return hash(self._key())
 
 
-@dataclass(frozen=True)
+def _checked_size(name: str, value: Any) -> Any:
+    return None if value is None else tuple(lengths(value).tolist())
+
+
+@part
 class Load:
     """A rigid body that is fixed to a frame of a robot.
 
@@ -195,11 +269,14 @@ class Load:
         Mass [kg].
     com : sequence of 3 floats
         Centre of mass in the frame [m].
-    inertia : array_like, shape (3, 3), optional
-        About the centre of mass, along the frame's axes [kg m^2]; by default that of a homogeneous box of
-        `size`, or none where there is no size: a point.
+    inertia : array_like, shape (3, 3) or (6,), optional
+        About the centre of mass, along the frame's axes [kg m^2]: the matrix, or xx, yy, zz, xy, xz, yz of
+        it, as which it is kept. By default that of a homogeneous box of `size`, or none where there is no
+        size: a point.
     size : sequence of 3 floats, optional
         Of the box about the centre of mass that is drawn [m].
+    frame : str, optional
+        The frame of the robot that it is attached to: see `MobileRobot.attach`.
 
     Raises
     ------
@@ -207,48 +284,56 @@ class Load:
         If no rigid body has these.
     """
 
-    mass: float
-    com: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    inertia: tuple[tuple[float, ...], ...] | None = None
-    size: tuple[float, float, float] | None = None
-    _body: pin.Inertia = field(init=False, repr=False, compare=False)
+    mass: float = number(unit="kg", above=0.0, doc="mass of the load")
+    com: Any = com_field(shapes=((3,),), doc="centre of mass of the load")
+    inertia: Any = _inertia_field("the load")
+    size: tuple[float, float, float] | None = option(
+        default=None, check=_checked_size, doc="size of the box that is drawn"
+    )
+    frame: str | None = option(default=None, doc="frame that it is attached to")
 
-    def __post_init__(self) -> None:
-        mass, com = positive("mass", self.mass, "kg"), finite("com", self.com)
-        if com.shape != (3,):
-            raise InvalidArgument(f"com has shape {com.shape}, expected (3,)")
-        inertia = np.zeros((3, 3))
-        if self.size is not None:
-            size = lengths(self.size)
-            object.__setattr__(self, "size", tuple(size.tolist()))
-            inertia = box_inertia(mass, size)
-        if self.inertia is not None:
-            inertia = Body(mass, com, finite("inertia", self.inertia)).inertia
-            object.__setattr__(self, "inertia", tuple(map(tuple, inertia.tolist())))
-        object.__setattr__(self, "mass", mass)
-        object.__setattr__(self, "com", tuple(com.tolist()))
-        object.__setattr__(self, "_body", pin.Inertia(mass, com, inertia))
+    def __init__(
+        self,
+        mass: ArrayLike,
+        com: ArrayLike = (0.0, 0.0, 0.0),
+        inertia: ArrayLike | None = None,
+        size: ArrayLike | None = None,
+        frame: str | None = None,
+    ) -> None:
+        six: Any = inertia
+        if inertia is None:
+            solid = np.zeros((3, 3)) if size is None else box_inertia(positive("mass", mass, "kg"), size)
+            six = six_of(solid)
+        elif not is_symbolic(inertia) and np.shape(inertia) != (6,):
+            own = Body(positive("mass", mass, "kg"), finite("com", com), finite("inertia", inertia))
+            six = six_of(own.inertia)
+        self.__attrs_init__(mass, com, six, size, frame)  # type: ignore[attr-defined]
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` where no rigid body has its inertia."""
+        if are_impossible(self.inertia, self.mass):
+            of = "the load" if self.frame is None else f"load at {self.frame}"
+            raise InvalidArgument(f"inertia of {of} is one that no body has, {_EXPECTED}")
 
     @property
     def body(self) -> pin.Inertia:
-        """A copy of its inertia, seen from the frame."""
-        return pin.Inertia(self._body)
+        """Its inertia, seen from the frame."""
+        return pin.Inertia(self.mass, np.array(self.com), matrix_of_six(self.inertia))
 
-    @property
-    def six(self) -> Array:
-        """Its inertia (xx, yy, zz, xy, xz, yz) about the centre of mass [kg m^2]."""
-        return _six(self._body.inertia)
+    def __repr__(self) -> str:
+        own = matrix_of_six(self.inertia)
+        solid = np.zeros((3, 3)) if self.size is None else box_inertia(self.mass, self.size)
+        inertia = None if np.array_equal(own, solid) else tuple(map(tuple, own.tolist()))
+        return f"Load(mass={self.mass!r}, com={self.com!r}, inertia={inertia!r}, size={self.size!r})"
 
-    def with_numbers(self, mass: float, com: Array, six: Array) -> Load:
-        """Return the load with another mass, centre of mass and inertia (xx, yy, zz, xy, xz, yz) about it."""
-        if mass == self.mass and np.array_equal(com, self.com) and np.array_equal(six, self.six):
-            return self
-        own = tuple(map(tuple, _matrix_of(six).tolist())) if six.any() else None
-        x, y, z = com.tolist()
-        return Load(mass, (x, y, z), own, self.size)
+    def _key(self) -> tuple[object, ...]:
+        return self.mass, self.com, self.inertia.tobytes(), self.size, self.frame
 
-    def __reduce__(self) -> tuple[object, ...]:
-        return Load, (self.mass, self.com, self.inertia, self.size)
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Load) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
 
 
 def placed(at: ArrayLike) -> tuple[float, float, float, float]:
@@ -291,26 +376,6 @@ def free_place(mounts: Sequence[Mount], top: float | None, arm: Arm) -> tuple[fl
     return 0.0, 0.0, top + below if arm.stands or below > top else top, 0.0
 
 
-def with_numbers(
-    mounts: Sequence[Mount], loads: Sequence[tuple[str, Load]], new: Mapping[str, Array]
-) -> tuple[tuple[Mount, ...], tuple[tuple[str, Load], ...]]:
-    """Return arms and loads with other numbers, by attribute of `ArticulatedBody`."""
-    changed, link, joint = [], 0, 0
-    for mount, at in zip(mounts, new["places"].reshape(-1, 4), strict=True):
-        end, last = link + len(mount.links), joint + mount.v.stop - mount.v.start
-        each = (("masses", 1), ("coms", 3), ("inertias", 6))
-        masses, coms, inertias = (new[name][k * link : k * end] for name, k in each)
-        rotors = new["rotors"][joint:last]
-        numbers = LinkNumbers(masses, coms.reshape(-1, 3), inertias.reshape(-1, 6), rotors)
-        same = all(map(np.array_equal, numbers, LinkNumbers.of(mount.arm._model)))
-        changed.append(replace(mount, at=placed(at), numbers=None if same else numbers))
-        link, joint = end, last
-    coms, inertias = new["load_coms"].reshape(-1, 3), new["load_inertias"].reshape(-1, 6)
-    rows = zip(loads, new["load_masses"], coms, inertias, strict=True)
-    carried = ((frame, load.with_numbers(float(m), com, six)) for (frame, load), m, com, six in rows)
-    return tuple(changed), tuple(carried)
-
-
 def checked_name(name: str) -> str:
     """Return the name of a mount.
 
@@ -335,18 +400,9 @@ def free_name(name: str, taken: Iterable[str]) -> str:
     return free
 
 
-def mount_after(model: pin.Model, arm: Arm, name: str, at: tuple[float, float, float, float]) -> Mount:
-    """Return the mount of an arm that comes after all that is in a model."""
-    own = arm._model
-    q, v = (slice(n, n + more) for n, more in ((model.nq, own.nq), (model.nv, own.nv)))
-    return Mount(name, at, arm, q, v, slice(model.njoints, model.njoints + own.njoints - 1))
-
-
-def _placement(at: tuple[float, float, float, float]) -> pin.SE3:
-    return pin.SE3(pin.utils.rotate("z", at[3]), np.array(at[:3]))
-
-
-def assemble(base: pin.Model, mounts: Sequence[Mount], loads: Sequence[tuple[str, Load]]) -> pin.Model:
+def assemble(
+    base: pin.Model, mounts: Sequence[Mount], loads: Sequence[Load] = (), *, at_origin: bool = False
+) -> pin.Model:
     """Return the model of a body that carries arms, and loads at frames of either.
 
     Parameters
@@ -355,18 +411,22 @@ def assemble(base: pin.Model, mounts: Sequence[Mount], loads: Sequence[tuple[str
         The chain with the body; the body's frame is its last.
     mounts : sequence of Mount
         One after the other.
-    loads : sequence of (str, Load)
-        Each with the frame it is fixed to.
+    loads : sequence of Load
+        What is attached.
+    at_origin : bool
+        Whether the arms stand at the body's origin, instead of where they do.
     """
     model, body = base.copy(), base.nframes - 1
     for mount in mounts:
-        model = pin.appendModel(model, prefixed(mount._model, mount.name), body, mount.placement)
+        place = pin.SE3.Identity() if at_origin else mount.placement
+        model = pin.appendModel(model, prefixed(mount._model, mount.name), body, place)
     for mount in mounts:
         # Pinocchio forgets it when it appends; each arm keeps its own, joint by joint.
         model.armature[mount.v] = mount._model.armature
     model.name = base.name
-    for frame, load in loads:
-        fixed = model.frames[named_frames(model)[frame]]
+    frames = named_frames(model)
+    for load in loads:
+        fixed = model.frames[frames[load.frame]]
         model.appendBodyToJoint(fixed.parentJoint, load.body, fixed.placement)
     return model
 
@@ -374,10 +434,10 @@ def assemble(base: pin.Model, mounts: Sequence[Mount], loads: Sequence[tuple[str
 def named_frames(model: pin.Model) -> dict[str, int]:
     """Return the frames by name, links before joints of the same name."""
     ids: dict[str, int] = {}
-    for number in range(1, model.nframes):
-        frame = model.frames[number]
+    for k in range(1, model.nframes):
+        frame = model.frames[k]
         if frame.name not in ids or frame.type == pin.FrameType.BODY:
-            ids[frame.name] = number
+            ids[frame.name] = k
     return ids
 
 

@@ -1,15 +1,9 @@
-"""Laws of a robot's state: by Pinocchio, one state after another, and of many at once compiled.
-
-What is compiled belongs to the form of a robot, which is its kinematics and which of its numbers are zero.
-Masses, centres of mass, inertias, rotors and places of arms are handed over.
-"""
+"""Laws of a robot's state by Pinocchio, one state after another."""
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
 from collections.abc import Callable
-from functools import cached_property, partial
+from functools import partial
 from math import prod
 from threading import local
 from typing import Any, NamedTuple
@@ -17,69 +11,73 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, affordable, broadcast, finite_answer
-from pinmobile.compiled import Batched, processors
-from pinmobile.compiled.batched import copied
-from pinmobile.errors import NotTraceable
-from pinmobile.robot.articulated import ArticulatedBody
+from pinmobile.arrays import Array, broadcast, finite_answer
 from pinmobile.robot.joints import BODY_JOINT
-from pinmobile.robot.linkage import Linkage
 from pinmobile.robot.mounts import Mount
 
 
-class Calls(NamedTuple):
-    """Unchecked functions of one state in public order, for the thread alone that asked for them.
-
-    For loops that run millions of times: they take float64 arrays of shape (nv,), and nothing else.
-    What one returns is overwritten by the next call of any of them: copy what is kept.
+class Law(NamedTuple):
+    """What is computed of one state.
 
     Attributes
     ----------
-    mass_matrix : callable
-        M(q), shape (nv, nv), by CRBA.
-    nonlinear_effects : callable
-        n(q, v), shape (nv,), by RNEA without acceleration.
-    inverse_dynamics : callable
-        tau(q, v, a), shape (nv,), by RNEA.
-    forward_dynamics : callable
-        The acceleration a(q, v, tau), shape (nv,), by ABA. Forces beside the input are added to it.
-    gravity : callable
-        g(q), shape (nv,).
+    run : callable
+        ``run(model, data, *row)`` returns an array; in the chain's order, as its arguments are.
+    order : callable
+        ``order(engine, array)`` puts what `run` returns into public order.
+    """
+
+    run: Callable[..., Any]
+    order: Callable[[Engine, Array], Array] = lambda engine, array: array
+
+
+class UncheckedDynamics:
+    """Unchecked functions of one state in public order, for the thread alone that asked for them.
+
+    For loops that run millions of times: they take float64 arrays of shape (nv,), and nothing else. What one
+    returns, but for accelerations, is overwritten by the next call of any of them: copy what is kept. All
+    else is that of the robot.
+
+    Parameters
+    ----------
+    robot : System
+        The robot.
+    engine : Engine
+        Of it.
+
+    Attributes
+    ----------
+    mass_matrix, nonlinear_effects, inverse_dynamics, gravity : callable
+        M(q), n(q, v), tau(q, v, a) and g(q).
+    integrate : callable
+        The configuration after a displacement, of q and dq.
     pose, rate : callable
         Those of the body, shape (3,): of q, and of q and v.
     effort : callable
         The generalised force, shape (nv,), of q and a wrench (3,).
     """
 
-    mass_matrix: Callable[[Array], Array]
-    nonlinear_effects: Callable[[Array, Array], Array]
-    inverse_dynamics: Callable[[Array, Array, Array], Array]
-    forward_dynamics: Callable[[Array, Array, Array], Array]
-    gravity: Callable[[Array], Array]
-    pose: Callable[[Array], Array]
-    rate: Callable[[Array, Array], Array]
-    effort: Callable[[Array, Array], Array]
+    def __init__(self, robot: Any, engine: Engine) -> None:
+        data, public = engine.data, engine.public
+        still = np.zeros(engine.nv - BODY_JOINT)
+        self._robot = robot
+        self.nq = self.nv = self.nu = engine.nv
+        self.mass_matrix = partial(pin.crba, public, data)
+        self.nonlinear_effects = partial(pin.nonLinearEffects, public, data)
+        self.inverse_dynamics = partial(pin.rnea, public, data)
+        self.gravity = partial(pin.computeGeneralizedGravity, public, data)
+        self.integrate = np.add
+        self.pose = lambda q: q[:BODY_JOINT]
+        self.rate = lambda q, v: v[:BODY_JOINT]
+        self.effort = lambda q, wrench: np.concatenate([wrench, still]) if len(still) else wrench
+        self._accelerations = partial(pin.aba, public, data)
 
+    def forward_dynamics(self, q: Array, v: Array, u: Array, f: Array | None = None) -> Array:
+        """Return the acceleration, shape (nv,)."""
+        return np.array(self._accelerations(q, v, u if f is None else u + f))
 
-class Law(NamedTuple):
-    """What is computed of one state, and of many.
-
-    Attributes
-    ----------
-    run : callable
-        ``run(model, data, *row)`` returns an array; in the chain's order, as its arguments are.
-    name : str
-        Of the method by which `ArticulatedBody` does it, if many states are compiled.
-    options : tuple of str
-        What that takes after the state.
-    order : callable
-        ``order(engine, array)`` puts what `run` returns into public order.
-    """
-
-    run: Callable[..., Any]
-    name: str = ""
-    options: tuple[str, ...] = ()
-    order: Callable[[Engine, Array], Array] = lambda engine, array: array
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._robot, name)
 
 
 class _Workspace(local):
@@ -107,34 +105,12 @@ class Engine:
         # Public index of each coordinate of the chain. Swapping two, it is its own inverse.
         self.order = np.array([1, 0, *range(2, self.nv)])
         self._square = self.order[:, None], self.order
-        self.public = _in_public_order(model)
-
-    @cached_property
-    def linkage(self) -> Linkage:
-        """Its tree, over scalars; raises `NotTraceable` where a joint is neither revolute nor prismatic."""
-        return Linkage.of(self.public)
+        self.public = in_public_order(model)
 
     @property
     def data(self) -> pin.Data:
         """What Pinocchio writes into, this thread's own."""
         return self._workspace.data
-
-    def calls(self) -> Calls:
-        """Return what a loop calls, all on this thread's data: it is looked up once."""
-        data, public = self.data, self.public
-        still = np.zeros(self.nv - BODY_JOINT)
-        return Calls(
-            mass_matrix=partial(pin.crba, public, data),
-            nonlinear_effects=partial(pin.nonLinearEffects, public, data),
-            inverse_dynamics=partial(pin.rnea, public, data),
-            forward_dynamics=partial(pin.aba, public, data),
-            gravity=partial(pin.computeGeneralizedGravity, public, data),
-            pose=lambda q: q[:BODY_JOINT],
-            rate=lambda q, v: v[:BODY_JOINT],
-            effort=(lambda q, wrench: np.concatenate([wrench, still]))
-            if len(still)
-            else lambda q, wrench: wrench,
-        )
 
     def reorder(self, array: Array) -> Array:
         """Return an array (..., nv) in chain order from public order, or the other way round."""
@@ -156,7 +132,7 @@ class Engine:
         return total
 
 
-def _in_public_order(model: pin.Model) -> pin.Model:
+def in_public_order(model: pin.Model) -> pin.Model:
     """Return the same body on a chain whose first joint is x and whose second is y.
 
     Translations commute: P1 Ty P2 Tx P3 = (P1 P2) Tx (P1 P2)^-1 P1 Ty (P2 P3). The joints are of the same
@@ -170,19 +146,7 @@ def _in_public_order(model: pin.Model) -> pin.Model:
     return public
 
 
-MANY = 500
-"""Number of states from which on they are compiled."""
-
-_LARGEST = 12_000  # operations: building takes a second or two
-_MOST = 128  # programs that stay
-_FAR = 1e5  # [rad]: beyond, sine and cosine of compiled code lose digits
-_lock = threading.Lock()
-_known: OrderedDict[Any, Batched | None] = OrderedDict()
-
-
-def stacked(
-    engine: Engine, law: Law, body: Callable[[], ArticulatedBody | None], **arguments: Array
-) -> Array:
+def stacked(engine: Engine, law: Law, **arguments: Array) -> Array:
     """Return what a law gives for states along leading axes that broadcast, in public order.
 
     Parameters
@@ -191,8 +155,6 @@ def stacked(
         Of the robot.
     law : Law
         What is asked.
-    body : callable
-        Returns the robot by `ArticulatedBody.each_its_own`, None where it has none: asked of `MANY` states.
     **arguments : ndarray, shape (..., size)
         The states.
 
@@ -200,15 +162,9 @@ def stacked(
     ------
     NotFinite
         If an answer is not finite.
-    InvalidArgument
-        If the answers would not fit into memory.
     """
     lead = broadcast(**arguments)
     model, data, n = engine.model, engine.data, prod(lead)
-    if n >= MANY and law.name and (whole := body()) is not None:
-        found = _compiled(whole, law, n, **arguments)
-        if found is not None:
-            return found
     columns = [
         engine.reorder(np.broadcast_to(x, (*lead, x.shape[-1]))).reshape(n, x.shape[-1])
         for x in arguments.values()
@@ -222,79 +178,26 @@ def stacked(
     return finite_answer(answer, **arguments)
 
 
-def _compiled(body: ArticulatedBody, law: Law, n: int, **arguments: Array) -> Array | None:
-    """Return the same of n states, None where it cannot be compiled."""
-    program = _program(body, law, [x.shape[-1] for x in arguments.values()])
-    if program is None:
-        return None
-    affordable(f"{law.name} of {n:,} states", 1.0 * n * program.size, "ask for fewer at a time")
-    near = [_near(body, x) if name == "q" else x for name, x in arguments.items()]
-    answer, squares = program(*near, *body.numbers.values(), threads=processors())
-    return answer if np.isfinite(squares).all() else finite_answer(answer, **arguments)
-
-
-def _program(body: ArticulatedBody, law: Law, sizes: list[int]) -> Batched | None:
-    frames = [fixed for fixed in body.frames if fixed.name in law.options]
-    arms = [k for k, (name, _) in enumerate(body.arms) if name in law.options]
-    if law.options and not (frames or arms):
-        return None  # of a virtual link, which moves with a part of the pose
-    key = law.name, body.form, *map(body.form_of, frames), *arms
-    with _lock:
-        if key in _known:
-            _known.move_to_end(key)
-            return _known[key]
-    made = _made(body, law, sizes)
-    with _lock:
-        _known[key] = made
-        while len(_known) > _MOST:
-            _known.popitem(last=False)
-    return made
-
-
-def _made(body: ArticulatedBody, law: Law, sizes: list[int]) -> Batched | None:
-    names, numbers = list(body.numbers), body.numbers.values()
-
-    def of_one(*given: Any) -> Any:
-        state, own = given[: len(sizes)], given[len(sizes) :]
-        robot = copied(body, dict(zip(names, own, strict=True)), {})
-        answer = getattr(robot, law.name)(*state, *law.options)
-        return answer, np.sum(answer * answer)  # which is finite where the answer is
-
-    shapes = [*((size,) for size in sizes), *(x.shape for x in numbers)]
-    try:
-        return Batched(of_one, shapes, alike=len(names), pure=True, largest=_LARGEST)
-    except NotTraceable:
-        return None
-
-
-def _near(body: ArticulatedBody, q: Array) -> Array:
-    """Return configurations whose angles are within some turns."""
-    if max(q.max(), -q.min()) <= _FAR:
-        return q
-    near = np.arctan2(np.sin(q), np.cos(q))
-    return np.where((np.abs(q) > _FAR) & body.linkage.turns, near, q)
-
-
-def frame_pose(name: str, number: int) -> Law:
+def frame_pose(number: int) -> Law:
     """Return the law of a frame's pose."""
 
     def pose(model: pin.Model, data: pin.Data, q: Array) -> Array:
         pin.forwardKinematics(model, data, q)
         return np.asarray(pin.updateFramePlacement(model, data, number).homogeneous)
 
-    return Law(pose, "frame_pose", (name,))
+    return Law(pose)
 
 
 def _jacobian(number: int, model: pin.Model, data: pin.Data, q: Array) -> Array:
     return np.asarray(pin.computeFrameJacobian(model, data, q, number, pin.LOCAL_WORLD_ALIGNED))
 
 
-def frame_jacobian(name: str, number: int) -> Law:
+def frame_jacobian(number: int) -> Law:
     """Return the law of a frame's Jacobian."""
-    return Law(partial(_jacobian, number), "frame_jacobian", (name,), Engine.reorder)
+    return Law(partial(_jacobian, number), Engine.reorder)
 
 
-def frame_drift(name: str, number: int) -> Law:
+def frame_drift(number: int) -> Law:
     """Return the law of a frame's acceleration where no coordinate accelerates."""
 
     def drift(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
@@ -302,10 +205,10 @@ def frame_drift(name: str, number: int) -> Law:
         reference = pin.LOCAL_WORLD_ALIGNED
         return np.asarray(pin.getFrameClassicalAcceleration(model, data, number, reference).vector)
 
-    return Law(drift, "frame_drift", (name,))
+    return Law(drift)
 
 
-def manipulability(name: str, number: int, part: slice = slice(None), *arm: str) -> Law:
+def manipulability(number: int, part: slice = slice(None)) -> Law:
     """Return the law of sqrt(det J J') of a frame, of all columns of J or of those of an arm."""
 
     def volume(model: pin.Model, data: pin.Data, q: Array) -> float:
@@ -313,7 +216,7 @@ def manipulability(name: str, number: int, part: slice = slice(None), *arm: str)
         # The product of the singular values: det squares what is small.
         return float(np.linalg.svd(J, compute_uv=False).prod()) if J.shape[1] >= len(J) else 0.0
 
-    return Law(volume, "manipulability", (name, *arm))
+    return Law(volume)
 
 
 def mount_wrench(mount: Mount, model: pin.Model, fixed: pin.Inertia) -> Law:
@@ -339,7 +242,7 @@ def mount_wrench(mount: Mount, model: pin.Model, fixed: pin.Inertia) -> Law:
             held += data.liMi[joint].act(data.f[joint])
         return 0.0 - np.asarray(to_mount.act(held).vector)
 
-    return Law(wrench, "mount_wrench", (mount.name,))
+    return Law(wrench)
 
 
 def _placements(model: pin.Model, data: pin.Data, q: Array) -> Array:
@@ -362,16 +265,16 @@ def _of_bodies(engine: Engine, Y: Array) -> Array:
     return Y[..., engine.order, 10 * (BODY_JOINT - 1) :]
 
 
-MASS_MATRIX = Law(pin.crba, "mass_matrix", order=Engine.reorder_square)
-NONLINEAR_EFFECTS = Law(pin.nonLinearEffects, "nonlinear_effects", order=Engine.reorder)
-INVERSE_DYNAMICS = Law(pin.rnea, "inverse_dynamics", order=Engine.reorder)
-FORWARD_DYNAMICS = Law(pin.aba, "forward_dynamics", order=Engine.reorder)
-GRAVITY = Law(pin.computeGeneralizedGravity, "gravity", order=Engine.reorder)
-KINETIC_ENERGY = Law(_kinetic_energy, "kinetic_energy")
-POTENTIAL_ENERGY = Law(pin.computePotentialEnergy, "potential_energy")
-REGRESSOR = Law(pin.computeJointTorqueRegressor, "regressor", order=_of_bodies)
-CORIOLIS_MATRIX = Law(pin.computeCoriolisMatrix, order=Engine.reorder_square)
-DERIVATIVES = Law(_derivatives, order=Engine.reorder_square)
+MASS_MATRIX = Law(pin.crba, Engine.reorder_square)
+NONLINEAR_EFFECTS = Law(pin.nonLinearEffects, Engine.reorder)
+INVERSE_DYNAMICS = Law(pin.rnea, Engine.reorder)
+FORWARD_DYNAMICS = Law(pin.aba, Engine.reorder)
+GRAVITY = Law(pin.computeGeneralizedGravity, Engine.reorder)
+KINETIC_ENERGY = Law(_kinetic_energy)
+POTENTIAL_ENERGY = Law(pin.computePotentialEnergy)
+REGRESSOR = Law(pin.computeJointTorqueRegressor, _of_bodies)
+CORIOLIS_MATRIX = Law(pin.computeCoriolisMatrix, Engine.reorder_square)
+DERIVATIVES = Law(_derivatives, Engine.reorder_square)
 
 
 def _ground_wrench(model: pin.Model, data: pin.Data, q: Array, v: Array, a: Array) -> Array:
@@ -379,5 +282,5 @@ def _ground_wrench(model: pin.Model, data: pin.Data, q: Array, v: Array, a: Arra
     return np.asarray(data.f[BODY_JOINT].vector)
 
 
-GROUND_WRENCH = Law(_ground_wrench, "ground_wrench")
+GROUND_WRENCH = Law(_ground_wrench)
 PLACEMENTS = Law(_placements)

@@ -1,4 +1,4 @@
-"""`PlanarBody`: the dynamics of a body that is pushed in the plane, in NumPy, for one state or many.
+"""`PlanarDynamics`: the dynamics of a body that is pushed in the plane, in NumPy, for one state or many.
 
 It is what a `MobileRobot` without arms is to compiled loops and to loops on arrays, where Pinocchio, which
 takes numbers and one state at a time, cannot be called.
@@ -19,26 +19,18 @@ from pinmobile.closed_form import (
     unchecked_inverse_dynamics,
     unchecked_mass_matrix,
 )
-from pinmobile.plant import Coordinate, Input, Parameter
+from pinmobile.plant import Coordinate, Input
 from pinmobile.robot.complex_step import linearized
-
-BODY_PARAMETERS = (
-    Parameter("mass", "kg", "mass of the robot", 0.0, may_vanish=False),
-    Parameter("yaw_inertia", "kg m^2", "yaw inertia of the robot", 0.0, may_vanish=False),
-    Parameter("com_x", "m", "centre of mass of the robot, forward"),
-    Parameter("com_y", "m", "centre of mass of the robot, left"),
-)
-"""The parameters of a body in the plane."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class PlanarBody:
+class PlanarDynamics:
     """A body in the plane, by the closed forms of `pinmobile.closed_form`, unchecked.
 
     Parameters
     ----------
-    mass, yaw_inertia, com_x, com_y : float or ndarray, shape (...)
+    mass, yaw_inertia, com_x, com_y : float, ndarray or symbols, shape (...)
         Mass [kg], inertia about the vertical through the centre of mass [kg m^2], and centre of mass in the
         body frame [m].
     """
@@ -51,7 +43,6 @@ class PlanarBody:
     nq: ClassVar[int] = 3
     nv: ClassVar[int] = 3
     nu: ClassVar[int] = 3
-    parameters: ClassVar[tuple[Parameter, ...]] = BODY_PARAMETERS
     leading: ClassVar[dict[int, int]] = {3: 3}
     coordinates: ClassVar[tuple[Coordinate, ...]] = (
         Coordinate("x", "m", rate="vx"),

@@ -126,9 +126,7 @@ def body_box(size: Sequence[float], bottom: float = 0.0) -> Solid:
     return Solid(BODY_LINK, 0, pin.SE3(np.eye(3), middle), coal.Box(length, width, height - bottom))
 
 
-def carried_shapes(
-    model: pin.Model, mounts: Sequence[Mount], loads: Sequence[tuple[str, Load]]
-) -> Iterator[Solid]:
+def carried_shapes(model: pin.Model, mounts: Sequence[Mount], loads: Sequence[Load]) -> Iterator[Solid]:
     """Return the shapes of arms, and the boxes of loads that have a size, on the parts of the whole model.
 
     Raises
@@ -151,9 +149,9 @@ def carried_shapes(
             placement = item.placement if own else mount.placement * item.placement
             yield from _solid(f"{mount.name}/{link}", part, placement, item)
     frames = named_frames(model)
-    for k, (name, load) in enumerate(loads, start=1):
+    for k, load in enumerate(loads, start=1):
         if load.size is not None:
-            frame = model.frames[frames[name]]
+            frame = model.frames[frames[load.frame]]
             placement = frame.placement * pin.SE3(np.eye(3), np.array(load.com))
             yield Solid(f"load {k}", frame.parentJoint - BODY_JOINT, placement, coal.Box(*load.size))
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from functools import cached_property
+from functools import cached_property, wraps
 from math import isfinite, prod
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -27,13 +26,15 @@ from pinmobile.arrays import (
     whole,
     wrap_angle,
 )
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, NotTraceable, shown
+from pinmobile.parts import is_symbolic, on_numbers, structure
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import pinocchio_calls
-from pinmobile.robot.articulated import ArticulatedBody
 from pinmobile.robot.joints import BODY_JOINT, circular_coordinates, coordinates, inputs, limits
 from pinmobile.robot.mounts import Load, Mount, named_frames, resistances
-from pinmobile.robot.pinocchio_calls import Calls, Engine, Law
+from pinmobile.robot.pinocchio_calls import Engine, Law
+
+_Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
 class Linearization(NamedTuple):
@@ -51,6 +52,44 @@ class Linearization(NamedTuple):
     B: Array
 
 
+_LAWS: list[str] = []  # methods that take symbols
+
+
+def by_values(fast: Callable[..., Any] | None = None, states: int = 0) -> Callable[[_Method], _Method]:
+    """Let a method be answered by Pinocchio for numbers, and on symbols by the robot's dynamics in NumPy.
+
+    Parameters
+    ----------
+    fast : callable, optional
+        Pinocchio's function of one state of float64 in public order, which is tried first.
+    states : int
+        How many arguments that takes.
+    """
+
+    def decorate(method: _Method) -> _Method:
+        name = method.__name__
+        _LAWS.append(name)
+
+        @wraps(method)
+        def run(self: System, *given: Any, **options: Any) -> Any:
+            if fast is not None and len(given) == states and not options:
+                found = self._quick(fast, *given)
+                if found is not None:
+                    return found
+            if self._engine is None or any(map(_holds_symbols, (*given, *options.values()))):
+                return self._on_symbols(name, *given, **options)
+            with on_numbers():
+                return method(self, *given, **options)
+
+        return run  # type: ignore[return-value]
+
+    return decorate
+
+
+def _holds_symbols(x: object) -> bool:
+    return is_symbolic(x) or (isinstance(x, tuple) and any(map(is_symbolic, x)))
+
+
 class System:
     """Abstract base: what follows from the Pinocchio model that its maker has set.
 
@@ -61,21 +100,14 @@ class System:
     broadcast. All raise `InvalidArgument` for arguments of another last axis or that are not finite, and
     `NotFinite` where the answer would not be. They may be called by several threads at once.
 
-    Pinocchio takes one state at a time, some 5 to 20 microseconds each. From 500 states in a call on, they
-    are compiled and run on all processors, in some 0.1 microseconds each, with the same answers but for
-    rounding. The number of states alone decides, so the same call has the same bits at any time, and each
-    state has its own whatever others there are. The first such call of a method takes 0.1 to 0.5 s for an arm
-    and up to some seconds for a humanoid, less where its machine code is in the folder of an earlier process
-    (``PINMOBILE_CACHE``); robots with other numbers on the same joints, as `with_parameters` makes them,
-    share it, unless a number that was zero no longer is. However many they are, one after another go the
-    states of `coriolis_matrix`, `forward_dynamics_derivatives`, `linearize` and `frame_placements`, and of
-    methods that take more than 12,000 operations, as forward dynamics of some 40 joints and the regressor of
-    some 20 do.
+    Pinocchio takes one state at a time, some 5 to 20 microseconds each; `pinmobile.vectorize` compiles a
+    method for many. Where an argument, or a number of the robot, is a symbol of a law that is being compiled, the
+    methods compute the same on symbols; those that cannot raise `NotTraceable`.
     """
 
-    _engine: Engine
+    _engine: Engine | None  # None where it holds symbols
     mounts: tuple[Mount, ...]
-    loads: tuple[tuple[str, Load], ...]
+    loads: tuple[Load, ...]
 
     @property
     def model(self) -> pin.Model:
@@ -85,29 +117,39 @@ class System:
     @property
     def _model(self) -> pin.Model:
         """The model itself, which is only read."""
-        return self._engine.model
+        return self._numeric.model
+
+    @property
+    def _numeric(self) -> Engine:
+        """Pinocchio's calls; raises `NotTraceable` where it holds symbols."""
+        if self._engine is None:
+            raise NotTraceable(
+                f"the Pinocchio model of a {type(self).__name__} whose numbers are symbols",
+                "ask it for its dynamics and kinematics",
+            )
+        return self._engine
 
     @property
     def nq(self) -> int:
         """Size of q."""
-        return self._engine.nv
+        return self.nv
 
-    @property
+    @structure
     def nv(self) -> int:
         """Size of v and a."""
-        return self._engine.nv
+        return self._numeric.nv
 
     @property
     def nu(self) -> int:
         """Size of the input, here the generalised force."""
         return self.nv
 
-    @cached_property
+    @structure
     def coordinates(self) -> tuple[Coordinate, ...]:
         """Each of the nv numbers of q: x, y, psi, then those of the arms' joints."""
         return coordinates(self._model, self.lower, self.upper)
 
-    @cached_property
+    @structure
     def inputs(self) -> tuple[Input, ...]:
         """Each of the nu numbers of an input: Fx, Fy, Mz, then the forces and torques at the arms' joints.
 
@@ -115,7 +157,7 @@ class System:
         """
         return inputs(self.coordinates)
 
-    @cached_property
+    @structure
     def leading(self) -> Mapping[int, int]:
         """How many numbers of q the first n coordinates have, for each n that a reference may have."""
         return MappingProxyType({n: n for n in range(BODY_JOINT, self.nv + 1)})
@@ -130,7 +172,7 @@ class System:
         """Whether its methods take leading axes, here True."""
         return True
 
-    @cached_property
+    @structure
     def _limits(self) -> tuple[Array, Array, Array, Array]:
         lower, upper, speed, effort = map(frozen, limits(self._model))
         return lower, upper, speed, effort
@@ -155,7 +197,7 @@ class System:
         """Largest |tau|, shape (nv,) [N, N, N m, ...]; inf where there is no limit."""
         return self._limits[3]
 
-    @cached_property
+    @structure
     def _resistances(self) -> tuple[Array, Array]:
         damping, friction = map(frozen, resistances(self.nv, self.mounts))
         return damping, friction
@@ -176,9 +218,9 @@ class System:
         """
         return self._resistances[1]
 
-    @cached_property
+    @structure
     def rest(self) -> Array:
-        """Configuration at the origin with each arm in its reference posture, shape (nq,).
+        """Return the configuration at the origin with each arm in its reference posture, shape (nq,).
 
         Where its description has none, its neutral one. All is brought within the limits.
         """
@@ -216,10 +258,11 @@ class System:
         )
         return q
 
-    @cached_property
+    @structure
     def _circular(self) -> tuple[int, ...]:
         return circular_coordinates(self._model)
 
+    @by_values()
     def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
         """Return the configuration q + dq, shape (..., nq); psi and continuous joints go beyond pi."""
         q, dq = self._q(q), self._v("dq", dq)
@@ -227,9 +270,10 @@ class System:
         with np.errstate(over="ignore"):
             return finite_answer(q + dq, q=q, dq=dq)
 
+    @by_values()
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
         """Return the displacement q1 - q0, shape (..., nv); psi and continuous joints in (-pi, pi]."""
-        shape = (self._engine.nv,)
+        shape = (self.nv,)
         if not (type(q0) is type(q1) is np.ndarray and q0.shape == q1.shape == shape):
             q0, q1 = self._q(q0, "q0"), self._q(q1, "q1")
             broadcast(q0=q0, q1=q1)
@@ -253,10 +297,10 @@ class System:
         NotFinite
             If what comes back is not finite.
         """
-        engine, rows = self._engine, []
+        engine, rows = self._numeric, []
         for argument in arguments.values():
             if argument.ndim != 1:
-                return pinocchio_calls.stacked(engine, law, lambda: self._for_many, **arguments)
+                return pinocchio_calls.stacked(engine, law, **arguments)
             rows.append(argument[engine.order])
         # A copy: Pinocchio hands out views of its data.
         answer = law.order(engine, np.array(law.run(engine.model, engine.data, *rows)))
@@ -267,18 +311,30 @@ class System:
 
         A third of the time of `_each`.
         """
-        shape = (self._engine.nv,)
+        engine = self._engine
+        if engine is None:
+            return None
+        shape = (engine.nv,)
         for x in arguments:
             if type(x) is not np.ndarray or x.shape != shape or x.dtype != np.float64:
                 return None
-        engine = self._engine
         answer = law(engine.public, engine.data, *arguments)
         return answer.copy() if isfinite(np.vdot(answer, answer)) else None
 
+    def _on_symbols(self, name: str, *given: Any, **options: Any) -> Any:
+        """Return the answer of a method where an argument or the robot holds symbols."""
+        for dynamics in self._array_ways:
+            if hasattr(type(dynamics), name):
+                return getattr(dynamics, name)(*given, **options)
+        raise NotTraceable(
+            f"{name} of a {type(self).__name__}, which takes numbers alone",
+            f"a law that is compiled asks it for {', '.join(_LAWS)}",
+        )
+
     @property
-    @abstractmethod
-    def _for_many(self) -> ArticulatedBody | None:
-        """What does the same for many states at once; None where it cannot be traced."""
+    def _array_ways(self) -> tuple[Any, ...]:
+        """Dynamics in NumPy, for symbols too; the first that has a method answers it."""
+        return ()
 
     def _q(self, q: ArrayLike, name: str = "q") -> Array:
         return vector(name, q, self.nq)
@@ -295,17 +351,19 @@ class System:
     def _v(self, name: str, value: ArrayLike) -> Array:
         return vector(name, value, self.nv)
 
+    @by_values()
     def pose(self, q: ArrayLike) -> Array:
         """Return x, y and psi of the body, shape (..., 3) [m, m, rad]."""
         return self._q(q)[..., :BODY_JOINT].copy()
 
+    @by_values()
     def rate(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return the rates of x, y and psi of the body, shape (..., 3) [m/s, m/s, rad/s]."""
         q, v = self._q(q), self._v("v", v)
         lead = broadcast(q=q, v=v)
         return np.array(np.broadcast_to(v[..., :BODY_JOINT], (*lead, BODY_JOINT)))
 
-    @cached_property
+    @structure
     def _frames(self) -> dict[str, int]:
         return named_frames(self._model)
 
@@ -329,6 +387,7 @@ class System:
         """
         return self._frame(frame)[0]
 
+    @by_values()
     def frame_pose(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return T_0_f, the pose of a frame, shape (..., 4, 4).
 
@@ -344,8 +403,9 @@ class System:
         UnknownName
             If there is no such frame.
         """
-        return self._each(pinocchio_calls.frame_pose(*self._frame(frame)), q=self._q(q))
+        return self._each(pinocchio_calls.frame_pose(self._frame(frame)[1]), q=self._q(q))
 
+    @by_values()
     def frame_jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return J, shape (..., 6, nv): J v is the velocity of the frame's origin and the angular velocity.
 
@@ -356,8 +416,9 @@ class System:
         q, frame
             As in `frame_pose`, with the same error.
         """
-        return self._each(pinocchio_calls.frame_jacobian(*self._frame(frame)), q=self._here(q))
+        return self._each(pinocchio_calls.frame_jacobian(self._frame(frame)[1]), q=self._here(q))
 
+    @by_values()
     def frame_drift(self, q: ArrayLike, v: ArrayLike, frame: str | None = None) -> Array:
         """Return dJ/dt v, shape (..., 6): a frame's acceleration where no coordinate accelerates.
 
@@ -371,8 +432,9 @@ class System:
         v : array_like, shape (..., nv)
             Velocity [m/s, m/s, rad/s, ...].
         """
-        return self._each(pinocchio_calls.frame_drift(*self._frame(frame)), q=self._q(q), v=self._v("v", v))
+        return self._each(pinocchio_calls.frame_drift(self._frame(frame)[1]), q=self._q(q), v=self._v("v", v))
 
+    @by_values()
     def manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return sqrt(det J J'), shape (...), of base and arm together (Yoshikawa, 1985).
 
@@ -384,8 +446,9 @@ class System:
         q, frame
             As in `frame_pose`, with the same error.
         """
-        return self._each(pinocchio_calls.manipulability(*self._frame(frame)), q=self._here(q))
+        return self._each(pinocchio_calls.manipulability(self._frame(frame)[1]), q=self._here(q))
 
+    @by_values()
     def arm_manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return `manipulability` of the arm that carries the frame alone, the base held, shape (...).
 
@@ -400,13 +463,14 @@ class System:
         arms = [mount for mount in self.mounts if name.startswith(f"{mount.name}/")]
         if not arms:
             raise InvalidArgument(f"frame is {shown(name)}, expected one of an arm")
-        law = pinocchio_calls.manipulability(name, number, arms[0].v, arms[0].name)
+        law = pinocchio_calls.manipulability(number, arms[0].v)
         return self._each(law, q=self._here(q))
 
     def _frame(self, name: str | None) -> tuple[str, int]:
         name = self.end_effector if name is None else name
         return one_of("frame", name, self._frames), self._frames[name]
 
+    @by_values()
     def frame_placements(self, q: ArrayLike) -> Array:
         """Return T_0_k, the pose of each joint's frame, shape (..., joints, 4, 4).
 
@@ -414,6 +478,7 @@ class System:
         """
         return self._each(pinocchio_calls.PLACEMENTS, q=self._q(q))
 
+    @by_values()
     def jacobian(self, q: ArrayLike) -> Array:
         """Return J(psi), shape (..., nv, nv): v = J twist, with the body twist (forward, left, yaw rate).
 
@@ -436,27 +501,24 @@ class System:
         moving = range(BODY_JOINT, self._model.njoints)
         return np.concatenate([self._model.inertias[joint].toDynamicParameters() for joint in moving])
 
+    @by_values(pin.crba, 1)
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], by Pinocchio's CRBA."""
-        found = self._quick(pin.crba, q)
-        return self._each(pinocchio_calls.MASS_MATRIX, q=self._q(q)) if found is None else found
+        return self._each(pinocchio_calls.MASS_MATRIX, q=self._q(q))
 
+    @by_values(pin.nonLinearEffects, 2)
     def nonlinear_effects(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return n(q, v), shape (..., nv) [N, N, N m], by Pinocchio's RNEA without acceleration."""
-        found = self._quick(pin.nonLinearEffects, q, v)
-        if found is not None:
-            return found
         return self._each(pinocchio_calls.NONLINEAR_EFFECTS, q=self._q(q), v=self._v("v", v))
 
+    @by_values(pin.rnea, 3)
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return tau = M(q) a + n(q, v), shape (..., nv) [N, N, N m], by Pinocchio's RNEA."""
-        found = self._quick(pin.rnea, q, v, a)
-        if found is not None:
-            return found
         return self._each(
             pinocchio_calls.INVERSE_DYNAMICS, q=self._q(q), v=self._v("v", v), a=self._v("a", a)
         )
 
+    @by_values(pin.aba, 3)
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike, f: ArrayLike = 0.0) -> Array:
         """Return a = M(q)^-1 (tau + f - n(q, v)), shape (..., nv) [m/s^2, ...], by Pinocchio's ABA.
 
@@ -481,6 +543,7 @@ class System:
                 arguments["tau"] = finite_answer(force + beside, tau=force, f=beside)
         return self._each(pinocchio_calls.FORWARD_DYNAMICS, **arguments)
 
+    @by_values()
     def effort(self, q: ArrayLike, wrench: ArrayLike) -> Array:
         """Return the generalised force of a wrench on the body, shape (..., nv) [N, N, N m, ...].
 
@@ -497,6 +560,7 @@ class System:
         whole[..., :BODY_JOINT] = wrench
         return whole
 
+    @by_values()
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return the q and v with which a reference begins, shape (nq,) and (nv,).
 
@@ -522,35 +586,32 @@ class System:
             )
         return np.append(q, self.rest[q.size :]), np.append(v, np.zeros(self.nv - v.size))
 
-    def calls(self) -> Calls:
-        """Return unchecked functions of one state for this thread, for loops: see `Calls`.
-
-        What a subclass overrides is as it has it.
-        """
-        own = (name for name in Calls._fields if getattr(type(self), name) is not getattr(System, name))
-        return self._engine.calls()._replace(**{name: getattr(self, name) for name in own})
-
+    @by_values()
     def coriolis_matrix(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return C(q, v), shape (..., nv, nv): C v = n(q, v), and dM/dt - 2 C is skew-symmetric."""
         return self._each(pinocchio_calls.CORIOLIS_MATRIX, q=self._here(q), v=self._v("v", v))
 
+    @by_values()
     def kinetic_energy(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return v' M(q) v / 2, shape (...) [J]."""
         return self._each(pinocchio_calls.KINETIC_ENERGY, q=self._q(q), v=self._v("v", v))
 
+    @by_values()
     def potential_energy(self, q: ArrayLike) -> Array:
         """Return the energy in the field of gravity, shape (...) [J]; zero where all is on the ground."""
         return self._each(pinocchio_calls.POTENTIAL_ENERGY, q=self._q(q))
 
+    @by_values(pin.computeGeneralizedGravity, 1)
     def gravity(self, q: ArrayLike) -> Array:
         """Return g(q), shape (..., nv) [N, N, N m]: what holds the robot at rest; none of it for the base."""
-        found = self._quick(pin.computeGeneralizedGravity, q)
-        return self._each(pinocchio_calls.GRAVITY, q=self._q(q)) if found is None else found
+        return self._each(pinocchio_calls.GRAVITY, q=self._q(q))
 
+    @by_values()
     def regressor(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return Y(q, v, a), shape (..., nv, 10 bodies): tau = Y `inertial_parameters`, rotors left out."""
         return self._each(pinocchio_calls.REGRESSOR, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
 
+    @by_values()
     def forward_dynamics_derivatives(
         self, q: ArrayLike, v: ArrayLike, tau: ArrayLike
     ) -> tuple[Array, Array, Array]:
@@ -563,6 +624,7 @@ class System:
         pushes = {name: self._v(name, value) for name, value in push.items()}
         return self._each(pinocchio_calls.DERIVATIVES, q=self._here(q), v=self._v("v", v), **pushes)
 
+    @by_values()
     def linearize(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Linearization:
         """Return the first-order model of forward dynamics about (q, v, tau)."""
         return self._linearized(q, v, tau=tau)
@@ -576,6 +638,7 @@ class System:
         B[..., self.nv :, :] = by_tau
         return Linearization(A, B)
 
+    @by_values()
     def linearize_tracked(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> Linearization:
         """Return `linearize`: what a reference leads, and v, are the whole state of what is pushed."""
         return self._linearized(q, v, u=u)
@@ -583,8 +646,11 @@ class System:
     @cached_property
     def weight(self) -> float:
         """Weight of the robot with all that it carries [N]."""
+        if self._engine is None:
+            return self._array_ways[-1].weight  # type: ignore[no-any-return]
         return float(pin.computeTotalMass(self._model) * np.linalg.norm(self._model.gravity.linear))
 
+    @by_values()
     def ground_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return what the ground exerts on the robot that moves so, shape (..., 6).
 
@@ -593,6 +659,7 @@ class System:
         """
         return self._each(pinocchio_calls.GROUND_WRENCH, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
 
+    @by_values()
     def mount_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike, mount: str | None = None) -> Array:
         """Return what an arm, with the loads on it, exerts on the body at its mount, shape (..., 6).
 
@@ -630,7 +697,8 @@ class System:
     def _fixed(self, mount: Mount) -> pin.Inertia:
         """Return the inertia, in the body's frame, of what of an arm does not move on the body."""
         fixed = mount.placement.act(mount._model.inertias[0])
-        for name, load in self.loads:
+        for load in self.loads:
+            name = load.frame or ""
             frame = self._model.frames[self._frames[name]]
             if frame.parentJoint == BODY_JOINT and name.startswith(f"{mount.name}/"):
                 fixed += frame.placement.act(load.body)

@@ -417,7 +417,7 @@ def add_carried(
     visuals: pin.GeometryModel,
     model: pin.Model,
     mounts: Sequence[Mount],
-    loads: Sequence[tuple[str, Load]],
+    loads: Sequence[Load],
 ) -> None:
     """Add what is drawn of arms and loads, on the joints of the whole model."""
     import coal
@@ -429,10 +429,10 @@ def add_carried(
             placement = item.placement if own else mount.placement * item.placement
             visuals.addGeometryObject(drawn(f"{mount.name}/{item.name}", joint, placement, item))
     frames = named_frames(model)
-    for number, (name, load) in enumerate(loads, start=1):
+    for number, load in enumerate(loads, start=1):
         if load.size is None:
             continue
-        frame = model.frames[frames[name]]
+        frame = model.frames[frames[load.frame]]
         placement = frame.placement * pin.SE3(np.eye(3), np.array(load.com))
         box = pin.GeometryObject(f"load{number}", frame.parentJoint, placement, coal.Box(*load.size))
         box.meshColor = np.array(_LOAD_RGBA)
