@@ -171,7 +171,7 @@ def in_python() -> Iterator[tuple[str, tuple[Any, ...], dict[str, Any]]]:
 
 
 SPREADS: dict[str, dict[str, Any]] = {
-    "PD": {"mass": pm.Uniform(25, 35), "com_x": pm.Normal(0.1, 0.02), "start.x": pm.Normal(0, 0.05)},
+    "PD": {"mass": pm.Uniform(25, 35), "com.x": pm.Normal(0.1, 0.02), "start.x": pm.Normal(0, 0.05)},
     "computed torque": {"yaw_inertia": pm.Uniform(1, 2), "start.psi": pm.Uniform(-0.1, 0.1)},
     "all": {"mass": pm.Uniform(25, 35)},
     "noise": {"mass": pm.Uniform(25, 35)},

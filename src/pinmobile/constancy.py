@@ -99,7 +99,9 @@ def is_constant(thing: object, depth: int = 0) -> bool:
         return not attributes
     if isinstance(thing, tuple | frozenset):
         return not attributes and all(is_constant(each, depth + 1) for each in thing)
-    frozen = getattr(vars(kind).get("__dataclass_params__"), "frozen", False) or "__attrs_attrs__" in vars(kind)
+    frozen = getattr(vars(kind).get("__dataclass_params__"), "frozen", False) or "__attrs_attrs__" in vars(
+        kind
+    )
     if not (frozen and isinstance(attributes, dict)) or has_slots(kind):
         return False
     if _found(thing) is not None:

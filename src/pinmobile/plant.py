@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, callable_as, finite, frozen, positive, sequence, text, whole
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.parts import Leaf, Number, declared_by, fields_of
+from pinmobile.parts import Leaf, Number, fields_of
 
 if TYPE_CHECKING:
     from pinmobile.compiled.memory import Line, Noise, Schedule

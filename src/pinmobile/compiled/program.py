@@ -135,9 +135,7 @@ class Program:
         counts = self.called(blocks, samples, uniforms, kept, n, every, threads)
         return Outcome(self._last(blocks, first, n), counts, self.kept_samples(kept, n))
 
-    def _checked(
-        self, start: tuple[Array, Array], t: Array, reference: Any, tracks: Any, every: int
-    ) -> int:
+    def _checked(self, start: tuple[Array, Array], t: Array, reference: Any, tracks: Any, every: int) -> int:
         """Check that the machine code reads within the arrays, and return the number of robots."""
         nq, nv, _, length, size = self.tape.sizes
         n, count = len(start[0]), len(t)
@@ -156,7 +154,9 @@ class Program:
                 raise InvalidArgument(f"{name} has shape {np.shape(array)}, expected {shape}")
         return n
 
-    def samples_of(self, t: Array, reference: tuple[Array, ...], uniforms: Array, rows: Sequence[Array]) -> Array:
+    def samples_of(
+        self, t: Array, reference: tuple[Array, ...], uniforms: Array, rows: Sequence[Array]
+    ) -> Array:
         """Return what all robots share of each sample, shape (N + 1, columns)."""
         known = [np.reshape(each, (len(t), -1)) for each in rows]
         given = np.empty((len(t), 1 + sum(part.shape[1] for part in (*reference, *known))))

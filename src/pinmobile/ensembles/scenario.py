@@ -25,7 +25,6 @@ from pinmobile.ensembles.distributions import (
     in_blocks,
 )
 from pinmobile.errors import InvalidArgument, UnknownName
-from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop._identity import is_traced
 from pinmobile.loop._loop import Loop
@@ -38,6 +37,7 @@ from pinmobile.parts import (
     able,
     find,
     named,
+    numbers,
     parts_of,
     replace as replaced,
     spread_entries,
@@ -265,7 +265,8 @@ class Scenario:
         grown = {
             path: value[0]
             for path, value in self._spread_values(ones, 1).items()
-            if value.shape[1:] != np.shape(self._known[path].leaf.value) or self._known[path].leaf.value is None
+            if value.shape[1:] != np.shape(self._known[path].leaf.value)
+            or self._known[path].leaf.value is None
         }
         nominal = {path: np.broadcast_to(self._nominal(path), np.shape(new)) for path, new in grown.items()}
         return replaced(self._given, nominal) if nominal else self._given
@@ -381,8 +382,9 @@ class Scenario:
         ones = {name: np.ones(1) for name in self.spread}
         found = spread_entries(list(self.found.values()), self._spread_values(ones, 1))
         kept = {path: x for path, x in found.items() if is_traced(path)}
-        known = {leaf.path: leaf.value for leaf in walk(self._given)}
-        return kept | {path: np.ones(np.shape(known[path]), bool) for path in self._drawn}
+        known = numbers(self._given)
+        drawn = {path: known[path].value for path in self._drawn if path in known}
+        return kept | {path: np.ones(np.shape(value), bool) for path, value in drawn.items()}
 
     def starts(
         self, draws: Mapping[str, Array], count: int, references: Reference | None = None

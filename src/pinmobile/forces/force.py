@@ -10,7 +10,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, frozen, representable, seeded
 from pinmobile.errors import InvalidArgument
-from pinmobile.parts import Number, array, declare, evolved, number, option, part
+from pinmobile.parts import Number, array, declare, number, option, part
 
 
 class Force(Protocol):
@@ -121,6 +121,11 @@ class SinusoidalForce:
         return spread(self.amplitude * wave[..., None], t, q)
 
 
+def _of_phases(doc: str, function: Any) -> Any:
+    default = attrs.Factory(lambda force: function(force.phases), takes_self=True)
+    return declare(Number(doc, shapes=((_TERMS, 3),)), default, kw_only=True, repr=False)
+
+
 @final
 @part
 class NoiseForce:
@@ -141,7 +146,7 @@ class NoiseForce:
     """
 
     TERMS: ClassVar[int] = _TERMS
-    drawn: ClassVar[tuple[str, ...]] = ("in_phase", "quadrature")
+    drawn: ClassVar[tuple[str, ...]] = ("phases", "in_phase", "quadrature")
     determined_by: ClassVar[tuple[str, ...]] = ("std", "bandwidth", "phases")  # its seed may be a Generator
 
     std: Any = array(
@@ -155,6 +160,8 @@ class NoiseForce:
         kw_only=True,
         repr=False,
     )
+    in_phase: Any = _of_phases("cosines of the phases", np.cos)
+    quadrature: Any = _of_phases("sines of the phases", np.sin)
 
     @classmethod
     def of_phases(cls, std: ArrayLike, bandwidth: float, phases: ArrayLike) -> Self:
@@ -169,16 +176,6 @@ class NoiseForce:
         self._rates  # noqa: B018
 
     @cached_property
-    def in_phase(self) -> Array:
-        """Cosines of the phases, shape (TERMS, 3)."""
-        return frozen(np.cos(self.phases))
-
-    @cached_property
-    def quadrature(self) -> Array:
-        """Sines of the phases, shape (TERMS, 3)."""
-        return frozen(np.sin(self.phases))
-
-    @cached_property
     def _rates(self) -> Array:
         """2 pi f_kj, shape (TERMS, 3) [rad/s]."""
         with np.errstate(over="ignore"):
@@ -191,19 +188,9 @@ class NoiseForce:
         return spread(self.std * np.sqrt(2 / self.TERMS) * waves.sum(axis=-2), t, q)
 
     def draw(self, generator: np.random.Generator, count: int) -> dict[str, Array]:
-        """Return phases for robots that have their own, as `in_phase` and `quadrature`, (count, TERMS, 3)."""
+        """Return the `drawn` fields of robots that have phases of their own, shape (count, TERMS, 3)."""
         phases = self._uniform(generator, count)
-        return {"in_phase": np.cos(phases), "quadrature": np.sin(phases)}
-
-    def with_parameters(self, **values: Array) -> Self:
-        """Return it with another `std`, `in_phase` or `quadrature`."""
-        drawn = {name: frozen(values[name]) for name in self.drawn if name in values}
-        changes = {"std": values.get("std", self.std)}
-        if drawn:
-            changes["phases"] = np.arctan2(drawn["quadrature"], drawn["in_phase"])
-        new = evolved(self, changes)
-        vars(new).update(drawn)  # to the bit
-        return new
+        return {"phases": phases, "in_phase": np.cos(phases), "quadrature": np.sin(phases)}
 
     @property
     def stream(self) -> bytes:

@@ -567,9 +567,7 @@ def check_schedules(loop: Loop, context: Context, spread: Iterable[str]) -> None
 def traced_numbers(loop: Loop) -> dict[str, Array]:
     """Return the numbers of a loop that are symbols of its law, by path."""
     return {
-        path: np.asarray(leaf.value, np.float64)
-        for path, leaf in numbers(loop).items()
-        if is_traced(path)
+        path: np.asarray(leaf.value, np.float64) for path, leaf in numbers(loop).items() if is_traced(path)
     }
 
 
@@ -595,7 +593,9 @@ def initial_memories(
     except NotTraceable:
         rows = []
         for i in range(n):
-            own = replace(loop, {path: np.broadcast_to(x, (n, *x.shape[1:]))[i] for path, x in spread.items()})
+            own = replace(
+                loop, {path: np.broadcast_to(x, (n, *x.shape[1:]))[i] for path, x in spread.items()}
+            )
             rows.append([np.asarray(x, np.float64) for x in arrays_of(initial_memory(own, context))])
         return [np.array(column) for column in zip(*rows, strict=True)]
     found = []

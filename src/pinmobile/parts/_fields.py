@@ -316,7 +316,8 @@ def array(
     size: Callable[[Any], int] | None = None,
 ) -> Any:
     """Declare an array of numbers: see `Number`."""
-    return declare(Number(doc, unit, above, lower, upper, shapes, labels, fixed, endless, size), default)
+    declared = Number(doc, unit, above, lower, upper, shapes, labels, fixed, endless, size=size)
+    return declare(declared, default)
 
 
 COORDINATES = ("x", "y", "psi")
