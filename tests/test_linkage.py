@@ -11,7 +11,8 @@ from pinmobile import InvalidArgument, Load, MobileRobot, UnknownName, mountable
 from pinmobile.arrays import Array
 from pinmobile.compiled.tape import Tape, needed
 from pinmobile.errors import NotTraceable
-from pinmobile.robot.articulated import ArticulatedBody
+from pinmobile.parts import find, replace
+from pinmobile.robot.articulated import ArticulatedDynamics
 from pinmobile.robot.linkage import Linkage, Place, exact
 from pinmobile.robot.recursions import by_matrix, operations
 
@@ -58,9 +59,9 @@ def arm_of(seed: int, joints: int) -> pin.Model:
     return model
 
 
-def body_of(robot: MobileRobot) -> ArticulatedBody:
-    found = robot.traced()
-    assert isinstance(found, ArticulatedBody)
+def body_of(robot: MobileRobot) -> ArticulatedDynamics:
+    found = robot.array_dynamics
+    assert isinstance(found, ArticulatedDynamics)
     return found
 
 
@@ -188,7 +189,8 @@ def test_a_joint_that_is_neither_revolute_nor_prismatic_is_refused_by_name() -> 
     model.appendBodyToJoint(joint, pin.Inertia(1.0, np.ones(3), np.eye(3)), pin.SE3.Identity())
     with pytest.raises(NotTraceable, match="joint 'screw' is a JointModelHX, neither revolute nor prismatic"):
         Linkage.of(model)
-    assert MobileRobot.box().mount(model, AT).parameters == ()
+    with pytest.raises(NotTraceable, match="screw"):
+        _ = MobileRobot.box().mount(model, AT).array_dynamics
 
 
 def test_scalars_that_are_known_cost_nothing() -> None:
@@ -203,23 +205,28 @@ def test_scalars_that_are_known_cost_nothing() -> None:
     assert Place.about_z(zero, []).R[0][0] is exact(1.0)
 
 
+FOREARM = "mounts.ur5.links.forearm_link"
+
+
 def changed() -> MobileRobot:
     robot = MobileRobot.box().mount("ur5", AT).attach(Load(1.0, size=(0.1, 0.1, 0.1)))
-    return robot.with_parameters(
-        **{
+    link = next(link for link in robot.mounts[0].links if link.name == "forearm_link")
+    return replace(
+        robot,
+        {
             "mass": 40.0,
             "yaw_inertia": 2.0,
-            "mass_ur5/forearm_link": 5.0,
-            "com_y_ur5/forearm_link": 0.02,
-            "inertia_xx_ur5/forearm_link": 0.05,
-            "rotor_ur5/elbow_joint": 0.3,
-            "at_yaw_ur5": 1.0,
-            "load_mass": 2.5,
-        }
+            f"{FOREARM}.mass": 5.0,
+            f"{FOREARM}.com": (link.com[0], 0.02, link.com[2]),
+            f"{FOREARM}.inertia": (0.05, *link.inertia[1:]),
+            "mounts.ur5.rotors": (0, 0, 0.3, 0, 0, 0),
+            "mounts.ur5.at": (*AT[:3], 1.0),
+            "loads.0.mass": 2.5,
+        },
     )
 
 
-def test_other_parameters_make_another_robot() -> None:
+def test_other_numbers_make_another_robot() -> None:
     robot = changed()
     assert_agrees(robot)
     assert verify(robot, states=5).passed
@@ -227,53 +234,48 @@ def test_other_parameters_make_another_robot() -> None:
     forearm = model.inertias[model.getJointId("ur5/elbow_joint")]
     assert (forearm.mass, forearm.lever[1], forearm.inertia[0, 0]) == (5.0, 0.02, 0.05)
     assert model.armature[5] == 0.3
-    assert (robot.mass, robot.loads[0][1].mass) == (40.0, 2.5)
+    assert (robot.mass, robot.loads[0].mass) == (40.0, 2.5)
     assert robot.body.yaw_inertia == pytest.approx(2.0)
+    np.testing.assert_allclose(robot.body.inertia, MobileRobot.box().body.inertia * 2 / 1.3)
     assert robot.mounts[0].at == (*AT[:3], 1.0)
-    assert robot.source.startswith("a homogeneous box; with other parameters; ur5: right angles")
-    assert eval(repr(robot), {"MobileRobot": MobileRobot, "Load": Load}).mounts == robot.mounts
-    assert robot != robot.with_parameters(**{"mass_ur5/forearm_link": 6.0})
-    assert robot.changes["rotor_ur5/elbow_joint"] == 0.3
+    assert robot.mounts[0].is_changed
+    assert robot != replace(robot, {f"{FOREARM}.mass": 6.0})
     again = pickle.loads(pickle.dumps(robot))
     assert again == robot
     assert again.source == robot.source
 
 
-def test_leading_numbers_by_attribute_are_those_of_the_parameters() -> None:
-    robot = MobileRobot.box().mount("ur5", AT)
-    body = body_of(robot)
-    masses = body.masses * 1.5
-    assert robot.with_parameters(masses=masses).model.inertias[4].mass == masses[1]
-    with pytest.raises(InvalidArgument, match=r"^masses has shape \(2,\), expected \(7,\)$"):
-        robot.with_parameters(masses=[1, 2])
-
-
 @pytest.mark.parametrize(
     ("values", "told"),
     [
-        ({"mass_ur5/forearm_link": -1.0}, "mass_ur5/forearm_link is -1, expected >= 0"),
-        (
-            {"inertia_xx_ur5/forearm_link": 9.0},
-            "inertia of ur5/forearm_link is one that no body has, expected",
-        ),
+        ({f"{FOREARM}.mass": -1.0}, "mass is -1.0 kg, expected >= 0"),
+        ({f"{FOREARM}.inertia": (9.0, 0, 0, 0, 0, 0)}, "inertia of forearm_link is one that no body has"),
         ({"mass": 0.0}, "mass is 0"),
+        ({"mounts.ur5.rotors": (0, 0, -1.0, 0, 0, 0)}, "rotors is -1.0 kg m\\^2, expected >= 0"),
     ],
 )
-def test_what_no_body_has_is_refused(values: dict[str, float], told: str) -> None:
+def test_what_no_body_has_is_refused(values: dict[str, Any], told: str) -> None:
     with pytest.raises(InvalidArgument, match=told):
-        MobileRobot.box().mount("ur5").with_parameters(**values)
+        replace(MobileRobot.box().mount("ur5"), values)
+
+
+def test_numbers_of_arms_have_names() -> None:
+    robot = MobileRobot.box().mount("ur5", AT)
+    assert find(robot, "forearm_link.mass").path == f"{FOREARM}.mass"
+    assert find(robot, "rotors.elbow_joint").entry == 2
+    assert find(robot, "at.yaw").leaf.value == AT
 
 
 def test_what_moves_together_is_called_by_its_first_link_with_a_mass() -> None:
     (mount,) = MobileRobot.box().mount("ur5").mounts
-    assert mount.links[0] == "ur5/base_link"  # and not the world that it is fixed to
-    assert mount.links[-1] == "ur5/wrist_3_link"
+    assert mount.links[0].name == "base_link"  # and not the world that it is fixed to
+    assert mount.links[-1].name == "wrist_3_link"
     assert len(mount.links) == 7
 
 
 def test_an_unknown_link_is_named_with_the_nearest() -> None:
-    with pytest.raises(UnknownName, match="did you mean 'mass_ur5/forearm_link'"):
-        MobileRobot.box().mount("ur5").with_parameters(**{"mass_ur5/forearm": 1.0})
+    with pytest.raises(UnknownName, match="did you mean 'mounts.ur5.links.forearm_link.mass'"):
+        replace(MobileRobot.box().mount("ur5"), {"mounts.ur5.links.forearm.mass": 1.0})
 
 
 def test_elimination_leaves_zeros_of_branches_alone() -> None:

@@ -558,7 +558,7 @@ def test_a_continuous_joint_is_an_angle_whose_error_wraps_as_that_of_psi(kind: A
         d = robot.difference(q, robot.integrate(q, np.full(6, way)))
         np.testing.assert_allclose(d[[2, 4]], left, atol=1e-13)
         np.testing.assert_allclose(d[[0, 1, 3, 5]], way, atol=1e-13)
-        body = robot.traced().difference(q, q + way)
+        body = robot.array_dynamics.difference(q, q + way)
         np.testing.assert_allclose(body, d, atol=1e-13)
     data, own = model.createData(), np.array([0.5, np.cos(3.0), np.sin(3.0), -0.4])
     M = pin.crba(model, data, own)

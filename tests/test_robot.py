@@ -165,7 +165,7 @@ def test_unchecked_calls_are_the_methods_in_public_order(offset_robot: MobileRob
     robot = offset_robot
     for k in range(arms):
         robot = robot.mount("ur5", at=(0.2 - 0.4 * k, 0.1, 0.3, 0.4))
-    calls, generator = robot.calls(), np.random.default_rng(3)
+    calls, generator = robot.law, np.random.default_rng(3)
     for _ in range(5):
         q, v, a = generator.normal(size=(3, robot.nv))
         pairs = (
@@ -282,7 +282,7 @@ def test_what_is_handed_out_may_be_written_into_and_nothing_changes() -> None:
             model.jointPlacements[joint] = pin.SE3.Random()
         model.gravity = pin.Motion.Zero()
         model.upperPositionLimit = np.zeros(model.nq)
-    robot.loads[0][1].body.mass = 99.0
+    robot.loads[0].body.mass = 99.0
     items = robot.visual_model.geometryObjects
     items[0].placement, items[0].meshColor = pin.SE3.Random(), np.ones(4)
     items[0].geometry.halfSide = np.ones(3)

@@ -136,7 +136,6 @@ def test_machine_code_that_is_off_by_little_is_seen(
         return tuple(x * (1 + 1e-9) for x in right(*given))
 
     for law, seen in ((right, []), (off, ["M", "n", "tau", "a"])):
-        routes._planar.cache_clear()
         monkeypatch.setattr(routes, "_dynamics", law)
         rows = verify(robot, states=20).rows
         assert [row.quantity for row in rows if not row.agrees] == seen
@@ -260,7 +259,7 @@ def _heavier(**factors: float) -> Any:
     """Return what makes the body a little different: of its mass, its yaw inertia, or its centre of mass."""
     mass, inertia = (x * factors.get(name, 1.0) for name, x in (("mass", 30.0), ("inertia", 2.3)))
     x = 0.15 * factors.get("com", 1.0)
-    return lambda given: given | {"robot": MobileRobot(mass, inertia, com=(x, 0.02, 0.2)).traced()}
+    return lambda given: given | {"robot": MobileRobot(mass, inertia, com=(x, 0.02, 0.2)).array_dynamics}
 
 
 def _column(name: str) -> Any:

@@ -16,12 +16,14 @@ from pinmobile.errors import InvalidArgument, NotTraceable
 _CLOSE = 1e-7  # of the largest number of an answer: forward dynamics lose the digits of M's condition
 
 
-def vectorize(function: Callable[..., Any], *, axes: int | tuple[int, ...] = 1) -> Callable[..., Any]:
+def vectorize(
+    function: Callable[..., Any], *, axes: int | tuple[int, ...] = 1, keep: bool = True
+) -> Callable[..., Any]:
     """Return a function that evaluates another, of one state, over leading axes.
 
-    It is compiled for each set of shapes that it is called with, which takes 0.1 to 0.5 s for an arm and up to
-    some seconds for a humanoid, and runs on all processors, in some 0.1 microseconds a state. Its answers are
-    those of the function but for rounding; each state's have the same bits whatever others there are.
+    It is compiled for each set of shapes that it is called with, which takes 0.1 to 0.5 s for an arm and up
+    to some seconds for a humanoid, and runs on all processors, in some 0.1 microseconds a state. Its answers
+    are those of the function but for rounding; each state's have the same bits whatever others there are.
 
     Parameters
     ----------
@@ -32,6 +34,8 @@ def vectorize(function: Callable[..., Any], *, axes: int | tuple[int, ...] = 1) 
     axes : int or tuple of int
         How many axes of an argument are the function's own, for all arguments or for each; those before them
         broadcast.
+    keep : bool
+        Whether the machine code is kept in a file for other processes.
 
     Returns
     -------
@@ -82,7 +86,8 @@ def vectorize(function: Callable[..., Any], *, axes: int | tuple[int, ...] = 1) 
         key = shapes, tuple(words.items())
         if key not in programs:
             first = [_first(x, shape) for x, shape in zip(arrays, shapes, strict=True)]
-            programs[key] = _compared(Batched(of_one, shapes, cache=Cache()), of_one, first)
+            cache = Cache() if keep else Cache("")
+            programs[key] = _compared(Batched(of_one, shapes, cache=cache), of_one, first)
         program = programs[key]
         affordable(f"answers for {prod(lead):,} states", 1.0 * prod(lead) * program.size, "ask for fewer")
         found = program(*arrays, threads=processors())

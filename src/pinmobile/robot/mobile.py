@@ -487,7 +487,7 @@ class MobileRobot(System):
 
     @numeric
     def array_dynamics(self) -> PlanarDynamics | ArticulatedDynamics:
-        """The same dynamics in NumPy, unchecked, for one state or many, of numbers or symbols.
+        """Return the same dynamics in NumPy, unchecked, for one state or many, of numbers or symbols.
 
         Raises
         ------

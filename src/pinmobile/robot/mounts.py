@@ -226,8 +226,12 @@ class Mount:
     @cached_property
     def is_changed(self) -> bool:
         """Whether its links or motors have other numbers than those of the arm as it was read."""
-        own = Mount.after(self.first, self.arm, self.name, self.at)
-        return self._key() != own._key()
+        return self._key() != self.as_read._key()
+
+    @property
+    def as_read(self) -> Mount:
+        """The same with the links and motors that the arm was read with."""
+        return Mount.after(self.first, self.arm, self.name, self.at)
 
     @property
     def moving(self) -> range:

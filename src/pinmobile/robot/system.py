@@ -101,8 +101,8 @@ class System:
     `NotFinite` where the answer would not be. They may be called by several threads at once.
 
     Pinocchio takes one state at a time, some 5 to 20 microseconds each; `pinmobile.vectorize` compiles a
-    method for many. Where an argument, or a number of the robot, is a symbol of a law that is being compiled, the
-    methods compute the same on symbols; those that cannot raise `NotTraceable`.
+    method for many. Where an argument, or a number of the robot, is a symbol of a law that is being compiled,
+    the methods compute the same on symbols; those that cannot raise `NotTraceable`.
     """
 
     _engine: Engine | None  # None where it holds symbols

@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+from attrs import evolve
 
 from pinmobile.arrays import Array, finite, lengths, scalar, text, whole
 from pinmobile.dh import DHRow, DHTable, JointType
 from pinmobile.errors import InvalidArgument, PinmobileError
 from pinmobile.files import archive_of, unpacking
+from pinmobile.parts import numbers, replace
 from pinmobile.plant import Coordinate, Input, PlantOutline
 from pinmobile.robot import Load, MobileRobot, Stance, kept_arm
 from pinmobile.signals import Signal
@@ -278,9 +280,18 @@ def _describe(robot: MobileRobot) -> dict[str, Any]:
         ],
         "inertias": robot.inertial_parameters.tolist(),
         "joints": _of_joints(robot).tolist(),
-        "changes": robot.changes,
-        "loads": [[frame, load.mass, load.com, load.inertia, load.size] for frame, load in robot.loads],
+        "changes": _changed(robot),
+        "loads": [
+            [load.frame, load.mass, load.com, load.inertia.tolist(), load.size] for load in robot.loads
+        ],
     }
+
+
+def _changed(robot: MobileRobot) -> dict[str, Any]:
+    """Return the numbers of arms that are not those of the arms as they were read, by path."""
+    own = numbers(evolve(robot, mounts=tuple(mount.as_read for mount in robot.mounts)))
+    found = ((path, np.asarray(leaf.value)) for path, leaf in numbers(robot).items())
+    return {path: value.tolist() for path, value in found if not np.array_equal(value, own[path].value)}
 
 
 def _restore(described: dict[str, Any] | None) -> MobileRobot:
@@ -301,7 +312,7 @@ def _restore(described: dict[str, Any] | None) -> MobileRobot:
     for frame, mass, com, inertia, size in described.get("loads", ()):
         robot = robot.attach(Load(mass, com, inertia, size), frame)
     changes = described.get("changes", {})
-    robot = robot.with_parameters(**changes) if changes else robot
+    robot = replace(robot, changes) if changes else robot
     files = ", ".join(mount["arm"] for mount in mounts)
     for what, key, found in (
         ("masses and inertias", "inertias", robot.inertial_parameters),

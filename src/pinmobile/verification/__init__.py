@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 
 from pinmobile import closed_form
 from pinmobile.arrays import Array, seeded, whole
-from pinmobile.compiled import Batched, Cache
+from pinmobile.compiled import vectorize
 from pinmobile.derivation import Numeric, lagrange, lecture
 from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
-from pinmobile.robot import MobileRobot, PlanarBody
+from pinmobile.robot import MobileRobot
 from pinmobile.verification.bodies import Parts
 from pinmobile.verification.wheel_routes import compare_wheeled
 from pinmobile.wheels import WheeledRobot
@@ -200,22 +200,8 @@ def by_machine_code(robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array
     NotTraceable
         If they do not: a joint has several coordinates, or the joints are too many.
     """
-    states = q, v, a, tau
-    if robot.mounts:
-        body, sizes = robot.varying(()).traced(), [(x.shape[1],) for x in states]
-        # What has all its numbers built in serves nobody else: its file would take another's place.
-        found = Batched(lambda *given: _dynamics(body, *given), sizes, cache=Cache(""))(*states)
-    else:
-        bare = robot.lumped() if robot.loads else robot
-        numbers = np.array([bare.mass, bare.body.yaw_inertia, *bare.com[:2]])
-        found = _planar()(numbers, *states)
+    found = vectorize(partial(_dynamics, robot.array_dynamics), keep=False)(q, v, a, tau)
     return dict(zip(("M", "n", "tau", "a"), found, strict=True))
-
-
-@lru_cache(maxsize=1)
-def _planar() -> Batched:
-    """Return the dynamics of a body without arms, whose four numbers are the first argument."""
-    return Batched(lambda numbers, *given: _dynamics(PlanarBody(*numbers), *given), [(4,), *[(3,)] * 4])
 
 
 def _dynamics(body: Any, q: Array, v: Array, a: Array, tau: Array) -> tuple[Array, ...]:

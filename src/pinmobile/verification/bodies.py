@@ -78,8 +78,8 @@ class Parts:
         self._frames["base_link"] = BODY_JOINT - 1, pin.SE3.Identity()
         for mount in robot.mounts:
             self._mount(mount, q)
-        for frame, load in robot.loads:
-            link, placement = self._frames[frame]
+        for load in robot.loads:
+            link, placement = self._frames[str(load.frame)]
             self.links[link].add(load.body, placement)
 
     def _chain(self, robot: MobileRobot, q: Array) -> list[_Link]:
@@ -96,7 +96,7 @@ class Parts:
         """Add the links of an arm as it was read; a joint that is locked has no coordinates."""
         arm, on_base = mount.arm, BODY_JOINT - 1
         whole, built, held, rest = arm.file_model, arm.whole, arm.held(), arm.rest
-        if mount.numbers is not None:  # which are those of what moves
+        if mount.is_changed:  # to numbers which are those of what moves
             whole, built, held, rest = mount.model, mount.model, [], arm.posture
         free = [joint for joint in range(1, whole.njoints) if joint not in held]
         own_q = np.array(np.broadcast_to(rest, (self.count, len(rest))))

@@ -9,7 +9,7 @@ import numpy as np
 
 from pinmobile import closed_form
 from pinmobile.arrays import Array
-from pinmobile.compiled import Batched, Cache
+from pinmobile.compiled import vectorize
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.parts import evolved
 from pinmobile.plant import Step
@@ -116,16 +116,11 @@ def _rolling(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> tu
     rate = _rate(wheeled, lambda x, y: wheeled.kinetic_energy(x, y), q, v, a)
     rows.append(("power", KKT, RATE, _off(power - rate, scales.power), DIFFERENCED))
     try:
-        law = Batched(traced.forward_dynamics, [(x.shape[1],) for x in (q, v, u, f)], cache=Cache(""))
+        compiled = vectorize(traced.forward_dynamics, keep=False)(q, v, u, f)
     except NotTraceable as error:
         return tuple(rows), f"{COMPILED}: {error.reason}"
-    rows.append(("a", COMPILED, PLANE, _off(_compiled(law, q, v, u, f) - a, scales.a), SOLVED))
+    rows.append(("a", COMPILED, PLANE, _off(compiled - a, scales.a), SOLVED))
     return tuple(rows), ""
-
-
-def _compiled(law: Batched, *states: Array) -> Array:
-    found = law(*states)
-    return np.asarray(found[0] if isinstance(found, tuple | list) else found)
 
 
 def _reduced_rows(wheeled: WheeledRobot, q: Array, v: Array, u: Array, a: Array, f: Array) -> Iterator[Row]:
