@@ -568,7 +568,7 @@ sys.exit(main())
 
 
 @pytest.mark.parametrize(
-    "module", ["typing", "numpy", "pinocchio", "typer", "pinmobile.cli.commands", "pinmobile.ensembles"]
+    "module", ["typing", "numpy", "pinocchio", "typer", "pinmobile.cli.commands", "pinmobile.loop"]
 )
 def test_an_interrupt_while_the_command_loads_shows_no_traceback(module: str) -> None:
     words = [sys.executable, "-c", INTERRUPTED.format(module=module)]

@@ -35,7 +35,7 @@ from pinmobile import (
     rk4,
     simulate,
 )
-from pinmobile.ensembles import COMPILED, PYTHON, run_scenario
+from pinmobile.loop import COMPILED, PYTHON, run_scenario
 from pinmobile.wheels import ByOdometry, Coulomb, Motor, Wheel, WheeledRobot, WheelTable
 from tests.parts import Eight
 

@@ -32,7 +32,7 @@ from pinmobile import (
 )
 from pinmobile.benchmarking import CORRIDOR, NOMINAL, STANDARD, Benchmark, Score, contestants
 from pinmobile.cli import main
-from pinmobile.ensembles import run_scenario
+from pinmobile.loop import run_scenario
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 published: Any = import_module("controllers")  # the script that runs the whole table

@@ -14,7 +14,7 @@ from pinmobile.cli.choices import DEFAULT_PRESET, OF_SPEEDS, velocity_robot
 from pinmobile.cli.identify import _CALL, _SAID
 from pinmobile.cli.scenario_file import read_grid
 from pinmobile.controllers import Backstepping, RandomSteps, VelocityCommand
-from pinmobile.ensembles import run_scenario
+from pinmobile.loop import run_scenario
 from pinmobile.identification import VELOCITY_ROBOTS
 from tests import wheeled
 from tests.test_identification import log, rolled

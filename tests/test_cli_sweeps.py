@@ -28,7 +28,7 @@ from pinmobile import (
 )
 from pinmobile.cli.ensembles_and_sweeps import _answer, _differs
 from pinmobile.cli.scenario_file import _TABLES, EXAMPLE, read_grid
-from pinmobile.ensembles import COMPILED, PARAMETERS
+from pinmobile.loop import COMPILED, PARAMETERS
 from pinmobile.sweeps import length
 from tests.damage import answer, damaged, full_disk, little_memory
 from tests.test_cli import typed

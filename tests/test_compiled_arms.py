@@ -40,8 +40,8 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.compiled import Batched, Cache, Parts, Program, Reference as CompiledReference, program_of
 from pinmobile.compiled.loop_tape import Loop
-from pinmobile.ensembles import run_scenario
-from pinmobile.ensembles.engines import way_of
+from pinmobile.loop import run_scenario
+from pinmobile.loop._run import way_of
 from pinmobile.errors import SlowerEngine
 from pinmobile.robot.articulated import ArticulatedBody
 from tests.test_compiled_loop import targets

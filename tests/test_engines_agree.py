@@ -42,7 +42,7 @@ from pinmobile import (
     rk4,
     semi_implicit_euler,
 )
-from pinmobile.ensembles import COMPILED, PYTHON, part_of, run_scenario
+from pinmobile.loop import COMPILED, PYTHON, part_of, run_scenario
 from tests.parts import PID, Cart, Eight, Follower, Nodding, SlidingMode, Smoothed, Spring, midpoint
 
 N, DT, DURATION = 3, 0.01, 3.0  # 301 samples

@@ -34,8 +34,8 @@ from pinmobile import (
     plots,
     sweep,
 )
-from pinmobile.ensembles import COMPILED, Outline, run_scenario
-from pinmobile.ensembles.variables import PER_ROBOT
+from pinmobile.loop import COMPILED, Outline, run_scenario
+from pinmobile.loop._variables import PER_ROBOT
 from pinmobile.plots.drivers import causes, worst_share
 from tests.damage import answer, damaged, little_memory, rewritten
 

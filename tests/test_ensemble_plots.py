@@ -30,7 +30,7 @@ from pinmobile import (
     ensemble,
     plots,
 )
-from pinmobile.ensembles import COMPILED
+from pinmobile.loop import COMPILED
 from pinmobile.plots.drivers import causes, worst_share
 from pinmobile.plots.style import percent
 from pinmobile.plots.swept import strip_above

@@ -45,8 +45,8 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.compiled import BINS
-from pinmobile.ensembles import Within, run_scenario
-from pinmobile.ensembles.records import bins_of, edges, quantiles
+from pinmobile.loop import Within, run_scenario
+from pinmobile.loop._counts import bins_of, edges, quantiles
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
 TRAJECTORY = Tangent(Circle(3.0, 0.1, 60.0))

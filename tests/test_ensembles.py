@@ -47,8 +47,8 @@ from pinmobile import (
     semi_implicit_euler,
     simulate,
 )
-from pinmobile.ensembles import COMPILED, PYTHON, part_of, run_scenario
-from pinmobile.ensembles.outline import judgement
+from pinmobile.loop import COMPILED, PYTHON, part_of, run_scenario
+from pinmobile.loop._description import judgement
 from pinmobile.errors import SlowerEngine
 from pinmobile.integrators import RungeKuttaNystrom
 from tests.memory import PEAK

@@ -7,7 +7,7 @@ import pytest
 
 from pinmobile import InvalidArgument, JointFriction, MobileRobot, law, rk4, simulate
 from pinmobile.arrays import Array
-from pinmobile.simulation.closed_loop import COMPILED
+from pinmobile.loop._simulate import COMPILED
 from pinmobile.trajectories import Reference
 from tests.users import TwoWheels
 

@@ -34,8 +34,8 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.compiled import BINS
-from pinmobile.ensembles import run_scenario
-from pinmobile.ensembles.records import bins_of, quantiles
+from pinmobile.loop import run_scenario
+from pinmobile.loop._counts import bins_of, quantiles
 from pinmobile.errors import SlowerEngine
 from pinmobile.measures import Measure, size_of, value_of
 from pinmobile.reaching.poses import error_sizes, pose_error

@@ -11,7 +11,7 @@ from pinmobile.arrays import Array
 from pinmobile.controllers import Backstepping, Driven, Tracking, WheelSpeed
 from pinmobile.paths import Circle, Hold
 from pinmobile.robot import MobileRobot
-from pinmobile.simulation import Rollout, simulate
+from pinmobile.loop import Rollout, simulate
 from pinmobile.trajectories import FixedHeading, Tangent
 from pinmobile.wheels import (
     MOTORS,

@@ -29,7 +29,7 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.plant import PlantOutline
 from pinmobile.robot import BODY_JOINT
-from pinmobile.simulation.storage import why_unknown
+from pinmobile.loop._storage import why_unknown
 from pinmobile.viewer import Arrows, Overlays, Viewer
 from tests.chromium import Chromium
 from tests.webclient import eventually

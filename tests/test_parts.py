@@ -41,8 +41,8 @@ from pinmobile import (
 )
 from pinmobile.compiled.symbolic import Symbols
 from pinmobile.compiled.tracing import tracing
-from pinmobile.ensembles import COMPILED, PYTHON, part_of, run_scenario
-from pinmobile.ensembles.variables import PER_ROBOT
+from pinmobile.loop import COMPILED, PYTHON, part_of, run_scenario
+from pinmobile.loop._variables import PER_ROBOT
 from pinmobile.errors import SlowerEngine
 from pinmobile.parts import evolved
 from tests.looping import TwoWheels
@@ -174,7 +174,7 @@ def test_a_worker_that_imports_users_parts_has_the_same_bits(tmp_path: Path) -> 
     scenario = made("wrappers of a user's", forces=[Spring()], integrator=midpoint)
     (tmp_path / "chunk.pkl").write_bytes(pickle.dumps(scenario.holding(1, 3)))
     code = (
-        "import pathlib, pickle; from pinmobile.ensembles import part_of;"
+        "import pathlib, pickle; from pinmobile.loop import part_of;"
         f"scenario = pickle.loads(pathlib.Path({str(tmp_path / 'chunk.pkl')!r}).read_bytes());"
         f"part = part_of(scenario, 1, 3);"
         f"pathlib.Path({str(tmp_path / 'part.pkl')!r}).write_bytes(pickle.dumps(tuple(part[1])))"

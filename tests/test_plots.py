@@ -26,7 +26,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.paths import Circle, CubicVia, Hold
 from pinmobile.plots.style import si, thinned
 from pinmobile.robot import MobileRobot
-from pinmobile.simulation import Rollout, simulate
+from pinmobile.loop import Rollout, simulate
 from pinmobile.trajectories import FixedHeading, Reference, Tangent, Trajectory
 from pinmobile.wheels import Coulomb, WheeledRobot, WheelTable
 
@@ -375,7 +375,7 @@ class TestFigures:
         assert dict(matplotlib.rcParams) == before
         code = (
             "import sys, numpy as np; from pinmobile import MobileRobot, plots\n"
-            "from pinmobile.simulation import Rollout; from pinmobile.trajectories import Reference\n"
+            "from pinmobile.loop import Rollout; from pinmobile.trajectories import Reference\n"
             "z = np.zeros((2, 3)); t = np.array([0, 1.0])\n"
             "run = Rollout(MobileRobot.lecture(), t, z, z, z, z, z, Reference(z, z, z))\n"
             "[f(run)._repr_png_() for f in (plots.path, plots.states, plots.errors, plots.forces)]\n"

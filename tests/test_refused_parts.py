@@ -16,7 +16,7 @@ from pinmobile import (
     law,
     simulate,
 )
-from pinmobile.ensembles import COMPILED, PYTHON
+from pinmobile.loop import COMPILED, PYTHON
 from pinmobile.errors import SlowerEngine
 from pinmobile.plant import Parameter
 from tests.parts import Cart, CartCircle, Eight, Follower, Nodding, Spring

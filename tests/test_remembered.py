@@ -55,10 +55,10 @@ from pinmobile.compiled.program import Program
 from pinmobile.compiled.program_cache import _memories
 from pinmobile.compiled.tracing import Walk
 from pinmobile.constancy import is_constant, known
-from pinmobile.ensembles import COMPILED, scenario
-from pinmobile.ensembles.engines import way_of
-from pinmobile.ensembles.running import run_scenario
-from pinmobile.simulation.setup import check_answers
+from pinmobile.loop import COMPILED, scenario
+from pinmobile.loop._run import way_of
+from pinmobile.loop._run import run_scenario
+from pinmobile.loop._checks import check_answers
 from pinmobile.trajectories import Reference
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))

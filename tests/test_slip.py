@@ -14,7 +14,7 @@ from pinmobile.compiled import Cache, Parts, Program, Reference, Trace, traced
 from pinmobile.integrators import rk4
 from pinmobile.paths import Hold
 from pinmobile.robot import MobileRobot
-from pinmobile.simulation import Rollout, simulate
+from pinmobile.loop import Rollout, simulate
 from pinmobile.trajectories import FixedHeading
 from pinmobile.wheels import (
     Coulomb,

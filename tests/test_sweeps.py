@@ -38,9 +38,9 @@ from pinmobile import (
     rk4,
     sweep,
 )
-from pinmobile.ensembles import run_scenario
-from pinmobile.ensembles.records import edges
-from pinmobile.ensembles.variables import PER_ROBOT
+from pinmobile.loop import run_scenario
+from pinmobile.loop._counts import edges
+from pinmobile.loop._variables import PER_ROBOT
 from pinmobile.sweeps import length
 from pinmobile.sweeps.contents import answer, attributes_of, compared, table
 from pinmobile.sweeps.fingerprint import determined_by, differences

@@ -36,7 +36,7 @@ from pinmobile.compiled.symbolic import Symbols
 from pinmobile.robot import Calls, Solids
 from pinmobile.robot.articulated import ArticulatedBody
 from pinmobile.robot.planar import PlanarBody
-from pinmobile.simulation import PYTHON
+from pinmobile.loop import PYTHON
 from pinmobile.urdf import Body
 
 THREADS = 8

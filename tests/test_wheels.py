@@ -36,7 +36,7 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.compiled.folding import STATE
 from pinmobile.compiled.tape import needed
-from pinmobile.ensembles.engines import way_of
+from pinmobile.loop._run import way_of
 from pinmobile.integrators import constant_acceleration
 from pinmobile.wheels import Ackermann, Differential, Friction, GearTrain, Mobility, Support
 

@@ -17,7 +17,7 @@ from fleet import Run
 
 from pinmobile.compiled import BINS, FIRST, SHIFT, Loop, Program, Shape, Target
 from pinmobile.compiled.tape import ROBOT, SAMPLE, STATE, needed
-from pinmobile.ensembles.engines import Way
+from pinmobile.loop._run import Way
 
 from .of_pinmobile import kernel
 

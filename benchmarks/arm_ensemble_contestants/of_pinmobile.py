@@ -21,7 +21,7 @@ from pinmobile import (
     rk4,
 )
 from pinmobile.compiled import Program, Shape, Target, processors
-from pinmobile.ensembles.engines import Way, way_of
+from pinmobile.loop._run import Way, way_of
 
 
 def words(fleet: ArmFleet) -> dict[str, object]:

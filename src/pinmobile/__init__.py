@@ -73,7 +73,6 @@ if TYPE_CHECKING:
         planar_difference,
     )
     from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType
-    from pinmobile.ensembles import TRUE_MODEL, Ensemble, Normal, Same, Scenario, Uniform, ensemble
     from pinmobile.errors import (
         Diverged,
         FileError,
@@ -105,6 +104,22 @@ if TYPE_CHECKING:
         identify_velocity,
     )
     from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
+    from pinmobile.loop import (
+        COMPILED,
+        PYTHON,
+        TRUE_MODEL,
+        EndEffector,
+        Engine,
+        Ensemble,
+        Normal,
+        Relative,
+        Rollout,
+        Same,
+        Scenario,
+        Uniform,
+        ensemble,
+        simulate,
+    )
     from pinmobile.paths import (
         Circle,
         CompositePath,
@@ -121,7 +136,6 @@ if TYPE_CHECKING:
     from pinmobile.proximity import Clearance, clearance
     from pinmobile.reaching import EndEffectorTracking, PosePath, Resolved, resolve
     from pinmobile.robot import Load, MobileRobot, mountable
-    from pinmobile.simulation import COMPILED, PYTHON, EndEffector, Engine, Rollout, simulate
     from pinmobile.sweeps import Axis, Sweep, grid, sweep
     from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent, WholeBody
     from pinmobile.urdf import shipped_urdf
@@ -220,6 +234,7 @@ __all__ = [
     "Ramp",
     "RandomSteps",
     "Reference",
+    "Relative",
     "Resolved",
     "RestToRest",
     "Rolling",
@@ -336,7 +351,6 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "derivation": (),
     "dh": ("LECTURE_TABLE", "SLIDE_TABLE", "DHRow", "DHTable", "JointType"),
     "divergence": (),
-    "ensembles": ("TRUE_MODEL", "Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"),
     "errors": (
         "Diverged",
         "FileError",
@@ -370,6 +384,22 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "identify_velocity",
     ),
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
+    "loop": (
+        "COMPILED",
+        "PYTHON",
+        "TRUE_MODEL",
+        "EndEffector",
+        "Engine",
+        "Ensemble",
+        "Normal",
+        "Relative",
+        "Rollout",
+        "Same",
+        "Scenario",
+        "Uniform",
+        "ensemble",
+        "simulate",
+    ),
     "measures": (),
     "palette": (),
     "paths": (
@@ -390,7 +420,6 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "reaching": ("EndEffectorTracking", "PosePath", "Resolved", "resolve"),
     "robot": ("Load", "MobileRobot", "mountable"),
     "signals": (),
-    "simulation": ("COMPILED", "PYTHON", "EndEffector", "Engine", "Rollout", "simulate"),
     "sweeps": ("Axis", "Sweep", "grid", "sweep"),
     "trajectories": ("FixedHeading", "LectureHeading", "Reference", "Tangent", "WholeBody"),
     "urdf": ("shipped_urdf",),

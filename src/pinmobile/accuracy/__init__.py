@@ -16,9 +16,9 @@ from pinmobile.arrays import Array, callable_as, finite, positive
 from pinmobile.controllers import ComputedTorque
 from pinmobile.errors import Diverged, InvalidArgument, shown
 from pinmobile.integrators import Acceleration, Integrator
+from pinmobile.loop import Rollout, simulate
 from pinmobile.paths import Circle
 from pinmobile.robot import MobileRobot
-from pinmobile.simulation import Rollout, simulate
 from pinmobile.trajectories import Tangent
 
 __all__ = ["Convergence", "IntegratorReport", "integrator_report"]

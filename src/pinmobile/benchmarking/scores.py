@@ -13,8 +13,8 @@ from pinmobile.balance import tip_over_margin
 from pinmobile.benchmarking.situation import BenchmarkScenario
 from pinmobile.controllers import Controller
 from pinmobile.errors import Diverged, InvalidArgument
+from pinmobile.loop import Rollout
 from pinmobile.plant import Context, inputs_of
-from pinmobile.simulation import Rollout
 
 _CALLS = 200  # of a controller that are timed
 

@@ -21,12 +21,11 @@ from pinmobile.arrays import (
     whole,
 )
 from pinmobile.controllers import Controller, Delayed, NoisyMeasurement, Saturated
-from pinmobile.ensembles import Scenario, Source, check_mapping
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.integrators import Integrator, rk4
+from pinmobile.loop import COMPILED, PYTHON, Rollout, Scenario, Source, check_mapping, simulate
 from pinmobile.paths import Circle
 from pinmobile.robot import MobileRobot
-from pinmobile.simulation import COMPILED, PYTHON, Rollout, simulate
 from pinmobile.trajectories import Reference, Tangent
 
 NOMINAL = MobileRobot(mass=30.0, yaw_inertia=1.3, com=(0.1, 0.05))

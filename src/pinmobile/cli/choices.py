@@ -32,10 +32,10 @@ from pinmobile import (
 )
 from pinmobile.arrays import ArrayLike, one_of, positive
 from pinmobile.controllers import Controller
-from pinmobile.ensembles import GROUPS, PARAMETERS
 from pinmobile.errors import UnknownName, format_names, shown
 from pinmobile.identification import VELOCITY_ROBOTS
 from pinmobile.integrators import Integrator
+from pinmobile.loop import GROUPS, PARAMETERS
 from pinmobile.paths import Path
 from pinmobile.plant import Parameter, parameters_of
 from pinmobile.trajectories import Trajectory

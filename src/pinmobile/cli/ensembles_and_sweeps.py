@@ -23,7 +23,7 @@ from pinmobile.cli.options import (
 )
 from pinmobile.cli.output import Picture, Section, console, index_page, output_folder, progress, save_figure
 from pinmobile.cli.scenario_file import read_grid
-from pinmobile.ensembles import run_scenario
+from pinmobile.loop import run_scenario
 from pinmobile.sweeps import Code, Grid, Sweep, attributes_of, compared, connected, since
 
 _MOST = 12  # figures of a sweep

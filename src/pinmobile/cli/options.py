@@ -30,8 +30,8 @@ from pinmobile.cli.choices import (
     Choice,
 )
 from pinmobile.controllers import Controller
-from pinmobile.ensembles import PARAMETERS, resolved
 from pinmobile.errors import shown
+from pinmobile.loop import PARAMETERS, resolved
 from pinmobile.paths import Path
 from pinmobile.trajectories import Trajectory
 

@@ -34,7 +34,7 @@ from pinmobile.cli.choices import COMPARED, CONTROLLERS, HEADINGS
 from pinmobile.cli.options import LECTURE, Options, closed_loop
 from pinmobile.cli.output import Picture, Section, begin, console, index_page, progress, save_figure
 from pinmobile.files import write
-from pinmobile.simulation import error_text, why_unknown
+from pinmobile.loop import error_text, why_unknown
 
 if TYPE_CHECKING:
     from pinmobile.derivation import Derivation

@@ -25,8 +25,8 @@ from pinmobile.arrays import (
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification.log_rows import any_of, check_pose, check_times, lost_rows, step
 from pinmobile.identification.logfiles import read_bag, read_csv
+from pinmobile.loop import Rollout
 from pinmobile.plant import coordinates_of, inputs_of
-from pinmobile.simulation import Rollout
 
 _POSE = 3  # x, y, psi
 

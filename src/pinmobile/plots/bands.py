@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from pinmobile.arrays import Array, ArrayLike, finite, one_of, sequence
-from pinmobile.ensembles import Bands, Ensemble, edges
 from pinmobile.errors import InvalidArgument
+from pinmobile.loop import Bands, Ensemble, edges
 from pinmobile.measures import Measure
 from pinmobile.palette import INK
 from pinmobile.plots.sheet import Canvas, Sheet, letters, over, wrapped

@@ -14,6 +14,7 @@ from matplotlib.patches import Patch
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification import Prediction
+from pinmobile.loop import EndEffector, Rollout
 from pinmobile.plots.sheet import Canvas, Sheet, Spot, letters, wrapped
 from pinmobile.plots.style import (
     Rollouts,
@@ -29,7 +30,6 @@ from pinmobile.plots.style import (
     thinned,
     tint,
 )
-from pinmobile.simulation import EndEffector, Rollout
 
 _COLUMN = 3.2  # [in]: of two columns of panels each
 _WIDE, _TALL = (1.4, 1.4, 1.4), (2.8, 1.2, 1.2, 1.2)  # [in]: heights of rows

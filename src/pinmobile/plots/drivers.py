@@ -16,8 +16,8 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, scalar
-from pinmobile.ensembles import Ensemble, Same
 from pinmobile.errors import InvalidArgument
+from pinmobile.loop import Ensemble, Same
 from pinmobile.measures import Measure
 from pinmobile.plots.sheet import Canvas, Sheet, Spot, letters, wrapped
 from pinmobile.plots.style import Style, colour, dress, ink, percent

@@ -20,6 +20,7 @@ from PIL import Image
 from pinmobile.arrays import Array, ArrayLike, callable_as, finite, positive
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import written
+from pinmobile.loop import Rollout
 from pinmobile.plots.sheet import Canvas, Sheet, headed, letters, over, wrapped
 from pinmobile.plots.style import (
     Rollouts,
@@ -34,7 +35,6 @@ from pinmobile.plots.style import (
     si,
     thinned,
 )
-from pinmobile.simulation import Rollout
 
 _ARROW = 0.06  # of what the axes show; length of the arrowhead of a plant without size
 

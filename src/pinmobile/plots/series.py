@@ -21,6 +21,7 @@ from pinmobile.balance import (
     tip_over_margin,
 )
 from pinmobile.errors import InvalidArgument
+from pinmobile.loop import Rollout
 from pinmobile.plant import Plant, configuration_names_of, coordinates_of
 from pinmobile.plots.sheet import Canvas, Sheet, Spot, letters, over_titles, wrapped
 from pinmobile.plots.style import (
@@ -43,7 +44,6 @@ from pinmobile.plots.style import (
     titled,
     with_method,
 )
-from pinmobile.simulation import Rollout
 
 _SYMBOLS = {
     **{"x": "$x$", "y": "$y$", "psi": r"$\psi$"},

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 import pinmobile.palette as palette
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.loop import Rollout
 from pinmobile.palette import INK
 from pinmobile.plots.sheet import Sheet, letters, wrapped
-from pinmobile.simulation import Rollout
 
 Style: TypeAlias = dict[str, Any]
 """How something is drawn: keyword arguments of matplotlib's artists."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
+from pinmobile.loop import Rollout
 from pinmobile.palette import INK, QUIET, SLIDES
 from pinmobile.plant import Contacts
 from pinmobile.plots.sheet import Canvas, Sheet, letters, wrapped
@@ -27,7 +28,6 @@ from pinmobile.plots.style import (
     thinned,
     with_method,
 )
-from pinmobile.simulation import Rollout
 
 _WHEELED = "WheeledRobot", "contacts(q, v, a, u, signals)"  # of `with_method`
 _WIDTH, _HEIGHT = 5.0, 2.2  # of axes [in]

@@ -23,9 +23,9 @@ from typing import Any, NamedTuple, TypeAlias
 from uuid import uuid4
 
 from pinmobile.arrays import Array
-from pinmobile.ensembles import Part, Scenario, part_of
 from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName
 from pinmobile.files import cannot
+from pinmobile.loop import Part, Scenario, part_of
 from pinmobile.sweeps.grids import imported
 
 _LOADING = RLock()

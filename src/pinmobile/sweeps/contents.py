@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, location, one_of, whole
-from pinmobile.ensembles import PER_ROBOT, Ensemble, checked_share, drawn_name, percent, share_within
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.loop import PER_ROBOT, Ensemble, checked_share, drawn_name, percent, share_within
 from pinmobile.measures import in_words
 from pinmobile.sweeps.fingerprint import FORMAT, determined_by, differences, other_format
 from pinmobile.sweeps.grids import Axis, Grid, Label, Scenarios, as_grid, imported, place_of, told

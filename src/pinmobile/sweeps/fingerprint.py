@@ -36,8 +36,8 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.ensembles import Scenario, way_of
 from pinmobile.errors import InvalidArgument
+from pinmobile.loop import Scenario, way_of
 from pinmobile.sweeps.code import hidden_in, is_library, node_of, read_by
 from pinmobile.sweeps.grids import Grid
 

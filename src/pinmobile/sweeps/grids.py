@@ -16,8 +16,8 @@ import numpy as np
 
 from pinmobile import extras
 from pinmobile.arrays import Array, finite, text
-from pinmobile.ensembles import PARAMETERS, Scenario
 from pinmobile.errors import InvalidArgument, UnknownName, shown
+from pinmobile.loop import PARAMETERS, Scenario
 
 imported = partial(extras.imported, extra="sweeps", what="a sweep")
 """What only sweeps need is imported when it is used."""

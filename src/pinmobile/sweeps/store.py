@@ -26,7 +26,9 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
 from pinmobile.compiled import BINS
-from pinmobile.ensembles import (
+from pinmobile.errors import FileError, InvalidArgument
+from pinmobile.files import arrays_of, refusals, write
+from pinmobile.loop import (
     LEVELS,
     NOTE,
     PARAMETERS,
@@ -41,8 +43,6 @@ from pinmobile.ensembles import (
     per_robot,
     summed,
 )
-from pinmobile.errors import FileError, InvalidArgument
-from pinmobile.files import arrays_of, refusals, write
 from pinmobile.plant import Parameter
 from pinmobile.sweeps.contents import METADATA, attributes_of, coordinates_of, digest_of
 from pinmobile.sweeps.fingerprint import differences, other_format

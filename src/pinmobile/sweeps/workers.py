@@ -14,8 +14,8 @@ import numpy as np
 
 from pinmobile.arrays import Array, callable_as, location, text, whole
 from pinmobile.compiled import processors
-from pinmobile.ensembles import Part, part_of, way_of
 from pinmobile.errors import InvalidArgument, SchedulerError, SlowerEngine, shown
+from pinmobile.loop import Part, part_of, way_of
 from pinmobile.sweeps.code import packed, part_of_packed
 from pinmobile.sweeps.contents import METADATA, Sweep
 from pinmobile.sweeps.fingerprint import determined_by

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 import pinmobile.viewer.shapes as shapes
 from pinmobile.arrays import Array
 from pinmobile.errors import PinmobileError
+from pinmobile.loop import EndEffector, Rollout
 from pinmobile.palette import INK, colour
-from pinmobile.simulation import EndEffector, Rollout
 from pinmobile.viewer.motion import Channel
 from pinmobile.viewer.stage import Extent, Stage
 

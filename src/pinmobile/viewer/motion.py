@@ -12,9 +12,9 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, finite
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.loop import Rollout
 from pinmobile.plant import all_samples
 from pinmobile.robot import BODY_JOINT, MobileRobot
-from pinmobile.simulation import Rollout
 
 _KINDS = {"position": "vector3", "scale": "vector3", "quaternion": "quaternion"}
 _DIGITS = {"position": 5, "scale": 5, "quaternion": 6, "drawn": 1}

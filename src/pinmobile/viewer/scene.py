@@ -13,9 +13,9 @@ import pinmobile.viewer.shapes as shapes
 from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument
+from pinmobile.loop import EndEffector, Rollout
 from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.plant import whole_configurations
-from pinmobile.simulation import EndEffector, Rollout
 from pinmobile.viewer.hands import draw_hand, hand_errors, hand_of
 from pinmobile.viewer.motion import (
     Channel,

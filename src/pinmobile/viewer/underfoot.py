@@ -9,10 +9,10 @@ import numpy as np
 import pinmobile.viewer.shapes as shapes
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.loop import Rollout
 from pinmobile.palette import GRIPS, INK, QUIET, SLIDES
 from pinmobile.plant import Contacts
 from pinmobile.signals import Signal
-from pinmobile.simulation import Rollout
 from pinmobile.viewer.motion import Channel, along
 from pinmobile.viewer.stage import Extent, Overlays, Stage
 

@@ -14,7 +14,7 @@ import numpy as np
 from pinmobile.arrays import ArrayLike, positive, text, vector
 from pinmobile.errors import InvalidArgument, ViewerError, shown
 from pinmobile.files import written
-from pinmobile.simulation import Rollout
+from pinmobile.loop import Rollout
 from pinmobile.viewer.motion import figure, frame_times, tracks
 from pinmobile.viewer.pages import OfflineWindow
 from pinmobile.viewer.recording import Recording, picture_of, recorded_page

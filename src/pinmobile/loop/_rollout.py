@@ -14,6 +14,8 @@ import numpy as np
 from pinmobile.arrays import Array, finite, frozen, increasing, location, real
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import replacing, write_table
+from pinmobile.loop._end_effector import EndEffector, aimed_at, end_effector_of
+from pinmobile.loop._storage import read_archive, write_archive
 from pinmobile.measures import in_words, measured_of, measures_of
 from pinmobile.plant import (
     Coordinate,
@@ -27,8 +29,6 @@ from pinmobile.plant import (
     whole_configurations,
 )
 from pinmobile.signals import Signal
-from pinmobile.simulation.end_effector import EndEffector, aimed_at, end_effector_of
-from pinmobile.simulation.storage import read_archive, write_archive
 from pinmobile.trajectories import Reference
 
 _POSE = 3  # x, y, psi

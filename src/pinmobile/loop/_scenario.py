@@ -13,7 +13,22 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, affordable, finite, positive, scalar, whole
 from pinmobile.compiled import BINS, Noise
-from pinmobile.ensembles.distributions import (
+from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.integrators import Integrator
+from pinmobile.loop._checks import (
+    check_answers,
+    check_controllers_memory,
+    checked_forces,
+    checked_loop,
+    checked_substeps,
+    chosen_integrator,
+    sample_times,
+    sampled,
+    started,
+)
+from pinmobile.loop._identity import is_traced
+from pinmobile.loop._loop import Loop
+from pinmobile.loop._spread import (
     Relative,
     Source,
     check_mapping,
@@ -24,10 +39,6 @@ from pinmobile.ensembles.distributions import (
     held,
     in_blocks,
 )
-from pinmobile.errors import InvalidArgument, UnknownName
-from pinmobile.integrators import Integrator
-from pinmobile.loop._identity import is_traced
-from pinmobile.loop._loop import Loop
 from pinmobile.loop._trace import initial_memory
 from pinmobile.measures import Measure, channels_of, check_measured, chosen
 from pinmobile.parts import (
@@ -44,19 +55,7 @@ from pinmobile.parts import (
     spread_values,
     walk,
 )
-from pinmobile.plant import Context, Coordinate, Input, Parameter
-from pinmobile.simulation import (
-    Plant,
-    check_answers,
-    check_controllers_memory,
-    checked_forces,
-    checked_loop,
-    checked_substeps,
-    chosen_integrator,
-    sample_times,
-    sampled,
-    started,
-)
+from pinmobile.plant import Context, Coordinate, Input, Parameter, Plant
 from pinmobile.trajectories import Reference, Trajectory
 
 _SAME = 1e-6  # of dt: a time that is meant to be a sample's

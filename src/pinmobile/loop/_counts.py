@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, ArrayLike, finite, scalar
 from pinmobile.compiled import BINS, FIRST, SHIFT
 from pinmobile.controllers import Controller
-from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.loop._scenario import Scenario
 from pinmobile.measures import value_of
 from pinmobile.parts import replace
 from pinmobile.trajectories import Trajectory

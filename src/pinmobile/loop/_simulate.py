@@ -16,13 +16,7 @@ from pinmobile.divergence import is_near
 from pinmobile.errors import Diverged, InvalidArgument, LimitWarning, NotTraceable, SlowerEngine, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator
-from pinmobile.loop._engines import CompiledRun, PythonRun
-from pinmobile.loop._loop import Loop
-from pinmobile.loop._python import with_compiled_plant
-from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations
-from pinmobile.signals import told_at
-from pinmobile.simulation.rollout import Rollout
-from pinmobile.simulation.setup import (
+from pinmobile.loop._checks import (
     check_answers,
     check_controllers_memory,
     checked_forces,
@@ -33,6 +27,12 @@ from pinmobile.simulation.setup import (
     sampled,
     started,
 )
+from pinmobile.loop._engines import CompiledRun, PythonRun
+from pinmobile.loop._loop import Loop
+from pinmobile.loop._python import with_compiled_plant
+from pinmobile.loop._rollout import Rollout
+from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations
+from pinmobile.signals import told_at
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 

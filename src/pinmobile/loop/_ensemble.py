@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, location, one_of, whole
-from pinmobile.ensembles.outline import Outline, alike, judgement, ranges
-from pinmobile.ensembles.records import (
+from pinmobile.errors import Diverged, InvalidArgument
+from pinmobile.files import replacing, write_table
+from pinmobile.loop._counts import (
     Member,
     Part,
     checked_levels,
@@ -20,8 +21,11 @@ from pinmobile.ensembles.records import (
     member_of,
     share_within,
 )
-from pinmobile.ensembles.scenario import Scenario, checked_scenario
-from pinmobile.ensembles.variables import (
+from pinmobile.loop._description import Outline, alike, judgement, ranges
+from pinmobile.loop._rollout import Rollout
+from pinmobile.loop._scenario import Scenario, checked_scenario
+from pinmobile.loop._simulate import simulate
+from pinmobile.loop._variables import (
     PER_ROBOT,
     columns_of,
     dataset_of,
@@ -29,9 +33,6 @@ from pinmobile.ensembles.variables import (
     read_ensemble,
     write_ensemble,
 )
-from pinmobile.errors import Diverged, InvalidArgument
-from pinmobile.files import replacing, write_table
-from pinmobile.simulation import Rollout, simulate
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +126,7 @@ class Ensemble:
         When the loop diverged [s]; NaN where it did not.
     counts : ndarray of int, shape (G, channels, BINS)
         At each time of `Scenario.grid`, how many robots have a distance, an error of the heading, and so on
-        of `Scenario.channels`, of which size, see `pinmobile.ensembles.records`.
+        of `Scenario.channels`, of which size, see `pinmobile.loop._counts`.
     traces : dict of int to Rollout
         Everything of the robots that were asked for; of a diverged one until then.
     engine : str

@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, finite, text, whole
-from pinmobile.ensembles.outline import Outline
-from pinmobile.ensembles.records import edges, miscounted, quantiles
-from pinmobile.ensembles.scenario import Scenario
 from pinmobile.extras import imported
 from pinmobile.files import archive_of, unpacking
+from pinmobile.loop._counts import edges, miscounted, quantiles
+from pinmobile.loop._description import Outline
+from pinmobile.loop._rollout import Rollout
+from pinmobile.loop._scenario import Scenario
+from pinmobile.loop._storage import RECORDED, described_run, restored_run, signal_columns
 from pinmobile.measures import Measure
 from pinmobile.plant import Parameter
-from pinmobile.simulation import RECORDED, Rollout, described_run, restored_run, signal_columns
 from pinmobile.trajectories import Reference
 
 LEVELS = (0.5, 0.9, 0.99)

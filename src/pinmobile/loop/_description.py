@@ -11,9 +11,9 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array, finite, frozen, increasing, positive, text, whole
-from pinmobile.ensembles.distributions import Same, Source
-from pinmobile.ensembles.scenario import Scenario, checked_scenario, first_counted, time_within
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.loop._scenario import Scenario, checked_scenario, first_counted, time_within
+from pinmobile.loop._spread import Same, Source
 from pinmobile.measures import Measure, channels_of, in_words
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.trajectories import Reference

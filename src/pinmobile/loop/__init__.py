@@ -1,0 +1,109 @@
+"""The closed loop: `simulate` runs one robot, `ensemble` many; `Rollout` and `Ensemble` are their results."""
+
+from pinmobile.loop._checks import (
+    check_answers as check_answers,
+    check_controllers_memory as check_controllers_memory,
+    checked_forces as checked_forces,
+    checked_loop as checked_loop,
+    checked_substeps as checked_substeps,
+    chosen_integrator as chosen_integrator,
+    sample_times as sample_times,
+    sampled as sampled,
+    started as started,
+)
+from pinmobile.loop._counts import (
+    Member,
+    Part,
+    checked_share as checked_share,
+    edges as edges,
+    miscounted as miscounted,
+    share_within as share_within,
+)
+from pinmobile.loop._description import Outline, percent as percent
+from pinmobile.loop._end_effector import EndEffector
+from pinmobile.loop._ensemble import Bands, Ensemble, Within
+from pinmobile.loop._loop import (
+    Loop,
+    Record,
+    Sample,
+    State,
+    reaction as reaction,
+    step,
+    tracking_errors as tracking_errors,
+)
+from pinmobile.loop._record import Samples, Worst
+from pinmobile.loop._rollout import Rollout, error_text as error_text
+from pinmobile.loop._run import ensemble, part_of, run_scenario, way_of as way_of
+from pinmobile.loop._scenario import Scenario
+from pinmobile.loop._simulate import (
+    COMPILED,
+    PYTHON,
+    Engine,
+    checked_engine as checked_engine,
+    simulate,
+)
+from pinmobile.loop._spread import (
+    TRUE_MODEL,
+    Distribution,
+    Normal,
+    Relative,
+    Same,
+    Source as Source,
+    Uniform,
+    check_mapping as check_mapping,
+)
+from pinmobile.loop._storage import (
+    RECORDED as RECORDED,
+    described_run as described_run,
+    restored_run as restored_run,
+    signal_columns as signal_columns,
+    why_unknown as why_unknown,
+)
+from pinmobile.loop._variables import (
+    LEVELS as LEVELS,
+    NOTE as NOTE,
+    PER_ROBOT as PER_ROBOT,
+    SUMMED as SUMMED,
+    coordinates as coordinates,
+    drawn as drawn,
+    drawn_name as drawn_name,
+    over_all as over_all,
+    per_robot as per_robot,
+    summed as summed,
+)
+from pinmobile.plant import Plant
+from pinmobile.signals import Signal
+
+__all__ = [
+    "COMPILED",
+    "PYTHON",
+    "TRUE_MODEL",
+    "Bands",
+    "Distribution",
+    "EndEffector",
+    "Engine",
+    "Ensemble",
+    "Loop",
+    "Member",
+    "Normal",
+    "Outline",
+    "Part",
+    "Plant",
+    "Record",
+    "Relative",
+    "Rollout",
+    "Same",
+    "Sample",
+    "Samples",
+    "Scenario",
+    "Signal",
+    "State",
+    "Uniform",
+    "Within",
+    "Worst",
+    "ensemble",
+    "part_of",
+    "run_scenario",
+    "simulate",
+    "step",
+]
