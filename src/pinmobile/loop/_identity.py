@@ -6,28 +6,41 @@ another number has another identity. Code of this library and of packages that o
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import sys
 import time
+import weakref
 from collections.abc import Hashable, Iterator, Mapping
 from enum import Enum
-from pathlib import Path
-from types import BuiltinFunctionType, CellType, CodeType, FunctionType, MethodType, ModuleType
-from typing import Any
+from pathlib import Path, PurePath
+from types import BuiltinFunctionType, CellType, CodeType, FunctionType, GenericAlias, MethodType, ModuleType
+from typing import Any, Self
 
 import numpy as np
 
 from pinmobile.compiled.memory import Line, Noise, Schedule, is_leaf
 from pinmobile.compiled.tracing import is_foreign, names_of
 from pinmobile.loop._loop import OWNERS, Loop, State
-from pinmobile.parts import Leaf, Number, fields_of, is_part, parts_of, walk
+from pinmobile.parts import Child, Field, Number, entries_of, fields_of, is_part
 
 _BEGAN = time.time()
 _DEEPEST = 60
 _ATOMS = (bool, int, float, complex, str, bytes, type(None), type(...), range, slice)
 _DESCRIPTORS = (staticmethod, classmethod)
+_constant: weakref.WeakKeyDictionary[Any, Hashable] = weakref.WeakKeyDictionary()
 _UNTRACED = ("trajectory", "start", "start_rate")  # fields of a loop that no sample depends on
+
+
+def is_constant(part: Any) -> bool:
+    """Tell whether a part has no fields and no code that may change."""
+    try:
+        if part not in _constant:
+            Identity()._part(part)
+        return part in _constant
+    except TypeError:  # no weak references
+        return False
 
 
 def is_traced(path: str) -> bool:
@@ -37,17 +50,6 @@ def is_traced(path: str) -> bool:
 
 class Identity:
     """Structure and code of a loop, by value.
-
-    Parameters
-    ----------
-    loop : Loop
-        The closed loop.
-    memory : State
-        Its memory before the first sample.
-    spread : mapping of str to array of bool
-        Paths of the numbers that differ from robot to robot, with the entries that do.
-    others : hashable
-        What else the program depends on.
 
     Attributes
     ----------
@@ -63,26 +65,65 @@ class Identity:
         Variables that these close over.
     """
 
-    def __init__(
-        self, loop: Loop, memory: State, spread: Mapping[str, Any] | None = None, others: Hashable = ()
-    ) -> None:
+    def __init__(self) -> None:
         self.is_lasting, self.is_ours = True, True
         self.namespaces: dict[int, dict[str, Any]] = {}
         self.cells: list[CellType] = []
+        self.key: tuple[Any, ...] = ()
         self._seen: dict[int, tuple[int, Any]] = {}
-        parts = tuple(self._leaf(leaf, spread or {}) for leaf in walk(loop) if is_traced(leaf.path))
-        classes = tuple(self._class(type(each)) for path, each in parts_of(loop) if is_traced(path))
-        kept = tuple(self._memory(getattr(memory, owner)) for owner in OWNERS)
-        self.key: tuple[Any, ...] = (parts, classes, kept, loop.steps, others)
-        self.kept = [value for _, value in self._seen.values()]  # so that no other object gets their ids
+        self._changing = 0  # values met that may change
 
-    def _leaf(self, leaf: Leaf, spread: Mapping[str, Any]) -> Hashable:
-        if isinstance(leaf.declared, Number) and not leaf.declared.fixed and leaf.value is not None:
-            varies = spread.get(leaf.path)
-            matters = np.asarray(leaf.value) != leaf.declared.neutral
-            matters = matters if varies is None else matters | varies
-            return leaf.path, np.shape(leaf.value), varies is not None, np.asarray(matters).tobytes()
-        return leaf.path, self._value(leaf.value)
+    @classmethod
+    def of(cls, loop: Loop, memory: State, spread: Mapping[str, Any], others: Hashable) -> Self:
+        """Return the identity of a loop.
+
+        Parameters
+        ----------
+        loop : Loop
+            The closed loop.
+        memory : State
+            Its memory before the first sample.
+        spread : mapping of str to array of bool
+            Paths of the numbers that differ from robot to robot, with the entries that do.
+        others : hashable
+            What else the program depends on.
+        """
+        own = cls()
+        parts = tuple(own._field(*each) for each in fields_of(loop) if is_traced(each[0]))
+        differs = tuple((path, varies.shape, varies.tobytes()) for path, varies in spread.items())
+        kept = tuple(own._memory(getattr(memory, owner)) for owner in OWNERS)
+        own.key = parts, differs, kept, loop.steps, others
+        return own
+
+    @property
+    def kept(self) -> list[Any]:
+        """Objects whose ids are in the key, so that no other object gets one of these."""
+        return [value for _, value in self._seen.values()]
+
+    def _field(self, name: str, declared: Field, value: Any) -> Hashable:
+        """Return a field of a part: of a number that may differ, its shape and which entries are neutral."""
+        if isinstance(declared, Number) and not declared.fixed and value is not None:
+            return name, np.shape(value), (np.asarray(value) != declared.neutral).tobytes()
+        if isinstance(declared, Child) and declared.many:
+            return name, tuple((key, self._part(each)) for key, each in entries_of(value))
+        return name, self._part(value)
+
+    def _part(self, part: Any) -> Hashable:
+        """Return a part, with what was found before of one that cannot change."""
+        if not is_part(part):
+            return self._value(part)
+        try:
+            known = _constant.get(part)
+        except TypeError:
+            known = None
+        if known is not None:
+            return known
+        before = self._changing, self.is_lasting
+        found = self._class(type(part)), tuple(self._field(*each) for each in fields_of(part))
+        if before == (self._changing, True) and self.is_lasting:
+            with contextlib.suppress(TypeError):  # no weak references
+                _constant[part] = found
+        return found
 
     def _memory(self, tree: Any) -> Hashable:
         """Return the structure of a memory."""
@@ -109,6 +150,7 @@ class Identity:
         if isinstance(x, _ATOMS):
             return type(x).__name__, x if x == x else "nan"
         if isinstance(x, np.ndarray) and x.dtype != object:
+            self._changing += x.flags.writeable
             return "array", x.shape, x.dtype.str, x.tobytes()
         if isinstance(x, np.generic):
             return "number", x.dtype.str, x.tobytes()
@@ -122,14 +164,25 @@ class Identity:
             return "enum", type(x).__qualname__, x.name
         if isinstance(x, np.ufunc):
             return "ufunc", x.__name__
+        if isinstance(x, tuple):
+            return type(x).__qualname__, tuple(map(self._value, x))
+        if is_part(x):
+            return self._part(x)
+        if isinstance(x, PurePath | np.dtype | GenericAlias):
+            return "text", repr(x)
+        if hasattr(x, "saveToString"):  # a model of Pinocchio, whose copies are the same
+            return "model", x.saveToString()
         if id(x) in self._seen:
             return "seen", self._seen[id(x)][0]
         self._seen[id(x)] = len(self._seen), x
-        if isinstance(x, list | tuple):
-            return type(x).__qualname__, tuple(map(self._value, x))
+        if isinstance(x, list):
+            self._changing += 1
+            return "list", tuple(map(self._value, x))
         if isinstance(x, Mapping):
+            self._changing += 1
             return "mapping", tuple((self._value(key), self._value(value)) for key, value in x.items())
         if isinstance(x, set | frozenset):
+            self._changing += isinstance(x, set)
             return "set", frozenset(map(self._value, x))
         if isinstance(x, MethodType):
             return "method", self._value(x.__func__), self._value(x.__self__)
@@ -145,13 +198,10 @@ class Identity:
         if isinstance(x, property | functools.cached_property | staticmethod | classmethod):
             inner = getattr(x, "fget", None) or getattr(x, "func", None) or getattr(x, "__func__", None)
             return kind.__name__, self._value(inner)
-        if is_part(x):
-            return self._class(kind), tuple((name, self._value(value)) for name, _, value in fields_of(x))
+        self._changing += 1
         own = getattr(x, "__dict__", None)
         if isinstance(own, dict) and not is_foreign(kind.__module__) and not _has_slots(kind):
             return self._class(kind), tuple((name, self._value(value)) for name, value in own.items())
-        if is_foreign(kind.__module__) and kind.__module__.startswith(("numpy", "typing")):
-            return "object", repr(x)
         self.is_lasting = False
         return "object", id(x)
 
@@ -164,6 +214,7 @@ class Identity:
             return (*name, self._seen[id(kind)][0])
         self._seen[id(kind)] = len(self._seen), kind
         self.is_ours = False
+        self._changing += 1
         own = [
             (key, self._value(value))
             for key, value in vars(kind).items()
@@ -181,6 +232,7 @@ class Identity:
         if id(function) in self._seen:
             return (*name, self._seen[id(function)][0])
         self._seen[id(function)] = len(self._seen), function
+        self._changing += 1
         code = function.__code__
         found: list[Any] = [code, self._value(function.__defaults__), self._value(function.__kwdefaults__)]
         for cell in function.__closure__ or ():

@@ -74,7 +74,7 @@ class Compiled:
         self.loop, self.context, self.spread = loop, context, spread or {}
         begun = initial_memory(loop, context)
         others = loop.substeps, tuple(map(np.shape, reference)), single, own_reference
-        self.identity = identity = Identity(loop, begun, self.spread, others)
+        self.identity = identity = Identity.of(loop, begun, self.spread, others)
         with _lock:
             known = _programs.get(identity.key)
             if known is not None:
