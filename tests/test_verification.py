@@ -140,7 +140,6 @@ def test_machine_code_that_is_off_by_little_is_seen(
         rows = verify(robot, states=20).rows
         assert [row.quantity for row in rows if not row.agrees] == seen
         assert [row.quantity for row in rows if row.route == COMPILED] == ["M", "n", "tau", "a"]
-    routes._planar.cache_clear()
 
 
 def test_where_there_is_no_machine_code_the_table_says_why() -> None:

@@ -363,7 +363,7 @@ def test_decoupled_is_the_locked_load_and_the_arm_on_a_fixed_base(robot: MobileR
             own = mount.model.copy()
             if robot.loads:
                 frame = own.frames[own.getFrameId(mount.arm.tip)]
-                own.appendBodyToJoint(frame.parentJoint, robot.loads[0][1].body, frame.placement)
+                own.appendBodyToJoint(frame.parentJoint, robot.loads[0].body, frame.placement)
             arm = pin.rnea(own, own.createData(), q[k, mount.q], v[k, mount.v], command[k, mount.v])
             np.testing.assert_allclose(tau[k, mount.v], arm, atol=1e-11)
     assert state is None

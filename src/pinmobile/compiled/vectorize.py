@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
 from math import prod
 from typing import Any
 
@@ -79,6 +80,7 @@ def vectorize(
         except ValueError:
             raise InvalidArgument(f"leading shapes are {leads}, expected shapes that broadcast") from None
 
+        @wraps(function)  # by which tracing finds what it is made of
         def of_one(*states: Any) -> Any:
             numbers = dict(zip(places, states, strict=True))
             return function(*(words[k] if k in words else numbers[k] for k in range(len(given))))

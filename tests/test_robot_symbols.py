@@ -1,0 +1,205 @@
+"""Robots whose numbers are symbols: the same dynamics as Pinocchio's of robots with such numbers."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinmobile import Load, MobileRobot
+from pinmobile.arrays import Array
+from pinmobile.compiled.symbolic import Symbols, entries, symbols
+from pinmobile.compiled.tape import Node, Tape, evaluated
+from pinmobile.compiled.tracing import tracing
+from pinmobile.errors import InvalidArgument, NotTraceable
+from pinmobile.parts import numbers, replace
+from pinmobile.robot import ArticulatedDynamics, PlanarDynamics, UncheckedDynamics
+from pinmobile.trajectories import Reference
+
+AT = (0.1, -0.05, 0.5, 0.4)
+LOAD = Load(1.5, (0.1, 0, 0.2), size=(0.1, 0.2, 0.3))
+ROBOTS = {
+    "bare": MobileRobot(30.0, 1.1, com=(0.1, -0.05, 0.2)),
+    "loaded": MobileRobot(30.0, 1.1, com=(0.1, -0.05, 0.2)).attach(LOAD).attach(Load(2.0)),
+    "ur5": MobileRobot.box().mount("ur5", AT).attach(LOAD).attach(Load(2.0), "base_link"),
+    "two": MobileRobot.box().mount("kinova", AT).mount("ur3", (-0.2, 0, 0.2, 0), name="left"),
+}
+STATE = ("q", "v", "a")
+
+
+class Traced:
+    """A robot whose numbers are symbols of a tape, and numbers to put in their place."""
+
+    def __init__(self, robot: MobileRobot, *, growth: float = 0.02, zeros: bool = False) -> None:
+        self.tape, self.inputs = Tape(10**6), dict[Any, float]()
+        changes: dict[str, Any] = {}
+        given: dict[str, Any] = {}
+        for path, leaf in numbers(robot).items():
+            value = np.asarray(leaf.value, np.float64)
+            new = value * (1 + growth)
+            given[path] = new
+            changes[path] = self._symbols(new, zeros)
+        self.robot = replace(robot, changes, nominal=True)
+        self.other = replace(robot, given)
+
+    def _symbols(self, value: Array, zeros: bool = True) -> Symbols:
+        nodes: list[Any] = []
+        for x in value.ravel():
+            if not x and not zeros:
+                nodes.append(0.0)
+            else:
+                nodes.append(self.tape.input("state", len(self.inputs)))
+                self.inputs["state", len(self.inputs)] = float(x)
+        return symbols(nodes, value.shape)
+
+    def state(self, *arrays: Array) -> list[Symbols]:
+        return [self._symbols(x) for x in arrays]
+
+    def answer(self, function: Callable[..., Any], *given: Any) -> Array:
+        """Return what a function of symbols gives for the numbers."""
+
+        def law() -> Any:
+            return function(*given)
+
+        with tracing([law]):
+            found = law()
+        table = np.asarray(entries(found), object)
+        nodes = [x if type(x) is Node else self.tape.const(float(x)) for x in table.ravel()]
+        values = evaluated(self.tape, [x.index for x in nodes], self.inputs)
+        return np.array(values, float).reshape(table.shape)
+
+
+def states(robot: MobileRobot) -> dict[str, Array]:
+    rng = np.random.default_rng(5)
+    v, a, u = rng.normal(size=(3, robot.nv))
+    return {"q": robot.random_configuration(rng), "v": v, "a": a, "u": u}
+
+
+def methods(robot: MobileRobot) -> dict[str, tuple[Any, ...]]:
+    arms = {"mount_wrench": ("qva",), "arm_manipulability": ("q",)} if robot.mounts else {}
+    return {
+        "mass_matrix": ("q",),
+        "nonlinear_effects": ("qv",),
+        "inverse_dynamics": ("qva",),
+        "forward_dynamics": ("qvu",),
+        "coriolis_matrix": ("qv",),
+        "gravity": ("q",),
+        "kinetic_energy": ("qv",),
+        "potential_energy": ("q",),
+        "regressor": ("qva",),
+        "ground_wrench": ("qva",),
+        "frame_pose": ("q", "base_link"),
+        "frame_jacobian": ("q", robot.end_effector),
+        "frame_drift": ("qv", robot.end_effector),
+        "manipulability": ("q",),
+        "integrate": ("qv",),
+        "difference": ("qv",),
+        "pose": ("q",),
+        "rate": ("qv",),
+        **arms,
+    }
+
+
+@pytest.mark.parametrize("zeros", [False, True])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_dynamics_on_symbols_are_those_of_the_robot_with_such_numbers(name: str, zeros: bool) -> None:
+    traced = Traced(ROBOTS[name], zeros=zeros)
+    given = states(traced.other)
+    on_tape = dict(zip(given, traced.state(*given.values()), strict=True))
+    for method, (letters, *options) in methods(traced.other).items():
+        expected = getattr(traced.other, method)(*(given[x] for x in letters), *options)
+        found = traced.answer(getattr(traced.robot, method), *(on_tape[x] for x in letters), *options)
+        assert found.shape == np.shape(expected), method
+        assert np.abs(found - expected).max() < 1e-9 * (1e-2 + np.abs(expected).max()), method
+
+
+@pytest.mark.parametrize("name", ["bare", "ur5"])
+def test_a_robot_of_numbers_that_a_law_closes_over_takes_symbols(name: str) -> None:
+    robot = ROBOTS[name]
+    traced, given = Traced(robot), states(robot)
+    q, v = traced.state(given["q"], given["v"])
+
+    def law(q: Any, v: Any) -> Any:
+        return robot.nonlinear_effects(q, v=v) + robot.mass_matrix(q) @ v + robot.effort(q, v[:3])
+
+    whole = np.zeros(robot.nv)
+    whole[:3] = given["v"][:3]
+    q0, v0 = given["q"], given["v"]
+    expected = robot.nonlinear_effects(q0, v0) + robot.mass_matrix(q0) @ v0 + whole
+    np.testing.assert_allclose(traced.answer(law, q, v), expected, rtol=1e-10, atol=1e-10)
+    assert type(robot.rest) is np.ndarray
+
+
+def test_a_robot_of_symbols_takes_numbers() -> None:
+    traced = Traced(ROBOTS["ur5"])
+    q = traced.other.rest
+    found = traced.answer(lambda: traced.robot.mass_matrix(q))
+    np.testing.assert_allclose(found, traced.other.mass_matrix(q), rtol=1e-10, atol=1e-10)
+    weight = traced.answer(lambda: traced.robot.weight)
+    np.testing.assert_allclose(weight, traced.other.weight, rtol=1e-12)
+
+
+def test_structure_is_that_of_the_numbers() -> None:
+    robot = ROBOTS["ur5"]
+    new = Traced(robot).robot
+    assert (new.nq, new.nv, new.nu) == (9, 9, 9)
+    assert new.coordinates is robot.coordinates
+    assert new.rest is robot.rest
+    assert new.tree is robot.tree
+    assert new.measures is robot.measures
+    assert new.frame_names == robot.frame_names
+    assert new.end_effector == robot.end_effector
+    assert new.stance == robot.stance
+    assert new != robot
+    assert new == new  # noqa: PLR0124
+    assert isinstance(hash(new), int)
+
+
+def test_measures_and_the_start_are_those_of_the_robot_with_such_numbers() -> None:
+    traced = Traced(ROBOTS["ur5"])
+    given = states(traced.other)
+    q, v, a, u, desired = traced.state(*given.values(), given["q"][:3] + 0.1)
+    reference = Reference(desired, desired, desired)
+    numeric = Reference(given["q"][:3] + 0.1, np.zeros(3), np.zeros(3))
+    expected = traced.other.measured(0.0, *given.values(), numeric)
+    found = traced.answer(lambda: traced.robot.measured(0.0, q, v, a, u, reference))
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    begun = traced.answer(lambda: traced.robot.start(reference)[0])
+    np.testing.assert_allclose(begun, traced.other.start(numeric)[0])
+
+
+def test_a_loop_is_given_what_fits_the_numbers() -> None:
+    robot = ROBOTS["ur5"]
+    assert isinstance(robot.law, UncheckedDynamics)
+    assert robot.law.rest is robot.rest
+    assert isinstance(Traced(robot).robot.law, ArticulatedDynamics)
+    assert isinstance(Traced(ROBOTS["bare"]).robot.law, PlanarDynamics)
+
+
+def test_what_symbols_cannot_have_is_named() -> None:
+    traced = Traced(ROBOTS["ur5"])
+    (q,) = traced.state(traced.other.rest)
+    with pytest.raises(NotTraceable, match="frame_placements of a MobileRobot, which takes numbers alone"):
+        traced.robot.frame_placements(q)
+    with pytest.raises(NotTraceable, match="linearize of a MobileRobot"):
+        ROBOTS["ur5"].linearize(q, q, q)
+    with pytest.raises(NotTraceable, match="the Pinocchio model of a MobileRobot whose numbers are symbols"):
+        _ = traced.robot.model
+    with pytest.raises(NotTraceable, match="the body of a MobileRobot whose numbers are symbols"):
+        _ = traced.robot.body
+    with pytest.raises(NotTraceable, match="frame 'x', which moves with a part of the pose"):
+        ROBOTS["ur5"].frame_pose(q, "x")
+    with pytest.raises(InvalidArgument, match="frame is 'base_link', expected one of an arm"):
+        ROBOTS["ur5"].arm_manipulability(q, "base_link")
+
+
+def test_a_helical_joint_has_no_dynamics_on_symbols() -> None:
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelHX(0.1), pin.SE3.Identity(), "screw")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.ones(3), np.eye(3)), pin.SE3.Identity())
+    robot = MobileRobot.box().mount(model, AT)
+    (q,) = Traced(ROBOTS["bare"]).state(robot.rest)
+    with pytest.raises(NotTraceable, match="'arm/screw' is a JointModelHX"):
+        robot.mass_matrix(q)  # type: ignore[arg-type]
+    assert robot.mass_matrix(robot.rest).shape == (4, 4)
