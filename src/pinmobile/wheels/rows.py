@@ -121,13 +121,15 @@ class Wheel:
     trail: tuple[float, float] = declare(
         _Two("centre from the pivot, along and across", "m", shapes=((2,),), fixed=True), (0.0, 0.0)
     )
-    roller: float | None = number(unit="rad", optional=True, fixed=True, doc="angle of the rollers' axes")
+    roller: float | None = number(
+        default=None, unit="rad", optional=True, fixed=True, doc="angle of the rollers' axes"
+    )
     mass: float = number(default=0.0, unit="kg", lower=0, fixed=True, doc="mass")
     spin_inertia: float = number(default=0.0, unit="kg m^2", lower=0, doc="inertia about the axle")
     yaw_inertia: float = number(
         default=0.0, unit="kg m^2", lower=0, fixed=True, doc="inertia about the vertical through its centre"
     )
-    motor: Motor | None = child(Motor, optional=True, expected="a Motor")
+    motor: Motor | None = child(Motor, default=None, optional=True, expected="a Motor")
     friction: Friction = child(Friction, default=Friction(), expected="a Friction")
     steering_limit: float = number(
         default=np.inf, unit="rad", above=0, endless=True, fixed=True, doc="largest steering angle"
