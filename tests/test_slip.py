@@ -575,7 +575,7 @@ def test_what_cannot_slip_is_refused(tmp_path: Path) -> None:
     trains = GearTrain(("front_left", "rear_left")), GearTrain(("front_left", "rear_left"), (1.0, 2.0))
     assert "two rates" in refused(table=WheelTable(SKID.wheels, (), trains))
     assert "cannot roll" in refused(ground=Rolling())
-    assert "expected Rolling(...) or Coulomb(...)" in refused(ground="ice")
+    assert "expected a ground with dynamics(wheeled)" in refused(ground="ice")
     with pytest.raises(errors.InvalidArgument, match="angle of a Ramp"):
         Ramp(2.0)
     with pytest.raises(errors.InvalidArgument, match="ramp is"):

@@ -116,15 +116,15 @@ class VelocityRobot:
         If a number is not finite or not in its range, or an array has another shape.
     """
 
-    theta: Array = array(
+    theta: Any = array(
         shapes=((len(THETA),),),
         unit=", ".join(unit for _, unit, _ in THETA),
         labels=tuple(name for name, _, _ in THETA),
         doc="how late the firmware is",
     )
     ahead: float = number(default=0.0, unit="m", doc="how far the body's origin is ahead of the axle")
-    limits: Array = _pair("largest commands", "m/s, rad/s", ("speed", "yaw_rate"), fixed=True)
-    accelerations: Array = _pair(
+    limits: Any = _pair("largest commands", "m/s, rad/s", ("speed", "yaw_rate"), fixed=True)
+    accelerations: Any = _pair(
         "largest |u'| and |w'|", "m/s^2, rad/s^2", ("acceleration", "yaw_acceleration"), fixed=False
     )
     size: tuple[float, float, float] = option(

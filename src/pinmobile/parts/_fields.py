@@ -79,10 +79,10 @@ class numeric(functools.cached_property[_T]):
 class structure(numeric[_T]):
     """A cached property that depends on numbers alone: a part that holds symbols has that of its numbers."""
 
-    def __get__(self, part: Any, owner: Any = None) -> Any:
+    def __get__(self, part: Any, owner: Any = None) -> _T:  # type: ignore[override]
         if part is None or self.attrname in vars(part) or "nominal" not in vars(part):
             return super().__get__(part, owner)
-        return getattr(vars(part)["nominal"], self.attrname or "")
+        return getattr(vars(part)["nominal"], self.attrname or "")  # type: ignore[no-any-return]
 
 
 @attrs.frozen
@@ -438,8 +438,8 @@ def by_value(cls: type[_T]) -> type[_T]:
     def same(self: Any, other: object) -> bool:
         return type(other) is type(self) and key(self) == key(other)
 
-    cls.__eq__ = same  # type: ignore[assignment]
-    cls.__hash__ = lambda self: hash((type(self), key(self)))  # type: ignore[method-assign]
+    cls.__eq__ = same  # type: ignore[method-assign]
+    cls.__hash__ = lambda self: hash((type(self), key(self)))  # type: ignore[method-assign,assignment]
     return cls
 
 

@@ -10,10 +10,10 @@ from warnings import warn
 from xml.etree import ElementTree
 
 import numpy as np
-from attrs import evolve
 
 from pinmobile.arrays import ArrayLike, sequence
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.parts import evolved
 from pinmobile.robot import TOUCH, MobileRobot
 from pinmobile.wheels.table import (
     DRIVEN,
@@ -202,7 +202,7 @@ class _Reader:
         self._check_told(rows)
         driven = self._driven(rows)
         rows = [
-            evolve(row, motor=motor_of(joint)) if joint.name in driven else row
+            evolved(row, {"motor": motor_of(joint)}) if joint.name in driven else row
             for row, joint in zip(rows, self.joints, strict=True)
         ]
         supports = self._supports(rows)
@@ -236,10 +236,12 @@ class _Reader:
             away = sum(line) / len(line) - offsets[k] if max(line) > min(line) else 0.0
             if away:
                 angle = rows[k].angle
-                found[k] = evolve(
+                found[k] = evolved(
                     rows[k],
-                    x=to_length(rows[k].x + away * cos(angle)),
-                    y=to_length(rows[k].y + away * sin(angle)),
+                    {
+                        "x": to_length(rows[k].x + away * cos(angle)),
+                        "y": to_length(rows[k].y + away * sin(angle)),
+                    },
                 )
                 moved = max(moved, abs(away))
         if moved > 1e-9:

@@ -60,10 +60,6 @@ class Ramp:
         return frozen([down * cos(self.direction), down * sin(self.direction), -g * cos(self.angle)])
 
 
-def _ramp() -> Any:
-    return child(Ramp, optional=True, expected="a Ramp(angle, direction) or None")
-
-
 @final
 @constant
 @part
@@ -82,7 +78,7 @@ class Rolling:
         Whether wheels may slip, here False.
     """
 
-    ramp: Ramp | None = _ramp()
+    ramp: Ramp | None = child(Ramp, default=None, optional=True, expected="a Ramp(angle, direction) or None")
     slips: ClassVar[bool] = False
 
     def dynamics(self, wheeled: Any) -> RollingDynamics:
@@ -142,8 +138,10 @@ class Coulomb:
         Whether wheels may slip, here True.
     """
 
-    mu: float | None = number(optional=True, lower=0, doc="coefficient of friction of all wheels")
-    ramp: Ramp | None = _ramp()
+    mu: float | None = number(
+        default=None, optional=True, lower=0, doc="coefficient of friction of all wheels"
+    )
+    ramp: Ramp | None = child(Ramp, default=None, optional=True, expected="a Ramp(angle, direction) or None")
     sweeps: int = integer(default=200, least=1, doc="most rounds over all wheels in a pass")
     tolerance: float = number(default=1e-12, above=0, fixed=True, doc="change of a force that is none")
     slips: ClassVar[bool] = True

@@ -79,13 +79,13 @@ class Motor:
         default=np.inf, unit="N m", above=0, endless=True, fixed=True, doc="largest torque at the wheel"
     )
     resistance: float | None = declared_number(
-        unit="ohm", above=0, optional=True, doc="resistance of the armature"
+        default=None, unit="ohm", above=0, optional=True, doc="resistance of the armature"
     )
     torque_constant: float | None = declared_number(
-        unit="N m/A", above=0, optional=True, doc="torque constant"
+        default=None, unit="N m/A", above=0, optional=True, doc="torque constant"
     )
     voltage: float | None = declared_number(
-        unit="V", above=0, optional=True, fixed=True, doc="largest voltage"
+        default=None, unit="V", above=0, optional=True, fixed=True, doc="largest voltage"
     )
     gear: float = declared_number(
         default=1.0, above=0, fixed=True, doc="turns of the motor per turn of the wheel"
@@ -184,7 +184,8 @@ class Motor:
         return cls(**{**known, "gear": G, **others})
 
     def __repr__(self) -> str:
-        given = ((f.name, getattr(self, f.name), f.default) for f in attrs.fields(Motor))
+        kind: Any = Motor
+        given = ((f.name, getattr(self, f.name), f.default) for f in attrs.fields(kind))
         return f"Motor({', '.join(f'{name}={x!r}' for name, x, default in given if x != default)})"
 
     @property

@@ -50,7 +50,9 @@ class ByOdometry:
 
     controller: Any = child(Controlling)
     table: WheelTable = child(WheelTable, expected="a WheelTable")
-    ticks: float | None = number(above=0, optional=True, fixed=True, doc="ticks of an encoder per turn")
+    ticks: float | None = number(
+        default=None, above=0, optional=True, fixed=True, doc="ticks of an encoder per turn"
+    )
     noise: float = number(default=0.0, lower=0, unit="rad/s", doc="deviation of measured wheel rates")
     seed: int = integer(default=0, doc="seed of the noise")
 

@@ -17,7 +17,7 @@ from pinmobile.plant import Input, Step
 from pinmobile.robot import ZERO, Vector, dot, exact, number, scalars, sine_and_cosine, vector_of as stacked
 from pinmobile.wheels.motors import Beside, MotorLaw, Motors, Push, theta, within
 from pinmobile.wheels.multipliers import factored
-from pinmobile.wheels.rolling import State, stop_of, stopped
+from pinmobile.wheels.rolling import State, WheeledDynamics, stop_of, stopped
 from pinmobile.wheels.tracked import Followed
 
 _BASE = 3
@@ -80,7 +80,7 @@ class VoltageDynamics:
         As of a plant.
     """
 
-    wheeled: Any
+    wheeled: WheeledDynamics
     law: MotorLaw
     electric: tuple[int, ...]
     inputs: tuple[Input, ...]
@@ -108,7 +108,8 @@ class VoltageDynamics:
     def initial_state(self, context: Any = None) -> Driving:
         """Return what it keeps at first: no current flows."""
         none = np.zeros(len(self.electric))
-        grip = self.wheeled.initial_state(context) if self.wheeled.slips else ()
+        body: Any = self.wheeled
+        grip = body.initial_state(context) if body.slips else ()
         return Driving(none, none, none, none, grip)
 
     def volts_for(self, v: Any, torques: Any) -> Any:
@@ -186,8 +187,9 @@ class VoltageDynamics:
             return f(t + 0.5 * h, q, v)
 
         grip: Any = ()
-        if self.wheeled.slips:
-            after, torques, rates = self.wheeled.driven(q, v, u, h, beside, memory.grip, motors)
+        body: Any = self.wheeled
+        if body.slips:
+            after, torques, rates = body.driven(q, v, u, h, beside, memory.grip, motors)
             holding, grip = memory.holding, after.memory
         else:
             after, torques, rates, holding = self._rolled(q, v, u, h, beside, memory, motors)
@@ -317,7 +319,8 @@ class VoltageDynamics:
 
         With what the ground did where wheels may slip.
         """
-        ground = self.wheeled.signals(t, q, v, u, f, memory.grip) if self.wheeled.slips else {}
+        body: Any = self.wheeled
+        ground = body.signals(t, q, v, u, f, memory.grip) if body.slips else {}
         own = {
             "volts": ("V", memory.volts),
             "currents": ("A", memory.currents),

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol, final, runtime_checkable
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, finite, frozen, one_of, sequence, text
+from pinmobile.arrays import finite, frozen, one_of, sequence, text
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Number, by_value, child, declare, is_symbolic, number, option, part
@@ -47,6 +47,15 @@ class Friction:
     across: float = number(default=0.02, lower=0, fixed=True, doc="coefficient of friction across rollers")
     rolling: float = number(default=0.01, lower=0, fixed=True, doc="rolling resistance per load")
     slip: float = number(default=0.0, lower=0, unit="m/(N s)", fixed=True, doc="slip velocity per force")
+
+
+@attrs.frozen
+class _Two(Number):
+    """Declaration of two numbers that are kept as a tuple."""
+
+    def checked(self, name: str, value: Any) -> Any:
+        """Return a tuple of floats."""
+        return tuple(super().checked(name, value).tolist())
 
 
 def _checked_name(name: str, value: Any) -> str:
@@ -109,18 +118,18 @@ class Wheel:
     radius: float = number(unit="m", above=0, doc="radius")
     angle: float = number(default=0.0, unit="rad", fixed=True, doc="angle of the rolling direction")
     steering: str = option(default=FIXED, check=lambda name, value: one_of(name, value, _STEERING))
-    trail: Array = declare(
-        Number("centre from the pivot, along and across", "m", shapes=((2,),), fixed=True),
-        (0.0, 0.0),
-        repr=lambda trail: repr(tuple(trail.tolist())),
+    trail: tuple[float, float] = declare(
+        _Two("centre from the pivot, along and across", "m", shapes=((2,),), fixed=True), (0.0, 0.0)
     )
-    roller: float | None = number(unit="rad", optional=True, fixed=True, doc="angle of the rollers' axes")
+    roller: float | None = number(
+        default=None, unit="rad", optional=True, fixed=True, doc="angle of the rollers' axes"
+    )
     mass: float = number(default=0.0, unit="kg", lower=0, fixed=True, doc="mass")
     spin_inertia: float = number(default=0.0, unit="kg m^2", lower=0, doc="inertia about the axle")
     yaw_inertia: float = number(
         default=0.0, unit="kg m^2", lower=0, fixed=True, doc="inertia about the vertical through its centre"
     )
-    motor: Motor | None = child(Motor, optional=True, expected="a Motor")
+    motor: Motor | None = child(Motor, default=None, optional=True, expected="a Motor")
     friction: Friction = child(Friction, default=Friction(), expected="a Friction")
     steering_limit: float = number(
         default=np.inf, unit="rad", above=0, endless=True, fixed=True, doc="largest steering angle"

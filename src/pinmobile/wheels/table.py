@@ -78,6 +78,8 @@ class WheelTable:
         for coupling in self.couplings:
             for name in coupling.wheels:
                 one_of(f"wheel of a {type(coupling).__name__}", name, self.names)
+            if isinstance(coupling, Ackermann):
+                self._check_axle(coupling)
         names = [*self.names, *(axis.name for axis in self.axes)]
         own = next((name for name in names if name in _OF_BODY), None)
         if own is not None:
@@ -134,23 +136,24 @@ class WheelTable:
                 found.append(Axis(f"{wheel.name}_steering", (row,), None, driven, wheel.steering_limit))
         return tuple(found)
 
-    def _shared_axis(self, together: Ackermann) -> Axis:
-        rows = tuple(self.names.index(name) for name in together.wheels)
-        for row in rows:
-            wheel = self.wheels[row]
+    def _check_axle(self, together: Ackermann) -> None:
+        wheels = [self.wheels[self.names.index(name)] for name in together.wheels]
+        for wheel in wheels:
             if wheel.steering == FIXED or any(wheel.trail) or wheel.angle or wheel.x == together.axle:
                 raise InvalidArgument(
                     f"wheel {wheel.name!r} of Ackermann(...) is {wheel!r}, expected a steered one with "
                     f"angle 0, its centre on its pivot, away from the axle at x = {together.axle:g} m"
                 )
-        kinds = {self.wheels[row].steering for row in rows}
-        if len(kinds) > 1 or len({self.wheels[row].x for row in rows}) > 1:
+        if len({wheel.steering for wheel in wheels}) > 1 or len({wheel.x for wheel in wheels}) > 1:
             raise InvalidArgument(
                 f"wheels {', '.join(together.wheels)} of Ackermann(...) differ in x or steering, "
                 "expected one axle"
             )
+
+    def _shared_axis(self, together: Ackermann) -> Axis:
+        rows = tuple(self.names.index(name) for name in together.wheels)
         limit = min(self.wheels[row].steering_limit for row in rows)
-        return Axis(together.name, rows, together.axle, DRIVEN in kinds, limit)
+        return Axis(together.name, rows, together.axle, self.wheels[rows[0]].steering == DRIVEN, limit)
 
     @cached_property
     def actuators(self) -> tuple[Actuator, ...]:

@@ -213,7 +213,7 @@ class WheeledRobot(Platform, Bearing):
             raise InvalidArgument(f"{next(iter(given))} is given with table=, expected one of the two")
         robot = read_robot(path, package_dirs, ground_z, given.get("radius"), given.get("locked", ()))
         wheels = read_wheels(robot, **given) if table is None else table
-        return cls(robot, wheels, ground)  # type: ignore[arg-type]
+        return cls(robot, wheels, ground)
 
     def mount(self, arm: Any, at: ArrayLike | None = None, **options: Any) -> WheeledRobot:
         """Return the robot with an arm on its body: see `MobileRobot.mount`."""
@@ -562,7 +562,7 @@ class WheeledRobot(Platform, Bearing):
 
         Steered wheels point to where they go, and all roll; what the reference leaves out of the arms rests.
         """
-        return self.array_dynamics.begun(*self.robot.start(reference))
+        return self.array_dynamics.begun(*self.robot.start(reference))  # type: ignore[no-any-return]
 
     @property
     def initial_state(self) -> Callable[[Any], Any]:
@@ -594,7 +594,8 @@ class WheeledRobot(Platform, Bearing):
         memory: Any,
     ) -> Step:
         if is_symbolic(q) or is_symbolic(v) or is_symbolic(u):
-            return self.array_dynamics.step(t, q, v, u, h, f, memory)  # type: ignore[no-any-return]
+            answer: Step = self.array_dynamics.step(t, q, v, u, h, f, memory)
+            return answer
         q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
         beside = f if callable(f) else constant_force(self._f(f))
         h = positive("h", h, "s")
@@ -602,7 +603,7 @@ class WheeledRobot(Platform, Bearing):
             raise InvalidArgument(
                 f"memory is {shown(memory)}, expected what initial_state or a step returned"
             )
-        return self.array_dynamics.step(t, q, v, u, h, beside, memory)
+        return self.array_dynamics.step(t, q, v, u, h, beside, memory)  # type: ignore[no-any-return]
 
     def traced(self) -> Any:
         """Return its `array_dynamics`."""
