@@ -1,11 +1,11 @@
 """Kinematic laws on the kinematic model: rates by the chain rule, Lyapunov functions, refusals."""
 
 from collections.abc import Callable
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import pytest
+from attrs import fields
 from hypothesis import given, settings, strategies as st
 
 from pinmobile import DynamicFeedback, InvalidArgument, Kanayama, MobileRobot, Parking, Tracking

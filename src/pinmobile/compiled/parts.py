@@ -23,7 +23,7 @@ from pinmobile.compiled.memory import is_leaf
 from pinmobile.compiled.symbolic import Moment, Values
 from pinmobile.constancy import known
 from pinmobile.errors import InvalidArgument, NotTraceable, PinmobileError, UnknownName, shown
-from pinmobile.parts import structure
+from pinmobile.parts import structures_of
 from pinmobile.plant import parameters_of
 
 _NAMED = ("plant", "controller", "integrator", "recorder", "trajectory")
@@ -415,10 +415,10 @@ def copied(part: object, values: Mapping[str, Any], parts: Mapping[str, Any]) ->
     new = copy.copy(part)
     for each in type(part).__mro__:
         for name, attribute in vars(each).items():
-            if isinstance(attribute, structure):
-                new.__dict__[name] = getattr(part, name)
-            elif isinstance(attribute, functools.cached_property):
+            if isinstance(attribute, functools.cached_property):
                 new.__dict__.pop(name, None)  # it belongs to the old values
+    if found := structures_of(part):
+        new.__dict__.update(found)
     set_ = dict(values)
     for name, value in getattr(part, "__dict__", {}).items():
         if isinstance(value, list | tuple) and any(f"{name}[{i}]" in parts for i in range(len(value))):
@@ -568,8 +568,7 @@ def _own(part: object) -> Iterator[tuple[str, Any]]:
     for name, value in getattr(part, "__dict__", {}).items():
         if not isinstance(getattr(type(part), name, None), functools.cached_property):
             yield name, value
-    for each in type(part).__mro__:
-        yield from ((name, getattr(part, name)) for name, x in vars(each).items() if isinstance(x, structure))
+    yield from structures_of(part).items()
 
 
 def _alike(one: object, other: object) -> bool:

@@ -35,6 +35,7 @@ from pinmobile.compiled.sample import Reference
 from pinmobile.compiled.tracing import Walk, is_foreign, uncollected, untraced
 from pinmobile.constancy import has_slots, is_constant, known
 from pinmobile.errors import NotTraceable
+from pinmobile.parts import structures_of
 
 _MOST = 64  # programs
 _MEMORIES = 16  # loops, each with a reference and what all robots share of it, at most some MB
@@ -302,7 +303,8 @@ def _object_form(x: object, leaves: object, depth: int, constant: bool) -> Any:
         for name, value in attributes.items()
         if not isinstance(getattr(type(x), name, None), functools.cached_property)
     )
-    return type(x), tuple(kept)
+    structure = tuple(_form(value, leaves, depth + 1, constant) for value in structures_of(x).values())
+    return type(x), tuple(kept), structure
 
 
 def _is_made_of_another(kind: type) -> bool:

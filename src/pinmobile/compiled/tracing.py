@@ -237,6 +237,15 @@ def _told(code: CodeType, line: int) -> str:
     )
 
 
+_MAKING = frozenset(
+    {
+        *("__init__", "__attrs_post_init__", "__setattr__", "__delattr__", "__reduce__", "__copy__", "check"),
+        *("__getstate__", "__setstate__", "__eq__", "__ne__", "__hash__"),
+    }
+)
+"""Methods of attrs classes that make an object, or tell it from others, which no law asks for."""
+
+
 class Walk:
     """Everything that the code of some parts refers to by name, found by reading the code.
 
@@ -319,7 +328,10 @@ class Walk:
             self.kinds[each] = None
             if _is_own(each.__module__, bool(each.__flags__ & _MADE_BY_CODE)):
                 own = vars(each)  # another object each time
+                made = _MAKING if "__attrs_attrs__" in own else ("_abc_impl",)
                 for name, value in sorted(own.items(), key=itemgetter(0)):
+                    if name in made:
+                        continue
                     if not name.startswith("__") or name == "__call__":
                         self._met(each, own, name)
                     law = name != "__repr__" and not isinstance(value, type)

@@ -57,6 +57,7 @@ from pinmobile.parts._fields import (
     option,
     part,
     structure,
+    structures_of,
 )
 from pinmobile.parts._walk import (
     Found,
@@ -134,6 +135,7 @@ __all__ = [
     "required",
     "spread_values",
     "structure",
+    "structures_of",
     "table",
     "walk",
 ]

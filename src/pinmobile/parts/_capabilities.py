@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any, Protocol, TypeVar
 
 from pinmobile.errors import InvalidArgument, shown
@@ -278,7 +277,6 @@ class Curved(Protocol):
         """Return a derivative at a time, or at several."""
 
 
-@cache
 def _names(kind: type) -> tuple[str, ...]:
     return tuple(name for name in vars(kind) if name == "__call__" or not name.startswith("_"))
 
@@ -291,6 +289,13 @@ def offers(part: object, kind: type) -> bool:
 def able(part: Any, kind: type[_K]) -> _K | None:
     """Return the part as one with a capability; None where it has it not."""
     return part if offers(part, kind) else None
+
+
+def lacks(part: object, kind: type) -> str:
+    """Return in words what a part lacks that has other things of a protocol, "" of one that has none."""
+    names = [name for name in _names(kind) if name != "__call__"]
+    lacking = [name for name in names if not hasattr(part, name)]
+    return f", which has no {lacking[0]}" if 0 < len(lacking) < len(names) else ""
 
 
 def meaning(kind: type) -> str:
@@ -317,5 +322,6 @@ def required(name: str, part: Any, kind: type[_K], why: str = "") -> _K:
         If it has it not.
     """
     if isinstance(part, type) or not offers(part, kind):
-        raise InvalidArgument(f"{name} is {shown(part)}{why and ', and ' + why}, expected {meaning(kind)}")
+        told = lacks(part, kind) + (why and f", and {why}")
+        raise InvalidArgument(f"{name} is {shown(part)}{told}, expected {meaning(kind)}")
     return part  # type: ignore[no-any-return]
