@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 from pinmobile.errors import InvalidArgument, shown
-
-_K = TypeVar("_K")
 
 
 class Integrating(Protocol):
@@ -286,7 +284,7 @@ def offers(part: object, kind: type) -> bool:
     return all(hasattr(part, name) for name in _names(kind))
 
 
-def able(part: Any, kind: type[_K]) -> _K | None:
+def able(part: Any, kind: type) -> Any:
     """Return the part as one with a capability; None where it has it not."""
     return part if offers(part, kind) else None
 
@@ -304,7 +302,7 @@ def meaning(kind: type) -> str:
     return words[:1].lower() + words[1:]
 
 
-def required(name: str, part: Any, kind: type[_K], why: str = "") -> _K:
+def required(name: str, part: Any, kind: type, why: str = "") -> Any:
     """Return the part as one with a capability.
 
     Parameters
@@ -324,4 +322,4 @@ def required(name: str, part: Any, kind: type[_K], why: str = "") -> _K:
     if isinstance(part, type) or not offers(part, kind):
         told = lacks(part, kind) + (why and f", and {why}")
         raise InvalidArgument(f"{name} is {shown(part)}{told}, expected {meaning(kind)}")
-    return part  # type: ignore[no-any-return]
+    return part
