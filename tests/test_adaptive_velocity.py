@@ -247,7 +247,7 @@ BAD: Any = [
     (lambda: AdaptiveVelocity(TRUE, ahead=0), "ahead is 0.0 m, expected > 0"),
     (lambda: AdaptiveVelocity(TRUE, ahead=-0.1), r"ahead is -0.1 m, expected > 0"),
     (lambda: AdaptiveVelocity(TRUE, k=[1, 2, 3]), r"k has shape \(3,\), expected \(\) or \(2,\)"),
-    (lambda: AdaptiveVelocity(TRUE, gamma=-1), "gamma is -1, expected >= 0"),
+    (lambda: AdaptiveVelocity(TRUE, gamma=-1), "gamma is -1.0, expected >= 0"),
     (lambda: AdaptiveVelocity(TRUE, leakage=-1), "leakage is -1.0 1/s, expected >= 0"),
     (lambda: AdaptiveVelocity(TRUE, upper=[1, 1]), r"upper has shape \(2,\), expected \(6,\)"),
     (

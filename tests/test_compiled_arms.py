@@ -85,7 +85,7 @@ SPREAD: dict[str, Any] = {
     "model_load_mass": Same("load_mass"),
     "model_mass_ur5/forearm_link": Uniform(2, 3),
     "viscous": Uniform(0, 0.3),
-    "kp_factor": Uniform(0.9, 1.1),
+    "kp": Relative(Uniform(0.9, 1.1)),
 }
 
 
@@ -364,7 +364,7 @@ def test_a_helical_joint_runs_one_state_at_a_time_and_says_why() -> None:
     model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0, 0, 0.3]), np.eye(3)), pin.SE3.Identity())
     robot = MobileRobot.box().mount(model, AT)
     with pytest.warns(SlowerEngine, match="joint 'toy/screw' is a JointModelHX, neither revolute nor"):
-        runs = run(robot, spread={"kp_factor": Uniform(0.9, 1.1)}, n=2)
+        runs = run(robot, spread={"kp": Uniform(90, 110)}, n=2)
     assert runs.engine == PYTHON.name
 
 

@@ -1,11 +1,11 @@
 import operator
-from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from attrs import evolve
 from hypothesis import given, settings, strategies as st
 
 from pinmobile import (
@@ -76,7 +76,7 @@ def test_a_model_without_a_difference_is_told_to_bring_one() -> None:
 def test_a_controller_of_another_robot_compares_as_that_one() -> None:
     """A copy of it with another robot takes that robot's."""
     kinova, goal = MobileRobot.box().mount("kinova"), Reference(*np.zeros((3, 3)))
-    moved = replace(ComputedTorque(kinova), robot=ROBOT, kp=4, kd=4)
+    moved = evolve(ComputedTorque(kinova), robot=ROBOT, kp=4, kd=4)
     tau, _ = moved(0.0, np.zeros(3), np.zeros(3), goal, None)
     np.testing.assert_array_equal(tau, 0)
 

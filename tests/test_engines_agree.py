@@ -126,7 +126,7 @@ GAINS: Mapping[str, str] = {
     "follower": "along",
     "command": "zeta",
     "backstepping": "zeta",
-    "adaptive velocity": "point_kp",
+    "adaptive velocity": "saturation",
 }
 FORCES: Mapping[str, str] = {
     "constant": "force.x",
@@ -217,8 +217,8 @@ def spread_of(choice: Mapping[str, str]) -> dict[str, Any]:
     controller, steady = choice["controller"], choice["steady"]
     nominal = {"force.x": 3.0, "coefficients.forward": 5.0, "force.left": 3.0, "stiffness": 8.0}
     nominal["mass"] = 6.0
-    gains = {"pid_kp": 50.0, "layer": 0.5, "along": 8.0, "kp_factor": 1.0, "zeta": 0.7, "point_kp": 0.8}
-    gain = GAINS.get(controller, "kp_factor")
+    gains = {"pid_kp": 50.0, "layer": 0.5, "along": 8.0, "kp.x": 50.0, "zeta": 0.7, "saturation": 0.2}
+    gain = GAINS.get(controller, "kp.x")
     name, of_path = OF_PATHS[choice["path"]]
     found: dict[str, dict[str, Any]] = {
         "nothing": {},

@@ -125,7 +125,7 @@ def test_arms_follow_too() -> None:
 @pytest.mark.parametrize("robot", [NOMINAL, WHEELED])
 def test_all_engines_agree(robot: Any) -> None:
     noisy = NoisyMeasurement(LQR(robot), 1e-3, 1e-3, seed=1)
-    noise = {"measured_std_q": Uniform(0.0, 1e-3)}  # the wrapper's, of which the gains know nothing
+    noise = {"std_q": Uniform(0.0, 1e-3)}  # the wrapper's, of which the gains know nothing
     for spread, engines in (({}, (COMPILED, PYTHON)), (noise, (COMPILED, PYTHON))):
         given: Any = {"dt": 0.01, "seed": 2, "n": 3, "spread": {"mass": Uniform(25, 36), **spread}}
         runs = [ensemble(robot, Saturated(noisy, 30), SHORT, engine=engine, **given) for engine in engines]
@@ -200,7 +200,7 @@ def test_a_schedule_gives_each_sample_its_row_in_all_engines() -> None:
 
 
 BAD: Any = [
-    (lambda: LQR(NOMINAL, Q=[1, 2, 3]), r"Q has shape \(3,\), expected \(6,\) or \(6, 6\)"),
+    (lambda: LQR(NOMINAL, Q=[1, 2, 3]), r"Q weighs 3 numbers, expected 6: shape \(6,\) or \(6, 6\)"),
     (lambda: LQR(NOMINAL, R=[1, 2, 0]), r"R has the eigenvalue 0, expected a positive definite"),
     (lambda: LQR(NOMINAL, Q=np.triu(np.ones((6, 6)))), "Q is not symmetric"),
     (lambda: LQR(NOMINAL, Q=[-1, 1, 1, 1, 1, 1]), "expected a positive semidefinite"),

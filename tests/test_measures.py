@@ -58,7 +58,7 @@ SPREAD: dict[str, Any] = {
     "com_x": Uniform(-0.02, 0.02),
     "load_mass": Uniform(0.5, 5),
     "at_x_ur5": Uniform(0.0, 0.1),
-    "kp_factor": Uniform(0.9, 1.1),
+    "kp": Uniform(90, 110),
 }
 
 

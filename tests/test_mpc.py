@@ -241,7 +241,7 @@ BAD: Any = [
         lambda: simulate(NOMINAL, MPC(NOMINAL, observer=201), SHORT, dt=0.01),
         r"gains observer = \[201.0\] are unstable .* dt < 0.00995 s",
     ),
-    (lambda: MPC(NOMINAL, limits=[1, 2]), r"limits is \[1.0, 2.0\], expected \(\) or \(3,\) numbers > 0"),
+    (lambda: MPC(NOMINAL, limits=[1, 2]), r"limits has shape \(2,\), expected \(\) or \(3,\)"),
     (lambda: MPC(NOMINAL, lower=[1, 2]), r"lower has shape \(2,\), expected \(6,\)"),
     (lambda: MPC(NOMINAL, lower=np.ones(6), upper=np.zeros(6)), "lower is not below upper"),
     (lambda: MPC(NOMINAL, horizon=0), "horizon is 0, expected"),

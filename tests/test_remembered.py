@@ -310,7 +310,7 @@ def test_other_times_steps_and_spreads_are_not_taken_for_the_last() -> None:
         for dt, duration in ((0.1, 4.0), (0.2, 4.0), (0.1, 2.0), (0.1, 4.0))
     ]
     assert lengths == [41, 21, 21, 41]
-    spreads: tuple[dict[str, Any], ...] = ({"kp": Uniform(3, 5)}, {"kp_x": Uniform(3, 5)}, {"mass": 31.0})
+    spreads: tuple[dict[str, Any], ...] = ({"kp": Uniform(3, 5)}, {"kp.x": Uniform(3, 5)}, {"mass": 31.0})
     for spread in (*spreads, *spreads):
         made = ensemble(ROBOT, controller, CIRCLE, n=4, spread=spread, dt=0.1, engine=COMPILED)
         assert list(made.draws) == list(spread)

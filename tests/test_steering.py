@@ -1,11 +1,11 @@
 """Kinematic laws on the kinematic model: rates by the chain rule, Lyapunov functions, refusals."""
 
 from collections.abc import Callable
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import pytest
+from attrs import fields
 from hypothesis import given, settings, strategies as st
 
 from pinmobile import DynamicFeedback, InvalidArgument, Kanayama, MobileRobot, Parking, Tracking
@@ -152,5 +152,5 @@ def test_a_law_refuses_a_reference_that_it_cannot_follow(
 @pytest.mark.parametrize("law", [Tracking, Kanayama, Parking, DynamicFeedback])
 def test_gains_are_above_zero(law: Any) -> None:
     for name in (field.name for field in fields(law)):
-        with pytest.raises(InvalidArgument, match=rf"^{name} is -1\.0, expected > 0"):
+        with pytest.raises(InvalidArgument, match=rf"^{name} is -1\.0( \S+)?, expected > 0"):
             law(**{name: -1.0})

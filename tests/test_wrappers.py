@@ -218,7 +218,7 @@ def test_a_noisy_controller_is_pickled_and_copied_without_its_table() -> None:
     assert len(pickle.dumps(controller)) == fresh
     for copy in (pickle.loads(pickle.dumps(controller)), deepcopy(controller)):
         np.testing.assert_array_equal(asked(copy, QS, VS), forces)
-    assert repr(Delayed(PD(1, 2), 3)).startswith("Delayed(controller=PD(kp=array(1.), ")
+    assert repr(Delayed(PD(1, 2), 3)).startswith("Delayed(controller=PD(kp=1.0, kd=2.0, ")
 
 
 def test_leading_axes_are_kept() -> None:
@@ -340,15 +340,15 @@ def once(controller: Any) -> Any:
         (lambda: Saturated(3, 1),  # type: ignore[arg-type]
          "controller is 3, expected a controller: wrap a function in law(...)"),
         (lambda: Delayed(ComputedTorque, 1),  # type: ignore[arg-type]
-         "controller is <class 'pinmobile.controllers.computed_torque.ComputedTorque'>, expected a "
+         "controller is <class 'pinmobile.controllers.feedback.ComputedTorque'>, expected a "
          "controller: wrap a function in law(...)"),
-        (lambda: Saturated(TOLD, (1, 0, 1)), "limits is 0.0, expected > 0"),
+        (lambda: Saturated(TOLD, (1, 0, 1)), "limits is 0.0 N, expected > 0"),
         (lambda: Saturated(TOLD, np.ones((2, 3))), "limits has shape (2, 3), expected () or (n,)"),
         (lambda: once(Saturated(TOLD, (1, 2))), "limits has shape (2,), expected () or (3,)"),
         (lambda: Delayed(TOLD, -1), "samples is -1, expected a whole number >= 0"),
         (lambda: Delayed(TOLD, 1.5),  # type: ignore[arg-type]
          "samples is 1.5, expected a whole number >= 0"),
-        (lambda: NoisyMeasurement(TOLD, (1, -1, 1), 0, 0), "std_q is -1.0, expected >= 0"),
+        (lambda: NoisyMeasurement(TOLD, (1, -1, 1), 0, 0), "std_q is -1.0 m, expected >= 0"),
         (lambda: NoisyMeasurement(TOLD, 1, np.ones((3, 3)), 0),
          "std_v has shape (3, 3), expected () or (n,)"),
         (lambda: once(NoisyMeasurement(TOLD, 1, (1, 2), 0)), "std_v has shape (2,), expected () or (3,)"),

@@ -245,7 +245,7 @@ BAD: Any = [
     (lambda: Adaptive(NOMINAL, lower=[31, -9, -9, 0]), "exclude that of the robot, 30"),
     (lambda: Adaptive(NOMINAL, upper=[90, 9, 9]), r"upper has shape \(3,\), expected \(4,\)"),
     (lambda: Adaptive(NOMINAL, friction=1), "friction is 1, expected True or False"),  # type: ignore[arg-type]
-    (lambda: SlidingMode(NOMINAL, layer=0), "layer is 0, expected > 0"),
+    (lambda: SlidingMode(NOMINAL, layer=0), "layer is 0.0, expected > 0"),
     (lambda: SuperTwisting(NOMINAL, k1=[1, 2]), r"k1 has shape \(2,\), expected \(\) or \(3,\)"),
     (lambda: DisturbanceObserver(PD(1, 1)), "robot is None, expected a MobileRobot"),
     (lambda: ADRC(WheeledRobot(NOMINAL, WheelTable.differential(0.1, 0.4))), "which has wheels"),

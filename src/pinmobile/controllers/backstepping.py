@@ -95,7 +95,7 @@ class Backstepping:
     @structure
     def _n(self) -> int:
         """Coordinates that a reference has: x, y, psi and those of arms."""
-        return max(self.robot.leading)
+        return int(max(self.robot.leading))
 
     @structure
     def _steers(self) -> tuple[float, Array] | None:

@@ -66,10 +66,10 @@ def check_controller(controller: object) -> None:
     InvalidArgument
         If it is not.
     """
-    required("controller", controller, Controlling)
+    found = required("controller", controller, Controlling)
     callable_as("controller(t, q, v, reference, state)", controller)
     try:
-        callable_as("controller.initial_state(context)", controller.initial_state)
+        callable_as("controller.initial_state(context)", found.initial_state)
     except InvalidArgument as error:
         raise InvalidArgument(f"{error}: write def initial_state(self, context)") from None
     if informed := able(controller, Informed):

@@ -188,7 +188,7 @@ def _check_fit(robot: Any, q: Array, v: Array, reference: State) -> None:
 
 def amplified(name: str, gain: Any, error: Array) -> Array:
     """Return a gain times an error, shape (..., n)."""
-    if type(gain) is float or not np.ndim(gain):
+    if type(gain) is float or not gain.ndim:
         return gain * error  # type: ignore[no-any-return]
     n = error.shape[-1]
     if gain.shape not in ((n,), (n, n)):

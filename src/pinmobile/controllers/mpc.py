@@ -25,7 +25,7 @@ from pinmobile.controllers.tracked_model import (
     whole_reference,
 )
 from pinmobile.errors import InvalidArgument, NotSolved, NotTraceable
-from pinmobile.parts import Linearized, Rolling, able, array, child, integer, number, part
+from pinmobile.parts import Linearized, Rolling, able, array, child, evolved, integer, number, part
 from pinmobile.plant import Context, inputs_of
 
 _MANY = 10_000
@@ -164,7 +164,7 @@ class MPC(Weighted):
                     )
                 own[: len(first)] = first
                 given[name] = own
-        return attrs.evolve(self, **given)
+        return evolved(self, given)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return the plan, the sample's number, the observer's memory, the last input, and its program's."""

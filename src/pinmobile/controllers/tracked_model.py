@@ -149,9 +149,11 @@ class Weighted:
         """Raise `InvalidArgument` where a weight has not the size of what it weighs."""
         n, m, inputs = self._sizes
         for name, size in (("Q", n + m), ("R", inputs)):
-            if getattr(self, name).shape != (size, size):
-                given = getattr(self, name).shape
-                raise InvalidArgument(f"{name} has shape {given}, expected ({size},) or ({size}, {size})")
+            if len(getattr(self, name)) != size:
+                raise InvalidArgument(
+                    f"{name} weighs {len(getattr(self, name))} numbers, expected {size}: shape ({size},) or "
+                    f"({size}, {size})"
+                )
 
 
 def weighting(index: int, doc: str) -> Any:

@@ -62,6 +62,7 @@ from pinmobile.parts._fields import (
     option,
     part,
     structure,
+    structures_of,
 )
 from pinmobile.parts._walk import (
     Found,
@@ -148,6 +149,7 @@ __all__ = [
     "spread_entries",
     "spread_values",
     "structure",
+    "structures_of",
     "table",
     "walk",
 ]

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 from pinmobile.errors import InvalidArgument, shown
-
-_K = TypeVar("_K")
 
 
 class Integrating(Protocol):
@@ -278,7 +275,6 @@ class Curved(Protocol):
         """Return a derivative at a time, or at several."""
 
 
-@cache
 def _names(kind: type) -> tuple[str, ...]:
     return tuple(name for name in vars(kind) if name == "__call__" or not name.startswith("_"))
 
@@ -288,9 +284,16 @@ def offers(part: object, kind: type) -> bool:
     return all(hasattr(part, name) for name in _names(kind))
 
 
-def able(part: Any, kind: type[_K]) -> _K | None:
+def able(part: Any, kind: type) -> Any:
     """Return the part as one with a capability; None where it has it not."""
     return part if offers(part, kind) else None
+
+
+def lacks(part: object, kind: type) -> str:
+    """Return in words what a part lacks that has other things of a protocol, "" of one that has none."""
+    names = [name for name in _names(kind) if name != "__call__"]
+    lacking = [name for name in names if not hasattr(part, name)]
+    return f", which has no {lacking[0]}" if 0 < len(lacking) < len(names) else ""
 
 
 def meaning(kind: type) -> str:
@@ -299,7 +302,7 @@ def meaning(kind: type) -> str:
     return words[:1].lower() + words[1:]
 
 
-def required(name: str, part: Any, kind: type[_K], why: str = "") -> _K:
+def required(name: str, part: Any, kind: type, why: str = "") -> Any:
     """Return the part as one with a capability.
 
     Parameters
@@ -317,5 +320,6 @@ def required(name: str, part: Any, kind: type[_K], why: str = "") -> _K:
         If it has it not.
     """
     if isinstance(part, type) or not offers(part, kind):
-        raise InvalidArgument(f"{name} is {shown(part)}{why and ', and ' + why}, expected {meaning(kind)}")
-    return part  # type: ignore[no-any-return]
+        told = lacks(part, kind) + (why and f", and {why}")
+        raise InvalidArgument(f"{name} is {shown(part)}{told}, expected {meaning(kind)}")
+    return part

@@ -15,7 +15,7 @@ import numpy as np
 
 from pinmobile.arrays import endless_or_finite, finite, frozen, whole as checked_whole
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
-from pinmobile.parts._capabilities import meaning, offers
+from pinmobile.parts._capabilities import lacks, meaning, offers
 
 _T = TypeVar("_T")
 _Method = TypeVar("_Method", bound=Callable[..., Any])
@@ -83,6 +83,12 @@ class structure(numeric[_T]):
         if part is None or self.attrname in vars(part) or "nominal" not in vars(part):
             return super().__get__(part, owner)
         return getattr(vars(part)["nominal"], self.attrname or "")  # type: ignore[no-any-return]
+
+
+def structures_of(part: object) -> dict[str, Any]:
+    """Return what of a part depends on its numbers alone, by name: see `structure`."""
+    named = (item for each in type(part).__mro__ for item in vars(each).items())
+    return {name: getattr(part, name) for name, x in named if isinstance(x, structure)}
 
 
 @attrs.frozen
@@ -245,7 +251,8 @@ class Child(Field):
         plain = isinstance(kind, tuple) or not getattr(kind, "_is_protocol", False)
         if isinstance(value, type) or not (isinstance(value, kind) if plain else offers(value, kind)):
             expected = self.expected or (meaning(kind) if not isinstance(kind, tuple) else "a part")
-            raise InvalidArgument(f"{name} is {shown(value)}, expected {expected}")
+            told = "" if plain else lacks(value, kind)
+            raise InvalidArgument(f"{name} is {shown(value)}{told}, expected {expected}")
         return value
 
 

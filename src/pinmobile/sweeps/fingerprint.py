@@ -319,7 +319,7 @@ def _stated_by(value: Any) -> dict[str, Any] | None:
         return dict(zip(kind._fields, value, strict=True))
     if not (is_dataclass(value) or attrs.has(kind)):
         return None
-    stated = attrs.fields(kind) if attrs.has(kind) else fields(value)  # type: ignore[arg-type]
+    stated = attrs.fields(kind) if attrs.has(kind) else fields(value)
     names = getattr(kind, "determined_by", None) or [each.name for each in stated if each.init]
     return {name: getattr(value, name) for name in names}
 
