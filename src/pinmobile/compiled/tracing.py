@@ -23,7 +23,7 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 _lock = threading.RLock()
 _HERE = str(Path(__file__).parent)
 _OURS = (_HERE, str(Path(np.__file__).parent), "<__array_function__", "<frozen")
-_MACHINERY = "pinmobile.compiled.", "pinmobile.loop._trace", "pinmobile.loop._identity"
+_MACHINERY = "pinmobile.compiled.", "pinmobile.loop._trace"
 FOREIGN = (
     frozenset(("numpy", "scipy", "pinocchio", "llvmlite", "sympy", "matplotlib", "attr", "attrs"))
     | sys.stdlib_module_names

@@ -17,7 +17,7 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
 from pinmobile.loop._engines import error_of_sizes
-from pinmobile.loop._identity import is_constant
+from pinmobile.compiled.identity import is_constant
 from pinmobile.loop._loop import displaced
 from pinmobile.plant import Context, Plant, check_plant, coordinates_of, leading_of, refuse_path
 from pinmobile.trajectories import Reference, Trajectory, check_limits

@@ -26,7 +26,7 @@ from pinmobile.loop._checks import (
     sampled,
     started,
 )
-from pinmobile.loop._identity import is_traced
+from pinmobile.compiled.identity import is_traced
 from pinmobile.loop._loop import Loop
 from pinmobile.loop._spread import (
     Relative,

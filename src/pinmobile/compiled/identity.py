@@ -12,7 +12,7 @@ import hashlib
 import sys
 import time
 import weakref
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from enum import Enum
 from pathlib import Path, PurePath
 from types import BuiltinFunctionType, CellType, CodeType, FunctionType, GenericAlias, MethodType, ModuleType
@@ -22,7 +22,6 @@ import numpy as np
 
 from pinmobile.compiled.memory import Line, Noise, Schedule, is_leaf
 from pinmobile.compiled.tracing import is_foreign, names_of
-from pinmobile.loop._loop import OWNERS, Loop, State
 from pinmobile.parts import Child, Field, Number, entries_of, fields_of, is_part
 
 _BEGAN = time.time()
@@ -74,15 +73,15 @@ class Identity:
         self._changing = 0  # values met that may change
 
     @classmethod
-    def of(cls, loop: Loop, memory: State, spread: Mapping[str, Any], others: Hashable) -> Self:
+    def of(cls, loop: Any, memory: Sequence[Any], spread: Mapping[str, Any], others: Hashable) -> Self:
         """Return the identity of a loop.
 
         Parameters
         ----------
         loop : Loop
             The closed loop.
-        memory : State
-            Its memory before the first sample.
+        memory : sequence of trees
+            Memory of its parts before the first sample.
         spread : mapping of str to array of bool
             Paths of the numbers that differ from robot to robot, with the entries that do.
         others : hashable
@@ -91,9 +90,14 @@ class Identity:
         own = cls()
         parts = tuple(own._field(*each) for each in fields_of(loop) if is_traced(each[0]))
         differs = tuple((path, varies.shape, varies.tobytes()) for path, varies in spread.items())
-        kept = tuple(own._memory(getattr(memory, owner)) for owner in OWNERS)
-        own.key = parts, differs, kept, loop.steps, others
+        kept = tuple(map(own._memory, memory))
+        own.key = parts, differs, kept, others
         return own
+
+    def visit(self, function: Any) -> Self:
+        """Add the code of a function."""
+        self.key = (*self.key, self._value(function))
+        return self
 
     @property
     def kept(self) -> list[Any]:
