@@ -146,9 +146,7 @@ class MobileRobot(System):
     )
     _stance: Stance | None = option(default=None, kw_only=True, doc="how it stands; None: as its box")
     _source: str = option(default="made from numbers", kw_only=True, doc="where its numbers come from")
-    locked_joints: tuple[str, ...] = option(
-        default=(), kw_only=True, doc="locked joints of its file"
-    )
+    locked_joints: tuple[str, ...] = option(default=(), kw_only=True, doc="locked joints of its file")
     undercarriage: Undercarriage = option(default=Undercarriage(), kw_only=True, doc="wheels of its file")
     _looks: VisualFile | None = option(default=None, kw_only=True, doc="the file that says how it looks")
 
@@ -507,9 +505,7 @@ class MobileRobot(System):
             bodies: list[Any] = [(mass, self.com, inertia), *own]
             mass = sum(m for m, _, _ in bodies)
             x, y = (sum(m * com[k] for m, com, _ in bodies) / mass for k in range(2))
-            about: Any = sum(
-                own + m * (com[0] * com[0] + com[1] * com[1]) for m, com, own in bodies
-            )
+            about: Any = sum(own + m * (com[0] * com[0] + com[1] * com[1]) for m, com, own in bodies)
             inertia = about - mass * (x * x + y * y)
         return PlanarDynamics(mass, inertia, x, y)
 
