@@ -193,8 +193,8 @@ class Identity:
         if isinstance(x, functools.partial):
             return "partial", self._value((x.func, x.args, x.keywords))
         if isinstance(x, BuiltinFunctionType):
-            of = x.__self__
-            return "builtin", x.__qualname__, None if isinstance(of, ModuleType) else self._value(of)
+            of = getattr(x, "__self__", None)  # Pinocchio's functions have none
+            return "builtin", x.__name__, None if isinstance(of, ModuleType | type(None)) else self._value(of)
         return self._object(x)
 
     def _object(self, x: Any) -> Hashable:
