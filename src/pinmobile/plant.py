@@ -368,7 +368,7 @@ class Parameter:
             return float(array[self.entry])
         array = array.diagonal() if array.ndim == 2 else array
         numbers = array if self.entry is None or not array.ndim else array[self.entry]
-        return float(numbers.flat[0]) if np.ptp(numbers) == 0 else None
+        return float(numbers.flat[0]) if (numbers == numbers.flat[0]).all() else None
 
 
 def _stated(part: object) -> Sequence[Any]:

@@ -12,7 +12,7 @@ import numpy as np
 from pinmobile import forces, paths, trajectories
 from pinmobile.arrays import Array
 from pinmobile.compiled import Parts, Place, children_at
-from pinmobile.controllers import PD
+from pinmobile.controllers import GAINS
 from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.plant import Coordinate, Parameter, parameters_of
 from pinmobile.robot import BODY_PARAMETERS, PlanarBody
@@ -82,7 +82,7 @@ GROUPS: Mapping[str, tuple[Parameter, ...]] = {
     "the robot": BODY_PARAMETERS,
     "the controller's model": tuple(_of_model(each, "model_") for each in BODY_PARAMETERS),
     "the start, relative to the trajectory's start": start_parameters(PlanarBody.coordinates),
-    "gains: one for all coordinates, or one for each": parameters_of(PD),
+    "gains: one for all coordinates, or one for each": GAINS,
     **dict(_of_kinds()),
 }
 """The parameters of the library's own parts, by what has them."""
