@@ -427,7 +427,7 @@ def _declared_by(part: object) -> Iterator[Parameter]:
 
 
 def _fields_of_kind(kind: type) -> Iterator[tuple[str, Any, Any]]:
-    for each in attrs.fields(kind):  # type: ignore[arg-type]
+    for each in attrs.fields(kind):
         declared = each.metadata.get("declared")
         labels = getattr(declared, "labels", ())
         is_labelled = labels and not callable(labels) and () not in declared.shapes
@@ -440,7 +440,8 @@ def _written_gain(values: Array, column: Array, size: int) -> Array:
 
 def _written_entry(k: int, values: Array, column: Array, size: int) -> Array:
     new = values.copy() if values.ndim > 1 else np.repeat(values[:, None], size, axis=1)
-    new[(slice(None), *(k,) * (new.ndim - 1))] = column
+    entry: Any = (slice(None), *(k,) * (new.ndim - 1))
+    new[entry] = column
     return new
 
 

@@ -78,7 +78,7 @@ GROUPS: Mapping[str, tuple[Parameter, ...]] = {
 """The parameters of the library's own parts, by what has them."""
 
 PARAMETERS: Mapping[str, Parameter] = {
-    each.name: each for group in reversed(GROUPS.values()) for each in reversed(group)
+    each.name: each for group in reversed(tuple(GROUPS.values())) for each in reversed(group)
 }
 """The same by name, of several the first: a spread may name these, and those of users' parts."""
 
