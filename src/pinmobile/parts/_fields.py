@@ -26,6 +26,11 @@ def is_symbolic(value: object) -> bool:
     return getattr(type(value), "is_symbolic", False)
 
 
+def is_tracing() -> bool:
+    """Tell whether this thread runs laws on symbols."""
+    return bool(getattr(_tracing, "depth", 0))
+
+
 @contextlib.contextmanager
 def on_numbers() -> Iterator[None]:
     """Let code run on numbers in a thread that runs laws on symbols."""

@@ -27,7 +27,7 @@ from pinmobile.arrays import (
     wrap_angle,
 )
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
-from pinmobile.parts import is_symbolic, on_numbers, structure
+from pinmobile.parts import is_symbolic, is_tracing, on_numbers, structure
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import pinocchio_calls
 from pinmobile.robot.joints import BODY_JOINT, circular_coordinates, coordinates, inputs, limits
@@ -76,8 +76,14 @@ def by_values(fast: Callable[..., Any] | None = None, states: int = 0) -> Callab
                 found = self._quick(fast, *given)
                 if found is not None:
                     return found
-            if self._engine is None or any(map(_holds_symbols, (*given, *options.values()))):
+            symbolic = self._engine is None
+            for x in (*given, *options.values()) if options else given:
+                if type(x) is not np.ndarray and _holds_symbols(x):
+                    symbolic = True
+            if symbolic:
                 return self._on_symbols(name, *given, **options)
+            if not is_tracing():
+                return method(self, *given, **options)
             with on_numbers():
                 return method(self, *given, **options)
 
