@@ -111,7 +111,7 @@ class System:
     the methods compute the same on symbols; those that cannot raise `NotTraceable`.
     """
 
-    _engine: Engine | None  # None where it holds symbols
+    _engine: Any  # an `Engine`; None where it holds symbols
     mounts: tuple[Mount, ...]
     loads: tuple[Load, ...]
 
@@ -133,7 +133,7 @@ class System:
                 f"the Pinocchio model of a {type(self).__name__} whose numbers are symbols",
                 "ask it for its dynamics and kinematics",
             )
-        return self._engine
+        return self._engine  # type: ignore[no-any-return]
 
     @property
     def nq(self) -> int:
@@ -704,7 +704,7 @@ class System:
         """Return the inertia, in the body's frame, of what of an arm does not move on the body."""
         fixed = mount.placement.act(mount._model.inertias[0])
         for load in self.loads:
-            name = load.frame or ""
+            name = load.frame
             frame = self._model.frames[self._frames[name]]
             if frame.parentJoint == BODY_JOINT and name.startswith(f"{mount.name}/"):
                 fixed += frame.placement.act(load.body)
