@@ -20,11 +20,11 @@ from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, Load, MobileRobot
 from pinmobile.wheels.bearing import Bearing
 from pinmobile.wheels.constraints import ConstrainedTree, Forces
 from pinmobile.wheels.description import read_robot, read_wheels
+from pinmobile.wheels.freedom import Allocation, Reduced
 from pinmobile.wheels.ground import Coulomb, Ground, Rolling
 from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.motors import Beside, constant_force
 from pinmobile.wheels.platform import Platform
-from pinmobile.wheels.reduced import Allocation, Reduced
 from pinmobile.wheels.rolling import RollingDynamics, stop_of
 from pinmobile.wheels.rows import column
 from pinmobile.wheels.table import WheelTable
