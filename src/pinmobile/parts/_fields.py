@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, TypeVar, dataclass_transform
 
 import attrs
@@ -417,8 +418,8 @@ def _is_number(value: object) -> bool:
     return number or is_symbolic(value)
 
 
-def evolved(part: _T, changes: Mapping[str, Any]) -> _T:
+def evolved(part: _T, changes: Mapping[str, Any] = MappingProxyType({}), /, **others: Any) -> _T:
     """Return a part with other values of some fields, checked as those of a new one."""
     if attrs.has(type(part)):
-        return attrs.evolve(part, **changes)  # type: ignore[misc]
-    return dataclasses.replace(part, **changes)  # type: ignore[type-var]
+        return attrs.evolve(part, **changes, **others)  # type: ignore[misc]
+    return dataclasses.replace(part, **changes, **others)  # type: ignore[type-var]

@@ -180,7 +180,7 @@ class Bearing:
             raise InvalidArgument(
                 f"ground is {shown(self.ground)}, which has no ramp, expected Rolling() or Coulomb()"
             )
-        return type(self)(self.robot, self.table, evolved(self.ground, {"ramp": Ramp(angle, direction)}))
+        return type(self)(self.robot, self.table, evolved(self.ground, ramp=Ramp(angle, direction)))
 
     @property
     def measures(self: Any) -> tuple[Measure, ...]:

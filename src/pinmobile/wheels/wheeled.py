@@ -353,7 +353,7 @@ class WheeledRobot(Platform, Bearing):
     def project(self) -> Callable[[ArrayLike, ArrayLike], Array]:
         """``project(q, v)``: the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
         own: Callable[[ArrayLike, ArrayLike], Array] = self._of_ground("project")
-        return self._projected if self._rolls_ideally and not holds_symbols(self) else own
+        return self._projected if self._rolls_ideally and self.law is self else own
 
     @in_numbers
     def _projected(self, q: ArrayLike, v: ArrayLike) -> Array:
@@ -501,7 +501,8 @@ class WheeledRobot(Platform, Bearing):
         """
         if not self.table.axes:
             return frozen(np.zeros((0, 3)))
-        return self.array_dynamics.pivots if holds_symbols(self) else frozen(self.array_dynamics.pivots)
+        found = self.array_dynamics.pivots
+        return frozen(found) if self.law is self else found
 
     @in_numbers
     def allocate(self, q: ArrayLike, tau: ArrayLike) -> Allocation:
@@ -576,7 +577,7 @@ class WheeledRobot(Platform, Bearing):
         ``f(t, q, v)`` has the generalised forces beside the input, at mid-step; an array has those that stay.
         """
         own: Callable[..., Step] = self._of_ground("step")
-        return own if holds_symbols(self) else self._stepped
+        return self._stepped if self.law is self else own
 
     @property
     def signals(self) -> Callable[..., dict[str, tuple[str, Any]]]:
