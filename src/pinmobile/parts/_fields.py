@@ -8,6 +8,7 @@ import functools
 import inspect
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Self, TypeVar, dataclass_transform, overload
 
 import attrs
@@ -517,8 +518,9 @@ def _is_number(value: object) -> bool:
     return number or is_symbolic(value)
 
 
-def evolved(part: _T, changes: Mapping[str, Any]) -> _T:
+def evolved(part: _T, changes: Mapping[str, Any] = MappingProxyType({}), /, **others: Any) -> _T:
     """Return a part with other values of some fields, checked as those of a new one."""
+    changes = {**changes, **others}
     if not attrs.has(type(part)):
         return dataclasses.replace(part, **changes)  # type: ignore[type-var]
     own = attrs.fields(type(part))
