@@ -536,7 +536,7 @@ def _untyped(value: Any) -> Any:
         (lambda p: sweep([scenario()], p, progress=_untyped(3)), "progress is 3, expected a function"),
         (
             lambda p: sweep(
-                [replace(scenario(), spread={"start_x": Uniform(-1, 1), "mass": Same("start_x")})], p
+                [replace(scenario(), spread={"start.x": Uniform(-1, 1), "mass": Same("start.x")})], p
             ),
             r"draws \(\d.*%\) are impossible; .* \(at scenario = 0\)",
         ),
