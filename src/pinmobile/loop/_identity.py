@@ -25,7 +25,7 @@ from pinmobile.parts import Leaf, Number, fields_of, is_part, parts_of, walk
 
 _BEGAN = time.time()
 _DEEPEST = 60
-_ATOMS = (bool, int, float, complex, str, bytes, type(None), type(...), range, slice)
+_ATOMS = (bool, int, float, complex, str, bytes, type(None), type(...), range)
 _DESCRIPTORS = (staticmethod, classmethod)
 _UNTRACED = ("trajectory", "start", "start_rate")  # fields of a loop that no sample depends on
 
@@ -122,6 +122,8 @@ class Identity:
             return "enum", type(x).__qualname__, x.name
         if isinstance(x, np.ufunc):
             return "ufunc", x.__name__
+        if isinstance(x, slice):
+            return "slice", *map(self._value, (x.start, x.stop, x.step))
         if id(x) in self._seen:
             return "seen", self._seen[id(x)][0]
         self._seen[id(x)] = len(self._seen), x
