@@ -26,7 +26,7 @@ from pinmobile.parts import Child, Field, Number, entries_of, fields_of, is_part
 
 _BEGAN = time.time()
 _DEEPEST = 60
-_ATOMS = (bool, int, float, complex, str, bytes, type(None), type(...), range, slice)
+_ATOMS = (bool, int, float, complex, str, bytes, type(None), type(...), range)
 _DESCRIPTORS = (staticmethod, classmethod)
 _constant: weakref.WeakKeyDictionary[Any, Hashable] = weakref.WeakKeyDictionary()
 _UNTRACED = ("trajectory", "start", "start_rate")  # fields of a loop that no sample depends on
@@ -176,6 +176,8 @@ class Identity:
             return "text", repr(x)
         if hasattr(x, "saveToString"):  # a model of Pinocchio, whose copies are the same
             return "model", x.saveToString()
+        if isinstance(x, slice):
+            return "slice", *map(self._value, (x.start, x.stop, x.step))
         if id(x) in self._seen:
             return "seen", self._seen[id(x)][0]
         self._seen[id(x)] = len(self._seen), x
