@@ -103,8 +103,10 @@ def rolling(mass: float, ground: Any = None) -> Any:
 def armed(mass: float) -> Any:
     robot = MobileRobot(mass, 1.0).mount("double_pendulum", (0.1, 0.0, 0.2, 0.0))
     motion = WholeBody(robot, CIRCLE, Hold(robot.rest[3:], 1.0))
-    given: dict[str, Any] = {"dt": 0.1, "forces": [JointFriction(0.01 * mass)], "engine": COMPILED}
-    return simulate(robot, ComputedTorque(robot, mass, 6), motion, **given)
+    given: dict[str, Any] = {"dt": 0.001, "duration": 0.02, "engine": COMPILED}
+    return simulate(
+        robot, ComputedTorque(robot, mass, 6), motion, forces=[JointFriction(0.001 * mass)], **given
+    )
 
 
 ALIKE: dict[str, Callable[[float], Any]] = {
@@ -160,6 +162,28 @@ SCALE, TABLE, GAINS, QUEUE = 2.0, np.array([2.0, 2.0, 2.0]), [2.0], deque([2.0])
 BOX, SETTINGS = SimpleNamespace(w=2.0), {"inner": {"w": [2.0]}}
 
 
+class Queue(deque[float]):
+    pass
+
+
+OWN_QUEUE = Queue([2.0])
+
+
+@dataclass(slots=True)
+class Slotted:
+    k: float = 2.0
+
+
+class Beside(Slotted):
+    """It has slots of its base and a dictionary beside these."""
+
+    def __matmul__(self, e: Any) -> Any:
+        return self.k * e
+
+
+BESIDE = Beside()
+
+
 class Plan:
     k = 2.0
 
@@ -204,6 +228,18 @@ def by_array(t: float, q: Any, v: Any, reference: Any) -> Any:
 
 def by_queue(t: float, q: Any, v: Any, reference: Any) -> Any:
     return QUEUE[0] * (reference.q - q) - v
+
+
+def by_own_queue(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return OWN_QUEUE[0] * (reference.q - q) - v
+
+
+def by_slots(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return BESIDE.k * (reference.q - q) - v
+
+
+def by_operator(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return BESIDE.__matmul__(reference.q - q) - v
 
 
 def by_namespace(t: float, q: Any, v: Any, reference: Any) -> Any:
@@ -278,6 +314,9 @@ CHANGES: dict[str, tuple[Any, Callable[[float], Any]]] = {
     "object": (by_object, lambda x: setattr(OBJECT, "gain", x)),
     "class": (by_class, lambda x: setattr(Plan, "k", x)),
     "deque": (by_queue, lambda x: QUEUE.__setitem__(0, x)),
+    "subclass of a deque": (by_own_queue, lambda x: OWN_QUEUE.__setitem__(0, x)),
+    "slots and a dictionary": (by_slots, lambda x: setattr(BESIDE, "k", x)),
+    "operator": (by_operator, lambda x: setattr(Beside, "__matmul__", lambda self, e: x * e)),
     "entry of a default": (by_default, lambda x: GAINS.__setitem__(0, x)),
     "default": (by_default, lambda x: setattr(by_default, "__defaults__", ([x],))),
     "default by keyword": (by_keyword, lambda x: setattr(by_keyword, "__kwdefaults__", {"gains": [x]})),
@@ -425,14 +464,16 @@ def test_a_loop_is_traced_in_one_process_alone_and_gives_the_same_bits(name: str
         assert np.array_equal(getattr(first, what), getattr(again, what))
 
 
-def test_a_robot_with_an_arm_and_its_signals_are_found_again(process: Process) -> None:
-    first = armed(20.0)
+@pytest.mark.parametrize("make", [armed, lambda x: rolling(x, Coulomb())], ids=["arm", "wheels"])
+def test_one_robot_and_its_signals_are_found_again(make: Any, process: Process) -> None:
+    first = make(20.0)
     process.begin()
-    again = armed(20.0)
+    again = make(20.0)
     assert process.traced == 0
     assert np.array_equal(first.q, again.q)
     units = [[(name, each.unit) for name, each in found.signals.items()] for found in (first, again)]
-    assert units[0] == units[1] != []
+    assert units[0] == units[1]
+    assert make is armed or units[0]
 
 
 def test_another_process_finds_the_loop_whatever_its_seed_of_hashes(process: Process) -> None:
