@@ -217,7 +217,7 @@ def test_what_is_swept_has_its_unit(tmp_path: Path, name: str, unit: str) -> Non
             "start_x",
             "start_z",
             "mass.toml:13: unknown parameter in spread 'start_z', did you mean 'start_y' or 'start_x' or "
-            "'start_vy'? 'pinmobile ensemble --help' lists all\n",
+            "'start'? 'pinmobile ensemble --help' lists all\n",
         ),
         (
             "normal =",
@@ -472,7 +472,7 @@ def test_two_swept_names_are_drawn_as_a_map(capsys: pytest.CaptureFixture[str], 
 @pytest.mark.parametrize("command", ["ensemble", "sweep"])
 def test_the_help_lists_what_may_be_spread(capsys: pytest.CaptureFixture[str], command: str) -> None:
     _, shown, _ = typed(capsys, command, "--help")
-    assert set(PARAMETERS) <= set(re.findall(r"\w+", shown))
+    assert set(PARAMETERS) <= set(re.findall(r"[\w.]*\w", shown))
     words = " ".join(shown.split())
     assert "the robot: mass (kg), yaw_inertia (kg m^2), com_x, com_y (m)" in words
     assert "start_vx, start_vy (m/s), start_yaw_rate (rad/s)" in words

@@ -36,14 +36,15 @@ from pinmobile import (
     rk4,
     simulate,
     sweep,
+    vectorize,
 )
 from pinmobile.arrays import Array
-from pinmobile.compiled import Batched, Cache, Parts, Program, Reference as CompiledReference, program_of
+from pinmobile.compiled import Cache, Parts, Program, Reference as CompiledReference, program_of
 from pinmobile.compiled.loop_tape import Loop
 from pinmobile.loop import run_scenario
 from pinmobile.loop._run import way_of
 from pinmobile.errors import SlowerEngine
-from pinmobile.robot.articulated import ArticulatedBody
+from pinmobile.parts import replace
 from tests.test_compiled_loop import targets
 from tests.test_mounted import mjcf
 
@@ -157,7 +158,9 @@ ALL_KINDS = {
     "panda": MobileRobot.box().mount("panda", AT),  # fingers that slide
     "kinova": MobileRobot.box().mount("kinova", AT),  # continuous joints
     "solo8": MobileRobot.box(size=(1, 1, 0.5)).mount("solo8", AT),  # branches
-    "loaded": UR5.with_parameters(**{"rotor_ur5/elbow_joint": 0.3, "mass_ur5/forearm_link": 5.0}),
+    "loaded": replace(
+        UR5, {"mounts.ur5.rotors": (0, 0, 0.3, 0, 0, 0), "mounts.ur5.links.forearm_link.mass": 5.0}
+    ),
 }
 
 
@@ -167,8 +170,8 @@ def test_compiled_dynamics_are_those_of_pinocchio_and_of_mujoco(kind: str) -> No
     q, (v, a, tau) = robot.random_configuration(rng, (7,)), rng.normal(size=(3, 7, robot.nv))
     q[:, 2] = rng.uniform(-12, 12, 7)
     tau *= robot.inverse_dynamics(q, v, a)
-    law = answers(robot.varying(()).traced(), robot.end_effector)
-    found = Batched(law, [(x.shape[1],) for x in (q, v, a, tau)], cache=Cache(""))(q, v, a, tau)
+    law = answers(robot, robot.end_effector)
+    found = vectorize(law, keep=False)(q, v, a, tau)
     rows = [answers(robot, robot.end_effector)(*state) for state in zip(q, v, a, tau, strict=True)]
     everybody = {"Pinocchio": rows}
     if kind in ("ur5", "panda"):
@@ -368,13 +371,12 @@ def test_a_helical_joint_runs_one_state_at_a_time_and_says_why() -> None:
     assert runs.engine == PYTHON.name
 
 
-def test_what_nobody_was_told_of_may_differ() -> None:
-    body = UR5.traced()
-    told = UR5.varying([("masses", 1)]).traced()
-    assert isinstance(body, ArticulatedBody)
-    assert isinstance(told, ArticulatedBody)
-    assert all(map(all, body.matter))
-    assert not all(map(all, told.matter))
-    q, v = np.array(UR5.rest), np.ones(UR5.nv)
-    found: Array = told.nonlinear_effects(q, v)
-    np.testing.assert_allclose(found, body.nonlinear_effects(q, v), rtol=1e-12, atol=1e-12)
+def test_friction_that_is_not_dry_is_not_computed() -> None:
+    friction = JointFriction(0.2)
+    v = np.linspace(-1, 1, 9)
+    assert friction.dry
+    assert not friction.varying([]).dry
+    assert friction.varying([("coulomb", None)]).dry
+    np.testing.assert_array_equal(
+        friction.on_coordinates(0.0, v, v), friction.varying([]).on_coordinates(0.0, v, v)
+    )

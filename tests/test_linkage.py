@@ -274,7 +274,7 @@ def test_what_moves_together_is_called_by_its_first_link_with_a_mass() -> None:
 
 
 def test_an_unknown_link_is_named_with_the_nearest() -> None:
-    with pytest.raises(UnknownName, match="did you mean 'mounts.ur5.links.forearm_link.mass'"):
+    with pytest.raises(UnknownName, match=r"did you mean 'mounts\.ur5\.links\.forearm_link\.mass'"):
         replace(MobileRobot.box().mount("ur5"), {"mounts.ur5.links.forearm.mass": 1.0})
 
 

@@ -152,7 +152,7 @@ def test_structure_is_that_of_the_numbers() -> None:
     assert new.end_effector == robot.end_effector
     assert new.stance == robot.stance
     assert new != robot
-    assert new == new  # noqa: PLR0124
+    assert new == new
     assert isinstance(hash(new), int)
 
 

@@ -115,11 +115,11 @@ def test_many_times_and_many_states_are_one_at_a_time(force: Any) -> None:
 
 def test_the_rms_of_noise_over_the_phases_is_std_and_its_mean_is_zero() -> None:
     seeds = np.random.default_rng(3)
-    values = np.array([NoiseForce((1, 2, 3), 5.0, seeds)(7.3, Q, V) for _ in range(40_000)])
+    values = np.array([NoiseForce((1, 2, 3), 5.0, seeds)(7.3, Q, V) for _ in range(4_000)])
     # A mean of n samples is within 4 / sqrt(n) of its expectation, a mean square within about 6 / sqrt(n).
-    np.testing.assert_allclose(values.mean(axis=0) / [1, 2, 3], 0, atol=0.02)
-    np.testing.assert_allclose(np.square(values).mean(axis=0) / [1, 4, 9], 1, atol=0.03)
-    np.testing.assert_allclose(np.corrcoef(values.T), np.eye(3), atol=0.03)
+    np.testing.assert_allclose(values.mean(axis=0) / [1, 2, 3], 0, atol=0.07)
+    np.testing.assert_allclose(np.square(values).mean(axis=0) / [1, 4, 9], 1, atol=0.1)
+    np.testing.assert_allclose(np.corrcoef(values.T), np.eye(3), atol=0.07)
 
 
 def test_noise_has_one_line_in_each_part_of_the_band_and_nothing_beyond() -> None:

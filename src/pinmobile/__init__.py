@@ -315,7 +315,6 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "benchmarking": ("Benchmark", "BenchmarkScenario", "benchmark"),
     "closed_form": (),
     "compiled": ("vectorize",),
-    "constancy": (),
     "controllers": (
         "PD",
         "Allocated",

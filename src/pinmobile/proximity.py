@@ -8,12 +8,12 @@ from functools import cached_property
 from itertools import combinations
 from types import MappingProxyType
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike, frozen
-from pinmobile.constancy import known
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import Solid, Solids
 
@@ -167,12 +167,13 @@ class _Choice:
 
 def _choice(robot: Any) -> _Choice:
     """Return the pairs of a robot's links that count; what cannot change is chosen once."""
-    kept = known(robot)
-    memory: dict[Any, Any] = {} if kept is None else kept.memory
-    if "clearance" not in memory:
-        memory["clearance"] = _chosen(robot)
-    found: _Choice = memory["clearance"]
+    found = _choices.get(robot)
+    if found is None:
+        found = _choices[robot] = _chosen(robot)
     return found
+
+
+_choices: WeakKeyDictionary[Any, _Choice] = WeakKeyDictionary()
 
 
 def _chosen(robot: Any) -> _Choice:

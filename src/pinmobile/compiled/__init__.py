@@ -1,6 +1,5 @@
 """Laws on symbols: a loop's parts, written in NumPy for one state, as vector code for many robots."""
 
-from pinmobile.compiled.batched import Batched
 from pinmobile.compiled.elementary import sincos as sincos
 from pinmobile.compiled.emit import BINS, FIRST, SHIFT, Shape
 from pinmobile.compiled.loop_tape import LoopTape
@@ -30,7 +29,6 @@ __all__ = [
     "BINS",
     "FIRST",
     "SHIFT",
-    "Batched",
     "Cache",
     "Line",
     "LoopTape",

@@ -17,13 +17,13 @@ import numpy as np
 
 from pinmobile.compiled.functions import constructors
 from pinmobile.errors import NotTraceable
-from pinmobile.parts._fields import _tracing as _local
+from pinmobile.parts._fields import _tracing as _local, is_tracing
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _lock = threading.RLock()
 _HERE = str(Path(__file__).parent)
 _OURS = (_HERE, str(Path(np.__file__).parent), "<__array_function__", "<frozen")
-_MACHINERY = "pinmobile.compiled.", "pinmobile.loop._trace", "pinmobile.loop._identity"
+_MACHINERY = "pinmobile.compiled.", "pinmobile.loop._trace"
 FOREIGN = (
     frozenset(("numpy", "scipy", "pinocchio", "llvmlite", "sympy", "matplotlib", "attr", "attrs"))
     | sys.stdlib_module_names
@@ -42,16 +42,12 @@ def untraced(function: _Function) -> _Function:
     return run  # type: ignore[return-value]
 
 
-def _is_on() -> bool:
-    return bool(getattr(_local, "depth", 0))
-
-
 def _guarded(true: Callable[..., Any], other: Callable[..., Any]) -> Callable[..., Any]:
     """Return `other` for the thread that traces, and NumPy's own for all others."""
 
     @functools.wraps(true)
     def run(*given: object, **options: object) -> Any:
-        return (other if _is_on() else true)(*given, **options)
+        return (other if is_tracing() else true)(*given, **options)
 
     return run
 
@@ -64,7 +60,7 @@ class _NumPy(ModuleType):
     """
 
     def __getattr__(self, name: str) -> Any:
-        if name == "random" and _is_on():
+        if name == "random" and is_tracing():
             raise NotTraceable(
                 "np.random in a law",
                 "take the numbers from the context: context.normal(name, n), kept in state",

@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import wraps
+from collections.abc import Callable, Sequence
 from math import prod
 from typing import Any
 
 import numpy as np
 
 from pinmobile.arrays import Array, affordable, finite, finite_answer
-from pinmobile.compiled.batched import Batched
+from pinmobile.compiled.identity import Identity
+from pinmobile.compiled.loop_tape import LoopTape
 from pinmobile.compiled.processor import Cache, processors
+from pinmobile.compiled.program import Program, aligned
+from pinmobile.compiled.symbolic import entries, symbols
+from pinmobile.compiled.tape import LARGEST, Node, Tape
+from pinmobile.compiled.tracing import tracing
 from pinmobile.errors import InvalidArgument, NotTraceable
 
 _CLOSE = 1e-7  # of the largest number of an answer: forward dynamics lose the digits of M's condition
+_STATES = 1 << 14  # that are laid out at once
+_MANY = 1e6  # numbers: of fewer nobody asks whether memory holds them
 
 
 def vectorize(
-    function: Callable[..., Any], *, axes: int | tuple[int, ...] = 1, keep: bool = True
+    function: Callable[..., Any], *, axes: int | tuple[int, ...] = 1, checked: bool = True, keep: bool = True
 ) -> Callable[..., Any]:
     """Return a function that evaluates another, of one state, over leading axes.
 
     It is compiled for each set of shapes that it is called with, which takes 0.1 to 0.5 s for an arm and up
-    to some seconds for a humanoid, and runs on all processors, in some 0.1 microseconds a state. Its answers
+    to some seconds for a humanoid, and runs on all processors, in some 0.5 microseconds a state. Its answers
     are those of the function but for rounding; each state's have the same bits whatever others there are.
 
     Parameters
@@ -35,6 +41,8 @@ def vectorize(
     axes : int or tuple of int
         How many axes of an argument are the function's own, for all arguments or for each; those before them
         broadcast.
+    checked : bool
+        Whether arguments and answers that are not finite are refused.
     keep : bool
         Whether the machine code is kept in a file for other processes.
 
@@ -62,58 +70,128 @@ def vectorize(
     """
     if not callable(function):
         raise InvalidArgument(f"function is {function!r}, expected a function of one state")
-    programs: dict[Any, Batched] = {}
+    programs: dict[Any, _Compiled] = {}
 
     def vectorized(*given: Any) -> Any:
         words = {k: x for k, x in enumerate(given) if x is None or isinstance(x, str)}
-        places = [k for k in range(len(given)) if k not in words]
-        arrays = [finite(f"argument {k + 1}", given[k]) for k in places]
-        own = (axes,) * len(arrays) if isinstance(axes, int) else tuple(axes)
+        names = [f"argument {k + 1}" for k in range(len(given)) if k not in words]
+        arrays = [np.asarray(x, np.float64) for k, x in enumerate(given) if k not in words]
+        arrays = list(map(finite, names, arrays)) if checked else arrays
+        own = (axes,) * len(arrays) if isinstance(axes, int) else axes
         if len(own) != len(arrays) or any(x.ndim < n for x, n in zip(arrays, own, strict=True)):
             raise InvalidArgument(
                 f"arguments have shapes {[x.shape for x in arrays]}, of which axes = {axes} are a state's own"
             )
-        shapes = tuple(x.shape[x.ndim - n :] for x, n in zip(arrays, own, strict=True))
         leads = [x.shape[: x.ndim - n] for x, n in zip(arrays, own, strict=True)]
+        shapes = [x.shape[x.ndim - n :] for x, n in zip(arrays, own, strict=True)]
         try:
             lead = np.broadcast_shapes(*leads)
         except ValueError:
             raise InvalidArgument(f"leading shapes are {leads}, expected shapes that broadcast") from None
 
-        @wraps(function)  # by which tracing finds what it is made of
-        def of_one(*states: Any) -> Any:
-            numbers = dict(zip(places, states, strict=True))
-            return function(*(words[k] if k in words else numbers[k] for k in range(len(given))))
-
-        key = shapes, tuple(words.items())
-        if key not in programs:
-            first = [_first(x, shape) for x, shape in zip(arrays, shapes, strict=True)]
-            cache = Cache() if keep else Cache("")
-            programs[key] = _compared(Batched(of_one, shapes, cache=cache), of_one, first)
-        program = programs[key]
-        affordable(f"answers for {prod(lead):,} states", 1.0 * prod(lead) * program.size, "ask for fewer")
-        found = program(*arrays, threads=processors())
-        for answer in found if isinstance(found, tuple) else (found,):
-            finite_answer(answer, **{f"argument {k + 1}": x for k, x in zip(places, arrays, strict=True)})
-        return found
+        several = tuple(map(bool, leads))  # arguments of which each state has its own
+        key = *shapes, *several, *words.items()
+        program = programs.get(key)
+        if program is None:
+            of_one = _with_words(function, words)
+            state = [_first(x, shape) for x, shape in zip(arrays, shapes, strict=True)]
+            expected = of_one(*(x.copy() for x in state))  # which raises the function's own errors
+            program = _Compiled(of_one, shapes, several, Cache() if keep else Cache(""))
+            program.compare(state, expected)
+            programs[key] = program
+        found = program(arrays, lead)
+        if checked:
+            for answer in found:
+                finite_answer(answer, **dict(zip(names, arrays, strict=True)))
+        return found if program.is_tuple else found[0]
 
     return vectorized
 
 
+def _with_words(function: Callable[..., Any], words: dict[int, Any]) -> Callable[..., Any]:
+    """Return a function of the arguments that are arrays; the others stand at their places."""
+
+    def of_one(*states: Any) -> Any:
+        given = list(states)
+        for place, word in sorted(words.items()):
+            given.insert(place, word)
+        return function(*given)
+
+    return of_one
+
+
 def _first(array: Array, shape: tuple[int, ...]) -> Array:
-    rows = array.reshape(-1, *shape) if array.size else np.zeros((1, *shape))
-    return np.array(rows[0])
+    return np.array(array.reshape(-1, *shape)[0]) if array.size else np.zeros(shape)
 
 
-def _compared(program: Batched, function: Callable[..., Any], state: list[Array]) -> Batched:
-    """Return the program, which gives for a state what the function does."""
-    expected, found = function(*(x.copy() for x in state)), program(*state)
-    pairs = (expected, found) if isinstance(found, tuple) else ((expected,), (found,))
-    for one, other in zip(*pairs, strict=True):
-        scale = np.abs(one).max(initial=1e-3)
-        if np.shape(one) != other.shape or not np.allclose(one, other, rtol=0, atol=_CLOSE * scale):
-            raise NotTraceable(
-                "on symbols the function computes something else than on numbers",
-                "let it do the same for every kind of array, without isinstance or try",
-            )
-    return program
+class _Compiled:
+    """A function as machine code, for arguments of some shapes."""
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        shapes: Sequence[tuple[int, ...]],
+        several: Sequence[bool],
+        cache: Cache,
+    ) -> None:
+        self.shapes, self.several = shapes, several
+        tape, given = Tape(LARGEST), []
+        counts = {"row": 0, "uniform": 1}  # the first uniform is a loop's step
+        for shape, own in zip(shapes, several, strict=True):
+            kind, size = "row" if own else "uniform", prod(shape)
+            given.append(symbols([tape.input(kind, counts[kind] + i) for i in range(size)], shape))
+            counts[kind] += size
+        code = Identity().visit(function)
+        with tracing(code.namespaces.values(), code.cells):
+            answer = function(*given)
+        self.is_tuple, kept = isinstance(answer, tuple), {}
+        for i, output in enumerate(answer if isinstance(answer, tuple) else (answer,)):
+            nodes = [x if type(x) is Node else tape.const(x) for x in entries(output).reshape(-1)]
+            numbers = [tape.apply("select", x, 1.0, 0.0) if x.kind == "b" else x for x in nodes]
+            kept[str(i)] = entries(output).shape, [x.index for x in numbers]
+        loop = LoopTape(tape, [], [], {}, counts["uniform"], counts["row"], [], [], [], kept, (0,) * 5, [])
+        self.program = Program(loop, cache=cache)
+
+    def __call__(self, arrays: Sequence[Array], lead: tuple[int, ...]) -> tuple[Array, ...]:
+        """Return what it gives for each of the leading axes."""
+        n, loop = prod(lead), self.program.tape
+        outputs = [(*lead, *shape) for shape, _ in loop.kept.values()]
+        if n * loop.outputs_kept > _MANY:
+            affordable(f"answers for {n:,} states", 1.0 * n * loop.outputs_kept, "ask for fewer at a time")
+        rows, uniforms = [], [np.zeros(1)]
+        for array, shape, own in zip(arrays, self.shapes, self.several, strict=True):
+            if own:
+                rows.append(np.broadcast_to(array, (*lead, *shape)).reshape(n, prod(shape)))
+            else:
+                uniforms.append(array.reshape(-1))
+        if n <= _STATES:
+            found = self._some(rows, uniforms, n)
+        else:
+            found = [np.empty((n, *shape[len(lead) :])) for shape in outputs]
+            for first in range(0, n, _STATES):
+                some = [x[first : first + _STATES] for x in rows]
+                parts = self._some(some, uniforms, min(n - first, _STATES))
+                for answer, part in zip(found, parts, strict=True):
+                    answer[first : first + len(part)] = part
+        return tuple(x.reshape(shape) for x, shape in zip(found, outputs, strict=True))
+
+    def _some(self, rows: Sequence[Array], uniforms: Sequence[Array], n: int) -> list[Array]:
+        """Return the answers for n states, shape (n, ...) each."""
+        program, width = self.program, self.program.shape.width
+        blocks = aligned((-(-n // width), program.tape.rows, width))
+        if rows:
+            program.set_rows(blocks, 0, np.concatenate(rows, axis=1).T)
+        kept = aligned((len(blocks), 1, program.tape.outputs_kept, width))
+        program.called(blocks, np.zeros((1, 1)), np.concatenate(uniforms), kept, n, 1, processors())
+        return [x[:, 0] for x in program.kept_samples(kept, n).values()]
+
+    def compare(self, state: Sequence[Array], expected: Any) -> None:
+        """Refuse a function that is another one on symbols than on the numbers of a state."""
+        lead = (1,) if any(self.several) else ()
+        for one, other in zip(expected if self.is_tuple else (expected,), self(state, lead), strict=True):
+            own, scale = other.reshape(other.shape[len(lead) :]), np.abs(one).max(initial=1e-3)
+            if np.shape(one) != own.shape or not np.allclose(one, own, rtol=0, atol=_CLOSE * scale):
+                raise NotTraceable(
+                    "on symbols the function computes something else than on numbers",
+                    "let it do the same for every kind of array, without isinstance or try",
+                )

@@ -22,7 +22,15 @@ from pinmobile.controllers.controller import (
     told as told,
 )
 from pinmobile.controllers.driving import Driven, RandomSteps, VelocityCommand, WheelSpeed
-from pinmobile.controllers.feedback import PD, PID, ComputedTorque, Decoupled, PDGravity, gain_matrix
+from pinmobile.controllers.feedback import (
+    GAINS as GAINS,
+    PD,
+    PID,
+    ComputedTorque,
+    Decoupled,
+    PDGravity,
+    gain_matrix,
+)
 from pinmobile.controllers.lqr import LQR
 from pinmobile.controllers.mpc import MPC
 from pinmobile.controllers.observer import ADRC, DisturbanceObserver

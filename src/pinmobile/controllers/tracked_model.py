@@ -6,12 +6,13 @@ import hashlib
 from collections.abc import Callable
 from functools import cached_property, partial
 from typing import Any, NamedTuple, TypeVar
+from weakref import WeakKeyDictionary
 
 import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen
-from pinmobile.constancy import known
+from pinmobile.compiled.identity import is_constant
 from pinmobile.controllers.controller import State
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.parts import Followed, Rolling, able, option
@@ -241,6 +242,9 @@ def check_moves(robot: Any, reference: Any, nu: Array, t: float) -> None:
         )
 
 
+_designs: WeakKeyDictionary[Any, dict[Any, Any]] = WeakKeyDictionary()
+
+
 def remembered(robot: Any, what: tuple[object, ...], arrays: tuple[Array, ...], make: Callable[[], _T]) -> _T:
     """Return what follows from a robot and some arrays, made once.
 
@@ -255,13 +259,12 @@ def remembered(robot: Any, what: tuple[object, ...], arrays: tuple[Array, ...], 
     make : callable
         Makes it.
     """
-    entry = known(robot)
-    if entry is None:
+    if not is_constant(robot):
         return make()
     digest = hashlib.sha256()
     for each in arrays:
         digest.update(f"{each.shape}".encode() + np.ascontiguousarray(each).tobytes())
-    designs: dict[Any, Any] = entry.memory.setdefault("designs", {})
+    designs = _designs.setdefault(robot, {})
     key = (*what, digest.digest())
     found = designs.get(key)
     if found is None:

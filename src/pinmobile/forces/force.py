@@ -101,7 +101,7 @@ class ConstantForce:
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m]."""
         acts = since(t, self.begin) * (1.0 - since(t, self.end))
-        return self.force * acts[..., None] + 0.0 * q
+        return self.force * acts[..., None] + 0.0 * q  # type: ignore[no-any-return]
 
 
 @final
@@ -195,7 +195,7 @@ class NoiseForce:
     @property
     def stream(self) -> bytes:
         """What the drawn phases of robots follow from, beside their ensemble's seed."""
-        return self.phases.tobytes()
+        return bytes(self.phases.tobytes())
 
 
 def noise_frequencies(bandwidth: float) -> Array:

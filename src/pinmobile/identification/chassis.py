@@ -16,7 +16,7 @@ is identified, torque constants have it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array, frozen
-from pinmobile.compiled import Batched
+from pinmobile.compiled import vectorize
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.wheels import Motor, MotorLaw
 
@@ -419,15 +419,14 @@ class Chassis:
         c, s = np.cos(psi), np.sin(psi)
         return [c * forward - s * left, s * forward + c * left, r, *self.acceleration(psi, eta, u, phi)]
 
-    def stepped(self, steps: tuple[int, int]) -> Batched:
+    def stepped(self, steps: tuple[int, int]) -> Callable[..., Array]:
         """Return `step` of many states, compiled."""
         if steps not in self._compiled:
-            shapes = [(3 + self.free,), (self.nu,), (self.nu,), (self.size,), (2,)]
-            self._compiled[steps] = Batched(partial(self.step, steps=steps), shapes, alike=1, pure=True)
+            self._compiled[steps] = vectorize(partial(self.step, steps=steps), checked=False)
         return self._compiled[steps]
 
     @cached_property
-    def _compiled(self) -> dict[tuple[int, int], Batched]:
+    def _compiled(self) -> dict[tuple[int, int], Callable[..., Array]]:
         return {}
 
 

@@ -28,6 +28,12 @@ from pinmobile.urdf import Body
 _UNSEEN = 0.02  # share of a parameter's direction that may be unseen before its interval is endless
 _MOST = 50_000_000  # draws
 _FAR = 0.999  # interval in which a body must be that stands for what was found
+_FIELDS = {  # beginnings of names, and the fields of `forces` that a spread names
+    "viscous_": "coefficients.",
+    "rolling_": "force.",
+    "joint_viscous_": "viscous.",
+    "joint_coulomb_": "coulomb.",
+}
 _DRAWS = 200  # rounds in which draws that no body has are drawn again
 _AHEAD = 2.0  # [s]
 _DENSITIES = 20.0, 2e4  # [kg/m^2], mass per square of the radius of gyration; of boxes 12 m / (a^2 + b^2)
@@ -447,7 +453,8 @@ class Identification:
         told = self.chassis.told(phi)
         bounded = self.chassis.bounded
         told[:, bounded] = np.maximum(told[:, bounded], 0.0)
-        return {name: told[:, k] for k, name in enumerate(self.names[: self.chassis.dry.stop])}
+        names = self.names[: self.chassis.dry.stop]
+        return {_spread_name(name): told[:, k] for k, name in enumerate(names)}
 
     def predict(self, log: Log, seconds: float = _AHEAD) -> Prediction:
         """Return how well the robot that was found foretells another log, beside the noise of its sensors.
@@ -496,3 +503,8 @@ def _body(old: Body, mass: float, com: tuple[float, float], yaw_inertia: float) 
         return Body(mass, centre, inertia)
     except InvalidArgument:  # moments that break the triangle inequality: those of a body of the same form
         return Body(mass, centre, np.array(old.inertia) * (yaw_inertia / old.inertia[2, 2]))
+
+
+def _spread_name(name: str) -> str:
+    begin = next((each for each in _FIELDS if name.startswith(each)), "")
+    return _FIELDS.get(begin, "") + name.removeprefix(begin)

@@ -12,12 +12,12 @@ from warnings import warn
 import numpy as np
 
 from pinmobile.arrays import Array, affordable, answered, callable_as, frozen, positive, vector, whole
+from pinmobile.compiled.identity import is_constant
 from pinmobile.controllers import Controller, check_controller, check_memory
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
 from pinmobile.loop._engines import error_of_sizes
-from pinmobile.loop._identity import is_constant
 from pinmobile.loop._loop import displaced
 from pinmobile.plant import Context, Plant, check_plant, coordinates_of, leading_of, refuse_path
 from pinmobile.trajectories import Reference, Trajectory, check_limits

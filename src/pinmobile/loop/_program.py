@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
 from pinmobile.compiled.emit import Shape
+from pinmobile.compiled.identity import Identity
 from pinmobile.compiled.loop_tape import LoopTape
 from pinmobile.compiled.processor import LOOP, Cache, Target
 from pinmobile.compiled.program import Outcome, Program
 from pinmobile.compiled.tracing import uncollected
-from pinmobile.loop._identity import Identity
 from pinmobile.loop._loop import Loop
 from pinmobile.loop._trace import (
     arrays_of,
@@ -73,8 +73,8 @@ class Compiled:
     ) -> None:
         self.loop, self.context, self.spread = loop, context, spread or {}
         begun = initial_memory(loop, context)
-        others = loop.substeps, tuple(map(np.shape, reference)), single, own_reference
-        self.identity = identity = Identity.of(loop, begun, self.spread, others)
+        others = loop.substeps, loop.steps, tuple(map(np.shape, reference)), single, own_reference
+        self.identity = identity = Identity.of(loop, begun[2:], self.spread, others)
         with _lock:
             known = _programs.get(identity.key)
             if known is not None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, affordable, finite, positive, scalar, whole
 from pinmobile.compiled import BINS, Noise
+from pinmobile.compiled.identity import is_traced
 from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.integrators import Integrator
 from pinmobile.loop._checks import (
@@ -26,7 +27,6 @@ from pinmobile.loop._checks import (
     sampled,
     started,
 )
-from pinmobile.loop._identity import is_traced
 from pinmobile.loop._loop import Loop
 from pinmobile.loop._spread import (
     Relative,

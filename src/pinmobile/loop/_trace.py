@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
+from pinmobile.compiled.identity import Identity, is_traced
 from pinmobile.compiled.loop_tape import Leaf, LoopTape, Ring
 from pinmobile.compiled.memory import Line, Noise, Schedule, leaves, mapped, matched, normals
 from pinmobile.compiled.symbolic import Symbols, entries, has_symbols, symbols
 from pinmobile.compiled.tape import COUNT, LARGEST, Known, Node, Tape, evaluated, float_bits, needed, real
 from pinmobile.compiled.tracing import calling_place, tracing
 from pinmobile.errors import NotTraceable
-from pinmobile.loop._identity import Identity, is_traced
 from pinmobile.loop._loop import OWNERS, Loop, Record, State, initial, step
 from pinmobile.parts import numbers, replace
 from pinmobile.plant import Context

@@ -56,13 +56,13 @@ from pinmobile.parts._fields import (
     integer,
     is_part,
     is_symbolic,
+    is_tracing,
     number,
     numeric,
     on_numbers,
     option,
     part,
     structure,
-    structures_of,
 )
 from pinmobile.parts._walk import (
     Found,
@@ -134,6 +134,7 @@ __all__ = [
     "integer",
     "is_part",
     "is_symbolic",
+    "is_tracing",
     "meaning",
     "named",
     "number",
@@ -149,7 +150,6 @@ __all__ = [
     "spread_entries",
     "spread_values",
     "structure",
-    "structures_of",
     "table",
     "walk",
 ]

@@ -56,6 +56,11 @@ def also_symbols(method: _Method) -> _Method:
     return run  # type: ignore[return-value]
 
 
+def is_tracing() -> bool:
+    """Tell whether laws run on symbols in this thread."""
+    return bool(getattr(_tracing, "depth", 0))
+
+
 @contextlib.contextmanager
 def on_numbers() -> Iterator[None]:
     """Let code run on numbers in a thread that runs laws on symbols."""
@@ -83,12 +88,6 @@ class structure(numeric[_T]):
         if part is None or self.attrname in vars(part) or "nominal" not in vars(part):
             return super().__get__(part, owner)
         return getattr(vars(part)["nominal"], self.attrname or "")  # type: ignore[no-any-return]
-
-
-def structures_of(part: object) -> dict[str, Any]:
-    """Return what of a part depends on its numbers alone, by name: see `structure`."""
-    named = (item for each in type(part).__mro__ for item in vars(each).items())
-    return {name: getattr(part, name) for name, x in named if isinstance(x, structure)}
 
 
 @attrs.frozen

@@ -99,7 +99,7 @@ def checked_path(path: object, size: int) -> Path:
     InvalidArgument
         If it is none, its points have another shape, or it jumps.
     """
-    path = required("path", path, Path)
+    path = required("path", path, Path)  # type: ignore[type-abstract]
     shape = np.shape(path(0.0))
     if shape != (size,):
         where = "the plane" if size == 2 else "space"

@@ -12,7 +12,6 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, frozen
 from pinmobile.compiled import Node, maximum, plain, root, sincos, symbols
-from pinmobile.constancy import constant
 from pinmobile.errors import NotTraceable
 from pinmobile.robot.joints import axis_of, circular_coordinates, joints_of
 
@@ -25,7 +24,6 @@ ENTRIES = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
 """The entries of a symmetric matrix that differ."""
 
 
-@constant
 class Exact:
     """0, 1 or -1 that stands in a formula: products with it cost nothing."""
 

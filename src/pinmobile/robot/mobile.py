@@ -26,7 +26,6 @@ from pinmobile.arrays import (
     sequence,
     text,
 )
-from pinmobile.constancy import constant
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
 from pinmobile.measures import Measure
@@ -86,7 +85,6 @@ def _frozen(name: str, inertia: Array | None) -> Array | None:
 
 
 @final
-@constant
 @part
 class MobileRobot(System):
     """A rigid body on the chain prismatic y, prismatic x, revolute z, with Pinocchio's dynamics.

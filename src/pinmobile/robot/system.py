@@ -27,7 +27,7 @@ from pinmobile.arrays import (
     wrap_angle,
 )
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
-from pinmobile.parts import is_symbolic, on_numbers, structure
+from pinmobile.parts import is_symbolic, is_tracing, on_numbers, structure
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import pinocchio_calls
 from pinmobile.robot.joints import BODY_JOINT, circular_coordinates, coordinates, inputs, limits
@@ -76,7 +76,11 @@ def by_values(fast: Callable[..., Any] | None = None, states: int = 0) -> Callab
                 found = self._quick(fast, *given)
                 if found is not None:
                     return found
-            if self._engine is None or any(map(_holds_symbols, (*given, *options.values()))):
+            if self._engine is None:
+                return self._on_symbols(name, *given, **options)
+            if not is_tracing():
+                return method(self, *given, **options)
+            if any(map(_holds_symbols, (*given, *options.values()))):
                 return self._on_symbols(name, *given, **options)
             with on_numbers():
                 return method(self, *given, **options)

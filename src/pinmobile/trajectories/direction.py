@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths import Path, Piece, pieces_of
 
@@ -287,7 +286,6 @@ class Leg:
     tail: Limit
 
 
-@constant
 class Hodograph:
     """The direction of motion along a path, a vector u(t) that is never zero and turns as the velocity.
 

@@ -12,7 +12,6 @@ from warnings import warn
 import numpy as np
 
 from pinmobile.arrays import LEAST_ANGLE, Array, ArrayLike, frozen
-from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, LimitWarning
 from pinmobile.parts import child, number, part
 from pinmobile.paths import Path, Value, within
@@ -56,7 +55,6 @@ class _Jump:
     speed: float
 
 
-@constant
 class _Winding:
     """The heading along a path, unwrapped from a table made once: no time asked for matters to another.
 
@@ -249,7 +247,6 @@ class LectureHeading(Value):
         return joined((position, velocity, acceleration), (psi, rate, np.zeros_like(rate)))
 
 
-@constant
 class _TurnsOnTheSpot:
     """The clock of a trajectory that holds its path at some times to turn.
 

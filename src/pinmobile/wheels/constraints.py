@@ -9,7 +9,6 @@ from typing import NamedTuple, final
 import numpy as np
 
 from pinmobile.arrays import Array, frozen
-from pinmobile.constancy import constant
 from pinmobile.robot import BODY_JOINT, number
 from pinmobile.wheels.kinematics import Kinematics, Row
 from pinmobile.wheels.table import WheelTable
@@ -38,7 +37,6 @@ class Forces(NamedTuple):
 
 
 @final
-@constant
 @dataclass(frozen=True, eq=False)
 class Constraints:
     """The rows A(q) v = 0 of a wheel table, along the coordinates of the robot that it carries.
@@ -138,7 +136,6 @@ class Constraints:
 
 
 @final
-@constant
 @dataclass(frozen=True, eq=False)
 class ConstrainedTree:
     """A tree that constraints hold: M a + n = force + A' lambda and A a = -dA/dt v, solved together.

@@ -6,7 +6,6 @@ from math import cos, pi, sin
 from typing import Any, ClassVar, Protocol, final
 
 from pinmobile.arrays import Array, frozen, scalar
-from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import by_value, child, integer, number, part
 from pinmobile.wheels.rolling import RollingDynamics
@@ -31,7 +30,6 @@ class Ground(Protocol):
 
 
 @final
-@constant
 @part
 @by_value
 class Ramp:
@@ -61,7 +59,6 @@ class Ramp:
 
 
 @final
-@constant
 @part
 @by_value
 class Rolling:
@@ -105,7 +102,6 @@ class Rolling:
 
 
 @final
-@constant
 @part
 @by_value
 class Coulomb:

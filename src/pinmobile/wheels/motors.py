@@ -24,7 +24,6 @@ from pinmobile.arrays import (
     text,
 )
 from pinmobile.compiled import choose
-from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import by_value, number as declared_number, option, part
 from pinmobile.robot import ONE, ZERO, Vector, number, scalars
@@ -35,7 +34,6 @@ CONSTANTS = "resistance", "torque_constant", "viscous", "coulomb", "efficiency"
 
 
 @final
-@constant
 @part
 @by_value
 class Motor:

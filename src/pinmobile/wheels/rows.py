@@ -10,7 +10,6 @@ import attrs
 import numpy as np
 
 from pinmobile.arrays import finite, frozen, one_of, sequence, text
-from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Number, by_value, child, declare, is_symbolic, number, option, part
 from pinmobile.wheels.motors import Motor
@@ -22,7 +21,6 @@ TORQUE = Motor()  # a source of torque without limits
 
 
 @final
-@constant
 @part
 @by_value
 class Friction:
@@ -68,7 +66,6 @@ def _checked_name(name: str, value: Any) -> str:
 
 
 @final
-@constant
 @part
 @by_value
 class Wheel:
@@ -152,7 +149,6 @@ class Wheel:
 
 
 @final
-@constant
 @part
 @by_value
 class Support:
@@ -181,7 +177,6 @@ def _names(least: int) -> Any:
 
 
 @final
-@constant
 @part
 @by_value
 class GearTrain:
@@ -211,7 +206,6 @@ class GearTrain:
 
 
 @final
-@constant
 @part
 @by_value
 class Differential:
@@ -233,7 +227,6 @@ class Differential:
 
 
 @final
-@constant
 @part
 @by_value
 class Ackermann:

@@ -10,7 +10,6 @@ from typing import Any, Self, final
 import numpy as np
 
 from pinmobile.arrays import ArrayLike, finite, one_of, positive, scalar, sequence, text, whole
-from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import by_value, children, entries_of, option, part, structure
 from pinmobile.wheels.mobility import Mobility
@@ -37,7 +36,6 @@ _MOST = 1000  # wheels of a circle
 
 
 @final
-@constant
 @part
 @by_value
 class WheelTable:

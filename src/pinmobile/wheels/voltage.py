@@ -9,7 +9,6 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, vector
-from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import also_symbols, by_value, child, holds_symbols, is_symbolic, part, structure
 from pinmobile.plant import Input, Step
@@ -22,7 +21,6 @@ from pinmobile.wheels.wheeled import WheeledRobot
 
 
 @final
-@constant
 @part
 @by_value
 class ByVoltage:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite_answer, frozen, in_numbers, positive, vector
-from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import rk4
 from pinmobile.parts import also_symbols, by_value, child, holds_symbols, is_symbolic, part, structure
@@ -38,7 +37,6 @@ _OFF = 1e-9  # of a start's rates, beyond which it does not roll
 
 
 @final
-@constant
 @part
 @by_value
 class WheeledRobot(Platform, Bearing):

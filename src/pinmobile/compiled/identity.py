@@ -14,7 +14,7 @@ import sys
 import time
 import weakref
 from collections import deque
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from enum import Enum
 from pathlib import Path, PurePath
 from types import (
@@ -34,7 +34,6 @@ import numpy as np
 
 from pinmobile.compiled.memory import Line, Noise, Schedule, is_leaf
 from pinmobile.compiled.tracing import is_foreign, names_of
-from pinmobile.loop._loop import OWNERS, Loop, State
 from pinmobile.parts import Child, Field, Number, entries_of, fields_of, is_part
 
 _BEGAN = time.time()
@@ -89,15 +88,15 @@ class Identity:
         self._changing = 0  # values met that may change
 
     @classmethod
-    def of(cls, loop: Loop, memory: State, spread: Mapping[str, Any], others: Hashable) -> Self:
+    def of(cls, loop: Any, memory: Sequence[Any], spread: Mapping[str, Any], others: Hashable) -> Self:
         """Return the identity of a loop.
 
         Parameters
         ----------
         loop : Loop
             The closed loop.
-        memory : State
-            Its memory before the first sample.
+        memory : sequence of trees
+            Memory of its parts before the first sample.
         spread : mapping of str to array of bool
             Paths of the numbers that differ from robot to robot, with the entries that do.
         others : hashable
@@ -106,9 +105,14 @@ class Identity:
         own = cls()
         parts = tuple(own._field(*each) for each in fields_of(loop) if is_traced(each[0]))
         differs = tuple((path, varies.shape, varies.tobytes()) for path, varies in spread.items())
-        kept = tuple(own._memory(getattr(memory, owner)) for owner in OWNERS)
-        own.key = parts, differs, kept, loop.steps, others
+        kept = tuple(map(own._memory, memory))
+        own.key = parts, differs, kept, others
         return own
+
+    def visit(self, function: Any) -> Self:
+        """Add the code of a function."""
+        self.key = (*self.key, self._value(function))
+        return self
 
     @property
     def kept(self) -> list[Any]:
@@ -204,8 +208,8 @@ class Identity:
         if isinstance(x, functools.partial):
             return "partial", self._value((x.func, x.args, x.keywords))
         if isinstance(x, BuiltinFunctionType):
-            of = x.__self__
-            return "builtin", x.__qualname__, None if isinstance(of, ModuleType) else self._value(of)
+            of = getattr(x, "__self__", None)  # Pinocchio's functions have none
+            return "builtin", x.__name__, None if isinstance(of, ModuleType | type(None)) else self._value(of)
         return self._object(x)
 
     def _object(self, x: Any) -> Hashable:
