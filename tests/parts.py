@@ -1,4 +1,4 @@
-"""Parts of a closed loop as users write them: plain NumPy, each with its law, parameters and memory."""
+"""Parts of a closed loop as users write them: frozen dataclasses in plain NumPy; one declares its fields."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,13 +6,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pinmobile.plant import Coordinate, Input, Parameter
+from pinmobile.parts import array, number, part
+from pinmobile.plant import Coordinate, Input
 from pinmobile.trajectories import Reference
-
-
-def column(x: Any) -> Any:
-    """Return a number so that it multiplies a row, also where each robot has its own number and row."""
-    return np.asarray(x)[..., None]
 
 
 @dataclass(frozen=True)
@@ -24,49 +20,35 @@ class PID:
     kd: float = 120.0
     back: float = 2.0  # [1/s]; 0: the integral winds up
 
-    parameters: ClassVar[tuple[Any, ...]] = (
-        Parameter("pid_kp", "N/m", "proportional gain", 0.0, attribute="kp"),
-        Parameter("pid_ki", "N/(m s)", "integral gain", 0.0, attribute="ki"),
-        "kd",
-        "back",
-    )
-
     def initial_state(self, context: Any) -> Any:
         nothing = np.zeros(3)
         return {"sum": nothing, "u": nothing, "dt": context.dt, "difference": context.difference}
 
     def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
         error = state["difference"](q, reference.q)
-        u = column(self.kp) * error + column(self.kd) * (reference.v - v) + state["sum"]
-        return u, state | {"sum": state["sum"] + state["dt"] * column(self.ki) * error, "u": u}
+        u = self.kp * error + self.kd * (reference.v - v) + state["sum"]
+        return u, state | {"sum": state["sum"] + state["dt"] * self.ki * error, "u": u}
 
     def applied(self, u: Any, state: Any) -> Any:
-        return state | {"sum": state["sum"] + state["dt"] * column(self.back) * (u - state["u"])}
+        return state | {"sum": state["sum"] + state["dt"] * self.back * (u - state["u"])}
 
 
-@dataclass(frozen=True)
+@part
 class SlidingMode:
     """Sliding mode with a boundary layer, for a body whose mass is taken to be where its frame is."""
 
-    slope: float = 1.5  # [1/s]
-    gain: Any = (60.0, 60.0, 3.0)  # [N, N, N m]
-    width: float = 0.5  # of the layer [m/s, rad/s]
-    inertia: Any = (30.0, 30.0, 1.4)  # [kg, kg, kg m^2]
-
-    parameters: ClassVar[tuple[Any, ...]] = (
-        "slope",
-        *(Parameter(f"gain_{c}", attribute="gain", entry=k) for k, c in enumerate(("x", "y", "psi"))),
-        Parameter("layer", "m/s", "width of the boundary layer", 0.0, may_vanish=False, attribute="width"),
-        "inertia",
-    )
+    slope: Any = number(default=1.5, unit="1/s", doc="slope of the surface")
+    gain: Any = array(default=(60.0, 60.0, 3.0), labels=("x", "y", "psi"), unit="N, N, N m", doc="gain")
+    width: Any = number(default=0.5, unit="m/s", above=0.0, doc="width of the boundary layer")
+    inertia: Any = array(default=(30.0, 30.0, 1.4), unit="kg, kg, kg m^2", doc="inertia of the body")
 
     def initial_state(self, context: Any) -> Any:
         return context.difference
 
     def __call__(self, t: float, q: Any, v: Any, reference: Any, difference: Any) -> Any:
-        slope, rate = column(self.slope), reference.v - v
+        slope, rate = self.slope, reference.v - v
         surface = rate + slope * difference(q, reference.q)
-        switched = self.gain * np.tanh(surface / column(self.width))
+        switched = self.gain * np.tanh(surface / self.width)
         return self.inertia * (reference.a + slope * rate) + switched, difference
 
 
@@ -76,11 +58,6 @@ class Spring:
 
     stiffness: float = 8.0  # [N/m]
     at: Any = (0.0, 1.0)  # [m]
-
-    parameters: ClassVar[tuple[Any, ...]] = (
-        Parameter("stiffness", "N/m", "stiffness of the spring", 0.0),
-        Parameter("spring_x", "m", "where the spring is held, x", attribute="at", entry=0),
-    )
 
     def __call__(self, t: float, pose: Any, rate: Any) -> Any:
         way = self.at - pose[..., :2]
@@ -94,10 +71,8 @@ class Axle:
 
     viscous: float = 0.02  # [N m s]
 
-    parameters: ClassVar[tuple[Any, ...]] = ("viscous",)
-
     def on_coordinates(self, t: float, q: Any, v: Any) -> Any:
-        return column(-self.viscous * v[..., 3]) * np.array([0.0, 0.0, 0.0, 1.0, 0.0])
+        return -self.viscous * v[..., 3] * np.array([0.0, 0.0, 0.0, 1.0, 0.0])
 
 
 @dataclass(frozen=True)
@@ -107,15 +82,13 @@ class Smoothed:
     controller: Any
     share: float = 0.7  # of the new input, from 0 to 1
 
-    parameters: ClassVar[tuple[Any, ...]] = (Parameter("share", "", "share of the new input", 0.0),)
-
     def initial_state(self, context: Any) -> Any:
         return self.controller.initial_state(context), np.zeros(len(context.inputs))
 
     def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
         inner, last = state
         u, inner = self.controller(t, q, v, reference, inner)
-        last = last + column(self.share) * (u - last)
+        last = last + self.share * (u - last)
         return last, (inner, last)
 
     def applied(self, u: Any, state: Any) -> Any:
@@ -137,10 +110,6 @@ class Eight:
     size: float = 2.0  # [m]
     duration: float = 12.0  # [s]
 
-    parameters: ClassVar[tuple[Any, ...]] = (
-        Parameter("eight_size", "m", "of the eight", 0.0, attribute="size"),
-    )
-
     def __call__(self, t: Any) -> Any:
         return self.derivative(t, 0)
 
@@ -158,8 +127,6 @@ class Nodding:
     path: Any
     angle: float = 0.4  # [rad]
     rate: float = 0.8  # [rad/s]
-
-    parameters: ClassVar[tuple[Any, ...]] = ("angle", "rate")
 
     @property
     def duration(self) -> float:
@@ -188,21 +155,23 @@ class Waving:
         return Reference(q, way * 3 * np.sin(angle), way * 9 * np.cos(angle))
 
 
+@dataclass(frozen=True)
 class Cart:
     """A plant: two driven wheels on an axle, which roll. q = (x, y, psi, left, right), u = their torques."""
+
+    mass: float = 20.0  # [kg]
+    yaw_inertia: float = 0.9  # [kg m^2]
+    spin: float = 0.02  # of a wheel [kg m^2]
+    radius: float = 0.1  # [m]
+    track: float = 0.5  # [m]
 
     nq, nv, nu = 5, 5, 2
     coordinates = (
         *(Coordinate("x", "m"), Coordinate("y", "m"), Coordinate("psi", "rad")),
         *(Coordinate("left", "rad"), Coordinate("right", "rad")),
     )
-    configuration_names = ("x", "y", "psi", "left", "right")
     inputs = (Input("left_torque", "N m", -5.0, 5.0), Input("right_torque", "N m", -5.0, 5.0))
     leading: ClassVar[dict[int, int]] = {3: 3, 5: 5}
-    parameters = (Parameter("mass", "kg", "mass of the cart", 0.0, may_vanish=False), "yaw_inertia")
-
-    def __init__(self, mass: float = 20.0, yaw_inertia: float = 0.9) -> None:
-        self.mass, self.yaw_inertia, self.spin, self.radius, self.track = mass, yaw_inertia, 0.02, 0.1, 0.5
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         c, s, r, b = np.cos(q[..., 2]), np.sin(q[..., 2]), self.radius, self.track
@@ -249,8 +218,6 @@ class Follower:
     along: float = 8.0
     across: float = 6.0
     turn: float = 4.0
-
-    parameters: ClassVar[tuple[Any, ...]] = ("along", "across", "turn")
 
     def initial_state(self, context: Any) -> Any:
         return context.difference

@@ -7,40 +7,47 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from pinmobile import errors, plain_difference, planar_difference
-from pinmobile.compiled import Cache, Noise, Parts, Place, Program, Reference, Trace, robot_keys, traced
-from pinmobile.compiled.loop_tape import initial_memory
-from pinmobile.compiled.sample import one_sample
+from pinmobile import (
+    ConstantForce,
+    NoisyMeasurement,
+    SinusoidalForce,
+    errors,
+    plain_difference,
+    planar_difference,
+)
+from pinmobile.compiled import robot_keys
 from pinmobile.integrators import RungeKuttaNystrom, constant_acceleration, rk4, semi_implicit_euler
-from tests.looping import PD, Body, Constant, Noisy, Sinusoidal, circle, context, looped
-
-DT, COUNT = 0.01, 120
-TIMES, CIRCLE = circle(DT, COUNT)
-FIRST = Reference(*(x[0] for x in CIRCLE))
-
-
-def both(parts: Parts, q: Any, v: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the samples of one robot, compiled and by NumPy."""
-    loop = traced(parts, context(DT), (q, v), FIRST, dt=DT)
-    program = Program(loop, single=True, cache=Cache(""))
-    found = program.run(parts, context(DT), (q[None], v[None]), TIMES, CIRCLE, dt=DT)
-    expected, _ = looped(parts, q, v, TIMES, CIRCLE, DT)
-    return {name: x[0] for name, x in found.kept.items()}, expected
+from pinmobile.loop import Loop, Samples
+from pinmobile.loop._program import Compiled
+from pinmobile.parts import evolved, replace
+from pinmobile.trajectories import Reference
+from tests.looping import CIRCLE, PD, SEED, TIMES, Body, assert_near, looped, told
 
 
-def close(found: dict[str, Any], expected: dict[str, Any]) -> None:
-    for name, rows in expected.items():
-        np.testing.assert_allclose(found[name], rows, rtol=1e-10, atol=1e-11 * (1 + np.abs(rows).max()))
+def compiled(loop: Loop, q: Any, v: Any, reference: Any = CIRCLE, values: Any = None) -> dict[str, Any]:
+    """Return the samples of robots that start at rows of q and v."""
+    own, loop = values or {}, evolved(loop, {"recorder": Samples()})
+    first = Reference(*(x[0] for x in reference))
+    spread = {path: np.ones(np.shape(x)[1:], bool) for path, x in own.items()}
+    made = Compiled(loop, told(loop, TIMES, reference), (q[0], v[0]), first, spread=spread)
+    keys = {name: robot_keys(SEED, name, range(len(q))) for name in made.tape.keys}
+    return dict(made.run((q, v), TIMES, reference, values=own, keys=keys).kept)
 
 
+def assert_alike(loop: Loop, q: Any, v: Any, reference: Any = CIRCLE) -> None:
+    """Compare the samples of one robot, compiled and in Python."""
+    found = compiled(loop, q[None], v[None], reference)
+    assert_near({name: x[0] for name, x in found.items()}, looped(loop, q, v, TIMES, reference), 1e-10)
+
+
+@dataclass(frozen=True)
 class Turning:
     """A body whose heading is (cos, sin) in q, so that q has one number more than v."""
 
-    nq, nv, nu = 4, 3, 3
-    parameters = ("mass", "yaw_inertia")
+    mass: float = 12.0
+    yaw_inertia: float = 0.7
 
-    def __init__(self) -> None:
-        self.mass, self.yaw_inertia = 12.0, 0.7
+    nq, nv, nu = 4, 3, 3
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         return (u + f) / np.array([self.mass, self.mass, self.yaw_inertia])
@@ -67,24 +74,20 @@ class Turning:
 def test_a_heading_of_cosine_and_sine_is_turned_by_displacements(integrator: RungeKuttaNystrom) -> None:
     psi = CIRCLE.q[:, 2]
     lifted = Reference(np.column_stack([CIRCLE.q[:, :2], np.cos(psi), np.sin(psi)]), CIRCLE.v, CIRCLE.a)
-    parts = Parts(Turning(), PD(40.0, 30.0), (Sinusoidal(np.ones(3), 0.5),), integrator, Trace())
+    loop = Loop(Turning(), PD(40.0, 30.0), None, (SinusoidalForce((1, 1, 1), 0.5),), integrator)
     q, v = np.array([0.1, -0.1, np.cos(0.2), np.sin(0.2)]), CIRCLE.v[0]
-    loop = traced(parts, context(DT), (q, v), Reference(*(x[0] for x in lifted)), dt=DT)
-    program = Program(loop, cache=Cache(""))
-    found = program.run(parts, context(DT), (q[None], v[None]), TIMES, lifted, dt=DT)
-    expected, _ = looped(parts, q, v, TIMES, lifted, DT)
-    close({name: x[0] for name, x in found.kept.items()}, expected)
-    np.testing.assert_allclose(np.hypot(*found.kept["q"][0, :, 2:].T), 1.0, rtol=1e-13)
+    assert_alike(loop, q, v, lifted)
+    turned = compiled(loop, q[None], v[None], lifted)["q"][0, :, 2:]
+    np.testing.assert_allclose(np.hypot(*turned.T), 1.0, rtol=1e-13)
 
 
 @pytest.mark.parametrize("difference", [planar_difference, plain_difference])
 def test_the_librarys_differences_are_traced(difference: Any) -> None:
     """Whole turns apart, and half a turn, where rounding does not choose the side."""
-    plant = Body()
-    plant.difference = difference  # type: ignore[method-assign]
+    own: Any = type("Own", (Body,), {"difference": staticmethod(difference)})
     for psi in (0.2, 40.0, np.pi, -np.pi, 1e-12 - np.pi):
         q = np.array([0.1, -0.1, psi])
-        close(*both(Parts(plant, PD(4.0, 3.0), (), constant_acceleration, Trace()), q, np.zeros(3)))
+        assert_alike(Loop(own(), PD(4.0, 3.0), None, (), constant_acceleration), q, np.zeros(3))
 
 
 class Step(NamedTuple):
@@ -106,19 +109,15 @@ class Motored(Body):
 
 
 def test_a_plant_with_a_step_and_a_memory_of_its_own_needs_no_integrator() -> None:
-    parts = Parts(Motored(), PD(20.0, 30.0), (Constant(np.ones(3)),), None, Trace(), substeps=2)
-    close(*both(parts, CIRCLE.q[0] + 0.1, CIRCLE.v[0]))
+    loop = Loop(Motored(), PD(20.0, 30.0), None, (ConstantForce((1, 1, 1)),), None, 2)
+    assert_alike(loop, CIRCLE.q[0] + 0.1, CIRCLE.v[0])
 
 
-class Opaque:
+class Opaque(Body):
     """A plant that computes by means of its own, and says what it is in NumPy."""
 
-    nq, nv, nu = 3, 3, 3
-
-    def __init__(self, mass: float) -> None:
-        self.mass = mass
-
-    def traced(self) -> Body:
+    @property
+    def law(self) -> Body:
         return Body(self.mass)
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
@@ -126,16 +125,11 @@ class Opaque:
 
 
 def test_a_plant_that_is_not_numpy_says_what_it_is_in_numpy() -> None:
-    parts = Parts(Opaque(22.0), PD(20.0, 30.0), (), constant_acceleration, Trace())
-    mass = Place("plant", "mass")
+    loop = Loop(Opaque(22.0), PD(20.0, 30.0), None, (), constant_acceleration)
     q, v = CIRCLE.q[:1] + 0.1, CIRCLE.v[:1]
-    loop = traced(parts, context(DT), (q[0], v[0]), FIRST, dt=DT, spread=[mass])
-    found = Program(loop, cache=Cache("")).run(
-        parts, context(DT), (q, v), TIMES, CIRCLE, dt=DT, values={mass: np.array([17.0])}
-    )
-    plain = Parts(Body(17.0), PD(20.0, 30.0), (), constant_acceleration, Trace())
-    expected, _ = looped(plain, q[0], v[0], TIMES, CIRCLE, DT)
-    close({name: x[0] for name, x in found.kept.items()}, expected)
+    found = compiled(loop, q, v, values={"plant.mass": np.array([17.0])})
+    plain = Loop(Body(17.0), PD(20.0, 30.0), None, (), constant_acceleration)
+    assert_near({name: x[0] for name, x in found.items()}, looped(plain, q[0], v[0]), 1e-10)
 
 
 def test_forces_on_a_body_that_cannot_be_pushed_are_refused() -> None:
@@ -143,31 +137,14 @@ def test_forces_on_a_body_that_cannot_be_pushed_are_refused() -> None:
         def effort(self, q: Any, wrench: Any) -> None:
             return None
 
-    parts = Parts(Fixed(), PD(1.0, 1.0), (Constant(np.ones(3)),), constant_acceleration)
+    loop = Loop(Fixed(), PD(1.0, 1.0), None, (ConstantForce((1, 1, 1)),), constant_acceleration)
     with pytest.raises(errors.InvalidArgument, match="cannot be pushed"):
-        traced(parts, context(DT), (CIRCLE.q[0], CIRCLE.v[0]), FIRST, dt=DT)
+        compiled(loop, CIRCLE.q[:1], CIRCLE.v[:1])
 
 
-def test_noises_of_one_name_have_numbers_of_their_own() -> None:
-    inner = Noisy(PD(20.0, 30.0), np.full(3, 0.01), np.full(3, 0.01))
-    parts = Parts(
-        Body(), Noisy(inner, np.full(3, 0.01), np.full(3, 0.01)), (), constant_acceleration, Trace()
-    )
-    q, v = CIRCLE.q[0], CIRCLE.v[0]
-    loop = traced(parts, context(DT), (q, v), FIRST, dt=DT)
-    # The inner one asks the context first.
-    assert loop.keys == ["measurement", "measurement 1"]
-    keys = {name: robot_keys(1, name, range(1)) for name in loop.keys}
-    found = Program(loop, cache=Cache("")).run(
-        parts, context(DT), (q[None], v[None]), TIMES, CIRCLE, dt=DT, keys=keys
-    )
-    asked = iter(keys.values())
-    memory = initial_memory(parts, context(DT), 3, normal=lambda name, n: Noise(next(asked)[0], n))
-    for k in range(3):
-        now = Reference(*(x[k] for x in CIRCLE))
-        step = one_sample(parts, float(k), TIMES[k], DT, (q, v), now, memory)
-        np.testing.assert_allclose(found.kept["u"][0, k], step.sample.u, rtol=1e-11)
-        q, v, memory = step.q, step.v, step.memory
+def test_noises_have_numbers_of_their_own() -> None:
+    noisy = NoisyMeasurement(NoisyMeasurement(PD(20.0, 30.0), 0.01, 0.01, 3), 0.01, 0.01, 3)
+    assert_alike(Loop(Body(), noisy, None, (), constant_acceleration), CIRCLE.q[0], CIRCLE.v[0])
 
 
 @dataclass
@@ -192,20 +169,16 @@ def test_memory_is_any_tree_with_truths_and_numbers() -> None:
             u = np.where(on, self.kp * e, 5.0 * rows.mean(axis=0)) + self.kd * (reference.v - v)
             return u, Memory({"e": [rows, count + 1]}, on, (None, "name", state.inner[2] * 0.9))
 
-    parts = Parts(Body(), Switching(30.0, 40.0), (), rk4, Trace())
-    found, expected = both(parts, CIRCLE.q[0] + 0.2, CIRCLE.v[0])
-    close(found, expected)
+    loop = Loop(Body(), Switching(30.0, 40.0), None, (), rk4)
+    assert_alike(loop, CIRCLE.q[0] + 0.2, CIRCLE.v[0])
 
 
+@dataclass(frozen=True)
 class Team(PD):
-    """The sum of several controllers, one of which it knows by its method alone."""
+    """The sum of several controllers, and of a model."""
 
-    def __init__(self, controllers: Any, robot: Body) -> None:
-        super().__init__(1.0, 2.0)
-        self.controllers, self.model, self.own = controllers, robot.inverse_dynamics, self.spring
-
-    def spring(self, e: Any) -> Any:
-        return self.kp * e
+    controllers: Any = ()
+    model: Any = None
 
     def initial_state(self, context: Any) -> Any:
         return [each.initial_state(context) for each in self.controllers]
@@ -213,27 +186,23 @@ class Team(PD):
     def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
         answers = [each(t, q, v, reference, s) for each, s in zip(self.controllers, state, strict=True)]
         total = sum(answer[0] for answer in answers)
-        return total + self.own(reference.q - q) + self.model(q, v, 0.1 * reference.a), state
+        own = self.kp * (reference.q - q)
+        return total + own + self.model.inverse_dynamics(q, v, 0.1 * reference.a), state
 
 
-@pytest.mark.parametrize("kind", [list, tuple])
-def test_parameters_of_parts_in_lists_and_behind_methods_are_found(kind: type) -> None:
-    parts = Parts(Body(), Team(kind([PD(20.0, 30.0), PD(5.0, 1.0)]), Body(14.0)), (), rk4, Trace())
+def test_numbers_of_parts_within_parts_are_found() -> None:
+    team = Team(1.0, 2.0, (PD((20.0, 20.0, 20.0), 30.0), PD((5.0, 5.0, 5.0), 1.0)), Body(14.0))
+    loop = Loop(Body(), team, None, (), rk4)
     own = {
-        Place("controller.controllers[1]", "kp"): np.array([[9.0, 8.0, 7.0], [1.0, 2.0, 3.0]]),
-        Place("controller.model", "mass"): np.array([3.0, 50.0]),
-        Place("controller", "kp"): np.array([[5.0, 8.0, 7.0], [1.0, 7.0, 3.0]]),
+        "controller.controllers.1.kp": np.array([[9.0, 8.0, 7.0], [1.0, 2.0, 3.0]]),
+        "controller.model.mass": np.array([3.0, 50.0]),
+        "controller.kp": np.array([5.0, 7.0]),
     }
     q, v = np.tile(CIRCLE.q[0] + 0.1, (2, 1)), np.tile(CIRCLE.v[0], (2, 1))
-    loop = traced(parts, context(DT), (q[0], v[0]), FIRST, dt=DT, spread=own)
-    assert not set(own) & set(loop.unused)
-    found = Program(loop, cache=Cache("")).run(parts, context(DT), (q, v), TIMES, CIRCLE, dt=DT, values=own)
+    found = compiled(loop, q, v, values=own)
     for i in (0, 1):
-        mine = parts.with_parameters({name: x[i] for name, x in own.items()})
-        assert type(mine.controller.controllers) is kind
-        expected, _ = looped(mine, q[i], v[i], TIMES, CIRCLE, DT)
-        close({name: x[i] for name, x in found.kept.items()}, expected)
-    assert parts.controller.controllers[1].kp[0] == 5.0
+        expected = looped(replace(loop, {path: x[i] for path, x in own.items()}), q[i], v[i])
+        assert_near({name: x[i] for name, x in found.items()}, expected, 1e-10)
 
 
 def test_many_threads_trace_and_use_numpy_at_once() -> None:
@@ -248,9 +217,9 @@ def test_many_threads_trace_and_use_numpy_at_once() -> None:
 
     def trace() -> None:
         try:
-            parts = Parts(Body(), PD(20.0, 30.0), (Sinusoidal(np.ones(3), 0.5),), rk4, Trace())
-            for _ in range(2):
-                traced(parts, context(DT), (CIRCLE.q[0], CIRCLE.v[0]), FIRST, dt=DT)
+            for k in range(2):
+                loop = Loop(Body(), PD(20.0, 30.0), None, (SinusoidalForce((1, 1, 1), 0.5),), rk4, 1 + k)
+                compiled(loop, CIRCLE.q[:1], CIRCLE.v[:1])
         except Exception as error:
             wrong.append(error)
 

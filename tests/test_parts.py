@@ -63,7 +63,7 @@ from tests.parts import (
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
 N = 4
 LIMITS = (120.0, 110.0, 6.0)  # which all robots reach at first
-STARTS = {"start_x": np.array([0.1, -0.1, 0.3, 0.0]), "start_psi": np.array([0.2, 0.5, -0.3, 0.1])}
+STARTS = {"start.x": np.array([0.1, -0.1, 0.3, 0.0]), "start.psi": np.array([0.2, 0.5, -0.3, 0.1])}
 PARTS: dict[str, dict[str, Any]] = {
     "controller with memory": {"controller": Saturated(PID(), LIMITS)},
     "controller": {"controller": SlidingMode()},
@@ -74,15 +74,15 @@ PARTS: dict[str, dict[str, Any]] = {
     "path": {"controller": ComputedTorque(ROBOT), "trajectory": Tangent(Eight())},
     "heading": {"controller": ComputedTorque(ROBOT), "trajectory": Nodding(Circle(1.0, 0.5, 12.0))},
 }
-# What each part states: its name, the path to it, values, and the unit that files tell.
-STATED: dict[str, tuple[str, str, Any, str]] = {
-    "controller with memory": ("pid_ki", "controller.controller", [5.0, 10.0, 15.0, 20.0], "N/(m s)"),
-    "controller": ("layer", "controller", [0.3, 0.4, 0.5, 0.6], "m/s"),
-    "force": ("spring_x", "forces[0]", [-1.0, 0.0, 1.0, 2.0], "m"),
-    "wrapper": ("share", "controller", [0.6, 0.7, 0.8, 0.9], ""),
-    "wrappers of a user's": ("back", "controller.controller.controller", [0.0, 1.0, 2.0, 3.0], ""),
-    "path": ("eight_size", "trajectory.path", [1.0, 1.5, 2.0, 2.5], "m"),
-    "heading": ("angle", "trajectory", [0.0, 0.2, 0.4, 0.6], ""),
+# A number of each part, by its name and by its path: values, and the unit that files tell.
+NAMED: dict[str, tuple[str, str, Any, str]] = {
+    "controller with memory": ("ki", "controller.controller.ki", [5.0, 10.0, 15.0, 20.0], ""),
+    "controller": ("width", "controller.width", [0.3, 0.4, 0.5, 0.6], "m/s"),
+    "force": ("at.0", "forces.0.at.0", [-1.0, 0.0, 1.0, 2.0], ""),
+    "wrapper": ("share", "controller.share", [0.6, 0.7, 0.8, 0.9], ""),
+    "wrappers of a user's": ("back", "controller.controller.controller.back", [0.0, 1.0, 2.0, 3.0], ""),
+    "path": ("size", "trajectory.path.size", [1.0, 1.5, 2.0, 2.5], ""),
+    "heading": ("angle", "trajectory.angle", [0.0, 0.2, 0.4, 0.6], ""),
 }
 
 
@@ -106,7 +106,7 @@ def assert_same(one: Ensemble, other: Ensemble) -> None:
 
 @pytest.mark.parametrize("what", PARTS)
 def test_a_users_part_has_the_same_numbers_by_all_engines(what: str) -> None:
-    name, _, values, _ = STATED.get(what, ("mass", "", [25.0, 28.0, 31.0, 34.0], ""))
+    name, _, values, _ = NAMED.get(what, ("mass", "", [25.0, 28.0, 31.0, 34.0], ""))
     scenario = made(what, {**STARTS, name: np.array(values)})
     runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, PYTHON)]
     assert [run.engine for run in runs] == ["COMPILED", "PYTHON"]
@@ -135,14 +135,13 @@ def assert_as_simulated(one: Rollout, other: Rollout) -> None:
         np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * np.abs(there).max(), err_msg=name)
 
 
-@pytest.mark.parametrize("what", STATED)
-def test_what_a_users_part_states_is_spread_by_name_and_by_path(what: str, tmp_path: Path) -> None:
-    name, path, values, unit = STATED[what]
-    by_name = run_scenario(made(what, {name: np.array(values)}))
-    by_path = run_scenario(made(what, {f"{path}.{name}": np.array(values)}))
+@pytest.mark.parametrize("what", NAMED)
+def test_a_number_of_a_users_part_is_spread_by_name_and_by_path(what: str, tmp_path: Path) -> None:
+    name, path, values, unit = NAMED[what]
+    by_name, by_path = (run_scenario(made(what, {each: np.array(values)})) for each in (name, path))
     assert_same(by_name, by_path)
     assert len(np.unique(by_name.rms_error, axis=0)) == N, "each robot has a value of its own"
-    assert by_name.draws[name].tolist() == by_path.draws[f"{path}.{name}"].tolist() == values
+    assert by_name.draws[name].tolist() == by_path.draws[path].tolist() == values
     by_name.save(tmp_path / "runs.npz")
     loaded = Ensemble.load(tmp_path / "runs.npz")
     assert loaded.draws[name].tolist() == values
@@ -155,8 +154,8 @@ def test_what_a_users_part_states_is_spread_by_name_and_by_path(what: str, tmp_p
 
 
 def test_a_parameter_that_a_user_bounds_is_refused_beyond() -> None:
-    with pytest.raises(InvalidArgument, match=r"spread\['layer'\] gives 0 m/s as the width .*expected > 0"):
-        run_scenario(made("controller", {"layer": np.array([0.5, 0.0, 0.5, 0.5])}))
+    with pytest.raises(InvalidArgument, match=r"spread\['width'\] gives 0 m/s as the width .*expected > 0"):
+        run_scenario(made("controller", {"width": np.array([0.5, 0.0, 0.5, 0.5])}))
 
 
 def test_a_sweep_over_users_parts_has_the_bits_of_their_ensembles(tmp_path: Path) -> None:
@@ -193,7 +192,7 @@ CART: dict[str, Any] = {"robot": Cart(), "controller": Follower(), "trajectory":
 OF_CART: dict[str, Any] = {
     "mass": np.array([17.0, 19.0, 21.0, 23.0]),
     "along": np.array([6.0, 7.0, 8.0, 9.0]),
-    "start_y": np.array([0.2, -0.2, 0.3, -0.3]),
+    "start.y": np.array([0.2, -0.2, 0.3, -0.3]),
 }
 NAMES, INPUTS = ["x", "y", "psi", "left", "right"], ["left_torque", "right_torque"]
 
@@ -228,11 +227,11 @@ def test_a_users_plant_has_the_same_numbers_by_all_engines(what: str) -> None:
 
 
 def test_a_plant_for_one_state_is_compiled() -> None:
-    spread = {"mass": OF_CART["mass"], "start_[1]": 0.1}  # it does not name its coordinates
+    spread = {"mass": OF_CART["mass"], "start.y": 0.1}  # it does not name its coordinates
     run = run_scenario(carted(robot=TwoWheels(), spread=spread))
     assert run.engine == "COMPILED"
     assert_close(run, run_scenario(carted(robot=TwoWheels(), spread=spread), engine=PYTHON))
-    same = run_scenario(carted(spread={"mass": OF_CART["mass"], "start_y": 0.1}))
+    same = run_scenario(carted(spread={"mass": OF_CART["mass"], "start.y": 0.1}))
     assert_close(run, same)  # the same dynamics, written for many
 
 
@@ -488,7 +487,7 @@ def owned(what: str, **changes: Any) -> Scenario:
         "n": 2,
         "dt": 0.03,
     }
-    return Scenario(**(given | {"duration": 6.0, "spread": spread | {"start_y": 0.1}} | changes))
+    return Scenario(**(given | {"duration": 6.0, "spread": spread | {"start.y": 0.1}} | changes))
 
 
 @pytest.mark.parametrize("what", OWN)

@@ -1,7 +1,8 @@
 """What a loop is apart from its numbers: its structure and the code that it calls, compared by value.
 
-Two loops with the same identity run the same compiled program. A law that was changed, reloaded, or closes over
-another number has another identity. Code of this library and of packages that only compute is known by name.
+Two loops with the same identity run the same compiled program. A law that was changed, reloaded, or closes
+over another number has another identity. Code of this library and of packages that only compute is known by
+name.
 """
 
 from __future__ import annotations
@@ -12,10 +13,21 @@ import hashlib
 import sys
 import time
 import weakref
+from collections import deque
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from enum import Enum
 from pathlib import Path, PurePath
-from types import BuiltinFunctionType, CellType, CodeType, FunctionType, GenericAlias, MethodType, ModuleType
+from types import (
+    BuiltinFunctionType,
+    CellType,
+    CodeType,
+    FunctionType,
+    GenericAlias,
+    MemberDescriptorType,
+    MethodType,
+    ModuleType,
+    SimpleNamespace,
+)
 from typing import Any, Self
 
 import numpy as np
@@ -27,8 +39,11 @@ from pinmobile.parts import Child, Field, Number, entries_of, fields_of, is_part
 _BEGAN = time.time()
 _DEEPEST = 60
 _ATOMS = (bool, int, float, complex, str, bytes, type(None), type(...), range)
-_DESCRIPTORS = (staticmethod, classmethod)
 _constant: weakref.WeakKeyDictionary[Any, Hashable] = weakref.WeakKeyDictionary()
+_MADE = {  # methods that attrs and dataclasses write, and that no law calls
+    *("__init__", "__repr__", "__eq__", "__hash__", "__setattr__", "__delattr__", "__replace__"),
+    *("__getstate__", "__setstate__", "__reduce__", "__copy__", "__attrs_post_init__"),
+}
 _UNTRACED = ("trajectory", "start", "start_rate")  # fields of a loop that no sample depends on
 
 
@@ -174,16 +189,16 @@ class Identity:
             return self._part(x)
         if isinstance(x, PurePath | np.dtype | GenericAlias):
             return "text", repr(x)
-        if hasattr(x, "saveToString"):  # a model of Pinocchio, whose copies are the same
+        if hasattr(type(x), "saveToString"):  # a model of Pinocchio, whose copies are the same
             return "model", x.saveToString()
         if isinstance(x, slice):
             return "slice", *map(self._value, (x.start, x.stop, x.step))
         if id(x) in self._seen:
             return "seen", self._seen[id(x)][0]
         self._seen[id(x)] = len(self._seen), x
-        if isinstance(x, list):
+        if isinstance(x, list | deque):
             self._changing += 1
-            return "list", tuple(map(self._value, x))
+            return type(x).__qualname__, tuple(map(self._value, x))
         if isinstance(x, Mapping):
             self._changing += 1
             return "mapping", tuple((self._value(key), self._value(value)) for key, value in x.items())
@@ -204,10 +219,15 @@ class Identity:
         if isinstance(x, property | functools.cached_property | staticmethod | classmethod):
             inner = getattr(x, "fget", None) or getattr(x, "func", None) or getattr(x, "__func__", None)
             return kind.__name__, self._value(inner)
+        if isinstance(x, MemberDescriptorType):  # of a slot
+            return "slot", x.__name__
         self._changing += 1
         own = getattr(x, "__dict__", None)
-        if isinstance(own, dict) and not is_foreign(kind.__module__) and not _has_slots(kind):
-            return self._class(kind), tuple((name, self._value(value)) for name, value in own.items())
+        if isinstance(x, SimpleNamespace) or not is_foreign(kind.__module__):
+            slots = {name: getattr(x, name) for name in _slots(kind) if hasattr(x, name)}
+            if slots or isinstance(own, dict):
+                held = slots | (own or {})
+                return self._class(kind), tuple((name, self._value(value)) for name, value in held.items())
         self.is_lasting = False
         return "object", id(x)
 
@@ -224,12 +244,12 @@ class Identity:
         own = [
             (key, self._value(value))
             for key, value in vars(kind).items()
-            if not key.startswith("__") or key == "__call__"
+            if not key.startswith("__") or (isinstance(value, FunctionType) and key not in _MADE)
         ]
         return (*name, tuple(own), tuple(map(self._class, kind.__bases__)))
 
     def _function(self, function: FunctionType) -> Hashable:
-        """Return a function: of the library and of others by name, of a user by its code and all it refers to."""
+        """Return a function: of the library and others by name, of a user by its code and all it refers to."""
         module = function.__module__ or ""
         name = module, function.__qualname__
         library = _is_library(module)
@@ -247,8 +267,7 @@ class Identity:
                 found.append(self._value(cell.cell_contents))
             except ValueError:
                 found.append("not set")
-        if "__wrapped__" in vars(function):
-            found.append(self._value(function.__wrapped__))
+        found += [(key, self._value(value)) for key, value in vars(function).items()]
         if not library and not is_foreign(module):
             self.is_ours = False
             self.namespaces[id(function.__globals__)] = function.__globals__
@@ -279,16 +298,16 @@ def _is_library(module: str) -> bool:
 
 
 @functools.cache
-def _has_slots(kind: type) -> bool:
-    """Tell whether objects of a class keep values that no attribute dictionary has."""
-    slots = (vars(each).get("__slots__", ()) for each in kind.__mro__)
-    names = ({each} if isinstance(each, str) else set(each) for each in slots)
-    return any(each - {"__dict__", "__weakref__"} for each in names)
+def _slots(kind: type) -> tuple[str, ...]:
+    """Return the names of values that objects of a class keep outside an attribute dictionary."""
+    found = (vars(each).get("__slots__", ()) for each in kind.__mro__)
+    names = {name for each in found for name in ((each,) if isinstance(each, str) else each)}
+    return tuple(sorted(names - {"__dict__", "__weakref__"}))
 
 
 @functools.cache
 def _source() -> str | None:
-    """Return what stands for the code of the library, Python and NumPy; None where a file has just changed."""
+    """Return what stands for the code of library, Python and NumPy; None where a file has just changed."""
     files = [(file, file.stat()) for file in sorted(Path(__file__).parents[1].rglob("*.py"))]
     if any(stat.st_mtime > _BEGAN for _, stat in files):
         return None  # another text than the one that was loaded

@@ -1,0 +1,629 @@
+"""Which loops are the same program: what changes is traced anew, other numbers are not; and files of both."""
+
+import gc
+import importlib
+import os
+import subprocess
+import sys
+import weakref
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    COMPILED,
+    PD,
+    Allocated,
+    Circle,
+    ComputedTorque,
+    Coulomb,
+    Delayed,
+    Hold,
+    JointFriction,
+    MobileRobot,
+    NoiseForce,
+    NoisyMeasurement,
+    Normal,
+    RollingResistance,
+    Saturated,
+    Tangent,
+    Uniform,
+    ViscousFriction,
+    WheeledRobot,
+    WheelTable,
+    WholeBody,
+    ensemble,
+    law,
+    rk4,
+    semi_implicit_euler,
+    simulate,
+)
+from pinmobile.compiled import Cache, Target, processor
+from pinmobile.compiled.processor import LOOP
+from pinmobile.loop import _identity, _program
+from pinmobile.loop._trace import traced
+
+ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
+CIRCLE = Tangent(Circle(2.0, 0.2, 1.0))
+
+
+class Process:
+    """What stands for a process that begins: it knows nothing but its files."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.folder, self.traced = folder, 0
+        monkeypatch.setenv("PINMOBILE_CACHE", str(folder))
+        monkeypatch.setattr(_program, "traced", self._trace)
+        self.begin()
+
+    def _trace(self, *given: Any, **options: Any) -> Any:
+        self.traced += 1
+        return traced(*given, **options)
+
+    def begin(self) -> None:
+        _program._programs.clear()
+        processor._known.clear()
+        self.traced = 0
+
+    @property
+    def loops(self) -> list[str]:
+        return sorted(file.name for file in self.folder.glob("*.loop"))
+
+
+@pytest.fixture
+def process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Process:
+    return Process(tmp_path / "cache", monkeypatch)
+
+
+def run(controller: Any, **options: Any) -> Any:
+    given: dict[str, Any] = {"n": 3, "spread": {"mass": Uniform(20, 40)}, "dt": 0.1, "engine": COMPILED}
+    return ensemble(ROBOT, controller, CIRCLE, **given | options)
+
+
+# Other numbers are no other program.
+
+
+def wheeled(mass: float, ground: Any) -> WheeledRobot:
+    table = WheelTable.differential(0.5, 0.1, supports=[(0.2, 0.0)], mass=1, spin_inertia=0.01)
+    return WheeledRobot(MobileRobot(mass, 2.3, com=(0.0, 0.0, 0.1)), table, ground)
+
+
+def rolling(mass: float, ground: Any = None) -> Any:
+    plant = wheeled(mass, ground)
+    return simulate(plant, Allocated(PD(mass, 20.0), plant), CIRCLE, dt=0.1, engine=COMPILED)
+
+
+def armed(mass: float) -> Any:
+    robot = MobileRobot(mass, 1.0).mount("double_pendulum", (0.1, 0.0, 0.2, 0.0))
+    motion = WholeBody(robot, CIRCLE, Hold(robot.rest[3:], 1.0))
+    given: dict[str, Any] = {"dt": 0.001, "duration": 0.02, "engine": COMPILED}
+    return simulate(
+        robot, ComputedTorque(robot, mass, 6), motion, forces=[JointFriction(0.001 * mass)], **given
+    )
+
+
+ALIKE: dict[str, Callable[[float], Any]] = {
+    "gains and a model": lambda x: run(ComputedTorque(MobileRobot(x, 1.3, com=(0.1, 0.1)), x, 5)),
+    "forces": lambda x: run(
+        PD(9, 9), forces=[RollingResistance((x, x, x), 0.05), ViscousFriction((x, x, 1))]
+    ),
+    "wrappers": lambda x: run(Saturated(NoisyMeasurement(Delayed(PD(x, 9), 1), 0.1, 0.1, 3), x)),
+    "a start, a reference and a step": lambda x: simulate(
+        ROBOT,
+        PD(9, 9),
+        Tangent(Circle(x, 0.2, 1.0)),
+        dt=x / 300,
+        duration=x / 30,
+        v0=[x, 0, 0],
+        engine=COMPILED,
+    ),
+    "wheels": rolling,
+    "wheels on a ground": lambda x: rolling(x, Coulomb(0.02 * x)),
+    "an arm": armed,
+}
+
+
+@pytest.mark.parametrize("what", ALIKE)
+def test_the_same_loop_with_other_numbers_is_not_traced_again(what: str, process: Process) -> None:
+    ALIKE[what](15.0)
+    assert process.traced == 1
+    ALIKE[what](30.0)
+    assert process.traced == 1
+
+
+def test_another_class_integrator_or_structure_is_another_program(process: Process) -> None:
+    loops: tuple[Callable[[], Any], ...] = (
+        lambda: run(PD(9, 9)),
+        lambda: run(PD(9, 9), integrator=rk4),
+        lambda: run(PD(9, 9), substeps=2),
+        lambda: run(PD((9, 8, 7), 9)),
+        lambda: run(PD(9, 9), spread={}),
+        lambda: run(PD(9, 9), spread={"kp": Uniform(8, 9)}),
+        lambda: run(Delayed(PD(9, 9), 1)),
+        lambda: run(Delayed(PD(9, 9), 2)),
+        lambda: run(PD(9, 9), n=1),
+    )
+    for _ in range(2):
+        for one in loops:
+            one()
+        assert process.traced == len(loops)
+
+
+# What a law reaches in any way is seen when it changes.
+
+SCALE, TABLE, GAINS, QUEUE = 2.0, np.array([2.0, 2.0, 2.0]), [2.0], deque([2.0])
+BOX, SETTINGS = SimpleNamespace(w=2.0), {"inner": {"w": [2.0]}}
+
+
+class Queue(deque[float]):
+    pass
+
+
+OWN_QUEUE = Queue([2.0])
+
+
+@dataclass(slots=True)
+class Slotted:
+    k: float = 2.0
+
+
+class Beside(Slotted):
+    """It has slots of its base and a dictionary beside these."""
+
+    def __matmul__(self, e: Any) -> Any:
+        return self.k * e
+
+
+BESIDE = Beside()
+
+
+class Plan:
+    k = 2.0
+
+    def gain(self) -> float:
+        return self.k
+
+
+PLAN = Plan()
+BOUND = PLAN.gain
+
+
+@dataclass
+class Settings:
+    gain: float = 2.0
+
+
+OBJECT = Settings()
+
+
+def halved(settings: Any) -> Any:
+    return settings["inner"]["w"][0]
+
+
+PARTIAL = partial(halved, SETTINGS)
+
+
+def double(x: Any) -> Any:
+    return 2.0 * x
+
+
+def twenty_times(x: Any) -> Any:
+    return 20.0 * x
+
+
+def by_global(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return SCALE * (reference.q - q) - v
+
+
+def by_array(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return TABLE * (reference.q - q) - v
+
+
+def by_queue(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return QUEUE[0] * (reference.q - q) - v
+
+
+def by_own_queue(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return OWN_QUEUE[0] * (reference.q - q) - v
+
+
+def by_slots(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return BESIDE.k * (reference.q - q) - v
+
+
+def by_operator(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return BESIDE.__matmul__(reference.q - q) - v
+
+
+def by_namespace(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return BOX.w * (reference.q - q) - v
+
+
+def by_mapping(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return SETTINGS["inner"]["w"][0] * (reference.q - q) - v
+
+
+def by_object(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return OBJECT.gain * (reference.q - q) - v
+
+
+def by_class(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return PLAN.gain() * (reference.q - q) - v
+
+
+def by_bound_method(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return BOUND() * (reference.q - q) - v
+
+
+def by_partial(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return PARTIAL() * (reference.q - q) - v
+
+
+def by_default(t: float, q: Any, v: Any, reference: Any, gains: Any = GAINS) -> Any:
+    return gains[0] * (reference.q - q) - v
+
+
+def by_keyword(t: float, q: Any, v: Any, reference: Any, *, gains: Any = GAINS) -> Any:
+    return gains[0] * (reference.q - q) - v
+
+
+def by_attribute(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return by_attribute.gain * (reference.q - q) - v  # type: ignore[attr-defined]
+
+
+def by_code(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return 2.0 * (reference.q - q) - v
+
+
+def by_other_code(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return 20.0 * (reference.q - q) - v
+
+
+def by_helper(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return double(reference.q - q) - v
+
+
+def _closed() -> tuple[Any, Any]:
+    gain = 2.0
+
+    def change(x: float) -> None:
+        nonlocal gain
+        gain = x
+
+    return lambda t, q, v, reference: gain * (reference.q - q) - v, change
+
+
+CLOSED, CHANGE = _closed()
+OWN = {2.0: by_code.__code__, 20.0: by_other_code.__code__}
+HELPERS = {2.0: double.__code__, 20.0: twenty_times.__code__}
+CHANGES: dict[str, tuple[Any, Callable[[float], Any]]] = {
+    "global": (by_global, lambda x: globals().update(SCALE=x)),
+    "array": (by_array, lambda x: TABLE.fill(x)),
+    "closure": (CLOSED, CHANGE),
+    "code": (by_code, lambda x: setattr(by_code, "__code__", OWN[x])),  # as %autoreload changes it
+    "code of a helper": (by_helper, lambda x: setattr(double, "__code__", HELPERS[x])),
+    "namespace": (by_namespace, lambda x: setattr(BOX, "w", x)),
+    "mapping of mappings": (by_mapping, lambda x: SETTINGS["inner"]["w"].__setitem__(0, x)),
+    "object": (by_object, lambda x: setattr(OBJECT, "gain", x)),
+    "class": (by_class, lambda x: setattr(Plan, "k", x)),
+    "deque": (by_queue, lambda x: QUEUE.__setitem__(0, x)),
+    "subclass of a deque": (by_own_queue, lambda x: OWN_QUEUE.__setitem__(0, x)),
+    "slots and a dictionary": (by_slots, lambda x: setattr(BESIDE, "k", x)),
+    "operator": (by_operator, lambda x: setattr(Beside, "__matmul__", lambda self, e: x * e)),
+    "entry of a default": (by_default, lambda x: GAINS.__setitem__(0, x)),
+    "default": (by_default, lambda x: setattr(by_default, "__defaults__", ([x],))),
+    "default by keyword": (by_keyword, lambda x: setattr(by_keyword, "__kwdefaults__", {"gains": [x]})),
+    "attribute of a function": (by_attribute, lambda x: setattr(by_attribute, "gain", x)),
+    "bound method": (by_bound_method, lambda x: setattr(Plan, "k", x)),
+    "partial": (by_partial, lambda x: SETTINGS["inner"]["w"].__setitem__(0, x)),
+}
+
+
+def assert_as_python(controller: Any) -> float:
+    one = run(controller, n=1, spread={})
+    alone = simulate(ROBOT, controller, CIRCLE, dt=0.1)
+    np.testing.assert_allclose(one.max_error[0], alone.max_error(), rtol=1e-12, atol=1e-12)
+    return float(one.max_error[0, 0])
+
+
+@pytest.mark.parametrize("what", CHANGES)
+def test_what_a_law_reaches_in_any_way_is_seen_when_it_changes(what: str, process: Process) -> None:
+    """In the same process and in the next one, which has the files of this."""
+    function, change = CHANGES[what]
+    try:
+        for k, value in enumerate((2.0, 20.0, 2.0)):
+            change(value)
+            if k == 2:
+                process.begin()
+            assert_as_python(law(function))
+    finally:
+        change(2.0)
+
+
+class Scaled:
+    """A user's ordinary class: its numbers are constants of the compiled loop."""
+
+    bias = 0.0
+
+    def __init__(self, kp: float) -> None:
+        self.kp, self.more = kp, {"kd": [1.0]}
+
+    def initial_state(self, context: Any) -> None: ...
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: None) -> Any:
+        return self.kp * (reference.q - q) - self.more["kd"][0] * v + self.bias, None
+
+
+def test_attributes_of_an_ordinary_class_are_seen_when_they_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    controller = Scaled(4.0)
+    found = [assert_as_python(controller)]
+    controller.kp = 40.0
+    found.append(assert_as_python(controller))
+    controller.more["kd"][0] = 9.0
+    found.append(assert_as_python(controller))
+    monkeypatch.setattr(Scaled, "bias", 5.0)
+    found.append(assert_as_python(controller))
+    monkeypatch.setattr(
+        Scaled, "__call__", lambda self, t, q, v, reference, state: (9 * (reference.q - q), None)
+    )
+    found.append(assert_as_python(controller))
+    assert len(set(found)) == 5
+
+
+def test_a_module_that_is_reloaded_is_traced_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = "def control(t, q, v, reference):\n    return {} * (reference.q - q) - v\n"
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    found, file = [], tmp_path / "edited_law.py"
+    file.write_text(text.format(2.0))
+    module = importlib.import_module("edited_law")
+    for gain in (2.0, 20.0):
+        file.write_text(text.format(gain))
+        found.append(assert_as_python(law(importlib.reload(module).control)))
+    assert found[0] > 1.01 * found[1]
+
+
+def _twice(one: float, other: float) -> Any:
+    def made(gain: float) -> Any:
+        return lambda e: gain * e
+
+    first, second = made(one), made(other)
+    return law(lambda t, q, v, reference: first(reference.q - q) - second(v))
+
+
+def test_closures_of_one_function_are_told_apart(process: Process) -> None:
+    found = []
+    for gains in ((4.0, 9.0), (9.0, 4.0), (4.0, 9.0)):
+        process.begin()
+        found.append((run(_twice(*gains), n=1, spread={}).max_error[0], process.traced))
+    assert not np.array_equal(found[0][0], found[1][0])
+    assert np.array_equal(found[0][0], found[2][0])
+    assert [traces for _, traces in found] == [1, 1, 0]
+
+
+class Obliging:
+    """It has whatever name it is asked for, but for those that Python itself looks for in a class."""
+
+    __slots__ = ()
+
+    def __getattr__(self, name: str) -> Any:
+        return self
+
+
+OBLIGING = Obliging()
+
+
+def test_an_object_that_has_every_name_is_no_obstacle() -> None:
+    def holding(t: float, q: Any, v: Any, reference: Any) -> Any:
+        return (3.0 if OBLIGING is not None else 0.0) * (reference.q - q)
+
+    assert_as_python(law(holding))
+
+
+def _run_and_forgotten() -> list[weakref.ref[Any]]:
+    robot, large = MobileRobot(31.0, 1.4), np.ones(1_000)
+    torque, force = Saturated(ComputedTorque(robot, 4, 5), [50, 50, 50]), ViscousFriction([1, 2, 3])
+    trajectory = Tangent(Circle(2.0, 0.1, 5.0))
+    ensemble(robot, torque, trajectory, n=2, spread={"mass": Normal(31, 1)}, dt=0.1, forces=[force])
+    simulate(robot, torque, trajectory, dt=0.1, forces=[force], engine=COMPILED)
+    return [weakref.ref(x) for x in (robot, large, torque, trajectory, force)]
+
+
+def test_nothing_that_was_run_is_kept_alive() -> None:
+    died = _run_and_forgotten()
+    gc.collect()
+    assert [type(reference()) for reference in died] == [type(None)] * len(died)
+
+
+# Another process.
+
+LOOPS: dict[str, Callable[[], Any]] = {
+    "computed torque": lambda: run(ComputedTorque(ROBOT, 4, 5)),
+    "wrappers": lambda: run(NoisyMeasurement(Delayed(Saturated(PD(100, 20), [9, 9, 3]), 2), 0.1, 0.1, 3)),
+    "noise": lambda: run(PD(100, 20), forces=[NoiseForce([1, 2, 3], 2.0, 5)], integrator=semi_implicit_euler),
+    "a law": lambda: run(law(lambda t, q, v, reference: 9.0 * (reference.q - q) - np.tanh(v))),
+    "spread of the start": lambda: run(PD(9, 2), spread={"start.x": Normal(0, 0.1), "kp": Uniform(3, 5)}),
+}
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_a_loop_is_traced_in_one_process_alone_and_gives_the_same_bits(name: str, process: Process) -> None:
+    first = LOOPS[name]()
+    assert process.traced == 1
+    process.begin()
+    again = LOOPS[name]()
+    assert process.traced == 0
+    for what in ("max_error", "max_force", "rms_error"):
+        assert np.array_equal(getattr(first, what), getattr(again, what))
+
+
+@pytest.mark.parametrize("make", [armed, lambda x: rolling(x, Coulomb())], ids=["arm", "wheels"])
+def test_one_robot_and_its_signals_are_found_again(make: Any, process: Process) -> None:
+    first = make(20.0)
+    process.begin()
+    again = make(20.0)
+    assert process.traced == 0
+    assert np.array_equal(first.q, again.q)
+    units = [[(name, each.unit) for name, each in found.signals.items()] for found in (first, again)]
+    assert units[0] == units[1]
+    assert make is armed or units[0]
+
+
+def test_another_process_finds_the_loop_whatever_its_seed_of_hashes(process: Process) -> None:
+    LOOPS["a law"]()
+    LOOPS["wrappers"]()
+    before = process.loops
+    code = (
+        "from pinmobile.loop import _program\n"
+        "def refuse(*given, **options): raise SystemExit('traced')\n"
+        "from tests.test_identity import LOOPS\n"
+        "_program.traced = refuse\n"
+        "LOOPS['a law'](); LOOPS['wrappers']()\n"
+    )
+    words = [sys.executable, "-c", code]
+    given: Any = {"env": os.environ | {"PYTHONHASHSEED": "7"}, "cwd": Path(__file__).parents[1]}
+    done = subprocess.run(words, **given, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert process.loops == before
+
+
+def test_no_file_is_used_where_the_source_is_not_what_was_loaded(
+    process: Process, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(PD(100, 20))
+    _identity._source.cache_clear()
+    monkeypatch.setattr(_identity, "_BEGAN", 0.0)
+    process.begin()
+    run(PD(100, 20))
+    assert process.traced == 1
+    _identity._source.cache_clear()
+
+
+def replaced(process: Process, change: Callable[[bytes], bytes], suffix: str) -> None:
+    """Change the files of one kind, and run their loop again."""
+    before = run(PD(100, 20)).max_error
+    (file,) = process.folder.glob(f"*{suffix}")
+    whole = file.read_bytes()
+    file.write_bytes(change(whole))
+    process.begin()
+    assert np.array_equal(run(PD(100, 20)).max_error, before)
+    assert file.read_bytes() == whole
+
+
+@pytest.mark.parametrize("suffix", [".loop", ".o"])
+@pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b[:-1] + b"?"])
+def test_a_damaged_file_is_made_again(damage: Any, suffix: str, process: Process) -> None:
+    replaced(process, damage, suffix)
+    assert process.traced == (suffix == ".loop")
+
+
+@pytest.mark.parametrize("text", [b"{}", b"[", b"[1]", b'{"loop": {}}'])
+def test_a_whole_file_that_holds_no_loop_is_written_again(text: bytes, process: Process) -> None:
+    before = run(PD(100, 20)).max_error
+    (name,) = process.loops
+    Cache(process.folder).write(name.removesuffix(".loop"), text, LOOP)
+    process.begin()
+    assert np.array_equal(run(PD(100, 20)).max_error, before)
+    assert process.traced == 1
+
+
+def test_a_loop_whose_machine_code_is_gone_is_built_and_not_traced(process: Process) -> None:
+    before = run(PD(100, 20)).max_error
+    for file in process.folder.glob("*.o"):
+        file.unlink()
+    process.begin()
+    assert np.array_equal(run(PD(100, 20)).max_error, before)
+    assert process.traced == 0
+
+
+# The folder of files.
+
+
+def test_where_nothing_can_be_written_a_loop_is_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    Process(tmp_path / "file" / "inside", monkeypatch)
+    assert_as_python(PD(9, 9))
+    assert (tmp_path / "file").read_text() == ""
+
+
+@pytest.mark.parametrize("home", [None, "/nonexistent"])
+def test_a_machine_without_home_builds(home: str | None) -> None:
+    code = "from tests.test_identity import PD, assert_as_python; assert_as_python(PD(9, 9)); print('fine')"
+    kept = {name: value for name, value in os.environ.items() if name not in ("HOME", "XDG_CACHE_HOME")}
+    environment = kept if home is None else kept | {"HOME": home}
+    environment |= {"PINMOBILE_CACHE": "/proc/nothing"} if home is None else {}
+    given: Any = {"env": environment, "cwd": Path(__file__).parents[1]}
+    done = subprocess.run([sys.executable, "-c", code], **given, capture_output=True, text=True, check=False)
+    assert done.stdout == "fine\n", done.stderr
+
+
+def test_a_file_of_another_user_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache = Cache(tmp_path)
+    cache.write("key", b"code")
+    assert cache.read("key") == b"code"
+    monkeypatch.setattr(os, "getuid", lambda: 12345678)
+    assert cache.read("key") is None
+
+
+def test_swapped_files_are_not_run(tmp_path: Path) -> None:
+    cache = Cache(tmp_path)
+    for key, kind in (("one", ".o"), ("other", ".o"), ("one", ".loop")):
+        cache.write(key, f"{key} {kind}".encode(), kind)
+    contents = [(tmp_path / name).read_bytes() for name in ("one.o", "other.o", "one.loop")]
+    for name, content in zip(("other.o", "one.loop", "one.o"), contents, strict=True):
+        (tmp_path / name).write_bytes(content)
+    assert [cache.read("one"), cache.read("other"), cache.read("one", ".loop")] == [None, None, None]
+    (tmp_path / "one.o").write_bytes(contents[0])
+    assert cache.read("one") == b"one .o"
+
+
+@pytest.mark.parametrize("mode", [0o770, 0o702, None])
+def test_a_folder_that_others_may_write_to_is_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int | None
+) -> None:
+    Cache(tmp_path).write("key", b"code")
+    if mode is None:
+        monkeypatch.setattr(os, "getuid", lambda: 12345678)
+    else:
+        tmp_path.chmod(mode)
+    with pytest.warns(UserWarning, match=f"^the folder of machine code '{tmp_path}' is not used"):
+        Cache(tmp_path)
+    cache = Cache(tmp_path)  # of which nothing more is said
+    assert cache.read("key") is None
+    cache.write("other", b"code")
+    assert [each.name for each in tmp_path.iterdir()] == ["key.o"]
+
+
+def test_the_key_is_of_text_and_processor() -> None:
+    one = Target("haswell", "", 4)
+    assert one.key("text") != one.key("text ")
+    assert one.key("text") != Target("haswell", "-avx2", 4).key("text")
+    assert one.key("text") != Target("znver3", "", 4).key("text")
+
+
+def test_the_folder_is_thinned_and_leaves_no_halves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pinmobile.compiled.processor._MOST", 8)
+    cache = Cache(tmp_path)
+    for i in range(40):
+        cache.write(f"key{i}", b"code")
+    assert len(list(tmp_path.iterdir())) <= 8
+    assert cache.read("key39") == b"code"
+    monkeypatch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(OSError("full")))
+    cache.write("late", b"code")
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_the_environment_names_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PINMOBILE_CACHE", str(tmp_path))
+    assert Cache().folder == tmp_path
+    monkeypatch.setenv("PINMOBILE_CACHE", "")
+    assert Cache().folder is None
