@@ -64,11 +64,13 @@ class Loop:
 
     plant: Any = child(object, doc="simulated system")
     controller: Any = child(object, doc="controller, with its wrappers")
-    trajectory: Any = child(object, optional=True, doc="what the reference is sampled from")
+    trajectory: Any = child(object, default=None, optional=True, doc="what the reference is sampled from")
     forces: Any = children(object, default=(), doc="external forces")
-    integrator: Any = child(object, optional=True, doc="None for a plant with a step of its own")
+    integrator: Any = child(
+        object, default=None, optional=True, doc="None for a plant with a step of its own"
+    )
     substeps: int = integer(default=1, least=1, doc="steps of the plant in a sample")
-    recorder: Any = child(object, optional=True, doc="part that records samples")
+    recorder: Any = child(object, default=None, optional=True, doc="part that records samples")
     start: Any = array(default=_OF_START, labels=_coordinates, doc="displacement of the start")
     start_rate: Any = array(default=_OF_START, labels=_rates, doc="velocity added at the start")
 

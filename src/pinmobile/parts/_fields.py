@@ -100,7 +100,7 @@ class structure(numeric[_T]):
     def __get__(self, part: Any, owner: Any = None) -> Any:
         if part is None or self.attrname in vars(part) or "nominal" not in vars(part):
             return super().__get__(part, owner)
-        return getattr(vars(part)["nominal"], self.attrname or "")  # type: ignore[no-any-return]
+        return getattr(vars(part)["nominal"], self.attrname or "")
 
 
 @attrs.frozen
@@ -281,7 +281,7 @@ def _checked(value: Any, owner: Any, field: attrs.Attribute[Any]) -> Any:
     return found
 
 
-_convert = attrs.Converter(_checked, takes_self=True, takes_field=True)  # type: ignore[call-overload]
+_convert = attrs.Converter(_checked, takes_self=True, takes_field=True)
 
 
 def declare(declared: Field, default: Any = attrs.NOTHING, **options: Any) -> Any:
@@ -435,7 +435,7 @@ def part(cls: type[_T]) -> type[_T]:
 
         cls.__attrs_post_init__ = check  # type: ignore[attr-defined]
     if "__reduce__" not in own:
-        cls.__reduce__ = lambda self: (_rebuilt, (type(self), _initial(self)))  # type: ignore[method-assign,assignment]
+        cls.__reduce__ = lambda self: (_rebuilt, (type(self), _initial(self)))  # type: ignore[method-assign]
     if "__copy__" not in own:
         cls.__copy__ = _shallow  # type: ignore[attr-defined]
     return attrs.define(cls, slots=False, eq=False, frozen=True, repr=cls.__repr__ is object.__repr__)
@@ -458,7 +458,7 @@ def by_value(cls: type[_T]) -> type[_T]:
         return type(other) is type(self) and key(self) == key(other)
 
     cls.__eq__ = same  # type: ignore[method-assign]
-    cls.__hash__ = lambda self: hash((type(self), key(self)))  # type: ignore[method-assign,assignment]
+    cls.__hash__ = lambda self: hash((type(self), key(self)))  # type: ignore[method-assign]
     return cls
 
 
@@ -497,7 +497,7 @@ def fields_of(part: Any) -> list[tuple[str, Field, Any]]:
 
     The fields of a user's plain frozen dataclass are what their values are: floats and arrays are numbers.
     """
-    values = ((name, declared, getattr(part, name)) for name, declared in declared_by(type(part)))
+    values = ((name, declared, getattr(part, name)) for name, declared in declared_by(type(part)))  # type: ignore[arg-type]
     return [(name, declared or _seen(value), value) for name, declared, value in values]
 
 
@@ -523,7 +523,7 @@ def evolved(part: _T, changes: Mapping[str, Any] = MappingProxyType({}), /, **ot
     changes = {**changes, **others}
     if not attrs.has(type(part)):
         return dataclasses.replace(part, **changes)  # type: ignore[type-var]
-    own = attrs.fields(type(part))
+    own = attrs.fields(type(part))  # type: ignore[arg-type]
     if not all(f.init and "declared" in f.metadata for f in own):
         return attrs.evolve(part, **changes)  # type: ignore[misc]
     new = object.__new__(type(part))  # fields that stay are not checked again

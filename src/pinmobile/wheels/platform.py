@@ -250,7 +250,7 @@ class Platform:
     @property
     def size(self) -> tuple[float, float, float]:
         """Length, width and height of the body [m]."""
-        return self.robot.size
+        return self.robot.size  # type: ignore[no-any-return]
 
     @cached_property
     def _picture(self) -> Picture:
