@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
-from itertools import product
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
-import attrs
 import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, callable_as, finite, frozen, positive, sequence, text, whole
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.parts import Leaf, Number, fields_of
 
 if TYPE_CHECKING:
     from pinmobile.compiled.memory import Line, Noise, Schedule
@@ -370,82 +366,6 @@ class Parameter:
         array = array.diagonal() if array.ndim == 2 else array
         numbers = array if self.entry is None or not array.ndim else array[self.entry]
         return float(numbers.flat[0]) if (numbers == numbers.flat[0]).all() else None
-
-
-def _stated(part: object) -> Sequence[Any]:
-    stated = getattr(part, "parameters", ())
-    if isinstance(stated, str):
-        raise InvalidArgument(f"parameters of {shown(part)} is {stated!r}, expected a tuple: ({stated!r},)")
-    return stated if isinstance(stated, list | tuple) else ()  # some answer to any name with something
-
-
-def parameters_of(part: object) -> tuple[Parameter, ...]:
-    """Return the parameters that a part states; a name alone is one without unit and bound.
-
-    Raises
-    ------
-    InvalidArgument
-        If it states one twice.
-    """
-    if not hasattr(part, "parameters") and attrs.has(part if isinstance(part, type) else type(part)):
-        return tuple(_declared_by(part))
-    found = tuple(
-        Parameter(each, attribute=each) if isinstance(each, str) else _with_attribute(each)
-        for each in _stated(part)
-    )
-    names = [each.name for each in found]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise InvalidArgument(
-            f"a {type(part).__name__} states the parameter {twice!r} twice, expected names that differ"
-        )
-    return found
-
-
-def _declared_by(part: object) -> Iterator[Parameter]:
-    """Yield the parameters that the fields of a part declare: each number, and each of its entries.
-
-    Of a class, entries are those whose labels are the same for all of its parts.
-    """
-    for name, declared, value in _fields_of_kind(part) if isinstance(part, type) else fields_of(part):
-        if not isinstance(declared, Number) or declared.fixed or value is None:
-            continue
-        least = -np.inf if declared.above is None and declared.lower is None else declared.above or 0.0
-        least = declared.lower if declared.lower is not None else least
-        is_gain = ("n", "n") in declared.shapes
-        write = None if not is_gain else _written_gain
-        own = name, declared.unit, declared.doc or name, least, declared.above is None
-        yield Parameter(*own, attribute=name, write=write)
-        labels = Leaf(name, part, declared, value).labels if np.ndim(value) or is_gain else ()
-        rows = range(len(value)) if np.ndim(value) == 2 and not is_gain else [None]
-        for row, (k, label) in product(rows, enumerate(labels)):
-            at = label if row is None else f"{row}.{label}"
-            unit, words = declared.unit_of(k), f"{declared.doc or name}, {at}"
-            one = partial(_written_entry, k) if is_gain else None
-            entry = k if row is None else (row, k)
-            yield Parameter(f"{name}.{at}", unit, words, least, declared.above is None, name, entry, one)
-
-
-def _fields_of_kind(kind: type) -> Iterator[tuple[str, Any, Any]]:
-    for each in attrs.fields(kind):  # type: ignore[arg-type]
-        declared = each.metadata.get("declared")
-        labels = getattr(declared, "labels", ())
-        is_labelled = labels and not callable(labels) and () not in declared.shapes
-        yield each.name, declared, np.zeros(len(labels)) if is_labelled else 0.0
-
-
-def _written_gain(values: Array, column: Array, size: int) -> Array:
-    return np.repeat(column[:, None], values.shape[-1] if values.ndim > 1 else size, axis=1)
-
-
-def _written_entry(k: int, values: Array, column: Array, size: int) -> Array:
-    new = values.copy() if values.ndim > 1 else np.repeat(values[:, None], size, axis=1)
-    new[(slice(None), *(k,) * (new.ndim - 1))] = column
-    return new
-
-
-def _with_attribute(parameter: Parameter) -> Parameter:
-    return parameter if parameter.attribute else replace(parameter, attribute=parameter.name)
 
 
 @dataclass(frozen=True, eq=False)
