@@ -376,7 +376,10 @@ def scenario(
             if lacks is None or error.name != name:
                 raise
             lacks[name] = error
-    return Scenario(**loop, **drawn, spread=sources)
+    try:
+        return Scenario(**loop, **drawn, spread=sources)
+    except UnknownName as error:
+        raise (lacks or {}).get(str(error.name), error) from None
 
 
 def check_lacking(lacks: Mapping[str, UnknownName], spread: Collection[str]) -> None:
@@ -481,5 +484,5 @@ def spreadable() -> str:
     return (
         f"{listed}\n\nThat is of the lecture's loop. The end of a path is enough: mass is plant.mass, radius "
         "trajectory.path.radius; controller.mass is the nearest one there. Forces, arms and wheels have more: "
-        " force.x, forearm_link.mass and left.radius."
+        "force.x, forearm_link.mass and left.radius."
     )

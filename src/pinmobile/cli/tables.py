@@ -97,10 +97,7 @@ def _line_of_place(place: str, text: str, tree: Table, swept: Table) -> int:
         for name in swept:
             if f"{name}.".startswith(f"{dotted}."):
                 return line(text, "grid", name)
-        found = tree.get(table)
-        for key in keys:
-            found = found.get(key) if isinstance(found, Mapping) else None
-        at = 0 if found is None else line(text, table, ".".join(keys))
+        at = line(text, table, ".".join(keys))
         if at > line(text, table):  # a row of its own; within a table on one line, that of the table
             return at
         keys.pop()
@@ -119,8 +116,8 @@ def _line_of_name(name: object, text: str, tree: Table, swept: Table, *, among_k
             return line(text, "grid", where)
     for table, content in tree.items():
         for key, value in leaves(content):
-            if (among_keys and f".{key}".endswith(f".{name}")) or _holds(value, name):
-                return line(text, table, key)
+            if (among_keys and f".{name}." in f".{key}.") or _holds(value, name):
+                return _line_of_place(f"{table}.{key}", text, tree, swept)
     for where in swept:
         if among_keys and name in where.split("."):
             return line(text, "grid", where)
