@@ -249,7 +249,7 @@ class Identity:
         return (*name, tuple(own), tuple(map(self._class, kind.__bases__)))
 
     def _function(self, function: FunctionType) -> Hashable:
-        """Return a function: of the library and others by name, of a user by its code and all it refers to."""
+        """Return a function: of the library and others by name, of a user by code and what that refers to."""
         module = function.__module__ or ""
         name = module, function.__qualname__
         library = _is_library(module)

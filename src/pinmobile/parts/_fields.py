@@ -126,7 +126,7 @@ class Number(Field):
 
     Attributes
     ----------
-    unit : str
+    unit : str, or function of the part
         Unit of the numbers, "" for none; of an array with mixed units, one for each entry: ``"N, N, N m"``.
     above, lower, upper : float, optional
         Bounds; `above` itself is excluded.
@@ -148,7 +148,7 @@ class Number(Field):
         constant.
     """
 
-    unit: str = ""
+    unit: str | Callable[[Any], str] = ""
     above: float | None = None
     lower: float | None = None
     upper: float | None = None
@@ -208,15 +208,17 @@ class Number(Field):
         wrong = self.beyond(array)
         if wrong.any():
             at = tuple(int(i) for i in np.argwhere(wrong)[0])
-            unit = self.unit_of(at[-1]) if at else "" if ", " in self.unit else self.unit
+            own = "" if callable(self.unit) else self.unit
+            unit = unit_of(own, at[-1]) if at else "" if ", " in own else own
             raise InvalidArgument(f"{name} is {array[at]}{unit and ' ' + unit}, expected {self.bound}")
 
-    def unit_of(self, entry: int | None) -> str:
-        """Return the unit of an entry of the last axis; None: of all."""
-        units = self.unit.split(", ")
-        if entry is None or len(units) == 1:
-            return self.unit
-        return units[entry] if entry < len(units) else units[-1]
+
+def unit_of(unit: str, entry: int | None) -> str:
+    """Return the unit of an entry of the last axis; None: of all."""
+    units = unit.split(", ")
+    if entry is None or len(units) == 1:
+        return unit
+    return units[entry] if entry < len(units) else units[-1]
 
 
 def _fits(shape: tuple[int, ...], wanted: _Shape) -> bool:
@@ -324,7 +326,7 @@ def array(
     *,
     default: Any = attrs.NOTHING,
     shapes: tuple[_Shape, ...] = (("n",),),
-    unit: str = "",
+    unit: str | Callable[[Any], str] = "",
     doc: str = "",
     labels: tuple[str, ...] | Callable[[Any], Sequence[str]] = (),
     above: float | None = None,

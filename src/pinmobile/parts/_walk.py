@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from pinmobile.errors import InvalidArgument, UnknownName
-from pinmobile.parts._fields import Child, Field, Number, _Option, evolved, fields_of, is_part
+from pinmobile.parts._fields import Child, Field, Number, _Option, evolved, fields_of, is_part, unit_of
 
 _T = TypeVar("_T")
 
@@ -44,6 +44,12 @@ class Leaf(NamedTuple):
         columns = [*names[: shape[-1]], *map(str, range(len(names), shape[-1]))]
         rows = list(np.ndindex(shape[:-1]))
         return {".".join([*map(str, row), name]): (*row, k) for row in rows for k, name in enumerate(columns)}
+
+    @property
+    def unit(self) -> str:
+        """Unit of the field, as `Number` has it."""
+        unit = getattr(self.declared, "unit", "")
+        return unit(self.owner) if callable(unit) else str(unit)
 
     @property
     def is_gain(self) -> bool:
@@ -198,10 +204,7 @@ class Found(NamedTuple):
     @property
     def unit(self) -> str:
         """Unit of the number."""
-        declared = self.leaf.declared
-        return (
-            declared.unit_of(self.entry[-1] if self.entry else None) if isinstance(declared, Number) else ""
-        )
+        return unit_of(self.leaf.unit, self.entry[-1] if self.entry else None)
 
     @property
     def meaning(self) -> str:
@@ -317,7 +320,7 @@ def table(part: Any) -> str:
         (
             path,
             np.array2string(np.asarray(leaf.value), precision=6),
-            leaf.declared.unit,
+            leaf.unit,
             leaf.declared.bound,
             leaf.declared.doc,
         )
