@@ -22,7 +22,7 @@ start = now()
 from pinmobile import Circle, ComputedTorque, MobileRobot, Normal, Tangent, Uniform, ensemble
 imported = now()
 robot = MobileRobot(30.0, 1.3, com=(0.1, 0.0))
-spread = {"mass": Uniform(20, 40), "com_x": Normal(0.1, 0.02)}
+spread = {"mass": Uniform(20, 40), "com.x": Normal(0.1, 0.02)}
 trajectory = Tangent(Circle(3.0, 0.1, 60.0))
 ensemble(robot, ComputedTorque(robot, 4, 4), trajectory, n=100, spread=spread, seed=0, dt=0.1)
 print("\\n", imported - start, now() - imported)

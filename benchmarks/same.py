@@ -114,7 +114,7 @@ def ensembles() -> Iterator[tuple[str, str]]:
     import pinmobile as pm
 
     for name, (robot, controller, trajectory, options) in loops():
-        spread: dict[str, Any] = {"mass": pm.Uniform(20, 40), "start_x": pm.Normal(0, 0.05)}
+        spread: dict[str, Any] = {"mass": pm.Uniform(20, 40), "start.x": pm.Normal(0, 0.05)}
         if "ur5" in name:
             spread["load_mass"] = pm.Uniform(0, 3)
         for engine in (pm.COMPILED, pm.COMPILED):

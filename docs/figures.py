@@ -97,7 +97,7 @@ def wheels() -> dict[str, Rollout]:
 def many() -> dict[str, Ensemble]:
     """Return three hundred robots by each of two controllers."""
     robot, way = MobileRobot(30, 1.3), Tangent(Circle(3, 0.1, 20))
-    spread = {"mass": Uniform(24, 36), "force.x": Normal(0, 0.04), "com_x": Uniform(-0.05, 0.05)}
+    spread = {"mass": Uniform(24, 36), "force.x": Normal(0, 0.04), "com.x": Uniform(-0.05, 0.05)}
     laws = {"PD": PD([120, 120, 5.2], [120, 120, 5.2]), "computed torque": ComputedTorque(robot)}
     wind = [ConstantForce((0, 0, 0))]
     return {

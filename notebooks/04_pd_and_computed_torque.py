@@ -311,7 +311,7 @@ plots.errors(windy)
 
 # %%
 calm = ConstantForce((0, 0, 0))  # which the spread makes a wind
-spread = {"force.x": Uniform(-15, 15), "start_y": Uniform(-1.5, 1.5)}
+spread = {"force.x": Uniform(-15, 15), "start.y": Uniform(-1.5, 1.5)}
 within = {}
 for name, own in pushing.items():
     limited = Saturated(own, (20, 20, 5))

@@ -77,13 +77,13 @@ beside = [ConstantForce((0, 0, 0)), ViscousFriction((0, 0, 0))]  # of which the 
 spread = {
     "mass": Uniform(24, 36),
     "yaw_inertia": Uniform(0.9, 1.7),
-    "com_x": Uniform(-0.05, 0.05),
-    "com_y": Uniform(-0.05, 0.05),
+    "com.x": Uniform(-0.05, 0.05),
+    "com.y": Uniform(-0.05, 0.05),
     "coefficients.forward": Uniform(0, 0.4),
     "force.x": Normal(0, 0.05),
     "force.y": Normal(0, 0.05),
 }
-truth = {f"model_{name}": Same(name) for name in ("mass", "yaw_inertia", "com_x", "com_y")}
+truth = {f"controller.{name}": Same(name) for name in ("mass", "yaw_inertia", "com.x", "com.y")}
 pd = PD((120, 120, 5.2), (120, 120, 5.2))  # 4 times 30 kg and 1.3 kg m²
 computed_torque = ComputedTorque(nominal, 4, 4)
 
@@ -148,8 +148,8 @@ radius, rate, kp = 3, 0.1, 4
 
 def predicted(draws, believed_mass, gain_mass=30):
     """Return the largest distance [m] by the rule."""
-    forward = -draws["mass"] * rate**2 * draws["com_x"] + draws["coefficients.forward"] * radius * rate
-    left = draws["mass"] * (radius * rate**2 - rate**2 * draws["com_y"]) - believed_mass * radius * rate**2
+    forward = -draws["mass"] * rate**2 * draws["com.x"] + draws["coefficients.forward"] * radius * rate
+    left = draws["mass"] * (radius * rate**2 - rate**2 * draws["com.y"]) - believed_mass * radius * rate**2
     wind = np.hypot(draws["force.x"], draws["force.y"])
     return (np.hypot(forward, left) + wind) / (kp * gain_mass)
 
@@ -235,7 +235,7 @@ print(f"and harms those up to           {mass[~model_helps].max():.2f} kg")
 offsets, ratios = np.linspace(0, 0.5, 6), np.array([0.5, 1, 1.5, 2, 3, 4, 4.5, 5.5])
 com_x, ratio = (grid.ravel() for grid in np.meshgrid(offsets, ratios))
 made = ensemble(
-    nominal, computed_torque, circle, n=len(ratio), spread={"com_x": com_x, "model_mass": 30 * ratio}, dt=0.1
+    nominal, computed_torque, circle, n=len(ratio), spread={"com.x": com_x, "controller.mass": 30 * ratio}, dt=0.1
 )
 robots = [MobileRobot(30, 1.3, com=(x, 0)) for x in com_x]
 model = [np.diag([30 * factor, 30 * factor, 1.3]) for factor in ratio]
@@ -260,11 +260,11 @@ light = {
     name: ensemble(nominal, controller, circle, n=4000, spread={"mass": Uniform(4, 8)}, dt=0.1)
     for name, controller in (("PD", pd), ("computed torque", computed_torque))
 }
-off = ensemble(nominal, computed_torque, circle, n=4000, spread={"com_x": Uniform(0.3, 0.45)}, dt=0.1)
+off = ensemble(nominal, computed_torque, circle, n=4000, spread={"com.x": Uniform(0.3, 0.45)}, dt=0.1)
 for name, made_light in light.items():
     heaviest = made_light.draws["mass"][made_light.diverged].max()
     print(f"{name:15} diverges up to {heaviest:.3f} kg, the limit is {limit_mass:.3f} kg")
-smallest = off.draws["com_x"][off.diverged].min()
+smallest = off.draws["com.x"][off.diverged].min()
 print(f"computed torque diverges from {smallest:.3f} m on, the limit is {limit_offset:.3f} m")
 
 # %% [markdown]
@@ -286,7 +286,7 @@ for made_light in light.values():
     diverged, drawn = made_light.diverged, made_light.draws["mass"]
     assert not diverged[drawn > limit_mass].any(), "a robot diverges though it is heavy enough"
     assert diverged[drawn < 0.97 * limit_mass].all(), "a robot that is too light does not diverge"
-drawn = off.draws["com_x"]
+drawn = off.draws["com.x"]
 assert not off.diverged[drawn < limit_offset].any(), "a robot diverges though it is centred enough"
 assert off.diverged[drawn > 1.03 * limit_offset].all(), "a robot far off its centre does not diverge"
 gain = runs["PD"].within().distance / runs["nominal model"].within().distance

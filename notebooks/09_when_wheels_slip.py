@@ -12,7 +12,6 @@
 # when one wheel is one percent smaller? And what do the wheels feel of an arm?
 
 # %%
-
 import matplotlib.pyplot as plt
 import numpy as np
 

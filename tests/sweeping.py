@@ -30,7 +30,7 @@ def scenario(gain: float = 4, error: float = 0.1, n: int = 200, seed: int = 1) -
         controller=ComputedTorque(robot, gain, 2 * gain**0.5),
         trajectory=Tangent(Circle(3, 0.1, 6)),
         n=n,
-        spread={"mass": Uniform(30 * (1 - error), 30 * (1 + error)), "start_x": Normal(0, 0.01)},
+        spread={"mass": Uniform(30 * (1 - error), 30 * (1 + error)), "start.x": Normal(0, 0.01)},
         dt=0.1,
         seed=seed,
     )

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from attrs import evolve
 
 from pinmobile import (
     PD,
@@ -36,6 +35,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.loop import COMPILED, PYTHON, run_scenario
+from pinmobile.parts import evolved
 from pinmobile.wheels import ByOdometry, Coulomb, Motor, Wheel, WheeledRobot, WheelTable
 from tests.parts import Eight
 
@@ -266,7 +266,7 @@ def test_allocated_torques_do_what_the_force_would(robot: WheeledRobot) -> None:
 
 
 def test_limits_hold_allocated_torques() -> None:
-    motors = [evolve(wheel, motor=Motor(torque_limit=1.0)) for wheel in MECANUM.table.wheels]
+    motors = [evolved(wheel, motor=Motor(torque_limit=1.0)) for wheel in MECANUM.table.wheels]
     robot = WheeledRobot(BODY, WheelTable(tuple(motors)))
     q, tau = robot.rest, np.array([30.0, 40.0, 1.0])
     (u, left), (scaled, rest) = robot.allocate(q, tau), robot.allocate_scaled(q, tau)
@@ -299,7 +299,7 @@ def test_the_rate_of_independent_velocities_is_what_torques_are_for() -> None:
 def test_odometry_of_the_true_table_is_nearly_the_pose_and_a_smaller_wheel_drifts() -> None:
     law, still = Backstepping(Tracking(), DIFFERENTIAL), 0 * OFF
     table = DIFFERENTIAL.table
-    smaller = evolve(table, wheels=(evolve(table.wheels[0], radius=0.099), table.wheels[1]))
+    smaller = evolved(table, wheels=(evolved(table.wheels[0], radius=0.099), table.wheels[1]))
     drifts = {}
     for name, controller in {
         "true": ByOdometry(law, table),
@@ -428,7 +428,7 @@ def test_wrong_parts_are_refused_when_they_are_made(make: Any, message: str) -> 
 
 def _one_motor() -> WheeledRobot:
     left = Wheel("left", 0.0, 0.25, 0.1, motor=Motor(), **WHEEL)
-    return WheeledRobot(BODY, WheelTable((left, evolve(DIFFERENTIAL.table.wheels[1], motor=None))))
+    return WheeledRobot(BODY, WheelTable((left, evolved(DIFFERENTIAL.table.wheels[1], motor=None))))
 
 
 @pytest.mark.parametrize("engine", [None, COMPILED])

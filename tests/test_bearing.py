@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from attrs import evolve
 
 from pinmobile import (
     COMPILED,
@@ -40,6 +39,7 @@ from pinmobile.balance import (
     steepest,
 )
 from pinmobile.controllers import PD, Allocated, Backstepping, Tracking
+from pinmobile.parts import evolved
 from pinmobile.wheels import (
     Coulomb,
     Friction,
@@ -347,7 +347,7 @@ def test_what_is_not_known_is_refused() -> None:
     with pytest.raises(errors.InvalidArgument, match=r"^reference moves the body by"):
         fastest(robot, Tangent(Circle(2, 0.2, 10)))
     left, right = DIFFERENTIAL.wheels
-    one_motor = WheelTable((left, evolve(right, motor=None)), DIFFERENTIAL.supports)
+    one_motor = WheelTable((left, evolved(right, motor=None)), DIFFERENTIAL.supports)
     with pytest.raises(errors.InvalidArgument, match=r"^reference needs a force of"):
         steepest(WheeledRobot(BODY, one_motor))
 
@@ -377,7 +377,7 @@ def test_other_parameters_are_those_of_another_robot() -> None:
     np.testing.assert_array_equal(other.mu, [0.3, 0.3])
     wide = WheelTable(
         tuple(
-            evolve(wheel, y=y, friction=evolve(wheel.friction, mu=0.3))
+            evolved(wheel, y=y, friction=evolved(wheel.friction, mu=0.3))
             for wheel, y in zip(DIFFERENTIAL.wheels, (0.3, -0.3), strict=True)
         ),
         DIFFERENTIAL.supports,

@@ -485,7 +485,7 @@ dt = 0.05
 [spread]
 theta_1 = {percent = 10}
 model_theta_4 = 1.0
-start_x = {normal = [0, 0.01]}
+start.x = {normal = [0, 0.01]}
 [ensemble]
 n = 20
 [grid]

@@ -33,6 +33,7 @@ from pinmobile import (
     ViscousFriction,
     ensemble,
     grid,
+    parts as walk,
     rk4,
     simulate,
     sweep,
@@ -44,7 +45,6 @@ from pinmobile.compiled.loop_tape import Loop
 from pinmobile.loop import run_scenario
 from pinmobile.loop._run import way_of
 from pinmobile.errors import SlowerEngine
-from pinmobile.parts import replace
 from tests.test_compiled_loop import targets
 from tests.test_mounted import mjcf
 
@@ -158,7 +158,7 @@ ALL_KINDS = {
     "panda": MobileRobot.box().mount("panda", AT),  # fingers that slide
     "kinova": MobileRobot.box().mount("kinova", AT),  # continuous joints
     "solo8": MobileRobot.box(size=(1, 1, 0.5)).mount("solo8", AT),  # branches
-    "loaded": replace(
+    "loaded": walk.replace(
         UR5, {"mounts.ur5.rotors": (0, 0, 0.3, 0, 0, 0), "mounts.ur5.links.forearm_link.mass": 5.0}
     ),
 }

@@ -42,7 +42,7 @@ TRUE = ComputedTorque(ROBOT)
 SPREAD: dict[str, Any] = {
     "mass": Uniform(24, 36),
     "force.x": Normal(0, 0.04),
-    "com_x": Uniform(-0.05, 0.05),
+    "com.x": Uniform(-0.05, 0.05),
 }
 
 
@@ -113,7 +113,7 @@ class TestBands:
                     assert points[:, 1].max() == pytest.approx(top.max())
 
     def test_what_a_start_costs_is_drawn_though_errors_count_later(self) -> None:
-        aside, circle = {"start_x": Uniform(0.01, 0.02)}, Tangent(Circle(3, 0.1, 20))
+        aside, circle = {"start.x": Uniform(0.01, 0.02)}, Tangent(Circle(3, 0.1, 20))
         options: dict[str, Any] = {"n": 50, "spread": aside, "dt": 0.1, "engine": COMPILED, "after": 10}
         made = ensemble(ROBOT, TRUE, circle, **options)
         axes = plots.bands(made).axes[0]
@@ -132,7 +132,7 @@ class TestBands:
         assert [axes.get_xlabel() for axes in rows(plots.bands(pair), 2)[1]] == ["t [s]"] * 2
 
     def test_errors_that_differ_by_orders_have_logarithmic_axes(self, pair: dict[str, Ensemble]) -> None:
-        exact = run(TRUE, {"mass": Uniform(24, 36), "model_mass": Same("mass")}, n=50)
+        exact = run(TRUE, {"mass": Uniform(24, 36), "controller.mass": Same("mass")}, n=50)
         distance, heading = (row[0] for row in rows(plots.bands({"PD": pair["PD"], "exact": exact}), 2))
         assert distance.get_yscale() == "log"
         medians = [made.bands(0.5).distance.max() * 1e3 for made in (pair["PD"], exact)]
@@ -142,7 +142,7 @@ class TestBands:
 
     def test_on_logarithmic_axes_every_band_of_the_best_controller_is_seen(self) -> None:
         # From a start aside to a hundredth of that, and far worse ones beside it.
-        best = run(TRUE, {"start_x": Uniform(0.01, 0.02), "force.x": Uniform(0.001, 0.002)})
+        best = run(TRUE, {"start.x": Uniform(0.01, 0.02), "force.x": Uniform(0.001, 0.002)})
         worst = run(PD(1, 1), {"mass": Uniform(24, 36)})
         figure = plots.bands({"best": best, "worst": worst})
         axes = figure.axes[0]
@@ -152,7 +152,7 @@ class TestBands:
         assert axes.get_ylim()[0] < lines.min()
 
     def test_what_fades_to_nothing_does_not_stretch_logarithmic_axes(self) -> None:
-        slow, aside = Tangent(Circle(3, 0.001, 20)), {"start_x": Uniform(0.01, 0.02)}
+        slow, aside = Tangent(Circle(3, 0.001, 20)), {"start.x": Uniform(0.01, 0.02)}
         fading = ensemble(
             ROBOT, ComputedTorque(ROBOT, 25, 10), slow, n=300, spread=aside, dt=0.1, engine=COMPILED
         )
@@ -371,7 +371,7 @@ class TestDrivers:
 
     def test_the_most_different_comes_first(self, pair: dict[str, Ensemble]) -> None:
         *panels, scatter = plots.drivers(pair["computed torque"]).axes
-        assert [axes.get_xlabel() for axes in panels] == ["mass [kg]", "force.x [N]", "com_x [m]"]
+        assert [axes.get_xlabel() for axes in panels] == ["mass [kg]", "force.x [N]", "com.x [m]"]
         assert scatter.get_xlabel() == "mass [kg]"
         assert scatter.get_ylabel() == "largest distance from the desired position [mm]"
         assert panels[2].get_title(loc="left") == "plays no part"
@@ -484,11 +484,11 @@ class TestDrivers:
         assert power == ""
 
     def test_of_a_multiple_the_factor_counts(self) -> None:
-        spread = {"mass": Uniform(20, 40), "model_mass": Same("mass", Uniform(0.8, 1.2)), "com_x": 0.01}
-        made = run(TRUE, spread | {"model_yaw_inertia": Same("yaw_inertia", 1.1)})
+        spread = {"mass": Uniform(20, 40), "controller.mass": Same("mass", Uniform(0.8, 1.2)), "com.x": 0.01}
+        made = run(TRUE, spread | {"controller.yaw_inertia": Same("yaw_inertia", 1.1)})
         figure = plots.drivers(made)
-        assert figure.texts[0].get_text() == "model_mass / mass drives the worst 5 % most"
-        assert [axes.get_xlabel() for axes in figure.axes[:-1]] == ["model_mass / mass", "mass [kg]"]
+        assert figure.texts[0].get_text() == "controller.mass / mass drives the worst 5 % most"
+        assert [axes.get_xlabel() for axes in figure.axes[:-1]] == ["controller.mass / mass", "mass [kg]"]
 
     def test_nothing_may_drive_them(self, pair: dict[str, Ensemble]) -> None:
         made = run(TRUE, {"yaw_inertia": Uniform(1, 2)}, n=100)
@@ -531,7 +531,7 @@ class TestFigures:
 
 
 def test_many_drivers_fit_on_a_page() -> None:
-    ends = {"mass": (20, 40), "kp": (3, 5), "kd": (3, 5), "com_x": (-0.1, 0.1), "com_y": (-0.1, 0.1)}
+    ends = {"mass": (20, 40), "kp": (3, 5), "kd": (3, 5), "com.x": (-0.1, 0.1), "com.y": (-0.1, 0.1)}
     spread = {name: Uniform(*each) for name, each in ends.items()} | {"yaw_inertia": Uniform(1, 2)}
     made = ensemble(ROBOT, PD(4, 4), Tangent(Circle(1, 0.5, 1)), dt=0.05, n=200, seed=1, spread=spread)
     assert plots.drivers(made).get_size_inches()[0] == 9.0

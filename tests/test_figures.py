@@ -192,7 +192,7 @@ def test_bands_say_which_rows_are_logarithmic() -> None:
     from pinmobile import COMPILED, Circle, ComputedTorque, MobileRobot, Same, Tangent, Uniform, ensemble
 
     robot, way = MobileRobot(30, 1.3), Tangent(Circle(3, 0.1, 20))
-    exact: dict[str, Any] = {"mass": Uniform(24, 36), "model_mass": Same("mass")}
+    exact: dict[str, Any] = {"mass": Uniform(24, 36), "controller.mass": Same("mass")}
     best = ensemble(robot, ComputedTorque(robot), way, n=50, spread=exact, dt=0.1, engine=COMPILED)
     figure = plots.bands({"PD": page.many()["PD"], "exact": best})
     scales = {axes.get_yscale(): axes.get_ylabel() for axes in figure.axes[::2]}

@@ -588,7 +588,7 @@ def test_volts_and_encoders_tell_mass_and_inertia_and_say_what_they_cannot() -> 
 
 @pytest.mark.once
 def test_gears_that_lose_by_the_direction_of_power_and_motors_that_rub_are_known() -> None:
-    rubs = replace(MOTOR, efficiency=0.8, coulomb=0.003, viscous=2e-5)
+    rubs = evolved(MOTOR, efficiency=0.8, coulomb=0.003, viscous=2e-5)
     read = noisy(run_on_wheels(motor=rubs), 0)
     known = identify(read, on_wheels(MobileRobot(20.0, 1.0), rubs))
     for name, value in {"mass": 30.0, "com_x": 0.06, "com_y": 0.02, "yaw_inertia": 1.3}.items():
@@ -828,7 +828,7 @@ def test_noise_of_torques_that_would_pull_output_error_leads_to_the_weak_form() 
 
 @pytest.mark.once
 def test_a_robot_of_motors_whose_friction_is_stated_too_high_is_refused_by_its_friction() -> None:
-    believed = on_wheels(MobileRobot(20.0, 1.0), replace(MOTOR, coulomb=0.01))
+    believed = on_wheels(MobileRobot(20.0, 1.0), evolved(MOTOR, coulomb=0.01))
     found = identify(rolled(False), believed, method="weak")
     assert found.parameters["mass"] == pytest.approx(30.0, rel=0.03)
     with pytest.raises(InvalidArgument, match=r"^log leads to a .* is friction of its motors stated too"):
@@ -837,7 +837,7 @@ def test_a_robot_of_motors_whose_friction_is_stated_too_high_is_refused_by_its_f
 
 def test_volts_and_torques_have_no_scale_in_common() -> None:
     table = on_wheels(BODY).table
-    mixed = WheelTable((table.wheels[0], replace(table.wheels[1], motor=Motor())), table.supports)
+    mixed = WheelTable((table.wheels[0], evolved(table.wheels[1], motor=Motor())), table.supports)
     with pytest.raises(InvalidArgument, match=r"^robot takes volts, and a torque at right, which have no"):
         identify([rolled(False), rolled(True)], WheeledRobot(BODY, mixed).by_voltage(), loads=[None, LOAD])
 

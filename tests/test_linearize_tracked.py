@@ -40,7 +40,7 @@ def test_of_a_pushed_body_it_is_pinocchios(robot: MobileRobot) -> None:
     generator = np.random.default_rng(1)
     q = robot.random_configuration(generator, (3,))
     v, u = generator.normal(size=(2, 3, robot.nv))
-    own, its = robot.traced().linearize_tracked(q, v, u), robot.linearize(q, v, u)
+    own, its = robot.array_dynamics.linearize_tracked(q, v, u), robot.linearize(q, v, u)
     for mine, other, same in zip(own, its, robot.linearize_tracked(q, v, u), strict=True):
         # Both are exact; a mass matrix with a condition number of some 1e4 amplifies rounding.
         assert np.abs(mine - other).max() < 1e-11 * np.abs(other).max()

@@ -87,7 +87,7 @@ def test_measures_of_an_arm_are_those_of_its_own_kinematics_limits_and_balance()
     np.testing.assert_allclose(found[:, :2], apart, atol=CLOSE)
     np.testing.assert_allclose(found[:, 2], (np.abs(u) / UR5.effort_limit).max(axis=1), rtol=CLOSE)
     np.testing.assert_allclose(found[:, 3], tip_over_margin(Motion(UR5, q, v, a)), rtol=CLOSE, atol=CLOSE)
-    symbolic = UR5.traced().measured(0.0, q, v, a, u, Reference(desired, v, a))  # type: ignore[union-attr]
+    symbolic = UR5.array_dynamics.measured(0.0, q, v, a, u, Reference(desired, v, a))  # type: ignore[union-attr]
     np.testing.assert_allclose(symbolic, found, rtol=CLOSE, atol=CLOSE)
 
 

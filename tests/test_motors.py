@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from attrs import evolve
 
 from pinmobile import COMPILED, PYTHON, ensemble, errors, parts
 from pinmobile.arrays import Array
 from pinmobile.controllers import Backstepping, Driven, Tracking, WheelSpeed
+from pinmobile.parts import evolved
 from pinmobile.paths import Circle, Hold
 from pinmobile.robot import MobileRobot
 from pinmobile.loop import Rollout, simulate
@@ -42,7 +42,7 @@ MOTOR = Motor(
     efficiency=0.8,
     current=15.0,
 )
-PLAIN = evolve(MOTOR, viscous=0.0, coulomb=0.0, efficiency=1.0, current=np.inf)
+PLAIN = evolved(MOTOR, viscous=0.0, coulomb=0.0, efficiency=1.0, current=np.inf)
 BODY = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
 CENTRAL = MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.2))
 G = float(np.linalg.norm(BODY.model.gravity.linear))
@@ -119,7 +119,7 @@ def test_on_a_ramp_the_gear_takes_its_share_of_the_power_either_way(slope: float
 
 
 def test_the_smooth_law_of_a_motor_is_its_law_where_its_wheel_turns() -> None:
-    motor = evolve(MOTOR, torque_limit=6.0)
+    motor = evolved(MOTOR, torque_limit=6.0)
     constants = [np.array([x]) for x in (1.2, 0.03, 1e-5, 0.004, 0.8)]
     law = MotorLaw([motor], *constants)
     limited = 0
@@ -137,7 +137,7 @@ def test_the_smooth_law_of_a_motor_is_its_law_where_its_wheel_turns() -> None:
 @GROUNDS
 def test_a_robot_too_heavy_to_move_feels_the_torque_of_a_held_motor(ground: Any) -> None:
     heavy = MobileRobot(1e12, 1e12, com=(0.0, 0.0, 0.2))
-    robot = WheeledRobot(heavy, table(evolve(MOTOR, current=np.inf)), ground).by_voltage()
+    robot = WheeledRobot(heavy, table(evolved(MOTOR, current=np.inf)), ground).by_voltage()
     _, v, memory = steps(robot, (6.0, 6.0), 0.01, 1)
     assert np.abs(v).max() < 1e-9
     np.testing.assert_allclose(memory.torques, MOTOR.stall_torque(6.0), rtol=1e-6)
@@ -195,7 +195,7 @@ def test_electrical_energy_is_what_moves_and_what_is_lost() -> None:
 @GROUNDS
 def test_a_motor_far_stiffer_than_the_step_takes_the_rate_of_its_volts_at_once(ground: Any) -> None:
     """Time constants of less than 0.1 ms, at dt = 0.01: no ringing."""
-    stiff = evolve(PLAIN, resistance=1e-5)
+    stiff = evolved(PLAIN, resistance=1e-5)
     robot = WheeledRobot(CENTRAL, table(stiff, friction=Friction(mu=1e6, rolling=0.0)), ground).by_voltage()
     found = run(robot, (3.0, 3.0), 0.01, 0.2)
     rates = found.v[1:, -2:]
@@ -208,7 +208,7 @@ def test_dry_friction_of_motors_holds_on_a_ramp_and_gives_way_beyond(ground: Any
     """G T_c / efficiency a wheel: the gear's losses hold with it."""
     most = 2 * 20 * 0.004 / 0.8 / R
     for share in (0.98, 1.02):
-        steep = evolve(ground, ramp=Ramp(float(np.arcsin(share * most / (30.0 * G)))))
+        steep = evolved(ground, ramp=Ramp(float(np.arcsin(share * most / (30.0 * G)))))
         robot = WheeledRobot(CENTRAL, table(MOTOR), steep).by_voltage()
         q, v, memory = steps(robot, (0.0, 0.0), 0.02, 20)
         if share < 1:
@@ -416,7 +416,7 @@ def test_an_ensemble_spreads_motor_constants() -> None:
     found = ensemble(robot, Held(12.0, 12.0), where, dt=0.01, n=3, spread=spread, limit=1e9)
     for k, x in enumerate(resistance):
         wheels = [
-            evolve(wheel, motor=evolve(MOTOR, resistance=float(x))) if wheel.name == "left" else wheel
+            evolved(wheel, motor=evolved(MOTOR, resistance=float(x))) if wheel.name == "left" else wheel
             for wheel in robot.table.wheels
         ]
         other = WheeledRobot(BODY, WheelTable(tuple(wheels), robot.table.supports)).by_voltage()
@@ -443,7 +443,7 @@ def test_many_robots_whose_wheels_nothing_holds_run_too() -> None:
 @GROUNDS
 def test_another_resistance_is_that_of_another_motor(ground: Any) -> None:
     robot = WheeledRobot(BODY, table(MOTOR), ground).by_voltage()
-    other = WheeledRobot(BODY, table(evolve(MOTOR, resistance=2.0)), ground).by_voltage()
+    other = WheeledRobot(BODY, table(evolved(MOTOR, resistance=2.0)), ground).by_voltage()
     assert {f"{path}.resistance" for path in robot.motor_paths} <= set(parts.numbers(robot))
     body = parts.replace(robot, {f"{path}.resistance": 2.0 for path in robot.motor_paths}).array_dynamics
     state = robot.rest, np.zeros(robot.nv), np.array([12.0, 6.0])

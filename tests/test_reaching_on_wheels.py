@@ -5,7 +5,6 @@ from math import pi
 
 import numpy as np
 import pytest
-from attrs import evolve
 
 from pinmobile import (
     COMPILED,
@@ -31,6 +30,7 @@ from pinmobile import (
     slip_margins,
 )
 from pinmobile.arrays import Array
+from pinmobile.parts import evolved
 from pinmobile.plant import ContactLoads, SlipMargins
 from tests import wheeled
 
@@ -61,8 +61,8 @@ def wall(tmp_path_factory: pytest.TempPathFactory) -> Wall:
     path = tmp_path_factory.mktemp("ridgeback") / "ridgeback.urdf"
     path.write_text(wheeled.ridgeback())
     base = WheeledRobot.from_urdf(path, rollers=pi / 4)
-    wheels = tuple(evolve(wheel, friction=ROLLERS) for wheel in base.table.wheels)
-    table = evolve(base.table, wheels=wheels)
+    wheels = tuple(evolved(wheel, friction=ROLLERS) for wheel in base.table.wheels)
+    table = evolved(base.table, wheels=wheels)
     robot = WheeledRobot(base.robot, table).mount("ur5", at=(0.2, 0, 0.31, 0))
     hand, t = robot.robot.frame_pose(BENT), np.linspace(0, DURATION, 41)
     s = t / DURATION

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 import sympy
-from attrs import evolve
 
 from pinmobile import (
     COMPILED,
@@ -38,6 +37,7 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.controllers import Tracked
 from pinmobile.identification import VELOCITY_ROBOTS
+from pinmobile.parts import evolved
 from pinmobile.plant import Context
 from pinmobile.viewer import Viewer
 from pinmobile.wheels import Mobility
@@ -162,7 +162,7 @@ def test_theta_of_motors_is_the_reduced_dynamics_of_the_wheeled_robot(
     x: float, kd: float, efficiency: float
 ) -> None:
     """M nu' + n = B torques, by Pinocchio's tree, with the motors' and the firmware's law solved for nu'."""
-    motor = evolve(MOTOR, efficiency=efficiency)
+    motor = evolved(MOTOR, efficiency=efficiency)
     wheeled = on_wheels(x, motor)
     robot = VelocityRobot.from_motors(wheeled.by_voltage() if x else wheeled, KP, kd)
     rng, G, R = np.random.default_rng(3), motor.gear, float(motor.resistance or 0)
@@ -199,7 +199,7 @@ def test_theta_of_motors_is_what_the_wheeled_robot_does() -> None:
 
 
 def test_what_theta_cannot_hold_is_told() -> None:
-    motor = evolve(MOTOR, coulomb=0.01, current=10.0)
+    motor = evolved(MOTOR, coulomb=0.01, current=10.0)
     robot = VelocityRobot.from_motors(on_wheels(motor=motor, com=(0.06, 0.02, 0.2)), KP)
     for word in ("dry friction", "limits of 1000 V and 10 A", "centre of mass 0.02 m aside"):
         assert word in robot.source
@@ -318,14 +318,14 @@ def test_published_robots_say_where_they_come_from_and_what_they_break() -> None
 
 def test_it_is_one_value() -> None:
     robot = VelocityRobot(THETA, ahead=0.1, limits=(0.8, np.inf), accelerations=1.0, source="a test")
-    for twin in (pickle.loads(pickle.dumps(robot)), evolve(robot), VelocityRobot(**vars_of(robot))):
+    for twin in (pickle.loads(pickle.dumps(robot)), evolved(robot), VelocityRobot(**vars_of(robot))):
         assert twin == robot
         assert hash(twin) == hash(robot)
     assert repr(robot) == (
         "VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], ahead=0.1, limits=(0.8, np.inf), "
         "accelerations=(1, 1))"
     )
-    assert eval(repr(robot)) == evolve(robot, source="")
+    assert eval(repr(robot)) == evolved(robot, source="")
     assert robot != VelocityRobot(THETA)
     assert not robot.theta.flags.writeable
     drive = Mobility.of(WheelTable.differential(0.5, 0.1))

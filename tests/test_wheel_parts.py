@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from attrs import evolve
 
 from pinmobile import PYTHON, InvalidArgument, MobileRobot, VelocityRobot, parts, simulate
 from pinmobile.arrays import Array
@@ -16,15 +15,25 @@ from pinmobile.controllers import Backstepping, Tracking
 from pinmobile.paths import Circle
 from pinmobile.robot import dot
 from pinmobile.trajectories import Tangent
-from pinmobile.wheels import Coulomb, Friction, Motor, Ramp, Rolling, Wheel, WheeledRobot, WheelTable
-from pinmobile.wheels.rolling import WheeledDynamics
+from pinmobile.wheels import (
+    Coulomb,
+    Friction,
+    Motor,
+    Ramp,
+    Rolling,
+    Wheel,
+    WheeledDynamics,
+    WheeledRobot,
+    WheelTable,
+)
 
 OWN: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
 MOTOR = Motor(resistance=1.2, torque_constant=0.03, voltage=24.0, gear=20.0, viscous=1e-5, coulomb=0.01)
+WRONG: Any = 3
 BODY = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
 PAIR = WheelTable.differential(0.5, 0.1, supports=[(0.2, 0), (-0.2, 0)], motor=MOTOR, **OWN)
 CAR = WheelTable.car(0.6, 0.4, 0.1, **OWN)
-ROBOTS = {
+ROBOTS: dict[str, Any] = {
     "differential": WheeledRobot(BODY, PAIR),
     "mecanum": WheeledRobot(BODY, WheelTable.mecanum(0.5, 0.4, 0.1, **OWN)),
     "car": WheeledRobot(BODY, CAR),
@@ -134,8 +143,8 @@ def test_structure_follows_the_numbers_of_a_robot_on_symbols() -> None:
 
 def test_numbers_have_paths() -> None:
     robot = ROBOTS["volts"]
-    found = parts.numbers(robot)
-    assert found["wheeled.table.wheels.left.motor.resistance"].declared.unit == "ohm"
+    found: Any = parts.numbers(robot)
+    assert found["wheeled.table.wheels.left.motor.resistance"].declared.bound == "> 0"
     assert parts.find(robot, "left.radius").path == "wheeled.table.wheels.left.radius"
     assert parts.find(ROBOTS["slipping"], "ground.mu").leaf.value == 0.6
     assert not any(
@@ -228,17 +237,17 @@ def test_a_ground_of_ones_own_is_one_class() -> None:
 @pytest.mark.parametrize(
     ("made", "words"),
     [
-        (lambda: WheeledRobot(3, PAIR), "robot is 3, expected a MobileRobot"),
+        (lambda: WheeledRobot(WRONG, PAIR), "robot is 3, expected a MobileRobot"),
         (lambda: WheeledRobot(BODY, PAIR, 3), "ground is 3, expected a ground with dynamics(wheeled)"),
         (lambda: Wheel("a.b", 0, 0, 0.1), "name is 'a.b', expected a word without slash"),
-        (lambda: Wheel("a", 0, 0, 0.1, friction=0.3), "friction is 0.3, expected a Friction"),
+        (lambda: Wheel("a", 0, 0, 0.1, friction=WRONG), "friction is 3, expected a Friction"),
         (lambda: Friction(mu=-1), "mu is -1.0, expected >= 0"),
         (lambda: Motor(efficiency=1.1), "efficiency is 1.1, expected > 0 and <= 1"),
         (lambda: Coulomb(mu=-0.1), "mu is -0.1, expected >= 0"),
-        (lambda: Rolling(ramp=0.1), "ramp is 0.1, expected a Ramp(angle, direction) or None"),
+        (lambda: Rolling(ramp=WRONG), "ramp is 3, expected a Ramp(angle, direction) or None"),
         (lambda: Ramp(1.6), "angle of a Ramp is 1.6 rad, expected one in [0, pi / 2)"),
-        (lambda: WheelTable({"a": 3}), "wheels.a is 3, expected Wheel(...)"),
-        (lambda: evolve(PAIR, wheels={"a": PAIR.wheels[0]}), "wheels is "),
+        (lambda: parts.evolved(PAIR, wheels={"a": WRONG}), "wheels.a is 3, expected Wheel(...)"),
+        (lambda: parts.evolved(PAIR, wheels={"a": PAIR.wheels[0]}), "wheels is "),
         (lambda: VelocityRobot([1, 1, 0, 1, 0, 0]), "theta[5] is 0.0, expected > 0"),
     ],
 )

@@ -9,7 +9,7 @@ from contestants.of_pinmobile import build
 
 
 def calls(body: Body) -> dict[str, Callable[..., Any]]:
-    offered = build(body).calls()
+    offered = build(body).law
     return {
         "M": offered.mass_matrix,
         "n": offered.nonlinear_effects,

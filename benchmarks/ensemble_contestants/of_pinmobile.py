@@ -11,7 +11,7 @@ def rollout(fleet: Fleet) -> Run:
     robot = MobileRobot(NOMINAL.mass, NOMINAL.yaw_inertia, com=NOMINAL.com)
     controller = ComputedTorque(robot, GAIN, GAIN)
     trajectory = Tangent(Circle(RADIUS, RATE, fleet.task.duration))
-    spread = {"mass": fleet.mass, "com_x": fleet.com}
+    spread = {"mass": fleet.mass, "com.x": fleet.com}
 
     def run() -> Figures:
         done = ensemble(

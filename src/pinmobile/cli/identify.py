@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import attrs
 import numpy as np
 
 from pinmobile import InvalidArgument, Log, MobileRobot, UnknownName, identify, identify_velocity, plots
@@ -15,7 +14,7 @@ from pinmobile.cli.choices import ROLLING
 from pinmobile.cli.options import LECTURE, Options, as_option, choose, numbers
 from pinmobile.cli.output import begin, console, output_folder, progress, save_figure
 from pinmobile.identification import INSTEAD, METHODS
-from pinmobile.parts import evolved
+from pinmobile.parts import evolved, fields_of
 from pinmobile.robot import Load
 from pinmobile.wheels import MOTORS, Motor, WheeledRobot, WheelTable, read_wheels
 
@@ -177,8 +176,8 @@ def _under(body: MobileRobot, urdf: Path, options: Options) -> Believed:
         told = f"{urdf.name}: {table.source}\n{_inputs(table, motor)}"
         if motor is None:
             return Believed(WheeledRobot(body, table), told, named)
-        rows = (each if each.motor is None else evolved(each, {"motor": motor}) for each in table.wheels)
-        robot = WheeledRobot(body, evolved(table, {"wheels": tuple(rows)}))
+        rows = (each if each.motor is None else evolved(each, motor=motor) for each in table.wheels)
+        robot = WheeledRobot(body, evolved(table, wheels=tuple(rows)))
         return Believed(robot.by_voltage(), told, named)
     except InvalidArgument as error:
         if rollers is not None and error.argument == "rollers":
@@ -228,7 +227,7 @@ def _inputs(table: WheelTable, motor: Motor | None) -> str:
     names = ", ".join(each.name for each in table.actuators)
     if motor is None:
         return f"inputs: torques of {names} [N m], in this order"
-    return f"inputs: volts of {names} [V], in this order; {motor.source or evolved(motor, {'source': ''})}"
+    return f"inputs: volts of {names} [V], in this order; {motor.source or evolved(motor, source='')}"
 
 
 def _motor(text: str | None) -> Motor | None:
@@ -243,7 +242,7 @@ def _motor(text: str | None) -> Motor | None:
         return None
     if "=" not in text:
         return choose("motor", text, MOTORS)
-    known = [each.name for each in attrs.fields(Motor) if each.name != "source"]
+    known = [name for name, *_ in fields_of(Motor()) if name != "source"]
     told: dict[str, Any] = {}
     for word in text.split(","):
         name, _, value = word.partition("=")

@@ -38,7 +38,7 @@ from pinmobile.parts import Child, Field, Number, entries_of, fields_of, is_part
 
 _BEGAN = time.time()
 _DEEPEST = 60
-_ATOMS = (bool, int, float, complex, str, bytes, type(None), type(...), range, slice)
+_ATOMS = (bool, int, float, complex, str, bytes, type(None), type(...), range)
 _constant: weakref.WeakKeyDictionary[Any, Hashable] = weakref.WeakKeyDictionary()
 _MADE = {  # methods that attrs and dataclasses write, and that no law calls
     *("__init__", "__repr__", "__eq__", "__hash__", "__setattr__", "__delattr__", "__replace__"),
@@ -191,6 +191,8 @@ class Identity:
             return "text", repr(x)
         if hasattr(type(x), "saveToString"):  # a model of Pinocchio, whose copies are the same
             return "model", x.saveToString()
+        if isinstance(x, slice):
+            return "slice", *map(self._value, (x.start, x.stop, x.step))
         if id(x) in self._seen:
             return "seen", self._seen[id(x)][0]
         self._seen[id(x)] = len(self._seen), x

@@ -369,7 +369,7 @@ class Identification:
         if not self.chassis.wheels:
             return new
         wheeled = getattr(self.prior, "wheeled", self.prior)
-        made = evolved(wheeled, {"robot": new})
+        made = evolved(wheeled, robot=new)
         if wheeled is self.prior:
             return made
         driven = made.by_voltage()

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from attrs import evolve
 
 from pinmobile.arrays import Array, finite, lengths, scalar, text, whole
 from pinmobile.dh import DHRow, DHTable, JointType
 from pinmobile.errors import InvalidArgument, PinmobileError
 from pinmobile.files import archive_of, unpacking
-from pinmobile.parts import numbers, replace
+from pinmobile.parts import evolved, numbers, replace
 from pinmobile.plant import Coordinate, Input, PlantOutline
 from pinmobile.robot import Load, MobileRobot, Stance, kept_arm
 from pinmobile.signals import Signal
@@ -289,7 +288,7 @@ def _describe(robot: MobileRobot) -> dict[str, Any]:
 
 def _changed(robot: MobileRobot) -> dict[str, Any]:
     """Return the numbers of arms that are not those of the arms as they were read, by path."""
-    own = numbers(evolve(robot, mounts=tuple(mount.as_read for mount in robot.mounts)))
+    own = numbers(evolved(robot, {"mounts": tuple(mount.as_read for mount in robot.mounts)}))
     found = ((path, np.asarray(leaf.value)) for path, leaf in numbers(robot).items())
     return {path: value.tolist() for path, value in found if not np.array_equal(value, own[path].value)}
 

@@ -8,7 +8,8 @@ import functools
 import inspect
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, TypeVar, dataclass_transform
+from types import MappingProxyType
+from typing import Any, Self, TypeVar, dataclass_transform, overload
 
 import attrs
 import numpy as np
@@ -74,6 +75,12 @@ def on_numbers() -> Iterator[None]:
 class numeric(functools.cached_property[_T]):
     """A cached property whose code makes arrays of numbers, also while laws run on symbols."""
 
+    @overload
+    def __get__(self, part: None, owner: Any = None) -> Self: ...
+
+    @overload
+    def __get__(self, part: object, owner: Any = None) -> _T: ...
+
     def __get__(self, part: Any, owner: Any = None) -> Any:
         if part is None or self.attrname in vars(part):
             return super().__get__(part, owner)
@@ -84,7 +91,13 @@ class numeric(functools.cached_property[_T]):
 class structure(numeric[_T]):
     """A cached property that depends on numbers alone: a part that holds symbols has that of its numbers."""
 
-    def __get__(self, part: Any, owner: Any = None) -> _T:  # type: ignore[override]
+    @overload
+    def __get__(self, part: None, owner: Any = None) -> Self: ...
+
+    @overload
+    def __get__(self, part: object, owner: Any = None) -> _T: ...
+
+    def __get__(self, part: Any, owner: Any = None) -> Any:
         if part is None or self.attrname in vars(part) or "nominal" not in vars(part):
             return super().__get__(part, owner)
         return getattr(vars(part)["nominal"], self.attrname or "")  # type: ignore[no-any-return]
@@ -505,8 +518,9 @@ def _is_number(value: object) -> bool:
     return number or is_symbolic(value)
 
 
-def evolved(part: _T, changes: Mapping[str, Any]) -> _T:
+def evolved(part: _T, changes: Mapping[str, Any] = MappingProxyType({}), /, **others: Any) -> _T:
     """Return a part with other values of some fields, checked as those of a new one."""
+    changes = {**changes, **others}
     if not attrs.has(type(part)):
         return dataclasses.replace(part, **changes)  # type: ignore[type-var]
     own = attrs.fields(type(part))

@@ -33,6 +33,7 @@ from pinmobile.parts import (
     Number,
     children,
     declare,
+    evolved,
     is_symbolic,
     number,
     numeric,
@@ -184,7 +185,7 @@ class MobileRobot(System):
         return xz, yz
 
     @numeric
-    def _engine(self) -> Engine | None:  # type: ignore[override]
+    def _engine(self) -> Engine | None:
         if self._is_symbolic:
             return None
         base = build_model(self.dh, self.body)
@@ -384,7 +385,7 @@ class MobileRobot(System):
         if stance is not None and not isinstance(stance, Stance):
             raise InvalidArgument(f"stance is {shown(stance)}, expected a pinmobile.robot.Stance")
         locked = sequence("locked_joints", locked_joints, "names of joints")
-        return cls(
+        return cls(  # type: ignore[call-arg]  # attrs names arguments without the underscore
             body.mass,
             body.yaw_inertia,
             body.com,
@@ -406,16 +407,9 @@ class MobileRobot(System):
         source : str
             Where they come from, in words.
         """
-        return attrs.evolve(
-            self,
-            mass=body.mass,
-            yaw_inertia=body.yaw_inertia,
-            com=body.com,
-            reference_inertia=body.inertia,
-            source=source,
-            mounts=(),
-            loads=(),
-        )
+        own = {"mass": body.mass, "yaw_inertia": body.yaw_inertia, "com": body.com}
+        bare = {"mounts": (), "loads": (), "source": source, "reference_inertia": body.inertia}
+        return evolved(self, own | bare)
 
     @structure
     def _judgement(self) -> Judgement:
@@ -586,7 +580,7 @@ class MobileRobot(System):
         wanted = checked_name(name if name is not None else Path(ready.origin.value).stem)
         taken = {mount.name for mount in self.mounts}
         mount = Mount.after(self.nv, ready, free_name(wanted, taken), place)
-        return attrs.evolve(self, mounts=(*self.mounts, mount))
+        return evolved(self, {"mounts": (*self.mounts, mount)})
 
     def attach(self, load: Load, frame: str | None = None) -> MobileRobot:
         """Return the robot with a load fixed to one of its frames.
@@ -613,12 +607,12 @@ class MobileRobot(System):
             raise InvalidArgument(
                 f"frame is {name!r}, a virtual link, expected 'base_link' or a frame of an arm"
             )
-        return attrs.evolve(self, loads=(*self.loads, attrs.evolve(load, frame=name)))
+        return evolved(self, {"loads": (*self.loads, evolved(load, {"frame": name}))})
 
     @property
     def base(self) -> MobileRobot:
         """The robot without what it carries."""
-        return attrs.evolve(self, mounts=(), loads=()) if self.mounts or self.loads else self
+        return evolved(self, {"mounts": (), "loads": ()}) if self.mounts or self.loads else self
 
     def lumped(self, q: ArrayLike | None = None) -> MobileRobot:
         """Return the bare robot that has the mass and inertia of all, arms locked where they are.
@@ -721,7 +715,7 @@ def _read(reading: Reading, looks: VisualFile | None) -> MobileRobot:
         stance=reading.stance,
         locked_joints=reading.locked,
     )
-    return attrs.evolve(robot, looks=looks, undercarriage=reading.undercarriage)
+    return evolved(robot, {"looks": looks, "undercarriage": reading.undercarriage})
 
 
 def _of_files(mounts: Sequence[Mount]) -> str:

@@ -145,8 +145,6 @@ class Mount:
     ----------
     name : str
         Its own; its joints and frames are called ``name/...``.
-    at : tuple of 4 floats
-        Where it stands on the body: x, y, z and yaw [m, m, m, rad].
     arm : Arm
         What is mounted; `arm.model` is its own `pin.Model`.
     first : int
@@ -155,18 +153,11 @@ class Mount:
         What is fixed to its root, then what is fixed to each of its joints.
     rotors : ndarray, shape (joints,)
         What motors add to the inertias of its joints [kg m^2, kg where one slides].
+    at : tuple of 4 floats
+        Where it stands on the body: x, y, z and yaw [m, m, m, rad].
     """
 
     name: str = option(doc="name of the arm")
-    at: Any = declare(
-        Entries(
-            unit="m, m, m, rad",
-            labels=("x", "y", "z", "yaw"),
-            shapes=((4,),),
-            doc="where the arm stands",
-            length=4,
-        )
-    )
     arm: Arm = option(doc="the arm as it was read")
     first: int = option(doc="number of its first coordinate")
     links: tuple[Link, ...] = children(Link, doc="what of the arm moves together")
@@ -176,11 +167,20 @@ class Mount:
         labels=lambda mount: mount.joint_names,
         doc="inertia that motors add to joints, kg where one slides",
     )
+    at: Any = declare(
+        Entries(
+            unit="m, m, m, rad",
+            labels=("x", "y", "z", "yaw"),
+            shapes=((4,),),
+            doc="where the arm stands",
+            length=4,
+        )
+    )
 
     @classmethod
     def after(cls, coordinates: int, arm: Arm, name: str, at: tuple[float, ...]) -> Mount:
         """Return the mount of an arm that comes after so many coordinates."""
-        return cls(name, at, arm, coordinates, links_of(arm._model), arm._model.armature)
+        return cls(name, arm, coordinates, links_of(arm._model), arm._model.armature, at)
 
     @structure
     def joint_names(self) -> tuple[str, ...]:
@@ -294,7 +294,7 @@ class Load:
     size: tuple[float, float, float] | None = option(
         default=None, check=_checked_size, doc="size of the box that is drawn"
     )
-    frame: str | None = option(default=None, doc="frame that it is attached to")
+    frame: str = option(default="", doc="frame that it is attached to")
 
     def __init__(
         self,
@@ -302,7 +302,7 @@ class Load:
         com: ArrayLike = (0.0, 0.0, 0.0),
         inertia: ArrayLike | None = None,
         size: ArrayLike | None = None,
-        frame: str | None = None,
+        frame: str = "",
     ) -> None:
         six: Any = inertia
         if inertia is None:
@@ -316,7 +316,7 @@ class Load:
     def check(self) -> None:
         """Raise `InvalidArgument` where no rigid body has its inertia."""
         if are_impossible(self.inertia, self.mass):
-            of = "the load" if self.frame is None else f"load at {self.frame}"
+            of = f"load at {self.frame}" if self.frame else "the load"
             raise InvalidArgument(f"inertia of {of} is one that no body has, {_EXPECTED}")
 
     @property

@@ -76,12 +76,14 @@ def by_values(fast: Callable[..., Any] | None = None, states: int = 0) -> Callab
                 found = self._quick(fast, *given)
                 if found is not None:
                     return found
-            if self._engine is None:
+            symbolic = self._engine is None
+            for x in (*given, *options.values()) if options else given:
+                if type(x) is not np.ndarray and _holds_symbols(x):
+                    symbolic = True
+            if symbolic:
                 return self._on_symbols(name, *given, **options)
             if not is_tracing():
                 return method(self, *given, **options)
-            if any(map(_holds_symbols, (*given, *options.values()))):
-                return self._on_symbols(name, *given, **options)
             with on_numbers():
                 return method(self, *given, **options)
 
@@ -109,7 +111,7 @@ class System:
     the methods compute the same on symbols; those that cannot raise `NotTraceable`.
     """
 
-    _engine: Engine | None  # None where it holds symbols
+    _engine: Any  # an `Engine`; None where it holds symbols
     mounts: tuple[Mount, ...]
     loads: tuple[Load, ...]
 
@@ -131,7 +133,7 @@ class System:
                 f"the Pinocchio model of a {type(self).__name__} whose numbers are symbols",
                 "ask it for its dynamics and kinematics",
             )
-        return self._engine
+        return self._engine  # type: ignore[no-any-return]
 
     @property
     def nq(self) -> int:
@@ -702,7 +704,7 @@ class System:
         """Return the inertia, in the body's frame, of what of an arm does not move on the body."""
         fixed = mount.placement.act(mount._model.inertias[0])
         for load in self.loads:
-            name = load.frame or ""
+            name = load.frame
             frame = self._model.frames[self._frames[name]]
             if frame.parentJoint == BODY_JOINT and name.startswith(f"{mount.name}/"):
                 fixed += frame.placement.act(load.body)

@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Scenario, way_of
+from pinmobile.parts import declared_by, is_part, part
 from pinmobile.sweeps.code import hidden_in, is_library, node_of, read_by
 from pinmobile.sweeps.grids import Grid
 
@@ -76,6 +77,7 @@ _MACHINERY = frozenset(
     }
 )
 _OF_NAMED_TUPLES = frozenset(vars(namedtuple("_", ()))) - {"_fields", "_field_defaults"}
+_OF_ATTRS = attrs.define.__code__.co_filename.replace("_next_gen", "_make")
 _SLOTS = ("member_descriptor", "getset_descriptor", "_tuplegetter")  # as names of types: they hold nothing
 
 
@@ -130,7 +132,7 @@ def _described(scenario: Scenario, version: str | None) -> dict[str, Any]:
     found["times"] = forms.of("t", scenario.t)
     trajectory = scenario.trajectory
     found["trajectory"] = {"type": type(trajectory).__qualname__}
-    if is_dataclass(trajectory) and known_name(type(trajectory)):
+    if is_part(trajectory) and known_name(type(trajectory)):
         with suppress(InvalidArgument):  # for the reader alone
             found["trajectory"] |= _Forms(None).of("trajectory", trajectory)
     found["trajectory"]["reference"] = forms.of("reference", np.hstack(scenario.reference))
@@ -263,11 +265,14 @@ class _Forms:
                 one.name: [one.init, *(x for x in (one.default, one.default_factory) if x is not MISSING)]
                 for one in fields(kind)
             }
-            generated |= {name for name, member in vars(kind).items() if _is_made_of_fields(name, member)}
+        elif attrs.has(kind):
+            told["its fields"] = dict(declared_by(kind))
         members = {
             name: member
             for name, member in sorted(vars(kind).items())
-            if name not in _MACHINERY | generated and type(member).__name__ not in _SLOTS
+            if not _is_made_of_fields(name, member)
+            and name not in _MACHINERY | generated
+            and type(member).__name__ not in _SLOTS
         }
         return self._each(where, told | members)
 
@@ -317,10 +322,9 @@ def _stated_by(value: Any) -> dict[str, Any] | None:
         return {"name": value._name_}
     if hasattr(kind, "_fields"):
         return dict(zip(kind._fields, value, strict=True))
-    if not (is_dataclass(value) or attrs.has(kind)):
+    if not (is_part(value) or is_dataclass(value)):
         return None
-    stated = attrs.fields(kind) if attrs.has(kind) else fields(value)
-    names = getattr(kind, "determined_by", None) or [each.name for each in stated if each.init]
+    names = getattr(kind, "determined_by", None) or [name for name, _ in declared_by(kind)]
     return {name: getattr(value, name) for name in names}
 
 
@@ -343,9 +347,11 @@ def _copied(value: object) -> dict[str, Any] | None:
 
 
 def _is_made_of_fields(name: str, member: object) -> bool:
-    """Tell whether it is a dataclass that makes a member."""
+    """Tell whether a dataclass or a part makes a member."""
     code = getattr(member, "__code__", None)
-    return name.startswith("__") and code is not None and code.co_filename == "<string>"
+    file = "" if code is None else code.co_filename
+    made = file.startswith(("<string>", "<attrs generated")) or file in (part.__code__.co_filename, _OF_ATTRS)
+    return name.startswith("__attrs_") or (name.startswith("__") and made)
 
 
 def differences(theirs: Mapping[str, Any], mine: Mapping[str, Any], most: int = 3) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 from pinmobile import extras
 from pinmobile.arrays import Array, finite, text
 from pinmobile.errors import InvalidArgument, UnknownName, shown
-from pinmobile.loop import PARAMETERS, Scenario
+from pinmobile.loop import Scenario, drawn_name
 
 imported = partial(extras.imported, extra="sweeps", what="a sweep")
 """What only sweeps need is imported when it is used."""
@@ -161,10 +161,9 @@ RESERVED = frozenset(
         *("robot", "coordinate", "input", "time", "channel", "bin", "level", "counts"),
         *("max_error", "rms_error", "max_force", "max_distance", "diverged_at"),
         *("worst_measure", "rms_measure", "measure", "quantiles"),
-        *(f"drawn_{name}" for name in PARAMETERS),
     }
 )
-"""Names that the store of a sweep has for itself."""
+"""Names that the store of a sweep has for itself, beside those of what is drawn."""
 
 
 @final
@@ -192,7 +191,8 @@ class Grid:
         object.__setattr__(self, "axes", dict(self.axes))
         object.__setattr__(self, "scenarios", tuple(self.scenarios))
         for name in self.axes:
-            if not re.fullmatch(r"[A-Za-z][\w. -]*", name) or name in RESERVED:
+            own = name in RESERVED or name.startswith(drawn_name(""))
+            if own or not re.fullmatch(r"[A-Za-z][\w. -]*", name):
                 raise InvalidArgument(
                     f"axis is called {name!r}, expected letters, digits, '.', '_', and none of the store's "
                     "own names, such as 'robot' and 'time'"

@@ -31,7 +31,6 @@ from pinmobile.files import arrays_of, refusals, write
 from pinmobile.loop import (
     LEVELS,
     NOTE,
-    PARAMETERS,
     SUMMED,
     Ensemble,
     Part,
@@ -373,8 +372,7 @@ def _counts_of(marker: Path, shape: tuple[int, int], *, robots: int) -> NDArray[
 
 def _spread_of(grid: Grid) -> dict[str, Parameter]:
     found = {name: one for scenario in grid.scenarios for name, one in scenario.parameters.items()}
-    known = {name: found[name] for name in PARAMETERS if name in found}
-    return known | {name: found[name] for name in sorted(found)}
+    return dict(sorted(found.items()))
 
 
 def _empty_store(grid: Grid, description: Mapping[str, Any], chunk: int) -> dict[str, bytes]:

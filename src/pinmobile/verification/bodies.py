@@ -79,7 +79,7 @@ class Parts:
         for mount in robot.mounts:
             self._mount(mount, q)
         for load in robot.loads:
-            link, placement = self._frames[str(load.frame)]
+            link, placement = self._frames[load.frame]
             self.links[link].add(load.body, placement)
 
     def _chain(self, robot: MobileRobot, q: Array) -> list[_Link]:

@@ -264,9 +264,7 @@ def _slipping(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> t
     ground = wheeled.ground
     if not isinstance(ground, Coulomb):
         raise InvalidArgument(f"ground is {ground!r}, expected one on which a step can be compared")
-    robot = WheeledRobot(
-        wheeled.robot, wheeled.table, evolved(ground, {"sweeps": _SWEEPS, "tolerance": _TOLERANCE})
-    )
+    robot = WheeledRobot(wheeled.robot, wheeled.table, evolved(ground, sweeps=_SWEEPS, tolerance=_TOLERANCE))
     q, v, u, f = _states(robot, states, rng)
     trains = WheelBodies(robot, q, v).trains()
     v = v - v @ np.linalg.pinv(trains) @ trains  # wheels on a train turn together from the start

@@ -202,7 +202,7 @@ class _Reader:
         self._check_told(rows)
         driven = self._driven(rows)
         rows = [
-            evolved(row, {"motor": motor_of(joint)}) if joint.name in driven else row
+            evolved(row, motor=motor_of(joint)) if joint.name in driven else row
             for row, joint in zip(rows, self.joints, strict=True)
         ]
         supports = self._supports(rows)
@@ -238,10 +238,8 @@ class _Reader:
                 angle = rows[k].angle
                 found[k] = evolved(
                     rows[k],
-                    {
-                        "x": to_length(rows[k].x + away * cos(angle)),
-                        "y": to_length(rows[k].y + away * sin(angle)),
-                    },
+                    x=to_length(rows[k].x + away * cos(angle)),
+                    y=to_length(rows[k].y + away * sin(angle)),
                 )
                 moved = max(moved, abs(away))
         if moved > 1e-9:

@@ -21,7 +21,7 @@ from pinmobile.arrays import (
     vector,
 )
 from pinmobile.errors import InvalidArgument
-from pinmobile.parts import also_symbols, holds_symbols, structure
+from pinmobile.parts import also_symbols, structure
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import BODY_JOINT, LOCKED, MobileRobot, Mount, hull, number
 from pinmobile.wheels.constraints import Constraints
@@ -44,6 +44,7 @@ class Platform:
     robot: MobileRobot
     table: WheelTable
     array_dynamics: Any
+    law: Any
 
     @structure
     def mobility(self) -> Mobility:
@@ -360,7 +361,7 @@ class Platform:
         if not (choice.body and choice.is_fixed):
             raise InvalidArgument(f"robot is {self.mobility.kind}, which has no fixed axle")
         self._check_rolls()
-        return self.array_dynamics.axle if holds_symbols(self) else self._rows.base_of(choice.body[0])
+        return self._rows.base_of(choice.body[0]) if self.law is self else self.array_dynamics.axle
 
     @in_numbers
     def lateral_velocity(self, q: ArrayLike, v: ArrayLike) -> Array:

@@ -15,10 +15,10 @@ from pinmobile.arrays import Array
 from pinmobile.compiled import higher, plain, repeated
 from pinmobile.plant import Input, Step
 from pinmobile.robot import ZERO, Vector, dot, exact, number, scalars, sine_and_cosine, vector_of as stacked
+from pinmobile.wheels.freedom import Followed
 from pinmobile.wheels.motors import Beside, MotorLaw, Motors, Push, theta, within
 from pinmobile.wheels.multipliers import factored
 from pinmobile.wheels.rolling import State, WheeledDynamics, stop_of, stopped
-from pinmobile.wheels.tracked import Followed
 
 _BASE = 3
 _INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean

@@ -32,13 +32,10 @@ from pinmobile.robot import (
     transposed,
     vector_of as stacked,
 )
-from pinmobile.wheels.freedom import Freedom, State as State, matrix
-from pinmobile.wheels.judging import measured, measures_of
+from pinmobile.wheels.freedom import Followed, Freedom, Reduced, State as State, followed, linearized, matrix
 from pinmobile.wheels.kinematics import Choice, Kinematics
-from pinmobile.wheels.reduced import Reduced
-from pinmobile.wheels.standing import Group, groups_of
+from pinmobile.wheels.standing import Group, groups_of, measured, measures_of
 from pinmobile.wheels.table import Axis, WheelTable
-from pinmobile.wheels.tracked import Followed, followed, linearized
 
 _BASE = 3
 _RESTING = 1e-9  # [rad/s], of an axis at its stop

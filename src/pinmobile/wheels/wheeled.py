@@ -19,11 +19,11 @@ from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, Load, MobileRobot
 from pinmobile.wheels.bearing import Bearing
 from pinmobile.wheels.constraints import ConstrainedTree, Forces
 from pinmobile.wheels.description import read_robot, read_wheels
+from pinmobile.wheels.freedom import Allocation, Reduced
 from pinmobile.wheels.ground import Coulomb, Ground, Rolling
 from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.motors import Beside, constant_force
 from pinmobile.wheels.platform import Platform
-from pinmobile.wheels.reduced import Allocation, Reduced
 from pinmobile.wheels.rolling import RollingDynamics, stop_of
 from pinmobile.wheels.rows import column
 from pinmobile.wheels.table import WheelTable
@@ -351,7 +351,7 @@ class WheeledRobot(Platform, Bearing):
     def project(self) -> Callable[[ArrayLike, ArrayLike], Array]:
         """``project(q, v)``: the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
         own: Callable[[ArrayLike, ArrayLike], Array] = self._of_ground("project")
-        return self._projected if self._rolls_ideally and not holds_symbols(self) else own
+        return self._projected if self._rolls_ideally and self.law is self else own
 
     @in_numbers
     def _projected(self, q: ArrayLike, v: ArrayLike) -> Array:
@@ -499,7 +499,8 @@ class WheeledRobot(Platform, Bearing):
         """
         if not self.table.axes:
             return frozen(np.zeros((0, 3)))
-        return self.array_dynamics.pivots if holds_symbols(self) else frozen(self.array_dynamics.pivots)
+        found = self.array_dynamics.pivots
+        return frozen(found) if self.law is self else found
 
     @in_numbers
     def allocate(self, q: ArrayLike, tau: ArrayLike) -> Allocation:
@@ -574,7 +575,7 @@ class WheeledRobot(Platform, Bearing):
         ``f(t, q, v)`` has the generalised forces beside the input, at mid-step; an array has those that stay.
         """
         own: Callable[..., Step] = self._of_ground("step")
-        return own if holds_symbols(self) else self._stepped
+        return self._stepped if self.law is self else own
 
     @property
     def signals(self) -> Callable[..., dict[str, tuple[str, Any]]]:
