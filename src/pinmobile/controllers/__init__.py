@@ -23,7 +23,6 @@ from pinmobile.controllers.controller import (
 )
 from pinmobile.controllers.driving import Driven, RandomSteps, VelocityCommand, WheelSpeed
 from pinmobile.controllers.feedback import (
-    GAINS as GAINS,
     PD,
     PID,
     ComputedTorque,

@@ -11,7 +11,7 @@ from pinmobile.controllers.controller import State
 from pinmobile.controllers.held import check_held, double_integrators
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Comparing, Gravitating, Inverted, Invertible, able, child, gain, option, part
-from pinmobile.plant import Context, Difference, check_difference, leading_of, parameters_of
+from pinmobile.plant import Context, Difference, check_difference, leading_of
 
 SLOPE = "rate at which errors vanish where s does"
 """What a slope is."""
@@ -125,8 +125,6 @@ class PD:
         return feedback(self, state, q, v, reference), state
 
 
-GAINS = parameters_of(PD)
-"""The parameters of a controller with `kp` and `kd`."""
 
 
 def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:
