@@ -47,7 +47,8 @@ from pinmobile import (
 )
 from pinmobile.compiled import Cache, Target, processor
 from pinmobile.compiled.processor import LOOP
-from pinmobile.loop import _identity, _program
+from pinmobile.compiled import identity
+from pinmobile.loop import _program
 from pinmobile.loop._trace import traced
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
@@ -498,12 +499,12 @@ def test_no_file_is_used_where_the_source_is_not_what_was_loaded(
     process: Process, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run(PD(100, 20))
-    _identity._source.cache_clear()
-    monkeypatch.setattr(_identity, "_BEGAN", 0.0)
+    identity._source.cache_clear()
+    monkeypatch.setattr(identity, "_BEGAN", 0.0)
     process.begin()
     run(PD(100, 20))
     assert process.traced == 1
-    _identity._source.cache_clear()
+    identity._source.cache_clear()
 
 
 def replaced(process: Process, change: Callable[[bytes], bytes], suffix: str) -> None:
