@@ -34,8 +34,7 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.compiled.symbolic import Symbols
 from pinmobile.robot import Calls, Solids
-from pinmobile.robot.articulated import ArticulatedBody
-from pinmobile.robot.planar import PlanarBody
+from pinmobile.robot import ArticulatedDynamics, PlanarDynamics
 from pinmobile.simulation import PYTHON
 from pinmobile.urdf import Body
 
@@ -96,9 +95,9 @@ def plain(answer: Any) -> Any:
             (item.name, item.parentJoint, item.placement.homogeneous.tobytes())
             for item in answer.geometryObjects
         ]
-    if isinstance(answer, ArticulatedBody):
+    if isinstance(answer, ArticulatedDynamics):
         return plain(answer.forward_dynamics(answer.rest, *np.ones((2, answer.nv))))
-    if isinstance(answer, PlanarBody):
+    if isinstance(answer, PlanarDynamics):
         return answer.mass, answer.yaw_inertia, answer.com_x, answer.com_y
     if isinstance(answer, Solids):
         shapes = [(each.link, each.part, each.placement.homogeneous.tobytes()) for each in answer.shapes]
