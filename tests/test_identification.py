@@ -391,11 +391,11 @@ def test_what_is_found_goes_on_to_simulate_and_ensemble() -> None:
     robot, friction = found().robot(), found().forces()
     assert robot.mass == found().parameters["mass"]
     spread = found().spread(200, seed=1)
-    assert list(spread) == list(TRUE)
+    assert list(spread) == [one.path for one in found().chassis.quantities[:10]]
     # Of 200 draws a deviation is known to 5 %, and Student's t with 21 degrees is 5 % wider.
     wide = np.sqrt(np.diag(found().covariance))[:10]  # offsets are of the log, not of the robot
     np.testing.assert_allclose([x.std() for x in spread.values()], wide, rtol=0.3)
-    joint = np.corrcoef(spread["viscous_forward"], spread["rolling_forward"])[0, 1]
+    joint = np.corrcoef(spread["coefficients.forward"], spread["force.forward"])[0, 1]
     C = found().covariance
     assert joint == pytest.approx(C[4, 7] / np.sqrt(C[4, 4] * C[7, 7]), abs=0.2)
     controller = ComputedTorque(robot, kp=16, kd=8)
