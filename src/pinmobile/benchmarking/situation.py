@@ -194,7 +194,7 @@ class BenchmarkScenario:
         """
         check_mapping(spread)
         offset = np.zeros(0) if self.offset is None else np.asarray(self.offset)
-        starts = {f"start_{c.name}": float(by) for c, by in zip(self.robot.coordinates, offset, strict=False)}
+        starts = {f"start.{c.name}": float(by) for c, by in zip(self.robot.coordinates, offset, strict=False)}
         return Scenario(
             robot=self.robot, controller=self.around(controller), trajectory=self.trajectory, n=n,
             spread=starts | dict(spread), dt=self.dt, seed=seed, integrator=self.integrator,

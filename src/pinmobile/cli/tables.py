@@ -89,18 +89,15 @@ def _line_of_place(place: str, text: str, tree: Table, swept: Table) -> int:
 
     The name of a key alone will do, too.
     """
-    if place in swept:
-        return line(text, "grid", place)
     table, *keys = place.split(".")
-    while keys:
-        dotted = ".".join((table, *keys))
-        for name in swept:
-            if f"{name}.".startswith(f"{dotted}."):
-                return line(text, "grid", name)
-        at = line(text, table, ".".join(keys))
+    for n in range(len(keys), 0, -1):
+        dotted = ".".join((table, *keys[:n]))
+        among = [line(text, "grid", name) for name in swept if f"{name}.".startswith(f"{dotted}.")]
+        at = line(text, table, ".".join(keys[:n]))
+        if among and (n == len(keys) or at == line(text, table)):
+            return among[0]
         if at > line(text, table):  # a row of its own; within a table on one line, that of the table
             return at
-        keys.pop()
     if table in tree:
         return line(text, table)
     for name in swept:

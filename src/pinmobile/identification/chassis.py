@@ -45,15 +45,18 @@ class Quantity(NamedTuple):
     Attributes
     ----------
     name, unit, meaning : str
-        As a spread calls it.
+        What it is called.
     bounded : bool
         Whether it cannot be below zero.
+    path : str
+        What a spread calls it.
     """
 
     name: str
     unit: str
     meaning: str
     bounded: bool
+    path: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,19 +166,30 @@ class Chassis:
     def quantities(self) -> tuple[Quantity, ...]:
         """What is identified, as it is told: the centre of mass and the inertia about it."""
         body = (
-            Quantity("mass", "kg", "mass", True),
-            Quantity("com_x", "m", "centre of mass forward", False),
-            Quantity("com_y", "m", "centre of mass to the left", False),
-            Quantity("yaw_inertia", "kg m^2", "yaw inertia about the centre of mass", True),
+            Quantity("mass", "kg", "mass", True, "mass"),
+            Quantity("com_x", "m", "centre of mass forward", False, "com.x"),
+            Quantity("com_y", "m", "centre of mass to the left", False, "com.y"),
+            Quantity("yaw_inertia", "kg m^2", "yaw inertia about the centre of mass", True, "yaw_inertia"),
         )
         if not self.wheels:
-            viscous = [Quantity(f"viscous_{n}", unit, f"viscous friction, {n}", True) for n, unit, _ in _AXES]
-            dry = [Quantity(f"rolling_{n}", unit, f"rolling resistance, {n}", True) for n, _, unit in _AXES]
+            viscous = [
+                Quantity(f"viscous_{n}", unit, f"viscous friction, {n}", True, f"coefficients.{n}")
+                for n, unit, _ in _AXES
+            ]
+            dry = [
+                Quantity(f"rolling_{n}", unit, f"rolling resistance, {n}", True, f"force.{n}")
+                for n, _, unit in _AXES
+            ]
             scale = (Quantity("input_scale", "", "force per input, as a share of what is stated", True),)
             return (*body, *viscous, *dry, *self._offsets(self.inputs.values()), *scale[: self.scaled])
         names = self.wheels
-        turning = [Quantity(f"joint_viscous_{n}", "N m s/rad", f"friction of {n}", True) for n in names]
-        dry = [Quantity(f"joint_coulomb_{n}", "N m", f"dry friction of {n}", True) for n in names]
+        turning = [
+            Quantity(f"joint_viscous_{n}", "N m s/rad", f"friction of {n}", True, f"viscous.{n}")
+            for n in names
+        ]
+        dry = [
+            Quantity(f"joint_coulomb_{n}", "N m", f"dry friction of {n}", True, f"coulomb.{n}") for n in names
+        ]
         what = "torque constants" if self.motors else "torque per input"
         scale = (Quantity("input_scale", "", f"{what}, as a share of what is stated", True),)
         return (*body, *turning, *dry, *self._offsets(["N m"] * len(names)), *scale[: self.scaled])

@@ -128,7 +128,7 @@ class Identification:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters, those that a spread uses."""
+        """Names of the parameters."""
         return tuple(one.name for one in self.chassis.quantities)
 
     @property
@@ -407,7 +407,9 @@ class Identification:
         return [JointFriction(columns[0], columns[1], self.chassis.speed, names)]
 
     def spread(self, n: int, seed: Any = 0) -> dict[str, Array]:
-        """Return joint draws of the parameters for `ensemble`, by name: as uncertain as the log left them.
+        """Return joint draws of the parameters for `ensemble`, as uncertain as the log left them.
+
+        Names are those of a spread, such as ``"com.x"``; friction is that of `forces`, which the loop needs.
 
         Parameters
         ----------
@@ -453,8 +455,8 @@ class Identification:
         told = self.chassis.told(phi)
         bounded = self.chassis.bounded
         told[:, bounded] = np.maximum(told[:, bounded], 0.0)
-        names = self.names[: self.chassis.dry.stop]
-        return {_spread_name(name): told[:, k] for k, name in enumerate(names)}
+        quantities = self.chassis.quantities[: self.chassis.dry.stop]
+        return {one.path: told[:, k] for k, one in enumerate(quantities)}
 
     def predict(self, log: Log, seconds: float = _AHEAD) -> Prediction:
         """Return how well the robot that was found foretells another log, beside the noise of its sensors.

@@ -524,7 +524,13 @@ def evolved(part: _T, changes: Mapping[str, Any] = MappingProxyType({}), /, **ot
     """Return a part with other values of some fields, checked as those of a new one."""
     changes = {**changes, **others}
     if not attrs.has(type(part)):
-        return dataclasses.replace(part, **changes)  # type: ignore[type-var]
+        given = dataclasses.fields(part)  # type: ignore[arg-type]
+        if not (any(map(holds_symbols, changes.values())) and all(f.init for f in given)):
+            return dataclasses.replace(part, **changes)  # type: ignore[type-var]
+        copied = object.__new__(type(part))  # a user's own checks take numbers
+        for f in given:
+            object.__setattr__(copied, f.name, changes.get(f.name, getattr(part, f.name)))
+        return copied
     own = attrs.fields(type(part))  # type: ignore[arg-type]
     if not all(f.init and "declared" in f.metadata for f in own):
         return attrs.evolve(part, **changes)  # type: ignore[misc]
