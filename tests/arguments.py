@@ -101,10 +101,11 @@ INNER = {
     "WheeledRobot.check_area",
     *("wheels.Reduced.nearest", "wheels.Reduced.torques"),
     "WheeledRobot.traced",
+    *("MobileRobot.check", "Load.check", "robot.Link", "robot.Link.check", "robot.Mount.after"),
+    "robot.UncheckedDynamics.forward_dynamics",
     *("PosePath.told", "Resolved.signals_at", "EndEffectorTracking.signals_at"),
     *("VelocityRobot.integrator", "WheeledRobot.integrator", "VelocityRobot.traced"),
     *("JointFriction.varying", "JointFriction.with_parameters"),
-    "Load.with_numbers",
     *(
         "Hold.with_parameters",
         "Line.with_parameters",
@@ -124,7 +125,7 @@ INNER = {
 }
 # What the library makes and users read: nobody calls the class.
 RESULTS = {
-    *("robot.Calls", "simulation.Signal", "closed_form.ReducedModel"),
+    *("robot.UncheckedDynamics", "simulation.Signal", "closed_form.ReducedModel"),
     *("Identification", "identification.Prediction", "Benchmark", "benchmarking.Score"),
     *(
         "Clearance",
@@ -940,6 +941,7 @@ ROWS: dict[str, Row] = {
         forces=[pm.ConstantForce([1, 0, 0])],
         limit=1e3,
     ),
+    "vectorize": row(function=pm.MobileRobot.box().mass_matrix, axes=1, checked=True, keep=False),
     "verify": row(60, robot=the("robot"), states=3, seed=1),
     "DHRow": row(alpha=0, a=0, theta=0, d=0, joint=pm.JointType.REVOLUTE, variable="a"),
     "DHTable": row(rows=pm.LECTURE_TABLE.rows),

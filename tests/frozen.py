@@ -147,7 +147,11 @@ def loops() -> Iterator[tuple[str, tuple[Any, ...], dict[str, Any]]]:
     base = pm.Tangent(pm.Circle(3.0, 0.1, 2.0))
     motion: Any = Rounded(pm.WholeBody(arm, base, pm.Hold(arm.rest[3:], 2.0)))
     yield "ur5", (arm, pm.ComputedTorque(bare, 9, 6), motion), {}
-    yield "ur5, base alone", (arm, pm.law(lambda t, q, v, r: _of_base(q, v, r)), Rounded(base)), {"limit": 1e6}
+    yield (
+        "ur5, base alone",
+        (arm, pm.law(lambda t, q, v, r: _of_base(q, v, r)), Rounded(base)),
+        {"limit": 1e6},
+    )
 
 
 def _of_base(q: Any, v: Any, reference: Any) -> Any:

@@ -13,7 +13,7 @@ import pytest
 import pinmobile
 from pinmobile import controllers, forces, paths, trajectories
 from pinmobile.cli import choices, tables
-from pinmobile.plant import parameters_of
+from pinmobile.parts import declared_by
 
 ROOT = Path(__file__).parents[1]
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
@@ -155,7 +155,9 @@ def test_the_command_knows_parts_by_their_classes_and_units_by_what_they_state()
     assert [kind.__name__ for kind in tables.FORCES.values()] == [
         name for name in forces.__all__ if name in PARTS
     ]
-    stated = {each.attribute: each.unit for each in parameters_of(pinmobile.Circle) if each.entry is None}
+    stated = {
+        name: unit for name, each in declared_by(pinmobile.Circle) if (unit := getattr(each, "unit", ""))
+    }
     own = {"centre": "m", "phase": "rad", "heading": "rad"}
     assert stated == {name: choices.UNITS[name] for name in ("radius", "rate")} | own
     assert {name: choices.UNITS[name] for name in ("centre", "phase", "start_heading")} == dict(

@@ -17,7 +17,7 @@ from pinmobile import Circle, Line, MobileRobot, Moved, Polyline, Rollout
 from pinmobile.cli import choices, main, options
 from pinmobile.cli.commands import app
 from pinmobile.cli.run import EXPECTED
-from pinmobile.plant import parameters_of
+from pinmobile.parts import Number, declared_by
 from tests.damage import full_disk
 from tests.wheeled import husky
 
@@ -355,11 +355,11 @@ def test_options_are_what_the_parts_state_with_the_lectures_numbers() -> None:
     names = set()
     for offered in (choices.PATHS, choices.HEADINGS):
         for choice in offered.values():
-            for each in parameters_of(choice.make):
-                if each.attribute in choice.takes:
-                    option = choices.OPTIONS[each.attribute]
-                    assert f"{each.meaning.split(',')[0]}".lower() in option.text.lower()
-                    end = "." if choice.takes[each.attribute] is None else "; "
+            for name, each in declared_by(choice.make) if isinstance(choice.make, type) else ():
+                if isinstance(each, Number) and name in choice.takes and name != "duration":
+                    option = choices.OPTIONS[name]
+                    assert f"{each.doc.split(',')[0]}".lower() in option.text.lower()
+                    end = "." if choice.takes[name] is None else "; "
                     assert f" ({each.unit}){end}" in option.text
                     names.add(option.name)
     assert {"radius", "rx", "via", "turn_time", "psi"} <= names

@@ -59,6 +59,7 @@ from pinmobile.identification.output_error import OutputError, Segments
 from pinmobile.identification.residual_noise import ResidualNoise
 from pinmobile.identification.slippage import Slippage
 from pinmobile.identification.weak_form import extrapolated, rows_of
+from pinmobile.parts import evolved
 from tests.damage import answer, damaged
 
 ROBOT = MobileRobot(32.0, 1.6, com=(0.12, -0.04))

@@ -25,7 +25,7 @@ from pinmobile.paths import (
     Spline,
     pieces_of,
 )
-from pinmobile.plant import parameters_of
+from pinmobile.parts import numbers
 from pinmobile.trajectories import FixedHeading
 
 derandomised = settings(derandomize=True, deadline=None, max_examples=40)
@@ -76,7 +76,7 @@ def test_without_more_words_a_circle_has_the_bits_of_the_lecture_s_figure() -> N
     t = np.linspace(0, 60, 601)
     for order in range(4):
         assert circle.derivative(t, order).tobytes() == figure.derivative(t, order).tobytes()
-    assert [each.name for each in parameters_of(circle)] == ["radius", "rate"]
+    assert list(numbers(circle)) == ["radius", "rate"]
     assert Circle(3, 0.1, 60, (0, 3)) != circle
     np.testing.assert_array_equal(Circle(3, 0.1, 60, (0, 3), -np.pi / 2)(t), circle(t))
 

@@ -33,9 +33,8 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.compiled.symbolic import Symbols
-from pinmobile.robot import Calls, Solids
-from pinmobile.robot.articulated import ArticulatedBody
-from pinmobile.robot.planar import PlanarBody
+from pinmobile.robot import ArticulatedDynamics, PlanarDynamics, Solids, UncheckedDynamics
+from pinmobile.robot.articulated import Tree
 from pinmobile.loop import PYTHON
 from pinmobile.urdf import Body
 
@@ -70,8 +69,6 @@ VALUES: dict[str, Callable[[MobileRobot, int], Any]] = {
     "load": lambda robot, k: Load(1.0 + k, (0, 0, 0.1)),
     "arm": lambda robot, k: "double_pendulum",
     "at": lambda robot, k: (0.1, 0.01 * k, 0.3, 0.1 * k),
-    "values": lambda robot, k: {"mass": 10.0 + k},
-    "entries": lambda robot, k: [("com_y", None)],
 }
 
 
@@ -96,9 +93,14 @@ def plain(answer: Any) -> Any:
             (item.name, item.parentJoint, item.placement.homogeneous.tobytes())
             for item in answer.geometryObjects
         ]
-    if isinstance(answer, ArticulatedBody):
+    if isinstance(answer, ArticulatedDynamics):
         return plain(answer.forward_dynamics(answer.rest, *np.ones((2, answer.nv))))
-    if isinstance(answer, PlanarBody):
+    if isinstance(answer, UncheckedDynamics):
+        q, v, u = np.random.default_rng(1).normal(size=(3, answer.nv))
+        return [plain(np.array(x)) for x in (answer.mass_matrix(q), answer.forward_dynamics(q, v, u))]
+    if isinstance(answer, Tree):
+        return answer.arms, answer.linkage.names, plain(answer.linkage.rotations)
+    if isinstance(answer, PlanarDynamics):
         return answer.mass, answer.yaw_inertia, answer.com_x, answer.com_y
     if isinstance(answer, Solids):
         shapes = [(each.link, each.part, each.placement.homogeneous.tobytes()) for each in answer.shapes]
@@ -117,15 +119,7 @@ def ask(robot: MobileRobot, name: str, k: int) -> Any:
     missing = [p.name for p in parameters if p.default is p.empty and p.name not in VALUES]
     assert not missing, f"{name} is new: say in VALUES what to give as {missing}"
     given = {p.name: VALUES[p.name](robot, k) for p in parameters if p.name in VALUES}
-    answer = member(**given.pop("values", {}), **given)
-    if isinstance(answer, Calls):
-        state = [robot.random_configuration(np.random.default_rng(k)), *(rate(robot, s, k) for s in (1, 2))]
-        given = {"integrate": (state[0], state[1]), "effort": (state[0], state[1][:3])}
-        counts = {"mass_matrix": 1, "gravity": 1, "pose": 1, "nonlinear_effects": 2, "rate": 2}
-        return [
-            plain(np.array(call(*given.get(of, state[: counts.get(of, 3)]))))
-            for of, call in answer._asdict().items()
-        ]
+    answer = member(**given)
     return plain(answer)
 
 

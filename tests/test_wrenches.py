@@ -18,7 +18,7 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.forces import noise_frequencies
-from pinmobile.plant import parameters_of
+from pinmobile.parts import named
 
 Q, V = np.array([1.0, -2.0, 0.7]), np.array([0.5, 0.3, -0.4])
 EVERY: list[Any] = [
@@ -71,7 +71,7 @@ def test_friction_is_said_by_the_names_of_its_axes() -> None:
     assert np.asarray(friction.coefficients).tolist() == [5.0, 0.0, 0.4]
     assert repr(friction) == "ViscousFriction(forward=5.0, left=0.0, yaw=0.4)"
     assert repr(eval(repr(friction))) == repr(friction) == repr(evolve(friction, coefficients=(5, 0, 0.4)))
-    names = [each.name for each in parameters_of(friction)]
+    names = list(named(friction))
     assert names == ["coefficients", *(f"coefficients.{axis}" for axis in ("forward", "left", "yaw"))]
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from io import UnsupportedOperation
 
-from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName
+from pinmobile.errors import InvalidArgument, PinmobileError
 
 __all__ = ["main"]
 
@@ -42,7 +42,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str] | None) -> int:
     import typer
 
-    from pinmobile.cli.choices import shortened
     from pinmobile.cli.commands import app, as_typed
     from pinmobile.cli.options import Interrupted
     from pinmobile.errors import Diverged, FileError
@@ -60,8 +59,6 @@ def _run(arguments: Sequence[str] | None) -> int:
         return _refuse(str(error), 1)
     except Interrupted as error:
         return _refuse(str(error), _INTERRUPTED)
-    except UnknownName as error:
-        return _refuse(shortened(error))
     except InvalidArgument as error:
         return _refuse(str(as_typed(error)))
     except PinmobileError as error:

@@ -35,9 +35,8 @@ from pinmobile.controllers import Controller
 from pinmobile.errors import UnknownName, format_names, shown
 from pinmobile.identification import VELOCITY_ROBOTS
 from pinmobile.integrators import Integrator
-from pinmobile.loop import GROUPS, PARAMETERS
+from pinmobile.parts import Number, declared_by
 from pinmobile.paths import Path
-from pinmobile.plant import Parameter, parameters_of
 from pinmobile.trajectories import Trajectory
 from pinmobile.wheels import WheelTable
 
@@ -258,19 +257,18 @@ DRIVEN: Mapping[str, Choice[Path]] = {
 }
 """Paths that a robot of that size drives in a while."""
 
-# No class states these: the number of samples, the shape of the gains or the number of parameters depend on
-# them.
+# No class states these: the number of samples, the shape of the gains or the number of wheels depend on them.
 _OWN = {
-    "waypoints": Parameter("waypoints", "m", "waypoints", entry=0),
-    "corner_radius": Parameter("corner_radius", "m", "least radius of the corners"),
-    "acceleration": Parameter("acceleration", "m/s^2", "with which it starts and comes to rest"),
-    "start_heading": Parameter("start_heading", "rad", "direction of the start, in place of the phase"),
-    "duration": Parameter("duration", "s", "duration of the path"),
-    **{name: Parameter(name, "", "K or KX,KY,KPSI") for name in ("kp", "kd")},
-    "wheelbase": Parameter("wheelbase", "m", "distance of the axles"),
-    "track": Parameter("track", "m", "distance of the sides"),
-    "wheel_radius": Parameter("wheel_radius", "m", "radius of the wheels"),
-    "distance": Parameter("distance", "m", "of the wheels from the middle"),
+    "waypoints": Number("waypoints", "m", shapes=(("n",),)),
+    "corner_radius": Number("least radius of the corners", "m"),
+    "acceleration": Number("with which it starts and comes to rest", "m/s^2"),
+    "start_heading": Number("direction of the start, in place of the phase", "rad"),
+    "duration": Number("duration of the path", "s"),
+    **dict.fromkeys(("kp", "kd"), Number("K or KX,KY,KPSI")),
+    "wheelbase": Number("distance of the axles", "m"),
+    "track": Number("distance of the sides", "m"),
+    "wheel_radius": Number("radius of the wheels", "m"),
+    "distance": Number("of the wheels from the middle", "m"),
 }
 
 
@@ -290,12 +288,17 @@ def _one_of(name: str, choices: Mapping[str, object], default: str, **where: str
     return Option(name, text, str, default, **where)
 
 
+def _declared(kind: Any, name: str) -> Number:
+    """Return what a part declares of a number."""
+    declared: Any = dict(declared_by(kind))[name]
+    return declared  # type: ignore[no-any-return]
+
+
 def _taken(choices: Mapping[str, Choice[Any]], table: str) -> Iterator[Option]:
     """Yield the options that choices take, as their parts state them, with the lecture's numbers."""
     for name in dict.fromkeys(each for choice in choices.values() for each in choice.takes):
         having = {kind: choice for kind, choice in choices.items() if name in choice.takes}
-        stated = (each for choice in having.values() for each in parameters_of(choice.make))
-        one = _OWN.get(name) or [each for each in stated if each.attribute == name][-1]
+        one = _OWN.get(name) or _declared([*having.values()][-1].make, name)
         first, *others = values = [choice.takes[name] for choice in having.values()]
         which = "" if len(having) == len(choices) else f"{', '.join(having)}: "
         of_others = [
@@ -303,11 +306,11 @@ def _taken(choices: Mapping[str, Choice[Any]], table: str) -> Iterator[Option]:
             for kind, value in zip([*having][1:], others, strict=True)
             if value != first
         ]
-        several = one.entry is not None or any(isinstance(value, tuple) for value in values)
+        several = () not in one.shapes or any(isinstance(value, tuple) for value in values)
         axes = f" {'X,Y' if name != 'waypoints' else 'X,Y,X,Y,...'}" if several and one.unit else ""
         in_units = f" ({one.unit})" if one.unit else ""
         default = "" if first is None else f"; {_told(first)}"
-        text = f"{one.meaning.split(', ')[0]}{axes}{in_units}{default}{''.join(of_others)}."
+        text = f"{one.doc.split(', ')[0]}{axes}{in_units}{default}{''.join(of_others)}."
         yield Option(
             name,
             which + text if which else _sentence(text),
@@ -337,10 +340,11 @@ def body(
         The same, as numbers.
     """
     for name in ("mass", "yaw_inertia", "com"):
-        stated = PARAMETERS[f"{prefix}{'com_x' if name == 'com' else name}"]
+        stated = _declared(MobileRobot, name)
+        meaning = stated.doc.replace("the robot", "the controller's model") if prefix else stated.doc
         axes = " X,Y" if name == "com" else ""
         last = rest or (f"; {_told(numbers[name])}" if name in numbers else "")
-        text = _sentence(f"{stated.meaning.split(', ')[0]}{axes} ({stated.unit}){last}.")
+        text = _sentence(f"{meaning}{axes} ({stated.unit}){last}.")
         yield Option(prefix + name, text, tuple if name == "com" else float, table=table, unit=stated.unit)
 
 
@@ -401,30 +405,11 @@ OF_ENSEMBLES = tuple(option for option in OPTIONS.values() if option.table == "e
 OF_LOOPS = tuple(option for option in OPTIONS.values() if option.table != "ensemble")
 BODY, BELIEVED = (tuple(each.name for each in body(prefix)) for prefix in ("", "model_"))
 
-UNITS: Mapping[str, str] = {
-    **{each.attribute: each.unit for each in PARAMETERS.values() if each.attribute and each.entry is None},
-    **{name: each.unit for name, each in PARAMETERS.items()},
-    **{name: option.unit for name, option in OPTIONS.items() if option.unit},
-    "percent": "%",
-}
-"""Units of what options and files name: as the parts state them, and of the command's own."""
+UNITS = {name: option.unit for name, option in OPTIONS.items() if option.unit} | {"percent": "%"}
+"""Units of options by name."""
 
 _READABLE = 20  # names in a list
 SPREAD_FORMS = "uniform:LOW,HIGH normal:MEAN,STD percent:P (of the nominal) same:NAME[,FACTOR] or a number"
-
-
-def spreadable() -> str:
-    """Return the names of all that may be spread, by what has them, with their units."""
-    return "\n".join(f"{title}: {_with_units(group)}" for title, group in GROUPS.items())
-
-
-def _with_units(parameters: Sequence[Parameter]) -> str:
-    """Return names, the unit told once for those that follow each other."""
-    words = []
-    for each, following in zip(parameters, (*parameters[1:], None), strict=True):
-        last = following is None or following.unit != each.unit
-        words.append(f"{each.name} ({each.unit})" if last and each.unit else each.name)
-    return ", ".join(words)
 
 
 def unknown(what: str, name: str, available: Iterable[str], rest: str = "") -> str:
@@ -445,13 +430,3 @@ def unknown(what: str, name: str, available: Iterable[str], rest: str = "") -> s
     if len(error.listed) <= _READABLE:
         rest = f"available: {format_names(error.listed)}"
     return f"unknown {what}, {error.meant}{rest}".rstrip()
-
-
-def shortened(error: UnknownName) -> str:
-    """Return the message of an error; where its list is too long to be read, the nearest names."""
-    if not error.kind.startswith("parameter in spread"):
-        return str(error)
-    own = [name for name in error.available if name not in PARAMETERS]
-    rest = "'pinmobile ensemble --help' lists all"
-    rest = f"this loop has {', '.join(own)}, and {rest} of the library" if own else rest
-    return unknown(f"{error.kind} {error.name!r}", str(error.name), error.available, rest)

@@ -26,9 +26,8 @@ from pinmobile.cli.choices import (
     Numbers,
     Option,
     body,
-    spreadable,
 )
-from pinmobile.cli.options import Options, as_option, body_of, choose, plant_of
+from pinmobile.cli.options import Options, as_option, body_of, choose, plant_of, spreadable
 from pinmobile.cli.output import console, output_folder, progress
 from pinmobile.cli.scenario_file import EXAMPLE
 from pinmobile.errors import InvalidArgument
@@ -553,7 +552,7 @@ def ensemble(
     It compares PD and computed torque, or runs the one that --controller names. It takes the options of
     [bold]pinmobile run[/bold] too.
 
-    Example: pinmobile ensemble --spread mass=percent:20 --spread start_x=normal:0,0.02 --after 5
+    Example: pinmobile ensemble --spread mass=percent:20 --spread start.x=normal:0,0.02 --after 5
     """
     from pinmobile.cli.ensembles_and_sweeps import show_ensemble
 

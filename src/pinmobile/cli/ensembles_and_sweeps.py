@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from pinmobile import Ensemble, InvalidArgument, Same, Scenario, plots, sweep
+from pinmobile import Ensemble, InvalidArgument, Same, Scenario, UnknownName, plots, sweep
 from pinmobile.arrays import Array, whole
 from pinmobile.cli.choices import COMPARED, CONTROLLERS, SPREAD_FORMS
 from pinmobile.cli.options import (
@@ -16,6 +16,7 @@ from pinmobile.cli.options import (
     Options,
     alone,
     as_option,
+    check_lacking,
     closed_loop,
     numbers,
     scenario,
@@ -90,7 +91,9 @@ def show_ensemble(
         gains = [name for choice in CONTROLLERS.values() for name in choice.takes]
         options.refuse(gains, "does not apply to both controllers, expected --controller")
     drawn: dict[str, Any] = {"n": n, "seed": seed, "after": after}
-    loops = {_label(name): _loop(options, wanted, name, drawn, one=one) for name in names}
+    lacks: dict[str, UnknownName] | None = None if one else {}
+    loops = {_label(name): _loop(options, wanted, name, drawn, lacks) for name in names}
+    check_lacking(lacks or {}, {name for loop in loops.values() for name in loop.spread})
     _warn_if_alike(loops.values())
     made: dict[str, Ensemble] = {}
     with progress(n * len(loops)) as bar:
@@ -174,17 +177,22 @@ def _label(name: str) -> str:
 
 
 def _loop(
-    options: Options, spread: Mapping[str, Any], name: str, drawn: Mapping[str, Any], *, one: bool
+    options: Options,
+    spread: Mapping[str, Any],
+    name: str,
+    drawn: Mapping[str, Any],
+    lacks: dict[str, UnknownName] | None,
 ) -> Scenario:
     options = options.with_values(controller=name)
-    if not one and not CONTROLLERS[name].believes:
-        options, spread = without_model(options, spread)
-    return scenario(closed_loop(options), spread, as_option, **drawn)
+    if lacks is not None and not CONTROLLERS[name].believes:
+        options = without_model(options)
+    return scenario(closed_loop(options), spread, as_option, lacks=lacks, **drawn)
 
 
 def _answer(made: Mapping[str, Ensemble], spread: Sequence[str]) -> str:
     """Say who stays within what; what only the controller's model differs in belongs to that controller."""
-    believed = [word for word in spread if word.startswith("model_")]
+    of_all = set[str].intersection(*(set(each.scenario.spread) for each in made.values()))
+    believed = [word for word in spread if word.partition("=")[0] not in of_all]
     shared = [word for word in spread if word not in believed] if len(made) > 1 else spread
     with_ = f"with {' and '.join(shared)}, " if shared else ""
     within = {label: each.within(0.99).distance for label, each in made.items()}

@@ -1,7 +1,7 @@
 """What somebody typed, as options or in a file, and the closed loops and spreads that it stands for."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -31,7 +31,8 @@ from pinmobile.cli.choices import (
 )
 from pinmobile.controllers import Controller
 from pinmobile.errors import shown
-from pinmobile.loop import PARAMETERS, resolved
+from pinmobile.loop import Loop, Relative
+from pinmobile.parts import Found, named
 from pinmobile.paths import Path
 from pinmobile.trajectories import Trajectory
 
@@ -367,30 +368,55 @@ def scenario(
         If something is not what is expected.
     """
     bare = Scenario(**loop, n=1, spread={})
-    own = [name for name in bare.known if "." not in name and name not in PARAMETERS]
-    left, lacking = {}, {}
-    for name, value in spread.items():
-        if name in bare.known:
-            resolved(name, bare.known)  # of one part alone
-            left[name] = value
-        elif lacks is None and name.startswith("model_") and name in PARAMETERS:
-            law = type(loop["controller"]).__name__
-            raise _unfit(told, name, f"does not apply: {law} believes in no model")
-        elif lacks is None and name in PARAMETERS:
-            raise _unfit(told, name, f"does not apply to this loop, which has {', '.join(own)}")
+    sources = {}
+    for name, value in _by_name(spread, bare):
+        try:
+            sources[name] = _source(told, name, value, bare.find(name))
+        except UnknownName as error:
+            if lacks is None or error.name != name:
+                raise
+            lacks[name] = error
+    try:
+        return Scenario(**loop, **drawn, spread=sources)
+    except UnknownName as error:
+        raise (lacks or {}).get(str(error.name), error) from None
+
+
+def check_lacking(lacks: Mapping[str, UnknownName], spread: Collection[str]) -> None:
+    """Refuse names of a spread that none of several loops has.
+
+    Parameters
+    ----------
+    lacks : mapping of str to UnknownName
+        Names that some of the loops lack.
+    spread : collection of str
+        Names that some of them have.
+
+    Raises
+    ------
+    UnknownName
+        If there is one.
+    """
+    for name, error in lacks.items():
+        if name not in spread:
+            raise error
+
+
+def _by_name(spread: Mapping[str, Any], bare: Scenario, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield names and values of a spread: TOML has ``com.x`` as a table within a table."""
+    for key, value in spread.items():
+        name = f"{prefix}{key}"
+        is_table = isinstance(value, Mapping) and not value.keys() & {*_KINDS}
+        if is_table and any(isinstance(x, Mapping) or _has(bare, f"{name}.{k}") for k, x in value.items()):
+            yield from _by_name(value, bare, f"{name}.")
         else:
-            lacking[name] = UnknownName("parameter in spread", name, [*own, *PARAMETERS])
-            if lacks is None:
-                raise lacking[name]
-    for name, value in left.items():
-        other = value.get("same") if isinstance(value, Mapping) else None
-        if isinstance(other, str) and other not in bare.known:
-            kind = f"parameter in spread[{name!r}]"
-            raise lacking.get(other, UnknownName(kind, other, [*own, *PARAMETERS]))
-    if lacks is not None:
-        lacks |= lacking
-    sources = {name: _source(told, name, value, bare.nominal.get(name, 0.0)) for name, value in left.items()}
-    return Scenario(**loop, **drawn, spread=sources)
+            yield name, value
+
+
+def _has(bare: Scenario, name: str) -> bool:
+    with suppress(UnknownName, InvalidArgument):
+        return bool(bare.find(name))
+    return False
 
 
 _KINDS = ("uniform", "normal", "percent", "same")
@@ -400,8 +426,8 @@ def _unfit(told: Told, name: str, why: str) -> Refused:
     return Refused(f"{told(f'spread.{name}')} {why}", f"spread.{name.removesuffix(' factor')}")
 
 
-def _source(told: Told, name: str, value: object, nominal: float) -> Any:
-    """Return the distribution or number that a value in words stands for."""
+def _source(told: Told, name: str, value: object, found: Found | None) -> Any:
+    """Return the distribution or number that a value in words stands for; `found` is the nominal number."""
     if not isinstance(value, Mapping):
         return value
     kinds = [kind for kind in value if kind != "factor"]
@@ -413,12 +439,12 @@ def _source(told: Told, name: str, value: object, nominal: float) -> Any:
     if kind == "same":
         if not isinstance(value[kind], str):
             raise _unfit(told, name, f"is the same as {value[kind]!r}, expected the name of a parameter")
-        factor = _source(told, f"{name} factor", value.get("factor", 1.0), 1.0)
+        factor = _source(told, f"{name} factor", value.get("factor", 1.0), None)
         return Same(value[kind], factor)
     if "factor" in value:
         raise _unfit(told, name, f"has a factor beside {kind}, expected one beside same alone")
     if kind == "percent":
-        return _around(told, name, value["percent"], nominal)
+        return _around(told, name, value["percent"], found)
     bounds = value[kind]
     if not isinstance(bounds, list) or len(bounds) != 2:
         raise _unfit(told, name, f"is {kind} of {bounds!r}, expected two numbers")
@@ -428,17 +454,35 @@ def _source(told: Told, name: str, value: object, nominal: float) -> Any:
         raise Refused(f"{told(f'spread.{name}')}: {error}", f"spread.{name}") from error
 
 
-def _around(told: Told, name: str, percent: object, nominal: float) -> Uniform:
+def _around(told: Told, name: str, percent: object, found: Found | None) -> Uniform | Relative:
     if not isinstance(percent, int | float) or not percent >= 0:
         raise _unfit(told, name, f"is percent of {percent!r}, expected a number >= 0")
+    share, nominal = percent / 100, 1.0 if found is None else float(found.value)
+    if found is not None and found.is_array:
+        return Relative(Uniform(1 - share, 1 + share))
     if nominal == 0:
         raise _unfit(told, name, f"is {percent:g} percent of 0, expected uniform or normal")
-    share = percent / 100
     low, high = sorted((nominal * (1 - share), nominal * (1 + share)))
     return Uniform(low, high)
 
 
-def without_model(options: Options, spread: Mapping[str, Any]) -> tuple[Options, dict[str, Any]]:
-    """Return options and spread without what one controller believes, for another that has no model."""
-    kept = {name: value for name, value in spread.items() if not name.startswith("model_")}
-    return options.with_values(**dict.fromkeys(BELIEVED)), kept
+def without_model(options: Options) -> Options:
+    """Return options without the controller's model, for a controller that has none."""
+    return options.with_values(**dict.fromkeys(BELIEVED))
+
+
+def spreadable() -> str:
+    """Return what may be spread of the lecture's loop, by the parts that have it, with units."""
+    loop = closed_loop(LECTURE)
+    found = named(Loop(loop["robot"], loop["controller"], loop["trajectory"]))
+    words: dict[str, list[str]] = {}
+    for one in found.values():
+        part = one.leaf.path.rpartition(".")[0]
+        name = one.path.removeprefix(f"{part}.")
+        words.setdefault(part or "start", []).append(f"{name} ({one.unit})" if one.unit else name)
+    listed = "\n".join(f"{part}: {', '.join(names)}" for part, names in words.items())
+    return (
+        f"{listed}\n\nThat is of the lecture's loop. The end of a path is enough: mass is plant.mass, radius "
+        "trajectory.path.radius; controller.mass is the nearest one there. Forces, arms and wheels have more: "
+        "force.x, forearm_link.mass and left.radius."
+    )

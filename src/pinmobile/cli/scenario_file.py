@@ -1,8 +1,8 @@
 """Scenario files: TOML in, a grid of scenarios out, and the line of what is wrong."""
 
 import tomllib
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import nullcontext
+from collections.abc import Collection, Mapping
+from contextlib import nullcontext, suppress
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,13 @@ from pinmobile.cli.choices import (
     OF_SPEEDS,
     OPTIONS,
     UNITS,
-    shortened,
     unknown,
 )
 from pinmobile.cli.options import (
     Options,
     Refused,
     as_key,
+    check_lacking,
     controller_of,
     moved,
     path_of,
@@ -41,6 +41,7 @@ from pinmobile.cli.tables import (
     Table,
     code_in,
     is_code,
+    leaves,
     line_of,
     line_of_syntax,
 )
@@ -61,8 +62,8 @@ radius = 3
 [loop]             # dt, integrator, substeps
 dt = 0.1
 [spread]           # uniform, normal, percent (of nominal), same, or a number
-start_x = {normal = [0, 0.001]}
-start_y = {same = "start_x", factor = {uniform = [-1, 1]}}
+start.x = {normal = [0, 0.001]}
+start.y = {same = "start.x", factor = {uniform = [-1, 1]}}
 [ensemble]         # n, seed; after: errors count from this time on
 n = 10000
 after = 5
@@ -106,7 +107,7 @@ def read_grid(path: Path, code: Code | None = None) -> Grid:
         the message begins with the file and the line, where there is one.
     """
     text, tree = _parsed(path)
-    swept = dict(_leaves(tree.pop("grid"))) if isinstance(tree.get("grid"), Mapping) else {}
+    swept = dict(leaves(tree.pop("grid"))) if isinstance(tree.get("grid"), Mapping) else {}
     try:
         _check(tree, swept)
         if code is None:
@@ -122,8 +123,7 @@ def read_grid(path: Path, code: Code | None = None) -> Grid:
         check_draws(made)
     except PinmobileError as error:
         at = line_of(error, text, tree, swept)
-        message = shortened(error) if isinstance(error, UnknownName) else str(error)
-        raise InvalidArgument(f"{path.name}{f':{at}' if at else ''}: {message}") from error
+        raise InvalidArgument(f"{path.name}{f':{at}' if at else ''}: {error}") from error
     return _in_units(made)
 
 
@@ -162,13 +162,13 @@ class _Reader:
         tree = deepcopy(dict(self.tree))
         for name, value in chosen.items():
             _put(tree, name.split("."), value)
-        options, spread = _options(tree), dict(tree.get("spread", {}))
+        options = _options(tree)
         law = CONTROLLERS.get(options["controller"]) if "controller" in self.several else None
         if law is not None and not law.believes:
-            options, spread = without_model(options, spread)
+            options = without_model(options)
         drawn = {key: options[key] for key in _TABLES["ensemble"]}
         lacks = self.lacks if "controller" in self.several else None
-        made = scenario(self._loop(tree, options), spread, as_key, lacks=lacks, **drawn)
+        made = scenario(self._loop(tree, options), tree.get("spread", {}), as_key, lacks=lacks, **drawn)
         self.spread |= set(made.spread)
         return made
 
@@ -180,9 +180,7 @@ class _Reader:
         UnknownName
             If there is one.
         """
-        for name, error in self.lacks.items():
-            if name not in self.spread:
-                raise error
+        check_lacking(self.lacks, self.spread)
         for name in self.several:
             keys = [*self.tree.get(name, ()), *(rest for one in self.swept for rest in _rest(one, name))]
             for key in keys:
@@ -344,15 +342,6 @@ def _check_swept(name: str, values: object, own: Collection[str]) -> None:
         raise Refused(f"{name} is {values!r}, expected texts in quotes", name)
 
 
-def _leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in tree.items():
-        name = f"{prefix}.{key}" if prefix else key
-        if isinstance(value, Mapping):
-            yield from _leaves(value, name)
-        else:
-            yield name, value
-
-
 def _put(tree: dict[str, Any], place: list[str], value: object) -> None:
     *tables, key = place
     for table in tables:
@@ -375,16 +364,24 @@ def _axis(name: str, values: list[Any]) -> Axis:
 
 
 def _in_units(made: Grid) -> Grid:
-    """Return the grid with the units of parameters whose spread is swept: a loop knows them."""
+    """Return the grid with the units of numbers that are swept: a loop knows them."""
     axes = dict(made.axes)
     for name, axis in made.axes.items():
-        table, _, key = name.partition(".")
-        if table == "spread" and "." not in key:  # the value itself, not what is percent of it
-            units = {each.known[key][0].parameter.unit for each in made.scenarios if key in each.known}
+        units = {unit for one in made.scenarios if (unit := _unit(one, name))}
+        if len(units) == 1:
             labels = map(str, axis.values)
             labelled = None if axis.given == axis.values else dict(zip(labels, axis.given, strict=True))
-            axes[name] = Axis(labelled or axis.values, units.pop()) if len(units) == 1 else axis
+            axes[name] = Axis(labelled or axis.values, units.pop())
     return Grid(axes, made.scenarios)
+
+
+def _unit(made: Scenario, name: str) -> str:
+    """Return the unit of a number of a loop by its dotted name in a file; "" where it is none."""
+    table, _, key = name.partition(".")
+    paths = {"spread": key, "robot": f"plant.{key}"}
+    with suppress(UnknownName, InvalidArgument):
+        return made.find(paths.get(table, name)).unit
+    return ""
 
 
 def _label(value: object) -> str:

@@ -22,7 +22,6 @@ from pinmobile.cli.choices import (
     ROBOTS,
 )
 from pinmobile.cli.options import Options, Refused, choose, controller_of, path_of, plant_of
-from pinmobile.compiled import attributes_of, check_numbers
 from pinmobile.errors import shown
 from pinmobile.sweeps import Code
 
@@ -98,10 +97,7 @@ def _line_of_place(place: str, text: str, tree: Table, swept: Table) -> int:
         for name in swept:
             if f"{name}.".startswith(f"{dotted}."):
                 return line(text, "grid", name)
-        found = tree.get(table)
-        for key in keys:
-            found = found.get(key) if isinstance(found, Mapping) else None
-        at = 0 if found is None else line(text, table, ".".join(keys))
+        at = line(text, table, ".".join(keys))
         if at > line(text, table):  # a row of its own; within a table on one line, that of the table
             return at
         keys.pop()
@@ -119,13 +115,23 @@ def _line_of_name(name: object, text: str, tree: Table, swept: Table, *, among_k
         if _holds(values, name):
             return line(text, "grid", where)
     for table, content in tree.items():
-        for key, value in content.items():
-            if (among_keys and key == name) or _holds(value, name):
-                return line(text, table, key)
+        for key, value in leaves(content):
+            if (among_keys and f".{name}." in f".{key}.") or _holds(value, name):
+                return _line_of_place(f"{table}.{key}", text, tree, swept)
     for where in swept:
         if among_keys and name in where.split("."):
             return line(text, "grid", where)
     return 0
+
+
+def leaves(tree: Table, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield what tables hold that is no table, by dotted names."""
+    for key, value in tree.items():
+        name = f"{prefix}.{key}" if prefix else key
+        if isinstance(value, Mapping):
+            yield from leaves(value, name)
+        else:
+            yield name, value
 
 
 def _holds(value: object, name: object) -> bool:
@@ -334,11 +340,7 @@ class Maker:
             more = {key: value for key, value in beside.items() if key in parameters and key not in arguments}
             if first is not None and parameters:
                 more = {next(iter(parameters)): first, **more}
-            made = self._called(name, make, parameters, {**more, **arguments})
-            for key in attributes_of(made):
-                if key in arguments:
-                    check_numbers(f"{kind}.{key}", arguments[key])
-            return made
+            return self._called(name, make, parameters, {**more, **arguments})
 
     def _users(self, name: str) -> Any:
         if not _REFERENCE.fullmatch(name):

@@ -1,5 +1,6 @@
 """Laws on symbols: a loop's parts, written in NumPy for one state, as vector code for many robots."""
 
+from pinmobile.compiled._vectorize import vectorize
 from pinmobile.compiled.elementary import sincos as sincos
 from pinmobile.compiled.emit import BINS, FIRST, SHIFT, Shape
 from pinmobile.compiled.loop_tape import LoopTape
@@ -23,7 +24,6 @@ from pinmobile.compiled.tape import (
     root as root,
     square_root as square_root,
 )
-from pinmobile.compiled.vectorize import vectorize
 
 __all__ = [
     "BINS",

@@ -132,7 +132,7 @@ class Identity:
         if not is_part(part):
             return self._value(part)
         try:
-            known = _constant.get(part)
+            known: Hashable = _constant.get(part)
         except TypeError:
             known = None
         if known is not None:
@@ -147,7 +147,7 @@ class Identity:
     def _memory(self, tree: Any) -> Hashable:
         """Return the structure of a memory."""
         if is_leaf(tree):
-            return np.shape(tree)
+            return tuple(np.shape(tree))
         if isinstance(tree, dict):
             return tuple((key, self._memory(value)) for key, value in tree.items())
         if isinstance(tree, list | tuple):
@@ -249,7 +249,7 @@ class Identity:
         return (*name, tuple(own), tuple(map(self._class, kind.__bases__)))
 
     def _function(self, function: FunctionType) -> Hashable:
-        """Return a function: of the library and others by name, of a user by its code and all it refers to."""
+        """Return a function: of the library and others by name, of a user by code and what that refers to."""
         module = function.__module__ or ""
         name = module, function.__qualname__
         library = _is_library(module)
@@ -298,7 +298,7 @@ def _is_library(module: str) -> bool:
 
 
 @functools.cache
-def _slots(kind: type) -> tuple[str, ...]:
+def _slots(kind: Any) -> tuple[str, ...]:
     """Return the names of values that objects of a class keep outside an attribute dictionary."""
     found = (vars(each).get("__slots__", ()) for each in kind.__mro__)
     names = {name for each in found for name in ((each,) if isinstance(each, str) else each)}

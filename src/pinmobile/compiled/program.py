@@ -144,7 +144,10 @@ class Program:
                 f"there are {n} robots, {count} samples, and counts every {every}, expected >= 1"
             )
         sizes = length, size, size
-        expected = [("q", start[0], (n, nq)), ("v", start[1], (n, nv))]
+        expected: list[tuple[str, Any, tuple[int, ...]]] = [
+            ("q", start[0], (n, nq)),
+            ("v", start[1], (n, nv)),
+        ]
         expected += [("reference", x, (count, m)) for x, m in zip(reference, sizes, strict=True)]
         if (tracks is None) != (self.tape.tracks == 0):
             raise InvalidArgument(f"tracks is {tracks}, expected references as the loop was traced with")

@@ -1,4 +1,4 @@
-"""Running laws on symbols: NumPy replaced by name where their code stands, and refusals that name the line."""
+"""Running laws on symbols: NumPy replaced by name where their code stands, and errors that name the line."""
 
 from __future__ import annotations
 

@@ -125,8 +125,6 @@ class PD:
         return feedback(self, state, q, v, reference), state
 
 
-
-
 def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:
     """Return a gain as a matrix.
 

@@ -261,9 +261,13 @@ class VelocityRobot:
         return VelocityDynamics(self.theta, self.ahead, self.accelerations, self.inputs)
 
     @cached_property
+    def _is_symbolic(self) -> bool:
+        return holds_symbols(self)
+
+    @property
     def law(self) -> Any:
         """What a loop calls: itself, or its `array_dynamics` where it holds symbols."""
-        return self.array_dynamics if holds_symbols(self) else self
+        return self.array_dynamics if self._is_symbolic else self
 
     def traced(self) -> VelocityDynamics:
         """Return its `array_dynamics`."""

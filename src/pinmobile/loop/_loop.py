@@ -1,7 +1,7 @@
 """`Loop`, a closed loop of parts, and `step`, the one function that computes a sample of it.
 
-`step` runs on numbers and on symbols alike: the compiled loop is this function, traced once; the loop in Python
-calls it at each sample.
+`step` runs on numbers and on symbols alike: the compiled loop is this function, traced once; the loop in
+Python calls it at each sample.
 """
 
 from __future__ import annotations
@@ -50,6 +50,14 @@ def _rates(loop: Any) -> list[str]:
     return [one.rate or f"{one.name}_rate" for one in coordinates_of(loop.plant)]
 
 
+def _units(loop: Any) -> str:
+    return ", ".join(one.unit for one in coordinates_of(loop.plant))
+
+
+def _rate_units(loop: Any) -> str:
+    return ", ".join(f"{one.unit or '1'}/s" for one in coordinates_of(loop.plant))
+
+
 _OF_START = attrs.Factory(_zeros, takes_self=True)
 
 
@@ -64,13 +72,17 @@ class Loop:
 
     plant: Any = child(object, doc="simulated system")
     controller: Any = child(object, doc="controller, with its wrappers")
-    trajectory: Any = child(object, optional=True, doc="what the reference is sampled from")
+    trajectory: Any = child(object, default=None, optional=True, doc="what the reference is sampled from")
     forces: Any = children(object, default=(), doc="external forces")
-    integrator: Any = child(object, optional=True, doc="None for a plant with a step of its own")
+    integrator: Any = child(
+        object, default=None, optional=True, doc="None for a plant with a step of its own"
+    )
     substeps: int = integer(default=1, least=1, doc="steps of the plant in a sample")
-    recorder: Any = child(object, optional=True, doc="part that records samples")
-    start: Any = array(default=_OF_START, labels=_coordinates, doc="displacement of the start")
-    start_rate: Any = array(default=_OF_START, labels=_rates, doc="velocity added at the start")
+    recorder: Any = child(object, default=None, optional=True, doc="part that records samples")
+    start: Any = array(default=_OF_START, labels=_coordinates, unit=_units, doc="displacement of the start")
+    start_rate: Any = array(
+        default=_OF_START, labels=_rates, unit=_rate_units, doc="velocity added at the start"
+    )
 
     @cached_property
     def law(self) -> Any:

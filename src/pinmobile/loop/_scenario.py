@@ -83,9 +83,9 @@ class Scenario:
         Number of robots.
     spread : mapping of str to Distribution, number or array of shape (n,)
         Numbers that differ, by path: ``"plant.mass"``, ``"forces.0.force.x"``, ``"controller.kp"``,
-        ``"trajectory.path.radius"``, ``"start.x"``; the end of a path is enough, ``"mass"`` (the plant's first,
-        then the nearest to the loop). All others are nominal; the controller model has its own numbers unless
-        ``"controller.mass"`` and the like are named (`TRUE_MODEL`: each robot's).
+        ``"trajectory.path.radius"``, ``"start.x"``; the end of a path is enough, ``"mass"`` (the plant's
+        first, then the nearest to the loop). All others are nominal; the controller model has its own numbers
+        unless ``"controller.mass"`` and the like are named (`TRUE_MODEL`: each robot's).
     seed : int
         All draws follow from it; robot i's do not depend on n.
     dt, duration, integrator, substeps, forces, limit

@@ -172,7 +172,7 @@ class _TrueModel(Mapping[str, Same]):
 
 
 TRUE_MODEL: Mapping[str, Same] = _TrueModel(("mass", "yaw_inertia", "com.x", "com.y"))
-"""Spread that gives the controller model each robot's numbers: ``{"mass": Uniform(20, 40), **TRUE_MODEL}``."""
+"""Spread that gives a controller model each robot's numbers: ``{"mass": Uniform(20, 40), **TRUE_MODEL}``."""
 
 Source: TypeAlias = Distribution | Same | Relative | ArrayLike
 

@@ -276,9 +276,8 @@ class _Pass:
         values = self._symbolic()
         q, v = self._new("state", trace.q.shape), self._new("state", trace.v.shape)
         t = self._new("sample", ())
-        reference = Reference(
-            *(self._new("track" if trace.own_reference else "sample", x.shape) for x in trace.reference)
-        )
+        kind = "track" if trace.own_reference else "sample"
+        reference = Reference(*(self._new(kind, x.shape) for x in trace.reference))  # type: ignore[arg-type]
         self.next["sample"] = columns = 1 + sum(x.size for x in trace.reference)
         k = symbols([real(tape.input(*COUNT) | float_bits(2.0**52)) - 2.0**52], ())
         makers = self._line, self._noise, self._schedule

@@ -100,7 +100,7 @@ class structure(numeric[_T]):
     def __get__(self, part: Any, owner: Any = None) -> Any:
         if part is None or self.attrname in vars(part) or "nominal" not in vars(part):
             return super().__get__(part, owner)
-        return getattr(vars(part)["nominal"], self.attrname or "")  # type: ignore[no-any-return]
+        return getattr(vars(part)["nominal"], self.attrname or "")
 
 
 @attrs.frozen
@@ -126,7 +126,7 @@ class Number(Field):
 
     Attributes
     ----------
-    unit : str
+    unit : str, or function of the part
         Unit of the numbers, "" for none; of an array with mixed units, one for each entry: ``"N, N, N m"``.
     above, lower, upper : float, optional
         Bounds; `above` itself is excluded.
@@ -148,7 +148,7 @@ class Number(Field):
         constant.
     """
 
-    unit: str = ""
+    unit: str | Callable[[Any], str] = ""
     above: float | None = None
     lower: float | None = None
     upper: float | None = None
@@ -208,15 +208,17 @@ class Number(Field):
         wrong = self.beyond(array)
         if wrong.any():
             at = tuple(int(i) for i in np.argwhere(wrong)[0])
-            unit = self.unit_of(at[-1]) if at else "" if ", " in self.unit else self.unit
+            own = "" if callable(self.unit) else self.unit
+            unit = unit_of(own, at[-1]) if at else "" if ", " in own else own
             raise InvalidArgument(f"{name} is {array[at]}{unit and ' ' + unit}, expected {self.bound}")
 
-    def unit_of(self, entry: int | None) -> str:
-        """Return the unit of an entry of the last axis; None: of all."""
-        units = self.unit.split(", ")
-        if entry is None or len(units) == 1:
-            return self.unit
-        return units[entry] if entry < len(units) else units[-1]
+
+def unit_of(unit: str, entry: int | None) -> str:
+    """Return the unit of an entry of the last axis; None: of all."""
+    units = unit.split(", ")
+    if entry is None or len(units) == 1:
+        return unit
+    return units[entry] if entry < len(units) else units[-1]
 
 
 def _fits(shape: tuple[int, ...], wanted: _Shape) -> bool:
@@ -281,7 +283,7 @@ def _checked(value: Any, owner: Any, field: attrs.Attribute[Any]) -> Any:
     return found
 
 
-_convert = attrs.Converter(_checked, takes_self=True, takes_field=True)  # type: ignore[call-overload]
+_convert = attrs.Converter(_checked, takes_self=True, takes_field=True)
 
 
 def declare(declared: Field, default: Any = attrs.NOTHING, **options: Any) -> Any:
@@ -324,7 +326,7 @@ def array(
     *,
     default: Any = attrs.NOTHING,
     shapes: tuple[_Shape, ...] = (("n",),),
-    unit: str = "",
+    unit: str | Callable[[Any], str] = "",
     doc: str = "",
     labels: tuple[str, ...] | Callable[[Any], Sequence[str]] = (),
     above: float | None = None,
@@ -435,7 +437,7 @@ def part(cls: type[_T]) -> type[_T]:
 
         cls.__attrs_post_init__ = check  # type: ignore[attr-defined]
     if "__reduce__" not in own:
-        cls.__reduce__ = lambda self: (_rebuilt, (type(self), _initial(self)))  # type: ignore[method-assign,assignment]
+        cls.__reduce__ = lambda self: (_rebuilt, (type(self), _initial(self)))  # type: ignore[method-assign]
     if "__copy__" not in own:
         cls.__copy__ = _shallow  # type: ignore[attr-defined]
     return attrs.define(cls, slots=False, eq=False, frozen=True, repr=cls.__repr__ is object.__repr__)
@@ -458,7 +460,7 @@ def by_value(cls: type[_T]) -> type[_T]:
         return type(other) is type(self) and key(self) == key(other)
 
     cls.__eq__ = same  # type: ignore[method-assign]
-    cls.__hash__ = lambda self: hash((type(self), key(self)))  # type: ignore[method-assign,assignment]
+    cls.__hash__ = lambda self: hash((type(self), key(self)))  # type: ignore[method-assign]
     return cls
 
 
@@ -497,7 +499,7 @@ def fields_of(part: Any) -> list[tuple[str, Field, Any]]:
 
     The fields of a user's plain frozen dataclass are what their values are: floats and arrays are numbers.
     """
-    values = ((name, declared, getattr(part, name)) for name, declared in declared_by(type(part)))
+    values = ((name, declared, getattr(part, name)) for name, declared in declared_by(type(part)))  # type: ignore[arg-type]
     return [(name, declared or _seen(value), value) for name, declared, value in values]
 
 
@@ -523,7 +525,7 @@ def evolved(part: _T, changes: Mapping[str, Any] = MappingProxyType({}), /, **ot
     changes = {**changes, **others}
     if not attrs.has(type(part)):
         return dataclasses.replace(part, **changes)  # type: ignore[type-var]
-    own = attrs.fields(type(part))
+    own = attrs.fields(type(part))  # type: ignore[arg-type]
     if not all(f.init and "declared" in f.metadata for f in own):
         return attrs.evolve(part, **changes)  # type: ignore[misc]
     new = object.__new__(type(part))  # fields that stay are not checked again

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from pinmobile.errors import InvalidArgument, UnknownName
-from pinmobile.parts._fields import Child, Field, Number, _Option, evolved, fields_of, is_part
+from pinmobile.parts._fields import Child, Field, Number, _Option, evolved, fields_of, is_part, unit_of
 
 _T = TypeVar("_T")
 
@@ -46,6 +46,12 @@ class Leaf(NamedTuple):
         return {".".join([*map(str, row), name]): (*row, k) for row in rows for k, name in enumerate(columns)}
 
     @property
+    def unit(self) -> str:
+        """Unit of the field, as `Number` has it."""
+        unit = getattr(self.declared, "unit", "")
+        return unit(self.owner) if callable(unit) else str(unit)
+
+    @property
     def is_gain(self) -> bool:
         """Whether one number, one for each coordinate or a matrix may stand for it."""
         return ("n", "n") in getattr(self.declared, "shapes", ())
@@ -58,7 +64,8 @@ def entries_of(value: Any) -> list[tuple[str, Any]]:
     names = [getattr(each, "name", None) for each in value]
     named = all(isinstance(name, str) for name in names) and len(set(names)) == len(names)
     return [
-        (name if named else str(i), each) for i, (name, each) in enumerate(zip(names, value, strict=True))
+        (str(name) if named else str(i), each)
+        for i, (name, each) in enumerate(zip(names, value, strict=True))
     ]
 
 
@@ -123,7 +130,7 @@ def replace(part: _T, values: Mapping[str, Any], *, nominal: bool = False) -> _T
         If a value is not what the field declares.
     """
     used: set[str] = set()
-    new = _replaced(part, "", values, nominal, used)
+    new: _T = _replaced(part, "", values, nominal, used)
     for path in values.keys() - used:
         raise UnknownName("parameter", path, numbers(part))
     return new
@@ -187,18 +194,17 @@ class Found(NamedTuple):
     def value(self) -> Any:
         """The number: of several, the first."""
         value = np.asarray(0.0 if self.leaf.value is None else self.leaf.value, np.float64)
-        return value.flat[0] if self.entry is None or not value.ndim else value[self.index(value.ndim)]
+        return value.flat[0] if self.entry is None or not value.ndim else value[self.place(value.ndim)]
 
-    def index(self, axes: int) -> tuple[int, ...]:
-        """Return the index of the entry in an array of so many axes: of a matrix of gains, on its diagonal."""
+    def place(self, axes: int) -> tuple[int, ...]:
+        """Return the index of the entry in an array of so many axes; of gains' matrix, on the diagonal."""
         entry = self.entry or ()
         return entry if len(entry) == axes else entry[-1:] * axes
 
     @property
     def unit(self) -> str:
         """Unit of the number."""
-        declared = self.leaf.declared
-        return declared.unit_of(self.entry and self.entry[-1]) if isinstance(declared, Number) else ""
+        return unit_of(self.leaf.unit, self.entry[-1] if self.entry else None)
 
     @property
     def meaning(self) -> str:
@@ -293,7 +299,8 @@ def spread_values(found: Sequence[tuple[Found, Any, bool]], n: int, size: int = 
         else:
             if new.ndim == 1:
                 new = np.repeat(new[:, None], size, axis=1)
-            new[(slice(None), *one.index(new.ndim - 1))] = column
+            at: Any = slice(None), *one.place(new.ndim - 1)
+            new[at] = column
         values[path] = new
     return values
 
@@ -304,7 +311,7 @@ def spread_entries(found: Sequence[Found], values: Mapping[str, Any]) -> dict[st
     for one in found:
         shape = np.shape(values[one.leaf.path])[1:]
         varies = entries.setdefault(one.leaf.path, np.zeros(shape, bool))
-        varies[... if one.entry is None else one.index(len(shape))] = True
+        varies[() if one.entry is None else one.place(len(shape))] = True
     return entries
 
 
@@ -314,7 +321,7 @@ def table(part: Any) -> str:
         (
             path,
             np.array2string(np.asarray(leaf.value), precision=6),
-            leaf.declared.unit,
+            leaf.unit,
             leaf.declared.bound,
             leaf.declared.doc,
         )

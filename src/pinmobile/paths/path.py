@@ -99,19 +99,19 @@ def checked_path(path: object, size: int) -> Path:
     InvalidArgument
         If it is none, its points have another shape, or it jumps.
     """
-    path = required("path", path, Path)  # type: ignore[type-abstract]
-    shape = np.shape(path(0.0))
+    found: Any = required("path", path, Path)
+    shape = np.shape(found(0.0))
     if shape != (size,):
         where = "the plane" if size == 2 else "space"
         raise InvalidArgument(f"path has points of shape {shape}, expected ({size},), a path in {where}")
-    for before, after in pairwise(pieces_of(path)):
+    for before, after in pairwise(pieces_of(found)):
         ends = before.derivative(before.end, 0), after.derivative(after.start, 0)
         if jumps(*ends, _JUMP):
             here, there = map(told, ends)
             raise InvalidArgument(
                 f"path jumps from {here} m to {there} m at t = {after.start:g} s, expected pieces that meet"
             )
-    return path
+    return found  # type: ignore[no-any-return]
 
 
 _JUMP = 1e-6  # [m], and of the coordinates: more than the rounding of any curve

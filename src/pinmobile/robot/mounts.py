@@ -109,8 +109,7 @@ class Link:
         """Its inertia."""
         return pin.Inertia(self.mass, self.com, matrix_of_six(self.inertia))
 
-    def key(self) -> tuple[object, ...]:
-        """Return what makes two links the same one."""
+    def _key(self) -> tuple[object, ...]:
         return self.name, self.mass, self.com.tobytes(), self.inertia.tobytes()
 
 
@@ -249,7 +248,7 @@ class Mount:
         return f".mount({self.arm.origin.value!r}, {listed})"
 
     def _key(self) -> tuple[object, ...]:
-        links = tuple(link.key() for link in self.links)
+        links = tuple(link._key() for link in self.links)
         return self.name, self.at, self.arm.key(), links, self.rotors.tobytes()
 
     def __eq__(self, other: object) -> bool:
@@ -308,9 +307,8 @@ class Load:
         if inertia is None:
             solid = np.zeros((3, 3)) if size is None else box_inertia(positive("mass", mass, "kg"), size)
             six = six_of(solid)
-        elif not is_symbolic(inertia) and np.shape(inertia) != (6,):
-            own = Body(positive("mass", mass, "kg"), finite("com", com), finite("inertia", inertia))
-            six = six_of(own.inertia)
+        elif finite("inertia", inertia).shape != (6,):
+            six = six_of(Body(positive("mass", mass, "kg"), finite("com", com), inertia).inertia)
         self.__attrs_init__(mass, com, six, size, frame)  # type: ignore[attr-defined]
 
     def check(self) -> None:

@@ -44,7 +44,7 @@ class Platform:
     robot: MobileRobot
     table: WheelTable
     array_dynamics: Any
-    law: Any
+    _is_symbolic: bool
 
     @structure
     def mobility(self) -> Mobility:
@@ -250,7 +250,7 @@ class Platform:
     @property
     def size(self) -> tuple[float, float, float]:
         """Length, width and height of the body [m]."""
-        return self.robot.size
+        return self.robot.size  # type: ignore[no-any-return]
 
     @cached_property
     def _picture(self) -> Picture:
@@ -361,7 +361,7 @@ class Platform:
         if not (choice.body and choice.is_fixed):
             raise InvalidArgument(f"robot is {self.mobility.kind}, which has no fixed axle")
         self._check_rolls()
-        return self._rows.base_of(choice.body[0]) if self.law is self else self.array_dynamics.axle
+        return self.array_dynamics.axle if self._is_symbolic else self._rows.base_of(choice.body[0])
 
     @in_numbers
     def lateral_velocity(self, q: ArrayLike, v: ArrayLike) -> Array:

@@ -72,7 +72,7 @@ class VoltageDynamics:
     ----------
     wheeled : WheeledDynamics
         Of the same robot, whose inputs are torques: one that rolls, or has a step that motors drive.
-    law : MotorLaw
+    motors : MotorLaw
         Of the electric motors, in the order of the inputs.
     electric : tuple of int
         Which actuators they are.
@@ -81,7 +81,7 @@ class VoltageDynamics:
     """
 
     wheeled: WheeledDynamics
-    law: MotorLaw
+    motors: MotorLaw
     electric: tuple[int, ...]
     inputs: tuple[Input, ...]
 
@@ -114,11 +114,11 @@ class VoltageDynamics:
 
     def volts_for(self, v: Any, torques: Any) -> Any:
         """Return the input at which motors give these torques, as far as they can: see `ByVoltage`."""
-        return self._at_rates(v, torques, self.law.needed)
+        return self._at_rates(v, torques, self.motors.needed)
 
     def torques_at(self, v: Any, u: Any) -> Any:
         """Return the torques of an input: see `ByVoltage`."""
-        law = self.law
+        law = self.motors
         return self._at_rates(v, u, lambda k, x, rate: law.torque(k, law.volts(k, x), rate))
 
     def _at_rates(self, v: Any, u: Any, law: Any) -> Any:
@@ -132,12 +132,12 @@ class VoltageDynamics:
 
     def followed(self, reference: Any) -> Followed:
         """Return states and volts, such as they are beyond limits too, along a reference: see `Followed`."""
-        along, law = self.wheeled.followed(reference), self.law
+        along, law = self.wheeled.followed(reference), self.motors
         return along._replace(u=self._at_rates(along.v, along.u, lambda *x: law.needed(*x, clips=False)))
 
     def linearize_tracked(self, q: Any, v: Any, u: Any) -> tuple[Array, Array]:
         """Return A and B of the tracked state for volts, see `ByVoltage.linearize_tracked`."""
-        law = self.law
+        law = self.motors
         torques = self._at_rates(v, u, lambda *x: law.torque(*x, clips=False))
         A, B = self.wheeled.linearize_tracked(q, v, torques)
         own = np.moveaxis(self.wheeled.reduced(q, v).B, -1, 0)  # a torque's power is torque times B' nu
@@ -174,7 +174,7 @@ class VoltageDynamics:
         memory : Driving
             From the step before.
         """
-        law, given = self.law, [number(_plain(x)) for x in scalars(u)][self.wheeled.na :]
+        law, given = self.motors, [number(_plain(x)) for x in scalars(u)][self.wheeled.na :]
         volts = [law.volts(k, given[i]) for k, i in enumerate(self.electric)]
 
         def motors(rates: Vector, clips: Any) -> list[Push]:

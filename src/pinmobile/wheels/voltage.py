@@ -141,9 +141,13 @@ class ByVoltage:
         return self.array_dynamics
 
     @cached_property
+    def _is_symbolic(self) -> bool:
+        return holds_symbols(self)
+
+    @property
     def law(self) -> Any:
         """What a loop calls: itself, or its `array_dynamics` where it holds symbols."""
-        return self.array_dynamics if holds_symbols(self) else self
+        return self.array_dynamics if self._is_symbolic else self
 
     @also_symbols
     def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:

@@ -91,9 +91,13 @@ class WheeledRobot(Platform, Bearing):
         return self.ground.dynamics(self)
 
     @cached_property
+    def _is_symbolic(self) -> bool:
+        return holds_symbols(self)
+
+    @property
     def law(self) -> Any:
         """What a loop calls: itself, or its `array_dynamics` where it holds symbols."""
-        return self.array_dynamics if holds_symbols(self) else self
+        return self.array_dynamics if self._is_symbolic else self
 
     @cached_property
     def terms(self) -> dict[str, Any]:
@@ -351,7 +355,7 @@ class WheeledRobot(Platform, Bearing):
     def project(self) -> Callable[[ArrayLike, ArrayLike], Array]:
         """``project(q, v)``: the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
         own: Callable[[ArrayLike, ArrayLike], Array] = self._of_ground("project")
-        return self._projected if self._rolls_ideally and self.law is self else own
+        return self._projected if self._rolls_ideally and not self._is_symbolic else own
 
     @in_numbers
     def _projected(self, q: ArrayLike, v: ArrayLike) -> Array:
@@ -500,7 +504,7 @@ class WheeledRobot(Platform, Bearing):
         if not self.table.axes:
             return frozen(np.zeros((0, 3)))
         found = self.array_dynamics.pivots
-        return frozen(found) if self.law is self else found
+        return found if self._is_symbolic else frozen(found)
 
     @in_numbers
     def allocate(self, q: ArrayLike, tau: ArrayLike) -> Allocation:
@@ -575,7 +579,7 @@ class WheeledRobot(Platform, Bearing):
         ``f(t, q, v)`` has the generalised forces beside the input, at mid-step; an array has those that stay.
         """
         own: Callable[..., Step] = self._of_ground("step")
-        return self._stepped if self.law is self else own
+        return own if self._is_symbolic else self._stepped
 
     @property
     def signals(self) -> Callable[..., dict[str, tuple[str, Any]]]:
