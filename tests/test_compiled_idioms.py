@@ -315,7 +315,7 @@ def test_an_idiom_gives_on_symbols_what_it_gives_on_numbers(name: str) -> None:
     law = IDIOMS[name]
     tape = Tape()
     given = symbols([tape.input("state", i) for i in range(3)], (3,))
-    with tracing([law]):
+    with tracing([globals()]):
         traced = entries(law(given))
     for state in STATES:
         expected = np.asarray(law(state.copy()), float)
@@ -366,7 +366,7 @@ def test_what_cannot_be_traced_is_refused_with_the_line_and_what_to_write(name: 
     refused, instead = REFUSED[name]
     tape = Tape()
     given = symbols([tape.input("state", i) for i in range(3)], (3,))
-    with pytest.raises(errors.NotTraceable) as caught, tracing([refused]):
+    with pytest.raises(errors.NotTraceable) as caught, tracing([globals()]):
         refused(given)
     line = refused.__code__.co_firstlineno
     assert instead in caught.value.instead

@@ -27,6 +27,7 @@ from pinmobile import (
     Payload,
     PDGravity,
     Polyline,
+    Relative,
     RollingResistance,
     Saturated,
     Scenario,
@@ -121,8 +122,8 @@ PATHS: dict[str, Any] = {
     ),
 }
 GAINS: Mapping[str, str] = {
-    "PID": "pid_kp",
-    "sliding mode": "layer",
+    "PID": "kp",
+    "sliding mode": "width",
     "follower": "along",
     "command": "zeta",
     "backstepping": "zeta",
@@ -136,16 +137,16 @@ FORCES: Mapping[str, str] = {
     "spring": "stiffness",
 }
 OF_PATHS: Mapping[str, tuple[str, float]] = {
-    "eight": ("eight_size", 2.0),
-    "circle": ("heading", 0.7),
+    "eight": ("trajectory.path.size", 2.0),
+    "circle": ("trajectory.path.heading", 0.7),
     "line": ("trajectory.path.end.y", -1.0),
     "polyline": ("corner_radius", 0.2),
     "moved": ("angle", 0.5),
-    "one after another": ("trajectory.path.paths[1].corner_radius", 0.2),
+    "one after another": ("trajectory.path.paths.1.corner_radius", 0.2),
 }
 MODELS = ("computed torque", "computed torque, wrong", "Decoupled")
 KINEMATIC = ("command", "backstepping", "adaptive velocity")
-STARTS = {"start_x": Uniform(-0.2, 0.2), "start_psi": Uniform(-0.3, 0.3)}
+STARTS = {"start.x": Uniform(-0.2, 0.2), "start.psi": Uniform(-0.3, 0.3)}
 SPREADS = ("nothing", "mass", "gains", "model", "forces", "start", "reference")
 FACTORS: dict[str, tuple[str, ...]] = {
     "controller": tuple(CONTROLLERS),
@@ -217,21 +218,20 @@ def spread_of(choice: Mapping[str, str]) -> dict[str, Any]:
     controller, steady = choice["controller"], choice["steady"]
     nominal = {"force.x": 3.0, "coefficients.forward": 5.0, "force.left": 3.0, "stiffness": 8.0}
     nominal["mass"] = 6.0
-    gains = {"pid_kp": 50.0, "layer": 0.5, "along": 8.0, "kp.x": 50.0, "zeta": 0.7, "saturation": 0.2}
-    gain = GAINS.get(controller, "kp.x")
+    gain = GAINS.get(controller, "kp")
     name, of_path = OF_PATHS[choice["path"]]
     found: dict[str, dict[str, Any]] = {
         "nothing": {},
         "mass": {"plant.mass": Uniform(20.0, 35.0)}
         if choice["plant"] != "commanded"
-        else {"theta_1": Uniform(0.2, 0.3), "ahead": Uniform(-0.1, 0.1), "acceleration": 1.0},
-        "gains": {gain: Uniform(0.8 * gains[gain], 1.2 * gains[gain])},
-        "model": {"model_mass": Uniform(25.0, 35.0), "model_com_x": Uniform(0.0, 0.1)},
+        else {"plant.theta.theta_1": Uniform(0.2, 0.3)},
+        "gains": {f"controller.{gain}": Relative(Uniform(0.8, 1.2))},
+        "model": {"controller.mass": Uniform(25.0, 35.0), "controller.com.x": Uniform(0.0, 0.1)},
         "start": STARTS,
         "reference": {name: Uniform(*sorted((0.9 * of_path, 1.1 * of_path)))},
     }
     if steady in FORCES:
-        found["forces"] = {f"forces[0].{FORCES[steady]}": Uniform(0.5, nominal[FORCES[steady]])}
+        found["forces"] = {f"forces.0.{FORCES[steady]}": Uniform(0.5, nominal[FORCES[steady]])}
     return found[choice["spread"]]
 
 

@@ -3,7 +3,6 @@
 import pickle
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,7 @@ from pinmobile import (
     Spline,
     Tangent,
     Uniform,
+    UnknownName,
     ViscousFriction,
     WholeBody,
     ensemble,
@@ -39,13 +39,10 @@ from pinmobile import (
     simulate,
     sweep,
 )
-from pinmobile.compiled.symbolic import Symbols
-from pinmobile.compiled.tracing import tracing
+from pinmobile.errors import SlowerEngine
 from pinmobile.loop import COMPILED, PYTHON, part_of, run_scenario
 from pinmobile.loop._variables import PER_ROBOT
-from pinmobile.errors import SlowerEngine
-from pinmobile.parts import evolved
-from tests.looping import TwoWheels
+from pinmobile.parts import replace
 from tests.parts import (
     PID,
     Axle,
@@ -59,6 +56,7 @@ from tests.parts import (
     Spring,
     midpoint,
 )
+from tests.users import Follower as OfOneState, TwoWheels
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
 N = 4
@@ -226,13 +224,14 @@ def test_a_users_plant_has_the_same_numbers_by_all_engines(what: str) -> None:
     assert_as_simulated(compiled, of_pinocchio)
 
 
-def test_a_plant_for_one_state_is_compiled() -> None:
-    spread = {"mass": OF_CART["mass"], "start.y": 0.1}  # it does not name its coordinates
-    run = run_scenario(carted(robot=TwoWheels(), spread=spread))
+def test_an_ordinary_class_for_one_state_is_compiled_and_its_numbers_are_its_own() -> None:
+    given: Any = {"robot": TwoWheels(), "controller": OfOneState(), "trajectory": OWN["circle"][0]}
+    spread: Any = {"start.y": 0.1, "rate": Uniform(0.3, 0.5)}
+    run = run_scenario(carted(**given, spread=spread))
     assert run.engine == "COMPILED"
-    assert_close(run, run_scenario(carted(robot=TwoWheels(), spread=spread), engine=PYTHON))
-    same = run_scenario(carted(spread={"mass": OF_CART["mass"], "start.y": 0.1}))
-    assert_close(run, same)  # the same dynamics, written for many
+    assert_close(run, run_scenario(carted(**given, spread=spread), engine=PYTHON))
+    with pytest.raises(UnknownName, match=r"^unknown parameter in spread 'mass'"):
+        carted(**given, spread={"mass": 20.0})
 
 
 def test_an_ensemble_of_a_users_plant_is_told_by_its_names_and_units(tmp_path: Path) -> None:
@@ -250,7 +249,7 @@ def test_an_ensemble_of_a_users_plant_is_told_by_its_names_and_units(tmp_path: P
     ]
     run.to_csv(tmp_path / "runs.csv")
     header = (tmp_path / "runs.csv").read_text().splitlines()[0].split(",")
-    assert header[1:4] == ["drawn_mass [kg]", "drawn_along", "drawn_start_y [m]"]
+    assert header[1:4] == ["drawn_mass", "drawn_along", "drawn_start.y"]
     assert header[4:9] == ["max_error_" + each for each in ("x [m]", "y [m]", "psi [rad]", *_WHEELS)]
     assert header[14:16] == ["max_force_left_torque [N m]", "max_force_right_torque [N m]"]
     table = np.loadtxt(tmp_path / "runs.csv", delimiter=",", skiprows=1)
@@ -299,8 +298,13 @@ def test_a_sweep_of_a_users_plant_has_its_names_and_no_other_plants(tmp_path: Pa
         sweep([carted(spread={}), other], tmp_path / "both")
 
 
+class Nameless(Cart):
+    coordinates: Any = property(lambda self: self.nothing)
+    inputs: Any = property(lambda self: self.nothing)
+
+
 def test_plants_without_names_have_numbers_for_names(tmp_path: Path) -> None:
-    run = run_scenario(carted(robot=TwoWheels(), spread={"mass": OF_CART["mass"]}))
+    run = run_scenario(carted(robot=Nameless(), spread={"mass": OF_CART["mass"], "start.[1]": 0.1}))
     assert "largest error of [3] " in str(run)
     run.to_csv(tmp_path / "runs.csv")
     assert "max_force_[1]" in (tmp_path / "runs.csv").read_text().splitlines()[0].split(",")
@@ -308,52 +312,29 @@ def test_plants_without_names_have_numbers_for_names(tmp_path: Path) -> None:
 
 @dataclass(frozen=True)
 class Derived:
-    """A controller that makes a number of its parameter when it is made."""
+    """A controller that makes a number of its own when it is made, and keeps one in its state alone."""
 
     gain: float = 20.0
-    parameters = ("gain",)
+    push: float = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "twice", 2 * self.gain)
-
-    def initial_state(self, context: Any) -> None: ...
-
-    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: None) -> Any:
-        return self.twice * (reference.q - q) + self.gain * (reference.v - v), state  # type: ignore[attr-defined]
-
-
-def test_what_a_part_derives_when_it_is_made_follows_its_parameter() -> None:
-    spread: dict[str, Any] = {"gain": np.array([10.0, 30.0]), "start_x": 0.1}
-    motion = Tangent(Circle(2.0, 0.5, 1.0))
-    with pytest.warns(SlowerEngine, match="makes twice of gain once.*compute it in the law"):
-        run = ensemble(ROBOT, Derived(), motion, n=2, spread=spread, dt=0.02)
-    for i, gain in enumerate((10.0, 30.0)):
-        start = motion(0.0).q + np.array([0.1, 0, 0])
-        alone = simulate(ROBOT, Derived(gain), motion, dt=0.02, q0=start)
-        np.testing.assert_allclose(run.max_error[i], alone.max_error(), rtol=0, atol=1e-12)
-
-
-class Remembered:
-    """A controller whose parameter enters its state alone."""
-
-    parameters = ("push",)
-
-    def __init__(self, push: float = 1.0) -> None:
-        self.push = push
 
     def initial_state(self, context: Any) -> Any:
         return self.push * np.ones(3)
 
     def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
-        return 50 * (reference.q - q) + 50 * (reference.v - v) + state, state
+        u = self.twice * (reference.q - q) + self.gain * (reference.v - v)  # type: ignore[attr-defined]
+        return u + state, state
 
 
-def test_a_parameter_of_the_first_state_alone_matters() -> None:
-    motion = Tangent(Circle(2.0, 0.5, 1.0))
-    run = ensemble(ROBOT, Remembered(), motion, n=2, spread={"push": np.array([0.0, 2.0])}, dt=0.02)
+@pytest.mark.parametrize("name", ["gain", "push"])
+def test_what_a_part_derives_of_its_numbers_follows_them(name: str) -> None:
+    motion, values = Tangent(Circle(2.0, 0.5, 1.0)), np.array([10.0, 30.0])
+    run = ensemble(ROBOT, Derived(), motion, n=2, spread={name: values}, dt=0.02)
     assert run.engine == "COMPILED"
-    for i, push in enumerate((0.0, 2.0)):
-        alone = simulate(ROBOT, Remembered(push), motion, dt=0.02)
+    for i, value in enumerate(values):
+        alone = simulate(ROBOT, Derived(**{name: value}), motion, dt=0.02)
         np.testing.assert_allclose(run.max_error[i], alone.max_error(), rtol=0, atol=1e-12)
 
 
@@ -408,7 +389,7 @@ def _closed_over(robot: Any) -> Any:
 @pytest.mark.parametrize("function", [_by_global, _by_dict, _closed_over(ROBOT)])
 def test_a_law_that_reaches_a_robot_by_a_name_is_compiled(function: Any) -> None:
     motion = Tangent(Circle(2.0, 0.5, 1.0))
-    given: dict[str, Any] = {"n": 2, "spread": MASSES | {"start_x": 0.1}, "dt": 0.02}
+    given: dict[str, Any] = {"n": 2, "spread": MASSES | {"start.x": 0.1}, "dt": 0.02}
     run = ensemble(ROBOT, law(function), motion, **given)
     assert run.engine == "COMPILED"
     assert_close(run, ensemble(ROBOT, law(function), motion, **given, engine=PYTHON))
@@ -422,40 +403,11 @@ def test_what_a_robot_does_by_pinocchio_alone_is_refused_with_the_line() -> None
     def function(t: float, q: Any, v: Any, reference: Any) -> Any:
         return ROBOT.jacobian(q).T[:, :3] @ (reference.q - q)
 
-    instead = r"line \d+ of test_parts\.py .*: jacobian of a MobileRobot, .*asks it for coriolis_matrix, "
-    with pytest.raises(InvalidArgument, match=instead):
+    what = "jacobian of a MobileRobot, which takes numbers alone; .* for .*inverse_dynamics"
+    with pytest.raises(InvalidArgument, match=rf"function, line \d+ of test_parts\.py .*: {what}"):
         ensemble(
             ROBOT, law(function), Tangent(Circle(2.0, 0.5, 1.0)), n=2, spread={}, dt=0.1, engine=COMPILED
         )
-
-
-def test_only_the_thread_that_traces_sees_a_robots_law_in_its_place() -> None:
-    def asked() -> Any:
-        return ROBOT.mass_matrix(np.zeros(3))
-
-    before = asked()
-    with tracing([asked]), ThreadPoolExecutor(1) as pool:
-        assert isinstance(asked(), Symbols)
-        elsewhere = pool.submit(asked).result()
-    assert type(elsewhere) is np.ndarray
-    for each in (elsewhere, asked()):
-        np.testing.assert_array_equal(each, before)
-    assert "mass_matrix" not in vars(MobileRobot)
-
-
-def test_the_law_of_a_robot_is_its_dynamics() -> None:
-    q, v, a = np.array([0.3, -0.2, 0.7]), np.array([0.5, 0.1, -0.4]), np.array([0.2, 0.3, 0.1])
-    own = ROBOT.traced()
-    for name, given in {
-        "mass_matrix": (q,),
-        "coriolis_matrix": (q, v),
-        "kinetic_energy": (q, v),
-        "nonlinear_effects": (q, v),
-        "inverse_dynamics": (q, v, a),
-        "forward_dynamics": (q, v, a),
-    }.items():
-        expected = getattr(ROBOT, name)(*given)
-        np.testing.assert_allclose(getattr(own, name)(*given), expected, rtol=1e-12, atol=1e-13, err_msg=name)
 
 
 # Parameters of paths and headings: each robot has a reference of its own.
@@ -473,7 +425,7 @@ OWN: dict[str, tuple[Any, dict[str, Any]]] = {
     "way": (FixedHeading(RestToRest([0, 0], [1, 1], 6.0), 0.0), {"end.y": (0.5, 1.5)}),
     "point": (FixedHeading(Hold([0, 0], 6.0), 0.0), {"point.x": (0.5, 1.5)}),
     "lecture's heading": (LectureHeading(Circle(2.0, 0.5, 6.0)), {"radius": (1.0, 3.0)}),
-    "user's": (Nodding(Eight(2.0, 6.0)), {"eight_size": (1.0, 2.0), "angle": (0.1, 0.3)}),
+    "user's": (Nodding(Eight(2.0, 6.0)), {"size": (1.0, 2.0), "angle": (0.1, 0.3)}),
 }
 
 
@@ -499,11 +451,12 @@ def test_each_robot_follows_a_reference_of_its_own_by_all_engines(what: str) -> 
     motion, spread = OWN[what]
     for i in range(2):
         own = motion
-        for name, values in spread.items():  # made by hand, as a user would
-            stated = scenario.stated[name]
-            holder = own if stated.path == "trajectory" else own.path
-            new = changed(holder, stated.parameter, values[i])
-            own = new if holder is own else evolved(own, {"path": new})
+        for name, values in spread.items():
+            found = scenario.find(name)
+            number = np.array(found.leaf.value, float)
+            number[found.entry or ()] = values[i]
+            path = found.leaf.path.removeprefix("trajectory.")
+            own = replace(own, {path: number if number.ndim else float(number)})
         begun = own(0.0)
         alone = simulate(
             *(ROBOT, STEADY, own),
@@ -512,13 +465,6 @@ def test_each_robot_follows_a_reference_of_its_own_by_all_engines(what: str) -> 
         size = alone.max_error().max()
         np.testing.assert_allclose(runs[0].max_error[i], alone.max_error(), rtol=0, atol=1e-12 * size)
         np.testing.assert_array_equal(scenario_member_reference(runs[0], i).q, alone.reference.q)
-
-
-def changed(part: Any, parameter: Any, value: float) -> Any:
-    """Return a path or heading with another number, by its constructor."""
-    given = np.array(getattr(part, parameter.attribute), float)
-    given[() if parameter.entry is None else parameter.entry] = value
-    return evolved(part, {parameter.attribute: given[()] if given.ndim else float(given)})
 
 
 def scenario_member_reference(run: Ensemble, i: int) -> Any:
@@ -569,16 +515,13 @@ def test_a_controller_that_looks_ahead_sees_its_own_robots_reference() -> None:
         np.testing.assert_allclose(run.max_error[i], alone, rtol=0, atol=1e-12)
 
 
-def test_the_models_that_a_trajectory_knows_are_no_parameters_of_it() -> None:
+def test_the_models_that_a_trajectory_knows_are_no_numbers_of_it() -> None:
     motion = WholeBody(ROBOT, Tangent(Circle(2.0, 0.5, 1.0)))
     given: dict[str, Any] = {"controller": ComputedTorque(ROBOT), "trajectory": motion, "n": 2, "dt": 0.05}
-    scenario = Scenario(
-        robot=ROBOT,
-        **given,
-        spread={"model_mass": np.array([25.0, 30.0]), "radius": np.array([1.0, 2.0])},
-    )
-    assert scenario.stated["model_mass"].path == "controller.robot"
-    assert scenario.stated["radius"].path == "trajectory.base.path"
+    spread = {"controller.mass": np.array([25.0, 30.0]), "radius": np.array([1.0, 2.0])}
+    scenario = Scenario(robot=ROBOT, **given, spread=spread)
+    assert scenario.find("controller.mass").path == "controller.robot.mass"
+    assert scenario.find("radius").path == "trajectory.base.path.radius"
     runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, PYTHON)]
     assert_close(*runs)
     assert runs[0].member(1).trajectory == WholeBody(ROBOT, Tangent(Circle(2.0, 0.5, 1.0)))

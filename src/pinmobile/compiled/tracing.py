@@ -22,6 +22,7 @@ from pinmobile.parts._fields import _tracing as _local, is_tracing
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _lock = threading.RLock()
 _HERE = str(Path(__file__).parent)
+_LIBRARY = str(Path(__file__).parents[1])
 _OURS = (_HERE, str(Path(np.__file__).parent), "<__array_function__", "<frozen")
 _MACHINERY = "pinmobile.compiled.", "pinmobile.loop._trace"
 FOREIGN = (
@@ -162,9 +163,11 @@ def place_of(traceback: TracebackType | None) -> str:
     found, theirs = "", ""
     while traceback is not None:
         code, line = traceback.tb_frame.f_code, traceback.tb_lineno
-        if not code.co_filename.startswith(_OURS):
+        file = code.co_filename
+        if not file.startswith(_OURS):
             theirs = _told(code, line)
-            if "site-packages" not in code.co_filename and linecache.getline(code.co_filename, line):
+            is_users = "site-packages" not in file and not file.startswith(_LIBRARY)
+            if is_users and linecache.getline(file, line):
                 found = theirs
         traceback = traceback.tb_next
     return found or theirs

@@ -260,7 +260,8 @@ def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: 
     first, _, rest = name.partition(".") if isinstance(name, str) else ("", "", "")
     ends = sorted(
         (*_nearness(path), path)
-        for path in known
+        for path, one in known.items()
+        if not one.label or rest  # an entry has no bare name
         if path.endswith(f".{name}") or (rest and path.startswith(f"{first}.") and path.endswith(f".{rest}"))
     )
     if not ends:

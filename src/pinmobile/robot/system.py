@@ -334,8 +334,13 @@ class System:
                 return getattr(dynamics, name)(*given, **options)
         raise NotTraceable(
             f"{name} of a {type(self).__name__}, which takes numbers alone",
-            f"a law that is compiled asks it for {', '.join(_LAWS)}",
+            f"a law that is compiled asks it for {', '.join(self._compiled)}",
         )
+
+    @property
+    def _compiled(self) -> list[str]:
+        """Names of the methods that answer symbols."""
+        return [name for name in _LAWS if any(hasattr(type(each), name) for each in self._array_ways)]
 
     @property
     def _array_ways(self) -> tuple[Any, ...]:
