@@ -44,7 +44,10 @@ class Platform:
     robot: MobileRobot
     table: WheelTable
     array_dynamics: Any
-    _is_symbolic: bool
+
+    @cached_property
+    def _is_symbolic(self) -> bool:
+        return holds_symbols(self)
 
     @structure
     def mobility(self) -> Mobility:
