@@ -21,7 +21,7 @@ from pinmobile.arrays import (
     vector,
 )
 from pinmobile.errors import InvalidArgument
-from pinmobile.parts import also_symbols, structure
+from pinmobile.parts import also_symbols, holds_symbols, structure
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import BODY_JOINT, LOCKED, MobileRobot, Mount, hull, number
 from pinmobile.wheels.constraints import Constraints
