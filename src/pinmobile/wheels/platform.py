@@ -21,7 +21,7 @@ from pinmobile.arrays import (
     vector,
 )
 from pinmobile.errors import InvalidArgument
-from pinmobile.parts import also_symbols, structure
+from pinmobile.parts import also_symbols, holds_symbols, structure
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import BODY_JOINT, LOCKED, MobileRobot, Mount, hull, number
 from pinmobile.wheels.constraints import Constraints
@@ -44,7 +44,10 @@ class Platform:
     robot: MobileRobot
     table: WheelTable
     array_dynamics: Any
-    _is_symbolic: bool
+
+    @cached_property
+    def _is_symbolic(self) -> bool:
+        return holds_symbols(self)
 
     @structure
     def mobility(self) -> Mobility:

@@ -90,21 +90,6 @@ class VoltageDynamics:
     def __getattr__(self, name: str) -> Any:
         return of_wheeled(self, name)
 
-    @property
-    def nq(self) -> int:
-        """Size of q."""
-        return self.wheeled.nq
-
-    @property
-    def nv(self) -> int:
-        """Size of v and a."""
-        return self.wheeled.nv
-
-    @property
-    def nu(self) -> int:
-        """Size of the input."""
-        return self.wheeled.nu
-
     def initial_state(self, context: Any = None) -> Driving:
         """Return what it keeps at first: no current flows."""
         none = np.zeros(len(self.electric))

@@ -16,7 +16,6 @@ from pinmobile.robot import Linearization
 from pinmobile.wheels.motors import CONSTANTS, Beside, Motor, MotorLaw, constant_force
 from pinmobile.wheels.powered import Driving, VoltageDynamics, of_wheeled
 from pinmobile.wheels.rows import column
-from pinmobile.wheels.table import WheelTable
 from pinmobile.wheels.wheeled import WheeledRobot
 
 
@@ -78,30 +77,9 @@ class ByVoltage:
         return f"{self.wheeled!r}.by_voltage()"
 
     @property
-    def table(self) -> WheelTable:
-        """Its wheels."""
-        table: WheelTable = self.wheeled.table
-        return table
-
-    @property
     def motor_paths(self) -> tuple[str, ...]:
         """Where its electric motors stand, in the order of the inputs: see `pinmobile.parts.replace`."""
         return tuple(f"wheeled.table.{self.table.actuators[k].path}" for k in self._electric)
-
-    @property
-    def nq(self) -> int:
-        """Size of q."""
-        return int(self.wheeled.nq)
-
-    @property
-    def nv(self) -> int:
-        """Size of v and a."""
-        return int(self.wheeled.nv)
-
-    @property
-    def nu(self) -> int:
-        """Size of the input."""
-        return int(self.wheeled.nu)
 
     @structure
     def _electric(self) -> tuple[int, ...]:
@@ -124,7 +102,7 @@ class ByVoltage:
         own, first = list(self.wheeled.inputs), self.nu - len(self.table.actuators)
         for k in self._electric:
             most = self.table.actuators[k].motor.voltage
-            own[first + k] = Input(own[first + k].name, "V", -most, most)  # type: ignore[operator,arg-type]
+            own[first + k] = Input(own[first + k].name, "V", -most, most)
         return tuple(own)
 
     @cached_property
@@ -148,16 +126,6 @@ class ByVoltage:
     def law(self) -> Any:
         """What a loop calls: itself, or its `array_dynamics` where it holds symbols."""
         return self.array_dynamics if self._is_symbolic else self
-
-    @also_symbols
-    def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
-        """Return the configuration that the displacement `dq` leads to from `q`, shape (..., nq)."""
-        return np.asarray(self.wheeled.integrate(q, dq))
-
-    @also_symbols
-    def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
-        """Return the displacement from `q0` to `q1`, shape (..., nv); as of `wheeled`."""
-        return np.asarray(self.wheeled.difference(q0, q1))
 
     @also_symbols
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite_answer, frozen, in_numbers, positive, vector
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import rk4
-from pinmobile.parts import also_symbols, by_value, child, holds_symbols, is_symbolic, part, structure
+from pinmobile.parts import also_symbols, by_value, child, is_symbolic, part, structure
 from pinmobile.plant import Step
 from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, Load, MobileRobot, Solids, number
 from pinmobile.wheels.bearing import Bearing
@@ -89,10 +89,6 @@ class WheeledRobot(Platform, Bearing):
     def array_dynamics(self) -> Any:
         """Its dynamics on its ground, a `WheeledDynamics`, for one state, many, or symbols, unchecked."""
         return self.ground.dynamics(self)
-
-    @cached_property
-    def _is_symbolic(self) -> bool:
-        return holds_symbols(self)
 
     @property
     def law(self) -> Any:
