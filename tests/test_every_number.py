@@ -46,12 +46,12 @@ OF_MODELS = (
     *("left.y", "right.y", "radius"),
 )
 OTHERS = {  # of controllers that ask their models for little, or whose limits are far
-    **dict.fromkeys(("PDGravity", "ADRC", "mecanum Rolling", "mecanum Coulomb"), OF_MODELS),
+    **dict.fromkeys(("PDGravity", "ADRC", "wheel speed", "mecanum Rolling", "mecanum Coulomb"), OF_MODELS),
     "volts": (*OF_MODELS, "controller.controller.steer", "controller.controller.arms"),
     "saturated": ("limits",),
     "all": ("ki",),
     "adaptive velocity": ("lower", "upper", "theta"),
-    **dict.fromkeys(("commanded", "dynamic feedback", "Kanayama"), ("theta",)),
+    **dict.fromkeys(("commanded", "dynamic feedback", "Kanayama"), ("theta", "least")),
 }
 # A controller that believes in another axle refuses the reference; two wheels are always on one.
 ITS_OWN_AXLE = "robot.ahead", "left.x", "right.x"
