@@ -245,7 +245,7 @@ class TorqueMargins(NamedTuple):
     names : tuple of str
         Names of the inputs.
     values : ndarray, shape (..., nu)
-        Remaining torque at the present rate, negative if the motion needs more, infinite without limits [N m].
+        Remaining torque at the rate [N m]; negative if the motion needs more, infinite without limits.
     """
 
     names: tuple[str, ...]
@@ -369,8 +369,8 @@ class Context:
     def normal(self, name: str, n: int) -> Noise:
         """Return noise to keep in the state: ``numbers, noise = noise.draw()``.
 
-        The n numbers of a sample are standard normal and independent. They depend only on the seed, the member,
-        the name and the number of the sample, and have the same bits in every engine.
+        The n numbers of a sample are standard normal and independent. They depend only on the seed, the
+        member, the name and the number of the sample, and have the same bits in every engine.
         """
         from pinmobile.compiled.memory import Noise, robot_keys
 
@@ -482,8 +482,7 @@ _SLACK = 1e-6  # of a limit: error of an integrator
 def limits_exceeded(plant: object, t: Array, q: Array, v: Array, u: Array | None = None) -> tuple[str, ...]:
     """Return a sentence for each limit of a plant that samples exceed, with the largest excess.
 
-    `coordinates` have the limits of position; ``velocity_limit`` and ``effort_limit`` of the robot those of its
-    joints.
+    `coordinates` contain limits of position, ``velocity_limit`` and ``effort_limit`` of the robot the others.
 
     Parameters
     ----------
