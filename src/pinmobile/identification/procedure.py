@@ -326,7 +326,7 @@ def _check_late(late: float, error: float, dt: float) -> None:
 
 def _moments(load: Load) -> Array:
     x, y, _ = load.com
-    return np.array([load.mass, load.mass * x, load.mass * y, load.six[2] + load.mass * (x * x + y * y)])
+    return np.array([load.mass, load.mass * x, load.mass * y, load.inertia[2] + load.mass * (x * x + y * y)])
 
 
 def prior_of(robot: Any, chassis: Chassis) -> Array | None:
