@@ -2,18 +2,18 @@
 
 from pinmobile.compiled._vectorize import vectorize
 from pinmobile.compiled.elementary import sincos as sincos
-from pinmobile.compiled.emit import BINS, FIRST, SHIFT, Shape
-from pinmobile.compiled.loop_tape import LoopTape
+from pinmobile.compiled.emit import BINS as BINS, FIRST as FIRST, SHIFT as SHIFT, Shape as Shape
+from pinmobile.compiled.loop_tape import LoopTape as LoopTape
 from pinmobile.compiled.memory import (
-    Line,
-    Noise,
-    Schedule,
+    Line as Line,
+    Noise as Noise,
+    Schedule as Schedule,
     leaves as leaves,
     mapped as mapped,
-    robot_keys,
+    robot_keys as robot_keys,
 )
-from pinmobile.compiled.processor import Cache, Target, processors as processors
-from pinmobile.compiled.program import Outcome, Program, aligned as aligned
+from pinmobile.compiled.processor import Cache as Cache, Target as Target, processors as processors
+from pinmobile.compiled.program import Outcome as Outcome, Program as Program, aligned as aligned
 from pinmobile.compiled.symbolic import plain as plain, symbols as symbols
 from pinmobile.compiled.tape import (
     Node as Node,
@@ -25,19 +25,4 @@ from pinmobile.compiled.tape import (
     square_root as square_root,
 )
 
-__all__ = [
-    "BINS",
-    "FIRST",
-    "SHIFT",
-    "Cache",
-    "Line",
-    "LoopTape",
-    "Noise",
-    "Outcome",
-    "Program",
-    "Schedule",
-    "Shape",
-    "Target",
-    "robot_keys",
-    "vectorize",
-]
+__all__ = ["vectorize"]

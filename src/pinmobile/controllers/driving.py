@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, final
 
 import attrs
@@ -143,12 +144,12 @@ class WheelSpeed:
         """Rate of each motor by those of the wheels, shape (nu, wheels)."""
         return np.array([actuator.column for actuator in self.robot.table.actuators])
 
-    @structure
+    @cached_property
     def _wanted(self) -> Array:
         """Rates of motors by the speed and by the yaw rate, shape (2, nu)."""
         a, b, arm = self._axle
         twists = np.array([[b, -a, 0.0], [-arm * a, -arm * b, 1.0]])
-        return frozen(self.robot.wheel_rates(twists) @ self._columns.T)
+        return np.asarray(self.robot.wheel_rates(twists) @ self._columns.T)
 
     @structure
     def _measured(self) -> tuple[tuple[tuple[int, float], ...], ...]:
