@@ -41,8 +41,7 @@ from pinmobile.measures import Measure, size_of, value_of
 from pinmobile.reaching.poses import error_sizes, pose_error
 from pinmobile.urdf import Body
 from pinmobile.viewer import Viewer
-from tests.looping import Body as Pushed
-from tests.test_compiled_arms import Swing
+from tests.looping import Body as Pushed, Swing
 
 CLOSE = 1e-10
 # The base's products of inertia, which the ground alone feels, and its height.

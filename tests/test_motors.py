@@ -384,7 +384,7 @@ def test_inputs_are_volts_and_torques_with_the_limits_of_motors() -> None:
 
 @GROUNDS
 def test_many_robots_step_as_each_alone(ground: Any) -> None:
-    robot = WheeledRobot(BODY, table(MOTOR), ground).by_voltage().traced()
+    robot = WheeledRobot(BODY, table(MOTOR), ground).by_voltage().array_dynamics
     rng = np.random.default_rng(1)
     u = rng.uniform(-24.0, 24.0, (5, 2))
     u[0] = 0.0
