@@ -29,7 +29,7 @@ import numpy as np
 import pinocchio as pin
 
 import pinmobile as pm
-from pinmobile import PinmobileError, derivation, ensembles, urdf, viewer, wheels
+from pinmobile import PinmobileError, derivation, loop, urdf, viewer, wheels
 from pinmobile.robot import Stance
 from pinmobile.wheels import Motor, WheeledRobot, WheelTable
 from tests import wheeled
@@ -44,7 +44,7 @@ MODULES = (
         "derivation",
         "dh",
         "forces",
-        "ensembles",
+        "loop",
     ),
     *(
         "identification",
@@ -70,8 +70,8 @@ INNER = {
     "controllers.gain_matrix",
     *("balance.body_zero_moment_point", "paths.within"),
     *("controllers.check_controller", "derivation.difference"),
-    *("derivation.lagrange", "forces.noise_frequencies", "ensembles.part_of", "paths.pieces_of"),
-    *("ensembles.run_scenario", "paths.Whole", "reaching.pose_error", "robot.System"),
+    *("derivation.lagrange", "forces.noise_frequencies", "loop.part_of", "paths.pieces_of"),
+    *("loop.run_scenario", "paths.Whole", "reaching.pose_error", "robot.System"),
     *(
         "simulation.checked_forces",
         "simulation.checked_loop",
@@ -93,8 +93,8 @@ INNER = {
         "viewer.LiveWindow",
         "viewer.OfflineWindow",
     ),
-    *("Rollout.of", "Rollout.arrays", "ensembles.Outline.of", "ensembles.Outline.from_description"),
-    *("ensembles.Outline.description", "ensembles.Outline.difference", "ensembles.Part.of"),
+    *("Rollout.of", "Rollout.arrays", "loop.Outline.of", "loop.Outline.from_description"),
+    *("loop.Outline.description", "loop.Outline.difference", "loop.Part.of"),
     *("controllers.Changing", "controllers.Tracked"),
     "identification.VelocityIdentification.values_in_samples",
     *(f"{ground}.{name}" for ground in ("Rolling", "Coulomb") for name in ("dynamics", "check_robot")),
@@ -146,9 +146,9 @@ RESULTS = {
     *("SchedulerError", "Sweep", "UnknownName", "Unreachable", "ViewerError", "JointType"),
     *("accuracy.Convergence", "accuracy.IntegratorReport", "derivation.Derivation", "derivation.Numeric"),
     "derivation.ReducedDerivation",
-    *("derivation.Step", "ensembles.Bands", "Engine", "ensembles.Member", "ensembles.Part"),
-    "ensembles.Outline",
-    *("ensembles.Within", "reaching.PoseTarget", "robot.Linearization", "robot.Mount"),
+    *("derivation.Step", "loop.Bands", "Engine", "loop.Member", "loop.Part"),
+    "loop.Outline",
+    *("loop.Within", "reaching.PoseTarget", "robot.Linearization", "robot.Mount"),
     *("robot.Mountable", "robot.Mountables", "verification.Comparison", "viewer.Recording"),
     *("closed_form.ReducedModel", "wheels.Allocation", "wheels.Forces", "wheels.Reduced"),
     "verification.Verification",
@@ -483,7 +483,7 @@ def ENSEMBLE() -> dict[str, Any]:
         "every": 2,
         "measures": [],
         "traces": [0],
-        "engine": ensembles.COMPILED,
+        "engine": loop.COMPILED,
     }
 
 

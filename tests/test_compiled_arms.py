@@ -74,7 +74,7 @@ class Swing:
 
 SPREAD: dict[str, Any] = {
     "mass": Uniform(24, 36),
-    "com_x": Normal(0, 0.02),
+    "com.x": Normal(0, 0.02),
     "mass_ur5/forearm_link": Uniform(2, 3),
     "com_y_ur5/forearm_link": Normal(0, 0.01),  # which is zero but for this
     "inertia_zz_ur5/forearm_link": Uniform(0.004, 0.005),

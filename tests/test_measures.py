@@ -55,7 +55,7 @@ NAMES = ["end effector", "end effector angle", "effort", "tip-over margin"]
 ELBOW = "ur5/elbow_joint"
 SPREAD: dict[str, Any] = {
     "yaw_inertia": Uniform(1.3, 1.5),
-    "com_x": Uniform(-0.02, 0.02),
+    "com.x": Uniform(-0.02, 0.02),
     "load_mass": Uniform(0.5, 5),
     "at_x_ur5": Uniform(0.0, 0.1),
     "kp": Uniform(90, 110),

@@ -183,7 +183,7 @@ def test_integral_action_without_being_told_of_limits_winds_up() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_all_engines_agree(name: str) -> None:
     given: Any = {"dt": 0.01, "integrator": rk4, "seed": 2, "n": 3}
-    spread = {"mass": Uniform(25, 36), "start_x": Uniform(-0.1, 0.1)}
+    spread = {"mass": Uniform(25, 36), "start.x": Uniform(-0.1, 0.1)}
     runs = [
         ensemble(NOMINAL, Saturated(EACH[name], (25, 25, 4)), SHORT, spread=spread, engine=engine, **given)
         for engine in (COMPILED, PYTHON)
