@@ -12,9 +12,9 @@ from pinmobile import COMPILED, PYTHON, ViscousFriction, errors, law
 from pinmobile.arrays import Array
 from pinmobile.compiled import Cache, Parts, Program, Reference, Trace, traced
 from pinmobile.integrators import rk4
+from pinmobile.loop import Rollout, simulate
 from pinmobile.paths import Hold
 from pinmobile.robot import MobileRobot
-from pinmobile.loop import Rollout, simulate
 from pinmobile.trajectories import FixedHeading
 from pinmobile.wheels import (
     Coulomb,

@@ -345,7 +345,9 @@ def body(
         axes = " X,Y" if name == "com" else ""
         last = rest or (f"; {_told(numbers[name])}" if name in numbers else "")
         text = _sentence(f"{meaning}{axes} ({stated.unit}){last}.")
-        yield Option(prefix + name, text, tuple if name == "com" else float, table=table, unit=str(stated.unit))
+        yield Option(
+            prefix + name, text, tuple if name == "com" else float, table=table, unit=str(stated.unit)
+        )
 
 
 GROUND = Option(
