@@ -44,7 +44,7 @@ robot = MobileRobot.box(30).mount("{arm}", (0.1, -0.05, 0.2, 0.4)).attach(Load(1
 base = Tangent(Circle(1, 0.5, 6))
 joints = CubicVia(robot.rest[3:], robot.rest[3:], robot.rest[3:], 3, 6)
 motion, controller = WholeBody(robot, base, joints), ComputedTorque(robot, 100, 20)
-spread = {{"load_mass": Uniform(0, 3), "mass": Uniform(24, 36), "viscous": Uniform(0, 0.3)}}
+spread = {{"loads.0.mass": Uniform(0, 3), "mass": Uniform(24, 36), "viscous": Uniform(0, 0.3)}}
 made = now()
 for _ in range(2):
     done = ensemble(robot, controller, motion, n=100, spread=spread, dt=0.001, duration=0.1,

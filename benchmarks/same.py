@@ -116,7 +116,7 @@ def ensembles() -> Iterator[tuple[str, str]]:
     for name, (robot, controller, trajectory, options) in loops():
         spread: dict[str, Any] = {"mass": pm.Uniform(20, 40), "start.x": pm.Normal(0, 0.05)}
         if "ur5" in name:
-            spread["load_mass"] = pm.Uniform(0, 3)
+            spread["loads.0.mass"] = pm.Uniform(0, 3)
         for engine in (pm.COMPILED, pm.COMPILED):
             run = pm.ensemble(
                 robot, controller, trajectory, n=20, spread=spread, dt=0.1, engine=engine, **options

@@ -293,11 +293,11 @@ carrier = robot.attach(Load(2, com=(0, 0, 0.1), size=(0.1, 0.1, 0.1)))
 stretched, swing = np.array([0, -0.6, 0.9, -0.3, 0.6, 0]), np.array([1.6, 0, 0, 0, 0, 0])
 sideways = CubicVia(stretched - swing, stretched + swing, stretched - swing, t_via=3, t_end=6)
 payloads = {
-    "load_mass": Uniform(0, 12),
-    "model_load_mass": Same("load_mass"),
-    "load_com_x": Normal(0, 0.02),
-    "load_com_y": Normal(0, 0.02),
-    "load_com_z": Normal(0.1, 0.03),
+    "loads.0.mass": Uniform(0, 12),
+    "controller.loads.0.mass": Same("loads.0.mass"),
+    "loads.0.com.x": Normal(0, 0.02),
+    "loads.0.com.y": Normal(0, 0.02),
+    "loads.0.com.z": Normal(0.1, 0.03),
 }
 speeds = np.array([0.3, 0.9, 1.5, 2.1, 2.7])  # [m/s]
 fleets = [
@@ -312,7 +312,7 @@ fleets = [
     for speed in speeds
 ]
 limits = {"end effector": 0.01, "effort": 1.0, "tip-over margin": 0.0}  # m, share, m
-payload, edges = fleets[0].draws["load_mass"], np.arange(0, 12.5, 0.5)
+payload, edges = fleets[0].draws["loads.0.mass"], np.arange(0, 12.5, 0.5)
 bins, middles = np.digitize(payload, edges) - 1, edges[:-1] + 0.25
 
 

@@ -52,8 +52,8 @@ USERS = {
     "trajectories/reference.py": {"Hold"},
 }
 ALSO_A_DELAY = {
-    *("plant.py", "loop/_identity.py", "loop/_trace.py"),
-    *(f"compiled/{file}.py" for file in ("__init__", "loop_tape", "memory", "program_cache")),
+    *("plant.py", "loop/_trace.py"),
+    *(f"compiled/{file}.py" for file in ("__init__", "identity", "memory")),
 }
 
 

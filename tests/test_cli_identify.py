@@ -14,8 +14,8 @@ from pinmobile.cli.choices import DEFAULT_PRESET, OF_SPEEDS, velocity_robot
 from pinmobile.cli.identify import _CALL, _SAID
 from pinmobile.cli.scenario_file import read_grid
 from pinmobile.controllers import Backstepping, RandomSteps, VelocityCommand
-from pinmobile.loop import run_scenario
 from pinmobile.identification import VELOCITY_ROBOTS
+from pinmobile.loop import run_scenario
 from tests import wheeled
 from tests.test_identification import log, rolled
 from tests.test_velocity_identification import logged

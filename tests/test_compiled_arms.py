@@ -42,9 +42,9 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.compiled import Cache, Parts, Program, Reference as CompiledReference, program_of
 from pinmobile.compiled.loop_tape import Loop
+from pinmobile.errors import SlowerEngine
 from pinmobile.loop import run_scenario
 from pinmobile.loop._run import way_of
-from pinmobile.errors import SlowerEngine
 from tests.test_compiled_loop import targets
 from tests.test_mounted import mjcf
 

@@ -34,15 +34,14 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.compiled import BINS
+from pinmobile.errors import SlowerEngine
 from pinmobile.loop import run_scenario
 from pinmobile.loop._counts import bins_of, quantiles
-from pinmobile.errors import SlowerEngine
 from pinmobile.measures import Measure, size_of, value_of
 from pinmobile.reaching.poses import error_sizes, pose_error
 from pinmobile.urdf import Body
 from pinmobile.viewer import Viewer
-from tests.looping import Body as Pushed
-from tests.test_compiled_arms import Swing
+from tests.looping import Body as Pushed, Swing
 
 CLOSE = 1e-10
 # The base's products of inertia, which the ground alone feels, and its height.

@@ -16,8 +16,8 @@ from pinmobile import (
     law,
     simulate,
 )
-from pinmobile.loop import COMPILED, PYTHON
 from pinmobile.errors import SlowerEngine
+from pinmobile.loop import COMPILED, PYTHON
 from pinmobile.plant import Parameter
 from tests.parts import Cart, CartCircle, Eight, Follower, Nodding, Spring
 

@@ -30,7 +30,7 @@ def words(fleet: ArmFleet) -> dict[str, object]:
     robot = MobileRobot.box(MASS, SIZE).mount(arm, AT).attach(Load(PAYLOAD, LEVER, size=(SIDE,) * 3))
     start, way = motion(arm)
     joints = CubicVia(start, start + way, start, PERIOD / 2, PERIOD)
-    spread = {"load_mass": fleet.payload, "mass": fleet.mass, "viscous": fleet.friction}
+    spread = {"loads.0.mass": fleet.payload, "mass": fleet.mass, "viscous": fleet.friction}
     return {
         "robot": robot,
         "controller": ComputedTorque(robot, KP, KD),

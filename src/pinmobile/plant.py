@@ -1,4 +1,4 @@
-"""What is simulated, and what its loop tells a controller before the first sample."""
+"""The plant of a closed loop, and the context that initializes controllers."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ Difference: TypeAlias = Callable[[Array, Array], Array]
 
 
 def check_difference(difference: object) -> None:
-    """Refuse what cannot be called as ``difference(q0, q1)``, and a subtraction of q1 from q0.
+    """Check a function ``difference(q0, q1)``.
 
     Raises
     ------
     InvalidArgument
-        If it is such.
+        If it cannot be called, or subtracts q1 from q0.
     """
     if difference is np.subtract or difference is operator.sub:
         raise InvalidArgument(
@@ -36,12 +36,12 @@ def check_difference(difference: object) -> None:
 
 
 def refuse_path(name: str, trajectory: object) -> None:
-    """Refuse a path where a trajectory is expected, and one of poses, which has `rows` to follow.
+    """Check that a trajectory is not a path.
 
     Raises
     ------
     InvalidArgument
-        If it is one.
+        If it is a path of the body or of an end effector.
     """
     if hasattr(trajectory, "rows"):
         raise InvalidArgument(
@@ -56,66 +56,57 @@ def refuse_path(name: str, trajectory: object) -> None:
 
 
 class Plant(Protocol):
-    """What a closed loop asks of a plant; `MobileRobot` is one. Shapes are those of one state.
+    """Simulated system of a closed loop, such as a `MobileRobot`. Shapes are those of one state.
 
-    Beside this it may have what follows; a loop asks for it by name, and says what is missing:
+    A plant has these sizes and methods, and either ``forward_dynamics(q, v, u, f)`` or a step of its own.
+    Further methods are capabilities; `pinmobile.parts` has a protocol for each that a loop uses:
+
+    - `Stepping`: ``step(t, q, v, u, h, f, memory)`` replaces integrator and ``forward_dynamics``.
+    - `Constrained`: ``project(q, v)`` keeps velocities on constraints such as rolling.
+    - `Pushable`: ``pose(q)``, ``rate(q, v)`` and ``effort(q, wrench)`` let forces act on the body.
+    - `Starting`: ``start(reference)`` completes the first sample of a reference.
+    - `Remembering`: ``initial_state(context)`` is the memory before the first sample.
+    - `Measuring`: ``measures`` and ``measured(...)`` are metrics, of which ensembles keep the worst.
+    - `Signalling`: ``signals(...)`` are further series worth recording.
+
+    A plant describes itself by these attributes, all optional:
 
     ``coordinates``, ``configuration_names``, ``inputs``
-        Tuples of nv `Coordinate` (x, y, psi first), of nq names, and of nu `Input`, whose limits the loop
-        applies. Without them everything has numbers for names.
+        Tuples of nv `Coordinate` (x, y, psi first), nq names, and nu `Input`, whose limits the loop applies.
+        A plant without them has numbers for names.
     ``leading``
-        Mapping of n to the number of entries of q: the lengths that a reference may have; {nv: nq} without.
-    ``pose(q) -> (3,)``, ``rate(q, v) -> (3,)``
-        x, y, psi of the body, and their rates: for forces on it, for plots and the viewer.
-    ``effort(q, wrench) -> (nv,)``
-        The generalised force of a wrench (Fx, Fy, Mz) on the body; without it no force pushes the body.
-        ``forward_dynamics(q, v, u, f)`` then takes forces f, shape (nv,), beside the input.
-    ``start(reference) -> (q, v)``
-        Completes the first sample of a reference of the first n coordinates.
-    ``check_start(q, v)``
-        Raises where a start is none, such as off the constraints.
-    ``project(q, v) -> v``
-        The velocity that constraints such as rolling leave, after every substep.
-    ``step(t, q, v, u, h, f, memory) -> Step``
-        A step of its own in place of an integrator's; ``initial_state(context)`` is its first memory. The
-        forces beside the input are a function of time and state, ``f(t, q, v) -> (nv,)``, asked wherever the
-        step wants to know them; it returns 0.0 where nothing acts.
+        Number of entries of q for each number of coordinates that a reference may have; default: {nv: nq}.
     ``compiles``
-        True where `simulate` compiles a loop if no engine is given.
+        True if `simulate` compiles the loop by default.
     ``integrator``
-        That which `simulate` takes where none is given; constant_acceleration without.
-    ``signals(t, q, v, u, f, memory) -> {name: (unit, value)}``
-        What else is worth recording at a sample, such as contact forces: numbers, or rows of them.
+        Default integrator of `simulate`; without it, constant_acceleration.
+    ``law``
+        The dynamics without input validation, as a loop calls them; default: the plant itself.
     ``adds``, ``broadcasts``
-        True where ``integrate(q, dq)`` is q + dq; where all methods take leading axes.
-    ``calls()``
-        Unchecked functions of one state, see `pinmobile.robot.Calls`, of a plant whose u is a generalised
-        force, to which forces beside it are added.
+        True if ``integrate(q, dq)`` is q + dq; True if all methods take leading axes.
+    ``check_start(q, v)``
+        Raises if a start is impossible, such as off the constraints.
+    ``size``, ``mounts``
+        Length, width and height of the drawn box [m]; arms that reach beyond it, for which the viewer makes
+        room.
+
+    The viewer and `pinmobile.balance` use further methods:
+
     ``drawing(q) -> (k, 4, 4)``, ``visual_model``
-        Placements in the inertial frame of the k objects of a `pin.GeometryModel`, which the viewer draws.
+        Placements in the inertial frame of the k objects of a `pin.GeometryModel`.
     ``contacts(q, v, a, u, signals) -> Contacts``
-        What the ground does where the plant touches it, at n samples of a run: for the viewer and plots.
+        Contacts with the ground at n samples of a run.
     ``ground_wrench(q, v, a) -> (..., 6)``, ``footprint``
-        What `pinmobile.balance` asks, of many states at once: the wrench (fx, fy, fz, mx, my, mz) of the
-        ground on the body, along and about the body's frame [N, N m]; and the corners (k, 2) of what it
-        stands on [m].
+        Wrench (fx, fy, fz, mx, my, mz) of the ground on the body, in the body frame [N, N m]; corners (k, 2)
+        of the support polygon [m]. They take many states at once.
     ``contact_loads(q, v, a) -> ContactLoads``, ``slip_margins(motion) -> SlipMargins``
-        Also what `balance` asks: what each contact carries, and how far from slipping it is in a motion,
-        which has q, v, a and u, and of a run ``signals``.
+        Load of each contact, and its margin before slip in a motion, which has q, v, a and u.
     ``follows(t, reference)``
-        What goes along a reference: its ``at(factor)`` returns `ContactLoads`, `SlipMargins` and
-        `TorqueMargins` where it goes so many times as fast.
+        Motion along a reference. Its ``at(factor)`` returns `ContactLoads`, `SlipMargins` and `TorqueMargins`
+        of the motion with its speed multiplied by a factor.
     ``on_ramp(angle, direction) -> plant``
-        The same on ground that rises by an angle, the way up from the inertial x axis [rad].
-    ``measures``, ``measured(t, q, v, a, u, reference) -> (m,)``
-        What is worth judging about a sample beside errors, a tuple of m `pinmobile.measures.Measure`, and the
-        law that gives them, all numbers the plant's own: ensembles keep the worst of each.
-    ``mounts``
-        What of it reaches beyond its size, such as arms: where there is any, the viewer looks from lower, and
-        makes room for it.
-    ``size``
-        Length, width and height of the box that is drawn [m], or of what ``drawing`` draws; without, an
-        arrowhead, or a box of usual size.
+        The same plant on ground that rises by an angle; the direction up is measured from the inertial x
+        axis [rad].
     """
 
     @property
@@ -141,14 +132,14 @@ class Plant(Protocol):
 
 
 class Step(NamedTuple):
-    """What a plant's own step leads to.
+    """State and memory after a step of a plant.
 
     Attributes
     ----------
     q, v : ndarray, shape (nq,), (nv,)
-        The state at its end.
+        State at the end of the step.
     memory : any
-        What the plant keeps, such as which contacts stick.
+        Memory of the plant, such as the contacts that stick.
     """
 
     q: Array
@@ -157,30 +148,30 @@ class Step(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """What the ground does where a plant touches it, at n samples of a run: for the viewer and plots.
+    """Contacts of a plant with the ground at n samples of a run, for the viewer and plots.
 
-    Loads and margins that `pinmobile.balance` judges, of any states, are `ContactLoads` and `SlipMargins`.
+    `pinmobile.balance` uses `ContactLoads` and `SlipMargins`, which exist for any states.
 
     Attributes
     ----------
     names : tuple of str
-        Of the k contacts.
+        Names of the k contacts.
     places : ndarray, shape (n, k, 2)
-        Where they are in the inertial frame [m].
+        Positions in the inertial frame [m].
     directions : ndarray, shape (n, k)
         Angle of the first of each contact's two directions from the inertial x axis; the second is a quarter
         of a turn to the left [rad].
     forces : ndarray, shape (n, k, 2)
-        Of the ground on the plant along these [N].
+        Forces of the ground on the plant along these directions [N].
     determined : ndarray of bool, shape (k, 2)
-        Whether the model determines them; of others only sums are, and what is told is a share.
+        Whether the model determines each force. If not, it determines only sums, and `forces` has a share.
     loads : ndarray, shape (n, k)
-        [N]; not a number where they are not known.
+        Normal forces [N]; NaN if unknown.
     limits : ndarray, shape (n, k, 2)
-        Largest friction in each direction [N]: of a disc where both are alike, else of each by itself, as of
-        rollers; not a number where it is not known.
+        Largest friction in each direction [N]: radius of the friction disc if both are equal, otherwise the
+        limit of each direction by itself (rollers); NaN if unknown.
     slips : ndarray, shape (n, k, 2)
-        Velocity at which the plant slides over the ground, along these directions [m/s].
+        Slip velocity along these directions [m/s].
     slides : ndarray of bool, shape (n, k)
         Whether all friction is used.
     centre : ndarray, shape (n, 2)
@@ -200,20 +191,20 @@ class Contacts(NamedTuple):
 
 
 class ContactLoads(NamedTuple):
-    """What each place where a robot touches the ground carries, of any states: for `pinmobile.balance`.
+    """Load of each contact with the ground, for any states.
 
-    Supports without wheels are among them. For the viewer, a run has `Contacts`.
+    Supports without wheels are contacts too.
 
     Attributes
     ----------
     names : tuple of str
-        Of the contacts.
+        Names of the contacts.
     values : ndarray, shape (..., k)
-        Load of each, none below zero [N].
+        Load of each contact, >= 0 [N].
     springs : ndarray, shape (..., k)
-        The same where contacts could pull too: below zero where one has lifted off [N].
+        Load of each contact if contacts could also pull: negative for a contact that lifts off [N].
     tips : ndarray of bool, shape (...)
-        Where no loads balance the robot, which begins to tip over.
+        Whether no loads balance the robot: it begins to tip over.
     """
 
     names: tuple[str, ...]
@@ -223,21 +214,21 @@ class ContactLoads(NamedTuple):
 
 
 class SlipMargins(NamedTuple):
-    """How far wheels are from slipping, of any states: for `pinmobile.balance`.
+    """Friction left before wheels slip, for any states.
 
-    Of wheels whose shares of a force are not determined it is the sum. For the viewer, a run has `Contacts`.
+    Wheels whose shares of a force are not determined have one margin, that of the sum.
 
     Attributes
     ----------
     names : tuple of str
-        Of a wheel, or of the wheels of an axle, such as ``"left + right"``, of which only the sum of the
-        forces across them is determined.
+        Name of a wheel, or of the wheels of an axle, such as ``"left + right"``, if only the sum of their
+        lateral forces is determined.
     values : ndarray, shape (..., k)
-        Friction that is left, below zero where the ground would have to exert more than it can [N].
+        Remaining friction; negative if the motion needs more than the ground can exert [N].
     along : ndarray, shape (..., wheels)
         Force of the ground along each wheel, or along the axis of its roller [N].
     across : ndarray, shape (..., k)
-        That across them [N].
+        Lateral force of the ground [N].
     """
 
     names: tuple[str, ...]
@@ -247,14 +238,14 @@ class SlipMargins(NamedTuple):
 
 
 class TorqueMargins(NamedTuple):
-    """How far inputs are from what their motors can do at their rates: for `pinmobile.balance`.
+    """Torque left before inputs reach the limits of their motors.
 
     Attributes
     ----------
     names : tuple of str
-        Of the inputs.
+        Names of the inputs.
     values : ndarray, shape (..., nu)
-        Torque that is left, below zero where it would take more [N m]; infinite where there is no limit.
+        Remaining torque at the rate [N m]; negative if the motion needs more, infinite without limits.
     """
 
     names: tuple[str, ...]
@@ -269,9 +260,9 @@ class Coordinate(NamedTuple):
     name, unit : str
         Such as ``"psi"`` and ``"rad"``.
     lower, upper : float
-        Its limits, infinite where there is none.
+        Limits; infinite without one.
     rate : str
-        What its rate is called, such as ``"yaw_rate"``; by default ``"<name>_rate"``.
+        Name of its rate, such as ``"yaw_rate"``; default: ``"<name>_rate"``.
     """
 
     name: str
@@ -289,7 +280,7 @@ class Input(NamedTuple):
     name, unit : str
         Such as ``"Mz"`` and ``"N m"``.
     lower, upper : float
-        Its limits, infinite where there is none.
+        Limits; infinite without one.
     """
 
     name: str
@@ -314,9 +305,9 @@ class Parameter(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Context:
-    """What a controller is told before the first sample: ``controller.initial_state(context)``.
+    """Argument of a controller's initialisation, ``controller.initial_state(context)``.
 
-    It holds no dynamics of what is simulated: a controller whose model is wrong stays wrong. A loop makes it;
+    It contains no dynamics of the simulated plant: a wrong controller model stays wrong. The loop makes it;
     `Context.of` makes one for calls by hand.
 
     Attributes
@@ -326,25 +317,25 @@ class Context:
     t : ndarray, shape (N + 1,)
         Times of the samples [s].
     difference : callable
-        ``difference(q0, q1)``: the displacement from q0 to q1 of the plant, shape (..., nv).
+        ``difference(q0, q1)`` of the plant: displacement from q0 to q1, shape (..., nv).
     integrate : callable
-        ``integrate(q, dq)``: the plant's configuration to which a displacement leads, shape (..., nq).
+        ``integrate(q, dq)`` of the plant: configuration after a displacement, shape (..., nq).
     coordinates : tuple of Coordinate
-        The plant's, in the order of v.
+        Coordinates of the plant, in the order of v.
     inputs : tuple of Input
-        The plant's, in the order of u.
+        Inputs of the plant, in the order of u.
     leading : mapping of int to int
-        How many numbers of q the first n coordinates have, for each n that a reference may have.
+        Number of entries of q for each number of coordinates that a reference may have.
     reference : Reference or None
         The reference at all samples, q, v and a of shape (N + 1, ...); None in calls by hand.
     trajectory : trajectory or None
-        What it is sampled from, for those who look ahead; None in calls by hand.
+        Trajectory of the reference, for preview; None in calls by hand.
     nv : int
         Size of v of the plant.
     seed, member : int
-        What `normal` follows from: the seed of an ensemble, and the robot's number in it.
+        Seed of the ensemble and number of the robot in it: `normal` derives its noise from them.
     delay : int
-        Samples by which what the controller is told of the state is late, see `Delayed`.
+        Samples by which the measured state is late, see `Delayed`.
     """
 
     dt: float
@@ -369,7 +360,7 @@ class Context:
     def line(self, samples: int) -> Line:
         """Return a delay to keep in the state: ``old, line = line.push(values)``.
 
-        What is pushed, a tree of arrays, comes back `samples` samples later; until then, the first does.
+        ``push`` returns the tree of arrays that it received `samples` samples before; until then, the first.
         """
         from pinmobile.compiled.memory import Line
 
@@ -378,8 +369,8 @@ class Context:
     def normal(self, name: str, n: int) -> Noise:
         """Return noise to keep in the state: ``numbers, noise = noise.draw()``.
 
-        The n numbers of a sample are standard normal and independent; they follow from the seed, the member,
-        the name and the number of the sample alone, and are the same bits in every engine.
+        The n numbers of a sample are standard normal and independent. They depend only on the seed, the
+        member, the name and the number of the sample, and have the same bits in every engine.
         """
         from pinmobile.compiled.memory import Noise, robot_keys
 
@@ -387,19 +378,19 @@ class Context:
         return Noise(robot_keys(self.seed, name, range(self.member, self.member + 1))[0], whole("n", n))
 
     def schedule(self, rows: ArrayLike) -> Schedule:
-        """Return numbers known for each sample, to keep in the state: ``row, schedule = schedule.next()``.
+        """Return a row of numbers for each sample, to keep in the state: ``row, schedule = schedule.next()``.
 
-        Such as gains that follow from the reference. All robots of an ensemble have the same.
+        An example is gains that depend on the reference. All robots of an ensemble have the same rows.
 
         Parameters
         ----------
         rows : array_like, shape (N + 1, ...)
-            One for each time in `t`.
+            One row for each time in `t`.
 
         Raises
         ------
         InvalidArgument
-            If they are not as many, or not finite.
+            If their number differs from that of `t`, or they are not finite.
         """
         from pinmobile.compiled.memory import Schedule
 
@@ -419,15 +410,15 @@ class Context:
         Parameters
         ----------
         plant : MobileRobot or other plant
-            What is simulated, or whose state is measured.
+            Simulated plant.
         dt : float
             Time between two samples [s].
         t : ndarray, shape (N + 1,), optional
-            Times of the samples [s]; by default one, at 0.
+            Times of the samples [s]; default: one sample at 0.
         reference : Reference, optional
             The reference at these times.
         trajectory : trajectory, optional
-            What it is sampled from.
+            Trajectory of the reference.
 
         Raises
         ------
@@ -456,21 +447,21 @@ class Context:
 
 
 def coordinates_of(plant: object) -> tuple[Coordinate, ...]:
-    """Return the coordinates of a plant, in the order of v; numbers where it does not name them."""
+    """Return the coordinates of a plant, in the order of v; without names, numbers."""
     if hasattr(plant, "coordinates"):
         return sequence("plant.coordinates", plant.coordinates, "a sequence of Coordinate")
     return tuple(Coordinate(f"[{k}]", "") for k in range(getattr(plant, "nv", 0)))
 
 
 def inputs_of(plant: object) -> tuple[Input, ...]:
-    """Return the inputs of a plant, in the order of u; numbers where it does not name them."""
+    """Return the inputs of a plant, in the order of u; without names, numbers."""
     if hasattr(plant, "inputs"):
         return sequence("plant.inputs", plant.inputs, "a sequence of Input")
     return tuple(Input(f"[{k}]", "") for k in range(getattr(plant, "nu", 0)))
 
 
 def configuration_names_of(plant: object) -> tuple[str, ...]:
-    """Return the name of each number in q: those of the coordinates where it has as many, else numbers."""
+    """Return the names of the entries of q: those of the coordinates if their number agrees, else numbers."""
     if hasattr(plant, "configuration_names"):
         return sequence("plant.configuration_names", plant.configuration_names, "a sequence of names")
     count, named = getattr(plant, "nq", 0), coordinates_of(plant)
@@ -478,28 +469,27 @@ def configuration_names_of(plant: object) -> tuple[str, ...]:
 
 
 def leading_of(plant: object) -> Mapping[int, int]:
-    """Return how many numbers of q the first n coordinates have, for each n that a reference may have."""
+    """Return the number of entries of q for each number of coordinates that a reference may have."""
     found: Mapping[int, int] = getattr(plant, "leading", None) or {
         getattr(plant, "nv", 0): getattr(plant, "nq", 0)
     }
     return found
 
 
-_SLACK = 1e-6  # of a limit: what an integrator leaves
+_SLACK = 1e-6  # of a limit: error of an integrator
 
 
 def limits_exceeded(plant: object, t: Array, q: Array, v: Array, u: Array | None = None) -> tuple[str, ...]:
-    """Return a sentence for each limit of a plant that samples exceed: which, where most, and how far.
+    """Return a sentence for each limit of a plant that samples exceed, with the largest excess.
 
-    Limits of position are those of `coordinates`, those of speed and torque those of the robot's joints,
-    ``velocity_limit`` and ``effort_limit``.
+    `coordinates` contain limits of position, ``velocity_limit`` and ``effort_limit`` of the robot the others.
 
     Parameters
     ----------
     plant : plant
-        Whose limits they are.
+        Plant with limits.
     t, q, v, u : ndarray, shape (N,), (N, nq), (N, nv), (N, nu)
-        The samples; without `u`, torques are left out.
+        Samples; without `u`, torques are not checked.
     """
     named, found, names = coordinates_of(plant), [], list(configuration_names_of(plant))
 
@@ -533,12 +523,12 @@ def limits_exceeded(plant: object, t: Array, q: Array, v: Array, u: Array | None
 
 
 def check_plant(plant: object) -> None:
-    """Refuse what is no plant, or one whose sizes contradict each other.
+    """Check a plant.
 
     Raises
     ------
     InvalidArgument
-        If it is such.
+        If it is no plant, or its sizes contradict each other.
     """
     sizes: dict[str, Any] = {size: getattr(plant, size, None) for size in ("nq", "nv", "nu")}
     nq, nv, _ = sizes.values()
@@ -569,16 +559,16 @@ def check_plant(plant: object) -> None:
 
 
 def all_samples(plant: object, name: str, *rows: Array) -> Array:
-    """Return what a method of the plant gives for each row of arrays (N, ...), stacked: (N, ...).
+    """Return the values of a method of the plant for each row of arrays (N, ...), stacked: (N, ...).
 
     Parameters
     ----------
     plant : plant
-        One that ``broadcasts`` is asked once, others row by row.
+        A plant that ``broadcasts`` is called once, others row by row.
     name : str
-        Of the method.
+        Name of the method.
     *rows : ndarray, shape (N, ...)
-        Its arguments, N > 0.
+        Arguments of the method, N > 0.
     """
     method = getattr(plant, name)
     if getattr(plant, "broadcasts", False):
@@ -587,7 +577,7 @@ def all_samples(plant: object, name: str, *rows: Array) -> Array:
 
 
 def whole_configurations(plant: Any, q: Array, reference: Array) -> Array:
-    """Return the reference's configurations, shape (..., nq); what has no reference is where q is."""
+    """Return the reference's configurations, shape (..., nq), completed by the last entries of q."""
     length = reference.shape[-1]
     if length == plant.nq:
         return reference
@@ -596,22 +586,22 @@ def whole_configurations(plant: Any, q: Array, reference: Array) -> Array:
 
 @dataclass(frozen=True)
 class PlantOutline:
-    """A plant in words: what a file keeps of one whose class may not be at hand. It cannot be simulated.
+    """Description of a plant, as files keep it if its class may not be available. It cannot be simulated.
 
     Attributes
     ----------
     kind : str
-        What its class was called.
+        Name of its class.
     coordinates, inputs : tuple of Coordinate, tuple of Input
-        As the plant had them.
+        Coordinates and inputs of the plant.
     configuration_names : tuple of str
-        Of the nq numbers in q.
+        Names of the nq entries of q.
     leading : mapping of int to int
-        As the plant had it.
+        Lengths of references, see `Plant`.
     posed : tuple of 3 int, or None
-        Which numbers of q are x, y and psi of the body; None where that is not known.
+        Entries of q that are x, y and psi of the body; None if unknown.
     size : tuple of 3 float, or None
-        Length, width and height of what is drawn [m]; None: an arrowhead.
+        Length, width and height of the drawn box [m]; None: an arrowhead.
     """
 
     kind: str
@@ -624,7 +614,7 @@ class PlantOutline:
 
     @classmethod
     def of(cls, plant: object, q: Array) -> PlantOutline:
-        """Return the outline of a plant; configurations q, shape (N, nq), tell where its pose is in q."""
+        """Return the outline of a plant; configurations q, shape (N, nq), locate its pose in q."""
         if isinstance(plant, cls):
             return plant
         size = getattr(plant, "size", None)
@@ -655,17 +645,17 @@ class PlantOutline:
 
     @property
     def broadcasts(self) -> bool:
-        """Whether its methods take leading axes, here True."""
+        """True: its methods take leading axes."""
         return True
 
     @property
     def pose(self) -> Callable[[Array], Array] | None:
-        """What returns x, y and psi of the body, shape (..., 3) [m, m, rad], of q; None where not known."""
+        """Function of q that returns x, y and psi of the body, shape (..., 3); None if unknown."""
         return None if self.posed is None else lambda q: np.asarray(q)[..., list(self.posed or ())]
 
 
 def _posed(plant: object, q: Array) -> tuple[int, ...] | None:
-    """Return the numbers of q that are the pose, told by numbers that are all different."""
+    """Return the entries of q that equal the pose in all samples; None if there are none."""
     if not callable(getattr(plant, "pose", None)) or not len(q):
         return None
     poses = all_samples(plant, "pose", q)

@@ -1,4 +1,4 @@
-"""`Scenario`, the noun: one loop, how often it is run, and what differs from run to run."""
+"""`Scenario`: a closed loop, the number of its runs, and the numbers that differ from run to run."""
 
 from __future__ import annotations
 
@@ -67,44 +67,44 @@ _RECORD = 150  # bytes for each, about
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Scenario:
-    """A closed loop that is run `n` times, each time with a robot, a start or a disturbance of its own.
+    """A closed loop with n robots, each with its own parameters, start and disturbance.
 
     Parameters
     ----------
     robot : MobileRobot or other plant
-        The nominal one. Loads that are attached to a robot without arms are part of its body; with arms,
-        they, each link and motor, and where arms stand may be spread.
+        Nominal plant. A robot without arms contains its attached loads in its body. On a robot with arms,
+        the spread may name loads, links, motors and the placement of arms.
     controller : controller
-        As in `simulate`.
+        See `simulate`.
     trajectory : trajectory
-        The same for all, unless a parameter of it or of its path is spread: then it is made again for each
-        robot, whose errors are those to its own reference. All are sampled at the same times.
+        The same for all robots, unless the spread names a number of it or of its path: each robot then has
+        its own reference and errors. All references have the same sample times.
     n : int
         Number of robots.
     spread : mapping of str to Distribution, number or array of shape (n,)
-        Numbers that differ, by path: ``"plant.mass"``, ``"forces.0.force.x"``, ``"controller.kp"``,
-        ``"trajectory.path.radius"``, ``"start.x"``; the end of a path is enough, ``"mass"`` (the plant's
-        first, then the nearest to the loop). All others are nominal; the controller model has its own numbers
-        unless ``"controller.mass"`` and the like are named (`TRUE_MODEL`: each robot's).
+        Distributions of numbers, by path: ``"plant.mass"``, ``"forces.0.force.x"``, ``"controller.kp"``,
+        ``"trajectory.path.radius"``, ``"start.x"``. The end of a path is enough: ``"mass"`` is the
+        plant's number if it has one, otherwise that nearest to the loop. All other numbers are nominal.
+        The controller model keeps its own numbers unless the spread names them, such as
+        ``"controller.mass"``; `TRUE_MODEL` gives it those of each robot.
     seed : int
-        All draws follow from it; robot i's do not depend on n.
+        Seed of all draws; those of robot i do not depend on n.
     dt, duration, integrator, substeps, forces, limit
-        As in `simulate`. A `NoiseForce` has phases of its own for each robot, a `NoisyMeasurement` numbers
-        of its own; they follow from the seed here together with theirs.
+        See `simulate`. A `NoiseForce` or a `NoisyMeasurement` has its own draws for each robot, which depend
+        on this seed and its own.
     after : float
-        Errors are kept from this time on [s], so that what a start costs until the robot has settled is not
-        taken for what the controller costs; forces, divergence and the bands over time are kept from the
-        start.
+        Time from which the ensemble records errors [s], so that the start of a run does not dominate them.
+        Inputs, divergence and bands include the start.
     every : int, optional
-        Samples between two entries of the bands over time; by default there are some 60.
+        Samples between two entries of the bands over time; default: some 60 entries.
     measures : sequence of str, optional
-        Names of what the robot states as ``measures`` that is judged beside errors; by default all. Robots
-        with arms, compiled, then take some 1.4 times as long as with none, ``()``.
+        Names of the robot's metrics to record beside errors; default: all. Compiled robots with arms take 1.4
+        times as long with all metrics as with none, ``()``.
 
     Raises
     ------
     InvalidArgument, UnknownName
-        If an argument is not what is expected, or draws are impossible (with their share).
+        If an argument is invalid, or draws are impossible (with their share).
     """
 
     robot: Any
@@ -117,7 +117,7 @@ class Scenario:
     duration: float | None = None
     integrator: Integrator | None = None
     substeps: int = 1
-    forces: Sequence[Any] = ()
+    forces: Any = ()
     limit: float = 1e3
     after: float = 0.0
     every: int | None = None
@@ -167,7 +167,7 @@ class Scenario:
         self._check_answers()
 
     def find(self, name: str, where: str = "spread") -> Found:
-        """Return what a name of the spread means: see `pinmobile.parts.find`."""
+        """Return the number that a name of the spread means, see `pinmobile.parts.find`."""
         return find(self._given, name, self._known, where)
 
     @cached_property
@@ -175,7 +175,7 @@ class Scenario:
         return named(self._given)
 
     def _refuse_shared(self, name: str) -> None:
-        """Refuse a spread of a whole number, such as the samples of a delay, which all robots share."""
+        """Reject a spread of a whole number, such as the samples of a delay: all robots share it."""
         for leaf in walk(self._given):
             if isinstance(leaf.declared, Whole) and f".{leaf.path}".endswith(f".{name}"):
                 raise InvalidArgument(
@@ -184,7 +184,7 @@ class Scenario:
                 )
 
     def _check_answers(self) -> None:
-        """Refuse parts whose answers have other shapes than they should, or are others when asked again."""
+        """Reject parts that return arrays of wrong shapes, or different values for the same arguments."""
         h = self.dt / self.substeps
         if self.judged:
             check_measured(self.robot, *self._beginning(self.robot), self.reference)
@@ -196,7 +196,7 @@ class Scenario:
             object.__setattr__(self, name, value)
 
     def __getstate__(self) -> dict[str, object]:
-        # What is made of the fields is made again.
+        # Derived attributes are computed again.
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @property
@@ -206,17 +206,17 @@ class Scenario:
 
     @property
     def begin(self) -> int:
-        """First sample whose error is kept."""
+        """First sample whose error the ensemble records."""
         return first_counted(self.t, self.after, self.dt)
 
     @property
     def size(self) -> int:
-        """Number of coordinates that the reference has."""
+        """Number of coordinates of the reference."""
         return int(self.reference.v.shape[-1])
 
     @cached_property
     def context(self) -> Context:
-        """What the controller is told before the first sample."""
+        """Argument of the controller's initialisation."""
         context = Context.of(
             self.robot, dt=self.dt, t=self.t, reference=self.reference, trajectory=self.trajectory
         )
@@ -224,7 +224,7 @@ class Scenario:
 
     @cached_property
     def _given(self) -> Loop:
-        parts = self.robot, self.controller, self.trajectory, tuple(self.forces), self.integrator
+        parts = self.robot, self.controller, self.trajectory, self.forces, self.integrator
         return Loop(*parts, self.substeps)
 
     @cached_property
@@ -233,7 +233,7 @@ class Scenario:
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        """The coordinates that the reference has."""
+        """Coordinates of the reference."""
         return self._coordinates[: self.size]
 
     @property
@@ -243,23 +243,23 @@ class Scenario:
 
     @cached_property
     def judged(self) -> tuple[Measure, ...]:
-        """What of the robot is judged beside errors."""
+        """Metrics of the robot that the ensemble records beside errors."""
         errors = "distance", "heading", *(one.name for one in self._coordinates)
         return chosen(self.robot, self.measures, errors)
 
     @property
     def channels(self) -> tuple[Measure, ...]:
-        """What is counted over time: distance, heading, errors of further coordinates, and measures."""
+        """Metrics with bands over time: distance, heading, errors of further coordinates, and `judged`."""
         return channels_of(self.coordinates, self.judged)
 
     @cached_property
     def found(self) -> dict[str, Found]:
-        """Numbers that are spread, by the names of the spread."""
+        """Numbers of the loop that the spread names, by its names."""
         return {name: self.find(name) for name in self.spread}
 
     @cached_property
     def loop(self) -> Loop:
-        """The loop; numbers that are spread have the shape that they take for each robot."""
+        """The nominal loop; numbers of the spread have the shape that they have for each robot."""
         ones = {name: np.ones(1) for name in self.spread}
         grown = {
             path: value[0]
@@ -275,7 +275,7 @@ class Scenario:
         return 1.0 if value is None else value
 
     def _spread_values(self, draws: Mapping[str, Array], count: int) -> dict[str, Array]:
-        """Return the numbers of robots that are spread, shape (count, ...), by path."""
+        """Return the numbers of the spread of each robot, shape (count, ...), by path."""
         factors = {name for name, source in self.spread.items() if isinstance(source, Relative)}
         columns = [
             (one, draws[name], name in factors and one.entry is None and one.is_array)
@@ -285,12 +285,12 @@ class Scenario:
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """Name, unit and meaning of what is spread, by name."""
+        """Name, unit and meaning of the numbers of the spread, by name."""
         return {name: Parameter(name, one.unit, one.meaning) for name, one in self.found.items()}
 
     @cached_property
     def is_noisy(self) -> bool:
-        """Whether its controller asks its context for noise."""
+        """Whether the controller uses noise of its context."""
         asked = []
 
         def normal(name: str, n: int) -> Noise:
@@ -302,7 +302,7 @@ class Scenario:
 
     @property
     def has_own_references(self) -> bool:
-        """Whether a parameter of the trajectory is spread, so that each robot has a reference of its own."""
+        """Whether the spread names a number of the trajectory: each robot then has its own reference."""
         return any(one.path.startswith("trajectory.") for one in self.found.values())
 
     def references(self, draws: Mapping[str, Array], count: int, first: int = 0) -> Reference | None:
@@ -311,14 +311,14 @@ class Scenario:
         Parameters
         ----------
         draws : mapping of str to ndarray, shape (count,)
-            What was drawn for them.
+            Draws of the robots.
         count, first : int
-            How many robots, and the number of the first, for messages.
+            Number of robots, and index of the first, for messages.
 
         Raises
         ------
         InvalidArgument
-            If a robot's trajectory cannot be made, is too short, or does not fit the plant.
+            If the trajectory of a robot is impossible, too short, or does not fit the plant.
         """
         if not self.has_own_references:
             return None
@@ -339,7 +339,7 @@ class Scenario:
         return found
 
     def _sampled(self, trajectory: Trajectory) -> Reference:
-        """Return the reference that a robot's own trajectory gives, which must have the shape of all."""
+        """Return the reference of a robot's own trajectory, which must have the shape of all."""
         longest = float(trajectory.duration)
         if longest < self.t[-1] * (1 - _SAME):
             raise InvalidArgument(
@@ -354,7 +354,7 @@ class Scenario:
 
     @cached_property
     def _drawn(self) -> dict[str, Any]:
-        """Numbers that each robot draws whatever is spread, by path, and the parts that draw them."""
+        """Parts that draw numbers for each robot without a spread, by the paths of these numbers."""
         found = parts_of(self._given)
         return {f"{path}.{name}": part for path, part in found for name in getattr(part, "drawn", ())}
 
@@ -364,9 +364,9 @@ class Scenario:
         Parameters
         ----------
         draws : mapping of str to ndarray, shape (stop - start,)
-            Of these robots, see `draws`.
+            Draws of these robots, see `draws`.
         start, stop : int
-            Which robots.
+            Range of robots.
         """
         found = self._spread_values(draws, stop - start)
         for path, part in self._drawn.items():
@@ -377,7 +377,7 @@ class Scenario:
 
     @cached_property
     def entries(self) -> dict[str, Any]:
-        """Which entries of the numbers of the loop's law differ from robot to robot, by path."""
+        """Masks of the entries that differ from robot to robot in the numbers of the loop, by path."""
         ones = {name: np.ones(1) for name in self.spread}
         found = spread_entries(list(self.found.values()), self._spread_values(ones, 1))
         kept = {path: x for path, x in found.items() if is_traced(path)}
@@ -388,16 +388,16 @@ class Scenario:
     def starts(
         self, draws: Mapping[str, Array], count: int, references: Reference | None = None
     ) -> tuple[Array, Array]:
-        """Return where robots start, shape (count, nq) and (count, nv).
+        """Return the initial states of robots, shape (count, nq) and (count, nv).
 
         Parameters
         ----------
         draws : mapping of str to ndarray, shape (count,)
-            What was drawn for them.
+            Draws of the robots.
         count : int
-            How many.
+            Number of robots.
         references : Reference, optional
-            Their own, as `references` returns them.
+            References of the robots, see `references`.
         """
         plant, values = self.robot, self._spread_values(draws, count)
         none = np.zeros((count, plant.nv))
@@ -411,7 +411,7 @@ class Scenario:
         return self._rolled(values, np.array(moved, np.float64), np.array([v for _, v in begun]) + rates)
 
     def _rolled(self, values: Mapping[str, Array], q: Array, v: Array) -> tuple[Array, Array]:
-        """Return starts with the velocities that each robot's constraints, such as rolling, leave."""
+        """Return the starts with velocities projected on each robot's constraints, such as rolling."""
         project = able(self.robot, Constrained)
         own = {path: value for path, value in values.items() if path.startswith("plant.")}
         if project is None or not (own or values.keys() & {"start", "start_rate"}):
@@ -424,12 +424,12 @@ class Scenario:
 
     @property
     def start(self) -> tuple[Array, Array]:
-        """Where the nominal robot starts, shape (nq,) and (nv,)."""
+        """Initial state of the nominal robot, shape (nq,) and (nv,)."""
         q, v = self._beginning(self.robot)
         return np.array(q, np.float64), np.array(v, np.float64)
 
     def _beginning(self, plant: Plant, at: Reference | None = None) -> tuple[Array, Array]:
-        """Return where a plant is at the first sample of a reference, by default of all, (nq,) and (nv,)."""
+        """Return the state of a plant at the first sample of a reference, (nq,) and (nv,)."""
         at = Reference(*(part[0] for part in self.reference)) if at is None else at
         if not hasattr(plant, "start"):
             return at.q, at.v
@@ -442,26 +442,26 @@ class Scenario:
         return self.t[:: self.stride]
 
     def holding(self, start: int, stop: int) -> Scenario:
-        """Return what another process needs of this to run the robots from `start` to before `stop`.
+        """Return the scenario for a process that runs the robots from `start` to before `stop`.
 
-        Explicit arrays of a spread are cut to those robots; all else, and what it draws, is the same.
+        Arrays of the spread contain these robots only; everything else, draws included, is the same.
         """
         part = copy(self)
         object.__setattr__(part, "spread", held(self.spread, start, stop))
         return part
 
     def draws(self, start: int = 0, stop: int | None = None) -> dict[str, Array]:
-        """Return what was drawn for the robots from `start` to before `stop`, shape (stop - start,), by name.
+        """Return the draws of the robots from `start` to before `stop`, shape (stop - start,), by name.
 
         Parameters
         ----------
         start, stop : int
-            Which robots, 0 <= start < stop; by default all n.
+            Range of robots, 0 <= start < stop; default: all n.
 
         Raises
         ------
         InvalidArgument
-            If values are impossible; the message tells their share.
+            If values are impossible; the message gives their share.
         """
         first, last = whole("start", start, least=0), self.n if stop is None else whole("stop", stop)
         if not first < last <= self.n:
@@ -472,7 +472,7 @@ class Scenario:
         return values
 
     def _check_together(self, draws: Mapping[str, Array], count: int) -> None:
-        """Refuse draws whose numbers are possible one by one but not together, as a part's `impossible` says.
+        """Reject draws that are possible one by one but not together: a part's `impossible` decides.
 
         Raises
         ------
@@ -493,12 +493,12 @@ class Scenario:
 
 
 def checked_scenario(scenario: object) -> Scenario:
-    """Check that this is a scenario, and return it.
+    """Return a scenario.
 
     Raises
     ------
     InvalidArgument
-        If it is something else.
+        If it is no `Scenario`.
     """
     if not isinstance(scenario, Scenario):
         raise InvalidArgument(f"scenario is a {type(scenario).__name__}, expected a Scenario")
@@ -506,17 +506,17 @@ def checked_scenario(scenario: object) -> Scenario:
 
 
 def first_counted(t: Array, after: float, dt: float) -> int:
-    """Return the first of the samples at times `t` whose error is kept, those `after` a time."""
+    """Return the index of the first sample at or after the time `after`."""
     return int(np.searchsorted(t, after - _SAME * dt))
 
 
 def time_within(name: str, value: ArrayLike, t: Array) -> float:
-    """Return a time of a run that has samples at times `t`.
+    """Return a time within a run with samples at times `t`.
 
     Raises
     ------
     InvalidArgument
-        If it is not.
+        If it is outside.
     """
     time = scalar(name, value)
     if not 0 <= time <= t[-1]:
@@ -529,18 +529,18 @@ def _drawn_by(part: Any, name: str, generator: np.random.Generator, count: int) 
 
 
 def _numbered(path: str) -> str:
-    """Return the path of a force as the streams of random numbers name it."""
+    """Return the name of a force in streams of random numbers, of its path."""
     first, _, rest = path.partition(".")
     return f"{first}[{rest}]" if rest.isdigit() else path
 
 
 def _moved(plant: Plant, q: Array, displacements: Array) -> Array:
-    """Return where displacements, shape (m, nv), lead to, shape (m, nq): at once where the plant can."""
+    """Return the configurations after displacements (m, nv), shape (m, nq); in one call if the plant can."""
     ends = [plant.integrate(q, displacements[k]) for k in (0, -1)]
     try:
         found = np.asarray(plant.integrate(q, displacements), np.float64)
         if found.shape == (len(displacements), plant.nq) and np.array_equal(found[[0, -1]], ends):
             return found
     except (TypeError, ValueError, IndexError):
-        pass  # it is for one state
+        pass  # it takes one state
     return np.array([plant.integrate(q, each) for each in displacements], np.float64)

@@ -1,4 +1,4 @@
-"""From what the numbers of an ensemble's robots are drawn, and the draws."""
+"""Distributions of the numbers of an ensemble, and their draws."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from pinmobile.parts import Found, Number
 
 @runtime_checkable
 class Distribution(Protocol):
-    """What a spread may hold; a frozen distribution of `scipy.stats` (with ``rvs``) is as good.
+    """Distribution of a spread; a frozen distribution of `scipy.stats` (with ``rvs``) works too.
 
-    One whose fewer draws are the beginning of more may say so, ``in_order = True``: then no more are drawn
-    than needed.
+    A class with ``in_order = True`` promises that n draws are the first n of a longer sample: the library
+    then draws no more than it needs.
     """
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
@@ -30,12 +30,12 @@ class Distribution(Protocol):
 @final
 @dataclass(frozen=True)
 class Uniform:
-    """Equally likely anywhere between two bounds.
+    """Uniform distribution between two bounds.
 
     Parameters
     ----------
     low, high : float
-        The bounds, low <= high, in the unit of what is drawn.
+        Bounds, low <= high, in the unit of the number.
 
     Raises
     ------
@@ -74,12 +74,12 @@ class Uniform:
 @final
 @dataclass(frozen=True)
 class Normal:
-    """The normal distribution.
+    """Normal distribution.
 
     Parameters
     ----------
     mean, std : float
-        Mean and standard deviation >= 0, in the unit of what is drawn.
+        Mean and standard deviation >= 0, in the unit of the number.
 
     Raises
     ------
@@ -103,17 +103,17 @@ class Normal:
 @final
 @dataclass(frozen=True)
 class Same:
-    """The same number as another one of the robot's, or a multiple of it.
+    """The value of another number of the same robot, times a factor.
 
     ``{"mass": Uniform(20, 40), "controller.mass": Same("mass")}`` gives the controller model the true mass;
-    ``Same("mass", Normal(1, 0.1))`` a mass that is off by some 10 %.
+    ``Same("mass", Normal(1, 0.1))`` gives it a mass with an error of some 10 %.
 
     Parameters
     ----------
     name : str
-        Name of the other number, spread or not.
+        Name of the other number, in the spread or not.
     factor : float, array_like of shape (n,) or distribution
-        What it is multiplied by.
+        Factor of the other number.
     """
 
     name: str
@@ -132,12 +132,14 @@ class Same:
 @final
 @dataclass(frozen=True)
 class Relative:
-    """The nominal number times a factor: ``{"kp": Relative(Uniform(0.8, 1.2))}``; of an array all entries.
+    """The nominal number times a factor: ``{"kp": Relative(Uniform(0.8, 1.2))}``.
+
+    One factor multiplies all entries of an array.
 
     Parameters
     ----------
     factor : float, array_like of shape (n,) or distribution
-        Multiplies the nominal value.
+        Factor of the nominal value.
     """
 
     factor: Distribution | ArrayLike
@@ -150,7 +152,7 @@ class Relative:
 
 
 class _TrueModel(Mapping[str, Same]):
-    """Read only as a view of a dict, and unlike it to be sent to other processes: it comes back as itself."""
+    """Immutable mapping that other processes can receive; a pickle returns the same object."""
 
     def __init__(self, names: Iterable[str]) -> None:
         self._held = {f"controller.{name}": Same(f"plant.{name}") for name in names}
@@ -178,12 +180,12 @@ Source: TypeAlias = Distribution | Same | Relative | ArrayLike
 
 
 def _checked_generator(generator: object) -> np.random.Generator:
-    """Check that this is a generator, and return it.
+    """Return a random generator.
 
     Raises
     ------
     InvalidArgument
-        If it is something else.
+        If it is no `numpy.random.Generator`.
     """
     if not isinstance(generator, np.random.Generator):
         raise InvalidArgument(f"generator is {shown(generator)}, expected a numpy.random.Generator")
@@ -191,12 +193,12 @@ def _checked_generator(generator: object) -> np.random.Generator:
 
 
 def checked_size(size: int) -> int:
-    """Return how many draws are asked for.
+    """Return the number of draws.
 
     Raises
     ------
     InvalidArgument
-        If it is no whole number, or they would not fit into memory.
+        If it is no whole number, or the draws do not fit into memory.
     """
     count = whole("size", size, least=0)
     affordable(f"{count} draws", count, "draw fewer at a time")
@@ -209,18 +211,18 @@ def drawn(name: str, source: Any, generator: np.random.Generator, size: int) -> 
     Parameters
     ----------
     name : str
-        Name of what is drawn, for the message.
+        Name of the number, for the message.
     source : Distribution or frozen distribution of scipy.stats
-        What is drawn from.
+        Distribution of the number.
     generator : numpy.random.Generator
-        The randomness.
+        Source of randomness.
     size : int
-        How many.
+        Number of draws.
 
     Raises
     ------
     InvalidArgument
-        If what comes is not `size` finite numbers.
+        If the distribution returns anything but `size` finite numbers.
     """
     if hasattr(source, "sample"):
         values = source.sample(generator, size)
@@ -233,16 +235,16 @@ def drawn(name: str, source: Any, generator: np.random.Generator, size: int) -> 
 
 
 Find: TypeAlias = Callable[..., Found]
-"""``find(name, where)`` returns what a name means, or raises."""
+"""``find(name, where)`` returns the number with this name, or raises."""
 
 
 def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str, Any]:
-    """Return a spread whose names and sources are what is expected; arrays are checked and copied.
+    """Return a spread with checked names and sources, and copies of its arrays.
 
     Parameters
     ----------
     spread : mapping
-        As a user gives it.
+        Spread of a user.
     n : int
         Number of robots.
     find : callable
@@ -253,7 +255,7 @@ def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str
     UnknownName
         If there is no such number.
     InvalidArgument
-        If a source is no distribution, number, array of shape (n,) or `Same`, or refers in a circle.
+        If a source is no distribution, number, array of shape (n,), `Relative` or `Same`, or is circular.
     """
     check_mapping(spread)
     found = {}
@@ -266,24 +268,24 @@ def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str
 
 
 def check_mapping(spread: object) -> None:
-    """Refuse a spread that is no mapping.
+    """Check that a spread is a mapping.
 
     Raises
     ------
     InvalidArgument
-        If it is not.
+        If it is no mapping.
     """
     if not isinstance(spread, Mapping):
         raise InvalidArgument(f"spread is {shown(spread)}, expected a mapping of parameters to distributions")
 
 
 def check_supports(spread: Mapping[str, Any], found: Mapping[str, Found]) -> None:
-    """Refuse distributions that reach beyond the bounds of a number, whatever happens to be drawn.
+    """Check that distributions stay within the bounds of their numbers.
 
     Raises
     ------
     InvalidArgument
-        If one does; the message gives the share of its draws.
+        If one exceeds a bound; the message gives the share of impossible draws.
     """
     for name, source in spread.items():
         declared, one = found[name].leaf.declared, found[name]
@@ -302,12 +304,12 @@ def check_supports(spread: Mapping[str, Any], found: Mapping[str, Found]) -> Non
 
 
 def check_possible(draws: Mapping[str, Array], found: Mapping[str, Found]) -> None:
-    """Refuse draws out of the bounds of a number.
+    """Check that draws stay within the bounds of their numbers.
 
     Raises
     ------
     InvalidArgument
-        If there are some; the message gives their share.
+        If some exceed a bound; the message gives their share.
     """
     for name, column in draws.items():
         one = found[name]
@@ -330,7 +332,7 @@ def _checked(what: str, source: Any, n: int) -> Any:
         raise InvalidArgument(
             f"{what} is the class {source.__name__}, expected one of it, such as Uniform(1, 2)"
         )
-    numbers = hasattr(source, "__array__")  # as of a column of pandas, which has a `sample` too
+    numbers = hasattr(source, "__array__")  # such as a column of pandas, which has a `sample` too
     if not numbers and (hasattr(source, "sample") or hasattr(source, "rvs")):
         return source
     values = finite(what, source)
@@ -350,34 +352,34 @@ def _follow(name: str, source: Same, spread: Mapping[str, Any], find: Find) -> N
         source = spread.get(paths.get(path, ""))  # type: ignore[assignment]
 
 
-_BLOCK = 4096  # robots that are drawn from one stream of random numbers
+_BLOCK = 4096  # robots with draws from one stream of random numbers
 
 
 def stream(seed: int, what: str, *where: int) -> np.random.SeedSequence:
-    """Return the seed of a stream of its own for `what`, and for a robot or block of robots."""
+    """Return the seed of the stream of `what`, for a robot or a block of robots."""
     return np.random.SeedSequence(seed, spawn_key=(crc32(what.replace(".", "_").encode()), *where))
 
 
 def draw(spread: Mapping[str, Any], seed: int, start: int, stop: int, find: Find) -> dict[str, Array]:
     """Return the values of the robots from `start` to before `stop`, shape (stop - start,) each.
 
-    Of a `Relative` of an array these are the factors.
+    For a `Relative` of an array, the values are the factors.
 
     Parameters
     ----------
     spread : mapping
-        As `checked_spread` returns it.
+        Result of `checked_spread`.
     seed : int
-        The seed of the ensemble.
+        Seed of the ensemble.
     start, stop : int
-        Which robots.
+        Range of robots.
     find : callable
         See `Find`.
 
     Raises
     ------
     InvalidArgument
-        If a distribution gives something else than numbers.
+        If a distribution returns anything but numbers.
     """
     names, values = {find(name).path: name for name in spread}, dict[str, Array]()
 
@@ -407,21 +409,21 @@ def draw(spread: Mapping[str, Any], seed: int, start: int, stop: int, find: Find
 
 @dataclass(frozen=True)
 class _Held:
-    """What an explicit array has for the robots from `start` on."""
+    """Part of an array of the spread, for the robots from `start` on."""
 
     start: int
     values: Array
 
 
 def held(spread: Mapping[str, Any], start: int, stop: int) -> dict[str, Any]:
-    """Return a spread that knows, of explicit arrays, the robots from `start` to before `stop` alone.
+    """Return a spread whose arrays contain only the robots from `start` to before `stop`.
 
     Parameters
     ----------
     spread : mapping
-        As `checked_spread` returns it.
+        Result of `checked_spread`.
     start, stop : int
-        Which robots.
+        Range of robots.
     """
 
     def part(source: object) -> Any:
@@ -456,7 +458,7 @@ def in_blocks(
     stop: int,
     whole: bool = True,
 ) -> Array:
-    """Return draws for the robots from `start` to before `stop`, whatever else is drawn.
+    """Return the draws of the robots from `start` to before `stop`, independent of all other draws.
 
     Parameters
     ----------
@@ -465,11 +467,11 @@ def in_blocks(
     draws : callable
         ``draws(generator, size)`` returns an array of shape (size, ...).
     seed : int
-        The seed of the ensemble.
+        Seed of the ensemble.
     start, stop : int
-        Which robots.
+        Range of robots.
     whole : bool
-        Whether blocks are drawn to their end; no need to, where fewer draws are the beginning of more.
+        Whether to draw whole blocks; unnecessary for distributions ``in_order``.
     """
     first = start // _BLOCK
     blocks = [

@@ -25,34 +25,51 @@ class Accelerating(Protocol):
 
 
 class Stepping(Protocol):
-    """A plant with a step of its own, step(t, q, v, u, h, f, memory)."""
+    """A plant with a step of its own, step(t, q, v, u, h, f, memory).
+
+    It replaces the integrator, for instance if the dynamics contain contacts or fast electrical states.
+    `Remembering` supplies its first memory.
+    """
 
     def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any, /) -> Any:
-        """Return the `Step` from a state by a time h; ``f(t, q, v)`` are the forces beside the input."""
+        """Return the `Step` from a state by a time h.
+
+        ``f(t, q, v)`` returns the external forces at any time and state, shape (nv,); 0.0 if there are none.
+        """
 
 
 class Constrained(Protocol):
-    """A plant with project(q, v), the velocity that its constraints leave."""
+    """A plant with project(q, v), the velocity that its constraints leave.
+
+    The loop calls it after each substep: rolling wheels have no sideways velocity afterwards.
+    """
 
     def project(self, q: Any, v: Any, /) -> Any:
         """Return the velocity that the constraints leave, shape (nv,)."""
 
 
 class Pushable(Protocol):
-    """A plant whose body can be pushed: pose(q), rate(q, v) and effort(q, wrench)."""
+    """A plant whose body can be pushed: pose(q), rate(q, v) and effort(q, wrench).
+
+    Its ``forward_dynamics(q, v, u, f)`` takes external forces f, shape (nv,), beside the input. Plots and the
+    viewer use the pose.
+    """
 
     def pose(self, q: Any, /) -> Any:
-        """Return x, y, psi of the body, shape (3,)."""
+        """Return x, y, psi of the body, shape (3,) [m, m, rad]."""
 
     def rate(self, q: Any, v: Any, /) -> Any:
         """Return their rates, shape (3,)."""
 
     def effort(self, q: Any, wrench: Any, /) -> Any:
-        """Return the generalized force of a wrench on the body, shape (nv,)."""
+        """Return the generalized force of a wrench (Fx, Fy, Mz) on the body, shape (nv,)."""
 
 
 class Starting(Protocol):
-    """A plant with start(reference), which completes the first sample of a reference."""
+    """A plant with start(reference), which completes the first sample of a reference.
+
+    The reference has the first n coordinates of the plant, one of the lengths in ``leading``.
+    """
 
     def start(self, reference: Any, /) -> Any:
         """Return q and v."""
@@ -66,21 +83,28 @@ class Remembering(Protocol):
 
 
 class Measuring(Protocol):
-    """A plant with metrics: measures, and measured(t, q, v, a, u, reference)."""
+    """A plant with metrics: measures, and measured(t, q, v, a, u, reference).
+
+    Ensembles keep the worst value of each metric beside the errors.
+    """
 
     @property
     def measures(self) -> Any:
-        """Names, units and meanings of the metrics."""
+        """Tuple of m `pinmobile.measures.Measure`: names, units and meanings of the metrics."""
 
     def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any, /) -> Any:
         """Return the metrics of a sample, shape (m,)."""
 
 
 class Signalling(Protocol):
-    """A part with signals(...), further series worth recording."""
+    """A part with signals(...), further series worth recording.
+
+    The arguments are those of its law: ``signals(state)`` of a controller, ``signals(t, pose, rate)`` or
+    ``signals(t, q, v)`` of a force, ``signals(t, q, v, u, f, memory)`` of a plant.
+    """
 
     def signals(self, *given: Any) -> Any:
-        """Return a dict of name to (unit, value)."""
+        """Return a dict of name to (unit, value), a value being a number or a row of numbers."""
 
 
 class Controlling(Protocol):

@@ -532,8 +532,11 @@ def evolved(part: _T, changes: Mapping[str, Any] = MappingProxyType({}), /, **ot
             object.__setattr__(copied, f.name, changes.get(f.name, getattr(part, f.name)))
         return copied
     own = attrs.fields(type(part))  # type: ignore[arg-type]
+    unknown = changes.keys() - {f.name for f in own}
+    if unknown:
+        raise TypeError(f"{type(part).__name__} has no field {sorted(unknown)[0]!r}")
     if not all(f.init and "declared" in f.metadata for f in own):
-        return attrs.evolve(part, **changes)  # type: ignore[misc]
+        return attrs.evolve(part, **{f.alias: changes[f.name] for f in own if f.name in changes})  # type: ignore[misc]
     new = object.__new__(type(part))  # fields that stay are not checked again
     vars(new).update({f.name: getattr(part, f.name) for f in own})
     for f in own:

@@ -408,7 +408,7 @@ class MobileRobot(System):
             Where they come from, in words.
         """
         own = {"mass": body.mass, "yaw_inertia": body.yaw_inertia, "com": body.com}
-        bare = {"mounts": (), "loads": (), "source": source, "reference_inertia": body.inertia}
+        bare = {"mounts": (), "loads": (), "_source": source, "reference_inertia": body.inertia}
         return evolved(self, own | bare)
 
     @structure
@@ -717,7 +717,7 @@ def _read(reading: Reading, looks: VisualFile | None) -> MobileRobot:
         stance=reading.stance,
         locked_joints=reading.locked,
     )
-    return evolved(robot, {"looks": looks, "undercarriage": reading.undercarriage})
+    return evolved(robot, {"_looks": looks, "undercarriage": reading.undercarriage})
 
 
 def _of_files(mounts: Sequence[Mount]) -> str:

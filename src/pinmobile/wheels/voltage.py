@@ -114,10 +114,6 @@ class ByVoltage:
         columns = {name: column([getattr(motor, name) for motor in motors]) for name in CONSTANTS}
         return VoltageDynamics(body, MotorLaw(motors, **columns), self._electric, self.inputs)
 
-    def traced(self) -> Any:
-        """Return its `array_dynamics`."""
-        return self.array_dynamics
-
     @cached_property
     def _is_symbolic(self) -> bool:
         return holds_symbols(self)
