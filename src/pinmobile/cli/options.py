@@ -474,7 +474,7 @@ def without_model(options: Options) -> Options:
 def spreadable() -> str:
     """Return what may be spread of the lecture's loop, by the parts that have it, with units."""
     loop = closed_loop(LECTURE)
-    found = named(Loop(loop["robot"], loop["controller"], loop["trajectory"]))
+    found = named(Loop(loop["robot"], loop["controller"], loop["trajectory"], (), loop["integrator"]))
     words: dict[str, list[str]] = {}
     for one in found.values():
         part = one.leaf.path.rpartition(".")[0]
