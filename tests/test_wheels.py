@@ -439,7 +439,7 @@ def test_a_compiled_sample_has_sines_and_mass_matrix_once() -> None:
     )
     program = way_of(scenario, COMPILED).program
     assert program is not None
-    loop = program.loop
+    loop = program.tape
     tape, wanted = loop.tape, needed(loop.tape, loop.outputs)
     late = [tape.operations[i][0] for i in wanted if tape.depends[i] & STATE]
     assert late.count("shl") == 7
