@@ -205,13 +205,13 @@ ERRORS: dict[str, Callable[[], Any]] = {
     "com": lambda: pm.MobileRobot(30.0, 1.3, com=(1, 2, 3, 4)),
     "gain": lambda: pm.PD(np.nan, 3),
     "gain shape": lambda: pm.ComputedTorque(BODY, (1, 2)),
-    "no robot": lambda: pm.ComputedTorque(3),  # type: ignore[arg-type]
+    "no robot": lambda: pm.ComputedTorque(3),
     "slope": lambda: SlidingMode(BODY, slope=-1.0),
     "leakage": lambda: Adaptive(BODY, leakage=-1.0),
     "samples": lambda: pm.Delayed(pm.PD(1, 1), -1),
     "limits": lambda: pm.Saturated(pm.PD(1, 1), -1.0),
     "std": lambda: pm.NoisyMeasurement(pm.PD(1, 1), -1.0, 0.0, seed=1),
-    "no controller": lambda: pm.Delayed(3, 1),  # type: ignore[arg-type]
+    "no controller": lambda: pm.Delayed(3, 1),
     "force": lambda: pm.ConstantForce((1, 2)),
     "frequency": lambda: pm.SinusoidalForce((1, 2, 3), -1.0),
     "friction": lambda: pm.ViscousFriction((-1, 2, 3)),
@@ -220,7 +220,7 @@ ERRORS: dict[str, Callable[[], Any]] = {
     "bandwidth": lambda: pm.NoiseForce((1, 1, 1), 0.0, seed=1),
     "radius": lambda: pm.Circle(-1.0, 0.5, 6.0),
     "duration": lambda: pm.Line((0, 0), (1, 1), 0.0),
-    "path": lambda: pm.Tangent(3),  # type: ignore[arg-type]
+    "path": lambda: pm.Tangent(3),
     "wheel": lambda: pm.WheelTable.differential(0.5, -0.1),
     "mu": lambda: pm.Friction(mu=-1.0),
     "motor": lambda: pm.Motor(resistance=-1.0),

@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import Cache, Loop, Shape, Target
+from pinmobile.compiled import Cache, LoopTape, Shape, Target
 from pinmobile.compiled.program import Program, aligned
 from pinmobile.compiled.tape import Tape
 
 
 def compiled(tape: Tape, node: int, x: Any, target: Target, shape: Shape, *, key: bool = False) -> Array:
     """Return the value of a node for each value of the first row, or key."""
-    loop = Loop(
+    loop = LoopTape(
         tape=tape,
         states=[],
         leaves=[],

@@ -397,7 +397,7 @@ FAULTS = [
     ),
     Fault(
         "another signature",
-        lambda: PD(1, 1, difference=lambda q: q),  # type: ignore[misc, arg-type]
+        lambda: PD(1, 1, difference=lambda q: q),
         "which cannot be called as difference(q0, q1): too many",
     ),
     Fault(

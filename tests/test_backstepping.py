@@ -402,7 +402,7 @@ class _Back:
             "robot is a drive of type (3, 0), expected one with a fixed axle: for this one, "
             "ComputedTorque(robot)",
         ),
-        (lambda: Backstepping(PD(1, 1), DIFFERENTIAL), "law is PD("),  # type: ignore[arg-type]
+        (lambda: Backstepping(PD(1, 1), DIFFERENTIAL), "law is PD("),
         (lambda: Backstepping(Tracking(), BODY), "robot is MobileRobot("),
         (lambda: Backstepping(Tracking(), DIFFERENTIAL, k=0), "k is 0.0 1/s, expected > 0"),
         (lambda: Allocated(PD(1, 1), BODY), "robot is MobileRobot("),
@@ -410,7 +410,7 @@ class _Back:
             lambda: SwerveTracking(SUPPORTED),
             "robot is WheelTable(",
         ),
-        (lambda: Allocated(Tracking(), DIFFERENTIAL), ""),  # type: ignore[arg-type]
+        (lambda: Allocated(Tracking(), DIFFERENTIAL), ""),
         (lambda: Decoupled(MECANUM), "robot is WheeledRobot("),
         (
             lambda: Backstepping(Tracking(), _one_motor()),

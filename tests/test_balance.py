@@ -214,7 +214,8 @@ def test_where_the_ground_would_have_to_pull_the_answers_say_so() -> None:
 
 def test_where_nothing_weighs_no_friction_is_told() -> None:
     adrift = MobileRobot.box()
-    adrift._engine.model.gravity = pin.Motion.Zero()
+    engine: Any = adrift._engine
+    engine.model.gravity = pin.Motion.Zero()
     moving = planar(np.array([[0.0, 0, 0], [1.0, 0, 0]]), robot=adrift)
     assert np.isnan(required_friction(moving)).tolist() == [True, False]
     assert required_friction(moving)[1] == np.inf  # it is pushed, and nothing presses it on the ground

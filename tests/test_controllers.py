@@ -76,7 +76,8 @@ def test_a_model_without_a_difference_is_told_to_bring_one() -> None:
 def test_a_controller_of_another_robot_compares_as_that_one() -> None:
     """A copy of it with another robot takes that robot's."""
     kinova, goal = MobileRobot.box().mount("kinova"), Reference(*np.zeros((3, 3)))
-    moved = evolve(ComputedTorque(kinova), robot=ROBOT, kp=4, kd=4)
+    controller: Any = ComputedTorque(kinova)
+    moved = evolve(controller, robot=ROBOT, kp=4, kd=4)
     tau, _ = moved(0.0, np.zeros(3), np.zeros(3), goal, None)
     np.testing.assert_array_equal(tau, 0)
 
@@ -149,8 +150,8 @@ def test_a_law_is_a_controller_without_memory() -> None:
             lambda: ComputedTorque(ROBOT, kd=np.ones((2, 2))),
             "kd has shape (2, 2), expected (), (3,) or (3, 3)",
         ),
-        (lambda: ComputedTorque("robot"), "robot is 'robot', expected a MobileRobot"),  # type: ignore[arg-type]
-        (lambda: PD(1, 1, difference=3), "difference is 3, expected a function of q0 and q1"),  # type: ignore[arg-type]
+        (lambda: ComputedTorque("robot"), "robot is 'robot', expected a MobileRobot"),
+        (lambda: PD(1, 1, difference=3), "difference is 3, expected a function of q0 and q1"),
         (lambda: law(3), "function is 3, expected a function of t, q, v and reference"),  # type: ignore[arg-type]
     ],
 )

@@ -57,7 +57,8 @@ class Still:
 
 
 def without_gravity(robot: MobileRobot) -> MobileRobot:
-    for model in (robot._engine.model, robot._engine.public):
+    engine: Any = robot._engine
+    for model in (engine.model, engine.public):
         model.gravity = pin.Motion.Zero()
     return robot
 

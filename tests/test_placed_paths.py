@@ -379,7 +379,7 @@ def test_a_spread_that_tears_a_path_apart_is_refused_for_the_robot_that_it_tears
         ),
         (lambda: Hold((1, 2), 1).moved(np.inf), "x is inf, expected a finite number"),
         (
-            lambda: Moved(3, 1, 2),  # type: ignore[arg-type]
+            lambda: Moved(3, 1, 2),
             "path is 3, expected a path: path(t), path.derivative(t, order), path.duration",
         ),
     ],

@@ -133,7 +133,7 @@ def test_a_part_without_what_the_loop_needs_is_told_so(what: str) -> None:
 
 def test_a_controllers_robot_without_its_dynamics_is_told_so() -> None:
     with pytest.raises(InvalidArgument, match=r"^robot is .*Cart.*, which has no inverse_dynamics, expected"):
-        ComputedTorque(Cart())  # type: ignore[arg-type]
+        ComputedTorque(Cart())
 
 
 # A plant whose sizes contradict each other.

@@ -53,7 +53,7 @@ class Traced:
                 self.inputs["state", len(self.inputs)] = float(x)
         return symbols(nodes, value.shape)
 
-    def state(self, *arrays: Array) -> list[Symbols]:
+    def state(self, *arrays: Array) -> list[Any]:
         return [self._symbols(x) for x in arrays]
 
     def answer(self, function: Callable[..., Any], *given: Any) -> Array:
@@ -62,7 +62,7 @@ class Traced:
         def law() -> Any:
             return function(*given)
 
-        with tracing([law]):
+        with tracing():
             found = law()
         table = np.asarray(entries(found), object)
         nodes = [x if type(x) is Node else self.tape.const(float(x)) for x in table.ravel()]
@@ -163,7 +163,8 @@ def test_measures_and_the_start_are_those_of_the_robot_with_such_numbers() -> No
     reference = Reference(desired, desired, desired)
     numeric = Reference(given["q"][:3] + 0.1, np.zeros(3), np.zeros(3))
     expected = traced.other.measured(0.0, *given.values(), numeric)
-    found = traced.answer(lambda: traced.robot.measured(0.0, q, v, a, u, reference))
+    robot: Any = traced.robot
+    found = traced.answer(lambda: robot.measured(0.0, q, v, a, u, reference))
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
     begun = traced.answer(lambda: traced.robot.start(reference)[0])
     np.testing.assert_allclose(begun, traced.other.start(numeric)[0])
@@ -201,5 +202,5 @@ def test_a_helical_joint_has_no_dynamics_on_symbols() -> None:
     robot = MobileRobot.box().mount(model, AT)
     (q,) = Traced(ROBOTS["bare"]).state(robot.rest)
     with pytest.raises(NotTraceable, match="'arm/screw' is a JointModelHX"):
-        robot.mass_matrix(q)  # type: ignore[arg-type]
+        robot.mass_matrix(q)
     assert robot.mass_matrix(robot.rest).shape == (4, 4)

@@ -268,7 +268,7 @@ def test_slides_have_their_limits_in_metres_and_a_limit_itself_is_within() -> No
     [
         (lambda: WholeBody("ur5", CIRCLE), "robot is 'ur5', expected a MobileRobot"),
         (
-            lambda: WholeBody(UR5, Circle(1, 1, 6), None),  # type: ignore[arg-type]
+            lambda: WholeBody(UR5, Circle(1, 1, 6), None),
             "base is Circle(radius=1.0, rate=1.0, duration=6.0), a path, which has no heading, expected a "
             "trajectory: wrap the path in Tangent or FixedHeading, such as Tangent(path)",
         ),
@@ -477,8 +477,8 @@ def test_in_the_loop_and_asked_from_outside_a_controller_is_the_same(make: Any, 
 @pytest.mark.parametrize(
     ("call", "text"),
     [
-        (lambda: PDGravity("ur5", 1, 1), "robot is 'ur5', expected a MobileRobot"),  # type: ignore[arg-type]
-        (lambda: Decoupled("ur5"), "robot is 'ur5', expected a MobileRobot"),  # type: ignore[arg-type]
+        (lambda: PDGravity("ur5", 1, 1), "robot is 'ur5', expected a MobileRobot"),
+        (lambda: Decoupled("ur5"), "robot is 'ur5', expected a MobileRobot"),
         (lambda: PDGravity(UR5, (1, 2, 3), 1), "kp has shape (3,), expected (), (9,) or (9, 9)"),
         (lambda: Decoupled(UR5, 1, np.eye(3)), "kd has shape (3, 3), expected (), (9,) or (9, 9)"),
         (lambda: Decoupled(UR5, np.inf, 1), "kp is inf, expected a finite number"),

@@ -337,9 +337,9 @@ def once(controller: Any) -> Any:
 @pytest.mark.parametrize(
     ("call", "text"),
     [
-        (lambda: Saturated(3, 1),  # type: ignore[arg-type]
+        (lambda: Saturated(3, 1),
          "controller is 3, expected a controller: wrap a function in law(...)"),
-        (lambda: Delayed(ComputedTorque, 1),  # type: ignore[arg-type]
+        (lambda: Delayed(ComputedTorque, 1),
          "controller is <class 'pinmobile.controllers.feedback.ComputedTorque'>, expected a "
          "controller: wrap a function in law(...)"),
         (lambda: Saturated(TOLD, (1, 0, 1)), "limits is 0.0 N, expected > 0"),
@@ -352,14 +352,14 @@ def once(controller: Any) -> Any:
         (lambda: NoisyMeasurement(TOLD, 1, np.ones((3, 3)), 0),
          "std_v has shape (3, 3), expected () or (n,)"),
         (lambda: once(NoisyMeasurement(TOLD, 1, (1, 2), 0)), "std_v has shape (2,), expected () or (3,)"),
-        (lambda: NoisyMeasurement(TOLD, 1, 1, None),  # type: ignore[arg-type]
+        (lambda: NoisyMeasurement(TOLD, 1, 1, None),
          "seed is None, expected a whole number >= 0 or a SeedSequence"),
         (lambda: NoisyMeasurement(TOLD, 1, 1, True),
          "seed is True, expected a whole number >= 0 or a SeedSequence"),
         (lambda: NoisyMeasurement(TOLD, 1, 1, -1),
          "seed is -1, expected a whole number >= 0 or a SeedSequence"),
         (
-            lambda: NoisyMeasurement(TOLD, 1, 1, np.random.default_rng(0)),  # type: ignore[arg-type]
+            lambda: NoisyMeasurement(TOLD, 1, 1, np.random.default_rng(0)),
             "seed is Generator(PCG64), expected a whole number >= 0 or a SeedSequence",
         ),
         *(

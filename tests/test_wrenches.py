@@ -67,7 +67,7 @@ def test_friction_forward_is_not_friction_sideways() -> None:
 
 
 def test_friction_is_said_by_the_names_of_its_axes() -> None:
-    friction = ViscousFriction(forward=5, yaw=0.4)
+    friction: Any = ViscousFriction(forward=5, yaw=0.4)
     assert np.asarray(friction.coefficients).tolist() == [5.0, 0.0, 0.4]
     assert repr(friction) == "ViscousFriction(forward=5.0, left=0.0, yaw=0.4)"
     assert repr(eval(repr(friction))) == repr(friction) == repr(evolve(friction, coefficients=(5, 0, 0.4)))

@@ -483,6 +483,6 @@ def spreadable() -> str:
     listed = "\n".join(f"{part}: {', '.join(names)}" for part, names in words.items())
     return (
         f"{listed}\n\nThese are the lecture's. The end of a path is enough: mass is plant.mass, radius "
-        "trajectory.path.radius; controller.mass is the nearest one there. Forces, arms and wheels have more: "
-        "force.x, forearm_link.mass and left.radius."
+        "trajectory.path.radius; controller.mass is the nearest one there. Forces, arms and wheels have "
+        "more: forces.wind.x, forearm_link.mass and left.radius."
     )

@@ -206,10 +206,10 @@ class _Reader:
             "robot": robot,
             "controller": controller,
             "trajectory": self._trajectory(tree, options, beside),
-            "forces": [
-                part(f"forces.{name}", value, FORCES, beside=beside)
+            "forces": {
+                name: part(f"forces.{name}", value, FORCES, beside=beside)
                 for name, value in tree.get("forces", {}).items()
-            ],
+            },
             "dt": options["dt"],
             "integrator": step,
             "substeps": options["substeps"],

@@ -224,7 +224,7 @@ class Identity:
         self._changing += 1
         own = getattr(x, "__dict__", None)
         if isinstance(x, SimpleNamespace) or not is_foreign(kind.__module__):
-            slots = {name: getattr(x, name) for name in _slots(kind) if hasattr(x, name)}
+            slots = {name: getattr(x, name) for name in _slots(kind) if hasattr(x, name)}  # type: ignore[arg-type]
             if slots or isinstance(own, dict):
                 held = slots | (own or {})
                 return self._class(kind), tuple((name, self._value(value)) for name, value in held.items())

@@ -231,7 +231,7 @@ def short_names(known: Mapping[str, Found]) -> list[str]:
         least = 2 if known[path].label else 1
         first = [k for k in range(len(words) - least, -1, -1) if not (k and words[k].isdigit())]
         ends = (".".join(words[k:]) for k in first)
-        name = next(end for end in ends if end not in taken or end == path)
+        name = next(end for end in ends if not (end in taken or end.startswith("robot.")) or end == path)
         taken |= {".".join(words[k:]) for k in range(len(words))}
         if not words[-1].isdigit():
             found.append(name)
@@ -246,7 +246,8 @@ def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: 
     """Return what a name means: a full path, the end of one, or the end of one within a field of the loop.
 
     Of several paths with that end the plant's own comes first, then the one nearest to the loop:
-    ``"mass"`` is the plant's, ``"controller.mass"`` the nearest in the controller.
+    ``"mass"`` is the plant's, ``"controller.mass"`` the nearest in the controller. In a loop the first
+    word robot means the plant, as in files and commands.
 
     Raises
     ------
@@ -259,6 +260,8 @@ def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: 
     if name in known:
         return known[name]
     first, _, rest = name.partition(".") if isinstance(name, str) else ("", "", "")
+    if first == "robot" and any(path.startswith("plant.") for path in known):
+        return find(part, f"plant.{rest}", known, where)
     ends = sorted(
         (*_nearness(path), path)
         for path, one in known.items()

@@ -38,7 +38,8 @@ from numpy.typing import NDArray
 
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Scenario, way_of
-from pinmobile.parts import fields_of, is_part, part
+from pinmobile.loop._loop import named_forces
+from pinmobile.parts import declared_by, fields_of, is_part, part
 from pinmobile.sweeps.code import hidden_in, is_library, node_of, read_by
 from pinmobile.sweeps.grids import Grid
 
@@ -124,7 +125,10 @@ def _described(scenario: Scenario, version: str | None) -> dict[str, Any]:
     parameter of it is spread, all that it is made of.
     """
     given = {name: getattr(scenario, name) for name in _PLAIN}
-    given |= {"forces": list(given["forces"]), "spread": dict(sorted(given["spread"].items()))}
+    given |= {
+        "forces": list(named_forces(given["forces"]).values()),
+        "spread": dict(sorted(given["spread"].items())),
+    }
     forms = _Forms(version)
     found = {name: forms.of(name, value) for name, value in given.items()}
     found["duration"] = float(scenario.t[-1])
@@ -266,7 +270,7 @@ class _Forms:
                 for one in fields(kind)
             }
         elif attrs.has(kind):
-            told["its fields"] = dict(fields_of(kind))
+            told["its fields"] = dict(declared_by(kind))
         members = {
             name: member
             for name, member in sorted(vars(kind).items())
