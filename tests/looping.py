@@ -137,7 +137,7 @@ COMPOSITIONS: dict[str, Callable[[], Loop]] = {
 
 def told(loop: Loop, t: Any = TIMES, reference: Reference = CIRCLE, member: int = 0) -> Context:
     """Return what the controller of a loop is told."""
-    context = Context.of(loop.plant, dt=t[1] - t[0], t=t, reference=reference, trajectory=None)  # type: ignore[arg-type]
+    context = Context.of(loop.plant, dt=t[1] - t[0], t=t, reference=reference, trajectory=None)
     return replace(context, seed=SEED, member=member)
 
 
