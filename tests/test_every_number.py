@@ -95,7 +95,8 @@ def changed(loop: Loop, path: str, value: Any) -> Loop:
         both.append(path.replace("left", "right"))
     own = 1.0 + 0.01 * np.arange(1, value.size + 1).reshape(value.shape)
     tried = [value * own + 1e-3 * (value == 0.0), value * 1.01, value / own, value * 0.99]
-    tried += [value + 1e-3 * np.eye(len(value))] if value.ndim == 2 else []
+    if value.shape == (6,):  # of an inertia, the moments alone
+        tried += [value + 1e-3 * np.array(axes) for axes in ([1, 1, 1, 0, 0, 0], [1, 0, 0, 1, 0, 1])]
     for other in tried:
         with contextlib.suppress(InvalidArgument):
             if not np.array_equal(other, value) or np.isinf(value).any():
