@@ -24,6 +24,7 @@ from pinmobile import (
     Normal,
     PDGravity,
     Reference,
+    Relative,
     Rollout,
     Same,
     Saturated,

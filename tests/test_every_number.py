@@ -29,14 +29,12 @@ from tests.frozen import CIRCLE, by_lapack, loops
 SAMPLES, DT = 6, 0.01
 COMMANDED = VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], accelerations=(2.0, 4.0))
 LOOPS = {name: (parts, options) for name, parts, options in (*loops(), *by_lapack())}
-LOOPS |= {
-    name: ((COMMANDED, make(COMMANDED), CIRCLE), {})
-    for name, make in {
-        "adaptive velocity": lambda robot: AdaptiveVelocity(robot, leakage=0.1),
-        "dynamic feedback": lambda robot: VelocityCommand(DynamicFeedback(), robot),
-        "Kanayama": lambda robot: VelocityCommand(Kanayama(), robot),
-    }.items()
+OF_COMMANDS: dict[str, Any] = {
+    "adaptive velocity": AdaptiveVelocity(COMMANDED, leakage=0.1),
+    "dynamic feedback": VelocityCommand(DynamicFeedback(), COMMANDED),
+    "Kanayama": VelocityCommand(Kanayama(), COMMANDED),
 }
+LOOPS |= {name: ((COMMANDED, each, CIRCLE), {}) for name, each in OF_COMMANDS.items()}
 LONG = ("ur5", "skid-steer", "mecanum Rolling", "mecanum Coulomb", "differential Coulomb", "volts")
 # Ends of the paths of numbers that no law uses in these loops, or not where they begin.
 OF_MOTORS = ("motor.efficiency", "motor.viscous", "motor.coulomb", "friction.mu")
@@ -64,7 +62,7 @@ def made(name: str) -> tuple[Loop, Context, Any]:
     integrator = chosen_integrator(plant, options.get("integrator"))
     forces = options.get("forces", ())
     loop = Loop(plant, controller, trajectory, forces, integrator, options.get("substeps", 1), Samples())
-    t = 1.0 + DT * np.arange(SAMPLES)
+    t: Any = 1.0 + DT * np.arange(SAMPLES)
     reference = sampled(trajectory, t, plant)
     q, v = started(plant, Reference(*(x[0] for x in reference)))
     context = Context.of(plant, dt=DT, t=t, reference=reference, trajectory=trajectory)
@@ -97,7 +95,8 @@ def changed(loop: Loop, path: str, value: Any) -> Loop:
         both.append(path.replace("left", "right"))
     own = 1.0 + 0.01 * np.arange(1, value.size + 1).reshape(value.shape)
     tried = [value * own + 1e-3 * (value == 0.0), value * 1.01, value / own, value * 0.99]
-    tried += [value + 1e-3 * np.eye(len(value))] if value.ndim == 2 else []
+    if value.shape == (6,):  # of an inertia, the moments alone
+        tried += [value + 1e-3 * np.array(axes) for axes in ([1, 1, 1, 0, 0, 0], [1, 0, 0, 1, 0, 1])]
     for other in tried:
         with contextlib.suppress(InvalidArgument):
             if not np.array_equal(other, value) or np.isinf(value).any():
