@@ -26,7 +26,7 @@ from pinmobile import (
     semi_implicit_euler,
     simulate,
 )
-from pinmobile.compiled import reaction
+from pinmobile.loop import reaction
 
 BODY = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
 CIRCLE = Tangent(Circle(radius=1.5, rate=0.6, duration=2))
