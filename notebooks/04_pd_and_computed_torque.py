@@ -264,9 +264,9 @@ except Diverged as error:
 # then overshoots: the integral *winds up*. So the part that the limits took away is taken out of it
 # again ([back-calculation](https://en.wikipedia.org/wiki/Integral_windup)).
 #
-# A controller of one's own is a class. What it remembers stands in its state, which it is given and
-# returns anew; `applied` is told the input that was really applied. It runs in `simulate`, and compiled
-# in `ensemble`, as it stands:
+# A controller of your own is a frozen dataclass. Each call receives its memory and returns the next one;
+# `applied` receives the input after all limits. It runs in `simulate`, and compiled in `ensemble`, without
+# change, and a spread may name its numbers, such as `ki`:
 
 
 # %%
@@ -276,7 +276,6 @@ class PID:
     ki: float = 60.0
     kd: float = 120.0
     back: float = 2.0  # [1/s]; 0: the integral winds up
-    parameters: ClassVar = ("kp", "ki", "kd", "back")
 
     def initial_state(self, context):
         return {"sum": np.zeros(3), "asked": np.zeros(3), "loop": (context.dt, context.difference)}
@@ -310,7 +309,7 @@ plots.errors(windy)
 # And ten thousand robots, each with a wind and a start of its own:
 
 # %%
-calm = ConstantForce((0, 0, 0))  # which the spread makes a wind
+calm = ConstantForce((0, 0, 0))  # the spread gives each robot its own
 spread = {"force.x": Uniform(-15, 15), "start.y": Uniform(-1.5, 1.5)}
 within = {}
 for name, own in pushing.items():

@@ -73,7 +73,7 @@ from pinmobile.plots.style import colour, dress
 # %%
 nominal = MobileRobot(mass=30, yaw_inertia=1.3)
 circle = Tangent(Circle(radius=3, rate=0.1, duration=60))
-beside = [ConstantForce((0, 0, 0)), ViscousFriction((0, 0, 0))]  # of which the spread gives the size
+beside = [ConstantForce((0, 0, 0)), ViscousFriction((0, 0, 0))]  # the spread gives their sizes
 spread = {
     "mass": Uniform(24, 36),
     "yaw_inertia": Uniform(0.9, 1.7),
@@ -235,7 +235,12 @@ print(f"and harms those up to           {mass[~model_helps].max():.2f} kg")
 offsets, ratios = np.linspace(0, 0.5, 6), np.array([0.5, 1, 1.5, 2, 3, 4, 4.5, 5.5])
 com_x, ratio = (grid.ravel() for grid in np.meshgrid(offsets, ratios))
 made = ensemble(
-    nominal, computed_torque, circle, n=len(ratio), spread={"com.x": com_x, "controller.mass": 30 * ratio}, dt=0.1
+    nominal,
+    computed_torque,
+    circle,
+    n=len(ratio),
+    spread={"com.x": com_x, "controller.mass": 30 * ratio},
+    dt=0.1,
 )
 robots = [MobileRobot(30, 1.3, com=(x, 0)) for x in com_x]
 model = [np.diag([30 * factor, 30 * factor, 1.3]) for factor in ratio]

@@ -52,15 +52,15 @@ USERS = {
     "trajectories/reference.py": {"Hold"},
 }
 ALSO_A_DELAY = {
-    *("plant.py", "loop/_identity.py", "loop/_trace.py"),
-    *(f"compiled/{file}.py" for file in ("__init__", "loop_tape", "memory", "program_cache")),
+    *("plant.py", "loop/_trace.py"),
+    *(f"compiled/{file}.py" for file in ("__init__", "identity", "memory")),
 }
 
 
 def test_the_examples_print_what_follows_them() -> None:
     names: dict[str, object] = {"__name__": "examples"}
     blocks = re.findall(r"```python\n(.*?)```(?:\n\n```text\n(.*?)```)?", CONTRIBUTING, re.DOTALL)
-    assert sum(bool(printed) for _, printed in blocks) == 7
+    assert sum(bool(printed) for _, printed in blocks) == 9
     for code, printed in blocks:
         out = io.StringIO()
         with contextlib.redirect_stdout(out):
@@ -70,7 +70,7 @@ def test_the_examples_print_what_follows_them() -> None:
 
 def test_each_kind_of_part_has_a_short_example() -> None:
     sections = dict(re.findall(r"### An? (\w+)\n(.*?)(?=\n### |\Z)", CONTRIBUTING, re.DOTALL))
-    assert list(sections) == ["controller", "wrapper", "force", "integrator", "path", "heading", "plant"]
+    assert list(sections) == ["controller", "wrapper", "force", "integrator", "path", "heading", "plant", "ground", "figure"]
     for text in sections.values():
         assert text.count("```python") == 1
         assert len(text.splitlines()) < 75

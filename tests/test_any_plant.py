@@ -3,6 +3,7 @@
 import csv
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,15 +29,16 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
-from pinmobile.compiled import Parts, Reference as OnSymbols
-from pinmobile.plant import Coordinate, Input, Parameter, PlantOutline, Step
+from pinmobile.loop import Loop
+from pinmobile.plant import Coordinate, Input, PlantOutline, Step
 from pinmobile.viewer import Arrows, Overlays, Viewer
 from pinmobile.viewer.motion import configurations, figure, links
-from tests.looping import AxleFriction, looped
+from tests.looping import looped
+from tests.parts import Axle
 from tests.users import Follower, TwoWheels
 
 PATH = Tangent(Circle(2, 0.25, 20))
-FORCES = (ViscousFriction([2, 0, 0.1]), AxleFriction(0.01))
+FORCES = (ViscousFriction([2, 0, 0.1]), Axle(0.01))
 RUN = simulate(TwoWheels(), Follower(), PATH, dt=0.02, forces=FORCES, integrator=rk4)
 NAMES = ["x", "y", "psi", "left wheel", "right wheel"]
 
@@ -58,8 +60,8 @@ def test_the_loop_is_the_one_that_is_compiled(integrator: Any, substeps: int, pu
     plant, forces = TwoWheels(), FORCES if pushed else ()
     options: dict[str, Any] = {"substeps": substeps, "integrator": integrator, "forces": forces}
     run = simulate(plant, Follower(), PATH, dt=0.02, duration=2, **options)
-    parts = Parts(plant, Follower(), forces, integrator, substeps=substeps)
-    rows, _ = looped(parts, run.q[0], run.v[0], run.t, OnSymbols(*run.reference), 0.02)
+    loop = Loop(plant, Follower(), None, forces, integrator, substeps)
+    rows = looped(loop, run.q[0], run.v[0], run.t, run.reference)
     for name in ("q", "v", "u", "a"):
         largest = np.abs(rows[name]).max()
         np.testing.assert_allclose(getattr(run, name), rows[name], rtol=0, atol=1e-12 * largest)
@@ -169,13 +171,14 @@ class Drawn(TwoWheels):
 
     def __init__(self) -> None:
         super().__init__()
-        self.visual_model = pin.GeometryModel()
+        model = pin.GeometryModel()
+        object.__setattr__(self, "visual_model", model)
         for name, shape in (
             ("body", coal.Box(0.4, 0.3, 0.1)),
             ("left", coal.Cylinder(0.1, 0.04)),
             ("right", coal.Cylinder(0.1, 0.04)),
         ):
-            self.visual_model.addGeometryObject(pin.GeometryObject(name, 0, pin.SE3.Identity(), shape))
+            model.addGeometryObject(pin.GeometryObject(name, 0, pin.SE3.Identity(), shape))
 
     def drawing(self, q: Array) -> Any:
         body = pin.SE3(pin.utils.rotate("z", q[2]), np.array([q[0], q[1], 0.1]))
@@ -225,12 +228,12 @@ def scene_text(viewer: Viewer) -> str:
 
 
 def test_members_of_an_ensemble_are_drawn_as_they_are() -> None:
+    @dataclass(frozen=True)
     class Wide(Drawn):
-        parameters = (Parameter("track", "m", "distance of the wheels"),)
+        track: float = 0.5
 
-        def __init__(self, track: float = 0.5) -> None:
-            super().__init__()
-            self.track = track
+        def __post_init__(self) -> None:
+            Drawn.__init__(self)
 
         def drawing(self, q: Array) -> Any:
             body, *_ = found = super().drawing(q)
@@ -373,8 +376,8 @@ class Spring:
 def test_a_step_of_its_own_is_taken_with_its_memory_and_signals() -> None:
     push = law(lambda *_: np.array([3.0]))
     run = simulate(Sliding(), push, Still(), dt=0.1, substeps=2, forces=[Spring()], q0=[0.5], v0=[1.0])
-    parts = Parts(Sliding(), push, (Spring(),), None, substeps=2)
-    rows, _ = looped(parts, run.q[0], run.v[0], run.t, OnSymbols(*run.reference), 0.1)
+    loop = Loop(Sliding(), push, None, (Spring(),), None, 2)
+    rows = looped(loop, run.q[0], run.v[0], run.t, run.reference)
     for name in ("q", "v", "u", "a"):
         np.testing.assert_allclose(getattr(run, name), rows[name], rtol=0, atol=1e-14)
     assert run.a[0, 0] == pytest.approx(3 - 4 * 0.5)

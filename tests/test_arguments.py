@@ -514,9 +514,9 @@ def test_engines_and_the_true_model_come_back_as_themselves(one: Any) -> None:
 
 
 def test_the_true_model_is_read_only() -> None:
-    assert dict(TRUE_MODEL)["model_mass"] == Same("mass")
+    assert dict(TRUE_MODEL)["controller.mass"] == Same("mass")
     with pytest.raises(TypeError, match="does not support item assignment"):
-        TRUE_MODEL["model_mass"] = Same("yaw_inertia")  # type: ignore[index]
+        TRUE_MODEL["controller.mass"] = Same("yaw_inertia")  # type: ignore[index]
 
 
 def test_names_of_joints_are_one_column_each_in_a_csv_file(tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def branching(t: float, q: Any, v: Any, reference: Any) -> Any:
 
 
 def scenario(controller: Any, width: float) -> Scenario:
-    spread = {"start_x": Uniform(-width, width)}
+    spread = {"start.x": Uniform(-width, width)}
     return Scenario(
         robot=MobileRobot.box(), controller=controller, trajectory=CIRCLE, n=12, spread=spread, dt=0.2
     )

@@ -43,8 +43,8 @@ ROBOT = MobileRobot(10, 1.3, com=(0.1, 0.05)).attach(Load(2, (0.1, 0, 0.2)))
 CIRCLE = Tangent(Circle(3, 0.1, 20))
 SPREAD: dict[str, Any] = {
     "mass": Uniform(4, 12),
-    "model_mass": Same("mass", stats.norm(1.0, scale=0.1)),
-    "com_x": np.linspace(0, 0.1, 60),
+    "controller.mass": Same("mass", stats.norm(1.0, scale=0.1)),
+    "com.x": np.linspace(0, 0.1, 60),
     "force.x": Normal(0, 0.04),
     "kp": 4.0,
 }
@@ -61,7 +61,7 @@ def run(traces: Any = (), **more: Any) -> Ensemble:
 
 
 # A controller that believes in 30 kg where there are 4 to 12 is beyond what the step allows for some.
-DIVERGING = run(traces=[17, 3], spread=SPREAD | {"model_mass": 30.0})
+DIVERGING = run(traces=[17, 3], spread=SPREAD | {"controller.mass": 30.0})
 MADE: dict[str, Ensemble] = {
     "some diverge, two traced": DIVERGING,
     "none diverges, none traced": run(),
@@ -204,9 +204,9 @@ def test_words_have_no_addresses_and_all_digits_whatever_is_set() -> None:
         told = Outline.of(scenario(controller=Saturated(ComputedTorque(ROBOT, 1 / 3, 4), 50)))
     assert "kp=array(0.3333333333333333)" in told.controller
     assert "0x" not in str(told)
-    assert told.spread["com_x"] == "60 numbers"
+    assert told.spread["com.x"] == "60 numbers"
     assert told.spread["kp"] == "4.0"
-    assert told.spread["model_mass"] == Same("mass", "norm(1.0, scale=0.1)")
+    assert told.spread["controller.mass"] == Same("mass", "norm(1.0, scale=0.1)")
     assert told.parameters["mass"].unit == "kg"
 
 
@@ -242,7 +242,7 @@ def test_any_repr_is_kept_as_text(tmp_path: Path, words: Callable[[], str], told
 
 def test_with_its_scenario_a_loaded_ensemble_makes_robots_again(tmp_path: Path) -> None:
     path = saved(DIVERGING, tmp_path)
-    loaded = Ensemble.load(path, scenario(spread=SPREAD | {"model_mass": 30.0}))
+    loaded = Ensemble.load(path, scenario(spread=SPREAD | {"controller.mass": 30.0}))
     assert str(loaded) == str(DIVERGING)
     assert loaded.member(5).robot == DIVERGING.member(5).robot
     for name, array in DIVERGING.trace(5).arrays().items():
@@ -266,13 +266,13 @@ def test_with_its_scenario_a_loaded_ensemble_makes_robots_again(tmp_path: Path) 
         ),
         ({"robot": MobileRobot(10, 1.4)}, r"robot is .*1.3.* there and .*1.4.* here"),
         ({"seed": 8}, "seed is 7 there and 8 here"),
-        ({"n": 61, "spread": SPREAD | {"com_x": 0.0}}, r"spread\['com_x'\] is 60 numbers there and 0.0 here"),
+        ({"n": 61, "spread": SPREAD | {"com.x": 0.0}}, r"spread\['com.x'\] is 60 numbers there and 0.0 here"),
         (
             {"spread": {name: SPREAD[name] for name in SPREAD if name != "mass"}},
             r"spread\['mass'\] is Uniform\(low=4.0, high=12.0\) there and absent here",
         ),
         ({"forces": [ConstantForce((1, 0, 0))]}, r"forces\[0\] is Const.* there and Const.* here"),
-        ({"spread": SPREAD | {"com_x": np.linspace(0, 0.2, 60)}}, "it draws another com_x"),
+        ({"spread": SPREAD | {"com.x": np.linspace(0, 0.2, 60)}}, "it draws another com_x"),
         ({"duration": 10.0, "every": 3}, "t is another"),
         ({"every": 2}, "every is 3 there and 2 here"),
     ],
@@ -313,7 +313,7 @@ def test_csv_has_a_row_per_robot_and_every_digit(tmp_path: Path, name: str) -> N
     assert header[0] == "robot"
     assert header[-2:] == ["max_distance [m]", "diverged_at [s]"]
     wanted: dict[str, Any] = {"robot": np.arange(len(one)), "max_distance [m]": one.max_distance}
-    units = {"mass": " [kg]", "model_mass": " [kg]", "com_x": " [m]", "force.x": " [N]", "kp": ""}
+    units = {"mass": " [kg]", "controller.mass": " [kg]", "com.x": " [m]", "force.x": " [N]", "kp": ""}
     wanted |= {f"drawn_{each}{units[each]}": values for each, values in one.draws.items()}
     for k, (of, unit) in enumerate((("x", "m"), ("y", "m"), ("psi", "rad"))):
         wanted |= {f"max_error_{of} [{unit}]": one.max_error[:, k]}

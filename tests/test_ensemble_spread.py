@@ -78,18 +78,18 @@ def made(**changes: Any) -> Scenario:
 
 
 def test_draws_follow_their_distributions() -> None:
-    spread = {"mass": Uniform(20, 40), "com_x": Normal(0.1, 0.02), "kp": stats.gamma(4), "com_y": 0.03}
+    spread = {"mass": Uniform(20, 40), "com.x": Normal(0.1, 0.02), "kp": stats.gamma(4), "com.y": 0.03}
     draws = made(n=20_000, spread=spread).draws()
     # The largest deviation of a sample of n from its distribution exceeds 1.95 / sqrt(n) once in 1000
     # (Smirnov); the seed is fixed.
     for name, distribution in (
         ("mass", stats.uniform(20, 20)),
-        ("com_x", stats.norm(0.1, 0.02)),
+        ("com.x", stats.norm(0.1, 0.02)),
         ("kp", stats.gamma(4)),
     ):
         assert stats.kstest(draws[name], distribution.cdf).statistic < 1.95 / np.sqrt(20_000)
-    assert (draws["com_y"] == 0.03).all()
-    assert abs(np.corrcoef(draws["mass"], draws["com_x"])[0, 1]) < 4 / np.sqrt(20_000)
+    assert (draws["com.y"] == 0.03).all()
+    assert abs(np.corrcoef(draws["mass"], draws["com.x"])[0, 1]) < 4 / np.sqrt(20_000)
 
 
 def test_robots_far_apart_are_drawn_by_themselves() -> None:
@@ -99,7 +99,7 @@ def test_robots_far_apart_are_drawn_by_themselves() -> None:
 
 def test_factors_of_two_parameters_are_drawn_by_themselves() -> None:
     off = Uniform(0.8, 1.2)
-    spread = {"model_mass": Same("mass", off), "model_yaw_inertia": Same("yaw_inertia", off)}
+    spread = {"controller.mass": Same("mass", off), "controller.yaw_inertia": Same("yaw_inertia", off)}
     mass, inertia = made(spread=spread).draws().values()
     # Of independent ones, the correlation of a sample of n is within 4 / sqrt(n) of zero.
     assert abs(np.corrcoef(mass, inertia)[0, 1]) < 4 / np.sqrt(1000)
@@ -107,7 +107,7 @@ def test_factors_of_two_parameters_are_drawn_by_themselves() -> None:
 
 def test_an_array_that_changes_later_changes_nothing() -> None:
     masses = np.linspace(20, 40, 5)
-    scenario = made(n=5, spread={"mass": masses, "com_x": Same("mass", masses)})
+    scenario = made(n=5, spread={"mass": masses, "com.x": Same("mass", masses)})
     before = {name: column.copy() for name, column in scenario.draws().items()}
     masses[:] = 1.0
     np.testing.assert_equal(scenario.draws(), before)
@@ -122,14 +122,14 @@ def test_arrays_give_each_robot_its_number() -> None:
 
 
 def test_same_makes_the_controller_know_what_it_is_told() -> None:
-    truth = {"mass": Uniform(20, 40), "com_x": Normal(0.1, 0.05)}
+    truth = {"mass": Uniform(20, 40), "com.x": Normal(0.1, 0.05)}
     told, nominal = (
         run_scenario(made(spread=spread, duration=60.0)).within(0.99).distance
         for spread in ({**truth, **TRUE_MODEL}, truth)
     )
     # With the true model what is left is the held force: that of the lecture's table, 3.5e-5 m on each axis.
     assert told < 1e-4 < nominal
-    off = made(spread={"model_mass": Same("mass", Uniform(0.8, 1.2))}).draws()["model_mass"]
+    off = made(spread={"controller.mass": Same("mass", Uniform(0.8, 1.2))}).draws()["controller.mass"]
     assert 24 <= off.min() < 25
     assert 35 < off.max() <= 36
 
@@ -146,10 +146,10 @@ def test_a_gain_may_be_a_multiple_of_one_that_is_not_spread() -> None:
 def test_a_member_is_the_robot_that_was_drawn() -> None:
     spread = {
         "mass": Uniform(20, 40),
-        "model_mass": Same("mass", 1.1),
+        "controller.mass": Same("mass", 1.1),
         "kp": 5.0,
         "kd.psi": 7.0,
-        "start_y": 0.3,
+        "start.y": 0.3,
         "force.x": Uniform(1, 2),
         "coefficients.yaw": 0.3,
     }
@@ -208,7 +208,8 @@ def test_a_name_of_a_force_stands_for_one_number_of_it(name: str, k: int, field:
 
 
 @pytest.mark.parametrize(
-    ("name", "place"), [("start_x", 0), ("start_y", 1), ("start_psi", 2), ("start_vx", 3), ("start_vy", 4)]
+    ("name", "place"),
+    [("start.x", 0), ("start.y", 1), ("start.psi", 2), ("start_rate.vx", 3), ("start_rate.vy", 4)],
 )
 def test_a_start_is_beside_the_trajectorys(name: str, place: int) -> None:
     options = run_scenario(made(n=2, spread={name: 0.25})).member(1).options
@@ -230,7 +231,7 @@ def test_a_gain_of_one_coordinate_leaves_the_others(name: str, place: int) -> No
 
 def test_a_member_has_all_else_of_its_scenario() -> None:
     robot = MobileRobot(30, 1.3, com=(0.1, 0.02, 0.4), size=(1, 2, 3))
-    scenario = made(n=2, robot=robot, spread={"com_y": 0.05}, limit=7.0, substeps=3, duration=0.5)
+    scenario = made(n=2, robot=robot, spread={"com.y": 0.05}, limit=7.0, substeps=3, duration=0.5)
     member = run_scenario(scenario).member(1)
     assert (member.robot.mass, member.robot.com, member.robot.size) == (30, (0.1, 0.05, 0.4), (1, 2, 3))
     assert member.options["limit"] == 7
@@ -329,9 +330,9 @@ def test_every_parameter_can_be_spread_and_matters() -> None:
             ", which has 9 coordinates, expected 3, as the plant has",
         ),
         (
-            {"controller": ComputedTorque(Own()), "spread": {"model_mass": 3}},
+            {"controller": ComputedTorque(Own()), "spread": {"controller.mass": 3}},
             UnknownName,
-            "unknown parameter in spread 'model_mass', available: mass, ",
+            "unknown parameter in spread 'controller.mass', available: mass, ",
         ),
         ({"seed": -1}, InvalidArgument, "seed is -1, expected a whole number >= 0"),
         ({"robot": "me"}, InvalidArgument, "plant is 'me', expected something with 'forward_dynamics'"),
@@ -358,14 +359,14 @@ def test_every_parameter_can_be_spread_and_matters() -> None:
             "unknown parameter in spread['mass'] 'mas', did you mean 'mass'",
         ),
         (
-            {"spread": {"mass": Same("model_mass"), "model_mass": Same("mass")}},
+            {"spread": {"mass": Same("controller.mass"), "controller.mass": Same("mass")}},
             InvalidArgument,
             "spread goes in a circle: mass is the same as model_mass is the same as mass",
         ),
         (
-            {"controller": PD(4, 4), "spread": {"model_mass": 3}},
+            {"controller": PD(4, 4), "spread": {"controller.mass": 3}},
             UnknownName,
-            "unknown parameter in spread 'model_mass', available: mass, yaw_inertia, ",
+            "unknown parameter in spread 'controller.mass', available: mass, yaw_inertia, ",
         ),
         (
             {"controller": law(lambda t, q, v, reference: -q), "spread": {"kp": 3}},
@@ -415,8 +416,8 @@ def test_what_all_robots_share_is_named_where_a_spread_asks_for_it(name: str) ->
         ),
         ({"yaw_inertia": Normal(1.0, 0.4)}, "kg m^2 as the yaw inertia of the robot, and "),
         (
-            {"model_mass": Same("mass", -1.0)},
-            "spread['model_mass'] gives -30 kg as the mass of the controller's",
+            {"controller.mass": Same("mass", -1.0)},
+            "spread['controller.mass'] gives -30 kg as the mass of the controller's",
         ),
         (
             {"coefficients.left": -1.0},
@@ -433,7 +434,7 @@ def test_impossible_draws_are_refused_with_their_share(spread: Any, text: str) -
 POSITIVE = {
     *("radius", "t_via", "turn_time", "corner_radius", "trajectory.path.acceleration"),
     *("forces[2].speed", "forces[3].speed"),
-    *("plant.mass", "plant.yaw_inertia", "model_mass", "model_yaw_inertia"),
+    *("plant.mass", "plant.yaw_inertia", "controller.mass", "controller.yaw_inertia"),
 }
 MAY_VANISH = {
     *("viscous", "coulomb", "frequency", "std.x", "std.y", "std.moment"),
@@ -446,8 +447,8 @@ FREE = {
     "at.x",
     "when",
     "force.moment",
-    "com_x",
-    "start_x",
+    "com.x",
+    "start.x",
     "centre.x",
     "psi",
     "via.x",
@@ -631,7 +632,7 @@ def test_an_ensemble_says_what_came_of_it() -> None:
 
 
 def test_an_ensemble_tells_least_median_and_largest_of_each_record() -> None:
-    run = run_scenario(made(n=50, spread={"mass": Uniform(20, 40), "start_x": np.array([2e3, *[0.1] * 49])}))
+    run = run_scenario(made(n=50, spread={"mass": Uniform(20, 40), "start.x": np.array([2e3, *[0.1] * 49])}))
     rows = {line[:28].strip(): line[28:] for line in str(run).splitlines()[2:]}
     records = {"largest distance [m]": run.max_distance}
     for k, (error, force) in enumerate((("x [m]", "Fx [N]"), ("y [m]", "Fy [N]"), ("psi [rad]", "Mz [N m]"))):

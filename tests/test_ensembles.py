@@ -47,10 +47,10 @@ from pinmobile import (
     semi_implicit_euler,
     simulate,
 )
-from pinmobile.loop import COMPILED, PYTHON, part_of, run_scenario
-from pinmobile.loop._description import judgement
 from pinmobile.errors import SlowerEngine
 from pinmobile.integrators import RungeKuttaNystrom
+from pinmobile.loop import COMPILED, PYTHON, part_of, run_scenario
+from pinmobile.loop._description import judgement
 from tests.memory import PEAK
 from tests.users import PID
 
@@ -67,13 +67,13 @@ TRAJECTORIES: dict[str, Any] = {
 SPREAD: dict[str, Any] = {
     "mass": Uniform(20, 40),
     "yaw_inertia": Uniform(1, 2),
-    "com_x": Normal(0.05, 0.03),
-    "com_y": Normal(0.0, 0.03),
-    "start_x": Normal(0, 0.1),
-    "start_y": Normal(0, 0.1),
-    "start_psi": Normal(0, 0.3),
-    "start_vx": Normal(0, 0.1),
-    "start_yaw_rate": Normal(0, 0.1),
+    "com.x": Normal(0.05, 0.03),
+    "com.y": Normal(0.0, 0.03),
+    "start.x": Normal(0, 0.1),
+    "start.y": Normal(0, 0.1),
+    "start.psi": Normal(0, 0.3),
+    "start_rate.vx": Normal(0, 0.1),
+    "start_rate.yaw_rate": Normal(0, 0.1),
 }
 KP, KD = np.array([100.0, 100.0, 3.0]), np.array([120.0, 120.0, 4.0])
 SOFT = (20.0, 20.0, 0.8)
@@ -235,7 +235,7 @@ def test_a_users_integral_is_told_what_is_applied_as_in_simulate(noise: float) -
     for back in (2.0, 0.0):
         inner = Delayed(Saturated(PID(25.0, 12.0, 30.0, back), (9.0, 9.0, 1.0)), 1)
         controller = NoisyMeasurement(inner, noise, noise, seed=3)
-        spread = {"start_x": np.array([-4.0, -0.5, 4.0])}
+        spread = {"start.x": np.array([-4.0, -0.5, 4.0])}
         runs.append(run_scenario(made(controller=controller, spread=spread, n=3, dt=0.05, duration=10.0)))
         assert runs[-1].engine == "COMPILED"
         for i in range(3):
@@ -269,7 +269,7 @@ def test_a_start_that_is_a_turn_ahead_is_seen_as_simulate_and_its_controller_see
     controller: Any = PD((40, 50, 4), (60, 50, 4), difference=difference)
     scenario = made(
         controller=Delayed(controller, delay) if delay else controller,
-        spread={"start_psi": 2 * np.pi + np.array([0.1, -0.2])},
+        spread={"start.psi": 2 * np.pi + np.array([0.1, -0.2])},
         n=2,
         duration=10.0,
     )
@@ -303,15 +303,15 @@ def test_any_robot_is_as_simulated(
     spread = {
         "mass": mass,
         "yaw_inertia": inertia,
-        "com_x": com[0],
-        "com_y": com[1],
-        "start_x": start[0],
-        "start_y": start[1],
-        "start_psi": start[2],
-        "model_mass": Same("mass", believed),
-        "model_yaw_inertia": Same("yaw_inertia"),
-        "model_com_x": Same("com_x"),
-        "model_com_y": Same("com_y"),
+        "com.x": com[0],
+        "com.y": com[1],
+        "start.x": start[0],
+        "start.y": start[1],
+        "start.psi": start[2],
+        "controller.mass": Same("mass", believed),
+        "controller.yaw_inertia": Same("yaw_inertia"),
+        "controller.com.x": Same("com.x"),
+        "controller.com.y": Same("com.y"),
         "kp": kp,
         "kd": 2 * np.sqrt(kp),
     }
@@ -353,7 +353,7 @@ def test_diverging_robots_are_flagged_as_by_simulate_and_the_others_untouched() 
 def test_half_a_turn_off_all_robots_turn_left_in_every_engine(engine: Any) -> None:
     # Half a turn, and what rounding may make of it: to the right, it would be the other way round.
     off = np.pi + np.array([0.0, 1e-15, -1e-15, 1e-12, -1e-12])
-    spread = {"start_psi": np.concatenate([off, -off])}
+    spread = {"start.psi": np.concatenate([off, -off])}
     held = FixedHeading(Circle(1, 0.1, 2), 0.0)
     wide = ensemble(ROBOT, ComputedTorque(ROBOT), held, n=10, dt=0.1, spread=spread, engine=engine)
     for i in range(10):
@@ -367,7 +367,7 @@ def test_half_a_turn_off_all_robots_turn_left_in_every_engine(engine: Any) -> No
 def test_rounding_stays_rounding_but_where_a_loop_is_chaotic() -> None:
     # A body on springs at its origin, its centre of mass beside it: an elastic pendulum that turns over.
     body, springs = MobileRobot(30, 1.3, com=(0.3, 0.1)), PD((30, 60, 0), 0)
-    spread = {"start_yaw_rate": Uniform(2, 4), "start_x": Uniform(0.5, 1.5)}
+    spread = {"start_rate.yaw_rate": Uniform(2, 4), "start.x": Uniform(0.5, 1.5)}
     off = []
     for duration in (2.0, 50.0):
         held = FixedHeading(Hold((0, 0), duration), 0.0)
@@ -386,11 +386,11 @@ def test_the_worst_are_those_that_strayed_farthest() -> None:
 
 
 def test_what_overflows_is_flagged_too() -> None:
-    run = ensemble(ROBOT, PD(1e200, 1e200), CIRCLE, n=3, spread={"start_x": 1.0}, dt=0.1, limit=1e300)
+    run = ensemble(ROBOT, PD(1e200, 1e200), CIRCLE, n=3, spread={"start.x": 1.0}, dt=0.1, limit=1e300)
     assert run.diverged.all()
     assert_is_simulated(run, 2)
     slow = ensemble(
-        ROBOT, PD(1e200, 1e200), CIRCLE, n=3, spread={"start_x": 1.0}, dt=0.1, limit=1e300, engine=PYTHON
+        ROBOT, PD(1e200, 1e200), CIRCLE, n=3, spread={"start.x": 1.0}, dt=0.1, limit=1e300, engine=PYTHON
     )
     np.testing.assert_array_equal(slow.diverged_at, run.diverged_at)
 
@@ -418,7 +418,7 @@ def test_errors_are_kept_from_a_time_on_and_all_else_from_the_start(forces: str,
 
 
 def test_who_diverges_before_errors_count_has_none_and_is_beyond_everything() -> None:
-    spread = {"kp": np.array([4.0, -400.0]), "start_x": 0.1}
+    spread = {"kp": np.array([4.0, -400.0]), "start.x": 0.1}
     run = run_scenario(made(n=2, spread=spread, after=50.0))
     assert run.diverged.tolist() == [False, True]
     assert np.isnan(run.max_distance).tolist() == [False, True]
@@ -429,7 +429,7 @@ def test_who_diverges_before_errors_count_has_none_and_is_beyond_everything() ->
 
 @pytest.mark.parametrize("engine", [COMPILED, PYTHON])
 def test_an_acceleration_that_is_none_is_a_divergence_though_its_force_is_finite(engine: Any) -> None:
-    scenario = made(controller=PD(1e200, 0), n=2, spread={"mass": 1e-200, "start_x": 1.0}, limit=1e300)
+    scenario = made(controller=PD(1e200, 0), n=2, spread={"mass": 1e-200, "start.x": 1.0}, limit=1e300)
     run = run_scenario(scenario, engine=engine)
     assert run.diverged_at.tolist() == [0, 0]
     with pytest.raises(Diverged, match="a not finite") as caught:
@@ -451,7 +451,7 @@ def test_a_controller_may_write_into_what_it_is_told() -> None:
 
 
 def test_a_robot_that_is_beyond_the_limit_from_the_start_has_no_records() -> None:
-    run = run_scenario(made(n=2, spread={"start_x": np.array([0.0, 2e3])}))
+    run = run_scenario(made(n=2, spread={"start.x": np.array([0.0, 2e3])}))
     assert run.diverged_at.tolist()[1] == 0.0
     assert np.isnan(run.max_error[1]).all()
     assert run.within(0.5).distance < 1
@@ -486,9 +486,9 @@ def test_the_same_seed_gives_the_same_bits_however_the_work_is_divided(controlle
 def test_what_goes_to_another_process_holds_its_own_robots_of_an_array_alone() -> None:
     spread: dict[str, Any] = {
         "mass": np.linspace(20, 40, 50_000),
-        "model_mass": Same("mass", np.linspace(0.9, 1.1, 50_000)),
-        "com_x": Normal(0.1, 0.01),
-        "start_x": 0.01,
+        "controller.mass": Same("mass", np.linspace(0.9, 1.1, 50_000)),
+        "com.x": Normal(0.1, 0.01),
+        "start.x": 0.01,
     }
     scenario = made(n=50_000, spread=spread, duration=1.0)
     sent = pickle.dumps(scenario.holding(30_000, 30_100))
@@ -714,7 +714,7 @@ def test_traces_are_those_of_simulate() -> None:
     run = run_scenario(made(n=3, duration=2.0), traces=[2])
     assert list(run.traces) == [2]
     assert run.traces[2].q.shape == (21, 3)
-    assert run.traces[2].q[0, 0] == run.draws["start_x"][2]
+    assert run.traces[2].q[0, 0] == run.draws["start.x"][2]
 
 
 def test_loads_count_as_the_bodys_on_the_plant_and_in_the_model() -> None:
@@ -761,7 +761,7 @@ def test_a_million_robots_fit_in_a_gigabyte() -> None:
         "import pinmobile as p; r = p.MobileRobot(30, 1.3); "
         "t = p.Tangent(p.Circle(3, 0.1, 60)); "
         "e = p.ensemble(r, p.ComputedTorque(r), t, n=1_000_000, dt=0.1, "
-        "spread={'mass': p.Uniform(20, 40), 'com_x': p.Normal(0, 0.02)}); "
+        "spread={'mass': p.Uniform(20, 40), 'com.x': p.Normal(0, 0.02)}); "
         "assert len(e.max_error) == 1_000_000 and len(e.scenario.t) == 601; "
         "print(peak())"
     )

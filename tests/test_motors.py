@@ -8,10 +8,10 @@ import pytest
 from pinmobile import COMPILED, PYTHON, ensemble, errors, parts
 from pinmobile.arrays import Array
 from pinmobile.controllers import Backstepping, Driven, Tracking, WheelSpeed
+from pinmobile.loop import Rollout, simulate
 from pinmobile.parts import evolved
 from pinmobile.paths import Circle, Hold
 from pinmobile.robot import MobileRobot
-from pinmobile.loop import Rollout, simulate
 from pinmobile.trajectories import FixedHeading, Tangent
 from pinmobile.wheels import (
     MOTORS,

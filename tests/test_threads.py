@@ -33,9 +33,9 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.compiled.symbolic import Symbols
+from pinmobile.loop import PYTHON
 from pinmobile.robot import ArticulatedDynamics, PlanarDynamics, Solids, UncheckedDynamics
 from pinmobile.robot.articulated import Tree
-from pinmobile.loop import PYTHON
 from pinmobile.urdf import Body
 
 THREADS = 8
@@ -246,7 +246,7 @@ def test_an_ensemble_of_a_law_that_asks_a_robot_is_the_same_on_its_default_threa
         return np.asarray(120 * error + 120 * (reference.v - v))
 
     def run(threads: int | None) -> Any:
-        spread = {"mass": Uniform(20, 40), "com_x": Uniform(0, 0.2)}
+        spread = {"mass": Uniform(20, 40), "com.x": Uniform(0, 0.2)}
         motion = Tangent(Circle(radius=3, rate=0.1, duration=60))
         runs = ensemble(
             robot,

@@ -36,8 +36,8 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.compiled.folding import STATE
 from pinmobile.compiled.tape import needed
-from pinmobile.loop._run import way_of
 from pinmobile.integrators import constant_acceleration
+from pinmobile.loop._run import way_of
 from pinmobile.wheels import Ackermann, Differential, Friction, GearTrain, Mobility, Support
 
 OWN: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}

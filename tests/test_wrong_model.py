@@ -36,6 +36,7 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.benchmarking import NOMINAL, STANDARD, contestants
 from pinmobile.controllers.tracking_errors import passive_torque
+from pinmobile.parts import find, replace
 from pinmobile.plant import Context
 from tests.parts import Waving
 
@@ -183,7 +184,7 @@ def test_integral_action_without_being_told_of_limits_winds_up() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_all_engines_agree(name: str) -> None:
     given: Any = {"dt": 0.01, "integrator": rk4, "seed": 2, "n": 3}
-    spread = {"mass": Uniform(25, 36), "start_x": Uniform(-0.1, 0.1)}
+    spread = {"mass": Uniform(25, 36), "start.x": Uniform(-0.1, 0.1)}
     runs = [
         ensemble(NOMINAL, Saturated(EACH[name], (25, 25, 4)), SHORT, spread=spread, engine=engine, **given)
         for engine in (COMPILED, PYTHON)
@@ -195,7 +196,7 @@ def test_all_engines_agree(name: str) -> None:
 
 
 def test_arms_are_adapted_too() -> None:
-    heavier = ARM.with_parameters(**{"mass_ur5/forearm_link": 4.0})
+    heavier = replace(ARM, {find(ARM, "forearm_link.mass").path: 4.0})
 
     given: Any = {"dt": 0.01, "integrator": rk4, "engine": COMPILED}
     fixed = simulate(heavier, Adaptive(ARM, gamma=0.0), Waving(ARM), **given)

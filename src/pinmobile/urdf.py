@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from html import escape
 from math import atan2, hypot
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -109,6 +109,10 @@ def box_inertia(mass: float, size: ArrayLike) -> Array:
     return np.diag(representable("the inertia of the box", moments))
 
 
+def _quoted(text: str) -> str:
+    return f'"{escape(text)}"'
+
+
 def write(
     table: DHTable,
     body: Body,
@@ -152,7 +156,7 @@ def write(
     if not isinstance(body, Body):
         raise InvalidArgument(f"body is {shown(body)}, expected a pinmobile.urdf.Body")
     links = ["ground", *(f"virtual_{k}" for k in range(1, len(table))), "base_link"]
-    lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(text('name', name))}>"]
+    lines = ['<?xml version="1.0"?>', f"<robot name={_quoted(text('name', name))}>"]
     lines += [f'  <link name="{link}"/>' for link in links[:-1]]
     lines += _body_lines(links[-1], body, lengths(size))
     for row, parent, child in zip(table, links, links[1:], strict=False):
@@ -173,7 +177,7 @@ def write(
                 f"stance is {shown(stance)}, expected a mapping whose keys are names of XML"
             )
         words = {key: text(f"stance[{key!r}]", value) for key, value in stance.items()}
-        attributes = [f"{key}={quoteattr(value)}" for key, value in words.items()]
+        attributes = [f"{key}={_quoted(value)}" for key, value in words.items()]
         lines.append(f"  <{' '.join(['pinmobile', *attributes])}/>")
     return "\n".join([*lines, "</robot>", ""])
 

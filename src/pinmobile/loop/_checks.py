@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, TypeAlias
 from warnings import warn
@@ -18,7 +18,8 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
 from pinmobile.loop._engines import error_of_sizes
-from pinmobile.loop._loop import displaced
+from pinmobile.loop._loop import displaced, named_forces
+from pinmobile.parts import Carried, OnCoordinates, Pushable, Stepping, able, required
 from pinmobile.plant import Context, Plant, check_plant, coordinates_of, leading_of, refuse_path
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
@@ -221,7 +222,7 @@ def started(plant: Any, reference: Reference) -> tuple[Any, Any]:
     return answer
 
 
-def checked_forces(forces: _Forces, plant: Plant) -> tuple[Force | CoordinateForce, ...]:
+def checked_forces(forces: Any, plant: Plant) -> Any:
     """Check that these are forces, and that the plant can feel them; return them.
 
     Raises
@@ -232,25 +233,20 @@ def checked_forces(forces: _Forces, plant: Plant) -> tuple[Force | CoordinateFor
     if callable(forces):
         raise InvalidArgument(f"forces is {shown(forces)}, expected a sequence of forces, such as [force]")
     try:
-        listed = tuple(forces)
+        kept = dict(forces) if isinstance(forces, Mapping) else tuple(forces)
     except TypeError:
         raise InvalidArgument(f"forces is {shown(forces)}, expected a sequence of forces") from None
-    wrenches = False
-    for k, force in enumerate(listed):
-        if hasattr(force, "on_coordinates"):
-            callable_as(f"forces[{k}].on_coordinates(t, q, v)", force.on_coordinates)
+    listed, wrenches = named_forces(kept), False
+    for name, force in listed.items():
+        if able(force, OnCoordinates):
+            callable_as(f"{name}.on_coordinates(t, q, v)", force.on_coordinates)
         else:
-            callable_as(f"forces[{k}](t, q, v)", force)
+            callable_as(f"{name}(t, q, v)", force)
             wrenches = True
     if wrenches:
-        missing = [name for name in ("pose", "rate", "effort") if not callable(getattr(plant, name, None))]
-        if missing:
-            raise InvalidArgument(
-                f"forces push the body of the plant, a {type(plant).__name__}, which has no {missing[0]}, "
-                "expected one with pose(q), rate(q, v) and effort(q, wrench)"
-            )
+        required("plant", plant, Pushable, "forces push its body")
     _check_carried(listed, plant)
-    if listed and not hasattr(plant, "step"):
+    if listed and not able(plant, Stepping):
         try:
             callable_as("plant.forward_dynamics(q, v, u, f)", plant.forward_dynamics)
         except InvalidArgument:
@@ -258,19 +254,19 @@ def checked_forces(forces: _Forces, plant: Plant) -> tuple[Force | CoordinateFor
                 f"plant is a {type(plant).__name__}, whose forward_dynamics takes no forces f beside the "
                 "input, expected forward_dynamics(q, v, u, f)"
             ) from None
-    return listed
+    return kept
 
 
-def _check_carried(forces: tuple[Any, ...], plant: Plant) -> None:
+def _check_carried(forces: Mapping[str, Any], plant: Plant) -> None:
     """Refuse forces that add to the inertia of a plant that cannot be asked how the body accelerates."""
-    k = next((k for k, force in enumerate(forces) if hasattr(force, "inertia")), None)
-    if k is None:
+    name = next((name for name, force in forces.items() if able(force, Carried)), None)
+    if name is None:
         return
     first = tuple(one.name for one in coordinates_of(plant)[:3])
     if hasattr(plant, "step") or first != ("x", "y", "psi"):
         why = "has a step of its own" if hasattr(plant, "step") else f"begins with the coordinates {first}"
         raise InvalidArgument(
-            f"forces[{k}] is {shown(forces[k])}, which adds to the inertia of the plant, a "
+            f"{name} is {shown(forces[name])}, which adds to the inertia of the plant, a "
             f"{type(plant).__name__}, which {why}; expected one that an integrator brings on, its first "
             "coordinates x, y and psi of the body"
         )
@@ -302,7 +298,7 @@ def check_answers(
         _check_sizes(plant, q, v)
         states = [(x.copy(), w.copy()) for x, w in ((q, v), (plant.integrate(q, 0.01 + 0 * v), v + 0.01))]
         pose, rate = getattr(plant, "pose", None), getattr(plant, "rate", None)
-        for k, force in enumerate(forces):
+        for name, force in named_forces(forces).items():
             ask: _Ask
             if hasattr(force, "on_coordinates"):
                 ask, size = partial(force.on_coordinates, 0.0), plant.nv
@@ -311,7 +307,7 @@ def check_answers(
             else:
                 continue
             expected = f"an array of shape ({size},) of real numbers"
-            _check_repeated(f"forces[{k}]", force, ask, states, expected)
+            _check_repeated(name, force, ask, states, expected)
         if hasattr(plant, "step") or integrator is None:
             return
         u = np.zeros(plant.nu)

@@ -12,6 +12,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, finite, frozen, increasing, positive, text, whole
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.loop._loop import named_forces
 from pinmobile.loop._scenario import Scenario, checked_scenario, first_counted, time_within
 from pinmobile.loop._spread import Same, Source
 from pinmobile.measures import Measure, channels_of, in_words
@@ -216,7 +217,7 @@ class Outline:
         given = checked_scenario(scenario)
         same: dict[str, Any] = {name: getattr(given, name) for name in (*_NUMBERS, "parameters", *_SAMPLED)}
         parts: dict[str, Any] = {name: _words(getattr(given, name)) for name in _PARTS}
-        forces, spread = tuple(map(_words, given.forces)), given.spread.items()
+        forces, spread = tuple(map(_words, named_forces(given.forces).values())), given.spread.items()
         return cls(
             **same,
             **parts,

@@ -121,19 +121,24 @@ class Loop:
         return (low, high) if np.isfinite([low, high]).any() else None
 
     @cached_property
+    def named_forces(self) -> dict[str, Any]:
+        """The forces, by what messages call them."""
+        return named_forces(self.forces)
+
+    @cached_property
     def all_forces(self) -> tuple[Any, ...]:
         """The forces, without their names."""
-        return tuple(self.forces.values() if isinstance(self.forces, Mapping) else self.forces)
+        return tuple(self.named_forces.values())
 
     @cached_property
-    def wrenches(self) -> list[tuple[int, Any]]:
-        """The forces that push the body, each with its number."""
-        return [(k, force) for k, force in enumerate(self.all_forces) if not able(force, OnCoordinates)]
+    def wrenches(self) -> list[tuple[str, Any]]:
+        """The forces that push the body, each with its name."""
+        return [item for item in self.named_forces.items() if not able(item[1], OnCoordinates)]
 
     @cached_property
-    def efforts(self) -> list[tuple[int, Any]]:
-        """The forces on the coordinates, each with its number."""
-        return [(k, force) for k, force in enumerate(self.all_forces) if able(force, OnCoordinates)]
+    def efforts(self) -> list[tuple[str, Any]]:
+        """The forces on the coordinates, each with its name."""
+        return [item for item in self.named_forces.items() if able(item[1], OnCoordinates)]
 
     @cached_property
     def carries(self) -> bool:
@@ -161,6 +166,13 @@ class Loop:
         parts = self.law, self.controller, *self.all_forces
         wanted = getattr(self.recorder, "signals", False)
         return wanted and any(able(each, Signalling) for each in parts)
+
+
+def named_forces(forces: Any) -> dict[str, Any]:
+    """Return forces, of a sequence or a mapping, by what messages call them."""
+    if isinstance(forces, Mapping):
+        return {f"forces.{name}": force for name, force in forces.items()}
+    return {f"forces[{k}]": force for k, force in enumerate(forces)}
 
 
 class State(NamedTuple):
@@ -310,11 +322,11 @@ def collected_signals(
         yield "plant", plant.signals(t, q.copy(), v.copy(), u.copy(), f, memory)
     if own is not None:
         yield "controller", own
-    for i, force in enumerate(loop.all_forces):
+    for name, force in loop.named_forces.items():
         if able(force, OnCoordinates):
-            yield f"forces[{i}]", signals_of(force, t, q.copy(), v.copy())
+            yield name, signals_of(force, t, q.copy(), v.copy())
         elif able(force, Signalling):
-            yield f"forces[{i}]", force.signals(t, plant.pose(q), plant.rate(q, v))
+            yield name, force.signals(t, plant.pose(q), plant.rate(q, v))
 
 
 def _signal(name: str, value: Any) -> Any:
@@ -337,8 +349,8 @@ def _pushed(loop: Loop, t: Any, q: Any, v: Any) -> Any:
     if loop.wrenches:
         pose, rate = plant.pose(q), plant.rate(q, v)
         wrench: Any = 0.0
-        for k, force in loop.wrenches:
-            wrench = wrench + _numbers(f"forces[{k}]", force(t, pose.copy(), rate.copy()), t, np.shape(pose))
+        for name, force in loop.wrenches:
+            wrench = wrench + _numbers(name, force(t, pose.copy(), rate.copy()), t, np.shape(pose))
         if type(wrench) is np.ndarray and not isfinite(wrench.sum()):
             return np.full(plant.nv, np.nan)  # the run reports it, with all samples before
         total = plant.effort(q, wrench)
@@ -346,9 +358,9 @@ def _pushed(loop: Loop, t: Any, q: Any, v: Any) -> Any:
             raise InvalidArgument(
                 f"plant is a {type(loop.plant).__name__}, whose body cannot be pushed, and forces push it"
             )
-    for k, force in loop.efforts:
+    for name, force in loop.efforts:
         found = force.on_coordinates(t, q.copy(), v.copy())
-        total = total + _numbers(f"forces[{k}].on_coordinates", found, t, np.shape(v))
+        total = total + _numbers(f"{name}.on_coordinates", found, t, np.shape(v))
     return total
 
 

@@ -256,7 +256,7 @@ def ensemble(
     duration: float | None = None,
     integrator: Integrator | None = None,
     substeps: int = 1,
-    forces: Sequence[Force | CoordinateForce] = (),
+    forces: Sequence[Force | CoordinateForce] | Mapping[str, Force | CoordinateForce] = (),
     limit: float = 1e3,
     after: float = 0.0,
     every: int | None = None,

@@ -117,7 +117,7 @@ class Scenario:
     duration: float | None = None
     integrator: Integrator | None = None
     substeps: int = 1
-    forces: Sequence[Any] = ()
+    forces: Any = ()
     limit: float = 1e3
     after: float = 0.0
     every: int | None = None
@@ -224,7 +224,7 @@ class Scenario:
 
     @cached_property
     def _given(self) -> Loop:
-        parts = self.robot, self.controller, self.trajectory, tuple(self.forces), self.integrator
+        parts = self.robot, self.controller, self.trajectory, self.forces, self.integrator
         return Loop(*parts, self.substeps)
 
     @cached_property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import Enum
 from typing import Any
@@ -28,7 +28,7 @@ from pinmobile.loop._checks import (
     started,
 )
 from pinmobile.loop._engines import CompiledRun, PythonRun
-from pinmobile.loop._loop import Loop
+from pinmobile.loop._loop import Loop, named_forces
 from pinmobile.loop._python import with_compiled_plant
 from pinmobile.loop._rollout import Rollout
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations
@@ -90,7 +90,7 @@ def simulate(
     v0: ArrayLike | None = None,
     integrator: Integrator | None = None,
     substeps: int = 1,
-    forces: Sequence[Force | CoordinateForce] = (),
+    forces: Sequence[Force | CoordinateForce] | Mapping[str, Force | CoordinateForce] = (),
     limit: float = 1e3,
     engine: Engine | None = None,
     seed: int = 0,
@@ -126,7 +126,7 @@ def simulate(
         has none constant_acceleration.
     substeps : int
         Steps of the integrator per dt.
-    forces : sequence of callables
+    forces : sequence of callables, or mapping of names to callables
         What acts besides the controller, see `pinmobile.forces`. Each ``force(t, pose, rate)`` gets the
         body's (x, y, psi) and their rates, shape (3,), and returns the wrench (Fx, Fy, Mz) [N, N, N m]; one
         that has ``on_coordinates(t, q, v)`` returns a generalised force, shape (nv,).
@@ -292,7 +292,7 @@ def _first_bad(
     return None, ""
 
 
-def _too_stiff(plant: Any, forces: Sequence[Force | CoordinateForce], q: Array, h: float) -> str:
+def _too_stiff(plant: Any, forces: Any, q: Array, h: float) -> str:
     """Return what frictions ask of the step, where that is not met: such a loop shakes itself to pieces.
 
     With the damping C of all coordinates, explicit steps are stable up to 2 / max eig(M^-1 C), or some more.
@@ -300,7 +300,7 @@ def _too_stiff(plant: Any, forces: Sequence[Force | CoordinateForce], q: Array, 
     if not hasattr(plant, "mass_matrix"):
         return ""
     C = np.zeros((plant.nv, plant.nv))
-    for force in forces:
+    for force in named_forces(forces).values():
         if not hasattr(force, "damping"):
             continue
         if hasattr(force, "on_coordinates"):
