@@ -69,16 +69,9 @@ INNER = {
     "controllers.gain_matrix",
     *("balance.body_zero_moment_point", "paths.within"),
     *("controllers.check_controller", "derivation.difference"),
-    *("derivation.lagrange", "forces.noise_frequencies", "loop.part_of", "paths.pieces_of"),
-    *("loop.run_scenario", "paths.Whole", "reaching.pose_error", "robot.System"),
-    *(
-        "loop.checked_forces",
-        "loop.checked_loop",
-        "loop.checked_substeps",
-        "loop.chosen_integrator",
-        "loop.sample_times",
-    ),
-    *("loop.sampled", "sweeps.check_draws", "sweeps.connected", "sweeps.length"),
+    *("derivation.lagrange", "forces.noise_frequencies", "loop.part_of", "loop.step", "paths.pieces_of"),
+    *("Scenario.find", "loop.run_scenario", "paths.Whole", "reaching.pose_error", "robot.System"),
+    *("sweeps.check_draws", "sweeps.connected", "sweeps.length"),
     *(
         "trajectories.check_limits",
         "integrators.RungeKuttaNystrom",
@@ -99,28 +92,22 @@ INNER = {
     *(f"{ground}.{name}" for ground in ("Rolling", "Coulomb") for name in ("dynamics", "check_robot")),
     "WheeledRobot.check_area",
     *("wheels.Reduced.nearest", "wheels.Reduced.torques"),
-    "WheeledRobot.traced",
-    *("MobileRobot.check", "Load.check", "robot.Link", "robot.Link.check", "robot.Mount.after"),
+    *("MobileRobot.check", "Load.check", "robot.Link", "robot.Mount.after"),
     "robot.UncheckedDynamics.forward_dynamics",
     *("PosePath.told", "Resolved.signals_at", "EndEffectorTracking.signals_at"),
-    *("VelocityRobot.integrator", "WheeledRobot.integrator", "VelocityRobot.traced"),
-    *("JointFriction.varying", "JointFriction.with_parameters"),
     *(
-        "Hold.with_parameters",
-        "Line.with_parameters",
-        "RestToRest.with_parameters",
-        "WholeBody.with_parameters",
+        "VelocityRobot.integrator",
+        "WheeledRobot.integrator",
     ),
     *(
         "Scenario.references",
         "NoiseForce.draw",
-        "NoiseForce.with_parameters",
         "Scenario.starts",
         "Scenario.values",
     ),
     "sweeps.Code",
     *(f"WheeledRobot.{name}" for name in ("follows", "measured", "slip_margins")),
-    *(f"wheels.ByVoltage.{name}" for name in ("initial_state", "signals", "step", "traced")),
+    *(f"wheels.ByVoltage.{name}" for name in ("initial_state", "signals", "step")),
 }
 # What the library makes and users read: nobody calls the class.
 RESULTS = {
@@ -146,6 +133,7 @@ RESULTS = {
     *("accuracy.Convergence", "accuracy.IntegratorReport", "derivation.Derivation", "derivation.Numeric"),
     "derivation.ReducedDerivation",
     *("derivation.Step", "loop.Bands", "Engine", "loop.Member", "loop.Part"),
+    *("loop.Record", "loop.Sample"),
     "loop.Outline",
     *("loop.Within", "reaching.PoseTarget", "robot.Linearization", "robot.Mount"),
     *("robot.Mountable", "robot.Mountables", "verification.Comparison", "viewer.Recording"),
@@ -740,6 +728,18 @@ ROWS: dict[str, Row] = {
     "Uniform.sample": row(generator=partial(np.random.default_rng, 1), size=3),
     "Normal": row(mean=1, std=2),
     "Normal.sample": row(generator=partial(np.random.default_rng, 1), size=3),
+    "Relative": row(factor=pm.Normal(1, 0.1)),
+    "loop.Loop": row(
+        plant=the("robot"),
+        controller=pm.PD(1, 1),
+        trajectory=the("trajectory"),
+        forces=[pm.ConstantForce([1, 2, 3])],
+        integrator=pm.rk4,
+        substeps=1,
+        recorder=loop.Samples(),
+    ),
+    "loop.Samples": row(),
+    "loop.Worst": row(limit=1.0, begin=1.0, distances=((0, 1), (2,)), measures=()),
     "Same": row(name="mass", factor=pm.Normal(1, 0.1)),
     "Scenario": Row(lambda: {k: v for k, v in ENSEMBLE().items() if k not in ("engine", "traces")}),
     "Scenario.draws": row(start=0, stop=2),
@@ -1376,7 +1376,8 @@ def is_part(name: str) -> bool:
         "RollingResistance",
         "ViscousFriction",
     )
-    called = owner in (*parts, *unsure, *of_wheels, *forces, "EndEffectorTracking", "JointFriction")
+    others = "EndEffectorTracking", "JointFriction", "loop.Samples", "loop.Worst"
+    called = owner in (*parts, *unsure, *of_wheels, *forces, *others)
     integrators = ("constant_acceleration", "rk4", "semi_implicit_euler")
     return name in integrators or (
         called

@@ -166,7 +166,10 @@ def test_estimates_become_right_where_the_motion_is_rich_and_not_on_a_circle() -
 
 
 def test_a_theta_that_is_wrong_by_30_percent_ends_with_less_error_than_without_adaptation() -> None:
-    spread = {f"model_theta_{j + 1}": Uniform(*sorted((0.7 * x, 1.3 * x))) for j, x in enumerate(TRUE.theta)}
+    spread = {
+        f"controller.theta.theta_{j + 1}": Uniform(*sorted((0.7 * x, 1.3 * x)))
+        for j, x in enumerate(TRUE.theta)
+    }
     given: Any = {"n": 50, "spread": spread, "dt": 0.02, "seed": 3, "after": 40.0}
     with_, without = (
         ensemble(TRUE, controller, EIGHT, **given)
@@ -181,8 +184,6 @@ def test_a_theta_that_is_wrong_by_30_percent_ends_with_less_error_than_without_a
 def test_what_limits_keep_commands_from_is_no_reason_to_estimate_more() -> None:
     class Deaf:
         """One that is not told of limits."""
-
-        parameters = ()
 
         def initial_state(self, context: Any) -> Any:
             return controller.initial_state(context)

@@ -272,7 +272,7 @@ def test_figures_show_measures(runs: Ensemble) -> None:
     with pytest.raises(UnknownName, match=r"unknown band 'effort!'"):
         plots.bands(runs, by=["effort!"])
     drivers = plots.drivers(runs, share=0.1, by="tip-over margin")
-    assert drivers.get_suptitle() == "load_mass drives the worst 10 % by tip-over margin most"
+    assert drivers.get_suptitle() == "loads.0.mass drives the worst 10 % by tip-over margin most"
     assert drivers.axes[-1].get_ylabel() == "smallest tip-over margin [mm]"
 
 

@@ -10,12 +10,12 @@ import pytest
 
 from pinmobile import COMPILED, PYTHON, ViscousFriction, errors, law
 from pinmobile.arrays import Array
-from pinmobile.compiled import Cache, Parts, Program, Reference, Trace, traced
 from pinmobile.integrators import rk4
-from pinmobile.loop import Rollout, simulate
+from pinmobile.loop import Loop, Rollout, Samples, simulate
+from pinmobile.loop._program import Compiled
 from pinmobile.paths import Hold
 from pinmobile.robot import MobileRobot
-from pinmobile.trajectories import FixedHeading
+from pinmobile.trajectories import FixedHeading, Reference
 from pinmobile.wheels import (
     Coulomb,
     Friction,
@@ -31,7 +31,7 @@ from pinmobile.wheels import (
 from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
 from pinmobile.wheels.loads import shared_loads
 from tests import wheeled
-from tests.looping import context, looped
+from tests.looping import looped, told
 
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
 DRY = Friction(mu=0.6, rolling=0.0)
@@ -456,17 +456,19 @@ def test_energy_never_grows_without_input(seed: int) -> None:
 def looped_both(
     robot: WheeledRobot, u: Array, v: Array, count: int = 20, forces: tuple[Any, ...] = ()
 ) -> None:
-    parts = Parts(robot, Torques(*u), forces, None, Trace())
     times = np.linspace(0.0, 0.01 * (count - 1), count)
     reference = Reference(*(np.zeros((count, 3)) for _ in range(3)))
     first = Reference(*(x[0] for x in reference))
-    loop = traced(parts, context(0.01), (robot.rest, v), first, dt=0.01)
-    expected, _ = looped(parts, robot.rest, v, times, reference, 0.01)
+    loop = Loop(robot, Torques(*u), None, forces, recorder=Samples())
+    expected = looped(loop, robot.rest, v, times, reference)
     starts = np.stack([robot.rest] * 3), np.stack([v, 0.5 * v, 0 * v])
-    alone = Program(loop, single=True, cache=Cache("")).run(
-        parts, context(0.01), (starts[0][:1], starts[1][:1]), times, reference, dt=0.01
+    of = told(loop, times, reference)
+    alone, beside = (
+        Compiled(loop, of, (robot.rest, v), first, single=n == 1).run(
+            (starts[0][:n], starts[1][:n]), times, reference
+        )
+        for n in (1, 3)
     )
-    beside = Program(loop, cache=Cache("")).run(parts, context(0.01), starts, times, reference, dt=0.01)
     for name, rows in alone.kept.items():
         np.testing.assert_array_equal(beside.kept[name][0], rows[0])
     for name in ("q", "v"):

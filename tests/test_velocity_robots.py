@@ -151,7 +151,7 @@ def test_accelerations_and_commands_are_limited() -> None:
     rates = np.diff(robot.independent(run.q, run.v), axis=0) / 0.02
     # Within a step rk4 leaves the circle on which the body turns by (w h)^5 / 120.
     assert np.abs(rates).max(axis=0) == pytest.approx([0.8, 1.5], rel=1e-7)
-    found = parts.find(robot, "yaw_acceleration")
+    found = parts.find(robot, "accelerations.yaw_acceleration")
     assert (found.path, found.unit) == ("accelerations.yaw_acceleration", "rad/s^2")
 
 
@@ -231,7 +231,8 @@ def test_physics_leaves_its_mark_on_theta() -> None:
         (lambda: VelocityRobot.from_motors(on_wheels().mount("ur5"), 1.0), "wheeled has arms"),
         (lambda: VelocityCommand(3, VelocityRobot(THETA)), "law is 3, expected a kinematic law"),
         (lambda: VelocityCommand(Tracking(), MobileRobot.box()), "expected a VelocityRobot"),
-        (lambda: RandomSteps(hold=(0.0, 1.0)), "expected 0 < shortest <= longest"),
+        (lambda: RandomSteps(hold=(0.0, 1.0)), "hold is 0.0 s, expected > 0"),
+        (lambda: RandomSteps(hold=(2.0, 1.0)), "expected 0 < shortest <= longest"),
         (lambda: RandomSteps((1.0, 0.0), (0.0, 1.0)), "largest is .*, expected at least lowest"),
     ],
 )
@@ -243,7 +244,7 @@ def test_what_is_no_robot_is_refused(made: Any, why: str) -> None:
 def test_no_force_pushes_it_and_it_starts_rolling() -> None:
     robot = VelocityRobot(THETA)
     command, circle = VelocityCommand(Tracking(), robot), Tangent(Circle(1.0, 0.5, 1.0))
-    with pytest.raises(InvalidArgument, match="VelocityRobot, which has no effort"):
+    with pytest.raises(InvalidArgument, match=r"VelocityRobot\(.*\), which has no effort"):
         simulate(robot, command, circle, dt=0.1, forces=[ConstantForce((1.0, 0.0, 0.0))])
     with pytest.raises(InvalidArgument, match="what firmware does about a force, theta does not tell"):
         robot.forward_dynamics(np.zeros(3), np.zeros(3), np.zeros(2), [1.0, 0.0, 0.0])
@@ -277,9 +278,9 @@ def test_a_wrong_theta_costs_what_it_is_wrong_by() -> None:
         circle,
         n=40,
         spread={
-            "theta_1": Uniform(0.2, 0.3),
-            "theta_4": Uniform(1.0, 1.2),
-            "model_theta_6": Uniform(1.1, 1.3),
+            "theta.theta_1": Uniform(0.2, 0.3),
+            "theta.theta_4": Uniform(1.0, 1.2),
+            "controller.theta.theta_6": Uniform(1.1, 1.3),
         },
         dt=0.05,
     )

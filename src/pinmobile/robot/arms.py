@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from hashlib import sha256
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -111,6 +112,9 @@ class Arm:
     tip: str = field(init=False)
     squared: tuple[str, ...] = field(init=False)
 
+    # By which the store of a sweep knows it again.
+    determined_by: ClassVar[tuple[str, ...]] = ("origin", "digest", "locked", "stands", "rest")
+
     def __post_init__(self) -> None:
         file_model = _copied(self._file_model)
         for joint in joints_of(file_model):
@@ -152,6 +156,11 @@ class Arm:
     def whole(self) -> pin.Model:
         """A copy of the file's model with one angle for each continuous joint."""
         return replace_continuous_joints(self.file_model)
+
+    @property
+    def digest(self) -> str:
+        """Digest of the file's model, of which copies have the same."""
+        return sha256(self._file_model.saveToString().encode()).hexdigest()
 
     def options(self) -> dict[str, object]:
         """Return what `MobileRobot.mount` was asked for beside what it does by default."""
