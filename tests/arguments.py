@@ -44,7 +44,6 @@ MODULES = (
         "derivation",
         "dh",
         "forces",
-        "loop",
     ),
     *(
         "identification",
@@ -53,7 +52,7 @@ MODULES = (
         "plots",
         "reaching",
         "robot",
-        "simulation",
+        "loop",
         "sweeps",
         "trajectories",
         "urdf",
@@ -73,13 +72,13 @@ INNER = {
     *("derivation.lagrange", "forces.noise_frequencies", "loop.part_of", "paths.pieces_of"),
     *("loop.run_scenario", "paths.Whole", "reaching.pose_error", "robot.System"),
     *(
-        "simulation.checked_forces",
-        "simulation.checked_loop",
-        "simulation.checked_substeps",
-        "simulation.chosen_integrator",
-        "simulation.sample_times",
+        "loop.checked_forces",
+        "loop.checked_loop",
+        "loop.checked_substeps",
+        "loop.chosen_integrator",
+        "loop.sample_times",
     ),
-    *("simulation.sampled", "sweeps.check_draws", "sweeps.connected", "sweeps.length"),
+    *("loop.sampled", "sweeps.check_draws", "sweeps.connected", "sweeps.length"),
     *(
         "trajectories.check_limits",
         "integrators.RungeKuttaNystrom",
@@ -125,7 +124,7 @@ INNER = {
 }
 # What the library makes and users read: nobody calls the class.
 RESULTS = {
-    *("robot.UncheckedDynamics", "simulation.Signal", "closed_form.ReducedModel"),
+    *("robot.UncheckedDynamics", "loop.Signal", "closed_form.ReducedModel"),
     *("Identification", "identification.Prediction", "Benchmark", "benchmarking.Score"),
     *(
         "Clearance",

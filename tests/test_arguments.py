@@ -23,7 +23,9 @@ import pytest
 
 import pinmobile
 from pinmobile import (
+    COMPILED,
     PD,
+    PYTHON,
     TRUE_MODEL,
     Circle,
     ConstantForce,
@@ -57,7 +59,6 @@ from pinmobile import (
     closed_form,
     constant_acceleration,
     ensemble,
-    ensembles,
     extras,
     integrator_report,
     law,
@@ -82,7 +83,7 @@ CIRCLE = Circle(radius=3, rate=0.1, duration=60)
 LOOP: dict[str, Any] = {"plant": ROBOT, "controller": PD(10, 10), "trajectory": Tangent(CIRCLE), "dt": 0.1}
 MANY: dict[str, Any] = {
     **{"robot": ROBOT, "controller": PD(120, 120), "trajectory": Tangent(CIRCLE), "dt": 0.1},
-    **{"n": 3, "spread": {"mass": Uniform(29, 31)}, "engine": ensembles.COMPILED},
+    **{"n": 3, "spread": {"mass": Uniform(29, 31)}, "engine": COMPILED},
 }
 MASKED: Any = np.ma.masked_array([1.0, 2.0, 3.0], [False, True, False])
 RAGGED: Any = [[1, 2], [3]]
@@ -505,7 +506,7 @@ def test_what_is_affordable_is_not_refused() -> None:
         affordable("arrays", MEMORY / 8 + 1, "less")
 
 
-@pytest.mark.parametrize("one", [ensembles.PYTHON, ensembles.COMPILED, TRUE_MODEL], ids=["P", "C", "T"])
+@pytest.mark.parametrize("one", [PYTHON, COMPILED, TRUE_MODEL], ids=["P", "C", "T"])
 def test_engines_and_the_true_model_come_back_as_themselves(one: Any) -> None:
     assert pickle.loads(pickle.dumps(one)) is one
     assert copy.copy(one) is one

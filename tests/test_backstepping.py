@@ -261,7 +261,7 @@ def test_allocated_torques_do_what_the_force_would(robot: WheeledRobot) -> None:
     v, f = np.zeros(robot.nv), np.append(tau, np.zeros(robot.nv - 3))
     by_force = robot.forward_dynamics(q, v, 0 * u, f)
     np.testing.assert_allclose(robot.forward_dynamics(q, v, u), by_force, atol=1e-12)
-    traced = robot.traced().allocate_scaled(q, tau)
+    traced = robot.array_dynamics.allocate_scaled(q, tau)
     np.testing.assert_allclose(traced[0], scaled, atol=1e-13)
 
 
@@ -290,7 +290,7 @@ def test_the_rate_of_independent_velocities_is_what_torques_are_for() -> None:
         v = robot.project(q, rng.normal(size=robot.nv))
         wanted = rng.normal(size=robot.independent(q, v).shape)
         u = robot.torques(q, v, wanted)
-        np.testing.assert_allclose(robot.traced().torques(q, v, wanted), u, atol=1e-12)
+        np.testing.assert_allclose(robot.array_dynamics.torques(q, v, wanted), u, atol=1e-12)
         a = robot.forward_dynamics(q, v, u)
         ends = [robot.independent(robot.integrate(q, s * h * v), v + s * h * a) for s in (-1, 1)]
         np.testing.assert_allclose((ends[1] - ends[0]) / (2 * h), wanted, atol=1e-8)

@@ -364,7 +364,7 @@ def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None
     with pytest.raises(errors.InvalidArgument, match=r"^motion.plant is .*, which does not tell how far"):
         slip_margins(at)
     assert not hasattr(electric, "measures")
-    assert not hasattr(electric.traced(), "measured")
+    assert not hasattr(electric.array_dynamics, "measured")
     assert electric.on_ramp(0.1) == robot.on_ramp(0.1).by_voltage()
     assert steepest(electric) == steepest(robot)
 

@@ -14,8 +14,8 @@ from pinmobile.cli.choices import DEFAULT_PRESET, OF_SPEEDS, velocity_robot
 from pinmobile.cli.identify import _CALL, _SAID
 from pinmobile.cli.scenario_file import read_grid
 from pinmobile.controllers import Backstepping, RandomSteps, VelocityCommand
-from pinmobile.loop import run_scenario
 from pinmobile.identification import VELOCITY_ROBOTS
+from pinmobile.loop import run_scenario
 from tests import wheeled
 from tests.test_identification import log, rolled
 from tests.test_velocity_identification import logged
@@ -484,7 +484,7 @@ law = {type = "tracking"}
 dt = 0.05
 [spread]
 theta_1 = {percent = 10}
-model_theta_4 = 1.0
+controller.theta_4 = 1.0
 start.x = {normal = [0, 0.01]}
 [ensemble]
 n = 20
@@ -502,7 +502,9 @@ def test_a_scenario_file_has_robots_that_take_speeds(tmp_path: Path) -> None:
     assert isinstance(pioneer.controller, Backstepping)
     assert pioneer.integrator is rk4  # the robot's own choice
     assert run_scenario(pioneer).max_error[:, :2].max() < 0.2
-    path.write_text(FILE.replace('"backstepping"', '"velocity-command"').replace("model_theta_4 = 1.0", ""))
+    path.write_text(
+        FILE.replace('"backstepping"', '"velocity-command"').replace("controller.theta_4 = 1.0", "")
+    )
     assert isinstance(read_grid(path).scenarios[0].controller, VelocityCommand)
     alone = FILE.split("[spread]")[0].replace('law = {type = "tracking"}', "seed = 3")
     path.write_text(alone.replace('"backstepping"', '"random-steps"').replace("pioneer_3dx", "robulab_10"))
@@ -518,9 +520,9 @@ def test_a_scenario_file_has_robots_that_take_speeds(tmp_path: Path) -> None:
         ('"khepera_3"', '"khepera"', "23: unknown preset 'khepera', did you mean 'khepera_3'.*"),
         ("limits", "limit", "5: unknown argument of velocity 'limit', did you mean 'limits'.*"),
         ("limits = [1.0, 4.0]", "theta = [1, 2]", "23: preset is .*, expected one of them; presets: .*"),
-        ("[1.0, 4.0]", "[1.0, -4.0]", "5: limits is .*, expected one number > 0, or two: .*"),
-        ("theta_1", "mass", "17: spread of mass does not apply to this loop, which has theta_1, .*"),
-        ("theta_1", "theta_9", "17: unknown parameter in spread 'theta_9', did you mean 'theta_.*"),
+        ("[1.0, 4.0]", "[1.0, -4.0]", "5: limits is -4.0 rad/s, expected > 0 .*"),
+        ("theta_1", "mass", "17: unknown parameter in spread 'mass', available: theta, .*"),
+        ("theta_1", "theta_9", "17: unknown parameter in spread 'theta_9', did you mean 'theta.*"),
         ('"tracking"', '"trakcing"', r"13: unknown controller\.law 'trakcing', did you mean 'tracking'.*"),
         ("law =", "lwa =", "13: unknown argument of backstepping 'lwa', .*"),
     ],

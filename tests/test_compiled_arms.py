@@ -40,11 +40,10 @@ from pinmobile import (
     vectorize,
 )
 from pinmobile.arrays import Array
-from pinmobile.compiled import Cache, Parts, Program, Reference as CompiledReference, program_of
-from pinmobile.compiled.loop_tape import Loop
+from pinmobile.compiled import Cache, Program
+from pinmobile.errors import SlowerEngine
 from pinmobile.loop import run_scenario
 from pinmobile.loop._run import way_of
-from pinmobile.errors import SlowerEngine
 from tests.test_compiled_loop import targets
 from tests.test_mounted import mjcf
 
@@ -315,24 +314,6 @@ def test_sweeps_keep_what_links_were_drawn(tmp_path: Path) -> None:
     kept = found.ensemble(error=0.2)
     np.testing.assert_array_equal(kept.draws["mass_ur5/forearm_link"], alone.draws["mass_ur5/forearm_link"])
     assert "drawn_mass_ur5.forearm_link" in alone.to_xarray()  # where a slash would be a group of its own
-
-
-def loop_of(robot: MobileRobot, **parameters: float) -> Loop:
-    from pinmobile.integrators import constant_acceleration
-    from pinmobile.plant import Context
-
-    other = robot.with_parameters(**parameters) if parameters else robot
-    parts = Parts(other, ComputedTorque(robot, 100, 20), (), constant_acceleration).varying(())
-    first = CompiledReference(*Swing(robot)(0.0))
-    context = Context.of(robot, dt=0.02, reference=Swing(robot)(np.zeros(1)))
-    return program_of(parts, context, (first.q, first.v), first, dt=0.02).loop
-
-
-def test_only_other_kinematics_are_compiled_anew() -> None:
-    loop = loop_of(UR5)
-    assert loop_of(UR5, load_mass=2.0, mass=40.0) is loop
-    assert loop_of(UR5, at_x_ur5=0.2) is not loop
-    assert loop_of(UR5, **{"com_y_ur5/forearm_link": 0.01}) is not loop  # a zero that was left out
 
 
 def test_inertias_that_no_body_has_are_refused_with_their_share() -> None:

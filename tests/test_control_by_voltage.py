@@ -79,8 +79,8 @@ def test_volts_are_limited_and_a_model_with_limits_comes_back_sooner_than_a_regu
 
 def test_volts_of_the_reference_are_those_of_its_torques_and_rates() -> None:
     t = np.linspace(0.0, 4.0, 9)
-    body, along = MODEL.by_voltage(), MODEL.followed(EIGHT(t))
-    volts = body.followed(EIGHT(t))
+    body, along = MODEL.by_voltage(), MODEL.array_dynamics.followed(EIGHT(t))
+    volts = body.array_dynamics.followed(EIGHT(t))
     np.testing.assert_allclose(volts.u, body.volts_for(along.v, along.u), rtol=1e-12)
     assert np.abs(volts.u).max() < VOLTS
     # What limits exclude is told, as they do not clip it.

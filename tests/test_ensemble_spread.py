@@ -208,7 +208,8 @@ def test_a_name_of_a_force_stands_for_one_number_of_it(name: str, k: int, field:
 
 
 @pytest.mark.parametrize(
-    ("name", "place"), [("start.x", 0), ("start.y", 1), ("start.psi", 2), ("start_rate.vx", 3), ("start_rate.vy", 4)]
+    ("name", "place"),
+    [("start.x", 0), ("start.y", 1), ("start.psi", 2), ("start_rate.vx", 3), ("start_rate.vy", 4)],
 )
 def test_a_start_is_beside_the_trajectorys(name: str, place: int) -> None:
     options = run_scenario(made(n=2, spread={name: 0.25})).member(1).options

@@ -47,10 +47,10 @@ from pinmobile import (
     semi_implicit_euler,
     simulate,
 )
-from pinmobile.loop import COMPILED, PYTHON, part_of, run_scenario
-from pinmobile.loop._description import judgement
 from pinmobile.errors import SlowerEngine
 from pinmobile.integrators import RungeKuttaNystrom
+from pinmobile.loop import COMPILED, PYTHON, part_of, run_scenario
+from pinmobile.loop._description import judgement
 from tests.memory import PEAK
 from tests.users import PID
 

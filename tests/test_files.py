@@ -29,8 +29,8 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.cli.output import Section, index_page, output_folder, save_figure
-from pinmobile.loop import COMPILED
 from pinmobile.files import replacing, write
+from pinmobile.loop import COMPILED
 from pinmobile.viewer import Recording, Viewer
 from tests.damage import full_disk
 

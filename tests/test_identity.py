@@ -45,9 +45,8 @@ from pinmobile import (
     semi_implicit_euler,
     simulate,
 )
-from pinmobile.compiled import Cache, Target, processor
+from pinmobile.compiled import Cache, Target, identity, processor
 from pinmobile.compiled.processor import LOOP
-from pinmobile.compiled import identity
 from pinmobile.loop import _program
 from pinmobile.loop._trace import traced
 

@@ -262,7 +262,7 @@ def test_what_no_body_has_is_refused(values: dict[str, Any], told: str) -> None:
 def test_numbers_of_arms_have_names() -> None:
     robot = MobileRobot.box().mount("ur5", AT)
     assert find(robot, "forearm_link.mass").path == f"{FOREARM}.mass"
-    assert find(robot, "rotors.elbow_joint").entry == 2
+    assert find(robot, "rotors.elbow_joint").entry == (2,)
     assert find(robot, "at.yaw").leaf.value == AT
 
 

@@ -31,6 +31,7 @@ from pinmobile.arrays import Array
 from pinmobile.benchmarking import NOMINAL, STANDARD
 from pinmobile.controllers.lqr import riccati
 from pinmobile.controllers.tracked_model import tracked_model
+from pinmobile.parts import evolved
 from tests.parts import Waving
 
 HEAVY = STANDARD["mass +20 %"].robot
@@ -156,33 +157,31 @@ def test_the_weight_of_the_input_is_spread_one_robot_after_another(kind: Any) ->
 
 
 def test_a_second_ensemble_reads_no_law_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    from pinmobile.compiled import program_cache
+    from pinmobile.loop import _program
 
     own = LQR(NOMINAL)
     given: Any = {"dt": 0.01, "n": 2, "seed": 1, "spread": {"mass": Uniform(25, 36)}, "engine": COMPILED}
     first = ensemble(NOMINAL, own, SHORT, **given)
-    for name in ("Walk", "walk_of", "traced"):
-        monkeypatch.delattr(program_cache, name)
+    for name in ("traced", "Program"):
+        monkeypatch.delattr(_program, name)
     assert np.array_equal(first.rms_error, ensemble(NOMINAL, own, SHORT, **given).rms_error)
 
 
 def test_a_model_that_differs_from_robot_to_robot_is_run_one_after_another() -> None:
-    spread = {"model_mass": Uniform(20, 40)}
+    spread = {"controller.mass": Uniform(20, 40)}
     given: Any = {"dt": 0.01, "integrator": rk4, "n": 2, "seed": 1, "spread": spread}
     with pytest.warns(UserWarning, match=r"follows from controller.robot.mass"):
         found = ensemble(HEAVY, LQR(NOMINAL), SHORT, **given)
     assert found.engine == repr(PYTHON)
-    masses = found.draws["model_mass"]
+    masses = found.draws["controller.mass"]
     for mass, error in zip(masses, found.rms_error, strict=True):
-        model = NOMINAL.with_parameters(mass=mass)
+        model = evolved(NOMINAL, mass=mass)
         alone = ensemble(HEAVY, LQR(model), SHORT, **{**given, "n": 1, "spread": {}}, engine=COMPILED)
         assert np.abs(alone.rms_error[0] - error).max() < 1e-12
 
 
 class Tabled:
     """A law with a schedule of its own."""
-
-    parameters = ()
 
     def initial_state(self, context: Context) -> Any:
         return context.schedule(np.sin(np.outer(context.t, [1.0, 2.0, 3.0])))

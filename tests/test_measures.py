@@ -41,8 +41,7 @@ from pinmobile.measures import Measure, size_of, value_of
 from pinmobile.reaching.poses import error_sizes, pose_error
 from pinmobile.urdf import Body
 from pinmobile.viewer import Viewer
-from tests.looping import Body as Pushed
-from tests.test_compiled_arms import Swing
+from tests.looping import Body as Pushed, Swing
 
 CLOSE = 1e-10
 # The base's products of inertia, which the ground alone feels, and its height.
@@ -56,8 +55,8 @@ ELBOW = "ur5/elbow_joint"
 SPREAD: dict[str, Any] = {
     "yaw_inertia": Uniform(1.3, 1.5),
     "com.x": Uniform(-0.02, 0.02),
-    "load_mass": Uniform(0.5, 5),
-    "at_x_ur5": Uniform(0.0, 0.1),
+    "loads.0.mass": Uniform(0.5, 5),
+    "at.x": Uniform(0.0, 0.1),
     "kp": Uniform(90, 110),
 }
 
@@ -234,7 +233,7 @@ def test_a_file_of_an_older_format_is_refused_with_the_reason(runs: Ensemble, tm
 
 
 def test_a_sweeps_store_keeps_measures(runs: Ensemble, tmp_path: Path) -> None:
-    heavy = {**SPREAD, "load_mass": Uniform(5, 8)}
+    heavy = {**SPREAD, "loads.0.mass": Uniform(5, 8)}
     found = sweep(
         {"light": scenario(n=10), "heavy": scenario(n=10, spread=heavy)}, tmp_path / "store", chunk=4
     )
@@ -417,17 +416,6 @@ def test_a_measure_that_becomes_nan_is_refused(engine: Engine) -> None:
         run_scenario(fenced(late), engine=engine)
 
 
-def test_a_plant_that_is_traced_as_another_needs_the_same_measures() -> None:
-    class Traced(Fenced):
-        def traced(self) -> Any:
-            return Pushed(self.mass, self.yaw_inertia, self.com)
-
-    with pytest.warns(SlowerEngine, match=r"plant, a Traced, states measures that what its traced"):
-        runs = run_scenario(fenced(Traced(), n=2))
-    assert runs.engine == "PYTHON"
-    assert runs.worst_measure.shape == (2, 2)
-
-
 def test_joints_are_held_against_limits_that_they_have() -> None:
     motion = WholeBody(UR5, FixedHeading(Hold((0, 0), 0.2), psi=0), Hold(UR5.rest[3:], 0.2))
     held = simulate(UR5, ComputedTorque(UR5, 100, 20), motion, dt=0.1)
@@ -437,8 +425,8 @@ def test_joints_are_held_against_limits_that_they_have() -> None:
 
 def test_names_of_limits_and_links_that_there_are_not_come_with_the_nearest() -> None:
     for name, near in (
-        ("mass_ur5/forearm_lnk", "'mass_ur5/forearm_link'"),
-        ("effort_limit_ur5/elbow_joint", "parameter in spread 'effort_limit_ur5/elbow_joint'"),
+        ("forearm_lnk.mass", "'forearm_link.mass'"),
+        ("effort_limit.elbow_joint", "parameter in spread 'effort_limit.elbow_joint'"),
     ):
         with pytest.raises(UnknownName, match=near):
             scenario(spread={name: Uniform(1, 2)})

@@ -8,10 +8,10 @@ import pytest
 from pinmobile import COMPILED, PYTHON, ensemble, errors, parts
 from pinmobile.arrays import Array
 from pinmobile.controllers import Backstepping, Driven, Tracking, WheelSpeed
+from pinmobile.loop import Rollout, simulate
 from pinmobile.parts import evolved
 from pinmobile.paths import Circle, Hold
 from pinmobile.robot import MobileRobot
-from pinmobile.loop import Rollout, simulate
 from pinmobile.trajectories import FixedHeading, Tangent
 from pinmobile.wheels import (
     MOTORS,
@@ -384,7 +384,7 @@ def test_inputs_are_volts_and_torques_with_the_limits_of_motors() -> None:
 
 @GROUNDS
 def test_many_robots_step_as_each_alone(ground: Any) -> None:
-    robot = WheeledRobot(BODY, table(MOTOR), ground).by_voltage().traced()
+    robot = WheeledRobot(BODY, table(MOTOR), ground).by_voltage().array_dynamics
     rng = np.random.default_rng(1)
     u = rng.uniform(-24.0, 24.0, (5, 2))
     u[0] = 0.0

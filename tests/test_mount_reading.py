@@ -27,9 +27,9 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
+from pinmobile.loop._storage import why_unknown
 from pinmobile.plant import PlantOutline
 from pinmobile.robot import BODY_JOINT
-from pinmobile.loop._storage import why_unknown
 from pinmobile.viewer import Arrows, Overlays, Viewer
 from tests.chromium import Chromium
 from tests.webclient import eventually

@@ -86,7 +86,7 @@ def test_with_an_arm_and_on_wheels_too() -> None:
 
 
 def test_all_engines_agree_and_each_robot_has_its_own() -> None:
-    spread = {"forces[0].mass": Uniform(0, 20), "when": Uniform(0.5, 1.5), "plant.mass": Uniform(25, 36)}
+    spread = {"forces.0.mass": Uniform(0, 20), "when": Uniform(0.5, 1.5), "plant.mass": Uniform(25, 36)}
     push = ConstantForce((3, 1, 0.1), 0.5, 1.2)
     given: Any = {"dt": 0.01, "integrator": rk4, "seed": 2, "n": 5, "forces": [CARRIED, push]}
     controller = ComputedTorque(BODY, 16, 8)

@@ -13,6 +13,7 @@ from scipy.integrate import quad
 
 from pinmobile import COMPILED, PD, ComputedTorque, MobileRobot, Tangent, Uniform, ensemble, simulate
 from pinmobile.errors import InvalidArgument
+from pinmobile.parts import numbers
 from pinmobile.paths import (
     Circle,
     CompositePath,
@@ -25,7 +26,6 @@ from pinmobile.paths import (
     Spline,
     pieces_of,
 )
-from pinmobile.parts import numbers
 from pinmobile.trajectories import FixedHeading
 
 derandomised = settings(derandomize=True, deadline=None, max_examples=40)

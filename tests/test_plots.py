@@ -23,10 +23,10 @@ from pinmobile import plots
 from pinmobile.arrays import Array
 from pinmobile.controllers import PD, ComputedTorque, law
 from pinmobile.errors import InvalidArgument
+from pinmobile.loop import Rollout, simulate
 from pinmobile.paths import Circle, CubicVia, Hold
 from pinmobile.plots.style import si, thinned
 from pinmobile.robot import MobileRobot
-from pinmobile.loop import Rollout, simulate
 from pinmobile.trajectories import FixedHeading, Reference, Tangent, Trajectory
 from pinmobile.wheels import Coulomb, WheeledRobot, WheelTable
 

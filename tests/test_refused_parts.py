@@ -16,8 +16,8 @@ from pinmobile import (
     law,
     simulate,
 )
-from pinmobile.loop import COMPILED, PYTHON
 from pinmobile.errors import SlowerEngine
+from pinmobile.loop import COMPILED, PYTHON
 from pinmobile.plant import Parameter
 from tests.parts import Cart, CartCircle, Eight, Follower, Nodding, Spring
 
@@ -318,7 +318,7 @@ def test_names_that_two_parts_claim_are_asked_for_by_path() -> None:
         r"'forces\[0\].stiffness' or 'forces\[1\].stiffness'$",
     ):
         in_ensemble(parts, spread={"stiffness": Uniform(1, 2)})
-    run = in_ensemble(parts, spread={"forces[1].stiffness": Uniform(1, 2)})
+    run = in_ensemble(parts, spread={"forces.1.stiffness": Uniform(1, 2)})
     assert len(np.unique(run.max_error[:, 0])) == 5
 
 

@@ -13,9 +13,9 @@ import pytest
 
 from pinmobile import InvalidArgument, Scenario, Sweep, sweep
 from pinmobile.cli.scenario_file import read_grid
+from pinmobile.errors import SlowerEngine
 from pinmobile.loop import part_of
 from pinmobile.loop._run import way_of
-from pinmobile.errors import SlowerEngine
 from pinmobile.loop._simulate import COMPILED
 from pinmobile.sweeps import Code, Grid
 from pinmobile.sweeps.code import packed

@@ -127,14 +127,6 @@ class Claiming(TellingSpring):
         return {"applied": ("N", 1.0)}
 
 
-class TracedAlone(Cart):
-    def traced(self) -> Any:
-        return Cart(self.mass, self.yaw_inertia)
-
-    def signals(self, *given: Any) -> Any:
-        return {"one": ("", 1.0)}
-
-
 class Branching(TellingPID):
     def signals(self, state: Any) -> Any:
         return {"integral": ("N", 1.0 if state["sum"][0] > 0 else 0.0)}
@@ -189,8 +181,6 @@ def test_signals_that_cannot_be_compiled_are_told_with_their_line() -> None:
         simulate(ROBOT, Branching(), BODY[0], engine=COMPILED, **BODY[1])
     # An ensemble keeps no signals, and asks for none.
     assert ensemble(ROBOT, Branching(), BODY[0], n=2, spread={}, **BODY[1]).engine == "COMPILED"
-    with pytest.raises(InvalidArgument, match=r"plant, a TracedAlone, has signals, .*traced\(\) returns has"):
-        simulate(TracedAlone(), FOLLOWER, CART[0], engine=COMPILED, **CART[1])
 
 
 def test_files_and_figures_have_their_names_and_units(tmp_path: Path) -> None:

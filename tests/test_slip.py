@@ -12,9 +12,9 @@ from pinmobile import COMPILED, PYTHON, ViscousFriction, errors, law
 from pinmobile.arrays import Array
 from pinmobile.compiled import Cache, Parts, Program, Reference, Trace, traced
 from pinmobile.integrators import rk4
+from pinmobile.loop import Rollout, simulate
 from pinmobile.paths import Hold
 from pinmobile.robot import MobileRobot
-from pinmobile.loop import Rollout, simulate
 from pinmobile.trajectories import FixedHeading
 from pinmobile.wheels import (
     Coulomb,
@@ -269,7 +269,7 @@ def test_of_two_solutions_a_step_takes_that_of_the_step_before_and_says_which() 
         spin_inertia=0.004,
         yaw_inertia=0.003,
     )
-    body: Any = WheeledRobot(MobileRobot(30.0, 3.0, com=(-0.22, 0, 0.6)), table, Coulomb()).traced()
+    body: Any = WheeledRobot(MobileRobot(30.0, 3.0, com=(-0.22, 0, 0.6)), table, Coulomb()).array_dynamics
     v, still = np.array([5.0, 0, 0, 0, 0]), body.initial_state()
     braked = still._replace(acceleration=np.array([-G, 0, 0, 0, 0]))
     for memory, a, tips in ((still, 0.0, 0), (braked, -G, 1)):
@@ -358,7 +358,7 @@ def test_loads_that_balance_are_found_wherever_the_wheels_stand(seed: int) -> No
 
 def ground_state(robot: WheeledRobot, q: Array, v: Array, a: Array) -> tuple[Any, list[float]]:
     """Return a state as the body sees it, and the rates of its velocities there."""
-    body = robot.traced()
+    body = robot.array_dynamics
     state = body.state(q, v)
     c, s = np.cos(q[2]), np.sin(q[2])
     ax, ay = c * a[0] + s * a[1], c * a[1] - s * a[0]
@@ -376,7 +376,7 @@ def test_loads_balance_what_pinocchio_says_the_ground_exerts(armed: bool) -> Non
     q[: own.nq] = own.integrate(own.rest, rng.normal(size=own.nv) * 0.3)
     v[own.nv :], a[own.nv :] = 0, 0
     state, rate = ground_state(robot, q, v, a)
-    found = robot.traced().loads(state, rate, q)  # type: ignore[union-attr]
+    found = robot.array_dynamics.loads(state, rate, q)  # type: ignore[union-attr]
     wrench = own.ground_wrench(q[: own.nq], v[: own.nv], a[: own.nv])
     values, places = np.array(found.values), np.array([[wheel.x, wheel.y] for wheel in table.wheels])
     assert not found.tips
@@ -398,7 +398,7 @@ def test_loads_on_a_ramp_and_of_spinning_wheels_are_those_of_the_tree(armed: boo
     q[: own.nq] = own.integrate(own.rest, rng.normal(size=own.nv) * 0.3)
     v[-4:], a[-4:] = v[-4:] * 100, a[-4:] * 100
     state, rate = ground_state(robot, q, v, a)
-    found = robot.traced().loads(state, rate, q)  # type: ignore[union-attr]
+    found = robot.array_dynamics.loads(state, rate, q)  # type: ignore[union-attr]
     wrench = in_tree(robot, q, v, a)
     values, places = np.array(found.values), np.array([[wheel.x, wheel.y] for wheel in SKID.wheels])
     assert not found.tips
@@ -425,7 +425,7 @@ def test_forces_of_all_wheels_are_the_rate_of_momentum(table: WheelTable, armed:
     for _ in range(2):
         before, (q, v, memory) = (q, v), robot.step(0.0, q, v, u, h, 0.0, memory)
     # Mid-step, turned so that the body's axes are those of the plane.
-    body = robot.traced()
+    body = robot.array_dynamics
     start, end = body.state(*before), body.state(q, v)
     old, new = (np.array([*each.twist, *each.arm_rates, *each.rates], float) for each in (start, end))
     mean, rate = (old + new) / 2, (new - old) / h
@@ -490,7 +490,7 @@ def test_compiled_robots_do_as_alone_and_as_numbers_do() -> None:
 
 def test_many_robots_as_arrays_step_as_each_does() -> None:
     robot, rng = WheeledRobot(BODY, SKID), np.random.default_rng(6)
-    body, q = robot.traced(), np.zeros((5, robot.nq))
+    body, q = robot.array_dynamics, np.zeros((5, robot.nq))
     v, u = rng.normal(size=(5, robot.nv)), rng.normal(size=(5, 2)) * 10
     v[:, 5:] = v[:, 3:5]
     memory: Any = robot.initial_state(None)
@@ -508,7 +508,7 @@ def test_a_ramp_pulls_rolling_wheels_as_the_tree_says() -> None:
     q = robot.integrate(robot.rest, rng.normal(size=robot.nv) * 0.5)
     v, u = robot.project(q, rng.normal(size=robot.nv)), rng.normal(size=robot.nu)
     by_tree = robot.forward_dynamics(q, v, u)
-    np.testing.assert_allclose(robot.traced().forward_dynamics(q, v, u), by_tree, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(robot.array_dynamics.forward_dynamics(q, v, u), by_tree, rtol=1e-9, atol=1e-9)
     level = WheeledRobot(own, table)
     assert np.abs(level.forward_dynamics(q, v, u) - by_tree).max() > 0.1
 

@@ -33,9 +33,9 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.compiled.symbolic import Symbols
+from pinmobile.loop import PYTHON
 from pinmobile.robot import ArticulatedDynamics, PlanarDynamics, Solids, UncheckedDynamics
 from pinmobile.robot.articulated import Tree
-from pinmobile.loop import PYTHON
 from pinmobile.urdf import Body
 
 THREADS = 8

@@ -1,6 +1,5 @@
 from collections.abc import Callable
 from copy import copy
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from pinmobile import (
     verify,
 )
 from pinmobile.arrays import Array
+from pinmobile.parts import evolved
 from pinmobile.robot import arms
 from pinmobile.robot.joints import replace_continuous_joints
 from pinmobile.robot.pinocchio_calls import Engine
@@ -268,8 +268,8 @@ def _column(name: str) -> Any:
 def _turned(given: dict[str, Any]) -> dict[str, Any]:
     """Return what turns the last wheel a little."""
     *others, last = given["table"].wheels
-    last = replace(last, angle=last.angle + OFF)
-    return given | {"table": replace(given["table"], wheels=(*others, last), couplings=())}
+    last = evolved(last, angle=last.angle + OFF)
+    return given | {"table": evolved(given["table"], wheels=(*others, last), couplings=())}
 
 
 WRONG = {
@@ -296,8 +296,8 @@ WHEELED = {
 def test_wheels_that_are_off_by_little_on_one_route_are_seen(
     monkeypatch: pytest.MonkeyPatch, drive: str, ingredient: str
 ) -> None:
-    right = vars(WheeledRobot)["_common"].func
-    monkeypatch.setattr(WheeledRobot, "_common", property(lambda robot: WRONG[ingredient](right(robot))))
+    right = vars(WheeledRobot)["terms"].func
+    monkeypatch.setattr(WheeledRobot, "terms", property(lambda robot: WRONG[ingredient](right(robot))))
     of = WHEELED[drive]
     found = verify(WheeledRobot(of.robot, of.table, of.ground), states=4)
     assert not found.passed, str(found)

@@ -36,8 +36,8 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.compiled.folding import STATE
 from pinmobile.compiled.tape import needed
-from pinmobile.loop._run import way_of
 from pinmobile.integrators import constant_acceleration
+from pinmobile.loop._run import way_of
 from pinmobile.wheels import Ackermann, Differential, Friction, GearTrain, Mobility, Support
 
 OWN: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
@@ -397,7 +397,7 @@ def test_what_is_projected_rolls_and_is_nearest(kind: str, base: MobileRobot) ->
     taken = np.einsum("nij,nj->ni", wheeled.mass_matrix(q), v - near)
     assert np.abs(np.einsum("nij,ni->nj", wheeled.reduced(q, near).S, taken)).max() < 1e-12
     # Independent velocities give the same: rounding, times the condition of M, some thousands.
-    traced: Any = wheeled.traced()
+    traced: Any = wheeled.array_dynamics
     np.testing.assert_allclose(traced.project(q, v), near, atol=1e-11)
 
 
@@ -439,7 +439,7 @@ def test_a_compiled_sample_has_sines_and_mass_matrix_once() -> None:
     )
     program = way_of(scenario, COMPILED).program
     assert program is not None
-    loop = program.loop
+    loop = program.tape
     tape, wanted = loop.tape, needed(loop.tape, loop.outputs)
     late = [tape.operations[i][0] for i in wanted if tape.depends[i] & STATE]
     assert late.count("shl") == 7
@@ -628,7 +628,7 @@ def test_wheels_without_mass_and_inertia_are_massless_and_nothing_else(kind: str
     q = rng.uniform(-0.5, 0.5, (10, wheeled.nq))
     v, u = wheeled.project(q, rng.normal(size=(10, wheeled.nv))), rng.normal(size=(10, wheeled.nu))
     assert np.abs(np.einsum("nij,nj->ni", wheeled.constraint_matrix(q), v)).max() < 1e-13
-    a, traced = wheeled.forward_dynamics(q, v, u), wheeled.traced()
+    a, traced = wheeled.forward_dynamics(q, v, u), wheeled.array_dynamics
     np.testing.assert_allclose(a, traced.forward_dynamics(q, v, u), rtol=1e-10, atol=1e-10)
     forces = wheeled.constraint_forces(q, v, u).values
     rest = np.einsum("nij,nj->ni", wheeled.mass_matrix(q), a) + wheeled.nonlinear_effects(q, v)

@@ -199,7 +199,7 @@ def test_parameters_are_read_only_copies() -> None:
         (lambda: ViscousFriction((1, 1, 1), yaw=2), "yaw is 2 beside coefficients, expected one of them"),
         (lambda: ViscousFriction(2), "coefficients has shape (), expected (3,)"),
         (lambda: RollingResistance((1, 1, -1)), "force is -1.0 N m, expected >= 0"),
-        (lambda: RollingResistance((1, 1, 1), 0), "speed is 0.0 m/s, m/s, rad/s, expected > 0"),
+        (lambda: RollingResistance((1, 1, 1), 0), "speed is 0.0, expected > 0"),
         (
             lambda: RollingResistance((1, 1, 1), (1, 1)),
             "speed has shape (2,), expected () or (3,)",

@@ -36,6 +36,7 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.benchmarking import NOMINAL, STANDARD, contestants
 from pinmobile.controllers.tracking_errors import passive_torque
+from pinmobile.parts import find, replace
 from pinmobile.plant import Context
 from tests.parts import Waving
 
@@ -70,7 +71,7 @@ def test_torque_keeps_the_robot_passive_and_is_what_the_regressor_says() -> None
 def test_coriolis_matrix_of_the_tree_on_arrays_is_pinocchios() -> None:
     generator = np.random.default_rng(4)
     q, v = ARM.random_configuration(generator), generator.normal(size=ARM.nv)
-    mine, its = ARM.traced().coriolis_matrix(q, v), ARM.coriolis_matrix(q, v)
+    mine, its = ARM.array_dynamics.coriolis_matrix(q, v), ARM.coriolis_matrix(q, v)
     # Any C with C v = n and dM/dt - 2 C skew gives the same transposed product, all that a law takes of it.
     assert np.abs(mine @ v - its @ v).max() < 1e-13 * np.abs(its @ v).max()
     assert np.abs(mine.T @ v - its.T @ v).max() < 1e-13 * np.abs(its @ v).max()
@@ -195,7 +196,7 @@ def test_all_engines_agree(name: str) -> None:
 
 
 def test_arms_are_adapted_too() -> None:
-    heavier = ARM.with_parameters(**{"mass_ur5/forearm_link": 4.0})
+    heavier = replace(ARM, {find(ARM, "forearm_link.mass").path: 4.0})
 
     given: Any = {"dt": 0.01, "integrator": rk4, "engine": COMPILED}
     fixed = simulate(heavier, Adaptive(ARM, gamma=0.0), Waving(ARM), **given)

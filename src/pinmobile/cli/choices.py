@@ -316,7 +316,7 @@ def _taken(choices: Mapping[str, Choice[Any]], table: str) -> Iterator[Option]:
             which + text if which else _sentence(text),
             tuple if several else float,
             table=table,
-            unit=one.unit,
+            unit=str(one.unit),
         )
 
 
@@ -345,7 +345,9 @@ def body(
         axes = " X,Y" if name == "com" else ""
         last = rest or (f"; {_told(numbers[name])}" if name in numbers else "")
         text = _sentence(f"{meaning}{axes} ({stated.unit}){last}.")
-        yield Option(prefix + name, text, tuple if name == "com" else float, table=table, unit=stated.unit)
+        yield Option(
+            prefix + name, text, tuple if name == "com" else float, table=table, unit=str(stated.unit)
+        )
 
 
 GROUND = Option(

@@ -207,7 +207,7 @@ def _box_on(
         robot = robot.mount(arm)
     if ground is None and not Mobility.of(table).is_regular:
         ground = Coulomb(tolerance=_TOLERANCE)
-    return WheeledRobot(robot, table, ground)  # type: ignore[arg-type]
+    return WheeledRobot(robot, table, ground)
 
 
 def trajectory_of(options: Options) -> Trajectory:

@@ -474,7 +474,7 @@ def without_model(options: Options) -> Options:
 def spreadable() -> str:
     """Return what may be spread of the lecture's loop, by the parts that have it, with units."""
     loop = closed_loop(LECTURE)
-    found = named(Loop(loop["robot"], loop["controller"], loop["trajectory"]))
+    found = named(Loop(loop["robot"], loop["controller"], loop["trajectory"], (), loop["integrator"]))
     words: dict[str, list[str]] = {}
     for one in found.values():
         part = one.leaf.path.rpartition(".")[0]
@@ -482,7 +482,7 @@ def spreadable() -> str:
         words.setdefault(part or "start", []).append(f"{name} ({one.unit})" if one.unit else name)
     listed = "\n".join(f"{part}: {', '.join(names)}" for part, names in words.items())
     return (
-        f"{listed}\n\nThat is of the lecture's loop. The end of a path is enough: mass is plant.mass, radius "
+        f"{listed}\n\nThese are the lecture's. The end of a path is enough: mass is plant.mass, radius "
         "trajectory.path.radius; controller.mass is the nearest one there. Forces, arms and wheels have more: "
         "force.x, forearm_link.mass and left.radius."
     )

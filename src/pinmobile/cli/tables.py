@@ -89,6 +89,8 @@ def _line_of_place(place: str, text: str, tree: Table, swept: Table) -> int:
 
     The name of a key alone will do, too.
     """
+    if place in swept:
+        return line(text, "grid", place)
     table, *keys = place.split(".")
     for n in range(len(keys), 0, -1):
         dotted = ".".join((table, *keys[:n]))

@@ -64,9 +64,7 @@ class TrackedModel(NamedTuple):
 def lawful(robot: Any) -> Any:
     """Return what a robot is on arrays, the same in all engines; itself where it is nothing else."""
     try:
-        if hasattr(robot, "array_dynamics"):
-            return robot.array_dynamics
-        return robot.traced() if hasattr(robot, "traced") else robot
+        return getattr(robot, "array_dynamics", robot)
     except NotTraceable:
         return robot
 

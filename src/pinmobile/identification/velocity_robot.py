@@ -269,10 +269,6 @@ class VelocityRobot:
         """What a loop calls: itself, or its `array_dynamics` where it holds symbols."""
         return self.array_dynamics if self._is_symbolic else self
 
-    def traced(self) -> VelocityDynamics:
-        """Return its `array_dynamics`."""
-        return self.array_dynamics
-
     @property
     def axle(self) -> Any:
         """Coefficients of the body twist in the velocity across the wheels, which is zero, shape (3,)."""

@@ -229,7 +229,8 @@ def short_names(known: Mapping[str, Found]) -> list[str]:
     for path in sorted(known, key=_nearness):
         words = path.split(".")
         least = 2 if known[path].label else 1
-        ends = (".".join(words[k:]) for k in range(len(words) - least, -1, -1))
+        first = [k for k in range(len(words) - least, -1, -1) if not (k and words[k].isdigit())]
+        ends = (".".join(words[k:]) for k in first)
         name = next(end for end in ends if end not in taken or end == path)
         taken |= {".".join(words[k:]) for k in range(len(words))}
         if not words[-1].isdigit():

@@ -515,6 +515,8 @@ class MobileRobot(System):
 
         Of numbers it is by Pinocchio, see `UncheckedDynamics`; of symbols `array_dynamics`.
         """
+        if type(self) is not MobileRobot:  # what a subclass overrides is heard
+            return self
         return self.array_dynamics if self._engine is None else UncheckedDynamics(self, self._engine)
 
     def mount(

@@ -308,7 +308,8 @@ class Load:
             solid = np.zeros((3, 3)) if size is None else box_inertia(positive("mass", mass, "kg"), size)
             six = six_of(solid)
         elif finite("inertia", inertia).shape != (6,):
-            six = six_of(Body(positive("mass", mass, "kg"), finite("com", com), inertia).inertia)
+            given = finite("inertia", inertia)
+            six = six_of(Body(positive("mass", mass, "kg"), finite("com", com), given).inertia)
         self.__attrs_init__(mass, com, six, size, frame)  # type: ignore[attr-defined]
 
     def check(self) -> None:

@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Scenario, way_of
-from pinmobile.parts import declared_by, is_part, part
+from pinmobile.parts import fields_of, is_part, part
 from pinmobile.sweeps.code import hidden_in, is_library, node_of, read_by
 from pinmobile.sweeps.grids import Grid
 
@@ -266,7 +266,7 @@ class _Forms:
                 for one in fields(kind)
             }
         elif attrs.has(kind):
-            told["its fields"] = dict(declared_by(kind))
+            told["its fields"] = dict(fields_of(kind))
         members = {
             name: member
             for name, member in sorted(vars(kind).items())
@@ -324,7 +324,7 @@ def _stated_by(value: Any) -> dict[str, Any] | None:
         return dict(zip(kind._fields, value, strict=True))
     if not (is_part(value) or is_dataclass(value)):
         return None
-    names = getattr(kind, "determined_by", None) or [name for name, _ in declared_by(kind)]
+    names = getattr(kind, "determined_by", None) or [name for name, _, _ in fields_of(value)]
     return {name: getattr(value, name) for name in names}
 
 

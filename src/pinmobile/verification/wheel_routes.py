@@ -109,7 +109,7 @@ def _rolling(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> tu
     found = np.linalg.pinv(np.swapaxes(A, -1, -2)) @ (_times(M, other) + n - given)[..., None]
     size = np.abs(ground).max(-1, keepdims=True) + scales.tau[:, :2].max(-1, keepdims=True)
     rows.append(("lambda", KKT, "null space of the rows", _off(ground - found[..., 0], size), SOLVED))
-    traced: Any = wheeled.traced()
+    traced: Any = wheeled.array_dynamics
     rows.append(("a", KKT, PLANE, _off(a - traced.forward_dynamics(q, v, u, f), scales.a), SOLVED))
     rows += _reduced_rows(wheeled, q, v, u, a, f)
     power = np.einsum("ni,ni->n", v, given - wheeled.nonlinear_effects(q, 0 * v))
@@ -125,7 +125,7 @@ def _rolling(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> tu
 
 def _reduced_rows(wheeled: WheeledRobot, q: Array, v: Array, u: Array, a: Array, f: Array) -> Iterator[Row]:
     """Yield the rows of the dynamics in independent velocities."""
-    own, plane = wheeled.reduced(q, v), wheeled.traced().reduced(q, v)
+    own, plane = wheeled.reduced(q, v), wheeled.array_dynamics.reduced(q, v)
     diagonal = np.sqrt(np.einsum("nii->ni", own.M))
     pair = diagonal[:, :, None] * diagonal[:, None, :]
     # |v| of what moves, by the metric of the kinetic energy: sqrt(M_ii) |rates|^2 sqrt(m), and gravity.

@@ -10,9 +10,10 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, vector
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.parts import also_symbols, by_value, child, holds_symbols, is_symbolic, part, structure
+from pinmobile.parts import also_symbols, by_value, child, holds_symbols, part, structure
 from pinmobile.plant import Input, Step
-from pinmobile.robot import Linearization
+from pinmobile.robot import Linearization, exact, number
+from pinmobile.wheels.loads import item
 from pinmobile.wheels.motors import CONSTANTS, Beside, Motor, MotorLaw, constant_force
 from pinmobile.wheels.powered import Driving, VoltageDynamics, of_wheeled
 from pinmobile.wheels.rows import column
@@ -91,8 +92,8 @@ class ByVoltage:
         """Actuators with dry friction, and those whose gear has losses, which hold too."""
 
         def rubs(motor: Motor) -> bool:
-            lossless = not is_symbolic(motor.efficiency) and motor.efficiency == 1
-            return is_symbolic(motor.coulomb) or motor.coulomb > 0 or not lossless
+            known = [number(exact(item(x))) for x in (motor.coulomb, motor.efficiency)]
+            return not (all(isinstance(x, float) for x in known) and known == [0.0, 1.0])
 
         return tuple(k for k in self._electric if rubs(self.table.actuators[k].motor))
 
@@ -113,10 +114,6 @@ class ByVoltage:
             body = replace(body, rubbing=self._rubbing)
         columns = {name: column([getattr(motor, name) for motor in motors]) for name in CONSTANTS}
         return VoltageDynamics(body, MotorLaw(motors, **columns), self._electric, self.inputs)
-
-    def traced(self) -> Any:
-        """Return its `array_dynamics`."""
-        return self.array_dynamics
 
     @cached_property
     def _is_symbolic(self) -> bool:

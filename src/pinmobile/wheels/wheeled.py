@@ -99,7 +99,7 @@ class WheeledRobot(Platform, Bearing):
     def terms(self) -> dict[str, Any]:
         """Arguments of a `WheeledDynamics`, numbers or symbols, whatever the ground."""
         return {
-            "robot": dynamics_of(self.robot),
+            "robot": self.robot.array_dynamics,
             "table": self.table,
             **{name: getattr(self, name) for name in ("x", "y", "radius", "spin_inertia", "upright")},
             "mu": column([wheel.friction.mu for wheel in self.table.wheels]),
@@ -604,10 +604,6 @@ class WheeledRobot(Platform, Bearing):
             )
         return self.array_dynamics.step(t, q, v, u, h, beside, memory)  # type: ignore[no-any-return]
 
-    def traced(self) -> Any:
-        """Return its `array_dynamics`."""
-        return self.array_dynamics
-
     def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
         """Refuse a start at which wheels on one gear train turn at different rates, or those that roll slip.
 
@@ -634,8 +630,3 @@ class WheeledRobot(Platform, Bearing):
                 f"start does not roll: {name} slips at {slip:.3g} m/s; expected a reference that "
                 "the wheels can follow, such as Tangent(path), v0 = robot.project(q0, v0), or v0 of zeros"
             )
-
-
-def dynamics_of(robot: Any) -> Any:
-    """Return the dynamics of a robot over symbols or arrays."""
-    return robot.array_dynamics if hasattr(robot, "array_dynamics") else robot.traced()
