@@ -20,7 +20,7 @@ README = (ROOT / "README.md").read_text()
 
 def test_every_python_block_prints_what_follows_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {}
+    names: dict[str, object] = {"__name__": "readme"}
     blocks = re.findall(r"```python\n(.*?)```(?:\n\n```text\n(.*?)```)?", README, re.DOTALL)
     assert len(blocks) > 2
     for code, printed in blocks:

@@ -15,9 +15,9 @@ from pathlib import Path
 from arm_fleet import ArmFleet
 from fleet import Run
 
-from pinmobile.compiled import BINS, FIRST, SHIFT, Loop, Program, Shape, Target
-from pinmobile.compiled.tape import ROBOT, SAMPLE, STATE, needed
-from pinmobile.loop._run import Way
+from pinmobile.compiled import BINS, FIRST, SHIFT, LoopTape, Program, Shape, Target
+from pinmobile.compiled.folding import ROBOT, SAMPLE, STATE
+from pinmobile.compiled.tape import needed
 
 from .of_pinmobile import kernel
 
@@ -46,11 +46,10 @@ def rollout(fleet: ArmFleet) -> Run:
     return kernel(fleet, replaced)
 
 
-def replaced(way: Way) -> Program:
+def replaced(tape: LoopTape) -> Program:
     """Return the program with the machine code of a C compiler."""
-    loop = way.program.loop
-    program = copy.copy(Program(loop, Target.here(), Shape(LANES, 1)))
-    program._function = compiled(source(loop))
+    program = copy.copy(Program(tape, Target.here(), Shape(LANES, 1)))
+    program.function = compiled(source(tape))
     return program
 
 
@@ -69,7 +68,7 @@ def compiled(text: str) -> ctypes._CFuncPtr:
     return found
 
 
-def source(loop: Loop) -> str:
+def source(loop: LoopTape) -> str:
     """Return C for a loop without delays, noise and kept samples."""
     if loop.rings or loop.keys or loop.kept or loop.tracks:
         raise NotImplementedError("delays, noise and samples that are kept")
@@ -130,7 +129,7 @@ def source(loop: Loop) -> str:
     return "\n".join(lines)
 
 
-def expression(loop: Loop, i: int, shared: bool, states: int) -> str:
+def expression(loop: LoopTape, i: int, shared: bool, states: int) -> str:
     """Return a node's value in C: of one number where all robots share it, else of a vector."""
     operation, tape = loop.tape.operations[i], loop.tape
     name = operation[0]

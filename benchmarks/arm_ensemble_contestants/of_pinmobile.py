@@ -1,5 +1,6 @@
 """pinmobile, by its public names; and its compiled loop as code for another processor."""
 
+import copy
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -20,8 +21,8 @@ from pinmobile import (
     ensemble,
     rk4,
 )
-from pinmobile.compiled import Program, Shape, Target, processors
-from pinmobile.loop._run import Way, way_of
+from pinmobile.compiled import LoopTape, Program, Shape, Target, processors
+from pinmobile.loop._run import way_of
 
 
 def words(fleet: ArmFleet) -> dict[str, object]:
@@ -68,14 +69,17 @@ def ensembles(told: dict[str, object]) -> Run:
 
 def for_avx2(fleet: ArmFleet) -> Run:
     """Run what an ensemble runs, without its quantiles, as code for a processor without AVX-512."""
-    return kernel(fleet, lambda way: Program(way.program.loop, Target("haswell", "", 4), Shape(4, 1)))
+    return kernel(fleet, lambda tape: Program(tape, Target("haswell", "", 4), Shape(4, 1)))
 
 
-def kernel(fleet: ArmFleet, made: Callable[[Way], Program]) -> Run:
-    """Return what runs a scenario by another program of its loop."""
+def kernel(fleet: ArmFleet, made: Callable[[LoopTape], Program]) -> Run:
+    """Return a function that runs a scenario by another program of its tape."""
     scenario = Scenario(**words(fleet))
     way = way_of(scenario)
-    way = replace(way, program=made(way))
+    compiled = copy.copy(way.program)
+    assert compiled is not None
+    compiled.program = made(compiled.tape)
+    way = replace(way, program=compiled)
     threads = processors()
 
     def run() -> Figures:

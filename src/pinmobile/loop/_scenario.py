@@ -39,7 +39,7 @@ from pinmobile.loop._spread import (
     held,
     in_blocks,
 )
-from pinmobile.loop._trace import initial_memory
+from pinmobile.loop._trace import initial_memory, initial_velocities
 from pinmobile.measures import Measure, channels_of, check_measured, chosen
 from pinmobile.parts import (
     Constrained,
@@ -416,11 +416,7 @@ class Scenario:
         own = {path: value for path, value in values.items() if path.startswith("plant.")}
         if project is None or not (own or values.keys() & {"start", "start_rate"}):
             return q, v
-        found = []
-        for k, row in enumerate(zip(q, v, strict=True)):
-            plant = replaced(self.loop, {path: value[k] for path, value in own.items()}).plant
-            found.append(plant.project(*row))
-        return q, np.array(found, np.float64)
+        return q, initial_velocities(self.loop, own, q, v)
 
     @property
     def start(self) -> tuple[Array, Array]:

@@ -577,28 +577,67 @@ def initial_memories(
 
     Where `initial_state` cannot be run on symbols, it is asked for each robot.
     """
-    tape = Tape()
-    on_tape: dict[str, Any] = {}
-    inputs: dict[Any, Any] = {}
-    for path, value in spread.items():
-        columns = np.broadcast_to(value, (n, *value.shape[1:])).reshape(n, -1)
-        first = len(inputs)
-        inputs |= {("row", first + i): column for i, column in enumerate(columns.T)}
-        nodes = [tape.input("row", first + i) for i in range(columns.shape[1])]
-        on_tape[path] = symbols(nodes, value.shape[1:])
     try:
         with tracing(identity.namespaces.values(), identity.cells):
-            memory = initial_memory(replace(loop, on_tape, nominal=True), context)
+            return _of_each(lambda own: arrays_of(initial_memory(own, context)), loop, spread, n)
     except NotTraceable:
         rows = []
         for i in range(n):
-            own = replace(
-                loop, {path: np.broadcast_to(x, (n, *x.shape[1:]))[i] for path, x in spread.items()}
-            )
+            own = replace(loop, {path: x[i] for path, x in _rows(spread, n).items()})
             rows.append([np.asarray(x, np.float64) for x in arrays_of(initial_memory(own, context))])
         return [np.array(column) for column in zip(*rows, strict=True)]
+
+
+def initial_velocities(loop: Loop, spread: Mapping[str, Array], q: Array, v: Array) -> Array:
+    """Return the velocities that the constraints of n robots leave, shape (n, nv).
+
+    `project` runs once, on symbols; where it cannot, or gives another answer, it runs for each robot.
+
+    Parameters
+    ----------
+    loop : Loop
+        The nominal loop.
+    spread : mapping of str to ndarray, shape (n, ...)
+        Numbers of the robots, by path.
+    q, v : ndarray, shape (n, nq), (n, nv)
+        Starts.
+    """
+    n = len(q)
+
+    def alone(i: int) -> Array:
+        own = replace(loop, {path: x[i] for path, x in _rows(spread, n).items()})
+        return np.asarray(own.plant.project(q[i].copy(), v[i].copy()), np.float64)
+
+    ends = np.array([alone(0), alone(n - 1)])
+    try:
+        with tracing():
+            (found,) = _of_each(lambda own, q, v: [own.law.project(q, v)], loop, spread, n, q, v)
+    except NotTraceable:
+        found = np.zeros(0)
+    if found.shape == v.shape and np.allclose(found[[0, -1]], ends, rtol=1e-9, atol=1e-9):
+        return found
+    return np.array([*map(alone, range(n))])
+
+
+def _rows(spread: Mapping[str, Array], n: int) -> dict[str, Array]:
+    return {path: np.broadcast_to(x, (n, *x.shape[1:])) for path, x in spread.items()}
+
+
+def _of_each(
+    compute: Callable[..., Sequence[Any]], loop: Loop, spread: Mapping[str, Array], n: int, *rows: Array
+) -> list[Array]:
+    """Return arrays of n robots, shape (...) or (n, ...), by a function that runs once, on symbols."""
+    tape, inputs = Tape(), dict[Any, Any]()
+
+    def given(value: Array) -> Any:
+        columns, first = value.reshape(n, -1).T, len(inputs)
+        inputs.update({("row", first + i): column for i, column in enumerate(columns)})
+        return symbols([tape.input("row", first + i) for i in range(len(columns))], value.shape[1:])
+
+    on_tape = {path: given(value) for path, value in _rows(spread, n).items()}
+    answers = compute(replace(loop, on_tape, nominal=True), *map(given, rows))
     found = []
-    for value in arrays_of(memory):
+    for value in answers:
         if not has_symbols(value):
             found.append(np.asarray(value, np.float64))
             continue
