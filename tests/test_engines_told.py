@@ -81,7 +81,7 @@ def test_the_command_prints_it_once(tmp_path: Path, capsys: pytest.CaptureFixtur
     )
     (tmp_path / "plan.toml").write_text(
         '[controller]\ntype = "own:Sign"\n[trajectory]\nduration = 1\n[ensemble]\nn = 6\n'
-        '[spread]\nstart_x = {uniform = [0, 0.1]}\n[grid]\n"loop.substeps" = [1, 2]\n'
+        '[spread]\nstart.x = {uniform = [0, 0.1]}\n[grid]\n"loop.substeps" = [1, 2]\n'
     )
     words = ["sweep", str(tmp_path / "plan.toml"), "--out", str(tmp_path / "out"), "--chunk", "3"]
     with warnings.catch_warnings():

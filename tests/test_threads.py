@@ -9,7 +9,7 @@ import time
 import weakref
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from copy import copy, deepcopy
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,7 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.compiled.symbolic import Symbols
 from pinmobile.loop import PYTHON
+from pinmobile.parts import evolved, replace
 from pinmobile.robot import ArticulatedDynamics, PlanarDynamics, Solids, UncheckedDynamics
 from pinmobile.robot.articulated import Tree
 from pinmobile.urdf import Body
@@ -152,7 +153,7 @@ def test_every_answer_is_that_of_one_thread_bit_for_bit(kind: str, name: str) ->
     states = STATES if inspect.isroutine(getattr(robot, name)) else 1
     alone = [ask(robot, name, k) for k in range(states)]
     rounds = 1 if states == 1 or isinstance(alone[0][0], MobileRobot) else ROUNDS
-    shared = robot if rounds > 1 else copy(robot)
+    shared = robot if rounds > 1 else fresh(robot)
 
     def task(number: int) -> int:
         order = [(number + k) % states for k in range(states)] * rounds
@@ -189,7 +190,7 @@ def of_wheels(robot: WheeledRobot, k: int) -> list[Any]:
             found.append(plain(method(**{p: given[p] for p in parameters})))
         except (AttributeError, InvalidArgument) as error:  # of wheels that slip
             found.append(str(error))
-    other = robot.with_parameters(radius=0.09 + 0.001 * (k + 1))
+    other = replace(robot, {f"table.wheels.{robot.table.names[0]}.radius": 0.09 + 0.001 * (k + 1)})
     return [*found, other.table, plain(other.mass_matrix(given["q"]))]
 
 
@@ -201,7 +202,7 @@ def rate_of(k: int, seed: int, size: int) -> Array:
 def test_a_robot_on_wheels_answers_eight_threads_as_it_does_one(kind: str) -> None:
     alone = [of_wheels(ON_WHEELS[kind], k) for k in range(4)]
     assert sum(isinstance(answer, tuple) for answer in alone[0]) > 6
-    shared = copy(ON_WHEELS[kind])  # with nothing cached
+    shared = fresh(ON_WHEELS[kind])
 
     def task(number: int) -> int:
         order = [(number + k) % 4 for k in range(4)] * 2
@@ -289,16 +290,27 @@ def test_ensembles_whose_laws_ask_one_robot_run_side_by_side() -> None:
     assert {engine for engine, _ in found} == {"COMPILED"}
 
 
+def fresh(robot: Any) -> Any:
+    """Return a robot with nothing cached."""
+    return evolved(robot)
+
+
+def workspace(robot: MobileRobot) -> Any:
+    """Return Pinocchio's data of a robot in this thread."""
+    engine: Any = robot._engine
+    return engine.data
+
+
 def test_a_dead_threads_workspace_goes_away() -> None:
     robot = MobileRobot(10, 1.2)
-    here = weakref.ref(robot._engine.data)
+    here = weakref.ref(workspace(robot))
     with ThreadPoolExecutor(1) as pool:
-        there = pool.submit(lambda: weakref.ref(robot._engine.data)).result()
+        there = pool.submit(lambda: weakref.ref(workspace(robot))).result()
         assert there() is not None
         assert there() is not here()
     gc.collect()
     assert there() is None
-    assert here() is robot._engine.data
+    assert here() is workspace(robot)
 
 
 def test_a_robots_workspaces_go_away_with_it() -> None:
@@ -306,7 +318,7 @@ def test_a_robots_workspaces_go_away_with_it() -> None:
     robots, kept = [MobileRobot(10, 1.2)], []
 
     def work() -> None:
-        kept.append(weakref.ref(robots[0]._engine.data))
+        kept.append(weakref.ref(workspace(robots[0])))
         asked.set()
         done.wait()
 
@@ -321,10 +333,10 @@ def test_a_robots_workspaces_go_away_with_it() -> None:
     assert gone
 
 
-@pytest.mark.parametrize("remade", [copy, deepcopy, lambda robot: pickle.loads(pickle.dumps(robot))])
+@pytest.mark.parametrize("remade", [deepcopy, lambda robot: pickle.loads(pickle.dumps(robot))])
 def test_a_copy_has_a_workspace_of_its_own(remade: Callable[[MobileRobot], MobileRobot]) -> None:
     robot = ROBOTS["ur5"]
     other = remade(robot)
     assert other == robot
-    assert other._engine.data is not robot._engine.data
+    assert workspace(other) is not workspace(robot)
     assert plain(other.mass_matrix(robot.rest)) == plain(robot.mass_matrix(robot.rest))

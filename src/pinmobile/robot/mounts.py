@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -98,6 +98,11 @@ class Link:
     mass: float = number(unit="kg", lower=0.0, doc="mass of the link")
     com: Any = array(shapes=((3,),), unit="m", labels=("x", "y", "z"), doc="centre of mass of the link")
     inertia: Any = _inertia_field("the link")
+
+    def impossible(self, values: Mapping[str, Array]) -> tuple[NDArray[np.bool_], str]:
+        """Tell for each of several values of its numbers whether no rigid body has them, and what is expected."""
+        mass = values.get("mass", self.mass)
+        return are_impossible(values.get("inertia", self.inertia), mass), _EXPECTED
 
     def check(self) -> None:
         """Raise `InvalidArgument` where no rigid body has its inertia."""
@@ -311,6 +316,11 @@ class Load:
             given = finite("inertia", inertia)
             six = six_of(Body(positive("mass", mass, "kg"), finite("com", com), given).inertia)
         self.__attrs_init__(mass, com, six, size, frame)  # type: ignore[attr-defined]
+
+    def impossible(self, values: Mapping[str, Array]) -> tuple[NDArray[np.bool_], str]:
+        """Tell for each of several values of its numbers whether no rigid body has them, and what is expected."""
+        mass = values.get("mass", self.mass)
+        return are_impossible(values.get("inertia", self.inertia), mass), _EXPECTED
 
     def check(self) -> None:
         """Raise `InvalidArgument` where no rigid body has its inertia."""
