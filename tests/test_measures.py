@@ -36,7 +36,6 @@ from pinmobile.arrays import Array
 from pinmobile.compiled import BINS
 from pinmobile.loop import run_scenario
 from pinmobile.loop._counts import bins_of, quantiles
-from pinmobile.errors import SlowerEngine
 from pinmobile.measures import Measure, size_of, value_of
 from pinmobile.reaching.poses import error_sizes, pose_error
 from pinmobile.urdf import Body
