@@ -167,7 +167,11 @@ FAULTS = [
         "places is None, expected (x, y) of each [m]",
     ),
     Fault("another kind", lambda: Mobility.of(EMPTY), "table is [], expected a WheelTable"),
-    Fault("another kind", lambda: GearTrain(("a", "b"), NOTHING), "ratios is None, expected real numbers"),
+    Fault(
+        "another kind",
+        lambda: GearTrain(("a", "b"), cast(Any, "ab")),
+        "ratios is 'ab', expected real numbers",
+    ),
     Fault(
         "another kind",
         lambda: ON_WHEELS.forward_dynamics(np.zeros(5), np.zeros(5), [1, 1], 3.0),
@@ -514,7 +518,7 @@ def test_engines_and_the_true_model_come_back_as_themselves(one: Any) -> None:
 
 
 def test_the_true_model_is_read_only() -> None:
-    assert dict(TRUE_MODEL)["controller.mass"] == Same("mass")
+    assert dict(TRUE_MODEL)["controller.mass"] == Same("plant.mass")
     with pytest.raises(TypeError, match="does not support item assignment"):
         TRUE_MODEL["controller.mass"] = Same("yaw_inertia")  # type: ignore[index]
 

@@ -316,11 +316,11 @@ def test_odometry_of_the_true_table_is_nearly_the_pose_and_a_smaller_wheel_drift
     assert 0.02 < drifts["smaller"] < 0.5
 
 
-S = {"start_x": Uniform(-0.2, 0.2), "start_psi": Uniform(-0.3, 0.3)}
+S = {"start.x": Uniform(-0.2, 0.2), "start.psi": Uniform(-0.3, 0.3)}
 ON_TWO, OF_CAR = Backstepping(Tracking(), DIFFERENTIAL), Backstepping(Tracking(), CAR)
 CASES: dict[str, tuple[Any, Any, Any, Any]] = {
     "tracking": (DIFFERENTIAL, ON_TWO, EIGHT, {"zeta": Uniform(0.5, 0.9), "k": Uniform(5, 10)}),
-    "references": (DIFFERENTIAL, ON_TWO, EIGHT, {"eight_size": Uniform(0.9, 1.1)}),
+    "references": (DIFFERENTIAL, ON_TWO, EIGHT, {"path.size": Uniform(0.9, 1.1)}),
     "dynamic": (DIFFERENTIAL, Backstepping(DynamicFeedback(), DIFFERENTIAL), EIGHT, S),
     "parking": (DIFFERENTIAL, Backstepping(Parking(), DIFFERENTIAL), Posed((1.0, 0.5, 0.3)), S),
     "car": (CAR, OF_CAR, LARGE, S),

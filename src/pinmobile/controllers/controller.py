@@ -100,6 +100,8 @@ def check_wheels(robot: Any) -> None:
     InvalidArgument
         If it is such.
     """
+    if not isinstance(robot.nv, int):
+        raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
     still = robot.reduced(robot.rest, np.zeros(robot.nv))
     if np.linalg.matrix_rank(still.B) < len(still.M):
         raise InvalidArgument(

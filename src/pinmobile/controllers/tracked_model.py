@@ -102,6 +102,8 @@ def tracked_model(robot: Any, reference: State) -> TrackedModel:
 
 def sizes_of(robot: Any) -> tuple[int, int, int]:
     """Return how many coordinates are tracked, independent velocities and inputs there are."""
+    if not isinstance(robot.nv, int):
+        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot or a WheeledRobot")
     still = np.zeros(robot.nv)
     A, B = robot.linearize_tracked(robot.rest, still, np.zeros(robot.nu))
     m = len(robot.reduced(robot.rest, still).nu) if able(robot, Rolling) else int(robot.nv)
@@ -179,7 +181,7 @@ def weight(name: str, value: ArrayLike, *, above: bool) -> Array:
         If it is something else.
     """
     given = finite(name, value)
-    if given.ndim not in (1, 2) or given.shape[0] != given.shape[-1]:
+    if given.ndim not in (1, 2) or given.shape[0] != given.shape[-1] or not given.size:
         raise InvalidArgument(f"{name} has shape {given.shape}, expected (n,) or (n, n)")
     matrix = np.diag(given) if given.ndim == 1 else given
     largest = np.abs(matrix).max()

@@ -406,7 +406,15 @@ class MobileRobot(System):
             Mass, centre of mass and inertia.
         source : str
             Where they come from, in words.
+
+        Raises
+        ------
+        InvalidArgument
+            If one of them is something else.
         """
+        if not isinstance(body, urdf.Body):
+            raise InvalidArgument(f"body is {shown(body)}, expected a pinmobile.urdf.Body")
+        source = text("source", source)
         own = {"mass": body.mass, "yaw_inertia": body.yaw_inertia, "com": body.com}
         bare = {"mounts": (), "loads": (), "_source": source, "reference_inertia": body.inertia}
         return evolved(self, own | bare)
