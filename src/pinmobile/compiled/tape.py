@@ -522,7 +522,7 @@ def repeated(
     settled : bool or ndarray of bool or symbol
         Where no round is needed.
     """
-    for x in first:
+    for x in (*first, settled):
         if type(x) is Node:
             return list(x.tape.repeated(law, first, most, settled))
     carried, done = list(first), np.bool_(False) | settled
