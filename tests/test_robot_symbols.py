@@ -162,8 +162,9 @@ def test_measures_and_the_start_are_those_of_the_robot_with_such_numbers() -> No
     q, v, a, u, desired = traced.state(*given.values(), given["q"][:3] + 0.1)
     reference = Reference(desired, desired, desired)
     numeric = Reference(given["q"][:3] + 0.1, np.zeros(3), np.zeros(3))
-    expected = traced.other.measured(0.0, *given.values(), numeric)
-    robot: Any = traced.robot
+    robot: Any = traced.other
+    expected = robot.measured(0.0, *given.values(), numeric)
+    robot = traced.robot
     found = traced.answer(lambda: robot.measured(0.0, q, v, a, u, reference))
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
     begun = traced.answer(lambda: traced.robot.start(reference)[0])

@@ -376,7 +376,7 @@ def test_loads_balance_what_pinocchio_says_the_ground_exerts(armed: bool) -> Non
     q[: own.nq] = own.integrate(own.rest, rng.normal(size=own.nv) * 0.3)
     v[own.nv :], a[own.nv :] = 0, 0
     state, rate = ground_state(robot, q, v, a)
-    found = robot.array_dynamics.loads(state, rate, q)  # type: ignore[union-attr]
+    found = robot.array_dynamics.loads(state, rate, q)
     wrench = own.ground_wrench(q[: own.nq], v[: own.nv], a[: own.nv])
     values, places = np.array(found.values), np.array([[wheel.x, wheel.y] for wheel in table.wheels])
     assert not found.tips
@@ -398,7 +398,7 @@ def test_loads_on_a_ramp_and_of_spinning_wheels_are_those_of_the_tree(armed: boo
     q[: own.nq] = own.integrate(own.rest, rng.normal(size=own.nv) * 0.3)
     v[-4:], a[-4:] = v[-4:] * 100, a[-4:] * 100
     state, rate = ground_state(robot, q, v, a)
-    found = robot.array_dynamics.loads(state, rate, q)  # type: ignore[union-attr]
+    found = robot.array_dynamics.loads(state, rate, q)
     wrench = in_tree(robot, q, v, a)
     values, places = np.array(found.values), np.array([[wheel.x, wheel.y] for wheel in SKID.wheels])
     assert not found.tips
@@ -496,7 +496,7 @@ def test_many_robots_as_arrays_step_as_each_does() -> None:
     v, u = rng.normal(size=(5, robot.nv)), rng.normal(size=(5, 2)) * 10
     v[:, 5:] = v[:, 3:5]
     memory: Any = robot.initial_state(None)
-    many: Any = body.step(0.0, q, v, u, 0.01, lambda *_: 0.0, memory)  # type: ignore[union-attr]
+    many: Any = body.step(0.0, q, v, u, 0.01, lambda *_: 0.0, memory)
     for k in range(5):
         one: Any = robot.step(0.0, q[k], v[k], u[k], 0.01, 0.0, memory)
         np.testing.assert_allclose(many.v[k], one.v, rtol=1e-9, atol=1e-11)

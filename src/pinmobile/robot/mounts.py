@@ -100,7 +100,7 @@ class Link:
     inertia: Any = _inertia_field("the link")
 
     def impossible(self, values: Mapping[str, Array]) -> tuple[NDArray[np.bool_], str]:
-        """Tell for each of several values of its numbers whether no rigid body has them, and what is expected."""
+        """Tell which of several values of its numbers no rigid body has, and what is expected."""
         mass = values.get("mass", self.mass)
         return are_impossible(values.get("inertia", self.inertia), mass), _EXPECTED
 
@@ -318,7 +318,7 @@ class Load:
         self.__attrs_init__(mass, com, six, size, frame)  # type: ignore[attr-defined]
 
     def impossible(self, values: Mapping[str, Array]) -> tuple[NDArray[np.bool_], str]:
-        """Tell for each of several values of its numbers whether no rigid body has them, and what is expected."""
+        """Tell which of several values of its numbers no rigid body has, and what is expected."""
         mass = values.get("mass", self.mass)
         return are_impossible(values.get("inertia", self.inertia), mass), _EXPECTED
 
