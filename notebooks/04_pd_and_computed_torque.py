@@ -13,7 +13,6 @@
 
 # %%
 from dataclasses import dataclass
-from typing import ClassVar
 
 import matplotlib.pyplot as plt
 import numpy as np
