@@ -14,7 +14,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.compiled.identity import is_constant
 from pinmobile.controllers.controller import State
-from pinmobile.errors import InvalidArgument, NotTraceable
+from pinmobile.errors import InvalidArgument, NotTraceable, shown
 from pinmobile.parts import Followed, Rolling, able, option
 from pinmobile.plant import Context, Input, inputs_of
 
