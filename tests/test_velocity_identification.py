@@ -212,9 +212,9 @@ def test_another_log_is_predicted_to_its_noise() -> None:
 def test_draws_are_as_wide_as_intervals_and_are_a_spread() -> None:
     one = found()
     draws = one.spread(4000, seed=3)
-    assert list(draws) == [f"theta_{k}" for k in range(1, 7)]
+    assert list(draws) == [f"theta.theta_{k}" for k in range(1, 7)]
     for name, values in draws.items():
-        low, high = one.interval()[name]
+        low, high = one.interval()[name.removeprefix("theta.")]
         share = ((values >= low) & (values <= high)).mean()
         assert share == pytest.approx(0.95, abs=0.015)  # 4 sqrt(0.95 * 0.05 / 4000)
     robot = one.robot()

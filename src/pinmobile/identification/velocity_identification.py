@@ -229,7 +229,8 @@ class VelocityIdentification:
     def spread(self, n: int, seed: Any = 0) -> dict[str, Array]:
         """Return n joint draws of the robot's numbers by name: the spread of an `ensemble` of n robots.
 
-        They are of Student's t, as the intervals; those that no robot can have are drawn again.
+        Names are those of a spread, such as ``"theta.theta_1"``. Draws are of Student's t, as the intervals;
+        those that no robot can have are drawn again.
 
         Parameters
         ----------
@@ -256,7 +257,7 @@ class VelocityIdentification:
             found = np.concatenate([found, drawn[(drawn[:, bounded] > 0).all(axis=1)]])
             if len(found) >= n:
                 kept = found[:n]
-                return {name: kept[:, k] for k, name in enumerate(self.names) if name != "delay"}
+                return {_path(name): kept[:, k] for k, name in enumerate(self.names) if name != "delay"}
         raise InvalidArgument("spread: intervals reach far below zero, expected a log that tells more")
 
     def _refuse_unseen(self, what: str) -> None:
@@ -475,3 +476,9 @@ def _steepest(runs: Sequence[Samples]) -> dict[str, float]:
     rates = np.concatenate([np.abs(np.gradient(speeds(run), run.dt, axis=0)) for run in runs])
     most = np.quantile(rates, 0.9, axis=0) + 1e-3
     return {"acceleration": float(most[0]), "yaw_acceleration": float(most[1])}
+
+
+def _path(name: str) -> str:
+    """Return where a `VelocityRobot` has one of the numbers that are found."""
+    array = "theta" if name.startswith("theta") else "accelerations" if "acceleration" in name else ""
+    return f"{array}.{name}" if array else name
