@@ -100,20 +100,20 @@ def called(controller: Any, steps: int) -> Calls:
 
 def programs_of(controller: Any, steps: int) -> list[tuple[tuple[Any, ...], dict[str, Any]]]:
     """Return what daqp is asked in a run."""
-    from pinmobile.controllers import condensed
+    from pinmobile.controllers import mpc
 
     asked: list[tuple[tuple[Any, ...], dict[str, Any]]] = []
-    solve, found = condensed.solver(), condensed.solver
+    solve, found = mpc.solver(), mpc.solver
 
     def told(*given: Any, **more: Any) -> Any:
         asked.append((given, more))
         return solve(*given, **more)
 
-    condensed.solver = lambda: told  # type: ignore[assignment]
+    mpc.solver = lambda: told  # type: ignore[assignment]
     try:
         called(controller, steps)
     finally:
-        condensed.solver = found
+        mpc.solver = found
     return asked
 
 

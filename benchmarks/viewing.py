@@ -29,7 +29,7 @@ from task import GAIN, PD_GAINS, RADIUS, RATE
 from memory import resident
 from pinmobile import PD, Circle, ComputedTorque, MobileRobot, Tangent, ViewerError, __version__, simulate
 from pinmobile.viewer import Viewer
-from pinmobile.viewer.chromium import Browser, find_chromium
+from pinmobile.viewer.recording import Browser, find_chromium
 
 NO_CHROMIUM = "not installed: apt-get install chromium"
 PERIOD = 0.02  # [s] between two poses

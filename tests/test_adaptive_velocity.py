@@ -24,7 +24,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
-from pinmobile.controllers import adaptive_velocity
+from pinmobile.controllers import adaptive
 
 TRUE = VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2])
 WRONG = VelocityRobot(TRUE.theta * [1.3, 0.7, 1.3, 0.7, 0.7, 1.3])
@@ -231,7 +231,7 @@ def test_the_bound_of_dt_is_where_the_loop_itself_becomes_unstable(monkeypatch: 
     with pytest.raises(InvalidArgument, match=r"gains kp = .* dt < ([0-9.]+) s") as caught:
         simulate(robot, controller, CIRCLE, dt=0.5)
     bound = float(str(caught.value).rpartition("dt < ")[2].partition(" s")[0])
-    monkeypatch.setattr(adaptive_velocity, "check_held", lambda *given: None)
+    monkeypatch.setattr(adaptive, "check_held", lambda *given: None)
 
     def last(dt: float) -> float:
         start: Any = {"q0": CIRCLE(0.0).q + np.array([0.003, 0, 0]), "v0": CIRCLE(0.0).v}

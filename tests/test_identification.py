@@ -54,10 +54,8 @@ from pinmobile.arrays import Array
 from pinmobile.errors import FileError, PinmobileError
 from pinmobile.identification import Excitation
 from pinmobile.identification.chassis import Chassis
-from pinmobile.identification.cleaning import Cleaned
-from pinmobile.identification.output_error import OutputError, Segments
-from pinmobile.identification.residual_noise import ResidualNoise
-from pinmobile.identification.slippage import Slippage
+from pinmobile.identification.cleaning import Cleaned, Slippage
+from pinmobile.identification.output_error import OutputError, ResidualNoise, Segments
 from pinmobile.identification.weak_form import extrapolated, rows_of
 from pinmobile.parts import evolved
 from tests.damage import answer, damaged

@@ -29,8 +29,7 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.benchmarking import NOMINAL, STANDARD
-from pinmobile.controllers.lqr import riccati
-from pinmobile.controllers.tracked_model import tracked_model
+from pinmobile.controllers.lqr import riccati, tracked_model
 from pinmobile.parts import evolved
 from tests.parts import Waving
 

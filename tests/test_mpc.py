@@ -29,8 +29,7 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.benchmarking import NOMINAL, STANDARD
-from pinmobile.controllers.lqr import riccati
-from pinmobile.controllers.tracked_model import tracked_model
+from pinmobile.controllers.lqr import riccati, tracked_model
 
 HEAVY, LOADED = (STANDARD[name].robot for name in ("mass +20 %", "com off"))
 WHEELED = WheeledRobot(NOMINAL, WheelTable.differential(0.1, 0.4))
@@ -159,9 +158,9 @@ def test_an_ensemble_says_why_it_is_slow_and_how_long_many_would_take() -> None:
 def test_a_program_that_fails_keeps_its_state_and_problem(monkeypatch: pytest.MonkeyPatch) -> None:
     from daqp import solve
 
-    from pinmobile.controllers import condensed
+    from pinmobile.controllers import mpc
 
-    monkeypatch.setattr(condensed, "solver", lambda: lambda H, *given, **no: (np.zeros(len(H)), 0.0, -1, {}))
+    monkeypatch.setattr(mpc, "solver", lambda: lambda H, *given, **no: (np.zeros(len(H)), 0.0, -1, {}))
     start = SHORT(0.0).q + np.array([-0.3, -0.5, 0.4])
     with pytest.raises(NotSolved, match="at t = 0 s has no solution") as caught:
         asked(MPC(NOMINAL, 4, limits=(22, 22, 3)), NOMINAL, start, SHORT(0.0).v)
@@ -181,7 +180,7 @@ def test_a_program_begins_with_the_bounds_of_the_one_before_which_changes_nothin
 ) -> None:
     from daqp import solve
 
-    from pinmobile.controllers import condensed
+    from pinmobile.controllers import mpc
 
     tries: list[tuple[bool, int]] = []
 
@@ -199,7 +198,7 @@ def test_a_program_begins_with_the_bounds_of_the_one_before_which_changes_nothin
     start, runs = SHORT(0.0).q + np.array([-0.3, -0.5, 0.4]), []
     box = np.array([np.inf, 0.7, np.inf, 1.0, 1.0, np.inf])
     for fails in (False, True):
-        monkeypatch.setattr(condensed, "solver", lambda fails=fails: told(fails))
+        monkeypatch.setattr(mpc, "solver", lambda fails=fails: told(fails))
         controller = MPC(NOMINAL, limits=(22, 22, 3), lower=-box, upper=box, observer=0)
         given: Any = {"dt": 0.01, "q0": start, "v0": SHORT(0.0).v, "duration": 0.3}
         runs.append(simulate(NOMINAL, controller, SHORT, **given))

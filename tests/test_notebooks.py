@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from pinmobile import ViewerError
-from pinmobile.viewer.chromium import find_chromium
+from pinmobile.viewer.recording import find_chromium
 from tests.chromium import Chromium
 
 SOURCES = sorted((Path(__file__).parents[1] / "notebooks").glob("[0-9][0-9]_*.py"))

@@ -12,7 +12,7 @@ import pytest
 import pinmobile
 from pinmobile import ViewerError
 from pinmobile.cli.run import EXPECTED
-from pinmobile.viewer.chromium import find_chromium
+from pinmobile.viewer.recording import find_chromium
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()

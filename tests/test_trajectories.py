@@ -23,7 +23,7 @@ from pinmobile.paths import (
     Spline,
     pieces_of,
 )
-from pinmobile.paths.polynomials import PiecewisePolynomial, Polynomial
+from pinmobile.paths.path import PiecewisePolynomial, Polynomial
 from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent, Trajectory
 
 derandomised = settings(derandomize=True, deadline=None, max_examples=60)

@@ -44,8 +44,7 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.palette import colour
 from pinmobile.viewer import Arrows, Follow, Overlays, Recording, Stay, Viewer
-from pinmobile.viewer.chromium import Browser
-from pinmobile.viewer.recording import gif as encoded_gif
+from pinmobile.viewer.recording import Browser, gif as encoded_gif
 from tests.chromium import Chromium, Page
 
 pytestmark = pytest.mark.once
@@ -722,7 +721,7 @@ def test_no_chromium_is_said_before_anything_is_written(
     recording = viewer.record(runs)
     monkeypatch.setenv("PINMOBILE_CHROMIUM", "")
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr("pinmobile.viewer.chromium._NAMES", ("chromium",))
+    monkeypatch.setattr("pinmobile.viewer.recording._NAMES", ("chromium",))
     with pytest.raises(ViewerError, match=r"no Chromium was found.*PINMOBILE_CHROMIUM"):
         recording.screenshot(tmp_path / "a.png")
     monkeypatch.setenv("PINMOBILE_CHROMIUM", "nothing")

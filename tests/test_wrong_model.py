@@ -35,7 +35,7 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.benchmarking import NOMINAL, STANDARD, contestants
-from pinmobile.controllers.tracking_errors import passive_torque
+from pinmobile.controllers.controller import passive_torque
 from pinmobile.parts import find, replace
 from pinmobile.plant import Context
 from tests.parts import Waving

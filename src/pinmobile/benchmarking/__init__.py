@@ -7,8 +7,7 @@ from types import MappingProxyType
 from typing import Any
 
 from pinmobile.arrays import callable_as
-from pinmobile.benchmarking.judgement import Benchmark
-from pinmobile.benchmarking.scores import Score, scored
+from pinmobile.benchmarking.judgement import Benchmark, Score, scored
 from pinmobile.benchmarking.situation import NOMINAL, BenchmarkScenario
 from pinmobile.controllers import (
     ADRC,

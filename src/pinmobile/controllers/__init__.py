@@ -6,10 +6,8 @@ and returns the next one (None where it has no memory, see `initial_state`). q, 
 leading axes. `Saturated`, `Delayed` and `NoisyMeasurement` wrap any of them, and each other.
 """
 
-from pinmobile.controllers.adaptive import Adaptive
-from pinmobile.controllers.adaptive_velocity import AdaptiveVelocity
+from pinmobile.controllers.adaptive import Adaptive, AdaptiveVelocity
 from pinmobile.controllers.backstepping import Backstepping, SwerveTracking
-from pinmobile.controllers.condensed import solver as solver
 from pinmobile.controllers.controller import (
     Controller,
     State,
@@ -31,8 +29,7 @@ from pinmobile.controllers.feedback import (
     gain_matrix,
 )
 from pinmobile.controllers.lqr import LQR
-from pinmobile.controllers.mpc import MPC
-from pinmobile.controllers.observer import ADRC, DisturbanceObserver
+from pinmobile.controllers.mpc import MPC, solver as solver
 from pinmobile.controllers.sliding import SlidingMode, SuperTwisting
 from pinmobile.controllers.steering import (
     Changing,
@@ -43,7 +40,14 @@ from pinmobile.controllers.steering import (
     Tracked,
     Tracking,
 )
-from pinmobile.controllers.wrappers import Allocated, Delayed, NoisyMeasurement, Saturated
+from pinmobile.controllers.wrappers import (
+    ADRC,
+    Allocated,
+    Delayed,
+    DisturbanceObserver,
+    NoisyMeasurement,
+    Saturated,
+)
 from pinmobile.parts import Gravitating as Gravity, Invertible as InverseDynamics
 
 __all__ = [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -271,3 +271,45 @@ def law(function: Callable[[float, Array, Array, Any], ArrayLike]) -> Controller
         If it cannot be called so.
     """
     return _Law(function)
+
+
+class Combined(NamedTuple):
+    """The error of a state from its reference, combined (Slotine and Li, 1987), each of shape (..., n).
+
+    Attributes
+    ----------
+    s : ndarray
+        e' + slope e, the distance from the surface on which errors vanish by themselves.
+    velocity, acceleration : ndarray
+        v_r = v_d + slope e and a_r = a_d + slope e'.
+    """
+
+    s: Array
+    velocity: Array
+    acceleration: Array
+
+
+def combined(law: Any, q: Array, v: Array, reference: State) -> Combined:
+    """Return the combined error of a law with `robot`, `slope` and `difference`.
+
+    Raises
+    ------
+    InvalidArgument
+        If state and reference do not fit together.
+    """
+    for name, actual, desired in (("q", q, reference.q), ("v", v, reference.v)):
+        if actual.shape[-1:] != desired.shape[-1:]:
+            raise InvalidArgument(f"{name} has shape {actual.shape}, the reference's has {desired.shape}")
+    slope, difference = law.slope, law.difference or law.robot.difference
+    error, rate = difference(q, reference.q), np.subtract(reference.v, v)
+    return Combined(rate + slope * error, reference.v + slope * error, reference.a + slope * rate)
+
+
+def passive_torque(robot: Any, q: Array, v: Array, velocity: Array, acceleration: Array) -> Array:
+    """Return M a_r + C(q, v) v_r + g, shape (..., n), with C of Christoffel's symbols.
+
+    n - g is quadratic in v, and C(q, v) v_r its symmetric bilinear form: at half the sum of both less at half
+    their difference.
+    """
+    forward = robot.inverse_dynamics(q, 0.5 * (v + velocity), acceleration)
+    return np.asarray(forward - robot.nonlinear_effects(q, 0.5 * (v - velocity)) + robot.gravity(q))

@@ -8,7 +8,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, real
 from pinmobile.controllers.controller import State
-from pinmobile.controllers.held import check_held, double_integrators
+from pinmobile.controllers.lqr import check_held, double_integrators
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Comparing, Gravitating, Inverted, Invertible, able, child, gain, option, part
 from pinmobile.plant import Context, Difference, check_difference, leading_of

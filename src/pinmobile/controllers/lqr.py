@@ -2,24 +2,351 @@
 
 from __future__ import annotations
 
-from typing import Any, final
+import hashlib
+from collections.abc import Callable
+from functools import cached_property, partial
+from typing import Any, NamedTuple, TypeVar, final
+from weakref import WeakKeyDictionary
 
+import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, frozen
+from pinmobile.arrays import Array, ArrayLike, finite, frozen
+from pinmobile.compiled.identity import is_constant
 from pinmobile.controllers.controller import State
-from pinmobile.controllers.tracked_model import (
-    Weighted,
-    check_moves,
-    remembered,
-    tracked_errors,
-    tracked_model,
-    weighting,
-    whole_reference,
-)
-from pinmobile.errors import InvalidArgument
-from pinmobile.parts import Linearized, child, number, part
-from pinmobile.plant import Context
+from pinmobile.errors import InvalidArgument, NotTraceable, shown
+from pinmobile.parts import Followed, Linearized, Rolling, able, child, number, option, part
+from pinmobile.plant import Context, Input, inputs_of
+
+_BASE = 3
+_MOST = 4  # designs that are remembered of a robot
+_SYMMETRIC = 1e-9  # of the largest number, by which a matrix may differ from its transpose
+_STILL = 1e-6  # [m/s, rad/s], below which a reference is at rest
+_T = TypeVar("_T")
+
+
+class TrackedModel(NamedTuple):
+    """First-order model of the tracked state, and what goes along the reference.
+
+    Its state is the error of the reference's coordinates, of which there are n, and of the independent
+    velocities, m of them: of a robot that is pushed they are its v.
+
+    Attributes
+    ----------
+    A, B : ndarray, shape (N + 1, n + m, n + m), (N + 1, n + m, nu)
+        Of each sample: d(dx)/dt = A dx + B du.
+    u, nu : ndarray, shape (N + 1, nu), (N + 1, m)
+        Input and independent velocities of the reference.
+    """
+
+    A: Array
+    B: Array
+    u: Array
+    nu: Array
+
+    def discrete(self, h: float) -> tuple[Array, Array]:
+        """Return A and B of a step h with the input held, by the matrix exponential.
+
+        Parameters
+        ----------
+        h : float
+            Time between two samples [s].
+        """
+        from scipy.linalg import expm
+
+        k, n, m = self.B.shape
+        whole = np.zeros((k, n + m, n + m))
+        whole[:, :n, :n], whole[:, :n, n:] = self.A, self.B
+        found = expm(h * whole)
+        return found[:, :n, :n], found[:, :n, n:]
+
+
+def lawful(robot: Any) -> Any:
+    """Return what a robot is on arrays, the same in all engines; itself where it is nothing else."""
+    try:
+        return getattr(robot, "array_dynamics", robot)
+    except NotTraceable:
+        return robot
+
+
+def tracked_model(robot: Any, reference: State) -> TrackedModel:
+    """Return the first-order model of a robot along a reference.
+
+    Parameters
+    ----------
+    robot : MobileRobot or WheeledRobot
+        The model.
+    reference : Reference
+        q, v and a at all samples, shape (N + 1, ...).
+
+    Raises
+    ------
+    InvalidArgument
+        If it has not all tracked coordinates, or wheels cannot follow it.
+    """
+    body = lawful(robot)
+    if following := able(body, Followed):
+        along = following.followed(reference)
+        A, B = body.linearize_tracked(along.q, along.v, along.u)
+        return TrackedModel(A, B, along.u, along.nu)
+    q, v, a = reference.q, reference.v, reference.a
+    if v.shape[-1] != body.nv:
+        raise InvalidArgument(
+            f"reference has {v.shape[-1]} coordinates, expected all of the robot, {body.nv}: a motion of "
+            "base and arms is WholeBody(robot, base, *joints)"
+        )
+    u = body.inverse_dynamics(q, v, a)
+    A, B = body.linearize_tracked(q, v, u)
+    return TrackedModel(A, B, np.asarray(u), v)
+
+
+def sizes_of(robot: Any) -> tuple[int, int, int]:
+    """Return how many coordinates are tracked, independent velocities and inputs there are."""
+    if not isinstance(robot.nv, int):
+        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot or a WheeledRobot")
+    still = np.zeros(robot.nv)
+    A, B = robot.linearize_tracked(robot.rest, still, np.zeros(robot.nu))
+    m = len(robot.reduced(robot.rest, still).nu) if able(robot, Rolling) else int(robot.nv)
+    return A.shape[-1] - m, m, B.shape[-1]
+
+
+def weights_of(robot: Any) -> tuple[Array, Array]:
+    """Return the usual weights of the tracked state and of the input, as diagonals.
+
+    Errors cost 400 / m^2 and 100 / rad^2, of velocities 20 and 5, forces 1e-3 / N^2, moments 2e-2 / (N m)^2,
+    and volts what the torque costs that they give at rest.
+    """
+    n, m, _ = sizes_of(robot)
+    arms = n - _BASE
+    own = {3: (20.0, 20.0, 5.0), 2: (20.0, 5.0), 1: (20.0,)}[m - arms]
+    units = [each.unit for each in robot.coordinates[_BASE:n]]
+    places = [400.0, 400.0, 100.0, *(400.0 if unit == "m" else 100.0 for unit in units)]
+    speeds = [*own, *(20.0 if unit == "m" else 5.0 for unit in units)]
+    inputs: tuple[Input, ...] = inputs_of(robot)
+    costs = np.array([1e-3 if each.unit == "N" else 2e-2 for each in inputs])
+    if hasattr(robot, "torques_at"):
+        largest = np.array([each.upper if each.unit == "V" else 1.0 for each in inputs])
+        costs *= (robot.torques_at(np.zeros(robot.nv), largest) / largest) ** 2
+    return np.array(places + speeds), costs
+
+
+class Weighted:
+    """What weighs the errors of a robot along a reference, and its inputs."""
+
+    robot: Any
+    Q: Any
+    R: Any
+    input_weight: float
+
+    @cached_property
+    def _sizes(self) -> tuple[int, int, int]:
+        return sizes_of(self.robot)
+
+    @cached_property
+    def _usual(self) -> tuple[Array, Array]:
+        return weights_of(self.robot)
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` where a weight has not the size of what it weighs."""
+        n, m, inputs = self._sizes
+        for name, size in (("Q", n + m), ("R", inputs)):
+            if len(getattr(self, name)) != size:
+                raise InvalidArgument(
+                    f"{name} weighs {len(getattr(self, name))} numbers, expected {size}: shape ({size},) or "
+                    f"({size}, {size})"
+                )
+
+
+def weighting(index: int, doc: str) -> Any:
+    """Declare Q or R of what is `Weighted`: a diagonal or a matrix, kept as matrix."""
+    usual = attrs.Factory(lambda self: self._usual[index], takes_self=True)
+    return option(default=usual, doc=doc, check=partial(weight, above=index == 1))
+
+
+def weight(name: str, value: ArrayLike, *, above: bool) -> Array:
+    """Check a weight, a diagonal of shape (n,) or a matrix, and return the matrix, frozen.
+
+    Parameters
+    ----------
+    name : str
+        Of the argument.
+    value : array_like
+        The weight.
+    above : bool
+        Whether it must be positive definite; else semidefinite.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is something else.
+    """
+    given = finite(name, value)
+    if given.ndim not in (1, 2) or given.shape[0] != given.shape[-1] or not given.size:
+        raise InvalidArgument(f"{name} has shape {given.shape}, expected (n,) or (n, n)")
+    matrix = np.diag(given) if given.ndim == 1 else given
+    largest = np.abs(matrix).max()
+    if np.abs(matrix - matrix.T).max() > _SYMMETRIC * largest:
+        raise InvalidArgument(f"{name} is not symmetric, expected a symmetric matrix")
+    least = float(np.linalg.eigvalsh(matrix)[0])
+    if not (least > 0 if above else least >= -_SYMMETRIC * largest):
+        definite = "positive definite" if above else "positive semidefinite"
+        raise InvalidArgument(f"{name} has the eigenvalue {least:.3g}, expected a {definite} matrix")
+    return frozen(matrix)
+
+
+def whole_reference(context: Context, robot: Any) -> Any:
+    """Return the reference of all samples, along which a robot is linearised whose inputs are the plant's.
+
+    Parameters
+    ----------
+    context : Context
+        What a controller is told before the first sample.
+    robot : robot
+        The model that it believes in.
+
+    Raises
+    ------
+    InvalidArgument
+        If the context has none, as in calls by hand, or one takes volts and the other does not.
+    """
+    theirs, own = ([each.unit for each in inputs] for inputs in (context.inputs, inputs_of(robot)))
+    if len(theirs) == len(own) and ([unit == "V" for unit in theirs] != [unit == "V" for unit in own]):
+        raise InvalidArgument(
+            f"robot has inputs in {', '.join(own)}, and what is driven in {', '.join(theirs)}, expected a "
+            "robot of the same inputs: by_voltage() of wheels takes volts, and Driven(controller, robot) "
+            "gives volts for torques"
+        )
+    if context.reference is None:
+        raise InvalidArgument(
+            "context has no reference, along which the robot is linearised, expected "
+            "Context.of(plant, dt=..., t=..., reference=...)"
+        )
+    return context.reference
+
+
+def check_moves(robot: Any, reference: Any, nu: Array, t: float) -> None:
+    """Refuse a reference that ends at rest, of a robot that cannot move in every direction.
+
+    There the first-order model cannot be controlled: no force moves it sideways.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is such.
+    """
+    if nu.shape[-1] < reference.v.shape[-1] and np.abs(reference.v[-1, :_BASE]).max() < _STILL:
+        raise InvalidArgument(
+            f"reference ends at rest, at t = {t:g} s, where a {type(robot).__name__} that cannot move "
+            "sideways cannot be controlled to first order, so that no gain exists; expected a reference that "
+            "still moves at its end, a shorter duration=, or Backstepping(law, robot)"
+        )
+
+
+_designs: WeakKeyDictionary[Any, dict[Any, Any]] = WeakKeyDictionary()
+
+
+def remembered(robot: Any, what: tuple[object, ...], arrays: tuple[Array, ...], make: Callable[[], _T]) -> _T:
+    """Return what follows from a robot and some arrays, made once.
+
+    Parameters
+    ----------
+    robot : robot
+        What is constant is remembered with it.
+    what : tuple
+        What else it follows from.
+    arrays : tuple of ndarray
+        What it follows from.
+    make : callable
+        Makes it.
+    """
+    if not is_constant(robot):
+        return make()
+    digest = hashlib.sha256()
+    for each in arrays:
+        digest.update(f"{each.shape}".encode() + np.ascontiguousarray(each).tobytes())
+    designs = _designs.setdefault(robot, {})
+    key = (*what, digest.digest())
+    found = designs.get(key)
+    if found is None:
+        found = make()
+        for old in list(designs)[: max(0, len(designs) - _MOST + 1)]:
+            designs.pop(old, None)
+        designs[key] = found
+    return found
+
+
+def tracked_errors(robot: Any, q: Array, v: Array, reference: State, nu: Array) -> Array:
+    """Return the errors of the tracked state, shape (..., n + m), of a state from a reference and its nu."""
+    length, n = np.shape(reference.q)[-1], np.shape(reference.v)[-1]
+    if not able(robot, Rolling):
+        return np.concatenate([robot.difference(q, reference.q), nu - v], axis=-1)
+    desired = np.broadcast_to(reference.q, (*np.shape(q)[:-1], length))
+    whole = np.concatenate([desired, q[..., length:]], axis=-1)
+    return np.concatenate([robot.difference(q, whole)[..., :n], nu - robot.independent(q, v)], axis=-1)
+
+
+_ROUNDING = 1e-7  # by which an eigenvalue of a double root at 1 is computed too large
+_SHARE = 1e-3  # of a time step, below which a bound is none
+
+
+def double_integrators(dt: float, kp: Array, kd: Array, ki: Array) -> Array:
+    """Return the loop of x'' = u, u = -kp x - kd x' + ki z, z' = -x, with u held, shape (..., 3 n, 3 n).
+
+    The integral z is summed by explicit Euler after u. Gains are matrices, shape (..., n, n).
+    """
+    kp, kd, ki = np.broadcast_arrays(kp, kd, ki)
+    one = np.eye(kp.shape[-1])
+    force = np.concatenate([-kp, -kd, ki], axis=-1)
+    rows = ([one, dt * one, 0 * one], [0 * one, one, 0 * one], [-dt * one, 0 * one, one])
+    pushes = np.concatenate([dt * dt / 2 * one, dt * one, 0 * one])
+    return np.asarray(np.block([list(row) for row in rows]) + pushes @ force)
+
+
+def diagonal(gain: Array) -> Array:
+    """Return gains of each coordinate, shape (..., n), as matrices."""
+    return np.asarray(gain[..., None] * np.eye(gain.shape[-1]))
+
+
+def check_held(gains: Callable[[], dict[str, Any]], loop: Callable[[float], Array], dt: float) -> None:
+    """Refuse gains with which a loop of a rigid robot, its model exact, is unstable at this time step.
+
+    Gains that are symbols, of robots that each have their own, are not looked at.
+
+    Parameters
+    ----------
+    gains : callable
+        Returns them by name, for the message.
+    loop : callable
+        ``loop(dt)`` returns the matrix from one sample's error to the next one's, shape (..., k, k).
+    dt : float
+        Time between two samples [s].
+
+    Raises
+    ------
+    InvalidArgument
+        If an eigenvalue lies outside the unit circle; with the longest time step at which none does.
+    """
+
+    def is_stable(step: float) -> bool:
+        return bool((np.abs(np.linalg.eigvals(loop(step))) <= 1 + _ROUNDING).all())
+
+    try:
+        given = {name: np.asarray(gain, np.float64) for name, gain in gains().items()}
+        if is_stable(dt):
+            return
+    except (NotTraceable, TypeError):
+        return
+    words = ", ".join(f"{name} = {np.unique(gain).tolist()}" for name, gain in given.items())
+    good, bad = 0.0, dt
+    for _ in range(40):
+        middle = (good + bad) / 2
+        good, bad = (middle, bad) if is_stable(middle) else (good, middle)
+    if good < _SHARE * dt:
+        raise InvalidArgument(f"gains {words} are unstable at any dt, expected others")
+    raise InvalidArgument(
+        f"gains {words} are unstable with an input that is held for dt = {dt:g} s, expected "
+        f"dt < {good:.3g} s, or smaller gains"
+    )
 
 
 @final

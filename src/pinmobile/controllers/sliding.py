@@ -7,10 +7,9 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.controllers.controller import State
+from pinmobile.controllers.controller import State, combined, passive_torque
 from pinmobile.controllers.feedback import SLOPE, OfBody, comparison, coordinates_of
-from pinmobile.controllers.held import check_held, diagonal, double_integrators
-from pinmobile.controllers.tracking_errors import combined, passive_torque
+from pinmobile.controllers.lqr import check_held, diagonal, double_integrators
 from pinmobile.parts import Passive, child, each, part
 from pinmobile.plant import Context
 

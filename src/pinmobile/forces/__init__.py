@@ -5,12 +5,14 @@ from pinmobile.forces.force import (
     ConstantForce,
     CoordinateForce,
     Force,
+    JointFriction,
     NoiseForce,
     Payload,
+    RollingResistance,
     SinusoidalForce,
+    ViscousFriction,
     noise_frequencies,
 )
-from pinmobile.forces.friction import JointFriction, RollingResistance, ViscousFriction
 
 __all__ = [
     "Carried",

@@ -3,9 +3,9 @@
 from pinmobile.identification.estimate import Identification
 from pinmobile.identification.log import INSTEAD as INSTEAD, Log
 from pinmobile.identification.motions import Excitation, excitation
-from pinmobile.identification.prediction import Prediction
 from pinmobile.identification.procedure import METHODS as METHODS, identify
 from pinmobile.identification.published import VELOCITY_ROBOTS
+from pinmobile.identification.velocity_fit import Prediction
 from pinmobile.identification.velocity_identification import VelocityIdentification, identify_velocity
 from pinmobile.identification.velocity_robot import VelocityRobot
 

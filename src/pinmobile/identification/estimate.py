@@ -15,12 +15,10 @@ from pinmobile.arrays import Array, frozen, scalar, seeded, whole
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import JointFriction, RollingResistance, ViscousFriction
 from pinmobile.identification.chassis import Chassis
-from pinmobile.identification.cleaning import Cleaned
+from pinmobile.identification.cleaning import Cleaned, Slippage
 from pinmobile.identification.log import Log
-from pinmobile.identification.output_error import OutputError, Segments
-from pinmobile.identification.prediction import POSE, Prediction
-from pinmobile.identification.slippage import Slippage
-from pinmobile.identification.whiteness import Whiteness
+from pinmobile.identification.output_error import OutputError, Segments, Whiteness
+from pinmobile.identification.velocity_fit import POSE, Prediction
 from pinmobile.parts import evolved
 from pinmobile.robot import MobileRobot
 from pinmobile.urdf import Body

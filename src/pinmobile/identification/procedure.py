@@ -12,15 +12,19 @@ import numpy as np
 from pinmobile.arrays import Array, one_of, positive, scalar
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification.chassis import Chassis
-from pinmobile.identification.cleaning import Cleaned
+from pinmobile.identification.cleaning import Cleaned, Slippage
 from pinmobile.identification.estimate import Identification
 from pinmobile.identification.log import Log, check_steps, logs_of
 from pinmobile.identification.observability import Setting, in_words
-from pinmobile.identification.output_error import Estimate, OutputError, Segments
-from pinmobile.identification.residual_noise import ResidualNoise
-from pinmobile.identification.slippage import Slippage
+from pinmobile.identification.output_error import (
+    Estimate,
+    OutputError,
+    ResidualNoise,
+    Segments,
+    Whiteness,
+    whiteness,
+)
 from pinmobile.identification.weak_form import WINDOW, Fit, extrapolated, rows_of, solve
-from pinmobile.identification.whiteness import Whiteness, whiteness
 from pinmobile.robot import Load, MobileRobot
 from pinmobile.wheels import WheeledRobot, WheelTable
 

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, ArrayLike, affordable, frozen, positive, scalar, seeded, whole
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification.log import Log, Samples, check_steps, check_units, logs_of
-from pinmobile.identification.prediction import POSE, SPEEDS, Prediction
-from pinmobile.identification.velocity_body import ABOVE_ZERO, THETA
 from pinmobile.identification.velocity_fit import (
+    POSE,
+    SPEEDS,
     Fit,
     Model,
+    Prediction,
     Segments,
     cut,
     fit,
@@ -27,7 +28,7 @@ from pinmobile.identification.velocity_fit import (
     speeds,
     unexplained,
 )
-from pinmobile.identification.velocity_robot import VelocityRobot, limits_of
+from pinmobile.identification.velocity_robot import ABOVE_ZERO, THETA, VelocityRobot, limits_of
 
 _LEAST_SEGMENTS = 20
 _LATEST = 0.6  # [s]: longest delay that is looked for

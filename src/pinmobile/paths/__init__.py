@@ -1,8 +1,6 @@
 """Curves as functions of time: cubics, lines, polylines, figures; elsewhere, one after another."""
 
-from pinmobile.paths.composite import CompositePath
-from pinmobile.paths.curves import CubicVia, Hold, Line, RestToRest, Spline
-from pinmobile.paths.figures import Circle, Lissajous
+from pinmobile.paths.curves import Circle, CubicVia, Hold, Line, Lissajous, RestToRest, Spline
 from pinmobile.paths.path import (
     Moved,
     Path,
@@ -13,7 +11,7 @@ from pinmobile.paths.path import (
     pieces_of,
     within,
 )
-from pinmobile.paths.polyline import Polyline
+from pinmobile.paths.polyline import CompositePath, Polyline
 
 __all__ = [
     "Circle",

@@ -1,9 +1,7 @@
 """Figures of rollouts, reports and ensembles: matplotlib without pyplot, so no window is needed."""
 
-from pinmobile.plots.bands import bands
-from pinmobile.plots.comparison import end_effector, prediction
-from pinmobile.plots.contest import benchmark
-from pinmobile.plots.drivers import drivers
+from pinmobile.plots.comparison import benchmark, end_effector, prediction
+from pinmobile.plots.drivers import bands, drivers
 from pinmobile.plots.plane import animate, path
 from pinmobile.plots.series import balance, errors, forces, reaction, signals, states
 from pinmobile.plots.swept import curves, heatmap, integrator

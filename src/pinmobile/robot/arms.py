@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, frozen, one_of
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot.joints import (
+from pinmobile.robot.linkage import (
     Joint,
     carries_only_wheels,
     children,

@@ -5,21 +5,27 @@ It is what a `MobileRobot` with arms is to compiled loops and to loops on arrays
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, Self, final
+from typing import Any, ClassVar, NamedTuple, Self, final
 
 import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, frozen, wrap_angle
+from pinmobile.closed_form import (
+    Numbers,
+    unchecked_coriolis_matrix,
+    unchecked_forward_dynamics,
+    unchecked_inverse_dynamics,
+    unchecked_mass_matrix,
+)
 from pinmobile.compiled import Node, plain, symbols
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.measures import Measure
 from pinmobile.parts import is_symbolic
 from pinmobile.plant import Coordinate, Input
-from pinmobile.robot.complex_step import linearized
 from pinmobile.robot.linkage import (
     ZERO,
     Body,
@@ -44,6 +50,152 @@ from pinmobile.robot.linkage import (
 from pinmobile.robot.mounts import assemble, named_frames
 from pinmobile.robot.recursions import Moving, Posture, by_matrix, operations
 from pinmobile.robot.stance import Judgement
+
+_STEP = 1e-30  # its square is nothing beside any number
+_SAMPLES = 256  # of which slopes are found at once
+
+
+def slopes(function: Callable[..., Any], directions: Array, *given: Array) -> Array:
+    """Return the derivatives of a function along directions, shape (..., m, k).
+
+    Parameters
+    ----------
+    function : callable
+        ``function(step, *given)``, analytic in the step, shape (..., n); it broadcasts over leading axes, and
+        returns an array of shape (..., m).
+    directions : ndarray, shape (k, n)
+        Of the steps.
+    *given : ndarray, shape (..., size)
+        Where the derivatives are taken; of one leading shape.
+    """
+    lead = given[0].shape[:-1]
+    flat = [x.reshape(-1, 1, x.shape[-1]) for x in given]
+    found = [
+        function(1j * _STEP * directions, *(x[i : i + _SAMPLES] for x in flat)).imag / _STEP
+        for i in range(0, len(flat[0]), _SAMPLES)
+    ]
+    whole = np.concatenate(found)  # (samples, k, m)
+    return np.asarray(np.swapaxes(whole, -1, -2)).reshape(*lead, whole.shape[-1], len(directions))
+
+
+def linearized(body: Any, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
+    """Return A and B of a body that is pushed, as `MobileRobot.linearize` has them, of its law on arrays.
+
+    Parameters
+    ----------
+    body : PlanarBody or ArticulatedBody
+        Each of whose joints moves along or about one axis.
+    q, v, u : ndarray, shape (..., nq), (..., nv), (..., nv)
+        State and generalised force.
+    """
+    n = int(body.nv)
+    q, v, u = (np.asarray(x, np.float64) for x in (q, v, u))
+    lead = np.broadcast_shapes(q.shape[:-1], v.shape[:-1], u.shape[:-1])
+    q, v, u = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v, u))
+
+    def accelerations(step: Array, q: Array, v: Array, u: Array) -> Any:
+        moved = body.integrate(q, step[..., :n]), v + step[..., n : 2 * n], u + step[..., 2 * n :]
+        return body.forward_dynamics(*moved)
+
+    # Nothing follows from where the body is.
+    found = slopes(accelerations, np.eye(3 * n)[2:], q, v, u)
+    A, B = np.zeros((*lead, 2 * n, 2 * n)), np.zeros((*lead, 2 * n, n))
+    A[..., :n, n:] = np.eye(n)
+    A[..., n:, 2:] = found[..., : 2 * n - 2]
+    B[..., n:, :] = found[..., 2 * n - 2 :]
+    return A, B
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class PlanarDynamics:
+    """A body in the plane, by the closed forms of `pinmobile.closed_form`, unchecked.
+
+    Parameters
+    ----------
+    mass, yaw_inertia, com_x, com_y : float, ndarray or symbols, shape (...)
+        Mass [kg], inertia about the vertical through the centre of mass [kg m^2], and centre of mass in the
+        body frame [m].
+    """
+
+    mass: Numbers
+    yaw_inertia: Numbers
+    com_x: Numbers = 0.0
+    com_y: Numbers = 0.0
+
+    nq: ClassVar[int] = 3
+    nv: ClassVar[int] = 3
+    nu: ClassVar[int] = 3
+    leading: ClassVar[dict[int, int]] = {3: 3}
+    coordinates: ClassVar[tuple[Coordinate, ...]] = (
+        Coordinate("x", "m", rate="vx"),
+        Coordinate("y", "m", rate="vy"),
+        Coordinate("psi", "rad", rate="yaw_rate"),
+    )
+    inputs: ClassVar[tuple[Input, ...]] = (Input("Fx", "N"), Input("Fy", "N"), Input("Mz", "N m"))
+
+    @property
+    def _body(self) -> tuple[Numbers, Numbers, Numbers, Numbers]:
+        return self.mass, self.yaw_inertia, self.com_x, self.com_y
+
+    def forward_dynamics(self, q: Array, v: Array, u: Array, f: Numbers = 0.0) -> Array:
+        """Return the acceleration, shape (..., 3)."""
+        return unchecked_forward_dynamics(q, v, u + f, *self._body)
+
+    def mass_matrix(self, q: Array) -> Array:
+        """Return M(q), shape (..., 3, 3)."""
+        return unchecked_mass_matrix(q, *self._body)
+
+    def coriolis_matrix(self, q: Array, v: Array) -> Array:
+        """Return C(q, v), shape (..., 3, 3), with C v = n."""
+        return unchecked_coriolis_matrix(q, v, self.mass, self.com_x, self.com_y)
+
+    def kinetic_energy(self, q: Array, v: Array) -> Array:
+        """Return v . M(q) v / 2, shape (...)."""
+        twice: Array = np.sum(v * self.inverse_dynamics(q, 0.0 * v, v), axis=-1)
+        return twice / 2
+
+    def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
+        """Return M(q) a + n(q, v), shape (..., 3)."""
+        return unchecked_inverse_dynamics(q, v, a, *self._body)
+
+    def nonlinear_effects(self, q: Array, v: Array) -> Array:
+        """Return n(q, v), shape (..., 3)."""
+        return unchecked_inverse_dynamics(q, v, np.zeros(np.shape(v)), *self._body)
+
+    def gravity(self, q: Array) -> Array:
+        """Return zeros, shape (..., 3): the ground is level."""
+        return np.zeros(np.shape(q))
+
+    def linearize_tracked(self, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
+        """Return A, shape (..., 6, 6), and B, (..., 6, 3), see `MobileRobot.linearize`."""
+        return linearized(self, q, v, u)
+
+    def integrate(self, q: Array, dq: Array) -> Array:
+        """Return q + dq."""
+        return q + dq
+
+    def difference(self, q0: Array, q1: Array) -> Array:
+        """Return q1 - q0, shape (..., 3), with the difference of the heading wrapped."""
+        d = q1 - q0
+        return np.stack([d[..., 0], d[..., 1], wrap_angle(d[..., 2])], axis=-1)
+
+    def pose(self, q: Array) -> Array:
+        """Return q."""
+        return q
+
+    def rate(self, q: Array, v: Array) -> Array:
+        """Return v."""
+        return v
+
+    def effort(self, q: Array, wrench: Array) -> Array:
+        """Return the wrench."""
+        return wrench
+
+    def start(self, reference: Any) -> tuple[Array, Array]:
+        """Return the reference's configuration and velocity."""
+        return reference.q, reference.v
+
 
 _BASE = 3  # joints, coordinates and numbers of q of the base; the last carries its body
 _SHARED = 1.05  # the way by the mass matrix shares products of velocities with a controller's own dynamics

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike, finite
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot.joints import children, turns_freely
+from pinmobile.robot.linkage import children, turns_freely
 from pinmobile.robot.stance import Stance, hull, margin_inside
 from pinmobile.robot.visuals import VisualFile, found
 from pinmobile.robot.wellformed import numbers

@@ -43,8 +43,8 @@ from pinmobile.parts import (
     walk,
 )
 from pinmobile.robot.arms import check_whole
-from pinmobile.robot.articulated import ArticulatedDynamics, Tree
-from pinmobile.robot.joints import BODY_JOINT
+from pinmobile.robot.articulated import ArticulatedDynamics, PlanarDynamics, Tree
+from pinmobile.robot.linkage import BODY_JOINT
 from pinmobile.robot.mounts import (
     Load,
     Mount,
@@ -56,14 +56,28 @@ from pinmobile.robot.mounts import (
     placed,
 )
 from pinmobile.robot.pinocchio_calls import Engine, UncheckedDynamics, in_public_order
-from pinmobile.robot.planar import PlanarDynamics
-from pinmobile.robot.reading import LOCKED, Reading, build_model, check_chain, read_model, read_urdf
-from pinmobile.robot.solids import Solids, body_box, body_shapes, carried_shapes
+from pinmobile.robot.reading import (
+    LOCKED,
+    Reading,
+    Undercarriage,
+    build_model,
+    check_chain,
+    read_model,
+    read_urdf,
+)
 from pinmobile.robot.sources import existing_folders, read_arm
 from pinmobile.robot.stance import Judgement, Stance
 from pinmobile.robot.system import System, by_values
-from pinmobile.robot.undercarriage import Undercarriage
-from pinmobile.robot.visuals import VisualFile, add_carried, box_visuals, read_visuals
+from pinmobile.robot.visuals import (
+    Solids,
+    VisualFile,
+    add_carried,
+    body_box,
+    body_shapes,
+    box_visuals,
+    carried_shapes,
+    read_visuals,
+)
 from pinmobile.robot.wellformed import check_freedom
 
 

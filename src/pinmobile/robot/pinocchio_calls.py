@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, broadcast, finite_answer
-from pinmobile.robot.joints import BODY_JOINT
+from pinmobile.robot.linkage import BODY_JOINT
 from pinmobile.robot.mounts import Mount
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -14,12 +15,250 @@ from pinmobile.arrays import Array, ArrayLike
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable, JointType
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.geometry import Shape, WheelReading, ground_below, shapes_of, stance_on, wheels_of
-from pinmobile.robot.joints import Joint, carries_only_wheels, joints_of
+from pinmobile.robot.linkage import Joint, carries_only_wheels, children, joints_of, turns_freely
 from pinmobile.robot.stance import Stance, stance_written
-from pinmobile.robot.undercarriage import Undercarriage, undercarriage_of
 from pinmobile.robot.visuals import VisualFile
 from pinmobile.robot.wellformed import MOMENTS, judge_links, urdf_model
 from pinmobile.urdf import Body
+
+_TRAIL = 1e-3  # [m]: a wheel nearer to its swivel than that does not trail
+_VERTICAL = 0.995  # cosine of the angle by which a swivel may lean: files have angles such as 1.57
+
+Triple = tuple[float, float, float]
+
+
+class Lump(NamedTuple):
+    """Links that move together, at rest.
+
+    Attributes
+    ----------
+    mass : float
+        [kg]; zero of links that have none.
+    com : tuple of 3 floats
+        Centre of mass in the body's frame B [m].
+    inertia : tuple of 3 tuples of 3 floats
+        About it, along the axes of B [kg m^2].
+    """
+
+    mass: float
+    com: Triple
+    inertia: tuple[Triple, Triple, Triple]
+
+
+class Swivel(NamedTuple):
+    """A joint about the vertical that carries a wheel.
+
+    Attributes
+    ----------
+    name : str
+        Of the joint.
+    x, y : float
+        Where its axis stands in B [m].
+    limit : float
+        Largest angle to either side [rad]; infinite: it turns freely.
+    lump : Lump
+        All that turns with it, wheels included.
+    """
+
+    name: str
+    x: float
+    y: float
+    limit: float
+    lump: Lump
+
+    def turning(self, wheel: WheelJoint, across: float) -> tuple[float, float]:
+        """Return mass and yaw inertia that, at the wheel's centre, turn as all on the swivel does.
+
+        A rigid body about a pivot acts in the plane by its first and second moment about it. A mass at the
+        centre has the first one, along the trail; the rest of it is at the pivot, with the body. Where that
+        is no mass, or nothing trails, the wheel's own is returned, the rest as at the pivot.
+
+        Parameters
+        ----------
+        wheel : WheelJoint
+            The wheel.
+        across : float
+            Its own inertia across its axle [kg m^2].
+        """
+        fork = self._about(self.lump) - self._about(wheel.lump)
+        o = np.array([wheel.centre[0] - self.x, wheel.centre[1] - self.y])
+        square = float(o @ o)
+        if square > _TRAIL**2:
+            first = self.lump.mass * float(o @ [self.lump.com[0] - self.x, self.lump.com[1] - self.y])
+            mass = first / square
+            yaw = fork + across + wheel.lump.mass * self._square(wheel.lump) - mass * square
+            if mass > 0 and yaw > 0:
+                return mass, yaw
+        return wheel.lump.mass, across + max(fork, 0.0)
+
+    def _square(self, lump: Lump) -> float:
+        return (lump.com[0] - self.x) ** 2 + (lump.com[1] - self.y) ** 2
+
+    def _about(self, lump: Lump) -> float:
+        """Return the inertia of links about the axis [kg m^2]."""
+        return lump.inertia[2][2] + lump.mass * self._square(lump)
+
+
+class WheelJoint(NamedTuple):
+    """A wheel of a model, at rest.
+
+    Attributes
+    ----------
+    name : str
+        Of the joint that is its axle.
+    centre : tuple of 3 floats
+        Of the wheel, on its axle, in B [m].
+    axis : tuple of 3 floats
+        Unit vector of the axle there, level, in the sense that the joint turns.
+    radius : float or None
+        None where the model does not tell [m].
+    lump : Lump
+        All that turns with it.
+    swivels : tuple of Swivel
+        On the way from the body to it.
+    carried : tuple of str
+        Joints on it, such as those of rollers.
+    effort : float
+        Largest torque of the joint [N m]; infinite where there is none.
+    damping, friction : float
+        Of the joint [N m s/rad, N m].
+    """
+
+    name: str
+    centre: Triple
+    axis: Triple
+    radius: float | None
+    lump: Lump
+    swivels: tuple[Swivel, ...] = ()
+    carried: tuple[str, ...] = ()
+    effort: float = np.inf
+    damping: float = 0.0
+    friction: float = 0.0
+
+    def moments(self) -> tuple[float, tuple[float, float], float, float]:
+        """Return what tells a solid of revolution about its axle.
+
+        Returns
+        -------
+        spin : float
+            Moment about the axle [kg m^2].
+        across : tuple of 2 floats
+            Those across it, level and vertical [kg m^2].
+        product : float
+            The largest product of inertia in these axes [kg m^2].
+        aside : float
+            Distance of the centre of mass from the axle [m].
+        """
+        axle = np.array(self.axis)
+        frame = np.stack([axle, np.cross([0.0, 0.0, 1.0], axle), [0.0, 0.0, 1.0]])
+        inertia = frame @ np.array(self.lump.inertia) @ frame.T
+        spin, level, vertical = inertia.diagonal().tolist()
+        product = float(np.abs(inertia[np.triu_indices(3, 1)]).max())
+        aside = np.linalg.norm(np.cross(np.subtract(self.lump.com, self.centre), axle))
+        return spin, (level, vertical), product, float(aside)
+
+
+class Undercarriage(NamedTuple):
+    """What a robot stands on, as its model has it.
+
+    Attributes
+    ----------
+    wheels : tuple of WheelJoint
+        In the order of the model.
+    supports : tuple of (float, float)
+        Where what does not roll touches the ground, in B [m]: fixed casters and skids.
+    """
+
+    wheels: tuple[WheelJoint, ...] = ()
+    supports: tuple[tuple[float, float], ...] = ()
+
+
+def undercarriage_of(
+    model: pin.Model,
+    data: pin.Data,
+    base: pin.SE3,
+    root: int,
+    wheels: Sequence[WheelReading],
+    supports: Sequence[tuple[float, float]],
+    ground: float,
+) -> Undercarriage:
+    """Return the undercarriage of a model.
+
+    Parameters
+    ----------
+    model, data
+        With all joints at rest, Jacobians computed.
+    base : pin.SE3
+        Pose of B.
+    root : int
+        The joint of the root link.
+    wheels : sequence of WheelReading
+        In the frame of the root link.
+    supports : sequence of (float, float)
+        Where what does not roll touches the ground, in B [m].
+    ground : float
+        z of B in the frame of the root link [m].
+    """
+    below, found = children(model), []
+    for wheel in wheels:
+        way, joint = [], int(model.parents[wheel.joint])
+        while joint > root:
+            way.append(joint)
+            joint = int(model.parents[joint])
+        hub = (base.inverse() * data.oMi[wheel.joint]).translation
+        along = np.array(wheel.centre) - [0, 0, ground] - hub
+        v = model.idx_vs[wheel.joint]
+        effort = float(model.effortLimit[v])
+        found.append(
+            WheelJoint(
+                wheel.name,
+                _triple(hub + (along @ wheel.axis) * np.array(wheel.axis)),
+                wheel.axis,
+                wheel.radius,
+                _lump_of(model, data, base, wheel.joint),
+                tuple(
+                    _swivel(model, data, base, each) for each in way if _is_swivel(model, data, base, each)
+                ),
+                tuple(str(model.names[each]) for each in below[wheel.joint]),
+                effort if effort > 0 else np.inf,
+                float(model.damping[v]),
+                float(model.friction[v]),
+            )
+        )
+    return Undercarriage(tuple(found), tuple(supports))
+
+
+def _triple(values: Sequence[float]) -> Triple:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _lump_of(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> Lump:
+    total = pin.Inertia.Zero()
+    for each in model.subtrees[joint]:
+        if model.inertias[each].mass > 0:
+            total += (base.inverse() * data.oMi[each]).act(model.inertias[each])
+    first, second, third = (_triple(row) for row in total.inertia)
+    at = total.lever if total.mass > 0 else (base.inverse() * data.oMi[joint]).translation
+    return Lump(float(total.mass), _triple(at), (first, second, third))
+
+
+def _is_swivel(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> bool:
+    own = Joint.of(model, joint)
+    if own.nv != 1 or own.slides:
+        return False
+    jacobian = pin.getJointJacobian(model, data, joint, pin.WORLD).reshape(6, -1)
+    return bool(abs((base.rotation.T @ jacobian[3:, model.idx_vs[joint]])[2]) > _VERTICAL)
+
+
+def _swivel(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> Swivel:
+    x, y, _ = _triple((base.inverse() * data.oMi[joint]).translation)
+    limit = np.inf
+    if not turns_freely(model, joint):
+        q = Joint.of(model, joint).q
+        limit = min(abs(float(model.lowerPositionLimit[q][0])), abs(float(model.upperPositionLimit[q][0])))
+    return Swivel(str(model.names[joint]), x, y, limit, _lump_of(model, data, base, joint))
+
 
 LOCKED = "wheels locked: they do not roll, and it can be pushed sideways"
 """What is said of a base with wheels."""

@@ -15,7 +15,7 @@ import pinocchio as pin
 from pinmobile.arrays import Array, ArrayLike, location, sequence, vector
 from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName, shown
 from pinmobile.robot.arms import Arm, Origin, Picture
-from pinmobile.robot.joints import convert_configuration, joints_of, replace_continuous_joints
+from pinmobile.robot.linkage import convert_configuration, joints_of, replace_continuous_joints
 from pinmobile.robot.visuals import FilePicture, FileShapes, GivenPicture
 from pinmobile.robot.wellformed import check_freedom, judge_links, urdf_model
 

@@ -30,7 +30,7 @@ from pinmobile.errors import InvalidArgument, NotTraceable, shown
 from pinmobile.parts import is_symbolic, is_tracing, on_numbers, structure
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import pinocchio_calls
-from pinmobile.robot.joints import BODY_JOINT, circular_coordinates, coordinates, inputs, limits
+from pinmobile.robot.linkage import BODY_JOINT, circular_coordinates, coordinates, inputs, limits
 from pinmobile.robot.mounts import Load, Mount, named_frames, resistances
 from pinmobile.robot.pinocchio_calls import Engine, Law
 

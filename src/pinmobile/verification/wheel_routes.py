@@ -13,7 +13,7 @@ from pinmobile.compiled import vectorize
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.parts import evolved
 from pinmobile.plant import Step
-from pinmobile.verification.wheel_bodies import WheelBodies
+from pinmobile.verification.bodies import WheelBodies
 from pinmobile.wheels import Ackermann, Coulomb, WheeledRobot
 
 ROUNDING = 1e-13  # some hundred roundings, relative to the scale of the terms

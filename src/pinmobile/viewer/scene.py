@@ -16,7 +16,6 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.loop import EndEffector, Rollout
 from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.plant import whole_configurations
-from pinmobile.viewer.hands import draw_hand, hand_errors, hand_of
 from pinmobile.viewer.motion import (
     Channel,
     Drawing,
@@ -30,7 +29,7 @@ from pinmobile.viewer.motion import (
     sampled,
 )
 from pinmobile.viewer.stage import Arrows, Extent, Follow, Overlays, Stage, Stay, View, overview
-from pinmobile.viewer.underfoot import ABOVE, TRAIL, draw_ground
+from pinmobile.viewer.underfoot import ABOVE, TRAIL, draw_ground, draw_hand, hand_errors, hand_of
 
 _POSE = ("x", "y", "psi")
 

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 from pinmobile.compiled import choose, higher, repeated, square_root
 from pinmobile.robot import ONE, ZERO, Matrix, Vector, dot, number
-from pinmobile.wheels.multipliers import Found, Place, found_by_newton
+from pinmobile.wheels.tree import Found, Place, found_by_newton
 
 _SOON = 24  # rounds
 

@@ -24,13 +24,12 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.parts import also_symbols, holds_symbols, structure
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import BODY_JOINT, LOCKED, MobileRobot, Mount, hull, number
-from pinmobile.wheels.constraints import Constraints
-from pinmobile.wheels.description import joint_signs
+from pinmobile.wheels.description import joint_signs, wheel_name
 from pinmobile.wheels.drawn import Picture
-from pinmobile.wheels.mobility import Mobility
+from pinmobile.wheels.kinematics import Mobility
 from pinmobile.wheels.rows import column
 from pinmobile.wheels.table import FIXED, WheelTable
-from pinmobile.wheels.wheel_joints import wheel_name
+from pinmobile.wheels.tree import Constraints
 
 _SAME_LINE = 1e-6  # [m]
 

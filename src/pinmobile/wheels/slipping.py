@@ -31,9 +31,9 @@ from pinmobile.robot import (
 from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
 from pinmobile.wheels.loads import Loads, item, numbers, places_of, pressed, quick, shared_loads, wheel_loads
 from pinmobile.wheels.motors import Beside, Motors, Push, theta
-from pinmobile.wheels.multipliers import factored
 from pinmobile.wheels.rolling import State, WheeledDynamics, stop_of, stopped
 from pinmobile.wheels.table import GearTrain, WheelTable
+from pinmobile.wheels.tree import factored
 
 _BASE = 3
 _INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean

@@ -12,7 +12,7 @@ import numpy as np
 from pinmobile.arrays import ArrayLike, finite, one_of, positive, scalar, sequence, text, whole
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import by_value, children, entries_of, option, part, structure
-from pinmobile.wheels.mobility import Mobility
+from pinmobile.wheels.kinematics import Mobility
 from pinmobile.wheels.motors import Motor
 from pinmobile.wheels.rows import (
     DRIVEN as DRIVEN,

@@ -17,21 +17,20 @@ from pinmobile.parts import also_symbols, by_value, child, is_symbolic, part, st
 from pinmobile.plant import Step
 from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, Load, MobileRobot, Solids, number
 from pinmobile.wheels.bearing import Bearing
-from pinmobile.wheels.constraints import ConstrainedTree, Forces
 from pinmobile.wheels.description import read_robot, read_wheels
+from pinmobile.wheels.drawn import Tyres
 from pinmobile.wheels.freedom import Allocation, Reduced
 from pinmobile.wheels.ground import Coulomb, Ground, Rolling
-from pinmobile.wheels.mobility import Mobility
+from pinmobile.wheels.kinematics import Mobility
 from pinmobile.wheels.motors import Beside, constant_force
 from pinmobile.wheels.platform import Platform
 from pinmobile.wheels.rolling import RollingDynamics, stop_of
 from pinmobile.wheels.rows import column
 from pinmobile.wheels.table import WheelTable
-from pinmobile.wheels.tree import WheelTree
-from pinmobile.wheels.tyres import Tyres
+from pinmobile.wheels.tree import ConstrainedTree, Forces, WheelTree
 
 if TYPE_CHECKING:
-    from pinmobile.wheels.voltage import ByVoltage
+    from pinmobile.wheels.powered import ByVoltage
 
 _OFF = 1e-9  # of a start's rates, beyond which it does not roll
 
@@ -223,7 +222,7 @@ class WheeledRobot(Platform, Bearing):
 
     def by_voltage(self) -> ByVoltage:
         """Return the same robot whose input is volts, one per electric motor: see `ByVoltage`."""
-        from pinmobile.wheels.voltage import ByVoltage  # which holds a WheeledRobot
+        from pinmobile.wheels.powered import ByVoltage  # which holds a WheeledRobot
 
         return ByVoltage(self)
 
