@@ -9,18 +9,23 @@ import pytest
 
 from pinmobile import (
     ConstantForce,
+    Coulomb,
     NoisyMeasurement,
+    Rolling,
     SinusoidalForce,
+    Uniform,
+    ensemble,
     errors,
     plain_difference,
     planar_difference,
 )
 from pinmobile.compiled import robot_keys
 from pinmobile.integrators import RungeKuttaNystrom, constant_acceleration, rk4, semi_implicit_euler
-from pinmobile.loop import Loop, Samples
+from pinmobile.loop import Loop, Samples, _trace
 from pinmobile.loop._program import Compiled
 from pinmobile.parts import evolved, replace
 from pinmobile.trajectories import Reference
+from tests.frozen import loops
 from tests.looping import CIRCLE, PD, SEED, TIMES, Body, assert_near, looped, told
 
 
@@ -232,3 +237,25 @@ def test_many_threads_trace_and_use_numpy_at_once() -> None:
     stop.set()
     user.join()
     assert wrong == []
+
+
+@pytest.mark.parametrize("ground", [Rolling(), Coulomb()])
+def test_what_robots_on_wheels_begin_with_is_computed_once_for_all(
+    ground: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither the constraints' velocities nor the loads at rest are computed robot by robot in Python."""
+    calls: list[Any] = []
+
+    def counted(*given: Any, **options: Any) -> Any:
+        calls.append(given)
+        return replace(*given, **options)
+
+    monkeypatch.setattr(_trace, "replace", counted)
+    drive = {name: parts for name, parts, _ in loops()}[f"differential {type(ground).__name__}"]
+    asked = []
+    for n in (4, 40):
+        calls.clear()
+        run = ensemble(*drive, n=n, spread={"com.x": Uniform(-0.05, 0.05)}, dt=0.02, duration=0.1)
+        assert run.engine == "COMPILED"
+        asked.append(len(calls))
+    assert asked[1] <= asked[0] < 10  # the first run traces the loop
