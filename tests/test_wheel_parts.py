@@ -259,7 +259,8 @@ def test_what_is_declared_is_checked(made: Any, words: str) -> None:
 
 def test_theta_has_a_name_for_each_entry() -> None:
     robot = VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], ahead=0.1)
-    assert parts.find(robot, "theta_3").path == "theta.theta_3"
+    assert [*parts.named(robot)][1] == "theta.theta_1"
+    assert parts.find(robot, "theta.theta_3").label == "theta_3"
     tape = Tape()
     theta = symbols([tape.input("row", k) for k in range(6)], (6,))
     symbolic = parts.replace(robot, {"theta": theta}, nominal=True)
