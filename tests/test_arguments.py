@@ -514,7 +514,7 @@ def test_engines_and_the_true_model_come_back_as_themselves(one: Any) -> None:
 
 
 def test_the_true_model_is_read_only() -> None:
-    assert dict(TRUE_MODEL)["controller.mass"] == Same("mass")
+    assert dict(TRUE_MODEL)["controller.mass"] == Same("plant.mass")
     with pytest.raises(TypeError, match="does not support item assignment"):
         TRUE_MODEL["controller.mass"] = Same("yaw_inertia")  # type: ignore[index]
 
