@@ -60,7 +60,7 @@ def run(traces: Any = (), **more: Any) -> Ensemble:
     return run_scenario(scenario(**more), traces=traces, engine=COMPILED)
 
 
-# A controller that believes in 30 kg where there are 4 to 12, load included, is beyond what the step allows for some.
+# A controller that believes in 30 kg where there are 4 to 12, with the load, is beyond what the step allows.
 DIVERGING = run(traces=[17, 3], spread=SPREAD | {"controller.mass": 30.0})
 MADE: dict[str, Ensemble] = {
     "some diverge, two traced": DIVERGING,

@@ -104,7 +104,7 @@ LACKING: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "no effort to push": (
         CART | {"robot": without("effort"), "forces": [Spring()]},
-        "plant is .*Withouteffort.*, which has no effort, and forces push its body",
+        r"plant is .*Withouteffort.*, which has no effort, and forces push its body",
     ),
     "no place for forces": (
         BODY | {"robot": Posed(), "forces": [Spring()]},

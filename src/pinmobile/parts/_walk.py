@@ -224,7 +224,7 @@ def named(part: Any) -> dict[str, Found]:
 
 
 def _is_derived(leaf: Leaf) -> bool:
-    """Tell whether an array of a certain length follows from other numbers, so that no entry differs alone."""
+    """Tell whether an array of a certain length follows from other numbers: no entry differs alone."""
     shapes = getattr(leaf.declared, "shapes", ())
     return leaf.value is None and any(isinstance(n, int) for shape in shapes for n in shape)
 
