@@ -141,7 +141,7 @@ def test_a_gain_may_be_a_multiple_of_one_that_is_not_spread() -> None:
     several = made(n=2, controller=PD((5, 6, 7), 1), spread={"kp.y": Same("kp.psi", 3.0)})
     assert several.draws()["kp.y"].tolist() == [21, 21]
     with pytest.raises(
-        InvalidArgument, match="refers to 'controller.kp', which has several numbers, expected one"
+        InvalidArgument, match=r"refers to 'controller\.kp', which has several numbers, expected one"
     ):
         made(n=2, controller=PD((5, 6, 7), 1), spread=spread).draws()
 
