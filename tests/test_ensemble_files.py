@@ -42,7 +42,7 @@ from tests.damage import answer, damaged, little_memory, rewritten
 ROBOT = MobileRobot(10, 1.3, com=(0.1, 0.05)).attach(Load(2, (0.1, 0, 0.2)))
 CIRCLE = Tangent(Circle(3, 0.1, 20))
 SPREAD: dict[str, Any] = {
-    "mass": Uniform(4, 12),
+    "mass": Uniform(2, 10),
     "controller.mass": Same("mass", stats.norm(1.0, scale=0.1)),
     "com.x": np.linspace(0, 0.1, 60),
     "force.x": Normal(0, 0.04),
@@ -60,7 +60,7 @@ def run(traces: Any = (), **more: Any) -> Ensemble:
     return run_scenario(scenario(**more), traces=traces, engine=COMPILED)
 
 
-# A controller that believes in 30 kg where there are 4 to 12 is beyond what the step allows for some.
+# A controller that believes in 30 kg where there are 4 to 12, with the load, is beyond what the step allows.
 DIVERGING = run(traces=[17, 3], spread=SPREAD | {"controller.mass": 30.0})
 MADE: dict[str, Ensemble] = {
     "some diverge, two traced": DIVERGING,
@@ -202,7 +202,7 @@ except ValueError as error:
 def test_words_have_no_addresses_and_all_digits_whatever_is_set() -> None:
     with np.printoptions(precision=2, threshold=1, legacy="1.13"):
         told = Outline.of(scenario(controller=Saturated(ComputedTorque(ROBOT, 1 / 3, 4), 50)))
-    assert "kp=array(0.3333333333333333)" in told.controller
+    assert "kp=0.3333333333333333" in told.controller
     assert "0x" not in str(told)
     assert told.spread["com.x"] == "60 numbers"
     assert told.spread["kp"] == "4.0"
@@ -269,10 +269,10 @@ def test_with_its_scenario_a_loaded_ensemble_makes_robots_again(tmp_path: Path) 
         ({"n": 61, "spread": SPREAD | {"com.x": 0.0}}, r"spread\['com.x'\] is 60 numbers there and 0.0 here"),
         (
             {"spread": {name: SPREAD[name] for name in SPREAD if name != "mass"}},
-            r"spread\['mass'\] is Uniform\(low=4.0, high=12.0\) there and absent here",
+            r"spread\['mass'\] is Uniform\(low=2.0, high=10.0\) there and absent here",
         ),
         ({"forces": [ConstantForce((1, 0, 0))]}, r"forces\[0\] is Const.* there and Const.* here"),
-        ({"spread": SPREAD | {"com.x": np.linspace(0, 0.2, 60)}}, "it draws another com_x"),
+        ({"spread": SPREAD | {"com.x": np.linspace(0, 0.2, 60)}}, "it draws another com.x"),
         ({"duration": 10.0, "every": 3}, "t is another"),
         ({"every": 2}, "every is 3 there and 2 here"),
     ],
@@ -313,7 +313,13 @@ def test_csv_has_a_row_per_robot_and_every_digit(tmp_path: Path, name: str) -> N
     assert header[0] == "robot"
     assert header[-2:] == ["max_distance [m]", "diverged_at [s]"]
     wanted: dict[str, Any] = {"robot": np.arange(len(one)), "max_distance [m]": one.max_distance}
-    units = {"mass": " [kg]", "controller.mass": " [kg]", "com.x": " [m]", "force.x": " [N]", "kp": ""}
+    units = {
+        "mass": " [kg]",
+        "controller.mass": " [kg]",
+        "com.x": " [m]",
+        "force.x": " [N]",
+        "kp": " [1/s^2]",
+    }
     wanted |= {f"drawn_{each}{units[each]}": values for each, values in one.draws.items()}
     for k, (of, unit) in enumerate((("x", "m"), ("y", "m"), ("psi", "rad"))):
         wanted |= {f"max_error_{of} [{unit}]": one.max_error[:, k]}
@@ -418,12 +424,12 @@ def of_trace(**given: Any) -> Callable[[Path], dict[str, Any]]:
         (changed("reference_v", put((0, 0), np.nan)), r"reference.v\[0, 0\] is nan"),
         (changed("trace_q", put((0, 0), np.nan)), r"q\[0, 0\] is nan"),
         (changed("trace_q", lambda x: x[:-1]), "trace_q has|q has shape"),
-        (changed("trace_t", lambda x: x[:9]), "trace_t has 9 samples, expected 18 and more"),
+        (changed("trace_t", lambda x: x[:9]), "trace_t has 9 samples, expected 17 and more"),
         (told(lambda _: []), "list"),
         (told(lambda _: 3), "int"),
         (told(lambda _: {}), "'scenario'"),
         (told(lambda tree: tree.pop("traces") and None), "'traces'"),
-        (told(lambda tree: tree["traces"].pop() and None), "trace_t has 219 samples, expected 18"),
+        (told(lambda tree: tree["traces"].pop() and None), "trace_t has 218 samples, expected 17"),
         (told(lambda tree: tree["scenario"].pop("robot") and None), "'robot'"),
         (of_scenario(n=61), r"max_error has shape \(60, 3\), expected \(61, 3\)"),
         (of_scenario(n=2**60), "n is 1152921504606846976, expected at most"),
@@ -445,7 +451,7 @@ def of_trace(**given: Any) -> Callable[[Path], dict[str, Any]]:
         (of_trace(index=60), "it has a trace of robot 60, expected 0 to 59, each once"),
         (of_trace(index=17), "it has a trace of robot 17, expected 0 to 59, each once"),
         (of_trace(samples=0), "samples is 0, expected a whole number >= 1"),
-        (of_trace(samples=10**9), "samples, expected 1000000018 and more"),
+        (of_trace(samples=10**9), "samples, expected 1000000017 and more"),
         (of_trace(samples=200), r"expected more|expected 2|has .* samples, expected"),
         (of_trace(plant={"robot": {"mass": -1}}), "'dh'"),
         (lambda p: {**members(p), "more": np.zeros(3)}, "it holds .*; expected format, .*, each once"),

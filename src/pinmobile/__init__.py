@@ -89,6 +89,7 @@ _NAMES = {
         ),
         "measures": "",
         "palette": "",
+        "parts": "",
         "paths": ("Circle CompositePath CubicVia Hold Line Lissajous Moved Polyline RestToRest Spline"),
         "plant": "Context",
         "plots": "",

@@ -304,8 +304,8 @@ def _names(kind: type) -> tuple[str, ...]:
 
 
 def offers(part: object, kind: type) -> bool:
-    """Tell whether a part has all that a protocol asks for."""
-    return all(hasattr(part, name) for name in _names(kind))
+    """Tell whether a part has all that a protocol asks for; what is None it has not."""
+    return all(getattr(part, name, None) is not None for name in _names(kind))
 
 
 def able(part: Any, kind: type) -> Any:
@@ -316,7 +316,7 @@ def able(part: Any, kind: type) -> Any:
 def lacks(part: object, kind: type) -> str:
     """Return in words what a part lacks that has other things of a protocol, "" of one that has none."""
     names = [name for name in _names(kind) if name != "__call__"]
-    lacking = [name for name in names if not hasattr(part, name)]
+    lacking = [name for name in names if getattr(part, name, None) is None]
     return f", which has no {lacking[0]}" if 0 < len(lacking) < len(names) else ""
 
 

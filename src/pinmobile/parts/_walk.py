@@ -217,10 +217,16 @@ def named(part: Any) -> dict[str, Found]:
     """Return all numbers that may differ, and their entries, by full path."""
     found: dict[str, Found] = {}
     for leaf in walk(part):
-        if isinstance(leaf.declared, Number) and not leaf.declared.fixed:
+        if isinstance(leaf.declared, Number) and not leaf.declared.fixed and not _is_derived(leaf):
             own = [Found(leaf), *(Found(leaf, label, entry) for label, entry in leaf.entries.items())]
             found |= {one.path: one for one in own}
     return found
+
+
+def _is_derived(leaf: Leaf) -> bool:
+    """Tell whether an array of a certain length follows from other numbers: no entry differs alone."""
+    shapes = getattr(leaf.declared, "shapes", ())
+    return leaf.value is None and any(isinstance(n, int) for shape in shapes for n in shape)
 
 
 def short_names(known: Mapping[str, Found]) -> list[str]:
