@@ -93,7 +93,7 @@ INNER = {
     *(f"{ground}.{name}" for ground in ("Rolling", "Coulomb") for name in ("dynamics", "check_robot")),
     "WheeledRobot.check_area",
     *("wheels.Reduced.nearest", "wheels.Reduced.torques"),
-    *("MobileRobot.check", "Load.check", "robot.Link", "robot.Mount.after"),
+    *("MobileRobot.check", "Load.check", "Load.impossible", "robot.Link", "robot.Mount.after"),
     "robot.UncheckedDynamics.forward_dynamics",
     *("PosePath.told", "Resolved.signals_at", "EndEffectorTracking.signals_at"),
     *(

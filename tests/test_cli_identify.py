@@ -483,7 +483,7 @@ law = {type = "tracking"}
 [loop]
 dt = 0.05
 [spread]
-theta_1 = {percent = 10}
+"theta.theta_1" = {percent = 10}
 controller.theta_4 = 1.0
 start.x = {normal = [0, 0.01]}
 [ensemble]
@@ -521,8 +521,8 @@ def test_a_scenario_file_has_robots_that_take_speeds(tmp_path: Path) -> None:
         ("limits", "limit", "5: unknown argument of velocity 'limit', did you mean 'limits'.*"),
         ("limits = [1.0, 4.0]", "theta = [1, 2]", "23: preset is .*, expected one of them; presets: .*"),
         ("[1.0, 4.0]", "[1.0, -4.0]", "5: limits is -4.0 rad/s, expected > 0 .*"),
-        ("theta_1", "mass", "17: unknown parameter in spread 'mass', available: theta, .*"),
-        ("theta_1", "theta_9", "17: unknown parameter in spread 'theta_9', did you mean 'theta.*"),
+        ('"theta.theta_1"', "mass", "17: unknown parameter in spread 'mass', available: theta, .*"),
+        ("theta_1", "theta_9", "17: unknown parameter in spread 'theta.theta_9', did you mean 'theta.*"),
         ('"tracking"', '"trakcing"', r"13: unknown controller\.law 'trakcing', did you mean 'tracking'.*"),
         ("law =", "lwa =", "13: unknown argument of backstepping 'lwa', .*"),
     ],

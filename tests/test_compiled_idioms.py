@@ -10,9 +10,9 @@ import pytest
 from numpy import linalg
 
 from pinmobile import COMPILED, Circle, InvalidArgument, MobileRobot, Tangent, errors, law, simulate
+from pinmobile.compiled._tracing import tracing
 from pinmobile.compiled.symbolic import entries, symbols
 from pinmobile.compiled.tape import Node, Tape, evaluated
-from pinmobile.compiled.tracing import tracing
 
 K = np.array([[100.0, 1.0, -2.0], [1.0, 90.0, 0.5], [-2.0, 0.5, 20.0]])
 LIMITS = np.array([1.0, 2.0, 3.0])

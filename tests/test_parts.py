@@ -249,7 +249,7 @@ def test_an_ensemble_of_a_users_plant_is_told_by_its_names_and_units(tmp_path: P
     ]
     run.to_csv(tmp_path / "runs.csv")
     header = (tmp_path / "runs.csv").read_text().splitlines()[0].split(",")
-    assert header[1:4] == ["drawn_mass", "drawn_along", "drawn_start.y"]
+    assert header[1:4] == ["drawn_mass", "drawn_along", "drawn_start.y [m]"]
     assert header[4:9] == ["max_error_" + each for each in ("x [m]", "y [m]", "psi [rad]", *_WHEELS)]
     assert header[14:16] == ["max_force_left_torque [N m]", "max_force_right_torque [N m]"]
     table = np.loadtxt(tmp_path / "runs.csv", delimiter=",", skiprows=1)

@@ -9,9 +9,9 @@ import pytest
 
 from pinmobile import Load, MobileRobot
 from pinmobile.arrays import Array
+from pinmobile.compiled._tracing import tracing
 from pinmobile.compiled.symbolic import Symbols, entries, symbols
 from pinmobile.compiled.tape import Node, Tape, evaluated
-from pinmobile.compiled.tracing import tracing
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.parts import numbers, replace
 from pinmobile.robot import ArticulatedDynamics, PlanarDynamics, UncheckedDynamics

@@ -288,7 +288,7 @@ def test_the_parts_are_what_the_file_says_and_are_compiled(file: Path) -> None:
         type(part).__name__ for part in (first.controller, first.controller.controller, first.trajectory)
     ] == [*("Deadband", "PID", "Turning")]
     assert (first.controller.width, first.controller.controller.kp.tolist()) == (0.01, [120, 120, 4])
-    assert [(each.controller.controller.ki, each.forces[0].period) for each in (first, last)] == [
+    assert [(each.controller.controller.ki, each.forces["gust"].period) for each in (first, last)] == [
         (1, 1),
         (3, 2),
     ]
@@ -303,7 +303,7 @@ def test_the_file_of_the_readme_is_a_grid(file: Path) -> None:
     (text,) = re.findall(r"```toml\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     (file.parent / "mine.py").write_text(PARTS)
     made = read_of(file, text)
-    assert [each.forces[0].period for each in made.scenarios] == [1, 2]
+    assert [each.forces["gust"].period for each in made.scenarios] == [1, 2]
     assert type(made.scenarios[0].controller).__name__ == "Deadband"
 
 
@@ -326,7 +326,7 @@ def test_the_librarys_parts_stand_within_a_users_and_around_one(file: Path) -> N
     file.write_text(f"[controller]\n{law}\n{force}\n[trajectory]\nduration = 6\n[ensemble]\nn = 3")
     (made,) = read_grid(file).scenarios  # no code in it
     assert (made.controller.limits, made.controller.controller.kp) == (50, 9)
-    assert made.forces[0].force.tolist() == [1, 0, 0]
+    assert made.forces["wind"].force.tolist() == [1, 0, 0]
 
 
 def read_of(file: Path, text: str) -> Grid:

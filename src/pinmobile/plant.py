@@ -14,7 +14,7 @@ from pinmobile.arrays import Array, ArrayLike, callable_as, finite, frozen, posi
 from pinmobile.errors import InvalidArgument, shown
 
 if TYPE_CHECKING:
-    from pinmobile.compiled.memory import Line, Noise, Schedule
+    from pinmobile.compiled import Line, Noise, Schedule
 
 Difference: TypeAlias = Callable[[Array, Array], Array]
 
@@ -362,7 +362,7 @@ class Context:
 
         ``push`` returns the tree of arrays that it received `samples` samples before; until then, the first.
         """
-        from pinmobile.compiled.memory import Line
+        from pinmobile.compiled import Line
 
         return Line(whole("samples", samples, least=0))
 
@@ -372,7 +372,7 @@ class Context:
         The n numbers of a sample are standard normal and independent. They depend only on the seed, the
         member, the name and the number of the sample, and have the same bits in every engine.
         """
-        from pinmobile.compiled.memory import Noise, robot_keys
+        from pinmobile.compiled import Noise, robot_keys
 
         text("name", name)
         return Noise(robot_keys(self.seed, name, range(self.member, self.member + 1))[0], whole("n", n))
@@ -392,7 +392,7 @@ class Context:
         InvalidArgument
             If their number differs from that of `t`, or they are not finite.
         """
-        from pinmobile.compiled.memory import Schedule
+        from pinmobile.compiled import Schedule
 
         found = finite("rows", rows)
         if found.shape[:1] != self.t.shape:

@@ -1,25 +1,56 @@
 """Laws on symbols: a loop's parts, written in NumPy for one state, as vector code for many robots."""
 
+from pinmobile.compiled._tracing import (
+    calling_place as calling_place,
+    tracing as tracing,
+    uncollected as uncollected,
+)
 from pinmobile.compiled._vectorize import vectorize
 from pinmobile.compiled.elementary import sincos as sincos
 from pinmobile.compiled.emit import BINS as BINS, FIRST as FIRST, SHIFT as SHIFT, Shape as Shape
-from pinmobile.compiled.loop_tape import LoopTape as LoopTape
+from pinmobile.compiled.identity import (
+    Identity as Identity,
+    is_constant as is_constant,
+    is_traced as is_traced,
+)
+from pinmobile.compiled.loop_tape import Leaf as Leaf, LoopTape as LoopTape, Ring as Ring
 from pinmobile.compiled.memory import (
     Line as Line,
     Noise as Noise,
     Schedule as Schedule,
     leaves as leaves,
     mapped as mapped,
+    matched as matched,
+    normals as normals,
     robot_keys as robot_keys,
 )
-from pinmobile.compiled.processor import Cache as Cache, Target as Target, processors as processors
+from pinmobile.compiled.processor import (
+    LOOP as LOOP,
+    Cache as Cache,
+    Target as Target,
+    processors as processors,
+)
 from pinmobile.compiled.program import Outcome as Outcome, Program as Program, aligned as aligned
-from pinmobile.compiled.symbolic import plain as plain, symbols as symbols
+from pinmobile.compiled.symbolic import (
+    Symbols as Symbols,
+    entries as entries,
+    has_symbols as has_symbols,
+    plain as plain,
+    symbols as symbols,
+)
 from pinmobile.compiled.tape import (
+    COUNT as COUNT,
+    LARGEST as LARGEST,
+    Known as Known,
     Node as Node,
+    Tape as Tape,
     choose as choose,
+    evaluated as evaluated,
+    float_bits as float_bits,
     higher as higher,
     maximum as maximum,
+    needed as needed,
+    real as real,
     repeated as repeated,
     root as root,
     square_root as square_root,

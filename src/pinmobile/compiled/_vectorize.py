@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array, affordable, finite, finite_answer
+from pinmobile.compiled._tracing import tracing
 from pinmobile.compiled.identity import Identity
 from pinmobile.compiled.loop_tape import LoopTape
 from pinmobile.compiled.processor import Cache, processors
 from pinmobile.compiled.program import Program, aligned
 from pinmobile.compiled.symbolic import entries, symbols
 from pinmobile.compiled.tape import LARGEST, Node, Tape
-from pinmobile.compiled.tracing import tracing
-from pinmobile.errors import InvalidArgument, NotTraceable
+from pinmobile.errors import InvalidArgument, NotTraceable, shown
 
 _CLOSE = 1e-7  # of the largest number of an answer: forward dynamics lose the digits of M's condition
 _STATES = 1 << 14  # that are laid out at once
@@ -69,7 +69,7 @@ def vectorize(
     (1000, 3, 3)
     """
     if not callable(function):
-        raise InvalidArgument(f"function is {function!r}, expected a function of one state")
+        raise InvalidArgument(f"function is {shown(function)}, expected a function of one state")
     programs: dict[Any, _Compiled] = {}
 
     def vectorized(*given: Any) -> Any:

@@ -32,8 +32,8 @@ from typing import Any, Self
 
 import numpy as np
 
+from pinmobile.compiled._tracing import is_foreign, names_of
 from pinmobile.compiled.memory import Line, Noise, Schedule, is_leaf
-from pinmobile.compiled.tracing import is_foreign, names_of
 from pinmobile.parts import Child, Field, Number, entries_of, fields_of, is_part
 
 _BEGAN = time.time()

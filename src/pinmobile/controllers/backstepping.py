@@ -21,7 +21,7 @@ from pinmobile.controllers.steering import (
     sin,
     value_of,
 )
-from pinmobile.errors import InvalidArgument, NotTraceable
+from pinmobile.errors import InvalidArgument, NotTraceable, shown
 from pinmobile.parts import Commanded, Rolling, able, child, number, part, structure
 from pinmobile.plant import Context
 
@@ -243,6 +243,8 @@ class SwerveTracking:
     def check(self) -> None:
         """Raise `InvalidArgument` where the robot is another drive."""
         robot = self.robot
+        if not isinstance(robot.nv, int):
+            raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
         kind = robot.mobility.mobility, robot.mobility.steerability
         if kind != (1, 2) or max(robot.leading) > _BASE or len(robot.inputs) != 4:
             raise InvalidArgument(

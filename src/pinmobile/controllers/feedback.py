@@ -22,12 +22,15 @@ _PLACE, _RATE = "N/m, N/m, N m/rad", "N s/m, N s/m, N m s/rad"
 
 def coordinates_of(controller: Any) -> int:
     """Return how many coordinates the model of a controller has."""
-    nv: int = controller.robot.nv
+    nv = controller.robot.nv
+    if not isinstance(nv, int):
+        raise InvalidArgument(f"robot is {shown(controller.robot)}, expected a MobileRobot or a WheeledRobot")
     return nv
 
 
 def tracked_coordinates_of(controller: Any) -> int:
     """Return how many coordinates the model of a controller tracks: all, or all but those of wheels."""
+    coordinates_of(controller)
     return max(leading_of(controller.robot))
 
 

@@ -12,7 +12,7 @@ import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen
-from pinmobile.compiled.identity import is_constant
+from pinmobile.compiled import is_constant
 from pinmobile.controllers.controller import State
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
 from pinmobile.parts import Followed, Linearized, Rolling, able, child, number, option, part

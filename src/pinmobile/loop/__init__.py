@@ -27,6 +27,7 @@ from pinmobile.loop._loop import (
     Record,
     Sample,
     State as State,
+    named_forces as named_forces,
     reaction as reaction,
     step,
     tracking_errors as tracking_errors,

@@ -12,7 +12,7 @@ from warnings import warn
 import numpy as np
 
 from pinmobile.arrays import Array, affordable, answered, callable_as, frozen, positive, vector, whole
-from pinmobile.compiled.identity import is_constant
+from pinmobile.compiled import is_constant
 from pinmobile.controllers import Controller, check_controller, check_memory
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled.memory import robot_keys
+from pinmobile.compiled import robot_keys
 from pinmobile.divergence import is_alive
 from pinmobile.errors import InvalidArgument, NotFinite
 from pinmobile.loop._loop import NOTHING, Loop, Record, Sample, initial, step

@@ -15,7 +15,7 @@ import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, are_real
-from pinmobile.compiled.symbolic import entries, has_symbols
+from pinmobile.compiled import entries, has_symbols
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.measures import measured_of
 from pinmobile.parts import (

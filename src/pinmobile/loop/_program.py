@@ -11,12 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.compiled.emit import Shape
-from pinmobile.compiled.identity import Identity
-from pinmobile.compiled.loop_tape import LoopTape
-from pinmobile.compiled.processor import LOOP, Cache, Target
-from pinmobile.compiled.program import Outcome, Program
-from pinmobile.compiled.tracing import uncollected
+from pinmobile.compiled import LOOP, Cache, Identity, LoopTape, Outcome, Program, Shape, Target, uncollected
 from pinmobile.loop._loop import Loop
 from pinmobile.loop._trace import (
     arrays_of,

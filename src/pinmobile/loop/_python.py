@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled.memory import leaves, mapped
-from pinmobile.compiled.program import aligned
+from pinmobile.compiled import aligned, leaves, mapped
 from pinmobile.loop._loop import Loop, advance, collected_signals
 from pinmobile.loop._program import Compiled
 from pinmobile.loop._record import Samples

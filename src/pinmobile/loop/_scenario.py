@@ -12,8 +12,7 @@ from zlib import crc32
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, affordable, finite, positive, scalar, whole
-from pinmobile.compiled import BINS, Noise
-from pinmobile.compiled.identity import is_traced
+from pinmobile.compiled import BINS, Noise, is_traced
 from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.integrators import Integrator
 from pinmobile.loop._checks import (

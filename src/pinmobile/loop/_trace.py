@@ -8,12 +8,35 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.compiled.identity import Identity, is_traced
-from pinmobile.compiled.loop_tape import Leaf, LoopTape, Ring
-from pinmobile.compiled.memory import Line, Noise, Schedule, leaves, mapped, matched, normals
-from pinmobile.compiled.symbolic import Symbols, entries, has_symbols, symbols
-from pinmobile.compiled.tape import COUNT, LARGEST, Known, Node, Tape, evaluated, float_bits, needed, real
-from pinmobile.compiled.tracing import calling_place, tracing
+from pinmobile.compiled import (
+    COUNT,
+    LARGEST,
+    Identity,
+    Known,
+    Leaf,
+    Line,
+    LoopTape,
+    Node,
+    Noise,
+    Ring,
+    Schedule,
+    Symbols,
+    Tape,
+    calling_place,
+    entries,
+    evaluated,
+    float_bits,
+    has_symbols,
+    is_traced,
+    leaves,
+    mapped,
+    matched,
+    needed,
+    normals,
+    real,
+    symbols,
+    tracing,
+)
 from pinmobile.errors import NotTraceable
 from pinmobile.loop._loop import OWNERS, Loop, Record, State, initial, step
 from pinmobile.parts import numbers, replace
@@ -68,7 +91,13 @@ def traced(
     q, v = (np.asarray(x, np.float64) for x in start)
     given = Reference(*(np.asarray(x, np.float64) for x in reference))
     own = dict(spread or {})
-    trace = _Trace(loop, context, q, v, given, dt / loop.substeps, identity, own, largest)
+    trace = _Trace(
+        *(loop, context, q, v, given),
+        h=dt / loop.substeps,
+        identity=identity,
+        spread=own,
+        largest=largest,
+    )
     trace.own_reference = own_reference
     return trace.result()
 
@@ -104,6 +133,7 @@ class _Trace:
         q: Array,
         v: Array,
         reference: Reference,
+        *,
         h: float,
         identity: Identity,
         spread: dict[str, Any],

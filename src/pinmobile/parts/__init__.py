@@ -37,6 +37,7 @@ from pinmobile.parts._capabilities import (
 )
 from pinmobile.parts._fields import (
     COORDINATES,
+    TRACING as TRACING,
     Child,
     Field,
     Number,

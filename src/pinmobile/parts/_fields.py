@@ -21,7 +21,7 @@ from pinmobile.parts._capabilities import lacks, meaning, offers
 _T = TypeVar("_T")
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 _Shape = tuple[int | str, ...]
-_tracing = threading.local()  # `depth` > 0 in a thread that runs laws on symbols
+TRACING = threading.local()  # `depth` > 0 in a thread that runs laws on symbols
 
 
 def is_symbolic(value: object) -> bool:
@@ -59,17 +59,17 @@ def also_symbols(method: _Method) -> _Method:
 
 def is_tracing() -> bool:
     """Tell whether laws run on symbols in this thread."""
-    return bool(getattr(_tracing, "depth", 0))
+    return bool(getattr(TRACING, "depth", 0))
 
 
 @contextlib.contextmanager
 def on_numbers() -> Iterator[None]:
     """Let code run on numbers in a thread that runs laws on symbols."""
-    depth, _tracing.depth = getattr(_tracing, "depth", 0), 0
+    depth, TRACING.depth = getattr(TRACING, "depth", 0), 0
     try:
         yield
     finally:
-        _tracing.depth = depth
+        TRACING.depth = depth
 
 
 class numeric(functools.cached_property[_T]):
@@ -525,8 +525,11 @@ def evolved(part: _T, changes: Mapping[str, Any] = MappingProxyType({}), /, **ot
     changes = {**changes, **others}
     if not attrs.has(type(part)):
         given = dataclasses.fields(part)  # type: ignore[arg-type]
-        if not (any(map(holds_symbols, changes.values())) and all(f.init for f in given)):
+        try:
             return dataclasses.replace(part, **changes)  # type: ignore[type-var]
+        except Exception:
+            if not (any(map(holds_symbols, changes.values())) and all(f.init for f in given)):
+                raise
         copied = object.__new__(type(part))  # a user's own checks take numbers
         for f in given:
             object.__setattr__(copied, f.name, changes.get(f.name, getattr(part, f.name)))

@@ -37,8 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.errors import InvalidArgument
-from pinmobile.loop import Scenario, way_of
-from pinmobile.loop._loop import named_forces
+from pinmobile.loop import Scenario, named_forces, way_of
 from pinmobile.parts import declared_by, fields_of, is_part, part
 from pinmobile.sweeps.code import hidden_in, is_library, node_of, read_by
 from pinmobile.sweeps.grids import Grid

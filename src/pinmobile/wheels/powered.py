@@ -15,7 +15,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, vector
 from pinmobile.compiled import higher, plain, repeated
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.parts import also_symbols, by_value, child, holds_symbols, part, structure
+from pinmobile.parts import Powered, also_symbols, by_value, child, holds_symbols, part, structure
 from pinmobile.plant import Input, Step
 from pinmobile.robot import (
     ZERO,
@@ -44,7 +44,6 @@ from pinmobile.wheels.motors import (
 from pinmobile.wheels.rolling import State, WheeledDynamics, stop_of, stopped
 from pinmobile.wheels.rows import column as column_of
 from pinmobile.wheels.tree import factored
-from pinmobile.wheels.wheeled import WheeledRobot
 
 _BASE = 3
 _INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
@@ -384,13 +383,15 @@ class ByVoltage:
         independently of each other.
     """
 
-    wheeled: WheeledRobot = child(WheeledRobot, expected="a WheeledRobot")
+    wheeled: Any = child(Powered, expected="a WheeledRobot")
 
     broadcasts: ClassVar[bool] = True
     compiles: ClassVar[bool] = True
 
     def check(self) -> None:
         """Raise `InvalidArgument` where no motor takes volts, or the ground knows no such motors."""
+        if not isinstance(self.wheeled.nv, int):
+            raise InvalidArgument(f"wheeled is {shown(self.wheeled)}, expected a WheeledRobot")
         if not self._electric:
             raise InvalidArgument(
                 "table has no motor that takes volts, expected Motor(resistance=..., torque_constant=..., "

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from os import PathLike
-from typing import TYPE_CHECKING, Any, ClassVar, Self, final
+from typing import Any, ClassVar, Self, final
 
 import numpy as np
 
@@ -24,13 +24,11 @@ from pinmobile.wheels.ground import Coulomb, Ground, Rolling
 from pinmobile.wheels.kinematics import Mobility
 from pinmobile.wheels.motors import Beside, constant_force
 from pinmobile.wheels.platform import Platform
+from pinmobile.wheels.powered import ByVoltage
 from pinmobile.wheels.rolling import RollingDynamics, stop_of
 from pinmobile.wheels.rows import column
 from pinmobile.wheels.table import WheelTable
 from pinmobile.wheels.tree import ConstrainedTree, Forces, WheelTree
-
-if TYPE_CHECKING:
-    from pinmobile.wheels.powered import ByVoltage
 
 _OFF = 1e-9  # of a start's rates, beyond which it does not roll
 
@@ -222,8 +220,6 @@ class WheeledRobot(Platform, Bearing):
 
     def by_voltage(self) -> ByVoltage:
         """Return the same robot whose input is volts, one per electric motor: see `ByVoltage`."""
-        from pinmobile.wheels.powered import ByVoltage  # which holds a WheeledRobot
-
         return ByVoltage(self)
 
     # Dynamics

@@ -17,7 +17,7 @@ import numpy as np
 
 from pinmobile.compiled.functions import constructors
 from pinmobile.errors import NotTraceable
-from pinmobile.parts._fields import _tracing as _local, is_tracing
+from pinmobile.parts import TRACING as _local, is_tracing
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _lock = threading.RLock()
@@ -121,7 +121,7 @@ def tracing(namespaces: Iterable[dict[str, Any]] = (), cells: Iterable[CellType]
             cell.cell_contents = _others[id(value)]
         _local.depth = getattr(_local, "depth", 0) + 1
         try:
-            with uncollected():
+            with uncollected(), np.errstate(all="ignore"):  # of constants in rounds that are not needed
                 yield
         except NotTraceable as error:
             if error.place:
