@@ -71,8 +71,7 @@ class Scenario:
     Parameters
     ----------
     robot : MobileRobot or other plant
-        Nominal plant. A robot without arms contains its attached loads in its body. On a robot with arms,
-        the spread may name loads, links, motors and the placement of arms.
+        Nominal plant. The spread may name its numbers, and those of its loads, links, motors and arms.
     controller : controller
         See `simulate`.
     trajectory : trajectory
