@@ -35,7 +35,6 @@ OF_COMMANDS: dict[str, Any] = {
     "Kanayama": VelocityCommand(Kanayama(), COMMANDED),
 }
 LOOPS |= {name: ((COMMANDED, each, CIRCLE), {}) for name, each in OF_COMMANDS.items()}
-LONG = ("ur5", "skid-steer", "mecanum Rolling", "mecanum Coulomb", "differential Coulomb", "volts")
 # Ends of the paths of numbers that no law uses in these loops, or not where they begin.
 OF_MOTORS = ("motor.efficiency", "motor.viscous", "motor.coulomb", "friction.mu")
 UNUSED = (*OF_MOTORS, "forces.0.end", "dead_zone", "controller.steer", "controller.arms", "accelerations")
@@ -104,7 +103,8 @@ def changed(loop: Loop, path: str, value: Any) -> Loop:
     raise AssertionError(f"{path} has no other value than {value}")
 
 
-@pytest.mark.parametrize("name", [pytest.param(x, marks=[pytest.mark.once] * (x in LONG)) for x in LOOPS])
+@pytest.mark.once
+@pytest.mark.parametrize("name", LOOPS)
 def test_every_number_moves_both_engines_alike(name: str) -> None:
     loop, context, start = made(name)
     nominal, unused = by_python(loop, context, start), []
