@@ -14,6 +14,7 @@ from pinmobile import (
     PD,
     Circle,
     ComputedTorque,
+    ConstantForce,
     CubicVia,
     Ensemble,
     FixedHeading,
@@ -40,9 +41,9 @@ from pinmobile import (
     sweep,
 )
 from pinmobile.errors import SlowerEngine
-from pinmobile.loop import COMPILED, PYTHON, part_of, run_scenario
+from pinmobile.loop import COMPILED, PYTHON, Loop, part_of, run_scenario
 from pinmobile.loop._variables import PER_ROBOT
-from pinmobile.parts import replace
+from pinmobile.parts import find, replace
 from tests.parts import (
     PID,
     Axle,
@@ -534,3 +535,9 @@ def test_a_sweep_knows_another_trajectory_of_the_same_nominal_reference(tmp_path
         sweep(
             owned("figure", trajectory=FixedHeading(Lissajous(0, 0, 0.7, 1.0, 6.0), 0.0)), tmp_path / "store"
         )
+
+
+def test_a_path_with_a_typo_is_answered_with_the_nearest_path() -> None:
+    loop = Loop(ROBOT, Derived(), None, {"wind": ConstantForce((1.0, 0.0, 0.0))})
+    with pytest.raises(UnknownName, match=r"'forces\.wind\.forse', did you mean 'forces\.wind\.force'"):
+        find(loop, "forces.wind.forse")

@@ -275,7 +275,10 @@ def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: 
         if path.endswith(f".{name}") or (rest and path.startswith(f"{first}.") and path.endswith(f".{rest}"))
     )
     if not ends:
-        raise UnknownName(f"parameter{where and ' in ' + where}", name, short_names(known))
+        from difflib import get_close_matches  # here, because nobody else needs it
+
+        near = get_close_matches(name, known) if rest else []
+        raise UnknownName(f"parameter{where and ' in ' + where}", name, [*near, *short_names(known)])
     best = [path for *rank, path in ends if rank == list(ends[0][:2])]
     if len(best) > 1:
         raise InvalidArgument(
