@@ -277,7 +277,7 @@ def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: 
     if not ends:
         from difflib import get_close_matches  # here, because nobody else needs it
 
-        near = get_close_matches(name, known) if rest else []
+        near = get_close_matches(name, known, cutoff=0.85) if rest else []
         raise UnknownName(f"parameter{where and ' in ' + where}", name, [*near, *short_names(known)])
     best = [path for *rank, path in ends if rank == list(ends[0][:2])]
     if len(best) > 1:
