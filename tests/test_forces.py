@@ -274,8 +274,8 @@ class Deaf(OtherPlant):
         ),
         (
             {"plant": Rail(), "forces": FORCES},
-            "forces push the body of the plant, a Rail, which has no effort, expected one with pose(q), "
-            "rate(q, v) and effort(q, wrench)",
+            ", which has no effort, and forces push its body, expected a plant whose body can be pushed: "
+            "pose(q), rate(q, v) and effort(q, wrench)",
         ),
         (
             {"plant": Deaf(), "forces": FORCES},
@@ -292,4 +292,4 @@ def test_forces_that_do_not_fit_are_refused(changed: dict[str, Any], text: str) 
     arguments: dict[str, Any] = {"plant": ROBOT, "controller": PD(1, 1), "trajectory": CIRCLE, "dt": 0.1}
     with pytest.raises(InvalidArgument) as caught:
         simulate(**(arguments | changed))
-    assert str(caught.value) == text
+    assert text in str(caught.value)
