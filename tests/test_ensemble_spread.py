@@ -681,3 +681,10 @@ def test_a_wind_without_friction_is_what_the_closed_form_says() -> None:
     )
     np.testing.assert_allclose(run.max_error[:, 0], np.abs(np.linspace(-5, 5, 50)) / 40, atol=1e-8)
     np.testing.assert_allclose(run.max_error[:, 2], 0.2 / 4, atol=1e-8)
+
+
+def test_two_names_of_one_number_are_refused() -> None:
+    with pytest.raises(
+        InvalidArgument, match=r"spread has 'mass' and 'plant\.mass', both of which are plant\.mass"
+    ):
+        made(spread={"mass": Uniform(20, 30), "plant.mass": 25.0})

@@ -541,3 +541,10 @@ def test_a_path_with_a_typo_is_answered_with_the_nearest_path() -> None:
     loop = Loop(ROBOT, Derived(), None, {"wind": ConstantForce((1.0, 0.0, 0.0))})
     with pytest.raises(UnknownName, match=r"'forces\.wind\.forse', did you mean 'forces\.wind\.force'"):
         find(loop, "forces.wind.forse")
+
+
+def test_what_is_no_part_is_told_so() -> None:
+    with pytest.raises(InvalidArgument, match=r"part is of type object, expected a class with @part"):
+        replace(object(), {"mass": 1.0})
+    with pytest.raises(InvalidArgument, match=r"plant is None, expected a plant"):
+        Loop(None, Derived())

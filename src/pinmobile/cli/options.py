@@ -484,5 +484,5 @@ def spreadable() -> str:
     return (
         f"{listed}\n\nThese are the lecture's. The end of a path is enough: mass is plant.mass, radius "
         "trajectory.path.radius; controller.mass is the nearest one there. Forces, arms and wheels have "
-        "more: forces.wind.x, forearm_link.mass and left.radius."
+        "more: forces.wind.force.x, forearm_link.mass and left.radius."
     )

@@ -70,8 +70,8 @@ class Loop:
     ``"forces.0.force.x"`` start here.
     """
 
-    plant: Any = child(object, doc="simulated system")
-    controller: Any = child(object, doc="controller, with its wrappers")
+    plant: Any = child(object, doc="simulated system", expected="a plant")
+    controller: Any = child(object, doc="controller, with its wrappers", expected="a controller")
     trajectory: Any = child(object, default=None, optional=True, doc="what the reference is sampled from")
     forces: Any = children(object, default=(), doc="external forces")
     integrator: Any = child(

@@ -255,12 +255,17 @@ def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str
     UnknownName
         If there is no such number.
     InvalidArgument
-        If a source is no distribution, number, array of shape (n,), `Relative` or `Same`, or is circular.
+        If a source is no distribution, number, array of shape (n,), `Relative` or `Same`, or is circular, or
+        two names mean one number.
     """
     check_mapping(spread)
-    found = {}
+    found, named = {}, dict[str, str]()
     for name, source in spread.items():
-        find(name)
+        path = find(name).path
+        if named.setdefault(path, name) != name:
+            raise InvalidArgument(
+                f"spread has {named[path]!r} and {name!r}, both of which are {path}, expected one of them"
+            )
         found[name] = _checked(f"spread[{name!r}]", source, n)
         if isinstance(source, Same):
             _follow(name, source, spread, find)

@@ -263,7 +263,11 @@ class Child(Field):
     def _one(self, name: str, value: Any) -> Any:
         kind = self.kind
         plain = isinstance(kind, tuple) or not getattr(kind, "_is_protocol", False)
-        if isinstance(value, type) or not (isinstance(value, kind) if plain else offers(value, kind)):
+        if (
+            value is None
+            or isinstance(value, type)
+            or not (isinstance(value, kind) if plain else offers(value, kind))
+        ):
             expected = self.expected or (meaning(kind) if not isinstance(kind, tuple) else "a part")
             told = "" if plain else lacks(value, kind)
             raise InvalidArgument(f"{name} is {shown(value)}{told}, expected {expected}")
@@ -486,6 +490,10 @@ def declared_by(kind: type) -> tuple[tuple[str, Field | None], ...]:
     """Return name and declaration of each field of a class; None of one that is not declared."""
     if attrs.has(kind):
         return tuple((f.name, f.metadata.get("declared")) for f in attrs.fields(kind) if f.init)
+    if not dataclasses.is_dataclass(kind):
+        raise InvalidArgument(
+            f"part is of type {kind.__name__}, expected a class with @part, or a frozen dataclass"
+        )
     whole = Field()  # not to be taken for a number
     return tuple(
         (f.name, whole if f.type in (int, "int", bool, "bool") else None)

@@ -266,7 +266,7 @@ def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: 
     if name in known:
         return known[name]
     first, _, rest = name.partition(".") if isinstance(name, str) else ("", "", "")
-    if first == "robot" and any(path.startswith("plant.") for path in known):
+    if first == "robot" and rest and any(path.startswith("plant.") for path in known):
         return find(part, f"plant.{rest}", known, where)
     ends = sorted(
         (*_nearness(path), path)
