@@ -135,7 +135,7 @@ def _array(value: object) -> np.ndarray[Any, Any]:
 
 
 def _hides(value: object) -> bool:
-    """Tell whether a value is a masked array, or a list in which there is one."""
+    """Return whether a value is a masked array, or a list in which there is one."""
     # Where it is not loaded, or another thread is about to, there is none.
     masked = getattr(sys.modules.get("numpy.ma"), "MaskedArray", None)
     if masked is None:
@@ -178,7 +178,7 @@ def real(name: str, value: ArrayLike) -> Array:
 
 
 def are_real(answer: object) -> bool:
-    """Tell whether what a part returned holds real numbers: no complex ones, no text, no other objects.
+    """Return whether what a part returned holds real numbers: no complex ones, no text, no other objects.
 
     Of what is no array, such as a symbol, nothing is asked.
     """

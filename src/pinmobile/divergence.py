@@ -8,7 +8,7 @@ import numpy as np
 
 
 def is_near(errors: Any, limit: Any) -> Any:
-    """Tell where no error is beyond the limit, shape (...); what is no number is beyond.
+    """Return where no error is beyond the limit, shape (...); what is no number is beyond.
 
     Parameters
     ----------
@@ -21,7 +21,7 @@ def is_near(errors: Any, limit: Any) -> Any:
 
 
 def is_alive(errors: Any, limit: Any, u: Any, a: Any) -> Any:
-    """Tell at which samples a loop has not diverged, shape (...): the rule of all engines.
+    """Return at which samples a loop has not diverged, shape (...): the rule of all engines.
 
     A loop has diverged where an error or its rate is beyond the limit, or its input or acceleration is not
     finite.

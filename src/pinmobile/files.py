@@ -206,7 +206,7 @@ def _replaceable(path: Path) -> Path | None:
 
 
 def _is_open_file(path: Path) -> bool:
-    """Tell whether a path leads to a file that some process has open, as ``/dev/stdout`` may."""
+    """Return whether a path leads to a file that some process has open, as ``/dev/stdout`` may."""
     link = path
     while True:
         folder = Path(os.path.realpath(link.parent))

@@ -238,7 +238,7 @@ def _by_joints(
 def _can_touch(
     robot: Any, solids: Solids, scene: _Scene, joints: tuple[int, ...], pairs: list[_Numbers]
 ) -> list[bool]:
-    """Tell which pairs touch in some position of the joints between them."""
+    """Return which pairs touch in some position of the joints between them."""
     columns = [solids.moves[k].start for k in joints]
     rest = np.asarray(robot.rest)
     low, high = np.transpose([_span(robot, rest, column) for column in columns])
@@ -309,7 +309,7 @@ class _Scene:
             self.model.addGeometryObject(pin.GeometryObject(f"{k}", 0, pin.SE3.Identity(), geometry))
 
     def is_ground(self, k: int) -> bool:
-        """Tell whether a link is the ground."""
+        """Return whether a link is the ground."""
         return k == len(self.links)
 
     def part(self, k: int) -> int:
@@ -358,7 +358,7 @@ class _Scene:
         return [(i, j) for i in self._of[pair[0]] for j in self._of[pair[1]]]
 
     def has_mesh(self, pair: _Numbers) -> bool:
-        """Tell whether the distance of two links may be larger than that of their hulls.
+        """Return whether the distance of two links may be larger than that of their hulls.
 
         Of a hull and the ground it is not.
         """
@@ -407,7 +407,7 @@ class _Scene:
         return solid
 
     def overlaps(self, placements: Array, pair: _Numbers) -> bool:
-        """Tell whether two links overlap."""
+        """Return whether two links overlap."""
         import coal
 
         for i, j in self._shapes(pair):
@@ -428,7 +428,7 @@ class _Scene:
         return coal.Transform3s(placements[k, :3, :3], placements[k, :3, 3])
 
     def _encloses(self, i: int, j: int, placements: Array) -> bool:
-        """Tell whether one of two shapes that do not cross is in the other."""
+        """Return whether one of two shapes that do not cross is in the other."""
         for outer, inner in ((i, j), (j, i)):
             mesh = self._meshes[outer]
             if mesh is None:

@@ -429,7 +429,7 @@ def identify(
     out: Annotated[Path, _help("Folder for the figure.")] = Path("out/identify"),
     **typed: object,
 ) -> int:
-    """Tell mass, centre of mass, yaw inertia and friction, with intervals, from a robot's log.
+    """Estimate mass, centre of mass, yaw inertia and friction, with confidence intervals, from a robot log.
 
     Its inputs are forces on a body that is pushed, or torques or volts of wheels, with --drive or a --urdf
     that has wheels. Two inputs without these are commands of speed and yaw rate: then it tells theta of a

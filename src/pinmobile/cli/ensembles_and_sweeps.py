@@ -210,7 +210,7 @@ def _warn_if_alike(scenarios: Iterable[Scenario]) -> None:
 
 
 def _differs(source: object) -> bool:
-    """Tell whether a source gives robots different numbers, by itself."""
+    """Return whether a source gives robots different numbers, by itself."""
     if isinstance(source, Same):
         return _differs(source.factor)
     return not (isinstance(source, np.ndarray) and source.ndim == 0)

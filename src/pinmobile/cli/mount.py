@@ -127,7 +127,7 @@ def demonstration(robot: MobileRobot, duration: float) -> WholeBody:
 
 
 def _lifts(robot: MobileRobot, way: Array) -> NDArray[np.bool_]:
-    """Tell of which coordinates a larger one lifts the arm, rather than pressing it into the base."""
+    """Return for which coordinates a larger one lifts the arm, rather than pressing it into the base."""
     moves = np.diag(way)
     higher, lower = (robot.potential_energy(robot.integrate(robot.rest, sign * moves)) for sign in (1, -1))
     return higher >= lower - 1e-9

@@ -257,7 +257,7 @@ def _options(tree: Table) -> Options:
 
 
 def _is_composed(tree: Table, table: str) -> bool:
-    """Tell whether a table is of a part that takes its keys as the arguments of its class."""
+    """Return whether a table is of a part that takes its keys as the arguments of its class."""
     name = tree.get(table, {}).get("type")
     composed = {"robot": OF_SPEEDS, "controller": _CONTROLLERS, "trajectory": ROUTES}.get(table, NONE)
     return is_code(name) or (isinstance(name, str) and name in composed)
@@ -302,7 +302,7 @@ def _may_be_composed(tree: Table, swept: Table, table: str) -> bool:
 
 
 def _names_well(table: str, key: str, value: object) -> bool:
-    """Tell whether a key that names something has a text, or a table where that is possible."""
+    """Return whether a key that names something has a text, or a table where that is possible."""
     if table in _OWN or key not in _NAMES or isinstance(value, str):
         return True
     return key in OF_PARTS and isinstance(value, Mapping)

@@ -196,7 +196,7 @@ _PLACES = {"path": "trajectory", **{name: OPTIONS[name].place for name in OF_PAR
 
 
 def is_code(name: object) -> TypeGuard[str]:
-    """Tell whether a text names what is in a user's module."""
+    """Return whether a text names what is in a user's module."""
     return isinstance(name, str) and ":" in name
 
 

@@ -199,5 +199,5 @@ def names_of(code: CodeType) -> frozenset[str]:
 
 
 def is_foreign(module: str) -> bool:
-    """Tell whether a module holds no laws: NumPy, the standard library, and others that only compute."""
+    """Return whether a module holds no laws: NumPy, the standard library, and others that only compute."""
     return module.partition(".")[0] in FOREIGN

@@ -106,7 +106,7 @@ class Code:
         return f"%t{self.named}"
 
     def is_shared(self, node: int) -> bool:
-        """Tell whether all robots have the same value."""
+        """Return whether all robots have the same value."""
         return self.shared[node]
 
     def region(self, node: int, default: str) -> str:

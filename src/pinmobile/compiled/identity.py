@@ -48,7 +48,7 @@ _UNTRACED = ("trajectory", "start", "start_rate")  # fields of a loop that no sa
 
 
 def is_constant(part: Any) -> bool:
-    """Tell whether a part has no fields and no code that may change."""
+    """Return whether a part has no fields and no code that may change."""
     try:
         if part not in _constant:
             Identity()._part(part)
@@ -58,7 +58,7 @@ def is_constant(part: Any) -> bool:
 
 
 def is_traced(path: str) -> bool:
-    """Tell whether a number of a loop is a symbol of its law: not one of the trajectory or the start."""
+    """Return whether a number of a loop is a symbol of its law: not one of the trajectory or the start."""
     return path.partition(".")[0] not in _UNTRACED
 
 

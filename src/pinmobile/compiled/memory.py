@@ -34,7 +34,7 @@ _STATE = "keep memory in state as floats and arrays, in a tree that stays as `in
 
 
 def is_leaf(x: object) -> bool:
-    """Tell whether a value is a number, an array of numbers, or a symbol."""
+    """Return whether a value is a number, an array of numbers, or a symbol."""
     numeric = isinstance(x, np.ndarray) and (x.dtype.kind in "fiub" or x.dtype == object)
     return numeric or isinstance(x, Symbols | Node | bool | int | float | np.number | np.bool_)
 

@@ -97,7 +97,7 @@ def _head(key: str, code: bytes, kind: str) -> bytes:
 
 
 def _is_open_to_others(folder: Path) -> bool:
-    """Tell whether others than this user may write to a folder."""
+    """Return whether others than this user may write to a folder."""
     try:
         found = folder.stat()
     except OSError:

@@ -29,7 +29,7 @@ def boxed(x: object) -> Any:
 
 
 def is_truth(x: object) -> bool:
-    """Tell whether an entry is a truth value."""
+    """Return whether an entry is a truth value."""
     return x.kind == "b" if type(x) is Node else isinstance(x, bool | np.bool_)
 
 
@@ -395,7 +395,7 @@ def symbols(nodes: Sequence[Any], shape: tuple[int, ...]) -> Symbols:
 
 
 def has_symbols(x: object) -> bool:
-    """Tell whether a value is made of symbols, in part at least."""
+    """Return whether a value is made of symbols, in part at least."""
     if isinstance(x, list | tuple):
         return any(map(has_symbols, x))
     return isinstance(x, Symbols | Node) or (

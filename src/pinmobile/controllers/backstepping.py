@@ -181,7 +181,7 @@ class Backstepping:
 
 
 def has_axle(mobility: Any) -> bool:
-    """Tell whether a drive has one fixed axle, along whose wheels alone it can move."""
+    """Return whether a drive has one fixed axle, along whose wheels alone it can move."""
     return (mobility.mobility, mobility.steerability) in _KINDS
 
 

@@ -246,7 +246,7 @@ class Chassis:
         return D
 
     def is_possible(self, phi: Array) -> bool:
-        """Tell whether mass and yaw inertia about the centre of mass are above zero."""
+        """Return whether mass and yaw inertia about the centre of mass are above zero."""
         m, mx, my, inertia = phi[:4]
         return bool(m > 0 and m * inertia > mx * mx + my * my)
 

@@ -296,7 +296,7 @@ class Log:
         return step(self.t)
 
     def _is_same(self, other: Log) -> bool:
-        """Tell whether another log has the same numbers."""
+        """Return whether another log has the same numbers."""
         mine, others = self._given(), other._given()
         return mine.keys() == others.keys() and all(
             np.array_equal(mine[name], others[name], equal_nan=True) for name in mine

@@ -410,7 +410,7 @@ def _noise_of(found: Estimate, segments: Sequence[Segments], chassis: Chassis) -
 
 
 def _is_noise(found: Estimate, segments: Sequence[Segments], chassis: Chassis) -> bool:
-    """Tell whether noise of sensors and inputs explains what is left: else the structure is wrong."""
+    """Return whether noise of sensors and inputs explains what is left: else the structure is wrong."""
     if _are_white(found.residuals, found.good):
         return True
     before = [whiteness(e, good) for e, good in zip(found.residuals, found.good, strict=True)]

@@ -184,7 +184,7 @@ class Model:
         return np.maximum(np.abs(p), floor)
 
     def is_possible(self, p: Array, lead: int) -> bool:
-        """Tell whether there is a robot of such numbers, shape (P,)."""
+        """Return whether there is a robot of such numbers, shape (P,)."""
         _, delay, _, most = self.values(p[None])
         inside = -1 < delay[0] < lead
         return bool(np.isfinite(p).all() and (p[list(ABOVE_ZERO)] > 0).all() and inside and (most > 0).all())

@@ -223,7 +223,7 @@ def started(plant: Any, reference: Reference) -> tuple[Any, Any]:
 
 
 def checked_forces(forces: Any, plant: Plant) -> Any:
-    """Check that these are forces, and that the plant can feel them; return them.
+    """Return the forces. They must be forces, and the plant must accept them.
 
     Raises
     ------
@@ -382,7 +382,7 @@ def check_controllers_memory(controller: Controller, context: Context, q: Array,
 
 
 def _are_same(one: Array, other: Array) -> bool:
-    """Tell whether two answers to the same arguments agree."""
+    """Return whether two answers to the same arguments agree."""
     return np.shape(one) == np.shape(other) and np.allclose(
         one, other, rtol=_SAME, atol=_SAME, equal_nan=True
     )

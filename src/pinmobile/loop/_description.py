@@ -50,7 +50,7 @@ def judgement(n: int, duration: float, within: tuple[float, float], diverged: in
 
 
 def percent(part: int, n: int) -> str:
-    """Return a part of n in words: ``96 % of``, or ``all``; what is not all is never told as 100 %."""
+    """Return a part of n in words: ``96 % of``, or ``all``; only all of n are 100 %."""
     if part == n:
         return "all"
     share = 100 * part / n
@@ -117,7 +117,7 @@ _CLOSE = 1e-9  # by which numbers differ that another machine or release makes a
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Outline:
-    """A scenario whose parts are told in words: what an ensemble has that was loaded from a file.
+    """Description of a scenario by the text of its parts, of an ensemble that was loaded from a file.
 
     The attributes are those of `Scenario`.
 
@@ -230,7 +230,7 @@ class Outline:
 
     @classmethod
     def from_description(cls, described: Mapping[str, Any], t: Array, reference: Reference) -> Outline:
-        """Return what `description` told.
+        """Return the scenario of a `description`.
 
         Raises
         ------
@@ -281,7 +281,7 @@ class Outline:
         return channels_of(self.coordinates, self.judged)
 
     def difference(self, other: Outline) -> str:
-        """Return in words how another scenario differs, as far as can be told; "" where it does not."""
+        """Return how another scenario differs as text; "" where no difference is visible."""
         there, here = self._told(), other._told()
         for name in {**there, **here}:
             if there.get(name) != here.get(name):
@@ -310,7 +310,7 @@ class Outline:
 
 
 def alike(one: Array, other: Array) -> bool:
-    """Tell whether arrays are the same but for what another machine or release may change."""
+    """Return whether arrays are the same but for what another machine or release may change."""
     size = np.abs(one).max(initial=0.0)
     return one.shape == other.shape and np.allclose(one, other, rtol=_CLOSE, atol=_CLOSE * size)
 

@@ -111,7 +111,7 @@ class EndEffector:
 
     @property
     def angle(self) -> Array:
-        """Angle of the orientation's error, shape (N + 1,) [rad]; as of `error`, NaN where none is told."""
+        """Angle of the orientation's error, shape (N + 1,) [rad]; NaN where none is desired."""
         return np.asarray(error_sizes(self.error)[:, 1])
 
     def max_error(self) -> tuple[float, float]:
@@ -162,7 +162,7 @@ def end_effector_of(rollout: Any, frame: str | None) -> EndEffector:
 
 
 def _told(signals: Mapping[str, Signal], position: str, orientation: str) -> Array:
-    """Return the poses that signals tell, shape (N + 1, 4, 4)."""
+    """Return the poses of signals, shape (N + 1, 4, 4)."""
     place = signals[position].values
     target = np.tile(np.eye(4), (len(place), 1, 1))
     target[:, :3, 3] = place
@@ -173,7 +173,7 @@ def _told(signals: Mapping[str, Signal], position: str, orientation: str) -> Arr
 
 
 def _coordinates_of(plant: Any, frame: str) -> int:
-    """Return how many of the first coordinates a reference needs to tell where a frame should be."""
+    """Return how many of the first coordinates a reference needs to define the pose of a frame."""
     mounts = getattr(plant, "mounts", None)
     if mounts is None:
         return int(plant.nv)

@@ -111,7 +111,7 @@ class PythonRun:
 
     @np.errstate(over="ignore", invalid="ignore")  # an overflow is not fine
     def is_fine(self, begin: int, end: int, limit: float) -> bool:
-        """Tell whether the samples are finite and near the reference; if in doubt, False."""
+        """Return whether the samples are finite and near the reference; if in doubt, False."""
         if not self._adds:
             return False
         q, v, a, u = self.samples(begin, end)

@@ -398,7 +398,7 @@ class Ensemble:
             Dimensions ``robot``, ``coordinate``, ``input``, ``measure`` (where there is one), ``time``,
             ``channel``, ``level`` and ``bin``;
             each variable has attributes ``units`` and ``long_name``. What was drawn is ``drawn_mass`` and so
-            on. Attribute ``scenario`` tells in words what was run. The traces, which may differ in length,
+            on. Attribute ``scenario`` describes the run. The traces, which may differ in length,
             are not in it.
 
         Raises

@@ -152,7 +152,7 @@ class CompiledPlant:
         return _Moved(row[:nq].copy(), row[nq:n].copy(), mapped(memory, after), found["a"])
 
     def signals(self, *asked: Any) -> dict[str, Any]:
-        """Return what plant and forces told at the sample whose step was the last."""
+        """Return the signals of plant and forces at the last sample."""
         return self._signals
 
 

@@ -126,7 +126,7 @@ def _larger(a: Any, b: Any) -> Any:
 @final
 @part
 class Samples:
-    """All samples: configuration, velocity, input and acceleration, and what parts tell."""
+    """All samples: configuration, velocity, input, acceleration and signals."""
 
     signals: ClassVar[bool] = True
     errors: ClassVar[bool] = False

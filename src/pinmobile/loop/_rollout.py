@@ -67,7 +67,7 @@ class Rollout:
     reference : Reference
         Desired q, v and a of the first n coordinates.
     signals : mapping of str to Signal
-        What else parts of the loop told at each sample, with its unit.
+        Further series of the parts, by name, each with its unit.
     engine : str
         What ran the loop: ``"PYTHON"``, in Python, or ``"COMPILED"``; "" where that is not known.
     why : str

@@ -60,7 +60,7 @@ class Way:
     program: Compiled | None = None
 
     def divided(self, start: int, stop: int) -> list[tuple[int, int]]:
-        """Divide the robots so that progress is told and memory stays small."""
+        """Divide the robots, for progress and for little memory."""
         each = _ONE_BY_ONE
         if self.engine is COMPILED:
             work = _SAMPLED if self.scenario.has_own_references else _WORK
@@ -142,12 +142,12 @@ class _Blind:
 
 
 def _context(scenario: Scenario) -> Any:
-    """Return what the controller of many robots at once is told."""
+    """Return the context of a controller of many robots at once."""
     return _Blind(scenario.context) if scenario.has_own_references else scenario.context
 
 
 def _starts_otherwise(scenario: Scenario, path: str) -> bool:
-    """Tell whether a number changes what the parts keep before the first sample."""
+    """Return whether a number changes what the parts keep before the first sample."""
     value = np.asarray(scenario.find(path).leaf.value, np.float64)
     loops = scenario.loop, replaced(scenario.loop, {path: value * 1.001 + 1e-6})
     before, after = (arrays_of(initial_memory(loop, scenario.context)) for loop in loops)

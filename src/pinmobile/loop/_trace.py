@@ -587,8 +587,7 @@ def check_schedules(loop: Loop, context: Context, spread: Iterable[str]) -> None
         others = scheduled_rows(moved, context)
         if not all(map(np.array_equal, rows, others)):
             raise NotTraceable(
-                f"what the controller knows of each sample follows from {path}, which each robot "
-                "has of its own",
+                f"the context of the controller depends on {path}, which each robot has of its own",
                 "spread parameters of the plant, or let robots run one after another",
             )
 

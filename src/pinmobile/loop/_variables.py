@@ -288,8 +288,8 @@ def write_ensemble(file: IO[bytes], ensemble: Recorded) -> None:
     """Write an ensemble.
 
     The archive has the arrays of `PER_ROBOT` and ``counts``; ``draws`` with a row for each parameter; the
-    traces one after the other, as ``trace_t`` and so on; times and reference; and ``description``, which
-    tells, as JSON, what these are and what the parts were.
+    traces one after the other, as ``trace_t`` and so on; times and reference; and ``description``,
+    which describes these and the parts, as JSON.
 
     Parameters
     ----------

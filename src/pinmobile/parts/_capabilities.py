@@ -304,7 +304,7 @@ def _names(kind: type) -> tuple[str, ...]:
 
 
 def offers(part: object, kind: type) -> bool:
-    """Tell whether a part has all that a protocol asks for; what is None it has not."""
+    """Return whether a part has all that a protocol asks for; what is None it has not."""
     return all(getattr(part, name, None) is not None for name in _names(kind))
 
 

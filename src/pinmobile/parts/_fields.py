@@ -25,12 +25,12 @@ TRACING = threading.local()  # `depth` > 0 in a thread that runs laws on symbols
 
 
 def is_symbolic(value: object) -> bool:
-    """Tell whether a value is a symbol of a law that is being compiled."""
+    """Return whether a value is a symbol of a law that is being compiled."""
     return getattr(type(value), "is_symbolic", False)
 
 
 def holds_symbols(value: object) -> bool:
-    """Tell whether a value is a symbol, a part that holds symbols, or several of which one is."""
+    """Return whether a value is a symbol, a part that holds symbols, or several of which one is."""
     if isinstance(value, tuple | list):
         return any(map(holds_symbols, value))
     if isinstance(value, Mapping):
@@ -58,7 +58,7 @@ def also_symbols(method: _Method) -> _Method:
 
 
 def is_tracing() -> bool:
-    """Tell whether laws run on symbols in this thread."""
+    """Return whether laws run on symbols in this thread."""
     return bool(getattr(TRACING, "depth", 0))
 
 
@@ -478,7 +478,7 @@ def _initial(part: Any) -> dict[str, Any]:
 
 
 def is_part(value: object) -> bool:
-    """Tell whether a value is a part: an object of a frozen class whose fields are known."""
+    """Return whether a value is a part: an object of a frozen class whose fields are known."""
     if isinstance(value, type):
         return False
     params = getattr(type(value), "__dataclass_params__", None)

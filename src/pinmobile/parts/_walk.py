@@ -88,7 +88,7 @@ def _inner(path: str, declared: Field, value: Any) -> list[tuple[str, Any]]:
 
 
 def _is_within(declared: Field, value: Any) -> bool:
-    """Tell whether a value is a part of the part that has it; what an option holds is not."""
+    """Return whether a value is a part of the part that has it; what an option holds is not."""
     return is_part(value) and not isinstance(declared, _Option)
 
 
@@ -224,7 +224,7 @@ def named(part: Any) -> dict[str, Found]:
 
 
 def _is_derived(leaf: Leaf) -> bool:
-    """Tell whether an array of a certain length follows from other numbers: no entry differs alone."""
+    """Return whether an array of a certain length follows from other numbers: no entry differs alone."""
     shapes = getattr(leaf.declared, "shapes", ())
     return leaf.value is None and any(isinstance(n, int) for shape in shapes for n in shape)
 

@@ -119,7 +119,7 @@ _JUMP = 1e-6  # [m], and of the coordinates: more than the rounding of any curve
 
 
 def jumps(one: Array, other: Array, slack: float) -> bool:
-    """Tell whether points differ by more than `slack` [m], relative to those beyond 1 m."""
+    """Return whether points differ by more than `slack` [m], relative to those beyond 1 m."""
     return not bool((np.abs(other - one) <= slack * (1 + np.abs(one).max(initial=0.0))).all())
 
 

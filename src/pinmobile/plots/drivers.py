@@ -314,7 +314,7 @@ class Cause(NamedTuple):
         return f"from {self.low:.3g} to {self.high:.3g}{unit}"
 
     def holds(self, values: Array) -> NDArray[np.bool_]:
-        """Tell which values are where those of the worst robots are."""
+        """Return which values are where those of the worst robots are."""
         between = (values > self.low) & (values <= self.high)
         return ~between if self.outside else between
 
@@ -564,7 +564,7 @@ def _scatter(
 
 
 def _lost(ensemble: Ensemble, by: str) -> NDArray[np.bool_]:
-    """Tell which robots have no size that could be drawn, shape (n,)."""
+    """Return which robots have no size that could be drawn, shape (n,)."""
     return ensemble.diverged | ~np.isfinite(ensemble.largest(by))
 
 

@@ -444,7 +444,7 @@ def _points(name: Literal["figure.titlesize", "legend.fontsize"]) -> float:
 
 
 def _has_size() -> bool:
-    """Tell whether the user has set the size of figures."""
+    """Return whether the user has set the size of figures."""
     return tuple(rcParams["figure.figsize"]) != tuple(rcParamsDefault["figure.figsize"])
 
 

@@ -139,7 +139,7 @@ def rotations_of(turns: Array) -> Array:
 
 
 def half_turn_apart(angle: float) -> bool:
-    """Tell whether an angle [rad] of a rotation vector is half a turn but for rounding."""
+    """Return whether an angle [rad] of a rotation vector is half a turn but for rounding."""
     return angle > np.pi - _HALF_TURN
 
 

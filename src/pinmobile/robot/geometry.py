@@ -359,5 +359,5 @@ def _top(body: Sequence[tuple[Shape, pin.SE3]], file: VisualFile | None) -> tupl
 
 
 def _is_above(shape: Shape, pose: pin.SE3) -> bool:
-    """Tell whether a shape is more than what a caster is: not a primitive that touches the ground."""
+    """Return whether a shape is more than what a caster is: not a primitive that touches the ground."""
     return bool(shape.mesh) or pose.translation[2] - shape.reach(pose.rotation) > TOUCH

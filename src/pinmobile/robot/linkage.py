@@ -171,7 +171,7 @@ def children(model: pin.Model) -> list[list[int]]:
 
 
 def turns_freely(model: pin.Model, joint: int) -> bool:
-    """Tell whether a joint turns without end: continuous, or revolute with limits far beyond all use."""
+    """Return whether a joint turns without end: continuous, or revolute with limits far beyond all use."""
     own = Joint.of(model, joint)
     if own.continuous:
         return True
@@ -183,7 +183,7 @@ def turns_freely(model: pin.Model, joint: int) -> bool:
 
 
 def carries_only_wheels(model: pin.Model, joint: int) -> bool:
-    """Tell whether the joint is a wheel, or carries only wheels with at most three joints in series."""
+    """Return whether the joint is a wheel, or carries only wheels with at most three joints in series."""
     below = children(model)
 
     def rolls(joint: int, joints_left: int) -> bool:

@@ -59,7 +59,7 @@ def matrix_of_six(six: Array) -> Array:
 
 
 def are_impossible(inertias: Array, masses: ArrayLike) -> NDArray[np.bool_]:
-    """Tell which inertias (xx, yy, zz, xy, xz, yz) about a centre of mass no body has, shape (...)."""
+    """Return which inertias (xx, yy, zz, xy, xz, yz) about a centre of mass no body has, shape (...)."""
     xx, yy, zz, xy, xz, yz = np.moveaxis(inertias, -1, 0)
     full = np.stack([np.stack(row, -1) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))], -2)
     moments = np.linalg.eigvalsh(full)
@@ -100,7 +100,7 @@ class Link:
     inertia: Any = _inertia_field("the link")
 
     def impossible(self, values: Mapping[str, Array]) -> tuple[NDArray[np.bool_], str]:
-        """Tell which of several values of its numbers no rigid body has, and what is expected."""
+        """Return which of several values of its numbers no rigid body has, and what is expected."""
         mass = values.get("mass", self.mass)
         return are_impossible(values.get("inertia", self.inertia), mass), _EXPECTED
 
@@ -318,7 +318,7 @@ class Load:
         self.__attrs_init__(mass, com, six, size, frame)  # type: ignore[attr-defined]
 
     def impossible(self, values: Mapping[str, Array]) -> tuple[NDArray[np.bool_], str]:
-        """Tell which of several values of its numbers no rigid body has, and what is expected."""
+        """Return which of several values of its numbers no rigid body has, and what is expected."""
         mass = values.get("mass", self.mass)
         return are_impossible(values.get("inertia", self.inertia), mass), _EXPECTED
 

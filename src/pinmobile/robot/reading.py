@@ -474,7 +474,7 @@ def read_model(
 
 
 def _starts_with_slides(model: pin.Model) -> bool:
-    """Tell whether the model is meant as the chain: three joints in series, two prismatic ones among them."""
+    """Return whether the model is the chain: three joints in series, two of them prismatic."""
     if model.njoints < 4 or [model.parents[j] for j in (1, 2, 3)] != [0, 1, 2]:
         return False
     return sum(joint.slides for joint in joints_of(model)[:3]) >= 2

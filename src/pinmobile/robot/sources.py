@@ -173,7 +173,7 @@ def _loaders() -> dict[str, Any]:
 
 
 def _does_more(loader: Any) -> bool:
-    """Tell whether the loader does more than read a URDF."""
+    """Return whether the loader does more than read a URDF."""
     return "__init__" in vars(loader) or not loader.urdf_filename
 
 

@@ -154,7 +154,7 @@ def _without_meshes(
 
 
 def _is_missing(mesh: ElementTree.Element, file: VisualFile) -> bool:
-    """Tell whether there is no file of that name; where there is one, write into the mesh where it lies."""
+    """Return whether there is no file of that name; where there is one, write into the mesh where it lies."""
     path = found(mesh.get("filename", ""), file)
     if path is not None:
         mesh.set("filename", str(path))
@@ -162,7 +162,7 @@ def _is_missing(mesh: ElementTree.Element, file: VisualFile) -> bool:
 
 
 def _is_endless(mesh: ElementTree.Element) -> bool:
-    """Tell whether a Collada file has other than whole numbers among its indices.
+    """Return whether a Collada file has other than whole numbers among its indices.
 
     At such a letter assimp, by which Pinocchio reads meshes, stays for ever and takes more and more memory.
     """

@@ -271,7 +271,7 @@ def part_of_packed(sent: Packed, start: int, stop: int) -> tuple[dict[str, Array
 
 
 def is_library(module: ModuleType) -> bool:
-    """Tell whether a module is of a library whose version is told, or of Python's own."""
+    """Return whether a module is of a library whose version is told, or of Python's own."""
     top = module.__name__.split(".")[0]
     if top not in sys.stdlib_module_names:
         return top in _LIBRARIES
@@ -303,7 +303,7 @@ def node_of(code: CodeType) -> _Function | str:
 
 
 def _is_at(node: _Function, code: CodeType, spans: Sequence[tuple[Any, Any]]) -> bool:
-    """Tell whether a function's code may be that of a node, given from where to where its steps stand."""
+    """Return whether a function's code may be that of a node, given from where to where its steps stand."""
     if not isinstance(node, ast.Lambda):
         first = min(each.lineno for each in (node, *node.decorator_list))
         return (first, node.name) == (code.co_firstlineno, code.co_name)

@@ -350,7 +350,7 @@ def _copied(value: object) -> dict[str, Any] | None:
 
 
 def _is_made_of_fields(name: str, member: object) -> bool:
-    """Tell whether a dataclass or a part makes a member."""
+    """Return whether a dataclass or a part makes a member."""
     code = getattr(member, "__code__", None)
     file = "" if code is None else code.co_filename
     made = file.startswith(("<string>", "<attrs generated")) or file in (part.__code__.co_filename, _OF_ATTRS)

@@ -262,7 +262,7 @@ class Store:
         )
 
     def _has_all(self, scenario: int) -> bool:
-        """Tell whether all of a scenario is on disk; what is over all its chunks was written last."""
+        """Return whether all of a scenario is on disk; what is over all its chunks was written last."""
         starts = range(0, self.grid.n, self.chunk)
         names = self._per_robot(scenario)
         return self._has(SUMMED, scenario, 0) and all(self._has(names, scenario, k) for k in starts)
@@ -272,7 +272,7 @@ class Store:
         return [*per_robot(one), *map(drawn_name, one.spread)]
 
     def _has(self, names: Iterable[str], scenario: int, start: int) -> bool:
-        """Tell whether the chunks of some arrays that hold robot `start` of a scenario are on disk."""
+        """Return whether the chunks of some arrays that hold robot `start` of a scenario are on disk."""
         outer = self.grid.index(scenario)
         for name in names:
             inner = [0] * (self._arrays[name].ndim - len(outer))
@@ -284,7 +284,7 @@ class Store:
 
 
 def _is_ours(folder: Path) -> bool:
-    """Tell whether the only thing in a folder is the beginning of a store."""
+    """Return whether the only thing in a folder is the beginning of a store."""
     if not folder.is_dir() or not {entry.name for entry in folder.iterdir()} <= {_LOCK, _WRITING}:
         return False
     lock = folder / _LOCK

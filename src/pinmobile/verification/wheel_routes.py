@@ -214,7 +214,7 @@ _ROW = ("x", "y", "angle", "roller", "radius")
 
 
 def _alike(wheeled: WheeledRobot) -> bool:
-    """Tell whether wheels are those of one kind, in pairs to the left and right, and roll forward."""
+    """Return whether wheels are those of one kind, in pairs to the left and right, and roll forward."""
     wheels = wheeled.table.wheels
     places = {(wheel.x, wheel.y) for wheel in wheels}
     kinds = {(wheel.radius, wheel.angle, wheel.yaw_inertia, wheel.spin_inertia) for wheel in wheels}

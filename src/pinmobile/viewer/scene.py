@@ -394,7 +394,7 @@ def _frame(table: DHTable, k: int, poses: Array) -> Array:
 
 
 def _is_of(robot: Drawn, plant: object) -> bool:
-    """Tell whether what is drawn takes all configurations, as of its own plant, or those of the body."""
+    """Return whether what is drawn takes all configurations, as of its own plant, or those of the body."""
     return robot is plant or isinstance(robot, Drawing)
 
 

@@ -454,7 +454,7 @@ class RollingDynamics(WheeledDynamics):
 
 
 def _is_zero(x: Any) -> bool:
-    """Tell whether a scalar is known to be zero, in all robots."""
+    """Return whether a scalar is known to be zero, in all robots."""
     return x is ZERO or (isinstance(x, float | np.ndarray) and not np.any(x))
 
 
