@@ -1,4 +1,4 @@
-"""`Benchmark`: what controllers did in scenarios, as tables, a file, and a verdict in words."""
+"""`Benchmark`: scores of controllers in scenarios, as tables, a file and a summary."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Adaptive control: the parameters of the model are estimated while it runs."""
+"""Adaptive control: parameter estimates of a pushed body, or of a robot that takes speeds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a controller is, what it asks of a reference and a robot, and a plain function as one."""
+"""Controllers: base classes, checks of a reference and a robot, tracking errors, functions as controllers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`LQR`: the linear quadratic regulator along a reference."""
+"""`LQR` along a reference, the tracked linear model, and the stability of sampled loops."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`MPC`: linear time-varying model predictive control along a reference, within limits."""
+"""`MPC`, linear time-varying model predictive control, and its condensed quadratic program."""
 
 from __future__ import annotations
 

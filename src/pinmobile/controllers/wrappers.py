@@ -1,4 +1,4 @@
-"""What stands between a controller and its robot: limits of the force, a delay, a noisy measurement.
+"""Wrappers of controllers: limits, delay, noise and allocation; observers of disturbances.
 
 Each wraps a controller and is one. They nest in any order; the outer one sees the measurement first, and
 the force last.

@@ -1,9 +1,7 @@
 """Forces that no controller asked for: disturbances, friction, rolling resistance."""
 
 from pinmobile.forces.force import (
-    Carried,
     ConstantForce,
-    CoordinateForce,
     Force,
     JointFriction,
     NoiseForce,
@@ -13,6 +11,7 @@ from pinmobile.forces.force import (
     ViscousFriction,
     noise_frequencies,
 )
+from pinmobile.parts import Carried, OnCoordinates as CoordinateForce
 
 __all__ = [
     "Carried",

@@ -1,4 +1,4 @@
-"""What a force is, those that are functions of time alone, and a load that a robot picks up."""
+"""Forces: functions of time, a payload, friction and rolling resistance."""
 
 from __future__ import annotations
 
@@ -31,21 +31,6 @@ class Force(Protocol):
             Time [s].
         q, v : ndarray, shape (..., 3)
             Pose [m, m, rad] and its rate [m/s, m/s, rad/s].
-        """
-
-
-class CoordinateForce(Protocol):
-    """A generalised force on all coordinates of a plant, such as friction in its joints."""
-
-    def on_coordinates(self, t: float, q: Array, v: Array, /) -> Array:
-        """Return the force, shape (..., nv), in the units of the plant's coordinates.
-
-        Parameters
-        ----------
-        t : float or ndarray, shape (...)
-            Time [s].
-        q, v : ndarray, shape (..., nq) and (..., nv)
-            Configuration and velocity.
         """
 
 
@@ -215,28 +200,6 @@ def noise_frequencies(bandwidth: float) -> Array:
     """
     k = np.arange(NoiseForce.TERMS)[:, None]
     return np.asarray(bandwidth * (k + ((k + 1) * _GOLDEN + np.arange(3) / 3) % 1.0) / NoiseForce.TERMS)
-
-
-class Carried(Protocol):
-    """A force that is also a mass: what it does depends on how the body accelerates.
-
-    It is called as any force is, for what it does at a constant velocity; loops add what its mass does.
-    The plant must be one that an integrator brings on, its first coordinates x, y and psi of the body.
-    """
-
-    def inertia(self, t: float, q: Array, /) -> Array:
-        """Return the mass matrix that it adds to the body, shape (..., 3, 3) [kg, kg m, kg m^2].
-
-        Parameters
-        ----------
-        t : float or ndarray, shape (...)
-            Time [s].
-        q : ndarray, shape (..., 3)
-            Pose of the body [m, m, rad].
-        """
-
-    def __call__(self, t: float, q: Array, v: Array, /) -> Array:
-        """Return (Fx, Fy, Mz) where the body does not accelerate, shape (..., 3) [N, N, N m]."""
 
 
 @final

@@ -1,4 +1,4 @@
-"""`Cleaned`: a log on equal steps, its outliers found, and the noise of its sensors measured."""
+"""`Cleaned`: a log on equal steps without outliers, the noise of its sensors, and the slip in it."""
 
 from __future__ import annotations
 

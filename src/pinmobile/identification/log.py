@@ -1,4 +1,4 @@
-"""`Log`: what was measured of a robot that moved, checked before anything is concluded from it."""
+"""`Log`: measurements of a robot that moved, and the columns of its file."""
 
 from __future__ import annotations
 

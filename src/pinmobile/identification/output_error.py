@@ -1,4 +1,4 @@
-"""Output error: the parameters, and the first states of segments, with which a simulation meets the log.
+"""Output error: parameters and first states by simulation of a log, and tests of the residual.
 
 The residual of a segment is (measured - simulated) / noise. Gauss-Newton steps, damped where the cost would
 rise; the first states are projected out of each segment's Jacobian by QR, so that the normal matrix has the

@@ -1,4 +1,4 @@
-"""Output error of the theta model: logs in segments, simulated side by side for Gauss and Newton."""
+"""Output error of the theta model, by segments simulated side by side, and its prediction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`VelocityRobot`: a robot that takes speeds for commands, whose firmware follows them late."""
+"""`VelocityRobot`: a robot whose inputs are speeds, and its dynamics for one state or many."""
 
 from __future__ import annotations
 

@@ -264,17 +264,37 @@ class Informed(Protocol):
 
 
 class OnCoordinates(Protocol):
-    """A force on all coordinates, on_coordinates(t, q, v)."""
+    """A force on all coordinates, on_coordinates(t, q, v), such as friction in joints."""
 
     def on_coordinates(self, t: Any, q: Any, v: Any, /) -> Any:
-        """Return the generalized force, shape (nv,)."""
+        """Return the generalized force, shape (..., nv), in the units of the coordinates.
+
+        Parameters
+        ----------
+        t : float or ndarray, shape (...)
+            Time [s].
+        q, v : ndarray, shape (..., nq) and (..., nv)
+            Configuration and velocity.
+        """
 
 
 class Carried(Protocol):
-    """A force that adds to the inertia of the body, inertia(t, pose)."""
+    """A force that adds to the inertia of the body, inertia(t, pose).
+
+    As a force it is called for a constant velocity; the loop adds the reaction of its mass. The plant needs
+    an integrator; its first coordinates are x, y and psi of the body.
+    """
 
     def inertia(self, t: Any, pose: Any, /) -> Any:
-        """Return what it adds to the mass matrix of the body, shape (3, 3)."""
+        """Return what it adds to the mass matrix of the body, shape (..., 3, 3) [kg, kg m, kg m^2].
+
+        Parameters
+        ----------
+        t : float or ndarray, shape (...)
+            Time [s].
+        pose : ndarray, shape (..., 3)
+            Pose of the body [m, m, rad].
+        """
 
 
 class Following(Protocol):

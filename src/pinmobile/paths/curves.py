@@ -1,4 +1,4 @@
-"""Curves that are polynomials: cubics by a via point, splines by many, straight ways, and points held."""
+"""Curves: cubics by a via point, splines, lines, points, circles and Lissajous figures."""
 
 from __future__ import annotations
 

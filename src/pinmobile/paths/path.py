@@ -1,4 +1,4 @@
-"""What a path is, what the library's paths have in common, and a path elsewhere."""
+"""Paths: their protocol, their base class, polynomials in time, and a path elsewhere."""
 
 from __future__ import annotations
 

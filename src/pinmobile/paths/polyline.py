@@ -1,4 +1,4 @@
-"""Straight ways between points, their corners rounded so that a body with inertia can follow."""
+"""Polylines with rounded corners that a body with inertia can follow, and paths one after another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Poses beside others: an end effector's beside its target, measured ones beside those foretold."""
+"""Figures that compare: poses beside desired or predicted ones, and controllers of a benchmark."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What drives the worst robots of an ensemble: the parameters that they have in common."""
+"""Figures of ensembles: bands over time, and the parameters that the worst robots have in common."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where an end effector shall be and how it shall stand, as a function of time."""
+"""Desired poses of an end effector over time: positions on a path, and orientations."""
 
 from __future__ import annotations
 

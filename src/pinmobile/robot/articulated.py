@@ -1,4 +1,4 @@
-"""`ArticulatedDynamics`: the dynamics of a body with arms in the plane, for one state, many, or symbols.
+"""Dynamics of a body, alone or with arms, for one state, many, or symbols, and their linearization.
 
 It is what a `MobileRobot` with arms is to compiled loops and to loops on arrays: see `PlanarDynamics`.
 """

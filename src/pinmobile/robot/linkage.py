@@ -1,4 +1,4 @@
-"""`Linkage`: a tree of joints with one coordinate each, and what is fixed to them, over scalars."""
+"""`Linkage`: a tree of joints with one coordinate each, and the bodies on it, over scalars."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The chain with its body as a `pin.Model`: made of a table, or read from a model or a URDF."""
+"""The chain with its body as a `pin.Model`, from a table, a model or a URDF, and the wheels of a file."""
 
 from __future__ import annotations
 

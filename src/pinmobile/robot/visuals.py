@@ -1,4 +1,4 @@
-"""How a robot looks: what its URDF shows, or a box with a front, and what the body carries."""
+"""Visual and collision geometry of a robot and of its loads."""
 
 from __future__ import annotations
 

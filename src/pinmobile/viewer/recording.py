@@ -1,4 +1,4 @@
-"""`Recording`: a scene and its motion, to be kept as a page, a GIF, a film or a picture."""
+"""`Recording`: a scene and its motion as a page, a GIF, a film or a picture, by Chromium."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the ground does, drawn on it: contact forces, their friction discs, the instantaneous centre."""
+"""Markers in the scene: contact forces, friction discs, instantaneous centre, end effectors."""
 
 from __future__ import annotations
 

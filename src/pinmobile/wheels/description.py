@@ -1,4 +1,4 @@
-"""A wheel table from what a robot's file says of its wheels: taken, guessed, or asked for."""
+"""The wheel joints of a robot's URDF, and a table of wheels from them."""
 
 from __future__ import annotations
 

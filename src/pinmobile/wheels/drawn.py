@@ -1,4 +1,4 @@
-"""What is drawn of a robot on wheels: its own visuals, wheels that spin and steer, rollers, supports."""
+"""Visual and collision geometry of a robot on wheels."""
 
 from __future__ import annotations
 

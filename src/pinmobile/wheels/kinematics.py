@@ -1,4 +1,4 @@
-"""How wheels on the ground constrain the velocities of a robot: rows over scalars, arrays or symbols.
+"""Wheel kinematics: rolling constraints over scalars, arrays or symbols, and the mobility they leave.
 
 Everything here is along the axes of the body's frame, in which nothing depends on the pose. A scalar is a
 number, an array with leading axes, or a symbol.

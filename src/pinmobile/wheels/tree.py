@@ -1,4 +1,4 @@
-"""`WheelTree`: the Pinocchio tree of a robot whose wheels are joints."""
+"""`WheelTree`, the Pinocchio tree of a robot whose wheels are joints, and its constraint forces."""
 
 from __future__ import annotations
 
