@@ -37,6 +37,7 @@ from pinmobile.cli.output import (
 from pinmobile.cli.run import FIGURES, draw
 from pinmobile.controllers import Backstepping, Controller, State, Tracking
 from pinmobile.measures import in_words
+from pinmobile.parts import Stepping, able
 from pinmobile.trajectories import Trajectory
 from pinmobile.wheels import Coulomb, Friction, Mobility, Motor, WheeledRobot
 
@@ -322,7 +323,7 @@ def show_drive(
     figures = len(FIGURES) + len(of_wheels) + 1 if folder is not None else 0
     with progress(1 + (html is not None) + figures) as bar:
         begin(bar, "simulating")
-        own: dict[str, Any] = {} if hasattr(robot, "step") else {"integrator": rk4}
+        own: dict[str, Any] = {} if able(robot, Stepping) else {"integrator": rk4}
         try:
             run = simulate(robot, controller, reference, dt=dt, **own)
         except Diverged as error:

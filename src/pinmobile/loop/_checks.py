@@ -61,7 +61,8 @@ def chosen_integrator(plant: Plant, integrator: Integrator | None) -> Integrator
     InvalidArgument
         If one is given for a plant that has a step of its own.
     """
-    if isinstance(plant, type) or not hasattr(plant, "step"):
+    own = None if isinstance(plant, type) else able(plant, Stepping)
+    if own is None:
         chosen = getattr(plant, "integrator", None) if integrator is None else integrator
         return constant_acceleration if chosen is None else chosen
     if integrator is not None:
@@ -69,7 +70,7 @@ def chosen_integrator(plant: Plant, integrator: Integrator | None) -> Integrator
             f"integrator is {shown(integrator)}, but the plant, a {type(plant).__name__}, has a step of its "
             "own: leave integrator out"
         )
-    callable_as("plant.step(t, q, v, u, h, f, memory)", plant.step)
+    callable_as("plant.step(t, q, v, u, h, f, memory)", own.step)
     return None
 
 
@@ -263,8 +264,8 @@ def _check_carried(forces: Mapping[str, Any], plant: Plant) -> None:
     if name is None:
         return
     first = tuple(one.name for one in coordinates_of(plant)[:3])
-    if hasattr(plant, "step") or first != ("x", "y", "psi"):
-        why = "has a step of its own" if hasattr(plant, "step") else f"begins with the coordinates {first}"
+    if able(plant, Stepping) or first != ("x", "y", "psi"):
+        why = "has a step of its own" if able(plant, Stepping) else f"begins with the coordinates {first}"
         raise InvalidArgument(
             f"{name} is {shown(forces[name])}, which adds to the inertia of the plant, a "
             f"{type(plant).__name__}, which {why}; expected one that an integrator brings on, its first "
@@ -300,7 +301,7 @@ def check_answers(
         pose, rate = getattr(plant, "pose", None), getattr(plant, "rate", None)
         for name, force in named_forces(forces).items():
             ask: _Ask
-            if hasattr(force, "on_coordinates"):
+            if able(force, OnCoordinates):
                 ask, size = partial(force.on_coordinates, 0.0), plant.nv
             elif callable(pose) and callable(rate):
                 ask, size = (lambda x, w: force(0.0, pose(x), rate(x, w))), 3  # noqa: B023
@@ -308,7 +309,7 @@ def check_answers(
                 continue
             expected = f"an array of shape ({size},) of real numbers"
             _check_repeated(name, force, ask, states, expected)
-        if hasattr(plant, "step") or integrator is None:
+        if able(plant, Stepping) or integrator is None:
             return
         u = np.zeros(plant.nu)
         _check_repeated("plant", plant, lambda x, w: plant.forward_dynamics(x, w, u.copy()), states)
@@ -337,7 +338,7 @@ def _check_sizes(plant: Plant, q: Array, v: Array) -> None:
         "rate": ("q, v", 3, (q, v)),
         "effort": ("q, wrench", nv, (q, wrench)),
     }
-    if not hasattr(plant, "step"):
+    if not able(plant, Stepping):
         asked["forward_dynamics"] = ("q, v, u", nv, (q, v, u))
     for name, (arguments, size, values) in asked.items():
         method = getattr(plant, name, None)

@@ -43,6 +43,7 @@ from pinmobile.measures import Measure, channels_of, check_measured, chosen
 from pinmobile.parts import (
     Constrained,
     Found,
+    Starting,
     Whole,
     able,
     find,
@@ -425,7 +426,7 @@ class Scenario:
     def _beginning(self, plant: Plant, at: Reference | None = None) -> tuple[Array, Array]:
         """Return the state of a plant at the first sample of a reference, (nq,) and (nv,)."""
         at = Reference(*(part[0] for part in self.reference)) if at is None else at
-        if not hasattr(plant, "start"):
+        if not able(plant, Starting):
             return at.q, at.v
         q, v = (finite(f"{name} of plant.start", x) for name, x in zip("qv", started(plant, at), strict=True))
         return q, v

@@ -31,6 +31,7 @@ from pinmobile.loop._engines import CompiledRun, PythonRun
 from pinmobile.loop._loop import Loop, named_forces
 from pinmobile.loop._python import with_compiled_plant
 from pinmobile.loop._rollout import Rollout
+from pinmobile.parts import OnCoordinates, Starting, able
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations
 from pinmobile.signals import told_at
 from pinmobile.trajectories import Reference, Trajectory, check_limits
@@ -227,7 +228,7 @@ def _start(
 ) -> tuple[Array, Array]:
     """Return the state to start with: as given, or on the reference as the plant completes it."""
     first = Reference(*(part[0] for part in reference))
-    if hasattr(plant, "start"):
+    if able(plant, Starting):
         on_reference = started(plant, first)
     elif first.v.size == plant.nv:
         on_reference = first.q, first.v
@@ -303,7 +304,7 @@ def _too_stiff(plant: Any, forces: Any, q: Array, h: float) -> str:
     for force in named_forces(forces).values():
         if not hasattr(force, "damping"):
             continue
-        if hasattr(force, "on_coordinates"):
+        if able(force, OnCoordinates):
             C += np.diag(np.broadcast_to(force.damping, plant.nv))
             continue
         psi = plant.pose(q)[2]

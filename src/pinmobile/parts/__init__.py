@@ -1,14 +1,12 @@
 """Parts: frozen classes that declare each field once, the walk over their fields, and their capabilities."""
 
 from pinmobile.parts._capabilities import (
-    Accelerating,
     Allocating,
     Carried,
     Commanded,
     Comparing,
     Constrained,
     Controlling,
-    Curved,
     Electric,
     Followed,
     Following,
@@ -82,7 +80,6 @@ from pinmobile.parts._walk import (
 
 __all__ = [
     "COORDINATES",
-    "Accelerating",
     "Allocating",
     "Carried",
     "Child",
@@ -90,7 +87,6 @@ __all__ = [
     "Comparing",
     "Constrained",
     "Controlling",
-    "Curved",
     "Electric",
     "Field",
     "Followed",

@@ -17,13 +17,6 @@ class Integrating(Protocol):
         """Return the displacement from q0 to q1, shape (nv,)."""
 
 
-class Accelerating(Protocol):
-    """A plant with forward_dynamics(q, v, u, f)."""
-
-    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any, /) -> Any:
-        """Return the acceleration under an input and forces beside it, shape (nv,)."""
-
-
 class Stepping(Protocol):
     """A plant with a step of its own, step(t, q, v, u, h, f, memory).
 
@@ -306,17 +299,6 @@ class Following(Protocol):
 
     def __call__(self, t: Any, /) -> Any:
         """Return the reference at a time, or at several."""
-
-
-class Curved(Protocol):
-    """A path: path(t), path.derivative(t, order) and path.duration."""
-
-    @property
-    def duration(self) -> float:
-        """Time at which it ends [s]."""
-
-    def derivative(self, t: Any, order: int, /) -> Any:
-        """Return a derivative at a time, or at several."""
 
 
 def _names(kind: type) -> tuple[str, ...]:

@@ -21,6 +21,7 @@ from pinmobile.arrays import (
 )
 from pinmobile.errors import InvalidArgument, LimitWarning, PinmobileError, Unreachable, shown
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
+from pinmobile.parts import Constrained, able
 from pinmobile.paths import within
 from pinmobile.plant import Context, limits_exceeded
 from pinmobile.proximity import Clearance, clearance as clearance_of
@@ -452,7 +453,7 @@ class EndEffectorTracking:
         limits = Limits(body, speed, most)
         # Where the acceleration at the start of a step holds through it, the bounds of `ramps` are exact.
         held = [getattr(self.integrator, name, ()) for name in ("weights_q", "weights_v")] == [(0.5,), (1.0,)]
-        exact = held and not hasattr(self.robot, "project")
+        exact = held and not able(self.robot, Constrained)
         object.__setattr__(self, "_corrections", 0 if exact else _CORRECTIONS)
         for name, value in {**own, **fixed, "acceleration_limit": most, "_limits": limits}.items():
             object.__setattr__(self, name, value)
@@ -524,6 +525,7 @@ class EndEffectorTracking:
 
         displacement, w = self.integrator(acceleration, 0.0, np.zeros(robot.nv), v, self.dt)
         after = robot.integrate(q, displacement)
-        if hasattr(robot, "project"):
-            w = robot.project(after, w)
+        rolls = able(robot, Constrained)
+        if rolls:
+            w = rolls.project(after, w)
         return after[: body.nq], w[: body.nv]

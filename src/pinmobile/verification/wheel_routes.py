@@ -11,7 +11,7 @@ from pinmobile import closed_form
 from pinmobile.arrays import Array
 from pinmobile.compiled import vectorize
 from pinmobile.errors import InvalidArgument, NotTraceable
-from pinmobile.parts import evolved
+from pinmobile.parts import Stepping, able, evolved
 from pinmobile.plant import Step
 from pinmobile.verification.bodies import WheelBodies
 from pinmobile.wheels import Ackermann, Coulomb, WheeledRobot
@@ -45,7 +45,7 @@ def compare_wheeled(
     wheeled: WheeledRobot, states: int, rng: np.random.Generator
 ) -> tuple[tuple[Row, ...], str]:
     """Return the routes of a robot on wheels against each other, and which is missing."""
-    if hasattr(wheeled, "step"):
+    if able(wheeled, Stepping):
         return _slipping(wheeled, states, rng)
     return _rolling(wheeled, states, rng)
 
