@@ -194,7 +194,7 @@ class Identity:
         if isinstance(x, slice):
             return "slice", *map(self._value, (x.start, x.stop, x.step))
         if id(x) in self._seen:
-            return "seen", self._seen[id(x)][0]
+            return "seen", self._again(x)
         self._seen[id(x)] = len(self._seen), x
         if isinstance(x, list | deque):
             self._changing += 1
@@ -213,6 +213,11 @@ class Identity:
             of = getattr(x, "__self__", None)  # Pinocchio's functions have none
             return "builtin", x.__name__, None if isinstance(of, ModuleType | type(None)) else self._value(of)
         return self._object(x)
+
+    def _again(self, x: Any) -> int:
+        """Return the number of a value that this loop has before; in another loop it may have none."""
+        self._changing += 1
+        return self._seen[id(x)][0]
 
     def _object(self, x: Any) -> Hashable:
         kind = type(x)
@@ -237,7 +242,7 @@ class Identity:
         if _is_library(kind.__module__) or is_foreign(kind.__module__):
             return name
         if id(kind) in self._seen:
-            return (*name, self._seen[id(kind)][0])
+            return (*name, self._again(kind))
         self._seen[id(kind)] = len(self._seen), kind
         self.is_ours = False
         self._changing += 1
@@ -256,7 +261,7 @@ class Identity:
         if (library or is_foreign(module)) and not function.__closure__ and function.__name__ != "<lambda>":
             return name
         if id(function) in self._seen:
-            return (*name, self._seen[id(function)][0])
+            return (*name, self._again(function))
         self._seen[id(function)] = len(self._seen), function
         self._changing += 1
         code = function.__code__
