@@ -643,7 +643,7 @@ def test_a_part_that_another_of_its_class_preceded_is_found_alone_too() -> None:
     """The second of a class refers to the first; in a loop of its own it must not."""
     one, other = Brake(2.0), Brake(30.0)
     for forces in ((one, other), (other,)):
-        given = {"forces": forces, "dt": 0.02, "n": 2, "spread": {"mass": 30.0}}
+        given: dict[str, Any] = {"forces": forces, "dt": 0.02, "n": 2, "spread": {"mass": 30.0}}
         run = ensemble(ROBOT, PD(90.0, 30.0), CIRCLE, engine=COMPILED, **given)
         alone = simulate(ROBOT, PD(90.0, 30.0), CIRCLE, dt=0.02, forces=forces)
         np.testing.assert_allclose(run.max_error[0], alone.max_error(), rtol=0, atol=1e-12)
