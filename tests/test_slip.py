@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import COMPILED, PYTHON, ViscousFriction, errors, law
+from pinmobile import COMPILED, PYTHON, Circle, Tangent, Tracking, ViscousFriction, WheelSpeed, errors, law
 from pinmobile.arrays import Array
 from pinmobile.integrators import rk4
 from pinmobile.loop import Loop, Rollout, Samples, simulate
@@ -727,3 +727,15 @@ def test_no_force_beside_the_input_is_a_force_of_zero() -> None:
     for none in (0.0, 0, np.zeros(())):
         np.testing.assert_array_equal(robot.forward_dynamics(*state, none), expected)
     np.testing.assert_array_equal(robot.forward_dynamics(*state), expected)
+
+
+def test_a_divergence_of_a_robot_that_tips_over_says_so() -> None:
+    table = WheelTable.differential(
+        0.5, 0.1, supports=[(0.3, 0)], mass=1.0, spin_inertia=0.01, yaw_inertia=0.006
+    )
+    robot = WheeledRobot(MobileRobot(30, 3, com=(0.1, 0, 0.6)), table, Coulomb(mu=0.8))
+    circle = Tangent(Circle(1.0, 2.5, 2.0))
+    with pytest.raises(
+        errors.Diverged, match=r"the error in .*; no loads of wheels and supports balance the robot"
+    ):
+        simulate(robot, WheelSpeed(Tracking(), robot, kp=50), circle, dt=0.02, limit=1.0)

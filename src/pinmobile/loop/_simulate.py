@@ -191,6 +191,7 @@ def simulate(
             q, v, _, _ = loop.samples(bad, bad + 1)
             message = f"the loop diverged at t = {t[bad]:g} s (sample {bad} of {len(t) - 1}): {why}"
             message += _too_stiff(plant, checked, start[0], dt / count)
+            message += "".join(f"; {event}" for event in (kept.events if kept else ()))
             raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept) from loop.stopped
     found = _rollout(plant, t, loop, reference, len(t), made, told)
     if found.events:
