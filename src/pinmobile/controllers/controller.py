@@ -19,7 +19,7 @@ from pinmobile.arrays import (
     wrap_angle,
 )
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.parts import Controlling, Informed, able, option, part, required
+from pinmobile.parts import Informed, able, option, part, required
 from pinmobile.plant import Context
 from pinmobile.signals import signals_of
 
@@ -43,12 +43,12 @@ class State(Protocol):
 
 
 class Controller(Protocol):
-    """What `simulate` needs of a controller.
+    """A controller: wrap a function in law(...).
 
-    One with a method ``applied(u, state) -> state`` is told once per sample which input, shape (..., nu), is
-    really applied after all wrappers, and what it returns is the next state: against the windup of an
-    integral, say. One with ``signals(state) -> {name: (unit, value)}`` then tells what else is worth
-    recording, such as an estimate: numbers, or rows of them. Wrappers pass both inward.
+    The loop calls an optional method ``applied(u, state) -> state`` once per sample with the applied input,
+    shape (..., nu), after all wrappers; it returns the next state, for instance against the windup of an
+    integral. An optional ``signals(state) -> {name: (unit, value)}`` returns further series to record, such
+    as an estimate: numbers, or rows of them. Wrappers pass both inward.
     """
 
     def initial_state(self, context: Context, /) -> Any:
@@ -66,7 +66,7 @@ def check_controller(controller: object) -> None:
     InvalidArgument
         If it is not.
     """
-    found = required("controller", controller, Controlling)
+    found = required("controller", controller, Controller)
     callable_as("controller(t, q, v, reference, state)", controller)
     try:
         callable_as("controller.initial_state(context)", found.initial_state)

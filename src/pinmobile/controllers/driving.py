@@ -10,13 +10,12 @@ import numpy as np
 
 from pinmobile.arrays import Array, callable_as, frozen, vector
 from pinmobile.controllers.backstepping import reference_of, speeds_along, tracked
-from pinmobile.controllers.controller import Seen, State, Wrapper, answer_of, told
+from pinmobile.controllers.controller import Controller, Seen, State, Wrapper, answer_of, told
 from pinmobile.controllers.steering import LAW, KinematicLaw, value_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import (
     Child,
     Commanded,
-    Controlling,
     Electric,
     Powered,
     Tabled,
@@ -69,7 +68,7 @@ class Driven(Wrapper):
         If `controller` is none, or `robot` has no motors that take volts.
     """
 
-    controller: Any = child(Controlling, doc="wrapped controller")
+    controller: Any = child(Controller, doc="wrapped controller")
     robot: Any = declare(_ByVoltage("model of the controller", Electric))
 
     def initial_state(self, context: Context) -> tuple[Any, Any]:

@@ -14,13 +14,12 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, frozen
 from pinmobile.controllers.backstepping import has_axle, reference_of, speeds_along
-from pinmobile.controllers.controller import Seen, State, Wrapper, answer_of, check_wheels, told
+from pinmobile.controllers.controller import Controller, Seen, State, Wrapper, answer_of, check_wheels, told
 from pinmobile.controllers.feedback import check_wheelless, coordinates_of
 from pinmobile.controllers.lqr import check_held
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import (
     Allocating,
-    Controlling,
     Integrating,
     Observable,
     child,
@@ -59,7 +58,7 @@ class DisturbanceObserver(Wrapper):
         If an argument is something else; at the start of a run, if the estimate is unstable at its dt.
     """
 
-    controller: Any = child(Controlling, doc="wrapped controller")
+    controller: Any = child(Controller, doc="wrapped controller")
     robot: Any = child(
         Observable,
         default=attrs.Factory(lambda self: getattr(self.controller, "robot", None), takes_self=True),
@@ -261,7 +260,7 @@ class Saturated(Wrapper):
         If `controller` is none, or `limits` has another shape, is not finite, or not above zero.
     """
 
-    controller: Any = child(Controlling, doc="wrapped controller")
+    controller: Any = child(Controller, doc="wrapped controller")
     limits: Any = each(above=0.0, endless=True, unit="N, N, N m", doc="largest force of each coordinate")
 
     def initial_state(self, context: Context) -> Any:
@@ -303,7 +302,7 @@ class Delayed(Wrapper):
         If `controller` is none, or `samples` no such number.
     """
 
-    controller: Any = child(Controlling, doc="wrapped controller")
+    controller: Any = child(Controller, doc="wrapped controller")
     samples: int = integer(doc="samples by which the measured state is late")
 
     def initial_state(self, context: Context) -> tuple[Any, Any]:
@@ -349,7 +348,7 @@ class NoisyMeasurement(Wrapper):
         `seed` is something else, such as a Generator, which would not repeat.
     """
 
-    controller: Any = child(Controlling, doc="wrapped controller")
+    controller: Any = child(Controller, doc="wrapped controller")
     std_q: Any = each(lower=0.0, unit="m, m, rad", doc="standard deviation of the measured q")
     std_v: Any = each(lower=0.0, unit="m/s, m/s, rad/s", doc="standard deviation of the measured v")
     seed: Any = option(doc="seed of the noise", check=_seed)
@@ -420,7 +419,7 @@ class Allocated(Wrapper):
         velocity.
     """
 
-    controller: Any = child(Controlling, doc="wrapped controller")
+    controller: Any = child(Controller, doc="wrapped controller")
     robot: Any = child(Allocating, doc="model by which torques are found")
 
     def check(self) -> None:

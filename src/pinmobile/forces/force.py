@@ -18,19 +18,19 @@ from pinmobile.plant import coordinates_of
 class Force(Protocol):
     """A generalised force on the body, as a function of time and state.
 
-    Any callable of this form will do in `simulate`, which asks it at every stage of the integrator. One with
-    ``signals(t, q, v) -> {name: (unit, value)}`` tells once per sample what is worth recording.
+    Any callable of this form is a force; the loop calls it at every stage of the integrator. An optional
+    ``signals(t, pose, rate) -> {name: (unit, value)}`` returns further series to record, once per sample.
     """
 
-    def __call__(self, t: float, q: Array, v: Array, /) -> Array:
+    def __call__(self, t: float, pose: Array, rate: Array, /) -> Array:
         """Return (Fx, Fy, Mz) along the inertial axes, shape (..., 3) [N, N, N m].
 
         Parameters
         ----------
         t : float or ndarray, shape (...)
             Time [s].
-        q, v : ndarray, shape (..., 3)
-            Pose [m, m, rad] and its rate [m/s, m/s, rad/s].
+        pose, rate : ndarray, shape (..., 3)
+            Of the body [m, m, rad], and its rate [m/s, m/s, rad/s].
         """
 
 

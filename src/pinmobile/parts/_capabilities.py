@@ -34,7 +34,8 @@ class Stepping(Protocol):
 class Constrained(Protocol):
     """A plant with project(q, v), the velocity that its constraints leave.
 
-    The loop calls it after each substep: rolling wheels have no sideways velocity afterwards.
+    The loop calls it before each substep but the first, as a start is taken as given: rolling wheels have no
+    sideways velocity afterwards.
     """
 
     def project(self, q: Any, v: Any, /) -> Any:
@@ -98,16 +99,6 @@ class Signalling(Protocol):
 
     def signals(self, *given: Any) -> Any:
         """Return a dict of name to (unit, value), a value being a number or a row of numbers."""
-
-
-class Controlling(Protocol):
-    """A controller: wrap a function in law(...)."""
-
-    def initial_state(self, context: Any, /) -> Any:
-        """Return the memory before the first sample."""
-
-    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any, /) -> Any:
-        """Return the input, shape (nu,), and the next memory."""
 
 
 class Invertible(Protocol):

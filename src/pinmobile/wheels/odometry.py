@@ -8,9 +8,9 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.controllers import State, answer_of, check_controller, told
+from pinmobile.controllers import Controller, State, answer_of, check_controller, told
 from pinmobile.errors import InvalidArgument
-from pinmobile.parts import Controlling, child, integer, number, part
+from pinmobile.parts import child, integer, number, part
 from pinmobile.plant import Context
 from pinmobile.robot import ZERO, scalars, vector_of as stacked
 from pinmobile.signals import signals_of
@@ -48,7 +48,7 @@ class ByOdometry:
         If an argument is something else, or the wheels do not tell how the body moves.
     """
 
-    controller: Any = child(Controlling)
+    controller: Any = child(Controller)
     table: WheelTable = child(WheelTable, expected="a WheelTable")
     ticks: float | None = number(
         default=None, above=0, optional=True, fixed=True, doc="ticks of an encoder per turn"
