@@ -730,7 +730,7 @@ def test_no_force_beside_the_input_is_a_force_of_zero() -> None:
 
 
 def test_a_divergence_of_a_robot_that_tips_over_says_so() -> None:
-    own = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
+    own: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
     table = WheelTable.differential(0.5, 0.1, supports=[(0.3, 0)], **own)
     robot = WheeledRobot(MobileRobot(30, 3, com=(0.1, 0, 0.6)), table, Coulomb(mu=0.8))
     circle = Tangent(Circle(1.0, 2.5, 2.0))
