@@ -169,7 +169,7 @@ def test_a_second_ensemble_reads_no_law_anew(monkeypatch: pytest.MonkeyPatch) ->
 def test_a_model_that_differs_from_robot_to_robot_is_run_one_after_another() -> None:
     spread = {"controller.mass": Uniform(20, 40)}
     given: Any = {"dt": 0.01, "integrator": rk4, "n": 2, "seed": 1, "spread": spread}
-    with pytest.warns(UserWarning, match=r"follows from controller.robot.mass"):
+    with pytest.warns(UserWarning, match=r"depends on controller.robot.mass, which each"):
         found = ensemble(HEAVY, LQR(NOMINAL), SHORT, **given)
     assert found.engine == repr(PYTHON)
     masses = found.draws["controller.mass"]
