@@ -272,6 +272,7 @@ def test_what_rolls_is_judged_alike_in_all_engines() -> None:
         "end effector angle",
         "tip-over margin",
         "load",
+        "tip over",
         "slip margin",
     ]
     path = WholeBody(robot.robot, Tangent(Circle(2, 0.3, 1)), RestToRest(BENT, BENT + 0.3, 1))
@@ -317,7 +318,7 @@ def test_ensembles_tell_how_many_would_slip_and_how_many_do() -> None:
     assert rolling.worst(1, by="slip margin")[0] == rolling.largest("slip margin").argmin()
     slipping = WheeledRobot(body, table, Coulomb())
     found = ensemble(slipping, Allocated(PD(400, 60), robot), path, n=200, dt=0.005, spread=spread, seed=1)
-    assert [one.name for one in found.scenario.judged] == ["load", "slip"]
+    assert [one.name for one in found.scenario.judged] == ["load", "tip over", "slip"]
     did = found.largest("slip") > 1e-3
     assert np.mean(did == slides) > 0.9
 

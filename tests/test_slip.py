@@ -1,5 +1,6 @@
 """Wheels on dry ground: they stick exactly, slide by Coulomb's law, and their loads balance the robot."""
 
+import re
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,7 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import COMPILED, PYTHON, Circle, Tangent, Tracking, ViscousFriction, WheelSpeed, errors, law
+from pinmobile import (
+    COMPILED,
+    PYTHON,
+    Circle,
+    Engine,
+    Ensemble,
+    Tangent,
+    Tracking,
+    ViscousFriction,
+    WheelSpeed,
+    ensemble,
+    errors,
+    law,
+)
 from pinmobile.arrays import Array
 from pinmobile.integrators import rk4
 from pinmobile.loop import Loop, Rollout, Samples, simulate
@@ -738,3 +752,27 @@ def test_a_divergence_of_a_robot_that_tips_over_says_so() -> None:
         errors.Diverged, match=r"the error in .*; no loads of wheels and supports balance the robot"
     ):
         simulate(robot, WheelSpeed(Tracking(), robot, kp=50), circle, dt=0.02, limit=1.0)
+
+
+@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
+def test_an_ensemble_counts_the_robots_that_tip_over_and_warns_once(engine: Engine, tmp_path: Path) -> None:
+    own: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
+    table = WheelTable.differential(0.5, 0.1, supports=[(0.3, 0)], **own)
+    robot = WheeledRobot(MobileRobot(30, 3, com=(0.1, 0, 0.1)), table, Coulomb(mu=0.8))
+    turning, heights = Tangent(Circle(1.0, 1.5, 2.0)), np.array([0.1, 0.9, 0.9])
+    parts = robot, WheelSpeed(Tracking(), robot, kp=5), turning
+    loop: Any = {"n": 3, "dt": 0.02, "duration": 0.4, "engine": engine}
+    words = r"2 of 3 robots tip over: no loads of wheels and supports balance them"
+    with pytest.warns(errors.LimitWarning, match=words) as told:
+        found = ensemble(
+            robot, WheelSpeed(Tracking(), robot, kp=5), turning, spread={"com.z": heights}, **loop
+        )
+    assert len(told) == 1
+    assert found.largest("tip over").tolist() == [0, 1, 1]
+    assert re.search(words, str(found))
+    found.save(tmp_path / "runs.npz")
+    assert Ensemble.load(tmp_path / "runs.npz").events == found.events
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        stands = ensemble(*parts, spread={}, **loop)
+    assert not stands.events

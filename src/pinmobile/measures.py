@@ -10,7 +10,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, are_real, callable_as, one_of, sequence, text
 from pinmobile.errors import InvalidArgument, shown
 
-_WORST = ("largest", "smallest")
+_WORST = ("largest", "smallest", "ever")
 _SCALE = 2.0**-12  # of margins: below this, differences count; above it, ratios
 _BEYOND = 2.0**20  # margins below minus this are as bad as any
 _ROUNDING = 1e-12  # in SI units, of what a robot on the ground has
@@ -36,7 +36,8 @@ class Measure(NamedTuple):
         ``"largest"`` of a size, which is the worse the larger it is, whatever its sign; its sizes over time
         are told apart from 6e-11 to 1024. ``"smallest"`` of a margin, which is the worse the smaller it is,
         and may be negative; told apart from -512 to 512, near zero to 5e-6, elsewhere to 2 or 3 %. Choose
-        the unit so that it fits.
+        the unit so that it fits. ``"ever"`` of an event, 1 where it happens, else 0: an ensemble counts and
+        reports the robots to which it does.
     """
 
     name: str
@@ -91,7 +92,7 @@ def measures_of(plant: object) -> tuple[Measure, ...]:
             text(f"{each} of a measure", value)
         if not one.name or one.worst not in _WORST:
             raise InvalidArgument(
-                f"{name} has {shown(one)}, expected a name, and worst='largest' or 'smallest'"
+                f"{name} has {shown(one)}, expected a name, and worst='largest', 'smallest' or 'ever'"
             )
     names = [one.name for one in found]
     twice = next((each for each in names if names.count(each) > 1), None)

@@ -90,7 +90,7 @@ def ranges(
     for pair in zip_longest(errors, sizes):
         columns |= {title: column for title, column in filter(None, pair)}
     each = zip(measures, worst_measure.T, strict=True)
-    columns |= {f"{one.worst} {one.title}": column for one, column in each}
+    columns |= {f"{one.worst} {one.title}": column for one, column in each if one.worst != "ever"}
     rows, width = [], max(_NARROWEST, *map(len, columns))
     for name, values in columns.items():
         good = values[~np.isnan(values)]

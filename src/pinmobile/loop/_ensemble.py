@@ -212,6 +212,13 @@ class Ensemble:
         """Which robots diverged, shape (n,)."""
         return ~np.isnan(self.diverged_at)
 
+    @property
+    def events(self) -> tuple[str, ...]:
+        """What some robots do from `Scenario.after` on that is worth a warning, such as tipping over."""
+        happened = zip(self.scenario.judged, (self.worst_measure > 0).sum(axis=0), strict=True)
+        told = [(one, int(count)) for one, count in happened if one.worst == "ever" and count]
+        return tuple(f"{count:,} of {len(self):,} robots {one.name}: {one.meaning}" for one, count in told)
+
     def within(self, share: float = 0.99) -> Within:
         """Return what a share of the robots stays within, exactly, a diverged one being beyond everything.
 
@@ -437,4 +444,5 @@ class Ensemble:
 
     def _judgement(self) -> str:
         within, counted = self.within(0.99), (int(self.diverged.sum()), self.scenario.after)
-        return judgement(len(self), self.scenario.t[-1], (within.distance, within.heading), *counted)
+        words = judgement(len(self), self.scenario.t[-1], (within.distance, within.heading), *counted)
+        return "; ".join([words, *self.events])

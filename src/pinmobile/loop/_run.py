@@ -13,7 +13,7 @@ import numpy as np
 from pinmobile.arrays import Array, callable_as, whole
 from pinmobile.compiled import BINS, processors, robot_keys
 from pinmobile.controllers import Controller
-from pinmobile.errors import InvalidArgument, NotFinite, NotTraceable, SlowerEngine, shown
+from pinmobile.errors import InvalidArgument, LimitWarning, NotFinite, NotTraceable, SlowerEngine, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop._checks import sampled
@@ -303,6 +303,8 @@ def ensemble(
     -----
     SlowerEngine
         If a part keeps the loop from the fastest engine; it names the part and what to write instead.
+    LimitWarning
+        Once, if robots tip over: see `Ensemble.events`.
     """
     scenario = Scenario(
         robot=robot,
@@ -353,7 +355,10 @@ def run_scenario(
             f"this ensemble runs by {way.engine!r}, {way.engine.value}; {way.why}", SlowerEngine, stacklevel=3
         )
     part = _run(way, draws, 0, scenario.n, workers, progress)
-    return Ensemble.of(scenario, draws, part, followed, engine=repr(way.engine), why=way.why)
+    found = Ensemble.of(scenario, draws, part, followed, engine=repr(way.engine), why=way.why)
+    if found.events:
+        warn("; ".join(found.events), LimitWarning, stacklevel=3)
+    return found
 
 
 def part_of(

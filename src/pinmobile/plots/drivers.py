@@ -116,7 +116,7 @@ def _rows(ensembles: Sequence[Ensemble], by: Sequence[str] | None) -> list[Measu
     """
     known = [{each.name: each for each in one.scenario.channels} for one in ensembles]
     if by is None:
-        judged = [each.name for each in ensembles[0].scenario.judged]
+        judged = [each.name for each in ensembles[0].scenario.judged if each.worst != "ever"]
         names = [*_ALWAYS, *(name for name in judged if all(name in each for each in known))]
     else:
         names = list(sequence("by", by, "a sequence of names, such as ['distance']"))

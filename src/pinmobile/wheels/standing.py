@@ -238,6 +238,8 @@ def measures_of(body: Any) -> tuple[Measure, ...]:
     if body.stands:
         words = "smallest load of a wheel or support, as springs that pull too would share them"
         found.append(Measure("load", "N", words, "smallest"))
+        words = "no loads of wheels and supports balance them; tipping over is not simulated"
+        found.append(Measure("tip over", "", words, "ever"))
     if body.slips:
         found.append(Measure("slip", "m/s", "largest velocity at which a wheel slides on the ground"))
     elif body.stands and body.groups:
@@ -287,7 +289,7 @@ def _of_ground(body: Any, state: Any, a: Any, u: Any, q: Any) -> Vector:
         found += scalars(np.where(carried, inside, -np.inf)[..., None])
     places = places_of(body, state.steering)
     shared = shared_loads(places, fz, mx, my)
-    found.append(lowest(shared.springs))
+    found += [lowest(shared.springs), shared.tips]
     if not body.slips and body.groups:
         found.append(lowest(margin(body, state, felt, u, shared.values, q).margins))
     return found
