@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import os
+import re
 import sys
 from collections.abc import Collection, Iterable, Sequence
 from functools import wraps
@@ -11,7 +12,7 @@ from math import isfinite
 from os import PathLike
 from pathlib import Path
 from types import CodeType, FunctionType, MethodType
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -21,6 +22,7 @@ from pinmobile.errors import InvalidArgument, NotFinite, UnknownName, shown
 
 Array: TypeAlias = NDArray[np.float64]
 _Function = TypeVar("_Function")
+_Shaped = TypeVar("_Shaped")
 
 MEMORY = 16e9
 """What one call may ask for in arrays of its own [bytes]: more is refused, with the number, before it is."""
@@ -199,6 +201,56 @@ def answered(what: str, answer: object, expected: str = "real numbers") -> Array
     return np.array(found, np.float64)
 
 
+def shaped(name: str, array: _Shaped, *shapes: tuple[int | str, ...], words: str = "") -> _Shaped:
+    """Return an array that has one of some shapes.
+
+    Parameters
+    ----------
+    name : str
+        What it is called.
+    array : ndarray
+        The array.
+    *shapes : tuples of int and str
+        A letter is any length, the same wherever it stands in a shape; ``"n>=2"`` sets its bound, ``"..."``
+        at first any leading axes.
+    words : str
+        What follows the shapes in the message.
+
+    Raises
+    ------
+    InvalidArgument
+        If it has another shape.
+    """
+    found = np.shape(cast(Any, array))
+    if not any(_fits(found, shape) for shape in shapes):
+        raise InvalidArgument(f"{name} has shape {found}, expected {shapes_in_words(shapes)}{words}")
+    return array
+
+
+def shapes_in_words(shapes: Sequence[tuple[int | str, ...]]) -> str:
+    """Return shapes as `shaped` takes them in words, such as ``(), (3,) or (3, 3)``."""
+    if tuple(shapes) == ((),):
+        return "one number"
+    told = [re.sub(r"'|>=\d+", "", str(shape)) for shape in shapes]
+    *first, last = told
+    bounds = [each.replace(">=", " >= ") for shape in shapes for each in map(str, shape) if ">=" in each]
+    return ", ".join([f"{', '.join(first)} or {last}" if first else last, *bounds])
+
+
+def _fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
+    if wanted[:1] == ("...",):
+        wanted = wanted[1:]
+        shape = shape[max(len(shape) - len(wanted), 0) :]
+    if len(shape) != len(wanted):
+        return False
+    lengths: dict[str, int] = {}
+    for n, each in zip(shape, wanted, strict=True):
+        letter, _, least = str(each).partition(">=")
+        if n != (each if isinstance(each, int) else lengths.setdefault(letter, n)) or n < int(least or 0):
+            return False
+    return True
+
+
 def vector(name: str, value: ArrayLike, size: int) -> Array:
     """Return `value` as float64 of shape (..., size).
 
@@ -207,10 +259,7 @@ def vector(name: str, value: ArrayLike, size: int) -> Array:
     InvalidArgument
         If the last axis has another length, or an entry is not finite.
     """
-    array = finite(name, value)
-    if array.ndim == 0 or array.shape[-1] != size:
-        raise InvalidArgument(f"{name} has shape {array.shape}, expected (..., {size})")
-    return array
+    return shaped(name, finite(name, value), ("...", size))
 
 
 def scalar(name: str, value: ArrayLike) -> float:
@@ -221,10 +270,7 @@ def scalar(name: str, value: ArrayLike) -> float:
     InvalidArgument
         If it is not one finite real number.
     """
-    array = finite(name, value)
-    if array.ndim:
-        raise InvalidArgument(f"{name} has shape {array.shape}, expected one number")
-    return float(array)
+    return float(shaped(name, finite(name, value), ()))
 
 
 def positive(name: str, value: ArrayLike, unit: str = "") -> float:
@@ -322,10 +368,9 @@ def location(name: str, value: object) -> Path:
     InvalidArgument
         If it is neither text nor a path, or one that no file can have.
     """
-    if not isinstance(value, str | PathLike):
-        raise InvalidArgument(f"{name} is {shown(value)}, expected the path of a file")
+    given = instance(name, value, str | PathLike, "the path of a file")
     try:
-        path = Path(value)
+        path = Path(given)
         named = os.fsencode(path)
     except (TypeError, UnicodeEncodeError):
         named = b"\0"
@@ -376,6 +421,19 @@ def representable(what: str, array: Array) -> Array:
     if not np.isfinite(array).all():
         raise InvalidArgument(f"{what} is beyond the largest number, expected arguments of another size")
     return array
+
+
+def instance(name: str, value: object, kind: Any, expected: str) -> Any:
+    """Return a value of a type; `expected` is what the message asks for.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is of another type.
+    """
+    if not isinstance(value, kind):
+        raise InvalidArgument(f"{name} is {shown(value)}, expected {expected}")
+    return value
 
 
 def one_of(kind: str, value: object, available: Iterable[str]) -> str:
@@ -506,8 +564,7 @@ def increasing(name: str, t: Array) -> None:
     InvalidArgument
         If `t` is not of shape (N,), N > 0, with each time after the one before.
     """
-    if t.ndim != 1 or not t.size:
-        raise InvalidArgument(f"{name} has shape {t.shape}, expected one time or more")
+    shaped(name, t, ("n>=1",))
     if not (t[1:] > t[:-1]).all():
         late = int(np.argmin(t[1:] > t[:-1]))
         raise InvalidArgument(f"{name}[{late + 1}] is {t[late + 1]} s after {t[late]} s, expected more")

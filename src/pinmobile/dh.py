@@ -9,7 +9,16 @@ from math import cos, pi, sin
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite, scalar, sequence, vector
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    broadcast,
+    finite,
+    instance,
+    scalar,
+    sequence,
+    vector,
+)
 from pinmobile.errors import InvalidArgument, shown
 
 
@@ -62,8 +71,7 @@ class DHRow:
             if getattr(value, "is_number", False) is True:  # of sympy, such as pi / 2
                 value = float(value)
             object.__setattr__(self, name, scalar(name, value))
-        if not isinstance(self.joint, JointType):
-            raise InvalidArgument(f"joint is {shown(self.joint)}, expected a JointType")
+        instance("joint", self.joint, JointType, "a JointType")
         if not isinstance(self.variable, str) or not self.variable.isidentifier():
             raise InvalidArgument(f"variable is {shown(self.variable)}, expected a name")
 

@@ -10,7 +10,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, callable_as, finite, frozen, positive, sequence, text, whole
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    callable_as,
+    finite,
+    frozen,
+    positive,
+    sequence,
+    shaped,
+    text,
+    whole,
+)
 from pinmobile.errors import InvalidArgument, shown
 
 if TYPE_CHECKING:
@@ -395,10 +406,7 @@ class Context:
         from pinmobile.compiled import Schedule
 
         found = finite("rows", rows)
-        if found.shape[:1] != self.t.shape:
-            raise InvalidArgument(
-                f"rows has shape {found.shape}, expected ({len(self.t)}, ...), one for each sample"
-            )
+        shaped("rows", found, (len(self.t), *found.shape[1:]), words=", a row for each sample")
         return Schedule(frozen(found))
 
     @classmethod
@@ -430,9 +438,7 @@ class Context:
             what = f", which has no {missing[0]}" if missing else ""
             raise InvalidArgument(f"plant is {shown(plant)}{what}, expected a MobileRobot or other plant")
         check_difference(plant.difference)
-        times = finite("t", np.zeros(1) if t is None else t)
-        if times.ndim != 1:
-            raise InvalidArgument(f"t has shape {times.shape}, expected (N + 1,)")
+        times = shaped("t", finite("t", np.zeros(1) if t is None else t), ("n",))
         named = coordinates_of(plant), inputs_of(plant), leading_of(plant)
         return cls(
             positive("dt", dt, "s"),

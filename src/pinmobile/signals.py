@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, frozen, real
+from pinmobile.arrays import Array, ArrayLike, frozen, real, shaped
 from pinmobile.errors import InvalidArgument, shown
 
 _DEEPEST = 100  # wrappers in one another
@@ -57,10 +57,7 @@ def number(name: str, value: ArrayLike) -> Array:
     InvalidArgument
         If it is something else.
     """
-    found = np.array(real(name, value))
-    if found.ndim > 1:
-        raise InvalidArgument(f"{name} has shape {found.shape}, expected a number or a row of them")
-    return found
+    return shaped(name, np.array(real(name, value)), (), ("n",))
 
 
 def claimed(
@@ -133,10 +130,7 @@ def told_at(t: Array, controller: object, trajectory: object) -> dict[str, Signa
             )
         for name, (unit, values) in told.items():
             array = real(f"{named}[{name!r}]", values)
-            if array.ndim not in (1, 2) or len(array) != len(t):
-                raise InvalidArgument(
-                    f"{named}[{name!r}] has shape {array.shape}, expected ({len(t)},) or ({len(t)}, k)"
-                )
+            shaped(f"{named}[{name!r}]", array, (len(t),), (len(t), "k"))
             found[name] = Signal(unit, frozen(array))
     return found
 

@@ -11,7 +11,18 @@ from pathlib import Path
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, one_of, positive, representable, text
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    finite,
+    frozen,
+    instance,
+    lengths,
+    one_of,
+    positive,
+    representable,
+    text,
+)
 from pinmobile.dh import DHTable, JointType, transform
 from pinmobile.errors import InvalidArgument, shown
 
@@ -151,10 +162,8 @@ def write(
     InvalidArgument
         If an argument is something else.
     """
-    if not isinstance(table, DHTable):
-        raise InvalidArgument(f"table is {shown(table)}, expected a DHTable")
-    if not isinstance(body, Body):
-        raise InvalidArgument(f"body is {shown(body)}, expected a pinmobile.urdf.Body")
+    instance("table", table, DHTable, "a DHTable")
+    instance("body", body, Body, "a pinmobile.urdf.Body")
     links = ["ground", *(f"virtual_{k}" for k in range(1, len(table))), "base_link"]
     lines = ['<?xml version="1.0"?>', f"<robot name={_quoted(text('name', name))}>"]
     lines += [f'  <link name="{link}"/>' for link in links[:-1]]

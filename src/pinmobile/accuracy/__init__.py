@@ -12,7 +12,7 @@ from typing import final
 import numpy as np
 
 from pinmobile.accuracy.convergence import EPS, FAR, Convergence, free_body, guarded
-from pinmobile.arrays import Array, callable_as, finite, positive
+from pinmobile.arrays import Array, callable_as, finite, positive, shaped
 from pinmobile.controllers import ComputedTorque
 from pinmobile.errors import Diverged, InvalidArgument, shown
 from pinmobile.integrators import Acceleration, Integrator
@@ -261,9 +261,7 @@ def integrator_report(
 
 
 def _ladder(steps: Sequence[float], duration: float) -> list[float]:
-    array = finite("steps", steps)
-    if array.ndim != 1 or len(array) < 2:
-        raise InvalidArgument(f"steps has shape {array.shape}, expected (n,) with n >= 2")
+    array = shaped("steps", finite("steps", steps), ("n>=2",))
     ladder: list[float] = array.tolist()
     if ladder[-1] <= 0 or any(finer >= coarser for coarser, finer in pairwise(ladder)):
         raise InvalidArgument(f"steps are {ladder} s, expected ones > 0, the largest first")

@@ -8,13 +8,20 @@ from typing import Any, final
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, frozen, scalar, vector
+from pinmobile.arrays import (
+    Array,
+    frozen,
+    instance,
+    scalar,
+    shaped,
+    vector,
+)
 from pinmobile.controllers.backstepping import reference_of, speeds_along
 from pinmobile.controllers.controller import State, combined, passive_torque
 from pinmobile.controllers.feedback import SLOPE, OfBody, bound, comparison, coordinates_of
 from pinmobile.controllers.lqr import check_held, diagonal, double_integrators
 from pinmobile.controllers.steering import Changing, cos, rate_of, sin, tanh, value_of
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument
 from pinmobile.parts import Commanded, Passive, array, child, each, number, option, part, structure
 from pinmobile.plant import Context
 
@@ -134,9 +141,7 @@ class AdaptiveVelocity:
     def check(self) -> None:
         """Raise `InvalidArgument` where bounds are none or exclude the robot's theta."""
         for name in ("lower", "upper"):
-            shape = np.shape(getattr(self, name))
-            if shape != (_SIZE,):
-                raise InvalidArgument(f"{name} has shape {shape}, expected ({_SIZE},)")
+            shaped(name, getattr(self, name), (_SIZE,))
         theta, lower, upper = self._theta, self.lower, self.upper
         outside = ~((lower <= theta) & (theta <= upper))
         if outside.any():
@@ -283,9 +288,7 @@ _LEAST = 0.04  # of the nominal inertia about the centre of mass, which an estim
 
 
 def _flag(name: str, value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise InvalidArgument(f"{name} is {shown(value)}, expected True or False")
-    return value
+    return bool(instance(name, value, bool, "True or False"))
 
 
 @final
@@ -390,9 +393,7 @@ class Adaptive(OfBody):
             given = getattr(self, name)
             given = np.full(p, given) if isinstance(given, float) else given
             found = usual if given is None else given
-            if np.shape(found) != (p,):
-                words = f"() or ({p},)" if name == "gamma" else f"({p},)"
-                raise InvalidArgument(f"{name} has shape {np.shape(found)}, expected {words}")
+            shaped(name, found, (p,))
             object.__setattr__(self, name, frozen(found))
         outside = ~((self.lower <= nominal) & (nominal <= self.upper))
         if outside.any():

@@ -16,6 +16,7 @@ from pinmobile.arrays import (
     broadcast,
     callable_as,
     finite,
+    shaped,
     wrap_angle,
 )
 from pinmobile.errors import InvalidArgument, shown
@@ -298,8 +299,7 @@ def combined(law: Any, q: Array, v: Array, reference: State) -> Combined:
         If state and reference do not fit together.
     """
     for name, actual, desired in (("q", q, reference.q), ("v", v, reference.v)):
-        if actual.shape[-1:] != desired.shape[-1:]:
-            raise InvalidArgument(f"{name} has shape {actual.shape}, the reference's has {desired.shape}")
+        shaped(name, actual, ("...", *desired.shape[-1:]), words=", as the reference's")
     slope, difference = law.slope, law.difference or law.robot.difference
     error, rate = difference(q, reference.q), np.subtract(reference.v, v)
     return Combined(rate + slope * error, reference.v + slope * error, reference.a + slope * rate)

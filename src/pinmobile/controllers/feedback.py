@@ -6,7 +6,7 @@ from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, real
+from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, real, shaped
 from pinmobile.controllers.controller import State
 from pinmobile.controllers.lqr import check_held, double_integrators
 from pinmobile.errors import InvalidArgument, shown
@@ -145,9 +145,7 @@ def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:
     InvalidArgument
         If the gain has another shape.
     """
-    array = finite(name, gain)
-    if array.shape not in ((), (n,), (n, n)):
-        raise InvalidArgument(f"{name} has shape {array.shape}, expected (), ({n},) or ({n}, {n})")
+    array = shaped(name, finite(name, gain), (), (n,), (n, n))
     return array if array.ndim == 2 else np.diag(np.broadcast_to(array, n))
 
 
@@ -180,8 +178,7 @@ def feedback(controller: Any, difference: Difference, q: Array, v: Array, refere
 def _check_fit(robot: Any, q: Array, v: Array, reference: State) -> None:
     """Refuse a state, a reference and a model of different numbers of coordinates."""
     for name, actual, desired in (("q", q, reference.q), ("v", v, reference.v)):
-        if actual.shape[-1:] != desired.shape[-1:]:
-            raise InvalidArgument(f"{name} has shape {actual.shape}, the reference's has {desired.shape}")
+        shaped(name, actual, ("...", *desired.shape[-1:]), words=", as the reference's")
     if robot is not None and robot.nv != v.shape[-1]:
         raise InvalidArgument(
             f"robot of the controller is {shown(robot)}, which has {robot.nv} coordinates, expected "

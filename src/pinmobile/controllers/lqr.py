@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, shaped
 from pinmobile.compiled import is_constant
 from pinmobile.controllers.controller import State
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
@@ -180,9 +180,7 @@ def weight(name: str, value: ArrayLike, *, above: bool) -> Array:
     InvalidArgument
         If it is something else.
     """
-    given = finite(name, value)
-    if given.ndim not in (1, 2) or given.shape[0] != given.shape[-1] or not given.size:
-        raise InvalidArgument(f"{name} has shape {given.shape}, expected (n,) or (n, n)")
+    given = shaped(name, finite(name, value), ("n>=1",), ("n>=1", "n"))
     matrix = np.diag(given) if given.ndim == 1 else given
     largest = np.abs(matrix).max()
     if np.abs(matrix - matrix.T).max() > _SYMMETRIC * largest:

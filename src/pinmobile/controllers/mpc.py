@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, final
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, frozen, real
+from pinmobile.arrays import Array, ArrayLike, frozen, real, shaped
 from pinmobile.controllers.controller import State
 from pinmobile.controllers.feedback import bound
 from pinmobile.controllers.lqr import (
@@ -283,8 +283,7 @@ class MPC(Weighted):
                 )
         size = sum(self._sizes[:2])
         for name, given in (("lower", self.lower), ("upper", self.upper)):
-            if given.shape != (size,):
-                raise InvalidArgument(f"{name} has shape {given.shape}, expected ({size},)")
+            shaped(name, given, (size,))
         if (self.lower >= self.upper).any():
             raise InvalidArgument(
                 "lower is not below upper, expected soft bounds between which there is room"

@@ -12,7 +12,7 @@ from typing import Any, final
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, frozen
+from pinmobile.arrays import Array, ArrayLike, frozen, shaped
 from pinmobile.controllers.backstepping import has_axle, reference_of, speeds_along
 from pinmobile.controllers.controller import Controller, Seen, State, Wrapper, answer_of, check_wheels, told
 from pinmobile.controllers.feedback import check_wheelless, coordinates_of
@@ -385,10 +385,7 @@ class NoisyMeasurement(Wrapper):
 
 def _fitting(name: str, value: ArrayLike, size: tuple[int, ...]) -> Array:
     """Check that a parameter is of this number of coordinates, and return it."""
-    array = np.asarray(value)
-    if array.shape[-1:] not in ((), size):
-        raise InvalidArgument(f"{name} has shape {array.shape}, expected () or {size}")
-    return array
+    return shaped(name, np.asarray(value), (), ("...", *size))
 
 
 @final

@@ -11,7 +11,13 @@ from typing import Any
 
 from sympy import Expr, ImmutableMatrix, Symbol
 
-from pinmobile.arrays import Array, one_of, sequence, whole
+from pinmobile.arrays import (
+    Array,
+    instance,
+    one_of,
+    sequence,
+    whole,
+)
 from pinmobile.derivation.algebra import exact, exact_matrix
 from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, shown
@@ -100,8 +106,7 @@ class Chain:
         order: Sequence[str] | None = None,
         gravity: Sequence[Expr | float] | Array = (0, 0, 0),
     ) -> None:
-        if not isinstance(table, DHTable):
-            raise InvalidArgument(f"table is {shown(table)}, expected a DHTable")
+        instance("table", table, DHTable, "a DHTable")
         if links is None:
             links = [Link.general(k) for k in range(1, len(table) + 1)]
         order = table.variables if order is None else order

@@ -14,7 +14,14 @@ import numpy as np
 import sympy
 from sympy import Expr, ImmutableMatrix, Symbol
 
-from pinmobile.arrays import Array, ArrayLike, finite, representable, vector
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    finite,
+    instance,
+    representable,
+    vector,
+)
 from pinmobile.derivation.chain import Chain
 from pinmobile.errors import InvalidArgument, UnknownName, shown
 
@@ -283,8 +290,7 @@ class Told:
         InvalidArgument
             If `expression` is something else.
         """
-        if not isinstance(expression, Expr | ImmutableMatrix):
-            raise InvalidArgument(f"expression is {shown(expression)}, expected a sympy expression or matrix")
+        instance("expression", expression, Expr | ImmutableMatrix, "a sympy expression or matrix")
         full: dict[Symbol, Expr] = {}
         for symbol, value in self.assignments:
             full[symbol] = value.xreplace(full)

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Protocol, Self, final
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, frozen, representable, seeded, sequence, text
+from pinmobile.arrays import Array, ArrayLike, frozen, representable, seeded, sequence, shaped, text
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Number, array, declare, number, option, part
 from pinmobile.plant import coordinates_of
@@ -440,7 +440,5 @@ class JointFriction:
             If it is the friction of another number of coordinates.
         """
         for name in ("viscous", "coulomb", "speed"):
-            shape = np.shape(getattr(self, name))
-            if shape and shape[-1] != v.shape[-1]:
-                raise InvalidArgument(f"{name} has shape {shape}, expected () or ({v.shape[-1]},), as v has")
+            shaped(name, getattr(self, name), (), ("...", v.shape[-1]), words=", as v has")
         return -self.viscous * v - self.coulomb * v / np.hypot(v, self.speed)  # type: ignore[no-any-return]

@@ -11,7 +11,14 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile import parts
-from pinmobile.arrays import Array, frozen, scalar, seeded, whole
+from pinmobile.arrays import (
+    Array,
+    frozen,
+    instance,
+    scalar,
+    seeded,
+    whole,
+)
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import JointFriction, RollingResistance, ViscousFriction
 from pinmobile.identification.chassis import Chassis
@@ -385,11 +392,12 @@ class Identification:
         InvalidArgument
             If the log is of no motors, or its scale was not identified.
         """
-        if not self.chassis.scaled or not hasattr(self.prior, "torque_constant"):
+        if not self.chassis.scaled or not self.chassis.motors:
             raise InvalidArgument(
                 f"robot is {shown(self.prior)}, expected one by_voltage(), and loads that tell the scale"
             )
-        return np.asarray(self.prior.torque_constant * self.plausible[-1])
+        nominal = np.array([each.torque_constant for each in self.chassis.motors])
+        return np.asarray(nominal * self.plausible[-1])
 
     def forces(self) -> list[Any]:
         """Return the friction for `simulate`, none below zero: see `plausible`."""
@@ -473,8 +481,7 @@ class Identification:
         InvalidArgument
             If it is none, or too short.
         """
-        if not isinstance(log, Log):
-            raise InvalidArgument(f"log is {shown(log)}, expected a Log")
+        instance("log", log, Log, "a Log")
         ahead = scalar("seconds", seconds)
         run = Cleaned.of(log, self.chassis, np.zeros(4))
         late = self.delay / run.dt

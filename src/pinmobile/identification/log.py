@@ -16,10 +16,12 @@ from pinmobile.arrays import (
     finite,
     frozen,
     increasing,
+    instance,
     real,
     representable,
     scalar,
     seeded,
+    shaped,
     whole,
 )
 from pinmobile.errors import InvalidArgument, shown
@@ -239,17 +241,11 @@ class Log:
         t, twist = given["t"], given.get("twist")
         if twist is not None and twist.ndim == 2 and twist.shape[1] == 2:
             given["twist"] = np.insert(twist, 1, 0.0, axis=1)
-        if t.ndim != 1 or len(t) < 2:
-            raise InvalidArgument(f"t has shape {t.shape}, expected (N,), N > 1")
+        shaped("t", t, ("N>=2",))
         for name, array in given.items():
-            if name != "t" and (array.ndim != 2 or len(array) != len(t) or not array.shape[1]):
-                width = {"u": "nu", "wheel_rates": "k"}.get(name, f"{_POSE}")
-                raise InvalidArgument(
-                    f"{name} has shape {array.shape}, expected ({len(t)}, {width}), a row for each time"
-                )
-        for name in {"q", "twist"} & set(given):
-            if given[name].shape[1] != _POSE:
-                raise InvalidArgument(f"{name} has shape {given[name].shape}, expected ({len(t)}, 3)")
+            if name != "t":
+                width = _POSE if name in ("q", "twist") else "k>=1"
+                shaped(name, array, (len(t), width), words=", a row for each time")
         if len(self.units) not in (0, given["u"].shape[1]):
             raise InvalidArgument(
                 f"units is {shown(self.units)}, expected {given['u'].shape[1]}, one for each input, or none"
@@ -371,8 +367,7 @@ class Log:
         times = {name: finite(name, x) for name, x in (("t_q", t_q), ("t_u", t_u))}
         for (name, t), (other, x) in zip(times.items(), (("q", poses), ("u", inputs)), strict=True):
             increasing(name, t)
-            if x.ndim != 2 or len(x) != len(t):
-                raise InvalidArgument(f"{other} has shape {x.shape}, expected ({len(t)}, ...) as {name} has")
+            shaped(other, x, (len(t), "k"), words=f", as {name} has")
         (t, held), first, last = (
             times.values(),
             max(x[0] for x in times.values()),
@@ -391,10 +386,7 @@ class Log:
         measured = {"twist": twist, "wheel_rates": wheel_rates}
         rows = {name: real(name, x) for name, x in measured.items() if x is not None}
         for name, array in rows.items():
-            if array.shape[:1] != kept.shape:
-                raise InvalidArgument(
-                    f"{name} has shape {array.shape}, expected ({len(kept)}, ...) as t_q has"
-                )
+            shaped(name, array, (len(kept), *array.shape[1:]), words=", as t_q has")
         return cls(t, poses[kept], mean, **{name: array[kept] for name, array in rows.items()})
 
     @classmethod
@@ -430,8 +422,7 @@ class Log:
             If it is no rollout of a plant that tells where its body is, or a noise is below zero or of
             another shape.
         """
-        if not isinstance(rollout, Rollout):
-            raise InvalidArgument(f"rollout is {shown(rollout)}, expected a Rollout")
+        instance("rollout", rollout, Rollout, "a Rollout")
         late = whole("delay", delay, least=0, most=len(rollout) - 2)
         generator, u = seeded("seed", seed), rollout.u
         deviations = {"noise": (noise, _POSE), "input_noise": (input_noise, u.shape[1])}

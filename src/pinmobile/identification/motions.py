@@ -7,7 +7,7 @@ from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, seeded, whole
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, seeded, shaped, whole
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification.chassis import Chassis
 from pinmobile.identification.procedure import prior_of, to_chassis
@@ -51,15 +51,9 @@ class Excitation:
 
     def __post_init__(self) -> None:
         S = None if self.S is None else finite("S", self.S)
-        if S is not None and (S.ndim != 2 or len(S) != 3 or not S.shape[1]):
-            raise InvalidArgument(f"S has shape {S.shape}, expected (3, k)")
-        k = 3 if S is None else S.shape[1]
-        given = finite("coefficients", self.coefficients)
-        if given.ndim != 3 or given.shape[1:] != (2, k) or not len(given):
-            raise InvalidArgument(f"coefficients has shape {given.shape}, expected (L, 2, {k})")
-        start = finite("start", self.start)
-        if start.shape != (3,):
-            raise InvalidArgument(f"start has shape {start.shape}, expected (3,)")
+        k = 3 if S is None else shaped("S", S, (3, "k>=1")).shape[1]
+        given = shaped("coefficients", finite("coefficients", self.coefficients), ("L>=1", 2, k))
+        start = shaped("start", finite("start", self.start), (3,))
         object.__setattr__(self, "coefficients", frozen(given))
         object.__setattr__(self, "start", frozen(start))
         for name in ("period", "duration"):

@@ -11,8 +11,18 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, affordable, frozen, positive, scalar, seeded, whole
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    affordable,
+    frozen,
+    instance,
+    positive,
+    scalar,
+    seeded,
+    whole,
+)
+from pinmobile.errors import InvalidArgument
 from pinmobile.identification.log import Log, Samples, check_steps, check_units, logs_of
 from pinmobile.identification.velocity_fit import (
     POSE,
@@ -281,8 +291,7 @@ class VelocityIdentification:
         InvalidArgument
             If it is none, too short, measures something else, or what is predicted runs away from it.
         """
-        if not isinstance(log, Log):
-            raise InvalidArgument(f"log is {shown(log)}, expected a Log")
+        instance("log", log, Log, "a Log")
         runs = _runs(log, least=1, seconds=self._seconds, kind=len(self.noise))
         cuts = cut(runs, self._seconds, _lead(runs))
         left = fit(self._model, cuts, self.values_in_samples(runs[0].dt), moving=False)

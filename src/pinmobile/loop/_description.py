@@ -10,8 +10,8 @@ from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, finite, frozen, increasing, positive, text, whole
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.arrays import Array, finite, frozen, increasing, positive, shaped, text, whole
+from pinmobile.errors import shown
 from pinmobile.loop._loop import named_forces
 from pinmobile.loop._scenario import Scenario, checked_scenario, first_counted, time_within
 from pinmobile.loop._spread import Same, Source
@@ -196,11 +196,8 @@ class Outline:
         object.__setattr__(self, "after", time_within("after", self.after, self.t))
         for name, part in self.reference._asdict().items():
             width = part.shape[-1:] if name == "q" else (len(self.coordinates),)
-            if finite(f"reference.{name}", part).shape != (len(self.t), *width):
-                raise InvalidArgument(
-                    f"reference.{name} has shape {part.shape}, expected {(len(self.t), *width)}: as many as "
-                    "times in t, and coordinates"
-                )
+            words = ": as many as times in t, and coordinates"
+            shaped(f"reference.{name}", finite(f"reference.{name}", part), (len(self.t), *width), words=words)
         object.__setattr__(self, "reference", Reference(*map(frozen, self.reference)))
 
     @classmethod

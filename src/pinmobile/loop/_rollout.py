@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, finite, frozen, increasing, location, real
+from pinmobile.arrays import Array, finite, frozen, increasing, location, real, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import replacing, write_table
 from pinmobile.loop._end_effector import EndEffector, aimed_at, end_effector_of
@@ -101,10 +101,7 @@ class Rollout:
         self._check_shapes()
         signals = {name: Signal(unit, frozen(real(name, x))) for name, (unit, x) in self.signals.items()}
         for name, (_, values) in signals.items():
-            if values.ndim not in (1, 2) or len(values) != len(self.t):
-                raise InvalidArgument(
-                    f"signals[{name!r}] has shape {values.shape}, expected ({len(self.t)},) or more columns"
-                )
+            shaped(f"signals[{name!r}]", values, (len(self.t),), (len(self.t), "k"))
         object.__setattr__(self, "signals", MappingProxyType(signals))
 
     def _check_shapes(self) -> None:
@@ -113,21 +110,14 @@ class Rollout:
         of_plant = {"q": self.q, "v": self.v, "a": self.a, "u": self.u}
         tracked = {"error": self.error, "reference.v": desired.v, "reference.a": desired.a}
         for name, array in {**of_plant, **tracked, "reference.q": desired.q}.items():
-            if array.ndim != 2 or len(array) != len(t):
-                raise InvalidArgument(f"{name} has shape {array.shape}, expected ({len(t)}, ...) as t has")
+            shaped(name, array, (len(t), "k"), words=", as t has")
         for name, size in (("q", "nq"), ("v", "nv"), ("a", "nv"), ("u", "nu")):
-            width = getattr(self.plant, size, (self.v if size == "nv" else of_plant[name]).shape[1])
-            if of_plant[name].shape[1] != width:
-                raise InvalidArgument(
-                    f"{name} has shape {of_plant[name].shape}, expected ({len(t)}, {width})"
-                )
+            width: Any = getattr(self.plant, size, (self.v if size == "nv" else of_plant[name]).shape[1])
+            shaped(name, of_plant[name], (len(t), width))
         for name, array in tracked.items():
-            if array.shape != self.error.shape or array.shape[1] > self.v.shape[1]:
-                raise InvalidArgument(
-                    f"{name} has shape {array.shape}, expected that of error and at most {self.v.shape}"
-                )
-        if desired.q.shape[1] > self.q.shape[1]:
-            raise InvalidArgument(f"reference.q has shape {desired.q.shape}, expected {self.q.shape}")
+            shaped(name, array, self.error.shape, words=", as error has")
+        if self.error.shape[1] > self.v.shape[1] or desired.q.shape[1] > self.q.shape[1]:
+            shaped("reference.q", desired.q, self.q.shape)
 
     def __len__(self) -> int:
         return len(self.t)

@@ -10,7 +10,7 @@ from warnings import warn
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, positive, whole
+from pinmobile.arrays import Array, ArrayLike, finite, positive, shaped, whole
 from pinmobile.controllers import Controller
 from pinmobile.divergence import is_near
 from pinmobile.errors import Diverged, InvalidArgument, LimitWarning, NotTraceable, SlowerEngine, shown
@@ -247,8 +247,7 @@ def _start(
         own = finite(
             name if given is not None else f"{name} of plant.start", default if given is None else given
         )
-        if own.shape != (size,):
-            raise InvalidArgument(f"{name} has shape {own.shape}, expected ({size},)")
+        shaped(name, own, (size,))
         found.append(own)
     q, v = found
     if hasattr(plant, "velocity_limit"):

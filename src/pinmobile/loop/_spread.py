@@ -10,7 +10,17 @@ from zlib import crc32
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, affordable, finite, non_negative, scalar, whole
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    affordable,
+    finite,
+    instance,
+    non_negative,
+    scalar,
+    shaped,
+    whole,
+)
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Found, Number
 
@@ -59,7 +69,7 @@ class Uniform:
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
         """Return `size` independent draws, shape (size,)."""
-        return _checked_generator(generator).uniform(self.low, self.high, checked_size(size))
+        return generator.uniform(self.low, self.high, checked_size(size))
 
     def support(self) -> tuple[float, float]:
         """Return the bounds, as a frozen distribution of `scipy.stats` does."""
@@ -97,7 +107,7 @@ class Normal:
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
         """Return `size` independent draws, shape (size,)."""
-        return _checked_generator(generator).normal(self.mean, self.std, checked_size(size))
+        return generator.normal(self.mean, self.std, checked_size(size))
 
 
 @final
@@ -120,8 +130,7 @@ class Same:
     factor: Distribution | ArrayLike = 1.0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str):
-            raise InvalidArgument(f"name is {shown(self.name)}, expected the name of a parameter")
+        instance("name", self.name, str, "the name of a parameter")
         if isinstance(self.factor, Same):
             raise InvalidArgument(
                 f"factor is {shown(self.factor)}, expected a number, numbers or a distribution: "
@@ -179,19 +188,6 @@ TRUE_MODEL: Mapping[str, Same] = _TrueModel(("mass", "yaw_inertia", "com.x", "co
 Source: TypeAlias = Distribution | Same | Relative | ArrayLike
 
 
-def _checked_generator(generator: object) -> np.random.Generator:
-    """Return a random generator.
-
-    Raises
-    ------
-    InvalidArgument
-        If it is no `numpy.random.Generator`.
-    """
-    if not isinstance(generator, np.random.Generator):
-        raise InvalidArgument(f"generator is {shown(generator)}, expected a numpy.random.Generator")
-    return generator
-
-
 def checked_size(size: int) -> int:
     """Return the number of draws.
 
@@ -228,10 +224,8 @@ def drawn(name: str, source: Any, generator: np.random.Generator, size: int) -> 
         values = source.sample(generator, size)
     else:
         values = source.rvs(size=size, random_state=generator)
-    draws = finite(f"what spread[{name!r}] draws", values)
-    if draws.shape != (size,):
-        raise InvalidArgument(f"spread[{name!r}] draws shape {draws.shape}, expected ({size},)")
-    return draws
+    what = f"what spread[{name!r}] draws"
+    return shaped(what, finite(what, values), (size,))
 
 
 Find: TypeAlias = Callable[..., Found]
@@ -280,8 +274,7 @@ def check_mapping(spread: object) -> None:
     InvalidArgument
         If it is no mapping.
     """
-    if not isinstance(spread, Mapping):
-        raise InvalidArgument(f"spread is {shown(spread)}, expected a mapping of parameters to distributions")
+    instance("spread", spread, Mapping, "a mapping of parameters to distributions")
 
 
 def check_supports(spread: Mapping[str, Any], found: Mapping[str, Found]) -> None:
@@ -341,8 +334,7 @@ def _checked(what: str, source: Any, n: int) -> Any:
     if not numbers and (hasattr(source, "sample") or hasattr(source, "rvs")):
         return source
     values = finite(what, source)
-    if values.shape not in ((), (n,)):
-        raise InvalidArgument(f"{what} has shape {values.shape}, expected () or ({n},)")
+    shaped(what, values, (), (n,))
     return values.copy()
 
 

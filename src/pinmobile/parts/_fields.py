@@ -14,7 +14,14 @@ from typing import Any, Self, TypeVar, dataclass_transform, overload
 import attrs
 import numpy as np
 
-from pinmobile.arrays import endless_or_finite, finite, frozen, whole as checked_whole
+from pinmobile.arrays import (
+    endless_or_finite,
+    finite,
+    frozen,
+    shaped,
+    shapes_in_words,
+    whole as checked_whole,
+)
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
 from pinmobile.parts._capabilities import lacks, meaning, offers
 
@@ -171,18 +178,14 @@ class Number(Field):
         if is_symbolic(value) or (value is None and self.optional):
             return value
         array = (endless_or_finite if self.endless else finite)(name, value)
-        if not any(_fits(array.shape, shape) for shape in self.shapes):
-            raise InvalidArgument(f"{name} has shape {array.shape}, expected {self.expected_shape}")
+        shaped(name, array, *self.shapes)
         self.check_bounds(name, array)
         return frozen(array) if array.ndim else float(array)
 
     @property
     def expected_shape(self) -> str:
         """The allowed shapes in words."""
-        if self.shapes == ((),):
-            return "one number"
-        *first, last = (str(shape).replace("'", "") for shape in self.shapes)
-        return f"{', '.join(first)} or {last}" if first else last
+        return shapes_in_words(self.shapes)
 
     def sized(self, name: str, value: Any, n: int) -> Any:
         """Return a checked value, of n entries."""
@@ -219,14 +222,6 @@ def unit_of(unit: str, entry: int | None) -> str:
     if entry is None or len(units) == 1:
         return unit
     return units[entry] if entry < len(units) else units[-1]
-
-
-def _fits(shape: tuple[int, ...], wanted: _Shape) -> bool:
-    lengths: dict[int | str, int] = {}
-    return len(shape) == len(wanted) and all(
-        n == (w if isinstance(w, int) else lengths.setdefault(w, n))
-        for n, w in zip(shape, wanted, strict=True)
-    )
 
 
 @attrs.frozen

@@ -8,7 +8,7 @@ from typing import Any, final
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, representable
+from pinmobile.arrays import Array, representable, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import array, number, part
 from pinmobile.paths.path import (
@@ -161,8 +161,7 @@ class CubicVia(PiecewisePath):
 
     def check(self) -> None:
         """Raise `InvalidArgument` where shapes differ or the times are out of order."""
-        if not self.start.size:
-            raise InvalidArgument("start has shape (0,), expected (n,) with n >= 1")
+        shaped("start", self.start, ("n>=1",))
         check_sizes(self, "via", "end", "via_velocity", "start_velocity", "end_velocity")
         if not self.t_via < self.t_end:
             raise InvalidArgument(f"t_via is {self.t_via} s, expected 0 < t_via < t_end = {self.t_end} s")
@@ -207,11 +206,8 @@ class Spline(PiecewisePath):
 
     def check(self) -> None:
         """Raise `InvalidArgument` where shapes differ or the times do not increase from zero."""
-        (count, size), times = self.waypoints.shape, self.times
-        if count < 2 or not size:
-            raise InvalidArgument(f"waypoints has shape {(count, size)}, expected (k, n) with k >= 2")
-        if times.shape != (count,):
-            raise InvalidArgument(f"times has shape {times.shape}, expected ({count},), one per waypoint")
+        shaped("waypoints", self.waypoints, ("k>=2", "n>=1"))
+        times = shaped("times", self.times, (len(self.waypoints),), words=", one per waypoint")
         check_sizes(self, "start_velocity", "end_velocity")
         if times[0] != 0:
             raise InvalidArgument(f"times[0] is {times[0]} s, expected 0")

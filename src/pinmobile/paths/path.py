@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol, final, runtime_checkable
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, representable, whole
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, representable, shaped, whole
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import child, fields_of, number, part, required
 
@@ -188,8 +188,8 @@ def check_sizes(path: Any, *names: str) -> None:
     expected = (len(axes_of(path)),)
     for name in names:
         value = getattr(path, name)
-        if value is not None and np.shape(value) != expected:
-            raise InvalidArgument(f"{name} has shape {np.shape(value)}, expected {expected}")
+        if value is not None:
+            shaped(name, value, expected)
 
 
 class Value:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, frozen, positive, representable
+from pinmobile.arrays import Array, ArrayLike, frozen, positive, representable, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import array, children, number, part
 from pinmobile.paths.path import Curve, Path, Piece, Polynomial, axes_of, jumps, pieces_of, stretch, told
@@ -205,9 +205,7 @@ class Polyline(Curve):
 
     def check(self) -> None:
         """Raise `InvalidArgument` where there is too little room or time; the message tells how much."""
-        shape = self.waypoints.shape
-        if min(shape) < 2:
-            raise InvalidArgument(f"waypoints has shape {shape}, expected (k, n) with k >= 2 and n >= 2")
+        shaped("waypoints", self.waypoints, ("k>=2", "n>=2"))
         stretch("duration", self.duration)
         self.pieces  # noqa: B018
 

@@ -14,9 +14,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from pinmobile.arrays import Array, one_of
+from pinmobile.arrays import (
+    Array,
+    instance,
+    one_of,
+)
 from pinmobile.benchmarking import Benchmark
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument
 from pinmobile.identification import Prediction
 from pinmobile.loop import EndEffector, Rollout
 from pinmobile.plots.sheet import Canvas, Sheet, Spot, letters, wrapped
@@ -78,8 +82,7 @@ def benchmark(
     UnknownName
         If there is no such scenario.
     """
-    if not isinstance(result, Benchmark):
-        raise InvalidArgument(f"result is {shown(result)}, expected what benchmark(...) returns")
+    instance("result", result, Benchmark, "what benchmark(...) returns")
     names, distance, chatter = list(result.scenarios), 1e3 * result.values(), result.values("chatter")
     most = names[int(np.argmax(np.median(chatter, axis=0)))]
     k = names.index(one_of("at", most if at is None else at, names))
@@ -304,10 +307,7 @@ def prediction(
     InvalidArgument
         If it is no prediction, or `ax` or `width` is something else.
     """
-    if not isinstance(foretold, Prediction):
-        raise InvalidArgument(
-            f"foretold is {shown(foretold)}, expected what predict() of an identification returns"
-        )
+    instance("foretold", foretold, Prediction, "what predict() of an identification returns")
     sheet = Sheet(ax, width, 10.0)
     rows = len(foretold.names)
     grid = sheet.grid(rows, 2, (1.7,) * rows)

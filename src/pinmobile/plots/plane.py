@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from PIL import Image
 
-from pinmobile.arrays import Array, ArrayLike, callable_as, finite, positive
+from pinmobile.arrays import Array, ArrayLike, callable_as, finite, positive, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import written
 from pinmobile.loop import Rollout
@@ -345,8 +345,7 @@ def _spread(run: Rollout) -> Array:
 
 def _checked(times: ArrayLike, run: Rollout) -> Array:
     checked = np.atleast_1d(finite("times", times))
-    if checked.ndim > 1:
-        raise InvalidArgument(f"times has shape {checked.shape}, expected (n,)")
+    shaped("times", checked, ("n",))
     for k, t in enumerate(checked):
         if not run.t[0] <= t <= run.t[-1]:
             raise InvalidArgument(f"times[{k}] is {t} s, expected {run.t[0]:g} <= t <= {run.t[-1]:g} s")

@@ -16,7 +16,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, NullLocator
 
 from pinmobile.accuracy import Convergence, IntegratorReport
-from pinmobile.arrays import Array, ArrayLike, finite, real, sequence, text
+from pinmobile.arrays import Array, ArrayLike, finite, real, sequence, shaped, text
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.palette import INK
 from pinmobile.plots.sheet import Canvas, Sheet, letters, wrapped
@@ -143,18 +143,13 @@ def _labels(name: str, axis: object) -> list[str]:
         raise InvalidArgument(f"{name}[2] is empty, expected one value at least")
     if all(isinstance(one, str) for one in values):
         return [text(f"{name}[2]", one) for one in values]
-    numbers = finite(f"{name}[2]", values)
-    if numbers.ndim != 1:
-        raise InvalidArgument(f"{name}[2] has shape {numbers.shape}, expected (n,) with n >= 1")
+    numbers = shaped(f"{name}[2]", finite(f"{name}[2]", values), ("n>=1",))
     return [f"{one:.4g}" for one in numbers]
 
 
 def _numbers(values: ArrayLike, shape: tuple[int, int]) -> Array:
-    numbers = real("values", values)
-    if numbers.shape != shape:
-        raise InvalidArgument(
-            f"values has shape {numbers.shape}, expected {shape}: a row for each of y, a column for each of x"
-        )
+    words = ": a row for each of y, a column for each of x"
+    numbers = shaped("values", real("values", values), shape, words=words)
     wrong = np.argwhere(np.isnan(numbers) | (numbers == -np.inf))
     if len(wrong):
         i, k = wrong[0]
@@ -280,10 +275,7 @@ def _places(x: object) -> Array:
         raise InvalidArgument(f"x is {shown(x)}, expected (name, unit, values)")
     text("x[0]", x[0])
     text("x[1]", x[1])
-    places = finite("x[2]", x[2])
-    if places.ndim != 1 or not len(places):
-        raise InvalidArgument(f"x[2] has shape {places.shape}, expected (n,) with n >= 1")
-    return places
+    return shaped("x[2]", finite("x[2]", x[2]), ("n>=1",))
 
 
 def _row(name: str, values: ArrayLike, count: int) -> Array:

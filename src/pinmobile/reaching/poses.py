@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths import Path, Spline, checked_path, within
 
@@ -328,9 +328,7 @@ class PosePath:
         InvalidArgument
             If they are something else, times are missing, or two poses are at the same time.
         """
-        T = finite("poses", poses)
-        if T.ndim != 3 or T.shape[1:] != (4, 4) or len(T) < 2:
-            raise InvalidArgument(f"poses has shape {T.shape}, expected (n, 4, 4), n >= 2")
+        T = shaped("poses", finite("poses", poses), ("n>=2", 4, 4))
         off = np.abs(T[:, 3] - [0, 0, 0, 1]).max()
         if off > _ORTHOGONAL:
             raise InvalidArgument(f"poses has last rows off by {off:.3g}, expected (0, 0, 0, 1)")
@@ -339,9 +337,7 @@ class PosePath:
                 f"times is not given: {len(T)} poses without time, expected when each shall be reached, "
                 f"shape ({len(T)},) [s]"
             )
-        t = finite("times", times)
-        if t.shape != (len(T),):
-            raise InvalidArgument(f"times has shape {t.shape}, expected ({len(T)},), one for each pose")
+        t = shaped("times", finite("times", times), (len(T),), words=", one for each pose")
         same = np.flatnonzero(np.diff(t) == 0)
         if same.size:
             k = int(same[0])
@@ -356,9 +352,7 @@ class PosePath:
             raise InvalidArgument("times is given with one rotation, expected n of them, shape (n, 3, 3)")
         R, turn = np.asarray(self.rotation), np.zeros(3)
         if self.turn is not None:
-            turn = finite("turn", self.turn)
-            if turn.shape != (3,):
-                raise InvalidArgument(f"turn has shape {turn.shape}, expected (3,): axis times angle")
+            turn = shaped("turn", finite("turn", self.turn), (3,), words=": axis times angle")
             object.__setattr__(self, "turn", frozen(turn))
         if self.final_rotation is not None:
             final = _checked_rotation(finite("final_rotation", self.final_rotation), "final_rotation")
@@ -378,9 +372,7 @@ class PosePath:
                 f"times is not given: {len(R)} rotations without time, expected when each shall be reached, "
                 f"shape ({len(R)},) [s]"
             )
-        t = finite("times", self.times)
-        if t.shape != (len(R),):
-            raise InvalidArgument(f"times has shape {t.shape}, expected ({len(R)},), one for each rotation")
+        t = shaped("times", finite("times", self.times), (len(R),), words=", one for each rotation")
         late = np.flatnonzero(np.diff(t) <= 0)
         if late.size:
             k = int(late[0])
@@ -496,14 +488,12 @@ def error_sizes(error: Array) -> Array:
 
 
 def _checked_rotations(R: Array) -> Array:
-    if R.shape[1:] != (3, 3) or len(R) < 2:
-        raise InvalidArgument(f"rotation has shape {R.shape}, expected (3, 3) or (n, 3, 3), n >= 2")
+    shaped("rotation", R, (3, 3), ("n>=2", 3, 3))
     return frozen([_checked_rotation(each, f"rotation[{k}]") for k, each in enumerate(R)])
 
 
 def _checked_rotation(R: Array, name: str = "rotation") -> Array:
-    if R.shape != (3, 3):
-        raise InvalidArgument(f"{name} has shape {R.shape}, expected (3, 3)")
+    shaped(name, R, (3, 3))
     off = float(np.abs(R.T @ R - np.eye(3)).max())
     if off > _ORTHOGONAL or np.linalg.det(R) < 0:
         raise InvalidArgument(

@@ -18,6 +18,7 @@ from pinmobile.arrays import (
     frozen,
     non_negative,
     positive,
+    shaped,
 )
 from pinmobile.errors import InvalidArgument, LimitWarning, PinmobileError, Unreachable, shown
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
@@ -289,11 +290,7 @@ def _checked_posture(robot: MobileRobot, posture: ArrayLike) -> Array:
     InvalidArgument
         If it has another shape or is not finite.
     """
-    arms = finite("posture", posture)
-    if arms.shape != (robot.nq - 3,):
-        raise InvalidArgument(
-            f"posture has shape {arms.shape}, expected ({robot.nq - 3},), the arms' part of q"
-        )
+    arms = shaped("posture", finite("posture", posture), (robot.nq - 3,), words=", the arms' part of q")
     return checked_configuration(robot, "posture", np.concatenate([np.zeros(3), arms]))
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, vector
+from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, shaped
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.reaching.poses import PosePath, error_sizes, pose_error
 from pinmobile.robot import MobileRobot
@@ -175,8 +175,7 @@ def per_coordinate(name: str, value: ArrayLike, size: int, *, zero: bool = False
         If it has another shape or a number is out of range.
     """
     given = endless_or_finite(name, value) if zero else finite(name, value)
-    if given.shape not in ((), (size,)):
-        raise InvalidArgument(f"{name} has shape {given.shape}, expected () or ({size},)")
+    shaped(name, given, (), (size,))
     if not (given >= 0 if zero else given > 0).all():
         raise InvalidArgument(f"{name} is {shown(value)}, expected numbers {'>=' if zero else '>'} 0")
     return frozen(np.broadcast_to(given, (size,)))
@@ -345,9 +344,7 @@ def checked_configuration(robot: MobileRobot, name: str, value: ArrayLike) -> Ar
     InvalidArgument
         If it has another shape, is not finite, or is outside.
     """
-    q = vector(name, value, robot.nq)
-    if q.shape != (robot.nq,):
-        raise InvalidArgument(f"{name} has shape {q.shape}, expected ({robot.nq},)")
+    q = shaped(name, finite(name, value), (robot.nq,))
     outside = (q < robot.lower) | (q > robot.upper)
     if outside.any():
         k = int(np.argmax(outside))

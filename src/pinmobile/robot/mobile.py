@@ -21,9 +21,11 @@ from pinmobile.arrays import (
     finite,
     finite_answer,
     frozen,
+    instance,
     lengths,
     location,
     sequence,
+    shaped,
     text,
 )
 from pinmobile.dh import LECTURE_TABLE, DHTable
@@ -394,8 +396,7 @@ class MobileRobot(System):
         InvalidArgument
             If `body` or `stance` is something else, or `size` or `dh` is not what the class expects.
         """
-        if not isinstance(body, urdf.Body):
-            raise InvalidArgument(f"body is {shown(body)}, expected a pinmobile.urdf.Body")
+        instance("body", body, urdf.Body, "a pinmobile.urdf.Body")
         if stance is not None and not isinstance(stance, Stance):
             raise InvalidArgument(f"stance is {shown(stance)}, expected a pinmobile.robot.Stance")
         locked = sequence("locked_joints", locked_joints, "names of joints")
@@ -426,8 +427,7 @@ class MobileRobot(System):
         InvalidArgument
             If one of them is something else.
         """
-        if not isinstance(body, urdf.Body):
-            raise InvalidArgument(f"body is {shown(body)}, expected a pinmobile.urdf.Body")
+        instance("body", body, urdf.Body, "a pinmobile.urdf.Body")
         source = text("source", source)
         own = {"mass": body.mass, "yaw_inertia": body.yaw_inertia, "com": body.com}
         bare = {"mounts": (), "loads": (), "_source": source, "reference_inertia": body.inertia}
@@ -475,10 +475,8 @@ class MobileRobot(System):
         """
         if not hasattr(reference, "q"):
             raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
-        desired = finite("reference.q", reference.q)
-        if desired.shape[-1:] not in [(n,) for n in self.leading]:
-            listed = ", ".join(map(str, self.leading))
-            raise InvalidArgument(f"reference.q has shape {desired.shape}, expected (..., k), k of {listed}")
+        wanted = [("...", n) for n in self.leading]
+        desired = shaped("reference.q", finite("reference.q", reference.q), *wanted)
         state = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a), "u": self._v("u", u)}
         lead = broadcast(**state, **{"reference.q": desired})
         if not self.mounts:
@@ -624,8 +622,7 @@ class MobileRobot(System):
         UnknownName
             If there is no such frame.
         """
-        if not isinstance(load, Load):
-            raise InvalidArgument(f"load is {shown(load)}, expected a Load")
+        instance("load", load, Load, "a Load")
         name, number = self._frame(frame)
         if self._model.frames[number].parentJoint < BODY_JOINT:
             raise InvalidArgument(
@@ -654,8 +651,7 @@ class MobileRobot(System):
         posture = finite("q", self.rest if q is None else q)
         if posture.shape == (self.nq - 3,):
             posture = np.concatenate([np.zeros(3), posture])
-        if posture.shape != (self.nq,):
-            raise InvalidArgument(f"q has shape {posture.shape}, expected ({self.nq},) or ({self.nq - 3},)")
+        shaped("q", posture, (self.nq,), words=f" or ({self.nq - 3},)")
         total = self._numeric.composite(self._here(posture))
         body = urdf.Body(total.mass, total.lever, total.inertia)
         return self.with_body(body, f"{self.source}; arms locked")

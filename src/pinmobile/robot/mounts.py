@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, finite, lengths, positive, text
+from pinmobile.arrays import Array, ArrayLike, finite, lengths, positive, shaped, text
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Number, array, children, declare, is_symbolic, number, option, part, structure
 from pinmobile.robot.arms import Arm
@@ -357,9 +357,7 @@ def placed(at: ArrayLike) -> tuple[float, float, float, float]:
     InvalidArgument
         If it has another shape or is not finite.
     """
-    array = finite("at", at)
-    if array.shape != (4,):
-        raise InvalidArgument(f"at has shape {array.shape}, expected (4,): x, y, z and yaw")
+    array = shaped("at", finite("at", at), (4,), words=": x, y, z and yaw")
     x, y, z, yaw = array.tolist()
     return x, y, z, yaw
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, location, sequence, vector
+from pinmobile.arrays import Array, ArrayLike, location, sequence, shaped, vector
 from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName, shown
 from pinmobile.robot.arms import Arm, Origin, Picture
 from pinmobile.robot.linkage import convert_configuration, joints_of, replace_continuous_joints
@@ -332,8 +332,7 @@ def _is_file(arm: str | PathLike[str]) -> bool:
 
 def _posture(model: pin.Model, rest: ArrayLike | None) -> Array:
     posture = pin.neutral(model) if rest is None else vector("rest", rest, model.nq)
-    if posture.shape != (model.nq,):
-        raise InvalidArgument(f"rest has shape {posture.shape}, expected ({model.nq},)")
+    shaped("rest", posture, (model.nq,))
     if not pin.isNormalized(model, posture, 1e-6):
         raise InvalidArgument(f"rest is {posture.tolist()}, expected quaternions of length one")
     return posture

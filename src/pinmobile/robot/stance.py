@@ -10,8 +10,17 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, positive
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    finite,
+    frozen,
+    instance,
+    lengths,
+    positive,
+    shaped,
+)
+from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
 
 WEIGHTLESS = 1e-9
@@ -38,9 +47,7 @@ def checked_footprint(footprint: ArrayLike) -> Array:
     InvalidArgument
         If it has fewer than three corners, is not finite, has no area, or is not convex.
     """
-    corners = finite("footprint", footprint)
-    if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
-        raise InvalidArgument(f"footprint has shape {corners.shape}, expected (k, 2) with k >= 3 corners")
+    corners = shaped("footprint", finite("footprint", footprint), ("k>=3", 2))
     edges = np.roll(corners, -1, axis=0) - corners
     scale = float(np.ptp(corners, axis=0).max()) ** 2
     area = 0.5 * float(_cross(corners - corners[0], edges).sum())
@@ -156,8 +163,7 @@ class Stance:
     grounded: bool = True
 
     def __post_init__(self) -> None:
-        if not isinstance(self.grounded, bool):
-            raise InvalidArgument(f"grounded is {shown(self.grounded)}, expected True or False")
+        instance("grounded", self.grounded, bool, "True or False")
         if self.footprint is not None:
             object.__setattr__(self, "footprint", frozen(checked_footprint(self.footprint)))
         if self.top is not None:

@@ -20,6 +20,7 @@ from pinmobile.arrays import (
     finite,
     finite_answer,
     frozen,
+    instance,
     one_of,
     sequence,
     vector,
@@ -250,8 +251,7 @@ class System:
         InvalidArgument
             If an argument is something else, or the configurations would not fit into memory.
         """
-        if not isinstance(generator, np.random.Generator):
-            raise InvalidArgument(f"generator is {shown(generator)}, expected a numpy.random.Generator")
+        instance("generator", generator, np.random.Generator, "a numpy.random.Generator")
         shape = tuple(
             whole("shape", n, least=0) for n in sequence("shape", shape, "a tuple of whole numbers")
         )

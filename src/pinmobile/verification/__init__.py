@@ -10,11 +10,16 @@ from typing import Any
 import numpy as np
 
 from pinmobile import closed_form
-from pinmobile.arrays import Array, seeded, whole
+from pinmobile.arrays import (
+    Array,
+    instance,
+    seeded,
+    whole,
+)
 from pinmobile.compiled import vectorize
 from pinmobile.derivation import Numeric, lagrange, lecture
 from pinmobile.dh import DHTable
-from pinmobile.errors import InvalidArgument, NotTraceable, shown
+from pinmobile.errors import NotTraceable
 from pinmobile.robot import MobileRobot
 from pinmobile.verification.bodies import Parts
 from pinmobile.verification.wheel_routes import compare_wheeled
@@ -160,8 +165,7 @@ def verify(
     InvalidArgument
         If `states` is not a whole number from 1 to 1,000,000, or another argument not what is expected.
     """
-    if not isinstance(robot, MobileRobot | WheeledRobot):
-        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot or a WheeledRobot")
+    instance("robot", robot, MobileRobot | WheeledRobot, "a MobileRobot or a WheeledRobot")
     rng, count = seeded("seed", seed), whole("states", states, most=_MOST)
     if isinstance(robot, WheeledRobot):
         rows, missing = compare_wheeled(robot, count, rng)

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from pinocchio.visualize import MeshcatVisualizer
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, sequence
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, sequence, shaped
 from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import BODY
@@ -53,9 +53,7 @@ class Stay:
         for name in ("eye", "target"):
             value = getattr(self, name)
             if value is not None:
-                point = finite(name, value)
-                if point.shape != (3,):
-                    raise InvalidArgument(f"{name} has shape {point.shape}, expected (3,)")
+                point = shaped(name, finite(name, value), (3,))
                 object.__setattr__(self, name, frozen(point))
 
 

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import ArrayLike, positive, text, vector
+from pinmobile.arrays import (
+    ArrayLike,
+    finite,
+    instance,
+    positive,
+    shaped,
+    text,
+)
 from pinmobile.errors import InvalidArgument, ViewerError, shown
 from pinmobile.files import written
 from pinmobile.loop import Rollout
@@ -68,8 +75,7 @@ class Viewer:
         port: int | None = None,
         overlays: Overlays | None = None,
     ) -> None:
-        if not isinstance(live, bool):
-            raise InvalidArgument(f"live is {shown(live)}, expected True or False")
+        instance("live", live, bool, "True or False")
         self.plant, self.overlays = plant, _checked_overlays(overlays, Overlays())
         self._figure = figure(plant)
         self._lock, self._closed = RLock(), False
@@ -123,9 +129,7 @@ class Viewer:
         ViewerError
             If the viewer is closed.
         """
-        given = vector("q", q, self.plant.nq)
-        if given.ndim != 1:
-            raise InvalidArgument(f"q has shape {given.shape}, expected ({self.plant.nq},)")
+        given = shaped("q", finite("q", q), (self.plant.nq,))
         pose = given
         if hasattr(self._figure, "row"):
             pose = self._figure.row(given)

@@ -9,7 +9,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, in_numbers, vector
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, in_numbers, shaped, vector
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.measures import Measure
 from pinmobile.parts import also_symbols, evolved
@@ -210,10 +210,8 @@ class Bearing:
         """
         if not hasattr(reference, "q"):
             raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
-        desired = finite("reference.q", reference.q)
-        if desired.shape[-1:] not in [(n,) for n in self.leading]:
-            listed = ", ".join(map(str, self.leading))
-            raise InvalidArgument(f"reference.q has shape {desired.shape}, expected (..., k), k of {listed}")
+        wanted = [("...", n) for n in self.leading]
+        desired = shaped("reference.q", finite("reference.q", reference.q), *wanted)
         state = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a), "u": vector("u", u, self.nu)}
         lead = broadcast(**state, **{"reference.q": desired})
         q, v, a, u, desired = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (*state.values(), desired))

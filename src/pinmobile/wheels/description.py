@@ -12,7 +12,17 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, non_negative, one_of, positive, scalar, sequence
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    finite,
+    instance,
+    non_negative,
+    one_of,
+    positive,
+    scalar,
+    sequence,
+)
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import evolved
 from pinmobile.robot import TOUCH, MobileRobot, Swivel, WheelJoint
@@ -63,8 +73,7 @@ class WheelJoints:
     """
 
     def __init__(self, robot: MobileRobot, given: Given) -> None:
-        if not isinstance(robot, MobileRobot):
-            raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
+        instance("robot", robot, MobileRobot, "a MobileRobot")
         self.robot, self.given = robot, given
         every = robot.undercarriage.wheels
         self.names = tuple(joint.name for joint in every)

@@ -13,8 +13,10 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.arrays import Array
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.arrays import (
+    Array,
+    instance,
+)
 from pinmobile.robot import (
     ZERO,
     Matrix,
@@ -342,7 +344,7 @@ class Mobility:
     table: Rows
 
     def __post_init__(self) -> None:
-        _checked(self.table)
+        instance("table", self.table, Rows, "a WheelTable")
 
     @classmethod
     def of(cls, table: Rows) -> Mobility:
@@ -353,7 +355,7 @@ class Mobility:
         InvalidArgument
             If it is no table.
         """
-        return _remembered(_checked(table))
+        return _remembered(instance("table", table, Rows, "a WheelTable"))
 
     @cached_property
     def _angles(self) -> Array:
@@ -507,12 +509,6 @@ class Mobility:
         else:
             lines.append("rolling determines the force of every wheel")
         return "\n".join(lines)
-
-
-def _checked(table: object) -> Rows:
-    if not isinstance(table, Rows):
-        raise InvalidArgument(f"table is {shown(table)}, expected a WheelTable")
-    return table
 
 
 @lru_cache(maxsize=256)

@@ -18,6 +18,7 @@ from pinmobile.arrays import (
     finite_answer,
     frozen,
     in_numbers,
+    shaped,
     vector,
 )
 from pinmobile.errors import InvalidArgument
@@ -381,8 +382,7 @@ class Platform:
         """
         q, v = finite("q", q), finite("v", v)
         for name, array in (("q", q), ("v", v)):
-            if not array.ndim or array.shape[-1] < BODY_JOINT:
-                raise InvalidArgument(f"{name} has shape {array.shape}, expected (..., n), n >= {BODY_JOINT}")
+            shaped(name, array, ("...", f"n>={BODY_JOINT}"))
         broadcast(q=q, v=v)
         c, s, (a, b, arm) = np.cos(q[..., 2]), np.sin(q[..., 2]), self.axle
         return np.asarray((a * c - b * s) * v[..., 0] + (a * s + b * c) * v[..., 1] + arm * v[..., 2])

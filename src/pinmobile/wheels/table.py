@@ -9,7 +9,18 @@ from typing import Any, Self, final
 
 import numpy as np
 
-from pinmobile.arrays import ArrayLike, finite, one_of, positive, scalar, sequence, text, whole
+from pinmobile.arrays import (
+    ArrayLike,
+    finite,
+    instance,
+    one_of,
+    positive,
+    scalar,
+    sequence,
+    shaped,
+    text,
+    whole,
+)
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import by_value, children, entries_of, option, part, structure
 from pinmobile.wheels.kinematics import Mobility
@@ -237,8 +248,7 @@ class WheelTable:
         **wheel
             What else each has, see `Wheel`.
         """
-        if not isinstance(coupled, bool):
-            raise InvalidArgument(f"coupled is {shown(coupled)}, expected True or False")
+        instance("coupled", coupled, bool, "True or False")
         rows = [
             Wheel(name, x, y, radius, motor=None if coupled and name.startswith("rear") else motor, **wheel)
             for name, x, y in _corners(wheelbase, track)
@@ -463,9 +473,7 @@ def each_of(name: str, given: object) -> list[tuple[float, float]]:
         raise InvalidArgument(f"{name} is {shown(given)}, expected (x, y) of each [m]")
     found = []
     for k, at in enumerate(given):
-        place = finite(f"{name}[{k}]", at)
-        if place.shape != (2,):
-            raise InvalidArgument(f"{name}[{k}] has shape {place.shape}, expected (x, y) of each [m]")
+        place = shaped(f"{name}[{k}]", finite(f"{name}[{k}]", at), (2,), words=": x and y of each [m]")
         found.append((float(place[0]), float(place[1])))
     return found
 
