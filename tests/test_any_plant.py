@@ -417,8 +417,6 @@ def plant_with(**changed: Any) -> Any:
         (plant_with(nv=4), "nv = 4 and 5 coordinates"),
         (plant_with(nu=3), "nu = 3 and 2 inputs"),
         (plant_with(configuration_names=("x",)), "nq = 5 and 1 configuration_names"),
-        (plant_with(leading={6: 6}), "plant.leading has 6: 6, expected at most nv = 5 and nq = 5"),
-        (plant_with(leading=3), "plant.leading is 3, expected a mapping"),
         (plant_with(coordinates=3), "plant.coordinates is 3, expected a sequence of Coordinate"),
         (plant_with(leading={5: 5}), r"trajectory gives q of shape \(201, 3\) .*, expected \(201, 5\)"),
         (plant_with(start=lambda self, reference: ([0], [0])), r"q0 .*has shape \(1,\), expected \(5,\)"),
@@ -426,7 +424,6 @@ def plant_with(**changed: Any) -> Any:
             plant_with(project=lambda self, q, v: v[:3], start=at_rest),
             r"whose project\(q, v\) returned .* shape \(5,\)",
         ),
-        (plant_with(step=lambda self, t: t), r"plant.step .* cannot be called as"),
         (plant_with(step=lambda self, *_: 3), r"plant.step returned 3 at t = 0 s, expected a Step"),
     ],
 )
@@ -483,14 +480,16 @@ class Telling(Follower):
 @pytest.mark.parametrize(
     ("answers", "why"),
     [
-        (([1],), r"controller.signals returned \[1\], expected a dict"),
-        (({"a": 3},), r"controller.signals has 'a': 3, expected a name and \(unit, value\)"),
-        (({3: ("m", 3)},), r"controller.signals has 3: "),
+        (([1],), r"what controller.signals returned is \[1\], expected a dict"),
+        (({"a": 3},), r"controller.signals\['a'\] is 3, expected \(unit, value\)"),
         (({"a": ("m", "x")},), r"controller.signals\['a'\] is 'x', expected"),
-        (({"a": ("m", np.eye(2))},), r"controller.signals\['a'\] has shape \(2, 2\), expected a number or"),
-        (({"a": ("m", 1)}, {}), r"controller.signals has none at t = 0.1 s, expected the same .*: a"),
-        (({"a": ("m", 1)}, {"a": ("s", 1)}), r"has unit 's' and shape \(\) at t = 0.1 s, expected 'm'"),
-        (({"a": ("m", 1)}, {"a": ("m", [1, 2])}), r"has unit 'm' and shape \(2,\) at t = 0.1 s"),
+        (({"a": ("m", np.eye(2))},), r"controller.signals\['a'\] has shape \(2, 2\), expected \(\) or"),
+        (({"a": ("m", 1)}, {}), r"controller.signals\['a'\] is not there at t = 0.1 s, expected of unit 'm'"),
+        (
+            ({"a": ("m", 1)}, {"a": ("s", 1)}),
+            r"is of unit 's' and shape \(\) at t = 0.1 s, expected of unit 'm'",
+        ),
+        (({"a": ("m", 1)}, {"a": ("m", [1, 2])}), r"is of unit 'm' and shape \(2,\) at t = 0.1 s"),
         (({"tread": ("m", 1)},), "plant and controller both have the signal 'tread'"),
     ],
 )

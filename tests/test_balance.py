@@ -249,7 +249,7 @@ def test_a_footprint_is_in_the_bodys_frame() -> None:
 @pytest.mark.parametrize(
     ("footprint", "text"),
     [
-        ([(0, 0), (1, 0)], r"footprint has shape \(2, 2\), expected \(k, 2\) with k >= 3 corners"),
+        ([(0, 0), (1, 0)], r"footprint has shape \(2, 2\), expected \(k, 2\), k >= 3"),
         ([(0, 0), (1, 1), (2, 2)], "footprint has an area of 0 m\\^2, expected a polygon with > 0"),
         ([(0, 0), (1, 0), (1, 0), (0, 1)], r"footprint has the corner \[1.0, 0.0\] twice in a row"),
         ([(0, 0), (2, 0), (0.5, 0.5), (0, 2)], r"footprint is not convex at the corner \[0.5, 0.5\]"),
@@ -311,7 +311,7 @@ def test_what_has_no_arm_or_is_no_robot_is_refused() -> None:
         reaction_wrench(at_rest(UR5, UR5.rest), "arm")
     with pytest.raises(InvalidArgument, match="robot carries no arm, expected one"):
         reaction_wrench(planar((0, 0, 0)))
-    with pytest.raises(InvalidArgument, match=r"plant is 3, which does not tell .*, expected a MobileRobot"):
+    with pytest.raises(InvalidArgument, match=r"plant is 3, expected a MobileRobot"):
         Motion(3, [0], [0], [0])
     with pytest.raises(InvalidArgument, match=r"a has shape \(2,\), expected \(..., 3\)"):
         planar((0, 0))

@@ -185,7 +185,7 @@ def test_a_choice_judges_that_alone(runs: Ensemble) -> None:
     ("measures", "error", "words"),
     [
         (["efort"], UnknownName, "unknown measure 'efort'.*'effort'"),
-        ("effort", InvalidArgument, r"^measures is 'effort', expected a sequence of names: \['effort'\]$"),
+        ("effort", InvalidArgument, r"^measures is 'effort', expected a sequence of names$"),
         (7, InvalidArgument, r"^measures is 7, expected a sequence of names$"),
         ([7], UnknownName, "measure 7"),
     ],
@@ -373,31 +373,19 @@ def stating(measures: Any, found: Any = None) -> Any:
 
 
 ONE = Measure("clearance", "m", "from the walls", "smallest")
-OF = r"measures of the plant, a Stating,?"
-ASKED = r"^plant is a Stating, whose measured\(t, q, v, a, u, reference\) returned"
+OF = "^measures of the plant, a Stating"
 
 
 @pytest.mark.parametrize(
     ("plant", "words"),
     [
-        (stating("clearance"), f"^{OF} is 'clearance', expected a sequence of Measure$"),
-        (stating(["clearance"]), f"^{OF} has 'clearance', expected a Measure"),
+        (stating([ONE, ONE], lambda q: q[..., :2]), f"{OF}, has 'clearance', .* expected names that differ$"),
+        (stating([ONE._replace(name="heading")], lambda q: q[..., :1]), f"{OF}, has 'heading', as an error"),
         (
-            stating([ONE._replace(worst="least")]),
-            f"^{OF} has Measure.*expected a name, and worst=",
+            stating([ONE], lambda q: q[..., :2]),
+            r"returned, has shape \(2,\), expected \(1,\): a number for each",
         ),
-        (stating([ONE._replace(name="")]), f"^{OF} has Measure.*expected a name"),
-        (stating([ONE._replace(unit=7)]), r"^unit of a measure is 7, expected text"),  # type: ignore[arg-type]
-        (stating([ONE, ONE]), f"^{OF} has 'clearance' twice, expected names that differ$"),
-        (
-            stating([ONE._replace(name="heading")], lambda q: q[..., :1]),
-            f"^{OF} has 'heading', expected another name than",
-        ),
-        (stating([ONE]), r"^plant.measured is None, expected a function of t, q, v, a, u and reference$"),
-        (stating([ONE], lambda q: q[..., :2]), ASKED + r" shape \(2,\), expected an array of shape \(1,\)"),
-        (stating([ONE], lambda q: 1.0), ASKED + r" 1.0, expected an array of shape \(1,\)"),
-        (stating([ONE], lambda q: q[..., :1] + 0j), ASKED + r" .*, expected real numbers$"),
-        (stating([ONE], lambda q: q[..., :1] * np.nan), ASKED + " NaN as 'clearance' where it starts"),
+        (stating([ONE], lambda q: q[..., :1] * np.nan), "returned NaN as 'clearance' where it starts"),
     ],
 )
 def test_measures_that_are_not_what_is_expected_are_refused(plant: Any, words: str) -> None:

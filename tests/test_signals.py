@@ -157,13 +157,13 @@ def test_a_name_that_two_parts_claim_is_refused(controller: Any, forces: Any, wh
 @pytest.mark.parametrize(
     ("answer", "why"),
     [
-        ([1], r"forces\[0\].signals returned \[1\], expected a dict of name to \(unit, value\)"),
-        ({"a": 3}, r"forces\[0\].signals has 'a': 3, expected a name and \(unit, value\)"),
+        ([1], r"what forces\[0\].signals returned is \[1\], expected a dict of name to \(unit, value\)"),
+        ({"a": 3}, r"forces\[0\].signals\['a'\] is 3, expected \(unit, value\)"),
         ({"a": ("m", "x")}, r"forces\[0\].signals\['a'\] is 'x', expected"),
         ({"a": ("m", 1j)}, r"forces\[0\].signals\['a'\] is 1j, expected real numbers"),
         (
             {"a": ("m", np.eye(2))},
-            r"forces\[0\].signals\['a'\] has shape \(2, 2\), expected a number",
+            r"forces\[0\].signals\['a'\] has shape \(2, 2\), expected \(\) or \(n,\)",
         ),
     ],
 )

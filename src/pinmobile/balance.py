@@ -8,8 +8,20 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite, frozen, positive, scalar, vector, whole
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    broadcast,
+    finite,
+    frozen,
+    positive,
+    scalar,
+    shaped,
+    vector,
+    whole,
+)
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.parts import Desired, Following, Grounded, required
 from pinmobile.plant import ContactLoads, SlipMargins, refuse_path
 from pinmobile.robot import WEIGHTLESS, checked_footprint, margin_inside, pressed_at
 from pinmobile.trajectories import Reference
@@ -20,7 +32,7 @@ _UPRIGHT = np.pi / 2 - 1e-9  # [rad]
 
 
 class Moving(Protocol):
-    """What is asked how it feels: a `Rollout`, a `Motion`, or anything with these."""
+    """A Rollout or a Motion."""
 
     @property
     def plant(self) -> Any:
@@ -69,7 +81,7 @@ class Motion:
     u: ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        robot = _checked_robot("plant", self.plant)
+        robot = required("plant", self.plant, Grounded)
         for name, size in (("q", robot.nq), ("v", robot.nv), ("a", robot.nv)):
             object.__setattr__(self, name, frozen(vector(name, getattr(self, name), size)))
         if self.u is not None:
@@ -79,33 +91,8 @@ class Motion:
 
 
 def _robot_of(motion: Any) -> Any:
-    """Return the plant of a motion.
-
-    Raises
-    ------
-    InvalidArgument
-        If it is no motion, or its plant does not tell the ground's wrench.
-    """
-    if not all(hasattr(motion, name) for name in ("plant", "q", "v", "a")):
-        raise InvalidArgument(f"motion is {shown(motion)}, expected a Rollout or a Motion")
-    return _checked_robot("motion.plant", motion.plant)
-
-
-def _checked_robot(name: str, robot: Any) -> Any:
-    """Check that a plant tells the wrench of the ground, and return it.
-
-    Raises
-    ------
-    InvalidArgument
-        The message names the argument.
-    """
-    known = callable(getattr(robot, "ground_wrench", None)) and isinstance(getattr(robot, "nv", None), int)
-    if isinstance(robot, type) or not known:
-        raise InvalidArgument(
-            f"{name} is {shown(robot)}, which does not tell the ground's wrench, expected a MobileRobot, or "
-            "a plant with ground_wrench(q, v, a)"
-        )
-    return robot
+    required("motion", motion, Moving)
+    return required("motion.plant", motion.plant, Grounded)
 
 
 def reaction_wrench(motion: Moving, mount: str | None = None) -> Array:
@@ -331,17 +318,11 @@ def fastest(plant: Any, trajectory: Any, samples: int = 400) -> Limit:
         If an argument is something else, the wheels cannot follow, or something slips or lifts at rest.
     """
     follows = _method("plant", plant, "follows", "what it takes to follow a trajectory")
-    if not callable(trajectory) or not hasattr(trajectory, "duration"):
-        raise InvalidArgument(f"trajectory is {shown(trajectory)}, expected one such as Tangent(path)")
+    required("trajectory", trajectory, Following)
     duration = positive("trajectory.duration", trajectory.duration, "s")
     t = np.linspace(0.0, duration, whole("samples", samples, least=4))
     refuse_path("trajectory", trajectory)
-    reference = trajectory(t)
-    is_reference = isinstance(reference, tuple) and all(hasattr(reference, name) for name in "qva")
-    if not is_reference:
-        raise InvalidArgument(
-            f"trajectory is {shown(trajectory)}, which returned {shown(reference)}, expected a Reference"
-        )
+    reference = required("what trajectory(t) returned", trajectory(t), Desired)
     going = follows(t, reference)
     speed = float(np.hypot(*np.moveaxis(reference.v[..., :2], -1, 0)).max())
     if _first(going, 0.0)[0] < 0:
@@ -395,13 +376,7 @@ def steepest(plant: Any, direction: float = 0.0) -> Limit:
 
 def _first(going: Any, factor: float) -> tuple[float, str, int]:
     """Return the smallest margin or load of a motion, whose it is, and at which sample."""
-    told = going.at(factor)
-    if not isinstance(told, tuple) or len(told) != 3:
-        raise InvalidArgument(
-            f"plant follows a reference and tells {shown(told)}, expected ContactLoads, SlipMargins and "
-            "TorqueMargins"
-        )
-    loads, margins, torques = told
+    loads, margins, torques = going.at(factor)
     found = []
     for values, names, verb in (
         (loads.springs, loads.names, "lifts"),
@@ -431,7 +406,7 @@ def footprint_of(robot: Any, footprint: ArrayLike | None = None) -> Array:
     """
     if footprint is not None:
         return checked_footprint(footprint)
-    corners: Array | None = getattr(_checked_robot("robot", robot), "footprint", None)
+    corners: Array | None = getattr(required("robot", robot, Grounded), "footprint", None)
     if corners is None:
         raise InvalidArgument(
             "footprint is not given, and that of the robot is not known, expected the corners of what it "
@@ -473,11 +448,8 @@ def _ground(motion: Moving) -> tuple[Array, NDArray[np.bool_]]:
     robot = _robot_of(motion)
     wrench = finite("ground_wrench of motion.plant", robot.ground_wrench(motion.q, motion.v, motion.a))
     expected = (*np.broadcast_shapes(*(np.shape(x)[:-1] for x in (motion.q, motion.v, motion.a))), 6)
-    if wrench.shape != expected:
-        raise InvalidArgument(
-            f"ground_wrench of motion.plant has shape {wrench.shape} for all samples at once, expected "
-            f"{expected}: write it with [..., i] and axis=-1"
-        )
+    words = " for all samples at once: write it with [..., i] and axis=-1"
+    shaped("ground_wrench of motion.plant", wrench, expected, words=words)
     return wrench, wrench[..., 2] > _negligible(motion)
 
 

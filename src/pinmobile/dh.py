@@ -9,16 +9,7 @@ from math import cos, pi, sin
 
 import numpy as np
 
-from pinmobile.arrays import (
-    Array,
-    ArrayLike,
-    broadcast,
-    finite,
-    instance,
-    scalar,
-    sequence,
-    vector,
-)
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, instance, scalar, sequence, vector
 from pinmobile.errors import InvalidArgument, shown
 
 

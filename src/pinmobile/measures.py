@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, are_real, callable_as, one_of, sequence, text
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.arrays import Array, ArrayLike, one_of, sequence, shaped
+from pinmobile.errors import InvalidArgument
+from pinmobile.parts import Measuring, able
 
-_WORST = ("largest", "smallest", "ever")
 _SCALE = 2.0**-12  # of margins: below this, differences count; above it, ratios
 _BEYOND = 2.0**20  # margins below minus this are as bad as any
 _ROUNDING = 1e-12  # in SI units, of what a robot on the ground has
@@ -73,34 +73,9 @@ def value_of(size: Array) -> Array:
 
 
 def measures_of(plant: object) -> tuple[Measure, ...]:
-    """Return the measures that a plant states, none where it does not.
-
-    Raises
-    ------
-    InvalidArgument
-        If they are something else, two have one name, or there is no ``measured`` to ask for them.
-    """
-    stated = getattr(plant, "measures", None)
-    if stated is None:
-        return ()
-    name = f"measures of the plant, a {type(plant).__name__},"
-    found = sequence(name.removesuffix(","), stated, "a sequence of Measure")
-    for one in found:
-        if not isinstance(one, Measure):
-            raise InvalidArgument(f"{name} has {shown(one)}, expected a Measure(name, unit, meaning)")
-        for each, value in zip(("name", "unit", "meaning"), one, strict=False):
-            text(f"{each} of a measure", value)
-        if not one.name or one.worst not in _WORST:
-            raise InvalidArgument(
-                f"{name} has {shown(one)}, expected a name, and worst='largest', 'smallest' or 'ever'"
-            )
-    names = [one.name for one in found]
-    twice = next((each for each in names if names.count(each) > 1), None)
-    if twice is not None:
-        raise InvalidArgument(f"{name} has {twice!r} twice, expected names that differ")
-    if found:
-        callable_as("plant.measured(t, q, v, a, u, reference)", getattr(plant, "measured", None))
-    return tuple(found)
+    """Return the measures that a plant states, none where it does not."""
+    stated = able(plant, Measuring)
+    return () if stated is None else tuple(stated.measures)
 
 
 def chosen(plant: object, names: object, taken: Sequence[str]) -> tuple[Measure, ...]:
@@ -123,16 +98,15 @@ def chosen(plant: object, names: object, taken: Sequence[str]) -> tuple[Measure,
         If the plant states no measure of a name.
     """
     stated = measures_of(plant)
-    for one in stated:
-        if one.name in taken:
-            raise InvalidArgument(
-                f"measures of the plant, a {type(plant).__name__}, has {one.name!r}, expected another name "
-                f"than those of errors: {', '.join(taken)}"
-            )
+    every = [*taken, *(one.name for one in stated)]
+    twice = next((name for name in every if every.count(name) > 1), None)
+    if twice is not None:
+        raise InvalidArgument(
+            f"measures of the plant, a {type(plant).__name__}, has {twice!r}, as an error or another measure "
+            "is called, expected names that differ"
+        )
     if names is None:
         return stated
-    if isinstance(names, str):
-        raise InvalidArgument(f"measures is {shown(names)}, expected a sequence of names: [{shown(names)}]")
     known = {one.name: one for one in stated}
     wanted = [one_of("measure", name, known) for name in sequence("measures", names, "a sequence of names")]
     return tuple(one for one in stated if one.name in wanted)
@@ -175,14 +149,12 @@ def check_measured(plant: Any, q: Array, v: Array, reference: Any) -> None:
         If it is such; infinity is a number.
     """
     first = type(reference)(*(x[0] for x in reference))
-    asked = np.zeros(()), q, v, np.zeros(plant.nv), np.zeros(plant.nu), first
-    found, again = (measured_of(plant, *asked) for _ in range(2))
-    for one, number, other in zip(measures_of(plant), found, again, strict=True):
-        if np.isnan(number) or number != other:
-            what = "NaN" if np.isnan(number) else f"{number:g} and, asked again, {other:g}"
+    found = measured_of(plant, np.zeros(()), q, v, np.zeros(plant.nv), np.zeros(plant.nu), first)
+    for one, number in zip(measures_of(plant), found, strict=True):
+        if np.isnan(number):
             raise InvalidArgument(
                 f"plant is a {type(plant).__name__}, whose measured(t, q, v, a, u, reference) returned "
-                f"{what} as {one.name!r} where it starts, expected a number, the same each time"
+                f"NaN as {one.name!r} where it starts, expected a number"
             )
 
 
@@ -203,17 +175,10 @@ def measured_of(plant: Any, t: Any, q: Any, v: Any, a: Any, u: Any, reference: A
     Raises
     ------
     InvalidArgument
-        If it returns another shape, or no real numbers.
+        If it returns another shape.
     """
     copies = type(reference)(*(x.copy() for x in reference))
     found = plant.measured(t, q.copy(), v.copy(), a.copy(), u.copy(), copies)
-    expected = (*np.shape(v)[:-1], len(plant.measures))
-    asked = f"plant is a {type(plant).__name__}, whose measured(t, q, v, a, u, reference) returned"
-    if not hasattr(found, "shape") or np.shape(found) != expected:
-        what = f"shape {np.shape(found)}" if hasattr(found, "shape") else shown(found)
-        raise InvalidArgument(
-            f"{asked} {what}, expected an array of shape {expected}: a number for each measure"
-        )
-    if not are_real(found):
-        raise InvalidArgument(f"{asked} {shown(found)}, expected real numbers")
-    return found
+    words = ": a number for each measure"
+    asked = f"what measured(t, q, v, a, u, reference) of the plant, a {type(plant).__name__}, returned,"
+    return shaped(asked, found, (*np.shape(v)[:-1], len(plant.measures)), words=words)

@@ -537,7 +537,6 @@ def check_plant(plant: object) -> None:
         If it is no plant, or its sizes contradict each other.
     """
     sizes: dict[str, Any] = {size: getattr(plant, size, None) for size in ("nq", "nv", "nu")}
-    nq, nv, _ = sizes.values()
     known = all(isinstance(value, int | np.integer) for value in sizes.values())
     if isinstance(plant, type) or not hasattr(plant, "forward_dynamics") or not known:
         raise InvalidArgument(
@@ -551,16 +550,6 @@ def check_plant(plant: object) -> None:
         if len(listed) != sizes[size]:
             raise InvalidArgument(
                 f"plant has {size} = {sizes[size]} and {len(listed)} {name}, expected as many"
-            )
-    if not isinstance(leading_of(plant), Mapping) or not leading_of(plant):
-        raise InvalidArgument(
-            f"plant.leading is {shown(leading_of(plant))}, expected a mapping of n to numbers of q, such as "
-            f"{{{nv}: {nq}}}"
-        )
-    for n, numbers in leading_of(plant).items():
-        if n > nv or numbers > nq:
-            raise InvalidArgument(
-                f"plant.leading has {n}: {numbers}, expected at most nv = {nv} and nq = {nq}"
             )
 
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, frozen, real, shaped
+from pinmobile.arrays import Array, ArrayLike, frozen, instance, real, shaped
 from pinmobile.errors import InvalidArgument, shown
 
 _DEEPEST = 100  # wrappers in one another
@@ -79,16 +79,10 @@ def claimed(
     """
     found: dict[str, Claim] = {}
     for part, signals in told:
-        if not isinstance(signals, Mapping):
-            raise InvalidArgument(
-                f"{part}.signals returned {shown(signals)}, expected a dict of name to (unit, value)"
-            )
+        instance(f"what {part}.signals returned", signals, Mapping, "a dict of name to (unit, value)")
         for name, pair in signals.items():
-            ok = isinstance(name, str) and name and type(pair) is tuple and len(pair) == 2
-            if not ok or not isinstance(pair[0], str):
-                raise InvalidArgument(
-                    f"{part}.signals has {shown(name)}: {shown(pair)}, expected a name and (unit, value)"
-                )
+            if type(pair) is not tuple or len(pair) != 2 or not isinstance(pair[0], str):
+                raise InvalidArgument(f"{part}.signals[{name!r}] is {shown(pair)}, expected (unit, value)")
             if name in found:
                 raise InvalidArgument(
                     f"{found[name].part} and {part} both have the signal {name!r}, expected another name"
@@ -120,19 +114,18 @@ def told_at(t: Array, controller: object, trajectory: object) -> dict[str, Signa
         controller = getattr(controller, "controller", None)
     found: dict[str, Signal] = {}
     for part in (trajectory, *reversed(wrapped)):
-        if isinstance(part, type) or not callable(getattr(part, "signals_at", None)):
+        if isinstance(part, type) or not hasattr(part, "signals_at"):
             continue
         named = f"{type(part).__name__}.signals_at"
-        told = part.signals_at(t.copy())  # type: ignore[attr-defined]
-        if not isinstance(told, Mapping):
-            raise InvalidArgument(
-                f"{named} returned {shown(told)}, expected a dict of name to (unit, values)"
-            )
-        for name, (unit, values) in told.items():
+        for name, (unit, values) in part.signals_at(t.copy()).items():
             array = real(f"{named}[{name!r}]", values)
             shaped(f"{named}[{name!r}]", array, (len(t),), (len(t), "k"))
             found[name] = Signal(unit, frozen(array))
     return found
+
+
+def _told(claim: Claim | None) -> str:
+    return "not there" if claim is None else f"of unit {claim.unit!r} and shape {claim.value.shape}"
 
 
 class Recorder:
@@ -153,28 +146,15 @@ class Recorder:
         """Keep the claims of sample k."""
         if not k:
             self._first, self._rows = found, {name: [] for name in found}
-        elif found.keys() != self._first.keys():
-            self._refuse(found, k)
-        for name, claim in found.items():
-            first = self._first[name]
-            if (claim.unit, claim.value.shape) != (first.unit, first.value.shape):
-                raise InvalidArgument(
-                    f"{claim.part}.signals[{name!r}] has unit {claim.unit!r} and shape {claim.value.shape} "
-                    f"at t = {self._times[k]:g} s, expected {first.unit!r} and {first.value.shape} as at "
-                    "first"
-                )
-            self._rows[name].append(claim.value)
-
-    def _refuse(self, found: Mapping[str, Claim], k: int) -> None:
-        for part in dict.fromkeys(claim.part for claim in (*self._first.values(), *found.values())):
-            now, before = (
-                [n for n, claim in each.items() if claim.part == part] for each in (found, self._first)
-            )
+        for name in {**self._first, **found}:
+            before, now = (_told(each.get(name)) for each in (self._first, found))
             if now != before:
+                part = (found.get(name) or self._first[name]).part
+                at = f"at t = {self._times[k]:g} s"
                 raise InvalidArgument(
-                    f"{part}.signals has {', '.join(now) or 'none'} at t = {self._times[k]:g} s, "
-                    f"expected the same as at first: {', '.join(before) or 'none'}"
+                    f"{part}.signals[{name!r}] is {now} {at}, expected {before} as at first"
                 )
+            self._rows[name].append(found[name].value)
 
     def signals(self, end: int) -> dict[str, Signal]:
         """Return what was recorded of the samples before `end`, by name."""

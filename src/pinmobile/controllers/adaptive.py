@@ -8,14 +8,7 @@ from typing import Any, final
 import attrs
 import numpy as np
 
-from pinmobile.arrays import (
-    Array,
-    frozen,
-    instance,
-    scalar,
-    shaped,
-    vector,
-)
+from pinmobile.arrays import Array, frozen, instance, scalar, shaped, vector
 from pinmobile.controllers.backstepping import reference_of, speeds_along
 from pinmobile.controllers.controller import State, combined, passive_torque
 from pinmobile.controllers.feedback import SLOPE, OfBody, bound, comparison, coordinates_of

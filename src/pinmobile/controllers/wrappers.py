@@ -18,17 +18,7 @@ from pinmobile.controllers.controller import Controller, Seen, State, Wrapper, a
 from pinmobile.controllers.feedback import check_wheelless, coordinates_of
 from pinmobile.controllers.lqr import check_held
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.parts import (
-    Allocating,
-    Integrating,
-    Observable,
-    child,
-    each,
-    integer,
-    option,
-    part,
-    structure,
-)
+from pinmobile.parts import Allocating, Integrating, Observable, child, each, integer, option, part, structure
 from pinmobile.plant import Context, inputs_of, leading_of
 
 

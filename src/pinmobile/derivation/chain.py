@@ -11,13 +11,7 @@ from typing import Any
 
 from sympy import Expr, ImmutableMatrix, Symbol
 
-from pinmobile.arrays import (
-    Array,
-    instance,
-    one_of,
-    sequence,
-    whole,
-)
+from pinmobile.arrays import Array, instance, one_of, sequence, whole
 from pinmobile.derivation.algebra import exact, exact_matrix
 from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, shown

@@ -14,14 +14,7 @@ import numpy as np
 import sympy
 from sympy import Expr, ImmutableMatrix, Symbol
 
-from pinmobile.arrays import (
-    Array,
-    ArrayLike,
-    finite,
-    instance,
-    representable,
-    vector,
-)
+from pinmobile.arrays import Array, ArrayLike, finite, instance, representable, vector
 from pinmobile.derivation.chain import Chain
 from pinmobile.errors import InvalidArgument, UnknownName, shown
 

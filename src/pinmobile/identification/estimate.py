@@ -11,14 +11,7 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile import parts
-from pinmobile.arrays import (
-    Array,
-    frozen,
-    instance,
-    scalar,
-    seeded,
-    whole,
-)
+from pinmobile.arrays import Array, frozen, instance, scalar, seeded, whole
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import JointFriction, RollingResistance, ViscousFriction
 from pinmobile.identification.chassis import Chassis

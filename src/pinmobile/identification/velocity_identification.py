@@ -11,17 +11,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import (
-    Array,
-    ArrayLike,
-    affordable,
-    frozen,
-    instance,
-    positive,
-    scalar,
-    seeded,
-    whole,
-)
+from pinmobile.arrays import Array, ArrayLike, affordable, frozen, instance, positive, scalar, seeded, whole
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification.log import Log, Samples, check_steps, check_units, logs_of
 from pinmobile.identification.velocity_fit import (

@@ -30,6 +30,7 @@ from pinmobile.arrays import (
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import rk4
 from pinmobile.parts import (
+    Desired,
     Number,
     also_symbols,
     array,
@@ -40,6 +41,7 @@ from pinmobile.parts import (
     number,
     option,
     part,
+    required,
     structure,
 )
 from pinmobile.plant import Coordinate, Input
@@ -440,8 +442,7 @@ class VelocityRobot:
 
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return the q and v with which a reference begins, shape (3,); what moves sideways is left out."""
-        if not (hasattr(reference, "q") and hasattr(reference, "v")):
-            raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
+        required("reference", reference, Desired)
         q, v = vector("reference.q", reference.q, 3), vector("reference.v", reference.v, 3)
         if q.ndim != 1 or v.ndim != 1:
             raise InvalidArgument(f"reference has q and v of shapes {q.shape} and {v.shape}, expected (3,)")

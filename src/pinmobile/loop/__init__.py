@@ -36,13 +36,7 @@ from pinmobile.loop._record import Samples, Worst
 from pinmobile.loop._rollout import Rollout, error_text as error_text
 from pinmobile.loop._run import ensemble, part_of, run_scenario, way_of as way_of
 from pinmobile.loop._scenario import Scenario
-from pinmobile.loop._simulate import (
-    COMPILED,
-    PYTHON,
-    Engine,
-    checked_engine as checked_engine,
-    simulate,
-)
+from pinmobile.loop._simulate import COMPILED, PYTHON, Engine, checked_engine as checked_engine, simulate
 from pinmobile.loop._spread import (
     TRUE_MODEL,
     Distribution,

@@ -4,14 +4,24 @@ from __future__ import annotations
 
 import contextlib
 import weakref
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any, TypeAlias
 from warnings import warn
 
 import numpy as np
 
-from pinmobile.arrays import Array, affordable, answered, callable_as, frozen, positive, vector, whole
+from pinmobile.arrays import (
+    Array,
+    affordable,
+    answered,
+    callable_as,
+    frozen,
+    instance,
+    positive,
+    vector,
+    whole,
+)
 from pinmobile.compiled import is_constant
 from pinmobile.controllers import Controller, check_controller, check_memory
 from pinmobile.errors import InvalidArgument, shown
@@ -19,7 +29,7 @@ from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
 from pinmobile.loop._engines import error_of_sizes
 from pinmobile.loop._loop import displaced, named_forces
-from pinmobile.parts import Carried, OnCoordinates, Pushable, Stepping, able, required
+from pinmobile.parts import Carried, Following, OnCoordinates, Pushable, Stepping, able, required
 from pinmobile.plant import Context, Plant, check_plant, coordinates_of, leading_of, refuse_path
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
@@ -44,11 +54,9 @@ def checked_loop(plant: object, controller: object, trajectory: object, integrat
         If one of them is not.
     """
     check_controller(controller)
-    if isinstance(trajectory, type) or not hasattr(trajectory, "duration"):
-        raise InvalidArgument(f"trajectory is {shown(trajectory)}, expected something with 'duration'")
     refuse_path("trajectory", trajectory)
+    required("trajectory", trajectory, Following)
     check_plant(plant)
-    callable_as("trajectory(t)", trajectory)
     if integrator is not None:
         check_integrator(integrator)
 
@@ -70,7 +78,6 @@ def chosen_integrator(plant: Plant, integrator: Integrator | None) -> Integrator
             f"integrator is {shown(integrator)}, but the plant, a {type(plant).__name__}, has a step of its "
             "own: leave integrator out"
         )
-    callable_as("plant.step(t, q, v, u, h, f, memory)", own.step)
     return None
 
 
@@ -113,11 +120,10 @@ def sample_times(dt: float, duration: float | None, longest: float) -> Array:
     total = longest if duration is None else positive("duration", duration, "s")
     if total > longest * (1 + _WHOLE):
         raise InvalidArgument(f"duration is {total} s, expected at most the trajectory's {longest} s")
-    if dt > total * (1 + _WHOLE):
-        raise InvalidArgument(f"dt is {dt} s, expected at most the duration, {total} s")
-    if total / dt > _MOST:
+    if not total / _MOST <= dt <= total * (1 + _WHOLE):
         raise InvalidArgument(
-            f"dt is {dt} s, which makes {total / dt:.3g} samples, expected at most {_MOST:g}"
+            f"dt is {dt} s, expected at most the duration, {total} s, and at least {total / _MOST:g} s: "
+            f"{_MOST:g} samples"
         )
     steps = round(total / dt)
     affordable(f"the records of {steps + 1:,} samples", _RECORDED * _COORDINATES * (steps + 1), _SHORTER)
@@ -210,17 +216,9 @@ def _sampled_before(trajectory: Any, t: Array, plant: Any) -> Reference | None:
 
 
 def started(plant: Any, reference: Reference) -> tuple[Any, Any]:
-    """Return where a plant's ``start`` puts it for the first sample of a reference: q and v.
-
-    Raises
-    ------
-    InvalidArgument
-        If it returns something else than two.
-    """
-    answer = plant.start(reference)
-    if type(answer) is not tuple or len(answer) != 2:
-        raise InvalidArgument(f"plant.start(reference) returned {shown(answer)}, expected (q, v)")
-    return answer
+    """Return where a plant's ``start`` puts it for the first sample of a reference: q and v."""
+    q, v = plant.start(reference)
+    return q, v
 
 
 def checked_forces(forces: Any, plant: Plant) -> Any:
@@ -231,12 +229,8 @@ def checked_forces(forces: Any, plant: Plant) -> Any:
     InvalidArgument
         If one is no function, or the plant lacks what they need.
     """
-    if callable(forces):
-        raise InvalidArgument(f"forces is {shown(forces)}, expected a sequence of forces, such as [force]")
-    try:
-        kept = dict(forces) if isinstance(forces, Mapping) else tuple(forces)
-    except TypeError:
-        raise InvalidArgument(f"forces is {shown(forces)}, expected a sequence of forces") from None
+    instance("forces", forces, Mapping | Iterable, "a sequence of forces, such as [force]")
+    kept = dict(forces) if isinstance(forces, Mapping) else tuple(forces)
     listed, wrenches = named_forces(kept), False
     for name, force in listed.items():
         if able(force, OnCoordinates):

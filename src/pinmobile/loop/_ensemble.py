@@ -13,14 +13,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, ArrayLike, location, one_of, whole
 from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.files import replacing, write_table
-from pinmobile.loop._counts import (
-    Member,
-    Part,
-    checked_levels,
-    checked_share,
-    member_of,
-    share_within,
-)
+from pinmobile.loop._counts import Member, Part, checked_levels, checked_share, member_of, share_within
 from pinmobile.loop._description import Outline, alike, judgement, ranges
 from pinmobile.loop._rollout import Rollout
 from pinmobile.loop._scenario import Scenario, checked_scenario

@@ -292,6 +292,33 @@ class Following(Protocol):
         """Return the reference at a time, or at several."""
 
 
+class Desired(Protocol):
+    """A Reference: q, v and a."""
+
+    @property
+    def q(self) -> Any:
+        """Desired configuration."""
+
+    @property
+    def v(self) -> Any:
+        """Desired velocity."""
+
+    @property
+    def a(self) -> Any:
+        """Desired acceleration."""
+
+
+class Grounded(Protocol):
+    """A MobileRobot, or a plant with ground_wrench(q, v, a)."""
+
+    @property
+    def nv(self) -> int:
+        """Size of v."""
+
+    def ground_wrench(self, q: Any, v: Any, a: Any, /) -> Any:
+        """Return the wrench of the ground on the body, shape (..., 6)."""
+
+
 def _names(kind: type) -> tuple[str, ...]:
     return tuple(name for name in vars(kind) if name == "__call__" or not name.startswith("_"))
 

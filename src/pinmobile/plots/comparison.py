@@ -14,11 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from pinmobile.arrays import (
-    Array,
-    instance,
-    one_of,
-)
+from pinmobile.arrays import Array, instance, one_of
 from pinmobile.benchmarking import Benchmark
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification import Prediction

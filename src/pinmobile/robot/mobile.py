@@ -32,6 +32,7 @@ from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
 from pinmobile.measures import Measure
 from pinmobile.parts import (
+    Desired,
     Number,
     children,
     declare,
@@ -41,6 +42,7 @@ from pinmobile.parts import (
     numeric,
     option,
     part,
+    required,
     structure,
     walk,
 )
@@ -473,8 +475,7 @@ class MobileRobot(System):
         InvalidArgument
             If an argument has another shape or is not finite.
         """
-        if not hasattr(reference, "q"):
-            raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
+        required("reference", reference, Desired)
         wanted = [("...", n) for n in self.leading]
         desired = shaped("reference.q", finite("reference.q", reference.q), *wanted)
         state = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a), "u": self._v("u", u)}

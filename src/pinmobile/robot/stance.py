@@ -10,16 +10,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import (
-    Array,
-    ArrayLike,
-    finite,
-    frozen,
-    instance,
-    lengths,
-    positive,
-    shaped,
-)
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, instance, lengths, positive, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
 

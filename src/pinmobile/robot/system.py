@@ -28,7 +28,7 @@ from pinmobile.arrays import (
     wrap_angle,
 )
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
-from pinmobile.parts import is_symbolic, is_tracing, on_numbers, structure
+from pinmobile.parts import Desired, is_symbolic, is_tracing, on_numbers, required, structure
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import pinocchio_calls
 from pinmobile.robot.linkage import BODY_JOINT, circular_coordinates, coordinates, inputs, limits
@@ -587,8 +587,7 @@ class System:
         InvalidArgument
             If it is no reference, or has another number of coordinates.
         """
-        if not (hasattr(reference, "q") and hasattr(reference, "v")):
-            raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
+        required("reference", reference, Desired)
         v, q = finite("reference.v", reference.v), finite("reference.q", reference.q)
         if v.shape != q.shape or v.shape not in [(n,) for n in self.leading]:
             listed = ", ".join(f"({n},)" for n in self.leading)

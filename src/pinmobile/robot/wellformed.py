@@ -101,8 +101,7 @@ def urdf_tree(argument: str, path: Path) -> Element:
     try:
         with path.open("rb") as file:
             data = file.read(_MOST_BYTES + 1)  # what is no regular file may never end
-        if len(data) > _MOST_BYTES:
-            raise InvalidArgument(f"{path.name} has more than {_MOST_BYTES >> 20} MiB, expected less")
+        _at_most(path.name, len(data), "bytes", _MOST_BYTES)
         text = data.decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidArgument(f"{argument} is {str(path)!r}, which cannot be read: {error}") from None
@@ -130,21 +129,12 @@ class _Bounded(ElementTree.TreeBuilder):
     def start(self, tag: str, attributes: dict[str, str]) -> Element:
         self._depth += 1
         self._count += 1
-        if self._depth > _MOST_NESTED:
-            raise InvalidArgument(f"{self._name} nests elements more than {_MOST_NESTED} deep, expected less")
-        if self._count > _MOST_ELEMENTS:
-            raise InvalidArgument(f"{self._name} has more than {_MOST_ELEMENTS} elements, expected less")
-        if len(attributes) > _MOST_ATTRIBUTES:
-            raise InvalidArgument(
-                f"{self._name}: <{tag[:80]}> has {len(attributes)} attributes, "
-                f"expected at most {_MOST_ATTRIBUTES}"
-            )
+        _at_most(self._name, self._depth, "elements in one another", _MOST_NESTED)
+        _at_most(self._name, self._count, "elements", _MOST_ELEMENTS)
+        called = f"{self._name}: <{tag[:80]}>"
+        _at_most(called, len(attributes), "attributes", _MOST_ATTRIBUTES)
         for key, value in attributes.items():
-            if len(key) + len(value) > _LONGEST:
-                raise InvalidArgument(
-                    f"{self._name}: <{tag[:80]}> has {key[:80]!r} of {len(value)} letters, "
-                    f"expected at most {_LONGEST}"
-                )
+            _at_most(f"{called}: {key[:80]!r}", len(key) + len(value), "letters", _LONGEST)
         return super().start(tag, attributes)
 
     def end(self, tag: str) -> Element:
@@ -156,6 +146,11 @@ class _Bounded(ElementTree.TreeBuilder):
         raise InvalidArgument(f"{self._name} declares a document type, which no URDF needs: take it out")
 
 
+def _at_most(name: str, count: int, what: str, most: int, instead: str = "") -> None:
+    if count > most:
+        raise InvalidArgument(f"{name} has {count} {what}, expected at most {most}{instead}")
+
+
 def check_freedom(count: int, name: str) -> None:
     """Refuse more degrees of freedom than Pinocchio's work space has room for.
 
@@ -164,11 +159,7 @@ def check_freedom(count: int, name: str) -> None:
     InvalidArgument
         The message names the robot.
     """
-    if count > _MOST_FREEDOM:
-        raise InvalidArgument(
-            f"{name} has {count} degrees of freedom, expected at most {_MOST_FREEDOM}: make joints fixed "
-            "that need not move"
-        )
+    _at_most(name, count, "degrees of freedom", _MOST_FREEDOM, ": make joints fixed that need not move")
 
 
 def _complete_limits(root: Element) -> None:
@@ -294,14 +285,11 @@ def _check_tree(root: Element, name: str) -> None:
     links = [link.get("name", "") for link in root.iterfind("link")]
     joints = [joint.get("name", "") for joint in root.iterfind("joint")]
     for kind, names in (("link", links), ("joint", joints)):
-        if len(names) > _MOST_LINKS:
-            raise InvalidArgument(f"{name} has {len(names)} {kind}s, expected at most {_MOST_LINKS}")
+        _at_most(name, len(names), f"{kind}s", _MOST_LINKS)
         twice = [entry for entry, count in Counter(names).items() if count > 1]
         if twice:
             raise InvalidArgument(f"{name}: {kind} {twice[0]!r} is there twice, expected once")
-    shapes = sum(1 for _ in root.iterfind("./link/visual"))
-    if shapes > _MOST_SHAPES:
-        raise InvalidArgument(f"{name} has {shapes} visuals, expected at most {_MOST_SHAPES}")
+    _at_most(name, len(root.findall("./link/visual")), "visuals", _MOST_SHAPES)
     known, above, freedom = set(links), dict[str, str](), 0
     for joint in root.iterfind("joint"):
         parent, child = _check_joint(joint, known, name)
@@ -329,11 +317,8 @@ def _check_depth(links: list[str], above: Mapping[str, str], name: str) -> None:
         )
     loose, layer, depth = set(links), roots, 0
     while layer:
-        if depth > _MOST_IN_SERIES:
-            raise InvalidArgument(
-                f"{name}: link {layer[0]!r} hangs on more than {_MOST_IN_SERIES} joints in series, expected "
-                f"at most {_MOST_IN_SERIES}: join links that do not move against each other"
-            )
+        words = ": join links that do not move against each other"
+        _at_most(f"{name}: link {layer[0]!r}", depth, "joints in series", _MOST_IN_SERIES, words)
         loose.difference_update(layer)
         layer, depth = [link for parent in layer for link in below.get(parent, ())], depth + 1
     if loose:

@@ -10,12 +10,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile import closed_form
-from pinmobile.arrays import (
-    Array,
-    instance,
-    seeded,
-    whole,
-)
+from pinmobile.arrays import Array, instance, seeded, whole
 from pinmobile.compiled import vectorize
 from pinmobile.derivation import Numeric, lagrange, lecture
 from pinmobile.dh import DHTable

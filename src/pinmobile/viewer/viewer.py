@@ -11,14 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import (
-    ArrayLike,
-    finite,
-    instance,
-    positive,
-    shaped,
-    text,
-)
+from pinmobile.arrays import ArrayLike, finite, instance, positive, shaped, text
 from pinmobile.errors import InvalidArgument, ViewerError, shown
 from pinmobile.files import written
 from pinmobile.loop import Rollout

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, in_numbers, shaped, vector
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.measures import Measure
-from pinmobile.parts import also_symbols, evolved
+from pinmobile.parts import Desired, also_symbols, evolved, required
 from pinmobile.plant import ContactLoads, Contacts, SlipMargins, TorqueMargins
 from pinmobile.robot import number
 from pinmobile.wheels.ground import Ramp
@@ -208,8 +208,7 @@ class Bearing:
         reference : Reference
             Where the first coordinates should be.
         """
-        if not hasattr(reference, "q"):
-            raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
+        required("reference", reference, Desired)
         wanted = [("...", n) for n in self.leading]
         desired = shaped("reference.q", finite("reference.q", reference.q), *wanted)
         state = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a), "u": vector("u", u, self.nu)}

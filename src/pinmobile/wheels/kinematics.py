@@ -13,10 +13,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.arrays import (
-    Array,
-    instance,
-)
+from pinmobile.arrays import Array, instance
 from pinmobile.robot import (
     ZERO,
     Matrix,
