@@ -6,7 +6,7 @@ import inspect
 import os
 import re
 import sys
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import wraps
 from math import isfinite
 from os import PathLike
@@ -273,6 +273,39 @@ def scalar(name: str, value: ArrayLike) -> float:
     return float(shaped(name, finite(name, value), ()))
 
 
+def bounded(
+    name: str,
+    value: _Shaped,
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    below: float | None = None,
+    most: float | None = None,
+    unit: str = "",
+) -> _Shaped:
+    """Return numbers that are all within bounds, `least` and `most` included, `above` and `below` not.
+
+    Raises
+    ------
+    InvalidArgument
+        If one is not; the message names the first.
+    """
+    numbers, bounds = np.asarray(value), {">": above, ">=": least, "<": below, "<=": most}
+    wrong = np.zeros(numbers.shape, bool)
+    for sign, bound in bounds.items():
+        if bound is not None:
+            wrong |= ~_COMPARED[sign](numbers, bound)
+    if wrong.any():
+        at = tuple(int(i) for i in np.argwhere(wrong)[0])
+        place, told = (f"[{', '.join(map(str, at))}]" if at else ""), numbers[at]
+        words = " and ".join(f"{sign} {bound:.9g}" for sign, bound in bounds.items() if bound is not None)
+        raise InvalidArgument(f"{name}{place} is {told}{unit and ' ' + unit}, expected {words}")
+    return value
+
+
+_COMPARED = {">": np.greater, ">=": np.greater_equal, "<": np.less, "<=": np.less_equal}
+
+
 def positive(name: str, value: ArrayLike, unit: str = "") -> float:
     """Return `value` as a finite float above zero.
 
@@ -281,10 +314,7 @@ def positive(name: str, value: ArrayLike, unit: str = "") -> float:
     InvalidArgument
         If it is not.
     """
-    number = scalar(name, value)
-    if not number > 0:
-        raise InvalidArgument(f"{name} is {number}{unit and ' ' + unit}, expected > 0")
-    return number
+    return bounded(name, scalar(name, value), above=0, unit=unit)
 
 
 def non_negative(name: str, value: ArrayLike, unit: str = "") -> float:
@@ -295,10 +325,7 @@ def non_negative(name: str, value: ArrayLike, unit: str = "") -> float:
     InvalidArgument
         If it is not.
     """
-    number = scalar(name, value)
-    if number < 0:
-        raise InvalidArgument(f"{name} is {number}{unit and ' ' + unit}, expected >= 0")
-    return number
+    return bounded(name, scalar(name, value), least=0, unit=unit)
 
 
 def positive_or_endless(name: str, value: ArrayLike, unit: str = "") -> float:
@@ -432,6 +459,19 @@ def instance(name: str, value: object, kind: Any, expected: str) -> Any:
         If it is of another type.
     """
     if not isinstance(value, kind):
+        raise InvalidArgument(f"{name} is {shown(value)}, expected {expected}")
+    return value
+
+
+def mapping(name: str, value: object, expected: str) -> Mapping[Any, Any]:
+    """Return a mapping that is not empty; `expected` is what the message asks for.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is something else, or empty.
+    """
+    if not isinstance(value, Mapping) or not value:
         raise InvalidArgument(f"{name} is {shown(value)}, expected {expected}")
     return value
 

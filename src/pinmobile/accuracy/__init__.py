@@ -12,9 +12,9 @@ from typing import final
 import numpy as np
 
 from pinmobile.accuracy.convergence import EPS, FAR, Convergence, free_body, guarded
-from pinmobile.arrays import Array, callable_as, finite, positive, shaped
+from pinmobile.arrays import Array, callable_as, finite, instance, positive, shaped
 from pinmobile.controllers import ComputedTorque
-from pinmobile.errors import Diverged, InvalidArgument, shown
+from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.integrators import Acceleration, Integrator
 from pinmobile.loop import Rollout, simulate
 from pinmobile.paths import Circle
@@ -251,8 +251,7 @@ def integrator_report(
         "one of pinmobile.integrators or such a step",
     )
     body = MobileRobot(30, 1.0, com=(0.1, 0.05)) if robot is None else robot
-    if not isinstance(body, MobileRobot):
-        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
+    instance("robot", robot, MobileRobot | None, "a MobileRobot")
     total = positive("duration", duration, "s")
     ladder = _ladder(steps, total)
     free, loop = (measure(integrator, body, ladder, total) for measure in (free_body, held_force))

@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, vector
+from pinmobile.arrays import Array, ArrayLike, bounded, broadcast, finite, finite_answer, vector
 from pinmobile.errors import InvalidArgument
 
 Numbers: TypeAlias = Array | float
@@ -39,8 +39,7 @@ def _checked_body(
     """
     m, inertia, com = finite("mass", mass), finite("yaw_inertia", yaw_inertia), vector("com", com, 2)
     for name, value in (("mass", m), ("yaw_inertia", inertia)):
-        if not (value > 0).all():
-            raise InvalidArgument(f"{name} is {value.min()}, expected > 0")
+        bounded(name, value, above=0)
     try:
         np.broadcast_shapes(m.shape, inertia.shape, *(x.shape[:-1] for x in (com, q, *others.values())))
     except ValueError:

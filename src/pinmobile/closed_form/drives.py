@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, finite_answer, vector
+from pinmobile.arrays import Array, ArrayLike, bounded, finite, finite_answer, shaped, vector
 from pinmobile.closed_form.body import quietly
 from pinmobile.errors import InvalidArgument
 
@@ -161,14 +161,10 @@ def roller_drive(
     wheels = {name: finite(name, value) for name, value in (("x", x), ("y", y), ("angle", angle))}
     wheels |= {"roller": finite("roller", roller)} | _positive(radius=radius)
     wheels |= _not_negative(spin_inertia=spin_inertia)
-    if not (np.abs(wheels["roller"]) < np.pi / 2).all():
-        raise InvalidArgument(
-            f"roller is up to {np.abs(wheels['roller']).max():g} rad, expected less than a right angle"
-        )
+    bounded("roller", wheels["roller"], above=-np.pi / 2, below=np.pi / 2, unit="rad")
     m, inertia, xc, yc, vx, vy, w = _alike(**given, com=com, twist=twist)
     px, py, delta, gamma, r, spin = _alike(**wheels)
-    if not px.ndim:
-        raise InvalidArgument("x is one number, expected one for each wheel, on the last axis")
+    shaped("x", px, ("...", "k"), words=", one number for each wheel")
     c, s = np.cos(delta + gamma), np.sin(delta + gamma)
     J = np.stack([c, s, px * s - py * c], axis=-1) / (r * np.cos(gamma))[..., None]
     _fits({"twist": m.shape, "x": px.shape[:-1]})
@@ -241,10 +237,7 @@ def car(
         If the answer is beyond the numbers that a computer has.
     """
     nu, com, delta = vector("nu", nu, 2), vector("com", com, 2), finite("steering", steering)
-    if not (np.abs(delta) < np.pi / 2).all():
-        raise InvalidArgument(
-            f"steering is up to {np.abs(delta).max():g} rad, expected less than a right angle"
-        )
+    bounded("steering", delta, above=-np.pi / 2, below=np.pi / 2, unit="rad")
     given = _positive(mass=mass, yaw_inertia=yaw_inertia, wheelbase=wheelbase, radius=radius)
     given |= _not_negative(track=track, spin_inertia=spin_inertia, steered_inertia=steered_inertia)
     given["steering"] = delta
@@ -275,19 +268,11 @@ def car(
 
 
 def _positive(**given: ArrayLike) -> dict[str, Array]:
-    found = {name: finite(name, value) for name, value in given.items()}
-    for name, value in found.items():
-        if not (value > 0).all():
-            raise InvalidArgument(f"{name} is {value.min()}, expected > 0")
-    return found
+    return {name: bounded(name, finite(name, value), above=0) for name, value in given.items()}
 
 
 def _not_negative(**given: ArrayLike) -> dict[str, Array]:
-    found = {name: finite(name, value) for name, value in given.items()}
-    for name, value in found.items():
-        if not (value >= 0).all():
-            raise InvalidArgument(f"{name} is {value.min()}, expected >= 0")
-    return found
+    return {name: bounded(name, finite(name, value), least=0) for name, value in given.items()}
 
 
 _VECTORS = ("com", "nu", "twist")

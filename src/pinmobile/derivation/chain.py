@@ -11,7 +11,7 @@ from typing import Any
 
 from sympy import Expr, ImmutableMatrix, Symbol
 
-from pinmobile.arrays import Array, instance, one_of, sequence, whole
+from pinmobile.arrays import Array, instance, sequence, whole
 from pinmobile.derivation.algebra import exact, exact_matrix
 from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, shown
@@ -104,12 +104,9 @@ class Chain:
         if links is None:
             links = [Link.general(k) for k in range(1, len(table) + 1)]
         order = table.variables if order is None else order
-        for name, value in (("links", links), ("order", order)):
-            if isinstance(value, str) or not isinstance(value, Sequence):
-                raise InvalidArgument(f"{name} is {shown(value)}, expected a sequence")
         object.__setattr__(self, "table", table)
-        object.__setattr__(self, "links", tuple(links))
-        object.__setattr__(self, "order", tuple(order))
+        object.__setattr__(self, "links", sequence("links", links, "a sequence of Link or None"))
+        object.__setattr__(self, "order", sequence("order", order, "a sequence of names"))
         object.__setattr__(self, "gravity", exact_matrix("gravity", gravity, (3, 1)))
         self._check()
 
@@ -117,8 +114,6 @@ class Chain:
         variables = self.table.variables
         if len(self.links) != len(self) or not all(isinstance(link, Link | None) for link in self.links):
             raise InvalidArgument(f"links is {shown(self.links)}, expected {len(self)} of Link or None")
-        for name in self.order:
-            one_of("variable", name, variables)
         if sorted(self.order) != sorted(variables):
             raise InvalidArgument(f"order is {shown(self.order)}, expected a permutation of {variables}")
         names = Counter(symbol.name for symbol in (*self.q, *self.v, *self.a, *self.parameters))

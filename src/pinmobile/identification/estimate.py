@@ -11,7 +11,7 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile import parts
-from pinmobile.arrays import Array, frozen, instance, scalar, seeded, whole
+from pinmobile.arrays import Array, bounded, frozen, instance, scalar, seeded, whole
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import JointFriction, RollingResistance, ViscousFriction
 from pinmobile.identification.chassis import Chassis
@@ -206,9 +206,7 @@ class Identification:
         """Return how many deviations there are to each side in Student's interval."""
         from scipy.stats import t as student  # here, because it takes long to load
 
-        share = scalar("level", level)
-        if not 0 < share < 1:
-            raise InvalidArgument(f"level is {level}, expected a share in (0, 1)")
+        share = bounded("level", scalar("level", level), above=0, below=1)
         return float(student.ppf(0.5 + share / 2, self.freedom))
 
     def __repr__(self) -> str:
@@ -428,9 +426,7 @@ class Identification:
         InvalidArgument
             If something is unseen, or no draws are of a body.
         """
-        count, generator = whole("n", n), seeded("seed", seed)
-        if count > _MOST:
-            raise InvalidArgument(f"n is {count:,}, expected at most {_MOST:,}, whose draws take 8 GB")
+        count, generator = whole("n", n, most=_MOST), seeded("seed", seed)
         if self.unseen:
             raise InvalidArgument(
                 f"the log leaves something unseen: {self.unseen}; expected one that tells all"

@@ -7,8 +7,7 @@ from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, seeded, shaped, whole
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, ArrayLike, bounded, finite, frozen, positive, seeded, shaped, whole
 from pinmobile.identification.chassis import Chassis
 from pinmobile.identification.procedure import prior_of, to_chassis
 from pinmobile.robot import MobileRobot
@@ -100,9 +99,7 @@ class Excitation:
         InvalidArgument
             If a time is outside 0 to `duration`.
         """
-        times = finite("t", t)
-        if (times < 0).any() or (times > self.duration * (1 + 1e-12)).any():
-            raise InvalidArgument(f"t is {times.max():g} s, expected 0 <= t <= {self.duration:g} s")
+        times = bounded("t", finite("t", t), least=0, most=self.duration * (1 + 1e-12), unit="s")
         if self.S is None:
             zeroth = self.start + self._series(times, 0)
             return Reference(zeroth, self._series(times, 1), self._series(times, 2))
@@ -158,11 +155,8 @@ def excitation(
     InvalidArgument
         If a limit is not above zero, or the robot is none that `identify` takes.
     """
-    limits = [finite(name, x) for name, x in (("position", position), ("velocity", velocity))]
-    limits.append(finite("acceleration", acceleration))
-    for name, limit in zip(("position", "velocity", "acceleration"), limits, strict=True):
-        if limit.shape != (3,) or not (limit > 0).all():
-            raise InvalidArgument(f"{name} is {limit!r}, expected three numbers > 0")
+    given = {"position": position, "velocity": velocity, "acceleration": acceleration}
+    limits = [bounded(name, shaped(name, finite(name, x), (3,)), above=0) for name, x in given.items()]
     count, generator = whole("harmonics", harmonics, least=3), seeded("seed", seed)
     T, length = positive("period", period, "s"), positive("duration", duration, "s")
     believed = MobileRobot.box() if robot is None else robot

@@ -11,7 +11,18 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, affordable, frozen, instance, positive, scalar, seeded, whole
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    affordable,
+    bounded,
+    frozen,
+    instance,
+    positive,
+    scalar,
+    seeded,
+    whole,
+)
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification.log import Log, Samples, check_steps, check_units, logs_of
 from pinmobile.identification.velocity_fit import (
@@ -146,9 +157,7 @@ class VelocityIdentification:
         """
         from scipy.stats import t
 
-        level = scalar("level", level)
-        if not 0 < level < 1:
-            raise InvalidArgument(f"level is {level:g}, expected one between 0 and 1, such as 0.95")
+        level = bounded("level", scalar("level", level), above=0, below=1)
         wide = float(t.ppf((1 + level) / 2, self.segments - 1))
         errors = self.standard_errors
         found = {

@@ -89,13 +89,7 @@ def checked_substeps(substeps: int, samples: int) -> int:
     InvalidArgument
         If it is no whole number >= 1, or makes more steps than anybody waits for.
     """
-    count = whole("substeps", substeps)
-    if count * samples > _MOST_STEPS:
-        raise InvalidArgument(
-            f"substeps is {count}, which makes {count * samples:.3g} steps in {samples:,} samples, "
-            f"expected at most {_MOST_STEPS:g}"
-        )
-    return count
+    return whole("substeps", substeps, most=int(_MOST_STEPS / samples))
 
 
 def sample_times(dt: float, duration: float | None, longest: float) -> Array:

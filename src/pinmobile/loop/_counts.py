@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, finite, scalar
+from pinmobile.arrays import Array, ArrayLike, bounded, finite, scalar, shaped
 from pinmobile.compiled import BINS, FIRST, SHIFT
 from pinmobile.controllers import Controller
-from pinmobile.errors import InvalidArgument, shown
 from pinmobile.loop._scenario import Scenario
 from pinmobile.measures import value_of
 from pinmobile.parts import replace
@@ -178,10 +177,7 @@ def checked_share(value: ArrayLike) -> float:
     InvalidArgument
         If it is not one number from 0 to 1.
     """
-    share = scalar("share", value)
-    if not 0 <= share <= 1:
-        raise InvalidArgument(f"share is {shown(value)}, expected a number from 0 to 1")
-    return share
+    return bounded("share", scalar("share", value), least=0, most=1)
 
 
 def checked_levels(value: ArrayLike) -> Array:
@@ -192,10 +188,8 @@ def checked_levels(value: ArrayLike) -> Array:
     InvalidArgument
         If one is not between 0 and 1.
     """
-    found = np.atleast_1d(finite("levels", value))
-    if found.ndim != 1 or not found.size or not ((found >= 0) & (found <= 1)).all():
-        raise InvalidArgument(f"levels is {shown(value)}, expected numbers from 0 to 1")
-    return found
+    found = shaped("levels", np.atleast_1d(finite("levels", value)), ("n>=1",))
+    return bounded("levels", found, least=0, most=1)
 
 
 def share_within(values: Array, share: float, axis: int = -1) -> Array:

@@ -11,7 +11,7 @@ from zlib import crc32
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, affordable, finite, positive, scalar, whole
+from pinmobile.arrays import Array, ArrayLike, affordable, bounded, finite, positive, scalar, whole
 from pinmobile.compiled import BINS, Noise, is_traced
 from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.integrators import Integrator
@@ -513,10 +513,7 @@ def time_within(name: str, value: ArrayLike, t: Array) -> float:
     InvalidArgument
         If it is outside.
     """
-    time = scalar(name, value)
-    if not 0 <= time <= t[-1]:
-        raise InvalidArgument(f"{name} is {time} s, expected from 0 to the duration, {t[-1]:g} s")
-    return time
+    return bounded(name, scalar(name, value), least=0, most=float(t[-1]), unit="s")
 
 
 def _drawn_by(part: Any, name: str, generator: np.random.Generator, count: int) -> Array:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol, final, runtime_checkable
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, representable, shaped, whole
+from pinmobile.arrays import Array, ArrayLike, bounded, finite, frozen, positive, representable, shaped, whole
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import child, fields_of, number, part, required
 
@@ -161,13 +161,8 @@ def within(name: str, t: ArrayLike, duration: float) -> Array:
     InvalidArgument
         If a time is not a finite number, or outside.
     """
-    times = finite(name, t)
-    slack = _ROUNDING * duration
-    outside = (times < -slack) | (times > duration + slack)
-    if outside.any():
-        where = tuple(int(i) for i in np.argwhere(outside)[0])
-        place = f"[{', '.join(map(str, where))}]" if where else ""
-        raise InvalidArgument(f"{name}{place} is {times[where]} s, expected 0 <= {name} <= {duration} s")
+    times, slack = finite(name, t), _ROUNDING * duration
+    bounded(name, times, least=-slack, most=duration + slack, unit="s")
     return np.asarray(np.minimum(np.maximum(times, 0.0), duration))
 
 
@@ -435,10 +430,7 @@ def stretch(name: str, value: ArrayLike) -> float:
     InvalidArgument
         If it is not.
     """
-    time = positive(name, value, "s")
-    if not _SHORTEST <= time <= _FARTHEST:
-        raise InvalidArgument(f"{name} is {time} s, expected {_SHORTEST:g} to {_FARTHEST:g} s")
-    return time
+    return bounded(name, positive(name, value, "s"), least=_SHORTEST, most=_FARTHEST, unit="s")
 
 
 _SHORTEST, _FARTHEST = 1e-50, 1e50  # [s]

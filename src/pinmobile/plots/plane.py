@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from PIL import Image
 
-from pinmobile.arrays import Array, ArrayLike, callable_as, finite, positive, shaped
+from pinmobile.arrays import Array, ArrayLike, bounded, callable_as, finite, positive, scalar, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import written
 from pinmobile.loop import Rollout
@@ -346,10 +346,7 @@ def _spread(run: Rollout) -> Array:
 def _checked(times: ArrayLike, run: Rollout) -> Array:
     checked = np.atleast_1d(finite("times", times))
     shaped("times", checked, ("n",))
-    for k, t in enumerate(checked):
-        if not run.t[0] <= t <= run.t[-1]:
-            raise InvalidArgument(f"times[{k}] is {t} s, expected {run.t[0]:g} <= t <= {run.t[-1]:g} s")
-    return checked
+    return bounded("times", checked, least=float(run.t[0]), most=float(run.t[-1]), unit="s")
 
 
 _LASTS = 10.0  # [s]; by default a longer run is shown in this time
@@ -400,9 +397,7 @@ def animate(
         If the system fails, such as of a full disk; what was there is there still.
     """
     runs = planar(rollouts)
-    rate = positive("fps", fps, "1/s")
-    if rate > _FASTEST:
-        raise InvalidArgument(f"fps is {fps} 1/s, expected at most {_FASTEST:g}")
+    rate = bounded("fps", scalar("fps", fps), above=0, most=_FASTEST, unit="1/s")
     start, end = min(run.t[0] for run in runs.values()), max(run.t[-1] for run in runs.values())
     pace = max((end - start) / _LASTS, 1.0) if speed is None else positive("speed", speed)
     times = np.append(np.arange(start, end - 1e-9 * pace, pace / rate), end)

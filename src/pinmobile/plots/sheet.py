@@ -26,7 +26,7 @@ from matplotlib.textpath import text_to_path
 from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
-from pinmobile.arrays import positive, text
+from pinmobile.arrays import bounded, scalar, text
 from pinmobile.errors import InvalidArgument, shown
 
 Canvas: TypeAlias = Axes | Figure | SubFigure | Sequence[Axes] | NDArray[Any]
@@ -451,10 +451,7 @@ def _has_size() -> bool:
 def _width(width: float | None, natural: float) -> float:
     if width is None:
         return float(rcParams["figure.figsize"][0]) if _has_size() else natural * letters() / 10
-    wide = positive("width", width, "in")
-    if not _NARROWEST <= wide <= _WIDEST:
-        raise InvalidArgument(f"width is {wide:g} in, expected {_NARROWEST:g} to {_WIDEST:g} in")
-    return wide
+    return bounded("width", scalar("width", width), least=_NARROWEST, most=_WIDEST, unit="in")
 
 
 def _figure(width: float, known: bool) -> Figure:

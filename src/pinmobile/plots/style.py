@@ -14,7 +14,7 @@ from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
 import pinmobile.palette as palette
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, instance, mapping, text
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.loop import Rollout
 from pinmobile.palette import INK
@@ -241,18 +241,11 @@ def named(argument: str, values: object, kind: type[_Kind]) -> dict[str, _Kind]:
     one = f"{'an' if what[0] in 'AEIOU' else 'a'} {what}"
     if isinstance(values, kind):
         return {"": values}
-    if not isinstance(values, Mapping):
-        raise InvalidArgument(
-            f"{argument} is a {type(values).__name__}, expected {one} or a mapping of labels to {what}s"
-        )
-    if not values:
-        raise InvalidArgument(f"{argument} is empty, expected at least one {what}")
-    for label, value in values.items():
-        if not isinstance(label, str) or not label:
-            raise InvalidArgument(f"{argument} has the label {shown(label)}, expected a name")
-        if not isinstance(value, kind):
-            raise InvalidArgument(f"{argument}[{label!r}] is a {type(value).__name__}, expected {one}")
-    return dict(values)
+    found = mapping(argument, values, f"{one} or a mapping of labels to {what}s")
+    for label, value in found.items():
+        text(f"a label of {argument}", label)
+        instance(f"{argument}[{label!r}]", value, kind, one)
+    return dict(found)
 
 
 def planar(rollouts: object) -> dict[str, Rollout]:

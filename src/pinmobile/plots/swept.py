@@ -16,7 +16,17 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, NullLocator
 
 from pinmobile.accuracy import Convergence, IntegratorReport
-from pinmobile.arrays import Array, ArrayLike, finite, real, sequence, shaped, text
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    bounded,
+    finite,
+    mapping,
+    real,
+    sequence,
+    shaped,
+    text,
+)
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.palette import INK
 from pinmobile.plots.sheet import Canvas, Sheet, letters, wrapped
@@ -133,14 +143,17 @@ def heatmap(
     return sheet.finish(title, f"{label} over {x[0]} and {y[0]}")
 
 
-def _labels(name: str, axis: object) -> list[str]:
-    if not isinstance(axis, Sequence) or isinstance(axis, str) or len(axis) != 3:
+def _axis(name: str, axis: Any) -> Any:
+    """Return the values of (name, unit, values)."""
+    if len(sequence(name, axis, "(name, unit, values)")) != 3:
         raise InvalidArgument(f"{name} is {shown(axis)}, expected (name, unit, values)")
     text(f"{name}[0]", axis[0])
     text(f"{name}[1]", axis[1])
-    values = sequence(f"{name}[2]", axis[2], "a sequence of numbers or text")
-    if not values:
-        raise InvalidArgument(f"{name}[2] is empty, expected one value at least")
+    return axis[2]
+
+
+def _labels(name: str, axis: object) -> list[str]:
+    values = sequence(f"{name}[2]", _axis(name, axis), "a sequence of numbers or text")
     if all(isinstance(one, str) for one in values):
         return [text(f"{name}[2]", one) for one in values]
     numbers = shaped(f"{name}[2]", finite(f"{name}[2]", values), ("n>=1",))
@@ -149,11 +162,7 @@ def _labels(name: str, axis: object) -> list[str]:
 
 def _numbers(values: ArrayLike, shape: tuple[int, int]) -> Array:
     words = ": a row for each of y, a column for each of x"
-    numbers = shaped("values", real("values", values), shape, words=words)
-    wrong = np.argwhere(np.isnan(numbers) | (numbers == -np.inf))
-    if len(wrong):
-        i, k = wrong[0]
-        raise InvalidArgument(f"values[{i}, {k}] is {numbers[i, k]}, expected a number or infinity")
+    numbers = bounded("values", shaped("values", real("values", values), shape, words=words), above=-np.inf)
     return numbers.astype(np.float64)
 
 
@@ -161,15 +170,8 @@ def _norm(known: Array, limits: tuple[float, float] | None) -> Normalize:
     if limits is None:
         low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
     else:
-        ends = finite("limits", limits)
-        if ends.shape != (2,) or ends[0] > ends[1]:
-            raise InvalidArgument(f"limits is {shown(limits)}, expected (smallest, largest)")
-        low, high = ends.tolist()
-        outside = known[(known < low) | (known > high)]
-        if len(outside):
-            raise InvalidArgument(
-                f"limits is {shown(limits)}, expected to hold all of values, {outside[0]:g} too"
-            )
+        low, high = shaped("limits", finite("limits", limits), (2,), words=": smallest, largest").tolist()
+        bounded("values within limits", known, least=low, most=high)
     return LogNorm(low, high) if 0 < _LOGARITHMIC * low < high else Normalize(low, high)
 
 
@@ -255,8 +257,7 @@ def curves(
         If there are no curves, one has another shape, or holds NaN.
     """
     places, label = _places(x), text("label", label)
-    if not isinstance(values, Mapping) or not values:
-        raise InvalidArgument(f"values is {shown(values)}, expected a mapping of names to numbers")
+    mapping("values", values, "a mapping of names to numbers")
     rows = {name: _row(name, row, len(places)) for name, row in values.items()}
     sheet = Sheet(ax, width, 8.0)
     (axes,) = sheet.axes([(0, 0)], [3.8])
@@ -271,21 +272,13 @@ def curves(
 
 
 def _places(x: object) -> Array:
-    if not isinstance(x, Sequence) or isinstance(x, str) or len(x) != 3:
-        raise InvalidArgument(f"x is {shown(x)}, expected (name, unit, values)")
-    text("x[0]", x[0])
-    text("x[1]", x[1])
-    return shaped("x[2]", finite("x[2]", x[2]), ("n>=1",))
+    return shaped("x[2]", finite("x[2]", _axis("x", x)), ("n>=1",))
 
 
 def _row(name: str, values: ArrayLike, count: int) -> Array:
     text("values", name)
-    row = real(f"values[{name!r}]", values)
-    if row.shape != (count,):
-        raise InvalidArgument(f"values[{name!r}] is {shown(values)}, expected {count} real numbers")
-    if np.isnan(row).any() or (row == -np.inf).any():
-        raise InvalidArgument(f"values[{name!r}] is {shown(values)}, expected numbers or infinity")
-    return row
+    called = f"values[{name!r}]"
+    return bounded(called, shaped(called, real(called, values), (count,)), above=-np.inf)
 
 
 def _scale(axes: Axes, numbers: Array) -> float:

@@ -13,14 +13,15 @@ import numpy as np
 from pinmobile.arrays import (
     Array,
     ArrayLike,
-    endless_or_finite,
     finite,
     frozen,
+    instance,
     non_negative,
     positive,
+    positive_or_endless,
     shaped,
 )
-from pinmobile.errors import InvalidArgument, LimitWarning, PinmobileError, Unreachable, shown
+from pinmobile.errors import InvalidArgument, LimitWarning, PinmobileError, Unreachable
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
 from pinmobile.parts import Constrained, able
 from pinmobile.paths import within
@@ -244,10 +245,7 @@ def resolve(
         per_coordinate("acceleration_limit", acceleration_limit, robot.nv),
     )
     weights = positive("damping", damping) * np.diag(per_coordinate("cost", cost, robot.nv))
-    most = endless_or_finite("tolerance", tolerance)  # infinite: whatever the error
-    if most.ndim or not most > 0:
-        raise InvalidArgument(f"tolerance is {shown(tolerance)}, expected > 0")
-    tolerance = float(most)
+    tolerance = positive_or_endless("tolerance", tolerance)  # infinite: whatever the error
     solver = Solver(robot, target, name, limits, weights)
     start = solver.start(q0)
     tending = start if posture is None else _checked_posture(robot, posture)
@@ -277,9 +275,8 @@ def _checked_target(robot: MobileRobot, target: PosePath) -> None:
     InvalidArgument
         If one is not.
     """
-    for name, value, kind in (("robot", robot, MobileRobot), ("target", target, PosePath)):
-        if not isinstance(value, kind):
-            raise InvalidArgument(f"{name} is {shown(value)}, expected a {kind.__name__}")
+    instance("robot", robot, MobileRobot, "a MobileRobot")
+    instance("target", target, PosePath, "a PosePath")
 
 
 def _checked_posture(robot: MobileRobot, posture: ArrayLike) -> Array:

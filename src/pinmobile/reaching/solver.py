@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, shaped
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.arrays import Array, ArrayLike, bounded, endless_or_finite, finite, frozen, shaped
+from pinmobile.errors import InvalidArgument
 from pinmobile.reaching.poses import PosePath, error_sizes, pose_error
 from pinmobile.robot import MobileRobot
 
@@ -176,8 +176,7 @@ def per_coordinate(name: str, value: ArrayLike, size: int, *, zero: bool = False
     """
     given = endless_or_finite(name, value) if zero else finite(name, value)
     shaped(name, given, (), (size,))
-    if not (given >= 0 if zero else given > 0).all():
-        raise InvalidArgument(f"{name} is {shown(value)}, expected numbers {'>=' if zero else '>'} 0")
+    bounded(name, given, least=0 if zero else None, above=None if zero else 0)
     return frozen(np.broadcast_to(given, (size,)))
 
 

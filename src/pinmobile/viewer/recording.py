@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from pinmobile.arrays import positive, scalar, whole
+from pinmobile.arrays import bounded, positive, scalar, whole
 from pinmobile.compiled import processors
 from pinmobile.errors import InvalidArgument, ViewerError, shown
 from pinmobile.extras import installing
@@ -589,9 +589,8 @@ class Recording:
         ViewerError
             If there is no Chromium, or it fails.
         """
-        rate = positive("fps", min(self.fps, 25.0) if fps is None else fps, "1/s")
-        if rate > _FASTEST:
-            raise InvalidArgument(f"fps is {fps} 1/s, expected at most {_FASTEST:g}")
+        rate = scalar("fps", min(self.fps, 25.0) if fps is None else fps)
+        bounded("fps", rate, above=0, most=_FASTEST, unit="1/s")
         return written(path, ".gif", lambda: gif(self._frames(rate, size, progress), rate))
 
     def save_mp4(
@@ -644,9 +643,7 @@ class Recording:
         ViewerError
             If there is no Chromium, or it fails.
         """
-        time = scalar("t", t)
-        if not 0 <= time <= self.duration:
-            raise InvalidArgument(f"t is {t} s, expected 0 <= t <= {self.duration:g} s")
+        time = bounded("t", scalar("t", t), least=0, most=self.duration, unit="s")
         return written(path, ".png", lambda: picture_of(self.html(), size, time))
 
     def _frames(self, rate: float, size: tuple[int, int], progress: Progress | None) -> Iterator[Image.Image]:

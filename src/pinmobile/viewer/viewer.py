@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import ArrayLike, finite, instance, positive, shaped, text
-from pinmobile.errors import InvalidArgument, ViewerError, shown
+from pinmobile.arrays import ArrayLike, finite, instance, mapping, positive, shaped, text
+from pinmobile.errors import InvalidArgument, ViewerError
 from pinmobile.files import written
 from pinmobile.loop import Rollout
 from pinmobile.viewer.motion import figure, frame_times, tracks
@@ -305,7 +305,7 @@ def _live_window(host: str, port: int | None) -> LiveWindow:
     return LiveWindow(host, port)
 
 
-def _checked_overlays(overlays: Overlays | None, default: Overlays) -> Overlays:
+def _checked_overlays(overlays: object, default: Overlays) -> Overlays:
     """Return the overlays that are asked for.
 
     Raises
@@ -315,9 +315,8 @@ def _checked_overlays(overlays: Overlays | None, default: Overlays) -> Overlays:
     """
     if overlays is None:
         return default
-    if not isinstance(overlays, Overlays):
-        raise InvalidArgument(f"overlays is a {type(overlays).__name__}, expected Overlays")
-    return overlays
+    found: Overlays = instance("overlays", overlays, Overlays, "Overlays")
+    return found
 
 
 def _checked_runs(rollouts: object) -> dict[str, Rollout]:
@@ -328,15 +327,11 @@ def _checked_runs(rollouts: object) -> dict[str, Rollout]:
     InvalidArgument
         If it is something else, holds nothing, or the plant of one does not tell where its body is.
     """
-    runs = {"": rollouts} if isinstance(rollouts, Rollout) else rollouts
-    if not isinstance(runs, Mapping) or not runs:
-        raise InvalidArgument(
-            f"rollout is {shown(rollouts)}, expected a Rollout or a mapping of labels to them"
-        )
+    given = {"": rollouts} if isinstance(rollouts, Rollout) else rollouts
+    runs = mapping("rollout", given, "a Rollout or a mapping of labels to them")
     for label, run in runs.items():
         where = f"rollout[{label!r}]" if label else "rollout"
-        if not isinstance(run, Rollout):
-            raise InvalidArgument(f"{where} is a {type(run).__name__}, expected a Rollout")
+        instance(where, run, Rollout, "a Rollout")
         try:
             _ = run.poses, run.reference_poses
         except InvalidArgument as error:

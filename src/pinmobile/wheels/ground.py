@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import cos, pi, sin
 from typing import Any, ClassVar, Protocol, final
 
-from pinmobile.arrays import Array, frozen, scalar
+from pinmobile.arrays import Array, bounded, frozen, scalar
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import by_value, child, integer, number, part
 from pinmobile.wheels.rolling import RollingDynamics
@@ -48,8 +48,7 @@ class Ramp:
 
     def check(self) -> None:
         """Raise `InvalidArgument` where it is as steep as a wall."""
-        if not self.angle < pi / 2:
-            raise InvalidArgument(f"angle of a Ramp is {self.angle:g} rad, expected one in [0, pi / 2)")
+        bounded("angle", self.angle, below=pi / 2, unit="rad")
 
     def fall(self, g: float) -> Array:
         """Return gravity along the axes of the plane, shape (3,) [m/s^2], from what it is straight down."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from pinmobile.arrays import (
     ArrayLike,
+    bounded,
     finite,
     instance,
     one_of,
@@ -400,9 +401,8 @@ class WheelTable:
             What else each has, see `Wheel`.
         """
         L, half = positive("wheelbase", wheelbase, "m"), positive("track", track, "m") / 2
-        limit = positive("steering_limit", steering_limit, "rad")
-        if not limit < pi / 2:
-            raise InvalidArgument(f"steering_limit is {limit:g} rad, expected one below a right angle")
+        limit = scalar("steering_limit", steering_limit)
+        bounded("steering_limit", limit, above=0, below=pi / 2, unit="rad")
         rear = [
             Wheel(f"rear_{side}", 0.0, y, radius, **wheel) for side, y in (("left", half), ("right", -half))
         ]

@@ -65,9 +65,7 @@ class LiveWindow:
         *,
         page: str | None = None,
     ) -> None:
-        wanted = None if port is None else whole("port", port)
-        if wanted is not None and wanted > 65535:
-            raise InvalidArgument(f"port is {wanted}, expected at most 65535")
+        wanted = None if port is None else whole("port", port, most=65535)
         access = access_for(host, token)
         html = _served(_live_page() if page is None else page, access.query)
         listener = listening(access.host, wanted)
