@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, affordable
+from pinmobile.arrays import Array, affordable, shaped, whole
 from pinmobile.compiled.emit import BINS, Shape, text_of
 from pinmobile.compiled.loop_tape import LoopTape
 from pinmobile.compiled.processor import Cache, Target, function_of
@@ -139,22 +139,18 @@ class Program:
         """Check that the machine code reads within the arrays, and return the number of robots."""
         nq, nv, _, length, size = self.tape.sizes
         n, count = len(start[0]), len(t)
-        if n < 1 or count < 1 or every < 1:
-            raise InvalidArgument(
-                f"there are {n} robots, {count} samples, and counts every {every}, expected >= 1"
-            )
+        for name, number in (("number of robots", n), ("number of samples", count), ("every", every)):
+            whole(name, number)
         sizes = length, size, size
         expected: list[tuple[str, Any, tuple[int, ...]]] = [
             ("q", start[0], (n, nq)),
             ("v", start[1], (n, nv)),
         ]
         expected += [("reference", x, (count, m)) for x, m in zip(reference, sizes, strict=True)]
-        if (tracks is None) != (self.tape.tracks == 0):
-            raise InvalidArgument(f"tracks is {tracks}, expected references as the loop was traced with")
-        expected += [("tracks", x, (count, n, m)) for x, m in zip(tracks or (), sizes, strict=False)]
+        tracked = sizes[: self.tape.tracks]
+        expected += [("tracks", x, (count, n, m)) for x, m in zip(tracks or (), tracked, strict=True)]
         for name, array, shape in expected:
-            if np.shape(array) != shape:
-                raise InvalidArgument(f"{name} has shape {np.shape(array)}, expected {shape}")
+            shaped(name, array, shape)
         return n
 
     def samples_of(

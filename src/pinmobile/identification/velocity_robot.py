@@ -20,6 +20,7 @@ from pinmobile.arrays import (
     finite,
     frozen,
     in_numbers,
+    instance,
     lengths,
     non_negative,
     positive,
@@ -301,9 +302,8 @@ class VelocityRobot:
         InvalidArgument
             If the robot has other wheels, motors or arms, or a gain is not in its range.
         """
-        robot = getattr(wheeled, "wheeled", wheeled)
-        if not isinstance(robot, WheeledRobot):
-            raise InvalidArgument(f"wheeled is {shown(wheeled)}, expected a WheeledRobot")
+        robot: Any = getattr(wheeled, "wheeled", wheeled)
+        instance("wheeled", robot, WheeledRobot, "a WheeledRobot")
         kp, kd = positive("kp", kp, "V s/rad"), non_negative("kd", kd, "V s^2/rad")
         wheel, motor, d = _pair_of(robot)
         base, r = robot.robot, wheel.radius

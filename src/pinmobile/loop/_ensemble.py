@@ -311,10 +311,7 @@ class Ensemble:
         return member_of(self.scenario, index)
 
     def _index(self, i: int) -> int:
-        index = whole("i", i, least=0)
-        if index >= len(self):
-            raise InvalidArgument(f"i is {index}, expected 0 to {len(self) - 1}")
-        return index
+        return whole("i", i, least=0, most=len(self) - 1)
 
     def trace(self, i: int) -> Rollout:
         """Return everything of robot i, kept or made by `simulate`: the same numbers but for rounding.

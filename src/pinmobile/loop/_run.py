@@ -10,10 +10,10 @@ from warnings import warn
 
 import numpy as np
 
-from pinmobile.arrays import Array, callable_as, whole
+from pinmobile.arrays import Array, callable_as, instance, whole
 from pinmobile.compiled import BINS, processors, robot_keys
 from pinmobile.controllers import Controller
-from pinmobile.errors import InvalidArgument, LimitWarning, NotFinite, NotTraceable, SlowerEngine, shown
+from pinmobile.errors import InvalidArgument, LimitWarning, NotFinite, NotTraceable, SlowerEngine
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop._checks import sampled
@@ -345,9 +345,8 @@ def run_scenario(
     workers = processors() if threads is None else whole("threads", threads)
     if progress is not None:
         callable_as("progress(done, n)", progress)
-    if isinstance(traces, str | bytes) or not isinstance(traces, Iterable):
-        raise InvalidArgument(f"traces is {shown(traces)}, expected indices of robots, such as [0]")
-    followed = [_traced(i, scenario.n) for i in traces]
+    listed = instance("traces", traces, Iterable, "indices of robots, such as [0]")
+    followed = [whole("traces", i, least=0, most=scenario.n - 1) for i in listed]
     draws = scenario.draws()
     way = way_of(scenario, engine)
     if way.why and engine is None:
@@ -402,10 +401,3 @@ def _run(
         if progress is not None:
             progress(last - start, stop - start)
     return records.part()
-
-
-def _traced(i: int, n: int) -> int:
-    index = whole("traces", i, least=0)
-    if index >= n:
-        raise InvalidArgument(f"traces has robot {index}, expected 0 to {n - 1}")
-    return index

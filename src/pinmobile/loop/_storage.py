@@ -10,7 +10,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, finite, lengths, scalar, text, whole
+from pinmobile.arrays import Array, finite, lengths, scalar, shaped, text, whole
 from pinmobile.dh import DHRow, DHTable, JointType
 from pinmobile.errors import InvalidArgument, PinmobileError
 from pinmobile.files import archive_of, unpacking
@@ -207,8 +207,7 @@ def _split(columns: Array, described: Any) -> dict[str, Signal]:
         part = columns[:, start:stop]
         found[name] = Signal(unit, part if more else part[:, 0])
         start = stop
-    if columns.ndim != 2 or columns.shape[1] != start:
-        raise ValueError(f"signals has shape {columns.shape}, expected {start} columns")
+    shaped("signals", columns, ("n", start))
     return found
 
 

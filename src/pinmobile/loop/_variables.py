@@ -10,7 +10,7 @@ from typing import IO, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, finite, text, whole
+from pinmobile.arrays import Array, finite, shaped, text, whole
 from pinmobile.extras import imported
 from pinmobile.files import archive_of, unpacking
 from pinmobile.loop._counts import edges, miscounted, quantiles
@@ -356,25 +356,13 @@ def read_ensemble(path: Path) -> dict[str, Any]:
 
 def _check(named: Mapping[str, Any], outline: Outline) -> None:
     """Refuse records that no robots have."""
-    n, diverged = outline.n, named["diverged_at"]
+    n = outline.n
     sizes = {"diverged_at": (), "max_distance": (), "max_force": (len(outline.inputs),)}
     sizes |= dict.fromkeys(("max_error", "rms_error"), (len(outline.coordinates),))
     sizes |= dict.fromkeys(("worst_measure", "rms_measure"), (len(outline.judged),))
-    margins = [one.is_margin for one in outline.judged]
     for name in PER_ROBOT:
-        values, shape = named[name], (n, *sizes[name])
-        if values.shape != shape:
-            raise ValueError(f"{name} has shape {values.shape}, expected {shape}")
-        if (values < 0).any(where=~np.array(margins, bool) if name == "worst_measure" else True):
-            raise ValueError(f"{name} has {np.nanmin(values)}, expected none below 0")
-    for name in PER_ROBOT:
-        if name != "diverged_at" and np.isnan(named[name][np.isnan(diverged)]).any():
-            raise ValueError(f"{name} has nan of a robot that did not diverge")
-    if not np.isin(diverged[~np.isnan(diverged)], outline.t).all():
-        raise ValueError("diverged_at has what is no time of t")
-    if named["draws"].shape != (len(outline.parameters), n):
-        raise ValueError(f"draws has shape {named['draws'].shape}, expected {(len(outline.parameters), n)}")
-    finite("draws", named["draws"])
+        shaped(name, named[name], (n, *sizes[name]))
+    shaped("draws", finite("draws", named["draws"]), (len(outline.parameters), n))
     why = miscounted(named["counts"], len(outline.grid), len(outline.channels), n)
     if why:
         raise ValueError(f"it {why}")
@@ -387,16 +375,12 @@ def _traces(
     found: dict[int, Rollout] = {}
     start = 0
     for one in described:
-        index, stop = whole("index", one["index"], least=0), start + whole("samples", one["samples"])
-        if index >= outline.n or index in found:
-            raise ValueError(f"it has a trace of robot {index}, expected 0 to {outline.n - 1}, each once")
-        if stop > len(named["trace_t"]):
-            raise ValueError(f"trace_t has {len(named['trace_t'])} samples, expected {stop} and more")
+        index = whole("index", one["index"], least=0, most=outline.n - 1)
+        stop = start + whole("samples", one["samples"])
         arrays = {name: named[of][start:stop] for of, name in zip(_TRACE, RECORDED, strict=True)}
         made = restored_run(one["plant"], named["trace_signals"][start:stop])
         found[index] = Rollout.of(arrays, **made)
         start = stop
     for name in (*_TRACE, "trace_signals"):
-        if len(named[name]) != start:
-            raise ValueError(f"{name} has {len(named[name])} samples, expected {start}")
+        shaped(name, named[name], (start, *named[name].shape[1:]))
     return found

@@ -8,7 +8,7 @@ from typing import Any, final
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, representable, shaped
+from pinmobile.arrays import Array, bounded, increasing, representable, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import array, number, part
 from pinmobile.paths.path import (
@@ -209,13 +209,9 @@ class Spline(PiecewisePath):
         shaped("waypoints", self.waypoints, ("k>=2", "n>=1"))
         times = shaped("times", self.times, (len(self.waypoints),), words=", one per waypoint")
         check_sizes(self, "start_velocity", "end_velocity")
-        if times[0] != 0:
-            raise InvalidArgument(f"times[0] is {times[0]} s, expected 0")
+        bounded("times[0]", times[0], least=0, most=0, unit="s")
+        increasing("times", times)
         for k, step in enumerate(np.diff(times), 1):
-            if step <= 0:
-                raise InvalidArgument(
-                    f"times[{k}] is {times[k]} s, expected > times[{k - 1}] = {times[k - 1]} s"
-                )
             stretch(f"times[{k}] - times[{k - 1}]", step)
         super().check()
 

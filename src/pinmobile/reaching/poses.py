@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, shaped
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, increasing, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths import Path, Spline, checked_path, within
 
@@ -332,19 +332,7 @@ class PosePath:
         off = np.abs(T[:, 3] - [0, 0, 0, 1]).max()
         if off > _ORTHOGONAL:
             raise InvalidArgument(f"poses has last rows off by {off:.3g}, expected (0, 0, 0, 1)")
-        if times is None:
-            raise InvalidArgument(
-                f"times is not given: {len(T)} poses without time, expected when each shall be reached, "
-                f"shape ({len(T)},) [s]"
-            )
-        t = shaped("times", finite("times", times), (len(T),), words=", one for each pose")
-        same = np.flatnonzero(np.diff(t) == 0)
-        if same.size:
-            k = int(same[0])
-            raise InvalidArgument(
-                f"poses jump: poses[{k}] and poses[{k + 1}] are both at {t[k]:g} s, expected times that "
-                "increase"
-            )
+        t = _checked_times(times, len(T))
         return cls(Spline(T[:, :3, 3], t), T[:, :3, :3], times=t)
 
     def _single(self) -> Orientation:
@@ -367,16 +355,7 @@ class PosePath:
 
     def _several(self) -> Orientation:
         R, end = np.asarray(self.rotation), self.duration
-        if self.times is None:
-            raise InvalidArgument(
-                f"times is not given: {len(R)} rotations without time, expected when each shall be reached, "
-                f"shape ({len(R)},) [s]"
-            )
-        t = shaped("times", finite("times", self.times), (len(R),), words=", one for each rotation")
-        late = np.flatnonzero(np.diff(t) <= 0)
-        if late.size:
-            k = int(late[0])
-            raise InvalidArgument(f"times[{k + 1}] is {t[k + 1]} s, expected > times[{k}] = {t[k]} s")
+        t = _checked_times(self.times, len(R))
         if t[0] != 0 or abs(t[-1] - end) > _SAME_END * end:
             raise InvalidArgument(
                 f"times goes from {t[0]:g} to {t[-1]:g} s, expected from 0 to {end:g} s, as the path"
@@ -485,6 +464,17 @@ def error_sizes(error: Array) -> Array:
         As from `pose_error`; the angle of three numbers is zero.
     """
     return np.stack([np.linalg.norm(part, axis=-1) for part in (error[..., :3], error[..., 3:])], axis=-1)
+
+
+def _checked_times(times: ArrayLike | None, count: int) -> Array:
+    """Return when each of some poses shall be reached."""
+    if times is None:
+        raise InvalidArgument(
+            f"times is not given, expected when each pose shall be reached, shape ({count},) [s]"
+        )
+    t = shaped("times", finite("times", times), (count,), words=", one for each pose")
+    increasing("times", t)
+    return t
 
 
 def _checked_rotations(R: Array) -> Array:

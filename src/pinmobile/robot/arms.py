@@ -10,7 +10,7 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, frozen, one_of
+from pinmobile.arrays import Array, bounded, finite, frozen, non_negative, one_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.linkage import (
     Joint,
@@ -337,15 +337,9 @@ def check_bodies(model: pin.Model, called: str) -> None:
         body = model.inertias[joint]
         carrier = f"arm {called!r}: joint {model.names[joint]!r}" if joint else f"arm {called!r}: its root"
         mass, inertia = float(body.mass), np.array(body.inertia)
-        if not np.isfinite(mass) or mass < 0:
-            raise InvalidArgument(f"{carrier} carries a mass of {mass:g} kg, expected a finite number >= 0")
-        if not np.isfinite(body.lever).all():
-            raise InvalidArgument(
-                f"{carrier} carries a centre of mass at {np.array(body.lever).tolist()} m, "
-                "expected finite numbers"
-            )
-        if not np.isfinite(inertia).all():
-            raise InvalidArgument(f"{carrier} carries an inertia {inertia.tolist()}, expected finite numbers")
+        non_negative(f"{carrier}, whose mass", mass, "kg")
+        finite(f"{carrier}, whose centre of mass", body.lever)
+        finite(f"{carrier}, whose inertia", inertia)
         least, middle, most = moments = np.linalg.eigvalsh(inertia)
         slack = _ROUNDING * np.abs(moments).max() + _GYRATION * mass
         if least < -slack or most > least + middle + slack:
@@ -388,9 +382,7 @@ def check_joint_limits(model: pin.Model, joints: Iterable[Joint], called: str) -
             ("damping", model.damping),
             ("friction", model.friction),
         ):
-            for number in given[joint.v]:
-                if not number >= 0:
-                    raise InvalidArgument(f"{name} has {kind} {number:g}, expected a number >= 0")
+            bounded(f"{name}, whose {kind}", np.asarray(given[joint.v]), least=0)
 
 
 def check_inertias(model: pin.Model, posture: Array, called: str) -> None:

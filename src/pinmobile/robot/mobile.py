@@ -29,7 +29,7 @@ from pinmobile.arrays import (
     text,
 )
 from pinmobile.dh import LECTURE_TABLE, DHTable
-from pinmobile.errors import InvalidArgument, NotTraceable, shown
+from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.measures import Measure
 from pinmobile.parts import (
     Desired,
@@ -362,8 +362,7 @@ class MobileRobot(System):
         InvalidArgument
             If it is neither, describes a body that cannot exist, or has more than 200 degrees of freedom.
         """
-        if not isinstance(pin_model, pin.Model):
-            raise InvalidArgument(f"pin_model is a {type(pin_model).__name__}, expected a pinocchio.Model")
+        instance("pin_model", pin_model, pin.Model, "a pinocchio.Model")
         check_freedom(pin_model.nv, pin_model.name or "the model")
         return _read(read_model(pin_model, pin_model.name or "the model", ground=ground), None)
 
@@ -399,8 +398,7 @@ class MobileRobot(System):
             If `body` or `stance` is something else, or `size` or `dh` is not what the class expects.
         """
         instance("body", body, urdf.Body, "a pinmobile.urdf.Body")
-        if stance is not None and not isinstance(stance, Stance):
-            raise InvalidArgument(f"stance is {shown(stance)}, expected a pinmobile.robot.Stance")
+        instance("stance", stance, Stance | None, "a pinmobile.robot.Stance")
         locked = sequence("locked_joints", locked_joints, "names of joints")
         return cls(  # type: ignore[call-arg]  # attrs names arguments without the underscore
             body.mass,

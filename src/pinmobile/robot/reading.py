@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike
+from pinmobile.arrays import Array, ArrayLike, instance
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable, JointType
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.geometry import Shape, WheelReading, ground_below, shapes_of, stance_on, wheels_of
@@ -277,8 +277,7 @@ def check_chain(table: DHTable) -> None:
     InvalidArgument
         If it is one, or no table at all.
     """
-    if not isinstance(table, DHTable):
-        raise InvalidArgument(f"dh is a {type(table).__name__}, expected a DHTable")
+    instance("dh", table, DHTable, "a DHTable")
     kinds = [row.joint for row in table]
     planar = kinds == [row.joint for row in LECTURE_TABLE]
     probes = np.array([[0, 0, 0], [0.7, -0.3, 1.1], [-1.0, 2.0, -2.5]])

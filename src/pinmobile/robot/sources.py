@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from os import PathLike
@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, location, sequence, shaped, vector
+from pinmobile.arrays import Array, ArrayLike, instance, location, sequence, shaped, vector
 from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName, shown
 from pinmobile.robot.arms import Arm, Origin, Picture
 from pinmobile.robot.linkage import convert_configuration, joints_of, replace_continuous_joints
@@ -228,10 +228,7 @@ def read_arm(
     """
     held = (locked,) if isinstance(locked, str) else sequence("locked", locked, "a sequence of joints' names")
     for argument, shapes in (("visual", visual), ("collision", collision)):
-        if shapes is not None and not isinstance(shapes, pin.GeometryModel):
-            raise InvalidArgument(
-                f"{argument} is a {type(shapes).__name__}, expected a pinocchio.GeometryModel"
-            )
+        instance(argument, shapes, pin.GeometryModel | None, "a pinocchio.GeometryModel")
     folders = existing_folders(package_dirs)
     if isinstance(arm, Arm):
         return arm
@@ -284,10 +281,9 @@ def existing_folders(package_dirs: str | PathLike[str] | Sequence[str | PathLike
         If it is something else, or one of them is no folder.
     """
     given = (package_dirs,) if isinstance(package_dirs, str | PathLike) else package_dirs
-    try:
-        paths = tuple(location("package_dirs", one) for one in given)
-    except TypeError:
-        raise InvalidArgument(f"package_dirs is {shown(package_dirs)}, expected folders") from None
+    paths = tuple(
+        location("package_dirs", one) for one in instance("package_dirs", given, Iterable, "folders")
+    )
     for path in paths:
         if not path.is_dir():
             raise InvalidArgument(f"package_dirs has {shown(str(path))}, expected a folder")
@@ -307,10 +303,7 @@ def _from_model(
         collision = getattr(arm, "collision_model", None) if collision is None else collision
         kept = getattr(arm, "q0", None)
         arm = arm.model
-    if not isinstance(arm, pin.Model):
-        raise InvalidArgument(
-            f"arm is a {type(arm).__name__}, expected a name, the path of a URDF, or a pinocchio.Model"
-        )
+    instance("arm", arm, pin.Model, "a name, the path of a URDF, or a pinocchio.Model")
     if arm.njoints == 1:
         raise InvalidArgument(f"arm {arm.name!r} has no joints, expected one at least: a Load has none")
     check_freedom(arm.nv, f"arm {arm.name!r}")

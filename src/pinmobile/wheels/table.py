@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from math import cos, degrees, hypot, pi, radians, sin
 from typing import Any, Self, final
@@ -22,7 +22,7 @@ from pinmobile.arrays import (
     text,
     whole,
 )
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument
 from pinmobile.parts import by_value, children, entries_of, option, part, structure
 from pinmobile.wheels.kinematics import Mobility
 from pinmobile.wheels.motors import Motor
@@ -467,12 +467,9 @@ def each_of(name: str, given: object) -> list[tuple[float, float]]:
     InvalidArgument
         If it is something else.
     """
-    if isinstance(given, str | bytes | Mapping | Set) or not isinstance(given, Iterable):
-        raise InvalidArgument(f"{name} is {shown(given)}, expected (x, y) of each [m]")
-    if isinstance(given, np.ndarray) and not given.ndim:
-        raise InvalidArgument(f"{name} is {shown(given)}, expected (x, y) of each [m]")
+    places = given.tolist() if isinstance(given, np.ndarray) else given
     found = []
-    for k, at in enumerate(given):
+    for k, at in enumerate(sequence(name, places, "(x, y) of each [m]")):
         place = shaped(f"{name}[{k}]", finite(f"{name}[{k}]", at), (2,), words=": x and y of each [m]")
         found.append((float(place[0]), float(place[1])))
     return found
