@@ -249,8 +249,8 @@ def test_a_method_without_a_name_is_called_by_its_repr() -> None:
         ({"integrator": "rk4"}, "integrator is 'rk4', expected one of pinmobile.integrators or such a step"),
         ({"robot": 3}, "robot is 3, expected a MobileRobot"),
         ({"duration": 0}, "duration is 0.0 s, expected > 0"),
-        ({"steps": 0.1}, "steps has shape (), expected (n,) with n >= 2"),
-        ({"steps": (0.1,)}, "steps has shape (1,), expected (n,) with n >= 2"),
+        ({"steps": 0.1}, "steps has shape (), expected (n,), n >= 2"),
+        ({"steps": (0.1,)}, "steps has shape (1,), expected (n,), n >= 2"),
         ({"steps": (0.1, 0.2)}, "steps are [0.1, 0.2] s, expected ones > 0, the largest first"),
         ({"steps": (0.1, 0.1)}, "steps are [0.1, 0.1] s, expected ones > 0, the largest first"),
         ({"steps": (0.1, 0.0)}, "steps are [0.1, 0.0] s, expected ones > 0, the largest first"),
@@ -326,7 +326,7 @@ class TestFigure:
 
     def test_what_is_not_a_report_is_refused(self, reports: dict[str, IntegratorReport]) -> None:
         for value, text in (
-            ({}, "reports is empty, expected at least one IntegratorReport"),
+            ({}, "reports is {}, expected an IntegratorReport or a mapping of labels to IntegratorReports"),
             (
                 [1],
                 "reports is a list, expected an IntegratorReport or a mapping of labels to IntegratorReports",

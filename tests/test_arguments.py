@@ -158,7 +158,7 @@ FAULTS = [
         lambda: Same("mass", cast(Any, Same("mass"))),
         "factor is Same(name='mass', factor=1.0), expected",
     ),
-    Fault("another kind", of_many(traces=b"a"), "traces is b'a', expected indices of robots"),
+    Fault("another kind", of_many(traces=b"a"), "traces is 97, expected at most"),
     Fault("another kind", lambda: verify(ROBOT, seed=NOTHING), "seed is None, expected a whole number >= 0"),
     Fault("another kind", of_loop(plant=arguments.Anything()), "expected something with 'forward_dynamics'"),
     Fault(
@@ -228,12 +228,12 @@ FAULTS = [
     Fault(
         "beyond the largest number",
         lambda: RestToRest([0], [1], 1e308),
-        "duration is 1e+308 s, expected 1e-50",
+        "duration is 1e+308 s, expected 1e-50 <= ",
     ),
     Fault(
         "beyond the largest number",
         lambda: RestToRest([0], [1], 1e-300),
-        "duration is 1e-300 s, expected 1e-50",
+        "duration is 1e-300 s, expected 1e-50 <= ",
     ),
     Fault(
         "beyond the largest number", lambda: RestToRest([-1e308], [1e308], 1), "a coefficient of the path is"
@@ -241,7 +241,7 @@ FAULTS = [
     Fault(
         "beyond the largest number",
         lambda: CubicVia([0], [1], [2], 1e-200, 1),
-        "t_via is 1e-200 s, expected 1e-50",
+        "t_via is 1e-200 s, expected 1e-50 <= ",
     ),
     Fault(
         "beyond the largest number",
@@ -283,10 +283,8 @@ FAULTS = [
     ),
     # More than anybody has, or waits for: counted before it is asked for.
     Fault("too much", of_loop(substeps=10**22), "substeps is 10000000000000000000000, expected at most"),
-    Fault(
-        "too much", of_loop(substeps=10**12), "makes 6.01e+14 steps in 601 samples, expected at most 1e+11"
-    ),
-    Fault("too much", of_many(substeps=10**12), "makes 6.01e+14 steps"),
+    Fault("too much", of_loop(substeps=10**12), "substeps is 1000000000000, expected at most 166,389,351"),
+    Fault("too much", of_many(substeps=10**12), "substeps is 1000000000000, expected at most 166,389,351"),
     Fault("too much", of_many(every=1e300), "every is 1e+300, expected at most"),
     Fault("too much", of_many(every=1, dt=6e-6), "the bands of 10,000,001 times, every 1 samples, take "),
     Fault("too much", of_loop(dt=6e-7), "the records of 100,000,001 samples take 38.4 GB"),

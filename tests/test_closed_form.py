@@ -125,7 +125,7 @@ def test_states_that_do_not_broadcast_are_refused() -> None:
     ("body", "text"),
     [
         ({"mass": 0.0}, "mass is 0.0, expected > 0"),
-        ({"mass": [1.0, -2.0]}, "mass is -2.0, expected > 0"),
+        ({"mass": [1.0, -2.0]}, "mass[1] is -2.0, expected > 0"),
         ({"yaw_inertia": -1.0}, "yaw_inertia is -1.0, expected > 0"),
         ({"com": (1.0, 2.0, 3.0)}, "com has shape (3,), expected (..., 2)"),
         ({"mass": [1.0, 2.0]}, "q, mass, yaw_inertia and com have leading shapes (3,), (2,), () and ()"),

@@ -352,7 +352,7 @@ class TestCurves:
             ({"values": {"a": [1, 2]}}, r"^values\['a'\] is \[1, 2\], expected 3 real numbers$"),
             ({"values": {"a": [1, 2, np.nan]}}, r"^values\['a'\] is .*, expected numbers or infinity$"),
             ({"x": "gain"}, r"^x is 'gain', expected \(name, unit, values\)$"),
-            ({"x": ("gain", "", [])}, r"^x\[2\] has shape \(0,\), expected \(n,\) with n >= 1$"),
+            ({"x": ("gain", "", [])}, r"^x\[2\] has shape \(0,\), expected \(n,\), n >= 1$"),
         ],
     )
     def test_wrong_arguments(self, changes: dict[str, Any], message: str) -> None:

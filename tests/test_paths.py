@@ -401,7 +401,7 @@ def test_times_outside_are_refused(path: Path) -> None:
         ([[0, 1], [2, end + 1]], "[1, 1]", end + 1),
     ]
     for t, place, value in asked:
-        message = f"t{place} is {value} s, expected 0 <= t <= {end} s"
+        message = f"t{place} is {value} s, expected 0 <= t <= {end:.9g} s"
         with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
             path(t)
         with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
@@ -437,7 +437,7 @@ def cubic(**changed: object) -> CubicVia:
         ({"t_end": -1}, "t_end is -1.0 s, expected > 0"),
         ({"t_end": math.inf}, "t_end is inf, expected a finite number"),
         ({"start": 0}, "start has shape (), expected (n,)"),
-        ({"start": ()}, "start has shape (0,), expected (n,) with n >= 1"),
+        ({"start": ()}, "start has shape (0,), expected (n,), n >= 1"),
         ({"via": (1, 2, 3)}, "via has shape (3,), expected (2,)"),
         ({"end": [[0, 4]]}, "end has shape (1, 2), expected (n,)"),
         ({"end": (0, math.nan)}, "end[1] is nan, expected a finite number"),
@@ -454,7 +454,7 @@ def test_cubics_refuse(changed: dict[str, object], message: str) -> None:
 @pytest.mark.parametrize(
     ("waypoints", "times", "velocity", "message"),
     [
-        ([(0, 0)], [0], (0, 0), "waypoints has shape (1, 2), expected (k, n) with k >= 2"),
+        ([(0, 0)], [0], (0, 0), "waypoints has shape (1, 2), expected (k, n), k >= 2, n >= 1"),
         ([0, 1], [0, 1], (0, 0), "waypoints has shape (2,), expected (k, n)"),
         ([(0, 0), (1, 1)], [0, 1, 2], (0, 0), "times has shape (3,), expected (2,), one per waypoint"),
         ([(0, 0), (1, 1)], [1, 2], (0, 0), "times[0] is 1.0 s, expected 0"),

@@ -352,7 +352,7 @@ def test_a_spread_that_tears_a_path_apart_is_refused_for_the_robot_that_it_tears
         (lambda: Line((0, 0), (1, 1), 0), "duration is 0.0 s, expected > 0"),
         (
             lambda: Polyline([(0, 0)], 1, 1),
-            "waypoints has shape (1, 2), expected (k, n) with k >= 2 and n >= 2",
+            "waypoints has shape (1, 2), expected (k, n), k >= 2, n >= 2",
         ),
         (lambda: Polyline([(0, 0), (1, 0)], 0, 1), "corner_radius is 0.0 m, expected > 0"),
         (

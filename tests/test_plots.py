@@ -164,7 +164,7 @@ class TestPath:
         assert [axes.get_ylabel() for axes in figure.axes] == ["y [m]", "", "", "y [m]", ""]
 
     def test_times(self, circle: dict[str, Rollout]) -> None:
-        with pytest.raises(InvalidArgument, match=r"^times\[1\] is 61.0 s, expected 0 <= t <= 60 s$"):
+        with pytest.raises(InvalidArgument, match=r"^times\[1\] is 61.0 s, expected 0 <= times <= 60 s$"):
             plots.path(circle, times=[0, 61])
         with pytest.raises(InvalidArgument, match=r"^times has shape \(1, 1\), expected \(n,\)$"):
             plots.path(circle, times=[[0]])

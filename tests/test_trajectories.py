@@ -686,7 +686,7 @@ def test_no_time_matters_to_another(trajectory: Trajectory) -> None:
 def test_times_outside_are_refused(trajectory: Trajectory) -> None:
     end = trajectory.duration
     with pytest.raises(
-        InvalidArgument, match=f"^{re.escape(f't[1] is {end + 1} s, expected 0 <= t <= {end} s')}$"
+        InvalidArgument, match=f"^{re.escape(f't[1] is {end + 1} s, expected 0 <= t <= {end:.9g} s')}$"
     ):
         trajectory([0, end + 1])
     with pytest.raises(InvalidArgument, match=r"^t is -0.1 s, expected 0 <= t <= "):

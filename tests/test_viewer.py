@@ -650,7 +650,7 @@ def nan_rollout(run: Rollout) -> Rollout:
         (
             lambda v, r: v.record(r).screenshot("a.png", t=61),
             InvalidArgument,
-            "t is 61 s, expected 0 <= t <= 60 s",
+            "t is 61.0 s, expected 0 <= t <= 60 s",
         ),
         (lambda v, r: v.record(r).screenshot("a.png", size=3), InvalidArgument, "size is 3, expected width"),
         (lambda v, r: v.record(r).save_gif("a.gif", fps=80), InvalidArgument, "expected at most 50"),

@@ -310,7 +310,7 @@ def test_slides_have_their_limits_in_metres_and_a_limit_itself_is_within() -> No
             ),
             "joints[0] ends after 4 s of 6 s while it moves at 1, expected it to end at rest or last as long",
         ),
-        (lambda: CIRCLE and WholeBody(UR5, CIRCLE, None)(6.1), "t is 6.1 s, expected 0 <= t <= 6.0 s"),
+        (lambda: CIRCLE and WholeBody(UR5, CIRCLE, None)(6.1), "t is 6.1 s, expected 0 <= t <= 6 s"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(call: Any, text: str) -> None:

@@ -290,16 +290,21 @@ def bounded(
     InvalidArgument
         If one is not; the message names the first.
     """
-    numbers, bounds = np.asarray(value), {">": above, ">=": least, "<": below, "<=": most}
+    numbers = np.asarray(value)
+    bounds = {">": above, ">=": least, "<": below, "<=": most}
+    given = [(sign, bound) for sign, bound in bounds.items() if bound is not None]
     wrong = np.zeros(numbers.shape, bool)
-    for sign, bound in bounds.items():
-        if bound is not None:
-            wrong |= ~_COMPARED[sign](numbers, bound)
+    for sign, bound in given:
+        wrong |= ~_COMPARED[sign](numbers, bound)
     if wrong.any():
         at = tuple(int(i) for i in np.argwhere(wrong)[0])
-        place, told = (f"[{', '.join(map(str, at))}]" if at else ""), numbers[at]
-        words = " and ".join(f"{sign} {bound:.9g}" for sign, bound in bounds.items() if bound is not None)
-        raise InvalidArgument(f"{name}{place} is {told}{unit and ' ' + unit}, expected {words}")
+        place, unit = f"[{', '.join(map(str, at))}]" if at else "", unit and f" {unit}"
+        if len(given) == 2:
+            (first, low), (second, high) = given
+            words = f"{low:.9g} {first.replace('>', '<')} {name} {second} {high:.9g}{unit}"
+        else:
+            words = " ".join(f"{sign} {bound:.9g}" for sign, bound in given)
+        raise InvalidArgument(f"{name}{place} is {numbers[at]}{unit}, expected {words}")
     return value
 
 
@@ -507,10 +512,7 @@ def lengths(size: ArrayLike) -> Array:
     InvalidArgument
         If it is not three lengths above zero.
     """
-    array = finite("size", size)
-    if array.shape != (3,) or not (array > 0).all():
-        raise InvalidArgument(f"size is {shown(size)}, expected three lengths > 0 m")
-    return array
+    return bounded("size", shaped("size", finite("size", size), (3,)), above=0, unit="m")
 
 
 def sequence(name: str, value: object, expected: str) -> tuple[Any, ...]:

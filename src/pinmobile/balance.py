@@ -14,6 +14,7 @@ from pinmobile.arrays import (
     broadcast,
     finite,
     frozen,
+    instance,
     positive,
     scalar,
     shaped,
@@ -376,7 +377,8 @@ def steepest(plant: Any, direction: float = 0.0) -> Limit:
 
 def _first(going: Any, factor: float) -> tuple[float, str, int]:
     """Return the smallest margin or load of a motion, whose it is, and at which sample."""
-    loads, margins, torques = going.at(factor)
+    words = "ContactLoads, SlipMargins and TorqueMargins"
+    loads, margins, torques = instance("what the plant follows", going.at(factor), tuple, words)
     found = []
     for values, names, verb in (
         (loads.springs, loads.names, "lifts"),

@@ -114,7 +114,7 @@ class Chain:
         variables = self.table.variables
         if len(self.links) != len(self) or not all(isinstance(link, Link | None) for link in self.links):
             raise InvalidArgument(f"links is {shown(self.links)}, expected {len(self)} of Link or None")
-        if sorted(self.order) != sorted(variables):
+        if len(self.order) != len(variables) or set(variables) != {*map(str, self.order)}:
             raise InvalidArgument(f"order is {shown(self.order)}, expected a permutation of {variables}")
         names = Counter(symbol.name for symbol in (*self.q, *self.v, *self.a, *self.parameters))
         if twice := [name for name, count in names.items() if count > 1]:

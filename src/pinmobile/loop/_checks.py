@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import weakref
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, TypeAlias
 from warnings import warn
@@ -17,8 +17,8 @@ from pinmobile.arrays import (
     answered,
     callable_as,
     frozen,
-    instance,
     positive,
+    sequence,
     vector,
     whole,
 )
@@ -223,8 +223,7 @@ def checked_forces(forces: Any, plant: Plant) -> Any:
     InvalidArgument
         If one is no function, or the plant lacks what they need.
     """
-    instance("forces", forces, Mapping | Iterable, "a sequence of forces, such as [force]")
-    kept = dict(forces) if isinstance(forces, Mapping) else tuple(forces)
+    kept = dict(forces) if isinstance(forces, Mapping) else sequence("forces", forces, "a sequence of forces")
     listed, wrenches = named_forces(kept), False
     for name, force in listed.items():
         if able(force, OnCoordinates):

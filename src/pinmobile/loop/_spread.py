@@ -69,7 +69,7 @@ class Uniform:
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
         """Return `size` independent draws, shape (size,)."""
-        return generator.uniform(self.low, self.high, checked_size(size))
+        return _random(generator).uniform(self.low, self.high, checked_size(size))
 
     def support(self) -> tuple[float, float]:
         """Return the bounds, as a frozen distribution of `scipy.stats` does."""
@@ -107,7 +107,7 @@ class Normal:
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
         """Return `size` independent draws, shape (size,)."""
-        return generator.normal(self.mean, self.std, checked_size(size))
+        return _random(generator).normal(self.mean, self.std, checked_size(size))
 
 
 @final
@@ -186,6 +186,11 @@ TRUE_MODEL: Mapping[str, Same] = _TrueModel(("mass", "yaw_inertia", "com.x", "co
 """Spread that gives a controller model each robot's numbers: ``{"mass": Uniform(20, 40), **TRUE_MODEL}``."""
 
 Source: TypeAlias = Distribution | Same | Relative | ArrayLike
+
+
+def _random(generator: object) -> np.random.Generator:
+    found: np.random.Generator = instance("generator", generator, np.random.Generator, "a Generator of NumPy")
+    return found
 
 
 def checked_size(size: int) -> int:

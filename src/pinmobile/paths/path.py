@@ -161,9 +161,10 @@ def within(name: str, t: ArrayLike, duration: float) -> Array:
     InvalidArgument
         If a time is not a finite number, or outside.
     """
-    times, slack = finite(name, t), _ROUNDING * duration
-    bounded(name, times, least=-slack, most=duration + slack, unit="s")
-    return np.asarray(np.minimum(np.maximum(times, 0.0), duration))
+    times = finite(name, t)
+    inside = np.minimum(np.maximum(times, 0.0), duration)
+    close = np.abs(times - inside) <= _ROUNDING * duration
+    return bounded(name, np.where(close, inside, times), least=0, most=duration, unit="s")
 
 
 def axes_of(path: Any) -> tuple[str, ...]:
