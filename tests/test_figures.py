@@ -67,7 +67,7 @@ def test_a_figure_too_narrow_for_its_words_is_refused() -> None:
         plots.states(RUNS, width=3.5)
     for width, words in (
         (0, "width is 0.0 in, expected 0.5 <= width <= 100 in"),
-        (1e3, "width is 1000 in, expected 0.5 to 100 in"),
+        (1e3, "width is 1000.0 in, expected 0.5 <= width <= 100 in"),
     ):
         with pytest.raises(InvalidArgument, match=words):
             plots.states(RUNS, width=width)

@@ -344,7 +344,7 @@ class TestFigures:
             return plots.animate(rollouts, tmp_path / "robot.gif")
 
         for draw in (*DRAWN, animate):
-            with pytest.raises(InvalidArgument, match=r"^rollouts is empty, expected at least one Rollout$"):
+            with pytest.raises(InvalidArgument, match=r"^rollouts is {}, expected a Rollout or a mapping of labels to Rollouts$"):
                 draw({})
             with pytest.raises(
                 InvalidArgument, match=r"^rollouts is a list, expected a Rollout or a mapping"
@@ -466,7 +466,7 @@ class TestAnimate:
 
     def test_bad_arguments(self, circle: dict[str, Rollout], tmp_path: Path) -> None:
         run, path = circle["PD"], tmp_path / "robot.gif"
-        with pytest.raises(InvalidArgument, match=r"^fps is 0.0 1/s, expected > 0$"):
+        with pytest.raises(InvalidArgument, match=r"^fps is 0.0 1/s, expected 0 < fps <= 50 1/s$"):
             plots.animate(run, path, fps=0)
         with pytest.raises(InvalidArgument, match=r"^fps is 60 1/s, expected at most 50$"):
             plots.animate(run, path, fps=60)

@@ -488,11 +488,11 @@ def test_in_the_loop_and_asked_from_outside_a_controller_is_the_same(make: Any, 
         ),
         (
             lambda: PDGravity(UR5, 1, 1)(0.0, np.zeros(9), np.zeros(9), CIRCLE(0.0), None),
-            "q has shape (9,), the reference's has (3,)",
+            "q has shape (9,), expected (..., 3), as the reference's",
         ),
         (
             lambda: simulate(UR5, Decoupled(UR5), CIRCLE, dt=0.01),
-            "q has shape (9,), the reference's has (3,); the reference has the first 3 of 9 coordinates, "
+            "q has shape (9,), expected (..., 3), as the reference's; the reference has the first 3 of 9 coordinates, "
             "expected a controller that follows these, or a reference of all: a motion of base and arms is "
             "WholeBody(robot, base, *joints)",
         ),
