@@ -329,9 +329,9 @@ class TestFigure:
             ({}, "reports is {}, expected an IntegratorReport or a mapping of labels to IntegratorReports"),
             (
                 [1],
-                "reports is a list, expected an IntegratorReport or a mapping of labels to IntegratorReports",
+                "expected an IntegratorReport or a mapping of labels to IntegratorReports",
             ),
-            ({"a": 3}, "reports['a'] is a int, expected an IntegratorReport"),
+            ({"a": 3}, "reports['a'] is 3, expected an IntegratorReport"),
             ({1: reports["rk4"]}, "reports has the label 1, expected a name"),
         ):
             with pytest.raises(InvalidArgument) as caught:

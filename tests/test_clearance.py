@@ -365,7 +365,7 @@ def test_other_things_than_robots_are_refused(robot: Any) -> None:
 
 
 def test_shapes_for_an_arm_are_those_of_a_model_alone() -> None:
-    with pytest.raises(InvalidArgument, match=r"collision is a int, expected a pinocchio.GeometryModel"):
+    with pytest.raises(InvalidArgument, match=r"collision is 3, expected a pinocchio.GeometryModel"):
         BOX.mount("ur5", AT, collision=3)
     with pytest.raises(InvalidArgument, match="collision does not apply to a loader's name, 'ur5'"):
         BOX.mount("ur5", AT, collision=pin.GeometryModel())

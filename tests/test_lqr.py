@@ -219,7 +219,7 @@ BAD: Any = [
     (lambda: LQR(NOMINAL).initial_state(Context.of(NOMINAL, dt=0.1)), "context has no reference"),
     (
         lambda: Context.of(NOMINAL, dt=0.1).schedule(np.zeros((2, 3))),
-        r"rows has shape \(2, 3\), expected \(1, ...\)",
+        r"rows has shape \(2, 3\), expected \(1, 3\)",
     ),
 ]
 

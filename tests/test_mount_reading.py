@@ -272,7 +272,7 @@ MIMIC = MIMIC.replace("continuous", "revolute").replace(
         ({"at": (0, 0, 0)}, "at has shape (3,), expected (4,): x, y, z and yaw"),
         ({"name": "a/b"}, "name is 'a/b', expected a word without slash"),
         ({"name": ""}, "name is '', expected a word without slash"),
-        ({"arm": 3}, "arm is a int, expected a name, the path of a URDF, or a pinocchio.Model"),
+        ({"arm": 3}, "arm is 3, expected a name, the path of a URDF, or a pinocchio.Model"),
         (
             {"arm": massless()},
             "arm 'grip': joint 'finger' moves parts that have no inertia, expected inertia",
@@ -292,7 +292,7 @@ MIMIC = MIMIC.replace("continuous", "revolute").replace(
         ),
         ({"package_dirs": 3}, "package_dirs is 3, expected folders"),
         ({"visual": pin.GeometryModel()}, "visual does not apply to a loader's name, 'ur5', expected it"),
-        ({"arm": massful(), "visual": 3}, "visual is a int, expected a pinocchio.GeometryModel"),
+        ({"arm": massful(), "visual": 3}, "visual is 3, expected a pinocchio.GeometryModel"),
         ({"arm": massful(), "package_dirs": "."}, "package_dirs does not apply to a model, "),
         ({"arm": pin.Model()}, "arm '' has no joints, expected one at least"),
         ({"arm": "no/such.urdf"}, "arm is "),

@@ -114,7 +114,7 @@ def test_reaction_draws_six_components_with_their_units() -> None:
 
 @pytest.mark.parametrize("draw", [plots.balance, plots.reaction])
 def test_what_is_no_rollout_of_a_robot_is_refused(draw: Any) -> None:
-    with pytest.raises(InvalidArgument, match="rollouts is a int, expected a Rollout"):
+    with pytest.raises(InvalidArgument, match="rollouts is 3, expected a Rollout"):
         draw(3)
     with pytest.raises(InvalidArgument, match=r"rollouts\['a'\].plant is None, expected a MobileRobot"):
         draw({"a": replace(driven(1.0), plant=None)})

@@ -151,10 +151,6 @@ class Named(Cart):
     coordinates = Cart.coordinates[:4]  # type: ignore[assignment]
 
 
-class Leading(Cart):
-    leading = {7: 7}  # noqa: RUF012
-
-
 class Inputs(Cart):
     inputs = Cart.inputs[:1]  # type: ignore[assignment]
 
@@ -164,7 +160,6 @@ class Inputs(Cart):
     [
         (Named(), "plant has nv = 5 and 4 coordinates, expected as many"),
         (Inputs(), "plant has nu = 2 and 1 inputs, expected as many"),
-        (Leading(), "plant.leading has 7: 7, expected at most nv = 5 and nq = 5"),
         *(
             (
                 Short(name),
@@ -309,11 +304,6 @@ def test_names_that_two_parts_claim_are_asked_for_by_path() -> None:
 # What is no row of real numbers, or not two of them.
 
 
-class Tripled(Cart):
-    def start(self, reference: Any) -> Any:
-        return (*super().start(reference), 3)
-
-
 class Starting(Cart):
     def start(self, reference: Any) -> Any:
         q, v = super().start(reference)
@@ -345,10 +335,6 @@ class Pushing:
 
 
 UNREAL: dict[str, tuple[dict[str, Any], str]] = {
-    "a start of three": (
-        CART | {"robot": Tripled()},
-        r"(?s)^plant.start\(reference\) returned \(array.*, 3\), expected \(q, v\)$",
-    ),
     "complex start": (
         CART | {"robot": Starting()},
         r"(?s)^q0? of plant.start is .*j.*, expected real numbers$",

@@ -215,9 +215,9 @@ WRONG_CHAIN = DHTable(tuple(DHRow(0, 0, 0, 0, JointType.REVOLUTE, name) for name
         ({"yaw_inertia": -0.1}, "yaw_inertia is -0.1 kg m^2, expected > 0"),
         ({"com": (1,)}, "com has shape (1,), expected (2,) or (3,)"),
         ({"com": (0, float("inf"))}, "com[1] is inf, expected a finite number"),
-        ({"size": (1, 1, 0)}, "size is (1, 1, 0), expected three lengths > 0 m"),
-        ({"size": (1, 1)}, "size is (1, 1), expected three lengths > 0 m"),
-        ({"dh": "lecture"}, "dh is a str, expected a DHTable"),
+        ({"size": (1, 1, 0)}, "size[2] is 0.0 m, expected > 0"),
+        ({"size": (1, 1)}, "size has shape (2,), expected (3,)"),
+        ({"dh": "lecture"}, "dh is 'lecture', expected a DHTable"),
         ({"dh": WRONG_CHAIN}, "dh with variables ('a', 'b', 'c') does not put its last frame at (x, y, psi)"),
     ],
 )
@@ -236,7 +236,7 @@ def test_configurations_of_the_wrong_size_are_refused(offset_robot: MobileRobot,
 def test_what_is_not_finite_is_refused(offset_robot: MobileRobot) -> None:
     with pytest.raises(InvalidArgument, match=r"tau\[1\] is nan"):
         offset_robot.forward_dynamics([0, 0, 0], [0, 0, 0], [0, np.nan, 0])
-    with pytest.raises(InvalidArgument, match=r"pin_model is a str, expected a pinocchio\.Model"):
+    with pytest.raises(InvalidArgument, match=r"pin_model is 'model', expected a pinocchio\.Model"):
         MobileRobot.from_model("model")
 
 

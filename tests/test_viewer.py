@@ -637,7 +637,7 @@ def nan_rollout(run: Rollout) -> Rollout:
         (lambda v, r: v.record(nan_rollout(r)), InvalidArgument, "q[17, 1] is nan"),
         (lambda v, r: v.record(r.q), InvalidArgument, "expected a Rollout or a mapping"),
         (lambda v, r: v.record({}), InvalidArgument, "rollout is {}, expected"),
-        (lambda v, r: v.record({"a": 3}), InvalidArgument, "rollout['a'] is a int, expected a Rollout"),
+        (lambda v, r: v.record({"a": 3}), InvalidArgument, "rollout['a'] is 3, expected a Rollout"),
         (lambda v, r: v.record(r, fps=0), InvalidArgument, "fps is 0.0 1/s, expected > 0"),
         (lambda v, r: v.record(r, fps=1e9), InvalidArgument, "expected at most 200000"),
         (lambda v, r: v.record(r, speed=-1), InvalidArgument, "speed is -1.0, expected > 0"),
