@@ -329,10 +329,10 @@ class TestFigure:
             ({}, "reports is {}, expected an IntegratorReport or a mapping of labels to IntegratorReports"),
             (
                 [1],
-                "expected an IntegratorReport or a mapping of labels to IntegratorReports",
+                "reports is [1], expected an IntegratorReport or a mapping of labels to IntegratorReports",
             ),
             ({"a": 3}, "reports['a'] is 3, expected an IntegratorReport"),
-            ({1: reports["rk4"]}, "reports has the label 1, expected a name"),
+            ({1: reports["rk4"]}, "a label of reports is 1, expected text without control characters"),
         ):
             with pytest.raises(InvalidArgument) as caught:
                 plots.integrator(value)  # type: ignore[arg-type]

@@ -310,12 +310,12 @@ def test_every_number_of_a_trajectory_can_be_spread_and_matters() -> None:
         (
             {"controller": Saturated(PD(4, 4), [1, 2])},
             InvalidArgument,
-            "limits has shape (2,), expected () or (3,)",
+            "limits has shape (2,), expected () or (..., 3)",
         ),
         (
             {"controller": NoisyMeasurement(PD(4, 4), 0, [1, 2], seed=0)},
             InvalidArgument,
-            "std_v has shape (2,), expected () or (3,)",
+            "std_v has shape (2,), expected () or (..., 3)",
         ),
         (
             {"robot": WITH_ARM},
@@ -378,8 +378,8 @@ def test_every_number_of_a_trajectory_can_be_spread_and_matters() -> None:
             "'forces.0.force.x' or 'forces.1.force.x'",
         ),
         ({"spread": {"force.x": 3}}, UnknownName, "unknown parameter in spread 'force.x'"),
-        ({"after": 1.1}, InvalidArgument, "after is 1.1 s, expected from 0 to the duration, 1 s"),
-        ({"after": -0.1}, InvalidArgument, "after is -0.1 s, expected from 0 to the duration, 1 s"),
+        ({"after": 1.1}, InvalidArgument, "after is 1.1 s, expected 0 <= after <= 1 s"),
+        ({"after": -0.1}, InvalidArgument, "after is -0.1 s, expected 0 <= after <= 1 s"),
         ({"every": 0}, InvalidArgument, "every is 0, expected a whole number >= 1"),
         (
             {"dt": 0.3, "duration": 1.0},
@@ -510,7 +510,7 @@ def test_a_distribution_that_gives_no_numbers_is_refused() -> None:
         def sample(self, generator: Any, size: int) -> Any:
             return self.values
 
-    with pytest.raises(InvalidArgument, match=r"spread\['mass'\] draws shape \(2,\), expected \(4096,\)"):
+    with pytest.raises(InvalidArgument, match=r"draws has shape \(2,\), expected \(4096,\)"):
         run_scenario(made(spread={"mass": Broken([1.0, 2.0])}))
     with pytest.raises(
         InvalidArgument, match=r"what spread\['mass'\] draws is nan, expected a finite number"
@@ -542,7 +542,7 @@ def test_distributions_check_themselves(make: Any, text: str) -> None:
         ({"threads": 0}, "threads is 0, expected a whole number >= 1"),
         ({"traces": 3}, "traces is 3, expected indices of robots, such as"),
         ({"progress": 3}, "progress is 3, expected a function of done and n"),
-        ({"traces": [1000]}, "traces has robot 1000, expected 0 to 999"),
+        ({"traces": [1000]}, "traces is 1000, expected at most 999"),
     ],
 )
 def test_options_of_a_run_are_checked_before_it(options: Any, text: str) -> None:

@@ -492,9 +492,9 @@ def test_in_the_loop_and_asked_from_outside_a_controller_is_the_same(make: Any, 
         ),
         (
             lambda: simulate(UR5, Decoupled(UR5), CIRCLE, dt=0.01),
-            "q has shape (9,), expected (..., 3), as the reference's; the reference has the first 3 of 9 coordinates, "
-            "expected a controller that follows these, or a reference of all: a motion of base and arms is "
-            "WholeBody(robot, base, *joints)",
+            "q has shape (9,), expected (..., 3), as the reference's; the reference has the first 3 of 9 "
+            "coordinates, expected a controller that follows these, or a reference of all: a motion of base "
+            "and arms is WholeBody(robot, base, *joints)",
         ),
     ],
 )

@@ -171,7 +171,7 @@ def _norm(known: Array, limits: tuple[float, float] | None) -> Normalize:
         low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
     else:
         low, high = shaped("limits", finite("limits", limits), (2,), words=": smallest, largest").tolist()
-        bounded("values within limits", known, least=low, most=high)
+        bounded("values", known, least=low, most=high)
     return LogNorm(low, high) if 0 < _LOGARITHMIC * low < high else Normalize(low, high)
 
 
