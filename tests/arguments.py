@@ -72,7 +72,6 @@ INNER = {
     *("derivation.lagrange", "forces.noise_frequencies", "paths.pieces_of"),
     *("loop.Loop", "loop.part_of", "loop.step"),
     *("Scenario.find", "loop.run_scenario", "paths.Whole", "reaching.pose_error", "robot.System"),
-    *("sweeps.check_draws", "sweeps.connected", "sweeps.length"),
     *(
         "trajectories.check_limits",
         "integrators.RungeKuttaNystrom",
@@ -82,7 +81,6 @@ INNER = {
     *(
         "integrators.check_integrator",
         "robot.Arm",
-        "sweeps.Grid",
         "viewer.LiveWindow",
         "viewer.OfflineWindow",
     ),
@@ -106,7 +104,6 @@ INNER = {
         "Scenario.starts",
         "Scenario.values",
     ),
-    "sweeps.Code",
     *(f"WheeledRobot.{name}" for name in ("follows", "measured", "slip_margins")),
     *(f"wheels.ByVoltage.{name}" for name in ("initial_state", "signals", "step")),
 }
@@ -366,13 +363,12 @@ def _logged_csv() -> Any:
 
 
 def _sweep() -> Any:
-    scenarios = pm.grid(_scenario, gain=[1.0, 2.0])
-    return pm.sweep(scenarios, WORLD.folder / "sweep.zarr")
+    return pm.sweep(_scenario(), WORLD.folder / "sweep.zarr", grid={"controller.kp": [1.0, 2.0]})
 
 
-def _scenario(gain: float = 1.0) -> Any:
+def _scenario() -> Any:
     named = {name: value for name, value in ENSEMBLE().items() if name not in ("engine", "traces")}
-    named["controller"] = pm.PD(gain, 1)
+    named["controller"] = pm.PD(1.0, 1)
     return pm.Scenario(**named)
 
 
@@ -433,7 +429,6 @@ MADE: dict[str, Callable[[], Any]] = {
     "ensemble": _ensemble,
     "scenario": _scenario,
     "sweep": _sweep,
-    "grid": lambda: pm.grid(_scenario, gain=[1.0, 2.0]),
     "report": lambda: pm.integrator_report(pm.rk4, steps=(0.1, 0.05), duration=0.2),
     "derivation": derivation.lecture,
     "reduced": derivation.differential_drive,
@@ -634,8 +629,6 @@ ROWS: dict[str, Row] = {
         dt=0.01,
         integrator=pm.rk4,
     ),
-    "Axis": row(values=[1.0, 2.0], unit="m"),
-    "Axis.index": row(name="gain", label=1.0),
     "Circle": row(radius=1, rate=0.5, duration=1, centre=[1, 2], phase=0.5, heading=None),
     "Lissajous": row(rx=1, ry=2, wx=0.5, wy=1, duration=1),
     "Circle.__call__": row(t=[0.1, 0.2]),
@@ -749,16 +742,19 @@ ROWS: dict[str, Row] = {
     "grid": Row(lambda: {"make": _scenario, "gain": [1.0, 2.0]}),
     "sweep": row(
         60,
-        scenarios=the("grid"),
-        store=partial(lambda: WORLD.folder / "other.zarr"),
+        scenario=the("scenario"),
+        path=partial(lambda: WORLD.folder / "other.zarr"),
+        grid={"controller.kp": [1.0, 2.0]},
+        cases={"light": {"robot.mass": 9.0}, "nominal": {}},
         client=None,
         chunk=2,
         progress=lambda done, n: None,
         version="1",
     ),
     "Sweep.answer": row(share=0.9),
-    "Sweep.ensemble": row(gain=1.0),
-    "Sweep.open": row(path=partial(lambda: WORLD.sweep.path), scenarios=None),
+    "Sweep.ensemble": row(**{"controller.kp": 1.0}),
+    "Sweep.of_store": row(path=partial(lambda: WORLD.sweep.path), points=None),
+    "Sweep.open": row(path=partial(lambda: WORLD.sweep.path), scenario=None, grid=None, cases=None),
     "Sweep.table": row(share=0.9, most=3),
     "Sweep.within": row(share=0.9, by="distance"),
     "MobileRobot": row(mass=10, yaw_inertia=1, com=(0.1, 0.05), size=(0.6, 0.4, 0.2), dh=pm.LECTURE_TABLE),
@@ -1216,7 +1212,6 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "robot.Stance": lambda: Stance.of_box((0.6, 0.4, 0.2)),
     "EndEffectorTracking": lambda: pm.EndEffectorTracking(WORLD.armed, WORLD.target),
     "MPC": lambda: pm.MPC(WORLD.robot),
-    "Axis": lambda: pm.Axis([1.0, 2.0]),
     "Benchmark": lambda: WORLD.compared,
     "BenchmarkScenario": lambda: WORLD.scenarios["short"],
     "Circle": lambda: WORLD.path,
@@ -1290,7 +1285,6 @@ REFUSED |= {"Log.from_bag", "viewer.Recording.save_mp4", "viewer.Recording.scree
 # Those that take arguments by position alone, or any number of them.
 CALLED: dict[str, Callable[..., Any]] = {
     "WholeBody": lambda robot, base, joints: pm.WholeBody(robot, base, joints),
-    "grid": lambda make, gain: pm.grid(make, gain=gain),
 }
 
 

@@ -97,7 +97,7 @@ _NAMES = {
         "reaching": "EndEffectorTracking PosePath Resolved resolve",
         "robot": "Load MobileRobot mountable",
         "signals": "",
-        "sweeps": "Axis Sweep grid sweep",
+        "sweeps": "Sweep sweep",
         "trajectories": "FixedHeading LectureHeading Reference Tangent WholeBody",
         "urdf": "shipped_urdf",
         "verification": "verify",

@@ -309,6 +309,41 @@ class Identity:
         return None if text is None else hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
 
+class Contents(Identity):
+    """A value with all its numbers and its code, which are the same in every process.
+
+    Attributes
+    ----------
+    unknown : str
+        What has no contents that are known; "" where there is no such thing.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.unknown = ""
+
+    @classmethod
+    def of_value(cls, value: Any) -> tuple[str, str]:
+        """Return a value as text, and what of it has none."""
+        own = cls()
+        return _text(own._value(value)), own.unknown
+
+    def _part(self, part: Any) -> Hashable:
+        return self._class(type(part)), tuple((name, self._value(x)) for name, _, x in fields_of(part))
+
+    def _object(self, x: Any) -> Hashable:
+        named = getattr(x, "__qualname__", None)
+        if named and is_foreign(getattr(x, "__module__", None) or ""):
+            return "compiled", x.__module__, named
+        found = super()._object(x)
+        if found != ("object", id(x)):
+            return found
+        with contextlib.suppress(TypeError):  # of what no copy can be made
+            return "copied", self._value(x.__reduce_ex__(4))
+        self.unknown = self.unknown or named or f"a {type(x).__name__}"
+        return "unknown", type(x).__qualname__
+
+
 def _is_cached(kind: type, name: str) -> bool:
     """Return whether an attribute is what a cached property of the class remembers."""
     return isinstance(getattr(kind, name, None), functools.cached_property)
