@@ -84,7 +84,7 @@ def index_of(axes: Mapping[str, Axis], labels: Mapping[str, Any]) -> tuple[int, 
     found = []
     for name, axis in axes.items():
         label = labels.get(name, axis.values[0] if len(axis.values) == 1 else None)
-        if label not in axis.values:
+        if not isinstance(label, str | Real) or label not in axis.values:
             raise InvalidArgument(
                 f"{name} is {shown(label)}, expected one of {', '.join(map(repr, axis.values))}"
             )
@@ -123,10 +123,9 @@ class Points:
         """Return the points of grid x cases around a scenario; the arguments are those of `sweep`."""
         if not isinstance(scenario, Scenario):
             raise InvalidArgument(f"scenario is a {type(scenario).__name__}, expected a Scenario")
-        for name, value in (("grid", grid or {}), ("cases", cases or {})):
-            if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
-                raise InvalidArgument(f"{name} is {shown(value)}, expected a mapping by text")
-        given = {_axis_name(name): values for name, values in (grid or {}).items()}
+        grid, cases = _mapping("grid", grid), _mapping("cases", cases)
+        cases = {name: _mapping(f"cases[{name!r}]", changes) for name, changes in cases.items()}
+        given = {_axis_name(name): values for name, values in grid.items()}
         if cases or not given:
             given["case"] = cases or {"all": {}}
         axes = {name: _labels(name, values) for name, values in given.items()}
@@ -136,7 +135,7 @@ class Points:
         scenarios = []
         for index in product(*(range(len(axis.values)) for axis in axes.values())):
             values = {name: choice[i] for name, choice, i in zip(axes, choices, index, strict=True)}
-            changes = values | values.pop("case", {}) if cases or not grid else values
+            changes = values | values.pop("case", {})
             try:
                 scenarios.append(changed(scenario, changes))
             except InvalidArgument as error:
@@ -161,6 +160,13 @@ class Points:
     def place(self, k: int) -> str:
         """Return the place of scenario k in words."""
         return ", ".join(place(self.axes, self.index(k)))
+
+
+def _mapping(name: str, value: Any) -> Mapping[str, Any]:
+    found = {} if value is None else value
+    if not isinstance(found, Mapping) or not all(isinstance(key, str) for key in found):
+        raise InvalidArgument(f"{name} is {shown(value)}, expected a mapping by text")
+    return found
 
 
 def _alike(scenario: Scenario) -> dict[str, Any]:
