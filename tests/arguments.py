@@ -38,7 +38,6 @@ MODULES = (
     *(
         "accuracy",
         "balance",
-        "benchmarking",
         "closed_form",
         "controllers",
         "derivation",
@@ -111,7 +110,7 @@ INNER = {
 # What the library makes and users read: nobody calls the class.
 RESULTS = {
     *("robot.UncheckedDynamics", "loop.Signal", "closed_form.ReducedModel"),
-    *("Identification", "identification.Prediction", "Benchmark", "benchmarking.Score"),
+    *("Identification", "identification.Prediction"),
     *(
         "Clearance",
         "Context",
@@ -387,10 +386,6 @@ MADE: dict[str, Callable[[], Any]] = {
     "log": _logged,
     "log_csv": _logged_csv,
     "identified": lambda: pm.identify(WORLD.log, method="weak"),
-    "scenarios": lambda: {
-        "short": pm.BenchmarkScenario(robot=WORLD.robot, trajectory=WORLD.trajectory, dt=0.1, after=0.2)
-    },
-    "compared": lambda: pm.benchmark({"PD": pm.PD(40, 20)}, WORLD.scenarios),
     "foretold": lambda: WORLD.identified.predict(WORLD.log),
     "robot": lambda: pm.MobileRobot(10.0, 1.2, com=(0.15, 0.05)),
     "base": lambda: pm.MobileRobot(30.0, 1.3, com=(0.0, 0.0, 0.1), size=(0.6, 0.4, 0.25)),
@@ -980,37 +975,6 @@ ROWS: dict[str, Row] = {
         progress=lambda done, n: None,
     ),
     "plots.balance": row(60, rollouts=the("rollout"), footprint=None, title="a title", ax=None, width=6.0),
-    "BenchmarkScenario": row(
-        robot=the("robot"),
-        trajectory=the("trajectory"),
-        forces=[pm.ConstantForce([1, 0, 0])],
-        delay=1,
-        noise=1e-3,
-        limits=[50, 50, 9],
-        lower=[-5, -5],
-        upper=[5, 5],
-        offset=[0.1, 0, 0],
-        event=0.5,
-        band=0.01,
-        after=0.2,
-        dt=0.1,
-        integrator=pm.rk4,
-        substeps=2,
-        seed=1,
-        about="a test",
-    ),
-    "BenchmarkScenario.around": row(controller=pm.PD(40, 20)),
-    "BenchmarkScenario.run": row(40, controller=pm.PD(40, 20)),
-    "BenchmarkScenario.scenario": row(controller=pm.PD(40, 20), n=2, spread={"mass": 31.0}, seed=1),
-    "benchmark": row(
-        20, controllers={"PD": pm.PD(40, 20)}, scenarios=the("scenarios"), progress=lambda done, total: None
-    ),
-    "benchmarking.contestants": row(),
-    "Benchmark.values": row(measure="rms"),
-    "Benchmark.table": row(measure="chatter"),
-    "Benchmark.details": row(scenario="short"),
-    "Benchmark.to_csv": row(path=partial(lambda: WORLD.folder / "benchmark.csv")),
-    "plots.benchmark": row(60, result=the("compared"), at="short", title="a title", ax=None, width=8.0),
     "plots.bands": row(
         60, ensembles=the("ensemble"), levels=(0.5, 0.9), by=["distance"], title="a title", ax=None, width=6.0
     ),
@@ -1211,8 +1175,6 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "robot.Stance": lambda: Stance.of_box((0.6, 0.4, 0.2)),
     "EndEffectorTracking": lambda: pm.EndEffectorTracking(WORLD.armed, WORLD.target),
     "MPC": lambda: pm.MPC(WORLD.robot),
-    "Benchmark": lambda: WORLD.compared,
-    "BenchmarkScenario": lambda: WORLD.scenarios["short"],
     "Circle": lambda: WORLD.path,
     "Lissajous": lambda: pm.Lissajous(1, 2, 0.5, 1, 1),
     "CompositePath": lambda: pm.CompositePath([WORLD.path]),

@@ -58,10 +58,9 @@ ALLOWED: dict[str, set[str]] = {
     "loop": {"divergence", "extras", "files", "controllers", "forces", "reaching"},
     "accuracy": {"loop"},
     "sweeps": {"loop"},
-    "benchmarking": {"loop", "balance"},
     "identification": {"loop", "wheels"},
     "palette": set(),
-    "plots": {"palette", "accuracy", "benchmarking", "identification"},
+    "plots": {"palette", "accuracy", "balance", "identification"},
     "viewer": {"palette", "loop"},
 }
 

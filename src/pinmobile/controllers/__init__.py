@@ -29,7 +29,7 @@ from pinmobile.controllers.feedback import (
     gain_matrix,
 )
 from pinmobile.controllers.lqr import LQR
-from pinmobile.controllers.mpc import MPC, solver as solver
+from pinmobile.controllers.mpc import MPC
 from pinmobile.controllers.sliding import SlidingMode, SuperTwisting
 from pinmobile.controllers.steering import (
     Changing,

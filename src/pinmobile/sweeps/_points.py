@@ -138,6 +138,7 @@ class Points:
             changes = values | values.pop("case", {})
             try:
                 scenarios.append(changed(scenario, changes))
+                scenarios[-1].draws()  # impossible ones are refused before any work
             except InvalidArgument as error:
                 raise InvalidArgument(f"{error} (at {', '.join(place(axes, index))})") from error
         units = {name: _unit(scenarios[0], name) for name, values in given.items() if _are_numbers(values)}

@@ -92,11 +92,12 @@ class Sweep:
 
     @property
     def rivals(self) -> str | None:
-        """The axis whose members `answer` compares: ``controller``, else the last one of names, or None."""
+        """The axis that `answer` compares: that of a controller, else the last one of names, or None."""
         named = [
             x for x, axis in self.axes.items() if len(axis.values) > 1 and isinstance(axis.values[0], str)
         ]
-        return "controller" if "controller" in named else named[-1] if named else None
+        laws = [name for name in named if name.split(".")[-1] == "controller"]
+        return [*named, *laws][-1] if named else None
 
     def within(self, share: float = 0.99, by: str = "distance") -> Any:
         """Return the error that a share of the robots does not exceed from `Scenario.after` on, exactly.
@@ -178,7 +179,7 @@ class Sweep:
     def answer(self, share: float = 0.99) -> str:
         """Return in one line the distance that the share of the robots stays within in the worst case.
 
-        There, the members of one axis are compared: the one called ``controller``, else the last one of
+        There, the members of one axis are compared: the one of a controller by path, else the last one of
         names. If the sweep is incomplete, the line begins with the share that is done.
 
         Raises

@@ -109,7 +109,7 @@ def run_points(
     version: str | None = None,
 ) -> Sweep:
     """Run the scenarios of points; the other arguments, results and errors are those of `sweep`."""
-    from pinmobile.sweeps._store import METADATA, Store
+    from pinmobile.sweeps._store import Store
 
     folder, size = location("path", path), _CHUNK if chunk is None else whole("chunk", chunk)
     if client is not None:
@@ -119,8 +119,6 @@ def run_points(
     if version is not None and not text("version", version).strip():
         raise InvalidArgument(f'version is {shown(version)}, expected a word, such as "1"')
     description = describe(points, version)
-    if not (folder / METADATA).exists():
-        _check_draws(points)
     with Store(folder, points, description, size) as store:
         if chunk is not None and store.chunk != size:
             raise InvalidArgument(f"chunk is {size}, expected {store.chunk} as in the store, or None")
@@ -136,15 +134,6 @@ def run_points(
             if progress is not None:
                 progress(total - left, total)
     return Sweep.of_store(folder, points)
-
-
-def _check_draws(points: Points) -> None:
-    """Refuse impossible draws before any work, with the share of all robots."""
-    for k, scenario in enumerate(points.scenarios):
-        try:
-            scenario.draws()
-        except InvalidArgument as error:
-            raise InvalidArgument(f"{error} (at {points.place(k)})") from error
 
 
 def _warn_if_slower(points: Points, jobs: Sequence[Job]) -> None:
