@@ -346,6 +346,10 @@ def _open_group(path: Path) -> Any:
 
 def open_dataset(path: Path) -> Any:
     """Return a store as an xarray.Dataset that reads its files when they are needed."""
+    for name, node in attributes_of(path)["nodes"].items():
+        file = path / name / "c" / "0"
+        if node["dimension_names"] == [name] and not file.is_file():
+            raise InvalidArgument(f"store is {str(path)!r}, of which {str(file)!r} is gone; {AGAIN}")
     with reading(path), zarr.config.set({"codecs.zstd": "pinmobile"}):
         return xarray.open_zarr(path, chunks=None, consolidated=True, zarr_format=3)
 
