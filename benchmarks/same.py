@@ -125,20 +125,12 @@ def ensembles() -> Iterator[tuple[str, str]]:
             yield f"ensemble {name} {engine!r}", digest(*columns, *run.draws.values())
     robot, controller, trajectory, options = next(value for _, value in loops())
 
-    def made(mass: float) -> Any:
-        return pm.Scenario(
-            robot=robot,
-            controller=controller,
-            trajectory=trajectory,
-            n=50,
-            spread={"mass": pm.Normal(mass, 1)},
-            dt=0.1,
-            **options,
-        )
-
+    parts = {"robot": robot, "controller": controller, "trajectory": trajectory}
+    one = pm.Scenario(**parts, n=50, spread={}, dt=0.1, **options)
+    grid = {"spread.mass": {mass: pm.Normal(mass, 1) for mass in (25.0, 30.0)}}
     with tempfile.TemporaryDirectory() as folder:
-        found = pm.sweep(pm.grid(made, mass=[25.0, 30.0]), Path(folder) / "store")
-        each = [found.ensemble(mass=mass) for mass in (25.0, 30.0)]
+        found = pm.sweep(one, Path(folder) / "store", grid=grid)
+        each = [found.ensemble(**{"spread.mass": mass}) for mass in (25.0, 30.0)]
         numbers = (column for run in each for column in (run.max_error, run.rms_error, run.max_force))
         yield "sweep", digest(*numbers, found.table())
 

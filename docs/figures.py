@@ -23,8 +23,6 @@ from pinmobile import (
     COMPILED,
     PD,
     Backstepping,
-    Benchmark,
-    BenchmarkScenario,
     ByOdometry,
     Circle,
     ComputedTorque,
@@ -36,7 +34,6 @@ from pinmobile import (
     MobileRobot,
     Normal,
     Rollout,
-    SlidingMode,
     Spline,
     Tangent,
     Tracking,
@@ -44,7 +41,6 @@ from pinmobile import (
     WheeledRobot,
     WheelTable,
     WholeBody,
-    benchmark,
     ensemble,
     excitation,
     identify,
@@ -121,22 +117,6 @@ def foretold() -> Prediction:
     return identify(log, method="weak").predict(log)
 
 
-@cache
-def contest() -> Benchmark:
-    """Return three controllers where their model is wrong."""
-    robot = MobileRobot(30, 1.3, (0.1, 0.05))
-    laws = {"PD": PD(120, 120), "computed torque": ComputedTorque(robot), "sliding mode": SlidingMode(robot)}
-    rest: dict[str, Any] = {"trajectory": Tangent(Circle(1.5, 0.6, 3)), "after": 1.0}
-    heavy = MobileRobot(36, 1.56, (0.1, 0.05))
-    places = {
-        "nominal": BenchmarkScenario(**rest),
-        "heavier": BenchmarkScenario(robot=heavy, **rest),
-        "late": BenchmarkScenario(delay=60, **rest),
-        "noise": BenchmarkScenario(robot=heavy, noise=1e-3, **rest),
-    }
-    return benchmark(laws, places)
-
-
 _GAINS = "gain", "1/s²", [1, 2, 4, 8]
 _ERRORS = {
     "PD": [8.0, 5.0, 4.0, 3.8],
@@ -167,7 +147,6 @@ FIGURES: dict[str, Callable[..., Figure]] = {
         [[1.0, 2.0, 3.0, 5.0], [1.5, 4.0, 40.0, np.inf]],
         **{"x": _GAINS, "y": ("speed", "", ["slow", "fast"]), "label": "99 % stay within [mm]"} | how,
     ),
-    "benchmark": lambda **how: plots.benchmark(contest(), **how),
     "curves": lambda **how: plots.curves(_ERRORS, **{"x": _GAINS, "label": "99 % stay within [mm]"} | how),
     "integrator": lambda **how: plots.integrator(reports(), **how),
 }

@@ -38,7 +38,6 @@ MODULES = (
     *(
         "accuracy",
         "balance",
-        "benchmarking",
         "closed_form",
         "controllers",
         "derivation",
@@ -72,7 +71,7 @@ INNER = {
     *("derivation.lagrange", "forces.noise_frequencies", "paths.pieces_of"),
     *("loop.Loop", "loop.part_of", "loop.step"),
     *("Scenario.find", "loop.run_scenario", "paths.Whole", "reaching.pose_error", "robot.System"),
-    *("sweeps.check_draws", "sweeps.connected", "sweeps.length"),
+    "Sweep.of_store",
     *(
         "trajectories.check_limits",
         "integrators.RungeKuttaNystrom",
@@ -82,7 +81,6 @@ INNER = {
     *(
         "integrators.check_integrator",
         "robot.Arm",
-        "sweeps.Grid",
         "viewer.LiveWindow",
         "viewer.OfflineWindow",
     ),
@@ -106,14 +104,13 @@ INNER = {
         "Scenario.starts",
         "Scenario.values",
     ),
-    "sweeps.Code",
     *(f"WheeledRobot.{name}" for name in ("follows", "measured", "slip_margins")),
     *(f"wheels.ByVoltage.{name}" for name in ("initial_state", "signals", "step")),
 }
 # What the library makes and users read: nobody calls the class.
 RESULTS = {
     *("robot.UncheckedDynamics", "loop.Signal", "closed_form.ReducedModel"),
-    *("Identification", "identification.Prediction", "Benchmark", "benchmarking.Score"),
+    *("Identification", "identification.Prediction"),
     *(
         "Clearance",
         "Context",
@@ -366,13 +363,12 @@ def _logged_csv() -> Any:
 
 
 def _sweep() -> Any:
-    scenarios = pm.grid(_scenario, gain=[1.0, 2.0])
-    return pm.sweep(scenarios, WORLD.folder / "sweep.zarr")
+    return pm.sweep(_scenario(), WORLD.folder / "sweep.zarr", grid={"controller.kp": [1.0, 2.0]})
 
 
-def _scenario(gain: float = 1.0) -> Any:
+def _scenario() -> Any:
     named = {name: value for name, value in ENSEMBLE().items() if name not in ("engine", "traces")}
-    named["controller"] = pm.PD(gain, 1)
+    named["controller"] = pm.PD(1.0, 1)
     return pm.Scenario(**named)
 
 
@@ -390,10 +386,6 @@ MADE: dict[str, Callable[[], Any]] = {
     "log": _logged,
     "log_csv": _logged_csv,
     "identified": lambda: pm.identify(WORLD.log, method="weak"),
-    "scenarios": lambda: {
-        "short": pm.BenchmarkScenario(robot=WORLD.robot, trajectory=WORLD.trajectory, dt=0.1, after=0.2)
-    },
-    "compared": lambda: pm.benchmark({"PD": pm.PD(40, 20)}, WORLD.scenarios),
     "foretold": lambda: WORLD.identified.predict(WORLD.log),
     "robot": lambda: pm.MobileRobot(10.0, 1.2, com=(0.15, 0.05)),
     "base": lambda: pm.MobileRobot(30.0, 1.3, com=(0.0, 0.0, 0.1), size=(0.6, 0.4, 0.25)),
@@ -433,7 +425,6 @@ MADE: dict[str, Callable[[], Any]] = {
     "ensemble": _ensemble,
     "scenario": _scenario,
     "sweep": _sweep,
-    "grid": lambda: pm.grid(_scenario, gain=[1.0, 2.0]),
     "report": lambda: pm.integrator_report(pm.rk4, steps=(0.1, 0.05), duration=0.2),
     "derivation": derivation.lecture,
     "reduced": derivation.differential_drive,
@@ -634,8 +625,6 @@ ROWS: dict[str, Row] = {
         dt=0.01,
         integrator=pm.rk4,
     ),
-    "Axis": row(values=[1.0, 2.0], unit="m"),
-    "Axis.index": row(name="gain", label=1.0),
     "Circle": row(radius=1, rate=0.5, duration=1, centre=[1, 2], phase=0.5, heading=None),
     "Lissajous": row(rx=1, ry=2, wx=0.5, wy=1, duration=1),
     "Circle.__call__": row(t=[0.1, 0.2]),
@@ -746,19 +735,20 @@ ROWS: dict[str, Row] = {
     "Ensemble.trace": row(i=0),
     "Ensemble.within": row(share=0.9),
     "Ensemble.worst": row(count=2, by="distance"),
-    "grid": Row(lambda: {"make": _scenario, "gain": [1.0, 2.0]}),
     "sweep": row(
         60,
-        scenarios=the("grid"),
-        store=partial(lambda: WORLD.folder / "other.zarr"),
+        scenario=the("scenario"),
+        path=partial(lambda: WORLD.folder / "other.zarr"),
+        grid={"controller.kp": [1.0, 2.0]},
+        cases={"soft": {"controller.kd": 0.5}, "nominal": {}},
         client=None,
         chunk=2,
         progress=lambda done, n: None,
         version="1",
     ),
     "Sweep.answer": row(share=0.9),
-    "Sweep.ensemble": row(gain=1.0),
-    "Sweep.open": row(path=partial(lambda: WORLD.sweep.path), scenarios=None),
+    "Sweep.ensemble": row(**{"controller.kp": 1.0}),
+    "Sweep.open": row(path=partial(lambda: WORLD.sweep.path), scenario=None, grid=None, cases=None),
     "Sweep.table": row(share=0.9, most=3),
     "Sweep.within": row(share=0.9, by="distance"),
     "MobileRobot": row(mass=10, yaw_inertia=1, com=(0.1, 0.05), size=(0.6, 0.4, 0.2), dh=pm.LECTURE_TABLE),
@@ -985,37 +975,6 @@ ROWS: dict[str, Row] = {
         progress=lambda done, n: None,
     ),
     "plots.balance": row(60, rollouts=the("rollout"), footprint=None, title="a title", ax=None, width=6.0),
-    "BenchmarkScenario": row(
-        robot=the("robot"),
-        trajectory=the("trajectory"),
-        forces=[pm.ConstantForce([1, 0, 0])],
-        delay=1,
-        noise=1e-3,
-        limits=[50, 50, 9],
-        lower=[-5, -5],
-        upper=[5, 5],
-        offset=[0.1, 0, 0],
-        event=0.5,
-        band=0.01,
-        after=0.2,
-        dt=0.1,
-        integrator=pm.rk4,
-        substeps=2,
-        seed=1,
-        about="a test",
-    ),
-    "BenchmarkScenario.around": row(controller=pm.PD(40, 20)),
-    "BenchmarkScenario.run": row(40, controller=pm.PD(40, 20)),
-    "BenchmarkScenario.scenario": row(controller=pm.PD(40, 20), n=2, spread={"mass": 31.0}, seed=1),
-    "benchmark": row(
-        20, controllers={"PD": pm.PD(40, 20)}, scenarios=the("scenarios"), progress=lambda done, total: None
-    ),
-    "benchmarking.contestants": row(),
-    "Benchmark.values": row(measure="rms"),
-    "Benchmark.table": row(measure="chatter"),
-    "Benchmark.details": row(scenario="short"),
-    "Benchmark.to_csv": row(path=partial(lambda: WORLD.folder / "benchmark.csv")),
-    "plots.benchmark": row(60, result=the("compared"), at="short", title="a title", ax=None, width=8.0),
     "plots.bands": row(
         60, ensembles=the("ensemble"), levels=(0.5, 0.9), by=["distance"], title="a title", ax=None, width=6.0
     ),
@@ -1216,9 +1175,6 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "robot.Stance": lambda: Stance.of_box((0.6, 0.4, 0.2)),
     "EndEffectorTracking": lambda: pm.EndEffectorTracking(WORLD.armed, WORLD.target),
     "MPC": lambda: pm.MPC(WORLD.robot),
-    "Axis": lambda: pm.Axis([1.0, 2.0]),
-    "Benchmark": lambda: WORLD.compared,
-    "BenchmarkScenario": lambda: WORLD.scenarios["short"],
     "Circle": lambda: WORLD.path,
     "Lissajous": lambda: pm.Lissajous(1, 2, 0.5, 1, 1),
     "CompositePath": lambda: pm.CompositePath([WORLD.path]),
@@ -1290,7 +1246,6 @@ REFUSED |= {"Log.from_bag", "viewer.Recording.save_mp4", "viewer.Recording.scree
 # Those that take arguments by position alone, or any number of them.
 CALLED: dict[str, Callable[..., Any]] = {
     "WholeBody": lambda robot, base, joints: pm.WholeBody(robot, base, joints),
-    "grid": lambda make, gain: pm.grid(make, gain=gain),
 }
 
 

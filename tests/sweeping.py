@@ -5,39 +5,50 @@ import signal
 import sys
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 from pinmobile import (
-    Axis,
     Circle,
     ComputedTorque,
     MobileRobot,
     Normal,
+    Relative,
     Scenario,
+    Sweep,
     Tangent,
     Uniform,
-    grid,
     sweep,
 )
-from pinmobile.sweeps import Grid, connected
+from pinmobile.sweeps import Points, connected
 
 CHUNK = 64
+ROBOT = MobileRobot.lecture()
+GRID: dict[str, Any] = {
+    "controller.kp": [4, 16],
+    "spread.mass": {0.1: Relative(Uniform(0.9, 1.1)), 0.2: Relative(Uniform(0.8, 1.2))},
+}
 
 
-def scenario(gain: float = 4, error: float = 0.1, n: int = 200, seed: int = 1) -> Scenario:
-    robot = MobileRobot.lecture()
-    return Scenario(
-        robot=robot,
-        controller=ComputedTorque(robot, gain, 2 * gain**0.5),
-        trajectory=Tangent(Circle(3, 0.1, 6)),
-        n=n,
-        spread={"mass": Uniform(30 * (1 - error), 30 * (1 + error)), "start.x": Normal(0, 0.01)},
-        dt=0.1,
-        seed=seed,
-    )
+def scenario(**changed: Any) -> Scenario:
+    given: dict[str, Any] = {
+        "robot": ROBOT,
+        "controller": ComputedTorque(ROBOT, 4, 4),
+        "trajectory": Tangent(Circle(3, 0.1, 6)),
+        "n": 200,
+        "spread": {"start.x": Normal(0, 0.01)},
+        "dt": 0.1,
+        "seed": 1,
+    }
+    return Scenario(**given | changed)
 
 
-def gains_and_errors() -> Grid:
-    return grid(scenario, gain=Axis([4, 16], unit="1/s^2"), error=[0, 0.2])
+def points(**changed: Any) -> Points:
+    return Points.of(scenario(**changed), GRID)
+
+
+def swept(store: Path, **options: Any) -> Sweep:
+    given: dict[str, Any] = {"grid": GRID, "chunk": CHUNK}
+    return sweep(scenario(), store, **given | options)
 
 
 def contents(store: Path) -> dict[str, str]:
@@ -51,8 +62,7 @@ def run_until_killed(store: str, robots: str, scheduler: str = "") -> None:
         if done >= int(robots):
             os.kill(os.getpid(), signal.SIGKILL)
 
-    client = connected(scheduler) if scheduler else None
-    sweep(gains_and_errors(), store, chunk=CHUNK, client=client, progress=kill)
+    swept(Path(store), client=connected(scheduler) if scheduler else None, progress=kill)
 
 
 if __name__ == "__main__":

@@ -30,13 +30,6 @@ PARTS = _parts(controllers, forces)
 REFERENCES = [name for name in _parts(paths, trajectories) if name != "Reference"]
 # Parts that a file uses to get its own work done, as a user does, not to know them from others.
 USERS = {
-    # What is compared, and what goes wrong.
-    "benchmarking/__init__.py": {
-        *("PD", "PID", "ADRC", "LQR", "MPC", "Adaptive", "ComputedTorque", "DisturbanceObserver"),
-        *("SlidingMode", "SuperTwisting", "ConstantForce", "Payload", "RollingResistance"),
-        *("ViscousFriction", "FixedHeading", "Polyline"),
-    },
-    "benchmarking/situation.py": {"Delayed", "NoisyMeasurement", "Saturated", "Circle", "Tangent"},
     "accuracy/__init__.py": {"ComputedTorque", "Circle", "Tangent"},
     "cli/choices.py": {"PD", "ComputedTorque"},  # with the lecture's gains, which no part knows
     "cli/drive.py": {

@@ -29,7 +29,6 @@ from pinmobile import (
     WheeledRobot,
     WheelTable,
     ensemble,
-    grid,
     law,
     simulate,
     sweep,
@@ -56,18 +55,21 @@ def scenario(controller: Any, width: float) -> Scenario:
 
 
 def test_a_sweep_tells_once_which_part_makes_it_slower_and_where(tmp_path: Path) -> None:
-    plan = grid(scenario, controller={"branching": law(branching), "PD": PD(100, 120)}, width=[0.01, 0.02])
+    widths = {width: Uniform(-width, width) for width in (0.01, 0.02)}
+    laws = {"branching": law(branching), "PD": PD(100, 120)}
+    plan: Any = scenario(laws["PD"], 0.01), tmp_path / "store"
+    grid = {"controller": laws, "spread.start.x": widths}
     with pytest.warns(SlowerEngine, match="^this sweep runs by PYTHON") as told:
-        sweep(plan, tmp_path / "store", chunk=4)
+        sweep(*plan, grid=grid, chunk=4)
     assert len(told) == 1
     text = str(told[0].message)
     assert told[0].filename == __file__
-    for words in ("not COMPILED: branching, line", "np.where", "(at controller = branching, w"):
+    for words in ("not COMPILED: branching, line", "np.where", "(at controller = branching, s"):
         assert text.count(words) == 1
-    assert text.endswith("width = 0.01 and 1 more)")
+    assert text.endswith("spread.start.x = 0.01 and 1 more)")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        sweep(plan, tmp_path / "store", chunk=4)  # nothing is left to run
+        sweep(*plan, grid=grid, chunk=4)  # nothing is left to run
 
 
 def test_the_command_prints_it_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -30,7 +30,6 @@ pytestmark = pytest.mark.once
 RUNS = page.circle()
 PANELS = {
     **{"path": 2, "states": 3, "errors": 6, "forces": 3, "bands": 4, "drivers": 4, "heatmap": 1, "curves": 1},
-    "benchmark": 2,
     **{"integrator": 6, "balance": 3, "reaction": 6, "wheel_torques": 2, "slip": 4, "odometry": 4},
 }
 
@@ -48,9 +47,7 @@ def test_at_one_column_of_a_paper_no_word_is_cut_or_meets_another(name: str) -> 
         assert {text.get_fontsize() for text in figure.findobj(Text) if text.get_text()} >= {8.0}
 
 
-@pytest.mark.parametrize(
-    "name", ["path", "errors", "bands", "drivers", "friction", "integrator", "benchmark"]
-)
+@pytest.mark.parametrize("name", ["path", "errors", "bands", "drivers", "friction", "integrator"])
 def test_at_both_columns_too(name: str) -> None:
     figure = page.FIGURES[name](width=7)
     assert figure.get_figwidth() == 7.0

@@ -408,6 +408,52 @@ def test_closures_of_one_function_are_told_apart(process: Process) -> None:
     assert [traces for _, traces in found] == [1, 1, 0]
 
 
+@dataclass(frozen=True)
+class Gain:
+    gain: float
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any) -> Any:
+        return self.gain * (reference.q - q) - 9.0 * v
+
+
+def _asked(part: Gain, *sample: Any) -> Any:
+    return part(*sample)
+
+
+def _default(gain: Gain) -> Any:
+    def mine(t: float, q: Any, v: Any, reference: Any, part: Gain = gain) -> Any:
+        return part(t, q, v, reference)
+
+    return mine
+
+
+def _wrapped(gain: float) -> Any:
+    def one(t: float, q: Any, v: Any, reference: Any) -> Any:
+        return 4.0 * (reference.q - q) - 9.0 * v
+
+    def other(t: float, q: Any, v: Any, reference: Any) -> Any:
+        return 16.0 * (reference.q - q) - 9.0 * v
+
+    for each in (one, other):  # as `functools.wraps` names what wraps a function of a library
+        each.__module__, each.__qualname__ = "numpy", "hypot"
+    return law(one if gain == 4.0 else other)
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda gain: law(Gain(gain)),
+        lambda gain: law(_default(Gain(gain))),
+        lambda gain: law(partial(_asked, Gain(gain))),
+        _wrapped,
+    ],
+)
+def test_parts_that_code_refers_to_are_told_apart_by_their_numbers(made: Callable[[float], Any]) -> None:
+    """They are no parts of the loop, so that their numbers are constants of its program."""
+    found = [run(made(gain), n=1, spread={}).rms_error[0] for gain in (4.0, 16.0)]
+    assert not np.array_equal(*found)
+
+
 class Obliging:
     """It has whatever name it is asked for, but for those that Python itself looks for in a class."""
 

@@ -28,13 +28,11 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
-from pinmobile.benchmarking import NOMINAL, STANDARD
 from pinmobile.controllers.lqr import riccati, tracked_model
 from pinmobile.parts import evolved
 from tests.parts import Waving
+from tests.rivals import CIRCLE, HEAVY, NOMINAL
 
-HEAVY = STANDARD["mass +20 %"].robot
-CIRCLE = STANDARD["nominal"].trajectory
 ARM = MobileRobot.box().mount("ur5")
 SHORT = Tangent(Circle(radius=1.5, rate=0.6, duration=2))
 DIFFERENTIAL = WheelTable.differential(0.1, 0.4)

@@ -233,21 +233,20 @@ def test_a_file_of_an_older_format_is_refused_with_the_reason(runs: Ensemble, tm
 
 def test_a_sweeps_store_keeps_measures(runs: Ensemble, tmp_path: Path) -> None:
     heavy = {**SPREAD, "loads.0.mass": Uniform(5, 8)}
-    found = sweep(
-        {"light": scenario(n=10), "heavy": scenario(n=10, spread=heavy)}, tmp_path / "store", chunk=4
-    )
-    light = found.ensemble(scenario="light")
+    cases = {"light": {}, "heavy": {"spread": heavy}}
+    found = sweep(scenario(n=10), tmp_path / "store", cases=cases, chunk=4)
+    light = found.ensemble(case="light")
     np.testing.assert_array_equal(light.worst_measure, runs.worst_measure[:10])
     np.testing.assert_array_equal(light.counts, run_scenario(scenario(n=10)).counts)
     for by in ("tip-over margin", "effort", ELBOW, "heading", "distance"):
-        assert float(found.within(0.8, by).sel(scenario="light")) == light.within(0.8)[by]
+        assert float(found.within(0.8, by).sel(case="light")) == light.within(0.8)[by]
     margins = Sweep.open(tmp_path / "store").within(by="tip-over margin")
-    assert float(margins.sel(scenario="heavy")) < float(margins.sel(scenario="light"))
+    assert float(margins.sel(case="heavy")) < float(margins.sel(case="light"))
     assert margins.attrs["long_name"] == "tip-over margin that 99 % of the robots have at least"
     with pytest.raises(UnknownName, match=r"'margin'"):
         found.within(by="margin")
-    with pytest.raises(InvalidArgument, match=r"^judged are end effector \[m\], .* and none at scenario = b"):
-        sweep({"a": scenario(), "b": scenario(measures=())}, tmp_path / "other")
+    with pytest.raises(InvalidArgument, match=r"^judged is end effector \[m\], .* and none at case = b"):
+        sweep(scenario(), tmp_path / "other", cases={"a": {}, "b": {"measures": ()}})
 
 
 def test_members_are_drawn_and_viewed(runs: Ensemble) -> None:

@@ -28,10 +28,10 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
-from pinmobile.benchmarking import NOMINAL, STANDARD
 from pinmobile.controllers.lqr import riccati, tracked_model
+from tests.rivals import HEAVY, NOMINAL, OFF
 
-HEAVY, LOADED = (STANDARD[name].robot for name in ("mass +20 %", "com off"))
+LOADED = OFF
 WHEELED = WheeledRobot(NOMINAL, WheelTable.differential(0.1, 0.4))
 LONG = Tangent(Circle(radius=1.5, rate=0.6, duration=10))
 SHORT = Tangent(Circle(radius=1.5, rate=0.6, duration=2))
@@ -251,3 +251,11 @@ BAD: Any = [
 def test_bad_arguments_are_refused(make: Any, words: str) -> None:
     with pytest.raises(InvalidArgument, match=words):
         make()
+
+
+def test_limits_and_walls_may_be_added() -> None:
+    told = MPC(NOMINAL, lower=[-9] * 6).within((30, 30, 5), upper=(3.1, 4.0))
+    assert told.limits.tolist() == [30, 30, 5]
+    assert told.upper[:3].tolist() == [3.1, 4, np.inf]
+    assert told.lower.tolist() == [-9] * 6
+    assert MPC(NOMINAL, limits=50).within(upper=[1]).range[1].tolist() == [50, 50, 50]

@@ -34,7 +34,6 @@ from pinmobile import (
     ViscousFriction,
     WholeBody,
     ensemble,
-    grid,
     law,
     rk4,
     simulate,
@@ -163,7 +162,8 @@ def test_a_sweep_over_users_parts_has_the_bits_of_their_ensembles(tmp_path: Path
     def scenario(controller: Any) -> Scenario:
         return made("force", controller=controller)
 
-    result = sweep(grid(scenario, controller=controllers), tmp_path / "store", chunk=2)
+    base = scenario(PID())
+    result = sweep(base, tmp_path / "store", grid={"controller": controllers}, chunk=2)
     for label, controller in controllers.items():
         assert_same(result.ensemble(controller=label), run_scenario(scenario(controller)))
 
@@ -293,10 +293,10 @@ def test_a_sweep_of_a_users_plant_has_its_names_and_no_other_plants(tmp_path: Pa
     assert result.dataset.input.values.tolist() == INPUTS
     assert_same(result.ensemble(), run_scenario(carted()))
     other = made("controller", spread={}, dt=0.01)
-    with pytest.raises(
-        InvalidArgument, match=r"^coordinates are x \[m\], .* at scenario = 1, expected the same"
-    ):
-        sweep([carted(spread={}), other], tmp_path / "both")
+    names = "robot", "controller", "trajectory", "forces", "dt"
+    case = {name: getattr(other, name) for name in names}
+    with pytest.raises(InvalidArgument, match=r"^coordinates is x \[m\], .* at case = 1, expected the same"):
+        sweep(carted(spread={}), tmp_path / "both", cases={"0": {}, "1": case})
 
 
 class Nameless(Cart):

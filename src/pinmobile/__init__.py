@@ -27,7 +27,6 @@ del Model
 if TYPE_CHECKING:
     from pinmobile.accuracy import *
     from pinmobile.balance import *
-    from pinmobile.benchmarking import *
     from pinmobile.compiled import *
     from pinmobile.controllers import *
     from pinmobile.dh import *
@@ -59,7 +58,6 @@ _NAMES = {
             "Limit Motion contact_loads fastest reaction_wrench required_friction slip_margins "
             "steepest tip_over_margin zero_moment_point"
         ),
-        "benchmarking": "Benchmark BenchmarkScenario benchmark",
         "closed_form": "",
         "compiled": "vectorize",
         "controllers": (
@@ -97,7 +95,7 @@ _NAMES = {
         "reaching": "EndEffectorTracking PosePath Resolved resolve",
         "robot": "Load MobileRobot mountable",
         "signals": "",
-        "sweeps": "Axis Sweep grid sweep",
+        "sweeps": "Sweep sweep",
         "trajectories": "FixedHeading LectureHeading Reference Tangent WholeBody",
         "urdf": "shipped_urdf",
         "verification": "verify",

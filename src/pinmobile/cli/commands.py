@@ -452,58 +452,6 @@ def identify(
     )
 
 
-@app.command()
-def benchmark(
-    scenario: Annotated[
-        list[str] | None,
-        _help("Scenario, such as payload or corridor; by default the standard ones. Repeatable."),
-    ] = None,
-    controller: Annotated[
-        list[str] | None, _help("Controller, such as LQR; by default all. Repeatable.")
-    ] = None,
-    *,
-    out: Annotated[Path | None, _help("Folder for the figure, the numbers and a page with both.")] = None,
-) -> int:
-    """Compare the library's controllers where their model is wrong, and say who comes closest at what price.
-
-    It prints how far off each comes, how much its force chatters, how soon it recovers and what a call costs;
-    of scenarios that are asked for, all numbers.
-
-    Example: pinmobile benchmark --scenario payload --scenario noise
-    """
-    from pinmobile.benchmarking import CORRIDOR, STANDARD, benchmark as run, contestants, lacking
-    from pinmobile.cli.output import Picture, Section, index_page, save_figure
-
-    scenarios, controllers, missing = {**STANDARD, **CORRIDOR}, contestants(), lacking()
-    for word in scenario or ():
-        choose("scenario", word, scenarios)
-    for word in controller or ():
-        if word in missing:
-            raise missing[word]
-        choose("controller", word, controllers)
-    folder = None if out is None else output_folder(out)
-    for name, error in {} if controller else missing.items():
-        console.print(f"{name} is left out: {error.calling('it')}", markup=False)
-    with progress(0, "simulating") as bar:
-        found = run(
-            {name: controllers[name] for name in controller or controllers},
-            {name: scenarios[name] for name in scenario or STANDARD},
-            progress=lambda done, total: bar.update(bar.task_ids[0], completed=done, total=total),
-        )
-    details = "\n\n".join([*map(found.details, scenario or ()), found.verdict])
-    text = details if scenario else str(found)
-    console.print(text, markup=False)
-    if folder is not None:
-        from pinmobile.plots import benchmark as drawn
-
-        save_figure(drawn(found), folder / "benchmark.png")
-        found.to_csv(folder / "benchmark.csv")
-        pictures = [Picture("benchmark.png", "Largest distances after the start, and their price in chatter")]
-        page = index_page(folder, "Controllers for a wrong model", [Section("Results", text, pictures)])
-        console.print(f"figure and numbers: open {page}", markup=False)
-    return 0
-
-
 @app.command(context_settings=_TAKES_RUNS)
 def view(
     context: typer.Context,

@@ -1,15 +1,14 @@
 """Many loops at once: `ensemble` and `sweep`, what they answer, and their figures."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from pinmobile import Ensemble, InvalidArgument, Same, Scenario, UnknownName, plots, sweep
-from pinmobile.arrays import Array, whole
+from pinmobile import Ensemble, InvalidArgument, Same, Scenario, UnknownName, plots
+from pinmobile.arrays import Array
 from pinmobile.cli.choices import COMPARED, CONTROLLERS, SPREAD_FORMS
 from pinmobile.cli.options import (
     Interrupted,
@@ -24,8 +23,9 @@ from pinmobile.cli.options import (
 )
 from pinmobile.cli.output import Picture, Section, console, index_page, output_folder, progress, save_figure
 from pinmobile.cli.scenario_file import read_grid
+from pinmobile.cli.tables import Code
 from pinmobile.loop import run_scenario
-from pinmobile.sweeps import Code, Grid, Sweep, attributes_of, compared, connected, since
+from pinmobile.sweeps import Points, Sweep, compared, connected, run_points, since
 
 _MOST = 12  # figures of a sweep
 _UNITS = (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6))
@@ -124,38 +124,23 @@ def show_sweep(
 ) -> int:
     """Run the sweep of a file, print who stays within what, and draw it."""
     code = Code(file.absolute().parent) if allow_code else None
-    with nullcontext() if code is None else code.errors():
-        grid = read_grid(file, code)
-        if code is not None:
-            _tell_loaded(code)
-        return _show_sweep(file, grid, out, scheduler, chunk, version)
-
-
-def _tell_loaded(code: Code) -> None:
-    """Say which files were run, and which modules of the same name were not."""
-    hidden = code.hidden()
-    for name, (where, _) in code.sources.items():
-        beside = f", not the installed {name} ({hidden[name]})" if name in hidden else ""
-        console.print(f"ran {where}{beside}", markup=False)
-    for name, where in code.installed.items():
-        console.print(f"ran {where}, the installed {name}", markup=False)
+    return _show_sweep(file, read_grid(file, code), out, scheduler, chunk, version)
 
 
 def _show_sweep(
-    file: Path, grid: Grid, out: Path | None, scheduler: str | None, chunk: int | None, version: str | None
+    file: Path, grid: Points, out: Path | None, scheduler: str | None, chunk: int | None, version: str | None
 ) -> int:
     folder = output_folder(Path("out") / file.stem if out is None else out)
     store = folder / "sweep.zarr"
-    size = _size(chunk, store)
     _warn_if_alike(grid.scenarios)
     client = None if scheduler is None else connected(scheduler)
     try:
-        with progress(len(grid) * grid.n) as bar:
+        with progress(len(grid.scenarios) * grid.n) as bar:
 
             def advance(done: int, total: int) -> None:
                 bar.update(bar.task_ids[0], description="sweeping", completed=done, total=total)
 
-            found = sweep(grid, store, client=client, chunk=size, progress=advance, version=version)
+            found = run_points(grid, store, client=client, chunk=chunk, progress=advance, version=version)
     except KeyboardInterrupt:
         raise Interrupted("interrupted: the same command goes on where it was") from None
     finally:
@@ -216,20 +201,6 @@ def _differs(source: object) -> bool:
     return not (isinstance(source, np.ndarray) and source.ndim == 0)
 
 
-def _size(chunk: int | None, store: Path) -> int | None:
-    """Return the robots in a chunk; a store that is there keeps its own."""
-    if chunk is None:
-        return None
-    size = whole("--chunk", chunk)
-    if (store / "zarr.json").exists():
-        there = attributes_of(store)["chunk"]
-        if there != size:
-            raise InvalidArgument(
-                f"--chunk is {size}, expected {there} as in the store {str(store)!r}, or no --chunk"
-            )
-    return size
-
-
 def ensemble_figures(made: Mapping[str, Ensemble], folder: Path) -> list[Picture]:
     """Draw the bands of all ensembles, and of each what its worst robots have in common."""
     save_figure(plots.bands(made), folder / "bands.png")
@@ -252,7 +223,7 @@ def sweep_figures(found: Sweep, folder: Path) -> list[Picture]:
     Of further axes there is a figure for each value; maps have the same colours for the same numbers.
     """
     within = found.within()
-    long = [name for name, axis in found.axes.items() if len(axis) > 1]
+    long = [name for name, axis in found.axes.items() if len(axis.values) > 1]
     numeric = [name for name in long if within[name].dtype.kind in "fiu"]
     named = [name for name in long if name not in numeric]
     curved = len(numeric) == 1

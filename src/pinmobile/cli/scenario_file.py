@@ -2,12 +2,13 @@
 
 import tomllib
 from collections.abc import Collection, Mapping
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from copy import deepcopy
+from itertools import product
 from pathlib import Path
 from typing import Any
 
-from pinmobile import Axis, InvalidArgument, PinmobileError, Scenario, UnknownName, grid
+from pinmobile import InvalidArgument, PinmobileError, Scenario, UnknownName
 from pinmobile.cli.choices import (
     CONTROLLERS,
     HEADINGS,
@@ -37,6 +38,7 @@ from pinmobile.cli.tables import (
     ROUTES,
     STEPS,
     WRAPPERS,
+    Code,
     Maker,
     Table,
     code_in,
@@ -47,7 +49,7 @@ from pinmobile.cli.tables import (
 )
 from pinmobile.errors import shown
 from pinmobile.files import cannot
-from pinmobile.sweeps import Code, Grid, check_draws
+from pinmobile.sweeps import Axis, Points
 
 _MOST_BYTES = 8 << 20  # as of a URDF
 
@@ -90,7 +92,7 @@ _OF_HEADINGS = tuple(dict.fromkeys(each for heading in HEADINGS.values() for eac
 _PATH_APART = ("moved", "heading", *_OF_HEADINGS)
 
 
-def read_grid(path: Path, code: Code | None = None) -> Grid:
+def read_grid(path: Path, code: Code | None = None) -> Points:
     """Return the grid of scenarios that a file describes.
 
     Parameters
@@ -113,14 +115,13 @@ def read_grid(path: Path, code: Code | None = None) -> Grid:
         if code is None:
             _refuse_code(path, tree, swept)
         reader = _Reader(tree, swept, Maker(code))
-        axes = {name: _axis(name, values) for name, values in swept.items()}
-        with nullcontext() if code is None else code.errors():
-            if axes:
-                made = grid(reader.scenario, **axes)
-            else:
-                made = Grid({"scenario": Axis(["all"])}, [reader.scenario()])
+        axes = {name: _axis(name, values) for name, values in swept.items()} or {"scenario": Axis(("all",))}
+        made = Points(
+            axes, [reader.scenario(**dict(zip(swept, at, strict=True))) for at in product(*swept.values())]
+        )
         reader.check_all_taken()
-        check_draws(made)
+        for scenario in made.scenarios:
+            scenario.draws()
     except PinmobileError as error:
         at = line_of(error, text, tree, swept)
         raise InvalidArgument(f"{path.name}{f':{at}' if at else ''}: {error}") from error
@@ -353,26 +354,20 @@ def _put(tree: dict[str, Any], place: list[str], value: object) -> None:
 
 
 def _axis(name: str, values: list[Any]) -> Axis:
-    labelled = any(isinstance(value, list | dict) for value in values)
-    try:
-        return Axis(
-            {_label(value): value for value in values} if labelled else values,
-            UNITS.get(name.split(".")[-1], ""),
-        )
-    except InvalidArgument as error:
-        raise Refused(str(error.calling(name)), name) from error
+    labels = list(map(_label, values)) if any(isinstance(x, list | dict) for x in values) else values
+    if not labels or len(set(labels)) < len(labels) or len({isinstance(x, str) for x in labels}) > 1:
+        raise Refused(f"{name} is {values!r}, expected different numbers or texts", name)
+    return Axis(tuple(labels), UNITS.get(name.split(".")[-1], ""))
 
 
-def _in_units(made: Grid) -> Grid:
+def _in_units(made: Points) -> Points:
     """Return the grid with the units of numbers that are swept: a loop knows them."""
     axes = dict(made.axes)
     for name, axis in made.axes.items():
         units = {unit for one in made.scenarios if (unit := _unit(one, name))}
         if len(units) == 1:
-            labels = map(str, axis.values)
-            labelled = None if axis.given == axis.values else dict(zip(labels, axis.given, strict=True))
-            axes[name] = Axis(labelled or axis.values, units.pop())
-    return Grid(axes, made.scenarios)
+            axes[name] = Axis(axis.values, units.pop())
+    return Points(axes, made.scenarios)
 
 
 def _unit(made: Scenario, name: str) -> str:

@@ -2,10 +2,13 @@
 
 import inspect
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
+from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeGuard
 
@@ -23,7 +26,6 @@ from pinmobile.cli.choices import (
 )
 from pinmobile.cli.options import Options, Refused, choose, controller_of, path_of, plant_of
 from pinmobile.errors import shown
-from pinmobile.sweeps import Code
 
 Table = Mapping[str, Any]
 
@@ -270,6 +272,36 @@ class _Offered:
                 lambda name: f"{_place(self.kind)}.{name}",
             )
         )
+
+
+class Code:
+    """The modules beside a file, imported by name."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def named(self, name: str) -> Any:
+        """Return the object that ``"module:Name"`` names."""
+        where, _, what = name.partition(":")
+        with self.errors(f"{name} cannot be loaded"):
+            sys.path.insert(0, str(self.folder))
+            try:
+                module = import_module(where)
+            finally:
+                sys.path.remove(str(self.folder))
+        if not hasattr(module, what):
+            raise UnknownName(f"name in {module.__file__}", what, vars(module))
+        return getattr(module, what)
+
+    @contextmanager
+    def errors(self, doing: str) -> Iterator[None]:
+        """State an error of these modules in one sentence."""
+        try:
+            yield
+        except PinmobileError:
+            raise
+        except Exception as error:
+            raise InvalidArgument(f"{doing}: it raises {type(error).__name__}: {error}") from error
 
 
 class Maker:

@@ -9,6 +9,7 @@ from pinmobile.compiled._vectorize import vectorize
 from pinmobile.compiled.elementary import sincos as sincos
 from pinmobile.compiled.emit import BINS as BINS, FIRST as FIRST, SHIFT as SHIFT, Shape as Shape
 from pinmobile.compiled.identity import (
+    Contents as Contents,
     Identity as Identity,
     is_constant as is_constant,
     is_traced as is_traced,

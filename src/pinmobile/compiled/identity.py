@@ -40,6 +40,7 @@ _BEGAN = time.time()
 _DEEPEST = 60
 _ATOMS = (bool, int, float, complex, str, bytes, type(None), type(...), range)
 _constant: weakref.WeakKeyDictionary[Any, Hashable] = weakref.WeakKeyDictionary()
+_constant_values: weakref.WeakKeyDictionary[Any, Hashable] = weakref.WeakKeyDictionary()
 _MADE = {  # methods that attrs and dataclasses write, and that no law calls
     *("__init__", "__repr__", "__eq__", "__hash__", "__setattr__", "__delattr__", "__replace__"),
     *("__getstate__", "__setstate__", "__reduce__", "__copy__", "__attrs_post_init__"),
@@ -86,6 +87,7 @@ class Identity:
         self.key: tuple[Any, ...] = ()
         self._seen: dict[int, tuple[int, Any]] = {}
         self._changing = 0  # values met that may change
+        self._by_value = False  # whether a part is none of the loop's, so that its numbers are constants
 
     @classmethod
     def of(cls, loop: Any, memory: Sequence[Any], spread: Mapping[str, Any], others: Hashable) -> Self:
@@ -121,18 +123,19 @@ class Identity:
 
     def _field(self, name: str, declared: Field, value: Any) -> Hashable:
         """Return a field of a part: of a number that may differ, its shape and which entries are neutral."""
-        if isinstance(declared, Number) and not declared.fixed and value is not None:
+        if isinstance(declared, Number) and not (declared.fixed or self._by_value or value is None):
             return name, np.shape(value), (np.asarray(value) != declared.neutral).tobytes()
         if isinstance(declared, Child) and declared.many:
             return name, tuple((key, self._part(each)) for key, each in entries_of(value))
-        return name, self._part(value)
+        return name, (self._part if isinstance(declared, Child) else self._value)(value)
 
     def _part(self, part: Any) -> Hashable:
         """Return a part, with what was found before of one that cannot change."""
         if not is_part(part):
             return self._value(part)
+        cache = _constant_values if self._by_value else _constant
         try:
-            known: Hashable = _constant.get(part)
+            known: Hashable = cache.get(part)
         except TypeError:
             known = None
         if known is not None:
@@ -141,7 +144,14 @@ class Identity:
         found = self._class(type(part)), tuple(self._field(*each) for each in fields_of(part))
         if before == (self._changing, True) and self.is_lasting:
             with contextlib.suppress(TypeError):  # no weak references
-                _constant[part] = found
+                cache[part] = found
+        return found
+
+    def _whole_part(self, part: Any) -> Hashable:
+        """Return a part that code refers to, with its numbers."""
+        before, self._by_value = self._by_value, True
+        found = self._part(part)
+        self._by_value = before
         return found
 
     def _memory(self, tree: Any) -> Hashable:
@@ -186,7 +196,7 @@ class Identity:
         if isinstance(x, tuple):
             return type(x).__qualname__, tuple(map(self._value, x))
         if is_part(x):
-            return self._part(x)
+            return self._whole_part(x)
         if isinstance(x, PurePath | np.dtype | GenericAlias):
             return "text", repr(x)
         if hasattr(type(x), "saveToString"):  # a model of Pinocchio, whose copies are the same
@@ -231,7 +241,8 @@ class Identity:
         if isinstance(x, SimpleNamespace) or not is_foreign(kind.__module__):
             slots = {name: getattr(x, name) for name in _slots(kind) if hasattr(x, name)}  # type: ignore[arg-type]
             if slots or isinstance(own, dict):
-                held = slots | (own or {})
+                made = {name for name in own or () if _is_cached(kind, name)}
+                held = slots | {name: value for name, value in (own or {}).items() if name not in made}
                 return self._class(kind), tuple((name, self._value(value)) for name, value in held.items())
         self.is_lasting = False
         return "object", id(x)
@@ -255,8 +266,8 @@ class Identity:
 
     def _function(self, function: FunctionType) -> Hashable:
         """Return a function: of the library and others by name, of a user by code and what that refers to."""
-        module = function.__module__ or ""
-        name = module, function.__qualname__
+        module = str(function.__globals__.get("__name__", ""))  # its own, whatever it wraps
+        name = module, function.__code__.co_qualname
         library = _is_library(module)
         if (library or is_foreign(module)) and not function.__closure__ and function.__name__ != "<lambda>":
             return name
@@ -296,6 +307,46 @@ class Identity:
         source = _source() if self.is_lasting else None
         text = source and f"{source} {_text(self.key)}"
         return None if text is None else hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
+
+
+class Contents(Identity):
+    """A value with all its numbers and its code, which are the same in every process.
+
+    Attributes
+    ----------
+    unknown : str
+        What has no contents that are known; "" where there is no such thing.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.unknown = ""
+
+    @classmethod
+    def of_value(cls, value: Any) -> tuple[str, str]:
+        """Return a value as text, and what of it has none."""
+        own = cls()
+        return _text(own._value(value)), own.unknown
+
+    def _part(self, part: Any) -> Hashable:
+        return self._class(type(part)), tuple((name, self._value(x)) for name, _, x in fields_of(part))
+
+    def _object(self, x: Any) -> Hashable:
+        named = getattr(x, "__qualname__", None)
+        if named and is_foreign(getattr(x, "__module__", None) or ""):
+            return "compiled", x.__module__, named
+        found = super()._object(x)
+        if found != ("object", id(x)):
+            return found
+        with contextlib.suppress(TypeError):  # of what no copy can be made
+            return "copied", self._value(x.__reduce_ex__(4))
+        self.unknown = self.unknown or named or f"a {type(x).__name__}"
+        return "unknown", type(x).__qualname__
+
+
+def _is_cached(kind: type, name: str) -> bool:
+    """Return whether an attribute is what a cached property of the class remembers."""
+    return isinstance(getattr(kind, name, None), functools.cached_property)
 
 
 def _is_library(module: str) -> bool:

@@ -22,7 +22,7 @@ from pinmobile.controllers.controller import (
 from pinmobile.controllers.driving import Driven, RandomSteps, VelocityCommand, WheelSpeed
 from pinmobile.controllers.feedback import PD, PID, ComputedTorque, Decoupled, PDGravity, gain_matrix
 from pinmobile.controllers.lqr import LQR
-from pinmobile.controllers.mpc import MPC, solver as solver
+from pinmobile.controllers.mpc import MPC
 from pinmobile.controllers.sliding import SlidingMode, SuperTwisting
 from pinmobile.controllers.steering import (
     Changing,

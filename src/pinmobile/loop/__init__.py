@@ -1,13 +1,7 @@
 """The closed loop: `simulate` runs one robot, `ensemble` many; `Rollout` and `Ensemble` are their results."""
 
 from pinmobile.loop._checks import (
-    check_answers as check_answers,
-    check_controllers_memory as check_controllers_memory,
-    checked_forces as checked_forces,
-    checked_loop as checked_loop,
-    checked_substeps as checked_substeps,
     chosen_integrator as chosen_integrator,
-    sample_times as sample_times,
     sampled as sampled,
     started as started,
 )
@@ -16,7 +10,6 @@ from pinmobile.loop._counts import (
     Part,
     checked_share as checked_share,
     edges as edges,
-    miscounted as miscounted,
     share_within as share_within,
 )
 from pinmobile.loop._description import Outline, percent as percent
@@ -27,38 +20,29 @@ from pinmobile.loop._loop import (
     Record,
     Sample,
     State as State,
-    named_forces as named_forces,
     reaction as reaction,
     step,
-    tracking_errors as tracking_errors,
 )
 from pinmobile.loop._record import Samples, Worst
 from pinmobile.loop._rollout import Rollout, error_text as error_text
 from pinmobile.loop._run import ensemble, part_of, run_scenario, way_of as way_of
 from pinmobile.loop._scenario import Scenario
-from pinmobile.loop._simulate import COMPILED, PYTHON, Engine, checked_engine as checked_engine, simulate
+from pinmobile.loop._simulate import COMPILED, PYTHON, Engine, simulate
 from pinmobile.loop._spread import (
     TRUE_MODEL,
     Distribution,
     Normal,
     Relative,
     Same,
-    Source as Source,
     Uniform,
-    check_mapping as check_mapping,
 )
 from pinmobile.loop._storage import (
-    RECORDED as RECORDED,
-    described_run as described_run,
-    restored_run as restored_run,
-    signal_columns as signal_columns,
     why_unknown as why_unknown,
 )
 from pinmobile.loop._variables import (
     LEVELS as LEVELS,
     NOTE as NOTE,
     PER_ROBOT as PER_ROBOT,
-    SUMMED as SUMMED,
     coordinates as coordinates,
     drawn as drawn,
     drawn_name as drawn_name,

@@ -213,6 +213,7 @@ class Outline:
             return scenario
         given = checked_scenario(scenario)
         same: dict[str, Any] = {name: getattr(given, name) for name in (*_NUMBERS, "parameters", *_SAMPLED)}
+        same["every"] = given.stride
         parts: dict[str, Any] = {name: _words(getattr(given, name)) for name in _PARTS}
         forces, spread = tuple(map(_words, named_forces(given.forces).values())), given.spread.items()
         return cls(

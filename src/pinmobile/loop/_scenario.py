@@ -137,7 +137,7 @@ class Scenario:
         self._set(forces=checked_forces(self.forces, self.robot))
         duration = None if self.duration is None else positive("duration", self.duration, "s")
         t = sample_times(dt, duration, self.trajectory.duration)
-        every = max(1, round((len(t) - 1) / _GRID)) if self.every is None else whole("every", self.every)
+        every = None if self.every is None else whole("every", self.every)
         self._set(
             n=n,
             dt=dt,
@@ -151,7 +151,7 @@ class Scenario:
         )
         self._set(reference=sampled(self.trajectory, t, self.robot))
         affordable(
-            f"the bands of {len(self.grid):,} times, every {every} samples,",
+            f"the bands of {len(self.grid):,} times, every {self.stride} samples,",
             (1 + len(self.channels)) * BINS * len(self.grid),
             "give a larger `every`",
         )
@@ -167,15 +167,15 @@ class Scenario:
 
     def find(self, name: str, where: str = "spread") -> Found:
         """Return the number that a name of the spread means, see `pinmobile.parts.find`."""
-        return find(self._given, name, self._known, where)
+        return find(self.given, name, self._known, where)
 
     @cached_property
     def _known(self) -> dict[str, Found]:
-        return named(self._given)
+        return named(self.given)
 
     def _refuse_shared(self, name: str) -> None:
         """Reject a spread of a whole number, such as the samples of a delay: all robots share it."""
-        for leaf in walk(self._given):
+        for leaf in walk(self.given):
             if isinstance(leaf.declared, Whole) and f".{leaf.path}".endswith(f".{name}"):
                 raise InvalidArgument(
                     f"spread has {name!r}, a whole number of a {type(leaf.owner).__name__}, which all "
@@ -201,7 +201,7 @@ class Scenario:
     @property
     def stride(self) -> int:
         """Samples between two entries of the bands."""
-        return self.every or 1
+        return self.every or max(1, round((len(self.t) - 1) / _GRID))
 
     @property
     def begin(self) -> int:
@@ -222,7 +222,8 @@ class Scenario:
         return replace(context, seed=self.seed)
 
     @cached_property
-    def _given(self) -> Loop:
+    def given(self) -> Loop:
+        """The loop that is given: the nominal one, before the spread gives its numbers entries."""
         parts = self.robot, self.controller, self.trajectory, self.forces, self.integrator
         return Loop(*parts, self.substeps)
 
@@ -267,7 +268,7 @@ class Scenario:
             or self._known[path].leaf.value is None
         }
         nominal = {path: np.broadcast_to(self._nominal(path), np.shape(new)) for path, new in grown.items()}
-        return replaced(self._given, nominal) if nominal else self._given
+        return replaced(self.given, nominal) if nominal else self.given
 
     def _nominal(self, path: str) -> Any:
         value = self._known[path].leaf.value
@@ -354,7 +355,7 @@ class Scenario:
     @cached_property
     def _drawn(self) -> dict[str, Any]:
         """Parts that draw numbers for each robot without a spread, by the paths of these numbers."""
-        found = parts_of(self._given)
+        found = parts_of(self.given)
         return {f"{path}.{name}": part for path, part in found for name in getattr(part, "drawn", ())}
 
     def values(self, draws: Mapping[str, Array], start: int, stop: int) -> dict[str, Array]:
@@ -380,7 +381,7 @@ class Scenario:
         ones = {name: np.ones(1) for name in self.spread}
         found = spread_entries(list(self.found.values()), self._spread_values(ones, 1))
         kept = {path: x for path, x in found.items() if is_traced(path)}
-        known = numbers(self._given)
+        known = numbers(self.given)
         drawn = {path: known[path].value for path in self._drawn if path in known}
         return kept | {path: np.ones(np.shape(value), bool) for path, value in drawn.items()}
 

@@ -1,6 +1,6 @@
 """Figures of rollouts, reports and ensembles: matplotlib without pyplot, so no window is needed."""
 
-from pinmobile.plots.comparison import benchmark, end_effector, prediction
+from pinmobile.plots.comparison import end_effector, prediction
 from pinmobile.plots.drivers import bands, drivers
 from pinmobile.plots.plane import animate, path
 from pinmobile.plots.series import balance, errors, forces, reaction, signals, states
@@ -18,7 +18,6 @@ __all__ = [
     "animate",
     "balance",
     "bands",
-    "benchmark",
     "curves",
     "drivers",
     "end_effector",

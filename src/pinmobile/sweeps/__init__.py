@@ -1,14 +1,12 @@
-"""Ensembles along named axes: run anywhere, kept in a store that outlives any interruption."""
+"""Ensembles at the points of a grid, in this process or on a Dask cluster, in a store that resumes."""
 
-from pinmobile.sweeps.code import Code
-from pinmobile.sweeps.contents import (
+from pinmobile.sweeps._points import Axis as Axis, Points as Points
+from pinmobile.sweeps._result import (
     Sweep,
-    attributes_of as attributes_of,
     compared as compared,
-    length,
+    length as length,
     since as since,
 )
-from pinmobile.sweeps.grids import Axis, Grid, grid
-from pinmobile.sweeps.workers import check_draws, connected, sweep
+from pinmobile.sweeps._sweep import connected as connected, run_points as run_points, sweep
 
-__all__ = ["Axis", "Code", "Grid", "Sweep", "check_draws", "connected", "grid", "length", "sweep"]
+__all__ = ["Sweep", "sweep"]

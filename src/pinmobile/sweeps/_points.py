@@ -1,0 +1,290 @@
+"""Points of a sweep: a scenario with other values at some paths, along named axes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import product
+from math import isfinite, prod
+from numbers import Real
+from typing import Any, TypeAlias, final
+
+import numpy as np
+
+from pinmobile.errors import InvalidArgument, UnknownName, shown
+from pinmobile.loop import Loop, Relative, Scenario, chosen_integrator
+from pinmobile.parts import (
+    Field,
+    Found,
+    Leaf,
+    Number,
+    entries_of,
+    find,
+    named,
+    parts_of,
+    replace as replaced,
+    walk,
+)
+
+Label: TypeAlias = float | str
+Changes: TypeAlias = Mapping[str, Any]
+"""Values by path."""
+
+_PARTS = {"robot": "plant"} | {name: name for name in ("controller", "trajectory", "integrator", "forces")}
+_OWN = {each.name for each in fields(Scenario) if each.init} - _PARTS.keys()
+_UNITS = {"dt": "s", "duration": "s", "after": "s"}
+_MOST = 100_000  # points, each with some twenty files in a store
+RESERVED = frozenset(
+    {
+        *("robot", "coordinate", "input", "time", "channel", "bin", "level", "chunk", "counts"),
+        *("max_error", "rms_error", "max_force", "max_distance", "diverged_at"),
+        *("worst_measure", "rms_measure", "measure", "quantiles"),
+    }
+)
+"""Names of a store's own dimensions and arrays."""
+
+
+@final
+@dataclass(frozen=True)
+class Axis:
+    """Values along one axis of a sweep.
+
+    Attributes
+    ----------
+    values : tuple of float or str
+        The values, or their labels.
+    unit : str
+        Unit of the values, "" for none.
+    """
+
+    values: tuple[Label, ...]
+    unit: str = ""
+
+    @property
+    def printed_unit(self) -> str:
+        """The unit in text: "" where it is "1", that of a number without dimension."""
+        return "" if self.unit == "1" else self.unit
+
+    def text(self, i: int) -> str:
+        """Return a value as text."""
+        label = self.values[i]
+        return label if isinstance(label, str) else f"{label:g}"
+
+
+def place(axes: Mapping[str, Axis], index: Sequence[int]) -> list[str]:
+    """Return a place along the axes in words, such as ``controller.kp = 4 1/s^2``, axis by axis."""
+    items = zip(axes.items(), index, strict=True)
+    return [f"{name} = {axis.text(i)} {axis.printed_unit}".rstrip() for (name, axis), i in items]
+
+
+def index_of(axes: Mapping[str, Axis], labels: Mapping[str, Any]) -> tuple[int, ...]:
+    """Return the place with these labels; an axis of one value need not be named."""
+    for name in labels.keys() - axes.keys():
+        raise UnknownName("axis", name, axes)
+    found = []
+    for name, axis in axes.items():
+        label = labels.get(name, axis.values[0] if len(axis.values) == 1 else None)
+        if not isinstance(label, str | Real) or label not in axis.values:
+            raise InvalidArgument(
+                f"{name} is {shown(label)}, expected one of {', '.join(map(repr, axis.values))}"
+            )
+        found.append(axis.values.index(label))
+    return tuple(found)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Scenarios along named axes; the last axis runs fastest.
+
+    Parameters
+    ----------
+    axes : mapping of str to Axis
+        The axes.
+    scenarios : sequence of Scenario
+        One for each point; all have the same n, times of bands, coordinates, inputs and metrics.
+    """
+
+    axes: Mapping[str, Axis]
+    scenarios: Sequence[Scenario]
+
+    def __post_init__(self) -> None:
+        first = _alike(self.scenarios[0])
+        for k, scenario in enumerate(self.scenarios):
+            for name, value in _alike(scenario).items():
+                if value != first[name]:
+                    raise InvalidArgument(
+                        f"{name} is {first[name]} at {self.place(0)} and {value} at {self.place(k)}, "
+                        "expected the same: sweep them in stores of their own"
+                    )
+
+    @classmethod
+    def of(cls, scenario: Scenario, grid: Mapping[str, Any] | None, cases: Any = None) -> Points:
+        """Return the points of grid x cases around a scenario; the arguments are those of `sweep`."""
+        if not isinstance(scenario, Scenario):
+            raise InvalidArgument(f"scenario is a {type(scenario).__name__}, expected a Scenario")
+        grid, cases = _mapping("grid", grid), _mapping("cases", cases)
+        cases = {name: _mapping(f"cases[{name!r}]", changes) for name, changes in cases.items()}
+        given = {_axis_name(name): values for name, values in grid.items()}
+        if cases or not given:
+            given["case"] = cases or {"all": {}}
+        axes = {name: _labels(name, values) for name, values in given.items()}
+        if (count := prod(len(axis.values) for axis in axes.values())) > _MOST:
+            raise InvalidArgument(f"grid and cases have {count:,} points, expected at most {_MOST:,}")
+        choices = [list(x.values()) if isinstance(x, Mapping) else list(x) for x in given.values()]
+        scenarios = []
+        for index in product(*(range(len(axis.values)) for axis in axes.values())):
+            values = {name: choice[i] for name, choice, i in zip(axes, choices, index, strict=True)}
+            changes = values | values.pop("case", {})
+            try:
+                scenarios.append(changed(scenario, changes))
+                scenarios[-1].draws()  # impossible ones are refused before any work
+            except InvalidArgument as error:
+                raise InvalidArgument(f"{error} (at {', '.join(place(axes, index))})") from error
+        units = {name: _unit(scenarios[0], name) for name, values in given.items() if _are_numbers(values)}
+        return cls({name: Axis(axis.values, units.get(name, "")) for name, axis in axes.items()}, scenarios)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of values along each axis."""
+        return tuple(len(axis.values) for axis in self.axes.values())
+
+    @property
+    def n(self) -> int:
+        """Robots of each scenario."""
+        return self.scenarios[0].n
+
+    def index(self, k: int) -> tuple[int, ...]:
+        """Return the place of scenario k along each axis."""
+        return tuple(int(i) for i in np.unravel_index(k, self.shape))
+
+    def place(self, k: int) -> str:
+        """Return the place of scenario k in words."""
+        return ", ".join(place(self.axes, self.index(k)))
+
+
+def _mapping(name: str, value: Any) -> Mapping[str, Any]:
+    found = {} if value is None else value
+    if not isinstance(found, Mapping) or not all(isinstance(key, str) for key in found):
+        raise InvalidArgument(f"{name} is {shown(value)}, expected a mapping by text")
+    return found
+
+
+def _alike(scenario: Scenario) -> dict[str, Any]:
+    """Return what the scenarios of a store share."""
+    listed = {
+        name: ", ".join(f"{one.name} [{one.unit}]" for one in getattr(scenario, name)) or "none"
+        for name in ("coordinates", "inputs", "judged")
+    }
+    times = f"every {scenario.dt * scenario.stride:.9g} s, {len(scenario.grid)} times"
+    return {"n": scenario.n, **listed, "time of the bands": times}
+
+
+def _axis_name(path: str) -> str:
+    name = "plant" if path == "robot" else path.replace("/", ".")
+    if name in RESERVED or name == "case":
+        raise InvalidArgument(f"grid has {path!r}, a name of the store's own, expected the full path")
+    return name
+
+
+def _are_numbers(values: Any) -> bool:
+    return not isinstance(values, Mapping) and not isinstance(values[0], str)
+
+
+def _labels(name: str, values: Any) -> Axis:
+    """Return an axis without its unit."""
+    listed = values.tolist() if isinstance(values, np.ndarray) else values
+    found = tuple(listed) if isinstance(listed, Sequence | Mapping) and not isinstance(listed, str) else ()
+    numbers = all(isinstance(x, Real) and not isinstance(x, bool) and isfinite(x) for x in found)
+    if not found or not (numbers or all(isinstance(x, str) for x in found)) or len(set(found)) < len(found):
+        raise InvalidArgument(
+            f"{name} is {shown(values)}, expected different finite numbers or texts, or a mapping of them"
+        )
+    return Axis(tuple(x.item() if isinstance(x, np.generic) else x for x in found))
+
+
+def _known(loop: Loop) -> dict[str, Found]:
+    """Return all that has a path in a loop: parts, fields, and entries of numbers."""
+    known = {leaf.path: Found(leaf) for leaf in walk(loop) if "._" not in leaf.path}
+    known |= {path: Found(Leaf(path, loop, Field(), part)) for path, part in parts_of(loop) if path}
+    return known | named(loop)
+
+
+def _unit(scenario: Scenario, path: str) -> str:
+    """Return the unit of a number by path."""
+    if path in _OWN:
+        return _UNITS.get(path, "")
+    return find(scenario.given, path.removeprefix("spread."), _known(scenario.given)).unit
+
+
+def changed(scenario: Scenario, changes: Changes) -> Scenario:
+    """Return a scenario with other values at some paths, outer parts first.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The original.
+    changes : mapping of str to value
+        By path: of a field of the scenario, ``spread.NAME``, or a number or part of the loop.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such path.
+    InvalidArgument
+        If a value is not what the field declares.
+    """
+    loop, spread = scenario.given, scenario.spread
+    own, numbers, found = dict[str, Any](), dict[str, Any](), set[str]()
+    named_so = {_PARTS.get(path, path): value for path, value in changes.items()}
+    for path in sorted(named_so, key=lambda path: (path not in _PARTS.values(), path.count("."))):
+        value, (first, _, rest) = named_so[path], path.partition(".")
+        if path == "spread":
+            spread = value
+        elif path in _OWN:
+            own[path] = value
+        elif first == "spread" or first.startswith("start"):
+            spread = {**spread, rest if first == "spread" else path: value}
+        elif path in _PARTS.values():
+            loop = replaced(loop, {path: value})
+        elif first == "forces" and rest and "." not in rest:
+            loop = replaced(loop, {"forces": _with_force(loop.forces, rest, value)})
+        else:
+            one = find(loop, path, _known(loop), "grid or cases")
+            found.add(one.path)
+            if one.entry is not None:
+                value = _with_entry(numbers.get(one.leaf.path, one.leaf.value), one, value, scenario.size)
+            if isinstance(one.leaf.declared, Number):
+                numbers[one.leaf.path] = value
+            else:
+                loop = replaced(loop, {one.leaf.path: value})
+    loop = replaced(loop, numbers)
+    default = chosen_integrator(scenario.robot, None) is loop.integrator
+    new = replace(
+        scenario,
+        **own | {"spread": spread},
+        robot=loop.plant,
+        integrator=None if default else loop.integrator,
+        **{name: getattr(loop, name) for name in ("controller", "trajectory", "forces")},
+    )
+    for name, source in new.spread.items():
+        if new.found[name].path in found and not isinstance(source, Relative):
+            raise InvalidArgument(
+                f"grid or cases have {new.found[name].path!r}, which the spread gives each robot anyway: "
+                f"expected 'spread.{name}', or a spread by Relative"
+            )
+    return new
+
+
+def _with_force(forces: Any, key: str, force: Any) -> Any:
+    items = dict(entries_of(forces))
+    more = items | {key: force}
+    return more if isinstance(forces, Mapping) or key not in items else tuple(more.values())
+
+
+def _with_entry(base: Any, one: Found, value: Any, size: int) -> Any:
+    """Return an array in which an entry has another value; of one gain for all coordinates, an array."""
+    array = np.array(0.0 if base is None else base, np.float64)
+    array = array if array.ndim else np.repeat(array, size)
+    array[one.place(array.ndim)] = value
+    return array

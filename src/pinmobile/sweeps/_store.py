@@ -1,0 +1,379 @@
+"""The store of a sweep: a Zarr folder that one process writes, chunk by chunk, and that xarray reads.
+
+A chunk of robots is done when all its files are there, and each file is written whole or not at all. So a
+store that was interrupted, or that lost files, is completed by computing the chunks that are not done.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from hashlib import sha256
+from math import prod
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+
+from pinmobile.arrays import Array
+from pinmobile.compiled import BINS
+from pinmobile.errors import FileError, InvalidArgument, shown
+from pinmobile.extras import imported
+from pinmobile.files import refusals, write
+from pinmobile.loop import (
+    LEVELS,
+    NOTE,
+    Ensemble,
+    Part,
+    coordinates,
+    drawn,
+    drawn_name,
+    over_all,
+    per_robot,
+    summed,
+)
+from pinmobile.sweeps._fingerprint import FORMAT, differences
+from pinmobile.sweeps._points import Points
+
+# This module is imported by the first sweep, which needs these packages.
+xarray: Any = imported("xarray", "sweeps", "a sweep")
+zarr: Any = imported("zarr", "sweeps", "a sweep")
+
+METADATA = "zarr.json"
+AGAIN = "start the same sweep again"
+_LOCK, _WRITING = ".lock", ".writing"
+_LONGEST = 10_000_000  # numbers of a coordinate, which is read whole
+_TEXT = 1 << 24  # bytes of all texts of a coordinate
+
+
+class Job(NamedTuple):
+    """A chunk: the robots from `start` to before `stop` of a scenario."""
+
+    scenario: int
+    start: int
+    stop: int
+
+
+class Store:
+    """The store of a sweep, for the process that writes it.
+
+    Parameters
+    ----------
+    path : Path
+        Its folder; made if it is missing.
+    points : Points
+        The scenarios.
+    description : mapping
+        All that determines the numbers, see `describe`.
+    chunk : int
+        Robots in a chunk of a new store.
+
+    Raises
+    ------
+    InvalidArgument
+        If the folder is something else, belongs to another sweep, or another process writes it.
+    """
+
+    def __init__(self, path: Path, points: Points, description: Mapping[str, Any], chunk: int) -> None:
+        self.path, self.points = path, points
+        is_new = not path.exists()
+        with refusals("written", "store", path):
+            if not is_new and any(each.name not in (_LOCK, _WRITING) for each in path.iterdir()):
+                attributes_of(path)  # which refuses a folder of other things
+            path.mkdir(parents=True, exist_ok=True)
+            self._lock = _locked(path)
+        try:
+            self._open(description, chunk)
+        except BaseException:
+            self.__exit__()
+            if is_new and not (path / METADATA).exists():
+                with suppress(OSError):  # a folder that is not empty stays
+                    path.rmdir()
+            raise
+
+    def _open(self, description: Mapping[str, Any], chunk: int) -> None:
+        (self.path / _WRITING).unlink(missing_ok=True)  # of a process that died
+        if not (self.path / METADATA).exists():
+            self._write(METADATA, _empty_store(self.points, description, chunk)[METADATA])
+        there = attributes_of(self.path)
+        found = differences(there["determined_by"], description)
+        if found:
+            raise InvalidArgument(f"store is {str(self.path)!r}, which belongs to another sweep: {found}")
+        self.chunk: int = there["chunk"]
+        for place, data in _empty_store(self.points, description, self.chunk).items():
+            if place != METADATA and _content(self.path / place) != data:
+                self._write(place, data)
+        # Written arrays are gathered here, and from here go to disk, each file whole or not at all.
+        as_buffer = zarr.core.buffer.default_buffer_prototype().buffer.from_bytes
+        self._gathered: dict[str, Any] = {METADATA: as_buffer((self.path / METADATA).read_bytes())}
+        with zarr.config.set({"array.write_empty_chunks": True}):
+            group = zarr.open_group(zarr.storage.MemoryStore(self._gathered), mode="r+")
+            self._arrays: dict[str, Any] = {name: group[name] for name in there["nodes"]}
+        for k in range(len(self.points.scenarios)):
+            self._sum_up(k)
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        (self.path / _LOCK).unlink(missing_ok=True)
+        self._lock.close()
+
+    def jobs(self, scenario: int) -> list[Job]:
+        """Return the chunks of a scenario, done or not."""
+        n, each = self.points.n, self.chunk
+        return [Job(scenario, start, min(start + each, n)) for start in range(0, n, each)]
+
+    def waiting(self) -> list[Job]:
+        """Return the chunks that are not done."""
+        return [
+            job for k in range(len(self.points.scenarios)) for job in self.jobs(k) if not self._is_done(job)
+        ]
+
+    def record(self, job: Job, draws: Mapping[str, Array], part: Part) -> None:
+        """Write the numbers of a chunk.
+
+        Raises
+        ------
+        FileError
+            If the system fails, such as of a full disk; all that is there stays.
+        """
+        where = (*self.points.index(job.scenario), slice(job.start, job.stop))
+        records = Ensemble.of(self.points.scenarios[job.scenario], draws, part)
+        for name in per_robot(records.scenario):
+            self._arrays[name][where] = getattr(records, name)
+        for name, values in draws.items():
+            self._arrays[drawn_name(name)][where] = values
+        self._arrays["counts"][(*where[:-1], job.start // self.chunk)] = part.counts
+        self._write_gathered()
+        self._sum_up(job.scenario)
+
+    def _sum_up(self, scenario: int) -> None:
+        """Write the quantiles of a scenario when all its chunks are done."""
+        if self._has("quantiles", scenario) or not all(map(self._is_done, self.jobs(scenario))):
+            return
+        where = self.points.index(scenario)
+        with reading(self.path):
+            counts = np.asarray(_open_group(self.path)["counts"][where].sum(axis=0), np.int32)
+        found = summed(counts, self.points.scenarios[scenario].channels)
+        self._arrays["quantiles"][where] = found["quantiles"]
+        self._write_gathered()
+
+    def _write_gathered(self) -> None:
+        for place in [place for place in self._gathered if place != METADATA]:
+            self._write(place, self._gathered.pop(place).to_bytes())
+
+    def _write(self, place: str, data: bytes) -> None:
+        file = self.path / place
+        try:
+            with refusals("written", "a file of the store", file):
+                file.parent.mkdir(parents=True, exist_ok=True)
+            write(file, data, name="a file of the store", through=self.path / _WRITING)
+        except FileError as error:
+            more = f"{error}; what is done is in the store: {AGAIN} to resume"
+            raise FileError(more, errno=error.errno, filename=error.filename) from error
+
+    def _is_done(self, job: Job) -> bool:
+        one = self.points.scenarios[job.scenario]
+        names = *per_robot(one), *map(drawn_name, one.spread), "counts"
+        return all(self._has(name, job.scenario, job.start // self.chunk) for name in names)
+
+    def _has(self, name: str, scenario: int, chunk: int = 0) -> bool:
+        """Return whether the file of an array for a chunk is on disk."""
+        inner = [chunk, *[0] * (self._arrays[name].ndim - len(self.points.axes) - 1)]
+        return self.path.joinpath(name, "c", *map(str, (*self.points.index(scenario), *inner))).is_file()
+
+
+def _locked(path: Path) -> IO[bytes]:
+    """Return a file that only one process can hold; the system releases it when that process dies."""
+    while True:
+        file = (path / _LOCK).open("ab")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.path.samestat(os.fstat(file.fileno()), os.stat(path / _LOCK)):
+                return file
+        except FileNotFoundError:
+            pass
+        except BlockingIOError as error:
+            file.close()
+            raise InvalidArgument(f"store is {str(path)!r}, which another process is writing") from error
+        file.close()  # another process has just removed it
+
+
+def _content(file: Path) -> bytes | None:
+    try:
+        return file.read_bytes()
+    except OSError:
+        return None
+
+
+def _empty_store(points: Points, description: Mapping[str, Any], chunk: int) -> dict[str, bytes]:
+    """Return the files of a store before any number is known, by place."""
+    files: dict[str, Any] = {}
+    with zarr.config.set({"array.write_empty_chunks": True}):  # so that a coordinate of zeros has a file too
+        _make_arrays(zarr.create_group(zarr.storage.MemoryStore(files)), points, chunk)
+    made = {place: content.to_bytes() for place, content in files.items()}
+    metadata = json.loads(made.pop(METADATA))
+    nodes = {place.split("/")[0]: json.loads(made[place]) for place in made if place.endswith(METADATA)}
+    begins = {scenario.after for scenario in points.scenarios}
+    mine = {"chunk": chunk, "determined_by": description}
+    since = {"errors_from_s": begins.pop()} if len(begins) == 1 else {}
+    metadata["attributes"] = {
+        "Conventions": NOTE,
+        "pinmobile_sweep": json.dumps({**mine, "digest": digest_of(mine, nodes, since), "arrays": [*nodes]}),
+        **since,
+    }
+    # No specification has it yet, but readers that do not know it ignore it.
+    metadata["consolidated_metadata"] = {"kind": "inline", "must_understand": False, "metadata": nodes}
+    return {METADATA: json.dumps(metadata, indent=2).encode(), **made}
+
+
+def _make_arrays(group: Any, points: Points, chunk: int) -> None:
+    codec = zarr.codecs.ZstdCodec(level=0, checksum=True)
+    first, n, chunk = points.scenarios[0], points.n, min(chunk, points.n)
+    swept = [(name, list(axis.values), axis.unit, name) for name, axis in points.axes.items()]
+    for name, values, unit, meaning in [*swept, *coordinates(first)]:
+        data = np.array(values, dtype=object if isinstance(values[0], str) else None)
+        options = {"shape": data.shape, "chunks": data.shape, "dimension_names": [name], "compressors": codec}
+        kind = "string" if data.dtype == object else data.dtype
+        attributes = {**({"units": unit} if unit else {}), "long_name": meaning}
+        group.create_array(name, dtype=kind, attributes=attributes, **options)[:] = data
+    sizes = {"robot": n, "coordinate": len(first.coordinates), "input": len(first.inputs)}
+    sizes |= {"time": len(first.grid), "bin": BINS, "level": len(LEVELS), "chunk": -(-n // chunk)}
+    sizes |= {"measure": len(first.judged), "channel": len(first.channels)}
+    spread = {name: one for scenario in points.scenarios for name, one in scenario.parameters.items()}
+    variables = {**per_robot(first), **drawn(dict(sorted(spread.items()))), **over_all(first.channels)}
+    counts = variables["counts"]
+    variables["counts"] = counts._replace(dimensions=("chunk", *counts.dimensions))
+    for name, one in variables.items():
+        each = [{"robot": chunk, "chunk": 1}.get(dimension, sizes[dimension]) for dimension in one.dimensions]
+        group.create_array(
+            name,
+            shape=(*points.shape, *(sizes[dimension] for dimension in one.dimensions)),
+            chunks=(*(1 for _ in points.axes), *each),
+            dtype=np.int32 if name == "counts" else np.float64,
+            fill_value=0 if name == "counts" else np.nan,
+            dimension_names=[*points.axes, *one.dimensions],
+            attributes=one.attributes,
+            compressors=codec,
+        )
+
+
+def digest_of(mine: Mapping[str, Any], nodes: Mapping[str, Any], since: Mapping[str, Any]) -> str:
+    """Return the digest of a store's own metadata; other entries of the file are not part of it."""
+    return sha256(json.dumps([mine, nodes, since], sort_keys=True).encode()).hexdigest()
+
+
+def attributes_of(path: Path) -> dict[str, Any]:
+    """Return a store's own metadata, with those of its arrays as ``nodes``.
+
+    Raises
+    ------
+    InvalidArgument
+        If there is no store of a sweep, or its metadata are damaged or name codecs that may run code.
+    """
+    file, is_ours = path / METADATA, False
+    try:
+        metadata = json.loads(file.read_bytes())
+        mine: dict[str, Any] = json.loads(metadata["attributes"]["pinmobile_sweep"])
+        if mine["determined_by"]["format"] != FORMAT:
+            raise ValueError(f"it has format {mine['determined_by']['format']}, expected {FORMAT}")
+        is_ours = True
+        digest, arrays = mine.pop("digest"), mine.pop("arrays")
+        consolidated = metadata["consolidated_metadata"]["metadata"]
+        nodes = {name: consolidated[name] for name in arrays}
+        since = {name: x for name, x in metadata["attributes"].items() if name == "errors_from_s"}
+        if digest_of(mine, nodes, since) != digest:
+            raise ValueError("it is not what was written")
+        for name, node in consolidated.items():
+            _check_plain(name, node)
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        why = f"it lacks {error}" if isinstance(error, KeyError) else f"{error}"
+        what = "is damaged" if is_ours else "is not the store of a sweep"
+        raise InvalidArgument(
+            f"store is {str(path)!r}, which {what}: {str(file)!r} cannot be read: {why}"
+        ) from error
+    return {**mine, "nodes": nodes}
+
+
+def _check_plain(name: str, node: Mapping[str, Any]) -> None:
+    """Refuse an array with codecs that may run code, and a coordinate beyond all sweeps."""
+    if node["zarr_format"] == 3 and node["node_type"] == "group":
+        return
+    codecs = [codec["name"] if isinstance(codec, dict) else codec for codec in node.get("codecs", ())]
+    kind = "text" if node.get("data_type") == "string" else np.dtype(node.get("data_type")).kind
+    plain = kind in ("text", *"biuf") and node["zarr_format"] == 3 and not node.get("storage_transformers")
+    if not plain or codecs != ["vlen-utf8" if kind == "text" else "bytes", "zstd"]:
+        raise ValueError(
+            f"array {shown(name)} has the codecs {shown(codecs)}, expected plain numbers or text"
+        )
+    if node["dimension_names"] == [name] and prod(node["shape"]) > _LONGEST:
+        raise ValueError(f"coordinate {name!r} declares {prod(node['shape']):,} numbers, above {_LONGEST:,}")
+
+
+class BoundedZstd(zarr.codecs.ZstdCodec):  # type: ignore[misc]
+    """The codec of a store, which unpacks a chunk to the bytes that its array declares, and to no more."""
+
+    def _decode_sync(self, chunk: Any, spec: Any) -> Any:
+        declared = np.dtype(spec.dtype.to_native_dtype())
+        packed, text = chunk.to_bytes(), declared.kind == "T" or declared.hasobject
+        size, most = _unpacked_size(packed), _TEXT if text else prod(spec.shape) * declared.itemsize
+        if size > most or (size < most and not text):
+            raise ValueError(f"it unpacks to {size} bytes, expected {'at most ' * text}{most}")
+        unpacked = np.empty(size, np.uint8)
+        self._zstd_codec.decode(packed, out=unpacked)  # which has room for no more, whatever it says
+        return spec.prototype.buffer.from_array_like(unpacked)
+
+
+def _unpacked_size(frame: bytes) -> int:
+    """Return the content size in the header of a Zstandard frame (RFC 8878, 3.1.1.1) [bytes]."""
+    kind, single, dictionary = frame[4] >> 6, frame[4] >> 5 & 1, frame[4] & 3
+    start = 6 - single + (0, 1, 2, 4)[dictionary]
+    size = int.from_bytes(frame[start : start + (single, 2, 4, 8)[kind]], "little")
+    return size + 256 if kind == 1 else size
+
+
+zarr.registry.register_codec("zstd", BoundedZstd, qualname="pinmobile")
+
+
+def _open_group(path: Path) -> Any:
+    with zarr.config.set({"codecs.zstd": "pinmobile"}):
+        return zarr.open_group(path, mode="r", zarr_format=3, use_consolidated=True)
+
+
+def open_dataset(path: Path) -> Any:
+    """Return a store as an xarray.Dataset that reads its files when they are needed."""
+    for name, node in attributes_of(path)["nodes"].items():
+        file = path / name / "c" / "0"
+        if node["dimension_names"] == [name] and not file.is_file():
+            raise InvalidArgument(f"store is {str(path)!r}, of which {str(file)!r} is gone; {AGAIN}")
+    with reading(path), zarr.config.set({"codecs.zstd": "pinmobile"}):
+        return xarray.open_zarr(path, chunks=None, consolidated=True, zarr_format=3)
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Name the file of a store that cannot be read."""
+    try:
+        yield
+    except Exception as error:  # whatever the codecs raise
+        raise InvalidArgument(
+            f"store is {str(path)!r}, of which {_damaged(path)}; remove that file, and {AGAIN}"
+        ) from error
+
+
+def _damaged(path: Path) -> str:
+    """Return which file of a store cannot be read, and why."""
+    group = _open_group(path)
+    for name in attributes_of(path)["nodes"]:
+        for file in sorted((path / name / "c").rglob("*")):
+            place = file.relative_to(path / name / "c").parts
+            if file.is_file() and all(part.isdecimal() for part in place):
+                try:
+                    group[name].blocks[tuple(map(int, place))]
+                except Exception as error:  # whatever the codecs raise
+                    return f"{str(file)!r} cannot be read: {error}"
+    return "a file cannot be read"
