@@ -34,9 +34,8 @@ from pinmobile import (
 )
 from pinmobile.loop import run_scenario
 from pinmobile.loop._counts import edges
-from pinmobile.loop._variables import PER_ROBOT
 from pinmobile.sweeps import Axis, Points, compared, length
-from pinmobile.sweeps._points import RESERVED, changed
+from pinmobile.sweeps._points import _NAMES, changed
 from tests.sweeping import CHUNK, GRID, ROBOT, contents, points, scenario, swept
 
 ROOT = Path(__file__).parents[1]
@@ -166,7 +165,7 @@ def test_the_store_has_named_dimensions_and_units(done: Sweep) -> None:
     assert json.loads(data.attrs["pinmobile_sweep"])["chunk"] == CHUNK
     assert (data.counts.sum(["chunk", "bin"]) == 200).all()
     mine = {str(name) for name in (*data.variables, *data.dims)} - set(done.axes)
-    assert {name for name in mine if not name.startswith("drawn_")} | set(PER_ROBOT) <= RESERVED
+    assert {name for name in mine if not name.startswith("drawn_")} <= _NAMES
 
 
 def test_a_sweep_has_the_ensembles_bit_for_bit(done: Sweep, tmp_path: Path) -> None:
@@ -239,7 +238,7 @@ RIVALS = {"controller": (("PD", "wild"),), "error": ((0.1, 0.2, 0.4),)}
         ({"kp": ((4, 9),)}, [1, INF], [0, 10], "with kp = 9, the robots diverge in 50 % of runs"),
         ({"kp": ((4, 9),)}, [1, 2], 0, "with kp = 9, the robots stay within 2 m in 90 % of runs"),
         (
-            {"e": ((1, 2), "1"), "kp": ((4,), "1/s^2")},
+            {"e": ((1, 2),), "kp": ((4,), "1/s^2")},
             [[1], [2]],
             0,
             "with e = 2, the robots stay within 2 m",

@@ -43,6 +43,7 @@ from pinmobile.loop._variables import (
     LEVELS as LEVELS,
     NOTE as NOTE,
     PER_ROBOT as PER_ROBOT,
+    SUMMED as SUMMED,
     coordinates as coordinates,
     drawn as drawn,
     drawn_name as drawn_name,

@@ -7,7 +7,8 @@ import re
 from collections.abc import Iterator, Mapping
 from hashlib import sha256
 from importlib.metadata import version as installed
-from platform import machine, python_version
+from platform import machine
+from sysconfig import get_python_version
 from typing import Any
 
 import numpy as np
@@ -47,7 +48,7 @@ def describe(points: Points, version: str | None = None) -> dict[str, Any]:
     found: dict[str, Any] = {
         "format": FORMAT,
         "machine": machine(),
-        "versions": {"python": python_version(), "pinmobile": pinmobile.__version__}
+        "versions": {"python": get_python_version(), "pinmobile": pinmobile.__version__}
         | {name: installed(name) for name in ("numpy", "scipy", "pin", "llvmlite")},
         "axes": {name: {"values": axis.values, "unit": axis.unit} for name, axis in points.axes.items()},
     }

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias, final
 import numpy as np
 
 from pinmobile.errors import InvalidArgument, UnknownName, shown
-from pinmobile.loop import Loop, Relative, Scenario, chosen_integrator
+from pinmobile.loop import PER_ROBOT, SUMMED, Loop, Relative, Scenario, chosen_integrator
 from pinmobile.parts import (
     Field,
     Found,
@@ -33,15 +33,9 @@ Changes: TypeAlias = Mapping[str, Any]
 _PARTS = {"robot": "plant"} | {name: name for name in ("controller", "trajectory", "integrator", "forces")}
 _OWN = {each.name for each in fields(Scenario) if each.init} - _PARTS.keys()
 _UNITS = {"dt": "s", "duration": "s", "after": "s"}
+_COORDINATES = "coordinate", "input", "measure", "channel", "time", "level", "bin"
+_NAMES = {"robot", "chunk", *_COORDINATES, *PER_ROBOT, *SUMMED}  # of a store's own dimensions and arrays
 _MOST = 100_000  # points, each with some twenty files in a store
-RESERVED = frozenset(
-    {
-        *("robot", "coordinate", "input", "time", "channel", "bin", "level", "chunk", "counts"),
-        *("max_error", "rms_error", "max_force", "max_distance", "diverged_at"),
-        *("worst_measure", "rms_measure", "measure", "quantiles"),
-    }
-)
-"""Names of a store's own dimensions and arrays."""
 
 
 @final
@@ -60,11 +54,6 @@ class Axis:
     values: tuple[Label, ...]
     unit: str = ""
 
-    @property
-    def printed_unit(self) -> str:
-        """The unit in text: "" where it is "1", that of a number without dimension."""
-        return "" if self.unit == "1" else self.unit
-
     def text(self, i: int) -> str:
         """Return a value as text."""
         label = self.values[i]
@@ -74,7 +63,7 @@ class Axis:
 def place(axes: Mapping[str, Axis], index: Sequence[int]) -> list[str]:
     """Return a place along the axes in words, such as ``controller.kp = 4 1/s^2``, axis by axis."""
     items = zip(axes.items(), index, strict=True)
-    return [f"{name} = {axis.text(i)} {axis.printed_unit}".rstrip() for (name, axis), i in items]
+    return [f"{name} = {axis.text(i)} {axis.unit}".rstrip() for (name, axis), i in items]
 
 
 def index_of(axes: Mapping[str, Axis], labels: Mapping[str, Any]) -> tuple[int, ...]:
@@ -182,7 +171,7 @@ def _alike(scenario: Scenario) -> dict[str, Any]:
 
 def _axis_name(path: str) -> str:
     name = "plant" if path == "robot" else path.replace("/", ".")
-    if name in RESERVED or name == "case":
+    if name in _NAMES or name == "case":
         raise InvalidArgument(f"grid has {path!r}, a name of the store's own, expected the full path")
     return name
 

@@ -165,7 +165,7 @@ class Sweep:
             If `share` is not between 0 and 1, or a file of the store cannot be read.
         """
         within, diverged, limit = self.within(share).values, self.diverged, whole("most", most)
-        heads = [f"{x} [{axis.printed_unit}]" if axis.printed_unit else x for x, axis in self.axes.items()]
+        heads = [f"{x} [{axis.unit}]" if axis.unit else x for x, axis in self.axes.items()]
         rows = [[*heads, f"{share * 100:g} % within", "diverged"]]
         for index in list(np.ndindex(within.shape))[:limit]:
             labels = [axis.text(i) for axis, i in zip(self.axes.values(), index, strict=True)]
