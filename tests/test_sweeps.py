@@ -410,7 +410,7 @@ def test_wrong_labels(done: Sweep) -> None:
         done.ensemble(**at | {"controller.kp": 5})
     with pytest.raises(InvalidArgument, match=r"scenario is missing, expected Sweep\.open"):
         Sweep.open(done.path).ensemble(**at)
-    with pytest.raises(InvalidArgument, match="share is 2, expected a number from 0 to 1"):
+    with pytest.raises(InvalidArgument, match=r"share is 2\.0, expected 0 <= share <= 1"):
         done.within(2)
 
 
