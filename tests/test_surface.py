@@ -40,7 +40,7 @@ ALLOWED: dict[str, set[str]] = {
     "closed_form": {"arrays"},
     "derivation": {"dh"},
     "signals": {"arrays"},
-    "measures": {"arrays"},
+    "measures": {"parts"},
     "divergence": set(),
     "compiled": {"parts"},
     "plant": {"compiled"},
