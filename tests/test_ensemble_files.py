@@ -453,7 +453,7 @@ def of_trace(**given: Any) -> Callable[[Path], dict[str, Any]]:
         (of_trace(index=60), "index is 60, expected at most 59"),
         (of_trace(samples=0), "samples is 0, expected a whole number >= 1"),
         (of_trace(samples=10**9), "trace_t has shape \\(218,\\), expected \\(1000000017,\\)"),
-        (of_trace(samples=200), r"expected more|expected 2|has .* samples, expected"),
+        (of_trace(samples=200), r"has shape"),
         (of_trace(plant={"robot": {"mass": -1}}), "'dh'"),
         (lambda p: {**members(p), "more": np.zeros(3)}, "it holds .*; expected format, .*, each once"),
     ],
