@@ -89,6 +89,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.once
 @pytest.mark.alike
 @pytest.mark.parametrize("mounted", [False, True])
 @pytest.mark.parametrize("case", REFUSED)

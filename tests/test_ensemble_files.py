@@ -507,6 +507,7 @@ def test_damaged_bytes_are_refused_or_do_no_harm(tmp_path: Path) -> None:
     assert read < 300
 
 
+@pytest.mark.once
 def test_damaged_members_with_right_checksums_are_refused_or_an_ensemble(tmp_path: Path) -> None:
     """Whoever damages what is inside cannot be told from its writer, but for what none writes."""
     content, path = saved(DIVERGING, tmp_path).read_bytes(), tmp_path / "robots.npz"

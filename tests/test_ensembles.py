@@ -308,6 +308,7 @@ def test_any_robot_is_as_simulated(
     assert_is_simulated(run_scenario(scenario), 0)
 
 
+@pytest.mark.once
 def test_diverging_robots_are_flagged_as_by_simulate_and_the_others_untouched() -> None:
     gains = np.full(130, 4.0)
     gains[[3, 64, 100]] = 900.0, 2000.0, 500.0  # beyond what dt = 0.1 s bears

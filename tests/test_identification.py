@@ -765,6 +765,7 @@ def jerky(ahead: float, by_dead_reckoning: bool) -> tuple[WheelTable, Log]:
     return table, Log(read.t, np.column_stack([x, y, psi]), read.u, None, read.wheel_rates)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("ahead", [0.0, 0.02])
 def test_a_log_without_any_noise_tells_the_mass(ahead: float) -> None:
     table, read = jerky(ahead, by_dead_reckoning=False)

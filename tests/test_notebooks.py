@@ -121,6 +121,7 @@ def test_nbconvert_executes_it_without_a_screen_and_a_warning_and_its_claim_hold
 VIEWING = next(source for source in SOURCES if source.stem == "05_viewing")
 
 
+@pytest.mark.once
 def test_the_notebook_keeps_a_picture_of_the_scene_that_moves_in_the_converted_page(
     executed: Callable[[Path], Path], browser: Chromium, tmp_path: Path
 ) -> None:

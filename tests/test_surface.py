@@ -252,6 +252,7 @@ def test_a_first_use_pulls_in_what_it_needs_and_nothing_heavier(use: str, heavy:
     assert set(loaded.split()) & set(HEAVY) == set(heavy)
 
 
+@pytest.mark.once
 def test_names_are_there_however_they_are_asked_for() -> None:
     fresh("from pinmobile import *; PD, MobileRobot, ensemble, sweep, tip_over_margin")
     fresh("from pinmobile import plots, robot, rk4; plots.path, robot.Mount, rk4")
@@ -266,6 +267,7 @@ def test_names_are_there_however_they_are_asked_for() -> None:
     assert "class ComputedTorque" in pydoc.plain(pydoc.render_doc(pinmobile))
 
 
+@pytest.mark.once
 def test_any_module_may_be_the_first_to_be_used() -> None:
     fresh(
         """if True:
