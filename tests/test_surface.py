@@ -227,14 +227,14 @@ def fresh(code: str) -> str:
     return done.stdout
 
 
-def test_import_pulls_in_numpy_and_pinocchio_and_none_of_its_own_modules() -> None:
+def test_import_pulls_in_none_of_its_own_modules_and_no_library() -> None:
     loaded = fresh(
-        "import sys, pinocchio; before = set(sys.modules); import pinmobile; "
+        "import sys; before = set(sys.modules); import pinmobile; "
         "print(*(set(sys.modules) - before - set(sys.stdlib_module_names)))"
     )
-    assert loaded.split() == ["pinmobile"]
-    alone = fresh("import sys, pinmobile; print('numpy' in sys.modules, 'pinocchio' in sys.modules)")
-    assert alone.split() == ["True", "True"]
+    assert {name for name in loaded.split() if name.split(".")[0] not in sys.stdlib_module_names} == {
+        "pinmobile"
+    }
 
 
 @pytest.mark.parametrize(
@@ -325,8 +325,8 @@ def test_many_threads_may_use_the_package_first() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (None, "No module named 'pinocchio'"),
-        ("class Plugin: pass", "cannot import name 'Model' from 'pinocchio'"),
+        (None, "No module is named 'pinocchio'"),
+        ("class Plugin: pass", "Another module is named 'pinocchio'"),
     ],
 )
 def test_a_missing_or_another_pinocchio_is_told_at_once_with_what_to_install(
