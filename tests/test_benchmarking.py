@@ -25,13 +25,11 @@ from pinmobile import (
     Tangent,
     UnknownName,
     benchmark,
-    benchmarking,
     law,
     plots,
     tip_over_margin,
 )
-from pinmobile.benchmarking import CORRIDOR, NOMINAL, STANDARD, Benchmark, Score, contestants
-from pinmobile.cli import main
+from pinmobile.benchmarking import CORRIDOR, NOMINAL, STANDARD, Benchmark, Score, contestants, lacking
 from pinmobile.loop import run_scenario
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
@@ -241,31 +239,10 @@ def test_the_figure_has_a_mark_for_each_number(small: Benchmark) -> None:
         plots.benchmark(3)  # type: ignore[arg-type]
 
 
-@pytest.mark.once
-def test_the_command_prints_and_draws(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    words = ["--scenario", "nominal", "--controller", "PD", "--controller", "sliding mode"]
-    assert main(["benchmark", *words, "--out", str(tmp_path)]) == 0
-    printed = capsys.readouterr().out
-    assert "nominal: what controllers believe is true\n" in printed
-    assert "Closest after the start: sliding mode in nominal (0.0112 mm)" in printed
-    assert {file.name for file in tmp_path.iterdir()} == {"benchmark.png", "benchmark.csv", "index.html"}
-    assert main(["benchmark", "--scenario", "payloud"]) == 2
-    assert "payload" in capsys.readouterr().err
-
-
-def test_without_its_package_predictive_control_is_left_out_and_told(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_its_package_predictive_control_is_left_out_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "daqp", None)
-    monkeypatch.setattr(benchmarking, "STANDARD", {"short": SHORT})
     assert "MPC" not in contestants()
-    needs = "needs daqp, which is not installed: pip install daqp, or 'pinmobile[mpc]'\n"
-    assert main(["benchmark", "--controller", "PD"]) == 0
-    assert "MPC" not in capsys.readouterr().out
-    assert main(["benchmark"]) == 0
-    assert capsys.readouterr().out.startswith(f"MPC is left out: it {needs}")
-    assert main(["benchmark", "--controller", "PD", "--controller", "MPC"]) == 2
-    assert capsys.readouterr() == ("", f"pinmobile: MPC {needs}")
+    assert str(lacking()["MPC"]).endswith("is not installed: pip install daqp, or 'pinmobile[mpc]'")
 
 
 def test_progress_is_told_and_an_error_says_whose_it_is() -> None:
