@@ -45,7 +45,7 @@ for name, scenario in STANDARD.items():
 
 # %% [markdown]
 # Five of them are enough for the readings below, and MPC waits until it has its case: it takes more time than
-# all the others together. The whole table, with the time of a call, is what `pinmobile benchmark` prints.
+# all the others together. The whole table, with the time of a call, is what `print(benchmark())` prints.
 
 # %%
 rivals = {name: one for name, one in contestants().items() if name != "MPC"}
@@ -338,7 +338,7 @@ dress(axes)
 
 # %% [markdown]
 # LQR knows neither wall nor limit, and asks for more than the motors give when it has to brake. MPC looks 2 s
-# ahead. (`pinmobile benchmark --scenario "corridor, 30 N"` has all the others: PD and super-twisting stop in
+# ahead. (The scenario `corridor, 30 N` of `benchmark` has all the others: PD and super-twisting stop in
 # time too. In `corridor, narrower` the path itself leads through a wall; of that only MPC can know.)
 #
 # ## Take this when
