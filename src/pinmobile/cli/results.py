@@ -167,7 +167,7 @@ def plant_of(rollouts: Mapping[str, Rollout]) -> Any:
 def show_ensemble(words: Sequence[str], out: Path, *, allow_code: bool) -> int:
     """Run an ensemble, print it and draw it."""
     opened = Opened(words, allow_code=allow_code, unused=("grid", "cases"))
-    scenario = opened.content.scenario()
+    scenario = opened.scenario()
     folder = output_folder(out)
     if not opened.content.spread and scenario.n > 1:
         console.print("spread is empty: all robots are alike", markup=False)

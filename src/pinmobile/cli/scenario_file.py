@@ -21,6 +21,7 @@ from pinmobile.loop import Rollout
 from pinmobile.parts import (
     InvalidEntries,
     Values,
+    are_nested,
     child,
     children,
     declare,
@@ -165,7 +166,7 @@ class Opened:
             raise InvalidArgument(f"{named[1]!r} is neither PATH=VALUE nor the only FILE, {named[0]!r}")
         self.name = named[0] if named else ""
         self.text = _text_of(self.name) if named else ""
-        folder = Path(self.name).absolute().parent if allow_code else None
+        folder = (Path(self.name).absolute().parent if named else Path.cwd()) if allow_code else None
         self.content, self.reader = read_entries(
             kind, self.words, name=self.name, text=self.text, folder=folder, unused=unused
         )
@@ -190,7 +191,30 @@ class Opened:
             axes[path] = {_label(each): each for each in values} if listed else values
         return axes if self.content.cases else {k: v for k, v in axes.items() if k != "case"}
 
-    def points(self) -> Iterator[tuple[dict[str, str], Scenario]]:
+    def scenario(self) -> Scenario:
+        """Return the nominal scenario of the ensemble.
+
+        Raises
+        ------
+        InvalidEntries
+            If the spread names no number of the loop.
+        """
+        plain, problems = attrs.evolve(self.content, grid={}, cases={}), {}
+        bare = attrs.evolve(plain, spread={}).scenario()
+        for path in self.content.spread:
+            try:
+                bare.find(path)
+            except (UnknownName, InvalidArgument) as error:
+                problems[f"spread.{path}"] = str(error)
+        self._refuse(problems)
+        return plain.scenario()
+
+    def _refuse(self, problems: Mapping[str, str]) -> None:
+        if problems:
+            sets = dict(word.split("=", 1) for word in self.words)
+            raise located(InvalidEntries(problems), sets, self.name, self.text)
+
+    def points(self) -> Iterator[tuple[dict[str, Any], Scenario]]:
         """Yield the scenario at each point of cases and grid, and which point it is.
 
         Raises
@@ -199,27 +223,21 @@ class Opened:
             If values are not possible; the message has a line for each path.
         """
         problems: dict[str, str] = {}
-        axes, plain = self.axes(), attrs.evolve(self.content, grid={}, cases={})
-        nominal = plain.scenario()
+        axes, plain, nominal = self.axes(), attrs.evolve(self.content, grid={}, cases={}), self.scenario()
         for labels in product(*axes.values()):
             at = dict(zip(axes, labels, strict=True))
-            own = {
-                path: values[at[path]] if isinstance(values, dict) else at[path]
-                for path, values in axes.items()
-            }
-            case = own.pop("case", None)
-            found = {**(self.content.cases[case] if case is not None else {}), **own}
+            case = at.get("case")
+            own = [(f"cases.{case}.{path}", path, x) for path, x in self.content.cases.get(case, {}).items()]
+            swept = {path: axes[path][at[path]] if isinstance(axes[path], dict) else at[path] for path in at}
+            own += [(f"grid.{path}", path, swept[path]) for path in self.content.grid]
+            paths = {place: _full(nominal, path) for place, path, _ in own}
             try:
-                changes = {_full(nominal, path): value for path, value in found.items()}
-                yield at, self.reader.changed(plain, changes).scenario()
+                yield at, self.reader.changed(plain, {paths[place]: x for place, _, x in own}).scenario()
             except InvalidEntries as error:
-                for path, message in error.problems.items():
-                    where = next((each for each in own if path.startswith(each)), "")
-                    problems |= {f"grid.{where}" if where else f"cases.{case}": message}
                 self.reader.problems.clear()
-        if problems:
-            sets = dict(word.split("=", 1) for word in self.words)
-            raise located(InvalidEntries(problems), sets, self.name, self.text)
+                for path, message in error.problems.items():
+                    problems |= {place: message for place in paths if are_nested(paths[place], path)}
+        self._refuse(problems)
 
     def unit(self, path: str) -> str:
         """Return the unit of a number of the loop, "" of anything else."""

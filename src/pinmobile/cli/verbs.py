@@ -26,7 +26,7 @@ def complete(incomplete: str) -> list[str]:
     *way, last = path.split(".")
     part: Any = scenarios.Opened([]).content
     for key in way:
-        part = getattr(part, key, None)
+        part = vars(part).get(key) if part is not None else None
     kind: Any = type(part)
     fields = parameters(kind) if part is not None else {}
     declared = fields[last].declared if last in fields else None

@@ -264,7 +264,7 @@ class Child(Field):
         kind = self.kind
         if value is None or isinstance(value, type) or not _is_of(value, kind):
             expected = self.expected or (meaning(kind) if not isinstance(kind, tuple) else "a part")
-            told = lacks(value, kind) if getattr(kind, "_is_protocol", False) else ""
+            told = lacks(value, kind) if is_protocol(kind) else ""
             raise InvalidArgument(f"{name} is {shown(value)}{told}, expected {expected}")
         return value
 
@@ -273,7 +273,12 @@ def _is_of(value: Any, kind: Any) -> bool:
     """Return whether a value is of a class, has what a protocol asks for, or is of one of several kinds."""
     if isinstance(kind, tuple):
         return any(_is_of(value, each) for each in kind)
-    return offers(value, kind) if getattr(kind, "_is_protocol", False) else isinstance(value, kind)
+    return offers(value, kind) if is_protocol(kind) else isinstance(value, kind)
+
+
+def is_protocol(kind: Any) -> bool:
+    """Return whether a kind is a protocol, which objects of any class may have."""
+    return isinstance(kind, type) and bool(vars(kind).get("_is_protocol", False))
 
 
 @attrs.frozen

@@ -19,7 +19,7 @@ import attrs
 
 from pinmobile.errors import InvalidArgument, format_names
 from pinmobile.parts._capabilities import members
-from pinmobile.parts._fields import Child, Field, declared_by, is_part
+from pinmobile.parts._fields import Child, Field, declared_by, is_part, is_protocol
 
 _CODE = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
 
@@ -127,14 +127,14 @@ def resolve(name: str, folder: Path | None = None) -> Any:
 
 def _member(owner: Any, name: str) -> Any:
     if isinstance(owner, ModuleType):
-        return getattr(owner, name) if name in getattr(owner, "__all__", ()) else None
-    made = getattr(owner, name, None) if is_part_class(owner) and name[:1] != "_" else None
+        return getattr(owner, name) if name in vars(owner).get("__all__", ()) else None
+    made = getattr(owner, name) if is_part_class(owner) and name[:1] != "_" and name in dir(owner) else None
     return made if makes_part(made) else None
 
 
 def makes_part(function: Any) -> bool:
     """Return whether a function or method returns a part, as it is annotated: a file may call it."""
-    plain = getattr(function, "__func__", function)
+    plain = function.__func__ if inspect.ismethod(function) else function
     if not isinstance(plain, FunctionType):
         return False
     returned = str(inspect.signature(plain).return_annotation).strip("'")
@@ -187,7 +187,7 @@ def fits(kind: Any, one: Any) -> bool:
     """Return whether a class has all that its objects need for a kind, or an object is of a kind."""
     if isinstance(kind, tuple):
         return any(fits(each, one) for each in kind)
-    if not getattr(kind, "_is_protocol", False):
+    if not is_protocol(kind):
         return issubclass(one, kind) if isinstance(one, type) else isinstance(one, kind)
     fields = dict(declared_by(one)) if is_part_class(one) else {}
     return all(name in fields or _is_like(name, kind, one) for name in members(kind))
@@ -195,7 +195,7 @@ def fits(kind: Any, one: Any) -> bool:
 
 def _is_like(name: str, kind: Any, one: Any) -> bool:
     """Return whether an object has what a protocol has; a call, with as many arguments of the same first."""
-    own = getattr(one, name, None)
+    own = getattr(one, name) if name in dir(one) else None
     if name != "__call__" or own is None:
         return own is not None
     if isinstance(one, type) and "__call__" not in dir(one):

@@ -114,13 +114,16 @@ def located(error: InvalidEntries, sets: Mapping[str, str], name: str, text: str
     """Return an error whose messages begin with the line of the file, or with the word of the command."""
     found = {}
     for path, message in error.problems.items():
-        near = [
-            each for each in sets if f"{path}.".startswith(f"{each}.") or f"{each}.".startswith(f"{path}.")
-        ]
+        near = [each for each in sets if are_nested(path, each)]
         word = max(near, key=len) if near else ""
         place = f"{word}={sets[word]}: " if near else f"{name}:{line_of(text, path)}: " if text else ""
         found[path] = f"{place}{message}"
     return InvalidEntries(found)
+
+
+def are_nested(path: str, other: str) -> bool:
+    """Return whether one of two paths leads to the other."""
+    return f"{path}.".startswith(f"{other}.") or f"{other}.".startswith(f"{path}.")
 
 
 def line_of(text: str, path: str) -> int:

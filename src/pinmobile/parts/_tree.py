@@ -124,7 +124,7 @@ class Reader:
         for key in tree:
             if key not in known:
                 at, takes = _join(path, str(key)), ", ".join(known) or "no fields"
-                name = getattr(kind, "__name__", str(kind)) if path else "a scenario"
+                name = kind.__name__ if path else "a scenario"
                 self._fail(at, f"{at} is unknown, {name} has {takes}; {nearest(str(key), known)}")
 
     def part(self, declared: Child, tree: Any, path: str, base: Any = None) -> Any:
@@ -133,8 +133,6 @@ class Reader:
             return self._fail(path, f"{path} is nested too deep, expected at most {_DEEPEST} levels")
         tree = called(tree) if isinstance(tree, str) else tree
         if not isinstance(tree, Mapping):
-            if is_part(tree):  # made before
-                return tree
             told = f"{path} is {shown(tree)}, expected {expected(declared, one=True)}: its name, or a table"
             return self._fail(path, told)
         tree = dict(tree)
@@ -177,6 +175,7 @@ class Reader:
         """Return what a class makes of a table, or a constructor, which may change fields afterwards too."""
         known = parameters(make)
         is_class = is_part_class(make)
+        tree = {_given(known, key): value for key, value in tree.items()}
         others = {key: tree.pop(key) for key in [*tree] if not is_class and _is_change(known, key, tree[key])}
         if "**" not in known:
             self._unknown(tree, known, make, path)
@@ -232,7 +231,7 @@ class Reader:
         known = parameters(own)
         self._unknown(tree, known, type(base), path)
         changes = {
-            key: self._read(known[key], sub, _join(path, key), getattr(base, key, None))
+            key: self._read(known[key], sub, _join(path, key), getattr(base, key))
             for key, sub in tree.items()
             if key in known
         }
@@ -262,7 +261,8 @@ class Reader:
             told = f"{path} is {shown(tree)}, expected {expected(declared)}"
             return self._fail(path, told)
         if isinstance(declared, Values) and isinstance(tree, Mapping):
-            return self._all({key: self._generic(one, f"{path}.{key}") for key, one in flat(tree).items()})
+            read = {key: self._generic(one, f"{path}.{key}") for key, one in flat(tree).items()}
+            return self._all({**(base or {}), **read})
         if declared is None or (isinstance(tree, Mapping) and "type" in tree):
             return self._generic(tree, path)
         if isinstance(tree, Mapping) and is_part(base):
@@ -328,9 +328,8 @@ class Reader:
             made = self._all({str(k): self._generic(each, f"{path}.{k}") for k, each in enumerate(tree)})
             return made if made is _WRONG else tuple(made.values())
         if isinstance(tree, str):
-            if is_code(tree) and self.folder is not None:
-                return self.part(Child(), tree, path)
-            found = resolve(str(called(tree)["type"])) if not is_code(tree) else None
+            name = str(called(tree)["type"])
+            found = self.folder if is_code(name) else resolve(name)
             if found is not None and (not isinstance(found, type) or is_part_class(found)):
                 return self.part(Child(), tree, path)
         return tree
@@ -381,6 +380,13 @@ class Reader:
             is_stated = isinstance(declared, Number | Whole | Child) and not (is_derived or is_empty)
             if is_stated or not _is_same(value, usual):
                 yield key, value
+
+
+def _given(known: Mapping[str, Parameter], key: str) -> str:
+    """Return the name of an argument that text has by position only."""
+    word, _, number = key.partition(" ")
+    at = int(number) - 1 if word == "argument" and number.isdigit() else len(known)
+    return [*known, key][min(at, len(known))]
 
 
 def _is_change(known: Mapping[str, Parameter], key: str, tree: Any) -> bool:
