@@ -266,7 +266,7 @@ def mutated(tree: Any, rng: random.Random) -> Any:
     tree = deepcopy(tree)
     places = [(at, key) for at in tables(tree) for key in at]
     at, key = rng.choice(places)
-    odd = [None, 0, -1, 1e308, float("nan"), "", "PD", "PD(", "a:b", True, date(2026, 1, 1)]
+    odd: list[Any] = [None, 0, -1, 1e308, float("nan"), "", "PD", "PD(", "a:b", True, date(2026, 1, 1)]
     odd += [[], {}, [[1], "x"], {"type": 3}, {"x": "y"}, "rk4"]
     match rng.randrange(4):
         case 0:

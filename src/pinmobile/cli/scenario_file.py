@@ -25,6 +25,7 @@ from pinmobile.parts import (
     child,
     children,
     declare,
+    evolved,
     expected,
     flat,
     integer,
@@ -113,18 +114,8 @@ class ScenarioFile:
 
     def simulate(self) -> Rollout:
         """Return the run of the loop, without spread, grid and cases."""
-        return simulate(
-            self.robot,
-            self.controller,
-            self.trajectory,
-            dt=self.dt,
-            duration=self.duration,
-            integrator=self.integrator,
-            substeps=self.substeps,
-            forces=self.forces,
-            limit=self.limit,
-            seed=self.seed,
-        )
+        own = "controller trajectory forces integrator dt substeps duration limit seed"
+        return simulate(self.robot, **{name: getattr(self, name) for name in own.split()})
 
     def scenario(self) -> Scenario:
         """Return the scenario of its ensemble, without grid and cases."""
@@ -199,8 +190,8 @@ class Opened:
         InvalidEntries
             If the spread names no number of the loop.
         """
-        plain, problems = attrs.evolve(self.content, grid={}, cases={}), {}
-        bare = attrs.evolve(plain, spread={}).scenario()
+        plain: ScenarioFile = evolved(self.content, grid={}, cases={})
+        bare, problems = evolved(plain, spread={}).scenario(), {}
         for path in self.content.spread:
             try:
                 bare.find(path)
@@ -223,7 +214,7 @@ class Opened:
             If values are not possible; the message has a line for each path.
         """
         problems: dict[str, str] = {}
-        axes, plain, nominal = self.axes(), attrs.evolve(self.content, grid={}, cases={}), self.scenario()
+        axes, plain, nominal = self.axes(), evolved(self.content, grid={}, cases={}), self.scenario()
         for labels in product(*axes.values()):
             at = dict(zip(axes, labels, strict=True))
             case = at.get("case")
@@ -242,7 +233,7 @@ class Opened:
     def unit(self, path: str) -> str:
         """Return the unit of a number of the loop, "" of anything else."""
         with suppress(UnknownName, InvalidArgument):
-            return str(attrs.evolve(self.content, grid={}, cases={}).scenario().find(path).unit)
+            return str(evolved(self.content, grid={}, cases={}).scenario().find(path).unit)
         return ""
 
 
