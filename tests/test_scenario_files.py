@@ -40,6 +40,7 @@ from pinmobile.parts import (
     write_text,
 )
 from pinmobile.wheels import MOTORS
+from tests.wheeled import husky
 
 ODD = [5e-324, 1e22, 0.1, 1 / 3, -0.0, 2**53 + 0.0, 1e-7, 123456789.123456789]
 PARTS = {name: one for name, one in public().items() if attrs.has(one) and is_part_class(one)}
@@ -323,6 +324,22 @@ def test_the_robot_of_the_file_stands_for_models_that_are_not_given() -> None:
     assert one.robot.robot.mass == 20
     by = Opened(["differential", "controller=ByOdometry(Backstepping(Tracking()), ticks=1024)"]).content
     assert by.controller.table is by.robot.table
+
+
+def test_robots_of_files_and_lists_of_parts_are_stated(tmp_path: Path) -> None:
+    (tmp_path / "husky.urdf").write_text(husky())
+    text = f"WheeledRobot.from_urdf({str(tmp_path / 'husky.urdf')!r}, rollers={{}})"
+    laws = (
+        "controller=WheelSpeed(Tracking(), kp=1)",
+        "forces=[ConstantForce((1, 0, 0)), Payload(3, (0, 0), 0)]",
+    )
+    opened = Opened([f"robot={text}", "robot.table.wheels.wheel_0.radius=0.2", *laws])
+    assert opened.content.robot.ground.slips
+    assert [wheel.radius for wheel in opened.content.robot.table.wheels][:2] == [0.2, 0.1651]
+    assert opened.content.forces[1].mass == 3
+    (tmp_path / "again.toml").write_text(opened.written())
+    again = Opened([str(tmp_path / "again.toml")])
+    assert (again.written(), again.content.robot) == (opened.written(), opened.content.robot)
 
 
 def test_grids_and_cases_change_what_they_name_and_no_model() -> None:

@@ -22,7 +22,7 @@ from pinmobile.parts._registry import (
     resolve,
 )
 from pinmobile.parts._tree import InvalidEntries, Reader
-from pinmobile.parts._values import expected, put
+from pinmobile.parts._values import expected, listed, put
 
 _MOST = 1 << 20  # bytes of a file
 
@@ -58,11 +58,11 @@ def read_tree(text: str, name: str) -> dict[str, Any]:
 
 
 def typed(text: str) -> Any:
-    """Return a value as TOML has it; any other text is text."""
+    """Return a value as TOML has it, or a list as Python has it; any other text is text."""
     try:
         return tomllib.loads(f"v = {text}")["v"] if "\n" not in text else text
     except (tomllib.TOMLDecodeError, RecursionError):
-        return text
+        return listed(text)
 
 
 def read_entries(

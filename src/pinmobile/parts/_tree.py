@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from types import FunctionType, SimpleNamespace
@@ -176,7 +176,13 @@ class Reader:
         known = parameters(make)
         is_class = is_part_class(make)
         tree = {_given(known, key): value for key, value in tree.items()}
-        others = {key: tree.pop(key) for key in [*tree] if not is_class and _is_change(known, key, tree[key])}
+        owner = resolve(name.rpartition(".")[0]) if not is_class and not is_code(name) else None
+        fields = parameters(owner) if is_part_class(owner) else {}
+        others = {
+            key: tree.pop(key)
+            for key in [*tree]
+            if not is_class and _is_change(known, fields, key, tree[key])
+        }
         if "**" not in known:
             self._unknown(tree, known, make, path)
         values: dict[str, Any] = {}
@@ -195,8 +201,7 @@ class Reader:
         if others and made is not _WRONG:
             made = self._changed(made, others, path)
         if is_part(made) and (not is_class or is_code(name)):
-            changed = {key: getattr(made, key) for key in others}
-            self._kept[id(made)] = made, {"type": name, **values, **changed}
+            self._kept[id(made)] = made, {"type": name, **values, **others}
         return made
 
     def _made(self, make: Any, values: dict[str, Any], path: str) -> Any:
@@ -389,11 +394,12 @@ def _given(known: Mapping[str, Parameter], key: str) -> str:
     return [*known, key][min(at, len(known))]
 
 
-def _is_change(known: Mapping[str, Parameter], key: str, tree: Any) -> bool:
+def _is_change(known: Mapping[str, Parameter], fields: Collection[str], key: str, tree: Any) -> bool:
     """Return whether an entry of a constructor's table changes a field of what that makes."""
     each = known.get(key)
     is_table = isinstance(tree, Mapping) and "type" not in tree
-    return ("**" not in known and each is None) or (is_table and (each is None or each.declared is None))
+    is_free = each is None or each.declared is None
+    return ("**" not in known and each is None) or (is_table and is_free and key in fields)
 
 
 def _is_same(value: Any, default: Any) -> bool:

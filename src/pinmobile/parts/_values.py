@@ -13,6 +13,7 @@ from pinmobile.parts._capabilities import meaning
 from pinmobile.parts._fields import Child, Field, Number, Whole
 from pinmobile.parts._registry import parameters, resolve
 
+_NO_TEXT = SyntaxError, ValueError, RecursionError, MemoryError, InvalidArgument
 _CALL = re.compile(r"([^\W\d][\w.]*:[^\W\d][\w.]*)\s*(\(.*\))", re.DOTALL)
 
 
@@ -46,9 +47,18 @@ def called(text: str) -> dict[str, Any]:
         if isinstance(node, ast.Call):
             found = _call(node)
             return found | {"type": code[1]} if code else found
-    except (SyntaxError, ValueError, RecursionError, MemoryError, InvalidArgument):
+    except _NO_TEXT:
         pass
     return {"type": text}
+
+
+def listed(text: str) -> Any:
+    """Return the list of a text as in Python, with parts such as ``"[PD(9, 9), PID()]"``; else the text."""
+    try:
+        node = ast.parse(text.strip(), mode="eval").body
+        return _value(node) if isinstance(node, ast.List) else text
+    except _NO_TEXT:
+        return text
 
 
 def _call(node: ast.Call) -> dict[str, Any]:
