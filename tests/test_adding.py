@@ -12,8 +12,6 @@ import pytest
 
 import pinmobile
 from pinmobile import controllers, forces, paths, trajectories
-from pinmobile.cli import choices, tables
-from pinmobile.parts import declared_by
 
 ROOT = Path(__file__).parents[1]
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
@@ -31,15 +29,11 @@ REFERENCES = [name for name in _parts(paths, trajectories) if name != "Reference
 # Parts that a file uses to get its own work done, as a user does, not to know them from others.
 USERS = {
     "accuracy/__init__.py": {"ComputedTorque", "Circle", "Tangent"},
-    "cli/choices.py": {"PD", "ComputedTorque"},  # with the lecture's gains, which no part knows
-    "cli/drive.py": {
-        "Backstepping",
-        "ComputedTorque",
-        "Tracking",
-        "VelocityCommand",
-    },  # as the drive can move
-    "cli/mount.py": {"Decoupled", "ComputedTorque"},
-    "cli/run.py": {"Allocated", "Backstepping", "Tracking"},  # the lecture's paths on wheels
+    "cli/lecture.py": {
+        *("PD", "Allocated", "Backstepping", "ComputedTorque", "Tracking"),
+        *("Circle", "CubicVia", "LectureHeading", "Tangent"),
+    },
+    "cli/scenario_file.py": {"Circle", "ComputedTorque", "Tangent"},  # where a file says nothing
     "identification/estimate.py": {"JointFriction", "RollingResistance", "ViscousFriction"},  # what was found
     "reaching/poses.py": {"Spline"},  # of positions, through poses
     "trajectories/reference.py": {"Hold"},
@@ -114,14 +108,12 @@ def test_the_parts_are_those_of_the_library() -> None:
 
 @pytest.mark.parametrize("name", [*PARTS, *REFERENCES])
 def test_a_part_is_known_by_its_own_file_and_its_package_alone(name: str) -> None:
-    """Of paths and headings the command has a list: what they are called, and the lecture's numbers."""
     part = getattr(pinmobile, name)
     own = Path(*part.__module__.split(".")[1:]).with_suffix(".py")
     allowed = {own.as_posix(), (own.parent / "__init__.py").as_posix(), "__init__.py"}
     allowed |= {file for file, used in USERS.items() if name in used}
     allowed |= ALSO_A_DELAY if name == "Line" else set()  # of `Context.line`
-    known = {file for file in where(name) if name in PARTS or not file.startswith("cli/")}
-    assert known <= allowed
+    assert where(name) <= allowed
     assert {own.as_posix(), (own.parent / "__init__.py").as_posix()} <= where(name)
 
 
@@ -143,30 +135,3 @@ def test_no_file_asks_a_part_what_it_is() -> None:
                 }
                 asked += [(file.name, name) for name in compared & set(PARTS)]
     assert not asked
-
-
-POINTS = {"start", "via", "end", "via_velocity", "centre", "waypoints"}
-
-
-def test_the_command_knows_parts_by_their_classes_and_units_by_what_they_state() -> None:
-    assert {
-        "delayed": pinmobile.Delayed,
-        "noisy-measurement": pinmobile.NoisyMeasurement,
-        "saturated": pinmobile.Saturated,
-    } == tables.WRAPPERS
-    assert {"constant", "joint-friction", "noise", "viscous-friction"} <= tables.FORCES.keys()
-    assert [kind.__name__ for kind in tables.FORCES.values()] == [
-        name for name in forces.__all__ if name in PARTS
-    ]
-    stated = {
-        name: unit for name, each in declared_by(pinmobile.Circle) if (unit := getattr(each, "unit", ""))
-    }
-    own = {"centre": "m", "phase": "rad", "heading": "rad", "duration": "s"}
-    assert stated == {name: choices.UNITS[name] for name in ("radius", "rate")} | own
-    assert {name: choices.UNITS[name] for name in ("centre", "phase", "start_heading")} == dict(
-        zip(("centre", "phase", "start_heading"), own.values(), strict=False)
-    )
-    taken = {name for path in choices.PATHS.values() for name in path.takes}
-    of_lines = {"corner_radius", "acceleration", "phase", "start_heading"}
-    assert taken == {*POINTS, *of_lines, "duration", "radius", "rate", "rx", "ry", "wx", "wy", "t_via"}
-    assert {name for name in taken if choices.OPTIONS[name].kind is tuple} == POINTS

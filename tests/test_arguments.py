@@ -542,7 +542,7 @@ def test_a_scenario_file_may_be_nested_deep(tmp_path: Path, capsys: pytest.Captu
     with pytest.raises(RecursionError):
         tomllib.loads(file.read_text())
     assert main(["sweep", str(file)]) == 2
-    assert "deep.toml: its values are nested too deep, expected TOML" in capsys.readouterr().err
+    assert "deep.toml: its values are nested too deep" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("letters", [300, 4_000])
@@ -565,27 +565,17 @@ class Interrupting:
 
 sys.modules.pop({module!r}, None)  # what the interpreter begins with differs
 sys.meta_path.insert(0, Interrupting())
-sys.argv = ["/usr/bin/pinmobile", "--help"]
+sys.argv = ["/usr/bin/pinmobile", "parts"]
 from pinmobile.cli import main
 sys.exit(main())
 """
 
 
-@pytest.mark.parametrize(
-    "module", ["typing", "numpy", "pinocchio", "typer", "pinmobile.cli.commands", "pinmobile.loop"]
-)
+@pytest.mark.parametrize("module", ["numpy", "typer", "pinmobile.cli.verbs", "pinmobile.loop"])
 def test_an_interrupt_while_the_command_loads_shows_no_traceback(module: str) -> None:
     words = [sys.executable, "-c", INTERRUPTED.format(module=module)]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=600)
     assert (done.returncode, done.stderr) == (130, "pinmobile: interrupted\n")
-
-
-def test_an_interrupt_of_another_programs_import_is_its_own() -> None:
-    code = INTERRUPTED.format(module="pinocchio").replace("/usr/bin/pinmobile", "/usr/bin/mine")
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120
-    )
-    assert done.stderr.endswith("KeyboardInterrupt\n")
 
 
 def test_packages_of_extras_are_those_of_the_project() -> None:

@@ -4,22 +4,40 @@ import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Callable
 from html import unescape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from typer.main import get_command
+from matplotlib.figure import Figure
 
 import pinmobile
-from pinmobile import Circle, Line, MobileRobot, Moved, Polyline, Rollout
-from pinmobile.cli import choices, main, options
-from pinmobile.cli.commands import app
-from pinmobile.cli.run import EXPECTED
-from pinmobile.parts import Number, declared_by
+from pinmobile import (
+    Circle,
+    ComputedTorque,
+    FixedHeading,
+    MobileRobot,
+    Rollout,
+    Sweep,
+    WholeBody,
+    plots,
+    simulate,
+)
+from pinmobile.cli import main
+from pinmobile.cli.lecture import EXPECTED
+from pinmobile.cli.verbs import complete
+from tests import wheeled
 from tests.damage import full_disk
-from tests.wheeled import husky
+from tests.test_identification import log, rolled
+from tests.test_velocity_identification import logged
+
+SLIDE = """<robot name="slide"><link name="foot"/><link name="slider"><inertial><mass value="2"/>
+  <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="lift" type="prismatic"><parent link="foot"/><child link="slider"/><axis xyz="0 0 1"/>
+  <limit lower="-0.04" upper="0.01" effort="30" velocity="2"/></joint></robot>"""
+SHORT = ["trajectory.path.duration=6", "n=40"]
 
 
 def typed(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
@@ -65,60 +83,6 @@ def test_lecture_shows_both_headings_beside_each_other_and_says_of_which_the_fig
             assert "the figures show the heading that is put right" in section
 
 
-@pytest.mark.once
-def test_no_repr_is_in_a_page_s_title(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    robot = tmp_path / "mine.urdf"
-    robot.write_text(MobileRobot(7, 0.5).to_urdf())
-    for words, title in (
-        (["--html"], "computed torque: circle, lecture robot"),
-        (["--controller", "pd", "--urdf", str(robot), "--trajectory", "via-stop"], "PD: via stop, mine.urdf"),
-    ):
-        code, _, _ = typed(capsys, "run", *words, "--out", str(tmp_path / "out"))
-        assert code == 0
-        for page in ("index.html", *(["scene.html"] if "--html" in words else [])):
-            assert f"<title>{title}</title>" in (tmp_path / "out" / page).read_text()
-
-
-@pytest.mark.parametrize(
-    ("words", "path"),
-    [
-        ("polyline", Polyline([(0, 0), (4, 0), (4, 3)], 0.5, 60)),
-        (
-            "polyline --waypoints 0,0,2,0,2,2 --corner-radius 0.3 --acceleration 0.1 --moved 1,2,0.5",
-            Moved(Polyline([(0, 0), (2, 0), (2, 2)], 0.3, 60, 0.1), 1, 2, 0.5),
-        ),
-        ("line --end 2,3 --duration 30", Line((0, 0), (2, 3), 30)),
-        ("circle --centre 1,2 --phase 0.5", Circle(3, 0.1, 60, (1, 2), 0.5)),
-        ("circle --start-heading 1.5 --moved 1,2", Circle(3, 0.1, 60, heading=1.5).moved(1, 2)),
-    ],
-)
-def test_run_puts_paths_anywhere(
-    words: str, path: Any, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    code, _, _ = typed(capsys, "run", "--trajectory", *words.split(), "--out", str(tmp_path))
-    assert code == 0
-    run = Rollout.load(tmp_path / "rollout.npz")
-    np.testing.assert_allclose(run.reference.q[:, :2], path(run.t), rtol=0, atol=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("polyline --waypoints 0,0,1", "--waypoints has 3 numbers, expected X,Y of each point"),
-        ("polyline --waypoints 0,0,1,0,0,0", "waypoints[1] is where the way turns by 180 degrees"),
-        ("line --moved 1", "--moved is '1', expected X,Y or X,Y,ANGLE"),
-        ("circle --phase 1 --start-heading 1", "--start-heading is 1.0 rad beside phase = 1.0 rad"),
-        ("line --centre 1,2", "--centre does not apply to the trajectory 'line', which takes --duration"),
-    ],
-)
-def test_run_refuses_paths_that_cannot_be(
-    words: str, message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    code, _, err = typed(capsys, "run", "--trajectory", *words.split(), "--out", str(tmp_path))
-    assert code == 2
-    assert message in err
-
-
 def test_lecture_shows_what_wheels_change(lecture: tuple[Path, str]) -> None:
     folder, text = lecture
     shown = text.split("4  On wheels")[1]
@@ -127,13 +91,13 @@ def test_lecture_shows_what_wheels_change(lecture: tuple[Path, str]) -> None:
     )
     found = {(path, controller): [float(x) for x in numbers.split()] for path, controller, numbers in rows}
     assert len(found) == 6
-    for (path, controller), (free, back, rolled, left) in found.items():
+    for (path, controller), (free, back, driven, left) in found.items():
         assert back == free, "the free body slides back to its path"
         if controller == "PD":
-            assert left > 5 * rolled, "wheels do not push sideways"
-            assert rolled < (free / 20 if path == "circle" else 2 * free)
+            assert left > 5 * driven, "wheels do not push sideways"
+            assert driven < (free / 20 if path == "circle" else 2 * free)
         else:
-            assert max(rolled, left) < 1e-4
+            assert max(driven, left) < 1e-4
     assert "turns its heading by 0.785 rad at once at t = 0.1 s" in shown
     page = (folder / "index.html").read_text()
     assert re.search(r'<img src="wheels.png" alt="[^"]+"', page)
@@ -171,97 +135,67 @@ def test_lecture_says_no_when_a_number_is_not_the_lectures(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(EXPECTED, ("circle", "PD"), ("7.481304e-03", "7.481287e-03"))
-    monkeypatch.setattr("pinmobile.cli.run.draw", lambda *_: [])
+    monkeypatch.setattr("pinmobile.cli.lecture.draw", lambda *_: [])
     code, out, _ = typed(capsys, "lecture", "--no-gif", "--out", str(tmp_path))
     assert code == 1
     assert "some numbers are NOT the lecture's: see the rows marked DIFFERS" in out
     assert out.count("  DIFFERS\n") == 1
 
 
-def test_verify_answers_for_numbers_and_for_a_file(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    code, out, _ = typed(capsys, "verify", "--table", "slide", "--states", "20")
-    assert code == 0
-    assert "every route agrees" in out
+def test_verify_and_derive_take_robots(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "mine.urdf"
     path.write_text(MobileRobot(7, 0.5, com=(0.1, 0)).to_urdf())
-    code, out, _ = typed(capsys, "verify", "--urdf", str(path), "--states", "20")
-    assert code == 0
-    assert "mine.urdf is the chain (y, x, psi); mass 7 kg" in out
-    code, out, _ = typed(capsys, "verify", "--urdf", str(path), "--states", "5", "--ground", "-0.1")
-    assert code == 0
-    assert "centre of mass (0.1, 0, 0.1) m" in out
-    assert "ground as given, at z = -0.1 m in the root link's frame" in out
-
-
-def test_other_numbers_leave_how_the_robot_of_a_file_stands(tmp_path: Path) -> None:
-    path = tmp_path / "husky.urdf"
-    path.write_text(husky())
-    read = MobileRobot.from_urdf(path)
-    changed = options.robot(read, mass=70.0, com=(0.1, 0.0))
-    assert (changed.mass, changed.com) == (70.0, (0.1, 0.0, read.com[2]))
-    assert changed.stance == read.stance
-    assert "with other mass, com" in changed.source
-
-
-def test_derive_prints_text_or_latex(capsys: pytest.CaptureFixture[str]) -> None:
-    code, text, _ = typed(capsys, "derive")
-    assert code == 0
-    assert "Mass matrix" in text
-    code, latex, _ = typed(capsys, "derive", "--latex")
-    assert code == 0
-    assert r"\ddot{\psi}" in latex
-
-
-@pytest.mark.parametrize("drive", ["differential", "roller", "car"])
-def test_derive_prints_the_reduced_model_of_a_drive(capsys: pytest.CaptureFixture[str], drive: str) -> None:
-    code, text, _ = typed(capsys, "derive", "--drive", drive)
-    assert code == 0
-    assert "\nNull space\n" in text
-    assert "\nn_nu =\n" in text
-    code, latex, _ = typed(capsys, "derive", "--drive", drive, "--latex")
-    assert code == 0
-    assert "S^T M S" in latex
+    for words in (
+        ["robot=MobileRobot(10, 1.2, (0.1, 0.05), dh=SLIDE_TABLE)"],
+        [f"robot=MobileRobot.from_urdf({str(path)!r}, ground=-0.1)"],
+        ["ur5"],
+        ["mecanum"],
+    ):
+        code, out, _ = typed(capsys, "verify", *words, "--states", "3")
+        assert code == 0
+        assert "every route agrees" in out
+    for words, text in (([], "Mass matrix"), (["car"], "n_nu ="), (["mecanum"], "Null space")):
+        code, out, _ = typed(capsys, "derive", *words)
+        assert (code, text in out) == (0, True)
+        assert "\\frac" in typed(capsys, "derive", *words, "--latex")[1] or not words
+    code, _, err = typed(capsys, "derive", "swerve")
+    assert (code, err[:45]) == (2, "pinmobile: robot has wheels of type (1, 2), e")
 
 
 def test_run_is_the_lectures_circle_by_default(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    code, out, _ = typed(capsys, "run", "--out", str(tmp_path / "a" / "b"))
+    out = tmp_path / "a" / "b"
+    code, text, _ = typed(capsys, "run", "--out", str(out), "--film", str(tmp_path / "a" / "see.html"))
     assert code == 0
-    assert "largest error: x 3.491279e-05 m, y 3.491278e-05 m" in out
-    assert f"open {tmp_path / 'a' / 'b' / 'index.html'}" in out
-    rollout = Rollout.load(tmp_path / "a" / "b" / "rollout.npz")
+    assert "largest error: x 3.491279e-05 m, y 3.491278e-05 m" in text
+    assert f"open {out / 'index.html'}\nsee it move: open {tmp_path / 'a' / 'see.html'}\n" in text
+    assert (tmp_path / "a" / "see.html").stat().st_size > 100_000
+    rollout = Rollout.load(out / "rollout.npz")
     assert rollout.max_error()[0] == pytest.approx(3.491279e-05, rel=1e-6)
-    assert (tmp_path / "a" / "b" / "rollout.csv").read_text().startswith("t [s],x [m],y [m],psi [rad]")
+    assert (out / "rollout.csv").read_text().startswith("t [s],x [m],y [m],psi [rad]")
+    names = {path.name for path in out.iterdir()}
+    assert names == {"rollout.npz", "rollout.csv", "index.html", *(f"{each}.png" for each in FIGURES)}
 
 
-def test_run_takes_a_trajectory_a_controller_a_robot_and_their_parameters(
+FIGURES = "path", "states", "errors", "forces", "balance"
+
+
+def test_run_draws_what_wheels_do_and_prints_metrics(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    words = "run --trajectory via-stop --via 1,2 --duration 30 --t-via 10 --turn-time 1 --controller pd"
-    words += " --kp 100,100,50 --kd 90,90,40 --robot box --mass 20 --com 0.1,0 --dt 0.05 --integrator rk4"
-    words += " --substeps 2"
-    code, out, _ = typed(capsys, *words.split(), "--out", str(tmp_path))
+    words = "skid-steer", "duration=0.1", "controller.robot.robot.mass=40", "--film", str(tmp_path / "a.gif")
+    code, out, _ = typed(capsys, "run", *words, "--out", str(tmp_path))
     assert code == 0
-    assert "robot: MobileRobot(mass=20.0, yaw_inertia=1.3" in out
-    rollout = Rollout.load(tmp_path / "rollout.npz")
-    assert rollout.t[-1] == 31
-    np.testing.assert_allclose(rollout.reference.q[210, :2], (1, 2))
-
-
-@pytest.mark.once
-def test_run_with_a_model_that_is_wrong(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    options = ["run", "--duration", "10", "--dt", "0.01", "--out", str(tmp_path)]
-    typed(capsys, *options)
-    right = Rollout.load(tmp_path / "rollout.npz").max_error()
-    typed(capsys, *options, "--model-mass", "40")
-    assert Rollout.load(tmp_path / "rollout.npz").max_error()[0] > 10 * right[0]
+    assert re.search(r"^smallest load \[N\]: \d+", out, re.MULTILINE)
+    assert re.search(r"^largest slip \[m/s\]: 0\.\d+", out, re.MULTILINE)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {"a.gif", "wheel_torques.png", "friction.png", "slip.png", "loads.png"} < names
 
 
 def test_a_run_that_diverges_keeps_what_came_before(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    code, out, err = typed(capsys, "run", "--controller", "pd", "--com", "0.1,0.05", "--out", str(tmp_path))
+    words = "controller=PD((120, 120, 0.4), (120, 120, 0.4))", "robot.com=[0.1, 0.05]"
+    code, out, err = typed(capsys, "run", *words, "--out", str(tmp_path))
     assert code == 1
     assert err.startswith("pinmobile: the loop diverged at t = ")
     assert err.count("\n") == 1
@@ -272,61 +206,28 @@ def test_a_run_that_diverges_keeps_what_came_before(
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (
-            ["run", "--trajectory", "circel"],
-            "unknown trajectory 'circel', did you mean 'circle'? available: circle, lissajous, via-stop,",
-        ),
-        (["run", "--controller", "lqr"], "unknown controller 'lqr', available: computed-torque, pd"),
-        (
-            ["run", "--heading", "tangnt"],
-            "unknown heading 'tangnt', did you mean 'tangent'? available: tangent, fixed, lecture",
-        ),
-        (["run", "--integrator", "euler"], "unknown integrator 'euler', available:"),
-        (
-            ["run", "--robot", "lecure"],
-            "unknown robot 'lecure', did you mean 'lecture'? available: lecture, box",
-        ),
-        (
-            ["derive", "--table", "slides"],
-            "unknown table 'slides', did you mean 'slide'? available: slide, lecture",
-        ),
-        (["derive", "--drive", "cart"], "unknown drive 'cart', did you mean 'car'? available: car, "),
-        (["derive", "--drive", "car", "--table", "slide"], "--table does not apply beside --drive"),
-        (
-            ["run", "--radius", "1", "--trajectory", "via-free"],
-            "--radius does not apply to the trajectory 'via-free'",
-        ),
-        (["run", "--kp", "4,a"], "--kp is '4,a', expected a number, or numbers with commas"),
-        (["run", "--kp", "4,4"], "kp has shape (2,), expected (), (3,) or (3, 3)"),
-        (["run", "--dt", "fast"], "--dt"),
-        (["run", "--mass", "-1"], "mass is -1.0 kg, expected > 0"),
-        (["run", "--urdf", "missing.urdf"], "--urdf is 'missing.urdf', which cannot be read"),
-        (["run", "--ground", "-0.1"], "--ground applies beside --urdf alone"),
-        (["verify", "--ground", "-0.1"], "--ground applies beside --urdf alone"),
-        (["run", "--radios", "1"], "No such option"),
-        (["verify", "--urdf", "missing.urdf"], "--urdf is 'missing.urdf', which cannot be read"),
-        (["verify", "--com", "1"], "com has shape (1,), expected (2,) or (3,)"),
-        (["view", "--speed", "0"], "--speed is 0.0, expected > 0"),
-        (["view", "--html"], "--html does not apply to view, which writes no files"),
-        (["view", "--trajectory", "circel"], "unknown trajectory 'circel'"),
-        (["lectur"], "No such command"),
-        (["run", "--model-mass", "-3"], "--model-mass is -3.0 kg, expected > 0"),
-        (["run", "--model-com", "1,nan"], "--model-com[1] is nan, expected a finite number"),
-        (["run", "--trajectory", "via-stop", "--duration", "-3"], "--duration is -3.0 s, expected > 0"),
-        (["run", "--t-via", "90", "--trajectory", "via-free"], "--t-via is 90.0 s, expected 0 < t_via"),
-        (["run", "--heading", "fixed", "--turn-time", "3"], "--turn-time does not apply beside --heading f"),
-        (["verify", "--states", "0"], "--states is 0, expected a whole number >= 1"),
+        ("run controller.kp=4,a controller.kd=b", "pinmobile: controller.kd=b: controller.kd is 'b', "),
+        ("run controller.kp=[4,4]", "kp has shape (2,), expected (), (3,) or (3, 3)"),
+        ("run --film a.avi", "--film is 'a.avi', expected a file .html, .gif, .mp4 or .png"),
+        ("run --radios 1", "No such option"),
+        ("run duration=0.25", "duration is 0.25 s, expected a whole number of steps dt = 0.1 s"),
+        ("view a.npz ur5", "saved rollouts stand alone, but there is 'ur5' too"),
+        ("ensemble spread.mas=1", "spread.mas=1: unknown parameter in spread 'mas', did you mean 'mass'?"),
+        ("ensemble spread.mass=Normal(1,5)", "draws ("),
+        ("ensemble spread.mass=Uniform(40,20)", "low is 40.0, expected at most high, 20.0"),
+        ("parts pd", "NAME is 'pd', expected a part, did you mean 'PD'?"),
+        ("verify --states 0", "states is 0, expected a whole number >= 1"),
+        ("lectur", "No such command"),
     ],
 )
-def test_wrong_options_are_answered_in_one_line(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: list[str], text: str
+def test_wrong_words_are_answered_in_a_line_each(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: str, text: str
 ) -> None:
-    out = ["--out", str(tmp_path)] if words[0] == "run" else []
-    code, _, err = typed(capsys, *words, *out)
-    assert code == 2
-    assert err.startswith("pinmobile: ")
-    assert text in err
-    assert err.count("\n") == 1
+    out = ["--out", str(tmp_path)] if words.split()[0] in ("run", "ensemble") else []
+    code, _, err = typed(capsys, *words.split(), *out)
+    assert (code, text in err) == (2, True), err
+    assert all(line.startswith("pinmobile: ") for line in err.splitlines())
+    assert err.count("\n") == 1 + ("kd=b" in words)
 
 
 @pytest.mark.parametrize("command", ["lecture", "run"])
@@ -340,40 +241,66 @@ def test_an_output_folder_that_cannot_be_written_is_refused_before_any_work(
     assert out == ""
 
 
-def test_help_teaches(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_teaches_and_loads_no_library(capsys: pytest.CaptureFixture[str]) -> None:
     for words in ([], ["--help"]):
-        _, out, _ = typed(capsys, *words)
-        for command in ("lecture", "verify", "derive", "run"):
-            assert command in out
-    _, out, _ = typed(capsys, "run", "--help")
-    assert "Example" in out
-    assert "(m/s)" in out
-    assert "[/" not in out
+        code, out, _ = typed(capsys, *words)
+        assert code == 0
+        assert "pinmobile write > mine.toml" in " ".join(out.split())
+        for verb in [
+            "run",
+            "ensemble",
+            "sweep",
+            "view",
+            "write",
+            "parts",
+            "identify",
+            "verify",
+            "derive",
+            "lecture",
+        ]:
+            assert f"\n  {verb} " in out
+            assert "Example: pinmobile " in typed(capsys, verb, "--help")[1] or verb == "lecture"
+    text = "import sys; from pinmobile.cli import main; main(['run', '--help']); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
+    assert not {"numpy", "pinocchio"} & set(done.stdout.split())
 
 
-def test_options_are_what_the_parts_state_with_the_lectures_numbers() -> None:
-    names = set()
-    for offered in (choices.PATHS, choices.HEADINGS):
-        for choice in offered.values():
-            for name, each in declared_by(choice.make) if isinstance(choice.make, type) else ():
-                if isinstance(each, Number) and name in choice.takes and name != "duration":
-                    option = choices.OPTIONS[name]
-                    assert f"{each.doc.split(',')[0]}".lower() in option.text.lower()
-                    end = "." if choice.takes[name] is None else "; "
-                    assert f" ({each.unit}){end}" in option.text
-                    names.add(option.name)
-    assert {"radius", "rx", "via", "turn_time", "psi"} <= names
-    circle = choices.PATHS["circle"].takes
-    assert choices.OPTIONS["radius"].text == f"circle: radius of the circle (m); {circle['radius']:g}."
-    assert choices.OPTIONS["model_mass"].text == "Mass of the controller's model (kg); the robot's."
-    command: Any = get_command(app)
-    own = {"out", "gif", "mp4", "html", "help"}
-    assert {each.name for each in command.commands["run"].params} - own == {
-        option.name for option in choices.OF_LOOPS
-    }
+def test_parts_are_listed_from_their_declarations(capsys: pytest.CaptureFixture[str]) -> None:
+    for words, text in (
+        ([], "\n  ComputedTorque       Computed torque, tau = M(q)"),
+        (["Circle"], "radius           radius of the circle; a number > 0 [m]\n"),
+        (["WheelTable.differential"], "track            Distance of the wheels [m]\n"),
+        (["scenario"], "dt               time step; a number > 0 [s]; default 0.1\n"),
+        (["MobileRobot"], "MobileRobot.from_urdf, "),
+        (["--schema"], '"exclusiveMinimum": 0.0'),
+    ):
+        code, out, _ = typed(capsys, "parts", *words)
+        assert (code, text in out) == (0, True), words
 
 
-def test_films_are_told_frame_by_frame_or_refused_before_anything_runs(
+def test_write_prints_a_file_to_begin_with(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    code, text, _ = typed(capsys, "write", "lecture", "controller.kp=9")
+    assert code == 0
+    assert "\nkp = 9.0  # proportional gain: a number, or numbers of shape (n,) or (n, n) [1/s^2]\n" in text
+    (tmp_path / "mine.toml").write_text(text)
+    assert typed(capsys, "write", str(tmp_path / "mine.toml")) == (0, text, "")
+
+
+@pytest.mark.parametrize(
+    ("word", "expected"),
+    [
+        ("con", ["controller=", "controller."]),
+        ("controller=P", ["controller=PD", "controller=PDGravity", "controller=PID"]),
+        ("trajectory.path.ra", ["trajectory.path.radius=", "trajectory.path.rate="]),
+        ("mec", ["mecanum"]),
+        ("x.y", []),
+    ],
+)
+def test_words_are_completed(word: str, expected: list[str]) -> None:
+    assert complete(word) == expected
+
+
+def test_films_are_refused_before_anything_runs_and_told_frame_by_frame(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     pytest.importorskip("imageio_ffmpeg", reason="needs the extra mp4")
@@ -383,16 +310,81 @@ def test_films_are_told_frame_by_frame_or_refused_before_anything_runs(
         progress(1, 2)
         path.write_bytes(b"film")
 
-    words = "run", "--mp4", "--dt", "0.1", "--out", str(tmp_path)
+    words = "run", "--film", str(tmp_path / "film.mp4"), "--out", str(tmp_path)
     monkeypatch.setattr("pinmobile.viewer.Recording.save_mp4", save)
     monkeypatch.setenv("PINMOBILE_CHROMIUM", sys.executable)  # any program: none is started
     assert typed(capsys, *words)[0] == 0
     assert (tmp_path / "film.mp4").read_bytes() == b"film"
-    assert '<video src="film.mp4" controls' in (tmp_path / "index.html").read_text()
     monkeypatch.setenv("PINMOBILE_CHROMIUM", "no-such-program")
-    monkeypatch.setattr("pinmobile.cli.run.simulate", None)
+    monkeypatch.setattr("pinmobile.cli.results.Opened", None)
     code, _, err = typed(capsys, *words)
     assert (code, err) == (2, "pinmobile: PINMOBILE_CHROMIUM is 'no-such-program', which is no program\n")
+
+
+def test_an_ensemble_is_printed_and_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    words = ["ensemble", "spread.robot.mass=Relative(Uniform(0.8, 1.2))", "spread.start.x=Normal(0, 0.01)"]
+    code, out, err = typed(capsys, *words, *SHORT, "after=4", "--out", str(tmp_path))
+    assert (code, err) == (0, "")
+    assert "40 robots over 6 s: from 4 s on 99 % stay within " in out
+    assert {path.name for path in tmp_path.iterdir()} == {"index.html", "bands.png", "drivers.png"}
+    assert "all robots are alike" in typed(capsys, "ensemble", *SHORT, "--out", str(tmp_path))[1]
+
+
+SWEPT = """
+n = 40
+after = 5
+trajectory = "Tangent(Circle(3, 0.1, 6))"
+[spread]
+robot.mass = "Relative(Uniform(0.8, 1.2))"
+[grid]
+robot.com.x = [0.0, 0.01, 0.02]
+controller.PD = "PD(kp=(120, 120, 0.4), kd=(120, 120, 0.4))"
+controller."computed torque" = "ComputedTorque"
+"""
+
+
+@pytest.fixture
+def swept(tmp_path: Path) -> list[str]:
+    (tmp_path / "mass.toml").write_text(SWEPT)
+    return ["sweep", str(tmp_path / "mass.toml"), "--out", str(tmp_path / "out")]
+
+
+def test_a_sweep_is_printed_drawn_and_kept(
+    capsys: pytest.CaptureFixture[str], swept: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Any] = []
+
+    def curves(values: Any, *, x: Any, label: str, title: str | None) -> Figure:
+        drawn.append((list(values), [len(row) for row in values.values()], x, label, title))
+        return Figure()
+
+    monkeypatch.setattr(plots, "curves", curves)
+    code, out, _ = typed(capsys, *swept)
+    assert code == 0
+    assert "robot.com.x [m]" in out
+    assert "PD stays within " in out
+    assert dict(Sweep.open(tmp_path / "out" / "sweep.zarr").dataset.sizes)["robot.com.x"] == 3
+    assert drawn[0][:2] == (["PD", "computed torque"], [3, 3])
+    assert drawn[0][2] == ("robot.com.x", "m", [0.0, 0.01, 0.02])
+    assert typed(capsys, *swept)[:2] == (0, out)  # from the store
+
+
+def test_a_sweep_of_two_numbers_is_drawn_as_maps(
+    capsys: pytest.CaptureFixture[str], swept: list[str], tmp_path: Path
+) -> None:
+    assert typed(capsys, *swept, "grid.trajectory.path.rate=[0.05, 0.1]")[0] == 0
+    assert (tmp_path / "out" / "index.html").read_text().count("<img") == 2
+
+
+def test_an_interrupted_sweep_says_how_to_go_on(
+    capsys: pytest.CaptureFixture[str], swept: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pinmobile.cli.results.sweep", interrupt)
+    code, _, err = typed(capsys, *swept)
+    assert (code, err) == (130, "pinmobile: interrupted: the same command goes on where it was\n")
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
@@ -405,7 +397,7 @@ def test_an_interrupt_ends_quietly(
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pinmobile.cli.run.show_lecture", interrupt)
+    monkeypatch.setattr("pinmobile.cli.lecture.show_lecture", interrupt)
     code, _, err = typed(capsys, "lecture")
     assert (code, err) == (130, "pinmobile: interrupted\n")
 
@@ -414,10 +406,8 @@ def test_an_interrupt_ends_quietly(
     ("words", "file"),
     [
         ("lecture --no-gif --out OUT", "via-stop-path.png"),
-        ("run --dt 0.5 --out OUT", "rollout.npz"),
-        ("ensemble --n 20 --duration 6 --spread mass=percent:20 --out OUT", "bands.png"),
-        ("mount ur5 --dt 0.01 --duration 1 --out OUT", "computed-torque.npz"),
-        ("mount ur5 --dt 0.01 --duration 1 --html OUT/ur5.html", "ur5.html"),
+        ("run dt=0.5 --out OUT", "rollout.npz"),
+        ("ensemble n=20 trajectory.path.duration=6 spread.mass=Uniform(20,40) --out OUT", "bands.png"),
     ],
 )
 def test_a_full_disk_is_told_in_one_line_that_names_the_file(
@@ -434,22 +424,21 @@ def test_a_full_disk_is_told_in_one_line_that_names_the_file(
 @pytest.mark.parametrize(
     ("closed", "options", "code", "text"),
     [
-        (">&-", "--duration 1", 0, ""),
-        (">&-", "--duration 0", 2, "pinmobile: --duration is 0.0 s, .*"),
-        (">&- 2>&-", "--duration 1", 0, ""),
-        ("2>&-", "--duration 0", 2, ""),
+        (">&-", "duration=1", 0, ""),
+        (">&-", "duration=0", 2, "pinmobile: duration=0: duration is 0, expected .*"),
+        (">&- 2>&-", "duration=1", 0, ""),
+        ("2>&-", "duration=0", 2, ""),
     ],
 )
 def test_a_closed_output_is_no_output(
     closed: str, options: str, code: int, text: str, tmp_path: Path
 ) -> None:
-    words = f"exec {shlex.quote(sys.executable)} -m pinmobile run --out . --dt 0.1 {options} {closed}"
+    words = f"exec {shlex.quote(sys.executable)} -m pinmobile write {options} {closed}"
     done = subprocess.run(
         ["sh", "-c", words], capture_output=True, text=True, check=False, timeout=100, cwd=tmp_path
     )
     assert done.returncode == code
     assert re.fullmatch(text, (done.stdout + done.stderr).strip()), done
-    assert (tmp_path / "rollout.npz").exists() == (code == 0)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux alone has a device that is full")
@@ -459,3 +448,152 @@ def test_a_console_behind_which_the_disk_is_full_is_told_in_one_line() -> None:
         done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, check=False, timeout=100)
     assert done.returncode == 1
     assert done.stderr == b"pinmobile: the output cannot be written: [Errno 28] No space left on device\n"
+
+
+def test_view_says_why_it_does_not_know_the_robot_of_a_file(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    urdf, file = tmp_path / "slide.urdf", tmp_path / "run.npz"
+    urdf.write_text(SLIDE)
+    robot = MobileRobot.box().mount(urdf)
+    motion = WholeBody(robot, FixedHeading(Circle(1, 0.1, 1), 0), None)
+    simulate(robot, ComputedTorque(robot), motion, dt=0.5).save(file)
+    urdf.unlink()
+    code, out, err = typed(capsys, "view", str(file))
+    assert (code, out) == (2, "")
+    said = "does not know its robot: arm is '.*slide.urdf', which cannot be read"
+    assert re.search(rf"^pinmobile: '.*run.npz' {said}", err)
+
+
+# -- logs ------------------------------------------------------------------------------------------
+
+HEAD = "t,x,y,psi,Fx,Fy,Mz"
+MOTOR = "Motor(resistance=1.2, torque_constant=0.04, voltage=24, gear=30, rotor_inertia=2e-5)"
+WHEELS = f"robot=WheelTable.differential(0.5, 0.1, spin_inertia=0.005, motor={MOTOR})"
+
+
+def rows(read: Any = None) -> Any:
+    read = log() if read is None else read
+    return np.column_stack([read.t, read.q, read.u])
+
+
+def written(path: Path, table: Any, head: str = HEAD) -> str:
+    np.savetxt(path, table, "%.9g", ",", header=head, comments="")
+    return str(path)
+
+
+def estimate(name: str, told: str) -> float:
+    return float(re.findall(rf"^{name} +(\S+) ", told, re.MULTILINE)[0])
+
+
+@pytest.mark.once
+def test_identify_prints_the_table_and_draws_the_prediction(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    table, out = rows(), tmp_path / "figures"
+    first, second = (
+        written(tmp_path / f"{k}.csv", each) for k, each in enumerate((table[:700], table[760:]))
+    )
+    words = [first, second, "robot=MobileRobot(30, 1.5)", "method=weak", "delay=0", "--out", str(out)]
+    code, told, err = typed(capsys, "identify", *words)
+    assert (code, err) == (0, "")
+    assert estimate("mass", told) == pytest.approx(32, abs=1)
+    assert "2141 samples at 50 Hz, 0 dropped" in told
+    assert told.endswith(f"measured and predicted: open {out / '1.png'}\n")  # of the longest
+    assert (out / "1.png").stat().st_size > 20_000
+
+
+def test_identify_takes_commands_and_columns_of_other_names(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = written(tmp_path / "run.csv", rows(logged(pose=True)), "stamp,px,py,angle [rad],v,w")
+    words = "identify", path, "columns.q=px,py,angle", "columns.u=v,w", "--out", str(tmp_path)
+    code, told, _ = typed(capsys, *words)
+    assert code == 0
+    assert re.search(r"^theta_6 +1\.0\d+", told, re.MULTILINE)
+    code, _, err = typed(capsys, *words, "rolling_speed=0.1")
+    said = "rolling_speed does not apply to a log of commands of speed and yaw rate"
+    assert (code, err) == (2, f"pinmobile: {said}\n")
+
+
+@pytest.mark.once
+def test_volts_of_wheels_give_the_robot_and_loads_the_scale(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    paths = []
+    for k in range(2):
+        read = rolled(bool(k))
+        head = f"{HEAD[:9]},u_left [V],u_right [V],rate_left,rate_right"
+        paths.append(
+            written(tmp_path / f"{k}.csv", np.column_stack([rows(read), np.asarray(read.wheel_rates)]), head)
+        )
+    words = [WHEELS, "method=weak", "--out", str(tmp_path)]
+    load = 'loads=["none", "Load(8, (0.1, 0.05, 0), (0.0533, 0.0533, 0.0533, 0, 0, 0))"]'
+    code, told, err = typed(capsys, "identify", *paths, load, *words)
+    assert (code, err) == (0, "")
+    assert estimate("input_scale", told) == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.once
+def test_wheels_of_a_urdf_are_kept_where_the_log_says_nothing(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    t, noise = 0.02 * np.arange(1500), np.random.default_rng(1).normal(0, 1e-3, (1500, 3))
+    u = -0.0256 * np.sin(t)  # of 1.55 kg on wheels of 33 mm
+    q = np.column_stack([np.sin(t), 0 * t, 0 * t]) + noise
+    path = written(tmp_path / "run.csv", np.column_stack([t, q, u, u]), "t,x,y,psi,u_a,u_b")
+    urdf = tmp_path / "waffle.urdf"
+    urdf.write_text(wheeled.turtlebot("waffle").replace("${namespace}", ""))
+    robot = f"robot=WheeledRobot.from_urdf({str(urdf)!r})"
+    code, told, err = typed(capsys, "identify", path, robot, "method=weak", "--out", str(tmp_path))
+    assert (code, err) == (0, "")
+    assert "the motion does not tell" in told
+
+
+def reverse(table: Any) -> Any:
+    table[:, 4:] = table[::-1, 4:]
+    return table
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "text"),
+    [
+        (lambda table: np.delete(table, np.s_[300:330], axis=0), "", r"t has a gap from 5\.98 to 6\.6 s .*"),
+        (lambda table: table[:600], "", r"log is 12 s long, too short, expected at least .*"),
+        (reverse, "", r"log has inputs of which the motion explains .*another robot.*"),
+        (lambda table: table, "columns.q=x,y", r"q has shape \(2201, 2\), expected \(2201, 3\)"),
+    ],
+)
+def test_a_bad_log_is_answered_in_one_line(
+    change: Callable[[Any], Any], words: str, text: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = written(tmp_path / "run.csv", change(rows()))
+    code, told, err = typed(capsys, "identify", path, *words.split(), "--out", str(tmp_path))
+    assert (code, told.strip()) == (2, "")
+    assert re.fullmatch(rf"pinmobile: LOG is '\S+run\.csv': {text}\n", err), err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("none.csv", r"LOG is '\S+none\.csv', which cannot be read: No such file or directory"),
+        ("run.csv columns=3", "columns=3: columns is 3, expected columns.ROLE=NAME,NAME, such as .*"),
+        ("run.csv columns.q=x,y,spi", "unknown column of .* 'spi', did you mean 'psi'.*"),
+        ("run.csv topics.q=/odom", "topics is .*, expected those of u and of q or twist, .*"),
+        ("run.csv method=ls", "unknown method 'ls', available: output error, weak|method is 'ls', .*"),
+        ("run.csv delay=30", r"delay is 30 s, expected 4\.4 s at most: are these milliseconds\?"),
+        (
+            "run.csv robot=WheelTabel",
+            "robot=WheelTabel: robot is 'WheelTabel', expected a robot or wheels, .*",
+        ),
+        ("robot=3", "LOG is missing, expected at least one file, such as run.csv"),
+    ],
+)
+def test_words_about_no_log_are_answered_in_one_line(
+    words: str, message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    written(tmp_path / "run.csv", rows())
+    told = [str(tmp_path / word) if word.endswith(".csv") else word for word in words.split()]
+    code, _, err = typed(capsys, "identify", *told, "--out", str(tmp_path))
+    assert code == 2
+    assert re.fullmatch(f"pinmobile: ({message})\n", err), err

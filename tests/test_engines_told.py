@@ -82,10 +82,10 @@ def test_the_command_prints_it_once(tmp_path: Path, capsys: pytest.CaptureFixtur
         "        return pull * (reference.q - q) - v, state\n"
     )
     (tmp_path / "plan.toml").write_text(
-        '[controller]\ntype = "own:Sign"\n[trajectory]\nduration = 1\n[ensemble]\nn = 6\n'
-        '[spread]\nstart.x = {uniform = [0, 0.1]}\n[grid]\n"loop.substeps" = [1, 2]\n'
+        'n = 6\ncontroller = "own:Sign"\ntrajectory.path.duration = 1\n'
+        '[spread]\nstart.x = "Uniform(0, 0.1)"\n[grid]\nsubsteps = [1, 2]\n'
     )
-    words = ["sweep", str(tmp_path / "plan.toml"), "--out", str(tmp_path / "out"), "--chunk", "3"]
+    words = ["sweep", str(tmp_path / "plan.toml"), "--out", str(tmp_path / "out")]
     with warnings.catch_warnings():
         warnings.simplefilter("default")  # as outside of the tests, where warnings are no errors
         assert main([*words, "--allow-code"]) == 0

@@ -18,7 +18,7 @@ from pinmobile import (
     plain_difference,
     simulate,
 )
-from pinmobile.cli.run import EXPECTED
+from pinmobile.cli.lecture import EXPECTED
 
 DATA = Path(__file__).parent / "data"
 ROBOT = MobileRobot.lecture()

@@ -3,6 +3,7 @@
 import pickle
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
 from typing import Any
@@ -14,7 +15,9 @@ import pytest
 
 from pinmobile import (
     PD,
+    Circle,
     ComputedTorque,
+    CubicVia,
     Decoupled,
     Diverged,
     InvalidArgument,
@@ -22,10 +25,14 @@ from pinmobile import (
     MobileRobot,
     PDGravity,
     Reference,
+    Rollout,
     Saturated,
+    Tangent,
     UnknownName,
+    WholeBody,
     constant_acceleration,
     law,
+    plots,
     rk4,
     simulate,
     verify,
@@ -618,3 +625,52 @@ def test_pd_with_the_robots_difference_is_pd(robot: MobileRobot, limited: Any) -
     np.testing.assert_array_equal(runs[0].q, runs[1].q)
     np.testing.assert_array_equal(runs[0].u, runs[1].u)
     assert np.abs(runs[1].error[-1, :3]).max() < 0.5 * np.abs(runs[1].error[0, :3]).max()
+
+
+# -- joints by their names -------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def run() -> Rollout:
+    """Return a run of an arm whose joints have no limits; each goes 0.1 rad and comes back."""
+    robot = MobileRobot.box().mount("kinova")
+    rest = robot.rest[3:]
+    way = CubicVia(rest, rest + 0.1, rest, 0.5, 1.0)
+    motion = WholeBody(robot, Tangent(Circle(1.0, 0.5, 1.0)), way)
+    return simulate(robot, ComputedTorque(robot, 100.0, 20.0), motion, dt=0.02)
+
+
+def test_a_rollout_says_the_errors_of_joints_by_name(run: Rollout) -> None:
+    lines = str(run).splitlines()
+    joints = lines[5 : len(lines) - len(run.events)]
+    assert [line.split()[0] for line in joints] == [one.name for one in run.plant.coordinates[3:]]
+    worst = int(run.max_error()[3:].argmax())
+    assert f"{run.plant.coordinates[3 + worst].name} {run.max_error()[3 + worst]:.6e} rad>" in repr(run)
+    unknown = replace(run, plant=None)
+    joints = str(unknown).splitlines()[5 : 5 + 6]
+    assert [line.split()[0] for line in joints] == [f"[{k}]" for k in range(3, 9)]
+
+
+def test_the_columns_of_a_record_are_joints(run: Rollout, tmp_path: Path) -> None:
+    run.to_csv(tmp_path / "run.csv")
+    header = (tmp_path / "run.csv").read_text().splitlines()[0].split(",")
+    first = run.plant.coordinates[3].name
+    assert header[:5] == ["t [s]", "x [m]", "y [m]", "psi [rad]", f"{first} [rad]"]
+    assert f"v_{first} [rad/s]" in header
+    assert len(header) == len(set(header)) == 1 + 6 * 9
+
+
+def test_figures_name_joints_and_unwrap_their_angles(run: Rollout) -> None:
+    panels = plots.states({"a": run, "b": run}).axes
+    assert [axes.get_title(loc="left") for axes in panels[2:5]] == [
+        r"$\psi$",
+        "j2s6s200 joint 1",
+        "j2s6s200 joint 2",
+    ]
+    assert [axes.get_ylabel() for axes in panels[:4]] == ["[m]", "[m]", "[rad]", "[rad]"]
+    assert [axes.get_ylabel() for axes in plots.forces(run).axes[2:4]] == ["[N m]", "[N m]"]
+    drawn = panels[3].lines[0].get_ydata()
+    assert np.ptp(np.asarray(drawn)) == pytest.approx(0.1, abs=1e-2)  # it goes away and back
+    assert len(plots.errors({"a": run, "b": run}).axes) == 18
+    two = plots.states({"a": replace(run, plant=None)}).axes
+    assert [axes.get_title(loc="left") for axes in two[3:5]] == ["[3]", "[4]"]

@@ -11,7 +11,7 @@ import pytest
 
 import pinmobile
 from pinmobile import ViewerError
-from pinmobile.cli.run import EXPECTED
+from pinmobile.cli.lecture import EXPECTED
 from pinmobile.viewer.recording import find_chromium
 
 ROOT = Path(__file__).parents[1]

@@ -226,14 +226,14 @@ def fresh(code: str) -> str:
     return done.stdout
 
 
-def test_import_pulls_in_numpy_and_pinocchio_and_none_of_its_own_modules() -> None:
+def test_import_pulls_in_none_of_its_own_modules_and_no_library() -> None:
     loaded = fresh(
-        "import sys, pinocchio; before = set(sys.modules); import pinmobile; "
+        "import sys; before = set(sys.modules); import pinmobile; "
         "print(*(set(sys.modules) - before - set(sys.stdlib_module_names)))"
     )
-    assert loaded.split() == ["pinmobile"]
-    alone = fresh("import sys, pinmobile; print('numpy' in sys.modules, 'pinocchio' in sys.modules)")
-    assert alone.split() == ["True", "True"]
+    assert {name for name in loaded.split() if name.split(".")[0] not in sys.stdlib_module_names} == {
+        "pinmobile"
+    }
 
 
 @pytest.mark.parametrize(
@@ -326,8 +326,8 @@ def test_many_threads_may_use_the_package_first() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (None, "No module named 'pinocchio'"),
-        ("class Plugin: pass", "cannot import name 'Model' from 'pinocchio'"),
+        (None, "No module is named 'pinocchio'"),
+        ("class Plugin: pass", "Another module is named 'pinocchio'"),
     ],
 )
 def test_a_missing_or_another_pinocchio_is_told_at_once_with_what_to_install(
@@ -369,7 +369,7 @@ def test_the_wheel_carries_the_urdfs_the_types_and_nothing_else(wheel: Path) -> 
     names = set(zipfile.ZipFile(wheel).namelist())
     for shipped in (ROOT / "models" / "urdf").iterdir():
         assert f"pinmobile/models/urdf/{shipped.name}" in names
-    assert "pinmobile/py.typed" in names
+    assert {"pinmobile/py.typed", "pinmobile/scenarios/ur5.toml"} <= names
     assert all(name.split("/")[0] in ("pinmobile",) or ".dist-info/" in name for name in names)
 
 

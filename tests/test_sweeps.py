@@ -34,8 +34,9 @@ from pinmobile import (
 )
 from pinmobile.loop import run_scenario
 from pinmobile.loop._counts import edges
-from pinmobile.sweeps import Axis, Points, compared, length
+from pinmobile.sweeps import Axis, Points
 from pinmobile.sweeps._points import _NAMES, changed
+from pinmobile.sweeps._result import compared, length
 from tests.sweeping import CHUNK, GRID, ROBOT, contents, points, scenario, swept
 
 ROOT = Path(__file__).parents[1]

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable
-from math import pi
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
-from pinmobile.cli import main
 from pinmobile.controllers import Backstepping, Tracking
 from pinmobile.palette import GRIPS, QUIET, SLIDES
 from pinmobile.viewer import Overlays, Viewer
@@ -296,76 +294,3 @@ def _with_plant(run: Rollout, plant: WheeledRobot) -> Rollout:
     from dataclasses import replace
 
     return replace(run, plant=plant)
-
-
-def test_the_command_drives_and_writes_a_page_and_figures(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    page, folder = tmp_path / "m.html", tmp_path / "out"
-    words = ["drive", "mecanum", "--duration", "0.5", "--html", str(page), "--out", str(folder)]
-    assert main(words) == 0
-    told = capsys.readouterr().out
-    assert "type (3, 0), omnidirectional" in told
-    assert "computed torque" in told
-    assert re.search(r"largest share of friction \[-\] +0\.\d+", told)
-    assert "meshcat/contacts" in page.read_text() or page.stat().st_size > 1e5
-    names = {path.name for path in folder.iterdir()}
-    assert {"index.html", "wheel_torques.png", "friction.png", "slip.png", "loads.png"} <= names
-
-
-@pytest.mark.parametrize("name", ["differential", "car", "omni", "swerve", "skid-steer"])
-def test_every_drive_has_a_controller(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["drive", name, "--trajectory", "circle", "--duration", "0.1", "--dt", "0.02"]) == 0
-    found = re.search(r"largest error in place \[m\] +(?:< )?(\S+)", capsys.readouterr().out)
-    assert found is not None
-    assert float(found[1]) < 0.05
-
-
-def test_the_command_drives_the_robot_of_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "ridgeback.urdf"
-    path.write_text(wheeled.ridgeback())
-    words = ["drive", "--urdf", str(path), "--rollers", str(pi / 4), "--duration", "0.2"]
-    assert main(words) == 0
-    assert "computed torque" in capsys.readouterr().out
-
-
-def test_the_command_does_not_guess_whether_wheels_have_rollers(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "husky.urdf"
-    path.write_text(wheeled.husky())
-    words = ["drive", "--urdf", str(path), "--duration", "0.1"]
-    assert main(words) == 2
-    assert "whose wheels are on more than one axle" in (refused := capsys.readouterr().err)
-    assert "give --rollers 0.785 for mecanum wheels, or --rollers none for tyres" in refused
-    assert main([*words, "--rollers", "none"]) == 0
-    assert "husky.urdf: dry friction, mu = 0.8" in capsys.readouterr().out
-    assert main([*words, "--rollers", "some"]) == 2
-    assert "--rollers is 'some', expected a number" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ([], "drive needs a drive"),
-        (["tank"], "unknown drive 'tank'"),
-        (["mecanum", "--urdf", "x.urdf"], "--urdf stands for a drive, but there is 'mecanum' too"),
-        (["mecanum", "--distance", "0.2"], "--distance does not apply to mecanum, which takes --wheelbase"),
-        (["mecanum", "--track", "-1"], "--track is -1"),
-        (["mecanum", "--html", "x.txt"], "--html is 'x.txt', expected a file that ends in .html"),
-        (
-            ["mecanum", "--rx", "1", "--trajectory", "circle"],
-            "--rx does not apply to the trajectory 'circle'",
-        ),
-    ],
-)
-def test_what_does_not_fit_is_refused(
-    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["drive", *words]) == 2
-    assert message in capsys.readouterr().err
-
-
-def test_rollers_are_those_of_a_file(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["drive", "mecanum", "--rollers", "1.2"]) == 2
-    assert "--rollers applies beside --urdf alone" in capsys.readouterr().err

@@ -1,28 +1,22 @@
 """Dynamics and control of ground robots on Pinocchio.
 
-Importing it loads Pinocchio, and numpy with it; a module of its own when a name of that is first used.
+Importing it loads a module of its own, and numpy and Pinocchio with it, when a name of that is first used.
 """
 
-import sys
+import pathlib
+from importlib import import_module
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
 
-try:  # Ctrl-C ends the command here as it does later; typing takes long
-    from importlib import import_module
-    from typing import TYPE_CHECKING
-
-    # At once: whoever lacks it is told by the import, not in the middle of a program.
-    from pinocchio import Model
-except ImportError as error:
+# At once: whoever lacks Pinocchio is told by the import, not in the middle of a program.
+_spec = find_spec("pinocchio")
+_folders = (_spec.submodule_search_locations if _spec is not None else None) or ()
+if not any(list(pathlib.Path(folder).glob("*pywrap*")) for folder in _folders):
     raise ImportError(
-        f"{error}: pinmobile needs Pinocchio, whose package on PyPI is pin: pip install pin "
-        "(pinocchio there is another project: uninstall it first)"
-    ) from error
-except KeyboardInterrupt:
-    first = sys.argv[0] if sys.argv else ""
-    if not (first.endswith("/pinmobile") or (first == "-m" and "pinmobile" in sys.orig_argv)):
-        raise
-    sys.stderr.write("pinmobile: interrupted\n")  # the command ends as it does everywhere else
-    raise SystemExit(130) from None
-del Model
+        f"{'No' if _spec is None else 'Another'} module is named 'pinocchio': pinmobile needs Pinocchio, "
+        "whose package on PyPI is pin: pip install pin (pinocchio there is another project: uninstall it "
+        "first)"
+    )
 
 if TYPE_CHECKING:
     from pinmobile.accuracy import *

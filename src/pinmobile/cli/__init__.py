@@ -42,14 +42,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str] | None) -> int:
     import typer
 
-    from pinmobile.cli.commands import app, as_typed
-    from pinmobile.cli.options import Interrupted
+    from pinmobile.cli.verbs import app
     from pinmobile.errors import Diverged, FileError
 
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _note
-            code = app(args=arguments, prog_name="pinmobile", standalone_mode=False)
+            words = sys.argv[1:] if arguments is None else arguments
+            code = app(args=words or ["--help"], prog_name="pinmobile", standalone_mode=False)
         sys.stdout.flush()
     except typer.TyperException as error:
         return _refuse(
@@ -57,12 +57,10 @@ def _run(arguments: Sequence[str] | None) -> int:
         )
     except (Diverged, FileError) as error:
         return _refuse(str(error), 1)
-    except Interrupted as error:
-        return _refuse(str(error), _INTERRUPTED)
     except InvalidArgument as error:
-        return _refuse(str(as_typed(error)))
+        return max(map(_refuse, str(error).splitlines() or [""]))
     except PinmobileError as error:
-        return _refuse(str(error))
+        return _refuse(str(error), _INTERRUPTED if str(error).startswith("interrupted") else 2)
     except typer.Abort:
         return _refuse("interrupted", _INTERRUPTED)
     except BrokenPipeError:

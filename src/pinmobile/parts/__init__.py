@@ -40,6 +40,7 @@ from pinmobile.parts._fields import (
     Child,
     Field,
     Number,
+    Values as Values,
     Whole,
     also_symbols,
     array,
@@ -64,6 +65,27 @@ from pinmobile.parts._fields import (
     part,
     structure,
 )
+from pinmobile.parts._registry import (
+    Parameter as Parameter,
+    fits as fits,
+    is_part_class as is_part_class,
+    makes_part as makes_part,
+    names_of as names_of,
+    nearest as nearest,
+    parameters as parameters,
+    public as public,
+    resolve as resolve,
+)
+from pinmobile.parts._text import (
+    are_nested as are_nested,
+    located as located,
+    read_entries as read_entries,
+    read_file as read_file,
+    schema_of as schema_of,
+    write_text as write_text,
+)
+from pinmobile.parts._tree import InvalidEntries as InvalidEntries, Reader as Reader
+from pinmobile.parts._values import expected as expected, flat as flat
 from pinmobile.parts._walk import (
     Found,
     Leaf,

@@ -319,13 +319,13 @@ class Grounded(Protocol):
         """Return the wrench of the ground on the body, shape (..., 6)."""
 
 
-def _names(kind: type) -> tuple[str, ...]:
+def members(kind: type) -> tuple[str, ...]:
     return tuple(name for name in vars(kind) if name == "__call__" or not name.startswith("_"))
 
 
 def offers(part: object, kind: type) -> bool:
     """Return whether a part has all that a protocol asks for; what is None it has not."""
-    return all(getattr(part, name, None) is not None for name in _names(kind))
+    return all(getattr(part, name, None) is not None for name in members(kind))
 
 
 def able(part: Any, kind: type) -> Any:
@@ -335,7 +335,7 @@ def able(part: Any, kind: type) -> Any:
 
 def lacks(part: object, kind: type) -> str:
     """Return in words what a part lacks that has other things of a protocol, "" of one that has none."""
-    names = [name for name in _names(kind) if name != "__call__"]
+    names = [name for name in members(kind) if name != "__call__"]
     lacking = [name for name in names if getattr(part, name, None) is None]
     return f", which has no {lacking[0]}" if 0 < len(lacking) < len(names) else ""
 

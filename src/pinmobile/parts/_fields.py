@@ -257,16 +257,28 @@ class Child(Field):
 
     def _one(self, name: str, value: Any) -> Any:
         kind = self.kind
-        plain = isinstance(kind, tuple) or not getattr(kind, "_is_protocol", False)
-        if (
-            value is None
-            or isinstance(value, type)
-            or not (isinstance(value, kind) if plain else offers(value, kind))
-        ):
+        if value is None or isinstance(value, type) or not _is_of(value, kind):
             expected = self.expected or (meaning(kind) if not isinstance(kind, tuple) else "a part")
-            told = "" if plain else lacks(value, kind)
+            told = lacks(value, kind) if is_protocol(kind) else ""
             raise InvalidArgument(f"{name} is {shown(value)}{told}, expected {expected}")
         return value
+
+
+def _is_of(value: Any, kind: Any) -> bool:
+    """Return whether a value is of a class, has what a protocol asks for, or is of one of several kinds."""
+    if isinstance(kind, tuple):
+        return any(_is_of(value, each) for each in kind)
+    return offers(value, kind) if is_protocol(kind) else isinstance(value, kind)
+
+
+def is_protocol(kind: Any) -> bool:
+    """Return whether a kind is a protocol, which objects of any class may have."""
+    return isinstance(kind, type) and bool(vars(kind).get("_is_protocol", False))
+
+
+@attrs.frozen
+class Values(Field):
+    """Declaration of values by path, such as the distributions of a spread: numbers or parts."""
 
 
 def _checked(value: Any, owner: Any, field: attrs.Attribute[Any]) -> Any:

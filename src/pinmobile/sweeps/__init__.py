@@ -3,9 +3,6 @@
 from pinmobile.sweeps._points import Axis as Axis, Points as Points
 from pinmobile.sweeps._result import (
     Sweep,
-    compared as compared,
-    length as length,
-    since as since,
 )
 from pinmobile.sweeps._sweep import connected as connected, run_points as run_points, sweep
 

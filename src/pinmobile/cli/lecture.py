@@ -1,0 +1,317 @@
+"""The lecture, from its derivation to its figures; `verify` and `derive` of any robot."""
+
+import math
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.progress import Progress
+
+from pinmobile import (
+    COMPILED,
+    PD,
+    Allocated,
+    Backstepping,
+    Circle,
+    ComputedTorque,
+    CubicVia,
+    InvalidArgument,
+    LectureHeading,
+    MobileRobot,
+    Rollout,
+    Tangent,
+    Tracking,
+    WheeledRobot,
+    WheelTable,
+    constant_acceleration,
+    plain_difference,
+    planar_difference,
+    plots,
+    simulate,
+)
+from pinmobile.cli.output import (
+    Picture,
+    Section,
+    begin,
+    console,
+    index_page,
+    output_folder,
+    progress,
+    save_figure,
+)
+from pinmobile.cli.results import FIGURES, check_film, draw, save_film
+from pinmobile.cli.scenario_file import Opened
+from pinmobile.files import write
+from pinmobile.loop import error_text
+
+if TYPE_CHECKING:
+    from pinmobile.derivation import Derivation
+    from pinmobile.verification import Verification
+
+EXPECTED = {
+    ("via stop", "PD"): ("3.219048e-03", "3.121481e-03"),
+    ("via stop", "computed torque"): ("1.037037e-05", "1.037037e-05"),
+    ("via free", "PD"): ("3.219048e-03", "1.613704e-03"),
+    ("via free", "computed torque"): ("1.037037e-05", "2.592593e-06"),
+    ("circle", "PD"): ("7.481303e-03", "7.481287e-03"),
+    ("circle", "computed torque"): ("3.491279e-05", "3.491278e-05"),
+}
+"""Largest |error| in x and y [m] of the lecture's script, run in an independent interpreter."""
+
+_VIA: dict[str, Any] = {"start": (0, 0), "via": (2, 2), "end": (0, 4), "t_via": 30.0, "t_end": 60.0}
+_PATHS: dict[str, Any] = {
+    "via stop": CubicVia(**_VIA, via_velocity=(0, 0)),
+    "via free": CubicVia(**_VIA),
+    "circle": Circle(3.0, 0.1, 60.0),
+}
+_LABELS = "PD", "computed torque"
+_GAINS = (120.0, 120.0, 0.4)
+_TURN_TIME, _OFF, _OFFSET = 2.0, 0.3, (0.1, 0.05)  # [s], [m], [m]
+_STEPS = Picture("derivation.txt", "Every step of the derivation.")
+_WHEELS = Picture(
+    "wheels.png",
+    f"{_OFF:g} m beside the path at the start: the free body slides back; on wheels PD does not come back, "
+    "for no wheel pushes sideways, and backstepping steers back.",
+)
+Runs = dict[tuple[str, str], Rollout]
+
+
+def _loop(path: str, label: str, *, corrected: bool) -> dict[str, Any]:
+    """Return the arguments of `simulate` of a loop of the lecture, with its heading or the corrected one."""
+    robot, curve = MobileRobot.lecture(), _PATHS[path]
+    difference = planar_difference if corrected else plain_difference
+    return {
+        "plant": robot,
+        "controller": PD(_GAINS, _GAINS, difference)
+        if label == "PD"
+        else ComputedTorque(robot, 4.0, 4.0, difference),
+        "trajectory": Tangent(curve, _TURN_TIME) if corrected else LectureHeading(curve),
+        "dt": 0.1,
+        "integrator": constant_acceleration,
+    }
+
+
+def show_verification(words: Sequence[str], states: int, *, allow_code: bool) -> int:
+    """Print how far the methods for the dynamics of a robot differ; return 0 where they agree."""
+    from pinmobile import verify
+
+    # Away from the lecture's com = (0, 0), where half of the terms vanish.
+    opened = Opened(words or [f"robot=MobileRobot(10, 1.2, {(0.15, 0.05)})"], allow_code=allow_code)
+    with progress(1, "deriving and comparing"):
+        verification = verify(opened.content.robot, states=states)
+    console.print(f"{opened.content.robot}\n{verification}", markup=False)
+    console.print("every route agrees" if verification.passed else "the routes do NOT agree")
+    return 0 if verification.passed else 1
+
+
+def show_derivation(words: Sequence[str], *, latex: bool, allow_code: bool) -> int:
+    """Print the derivation of the robot's DH table, or of wheels of its mobility."""
+    from pinmobile import derivation
+
+    robot = Opened(words, allow_code=allow_code).content.robot
+    with progress(1, "deriving"):
+        if isinstance(robot, WheeledRobot):
+            kind = robot.mobility.mobility, robot.mobility.steerability
+            known = {
+                (2, 0): derivation.differential_drive,
+                (3, 0): derivation.roller_drive,
+                (1, 1): derivation.car,
+            }
+            if kind not in known:
+                raise InvalidArgument(
+                    f"robot has wheels of type {kind}, expected {', '.join(map(str, known))}: a differential "
+                    "drive, wheels with rollers, or a car"
+                )
+            found: Any = known[kind]()
+        else:
+            found = derivation.lecture(robot.dh)
+    console.print(found.latex() if latex else str(found), markup=False)
+    return 0
+
+
+def show_lecture(out: Path, *, gif: bool, mp4: bool) -> int:
+    """Print the lecture's results and write its figures; return 0 if every number is the lecture's."""
+    from pinmobile import derivation, verify  # sympy is not needed by the other commands
+
+    robot, folder = MobileRobot.lecture(), output_folder(out)
+    if mp4:
+        check_film(folder / "film.mp4")
+    with progress(6 + len(_PATHS) * (len(FIGURES) + 1 + gif + mp4)) as bar:
+        begin(bar, "deriving")
+        derived = derivation.lecture()
+        console.print("[bold]1  Derivation[/bold], from the DH table by recursive Newton-Euler")
+        console.print(_equations(derived), markup=False)
+        begin(bar, "verifying")
+        # Away from the lecture's com = (0, 0), where half of the terms vanish.
+        verification = verify(MobileRobot(robot.mass, robot.yaw_inertia, com=_OFFSET))
+        console.print(f"\n[bold]2  Verification[/bold], with the centre of mass at {_OFFSET} m")
+        console.print(str(verification), markup=False)
+        begin(bar, "simulating")
+        keys = [(path, label) for path in _PATHS for label in _LABELS]
+        lecture_runs, right_runs = (
+            {key: simulate(**_loop(*key, corrected=corrected)) for key in keys} for corrected in (False, True)
+        )
+        console.print("\n[bold]3  Six closed loops[/bold], m = 30 kg, Icz = 0.1 kg m^2, dt = 0.1 s, 60 s")
+        table, same = _table(lecture_runs, right_runs)
+        console.print(table, markup=False)
+        begin(bar, "rolling")
+        rolled, beside = _on_wheels()
+        console.print("\n[bold]4  On wheels[/bold], those of a differential drive")
+        console.print(rolled, markup=False)
+        begin(bar, "drawing")
+        sections = _sections(folder, lecture_runs, right_runs, bar, gif=gif, mp4=mp4)
+        begin(bar, "drawing wheels")
+        save_figure(
+            plots.path(beside, title=f"{_OFF:g} m beside the path at the start"), folder / _WHEELS.file
+        )
+    write(folder / "derivation.txt", str(derived).encode("utf-8"))
+    texts = [
+        Section("1  Derivation: M(q) and n(q, v)", _equations(derived), pages=[_STEPS]),
+        Section(f"2  Verification, with the centre of mass at {_OFFSET} m", str(verification)),
+        Section("3  Six closed loops", table),
+        Section("4  On wheels: what they change", rolled, [_WHEELS]),
+    ]
+    page = index_page(folder, "The lecture: a mobile robot as a DH chain", [*texts, *sections])
+    console.print(f"\n{_summary(verification, same)}", markup=False)
+    console.print(f"every step of the derivation: {folder / 'derivation.txt'}", markup=False)
+    console.print(f"figures: open {page}\nsee it move: open {folder / 'circle.html'}", markup=False)
+    return 0 if same and verification.passed else 1
+
+
+def _equations(derived: "Derivation") -> str:
+    """Return the distinct entries of M(q) and n(q, v), a line each."""
+    import sympy
+
+    M, n = derived.mass_matrix, derived.nonlinear_effects
+    names = ("x", "y", "psi")
+    entries = {f"M[{names[i]}, {names[j]}]": M[i, j] for i in range(3) for j in range(i, 3)}
+    entries |= {f"n[{name}]": entry for name, entry in zip(names, n, strict=True)}
+    return "\n".join(f"  {name:11} = {sympy.sstr(entry)}" for name, entry in entries.items())
+
+
+def _table(lecture: Runs, right: Runs) -> tuple[str, bool]:
+    """Return the largest errors beside the lecture's, as text, and whether all are the same."""
+    found = {key: tuple(map(error_text, run.max_error())) for key, run in lecture.items()}
+    same = all(found[key][:2] == expected for key, expected in EXPECTED.items())
+    head = ("trajectory", "controller", "x [m]", "lecture", "y [m]", "lecture")
+    lines = ["largest |error|", "{:10} {:15} {:>12} {:>12} {:>13} {:>12}".format(*head)]
+    for key, (x, y) in EXPECTED.items():
+        mark = "" if found[key][:2] == (x, y) else "  DIFFERS"
+        lines.append(f"{key[0]:10} {key[1]:15} {found[key][0]:>12} {x:>12} {found[key][1]:>13} {y:>12}{mark}")
+    lines += [
+        "",
+        "with the lecture's heading, and with that put right, which the figures show:",
+        f"{'trajectory':10} {_HEAD}",
+    ]
+    lines += [f"{path:10} {row}" for path in _PATHS for row in _both(path, lecture, right)]
+    lines += [
+        "the lecture's heading jumps where the robot rests; put right, it follows the",
+        f"tangent's limits, and turns on the spot for {_TURN_TIME:g} s where the path bends at rest",
+    ]
+    return "\n".join(lines), same
+
+
+_ROW = "{:15} {:9} {:>4} {:>12} {:>12} {:>12}"
+_HEAD = _ROW.format("controller", "heading", "time", "x [m]", "y [m]", "psi [rad]")
+
+
+def _both(path: str, lecture: Runs, right: Runs) -> list[str]:
+    """Return the largest errors on a path with the lecture's heading and with that put right, a row each."""
+    return [
+        _ROW.format(label, heading, f"{runs[path, label].t[-1]:g} s", *map(error_text, errors))
+        for label in _LABELS
+        for heading, runs in (("lecture's", lecture), ("put right", right))
+        for errors in [runs[path, label].max_error()]
+    ]
+
+
+def _on_wheels() -> tuple[str, dict[str, Rollout]]:
+    """Return what the wheels of a differential drive change, as text, and runs that start beside a path."""
+    table = WheelTable.differential(
+        0.3, 0.1, supports=[(-0.2, 0)], mass=0.5, spin_inertia=2.5e-3, yaw_inertia=1.3e-3
+    )
+    wheeled = WheeledRobot(MobileRobot.lecture(), table)
+    head = f"{'':10} {'':23} {'free body':>21}   {'on wheels':>21}"
+    columns = f"{'on path':>10} {'beside':>10}"
+    lines = [
+        "heading along the tangent; track 0.3 m, radius 0.1 m; distance from path [m]:",
+        f"the largest, and what is left at the end of a start {_OFF:g} m beside it",
+        head,
+        f"{'trajectory':10} {'controller':23} {columns}   {columns}",
+    ]
+    shown: dict[str, Rollout] = {}
+    for path in _PATHS:
+        for label in _LABELS:
+            loop, pd = _loop(path, label, corrected=True), label == "PD"
+            law: Any = (
+                Allocated(loop["controller"], wheeled) if pd else Backstepping(Tracking(), wheeled, k=4)
+            )
+            rolled = loop | {"plant": wheeled, "controller": law, "integrator": None, "engine": COMPILED}
+            found, beside = zip(*(_on_and_beside(one) for one in (loop, rolled)), strict=True)
+            numbers = (f"{on:10.1e} {off:10.1e}" for on, off in found)
+            lines.append(f"{path:10} {label if pd else f'{label}*':23} {'   '.join(numbers)}")
+            if path == "via stop":
+                shown |= {"PD, on wheels": beside[1]} if pd else {"computed torque, free": beside[0]}
+                shown |= {} if pd else {"backstepping, on wheels": beside[1]}
+    lines += ["* on wheels: backstepping with k = 4 1/s, for no torques are the inverse dynamics", ""]
+    lines += [
+        "Wheels carry the force across the axle that PD lacks on a curve, and give none",
+        "to come back; backstepping steers back. What wheels cannot follow is refused:",
+        *textwrap.wrap(_refused(wheeled), 79),
+    ]
+    return "\n".join(lines), shown
+
+
+def _on_and_beside(loop: dict[str, Any]) -> tuple[tuple[float, float], Rollout]:
+    """Return the largest distance on the path, what is left at the end of a start beside it, and that run."""
+    run = simulate(**loop)
+    x, y, psi = run.q[0, :3]
+    q0 = run.q[0].copy()
+    q0[:2] = x - _OFF * math.sin(psi), y + _OFF * math.cos(psi)
+    beside = simulate(**loop, q0=q0, v0=run.v[0])
+    far, left = (np.hypot(*(one.reference.q - one.q[:, :3])[:, :2].T) for one in (run, beside))
+    return (float(far.max()), float(left[-1])), beside
+
+
+def _refused(wheeled: WheeledRobot) -> str:
+    """Return what is said of the lecture's own heading, which jumps where the path begins."""
+    try:
+        simulate(wheeled, Backstepping(Tracking(), wheeled), LectureHeading(_PATHS["via stop"]), dt=0.1)
+    except InvalidArgument as error:
+        return str(error)
+    return ""
+
+
+def _summary(verification: "Verification", same: bool) -> str:
+    largest = ", ".join(f"{name} {value:.0e}" for name, value in verification.largest.items())
+    routes = f"the routes {'' if verification.passed else 'do NOT '}agree; largest differences: {largest}"
+    if same:
+        return f"{routes}\nall twelve numbers are the lecture's, to every digit"
+    return f"{routes}\nsome numbers are NOT the lecture's: see the rows marked DIFFERS"
+
+
+def _sections(
+    folder: Path, lecture: Runs, right: Runs, bar: Progress, *, gif: bool, mp4: bool
+) -> list[Section]:
+    sections = []
+    for number, trajectory in enumerate(_PATHS, start=5):
+        name = trajectory.replace(" ", "-")
+        rollouts = {label: right[trajectory, label] for label in _LABELS}
+        pictures = draw(rollouts, folder, f"{name}-", bar)
+        films = {"animation.gif": "The robot as it moves: PD, computed torque."} if gif else {}
+        films |= {"film.mp4": "The robot in its scene as it moves."} if mp4 else {}
+        for film, caption in films.items():
+            begin(bar, f"drawing {name}-{film}")
+            save_film(rollouts, folder / f"{name}-{film}", "", bar)
+            pictures.insert(0, Picture(f"{name}-{film}", caption))
+        begin(bar, f"recording {name}-scene")
+        page = folder / f"{name}.html"
+        save_film(rollouts, page, f"{trajectory.capitalize()}: PD and computed torque", bar, speed=4)
+        title = f"{number}  {trajectory.capitalize()}: PD beside computed torque"
+        pages = [Picture(page.name, "See it move: both robots in one scene.")]
+        rows = _both(trajectory, lecture, right)
+        text = "\n".join(["largest |error|; the figures show the heading that is put right", _HEAD, *rows])
+        sections.append(Section(title, text, pictures, pages))
+    return sections

@@ -1,0 +1,337 @@
+"""What run, ensemble, sweep and view print, draw and write."""
+
+import math
+import signal
+import socket
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.progress import Progress
+
+from pinmobile import Diverged, Ensemble, InvalidArgument, MobileRobot, PinmobileError, Rollout, Sweep, plots
+from pinmobile.arrays import Array
+from pinmobile.cli.output import (
+    Picture,
+    Section,
+    begin,
+    console,
+    index_page,
+    output_folder,
+    progress,
+    save_figure,
+)
+from pinmobile.cli.scenario_file import Opened
+from pinmobile.loop import run_scenario, why_unknown
+from pinmobile.measures import in_words, measures_of
+from pinmobile.sweeps import Axis, Points, connected, run_points
+
+_FILM = 10.0  # [s] that a film lasts at most
+_MOST, _SHORT = 12, 160  # figures of a sweep, and letters of a robot
+_UNITS = (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6))
+
+FIGURES = {
+    "path": "The desired path (dashed), the travelled one, and the robot where it really was.",
+    "states": "{} over time, desired and actual.",
+    "errors": "Desired minus actual {} over time, angles on the circle.",
+    "forces": "The generalised force, held between samples.",
+}
+_OTHERS = {
+    "balance": "Tip-over margin, friction that the ground must offer, and the zero-moment point.",
+    "reaction": "Force and moment of the arm on the base, at its mount.",
+    "wheel_torques": "Torques of the wheels, and of the steering axes.",
+    "friction": "Force at each wheel as a share of its friction: at 1 it slides.",
+    "slip": "Velocity of each wheel over the ground, along and across.",
+    "loads": "Load of each wheel.",
+}
+"""Figures of robots that have the quantity; of others, these raise `InvalidArgument`."""
+
+
+def draw(rollouts: dict[str, Rollout], folder: Path, prefix: str, bar: Progress) -> list[Picture]:
+    """Write the four figures of some rollouts, one step of the progress bar each."""
+    arms = any(len(run.labels) > 3 for run in rollouts.values())
+    drawn = "x, y, psi and each joint" if arms else "x, y and psi"
+    pictures = []
+    for name, caption in FIGURES.items():
+        begin(bar, f"drawing {prefix}{name}")
+        save_figure(getattr(plots, name)(rollouts), folder / f"{prefix}{name}.png")
+        pictures.append(Picture(f"{prefix}{name}.png", caption.format(drawn)))
+    return pictures
+
+
+def _draw_others(run: Rollout, folder: Path, bar: Progress) -> list[Picture]:
+    pictures = []
+    for name, caption in _OTHERS.items():
+        begin(bar, f"drawing {name}")
+        with suppress(InvalidArgument):
+            save_figure(getattr(plots, name)(run), folder / f"{name}.png")
+            pictures.append(Picture(f"{name}.png", caption))
+    return pictures
+
+
+def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: bool) -> int:
+    """Run a loop, print its result, and write records, figures and their index; of a diverged run too."""
+    check_film(film)
+    opened = Opened(words, allow_code=allow_code, unused=("spread", "grid", "cases"))
+    folder = output_folder(out)
+    diverged: Diverged | None = None
+    with progress(3 + len(FIGURES) + len(_OTHERS)) as bar:
+        begin(bar, "simulating")
+        try:
+            rollout = opened.content.simulate()
+        except Diverged as error:
+            if error.rollout is None:
+                raise
+            diverged, rollout = error, error.rollout
+        begin(bar, "recording")
+        rollout.save(folder / "rollout.npz")
+        rollout.to_csv(folder / "rollout.csv")
+        pictures = draw({opened.title: rollout}, folder, "", bar) + _draw_others(rollout, folder, bar)
+        if film is not None:
+            begin(bar, "filming")
+            save_film({opened.title: rollout}, film, opened.title, bar)
+    text = "\n".join([str(rollout), *_metrics(rollout)])
+    if diverged is not None:
+        text = f"{diverged}\n\nup to there:\n{text}"
+    robot = str(opened.content.robot)
+    console.print(f"robot: {robot if len(robot) < _SHORT else f'{robot[:_SHORT]}...'}\n{text}", markup=False)
+    page = index_page(folder, opened.title, [Section("Results", text, pictures)])
+    console.print(f"wrote {folder / 'rollout.npz'}, rollout.csv and figures: open {page}", markup=False)
+    seen = f"open {film}" if film is not None else f"pinmobile view {folder / 'rollout.npz'}"
+    console.print(f"see it move: {seen}", markup=False)
+    if diverged is not None:
+        raise diverged
+    return 0
+
+
+def _metrics(run: Rollout) -> list[str]:
+    """Return a line for each metric of the plant: its worst value."""
+    found = run.measures() if run.plant is not None else {}
+    lines = []
+    for each in measures_of(run.plant) if found else ():
+        values = found[each.name].values
+        worst = np.nanmin(values) if each.is_margin else np.nanmax(np.abs(values))
+        lines.append(f"{each.worst} {each.title}: {in_words(float(worst))}")
+    return lines
+
+
+def check_film(film: Path | None) -> None:
+    """Reject a film that cannot be made, before anything runs."""
+    if film is None:
+        return
+    if film.suffix not in (".html", ".gif", ".mp4", ".png"):
+        raise InvalidArgument(f"--film is {str(film)!r}, expected a file .html, .gif, .mp4 or .png")
+    if film.suffix == ".mp4":
+        from pinmobile.viewer import check_films
+
+        check_films()
+    output_folder(film.parent, "--film", film)
+
+
+def save_film(
+    rollouts: Mapping[str, Rollout], path: Path, title: str, bar: Progress, *, speed: float = 1.0
+) -> None:
+    """Write rollouts that move in one scene, the first solid; .gif is drawn from above."""
+    if path.suffix == ".gif":
+        plots.animate(rollouts, path)
+        return
+    from pinmobile.viewer import Overlays, Viewer
+
+    run = next(iter(rollouts.values()))
+    task = bar.add_task("frames", total=None)
+    wheels = "contacts" in dir(run.plant)
+    with Viewer(plant_of(rollouts), overlays=Overlays(contacts=wheels, centre=wheels)) as viewer:
+        if path.suffix == ".mp4":
+            longest = max(float(each.t[-1] - each.t[0]) for each in rollouts.values())
+            viewer.record(rollouts, speed=max(1.0, longest / _FILM)).save_mp4(
+                path, progress=lambda done, total: bar.update(task, completed=done, total=total)
+            )
+        elif path.suffix == ".png":
+            viewer.record(rollouts, speed=speed)
+            viewer.screenshot(path, t=float(run.t[-1] - run.t[0]) / speed)
+        else:
+            viewer.record(rollouts, speed=speed, title=title).save_html(path)
+    bar.remove_task(task)
+
+
+def plant_of(rollouts: Mapping[str, Rollout]) -> Any:
+    """Return the plant of the first rollout, or the robot of the lecture."""
+    plant = next(iter(rollouts.values())).plant
+    return MobileRobot.lecture() if plant is None else plant
+
+
+def show_ensemble(words: Sequence[str], out: Path, *, allow_code: bool) -> int:
+    """Run an ensemble, print it and draw it."""
+    opened = Opened(words, allow_code=allow_code, unused=("grid", "cases"))
+    scenario = opened.scenario()
+    folder = output_folder(out)
+    if not opened.content.spread and scenario.n > 1:
+        console.print("spread is empty: all robots are alike", markup=False)
+    with progress(scenario.n) as bar:
+        found = run_scenario(scenario, progress=lambda done, _: bar.update(bar.task_ids[0], completed=done))
+    console.print(str(found), markup=False)
+    pictures = _ensemble_figures(found, folder)
+    page = index_page(folder, opened.title, [Section("Results", str(found), pictures)])
+    console.print(
+        f"figures: open {page}\ncompare values or controllers: pinmobile sweep --help", markup=False
+    )
+    return 0
+
+
+def _ensemble_figures(found: Ensemble, folder: Path) -> list[Picture]:
+    save_figure(plots.bands(found), folder / "bands.png")
+    pictures = [Picture("bands.png", "Errors over time: what half, 90 % and 99 % of the robots stay within.")]
+    with suppress(InvalidArgument):  # the robots are alike, or too few
+        save_figure(plots.drivers(found, share=max(0.05, 1 / len(found))), folder / "drivers.png")
+        pictures.append(Picture("drivers.png", "What the robots that strayed farthest have in common."))
+    return pictures
+
+
+def show_sweep(words: Sequence[str], out: Path | None, scheduler: str | None, *, allow_code: bool) -> int:
+    """Run the ensembles at all points, print their table and the answer, and draw them."""
+    opened = Opened(words, allow_code=allow_code)
+    points = _points(opened)
+    folder = output_folder(Path("out") / opened.title if out is None else out)
+    client = None if scheduler is None else connected(scheduler)
+    store = folder / "sweep.zarr"
+    try:
+        with progress(len(points.scenarios) * points.n, "sweeping") as bar:
+            found = run_points(
+                points,
+                store,
+                client=client,
+                progress=lambda done, total: bar.update(bar.task_ids[0], completed=done, total=total),
+            )
+    except KeyboardInterrupt:
+        raise PinmobileError("interrupted: the same command goes on where it was") from None
+    finally:
+        if client is not None:
+            client.close()
+    console.print(f"{found.table()}\n\n{found.answer()}", markup=False)
+    section = Section("Results", found.table(most=1000), _sweep_figures(found, folder))
+    page = index_page(folder, found.answer(), [section])
+    console.print(
+        f"wrote {store}: xarray.open_zarr reads it, and pinmobile.Sweep.open\nopen {page}", markup=False
+    )
+    return 0
+
+
+def _points(opened: Opened) -> Points:
+    """Return the scenarios at all points, with their axes; impossible draws are refused before any work."""
+    axes = {path: Axis(tuple(values), opened.unit(path)) for path, values in opened.axes().items()}
+    points = Points(axes or {"case": Axis(("all",))}, [scenario for _, scenario in opened.points()])
+    for k, scenario in enumerate(points.scenarios):
+        try:
+            scenario.draws()
+        except InvalidArgument as error:
+            raise InvalidArgument(f"{error} (at {points.place(k)})") from error
+    return points
+
+
+def _sweep_figures(found: Sweep, folder: Path) -> list[Picture]:
+    """Draw the distance that 99 % of the robots keep: curves over one axis of numbers, else maps of two."""
+    within = found.within()
+    long = [name for name, axis in found.axes.items() if len(axis.values) > 1]
+    numeric = [name for name in long if within[name].dtype.kind in "fiu"]
+    named = [name for name in long if name not in numeric]
+    curved = len(numeric) == 1
+    drawn = [*named[-1:], *numeric] if curved else (numeric if len(numeric) > 1 else long)[-2:]
+    if not drawn or (not curved and len(drawn) < 2):
+        return []
+    values = within.isel({name: 0 for name in found.axes if name not in long})
+    unit, size = _unit(values.values)
+    known = values.values[np.isfinite(values.values)] / size
+    limits = (float(known.min()), float(known.max())) if known.size else None
+    label = f"99 % stay within [{unit}]"
+    pictures = []
+    for k, (where, part) in enumerate(_slices(values / size, [name for name in long if name not in drawn])):
+        if k == _MOST:
+            break
+        columns = [(name, found.axes[name].unit, list(found.axes[name].values)) for name in drawn]
+        part = part.transpose(*drawn)
+        figure: Figure
+        if curved:
+            names = [str(one) for one in columns[0][2]] if len(drawn) > 1 else [""]
+            rows = dict(zip(names, np.reshape(part.values, (len(names), -1)), strict=True))
+            figure = plots.curves(rows, x=columns[-1], label=label, title=where or None)
+        else:
+            y, x = columns
+            figure = plots.heatmap(part.values, x=x, y=y, title=where or label, label=label, limits=limits)
+        save_figure(figure, folder / f"within-{k}.png")
+        caption = f"{where}{where and ': '}{label}, over {' and '.join(drawn[::-1])}."
+        pictures.append(Picture(f"within-{k}.png", caption))
+    return pictures
+
+
+def _slices(values: Any, names: list[str]) -> Iterator[tuple[str, Any]]:
+    """Yield the parts for each value of some axes, and their names in words."""
+    for index in np.ndindex(*(values.sizes[name] for name in names)):
+        where = dict(zip(names, index, strict=True))
+        at = [(name, np.asarray(values[name])[i]) for name, i in where.items()]
+        words = [str(value) if isinstance(value, str) else f"{name} = {value:g}" for name, value in at]
+        yield ", ".join(words), values.isel(where)
+
+
+def _unit(values: Array) -> tuple[str, float]:
+    """Return the unit in which the largest finite number reads best, and its size [m]."""
+    known = values[np.isfinite(values)]
+    largest = float(known.max()) if known.size else 1.0
+    return next(((unit, size) for unit, size in _UNITS if largest >= size), _UNITS[-1])
+
+
+def show_live(words: Sequence[str], *, host: str, port: int | None, allow_code: bool) -> int:
+    """Serve a run, or saved rollouts, until Ctrl-C or SIGTERM; both end it in order."""
+    saved = [Path(word) for word in words if word.endswith(".npz")]
+    if saved and len(saved) < len(words):
+        others = [word for word in words if not word.endswith(".npz")]
+        raise InvalidArgument(f"saved rollouts stand alone, but there is {others[0]!r} too")
+    if saved:
+        names = [path.stem if len({p.stem for p in saved}) == len(saved) else str(path) for path in saved]
+        rollouts = {name: _loaded(path) for name, path in zip(names, saved, strict=True)}
+    else:
+        opened = Opened(words, allow_code=allow_code, unused=("spread", "grid", "cases"))
+        rollouts = {opened.title: opened.content.simulate()}
+    from pinmobile.viewer import Viewer
+
+    with _until_ended(), Viewer(plant_of(rollouts), live=True, host=host, port=port) as viewer:
+        served = viewer.url.split("://")[1].split("/")[0].rpartition(":")[2]
+        console.print(
+            f"open {viewer.url}\n"
+            f"from another machine: ssh -L {served}:{host}:{served} {socket.gethostname()}\n"
+            "and open the same address there, with 127.0.0.1 as its host; Ctrl-C ends it",
+            markup=False,
+        )
+        console.file.flush()
+        viewer.play(rollouts, speed=4.0, repeat=math.inf)
+    return 0
+
+
+def _loaded(path: Path) -> Rollout:
+    """Return a saved run, whose robot must be known: it would be missing."""
+    run, why = Rollout.load(path), why_unknown(path)
+    if why:
+        raise InvalidArgument(
+            f"{str(path)!r} does not know its robot: {why}; in Python, "
+            "dataclasses.replace(rollout, plant=...) tells it"
+        )
+    return run
+
+
+@contextmanager
+def _until_ended() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM end what is within, in order."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    except KeyboardInterrupt:
+        console.print("\nended", markup=False)
+    finally:
+        signal.signal(signal.SIGTERM, before)

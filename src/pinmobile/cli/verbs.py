@@ -1,0 +1,244 @@
+"""The verbs of the command; each imports what it runs, so that help needs no library."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pinmobile import __version__
+
+app = typer.Typer(
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Dynamics and control of ground robots on Pinocchio. Type first: pinmobile lecture, pinmobile run "
+    "ur5, or pinmobile write > mine.toml, a file to change and run.",
+    epilog="Exit codes: 0 done; 1 a check failed, a run diverged, or the system failed; 2 wrong words or "
+    "files; 130 interrupted.",
+)
+
+
+def complete(incomplete: str) -> list[str]:
+    """Return the paths, and after = the names of parts, that continue a word."""
+    import pinmobile.cli.scenario_file as scenarios
+    from pinmobile.parts import Child, names_of, parameters
+
+    path, equals, start = incomplete.partition("=")
+    *way, last = path.split(".")
+    part: Any = scenarios.Opened([]).content
+    for key in way:
+        part = vars(part).get(key) if part is not None else None
+    kind: Any = type(part)
+    fields = parameters(kind) if part is not None else {}
+    declared = fields[last].declared if last in fields else None
+    if equals:
+        names = names_of(declared.kind) if isinstance(declared, Child) else ()
+        return [f"{path}={name}" for name in names if name.startswith(start)]
+    before = path.removesuffix(last)
+    shipped = [] if way else [name for name in scenarios.shipped() if name.startswith(last)]
+    found = [(name, each.declared) for name, each in fields.items() if name.startswith(last)]
+    ends = [(name, end) for name, each in found for end in ("=", ".")[: 1 + isinstance(each, Child)]]
+    return [*shipped, *(f"{before}{name}{end}" for name, end in ends)]
+
+
+Words = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[FILE] [PATH=VALUE]...",
+        autocompletion=complete,
+        show_default=False,
+        help="Scenario file or shipped scenario, and changes: controller=PD, robot.com.x=0.1.",
+    ),
+]
+Code = Annotated[
+    bool, typer.Option("--allow-code", help="Run the modules that the file names (MODULE:NAME).")
+]
+Film = Annotated[
+    Path | None, typer.Option(help="Film of the moving robot: a file .html, .gif, .mp4 or .png.")
+]
+
+
+def _folder(default: str) -> Any:
+    return typer.Option(help=f"Folder for records and figures; default: {default}.", show_default=False)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"pinmobile {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def run(
+    words: Words = None,
+    out: Annotated[Path, _folder("out/run")] = Path("out/run"),
+    film: Film = None,
+    allow_code: Code = False,
+) -> int:
+    """Run one closed loop; spread, grid and cases are left aside. Without a file: the circle of the lecture.
+
+    Example: pinmobile run controller.robot.com.x=0.1 dt=0.01
+    """
+    from pinmobile.cli.results import show_run
+
+    return show_run(words or [], out, film, allow_code=allow_code)
+
+
+@app.command()
+def ensemble(
+    words: Words = None,
+    out: Annotated[Path, _folder("out/ensemble")] = Path("out/ensemble"),
+    allow_code: Code = False,
+) -> int:
+    """Run the loop for n robots that differ by [spread].
+
+    Example: pinmobile ensemble n=1000 "spread.mass=Relative(Uniform(0.8, 1.2))" after=5
+    """
+    from pinmobile.cli.results import show_ensemble
+
+    return show_ensemble(words or [], out, allow_code=allow_code)
+
+
+@app.command()
+def sweep(
+    words: Words = None,
+    out: Annotated[Path | None, _folder("out/ and the file's name")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Dask scheduler, tcp://HOST:PORT; default: all cores here.")
+    ] = None,
+    allow_code: Code = False,
+) -> int:
+    """Run the ensemble at each point of [grid] and [cases], and keep them in a Zarr store.
+
+    After an interruption, repeat the command: it resumes.
+
+    Example: pinmobile sweep rivals
+    """
+    from pinmobile.cli.results import show_sweep
+
+    return show_sweep(words or [], out, scheduler, allow_code=allow_code)
+
+
+@app.command()
+def view(
+    words: Words = None,
+    host: Annotated[str, typer.Option(help="Address to serve at.")] = "127.0.0.1",
+    port: Annotated[int | None, typer.Option(help="Port; default: a free one.")] = None,
+    allow_code: Code = False,
+) -> int:
+    """Serve a page that shows a run, or saved rollouts (.npz), again and again until Ctrl-C.
+
+    Example: pinmobile view out/run/rollout.npz
+    """
+    from pinmobile.cli.results import show_live
+
+    return show_live(words or [], host=host, port=port, allow_code=allow_code)
+
+
+@app.command()
+def write(words: Words = None, allow_code: Code = False) -> int:
+    """Print the whole scenario as a file, each number with its meaning, unit and bound.
+
+    Example: pinmobile write mecanum controller.kp=9 > mine.toml
+    """
+    from pinmobile.cli.scenario_file import Opened
+
+    typer.echo(Opened(words or [], allow_code=allow_code).written(), nl=False)
+    return 0
+
+
+@app.command()
+def parts(
+    name: Annotated[str | None, typer.Argument(help="Part, such as PD.", show_default=False)] = None,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON schema of scenario files, for editors.")
+    ] = False,
+) -> int:
+    """List the parts of a scenario, or the fields of one.
+
+    Example: pinmobile parts WheelTable.differential
+    """
+    from pinmobile.cli import scenario_file
+
+    if schema:
+        import json
+
+        from pinmobile.parts import schema_of
+
+        typer.echo(json.dumps(schema_of(scenario_file.ScenarioFile), indent=1))
+    else:
+        typer.echo(scenario_file.described(name) if name else scenario_file.listed())
+    return 0
+
+
+@app.command()
+def identify(
+    words: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="LOG... [PATH=VALUE]...",
+            help="CSV files, bags or MCAP files of one robot, and what is known of it.",
+        ),
+    ],
+    out: Annotated[Path, _folder("out/identify")] = Path("out/identify"),
+) -> int:
+    """Estimate mass, centre of mass, yaw inertia and friction, with confidence intervals, from robot logs.
+
+    Inputs are forces on a body, or with robot=... torques or volts of its wheels. Two inputs without a robot
+    are commands of speed and yaw rate. pinmobile parts Identified lists the paths.
+
+    Example: pinmobile identify run.csv "robot=WheelTable.differential(0.5, 0.1)"
+    """
+    from pinmobile.cli.identify import show_identification
+
+    return show_identification(words, out)
+
+
+@app.command()
+def verify(
+    words: Words = None,
+    states: Annotated[int, typer.Option(help="Number of random states.")] = 200,
+    allow_code: Code = False,
+) -> int:
+    """Compare all methods for the dynamics of the robot: closed form, Pinocchio, symbolic, machine code.
+
+    Example: pinmobile verify ur5
+    """
+    from pinmobile.cli.lecture import show_verification
+
+    return show_verification(words or [], states, allow_code=allow_code)
+
+
+@app.command()
+def derive(
+    words: Words = None,
+    latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX instead of text.")] = False,
+    allow_code: Code = False,
+) -> int:
+    """Derive the equations of motion of the robot's DH table, or of wheels that roll, step by step.
+
+    Example: pinmobile derive car
+    """
+    from pinmobile.cli.lecture import show_derivation
+
+    return show_derivation(words or [], latex=latex, allow_code=allow_code)
+
+
+@app.command()
+def lecture(
+    out: Annotated[Path, _folder("out")] = Path("out"),
+    gif: Annotated[bool, typer.Option(help="Also draw the moving robot.")] = True,
+    mp4: Annotated[bool, typer.Option("--mp4", help="Also film it, by Chromium and the extra mp4.")] = False,
+) -> int:
+    """Work through the whole lecture: derive, verify, run, and draw."""
+    from pinmobile.cli.lecture import show_lecture
+
+    return show_lecture(out, gif=gif, mp4=mp4)

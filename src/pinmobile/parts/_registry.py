@@ -1,0 +1,231 @@
+"""Public names as files and commands use them: parts, what makes them, their arguments, and constants."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import re
+import sys
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from functools import cache
+from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import FunctionType, ModuleType
+from typing import Any, NamedTuple
+
+import attrs
+
+from pinmobile.errors import InvalidArgument, format_names
+from pinmobile.parts._capabilities import members
+from pinmobile.parts._fields import Child, Field, declared_by, is_part, is_protocol
+
+_CODE = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
+
+
+class Parameter(NamedTuple):
+    """An argument of what makes a part: a field of the part, or any other.
+
+    Attributes
+    ----------
+    name : str
+        As files have it.
+    declared : Field or None
+        Declaration of the field.
+    default : any
+        Its default, `attrs.NOTHING` where it has none.
+    is_required : bool
+        Whether it must be given.
+    is_variadic : bool
+        Whether it takes all further values.
+    doc : str
+        Its meaning.
+    """
+
+    name: str
+    declared: Field | None
+    default: Any
+    is_required: bool
+    is_variadic: bool
+    doc: str = ""
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether the file's robot, or a part of it, stands for it where it is not given."""
+        return self.is_required and (self.name == "robot" or isinstance(self.declared, Child))
+
+
+@cache
+def parameters(make: Any) -> dict[str, Parameter]:
+    """Return the arguments of a class or a function, by name; "**" stands for any others."""
+    known = inspect.signature(make).parameters
+    fields = dict(declared_by(make)) if is_part_class(make) else {}
+    given = {f.name: f.default for f in attrs.fields(make)} if attrs.has(make) else {}
+    found, told = {}, _documented(inspect.getdoc(make) or "")
+    for name, each in known.items():
+        if f"_{name}" not in fields:
+            is_rest = each.kind is each.VAR_KEYWORD
+            default = given.get(name, attrs.NOTHING if each.default is each.empty else each.default)
+            is_required = each.default is each.empty and each.kind is not each.VAR_POSITIONAL
+            declared = fields.get(name)
+            doc = told.get(name, "") if declared is None else declared.doc
+            many = each.kind is each.VAR_POSITIONAL
+            required = is_required and not is_rest
+            found["**" if is_rest else name] = Parameter(name, declared, default, required, many, doc)
+    return found
+
+
+def _documented(text: str) -> dict[str, str]:
+    """Return the first sentence about each parameter of a docstring."""
+    rows = re.findall(r"^(\**\w+(?:, \**\w+)*) : .*\n((?: +.*\n?)+)", text, re.MULTILINE)
+    return {
+        name: re.split(r"[.;] ", f"{' '.join(meaning.split())} ")[0].rstrip(" .")
+        for names, meaning in rows
+        for name in names.replace("*", "").split(", ")
+    }
+
+
+def is_part_class(value: object) -> bool:
+    """Return whether a value is a class of parts."""
+    return isinstance(value, type) and (attrs.has(value) or dataclasses.is_dataclass(value))
+
+
+def is_code(name: str) -> bool:
+    """Return whether a text names something in a user's module, "module:Name"."""
+    return _CODE.fullmatch(name) is not None
+
+
+def resolve(name: str, folder: Path | None = None) -> Any:
+    """Return what a public name stands for: a part's class, a constructor of it, or a constant; else None.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``"PD"``, ``"WheelTable.differential"``, ``"wheels.MOTORS['faulhaber_1331t012sr']"``, or of a
+        user's module ``"module:Name"``.
+    folder : Path, optional
+        Where users' modules are; None: they must not be run.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is code that must not run, or that fails.
+    """
+    if is_code(name):
+        return _code(name, folder)
+    path, bracket, key = name.partition("[")
+    first, *rest = path.split(".")
+    library = import_module("pinmobile")
+    found = getattr(library, first) if first in dir(library) and first[:1] != "_" else None
+    for word in rest:
+        found = _member(found, word)
+    if bracket:
+        found = found.get(key.strip("]'\"")) if isinstance(found, Mapping) else None
+    return None if isinstance(found, ModuleType) else found
+
+
+def _member(owner: Any, name: str) -> Any:
+    if isinstance(owner, ModuleType):
+        return getattr(owner, name) if name in vars(owner).get("__all__", ()) else None
+    made = getattr(owner, name) if is_part_class(owner) and name[:1] != "_" and name in dir(owner) else None
+    return made if makes_part(made) else None
+
+
+def makes_part(function: Any) -> bool:
+    """Return whether a function or method returns a part, as it is annotated: a file may call it."""
+    plain = function.__func__ if inspect.ismethod(function) else function
+    if not isinstance(plain, FunctionType):
+        return False
+    returned = str(inspect.signature(plain).return_annotation).strip("'")
+    return returned == "Self" or attrs.has(plain.__globals__.get(returned, object))
+
+
+def _code(text: str, folder: Path | None) -> Any:
+    """Return an object of a module beside the file, or of an installed one."""
+    module, _, name = text.partition(":")
+    if folder is None:
+        raise InvalidArgument(
+            f"is {text!r}, code of the module {module!r}, which runs with --allow-code alone: "
+            "look at that module first"
+        )
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+    file = folder.joinpath(*module.split(".")).with_suffix(".py")
+    try:
+        loaded = sys.modules.get(module)
+        spec = spec_from_file_location(module, file) if file.is_file() else None
+        if spec is None or spec.loader is None:
+            loaded = import_module(module)
+        elif loaded is None or loaded.__file__ != str(file):
+            loaded = sys.modules[module] = module_from_spec(spec)
+            spec.loader.exec_module(loaded)
+        for word in name.split("."):
+            loaded = getattr(loaded, word)
+    except Exception as error:
+        raise InvalidArgument(f"is {module}:{name}, which fails: {type(error).__name__}: {error}") from error
+    return loaded
+
+
+def public() -> dict[str, Any]:
+    """Return all names of the library's top level, with what they stand for."""
+    library = import_module("pinmobile")
+    return {name: getattr(library, name) for name in library.__all__}
+
+
+@cache
+def names_of(kind: Any) -> tuple[str, ...]:
+    """Return the public names of the parts of a kind."""
+    return tuple(
+        name
+        for name, one in public().items()
+        if (is_part_class(one) or is_part(one) or isinstance(one, FunctionType)) and fits(kind, one)
+    )
+
+
+def fits(kind: Any, one: Any) -> bool:
+    """Return whether a class has all that its objects need for a kind, or an object is of a kind."""
+    if isinstance(kind, tuple):
+        return any(fits(each, one) for each in kind)
+    if not is_protocol(kind):
+        return issubclass(one, kind) if isinstance(one, type) else isinstance(one, kind)
+    fields = dict(declared_by(one)) if is_part_class(one) else {}
+    return all(name in fields or _is_like(name, kind, one) for name in members(kind))
+
+
+def _is_like(name: str, kind: Any, one: Any) -> bool:
+    """Return whether an object has what a protocol has; a call, with as many arguments of the same first."""
+    own = getattr(one, name) if name in dir(one) else None
+    if name != "__call__" or own is None:
+        return own is not None
+    if isinstance(one, type) and "__call__" not in dir(one):
+        return False
+    asked, has = (
+        [each for each in inspect.signature(call).parameters if each != "self"]
+        for call in (kind.__call__, vars(one).get("__call__", own) if isinstance(one, type) else one)
+    )
+    return len(asked) == len(has) and asked[0] == has[0]
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return the nearest of some names as a question, or all of them."""
+    plain = {each.lower().replace("_", ""): each for each in known}
+    near = get_close_matches(name[:100].lower().replace("-", "").replace("_", ""), plain, n=1)
+    return f"did you mean {plain[near[0]]!r}?" if near else f"available: {format_names(known)}"
+
+
+@cache
+def _constants() -> dict[int, str]:
+    return {id(one): name for name, one in public().items() if not isinstance(one, type)}
+
+
+def name_of(value: Any) -> str:
+    """Return the public name of a class, a function or a constant, "" for none."""
+    if not isinstance(value, type):
+        own = f"{value.__module__}:{value.__qualname__}" if isinstance(value, FunctionType) else ""
+        return str(_constants().get(id(value), own if is_code(own) else ""))
+    if resolve(value.__name__) is value:
+        return str(value.__name__)
+    package = ".".join(value.__module__.split(".")[1:2])
+    dotted = f"{package}.{value.__name__}"
+    return dotted if resolve(dotted) is value else f"{value.__module__}:{value.__qualname__}"

@@ -1,0 +1,280 @@
+"""Trees of parts as text: TOML with meanings, the lines of wrong entries, and the JSON schema of files."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import math
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pinmobile.errors import InvalidArgument
+from pinmobile.parts._fields import Child, Number, Values, Whole
+from pinmobile.parts._registry import (
+    Parameter,
+    is_code,
+    is_part_class,
+    names_of,
+    parameters,
+    public,
+    resolve,
+)
+from pinmobile.parts._tree import InvalidEntries, Reader
+from pinmobile.parts._values import expected, listed, put
+
+_MOST = 1 << 20  # bytes of a file
+
+
+def read_file(path: Path) -> str:
+    """Return the text of a file.
+
+    Raises
+    ------
+    InvalidArgument
+        If it cannot be read, or is too large.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MOST + 1)  # what is no regular file may never end
+        if len(data) > _MOST:
+            raise InvalidArgument(f"FILE is {str(path)!r}, of more than {_MOST >> 20} MiB, expected less")
+        return data.decode("utf-8").replace("\r\n", "\n")
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        if isinstance(error, InvalidArgument):
+            raise
+        raise InvalidArgument(f"FILE is {str(path)!r}, which cannot be read: {error}") from error
+
+
+def read_tree(text: str, name: str) -> dict[str, Any]:
+    """Return the tables of a text of TOML; errors begin with the name of its file."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InvalidArgument(f"{name}: {error}, expected TOML") from error
+    except RecursionError:
+        raise InvalidArgument(f"{name}: its values are nested too deep") from None
+
+
+def typed(text: str) -> Any:
+    """Return a value as TOML has it, or a list as Python has it; any other text is text."""
+    try:
+        return tomllib.loads(f"v = {text}")["v"] if "\n" not in text else text
+    except (tomllib.TOMLDecodeError, RecursionError):
+        return listed(text)
+
+
+def read_entries(
+    kind: type,
+    words: Sequence[str],
+    *,
+    name: str = "",
+    text: str = "",
+    folder: Path | None = None,
+    unused: Sequence[str] = (),
+) -> tuple[Any, Reader]:
+    """Return the part of a file and of words PATH=VALUE that change it, and its reader.
+
+    Parameters
+    ----------
+    kind : type
+        Class of the part.
+    words : sequence of str
+        Such as ``"controller.kp=9"``.
+    name, text : str, optional
+        Of the file.
+    folder : Path, optional
+        Where the modules are that it names; None: they must not run.
+    unused : sequence of str, optional
+        Fields that the command leaves aside.
+
+    Raises
+    ------
+    InvalidEntries
+        If entries are wrong: a line for each, with the line of the file, or the word.
+    """
+    tree = read_tree(text, name)
+    sets = dict(word.split("=", 1) for word in words)
+    for path, value in sets.items():
+        try:
+            put(tree, path, typed(value))
+        except (InvalidArgument, AttributeError, TypeError) as error:
+            raise InvalidArgument(f"{path}={value}: {error}") from None
+    reader = Reader(folder)
+    try:
+        return reader.root(kind, {key: value for key, value in tree.items() if key not in unused}), reader
+    except InvalidEntries as error:
+        raise located(error, sets, name, text) from None
+    except RecursionError:
+        raise InvalidArgument(f"{name}: its values are nested too deep") from None
+
+
+def located(error: InvalidEntries, sets: Mapping[str, str], name: str, text: str) -> InvalidEntries:
+    """Return an error whose messages begin with the line of the file, or with the word of the command."""
+    found = {}
+    for path, message in error.problems.items():
+        near = [each for each in sets if are_nested(path, each)]
+        word = max(near, key=len) if near else ""
+        place = f"{word}={sets[word]}: " if near else f"{name}:{line_of(text, path)}: " if text else ""
+        found[path] = f"{place}{message}"
+    return InvalidEntries(found)
+
+
+def are_nested(path: str, other: str) -> bool:
+    """Return whether one of two paths leads to the other."""
+    return f"{path}.".startswith(f"{other}.") or f"{other}.".startswith(f"{path}.")
+
+
+def line_of(text: str, path: str) -> int:
+    """Return the line that sets a path, or what it stands in: where the text up to there first has it."""
+    lines, keys, best, start = text.splitlines(), path.split("."), (0, 1), 1
+    for n in range(1, len(lines) + 1):
+        try:
+            tree = tomllib.loads("\n".join(lines[:n]))
+        except tomllib.TOMLDecodeError:
+            continue  # in the middle of a value of several lines
+        best = max(best, (_depth(tree, keys), start), key=lambda each: each[0])
+        start = n + 1
+    return best[1]
+
+
+def _depth(tree: Any, keys: Sequence[str]) -> int:
+    for n in range(len(keys), 0, -1):
+        head, rest = ".".join(keys[:n]), keys[n:]
+        if isinstance(tree, list) and head.isdigit() and int(head) < len(tree):
+            return n + _depth(tree[int(head)], rest)
+        if isinstance(tree, Mapping) and head in tree:
+            return n + _depth(tree[head], rest)
+    return 0
+
+
+def write_text(kind: type, tree: Mapping[str, Any]) -> str:
+    """Return a tree as TOML, each number with its meaning, unit and bound beside it."""
+    return "\n".join(_table(tree, kind, "")).lstrip("\n") + "\n"
+
+
+def _table(tree: Mapping[str, Any], make: Any, path: str) -> Iterator[str]:
+    """Yield the lines of a table: values first, then the tables of parts, and at the top those of paths."""
+    known = parameters(make) if callable(make) else {}
+    fields = {key: known[key].declared if key in known else None for key in tree}
+    later = {key: value for key, value in tree.items() if _is_table(value, fields[key], path)}
+    for key, value in tree.items():
+        if key not in later:
+            about = known[key].doc if key in known else ""
+            if isinstance(fields[key], Number | Whole):
+                about = f"{about}{about and ': '}{expected(fields[key])}"
+            yield f"{_key(key)} = {_text(value)}{about and f'  # {about}'}"
+    for key, value in later.items():
+        at = f"{path}.{_key(key)}" if path else _key(key)
+        about = f"  # {known[key].doc}" if key in known and known[key].doc else ""
+        for each in value if isinstance(value, list) else [value]:
+            yield f"\n[[{at}]]{about}" if isinstance(value, list) else f"\n[{at}]{about}"
+            name = each.get("type", "")
+            if name or isinstance(fields[key], Child):
+                yield from _table(each, None if is_code(name) else resolve(name), at)
+            else:
+                yield from (f"{_key(name)} = {_text(entry)}" for name, entry in each.items())
+
+
+def _is_table(value: Any, declared: Any, path: str) -> bool:
+    """Return whether a value is written as a table of its own, or as several."""
+    if isinstance(value, Mapping):
+        return "type" in value or isinstance(declared, Child) or not path
+    are_tables = isinstance(value, list) and value and all(isinstance(each, Mapping) for each in value)
+    return bool(are_tables) and isinstance(declared, Child)
+
+
+def _key(key: str) -> str:
+    return key if key and all(c.isascii() and (c.isalnum() or c in "-_") for c in key) else json.dumps(key)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return repr(value) if math.isfinite(value) else str(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_text, value))}]"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_key(key)} = {_text(each)}" for key, each in value.items()) + "}"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return str(value)
+
+
+_BOUNDS = {"above": "exclusiveMinimum", "lower": "minimum", "upper": "maximum"}
+
+
+def schema_of(root: type) -> dict[str, Any]:
+    """Return the JSON schema of a file: what each part may have, with meaning, unit and bound."""
+    parts = {name: one for name, one in public().items() if is_part_class(one)}
+    kinds = {
+        _title(each.declared.kind): each.declared.kind
+        for make in (root, *parts.values())
+        for each in parameters(make).values()
+        if isinstance(each.declared, Child)
+    }
+    made = {f"Any{title}": _choice(kind, parts) for title, kind in kinds.items()}
+    defs = {name: _object(parameters(one), inspect.getdoc(one)) for name, one in parts.items()} | made
+    head = {"$schema": "http://json-schema.org/draft-07/schema#"}
+    return {**head, **_object(parameters(root), inspect.getdoc(root), typed=False), "$defs": defs}
+
+
+def _title(kind: Any) -> str:
+    return "Or".join(map(_title, kind)) if isinstance(kind, tuple) else str(kind.__name__)
+
+
+def _choice(kind: Any, parts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the schema of a part of a kind: its name, text as in Python, or a table with a type."""
+    names = [name for name in names_of(kind) if name in parts]
+    cases = [
+        {
+            "if": {"properties": {"type": {"const": name}}, "required": ["type"], "type": "object"},
+            "then": {"$ref": f"#/$defs/{name}"},
+        }
+        for name in names
+    ]
+    free = {"pattern": "[:.(]"}
+    return {
+        "type": ["string", "object"],
+        "properties": {"type": {"anyOf": [{"enum": names}, free]}},
+        "allOf": cases,
+    }
+
+
+def _object(known: Mapping[str, Parameter], text: str | None, *, typed: bool = True) -> dict[str, Any]:
+    own = {"type": {"type": "string"}} if typed else {}
+    return {
+        "type": "object",
+        "description": (text or "").split("\n")[0],
+        "additionalProperties": False,
+        "properties": own | {name: _field(each) for name, each in known.items() if name != "**"},
+        "required": [name for name, each in known.items() if each.is_required and not each.is_shared],
+    }
+
+
+def _field(each: Parameter) -> dict[str, Any]:
+    declared = each.declared
+    told = {"description": f"{declared.doc}: {expected(declared)}"} if declared is not None else {}
+    if isinstance(declared, Whole):
+        return told | {"type": "integer", "minimum": declared.least, "maximum": declared.most}
+    if isinstance(declared, Number):
+        bounds = {word: getattr(declared, name) for name, word in _BOUNDS.items()}
+        one = {"type": "number"} | {word: bound for word, bound in bounds.items() if bound is not None}
+        if declared.endless:
+            one["type"] = ["number", "null"]  # infinity in JSON
+        forms = [_array(one, shape) for shape in declared.shapes]
+        return told | {"anyOf": [*forms, {"type": "object"}]}
+    if isinstance(declared, Child):
+        one = {"$ref": f"#/$defs/Any{_title(declared.kind)}"}
+        many = {"anyOf": [{"type": "array", "items": one}, {"type": "object", "additionalProperties": one}]}
+        return told | (many if declared.many else {"anyOf": [one, {"type": "object"}]})
+    return told | ({"type": "object"} if isinstance(declared, Values) else {})
+
+
+def _array(one: dict[str, Any], shape: tuple[int | str, ...]) -> dict[str, Any]:
+    for size in reversed(shape):
+        fixed = {"minItems": size, "maxItems": size} if isinstance(size, int) else {}
+        one = {"type": "array", "items": one} | fixed
+    return one

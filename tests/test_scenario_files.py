@@ -1,0 +1,455 @@
+"""Parts as text: what a file states, what it says that is wrong, and what is shipped."""
+
+import random
+import tomllib
+from collections.abc import Iterator
+from copy import deepcopy
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+import pytest
+
+from pinmobile import (
+    Backstepping,
+    Friction,
+    InvalidArgument,
+    MobileRobot,
+    Motor,
+    VelocityRobot,
+    WheeledRobot,
+    WheelTable,
+)
+from pinmobile.cli.identify import IdentifyPaths
+from pinmobile.cli.scenario_file import Opened, ScenarioFile, shipped
+from pinmobile.parts import (
+    Child,
+    InvalidEntries,
+    Number,
+    Parameter,
+    Reader,
+    Whole,
+    fits,
+    is_part_class,
+    names_of,
+    parameters,
+    public,
+    schema_of,
+    write_text,
+)
+from pinmobile.wheels import MOTORS
+from tests.wheeled import husky
+
+ODD = [5e-324, 1e22, 0.1, 1 / 3, -0.0, 2**53 + 0.0, 1e-7, 123456789.123456789]
+PARTS = {name: one for name, one in public().items() if attrs.has(one) and is_part_class(one)}
+# What numbers alone do not make: names, tables that fit each other, parts that only Python makes.
+APART = {
+    *(
+        "Ackermann",
+        "Adaptive",
+        "AdaptiveVelocity",
+        "Differential",
+        "GearTrain",
+        "LQR",
+        "MPC",
+        "Load",
+        "Wheel",
+    ),
+    *("WheelTable", "WheeledRobot", "WholeBody"),
+}
+
+
+def drawn_number(declared: Number, rng: random.Random) -> Any:
+    """Return numbers of a shape that is declared, within bounds, small ones and large ones."""
+    shape = [3 if isinstance(n, str) else n for n in rng.choice(declared.shapes)]
+    unit = np.array(
+        [rng.choice(ODD) if rng.random() < 0.2 else rng.uniform(0.1, 9) for _ in range(int(np.prod(shape)))]
+    )
+    low = next((x for x in (declared.above, declared.lower) if x is not None), -5.0)
+    high = declared.upper if declared.upper is not None else low + 10
+    values = np.clip(np.where(np.isin(unit, ODD), unit, low + unit / 10 * (high - low)), low, high)
+    values = np.where((values <= low) & (declared.above is not None), low + 0.5 * (high - low), values)
+    if declared.endless and rng.random() < 0.3:
+        return float("inf") if not shape else np.full(shape, np.inf)
+    return values.reshape(shape) if shape else float(values[0])
+
+
+def drawn(make: Any, rng: random.Random, depth: int = 0) -> Any:
+    """Return a part at random, as its fields are declared."""
+    values = {}
+    for name, each in parameters(make).items():
+        declared = each.declared
+        if not each.is_required and rng.random() < 0.4:
+            continue
+        if isinstance(declared, Number):
+            values[name] = drawn_number(declared, rng)
+        elif isinstance(declared, Whole):
+            values[name] = rng.randint(declared.least, min(declared.most, declared.least + 50))
+        elif isinstance(declared, Child) and (each.is_required or depth < 1):
+            values[name] = drawn_child(name, declared, rng, depth)
+        elif each.is_required:
+            values[name] = {"seed": 3, "std_q": 0.1}.get(name, rng.uniform(0.1, 1))
+    return make(**values)
+
+
+def robots() -> list[Any]:
+    """Return robots of every kind, and wheels."""
+    body = MobileRobot(30.0, 1 / 3, com=(0.1, 0, 0.1))
+    electric = Motor(resistance=1.7, torque_constant=0.04, voltage=24.0)
+    table = WheelTable.differential(
+        0.46, 0.1, supports=[(0.3, 0)], motor=electric, friction=Friction(slip=1e-4)
+    )
+    swerve = WheelTable.swerve([(0.2, 0.1), (-0.2, -0.1)], 0.05, yaw_inertia=0.001)
+    wheeled, omni = WheeledRobot(body, table), WheeledRobot(body, WheelTable.omni(0.2, 0.1))
+    velocity = VelocityRobot((0.26, 0.25, 0, 1, 0, 1))
+    return [body, wheeled, wheeled.by_voltage(), WheeledRobot(body, swerve), omni, velocity, table]
+
+
+ROBOTS = robots()
+
+
+def drawn_child(name: str, declared: Child, rng: random.Random, depth: int) -> Any:
+    models = [one for one in ROBOTS if name in ("robot", "table") and fits(declared.kind, one)]
+    if models:
+        return rng.choice(models)
+    names = [each for each in names_of(declared.kind) if each in PARTS and each not in APART]
+    for _ in range(200 if names else 0):
+        part = PARTS[rng.choice(names)]
+        if depth < 2 or not any(isinstance(each.declared, Child) for each in parameters(part).values()):
+            try:
+                one = drawn(part, rng, depth + 1)
+                return [one, one] if declared.many else one
+            except (InvalidArgument, ArithmeticError, AttributeError):
+                continue
+    raise InvalidArgument(f"{name} is not drawn")
+
+
+def fields(part: Any) -> Any:
+    """Return a part as nested tuples, with the bits of its numbers."""
+    if attrs.has(type(part)):
+        return (
+            type(part),
+            *(fields(getattr(part, one.name)) for one in attrs.fields(type(part)) if one.init),
+        )
+    if isinstance(part, np.ndarray | float):
+        return np.shape(part), np.asarray(part).tobytes()
+    return tuple(map(fields, part)) if isinstance(part, list | tuple) else part
+
+
+@pytest.mark.parametrize("name", sorted(PARTS.keys() - APART))
+def test_a_part_is_the_same_after_toml_bit_for_bit(name: str) -> None:
+    rng, found = random.Random(name), 0
+    holder = attrs.make_class("Holder", {"one": attrs.field(metadata={"declared": Child()})}, frozen=True)
+    for _ in range(400):
+        try:
+            part = drawn(PARTS[name], rng)
+        except (InvalidArgument, ArithmeticError, AttributeError):
+            continue
+        text = write_text(holder, Reader().tree(holder(part)))
+        again = Reader().root(holder, tomllib.loads(text)).one
+        assert fields(again) == fields(part), text
+        found += 1
+        if found == 12:
+            break
+    assert found
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_shipped_scenarios_run_and_are_the_same_after_they_are_written(name: str, tmp_path: Path) -> None:
+    opened = Opened([name])
+    file = tmp_path / "again.toml"
+    file.write_text(opened.written())
+    again = Opened([str(file)])
+    assert again.written() == opened.written()
+    short = {"duration": 3 * opened.content.dt}
+    runs = [attrs.evolve(one.content, **short).simulate() for one in (opened, again)]
+    assert runs[0].q.tobytes() == runs[1].q.tobytes()
+    assert [scenario.dt for _, scenario in opened.points()]
+
+
+WRONG = """dt = 0.01
+[robot]
+type = "MobileRobot"
+mas = 30
+yaw_inertia = -1.3
+[controller]
+type = "computed-torq"
+[trajectory]
+type = "Tangent"
+path = {type = "Circle", radius = "3 m", rate = 0.1, duration = 60}
+[forces.gust]
+type = "SinusoidalForce"
+amplitude = [1, 0,
+             0]
+"""
+
+
+def problems(*words: str) -> str:
+    with pytest.raises(InvalidArgument) as caught:
+        list(Opened(words).points())
+    return str(caught.value)
+
+
+def test_all_wrong_entries_are_told_at_once_with_their_lines(tmp_path: Path) -> None:
+    file = tmp_path / "wrong.toml"
+    file.write_text(WRONG)
+    lines = [line.removeprefix(f"{file}:") for line in problems(str(file)).splitlines()]
+    assert sorted(int(line.split(":")[0]) for line in lines) == [2, 4, 5, 7, 10, 11]
+    told = "\n".join(lines)
+    for words in (
+        "4: robot.mas is unknown, MobileRobot has mass, yaw_inertia, ",
+        "did you mean 'mass'?",
+        "2: robot.mass is missing, expected a number > 0 [kg]: mass of the robot",
+        "5: robot.yaw_inertia is -1.3, expected a number > 0 [kg m^2]",
+        "7: controller is 'computed-torq', expected a controller, did you mean 'ComputedTorque'?",
+        "10: trajectory.path.radius is '3 m', expected a number > 0 [m]",
+        "11: forces.gust.frequency is missing, expected a number >= 0 [Hz]",
+    ):
+        assert words in told, words
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["controler.kp=9"], "controler.kp=9: controler is unknown, a scenario has robot, controller, "),
+        (["controller=pid2"], "controller is 'pid2', expected a controller, did you mean 'PID'?"),
+        (["controller=Circle"], "controller is 'Circle', expected a controller, available: ADRC, "),
+        (["controller=simulate"], "controller is 'simulate', expected a controller, available: "),
+        (
+            ["controller.kp=[1,2"],
+            "controller.kp is '[1,2', expected a number, or numbers of shape (n,) or (n, n)",
+        ),
+        (["robot.mass=30 kg"], "robot.mass=30 kg: robot.mass is '30 kg', expected a number > 0 [kg]"),
+        (["robot.mass=true"], "robot.mass is True, expected a number > 0 [kg]"),
+        (["robot.com.w=1"], "robot.com is {'w': 1}, expected numbers of shape (2,) or (3,) [m]"),
+        (["robot=MobileRobot.to_urdf"], "robot is 'MobileRobot.to_urdf', expected a robot, "),
+        (["robot=MobileRobot.from_urdf('none.urdf')"], "none.urdf"),
+        (["robot=MobileRobot.box().mount('ur6')"], "did you mean 'ur5'"),
+        (["dt=10ms"], "dt is '10ms', expected a number > 0 [s]"),
+        (["substeps=1.5"], "substeps is 1.5, expected a whole number >= 1"),
+        (["controller=mine:PD"], "code of the module 'mine', which runs with --allow-code alone"),
+        (["grid.robot.mas=[1, 2]"], "grid.robot.mas=[1, 2]: robot.mas is unknown, MobileRobot has mass, "),
+        (["grid.controller=[1]"], "grid.controller=[1]: controller is 1, expected a controller"),
+        (
+            ['grid.controller=["PD(9, 9)", "PDD"]'],
+            "controller is 'PDD', expected a controller, did you mean 'PD'?",
+        ),
+        (["cases.heavy.robot.mass=-1"], "robot.mass is -1, expected a number > 0 [kg]"),
+        (["grid=3"], "grid is 3, expected a table of PATH = VALUE"),
+        (["forces=3"], "forces is 3, expected a list"),
+        (["rivalz"], "FILE is 'rivalz', neither a file nor a shipped scenario, did you mean 'rivals'?"),
+        (["none.toml"], "FILE is 'none.toml', which cannot be read"),
+        (["lecture", "other"], "'other' is neither PATH=VALUE nor the only FILE, 'lecture'"),
+    ],
+)
+def test_a_wrong_word_is_told_with_what_is_expected(words: list[str], said: str) -> None:
+    assert said in problems(*words)
+
+
+@pytest.mark.parametrize(
+    "text", ["a = " + "[" * 5_000 + "]" * 5_000, "a = [1", "robot.robot.robot = 1\nrobot = 2"]
+)
+def test_a_file_that_is_no_toml_is_told(text: str, tmp_path: Path) -> None:
+    (tmp_path / "no.toml").write_text(text)
+    assert "no.toml: " in problems(str(tmp_path / "no.toml"))
+
+
+def test_files_that_never_end_or_are_no_text_are_told(tmp_path: Path) -> None:
+    assert "of more than 1 MiB" in problems("/dev/zero")
+    (tmp_path / "a.toml").write_bytes(b"\xff")
+    assert "which cannot be read: 'utf-8'" in problems(str(tmp_path / "a.toml"))
+
+
+def mutated(tree: Any, rng: random.Random) -> Any:
+    """Return a tree in which something is another thing."""
+    tree = deepcopy(tree)
+    places = [(at, key) for at in tables(tree) for key in at]
+    at, key = rng.choice(places)
+    odd: list[Any] = [None, 0, -1, 1e308, float("nan"), "", "PD", "PD(", "a:b", True, date(2026, 1, 1)]
+    odd += [[], {}, [[1], "x"], {"type": 3}, {"x": "y"}, "rk4"]
+    match rng.randrange(4):
+        case 0:
+            del at[key]
+        case 1:
+            at[f"{key}x"] = at.pop(key)
+        case 2:
+            other, name = rng.choice(places)
+            at[key] = deepcopy(other.get(name))
+        case 3:
+            at[key] = rng.choice(odd)
+    return tree
+
+
+def tables(tree: Any) -> Iterator[dict[str, Any]]:
+    if isinstance(tree, dict):
+        yield tree
+        for each in tree.values():
+            yield from tables(each)
+    elif isinstance(tree, list):
+        for each in tree:
+            yield from tables(each)
+
+
+def test_wrong_trees_are_refused_as_wrong_entries_and_nothing_else() -> None:
+    rng, refused = random.Random(0), 0
+    files = ["lecture", "rivals", "mecanum", "velocity", "ensemble", "differential"]
+    texts = [tomllib.loads(Opened([name]).written()) for name in files]
+    for _ in range(600):
+        try:
+            Reader().root(ScenarioFile, mutated(rng.choice(texts), rng))
+        except InvalidEntries:
+            refused += 1
+    assert 250 < refused < 600
+
+
+def test_paths_change_what_stands_there_and_names_what_is_new() -> None:
+    one = Opened(["controller.kp=9", "controller.robot.mass=25", "robot.com.x=0.1"]).content
+    assert (one.controller.kp, one.controller.kd, one.robot.com[0]) == (9.0, 4.0, 0.1)
+    assert one.controller.robot == attrs.evolve(one.robot, mass=25.0)  # believes in 25 kg, the rest is so
+    other = Opened(
+        ["controller=Saturated(PD((1, 2, 3), kd=4), [20, inf, 5])", "forces.wind=ConstantForce((1, 0, 0))"]
+    )
+    assert other.content.controller.limits.tolist() == [20, np.inf, 5]
+    assert other.content.controller.controller.kp.tolist() == [1, 2, 3]
+    assert [*other.content.forces] == ["wind"]
+
+
+def test_the_robot_of_the_file_stands_for_models_that_are_not_given() -> None:
+    one = Opened(["differential", "robot.table.wheels.left.radius=0.11", "robot.robot.mass=20"]).content
+    assert isinstance(one.controller, Backstepping)
+    assert one.controller.robot is one.robot
+    assert [wheel.radius for wheel in one.robot.table.wheels] == [0.11, 0.1]
+    assert one.robot.robot.mass == 20
+    by = Opened(["differential", "controller=ByOdometry(Backstepping(Tracking()), ticks=1024)"]).content
+    assert by.controller.table is by.robot.table
+
+
+def test_robots_of_files_and_lists_of_parts_are_stated(tmp_path: Path) -> None:
+    (tmp_path / "husky.urdf").write_text(husky())
+    text = f"WheeledRobot.from_urdf({str(tmp_path / 'husky.urdf')!r}, rollers={{}})"
+    laws = (
+        "controller=WheelSpeed(Tracking(), kp=1)",
+        "forces=[ConstantForce((1, 0, 0)), Payload(3, (0, 0), 0)]",
+    )
+    opened = Opened([f"robot={text}", "robot.table.wheels.wheel_0.radius=0.2", *laws])
+    assert opened.content.robot.ground.slips
+    assert [wheel.radius for wheel in opened.content.robot.table.wheels][:2] == [0.2, 0.1651]
+    assert opened.content.forces[1].mass == 3
+    (tmp_path / "again.toml").write_text(opened.written())
+    again = Opened([str(tmp_path / "again.toml")])
+    assert (again.written(), again.content.robot) == (opened.written(), opened.content.robot)
+
+
+def test_grids_and_cases_change_what_they_name_and_no_model() -> None:
+    opened = Opened(["rivals", "grid.mass=[30, 40]"])
+    points = list(opened.points())
+    assert len(points) == 12
+    for at, scenario in points:
+        assert scenario.robot.mass == at["mass"]
+        assert set(scenario.forces) == ({"push"} if at["case"] == "push" else set())
+        if at["controller"] == "computed torque":
+            assert scenario.controller.robot.mass == 30
+    assert opened.unit("robot.mass") == "kg"
+
+
+def test_text_makes_what_python_makes() -> None:
+    table = "WheelTable.mecanum(0.4, 0.5, radius=0.1, motor=wheels.MOTORS['pololu_37d_50_12v'])"
+    text = f"WheeledRobot(MobileRobot(30, 1.3), {table})"
+    made = Opened([f"robot={text}", "controller.kp=25"]).content.robot
+    volts = Opened([f"robot={text}.by_voltage()", "controller=Driven(ComputedTorque())"]).content
+    assert isinstance(made, WheeledRobot)
+    assert made.table.source == WheelTable.mecanum(0.4, 0.5, 0.1).source
+    assert made.table.wheels[0].motor == MOTORS["pololu_37d_50_12v"]
+    assert volts.robot == made.by_voltage()
+    assert volts.controller.controller.robot == made
+    alone = Opened(["robot=WheelTable.differential(0.5, 0.1)"], kind=IdentifyPaths)
+    assert alone.content.robot == WheelTable.differential(0.5, 0.1)
+
+
+CODE = """
+from dataclasses import dataclass
+from typing import Any
+
+import helper
+from pinmobile.parts import number, part
+
+@part
+class Pull:
+    gain: float = number(unit="N/m", above=0.0, doc="gain")
+    robot: Any = None
+
+    def initial_state(self, context):
+        return None
+
+    def __call__(self, t, q, v, reference, state):
+        return helper.SIGN * self.gain * (reference.q - q) + 9 * (reference.v - v), state
+
+@dataclass(frozen=True)
+class Slow:
+    controller: Any
+    share: float = 0.9
+
+    def initial_state(self, context):
+        return self.controller.initial_state(context)
+
+    def __call__(self, t, q, v, reference, state):
+        u, state = self.controller(t, q, v, reference, state)
+        return self.share * u, state
+
+def gust(t, pose, rate):
+    return 0 * pose
+
+def broken(:
+"""
+
+
+def test_users_parts_run_where_they_are_allowed(tmp_path: Path) -> None:
+    (tmp_path / "helper.py").write_text("SIGN = 1.0")
+    (tmp_path / "parts_of_mine.py").write_text(CODE.replace("def broken(:", ""))
+    (tmp_path / "damaged.py").write_text(CODE)
+    file = tmp_path / "mine.toml"
+    lines = (
+        'dt = 0.01\nforces.wind = "parts_of_mine:gust"\n[controller]\ntype = "parts_of_mine:Pull"\ngain = 9\n'
+    )
+    file.write_text(lines)
+    assert "runs with --allow-code alone" in problems(str(file))
+    opened = Opened([str(file), "controller.gain=16"], allow_code=True)
+    assert opened.content.controller.gain == 16
+    assert opened.content.simulate().max_error()[0] < 0.1
+    around = "controller=parts_of_mine:Slow(parts_of_mine:Pull(9), share=0.8)"
+    for one in (
+        opened,
+        Opened([str(file), around.replace("parts_of_mine:Pull(9)", "PD(9, 9)")], allow_code=True),
+    ):
+        (tmp_path / "again.toml").write_text(one.written())
+        assert Opened([str(tmp_path / "again.toml")], allow_code=True).written() == one.written()
+        assert one.content.simulate().max_error()[0] < 0.3
+    for old, new, said in (
+        ("gain = 9", "gain = -9", "controller.gain is -9, expected a number > 0 [N/m]"),
+        ("parts_of_mine:Pull", "damaged:Pull", "which fails: SyntaxError"),
+        ("parts_of_mine:Pull", "parts_of_mine:Push", "which fails: AttributeError"),
+        ("parts_of_mine:Pull", "nothing_of_mine:Push", "which fails: ModuleNotFoundError"),
+    ):
+        file.write_text(lines.replace(old, new))
+        with pytest.raises(InvalidArgument, match=r".") as caught:
+            Opened([str(file)], allow_code=True)
+        assert said in str(caught.value)
+
+
+def test_the_schema_has_each_part_with_its_bounds() -> None:
+    schema = schema_of(ScenarioFile)
+    radius = schema["$defs"]["Circle"]["properties"]["radius"]
+    assert radius["anyOf"][0] == {"type": "number", "exclusiveMinimum": 0.0}
+    assert "[m]" in radius["description"]
+    assert {"$ref": "#/$defs/AnyController"} in schema["properties"]["controller"]["anyOf"]
+    names = schema["$defs"]["AnyController"]["properties"]["type"]["anyOf"][0]["enum"]
+    assert {"PD", "Saturated"} < set(names) < set(schema["$defs"])
+    assert not {"Circle", "ConstantForce", "Tracking"} & set(names)
+
+
+def test_arguments_of_constructors_have_their_meaning() -> None:
+    track = parameters(WheelTable.differential)["track"]
+    assert isinstance(track, Parameter)
+    assert track.doc == "Distance of the wheels [m]"
