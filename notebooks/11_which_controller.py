@@ -126,11 +126,11 @@ for name, row in largest.items():
 # %%
 figure, axes = plt.subplots(figsize=(8.4, 4.4), layout="constrained")
 for k, (name, row) in enumerate(largest.items()):
-    shown = np.where(np.isinf(row), 400.0, row)
+    shown = np.where(np.isinf(row), 660.0, row)
     axes.plot(np.arange(len(row)) + 0.06 * (k - 4.5), shown, "osD^vPX*<>"[k], color=colour(k), label=name)
-axes.axhspan(300, 500, color="#f4f4f4")
-axes.annotate("diverges", (-0.45, 380), fontsize=9, va="center")
-axes.set(yscale="log", ylim=(0.01, 500), xlim=(-0.5, 4.5), ylabel="largest distance [mm]")
+axes.axhspan(500, 900, color="#f4f4f4")
+axes.annotate("diverges", (-0.45, 640), fontsize=9, va="center")
+axes.set(yscale="log", ylim=(0.01, 900), xlim=(-0.5, 4.5), ylabel="largest distance [mm]")
 axes.set_xticks(range(len(places)), places)
 axes.legend(frameon=False, ncol=4, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 dress(axes)
