@@ -382,7 +382,7 @@ def test_an_interrupted_sweep_says_how_to_go_on(
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pinmobile.cli.results.sweep", interrupt)
+    monkeypatch.setattr("pinmobile.cli.results.run_points", interrupt)
     code, _, err = typed(capsys, *swept)
     assert (code, err) == (130, "pinmobile: interrupted: the same command goes on where it was\n")
 
@@ -561,7 +561,11 @@ def reverse(table: Any) -> Any:
         (lambda table: np.delete(table, np.s_[300:330], axis=0), "", r"t has a gap from 5\.98 to 6\.6 s .*"),
         (lambda table: table[:600], "", r"log is 12 s long, too short, expected at least .*"),
         (reverse, "", r"log has inputs of which the motion explains .*another robot.*"),
-        (lambda table: table, "columns.q=x,y", r"q has shape \(2201, 2\), expected \(2201, 3\)"),
+        (
+            lambda table: table,
+            "columns.q=x,y",
+            r"q has shape \(2201, 2\), expected \(2201, 3\), a row for each time",
+        ),
     ],
 )
 def test_a_bad_log_is_answered_in_one_line(
