@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,6 @@ from pinmobile.loop._storage import RECORDED, described_run, restored_run, signa
 from pinmobile.measures import Measure
 from pinmobile.plant import Parameter
 from pinmobile.trajectories import Reference
-
-if TYPE_CHECKING:
-    from pinmobile.loop._ensemble import Ensemble
 
 LEVELS = (0.5, 0.9, 0.99)
 """Shares of the robots for which the quantiles over time are kept."""
@@ -182,7 +179,7 @@ def coordinates(scenario: Scenario | Outline) -> list[tuple[str, Sequence[Any], 
     ]
 
 
-def dataset_of(ensemble: Ensemble, attributes: Mapping[str, Any]) -> Any:
+def dataset_of(ensemble: Any, attributes: Mapping[str, Any]) -> Any:
     """Return an ensemble as an xarray.Dataset.
 
     Parameters
@@ -214,7 +211,7 @@ def dataset_of(ensemble: Ensemble, attributes: Mapping[str, Any]) -> Any:
     )
 
 
-def columns_of(ensemble: Ensemble) -> tuple[list[str], list[Array]]:
+def columns_of(ensemble: Any) -> tuple[list[str], list[Array]]:
     """Return the arrays with one entry per robot as the columns of a table, and their names with units."""
     header, columns = ["robot"], [np.arange(len(ensemble), dtype=np.float64)]
     named: Mapping[str, Sequence[Any]] = {
@@ -230,12 +227,12 @@ def columns_of(ensemble: Ensemble) -> tuple[list[str], list[Array]]:
     return header, columns
 
 
-def _per_robot(ensemble: Ensemble) -> dict[str, Variable]:
+def _per_robot(ensemble: Any) -> dict[str, Variable]:
     scenario = ensemble.scenario
     return {**drawn(scenario.parameters), **per_robot(scenario)}
 
 
-def _arrays(ensemble: Ensemble) -> Iterator[tuple[str, Variable, Array]]:
+def _arrays(ensemble: Any) -> Iterator[tuple[str, Variable, Array]]:
     draws = {drawn_name(name): values for name, values in ensemble.draws.items()}
     for name, one in _per_robot(ensemble).items():
         yield name, one, getattr(ensemble, name) if name in PER_ROBOT else draws[name]
@@ -251,7 +248,7 @@ _KINDS: Mapping[str, type] = {
 }
 
 
-def write_ensemble(file: IO[bytes], ensemble: Ensemble) -> None:
+def write_ensemble(file: IO[bytes], ensemble: Any) -> None:
     """Write an ensemble.
 
     The archive has the arrays of `PER_ROBOT` and ``counts``; ``draws`` with a row for each parameter; the
