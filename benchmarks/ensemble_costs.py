@@ -20,9 +20,10 @@ FIRST = """
 from time import perf_counter as now
 start = now()
 from pinmobile import Circle, ComputedTorque, MobileRobot, Normal, Tangent, Uniform, ensemble
-imported = now()
+import pinmobile
+imported, com = now(), "com.x" if hasattr(pinmobile, "parts") else "com_x"  # before parts, names had no dot
 robot = MobileRobot(30.0, 1.3, com=(0.1, 0.0))
-spread = {"mass": Uniform(20, 40), "com.x": Normal(0.1, 0.02)}
+spread = {"mass": Uniform(20, 40), com: Normal(0.1, 0.02)}
 trajectory = Tangent(Circle(3.0, 0.1, 60.0))
 ensemble(robot, ComputedTorque(robot, 4, 4), trajectory, n=100, spread=spread, seed=0, dt=0.1)
 print("\\n", imported - start, now() - imported)

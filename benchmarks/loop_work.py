@@ -99,7 +99,8 @@ class Work:
         self.of, self.quick, self.least = pinmobile, quick, least
         self.robot = pinmobile.MobileRobot.lecture()
         self.computed = pinmobile.ComputedTorque(self.robot, kp=GAIN, kd=GAIN)
-        self.spread = {"mass": pinmobile.Uniform(20, 40), "start.x": pinmobile.Normal(0, 0.1)}
+        start = "start.x" if hasattr(pinmobile, "parts") else "start_x"  # before parts, names had no dot
+        self.spread = {"mass": pinmobile.Uniform(20, 40), start: pinmobile.Normal(0, 0.1)}
 
     def trajectory(self, duration: float) -> Any:
         """Return the circle, for some time [s]."""
