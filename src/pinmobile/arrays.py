@@ -222,7 +222,7 @@ def shaped(name: str, array: _Shaped, *shapes: tuple[int | str, ...], words: str
         If it has another shape.
     """
     found = np.shape(cast(Any, array))
-    if not any(_fits(found, shape) for shape in shapes):
+    if found not in shapes and not any(_fits(found, shape) for shape in shapes):
         raise InvalidArgument(f"{name} has shape {found}, expected {shapes_in_words(shapes)}{words}")
     return array
 
@@ -259,7 +259,8 @@ def vector(name: str, value: ArrayLike, size: int) -> Array:
     InvalidArgument
         If the last axis has another length, or an entry is not finite.
     """
-    return shaped(name, finite(name, value), ("...", size))
+    array = finite(name, value)
+    return array if array.shape[-1:] == (size,) else shaped(name, array, ("...", size))
 
 
 def scalar(name: str, value: ArrayLike) -> float:
@@ -270,7 +271,8 @@ def scalar(name: str, value: ArrayLike) -> float:
     InvalidArgument
         If it is not one finite real number.
     """
-    return float(shaped(name, finite(name, value), ()))
+    array = finite(name, value)
+    return float(shaped(name, array, ()) if array.ndim else array)
 
 
 def bounded(
@@ -293,9 +295,7 @@ def bounded(
     numbers = np.asarray(value)
     bounds = {">": above, ">=": least, "<": below, "<=": most}
     given = [(sign, bound) for sign, bound in bounds.items() if bound is not None]
-    wrong = np.zeros(numbers.shape, bool)
-    for sign, bound in given:
-        wrong |= ~_COMPARED[sign](numbers, bound)
+    wrong = ~np.all([_COMPARED[sign](numbers, bound) for sign, bound in given], axis=0)
     if wrong.any():
         at = tuple(int(i) for i in np.argwhere(wrong)[0])
         place, unit = f"[{', '.join(map(str, at))}]" if at else "", unit and f" {unit}"
