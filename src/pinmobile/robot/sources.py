@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from os import PathLike
@@ -282,7 +282,7 @@ def existing_folders(package_dirs: str | PathLike[str] | Sequence[str | PathLike
     """
     given = (package_dirs,) if isinstance(package_dirs, str | PathLike) else package_dirs
     paths = tuple(
-        location("package_dirs", one) for one in instance("package_dirs", given, Iterable, "folders")
+        location("package_dirs", one) for one in sequence("package_dirs", given, "a sequence of folders")
     )
     for path in paths:
         if not path.is_dir():
