@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -12,8 +10,7 @@ from matplotlib.patches import Patch
 
 from pinmobile.arrays import Array, instance
 from pinmobile.identification import Prediction
-from pinmobile.loop import EndEffector
-from pinmobile.plots.sheet import Canvas, Sheet, Spot, letters, wrapped
+from pinmobile.plots.sheet import Canvas, Sheet, Spot
 from pinmobile.plots.style import (
     Rollouts,
     Style,
@@ -29,7 +26,6 @@ from pinmobile.plots.style import (
     tint,
 )
 
-_COLUMN = 3.2  # [in]: of two columns of panels each
 _WIDE, _TALL = (1.4, 1.4, 1.4), (2.8, 1.2, 1.2, 1.2)  # [in]: heights of rows
 _NO_TARGET, _NO_ORIENTATION = "there is no target", "the target has no orientation"
 _PLACES = (("x [m]", "y [m]"), ("", "z [m]"), ("", "distance [m]"), ("t [s]", "angle [rad]"))
@@ -83,7 +79,8 @@ def end_effector(
             curve(way, hand.t, hand.distance, **style)
             if hand.is_oriented:
                 curve(turn, hand.t, hand.angle, **style)
-    for t, target in _targets(hands.values()):
+    aimed = [(hand.t, hand.target) for hand in hands.values() if hand.target is not None]
+    for t, target in {t.tobytes() + target.tobytes(): (t, target) for t, target in aimed}.values():
         curve(above, *target[:, :2, 3].T, **desired())
         curve(height, t, target[:, 2, 3], **desired())
     for axes, none in ((way, _NO_TARGET), (turn, _NO_ORIENTATION if way.lines else _NO_TARGET)):
@@ -95,18 +92,9 @@ def end_effector(
     return sheet.finish(title, f"End effector {names}", [*keys, *keys_of(hands, "travelled")])
 
 
-def _targets(hands: Iterable[EndEffector]) -> list[tuple[Array, Array]]:
-    """Return the targets that differ, with their times."""
-    found: dict[bytes, tuple[Array, Array]] = {}
-    for hand in hands:
-        if hand.target is not None:
-            found.setdefault(hand.t.tobytes() + hand.target.tobytes(), (hand.t, hand.target))
-    return list(found.values())
-
-
 def _panels(sheet: Sheet) -> list[Axes]:
     """Return axes on one another, or the path beside what goes over time."""
-    if sheet.columns(2, _COLUMN) == 1:
+    if sheet.columns(2, 3.2) == 1:
         spots: list[Spot] = [(k, 0) for k in range(4)]
         above, *later = sheet.axes(spots, _TALL, share="")
     else:
@@ -172,7 +160,7 @@ def prediction(
         differences.plot(t[kept], left[kept], color=colour(0), linewidth=0.7)
         differences.set_ylabel(f"difference [{small}]")
         told = f"rms {1e3 * foretold.rms[k]:.2g} {small}, noise {noise:.2g} {small}"
-        differences.set_title(wrapped(told, letters(0.95), sheet.room()), fontsize=letters(0.95), loc="left")
+        sheet.write_above(differences, told, 0.95, loc="left")
     for axes in grid[-1]:
         axes.set_xlabel("t [s]")
     keys = [
@@ -180,11 +168,8 @@ def prediction(
         Line2D([], [], label="foretold", color=colour(0), linewidth=1.4),
         Patch(color=tint(ink(), 0.12), label="noise of the sensor, 95 %"),
     ]
-    return sheet.finish(title, f"Measured and foretold, {_span(foretold):.3g} s ahead", keys)
-
-
-def _span(foretold: Prediction) -> float:
-    return float(foretold.t[0, -1] - foretold.t[0, 0])
+    span = float(foretold.t[0, -1] - foretold.t[0, 0])
+    return sheet.finish(title, f"Measured and foretold, {span:.3g} s ahead", keys)
 
 
 def _broken(segments: Array) -> Array:

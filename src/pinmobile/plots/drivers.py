@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, finite, one_of, scalar, sequence
+from pinmobile.arrays import Array, ArrayLike, finite, one_of, scalar, sequence, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Bands, Ensemble, Same, edges
 from pinmobile.measures import Measure
@@ -81,9 +81,7 @@ def bands(
         If `ensembles` is something else, a level is not a share, or an ensemble counts nothing of a name.
     """
     known: dict[str, Ensemble] = named("ensembles", ensembles, Ensemble)
-    shares = np.unique(finite("levels", levels))
-    if not shares.size:
-        raise InvalidArgument("levels is empty, expected at least one share of the robots")
+    shares = shaped("levels", np.unique(finite("levels", levels)), ("n>=1",))
     rows = _rows(list(known.values()), by)
     drawn = [_drawn(one, shares, [row.name for row in rows]) for one in known.values()]
     sheet = Sheet(ax, width, max(7.5, 3.6 * len(known)))
@@ -96,7 +94,7 @@ def bands(
         for index, (axes, values) in enumerate(zip(row, quantiles, strict=True)):
             _panel(axes, drawn[index].t, values, scale, index, is_margin=channel.is_margin)
     for index, (label, one) in enumerate(known.items()):
-        above = _bounds(grid[:, index], rows, one, float(shares[-1]), sheet.room())
+        above = _bounds(sheet, grid[:, index], rows, one, float(shares[-1]))
         count = int(one.diverged.sum())
         fate = f"{count:,} of {len(one):,} diverged" if count else f"none of {len(one):,} diverged"
         fate = wrapped(fate, letters(), sheet.room())
@@ -207,7 +205,9 @@ def _shades(base: str, count: int) -> list[tuple[float, float, float]]:
     return [tint(base, share) for share in np.linspace(0.75, 0.15, count)]
 
 
-def _bounds(column: NDArray[Any], rows: Sequence[Measure], one: Ensemble, level: float, room: float) -> float:
+def _bounds(
+    sheet: Sheet, column: NDArray[Any], rows: Sequence[Measure], one: Ensemble, level: float
+) -> float:
     """Write above each of a column's axes what a share stays within; return how high the first is [pt]."""
     after, within = one.scenario.after, one.within(level)
     when = f"from {after:g} s on" if after else "throughout"
@@ -215,8 +215,7 @@ def _bounds(column: NDArray[Any], rows: Sequence[Measure], one: Ensemble, level:
         size = within[channel.name]
         stay = "have at least" if channel.is_margin else "stay within"
         bound = f"{_size(size, channel.unit)} {when}" if np.isfinite(size) else "no bound"
-        words = wrapped(f"{percent(level)} {stay} {bound}", letters(), room)
-        axes.set_title(words, fontsize=letters(), loc="left")
+        sheet.write_above(axes, f"{percent(level)} {stay} {bound}", loc="left")
         if after:
             axes.axvline(after, color=_GREY, linewidth=1.0, linestyle=":", zorder=1)
     return over(column[0].get_title(loc="left").count("\n") + 1)
@@ -489,9 +488,7 @@ def _distribution(sheet: Sheet, axes: Axes, one: Cause, worst: NDArray[np.bool_]
             axes.axvspan(max(low, bins[0]), min(high, bins[-1]), zorder=1, **_where())
         many, few = (percent(round(float(one.holds(values).mean()), 2)) for values in (bad, good))
         text, shade = f"{one.place}:\n{many} of the worst, {few} of the others", ink()
-    axes.set_title(
-        wrapped(text, letters(0.95), sheet.room()), fontsize=letters(0.95), color=shade, loc="left"
-    )
+    sheet.write_above(axes, text, 0.95, color=shade, loc="left")
     axes.margins(x=0)
     axes.set_ylim(0, None)
     axes.xaxis.set_major_locator(MaxNLocator(5))
@@ -525,7 +522,7 @@ def _scatter(
             axes.plot(one.values[chosen], heights, "x", markersize=4, zorder=3, color=paint)
     titles = {"distance": "How far each robot strays", "heading": "How far each robot turns away"}
     title = titles.get(by, f"The {judged.worst} {by} of each robot")
-    axes.set_title(wrapped(title, letters(), sheet.room()), fontsize=letters(), loc="left")
+    sheet.write_above(axes, title, loc="left")
     axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.set_xlabel(one.label)
     words = _ERRORS.get(by, by)

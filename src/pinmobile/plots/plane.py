@@ -149,10 +149,15 @@ def path(
     """
     runs = labelled(rollouts)
     of_each(runs, lambda run: run.poses)
-    instants = (
-        _instants(runs) if times is None else {label: _checked(times, run) for label, run in runs.items()}
-    )
-    figure, axes = panels(runs, title, "Desired and travelled path", ax=ax, width=width)
+    instants: dict[str, Array] = {}
+    for labels in same_references(runs).values():  # which share the times, to be compared
+        instants |= dict.fromkeys(labels, _spread(runs[labels[0]]))
+    if times is not None:
+        given = shaped("times", np.atleast_1d(finite("times", times)), ("n",))
+        for label, run in runs.items():
+            least, most = float(run.t[0]), float(run.t[-1])
+            instants[label] = bounded("times", given, least=least, most=most, unit="s")
+    figure, axes = panels(runs, title, "Desired and travelled path", ax, width)
     otherwise = _arrowhead(axes[0])
     for index, (label, run) in enumerate(runs.items()):
         curve(axes[index], *run.poses[:, :2].T, color=colour(index), label="travelled", **_travelled())
@@ -166,9 +171,9 @@ def panels(
     runs: Mapping[str, Rollout],
     title: str | None,
     default: str,
-    *,
     ax: Canvas | None = None,
     width: float | None = None,
+    *,
     known: bool = True,
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with a panel for each rollout, its desired path drawn, and a legend below.
@@ -188,12 +193,14 @@ def panels(
     columns, keys = sheet.columns(most, 1.7), list(_keys(len(runs)))
     window = _window(runs, sheet.width / columns)
     shape = _shape(window)
-    titles = [_titles(sheet, columns, label, run) for label, run in runs.items()]
+    room = (sheet.width - 5.5 * letters() / 72) / columns
+    off = [si(float(np.hypot(*run.error[:, :2].T).max()), "m") for run in runs.values()]
+    notes = [wrapped(f"position error at most {each}", letters(0.95), room) for each in off]
+    labels = [wrapped(label, letters(1.2), room, weight="bold") for label in runs]
     height, spots = 0.0, [divmod(k, columns) for k in range(len(runs))]
     if sheet.new:
-        above = max(
-            note.count("\n") + 1 + 1.5 * bool(label) * (label.count("\n") + 1) for note, label in titles
-        )
+        sizes = zip([1 + note.count("\n") for note in notes], labels, strict=True)
+        above = max(lines + 1.5 * bool(label) * (label.count("\n") + 1) for lines, label in sizes)
         height, grid = _placed(
             sheet, spots, shape, 1.3 * above + 0.8, sheet.below(keys), sheet.heading(title, default)
         )
@@ -206,19 +213,11 @@ def panels(
         axes.set(xlim=window[:, 0], ylim=window[:, 1])
         axes.set(xlabel="x [m]" if lowest else "", ylabel="y [m]" if left else "")
         axes.tick_params(labelleft=left, labelbottom=lowest)
-        note, label = titles[index]
-        axes.set_title(note, fontsize=letters(0.95))
-        axes.annotate(label, (0.5, 1), (0, over(note.count("\n") + 1)), ha="center", **heading(index))
+        axes.set_title(notes[index], fontsize=letters(0.95))
+        offset = 0, over(notes[index].count("\n") + 1)
+        axes.annotate(labels[index], (0.5, 1), offset, ha="center", **heading(index))
         curve(axes, *run.reference_poses[:, :2].T, label="desired", **desired())
     return sheet.finish(title, default, keys, height=height), grid
-
-
-def _titles(sheet: Sheet, columns: int, label: str, run: Rollout) -> tuple[str, str]:
-    """Return what stands above a panel: how far the robot is off, and its name."""
-    off = si(float(np.hypot(run.error[:, 0], run.error[:, 1]).max()), "m")
-    room = (sheet.width - 5.5 * letters() / 72) / columns
-    note = wrapped(f"position error at most {off}", letters(0.95), room)
-    return note, wrapped(label, letters(1.2), room, weight="bold")
 
 
 def _placed(
@@ -304,15 +303,6 @@ def _write_time(axes: Axes, t: float, pose: Array, beside: float) -> None:
     axes.annotate(f"{t:.3g} s", spot, offset, textcoords="offset points", **text)
 
 
-def _instants(runs: Mapping[str, Rollout]) -> dict[str, Array]:
-    """Return times at which the robot is drawn; rollouts of one reference share theirs, to be compared."""
-    chosen: dict[str, Array] = {}
-    for labels in same_references(runs).values():
-        times = _spread(runs[labels[0]])
-        chosen |= dict.fromkeys(labels, times)
-    return chosen
-
-
 def _spread(run: Rollout) -> Array:
     """Return times between which the robot has moved on by so much that its drawings do not overlap."""
     xy = run.poses[:, :2]
@@ -325,12 +315,6 @@ def _spread(run: Rollout) -> Array:
         if all(np.hypot(*(xy[k] - xy[other])) > robot for other in kept):
             kept.append(int(k))
     return np.asarray(run.t[sorted(kept)])
-
-
-def _checked(times: ArrayLike, run: Rollout) -> Array:
-    checked = np.atleast_1d(finite("times", times))
-    shaped("times", checked, ("n",))
-    return bounded("times", checked, least=float(run.t[0]), most=float(run.t[-1]), unit="s")
 
 
 _LASTS = 10.0  # [s]; by default a longer run is shown in this time

@@ -1,4 +1,4 @@
-"""What a rollout recorded, over time: states, errors, inputs, signals, and what the base feels."""
+"""What a rollout recorded, over time: states, errors, inputs, signals, and the reaction of an arm."""
 
 from __future__ import annotations
 

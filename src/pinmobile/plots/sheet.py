@@ -201,6 +201,11 @@ class Sheet:
             return self.width
         return max(0.97 * self.width / (self._columns * parts) - 5.5 * letters() / 72, 5 * letters() / 72)
 
+    def write_above(self, axes: Axes, words: str, share: float = 1.0, **style: Any) -> None:
+        """Write words above axes, in lines that fit, in letters of this share of their size."""
+        size = letters(share)
+        axes.set_title(wrapped(words, size, self.room()), fontsize=size, **style)
+
     def axes(
         self, spots: Sequence[Spot], tall: Sequence[float], *, share: str = "x", ratios: Sequence[float] = ()
     ) -> list[Axes]:
@@ -355,23 +360,17 @@ class Sheet:
 
     def _row(self, number: int) -> float:
         """Return the height of a row [in]: what it has at least, and no less than its words."""
-        words = [0.0]
-        for label in (axes.yaxis.label for row, axes in self._rows if row == number):
+        words, titles, left = [self._tall[number]], [0.0], [0.0]
+        for axes in (axes for row, axes in self._rows if row == number):
+            label = axes.yaxis.label
             size = float(label.get_fontsize())
             label.set_text(wrapped(label.get_text(), size, self._tall[number]))
             words += [1.15 * extent(line, size) for line in label.get_text().split("\n")]
-        titles = [
-            sum(
-                1.25 * float(each.get_fontsize()) / 72 * (each.get_text().count("\n") + 1)
-                for each in found
-                if each.get_text()
-            )
-            for row, axes in self._rows
-            if row == number
-            for found in ([*_titles(axes)[:1], *_above(axes)],)
-        ]
-        left = [self._left.get(axes, 0.0) for row, axes in self._rows if row == number]
-        return max(self._tall[number], *words) + max(titles, default=0.0) + max(left, default=0.0)
+            above = [each for each in (*_titles(axes)[:1], *_above(axes)) if each.get_text()]
+            lines = ((float(each.get_fontsize()), each.get_text().count("\n") + 1) for each in above)
+            titles.append(sum(1.25 * size / 72 * count for size, count in lines))
+            left.append(self._left.get(axes, 0.0))
+        return max(words) + max(titles) + max(left)
 
     def check(self) -> None:
         """Refuse a figure too small for what was drawn, however its axes are arranged.
@@ -464,16 +463,12 @@ def _figure(width: float, known: bool) -> Figure:
 
 
 def _axes_of(ax: object) -> list[Axes]:
-    given = [ax] if isinstance(ax, Axes) else list(np.ravel(np.asarray(ax, object))) if _is_row(ax) else []
+    given = list(np.ravel(np.asarray(ax, object)))
     if not given or not all(isinstance(each, Axes) for each in given):
         raise InvalidArgument(
             f"ax is {shown(ax)}, expected matplotlib's Axes, a sequence of them, or a Figure"
         )
     return given
-
-
-def _is_row(ax: object) -> bool:
-    return isinstance(ax, np.ndarray) or (isinstance(ax, Sequence) and not isinstance(ax, str | bytes))
 
 
 def _inches(figure: Figure | SubFigure, pixels: float) -> float:

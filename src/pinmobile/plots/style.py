@@ -1,4 +1,4 @@
-"""How figures look: colours, line styles, the axes of what is drawn over time, and the lines of rollouts."""
+"""How figures look: colours, line styles, and the lines of rollouts."""
 
 from __future__ import annotations
 

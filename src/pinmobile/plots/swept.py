@@ -18,7 +18,7 @@ from pinmobile.accuracy import Convergence, IntegratorReport
 from pinmobile.arrays import Array, ArrayLike, bounded, finite, mapping, real, sequence, shaped, text
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.palette import INK
-from pinmobile.plots.sheet import Canvas, Sheet, letters, wrapped
+from pinmobile.plots.sheet import Canvas, Sheet, letters
 from pinmobile.plots.style import Style, colour, dress, ink, line_style, named
 
 _SHARE = 0.11  # of the height of the axes below it
@@ -351,9 +351,8 @@ def integrator(
     for k, (axes, (attribute, heading)) in enumerate(zip(found, _PANELS, strict=True)):
         kinds = [getattr(report, attribute) for report in known.values()]
         _panel(axes, kinds, list(known), lowest=k + columns >= len(found), ticks=6 if columns == 3 else 4)
-        words = wrapped(heading.format(1e3 * kinds[0].steps[0]), letters(0.95), sheet.room())
         pad = 4 + 1.3 * letters(0.9) * len(known)
-        axes.set_title(words, fontsize=letters(0.95), pad=pad, loc="left")
+        sheet.write_above(axes, heading.format(1e3 * kinds[0].steps[0]), 0.95, pad=pad, loc="left")
     whose = f" of {next(iter(known.values())).integrator}" if "" in known else ""
     keys = [
         *(Line2D([], [], label=label, **line_style(k, len(known))) for k, label in enumerate(known) if label),

@@ -1,4 +1,4 @@
-"""What wheels do over time: torques, friction, slip, loads; and where odometry believes the robot to be."""
+"""Ground and robot over time: torques, friction, slip and loads of wheels, odometry, and balance."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pinmobile.loop import Rollout
 from pinmobile.palette import INK, QUIET, SLIDES
 from pinmobile.plant import Contacts, coordinates_of
 from pinmobile.plots.series import GROUNDED
-from pinmobile.plots.sheet import Canvas, Sheet, Spot, letters, wrapped
+from pinmobile.plots.sheet import Canvas, Sheet, Spot, letters
 from pinmobile.plots.style import (
     Rollouts,
     Style,
@@ -234,7 +234,7 @@ def odometry(
                 "ByOdometry(controller, table)"
             )
     names = ["y [m]", "odometry off by [m]"]
-    sheet, grid = _axes(runs, names, ax, width, tall=1.7)
+    sheet, grid = _axes(runs, names, ax, width, 1.7)
     for run, (above, below) in zip(runs.values(), grid.T, strict=True):
         true, believed = run.poses, run.signals["believed_pose"].values
         curve(above, *run.reference_poses[:, :2].T, label="desired", **desired())
@@ -273,12 +273,7 @@ def _driven(run: Rollout) -> Sequence[Any]:
 
 
 def _axes(
-    runs: dict[str, Rollout],
-    rows: Sequence[str],
-    ax: Canvas | None,
-    width: float | None,
-    *,
-    tall: float = 1.0,
+    runs: dict[str, Rollout], rows: Sequence[str], ax: Canvas | None, width: float | None, tall: float = 1.0
 ) -> tuple[Sheet, NDArray[Any]]:
     """Return a sheet with a column for each run, and its axes, shape (rows, runs)."""
     sheet = Sheet(ax, width, _WIDTH * len(runs))
@@ -290,7 +285,7 @@ def _axes(
         dress(axes)
         axes.margins(x=0.01, y=0.1)
     for (label, run), column in zip(runs.items(), grid.T, strict=True):
-        column[0].set_title(wrapped(label, letters(), sheet.room()), fontsize=letters())
+        sheet.write_above(column[0], label)
         column[-1].set_xlabel("t [s]")
         if len(run) > 1:
             for axes in column if tall == 1.0 else column[1:]:
@@ -306,12 +301,11 @@ def _lines(
     names: Sequence[str],
     *,
     legend: bool = True,
-    **given: Any,
+    **own: Any,
 ) -> None:
     """Draw a line for each wheel, the first the widest, so that those that coincide are seen."""
-    count = values.shape[1]
     for k, (name, each) in enumerate(zip(names, values.T, strict=True)):
-        line(axes, t, each, label=name.replace("_", " "), **line_style(k, count) | given)
+        line(axes, t, each, label=name.replace("_", " "), **line_style(k, len(names)) | own)
     if float(np.nanmax(np.abs(values), initial=0.0)) < _ROUNDING:
         axes.set_ylim(-1.0, 1.0)
     if legend:
@@ -389,8 +383,7 @@ def balance(
         hatched: Style = {"facecolor": "none", "edgecolor": colour(index), "hatch": "///", "alpha": 0.5}
         shade((above, below), run.t, lifted, **hatched)
         if lifted.any():
-            words = _note(sheet, "hatched: the ground does not carry the robot")
-            above.set_title(words, fontsize=letters(0.95))
+            sheet.write_above(above, "hatched: the ground does not carry the robot", 0.95)
     span = [float(f([f(run.t) for run in runs.values()])) for f in (np.min, np.max)]
     if span[0] < span[1]:
         below.set_xlim(*span)
@@ -399,10 +392,6 @@ def balance(
     below.set_ylim(bottom=min(0.0, below.get_ylim()[0]))
     _from_above(sheet, beside, runs, footprint)
     return sheet.finish(title, "Balance on the ground", keys_of(runs))
-
-
-def _note(sheet: Sheet, words: str) -> str:
-    return wrapped(words, letters(0.95), sheet.room())
 
 
 def _from_above(sheet: Sheet, axes: Axes, runs: dict[str, Rollout], footprint: ArrayLike | None) -> None:
@@ -426,4 +415,4 @@ def _from_above(sheet: Sheet, axes: Axes, runs: dict[str, Rollout], footprint: A
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("forward $x_B$ [m]")
     axes.set_ylabel("left $y_B$ [m]")
-    axes.set_title(_note(sheet, "zero-moment point in the footprint, dot: first"), fontsize=letters(0.95))
+    sheet.write_above(axes, "zero-moment point in the footprint, dot: first", 0.95)
