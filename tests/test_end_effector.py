@@ -393,7 +393,7 @@ def test_the_figure_has_path_height_and_both_errors(run: Rollout) -> None:
     nothing = plots.end_effector(replace_reference(run))
     assert [axes.texts[0].get_text() for axes in nothing.axes[2:]] == ["there is no target"] * 2
     for options, text in (
-        ({"width": -1}, "width is -1.0 in, expected > 0"),
+        ({"width": -1}, "width is -1.0 in, expected 0.5 <= width <= 100 in"),
         ({"ax": grid[0, 0]}, "ax is one Axes, expected 4, one for each panel, or a figure"),
         ({"ax": sheet, "width": 3.0}, "width is 3.0, with ax, whose figure has a width"),
     ):

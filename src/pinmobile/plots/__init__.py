@@ -3,9 +3,10 @@
 from pinmobile.plots.comparison import end_effector, prediction
 from pinmobile.plots.drivers import bands, drivers
 from pinmobile.plots.plane import animate, path
-from pinmobile.plots.series import balance, errors, forces, reaction, signals, states
+from pinmobile.plots.series import errors, forces, reaction, signals, states
 from pinmobile.plots.swept import curves, heatmap, integrator
 from pinmobile.plots.traction import (
+    balance,
     friction,
     loads,
     odometry,

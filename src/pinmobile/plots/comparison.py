@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -12,26 +9,23 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from pinmobile.arrays import Array, instance
-from pinmobile.errors import InvalidArgument
 from pinmobile.identification import Prediction
-from pinmobile.loop import EndEffector, Rollout
-from pinmobile.plots.sheet import Canvas, Sheet, Spot, letters, wrapped
+from pinmobile.plots.sheet import Canvas, Sheet, Spot
 from pinmobile.plots.style import (
     Rollouts,
     Style,
-    called,
     colour,
+    curve,
     desired,
     dress,
     ink,
     keys_of,
     labelled,
     line_style,
-    thinned,
+    of_each,
     tint,
 )
 
-_COLUMN = 3.2  # [in]: of two columns of panels each
 _WIDE, _TALL = (1.4, 1.4, 1.4), (2.8, 1.2, 1.2, 1.2)  # [in]: heights of rows
 _NO_TARGET, _NO_ORIENTATION = "there is no target", "the target has no orientation"
 _PLACES = (("x [m]", "y [m]"), ("", "z [m]"), ("", "distance [m]"), ("t [s]", "angle [rad]"))
@@ -74,20 +68,21 @@ def end_effector(
     UnknownName
         If there is no such frame; it says which there are.
     """
-    hands = _hands(labelled(rollouts), frame)
+    hands = of_each(labelled(rollouts), lambda run: run.end_effector(frame))
     sheet = Sheet(ax, width, 9.0)
     above, height, way, turn = _panels(sheet)
     for index, (label, hand) in enumerate(hands.items()):
         style = line_style(index, len(hands)) | {"label": label or "travelled"}
-        _line(above, *hand.position[:, :2].T, **style)
-        _line(height, hand.t, hand.position[:, 2], **style)
+        curve(above, *hand.position[:, :2].T, **style)
+        curve(height, hand.t, hand.position[:, 2], **style)
         if hand.target is not None:
-            _line(way, hand.t, hand.distance, **style)
+            curve(way, hand.t, hand.distance, **style)
             if hand.is_oriented:
-                _line(turn, hand.t, hand.angle, **style)
-    for t, target in _targets(hands.values()):
-        _line(above, *target[:, :2, 3].T, **desired())
-        _line(height, t, target[:, 2, 3], **desired())
+                curve(turn, hand.t, hand.angle, **style)
+    aimed = [(hand.t, hand.target) for hand in hands.values() if hand.target is not None]
+    for t, target in {t.tobytes() + target.tobytes(): (t, target) for t, target in aimed}.values():
+        curve(above, *target[:, :2, 3].T, **desired())
+        curve(height, t, target[:, 2, 3], **desired())
     for axes, none in ((way, _NO_TARGET), (turn, _NO_ORIENTATION if way.lines else _NO_TARGET)):
         axes.set_ylim(bottom=0.0)
         if not axes.lines:
@@ -97,28 +92,9 @@ def end_effector(
     return sheet.finish(title, f"End effector {names}", [*keys, *keys_of(hands, "travelled")])
 
 
-def _hands(runs: Mapping[str, Rollout], frame: str | None) -> dict[str, EndEffector]:
-    hands = {}
-    for label, run in runs.items():
-        try:
-            hands[label] = run.end_effector(frame)
-        except InvalidArgument as error:
-            raise InvalidArgument(f"{called(label)}.{error}") from None
-    return hands
-
-
-def _targets(hands: Iterable[EndEffector]) -> list[tuple[Array, Array]]:
-    """Return the targets that differ, with their times."""
-    found: dict[bytes, tuple[Array, Array]] = {}
-    for hand in hands:
-        if hand.target is not None:
-            found.setdefault(hand.t.tobytes() + hand.target.tobytes(), (hand.t, hand.target))
-    return list(found.values())
-
-
 def _panels(sheet: Sheet) -> list[Axes]:
     """Return axes on one another, or the path beside what goes over time."""
-    if sheet.columns(2, _COLUMN) == 1:
+    if sheet.columns(2, 3.2) == 1:
         spots: list[Spot] = [(k, 0) for k in range(4)]
         above, *later = sheet.axes(spots, _TALL, share="")
     else:
@@ -135,17 +111,8 @@ def _panels(sheet: Sheet) -> list[Axes]:
     return panels
 
 
-def _line(axes: Axes, x: Array, y: Array, **style: Any) -> None:
-    kept = thinned(x, y)
-    axes.plot(x[kept], y[kept], **style)
-
-
 def prediction(
-    foretold: Prediction,
-    *,
-    title: str | None = None,
-    ax: Canvas | None = None,
-    width: float | None = None,
+    foretold: Prediction, *, title: str | None = None, ax: Canvas | None = None, width: float | None = None
 ) -> Figure:
     """Draw what was measured and what was foretold, and their difference beside the sensor's noise.
 
@@ -193,7 +160,7 @@ def prediction(
         differences.plot(t[kept], left[kept], color=colour(0), linewidth=0.7)
         differences.set_ylabel(f"difference [{small}]")
         told = f"rms {1e3 * foretold.rms[k]:.2g} {small}, noise {noise:.2g} {small}"
-        differences.set_title(wrapped(told, letters(0.95), sheet.room(2)), fontsize=letters(0.95), loc="left")
+        sheet.write_above(differences, told, 0.95, loc="left")
     for axes in grid[-1]:
         axes.set_xlabel("t [s]")
     keys = [
@@ -201,11 +168,8 @@ def prediction(
         Line2D([], [], label="foretold", color=colour(0), linewidth=1.4),
         Patch(color=tint(ink(), 0.12), label="noise of the sensor, 95 %"),
     ]
-    return sheet.finish(title, f"Measured and foretold, {_span(foretold):.3g} s ahead", keys)
-
-
-def _span(foretold: Prediction) -> float:
-    return float(foretold.t[0, -1] - foretold.t[0, 0])
+    span = float(foretold.t[0, -1] - foretold.t[0, 0])
+    return sheet.finish(title, f"Measured and foretold, {span:.3g} s ahead", keys)
 
 
 def _broken(segments: Array) -> Array:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib import rcParams
@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, finite, one_of, scalar, sequence
+from pinmobile.arrays import Array, ArrayLike, finite, one_of, scalar, sequence, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Bands, Ensemble, Same, edges
 from pinmobile.measures import Measure
@@ -39,7 +39,6 @@ class _Scale(NamedTuple):
     low: float
     high: float
     logarithmic: bool
-    is_margin: bool = False
 
 
 def bands(
@@ -82,24 +81,27 @@ def bands(
         If `ensembles` is something else, a level is not a share, or an ensemble counts nothing of a name.
     """
     known: dict[str, Ensemble] = named("ensembles", ensembles, Ensemble)
-    shares = np.unique(finite("levels", levels))
-    if not shares.size:
-        raise InvalidArgument("levels is empty, expected at least one share of the robots")
+    shares = shaped("levels", np.unique(finite("levels", levels)), ("n>=1",))
     rows = _rows(list(known.values()), by)
     drawn = [_drawn(one, shares, [row.name for row in rows]) for one in known.values()]
     sheet = Sheet(ax, width, max(7.5, 3.6 * len(known)))
     grid = sheet.grid(len(rows), len(known), [max(2.0, 4.4 / len(rows))] * len(rows), share="xy")
     for row, channel in zip(grid, rows, strict=True):
         quantiles = [one[channel.name] for one in drawn]
-        scale = _margins(quantiles, channel.unit) if channel.is_margin else _scale(quantiles, channel.unit)
+        scale = _scale(quantiles, channel)
         words = f"{_words(channel)} [{scale.unit}]" if scale.unit else _words(channel)
         row[0].set_ylabel(f"{words}\nlogarithmic" if scale.logarithmic else words)
         for index, (axes, values) in enumerate(zip(row, quantiles, strict=True)):
-            _panel(axes, drawn[index].t, values, scale, index)
+            _panel(axes, drawn[index].t, values, scale, index, is_margin=channel.is_margin)
     for index, (label, one) in enumerate(known.items()):
-        _headings(
-            sheet, grid[:, index], rows, label, one, float(drawn[index].levels[-1]), (index, len(known))
-        )
+        above = _bounds(sheet, grid[:, index], rows, one, float(shares[-1]))
+        count = int(one.diverged.sum())
+        fate = f"{count:,} of {len(one):,} diverged" if count else f"none of {len(one):,} diverged"
+        fate = wrapped(fate, letters(), sheet.room())
+        first, look = grid[0, index], heading(index)
+        first.annotate(fate, (0, 1), (0, above), **look | _PLAIN | {"fontsize": letters()})
+        above += letters(1.4) * (fate.count("\n") + 1)
+        first.annotate(shortened(sheet, label), (0, 1), (0, above), **look)
         grid[-1, index].set_xlabel("t [s]")
     if sheet.new:
         sheet.figure.align_ylabels(grid[:, 0])
@@ -130,10 +132,11 @@ def _rows(ensembles: Sequence[Ensemble], by: Sequence[str] | None) -> list[Measu
 
 def _words(channel: Measure) -> str:
     """Return what is told beside the axes of a row."""
-    words = {"distance": "distance from\ndesired position", "heading": "error of\nheading"}
-    if channel.meaning == f"error of {channel.name}":
+    if channel.name == "distance":
+        return "distance from\ndesired position"
+    if channel.name == "heading" or channel.meaning == f"error of {channel.name}":
         return f"error of\n{channel.name}"
-    return words.get(channel.name, channel.name.replace(" of ", "\nof "))
+    return channel.name.replace(" of ", "\nof ")
 
 
 def _drawn(ensemble: Ensemble, levels: Array, names: Sequence[str]) -> Bands:
@@ -156,37 +159,26 @@ def _drawn(ensemble: Ensemble, levels: Array, names: Sequence[str]) -> Bands:
     return Bands(found.t, found.levels, drawn)
 
 
-def _scale(quantiles: Sequence[Array], unit: str) -> _Scale:
-    """Return axes that hold all that is finite, each of shape (L, G)."""
-    finite = [np.where(np.isfinite(one), one, np.nan) for one in quantiles]
-    highest = [float(np.nanmax(one, initial=0.0)) for one in finite]
-    smallest = [float(np.nanmax(one[0], initial=0.0)) for one in finite]
-    top = max(highest) or 1e-3
-    prefix, per_si = _prefix(top, unit)
-    logarithmic = top > _LINEAR_BANDS * min((value for value in smallest if value > 0), default=top)
-    least = min(float(one[one > 0].min(initial=top)) for one in finite)
-    low, high = (max(least, _ROUNDING * top) / 2, 2 * top) if logarithmic else (0.0, 1.08 * top)
-    return _Scale(f"{prefix}{unit}", per_si, low * per_si, high * per_si, logarithmic)
-
-
-def _margins(quantiles: Sequence[Array], unit: str) -> _Scale:
-    """Return linear axes that hold all that is finite, and zero, each of shape (L, G)."""
+def _scale(quantiles: Sequence[Array], channel: Measure) -> _Scale:
+    """Return axes that hold all that is finite, each of shape (L, G); of a margin linear ones, and zero."""
     known = np.concatenate([one[np.isfinite(one)] for one in quantiles])
     lowest, highest = float(known.min(initial=0.0)), float(known.max(initial=0.0))
-    prefix, per_si = _prefix(max(highest, -lowest) or 1e-3, unit)
-    room = 0.08 * ((highest - lowest) or 1e-3)
-    low, high = lowest - (room if lowest < 0 else 0.0), highest + room
-    return _Scale(f"{prefix}{unit}", per_si, low * per_si, high * per_si, False, True)
+    logarithmic = False
+    if channel.is_margin:
+        room = 0.08 * ((highest - lowest) or 1e-3)
+        low, high = lowest - (room if lowest < 0 else 0.0), highest + room
+        top = max(highest, -lowest) or 1e-3
+    else:
+        top = highest or 1e-3
+        medians = [float(np.max(one[0], initial=0.0, where=np.isfinite(one[0]))) for one in quantiles]
+        logarithmic = top > _LINEAR_BANDS * min((value for value in medians if value > 0), default=top)
+        least = max(float(known[known > 0].min(initial=top)), _ROUNDING * top)
+        low, high = (least / 2, 2 * top) if logarithmic else (0.0, 1.08 * top)
+    prefix, per_si = ("", 1.0) if not channel.unit or top >= 1 else ("m", 1e3) if top >= 1e-3 else ("µ", 1e6)
+    return _Scale(f"{prefix}{channel.unit}", per_si, low * per_si, high * per_si, logarithmic)
 
 
-def _prefix(top: float, unit: str) -> tuple[str, float]:
-    """Return the prefix of a unit that suits numbers up to `top`, and how many of it are one."""
-    if not unit or top >= 1:
-        return "", 1.0
-    return ("m", 1e3) if top >= 1e-3 else ("µ", 1e6)
-
-
-def _panel(axes: Axes, t: Array, quantiles: Array, scale: _Scale, index: int) -> None:
+def _panel(axes: Axes, t: Array, quantiles: Array, scale: _Scale, index: int, *, is_margin: bool) -> None:
     """Draw quantiles, shape (L, G), the narrowest in the fullest colour."""
     dress(axes)
     axes.margins(x=0.0)
@@ -194,14 +186,14 @@ def _panel(axes: Axes, t: Array, quantiles: Array, scale: _Scale, index: int) ->
         axes.set_yscale("log")
     axes.set_ylim(scale.low, scale.high)
     size = scale.high - scale.low
-    beyond = scale.low - 10 * size if scale.is_margin else 10 * scale.high  # infinity is out of the axes
+    beyond = scale.low - 10 * size if is_margin else 10 * scale.high  # infinity is out of the axes
     lines = np.where(np.isfinite(quantiles), quantiles * scale.per_si, beyond)
-    edge = np.full(len(t), scale.high if scale.is_margin else scale.low)
+    edge = np.full(len(t), scale.high if is_margin else scale.low)
     for shade, line in zip(_shades(colour(index), len(lines)), lines, strict=True):
         end = np.clip(line, scale.low, None)
         axes.fill_between(t, edge, end, color=shade, linewidth=0, zorder=2)
         edge = end
-    if scale.is_margin:
+    if is_margin:
         axes.axhline(0.0, color=_GREY, linewidth=1.0, linestyle=":", zorder=1)
     thick = float(rcParams["lines.linewidth"])
     for k, line in enumerate(lines):
@@ -213,38 +205,20 @@ def _shades(base: str, count: int) -> list[tuple[float, float, float]]:
     return [tint(base, share) for share in np.linspace(0.75, 0.15, count)]
 
 
-def _headings(
-    sheet: Sheet,
-    column: Iterable[Axes],
-    rows: Sequence[Measure],
-    label: str,
-    one: Ensemble,
-    level: float,
-    place: tuple[int, int],
-) -> None:
-    """Write above a column, whose number among so many is its place."""
-    index, columns = place
-    count = int(one.diverged.sum())
-    fate = f"{count:,} of {len(one):,} diverged" if count else f"none of {len(one):,} diverged"
-    first, *_ = column
-    after = one.scenario.after
+def _bounds(
+    sheet: Sheet, column: NDArray[Any], rows: Sequence[Measure], one: Ensemble, level: float
+) -> float:
+    """Write above each of a column's axes what a share stays within; return how high the first is [pt]."""
+    after, within = one.scenario.after, one.within(level)
     when = f"from {after:g} s on" if after else "throughout"
-    within = one.within(level)
-    lines: list[int] = []
     for axes, channel in zip(column, rows, strict=True):
         size = within[channel.name]
         stay = "have at least" if channel.is_margin else "stay within"
         bound = f"{_size(size, channel.unit)} {when}" if np.isfinite(size) else "no bound"
-        words = wrapped(f"{percent(level)} {stay} {bound}", letters(), sheet.room(columns))
-        axes.set_title(words, fontsize=letters(), loc="left")
-        lines.append(words.count("\n") + 1)
+        sheet.write_above(axes, f"{percent(level)} {stay} {bound}", loc="left")
         if after:
             axes.axvline(after, color=_GREY, linewidth=1.0, linestyle=":", zorder=1)
-    fate = wrapped(fate, letters(), sheet.room(columns))
-    above = over(lines[0])
-    first.annotate(fate, (0, 1), (0, above), **heading(index) | _PLAIN | {"fontsize": letters()})
-    above += letters(1.4) * (fate.count("\n") + 1)
-    first.annotate(shortened(sheet, label, columns), (0, 1), (0, above), **heading(index))
+    return over(column[0].get_title(loc="left").count("\n") + 1)
 
 
 def _size(value: float, unit: str) -> str:
@@ -385,19 +359,18 @@ def _cause(name: str, unit: str, values: Array, worst: NDArray[np.bool_]) -> Cau
     from scipy.stats import ks_2samp
 
     bad, good = values[worst], values[~worst]
-    # Up to `more`, there is most in excess of the worst's values; up to `fewer`, of the others'.
+    # Up to `high`, there is most in excess of the worst's values; up to `low`, of the others'.
     above, below = (ks_2samp(bad, good, alternative=side, method="asymp") for side in ("greater", "less"))
-    more, fewer = float(above.statistic_location), float(below.statistic_location)
+    high, low = float(above.statistic_location), float(below.statistic_location)
     difference = float(above.statistic + below.statistic)
     size = np.sqrt(len(bad) * len(good) / len(values))
     visible = bool(difference * (size + 0.155 + 0.24 / size) > _CRITICAL)
-    low, high, outside = fewer, more, False
     if above.statistic <= _ONE_SIDED * difference:
         high = np.inf
     elif below.statistic <= _ONE_SIDED * difference:
         low = -np.inf
-    elif more < fewer:
-        low, high, outside = more, fewer, True
+    outside = high < low
+    low, high = sorted((low, high))
     return Cause(name, unit.replace("^2", "²"), values, difference, visible, low, high, outside)
 
 
@@ -468,8 +441,8 @@ def drivers(
     columns = sheet.columns(2 if len(shown) <= 3 else 3, 2.9)
     *panels, scatter = _axes(sheet, len(shown), columns)
     for axes, one in zip(panels, shown, strict=True):
-        _distribution(sheet, axes, one, worst, columns)
-    _scatter(sheet, scatter, ensemble, found[0], worst, by, columns)
+        _distribution(sheet, axes, one, worst)
+    _scatter(sheet, scatter, ensemble, found[0], worst, by)
     keys: list[Artist] = [
         Line2D([], [], label=f"the worst {percent(share)}: {worst.sum():,} robots", **_worst()),
         Patch(label="the others", **_OTHERS),
@@ -501,7 +474,7 @@ def _answer(found: Sequence[Cause], share: float, by: str) -> str:
     return ", then ".join([f"{names[0]} drives {worst} most", *names[1:3]])
 
 
-def _distribution(sheet: Sheet, axes: Axes, one: Cause, worst: NDArray[np.bool_], columns: int) -> None:
+def _distribution(sheet: Sheet, axes: Axes, one: Cause, worst: NDArray[np.bool_]) -> None:
     """Draw how the parameter is distributed among the worst and among the others."""
     dress(axes)
     bins = np.linspace(one.values.min(), one.values.max(), _BINS + 1).tolist()
@@ -509,14 +482,13 @@ def _distribution(sheet: Sheet, axes: Axes, one: Cause, worst: NDArray[np.bool_]
     axes.hist(good, bins, weights=np.full(len(good), 100 / len(good)), zorder=2, **_OTHERS)
     axes.hist(bad, bins, weights=np.full(len(bad), 100 / len(bad)), histtype="step", zorder=3, **_worst())
     text, shade = "plays no part", "#777777"
-    room = sheet.room(columns)
     if one.visible:
         spans = [(bins[0], one.low), (one.high, bins[-1])] if one.outside else [(one.low, one.high)]
         for low, high in spans:
             axes.axvspan(max(low, bins[0]), min(high, bins[-1]), zorder=1, **_where())
         many, few = (percent(round(float(one.holds(values).mean()), 2)) for values in (bad, good))
         text, shade = f"{one.place}:\n{many} of the worst, {few} of the others", ink()
-    axes.set_title(wrapped(text, letters(0.95), room), fontsize=letters(0.95), color=shade, loc="left")
+    sheet.write_above(axes, text, 0.95, color=shade, loc="left")
     axes.margins(x=0)
     axes.set_ylim(0, None)
     axes.xaxis.set_major_locator(MaxNLocator(5))
@@ -525,13 +497,7 @@ def _distribution(sheet: Sheet, axes: Axes, one: Cause, worst: NDArray[np.bool_]
 
 
 def _scatter(
-    sheet: Sheet,
-    axes: Axes,
-    ensemble: Ensemble,
-    one: Cause,
-    worst: NDArray[np.bool_],
-    by: str,
-    columns: int,
+    sheet: Sheet, axes: Axes, ensemble: Ensemble, one: Cause, worst: NDArray[np.bool_], by: str
 ) -> None:
     """Draw each robot's largest error over what matters most; the diverged ones in a strip of their own."""
     dress(axes)
@@ -556,7 +522,7 @@ def _scatter(
             axes.plot(one.values[chosen], heights, "x", markersize=4, zorder=3, color=paint)
     titles = {"distance": "How far each robot strays", "heading": "How far each robot turns away"}
     title = titles.get(by, f"The {judged.worst} {by} of each robot")
-    axes.set_title(wrapped(title, letters(), sheet.room(columns)), fontsize=letters(), loc="left")
+    sheet.write_above(axes, title, loc="left")
     axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.set_xlabel(one.label)
     words = _ERRORS.get(by, by)

@@ -6,12 +6,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
@@ -26,11 +27,13 @@ from pinmobile.plots.style import (
     Rollouts,
     Style,
     colour,
+    curve,
     desired,
     dress,
     heading,
     ink,
-    planar,
+    labelled,
+    of_each,
     same_references,
     si,
     thinned,
@@ -68,16 +71,14 @@ class Body:
 
     Attributes
     ----------
-    colour : str
-        As given.
     patches : list of Polygon
         The outline comes first.
     """
 
     def __init__(self, axes: Axes, plant: object, colour: str, otherwise: float, **style: Any) -> None:
-        size, self.colour = _size(plant), colour
+        size = _size(plant)
         self._shapes = [_BOX * size, _NOSE * size] if size is not None else [_DART * otherwise]
-        fills = [(*_rgb(colour), 0.25), colour] if size is not None else [colour]
+        fills = [to_rgba(colour, 0.25), colour] if size is not None else [colour]
         self.patches = [
             Polygon(shape, closed=True, facecolor=fill, edgecolor=colour, linewidth=1.2, **style)
             for shape, fill in zip(self._shapes, fills, strict=True)
@@ -108,28 +109,12 @@ def _size(plant: object) -> Array | None:
     return size[:2] if size.ndim == 1 and len(size) >= 2 and (size[:2] > 0).all() else None
 
 
-def _rgb(colour: str) -> tuple[float, ...]:
-    return tuple(int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5))
-
-
 _BOXES = 8
 
 
 def _travelled() -> Style:
     """Return how a travelled path is drawn: wider than the desired one, below which it shows."""
     return {"linewidth": 1.9 * float(rcParams["lines.linewidth"]), "zorder": 3}
-
-
-class Window(NamedTuple):
-    """The part of the plane that all panels show."""
-
-    low: Array  # (2,) [m]
-    high: Array  # (2,) [m]
-
-    @property
-    def extent(self) -> float:
-        """Length of the longer side [m]."""
-        return float((self.high - self.low).max())
 
 
 def path(
@@ -162,18 +147,23 @@ def path(
     InvalidArgument
         If `rollouts` is something else, has no pose, or a time is outside one of them.
     """
-    runs = planar(rollouts)
-    instants = (
-        _instants(runs) if times is None else {label: _checked(times, run) for label, run in runs.items()}
-    )
-    figure, window, axes = panels(runs, title, "Desired and travelled path", ax=ax, width=width)
+    runs = labelled(rollouts)
+    of_each(runs, lambda run: run.poses)
+    instants: dict[str, Array] = {}
+    for labels in same_references(runs).values():  # which share the times, to be compared
+        instants |= dict.fromkeys(labels, _spread(runs[labels[0]]))
+    if times is not None:
+        given = shaped("times", np.atleast_1d(finite("times", times)), ("n",))
+        for label, run in runs.items():
+            least, most = float(run.t[0]), float(run.t[-1])
+            instants[label] = bounded("times", given, least=least, most=most, unit="s")
+    figure, axes = panels(runs, title, "Desired and travelled path", ax, width)
+    otherwise = _arrowhead(axes[0])
     for index, (label, run) in enumerate(runs.items()):
-        xy = run.poses
-        xy = xy[thinned(xy[:, 0], xy[:, 1])]
-        axes[index].plot(xy[:, 0], xy[:, 1], color=colour(index), label="travelled", **_travelled())
+        curve(axes[index], *run.poses[:, :2].T, color=colour(index), label="travelled", **_travelled())
         for t, pose in zip(instants[label], poses(run, instants[label]), strict=True):
-            Body(axes[index], run.plant, colour(index), _ARROW * window.extent, zorder=5).move(pose)
-            _write_time(axes[index], t, pose, 0.5 * diagonal(run.plant, _ARROW * window.extent))
+            Body(axes[index], run.plant, colour(index), otherwise, zorder=5).move(pose)
+            _write_time(axes[index], t, pose, 0.5 * diagonal(run.plant, otherwise))
     return figure
 
 
@@ -181,11 +171,11 @@ def panels(
     runs: Mapping[str, Rollout],
     title: str | None,
     default: str,
-    *,
     ax: Canvas | None = None,
     width: float | None = None,
+    *,
     known: bool = True,
-) -> tuple[Figure, Window, list[Axes]]:
+) -> tuple[Figure, list[Axes]]:
     """Return a figure with a panel for each rollout, its desired path drawn, and a legend below.
 
     Parameters
@@ -203,34 +193,31 @@ def panels(
     columns, keys = sheet.columns(most, 1.7), list(_keys(len(runs)))
     window = _window(runs, sheet.width / columns)
     shape = _shape(window)
-    titles = [_titles(sheet, columns, label, run) for label, run in runs.items()]
+    room = (sheet.width - 5.5 * letters() / 72) / columns
+    off = [si(float(np.hypot(*run.error[:, :2].T).max()), "m") for run in runs.values()]
+    notes = [wrapped(f"position error at most {each}", letters(0.95), room) for each in off]
+    labels = [wrapped(label, letters(1.2), room, weight="bold") for label in runs]
     height, spots = 0.0, [divmod(k, columns) for k in range(len(runs))]
     if sheet.new:
-        above = max(
-            note.count("\n") + 1 + 1.5 * bool(label) * (label.count("\n") + 1) for note, label in titles
-        )
+        sizes = zip([1 + note.count("\n") for note in notes], labels, strict=True)
+        above = max(lines + 1.5 * bool(label) * (label.count("\n") + 1) for lines, label in sizes)
         height, grid = _placed(
             sheet, spots, shape, 1.3 * above + 0.8, sheet.below(keys), sheet.heading(title, default)
         )
     else:
         grid = sheet.axes(spots, [3.0] * -(-len(runs) // columns), share="")
     for index, (axes, run) in enumerate(zip(grid, runs.values(), strict=True)):
-        _furnish(axes, window, left=index % columns == 0, lowest=index + columns >= len(runs))
-        note, label = titles[index]
-        axes.set_title(note, fontsize=letters(0.95))
-        axes.annotate(label, (0.5, 1), (0, over(note.count("\n") + 1)), ha="center", **heading(index))
-        xy = run.reference_poses
-        xy = xy[thinned(xy[:, 0], xy[:, 1])]
-        axes.plot(xy[:, 0], xy[:, 1], label="desired", **desired())
-    return sheet.finish(title, default, keys, height=height), window, grid
-
-
-def _titles(sheet: Sheet, columns: int, label: str, run: Rollout) -> tuple[str, str]:
-    """Return what stands above a panel: how far the robot is off, and its name."""
-    off = si(float(np.hypot(run.error[:, 0], run.error[:, 1]).max()), "m")
-    room = (sheet.width - 5.5 * letters() / 72) / columns
-    note = wrapped(f"position error at most {off}", letters(0.95), room)
-    return note, wrapped(label, letters(1.2), room, weight="bold")
+        left, lowest = index % columns == 0, index + columns >= len(runs)
+        dress(axes)
+        axes.set_aspect("equal")
+        axes.set(xlim=window[:, 0], ylim=window[:, 1])
+        axes.set(xlabel="x [m]" if lowest else "", ylabel="y [m]" if left else "")
+        axes.tick_params(labelleft=left, labelbottom=lowest)
+        axes.set_title(notes[index], fontsize=letters(0.95))
+        offset = 0, over(notes[index].count("\n") + 1)
+        axes.annotate(labels[index], (0.5, 1), offset, ha="center", **heading(index))
+        curve(axes, *run.reference_poses[:, :2].T, label="desired", **desired())
+    return sheet.finish(title, default, keys, height=height), grid
 
 
 def _placed(
@@ -271,9 +258,8 @@ def _placed(
 
 def poses(run: Rollout, times: Array) -> Array:
     """Return the actual poses at `times`, shape (n, 3) [m, m, rad], straight between two samples."""
-    poses = run.poses
-    columns = poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2])
-    return np.stack([np.interp(times, run.t, column) for column in columns], axis=-1)
+    x, y, psi = run.poses.T
+    return np.stack([np.interp(times, run.t, column) for column in (x, y, np.unwrap(psi))], axis=-1)
 
 
 def _keys(count: int) -> Iterator[Patch | Line2D]:
@@ -283,12 +269,19 @@ def _keys(count: int) -> Iterator[Patch | Line2D]:
     yield Patch(facecolor=(*(0.6,) * 3, 0.4), edgecolor=shade, label="robot")
 
 
-def _shape(window: Window) -> Array:
-    return (window.high - window.low) / window.extent
+def _shape(window: Array) -> Array:
+    """Return the lengths of a window's sides: the longer one is 1."""
+    sides = window[1] - window[0]
+    return np.asarray(sides / sides.max())
 
 
-def _window(runs: Mapping[str, Rollout], wide: float) -> Window:
-    """Return what panels that are so wide [in] show, with room for the times beside the robots."""
+def _arrowhead(axes: Axes) -> float:
+    """Return the length of a robot without size in axes [m]."""
+    return _ARROW * float(np.max(np.diff([axes.get_xlim(), axes.get_ylim()])))
+
+
+def _window(runs: Mapping[str, Rollout], wide: float) -> Array:
+    """Return corners of what panels so wide [in] show, (2, 2) [m], with room for times beside robots."""
     points = np.concatenate(
         [part[:, :2] for run in runs.values() for part in (run.poses, run.reference_poses)]
     )
@@ -298,17 +291,7 @@ def _window(runs: Mapping[str, Rollout], wide: float) -> Window:
     words = min(2.6 * letters() / 72 / wide, 0.25)
     margin = 0.5 * robot + max(0.12, words / (1 - 2 * words)) * max(extent, robot) or 1.0
     room = np.maximum(0.25 * extent - 0.5 * (high - low), 0.0)  # a straight line gets a panel, not a slit
-    return Window(low - margin - room, high + margin + room)
-
-
-def _furnish(axes: Axes, window: Window, *, left: bool, lowest: bool) -> None:
-    dress(axes)
-    axes.set_aspect("equal")
-    axes.set_xlim(window.low[0], window.high[0])
-    axes.set_ylim(window.low[1], window.high[1])
-    axes.tick_params(labelleft=left, labelbottom=lowest)
-    axes.set_xlabel("x [m]" if lowest else "")
-    axes.set_ylabel("y [m]" if left else "")
+    return np.stack([low - margin - room, high + margin + room])
 
 
 def _write_time(axes: Axes, t: float, pose: Array, beside: float) -> None:
@@ -318,15 +301,6 @@ def _write_time(axes: Axes, t: float, pose: Array, beside: float) -> None:
     offset = letters(1.8) * right[0], letters(0.9) * right[1]  # text is wider than high
     text: Style = {"ha": "center", "va": "center", "fontsize": letters(0.9), "color": ink(), "zorder": 6}
     axes.annotate(f"{t:.3g} s", spot, offset, textcoords="offset points", **text)
-
-
-def _instants(runs: Mapping[str, Rollout]) -> dict[str, Array]:
-    """Return times at which the robot is drawn; rollouts of one reference share theirs, to be compared."""
-    chosen: dict[str, Array] = {}
-    for labels in same_references(runs).values():
-        times = _spread(runs[labels[0]])
-        chosen |= dict.fromkeys(labels, times)
-    return chosen
 
 
 def _spread(run: Rollout) -> Array:
@@ -341,12 +315,6 @@ def _spread(run: Rollout) -> Array:
         if all(np.hypot(*(xy[k] - xy[other])) > robot for other in kept):
             kept.append(int(k))
     return np.asarray(run.t[sorted(kept)])
-
-
-def _checked(times: ArrayLike, run: Rollout) -> Array:
-    checked = np.atleast_1d(finite("times", times))
-    shaped("times", checked, ("n",))
-    return bounded("times", checked, least=float(run.t[0]), most=float(run.t[-1]), unit="s")
 
 
 _LASTS = 10.0  # [s]; by default a longer run is shown in this time
@@ -396,21 +364,24 @@ def animate(
     FileError
         If the system fails, such as of a full disk; what was there is there still.
     """
-    runs = planar(rollouts)
+    runs = labelled(rollouts)
+    of_each(runs, lambda run: run.poses)
     rate = bounded("fps", scalar("fps", fps), above=0, most=_FASTEST, unit="1/s")
     start, end = min(run.t[0] for run in runs.values()), max(run.t[-1] for run in runs.values())
     pace = max((end - start) / _LASTS, 1.0) if speed is None else positive("speed", speed)
     times = np.append(np.arange(start, end - 1e-9 * pace, pace / rate), end)
     if progress is not None:
         callable_as("progress(done, total)", progress)
-    scene = _Scene(runs, times, headed(title, ""), pace)
-    return written(path, ".gif", lambda: _gif(_rendered(scene, progress), _durations(len(times), rate)))
+    frames = _frames(_Scene(runs, times, headed(title, ""), pace), progress)
+    ticks = np.round(100 * np.arange(len(times) + 1) / rate)  # of a GIF's hundredths of a second
+    stand = [*(10 * np.diff(ticks[:-1])).astype(int).tolist(), round(1000 * _HELD)]  # [ms]
 
+    def gif() -> bytes:
+        buffer = BytesIO()
+        next(frames).save(buffer, "GIF", save_all=True, append_images=frames, duration=stand, loop=0)
+        return buffer.getvalue()
 
-def _gif(frames: Iterator[Image.Image], durations: list[int]) -> bytes:
-    buffer = BytesIO()
-    next(frames).save(buffer, "GIF", save_all=True, append_images=frames, duration=durations, loop=0)
-    return buffer.getvalue()
+    return written(path, ".gif", gif)
 
 
 def _agg(figure: Figure) -> Any:
@@ -422,23 +393,23 @@ class _Scene:
     """A figure whose still parts are drawn once."""
 
     def __init__(self, runs: Mapping[str, Rollout], times: Array, title: str, pace: float) -> None:
-        self.figure, window, axes = panels(runs, None, "", known=False)
-        self.figure.set_dpi(_DPI)
-        self.canvas = _agg(self.figure)
-        self.times = times
+        figure, panes = panels(runs, None, "", known=False)
+        figure.set_dpi(_DPI)
+        self.figure, self.times = figure, times
+        self.canvas = _agg(figure)
         words = title if pace == 1 else f"{title} ({pace:.3g} times as fast)".lstrip()
-        size, left, right = letters(1.2), axes[0].get_position().x0, axes[-1].get_position().x1
-        high = 1 - size / 144 / self.figure.get_figheight()
-        self.figure.text(left, high, words, va="top", fontsize=size)
+        size, left, right = letters(1.2), panes[0].get_position().x0, panes[-1].get_position().x1
+        high = 1 - size / 144 / figure.get_figheight()
+        figure.text(left, high, words, va="top", fontsize=size)
         # Text is slow to draw: of the caption, only the time is drawn in each frame.
         clock: Style = {"ha": "right", "va": "top", "fontsize": size, "animated": True}
-        self.clock = self.figure.text(right, high, "", **clock)
+        self.clock = figure.text(right, high, "", **clock)
         self.movers = [
-            _Mover(run, times, panel, Body(panel, run.plant, shade, _ARROW * window.extent, animated=True))
-            for run, panel, shade in zip(runs.values(), axes, map(colour, range(len(runs))), strict=True)
+            _Mover(run, times, axes, colour(index))
+            for index, (run, axes) in enumerate(zip(runs.values(), panes, strict=True))
         ]
         self.canvas.draw()
-        self.still = self.canvas.copy_from_bbox(self.figure.bbox)
+        self.still = self.canvas.copy_from_bbox(figure.bbox)
 
     def frame(self, index: int) -> Image.Image:
         """Return the scene at the time with this index, in full colour."""
@@ -454,46 +425,32 @@ class _Scene:
 class _Mover:
     """A robot in its panel, and the line behind it."""
 
-    def __init__(self, run: Rollout, times: Array, axes: Axes, body: Body) -> None:
+    def __init__(self, run: Rollout, times: Array, axes: Axes, shade: str) -> None:
         xy = run.poses[:, :2]
-        kept = thinned(xy[:, 0], xy[:, 1])
+        kept = thinned(*xy.T)
         self.xy, self.reached = xy[kept], np.searchsorted(run.t[kept], times)
-        self.poses, self.axes, self.body = poses(run, times), axes, body
+        self.poses, self.axes = poses(run, times), axes
+        self.body = Body(axes, run.plant, shade, _arrowhead(axes), animated=True)
         (self.desired,) = axes.lines  # drawn again, above what is travelled
-        (self.line,) = axes.plot([], [], color=body.colour, animated=True, **_travelled())
+        (self.line,) = axes.plot([], [], color=shade, animated=True, **_travelled())
 
     def draw(self, index: int) -> None:
         """Draw both at the time with this index."""
         pose = self.poses[index]
-        behind = np.vstack([self.xy[: self.reached[index]], pose[:2]])
-        self.line.set_data(behind[:, 0], behind[:, 1])
+        self.line.set_data(*np.vstack([self.xy[: self.reached[index]], pose[:2]]).T)
         self.body.move(pose)
         for artist in (self.line, self.desired, *self.body.patches):
             self.axes.draw_artist(artist)
 
 
-def _rendered(scene: _Scene, progress: Callable[[int, int], object] | None) -> Iterator[Image.Image]:
-    """Yield the frames, all in the colours of the last one, which shows everything there is."""
+def _frames(scene: _Scene, progress: Callable[[int, int], object] | None) -> Iterator[Image.Image]:
+    """Yield the frames, all in the colours of the last one, on white."""
     total = len(scene.times)
-    palette = _palette(scene.frame(total - 1))
+    palette = scene.frame(total - 1).quantize(_COLOURS, dither=Image.Dither.NONE)
+    entries = np.array(palette.getpalette(), np.uint8).reshape(-1, 3)
+    entries[entries.min(axis=1) > 240] = 255
+    palette.putpalette(entries.tobytes())
     for index in range(total):
         yield scene.frame(index).quantize(palette=palette, dither=Image.Dither.NONE)
         if progress is not None:
             progress(index + 1, total)
-
-
-def _palette(image: Image.Image) -> Image.Image:
-    """Return an image with a palette of the colours of `image`; its background stays white."""
-    palette = image.quantize(_COLOURS, dither=Image.Dither.NONE)
-    entries = np.array(palette.getpalette(), np.uint8).reshape(-1, 3)
-    entries[entries.min(axis=1) > 240] = 255
-    palette.putpalette(entries.tobytes())
-    return palette
-
-
-def _durations(count: int, fps: float) -> list[int]:
-    """Return how long each frame stands [ms], in a GIF's hundredths of a second, which sum up right."""
-    ticks = np.round(100 * np.arange(count + 1) / fps).astype(int)
-    durations = 10 * np.diff(ticks)
-    durations[-1] = round(1000 * _HELD)
-    return [int(d) for d in durations]

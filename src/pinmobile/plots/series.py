@@ -1,4 +1,4 @@
-"""What a rollout recorded, over time: states, errors, inputs, signals, and what the base feels."""
+"""What a rollout recorded, over time: states, errors, inputs, signals, and the reaction of an arm."""
 
 from __future__ import annotations
 
@@ -9,23 +9,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Polygon
+from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike
-from pinmobile.balance import (
-    body_zero_moment_point,
-    footprint_of,
-    reaction_wrench,
-    required_friction,
-    tip_over_margin,
-)
+from pinmobile.arrays import Array
+from pinmobile.balance import reaction_wrench
 from pinmobile.errors import InvalidArgument
-from pinmobile.loop import Rollout
+from pinmobile.parts import Grounded
 from pinmobile.plant import Plant, configuration_names_of, coordinates_of
-from pinmobile.plots.sheet import Canvas, Sheet, Spot, letters, over_titles, wrapped
+from pinmobile.plots.sheet import Canvas, Sheet, letters, over_titles, wrapped
 from pinmobile.plots.style import (
-    TALL,
     Rollouts,
     Style,
     colour,
@@ -35,20 +28,15 @@ from pinmobile.plots.style import (
     ink,
     keys_of,
     labelled,
-    laid_out,
+    line,
     line_style,
     same_references,
     shortened,
-    stacked,
-    thinned,
-    titled,
-    with_method,
+    with_plants,
 )
 
-_SYMBOLS = {
-    **{"x": "$x$", "y": "$y$", "psi": r"$\psi$"},
-    **{"Fx": "$F_x$", "Fy": "$F_y$", "Mz": "$M_z$"},
-}
+GROUNDED = Grounded, "a MobileRobot, or a plant with ground_wrench(q, v, a)"
+_SYMBOLS = {**{"x": "$x$", "y": "$y$", "psi": r"$\psi$"}, **{"Fx": "$F_x$", "Fy": "$F_y$", "Mz": "$M_z$"}}
 _ROUNDING = 1e-12  # what is smaller is drawn and told as the rounding that it is
 
 
@@ -80,10 +68,9 @@ def states(
     """
     runs = labelled(rollouts)
     names = _names((run.plant, _named(run.plant, run.q.shape[1])) for run in runs.values())
-    sheet = Sheet(ax, width, _wide(len(names)))
-    panels = laid_out(sheet, names)
-    for index, (label, run) in enumerate(runs.items()):
-        draw(panels, run.t, run.q, label=label or "actual", **line_style(index, len(runs)))
+    sheet, panels = _rows(names, ax, width)
+    for index, run in enumerate(runs.values()):
+        draw(panels, run.t, run.q, **line_style(index, len(runs)))
     for labels in same_references(runs).values():
         run = runs[labels[0]]
         draw(panels, run.t, run.reference.q, label="desired", **desired())
@@ -120,21 +107,17 @@ def errors(
     runs = labelled(rollouts)
     names = _names((run.plant, run.labels) for run in runs.values())
     note = "; each panel has its own scale" if len(runs) > 1 else ""
-    if len(names) > TALL:
-        sheet = Sheet(ax, width, max(9.0, 4.2 * len(runs)))
-        grid = titled(sheet, names, len(runs), height=1.2)
-    else:
-        sheet = Sheet(ax, width, max(9.0, 3.2 * len(runs)))
-        grid = stacked(sheet, [(f"error in {symbol}", unit) for symbol, unit in names], len(runs))
+    many = len(names) > _MOST
+    sheet = Sheet(ax, width, max(9.0, (4.2 if many else 3.2) * len(runs)))
+    grid = _stacked(sheet, names if many else [(f"error in {name}", unit) for name, unit in names], len(runs))
     for index, (label, run) in enumerate(runs.items()):
         column = grid[:, index]
-        style = line_style(0, 1) | {"color": colour(index)}
-        draw(column, run.t, run.error, label=label, **style)
-        room = sheet.room(len(runs)) / (1 + (len(names) > TALL))
+        draw(column, run.t, run.error, **line_style(0, 1) | {"color": colour(index)})
+        room = sheet.room() / (1 + many)
         for axes, (_, unit), values in zip(column, names, run.error.T, strict=False):
             largest = f"largest {_power(float(np.abs(values).max()))} {unit}"
             axes.set_title(wrapped(largest, letters(0.95), room), fontsize=letters(0.95), loc="right")
-        over_titles(column[0], shortened(sheet, label, len(runs)), **heading(index))
+        over_titles(column[0], shortened(sheet, label), **heading(index))
     return sheet.finish(title, f"Error: desired minus actual{note}")
 
 
@@ -163,10 +146,9 @@ def forces(
     """
     runs = labelled(rollouts)
     names = _names((run.plant, [(one.name, one.unit) for one in run.inputs]) for run in runs.values())
-    sheet = Sheet(ax, width, _wide(len(names)))
-    panels = laid_out(sheet, names)
-    for index, (label, run) in enumerate(runs.items()):
-        draw(panels, run.t, run.u, label=label, drawstyle="steps-post", **line_style(index, len(runs)))
+    sheet, panels = _rows(names, ax, width)
+    for index, run in enumerate(runs.values()):
+        draw(panels, run.t, run.u, drawstyle="steps-post", **line_style(index, len(runs)))
     return sheet.finish(title, "Input, held from one sample to the next", keys_of(runs))
 
 
@@ -198,10 +180,8 @@ def signals(
     if not units:
         raise InvalidArgument("rollouts have no signals, expected at least one: see Rollout.signals")
     names = [(_symbol(name), unit) for name, unit in units.items()]
-    sheet = Sheet(ax, width, _wide(len(names)))
-    panels = laid_out(sheet, names)
-    sizes = [values[0].size for run in runs.values() for _, values in run.signals.values()]
-    most = max(sizes)
+    sheet, panels = _rows(names, ax, width)
+    most = max(values[0].size for run in runs.values() for _, values in run.signals.values())
 
     def style(index: int, k: int, count: int) -> Style:
         """Dashes tell runs apart, and where a signal has several entries colours tell these."""
@@ -223,9 +203,55 @@ def signals(
     return sheet.finish(title, "Signals", keys)
 
 
-def _wide(count: int) -> float:
-    """Return the natural width of a figure with so many coordinates [in]."""
-    return 9.0 if count <= TALL else 12.0
+_MOST = 6  # coordinates below each other, with their symbols beside them; more have them above
+
+
+def _rows(
+    names: Sequence[tuple[str, str]], ax: Canvas | None, width: float | None
+) -> tuple[Sheet, list[Axes]]:
+    """Return a sheet with axes for each name and unit: below each other, or many up to three in a row."""
+    count = len(names)
+    sheet = Sheet(ax, width, 9.0 if count <= _MOST else 12.0)
+    if count <= _MOST:
+        panels = list(_stacked(sheet, names, 1)[:, 0])
+    else:
+        columns = sheet.columns(3, 2.4)
+        panels = sheet.axes([divmod(k, columns) for k in range(count)], [1.75] * -(-count // columns))
+        _over_time(sheet, np.array([panels]))
+        for k, (axes, name) in enumerate(zip(panels, names, strict=True)):
+            _name(sheet, axes, name)
+            axes.set_xlabel("t [s]" if k + columns >= count else "")
+    return sheet, panels
+
+
+def _stacked(sheet: Sheet, names: Sequence[tuple[str, str]], columns: int) -> NDArray[Any]:
+    """Return axes, shape (rows, columns), a row for each name: beside it, or many above, as joints' are."""
+    many = len(names) > _MOST
+    grid = sheet.grid(len(names), columns, [1.2 if many else 1.75] * len(names))
+    for row, (name, unit) in zip(grid, names, strict=True):
+        row[0].set_ylabel(f"{name} [{unit}]" if unit else name)
+        for axes in row if many else ():
+            _name(sheet, axes, (name, unit), 2)  # beside the largest error
+    return _over_time(sheet, grid)
+
+
+def _name(sheet: Sheet, axes: Axes, name: tuple[str, str], parts: int = 1) -> None:
+    axes.set_title(wrapped(name[0], letters(), sheet.room(parts)), fontsize=letters(), loc="left")
+    axes.set_ylabel(f"[{name[1]}]" if name[1] else "")
+
+
+def _over_time(sheet: Sheet, grid: NDArray[Any]) -> NDArray[Any]:
+    for axes in grid.ravel():
+        dress(axes)
+        axes.margins(x=0.01, y=0.1)
+        formatter = ScalarFormatter(useMathText=True)
+        formatter.set_powerlimits((-3, 4))
+        axes.yaxis.set_major_formatter(formatter)
+    for axes in grid[-1]:
+        axes.set_xlabel("t [s]")
+    if sheet.new:
+        sheet.figure.align_ylabels(grid[:, 0])
+    return grid
 
 
 def _names(named: Iterable[tuple[object, Sequence[tuple[str, str]]]]) -> list[tuple[str, str]]:
@@ -251,11 +277,10 @@ def _named(plant: Plant | None, count: int) -> list[tuple[str, str]]:
     return [(name, units.get(name, "")) for name in names]
 
 
-def draw(column: Iterable[Axes], t: Array, values: Array, **style: Any) -> None:
-    """Draw each coordinate, shape (N,) of values (N, n), in its axes."""
-    for axes, line in zip(column, values.T, strict=False):
-        kept = thinned(line)
-        axes.plot(t[kept], line[kept], **{"marker": "o" if len(line) == 1 else ""} | style)
+def draw(column: Iterable[Axes], t: Array, rows: Array, **style: Any) -> None:
+    """Draw each coordinate, shape (N,) of rows (N, n), in its axes."""
+    for axes, values in zip(column, rows.T, strict=False):
+        line(axes, t, values, **style)
         if np.abs(axes.dataLim.intervaly).max() < _ROUNDING:
             axes.set_ylim(-_ROUNDING, _ROUNDING)
 
@@ -269,80 +294,7 @@ def _power(value: float) -> str:
     return rf"${mantissa}\cdot 10^{{{int(exponent)}}}$"
 
 
-_WRENCH = (
-    ("$f_x$", "N"),
-    ("$f_y$", "N"),
-    ("$f_z$", "N"),
-    ("$m_x$", "N m"),
-    ("$m_y$", "N m"),
-    ("$m_z$", "N m"),
-)
-_GROUNDED = "MobileRobot", "ground_wrench(q, v, a)"  # of `with_method`
-_OUTLINE: Style = {
-    "closed": True,
-    "facecolor": "#f2f2f2",
-    "edgecolor": "#777777",
-    "linewidth": 1.4,
-    "zorder": 1,
-}
-_LIMIT: Style = {"color": "#777777", "linestyle": (0, (4, 3)), "linewidth": 1.2, "zorder": 2}
-
-
-def balance(
-    rollouts: Rollouts,
-    *,
-    footprint: ArrayLike | None = None,
-    title: str | None = None,
-    ax: Canvas | None = None,
-    width: float | None = None,
-) -> Figure:
-    """Draw tip-over margin and required friction over time, and the zero-moment point on the footprint.
-
-    Parameters
-    ----------
-    rollouts : Rollout or mapping of str to Rollout
-        All are drawn in the same axes.
-    footprint : array_like, shape (k, 2), optional
-        As in `tip_over_margin`; by default each robot's own.
-    title : str, optional
-        Heading of the figure.
-    ax, width
-        As in `states`.
-
-    Returns
-    -------
-    figure : matplotlib.figure.Figure
-
-    Raises
-    ------
-    InvalidArgument
-        If `rollouts` is something else, not of a `MobileRobot`, or `footprint` is no convex polygon.
-    """
-    runs = with_method(rollouts, *_GROUNDED)
-    sheet = Sheet(ax, width, 11.0)
-    spots: list[Spot] = [(0, 0), (1, 0), (slice(0, 2), 1)]
-    if sheet.columns(2, 3.2) == 1:
-        above, below, beside = sheet.axes([(0, 0), (1, 0), (2, slice(0, 1))], [2.2, 2.2, 4.4])
-    else:
-        above, below, beside = sheet.axes(spots, [2.1, 2.1], ratios=(1.25, 1))
-    for axes, name in ((above, "tip-over margin [m]"), (below, "required friction [-]")):
-        dress(axes)
-        axes.set_ylabel(name)
-    below.set_xlabel("t [s]")
-    for index, (label, run) in enumerate(runs.items()):
-        style = line_style(index, len(runs)) | {"label": label}
-        margin = tip_over_margin(run, footprint)
-        _line(above, run.t, margin, **style)
-        _line(below, run.t, required_friction(run), **style)
-        _mark_lift_off(sheet, (above, below), run.t, np.isneginf(margin), colour(index))
-    span = [float(f([f(run.t) for run in runs.values()])) for f in (np.min, np.max)]
-    if span[0] < span[1]:
-        below.set_xlim(*span)
-    if above.dataLim.y0 <= 0:
-        above.axhline(0, **_LIMIT)
-    below.set_ylim(bottom=min(0.0, below.get_ylim()[0]))
-    _from_above(sheet, beside, runs, footprint)
-    return sheet.finish(title, "Balance on the ground", keys_of(runs))
+_WRENCH = [(f"${kind}_{axis}$", unit) for kind, unit in (("f", "N"), ("m", "N m")) for axis in "xyz"]
 
 
 def reaction(
@@ -377,64 +329,8 @@ def reaction(
     UnknownName
         If nothing is mounted by that name.
     """
-    runs = with_method(rollouts, *_GROUNDED)
-    sheet = Sheet(ax, width, 9.0)
-    grid = stacked(sheet, _WRENCH)
-    for index, (label, run) in enumerate(runs.items()):
-        style = line_style(index, len(runs))
-        draw(grid[:, 0], run.t, reaction_wrench(run, mount), label=label, **style)
-    return sheet.finish(title, "Force and moment of the arm on the base, at its mount", keys_of(runs))
-
-
-def _line(axes: Axes, t: Array, values: Array, **style: Any) -> None:
-    """Draw what is finite; where the ground does not carry the robot, there is a gap."""
-    finite = np.where(np.isfinite(values), values, np.nan)
-    kept = thinned(np.nan_to_num(finite))
-    axes.plot(t[kept], finite[kept], **{"marker": "o" if len(t) == 1 else ""} | style)
-    axes.margins(x=0.01, y=0.1)
-
-
-def _mark_lift_off(
-    sheet: Sheet, panels: tuple[Axes, ...], t: Array, lifted: NDArray[np.bool_], paint: str
-) -> None:
-    """Hatch the times at which the ground would have to pull, where there is nothing to draw."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], lifted, [False]]).astype(int)))
-    for start, stop in edges.reshape(-1, 2):
-        for axes in panels:
-            until = t[min(stop, len(t) - 1)]
-            axes.axvspan(
-                t[start], until, facecolor="none", edgecolor=paint, hatch="///", linewidth=0, alpha=0.5
-            )
-    if lifted.any():
-        words = "hatched: the ground does not carry the robot"
-        panels[0].set_title(_note(sheet, words), fontsize=letters(0.95))
-
-
-def _note(sheet: Sheet, words: str) -> str:
-    return wrapped(words, letters(0.95), sheet.room(sheet.columns(2, 3.2)))
-
-
-def _from_above(sheet: Sheet, axes: Axes, runs: dict[str, Rollout], footprint: ArrayLike | None) -> None:
-    """Draw the footprint and the zero-moment point in the body's frame."""
-    dress(axes)
-    outlines = {
-        corners.tobytes(): corners
-        for corners in (footprint_of(run.plant, footprint) for run in runs.values())
-    }
-    for corners in outlines.values():
-        axes.add_patch(Polygon(corners, label="footprint", **_OUTLINE))
+    runs = with_plants(rollouts, *GROUNDED)
+    sheet, panels = _rows(_WRENCH, ax, width)
     for index, run in enumerate(runs.values()):
-        point = body_zero_moment_point(run)
-        kept = thinned(*np.nan_to_num(point).T)
-        style = line_style(index, len(runs))
-        axes.plot(*point[kept].T, **style)
-        carried = np.flatnonzero(np.isfinite(point[:, 0]))[:1]
-        axes.plot(
-            *point[carried].T, "o", color=colour(index), markersize=8, markeredgecolor="white", zorder=5
-        )
-    axes.autoscale_view()
-    axes.margins(0.08)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("forward $x_B$ [m]")
-    axes.set_ylabel("left $y_B$ [m]")
-    axes.set_title(_note(sheet, "zero-moment point in the footprint, dot: first"), fontsize=letters(0.95))
+        draw(panels, run.t, reaction_wrench(run, mount), **line_style(index, len(runs)))
+    return sheet.finish(title, "Force and moment of the arm on the base, at its mount", keys_of(runs))

@@ -42,8 +42,6 @@ _ENDLESS = 1000  # letters, which no figure has room for
 _ROOM = 1.0  # [pt] by which letters may overlap: their boxes have rims
 _MOST_KEYS = 5  # in a row of a legend
 _PLACES: tuple[tuple[bool, Literal["original", "active"]], ...] = ((True, "original"), (False, "active"))
-_SIGNS = {"cdot": "·", "times": "\N{MULTIPLICATION SIGN}"}
-_RAISED = str.maketrans("-\N{MINUS SIGN}0123456789", "⁻⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _ABOVE = "axes fraction"  # where notes above axes are
 _NO_WINDOWS = {"agg", "cairo", "pdf", "pgf", "ps", "svg", "template"}
 
@@ -165,6 +163,7 @@ class Sheet:
         self.new = ax is None
         self._given: list[Axes] = []
         self._asked = self.new and (width is not None or _has_size())
+        self._columns = 1
         self._tall: dict[int, float] = {}
         self._left: dict[Axes, float] = {}
         self._rows: list[tuple[int, Axes]] = []
@@ -196,11 +195,16 @@ class Sheet:
         """Return how many columns, each `least` inches wide at letters of 10 points, have room."""
         return most if self._given else int(np.clip(self.width / (least * letters() / 10), 1, most))
 
-    def room(self, columns: int = 1) -> float:
-        """Return how long the words above one of so many panels may be [in]."""
+    def room(self, parts: int = 1) -> float:
+        """Return how long words above a panel may be, or so many parts of them side by side [in]."""
         if self._given:
             return self.width
-        return max(0.97 * self.width / columns - 5.5 * letters() / 72, 5 * letters() / 72)
+        return max(0.97 * self.width / (self._columns * parts) - 5.5 * letters() / 72, 5 * letters() / 72)
+
+    def write_above(self, axes: Axes, words: str, share: float = 1.0, **style: Any) -> None:
+        """Write words above axes, in lines that fit, in letters of this share of their size."""
+        size = letters(share)
+        axes.set_title(wrapped(words, size, self.room()), fontsize=size, **style)
 
     def axes(
         self, spots: Sequence[Spot], tall: Sequence[float], *, share: str = "x", ratios: Sequence[float] = ()
@@ -230,10 +234,10 @@ class Sheet:
                     f"ax is {one}, expected {len(spots)}, one for each panel, or a figure to be filled"
                 )
             return self._given
-        columns = len(ratios) or 1 + max(_first(column) for _, column in spots)
+        self._columns = len(ratios) or 1 + max(_first(column) for _, column in spots)
         self._tall = {k: max(self.scale * each, 5.5 * letters() / 72) for k, each in enumerate(tall)}
         grid = self.parent.add_gridspec(
-            len(tall), columns, height_ratios=list(self._tall.values()), width_ratios=ratios or None
+            len(tall), self._columns, height_ratios=list(self._tall.values()), width_ratios=ratios or None
         )
         found: list[Axes] = []
         first: dict[str, Axes] = {}
@@ -259,14 +263,14 @@ class Sheet:
         grid[:] = self.axes(spots, tall, share=share)
         return grid.reshape(rows, columns)
 
-    def legend_above(self, axes: Axes, columns: int) -> None:
-        """Put the legend of one of so many axes side by side between them and their title."""
+    def legend_above(self, axes: Axes) -> None:
+        """Put the legend of axes between them and their title."""
         if self._given:
             axes.legend(frameon=False)
             return
         size, (keys, labels) = letters(0.9), axes.get_legend_handles_labels()
         wide = max(extent(label, size) for label in labels) + 4.3 * size / 72
-        abreast = int(np.clip(self.room(columns) / wide, 1, len(keys)))
+        abreast = int(np.clip(self.room() / wide, 1, len(keys)))
         rows = -(-len(keys) // abreast)
         axes.legend(
             keys, labels, ncols=-(-len(keys) // rows), loc="lower left", bbox_to_anchor=(-0.02, 1.0),
@@ -356,23 +360,17 @@ class Sheet:
 
     def _row(self, number: int) -> float:
         """Return the height of a row [in]: what it has at least, and no less than its words."""
-        words = [0.0]
-        for label in (axes.yaxis.label for row, axes in self._rows if row == number):
+        words, titles, left = [self._tall[number]], [0.0], [0.0]
+        for axes in (axes for row, axes in self._rows if row == number):
+            label = axes.yaxis.label
             size = float(label.get_fontsize())
             label.set_text(wrapped(label.get_text(), size, self._tall[number]))
             words += [1.15 * extent(line, size) for line in label.get_text().split("\n")]
-        titles = [
-            sum(
-                1.25 * float(each.get_fontsize()) / 72 * (each.get_text().count("\n") + 1)
-                for each in found
-                if each.get_text()
-            )
-            for row, axes in self._rows
-            if row == number
-            for found in ([*_titles(axes)[:1], *_above(axes)],)
-        ]
-        left = [self._left.get(axes, 0.0) for row, axes in self._rows if row == number]
-        return max(self._tall[number], *words) + max(titles, default=0.0) + max(left, default=0.0)
+            above = [each for each in (*_titles(axes)[:1], *_above(axes)) if each.get_text()]
+            lines = ((float(each.get_fontsize()), each.get_text().count("\n") + 1) for each in above)
+            titles.append(sum(1.25 * size / 72 * count for size, count in lines))
+            left.append(self._left.get(axes, 0.0))
+        return max(words) + max(titles) + max(left)
 
     def check(self) -> None:
         """Refuse a figure too small for what was drawn, however its axes are arranged.
@@ -465,16 +463,12 @@ def _figure(width: float, known: bool) -> Figure:
 
 
 def _axes_of(ax: object) -> list[Axes]:
-    given = [ax] if isinstance(ax, Axes) else list(np.ravel(np.asarray(ax, object))) if _is_row(ax) else []
+    given = list(np.ravel(np.asarray(ax, object)))
     if not given or not all(isinstance(each, Axes) for each in given):
         raise InvalidArgument(
             f"ax is {shown(ax)}, expected matplotlib's Axes, a sequence of them, or a Figure"
         )
     return given
-
-
-def _is_row(ax: object) -> bool:
-    return isinstance(ax, np.ndarray) or (isinstance(ax, Sequence) and not isinstance(ax, str | bytes))
 
 
 def _inches(figure: Figure | SubFigure, pixels: float) -> float:
@@ -544,12 +538,6 @@ def crowded(figure: Figure, own: Sequence[Axes], placed: Sequence[Axes] = ()) ->
 
 
 def plain(words: str) -> str:
-    r"""Return words without the marks of formulas, such as ``3.7·10⁻⁶`` for ``$3.7\cdot 10^{-6}$``."""
-    return " ".join(re.sub(r"(?<!\\)\$([^$]*)\$", _formula, words).replace(r"\$", "$").split())
-
-
-def _formula(found: re.Match[str]) -> str:
-    signs = re.sub(r"\\(cdot|times)\s*", lambda sign: _SIGNS[sign[1]], found[1])
-    powers = r"\^(?:\{\\?\w*\{?([^\d{}]?\d+)\}*|(\d))"
-    raised = re.sub(powers, lambda power: (power[1] or power[2]).translate(_RAISED), signs)
-    return re.sub(r"\\mathdefault|[\\{}_]", "", raised)
+    r"""Return words without the marks of formulas, such as ``3.7·10^-6`` for ``$3.7\cdot 10^{-6}$``."""
+    words = words.replace(r"\cdot ", "·").replace(r"\times", "\N{MULTIPLICATION SIGN}")
+    return " ".join(re.sub(r"(?<!\\)\$|\\mathdefault|[\\{}]", "", words).split())

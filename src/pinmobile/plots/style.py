@@ -1,8 +1,8 @@
-"""How figures look: colours, line styles, the axes of what is drawn over time, and the lines of rollouts."""
+"""How figures look: colours, line styles, and the lines of rollouts."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -10,7 +10,6 @@ from matplotlib import rcParams, rcParamsDefault
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.lines import Line2D
-from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
 import pinmobile.palette as palette
@@ -18,6 +17,7 @@ from pinmobile.arrays import Array, instance, mapping, text
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.loop import Rollout
 from pinmobile.palette import INK
+from pinmobile.parts import able
 from pinmobile.plots.sheet import Sheet, letters, wrapped
 
 Style: TypeAlias = dict[str, Any]
@@ -82,9 +82,9 @@ def keys_of(runs: Mapping[str, object], alone: str = "") -> list[Line2D]:
     ]
 
 
-def shortened(sheet: Sheet, label: str, columns: int) -> str:
+def shortened(sheet: Sheet, label: str) -> str:
     """Return a label in lines that fit above one of so many panels, in the letters of `heading`."""
-    return wrapped(label, letters(1.2), sheet.room(columns), weight="bold")
+    return wrapped(label, letters(1.2), sheet.room(), weight="bold")
 
 
 def tint(base: str, share: float) -> tuple[float, float, float]:
@@ -131,64 +131,6 @@ def si(value: float, unit: str) -> str:
     rounded = float(f"{value:.1e}")
     scale, prefix = next((pair for pair in _PREFIXES if rounded >= pair[0]), _PREFIXES[-1])
     return f"{rounded / scale:.{1 if rounded < 9.95 * scale else 0}f} {prefix}{unit}"
-
-
-TALL = 6
-"""So many coordinates are drawn below each other, with their symbols beside them; more are not."""
-
-_ABREAST = 3
-_TALL_ROW = 1.75  # [in]
-
-
-def stacked(sheet: Sheet, names: Sequence[tuple[str, str]], columns: int = 1) -> NDArray[Any]:
-    """Return axes, shape (rows, columns), with a row for each coordinate."""
-    grid = sheet.grid(len(names), columns, [_TALL_ROW] * len(names))
-    for row, (symbol, unit) in zip(grid, names, strict=True):
-        row[0].set_ylabel(f"{symbol} [{unit}]" if unit else symbol)
-    return _over_time(sheet, grid)
-
-
-def laid_out(sheet: Sheet, names: Sequence[tuple[str, str]]) -> list[Axes]:
-    """Return one of the axes for each coordinate: below each other, or many of them up to three in a row."""
-    if len(names) <= TALL:
-        return list(stacked(sheet, names)[:, 0])
-    columns = sheet.columns(_ABREAST, 2.4)
-    rows = -(-len(names) // columns)
-    spots = [divmod(k, columns) for k in range(len(names))]
-    panels = sheet.axes(spots, [_TALL_ROW] * rows)
-    _over_time(sheet, np.array([panels]))
-    for k, (axes, (symbol, unit)) in enumerate(zip(panels, names, strict=True)):
-        _name(sheet, axes, symbol, unit, columns)
-        axes.set_xlabel("t [s]" if k + columns >= len(names) else "")
-    return panels
-
-
-def titled(sheet: Sheet, names: Sequence[tuple[str, str]], columns: int, height: float) -> NDArray[Any]:
-    """Return axes as `stacked` does, each with its name above it: names of joints are long."""
-    grid = sheet.grid(len(names), columns, [height] * len(names))
-    for row, (symbol, unit) in zip(grid, names, strict=True):
-        for axes in row:
-            _name(sheet, axes, symbol, unit, 2 * columns)  # beside the largest error
-    return _over_time(sheet, grid)
-
-
-def _name(sheet: Sheet, axes: Axes, symbol: str, unit: str, columns: int) -> None:
-    axes.set_title(wrapped(symbol, letters(), sheet.room(columns)), fontsize=letters(), loc="left")
-    axes.set_ylabel(f"[{unit}]" if unit else "")
-
-
-def _over_time(sheet: Sheet, grid: NDArray[Any]) -> NDArray[Any]:
-    for axes in grid.ravel():
-        dress(axes)
-        axes.margins(x=0.01, y=0.1)
-        formatter = ScalarFormatter(useMathText=True)
-        formatter.set_powerlimits((-3, 4))
-        axes.yaxis.set_major_formatter(formatter)
-    for axes in grid[-1]:
-        axes.set_xlabel("t [s]")
-    if sheet.new:
-        sheet.figure.align_ylabels(grid[:, 0])
-    return grid
 
 
 Rollouts: TypeAlias = Rollout | Mapping[str, Rollout]
@@ -248,31 +190,29 @@ def named(argument: str, values: object, kind: type[_Kind]) -> dict[str, _Kind]:
     return dict(found)
 
 
-def planar(rollouts: object) -> dict[str, Rollout]:
-    """Return `labelled` rollouts, each of which has a pose (x, y, psi) to be drawn.
+def of_each(runs: Mapping[str, Rollout], ask: Callable[[Rollout], _Kind]) -> dict[str, _Kind]:
+    """Return what is asked of each of `labelled` rollouts.
 
     Raises
     ------
     InvalidArgument
-        If the plant of one does not tell where its body is, or as `labelled` does.
+        As `ask` does; the message names the rollout.
     """
-    runs = labelled(rollouts)
+    found = {}
     for label, run in runs.items():
         try:
-            _ = run.poses
+            found[label] = ask(run)
         except InvalidArgument as error:
             raise InvalidArgument(f"{called(label)}.{error}") from None
-    return runs
+    return found
 
 
-def with_method(rollouts: object, robot: str, method: str) -> dict[str, Rollout]:
-    """Return `labelled` rollouts of plants with a method, ``"pose(q)"``, say, that a `robot` has."""
+def with_plants(rollouts: object, kind: type, expected: str) -> dict[str, Rollout]:
+    """Return `labelled` rollouts of plants that are of a kind, in words what is expected."""
     runs = labelled(rollouts)
     for label, run in runs.items():
-        if not callable(getattr(run.plant, method.partition("(")[0], None)):
-            raise InvalidArgument(
-                f"{called(label)}.plant is {shown(run.plant)}, expected a {robot}, or a plant with {method}"
-            )
+        if able(run.plant, kind) is None:
+            raise InvalidArgument(f"{called(label)}.plant is {shown(run.plant)}, expected {expected}")
     return runs
 
 
@@ -306,3 +246,24 @@ def thinned(*columns: Array) -> NDArray[np.intp]:
         padded = np.pad(column, (0, width * stretches - count), mode="edge").reshape(stretches, width)
         kept += [starts + padded.argmin(axis=1), starts + padded.argmax(axis=1)]
     return np.unique(np.minimum(np.concatenate(kept), count - 1))
+
+
+def curve(axes: Axes, x: Array, y: Array, **style: Any) -> None:
+    """Draw a curve in the plane."""
+    kept = thinned(np.nan_to_num(x), np.nan_to_num(y))
+    axes.plot(x[kept], y[kept], **style)
+
+
+def line(axes: Axes, t: Array, values: Array, **style: Any) -> None:
+    """Draw a line over time, with a gap where a value is not finite; a single sample is a dot."""
+    finite = np.where(np.isfinite(values), values, np.nan)
+    kept = thinned(np.nan_to_num(finite))
+    axes.plot(t[kept], finite[kept], **{"marker": "o" if len(t) == 1 else ""} | style)
+
+
+def shade(panels: Iterable[Axes], t: Array, chosen: NDArray[np.bool_], **style: Any) -> None:
+    """Shade the times of the chosen samples, each up to the next sample."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(int)))
+    for start, stop in edges.reshape(-1, 2):
+        for axes in panels:
+            axes.axvspan(t[start], t[min(stop, len(t) - 1)], linewidth=0, **style)

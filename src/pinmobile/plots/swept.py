@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib import colormaps, rcParams
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
@@ -16,20 +15,10 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, NullLocator
 
 from pinmobile.accuracy import Convergence, IntegratorReport
-from pinmobile.arrays import (
-    Array,
-    ArrayLike,
-    bounded,
-    finite,
-    mapping,
-    real,
-    sequence,
-    shaped,
-    text,
-)
+from pinmobile.arrays import Array, ArrayLike, bounded, finite, mapping, real, sequence, shaped, text
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.palette import INK
-from pinmobile.plots.sheet import Canvas, Sheet, letters, wrapped
+from pinmobile.plots.sheet import Canvas, Sheet, letters
 from pinmobile.plots.style import Style, colour, dress, ink, line_style, named
 
 _SHARE = 0.11  # of the height of the axes below it
@@ -128,7 +117,8 @@ def heatmap(
         numbers in order.
     """
     columns, rows, label = _labels("x", x), _labels("y", y), text("label", label)
-    numbers = _numbers(values, (len(rows), len(columns)))
+    shape, words = (len(rows), len(columns)), ": a row for each of y, a column for each of x"
+    numbers = bounded("values", shaped("values", real("values", values), shape, words=words), above=-np.inf)
     size = [min(count * cell, most) for count, cell, most in zip(
         (len(columns), len(rows)), _CELL, _LARGEST, strict=True)]  # fmt: skip
     sheet = Sheet(ax, width, max(size[0], 3.2) + 2.2)
@@ -156,14 +146,7 @@ def _labels(name: str, axis: object) -> list[str]:
     values = sequence(f"{name}[2]", _axis(name, axis), "a sequence of numbers or text")
     if all(isinstance(one, str) for one in values):
         return [text(f"{name}[2]", one) for one in values]
-    numbers = shaped(f"{name}[2]", finite(f"{name}[2]", values), ("n>=1",))
-    return [f"{one:.4g}" for one in numbers]
-
-
-def _numbers(values: ArrayLike, shape: tuple[int, int]) -> Array:
-    words = ": a row for each of y, a column for each of x"
-    numbers = bounded("values", shaped("values", real("values", values), shape, words=words), above=-np.inf)
-    return numbers.astype(np.float64)
+    return [f"{one:.4g}" for one in _places(name, axis)]
 
 
 def _norm(known: Array, limits: tuple[float, float] | None) -> Normalize:
@@ -201,19 +184,19 @@ def _write(axes: Axes, numbers: Array, norm: Normalize, size: float) -> None:
         if size < _LEAST:
             continue
         dark = np.isfinite(number) and float(shades[i, k, :3] @ (0.299, 0.587, 0.114)) < 0.5
+        # Three digits, without a power of ten where there is room.
+        if np.isinf(number):
+            words = "diverges"
+        elif whole or abs(number) >= 100:
+            words = f"{number:.0f}" if abs(number) < 1e5 else f"{number:.2g}"
+        else:
+            words = f"{number:#.3g}" if abs(number) >= 1e-3 else f"{number:.2g}"
         text = axes.text(
-            k, i, "diverges" if np.isinf(number) else _digits(number, whole), ha="center", va="center",
+            k, i, words, ha="center", va="center",
             fontsize=0.8 * size if np.isinf(number) else size, color="white" if dark else INK,
         )  # fmt: skip
         if np.isinf(number):
             text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1.0})
-
-
-def _digits(number: float, whole: bool) -> str:
-    """Return three digits, without a power of ten where there is room."""
-    if whole or 100 <= abs(number) < 1e5:
-        return f"{number:.0f}" if abs(number) < 1e5 else f"{number:.2g}"
-    return f"{number:#.3g}" if 1e-3 <= abs(number) < 100 else f"{number:.2g}"
 
 
 _LOG_FROM = 20.0  # from which ratio of the largest to the smallest on, the axis is logarithmic
@@ -256,7 +239,7 @@ def curves(
     InvalidArgument
         If there are no curves, one has another shape, or holds NaN.
     """
-    places, label = _places(x), text("label", label)
+    places, label = _places("x", x), text("label", label)
     mapping("values", values, "a mapping of names to numbers")
     rows = {name: _row(name, row, len(places)) for name, row in values.items()}
     sheet = Sheet(ax, width, 8.0)
@@ -268,11 +251,14 @@ def curves(
         _curve(axes, places[order], row[order], top, k, len(rows))
     axes.set_xlabel(f"{x[0]} [{x[1]}]" if x[1] else x[0])
     axes.set_ylabel(label)
-    return sheet.finish(title, f"{label} over {x[0]}", _keys(rows))
+    keys = [Line2D([], [], label=name, **_look(k)) for k, name in enumerate(rows) if name]
+    if any(np.isinf(row).any() for row in rows.values()):
+        keys.append(Line2D([], [], color=ink(), marker="x", linestyle="", label="diverges"))
+    return sheet.finish(title, f"{label} over {x[0]}", keys)
 
 
-def _places(x: object) -> Array:
-    return shaped("x[2]", finite("x[2]", _axis("x", x)), ("n>=1",))
+def _places(name: str, axis: object) -> Array:
+    return shaped(f"{name}[2]", finite(f"{name}[2]", _axis(name, axis)), ("n>=1",))
 
 
 def _row(name: str, values: ArrayLike, count: int) -> Array:
@@ -312,23 +298,15 @@ def _look(index: int) -> Style:
     return {"color": colour(index), "marker": _MARKERS[index % len(_MARKERS)]}
 
 
-def _keys(rows: Mapping[str, Array]) -> list[Artist]:
-    found: list[Artist] = [Line2D([], [], label=name, **_look(k)) for k, name in enumerate(rows) if name]
-    if any(np.isinf(row).any() for row in rows.values()):
-        found.append(Line2D([], [], color=ink(), marker="x", linestyle="", label="diverges"))
-    return found
-
-
 _PANELS = (
-    (0, 0, "position", "Free body: position at the end"),
-    (0, 1, "momentum", "Free body: linear momentum"),
-    (1, 0, "energy", "Free body: kinetic energy"),
-    (1, 1, "angular_momentum", "Free body: angular momentum"),
-    (0, 2, "substeps", "Loop: force held for {:g} ms"),
-    (1, 2, "sampling", "Loop: force held for h"),
+    ("position", "Free body: position at the end"),
+    ("momentum", "Free body: linear momentum"),
+    ("substeps", "Loop: force held for {:g} ms"),
+    ("energy", "Free body: kinetic energy"),
+    ("angular_momentum", "Free body: angular momentum"),
+    ("sampling", "Loop: force held for h"),
 )
 _DOTS: Style = {"markersize": 5, "marker": "o"}
-_PLACES = tuple((row, column) for row in range(2) for column in range(3))
 _FLOOR = 1e-17  # where zero is drawn
 _TICKS = 6  # at most, along the steps
 _LONGEST = 22  # characters of a label above a panel; the legend has all
@@ -369,25 +347,19 @@ def integrator(
     sheet = Sheet(ax, width, 9.0)
     columns = sheet.columns(3, 2.6)
     rows = len(_PANELS) // columns
-    found = dict(zip(_PLACES, sheet.axes([divmod(k, columns) for k in range(6)], [1.7] * rows), strict=True))
-    for row, column, attribute, heading in _PANELS:
-        axes, kinds = found[row, column], [getattr(report, attribute) for report in known.values()]
-        lowest = list(found).index((row, column)) + columns >= len(_PANELS)
-        _panel(axes, kinds, list(known), lowest=lowest, ticks=6 if columns == 3 else 4)
-        words = wrapped(heading.format(1e3 * kinds[0].steps[0]), letters(0.95), sheet.room(columns))
+    found = sheet.axes([divmod(k, columns) for k in range(6)], [1.7] * rows)
+    for k, (axes, (attribute, heading)) in enumerate(zip(found, _PANELS, strict=True)):
+        kinds = [getattr(report, attribute) for report in known.values()]
+        _panel(axes, kinds, list(known), lowest=k + columns >= len(found), ticks=6 if columns == 3 else 4)
         pad = 4 + 1.3 * letters(0.9) * len(known)
-        axes.set_title(words, fontsize=letters(0.95), pad=pad, loc="left")
+        sheet.write_above(axes, heading.format(1e3 * kinds[0].steps[0]), 0.95, pad=pad, loc="left")
     whose = f" of {next(iter(known.values())).integrator}" if "" in known else ""
-    keys = list(_handles(list(known)))
+    keys = [
+        *(Line2D([], [], label=label, **line_style(k, len(known))) for k, label in enumerate(known) if label),
+        Line2D([], [], label="whole order", **_GUIDE),
+        Patch(facecolor=_ROUNDING, label="rounding"),
+    ]
     return sheet.finish(title, f"Accuracy{whose}: error over the step", keys)
-
-
-def _handles(labels: Sequence[str]) -> Iterator[Artist]:
-    for index, label in enumerate(labels):
-        if label:
-            yield Line2D([], [], label=label, **line_style(index, len(labels)))
-    yield Line2D([], [], label="whole order", **_GUIDE)
-    yield Patch(facecolor=_ROUNDING, label="rounding")
 
 
 def _panel(
@@ -399,7 +371,8 @@ def _panel(
     for index, (label, row) in enumerate(zip(labels, rows, strict=True)):
         errors = np.where(np.isfinite(row.errors), np.maximum(row.errors, _FLOOR), np.nan)
         axes.plot(1e3 * row.steps, errors, **_DOTS | line_style(index, len(rows)))
-        note = f"{_short(label)}: {row}" if label else str(row)
+        name = label if len(label) <= _LONGEST else f"{label[: _LONGEST - 1]}…"
+        note = f"{name}: {row}" if name else str(row)
         above = 4 + 1.3 * letters(0.9) * (len(rows) - 1 - index)
         axes.annotate(
             note, (0, 1), (0, above), xycoords="axes fraction", textcoords="offset points",
@@ -419,10 +392,6 @@ def _panel(
     axes.set_xlabel("step h [ms]" if lowest else "")
     unit = rows[0].unit
     axes.set_ylabel(f"error [{unit}]" if unit else "relative drift")
-
-
-def _short(label: str) -> str:
-    return label if len(label) <= _LONGEST else f"{label[: _LONGEST - 1]}…"
 
 
 def _guides(axes: Axes, rows: Sequence[Convergence]) -> None:

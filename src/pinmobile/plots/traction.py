@@ -1,37 +1,49 @@
-"""What wheels do over time: torques, friction, slip, loads; and where odometry believes the robot to be."""
+"""Ground and robot over time: torques, friction, slip and loads of wheels, odometry, and balance."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, ArrayLike
+from pinmobile.balance import body_zero_moment_point, footprint_of, required_friction, tip_over_margin
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Rollout
 from pinmobile.palette import INK, QUIET, SLIDES
-from pinmobile.plant import Contacts
-from pinmobile.plots.sheet import Canvas, Sheet, letters, wrapped
+from pinmobile.plant import Contacts, coordinates_of
+from pinmobile.plots.series import GROUNDED
+from pinmobile.plots.sheet import Canvas, Sheet, Spot, letters
 from pinmobile.plots.style import (
     Rollouts,
     Style,
     called,
     colour,
+    curve,
     desired,
     dress,
+    keys_of,
     labelled,
+    line,
     line_style,
-    thinned,
-    with_method,
+    shade,
+    with_plants,
 )
 
-_WHEELED = "WheeledRobot", "contacts(q, v, a, u, signals)"  # of `with_method`
+
+class _Touching(Protocol):
+    def contacts(self, q: Any, v: Any, a: Any, u: Any, signals: Any, /) -> Contacts: ...
+
+
+_WHEELED = _Touching, "a WheeledRobot, or a plant with contacts(q, v, a, u, signals)"
 _WIDTH, _HEIGHT = 5.0, 2.2  # of axes [in]
 _LIMIT: Style = {"color": INK, "linestyle": (0, (4, 3)), "linewidth": 1.2, "zorder": 2}
+_SLIDES: Style = {"facecolor": SLIDES, "alpha": 0.15, "zorder": 1}
 _ROUNDING = 1e-9  # what is smaller is drawn as the zero that it is
 
 
@@ -60,14 +72,14 @@ def wheel_torques(
     InvalidArgument
         If `rollouts` is something else, or not of robots on wheels.
     """
-    runs = with_method(rollouts, *_WHEELED)
+    runs = with_plants(rollouts, *_WHEELED)
     units = {one.unit for run in runs.values() for one in _driven(run)}
     name = f"torque [{units.pop()}]" if len(units) == 1 else "input"
     sheet, grid = _axes(runs, [name], ax, width)
     for run, axes in zip(runs.values(), grid[0], strict=True):
         inputs = _driven(run)
         u = run.u[:, run.u.shape[1] - len(inputs) :]
-        _lines(sheet, len(runs), axes, run.t, u, [one.name for one in inputs], drawstyle="steps-post")
+        _lines(sheet, axes, run.t, u, [one.name for one in inputs], drawstyle="steps-post")
     return sheet.finish(title, "Inputs of the wheels")
 
 
@@ -97,7 +109,7 @@ def friction(
     InvalidArgument
         If `rollouts` is something else, not of robots on wheels, or the loads of one cannot be told.
     """
-    runs = with_method(rollouts, *_WHEELED)
+    runs = with_plants(rollouts, *_WHEELED)
     found = {label: _contacts(run) for label, run in runs.items()}
     for label, contacts in found.items():
         if not np.isfinite(contacts.limits).any():
@@ -106,12 +118,13 @@ def friction(
                 "three points and more: give supports=[(x, y), ...]"
             )
     sheet, grid = _axes(runs, ["force / $\\mu N$ [-]"], ax, width)
-    for (label, run), axes in zip(runs.items(), grid[0], strict=True):
-        contacts = found[label]
-        _lines(sheet, len(runs), axes, run.t, share_of_friction(contacts), _names(contacts))
+    for run, contacts, axes in zip(runs.values(), found.values(), grid[0], strict=True):
+        known = zip(contacts.names, np.asarray(contacts.determined.all(axis=1)), strict=True)
+        names = [name if sure else f"{name} (share)" for name, sure in known]
+        _lines(sheet, axes, run.t, share_of_friction(contacts), names)
         axes.axhline(1.0, **_LIMIT)
         axes.annotate("slides", (1.0, 1.0), xycoords=("axes fraction", "data"), **_word("right"))
-        _slides(axes, run.t, np.asarray(contacts.slides.any(axis=1)))
+        shade([axes], run.t, np.asarray(contacts.slides.any(axis=1)), **_SLIDES)
         axes.set_ylim(0.0, max(1.12, axes.get_ylim()[1]))
     return sheet.finish(title, "Share of friction used")
 
@@ -141,15 +154,15 @@ def slip(
     InvalidArgument
         If `rollouts` is something else, or not of robots on wheels.
     """
-    runs = with_method(rollouts, *_WHEELED)
+    runs = with_plants(rollouts, *_WHEELED)
     rows = ["slip along [m/s]", "slip across [m/s]"]
     sheet, grid = _axes(runs, rows, ax, width)
-    for (_, run), column in zip(runs.items(), grid.T, strict=True):
+    for run, column in zip(runs.values(), grid.T, strict=True):
         contacts = _contacts(run)
         for k, axes in enumerate(column):
             values = np.where(np.abs(contacts.slips[..., k]) < _ROUNDING, 0.0, contacts.slips[..., k])
-            _lines(sheet, len(runs), axes, run.t, values, contacts.names, legend=k == 0)
-            _slides(axes, run.t, np.asarray(contacts.slides.any(axis=1)))
+            _lines(sheet, axes, run.t, values, contacts.names, legend=k == 0)
+            shade([axes], run.t, np.asarray(contacts.slides.any(axis=1)), **_SLIDES)
             if not values.any():
                 axes.set_ylim(-1.0, 1.0)
                 axes.annotate("none", (0.5, 0.62), xycoords="axes fraction", **_word("center"))
@@ -179,11 +192,11 @@ def loads(
     InvalidArgument
         If `rollouts` is something else, or not of robots on wheels.
     """
-    runs = with_method(rollouts, *_WHEELED)
+    runs = with_plants(rollouts, *_WHEELED)
     sheet, grid = _axes(runs, ["load [N]"], ax, width)
-    for (_, run), axes in zip(runs.items(), grid[0], strict=True):
+    for run, axes in zip(runs.values(), grid[0], strict=True):
         contacts = _contacts(run)
-        _lines(sheet, len(runs), axes, run.t, contacts.loads, contacts.names)
+        _lines(sheet, axes, run.t, contacts.loads, contacts.names)
         if not np.isfinite(contacts.loads).any():
             axes.annotate("not known", (0.5, 0.5), xycoords="axes fraction", **_word("center"))
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
@@ -221,19 +234,17 @@ def odometry(
                 "ByOdometry(controller, table)"
             )
     names = ["y [m]", "odometry off by [m]"]
-    sheet, grid = _axes(runs, names, ax, width, tall=1.7)
-    for (_, run), (above, below) in zip(runs.items(), grid.T, strict=True):
+    sheet, grid = _axes(runs, names, ax, width, 1.7)
+    for run, (above, below) in zip(runs.values(), grid.T, strict=True):
         true, believed = run.poses, run.signals["believed_pose"].values
-        kept = thinned(*true[:, :2].T)
-        above.plot(*run.reference_poses[kept, :2].T, label="desired", **desired())
+        curve(above, *run.reference_poses[:, :2].T, label="desired", **desired())
         for k, (label, way) in enumerate((("true", true), ("believed", believed))):
-            above.plot(*way[kept, :2].T, label=label, **line_style(k, 2))
+            curve(above, *way[:, :2].T, label=label, **line_style(k, 2))
         above.set_aspect("equal", adjustable="datalim")
         above.set_xlabel("x [m]")
         above.legend(frameon=False, loc="best")
         off = np.hypot(*(believed - true)[:, :2].T)
-        kept = thinned(off)
-        below.plot(run.t[kept], off[kept], **line_style(0, 1) | {"color": colour(1)})
+        line(below, run.t, off, **line_style(0, 1) | {"color": colour(1)})
         below.set_ylim(bottom=0.0)
     return sheet.finish(title, "Odometry beside the truth")
 
@@ -257,23 +268,12 @@ def _contacts(run: Rollout) -> Contacts:
 
 def _driven(run: Rollout) -> Sequence[Any]:
     """Return the inputs behind those of the arms."""
-    arms = len(getattr(getattr(run.plant, "robot", None), "coordinates", ())) - 3
-    return run.inputs[max(arms, 0) :]
-
-
-def _names(contacts: Contacts) -> list[str]:
-    """Return names of the wheels, with a word for those whose force is a share."""
-    known = np.asarray(contacts.determined.all(axis=1))
-    return [name if sure else f"{name} (share)" for name, sure in zip(contacts.names, known, strict=True)]
+    body: Any = getattr(run.plant, "robot", None)
+    return run.inputs[max(len(coordinates_of(body)) - 3, 0) :]
 
 
 def _axes(
-    runs: dict[str, Rollout],
-    rows: Sequence[str],
-    ax: Canvas | None,
-    width: float | None,
-    *,
-    tall: float = 1.0,
+    runs: dict[str, Rollout], rows: Sequence[str], ax: Canvas | None, width: float | None, tall: float = 1.0
 ) -> tuple[Sheet, NDArray[Any]]:
     """Return a sheet with a column for each run, and its axes, shape (rows, runs)."""
     sheet = Sheet(ax, width, _WIDTH * len(runs))
@@ -285,7 +285,7 @@ def _axes(
         dress(axes)
         axes.margins(x=0.01, y=0.1)
     for (label, run), column in zip(runs.items(), grid.T, strict=True):
-        column[0].set_title(wrapped(label, letters(), sheet.room(len(runs))), fontsize=letters())
+        sheet.write_above(column[0], label)
         column[-1].set_xlabel("t [s]")
         if len(run) > 1:
             for axes in column if tall == 1.0 else column[1:]:
@@ -295,42 +295,21 @@ def _axes(
 
 def _lines(
     sheet: Sheet,
-    columns: int,
     axes: Axes,
     t: Array,
     values: Array,
     names: Sequence[str],
     *,
     legend: bool = True,
-    **given: Any,
+    **own: Any,
 ) -> None:
     """Draw a line for each wheel, the first the widest, so that those that coincide are seen."""
-    count = values.shape[1]
-    for k, (name, line) in enumerate(zip(names, values.T, strict=True)):
-        kept = thinned(np.nan_to_num(line))
-        style = line_style(k, count) | given
-        axes.plot(
-            t[kept],
-            line[kept],
-            label=name.replace("_", " "),
-            **{**_dot(t), **style},
-        )
+    for k, (name, each) in enumerate(zip(names, values.T, strict=True)):
+        line(axes, t, each, label=name.replace("_", " "), **line_style(k, len(names)) | own)
     if float(np.nanmax(np.abs(values), initial=0.0)) < _ROUNDING:
         axes.set_ylim(-1.0, 1.0)
     if legend:
-        sheet.legend_above(axes, columns)
-
-
-def _dot(t: Array) -> Style:
-    return {"marker": "o" if len(t) == 1 else ""}
-
-
-def _slides(axes: Axes, t: Array, slides: NDArray[np.bool_]) -> None:
-    """Shade the times at which a wheel slides."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], slides, [False]]).astype(int)))
-    for start, stop in edges.reshape(-1, 2):
-        until = t[min(stop, len(t) - 1)]
-        axes.axvspan(t[start], until, facecolor=SLIDES, alpha=0.15, linewidth=0, zorder=1)
+        sheet.legend_above(axes)
 
 
 def _word(where: str) -> Style:
@@ -341,3 +320,99 @@ def _word(where: str) -> Style:
         "fontsize": letters(0.9),
         "color": QUIET,
     }
+
+
+_OUTLINE: Style = {
+    "closed": True,
+    "facecolor": "#f2f2f2",
+    "edgecolor": "#777777",
+    "linewidth": 1.4,
+    "zorder": 1,
+}
+_ZERO: Style = {"color": "#777777", "linestyle": (0, (4, 3)), "linewidth": 1.2, "zorder": 2}
+
+
+def balance(
+    rollouts: Rollouts,
+    *,
+    footprint: ArrayLike | None = None,
+    title: str | None = None,
+    ax: Canvas | None = None,
+    width: float | None = None,
+) -> Figure:
+    """Draw tip-over margin and required friction over time, and the zero-moment point on the footprint.
+
+    Parameters
+    ----------
+    rollouts : Rollout or mapping of str to Rollout
+        All are drawn in the same axes.
+    footprint : array_like, shape (k, 2), optional
+        As in `tip_over_margin`; by default each robot's own.
+    title : str, optional
+        Heading of the figure.
+    ax, width
+        As in `states`.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+
+    Raises
+    ------
+    InvalidArgument
+        If `rollouts` is something else, not of a `MobileRobot`, or `footprint` is no convex polygon.
+    """
+    runs = with_plants(rollouts, *GROUNDED)
+    sheet = Sheet(ax, width, 11.0)
+    spots: list[Spot] = [(0, 0), (1, 0), (slice(0, 2), 1)]
+    if sheet.columns(2, 3.2) == 1:
+        above, below, beside = sheet.axes([(0, 0), (1, 0), (2, slice(0, 1))], [2.2, 2.2, 4.4])
+    else:
+        above, below, beside = sheet.axes(spots, [2.1, 2.1], ratios=(1.25, 1))
+    for axes, name in ((above, "tip-over margin [m]"), (below, "required friction [-]")):
+        dress(axes)
+        axes.margins(x=0.01, y=0.1)
+        axes.set_ylabel(name)
+    below.set_xlabel("t [s]")
+    for index, (label, run) in enumerate(runs.items()):
+        style = line_style(index, len(runs)) | {"label": label}
+        margin = tip_over_margin(run, footprint)
+        line(above, run.t, margin, **style)
+        line(below, run.t, required_friction(run), **style)
+        lifted = np.isneginf(margin)
+        hatched: Style = {"facecolor": "none", "edgecolor": colour(index), "hatch": "///", "alpha": 0.5}
+        shade((above, below), run.t, lifted, **hatched)
+        if lifted.any():
+            sheet.write_above(above, "hatched: the ground does not carry the robot", 0.95)
+    span = [float(f([f(run.t) for run in runs.values()])) for f in (np.min, np.max)]
+    if span[0] < span[1]:
+        below.set_xlim(*span)
+    if above.dataLim.y0 <= 0:
+        above.axhline(0, **_ZERO)
+    below.set_ylim(bottom=min(0.0, below.get_ylim()[0]))
+    _from_above(sheet, beside, runs, footprint)
+    return sheet.finish(title, "Balance on the ground", keys_of(runs))
+
+
+def _from_above(sheet: Sheet, axes: Axes, runs: dict[str, Rollout], footprint: ArrayLike | None) -> None:
+    """Draw the footprint and the zero-moment point in the body's frame."""
+    dress(axes)
+    outlines = {
+        corners.tobytes(): corners
+        for corners in (footprint_of(run.plant, footprint) for run in runs.values())
+    }
+    for corners in outlines.values():
+        axes.add_patch(Polygon(corners, label="footprint", **_OUTLINE))
+    for index, run in enumerate(runs.values()):
+        point = body_zero_moment_point(run)
+        curve(axes, *point.T, **line_style(index, len(runs)))
+        carried = np.flatnonzero(np.isfinite(point[:, 0]))[:1]
+        axes.plot(
+            *point[carried].T, "o", color=colour(index), markersize=8, markeredgecolor="white", zorder=5
+        )
+    axes.autoscale_view()
+    axes.margins(0.08)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("forward $x_B$ [m]")
+    axes.set_ylabel("left $y_B$ [m]")
+    sheet.write_above(axes, "zero-moment point in the footprint, dot: first", 0.95)
