@@ -517,6 +517,22 @@ def test_identify_takes_commands_and_columns_of_other_names(
 
 
 @pytest.mark.once
+def test_a_twist_of_two_columns_is_speed_and_yaw_rate(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    read = rolled(False)
+    assert read.wheel_rates is not None
+    left, right = read.wheel_rates.T
+    twist = np.column_stack([0.05 * (left + right), 0.2 * (right - left)])  # radius 0.1 m, track 0.5 m
+    head = f"{HEAD[:9]},u_left [V],u_right [V],speed,turning"
+    path = written(tmp_path / "run.csv", np.column_stack([rows(read), twist]), head)
+    words = [path, WHEELS, "method=weak", "columns.q=x,y,psi", "columns.twist=speed,turning"]
+    code, told, err = typed(capsys, "identify", *words, "rolling_speed=0.2", "--out", str(tmp_path))
+    assert (code, err) == (0, "")
+    assert estimate("mass", told) > 0
+
+
+@pytest.mark.once
 def test_volts_of_wheels_give_the_robot_and_loads_the_scale(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
