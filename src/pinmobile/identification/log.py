@@ -500,7 +500,7 @@ class Log:
             If rosbags is not installed, there is no such bag, a topic's messages tell something else, or as
             of `from_streams`.
         FileError
-            If the bag is damaged, as far as its structure and its CRCs tell.
+            If the bag is damaged, as far as its structure and the CRCs of its chunks tell.
         UnknownName
             If the bag has no such topic: the message lists those it has.
         """

@@ -111,29 +111,13 @@ class Segments(NamedTuple):
 
 def cut(runs: Sequence[Samples], seconds: float, lead: int) -> Segments:
     """Return logs of one step, cut into segments of so many seconds, whose commands are known."""
-    dt = runs[0].dt
-    length = max(3, round(seconds / dt))
-    t, y, calm, good, u = [], [], [], [], []
+    length, parts = max(3, round(seconds / runs[0].dt)), []
     for run in runs:
-        measured, bridged = _measured(run), calmed(run)
-        for first in range(lead + 1, len(run.t) - length + 1, length):
-            t.append(run.t[first : first + length])
-            y.append(measured[first : first + length])
-            calm.append(bridged[first : first + length])
-            good.append(run.seen[first : first + length])
-            at = np.arange(first - lead - 1, first + length + 1)
-            u.append(run.u[np.minimum(at, len(run.u) - 1)])
-    size = 3 if runs[0].twist is None else 2
-    shape = len(y), length
-    return Segments(
-        dt,
-        np.array(t).reshape(shape),
-        np.array(y).reshape(*shape, size),
-        np.array(calm).reshape(*shape, size),
-        np.array(good, bool).reshape(shape),
-        np.array(u).reshape(len(y), length + lead + 2, 2),
-        lead,
-    )
+        first = np.arange(lead + 1, len(run.t) - length + 1, length)[:, None]
+        at, around = first + np.arange(length), first + np.arange(-lead - 1, length + 1)
+        inputs = run.u[np.minimum(around, len(run.u) - 1)]
+        parts.append((run.t[at], _measured(run)[at], calmed(run)[at], run.seen[at], inputs))
+    return Segments(runs[0].dt, *map(np.concatenate, zip(*parts, strict=True)), lead)
 
 
 @dataclass(frozen=True, eq=False)
