@@ -174,7 +174,7 @@ _SI: dict[str, dict[str, float]] = {
     "V": {"mV": 1e-3},
     "A": {"mA": 1e-3},
 }
-"""Units that are read, and what they are of the unit of SI that is kept."""
+# Units that are read, and what they are of the unit of SI that is kept.
 _UNITS = {name: (si, x) for si, others in _SI.items() for name, x in {si: 1.0, **others}.items()}
 _EXPECTED: dict[tuple[str, int], Sequence[str | None]] = {
     ("t", 1): ("s",),
@@ -183,7 +183,7 @@ _EXPECTED: dict[tuple[str, int], Sequence[str | None]] = {
     ("twist", 2): ("m/s", "rad/s"),
     ("twist", 3): ("m/s", "m/s", "rad/s"),
 }
-"""Units of the columns of a part of a log; inputs are those of a robot, see `Log.units`."""
+# Units of the columns of a part of a log; inputs are those of a robot, see `Log.units`.
 
 
 def _unit(title: str) -> str:
@@ -287,14 +287,15 @@ def _streams(
         if topic not in there:
             listed = [f"{name} ({kind.rpartition('/')[2]})" for name, kind in there.items()]
             raise UnknownName(f"topic of {str(file)!r}", topic, listed)
-    rules = {}
+    rules: dict[str, Row] = {}
     for role, topic in topics.items():
-        rules[role] = _RULES[role].get(there[topic].rpartition("/")[2])
-        if rules[role] is None:
+        known, kind = _RULES[role], there[topic].rpartition("/")[2]
+        if kind not in known:
             raise InvalidArgument(
                 f"topics[{role!r}] is {topic!r}, whose messages are {there[topic]}, expected "
-                f"{', '.join(_RULES[role])}"
+                f"{', '.join(known)}"
             )
+        rules[role] = known[kind]
     times: dict[str, list[int]] = {role: [] for role in topics}
     rows: dict[str, list[Any]] = {role: [] for role in topics}
     wanted = [each for each in reader.connections if each.topic in set(topics.values())]
