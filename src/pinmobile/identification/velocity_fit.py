@@ -79,7 +79,8 @@ def cut(runs: Sequence[Samples], seconds: float, lead: int) -> Segments:
         at, around = first + np.arange(length), first + np.arange(-lead - 1, length + 1)
         inputs = run.u[np.minimum(around, len(run.u) - 1)]
         parts.append((run.t[at], _measured(run)[at], calmed(run)[at], run.seen[at], inputs))
-    return Segments(runs[0].dt, *map(np.concatenate, zip(*parts, strict=True)), lead)
+    t, y, calm, good, u = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return Segments(runs[0].dt, t, y, calm, good, u, lead)
 
 
 @dataclass(frozen=True, eq=False)

@@ -234,7 +234,8 @@ class VelocityIdentification:
         self._refuse_unseen("spread")
         n, generator = whole("n", n), seeded("seed", seed)
         affordable(f"spread: {n:,} draws", 4.0 * n * len(self.names), "draw fewer at a time")
-        root = np.linalg.cholesky(self.covariance + 1e-18 * np.diag(np.diag(self.covariance)))
+        more = 1e-18 * np.diag(np.diag(self.covariance))
+        root = np.asarray(np.linalg.cholesky(self.covariance + more), np.float64)
         least = [k for k, name in enumerate(self.names) if k in ABOVE_ZERO or "acceleration" in name]
         found = student_draws(
             n, self.values, root, self.segments - 1, generator, lambda x: (x[:, least] > 0).all(axis=1)
