@@ -952,7 +952,7 @@ def drifting(q: Array) -> Array:
             r"^log has samples every 0\.02 and 0\.04 s, expected equal steps$",
         ),
         (lambda: changed(q=lambda q: q[0]), r"^q has shape \(3,\)"),
-        (lambda: Log(*np.zeros((3, 0))), r"^t has shape \(0,\), expected \(N,\), N > 1$"),
+        (lambda: Log(*np.zeros((3, 0))), r"^t has shape \(0,\), expected \(N,\), N >= 2$"),
         (lambda: Log(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3))), r"^t has shape \(1,\)"),
         (
             lambda: identify([log(), log()]),
