@@ -31,7 +31,26 @@ _LIBRARY = "F. N. Martins, Simulink library DiffSteer_model.slx (MathWorks File 
 def _robot(
     of: str, theta: _Numbers, odd: str, *, source: str = _LIBRARY, size: _Size = (0.45, 0.38, 0.24)
 ) -> VelocityRobot:
-    """Return a published robot: which, its theta, and what is odd beside the inequalities that it breaks."""
+    """Return a published robot.
+
+    Parameters
+    ----------
+    of : str
+        Which robot.
+    theta : tuple of 6 float
+        As it was published.
+    odd : str
+        What is odd of it beside the inequalities that it breaks.
+    source : str
+        Where theta was published.
+    size : tuple of 3 float
+        About that of the robot [m].
+
+    Returns
+    -------
+    robot : VelocityRobot
+        Its `source` states robot, publication, oddities and problems.
+    """
     said = f"{of}; {source}", odd, *VelocityRobot(theta).problems
     return VelocityRobot(theta, size=size, source=". ".join(said))
 
