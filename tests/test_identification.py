@@ -2,8 +2,6 @@
 
 import pickle
 import re
-import struct
-import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -193,7 +191,7 @@ def test_noise_of_forces_pulls_a_mass_as_least_squares_of_its_reciprocal_would()
 
 
 def test_draws_that_no_memory_holds_are_refused() -> None:
-    with pytest.raises(InvalidArgument, match=r"^n is 1,000,000,000,000, expected at most 50,000,000"):
+    with pytest.raises(InvalidArgument, match=r"^n is 1000000000000, expected at most 50,000,000"):
         found().spread(10**12)
 
 
@@ -954,7 +952,7 @@ def drifting(q: Array) -> Array:
             r"^log has samples every 0\.02 and 0\.04 s, expected equal steps$",
         ),
         (lambda: changed(q=lambda q: q[0]), r"^q has shape \(3,\)"),
-        (lambda: Log(*np.zeros((3, 0))), r"^t has shape \(0,\), expected \(N,\), N > 1$"),
+        (lambda: Log(*np.zeros((3, 0))), r"^t has shape \(0,\), expected \(N,\), N >= 2$"),
         (lambda: Log(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3))), r"^t has shape \(1,\)"),
         (
             lambda: identify([log(), log()]),
@@ -1271,42 +1269,6 @@ def test_a_bag_that_lost_messages_is_damaged(tmp_path: Path) -> None:
     file.write_bytes(good[:9000] + bytes(3000) + good[12000:])  # zeros of which the reader makes nothing
     with pytest.raises(FileError, match=r"damaged or no bag: '\d\d messages that the bag counts are gone'"):
         Log.from_bag(path, TOPICS)
-
-
-def summed(content: bytes) -> bytes:
-    """Return an MCAP file of one chunk with the CRCs that rosbags leaves out."""
-    data, end = bytearray(content), len(content) - 37
-    (summary,) = struct.unpack_from("<Q", data, end + 9)
-    chunk = 8 + 9 + struct.unpack_from("<Q", data, 9)[0]  # after the header
-    assert data[chunk] == 6
-    (size,) = struct.unpack_from("<Q", data, chunk + 25)
-    for place, first, last in (
-        (chunk + 33, chunk + 49, chunk + 49 + size),
-        (summary - 4, 0, summary - 13),
-        (end + 25, summary, end + 25),
-    ):
-        struct.pack_into("<I", data, place, zlib.crc32(data[first:last]))
-    return bytes(data)
-
-
-def test_the_sums_of_a_bag_are_checked(tmp_path: Path) -> None:
-    pytest.importorskip("rosbags", reason="needs the extra bags")
-    path = written_bag(tmp_path, "MCAP")
-    file = stored(path)
-    good = summed(file.read_bytes())
-    file.write_bytes(good)
-    assert len(Log.from_bag(path, TOPICS)) == 50
-    without = bytearray(good)  # of the data
-    (summary,) = struct.unpack_from("<Q", good, len(good) - 28)
-    without[summary - 4 : summary] = without[-12:-8] = bytes(4)  # nor of the summary
-    for base, place, name in (
-        (good, len(good) // 2, "CRC of the data of run.mcap is 0x"),
-        (without, len(good) // 2, "Chunk checksum mismatch"),
-        (good, summary + 20, "CRC of the summary of run.mcap is 0x"),
-    ):
-        file.write_bytes(base[:place] + bytes([base[place] ^ 1]) + base[place + 1 :])
-        with pytest.raises(FileError, match=f"which is damaged or no bag: '{name}"):
-            Log.from_bag(path, TOPICS)
 
 
 def written_bag(folder: Path, kind: str) -> Path:

@@ -356,7 +356,7 @@ def changed(log: Log, **new: Any) -> Log:
         ),
         (lambda: identify_velocity(logged(), seconds=0.1), "seconds is 0.1, expected 3 samples"),
         (lambda: identify_velocity([logged(), logged(pose=True)]), "a twist, and another one a pose"),
-        (lambda: found().interval(1.0), "level is 1, expected one between 0 and 1"),
+        (lambda: found().interval(1.0), "level is 1.0, expected 0 < level < 1"),
         (lambda: found().predict(logged(pose=True)), "a twist, and another one a pose"),
     ],
 )

@@ -5,7 +5,7 @@ from pinmobile.identification.log import INSTEAD as INSTEAD, Log
 from pinmobile.identification.motions import Excitation, excitation
 from pinmobile.identification.procedure import METHODS as METHODS, identify
 from pinmobile.identification.published import VELOCITY_ROBOTS
-from pinmobile.identification.velocity_fit import Prediction
+from pinmobile.identification.statistics import Prediction
 from pinmobile.identification.velocity_identification import VelocityIdentification, identify_velocity
 from pinmobile.identification.velocity_robot import VelocityRobot
 

@@ -16,7 +16,7 @@ is identified, torque constants have it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -36,7 +36,17 @@ _LIGHTEST = 0.02  # [kg]
 _NOTHING = 1e-14  # of the largest variance
 _ROUNDED = 1e-6  # of what a bound lacks
 _CUTS = 100  # tangents, of which some ten are needed
-_AXES = (("forward", "N s/m", "N"), ("left", "N s/m", "N"), ("yaw", "N m s", "N m"))
+_AXES = "forward", "left", "yaw"
+_FRICTIONS: tuple[tuple[tuple[str, str, str, Any], ...], ...] = (  # of a body that is pushed, of wheels
+    (
+        ("viscous", "coefficients", "viscous friction, ", ("N s/m", "N s/m", "N m s")),
+        ("rolling", "force", "rolling resistance, ", ("N", "N", "N m")),
+    ),
+    (
+        ("joint_viscous", "viscous", "friction of ", "N m s/rad"),
+        ("joint_coulomb", "coulomb", "dry friction of ", "N m"),
+    ),
+)
 
 
 class Quantity(NamedTuple):
@@ -129,7 +139,6 @@ class Chassis:
         reduced = robot.reduced(robot.rest, np.zeros(robot.nv))
         S, turning = reduced.S[:3], reduced.S[3:]
         names = tuple(each.name for each in table.actuators)
-        B = reduced.B
         inertia = reduced.M - S.T @ robot.robot.mass_matrix(np.zeros(3)) @ S
         columns = np.stack([each.column for each in table.actuators], axis=-1)
         A = columns.T @ turning
@@ -141,7 +150,7 @@ class Chassis:
                 f"robot takes volts, and a torque at {', '.join(others)}, which have no scale in common that "
                 "loads could tell: expected volts alone, or no loads"
             )
-        S, A, B, inertia = (frozen(each) for each in (S, A, B, inertia))
+        S, A, B, inertia = (frozen(each) for each in (S, A, reduced.B, inertia))
         return cls(S, A, B, inertia, speed, names, scaled, motors)
 
     @property
@@ -165,38 +174,26 @@ class Chassis:
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
         """What is identified, as it is told: the centre of mass and the inertia about it."""
-        body = (
+        scale, rolls = "as a share of what is stated", bool(self.wheels)
+        what = "force per input" if not rolls else "torque constants" if self.motors else "torque per input"
+        found = [
             Quantity("mass", "kg", "mass", True, "mass"),
             Quantity("com_x", "m", "centre of mass forward", False, "com.x"),
             Quantity("com_y", "m", "centre of mass to the left", False, "com.y"),
             Quantity("yaw_inertia", "kg m^2", "yaw inertia about the centre of mass", True, "yaw_inertia"),
-        )
-        if not self.wheels:
-            viscous = [
-                Quantity(f"viscous_{n}", unit, f"viscous friction, {n}", True, f"coefficients.{n}")
-                for n, unit, _ in _AXES
-            ]
-            dry = [
-                Quantity(f"rolling_{n}", unit, f"rolling resistance, {n}", True, f"force.{n}")
-                for n, _, unit in _AXES
-            ]
-            scale = (Quantity("input_scale", "", "force per input, as a share of what is stated", True),)
-            return (*body, *viscous, *dry, *self._offsets(self.inputs.values()), *scale[: self.scaled])
-        names = self.wheels
-        turning = [
-            Quantity(f"joint_viscous_{n}", "N m s/rad", f"friction of {n}", True, f"viscous.{n}")
-            for n in names
         ]
-        dry = [
-            Quantity(f"joint_coulomb_{n}", "N m", f"dry friction of {n}", True, f"coulomb.{n}") for n in names
-        ]
-        what = "torque constants" if self.motors else "torque per input"
-        scale = (Quantity("input_scale", "", f"{what}, as a share of what is stated", True),)
-        return (*body, *turning, *dry, *self._offsets(["N m"] * len(names)), *scale[: self.scaled])
-
-    def _offsets(self, units: Iterable[str]) -> list[Quantity]:
-        pairs = zip(self.inputs, units, strict=True) if self.offset else ()
-        return [Quantity(f"offset_{n}", unit, f"constant offset of {n}", False) for n, unit in pairs]
+        for name, path, meaning, unit in _FRICTIONS[rolls]:
+            axes = dict.fromkeys(self.wheels, unit) if rolls else dict(zip(_AXES, unit, strict=True))
+            found += [
+                Quantity(f"{name}_{n}", each, meaning + n, True, f"{path}.{n}") for n, each in axes.items()
+            ]
+        if self.offset:
+            units = ["N m"] * self.nu if rolls else self.inputs.values()
+            pairs = zip(self.inputs, units, strict=True)
+            found += [Quantity(f"offset_{n}", unit, f"constant offset of {n}", False) for n, unit in pairs]
+        if self.scaled:
+            found.append(Quantity("input_scale", "", f"{what}, {scale}", True))
+        return tuple(found)
 
     @property
     def size(self) -> int:
@@ -365,11 +362,7 @@ class Chassis:
         """Return eta', shape (k,), of one state, in numbers or symbols."""
         m, mx, my, inertia = phi[0], phi[1], phi[2], phi[3]
         forward, left, r = (_dot(row, eta) for row in self.S)
-        h = (
-            m * r * left + mx * r * r,
-            my * r * r - m * r * forward,
-            -(mx * r * forward + my * r * left),
-        )
+        h = (m * r * left + mx * r * r, my * r * r - m * r * forward, -(mx * r * forward + my * r * left))
         rates = [_dot(row, eta) for row in self.A]
         count = len(rates)
         rubbing = [
@@ -423,9 +416,8 @@ class Chassis:
         k2 = self._rate([x + h / 2 * k for x, k in zip(state, k1, strict=True)], u, phi)
         k3 = self._rate([x + h / 2 * k for x, k in zip(state, k2, strict=True)], u, phi)
         k4 = self._rate([x + h * k for x, k in zip(state, k3, strict=True)], u, phi)
-        return [
-            x + h / 6 * (a + 2 * (b + c) + d) for x, a, b, c, d in zip(state, k1, k2, k3, k4, strict=True)
-        ]
+        each = zip(state, k1, k2, k3, k4, strict=True)
+        return [x + h / 6 * (a + 2 * (b + c) + d) for x, a, b, c, d in each]
 
     def _rate(self, state: Sequence[Any], u: Any, phi: Any) -> list[Any]:
         psi, eta = state[2], state[3:]

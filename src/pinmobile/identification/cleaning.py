@@ -13,6 +13,7 @@ from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification.chassis import Chassis
 from pinmobile.identification.log import Log, check_units
+from pinmobile.identification.statistics import NORMAL
 
 _WINDOW = 0.15  # [s] of the cubic whose residual tells outliers and noise
 _OUTLIER = 6.0  # deviations
@@ -23,7 +24,6 @@ _COARSEST, _ROWS = 0.1, 16  # [s] between samples, and of these, that filters an
 _CUTOFF = 8.0  # [Hz] of velocities
 _FINEST, _FINEST_RATE = 1e-4, 1e-2  # [m, rad], [rad/s]: finer noise, as of a simulation, counts as this
 _LONG = 3  # samples in a row that are lost; over more, a spline would swing with the noise beside them
-_NORMAL = 1.4826  # a normal distribution's deviation as a share of its median absolute one
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,11 +175,11 @@ def _without_outliers(
     follows[-(size // 2) :] = follows[: size // 2][::-1]
     at, good, q = np.arange(len(columns)), seen.copy(), columns.copy()
     way = columns[size:] - columns[:-size]
-    bent = _BENT * _NORMAL * np.median(np.abs(way), axis=0)  # what a cubic may leave of a motion itself
+    bent = _BENT * NORMAL * np.median(np.abs(way), axis=0)  # what a cubic may leave of a motion itself
     for _ in range(_PASSES):
         residual = columns - savgol_filter(q, size, 3, axis=0, mode="interp")
         residual /= np.sqrt(1 - follows)[:, None]
-        deviation = _NORMAL * np.median(np.abs(residual[good]), axis=0)
+        deviation = NORMAL * np.median(np.abs(residual[good]), axis=0)
         deviation = np.maximum(deviation, least)
         often = np.quantile(np.abs(residual[good]), _OFTEN, axis=0)  # by which jumps of the acceleration bend
         bound = np.maximum.reduce([_OUTLIER * deviation, bent, _TIMES * often])

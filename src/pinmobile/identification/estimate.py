@@ -17,8 +17,8 @@ from pinmobile.forces import JointFriction, RollingResistance, ViscousFriction
 from pinmobile.identification.chassis import Chassis
 from pinmobile.identification.cleaning import Cleaned, Slippage
 from pinmobile.identification.log import Log
-from pinmobile.identification.output_error import OutputError, Segments, Whiteness
-from pinmobile.identification.velocity_fit import POSE, Prediction
+from pinmobile.identification.output_error import OutputError, Segments
+from pinmobile.identification.statistics import POSE, Prediction, Whiteness, student_deviations, student_draws
 from pinmobile.parts import evolved
 from pinmobile.robot import MobileRobot
 from pinmobile.urdf import Body
@@ -26,13 +26,6 @@ from pinmobile.urdf import Body
 _UNSEEN = 0.02  # share of a parameter's direction that may be unseen before its interval is endless
 _MOST = 50_000_000  # draws
 _FAR = 0.999  # interval in which a body must be that stands for what was found
-_FIELDS = {  # beginnings of names, and the fields of `forces` that a spread names
-    "viscous_": "coefficients.",
-    "rolling_": "force.",
-    "joint_viscous_": "viscous.",
-    "joint_coulomb_": "coulomb.",
-}
-_DRAWS = 200  # rounds in which draws that no body has are drawn again
 _AHEAD = 2.0  # [s]
 _DENSITIES = 20.0, 2e4  # [kg/m^2], mass per square of the radius of gyration; of boxes 12 m / (a^2 + b^2)
 
@@ -120,10 +113,6 @@ class Identification:
     is_noise: bool
     clipped: str
 
-    def __post_init__(self) -> None:
-        for name in ("phi", "covariance_of_phi", "hidden", "unknown", "noise", "residual"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
@@ -203,11 +192,7 @@ class Identification:
         return self.delay - half, self.delay + half
 
     def _deviations(self, level: float) -> float:
-        """Return how many deviations there are to each side in Student's interval."""
-        from scipy.stats import t as student  # here, because it takes long to load
-
-        share = bounded("level", scalar("level", level), above=0, below=1)
-        return float(student.ppf(0.5 + share / 2, self.freedom))
+        return student_deviations(level, self.freedom)
 
     def __repr__(self) -> str:
         first = ", ".join(f"{n} {v:.4g} {self.units[n]}" for n, v in list(self.parameters.items())[:4])
@@ -433,16 +418,12 @@ class Identification:
             )
         values, vectors = np.linalg.eigh(self.covariance_of_phi)
         half = vectors * np.sqrt(np.maximum(values, 0))
-        phi = np.empty((0, len(self.phi)))
-        for _ in range(_DRAWS):
-            missing = count - len(phi)
-            if not missing:
-                break
-            normal = generator.standard_normal((missing, len(self.phi)))
-            wide = np.sqrt(self.freedom / generator.chisquare(self.freedom, missing))
-            drawn = self.phi + wide[:, None] * (normal @ half.T)
-            m, mx, my, inertia = drawn[:, :4].T
-            phi = np.vstack([phi, drawn[(m > 0) & (m * inertia > mx * mx + my * my)]])
+
+        def is_body(phi: Array) -> Any:
+            m, mx, my, inertia = phi[:, :4].T
+            return (m > 0) & (m * inertia > mx * mx + my * my)
+
+        phi = student_draws(count, self.phi, half, self.freedom, generator, is_body)
         if len(phi) < count:
             raise InvalidArgument(
                 "the log leaves mass and inertia so uncertain that hardly a draw is of a body"
@@ -471,14 +452,9 @@ class Identification:
             If it is none, or too short.
         """
         instance("log", log, Log, "a Log")
-        ahead = scalar("seconds", seconds)
         run = Cleaned.of(log, self.chassis, np.zeros(4))
-        late = self.delay / run.dt
-        if not 10 * run.dt <= ahead <= len(run.q) * run.dt - 2 * abs(self.delay) - 4 * run.dt:
-            raise InvalidArgument(
-                f"seconds is {ahead:g}, expected {10 * run.dt:.3g} and more, ten samples, and less than "
-                f"the log has, {len(run.q) * run.dt:.3g}"
-            )
+        late, longest = self.delay / run.dt, len(run.q) * run.dt - 2 * abs(self.delay) - 4 * run.dt
+        ahead = bounded("seconds", scalar("seconds", seconds), least=10 * run.dt, most=longest, unit="s")
         segments = Segments.of(run, self.chassis, late, ahead)
         point, _, _ = OutputError([segments], self.chassis).started(self.phi, np.diag(self.phi + 1e-9))
         out = segments.simulated(self.chassis, point.starts[0][:, None], self.phi[None])[:, 0]
@@ -499,8 +475,3 @@ def _body(old: Body, mass: float, com: tuple[float, float], yaw_inertia: float) 
         return Body(mass, centre, inertia)
     except InvalidArgument:  # moments that break the triangle inequality: those of a body of the same form
         return Body(mass, centre, np.array(old.inertia) * (yaw_inertia / old.inertia[2, 2]))
-
-
-def _spread_name(name: str) -> str:
-    begin = next((each for each in _FIELDS if name.startswith(each)), "")
-    return _FIELDS.get(begin, "") + name.removeprefix(begin)

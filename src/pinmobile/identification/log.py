@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from pinmobile.arrays import (
     Array,
     ArrayLike,
+    bounded,
     finite,
     frozen,
     increasing,
     instance,
     real,
-    representable,
     scalar,
     seeded,
     shaped,
@@ -368,11 +368,8 @@ class Log:
         for (name, t), (other, x) in zip(times.items(), (("q", poses), ("u", inputs)), strict=True):
             increasing(name, t)
             shaped(other, x, (len(t), "k"), words=f", as {name} has")
-        (t, held), first, last = (
-            times.values(),
-            max(x[0] for x in times.values()),
-            min(x[-1] for x in times.values()),
-        )
+        t, held = times.values()
+        first, last = max(t[0], held[0]), min(t[-1], held[-1])
         if last - first < 0.5 * (t[-1] - t[0]):
             raise InvalidArgument(
                 f"t_u is from {held[0]:.9g} to {held[-1]:.9g} s and t_q from {t[0]:.9g} to {t[-1]:.9g} s, "
@@ -383,11 +380,11 @@ class Log:
         edges, lost = np.append(t, t[-1] + step(t)), np.isnan(inputs).any(axis=1, keepdims=True)
         mean = _mean_held(held, np.where(lost, 0.0, inputs), edges)
         mean[_mean_held(held, np.where(lost, 1.0, 0.0), edges)[:, 0] > 0] = np.nan
-        measured = {"twist": twist, "wheel_rates": wheel_rates}
-        rows = {name: real(name, x) for name, x in measured.items() if x is not None}
-        for name, array in rows.items():
-            shaped(name, array, (len(kept), *array.shape[1:]), words=", as t_q has")
-        return cls(t, poses[kept], mean, **{name: array[kept] for name, array in rows.items()})
+        rows = {}
+        for name, given in (("twist", twist), ("wheel_rates", wheel_rates)):
+            if given is not None:
+                rows[name] = shaped(name, real(name, given), (len(kept), "k"), words=", as t_q has")[kept]
+        return cls(t, poses[kept], mean, **rows)
 
     @classmethod
     def from_rollout(
@@ -425,21 +422,15 @@ class Log:
         instance("rollout", rollout, Rollout, "a Rollout")
         late = whole("delay", delay, least=0, most=len(rollout) - 2)
         generator, u = seeded("seed", seed), rollout.u
-        deviations = {"noise": (noise, _POSE), "input_noise": (input_noise, u.shape[1])}
-        sigma: dict[str, Array] = {}
-        for name, (value, size) in deviations.items():
-            found = finite(name, value)
-            if found.shape not in ((), (size,)) or (found < 0).any():
-                raise InvalidArgument(f"{name} is {shown(value)}, expected a number >= 0, or {size} of them")
-            sigma[name] = found
+        sigma = {
+            name: bounded(name, shaped(name, finite(name, value), (), (size,)), least=0)
+            for name, value, size in (("noise", noise, _POSE), ("input_noise", input_noise, u.shape[1]))
+        }
         names = [one.name for one in coordinates_of(rollout.plant)]
         wheels = [names.index(one.name) for one in inputs_of(rollout.plant) if one.name in names]
         q, end = np.array(rollout.poses), len(rollout) - late
-        with np.errstate(all="ignore"):
-            q = q[:end] + sigma["noise"] * generator.standard_normal((end, _POSE))
-            told = u[late:] + sigma["input_noise"] * generator.standard_normal((end, u.shape[1]))
-        representable("a pose with its noise", q)
-        representable("an input with its noise", told)
+        q = q[:end] + sigma["noise"] * generator.standard_normal((end, _POSE))
+        told = u[late:] + sigma["input_noise"] * generator.standard_normal((end, u.shape[1]))
         units = tuple(one.unit for one in inputs_of(rollout.plant))
         rates = rollout.v[:end, wheels] if wheels else None
         return cls(rollout.t[late:], q, told, None, rates, units=units)
@@ -500,16 +491,14 @@ class Log:
             If rosbags is not installed, there is no such bag, a topic's messages tell something else, or as
             of `from_streams`.
         FileError
-            If the bag is damaged, as far as its structure and its CRCs tell.
+            If the bag is damaged, as far as its structure and the CRCs of its chunks tell.
         UnknownName
             If the bag has no such topic: the message lists those it has.
         """
         streams = read_bag(path, topics, stamps)
         t, first = streams["q"] if "q" in streams else streams["twist"]
-        measured: dict[str, Array] = {}
-        for name in ("twist", "wheel_rates"):
-            if name in streams:
-                measured[name] = _interpolated(*streams[name], t)
+        others = {n: streams[n] for n in ("twist", "wheel_rates") if n in streams}
+        measured: dict[str, Array] = {name: _interpolated(*each, t) for name, each in others.items()}
         held = cls.from_streams(
             t, first if "q" in streams else np.zeros((len(t), 3)), *streams["u"], **measured
         )
@@ -546,7 +535,7 @@ INSTEAD = {
     "A": "currents take loads=[None, load], which tell the torque per ampere; or multiply by it",
     **dict.fromkeys(("m/s", "rad/s"), "commands of speed and yaw rate take identify_velocity"),
 }
-"""What inputs of a unit are to be given to."""
+# What inputs of a unit are to be given to.
 
 
 def check_units(log: Log, name: str, expected: Mapping[str, str], also: str = "") -> None:
@@ -573,17 +562,10 @@ def check_units(log: Log, name: str, expected: Mapping[str, str], also: str = ""
 
 
 def check_steps(steps: Sequence[float]) -> None:
-    """Refuse logs whose samples are not equally far apart.
-
-    Raises
-    ------
-    InvalidArgument
-        If they are such.
-    """
-    if max(steps) > 1.001 * min(steps):
-        raise InvalidArgument(
-            f"log has samples every {min(steps):g} and {max(steps):g} s, expected equal steps"
-        )
+    """Refuse logs whose samples are not equally far apart."""
+    low, high = min(steps), max(steps)
+    if high > 1.001 * low:
+        raise InvalidArgument(f"log has samples every {low:g} and {high:g} s, expected equal steps")
 
 
 def _interpolated(t: Array, columns: Array, grid: Array) -> Array:

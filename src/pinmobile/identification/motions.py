@@ -53,12 +53,15 @@ class Excitation:
         k = 3 if S is None else shaped("S", S, (3, "k>=1")).shape[1]
         given = shaped("coefficients", finite("coefficients", self.coefficients), ("L>=1", 2, k))
         start = shaped("start", finite("start", self.start), (3,))
-        object.__setattr__(self, "coefficients", frozen(given))
-        object.__setattr__(self, "start", frozen(start))
-        for name in ("period", "duration"):
-            object.__setattr__(self, name, positive(name, getattr(self, name), "s"))
+        times = {name: positive(name, getattr(self, name), "s") for name in ("period", "duration")}
+        arrays = {
+            "coefficients": frozen(given),
+            "start": frozen(start),
+            "S": None if S is None else frozen(S),
+        }
+        for name, value in {**times, **arrays}.items():
+            object.__setattr__(self, name, value)
         if S is not None:
-            object.__setattr__(self, "S", frozen(S))
             knots = np.arange(np.ceil(self.duration / self.period * _KNOTS) + 1) * (self.period / _KNOTS)
             whole_way = self._way(knots[:-1], np.full(len(knots) - 1, self.period / _KNOTS))
             sums = np.vstack([np.zeros(2), np.cumsum(whole_way, axis=0)])

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,62 +145,12 @@ def _likeliest(residuals: Array, order: int, moved: Array) -> tuple[float, Array
     return float(found.fun), np.asarray(white * (np.eye(length) + ratio / scale * moved)), white
 
 
-_LAGS = 20
-
-
-class Whiteness(NamedTuple):
-    """Autocorrelation of residuals.
-
-    Attributes
-    ----------
-    correlation : ndarray, shape (m,)
-        Of successive residuals, of each thing measured.
-    bound : float
-        Within which that of white noise lies 95 times in 100.
-    p_value : ndarray, shape (m,)
-        Of the test of Ljung and Box (1978) with 20 lags: how likely white noise is to look like this.
-    """
-
-    correlation: Array
-    bound: float
-    p_value: Array
-
-    @property
-    def is_white(self) -> bool:
-        """Whether the residuals look like white noise: by the correlation of successive ones."""
-        return bool((np.abs(self.correlation) <= 1.5 * self.bound).all())
-
-
-def whiteness(residuals: Array, good: Array) -> Whiteness:
-    """Return how white the residuals of segments are.
-
-    Parameters
-    ----------
-    residuals : ndarray, shape (S, L, m)
-        Zero where nothing was measured.
-    good : ndarray, shape (S, L)
-        1 where something was.
-    """
-    from scipy.stats import chi2  # here, because it takes long to load
-
-    power = (residuals**2).sum(axis=(0, 1)) / good.sum()
-    count = float(good.sum())
-    correlations = []
-    for lag in range(1, min(_LAGS, residuals.shape[1] - 1) + 1):
-        pairs = (good[:, lag:] * good[:, :-lag]).sum()
-        product = (residuals[:, lag:] * residuals[:, :-lag]).sum(axis=(0, 1))
-        correlations.append(product / max(pairs, 1.0) / np.maximum(power, np.finfo(float).tiny))
-    rho = np.array(correlations)
-    lags = np.arange(1, len(rho) + 1)[:, None]
-    Q = count * (count + 2) * (rho**2 / (count - lags)).sum(axis=0)
-    return Whiteness(rho[0], 1.96 / np.sqrt(count), np.asarray(chi2.sf(Q, len(rho))))
-
-
 _SHIFT = 1e-5  # of a parameter's scale, or of a start's, in differences
 _CONVERGED = 1e-3  # of a variance: the last step is of less than a thirtieth of a deviation
 _ROUNDING = 1e-9  # of the cost
 _LATER = (-1, 1)  # samples: the difference of these simulations is the slope by the delay
 _FIRST_PASSES = 2
+_STEPS = 30  # of Gauss and Newton at most
 _MEASURED = 0.5  # share of a segment's samples that count, without which its first state is not told
 _SHAKE = 1e-2  # of an input's deviation, to see what noise of it does
 _LEAST_SIZE = 1e-3  # of an input, or of a response to one, as a share of the largest
@@ -325,6 +275,11 @@ class Segments(NamedTuple):
             out = np.concatenate([out, states[..., 3:] @ chassis.A.T], axis=-1)
         return np.asarray(np.moveaxis(out / self.noise, 0, 2))
 
+    def left(self, chassis: Chassis, z: Array, phi: Array) -> Array:
+        """Return measured less simulated of states z, shape (S, 3 + k), over the noise, shape (S, L, m)."""
+        out = self.simulated(chassis, z[:, None], phi[None])[:, 0]
+        return np.asarray((self.measured - out) * self.good[..., None])
+
 
 def _inputs(run: Cleaned, at: NDArray[np.int_], delay: float) -> tuple[Array, Array]:
     """Return the inputs of both parts of the time to the next sample."""
@@ -393,6 +348,7 @@ class _Linear(NamedTuple):
     slopes: Array  # (S, n, d)
 
 
+@dataclass(frozen=True, eq=False)
 class OutputError:
     """The problem: segments of logs, and a robot.
 
@@ -408,25 +364,13 @@ class OutputError:
         Whether the delay is sought too: then it follows the parameters, as the last of them.
     noise : sequence of ResidualNoise
         Of each log; none: residuals are those of the sensors alone, white.
-
-    Attributes
-    ----------
-    STEPS : int
-        Gauss-Newton steps at most.
     """
 
-    STEPS: ClassVar[int] = 30
-
-    def __init__(
-        self,
-        logs: Sequence[Segments],
-        chassis: Chassis,
-        delay: float = 0.0,
-        free: bool = False,
-        noise: Sequence[ResidualNoise] = (),
-    ) -> None:
-        self.logs, self.chassis, self.delay, self.free, self.noise = logs, chassis, delay, free, noise
-        self.numbers = sum(int(log.good.sum()) * log.measured.shape[-1] for log in logs)
+    logs: Sequence[Segments]
+    chassis: Chassis
+    delay: float = 0.0
+    free: bool = False
+    noise: Sequence[ResidualNoise] = ()
 
     def _whitened(self, k: int, residuals: Array) -> Array:
         """Return residuals of a log, shape (S, V, L, m), as white ones of variance 1."""
@@ -489,7 +433,7 @@ class OutputError:
         e = raw - (Q @ (np.swapaxes(Q, 1, 2) @ raw[..., None]))[..., 0]
         return _Linear(J, e, Q, R, raw, slopes)
 
-    def solve(self, phi: Array, basis: Array, most: int = STEPS, starts: Sequence[Array] = ()) -> Estimate:
+    def solve(self, phi: Array, basis: Array, most: int = _STEPS, starts: Sequence[Array] = ()) -> Estimate:
         """Return the estimate, from a guess on, within the space of the basis' columns.
 
         Parameters
@@ -550,15 +494,14 @@ class OutputError:
 
     def innovations(self, found: Estimate) -> list[Array]:
         """Return the white residuals of each log, first states that fit best taken off, shape (S, L, m)."""
-        basis, point = np.eye(len(found.phi))[:, :1], _Point(found.phi, found.delay, found.starts)
-        parts = [self._linear_of(k, point, basis) for k in range(len(self.logs))]
+        point = _Point(found.phi, found.delay, found.starts)
+        parts = self._linear(point, np.eye(len(found.phi))[:, :1])
         return [part.e.reshape(log.measured.shape) for part, log in zip(parts, self.logs, strict=True)]
 
     def _simulated(self, k: int, log: Segments, point: _Point) -> Array:
         """Return the white residuals of a log's segments, shape (S, L, m)."""
-        out = log.simulated(self.chassis, point.starts[k][:, None], point.phi[None])
-        left = (log.measured[:, None] - out) * log.good[:, None, :, None]
-        return self._whitened(k, left)[:, 0]
+        left = log.left(self.chassis, point.starts[k], point.phi)
+        return self._whitened(k, left[:, None])[:, 0]
 
     def started(
         self, phi: Array, basis: Array, starts: Sequence[Array] = ()
@@ -585,11 +528,9 @@ class OutputError:
                 "or one that excites more, see excitation"
             ) from error
         jackknife = (S - 1) / S * d.T @ d
-        residuals = []
-        for log, z in zip(self._late(point.delay), point.starts, strict=True):
-            out = log.simulated(self.chassis, z[:, None], point.phi[None])[:, 0]
-            residuals.append((log.measured - out) * log.good[..., None])
-        freedom = max(1, self.numbers - p - point.starts[0].shape[1] * S)
+        late, numbers = self._late(point.delay), sum(log.good.sum() * log.noise.size for log in self.logs)
+        residuals = [log.left(self.chassis, z, point.phi) for log, z in zip(late, point.starts, strict=True)]
+        freedom = max(1, int(numbers) - p - point.starts[0].shape[1] * S)
         return Estimate(
             point.phi,
             point.delay,

@@ -9,21 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, one_of, positive, scalar
+from pinmobile.arrays import Array, frozen, one_of, positive, scalar
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification.chassis import Chassis
 from pinmobile.identification.cleaning import Cleaned, Slippage
 from pinmobile.identification.estimate import Identification
 from pinmobile.identification.log import Log, check_steps, logs_of
 from pinmobile.identification.observability import Setting, in_words
-from pinmobile.identification.output_error import (
-    Estimate,
-    OutputError,
-    ResidualNoise,
-    Segments,
-    Whiteness,
-    whiteness,
-)
+from pinmobile.identification.output_error import Estimate, OutputError, ResidualNoise, Segments
+from pinmobile.identification.statistics import Whiteness, whiteness
 from pinmobile.identification.weak_form import WINDOW, Fit, extrapolated, rows_of, solve
 from pinmobile.robot import Load, MobileRobot
 from pinmobile.wheels import WheeledRobot, WheelTable
@@ -173,19 +167,20 @@ def identify(
     if given is None:
         with _suspecting(hints):
             _check_late(late, error, cleaned[0].dt)
+    squares = sum((e[..., :3] ** 2).sum(axis=(0, 1)) for e in estimate.residuals)
     white = [whiteness(e, good) for e, good in zip(estimate.residuals, estimate.good, strict=True)]
     return Identification(
         chassis=chassis,
-        phi=phi,
-        covariance_of_phi=covariance,
+        phi=frozen(phi),
+        covariance_of_phi=frozen(covariance),
         freedom=freedom,
         method=method,
         pulled=pulled,
         prior=robot,
         rank=seen.shape[1],
         unseen=in_words(chassis, unseen) if unseen.size else "",
-        hidden=(unseen**2).sum(axis=1),
-        unknown=at.scales[:, None] * unseen,
+        hidden=frozen((unseen**2).sum(axis=1)),
+        unknown=frozen(at.scales[:, None] * unseen),
         delay=late * cleaned[0].dt,
         delay_error=error * cleaned[0].dt,
         other_delay=_other_delay(given, own, cleaned[0].dt),
@@ -195,12 +190,12 @@ def identify(
         slippage=worst,
         samples=sum(int(one.good.sum()) + one.outliers for one in cleaned),
         segments=estimate.segments,
-        noise=cleaned[0].noise,
+        noise=frozen(cleaned[0].noise),
         chi2=estimate.chi2,
         whiteness=_worst(white),
         is_noise=_is_noise(estimate, segments, chassis),
         clipped=clipped,
-        residual=np.sqrt(_mean_squares(estimate)),
+        residual=frozen(np.sqrt(squares / sum(good.sum() for good in estimate.good))),
     )
 
 
@@ -219,8 +214,7 @@ def _chassis(
     if scaled and all(np.array_equal(each, carried[0]) for each in carried):
         raise InvalidArgument(
             "loads has the same for all logs, expected loads that differ: their difference tells the scale "
-            "of "
-            "the input"
+            "of the input"
         )
     return to_chassis(robot, speed, scaled), carried
 
@@ -355,8 +349,7 @@ def _segment(logs: Sequence[Cleaned]) -> float:
     raise InvalidArgument(
         f"log is {lengths.sum():.3g} s long{pieces}, too short, expected at least "
         f"{(_LEAST_SEGMENTS + 0.5) * _SHORTEST:g} s, better 60 s: intervals come from {_LEAST_SEGMENTS} "
-        "segments "
-        "and more"
+        "segments and more"
     )
 
 
@@ -444,8 +437,7 @@ def _check_explained(explained: float) -> None:
     if explained < _EXPLAINED:
         raise InvalidArgument(
             f"log has inputs of which the motion explains {max(explained, 0):.0%}, expected most: are they "
-            "of "
-            "another robot, in another frame, or of another sign?"
+            "of another robot, in another frame, or of another sign?"
         )
 
 
@@ -454,8 +446,7 @@ def _check_units(chassis: Chassis, phi: Array, prior: Array | None) -> None:
     if prior is not None and mass > 0 and not 1 / _TIMES_NOMINAL < mass / prior[0] < _TIMES_NOMINAL:
         raise InvalidArgument(
             f"log leads to a mass of {mass:.3g} kg where the robot has {prior[0]:.3g} kg, expected about "
-            "that: are "
-            "its forces in newtons, its positions in metres?"
+            "that: are its forces in newtons, its positions in metres?"
         )
     if not _MASSES[0] < mass < _MASSES[1]:
         why = (
@@ -478,8 +469,3 @@ def _check_units(chassis: Chassis, phi: Array, prior: Array | None) -> None:
 
 def _worst(found: Sequence[Whiteness]) -> Whiteness:
     return max(found, key=lambda one: float(np.abs(one.correlation).max()))
-
-
-def _mean_squares(estimate: Estimate) -> Array:
-    total = sum((e[..., :3] ** 2).sum(axis=(0, 1)) for e in estimate.residuals)
-    return np.asarray(total / sum(good.sum() for good in estimate.good))

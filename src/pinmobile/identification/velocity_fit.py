@@ -12,45 +12,8 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification.log import Samples
+from pinmobile.identification.statistics import NORMAL
 from pinmobile.identification.velocity_robot import ABOVE_ZERO, VelocityDynamics
-
-POSE = ("x", "m"), ("y", "m"), ("psi", "rad")
-SPEEDS = ("speed", "m/s"), ("yaw rate", "rad/s")
-
-
-class Prediction(NamedTuple):
-    """What was measured, and what the identified robot does under the same input.
-
-    Attributes
-    ----------
-    names, units : tuple of k str
-        Of what was measured: x, y and psi, or speed and yaw rate.
-    t : ndarray, shape (S, L)
-        Times since the first sample, of segments each of which starts anew [s].
-    measured, predicted : ndarray, shape (S, L, k)
-        Values [m, m, rad; or m/s, rad/s].
-    rms : ndarray, shape (k,)
-        Of their difference, outliers left out.
-    noise : ndarray, shape (k,)
-        Deviation of the sensor's noise: what no prediction can be better than. Of a `VelocityIdentification`
-        it is what the model left of the log that was identified from.
-    """
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    t: Array
-    measured: Array
-    predicted: Array
-    rms: Array
-    noise: Array
-
-    def __str__(self) -> str:
-        told = [
-            f"{name} {1e3 * rms:.3g} m{unit} (noise {1e3 * noise:.3g})"
-            for name, unit, rms, noise in zip(self.names, self.units, self.rms, self.noise, strict=True)
-        ]
-        return f"rms of {self.t[0, -1] - self.t[0, 0]:.3g} s ahead: {', '.join(told)}"
-
 
 _WINDOW = 0.8  # [s] of the weak form that gives a start
 _LEAST_WINDOW = 8  # samples of it
@@ -70,7 +33,6 @@ _ITERATIONS = 30
 _TRIES = 20  # of a step, each with more damping
 _ROUNDS = 4  # of weights and outliers
 _OUTLIER = 6.0  # deviations
-_NORMAL = 1.4826  # a normal distribution's deviation as a share of its median absolute one
 _UNSEEN = 1e-10  # eigenvalues of the scaled normal matrix below it are none
 
 
@@ -111,29 +73,14 @@ class Segments(NamedTuple):
 
 def cut(runs: Sequence[Samples], seconds: float, lead: int) -> Segments:
     """Return logs of one step, cut into segments of so many seconds, whose commands are known."""
-    dt = runs[0].dt
-    length = max(3, round(seconds / dt))
-    t, y, calm, good, u = [], [], [], [], []
+    length, parts = max(3, round(seconds / runs[0].dt)), []
     for run in runs:
-        measured, bridged = _measured(run), calmed(run)
-        for first in range(lead + 1, len(run.t) - length + 1, length):
-            t.append(run.t[first : first + length])
-            y.append(measured[first : first + length])
-            calm.append(bridged[first : first + length])
-            good.append(run.seen[first : first + length])
-            at = np.arange(first - lead - 1, first + length + 1)
-            u.append(run.u[np.minimum(at, len(run.u) - 1)])
-    size = 3 if runs[0].twist is None else 2
-    shape = len(y), length
-    return Segments(
-        dt,
-        np.array(t).reshape(shape),
-        np.array(y).reshape(*shape, size),
-        np.array(calm).reshape(*shape, size),
-        np.array(good, bool).reshape(shape),
-        np.array(u).reshape(len(y), length + lead + 2, 2),
-        lead,
-    )
+        first = np.arange(lead + 1, len(run.t) - length + 1, length)[:, None]
+        at, around = first + np.arange(length), first + np.arange(-lead - 1, length + 1)
+        inputs = run.u[np.minimum(around, len(run.u) - 1)]
+        parts.append((run.t[at], _measured(run)[at], calmed(run)[at], run.seen[at], inputs))
+    t, y, calm, good, u = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return Segments(runs[0].dt, t, y, calm, good, u, lead)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,23 +112,22 @@ class Model:
         delay, ahead = named.get("delay", still + self.delay), named.get("ahead", still + self.ahead)
         return p[:, :6], delay, ahead, np.stack(most, axis=-1)
 
+    def _with(self, of_theta: Sequence[float], column: int) -> Array:
+        return np.append(of_theta, [_FREE[name][column] for name in self.free])
+
     @property
     def guess(self) -> Array:
         """Numbers, shape (P,), of a robot of which nothing is known."""
-        others = {"delay": 0.0, "ahead": 0.0, "acceleration": 1.0, "yaw_acceleration": 3.0}
-        return np.append(_GUESS, [others[name] for name in self.free])
+        return self._with(_GUESS.tolist(), 0)
 
     def natural(self, p: Array) -> Array:
         """Return how large numbers like p, shape (P,), are: what is known less well is unseen."""
-        of = {"delay": 3.0, "ahead": 1.0}
-        others = [of.get(name, abs(x)) for name, x in zip(self.free, p[6:], strict=True)]
-        return np.array([*(1.0 if k in _COUPLING else abs(p[k]) for k in range(6)), *others])
+        found = self._with([1.0 if k in _COUPLING else np.nan for k in range(6)], 1)
+        return np.where(np.isnan(found), np.abs(p), found)
 
     def sizes(self, p: Array) -> Array:
         """Return how large the numbers p, shape (P,), are, by which differences are taken."""
-        least = {"delay": 1.0, "ahead": 0.1, "acceleration": 1e-3, "yaw_acceleration": 1e-3}
-        floor = [1e-6, 1e-6, 0.1, 1e-6, 0.1, 1e-6, *(least[name] for name in self.free)]
-        return np.maximum(np.abs(p), floor)
+        return np.maximum(np.abs(p), self._with([0.1 if k in _COUPLING else 1e-6 for k in range(6)], 2))
 
     def is_possible(self, p: Array, lead: int) -> bool:
         """Return whether there is a robot of such numbers, shape (P,)."""
@@ -189,6 +135,7 @@ class Model:
         inside = -1 < delay[0] < lead
         return bool(np.isfinite(p).all() and (p[list(ABOVE_ZERO)] > 0).all() and inside and (most > 0).all())
 
+    @np.errstate(all="ignore")  # on the way through values that nobody means
     def simulate(self, cuts: Segments, p: Array, start: Array) -> Array:
         """Return what would be measured, shape (K, S, L, k).
 
@@ -202,12 +149,6 @@ class Model:
             Speed and yaw rate at the first sample of each segment, and behind them x, y and psi of poses.
         """
         theta, delay, ahead, most = self.values(p)
-        with np.errstate(all="ignore"):  # on the way through values that nobody means
-            return self._simulated(cuts, theta, delay, ahead, most, start)
-
-    def _simulated(
-        self, cuts: Segments, theta: Array, delay: Array, ahead: Array, most: Array, start: Array
-    ) -> Array:
         body = VelocityDynamics(theta[:, None], ahead[:, None], most[:, None], ())
         whole = np.floor(delay).astype(int)
         share = (delay - whole)[:, None, None]
@@ -218,17 +159,22 @@ class Model:
         z, kept = start, np.empty((cuts.y.shape[1], *start.shape))
         at = cuts.lead + 1 - whole  # the column of u that is applied from the first sample on
         commands = np.moveaxis(cuts.u, 0, 1)
-        for j in range(len(kept)):
-            kept[j] = z
-            if j + 1 == len(kept):
-                break
+        kept[0] = z
+        for j in range(len(kept) - 1):
             if late:
                 z = _advanced(body, z, commands[at + j - 1], share * cuts.dt, steps)
             z = _advanced(body, z, commands[at + j], (1 - share) * cuts.dt if late else cuts.dt, steps)
+            kept[j + 1] = z
         return np.moveaxis(kept, 0, 2)[..., 2:] if cuts.is_pose else np.moveaxis(kept, 0, 2)
 
 
 _LIMITS = "acceleration", "yaw_acceleration"
+_FREE = {  # guess, natural size where it is not that of the number, least size
+    "delay": (0.0, 3.0, 1.0),
+    "ahead": (0.0, 1.0, 0.1),
+    "acceleration": (1.0, np.nan, 1e-3),
+    "yaw_acceleration": (3.0, np.nan, 1e-3),
+}
 
 
 def _advanced(body: VelocityDynamics, z: Array, u: Array, span: Array | float, steps: int) -> Array:
@@ -295,8 +241,7 @@ def fit(model: Model, cuts: Segments, p: Array, *, moving: bool = True) -> Fit:
         If what is simulated runs away from what was measured.
     """
     try:
-        with np.errstate(all="ignore"):  # what runs away is refused
-            return _fit(model, cuts, p, moving)
+        return _fit(model, cuts, p, moving)
     except np.linalg.LinAlgError:
         raise unexplained(0.0) from None
 
@@ -310,6 +255,7 @@ def unexplained(share: float) -> InvalidArgument:
     )
 
 
+@np.errstate(all="ignore")  # what runs away is refused
 def _fit(model: Model, cuts: Segments, p: Array, moving: bool) -> Fit:
     start, moves = starts(cuts), np.full(len(p), moving)
     if moving and not np.isfinite(model.simulate(cuts, p[None], start[None])).all():
@@ -321,7 +267,7 @@ def _fit(model: Model, cuts: Segments, p: Array, moving: bool) -> Fit:
         found = _gauss_newton(model, near, p, start, covariance, moves, _CONVERGED if k else _NEAR)
         p, start = found.p, found.start
         r = found.residual[found.good]
-        deviation = _NORMAL * np.median(np.abs(r), axis=0) + 1e-300
+        deviation = NORMAL * np.median(np.abs(r), axis=0) + 1e-300
         wild = (np.abs(found.residual) > _OUTLIER * deviation).any(axis=-1)
         new, before = cuts.good & ~wild, covariance
         inside = (np.abs(r) <= _OUTLIER * deviation).all(axis=1)
@@ -376,12 +322,9 @@ def _slopes(model: Model, cuts: Segments, p: Array, start: Array, weight: Array)
     dp, ds = _SLOPE * model.sizes(p), _SLOPE * np.maximum(np.abs(start).mean(axis=0), 0.1)
     count = 1 + 2 * (P + n)
     numbers, begins = np.tile(p, (count, 1)), np.tile(start, (count, 1, 1))
-    for k in range(P):
-        numbers[1 + 2 * k, k] += dp[k]
-        numbers[2 + 2 * k, k] -= dp[k]
-    for k in range(n):
-        begins[1 + 2 * (P + k), :, k] += ds[k]
-        begins[2 + 2 * (P + k), :, k] -= ds[k]
+    both = np.array([[1.0], [-1.0]])
+    numbers[1 : 1 + 2 * P] += np.kron(np.diag(dp), both)
+    begins[1 + 2 * P :] += np.kron(np.diag(ds), both)[:, None]
     found = model.simulate(cuts, numbers, begins)
     with np.errstate(all="ignore"):  # where a robot that is thought of runs away
         ends = np.nan_to_num(found[1::2] - found[2::2]) / (2 * np.append(dp, ds)[:, None, None, None])
@@ -522,7 +465,7 @@ def calmed(run: Samples) -> Array:
         ends = [_beyond(column[:_ENDS][::-1])[::-1], _beyond(column[-_ENDS:])]
         around = np.lib.stride_tricks.sliding_window_view(np.concatenate([ends[0], column, ends[1]]), _AROUND)
         off = np.abs(column - np.median(around, axis=1))
-        near = off <= _OUTLIER * _NORMAL * np.median(off) + np.quantile(np.abs(steps), _FAST)
+        near = off <= _OUTLIER * NORMAL * np.median(off) + np.quantile(np.abs(steps), _FAST)
         found[:, k] = np.interp(at, at[near], column[near])
     return found
 

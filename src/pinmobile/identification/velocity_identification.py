@@ -11,26 +11,13 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import (
-    Array,
-    ArrayLike,
-    affordable,
-    bounded,
-    frozen,
-    instance,
-    positive,
-    scalar,
-    seeded,
-    whole,
-)
+from pinmobile.arrays import Array, ArrayLike, affordable, frozen, instance, positive, scalar, seeded, whole
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification.log import Log, Samples, check_steps, check_units, logs_of
+from pinmobile.identification.statistics import POSE, SPEEDS, Prediction, student_deviations, student_draws
 from pinmobile.identification.velocity_fit import (
-    POSE,
-    SPEEDS,
     Fit,
     Model,
-    Prediction,
     Segments,
     cut,
     fit,
@@ -50,12 +37,7 @@ _EXPLAINED = 0.8  # share of what was measured, below which something else is wr
 _LEAST = 0.5  # the same, below which it is no log of such a robot
 _GAINS = 0.1, 10.0  # command per steady speed or yaw rate of any robot
 _FARTHEST = 10.0  # [m]: ahead of the axle
-_OTHERS = (
-    ("delay", "s"),
-    ("ahead", "m"),
-    ("acceleration", "m/s^2"),
-    ("yaw_acceleration", "rad/s^2"),
-)
+_OTHERS = (("delay", "s"), ("ahead", "m"), ("acceleration", "m/s^2"), ("yaw_acceleration", "rad/s^2"))
 _NEUTRAL = {"theta_3": 0.0, "theta_4": 1.0, "theta_5": 0.0, "theta_6": 1.0}  # of a robot that loses nothing
 _UNITS = {**{name: unit for name, unit, _ in THETA}, **dict(_OTHERS)}
 _MEASURED = {len(each): each for each in (SPEEDS, POSE)}
@@ -155,15 +137,10 @@ class VelocityIdentification:
         InvalidArgument
             If the level is not between 0 and 1.
         """
-        from scipy.stats import t
-
-        level = bounded("level", scalar("level", level), above=0, below=1)
-        wide = float(t.ppf((1 + level) / 2, self.segments - 1))
+        wide = student_deviations(level, self.segments - 1)
         errors = self.standard_errors
-        found = {
-            name: (x - wide * errors[name], x + wide * errors[name]) for name, x in self.parameters.items()
-        }
-        return MappingProxyType(found)
+        pairs = ((name, x, wide * errors[name]) for name, x in self.parameters.items())
+        return MappingProxyType({name: (x - half, x + half) for name, x, half in pairs})
 
     @cached_property
     def insignificant(self) -> tuple[str, ...]:
@@ -257,18 +234,15 @@ class VelocityIdentification:
         self._refuse_unseen("spread")
         n, generator = whole("n", n), seeded("seed", seed)
         affordable(f"spread: {n:,} draws", 4.0 * n * len(self.names), "draw fewer at a time")
-        freedom, found = self.segments - 1, np.empty((0, len(self.names)))
-        root = np.linalg.cholesky(self.covariance + 1e-18 * np.diag(np.diag(self.covariance)))
-        bounded = [k for k, name in enumerate(self.names) if k in ABOVE_ZERO or "acceleration" in name]
-        for _ in range(20):
-            normal = generator.standard_normal((n, len(self.names)))
-            tail = np.sqrt(generator.chisquare(freedom, (n, 1)) / freedom)
-            drawn = self.values + normal @ root.T / tail
-            found = np.concatenate([found, drawn[(drawn[:, bounded] > 0).all(axis=1)]])
-            if len(found) >= n:
-                kept = found[:n]
-                return {_path(name): kept[:, k] for k, name in enumerate(self.names) if name != "delay"}
-        raise InvalidArgument("spread: intervals reach far below zero, expected a log that tells more")
+        more = 1e-18 * np.diag(np.diag(self.covariance))
+        root = np.asarray(np.linalg.cholesky(self.covariance + more), np.float64)
+        least = [k for k, name in enumerate(self.names) if k in ABOVE_ZERO or "acceleration" in name]
+        found = student_draws(
+            n, self.values, root, self.segments - 1, generator, lambda x: (x[:, least] > 0).all(axis=1)
+        )
+        if len(found) < n:
+            raise InvalidArgument("spread: intervals reach far below zero, expected a log that tells more")
+        return {_path(name): found[:, k] for k, name in enumerate(self.names) if name != "delay"}
 
     def _refuse_unseen(self, what: str) -> None:
         if self.unseen:
@@ -293,14 +267,11 @@ class VelocityIdentification:
         instance("log", log, Log, "a Log")
         runs = _runs(log, least=1, seconds=self._seconds, kind=len(self.noise))
         cuts = cut(runs, self._seconds, _lead(runs))
-        left = fit(self._model, cuts, self.values_in_samples(runs[0].dt), moving=False)
+        in_samples = np.where(np.array(self.names) == "delay", self.values / runs[0].dt, self.values)
+        left = fit(self._model, cuts, in_samples, moving=False)
         rms = np.sqrt((left.residual[left.good] ** 2).mean(axis=0))
         names, units = zip(*_MEASURED[len(self.noise)], strict=True)
         return Prediction(names, units, cuts.t, cuts.y, cuts.y - left.residual, rms, self.noise)
-
-    def values_in_samples(self, dt: float) -> Array:
-        """Return the values with the delay, where it was identified, in samples of dt [s]."""
-        return np.where(np.array(self.names) == "delay", self.values / dt, self.values)
 
 
 def identify_velocity(

@@ -24,6 +24,7 @@ from pinmobile.arrays import (
     lengths,
     non_negative,
     positive,
+    shaped,
     text,
     vector,
     wrap_angle,
@@ -57,7 +58,7 @@ THETA: tuple[tuple[str, str, str], ...] = (
     ("theta_5", "s/m", "what a centre of mass ahead of the axle does to the yaw rate"),
     ("theta_6", "", "command per steady yaw rate: 1, and losses over the gain"),
 )
-"""Name, unit and meaning of each of the six parameters."""
+# Name, unit and meaning of each of the six parameters.
 
 ABOVE_ZERO = 0, 1, 3, 5  # without inertia there is no law, and without losses speeds grow by themselves
 
@@ -396,13 +397,13 @@ class VelocityRobot:
     @in_numbers
     def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
         """Return the configuration that the displacement `dq` leads to from `q`, shape (..., 3)."""
-        return np.asarray(self.array_dynamics.integrate(*_three(q=q, dq=dq)))
+        return np.asarray(self.array_dynamics.integrate(*_vectors(q=(q, 3), dq=(dq, 3))))
 
     @also_symbols
     @in_numbers
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
         """Return the displacement from `q0` to `q1`, shape (..., 3); that of psi lies in (-pi, pi]."""
-        return np.asarray(self.array_dynamics.difference(*_three(q0=q0, q1=q1)))
+        return np.asarray(self.array_dynamics.difference(*_vectors(q0=(q0, 3), q1=(q1, 3))))
 
     @also_symbols
     def pose(self, q: ArrayLike) -> Array:
@@ -412,13 +413,13 @@ class VelocityRobot:
     @also_symbols
     def rate(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return the rates of x, y, psi, shape (..., 3) [m/s, m/s, rad/s]."""
-        return _three(q=q, v=v)[1]
+        return _vectors(q=(q, 3), v=(v, 3))[1]
 
     @also_symbols
     @in_numbers
     def independent(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return speed along the wheels and yaw rate, shape (..., 2) [m/s, rad/s]."""
-        return np.asarray(self.array_dynamics.independent(*_three(q=q, v=v)))
+        return np.asarray(self.array_dynamics.independent(*_vectors(q=(q, 3), v=(v, 3))))
 
     @also_symbols
     @in_numbers
@@ -430,22 +431,18 @@ class VelocityRobot:
         q, nu : array_like, shape (..., 3), (..., 2)
             Configuration, and speed along the wheels and yaw rate [m/s, rad/s].
         """
-        q, nu = vector("q", q, 3), vector("nu", nu, 2)
-        broadcast(q=q, nu=nu)
-        return np.asarray(self.array_dynamics.rolling(q, nu))
+        return np.asarray(self.array_dynamics.rolling(*_vectors(q=(q, 3), nu=(nu, 2))))
 
     @also_symbols
     @in_numbers
     def project(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return the velocity that rolling leaves, shape (..., 3)."""
-        return np.asarray(self.array_dynamics.project(*_three(q=q, v=v)))
+        return np.asarray(self.array_dynamics.project(*_vectors(q=(q, 3), v=(v, 3))))
 
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return the q and v with which a reference begins, shape (3,); what moves sideways is left out."""
         required("reference", reference, Desired)
-        q, v = vector("reference.q", reference.q, 3), vector("reference.v", reference.v, 3)
-        if q.ndim != 1 or v.ndim != 1:
-            raise InvalidArgument(f"reference has q and v of shapes {q.shape} and {v.shape}, expected (3,)")
+        q, v = (shaped(f"reference.{n}", finite(n, getattr(reference, n)), (3,)) for n in ("q", "v"))
         return q, self.project(q, v)
 
     def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
@@ -456,7 +453,7 @@ class VelocityRobot:
         InvalidArgument
             If it is such.
         """
-        q, v = _three(q=q, v=v)
+        q, v = _vectors(q=(q, 3), v=(v, 3))
         off = float(np.abs(self.project(q, v) - v).max(initial=0.0))
         if off > _OFF * (1 + float(np.abs(v).max(initial=0.0))):
             raise InvalidArgument(
@@ -478,9 +475,7 @@ class VelocityRobot:
         u : array_like, shape (..., 2)
             Commands [m/s, rad/s].
         """
-        nu, u = vector("nu", nu, 2), vector("u", u, 2)
-        broadcast(nu=nu, u=u)
-        return np.asarray(self.array_dynamics.rates(nu, u))
+        return np.asarray(self.array_dynamics.rates(*_vectors(nu=(nu, 2), u=(u, 2))))
 
     @also_symbols
     @in_numbers
@@ -501,8 +496,7 @@ class VelocityRobot:
         InvalidArgument
             As of all methods; or if there is a force.
         """
-        (q, v), u = _three(q=q, v=v), vector("u", u, 2)
-        broadcast(q=q, v=v, u=u)
+        q, v, u = _vectors(q=(q, 3), v=(v, 3), u=(u, 2))
         if finite("f", f).any():
             raise InvalidArgument(
                 f"f is {shown(f)}, expected none: what firmware does about a force, theta does not tell"
@@ -524,9 +518,8 @@ class VelocityRobot:
         rates : array_like, shape (..., 2)
             Of speed and yaw rate [m/s^2, rad/s^2].
         """
-        (q, v), rates = _three(q=q, v=v), vector("rates", rates, 2)
-        broadcast(q=q, v=v, rates=rates)
-        return np.asarray(self.array_dynamics.commands(q, v, rates))
+        given = _vectors(q=(q, 3), v=(v, 3), rates=(rates, 2))
+        return np.asarray(self.array_dynamics.commands(*given))
 
     @in_numbers
     def regressor(self, q: ArrayLike, v: ArrayLike, rates: ArrayLike) -> Array:
@@ -537,11 +530,9 @@ class VelocityRobot:
         q, v, rates
             As in `commands`.
         """
-        (q, v), rates = _three(q=q, v=v), vector("rates", rates, 2)
-        broadcast(q=q, v=v, rates=rates)
-        nu = self.array_dynamics.independent(q, v)
-        parts = np.broadcast_arrays(nu[..., 0], nu[..., 1], rates[..., 0], rates[..., 1])
-        u, w, faster, turning = parts
+        q, v, rates = _vectors(q=(q, 3), v=(v, 3), rates=(rates, 2))
+        both = np.broadcast_arrays(self.array_dynamics.independent(q, v), rates)
+        (u, w), (faster, turning) = (np.moveaxis(each, -1, 0) for each in both)
         zero = np.zeros(u.shape)
         rows = [faster, zero, -w * w, u, zero, zero], [zero, turning, zero, zero, u * w, w]
         return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
@@ -552,7 +543,7 @@ class VelocityRobot:
 
         M is diag(theta_1, theta_2) [s]. Limits of acceleration are not in it.
         """
-        q, v = _three(q=q, v=v)
+        q, v = _vectors(q=(q, 3), v=(v, 3))
         nu = self.array_dynamics.independent(q, v)
         lead = nu.shape[:-1]
         M, B = (np.broadcast_to(x, (*lead, 2, 2)) for x in (np.diag(self.theta[:2]), np.eye(2)))
@@ -592,11 +583,11 @@ def limits_of(name: str, value: ArrayLike) -> Array:
     return frozen(np.broadcast_to(most, (2,)))
 
 
-def _three(**arrays: ArrayLike) -> tuple[Array, Array]:
-    """Return two arrays of three numbers each, checked."""
-    one, other = (vector(name, array, 3) for name, array in arrays.items())
-    broadcast(**dict(zip(arrays, (one, other), strict=True)))
-    return one, other
+def _vectors(**given: tuple[ArrayLike, int]) -> tuple[Array, ...]:
+    """Return arrays of so many numbers each, checked."""
+    arrays = {name: vector(name, array, size) for name, (array, size) in given.items()}
+    broadcast(**arrays)
+    return tuple(arrays.values())
 
 
 def _pair_of(robot: WheeledRobot) -> tuple[Any, Any, float]:

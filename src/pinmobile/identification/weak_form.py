@@ -17,12 +17,12 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.identification.chassis import Chassis
 from pinmobile.identification.cleaning import Cleaned
+from pinmobile.identification.statistics import NORMAL
 
 WINDOW = 0.6  # [s]
 _HOPS = 8  # per window
 _LAG = 16  # windows over which residuals hang together: twice those that overlap
 _HUBER = 1.345
-_NORMAL = 1.4826
 _NEAR = 1e-4  # of a scale, in differences
 _ROUNDS, _SAME, _FARTHEST = 10, 1e-4, 3.0  # of a scale: most steps, when it is found, and by which factor
 _SHAKES = 3  # draws of noise at each level
@@ -75,11 +75,7 @@ class Rows(NamedTuple):
         if not chassis.offset:
             return self.Y, self.shaken
         columns = np.eye(chassis.nu) if chassis.B is None else chassis.B  # of a constant: bumps have sum 1
-        pair = [
-            np.concatenate([Y, np.broadcast_to(columns, (*Y.shape[:-1], chassis.nu))], axis=-1)
-            for Y in (self.Y, self.shaken)
-        ]
-        return pair[0], pair[1]
+        return _beside(self.Y, columns), _beside(self.shaken, columns)
 
     def equations(self, chassis: Chassis, delay: float, scale: float = 1.0) -> tuple[Array, Array, Array]:
         """Return the regressor, shape (n, k, p), those shaken, and what they should give, shape (n, k).
@@ -92,9 +88,12 @@ class Rows(NamedTuple):
         more, less = (self.forces(chassis, delay, scale * (1 + way * _NEAR)) for way in (1, -1))
         slope = (more - less) / (2 * _NEAR * scale)
         column = -slope[..., None]
-        also = np.broadcast_to(column, (*shaken.shape[:-1], 1))
-        Y, shaken = np.concatenate([Y, column], axis=-1), np.concatenate([shaken, also], axis=-1)
-        return Y, shaken, forces - slope * scale - self.known
+        return _beside(Y, column), _beside(shaken, column), forces - slope * scale - self.known
+
+
+def _beside(Y: Array, columns: Array) -> Array:
+    """Return a regressor with more columns."""
+    return np.concatenate([Y, np.broadcast_to(columns, (*Y.shape[:-1], columns.shape[-1]))], axis=-1)
 
 
 class Fit(NamedTuple):
@@ -138,15 +137,15 @@ def rows_of(run: Cleaned, chassis: Chassis) -> Rows:
     g2 = g2 - g2.sum() * g
     g2 = 2 * g2 / (g2 @ z**2) / half**2
     build = _inertial if chassis.B is None else _along_free
-    Y, known = build(run, chassis, (g, g1, g2), hop)
+    bump = g, g1, g2
+    Y, known = build(run, chassis, bump, hop)
     loaded = known + Y[..., :4] @ run.load
     generator = np.random.default_rng(0)
-    shaken = [
-        [build(run.shaken(generator, level), chassis, (g, g1, g2), hop)[0] for _ in range(_SHAKES)]
-        for level in _LEVELS
-    ]
+    levels = np.repeat(_LEVELS, _SHAKES)
+    more = [build(run.shaken(generator, level), chassis, bump, hop)[0] for level in levels]
+    shaken = np.reshape(more, (len(_LEVELS), _SHAKES, *Y.shape))
     rates = (run.twist if chassis.B is None else run.free_velocities(chassis) @ chassis.A.T).T
-    return Rows(Y, np.array(shaken), loaded, run, rates, hop, g)
+    return Rows(Y, shaken, loaded, run, rates, hop, g)
 
 
 def _windows(column: Array, weights: Array, hop: int) -> Array:
@@ -268,8 +267,7 @@ def _extrapolated(
             for shift in (-0.5, 0.5)
         )
         column = (less - more)[..., None]
-        Y = np.concatenate([Y, column], axis=-1)
-        shaken = np.concatenate([shaken, np.broadcast_to(column, (*shaken.shape[:-1], 1))], axis=-1)
+        Y, shaken = _beside(Y, column), _beside(shaken, column)
         prior, basis = np.append(prior, 0.0), np.pad(basis, ((0, 1), (0, 1)))
         basis[-1, -1] = 1.0
     plain, influence = _fitted(Y, y, parts, prior, basis)
@@ -307,7 +305,7 @@ def _fitted(
         right = np.einsum("nki,nk->i", A, (y - Y @ prior) * weights)
         phi = prior + _inverse(A, basis) @ right
         left = y - Y @ phi
-        deviation = np.maximum(_NORMAL * np.median(np.abs(left), axis=0), least)
+        deviation = np.maximum(NORMAL * np.median(np.abs(left), axis=0), least)
         size = np.abs(left) / deviation
         weights = np.sqrt(np.minimum(1, _HUBER / np.maximum(size, _HUBER))) / deviation
     scores = np.einsum("nki,nk->ni", Y * weights[..., None], left * weights)
