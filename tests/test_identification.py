@@ -2,6 +2,8 @@
 
 import pickle
 import re
+import struct
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -1324,6 +1326,42 @@ def messages(types: Any, at: int, q: Array, u: Array) -> dict[str, Any]:
         "/odom": odometry,
         "/wrench": made("geometry_msgs/msg/WrenchStamped", head, made("geometry_msgs/msg/Wrench", *force)),
     }
+
+
+def summed(content: bytes) -> bytes:
+    """Return an MCAP file of one chunk with the CRCs that rosbags leaves out."""
+    data, end = bytearray(content), len(content) - 37
+    (summary,) = struct.unpack_from("<Q", data, end + 9)
+    chunk = 8 + 9 + struct.unpack_from("<Q", data, 9)[0]  # after the header
+    assert data[chunk] == 6
+    (size,) = struct.unpack_from("<Q", data, chunk + 25)
+    for place, first, last in (
+        (chunk + 33, chunk + 49, chunk + 49 + size),
+        (summary - 4, 0, summary - 13),
+        (end + 25, summary, end + 25),
+    ):
+        struct.pack_into("<I", data, place, zlib.crc32(data[first:last]))
+    return bytes(data)
+
+
+def test_the_sums_of_a_bag_are_checked(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags", reason="needs the extra bags")
+    path = written_bag(tmp_path, "MCAP")
+    file = stored(path)
+    good = summed(file.read_bytes())
+    file.write_bytes(good)
+    assert len(Log.from_bag(path, TOPICS)) == 50
+    without = bytearray(good)  # of the data
+    (summary,) = struct.unpack_from("<Q", good, len(good) - 28)
+    without[summary - 4 : summary] = without[-12:-8] = bytes(4)  # nor of the summary
+    for base, place, name in (
+        (good, len(good) // 2, "CRC of the data of run.mcap is 0x"),
+        (without, len(good) // 2, "Chunk checksum mismatch"),
+        (good, summary + 20, "CRC of the summary of run.mcap is 0x"),
+    ):
+        file.write_bytes(base[:place] + bytes([base[place] ^ 1]) + base[place + 1 :])
+        with pytest.raises(FileError, match=f"which is damaged or no bag: '{name}"):
+            Log.from_bag(path, TOPICS)
 
 
 def test_a_prediction_is_drawn_in_axes_of_its_own_or_in_given_ones() -> None:

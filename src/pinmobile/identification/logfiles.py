@@ -5,11 +5,13 @@ from __future__ import annotations
 import codecs
 import csv
 import re
+import struct
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import takewhile
 from operator import attrgetter
-from os import PathLike
+from os import SEEK_END, PathLike
 from pathlib import Path
 from typing import Any
 
@@ -269,6 +271,8 @@ def read_bag(
         except highlevel.AnyReaderError as error:
             raise InvalidArgument(f"path is {str(file)!r}, expected a bag: {shown(str(error))}") from error
         try:
+            for each in sorted(file.glob("*.mcap")) or [file] * (file.suffix == ".mcap"):
+                _check_sums(each)
             with reader:
                 return _streams(reader, topics, stamps, file)
         except (PinmobileError, PermissionError):
@@ -277,6 +281,26 @@ def read_bag(
             why = shown(str(error) or type(error).__name__)
             message = f"path is {str(file)!r}, which is damaged or no bag: {why}"
             raise FileError(message, errno=getattr(error, "errno", None), filename=str(file)) from error
+
+
+def _check_sums(file: Path) -> None:
+    """Check what an MCAP file has as CRCs of its data and of its summary; rosbags checks those of chunks."""
+    with file.open("rb") as opened:
+        end = opened.seek(-37, SEEK_END)  # of the footer and the last 8 bytes
+        summary, _, sum_of_summary = struct.unpack("<9xQQI8x", opened.read())
+        start = summary or end
+        opened.seek(start - 4)
+        (sum_of_data,) = struct.unpack("<I", opened.read(4))
+        for name, first, last, expected in (
+            ("data", 0, start - 13, sum_of_data),
+            ("summary", start, end + 25, sum_of_summary),
+        ):
+            opened.seek(first)
+            left, found = last - first if expected else 0, 0
+            while left > 0 and (block := opened.read(min(left, 1 << 20))):
+                left, found = left - len(block), zlib.crc32(block, found)
+            if found != expected:
+                raise ValueError(f"CRC of the {name} of {file.name} is {found:#x}, expected {expected:#x}")
 
 
 def _streams(
