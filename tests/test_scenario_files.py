@@ -409,6 +409,7 @@ def test_users_parts_run_where_they_are_allowed(tmp_path: Path) -> None:
     (tmp_path / "helper.py").write_text("SIGN = 1.0")
     (tmp_path / "parts_of_mine.py").write_text(CODE.replace("def broken(:", ""))
     (tmp_path / "damaged.py").write_text(CODE)
+    (tmp_path / "halved.py").write_text("\n\nSHARE = 1 / 0\n")
     file = tmp_path / "mine.toml"
     lines = (
         'dt = 0.01\nforces.wind = "parts_of_mine:gust"\n[controller]\ntype = "parts_of_mine:Pull"\ngain = 9\n'
@@ -429,6 +430,7 @@ def test_users_parts_run_where_they_are_allowed(tmp_path: Path) -> None:
     for old, new, said in (
         ("gain = 9", "gain = -9", "controller.gain is -9, expected a number > 0 [N/m]"),
         ("parts_of_mine:Pull", "damaged:Pull", "which fails: SyntaxError"),
+        ("parts_of_mine:Pull", "halved:Pull", "which fails at halved.py:3: ZeroDivisionError"),
         ("parts_of_mine:Pull", "parts_of_mine:Push", "which fails: AttributeError"),
         ("parts_of_mine:Pull", "nothing_of_mine:Push", "which fails: ModuleNotFoundError"),
     ):

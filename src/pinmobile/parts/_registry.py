@@ -12,6 +12,7 @@ from functools import cache
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from traceback import extract_tb
 from types import FunctionType, ModuleType
 from typing import Any, NamedTuple
 
@@ -159,11 +160,18 @@ def _code(text: str, folder: Path | None) -> Any:
             loaded = import_module(module)
         elif loaded is None or loaded.__file__ != str(file):
             loaded = sys.modules[module] = module_from_spec(spec)
-            spec.loader.exec_module(loaded)
+            try:
+                spec.loader.exec_module(loaded)
+            except BaseException:
+                del sys.modules[module]
+                raise
         for word in name.split("."):
             loaded = getattr(loaded, word)
     except Exception as error:
-        raise InvalidArgument(f"is {module}:{name}, which fails: {type(error).__name__}: {error}") from error
+        own = [each for each in extract_tb(error.__traceback__) if str(folder) in each.filename]
+        place = f" at {Path(own[-1].filename).name}:{own[-1].lineno}" if own else ""
+        told = f"{type(error).__name__}: {error}"
+        raise InvalidArgument(f"is {module}:{name}, which fails{place}: {told}") from error
     return loaded
 
 
