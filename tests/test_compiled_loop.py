@@ -362,8 +362,8 @@ def test_arrays_of_other_shapes_are_refused_and_not_read_beyond() -> None:
             {"reference": CIRCLE._replace(v=CIRCLE.v[:5])},
             r"reference has shape \(5, 3\), expected \(201, 3\)",
         ),
-        ({"start": (q[:0], v[:0])}, "0 robots"),
-        ({"every": 0}, "counts every 0"),
+        ({"start": (q[:0], v[:0])}, "number of robots is 0"),
+        ({"every": 0}, "every is 0"),
     ]
     for changed, why in refused:
         with pytest.raises(errors.InvalidArgument, match=why):

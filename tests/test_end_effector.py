@@ -158,15 +158,15 @@ TWO = poses([R0, R1], [(0, 0, 0), (1, 0, 0)])
     [
         (
             lambda: PosePath.through(TWO),
-            r"times is not given: 2 poses without time, expected when each shall",
+            r"times is not given, expected when each pose shall be reached",
         ),
         (lambda: PosePath.through(TWO, [0]), r"times has shape \(1,\), expected \(2,\), one for each pose"),
         (
             lambda: PosePath.through([*TWO, TWO[0]], [0, 1, 1]),
-            r"poses jump: poses\[1\] and poses\[2\] are both at 1 s",
+            r"times\[2\] is 1\.0 s after 1\.0 s, expected more",
         ),
         (lambda: PosePath.through(TWO, [1, 2]), r"times\[0\] is 1\.0 s, expected 0"),
-        (lambda: PosePath.through(TWO, [0, -1]), r"times\[1\] is -1\.0 s, expected > times\[0\]"),
+        (lambda: PosePath.through(TWO, [0, -1]), r"times\[1\] is -1\.0 s after 0\.0 s, expected more"),
         (
             lambda: PosePath.through(TWO[:1], [0]),
             r"poses has shape \(1, 4, 4\), expected \(n, 4, 4\), n >= 2",
@@ -176,14 +176,14 @@ TWO = poses([R0, R1], [(0, 0, 0), (1, 0, 0)])
             lambda: PosePath.through(poses([R0, turned(("z", np.pi))], [(0, 0, 0)] * 2), [0, 1]),
             r"rotation\[1\] is half a turn from rotation\[0\], expected less",
         ),
-        (lambda: PosePath(STAYS, [R0, R1]), r"times is not given: 2 rotations without time"),
+        (lambda: PosePath(STAYS, [R0, R1]), r"times is not given, expected when each pose"),
         (
             lambda: PosePath(STAYS, [R0, R1], times=[0, 5]),
             r"times goes from 0 to 5 s, expected from 0 to 6 s",
         ),
         (
             lambda: PosePath(STAYS, [R0, R1, R0], times=[0, 6, 6]),
-            r"times\[2\] is 6\.0 s, expected > times\[1\]",
+            r"times\[2\] is 6\.0 s after 6\.0 s, expected more",
         ),
         (
             lambda: PosePath(STAYS, [R0, R1], times=[0]),
@@ -345,7 +345,7 @@ def test_signals_of_all_samples_at_once_are_checked() -> None:
 
     box = MobileRobot.box()
     for answer, text in (
-        (3, "Told.signals_at returned 3, expected a dict of name to"),
+        (3, "what Told.signals_at returned is 3, expected a dict of signals"),
         ({"a": ("m", np.zeros(2))}, r"Told.signals_at\['a'\] has shape \(2,\), expected \(3,\) or \(3, k\)"),
         ({"a": ("m", ["x"])}, r"Told.signals_at\['a'\]"),
     ):

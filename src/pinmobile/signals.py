@@ -117,7 +117,8 @@ def told_at(t: Array, controller: object, trajectory: object) -> dict[str, Signa
         if isinstance(part, type) or not hasattr(part, "signals_at"):
             continue
         named = f"{type(part).__name__}.signals_at"
-        for name, (unit, values) in part.signals_at(t.copy()).items():
+        told = instance(f"what {named} returned", part.signals_at(t.copy()), Mapping, "a dict of signals")
+        for name, (unit, values) in told.items():
             array = real(f"{named}[{name!r}]", values)
             shaped(f"{named}[{name!r}]", array, (len(t),), (len(t), "k"))
             found[name] = Signal(unit, frozen(array))
