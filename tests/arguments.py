@@ -87,7 +87,6 @@ INNER = {
     *("Rollout.of", "Rollout.arrays", "loop.Outline.of", "loop.Outline.from_description"),
     *("loop.Outline.description", "loop.Outline.difference", "loop.Part.of"),
     *("controllers.Changing", "controllers.Tracked"),
-    "identification.VelocityIdentification.values_in_samples",
     *(f"{ground}.{name}" for ground in ("Rolling", "Coulomb") for name in ("dynamics", "check_robot")),
     "WheeledRobot.check_area",
     *("wheels.Reduced.nearest", "wheels.Reduced.torques"),
