@@ -223,7 +223,11 @@ def checked_forces(forces: Any, plant: Plant) -> Any:
     InvalidArgument
         If one is no function, or the plant lacks what they need.
     """
-    kept = dict(forces) if isinstance(forces, Mapping) else sequence("forces", forces, "a sequence of forces")
+    kept = (
+        dict(forces)
+        if isinstance(forces, Mapping)
+        else sequence("forces", forces, "a sequence of forces, such as [force]")
+    )
     listed, wrenches = named_forces(kept), False
     for name, force in listed.items():
         if able(force, OnCoordinates):
