@@ -290,7 +290,7 @@ MIMIC = MIMIC.replace("continuous", "revolute").replace(
             {"package_dirs": ["."]},
             "package_dirs does not apply to a loader's name, 'ur5', expected it beside",
         ),
-        ({"package_dirs": 3}, "package_dirs is 3, expected folders"),
+        ({"package_dirs": 3}, "package_dirs is 3, expected a sequence of folders"),
         ({"visual": pin.GeometryModel()}, "visual does not apply to a loader's name, 'ur5', expected it"),
         ({"arm": massful(), "visual": 3}, "visual is 3, expected a pinocchio.GeometryModel"),
         ({"arm": massful(), "package_dirs": "."}, "package_dirs does not apply to a model, "),
@@ -344,29 +344,29 @@ def unsound(**changed: Any) -> pin.Model:
     [
         (
             unsound(lowerPositionLimit=2.0, upperPositionLimit=-2.0),
-            "has position limits from 2 to -2, expected the lower one first",
+            " has position limits from 2 to -2, expected the lower one first",
         ),
-        (unsound(upperPositionLimit=np.nan), "has position limits from -1.79769e+308 to nan, expected"),
-        (unsound(velocityLimit=np.nan), "whose velocity limit[0] is nan, expected >= 0"),
-        (unsound(effortLimit=-3.0), "whose effort limit[0] is -3.0, expected >= 0"),
-        (unsound(damping=-0.5), "whose damping[0] is -0.5, expected >= 0"),
-        (unsound(friction=np.nan), "whose friction[0] is nan, expected >= 0"),
-        (unsound(body=(-5, (1, 1, 1))), "whose mass is -5.0 kg, expected >= 0"),
-        (unsound(body=(np.nan, (1, 1, 1))), "whose mass is nan, expected a finite number"),
+        (unsound(upperPositionLimit=np.nan), " has position limits from -1.79769e+308 to nan, expected"),
+        (unsound(velocityLimit=np.nan), ", whose velocity limit[0] is nan, expected >= 0"),
+        (unsound(effortLimit=-3.0), ", whose effort limit[0] is -3.0, expected >= 0"),
+        (unsound(damping=-0.5), ", whose damping[0] is -0.5, expected >= 0"),
+        (unsound(friction=np.nan), ", whose friction[0] is nan, expected >= 0"),
+        (unsound(body=(-5, (1, 1, 1))), ", whose mass is -5.0 kg, expected >= 0"),
+        (unsound(body=(np.nan, (1, 1, 1))), ", whose mass is nan, expected a finite number"),
         (
             unsound(body=(1, (1, 1, 9))),
-            "carries principal moments of inertia (1, 1, 9) kg m^2, which no rigid body has",
+            " carries principal moments of inertia (1, 1, 9) kg m^2, which no rigid body has",
         ),
         (
             unsound(body=(1, (1, 1, 2.001))),
-            "carries principal moments of inertia (1, 1, 2.001) kg m^2, which no rigid body has",
+            " carries principal moments of inertia (1, 1, 2.001) kg m^2, which no rigid body has",
         ),
     ],
 )
 def test_arms_that_cannot_be_are_refused(model: pin.Model, text: str) -> None:
     with pytest.raises(InvalidArgument) as caught:
         BOX.mount(model)
-    assert str(caught.value).startswith(f"arm 'toy': joint 'j1' {text}")
+    assert str(caught.value).startswith(f"arm 'toy': joint 'j1'{text}")
 
 
 def test_a_flat_disk_is_a_body() -> None:
