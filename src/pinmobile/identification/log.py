@@ -19,6 +19,7 @@ from pinmobile.arrays import (
     increasing,
     instance,
     real,
+    representable,
     scalar,
     seeded,
     shaped,
@@ -429,8 +430,11 @@ class Log:
         names = [one.name for one in coordinates_of(rollout.plant)]
         wheels = [names.index(one.name) for one in inputs_of(rollout.plant) if one.name in names]
         q, end = np.array(rollout.poses), len(rollout) - late
-        q = q[:end] + sigma["noise"] * generator.standard_normal((end, _POSE))
-        told = u[late:] + sigma["input_noise"] * generator.standard_normal((end, u.shape[1]))
+        with np.errstate(all="ignore"):
+            q = q[:end] + sigma["noise"] * generator.standard_normal((end, _POSE))
+            told = u[late:] + sigma["input_noise"] * generator.standard_normal((end, u.shape[1]))
+        representable("a pose with its noise", q)
+        representable("an input with its noise", told)
         units = tuple(one.unit for one in inputs_of(rollout.plant))
         rates = rollout.v[:end, wheels] if wheels else None
         return cls(rollout.t[late:], q, told, None, rates, units=units)
