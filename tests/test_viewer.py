@@ -877,7 +877,7 @@ def test_the_command_serves_until_it_is_told_to_end(
     page: Page, runs: dict[str, Rollout], tmp_path: Path
 ) -> None:
     runs["PD"].save(tmp_path / "rollout.npz")
-    words = [sys.executable, "-m", "pinmobile", "view", "--rollout", str(tmp_path / "rollout.npz")]
+    words = [sys.executable, "-m", "pinmobile", "view", str(tmp_path / "rollout.npz")]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
         assert process.stdout is not None
@@ -896,8 +896,8 @@ def test_the_command_serves_until_it_is_told_to_end(
         pass
 
 
-def test_the_command_takes_the_options_of_run() -> None:
-    words = [sys.executable, "-m", "pinmobile", "view", "--trajectory", "via-free", "--arrows"]
+def test_the_command_shows_a_run_with_other_values() -> None:
+    words = [sys.executable, "-m", "pinmobile", "view", "trajectory.path.radius=2"]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None

@@ -195,7 +195,7 @@ def test_all_wrappers_together_hold_an_arm_without_limits_at_rest() -> None:
 
 def test_noise_has_the_plants_number_of_velocities() -> None:
     long = NoisyMeasurement(ComputedTorque(KINOVA), np.ones(12), 1, 0)
-    with pytest.raises(InvalidArgument, match=r"^std_q has shape \(12,\), expected \(\) or \(9,\)$"):
+    with pytest.raises(InvalidArgument, match=r"^std_q has shape \(12,\), expected \(\) or \(..., 9\)$"):
         long(0.0, np.zeros(9), np.zeros(9), REST, long.initial_state(CONTEXT))
 
 
