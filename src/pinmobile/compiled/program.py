@@ -147,7 +147,7 @@ class Program:
             ("v", start[1], (n, nv)),
         ]
         expected += [("reference", x, (count, m)) for x, m in zip(reference, sizes, strict=True)]
-        tracked = sizes[: self.tape.tracks]
+        tracked = sizes if self.tape.tracks else ()  # the references of their own that robots have
         expected += [("tracks", x, (count, n, m)) for x, m in zip(tracks or (), tracked, strict=True)]
         for name, array, shape in expected:
             shaped(name, array, shape)

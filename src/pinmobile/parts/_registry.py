@@ -154,7 +154,7 @@ def _code(text: str, folder: Path | None) -> Any:
         sys.path.insert(0, str(folder))
     file = folder.joinpath(*module.split(".")).with_suffix(".py")
     try:
-        loaded = sys.modules.get(module)
+        loaded = before = sys.modules.get(module)
         spec = spec_from_file_location(module, file) if file.is_file() else None
         if spec is None or spec.loader is None:
             loaded = import_module(module)
@@ -162,8 +162,9 @@ def _code(text: str, folder: Path | None) -> Any:
             loaded = sys.modules[module] = module_from_spec(spec)
             try:
                 spec.loader.exec_module(loaded)
-            except BaseException:
-                del sys.modules[module]
+            except BaseException:  # what broke off is no module, and what stood there stays
+                sys.modules.pop(module)
+                sys.modules |= {} if before is None else {module: before}
                 raise
         for word in name.split("."):
             loaded = getattr(loaded, word)
