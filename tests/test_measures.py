@@ -381,6 +381,10 @@ OF = "^measures of the plant, a Stating"
         (stating([ONE, ONE], lambda q: q[..., :2]), f"{OF}, has 'clearance', .* expected names that differ$"),
         (stating([ONE._replace(name="heading")], lambda q: q[..., :1]), f"{OF}, has 'heading', as an error"),
         (
+            stating([ONE._replace(worst="least")], lambda q: q[..., :1]),
+            "worst of the measure 'clearance': 'least'",
+        ),
+        (
             stating([ONE], lambda q: q[..., :2]),
             r"returned, has shape \(2,\), expected \(1,\): a number for each",
         ),
@@ -388,7 +392,7 @@ OF = "^measures of the plant, a Stating"
     ],
 )
 def test_measures_that_are_not_what_is_expected_are_refused(plant: Any, words: str) -> None:
-    with pytest.raises(InvalidArgument, match=words):
+    with pytest.raises((InvalidArgument, UnknownName), match=words):
         fenced(plant)
 
 

@@ -11,6 +11,7 @@ from pinmobile.arrays import Array, ArrayLike, one_of, sequence, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import Measuring, able
 
+_WORST = ("largest", "smallest", "ever")
 _SCALE = 2.0**-12  # of margins: below this, differences count; above it, ratios
 _BEYOND = 2.0**20  # margins below minus this are as bad as any
 _ROUNDING = 1e-12  # in SI units, of what a robot on the ground has
@@ -73,9 +74,18 @@ def value_of(size: Array) -> Array:
 
 
 def measures_of(plant: object) -> tuple[Measure, ...]:
-    """Return the measures that a plant states, none where it does not."""
+    """Return the measures of a plant, none of one without.
+
+    Raises
+    ------
+    UnknownName
+        If the worst of one is none of those of `Measure`.
+    """
     stated = able(plant, Measuring)
-    return () if stated is None else tuple(stated.measures)
+    found = () if stated is None else tuple(stated.measures)
+    for one in found:
+        one_of(f"worst of the measure {one.name!r}:", one.worst, _WORST)
+    return found
 
 
 def chosen(plant: object, names: object, taken: Sequence[str]) -> tuple[Measure, ...]:

@@ -386,7 +386,7 @@ class Adaptive(OfBody):
             given = getattr(self, name)
             given = np.full(p, given) if isinstance(given, float) else given
             found = usual if given is None else given
-            shaped(name, found, (p,))
+            shaped(name, found, (p,), words=", or one number" if name == "gamma" else "")
             object.__setattr__(self, name, frozen(found))
         outside = ~((self.lower <= nominal) & (nominal <= self.upper))
         if outside.any():
