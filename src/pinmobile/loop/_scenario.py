@@ -98,7 +98,7 @@ class Scenario:
         Samples between two entries of the bands over time; default: some 60 entries.
     measures : sequence of str, optional
         Names of the robot's metrics to record beside errors; default: all. Compiled robots with arms take 1.4
-        times as long with all metrics as with none, ``()``.
+        times as long with all metrics as with none, ``()``. Robots that tip over are counted by "tip over".
 
     Raises
     ------
