@@ -67,7 +67,7 @@ class Compiled:
         own_reference: bool = False,
     ) -> None:
         self.loop, self.context, self.spread = loop, context, spread or {}
-        begun = initial_memory(loop, context)
+        self.begun = begun = initial_memory(loop, context)
         others = loop.substeps, loop.steps, tuple(map(np.shape, reference)), single, own_reference
         self.identity = identity = Identity.of(loop, begun[2:], self.spread, others)
         with _lock:
@@ -108,7 +108,7 @@ class Compiled:
         """Return the arrays of the memory before the first sample, shape (...), or (n, ...) of each robot."""
         own = {path: value for path, value in values.items() if self.tape.parameters[path].kind == "row"}
         owners = {path.partition(".")[0] for path in own}
-        numbers = [np.asarray(x, np.float64) for x in arrays_of(initial_memory(self.loop, self.context))]
+        numbers = [np.asarray(x, np.float64) for x in arrays_of(self.begun)]
         each = numbers
         if any(leaf.owner in owners for leaf in self.tape.leaves):
             each = initial_memories(self.loop, self.context, own, n, self.identity)

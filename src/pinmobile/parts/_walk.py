@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
+import attrs
 import numpy as np
 
 from pinmobile.errors import InvalidArgument, UnknownName
@@ -69,15 +70,24 @@ def entries_of(value: Any) -> list[tuple[str, Any]]:
     ]
 
 
-def walk(part: Any, path: str = "") -> Iterator[Leaf]:
-    """Yield all fields of a part and of the parts within it, that are no parts themselves."""
+def walk(part: Any) -> Sequence[Leaf]:
+    """Return all fields of a part and of the parts within it, that are no parts themselves.
+
+    A declared part, which cannot change, keeps them.
+    """
+    kept = getattr(part, "__dict__", {}).get("_leaves")
+    if kept is not None:
+        return tuple(kept)
+    found = []
     for name, declared, value in fields_of(part):
-        at = f"{path}.{name}" if path else name
-        for below, each in _inner(at, declared, value):
+        for path, each in _inner(name, declared, value):
             if _is_within(declared, each):
-                yield from walk(each, below)
+                found += [leaf._replace(path=f"{path}.{leaf.path}") for leaf in walk(each)]
             else:
-                yield Leaf(below, part, declared, each)
+                found.append(Leaf(path, part, declared, each))
+    if attrs.has(type(part)):
+        object.__setattr__(part, "_leaves", found)
+    return found
 
 
 def _inner(path: str, declared: Field, value: Any) -> list[tuple[str, Any]]:

@@ -87,8 +87,8 @@ def _contents(scenario: Scenario) -> Iterator[tuple[str, Any]]:
     for leaf in walk(scenario.given):
         yield leaf.path, leaf.value
     for name, source in sorted(scenario.spread.items()):
-        for leaf in walk(source, f"spread.{name}") if is_part(source) else ():
-            yield leaf.path, leaf.value
+        for leaf in walk(source) if is_part(source) else ():
+            yield f"spread.{name}.{leaf.path}", leaf.value
         yield f"spread.{name}", type(source) if is_part(source) else source
 
 
