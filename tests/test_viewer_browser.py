@@ -13,8 +13,8 @@ import pytest
 
 from pinmobile import Circle, ComputedTorque, MobileRobot, Tangent, simulate
 from pinmobile.viewer import Viewer
-from pinmobile.viewer.live.window import LiveWindow
 from pinmobile.viewer.pages import ENGINE, OfflineWindow, Visualizer
+from pinmobile.viewer.window import LiveWindow
 from tests.chromium import Chromium, Page
 from tests.webclient import eventually
 

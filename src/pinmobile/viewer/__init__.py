@@ -8,14 +8,14 @@ from pinmobile.viewer.stage import Arrows, Follow, Overlays, Stay
 from pinmobile.viewer.viewer import Viewer
 
 if TYPE_CHECKING:
-    from pinmobile.viewer.live import LiveWindow
+    from pinmobile.viewer.window import LiveWindow
 
 __all__ = ["Arrows", "Follow", "LiveWindow", "OfflineWindow", "Overlays", "Recording", "Stay", "Viewer"]
 
 
 def __getattr__(name: str) -> object:
     if name == "LiveWindow":  # a recording needs no server
-        from pinmobile.viewer.live import LiveWindow
+        from pinmobile.viewer.window import LiveWindow
 
         return LiveWindow
     raise AttributeError(f"module 'pinmobile.viewer' has no attribute {name!r}")

@@ -22,7 +22,7 @@ from pinmobile.viewer.scene import Scene
 from pinmobile.viewer.stage import Overlays, Stage
 
 if TYPE_CHECKING:
-    from pinmobile.viewer.live import LiveWindow
+    from pinmobile.viewer.window import LiveWindow
 
 Rollouts: TypeAlias = Rollout | Mapping[str, Rollout]
 
@@ -300,7 +300,7 @@ class Viewer:
 
 
 def _live_window(host: str, port: int | None) -> LiveWindow:
-    from pinmobile.viewer.live import LiveWindow  # here, since a recording needs no server
+    from pinmobile.viewer.window import LiveWindow  # here, since a recording needs no server
 
     return LiveWindow(host, port)
 

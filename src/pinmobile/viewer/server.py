@@ -1,25 +1,24 @@
-"""The live window's web server: whom it answers, what, and how many connections it holds."""
+"""The live window's server: whom it answers, what it serves, and what each browser has seen."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import re
-import resource
 import secrets
 import socket
+import threading
 import warnings
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import CancelledError
+from contextlib import suppress
 from dataclasses import dataclass, field
-from time import monotonic
-from types import TracebackType
-from typing import Any, Protocol, cast
+from typing import Any, cast
 from urllib.parse import urlsplit
-from weakref import WeakKeyDictionary, ref
 
 from tornado.httpserver import HTTPServer
-from tornado.iostream import IOStream
 from tornado.web import Application, HTTPError, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
@@ -137,59 +136,33 @@ def _printable(text: str) -> str:
 
 
 _LOG = logging.getLogger(__name__)
-_MOST_CONNECTIONS = 128
-_AT_ONCE = 128  # that are taken before something else gets its turn
-_LIFE = 120.0  # [s] of a connection that is no page's
-_PAUSE = 1.0  # [s]
+_MOST_BROWSERS = 64
 _MOST_UNANSWERED = 4  # batches on their way to a browser; more would only be older news
-_PATIENCE = 2.0  # [s] in which a browser should answer
-_MOST_CAPTURES = 4
 _LARGEST_PICTURE = 64 << 20  # [byte]
-_LARGEST_MESSAGE = 1 << 10  # [byte], where no picture was asked for
 # Not read as JSON: what came may be of any depth, and a tree of it take a hundred times its size.
 _PICTURE = re.compile(r'"data" *: *"(data:image/png;base64,[A-Za-z0-9+/=]*)"')
 _POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline'; "
     "img-src 'self' data: blob:; worker-src blob:; connect-src 'self' data: blob: ws://{0} wss://{0}"
 )
-
-
-class _Serving(Protocol):
-    """A server, as far as its answers ask it."""
-
-    access: Access
-    page: bytes
-    script: bytes
-    backlog: Backlog
-    browsers: list[Browser]
-
-    @property
-    def full(self) -> bool:
-        """Whether there are as many browsers as there may be."""
-        ...
-
-    def join(self, browser: Browser) -> None:
-        """Take in a browser."""
-
-    def leave(self, browser: Browser) -> None:
-        """Forget a browser."""
-
-    def news(self) -> None:
-        """Send what has changed."""
+_PERIOD = 1 / 60  # [s] between two batches
+_GATHER = 0.003  # [s] in which the commands of one pose come together
+_LOOK = 0.5  # [s] after which it looks for what is new without being told
+_FAREWELL = 0.2  # [s] in which browsers can answer that they have seen the end
+_PATIENCE = 10.0  # [s] for the thread to start or end, and for a request to come
 
 
 class _Answer(RequestHandler):
     """A request; without a right to it, it is refused before anything else is looked at."""
 
-    server: _Serving
+    server: Server
 
-    def initialize(self, server: _Serving) -> None:
+    def initialize(self, server: Server) -> None:
         self.server = server
 
     def prepare(self) -> None:
-        refusal = self.server.access.refusal(
-            self.request.headers, self.request.query_arguments.get("token", [])
-        )
+        tokens = self.request.query_arguments.get("token", [])
+        refusal = self.server.access.refusal(self.request.headers, tokens)
         if refusal is not None:
             self.refuse(403, refusal)
 
@@ -205,19 +178,11 @@ class _Answer(RequestHandler):
         self.set_header("Referrer-Policy", "no-referrer")  # the address may hold a token
         self.set_header("X-Content-Type-Options", "nosniff")
 
-    def write_error(self, status_code: int, **_: object) -> None:
-        self.refuse(status_code, self._reason)
-
-    def log_exception(
-        self,
-        typ: type[BaseException] | None,
-        value: BaseException | None,
-        tb: TracebackType | None,
-    ) -> None:
-        # What a request asks for wrongly is its own affair: nobody may read what would be printed. Of others
-        # the path alone is told: the whole address may hold a token.
-        if typ is not None and value is not None and not isinstance(value, HTTPError):
-            _LOG.error("the viewer failed at %s", self.request.path, exc_info=(typ, value, tb))
+    def log_exception(self, *error: Any) -> None:
+        # Nobody may read what is printed of a wrong request; of a fault the path is told: the whole address
+        # may hold a token.
+        if not isinstance(error[1], HTTPError):
+            _LOG.error("the viewer failed at %s", self.request.path, exc_info=error)
 
 
 class _Page(_Answer):
@@ -253,8 +218,6 @@ class Browser(_Answer, WebSocketHandler):
     ----------
     seen, taken : int
         Number of the newest command that was sent to it, and that it has received.
-    stream : IOStream
-        Its connection.
     """
 
     seen = taken = 0
@@ -262,7 +225,7 @@ class Browser(_Answer, WebSocketHandler):
     def prepare(self) -> None:
         """Refuse it where too many are connected."""
         super().prepare()
-        if not self._finished and self.server.full:
+        if not self._finished and len(self.server.browsers) >= _MOST_BROWSERS:
             self.refuse(503, f"{len(self.server.browsers)} browsers are connected")
 
     def check_origin(self, origin: str) -> bool:
@@ -271,21 +234,21 @@ class Browser(_Answer, WebSocketHandler):
 
     def open(self, *_: str, **__: str) -> None:
         """Begin with nothing seen."""
-        self._writing, self._fed = False, monotonic()
+        self._writing = False
         self._unanswered: deque[int] = deque()
         self._captures: deque[asyncio.Future[str]] = deque()
         self.set_nodelay(True)
-        self._connection = cast(Any, self.ws_connection)
-        self._bound()
-        self.stream: IOStream = self._connection.stream
-        self.server.join(self)
+        self.stream = cast(Any, self.ws_connection).stream
+        self.server.browsers.append(self)
+        self.server.news()
 
     def on_close(self) -> None:
         """Give up what was asked of it."""
         for capture in self._captures:
             if not capture.done():
                 capture.set_exception(ViewerError("the browser was closed"))
-        self.server.leave(self)
+        self.server.browsers.remove(self)
+        self.server.news()
 
     def on_pong(self, data: bytes) -> None:
         """Take the answer to a batch; nothing else is one."""
@@ -297,7 +260,6 @@ class Browser(_Answer, WebSocketHandler):
         """Take a picture that was asked for; nothing else is listened to."""
         if self._captures and isinstance(message, str) and (picture := _PICTURE.search(message)):
             capture = self._captures.popleft()
-            self._bound()
             if not capture.done():
                 capture.set_result(picture[1])
 
@@ -305,11 +267,6 @@ class Browser(_Answer, WebSocketHandler):
     def ready(self) -> bool:
         """Whether it can take a batch."""
         return not self._writing and len(self._unanswered) < _MOST_UNANSWERED
-
-    @property
-    def stalled(self) -> bool:
-        """Whether it has not been ready for a while."""
-        return not self.ready and monotonic() - self._fed > _PATIENCE
 
     async def feed(self) -> None:
         """Send what it has not seen."""
@@ -323,7 +280,7 @@ class Browser(_Answer, WebSocketHandler):
                 self.taken = latest
                 self.server.news()
             return
-        self._writing, self._fed = True, monotonic()
+        self._writing = True
         try:
             writes = [self.write_message(command, binary=True) for command in commands]
             self._unanswered.append(latest)
@@ -340,24 +297,11 @@ class Browser(_Answer, WebSocketHandler):
         latest = self.server.backlog.latest
         while self.seen < latest or self._writing:
             await asyncio.sleep(0.01)
-        if len(self._captures) >= _MOST_CAPTURES:
-            raise ViewerError("the browser does not answer")
         picture = asyncio.get_running_loop().create_future()
         # One that is given up stays here: its answer may still come, and is not the next one's.
         self._captures.append(picture)
-        self._bound()
         await self.write_message(packed_command({"type": "capture_image"}), binary=True)
         return str(await picture)
-
-    def _bound(self) -> None:
-        """Let a message be as large as a picture where one was asked for."""
-        largest = _LARGEST_PICTURE if self._captures else _LARGEST_MESSAGE
-        self._connection.params.max_message_size = largest
-
-    def abort(self) -> None:
-        """End the connection without waiting for the browser."""
-        if self.ws_connection is not None and self.ws_connection.stream is not None:
-            self.ws_connection.stream.close()
 
 
 def listening(host: str, port: int | None) -> socket.socket:
@@ -380,82 +324,139 @@ def listening(host: str, port: int | None) -> socket.socket:
     return server
 
 
-class GuardedServer(HTTPServer):
-    """A server that knows its connections, and holds no more of them than it can afford.
+class Server:
+    """Serves a scene, in a thread of its own, until it is stopped.
 
-    Half of them are for pages: the websockets that are kept. Where all others are taken, a new one takes the
-    place of the oldest; a request, its answer included, has two minutes. Where the process has no descriptors
-    left, it says so once and looks again a second later.
+    Parameters
+    ----------
+    listener : socket
+        That listens; it is the server's from now on.
+    access : Access
+        Who may ask.
+    page, script : bytes
+        What is served.
+
+    Attributes
+    ----------
+    backlog : Backlog
+        The scene.
+    browsers : list of Browser
+        That show it, the last one to come last. Only the server's thread changes it.
     """
 
-    def initialize(self, *args: Any, **settings: Any) -> None:
-        """Begin without connections."""
-        soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-        # The descriptors are the user's, whose own files have to open.
-        most = _MOST_CONNECTIONS if soft == resource.RLIM_INFINITY else min(_MOST_CONNECTIONS, soft // 4)
-        self.most_kept = most // 2
-        self._streams: WeakKeyDictionary[IOStream, bool] = WeakKeyDictionary()  # whether it is kept
-        self._told = False
-        super().initialize(*args, **settings)
+    def __init__(self, listener: socket.socket, access: Access, page: bytes, script: bytes) -> None:
+        self.access, self.page, self.script = access, page, script
+        self.backlog = Backlog()
+        self.browsers: list[Browser] = []
+        self._stopped, self._process = False, os.getpid()
+        self._changed = threading.Condition()
+        self._started = threading.Event()
+        self._told = False  # that there is something to send, and the loop has not looked yet
+        self._thread = threading.Thread(
+            target=lambda: asyncio.run(self._serve(listener)), name="pinmobile-viewer", daemon=True
+        )
+        self._thread.start()
+        if not self._started.wait(_PATIENCE):
+            raise ViewerError("the viewer's server did not start")
 
     @property
-    def streams(self) -> list[IOStream]:
-        """The connections that are open, the oldest first."""
-        return [stream for stream in list(self._streams) if not stream.closed()]
+    def closed(self) -> bool:
+        """Whether it was stopped, or this is a forked child, which has no part in it."""
+        return self._stopped or os.getpid() != self._process
 
-    def accept_from(self, listener: socket.socket) -> None:
-        """Accept connections from now on; for the loop's thread."""
-        self._listener, self._loop = listener, asyncio.get_running_loop()
-        self._accepting: asyncio.TimerHandle | None = None
-        self._loop.add_reader(listener, self._accept)
+    def news(self) -> None:
+        """Look for what there is to send, and wake who waits; for the server's thread."""
+        self._work.set()
+        with self._changed:
+            self._changed.notify_all()
 
-    def keep(self, stream: IOStream) -> None:
-        """Let a connection stay for as long as it likes."""
-        self._streams[stream] = True
+    def tell(self) -> None:
+        """Say from any thread that there is something to send."""
+        latest = self.backlog.latest  # before looking whether there is a browser: one that comes now sees it
+        if not self.browsers:
+            self.backlog.forget_deletions(latest)
+        elif not self._told:
+            self._told = True
+            with suppress(RuntimeError):  # the loop has just ended
+                self._loop.call_soon_threadsafe(self._work.set)
+
+    def wait(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Return whether a condition comes true in time, or the server ends before."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self.closed or condition(), timeout)
+
+    def capture(self, timeout: float) -> str:
+        """Return a picture from the browser that came last, as a data URL."""
+        if not self.browsers:
+            raise ViewerError("no browser shows the page, and none can draw it")
+        browser = self.browsers[-1]
+        waiting = asyncio.run_coroutine_threadsafe(asyncio.wait_for(browser.capture(), timeout), self._loop)
+        try:
+            # The loop may end meanwhile, and the future then never would.
+            return waiting.result(timeout + 1)
+        except TimeoutError:
+            waiting.cancel()
+            raise ViewerError(f"the browser has sent no picture within {timeout:g} s") from None
+        except CancelledError:
+            raise ViewerError("the window is closed") from None
 
     def stop(self) -> None:
-        """Accept no more."""
-        if self._accepting is not None:
-            self._accepting.cancel()
-        self._loop.remove_reader(self._listener)
-        self._listener.close()
+        """Close everything, and return when the thread has ended; for any thread, more than once."""
+        if os.getpid() != self._process:
+            return
+        self._stopped = True
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._end.set)
+        with self._changed:
+            self._changed.notify_all()
+        if self._thread is not threading.current_thread():
+            self._thread.join(_PATIENCE)
 
-    def _accept(self) -> None:
-        for _ in range(_AT_ONCE):
-            try:
-                connection, address = self._listener.accept()
-            except (BlockingIOError, ConnectionAbortedError):
-                return
-            except OSError as error:
-                self._pause(error)
-                return
-            plain = [stream for stream in self.streams if not self._streams[stream]]
-            if len(plain) >= self.most_kept:
-                plain[0].close()
-            stream = IOStream(connection)
-            self._streams[stream] = False
-            self._loop.call_later(_LIFE, self._end, ref(stream))
-            self.handle_stream(stream, address)
+    async def _serve(self, listener: socket.socket) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._work, self._end = asyncio.Event(), asyncio.Event()
+        own = {"server": self}
+        application = Application(
+            [(r"/", _Page, own), (r"/main\.min\.js", _Script, own), (r"/socket", Browser, own)],
+            default_handler_class=_Nothing,
+            default_handler_args=own,
+            log_function=lambda _: None,
+            websocket_max_message_size=_LARGEST_PICTURE,
+        )
+        http = HTTPServer(application, idle_connection_timeout=_PATIENCE, body_timeout=_PATIENCE)
+        http.add_socket(listener)
+        self._started.set()
+        pump = asyncio.create_task(self._pump())
+        await self._end.wait()
+        pump.cancel()
+        http.stop()
+        for browser in self.browsers:
+            browser.close(1001, "the viewer was closed")
+        with suppress(TimeoutError):
+            async with asyncio.timeout(_FAREWELL):
+                while self.browsers:
+                    await asyncio.sleep(0.01)
+        for browser in self.browsers:  # that do not read
+            browser.stream.close()
+        with suppress(TimeoutError):
+            await asyncio.wait_for(http.close_all_connections(), _FAREWELL)
 
-    def _end(self, reference: ref[IOStream]) -> None:
-        stream = reference()
-        if stream is not None and not self._streams.get(stream):
-            stream.close()
-
-    def _pause(self, error: OSError) -> None:
-        if not self._told:
-            self._told = True
-            _LOG.warning("the viewer cannot take connections: %s; it goes on trying", error.strerror)
-        self._loop.remove_reader(self._listener)
-        self._accepting = self._loop.call_later(_PAUSE, self._loop.add_reader, self._listener, self._accept)
-
-
-def application(server: _Serving) -> Application:
-    """Return what answers a server's requests."""
-    own = {"server": server}
-    return Application(
-        [(r"/", _Page, own), (r"/main\.min\.js", _Script, own), (r"/socket", Browser, own)],
-        default_handler_class=_Nothing,
-        default_handler_args=own,
-        log_function=lambda _: None,
-    )
+    async def _pump(self) -> None:
+        """Send what is new to each browser, 60 times a second at most."""
+        feeding: set[asyncio.Task[None]] = set()
+        while True:
+            # It also looks by itself: an interrupt in `tell` may have come before the loop was told.
+            with suppress(TimeoutError):
+                async with asyncio.timeout(_LOOK if self.browsers else None):
+                    await self._work.wait()
+            await asyncio.sleep(_GATHER)
+            self._work.clear()
+            self._told = False  # before looking: what comes from now on says so again
+            for browser in self.browsers:
+                if browser.ready:
+                    task = asyncio.create_task(browser.feed())
+                    feeding.add(task)
+                    task.add_done_callback(feeding.discard)
+            seen = (browser.seen for browser in self.browsers)
+            self.backlog.forget_deletions(min(seen, default=self.backlog.latest))
+            await asyncio.sleep(_PERIOD - _GATHER)
