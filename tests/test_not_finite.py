@@ -27,7 +27,6 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.urdf import Body
-from tests.arguments import public
 
 HUGE = (1e100, 1e160, 1e200, 1e308)
 ROBOTS = {
@@ -98,10 +97,6 @@ def test_every_method_answers_in_finite_numbers_or_says_that_it_cannot(kind: str
         many = {p: np.stack([value] * 2) for p, value in arguments.items()}
         for asked in (arguments, many):
             assert f"|{large}| up to {size:.3g}" in (why_not(method, asked) or f"|{large}| up to {size:.3g}")
-
-
-def test_the_equations_are_all_there() -> None:
-    assert {*EQUATIONS, *DRIVES, "ReducedModel"} == set(public(closed_form))
 
 
 @pytest.mark.parametrize("name", EQUATIONS)
