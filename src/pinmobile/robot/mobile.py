@@ -82,7 +82,6 @@ from pinmobile.robot.visuals import (
     carried_shapes,
     read_visuals,
 )
-from pinmobile.robot.wellformed import check_freedom
 
 
 @attrs.frozen
@@ -331,10 +330,8 @@ class MobileRobot(System):
         ------
         InvalidArgument
             If the file cannot be read, is malformed, is neither of the two (the joint that is wrong is
-            named), describes a body that cannot exist, its wheels are not within 5 mm of one plane, `ground`
-            is above its centre of mass, or it is larger than any robot: more than 8 MiB, 50,000 elements,
-            2000 links, 1000 visuals, 200 degrees of freedom, or 100 joints in series, which Pinocchio's
-            parser would need more stack for than a thread may have.
+            named), describes a body that cannot exist, its wheels are not within 5 mm of one plane, or
+            `ground` is above its centre of mass.
 
         Warns
         -----
@@ -360,10 +357,9 @@ class MobileRobot(System):
         Raises
         ------
         InvalidArgument
-            If it is neither, describes a body that cannot exist, or has more than 200 degrees of freedom.
+            If it is neither, or describes a body that cannot exist.
         """
         instance("pin_model", pin_model, pin.Model, "a pinocchio.Model")
-        check_freedom(pin_model.nv, pin_model.name or "the model")
         return _read(read_model(pin_model, pin_model.name or "the model", ground=ground), None)
 
     @classmethod

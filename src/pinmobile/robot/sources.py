@@ -17,7 +17,7 @@ from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName, shown
 from pinmobile.robot.arms import Arm, Origin, Picture
 from pinmobile.robot.linkage import convert_configuration, joints_of, replace_continuous_joints
 from pinmobile.robot.visuals import FilePicture, FileShapes, GivenPicture
-from pinmobile.robot.wellformed import check_freedom, judge_links, urdf_model
+from pinmobile.robot.wellformed import judge_links, urdf_model
 
 _FINGERS = (
     "its fingers have no inertia: lock bravo_finger1_joint and bravo_finger2_joint "
@@ -306,7 +306,6 @@ def _from_model(
     instance("arm", arm, pin.Model, "a name, the path of a URDF, or a pinocchio.Model")
     if arm.njoints == 1:
         raise InvalidArgument(f"arm {arm.name!r} has no joints, expected one at least: a Load has none")
-    check_freedom(arm.nv, f"arm {arm.name!r}")
     shown, solid = (pin.GeometryModel() if each is None else each.clone() for each in (visual, collision))
     _check_geometry("visual", arm, shown)
     _check_geometry("collision", arm, solid)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import deepcopy
@@ -21,9 +20,6 @@ from pinmobile.robot.arms import link_of
 from pinmobile.robot.linkage import BODY_JOINT
 from pinmobile.robot.mounts import Load, Mount, named_frames
 from pinmobile.robot.wellformed import urdf_tree
-
-_INDICES = re.compile(rb"<(?:p|v|vcount)(?=[\s/>])")
-_WHOLE_INDICES = re.compile(rb"<(p|v|vcount)(?=[\s/>])(?:[^<>]*/>|[^<>]*>[\d+\- \t\r\n]*</\1\s*>)")
 
 
 @dataclass(frozen=True)
@@ -109,15 +105,14 @@ def shown(
     InvalidArgument
         If the geometry cannot be read whatever the meshes.
     """
-    broken = _without_meshes(root, file, _is_endless)
+    broken = Lost([], [])
     try:
         seen = _geometry(model, root)
     except (ValueError, RuntimeError) as error:
         # Pinocchio does not say which of the files it was.
-        damaged = _without_meshes(root, file, _is_broken)
-        if not damaged.files:
+        broken = _without_meshes(root, file, _is_broken)
+        if not broken.files:
             raise InvalidArgument(f"path is {str(file.path)!r}, which cannot be drawn: {error}") from None
-        broken = Lost(broken.files + damaged.files, broken.links + damaged.links)
         seen = _geometry(model, root)
     broken.warn(file, "damaged or of a format that is not read", stacklevel)
     return seen, broken
@@ -145,7 +140,7 @@ def _without_meshes(
         for collision in link.findall("collision"):
             stand_in = deepcopy(collision)
             mesh = stand_in.find("geometry/mesh")
-            if mesh is None or not (_is_missing(mesh, file) or _is_endless(mesh) or _is_broken(mesh)):
+            if mesh is None or not (_is_missing(mesh, file) or _is_broken(mesh)):
                 stand_in.tag = "visual"
                 link.append(stand_in)
         if link.find("visual") is not None:
@@ -159,21 +154,6 @@ def _is_missing(mesh: ElementTree.Element, file: VisualFile) -> bool:
     if path is not None:
         mesh.set("filename", str(path))
     return path is None
-
-
-def _is_endless(mesh: ElementTree.Element) -> bool:
-    """Return whether a Collada file has other than whole numbers among its indices.
-
-    At such a letter assimp, by which Pinocchio reads meshes, stays for ever and takes more and more memory.
-    """
-    try:
-        data = Path(mesh.get("filename", "")).read_bytes()
-    except OSError:
-        return False
-    if not re.search(b"<collada", data.replace(b"\0", b""), re.IGNORECASE):
-        return False
-    # What is written in two bytes for each letter would have to be read in another way.
-    return b"\0" in data or len(_INDICES.findall(data)) != len(_WHOLE_INDICES.findall(data))
 
 
 def _is_broken(mesh: ElementTree.Element) -> bool:
@@ -380,11 +360,6 @@ class FileShapes:
             raise InvalidArgument(
                 f"{self.path.name} has collision meshes that are missing: {listed}; expected them beside the "
                 "file, or package_dirs="
-            )
-        damaged = [mesh for mesh in root.iterfind("link/collision/geometry/mesh") if _is_endless(mesh)]
-        if damaged:
-            raise InvalidArgument(
-                f"{self.path.name} has collision meshes that are damaged: {damaged[0].get('filename')}"
             )
         return root
 
