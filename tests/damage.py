@@ -1,8 +1,6 @@
 """A disk that is full and files that are damaged, the same ones each time."""
 
-import io
 import resource
-import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -62,12 +60,3 @@ def answer(call: Callable[[], Any]) -> Any:
         return call()
     except PinmobileError as error:
         return error
-
-
-def rewritten(content: bytes, change: Callable[[str, bytes], bytes], **options: Any) -> bytes:
-    """Return an archive with other members; all its checksums are right."""
-    made = io.BytesIO()
-    with zipfile.ZipFile(io.BytesIO(content)) as archive, zipfile.ZipFile(made, "w", **options) as target:
-        for name in archive.namelist():
-            target.writestr(name, change(name, archive.read(name)))
-    return made.getvalue()

@@ -1,10 +1,7 @@
 """Files of ensembles: all comes back bit for bit, without the user's classes; what is damaged is refused."""
 
-import io
-import json
 import subprocess
 import sys
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -37,7 +34,7 @@ from pinmobile import (
 from pinmobile.loop import COMPILED, Outline, run_scenario
 from pinmobile.loop._variables import PER_ROBOT
 from pinmobile.plots.drivers import causes, worst_share
-from tests.damage import answer, damaged, little_memory, rewritten
+from tests.damage import answer, damaged
 
 ROBOT = MobileRobot(10, 1.3, com=(0.1, 0.05)).attach(Load(2, (0.1, 0, 0.2)))
 CIRCLE = Tangent(Circle(3, 0.1, 20))
@@ -361,111 +358,6 @@ def test_without_xarray_what_to_install_is_told(monkeypatch: pytest.MonkeyPatch)
         DIVERGING.to_xarray()
 
 
-def members(tmp_path: Path) -> dict[str, Any]:
-    with np.load(saved(DIVERGING, tmp_path)) as archive:
-        return dict(archive)
-
-
-def changed(key: str, change: Callable[[Any], Any]) -> Callable[[Path], dict[str, Any]]:
-    def make(tmp_path: Path) -> dict[str, Any]:
-        given = members(tmp_path)
-        return {**given, key: change(given[key].copy())}
-
-    return make
-
-
-def put(place: Any, value: Any) -> Callable[[Any], Any]:
-    def change(array: Any) -> Any:
-        array[place] = value
-        return array
-
-    return change
-
-
-def told(change: Callable[[Any], Any]) -> Callable[[Path], dict[str, Any]]:
-    """Return what makes an archive with another description; `change` may also return a new one."""
-
-    def make(text: Any) -> Any:
-        tree = json.loads(str(text))
-        new = change(tree)
-        return np.array(json.dumps(tree if new is None else new))
-
-    return changed("description", make)
-
-
-def of_scenario(**given: Any) -> Callable[[Path], dict[str, Any]]:
-    return told(lambda tree: tree["scenario"].update(given))
-
-
-def of_mass(**given: Any) -> Callable[[Path], dict[str, Any]]:
-    return told(lambda tree: tree["scenario"]["spread"]["mass"].update(given))
-
-
-def of_trace(**given: Any) -> Callable[[Path], dict[str, Any]]:
-    return told(lambda tree: tree["traces"][1].update(given))
-
-
-@pytest.mark.parametrize(
-    ("make", "why"),
-    [
-        (changed("format", lambda _: np.array("pinmobile rollout 1")), "it is of another format"),
-        (changed("max_error", lambda x: x[:-1]), r"max_error has shape \(59, 3\), expected \(60, 3\)"),
-        (changed("max_error", lambda x: x.astype("f4")), "max_error is of type float32, expected float64"),
-        (changed("max_force", lambda x: x[:, :2]), r"max_force has shape \(60, 2\), expected \(60, 3\)"),
-        (changed("counts", put((0, 0, 0), -1)), "it does not count 60"),
-        (changed("counts", put((0, 0, 5), 4)), "it does not count 60"),
-        (changed("counts", lambda x: x[:-1]), r"it has no counts \(67, 2, 1410\)"),
-        (changed("counts", lambda x: x.astype("i8")), "counts is of type int64, expected int32"),
-        (changed("draws", put((0, 0), np.inf)), r"draws\[0, 0\] is inf, expected a finite number"),
-        (changed("draws", lambda x: x.T), r"draws has shape \(60, 5\), expected \(5, 60\)"),
-        (changed("t", lambda x: x[::-1]), r"t\[1\] is 19.9\d* s after 20.0 s, expected more"),
-        (changed("t", lambda x: x[:-1]), r"reference.q has shape \(201, 3\), expected \(200, 3\)"),
-        (changed("reference_v", put((0, 0), np.nan)), r"reference.v\[0, 0\] is nan"),
-        (changed("trace_q", put((0, 0), np.nan)), r"q\[0, 0\] is nan"),
-        (changed("trace_q", lambda x: x[:-1]), "trace_q has|q has shape"),
-        (changed("trace_t", lambda x: x[:9]), "q has shape \\(17, 3\\), expected \\(9, k\\)"),
-        (told(lambda _: []), "list"),
-        (told(lambda _: 3), "int"),
-        (told(lambda _: {}), "'scenario'"),
-        (told(lambda tree: tree.pop("traces") and None), "'traces'"),
-        (
-            told(lambda tree: tree["traces"].pop() and None),
-            "trace_t has shape \\(218,\\), expected \\(17,\\)",
-        ),
-        (told(lambda tree: tree["scenario"].pop("robot") and None), "'robot'"),
-        (of_scenario(n=61), r"max_error has shape \(60, 3\), expected \(61, 3\)"),
-        (of_scenario(n=2**60), "n is 1152921504606846976, expected at most"),
-        (of_scenario(n=-1), "n is -1, expected a whole number >= 1"),
-        (of_scenario(seed=0.5), "seed is 0.5, expected a whole number"),
-        (of_scenario(dt="x"), "dt is 'x'"),
-        (of_scenario(after=21), "after is 21.0 s, expected 0 <= after <= 20 s"),
-        (of_scenario(every=0), "every is 0, expected a whole number >= 1"),
-        (of_scenario(every=7), r"it has no counts \(29, 2, 1410\)"),
-        (of_scenario(robot=3), "robot is 3, expected text"),
-        (of_scenario(robot="\ud800"), "robot is .*, expected text without control characters"),
-        (of_scenario(forces=[3]), "forces is 3, expected text"),
-        (of_scenario(forces=3), "int"),
-        (of_scenario(spread=[]), "list"),
-        (of_scenario(spread={}), r"draws has shape \(5, 60\), expected \(0, 60\)"),
-        (of_mass(unit=3), "spread is 3, expected text"),
-        (of_mass(source=None), "spread is None, expected text"),
-        (of_mass(same_as=3), "name is 3, expected the name of a parameter"),
-        (of_trace(index=60), "index is 60, expected at most 59"),
-        (of_trace(samples=0), "samples is 0, expected a whole number >= 1"),
-        (of_trace(samples=10**9), "trace_t has shape \\(218,\\), expected \\(1000000017,\\)"),
-        (of_trace(samples=200), r"has shape"),
-        (of_trace(plant={"robot": {"mass": -1}}), "'dh'"),
-        (lambda p: {**members(p), "more": np.zeros(3)}, "it holds .*; expected format, .*, each once"),
-    ],
-)
-def test_what_no_ensemble_holds_is_refused(
-    tmp_path: Path, make: Callable[[Path], dict[str, Any]], why: str
-) -> None:
-    np.savez(tmp_path / "robots.npz", **make(tmp_path))
-    with pytest.raises(InvalidArgument, match=rf"^path is '.*robots.npz', which .*({why})"):
-        Ensemble.load(tmp_path / "robots.npz")
-
-
 def test_another_kind_of_file_is_refused_either_way(tmp_path: Path) -> None:
     path = saved(DIVERGING, tmp_path)
     DIVERGING.traces[3].save(tmp_path / "run.npz")
@@ -479,62 +371,20 @@ def test_another_kind_of_file_is_refused_either_way(tmp_path: Path) -> None:
         Rollout.load(path)
 
 
-@pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize("layout", ["C", "F"])
-def test_any_byte_order_and_layout_is_read(tmp_path: Path, order: Any, layout: Any) -> None:
-    made: dict[str, Any] = {
-        name: np.asarray(array, array.dtype.newbyteorder(order), order=layout)
-        for name, array in members(tmp_path).items()
-    }
-    np.savez(tmp_path / "robots.npz", **made)
-    assert bits(Ensemble.load(tmp_path / "robots.npz")) == bits(DIVERGING)
-
-
 def test_damaged_bytes_are_refused_or_do_no_harm(tmp_path: Path) -> None:
     content, path = saved(DIVERGING, tmp_path).read_bytes(), tmp_path / "robots.npz"
     wanted, words = bits(DIVERGING), str(Ensemble.load(saved(DIVERGING, tmp_path)))
     read = 0
-    for seed in range(400):
+    for seed in range(100):
         path.write_bytes(damaged(content, np.random.default_rng(seed)))
-        with little_memory():
-            loaded = answer(lambda: Ensemble.load(path))
+        loaded = answer(lambda: Ensemble.load(path))
         if isinstance(loaded, InvalidArgument):
             assert str(loaded).startswith(f"path is {str(path)!r}, which ")
         else:
             assert bits(loaded) == wanted
             assert str(loaded) == words
             read += 1
-    assert read < 300
-
-
-@pytest.mark.once
-def test_damaged_members_with_right_checksums_are_refused_or_an_ensemble(tmp_path: Path) -> None:
-    """Whoever damages what is inside cannot be told from its writer, but for what none writes."""
-    content, path = saved(DIVERGING, tmp_path).read_bytes(), tmp_path / "robots.npz"
-    names = zipfile.ZipFile(io.BytesIO(content)).namelist()
-    outcomes = {True: 0, False: 0}
-    for seed in range(400):
-        rng = np.random.default_rng(seed)
-        chosen = "description.npy" if rng.integers(3) == 0 else rng.choice(names)
-
-        def change(name: str, data: bytes, rng: Any = rng, one: str = chosen) -> bytes:
-            if name != one:
-                return data
-            return damaged(data[:128], rng) + data[128:] if rng.integers(2) else damaged(data, rng)
-
-        path.write_bytes(rewritten(content, change))
-        with little_memory():
-            made = answer(lambda: Ensemble.load(path))
-        outcomes[isinstance(made, Ensemble)] += 1
-        if isinstance(made, InvalidArgument):
-            assert str(made).startswith(f"path is {str(path)!r}, which ")
-        else:
-            assert str(made)
-            made.within(), made.bands(), made.worst()
-            made.to_csv(tmp_path / "robots.csv")
-            made.save(tmp_path / "again.npz")
-            assert bits(Ensemble.load(tmp_path / "again.npz")) == bits(made)
-    assert min(outcomes.values()) > 30
+    assert read < 75
 
 
 def test_a_function_is_a_part_that_words_can_tell(tmp_path: Path) -> None:

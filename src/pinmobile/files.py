@@ -8,24 +8,19 @@ import io
 import json
 import os
 import stat
-import zipfile
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from math import prod
 from os import PathLike
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, location
-from pinmobile.errors import FileError, InvalidArgument, PinmobileError, shown
+from pinmobile.errors import FileError, InvalidArgument, PinmobileError
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
-
-_SHORT = 4096  # bytes of an array of one text
 
 # What a path is at fault for, and another one mends; all else is the system's: a full disk, a failing device.
 _OF_THE_PATH = frozenset(
@@ -228,15 +223,6 @@ def _dress_as(there: Path, descriptor: int) -> None:
     os.fchmod(descriptor, stat.S_IMODE(like.st_mode))
 
 
-@contextmanager
-def unpacking(path: Path, form: str) -> Iterator[None]:
-    """Raise what the content of an archive leads to within as an error that names the file."""
-    try:
-        yield
-    except (ValueError, TypeError, LookupError, AttributeError, RecursionError, OverflowError) as error:
-        raise InvalidArgument(f"path is {shown(str(path))}, which is no {form!r} archive: {error}") from error
-
-
 def archive_of(
     path: Path, form: str, description: str, kinds: Mapping[str, type]
 ) -> tuple[dict[str, Any], Any]:
@@ -245,13 +231,13 @@ def archive_of(
     Parameters
     ----------
     path : Path
-        The file.
+        The file; its checksums tell whether it is damaged.
     form : str
         What its array ``format`` says.
     description : str
         Name of the array that holds the description, as JSON.
     kinds : mapping of str to type
-        All other arrays, and the type of their numbers; these come in this machine's byte order.
+        All other arrays, and the type of their numbers.
 
     Raises
     ------
@@ -260,87 +246,21 @@ def archive_of(
     FileError
         If the system fails.
     """
-    named = arrays_of(path, ("format", description, *kinds), kind=f"{form!r} archive")
-    with unpacking(path, form):
-        if _text("format", named.pop("format")) != form:
-            raise ValueError("it is of another format")
-        for name, kind in kinds.items():
-            here = named[name].dtype.newbyteorder("=")
-            if here != kind:
-                raise ValueError(f"{name} is of type {named[name].dtype}, expected {np.dtype(kind)}")
-            named[name] = named[name].astype(here, order="C", copy=False)
-        described = json.loads(_text(description, named.pop(description)))
-    return named, described
-
-
-def _text(name: str, array: NDArray[Any]) -> str:
-    """Return the text of an array; NumPy would make one of what are no letters, at which Python stumbles."""
-    if array.dtype.kind != "U" or array.shape:
-        raise ValueError(f"{name} is of type {array.dtype} and shape {array.shape}, expected one text")
-    letters: str = array.astype(array.dtype.newbyteorder("<")).tobytes().decode("utf-32-le")
-    return letters.rstrip("\0")
-
-
-def arrays_of(
-    path: Path, wanted: Collection[str], *, kind: str, name: str = "path", most: int | None = None
-) -> dict[str, Any]:
-    """Return the arrays of a NumPy archive; what they say of themselves is checked before they are read.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    wanted : collection of str
-        Names of all its arrays.
-    kind : str
-        What the archive is, for the message.
-    name : str
-        Of the argument, for the message.
-    most : int, optional
-        Bytes that its members have together, at most; by default those of the file: nothing is compressed.
-
-    Raises
-    ------
-    InvalidArgument
-        If it cannot be read, is damaged, holds something else, or more than it may.
-    FileError
-        If the system fails.
-    """
+    wanted = {"format", description, *kinds}
     try:
-        with refusals("read", name, path):
-            mode = path.stat().st_mode
-        if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-            raise ValueError("it is a device or a pipe, which may never end, expected a file")
-        with refusals("read", name, path), path.open("rb") as file, zipfile.ZipFile(file) as archive:
-            members, size = archive.infolist(), sum(info.file_size for info in archive.infolist())
-            largest = path.stat().st_size if most is None else most
-            if sorted(info.filename for info in members) != sorted(f"{each}.npy" for each in wanted):
-                for info in members:
-                    short = info.filename == "format.npy" and info.file_size < _SHORT
-                    told = repr(_text("format", _array(archive, info))) if short else kind
-                    if told not in kind:
-                        raise ValueError(f"it is of another format, {told}")
-                held = ", ".join(sorted(repr(info.filename.removesuffix(".npy")) for info in members[:20]))
-                raise ValueError(f"it holds {held}; expected {', '.join(wanted)}, each once")
-            if size > largest:
-                raise ValueError(f"it unpacks to {size} bytes, expected at most {largest}")
-            return {info.filename.removesuffix(".npy"): _array(archive, info) for info in members}
+        with refusals("read", "path", path), path.open("rb") as file, np.load(file) as archive:
+            named = {name: archive[name] for name in wanted & set(archive)}
+        other = str(named["format"])
+        if other != form:
+            raise ValueError(f"it is of another format, {other!r}")
+        missing = sorted(wanted - named.keys())
+        if missing:
+            raise ValueError(f"it has no {', '.join(missing)}")
+        del named["format"]
+        described = json.loads(str(named.pop(description)))
+        return {name: np.asarray(named[name], kind, order="C") for name, kind in kinds.items()}, described
     except PinmobileError:
         raise
     except Exception as error:  # whatever the bytes of a damaged file lead zipfile and NumPy to
         why = str(error) or type(error).__name__
-        raise InvalidArgument(f"{name} is {str(path)!r}, which is no {kind}: {why}") from error
-
-
-def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Any:
-    with archive.open(info) as member:
-        if np.lib.format.read_magic(member) != (1, 0):
-            raise ValueError(f"{info.filename} is of another version than 1.0")
-        shape, in_columns, dtype = np.lib.format.read_array_header_1_0(member)
-        size = prod(shape) * dtype.itemsize
-        if dtype.hasobject or min(shape, default=0) < 0 or member.tell() + size != info.file_size:
-            raise ValueError(
-                f"{info.filename} has {info.file_size - member.tell()} bytes, expected those of shape "
-                f"{shape} and type {dtype}"
-            )
-        return np.frombuffer(member.read(), dtype).reshape(shape, order="F" if in_columns else "C")
+        raise InvalidArgument(f"path is {str(path)!r}, which is no {form!r} archive: {why}") from error

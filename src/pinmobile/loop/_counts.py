@@ -159,16 +159,6 @@ def bins_of(values: Array) -> NDArray[np.int64]:
     return np.asarray(np.clip(bits - FIRST + 1, 0, BINS - 1))
 
 
-def miscounted(counts: NDArray[np.int32], times: int, channels: int, robots: int) -> str:
-    """Return why counts cannot be those of some robots at some times; nothing where they can be."""
-    shape = (times, channels, BINS)
-    if counts.shape != shape or counts.dtype != np.int32:
-        return f"has no counts {shape}"
-    if (counts < 0).any() or (counts.sum(axis=-1, dtype=np.int64) != robots).any():
-        return f"does not count {robots}"
-    return ""
-
-
 def checked_share(value: ArrayLike) -> float:
     """Return a share as a float.
 

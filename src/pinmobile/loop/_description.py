@@ -10,10 +10,10 @@ from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, finite, frozen, increasing, positive, shaped, text, whole
+from pinmobile.arrays import Array
 from pinmobile.errors import shown
 from pinmobile.loop._loop import named_forces
-from pinmobile.loop._scenario import Scenario, checked_scenario, first_counted, time_within
+from pinmobile.loop._scenario import Scenario, checked_scenario, first_counted
 from pinmobile.loop._spread import Same, Source
 from pinmobile.measures import Measure, channels_of, in_words
 from pinmobile.plant import Coordinate, Input, Parameter
@@ -143,11 +143,6 @@ class Outline:
         Times [s].
     reference : Reference
         Desired q, v and a at these times, shape (N + 1, ...), v and a of as many as there are coordinates.
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is not finite, times do not increase, or a shape is not what it is above.
     """
 
     robot: str
@@ -169,36 +164,6 @@ class Outline:
     every: int
     t: Array = field(repr=False)
     reference: Reference = field(repr=False)
-
-    def __post_init__(self) -> None:
-        for name in _PARTS:
-            text(name, getattr(self, name))
-        for force in self.forces:
-            text("forces", force)
-        for name, one in self.parameters.items():
-            source = self.spread[name]
-            told = [source.name, source.factor] if isinstance(source, Same) else [source]
-            for each in (name, one.unit, one.meaning, *told):
-                text("spread", each)
-        for name in ("coordinates", "inputs"):
-            for one in getattr(self, name):
-                for each in (one.name, one.unit):
-                    text(name, each)
-        for measure in self.judged:
-            for each in measure:
-                text("judged", each)
-        for name, least in (("n", 1), ("substeps", 1), ("every", 1), ("seed", 0)):
-            object.__setattr__(self, name, whole(name, getattr(self, name), least=least))
-        for name in ("dt", "limit"):
-            object.__setattr__(self, name, positive(name, getattr(self, name)))
-        object.__setattr__(self, "t", frozen(finite("t", self.t)))
-        increasing("t", self.t)
-        object.__setattr__(self, "after", time_within("after", self.after, self.t))
-        for name, part in self.reference._asdict().items():
-            width = part.shape[-1:] if name == "q" else (len(self.coordinates),)
-            words = ": as many as times in t, and coordinates"
-            shaped(f"reference.{name}", finite(f"reference.{name}", part), (len(self.t), *width), words=words)
-        object.__setattr__(self, "reference", Reference(*map(frozen, self.reference)))
 
     @classmethod
     def of(cls, scenario: Scenario | Outline) -> Outline:
@@ -228,13 +193,7 @@ class Outline:
 
     @classmethod
     def from_description(cls, described: Mapping[str, Any], t: Array, reference: Reference) -> Outline:
-        """Return the scenario of a `description`.
-
-        Raises
-        ------
-        InvalidArgument, LookupError, TypeError, AttributeError
-            If it is something else.
-        """
+        """Return the scenario of a `description`."""
         spread = {name: dict(one) for name, one in described["spread"].items()}
         return cls(
             **{name: described[name] for name in (*_PARTS, *_NUMBERS)},

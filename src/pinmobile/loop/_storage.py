@@ -10,10 +10,10 @@ from typing import IO, Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, finite, lengths, scalar, shaped, text, whole
+from pinmobile.arrays import Array
 from pinmobile.dh import DHRow, DHTable, JointType
 from pinmobile.errors import InvalidArgument, PinmobileError
-from pinmobile.files import archive_of, unpacking
+from pinmobile.files import archive_of
 from pinmobile.parts import evolved, numbers, replace
 from pinmobile.plant import Coordinate, Input, PlantOutline
 from pinmobile.robot import Load, MobileRobot, Stance, kept_arm
@@ -23,16 +23,7 @@ from pinmobile.urdf import Body
 RECORDED = ("t", "q", "v", "a", "u", "error", "reference_q", "reference_v", "reference_a")
 """Names of the arrays of a rollout."""
 
-_POSE = 3  # x, y, psi
 _FORMAT = "pinmobile rollout 2"
-_MOUNT: Mapping[str, type] = {
-    "name": str,
-    "at": list,
-    "arm": str,
-    "package_dirs": list,
-    "locked": list,
-    "rest": list,
-}
 
 
 def write_archive(file: IO[bytes], rollout: Any) -> None:
@@ -82,17 +73,11 @@ def restored_run(described: Mapping[str, Any], beside: Array) -> dict[str, Any]:
     beside : ndarray, shape (N + 1, ...)
         What `signal_columns` returned.
 
-    Raises
-    ------
-    ValueError, TypeError, LookupError, AttributeError, OverflowError
-        If it is something else, see `unpacking`.
     """
-    check_robot(described["robot"])
-    text("plant's unknown", described["unknown"])
     outline = None if described["outline"] is None else _outline(described["outline"])
     signals = _split(beside, described["signals"])
     robot = _restored_robot(described["robot"])
-    made = {name: text(name, described.get(name, "")) for name in ("engine", "why")}
+    made = {name: described.get(name, "") for name in ("engine", "why")}
     return {"plant": outline if robot is None else robot, "signals": signals, **made}
 
 
@@ -108,8 +93,7 @@ def read_archive(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     """
     named, described = _read(path)
     beside = named.pop("signals")
-    with unpacking(path, _FORMAT):
-        return named, restored_run(described, beside)
+    return named, restored_run(described, beside)
 
 
 def why_unknown(path: Path) -> str:
@@ -131,11 +115,7 @@ def why_unknown(path: Path) -> str:
 
 
 def _read(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
-    named, described = archive_of(path, _FORMAT, "plant", dict.fromkeys((*RECORDED, "signals"), np.float64))
-    with unpacking(path, _FORMAT):
-        check_robot(described["robot"])
-        text("plant's unknown", described["unknown"])
-    return named, described
+    return archive_of(path, _FORMAT, "plant", dict.fromkeys((*RECORDED, "signals"), np.float64))
 
 
 def _unkept(plant: object) -> str:
@@ -157,44 +137,22 @@ def _outlined(outline: PlantOutline) -> dict[str, Any]:
 
 
 def _outline(described: Mapping[str, Any]) -> PlantOutline:
-    """Return the outline that `_outlined` described.
-
-    Raises
-    ------
-    ValueError, TypeError, LookupError, AttributeError
-        If it is something else, see `unpacking`.
-    """
-    coordinates = tuple(Coordinate(**_limited(one)) for one in described["coordinates"])
-    inputs = tuple(Input(**_limited(one)) for one in described["inputs"])
-    names = tuple(text("plant's configuration_names", name) for name in described["configuration_names"])
+    """Return the outline that `_outlined` described."""
     posed, size = described["posed"], described["size"]
-    for k in posed or ():
-        whole("plant's posed", k, least=0, most=len(names) - 1)
-    if posed is not None and len(posed) != _POSE:
-        raise ValueError(f"plant has posed = {posed}, expected three numbers")
     return PlantOutline(
-        kind=text("plant's kind", described["kind"]),
-        coordinates=coordinates,
-        configuration_names=names,
-        inputs=inputs,
-        leading={
-            whole("plant's leading", n, most=len(coordinates)): whole("plant's leading", m, most=len(names))
-            for n, m in described["leading"]
-        }
-        or {len(coordinates): len(names)},
+        kind=described["kind"],
+        coordinates=tuple(Coordinate(**_limited(one)) for one in described["coordinates"]),
+        configuration_names=tuple(described["configuration_names"]),
+        inputs=tuple(Input(**_limited(one)) for one in described["inputs"]),
+        leading=dict(described["leading"]),
         posed=None if posed is None else tuple(posed),
-        size=None if size is None else tuple(lengths(size).tolist()),
+        size=None if size is None else tuple(size),
     )
 
 
 def _limited(one: Mapping[str, Any]) -> dict[str, Any]:
-    found = dict(one)
-    for key in ("name", "unit", "rate"):
-        if key in found:
-            text(f"plant's {key}", found[key])
-    for key, none in (("lower", -np.inf), ("upper", np.inf)):
-        found[key] = none if found[key] is None else scalar(f"plant's {key}", found[key])
-    return found
+    none = {"lower": -np.inf, "upper": np.inf}
+    return {key: none[key] if key in none and value is None else value for key, value in one.items()}
 
 
 def _split(columns: Array, described: Any) -> dict[str, Signal]:
@@ -202,12 +160,10 @@ def _split(columns: Array, described: Any) -> dict[str, Signal]:
     found: dict[str, Signal] = {}
     start = 0
     for name, unit, more in described:
-        text("signals", name), text("signals", unit)
-        stop = start + (whole("signals", more[0], least=0) if more else 1)
+        stop = start + (more[0] if more else 1)
         part = columns[:, start:stop]
         found[name] = Signal(unit, part if more else part[:, 0])
         start = stop
-    shaped("signals", columns, ("n", start))
     return found
 
 
@@ -225,29 +181,6 @@ def _restored_robot(described: dict[str, Any] | None) -> MobileRobot | None:
         return _restore(described)
     except PinmobileError:
         return None
-
-
-def check_robot(described: dict[str, Any] | None) -> None:
-    """Refuse what `described_robot` cannot have given; whether the files of arms are there is not asked.
-
-    Raises
-    ------
-    ValueError, TypeError, LookupError, AttributeError, OverflowError
-        If it is something else, see `unpacking`.
-    """
-    if described is None:
-        return
-    _base(described)
-    for mount in described.get("mounts", ()):
-        if {name: type(value) for name, value in mount.items()} != _MOUNT:
-            raise ValueError(f"robot has a mount of {', '.join(mount)}, expected {', '.join(_MOUNT)}")
-        finite("robot's at", mount["at"])
-        finite("robot's rest", mount["rest"])
-    for frame, *load in described.get("loads", ()):
-        Load(*load)
-        frame.encode()
-    for name, value in described.get("changes", {}).items():
-        finite(f"robot's {name}", value)
 
 
 def _is_known(robot: MobileRobot) -> bool:

@@ -10,10 +10,10 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, finite, shaped, text, whole
+from pinmobile.arrays import Array
 from pinmobile.extras import imported
-from pinmobile.files import archive_of, unpacking
-from pinmobile.loop._counts import edges, miscounted, quantiles
+from pinmobile.files import archive_of
+from pinmobile.loop._counts import edges, quantiles
 from pinmobile.loop._description import Outline
 from pinmobile.loop._rollout import Rollout
 from pinmobile.loop._scenario import Scenario
@@ -304,47 +304,26 @@ def read_ensemble(path: Path) -> dict[str, Any]:
         If the system fails.
     """
     named, described = archive_of(path, _FORMAT, "description", _KINDS)
-    with unpacking(path, _FORMAT):
-        reference = Reference(*(named[name] for name in _REFERENCE))
-        outline = Outline.from_description(described["scenario"], named["t"], reference)
-        _check(named, outline)
-        return {
-            "scenario": outline,
-            "engine": text("engine", described["engine"]),
-            "why": text("why", described["why"]),
-            "draws": dict(zip(outline.parameters, named["draws"], strict=True)),
-            "traces": _traces(named, described["traces"], outline),
-            **{name: named[name] for name in (*PER_ROBOT, "counts")},
-        }
+    reference = Reference(*(named[name] for name in _REFERENCE))
+    outline = Outline.from_description(described["scenario"], named["t"], reference)
+    return {
+        "scenario": outline,
+        "engine": described["engine"],
+        "why": described["why"],
+        "draws": dict(zip(outline.parameters, named["draws"], strict=True)),
+        "traces": _traces(named, described["traces"]),
+        **{name: named[name] for name in (*PER_ROBOT, "counts")},
+    }
 
 
-def _check(named: Mapping[str, Any], outline: Outline) -> None:
-    """Refuse records that no robots have."""
-    n = outline.n
-    sizes = {"diverged_at": (), "max_distance": (), "max_force": (len(outline.inputs),)}
-    sizes |= dict.fromkeys(("max_error", "rms_error"), (len(outline.coordinates),))
-    sizes |= dict.fromkeys(("worst_measure", "rms_measure"), (len(outline.judged),))
-    for name in PER_ROBOT:
-        shaped(name, named[name], (n, *sizes[name]))
-    shaped("draws", finite("draws", named["draws"]), (len(outline.parameters), n))
-    why = miscounted(named["counts"], len(outline.grid), len(outline.channels), n)
-    if why:
-        raise ValueError(f"it {why}")
-
-
-def _traces(
-    named: Mapping[str, Array], described: Sequence[Mapping[str, Any]], outline: Outline
-) -> dict[int, Rollout]:
+def _traces(named: Mapping[str, Array], described: Sequence[Mapping[str, Any]]) -> dict[int, Rollout]:
     """Return the traces, by the index of their robot."""
     found: dict[int, Rollout] = {}
     start = 0
     for one in described:
-        index = whole("index", one["index"], least=0, most=outline.n - 1)
-        stop = start + whole("samples", one["samples"])
+        stop = start + one["samples"]
         arrays = {name: named[of][start:stop] for of, name in zip(_TRACE, RECORDED, strict=True)}
         made = restored_run(one["plant"], named["trace_signals"][start:stop])
-        found[index] = Rollout.of(arrays, **made)
+        found[one["index"]] = Rollout.of(arrays, **made)
         start = stop
-    for name in (*_TRACE, "trace_signals"):
-        shaped(name, named[name], (start, *named[name].shape[1:]))
     return found
