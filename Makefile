@@ -4,16 +4,19 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench notebooks clean
+.PHONY: help demo test test-all lint bench notebooks clean
 
 help: ## say what there is
-	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/'
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/'
 
 demo: $(BIN)/.installed ## the whole lecture: derivation, verification, six runs, figures under out/
 	$(BIN)/pinmobile lecture
 
-test: $(BIN)/.installed-test ## all tests
-	$(BIN)/python -m pytest $(ARGS)
+test: $(BIN)/.installed-test ## the tests on all processors, without the long ones
+	$(BIN)/python -m pytest -n logical --dist loadfile -m "not long" $(ARGS)
+
+test-all: $(BIN)/.installed-test ## all tests on all processors
+	$(BIN)/python -m pytest -n logical --dist loadfile $(ARGS)
 
 lint: $(BIN)/.installed-lint ## ruff and mypy
 	$(BIN)/ruff check .

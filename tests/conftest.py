@@ -3,9 +3,7 @@
 import gc
 import os
 import signal
-from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -29,64 +27,24 @@ PROFILE = "ci" if os.environ.get("CI") else "default"
 settings.load_profile(PROFILE)
 
 
-SHARE = 6  # one of so many alike cases is taken where another Python takes all
-MANY = 4  # cases of one test, from which on they are alike
-
-
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add how `.ci/run` shares the tests out."""
+    """Add how `.ci/run` repeats tests."""
     words = (
-        "of N runs, the K-th, from 0, takes all tests of every N-th file; of other files what a Python may "
-        "change, without pages and most alike cases, of which each run takes others"
+        "of each N tests the K-th, from 0, without pages and what is marked `once`: what a Python may change"
     )
-    parser.addoption("--share", metavar="K/N", default="0/1", help=words)
-
-
-def shared(config: pytest.Config) -> tuple[int, int]:
-    """Return which of how many runs this one is."""
-    this, _, of = config.getoption("--share").partition("/")
-    if not (this.isdecimal() and of.isdecimal() and int(this) < int(of)):
-        raise pytest.UsageError(f"--share is {config.getoption('--share')!r}, expected K/N with K < N")
-    return int(this), int(of)
-
-
-def is_own(config: pytest.Config, path: Path) -> bool:
-    """Tell whether this run takes all tests of a file."""
-    this, of = shared(config)
-    files = sorted(each.name for each in Path(__file__).parent.glob("test_*.py"))
-    return path.name in files[this::of]
-
-
-def pytest_collectstart(collector: pytest.Collector) -> None:
-    """Take fewer random examples in the files that another run takes whole."""
-    if isinstance(collector, pytest.Module):
-        settings.load_profile(PROFILE if is_own(collector.config, collector.path) else "repeated")
+    parser.addoption("--part", metavar="K/N", default="", help=words)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Of files that another run takes whole, leave out pages, what is marked ``once``, and alike cases."""
-    this, of = shared(config)
-    if of == 1:
+    """Take the part that is asked for."""
+    this, _, of = config.getoption("--part").partition("/")
+    if not this:
         return
-    seen: Counter[str] = Counter()
-    cases = Counter(item.nodeid.partition("[")[0] for item in items)
-
-    def taken(item: pytest.Item) -> bool:
-        if is_own(config, item.path):
-            return True
-        if item.get_closest_marker("once"):
-            return False
-        test = item.nodeid.partition("[")[0]
-        if item.get_closest_marker("alike") or cases[test] >= MANY:
-            seen[test] += 1
-            return seen[test] % SHARE == this % SHARE
-        return "page" not in getattr(item, "fixturenames", ())
-
-    kept: dict[bool, list[pytest.Item]] = {True: [], False: []}
-    for item in items:
-        kept[taken(item)].append(item)
-    config.hook.pytest_deselected(items=kept[False])
-    items[:] = kept[True]
+    once = [item.get_closest_marker("once") or "page" in getattr(item, "fixturenames", ()) for item in items]
+    kept = [item for item, left_out in zip(items, once, strict=True) if not left_out][int(this) :: int(of)]
+    taken = set(kept)
+    config.hook.pytest_deselected(items=[item for item in items if item not in taken])
+    items[:] = kept
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -94,6 +52,8 @@ def pytest_configure(config: pytest.Config) -> None:
     why = refusal(os.environ.get("OPENBLAS_CORETYPE"))
     if why:
         raise pytest.UsageError(why)
+    if config.getoption("--part"):
+        settings.load_profile("repeated")
 
 
 def pytest_collection_finish() -> None:
@@ -105,12 +65,6 @@ def pytest_collection_finish() -> None:
 def pytest_report_header(config: pytest.Config) -> str:
     """Return the kernels of the linear algebra, on which no result may hang."""
     return f"OpenBLAS: {', '.join(in_force().values()) or 'none'}"
-
-
-@pytest.fixture(scope="module")
-def share(request: pytest.FixtureRequest) -> int:
-    """Return of how many random cases one is taken."""
-    return 1 if is_own(request.config, request.path) else SHARE
 
 
 @pytest.fixture(scope="session")

@@ -487,6 +487,7 @@ def fuzzed() -> dict[str, Any]:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ROWS)
 def test_wrong_values_end_in_an_error_of_the_library_or_a_right_answer(
     name: str, fuzzed: dict[str, Any]

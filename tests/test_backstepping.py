@@ -338,7 +338,6 @@ CASES: dict[str, tuple[Any, Any, Any, Any]] = {
 }
 
 
-@pytest.mark.alike
 @pytest.mark.parametrize("name", CASES)
 def test_the_engines_agree(name: str) -> None:
     robot, controller, trajectory, spread = CASES[name]

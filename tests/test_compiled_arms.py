@@ -335,6 +335,7 @@ def test_a_link_that_is_not_there_is_named_with_the_nearest() -> None:
         run(spread={"fore_arm_link.mass": Uniform(1, 2)})
 
 
+@pytest.mark.long
 @pytest.mark.once
 def test_a_tree_that_is_too_large_runs_slower_and_says_so() -> None:
     robot = MobileRobot.box(size=(1, 1, 0.5)).mount("tiago_dual", AT)

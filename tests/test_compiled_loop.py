@@ -42,7 +42,6 @@ def plain(controller: Any, plant: Any = None, integrator: Any = constant_acceler
     return Loop(Body() if plant is None else plant, controller, None, (), integrator)
 
 
-@pytest.mark.alike
 @pytest.mark.parametrize("name", COMPOSITIONS)
 def test_a_compiled_loop_is_the_loop_in_python(name: str) -> None:
     loop = COMPOSITIONS[name]()

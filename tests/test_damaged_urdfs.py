@@ -40,7 +40,6 @@ REFUSED = {
 
 
 @pytest.mark.once
-@pytest.mark.alike
 @pytest.mark.parametrize("mounted", [False, True])
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_is_no_tree_is_refused_before_pinocchio_reads_it(
@@ -92,7 +91,6 @@ def all_of(path: Path) -> list[tuple[float, ...]]:
     return [tuple(map(float, array.flat)) for array in kept]
 
 
-@pytest.mark.alike
 @pytest.mark.parametrize("number", SPELLED, ids=[f"{k}-{m[1]}" for k, m in enumerate(SPELLED)])
 def test_a_number_is_read_however_it_stands_or_named_and_no_part_is_dropped(
     number: "re.Match[str]", tmp_path: Path, capfd: pytest.CaptureFixture[str]

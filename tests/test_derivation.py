@@ -344,6 +344,7 @@ def test_difference_sees_a_wrong_term() -> None:
         difference(derive(table, links), lecture())
 
 
+@pytest.mark.long
 def test_spatial_chain_is_pinocchios() -> None:
     rng, gravity = np.random.default_rng(5), (0.0, -9.81, 0.0)
     bodies = [random_body(rng) for _ in TWISTED]
@@ -403,6 +404,7 @@ rows = st.tuples(angles, lengths, angles, lengths, st.sampled_from([R, P]))
     st.one_of(st.lists(rows, min_size=1, max_size=2), st.lists(rows, min_size=4, max_size=4)),
     st.integers(0, 2**32 - 1),
 )
+@pytest.mark.long
 def test_any_table_is_pinocchios(numbers: list[Numbers], seed: int) -> None:
     rng, gravity = np.random.default_rng(seed), (0.2, -0.1, -9.81)
     table = DHTable(tuple(DHRow(*row, f"q{k}") for k, row in enumerate(numbers)))

@@ -46,7 +46,7 @@ from pinmobile import (
 from pinmobile.loop import COMPILED, PYTHON, part_of, run_scenario
 from tests.parts import PID, Cart, Eight, Follower, Nodding, SlidingMode, Smoothed, Spring, midpoint
 
-N, DT, DURATION = 3, 0.01, 3.0  # 301 samples
+N, DT, DURATION = 3, 0.01, 1.0  # 101 samples
 MOST = 97
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
 WRONG = MobileRobot(27.0, 1.1, com=(0.05, 0.0))
@@ -267,7 +267,7 @@ def compiled(k: int) -> tuple[Scenario, Ensemble]:
     return scenario, run_scenario(scenario, engine=COMPILED, threads=1)
 
 
-@pytest.mark.alike
+@pytest.mark.long
 @pytest.mark.parametrize("k", range(len(compositions())))
 def test_the_engines_agree(k: int) -> None:
     scenario, run = compiled(k)
@@ -281,7 +281,6 @@ def test_the_engines_agree(k: int) -> None:
         np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * size, err_msg=name)
 
 
-@pytest.mark.alike
 @pytest.mark.parametrize("k", range(len(compositions())))
 def test_the_bits_hang_on_no_thread_chunk_or_number_of_robots(
     k: int, monkeypatch: pytest.MonkeyPatch

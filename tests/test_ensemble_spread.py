@@ -287,6 +287,7 @@ RIGID = {  # where a whole motion lies, start included
 }
 
 
+@pytest.mark.long
 @pytest.mark.once
 def test_every_number_of_a_trajectory_can_be_spread_and_matters() -> None:
     for motion in MOTIONS:

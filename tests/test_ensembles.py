@@ -308,6 +308,7 @@ def test_any_robot_is_as_simulated(
     assert_is_simulated(run_scenario(scenario), 0)
 
 
+@pytest.mark.long
 @pytest.mark.once
 def test_diverging_robots_are_flagged_as_by_simulate_and_the_others_untouched() -> None:
     gains = np.full(130, 4.0)
@@ -746,6 +747,7 @@ def test_progress_counts_robots() -> None:
     assert [done for done, _ in seen] == sorted(done for done, _ in seen)
 
 
+@pytest.mark.long
 @pytest.mark.once
 def test_a_million_robots_fit_in_a_gigabyte() -> None:
     code = (

@@ -26,7 +26,7 @@ from pinmobile.plant import Context
 from pinmobile.trajectories import Reference
 from tests.frozen import CIRCLE, by_lapack, loops
 
-SAMPLES, DT = 6, 0.01
+SAMPLES, DT = 4, 0.01
 COMMANDED = VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], accelerations=(2.0, 4.0))
 LOOPS = {name: (parts, options) for name, parts, options in (*loops(), *by_lapack())}
 OF_COMMANDS: dict[str, Any] = {
@@ -103,6 +103,7 @@ def changed(loop: Loop, path: str, value: Any) -> Loop:
     raise AssertionError(f"{path} has no other value than {value}")
 
 
+@pytest.mark.long
 @pytest.mark.once
 @pytest.mark.parametrize("name", LOOPS)
 def test_every_number_moves_both_engines_alike(name: str) -> None:

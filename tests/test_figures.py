@@ -38,6 +38,7 @@ def test_every_figure_is_on_the_page() -> None:
     assert {name.partition(" ")[0] for name in page.FIGURES} == set(plots.__all__) - {"animate"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", page.FIGURES)
 def test_at_one_column_of_a_paper_no_word_is_cut_or_meets_another(name: str) -> None:
     with rc_context(page.LETTERS):
@@ -47,6 +48,7 @@ def test_at_one_column_of_a_paper_no_word_is_cut_or_meets_another(name: str) -> 
         assert {text.get_fontsize() for text in figure.findobj(Text) if text.get_text()} >= {8.0}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["path", "errors", "bands", "drivers", "friction", "integrator"])
 def test_at_both_columns_too(name: str) -> None:
     figure = page.FIGURES[name](width=7)

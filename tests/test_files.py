@@ -71,7 +71,6 @@ def held(folder: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in folder.iterdir()}
 
 
-@pytest.mark.alike
 @pytest.mark.parametrize("room", [0, 1000])
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_full_disk_leaves_the_file_that_was_there(tmp_path: Path, name: str, room: int) -> None:

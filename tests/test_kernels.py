@@ -93,11 +93,11 @@ def expected_kernels() -> list[str]:
 def test_ci_runs_each_python_under_another_kernel_and_leaves_none_out(machine: Path, pythons: int) -> None:
     run = ran(machine, pythons)
     assert run.returncode == 0, run.stdout + run.stderr
-    tested = [line for line in run.stdout.splitlines() if "] make test" in line]
+    tested = [line for line in run.stdout.splitlines() if "] make test-all" in line]
     kernels = expected_kernels()
     for index in range(pythons):
         kernel = kernels[index % len(kernels)] if kernels else ""
-        mark = f"[3.{11 + index}{' ' * bool(kernel)}{kernel}] make test PYTHON="
+        mark = f"[3.{11 + index}{' ' * bool(kernel)}{kernel}] make test-all PYTHON="
         assert any(
             line.startswith(mark) and line.endswith(f"under {kernel or 'its own kernel'}") for line in tested
         )
@@ -105,30 +105,23 @@ def test_ci_runs_each_python_under_another_kernel_and_leaves_none_out(machine: P
     assert len(tested) == max(pythons, len(kernels))
 
 
-def test_ci_shares_all_tests_out_among_the_pythons(machine: Path) -> None:
-    for pythons, shares in ((1, [""]), (3, ["--share=0/3", "--share=1/3", "--share=2/3"])):
-        lines = [line for line in ran(machine, pythons).stdout.splitlines() if "] make test" in line]
-        given = {line[1:5]: re.findall(r"ARGS=(.*) under", line)[0] for line in reversed(lines)}
-        assert given == {f"3.{11 + k}": share for k, share in enumerate(shares)}
+def test_ci_runs_everything_once_and_repeats_another_third_on_each_other_python(machine: Path) -> None:
+    lines = [line for line in ran(machine, 3).stdout.splitlines() if "] make test-all" in line]
+    given = {line[1:5]: re.findall(r"ARGS=(.*) under", line)[0] for line in reversed(lines)}
+    assert given == {"3.11": "", "3.12": "--part=0/3", "3.13": "--part=1/3"}
 
 
 @pytest.mark.once
-def test_each_test_is_whole_in_one_run_and_most_alike_cases_are_left_out_of_others() -> None:
+def test_parts_are_all_but_pages_and_what_is_marked_once() -> None:
     asked = os.environ.get("OPENBLAS_CORETYPE", "")
-    words = "-q", "tests/test_mountable.py", "tests/test_viewer_browser.py"
-    found = [collected(asked, f"--share={k}/2", *words).stdout for k in range(2)]
-    whole = collected(asked, *words).stdout
-    each = [set(re.findall(r"^tests/.*::.*$", text, re.MULTILINE)) for text in (*found, whole)]
-    assert each[0] | each[1] == each[2]
-    for name in ("test_mountable", "test_viewer_browser"):
-        sizes = [sum(f"{name}.py" in item for item in items) for items in each]
-        assert sizes[2] in sizes[:2]
-        assert min(sizes) < sizes[2] / 2
-    assert re.search(r"^\d+/\d+ tests collected \([1-9]\d* deselected\)", "".join(found), re.MULTILINE)
-    assert "expected K/N with K < N" in collected(asked, "--share=2/2").stderr
+    words = "-q", "tests/test_kernels.py", "tests/test_viewer_browser.py"
+    found = [collected(asked, f"--part={k}/3", *words).stdout for k in range(3)]
+    parts = [set(re.findall(r"^tests/.*::.*$", text, re.MULTILINE)) for text in found]
+    assert len(set.union(*parts)) == sum(map(len, parts)) > 10
+    assert not any("viewer_browser" in item or "marked_once" in item for item in set.union(*parts))
 
 
 def test_ci_fails_where_one_of_the_runs_does(machine: Path) -> None:
     for kernel in expected_kernels():
         for pythons in (1, 3):
-            assert ran(machine, pythons, failing=f"test {kernel}").returncode == 1
+            assert ran(machine, pythons, failing=f"test-all {kernel}").returncode == 1

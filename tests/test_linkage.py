@@ -92,6 +92,7 @@ def assert_agrees(robot: MobileRobot, states: int = 2) -> None:
         assert np.abs(found - expected).max() < CLOSE * (1 + np.abs(expected).max()), name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", mountable().names)
 def test_every_robot_that_can_be_mounted_moves_as_pinocchio_says(name: str) -> None:
     robot = MobileRobot.box(size=(1, 1, 0.5)).mount(name, AT)

@@ -91,7 +91,7 @@ def sent(robot: MobileRobot, q: Array) -> dict[str, Array]:
     }
 
 
-@pytest.mark.alike
+@pytest.mark.long
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in REFUSED])
 def test_each_mounts_drives_and_draws(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     robot = MobileRobot.box().mount(name)

@@ -92,6 +92,7 @@ def settled(controller: Any) -> tuple[float, Array]:
     return float(run.t[np.flatnonzero(off > 0.02)[-1] + 1]), np.abs(run.u).max(axis=0)
 
 
+@pytest.mark.long
 def test_under_limits_it_settles_no_later_than_a_regulator_that_is_cut_off() -> None:
     limits = (22.0, 22.0, 3.0)
     (mine, largest), (cut, _) = settled(MPC(NOMINAL, limits=limits)), settled(Saturated(LQR(NOMINAL), limits))

@@ -200,7 +200,6 @@ DIFFERENT: dict[str, Callable[[float], Any]] = {
 }
 
 
-@pytest.mark.alike
 @pytest.mark.parametrize("what", DIFFERENT)
 def test_two_controllers_that_differ_are_told_apart_and_one_is_known_again(what: str) -> None:
     make = DIFFERENT[what]

@@ -145,7 +145,6 @@ def together(task: Callable[[int], Any]) -> list[Any]:
         return list(pool.map(begin, range(THREADS)))
 
 
-@pytest.mark.alike
 @pytest.mark.parametrize(("kind", "name"), CASES)
 def test_every_answer_is_that_of_one_thread_bit_for_bit(kind: str, name: str) -> None:
     robot = ROBOTS[kind]
