@@ -26,7 +26,7 @@ from pinmobile.plant import Context
 from pinmobile.trajectories import Reference
 from tests.frozen import CIRCLE, by_lapack, loops
 
-SAMPLES, DT = 4, 0.01
+SAMPLES, DT = 3, 0.01
 COMMANDED = VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], accelerations=(2.0, 4.0))
 LOOPS = {name: (parts, options) for name, parts, options in (*loops(), *by_lapack())}
 OF_COMMANDS: dict[str, Any] = {

@@ -108,6 +108,7 @@ def test_the_notebook_can_be_read_without_running_it(source: Path) -> None:
 
 
 @pytest.mark.once
+@pytest.mark.long
 @each
 def test_nbconvert_executes_it_without_a_screen_and_a_warning_and_its_claim_holds(
     source: Path, executed: Callable[[Path], Path]
