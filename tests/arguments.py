@@ -136,7 +136,6 @@ RESULTS = {
     *("robot.Mountable", "robot.Mountables", "verification.Comparison", "viewer.Recording"),
     *("closed_form.ReducedModel", "wheels.Allocation", "wheels.Forces", "wheels.Reduced"),
     "verification.Verification",
-    "identification.VelocityIdentification",
 }
 
 
@@ -592,10 +591,6 @@ ROWS: dict[str, Row] = {
     "identify_velocity": row(
         12, log=the("commands"), delay=0.0, ahead=0.0, accelerations=[9.0, 9.0], seconds=1.0
     ),
-    "identification.VelocityIdentification.interval": row(level=0.9),
-    "identification.VelocityIdentification.predict": row(12, log=the("commands")),
-    "identification.VelocityIdentification.robot": row(),
-    "identification.VelocityIdentification.spread": row(n=3, seed=1),
     "SwerveTracking": row(robot=the("swerve"), kp=2, k=10, steer=10, least=0.05),
     "Tracking": row(zeta=0.7, b=20),
     "Kanayama": row(k1=2, k2=10, k3=5),
@@ -1213,7 +1208,6 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "WheeledRobot.check_inverse_dynamics": lambda: WORLD.mecanum,
     "wheels.ByVoltage": lambda: WORLD.electric.by_voltage(),
     "VelocityRobot": lambda: WORLD.commanded,
-    "identification.VelocityIdentification": lambda: WORLD.theta,
     "wheels.Mobility": lambda: wheels.Mobility,
     "Resolved": lambda: WORLD.resolved,
     "Log": lambda: WORLD.log,
