@@ -360,7 +360,8 @@ def test_a_robot_that_no_body_is_becomes_the_likeliest_that_is_one() -> None:
         other[7], m = abs(other[7]), max(other[0], 0.02)
         other[3] = max(other[3], 1e-4 * m + (other[1] ** 2 + other[2] ** 2) / m)
         assert cost(other) > cost(near) * (1 - 1e-6)
-    robot = replace(found(), phi=phi, covariance_of_phi=C, unknown=np.zeros((10, 0))).robot()
+    bare = {"unknown": np.zeros((10, 0)), "hidden": np.zeros(10)}
+    robot = replace(found(), phi=phi, covariance_of_phi=C, **bare).robot()
     assert robot.mass == near[0]
     np.testing.assert_allclose(robot.com[:2], near[1:3] / near[0])
 
@@ -414,7 +415,7 @@ def test_the_weak_form_of_a_log_without_noise_is_exact_wherever_the_robot_is(far
     run = driven()
     estimates, _ = weakly(Log(run.t, run.q + np.array([far, -far, 0.0]), run.u))
     # Sums over windows of 31 samples, of forces that jump where dry friction does.
-    np.testing.assert_allclose(estimates, list(TRUE.values()), rtol=2e-3)
+    np.testing.assert_allclose(estimates, list(TRUE.values()), rtol=5e-3)
 
 
 def test_the_weak_forms_deviations_are_those_of_its_errors() -> None:
@@ -556,7 +557,7 @@ def test_resistance_that_depends_on_load_is_not_given_a_valid_interval(rolling: 
     run = simulate(WheeledRobot(body, table, Coulomb()), controller, path, dt=0.02, engine=COMPILED)
     read = Log.from_rollout(run, 1e-3, seed=1)
     known = identify(Log(read.t, read.q, read.u), rolls.table)
-    assert str(known).splitlines()[0].split("estimate")[1].strip().startswith(said)
+    assert said in str(known).splitlines()[0]
     assert known.is_noise == (rolling < 0.05)
     assert ("the structure of the model is wrong" in str(known)) == (rolling == 0.05)
 
@@ -780,7 +781,7 @@ def drifting(q: Array) -> Array:
         ),
         (
             lambda: identify(changed(u=lambda u: u * np.array([1, 1, -1.0]))),
-            r"^log has inputs .* of another sign\?$",
+            r"^log has inputs that explain .* of another sign, or in",
         ),
         (lambda: identify([]), r"^log is \[\], expected a Log, or several$"),
         (

@@ -1,7 +1,7 @@
 """Estimate parameters with confidence intervals from logs, and design motions that identify them."""
 
-from pinmobile.identification.excitation import Excitation, excitation
 from pinmobile.identification.log import Log
+from pinmobile.identification.motions import Excitation, excitation
 from pinmobile.identification.procedure import METHODS as METHODS, identify
 from pinmobile.identification.result import Identification
 from pinmobile.identification.statistics import Prediction

@@ -279,7 +279,7 @@ def solve(
         if last[0] is not at and np.array_equal(last[0][free], x):
             at, z = last
             near = Linear.of(model, segments, at, z, white)
-        return -near.J.reshape(-1, len(p))[:, free]
+        return -near.J.reshape(near.raw.size, len(p))[:, free]
 
     for _ in range(_PASSES if starts is None else 0):
         rows(at[free])
