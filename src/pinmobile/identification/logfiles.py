@@ -205,7 +205,8 @@ def _columns_of(names: Sequence[str]) -> dict[str, Sequence[str]]:
     def first(*sets: Sequence[str]) -> list[str]:
         return next(([known[n] for n in each] for each in sets if set(each) <= set(known)), [])
 
-    inputs = [name for name in names if name.startswith("u_")] or first(("fx", "fy", "mz"))
+    inputs = [name for name in names if name.startswith("u_")]
+    inputs = inputs or [known[name] for name in ("fx", "fy", "mz") if name in known]
     rates = [name for name in names if name.startswith("rate_")]
     turned = [f"v_{name.removeprefix('u_')}" for name in inputs]  # as Rollout.to_csv calls them
     found: dict[str, Sequence[str]] = {

@@ -33,8 +33,7 @@ from pinmobile.identification.estimator import Segments, differences, runge_kutt
 from pinmobile.identification.log import Log
 from pinmobile.identification.preprocessing import LATER, PreprocessedLog
 from pinmobile.identification.statistics import POSE
-from pinmobile.robot import MobileRobot
-from pinmobile.robot.linkage import solved
+from pinmobile.robot import MobileRobot, solved
 from pinmobile.urdf import Body
 from pinmobile.wheels import Motor, MotorLaw
 

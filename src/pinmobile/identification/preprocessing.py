@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,6 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.identification.estimator import Segments
 from pinmobile.identification.log import Log, check_units, held_integrals
 from pinmobile.identification.statistics import NORMAL
-
-if TYPE_CHECKING:
-    from pinmobile.identification.model import PlanarModel
 
 LATER = 8  # samples by which a delay may differ from where its search begins
 _WINDOW = 0.15  # [s] of the cubic whose residual tells outliers and noise
@@ -67,7 +64,7 @@ class PreprocessedLog:
     load: Array
 
     @classmethod
-    def of(cls, log: Log, model: PlanarModel, load: Array, name: str = "log") -> PreprocessedLog:
+    def of(cls, log: Log, model: Any, load: Array, name: str = "log") -> PreprocessedLog:
         """Return a log cleaned for a model.
 
         Raises
@@ -114,7 +111,7 @@ class PreprocessedLog:
         """Body twist of the filtered pose, shape (N, 3): forward, left, yaw rate."""
         return twist_of(self.q, self.dt)
 
-    def free_velocities(self, model: PlanarModel) -> Array:
+    def free_velocities(self, model: Any) -> Array:
         """Return eta at all samples, shape (N, k): of the encoders where there are any."""
         if self.rates is not None:
             return np.asarray(_filtered(self.rates, self.dt) @ np.linalg.pinv(model.A).T)
@@ -128,11 +125,11 @@ class PreprocessedLog:
             rates = rates + size * self.rates_noise * generator.standard_normal(rates.shape)
         return replace(self, q=q, rates=rates)
 
-    def rates_of(self, model: PlanarModel) -> Array:
+    def rates_of(self, model: Any) -> Array:
         """Return the rates along which there is friction at all samples, shape (N, a)."""
         return self.twist if model.B is None else np.asarray(self.free_velocities(model) @ model.A.T)
 
-    def segments(self, model: PlanarModel, delay: float, seconds: float, rates: bool) -> Segments:
+    def segments(self, model: Any, delay: float, seconds: float, rates: bool) -> Segments:
         """Return the segments of a log whose poses come late by so many samples.
 
         Parameters
@@ -296,7 +293,7 @@ class Slippage(NamedTuple):
         )
 
     @classmethod
-    def of(cls, run: PreprocessedLog, model: PlanarModel, name: str = "log") -> Self | None:
+    def of(cls, run: PreprocessedLog, model: Any, name: str = "log") -> Self | None:
         """Return that of a log; None where it cannot be told, as of a body that is pushed.
 
         Raises

@@ -201,16 +201,15 @@ class WeakForm:
             Whether the delay is sought too, near the one given: it is one more column, and its uncertainty is
             in the covariance.
         """
-        fit, scale = self._extrapolated(delay, prior, basis, free, 1.0), 1.0
-        for _ in range(_ROUNDS if self.model.scaled and self.model.motors else 0):  # not linear in a back-EMF
-            before = scale
-            scale = float(np.clip(fit.phi[-1], scale / _FARTHEST, scale * _FARTHEST))
+        scale, nonlinear = 1.0, self.model.scaled and bool(self.model.motors)  # by the back-EMF
+        for _ in range(_ROUNDS if nonlinear else 1):
+            fit, before = self._near(scale, delay, prior, basis, free), scale
+            scale = float(np.clip(fit.phi[-1], scale / _FARTHEST, scale * _FARTHEST)) if nonlinear else 1.0
             if abs(scale - before) <= _SAME * scale:
                 break
-            fit = self._extrapolated(delay, prior, basis, free, scale)
         return fit
 
-    def _extrapolated(self, delay: float, prior: Array, basis: Array, free: bool, scale: float) -> WeakFit:
+    def _near(self, scale: float, delay: float, prior: Array, basis: Array, free: bool) -> WeakFit:
         """Return the same of equations that are linear near a scale of the inputs."""
         Y, shaken, y = self.equations(delay, scale)
         if free:
