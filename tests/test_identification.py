@@ -360,8 +360,8 @@ def test_a_robot_that_no_body_is_becomes_the_likeliest_that_is_one() -> None:
         other[7], m = abs(other[7]), max(other[0], 0.02)
         other[3] = max(other[3], 1e-4 * m + (other[1] ** 2 + other[2] ** 2) / m)
         assert cost(other) > cost(near) * (1 - 1e-6)
-    bare = {"unknown": np.zeros((10, 0)), "hidden": np.zeros(10)}
-    robot = replace(found(), phi=phi, covariance_of_phi=C, **bare).robot()
+    known = replace(found(), phi=phi, covariance_of_phi=C, hidden=np.zeros(10), unknown=np.zeros((10, 0)))
+    robot = known.robot()
     assert robot.mass == near[0]
     np.testing.assert_allclose(robot.com[:2], near[1:3] / near[0])
 

@@ -229,7 +229,7 @@ def test_physics_leaves_its_mark_on_theta() -> None:
         (lambda: VelocityRobot.from_motors(on_wheels(), 0.0), "kp is 0.0 V s/rad, expected > 0"),
         (
             lambda: VelocityRobot.from_motors(on_wheels(motor=Motor(torque_limit=3.0)), 1.0),
-            "expected two fixed wheels on one axle, alike, each with the same Motor",
+            "other wheels or motors",
         ),
         (lambda: VelocityRobot.from_motors(on_wheels().mount("ur5"), 1.0), "wheeled has arms"),
         (lambda: VelocityCommand(3, VelocityRobot(THETA)), "law is 3, expected a kinematic law"),

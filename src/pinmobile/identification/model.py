@@ -160,8 +160,8 @@ class PlanarModel:
         columns = np.stack([each.column for each in table.actuators], axis=-1)
         volts = any(each.unit == "V" for each in robot.inputs)
         motors = tuple(each.motor for each in table.actuators) if volts else ()
-        arrays = [frozen(each) for each in (S, columns.T @ turning, reduced.B, inertia)]
-        return cls(*arrays, speed, names, scaled, motors)
+        S, A, B, inertia = (frozen(each) for each in (S, columns.T @ turning, reduced.B, inertia))
+        return cls(S, A, B, inertia, speed, names, scaled, motors)
 
     @property
     def free(self) -> int:
