@@ -45,12 +45,6 @@ _GAINS = 0.1, 10.0  # command per steady speed or yaw rate of any robot
 _FARTHEST = 10.0  # [m]: ahead of the axle
 _NEUTRAL = {"theta_3": 0.0, "theta_4": 1.0, "theta_5": 0.0, "theta_6": 1.0}  # of a robot that loses nothing
 _WINDOW = 0.8  # [s] of the weak form that gives a start
-_AROUND, _ENDS = 7, 9  # samples of a running median, and of each end by which it goes on
-_OUTLIER, _FAST = (
-    6.0,
-    0.9,
-)  # deviations, and share of the steps of poses that are shorter than what may be off
-_SMOOTH = 0.25  # [s] of the cubic by which poses give speeds, for the start alone
 _FINEST = 1e-4  # [m, rad]: finer noise of poses, as of a simulation, counts as this
 _FINE = 0.3  # of the shortest time constant: longest step of Runge and Kutta
 _BENDS = 4  # times as many where a limit of acceleration ends within one
