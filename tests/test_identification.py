@@ -299,7 +299,7 @@ def test_what_is_said_to_be_identifiable_holds_true_values_whatever_the_prior() 
         read = Log.from_rollout(run, 1e-3, (1.0, 1.0, 0.15) if seed % 3 else 0.0, seed=seed)
         known = identify(read, MobileRobot(30.0, 1.5))
         assert known.unseen
-        deviations = known.deviations(0.95) * np.sqrt(np.diag(known.covariance))
+        deviations = known._deviations(0.95) * np.sqrt(np.diag(known.covariance))
         true = [mass, *com, mass * radius**2, *viscous, *dry]
         for name, value, half in zip(TRUE, true, deviations, strict=False):
             if known.is_seen[name]:

@@ -186,7 +186,7 @@ class Identification:
         InvalidArgument
             If it is no such number.
         """
-        half = self.deviations(level) * np.array([*self.standard_errors.values()])
+        half = self._deviations(level) * np.array([*self.standard_errors.values()])
         low, high = self.values - half, self.values + half
         bounded = np.array([one.bounded for one in self.model.quantities])
         low, high = (
@@ -213,10 +213,10 @@ class Identification:
         InvalidArgument
             If the level is no such number.
         """
-        half = self.deviations(level) * self.delay_error
+        half = self._deviations(level) * self.delay_error
         return self.delay - half, self.delay + half
 
-    def deviations(self, level: float) -> float:
+    def _deviations(self, level: float) -> float:
         """Return how many standard deviations the interval of a level has to each side."""
         return student_deviations(level, self.freedom)
 
@@ -288,7 +288,7 @@ class Identification:
     def below_zero(self) -> tuple[str, ...]:
         """What estimates are below zero of what cannot be, and why."""
         told = []
-        usual, far = self.deviations(0.95), self.deviations(_FAR)  # of eight, one is beyond 95 % by chance
+        usual, far = self._deviations(0.95), self._deviations(_FAR)  # of eight, one is beyond 95 % by chance
         for one, value, sd in zip(
             self.model.quantities, self.values.tolist(), self.standard_errors.values(), strict=True
         ):
@@ -315,7 +315,7 @@ class Identification:
         """
         body = self.model.plausible(self.phi, self.covariance_of_phi)
         found, there = self.values, self.model.to_physical(body)
-        wide = self.deviations(_FAR) * np.sqrt(np.diag(self.covariance))
+        wide = self._deviations(_FAR) * np.sqrt(np.diag(self.covariance))
         for k in np.flatnonzero(np.abs(there - found)[:4] > wide[:4] + 1e-9 * np.abs(found[:4])):
             one = self.model.quantities[k]
             raise InvalidArgument(
@@ -385,7 +385,7 @@ class Identification:
         """
         n, generator = whole("n", n), seeded("seed", seed)
         affordable(f"spread: {n:,} draws", 4.0 * n * len(self.phi), "draw fewer at a time")
-        self.require_seen("spread")
+        check_seen("spread", self.unseen)
         values, vectors = np.linalg.eigh(self.covariance_of_phi)
         half = vectors * np.sqrt(np.maximum(values, 0))
         phi = student_draws(n, self.phi, half, self.freedom, generator, self.model.are_possible)
@@ -400,14 +400,6 @@ class Identification:
             for one, x in zip(self.model.quantities, drawn.T, strict=True)
             if one.path
         }
-
-    def require_seen(self, what: str) -> None:
-        """Refuse what needs all parameters where something is unseen."""
-        if self.unseen:
-            raise InvalidArgument(
-                f"{what}() needs a log that tells all: {self.unseen}; expected one that excites more, in "
-                "which all velocities change independently"
-            )
 
     def predict(self, log: Log, seconds: float | None = None) -> Prediction:
         """Return how well the robot that was found foretells another log, beside the noise of its sensors.
@@ -432,3 +424,12 @@ class Identification:
         measured, left = segments.y[..., : len(names)], residual[..., : len(names)]
         rms = np.sqrt((left[good] ** 2).mean(axis=0))
         return Prediction(names, units, segments.t, measured, measured - left, rms, noise)
+
+
+def check_seen(what: str, unseen: str) -> None:
+    """Refuse a method that needs all parameters where something is unseen."""
+    if unseen:
+        raise InvalidArgument(
+            f"{what}() needs a log that tells all: {unseen}; expected one that excites more, in which all "
+            "velocities change independently"
+        )

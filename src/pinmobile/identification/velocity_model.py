@@ -23,7 +23,7 @@ from pinmobile.identification.estimator import (
 from pinmobile.identification.log import Log, Samples, check_steps, check_units, logs_of
 from pinmobile.identification.model import Quantity
 from pinmobile.identification.preprocessing import mean_inputs, twist_of, without_outliers
-from pinmobile.identification.result import Identification
+from pinmobile.identification.result import Identification, check_seen
 from pinmobile.identification.statistics import POSE, SPEEDS, whiteness
 from pinmobile.identification.velocity_robot import (
     ABOVE_ZERO,
@@ -183,7 +183,7 @@ class VelocityModel:
 
     def robot(self, found: Identification) -> VelocityRobot:
         """Return the robot as identified; see `Identification.robot`."""
-        found.require_seen("robot")
+        check_seen("robot", found.unseen)
         theta, _, ahead, most = self.values(found.phi[None])
         source = f"identified from {found.samples} samples in {found.segments} segments"
         return VelocityRobot(theta[0], float(ahead[0]), accelerations=most[0], source=source)
