@@ -25,8 +25,9 @@ from measuring import about, console, picked, say, selecting, table
 
 import pinmobile as pm
 from pinmobile.identification import Excitation
-from pinmobile.identification.cleaning import Cleaned
-from pinmobile.identification.output_error import OutputError, Segments
+from pinmobile.identification.estimator import solve
+from pinmobile.identification.model import Search
+from pinmobile.identification.preprocessing import PreprocessedLog
 
 RUNS, QUICK_RUNS = 2, 1
 SEGMENT = 2.0  # [s]
@@ -162,13 +163,14 @@ def by_sysid(log: pm.Log) -> Answer:
     from mujoco.sysid import calculate_intervals
 
     found = found_in(log, "output error")
-    run = Cleaned.of(log, found.chassis, np.zeros(4))
-    late = found.delay / found.dt
-    problem = OutputError([Segments.of(run, found.chassis, late, SEGMENT)], found.chassis)
+    segments = PreprocessedLog.of(log, found.model, np.zeros(4)).segments(
+        found.model, found.delay / found.dt, SEGMENT, rates=False
+    )
     scales = np.sqrt(np.diag(found.covariance_of_phi))
-    _, _, (part,) = problem.started(found.phi, np.diag(scales))
-    slopes = np.linalg.inv(found.chassis.slopes(found.phi) * scales)  # from told to phi over its scales
-    _, half = calculate_intervals([part.e.ravel()], part.J.reshape(-1, len(scales)) @ slopes)
+    search = Search(found.model, found.phi, np.diag(scales), found.delay / found.dt)
+    near = solve(search, segments, search.start, moves=False).near
+    slopes = np.linalg.inv(found.model.slopes(found.phi) * scales)
+    _, half = calculate_intervals([near.e.ravel()], near.J.reshape(-1, len(scales)) @ slopes)
     told = np.array(list(found.parameters.values()))
     return told[:10], np.column_stack([told - half, told + half])[:10], found.delay / found.dt
 

@@ -574,9 +574,13 @@ def reverse(table: Any) -> Any:
 @pytest.mark.parametrize(
     ("change", "words", "text"),
     [
-        (lambda table: np.delete(table, np.s_[300:330], axis=0), "", r"t has a gap from 5\.98 to 6\.6 s .*"),
+        (
+            lambda table: np.delete(table, np.s_[300:330], axis=0),
+            "",
+            r"t has a gap, between 5\.98 and 6\.6 s, .*",
+        ),
         (lambda table: table[:600], "", r"log is 12 s long, too short, expected at least .*"),
-        (reverse, "", r"log has inputs of which the motion explains .*another robot.*"),
+        (reverse, "", r"log has inputs that explain .*another robot.*"),
         (
             lambda table: table,
             "columns.q=x,y",
@@ -601,7 +605,7 @@ def test_a_bad_log_is_answered_in_one_line(
         ("run.csv columns.q=x,y,spi", "unknown column of .* 'spi', did you mean 'psi'.*"),
         ("run.csv topics.q=/odom", "topics is .*, expected those of u and of q or twist, .*"),
         ("run.csv method=ls", "unknown method 'ls', available: output error, weak|method is 'ls', .*"),
-        ("run.csv delay=30", r"delay is 30 s, expected 4\.4 s at most: are these milliseconds\?"),
+        ("run.csv delay=30", r"delay is 30\.0 s, expected -4\.40\d* <= delay <= 4\.40\d* s"),
         (
             "run.csv robot=WheelTabel",
             "robot=WheelTabel: robot is 'WheelTabel', expected a robot or wheels, .*",

@@ -227,7 +227,10 @@ def test_physics_leaves_its_mark_on_theta() -> None:
         (lambda: VelocityRobot(THETA, accelerations=[1, 1, 1]), "accelerations has shape"),
         (lambda: VelocityRobot.from_motors(MobileRobot.box(), 1.0), "expected a WheeledRobot"),  # type: ignore[arg-type]
         (lambda: VelocityRobot.from_motors(on_wheels(), 0.0), "kp is 0.0 V s/rad, expected > 0"),
-        (lambda: VelocityRobot.from_motors(on_wheels(motor=Motor(torque_limit=3.0)), 1.0), "take no volts"),
+        (
+            lambda: VelocityRobot.from_motors(on_wheels(motor=Motor(torque_limit=3.0)), 1.0),
+            "other wheels or motors",
+        ),
         (lambda: VelocityRobot.from_motors(on_wheels().mount("ur5"), 1.0), "wheeled has arms"),
         (lambda: VelocityCommand(3, VelocityRobot(THETA)), "law is 3, expected a kinematic law"),
         (lambda: VelocityCommand(Tracking(), MobileRobot.box()), "expected a VelocityRobot"),

@@ -1,13 +1,12 @@
 """Estimate parameters with confidence intervals from logs, and design motions that identify them."""
 
-from pinmobile.identification.estimate import Identification
-from pinmobile.identification.log import INSTEAD as INSTEAD, Log
+from pinmobile.identification.log import Log
 from pinmobile.identification.motions import Excitation, excitation
 from pinmobile.identification.procedure import METHODS as METHODS, identify
-from pinmobile.identification.published import VELOCITY_ROBOTS
+from pinmobile.identification.result import Identification
 from pinmobile.identification.statistics import Prediction
-from pinmobile.identification.velocity_identification import VelocityIdentification, identify_velocity
-from pinmobile.identification.velocity_robot import VelocityRobot
+from pinmobile.identification.velocity_model import identify_velocity
+from pinmobile.identification.velocity_robot import VELOCITY_ROBOTS, VelocityRobot
 
 __all__ = [
     "VELOCITY_ROBOTS",
@@ -15,7 +14,6 @@ __all__ = [
     "Identification",
     "Log",
     "Prediction",
-    "VelocityIdentification",
     "VelocityRobot",
     "excitation",
     "identify",

@@ -22,6 +22,7 @@ from pinmobile.arrays import (
     representable,
     scalar,
     seeded,
+    sequence,
     shaped,
     whole,
 )
@@ -51,12 +52,12 @@ def lost_rows(given: Mapping[str, Array]) -> dict[str, NDArray[np.bool_]]:
     return {name: np.array(np.isnan(x).reshape(len(x), -1).any(axis=1)) for name, x in given.items()}
 
 
-def any_of(lost: Mapping[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
+def _any_of(lost: Mapping[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
     """Return which rows have NaN in any part of the log."""
     return np.asarray(np.logical_or.reduce(list(lost.values())))
 
 
-def check_times(rows: Array, kept: NDArray[np.int_], lost: Mapping[str, NDArray[np.bool_]]) -> None:
+def _check_times(rows: Array, kept: NDArray[np.int_], lost: Mapping[str, NDArray[np.bool_]]) -> None:
     """Refuse times that do not increase, are of another unit, or lack too many rows in a row.
 
     Parameters
@@ -67,95 +68,59 @@ def check_times(rows: Array, kept: NDArray[np.int_], lost: Mapping[str, NDArray[
         Those whose input is known too.
     lost : mapping of str to ndarray of bool, shape (N,)
         Where there is NaN, by the part of the log.
-
-    Raises
-    ------
-    InvalidArgument
-        If they are such; the message tells NaN from times that jump.
     """
-    there = kept[~any_of(lost)[kept]]
+    there = kept[~_any_of(lost)[kept]]
     if len(there) < 2:
         raise InvalidArgument(f"t has {len(there)} times without NaN in their rows, expected more")
-    t = rows[kept]
-    increasing("t", t)
-    usual = float(np.median(np.diff(t)))
+    increasing("t", rows[kept])
+    usual = float(np.median(np.diff(rows[kept])))
     if usual > _LONGEST_STEP:
-        ladder = ((_LONGEST_STEP * 1e6, "nano"), (_LONGEST_STEP * 1e3, "micro"), (0.0, "milli"))
-        small = next(name for least, name in ladder if usual > least)
-        raise InvalidArgument(f"t has steps of {usual:g} s, expected seconds: are these {small}seconds?")
+        raise InvalidArgument(f"t has steps of {usual:g} s, expected seconds: are these milliseconds?")
     applied = {name: lost[name] for name in ("t", "u")}
-    _check_gaps(rows, kept, applied, usual, _HOLE, "what was applied meanwhile is not known")
-    most = max(_HOLE, round(_BRIDGED / usual))
-    _check_gaps(rows, there, lost, usual, most, f"over more than {_BRIDGED} s what is bridged is a guess")
-
-
-def _check_gaps(
-    rows: Array,
-    kept: NDArray[np.int_],
-    lost: Mapping[str, NDArray[np.bool_]],
-    usual: float,
-    most: int,
-    why: str,
-) -> None:
-    """Refuse more rows in a row than may be missing between those kept, and say why, and which they are."""
-    t = rows[kept]
-    worst = int(np.diff(t).argmax())
-    if t[worst + 1] - t[worst] <= (most + 1.5) * usual:
-        return
-    count = {name: int(each[kept[worst] + 1 : kept[worst + 1]].sum()) for name, each in lost.items()}
-    name = max(count, key=lambda each: count[each])
-    if not count[name]:
+    bridged = max(_HOLE, round(_BRIDGED / usual))
+    for at, parts, most, why in (
+        (kept, applied, _HOLE, "what was applied meanwhile is not known"),
+        (there, lost, bridged, f"over more than {_BRIDGED} s what is bridged is a guess"),
+    ):
+        worst = int(np.diff(rows[at]).argmax())
+        (start, stop), (first, last) = rows[at[[worst, worst + 1]]], at[[worst, worst + 1]]
+        if stop - start <= (most + 1.5) * usual:
+            continue
+        count = {name: int(each[first + 1 : last].sum()) for name, each in parts.items()}
+        name = max(count, key=lambda each: count[each])
+        what = f"{name} has {count[name]} rows of NaN in a row" if count[name] else "t has a gap"
         raise InvalidArgument(
-            f"t has a gap from {t[worst]:g} to {t[worst + 1]:g} s between steps of {usual:g} s, expected "
-            "none: cut the log there, identify takes several"
+            f"{what}, between {start:g} and {stop:g} s, expected {most} rows at most: {why}; cut the log "
+            "there, identify takes several"
         )
-    raise InvalidArgument(
-        f"{name} has {count[name]} rows of NaN in a row, between {t[worst]:g} and {t[worst + 1]:g} s, "
-        f"expected {most} at most: {why}; cut the log there, identify takes several"
-    )
 
 
-def _check_new(t: Array, q: Array) -> None:
-    """Refuse poses that stand in several rows each, as of a slower sensor, which are not measured anew."""
-    news = np.flatnonzero((np.diff(q, axis=0) != 0).any(axis=1))
-    lasts = np.diff(news)
-    held = lasts[lasts * step(t) < _HELD]  # longer is a robot that stands
+def _check_pose(t: Array, q: Array) -> None:
+    """Refuse poses of a slower sensor, which stand in several rows each, and those of other units."""
+    apart, dt = max(1, round(_WINDOW / step(t))), step(t)
+    if len(t) <= apart:
+        return
+    lasts = np.diff(np.flatnonzero((np.diff(q, axis=0) != 0).any(axis=1)))
+    held = lasts[lasts * dt < _HELD]  # longer is a robot that stands
     usual = float(np.median(held)) if len(held) > _OFTEN else 1.0
     if usual > 1 and (np.abs(held - usual) <= 1).mean() > _EVENLY:
         raise InvalidArgument(
-            f"q has each pose in {usual:g} rows, of {step(t):.3g} s each, expected it once, and NaN in rows "
+            f"q has each pose in {usual:g} rows, of {dt:.3g} s each, expected it once, and NaN in rows "
             "where none was measured, or Log.from_streams"
         )
-
-
-def check_pose(t: Array, q: Array) -> None:
-    """Refuse poses that change as no robot's in metres and radians do.
-
-    Raises
-    ------
-    InvalidArgument
-        If they do so.
-    """
-    apart = max(1, round(_WINDOW / step(t)))
-    if len(t) <= apart:
-        return
-    _check_new(t, q)
-    dt = t[apart:] - t[:-apart]
-    speed = np.hypot(*(q[apart:, :2] - q[:-apart, :2]).T) / dt
-    if np.median(speed) > _FASTEST:
+    span, psi = t[apart:] - t[:-apart], q[:, 2]
+    speed = np.median(np.hypot(*(q[apart:, :2] - q[:-apart, :2]).T) / span)
+    if speed > _FASTEST:
         raise InvalidArgument(
-            f"q moves at {np.median(speed):.3g} m/s most of the time, expected metres: are these "
-            "centimetres or millimetres?"
+            f"q moves at {speed:.3g} m/s most of the time, expected metres: are these centimetres or "
+            "millimetres?"
         )
-    jumps = np.abs(np.diff(q[:, 2])) > 1.9 * np.pi
-    turn = np.abs(np.unwrap(q[:, 2])[apart:] - np.unwrap(q[:, 2])[:-apart]) / dt
-    plain = np.abs(q[apart:, 2] - q[:-apart, 2]) / dt
-    in_turns = np.abs(np.diff(q[:, 2]))[jumps]
-    if (in_turns.size and np.median(in_turns) > 4 * np.pi) or (
-        not in_turns.size and max(np.median(turn), np.quantile(plain, 0.9)) > _FASTEST_TURN
-    ):
+    whole_turns = (steps := np.abs(np.diff(psi)))[steps > 1.9 * np.pi]
+    turn, plain = (np.abs(each[apart:] - each[:-apart]) / span for each in (np.unwrap(psi), psi))
+    fast = max(np.median(turn), np.quantile(plain, 0.9)) > _FASTEST_TURN
+    if np.median(whole_turns) > 4 * np.pi if whole_turns.size else fast:
         raise InvalidArgument(
-            f"q has psi from {q[:, 2].min():.4g} to {q[:, 2].max():.4g}, which turns at "
+            f"q has psi from {psi.min():.4g} to {psi.max():.4g}, which turns at "
             f"{np.quantile(plain, 0.9):.3g} rad/s and more, expected radians: are these degrees?"
         )
 
@@ -254,21 +219,21 @@ class Log:
         if not {"q", "twist"} & set(given):
             raise InvalidArgument("q is None, and there is no twist, expected one of them: what was measured")
         lost = lost_rows(given)
-        bad = any_of(lost)
+        bad = _any_of(lost)
         if bad.all():
             worst = max(lost, key=lambda name: int(lost[name].sum()))
             raise InvalidArgument(f"{worst} has {len(t)} rows, and NaN in each, expected rows without")
         first, last = np.flatnonzero(~bad)[[0, -1]]
         kept = np.flatnonzero(~lost["t"] & ~lost["u"])
         kept = kept[(kept >= first) & (kept <= last)]
-        check_times(t, kept, lost)
+        _check_times(t, kept, lost)
         object.__setattr__(self, "dropped", self.dropped + int(bad.sum()))
         given, seen = {name: array[kept] for name, array in given.items()}, ~bad[kept]
         for name, array in given.items():
             finite(name, np.where(np.isnan(array), 0.0, array))
         if "q" in given:
             q = given["q"] = np.array(given["q"])
-            check_pose(given["t"][seen], q[seen])
+            _check_pose(given["t"][seen], q[seen])
             q[seen, 2] = np.unwrap(q[seen, 2])
             q[~seen] = np.nan
         for name, array in given.items():
@@ -292,13 +257,6 @@ class Log:
         """Time between two samples [s]."""
         return step(self.t)
 
-    def _is_same(self, other: Log) -> bool:
-        """Return whether another log has the same numbers."""
-        mine, others = self._given(), other._given()
-        return mine.keys() == others.keys() and all(
-            np.array_equal(mine[name], others[name], equal_nan=True) for name in mine
-        )
-
     def between(self, start: float, stop: float) -> Self:
         """Return what was measured from one time to before another, counted from the first sample [s].
 
@@ -308,13 +266,7 @@ class Log:
             If fewer than two samples are left.
         """
         since = self.t - self.t[0]
-        low, high = (scalar(name, x) for name, x in (("start", start), ("stop", stop)))
-        kept = (since >= low) & (since < high)
-        if kept.sum() < 2:
-            raise InvalidArgument(
-                f"start and stop are {low:g} and {high:g} s, with {kept.sum()} samples between them, "
-                f"expected more of the {since[-1]:g} s"
-            )
+        kept = (since >= scalar("start", start)) & (since < scalar("stop", stop))
         new = {name: array[kept] for name, array in self._given().items()}
         return replace(self, **new, dropped=0)
 
@@ -322,7 +274,7 @@ class Log:
         """Return it on times of equal steps: what jitters is interpolated, what is lost is told."""
         dt, given = self.dt, self._given()
         t, u = given.pop("t") - self.t[0], given.pop("u")
-        there = ~any_of(lost_rows(given))
+        there = ~_any_of(lost_rows(given))
         steps = np.rint(t / dt).astype(int)
         grid = dt * np.arange(steps[-1] + 1)
         seen = np.zeros(len(grid), bool)
@@ -379,8 +331,8 @@ class Log:
         kept = (t >= first) & (t <= held[-1])
         t = t[kept]
         edges, lost = np.append(t, t[-1] + step(t)), np.isnan(inputs).any(axis=1, keepdims=True)
-        mean = _mean_held(held, np.where(lost, 0.0, inputs), edges)
-        mean[_mean_held(held, np.where(lost, 1.0, 0.0), edges)[:, 0] > 0] = np.nan
+        mean = held_integrals(held, np.where(lost, 0.0, inputs), edges) / np.diff(edges)[:, None]
+        mean[held_integrals(held, np.where(lost, 1.0, 0.0), edges)[:, 0] > 0] = np.nan
         rows = {}
         for name, given in (("twist", twist), ("wheel_rates", wheel_rates)):
             if given is not None:
@@ -433,8 +385,7 @@ class Log:
         with np.errstate(all="ignore"):
             q = q[:end] + sigma["noise"] * generator.standard_normal((end, _POSE))
             told = u[late:] + sigma["input_noise"] * generator.standard_normal((end, u.shape[1]))
-        representable("a pose with its noise", q)
-        representable("an input with its noise", told)
+        representable("a pose or an input with its noise", np.append(q, told))
         units = tuple(one.unit for one in inputs_of(rollout.plant))
         rates = rollout.v[:end, wheels] if wheels else None
         return cls(rollout.t[late:], q, told, None, rates, units=units)
@@ -517,13 +468,14 @@ def logs_of(log: object) -> list[Log]:
     InvalidArgument
         If there is none, or something else.
     """
-    logs = [log] if isinstance(log, Log) else list(log) if isinstance(log, list | tuple) else []
+    made = "from_rollout" if isinstance(log, Rollout) else "from_csv"
+    hint = f": Log.{made} makes one" if isinstance(log, str | PathLike | Rollout) else ""
+    expected = f"a Log, or several{hint}"
+    logs = [log] if isinstance(log, Log) else [*sequence("log", log, expected)]
     if not logs or not all(isinstance(each, Log) for each in logs):
-        made = "from_rollout" if isinstance(log, Rollout) else "from_csv"
-        hint = f": Log.{made} makes one" if isinstance(log, str | PathLike | Rollout) else ""
-        raise InvalidArgument(f"log is {shown(log)}, expected a Log, or several{hint}")
+        raise InvalidArgument(f"log is {shown(log)}, expected {expected}")
     for k, each in enumerate(logs):
-        same = next((j for j in range(k) if logs[j]._is_same(each)), None)
+        same = next((j for j in range(k) if _are_same(logs[j]._given(), each._given())), None)
         if same is not None:
             raise InvalidArgument(
                 f"log[{k}] has the numbers of log[{same}], expected another run: one that counts twice makes "
@@ -532,7 +484,12 @@ def logs_of(log: object) -> list[Log]:
     return logs
 
 
-INSTEAD = {
+def _are_same(one: Mapping[str, Array], other: Mapping[str, Array]) -> bool:
+    same = (np.array_equal(one[n], other[n], equal_nan=True) for n in one if n in other)
+    return one.keys() == other.keys() and all(same)
+
+
+_INSTEAD = {
     "N": "forces take robot=None or a MobileRobot",
     "N m": "torques take wheels without electric motors",
     "V": "volts take wheels with electric motors, or by_voltage()",
@@ -561,7 +518,7 @@ def check_units(log: Log, name: str, expected: Mapping[str, str], also: str = ""
     """
     for unit, (one, wanted) in zip(log.units, expected.items(), strict=False):
         if unit not in ("", wanted, also):
-            why = INSTEAD.get(unit, "are columns mixed up?")
+            why = _INSTEAD.get(unit, "are columns mixed up?")
             raise InvalidArgument(f"{name} has input {one} in {unit}, expected {wanted}: {why}")
 
 
@@ -576,9 +533,8 @@ def _interpolated(t: Array, columns: Array, grid: Array) -> Array:
     return np.column_stack([np.interp(grid, t, column) for column in columns.T])
 
 
-def _mean_held(t: Array, u: Array, edges: Array) -> Array:
-    """Return the mean of what holds between edges, of values u each of which holds from its time on."""
+def held_integrals(t: Array, u: Array, edges: Array) -> Array:
+    """Return the integrals between edges of values u each of which holds from its time on."""
     spent = np.vstack([np.zeros(u.shape[1]), np.cumsum(u[:-1] * np.diff(t)[:, None], axis=0)])
     k = np.clip(np.searchsorted(t, edges, side="right") - 1, 0, len(t) - 1)
-    total = spent[k] + u[k] * (edges - t[k])[:, None]
-    return np.asarray(np.diff(total, axis=0) / np.diff(edges)[:, None])
+    return np.asarray(np.diff(spent[k] + u[k] * (edges - t[k])[:, None], axis=0))

@@ -5,13 +5,11 @@ from __future__ import annotations
 import codecs
 import csv
 import re
-import struct
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import takewhile
 from operator import attrgetter
-from os import SEEK_END, PathLike
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +20,6 @@ from pinmobile.errors import FileError, InvalidArgument, PinmobileError, Unknown
 from pinmobile.extras import imported
 from pinmobile.files import refusals
 
-_ROLES = ("q", "u", "twist", "wheel_rates")
 _STAMPS = ("header", "bag")
 _NANO = 1e-9
 
@@ -40,16 +37,16 @@ def read_csv(
     """Return columns by role, units of inputs, and how many rows are of another length: see `Log`."""
     file = location("path", path)
     head, rows = _table(file)
-    names = [*map(_named, head)]
+    names = [_UNIT.sub("", title.strip()).strip() for title in head]
     named = {name: k for k, name in enumerate(names) if name}
     known = _columns_of(list(named))
     such = "a mapping such as {'t': 'time', ...}"
     wanted = known if columns is None else dict(instance("columns", columns, Mapping, such))
     for role in wanted:
-        one_of("part of a log", role, ("t", *_ROLES))
+        one_of("part of a log", role, ("t", *_RULES))
     for roles in (("t",), ("u",), ("q", "twist")):
-        if roles[0] in known and not set(roles) & set(wanted):
-            wanted[roles[0]] = known[roles[0]]
+        if not set(roles) & set(wanted):
+            wanted |= {roles[0]: known[roles[0]]} if roles[0] in known else {}
         if not set(roles) & set(wanted):
             raise _refused(
                 file,
@@ -69,8 +66,8 @@ def read_csv(
             if names.count(name) > 1:
                 raise _refused(file, f"with two columns {name!r}", "one")
         titles = [head[named[name]] for name in listed]
-        rates: list[str | None] = ["rad/s" if role == "wheel_rates" else None] * len(titles)
-        expected = _EXPECTED.get((role, len(titles)), rates)
+        units_of = _EXPECTED.get((role, len(titles)), ["rad/s" if role == "wheel_rates" else None])
+        expected = [*units_of] * (len(titles) // len(units_of))
         in_si = [_si_unit(title, each) for title, each in zip(titles, expected, strict=True)]
         cells = [_column(file, head[named[name]], [row[named[name]] for row in kept]) for name in listed]
         parts[role] = np.column_stack(cells) * [factor for _, factor in in_si]
@@ -87,10 +84,8 @@ def _table(file: Path) -> tuple[list[str], list[list[str]]]:
     Lines before the header that begin with # or % are comments; the last of these is the header where numbers
     follow it.
     """
-    with refusals("read", "path", file), file.open("rb") as opened:
-        data = opened.read(_MOST_BYTES + 1)  # what is no regular file may never end
-    if len(data) > _MOST_BYTES:
-        raise _refused(file, f"of more than {_MOST_BYTES >> 20} MiB", "less")
+    with refusals("read", "path", file):
+        data = file.read_bytes()
     wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
         content = data.decode("utf-16" if wide else "utf-8-sig")
@@ -114,8 +109,6 @@ def _table(file: Path) -> tuple[list[str], list[list[str]]]:
         head, *rows = [[cell.strip() for cell in row] for row in read]
     except csv.Error as error:
         raise InvalidArgument(f"path is {str(file)!r}, which is no table of cells: {error}") from error
-    if (longest := max(map(len, head), default=0)) > _LONGEST_NAME:
-        raise _refused(file, f"whose header has a name of {longest:,} letters", f"at most {_LONGEST_NAME:,}")
     if between != ",":  # a comma is then that of a decimal
         rows = [[cell.replace(",", ".") for cell in row] for row in rows]
     return head, rows
@@ -124,8 +117,6 @@ def _table(file: Path) -> tuple[list[str], list[list[str]]]:
 _COMMENTS = "#", "%"
 _SEPARATORS = ";", "\t", ",", " "
 _QUATERNION = 4
-_MOST_BYTES = 1 << 30
-_LONGEST_NAME = 1000  # letters of a column's name, with its unit
 
 
 def _is_numbers(line: str) -> bool:
@@ -136,34 +127,25 @@ def _is_numbers(line: str) -> bool:
 _UNIT = re.compile(r"[\[(]([^][()]*)[\])]$")
 
 
-def _named(title: str) -> str:
-    """Return the name of a column without its unit."""
-    return _UNIT.sub("", title.strip()).strip()
-
-
 def _column(file: Path, title: str, cells: Sequence[str]) -> Array:
-    """Return the numbers of a column; NaN where a cell holds none."""
+    """Return the numbers of a column, or seconds of dates with times; NaN where a cell holds none."""
     numbers = np.array([_number(cell) for cell in cells])
     if np.isnan(numbers).all():
-        numbers = np.array([_moment(cell) for cell in cells])
-        numbers = numbers - (0.0 if np.isnan(numbers).all() else np.nanmin(numbers))
-    if np.isnan(numbers).all():
-        raise _refused(file, f"whose column {title!r} holds no numbers but {shown(cells[0])}", "numbers")
+        numbers = np.array([_number(cell, _seconds) for cell in cells])
+        if np.isnan(numbers).all():
+            raise _refused(file, f"whose column {title!r} holds no numbers but {shown(cells[0])}", "numbers")
+        numbers -= np.nanmin(numbers)
     return numbers
 
 
-def _moment(cell: str) -> float:
-    """Return a date with a time in seconds."""
-    try:
-        moment = datetime.fromisoformat(cell)
-    except ValueError:
-        return np.nan
+def _seconds(cell: str) -> float:
+    moment = datetime.fromisoformat(cell)
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
-_TURNS = ("psi", "yaw", "theta", "heading")
-_QUATERNIONS = [
-    [f"{name}{axis}" for axis in "xyzw"] for name in ("q", "q_", "quat_", "orientation.", "orientation_")
+_TURNS = [
+    *(["psi"], ["yaw"], ["theta"], ["heading"]),
+    *([f"{n}{axis}" for axis in "xyzw"] for n in ("q", "q_", "quat_", "orientation.", "orientation_")),
 ]
 _SI: dict[str, dict[str, float]] = {
     "s": {"ms": 1e-3, "us": 1e-6, "ns": 1e-9},
@@ -188,13 +170,6 @@ _EXPECTED: dict[tuple[str, int], Sequence[str | None]] = {
 # Units of the columns of a part of a log; inputs are those of a robot, see `Log.units`.
 
 
-def _unit(title: str) -> str:
-    """Return the unit of a column, with a blank between its parts; empty where there is none."""
-    found = _UNIT.search(title.strip())
-    parts = re.split(r"[*.\N{MIDDLE DOT}\N{DOT OPERATOR}]", found[1]) if found else ()
-    return " ".join(map(str.strip, parts))
-
-
 def _si_unit(title: str, expected: str | None) -> tuple[str, float]:
     """Return the unit of SI that a column is kept in, "" where its title has none, and the factor to it.
 
@@ -203,24 +178,22 @@ def _si_unit(title: str, expected: str | None) -> tuple[str, float]:
     UnknownName, InvalidArgument
         If its unit is not known, or of another quantity than is expected of the column.
     """
-    unit = _unit(title)
-    if not unit:
+    found = _UNIT.search(title.strip())
+    if not found or not found[1].strip():
         return "", 1.0
+    unit = " ".join(map(str.strip, re.split(r"[*.\N{MIDDLE DOT}\N{DOT OPERATOR}]", found[1])))
     if unit not in _UNITS:
         raise UnknownName(f"unit of column {title!r}", unit, list(_UNITS))
     si, factor = _UNITS[unit]
     if expected is not None and si != expected:
-        raise InvalidArgument(
-            f"columns has {title!r} in {unit}, expected {', '.join([expected, *_SI[expected]])}"
-            if expected
-            else f"columns has {title!r} in {unit}, expected no unit: it is of a quaternion"
-        )
+        listed = ", ".join([expected, *_SI[expected]]) if expected else "no unit: it is of a quaternion"
+        raise InvalidArgument(f"columns has {title!r} in {unit}, expected {listed}")
     return si, factor
 
 
-def _number(cell: str) -> float:
+def _number(cell: str, read: Callable[[str], float] = float) -> float:
     try:
-        return float(cell)
+        return read(cell)
     except ValueError:
         return np.nan
 
@@ -228,17 +201,17 @@ def _number(cell: str) -> float:
 def _columns_of(names: Sequence[str]) -> dict[str, Sequence[str]]:
     """Return which columns tell what, by their names."""
     known = {name.casefold(): name for name in names}
-    time = [known[name] for name in ("t", "time", "stamp", "timestamp") if name in known]
-    turn = [known[name] for name in _TURNS if name in known][:1]
-    turn = turn or next(([known[n] for n in each] for each in _QUATERNIONS if set(each) <= set(known)), [])
-    place = [known[name] for name in ("x", "y") if name in known]
+
+    def first(*sets: Sequence[str]) -> list[str]:
+        return next(([known[n] for n in each] for each in sets if set(each) <= set(known)), [])
+
     inputs = [name for name in names if name.startswith("u_")]
     inputs = inputs or [known[name] for name in ("fx", "fy", "mz") if name in known]
     rates = [name for name in names if name.startswith("rate_")]
     turned = [f"v_{name.removeprefix('u_')}" for name in inputs]  # as Rollout.to_csv calls them
     found: dict[str, Sequence[str]] = {
-        "t": time[:1],
-        "q": [*place, *turn] if turn and len(place) == 2 else [],
+        "t": first(("t",), ("time",), ("stamp",), ("timestamp",)),
+        "q": first(*(("x", "y", *each) for each in _TURNS)),
         "u": inputs,
         "twist": [name for name in names if name.startswith("twist_")],
         "wheel_rates": rates or (turned if set(turned) <= set(names) else []),
@@ -257,7 +230,7 @@ def read_bag(
             "{'q': '/odom', 'u': '/wrench'}"
         )
     for role, topic in topics.items():
-        one_of("part of a log", role, _ROLES)
+        one_of("part of a log", role, _RULES)
         text(f"topics[{role!r}]", topic)
     one_of("stamps", stamps, _STAMPS)
     highlevel = imported("rosbags.highlevel", "bags", "a bag")
@@ -271,8 +244,6 @@ def read_bag(
         except highlevel.AnyReaderError as error:
             raise InvalidArgument(f"path is {str(file)!r}, expected a bag: {shown(str(error))}") from error
         try:
-            for each in sorted(file.glob("*.mcap")) or [file] * (file.suffix == ".mcap"):
-                _check_sums(each)
             with reader:
                 return _streams(reader, topics, stamps, file)
         except (PinmobileError, PermissionError):
@@ -283,26 +254,6 @@ def read_bag(
             raise FileError(message, errno=getattr(error, "errno", None), filename=str(file)) from error
 
 
-def _check_sums(file: Path) -> None:
-    """Check what an MCAP file has as CRCs of its data and of its summary; rosbags checks those of chunks."""
-    with file.open("rb") as opened:
-        end = opened.seek(-37, SEEK_END)  # of the footer and the last 8 bytes
-        summary, _, sum_of_summary = struct.unpack("<9xQQI8x", opened.read())
-        start = summary or end
-        opened.seek(start - 4)
-        (sum_of_data,) = struct.unpack("<I", opened.read(4))
-        for name, first, last, expected in (
-            ("data", 0, start - 13, sum_of_data),
-            ("summary", start, end + 25, sum_of_summary),
-        ):
-            opened.seek(first)
-            left, found = last - first if expected else 0, 0
-            while left > 0 and (block := opened.read(min(left, 1 << 20))):
-                left, found = left - len(block), zlib.crc32(block, found)
-            if found != expected:
-                raise ValueError(f"CRC of the {name} of {file.name} is {found:#x}, expected {expected:#x}")
-
-
 def _streams(
     reader: Any, topics: Mapping[str, str], stamps: str, file: Path
 ) -> dict[str, tuple[Array, Array]]:
@@ -311,7 +262,7 @@ def _streams(
         if topic not in there:
             listed = [f"{name} ({kind.rpartition('/')[2]})" for name, kind in there.items()]
             raise UnknownName(f"topic of {str(file)!r}", topic, listed)
-    rules: dict[str, Row] = {}
+    rules: dict[str, list[tuple[str, Row]]] = {topic: [] for topic in topics.values()}
     for role, topic in topics.items():
         known, kind = _RULES[role], there[topic].rpartition("/")[2]
         if kind not in known:
@@ -319,41 +270,33 @@ def _streams(
                 f"topics[{role!r}] is {topic!r}, whose messages are {there[topic]}, expected "
                 f"{', '.join(known)}"
             )
-        rules[role] = known[kind]
+        rules[topic].append((role, known[kind]))
     times: dict[str, list[int]] = {role: [] for role in topics}
     rows: dict[str, list[Any]] = {role: [] for role in topics}
-    wanted = [each for each in reader.connections if each.topic in set(topics.values())]
+    wanted = [each for each in reader.connections if each.topic in rules]
     left = sum(each.msgcount for each in wanted)
     for connection, arrived, raw in reader.messages(connections=wanted):
         left -= 1
         message = reader.deserialize(raw, connection.msgtype)
         header = getattr(message, "header", None) if stamps == "header" else None
         at = arrived if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
-        for role, topic in topics.items():
-            if topic == connection.topic:
-                times[role].append(at)
-                rows[role].append(rules[role](message))
+        for role, row in rules[connection.topic]:
+            times[role].append(at)
+            rows[role].append(row(message))
     if left > 0:  # as of a chunk without CRC, which is read up to its damage
         raise ValueError(f"{left} messages that the bag counts are gone")
-    empty = next((topic for role, topic in topics.items() if len(rows[role]) < 2), None)
-    if empty is not None:
-        raise _refused(file, f"whose topic {empty!r} has fewer than 2 messages", "more")
-    first = min(min(each) for each in times.values())  # whole numbers: 1.7e18 ns are beyond a float's digits
+    first = min((at for each in times.values() for at in each), default=0)  # beyond a float's digits
     found = {}
-    for role in topics:
-        lengths = {len(row) for row in rows[role]}
-        if len(lengths) > 1:
-            what = f"whose topic {topics[role]!r} has messages of {sorted(lengths)} numbers"
-            raise _refused(file, what, "as many in each")
-        if not max(lengths):
-            raise InvalidArgument(
-                f"topics[{role!r}] is {topics[role]!r}, whose messages hold none of it, expected another"
-            )
+    for role, topic in topics.items():
+        lengths = sorted({len(row) for row in rows[role]})
+        if len(rows[role]) < 2 or len(lengths) > 1 or not lengths[0]:
+            what = f"whose topic {topic!r} has {len(rows[role])} messages of {lengths} numbers"
+            raise _refused(file, what, f"2 and more that hold {role}, as many numbers in each")
         t = _NANO * np.array([each - first for each in times[role]], np.float64)
         if stamps == "header" and not t[-1] > t[0]:
             raise InvalidArgument(
-                f"stamps is {stamps!r}, and those of topic {topics[role]!r} are the same in all messages, "
-                "expected 'bag': times of arrival"
+                f"stamps is {stamps!r}, and those of topic {topic!r} are the same in all messages, expected "
+                "'bag': times of arrival"
             )
         found[role] = t, np.array(rows[role], np.float64)
     return found
@@ -364,47 +307,45 @@ def _yaw_of(x: Any, y: Any, z: Any, w: Any) -> Any:
     return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
-def _pose(place: Any, turn: Any) -> tuple[float, float, float]:
-    return place.x, place.y, float(_yaw_of(turn.x, turn.y, turn.z, turn.w))
+def _pose_in(inside: str = "") -> Row:
+    """Return what reads a pose from a message, by the name of a part of it."""
+    parts = attrgetter(f"{inside}position", f"{inside}orientation")
+
+    def read(message: Any) -> Any:
+        place, turn = parts(message)
+        return place.x, place.y, float(_yaw_of(turn.x, turn.y, turn.z, turn.w))
+
+    return read
 
 
-_WRENCH = "force.x", "force.y", "torque.z"
-_TWIST = "linear.x", "linear.y", "angular.z"
-_COMMAND = "linear.x", "angular.z"
-
-
-def _of(inside: str, names: Sequence[str]) -> Row:
+def _of(inside: str, *names: str) -> Row:
     """Return the numbers of a message by their names inside a part of it."""
     return attrgetter(*(f"{inside}{name}" for name in names))
 
 
-_ARRAYS: dict[str, Row] = dict.fromkeys(
-    ("Float64MultiArray", "Float32MultiArray"), lambda message: np.asarray(message.data)
-)
+def _moved(message: Any) -> Any:
+    """Return the pose of a transform."""
+    at, turn = message.transform.translation, message.transform.rotation
+    return at.x, at.y, float(_yaw_of(turn.x, turn.y, turn.z, turn.w))
+
+
+_WRENCH, _TWIST = ("force.x", "force.y", "torque.z"), ("linear.x", "linear.y", "angular.z")
+_COMMAND, _ARRAY = ("linear.x", "angular.z"), attrgetter("data")
+_ARRAYS = {"Float64MultiArray": _ARRAY, "Float32MultiArray": _ARRAY}
 _RULES: dict[str, dict[str, Row]] = {
     "q": {
-        "Odometry": lambda message: _pose(message.pose.pose.position, message.pose.pose.orientation),
-        "PoseStamped": lambda message: _pose(message.pose.position, message.pose.orientation),
-        "PoseWithCovarianceStamped": lambda message: _pose(
-            message.pose.pose.position, message.pose.pose.orientation
-        ),
-        "Pose": lambda message: _pose(message.position, message.orientation),
-        "Pose2D": attrgetter("x", "y", "theta"),
-        "TransformStamped": lambda message: _pose(message.transform.translation, message.transform.rotation),
+        **dict.fromkeys(("Odometry", "PoseWithCovarianceStamped"), _pose_in("pose.pose.")),
+        **{"PoseStamped": _pose_in("pose."), "Pose": _pose_in(), "Pose2D": _of("", "x", "y", "theta")},
+        "TransformStamped": _moved,
     },
     "u": {
-        "WrenchStamped": _of("wrench.", _WRENCH),
-        "Wrench": _of("", _WRENCH),
-        "Twist": _of("", _COMMAND),
-        "TwistStamped": _of("twist.", _COMMAND),
-        "JointState": lambda message: np.asarray(message.effort),
-        **_ARRAYS,
+        **{"WrenchStamped": _of("wrench.", *_WRENCH), "Wrench": _of("", *_WRENCH)},
+        **{"Twist": _of("", *_COMMAND), "TwistStamped": _of("twist.", *_COMMAND)},
+        **{"JointState": attrgetter("effort"), **_ARRAYS},
     },
     "twist": {
-        "Odometry": _of("twist.twist.", _TWIST),
-        "TwistStamped": _of("twist.", _TWIST),
-        "TwistWithCovarianceStamped": _of("twist.twist.", _TWIST),
-        "Twist": _of("", _TWIST),
+        **dict.fromkeys(("Odometry", "TwistWithCovarianceStamped"), _of("twist.twist.", *_TWIST)),
+        **{"TwistStamped": _of("twist.", *_TWIST), "Twist": _of("", *_TWIST)},
     },
-    "wheel_rates": {"JointState": lambda message: np.asarray(message.velocity), **_ARRAYS},
+    "wheel_rates": {"JointState": attrgetter("velocity"), **_ARRAYS},
 }

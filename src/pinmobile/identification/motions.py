@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, bounded, finite, frozen, positive, seeded, shaped, whole
-from pinmobile.identification.chassis import Chassis
-from pinmobile.identification.procedure import prior_of, to_chassis
+from pinmobile.arrays import Array, ArrayLike, bounded, finite, positive, seeded, shaped, whole
+from pinmobile.identification.model import PlanarModel
+from pinmobile.identification.procedure import planar_model, prior_of
+from pinmobile.parts import array, number, part
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import Reference
 
@@ -22,7 +23,7 @@ _TYPICAL = 0.25  # of the limits: speeds for which friction counts like forces
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@part
 class Excitation:
     """A motion of finite Fourier series that begins and ends at rest: what `excitation` returns.
 
@@ -42,30 +43,22 @@ class Excitation:
         Pose at the start [m, m, rad].
     """
 
-    coefficients: Array
-    period: float
-    duration: float
-    S: Array | None = None
-    start: Array = field(default_factory=lambda: np.zeros(3))
+    coefficients: Array = array(shapes=(("L>=1", 2, "k"),), fixed=True, doc="of sines and cosines")
+    period: float = number(unit="s", above=0.0, fixed=True, doc="period of the series")
+    duration: float = number(unit="s", above=0.0, fixed=True, doc="duration of the motion")
+    S: Array | None = array(default=None, shapes=((3, "k>=1"),), fixed=True, doc="body twist of wheels")
+    start: Array = array(default=np.zeros(3), shapes=((3,),), fixed=True, doc="pose at the start")
 
-    def __post_init__(self) -> None:
-        S = None if self.S is None else finite("S", self.S)
-        k = 3 if S is None else shaped("S", S, (3, "k>=1")).shape[1]
-        given = shaped("coefficients", finite("coefficients", self.coefficients), ("L>=1", 2, k))
-        start = shaped("start", finite("start", self.start), (3,))
-        times = {name: positive(name, getattr(self, name), "s") for name in ("period", "duration")}
-        arrays = {
-            "coefficients": frozen(given),
-            "start": frozen(start),
-            "S": None if S is None else frozen(S),
-        }
-        for name, value in {**times, **arrays}.items():
-            object.__setattr__(self, name, value)
-        if S is not None:
-            knots = np.arange(np.ceil(self.duration / self.period * _KNOTS) + 1) * (self.period / _KNOTS)
-            whole_way = self._way(knots[:-1], np.full(len(knots) - 1, self.period / _KNOTS))
-            sums = np.vstack([np.zeros(2), np.cumsum(whole_way, axis=0)])
-            object.__setattr__(self, "_knots", frozen(sums))
+    def check(self) -> None:
+        """Raise `InvalidArgument` where there are not as many coefficients as velocities."""
+        shaped("coefficients", self.coefficients, ("L", 2, 3 if self.S is None else self.S.shape[1]))
+
+    @cached_property
+    def _knots(self) -> Array:
+        """Positions of wheels at knots, from the start on, as complex numbers."""
+        step = self.period / _KNOTS
+        begins: Array = np.arange(np.ceil(self.duration / step), dtype=np.float64) * step
+        return np.append(0.0, np.cumsum(self._way(begins, np.full(begins.shape, step))))
 
     def __repr__(self) -> str:
         what = "pushed" if self.S is None else "on wheels"
@@ -74,25 +67,23 @@ class Excitation:
 
     def _series(self, t: Array, order: int) -> Array:
         """Return the coordinates' derivative of an order, from their start on, shape (..., k)."""
-        total: Array = np.zeros((*np.shape(t), self.coefficients.shape[2]))
-        for each, (a, b) in enumerate(self.coefficients, 1):
-            w = 2 * np.pi * each / self.period
-            phase = np.asarray(w * t)[..., None]
-            turned = phase + (order - 1) * np.pi / 2
-            total = total + w ** (order - 1) * (a * np.cos(turned) + b * np.sin(turned))
-            if order == 0:
-                total = total + b / w
-        return total
+        w = 2j * np.pi / self.period * np.arange(1, len(self.coefficients) + 1)
+        each = (self.coefficients[:, 0] - 1j * self.coefficients[:, 1]) * w[:, None] ** (order - 1)
+        total = (np.exp(w * np.asarray(t)[..., None]) @ each).real
+        return np.asarray(total - each.sum(axis=0).real if order == 0 else total)
+
+    def _body(self, t: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Return yaw, its two derivatives, and velocity and its rate along the body, complex, of wheels."""
+        assert self.S is not None
+        zeroth, first, second = (self._series(t, order) @ self.S.T for order in range(3))
+        psi, r = self.start[2] + zeroth[..., 2], first[..., 2]
+        nu, rate = (each[..., 0] + 1j * each[..., 1] for each in (first, second))
+        return psi, r, second[..., 2], nu, rate
 
     def _way(self, since: Array, span: Array) -> Array:
-        """Return how far the body goes in the plane, from times on for spans, shape (..., 2)."""
-        assert self.S is not None
-        at = since[..., None] + span[..., None] * (_NODES + 1) / 2
-        forward, left, _ = np.moveaxis(self._series(at, 1) @ self.S.T, -1, 0)
-        psi = self.start[2] + self._series(at, 0) @ self.S[2]
-        c, s = np.cos(psi), np.sin(psi)
-        both = np.stack([c * forward - s * left, s * forward + c * left], axis=-1)
-        return np.asarray(span[..., None] / 2 * np.einsum("...nj,n->...j", both, _WEIGHTS))
+        """Return how far wheels go in the plane, complex, from times on for spans, shape (...)."""
+        psi, _, _, nu, _ = self._body(since[..., None] + span[..., None] * (_NODES + 1) / 2)
+        return np.asarray(span / 2 * ((np.exp(1j * psi) * nu) @ _WEIGHTS))
 
     def __call__(self, t: ArrayLike) -> Reference:
         """Return where to be and how to move at times, shape (...) [s].
@@ -107,17 +98,12 @@ class Excitation:
             zeroth = self.start + self._series(times, 0)
             return Reference(zeroth, self._series(times, 1), self._series(times, 2))
         step = self.period / _KNOTS
-        knots: Array = self._knots  # type: ignore[attr-defined]
-        at = np.clip((times / step).astype(int), 0, len(knots) - 1)
-        place = self.start[:2] + knots[at] + self._way(at * step, times - at * step)
-        nu, rate = (self._series(times, order) @ self.S.T for order in (1, 2))
-        psi = self.start[2] + self._series(times, 0) @ self.S[2]
-        c, s = np.cos(psi), np.sin(psi)
-        forward, left, r = np.moveaxis(nu, -1, 0)
-        along, aside = rate[..., 0] - r * left, rate[..., 1] + r * forward
-        q = np.stack([place[..., 0], place[..., 1], psi], axis=-1)
-        v = np.stack([c * forward - s * left, s * forward + c * left, r], axis=-1)
-        return Reference(q, v, np.stack([c * along - s * aside, s * along + c * aside, rate[..., 2]], -1))
+        at = np.clip((times / step).astype(int), 0, len(self._knots) - 1)
+        psi, r, turn, nu, rate = self._body(times)
+        place = self.start[0] + 1j * self.start[1] + self._knots[at] + self._way(at * step, times - at * step)
+        v, a = np.exp(1j * psi) * nu, np.exp(1j * psi) * (rate + 1j * r * nu)
+        pairs = (place, psi), (v, r), (a, turn)
+        return Reference(*(np.stack([z.real, z.imag, angle], axis=-1) for z, angle in pairs))
 
 
 def excitation(
@@ -163,11 +149,11 @@ def excitation(
     count, generator = whole("harmonics", harmonics, least=3), seeded("seed", seed)
     T, length = positive("period", period, "s"), positive("duration", duration, "s")
     believed = MobileRobot.box() if robot is None else robot
-    chassis = to_chassis(believed)
-    prior = prior_of(believed, chassis)
+    model = planar_model(believed)
+    prior = prior_of(believed, model)
     assert prior is not None
-    problem = _Search(chassis, prior, T, length, limits, count)
-    shape = count, 2, chassis.free if chassis.free < 3 else 3
+    problem = _Search(model, prior, T, length, limits, count)
+    shape = count, 2, model.free if model.free < 3 else 3
     draws = [
         generator.standard_normal(shape) / np.arange(1, count + 1)[:, None, None] for _ in range(_CANDIDATES)
     ]
@@ -180,7 +166,7 @@ class _Search:
 
     Parameters
     ----------
-    chassis : Chassis
+    model : PlanarModel
         The robot.
     prior : ndarray, shape (p,)
         What is believed of it.
@@ -194,15 +180,15 @@ class _Search:
 
     def __init__(
         self,
-        chassis: Chassis,
+        model: PlanarModel,
         prior: Array,
         period: float,
         duration: float,
         limits: list[Array],
         harmonics: int,
     ) -> None:
-        self.chassis, self.period, self.duration, self.limits = chassis, period, duration, limits
-        self.S = None if chassis.free == 3 else chassis.S
+        self.model, self.period, self.duration, self.limits = model, period, duration, limits
+        self.S = None if model.free == 3 else model.S
         w = 2 * np.pi / period * np.arange(1, harmonics + 1)
         phase = w * (period / _PER_PERIOD) * np.arange(_PER_PERIOD)[:, None]
         zeroth = np.concatenate([np.sin(phase) / w, (1 - np.cos(phase)) / w], axis=1)
@@ -213,11 +199,11 @@ class _Search:
         mass, force = prior[0], prior[0] * _TYPICAL * limits[2][0]
         lever = max(np.sqrt(prior[3] / mass), 1e-3)
         ends = np.array([force, force, force * lever])
-        rates = np.abs(chassis.A) @ (np.linalg.pinv(chassis.S) @ (_TYPICAL * limits[1]))
-        torque = np.abs(np.linalg.pinv(chassis.A.T)) @ np.abs(chassis.S.T) @ ends
+        rates = np.abs(model.A) @ (np.linalg.pinv(model.S) @ (_TYPICAL * limits[1]))
+        torque = np.abs(np.linalg.pinv(model.A.T)) @ np.abs(model.S.T) @ ends
         size = np.array([mass, mass * lever, mass * lever, prior[3]])
         self.scales = np.concatenate([size, torque / rates, torque])
-        self.weights = 1 / np.maximum(np.abs(chassis.S.T) @ ends, 1e-12)
+        self.weights = 1 / np.maximum(np.abs(model.S.T) @ ends, 1e-12)
 
     def coefficients(self, raw: Array) -> Array:
         """Return coefficients that begin and end at rest, scaled into the limits."""
@@ -264,7 +250,7 @@ class _Search:
         q, eta, rate = self.of(self.coefficients(raw))
         if self.S is None:
             eta, rate = _in_body(q[:, 2], eta, rate)
-        Y = self.chassis.regressor(eta, rate) * self.scales * self.weights[:, None]
+        Y = self.model.regressor(eta, rate) * self.scales * self.weights[:, None]
         flat = Y.reshape(-1, Y.shape[-1])
         sign, size = np.linalg.slogdet(flat.T @ flat / len(eta) + 1e-12 * np.eye(flat.shape[1]))
         return float(-size) if sign > 0 else np.inf

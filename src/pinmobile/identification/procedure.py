@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, frozen, one_of, positive, scalar
+from pinmobile.arrays import Array, bounded, instance, one_of, positive, scalar, sequence
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.identification.chassis import Chassis
-from pinmobile.identification.cleaning import Cleaned, Slippage
-from pinmobile.identification.estimate import Identification
+from pinmobile.identification.estimator import Fit, Linear, Segments, jackknife, solve, unexplained
 from pinmobile.identification.log import Log, check_steps, logs_of
-from pinmobile.identification.observability import Setting, in_words
-from pinmobile.identification.output_error import Estimate, OutputError, ResidualNoise, Segments
+from pinmobile.identification.model import PlanarModel, Search
+from pinmobile.identification.noise import ResidualNoise, pull
+from pinmobile.identification.preprocessing import PreprocessedLog, Slippage
+from pinmobile.identification.result import Identification
 from pinmobile.identification.statistics import Whiteness, whiteness
-from pinmobile.identification.weak_form import WINDOW, Fit, extrapolated, rows_of, solve
+from pinmobile.identification.weak_form import WINDOW, WeakFit, WeakForm
+from pinmobile.parts import Tabled, offers
 from pinmobile.robot import Load, MobileRobot
 from pinmobile.wheels import WheeledRobot, WheelTable
 
@@ -100,130 +100,197 @@ def identify(
     one_of("method", method, METHODS)
     alone = isinstance(robot, WheelTable)
     robot = _on_wheels(robot) if alone else robot
-    chassis, carried = _chassis(robot, rolling_speed, loads, len(logs))
+    model, carried = _model(robot, rolling_speed, loads, len(logs))
     names = ["log"] if len(logs) == 1 else [f"log[{k}]" for k in range(len(logs))]
-    cleaned = [
-        Cleaned.of(one, chassis, each, name) for one, each, name in zip(logs, carried, names, strict=True)
-    ]
-    check_steps([one.dt for one in cleaned])
-    told = [Slippage.of(one, chassis, name) for one, name in zip(cleaned, names, strict=True)]
-    slips = [each for each in told if each is not None]
-    clipped = "; ".join(
-        filter(None, (_clipped(one, chassis, name) for one, name in zip(logs, names, strict=True)))
-    )
+    triples = zip(logs, carried, names, strict=True)
+    runs = [PreprocessedLog.of(one, model, each, name) for one, each, name in triples]
+    check_steps([one.dt for one in runs])
+    slips = [each for one, n in zip(runs, names, strict=True) if (each := Slippage.of(one, model, n))]
     worst = max(slips, key=lambda each: each.share, default=None)
-    hints = [f"Its {worst}"] if worst is not None and worst.matters else []
-    hints += [clipped] if clipped else []
-    given = None if delay is None else _given_delay(delay, cleaned)
-    seconds = _segment(cleaned)
-    rows = [rows_of(one, chassis) for one in cleaned]
-    for each in (replace(chassis, offset=True), chassis):  # offsets where the motion tells them
-        prior = None if alone else prior_of(robot, each)
-        at = Setting.of(cleaned, rows, each, prior)
-        seen, unseen = at.directions()
+    clipped = "; ".join(filter(None, (_clipped(one, model, n) for one, n in zip(logs, names, strict=True))))
+    hints = [f"Its {worst}"] * (worst is not None and worst.matters) + [clipped] * bool(clipped)
+    given = None if delay is None else _given_delay(delay, runs)
+    try:
+        found = _identified(runs, model, None if alone else prior_of(robot, model), method, given, hints)
+    except InvalidArgument as error:  # which may come of slip, clipped inputs or a wrong delay
+        raise InvalidArgument(" ".join([str(error), *hints])) from error
+    dropped = sum(one.dropped for one in logs)
+    return replace(found, dropped=dropped, prior=robot, slippage=worst, clipped=clipped)
+
+
+def _identified(
+    runs: Sequence[PreprocessedLog],
+    model: PlanarModel,
+    believed: Array | None,
+    method: str,
+    delay: float | None,
+    hints: list[str],
+) -> Identification:
+    """Return what is found in preprocessed logs; what may be behind a refusal is added to the hints."""
+    dt = runs[0].dt
+    given = None if delay is None else delay / dt
+    seconds = _segment(runs)
+    form = WeakForm.of(runs, model)
+    for offset in (True, False):  # offsets where the motion tells them
+        form = replace(form, model=replace(model, offset=offset))
+        scales = form.scales()
+        seen, unseen = form.directions(scales)
         if not unseen.size:
             break
-    chassis = at.chassis
-    if unseen.size and prior is None:
+    model, told, prior = form.model, in_words(form.model, unseen), believed
+    if prior is not None and model.offset:
+        prior = np.insert(prior, model.dry.stop, np.zeros(model.nu))
+    if told and prior is None:
         raise InvalidArgument(
-            f"log has a motion of rank {seen.shape[1]} of {len(at.scales)}: {in_words(at.chassis, unseen)}; "
-            "expected one that excites more, see excitation, or robot=..., which is kept where nothing is "
-            "seen"
+            f"log has a motion of rank {seen.shape[1]} of {len(scales)}: {told}; expected one that excites "
+            "more, see excitation, or robot=..., which is kept where nothing is seen"
         )
-    believed = np.zeros(len(at.scales)) if prior is None else prior
-    basis = at.scales[:, None] * seen
-    base = believed if unseen.size else np.zeros_like(believed)
-    sought = given is None and not unseen.size
-    with _suspecting(hints):
-        late = _first_delay(at, base, basis) if given is None else given / cleaned[0].dt
-    fit = extrapolated(rows, chassis, late, base, basis, sought)
-    own = fit if given is None else _own_delay(at, base, basis)
-    with _suspecting(hints), _doubting(given, own, cleaned[0].dt):
-        _check_explained(fit.explained)
-        _check_units(chassis, fit.phi, prior)
-    start, pulled = chassis.possible(fit.phi, at.scales), 0.0
-    segments = [Segments.of(one, chassis, fit.delay, seconds) for one in cleaned]
-    kept = sum(part.number for part in segments)
+    basis, base = scales[:, None] * seen, np.zeros(len(scales)) if prior is None or not told else prior
+    alone = fit = _weakly(form, base, basis, given)
+    if given is not None:
+        alone = _own_delay(form, base, basis, prior)
+    other = _other_delay(delay, alone, dt)
+    if delay is not None and np.isfinite(other):
+        hints.append(
+            f"Its delay of {1e3 * delay:g} ms was given, but with {1e3 * other:.1f} ms the motion explains "
+            f"{alone.explained:.0%} of the inputs"
+        )
+    _check(model, fit, prior)
+    sought, rates = given is None and not told, any(one.rates is not None for one in runs)
+    segments = Segments.joined([one.segments(model, fit.delay, seconds, rates) for one in runs])
+    kept = len(segments.start)
     if kept < _LEAST_SEGMENTS // 2:
         raise InvalidArgument(
             f"log has {kept} segments of {seconds:g} s in which half of the poses are measured and no "
             f"outliers, expected {_LEAST_SEGMENTS}: does the motion jump between poses?"
         )
+    start = model.possible(fit.phi, scales)
+    search = Search(model, start, basis, fit.delay, sought)
+    estimate = _OutputError.of(search, segments, method == METHODS[0])
+    asked, method = method, METHODS[0 if method == METHODS[0] and estimate.pulled < _PULLED else 1]
+    phi, covariance, freedom = fit.phi, fit.covariance, kept - 1
+    late, error = fit.delay, fit.delay_error
     if method == METHODS[0]:
-        estimate = _by_output_error(at, segments, start, basis, fit.delay, sought)
-        pulled = estimate.pulled
-        method = METHODS[0 if pulled < _PULLED else 1]
-    if method == METHODS[0]:
-        phi, covariance, freedom = estimate.phi, estimate.covariance, estimate.segments - 1
-        late, error = estimate.delay, estimate.delay_error
-        with _suspecting(hints), _doubting(given, own, cleaned[0].dt):
-            _check_units(chassis, phi, prior)
+        phi, found = search.values(estimate.weighed.p)
+        late = float(found)
+        free = estimate.covariance
+        covariance = basis @ free[: basis.shape[1], : basis.shape[1]] @ basis.T
+        error = float(np.sqrt(free[-1, -1])) if sought else np.nan
+        _check(model, fit._replace(phi=phi), prior)
     else:
-        estimate = OutputError(segments, chassis, fit.delay, sought).solve(start, basis, 0)
-        _check_drift(estimate.said)
-        windows = sum(len(one.q) * one.dt for one in cleaned) / WINDOW
-        phi, covariance, freedom = fit.phi, fit.covariance, max(5, round(windows) - len(fit.phi))
-        late, error = fit.delay, fit.delay_error
+        windows = sum(len(one.q) * one.dt for one in runs) / WINDOW
+        freedom = max(5, round(windows) - len(phi))
+        if asked == METHODS[0]:
+            estimate = replace(_OutputError.of(search, segments, False), pulled=estimate.pulled)
     if given is None:
-        with _suspecting(hints):
-            _check_late(late, error, cleaned[0].dt)
-    squares = sum((e[..., :3] ** 2).sum(axis=(0, 1)) for e in estimate.residuals)
-    white = [whiteness(e, good) for e, good in zip(estimate.residuals, estimate.good, strict=True)]
-    return Identification(
-        chassis=chassis,
-        phi=frozen(phi),
-        covariance_of_phi=frozen(covariance),
-        freedom=freedom,
-        method=method,
-        pulled=pulled,
-        prior=robot,
-        rank=seen.shape[1],
-        unseen=in_words(chassis, unseen) if unseen.size else "",
-        hidden=frozen((unseen**2).sum(axis=1)),
-        unknown=frozen(at.scales[:, None] * unseen),
-        delay=late * cleaned[0].dt,
-        delay_error=error * cleaned[0].dt,
-        other_delay=_other_delay(given, own, cleaned[0].dt),
-        dt=cleaned[0].dt,
-        outliers=sum(one.outliers for one in cleaned),
-        dropped=sum(one.dropped for one in logs),
-        slippage=worst,
-        samples=sum(int(one.good.sum()) + one.outliers for one in cleaned),
-        segments=estimate.segments,
-        noise=frozen(cleaned[0].noise),
-        chi2=estimate.chi2,
-        whiteness=_worst(white),
-        is_noise=_is_noise(estimate, segments, chassis),
-        clipped=clipped,
-        residual=frozen(np.sqrt(squares / sum(good.sum() for good in estimate.good))),
+        _check_late(late, error, dt)
+    measured = segments.good[..., None] & np.isfinite(segments.noise)[:, None]
+    residual = np.where(measured, estimate.plain.near.residual, 0.0)
+    count = max(1, int(measured.sum()) - basis.shape[1] - segments.start.size)
+    squares = (segments.weighed(residual) ** 2).sum()
+    rms = np.sqrt((residual[..., :3] ** 2).sum(axis=(0, 1)) / segments.good.sum())
+    outliers = sum(one.outliers for one in runs)
+    samples = outliers + sum(int(one.good.sum()) for one in runs)
+    own: dict[str, Any] = {
+        **{"freedom": freedom, "method": method, "pulled": estimate.pulled, "rank": seen.shape[1]},
+        **{"unseen": told, "hidden": (unseen**2).sum(axis=1), "unknown": scales[:, None] * unseen},
+        **{"delay": late * dt, "delay_error": error * dt, "other_delay": other, "dt": dt},
+        **{"outliers": outliers, "dropped": 0, "samples": samples, "segments": kept, "seconds": seconds},
+        **{"noise": runs[0].noise, "residual": rms, "chi2": float(squares) / count},
+        **{"whiteness": _whiteness(estimate.plain, segments), "is_noise": estimate.is_noise},
+    }
+    return Identification(model, phi, covariance, explained=fit.explained, **own)
+
+
+@dataclass(frozen=True)
+class _OutputError:
+    """What output error finds: weighed where noise of forces is behind the residuals, and plain.
+
+    Attributes
+    ----------
+    weighed, plain : Fit
+        The estimate, and the first states that fit it best of residuals as they are.
+    covariance : ndarray, shape (P, P)
+        Of the numbers.
+    pulled : float
+        Deviations by which noise of the inputs pulls.
+    is_noise : bool
+        Whether noise of sensors and inputs explains what is left: else the structure is wrong.
+    """
+
+    weighed: Fit
+    plain: Fit
+    covariance: Array
+    pulled: float
+    is_noise: bool
+
+    @classmethod
+    def of(cls, search: Search, segments: Segments, moves: bool) -> _OutputError:
+        """Return the estimate of segments, or where nothing moves what is left at its start."""
+        found = plain = solve(search, segments, search.start, moves=moves)
+        if search.free:
+            _check_drift(found.near)
+        pulling, pulled, is_white = np.zeros(len(found.p)), 0.0, _whiteness(found, segments).is_white
+        noise = None if is_white else _noise(search, segments, found)
+        if moves and noise is not None and not noise.remembers:
+            # A controller may answer to a force that remembers: weights for it would be those of the answer.
+            pulling = pull(search, segments, found, noise)
+            near = Linear.of(search, segments, found.p, found.starts, noise.white)
+            way = np.linalg.lstsq(np.einsum("smp,smq->pq", near.J, near.J), pulling, rcond=None)[0]
+            pulled = float(np.sqrt(max(pulling @ way, 0.0)))
+            if pulled < _PULLED:
+                shift = -near.J @ way
+                found = solve(search, segments, found.p, white=noise.white, starts=found.starts, shift=shift)
+                plain = solve(search, segments, found.p, moves=False)
+        left = _whiteness(plain, segments)
+        is_noise = left.is_white
+        if not is_noise and np.abs(left.correlation).max() <= _DOMINANT:
+            white = _noise(search, segments, plain).white
+            near = Linear.of(search, segments, plain.p, plain.starts, white)
+            white_left = whiteness(near.e.reshape(segments.y.shape), segments.good)
+            is_noise = bool(np.abs(white_left.correlation).max() <= _COLOURED * white_left.bound)
+        return cls(found, plain, jackknife(found.near, pulling), pulled, is_noise)
+
+
+def _noise(search: Search, segments: Segments, found: Fit) -> ResidualNoise:
+    answers, residuals = (
+        search.responses(segments, found.p, found.starts),
+        segments.weighed(found.near.residual),
     )
+    return ResidualNoise.of(residuals, segments.good, float(segments.dt[0]), answers)
 
 
-def _chassis(
+def _whiteness(found: Fit, segments: Segments) -> Whiteness:
+    return whiteness(segments.weighed(found.near.residual), segments.good)
+
+
+def _weakly(form: WeakForm, base: Array, basis: Array, given: float | None) -> WeakFit:
+    """Return the weak form's fit, at a delay that is given or found, in samples."""
+    late = _first_delay(form, base, basis) if given is None else given
+    return form.extrapolated(late, base, basis, given is None and basis.shape[1] == len(base))
+
+
+def _model(
     robot: Any, speed: float | None, loads: Sequence[Load | None] | None, count: int
-) -> tuple[Chassis, list[Array]]:
-    carried = [np.zeros(4)] * count
-    if loads is not None:
-        given = list(loads) if isinstance(loads, Sequence) else []
-        if len(given) != count or not all(each is None or isinstance(each, Load) for each in given):
-            raise InvalidArgument(
-                f"loads is {shown(loads)}, expected a Load or None for each of {count} logs"
-            )
-        carried = [np.zeros(4) if each is None else _moments(each) for each in given]
-    scaled = loads is not None
-    if scaled and all(np.array_equal(each, carried[0]) for each in carried):
+) -> tuple[PlanarModel, list[Array]]:
+    expected = f"a Load or None for each of {count} logs"
+    given = [None] * count if loads is None else sequence("loads", loads, expected)
+    if len(given) != count:
+        raise InvalidArgument(f"loads is {shown(loads)}, expected {expected}")
+    carried = [_moments(instance("loads", each, Load | None, expected)) for each in given]
+    if loads is not None and all(np.array_equal(each, carried[0]) for each in carried):
         raise InvalidArgument(
             "loads has the same for all logs, expected loads that differ: their difference tells the scale "
             "of the input"
         )
-    return to_chassis(robot, speed, scaled), carried
+    return planar_model(robot, speed, loads is not None), carried
 
 
-def to_chassis(robot: Any, speed: float | None = None, scaled: bool = False) -> Chassis:
+def planar_model(robot: Any, speed: float | None = None, scaled: bool = False) -> PlanarModel:
     """Return a robot as its log sees it; see `identify`."""
-    if hasattr(robot, "table") and hasattr(robot, "reduced"):
+    if offers(robot, Tabled):
         own = _WHEEL_SPEED if speed is None else positive("rolling_speed", speed, "rad/s")
-        return Chassis.rolling(robot, own, scaled)
+        return PlanarModel.rolling(robot, own, scaled)
     if robot is not None and (not isinstance(robot, MobileRobot) or robot.mounts):
         raise InvalidArgument(
             f"robot is {shown(robot)}, expected a MobileRobot without arms (robot.lumped() has them locked), "
@@ -231,7 +298,7 @@ def to_chassis(robot: Any, speed: float | None = None, scaled: bool = False) -> 
             "take identify_velocity"
         )
     own = _SPEED if speed is None else positive("rolling_speed", speed, "m/s")
-    return Chassis.pushed(own, scaled)
+    return PlanarModel.pushed(own, scaled)
 
 
 def _on_wheels(table: WheelTable) -> Any:
@@ -244,65 +311,34 @@ def _on_wheels(table: WheelTable) -> Any:
     return robot.by_voltage() if electric else robot
 
 
-def _given_delay(delay: float, logs: Sequence[Cleaned]) -> float:
-    given, most = scalar("delay", delay), _MOST_GIVEN * min(len(one.q) * one.dt for one in logs)
-    if not -most <= given <= most:
-        raise InvalidArgument(f"delay is {given:g} s, expected {most:.3g} s at most: are these milliseconds?")
-    return given
+def _given_delay(delay: float, logs: Sequence[PreprocessedLog]) -> float:
+    most = _MOST_GIVEN * min(len(one.q) * one.dt for one in logs)
+    return bounded("delay", scalar("delay", delay), least=-most, most=most, unit="s")
 
 
-def _own_delay(at: Setting, base: Array, basis: Array) -> Fit:
+def _own_delay(form: WeakForm, base: Array, basis: Array, prior: Array | None) -> WeakFit:
     """Return the fit at the delay that a log itself tells; it is not a number where it tells none."""
-    nothing = Fit(base, np.zeros((len(base), len(base))), np.inf, 0.0)
+    nothing = WeakFit(base, np.zeros((len(base), len(base))), np.inf, 0.0)
     if basis.shape[1] < len(base):
         return nothing
     try:
-        late = _first_delay(at, base, basis)
-        fit = extrapolated(at.rows, at.chassis, late, base, basis, True)
-        _check_explained(fit.explained)
-        _check_units(at.chassis, fit.phi, at.prior)
+        fit = _weakly(form, base, basis, None)
+        _check(form.model, fit, prior)
     except InvalidArgument:
         return nothing
     return fit
 
 
-def _other_delay(given: float | None, own: Fit, dt: float) -> float:
+def _other_delay(given: float | None, own: WeakFit, dt: float) -> float:
     """Return the delay that a log tells [s], if it is another one than that given; else not a number."""
     off = np.nan if given is None else abs(own.delay - given / dt)
     return own.delay * dt if off > max(_OTHER, _SIGNIFICANT * own.delay_error) else np.nan
 
 
-@contextmanager
-def _doubting(given: float | None, own: Fit, dt: float) -> Iterator[None]:
-    """Blame the delay that was given for what is refused, where the log agrees with another one."""
-    try:
-        yield
-    except InvalidArgument as error:
-        other = _other_delay(given, own, dt)
-        if np.isnan(other):
-            raise
-        told = str(error).partition(", expected")[0].removeprefix("log ")
-        raise InvalidArgument(
-            f"delay is {given:g} s, with which the log {told}; with {1e3 * other:.1f} ms the motion explains "
-            f"{own.explained:.0%} of the inputs: expected that, or none, so that it is found"
-        ) from error
-
-
-@contextmanager
-def _suspecting(hints: Sequence[str]) -> Iterator[None]:
-    """Tell of slip and clipped inputs, where there are some, with what is refused: it may come of them."""
-    try:
-        yield
-    except InvalidArgument as error:
-        if not hints:
-            raise
-        raise InvalidArgument(" ".join([str(error), *hints])) from error
-
-
-def _clipped(log: Log, chassis: Chassis, name: str) -> str:
+def _clipped(log: Log, model: PlanarModel, name: str) -> str:
     """Return which inputs of a log stay at their extremes for long, as clipped ones do; "" if none does."""
     found = []
-    for one, u in zip(chassis.inputs, log.u.T, strict=True):
+    for one, u in zip(model.inputs, log.u.T, strict=True):
         extreme = ((u == u.max()) | (u == u.min())) & (u != 0) & (np.ptp(u) > 0)
         stays = extreme[2:] & (u[2:] == u[1:-1]) & (u[1:-1] == u[:-2])
         if stays.mean() > _CLIPPED:
@@ -322,24 +358,27 @@ def _check_late(late: float, error: float, dt: float) -> None:
         )
 
 
-def _moments(load: Load) -> Array:
+def _moments(load: Load | None) -> Array:
+    """Return mass, its moments and inertia about the body's origin, shape (4,)."""
+    if load is None:
+        return np.zeros(4)
     x, y, _ = load.com
     return np.array([load.mass, load.mass * x, load.mass * y, load.inertia[2] + load.mass * (x * x + y * y)])
 
 
-def prior_of(robot: Any, chassis: Chassis) -> Array | None:
+def prior_of(robot: Any, model: PlanarModel) -> Array | None:
     """Return what is believed of phi; None without a robot."""
     if robot is None:
         return None
-    body = (robot.robot if chassis.wheels else robot).lumped()
-    told = np.zeros(chassis.size)
+    body = (robot.robot if model.wheels else robot).lumped()
+    told = np.zeros(model.size)
     told[:4] = body.mass, *body.com[:2], body.body.yaw_inertia
-    if chassis.scaled:
+    if model.scaled:
         told[-1] = 1.0
-    return chassis.phi(told)
+    return model.phi(told)
 
 
-def _segment(logs: Sequence[Cleaned]) -> float:
+def _segment(logs: Sequence[PreprocessedLog]) -> float:
     """Return how long segments are [s]: 2 s, or less where that makes too few."""
     lengths = np.array([len(one.q) * one.dt for one in logs])
     for seconds in (_SECONDS, 1.5, _SHORTEST):
@@ -353,79 +392,33 @@ def _segment(logs: Sequence[Cleaned]) -> float:
     )
 
 
-def _first_delay(at: Setting, base: Array, basis: Array) -> float:
-    """Return the delay at which the weak form leaves least, in samples, by a scan and a parabola."""
+def _first_delay(form: WeakForm, base: Array, basis: Array) -> float:
+    """Return the delay at which the weak form leaves least, in samples."""
     if basis.shape[1] < len(base):
         return 0.0  # what hardly changes tells no time
-    dt, chassis = at.logs[0].dt, at.chassis
-    if chassis.scaled:  # whose scale tells no time either: all in proportion to it
-        chassis, base, basis = replace(chassis, scaled=False), base[:-1], basis[:-1, :-1]
+    dt = form.logs[0].dt
     delays = np.arange(-max(2, round(_EARLIEST / dt)), max(4, round(_LATEST / dt)) + 0.25, 0.5)
-    fits = [solve(at.rows, chassis, d, base, basis, 2) for d in delays]
-    costs = np.array([each.cost for each in fits])
-    k = int(costs.argmin())
-    _check_explained(fits[k].explained)
+    k, late, explained = form.first_delay(delays, base, basis)
+    if explained < _EXPLAINED:
+        raise unexplained(explained)
     if k == 0:
-        _check_late(delays[k], 0.0, dt)
+        _check_late(late, 0.0, dt)
     if k == len(delays) - 1:
         raise InvalidArgument(
-            f"log has poses that come late by {dt * delays[k]:.3g} s or more, expected less: are poses and "
+            f"log has poses that come late by {dt * late:.3g} s or more, expected less: are poses and "
             "inputs of two clocks?"
         )
-    low, mid, high = costs[k - 1 : k + 2]
-    return float(delays[k] + 0.25 * (low - high) / max(low - 2 * mid + high, 1e-300))
+    return late
 
 
-def _by_output_error(
-    at: Setting, segments: Sequence[Segments], phi: Array, basis: Array, delay: float, sought: bool
-) -> Estimate:
-    """Return the estimate: of residuals as they are, and weighed where noise of forces is behind them."""
-    found = OutputError(segments, at.chassis, delay, sought).solve(phi, basis)
-    _check_drift(found.said)
-    if _are_white(found.residuals, found.good):
-        return found
-    noise = _noise_of(found, segments, at.chassis)
-    if any(each.remembers for each in noise):
-        return found  # a controller may answer to such a force: weights for it would be those of the answer
-    problem = OutputError(segments, at.chassis, found.delay, sought, noise)
-    weighed = problem.solve(found.phi, basis, starts=found.starts)
-    # What is left is told of first states that fit best, not of those that noise of forces weighs.
-    there = OutputError([part._replace(delay=weighed.delay) for part in segments], at.chassis)
-    plain = there.solve(weighed.phi, basis[:, :1], 0)
-    return weighed._replace(starts=plain.starts, residuals=plain.residuals, chi2=plain.chi2)
-
-
-def _noise_of(found: Estimate, segments: Sequence[Segments], chassis: Chassis) -> list[ResidualNoise]:
-    return [
-        ResidualNoise.of(e / part.noise, part.good, part.run.dt, part.responses(chassis, start, found.phi))
-        for e, start, part in zip(found.residuals, found.starts, segments, strict=True)
-    ]
-
-
-def _is_noise(found: Estimate, segments: Sequence[Segments], chassis: Chassis) -> bool:
-    """Return whether noise of sensors and inputs explains what is left: else the structure is wrong."""
-    if _are_white(found.residuals, found.good):
-        return True
-    before = [whiteness(e, good) for e, good in zip(found.residuals, found.good, strict=True)]
-    if np.abs(_worst(before).correlation).max() > _DOMINANT:
-        return False
-    late = [part._replace(delay=found.delay) for part in segments]
-    problem = OutputError(late, chassis, found.delay, noise=_noise_of(found, late, chassis))
-    left = zip(problem.innovations(found), found.good, strict=True)
-    worst = _worst([whiteness(e, good) for e, good in left])
-    return bool(np.abs(worst.correlation).max() <= _COLOURED * worst.bound)
-
-
-def _are_white(residuals: Sequence[Array], good: Sequence[Array]) -> bool:
-    return all(whiteness(e, each).is_white for e, each in zip(residuals, good, strict=True))
-
-
-def _check_drift(said: Array) -> None:
+def _check_drift(near: Linear) -> None:
     """Refuse a log whose delay changes along it, as that of two clocks of which one is faster does."""
-    time = np.linspace(-0.5, 0.5, len(said))
-    weight = max(float((said[:, 1] * time**2).sum()), 1e-300)
-    slope = float((said[:, 0] * time).sum()) / weight
-    deviation = np.sqrt(((said[:, 0] - said[:, 1] * time * slope) ** 2 * time**2).sum()) / weight
+    by_delay = near.J[..., -1]
+    gradient, curvature = (by_delay * near.e).sum(axis=1), (by_delay**2).sum(axis=1)
+    time = np.linspace(-0.5, 0.5, len(gradient))
+    weight = max(float((curvature * time**2).sum()), 1e-300)
+    slope = float((gradient * time).sum()) / weight
+    deviation = np.sqrt(((gradient - curvature * time * slope) ** 2 * time**2).sum()) / weight
     if abs(slope) > max(_DRIFT, _SIGNIFICANT * deviation):
         raise InvalidArgument(
             f"log has poses whose delay changes by {slope:.2g} samples from start to end: two clocks, "
@@ -433,39 +426,36 @@ def _check_drift(said: Array) -> None:
         )
 
 
-def _check_explained(explained: float) -> None:
-    if explained < _EXPLAINED:
+def _check(model: PlanarModel, fit: WeakFit, prior: Array | None) -> None:
+    """Refuse estimates that no robot has, or not the one that is believed."""
+    if fit.explained < _EXPLAINED:
+        raise unexplained(fit.explained)
+    phi, mass = fit.phi, float(fit.phi[0])
+    wrong, ratio = f"a mass of {mass:.3g} kg", 1.0 if prior is None else mass / prior[0]
+    is_so = not _MASSES[0] < mass < _MASSES[1]
+    if mass > 0 and not 1 / _TIMES_NOMINAL < ratio < _TIMES_NOMINAL:
+        wrong, is_so = f"{wrong}, {ratio:.3g} times that of the robot", True
+    elif not is_so and model.are_possible(phi):
+        radius = float(np.sqrt(model.to_physical(phi)[3] / mass))
+        is_so = max(radius, np.hypot(*phi[1:3]) / mass) > _WIDEST or mass < _LIGHTEST * radius**2
+        wrong = f"a radius of gyration of {radius:.3g} m with {wrong}"
+    if is_so:
         raise InvalidArgument(
-            f"log has inputs of which the motion explains {max(explained, 0):.0%}, expected most: are they "
-            "of another robot, in another frame, or of another sign?"
+            f"log leads to {wrong}, expected those of a robot: are forces in N, moments in N m, positions in "
+            "metres and psi in radians, or have inputs another sign or frame?"
         )
 
 
-def _check_units(chassis: Chassis, phi: Array, prior: Array | None) -> None:
-    mass = phi[0]
-    if prior is not None and mass > 0 and not 1 / _TIMES_NOMINAL < mass / prior[0] < _TIMES_NOMINAL:
-        raise InvalidArgument(
-            f"log leads to a mass of {mass:.3g} kg where the robot has {prior[0]:.3g} kg, expected about "
-            "that: are its forces in newtons, its positions in metres?"
-        )
-    if not _MASSES[0] < mass < _MASSES[1]:
-        why = (
-            "have inputs the other sign, or another frame"
-            if mass <= 0
-            else "are forces in newtons, positions in metres"
-        )
-        raise InvalidArgument(
-            f"log leads to a mass of {mass:.3g} kg, expected {_MASSES[0]:g} to {_MASSES[1]:g} kg: {why}?"
-        )
-    if not chassis.is_possible(phi):
-        return
-    radius = float(np.sqrt(chassis.told(phi)[3] / mass))
-    if max(radius, np.hypot(phi[1], phi[2]) / mass) > _WIDEST or mass < _LIGHTEST * radius**2:
-        raise InvalidArgument(
-            f"log leads to a radius of gyration of {radius:.3g} m with a mass of {mass:.3g} kg, expected "
-            "those of a robot: are forces in N, moments in N m, positions in metres and psi in radians?"
-        )
-
-
-def _worst(found: Sequence[Whiteness]) -> Whiteness:
-    return max(found, key=lambda one: float(np.abs(one.correlation).max()))
+def in_words(model: PlanarModel, unseen: Array) -> str:
+    """Return what directions of the parameters are unseen, in words; "" where none is."""
+    names = [one.name for one in model.quantities]
+    hidden = unseen @ unseen.T
+    alone = [names[k] for k in range(len(names)) if hidden[k, k] > 0.98]
+    mixed = [k for k in range(len(names)) if 0.02 < hidden[k, k] <= 0.98]
+    groups: list[list[int]] = []
+    for k in mixed:
+        near = [g for g in groups if any(abs(hidden[k, j]) > 0.05 for j in g)]
+        groups = [g for g in groups if g not in near] + [[j for g in near for j in g] + [k]]
+    told = [f"the motion does not tell {', '.join(alone)}"] if alone else []
+    told += [f"of {', '.join(names[j] for j in sorted(g))} it tells combinations alone" for g in groups]
+    return "; ".join(told)

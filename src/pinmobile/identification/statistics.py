@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, bounded, scalar
 
@@ -29,7 +30,7 @@ class Prediction(NamedTuple):
     rms : ndarray, shape (k,)
         Of their difference, outliers left out.
     noise : ndarray, shape (k,)
-        Deviation of the sensor's noise: what no prediction can be better than. Of a `VelocityIdentification`
+        Deviation of the sensor's noise: what no prediction can be better than. Of a robot that takes speeds
         it is what the model left of the log that was identified from.
     """
 
@@ -112,15 +113,15 @@ class Whiteness(NamedTuple):
         return bool((np.abs(self.correlation) <= 1.5 * self.bound).all())
 
 
-def whiteness(residuals: Array, good: Array) -> Whiteness:
+def whiteness(residuals: Array, good: NDArray[np.bool_]) -> Whiteness:
     """Return how white the residuals of segments are.
 
     Parameters
     ----------
     residuals : ndarray, shape (S, L, m)
         Zero where nothing was measured.
-    good : ndarray, shape (S, L)
-        1 where something was.
+    good : ndarray of bool, shape (S, L)
+        Where something was.
     """
     power = (residuals**2).sum(axis=(0, 1)) / good.sum()
     pairs = max((good[:, 1:] * good[:, :-1]).sum(), 1.0)

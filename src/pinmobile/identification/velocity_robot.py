@@ -1,12 +1,15 @@
-"""`VelocityRobot`: a robot whose inputs are speeds, and its dynamics for one state or many."""
+"""`VelocityRobot`: a robot whose inputs are speeds, and published ones, `VELOCITY_ROBOTS`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import functools
+import inspect
+import tomllib
+from collections.abc import Callable, Mapping
 from functools import cached_property
+from importlib.resources import files
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, TypeVar, final
 
 import attrs
 import numpy as np
@@ -16,7 +19,6 @@ from pinmobile.arrays import (
     Array,
     ArrayLike,
     broadcast,
-    endless_or_finite,
     finite,
     frozen,
     in_numbers,
@@ -34,11 +36,10 @@ from pinmobile.integrators import rk4
 from pinmobile.parts import (
     Desired,
     Number,
-    also_symbols,
     array,
     by_value,
     declare,
-    holds_symbols,
+    evolved,
     is_symbolic,
     number,
     option,
@@ -60,103 +61,43 @@ THETA: tuple[tuple[str, str, str], ...] = (
 )
 # Name, unit and meaning of each of the six parameters.
 
+_Method = TypeVar("_Method", bound=Callable[..., Any])
 ABOVE_ZERO = 0, 1, 3, 5  # without inertia there is no law, and without losses speeds grow by themselves
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class VelocityDynamics:
-    """A robot that takes speeds for commands, for one state, many, or symbols, unchecked.
+def rates_of(theta: Any, most: Any, nu: Any, u: Any) -> Any:
+    """Return the rates of speed and yaw rate nu for commands u, within largest ones, shape (..., 2)."""
+    speed, w = nu[..., 0], nu[..., 1]
+    one, two, three, four, five, six = (theta[..., k] for k in range(len(THETA)))
+    faster = (three * (w * w) - four * speed + u[..., 0]) / one
+    turning = (u[..., 1] - five * (speed * w) - six * w) / two
+    return np.minimum(np.maximum(_stacked(faster, turning), -most), most)
 
-    Parameters
-    ----------
-    theta : ndarray, shape (..., 6)
-        As of `VelocityRobot`.
-    ahead : scalar or ndarray, shape (...)
-        How far the body's origin is ahead of the axle [m].
-    accelerations : ndarray, shape (..., 2)
-        Largest |u'| and |w'| [m/s^2, rad/s^2].
-    inputs : tuple of Input
-        As of a plant.
-    """
 
-    theta: Any
-    ahead: Any
-    accelerations: Any
-    inputs: tuple[Input, ...]
+def rolling_of(ahead: Any, q: Any, nu: Any) -> Any:
+    """Return the rates of x, y and psi, of a point ahead of the axle, shape (..., 3)."""
+    c, s, u, w = np.cos(q[..., 2]), np.sin(q[..., 2]), nu[..., 0], nu[..., 1]
+    return _stacked(u * c - ahead * w * s, u * s + ahead * w * c, w)
 
-    nq: ClassVar[int] = 3
-    nv: ClassVar[int] = 3
-    nu: ClassVar[int] = 2
-    broadcasts: ClassVar[bool] = True
-    coordinates: ClassVar[tuple[Coordinate, ...]] = (
-        Coordinate("x", "m", rate="vx"),
-        Coordinate("y", "m", rate="vy"),
-        Coordinate("psi", "rad", rate="yaw_rate"),
-    )
 
-    @property
-    def axle(self) -> Any:
-        """Coefficients of the body twist in the velocity across the wheels, shape (..., 3)."""
-        ahead = np.asarray(self.ahead)
-        return np.stack([0.0 * ahead, 0.0 * ahead + 1.0, -ahead], axis=-1)
+def _arrays(**sizes: int) -> Callable[[_Method], _Method]:
+    """Let a method check its arrays of so many numbers, and take symbols as they are."""
 
-    def integrate(self, q: Any, dq: Any) -> Any:
-        """Return the configuration that a displacement leads to, shape (..., 3)."""
-        return q + dq
+    def wrapped(method: _Method) -> _Method:
+        signature = inspect.signature(method)
 
-    def difference(self, q0: Any, q1: Any) -> Any:
-        """Return the displacement from q0 to q1, shape (..., 3)."""
-        d = q1 - q0
-        return np.stack([d[..., 0], d[..., 1], wrap_angle(d[..., 2])], axis=-1)
+        @functools.wraps(method)
+        def run(self: Any, *given: Any, **named: Any) -> Any:
+            if "nominal" in vars(self) or any(map(is_symbolic, (*given, *named.values()))):
+                return method(self, *given, **named)
+            bound = signature.bind(self, *given, **named).arguments
+            arrays = {name: vector(name, bound[name], size) for name, size in sizes.items()}
+            broadcast(**arrays)
+            return np.asarray(method(**(bound | arrays)))
 
-    def pose(self, q: Any) -> Any:
-        """Return x, y, psi, shape (..., 3)."""
-        return q
+        return in_numbers(run)  # type: ignore[return-value]
 
-    def rate(self, q: Any, v: Any) -> Any:
-        """Return the rates of x, y, psi, shape (..., 3)."""
-        return v
-
-    def independent(self, q: Any, v: Any) -> Any:
-        """Return speed along the wheels and yaw rate, shape (..., 2)."""
-        speed = np.cos(q[..., 2]) * v[..., 0] + np.sin(q[..., 2]) * v[..., 1]
-        return _stacked(speed, v[..., 2])
-
-    def rolling(self, q: Any, nu: Any) -> Any:
-        """Return v of a speed and a yaw rate, shape (..., 3)."""
-        c, s, u, w = np.cos(q[..., 2]), np.sin(q[..., 2]), nu[..., 0], nu[..., 1]
-        aside = self.ahead * w
-        return _stacked(u * c - aside * s, u * s + aside * c, w)
-
-    def project(self, q: Any, v: Any) -> Any:
-        """Return the velocity that rolling leaves, shape (..., 3)."""
-        return self.rolling(q, self.independent(q, v))
-
-    def rates(self, nu: Any, u: Any) -> Any:
-        """Return the rates of speed and yaw rate, shape (..., 2)."""
-        speed, w = nu[..., 0], nu[..., 1]
-        one, two, three, four, five, six = (self.theta[..., k] for k in range(len(THETA)))
-        faster = (three * (w * w) - four * speed + u[..., 0]) / one
-        turning = (u[..., 1] - five * (speed * w) - six * w) / two
-        most = self.accelerations
-        return np.minimum(np.maximum(_stacked(faster, turning), -most), most)
-
-    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
-        """Return the acceleration, shape (..., 3); f is none."""
-        nu = self.independent(q, v)
-        rates, c, s, w = self.rates(nu, u), np.cos(q[..., 2]), np.sin(q[..., 2]), nu[..., 1]
-        along = rates[..., 0] - self.ahead * (w * w)
-        aside = nu[..., 0] * w + self.ahead * rates[..., 1]
-        return _stacked(along * c - aside * s, along * s + aside * c, rates[..., 1])
-
-    def commands(self, q: Any, v: Any, rates: Any) -> Any:
-        """Return the input at which speed and yaw rate change as wanted, shape (..., 2)."""
-        nu, theta = self.independent(q, v), self.theta
-        u, w = nu[..., 0], nu[..., 1]
-        ahead = theta[..., 0] * rates[..., 0] - theta[..., 2] * (w * w) + theta[..., 3] * u
-        turning = theta[..., 1] * rates[..., 1] + theta[..., 4] * (u * w) + theta[..., 5] * w
-        return _stacked(ahead, turning)
+    return wrapped
 
 
 def _stacked(*columns: Any) -> Any:
@@ -256,7 +197,11 @@ class VelocityRobot:
     broadcasts: ClassVar[bool] = True
     compiles: ClassVar[bool] = True
     integrator: ClassVar[Any] = rk4
-    coordinates: ClassVar[tuple[Coordinate, ...]] = VelocityDynamics.coordinates
+    coordinates: ClassVar[tuple[Coordinate, ...]] = (
+        Coordinate("x", "m", rate="vx"),
+        Coordinate("y", "m", rate="vy"),
+        Coordinate("psi", "rad", rate="yaw_rate"),
+    )
     leading: ClassVar[Mapping[int, int]] = MappingProxyType({3: 3})
     mobility: ClassVar[Mobile] = Mobile()
     rest: ClassVar[Array] = frozen(np.zeros(3))
@@ -372,58 +317,42 @@ class VelocityRobot:
             found.append(f"theta_3 is {three:g} and theta_5 {five:g}, where both have one sign")
         return tuple(found)
 
-    @cached_property
-    def array_dynamics(self) -> VelocityDynamics:
-        """Its dynamics for one state, many, or symbols, unchecked."""
-        return VelocityDynamics(self.theta, self.ahead, self.accelerations, self.inputs)
-
-    @cached_property
-    def _is_symbolic(self) -> bool:
-        return holds_symbols(self)
-
-    @property
-    def law(self) -> Any:
-        """What a loop calls: itself, or its `array_dynamics` where it holds symbols."""
-        return self.array_dynamics if self._is_symbolic else self
-
     @property
     def axle(self) -> Any:
         """Coefficients of the body twist in the velocity across the wheels, which is zero, shape (3,)."""
-        return self.array_dynamics.axle
+        ahead = np.asarray(self.ahead)
+        return np.stack([0.0 * ahead, 0.0 * ahead + 1.0, -ahead], axis=-1)
 
     # Kinematics
 
-    @also_symbols
-    @in_numbers
-    def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
+    @_arrays(q=3, dq=3)
+    def integrate(self, q: ArrayLike, dq: ArrayLike) -> Any:
         """Return the configuration that the displacement `dq` leads to from `q`, shape (..., 3)."""
-        return np.asarray(self.array_dynamics.integrate(*_vectors(q=(q, 3), dq=(dq, 3))))
+        return q + dq  # type: ignore[operator]
 
-    @also_symbols
-    @in_numbers
-    def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
+    @_arrays(q0=3, q1=3)
+    def difference(self, q0: Any, q1: Any) -> Any:
         """Return the displacement from `q0` to `q1`, shape (..., 3); that of psi lies in (-pi, pi]."""
-        return np.asarray(self.array_dynamics.difference(*_vectors(q0=(q0, 3), q1=(q1, 3))))
+        d = q1 - q0
+        return _stacked(d[..., 0], d[..., 1], wrap_angle(d[..., 2]))
 
-    @also_symbols
-    def pose(self, q: ArrayLike) -> Array:
+    @_arrays(q=3)
+    def pose(self, q: Any) -> Any:
         """Return x, y, psi, shape (..., 3) [m, m, rad]."""
-        return vector("q", q, 3)
+        return q
 
-    @also_symbols
-    def rate(self, q: ArrayLike, v: ArrayLike) -> Array:
+    @_arrays(q=3, v=3)
+    def rate(self, q: Any, v: Any) -> Any:
         """Return the rates of x, y, psi, shape (..., 3) [m/s, m/s, rad/s]."""
-        return _vectors(q=(q, 3), v=(v, 3))[1]
+        return v
 
-    @also_symbols
-    @in_numbers
-    def independent(self, q: ArrayLike, v: ArrayLike) -> Array:
+    @_arrays(q=3, v=3)
+    def independent(self, q: Any, v: Any) -> Any:
         """Return speed along the wheels and yaw rate, shape (..., 2) [m/s, rad/s]."""
-        return np.asarray(self.array_dynamics.independent(*_vectors(q=(q, 3), v=(v, 3))))
+        return _stacked(np.cos(q[..., 2]) * v[..., 0] + np.sin(q[..., 2]) * v[..., 1], v[..., 2])
 
-    @also_symbols
-    @in_numbers
-    def rolling(self, q: ArrayLike, nu: ArrayLike) -> Array:
+    @_arrays(q=3, nu=2)
+    def rolling(self, q: Any, nu: Any) -> Any:
         """Return v of a speed and a yaw rate, shape (..., 3) [m/s, m/s, rad/s].
 
         Parameters
@@ -431,13 +360,12 @@ class VelocityRobot:
         q, nu : array_like, shape (..., 3), (..., 2)
             Configuration, and speed along the wheels and yaw rate [m/s, rad/s].
         """
-        return np.asarray(self.array_dynamics.rolling(*_vectors(q=(q, 3), nu=(nu, 2))))
+        return rolling_of(self.ahead, q, nu)
 
-    @also_symbols
-    @in_numbers
-    def project(self, q: ArrayLike, v: ArrayLike) -> Array:
+    @_arrays(q=3, v=3)
+    def project(self, q: Any, v: Any) -> Any:
         """Return the velocity that rolling leaves, shape (..., 3)."""
-        return np.asarray(self.array_dynamics.project(*_vectors(q=(q, 3), v=(v, 3))))
+        return self.rolling(q, self.independent(q, v))
 
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return the q and v with which a reference begins, shape (3,); what moves sideways is left out."""
@@ -453,7 +381,7 @@ class VelocityRobot:
         InvalidArgument
             If it is such.
         """
-        q, v = _vectors(q=(q, 3), v=(v, 3))
+        v = vector("v", v, 3)
         off = float(np.abs(self.project(q, v) - v).max(initial=0.0))
         if off > _OFF * (1 + float(np.abs(v).max(initial=0.0))):
             raise InvalidArgument(
@@ -463,9 +391,8 @@ class VelocityRobot:
 
     # Dynamics
 
-    @also_symbols
-    @in_numbers
-    def rates(self, nu: ArrayLike, u: ArrayLike) -> Array:
+    @_arrays(nu=2, u=2)
+    def rates(self, nu: Any, u: Any) -> Any:
         """Return the rates of speed and yaw rate, shape (..., 2) [m/s^2, rad/s^2].
 
         Parameters
@@ -475,11 +402,10 @@ class VelocityRobot:
         u : array_like, shape (..., 2)
             Commands [m/s, rad/s].
         """
-        return np.asarray(self.array_dynamics.rates(*_vectors(nu=(nu, 2), u=(u, 2))))
+        return rates_of(self.theta, self.accelerations, nu, u)
 
-    @also_symbols
-    @in_numbers
-    def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Array:
+    @_arrays(q=3, v=3, u=2)
+    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return the acceleration, shape (..., 3) [m/s^2, m/s^2, rad/s^2].
 
         Parameters
@@ -496,16 +422,18 @@ class VelocityRobot:
         InvalidArgument
             As of all methods; or if there is a force.
         """
-        q, v, u = _vectors(q=(q, 3), v=(v, 3), u=(u, 2))
-        if finite("f", f).any():
+        if not is_symbolic(f) and finite("f", f).any():
             raise InvalidArgument(
                 f"f is {shown(f)}, expected none: what firmware does about a force, theta does not tell"
             )
-        return np.asarray(self.array_dynamics.forward_dynamics(q, v, u))
+        nu = self.independent(q, v)
+        rates, c, s, w = self.rates(nu, u), np.cos(q[..., 2]), np.sin(q[..., 2]), nu[..., 1]
+        along = rates[..., 0] - self.ahead * (w * w)
+        aside = nu[..., 0] * w + self.ahead * rates[..., 1]
+        return _stacked(along * c - aside * s, along * s + aside * c, rates[..., 1])
 
-    @also_symbols
-    @in_numbers
-    def commands(self, q: ArrayLike, v: ArrayLike, rates: ArrayLike) -> Array:
+    @_arrays(q=3, v=3, rates=2)
+    def commands(self, q: Any, v: Any, rates: Any) -> Any:
         """Return the input at which speed and yaw rate change as wanted, shape (..., 2) [m/s, rad/s].
 
         It is `regressor` times theta; no limits are looked at. With it `Backstepping` makes of a kinematic
@@ -518,11 +446,14 @@ class VelocityRobot:
         rates : array_like, shape (..., 2)
             Of speed and yaw rate [m/s^2, rad/s^2].
         """
-        given = _vectors(q=(q, 3), v=(v, 3), rates=(rates, 2))
-        return np.asarray(self.array_dynamics.commands(*given))
+        nu, theta = self.independent(q, v), self.theta
+        u, w = nu[..., 0], nu[..., 1]
+        ahead = theta[..., 0] * rates[..., 0] - theta[..., 2] * (w * w) + theta[..., 3] * u
+        turning = theta[..., 1] * rates[..., 1] + theta[..., 4] * (u * w) + theta[..., 5] * w
+        return _stacked(ahead, turning)
 
-    @in_numbers
-    def regressor(self, q: ArrayLike, v: ArrayLike, rates: ArrayLike) -> Array:
+    @_arrays(q=3, v=3, rates=2)
+    def regressor(self, q: Any, v: Any, rates: Any) -> Any:
         """Return the matrix Y of which Y theta are the commands for wanted rates, shape (..., 2, 6).
 
         Parameters
@@ -530,8 +461,7 @@ class VelocityRobot:
         q, v, rates
             As in `commands`.
         """
-        q, v, rates = _vectors(q=(q, 3), v=(v, 3), rates=(rates, 2))
-        both = np.broadcast_arrays(self.array_dynamics.independent(q, v), rates)
+        both = np.broadcast_arrays(self.independent(q, v), rates)
         (u, w), (faster, turning) = (np.moveaxis(each, -1, 0) for each in both)
         zero = np.zeros(u.shape)
         rows = [faster, zero, -w * w, u, zero, zero], [zero, turning, zero, zero, u * w, w]
@@ -543,14 +473,11 @@ class VelocityRobot:
 
         M is diag(theta_1, theta_2) [s]. Limits of acceleration are not in it.
         """
-        q, v = _vectors(q=(q, 3), v=(v, 3))
-        nu = self.array_dynamics.independent(q, v)
+        nu = self.independent(q, v)
         lead = nu.shape[:-1]
         M, B = (np.broadcast_to(x, (*lead, 2, 2)) for x in (np.diag(self.theta[:2]), np.eye(2)))
-        ways = (np.broadcast_to(self.array_dynamics.rolling(q, way), (*lead, 3)) for way in np.eye(2))
-        return Reduced(
-            M, self.array_dynamics.commands(q, v, np.zeros(2)), B, np.stack(list(ways), axis=-1), nu
-        )
+        ways = [np.broadcast_to(self.rolling(q, way), (*lead, 3)) for way in np.eye(2)]
+        return Reduced(M, self.commands(q, v, np.zeros(2)), B, np.stack(ways, axis=-1), nu)
 
     # What is drawn
 
@@ -573,48 +500,32 @@ class VelocityRobot:
         return self._drawn.drawing(np.concatenate([q, np.zeros((*q.shape[:-1], 2))], axis=-1))
 
 
-def limits_of(name: str, value: ArrayLike) -> Array:
-    """Return limits of speed and yaw rate, or of their rates, shape (2,)."""
-    most = endless_or_finite(name, value)
-    if most.shape not in ((), (2,)) or not (most > 0).all():
-        raise InvalidArgument(
-            f"{name} is {shown(value)}, expected one number > 0, or two: of speed and yaw rate"
-        )
-    return frozen(np.broadcast_to(most, (2,)))
-
-
-def _vectors(**given: tuple[ArrayLike, int]) -> tuple[Array, ...]:
-    """Return arrays of so many numbers each, checked."""
-    arrays = {name: vector(name, array, size) for name, (array, size) in given.items()}
-    broadcast(**arrays)
-    return tuple(arrays.values())
+def _published(file: str) -> Mapping[str, VelocityRobot]:
+    """Return the robots of a file by name; their sources state what is odd of them too."""
+    found = {}
+    for name, row in tomllib.loads((files("pinmobile") / "identification" / file).read_text("utf-8")).items():
+        bare = VelocityRobot(row["theta"], size=row["size"])
+        said = f"{row['of']}; {row['source']}", row["odd"], *bare.problems
+        found[name] = evolved(bare, source=". ".join(said))
+    return MappingProxyType(found)
 
 
 def _pair_of(robot: WheeledRobot) -> tuple[Any, Any, float]:
     """Return a wheel, a motor and the track of a robot on two driven wheels that are alike."""
-    table = robot.table
-    if robot.robot.nv > 3 or table.axes or table.couplings or len(table) != 2 or len(table.actuators) != 2:
+    table, alike, motor = robot.table, False, None
+    if not (robot.robot.nv > 3 or table.axes or table.couplings) and len(table) == len(table.actuators) == 2:
+        one, other = table.wheels
+        pairs = [(getattr(one, n), getattr(other, n)) for n in ("x", "radius", "spin_inertia")]
+        alike = all(abs(x - y) <= _SAME * (1 + abs(x)) for x, y in [*pairs, (one.y, -other.y)])
+        plain = not (one.angle or other.angle or one.roller or other.roller) and bool(one.y)
+        motor = one.motor if alike and plain and one.motor == other.motor else None
+    if motor is None or not motor.is_electric:
         raise InvalidArgument(
-            "wheeled has arms, or other wheels, expected two fixed wheels, each with a motor, and casters: "
+            "wheeled has arms, or other wheels or motors, expected two fixed wheels on one axle, alike, each "
+            "with the same Motor(resistance=..., torque_constant=..., voltage=...), and casters: "
             "WheelTable.differential"
         )
-    one, other = table.wheels
-    motors = one.motor, other.motor
-    same = [(getattr(one, n), getattr(other, n)) for n in ("x", "radius", "spin_inertia")] + [
-        (one.y, -other.y)
-    ]
-    if (
-        any(abs(x - y) > _SAME * (1 + abs(x)) for x, y in same)
-        or (one.angle or other.angle or one.roller is not None or other.roller is not None)
-        or one.y == 0
-    ):
-        raise InvalidArgument(
-            "wheeled has wheels that differ, or roll another way than its body's x axis, expected two alike "
-            "on one axle"
-        )
-    if motors[0] is None or motors[0] != motors[1] or not motors[0].is_electric:
-        raise InvalidArgument(
-            "wheeled has motors that take no volts, or differ, expected Motor(resistance=..., "
-            "torque_constant=..., voltage=...) at both wheels"
-        )
-    return one, motors[0], 2 * abs(one.y)
+    return one, motor, 2 * abs(one.y)
+
+
+VELOCITY_ROBOTS = _published("velocity_robots.toml")

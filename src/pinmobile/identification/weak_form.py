@@ -4,19 +4,22 @@ Windows of 0.6 s, weighted by g = (1 - z^2)^4, are integrated by parts. Forces a
 second derivatives, Fx = d^2/dt^2 (m x + m x_bc c - m y_bc s) + friction, so of these only poses are needed.
 
 Noise of the poses is in the regressor, most where dry friction changes its sign, and would bias all.
-`extrapolated` fits logs that were shaken once and twice as much again, and goes back from there to no noise.
+`WeakForm.extrapolated` fits logs that were shaken once and twice as much again, and goes back from there to
+no noise.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.identification.chassis import Chassis
-from pinmobile.identification.cleaning import Cleaned
+from pinmobile.errors import InvalidArgument
+from pinmobile.identification.model import PlanarModel
+from pinmobile.identification.preprocessing import PreprocessedLog, mean_inputs
 from pinmobile.identification.statistics import NORMAL
 
 WINDOW = 0.6  # [s]
@@ -29,74 +32,37 @@ _SHAKES = 3  # draws of noise at each level
 _LEVELS = (1.0, 2.0)  # variance of noise that is added, as a multiple of what there is
 _WEIGHTS = (3.0, -3.0, 1.0)  # of fits with none and these, which a parabola takes to a variance of -1
 _CAP = 3.0  # deviations beyond which a row costs no more
+_SEEN = 0.01  # share of its force that a direction must have to be seen
+_LEVER = 0.25  # [m], of a robot whose size is not known
 
 
-class Rows(NamedTuple):
-    """The weak form of one log.
+class Bump(NamedTuple):
+    """The bump of sum 1, its two derivatives, and the samples between two windows."""
 
-    Attributes
-    ----------
-    Y : ndarray, shape (n, k, p)
-        Rows of the regressor, without that of an unknown scale of the input.
-    shaken : ndarray, shape (levels, draws, n, k, p)
-        The same of poses with more noise.
-    known : ndarray, shape (n, k)
-        What of the force is that of known inertia and loads.
-    run : Cleaned
-        The log.
-    rates : ndarray, shape (a, N)
-        Along which there is friction.
-    hop : int
-        Samples between two windows.
-    g : ndarray, shape (size,)
-        The bump, of sum 1.
-    """
-
-    Y: Array
-    shaken: Array
-    known: Array
-    run: Cleaned
-    rates: Array
-    hop: int
     g: Array
+    g1: Array
+    g2: Array
+    hop: int
 
-    def forces(self, chassis: Chassis, delay: float, scale: float = 1.0) -> Array:
-        """Return the forces of the windows, of a pose that comes late by so many samples, shape (n, k)."""
-        count = len(self.run.q)
-        edges = np.asarray(np.arange(count + 1) - 0.5, np.float64)  # half of the input before a sample counts
-        u = self.run.shifted(delay, edges)
-        if chassis.B is None:
-            return scale * np.asarray(_windows(u, self.g, self.hop))
-        torques = np.stack(chassis.torques([*u.T], [*self.rates], scale), axis=-1)
-        return np.asarray(_windows(torques @ chassis.B.T, self.g, self.hop))
+    @classmethod
+    def of(cls, seconds: float, dt: float) -> Bump:
+        """Return the bump over so many seconds."""
+        size = 2 * max(3, round(seconds / dt / 2)) + 1
+        half, z = (size - 1) / 2 * dt, np.linspace(-1, 1, size)
+        g = (1 - z * z) ** 4 / ((1 - z * z) ** 4).sum()
+        g1, g2 = -8 * z * (1 - z * z) ** 3, 48 * z * z * (1 - z * z) ** 2 - 8 * (1 - z * z) ** 3
+        # As sums, they tell a constant to have no derivative, a ramp its slope, a parabola its curvature.
+        g2 = g2 - g2.sum() * g
+        hop = max(1, round((size - 1) / _HOPS))
+        return cls(g, -g1 / (g1 @ z) / half, 2 * g2 / (g2 @ z**2) / half**2, hop)
 
-    def regressors(self, chassis: Chassis) -> tuple[Array, Array]:
-        """Return the regressor, with columns of offsets where there are any, and those shaken."""
-        if not chassis.offset:
-            return self.Y, self.shaken
-        columns = np.eye(chassis.nu) if chassis.B is None else chassis.B  # of a constant: bumps have sum 1
-        return _beside(self.Y, columns), _beside(self.shaken, columns)
-
-    def equations(self, chassis: Chassis, delay: float, scale: float = 1.0) -> tuple[Array, Array, Array]:
-        """Return the regressor, shape (n, k, p), those shaken, and what they should give, shape (n, k).
-
-        Linear near a scale of the inputs.
-        """
-        forces, (Y, shaken) = self.forces(chassis, delay, scale), self.regressors(chassis)
-        if not chassis.scaled:
-            return Y, shaken, forces - self.known
-        more, less = (self.forces(chassis, delay, scale * (1 + way * _NEAR)) for way in (1, -1))
-        slope = (more - less) / (2 * _NEAR * scale)
-        column = -slope[..., None]
-        return _beside(Y, column), _beside(shaken, column), forces - slope * scale - self.known
+    def over(self, columns: Array, order: int = 0) -> Array:
+        """Return the integrals of columns of shape (N,) or (N, k) against the bump or its derivative."""
+        view = np.lib.stride_tricks.sliding_window_view(columns, len(self.g), axis=0)[:: self.hop]
+        return np.asarray(view @ self[order])
 
 
-def _beside(Y: Array, columns: Array) -> Array:
-    """Return a regressor with more columns."""
-    return np.concatenate([Y, np.broadcast_to(columns, (*Y.shape[:-1], columns.shape[-1]))], axis=-1)
-
-
-class Fit(NamedTuple):
+class WeakFit(NamedTuple):
     """Least squares of the weak form.
 
     Attributes
@@ -121,96 +87,273 @@ class Fit(NamedTuple):
     delay_error: float = np.nan
 
 
-def rows_of(run: Cleaned, chassis: Chassis) -> Rows:
-    """Return the weak form of a log."""
-    size = 2 * round(WINDOW / run.dt / 2) + 1
-    hop = max(1, round((size - 1) / _HOPS))
-    half = (size - 1) / 2 * run.dt
-    z = np.linspace(-1, 1, size)
-    g = (1 - z * z) ** 4
-    total = g.sum()
-    g1 = -8 * z * (1 - z * z) ** 3 / half / total
-    g2 = (48 * z * z * (1 - z * z) ** 2 - 8 * (1 - z * z) ** 3) / half**2 / total
-    g = g / total
-    # As sums, they tell a constant to have no derivative, a ramp to have its slope, a parabola its curvature.
-    g1 = -g1 / (g1 @ z) / half
-    g2 = g2 - g2.sum() * g
-    g2 = 2 * g2 / (g2 @ z**2) / half**2
-    build = _inertial if chassis.B is None else _along_free
-    bump = g, g1, g2
-    Y, known = build(run, chassis, bump, hop)
-    loaded = known + Y[..., :4] @ run.load
-    generator = np.random.default_rng(0)
-    levels = np.repeat(_LEVELS, _SHAKES)
-    more = [build(run.shaken(generator, level), chassis, bump, hop)[0] for level in levels]
-    shaken = np.reshape(more, (len(_LEVELS), _SHAKES, *Y.shape))
-    rates = (run.twist if chassis.B is None else run.free_velocities(chassis) @ chassis.A.T).T
-    return Rows(Y, shaken, loaded, run, rates, hop, g)
+@dataclass(frozen=True, eq=False)
+class WeakForm:
+    """The weak form of logs of a robot.
+
+    Attributes
+    ----------
+    logs : sequence of PreprocessedLog
+        The logs.
+    model : PlanarModel
+        The robot.
+    Y : ndarray, shape (n, k, p)
+        Regressor, without columns of offsets and of an unknown scale of the input.
+    shaken : ndarray, shape (levels, draws, n, k, p)
+        The same of poses with more noise.
+    known : ndarray, shape (n, k)
+        Forces of known inertia and loads.
+    rates : list of ndarray, shape (a, N)
+        Along which there is friction, of each log.
+    counts : tuple of int
+        Windows of each log.
+    """
+
+    logs: Sequence[PreprocessedLog]
+    model: PlanarModel
+    Y: Array
+    shaken: Array
+    known: Array
+    rates: Sequence[Array]
+    counts: tuple[int, ...]
+
+    @classmethod
+    def of(cls, logs: Sequence[PreprocessedLog], model: PlanarModel) -> WeakForm:
+        """Return the weak form of logs."""
+        build, rows, levels = (_inertial if model.B is None else _along_free), [], np.repeat(_LEVELS, _SHAKES)
+        for log in logs:
+            bump, generator = Bump.of(WINDOW, log.dt), np.random.default_rng(0)
+            Y, given = build(log, model, bump)
+            more = [build(log.shaken(generator, level), model, bump)[0] for level in levels]
+            rows.append(
+                (Y, np.reshape(more, (len(_LEVELS), _SHAKES, *Y.shape)), given + Y[..., :4] @ log.load)
+            )
+        Ys, shaken, known = zip(*rows, strict=True)
+        rates = [log.rates_of(model).T for log in logs]
+        counts = tuple(map(len, Ys))
+        joined = np.concatenate(Ys), np.concatenate(shaken, axis=2), np.concatenate(known)
+        return cls(logs, model, *joined, rates, counts)
+
+    def forces(self, delay: float = 0.0, scale: float = 1.0) -> Array:
+        """Return the forces of the windows, of a pose that comes late by so many samples, shape (n, k)."""
+        found, model = [], self.model
+        for log, rates in zip(self.logs, self.rates, strict=True):
+            edges = np.asarray(np.arange(len(log.q) + 1) - 0.5 - delay)  # half of the input before counts
+            u, bump = mean_inputs(log.u, edges), Bump.of(WINDOW, log.dt)
+            torques = [scale * x for x in u.T] if model.B is None else model.torques([*u.T], [*rates], scale)
+            columns = np.stack(torques, axis=-1)
+            found.append(bump.over(columns if model.B is None else columns @ model.B.T))
+        return np.concatenate(found)
+
+    def equations(self, delay: float, scale: float = 1.0) -> tuple[Array, Array, Array]:
+        """Return the regressor, shape (n, k, p), those shaken, and what they should give, shape (n, k).
+
+        Linear near a scale of the inputs.
+        """
+        forces, model, columns = self.forces(delay, scale), self.model, []
+        y = forces - self.known
+        if model.offset:
+            columns.append(
+                np.eye(model.nu) if model.B is None else model.B
+            )  # of a constant: bumps have sum 1
+        if model.scaled:
+            more, less = (self.forces(delay, scale * (1 + way * _NEAR)) for way in (1, -1))
+            slope = (more - less) / (2 * _NEAR * scale)
+            columns.append(-slope[..., None])
+            y = y - slope * scale
+        Y, shaken = self.Y, self.shaken
+        for each in columns:
+            Y, shaken = _beside(Y, each), _beside(shaken, each)
+        return Y, shaken, y
+
+    def first_delay(self, delays: Array, base: Array, basis: Array) -> tuple[int, float, float]:
+        """Return which of some delays [samples] leaves least, the minimum near it, and what is explained."""
+        form = self
+        if self.model.scaled:  # whose scale tells no time: all in proportion to it
+            form, base, basis = (
+                replace(self, model=replace(self.model, scaled=False)),
+                base[:-1],
+                basis[:-1, :-1],
+            )
+
+        def fit(delay: float) -> WeakFit:
+            Y, _, y = form.equations(delay)
+            return fitted(Y, y, form.counts, base, basis, 2)[0]
+
+        return scanned(fit, delays)
+
+    def extrapolated(self, delay: float, prior: Array, basis: Array, free: bool = False) -> WeakFit:
+        """Return what least squares would be of poses without noise: simulation extrapolation.
+
+        Cook and Stefanski (1994): phi is fitted to the log as it is, and with more noise of one and of two
+        times the variance that there is; the parabola through these is taken to a variance of -1, where none
+        is left.
+
+        Parameters
+        ----------
+        delay : float
+            By which poses come late, in samples.
+        prior : ndarray, shape (p,)
+            What is believed.
+        basis : ndarray, shape (p, d)
+            Directions in which phi may be elsewhere, each of the size that is expected.
+        free : bool
+            Whether the delay is sought too, near the one given: it is one more column, and its uncertainty is
+            in the covariance.
+        """
+        scale, nonlinear = 1.0, self.model.scaled and bool(self.model.motors)  # by the back-EMF
+        for _ in range(_ROUNDS if nonlinear else 1):
+            fit, before = self._near(scale, delay, prior, basis, free), scale
+            scale = float(np.clip(fit.phi[-1], scale / _FARTHEST, scale * _FARTHEST)) if nonlinear else 1.0
+            if abs(scale - before) <= _SAME * scale:
+                break
+        return fit
+
+    def _near(self, scale: float, delay: float, prior: Array, basis: Array, free: bool) -> WeakFit:
+        """Return the same of equations that are linear near a scale of the inputs."""
+        Y, shaken, y = self.equations(delay, scale)
+        if free:
+            less, more = (self.forces(delay + shift, scale) for shift in (-0.5, 0.5))
+            column = (less - more)[..., None]
+            Y, shaken = _beside(Y, column), _beside(shaken, column)
+            prior, basis = np.append(prior, 0.0), np.pad(basis, ((0, 1), (0, 1)))
+            basis[-1, -1] = 1.0
+        plain, influence = fitted(Y, y, self.counts, prior, basis)
+        phi, influence = _WEIGHTS[0] * plain.phi, _WEIGHTS[0] * influence
+        for weight, level in zip(_WEIGHTS[1:], shaken, strict=True):
+            for each in level:
+                noisy, more = fitted(each, y, self.counts, prior, basis)
+                phi, influence = phi + weight / _SHAKES * noisy.phi, influence + weight / _SHAKES * more
+        covariance = _newey_west(influence, self.counts, basis.shape[1])
+        if not free:
+            return plain._replace(phi=phi, covariance=covariance, delay=delay)
+        size = (
+            phi[-2] / scale if self.model.scaled else 1.0
+        )  # of the forces, to which the column is in proportion
+        late, error = delay + phi[-1] / size, np.sqrt(covariance[-1, -1]) / abs(size)
+        inner = covariance[:-1, :-1]
+        return plain._replace(phi=phi[:-1], covariance=inner, delay=float(late), delay_error=float(error))
+
+    def directions(self, scales: Array) -> tuple[Array, Array]:
+        """Return orthonormal directions that the motion tells, and those left unseen, in the scales (p,).
+
+        Seen is what has more than a hundredth of the forces in the regressor, the part left out that the
+        noise of poses makes: a second draw of it tells how much that is.
+        """
+        model, extra = self.model, self.model.scaled
+        columns = np.eye(model.nu) if model.B is None else model.B
+        both = [_beside(x, columns) if model.offset else x for x in (self.Y, self.shaken[0])]
+        forces = self.forces()
+        size = np.sqrt((forces**2).mean(axis=0))
+        force = max(np.hypot(*size[:2]) if model.free == 3 else size[0], 4 * size[-1])
+        per_row = np.array([*[force] * (model.free - 1), max(size[-1], force * _LEVER)])
+        Y, N = (
+            each * scales[: len(scales) - extra] / per_row[:, None] for each in (both[0], both[1] - both[0])
+        )
+        gram = np.einsum("nki,nkj->ij", Y, Y) - 1.5 * np.einsum("dnki,dnkj->ij", N, N) / len(N)
+        values, vectors = np.linalg.eigh(gram / (Y.shape[0] * Y.shape[1]))
+        told = values > _SEEN**2
+        seen, unseen = vectors[:, told], vectors[:, ~told]
+        if not extra:
+            return seen, unseen
+        # The scale is seen where all else is, as loads differ.
+        extended = np.zeros((len(scales), seen.shape[1] + 1))
+        extended[:-1, :-1], extended[-1, -1] = seen, 1.0
+        return extended, np.vstack([unseen, np.zeros(unseen.shape[1])])
+
+    def scales(self) -> Array:
+        """Return the size that each parameter has if it alone were behind the forces, by their power.
+
+        Raises
+        ------
+        InvalidArgument
+            If hardly anything moves.
+        """
+        logs, model = self.logs, self.model
+        twist = np.concatenate([one.twist for one in logs])
+        turned = np.concatenate([np.gradient(one.twist, one.dt, axis=0) for one in logs])
+        wrench = self.forces() @ (np.eye(3) if model.B is None else np.linalg.pinv(model.S))
+        f, moment = np.sqrt((wrench[:, :2] ** 2).sum(axis=1).mean()), np.sqrt((wrench[:, 2] ** 2).mean())
+        noise = np.max([one.noise for one in logs], axis=0)
+        speed, rate = np.sqrt((twist[:, :2] ** 2).sum(axis=1).mean()), np.sqrt((twist[:, 2] ** 2).mean())
+        moved = np.ptp(np.concatenate([one.q for one in logs]), axis=0)
+        if not (moved > 20 * noise).any() or not max(f, moment) > 0:
+            raise InvalidArgument(
+                f"log has poses that move by {moved[0]:.3g} m, {moved[1]:.3g} m and {moved[2]:.3g} rad, and "
+                f"forces of {f:.3g} N and {moment:.3g} N m, too little to tell anything: expected a motion "
+                "that excites, see excitation"
+            )
+        r = twist[:, 2]
+        across = turned[:, 0] - r * twist[:, 1], turned[:, 1] + r * twist[:, 0]
+        acceleration = np.sqrt((across[0] ** 2 + across[1] ** 2).mean())
+        force = max(f, moment / _LEVER / 4)
+        power = force * speed + moment * rate
+        per_rate = np.array([speed, speed, max(rate, speed)])
+        if model.wheels:
+            rates = np.sqrt(((twist @ np.linalg.pinv(model.S).T @ model.A.T) ** 2).mean())
+            per_rate = np.full(len(model.A), rates)
+        body = force / max(acceleration, 1e-3) * np.array([1.0, _LEVER, _LEVER, _LEVER**2])
+        dry, scale = power / per_rate, np.ones(int(model.scaled))
+        return np.concatenate([body, dry / per_rate, dry, dry[: len(dry) * model.offset], scale])
 
 
-def _windows(column: Array, weights: Array, hop: int) -> Array:
-    """Return the weighted sums over windows, of columns of shape (N,) or (N, k)."""
-    view = np.lib.stride_tricks.sliding_window_view(column, len(weights), axis=0)[::hop]
-    return np.asarray(view @ weights)
+def _beside(Y: Array, columns: Array) -> Array:
+    """Return a regressor with more columns."""
+    return np.concatenate([Y, np.broadcast_to(columns, (*Y.shape[:-1], columns.shape[-1]))], axis=-1)
 
 
-def _inertial(run: Cleaned, chassis: Chassis, bump: Sequence[Array], hop: int) -> tuple[Array, Array]:
-    g, g1, g2 = bump
-    c, s = np.cos(run.q[:, 2]), np.sin(run.q[:, 2])
-    u, w, r = run.twist.T
-    dry = run.twist / np.hypot(run.twist, chassis.speed)
-
-    def over(column: Array, weights: Array = g) -> Array:
-        return _windows(column, weights, hop)
-
-    x2, y2, c2, s2 = (over(each, g2) for each in (run.q[:, 0], run.q[:, 1], c, s))
+def _inertial(log: PreprocessedLog, model: PlanarModel, bump: Bump) -> tuple[Array, Array]:
+    over, (x, y, psi), (u, w, r) = bump.over, log.q.T, log.twist.T
+    c, s = np.cos(psi), np.sin(psi)
+    x2, y2, c2, s2 = (over(each, 2) for each in (x, y, c, s))
     zero = np.zeros_like(x2)
-    turn = over(run.q[:, 2], g2)
-    along = [over(c * u), -over(s * w), zero], [over(s * u), over(c * w), zero], [zero, zero, over(r)]
-    rubs = (
-        [over(c * dry[:, 0]), -over(s * dry[:, 1]), zero],
-        [over(s * dry[:, 0]), over(c * dry[:, 1]), zero],
-        [zero, zero, over(dry[:, 2])],
-    )
-    mz_x = -over(w, g1) + over(r * u)
-    mz_y = over(u, g1) + over(r * w)
-    inertial = [x2, c2, -s2, zero], [y2, s2, c2, zero], [zero, mz_x, mz_y, turn]
-    rows = [np.stack([*a, *b, *d], axis=-1) for a, b, d in zip(inertial, along, rubs, strict=True)]
-    Y = np.stack(rows, axis=1)
+
+    def friction(along: Any) -> list[list[Array]]:
+        a, b, d = along.T
+        return [[over(c * a), -over(s * b), zero], [over(s * a), over(c * b), zero], [zero, zero, over(d)]]
+
+    mz_x, mz_y = -over(w, 1) + over(r * u), over(u, 1) + over(r * w)
+    inertial = [x2, c2, -s2, zero], [y2, s2, c2, zero], [zero, mz_x, mz_y, over(psi, 2)]
+    rubs = friction(log.twist), friction(log.twist / np.hypot(log.twist, model.speed))
+    Y = np.stack([np.stack([*a, *b, *d], axis=-1) for a, b, d in zip(inertial, *rubs, strict=True)], axis=1)
     return Y, np.zeros(Y.shape[:2])
 
 
-def _along_free(run: Cleaned, chassis: Chassis, bump: Sequence[Array], hop: int) -> tuple[Array, Array]:
-    g, g1, _ = bump
-    eta = run.free_velocities(chassis)
-    forward, left, r = (eta @ chassis.S.T).T
-
-    def over(column: Array, weights: Array = g) -> Array:
-        return _windows(column, weights, hop)
-
+def _along_free(log: PreprocessedLog, model: PlanarModel, bump: Bump) -> tuple[Array, Array]:
+    over, eta = bump.over, log.free_velocities(model)
+    forward, left, r = (eta @ model.S.T).T
     # Integrals of a_u, a_w and r' against the bump.
-    a_u = -over(forward, g1) - over(r * left)
-    a_w = -over(left, g1) + over(r * forward)
-    rates = eta @ chassis.A.T
-    dry = rates / np.hypot(rates, chassis.speed)
-    Y = chassis.rows(a_u, a_w, -over(r, g1), over(r * r), over(rates), over(dry))
-    known = -over(eta, g1) @ chassis.inertia.T
-    return Y, known
+    a_u, a_w = -over(forward, 1) - over(r * left), -over(left, 1) + over(r * forward)
+    rates = eta @ model.A.T
+    Y = model.rows(
+        a_u, a_w, -over(r, 1), over(r * r), over(rates), over(rates / np.hypot(rates, model.speed))
+    )
+    return Y, -over(eta, 1) @ model.inertia.T
 
 
-def solve(
-    parts: Sequence[Rows], chassis: Chassis, delay: float, prior: Array, basis: Array, passes: int = 5
-) -> Fit:
-    """Return the least squares of several logs' weak forms, each row of forces weighted by what it leaves.
+def scanned(fit: Callable[[float], WeakFit], delays: Array) -> tuple[int, float, float]:
+    """Return which delay leaves least, the minimum of a parabola near it, and the share that is explained."""
+    fits = [fit(float(delay)) for delay in delays]
+    costs = np.array([each.cost for each in fits])
+    k = int(costs.argmin())
+    if not 0 < k < len(delays) - 1:
+        return k, float(delays[k]), fits[k].explained
+    low, mid, high = costs[k - 1 : k + 2]
+    late = delays[k] + (delays[k + 1] - delays[k]) / 2 * (low - high) / max(low - 2 * mid + high, 1e-300)
+    return k, float(late), fits[k].explained
+
+
+def fitted(
+    Y: Array, y: Array, counts: Sequence[int], prior: Array, basis: Array, passes: int = 5
+) -> tuple[WeakFit, Array]:
+    """Return the least squares of rows weighted by what they leave, and how windows move it, shape (n, p).
 
     Parameters
     ----------
-    parts : sequence of Rows
-        The logs.
-    chassis : Chassis
-        The robot.
-    delay : float
-        By which poses come late, in samples.
+    Y, y : ndarray, shape (n, k, p), (n, k)
+        Regressor, and what it should give.
+    counts : sequence of int
+        Windows of each log.
     prior : ndarray, shape (p,)
         What is believed.
     basis : ndarray, shape (p, d)
@@ -218,85 +361,6 @@ def solve(
     passes : int
         How often rows are weighted anew.
     """
-    Y, _, y = _stacked(parts, chassis, delay)
-    return _fitted(Y, y, parts, prior, basis, passes)[0]
-
-
-def extrapolated(
-    parts: Sequence[Rows], chassis: Chassis, delay: float, prior: Array, basis: Array, free: bool = False
-) -> Fit:
-    """Return what least squares would be of poses without noise: simulation extrapolation.
-
-    Cook and Stefanski (1994): phi is fitted to the log as it is, and with more noise of one and of two times
-    the variance that there is; the parabola through these is taken to a variance of -1, where none is left.
-
-    Parameters
-    ----------
-    parts, chassis, delay, prior, basis
-        As of `solve`.
-    free : bool
-        Whether the delay is sought too, near the one given: it is one more column, and its uncertainty is in
-        the covariance.
-    """
-    fit, scale = _extrapolated(parts, chassis, delay, prior, basis, free, 1.0), 1.0
-    if not (chassis.scaled and chassis.motors):
-        return fit
-    for _ in range(_ROUNDS):  # in which the back-EMF is not linear
-        before = scale
-        scale = float(np.clip(fit.phi[-1], scale / _FARTHEST, scale * _FARTHEST))
-        if abs(scale - before) <= _SAME * scale:
-            break
-        fit = _extrapolated(parts, chassis, delay, prior, basis, free, scale)
-    return fit
-
-
-def _extrapolated(
-    parts: Sequence[Rows],
-    chassis: Chassis,
-    delay: float,
-    prior: Array,
-    basis: Array,
-    free: bool,
-    scale: float,
-) -> Fit:
-    """Return the same of equations that are linear near a scale of the inputs."""
-    Y, shaken, y = _stacked(parts, chassis, delay, scale)
-    if free:
-        less, more = (
-            np.concatenate([part.forces(chassis, delay + shift, scale) for part in parts])
-            for shift in (-0.5, 0.5)
-        )
-        column = (less - more)[..., None]
-        Y, shaken = _beside(Y, column), _beside(shaken, column)
-        prior, basis = np.append(prior, 0.0), np.pad(basis, ((0, 1), (0, 1)))
-        basis[-1, -1] = 1.0
-    plain, influence = _fitted(Y, y, parts, prior, basis)
-    phi, influence = _WEIGHTS[0] * plain.phi, _WEIGHTS[0] * influence
-    for weight, level in zip(_WEIGHTS[1:], shaken, strict=True):
-        for each in level:
-            noisy, more = _fitted(each, y, parts, prior, basis)
-            phi, influence = phi + weight / _SHAKES * noisy.phi, influence + weight / _SHAKES * more
-    covariance = _newey_west(influence, parts, basis.shape[1])
-    if not free:
-        return plain._replace(phi=phi, covariance=covariance, delay=delay)
-    size = phi[-2] / scale if chassis.scaled else 1.0  # of the forces, which the column is in proportion to
-    late, error = delay + phi[-1] / size, np.sqrt(covariance[-1, -1]) / abs(size)
-    return plain._replace(
-        phi=phi[:-1], covariance=covariance[:-1, :-1], delay=float(late), delay_error=float(error)
-    )
-
-
-def _stacked(
-    parts: Sequence[Rows], chassis: Chassis, delay: float, scale: float = 1.0
-) -> tuple[Array, Array, Array]:
-    Y, shaken, y = zip(*(part.equations(chassis, delay, scale) for part in parts), strict=True)
-    return np.concatenate(Y), np.concatenate(shaken, axis=2), np.concatenate(y)
-
-
-def _fitted(
-    Y: Array, y: Array, parts: Sequence[Rows], prior: Array, basis: Array, passes: int = 5
-) -> tuple[Fit, Array]:
-    """Return a fit, and how each window moves it, shape (n, p)."""
     least = 1e-12 * np.sqrt((y**2).mean()) + np.finfo(float).tiny
     deviation = np.maximum((y - Y @ prior).std(axis=0), least)
     weights = np.ones(y.shape) / deviation
@@ -313,8 +377,7 @@ def _fitted(
     influence = scores @ _inverse(Y * ((size < _HUBER) / deviation)[..., None], basis)
     cost = float((np.minimum(size, _CAP) ** 2).mean() * np.prod(deviation) ** (2 / y.shape[1]))
     explained = 1 - float((left**2).sum() / max((y**2).sum(), least))
-    covariance = _newey_west(influence, parts, basis.shape[1])
-    return Fit(phi, covariance, cost, explained), influence
+    return WeakFit(phi, _newey_west(influence, counts, basis.shape[1]), cost, explained), influence
 
 
 def _inverse(A: Array, basis: Array) -> Array:
@@ -323,10 +386,10 @@ def _inverse(A: Array, basis: Array) -> Array:
     return np.asarray(basis @ np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ basis.T)
 
 
-def _newey_west(influence: Array, parts: Sequence[Rows], unknown: int) -> Array:
+def _newey_west(influence: Array, counts: Sequence[int], unknown: int) -> Array:
     """Return the covariance of a sum of what windows of logs contribute, those near each other correlated."""
     total = np.zeros((influence.shape[1],) * 2)
-    for each in np.split(influence, np.cumsum([len(part.Y) for part in parts])[:-1]):
+    for each in np.split(influence, np.cumsum(counts)[:-1]):
         total = total + each.T @ each
         for lag in range(1, min(_LAG, len(each) - 1) + 1):
             product = each[lag:].T @ each[:-lag]

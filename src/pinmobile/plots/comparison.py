@@ -122,7 +122,7 @@ def prediction(
     Parameters
     ----------
     foretold : Prediction
-        What `Identification.predict` or `VelocityIdentification.predict` returned.
+        What `Identification.predict` returned.
     title : str, optional
         Heading of the figure.
     ax, width

@@ -1,4 +1,4 @@
-"""`Chassis`: a robot in the plane as its log sees it, linear in what is identified.
+"""`PlanarModel`: a robot in the plane as its log sees it, linear in what is identified.
 
 The body twist is nu = S eta with free velocities eta: of a body that is pushed S is the identity, of wheels
 that roll without steering it is constant. With phi = (m, m x, m y, I | c | f), I about the body's origin,
@@ -17,16 +17,28 @@ is identified, torque constants have it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
-from functools import cached_property, partial
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from functools import cached_property, lru_cache, partial
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, frozen
+from pinmobile import parts
+from pinmobile.arrays import Array, bounded, frozen, scalar
 from pinmobile.compiled import vectorize
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.forces import JointFriction, RollingResistance, ViscousFriction
+from pinmobile.identification.estimator import Segments, differences, runge_kutta, solve
+from pinmobile.identification.log import Log
+from pinmobile.identification.preprocessing import LATER, PreprocessedLog
+from pinmobile.identification.statistics import POSE
+from pinmobile.robot import MobileRobot, solved
+from pinmobile.urdf import Body
 from pinmobile.wheels import Motor, MotorLaw
+
+if TYPE_CHECKING:
+    from pinmobile.identification.result import Identification
 
 _CONSTANTS = "resistance", "torque_constant", "viscous", "coulomb", "efficiency"
 _STILL = 2e-3  # [rad/s], where losses of a motor have 71 % of their size; those of real ones are sharp
@@ -35,7 +47,12 @@ _GYRATION = 0.01  # [m], least radius of a body
 _LIGHTEST = 0.02  # [kg]
 _NOTHING = 1e-14  # of the largest variance
 _ROUNDED = 1e-6  # of what a bound lacks
-_CUTS = 100  # tangents, of which some ten are needed
+_STEPS = 200  # of a search for a body, of which some ten are needed
+_SHIFT = 1e-5  # of a parameter's scale, in differences
+_AHEAD = 2.0  # [s]
+_DENSITIES = 20.0, 2e4  # [kg/m^2], mass per square of the radius of gyration; of boxes 12 m / (a^2 + b^2)
+_LEAST_RESPONSE = 1e-3  # to an input, as a share of the largest
+_RESPONSES = 3  # of a sensor, as the heading turns them
 _AXES = "forward", "left", "yaw"
 _FRICTIONS: tuple[tuple[tuple[str, str, str, Any], ...], ...] = (  # of a body that is pushed, of wheels
     (
@@ -70,7 +87,7 @@ class Quantity(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Chassis:
+class PlanarModel:
     """A robot in the plane, linear in what is identified.
 
     Attributes
@@ -105,17 +122,17 @@ class Chassis:
     motors: tuple[Motor, ...] = ()
     offset: bool = False
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Chassis, tuple(getattr(self, each.name) for each in fields(self))
+    measured: ClassVar[tuple[tuple[str, str], ...]] = POSE
+    told_first: ClassVar[int] = 4
 
     @classmethod
-    def pushed(cls, speed: float, scaled: bool = False) -> Chassis:
+    def pushed(cls, speed: float, scaled: bool = False) -> PlanarModel:
         """Return the body that is pushed by forces."""
         eye, nothing = frozen(np.eye(3)), frozen(np.zeros((3, 3)))
         return cls(eye, eye, None, nothing, speed, scaled=scaled)
 
     @classmethod
-    def rolling(cls, robot: Any, speed: float, scaled: bool = False) -> Chassis:
+    def rolling(cls, robot: Any, speed: float, scaled: bool = False) -> PlanarModel:
         """Return a robot on wheels that roll and do not steer, by torques or by volts.
 
         Raises
@@ -141,16 +158,9 @@ class Chassis:
         names = tuple(each.name for each in table.actuators)
         inertia = reduced.M - S.T @ robot.robot.mass_matrix(np.zeros(3)) @ S
         columns = np.stack([each.column for each in table.actuators], axis=-1)
-        A = columns.T @ turning
         volts = any(each.unit == "V" for each in robot.inputs)
         motors = tuple(each.motor for each in table.actuators) if volts else ()
-        others = [each.name for each in table.actuators if volts and not each.motor.is_electric]
-        if scaled and others:
-            raise InvalidArgument(
-                f"robot takes volts, and a torque at {', '.join(others)}, which have no scale in common that "
-                "loads could tell: expected volts alone, or no loads"
-            )
-        S, A, B, inertia = (frozen(each) for each in (S, A, reduced.B, inertia))
+        S, A, B, inertia = (frozen(each) for each in (S, columns.T @ turning, reduced.B, inertia))
         return cls(S, A, B, inertia, speed, names, scaled, motors)
 
     @property
@@ -174,8 +184,7 @@ class Chassis:
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
         """What is identified, as it is told: the centre of mass and the inertia about it."""
-        scale, rolls = "as a share of what is stated", bool(self.wheels)
-        what = "force per input" if not rolls else "torque constants" if self.motors else "torque per input"
+        rolls = bool(self.wheels)
         found = [
             Quantity("mass", "kg", "mass", True, "mass"),
             Quantity("com_x", "m", "centre of mass forward", False, "com.x"),
@@ -192,7 +201,7 @@ class Chassis:
             pairs = zip(self.inputs, units, strict=True)
             found += [Quantity(f"offset_{n}", unit, f"constant offset of {n}", False) for n, unit in pairs]
         if self.scaled:
-            found.append(Quantity("input_scale", "", f"{what}, {scale}", True))
+            found.append(Quantity("input_scale", "", "scale of inputs or torque constants as stated", True))
         return tuple(found)
 
     @property
@@ -206,11 +215,6 @@ class Chassis:
         return slice(4 + len(self.A), 4 + 2 * len(self.A))
 
     @property
-    def bounded(self) -> list[int]:
-        """Where phi has friction or a scale, which cannot be below zero."""
-        return [k for k, one in enumerate(self.quantities) if one.bounded and k > 3]
-
-    @property
     def offsets(self) -> slice:
         """Where phi has offsets of the inputs."""
         return slice(self.dry.stop, self.size - self.scaled)
@@ -221,7 +225,7 @@ class Chassis:
         rubs = any(each.coulomb or each.efficiency < 1 for each in self.motors)
         return _RUBBING_STEP if rubs else _STEP
 
-    def told(self, phi: Array) -> Array:
+    def to_physical(self, phi: Array) -> Array:
         """Return what is told of phi, shape (..., p): com = (m x, m y) / m, and the inertia about it."""
         m, mx, my, inertia = (phi[..., k] for k in range(4))
         about = inertia - (mx * mx + my * my) / m
@@ -242,10 +246,10 @@ class Chassis:
         D[3, :4] = (mx * mx + my * my) / m**2, -2 * mx / m, -2 * my / m, 1.0
         return D
 
-    def is_possible(self, phi: Array) -> bool:
-        """Return whether mass and yaw inertia about the centre of mass are above zero."""
-        m, mx, my, inertia = phi[:4]
-        return bool(m > 0 and m * inertia > mx * mx + my * my)
+    def are_possible(self, phi: Array) -> Any:
+        """Return whether mass and yaw inertia about the centre of mass are above zero, of phi (..., p)."""
+        m, mx, my, inertia = (phi[..., k] for k in range(4))
+        return (m > 0) & (m * inertia > mx * mx + my * my)
 
     def possible(self, phi: Array, scales: Array) -> Array:
         """Return parameters of a body, those given where they are: else with a small mass or inertia."""
@@ -272,10 +276,12 @@ class Chassis:
         InvalidArgument
             If there is none.
         """
-        bounded = self.bounded
+        from scipy.optimize import minimize  # here, because it takes long to load
+
+        friction = [k for k, one in enumerate(self.quantities) if one.bounded and k > 3]
 
         def slack(p: Array) -> Array:
-            return np.concatenate([[p[0] - _LIGHTEST, _inertia_left(p)], p[bounded]])
+            return np.concatenate([[p[0] - _LIGHTEST, _inertia_left(p)], p[friction]])
 
         if (slack(phi) >= 0).all():
             return phi
@@ -283,26 +289,102 @@ class Chassis:
         told = values > _NOTHING * values.max()
         root = vectors[:, told] * np.sqrt(values[told])
         size = np.abs(slack(phi)) + 1e-3 * np.abs(phi).max()
-        # Bounds, and tangents of the inequality of the body where a step is beyond it: both are convex.
-        G = np.vstack([root[:1], root[bounded]])
-        h = np.concatenate([[_LIGHTEST], 0 * phi[bounded]]) - np.append(phi[0], phi[bounded])
-        for _ in range(_CUTS):
-            z = _least(G, h)
-            if z is None:
-                break
-            body = phi + root @ z
-            if (slack(body) >= -_ROUNDED * size).all():
-                body[3] += max(0.0, -_inertia_left(body))
-                body[bounded] = np.maximum(body[bounded], 0.0)
-                return np.asarray(body)
-            m, mx, my = body[:3]
-            tangent = np.array([(mx * mx + my * my) / m**2 - _GYRATION**2, -2 * mx / m, -2 * my / m, 1.0])
-            G = np.vstack([G, tangent @ root[:4]])
-            h = np.append(h, G[-1] @ z - _inertia_left(body))
-        raise InvalidArgument(
-            f"log leads to a mass of {phi[0]:.3g} kg and a yaw inertia of {self.told(phi)[3]:.3g} kg "
-            "m^2, of which there is no body near: expected a log that tells them to be above zero"
+        found = minimize(
+            lambda z: (z @ z / 2, z),
+            np.zeros(root.shape[1]),
+            jac=True,
+            method="SLSQP",
+            constraints={"type": "ineq", "fun": lambda z: slack(phi + root @ z) / size},
+            options={"ftol": _ROUNDED**2, "maxiter": _STEPS},
         )
+        body = phi + root @ found.x
+        if not (slack(body) >= -_ROUNDED * size).all():
+            raise InvalidArgument(
+                f"log leads to a mass of {phi[0]:.3g} kg and a yaw inertia of {self.to_physical(phi)[3]:.3g} "
+                "kg m^2, of which there is no body near: expected a log that tells them to be above zero"
+            )
+        body[3] += max(0.0, -_inertia_left(body))
+        body[friction] = np.maximum(body[friction], 0.0)
+        return np.asarray(body)
+
+    @property
+    def stated_constants(self) -> Array:
+        """Torque constants of the motors as stated where their scale is identified, shape (motors,)."""
+        return np.array([each.torque_constant for each in self.motors] if self.scaled else [])
+
+    def robot(self, found: Identification) -> Any:
+        """Return the robot as identified; see `Identification.robot`."""
+        m, x, y, inertia = self.to_physical(found.plausible)[:4].tolist()
+        prior = found.prior
+        if prior is None:
+            return MobileRobot(m, inertia, com=(x, y))
+        bare = (prior.robot if self.wheels else prior).lumped()
+        new = bare.with_body(_body(bare.body, m, (x, y), inertia), f"{bare.source}; identified from a log")
+        if not self.wheels:
+            return new
+        if not self.motors:
+            return parts.evolved(prior, robot=new)
+        driven = parts.evolved(prior.wheeled, robot=new).by_voltage()
+        if self.scaled:
+            constants = zip(driven.motor_paths, found.torque_constants, strict=True)
+            driven = parts.replace(driven, {f"{path}.torque_constant": k for path, k in constants})
+        return driven
+
+    def forces(self, found: Identification) -> list[Any]:
+        """Return the friction for `simulate`; see `Identification.forces`."""
+        viscous, dry = np.split(self.to_physical(found.plausible)[4 : self.dry.stop], 2)
+        if not self.wheels:
+            return [ViscousFriction(viscous), RollingResistance(dry, self.speed)]
+        names = [one.name for one in found.prior.coordinates]
+        columns = np.zeros((2, len(names)))
+        columns[:, [names.index(name) for name in self.wheels]] = viscous, dry
+        return [JointFriction(columns[0], columns[1], self.speed, names)]
+
+    def notes(self, found: Identification) -> tuple[str, ...]:
+        """Return what a log of such a robot cannot tell, and what is odd of the estimates."""
+        mass, _, _, inertia = self.to_physical(found.phi)[:4].tolist()
+        told = []
+        if not self.offset:
+            told.append("the motion does not tell constant offsets of inputs from friction: taken as zero")
+        seen = found.is_seen["mass"] and found.is_seen["yaw_inertia"]
+        if seen and min(mass, inertia) > 0 and not _DENSITIES[0] < mass**2 / inertia < _DENSITIES[1]:
+            told.append(
+                f"a mass of {mass:.3g} kg with a radius of gyration of {np.sqrt(inertia / mass):.2g} m is "
+                f"implausible: robots have {_DENSITIES[0]:g} to {_DENSITIES[1]:g} kg per square metre of it; "
+                "are inputs in N and N m, positions in m?"
+            )
+        if not self.wheels:
+            return tuple(told)
+        if found.slippage is not None and found.slippage.matters:
+            told.append(str(found.slippage))
+        told.append(
+            "of mass and yaw inertia the wheels' own inertia cannot be told: "
+            f"{self.inertia[0, 0]:.3g} kg and {self.inertia[-1, -1]:.3g} kg m^2 of it were taken as stated"
+        )
+        if not self.scaled:
+            told.append(
+                "all of this hangs on the torque per input, which was taken as stated: a log with a known "
+                "load tells it, identify([log, loaded], robot, loads=[None, load])"
+            )
+        if self.motors:
+            told.append(
+                "motors were taken as stated"
+                + (" but for one scale of all their torque constants" if self.scaled else "")
+                + ", with their friction and gears; friction is what these leave"
+            )
+        return tuple(told)
+
+    def foretell(
+        self, found: Identification, log: Log, seconds: float | None
+    ) -> tuple[Segments, Array, NDArray[np.bool_], Array]:
+        """Return segments of a log, measured less simulated, which samples count, and the sensors' noise."""
+        run = PreprocessedLog.of(log, self, np.zeros(4))
+        late, longest = found.delay / run.dt, len(run.q) * run.dt - 2 * abs(found.delay) - 4 * run.dt
+        length = scalar("seconds", _AHEAD if seconds is None else seconds)
+        ahead = bounded("seconds", length, least=10 * run.dt, most=longest, unit="s")
+        segments = run.segments(self, late, ahead, run.rates is not None)
+        search = Search(self, found.phi, np.zeros((len(found.phi), 0)), late)
+        return segments, solve(search, segments, search.start).near.residual, segments.good, run.noise
 
     def rows(self, a_u: Array, a_w: Array, turn: Array, square: Array, rates: Array, dry: Array) -> Array:
         """Return the regressor along the free velocities, shape (n, k, p), a scale of the input left out.
@@ -387,7 +469,7 @@ class Chassis:
                 factor = float(self.S[a, i] * self.S[b, j])
                 if factor:
                     M[i][j] = M[i][j] + factor * entry
-        return _solved(M, right)
+        return solved(M, right, range(k))
 
     def step(self, z: Any, first: Any, then: Any, phi: Any, spans: Any, *, steps: tuple[int, int]) -> Any:
         """Return the state a while later, shape (3 + k,), by Runge's and Kutta's fourth order.
@@ -405,35 +487,114 @@ class Chassis:
         steps : tuple of 2 int
             How many steps each part has.
         """
-        state = [z[i] for i in range(3 + self.free)]
         for u, span, count in zip((first, then), (spans[0], spans[1]), steps, strict=True):
-            for _ in range(count):
-                state = self._runge_kutta(state, u, phi, span)
-        return np.stack(state)
+            z = runge_kutta(partial(self._rate, u, phi), z, span, count)
+        return z
 
-    def _runge_kutta(self, state: Sequence[Any], u: Any, phi: Any, h: Any) -> list[Any]:
-        k1 = self._rate(state, u, phi)
-        k2 = self._rate([x + h / 2 * k for x, k in zip(state, k1, strict=True)], u, phi)
-        k3 = self._rate([x + h / 2 * k for x, k in zip(state, k2, strict=True)], u, phi)
-        k4 = self._rate([x + h * k for x, k in zip(state, k3, strict=True)], u, phi)
-        each = zip(state, k1, k2, k3, k4, strict=True)
-        return [x + h / 6 * (a + 2 * (b + c) + d) for x, a, b, c, d in each]
-
-    def _rate(self, state: Sequence[Any], u: Any, phi: Any) -> list[Any]:
-        psi, eta = state[2], state[3:]
+    def _rate(self, u: Any, phi: Any, state: Any) -> Any:
+        psi, eta = state[2], [state[3 + i] for i in range(self.free)]
         forward, left, r = (_dot(row, eta) for row in self.S)
         c, s = np.cos(psi), np.sin(psi)
-        return [c * forward - s * left, s * forward + c * left, r, *self.acceleration(psi, eta, u, phi)]
+        way = [c * forward - s * left, s * forward + c * left, r]
+        return np.stack([*way, *self.acceleration(psi, eta, u, phi)])
 
-    def stepped(self, steps: tuple[int, int]) -> Callable[..., Array]:
-        """Return `step` of many states, compiled."""
-        if steps not in self._compiled:
-            self._compiled[steps] = vectorize(partial(self.step, steps=steps), checked=False)
-        return self._compiled[steps]
 
-    @cached_property
-    def _compiled(self) -> dict[tuple[int, int], Callable[..., Array]]:
-        return {}
+@lru_cache(32)
+def _stepped(model: PlanarModel, steps: tuple[int, int]) -> Callable[..., Array]:
+    """Return `PlanarModel.step` of many states, compiled."""
+    return vectorize(partial(model.step, steps=steps), checked=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Numbers of a planar model that output error seeks: steps in some directions, and the delay.
+
+    Parameters
+    ----------
+    model : PlanarModel
+        The robot.
+    base : ndarray, shape (p,)
+        Where all steps are zero.
+    basis : ndarray, shape (p, d)
+        Directions, each of the size that is expected.
+    delay : float
+        By which poses come late, in samples.
+    free : bool
+        Whether the delay is sought too: then it is the last number.
+    """
+
+    model: PlanarModel
+    base: Array
+    basis: Array
+    delay: float
+    free: bool = False
+
+    @property
+    def start(self) -> Array:
+        """The first numbers, shape (P,)."""
+        return np.zeros(self.basis.shape[1] + self.free)
+
+    def sizes(self, p: Array) -> Array:
+        """Return the sizes of the numbers, shape (P,)."""
+        return np.ones(len(p))
+
+    def values(self, p: Array) -> tuple[Array, Array]:
+        """Return parameters, shape (..., p), and delays, shape (...), of numbers (..., P)."""
+        late = self.delay + (p[..., -1] if self.free else np.zeros(p.shape[:-1]))
+        return self.base + p[..., : self.basis.shape[1]] @ self.basis.T, late
+
+    def is_possible(self, p: Array) -> bool:
+        """Return whether there is a body of such numbers, about as late as at first."""
+        phi, late = self.values(p)
+        return bool(self.model.are_possible(phi) and abs(late - self.delay) < LATER)
+
+    def linearize(self, segments: Segments, p: Array, starts: Array) -> tuple[Array, Array]:
+        """Return the simulation and its slopes, those by the delay over whole samples."""
+        steps = np.append(np.full(self.basis.shape[1], _SHIFT), [1.0] * self.free)
+        return differences(self, segments, p, starts, steps)
+
+    @np.errstate(all="ignore")  # where a robot that is tried runs away
+    def simulate(self, segments: Segments, p: Array, starts: Array) -> Array:
+        """Return the poses, and rates of wheels where they are measured, shape (V, S, L, m)."""
+        phi, late = self.values(p)
+        body = np.repeat(phi[:, None], len(segments.y), axis=1)
+        body[..., :4] += segments.load
+        lag = int(np.floor(late[0])) + np.rint(late - late[0]).astype(int)
+        lag = lag[:1] if (lag == lag[0]).all() else lag
+        part, length = float(late[0] - np.floor(late[0])), segments.y.shape[1]
+        shares = np.array([part, 1 - part]) * segments.dt[:, None]
+        counts = np.ceil(shares.max(axis=0) / self.model.longest_step - 1e-9).astype(int)
+        spans, step = shares / np.maximum(counts, 1), _stepped(self.model, (int(counts[0]), int(counts[1])))
+        spans = spans[0] if (spans == spans[0]).all() else spans
+        first, then = segments.applied(lag + 1, length - 1), segments.applied(lag, length - 1)
+        states = np.empty((length, *starts.shape))
+        states[0] = starts
+        for k in range(length - 1):
+            states[k + 1] = step(states[k], first[:, :, k], then[:, :, k], body, spans)
+        out = states[..., :3]
+        if segments.y.shape[-1] > 3:
+            out = np.concatenate([out, states[..., 3:] @ self.model.A.T], axis=-1)
+        return np.moveaxis(out, 0, 2)
+
+    def responses(self, segments: Segments, p: Array, starts: Array) -> Array:
+        """Return the sensors' responses to inputs that are held for the first step, shape (r, L, m).
+
+        Of a robot at rest without dry friction; of all headings and inputs, the few that have most of it.
+        """
+        (phi, late), resting = self.values(p), starts.copy()
+        resting[:, 3:], phi[self.model.dry], phi[self.model.offsets] = 0.0, 0.0, 0.0
+        still, found = Search(self.model, phi, self.basis[:, :0], float(late)), []
+        column = segments.lead - int(np.floor(late))
+        for unit in np.diag(segments.sizes):
+            held = np.zeros((*segments.at.shape, segments.inputs.shape[1]))
+            held[:, column] = unit
+            at = np.arange(held[..., 0].size).reshape(segments.at.shape)
+            there = segments._replace(inputs=held.reshape(-1, held.shape[-1]), at=at)
+            out = still.simulate(there, np.zeros((1, 0)), resting[None])[0] / segments.noise[:, None]
+            found.append(out - out[:, :1])
+        _, sizes, rows = np.linalg.svd(np.moveaxis(np.concatenate(found), -1, 0), full_matrices=False)
+        sizes = np.where(sizes > _LEAST_RESPONSE * sizes[:, :1], sizes, 0.0)
+        return np.asarray(np.moveaxis((sizes[..., None] * rows)[:, :_RESPONSES], 0, -1))
 
 
 def _inertia_left(phi: Array) -> float:
@@ -442,43 +603,22 @@ def _inertia_left(phi: Array) -> float:
     return float(inertia - _GYRATION**2 * m - (mx * mx + my * my) / max(m, _LIGHTEST))
 
 
-def _least(G: Array, h: Array) -> Array | None:
-    """Return the shortest z with G z >= h, or None where there is none (Lawson and Hanson, 1974, 23.4)."""
-    from scipy.optimize import nnls  # here, because it takes long to load
-
-    length = np.linalg.norm(G, axis=1)
-    if (h[length == 0] > 0).any():
-        return None
-    told = length > 0
-    G, h = G[told] / length[told, None], h[told] / length[told]
-    far = max(float(np.abs(h).max(initial=0.0)), 1e-300)
-    E, f = np.vstack([G.T, h / far]), np.append(np.zeros(G.shape[1]), 1.0)
-    rest = E @ nnls(E, f)[0] - f
-    return None if rest[-1] > -_NOTHING else np.asarray(-rest[:-1] / rest[-1] * far)
-
-
 def _dot(row: Array, values: Sequence[Any]) -> Any:
     """Return the sum of products with known numbers, those that are zero left out."""
-    total: Any = None
-    for factor, value in zip(row, values, strict=True):
-        if factor:
-            part = value if factor == 1 else float(factor) * value
-            total = part if total is None else total + part
-    return 0.0 if total is None else total
+    parts = [
+        value if factor == 1 else float(factor) * value
+        for factor, value in zip(row, values, strict=True)
+        if factor
+    ]
+    return sum(parts[1:], parts[0]) if parts else 0.0
 
 
-def _solved(M: Sequence[Sequence[Any]], b: Sequence[Any]) -> list[Any]:
-    """Return the solution of a small system by elimination; its matrix is positive definite."""
-    M, b, n = [list(row) for row in M], list(b), len(b)
-    for i in range(n):
-        for j in range(i + 1, n):
-            factor = M[j][i] / M[i][i]
-            M[j] = [a - factor * c for a, c in zip(M[j], M[i], strict=True)]
-            b[j] = b[j] - factor * b[i]
-    x: list[Any] = [0.0] * n
-    for i in reversed(range(n)):
-        rest = b[i]
-        for j in range(i + 1, n):
-            rest = rest - M[i][j] * x[j]
-        x[i] = rest / M[i][i]
-    return x
+def _body(old: Body, mass: float, com: tuple[float, float], yaw_inertia: float) -> Body:
+    """Return a body with another mass, centre of mass and yaw inertia; all else stays where it can."""
+    centre = np.array([*com, old.com[2]])
+    inertia = np.array(old.inertia)
+    inertia[2, 2] = yaw_inertia
+    try:
+        return Body(mass, centre, inertia)
+    except InvalidArgument:  # moments that break the triangle inequality: those of a body of the same form
+        return Body(mass, centre, np.array(old.inertia) * (yaw_inertia / old.inertia[2, 2]))

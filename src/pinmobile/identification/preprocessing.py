@@ -1,20 +1,21 @@
-"""`Cleaned`: a log on equal steps without outliers, the noise of its sensors, and the slip in it."""
+"""`PreprocessedLog`: a log on equal steps without outliers, its segments, and the slip in it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
-from pinmobile.identification.chassis import Chassis
-from pinmobile.identification.log import Log, check_units
+from pinmobile.identification.estimator import Segments
+from pinmobile.identification.log import Log, check_units, held_integrals
 from pinmobile.identification.statistics import NORMAL
 
+LATER = 8  # samples by which a delay may differ from where its search begins
 _WINDOW = 0.15  # [s] of the cubic whose residual tells outliers and noise
 _OUTLIER = 6.0  # deviations
 _BENT = 3e-3  # share of the way through a window below which nothing is an outlier
@@ -27,7 +28,7 @@ _LONG = 3  # samples in a row that are lost; over more, a spline would swing wit
 
 
 @dataclass(frozen=True, eq=False)
-class Cleaned:
+class PreprocessedLog:
     """A log as methods want it.
 
     Attributes
@@ -63,8 +64,8 @@ class Cleaned:
     load: Array
 
     @classmethod
-    def of(cls, log: Log, chassis: Chassis, load: Array, name: str = "log") -> Cleaned:
-        """Return a log cleaned for a chassis.
+    def of(cls, log: Log, model: Any, load: Array, name: str = "log") -> PreprocessedLog:
+        """Return a log cleaned for a model.
 
         Raises
         ------
@@ -73,15 +74,15 @@ class Cleaned:
         """
         if log.q is None:
             raise InvalidArgument(f"{name} has no poses q, expected these: forces are told by what they move")
-        if log.u.shape[1] != chassis.nu:
+        if log.u.shape[1] != model.nu:
             expected = (
                 "(Fx, Fy, Mz) of a body that is pushed; of wheels that roll give robot=..., of commands of "
                 "speed and yaw rate take identify_velocity; joints of arms and steering are not identified"
-                if chassis.B is None
-                else f"one for each driven wheel, {', '.join(chassis.wheels)}; is it of another robot?"
+                if model.B is None
+                else f"one for each driven wheel, {', '.join(model.wheels)}; is it of another robot?"
             )
-            raise InvalidArgument(f"{name} has {log.u.shape[1]} inputs, expected {chassis.nu}: {expected}")
-        check_units(log, name, chassis.inputs, "A" if chassis.scaled and not chassis.motors else "")
+            raise InvalidArgument(f"{name} has {log.u.shape[1]} inputs, expected {model.nu}: {expected}")
+        check_units(log, name, model.inputs, "A" if model.scaled and not model.motors else "")
         even = log.samples()
         if even.dt > 1.001 * _COARSEST:
             raise InvalidArgument(
@@ -91,47 +92,32 @@ class Cleaned:
         if len(even.t) < max(_ROWS, 4 * _WINDOW / even.dt):
             raise InvalidArgument(f"{name} is {even.t[-1]:.3g} s long, too short, expected 20 s and more")
         assert even.q is not None
-        q, good, noise = _without_outliers(even.q, even.seen, even.dt, _FINEST)
+        q, good, noise = without_outliers(even.q, even.seen, even.dt, _FINEST)
         rates, rates_noise = even.wheel_rates, None
-        if rates is not None and chassis.wheels:
-            if rates.shape[1] != len(chassis.A):
+        if rates is not None and model.wheels:
+            if rates.shape[1] != len(model.A):
                 raise InvalidArgument(
-                    f"{name} has wheel_rates of {rates.shape[1]} wheels, expected {len(chassis.A)}: "
-                    f"{', '.join(chassis.wheels)}"
+                    f"{name} has wheel_rates of {rates.shape[1]} wheels, expected {len(model.A)}: "
+                    f"{', '.join(model.wheels)}"
                 )
-            rates, usual, rates_noise = _without_outliers(rates, even.seen, even.dt, _FINEST_RATE)
+            rates, usual, rates_noise = without_outliers(rates, even.seen, even.dt, _FINEST_RATE)
             good = good & usual
         lost = int((even.seen & ~good).sum())
-        rates = rates if chassis.wheels else None
+        rates = rates if model.wheels else None
         return cls(even.dt, q, good, even.u, rates, noise, rates_noise, lost, load)
-
-    @property
-    def cutoff(self) -> float:
-        """Where velocities are filtered [Hz]."""
-        return min(_CUTOFF, 0.2 / self.dt)
-
-    def _filtered(self, columns: Array) -> Array:
-        """Return columns without what is faster than a cut-off, without a delay."""
-        from scipy.signal import butter, sosfiltfilt  # here, because it takes long to load
-
-        sos = butter(4, self.cutoff, fs=1 / self.dt, output="sos")
-        return np.asarray(sosfiltfilt(sos, columns, axis=0))
 
     @cached_property
     def twist(self) -> Array:
         """Body twist of the filtered pose, shape (N, 3): forward, left, yaw rate."""
-        smooth = self._filtered(self.q)
-        v = np.gradient(smooth, self.dt, axis=0)
-        c, s = np.cos(smooth[:, 2]), np.sin(smooth[:, 2])
-        return np.column_stack([c * v[:, 0] + s * v[:, 1], c * v[:, 1] - s * v[:, 0], v[:, 2]])
+        return twist_of(self.q, self.dt)
 
-    def free_velocities(self, chassis: Chassis) -> Array:
+    def free_velocities(self, model: Any) -> Array:
         """Return eta at all samples, shape (N, k): of the encoders where there are any."""
         if self.rates is not None:
-            return np.asarray(self._filtered(self.rates) @ np.linalg.pinv(chassis.A).T)
-        return np.asarray(self.twist @ np.linalg.pinv(chassis.S).T)
+            return np.asarray(_filtered(self.rates, self.dt) @ np.linalg.pinv(model.A).T)
+        return np.asarray(self.twist @ np.linalg.pinv(model.S).T)
 
-    def shaken(self, generator: np.random.Generator, level: float) -> Cleaned:
+    def shaken(self, generator: np.random.Generator, level: float) -> PreprocessedLog:
         """Return it with more noise, of a variance that is a multiple of what its sensors have."""
         size = np.sqrt(level)
         q, rates = self.q + size * self.noise * generator.standard_normal(self.q.shape), self.rates
@@ -139,24 +125,61 @@ class Cleaned:
             rates = rates + size * self.rates_noise * generator.standard_normal(rates.shape)
         return replace(self, q=q, rates=rates)
 
-    def shifted(self, delay: float, edges: Array) -> Array:
-        """Return the mean input between times of the pose that comes late by a delay, shape (n - 1, nu).
+    def rates_of(self, model: Any) -> Array:
+        """Return the rates along which there is friction at all samples, shape (N, a)."""
+        return self.twist if model.B is None else np.asarray(self.free_velocities(model) @ model.A.T)
+
+    def segments(self, model: Any, delay: float, seconds: float, rates: bool) -> Segments:
+        """Return the segments of a log whose poses come late by so many samples.
 
         Parameters
         ----------
-        delay : float
-            By which the pose comes late, in samples.
-        edges : ndarray, shape (n,)
-            Times, in samples.
+        model, delay : PlanarModel, float
+            The robot, and by which poses come late, in samples.
+        seconds : float
+            Length of a segment [s].
+        rates : bool
+            Whether rates of wheels are measured, of this log or another one.
         """
-        spent = np.vstack([np.zeros(self.u.shape[1]), np.cumsum(self.u, axis=0)])
-        at = np.clip(edges - delay, 0, len(self.u))
-        low = np.minimum(at.astype(int), len(self.u) - 1)
-        total = spent[low] + (at - low)[:, None] * self.u[low]
-        return np.asarray(np.diff(total, axis=0) / np.diff(edges)[:, None])
+        lag, N, noise, y = int(np.floor(delay)), len(self.q), self.noise, self.q
+        if rates:
+            wheels, own = len(model.A), (self.rates, self.rates_noise)
+            more, of_it = own if self.rates is not None else (np.zeros((N, wheels)), np.full(wheels, np.inf))
+            y, noise = np.concatenate([y, more], axis=1), np.append(noise, of_it)  # type: ignore[arg-type]
+        return Segments.cut(
+            self.dt,
+            y,
+            self.good,
+            np.concatenate([self.q, self.free_velocities(model)], axis=1),
+            self.u,
+            **{"length": max(8, round(seconds / self.dt)), "first": max(0, lag + 1), "stop": min(N, N + lag)},
+            **{"lead": lag + LATER + 2, "more": LATER + 1 - lag, "noise": noise, "load": self.load},
+            least=_HALF,
+        )
 
 
-def _without_outliers(
+def _filtered(columns: Array, dt: float) -> Array:
+    """Return columns without what is faster than a cut-off, without a delay."""
+    from scipy.signal import butter, sosfiltfilt  # here, because it takes long to load
+
+    sos = butter(4, min(_CUTOFF, 0.2 / dt), fs=1 / dt, output="sos")
+    return np.asarray(sosfiltfilt(sos, columns, axis=0))
+
+
+def twist_of(q: Array, dt: float) -> Array:
+    """Return the body twist of filtered poses, shape (N, 3): forward, left, yaw rate."""
+    smooth = _filtered(q, dt)
+    v, psi = np.gradient(smooth, dt, axis=0), smooth[:, 2]
+    nu = np.exp(-1j * psi) * (v[:, 0] + 1j * v[:, 1])
+    return np.column_stack([nu.real, nu.imag, v[:, 2]])
+
+
+def mean_inputs(u: Array, edges: Array) -> Array:
+    """Return the mean, between edges, of inputs that hold for a sample each and are zero beyond them."""
+    return held_integrals(np.arange(len(u) + 0.0), u, np.clip(edges, 0, len(u)))
+
+
+def without_outliers(
     columns: Array, seen: NDArray[np.bool_], dt: float, least: float
 ) -> tuple[Array, NDArray[np.bool_], Array]:
     """Return columns whose outliers are interpolated, which rows are none, and the noise of each column.
@@ -208,8 +231,8 @@ def _bridge(q: Array, good: NDArray[np.bool_], size: int) -> None:
 
 _AVERAGED = 0.4  # [s] over which velocities are averaged, so that the noise of poses is 2 mm/s for each mm
 _MEASURED = 0.9  # of a window
+_HALF = 0.5  # of a segment's samples that count, without which its first state is not told
 _CERTAIN = 5.0  # deviations of what noise alone would lead to
-_LARGE = 4.0  # deviations, of a window in which wheels slip
 _TOLD, _MOST = 0.01, 0.1  # of the speed: what is told, and with what masses are of no use
 _LIKE = 1.5  # ratio, or its inverse: no radius is stated as wrongly as that
 _MOSTLY = 0.8  # of the mean square
@@ -228,8 +251,6 @@ class Slippage(NamedTuple):
         Root of the mean square of the difference, that of the noise taken off, and of the noise [m/s].
     share : float
         The first as a share of the speed of the motion.
-    time : float
-        Share of the time in which it is more than the noise, and more than a hundredth of the speed.
     is_certain : bool
         Whether noise alone is no explanation.
     ratios : ndarray, shape (3,)
@@ -242,7 +263,6 @@ class Slippage(NamedTuple):
     speed: float
     noise: float
     share: float
-    time: float
     is_certain: bool
     ratios: Array
     by_ratios: float
@@ -268,12 +288,12 @@ class Slippage(NamedTuple):
             else "they slip, or poses are of another point or time, or encoders of another sign or order"
         )
         return (
-            f"move otherwise than wheels roll, by {self.speed:.3g} m/s, {self.share:.1%} of the speed, in "
-            f"{self.time:.0%} of the time, where noise explains {self.noise:.2g} m/s: {why}"
+            f"move otherwise than wheels roll, by {self.speed:.3g} m/s, {self.share:.1%} of the speed, "
+            f"where noise explains {self.noise:.2g} m/s: {why}"
         )
 
     @classmethod
-    def of(cls, run: Cleaned, chassis: Chassis, name: str = "log") -> Self | None:
+    def of(cls, run: PreprocessedLog, model: Any, name: str = "log") -> Self | None:
         """Return that of a log; None where it cannot be told, as of a body that is pushed.
 
         Raises
@@ -281,36 +301,34 @@ class Slippage(NamedTuple):
         InvalidArgument
             If masses could not be told with as much of it; the message has the name.
         """
-        if not chassis.wheels or (run.rates is None and chassis.free == 3):
+        if not model.wheels or (run.rates is None and model.free == 3):
             return None
         size = 2 * round(_AVERAGED / run.dt / 2) + 1
         g = (1 - np.linspace(-1, 1, size + 2)[1:-1] ** 2) ** 3
         g /= g.sum()
         moved = run.twist
-        rolled = run.free_velocities(chassis) @ chassis.S.T
+        rolled = run.free_velocities(model) @ model.S.T
         columns = np.concatenate([moved, rolled, run.good[:, None]], axis=1)
         means = np.lib.stride_tricks.sliding_window_view(columns, size, axis=0)[:: size // 4 + 1] @ g
         means = means[means[:, -1] > _MEASURED]
         if len(means) < 2:
             return None
-        per_rate = chassis.A @ np.linalg.pinv(chassis.S)
+        per_rate = model.A @ np.linalg.pinv(model.S)
         metric = np.array([1.0, 1.0, np.sqrt((per_rate[:, 2] ** 2).sum() / (per_rate[:, :2] ** 2).sum())])
         moved, rolled = means[:, :3] * metric, means[:, 3:6] * metric
         off = moved - rolled
         variance = (run.noise * metric) ** 2 * (np.diff(g, prepend=0.0, append=0.0) ** 2).sum() / run.dt**2
         told = 3
         if run.rates is None:  # velocities at which wheels roll are no difference
-            free = np.eye(3) - chassis.S @ np.linalg.pinv(chassis.S)
-            variance, told = (free**2) @ variance, 3 - chassis.free
+            free = np.eye(3) - model.S @ np.linalg.pinv(model.S)
+            variance, told = (free**2) @ variance, 3 - model.free
         elif run.rates_noise is not None:
-            gains = chassis.S @ np.linalg.pinv(chassis.A)
+            gains = model.S @ np.linalg.pinv(model.A)
             variance = variance + metric**2 * (gains**2 @ run.rates_noise**2) * (g**2).sum()
         noise, motion = float(variance.sum()), float((moved**2).sum(axis=1).mean())
-        each = (off**2).sum(axis=1)
-        excess = float(each.mean()) - noise
+        excess = float((off**2).sum(axis=1).mean()) - noise
         alone = max(len(run.q) / size * told, 1.0)  # numbers that do not hang together
         certain = excess > _CERTAIN * noise * np.sqrt(2 / alone) and excess > 0
-        least = max(_LARGE**2 * noise, _TOLD**2 * motion)
         ratios, left = np.full(3, np.nan), off
         if run.rates is not None:
             power = (rolled**2).sum(axis=0)
@@ -322,7 +340,6 @@ class Slippage(NamedTuple):
             float(np.sqrt(max(excess, 0.0))),
             float(np.sqrt(noise)),
             float(np.sqrt(max(excess, 0.0) / max(motion, 1e-300))),
-            float((each > least).mean()),
             bool(certain),
             ratios,
             1 - after / excess if excess > 0 else 0.0,

@@ -1,0 +1,387 @@
+"""Output error: least squares of what simulations of segments leave of a log, for any model.
+
+First states of segments are projected out of the residuals' Jacobian by QR, so that the search is among the
+model's numbers alone. Numbers and first states that are tried are simulated side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument
+from pinmobile.identification.statistics import NORMAL
+
+White = Callable[[Array], Array]
+_SLOPE = 1e-4  # of the size of a first state, by which differences are taken
+_LEAST_SIZE = 1e-3  # of an input, as a share of the largest
+_PASSES = 2  # in which first states are found
+_SHARES = np.array([1.0, 0.5, 0.2, 0.05, 0.0])  # of the step of a first state that are tried
+_CONVERGED = 1e-7  # relative change of the cost
+_EVALUATIONS = 40  # of the cost, at most
+_ROUNDS = 4  # of weights and outliers
+_OUTLIER = 6.0  # deviations
+_UNSEEN = 1e-10  # eigenvalues of the scaled normal matrix below it are none
+
+
+class Segments(NamedTuple):
+    """Segments of logs, each simulated from a first state of its own.
+
+    Attributes
+    ----------
+    dt : ndarray, shape (S,)
+        Time between two samples [s].
+    t : ndarray, shape (S, L)
+        Times since the first sample of the log [s].
+    y : ndarray, shape (S, L, m)
+        Measurements.
+    good : ndarray of bool, shape (S, L)
+        Samples that count.
+    noise : ndarray, shape (S, m)
+        Standard deviation of the sensors, infinite where there is none; 1 where it is not known.
+    start : ndarray, shape (S, n)
+        Guess of the first states.
+    inputs : ndarray, shape (N, nu)
+        Inputs of all logs.
+    at : ndarray of int, shape (S, W)
+        Rows of the inputs near a segment.
+    lead : int
+        How many of these are before the first sample.
+    load : ndarray, shape (S, 4)
+        Known moments of mass that the robot carries.
+    """
+
+    dt: Array
+    t: Array
+    y: Array
+    good: NDArray[np.bool_]
+    noise: Array
+    start: Array
+    inputs: Array
+    at: NDArray[np.int_]
+    lead: int
+    load: Array
+
+    @classmethod
+    def cut(
+        cls, dt: float, y: Array, good: NDArray[np.bool_], states: Array, u: Array, **how: Any
+    ) -> Segments:
+        """Return the segments of a log.
+
+        Parameters
+        ----------
+        dt : float
+            Time between two samples [s].
+        y, good, states, u : ndarray, shape (N, ...)
+            Measurements, which of them count, guesses of the states, and inputs.
+        **how
+            `length`, `first` and `stop`: samples of a segment, the first that is used, and where they end;
+            `lead` and `more`: inputs before and behind it; `noise`, `load` and `least`: as of the class, and
+            the share of samples that have to count.
+        """
+        first, length, stop, lead = how["first"], how["length"], how["stop"], how["lead"]
+        count = max(0, (stop - first) // length)
+        at = first + np.arange(count * length).reshape(count, length)
+        at = at[good[at].mean(axis=1) >= how.get("least", 0.0)]
+        rows = np.clip(at[:, :1] - lead + np.arange(lead + length + how["more"]), 0, len(u) - 1)
+        noise = np.tile(how.get("noise", np.ones(y.shape[1])), (len(at), 1))
+        load = np.tile(how.get("load", np.zeros(4)), (len(at), 1))
+        state, times = states[at[:, 0]], np.full(len(at), dt)
+        return cls(times, at * dt, y[at], good[at], noise, state, u, rows, lead, load)
+
+    @classmethod
+    def joined(cls, parts: list[Segments]) -> Segments:
+        """Return the segments of several logs as one."""
+        before = np.cumsum([0, *(len(part.inputs) for part in parts)])
+        moved = [part._replace(at=part.at + n) for part, n in zip(parts, before, strict=False)]
+        joined = {n: np.concatenate([getattr(x, n) for x in moved]) for n in cls._fields if n != "lead"}
+        return cls(lead=parts[0].lead, **joined)
+
+    @property
+    def sizes(self) -> Array:
+        """Standard deviations of the inputs, none below a thousandth of the largest, shape (nu,)."""
+        sizes = self.inputs[self.at.min() : self.at.max() + 1].std(axis=0)
+        return np.asarray(np.maximum(sizes, _LEAST_SIZE * sizes.max() + np.finfo(float).tiny))
+
+    def weighed(self, residuals: Array) -> Array:
+        """Return residuals, shape (V, S, L, m), over the noise; zero where nothing was measured."""
+        return np.asarray(residuals * self.good[..., None] / self.noise[:, None])
+
+    def applied(self, lag: Any, count: int) -> Array:
+        """Return the inputs that apply from each sample on, shape (V, S, count, nu), for lags (V,)."""
+        columns = self.lead + np.arange(count) - np.reshape(lag, (-1, 1))
+        return np.asarray(np.moveaxis(self.inputs[self.at[:, columns]], 0, 1))
+
+
+class Model(Protocol):
+    """Robot whose numbers are estimated from segments of logs."""
+
+    def simulate(self, segments: Segments, p: Array, starts: Array) -> Array:
+        """Return the simulated measurements, shape (V, S, L, m), of numbers (V, P) and starts (V, S, n)."""
+
+    def linearize(self, segments: Segments, p: Array, starts: Array) -> tuple[Array, Array]:
+        """Return the simulation, shape (S, L, m), and its derivatives by numbers and starts, (P + n, ...)."""
+
+    def is_possible(self, p: Array) -> bool:
+        """Return whether there is a robot of such numbers, shape (P,)."""
+
+    def sizes(self, p: Array) -> Array:
+        """Return how large numbers like p are, shape (P,): a first step is no longer."""
+
+
+def differences(
+    model: Model, segments: Segments, p: Array, starts: Array, steps: Array
+) -> tuple[Array, Array]:
+    """Return a simulation and its slopes by central differences; see `Model.linearize`."""
+    P, n = len(p), starts.shape[1]
+    size = np.append(steps, _SLOPE * np.maximum(np.abs(starts).mean(axis=0), 0.1))
+    ways = np.vstack([np.zeros(P + n), np.kron(np.diag(size), [[1.0], [-1.0]])])
+    out = model.simulate(segments, p + ways[:, :P], starts + ways[:, None, P:])
+    with np.errstate(all="ignore"):  # where a robot that is tried runs away
+        return out[0], np.nan_to_num(out[1::2] - out[2::2]) / (2 * size[:, None, None, None])
+
+
+def runge_kutta(rate: Callable[[Any], Any], z: Any, h: Any, steps: int) -> Any:
+    """Return the states some steps h later, by Runge's and Kutta's fourth order; in symbols too."""
+    for _ in range(steps):
+        a = rate(z)
+        b = rate(z + h / 2 * a)
+        c = rate(z + h / 2 * b)
+        z = z + h / 6 * (a + 2 * (b + c) + rate(z + h * c))
+    return z
+
+
+class Linear(NamedTuple):
+    """Residuals near some numbers, made white: e less J times a step, first states projected out.
+
+    Attributes
+    ----------
+    J, e : ndarray, shape (S, n, P), (S, n)
+        Slopes and residuals that no first states explain.
+    Q, R : ndarray
+        Factors of the slopes by the first states.
+    raw, slopes : ndarray, shape (S, n), (S, n, P)
+        Residuals and slopes as they are.
+    residual : ndarray, shape (S, L, m)
+        Measured less simulated.
+    """
+
+    J: Array
+    e: Array
+    Q: Array
+    R: Array
+    raw: Array
+    slopes: Array
+    residual: Array
+
+    @classmethod
+    def of(cls, model: Model, segments: Segments, p: Array, starts: Array, white: White) -> Linear:
+        """Return the linear problem near numbers and first states.
+
+        Raises
+        ------
+        InvalidArgument
+            If the simulation runs away from the log.
+        """
+        out, slopes = model.linearize(segments, p, starts)
+        residual = segments.y - out
+        if not np.isfinite(residual).all():
+            raise unexplained(0.0)
+        rows = white(segments.weighed(np.concatenate([residual[None], slopes])))
+        columns = np.moveaxis(rows.reshape(*rows.shape[:2], -1), 0, -1)
+        raw, slopes, by_start = np.split(columns, [1, 1 + len(p)], axis=-1)
+        Q, R = np.linalg.qr(by_start)
+        J, e = (each - Q @ (np.swapaxes(Q, 1, 2) @ each) for each in (slopes, raw))
+        return cls(J, e[..., 0], Q, R, raw[..., 0], slopes, residual)
+
+    def starts(self, step: Array) -> Array:
+        """Return the change of the first states, shape (S, n), that goes with a step of the numbers."""
+        rest = np.swapaxes(self.Q, 1, 2) @ (self.raw - self.slopes @ step)[..., None]
+        return np.asarray((np.linalg.pinv(self.R, rcond=_UNSEEN) @ rest)[..., 0])
+
+
+class Fit(NamedTuple):
+    """Numbers, shape (P,), first states, shape (S, n), the problem near them, and samples that counted."""
+
+    p: Array
+    starts: Array
+    near: Linear
+    good: NDArray[np.bool_]
+
+
+def unexplained(share: float) -> InvalidArgument:
+    """Return the error about a log whose inputs explain but a share of its motion."""
+    return InvalidArgument(
+        f"log has inputs that explain {max(share, 0.0):.0%} of the motion, expected most: are they of "
+        "another robot, in another frame, of another sign, or in other units?"
+    )
+
+
+def solve(
+    model: Model,
+    segments: Segments,
+    p: Array,
+    *,
+    moves: Any = True,
+    white: White = lambda residuals: residuals,
+    starts: Array | None = None,
+    shift: Array | float = 0.0,
+) -> Fit:
+    """Return the least squares of white residuals over numbers and first states.
+
+    Parameters
+    ----------
+    model, segments : Model, Segments
+        The robot and its logs.
+    p : ndarray, shape (P,)
+        Where to begin.
+    moves : bool or ndarray of bool, shape (P,)
+        Numbers that are sought; the others stay.
+    white : callable
+        What makes residuals over the noise, shape (V, S, L, m), white of variance 1.
+    starts : ndarray, shape (S, n), optional
+        First states to begin with, where they are known.
+    shift : ndarray, shape (S, n)
+        What is added to the white residuals.
+
+    Raises
+    ------
+    InvalidArgument
+        If the simulation runs away from the log.
+    """
+    from scipy.optimize import least_squares  # here, because it takes long to load
+
+    free = np.broadcast_to(np.asarray(moves), p.shape)
+    at, z = p, segments.start if starts is None else starts
+    near, last = Linear.of(model, segments, at, z, white), (at, z)
+
+    def rows(x: Array) -> Array:
+        nonlocal last
+        tried = at.copy()
+        tried[free] = x
+        if not model.is_possible(tried):
+            return np.full(near.raw.size, np.inf)
+        ways = z + _SHARES[:, None, None] * near.starts(tried - at)
+        with np.errstate(all="ignore"):
+            out = model.simulate(segments, np.tile(tried, (len(ways), 1)), ways)
+            found = white(segments.weighed(segments.y - out)).reshape(*out.shape[:2], -1) + shift
+            costs = np.nan_to_num((found**2).sum(axis=-1), nan=np.inf)
+        best = costs.argmin(axis=0), np.arange(len(z))
+        last = tried, ways[best]
+        return np.asarray(found[best].ravel())
+
+    def jacobian(x: Array) -> Array:
+        nonlocal at, z, near
+        if last[0] is not at and np.array_equal(last[0][free], x):
+            at, z = last
+            near = Linear.of(model, segments, at, z, white)
+        return -near.J.reshape(near.raw.size, len(p))[:, free]
+
+    for _ in range(_PASSES if starts is None else 0):
+        rows(at[free])
+        jacobian(at[free])
+    if free.any():
+        limits = {"ftol": _CONVERGED, "xtol": _CONVERGED, "gtol": None, "max_nfev": _EVALUATIONS}
+        jacobian(least_squares(rows, at[free], jacobian, x_scale=model.sizes(at)[free], **limits).x)
+    return Fit(at, z, near, segments.good)
+
+
+def solve_robustly(
+    model: Model, segments: Segments, p: Array, *, calm: NDArray[np.bool_], natural: Any = None
+) -> tuple[Fit, NDArray[np.bool_]]:
+    """Return the least squares weighted by what it leaves, without outliers, and which numbers are hidden.
+
+    Parameters
+    ----------
+    model, segments, p
+        As in `solve`.
+    calm : ndarray of bool, shape (S, L)
+        Samples to begin with.
+    natural : callable, optional
+        Returns sizes of numbers p, shape (P,), and values of those that are known less well: hidden ones stay
+        there. None: all stay.
+
+    Raises
+    ------
+    InvalidArgument
+        If the simulation runs away from the log.
+    """
+    good, starts, moves = segments.good & calm, None, np.full(len(p), natural is not None)
+    covariance = np.diag(np.maximum(np.var(segments.y[calm], axis=0), 1e-12))
+    for _ in range(_ROUNDS):
+        white = _by(covariance)
+        found = solve(model, segments._replace(good=good), p, moves=moves, white=white, starts=starts)
+        p, starts, left, counted = found.p, found.starts, found.near.residual, good
+        deviation = NORMAL * np.median(np.abs(left[good]), axis=0) + 1e-300
+        good = segments.good & (np.abs(left) <= _OUTLIER * deviation).all(axis=-1)
+        if good.sum() <= left.shape[-1]:
+            raise unexplained(0.0)
+        before, covariance = covariance, np.cov(left[good & counted].T)
+        covariance = covariance + np.diag(1e-24 + 1e-12 * np.diag(covariance))
+        lost = ~moves
+        if natural is not None:
+            near = Linear.of(model, segments._replace(good=good), p, starts, _by(covariance))
+            sizes, guess = natural(p)
+            lost = hidden(near.J, sizes)
+        if (good == counted).all() and np.allclose(covariance, before, rtol=0.02, atol=0):
+            break
+        if natural is not None:
+            moves, p = ~lost, np.where(lost, guess, p)
+    return found, lost | ~moves
+
+
+def _by(covariance: Array) -> White:
+    """Return what makes residuals of a covariance white, shape (..., m)."""
+    weight = np.linalg.inv(np.linalg.cholesky(covariance)).T
+    return lambda residuals: residuals @ weight
+
+
+def scaled(H: Array) -> tuple[Array, Array]:
+    """Return a normal matrix with ones on its diagonal, and what scales it; 0 of numbers without effect."""
+    diagonal = np.diag(H)
+    seen = diagonal > 1e-30 * max(float(diagonal.max(initial=0.0)), 1e-270)
+    size = np.where(seen, 1 / np.sqrt(np.where(seen, diagonal, 1.0)), 0.0)
+    return H * np.outer(size, size), size
+
+
+def hidden(J: Array, sizes: Array) -> NDArray[np.bool_]:
+    """Return of which numbers slopes tell nothing: their deviations are larger than they are."""
+    R, size = scaled(np.einsum("smp,smq->pq", J, J))
+    values, vectors = np.linalg.eigh(R)
+    seen = values > _UNSEEN
+    deviations = size * np.sqrt((vectors[:, seen] ** 2 / values[seen]).sum(axis=1))
+    lost = (np.abs(vectors[:, ~seen]) > 0.1).any(axis=1)
+    return np.asarray(lost | (size == 0) | (deviations > sizes))
+
+
+def jackknife(near: Linear, pull: Array | float = 0.0) -> Array:
+    """Return the covariance by the jackknife over segments, CR3 (Bell and McCaffrey 2002), shape (P, P).
+
+    Parameters
+    ----------
+    near : Linear
+        The problem at the estimate.
+    pull : ndarray, shape (P,)
+        What the gradient of the cost is there, because residuals were shifted.
+
+    Raises
+    ------
+    InvalidArgument
+        If one segment alone tells a number.
+    """
+    J, S = near.J, len(near.J)
+    H = np.einsum("smp,smq->spq", J, J)
+    _, size = scaled(H.sum(axis=0))
+    g = (np.einsum("smp,sm->sp", J, near.e) - pull / S) * size
+    try:
+        d = np.linalg.solve((H.sum(axis=0) - H) * np.outer(size, size), g[..., None])[..., 0] * size
+    except np.linalg.LinAlgError as error:
+        raise InvalidArgument(
+            f"log has {S} segments, without one of which a parameter is not told: expected a longer log, or "
+            "one that excites more, see excitation"
+        ) from error
+    return np.asarray((S - 1) / S * d.T @ d)

@@ -1,0 +1,158 @@
+"""Estimates of twenty short logs, as a table: neither restructuring nor another machine changes them.
+
+`python -m tests.test_identification_frozen` prints the table.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    COMPILED,
+    Backstepping,
+    ComputedTorque,
+    InvalidArgument,
+    Log,
+    MobileRobot,
+    Tracking,
+    VelocityRobot,
+    WheeledRobot,
+    WheelTable,
+    excitation,
+    identify,
+    identify_velocity,
+    simulate,
+)
+from tests import test_identification as forces, test_velocity_identification as speeds
+
+pytestmark = pytest.mark.once
+
+TABLE = Path(__file__).with_suffix(".txt")
+BELIEVED = MobileRobot(20.0, 1.0)
+WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.005}
+
+
+def short(log: Log, offset: Any = 0.0) -> Log:
+    """Return half a minute of a log, with an offset of its inputs."""
+    part = log.between(0.0, 31.0)
+    return Log(part.t, part.q, part.u + np.array(offset), part.twist, part.wheel_rates, units=part.units)
+
+
+def by_torques(noise: float) -> Log:
+    """Return the log of a differential drive whose torques are logged with noise."""
+    plant = forces.on_wheels(forces.BODY).wheeled
+    path = excitation(plant, duration=31.0, period=11.0)
+    run = simulate(plant, Backstepping(Tracking(), plant), path, dt=0.02, substeps=4, engine=COMPILED)
+    return Log.from_rollout(run, 1e-3, noise, seed=1)
+
+
+def of_mecanum() -> Any:
+    """Return what is found of a base on mecanum wheels."""
+    table = WheelTable.mecanum(0.4, 0.48, 0.09, **WHEEL)
+    plant, path = WheeledRobot(forces.BODY, table), forces.motion()
+    run = simulate(plant, ComputedTorque(plant), path, dt=0.02, duration=31.0, substeps=4, engine=COMPILED)
+    return identify(Log.from_rollout(run, 1e-3, 0.02, seed=1), WheeledRobot(BELIEVED, table), method="weak")
+
+
+def of_a_car() -> WheeledRobot:
+    """Return a robot with wheels that steer, which is refused."""
+    return WheeledRobot(forces.BODY, WheelTable.car(0.5, 0.4, 0.1, yaw_inertia=0.003, **WHEEL))
+
+
+def spoiled() -> Log:
+    """Return a log with outliers and lost rows."""
+    log, rng = forces.log(), np.random.default_rng(0)
+    q, wild = np.array(log.q), rng.choice(1500, 30, replace=False)
+    q[wild] += rng.choice([-1, 1], (30, 3)) * rng.uniform(0.05, 0.3, (30, 3))
+    q[[100, 500]] = np.nan
+    return short(Log(log.t, q, log.u))
+
+
+LIMITED = VelocityRobot(speeds.ROBOT.theta, accelerations=(0.6, 1.5))
+CASES: dict[str, Callable[[], Any]] = {
+    "no noise": lambda: identify(short(Log.from_rollout(forces.driven()))),
+    "noise": lambda: identify(short(forces.log())),
+    "noise of poses": lambda: identify(short(forces.log(1, 0, forces=False))),
+    "weak form": lambda: identify(short(forces.log()), method="weak"),
+    "late": lambda: identify(short(forces.log(1, 3))),
+    "late, ignored": lambda: identify(short(forces.log(0, 3)), delay=0.0, method="weak"),
+    "offset": lambda: identify(short(forces.log(), (20.0, 0.0, -1.0))),
+    "outliers": lambda: identify(spoiled(), MobileRobot(30.0, 1.5)),
+    "straight": lambda: identify(short(forces.straight()), MobileRobot(30.0, 1.5)),
+    "volts": lambda: identify(short(forces.rolled(False)), forces.on_wheels(BELIEVED)),
+    "wheels alone": lambda: identify(
+        short(forces.rolled(False)),
+        WheelTable.differential(0.5, 0.1, motor=forces.MOTOR, **WHEEL),
+        method="weak",
+    ),
+    "loads": lambda: identify(
+        [short(forces.rolled(False)), short(forces.rolled(True))],
+        forces.on_wheels(BELIEVED),
+        loads=[None, forces.LOAD],
+        method="weak",
+    ),
+    "torques": lambda: identify(by_torques(0.02), forces.on_wheels(BELIEVED).wheeled),
+    "noisy torques": lambda: identify(by_torques(0.3), forces.on_wheels(BELIEVED).wheeled),
+    "mecanum": of_mecanum,
+    "car": lambda: identify(forces.log(), of_a_car()),
+    "speeds": lambda: identify_velocity(speeds.logged()),
+    "speeds, late poses": lambda: identify_velocity(speeds.logged(late=3, pose=True)),
+    "speeds, axle": lambda: identify_velocity(
+        speeds.logged(VelocityRobot(speeds.ROBOT.theta, ahead=0.15), pose=True), ahead=None
+    ),
+    "speeds, limits": lambda: identify_velocity(speeds.logged(LIMITED), accelerations=None, delay=0.0),
+}
+
+
+BODY = {"mass": 30.0, "com_x": 0.06, "com_y": 0.02, "yaw_inertia": 1.3}
+THETA = {f"theta_{k}": x for k, x in enumerate(speeds.ROBOT.theta.tolist(), 1)}
+OFFSET = {"offset_Fx": 20.0, "offset_Fy": 0.0, "offset_Mz": -1.0}
+TRUE = {
+    **dict.fromkeys(("no noise", "noise", "noise of poses", "weak form", "late", "outliers"), forces.TRUE),
+    **dict.fromkeys(("volts", "wheels alone", "torques", "noisy torques", "mecanum"), BODY),
+    "offset": forces.TRUE | OFFSET,
+    "loads": BODY | {"input_scale": 1.0},
+    **dict.fromkeys(("speeds", "speeds, late poses"), THETA),
+    "speeds, axle": THETA | {"ahead": 0.15},
+    "speeds, limits": THETA | {"acceleration": 0.6, "yaw_acceleration": 1.5},
+}
+LATE = {"late": 0.06, "speeds, late poses": 0.3}
+
+
+def told(name: str) -> str:
+    """Return a line of the table: the delay, then estimates with the half widths of their intervals."""
+    try:
+        found = CASES[name]()
+    except InvalidArgument as error:
+        return f"{name}: {error}"
+    pairs = zip(found.parameters.items(), np.sqrt(np.diag(found.covariance)), strict=True)
+    numbers = [f"{each} {value:.7g} {2 * deviation:.4g}" for (each, value), deviation in pairs]
+    counts = f"{found.method}, rank {found.rank}, {found.outliers} outliers, {found.dropped} dropped"
+    return f"{name}: {counts}; late {found.delay:.7g} 0.002, {', '.join(numbers)}"
+
+
+def test_estimates_are_those_of_the_table() -> None:
+    lines = TABLE.read_text().splitlines()
+    assert [line.partition(":")[0] for line in lines] == list(CASES)
+    wrong = []
+    for line in lines:
+        name, now = line.partition(":")[0], told(line.partition(":")[0])
+        (before, _, old), (after, _, new) = (text.partition("; ") for text in (line, now))
+        wrong += [now] * (before != after)
+        rows = zip(old.split(", "), new.split(", "), strict=True) if old and new else ()
+        for (one, *numbers), (same, *others) in ([entry.split(" ") for entry in row] for row in rows):
+            (value, half), (found, wide) = map(float, numbers), map(float, others)
+            tolerance = 0.02 * half + 1e-5 * abs(value)
+            if one != same or max(abs(found - value), abs(wide - half)) > tolerance:
+                wrong.append(f"{name}: {one} is {found} +- {wide}, was {value} +- {half}")
+            true = {"late": LATE.get(name, 0.0), **TRUE[name]}.get(one) if name in TRUE else None
+            if true is not None and abs(found - true) > 2 * wide + 2e-3 * abs(true):
+                wrong.append(f"{name}: {one} is {found} +- {wide}, truly {true}")
+    assert not wrong
+
+
+if __name__ == "__main__":
+    print("\n".join(map(told, CASES)))
