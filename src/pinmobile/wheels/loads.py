@@ -162,7 +162,7 @@ def pressed(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
     fz, mx, my = _carried(body, state, felt, q)
     first = _BASE + body.na
     rates = [*state.rates]
-    for row, spin in enumerate(numbers(body.spin_inertia)):
+    for row, spin in enumerate(scalars(body.spin_inertia)):
         head, k = body.kinematics.heading(row, state.steering), len(body.table.axes) + row
         steered = [axis for at, axis in body._steered if at == row]
         turn = w + head.first * rates[steered[0]] if steered else w
@@ -175,7 +175,7 @@ def pressed(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
             weight, axis = -wheel.mass * float(body.fall[2]), steered[0]
             mx, my = mx + weight * (p[1] - p0[1]), my - weight * (p[0] - p0[0])
             turning = felt[2] + head.first * felt[first + axis] + head.second * rates[axis] * rates[axis]
-            swing = wheel.mass * numbers(body.radius)[row]
+            swing = wheel.mass * scalars(body.radius)[row]
             ahead = felt[2] * o0[1] - turning * o[1] - turn * turn * o[0] + w * w * o0[0]
             aside = turning * o[0] - felt[2] * o0[0] - turn * turn * o[1] + w * w * o0[1]
             mx, my = mx - swing * aside, my + swing * ahead
@@ -188,14 +188,14 @@ def _carried(body: Any, state: Any, a: Vector, q: Any) -> Vector:
         n = _BASE + body.na
         at, still = stacked([ZERO, ZERO, ZERO, *state.arms], q), stacked([ZERO] * n, q)
         v = stacked([*state.twist, *state.arm_rates], q)
-        found = numbers(body.robot.ground_wrench(at, v, stacked(a[:n], q)))[2:5]
+        found = scalars(body.robot.ground_wrench(at, v, stacked(a[:n], q)))[2:5]
         if not body._slack:
             return found
-        weights = numbers(body.robot.ground_wrench(at, still, still))[2:5]
+        weights = scalars(body.robot.ground_wrench(at, still, still))[2:5]
         return [x - body._slack * y for x, y in zip(found, weights, strict=True)]
     own = body.robot
     m, x, y = (exact(item(each)) for each in (own.mass, own.com_x, own.com_y))
-    (height, xz, yz), w, spin, g = numbers(body.upright), state.twist[2], a[2], -float(body.fall[2])
+    (height, xz, yz), w, spin, g = scalars(body.upright), state.twist[2], a[2], -float(body.fall[2])
     ax, ay = a[0] - spin * y - w * w * x, a[1] + spin * x - w * w * y
     mx = m * (y * g - height * ay) + (xz * spin - yz * (w * w))
     my = m * (height * ax - x * g) + (yz * spin + xz * (w * w))
@@ -206,13 +206,3 @@ def item(x: Any) -> Any:
     """Return the entry of an array without axes; an array or a number as it is."""
     x = plain(x)
     return x.item() if isinstance(x, np.ndarray) and not x.ndim else x
-
-
-def numbers(x: Any) -> Vector:
-    """Return the entries of the last axis; what is known to be a number as Python's, which is quicker."""
-    return [quick(y) for y in scalars(x)]
-
-
-def quick(x: Any) -> Any:
-    """Return a scalar, as Python's where it is a number of NumPy's."""
-    return float(x) if isinstance(x, np.float64) else x

@@ -351,8 +351,7 @@ class MotorLaw:
     @cached_property
     def _all(self) -> list[list[Any]]:
         parts = self.resistance, self.torque_constant, self.viscous, self.coulomb, self.efficiency
-        columns = ([float(x) if isinstance(x, np.float64) else x for x in scalars(part)] for part in parts)
-        return [list(row) for row in zip(*columns, strict=True)]
+        return [list(row) for row in zip(*map(scalars, parts), strict=True)]
 
     def _numbers(self, k: int) -> list[Any]:
         return self._all[k]

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, vector
-from pinmobile.compiled import higher, plain, repeated
+from pinmobile.compiled import higher, repeated
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Powered, also_symbols, by_value, child, holds_symbols, part, structure
 from pinmobile.plant import Input, Step
@@ -133,8 +133,8 @@ class VoltageDynamics:
 
     def _at_rates(self, v: Any, u: Any, law: Any) -> Any:
         """Return an input in which a law of number, value and rate of each motor takes the value's place."""
-        found, na = [number(_plain(x)) for x in scalars(u)], self.wheeled.na
-        rates = [number(_plain(x)) for x in scalars(v)][_BASE + na :]
+        found, na = [number(x) for x in scalars(u)], self.wheeled.na
+        rates = [number(x) for x in scalars(v)][_BASE + na :]
         for k, i in enumerate(self.electric):
             column = [exact(x) for x in self.wheeled.table.actuators[i].column]
             found[na + i] = law(k, found[na + i], number(dot(column, rates)))
@@ -152,11 +152,11 @@ class VoltageDynamics:
         A, B = self.wheeled.linearize_tracked(q, v, torques)
         own = np.moveaxis(self.wheeled.reduced(q, v).B, -1, 0)  # a torque's power is torque times B' nu
         na, n = self.wheeled.na, A.shape[-1] - own.shape[-1]
-        rates, volts = [number(_plain(x)) for x in scalars(v)][_BASE + na :], scalars(u)
+        rates, volts = [number(x) for x in scalars(v)][_BASE + na :], scalars(u)
         for k, i in enumerate(self.electric):
             column = [exact(x) for x in self.wheeled.table.actuators[i].column]
             rate = number(dot(column, rates))
-            slope, gain = law.slopes(k, number(_plain(volts[na + i])), rate)
+            slope, gain = law.slopes(k, number(volts[na + i]), rate)
             felt = B[..., n:, na + i, None] * own[na + i][..., None, :]
             A[..., n:, n:] -= np.asarray(slope)[..., None, None] * felt
             B[..., na + i] *= np.asarray(gain)[..., None]
@@ -184,7 +184,7 @@ class VoltageDynamics:
         memory : Driving
             From the step before.
         """
-        law, given = self.motors, [number(_plain(x)) for x in scalars(u)][self.wheeled.na :]
+        law, given = self.motors, [number(x) for x in scalars(u)][self.wheeled.na :]
         volts = [law.volts(k, given[i]) for k, i in enumerate(self.electric)]
 
         def motors(rates: Vector, clips: Any) -> list[Push]:
@@ -216,9 +216,9 @@ class VoltageDynamics:
         Implicit in the independent velocities: M (nu+ - nu) = h (B tau - n), with the shape of mid-step, and
         the rest at nu + theta (nu+ - nu).
         """
-        body, h = self.wheeled, _plain(h)
+        body, h = self.wheeled, item(h)
         q_middle = body.integrate(q, (0.5 * h) * v)
-        start, middle = _plain_state(body.state(q, v)), _plain_state(body.state(q_middle, v))
+        start, middle = body.state(q, v), body.state(q_middle, v)
         nu = [number(x) for x in body.freedom.velocities(start)]
         M, (S, _) = body.inertia(middle, q), body.freedom.solution(middle)
         columns = [list(column) for column in zip(*S, strict=True)]
@@ -229,9 +229,9 @@ class VoltageDynamics:
         solve, _ = factored(reduced)
         freedom = [number(dot(b, solve(b))) for b in B]
         begun = [number(dot(b, nu)) for b in B]
-        psi, na = _plain(scalars(q)[2]), body.na
+        psi, na = scalars(q)[2], body.na
         beside = f(q_middle, v)
-        rates, mean, impulses = begun, nu, [number(_plain(x)) * h for x in scalars(memory.holding)]
+        rates, mean, impulses = begun, nu, [number(x) * h for x in scalars(memory.holding)]
         for again in range(_PASSES):
             pushes = motors(rates, again > 0)
             share: Any = 0.5
@@ -268,7 +268,7 @@ class VoltageDynamics:
         s, c = sine_and_cosine(psi + 0.5 * h * at.twist[2])
         rolled = [*at.twist, *at.arm_rates, *at.rates]
         q_after = body.integrate(q, body.in_plane(at._replace(c=c, s=s), [h * x for x in rolled], q))
-        end = _plain_state(body.state(q_after, v))
+        end = body.state(q_after, v)
         v_after = body.in_plane(end, [dot(row, after) for row in body.freedom.solution(end).S], q)
         given = [push.torque - push.slope * x for push, x in zip(pushes, rates, strict=True)]
         for k, i in enumerate(self.electric):
@@ -344,18 +344,6 @@ def of_wheeled(part: Any, name: str) -> Any:
     if name.startswith("_") or name in _OF_TORQUES or "wheeled" not in part.__dict__:
         raise AttributeError(f"a {type(part).__name__} has no {name}")
     return getattr(part.wheeled, name)
-
-
-def _plain(x: Any) -> Any:
-    """Return the entry of an array without axes, and what is known to be a number as Python's."""
-    x = plain(x)
-    if isinstance(x, np.ndarray) and not x.ndim:
-        x = x.item()
-    return float(x) if isinstance(x, np.float64) else x
-
-
-def _plain_state(state: State) -> State:
-    return State(*([_plain(y) for y in x] if isinstance(x, list) else _plain(x) for x in state))
 
 
 @final

@@ -25,11 +25,12 @@ from pinmobile.robot import (
     dot,
     exact,
     number,
+    scalars,
     sine_and_cosine,
     vector_of as stacked,
 )
 from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
-from pinmobile.wheels.loads import Loads, item, numbers, places_of, pressed, quick, shared_loads, wheel_loads
+from pinmobile.wheels.loads import Loads, item, places_of, pressed, shared_loads, wheel_loads
 from pinmobile.wheels.motors import Beside, Motors, Push, theta
 from pinmobile.wheels.rolling import State, WheeledDynamics, stop_of, stopped
 from pinmobile.wheels.table import GearTrain, WheelTable
@@ -285,7 +286,7 @@ class SlippingDynamics(WheeledDynamics):
             return [x[k] for k in touched]
 
         touches = []
-        for k, (pair, give) in enumerate(zip(pairs, numbers(self.slip), strict=True)):
+        for k, (pair, give) in enumerate(zip(pairs, scalars(self.slip), strict=True)):
             touches.append(
                 Touch(
                     rows=[over(row) for row in pair],
@@ -326,15 +327,15 @@ class SlippingDynamics(WheeledDynamics):
         """Return what the friction of each wheel is at most."""
         first, found = _BASE + self.na + len(self.table.axes), []
         holds: dict[int, Any] = {}
-        for k, (share, r) in enumerate(zip(numbers(self.rolling), numbers(self.radius), strict=True)):
+        for k, (share, r) in enumerate(zip(scalars(self.rolling), scalars(self.radius), strict=True)):
             ratio = abs(float(self._leaders[first + k][1]))
             at = shape.touches[k].spin
             holds[at] = holds.get(at, ZERO) + h * (exact(ratio) * share * r) * loads[k]
         for at, more in self._rubs(shape, pushes, h):
             holds[at] = holds[at] + more
         for k, wheel in enumerate(self.table.wheels):
-            along = number(h * numbers(self.mu)[k] * loads[k])
-            across = along if wheel.roller is None else number(h * numbers(self.across)[k] * loads[k])
+            along = number(h * scalars(self.mu)[k] * loads[k])
+            across = along if wheel.roller is None else number(h * scalars(self.across)[k] * loads[k])
             found.append(Bounds(along, across, number(holds[shape.touches[k].spin]), slips[k]))
         return found
 
@@ -420,10 +421,10 @@ class SlippingDynamics(WheeledDynamics):
             guess. Without, `u` has the torques.
         """
         h = item(h)
-        state = self._plain_state(q, v)
+        state = self.state(q, v)
         before = [*state.twist, *state.arm_rates, *state.rates]
         middle = self._at_middle(state, q, v, h)
-        psi, begun = numbers(q)[2], self.actuator_rates(state.rates)
+        psi, begun = scalars(q)[2], self.actuator_rates(state.rates)
         beside = f(self.integrate(q, (0.5 * h) * v), v)
         pushed = not (np.ndim(beside) == 0 and not isinstance(beside, np.ndarray) and beside == 0)
         turning = pushed or bool(self.fall[0] or self.fall[1])
@@ -465,7 +466,7 @@ class SlippingDynamics(WheeledDynamics):
                 ]
                 lag = [h * y * push.slope for push, y in zip(pushes, shares, strict=True)]
                 given = [push.torque - push.slope * y for push, y in zip(pushes, begun, strict=True)]
-                torques = stacked([*numbers(u)[: self.na], *given], q)
+                torques = stacked([*scalars(u)[: self.na], *given], q)
             now = self._shape(middle, q, h, lag) if fixed is None else fixed
             free = self._free(now, at, before, torques, h, force, q)
             began, slides = self._began(now, before, end, x.slides)
@@ -519,9 +520,9 @@ class SlippingDynamics(WheeledDynamics):
             )
             return found, done
 
-        guess = [x + h * y for x, y in zip(before, numbers(memory.acceleration), strict=True)]
+        guess = [x + h * y for x, y in zip(before, scalars(memory.acceleration), strict=True)]
         contact, holding, multipliers = (
-            [number(x) for x in numbers(part)] for part in (memory.forces, memory.holding, memory.multipliers)
+            [number(x) for x in scalars(part)] for part in (memory.forces, memory.holding, memory.multipliers)
         )
         held = [x * h for x in holding] if self._held else []
         none = [0.0] * 6
@@ -588,15 +589,11 @@ class SlippingDynamics(WheeledDynamics):
             found.append(number(dot([x * x for _, x in turned], [1.0 / reduced[i] for i, _ in turned])))
         return found
 
-    def _plain_state(self, q: Any, v: Any) -> State:
-        state = self.state(q, v)
-        return State(*([quick(y) for y in x] if isinstance(x, list) else quick(x) for x in state))
-
     def _at_middle(self, state: State, q: Any, v: Any, h: Any) -> State:
         """Return the state whose shape is that of mid-step, as the velocity of now leads there."""
         if not (self.na or self.table.axes):
             return state
-        there = self._plain_state(self.integrate(q, (0.5 * h) * v), v)
+        there = self.state(self.integrate(q, (0.5 * h) * v), v)
         return state._replace(arms=there.arms, steering=there.steering)
 
     def _moving(self, state: State, rates: Vector) -> State:

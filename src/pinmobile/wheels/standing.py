@@ -27,7 +27,7 @@ from pinmobile.robot import (
     vector_of,
 )
 from pinmobile.wheels.kinematics import Row
-from pinmobile.wheels.loads import numbers, places_of, pressed, shared_loads
+from pinmobile.wheels.loads import places_of, pressed, shared_loads
 from pinmobile.wheels.table import GearTrain
 
 _BASE = 3
@@ -156,7 +156,7 @@ def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any)
         share = 1.0 / number(dot(about, about))
         across = [dot(cross(base, held[1]), about) * share, dot(cross(held[0], base), about) * share]
     along = [number(forces[of_wheels[row]]) for row in range(len(body.table))]
-    most = [mu * load for mu, load in zip(numbers(body.mu), carried, strict=False)]
+    most = [mu * load for mu, load in zip(scalars(body.mu), carried, strict=False)]
     lateral, margins = [], []
     for group in groups:
         side = forces[group.lateral[0]] if group.held < 0 and group.lateral else ZERO
