@@ -30,6 +30,7 @@ from pinmobile.loop._program import Compiled
 from pinmobile.paths import Hold
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import FixedHeading, Reference
+from pinmobile.verification._wheels import WheelTree
 from pinmobile.wheels import (
     Coulomb,
     Friction,
@@ -42,8 +43,8 @@ from pinmobile.wheels import (
     WheeledRobot,
     WheelTable,
 )
-from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
-from pinmobile.wheels.loads import shared_loads
+from pinmobile.wheels._contact import Bounds, Impulses, Touch, impulses
+from pinmobile.wheels._loads import shared_loads
 from tests import wheeled
 from tests.looping import looped, told
 
@@ -400,8 +401,8 @@ def test_loads_balance_what_pinocchio_says_the_ground_exerts(armed: bool) -> Non
 
 def in_tree(robot: WheeledRobot, q: Array, v: Array, a: Array) -> Array:
     """Return what Pinocchio says that the ground exerts on a robot and its wheels, along and about B."""
-    whole, rates, G, bent = robot._tree.state_of(q, v)
-    return robot._tree.ground_wrench(whole, rates, G @ a + bent)
+    tree = WheelTree(robot)
+    return tree.ground_wrench(*tree.moving(q, v, a)[0])
 
 
 @pytest.mark.parametrize("armed", [False, True])

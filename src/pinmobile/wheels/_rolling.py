@@ -32,10 +32,18 @@ from pinmobile.robot import (
     transposed,
     vector_of as stacked,
 )
-from pinmobile.wheels.freedom import Followed, Freedom, Reduced, State as State, followed, linearized, matrix
-from pinmobile.wheels.kinematics import Choice, Kinematics
-from pinmobile.wheels.standing import Group, groups_of, measured, measures_of
-from pinmobile.wheels.table import Axis, WheelTable
+from pinmobile.wheels._kinematics import Choice, Kinematics
+from pinmobile.wheels._loads import Group, groups_of, measured, measures_of
+from pinmobile.wheels._table import Axis, WheelTable
+from pinmobile.wheels._velocities import (
+    Followed,
+    Freedom,
+    Reduced,
+    State as State,
+    followed,
+    linearized,
+    matrix,
+)
 
 _BASE = 3
 _RESTING = 1e-9  # [rad/s], of an axis at its stop
@@ -164,9 +172,9 @@ class WheeledDynamics:
         angles, rates = scalars(q), scalars(v)
         s, c = sine_and_cosine(angles[2])
         arms = _BASE + self.na
-        twist = [c * rates[0] + s * rates[1], c * rates[1] - s * rates[0], rates[2]]
         steering = angles[arms : arms + len(self.table.axes)]
-        return State(c, s, angles[_BASE:arms], steering, twist, rates[_BASE:arms], rates[arms:])
+        found = State(c, s, angles[_BASE:arms], steering, rates[:_BASE], rates[_BASE:arms], rates[arms:])
+        return found._replace(twist=found.along(found.twist))
 
     def inertia(self, state: State, q: Any) -> Matrix:
         """Return M, (size, size), of body axes."""
@@ -252,8 +260,7 @@ class WheeledDynamics:
 
     def pull(self, state: State) -> Vector:
         """Return gravity in the plane along the body's axes, which every mass feels alike [m/s^2]."""
-        x, y = (exact(float(each)) for each in self.fall[:2])
-        return [state.c * x + state.s * y, state.c * y - state.s * x]
+        return state.along([exact(float(each)) for each in self.fall[:2]])
 
     def felt(self, state: State, a: Vector) -> Vector:
         """Return accelerations less gravity in the plane, which is as if the plane accelerated against it."""
@@ -269,13 +276,38 @@ class WheeledDynamics:
                 found[_BASE + na + i] = found[_BASE + na + i] + exact(share) * torque
         if np.ndim(f) == 0 and not isinstance(f, np.ndarray) and number(exact(f)) == 0:
             return found
-        beside = scalars(f)
-        turned = [state.c * beside[0] + state.s * beside[1], state.c * beside[1] - state.s * beside[0]]
-        return [x + y for x, y in zip(found, [*turned, *beside[2:]], strict=True)]
+        return [x + y for x, y in zip(found, state.along(scalars(f)), strict=True)]
 
     def in_plane(self, state: State, a: Vector, q: Any) -> Any:
         """Return numbers along the body's axes as a public array, shape (..., size)."""
-        return stacked([state.c * a[0] - state.s * a[1], state.s * a[0] + state.c * a[1], *a[2:]], q)
+        return stacked(state.outward(a), q)
+
+    def mass_matrix(self, q: Any) -> Any:
+        """Return M(q), shape (..., nv, nv), rotors included."""
+        state = self.state(q, stacked([ZERO] * self.size, q))
+        half = transposed([state.outward(row) for row in self.inertia(state, q)])
+        return matrix(transposed([state.outward(row) for row in half]), q)
+
+    def nonlinear_effects(self, q: Any, v: Any) -> Any:
+        """Return n(q, v), shape (..., nv)."""
+        return self.left(q, v, stacked([ZERO] * self.size, q))
+
+    def left(self, q: Any, v: Any, a: Any) -> Any:
+        """Return M a + n, shape (..., nv)."""
+        state = self.state(q, v)
+        return self.in_plane(state, self.needed(state, self.felt(state, state.along(scalars(a))), q), q)
+
+    def needed(self, state: State, felt: Vector, q: Any) -> Vector:
+        """Return the generalised force that lets it move so, along the body's axes."""
+        pairs = zip(self.inertia(state, q), self.effects(state, q), strict=True)
+        return [dot(row, felt) + n for row, n in pairs]
+
+    def constraints(self, q: Any, v: Any) -> tuple[Any, Any]:
+        """Return A(q), shape (..., k, nv), and dA/dt v: A v = 0 where wheels roll."""
+        state = self.state(q, v)
+        rows = self.kinematics.rows(state.steering, state.twist, state.rates)
+        A = [state.outward([*row.base, *[ZERO] * self.na, *row.joints]) for row in rows]
+        return matrix(A, q), stacked([row.drift for row in rows], q)
 
     def integrate(self, q: Any, dq: Any) -> Any:
         """Return the configuration that a displacement leads to."""
@@ -368,7 +400,7 @@ class WheeledDynamics:
         q, v = np.append(q, np.zeros(self.joints)), np.append(v, np.zeros(self.joints))
         n, ns = _BASE + self.na, len(self.table.axes)
         twist = [float(number(x)) for x in self.state(q, v).twist]
-        q[n : n + ns] = [self._steered_to(axis, twist) for axis in self.table.axes]
+        q[n : n + ns] = [self.steered_to(axis, twist) for axis in self.table.axes]
         state = self.state(q, v)
         rows = self.kinematics.rows(state.steering, state.twist, state.rates)
         for joint, i in self.choice.joints:
@@ -377,7 +409,7 @@ class WheeledDynamics:
             v[n + joint] = -(known - own[joint] * v[n + joint]) / own[joint]
         return q, v
 
-    def _steered_to(self, axis: Axis, twist: Sequence[float]) -> float:
+    def steered_to(self, axis: Axis, twist: Sequence[float]) -> float:
         """Return the steering angle at which a wheel goes where the body takes it; 0 at rest."""
         wheel = self.table.wheels[axis.wheels[0]]
         x, y = (wheel.x - axis.ackermann, 0.0) if axis.ackermann is not None else (wheel.x, wheel.y)

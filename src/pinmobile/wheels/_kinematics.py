@@ -25,8 +25,8 @@ from pinmobile.robot import (
     sine_and_cosine,
     solved as solved_by,
 )
-from pinmobile.wheels.loads import item
-from pinmobile.wheels.rows import GearTrain, Rows
+from pinmobile.wheels._loads import item
+from pinmobile.wheels._wheel import GearTrain, Rows
 
 
 class Row(NamedTuple):
@@ -57,6 +57,10 @@ class Row(NamedTuple):
     def entries(self) -> Vector:
         """All coefficients."""
         return [*self.base, *self.joints]
+
+    def slip(self, state: Any) -> Any:
+        """Return the velocity at which it slips in a state."""
+        return number(dot(self.base, state.twist) + dot(self.joints, state.rates))
 
 
 class Heading(NamedTuple):

@@ -8,9 +8,9 @@ from typing import Any, ClassVar, Protocol, final
 from pinmobile.arrays import Array, bounded, frozen, scalar
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import by_value, child, integer, number, part
-from pinmobile.wheels.rolling import RollingDynamics
-from pinmobile.wheels.rows import column
-from pinmobile.wheels.slipping import SlippingDynamics, led
+from pinmobile.wheels._coulomb import SlippingDynamics, led
+from pinmobile.wheels._rolling import RollingDynamics
+from pinmobile.wheels._wheel import column
 
 
 class Ground(Protocol):
@@ -154,14 +154,9 @@ class Coulomb:
 
     def check_robot(self, wheeled: Any) -> None:
         """Refuse what cannot be computed where wheels slip."""
-        if not wheeled.grounded:
-            raise InvalidArgument(
-                "robot does not tell where its body's origin is above the ground, on which the loads of its "
-                "wheels depend; expected one read with ground=, or ground=Rolling()"
-            )
+        wheeled.check_stands()
         table = wheeled.table
         led(table)
-        wheeled.check_area()
         names = (*(axis.name for axis in table.axes), *table.names)
         for name, inertia in zip(names, wheeled.joint_inertias, strict=True):
             if not inertia > 0:

@@ -28,9 +28,9 @@ from pinmobile.robot import (
     sine_and_cosine,
     vector_of as stacked,
 )
-from pinmobile.wheels.freedom import Followed
-from pinmobile.wheels.loads import item
-from pinmobile.wheels.motors import (
+from pinmobile.wheels._contact import factored
+from pinmobile.wheels._loads import item
+from pinmobile.wheels._motors import (
     CONSTANTS,
     Beside,
     Motor,
@@ -41,9 +41,9 @@ from pinmobile.wheels.motors import (
     theta,
     within,
 )
-from pinmobile.wheels.rolling import State, WheeledDynamics, stop_of, stopped
-from pinmobile.wheels.rows import column as column_of
-from pinmobile.wheels.tree import factored
+from pinmobile.wheels._rolling import State, WheeledDynamics, stop_of, stopped
+from pinmobile.wheels._velocities import Followed
+from pinmobile.wheels._wheel import column as column_of
 
 _BASE = 3
 _INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean

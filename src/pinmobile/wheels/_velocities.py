@@ -25,7 +25,7 @@ from pinmobile.robot import (
     solved,
     vector_of as stacked,
 )
-from pinmobile.wheels.kinematics import Row, Solution, solved as rolled
+from pinmobile.wheels._kinematics import Row, Solution, solved as rolled
 
 _BASE = 3
 _LEAST_NORM = 1e-6  # relative weight of torques beside what they are for, where limits hold them
@@ -52,6 +52,19 @@ class State(NamedTuple):
     twist: Vector
     arm_rates: Vector
     rates: Vector
+
+    def along(self, x: Vector) -> Vector:
+        """Return numbers along the inertial axes along those of the body."""
+        return [self.c * x[0] + self.s * x[1], self.c * x[1] - self.s * x[0], *x[2:]]
+
+    def outward(self, x: Vector) -> Vector:
+        """Return numbers along the body's axes along the inertial ones."""
+        return [self.c * x[0] - self.s * x[1], self.s * x[0] + self.c * x[1], *x[2:]]
+
+    @property
+    def velocities(self) -> Vector:
+        """All velocities, along the body's axes."""
+        return [*self.twist, *self.arm_rates, *self.rates]
 
 
 @final
@@ -134,6 +147,11 @@ class Freedom:
         a, b, _ = row.base
         return [-(turn * b), turn * a, turn * (x * a + y * b)]
 
+    def accelerations(self, state: State, rates: Vector) -> Vector:
+        """Return the accelerations, along the body's axes, where the independent velocities change so."""
+        S, gamma = self.solution(state)
+        return [dot(row, rates) + g for row, g in zip(S, self.unmoved(state, S, gamma), strict=True)]
+
     def reduced(self, q: Any, v: Any) -> Reduced:
         """Return the dynamics of the independent velocities: M nu' + n = B u, see `Reduced`."""
         state = self.body.state(q, v)
@@ -160,10 +178,9 @@ class Freedom:
 
         Of drives whose body is free to move in any direction; `a` has the first 3 + arms coordinates.
         """
-        state, wanted = self.body.state(q, v), scalars(a)
-        along = [state.c * wanted[0] + state.s * wanted[1], state.c * wanted[1] - state.s * wanted[0]]
+        state = self.body.state(q, v)
         S, gamma = self.solution(state)
-        return stacked(self._driven(state, q, S, [*along, *wanted[2:]], gamma), q)
+        return stacked(self._driven(state, q, S, state.along(scalars(a)), gamma), q)
 
     def torques(self, q: Any, v: Any, rates: Any) -> Any:
         """Return the input of least norm with which the independent velocities change so, shape (..., nu)."""
@@ -190,13 +207,9 @@ class Freedom:
 
     def allocated(self, q: Any, tau: Any) -> tuple[Any, Any]:
         """Return an input for a force on body and arms, and what of it is left, see `WheeledRobot`."""
-        state, wanted = self.body.state(q, stacked([ZERO] * self.body.nv, q)), scalars(tau)
+        state = self.body.state(q, stacked([ZERO] * self.body.nv, q))
         S, _ = self.solution(state)
-        along = [
-            state.c * wanted[0] + state.s * wanted[1],
-            state.c * wanted[1] - state.s * wanted[0],
-            *wanted[2:],
-        ]
+        along = state.along(scalars(tau))
         u = stacked(self._least(state, S, [*along, *[ZERO] * self.body.joints]), q)
         upper, lower = (
             np.array([getattr(each, side) for each in self.body.inputs]) for side in ("upper", "lower")
@@ -206,9 +219,7 @@ class Freedom:
             beyond = np.where(high, upper, np.where(low, lower, 1.0)) / np.where(high | low, u, 1.0)
             u = u * np.min(beyond, axis=-1)[..., None]
         rest = [a - b for a, b in zip(along, self.supplied(state, u), strict=True)]
-        return u, stacked(
-            [state.c * rest[0] - state.s * rest[1], state.s * rest[0] + state.c * rest[1], *rest[2:]], q
-        )
+        return u, stacked(state.outward(rest), q)
 
     def supplied(self, state: State, u: Any) -> Vector:
         """Return the force on body and arms of what an input turns, along the body's axes."""
@@ -313,8 +324,8 @@ class Followed(NamedTuple):
     ----------
     q, v : ndarray, shape (N, nq), (N, nv)
         States, wheel angles zero.
-    nu : ndarray, shape (N, m)
-        Independent velocities.
+    nu, rates : ndarray, shape (N, m)
+        Independent velocities, and their rates.
     u : ndarray, shape (N, nu)
         Inputs of least norm.
     """
@@ -322,17 +333,12 @@ class Followed(NamedTuple):
     q: Array
     v: Array
     nu: Array
+    rates: Array
     u: Array
 
 
 def check_steers_not(body: Any) -> None:
-    """Refuse wheels that steer, whose angles belong to the state.
-
-    Raises
-    ------
-    InvalidArgument
-        If there are such.
-    """
+    """Refuse wheels that steer, whose angles belong to the state."""
     if body.table.axes:
         raise InvalidArgument(
             f"robot steers wheels about {len(body.table.axes)} axes, whose angles no reference leads, "
@@ -340,55 +346,79 @@ def check_steers_not(body: Any) -> None:
         )
 
 
-def followed(body: Any, reference: Any) -> Followed:
-    """Return how a body on wheels that do not steer goes along a reference.
+def followed(body: Any, reference: Any, t: Array | None = None) -> Followed:
+    """Return how a body on wheels goes along a reference; arms that this leaves out rest.
 
     Parameters
     ----------
     body : WheeledDynamics
         What rolls.
     reference : Reference
-        q, v and a of body and arms, shape (N, ...).
+        q, v and a, shape (N, ...).
+    t : ndarray, shape (N,), optional
+        Times [s], from which steering rates follow; without them no wheel may steer.
 
     Raises
     ------
     InvalidArgument
         If wheels steer or cannot roll so, or no input does it.
     """
-    check_steers_not(body)
-    tracked = _BASE + body.na
-    lead, joints = reference.q.shape[:-1], body.joints
-    q = np.concatenate([reference.q, np.zeros((*lead, joints))], axis=-1)
-    v = np.concatenate([reference.v, np.zeros((*lead, joints))], axis=-1)
-    if q.shape[-1] != tracked + joints or v.shape[-1] != tracked + joints:
+    if t is None:
+        check_steers_not(body)
+    n, ns, (*lead, known) = _BASE + body.na, len(body.table.axes), reference.q.shape
+    if known > n:
         raise InvalidArgument(
-            f"reference has {reference.v.shape[-1]} coordinates, expected those of body and arms, {tracked}: "
-            "a motion of both is WholeBody(robot, base, *joints)"
+            f"reference has {known} coordinates, expected those of body and arms, {n}: a motion of both is "
+            "WholeBody(robot, base, *joints)"
         )
-    state = body.state(q, v)
-    nu = stacked(body.freedom.velocities(state), q)
+    q, v, a = (np.zeros((*lead, body.nv)) for _ in range(3))
+    q[..., :known], v[..., :known], a[..., :known] = reference
+    if known < n:
+        q[..., known:n] = body.robot.rest[known:]
+    turning = faster = np.zeros((*lead, ns))
+    if t is not None and ns:
+        twists = np.stack(np.broadcast_arrays(*map(number, body.state(q, v).twist)), -1).tolist()
+        steered = np.array([[body.steered_to(axis, twist) for axis in body.table.axes] for twist in twists])
+        q[:, n : n + ns] = steered
+        if len(t) > 3:
+            from scipy.interpolate import CubicSpline
+
+            q[:, n : n + ns] = np.unwrap(steered, axis=0, period=np.pi)
+            spline = CubicSpline(t, q[:, n : n + ns])
+            turning, faster = spline(t, 1), spline(t, 2)
+    v[..., n : n + ns] = turning
+    nu = stacked(body.freedom.velocities(body.state(q, v)), q)
     rolls = _rolling(body, q, nu)
-    off = np.abs(rolls - v)[..., :tracked].max(axis=-1)
+    off = np.abs(rolls - v)[..., :n].max(axis=-1)
     if (off > _OFF * (1 + np.abs(v).max())).any():
         k = int(np.argmax(off))
+        when = f"its sample {k}" if t is None else f"{t[k]:.6g} s"
         raise InvalidArgument(
-            f"reference moves the body by {off[k]:.3g} m/s, or rad/s, at its sample {k} as its wheels cannot "
-            "roll, expected one that they can follow, such as Tangent(path)"
+            f"reference moves the body by {off[k]:.3g} m/s, or rad/s, at {when} as its wheels cannot roll, "
+            "expected one that they can follow, such as Tangent(path)"
         )
-    state, a = body.state(q, rolls), reference.a
-    along = [state.c * a[..., 0] + state.s * a[..., 1], state.c * a[..., 1] - state.s * a[..., 0], a[..., 2]]
-    offset = body.freedom.offset(state, along)
-    rates = stacked([*offset[: nu.shape[-1] - body.na], *np.moveaxis(a[..., _BASE:], -1, 0)], q)
-    own = body.reduced(q, rolls)
-    force = np.einsum("...ij,...j->...i", own.M, rates) + own.n
-    u = np.einsum("...ij,...j->...i", np.linalg.pinv(own.B), force)
-    missed = np.abs(np.einsum("...ij,...j->...i", own.B, u) - force).max()
-    if missed > _OFF * (1 + np.abs(force).max()):
+    state = body.state(q, rolls)
+    own = nu.shape[-1] - body.na - len(body.choice.free)
+    rates = body.freedom.offset(state, state.along(scalars(a)))[:own]
+    rates = [*rates, *scalars(a)[_BASE:n], *(faster[..., k] for k in body.choice.free)]
+    changes = stacked(rates, q)
+    return Followed(q, rolls, nu, changes, driving_inputs(body, q, rolls, changes))
+
+
+def driving_inputs(body: Any, q: Array, v: Array, rates: Array) -> Array:
+    """Return the inputs of least norm with which independent velocities change so, and refuse if none do."""
+    if not body.nu:
+        raise InvalidArgument("robot has no motor, expected one that can be driven along a reference")
+    own = body.reduced(q, v)
+    u = own.torques(rates)
+    needed = np.einsum("...ij,...j->...i", own.M, rates) + own.n
+    missed = np.abs(np.einsum("...ij,...j->...i", own.B, u) - needed).max()
+    if missed > _OFF * (1 + np.abs(needed).max()):
         raise InvalidArgument(
             f"reference needs a force of {missed:.3g} N, or N m, that no motor of the robot exerts, expected "
-            "a drive with a motor for each degree of freedom"
+            "a drive with a motor for each degree of freedom, or a reference that needs none"
         )
-    return Followed(q, rolls, nu, u)
+    return np.asarray(u)
 
 
 def _rolling(body: Any, q: Any, nu: Any) -> Any:

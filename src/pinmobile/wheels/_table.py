@@ -24,9 +24,9 @@ from pinmobile.arrays import (
 )
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import by_value, children, entries_of, option, part, structure
-from pinmobile.wheels.kinematics import Mobility
-from pinmobile.wheels.motors import Motor
-from pinmobile.wheels.rows import (
+from pinmobile.wheels._kinematics import Mobility
+from pinmobile.wheels._motors import Motor
+from pinmobile.wheels._wheel import (
     DRIVEN as DRIVEN,
     FIXED as FIXED,
     FREE as FREE,

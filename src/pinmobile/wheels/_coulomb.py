@@ -29,12 +29,11 @@ from pinmobile.robot import (
     sine_and_cosine,
     vector_of as stacked,
 )
-from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
-from pinmobile.wheels.loads import Loads, item, places_of, pressed, shared_loads, wheel_loads
-from pinmobile.wheels.motors import Beside, Motors, Push, theta
-from pinmobile.wheels.rolling import State, WheeledDynamics, stop_of, stopped
-from pinmobile.wheels.table import GearTrain, WheelTable
-from pinmobile.wheels.tree import factored
+from pinmobile.wheels._contact import Bounds, Impulses, Touch, factored, impulses
+from pinmobile.wheels._loads import Loads, item, places_of, pressed, shared_loads, wheel_loads
+from pinmobile.wheels._motors import Beside, Motors, Push, theta
+from pinmobile.wheels._rolling import State, WheeledDynamics, stop_of, stopped
+from pinmobile.wheels._table import GearTrain, WheelTable
 
 _BASE = 3
 _INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
@@ -633,11 +632,7 @@ class SlippingDynamics(WheeledDynamics):
         del t, u, f
         state = self.state(q, v)
         rows = self.kinematics.rows(state.steering, state.twist, state.rates, across=True)
-        slips = [
-            number(dot(row.base, state.twist) + dot(row.joints, state.rates))
-            for row in rows
-            if row.wheel >= 0
-        ]
+        slips = [row.slip(state) for row in rows if row.wheel >= 0]
         forces, k = memory.forces, len(self.table)
         along, across = forces[..., 0::2], forces[..., 1::2]
         rollers = np.array([wheel.roller is not None for wheel in self.table.wheels])

@@ -8,11 +8,12 @@ from typing import Any, NamedTuple, Protocol, final, runtime_checkable
 
 import attrs
 import numpy as np
+import pinocchio as pin
 
 from pinmobile.arrays import finite, frozen, one_of, sequence, text
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Number, by_value, child, declare, is_symbolic, number, option, part
-from pinmobile.wheels.motors import Motor
+from pinmobile.wheels._motors import Motor
 
 FIXED, DRIVEN, FREE = "fixed", "driven", "free"
 _STEERING = (FIXED, DRIVEN, FREE)
@@ -146,6 +147,17 @@ class Wheel:
         c, s = cos(self.angle), sin(self.angle)
         along, across = self.trail
         return self.x + along * c - across * s, self.y + along * s + across * c
+
+    @property
+    def placement(self) -> pin.SE3:
+        """Pose of its centre in the body's frame at steering angle zero, y along the axle."""
+        return pin.SE3(pin.utils.rotate("z", self.angle), np.array([*self.centre, self.radius]))
+
+    @property
+    def inertia(self) -> pin.Inertia:
+        """Its inertia about its centre, y along the axle."""
+        moments = np.diag([self.yaw_inertia, self.spin_inertia, self.yaw_inertia])
+        return pin.Inertia(self.mass, np.zeros(3), moments)
 
 
 @final

@@ -26,8 +26,8 @@ from pinmobile.arrays import (
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import evolved
 from pinmobile.robot import TOUCH, MobileRobot, Swivel, WheelJoint
-from pinmobile.wheels.motors import Motor
-from pinmobile.wheels.table import (
+from pinmobile.wheels._motors import Motor
+from pinmobile.wheels._table import (
     DRIVEN,
     FIXED,
     FREE,
