@@ -109,7 +109,7 @@ class TimeScaledMotion:
         rates = v[:, 3 + na :] @ np.array([each.column for each in body.table.actuators], float).T
         found = list((self.efforts - np.abs(u[:, :na])).T)
         for actuator, torque, rate in zip(body.table.actuators, u[:, na:].T, rates.T, strict=True):
-            found.append(actuator.motor._margin(torque, rate))
+            found.append(actuator.motor.margin(torque, rate))
         return TorqueMargins(tuple(one.name for one in body.inputs), np.stack(found, axis=-1))
 
 
