@@ -421,7 +421,7 @@ class SlippingDynamics(WheeledDynamics):
         """
         h = item(h)
         state = self.state(q, v)
-        before = [*state.twist, *state.arm_rates, *state.rates]
+        before = state.velocities
         middle = self._at_middle(state, q, v, h)
         psi, begun = scalars(q)[2], self.actuator_rates(state.rates)
         beside = f(self.integrate(q, (0.5 * h) * v), v)
@@ -433,7 +433,7 @@ class SlippingDynamics(WheeledDynamics):
 
         def at_mean(after: Vector) -> tuple[State, Vector]:
             mean = [0.5 * (x + y) for x, y in zip(before, after, strict=True)]
-            at = self._moving(middle, mean)
+            at = middle.moving(mean)
             if turning:
                 s, c = sine_and_cosine(psi + 0.5 * h * mean[2])
                 at = at._replace(c=c, s=s)
@@ -574,10 +574,6 @@ class SlippingDynamics(WheeledDynamics):
             found.append((k, grip.spin[spins.index(at)] * part / (h * float(share))))
         return found
 
-    def actuator_rates(self, rates: Vector) -> Vector:
-        """Return the rate of each actuator, of those of steering coordinates and wheels."""
-        return [number(dot([exact(x) for x in actuator.column], rates)) for actuator in self.table.actuators]
-
     def _freedom(self, state: State, q: Any) -> Vector:
         """Return how fast each actuator turns per angular impulse, all else held."""
         M, found = self.inertia(state, q), []
@@ -594,11 +590,6 @@ class SlippingDynamics(WheeledDynamics):
             return state
         there = self.state(self.integrate(q, (0.5 * h) * v), v)
         return state._replace(arms=there.arms, steering=there.steering)
-
-    def _moving(self, state: State, rates: Vector) -> State:
-        """Return the state with other velocities."""
-        end = _BASE + self.na
-        return state._replace(twist=rates[:_BASE], arm_rates=rates[_BASE:end], rates=rates[end:])
 
     def _free(self, shape: _Shape, at: State, before: Vector, u: Any, h: Any, f: Any, q: Any) -> Vector:
         """Return the kept velocities after a step without friction."""

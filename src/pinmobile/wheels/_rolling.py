@@ -278,6 +278,10 @@ class WheeledDynamics:
             return found
         return [x + y for x, y in zip(found, state.along(scalars(f)), strict=True)]
 
+    def actuator_rates(self, rates: Vector) -> Vector:
+        """Return the rate of each actuator, of those of steering coordinates and wheels."""
+        return [number(dot([exact(x) for x in actuator.column], rates)) for actuator in self.table.actuators]
+
     def in_plane(self, state: State, a: Vector, q: Any) -> Any:
         """Return numbers along the body's axes as a public array, shape (..., size)."""
         return stacked(state.outward(a), q)
@@ -440,12 +444,12 @@ class RollingDynamics(WheeledDynamics):
         effects = self.effects(state, q)
         felt = self.felt(state, gamma)
         rest = [t - n - dot(row, felt) for t, n, row in zip(force, effects, M, strict=True)]
-        through, first = _through(M, S), _BASE + self.na
-        rates = _reduced(through, S, applied(transposed(S), rest))
+        pushed, first = through(M, S), _BASE + self.na
+        rates = _reduced(pushed, S, applied(transposed(S), rest))
         for k, limit in self.stops:
             outward = stop_of(state.steering[k], limit, state.rates[k])
             more = dot(S[first + k], rates) + gamma[first + k]
-            rates = stopped(rates, outward, more, S[first + k], _reduced(through, S, S[first + k]))
+            rates = stopped(rates, outward, more, S[first + k], _reduced(pushed, S, S[first + k]))
         return self.in_plane(state, [dot(row, rates) + g for row, g in zip(S, gamma, strict=True)], q)
 
     def project(self, q: Any, v: Any) -> Any:
@@ -459,13 +463,13 @@ class RollingDynamics(WheeledDynamics):
         rates = self.freedom.velocities(state)
         off = self._off(state, S, rates)
         if not all(_is_zero(x) for x in off):  # many robots that start at rest need no mass matrix
-            through = _through(self.inertia(state, q), S)
-            more = _reduced(through, S, applied(through, off))
+            pushed = through(self.inertia(state, q), S)
+            more = _reduced(pushed, S, applied(pushed, off))
             rates = [x + y for x, y in zip(rates, more, strict=True)]
         for k, limit in self.stops:
-            row, through = S[_BASE + self.na + k], _through(self.inertia(state, q), S)
+            row, pushed = S[_BASE + self.na + k], through(self.inertia(state, q), S)
             rates = stopped(
-                rates, stop_of(state.steering[k], limit), dot(row, rates), row, _reduced(through, S, row)
+                rates, stop_of(state.steering[k], limit), dot(row, rates), row, _reduced(pushed, S, row)
             )
         return self.in_plane(state, [dot(row, rates) for row in S], q)
 
@@ -490,7 +494,7 @@ def _is_zero(x: Any) -> bool:
     return x is ZERO or (isinstance(x, float | np.ndarray) and not np.any(x))
 
 
-def _through(M: Matrix, S: Matrix) -> Matrix:
+def through(M: Matrix, S: Matrix) -> Matrix:
     """Return S' M of a symmetric M."""
     return [applied(M, column) for column in transposed(S)]
 

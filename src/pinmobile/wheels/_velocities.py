@@ -23,6 +23,7 @@ from pinmobile.robot import (
     scalars,
     slopes,
     solved,
+    transposed,
     vector_of as stacked,
 )
 from pinmobile.wheels._kinematics import Row, Solution, solved as rolled
@@ -65,6 +66,11 @@ class State(NamedTuple):
     def velocities(self) -> Vector:
         """All velocities, along the body's axes."""
         return [*self.twist, *self.arm_rates, *self.rates]
+
+    def moving(self, v: Vector) -> State:
+        """Return the state with other velocities."""
+        end = _BASE + len(self.arms)
+        return self._replace(twist=v[:_BASE], arm_rates=v[_BASE:end], rates=v[end:])
 
 
 @final
@@ -157,18 +163,16 @@ class Freedom:
         state = self.body.state(q, v)
         M, (S, gamma) = self.body.inertia(state, q), self.solution(state)
         effects = self.body.effects(state, q)
-        columns = [list(column) for column in zip(*S, strict=True)]
+        columns = transposed(S)
         pushed = [applied(M, column) for column in columns]
         still = self.body.felt(state, self.unmoved(state, S, gamma))
         rest = [n + dot(row, still) for n, row in zip(effects, M, strict=True)]
-        inputs = [self.body.generalised(state, one, 0.0) for one in np.eye(self.body.nu)]
+        B = self.inputs(state, columns)
         public = [self.body.in_plane(state, column, q) for column in columns]
         return Reduced(
             matrix([[dot(a, b) for b in pushed] for a in columns], q),
             stacked([dot(column, rest) for column in columns], q),
-            matrix([[dot(column, one) for one in inputs] for column in columns], q)
-            if inputs
-            else np.zeros((*np.shape(q)[:-1], len(columns), 0)),
+            matrix(B, q) if self.body.nu else np.zeros((*np.shape(q)[:-1], len(columns), 0)),
             np.stack(np.broadcast_arrays(*public), axis=-1),
             stacked(self.velocities(state), q),
         )
@@ -195,12 +199,16 @@ class Freedom:
         force = [dot(row, whole) + n for row, n in zip(M, self.body.effects(state, q), strict=True)]
         return self._least(state, S, force)
 
+    def inputs(self, state: State, columns: Matrix) -> Matrix:
+        """Return S' B: what each input is to each independent velocity, of the columns of S."""
+        units = [self.body.generalised(state, one, 0.0) for one in np.eye(self.body.nu)]
+        return [[dot(column, unit) for unit in units] for column in columns]
+
     def _least(self, state: State, S: Matrix, force: Vector) -> Vector:
         """Return the input of least norm that does what a generalised force along the body's axes does."""
-        columns = [list(column) for column in zip(*S, strict=True)]
+        columns = transposed(S)
         right = [dot(column, force) for column in columns]
-        inputs = [self.body.generalised(state, one, 0.0) for one in np.eye(self.body.nu)]
-        B = [[dot(column, one) for one in inputs] for column in columns]
+        B = self.inputs(state, columns)
         square = [[dot(x, y) for y in B] for x in B]
         found = solved(square, right, list(range(len(right))))
         return [dot(column, found) for column in zip(*B, strict=True)]
