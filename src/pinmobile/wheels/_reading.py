@@ -3,117 +3,95 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from math import atan2, cos, hypot, pi, radians, sin
 from os import PathLike
 from pathlib import Path
+from typing import Any
 from warnings import warn
 from xml.etree import ElementTree
 
 import numpy as np
 
-from pinmobile.arrays import (
-    Array,
-    ArrayLike,
-    finite,
-    instance,
-    non_negative,
-    one_of,
-    positive,
-    scalar,
-    sequence,
-)
+from pinmobile.arrays import ArrayLike, bounded, finite, instance, one_of, positive, scalar, sequence, shaped
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import evolved
 from pinmobile.robot import TOUCH, MobileRobot, Swivel, WheelJoint
 from pinmobile.wheels._motors import Motor
-from pinmobile.wheels._table import (
-    DRIVEN,
-    FIXED,
-    FREE,
-    Coupling,
-    Differential,
-    GearTrain,
-    Support,
-    Wheel,
-    WheelTable,
-    each_of,
-)
+from pinmobile.wheels._table import WheelTable, each_of
+from pinmobile.wheels._wheel import DRIVEN, FIXED, FREE, Coupling, Differential, GearTrain, Support, Wheel
 
 _TRAIL = 1e-3  # [m]: a wheel nearer to its swivel than that does not trail
 _ROUNDED = 0.002  # [rad] of a multiple of 15 degrees: files have 1.57 and 3.14
 _STEP = radians(15)
 _ROUND = 0.02  # share by which moments of a wheel may differ across its axle, and its com be off it
 _DIGITS = 12  # of a length [m]
+_LINE = 1e-3  # [m]: axles so near one line are on it
 
 
 @dataclass(frozen=True)
-class Given:
-    """What is given beside the file: see `read_wheels`."""
+class _Reader:
+    """The wheels of a robot's file, and what is given beside it: see `read_wheels`."""
 
-    radius: float | Mapping[str, float] | None = None
-    rollers: float | Mapping[str, float] | None = None
-    driven: Sequence[str] | None = None
-    steering: Mapping[str, str] | None = None
-    inertia: ArrayLike | Mapping[str, ArrayLike] | None = None
-    locked: Sequence[str] = ()
-    supports: Iterable[ArrayLike] | None = None
-    couplings: tuple[Coupling, ...] = ()
+    robot: MobileRobot
+    radius: Any = None
+    rollers: Any = None
+    driven: Any = None
+    steering: Any = None
+    inertia: Any = None
+    locked: Any = ()
+    supports: Any = None
+    couplings: Any = ()
+    words: list[str] = field(default_factory=list)
 
-
-class WheelJoints:
-    """The joints of a robot's file that are wheels, and what is given beside it.
-
-    Parameters
-    ----------
-    robot : MobileRobot
-        With the `undercarriage` of its file.
-    given : Given
-        Beside the file.
-    """
-
-    def __init__(self, robot: MobileRobot, given: Given) -> None:
-        instance("robot", robot, MobileRobot, "a MobileRobot")
-        self.robot, self.given = robot, given
-        every = robot.undercarriage.wheels
-        self.names = tuple(joint.name for joint in every)
-        if not every:
+    def __post_init__(self) -> None:
+        instance("robot", self.robot, MobileRobot, "a MobileRobot")
+        sequence("couplings", self.couplings, "GearTrain, Differential or Ackermann")
+        if not self._names:
             raise InvalidArgument(
                 "robot has no wheels in its file, no joint that turns freely about a level axis; expected "
                 "table="
             )
-        locked = [self.known("locked", name) for name in sequence("locked", given.locked, "names of wheels")]
-        self.joints = [joint for joint in every if joint.name not in locked]
-        self.standing = [joint for joint in every if joint.name in locked and self._stands(joint)]
         if not self.joints:
             raise InvalidArgument(
-                f"locked is {shown(given.locked)}, all wheels of the robot; expected some left"
+                f"locked is {shown(self.locked)}, all wheels of the robot; expected some left"
+            )
+        if not isinstance(self.steering, Mapping | None):
+            raise InvalidArgument(
+                f"steering is {shown(self.steering)}, expected a mapping from names of wheels"
             )
         for key in ("radius", "rollers", "steering", "inertia"):
-            if isinstance(value := getattr(given, key), Mapping):
-                for name in value:
-                    self.known(key, name)
-            elif key == "steering" and value is not None:
-                raise InvalidArgument(f"steering is {shown(value)}, expected a mapping from names of wheels")
+            if isinstance(value := getattr(self, key), Mapping):
+                self._known(key, value)
 
-    def known(self, key: str, name: object) -> str:
-        """Return the name of a wheel, checked."""
-        return one_of(f"wheel of {key}", name, self.names)
+    @property
+    def _names(self) -> list[str]:
+        return [joint.name for joint in self.robot.undercarriage.wheels]
 
-    def _stands(self, joint: WheelJoint) -> bool:
-        height = joint.centre[2] if self.robot.grounded else 0.0
-        return joint.radius is None or abs(height - joint.radius) <= TOUCH
+    def _known(self, key: str, names: Iterable[object]) -> list[str]:
+        """Return names of wheels, checked."""
+        return [one_of(f"wheel of {key}", name, self._names) for name in names]
 
-    def told(self, key: str, name: str) -> object:
+    @cached_property
+    def _locked(self) -> list[str]:
+        return self._known("locked", sequence("locked", self.locked, "names of wheels"))
+
+    @cached_property
+    def joints(self) -> list[WheelJoint]:
+        """Joints that become wheels of the table."""
+        return [joint for joint in self.robot.undercarriage.wheels if joint.name not in self._locked]
+
+    def _given(self, key: str, name: str) -> Any:
         """Return what is given of a wheel, None for nothing."""
-        value = getattr(self.given, key)
+        value = getattr(self, key)
         return value.get(name) if isinstance(value, Mapping) else value
 
-    def radius(self, joint: WheelJoint) -> float:
+    def radius_of(self, joint: WheelJoint) -> float:
         """Return the radius of a wheel [m]."""
-        mapped, own = isinstance(self.given.radius, Mapping), self.told("radius", joint.name)
-        if own is not None and (mapped or joint.radius is None):
-            return positive(f"radius of wheel {joint.name!r}", own, "m")  # type: ignore[arg-type]
+        own = self._given("radius", joint.name)
+        if own is not None and (isinstance(self.radius, Mapping) or joint.radius is None):
+            return positive(f"radius of wheel {joint.name!r}", own, "m")
         if joint.radius is None:
             raise InvalidArgument(
                 f"radius of wheel {joint.name!r} is not known: its file has no collision cylinder or sphere "
@@ -123,17 +101,11 @@ class WheelJoints:
 
     def _inertia(self, joint: WheelJoint, radius: float) -> tuple[float, float]:
         """Return the inertia of a wheel about its axle and across it [kg m^2]."""
-        own = self.told("inertia", joint.name)
+        own = self._given("inertia", joint.name)
         if own is not None:
-            pair = finite(f"inertia of wheel {joint.name!r}", own)  # type: ignore[arg-type]
-            if pair.shape != (2,):
-                raise InvalidArgument(
-                    f"inertia of wheel {joint.name!r} has shape {pair.shape}, expected (2,): about its axle "
-                    "and across it [kg m^2]"
-                )
-            about, across = (
-                non_negative(f"inertia of wheel {joint.name!r}", x, "kg m^2") for x in pair.tolist()
-            )
+            words = f"inertia of wheel {joint.name!r}"
+            pair = shaped(words, finite(words, own), (2,), words=": about its axle and across it [kg m^2]")
+            about, across = bounded(words, pair, least=0, unit="kg m^2").tolist()
             return about, across
         spin, (one, other), products, aside = joint.moments()
         way_out = (
@@ -158,7 +130,7 @@ class WheelJoints:
         return spin, (one + other) / 2
 
     def _roller(self, joint: WheelJoint) -> float | None:
-        own, name = self.told("rollers", joint.name), joint.name
+        own, name = self._given("rollers", joint.name), joint.name
         if own is None:
             if joint.carried:
                 raise InvalidArgument(
@@ -167,8 +139,8 @@ class WheelJoints:
                     "[rad]"
                 )
             return None
-        angle = scalar(f"rollers of wheel {name!r}", own)  # type: ignore[arg-type]
-        if isinstance(self.given.rollers, Mapping) or not angle:
+        angle = scalar(f"rollers of wheel {name!r}", own)
+        if isinstance(self.rollers, Mapping) or not angle:
             return angle
         middle = np.mean([each.centre for each in self.joints], axis=0)
         corners = {tuple(np.sign(np.round(each.centre - middle, 6)[:2])) for each in self.joints}
@@ -192,7 +164,7 @@ class WheelJoints:
         return angle if alone and roller is not None else angle - pi if angle > 0 else angle + pi
 
     def _steered(self, joint: WheelJoint, roller: float | None) -> tuple[str, Swivel | None]:
-        asked = self.told("steering", joint.name)
+        asked = self._given("steering", joint.name)
         if not joint.swivels:
             if asked not in (None, FIXED):
                 raise InvalidArgument(
@@ -228,53 +200,189 @@ class WheelJoints:
             )
         return FIXED, None
 
-    def row(self, joint: WheelJoint) -> Wheel:
+    def _row(self, joint: WheelJoint) -> Wheel:
         """Return a wheel as a row of a table."""
-        radius, roller = self.radius(joint), self._roller(joint)
+        radius, roller = self.radius_of(joint), self._roller(joint)
         steering, swivel = self._steered(joint, roller)
         spin, across = self._inertia(joint, radius)
-        x, y, _ = joint.centre
-        angle, mass, trail, limit = self._forward(joint, roller), joint.lump.mass, (0.0, 0.0), np.inf
+        (x, y, _), angle = joint.centre, self._forward(joint, roller)
+        own: dict[str, Any] = {"mass": joint.lump.mass, "yaw_inertia": across}
         if swivel is not None:
-            e, o = np.array([cos(angle), sin(angle)]), np.array([x - swivel.x, y - swivel.y])
-            along, aside = (to_length(number) for number in (e @ o, left_of(angle) @ o))
-            x, y, limit = swivel.x, swivel.y, swivel.limit
-            trail = (along, aside)
-            mass, across = swivel.turning(joint, across)
-        return Wheel(
-            wheel_name(joint.name),
-            to_length(x),
-            to_length(y),
-            radius,
-            angle,
-            steering,
-            trail,
-            roller,
-            mass,
-            spin,
-            across,
-            steering_limit=limit if limit > 0 else np.inf,
-        )
+            c, s, ox, oy = cos(angle), sin(angle), x - swivel.x, y - swivel.y
+            own["trail"] = (to_length(c * ox + s * oy), to_length(c * oy - s * ox))
+            own["mass"], own["yaw_inertia"] = swivel.turning(joint, across)
+            x, y = swivel.x, swivel.y
+            if swivel.limit > 0:
+                own["steering_limit"] = swivel.limit
+        name, place = wheel_name(joint.name), (to_length(x), to_length(y))
+        return Wheel(name, *place, radius, angle, steering, roller=roller, spin_inertia=spin, **own)
+
+    def table(self) -> WheelTable:
+        """Return the table."""
+        if isinstance(self.radius, float | int) and all(each.radius for each in self.joints):
+            raise InvalidArgument(
+                f"radius is {shown(self.radius)} m, but the file tells that of every wheel; expected a "
+                "mapping for those that have another"
+            )
+        rows = [self._row(joint) for joint in self.joints]
+        self._check_plane(rows)
+        rows = self._on_lines(rows)
+        driven = self._motors_at(rows)
+        rows = [
+            evolved(row, motor=motor_of(joint)) if joint.name in driven else row
+            for row, joint in zip(rows, self.joints, strict=True)
+        ]
+        table = WheelTable(tuple(rows), self._supports(rows), tuple(self.couplings))
+        return evolved(table, source="; ".join(self._sources(table)))
+
+    def _check_plane(self, rows: Sequence[Wheel]) -> None:
+        lowest = {
+            joint.name: joint.centre[2] - row.radius for joint, row in zip(self.joints, rows, strict=True)
+        }
+        heights = [*lowest.values(), *([0.0] if self.robot.grounded else [])]
+        if max(heights) - min(heights) > TOUCH:
+            listed = ", ".join(f"{name} at z = {z:.4g}" for name, z in lowest.items())
+            ground = ", the ground at z = 0" if self.robot.grounded else ""
+            raise InvalidArgument(
+                f"wheels do not stand on one plane, their lowest points being {listed}{ground} m, expected "
+                f"them within {1e3 * TOUCH:g} mm, other radii, or locked= for those that do not roll"
+            )
+
+    def _on_lines(self, rows: Sequence[Wheel]) -> list[Wheel]:
+        """Return the rows with axles of fixed tyres that are nearly on one line on it.
+
+        Refuse to guess what wheels on several axles are, where nothing says that they skid.
+        """
+        found, moved = list(rows), 0.0
+        fixed = [k for k, row in enumerate(rows) if row.steering == FIXED]
+        tyres = [k for k in fixed if rows[k].roller is None]
+        for k in tyres:
+            line = [x for x in (_offset(rows[j]) for j in tyres if rows[j].angle == rows[k].angle)]
+            line = [x for x in line if abs(x - _offset(rows[k])) <= _LINE]
+            away = sum(line) / len(line) - _offset(rows[k]) if max(line) > min(line) else 0.0
+            if away:
+                x, y = rows[k].x + away * cos(rows[k].angle), rows[k].y + away * sin(rows[k].angle)
+                found[k] = evolved(rows[k], x=to_length(x), y=to_length(y))
+                moved = max(moved, abs(away))
+        if moved > 1e-9:
+            self.words.append(f"axles put on one line, by {1e3 * moved:.2g} mm at most")
+        axles = {(round(found[k].angle, 9), round(_offset(found[k]), 9)) for k in fixed}
+        trains = any(isinstance(each, GearTrain) for each in self.couplings)
+        if self.rollers is None and len(axles) > 1 and not trains:
+            raise InvalidArgument(
+                f"rollers is not given, and wheels {', '.join(repr(rows[k].name) for k in fixed)} are fixed "
+                "on more than one axle: they are tyres that skid in turns, or have rollers, which files do not "
+                "tell; expected rollers={} for tyres, rollers=pi / 4 for mecanum wheels, or a mapping"
+            )
+        return found
+
+    def _motors_at(self, rows: Sequence[Wheel]) -> list[str]:
+        """Return the names of the joints of wheels that have a motor."""
+        if self.driven is not None:
+            return self._known("driven", sequence("driven", self.driven, "names of wheels"))
+        shared: set[str] = set()
+        for each in self.couplings:
+            if isinstance(each, Differential | GearTrain):
+                shared.update(each.wheels[isinstance(each, GearTrain) :])
+        kind = FIXED if any(row.steering == FIXED for row in rows) else DRIVEN
+        pairs = zip(self.joints, rows, strict=True)
+        return [joint.name for joint, row in pairs if row.steering == kind and row.name not in shared]
+
+    def _supports(self, rows: Sequence[Wheel]) -> tuple[Support, ...]:
+        if self.supports is not None:
+            return tuple(Support(*at) for at in each_of("supports", self.supports))
+        taken, found = [row.centre for row in rows], []
+        places = list(self.robot.undercarriage.supports)
+        for joint in self.robot.undercarriage.wheels:
+            height = joint.centre[2] if self.robot.grounded else 0.0
+            if joint.name in self._locked and (joint.radius is None or abs(height - joint.radius) <= TOUCH):
+                places.append(joint.centre[:2])
+        for place in places:
+            x, y = map(to_length, place)
+            if all(hypot(x - x0, y - y0) > _LINE for x0, y0 in taken):
+                taken.append((x, y))
+                found.append(Support(x, y))
+        return tuple(found)
+
+    def _sources(self, table: WheelTable) -> list[str]:
+        """Return what is from where, in words."""
+        found = [f"wheels of its file: {', '.join(joint.name for joint in self.joints)}"]
+        signs, guess = joint_signs(self.robot, table), "" if self.driven is not None else "guessed: "
+        has_rollers = any(row.roller is not None for row in table.wheels)
+        kinds: dict[str, list[str]] = {
+            "radius by the collision geometry of": [],
+            "radius as given of": [],
+            "the joint turns the other way at": [],
+            "axes that the file rounds are exact at": [],
+            "inertia as given, the whole's as in the file, of": [],
+            f"{guess}motors at": [],
+            "torque limit by the file's effort at": [],
+            "damping and friction of the joint are the motor's at": [],
+            "damping and friction of the joint are left out at": [],
+            "turns freely behind its swivel:": [],
+            "steering driven at": [],
+            "swivel locked of": [],
+            "rollers as given at": [],
+        }
+        for row, joint in zip(table.wheels, self.joints, strict=True):
+            angle, motor, rubs = (
+                atan2(-joint.axis[0], joint.axis[1]),
+                row.motor,
+                joint.damping or joint.friction,
+            )
+            holds = (
+                joint.radius == row.radius,
+                joint.radius != row.radius,
+                signs[row.name] < 0,
+                abs(snapped(angle) - angle) > 1e-9,
+                self._given("inertia", joint.name) is not None,
+                motor is not None,
+                motor is not None and np.isfinite(motor.torque_limit),
+                rubs and motor is not None,
+                rubs and motor is None,
+                row.steering == FREE,
+                row.steering == DRIVEN,
+                joint.swivels and row.steering == FIXED,
+                self.rollers is not None and row.roller is not None,
+            )
+            for names, is_so in zip(kinds.values(), holds, strict=True):
+                names += [joint.name] if is_so else []
+        for words, names in kinds.items():
+            if names:
+                found.append(f"{words} {', '.join(names) if len(names) < len(table) else 'all'}")
+        if self.rollers is None:
+            found.append("guessed: no wheel has rollers, of which files do not tell")
+        elif not has_rollers:
+            found.append("no rollers as given")
+        found += self.words
+        if self.locked:
+            found.append(f"locked: {', '.join(self.locked)}")
+        if table.supports:
+            places = ", ".join(f"({each.x:.4g}, {each.y:.4g})" for each in table.supports)
+            near = f"where the file is within {1e3 * TOUCH:g} mm of the ground"
+            given = "as given" if self.supports is not None else near
+            found.append(f"supports without friction {given}, at {places} m")
+        return found
+
+
+def _offset(row: Wheel) -> float:
+    """Return how far the axle of a wheel is ahead of the origin [m]."""
+    return cos(row.angle) * row.x + sin(row.angle) * row.y
 
 
 def motor_of(joint: WheelJoint) -> Motor:
     """Return what drives a wheel, as far as its file tells."""
     if not (np.isfinite(joint.effort) or joint.damping or joint.friction):
         return Motor()
-    return Motor(
-        joint.effort,
-        viscous=max(joint.damping, 0.0),
-        coulomb=max(joint.friction, 0.0),
-        source=f"joint {joint.name}",
-    )
+    viscous, coulomb = max(joint.damping, 0.0), max(joint.friction, 0.0)
+    return Motor(joint.effort, viscous=viscous, coulomb=coulomb, source=f"joint {joint.name}")
 
 
 def snapped(angle: float) -> float:
     """Return an angle [rad], that which a file rounds where it nearly is one of every 15 degrees."""
     nearest = round(angle / _STEP)
     exact = {-6: -pi / 2, 6: pi / 2, 12: pi, -12: pi}.get(nearest, nearest * _STEP)
-    near = abs(angle - nearest * _STEP) < _ROUNDED
-    return exact if near else angle
+    return exact if abs(angle - nearest * _STEP) < _ROUNDED else angle
 
 
 def to_length(x: float) -> float:
@@ -282,17 +390,9 @@ def to_length(x: float) -> float:
     return round(float(x), _DIGITS) + 0.0
 
 
-def left_of(angle: float) -> Array:
-    """Return the direction a quarter of a turn to the left, shape (2,)."""
-    return np.array([-sin(angle), cos(angle)])
-
-
 def wheel_name(name: str) -> str:
     """Return the name of a joint as that of a wheel."""
     return "".join("_" if letter in '/,":.' else letter for letter in name)
-
-
-_LINE = 1e-3  # [m]: axles so near one line are on it
 
 
 def read_wheels(
@@ -360,9 +460,7 @@ def read_wheels(
     UnknownName
         If there is no such wheel.
     """
-    joined = sequence("couplings", couplings, "GearTrain, Differential or Ackermann")
-    given = Given(radius, rollers, driven, steering, inertia, locked, supports, joined)
-    return _Reader(WheelJoints(robot, given)).table()
+    return _Reader(robot, radius, rollers, driven, steering, inertia, locked, supports, couplings).table()
 
 
 def joint_signs(robot: MobileRobot, table: WheelTable) -> dict[str, int]:
@@ -377,10 +475,12 @@ def joint_signs(robot: MobileRobot, table: WheelTable) -> dict[str, int]:
     """
     found = {wheel_name(joint.name): joint for joint in robot.undercarriage.wheels}
     rows = [wheel for wheel in table.wheels if wheel.name in found]
-    return {
-        wheel.name: 1 if left_of(wheel.angle) @ found[wheel.name].axis[:2] > 0 else -1  # axle +n is left of e
-        for wheel in rows
-    }
+    return {wheel.name: 1 if _leftward(wheel.angle, found[wheel.name].axis) > 0 else -1 for wheel in rows}
+
+
+def _leftward(angle: float, axis: Sequence[float]) -> float:
+    """Return the part of an axis a quarter of a turn to the left of an angle."""
+    return cos(angle) * axis[1] - sin(angle) * axis[0]
 
 
 def read_robot(
@@ -403,8 +503,8 @@ def read_robot(
     _report_ignored(Path(path))
     if robot.grounded or radius is None:
         return robot
-    wheels = WheelJoints(robot, Given(radius=radius, locked=locked))
-    lowest = [joint.centre[2] - wheels.radius(joint) for joint in wheels.joints]
+    wheels = _Reader(robot, radius, locked=locked)
+    lowest = [joint.centre[2] - wheels.radius_of(joint) for joint in wheels.joints]
     return MobileRobot.from_urdf(path, package_dirs, ground=sum(lowest) / len(lowest))
 
 
@@ -414,8 +514,8 @@ def _report_ignored(path: Path) -> None:
     joints, links = [], []
     for joint in root.findall("joint"):
         dynamics = joint.find("dynamics")
-        given = () if dynamics is None else (dynamics.get(name, "0") for name in ("damping", "friction"))
-        if any(float(x) for x in given) and joint.get("type") != "fixed":
+        given = {} if dynamics is None else dynamics.attrib
+        if any(float(given.get(x, 0)) for x in ("damping", "friction")) and joint.get("type") != "fixed":
             joints.append(str(joint.get("name")))
     for gazebo in root.findall("gazebo"):
         if gazebo.find("mu1") is not None or gazebo.find("mu2") is not None:
@@ -434,160 +534,3 @@ def _report_ignored(path: Path) -> None:
 
 def _listed(names: Sequence[str]) -> str:
     return ", ".join(names) if len(names) < 4 else f"{names[0]}, {names[1]} and {len(names) - 2} more"
-
-
-class _Reader:
-    """The table of a robot's wheels, and words for what became of them."""
-
-    def __init__(self, wheels: WheelJoints) -> None:
-        self.wheels, self.robot, self.given = wheels, wheels.robot, wheels.given
-        self.joints, self.standing = wheels.joints, wheels.standing
-        self.words: list[str] = []
-
-    def table(self) -> WheelTable:
-        """Return the table."""
-        if isinstance(self.given.radius, (float, int)) and all(each.radius for each in self.joints):
-            raise InvalidArgument(
-                f"radius is {shown(self.given.radius)} m, but the file tells that of every wheel; expected a "
-                "mapping for those that have another"
-            )
-        rows = [self.wheels.row(joint) for joint in self.joints]
-        self._check_plane(rows)
-        rows = self._on_lines(rows)
-        self._check_told(rows)
-        driven = self._driven(rows)
-        rows = [
-            evolved(row, motor=motor_of(joint)) if joint.name in driven else row
-            for row, joint in zip(rows, self.joints, strict=True)
-        ]
-        supports = self._supports(rows)
-        table = WheelTable(tuple(rows), supports, self.given.couplings)
-        return WheelTable(table.wheels, table.supports, table.couplings, "; ".join(self._told(table)))
-
-    def _check_plane(self, rows: Sequence[Wheel]) -> None:
-        lowest = {
-            joint.name: joint.centre[2] - row.radius for joint, row in zip(self.joints, rows, strict=True)
-        }
-        heights = [*lowest.values(), *([0.0] if self.robot.grounded else [])]
-        if max(heights) - min(heights) > TOUCH:
-            listed = ", ".join(f"{name} at z = {z:.4g}" for name, z in lowest.items())
-            ground = ", the ground at z = 0" if self.robot.grounded else ""
-            raise InvalidArgument(
-                f"wheels do not stand on one plane, their lowest points being {listed}{ground} m, expected "
-                f"them within {1e3 * TOUCH:g} mm, other radii, or locked= for those that do not roll"
-            )
-
-    def _on_lines(self, rows: Sequence[Wheel]) -> list[Wheel]:
-        """Return the rows with axles of fixed tyres that are nearly on one line on it."""
-        found, moved = list(rows), 0.0
-        tyres = [k for k, row in enumerate(rows) if row.steering == FIXED and row.roller is None]
-        offsets = {k: cos(rows[k].angle) * rows[k].x + sin(rows[k].angle) * rows[k].y for k in tyres}
-        for k in tyres:
-            line = [
-                offsets[j]
-                for j in tyres
-                if rows[j].angle == rows[k].angle and abs(offsets[j] - offsets[k]) <= _LINE
-            ]
-            away = sum(line) / len(line) - offsets[k] if max(line) > min(line) else 0.0
-            if away:
-                angle = rows[k].angle
-                found[k] = evolved(
-                    rows[k],
-                    x=to_length(rows[k].x + away * cos(angle)),
-                    y=to_length(rows[k].y + away * sin(angle)),
-                )
-                moved = max(moved, abs(away))
-        if moved > 1e-9:
-            self.words.append(f"axles put on one line, by {1e3 * moved:.2g} mm at most")
-        return found
-
-    def _check_told(self, rows: Sequence[Wheel]) -> None:
-        """Refuse to guess what wheels on several axles are, where nothing says that they skid."""
-        fixed = [row for row in rows if row.steering == FIXED]
-        axles = {
-            (round(row.angle, 9), round(cos(row.angle) * row.x + sin(row.angle) * row.y, 9)) for row in fixed
-        }
-        trains = any(isinstance(each, GearTrain) for each in self.given.couplings)
-        if self.given.rollers is None and len(axles) > 1 and not trains:
-            raise InvalidArgument(
-                f"rollers is not given, and wheels {', '.join(repr(row.name) for row in fixed)} are fixed on "
-                "more than one axle: they are tyres that skid in turns, or have rollers, which files do not "
-                "tell; expected rollers={} for tyres, rollers=pi / 4 for mecanum wheels, or a mapping"
-            )
-
-    def _driven(self, rows: Sequence[Wheel]) -> list[str]:
-        if self.given.driven is not None:
-            return [
-                self.wheels.known("driven", name)
-                for name in sequence("driven", self.given.driven, "names of wheels")
-            ]
-        shared: set[str] = set()
-        for each in self.given.couplings:
-            if isinstance(each, Differential):
-                shared.update(each.wheels)
-            elif isinstance(each, GearTrain):
-                shared.update(each.wheels[1:])
-        pairs = [pair for pair in zip(self.joints, rows, strict=True) if pair[1].name not in shared]
-        fixed = [joint.name for joint, row in pairs if row.steering == FIXED]
-        standing = any(row.steering == FIXED for row in rows)
-        return fixed if standing else [joint.name for joint, row in pairs if row.steering == DRIVEN]
-
-    def _supports(self, rows: Sequence[Wheel]) -> tuple[Support, ...]:
-        if self.given.supports is not None:
-            return tuple(Support(*at) for at in each_of("supports", self.given.supports))
-        taken, found = [row.centre for row in rows], []
-        for place in [*self.robot.undercarriage.supports, *(joint.centre[:2] for joint in self.standing)]:
-            x, y = (to_length(number) for number in place)
-            if all(hypot(x - x0, y - y0) > _LINE for x0, y0 in taken):
-                taken.append((x, y))
-                found.append(Support(x, y))
-        return tuple(found)
-
-    def _told(self, table: WheelTable) -> list[str]:
-        """Return what is from where, in words."""
-        pairs = list(zip(table.wheels, self.joints, strict=True))
-        told = [f"wheels of its file: {', '.join(joint.name for joint in self.joints)}"]
-
-        def tell(words: str, *chosen: bool) -> None:
-            names = [joint.name for (_, joint), is_one in zip(pairs, chosen, strict=True) if is_one]
-            if names:
-                told.append(f"{words} {', '.join(names)}" if len(names) < len(pairs) else f"{words} all")
-
-        by_hand = [joint.radius != row.radius for row, joint in pairs]
-        tell("radius by the collision geometry of", *(not hand for hand in by_hand))
-        tell("radius as given of", *by_hand)
-        tell("the joint turns the other way at", *(s < 0 for s in joint_signs(self.robot, table).values()))
-        exact = [abs(snapped(a := atan2(-joint.axis[0], joint.axis[1])) - a) > 1e-9 for _, joint in pairs]
-        tell("axes that the file rounds are exact at", *exact)
-        tell(
-            "inertia as given, the whole's as in the file, of",
-            *(self.wheels.told("inertia", joint.name) is not None for _, joint in pairs),
-        )
-        guess = "" if self.given.driven is not None else "guessed: "
-        tell(f"{guess}motors at", *(row.motor is not None for row, _ in pairs))
-        tell("torque limit by the file's effort at", *(_limited(row) for row, _ in pairs))
-        rubs = [(row.motor is not None) + 1 if joint.damping or joint.friction else 0 for row, joint in pairs]
-        tell("damping and friction of the joint are the motor's at", *(rub == 2 for rub in rubs))
-        tell("damping and friction of the joint are left out at", *(rub == 1 for rub in rubs))
-        tell("turns freely behind its swivel:", *(row.steering == FREE for row, _ in pairs))
-        tell("steering driven at", *(row.steering == DRIVEN for row, _ in pairs))
-        tell("swivel locked of", *(bool(joint.swivels) and row.steering == FIXED for row, joint in pairs))
-        if self.given.rollers is None:
-            told.append("guessed: no wheel has rollers, of which files do not tell")
-        elif not any(row.roller is not None for row, _ in pairs):
-            told.append("no rollers as given")
-        else:
-            tell("rollers as given at", *(row.roller is not None for row, _ in pairs))
-        told += self.words
-        if self.given.locked:
-            told.append(f"locked: {', '.join(self.given.locked)}")
-        if table.supports:
-            places = ", ".join(f"({each.x:.4g}, {each.y:.4g})" for each in table.supports)
-            near = f"where the file is within {1e3 * TOUCH:g} mm of the ground"
-            given = "as given" if self.given.supports is not None else near
-            told.append(f"supports without friction {given}, at {places} m")
-        return told
-
-
-def _limited(wheel: Wheel) -> bool:
-    return wheel.motor is not None and np.isfinite(wheel.motor.torque_limit)
