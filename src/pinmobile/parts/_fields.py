@@ -68,7 +68,7 @@ def also_symbols(method: _Method) -> _Method:
 
 
 def takes(**sizes: int | str) -> Callable[[_Method], _Method]:
-    """Let a method of a part take numbers, checked as declared, and answer in finite ones.
+    """Let a method of a part take numbers, checked as declared, and answer in finite ones; or symbols.
 
     Each size is a length of the last axis, or the name of the attribute of the part that has it. An argument
     that is its own default is not checked. Leading axes broadcast.
@@ -79,6 +79,7 @@ def takes(**sizes: int | str) -> Callable[[_Method], _Method]:
         names, checked = [each.name for each in parameters], in_numbers(method)
         defaults = {each.name: each.default for each in parameters}
 
+        @also_symbols
         @functools.wraps(method)
         def run(self: Any, *given: Any, **named: Any) -> Any:
             if len(given) > len(names):

@@ -8,9 +8,10 @@ from pinmobile.wheels._motors import MOTORS, Motor, MotorLaw as MotorLaw
 from pinmobile.wheels._odometry import ByOdometry
 from pinmobile.wheels._reading import read_wheels
 from pinmobile.wheels._rolling import WheeledDynamics as WheeledDynamics
-from pinmobile.wheels._table import Ackermann, Differential, Friction, GearTrain, Support, Wheel, WheelTable
+from pinmobile.wheels._table import WheelTable
 from pinmobile.wheels._velocities import Allocation, Reduced
 from pinmobile.wheels._voltage import ByVoltage
+from pinmobile.wheels._wheel import Ackermann, Differential, Friction, GearTrain, Support, Wheel
 
 __all__ = [
     "MOTORS",

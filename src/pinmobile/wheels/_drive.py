@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from os import PathLike
@@ -39,7 +39,7 @@ from pinmobile.parts import (
     takes,
 )
 from pinmobile.plant import ContactLoads, Contacts, Coordinate, Input, SlipMargins, Step
-from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, Load, MobileRobot, Mount, Solids, hull, number
+from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, Load, MobileRobot, Solids, hull, number
 from pinmobile.urdf import Body
 from pinmobile.wheels._contacts import (
     Forces,
@@ -70,6 +70,10 @@ def _of_wheels(name: str, doc: str) -> Any:
     found = cached_property(lambda self: column([getattr(wheel, name) for wheel in self.table.wheels]))
     found.__doc__ = doc
     return found
+
+
+def _of(owner: str, name: str, doc: str) -> Any:
+    return property(lambda self: getattr(getattr(self, owner), name), doc=doc)
 
 
 @final
@@ -235,10 +239,7 @@ class WheeledRobot:
     radius = _of_wheels("radius", "Of the wheels, shape (wheels,) [m].")
     spin_inertia = _of_wheels("spin_inertia", "Of the wheels about their axles, shape (wheels,) [kg m^2].")
 
-    @property
-    def mu(self) -> Array:
-        """Coefficients of friction of the wheels, of rollers along their axes, shape (wheels,)."""
-        return self.array_dynamics.mu  # type: ignore[no-any-return]
+    mu = _of("array_dynamics", "mu", "Friction of the wheels, of rollers along their axes, shape (wheels,).")
 
     @cached_property
     def upright(self) -> Any:
@@ -351,10 +352,7 @@ class WheeledRobot:
         most = ((one.name, one.motor.largest_torque) for one in self.table.actuators)
         return (*self.robot.inputs[BODY_JOINT:], *(Input(name, "N m", -x, x) for name, x in most))
 
-    @structure
-    def leading(self) -> Mapping[int, int]:
-        """How many numbers of q the first n coordinates have, for each n that a reference may have."""
-        return self.robot.leading
+    leading = _of("robot", "leading", "Numbers of q of the first n coordinates, for each n of a reference.")
 
     @structure
     def rest(self) -> Array:
@@ -392,10 +390,7 @@ class WheeledRobot:
         ones = np.ones((len(self._places), 1))
         return bool(np.linalg.matrix_rank(np.hstack([ones, self._places]), tol=_SAME_LINE) == 3)
 
-    @structure
-    def grounded(self) -> bool:
-        """Whether the body's origin is known to lie on the ground; if not, nothing is known of its loads."""
-        return self.robot.grounded
+    grounded = _of("robot", "grounded", "Whether the body's origin is known to lie on the ground.")
 
     @structure
     def footprint(self) -> Array | None:
@@ -421,15 +416,8 @@ class WheeledRobot:
 
     # What is seen
 
-    @property
-    def mounts(self) -> tuple[Mount, ...]:
-        """Its arms."""
-        return self.robot.mounts
-
-    @property
-    def size(self) -> tuple[float, float, float]:
-        """Length, width and height of the body [m]."""
-        return self.robot.size  # type: ignore[no-any-return]
+    mounts = _of("robot", "mounts", "Its arms.")
+    size = _of("robot", "size", "Length, width and height of the body [m].")
 
     @cached_property
     def _picture(self) -> Picture:
@@ -462,15 +450,8 @@ class WheeledRobot:
         """Return where the shapes of `solids` are in the body's frame, shape (..., shapes, 4, 4)."""
         return self._tyres.placements(np.asarray(q))
 
-    @property
-    def end_effector(self) -> str:
-        """Default frame: the tip of the first arm, or the body's frame where there is none."""
-        return self.robot.end_effector
-
-    @property
-    def frame_names(self) -> tuple[str, ...]:
-        """Names of the frames, see `MobileRobot.frame_names`."""
-        return self.robot.frame_names
+    end_effector = _of("robot", "end_effector", "Default frame: the tip of the first arm, or the body's.")
+    frame_names = _of("robot", "frame_names", "Names of the frames, see `MobileRobot.frame_names`.")
 
     def frame_name(self, frame: str | None = None) -> str:
         """Return the name of a frame, by default that of `end_effector`: see `MobileRobot.frame_name`."""
@@ -483,31 +464,26 @@ class WheeledRobot:
 
     # Configurations
 
-    @also_symbols
     @takes(q="nq", dq="nv")
     def integrate(self, q: ArrayLike, dq: ArrayLike) -> Any:
         """Return the configuration q + dq, shape (..., nq)."""
         return self._numeric.integrate(q, dq)
 
-    @also_symbols
     @takes(q0="nq", q1="nq")
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Any:
         """Return the displacement q1 - q0, shape (..., nv); psi and continuous joints in (-pi, pi]."""
         return self._numeric.difference(q0, q1)
 
-    @also_symbols
     @takes(q="nq")
     def pose(self, q: ArrayLike) -> Any:
         """Return x, y and psi of the body, shape (..., 3) [m, m, rad]."""
         return self._numeric.pose(q).copy()
 
-    @also_symbols
     @takes(q="nq", v="nv")
     def rate(self, q: ArrayLike, v: ArrayLike) -> Any:
         """Return the rates of x, y and psi of the body, shape (..., 3) [m/s, m/s, rad/s]."""
         return self._numeric.rate(q, v).copy()
 
-    @also_symbols
     @takes(q="nq", wrench=3)
     def effort(self, q: ArrayLike, wrench: ArrayLike) -> Any:
         """Return the generalised force of a wrench on the body, shape (..., nv) [N, N, N m, ...]."""
@@ -578,7 +554,6 @@ class WheeledRobot:
             B[self.robot.nv :, arms + k] = actuator.column
         return frozen(B)
 
-    @also_symbols
     @takes(twist=3, steering="_axes", turning="_axes")
     def wheel_rates(self, twist: ArrayLike, steering: ArrayLike = (), turning: ArrayLike = ()) -> Any:
         """Return the rates of the wheels that roll at a body twist, shape (..., wheels) [rad/s].
@@ -592,7 +567,6 @@ class WheeledRobot:
         """
         return self._numeric.wheel_rates(twist, steering, turning)
 
-    @also_symbols
     @takes(rates="_wheels", steering="_axes", turning="_axes")
     def odometry(self, rates: Any, steering: ArrayLike = (), turning: ArrayLike = ()) -> Any:
         """Return the body twist that fits measured rates of the wheels best, shape (..., 3) [m/s, rad/s].
@@ -655,7 +629,6 @@ class WheeledRobot:
         """Return v' M(q) v / 2, shape (...) [J]."""
         return np.asarray(np.einsum("...i,...ij,...j->...", v, self._numeric.mass_matrix(q), v) / 2)
 
-    @also_symbols
     @takes(q="nq", v="nv", u="nu", f="nv")
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Any:
         """Return the acceleration, shape (..., nv) [m/s^2, ...].
@@ -690,7 +663,6 @@ class WheeledRobot:
         values = finite_answer(found[..., 0], q=q, v=v, u=u, f=f)
         return Forces(self.constraint_names, values, np.array(self.mobility.determined))
 
-    @also_symbols
     @takes(q="nq", v="nv")
     def reduced(self, q: ArrayLike, v: ArrayLike) -> Reduced:
         """Return the dynamics of the independent velocities, where wheels roll: see `Reduced`.
@@ -702,7 +674,6 @@ class WheeledRobot:
         """
         return self._rolling.reduced(q, v)  # type: ignore[no-any-return]
 
-    @also_symbols
     @takes(q="nq", v="nv", a="_of_body")
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Any:
         """Return the input of least norm with which body and arms accelerate so, shape (..., nu) [N m].
@@ -747,13 +718,11 @@ class WheeledRobot:
                 "direction; expected a motor for each degree of freedom"
             )
 
-    @also_symbols
     @takes(q="nq", v="nv")
     def independent(self, q: ArrayLike, v: ArrayLike) -> Any:
         """Return the independent velocities nu of a state that rolls, shape (..., m): see `Reduced`."""
         return self._rolling.independent(q, v)
 
-    @also_symbols
     @takes(q="nq", v="nv", u="nu")
     def linearize_tracked(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> Linearization:
         """Return the first-order model of the tracked state, d(e, dnu)/dt = A (e, dnu) + B du.
@@ -777,7 +746,6 @@ class WheeledRobot:
         self._check_rolls()
         return Linearization(*self.array_dynamics.linearize_tracked(q, v, u))
 
-    @also_symbols
     @takes(q="nq", v="nv")
     def torques(self, q: ArrayLike, v: ArrayLike, rates: ArrayLike) -> Any:
         """Return the input of least norm with which independent velocities change so, shape (..., nu) [N m].
@@ -816,7 +784,6 @@ class WheeledRobot:
             rest[at] = tau[at] - [number(x) for x in state.outward(rolling.freedom.supplied(state, u[at]))]
         return Allocation(u, rest)
 
-    @also_symbols
     @takes(q="nq", tau="_of_body")
     def allocate_scaled(self, q: ArrayLike, tau: ArrayLike) -> tuple[Array, Array]:
         """Return torques for a force on body and arms, scaled by one factor into limits, and what is left.
@@ -842,34 +809,38 @@ class WheeledRobot:
         return getattr(self.array_dynamics, name)
 
     @property
-    def project(self) -> Callable[[ArrayLike, ArrayLike], Any]:
+    def project(self) -> Any:
         """``project(q, v)``: the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
-        own: Callable[[ArrayLike, ArrayLike], Any] = self._of_ground("project")
+        own = self._of_ground("project")
         return own if self.array_dynamics.slips or self._is_symbolic else self._projected
 
-    @takes(q="nq", v="nv")
     def _projected(self, q: Any, v: Any) -> Any:
-        own = self.array_dynamics if is_symbolic(q) or is_symbolic(v) else self._numeric
-        return own.project(q, v)
+        if is_symbolic(q) or is_symbolic(v):
+            return self.array_dynamics.project(q, v)
+        return self._rolled(q, v)
+
+    @takes(q="nq", v="nv")
+    def _rolled(self, q: Any, v: Any) -> Any:
+        return self._numeric.project(q, v)
 
     @property
-    def initial_state(self) -> Callable[[Any], Any]:
+    def initial_state(self) -> Any:
         """``initial_state(context)``: what the wheels keep before the first step, where they slip."""
-        return self._of_ground("initial_state")  # type: ignore[no-any-return]
+        return self._of_ground("initial_state")
 
     @property
-    def step(self) -> Callable[..., Step]:
+    def step(self) -> Any:
         """``step(t, q, v, u, h, f, memory)``: the state a step later, where wheels slip.
 
         ``f(t, q, v)`` has the generalised forces beside the input, at mid-step; an array has those that stay.
         """
-        own: Callable[..., Step] = self._of_ground("step")
+        own = self._of_ground("step")
         return own if self._is_symbolic else self._stepped
 
     @property
-    def signals(self) -> Callable[..., dict[str, tuple[str, Any]]]:
+    def signals(self) -> Any:
         """``signals(t, q, v, u, f, memory)``: what the ground does at the wheels, where they slip."""
-        return self._of_ground("signals")  # type: ignore[no-any-return]
+        return self._of_ground("signals")
 
     def _stepped(self, t: float, q: Any, v: Any, u: Any, h: Any, f: Beside | ArrayLike, memory: Any) -> Step:
         if not any(map(is_symbolic, (q, v, u))):
@@ -882,9 +853,9 @@ class WheeledRobot:
         return self.array_dynamics.step(t, q, v, u, h, f, memory)  # type: ignore[no-any-return]
 
     @takes(q="nq", v="nv", u="nu", a="nv")
-    def _state(self, q: Any, v: Any, u: Any, a: Any = 0.0) -> tuple[Any, ...]:
+    def _state(self, q: Any, v: Any, u: Any, a: Any = None) -> tuple[Any, ...]:
         """Return a state, an input and an acceleration, checked."""
-        return (q, v, u) if np.ndim(a) == 0 else (q, v, u, a)
+        return (q, v, u) if a is None else (q, v, u, a)
 
     # What the ground bears
 

@@ -26,7 +26,7 @@ from pinmobile.robot import (
     solved as solved_by,
 )
 from pinmobile.wheels._loads import item
-from pinmobile.wheels._wheel import GearTrain, Rows
+from pinmobile.wheels._wheel import GearTrain
 
 
 class Row(NamedTuple):
@@ -92,13 +92,13 @@ class Kinematics:
         Of each wheel [m].
     """
 
-    table: Rows
+    table: Any
     x: Vector
     y: Vector
     radius: Vector
 
     @classmethod
-    def of(cls, table: Rows) -> Kinematics:
+    def of(cls, table: Any) -> Kinematics:
         """Return that of a table's own numbers."""
         x, y, radius = (
             [exact(item(getattr(wheel, name))) for wheel in table.wheels] for name in ("x", "y", "radius")
@@ -342,13 +342,13 @@ class Mobility:
         If it is no table.
     """
 
-    table: Rows
+    table: Any
 
     def __post_init__(self) -> None:
-        instance("table", self.table, Rows, "a WheelTable")
+        _checked(self.table)
 
     @classmethod
-    def of(cls, table: Rows) -> Mobility:
+    def of(cls, table: Any) -> Mobility:
         """Return that of a table, which is found once.
 
         Raises
@@ -356,7 +356,7 @@ class Mobility:
         InvalidArgument
             If it is no table.
         """
-        return _remembered(instance("table", table, Rows, "a WheelTable"))
+        return _remembered(_checked(table))
 
     @cached_property
     def _angles(self) -> Array:
@@ -512,8 +512,14 @@ class Mobility:
         return "\n".join(lines)
 
 
+def _checked(table: Any) -> Any:
+    from pinmobile.wheels._table import WheelTable  # here, because tables print their mobility
+
+    return instance("table", table, WheelTable, "a WheelTable")
+
+
 @lru_cache(maxsize=256)
-def _remembered(table: Rows) -> Mobility:
+def _remembered(table: Any) -> Mobility:
     return Mobility(table)
 
 

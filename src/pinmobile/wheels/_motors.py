@@ -156,8 +156,8 @@ class Motor:
         given = G * k * (i_s - i_0)
         if not (0 < given < np.inf and 0 < k < np.inf):
             raise InvalidArgument(
-                f"no_load_current is {i_0:g} A, expected less than stall_current, {i_s:g} A, and finite numbers "
-                f"with {V:g} V, {W:g} rad/s and a gear of {G:g}"
+                f"no_load_current is {i_0:g} A, expected less than stall_current, {i_s:g} A, and finite "
+                f"numbers with {V:g} V, {W:g} rad/s and a gear of {G:g}"
             )
         share = torque / given
         if share > 1:

@@ -269,9 +269,10 @@ class _Reader:
         axles = {(round(found[k].angle, 9), round(_offset(found[k]), 9)) for k in fixed}
         trains = any(isinstance(each, GearTrain) for each in self.couplings)
         if self.rollers is None and len(axles) > 1 and not trains:
+            names = ", ".join(repr(rows[k].name) for k in fixed)
             raise InvalidArgument(
-                f"rollers is not given, and wheels {', '.join(repr(rows[k].name) for k in fixed)} are fixed "
-                "on more than one axle: they are tyres that skid in turns, or have rollers, which files do not "
+                f"rollers is not given, and wheels {names} are fixed on "
+                "more than one axle: they are tyres that skid in turns, or have rollers, which files do not "
                 "tell; expected rollers={} for tyres, rollers=pi / 4 for mecanum wheels, or a mapping"
             )
         return found

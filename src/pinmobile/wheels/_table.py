@@ -27,19 +27,17 @@ from pinmobile.parts import by_value, children, entries_of, option, part, struct
 from pinmobile.wheels._kinematics import Mobility
 from pinmobile.wheels._motors import Motor
 from pinmobile.wheels._wheel import (
-    DRIVEN as DRIVEN,
-    FIXED as FIXED,
-    FREE as FREE,
-    TORQUE as TORQUE,
-    Ackermann as Ackermann,
-    Actuator as Actuator,
-    Axis as Axis,
-    Coupling as Coupling,
-    Differential as Differential,
-    Friction as Friction,
-    GearTrain as GearTrain,
-    Support as Support,
-    Wheel as Wheel,
+    DRIVEN,
+    FIXED,
+    TORQUE,
+    Ackermann,
+    Actuator,
+    Axis,
+    Coupling,
+    Differential,
+    GearTrain,
+    Support,
+    Wheel,
 )
 
 _SAME_PLACE = 1e-6  # [m]

@@ -437,7 +437,6 @@ class ByVoltage:
         """What a loop calls: itself, or its `array_dynamics` where it holds symbols."""
         return self.array_dynamics if self._is_symbolic else self
 
-    @also_symbols
     @takes(q="nq", v="nv", u="nu", f="nv")
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Any:
         """Return the acceleration, shape (..., nv) [m/s^2, ...]: the mean over a short step from the state.
@@ -457,7 +456,6 @@ class ByVoltage:
     def _state(self, q: Any, v: Any, u: Any) -> tuple[Any, ...]:
         return q, v, u
 
-    @also_symbols
     @takes(v="nv", torques="nu")
     def volts_for(self, v: ArrayLike, torques: ArrayLike) -> Any:
         """Return the input at which motors give torques at the present rates, shape (..., nu).
@@ -473,7 +471,6 @@ class ByVoltage:
         """
         return self.array_dynamics.volts_for(v, torques)
 
-    @also_symbols
     @takes(v="nv", u="nu")
     def torques_at(self, v: ArrayLike, u: ArrayLike) -> Any:
         """Return the torques that motors give at the present rates, shape (..., nu) [N m].
@@ -485,7 +482,6 @@ class ByVoltage:
         """
         return self.array_dynamics.torques_at(v, u)
 
-    @also_symbols
     @takes(q="nq", v="nv", u="nu")
     def linearize_tracked(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> Linearization:
         """Return the first-order model of the tracked state, see `WheeledRobot.linearize_tracked`.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import cos, radians, sin
-from typing import Any, NamedTuple, Protocol, final, runtime_checkable
+from typing import Any, NamedTuple, final
 
 import attrs
 import numpy as np
@@ -313,28 +313,3 @@ class Actuator(NamedTuple):
     motor: Motor
     column: tuple[float, ...]
     path: str = ""
-
-
-@runtime_checkable
-class Rows(Protocol):
-    """What the kinematics asks of a wheel table."""
-
-    @property
-    def wheels(self) -> tuple[Wheel, ...]:
-        """One row each."""
-
-    @property
-    def couplings(self) -> tuple[Coupling, ...]:
-        """What holds whatever the friction."""
-
-    @property
-    def axes(self) -> tuple[Axis, ...]:
-        """The steering coordinates."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the wheels."""
-
-    def __len__(self) -> int: ...
-
-    def __hash__(self) -> int: ...
