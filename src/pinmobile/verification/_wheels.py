@@ -266,12 +266,7 @@ def by_closed_form(wheeled: WheeledRobot, q: Array, nu: Array) -> closed_form.Re
         return None
     if len(wheels) == 2 and not table.axes and first.y > 0 and all(wheel.motor for wheel in wheels):
         return closed_form.differential_drive(
-            nu[:, [0, 1]],
-            **body,
-            track=2 * first.y,
-            radius=first.radius,
-            spin_inertia=spins[0],
-            axle=first.x,
+            nu[:, [0, 1]], **body, track=2 * first.y, radius=first.radius, spin_inertia=spins[0], axle=first.x
         )
     turned = next((each for each in table.couplings if isinstance(each, Ackermann)), None)
     if turned is None or len(wheels) != 4 or len(table.axes) != 1 or turned.axle or first.x:

@@ -12,16 +12,7 @@ from typing import Any, ClassVar, Self, final
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import (
-    Array,
-    ArrayLike,
-    broadcast,
-    finite,
-    finite_answer,
-    frozen,
-    positive,
-    shaped,
-)
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, frozen, positive, shaped
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import rk4
 from pinmobile.measures import Measure

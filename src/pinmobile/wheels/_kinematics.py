@@ -165,10 +165,7 @@ class Kinematics:
         # The centre's velocity, and its acceleration where no coordinate accelerates.
         velocity = [vx - w * p[1] - turn * o[1], vy + w * p[0] + turn * o[0]]
         both, bent = w + turn, head.second * rates[k] * rates[k] if k >= 0 else ZERO
-        rest = [
-            w * vy - both * turn * o[0] - bent * o[1],
-            -(w * vx) - both * turn * o[1] + bent * o[0],
-        ]
+        rest = [w * vy - both * turn * o[0] - bent * o[1], -(w * vx) - both * turn * o[1] + bent * o[0]]
         angle, found = exact(0.0 if wheel.roller is None else wheel.roller), []
         s, c = sine_and_cosine(angle)
         first = "rolling" if wheel.roller is None else "roller"

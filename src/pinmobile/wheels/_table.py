@@ -442,12 +442,7 @@ def _check_places(wheels: Sequence[Wheel], supports: Sequence[Support]) -> None:
 
 def _corners(wheelbase: float, track: float) -> list[tuple[str, float, float]]:
     a, b = positive("wheelbase", wheelbase, "m") / 2, positive("track", track, "m") / 2
-    return [
-        ("front_left", a, b),
-        ("front_right", a, -b),
-        ("rear_left", -a, b),
-        ("rear_right", -a, -b),
-    ]
+    return [("front_left", a, b), ("front_right", a, -b), ("rear_left", -a, b), ("rear_right", -a, -b)]
 
 
 def each_of(name: str, given: object) -> list[tuple[float, float]]:
