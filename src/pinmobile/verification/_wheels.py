@@ -206,7 +206,7 @@ def _reduced_rows(
     """Yield the rows of the dynamics in independent velocities."""
     plane, body, (M, n) = wheeled.reduced(q, v), wheeled.array_dynamics, tree
     S_T, state = np.swapaxes(plane.S, -1, -2), body.state(q, v)
-    bent = body.in_plane(state, body.freedom.accelerations(state, [0.0] * plane.nu.shape[-1]), q)
+    bent = body.in_plane(state, body.accelerations(state, [0.0] * plane.nu.shape[-1]), q)
     own = {"M": S_T @ M @ plane.S, "n": _times(S_T, n + _times(M, bent)), "B": S_T @ wheeled.input_matrix}
     diagonal = np.sqrt(np.einsum("nii->ni", own["M"]))
     pair = diagonal[:, :, None] * diagonal[:, None, :]

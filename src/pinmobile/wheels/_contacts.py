@@ -98,7 +98,7 @@ class TimeScaledMotion:
         """Return loads, slip and torque margins where it goes along `factor` times as fast, (N, k) each."""
         body, q, v = self.body, self.along.q, factor * self.along.v
         state, rates = body.state(q, v), factor**2 * self.along.rates
-        a = body.freedom.accelerations(state, list(np.moveaxis(rates, -1, 0)))
+        a = body.accelerations(state, list(np.moveaxis(rates, -1, 0)))
         felt = body.felt(state, [number(x) for x in a])
         u = driving_inputs(body, q, v, rates)
         return *rolling_margins(body, state, felt, u, q), self._margins(v, u)

@@ -14,8 +14,10 @@ from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
+from pinmobile.arrays import frozen
 from pinmobile.compiled import choose, repeated
 from pinmobile.errors import InvalidArgument
+from pinmobile.parts import by_value, child, integer, number as declared, part
 from pinmobile.plant import Step
 from pinmobile.robot import (
     ONE,
@@ -30,10 +32,12 @@ from pinmobile.robot import (
     vector_of as stacked,
 )
 from pinmobile.wheels._contact import Bounds, Impulses, Touch, factored, impulses
+from pinmobile.wheels._dynamics import State, WheeledDynamics
 from pinmobile.wheels._loads import Loads, item, places_of, pressed, shared_loads, wheel_loads
 from pinmobile.wheels._motors import Beside, Motors, Push, theta
-from pinmobile.wheels._rolling import State, WheeledDynamics, stop_of, stopped
-from pinmobile.wheels._table import GearTrain, WheelTable
+from pinmobile.wheels._rolling import Ramp, stop_of, stopped
+from pinmobile.wheels._table import WheelTable
+from pinmobile.wheels._wheel import GearTrain, column
 
 _BASE = 3
 _INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
@@ -669,3 +673,69 @@ def led(table: WheelTable) -> list[tuple[int, float]]:
             share = of_a * times / of_b
             found = [(a, share * x) if leader == b else (leader, x) for leader, x in found]
     return found
+
+
+@final
+@part
+@by_value
+class Coulomb:
+    """Wheels stick while the ground can hold them, and slide beyond: dry friction of Coulomb's law.
+
+    A robot on such ground has a step of its own: implicit in the velocities, impulses of all wheels found
+    together, so that what sticks is at rest exactly and nothing is stiff. Steps of 0.01 s and less are of
+    use; the error of fixed wheels falls with the square of the step, that of steered ones with the step.
+
+    Loads depend on accelerations, these on friction, and friction on the loads: a step solves for all of
+    them. Where friction presses the wheels on which it acts there may be several solutions. The step takes
+    the one to which the accelerations of the step before lead; the signals state it: ``slides``, ``loads``
+    and ``tips``, 1 where no loads balance the robot. ``missed`` is 1 where the step found no solution.
+
+    Parameters
+    ----------
+    mu : float, optional
+        Coefficient of friction of all wheels, along the axes of rollers for those that have some; None: each
+        wheel's own, ``wheel.friction.mu``.
+    ramp : Ramp, optional
+        Which way the ground rises; None: it is level.
+    sweeps : int
+        Most rounds over all wheels in a pass; the signal ``missed`` says where they were too few.
+    tolerance : float
+        Largest change of a force in a round, as a share of the largest friction, at which it has been found.
+
+    Attributes
+    ----------
+    slips : bool
+        Whether wheels may slip, here True.
+    """
+
+    mu: float | None = declared(
+        default=None, optional=True, lower=0, doc="coefficient of friction of all wheels"
+    )
+    ramp: Ramp | None = child(Ramp, default=None, optional=True, expected="a Ramp(angle, direction) or None")
+    sweeps: int = integer(default=200, least=1, doc="most rounds over all wheels in a pass")
+    tolerance: float = declared(default=1e-12, above=0, fixed=True, doc="change of a force that is none")
+    slips: ClassVar[bool] = True
+
+    def dynamics(self, wheeled: Any) -> SlippingDynamics:
+        """Return the dynamics of a robot on it."""
+        terms, wheels = wheeled.terms, wheeled.table.wheels
+        own: dict[str, Any] = {
+            name: frozen([getattr(wheel.friction, name) for wheel in wheels])
+            for name in ("across", "rolling", "slip")
+        }
+        if self.mu is not None:
+            own["mu"] = column([self.mu] * len(wheels))
+        return SlippingDynamics(**terms | own, sweeps=self.sweeps, tolerance=self.tolerance)
+
+    def check_robot(self, wheeled: Any) -> None:
+        """Refuse what cannot be computed where wheels slip."""
+        wheeled.check_stands()
+        table = wheeled.table
+        led(table)
+        names = (*(axis.name for axis in table.axes), *table.names)
+        for name, inertia in zip(names, wheeled.joint_inertias, strict=True):
+            if not inertia > 0:
+                raise InvalidArgument(
+                    f"{name} of the table has no inertia about its axis, expected one > 0 where wheels slip: "
+                    "give spin_inertia, and yaw_inertia of wheels that steer"
+                )

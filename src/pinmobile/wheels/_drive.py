@@ -40,13 +40,13 @@ from pinmobile.wheels._contacts import (
     recorded_margins,
     rolling_margins,
 )
+from pinmobile.wheels._coulomb import Coulomb
 from pinmobile.wheels._drawn import Picture, Tyres
-from pinmobile.wheels._ground import Coulomb, Ground, Ramp, Rolling
 from pinmobile.wheels._kinematics import Mobility
 from pinmobile.wheels._loads import pressed
 from pinmobile.wheels._motors import Beside, constant_force
 from pinmobile.wheels._reading import joint_signs, read_robot, read_wheels, wheel_name
-from pinmobile.wheels._rolling import RollingDynamics
+from pinmobile.wheels._rolling import Ground, Ramp, Rolling, RollingDynamics
 from pinmobile.wheels._table import WheelTable
 from pinmobile.wheels._velocities import Allocation, Reduced, followed
 from pinmobile.wheels._voltage import ByVoltage
@@ -772,7 +772,7 @@ class WheeledRobot:
             own = rolling.reduced(q[at], still)
             u[at] = own.nearest(own.S[: self.robot.nv].T @ tau[at], self.inputs)
             state = rolling.state(q[at], still)
-            rest[at] = tau[at] - [number(x) for x in state.outward(rolling.freedom.supplied(state, u[at]))]
+            rest[at] = tau[at] - [number(x) for x in state.outward(rolling.supplied(state, u[at]))]
         return Allocation(u, rest)
 
     @takes(q="nq", tau="_of_body")

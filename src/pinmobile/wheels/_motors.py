@@ -77,9 +77,15 @@ class Motor:
     torque_limit: float = declared(
         default=np.inf, unit="N m", above=0, endless=True, fixed=True, doc="largest torque at the wheel"
     )
-    resistance: float | None = declared(unit="ohm", above=0, optional=True, doc="resistance of the armature")
-    torque_constant: float | None = declared(unit="N m/A", above=0, optional=True, doc="torque constant")
-    voltage: float | None = declared(unit="V", above=0, optional=True, fixed=True, doc="largest voltage")
+    resistance: float | None = declared(
+        default=None, unit="ohm", above=0, optional=True, doc="resistance of the armature"
+    )
+    torque_constant: float | None = declared(
+        default=None, unit="N m/A", above=0, optional=True, doc="torque constant"
+    )
+    voltage: float | None = declared(
+        default=None, unit="V", above=0, optional=True, fixed=True, doc="largest voltage"
+    )
     gear: float = declared(default=1.0, above=0, fixed=True, doc="turns of the motor per turn of the wheel")
     efficiency: float = declared(default=1.0, above=0, upper=1, neutral=1, doc="efficiency of the gear")
     rotor_inertia: float = declared(
@@ -238,7 +244,7 @@ class Motor:
         return np.asarray((k * self._volts(volts) / R - self.coulomb) / held)
 
     def _volts(self, volts: float | None) -> float:
-        return self._law.volts(0, np.inf) if volts is None else scalar("volts", volts)  # type: ignore[no-any-return]
+        return self._law.volts(0, np.inf) if volts is None else scalar("volts", volts)
 
     def no_load_rate(self, volts: float | None = None) -> float:
         """Return the rate of the wheel that runs free at a voltage, by default the largest [rad/s]."""

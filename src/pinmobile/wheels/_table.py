@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import cached_property
+from itertools import combinations
 from math import cos, degrees, hypot, pi, radians, sin
-from typing import Any, Self, final
+from typing import Any, Self, TypeAlias, final
 
 import numpy as np
 
@@ -43,6 +44,7 @@ from pinmobile.wheels._wheel import (
 _SAME_PLACE = 1e-6  # [m]
 _OF_BODY = "x", "y", "psi"
 _MOST = 1000  # wheels of a circle
+_Places: TypeAlias = Iterable[ArrayLike]
 
 
 @final
@@ -130,19 +132,19 @@ class WheelTable:
     @structure
     def axes(self) -> tuple[Axis, ...]:
         """The steering coordinates, in the order of the table."""
-        shared = {
-            name: each for each in self.couplings if isinstance(each, Ackermann) for name in each.wheels
-        }
-        found, done = [], set()
+        pairs = [each for each in self.couplings if isinstance(each, Ackermann)]
+        shared = {name: each for each in pairs for name in each.wheels}
+        found: dict[Any, Axis] = {}
         for row, wheel in enumerate(self.wheels):
-            together = shared.get(wheel.name)
-            if together is not None and together not in done:
-                done.add(together)
-                found.append(self._shared_axis(together))
-            elif together is None and wheel.steering != FIXED:
-                driven = wheel.steering == DRIVEN
-                found.append(Axis(f"{wheel.name}_steering", (row,), None, driven, wheel.steering_limit))
-        return tuple(found)
+            driven, together = wheel.steering == DRIVEN, shared.get(wheel.name)
+            if together is not None:
+                rows = tuple(self.names.index(name) for name in together.wheels)
+                limit = min(self.wheels[k].steering_limit for k in rows)
+                driven = self.wheels[rows[0]].steering == DRIVEN
+                found.setdefault(together, Axis(together.name, rows, together.axle, driven, limit))
+            elif wheel.steering != FIXED:
+                found[row] = Axis(f"{wheel.name}_steering", (row,), None, driven, wheel.steering_limit)
+        return tuple(found.values())
 
     def _check_axle(self, together: Ackermann) -> None:
         wheels = [self.wheels[self.names.index(name)] for name in together.wheels]
@@ -158,34 +160,26 @@ class WheelTable:
                 "expected one axle"
             )
 
-    def _shared_axis(self, together: Ackermann) -> Axis:
-        rows = tuple(self.names.index(name) for name in together.wheels)
-        limit = min(self.wheels[row].steering_limit for row in rows)
-        return Axis(together.name, rows, together.axle, self.wheels[rows[0]].steering == DRIVEN, limit)
-
     @cached_property
     def actuators(self) -> tuple[Actuator, ...]:
         """The inputs, in the order of the table: of each row its wheel's, then its steering axis's."""
-        n, found, done = len(self.axes) + len(self), [], set()
+        ns, found, done = len(self.axes), list[Actuator](), set()
+
+        def add(name: str, motor: Motor, turned: Sequence[int], path: str = "") -> None:
+            column = tuple(1 / len(turned) if k in turned else 0.0 for k in range(ns + len(self)))
+            found.append(Actuator(name, motor, column, path))
+
         for row, wheel in enumerate(self.wheels):
             if wheel.motor is not None:
-                column = [0.0] * n
-                column[len(self.axes) + row] = 1.0
-                path = f"wheels.{wheel.name}.motor"
-                found.append(Actuator(wheel.name, wheel.motor, tuple(column), path))
+                add(wheel.name, wheel.motor, [ns + row], f"wheels.{wheel.name}.motor")
             for key, each in entries_of(self.couplings):
                 if isinstance(each, Differential) and key not in done and wheel.name in each.wheels:
                     done.add(key)
-                    column = [0.0] * n
-                    for name in each.wheels:
-                        column[len(self.axes) + self.names.index(name)] = 1 / len(each.wheels)
-                    path = f"couplings.{key}.motor"
-                    found.append(Actuator(each.name, each.motor, tuple(column), path))
+                    rows = [ns + self.names.index(name) for name in each.wheels]
+                    add(each.name, each.motor, rows, f"couplings.{key}.motor")
             for k, axis in enumerate(self.axes):
                 if axis.driven and axis.wheels[0] == row:
-                    column = [0.0] * n
-                    column[k] = 1.0
-                    found.append(Actuator(axis.name, TORQUE, tuple(column)))
+                    add(axis.name, TORQUE, [k])
         return tuple(found)
 
     @classmethod
@@ -195,7 +189,7 @@ class WheelTable:
         radius: float,
         *,
         x: float = 0.0,
-        supports: Iterable[ArrayLike] = (),
+        supports: _Places = (),
         motor: Motor = TORQUE,
         **wheel: Any,
     ) -> Self:
@@ -282,21 +276,19 @@ class WheelTable:
         **wheel
             What else each has, see `Wheel`.
         """
-        corners, angle = _corners(wheelbase, track), scalar("roller", roller)
-        if angle < 0 and abs(wheelbase - track * abs(np.tan(angle))) < 1e-3 * track:
+        angle = scalar("roller", roller)
+        turns = angle > 0 or abs(wheelbase - track * abs(np.tan(angle))) >= 1e-3 * track
+        if not (angle and turns):
+            flaw = "form an O whose axes meet in its middle, so that it cannot turn"
+            flaw = flaw if angle else "all roll along x, and none moves it sideways"
             raise InvalidArgument(
-                f"roller is {angle:g} rad: the rollers form an O on a base of {wheelbase:g} by {track:g} m, "
-                "and their axes meet in its middle, so that it cannot turn; expected the X, a positive angle"
-            )
-        if not angle:
-            raise InvalidArgument(
-                "roller is 0 rad: such wheels all roll along x, and none moves it sideways; expected the "
-                "X, a positive angle, or WheelTable.omni(...)"
+                f"roller is {angle:g} rad on a base of {wheelbase:g} by {track:g} m: the rollers {flaw}; "
+                "expected the X, a positive angle, or WheelTable.omni(...)"
             )
         signs = {"front_left": -1, "front_right": 1, "rear_left": 1, "rear_right": -1}
         rows = [
             Wheel(name, x, y, radius, roller=signs[name] * angle, motor=motor, **wheel)
-            for name, x, y in corners
+            for name, x, y in _corners(wheelbase, track)
         ]
         return cls(tuple(rows))
 
@@ -326,30 +318,18 @@ class WheelTable:
         **wheel
             What else each has, see `Wheel`.
         """
-        count, least = whole("n", n, least=1, most=_MOST), 3
-        if count < least:
-            raise InvalidArgument(f"n is {count}, expected 3 and more: fewer do not determine the motion")
-        L, angles = (
-            positive("distance", distance, "m"),
-            scalar("first", first) + 2 * pi * np.arange(count) / count,
-        )
+        count, L = whole("n", n, least=3, most=_MOST), positive("distance", distance, "m")
+        angles = (scalar("first", first) + 2 * pi * np.arange(count) / count).tolist()
+        own: dict[str, Any] = {"roller": 0.0, "motor": motor, **wheel}
         rows = [
-            Wheel(
-                f"wheel_{k + 1}", L * cos(a), L * sin(a), radius, a + pi / 2, roller=0.0, motor=motor, **wheel
-            )
-            for k, a in enumerate(angles.tolist())
+            Wheel(f"wheel_{k + 1}", L * cos(a), L * sin(a), radius, a + pi / 2, **own)
+            for k, a in enumerate(angles)
         ]
         return cls(tuple(rows))
 
     @classmethod
     def swerve(
-        cls,
-        places: Iterable[ArrayLike],
-        radius: float,
-        *,
-        motor: Motor = TORQUE,
-        supports: Iterable[ArrayLike] = (),
-        **wheel: Any,
+        cls, places: _Places, radius: float, *, motor: Motor = TORQUE, supports: _Places = (), **wheel: Any
     ) -> Self:
         """Return modules that each steer and drive.
 
@@ -427,17 +407,11 @@ def _told(wheel: Wheel) -> tuple[str, ...]:
 
 
 def _check_places(wheels: Sequence[Wheel], supports: Sequence[Support]) -> None:
-    seen: list[tuple[str, float, float]] = []
-    for name, (x, y) in [
-        *((f"wheel {wheel.name!r}", wheel.centre) for wheel in wheels),
-        *((f"support {k + 1}", (support.x, support.y)) for k, support in enumerate(supports)),
-    ]:
-        for other, x0, y0 in seen:
-            if hypot(x - x0, y - y0) < _SAME_PLACE:
-                raise InvalidArgument(
-                    f"{other} and {name} stand in one place, ({x:g}, {y:g}) m, expected two"
-                )
-        seen.append((name, x, y))
+    places = [(f"wheel {wheel.name!r}", *wheel.centre) for wheel in wheels]
+    places += [(f"support {k + 1}", each.x, each.y) for k, each in enumerate(supports)]
+    for (other, x0, y0), (name, x, y) in combinations(places, 2):
+        if hypot(x - x0, y - y0) < _SAME_PLACE:
+            raise InvalidArgument(f"{other} and {name} stand in one place, ({x:g}, {y:g}) m, expected two")
 
 
 def _corners(wheelbase: float, track: float) -> list[tuple[str, float, float]]:

@@ -1,10 +1,9 @@
-"""`Freedom`: what a body on wheels is free to do where these roll, in independent velocities."""
+"""`Reduced`: the dynamics of wheels that roll in independent velocities; references, and linear models."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,234 +11,16 @@ from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.plant import Input
 from pinmobile.robot import (
-    ZERO,
     Matrix,
-    Vector,
-    applied,
-    cross,
-    dot,
-    exact,
     number,
     scalars,
     slopes,
-    solved,
-    transposed,
     vector_of as stacked,
 )
-from pinmobile.wheels._kinematics import Row, Solution, solved as rolled
 
 _BASE = 3
 _LEAST_NORM = 1e-6  # relative weight of torques beside what they are for, where limits hold them
 _OFF = 1e-6  # of the largest rate, beyond which wheels would slide sideways; of the largest force
-
-
-class State(NamedTuple):
-    """A state, seen from the body.
-
-    Attributes
-    ----------
-    c, s : scalar
-        Of the heading.
-    arms, steering : list of scalars
-        Configuration of the arms, and steering angles.
-    twist, arm_rates, rates : list of scalars
-        Body twist; rates of the arms; of steering coordinates and wheels.
-    """
-
-    c: Any
-    s: Any
-    arms: Vector
-    steering: Vector
-    twist: Vector
-    arm_rates: Vector
-    rates: Vector
-
-    def along(self, x: Vector) -> Vector:
-        """Return numbers along the inertial axes along those of the body."""
-        return [self.c * x[0] + self.s * x[1], self.c * x[1] - self.s * x[0], *x[2:]]
-
-    def outward(self, x: Vector) -> Vector:
-        """Return numbers along the body's axes along the inertial ones."""
-        return [self.c * x[0] - self.s * x[1], self.s * x[0] + self.c * x[1], *x[2:]]
-
-    @property
-    def velocities(self) -> Vector:
-        """All velocities, along the body's axes."""
-        return [*self.twist, *self.arm_rates, *self.rates]
-
-    def moving(self, v: Vector) -> State:
-        """Return the state with other velocities."""
-        end = _BASE + len(self.arms)
-        return self._replace(twist=v[:_BASE], arm_rates=v[_BASE:end], rates=v[end:])
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class Freedom:
-    """The independent velocities nu of a body on wheels, v = S nu: see `Reduced`.
-
-    Parameters
-    ----------
-    body : WheeledDynamics
-        Whose they are.
-    """
-
-    body: Any
-
-    def solution(self, state: State) -> Solution:
-        """Return what rolls, arms between body and joints."""
-        rows = self.body.kinematics.rows(state.steering, state.twist, state.rates)
-        choice = self.body.choice
-        S, gamma = rolled(rows, choice)
-        width, na = len(S[0]), self.body.na
-        own = _BASE if not choice.body else _BASE - len(choice.body)
-        wide = [[*row[:own], *[ZERO] * na, *row[own:]] for row in S]
-        arms: Matrix = [[ZERO] * (width + na) for _ in range(na)]
-        for i in range(na):
-            arms[i][own + i] = exact(1.0)
-        return Solution([*wide[:_BASE], *arms, *wide[_BASE:]], [*gamma[:_BASE], *[ZERO] * na, *gamma[_BASE:]])
-
-    def velocities(self, state: State) -> Vector:
-        """Return the independent velocities nu of a state that rolls, in the order of the columns of S."""
-        held = [
-            self.body.kinematics.rows(state.steering, state.twist, state.rates)[i]
-            for i in self.body.choice.body
-        ]
-        a, w = held[0].base if held else [], state.twist[2]
-        if not held:
-            body = state.twist
-        elif len(held) == 1 or self.body.choice.is_fixed:
-            speed = a[1] * state.twist[0] - a[0] * state.twist[1]
-            body = [speed, w] if len(held) == 1 else [speed]
-        else:
-            about = cross(a, held[1].base)
-            body = [dot(about, state.twist) / dot(about, about)]
-        return [*body, *state.arm_rates, *(state.rates[k] for k in self.body.choice.free)]
-
-    def unmoved(self, state: State, S: Matrix, gamma: Vector) -> Vector:
-        """Return the accelerations, along the body's axes, where the independent velocities do not change."""
-        offset = self.offset(state, gamma)
-        return [g - dot(row, offset) for row, g in zip(S, gamma, strict=True)]
-
-    def offset(self, state: State, gamma: Vector) -> Vector:
-        """Return the rates of the independent velocities where the accelerations are gamma."""
-        vx, vy, w = state.twist
-        moved = [gamma[0] + w * vy, gamma[1] - w * vx, gamma[2]]  # the rate of the body twist
-        rows = self.body.kinematics.rows(state.steering, state.twist, state.rates)
-        held = [(rows[i].base, self._turned(rows[i], state)) for i in self.body.choice.body]
-        if not held:
-            body = moved
-        elif len(held) == 1 or self.body.choice.is_fixed:
-            a, a_dot = held[0]
-            first = a[1] * moved[0] - a[0] * moved[1] + a_dot[1] * vx - a_dot[0] * vy
-            body = [first, moved[2]] if len(held) == 1 else [first]
-        else:
-            (a, a_dot), (b, b_dot) = held
-            about = cross(a, b)
-            about_dot = [x + y for x, y in zip(cross(a_dot, b), cross(a, b_dot), strict=True)]
-            square = dot(about, about)
-            change = dot(about_dot, state.twist) + dot(about, moved)
-            twice = 2.0 * dot(about, state.twist) * dot(about, about_dot) / square
-            body = [(change - twice) / square]
-        return [*body, *[ZERO] * (self.body.na + len(self.body.choice.free))]
-
-    def _turned(self, row: Row, state: State) -> Vector:
-        """Return the rate of a lateral row's coefficients by the steering of its wheel about its centre."""
-        k = next((k for wheel, k in self.body._steered if wheel == row.wheel), None)
-        if k is None:
-            return [ZERO] * 3
-        turn = self.body.kinematics.heading(row.wheel, state.steering).first * state.rates[k]
-        x, y = self.body.kinematics.x[row.wheel], self.body.kinematics.y[row.wheel]
-        a, b, _ = row.base
-        return [-(turn * b), turn * a, turn * (x * a + y * b)]
-
-    def accelerations(self, state: State, rates: Vector) -> Vector:
-        """Return the accelerations, along the body's axes, where the independent velocities change so."""
-        S, gamma = self.solution(state)
-        return [dot(row, rates) + g for row, g in zip(S, self.unmoved(state, S, gamma), strict=True)]
-
-    def reduced(self, q: Any, v: Any) -> Reduced:
-        """Return the dynamics of the independent velocities: M nu' + n = B u, see `Reduced`."""
-        state = self.body.state(q, v)
-        M, (S, gamma) = self.body.inertia(state, q), self.solution(state)
-        effects = self.body.effects(state, q)
-        columns = transposed(S)
-        pushed = [applied(M, column) for column in columns]
-        still = self.body.felt(state, self.unmoved(state, S, gamma))
-        rest = [n + dot(row, still) for n, row in zip(effects, M, strict=True)]
-        B = self.inputs(state, columns)
-        public = [self.body.in_plane(state, column, q) for column in columns]
-        return Reduced(
-            matrix([[dot(a, b) for b in pushed] for a in columns], q),
-            stacked([dot(column, rest) for column in columns], q),
-            matrix(B, q) if self.body.nu else np.zeros((*np.shape(q)[:-1], len(columns), 0)),
-            np.stack(np.broadcast_arrays(*public), axis=-1),
-            stacked(self.velocities(state), q),
-        )
-
-    def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
-        """Return the input of least norm with which body and arms accelerate so, shape (..., nu).
-
-        Of drives whose body is free to move in any direction; `a` has the first 3 + arms coordinates.
-        """
-        state = self.body.state(q, v)
-        S, gamma = self.solution(state)
-        return stacked(self._driven(state, q, S, state.along(scalars(a)), gamma), q)
-
-    def torques(self, q: Any, v: Any, rates: Any) -> Any:
-        """Return the input of least norm with which the independent velocities change so, shape (..., nu)."""
-        state = self.body.state(q, v)
-        S, gamma = self.solution(state)
-        return stacked(self._driven(state, q, S, scalars(rates), self.unmoved(state, S, gamma)), q)
-
-    def _driven(self, state: State, q: Any, S: Matrix, rates: Vector, rest: Vector) -> Vector:
-        """Return the input of least norm with which all accelerate as S rates + rest."""
-        M = self.body.inertia(state, q)
-        whole = self.body.felt(state, [dot(row, rates) + g for row, g in zip(S, rest, strict=True)])
-        force = [dot(row, whole) + n for row, n in zip(M, self.body.effects(state, q), strict=True)]
-        return self._least(state, S, force)
-
-    def inputs(self, state: State, columns: Matrix) -> Matrix:
-        """Return S' B: what each input is to each independent velocity, of the columns of S."""
-        units = [self.body.generalised(state, one, 0.0) for one in np.eye(self.body.nu)]
-        return [[dot(column, unit) for unit in units] for column in columns]
-
-    def _least(self, state: State, S: Matrix, force: Vector) -> Vector:
-        """Return the input of least norm that does what a generalised force along the body's axes does."""
-        columns = transposed(S)
-        right = [dot(column, force) for column in columns]
-        B = self.inputs(state, columns)
-        square = [[dot(x, y) for y in B] for x in B]
-        found = solved(square, right, list(range(len(right))))
-        return [dot(column, found) for column in zip(*B, strict=True)]
-
-    def allocated(self, q: Any, tau: Any) -> tuple[Any, Any]:
-        """Return an input for a force on body and arms, and what of it is left, see `WheeledRobot`."""
-        state = self.body.state(q, stacked([ZERO] * self.body.nv, q))
-        S, _ = self.solution(state)
-        along = state.along(scalars(tau))
-        u = stacked(self._least(state, S, [*along, *[ZERO] * self.body.joints]), q)
-        upper, lower = (
-            np.array([getattr(each, side) for each in self.body.inputs]) for side in ("upper", "lower")
-        )
-        if np.isfinite([upper, lower]).any():
-            high, low = u > upper, u < lower
-            beyond = np.where(high, upper, np.where(low, lower, 1.0)) / np.where(high | low, u, 1.0)
-            u = u * np.min(beyond, axis=-1)[..., None]
-        rest = [a - b for a, b in zip(along, self.supplied(state, u), strict=True)]
-        return u, stacked(state.outward(rest), q)
-
-    def supplied(self, state: State, u: Any) -> Vector:
-        """Return the force on body and arms of what an input turns, along the body's axes."""
-        ns, first = len(self.body.table.axes), _BASE + self.body.na
-        effort = self.body.generalised(state, u, 0.0)
-        found: Vector = [ZERO] * _BASE + effort[_BASE:first]
-        for row in self.body.kinematics.rows(state.steering, [ZERO] * 3, [ZERO] * self.body.joints):
-            if row.kind in ("rolling", "roller"):
-                at = ns + row.wheel
-                force = -(effort[first + at] / row.joints[at])
-                found[:_BASE] = [x + force * b for x, b in zip(found[:_BASE], row.base, strict=True)]
-        return found
 
 
 def matrix(rows: Matrix, q: Any) -> Any:
@@ -395,7 +176,7 @@ def followed(body: Any, reference: Any, t: Array | None = None) -> Followed:
             spline = CubicSpline(t, q[:, n : n + ns])
             turning, faster = spline(t, 1), spline(t, 2)
     v[..., n : n + ns] = turning
-    nu = stacked(body.freedom.velocities(body.state(q, v)), q)
+    nu = stacked(body.velocities(body.state(q, v)), q)
     rolls = _rolling(body, q, nu)
     off = np.abs(rolls - v)[..., :n].max(axis=-1)
     if (off > _OFF * (1 + np.abs(v).max())).any():
@@ -407,7 +188,7 @@ def followed(body: Any, reference: Any, t: Array | None = None) -> Followed:
         )
     state = body.state(q, rolls)
     own = nu.shape[-1] - body.na - len(body.choice.free)
-    rates = body.freedom.offset(state, state.along(scalars(a)))[:own]
+    rates = body.offset(state, state.along(scalars(a)))[:own]
     rates = [*rates, *scalars(a)[_BASE:n], *(faster[..., k] for k in body.choice.free)]
     changes = stacked(rates, q)
     return Followed(q, rolls, nu, changes, driving_inputs(body, q, rolls, changes))
@@ -433,7 +214,7 @@ def _rolling(body: Any, q: Any, nu: Any) -> Any:
     """Return v of independent velocities, shape (..., nv)."""
     still = np.zeros((*q.shape[:-1], body.nv))
     state = body.state(q, still)
-    S, _ = body.freedom.solution(state)
+    S, _ = body.solution(state)
     columns = np.moveaxis(nu, -1, 0)
     moved = [sum((number(x) * y for x, y in zip(row, columns, strict=True)), 0.0 * columns[0]) for row in S]
     return body.in_plane(state, moved, q)
@@ -454,7 +235,7 @@ def linearized(body: Any, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
     q, v, u = (np.asarray(x, np.float64) for x in (q, v, u))
     lead = np.broadcast_shapes(q.shape[:-1], v.shape[:-1], u.shape[:-1])
     q, v, u = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v, u))
-    nu = stacked(body.freedom.velocities(body.state(q, v)), q)
+    nu = stacked(body.velocities(body.state(q, v)), q)
     m = nu.shape[-1]
 
     def rates(step: Array, q: Array, nu: Array, u: Array) -> Any:

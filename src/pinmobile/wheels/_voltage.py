@@ -30,6 +30,7 @@ from pinmobile.robot import (
     vector_of as stacked,
 )
 from pinmobile.wheels._contact import factored
+from pinmobile.wheels._dynamics import WheeledDynamics
 from pinmobile.wheels._loads import item
 from pinmobile.wheels._motors import (
     CONSTANTS,
@@ -42,7 +43,7 @@ from pinmobile.wheels._motors import (
     theta,
     within,
 )
-from pinmobile.wheels._rolling import WheeledDynamics, stop_of, stopped, through
+from pinmobile.wheels._rolling import stop_of, stopped, through
 from pinmobile.wheels._velocities import Followed
 from pinmobile.wheels._wheel import column as column_of
 
@@ -217,11 +218,11 @@ class VoltageDynamics:
         body, h = self.wheeled, item(h)
         q_middle = body.integrate(q, (0.5 * h) * v)
         start, middle = body.state(q, v), body.state(q_middle, v)
-        nu = [number(x) for x in body.freedom.velocities(start)]
-        M, (S, _) = body.inertia(middle, q), body.freedom.solution(middle)
+        nu = [number(x) for x in body.velocities(start)]
+        M, (S, _) = body.inertia(middle, q), body.solution(middle)
         columns, pushed = transposed(S), through(M, S)
         reduced = [[dot(a, b) for b in pushed] for a in columns]
-        B = transposed(body.freedom.inputs(middle, columns))[body.na :]
+        B = transposed(body.input_columns(middle, columns))[body.na :]
         solve, _ = factored(reduced)
         freedom = [number(dot(b, solve(b))) for b in B]
         begun = [number(dot(b, nu)) for b in B]
@@ -240,7 +241,7 @@ class VoltageDynamics:
             if again and np.ndim(beside):
                 there = body.in_plane(at, at.velocities, q)
                 beside = f(body.integrate(q, (0.5 * h) * there), there)
-            still = body.felt(at, body.freedom.unmoved(at, *body.freedom.solution(at)))
+            still = body.felt(at, body.unmoved(at, *body.solution(at)))
             torques = [push.torque - push.slope * x for push, x in zip(pushes, begun, strict=True)]
             whole = body.generalised(at, stacked([*scalars(u)[:na], *torques], q), beside)
             rest = [t - n - dot(row, still) for t, n, row in zip(whole, body.effects(at, q), M, strict=True)]
@@ -265,7 +266,7 @@ class VoltageDynamics:
         moved = body.in_plane(at._replace(c=c, s=s), [h * x for x in at.velocities], q)
         q_after = body.integrate(q, moved)
         end = body.state(q_after, v)
-        v_after = body.in_plane(end, [dot(row, after) for row in body.freedom.solution(end).S], q)
+        v_after = body.in_plane(end, [dot(row, after) for row in body.solution(end).S], q)
         given = [push.torque - push.slope * x for push, x in zip(pushes, rates, strict=True)]
         for k, i in enumerate(self.electric):
             given[i] = given[i] + impulses[k] / h
@@ -511,7 +512,8 @@ class ByVoltage:
     def step(self, t: float, q: Any, v: Any, u: Any, h: float, f: Beside | ArrayLike, memory: Any) -> Step:
         """Return the state a step later, under forces ``f(t, q, v)`` of mid-step, or such as stay."""
         beside = f if callable(f) else constant_force(finite("f", f))
-        return self.array_dynamics.step(t, *self._state(q, v, u), h, beside, memory)
+        q, v, u = self._state(q, v, u)
+        return self.array_dynamics.step(t, q, v, u, h, beside, memory)
 
     @also_symbols
     def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Driving) -> dict[str, tuple[str, Any]]:

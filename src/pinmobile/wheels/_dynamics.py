@@ -1,0 +1,585 @@
+"""`WheeledDynamics`: body, arms and wheels, and independent velocities, for one state, many, or symbols.
+
+It is what a `WheeledRobot` is to all engines, with what its ground adds. It knows wheels as terms of the
+energy in the plane, and rolling as independent velocities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from pinmobile.arrays import Array
+from pinmobile.measures import Measure
+from pinmobile.plant import Coordinate, Input
+from pinmobile.robot import (
+    ZERO,
+    Matrix,
+    Vector,
+    applied,
+    cross,
+    dot,
+    exact,
+    number,
+    scalars,
+    sine_and_cosine,
+    solved,
+    transposed,
+    vector_of as stacked,
+)
+from pinmobile.wheels._kinematics import Choice, Kinematics, Row, Solution, solved as rolled
+from pinmobile.wheels._loads import measured, measures_of
+from pinmobile.wheels._table import WheelTable
+from pinmobile.wheels._velocities import Followed, Reduced, followed, linearized, matrix
+from pinmobile.wheels._wheel import Axis
+
+_BASE = 3
+
+
+class State(NamedTuple):
+    """A state, seen from the body.
+
+    Attributes
+    ----------
+    c, s : scalar
+        Of the heading.
+    arms, steering : list of scalars
+        Configuration of the arms, and steering angles.
+    twist, arm_rates, rates : list of scalars
+        Body twist; rates of the arms; of steering coordinates and wheels.
+    """
+
+    c: Any
+    s: Any
+    arms: Vector
+    steering: Vector
+    twist: Vector
+    arm_rates: Vector
+    rates: Vector
+
+    def along(self, x: Vector) -> Vector:
+        """Return numbers along the inertial axes along those of the body."""
+        return [self.c * x[0] + self.s * x[1], self.c * x[1] - self.s * x[0], *x[2:]]
+
+    def outward(self, x: Vector) -> Vector:
+        """Return numbers along the body's axes along the inertial ones."""
+        return [self.c * x[0] - self.s * x[1], self.s * x[0] + self.c * x[1], *x[2:]]
+
+    @property
+    def velocities(self) -> Vector:
+        """All velocities, along the body's axes."""
+        return [*self.twist, *self.arm_rates, *self.rates]
+
+    def moving(self, v: Vector) -> State:
+        """Return the state with other velocities."""
+        end = _BASE + len(self.arms)
+        return self._replace(twist=v[:_BASE], arm_rates=v[_BASE:end], rates=v[end:])
+
+
+@dataclass(frozen=True, eq=False)
+class WheeledDynamics:
+    """A body, its arms and its wheels, free to slip: mass matrix and nonlinear effects along the body's axes.
+
+    Parameters
+    ----------
+    robot : PlanarBody or ArticulatedBody
+        The whole, wheels locked at their table angles.
+    table : WheelTable
+        The structure of the drive.
+    x, y, radius : ndarray, shape (wheels,)
+        Of each wheel [m].
+    spin_inertia : ndarray, shape (wheels,)
+        About the axles [kg m^2].
+    rotors : ndarray, shape (actuators,)
+        What motors add to the inertia [kg m^2].
+    fall : ndarray, shape (3,)
+        Gravity along the axes of the plane [m/s^2].
+    mu : ndarray, shape (wheels,)
+        Coefficients of friction, of rollers along their axes.
+    upright : ndarray, shape (3,)
+        Of a robot without arms, what the ground alone feels: height of the centre of mass of the whole [m],
+        and inertia xz and yz about it [kg m^2].
+    footprint : ndarray, shape (k, 2), or None
+        Corners of what it stands on [m].
+    stands : bool
+        Whether it is known where it stands: how high it is, on three places that are not on a line.
+    choice : Choice
+        Which rows of the wheels determine what, where they roll.
+    coordinates, inputs
+        As of a plant.
+    """
+
+    robot: Any
+    table: WheelTable
+    x: Any
+    y: Any
+    radius: Any
+    spin_inertia: Any
+    rotors: Any
+    fall: Any
+    mu: Any
+    upright: Any
+    footprint: Array | None
+    stands: bool
+    choice: Choice
+    coordinates: tuple[Coordinate, ...]
+    inputs: tuple[Input, ...]
+
+    broadcasts: ClassVar[bool] = True
+    slips: ClassVar[bool] = True
+
+    @property
+    def na(self) -> int:
+        """Number of the arms' coordinates."""
+        return int(self.robot.nv) - _BASE
+
+    @property
+    def joints(self) -> int:
+        """Number of steering coordinates and wheels."""
+        return len(self.table.axes) + len(self.table)
+
+    @property
+    def size(self) -> int:
+        """Number of velocities."""
+        return _BASE + self.na + self.joints
+
+    @property
+    def nq(self) -> int:
+        """Size of q."""
+        return self.size
+
+    @property
+    def nv(self) -> int:
+        """Size of v and a."""
+        return self.size
+
+    @property
+    def nu(self) -> int:
+        """Size of the input."""
+        return self.na + len(self.table.actuators)
+
+    @property
+    def leading(self) -> dict[int, int]:
+        """How many numbers of q the first n coordinates have, for each n that a reference may have."""
+        return {n: n for n in range(_BASE, _BASE + self.na + 1)}
+
+    @cached_property
+    def kinematics(self) -> Kinematics:
+        """Its rows."""
+        return Kinematics(self.table, scalars(self.x), scalars(self.y), scalars(self.radius))
+
+    @cached_property
+    def stops(self) -> list[tuple[int, float]]:
+        """Steering axes with a limit, each with its angle [rad]."""
+        return [(k, axis.limit) for k, axis in enumerate(self.table.axes) if np.isfinite(axis.limit)]
+
+    @cached_property
+    def measures(self) -> tuple[Measure, ...]:
+        """What is worth judging about it: see `WheeledRobot.measures`."""
+        return measures_of(self)
+
+    def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+        """Return its measures, shape (..., m)."""
+        del t
+        return measured(self, q, v, a, u, reference.q)
+
+    @property
+    def weight(self) -> Any:
+        """Weight of all that it is made of, across the plane [N]."""
+        own = self.robot.weight if self.na else self.robot.mass * float(np.linalg.norm(self.fall))
+        return own * (1.0 - self._slack)
+
+    def state(self, q: Any, v: Any) -> State:
+        """Return a public state, seen from the body."""
+        angles, rates = scalars(q), scalars(v)
+        s, c = sine_and_cosine(angles[2])
+        arms = _BASE + self.na
+        steering = angles[arms : arms + len(self.table.axes)]
+        found = State(c, s, angles[_BASE:arms], steering, rates[:_BASE], rates[_BASE:arms], rates[arms:])
+        return found._replace(twist=found.along(found.twist))
+
+    def inertia(self, state: State, q: Any) -> Matrix:
+        """Return M, (size, size), of body axes."""
+        M: Matrix = [[ZERO] * self.size for _ in range(self.size)]
+        carried = self.robot.mass_matrix(stacked([ZERO, ZERO, ZERO, *state.arms], q))
+        for i in range(_BASE + self.na):
+            M[i][: _BASE + self.na] = scalars(carried[..., i, :])
+        first = _BASE + self.na
+        spins = scalars(self.spin_inertia)
+        for row, spin in enumerate(spins):
+            k = first + len(self.table.axes) + row
+            M[k][k] = M[k][k] + spin
+        for actuator, rotor in zip(self.table.actuators, scalars(self.rotors), strict=True):
+            for i, a in enumerate(actuator.column):
+                for j, b in enumerate(actuator.column):
+                    M[first + i][first + j] = M[first + i][first + j] + exact(a * b) * rotor
+        for row, k in self._steered:
+            self._add_steered(M, row, k, state)
+        return M
+
+    @cached_property
+    def _steered(self) -> list[tuple[int, int]]:
+        """Wheels that steer, each with its axis."""
+        return [(row, k) for k, axis in enumerate(self.table.axes) for row in axis.wheels]
+
+    def _add_steered(self, M: Matrix, row: int, k: int, state: State) -> None:
+        """Add what a wheel's steering changes: I_z (2 w + d') d' / 2, and where its mass is."""
+        wheel, head = self.table.wheels[row], self.kinematics.heading(row, state.steering)
+        at, turn = _BASE + self.na + k, exact(wheel.yaw_inertia) * head.first
+        M[at][at] = M[at][at] + turn * head.first
+        M[2][at], M[at][2] = M[2][at] + turn, M[at][2] + turn
+        if not (wheel.mass and any(wheel.trail)):
+            return
+        m, places = exact(wheel.mass), self._centres(row, state)
+        for sign, (o, p) in zip((1.0, -1.0), places, strict=True):
+            J = {0: [exact(1.0), ZERO], 1: [ZERO, exact(1.0)], 2: [-p[1], p[0]]}
+            if sign > 0:
+                J[at] = [-(o[1] * head.first), o[0] * head.first]
+            for i, a in J.items():
+                for j, b in J.items():
+                    M[i][j] = M[i][j] + exact(sign) * m * dot(a, b)
+
+    def _centres(self, row: int, state: State) -> tuple[tuple[Vector, Vector], tuple[Vector, Vector]]:
+        """Return a wheel's centre from its pivot and from the origin: as it is, and at angle zero."""
+        still: Vector = [ZERO] * len(state.steering)
+        return self.kinematics.centre(row, state.steering), self.kinematics.centre(row, still)
+
+    def effects(self, state: State, q: Any) -> Vector:
+        """Return n, (size,), along the body's axes."""
+        n: Vector = [ZERO] * self.size
+        at_zero = stacked([ZERO, ZERO, ZERO, *state.arms], q)
+        carried = self.robot.nonlinear_effects(at_zero, stacked([*state.twist, *state.arm_rates], q))
+        n[: _BASE + self.na] = scalars(carried)
+        if self.na and self._slack:
+            weights = scalars(self.robot.gravity(at_zero))
+            n[_BASE : _BASE + self.na] = [x - self._slack * y for x, y in zip(n, weights, strict=False)][
+                _BASE : _BASE + self.na
+            ]
+        for row, k in self._steered:
+            wheel, head = self.table.wheels[row], self.kinematics.heading(row, state.steering)
+            at, w = _BASE + self.na + k, state.twist[2]
+            bent = head.second * state.rates[k] * state.rates[k]
+            moment = exact(wheel.yaw_inertia) * bent
+            n[2], n[at] = n[2] + moment, n[at] + moment * head.first
+            if not (wheel.mass and any(wheel.trail)):
+                continue
+            m, ((o, p), (_, p0)) = exact(wheel.mass), self._centres(row, state)
+            both = w + head.first * state.rates[k]
+            pull = [-(w * w * (p[i] - o[i])) - both * both * o[i] for i in range(2)]
+            pull = [pull[0] - bent * o[1], pull[1] + bent * o[0]]
+            locked = [-(w * w * x) for x in p0]
+            change = [a - b for a, b in zip(pull, locked, strict=True)]
+            n[0], n[1] = n[0] + m * change[0], n[1] + m * change[1]
+            n[2] = n[2] + m * (p[0] * pull[1] - p[1] * pull[0]) - m * (p0[0] * locked[1] - p0[1] * locked[0])
+            n[at] = n[at] + m * head.first * (o[0] * pull[1] - o[1] * pull[0])
+        return n
+
+    @cached_property
+    def _slack(self) -> float:
+        """Share of gravity across the plane that a ramp takes away."""
+        size = float(np.linalg.norm(self.fall))
+        return 1.0 + float(self.fall[2]) / size if size and (self.fall[0] or self.fall[1]) else 0.0
+
+    def pull(self, state: State) -> Vector:
+        """Return gravity in the plane along the body's axes, which every mass feels alike [m/s^2]."""
+        return state.along([exact(float(each)) for each in self.fall[:2]])
+
+    def felt(self, state: State, a: Vector) -> Vector:
+        """Return accelerations less gravity in the plane, which is as if the plane accelerated against it."""
+        x, y = self.pull(state)
+        return [a[0] - x, a[1] - y, *a[2:]]
+
+    def generalised(self, state: State, u: Any, f: Any) -> Vector:
+        """Return the generalised force of an input and of forces beside it, along the body's axes."""
+        inputs, na = scalars(u), self.na
+        found: Vector = [ZERO] * _BASE + inputs[:na] + [ZERO] * self.joints
+        for actuator, torque in zip(self.table.actuators, inputs[na:], strict=True):
+            for i, share in enumerate(actuator.column):
+                found[_BASE + na + i] = found[_BASE + na + i] + exact(share) * torque
+        if np.ndim(f) == 0 and not isinstance(f, np.ndarray) and number(exact(f)) == 0:
+            return found
+        return [x + y for x, y in zip(found, state.along(scalars(f)), strict=True)]
+
+    def actuator_rates(self, rates: Vector) -> Vector:
+        """Return the rate of each actuator, of those of steering coordinates and wheels."""
+        return [number(dot([exact(x) for x in actuator.column], rates)) for actuator in self.table.actuators]
+
+    def in_plane(self, state: State, a: Vector, q: Any) -> Any:
+        """Return numbers along the body's axes as a public array, shape (..., size)."""
+        return stacked(state.outward(a), q)
+
+    def mass_matrix(self, q: Any) -> Any:
+        """Return M(q), shape (..., nv, nv), rotors included."""
+        state = self.state(q, stacked([ZERO] * self.size, q))
+        half = transposed([state.outward(row) for row in self.inertia(state, q)])
+        return matrix(transposed([state.outward(row) for row in half]), q)
+
+    def nonlinear_effects(self, q: Any, v: Any) -> Any:
+        """Return n(q, v), shape (..., nv)."""
+        return self.left(q, v, stacked([ZERO] * self.size, q))
+
+    def left(self, q: Any, v: Any, a: Any) -> Any:
+        """Return M a + n, shape (..., nv)."""
+        state = self.state(q, v)
+        return self.in_plane(state, self.needed(state, self.felt(state, state.along(scalars(a))), q), q)
+
+    def needed(self, state: State, felt: Vector, q: Any) -> Vector:
+        """Return the generalised force that lets it move so, along the body's axes."""
+        pairs = zip(self.inertia(state, q), self.effects(state, q), strict=True)
+        return [dot(row, felt) + n for row, n in pairs]
+
+    def constraints(self, q: Any, v: Any) -> tuple[Any, Any]:
+        """Return A(q), shape (..., k, nv), and dA/dt v: A v = 0 where wheels roll."""
+        state = self.state(q, v)
+        rows = self.kinematics.rows(state.steering, state.twist, state.rates)
+        A = [state.outward([*row.base, *[ZERO] * self.na, *row.joints]) for row in rows]
+        return matrix(A, q), stacked([row.drift for row in rows], q)
+
+    def integrate(self, q: Any, dq: Any) -> Any:
+        """Return the configuration that a displacement leads to."""
+        return q + dq
+
+    def difference(self, q0: Any, q1: Any) -> Any:
+        """Return the displacement from q0 to q1 as `robot` has it, shape (..., nv)."""
+        n = _BASE + self.na
+        own = self.robot.difference(q0[..., :n], q1[..., :n])
+        return np.concatenate([own, q1[..., n:] - q0[..., n:]], axis=-1)
+
+    def pose(self, q: Any) -> Any:
+        """Return x, y, psi of the body."""
+        return q[..., :_BASE]
+
+    def rate(self, q: Any, v: Any) -> Any:
+        """Return the rates of x, y, psi."""
+        return v[..., :_BASE]
+
+    def effort(self, q: Any, wrench: Any) -> Any:
+        """Return the generalised force of a wrench on the body, shape (..., nv)."""
+        return stacked([*scalars(wrench), *[ZERO] * (self.nv - _BASE)], q)
+
+    def wheel_rates(self, twist: Any, steering: Any = (), turning: Any = ()) -> Any:
+        """Return the rates of the wheels that roll at a body twist, see `WheeledRobot.wheel_rates`."""
+        angles, turns = (scalars(x) if len(x) else [ZERO] * len(self.table.axes) for x in (steering, turning))
+        return stacked(self.kinematics.wheel_rates(angles, scalars(twist), turns), twist)
+
+    def odometry(self, rates: Any, steering: Any = (), turning: Any = ()) -> Any:
+        """Return the body twist that fits rates of the wheels best, see `WheeledRobot.odometry`."""
+        angles, turns = (scalars(x) if len(x) else [ZERO] * len(self.table.axes) for x in (steering, turning))
+        return stacked(self.kinematics.odometry(angles, [*turns, *scalars(rates)]), rates)
+
+    def independent(self, q: Any, v: Any) -> Any:
+        """Return the independent velocities nu of a state that rolls, shape (..., m)."""
+        return stacked(self.velocities(self.state(q, v)), q)
+
+    def linearize_tracked(self, q: Any, v: Any, u: Any) -> tuple[Array, Array]:
+        """Return A and B of the tracked state, see `WheeledRobot.linearize_tracked`."""
+        return linearized(self, q, v, u)
+
+    def followed(self, reference: Any) -> Followed:
+        """Return states, and inputs of least norm, with which it goes along a reference: see `Followed`."""
+        return followed(self, reference)
+
+    # Where wheels roll: independent velocities nu, v = S nu, see `Reduced`
+
+    def solution(self, state: State) -> Solution:
+        """Return what rolls, arms between body and joints."""
+        rows = self.kinematics.rows(state.steering, state.twist, state.rates)
+        choice = self.choice
+        S, gamma = rolled(rows, choice)
+        width, na = len(S[0]), self.na
+        own = _BASE if not choice.body else _BASE - len(choice.body)
+        wide = [[*row[:own], *[ZERO] * na, *row[own:]] for row in S]
+        arms: Matrix = [[ZERO] * (width + na) for _ in range(na)]
+        for i in range(na):
+            arms[i][own + i] = exact(1.0)
+        return Solution([*wide[:_BASE], *arms, *wide[_BASE:]], [*gamma[:_BASE], *[ZERO] * na, *gamma[_BASE:]])
+
+    def velocities(self, state: State) -> Vector:
+        """Return the independent velocities nu of a state that rolls, in the order of the columns of S."""
+        held = [self.kinematics.rows(state.steering, state.twist, state.rates)[i] for i in self.choice.body]
+        a, w = held[0].base if held else [], state.twist[2]
+        if not held:
+            body = state.twist
+        elif len(held) == 1 or self.choice.is_fixed:
+            speed = a[1] * state.twist[0] - a[0] * state.twist[1]
+            body = [speed, w] if len(held) == 1 else [speed]
+        else:
+            about = cross(a, held[1].base)
+            body = [dot(about, state.twist) / dot(about, about)]
+        return [*body, *state.arm_rates, *(state.rates[k] for k in self.choice.free)]
+
+    def unmoved(self, state: State, S: Matrix, gamma: Vector) -> Vector:
+        """Return the accelerations, along the body's axes, where the independent velocities do not change."""
+        offset = self.offset(state, gamma)
+        return [g - dot(row, offset) for row, g in zip(S, gamma, strict=True)]
+
+    def offset(self, state: State, gamma: Vector) -> Vector:
+        """Return the rates of the independent velocities where the accelerations are gamma."""
+        vx, vy, w = state.twist
+        moved = [gamma[0] + w * vy, gamma[1] - w * vx, gamma[2]]  # the rate of the body twist
+        rows = self.kinematics.rows(state.steering, state.twist, state.rates)
+        held = [(rows[i].base, self._turned(rows[i], state)) for i in self.choice.body]
+        if not held:
+            body = moved
+        elif len(held) == 1 or self.choice.is_fixed:
+            a, a_dot = held[0]
+            first = a[1] * moved[0] - a[0] * moved[1] + a_dot[1] * vx - a_dot[0] * vy
+            body = [first, moved[2]] if len(held) == 1 else [first]
+        else:
+            (a, a_dot), (b, b_dot) = held
+            about = cross(a, b)
+            about_dot = [x + y for x, y in zip(cross(a_dot, b), cross(a, b_dot), strict=True)]
+            square = dot(about, about)
+            change = dot(about_dot, state.twist) + dot(about, moved)
+            twice = 2.0 * dot(about, state.twist) * dot(about, about_dot) / square
+            body = [(change - twice) / square]
+        return [*body, *[ZERO] * (self.na + len(self.choice.free))]
+
+    def _turned(self, row: Row, state: State) -> Vector:
+        """Return the rate of a lateral row's coefficients by the steering of its wheel about its centre."""
+        k = next((k for wheel, k in self._steered if wheel == row.wheel), None)
+        if k is None:
+            return [ZERO] * 3
+        turn = self.kinematics.heading(row.wheel, state.steering).first * state.rates[k]
+        x, y = self.kinematics.x[row.wheel], self.kinematics.y[row.wheel]
+        a, b, _ = row.base
+        return [-(turn * b), turn * a, turn * (x * a + y * b)]
+
+    def accelerations(self, state: State, rates: Vector) -> Vector:
+        """Return the accelerations, along the body's axes, where the independent velocities change so."""
+        S, gamma = self.solution(state)
+        return [dot(row, rates) + g for row, g in zip(S, self.unmoved(state, S, gamma), strict=True)]
+
+    def reduced(self, q: Any, v: Any) -> Reduced:
+        """Return the dynamics of the independent velocities: M nu' + n = B u, see `Reduced`."""
+        state = self.state(q, v)
+        M, (S, gamma) = self.inertia(state, q), self.solution(state)
+        effects = self.effects(state, q)
+        columns = transposed(S)
+        pushed = [applied(M, column) for column in columns]
+        still = self.felt(state, self.unmoved(state, S, gamma))
+        rest = [n + dot(row, still) for n, row in zip(effects, M, strict=True)]
+        B = self.input_columns(state, columns)
+        public = [self.in_plane(state, column, q) for column in columns]
+        return Reduced(
+            matrix([[dot(a, b) for b in pushed] for a in columns], q),
+            stacked([dot(column, rest) for column in columns], q),
+            matrix(B, q) if self.nu else np.zeros((*np.shape(q)[:-1], len(columns), 0)),
+            np.stack(np.broadcast_arrays(*public), axis=-1),
+            stacked(self.velocities(state), q),
+        )
+
+    def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
+        """Return the input of least norm with which body and arms accelerate so, shape (..., nu).
+
+        Of drives whose body is free to move in any direction; `a` has the first 3 + arms coordinates.
+        """
+        state = self.state(q, v)
+        S, gamma = self.solution(state)
+        return stacked(self._driven(state, q, S, state.along(scalars(a)), gamma), q)
+
+    def torques(self, q: Any, v: Any, rates: Any) -> Any:
+        """Return the input of least norm with which the independent velocities change so, shape (..., nu)."""
+        state = self.state(q, v)
+        S, gamma = self.solution(state)
+        return stacked(self._driven(state, q, S, scalars(rates), self.unmoved(state, S, gamma)), q)
+
+    def _driven(self, state: State, q: Any, S: Matrix, rates: Vector, rest: Vector) -> Vector:
+        """Return the input of least norm with which all accelerate as S rates + rest."""
+        M = self.inertia(state, q)
+        whole = self.felt(state, [dot(row, rates) + g for row, g in zip(S, rest, strict=True)])
+        force = [dot(row, whole) + n for row, n in zip(M, self.effects(state, q), strict=True)]
+        return self._least(state, S, force)
+
+    def input_columns(self, state: State, columns: Matrix) -> Matrix:
+        """Return S' B: what each input is to each independent velocity, of the columns of S."""
+        units = [self.generalised(state, one, 0.0) for one in np.eye(self.nu)]
+        return [[dot(column, unit) for unit in units] for column in columns]
+
+    def _least(self, state: State, S: Matrix, force: Vector) -> Vector:
+        """Return the input of least norm that does what a generalised force along the body's axes does."""
+        columns = transposed(S)
+        right = [dot(column, force) for column in columns]
+        B = self.input_columns(state, columns)
+        square = [[dot(x, y) for y in B] for x in B]
+        found = solved(square, right, list(range(len(right))))
+        return [dot(column, found) for column in zip(*B, strict=True)]
+
+    def allocate_scaled(self, q: Any, tau: Any) -> tuple[Any, Any]:
+        """Return an input for a force on body and arms, and what of it is left, see `WheeledRobot`."""
+        state = self.state(q, stacked([ZERO] * self.nv, q))
+        S, _ = self.solution(state)
+        along = state.along(scalars(tau))
+        u = stacked(self._least(state, S, [*along, *[ZERO] * self.joints]), q)
+        upper, lower = (
+            np.array([getattr(each, side) for each in self.inputs]) for side in ("upper", "lower")
+        )
+        if np.isfinite([upper, lower]).any():
+            high, low = u > upper, u < lower
+            beyond = np.where(high, upper, np.where(low, lower, 1.0)) / np.where(high | low, u, 1.0)
+            u = u * np.min(beyond, axis=-1)[..., None]
+        rest = [a - b for a, b in zip(along, self.supplied(state, u), strict=True)]
+        return u, stacked(state.outward(rest), q)
+
+    def supplied(self, state: State, u: Any) -> Vector:
+        """Return the force on body and arms of what an input turns, along the body's axes."""
+        ns, first = len(self.table.axes), _BASE + self.na
+        effort = self.generalised(state, u, 0.0)
+        found: Vector = [ZERO] * _BASE + effort[_BASE:first]
+        for row in self.kinematics.rows(state.steering, [ZERO] * 3, [ZERO] * self.joints):
+            if row.kind in ("rolling", "roller"):
+                at = ns + row.wheel
+                force = -(effort[first + at] / row.joints[at])
+                found[:_BASE] = [x + force * b for x, b in zip(found[:_BASE], row.base, strict=True)]
+        return found
+
+    @property
+    def axle(self) -> Any:
+        """Coefficients of the body twist in the velocity across the fixed wheels, shape (..., 3)."""
+        rows = self.kinematics.rows([ZERO] * len(self.table.axes), [ZERO] * 3, [ZERO] * self.kinematics.n)
+        return stacked(rows[self.choice.body[0]].base, self.x)
+
+    @property
+    def pivots(self) -> Any:
+        """Where wheels are steered, and angles at zero, shape (..., axes, 3), see `WheeledRobot.pivots`."""
+        x, y = scalars(self.x), scalars(self.y)
+        rows = []
+        for axis in self.table.axes:
+            first, at = self.table.wheels[axis.wheels[0]], axis.wheels[0]
+            if axis.ackermann is None:
+                rows.append([x[at], y[at], exact(first.angle)])
+            else:
+                rows.append([x[at], ZERO, exact(first.angle)])
+        return matrix(rows, self.x)
+
+    def start(self, reference: Any) -> tuple[Array, Array]:
+        """Return the q and v with which a reference begins, see `WheeledRobot.start`."""
+        return self.begun(*self.robot.start(reference))
+
+    def begun(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return q and v of one state, wheels steered to where they go, and rolling."""
+        q, v = np.append(q, np.zeros(self.joints)), np.append(v, np.zeros(self.joints))
+        n, ns = _BASE + self.na, len(self.table.axes)
+        twist = [float(number(x)) for x in self.state(q, v).twist]
+        q[n : n + ns] = [self.steered_to(axis, twist) for axis in self.table.axes]
+        state = self.state(q, v)
+        rows = self.kinematics.rows(state.steering, state.twist, state.rates)
+        for joint, i in self.choice.joints:
+            own = [float(number(x)) for x in rows[i].joints]
+            known = float(number(dot(rows[i].base, state.twist))) + float(np.dot(own, v[n:]))
+            v[n + joint] = -(known - own[joint] * v[n + joint]) / own[joint]
+        return q, v
+
+    def steered_to(self, axis: Axis, twist: Sequence[float]) -> float:
+        """Return the steering angle at which a wheel goes where the body takes it; 0 at rest."""
+        wheel = self.table.wheels[axis.wheels[0]]
+        x, y = (wheel.x - axis.ackermann, 0.0) if axis.ackermann is not None else (wheel.x, wheel.y)
+        ahead, aside = twist[0] - twist[2] * y, twist[1] + twist[2] * x
+        angle = float(np.arctan2(aside, ahead)) - wheel.angle if ahead or aside else 0.0
+        if wheel.motor is not None or axis.ackermann is not None:  # it may as well run backwards
+            angle = (angle + np.pi / 2) % np.pi - np.pi / 2
+        return angle
