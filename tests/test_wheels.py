@@ -332,7 +332,7 @@ def test_pickled_it_is_the_same_robot(kind: str) -> None:
         ),
         (
             lambda: WheelTable((Wheel("x", 0.0, 0.2, 0.1), Wheel("y", 0.0, -0.2, 0.1))),
-            "'x' names a wheel or its steering, and a coordinate of the body, expected another name",
+            "'x' names two coordinates of the robot, expected names that differ",
         ),
         (
             lambda: WheelTable.mecanum(0.4, 0.4, 0.1, roller=-np.pi / 4),

@@ -82,11 +82,7 @@ class WheelTree(System):
         ns, steered = len(table.axes), {row: k for k, axis in enumerate(table.axes) for row in axis.wheels}
         steering = list(np.moveaxis(q[..., nv : nv + ns], -1, 0))
         size = nv + len(steered) + len(table)
-        G, bent, whole = (
-            np.zeros((*lead, size, v.shape[-1])),
-            np.zeros((*lead, size)),
-            np.zeros((*lead, size)),
-        )
+        G, (whole, bent) = np.zeros((*lead, size, v.shape[-1])), np.zeros((2, *lead, size))
         G[..., np.arange(nv), np.arange(nv)], whole[..., :nv] = 1, q[..., :nv]
         at = nv
         for row, wheel in enumerate(table.wheels):

@@ -1,18 +1,17 @@
 """Wheels under a robot: the wheel table, rolling and slip, motors."""
 
-from pinmobile.wheels._contacts import Forces
 from pinmobile.wheels._coulomb import Coulomb
 from pinmobile.wheels._drive import WheeledRobot
 from pinmobile.wheels._dynamics import WheeledDynamics as WheeledDynamics
 from pinmobile.wheels._kinematics import Kinematics as Kinematics, Mobility
+from pinmobile.wheels._loads import Forces
 from pinmobile.wheels._motors import MOTORS, Motor, MotorLaw as MotorLaw
 from pinmobile.wheels._odometry import ByOdometry
 from pinmobile.wheels._reading import read_wheels
 from pinmobile.wheels._rolling import Ground as Ground, Ramp, Rolling
-from pinmobile.wheels._table import WheelTable
+from pinmobile.wheels._table import Ackermann, Differential, Friction, GearTrain, Support, Wheel, WheelTable
 from pinmobile.wheels._velocities import Allocation, Reduced
 from pinmobile.wheels._voltage import ByVoltage
-from pinmobile.wheels._wheel import Ackermann, Differential, Friction, GearTrain, Support, Wheel
 
 __all__ = [
     "MOTORS",

@@ -29,15 +29,15 @@ from pinmobile.robot import (
     number,
     scalars,
     sine_and_cosine,
+    transposed,
     vector_of as stacked,
 )
 from pinmobile.wheels._contact import Bounds, Impulses, Touch, factored, impulses
 from pinmobile.wheels._dynamics import State, WheeledDynamics
-from pinmobile.wheels._loads import Loads, item, places_of, pressed, shared_loads, wheel_loads
+from pinmobile.wheels._loads import item, places_of, pressed, shared_loads, wheel_loads
 from pinmobile.wheels._motors import Beside, Motors, Push, theta
 from pinmobile.wheels._rolling import Ramp, stop_of, stopped
-from pinmobile.wheels._table import WheelTable
-from pinmobile.wheels._wheel import GearTrain, column
+from pinmobile.wheels._table import WheelTable, column
 
 _BASE = 3
 _INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
@@ -265,11 +265,8 @@ class SlippingDynamics(WheeledDynamics):
             for i, a in enumerate(actuator.column, _BASE + self.na):
                 for j, b in enumerate(actuator.column, _BASE + self.na):
                     M[i][j] = M[i][j] + exact(a * b) * more
-        halved = [self._reduced(row) for row in M]
-        reduced = [
-            list(row)
-            for row in zip(*(self._reduced(list(c)) for c in zip(*halved, strict=True)), strict=True)
-        ]
+        halved = transposed([self._reduced(row) for row in M])
+        reduced = transposed([self._reduced(column) for column in halved])
         rows = self.kinematics.rows(state.steering, [ZERO] * _BASE, [ZERO] * self.joints, across=True)
         pairs: list[list[Vector]] = [[] for _ in self.table.wheels]
         for row in rows:
@@ -288,18 +285,12 @@ class SlippingDynamics(WheeledDynamics):
         def over(x: Vector) -> Vector:
             return [x[k] for k in touched]
 
-        touches = []
+        touches, discs = [], [wheel.roller is None for wheel in self.table.wheels]
         for k, (pair, give) in enumerate(zip(pairs, scalars(self.slip), strict=True)):
+            pushed, at = columns[2 * k : 2 * k + 2], spins[k]
+            spin = touched.index(at), over(units[at])
             touches.append(
-                Touch(
-                    rows=[over(row) for row in pair],
-                    columns=[over(column) for column in columns[2 * k : 2 * k + 2]],
-                    spin=touched.index(spins[k]),
-                    spun=over(units[spins[k]]),
-                    is_disc=self.table.wheels[k].roller is None,
-                    give=give / h,
-                    held=spins[k] in held,
-                )
+                Touch([*map(over, pair)], [*map(over, pushed)], *spin, discs[k], give / h, at in held)
             )
         holding = [at for at in dict.fromkeys(spins) if at in held]
         return _Shape(solve, touches, touched, rest, inertia, [*columns, *(units[at] for at in holding)])
@@ -307,22 +298,7 @@ class SlippingDynamics(WheeledDynamics):
     def _seen(self, state: State, rate: Vector) -> tuple[State, Vector]:
         """Return a state, and accelerations along the body's axes less gravity in the plane."""
         vx, vy, w = state.twist
-        pull = self.pull(state)
-        return state, [rate[0] - w * vy - pull[0], rate[1] + w * vx - pull[1], *rate[2:]]
-
-    def loads(self, state: State, rate: Vector, q: Any) -> Loads:
-        """Return what wheels and supports carry: see `wheel_loads`.
-
-        Parameters
-        ----------
-        state : State
-            Shape and velocities.
-        rate : list of scalars
-            Rates of the velocities along the body's axes.
-        q : ndarray
-            Any configuration, for its shape.
-        """
-        return wheel_loads(self, *self._seen(state, rate), q)
+        return state, self.felt(state, [rate[0] - w * vy, rate[1] + w * vx, *rate[2:]])
 
     def _bounds(
         self, shape: _Shape, loads: Vector, slips: Sequence[Vector], h: Any, pushes: Sequence[Push] = ()
@@ -386,7 +362,7 @@ class SlippingDynamics(WheeledDynamics):
         k, still = len(self.table), [ZERO] * self.size
         arms = list(getattr(self.robot, "rest", np.zeros(_BASE)))[_BASE:]
         q = np.concatenate([np.zeros(_BASE), arms, np.zeros(self.joints)])
-        found = self.loads(self.state(q, np.zeros(self.size)), still, q)
+        found = wheel_loads(self, *self._seen(self.state(q, np.zeros(self.size)), still), q)
         zeros = np.zeros(2 * k), np.zeros(len(self._held)), np.zeros(k), np.zeros(self.size)
         return Grip(*zeros, stacked(found.values, q), 0.0, 0.0)
 
@@ -474,14 +450,9 @@ class SlippingDynamics(WheeledDynamics):
             free = self._free(now, at, before, torques, h, force, q)
             began, slides = self._began(now, before, end, x.slides)
             bounds = self._bounds(now, loads.values, began, h, pushes)
+            start, known = Impulses([], *x[1:4]), [number(free[k]) for k in now.touched]
             grip = impulses(
-                now.touches,
-                bounds,
-                [number(free[k]) for k in now.touched],
-                now.inertia,
-                Impulses([], x.contact, x.spin, x.multipliers),
-                most=self.sweeps,
-                tolerance=self.tolerance,
+                now.touches, bounds, known, now.inertia, start, most=self.sweeps, tolerance=self.tolerance
             )
             after = self._after(now, free, grip)
             for k, limit in self.stops:
@@ -497,55 +468,26 @@ class SlippingDynamics(WheeledDynamics):
                 given = [push.torque - push.slope * y for push, y in zip(pushes, rates, strict=True)]
                 for k, y in self._rubbed(now, bounds, pushes, grip, h):
                     given[k] = given[k] + y
-            assumed, missing, way, inverse = x.corrected(led_to(after))
+            better = x.corrected(led_to(after))
             off, was = (
                 dot(each[:_BASE], each[:_BASE]) + each[_BASE] * each[_BASE] + dot(each[4:], each[4:]) / size
-                for each in (missing, x.missing)
+                for each in (better[1], x.missing)
             )
             stays = (x.passes[0] > 0.0) & (off <= (_LEVEL * little) ** 2) & (off >= was)
             done = (off <= little * little) | stays
-            found = _Pass(
-                after,
-                grip.contact,
-                grip.spin,
-                grip.multipliers,
-                assumed,
-                missing,
-                way,
-                inverse,
-                slides,
-                rates,
-                given,
-                loads.values,
-                [loads.tips],
-                [choose(done, grip.missed, 1.0)],
-                [x.passes[0] + 1.0],
-            )
+            last = [loads.tips], [choose(done, grip.missed, 1.0)], [x.passes[0] + 1.0]
+            found = _Pass(after, *grip[1:4], *better, slides, rates, given, loads.values, *last)
             return found, done
 
         guess = [x + h * y for x, y in zip(before, scalars(memory.acceleration), strict=True)]
         contact, holding, multipliers = (
             [number(x) for x in scalars(part)] for part in (memory.forces, memory.holding, memory.multipliers)
         )
-        held = [x * h for x in holding] if self._held else []
-        none = [0.0] * 6
-        start = _Pass(
-            guess,
-            [x * h for x in contact],
-            held,
-            multipliers,
-            led_to(guess),
-            none,
-            none,
-            [-1.0 if i == j else 0.0 for i in range(6) for j in range(6)],
-            [1.0] * len(self.table),
-            [] if motors is None else begun,
-            [] if motors is None else begun,
-            [0.0] * len(places),
-            [0.0],
-            [1.0],
-            [0.0],
-        )
+        first = [[x * h for x in contact], [x * h for x in holding] if self._held else [], multipliers]
+        inverse = [-1.0 if i == j else 0.0 for i in range(6) for j in range(6)]
+        first += [led_to(guess), [0.0] * 6, [0.0] * 6, inverse, [1.0] * len(self.table)]
+        turns = [] if motors is None else begun
+        start = _Pass(guess, *first, turns, turns, [0.0] * len(places), [0.0], [1.0], [0.0])
         found = start.repeated(one, _PASSES)
         after, mean = found.after, at_mean(found.after)[1]
         s, c = sine_and_cosine(psi + 0.5 * h * mean[2])
@@ -654,24 +596,15 @@ def led(table: WheelTable) -> list[tuple[int, float]]:
         If trains that share wheels contradict each other.
     """
     found = [(row, 1.0) for row in range(len(table))]
-    for train in table.couplings:
-        if not isinstance(train, GearTrain):
-            continue
-        first, *others = (table.names.index(name) for name in train.wheels)
-        for row, ratio in zip(others, train.ratios[1:], strict=True):
-            # The rate of `row` is `times` that of `first`.
-            times = ratio / train.ratios[0]
-            (a, of_a), (b, of_b) = found[first], found[row]
-            if a == b:
-                if abs(of_b - times * of_a) > 1e-12 * abs(of_b):
-                    raise InvalidArgument(
-                        f"couplings has gear trains that turn wheel {table.names[row]!r} at two rates, "
-                        "expected trains that fit together"
-                    )
-                continue
-            # All that follows b follows a now: b's rate is of_a * times / of_b that of a.
-            share = of_a * times / of_b
-            found = [(a, share * x) if leader == b else (leader, x) for leader, x in found]
+    for first, row, times in table.trains:
+        (a, of_a), (b, of_b) = found[first], found[row]
+        if a == b and abs(of_b - times * of_a) > 1e-12 * abs(of_b):
+            raise InvalidArgument(
+                f"couplings has gear trains that turn wheel {table.names[row]!r} at two rates, expected "
+                "trains that fit together"
+            )
+        share = of_a * times / of_b  # all that follows b follows a now: b's rate is so many times that of a
+        found = [(a, share * x) if leader == b != a else (leader, x) for leader, x in found]
     return found
 
 

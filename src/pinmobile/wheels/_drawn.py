@@ -14,8 +14,7 @@ from pinmobile.arrays import Array
 from pinmobile.robot import BODY, BODY_JOINT, MobileRobot, Solid, Solids, body_box, box_visuals, number
 from pinmobile.wheels._kinematics import Kinematics
 from pinmobile.wheels._reading import wheel_name
-from pinmobile.wheels._table import WheelTable
-from pinmobile.wheels._wheel import FIXED, Support, Wheel
+from pinmobile.wheels._table import FIXED, Support, Wheel, WheelTable
 
 ACROSS = 0.45
 """Width of a tyre, in radii."""

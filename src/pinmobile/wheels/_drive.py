@@ -31,30 +31,27 @@ from pinmobile.parts import (
 )
 from pinmobile.plant import ContactLoads, Contacts, Coordinate, Input, SlipMargins, Step
 from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, Load, MobileRobot, Solids, hull, number
-from pinmobile.urdf import Body
-from pinmobile.wheels._contacts import (
+from pinmobile.wheels._coulomb import Coulomb
+from pinmobile.wheels._drawn import Picture, Tyres
+from pinmobile.wheels._kinematics import Mobility
+from pinmobile.wheels._loads import (
     Forces,
     TimeScaledMotion,
     contact_loads,
     contacts_of,
+    pressed,
     recorded_margins,
     rolling_margins,
 )
-from pinmobile.wheels._coulomb import Coulomb
-from pinmobile.wheels._drawn import Picture, Tyres
-from pinmobile.wheels._kinematics import Mobility
-from pinmobile.wheels._loads import pressed
 from pinmobile.wheels._motors import Beside, constant_force
-from pinmobile.wheels._reading import joint_signs, read_robot, read_wheels, wheel_name
+from pinmobile.wheels._reading import joint_signs, read_robot, read_wheels, source_of
 from pinmobile.wheels._rolling import Ground, Ramp, Rolling, RollingDynamics
-from pinmobile.wheels._table import WheelTable
+from pinmobile.wheels._table import WheelTable, column
 from pinmobile.wheels._velocities import Allocation, Reduced, followed
 from pinmobile.wheels._voltage import ByVoltage
-from pinmobile.wheels._wheel import FIXED, column
 
 _OFF = 1e-9  # of a start's rates, beyond which it does not roll
 _SAME_LINE = 1e-6  # [m]
-_REDUNDANT = 1e-10  # relative, of eigenvalues: rows that follow from others
 
 
 def _of_wheels(name: str, doc: str) -> Any:
@@ -265,23 +262,7 @@ class WheeledRobot:
     @structure
     def bare_body(self) -> pin.Inertia:
         """Inertia of the body without its wheels, about its origin."""
-        wheels, body = self.table.wheels, pin.Inertia(self.robot.model.inertias[BODY_JOINT])
-        heavy = sum(wheel.mass for wheel in wheels)
-        if body.mass <= heavy:
-            raise InvalidArgument(
-                f"robot has a mass of {body.mass:.6g} kg, and its wheels {heavy:.6g} kg, which are part "
-                "of it; expected the mass of the whole"
-            )
-        for wheel in wheels:
-            body -= wheel.placement.act(wheel.inertia)
-        try:
-            Body(body.mass, np.array(body.lever), np.array(body.inertia))
-        except InvalidArgument as error:
-            raise InvalidArgument(
-                f"robot without its wheels is no body: {error}; expected a robot whose mass and inertia hold "
-                "those of its wheels"
-            ) from None
-        return body
+        return self.table.taken_from(pin.Inertia(self.robot.model.inertias[BODY_JOINT]))
 
     @structure
     def joint_inertias(self) -> Array:
@@ -353,15 +334,7 @@ class WheeledRobot:
     @property
     def source(self) -> str:
         """Where its numbers come from, in words."""
-        locked, turns = self.robot.locked_joints, dict(zip(self.table.names, self.table.wheels, strict=True))
-        moving = set[str]()
-        for joint in self.robot.undercarriage.wheels:
-            if wheel := turns.get(wheel_name(joint.name)):
-                moving |= {joint.name, *(each.name for each in joint.swivels if wheel.steering != FIXED)}
-        held = ", ".join(name for name in locked if name not in moving)
-        words = self.robot.source.replace(f"; {LOCKED}", "")
-        words = words.replace(f"; locked at rest: {', '.join(locked)}", held and f"; locked at rest: {held}")
-        return f"{words}; {self.table.source}"
+        return source_of(self.robot, self.table)
 
     @property
     def joint_signs(self) -> Mapping[str, int]:
@@ -497,17 +470,11 @@ class WheeledRobot:
         """
         slips, largest = self._slips(q, v), float(np.abs(v).max())
         for name, slip in zip(self.constraint_names, np.abs(slips).max(axis=0, initial=0.0), strict=True):
-            if (self.array_dynamics.slips and name != "train") or slip <= _OFF * (1 + largest):
-                continue
-            if self.array_dynamics.slips:
+            if slip > _OFF * (1 + largest) and not (self.array_dynamics.slips and name != "train"):
                 raise InvalidArgument(
-                    f"start turns wheels of a gear train at different rates, {slip:.3g} m/s apart; expected "
-                    "v0 in which they turn together"
+                    f"start does not roll: {name} slips at {slip:.3g} m/s; expected a reference that "
+                    "the wheels can follow, such as Tangent(path), v0 = robot.project(q0, v0), or v0 of zeros"
                 )
-            raise InvalidArgument(
-                f"start does not roll: {name} slips at {slip:.3g} m/s; expected a reference that "
-                "the wheels can follow, such as Tangent(path), v0 = robot.project(q0, v0), or v0 of zeros"
-            )
 
     @takes(q="nq", v="nv")
     def _slips(self, q: Any, v: Any) -> Any:
@@ -571,14 +538,7 @@ class WheeledRobot:
         steering, turning : array_like, shape (..., axes), optional
             Steering angles and their rates; by default zero [rad, rad/s].
         """
-        n, lead = self.robot.nv, rates.shape[:-1]
-        angles, turns = (
-            np.broadcast_to(x if np.size(x) else 0.0, (*lead, self._axes)) for x in (steering, turning)
-        )
-        q = np.concatenate([np.zeros((*lead, n)), angles, np.zeros_like(rates)], axis=-1)
-        A = self._numeric.constraints(q, np.zeros(self.nv))[0]
-        known = A[..., n:] @ np.concatenate([turns, rates], axis=-1)[..., None]
-        return -(np.linalg.pinv(A[..., :BODY_JOINT]) @ known)[..., 0]
+        return self._numeric.fitted_twist(rates, steering, turning)
 
     @cached_property
     def axle(self) -> Any:
@@ -647,12 +607,9 @@ class WheeledRobot:
                 "constraint_forces is asked of wheels that may slip, which no constraint holds, expected "
                 "ground=Rolling(); their forces are in the signals of a run"
             )
-        a = self._numeric.forward_dynamics(q, v, u, f)
-        rest = self._numeric.left(q, v, a) - u @ self.input_matrix.T - f
-        A = self._numeric.constraints(q, v)[0]
-        found = np.linalg.pinv(np.swapaxes(A, -1, -2), rcond=_REDUNDANT) @ rest[..., None]
-        values = finite_answer(found[..., 0], q=q, v=v, u=u, f=f)
-        return Forces(self.constraint_names, values, np.array(self.mobility.determined))
+        values = self._numeric.constraint_forces(q, v, u, f)
+        finite_answer(values, q=q, v=v, u=u, f=f)
+        return Forces(self.constraint_names, values, self.mobility.determined.copy())
 
     @takes(q="nq", v="nv")
     def reduced(self, q: ArrayLike, v: ArrayLike) -> Reduced:
@@ -696,17 +653,12 @@ class WheeledRobot:
             If it is such.
         """
         self._check_rolls()
-        lead = f"robot is {self.mobility.kind}"
-        if self.mobility.mobility < 3:
+        still = self.reduced(self.rest, np.zeros(self.nv)) if self.mobility.mobility == 3 else None
+        if still is None or np.linalg.matrix_rank(still.B) < len(still.M):
             raise InvalidArgument(
-                f"{lead}, which cannot accelerate in every direction, so no torques are its inverse "
-                "dynamics; expected an omnidirectional drive, or Backstepping(law, robot)"
-            )
-        still = self.reduced(self.rest, np.zeros(self.nv))
-        if np.linalg.matrix_rank(still.B) < len(still.M):
-            raise InvalidArgument(
-                f"{lead} with {len(self.table.actuators)} motors, which cannot accelerate in every "
-                "direction; expected a motor for each degree of freedom"
+                f"robot is {self.mobility.kind} with {len(self.table.actuators)} motors, which cannot "
+                "accelerate in every direction, so no torques are its inverse dynamics; expected an "
+                "omnidirectional drive with a motor for each degree of freedom, or Backstepping(law, robot)"
             )
 
     @takes(q="nq", v="nv")

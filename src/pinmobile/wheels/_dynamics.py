@@ -33,9 +33,8 @@ from pinmobile.robot import (
 )
 from pinmobile.wheels._kinematics import Choice, Kinematics, Row, Solution, solved as rolled
 from pinmobile.wheels._loads import measured, measures_of
-from pinmobile.wheels._table import WheelTable
+from pinmobile.wheels._table import Axis, WheelTable
 from pinmobile.wheels._velocities import Followed, Reduced, followed, linearized, matrix
-from pinmobile.wheels._wheel import Axis
 
 _BASE = 3
 
@@ -536,6 +535,15 @@ class WheeledDynamics:
                 force = -(effort[first + at] / row.joints[at])
                 found[:_BASE] = [x + force * b for x, b in zip(found[:_BASE], row.base, strict=True)]
         return found
+
+    def fitted_twist(self, rates: Array, steering: Any = (), turning: Any = ()) -> Array:
+        """Return the body twist that fits numbers best, the shortest where several do."""
+        n, ns, lead = _BASE + self.na, len(self.table.axes), rates.shape[:-1]
+        angles, turns = (np.broadcast_to(x if np.size(x) else 0.0, (*lead, ns)) for x in (steering, turning))
+        q = np.concatenate([np.zeros((*lead, n)), angles, np.zeros_like(rates)], axis=-1)
+        A = self.constraints(q, np.zeros(self.nv))[0]
+        known = A[..., n:] @ np.concatenate([turns, rates], axis=-1)[..., None]
+        return -(np.linalg.pinv(A[..., :_BASE]) @ known)[..., 0]
 
     @property
     def axle(self) -> Any:

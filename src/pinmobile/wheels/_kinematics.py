@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -26,7 +26,6 @@ from pinmobile.robot import (
     solved as solved_by,
 )
 from pinmobile.wheels._loads import item
-from pinmobile.wheels._wheel import GearTrain
 
 
 class Row(NamedTuple):
@@ -157,9 +156,7 @@ class Kinematics:
         self, row: int, steering: Sequence[Any], twist: Sequence[Any], rates: Sequence[Any], across: bool
     ) -> list[Row]:
         wheel, k, head = self.table.wheels[row], self._axis_of[row], self.heading(row, steering)
-        along, aside = (exact(x) for x in wheel.trail)
-        o = [along * head.c - aside * head.s, along * head.s + aside * head.c]
-        p = [self.x[row] + o[0], self.y[row] + o[1]]
+        o, p = self.centre(row, steering)
         turn = head.first * rates[k] if k >= 0 else ZERO  # of the wheel about its pivot
         vx, vy, w = twist
         # The centre's velocity, and its acceleration where no coordinate accelerates.
@@ -186,15 +183,11 @@ class Kinematics:
 
     def _trains(self) -> list[Row]:
         found, ns = [], len(self.table.axes)
-        for train in self.table.couplings:
-            if not isinstance(train, GearTrain):
-                continue
-            first, *others = (self.table.names.index(name) for name in train.wheels)
-            for row, ratio in zip(others, train.ratios[1:], strict=True):
-                joints: Vector = [ZERO] * self.n
-                joints[ns + first] = self.radius[first] * exact(ratio / train.ratios[0])
-                joints[ns + row] = -self.radius[first]
-                found.append(Row(-1, "train", [ZERO] * 3, joints, ZERO))
+        for first, row, ratio in self.table.trains:
+            joints: Vector = [ZERO] * self.n
+            joints[ns + first] = self.radius[first] * exact(ratio)
+            joints[ns + row] = -self.radius[first]
+            found.append(Row(-1, "train", [ZERO] * 3, joints, ZERO))
         return found
 
     def centre(self, row: int, steering: Sequence[Any]) -> tuple[Vector, Vector]:
@@ -341,9 +334,6 @@ class Mobility:
 
     table: Any
 
-    def __post_init__(self) -> None:
-        _checked(self.table)
-
     @classmethod
     def of(cls, table: Any) -> Mobility:
         """Return that of a table, which is found once.
@@ -353,7 +343,9 @@ class Mobility:
         InvalidArgument
             If it is no table.
         """
-        return _remembered(_checked(table))
+        from pinmobile.wheels._table import WheelTable  # here, because tables print their mobility
+
+        return instance("table", table, WheelTable, "a WheelTable").mobility  # type: ignore[no-any-return]
 
     @cached_property
     def _angles(self) -> Array:
@@ -459,11 +451,11 @@ class Mobility:
         return Choice(tuple(body), bool(body) and body[0] in fixed, (*joints, *wheels), free)
 
     @cached_property
-    def determined(self) -> tuple[bool, ...]:
+    def determined(self) -> Any:
         """Of each row, whether rolling determines its force; of others only sums are."""
         u, s, _ = np.linalg.svd(self.matrix)
         rank = int(np.sum(s > _RANK * s[0]))
-        return tuple(bool(np.abs(row).max(initial=0.0) < 1e-9) for row in u[:, rank:])
+        return np.abs(u[:, rank:]).max(axis=1, initial=0.0) < 1e-9
 
     @cached_property
     def idle(self) -> Array | None:
@@ -507,17 +499,6 @@ class Mobility:
         else:
             lines.append("rolling determines the force of every wheel")
         return "\n".join(lines)
-
-
-def _checked(table: Any) -> Any:
-    from pinmobile.wheels._table import WheelTable  # here, because tables print their mobility
-
-    return instance("table", table, WheelTable, "a WheelTable")
-
-
-@lru_cache(maxsize=256)
-def _remembered(table: Any) -> Mobility:
-    return Mobility(table)
 
 
 def _rank(matrix: Array) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import atan2, cos, hypot, pi, radians, sin
@@ -17,10 +17,20 @@ import numpy as np
 from pinmobile.arrays import ArrayLike, bounded, finite, instance, one_of, positive, scalar, sequence, shaped
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import evolved
-from pinmobile.robot import TOUCH, MobileRobot, Swivel, WheelJoint
+from pinmobile.robot import LOCKED, TOUCH, MobileRobot, Swivel, WheelJoint
 from pinmobile.wheels._motors import Motor
-from pinmobile.wheels._table import WheelTable, each_of
-from pinmobile.wheels._wheel import DRIVEN, FIXED, FREE, Coupling, Differential, GearTrain, Support, Wheel
+from pinmobile.wheels._table import (
+    DRIVEN,
+    FIXED,
+    FREE,
+    Coupling,
+    Differential,
+    GearTrain,
+    Support,
+    Wheel,
+    WheelTable,
+    each_of,
+)
 
 _TRAIL = 1e-3  # [m]: a wheel nearer to its swivel than that does not trail
 _ROUNDED = 0.002  # [rad] of a multiple of 15 degrees: files have 1.57 and 3.14
@@ -308,52 +318,41 @@ class _Reader:
     def _sources(self, table: WheelTable) -> list[str]:
         """Return what is from where, in words."""
         found = [f"wheels of its file: {', '.join(joint.name for joint in self.joints)}"]
-        signs, guess = joint_signs(self.robot, table), "" if self.driven is not None else "guessed: "
-        has_rollers = any(row.roller is not None for row in table.wheels)
-        kinds: dict[str, list[str]] = {
-            "radius by the collision geometry of": [],
-            "radius as given of": [],
-            "the joint turns the other way at": [],
-            "axes that the file rounds are exact at": [],
-            "inertia as given, the whole's as in the file, of": [],
-            f"{guess}motors at": [],
-            "torque limit by the file's effort at": [],
-            "damping and friction of the joint are the motor's at": [],
-            "damping and friction of the joint are left out at": [],
-            "turns freely behind its swivel:": [],
-            "steering driven at": [],
-            "swivel locked of": [],
-            "rollers as given at": [],
-        }
-        for row, joint in zip(table.wheels, self.joints, strict=True):
-            angle, motor, rubs = (
-                atan2(-joint.axis[0], joint.axis[1]),
-                row.motor,
-                joint.damping or joint.friction,
-            )
-            holds = (
-                joint.radius == row.radius,
-                joint.radius != row.radius,
-                signs[row.name] < 0,
-                abs(snapped(angle) - angle) > 1e-9,
-                self._given("inertia", joint.name) is not None,
-                motor is not None,
-                motor is not None and np.isfinite(motor.torque_limit),
-                rubs and motor is not None,
-                rubs and motor is None,
-                row.steering == FREE,
-                row.steering == DRIVEN,
-                joint.swivels and row.steering == FIXED,
-                self.rollers is not None and row.roller is not None,
-            )
-            for names, is_so in zip(kinds.values(), holds, strict=True):
-                names += [joint.name] if is_so else []
-        for words, names in kinds.items():
+        pairs, signs = list(zip(table.wheels, self.joints, strict=True)), joint_signs(self.robot, table)
+        guess = "" if self.driven is not None else "guessed: "
+
+        def tell(words: str, holds: Callable[[Wheel, WheelJoint], object]) -> None:
+            names = [joint.name for row, joint in pairs if holds(row, joint)]
             if names:
-                found.append(f"{words} {', '.join(names) if len(names) < len(table) else 'all'}")
+                found.append(f"{words} {', '.join(names) if len(names) < len(pairs) else 'all'}")
+
+        def rounds(row: Wheel, joint: WheelJoint) -> bool:
+            angle = atan2(-joint.axis[0], joint.axis[1])
+            return abs(snapped(angle) - angle) > 1e-9
+
+        def rubs(joint: WheelJoint) -> bool:
+            return bool(joint.damping or joint.friction)
+
+        tell("radius by the collision geometry of", lambda row, joint: joint.radius == row.radius)
+        tell("radius as given of", lambda row, joint: joint.radius != row.radius)
+        tell("the joint turns the other way at", lambda row, joint: signs[row.name] < 0)
+        tell("axes that the file rounds are exact at", rounds)
+        given = "inertia as given, the whole's as in the file, of"
+        tell(given, lambda row, joint: self._given("inertia", joint.name) is not None)
+        tell(f"{guess}motors at", lambda row, joint: row.motor)
+        limit = "torque limit by the file's effort at"
+        tell(limit, lambda row, joint: row.motor and np.isfinite(row.motor.torque_limit))
+        words = "damping and friction of the joint are"
+        tell(f"{words} the motor's at", lambda row, joint: row.motor and rubs(joint))
+        tell(f"{words} left out at", lambda row, joint: not row.motor and rubs(joint))
+        tell("turns freely behind its swivel:", lambda row, joint: row.steering == FREE)
+        tell("steering driven at", lambda row, joint: row.steering == DRIVEN)
+        tell("swivel locked of", lambda row, joint: joint.swivels and row.steering == FIXED)
+        if self.rollers is not None:
+            tell("rollers as given at", lambda row, joint: row.roller is not None)
         if self.rollers is None:
             found.append("guessed: no wheel has rollers, of which files do not tell")
-        elif not has_rollers:
+        elif not any(row.roller is not None for row in table.wheels):
             found.append("no rollers as given")
         found += self.words
         if self.locked:
@@ -482,6 +481,19 @@ def joint_signs(robot: MobileRobot, table: WheelTable) -> dict[str, int]:
 def _leftward(angle: float, axis: Sequence[float]) -> float:
     """Return the part of an axis a quarter of a turn to the left of an angle."""
     return cos(angle) * axis[1] - sin(angle) * axis[0]
+
+
+def source_of(robot: MobileRobot, table: WheelTable) -> str:
+    """Return where the numbers of a robot on wheels come from, in words."""
+    locked, turns = robot.locked_joints, dict(zip(table.names, table.wheels, strict=True))
+    moving = set[str]()
+    for joint in robot.undercarriage.wheels:
+        if wheel := turns.get(wheel_name(joint.name)):
+            moving |= {joint.name, *(each.name for each in joint.swivels if wheel.steering != FIXED)}
+    held = ", ".join(name for name in locked if name not in moving)
+    words = robot.source.replace(f"; {LOCKED}", "")
+    words = words.replace(f"; locked at rest: {', '.join(locked)}", held and f"; locked at rest: {held}")
+    return f"{words}; {table.source}"
 
 
 def read_robot(

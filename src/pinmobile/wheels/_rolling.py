@@ -18,6 +18,7 @@ from pinmobile.wheels._dynamics import State, WheeledDynamics
 from pinmobile.wheels._loads import Group, groups_of
 
 _BASE = 3
+_REDUNDANT = 1e-10  # relative, of singular values: rows that follow from others
 _RESTING = 1e-9  # [rad/s], of an axis at its stop
 
 
@@ -135,6 +136,13 @@ class RollingDynamics(WheeledDynamics):
             more = dot(S[first + k], rates) + gamma[first + k]
             rates = stopped(rates, outward, more, S[first + k], _reduced(pushed, S, S[first + k]))
         return self.in_plane(state, [dot(row, rates) + g for row, g in zip(S, gamma, strict=True)], q)
+
+    def constraint_forces(self, q: Array, v: Array, u: Array, f: Any = 0.0) -> Array:
+        """Return the forces of the ground along all rows, shape (..., k), the shortest that there are."""
+        state, A_T = self.state(q, v), np.swapaxes(self.constraints(q, v)[0], -1, -2)
+        rest = self.left(q, v, self.forward_dynamics(q, v, u, f))
+        rest = rest - self.in_plane(state, self.generalised(state, u, f), q)
+        return np.asarray(np.linalg.pinv(A_T, rcond=_REDUNDANT) @ rest[..., None])[..., 0]
 
     def project(self, q: Any, v: Any) -> Any:
         """Return the velocity that rolls and is nearest in the mass metric, shape (..., nv).

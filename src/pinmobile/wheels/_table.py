@@ -6,14 +6,17 @@ from collections.abc import Iterable, Sequence
 from functools import cached_property
 from itertools import combinations
 from math import cos, degrees, hypot, pi, radians, sin
-from typing import Any, Self, TypeAlias, final
+from typing import Any, NamedTuple, Self, TypeAlias, final
 
+import attrs
 import numpy as np
+import pinocchio as pin
 
 from pinmobile.arrays import (
     ArrayLike,
     bounded,
     finite,
+    frozen,
     instance,
     one_of,
     positive,
@@ -23,28 +26,326 @@ from pinmobile.arrays import (
     text,
     whole,
 )
-from pinmobile.errors import InvalidArgument
-from pinmobile.parts import by_value, children, entries_of, option, part, structure
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.parts import (
+    Number,
+    by_value,
+    child,
+    children,
+    declare,
+    entries_of,
+    is_symbolic,
+    number,
+    option,
+    part,
+    structure,
+)
+from pinmobile.urdf import Body
 from pinmobile.wheels._kinematics import Mobility
 from pinmobile.wheels._motors import Motor
-from pinmobile.wheels._wheel import (
-    DRIVEN,
-    FIXED,
-    TORQUE,
-    Ackermann,
-    Actuator,
-    Axis,
-    Coupling,
-    Differential,
-    GearTrain,
-    Support,
-    Wheel,
-)
 
 _SAME_PLACE = 1e-6  # [m]
 _OF_BODY = "x", "y", "psi"
 _MOST = 1000  # wheels of a circle
 _Places: TypeAlias = Iterable[ArrayLike]
+FIXED, DRIVEN, FREE = "fixed", "driven", "free"
+_STEERING = (FIXED, DRIVEN, FREE)
+_LARGEST_ROLLER = 89.0  # degrees: nearer to 90, a turn of the wheel moves next to nothing along the rollers
+TORQUE = Motor()  # a source of torque without limits
+
+
+@final
+@part
+@by_value
+class Friction:
+    """Dry friction between a wheel and the ground, and in the wheel.
+
+    The defaults are usual magnitudes, not measurements.
+
+    Parameters
+    ----------
+    mu : float
+        Coefficient of friction: of a tyre in all directions, of a wheel with rollers along their axes.
+    across : float
+        That across the axes of rollers, which turn in their bearings.
+    rolling : float
+        Rolling resistance as a share of the load: a torque of at most ``rolling * radius * load`` that holds
+        the wheel at rest.
+    slip : float
+        Slip velocity per force before the wheel slides [m/(N s)]; 0: none, which is Coulomb's law.
+    """
+
+    mu: float = number(default=0.8, lower=0, doc="coefficient of friction")
+    across: float = number(default=0.02, lower=0, fixed=True, doc="coefficient of friction across rollers")
+    rolling: float = number(default=0.01, lower=0, fixed=True, doc="rolling resistance per load")
+    slip: float = number(default=0.0, lower=0, unit="m/(N s)", fixed=True, doc="slip velocity per force")
+
+
+@attrs.frozen
+class _Two(Number):
+    """Declaration of two numbers that are kept as a tuple."""
+
+    def checked(self, name: str, value: Any) -> Any:
+        """Return a tuple of floats."""
+        return tuple(super().checked(name, value).tolist())
+
+
+def _checked_name(name: str, value: Any) -> str:
+    checked = text(name, value)
+    if not checked.strip() or set('/,":.') & set(checked):
+        raise InvalidArgument(
+            f"{name} is {shown(checked)}, expected a word without slash, comma, colon, dot and quotation mark"
+        )
+    return checked
+
+
+@final
+@part
+@by_value
+class Wheel:
+    """One row of a wheel table.
+
+    The wheel rolls along e = (cos angle, sin angle) of the body's frame where its rate is positive; n, a
+    quarter of a turn to the left of e, is the direction of its axle.
+
+    Parameters
+    ----------
+    name : str
+        Its own; its coordinate is called so.
+    x, y : float
+        Where its steering pivot stands in the body's frame, or its centre where it does not steer [m].
+    radius : float
+        [m].
+    angle : float
+        Of its rolling direction e from the body's x [rad]; where it steers, at steering angle zero.
+    steering : str
+        ``"fixed"``; ``"driven"`` by an actuator about the vertical through its pivot; ``"free"``, as casters.
+    trail : sequence of 2 floats
+        Its centre from the pivot along e and n [m]; a caster trails: the first is negative.
+    roller : float, optional
+        Angle of the axis of the roller that is at the ground, from e [rad]; None: a tyre. Of an omni wheel 0,
+        of a mecanum wheel pi / 4 or -pi / 4, the mirror of what is seen from above.
+    mass : float
+        [kg], part of the robot's whole.
+    spin_inertia, yaw_inertia : float
+        About the axle, and about the vertical through its centre [kg m^2]; what a motor's rotor adds is in
+        `motor`.
+    motor : Motor, optional
+        What drives it; None: nothing, it only rolls along.
+    friction : Friction
+        Of its own.
+    steering_limit : float
+        Largest steering angle, to either side [rad]: a stop without rebound, found to what turns in a step.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite or not in its range, or a name is none.
+    """
+
+    name: str = option(check=_checked_name)
+    x: float = number(unit="m", doc="place forward")
+    y: float = number(unit="m", doc="place to the left")
+    radius: float = number(unit="m", above=0, doc="radius")
+    angle: float = number(default=0.0, unit="rad", fixed=True, doc="angle of the rolling direction")
+    steering: str = option(default=FIXED, check=lambda name, value: one_of(name, value, _STEERING))
+    trail: tuple[float, float] = declare(
+        _Two("centre from the pivot, along and across", "m", shapes=((2,),), fixed=True), (0.0, 0.0)
+    )
+    roller: float | None = number(
+        default=None, unit="rad", optional=True, fixed=True, doc="angle of the rollers' axes"
+    )
+    mass: float = number(default=0.0, unit="kg", lower=0, fixed=True, doc="mass")
+    spin_inertia: float = number(default=0.0, unit="kg m^2", lower=0, doc="inertia about the axle")
+    yaw_inertia: float = number(
+        default=0.0, unit="kg m^2", lower=0, fixed=True, doc="inertia about the vertical through its centre"
+    )
+    motor: Motor | None = child(Motor, default=None, optional=True, expected="a Motor")
+    friction: Friction = child(Friction, default=Friction(), expected="a Friction")
+    steering_limit: float = number(
+        default=np.inf, unit="rad", above=0, endless=True, fixed=True, doc="largest steering angle"
+    )
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` where rollers are across the rolling direction."""
+        if self.roller is not None and not abs(self.roller) <= radians(_LARGEST_ROLLER):
+            raise InvalidArgument(
+                f"roller of wheel {self.name!r} is {self.roller:.6g} rad, expected less than a right angle "
+                "from the rolling direction (up to 89 degrees): the wheel could not drive"
+            )
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Where its centre stands in the body's frame at steering angle zero [m]."""
+        c, s = cos(self.angle), sin(self.angle)
+        along, across = self.trail
+        return self.x + along * c - across * s, self.y + along * s + across * c
+
+    @property
+    def placement(self) -> pin.SE3:
+        """Pose of its centre in the body's frame at steering angle zero, y along the axle."""
+        return pin.SE3(pin.utils.rotate("z", self.angle), np.array([*self.centre, self.radius]))
+
+    @property
+    def inertia(self) -> pin.Inertia:
+        """Its inertia about its centre, y along the axle."""
+        moments = np.diag([self.yaw_inertia, self.spin_inertia, self.yaw_inertia])
+        return pin.Inertia(self.mass, np.zeros(3), moments)
+
+
+@final
+@part
+@by_value
+class Support:
+    """A support without friction, such as a ball caster: it takes a load, and nothing else.
+
+    Parameters
+    ----------
+    x, y : float
+        Where it touches the ground, in the body's frame [m].
+    """
+
+    x: float = number(unit="m", fixed=True, doc="place forward")
+    y: float = number(unit="m", fixed=True, doc="place to the left")
+
+
+def _names(least: int) -> Any:
+    """Return the check of a field of names of wheels."""
+
+    def check(name: str, value: Any) -> tuple[str, ...]:
+        names = tuple(text(f"one of {name}", one) for one in sequence(name, value, "names of wheels"))
+        if len(names) < least or len(set(names)) < len(names):
+            raise InvalidArgument(f"{name} is {shown(value)}, expected {least} different names or more")
+        return names
+
+    return check
+
+
+@final
+@part
+@by_value
+class GearTrain:
+    """Wheels that turn together, as those of one side of a skid-steer base do: a chain or gears.
+
+    Parameters
+    ----------
+    wheels : sequence of str
+        Their names, two and more.
+    ratios : sequence of floats, optional
+        Rate of each, relative to each other; by default all turn alike.
+    """
+
+    wheels: tuple[str, ...] = option(check=_names(2))
+    ratios: tuple[float, ...] = option(
+        default=attrs.Factory(lambda train: (1.0,) * len(train.wheels), takes_self=True),
+        check=lambda name, value: tuple(np.ravel(finite(name, value)).tolist()),
+    )
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` where there is not one ratio per wheel."""
+        if len(self.ratios) != len(self.wheels) or not all(self.ratios):
+            raise InvalidArgument(
+                f"ratios is {shown(self.ratios)}, expected {len(self.wheels)} numbers other than zero, "
+                "one per wheel"
+            )
+
+
+@final
+@part
+@by_value
+class Differential:
+    """An open differential: one motor that turns at the mean rate of its wheels, with equal torques on them.
+
+    Parameters
+    ----------
+    wheels : sequence of 2 str
+        Their names.
+    motor : Motor
+        What drives it.
+    name : str
+        That of its input.
+    """
+
+    wheels: tuple[str, ...] = option(check=_names(2))
+    motor: Motor = child(Motor, default=TORQUE, expected="a Motor")
+    name: str = option(default="differential", check=_checked_name)
+
+
+@final
+@part
+@by_value
+class Ackermann:
+    """Wheels that one steering angle turns so that all axles meet in one point.
+
+    The angle is that of a wheel in the middle, at y = 0 and the same x.
+
+    Parameters
+    ----------
+    wheels : sequence of str
+        Their names; they are steered, and their centres lie on their pivots.
+    axle : float
+        x of the fixed axle, on whose line they meet [m].
+    name : str
+        That of the steering coordinate.
+    """
+
+    wheels: tuple[str, ...] = option(check=_names(1))
+    axle: float = number(default=0.0, unit="m", fixed=True, doc="place of the fixed axle, forward")
+    name: str = option(default="steering", check=_checked_name)
+
+
+def column(values: Sequence[Any]) -> Any:
+    """Return numbers or symbols, such as one for each wheel, as an array, shape (k,)."""
+    return np.stack(values) if any(map(is_symbolic, values)) else frozen(values)
+
+
+Coupling = GearTrain | Differential | Ackermann
+
+
+class Axis(NamedTuple):
+    """A steering coordinate.
+
+    Attributes
+    ----------
+    name : str
+        Of the coordinate.
+    wheels : tuple of int
+        Rows that it turns.
+    ackermann : float or None
+        x of the axle on whose line their axles meet [m]; None: it is the one wheel's own angle.
+    driven : bool
+        Whether an actuator turns it.
+    limit : float
+        Largest angle to either side [rad].
+    """
+
+    name: str
+    wheels: tuple[int, ...]
+    ackermann: float | None
+    driven: bool
+    limit: float
+
+
+class Actuator(NamedTuple):
+    """One of the inputs of a drive.
+
+    Attributes
+    ----------
+    name : str
+        Of the input.
+    motor : Motor
+        What it is; of a steering axis one without limits.
+    column : tuple of floats
+        What its torque is to each steering coordinate and then each wheel; its rate is the product with
+        theirs.
+    path : str
+        Where the table has its motor, such as ``"wheels.left.motor"``; "" of a steering axis.
+    """
+
+    name: str
+    motor: Motor
+    column: tuple[float, ...]
+    path: str = ""
 
 
 @final
@@ -90,16 +391,13 @@ class WheelTable:
                 one_of(f"wheel of a {type(coupling).__name__}", name, self.names)
             if isinstance(coupling, Ackermann):
                 self._check_axle(coupling)
-        names = [*self.names, *(axis.name for axis in self.axes)]
-        own = next((name for name in names if name in _OF_BODY), None)
-        if own is not None:
-            raise InvalidArgument(
-                f"{own!r} names a wheel or its steering, and a coordinate of the body, expected another "
-                "name: a row is Wheel(name, x, y, radius)"
-            )
+        names = [*_OF_BODY, *self.names, *(axis.name for axis in self.axes)]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
-            raise InvalidArgument(f"{twice!r} names two coordinates of the table, expected names that differ")
+            raise InvalidArgument(
+                f"{twice!r} names two coordinates of the robot, expected names that differ: a row is "
+                "Wheel(name, x, y, radius)"
+            )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -127,7 +425,7 @@ class WheelTable:
             places = ", ".join(f"({each.x:.4g}, {each.y:.4g}) m" for each in self.supports)
             lines.append(f"supports without friction: {places}")
         lines += [f"{type(each).__name__} of {', '.join(each.wheels)}" for each in self.couplings]
-        return "\n".join([*lines, str(Mobility.of(self))])
+        return "\n".join([*lines, str(self.mobility)])
 
     @structure
     def axes(self) -> tuple[Axis, ...]:
@@ -148,17 +446,30 @@ class WheelTable:
 
     def _check_axle(self, together: Ackermann) -> None:
         wheels = [self.wheels[self.names.index(name)] for name in together.wheels]
+        first, axle = wheels[0], together.axle
         for wheel in wheels:
-            if wheel.steering == FIXED or any(wheel.trail) or wheel.angle or wheel.x == together.axle:
+            fits = wheel.steering != FIXED and wheel.x != axle and not (any(wheel.trail) or wheel.angle)
+            if not fits or (wheel.steering, wheel.x) != (first.steering, first.x):
                 raise InvalidArgument(
-                    f"wheel {wheel.name!r} of Ackermann(...) is {wheel!r}, expected a steered one with "
-                    f"angle 0, its centre on its pivot, away from the axle at x = {together.axle:g} m"
+                    f"wheel {wheel.name!r} of Ackermann(...) is {wheel!r}, expected a steered one with angle "
+                    f"0, its centre on its pivot, away from the axle at x = {axle:g} m, beside the others"
                 )
-        if len({wheel.steering for wheel in wheels}) > 1 or len({wheel.x for wheel in wheels}) > 1:
-            raise InvalidArgument(
-                f"wheels {', '.join(together.wheels)} of Ackermann(...) differ in x or steering, "
-                "expected one axle"
-            )
+
+    @cached_property
+    def trains(self) -> list[tuple[int, int, float]]:
+        """Of gear trains, the first wheel, each other one, and how many times as fast that turns."""
+        found = []
+        for train in self.couplings:
+            if isinstance(train, GearTrain):
+                first, *others = (self.names.index(name) for name in train.wheels)
+                ratios = (ratio / train.ratios[0] for ratio in train.ratios[1:])
+                found += [(first, row, ratio) for row, ratio in zip(others, ratios, strict=True)]
+        return found
+
+    @cached_property
+    def mobility(self) -> Mobility:
+        """What its wheels let a robot do."""
+        return Mobility(self)
 
     @cached_property
     def actuators(self) -> tuple[Actuator, ...]:
@@ -181,6 +492,23 @@ class WheelTable:
                 if axis.driven and axis.wheels[0] == row:
                     add(axis.name, TORQUE, [k])
         return tuple(found)
+
+    def taken_from(self, body: pin.Inertia) -> pin.Inertia:
+        """Return what is left of a body without the wheels, which are part of it."""
+        heavy, rest = sum(wheel.mass for wheel in self.wheels), pin.Inertia(body)
+        if body.mass <= heavy:
+            raise InvalidArgument(
+                f"robot has a mass of {body.mass:.6g} kg, and its wheels {heavy:.6g} kg, which are part of "
+                "it; expected the mass of the whole"
+            )
+        for wheel in self.wheels:
+            rest -= wheel.placement.act(wheel.inertia)
+        try:
+            Body(rest.mass, np.array(rest.lever), np.array(rest.inertia))
+        except InvalidArgument as error:
+            words = "expected a robot whose mass and inertia hold those of its wheels"
+            raise InvalidArgument(f"robot without its wheels is no body: {error}; {words}") from None
+        return rest
 
     @classmethod
     def differential(

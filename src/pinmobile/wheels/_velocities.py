@@ -10,13 +10,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.plant import Input
-from pinmobile.robot import (
-    Matrix,
-    number,
-    scalars,
-    slopes,
-    vector_of as stacked,
-)
+from pinmobile.robot import Matrix, number, scalars, slopes, vector_of as stacked
 
 _BASE = 3
 _LEAST_NORM = 1e-6  # relative weight of torques beside what they are for, where limits hold them

@@ -5,6 +5,7 @@ It is what a `ByVoltage` is to loops of any engine.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -44,29 +45,16 @@ from pinmobile.wheels._motors import (
     within,
 )
 from pinmobile.wheels._rolling import stop_of, stopped, through
+from pinmobile.wheels._table import column as column_of
 from pinmobile.wheels._velocities import Followed
-from pinmobile.wheels._wheel import column as column_of
 
 _BASE = 3
 _INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
 _PASSES = 3
 _ROUNDS, _ENOUGH = 200, 1e-13  # of dry friction: at most, and of the largest what may still change
-_OF_TORQUES = (
-    "array_dynamics",
-    "law",
-    "nominal",
-    "terms",
-    "inverse_dynamics",
-    "check_inverse_dynamics",
-    "torques",
-    "allocate",
-    "allocate_scaled",
-    "constraint_forces",
-    "input_matrix",
-    "calls",
-    "slip_margins",
-    "measures",
-    "measured",
+_OF_TORQUES = re.compile(
+    "_.*|array_dynamics|law|nominal|terms|(check_)?inverse_dynamics|torques|allocate(_scaled)?|constraint_forces|"
+    "input_matrix|calls|slip_margins|measure[sd]"
 )
 
 
@@ -327,7 +315,7 @@ class VoltageDynamics:
 
 def of_wheeled(part: Any, name: str) -> Any:
     """Return what a robot whose inputs are volts has of the one whose inputs are torques."""
-    if name.startswith("_") or name in _OF_TORQUES or "wheeled" not in part.__dict__:
+    if _OF_TORQUES.fullmatch(name) or "wheeled" not in part.__dict__:
         raise AttributeError(f"a {type(part).__name__} has no {name}")
     return getattr(part.wheeled, name)
 
