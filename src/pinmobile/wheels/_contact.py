@@ -312,12 +312,9 @@ def impulses(
     n, spins = len(free), list(dict.fromkeys(touch.spin for touch in touches if touch.held))
     holder = {touch.spin: touch for touch in touches if touch.held}
     contact: Vector = []
-    for k, bound in enumerate(bounds):
-        # What the loads of now allow, of what was before.
-        contact += [
-            _within(before.contact[2 * k], bound.along),
-            _within(before.contact[2 * k + 1], bound.across),
-        ]
+    for k, bound in enumerate(bounds):  # what the loads of now allow, of what was before
+        old = before.contact[2 * k : 2 * k + 2]
+        contact += map(_within, old, (bound.along, bound.across))
     spin = [
         _within(x, next(b.spin for t, b in zip(touches, bounds, strict=True) if t.spin == at))
         for x, at in zip(before.spin, spins, strict=True)
@@ -341,9 +338,8 @@ def impulses(
         for k, (touch, bound) in enumerate(zip(touches, bounds, strict=True)):
             at = spins.index(touch.spin) if touch.held else 0
             old = p[2 * k : 2 * k + 2]
-            v, p[2 * k : 2 * k + 2], spun, shifts[k] = touch.solved(
-                v, old, held[at] if held else 0.0, shifts[k], bound
-            )
+            own = held[at] if held else 0.0
+            v, p[2 * k : 2 * k + 2], spun, shifts[k] = touch.solved(v, old, own, shifts[k], bound)
             if touch.held:
                 held[at] = spun
         change: Any = 0.0
@@ -408,10 +404,7 @@ class Place(NamedTuple):
         share = 1.0 / (rounded + self.give)
         z = [(rounded * p - s) * share for p, s in zip(before, slip, strict=True)]
         if not self.is_disc:
-            now = [
-                choose(x > most, most, choose(x < -most, -most, x))
-                for x, most in zip(z, self.bounds, strict=True)
-            ]
+            now = list(map(_within, z, self.bounds))
             bent = [choose(abs(x) <= most, share, 0.0) for x, most in zip(z, self.bounds, strict=True)]
             return _Pushed(now, bent, None, 0.0)
         radius = self.bounds[0]
@@ -422,12 +415,8 @@ class Place(NamedTuple):
         now = [scale * x for x in z]
         against = choose(sticks, 0.0, scale * share)
         slides = choose(radius > 0.0, dot(slip, now) / choose(radius > 0.0, radius * radius, 1.0), 0.0)
-        return _Pushed(
-            now,
-            [scale * share] * 2,
-            [z[0], z[1], against * inverse],
-            choose(sticks, 0.0, higher(-slides - self.give, 0.0)),
-        )
+        multiplier = choose(sticks, 0.0, higher(-slides - self.give, 0.0))
+        return _Pushed(now, [scale * share] * 2, [*z, against * inverse], multiplier)
 
 
 class _Pushed(NamedTuple):
@@ -561,9 +550,8 @@ def found_by_newton(
     multipliers, told = list(start.multipliers), found[behind + n : -1]
     for k, x in zip(discs, told, strict=True):
         multipliers[k] = x
-    return Found(
-        found[behind : behind + n], found[2 * n : 2 * n + m], multipliers, found[behind - 1], found[-1]
-    )
+    velocity, pushed = found[behind : behind + n], found[2 * n : 2 * n + m]
+    return Found(velocity, pushed, multipliers, found[behind - 1], found[-1])
 
 
 def factored(M: Matrix, order: Sequence[int] = ()) -> tuple[Callable[[Vector], Vector], Matrix]:

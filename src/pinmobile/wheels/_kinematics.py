@@ -99,10 +99,8 @@ class Kinematics:
     @classmethod
     def of(cls, table: Any) -> Kinematics:
         """Return that of a table's own numbers."""
-        x, y, radius = (
-            [exact(item(getattr(wheel, name))) for wheel in table.wheels] for name in ("x", "y", "radius")
-        )
-        return cls(table, x, y, radius)
+        names = "x", "y", "radius"
+        return cls(table, *([exact(item(getattr(each, name))) for each in table.wheels] for name in names))
 
     @property
     def n(self) -> int:
@@ -372,14 +370,11 @@ class Mobility:
     def _lateral(self) -> tuple[list[int], list[int]]:
         """Rows that hold the body alone: of fixed wheels, and of steered ones."""
         steered = {row for axis in self.table.axes for row in axis.wheels}
-        held = [
-            i
-            for i, row in enumerate(self._rows)
-            if row.kind == "lateral" and np.abs(self.matrix[i, 3:]).max() < _COEFFICIENT
-        ]
-        return [i for i in held if self._rows[i].wheel not in steered], [
-            i for i in held if self._rows[i].wheel in steered
-        ]
+        found: tuple[list[int], list[int]] = [], []
+        for i, row in enumerate(self._rows):
+            if row.kind == "lateral" and np.abs(self.matrix[i, 3:]).max() < _COEFFICIENT:
+                found[row.wheel in steered].append(i)
+        return found
 
     @cached_property
     def mobility(self) -> int:
@@ -407,9 +402,7 @@ class Mobility:
             )
         trains = [row.kind == "train" for row in self._rows]
         if any(trains) and _rank(self.matrix) > _rank(self.matrix[~np.array(trains)]):
-            return (
-                "wheels on one gear train would have to turn at different rates, so it turns only by skidding"
-            )
+            return "wheels on one gear train have to turn at different rates, so it turns only by skidding"
         if self.mobility < 3 and self.mobility + self.steerability < 2:
             return "its wheels let it move along one curve only"
         return ""
@@ -437,16 +430,12 @@ class Mobility:
         ns, joints, told = len(self.table.axes), [], set()
         for i, row in enumerate(self._rows):
             for axis in range(ns):
-                if (
-                    row.kind == "lateral"
-                    and abs(self.matrix[i, 3 + axis]) >= _COEFFICIENT
-                    and axis not in told
-                ):
+                turns = row.kind == "lateral" and abs(self.matrix[i, 3 + axis]) >= _COEFFICIENT
+                if turns and axis not in told:
                     told.add(axis)
                     joints.append((axis, i))
-        wheels = [
-            (ns + row.wheel, i) for i, row in enumerate(self._rows) if row.kind in ("rolling", "roller")
-        ]
+        own = "rolling", "roller"
+        wheels = [(ns + row.wheel, i) for i, row in enumerate(self._rows) if row.kind in own]
         free = tuple(axis for axis in range(ns) if axis not in told)
         return Choice(tuple(body), bool(body) and body[0] in fixed, (*joints, *wheels), free)
 
@@ -482,18 +471,14 @@ class Mobility:
         }.get((m, s), "")
         lines = [f"type ({m}, {s}){f', {kind}' if kind else ''}: mobility {m}, steerability {s}"]
         rows, columns = self.matrix.shape
-        lines.append(
-            f"{columns} coordinates, {rows} rows of rank {self.rank}, {columns - self.rank} free velocities"
-        )
+        free = columns - self.rank
+        lines.append(f"{columns} coordinates, {rows} rows of rank {self.rank}, {free} free velocities")
         if self.idle is not None:
             along = ", ".join(f"{x:.3g}" for x in self.idle)
             moves = f"moves by (forward, left, turn) = ({along}) while no wheel turns"
             lines.append(f"{moves}: no motor drives that")
-        loose = [
-            f"{row.kind} of {self.table.names[row.wheel]}"
-            for row, known in zip(self._rows, self.determined, strict=True)
-            if not known and row.wheel >= 0
-        ]
+        rest = [row for row, known in zip(self._rows, self.determined, strict=True) if not known]
+        loose = [f"{row.kind} of {self.table.names[row.wheel]}" for row in rest if row.wheel >= 0]
         if loose:
             lines.append(f"forces that rolling does not determine, but for their sum: {', '.join(loose)}")
         else:

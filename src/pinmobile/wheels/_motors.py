@@ -148,14 +148,9 @@ class Motor:
         InvalidArgument
             If a number is not finite or not in its range, or the gear would give more than it takes.
         """
-        numbers = {
-            "voltage": (voltage, "V"),
-            "stall_torque": (stall_torque, "N m"),
-            "stall_current": (stall_current, "A"),
-            "no_load_rate": (no_load_rate, "rad/s"),
-            "gear": (gear, ""),
-        }
-        V, torque, i_s, W, G = (positive(name, x, unit) for name, (x, unit) in numbers.items())
+        V, torque = positive("voltage", voltage, "V"), positive("stall_torque", stall_torque, "N m")
+        i_s, G = positive("stall_current", stall_current, "A"), positive("gear", gear)
+        W = positive("no_load_rate", no_load_rate, "rad/s")
         i_0 = non_negative("no_load_current", no_load_current, "A")
         R = V / i_s
         k = (V - R * i_0) / (G * W)
@@ -192,10 +187,8 @@ class Motor:
     @cached_property
     def _law(self) -> MotorLaw:
         if not self.is_electric:
-            raise InvalidArgument(
-                f"motor is {shown(self)}, a source of torque, expected one with resistance, torque_constant "
-                "and voltage"
-            )
+            words = "expected one with resistance, torque_constant and voltage"
+            raise InvalidArgument(f"motor is {shown(self)}, a source of torque, {words}")
         return MotorLaw((self,), *([getattr(self, name)] for name in CONSTANTS))
 
     @in_numbers
@@ -449,11 +442,9 @@ class MotorLaw:
         return within(volts, float(motor.voltage or 0.0)) if clips else volts
 
 
+_SHEETS = tomllib.loads(Path(__file__).with_name("motors.toml").read_text("utf-8"))
 MOTORS: Mapping[str, Motor] = MappingProxyType(
-    {
-        name: Motor.from_sheet(**numbers) if "stall_torque" in numbers else Motor(**numbers)
-        for name, numbers in tomllib.loads(Path(__file__).with_name("motors.toml").read_text("utf-8")).items()
-    }
+    {name: (Motor.from_sheet if "stall_torque" in own else Motor)(**own) for name, own in _SHEETS.items()}
 )
 """Real motors by name, numbers of their makers' sheets, which ``source`` names, and what these do not tell.
 

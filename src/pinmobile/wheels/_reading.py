@@ -59,14 +59,11 @@ class _Reader:
         instance("robot", self.robot, MobileRobot, "a MobileRobot")
         sequence("couplings", self.couplings, "GearTrain, Differential or Ackermann")
         if not self._names:
-            raise InvalidArgument(
-                "robot has no wheels in its file, no joint that turns freely about a level axis; expected "
-                "table="
-            )
+            words = "no joint that turns freely about a level axis; expected table="
+            raise InvalidArgument(f"robot has no wheels in its file, {words}")
         if not self.joints:
-            raise InvalidArgument(
-                f"locked is {shown(self.locked)}, all wheels of the robot; expected some left"
-            )
+            words = "all wheels of the robot; expected some left"
+            raise InvalidArgument(f"locked is {shown(self.locked)}, {words}")
         if not isinstance(self.steering, Mapping | None):
             raise InvalidArgument(
                 f"steering is {shown(self.steering)}, expected a mapping from names of wheels"
@@ -168,9 +165,8 @@ class _Reader:
         angle = snapped(atan2(-joint.axis[0], joint.axis[1]))
         if abs(angle) < pi / 2 - 1e-9 or abs(angle - pi / 2) < 1e-9:
             return angle
-        alone = all(
-            abs(np.dot(joint.axis, each.axis)) < cos(_ROUNDED) for each in self.joints if each is not joint
-        )
+        others = [each.axis for each in self.joints if each is not joint]
+        alone = all(abs(np.dot(joint.axis, axis)) < cos(_ROUNDED) for axis in others)
         return angle if alone and roller is not None else angle - pi if angle > 0 else angle + pi
 
     def _steered(self, joint: WheelJoint, roller: float | None) -> tuple[str, Swivel | None]:

@@ -305,12 +305,8 @@ class VoltageDynamics:
         """
         body: Any = self.wheeled
         ground = body.signals(t, q, v, u, f, memory.grip) if body.slips else {}
-        own = {
-            "volts": ("V", memory.volts),
-            "currents": ("A", memory.currents),
-            "torques": ("N m", memory.torques),
-        }
-        return {**own, **ground}
+        volts, currents, torques, *_ = memory
+        return {"volts": ("V", volts), "currents": ("A", currents), "torques": ("N m", torques), **ground}
 
 
 def of_wheeled(part: Any, name: str) -> Any:
@@ -355,10 +351,8 @@ class ByVoltage:
         if not isinstance(self.wheeled.nv, int):
             raise InvalidArgument(f"wheeled is {shown(self.wheeled)}, expected a WheeledRobot")
         if not self._electric:
-            raise InvalidArgument(
-                "table has no motor that takes volts, expected Motor(resistance=..., torque_constant=..., "
-                "voltage=...)"
-            )
+            words = "Motor(resistance=..., torque_constant=..., voltage=...)"
+            raise InvalidArgument(f"table has no motor that takes volts, expected {words}")
         body = self.wheeled.array_dynamics
         if body.slips and not hasattr(body, "driven"):
             raise InvalidArgument(
