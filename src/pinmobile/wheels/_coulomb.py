@@ -483,11 +483,11 @@ class SlippingDynamics(WheeledDynamics):
         contact, holding, multipliers = (
             [number(x) for x in scalars(part)] for part in (memory.forces, memory.holding, memory.multipliers)
         )
-        first = [[x * h for x in contact], [x * h for x in holding] if self._held else [], multipliers]
-        inverse = [-1.0 if i == j else 0.0 for i in range(6) for j in range(6)]
-        first += [led_to(guess), [0.0] * 6, [0.0] * 6, inverse, [1.0] * len(self.table)]
         turns = [] if motors is None else begun
-        start = _Pass(guess, *first, turns, turns, [0.0] * len(places), [0.0], [1.0], [0.0])
+        first = [guess, [x * h for x in contact], [x * h for x in holding] if self._held else [], multipliers]
+        first += [led_to(guess), [0.0] * 6, [0.0] * 6]
+        first += [[-1.0 if i == j else 0.0 for i in range(6) for j in range(6)], [1.0] * len(self.table)]
+        start = _Pass(*first, *[turns, turns, [0.0] * len(places), [0.0], [1.0], [0.0]])
         found = start.repeated(one, _PASSES)
         after, mean = found.after, at_mean(found.after)[1]
         s, c = sine_and_cosine(psi + 0.5 * h * mean[2])

@@ -69,16 +69,13 @@ class _Objects:
         joints = self.robot.frame_placements(q[..., :n])
         body = joints[..., BODY_JOINT - 1, None, :, :]
         steering, wheels = q[..., n : n + axes], q[..., n + axes :]
-        spun, steered = (
-            body @ wheel_frames(self.table, self._kinematics, steering, angles, lead)
-            for angles in (wheels, None)
-        )
+        spun = body @ wheel_frames(self.table, self._kinematics, steering, wheels, lead)
+        steered = body @ wheel_frames(self.table, self._kinematics, steering, None, lead)
         found = np.empty((*lead, len(self.items), 4, 4))
         for k, item in enumerate(self.items):
-            frames, at = (
-                (joints, item.joint) if item.joint >= 0 else (spun if item.spins else steered, item.row)
-            )
-            found[..., k, :, :] = frames[..., at, :, :] @ item.placement
+            turning = spun if item.spins else steered
+            frame = joints[..., item.joint, :, :] if item.joint >= 0 else turning[..., item.row, :, :]
+            found[..., k, :, :] = frame @ item.placement
         return found
 
 
@@ -120,13 +117,9 @@ class Tyres(_Objects):
         there = {row for row, spins in rides.values() if spins}
         for row, wheel in enumerate(table.wheels):
             if row not in there:  # a cylinder's axis is z, an axle y
-                tyre = Solid(
-                    f"{wheel.name}/tyre",
-                    0,
-                    wheel.placement * level,
-                    coal.Cylinder(wheel.radius, ACROSS * wheel.radius),
-                )
-                add(tyre, Item(-1, row, True, level.homogeneous), True)
+                tyre = coal.Cylinder(wheel.radius, ACROSS * wheel.radius)
+                shape = Solid(f"{wheel.name}/tyre", 0, wheel.placement * level, tyre)
+                add(shape, Item(-1, row, True, level.homogeneous), True)
         radius = _SUPPORT * max(wheel.radius for wheel in table.wheels)
         for k, support in enumerate(table.supports, start=1):
             place = pin.SE3(np.eye(3), np.array([support.x, support.y, radius]))

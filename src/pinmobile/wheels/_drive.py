@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from os import PathLike
@@ -30,7 +30,7 @@ from pinmobile.parts import (
     takes,
 )
 from pinmobile.plant import ContactLoads, Contacts, Coordinate, Input, SlipMargins, Step
-from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, Load, MobileRobot, Solids, hull, number
+from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, Load, MobileRobot, hull, number
 from pinmobile.wheels._coulomb import Coulomb
 from pinmobile.wheels._drawn import Picture, Tyres
 from pinmobile.wheels._kinematics import Mobility
@@ -62,6 +62,23 @@ def _of_wheels(name: str, doc: str) -> Any:
 
 def _of(owner: str, name: str, doc: str) -> Any:
     return property(lambda self: getattr(getattr(self, owner), name), doc=doc)
+
+
+def _counted(doc: str, count: Callable[[Any], int]) -> Any:
+    found = structure(count)
+    found.__doc__ = doc
+    return found
+
+
+def _supplied(robot: Any, name: str) -> Any:
+    """Return a method of the dynamics that not all grounds supply."""
+    if not hasattr(robot.array_dynamics, name):
+        raise AttributeError(f"a WheeledRobot on {type(robot.ground).__name__} ground has no {name}")
+    return getattr(robot.array_dynamics, name)
+
+
+def _of_ground(name: str, doc: str) -> Any:
+    return property(lambda self: _supplied(self, name), doc=doc)
 
 
 @final
@@ -271,46 +288,19 @@ class WheeledRobot:
 
     # Sizes and names
 
-    @structure
-    def mobility(self) -> Mobility:
-        """What the wheels let it do."""
-        return Mobility.of(self.table)
+    mobility = _of("table", "mobility", "What the wheels let it do.")
 
     def _check_rolls(self) -> None:
         if not self.mobility.is_regular:
             raise InvalidArgument(f"robot cannot roll without slip: {self.mobility.why_not}")
 
-    @cached_property
-    def _joints(self) -> int:
-        return len(self.table.axes) + len(self.table)
-
-    @cached_property
-    def _axes(self) -> int:
-        return len(self.table.axes)
-
-    @cached_property
-    def _wheels(self) -> int:
-        return len(self.table)
-
-    @structure
-    def nq(self) -> int:
-        """Size of q."""
-        return self.nv
-
-    @structure
-    def nv(self) -> int:
-        """Size of v and a."""
-        return self.robot.nv + self._joints
-
-    @structure
-    def nu(self) -> int:
-        """Size of the input."""
-        return self.robot.nv - BODY_JOINT + len(self.table.actuators)
-
-    @cached_property
-    def _of_body(self) -> int:
-        """Number of coordinates of body and arms."""
-        return int(self.robot.nv)
+    _axes = _counted("Number of steering coordinates.", lambda self: len(self.table.axes))
+    _wheels = _counted("Number of wheels.", lambda self: len(self.table))
+    _joints = _counted("Number of both.", lambda self: self._axes + self._wheels)
+    _of_body = _counted("Number of coordinates of body and arms.", lambda self: self.robot.nv)
+    nq = _counted("Size of q.", lambda self: self.nv)
+    nv = _counted("Size of v and a.", lambda self: self._of_body + self._joints)
+    nu = _counted("Size of the input.", lambda self: self._of_body - BODY_JOINT + len(self.table.actuators))
 
     @structure
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -404,10 +394,7 @@ class WheeledRobot:
         """Return where the objects of `visual_model` are in the inertial frame, shape (..., k, 4, 4)."""
         return self._picture.placements(np.asarray(q))
 
-    @property
-    def solids(self) -> Solids:
-        """What of it may touch something, see `MobileRobot.solids`; wheels do touch the ground."""
-        return self._tyres.solids
+    solids = _of("_tyres", "solids", "What of it may touch something; wheels do touch the ground.")
 
     @takes(q="nq")
     def solid_placements(self, q: ArrayLike) -> Any:
@@ -745,16 +732,10 @@ class WheeledRobot:
 
     # What the ground adds: a loop asks by name for what a plant can do
 
-    def _of_ground(self, name: str) -> Any:
-        """Return a method of the dynamics that not all grounds supply."""
-        if not hasattr(self.array_dynamics, name):
-            raise AttributeError(f"a WheeledRobot on {type(self.ground).__name__} ground has no {name}")
-        return getattr(self.array_dynamics, name)
-
     @property
     def project(self) -> Any:
         """``project(q, v)``: the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
-        own = self._of_ground("project")
+        own = _supplied(self, "project")
         return own if self.array_dynamics.slips or self._is_symbolic else self._projected
 
     def _projected(self, q: Any, v: Any) -> Any:
@@ -766,10 +747,7 @@ class WheeledRobot:
     def _rolled(self, q: Any, v: Any) -> Any:
         return self._numeric.project(q, v)
 
-    @property
-    def initial_state(self) -> Any:
-        """``initial_state(context)``: what the wheels keep before the first step, where they slip."""
-        return self._of_ground("initial_state")
+    initial_state = _of_ground("initial_state", "``(context)``: what wheels keep first, where they slip.")
 
     @property
     def step(self) -> Any:
@@ -777,13 +755,10 @@ class WheeledRobot:
 
         ``f(t, q, v)`` has the generalised forces beside the input, at mid-step; an array has those that stay.
         """
-        own = self._of_ground("step")
+        own = _supplied(self, "step")
         return own if self._is_symbolic else self._stepped
 
-    @property
-    def signals(self) -> Any:
-        """``signals(t, q, v, u, f, memory)``: what the ground does at the wheels, where they slip."""
-        return self._of_ground("signals")
+    signals = _of_ground("signals", "``(t, q, v, u, f, memory)``: what the ground does, where they slip.")
 
     def _stepped(self, t: float, q: Any, v: Any, u: Any, h: Any, f: Beside | ArrayLike, memory: Any) -> Step:
         if not any(map(is_symbolic, (q, v, u))):

@@ -543,7 +543,7 @@ class WheeledDynamics:
         q = np.concatenate([np.zeros((*lead, n)), angles, np.zeros_like(rates)], axis=-1)
         A = self.constraints(q, np.zeros(self.nv))[0]
         known = A[..., n:] @ np.concatenate([turns, rates], axis=-1)[..., None]
-        return -(np.linalg.pinv(A[..., :_BASE]) @ known)[..., 0]
+        return np.asarray(-(np.linalg.pinv(A[..., :_BASE]) @ known)[..., 0])
 
     @property
     def axle(self) -> Any:

@@ -466,7 +466,7 @@ class WheelTable:
                 found += [(first, row, ratio) for row, ratio in zip(others, ratios, strict=True)]
         return found
 
-    @cached_property
+    @structure
     def mobility(self) -> Mobility:
         """What its wheels let a robot do."""
         return Mobility(self)
