@@ -108,9 +108,8 @@ def compare_wheeled(
     wheeled: WheeledRobot, states: int, rng: np.random.Generator
 ) -> tuple[tuple[Row, ...], str]:
     """Return the routes of a robot on wheels against each other, and which is missing."""
-    if able(wheeled, Stepping):
-        return _slipping(wheeled, states, rng)
-    return _rolling(wheeled, states, rng)
+    compare = _slipping if able(wheeled, Stepping) else _rolling
+    return compare(wheeled, states, rng)
 
 
 def _states(wheeled: WheeledRobot, count: int, rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:

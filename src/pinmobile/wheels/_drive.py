@@ -30,7 +30,7 @@ from pinmobile.parts import (
     takes,
 )
 from pinmobile.plant import ContactLoads, Contacts, Coordinate, Input, SlipMargins, Step
-from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, Load, MobileRobot, hull, number
+from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, Load, MobileRobot, number
 from pinmobile.wheels._coulomb import Coulomb
 from pinmobile.wheels._drawn import Picture, Tyres
 from pinmobile.wheels._kinematics import Mobility
@@ -51,7 +51,6 @@ from pinmobile.wheels._velocities import Allocation, Reduced, followed
 from pinmobile.wheels._voltage import ByVoltage
 
 _OFF = 1e-9  # of a start's rates, beyond which it does not roll
-_SAME_LINE = 1e-6  # [m]
 
 
 def _of_wheels(name: str, doc: str) -> Any:
@@ -233,7 +232,7 @@ class WheeledRobot:
             "rotors": frozen([actuator.motor.reflected_inertia for actuator in self.table.actuators]),
             "fall": self._fall,
             "footprint": self.footprint,
-            "stands": self.grounded and self._has_area,
+            "stands": self.grounded and self.footprint is not None,
             "choice": self.mobility.choice,
             "coordinates": self.coordinates,
             "inputs": self.inputs,
@@ -333,27 +332,8 @@ class WheeledRobot:
 
     # Where it stands
 
-    @structure
-    def _places(self) -> Array:
-        """Where it touches the ground at steering angles zero, wheels and then supports, shape (k, 2) [m]."""
-        places = [wheel.centre for wheel in self.table.wheels]
-        return frozen([*places, *((each.x, each.y) for each in self.table.supports)])
-
-    @structure
-    def _has_area(self) -> bool:
-        ones = np.ones((len(self._places), 1))
-        return bool(np.linalg.matrix_rank(np.hstack([ones, self._places]), tol=_SAME_LINE) == 3)
-
     grounded = _of("robot", "grounded", "Whether the body's origin is known to lie on the ground.")
-
-    @structure
-    def footprint(self) -> Array | None:
-        """Corners of what it stands on, wheels at steering angles zero and supports, shape (k, 2) [m].
-
-        Counter-clockwise, in the body's frame; None where they are on one line.
-        """
-        corners = hull(self._places) if self._has_area else None
-        return None if corners is None else frozen(corners)
+    footprint = _of("table", "footprint", "Corners of what it stands on, see `WheelTable.footprint`.")
 
     def check_stands(self) -> None:
         """Raise `InvalidArgument` where its height is not known, or it stands on one line."""
@@ -362,10 +342,10 @@ class WheeledRobot:
                 "robot does not tell where its body's origin is above the ground, on which the loads of its "
                 "wheels depend; expected one read with ground=, or ground=Rolling()"
             )
-        if not self._has_area:
+        if self.footprint is None:
             raise InvalidArgument(
-                f"table has {len(self._places)} places where the robot stands, on one line, expected three "
-                "that are not: give supports=[(x, y), ...], where casters stand"
+                f"table has {self._wheels + len(self.table.supports)} places where the robot stands, on one "
+                "line, expected three that are not: give supports=[(x, y), ...], where casters stand"
             )
 
     # What is seen
@@ -447,7 +427,8 @@ class WheeledRobot:
         """
         return self.array_dynamics.begun(*self.robot.start(reference))  # type: ignore[no-any-return]
 
-    def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
+    @takes(q="nq", v="nv")
+    def check_start(self, q: Any, v: Any) -> None:
         """Refuse a start at which wheels on one gear train turn at different rates, or those that roll slip.
 
         Raises
@@ -455,20 +436,15 @@ class WheeledRobot:
         InvalidArgument
             If it is such.
         """
-        slips, largest = self._slips(q, v), float(np.abs(v).max())
-        for name, slip in zip(self.constraint_names, np.abs(slips).max(axis=0, initial=0.0), strict=True):
-            if slip > _OFF * (1 + largest) and not (self.array_dynamics.slips and name != "train"):
+        slips = np.einsum("...ij,...j->...i", self.constraint_matrix(q), v)
+        largest = np.abs(finite_answer(slips, q=q, v=v)).reshape(-1, slips.shape[-1]).max(axis=0)
+        for name, slip in zip(self.constraint_names, largest, strict=True):
+            is_held = name == "train" or not self.array_dynamics.slips
+            if is_held and slip > _OFF * (1 + float(np.abs(v).max())):
                 raise InvalidArgument(
                     f"start does not roll: {name} slips at {slip:.3g} m/s; expected a reference that "
                     "the wheels can follow, such as Tangent(path), v0 = robot.project(q0, v0), or v0 of zeros"
                 )
-
-    @takes(q="nq", v="nv")
-    def _slips(self, q: Any, v: Any) -> Any:
-        """Return A v of all states, shape (states, rows)."""
-        return np.einsum("...ij,...j->...i", self.constraint_matrix(q), v).reshape(
-            -1, len(self.constraint_names)
-        )
 
     # Rows and rates
 

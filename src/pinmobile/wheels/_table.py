@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import (
+    Array,
     ArrayLike,
     bounded,
     finite,
@@ -40,6 +41,7 @@ from pinmobile.parts import (
     part,
     structure,
 )
+from pinmobile.robot import hull
 from pinmobile.urdf import Body
 from pinmobile.wheels._kinematics import Mobility
 from pinmobile.wheels._motors import Motor
@@ -492,6 +494,17 @@ class WheelTable:
                 if axis.driven and axis.wheels[0] == row:
                     add(axis.name, TORQUE, [k])
         return tuple(found)
+
+    @structure
+    def footprint(self) -> Array | None:
+        """Corners of what it stands on, wheels at steering angles zero and supports, shape (k, 2) [m].
+
+        Counter-clockwise, in the body's frame; None where they are on one line.
+        """
+        places = [*(wheel.centre for wheel in self.wheels), *((each.x, each.y) for each in self.supports)]
+        rank = np.linalg.matrix_rank(np.column_stack([np.ones(len(places)), places]), tol=_SAME_PLACE)
+        corners = hull(np.array(places)) if rank == 3 else None
+        return None if corners is None else frozen(corners)
 
     def taken_from(self, body: pin.Inertia) -> pin.Inertia:
         """Return what is left of a body without the wheels, which are part of it."""
