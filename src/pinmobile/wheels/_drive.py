@@ -619,9 +619,9 @@ class WheeledRobot:
         still = self.reduced(self.rest, np.zeros(self.nv)) if self.mobility.mobility == 3 else None
         if still is None or np.linalg.matrix_rank(still.B) < len(still.M):
             raise InvalidArgument(
-                f"robot is {self.mobility.kind} with {len(self.table.actuators)} motors, which cannot "
-                "accelerate in every direction, so no torques are its inverse dynamics; expected an "
-                "omnidirectional drive with a motor for each degree of freedom, or Backstepping(law, robot)"
+                f"robot is {self.mobility.kind}, which cannot accelerate in every direction, so no torques "
+                "are its inverse dynamics; expected an omnidirectional drive, or Backstepping(law, robot), and a "
+                "motor for each degree of freedom"
             )
 
     @takes(q="nq", v="nv")

@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, Protocol, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, instance
+from pinmobile.arrays import Array
+from pinmobile.parts import required
 from pinmobile.robot import (
     ZERO,
     Matrix,
@@ -314,6 +315,14 @@ _RANK = 1e-9  # singular values below, relative to the largest, are rounding
 _COEFFICIENT = 1e-12
 
 
+class _Mobile(Protocol):
+    """A WheelTable."""
+
+    @property
+    def mobility(self) -> Any:
+        """What its wheels let a robot do."""
+
+
 @final
 @dataclass(frozen=True)
 class Mobility:
@@ -341,9 +350,7 @@ class Mobility:
         InvalidArgument
             If it is no table.
         """
-        from pinmobile.wheels._table import WheelTable  # here, because tables print their mobility
-
-        return instance("table", table, WheelTable, "a WheelTable").mobility  # type: ignore[no-any-return]
+        return required("table", table, _Mobile).mobility  # type: ignore[no-any-return]
 
     @cached_property
     def _angles(self) -> Array:
