@@ -620,8 +620,8 @@ class WheeledRobot:
         if still is None or np.linalg.matrix_rank(still.B) < len(still.M):
             raise InvalidArgument(
                 f"robot is {self.mobility.kind}, which cannot accelerate in every direction, so no torques "
-                "are its inverse dynamics; expected an omnidirectional drive, or Backstepping(law, robot), and a "
-                "motor for each degree of freedom"
+                "are its inverse dynamics; expected an omnidirectional drive, or Backstepping(law, robot), "
+                "and a motor for each degree of freedom"
             )
 
     @takes(q="nq", v="nv")
