@@ -27,7 +27,7 @@ from pinmobile.wheels import (
     WheeledRobot,
     WheelTable,
 )
-from pinmobile.wheels.motors import MotorLaw
+from pinmobile.wheels._motors import MotorLaw
 
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
 GRIPS = Friction(mu=2.0, rolling=0.0)

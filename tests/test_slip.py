@@ -30,6 +30,7 @@ from pinmobile.loop._program import Compiled
 from pinmobile.paths import Hold
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import FixedHeading, Reference
+from pinmobile.verification._wheels import WheelTree
 from pinmobile.wheels import (
     Coulomb,
     Friction,
@@ -42,8 +43,8 @@ from pinmobile.wheels import (
     WheeledRobot,
     WheelTable,
 )
-from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
-from pinmobile.wheels.loads import shared_loads
+from pinmobile.wheels._contact import Bounds, Impulses, Touch, impulses
+from pinmobile.wheels._loads import shared_loads
 from tests import wheeled
 from tests.looping import looped, told
 
@@ -370,16 +371,6 @@ def test_loads_that_balance_are_found_wherever_the_wheels_stand(seed: int) -> No
         assert np.square(found.values).sum() <= np.square(loads).sum() * (1 + 1e-5)
 
 
-def ground_state(robot: WheeledRobot, q: Array, v: Array, a: Array) -> tuple[Any, list[float]]:
-    """Return a state as the body sees it, and the rates of its velocities there."""
-    body = robot.array_dynamics
-    state = body.state(q, v)
-    c, s = np.cos(q[2]), np.sin(q[2])
-    ax, ay = c * a[0] + s * a[1], c * a[1] - s * a[0]
-    vx, vy, w = (float(x) for x in state.twist)
-    return state, [ax + w * vy, ay - w * vx, *a[2:]]
-
-
 @pytest.mark.parametrize("armed", [False, True])
 def test_loads_balance_what_pinocchio_says_the_ground_exerts(armed: bool) -> None:
     """Wheels at rest in the body; with them, spin momentum is added in another test."""
@@ -389,8 +380,7 @@ def test_loads_balance_what_pinocchio_says_the_ground_exerts(armed: bool) -> Non
     q, v, a = robot.rest + 0.0, rng.normal(size=robot.nv) * 0.2, rng.normal(size=robot.nv) * 0.2
     q[: own.nq] = own.integrate(own.rest, rng.normal(size=own.nv) * 0.3)
     v[own.nv :], a[own.nv :] = 0, 0
-    state, rate = ground_state(robot, q, v, a)
-    found = robot.array_dynamics.loads(state, rate, q)
+    found = robot.contact_loads(q, v, a)
     wrench = own.ground_wrench(q[: own.nq], v[: own.nv], a[: own.nv])
     values, places = np.array(found.values), np.array([[wheel.x, wheel.y] for wheel in table.wheels])
     assert not found.tips
@@ -400,8 +390,8 @@ def test_loads_balance_what_pinocchio_says_the_ground_exerts(armed: bool) -> Non
 
 def in_tree(robot: WheeledRobot, q: Array, v: Array, a: Array) -> Array:
     """Return what Pinocchio says that the ground exerts on a robot and its wheels, along and about B."""
-    whole, rates, G, bent = robot._tree.state_of(q, v)
-    return robot._tree.ground_wrench(whole, rates, G @ a + bent)
+    tree = WheelTree(robot)
+    return tree.ground_wrench(*tree.moving(q, v, a)[0])
 
 
 @pytest.mark.parametrize("armed", [False, True])
@@ -411,8 +401,7 @@ def test_loads_on_a_ramp_and_of_spinning_wheels_are_those_of_the_tree(armed: boo
     q, v, a = robot.rest + 0.0, *(rng.normal(size=robot.nv) * 0.1 for _ in range(2))
     q[: own.nq] = own.integrate(own.rest, rng.normal(size=own.nv) * 0.3)
     v[-4:], a[-4:] = v[-4:] * 100, a[-4:] * 100
-    state, rate = ground_state(robot, q, v, a)
-    found = robot.array_dynamics.loads(state, rate, q)
+    found = robot.contact_loads(q, v, a)
     wrench = in_tree(robot, q, v, a)
     values, places = np.array(found.values), np.array([[wheel.x, wheel.y] for wheel in SKID.wheels])
     assert not found.tips

@@ -328,15 +328,15 @@ def test_pickled_it_is_the_same_robot(kind: str) -> None:
         ),
         (
             lambda: WheelTable.mecanum(0.5, 0.4, 0.1, roller=0.0),
-            "roller is 0 rad: such wheels all roll along x, and none moves it sideways; expected the X",
+            "roller is 0 rad on a base of 0.5 by 0.4 m: the rollers all roll along x",
         ),
         (
             lambda: WheelTable((Wheel("x", 0.0, 0.2, 0.1), Wheel("y", 0.0, -0.2, 0.1))),
-            "'x' names a wheel or its steering, and a coordinate of the body, expected another name",
+            "'x' names two coordinates of the robot, expected names that differ",
         ),
         (
             lambda: WheelTable.mecanum(0.4, 0.4, 0.1, roller=-np.pi / 4),
-            "roller is -0.785398 rad: the rollers",
+            "roller is -0.785398 rad on a base of 0.4 by 0.4 m: the rollers form an O",
         ),
         (lambda: WheelTable(()), "wheels is empty"),
         (

@@ -103,7 +103,7 @@ def in_numbers(function: _Function) -> _Function:
         with np.errstate(all="ignore"):
             try:
                 answer = function(*arguments, **named)  # type: ignore[operator]
-            except np.linalg.LinAlgError:
+            except (np.linalg.LinAlgError, ZeroDivisionError):
                 answer = np.array(np.nan)
         for part in answer if isinstance(answer, tuple) else (answer,):
             if type(part) is np.ndarray and part.dtype == _FLOAT and not np.isfinite(part).all():

@@ -497,7 +497,7 @@ class VelocityRobot:
     def drawing(self, q: ArrayLike) -> Array:
         """Return where the objects of `visual_model` are in the inertial frame, shape (..., k, 4, 4)."""
         q = vector("q", q, 3)
-        return self._drawn.drawing(np.concatenate([q, np.zeros((*q.shape[:-1], 2))], axis=-1))
+        return np.asarray(self._drawn.drawing(np.concatenate([q, np.zeros((*q.shape[:-1], 2))], axis=-1)))
 
 
 def _published(file: str) -> Mapping[str, VelocityRobot]:

@@ -64,6 +64,7 @@ from pinmobile.parts._fields import (
     option,
     part,
     structure,
+    takes,
 )
 from pinmobile.parts._registry import (
     Parameter as Parameter,
@@ -172,5 +173,6 @@ __all__ = [
     "spread_values",
     "structure",
     "table",
+    "takes",
     "walk",
 ]

@@ -15,11 +15,14 @@ import attrs
 import numpy as np
 
 from pinmobile.arrays import (
+    broadcast,
     endless_or_finite,
     finite,
     frozen,
+    in_numbers,
     shaped,
     shapes_in_words,
+    vector,
     whole as checked_whole,
 )
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
@@ -62,6 +65,46 @@ def also_symbols(method: _Method) -> _Method:
         return getattr(law, name)(*given, **named)
 
     return run  # type: ignore[return-value]
+
+
+def takes(**sizes: int | str) -> Callable[[_Method], _Method]:
+    """Let a method of a part take numbers, checked as declared, and answer in finite ones; or symbols.
+
+    Each size is a length of the last axis, or the name of the attribute of the part that has it. An argument
+    that is its own default is not checked. Leading axes broadcast.
+    """
+
+    def decorate(method: _Method) -> _Method:
+        parameters = list(inspect.signature(method).parameters.values())[1:]
+        names, checked = [each.name for each in parameters], in_numbers(method)
+        defaults = {each.name: each.default for each in parameters}
+
+        @also_symbols
+        @functools.wraps(method)
+        def run(self: Any, *given: Any, **named: Any) -> Any:
+            if len(given) > len(names):
+                return method(self, *given, **named)
+            asked, arrays = {**dict(zip(names, given, strict=False)), **named}, {}
+            for name in filter(asked.__contains__, sizes):
+                if isinstance(asked[name], float | int | np.ndarray) and _same(asked[name], defaults[name]):
+                    asked[name] = defaults[name]
+                else:
+                    size = sizes[name]
+                    n = getattr(self, size) if isinstance(size, str) else size
+                    arrays[name] = vector(name, asked[name], n)
+            if any(each.ndim > 1 for each in arrays.values()):
+                lead = broadcast(**arrays)
+                arrays = {name: np.broadcast_to(x, (*lead, x.shape[-1])) for name, x in arrays.items()}
+            return checked(self, **asked | arrays)
+
+        return run  # type: ignore[return-value]
+
+    return decorate
+
+
+def _same(value: Any, default: Any) -> bool:
+    """Return whether a number, or an array without axes, is the default of an argument."""
+    return isinstance(default, float | int) and not np.ndim(value) and bool(value == default)
 
 
 def is_tracing() -> bool:

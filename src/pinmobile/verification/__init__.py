@@ -16,8 +16,8 @@ from pinmobile.derivation import Numeric, lagrange, lecture
 from pinmobile.dh import DHTable
 from pinmobile.errors import NotTraceable
 from pinmobile.robot import MobileRobot
+from pinmobile.verification._wheels import compare_wheeled
 from pinmobile.verification.bodies import Parts
-from pinmobile.verification.wheel_routes import compare_wheeled
 from pinmobile.wheels import WheeledRobot
 
 __all__ = ["Comparison", "Verification", "verify"]

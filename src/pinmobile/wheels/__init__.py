@@ -1,16 +1,17 @@
 """Wheels under a robot: the wheel table, rolling and slip, motors."""
 
-from pinmobile.wheels.description import read_wheels
-from pinmobile.wheels.freedom import Allocation, Reduced
-from pinmobile.wheels.ground import Coulomb, Ground as Ground, Ramp, Rolling
-from pinmobile.wheels.kinematics import Kinematics as Kinematics, Mobility
-from pinmobile.wheels.motors import MOTORS, Motor, MotorLaw as MotorLaw
-from pinmobile.wheels.odometry import ByOdometry
-from pinmobile.wheels.powered import ByVoltage
-from pinmobile.wheels.rolling import WheeledDynamics as WheeledDynamics
-from pinmobile.wheels.table import Ackermann, Differential, Friction, GearTrain, Support, Wheel, WheelTable
-from pinmobile.wheels.tree import Forces
-from pinmobile.wheels.wheeled import WheeledRobot
+from pinmobile.wheels._coulomb import Coulomb
+from pinmobile.wheels._drive import WheeledRobot
+from pinmobile.wheels._dynamics import WheeledDynamics as WheeledDynamics
+from pinmobile.wheels._kinematics import Kinematics as Kinematics, Mobility
+from pinmobile.wheels._loads import Forces
+from pinmobile.wheels._motors import MOTORS, Motor, MotorLaw as MotorLaw
+from pinmobile.wheels._odometry import ByOdometry
+from pinmobile.wheels._reading import read_wheels
+from pinmobile.wheels._rolling import Ground as Ground, Ramp, Rolling
+from pinmobile.wheels._table import Ackermann, Differential, Friction, GearTrain, Support, Wheel, WheelTable
+from pinmobile.wheels._velocities import Allocation, Reduced
+from pinmobile.wheels._voltage import ByVoltage
 
 __all__ = [
     "MOTORS",

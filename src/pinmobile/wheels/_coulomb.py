@@ -14,8 +14,10 @@ from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
+from pinmobile.arrays import frozen
 from pinmobile.compiled import choose, repeated
 from pinmobile.errors import InvalidArgument
+from pinmobile.parts import by_value, child, integer, number as declared, part
 from pinmobile.plant import Step
 from pinmobile.robot import (
     ONE,
@@ -25,15 +27,17 @@ from pinmobile.robot import (
     dot,
     exact,
     number,
+    scalars,
     sine_and_cosine,
+    transposed,
     vector_of as stacked,
 )
-from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
-from pinmobile.wheels.loads import Loads, item, numbers, places_of, pressed, quick, shared_loads, wheel_loads
-from pinmobile.wheels.motors import Beside, Motors, Push, theta
-from pinmobile.wheels.rolling import State, WheeledDynamics, stop_of, stopped
-from pinmobile.wheels.table import GearTrain, WheelTable
-from pinmobile.wheels.tree import factored
+from pinmobile.wheels._contact import Bounds, Impulses, Touch, factored, impulses
+from pinmobile.wheels._dynamics import State, WheeledDynamics
+from pinmobile.wheels._loads import item, places_of, pressed, shared_loads, wheel_loads
+from pinmobile.wheels._motors import Beside, Motors, Push, theta
+from pinmobile.wheels._rolling import Ramp, stop_of, stopped
+from pinmobile.wheels._table import WheelTable, column
 
 _BASE = 3
 _INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
@@ -261,11 +265,8 @@ class SlippingDynamics(WheeledDynamics):
             for i, a in enumerate(actuator.column, _BASE + self.na):
                 for j, b in enumerate(actuator.column, _BASE + self.na):
                     M[i][j] = M[i][j] + exact(a * b) * more
-        halved = [self._reduced(row) for row in M]
-        reduced = [
-            list(row)
-            for row in zip(*(self._reduced(list(c)) for c in zip(*halved, strict=True)), strict=True)
-        ]
+        halved = transposed([self._reduced(row) for row in M])
+        reduced = transposed([self._reduced(column) for column in halved])
         rows = self.kinematics.rows(state.steering, [ZERO] * _BASE, [ZERO] * self.joints, across=True)
         pairs: list[list[Vector]] = [[] for _ in self.table.wheels]
         for row in rows:
@@ -284,18 +285,12 @@ class SlippingDynamics(WheeledDynamics):
         def over(x: Vector) -> Vector:
             return [x[k] for k in touched]
 
-        touches = []
-        for k, (pair, give) in enumerate(zip(pairs, numbers(self.slip), strict=True)):
+        touches, discs = [], [wheel.roller is None for wheel in self.table.wheels]
+        for k, (pair, give) in enumerate(zip(pairs, scalars(self.slip), strict=True)):
+            pushed, at = columns[2 * k : 2 * k + 2], spins[k]
+            spin = touched.index(at), over(units[at])
             touches.append(
-                Touch(
-                    rows=[over(row) for row in pair],
-                    columns=[over(column) for column in columns[2 * k : 2 * k + 2]],
-                    spin=touched.index(spins[k]),
-                    spun=over(units[spins[k]]),
-                    is_disc=self.table.wheels[k].roller is None,
-                    give=give / h,
-                    held=spins[k] in held,
-                )
+                Touch([*map(over, pair)], [*map(over, pushed)], *spin, discs[k], give / h, at in held)
             )
         holding = [at for at in dict.fromkeys(spins) if at in held]
         return _Shape(solve, touches, touched, rest, inertia, [*columns, *(units[at] for at in holding)])
@@ -303,22 +298,7 @@ class SlippingDynamics(WheeledDynamics):
     def _seen(self, state: State, rate: Vector) -> tuple[State, Vector]:
         """Return a state, and accelerations along the body's axes less gravity in the plane."""
         vx, vy, w = state.twist
-        pull = self.pull(state)
-        return state, [rate[0] - w * vy - pull[0], rate[1] + w * vx - pull[1], *rate[2:]]
-
-    def loads(self, state: State, rate: Vector, q: Any) -> Loads:
-        """Return what wheels and supports carry: see `wheel_loads`.
-
-        Parameters
-        ----------
-        state : State
-            Shape and velocities.
-        rate : list of scalars
-            Rates of the velocities along the body's axes.
-        q : ndarray
-            Any configuration, for its shape.
-        """
-        return wheel_loads(self, *self._seen(state, rate), q)
+        return state, self.felt(state, [rate[0] - w * vy, rate[1] + w * vx, *rate[2:]])
 
     def _bounds(
         self, shape: _Shape, loads: Vector, slips: Sequence[Vector], h: Any, pushes: Sequence[Push] = ()
@@ -326,15 +306,15 @@ class SlippingDynamics(WheeledDynamics):
         """Return what the friction of each wheel is at most."""
         first, found = _BASE + self.na + len(self.table.axes), []
         holds: dict[int, Any] = {}
-        for k, (share, r) in enumerate(zip(numbers(self.rolling), numbers(self.radius), strict=True)):
+        for k, (share, r) in enumerate(zip(scalars(self.rolling), scalars(self.radius), strict=True)):
             ratio = abs(float(self._leaders[first + k][1]))
             at = shape.touches[k].spin
             holds[at] = holds.get(at, ZERO) + h * (exact(ratio) * share * r) * loads[k]
         for at, more in self._rubs(shape, pushes, h):
             holds[at] = holds[at] + more
         for k, wheel in enumerate(self.table.wheels):
-            along = number(h * numbers(self.mu)[k] * loads[k])
-            across = along if wheel.roller is None else number(h * numbers(self.across)[k] * loads[k])
+            along = number(h * scalars(self.mu)[k] * loads[k])
+            across = along if wheel.roller is None else number(h * scalars(self.across)[k] * loads[k])
             found.append(Bounds(along, across, number(holds[shape.touches[k].spin]), slips[k]))
         return found
 
@@ -382,7 +362,7 @@ class SlippingDynamics(WheeledDynamics):
         k, still = len(self.table), [ZERO] * self.size
         arms = list(getattr(self.robot, "rest", np.zeros(_BASE)))[_BASE:]
         q = np.concatenate([np.zeros(_BASE), arms, np.zeros(self.joints)])
-        found = self.loads(self.state(q, np.zeros(self.size)), still, q)
+        found = wheel_loads(self, *self._seen(self.state(q, np.zeros(self.size)), still), q)
         zeros = np.zeros(2 * k), np.zeros(len(self._held)), np.zeros(k), np.zeros(self.size)
         return Grip(*zeros, stacked(found.values, q), 0.0, 0.0)
 
@@ -420,10 +400,10 @@ class SlippingDynamics(WheeledDynamics):
             guess. Without, `u` has the torques.
         """
         h = item(h)
-        state = self._plain_state(q, v)
-        before = [*state.twist, *state.arm_rates, *state.rates]
+        state = self.state(q, v)
+        before = state.velocities
         middle = self._at_middle(state, q, v, h)
-        psi, begun = numbers(q)[2], self.actuator_rates(state.rates)
+        psi, begun = scalars(q)[2], self.actuator_rates(state.rates)
         beside = f(self.integrate(q, (0.5 * h) * v), v)
         pushed = not (np.ndim(beside) == 0 and not isinstance(beside, np.ndarray) and beside == 0)
         turning = pushed or bool(self.fall[0] or self.fall[1])
@@ -433,7 +413,7 @@ class SlippingDynamics(WheeledDynamics):
 
         def at_mean(after: Vector) -> tuple[State, Vector]:
             mean = [0.5 * (x + y) for x, y in zip(before, after, strict=True)]
-            at = self._moving(middle, mean)
+            at = middle.moving(mean)
             if turning:
                 s, c = sine_and_cosine(psi + 0.5 * h * mean[2])
                 at = at._replace(c=c, s=s)
@@ -465,19 +445,14 @@ class SlippingDynamics(WheeledDynamics):
                 ]
                 lag = [h * y * push.slope for push, y in zip(pushes, shares, strict=True)]
                 given = [push.torque - push.slope * y for push, y in zip(pushes, begun, strict=True)]
-                torques = stacked([*numbers(u)[: self.na], *given], q)
+                torques = stacked([*scalars(u)[: self.na], *given], q)
             now = self._shape(middle, q, h, lag) if fixed is None else fixed
             free = self._free(now, at, before, torques, h, force, q)
             began, slides = self._began(now, before, end, x.slides)
             bounds = self._bounds(now, loads.values, began, h, pushes)
+            start, known = Impulses([], *x[1:4]), [number(free[k]) for k in now.touched]
             grip = impulses(
-                now.touches,
-                bounds,
-                [number(free[k]) for k in now.touched],
-                now.inertia,
-                Impulses([], x.contact, x.spin, x.multipliers),
-                most=self.sweeps,
-                tolerance=self.tolerance,
+                now.touches, bounds, known, now.inertia, start, most=self.sweeps, tolerance=self.tolerance
             )
             after = self._after(now, free, grip)
             for k, limit in self.stops:
@@ -493,55 +468,26 @@ class SlippingDynamics(WheeledDynamics):
                 given = [push.torque - push.slope * y for push, y in zip(pushes, rates, strict=True)]
                 for k, y in self._rubbed(now, bounds, pushes, grip, h):
                     given[k] = given[k] + y
-            assumed, missing, way, inverse = x.corrected(led_to(after))
+            better = x.corrected(led_to(after))
             off, was = (
                 dot(each[:_BASE], each[:_BASE]) + each[_BASE] * each[_BASE] + dot(each[4:], each[4:]) / size
-                for each in (missing, x.missing)
+                for each in (better[1], x.missing)
             )
             stays = (x.passes[0] > 0.0) & (off <= (_LEVEL * little) ** 2) & (off >= was)
             done = (off <= little * little) | stays
-            found = _Pass(
-                after,
-                grip.contact,
-                grip.spin,
-                grip.multipliers,
-                assumed,
-                missing,
-                way,
-                inverse,
-                slides,
-                rates,
-                given,
-                loads.values,
-                [loads.tips],
-                [choose(done, grip.missed, 1.0)],
-                [x.passes[0] + 1.0],
-            )
+            last = [loads.tips], [choose(done, grip.missed, 1.0)], [x.passes[0] + 1.0]
+            found = _Pass(after, *grip[1:4], *better, slides, rates, given, loads.values, *last)
             return found, done
 
-        guess = [x + h * y for x, y in zip(before, numbers(memory.acceleration), strict=True)]
+        guess = [x + h * y for x, y in zip(before, scalars(memory.acceleration), strict=True)]
         contact, holding, multipliers = (
-            [number(x) for x in numbers(part)] for part in (memory.forces, memory.holding, memory.multipliers)
+            [number(x) for x in scalars(part)] for part in (memory.forces, memory.holding, memory.multipliers)
         )
-        held = [x * h for x in holding] if self._held else []
-        none = [0.0] * 6
-        start = _Pass(
-            guess,
-            [x * h for x in contact],
-            held,
-            multipliers,
-            led_to(guess),
-            none,
-            none,
-            [-1.0 if i == j else 0.0 for i in range(6) for j in range(6)],
-            [1.0] * len(self.table),
-            [] if motors is None else begun,
-            [] if motors is None else begun,
-            [0.0] * len(places),
-            [0.0],
-            [1.0],
-            [0.0],
-        )
+        turns = [] if motors is None else begun
+        first = [guess, [x * h for x in contact], [x * h for x in holding] if self._held else [], multipliers]
+        first += [led_to(guess), [0.0] * 6, [0.0] * 6]
+        first += [[-1.0 if i == j else 0.0 for i in range(6) for j in range(6)], [1.0] * len(self.table)]
+        start = _Pass(*first, *[turns, turns, [0.0] * len(places), [0.0], [1.0], [0.0]])
         found = start.repeated(one, _PASSES)
         after, mean = found.after, at_mean(found.after)[1]
         s, c = sine_and_cosine(psi + 0.5 * h * mean[2])
@@ -574,10 +520,6 @@ class SlippingDynamics(WheeledDynamics):
             found.append((k, grip.spin[spins.index(at)] * part / (h * float(share))))
         return found
 
-    def actuator_rates(self, rates: Vector) -> Vector:
-        """Return the rate of each actuator, of those of steering coordinates and wheels."""
-        return [number(dot([exact(x) for x in actuator.column], rates)) for actuator in self.table.actuators]
-
     def _freedom(self, state: State, q: Any) -> Vector:
         """Return how fast each actuator turns per angular impulse, all else held."""
         M, found = self.inertia(state, q), []
@@ -588,21 +530,12 @@ class SlippingDynamics(WheeledDynamics):
             found.append(number(dot([x * x for _, x in turned], [1.0 / reduced[i] for i, _ in turned])))
         return found
 
-    def _plain_state(self, q: Any, v: Any) -> State:
-        state = self.state(q, v)
-        return State(*([quick(y) for y in x] if isinstance(x, list) else quick(x) for x in state))
-
     def _at_middle(self, state: State, q: Any, v: Any, h: Any) -> State:
         """Return the state whose shape is that of mid-step, as the velocity of now leads there."""
         if not (self.na or self.table.axes):
             return state
-        there = self._plain_state(self.integrate(q, (0.5 * h) * v), v)
+        there = self.state(self.integrate(q, (0.5 * h) * v), v)
         return state._replace(arms=there.arms, steering=there.steering)
-
-    def _moving(self, state: State, rates: Vector) -> State:
-        """Return the state with other velocities."""
-        end = _BASE + self.na
-        return state._replace(twist=rates[:_BASE], arm_rates=rates[_BASE:end], rates=rates[end:])
 
     def _free(self, shape: _Shape, at: State, before: Vector, u: Any, h: Any, f: Any, q: Any) -> Vector:
         """Return the kept velocities after a step without friction."""
@@ -636,11 +569,7 @@ class SlippingDynamics(WheeledDynamics):
         del t, u, f
         state = self.state(q, v)
         rows = self.kinematics.rows(state.steering, state.twist, state.rates, across=True)
-        slips = [
-            number(dot(row.base, state.twist) + dot(row.joints, state.rates))
-            for row in rows
-            if row.wheel >= 0
-        ]
+        slips = [row.slip(state) for row in rows if row.wheel >= 0]
         forces, k = memory.forces, len(self.table)
         along, across = forces[..., 0::2], forces[..., 1::2]
         rollers = np.array([wheel.roller is not None for wheel in self.table.wheels])
@@ -667,22 +596,79 @@ def led(table: WheelTable) -> list[tuple[int, float]]:
         If trains that share wheels contradict each other.
     """
     found = [(row, 1.0) for row in range(len(table))]
-    for train in table.couplings:
-        if not isinstance(train, GearTrain):
-            continue
-        first, *others = (table.names.index(name) for name in train.wheels)
-        for row, ratio in zip(others, train.ratios[1:], strict=True):
-            # The rate of `row` is `times` that of `first`.
-            times = ratio / train.ratios[0]
-            (a, of_a), (b, of_b) = found[first], found[row]
-            if a == b:
-                if abs(of_b - times * of_a) > 1e-12 * abs(of_b):
-                    raise InvalidArgument(
-                        f"couplings has gear trains that turn wheel {table.names[row]!r} at two rates, "
-                        "expected trains that fit together"
-                    )
-                continue
-            # All that follows b follows a now: b's rate is of_a * times / of_b that of a.
-            share = of_a * times / of_b
-            found = [(a, share * x) if leader == b else (leader, x) for leader, x in found]
+    for first, row, times in table.trains:
+        (a, of_a), (b, of_b) = found[first], found[row]
+        if a == b and abs(of_b - times * of_a) > 1e-12 * abs(of_b):
+            raise InvalidArgument(
+                f"couplings has gear trains that turn wheel {table.names[row]!r} at two rates, expected "
+                "trains that fit together"
+            )
+        share = of_a * times / of_b  # all that follows b follows a now: b's rate is so many times that of a
+        found = [(a, share * x) if leader == b != a else (leader, x) for leader, x in found]
     return found
+
+
+@final
+@part
+@by_value
+class Coulomb:
+    """Wheels stick while the ground can hold them, and slide beyond: dry friction of Coulomb's law.
+
+    A robot on such ground has a step of its own: implicit in the velocities, impulses of all wheels found
+    together, so that what sticks is at rest exactly and nothing is stiff. Steps of 0.01 s and less are of
+    use; the error of fixed wheels falls with the square of the step, that of steered ones with the step.
+
+    Loads depend on accelerations, these on friction, and friction on the loads: a step solves for all of
+    them. Where friction presses the wheels on which it acts there may be several solutions. The step takes
+    the one to which the accelerations of the step before lead; the signals state it: ``slides``, ``loads``
+    and ``tips``, 1 where no loads balance the robot. ``missed`` is 1 where the step found no solution.
+
+    Parameters
+    ----------
+    mu : float, optional
+        Coefficient of friction of all wheels, along the axes of rollers for those that have some; None: each
+        wheel's own, ``wheel.friction.mu``.
+    ramp : Ramp, optional
+        Which way the ground rises; None: it is level.
+    sweeps : int
+        Most rounds over all wheels in a pass; the signal ``missed`` says where they were too few.
+    tolerance : float
+        Largest change of a force in a round, as a share of the largest friction, at which it has been found.
+
+    Attributes
+    ----------
+    slips : bool
+        Whether wheels may slip, here True.
+    """
+
+    mu: float | None = declared(
+        default=None, optional=True, lower=0, doc="coefficient of friction of all wheels"
+    )
+    ramp: Ramp | None = child(Ramp, default=None, optional=True, expected="a Ramp(angle, direction) or None")
+    sweeps: int = integer(default=200, least=1, doc="most rounds over all wheels in a pass")
+    tolerance: float = declared(default=1e-12, above=0, fixed=True, doc="change of a force that is none")
+    slips: ClassVar[bool] = True
+
+    def dynamics(self, wheeled: Any) -> SlippingDynamics:
+        """Return the dynamics of a robot on it."""
+        terms, wheels = wheeled.terms, wheeled.table.wheels
+        own: dict[str, Any] = {
+            name: frozen([getattr(wheel.friction, name) for wheel in wheels])
+            for name in ("across", "rolling", "slip")
+        }
+        if self.mu is not None:
+            own["mu"] = column([self.mu] * len(wheels))
+        return SlippingDynamics(**terms | own, sweeps=self.sweeps, tolerance=self.tolerance)
+
+    def check_robot(self, wheeled: Any) -> None:
+        """Refuse what cannot be computed where wheels slip."""
+        wheeled.check_stands()
+        table = wheeled.table
+        led(table)
+        names = (*(axis.name for axis in table.axes), *table.names)
+        for name, inertia in zip(names, wheeled.joint_inertias, strict=True):
+            if not inertia > 0:
+                raise InvalidArgument(
+                    f"{name} of the table has no inertia about its axis, expected one > 0 where wheels slip: "
+                    "give spin_inertia, and yaw_inertia of wheels that steer"
+                )

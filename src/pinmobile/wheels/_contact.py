@@ -7,21 +7,29 @@ Brogliato, Numerical methods for nonsmooth dynamical systems, Springer 2008). Bl
 velocities that the impulses lead to. A block is a wheel: what it exerts along and across, and what holds
 its rate; the others stay meanwhile. Blocks are solved exactly but for the multiplier of a disc, on which
 Newton's method takes one step in each round. Where that does not come to an end soon, as where wheels share
-what only their sum determines and some of them slide, `multipliers` goes on from there.
+what only their sum determines and some of them slide, `found_by_newton` goes on from there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
 from pinmobile.compiled import choose, higher, repeated, square_root
 from pinmobile.robot import ONE, ZERO, Matrix, Vector, dot, number
-from pinmobile.wheels.tree import Found, Place, found_by_newton
 
 _SOON = 24  # rounds
+_ROUNDED = 0.1  # at first: share of a wheel's own slip per impulse, over which friction's edge is rounded
+_LESS = 0.3  # of that, each time that impulses have been found
+_LEAST = 1e-8
+_FINE = 1e-2  # share below which impulses feel how numbers are rounded; with this they are found again
+_LEVEL = 0.3  # of the slope at the start of a step that may be left at its end
+_SHORTEST = 1e-9  # share of a step
+_NEAR = 0.1  # of how far impulses are off, to which velocities are found for them
+_ROUNDING = 1e-13  # of the velocities
+_PLAIN = 100.0  # tolerances that plain rounds are from their end, at least, where they come slowly
 
 
 class Bounds(NamedTuple):
@@ -304,12 +312,9 @@ def impulses(
     n, spins = len(free), list(dict.fromkeys(touch.spin for touch in touches if touch.held))
     holder = {touch.spin: touch for touch in touches if touch.held}
     contact: Vector = []
-    for k, bound in enumerate(bounds):
-        # What the loads of now allow, of what was before.
-        contact += [
-            _within(before.contact[2 * k], bound.along),
-            _within(before.contact[2 * k + 1], bound.across),
-        ]
+    for k, bound in enumerate(bounds):  # what the loads of now allow, of what was before
+        old = before.contact[2 * k : 2 * k + 2]
+        contact += map(_within, old, (bound.along, bound.across))
     spin = [
         _within(x, next(b.spin for t, b in zip(touches, bounds, strict=True) if t.spin == at))
         for x, at in zip(before.spin, spins, strict=True)
@@ -333,9 +338,8 @@ def impulses(
         for k, (touch, bound) in enumerate(zip(touches, bounds, strict=True)):
             at = spins.index(touch.spin) if touch.held else 0
             old = p[2 * k : 2 * k + 2]
-            v, p[2 * k : 2 * k + 2], spun, shifts[k] = touch.solved(
-                v, old, held[at] if held else 0.0, shifts[k], bound
-            )
+            own = held[at] if held else 0.0
+            v, p[2 * k : 2 * k + 2], spun, shifts[k] = touch.solved(v, old, own, shifts[k], bound)
             if touch.held:
                 held[at] = spun
         change: Any = 0.0
@@ -354,3 +358,237 @@ def impulses(
         )
     m = len(contact)
     return Impulses(start.velocity, start.impulses[:m], start.impulses[m:], *start[2:])
+
+
+class Place(NamedTuple):
+    """Where something holds velocities: one direction, or two.
+
+    Attributes
+    ----------
+    rows, columns : lists of scalars
+        Slip velocity per velocity, and velocity per impulse, of each direction.
+    bounds : list of scalars
+        Impulse at most, in each direction [N s].
+    is_disc : bool
+        Whether the bound is that of both together.
+    began : list of scalars
+        What is added to the slip [m/s].
+    give : scalar
+        Slip velocity per impulse [1/kg].
+    """
+
+    rows: Sequence[Vector]
+    columns: Sequence[Vector]
+    bounds: Vector
+    is_disc: bool
+    began: Vector
+    give: Any
+
+    @property
+    def size(self) -> Any:
+        """Slip per impulse of its own, the mean of its directions."""
+        own = [number(dot(row, column)) for row, column in zip(self.rows, self.columns, strict=True)]
+        return sum(own[1:], own[0]) * (1.0 / len(own))
+
+    def pushed(self, v: Vector, before: Vector, rounded: Any) -> _Pushed:
+        """Return the impulse at velocities, near to one before, and how it changes with them.
+
+        Parameters
+        ----------
+        v, before : lists of scalars
+            Velocities, and the impulse.
+        rounded : scalar
+            Slip per impulse over which friction's edge is rounded.
+        """
+        slip = [began + dot(row, v) for row, began in zip(self.rows, self.began, strict=True)]
+        share = 1.0 / (rounded + self.give)
+        z = [(rounded * p - s) * share for p, s in zip(before, slip, strict=True)]
+        if not self.is_disc:
+            now = list(map(_within, z, self.bounds))
+            bent = [choose(abs(x) <= most, share, 0.0) for x, most in zip(z, self.bounds, strict=True)]
+            return _Pushed(now, bent, None, 0.0)
+        radius = self.bounds[0]
+        square = z[0] * z[0] + z[1] * z[1]
+        sticks = square <= radius * radius
+        inverse = 1.0 / choose(sticks, 1.0, square)
+        scale = choose(sticks, 1.0, radius * square_root(inverse))
+        now = [scale * x for x in z]
+        against = choose(sticks, 0.0, scale * share)
+        slides = choose(radius > 0.0, dot(slip, now) / choose(radius > 0.0, radius * radius, 1.0), 0.0)
+        multiplier = choose(sticks, 0.0, higher(-slides - self.give, 0.0))
+        return _Pushed(now, [scale * share] * 2, [*z, against * inverse], multiplier)
+
+
+class _Pushed(NamedTuple):
+    """An impulse, and how it changes with the slip: diag(bent) - c (x, y) (x, y)', less."""
+
+    now: Vector
+    bent: Vector
+    turned: Vector | None
+    multiplier: Any
+
+    def add(self, place: Place, H: Matrix, g: Vector) -> None:
+        """Add to the second derivatives, and to the slope."""
+        terms = list(zip(place.rows, self.bent, strict=True))
+        if self.turned is not None:
+            x, y, c = self.turned
+            terms.append(([x * a + y * b for a, b in zip(*place.rows, strict=True)], -c))
+        for p, row in zip(self.now, place.rows, strict=True):
+            for i, x in enumerate(row):
+                g[i] = g[i] - x * p
+        for row, weight in terms:
+            heavy = [x * weight for x in row]
+            for i, x in enumerate(row):
+                for j in range(i + 1):
+                    H[i][j] = H[j][i] = H[i][j] + x * heavy[j]
+
+
+class Found(NamedTuple):
+    """What has been found: as of `Impulses`, and 1 where it has not."""
+
+    velocity: Vector
+    impulses: Vector
+    multipliers: Vector
+    rounds: Any
+    missed: Any
+
+
+def found_by_newton(
+    places: Sequence[Place],
+    inertia: Matrix,
+    free: Vector,
+    start: Found,
+    *,
+    settled: Any,
+    most: int,
+    tolerance: Any,
+) -> Found:
+    """Return the impulses, from those of a start.
+
+    Parameters
+    ----------
+    places : sequence of Place
+        What holds the velocities.
+    inertia : list of lists of scalars
+        Of the velocities, whose columns of M^-1 are those of the places.
+    free : list of scalars
+        Velocities without any impulse.
+    start : Found
+        What to begin with.
+    settled : bool
+        Where that is the answer.
+    most : int
+        Rounds at most.
+    tolerance : scalar
+        Change of an impulse that is of no interest [N s].
+    """
+    n, sizes = len(free), [place.size for place in places]
+    ends = [sum(len(place.rows) for place in places[:k]) for k in range(len(places) + 1)]
+    m, discs = ends[-1], [k for k, place in enumerate(places) if place.is_disc]
+    largest = sizes[0]
+    for size in sizes[1:]:
+        largest = higher(largest, size)
+    moving = number(dot(free, [number(dot(row, free)) for row in inertia]))
+    enough = largest * (_PLAIN * tolerance) * (_PLAIN * tolerance) + _ROUNDING * _ROUNDING * moving
+    behind = 2 * n + m + 7
+
+    def one(numbers: Vector) -> tuple[Vector, Any]:
+        v, way, p = numbers[:n], numbers[n : 2 * n], numbers[2 * n : 2 * n + m]
+        slope, share, low, high, rounded, sure, count = numbers[2 * n + m : behind]
+        at = [x + share * y for x, y in zip(v, way, strict=True)]
+        H = [list(row) for row in inertia]
+        change = [x - y for x, y in zip(at, free, strict=True)]
+        g = [number(dot(row, change)) for row in inertia]
+        now: Vector = []
+        multipliers, off = [], ZERO
+        for place, size, first, last in zip(places, sizes, ends, ends[1:], strict=False):
+            pushed = place.pushed(at, p[first:last], rounded * size)
+            pushed.add(place, H, g)
+            now += pushed.now
+            if place.is_disc:
+                multipliers.append(pushed.multiplier)
+            for x, y in zip(pushed.now, p[first:last], strict=True):
+                off = off + size * ((x - y) * (x - y))
+        off = number(off) * rounded
+        curve = number(dot(way, [number(dot(row, way)) for row in H]))
+        next_way = [-number(x) for x in factored(H)[0](g)]
+        fall, uphill = number(dot(g, next_way)), number(dot(g, way))
+        rises = uphill > 0.0
+        level = abs(uphill) <= -_LEVEL * slope
+        goes = level | ((share >= 1.0) & (uphill <= 0.0)) | (share < _SHORTEST)
+        little = enough * choose(rounded >= _FINE, rounded * rounded, 1.0)
+        moves = goes & ((-fall <= _NEAR * _NEAR * off) | (-fall <= little))
+        known = moves & (off * rounded <= enough) & (-fall <= little)
+        done = known & (rounded >= _FINE) & (sure > 0.0)
+        low, high = choose(rises, low, share), choose(rises, share, high)
+        level_at = share - uphill / choose(curve > 0.0, curve, 1.0)
+        between = choose((level_at > low) & (level_at < high), level_at, 0.5 * (low + high))
+        impulses = [choose(moves, x, y) for x, y in zip(now, p, strict=True)]
+        velocity = list(free)
+        for column, x in zip((c for place in places for c in place.columns), impulses, strict=True):
+            velocity = [number(a + b * x) for a, b in zip(velocity, column, strict=True)]
+        smaller = choose(known, _FINE, higher(_LESS * rounded, _LEAST))
+        return [
+            *(choose(goes, x, y) for x, y in zip(at, v, strict=True)),
+            *(choose(moves, 0.0, choose(goes, x, y)) for x, y in zip(next_way, way, strict=True)),
+            *impulses,
+            choose(moves, 0.0, choose(goes, fall, slope)),
+            choose(moves, 0.0, choose(goes, 1.0, between)),
+            choose(goes, 0.0, low),
+            choose(goes, 1.0, high),
+            choose(moves, smaller, rounded),
+            choose(moves, choose(known, 1.0, 0.0), sure),
+            count + 1.0,
+            *velocity,
+            *multipliers,
+            choose(done, 0.0, 1.0),
+        ], done
+
+    first = [*start.velocity, *[0.0] * n, *start.impulses, *[0.0] * 4, _ROUNDED, 0.0, start.rounds]
+    first += [*start.velocity, *(start.multipliers[k] for k in discs), start.missed]
+    found = repeated(one, first, most, settled)
+    multipliers, told = list(start.multipliers), found[behind + n : -1]
+    for k, x in zip(discs, told, strict=True):
+        multipliers[k] = x
+    velocity, pushed = found[behind : behind + n], found[2 * n : 2 * n + m]
+    return Found(velocity, pushed, multipliers, found[behind - 1], found[-1])
+
+
+def factored(M: Matrix, order: Sequence[int] = ()) -> tuple[Callable[[Vector], Vector], Matrix]:
+    """Return what solves M x = right, of a symmetric M, and what is left of it halfway; zeros stay.
+
+    Parameters
+    ----------
+    M : list of lists of scalars
+        The matrix.
+    order : sequence of int, optional
+        Unknowns that are eliminated first. What is left is the matrix of the others; they follow, the last
+        first.
+    """
+    n, left = len(M), list[list[Any]]()
+    others = [i for i in range(n) if i not in order]
+    M, inverse, order = [list(row) for row in M], [ZERO] * n, [*order, *reversed(others)]
+    for done, i in enumerate(order, 1):
+        if done > n - len(others) and not left:
+            left = [[M[j][k] for k in others] for j in others]
+        inverse[i] = 1.0 / number(M[i][i])
+        rest = order[done:]
+        factors = {j: M[j][i] * inverse[i] for j in rest}
+        for at, j in enumerate(rest):
+            for k in rest[: at + 1]:
+                M[j][k] = M[k][j] = M[j][k] - factors[j] * M[k][i]
+        for j in rest:
+            M[j][i] = factors[j]
+
+    def solve(right: Vector) -> Vector:
+        x = list(right)
+        for done, i in enumerate(order, 1):
+            for j in order[done:]:
+                x[j] = x[j] - M[j][i] * x[i]
+        x = [value * inverse[i] for i, value in enumerate(x)]
+        for k, i in reversed(list(enumerate(order))):
+            for j in order[k + 1 :]:
+                x[i] = x[i] - M[j][i] * x[j]
+        return x
+
+    return solve, left

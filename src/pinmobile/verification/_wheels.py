@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
+import pinocchio as pin
 
 from pinmobile import closed_form
 from pinmobile.arrays import Array
@@ -13,8 +14,9 @@ from pinmobile.compiled import vectorize
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.parts import Stepping, able, evolved
 from pinmobile.plant import Step
+from pinmobile.robot import BODY_JOINT, Engine, System, number
 from pinmobile.verification.bodies import WheelBodies
-from pinmobile.wheels import Ackermann, Coulomb, WheeledRobot
+from pinmobile.wheels import Ackermann, Coulomb, Kinematics, WheeledRobot
 
 ROUNDING = 1e-13  # some hundred roundings, relative to the scale of the terms
 SOLVED = 1e-12  # the same, where two solutions of linear equations are compared
@@ -41,13 +43,73 @@ class _Scales(NamedTuple):
     power: Array
 
 
+@final
+class WheelTree(System):
+    """Pinocchio's tree of a robot on wheels, and its dynamics in the coordinates of a `WheeledRobot`.
+
+    In the tree each steered wheel has an angle of its own, right before the wheel; wheels that are steered
+    together share one coordinate: v_tree = G v.
+
+    Parameters
+    ----------
+    wheeled : WheeledRobot
+        The robot.
+    """
+
+    def __init__(self, wheeled: WheeledRobot) -> None:
+        model = wheeled.robot.model
+        model.gravity.linear = np.array(wheeled.terms["fall"])
+        model.inertias[BODY_JOINT] = wheeled.bare_body
+        for wheel in wheeled.table.wheels:  # CRBA takes what hangs on a joint to come right after it
+            parent, place = BODY_JOINT, wheel.placement
+            if wheel.steering != "fixed":
+                pivot = pin.SE3(place.rotation, np.array([wheel.x, wheel.y, wheel.radius]))
+                parent = model.addJoint(BODY_JOINT, pin.JointModelRZ(), pivot, f"{wheel.name}_steering")
+                place = pin.SE3(np.eye(3), np.array([*wheel.trail, 0.0]))
+            joint = model.addJoint(parent, pin.JointModelRY(), place, wheel.name)
+            model.appendBodyToJoint(joint, wheel.inertia, pin.SE3.Identity())
+        self._engine, self._wheeled = Engine(model), wheeled
+        self.mounts, self.loads = wheeled.mounts, wheeled.robot.loads
+        self._kinematics, first = Kinematics.of(wheeled.table), wheeled.robot.nv
+        self.reflected = np.zeros((wheeled.nv, wheeled.nv))
+        for actuator in wheeled.table.actuators:
+            square = np.outer(actuator.column, actuator.column)
+            self.reflected[first:, first:] += actuator.motor.reflected_inertia * square
+
+    def moving(self, q: Array, v: Array, a: Array) -> tuple[tuple[Array, Array, Array], Array]:
+        """Return configurations, velocities and accelerations of the tree, shape (n, ...) each, and G."""
+        table, nv, lead = self._wheeled.table, self._wheeled.robot.nv, q.shape[:-1]
+        ns, steered = len(table.axes), {row: k for k, axis in enumerate(table.axes) for row in axis.wheels}
+        steering = list(np.moveaxis(q[..., nv : nv + ns], -1, 0))
+        size = nv + len(steered) + len(table)
+        G, (whole, bent) = np.zeros((*lead, size, v.shape[-1])), np.zeros((2, *lead, size))
+        G[..., np.arange(nv), np.arange(nv)], whole[..., :nv] = 1, q[..., :nv]
+        at = nv
+        for row, wheel in enumerate(table.wheels):
+            if row in steered:
+                k = steered[row]
+                c, s, first, second = (number(x) for x in self._kinematics.heading(row, steering))
+                own = np.cos(wheel.angle), np.sin(wheel.angle)
+                whole[..., at] = np.arctan2(s * own[0] - c * own[1], c * own[0] + s * own[1])
+                G[..., at, nv + k], bent[..., at] = first, second * v[..., nv + k] ** 2
+                at += 1
+            G[..., at, nv + ns + row], whole[..., at] = 1, q[..., nv + ns + row]
+            at += 1
+        return (whole, _times(G, v), _times(G, a) + bent), G
+
+    def dynamics(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return M(q), rotors included, by CRBA and n(q, v) by RNEA."""
+        moving, G = self.moving(q, v, 0 * v)
+        M = np.swapaxes(G, -1, -2) @ self.mass_matrix(moving[0]) @ G + self.reflected
+        return M, np.einsum("...ki,...k->...i", G, self.inverse_dynamics(*moving))
+
+
 def compare_wheeled(
     wheeled: WheeledRobot, states: int, rng: np.random.Generator
 ) -> tuple[tuple[Row, ...], str]:
     """Return the routes of a robot on wheels against each other, and which is missing."""
-    if able(wheeled, Stepping):
-        return _slipping(wheeled, states, rng)
-    return _rolling(wheeled, states, rng)
+    compare = _slipping if able(wheeled, Stepping) else _rolling
+    return compare(wheeled, states, rng)
 
 
 def _states(wheeled: WheeledRobot, count: int, rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
@@ -85,70 +147,85 @@ def _off(difference: Array, scale: Array) -> float:
 def _rolling(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> tuple[tuple[Row, ...], str]:
     q, v, u, f = _states(wheeled, states, rng)
     v = wheeled.project(q, v)
-    M, n = wheeled.mass_matrix(q), wheeled.nonlinear_effects(q, v)
-    a, ground = wheeled.forward_dynamics(q, v, u, f), wheeled.constraint_forces(q, v, u, f).values
+    M, n = WheelTree(wheeled).dynamics(q, v)
+    A, drift = wheeled.constraint_matrix(q), wheeled.constraint_drift(q, v)
     given = u @ wheeled.input_matrix.T + f
+    # By KKT: M a + n = given + A' lambda and A a = -drift, of rows that do not follow from each other.
+    some = sorted({*wheeled.mobility.choice.body, *(row for _, row in wheeled.mobility.choice.joints)})
+    size, k = A.shape[-1], len(some)
+    K, right = np.zeros((states, size + k, size + k)), np.concatenate([given - n, -drift[:, some]], axis=1)
+    K[:, :size, :size], K[:, size:, :size], K[:, :size, size:] = M, A[:, some], np.swapaxes(A[:, some], 1, 2)
+    a = np.linalg.solve(K, right[..., None])[:, :size, 0]
+    up = np.linalg.pinv(np.swapaxes(A, -1, -2), rcond=1e-10)
+    ground = _times(up, _times(M, a) + n - given)
     bodies, still = WheelBodies(wheeled, q, v), WheelBodies(wheeled, q, 0 * v, weightless=True)
     by_bodies = [still.forces(np.broadcast_to(unit, a.shape)) for unit in np.eye(wheeled.nv)]
     along, across, trains = _forces(wheeled, ground)
     held = bodies.contact(along, across) + trains @ bodies.trains()
-    A, drift = wheeled.constraint_matrix(q), wheeled.constraint_drift(q, v)
     scales = _scales(bodies, wheeled, M, v, a, np.abs(given) + np.abs(_times(np.swapaxes(A, -1, -2), ground)))
-    rows: list[Row] = [
-        ("M", "CRBA", BODIES, _off(M - np.stack(by_bodies, axis=-1), scales.M), ROUNDING),
-        ("n", "RNEA", BODIES, _off(n - bodies.forces(0 * a), scales.tau), ROUNDING),
-        ("tau", KKT, BODIES, _off(given + held - bodies.forces(a), scales.tau), SOLVED),
-    ]
     # Null space of A by its singular values: a = a0 + Z z, whatever moves along rows is left out of Z.
-    free = _null_space(A, wheeled.mobility.rank)
+    free = np.swapaxes(np.linalg.svd(A)[2][..., wheeled.mobility.rank :, :], -1, -2)
     a0 = -_times(np.asarray(np.linalg.pinv(A)), drift)
     right = given - n - _times(M, a0)
     z = np.linalg.solve(np.swapaxes(free, -1, -2) @ M @ free, np.swapaxes(free, -1, -2) @ right[..., None])
     other = a0 + (free @ z)[..., 0]
-    rows.append(("a", KKT, "null space of the rows", _off(a - other, scales.a), SOLVED))
-    found = np.linalg.pinv(np.swapaxes(A, -1, -2)) @ (_times(M, other) + n - given)[..., None]
-    size = np.abs(ground).max(-1, keepdims=True) + scales.tau[:, :2].max(-1, keepdims=True)
-    rows.append(("lambda", KKT, "null space of the rows", _off(ground - found[..., 0], size), SOLVED))
-    traced: Any = wheeled.array_dynamics
-    rows.append(("a", KKT, PLANE, _off(a - traced.forward_dynamics(q, v, u, f), scales.a), SOLVED))
-    rows += _reduced_rows(wheeled, q, v, u, a, f)
+    found = _times(np.linalg.pinv(np.swapaxes(A, -1, -2)), _times(M, other) + n - given)
+    largest = np.abs(ground).max(-1, keepdims=True) + scales.tau[:, :2].max(-1, keepdims=True)
+    plane, forces = wheeled.forward_dynamics(q, v, u, f), wheeled.constraint_forces(q, v, u, f).values
+    rows: list[Row] = [
+        ("M", "CRBA", BODIES, _off(M - np.stack(by_bodies, axis=-1), scales.M), ROUNDING),
+        ("M", "CRBA", PLANE, _off(M - wheeled.mass_matrix(q), scales.M), ROUNDING),
+        ("n", "RNEA", BODIES, _off(n - bodies.forces(0 * a), scales.tau), ROUNDING),
+        ("n", "RNEA", PLANE, _off(n - wheeled.nonlinear_effects(q, v), scales.tau), ROUNDING),
+        ("tau", KKT, BODIES, _off(given + held - bodies.forces(a), scales.tau), SOLVED),
+        ("a", KKT, "null space of the rows", _off(a - other, scales.a), SOLVED),
+        ("lambda", KKT, "null space of the rows", _off(ground - found, largest), SOLVED),
+        ("a", KKT, PLANE, _off(a - plane, scales.a), SOLVED),
+        ("lambda", KKT, PLANE, _off(ground - forces, largest), SOLVED),
+        *_reduced_rows(wheeled, (M, n), q, v, u, a, f),
+    ]
     power = np.einsum("ni,ni->n", v, given - wheeled.nonlinear_effects(q, 0 * v))
-    rate = _rate(wheeled, lambda x, y: wheeled.kinetic_energy(x, y), q, v, a)
+    rate = _rate(wheeled, wheeled.kinetic_energy, q, v, a)
     rows.append(("power", KKT, RATE, _off(power - rate, scales.power), DIFFERENCED))
     try:
-        compiled = vectorize(traced.forward_dynamics, keep=False)(q, v, u, f)
+        compiled = vectorize(wheeled.array_dynamics.forward_dynamics, keep=False)(q, v, u, f)
     except NotTraceable as error:
         return tuple(rows), f"{COMPILED}: {error.reason}"
-    rows.append(("a", COMPILED, PLANE, _off(compiled - a, scales.a), SOLVED))
+    rows.append(("a", COMPILED, PLANE, _off(compiled - plane, scales.a), SOLVED))
     return tuple(rows), ""
 
 
-def _reduced_rows(wheeled: WheeledRobot, q: Array, v: Array, u: Array, a: Array, f: Array) -> Iterator[Row]:
+def _reduced_rows(
+    wheeled: WheeledRobot, tree: tuple[Array, Array], q: Array, v: Array, u: Array, a: Array, f: Array
+) -> Iterator[Row]:
     """Yield the rows of the dynamics in independent velocities."""
-    own, plane = wheeled.reduced(q, v), wheeled.array_dynamics.reduced(q, v)
-    diagonal = np.sqrt(np.einsum("nii->ni", own.M))
+    plane, body, (M, n) = wheeled.reduced(q, v), wheeled.array_dynamics, tree
+    S_T, state = np.swapaxes(plane.S, -1, -2), body.state(q, v)
+    bent = body.in_plane(state, body.accelerations(state, [0.0] * plane.nu.shape[-1]), q)
+    own = {"M": S_T @ M @ plane.S, "n": _times(S_T, n + _times(M, bent)), "B": S_T @ wheeled.input_matrix}
+    diagonal = np.sqrt(np.einsum("nii->ni", own["M"]))
     pair = diagonal[:, :, None] * diagonal[:, None, :]
     # |v| of what moves, by the metric of the kinetic energy: sqrt(M_ii) |rates|^2 sqrt(m), and gravity.
     rates = np.abs(v[:, : wheeled.robot.nv]).sum(-1) + np.abs(v[:, wheeled.robot.nv :]).sum(-1)
     weight = np.sqrt(wheeled.robot.lumped(wheeled.robot.rest).mass)
-    size = diagonal * weight * (float(np.linalg.norm(WheelBodies(wheeled, q, v).fall)) + rates**2)[:, None]
-    inputs = np.abs(own.B).max(axis=(1, 2), keepdims=True, initial=0.0) + 1.0
-    for quantity, scale in (("M", pair), ("n", size), ("B", inputs)):
-        difference = getattr(own, quantity) - getattr(plane, quantity)
+    size = diagonal * weight * (float(np.linalg.norm(body.fall)) + rates**2)[:, None]
+    scales = {"M": pair, "n": size, "B": np.abs(own["B"]).max(axis=(1, 2), keepdims=True, initial=0.0) + 1.0}
+    for quantity, scale in scales.items():
+        difference = own[quantity] - getattr(plane, quantity)
         yield f"{quantity} of nu", TREE, PLANE, _off(difference, scale), ROUNDING
-    by_hand = by_closed_form(wheeled, q, own.nu)
+    by_hand = by_closed_form(wheeled, q, plane.nu)
     if by_hand is not None:
         arms = wheeled.robot.nv - 3
         bodily = 3 - len(wheeled.mobility.choice.body)
-        kept = [*range(bodily), *range(bodily + arms, own.M.shape[-1])]
+        kept = [*range(bodily), *range(bodily + arms, plane.nu.shape[-1])]
         some = np.ix_(range(len(q)), kept, kept)
-        yield "M of nu", TREE, HAND, _off(own.M[some] - by_hand.M, pair[some]), ROUNDING
-        if not arms:
-            yield "n of nu", TREE, HAND, _off(own.n - by_hand.n, size), ROUNDING
-            yield "B of nu", TREE, HAND, _off(own.B - by_hand.B, inputs), ROUNDING
+        yield "M of nu", TREE, HAND, _off(own["M"][some] - by_hand.M, pair[some]), ROUNDING
+        for quantity in "nB" if not arms else "":
+            difference = own[quantity] - getattr(by_hand, quantity)
+            yield f"{quantity} of nu", TREE, HAND, _off(difference, scales[quantity]), ROUNDING
     rate = _rate(wheeled, wheeled.independent, q, v, a)
-    force = _times(own.B, u) - own.n + np.einsum("nij,ni->nj", own.S, f)
-    solved = np.linalg.solve(own.M, force[..., None])[..., 0]
+    force = _times(own["B"], u) - own["n"] + _times(S_T, f)
+    solved = np.linalg.solve(own["M"], force[..., None])[..., 0]
     speed = np.abs(rate).max(-1, keepdims=True) + np.abs(solved).max(-1, keepdims=True) + rates[:, None] ** 2
     yield "nu'", TREE, "rate of nu as KKT moves it", _off(solved - rate, speed), DIFFERENCED
 
@@ -184,12 +261,7 @@ def by_closed_form(wheeled: WheeledRobot, q: Array, nu: Array) -> closed_form.Re
         return None
     if len(wheels) == 2 and not table.axes and first.y > 0 and all(wheel.motor for wheel in wheels):
         return closed_form.differential_drive(
-            nu[:, [0, 1]],
-            **body,
-            track=2 * first.y,
-            radius=first.radius,
-            spin_inertia=spins[0],
-            axle=first.x,
+            nu[:, [0, 1]], **body, track=2 * first.y, radius=first.radius, spin_inertia=spins[0], axle=first.x
         )
     turned = next((each for each in table.couplings if isinstance(each, Ackermann)), None)
     if turned is None or len(wheels) != 4 or len(table.axes) != 1 or turned.axle or first.x:
@@ -233,12 +305,6 @@ def _forces(wheeled: WheeledRobot, values: Array) -> tuple[Array, Array, Array]:
         else:
             (across if kind == "lateral" else along)[:, wheeled.table.names.index(wheel)] = values[:, k]
     return along, across, np.reshape(trains, (len(trains), len(values))).T
-
-
-def _null_space(A: Array, rank: int) -> Array:
-    """Return an orthonormal basis of what A leaves free, shape (n, nv, nv - rank)."""
-    _, _, right = np.linalg.svd(A)
-    return np.swapaxes(right[..., rank:, :], -1, -2)
 
 
 def _rate(
@@ -345,4 +411,4 @@ def _turned(angle: Array, x: Array) -> Array:
 
 
 def _times(matrices: Array, vectors: Array) -> Array:
-    return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))
+    return np.asarray(np.einsum("...ij,...j->...i", matrices, vectors))

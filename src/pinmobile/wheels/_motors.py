@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import pi
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, final
 
@@ -25,7 +26,7 @@ from pinmobile.arrays import (
 )
 from pinmobile.compiled import choose
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.parts import by_value, number as declared_number, option, part
+from pinmobile.parts import by_value, number as declared, option, part
 from pinmobile.robot import ONE, ZERO, Vector, number, scalars
 
 _ELECTRIC = "resistance", "torque_constant", "voltage"
@@ -73,30 +74,26 @@ class Motor:
         voltage are given.
     """
 
-    torque_limit: float = declared_number(
+    torque_limit: float = declared(
         default=np.inf, unit="N m", above=0, endless=True, fixed=True, doc="largest torque at the wheel"
     )
-    resistance: float | None = declared_number(
+    resistance: float | None = declared(
         default=None, unit="ohm", above=0, optional=True, doc="resistance of the armature"
     )
-    torque_constant: float | None = declared_number(
+    torque_constant: float | None = declared(
         default=None, unit="N m/A", above=0, optional=True, doc="torque constant"
     )
-    voltage: float | None = declared_number(
+    voltage: float | None = declared(
         default=None, unit="V", above=0, optional=True, fixed=True, doc="largest voltage"
     )
-    gear: float = declared_number(
-        default=1.0, above=0, fixed=True, doc="turns of the motor per turn of the wheel"
-    )
-    efficiency: float = declared_number(
-        default=1.0, above=0, upper=1, neutral=1, doc="efficiency of the gear"
-    )
-    rotor_inertia: float = declared_number(
+    gear: float = declared(default=1.0, above=0, fixed=True, doc="turns of the motor per turn of the wheel")
+    efficiency: float = declared(default=1.0, above=0, upper=1, neutral=1, doc="efficiency of the gear")
+    rotor_inertia: float = declared(
         default=0.0, unit="kg m^2", lower=0, fixed=True, doc="inertia of the rotor"
     )
-    viscous: float = declared_number(default=0.0, unit="N m s/rad", lower=0, doc="friction per rate")
-    coulomb: float = declared_number(default=0.0, unit="N m", lower=0, doc="dry friction")
-    current: float = declared_number(
+    viscous: float = declared(default=0.0, unit="N m s/rad", lower=0, doc="friction per rate")
+    coulomb: float = declared(default=0.0, unit="N m", lower=0, doc="dry friction")
+    current: float = declared(
         default=np.inf, unit="A", above=0, endless=True, fixed=True, doc="largest current"
     )
     source: str = option(default="", check=text)
@@ -151,26 +148,17 @@ class Motor:
         InvalidArgument
             If a number is not finite or not in its range, or the gear would give more than it takes.
         """
-        numbers = {
-            "voltage": (voltage, "V"),
-            "stall_torque": (stall_torque, "N m"),
-            "stall_current": (stall_current, "A"),
-            "no_load_rate": (no_load_rate, "rad/s"),
-            "gear": (gear, ""),
-        }
-        V, torque, i_s, W, G = (positive(name, x, unit) for name, (x, unit) in numbers.items())
+        V, torque = positive("voltage", voltage, "V"), positive("stall_torque", stall_torque, "N m")
+        i_s, G = positive("stall_current", stall_current, "A"), positive("gear", gear)
+        W = positive("no_load_rate", no_load_rate, "rad/s")
         i_0 = non_negative("no_load_current", no_load_current, "A")
-        if i_0 >= i_s:
-            raise InvalidArgument(
-                f"no_load_current is {i_0:g} A, expected less than stall_current, {i_s:g} A"
-            )
         R = V / i_s
         k = (V - R * i_0) / (G * W)
         given = G * k * (i_s - i_0)
-        if not 0 < given < np.inf or not 0 < k < np.inf:
+        if not (0 < given < np.inf and 0 < k < np.inf):
             raise InvalidArgument(
-                f"voltage, rates and currents of {V:g} V, {W:g} rad/s, {i_s:g} A with a gear of {G:g} are "
-                "beyond what numbers can hold, expected those of a motor"
+                f"no_load_current is {i_0:g} A, expected less than stall_current, {i_s:g} A, and finite "
+                f"numbers with {V:g} V, {W:g} rad/s and a gear of {G:g}"
             )
         share = torque / given
         if share > 1:
@@ -196,13 +184,12 @@ class Motor:
         """What its rotor adds to the wheel's inertia about the axle [kg m^2]."""
         return self.gear**2 * self.rotor_inertia
 
-    def _electric(self, what: str) -> tuple[float, float, float]:
-        if self.resistance is None or self.torque_constant is None or self.voltage is None:
-            raise InvalidArgument(
-                f"{what} is asked of {shown(self)}, a source of torque, expected a Motor with resistance, "
-                "torque_constant and voltage"
-            )
-        return self.resistance, self.torque_constant, self.voltage
+    @cached_property
+    def _law(self) -> MotorLaw:
+        if not self.is_electric:
+            words = "expected one with resistance, torque_constant and voltage"
+            raise InvalidArgument(f"motor is {shown(self)}, a source of torque, {words}")
+        return MotorLaw((self,), *([getattr(self, name)] for name in CONSTANTS))
 
     @in_numbers
     def armature_current(self, volts: ArrayLike, rate: ArrayLike) -> Array:
@@ -220,11 +207,8 @@ class Motor:
         InvalidArgument
             If it is no electric motor, or an argument is not finite.
         """
-        volts, rate = finite("volts", volts), finite("rate", rate)
-        broadcast(volts=volts[..., None], rate=rate[..., None])
-        R, k, most = self._electric("a current")
-        i = (np.clip(volts, -most, most) - k * self.gear * rate) / R
-        return np.asarray(np.clip(i, -self.current, self.current))
+        volts, rate = self._state(volts, rate)
+        return np.asarray(self._law.current(0, self._law.volts(0, volts), rate))
 
     @in_numbers
     def torque(self, volts: ArrayLike, rate: ArrayLike) -> Array:
@@ -238,48 +222,42 @@ class Motor:
         volts, rate
             As in `armature_current`.
         """
-        volts, rate = finite("volts", volts), finite("rate", rate)
-        _, k, _ = self._electric("a torque")
-        shaft = k * self.armature_current(volts, rate) - self.viscous * self.gear * rate
-        rest = np.clip(shaft, -self.coulomb, self.coulomb)
-        shaft = shaft - np.where(rate == 0, rest, self.coulomb * np.sign(rate))
-        return np.asarray(self._through_gear(shaft, rate))
+        volts, rate = self._state(volts, rate)
+        return np.asarray(self._law.torque(0, self._law.volts(0, volts), rate))
 
-    def _through_gear(self, shaft: Array, rate: Array) -> Array:
-        """Return the torque behind the gear of one before it."""
-        drives = np.asarray(shaft * rate >= 0)
-        torque = self.gear * shaft * np.where(drives, self.efficiency, 1 / self.efficiency)
-        return np.asarray(np.clip(torque, -self.torque_limit, self.torque_limit))
+    def _state(self, volts: ArrayLike, rate: ArrayLike) -> tuple[Array, Array]:
+        volts, rate = finite("volts", volts), finite("rate", rate)
+        broadcast(volts=volts[..., None], rate=rate[..., None])
+        return volts, rate
+
+    @in_numbers
+    def _free(self, volts: float | None) -> Array:
+        R, k = self._law._numbers(0)[:2]
+        held = self.gear * (k * k / R + self.viscous)
+        return np.asarray((k * self._volts(volts) / R - self.coulomb) / held)
+
+    def _volts(self, volts: float | None) -> float:
+        return self._law.volts(0, np.inf) if volts is None else scalar("volts", volts)
 
     def no_load_rate(self, volts: float | None = None) -> float:
         """Return the rate of the wheel that runs free at a voltage, by default the largest [rad/s]."""
-        return max(float(self._free(self._volts("a rate", volts))), 0.0)
-
-    @in_numbers
-    def _free(self, volts: float) -> Array:
-        R, k, _ = self._electric("a rate")
-        held = np.asarray(self.gear * (k * k / R + self.viscous))
-        return np.asarray((k * volts / R - self.coulomb) / held)
-
-    def _volts(self, what: str, volts: float | None) -> float:
-        _, _, most = self._electric(what)
-        return most if volts is None else scalar("volts", volts)
+        return max(float(self._free(volts)), 0.0)
 
     def stall_torque(self, volts: float | None = None) -> float:
         """Return the torque at the wheel that is held, at a voltage, by default the largest [N m]."""
-        return float(self.torque(self._volts("a torque", volts), 0.0))
+        return float(self.torque(self._volts(volts), 0.0))
 
     @property
     def largest_torque(self) -> float:
         """Largest torque at the wheel [N m]: that of stall, or `torque_limit` of a source of torque."""
         return self.stall_torque() if self.is_electric else self.torque_limit
 
-    def _margin(self, torque: Array, rate: Array) -> Array:
+    def margin(self, torque: Array, rate: Array) -> Array:
         """Return what is left of the torque that it has at a rate, shape (...) [N m]."""
-        if not self.is_electric:
+        if self.voltage is None:
             return np.asarray(self.torque_limit - np.abs(torque))
         way = np.where(torque < 0, -1.0, 1.0)
-        return np.asarray(self.torque(way * self._volts("a torque", None), rate) * way - np.abs(torque))
+        return np.asarray(self.torque(way * self.voltage, rate) * way - np.abs(torque))
 
 
 class Push(NamedTuple):
@@ -351,8 +329,7 @@ class MotorLaw:
     @cached_property
     def _all(self) -> list[list[Any]]:
         parts = self.resistance, self.torque_constant, self.viscous, self.coulomb, self.efficiency
-        columns = ([float(x) if isinstance(x, np.float64) else x for x in scalars(part)] for part in parts)
-        return [list(row) for row in zip(*columns, strict=True)]
+        return [list(row) for row in zip(*map(scalars, parts), strict=True)]
 
     def _numbers(self, k: int) -> list[Any]:
         return self._all[k]
@@ -465,55 +442,9 @@ class MotorLaw:
         return within(volts, float(motor.voltage or 0.0)) if clips else volts
 
 
-_RPM = 2 * pi / 60  # [rad/s]
-_ROBOTIS = (
-    "ROBOTIS e-Manual, emanual.robotis.com/docs/en/dxl/x/{}/ (github.com/ROBOTIS-GIT/emanual, 00280385)"
-)
-
+_SHEETS = tomllib.loads(Path(__file__).with_name("motors.toml").read_text("utf-8"))
 MOTORS: Mapping[str, Motor] = MappingProxyType(
-    {
-        "dynamixel_xl430_w250": Motor.from_sheet(
-            11.1,
-            1.4,
-            1.3,
-            57 * _RPM,
-            gear=258.5,
-            source=_ROBOTIS.format("xl430-w250")
-            + ": at 11.1 V 1.4 N m and 1.3 A at stall, 57 rev/min without load. Not told: current without "
-            "load, rotor inertia",
-        ),
-        "dynamixel_xm430_w210": Motor.from_sheet(
-            12.0,
-            3.0,
-            2.3,
-            77 * _RPM,
-            gear=212.6,
-            source=_ROBOTIS.format("xm430-w210")
-            + ": at 12 V 3.0 N m and 2.3 A at stall, 77 rev/min without load. Not told: current without "
-            "load, rotor inertia",
-        ),
-        "pololu_37d_50_12v": Motor.from_sheet(
-            12.0,
-            210e-6 * 9806.65,
-            5.5,
-            200 * _RPM,
-            0.2,
-            gear=50.0,
-            source="Pololu 37D Metal Gearmotors, rev 1.2 (scribd.com/document/461460344), items 4743, 4753: "
-            "at 12 V 210 kg mm and 5.5 A at stall (extrapolated), 200 rev/min and 0.2 A without load. Not "
-            "told: rotor inertia",
-        ),
-        "faulhaber_1331t012sr": Motor(
-            resistance=13.7,
-            torque_constant=11.4e-3,
-            voltage=12.0,
-            rotor_inertia=0.67e-7,
-            coulomb=0.12e-3,
-            source="Faulhaber DC-Micromotors series 1331 SR (paperzz.com/doc/7782699): 13.7 ohm, "
-            "11.4 mN m/A, 12 V, 0.67 g cm^2, friction torque 0.12 mN m; without a gear. Its largest currents "
-            "are left out",
-        ),
-    }
+    {name: (Motor.from_sheet if "stall_torque" in own else Motor)(**own) for name, own in _SHEETS.items()}
 )
 """Real motors by name, numbers of their makers' sheets, which ``source`` names, and what these do not tell.
 

@@ -1,8 +1,7 @@
-"""`RollingDynamics`: a robot whose wheels roll ideally, for one state, many, or symbols.
+"""`WheeledDynamics`: body, arms and wheels, and independent velocities, for one state, many, or symbols.
 
-It is what a `WheeledRobot` on ideal ground is to compiled loops and to loops on arrays. It knows wheels as
-terms of the energy in the plane and rolling as independent velocities; Pinocchio's tree and its constraint
-forces, by which `WheeledRobot` itself computes, are another way to the same numbers.
+It is what a `WheeledRobot` is to all engines, with what its ground adds. It knows wheels as terms of the
+energy in the plane, and rolling as independent velocities.
 """
 
 from __future__ import annotations
@@ -10,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import choose
 from pinmobile.measures import Measure
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import (
@@ -23,22 +21,62 @@ from pinmobile.robot import (
     Matrix,
     Vector,
     applied,
+    cross,
     dot,
     exact,
     number,
     scalars,
     sine_and_cosine,
-    solved as solved_by,
+    solved,
     transposed,
     vector_of as stacked,
 )
-from pinmobile.wheels.freedom import Followed, Freedom, Reduced, State as State, followed, linearized, matrix
-from pinmobile.wheels.kinematics import Choice, Kinematics
-from pinmobile.wheels.standing import Group, groups_of, measured, measures_of
-from pinmobile.wheels.table import Axis, WheelTable
+from pinmobile.wheels._kinematics import Choice, Kinematics, Row, Solution, solved as rolled
+from pinmobile.wheels._loads import measured, measures_of
+from pinmobile.wheels._table import Axis, WheelTable
+from pinmobile.wheels._velocities import Followed, Reduced, followed, linearized, matrix
 
 _BASE = 3
-_RESTING = 1e-9  # [rad/s], of an axis at its stop
+
+
+class State(NamedTuple):
+    """A state, seen from the body.
+
+    Attributes
+    ----------
+    c, s : scalar
+        Of the heading.
+    arms, steering : list of scalars
+        Configuration of the arms, and steering angles.
+    twist, arm_rates, rates : list of scalars
+        Body twist; rates of the arms; of steering coordinates and wheels.
+    """
+
+    c: Any
+    s: Any
+    arms: Vector
+    steering: Vector
+    twist: Vector
+    arm_rates: Vector
+    rates: Vector
+
+    def along(self, x: Vector) -> Vector:
+        """Return numbers along the inertial axes along those of the body."""
+        return [self.c * x[0] + self.s * x[1], self.c * x[1] - self.s * x[0], *x[2:]]
+
+    def outward(self, x: Vector) -> Vector:
+        """Return numbers along the body's axes along the inertial ones."""
+        return [self.c * x[0] - self.s * x[1], self.s * x[0] + self.c * x[1], *x[2:]]
+
+    @property
+    def velocities(self) -> Vector:
+        """All velocities, along the body's axes."""
+        return [*self.twist, *self.arm_rates, *self.rates]
+
+    def moving(self, v: Vector) -> State:
+        """Return the state with other velocities."""
+        end = _BASE + len(self.arms)
+        return self._replace(twist=v[:_BASE], arm_rates=v[_BASE:end], rates=v[end:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,11 +187,6 @@ class WheeledDynamics:
         return measured(self, q, v, a, u, reference.q)
 
     @property
-    def freedom(self) -> Freedom:
-        """Its independent velocities, where wheels roll."""
-        return Freedom(self)
-
-    @property
     def weight(self) -> Any:
         """Weight of all that it is made of, across the plane [N]."""
         own = self.robot.weight if self.na else self.robot.mass * float(np.linalg.norm(self.fall))
@@ -164,9 +197,9 @@ class WheeledDynamics:
         angles, rates = scalars(q), scalars(v)
         s, c = sine_and_cosine(angles[2])
         arms = _BASE + self.na
-        twist = [c * rates[0] + s * rates[1], c * rates[1] - s * rates[0], rates[2]]
         steering = angles[arms : arms + len(self.table.axes)]
-        return State(c, s, angles[_BASE:arms], steering, twist, rates[_BASE:arms], rates[arms:])
+        found = State(c, s, angles[_BASE:arms], steering, rates[:_BASE], rates[_BASE:arms], rates[arms:])
+        return found._replace(twist=found.along(found.twist))
 
     def inertia(self, state: State, q: Any) -> Matrix:
         """Return M, (size, size), of body axes."""
@@ -252,8 +285,7 @@ class WheeledDynamics:
 
     def pull(self, state: State) -> Vector:
         """Return gravity in the plane along the body's axes, which every mass feels alike [m/s^2]."""
-        x, y = (exact(float(each)) for each in self.fall[:2])
-        return [state.c * x + state.s * y, state.c * y - state.s * x]
+        return state.along([exact(float(each)) for each in self.fall[:2]])
 
     def felt(self, state: State, a: Vector) -> Vector:
         """Return accelerations less gravity in the plane, which is as if the plane accelerated against it."""
@@ -269,13 +301,42 @@ class WheeledDynamics:
                 found[_BASE + na + i] = found[_BASE + na + i] + exact(share) * torque
         if np.ndim(f) == 0 and not isinstance(f, np.ndarray) and number(exact(f)) == 0:
             return found
-        beside = scalars(f)
-        turned = [state.c * beside[0] + state.s * beside[1], state.c * beside[1] - state.s * beside[0]]
-        return [x + y for x, y in zip(found, [*turned, *beside[2:]], strict=True)]
+        return [x + y for x, y in zip(found, state.along(scalars(f)), strict=True)]
+
+    def actuator_rates(self, rates: Vector) -> Vector:
+        """Return the rate of each actuator, of those of steering coordinates and wheels."""
+        return [number(dot([exact(x) for x in actuator.column], rates)) for actuator in self.table.actuators]
 
     def in_plane(self, state: State, a: Vector, q: Any) -> Any:
         """Return numbers along the body's axes as a public array, shape (..., size)."""
-        return stacked([state.c * a[0] - state.s * a[1], state.s * a[0] + state.c * a[1], *a[2:]], q)
+        return stacked(state.outward(a), q)
+
+    def mass_matrix(self, q: Any) -> Any:
+        """Return M(q), shape (..., nv, nv), rotors included."""
+        state = self.state(q, stacked([ZERO] * self.size, q))
+        half = transposed([state.outward(row) for row in self.inertia(state, q)])
+        return matrix(transposed([state.outward(row) for row in half]), q)
+
+    def nonlinear_effects(self, q: Any, v: Any) -> Any:
+        """Return n(q, v), shape (..., nv)."""
+        return self.left(q, v, stacked([ZERO] * self.size, q))
+
+    def left(self, q: Any, v: Any, a: Any) -> Any:
+        """Return M a + n, shape (..., nv)."""
+        state = self.state(q, v)
+        return self.in_plane(state, self.needed(state, self.felt(state, state.along(scalars(a))), q), q)
+
+    def needed(self, state: State, felt: Vector, q: Any) -> Vector:
+        """Return the generalised force that lets it move so, along the body's axes."""
+        pairs = zip(self.inertia(state, q), self.effects(state, q), strict=True)
+        return [dot(row, felt) + n for row, n in pairs]
+
+    def constraints(self, q: Any, v: Any) -> tuple[Any, Any]:
+        """Return A(q), shape (..., k, nv), and dA/dt v: A v = 0 where wheels roll."""
+        state = self.state(q, v)
+        rows = self.kinematics.rows(state.steering, state.twist, state.rates)
+        A = [state.outward([*row.base, *[ZERO] * self.na, *row.joints]) for row in rows]
+        return matrix(A, q), stacked([row.drift for row in rows], q)
 
     def integrate(self, q: Any, dq: Any) -> Any:
         """Return the configuration that a displacement leads to."""
@@ -309,24 +370,9 @@ class WheeledDynamics:
         angles, turns = (scalars(x) if len(x) else [ZERO] * len(self.table.axes) for x in (steering, turning))
         return stacked(self.kinematics.odometry(angles, [*turns, *scalars(rates)]), rates)
 
-    def reduced(self, q: Any, v: Any) -> Reduced:
-        """Return the dynamics of the independent velocities: M nu' + n = B u, see `Reduced`."""
-        return self.freedom.reduced(q, v)
-
-    def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
-        """Return the input of least norm with which body and arms accelerate so, shape (..., nu).
-
-        Of drives whose body is free to move in any direction; `a` has the first 3 + arms coordinates.
-        """
-        return self.freedom.inverse_dynamics(q, v, a)
-
-    def torques(self, q: Any, v: Any, rates: Any) -> Any:
-        """Return the input of least norm with which the independent velocities change so, shape (..., nu)."""
-        return self.freedom.torques(q, v, rates)
-
     def independent(self, q: Any, v: Any) -> Any:
         """Return the independent velocities nu of a state that rolls, shape (..., m)."""
-        return stacked(self.freedom.velocities(self.state(q, v)), q)
+        return stacked(self.velocities(self.state(q, v)), q)
 
     def linearize_tracked(self, q: Any, v: Any, u: Any) -> tuple[Array, Array]:
         """Return A and B of the tracked state, see `WheeledRobot.linearize_tracked`."""
@@ -335,6 +381,169 @@ class WheeledDynamics:
     def followed(self, reference: Any) -> Followed:
         """Return states, and inputs of least norm, with which it goes along a reference: see `Followed`."""
         return followed(self, reference)
+
+    # Where wheels roll: independent velocities nu, v = S nu, see `Reduced`
+
+    def solution(self, state: State) -> Solution:
+        """Return what rolls, arms between body and joints."""
+        rows = self.kinematics.rows(state.steering, state.twist, state.rates)
+        choice = self.choice
+        S, gamma = rolled(rows, choice)
+        width, na = len(S[0]), self.na
+        own = _BASE if not choice.body else _BASE - len(choice.body)
+        wide = [[*row[:own], *[ZERO] * na, *row[own:]] for row in S]
+        arms: Matrix = [[ZERO] * (width + na) for _ in range(na)]
+        for i in range(na):
+            arms[i][own + i] = exact(1.0)
+        return Solution([*wide[:_BASE], *arms, *wide[_BASE:]], [*gamma[:_BASE], *[ZERO] * na, *gamma[_BASE:]])
+
+    def velocities(self, state: State) -> Vector:
+        """Return the independent velocities nu of a state that rolls, in the order of the columns of S."""
+        held = [self.kinematics.rows(state.steering, state.twist, state.rates)[i] for i in self.choice.body]
+        a, w = held[0].base if held else [], state.twist[2]
+        if not held:
+            body = state.twist
+        elif len(held) == 1 or self.choice.is_fixed:
+            speed = a[1] * state.twist[0] - a[0] * state.twist[1]
+            body = [speed, w] if len(held) == 1 else [speed]
+        else:
+            about = cross(a, held[1].base)
+            body = [dot(about, state.twist) / dot(about, about)]
+        return [*body, *state.arm_rates, *(state.rates[k] for k in self.choice.free)]
+
+    def unmoved(self, state: State, S: Matrix, gamma: Vector) -> Vector:
+        """Return the accelerations, along the body's axes, where the independent velocities do not change."""
+        offset = self.offset(state, gamma)
+        return [g - dot(row, offset) for row, g in zip(S, gamma, strict=True)]
+
+    def offset(self, state: State, gamma: Vector) -> Vector:
+        """Return the rates of the independent velocities where the accelerations are gamma."""
+        vx, vy, w = state.twist
+        moved = [gamma[0] + w * vy, gamma[1] - w * vx, gamma[2]]  # the rate of the body twist
+        rows = self.kinematics.rows(state.steering, state.twist, state.rates)
+        held = [(rows[i].base, self._turned(rows[i], state)) for i in self.choice.body]
+        if not held:
+            body = moved
+        elif len(held) == 1 or self.choice.is_fixed:
+            a, a_dot = held[0]
+            first = a[1] * moved[0] - a[0] * moved[1] + a_dot[1] * vx - a_dot[0] * vy
+            body = [first, moved[2]] if len(held) == 1 else [first]
+        else:
+            (a, a_dot), (b, b_dot) = held
+            about = cross(a, b)
+            about_dot = [x + y for x, y in zip(cross(a_dot, b), cross(a, b_dot), strict=True)]
+            square = dot(about, about)
+            change = dot(about_dot, state.twist) + dot(about, moved)
+            twice = 2.0 * dot(about, state.twist) * dot(about, about_dot) / square
+            body = [(change - twice) / square]
+        return [*body, *[ZERO] * (self.na + len(self.choice.free))]
+
+    def _turned(self, row: Row, state: State) -> Vector:
+        """Return the rate of a lateral row's coefficients by the steering of its wheel about its centre."""
+        k = next((k for wheel, k in self._steered if wheel == row.wheel), None)
+        if k is None:
+            return [ZERO] * 3
+        turn = self.kinematics.heading(row.wheel, state.steering).first * state.rates[k]
+        x, y = self.kinematics.x[row.wheel], self.kinematics.y[row.wheel]
+        a, b, _ = row.base
+        return [-(turn * b), turn * a, turn * (x * a + y * b)]
+
+    def accelerations(self, state: State, rates: Vector) -> Vector:
+        """Return the accelerations, along the body's axes, where the independent velocities change so."""
+        S, gamma = self.solution(state)
+        return [dot(row, rates) + g for row, g in zip(S, self.unmoved(state, S, gamma), strict=True)]
+
+    def reduced(self, q: Any, v: Any) -> Reduced:
+        """Return the dynamics of the independent velocities: M nu' + n = B u, see `Reduced`."""
+        state = self.state(q, v)
+        M, (S, gamma) = self.inertia(state, q), self.solution(state)
+        effects = self.effects(state, q)
+        columns = transposed(S)
+        pushed = [applied(M, column) for column in columns]
+        still = self.felt(state, self.unmoved(state, S, gamma))
+        rest = [n + dot(row, still) for n, row in zip(effects, M, strict=True)]
+        B = self.input_columns(state, columns)
+        public = [self.in_plane(state, column, q) for column in columns]
+        return Reduced(
+            matrix([[dot(a, b) for b in pushed] for a in columns], q),
+            stacked([dot(column, rest) for column in columns], q),
+            matrix(B, q) if self.nu else np.zeros((*np.shape(q)[:-1], len(columns), 0)),
+            np.stack(np.broadcast_arrays(*public), axis=-1),
+            stacked(self.velocities(state), q),
+        )
+
+    def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
+        """Return the input of least norm with which body and arms accelerate so, shape (..., nu).
+
+        Of drives whose body is free to move in any direction; `a` has the first 3 + arms coordinates.
+        """
+        state = self.state(q, v)
+        S, gamma = self.solution(state)
+        return stacked(self._driven(state, q, S, state.along(scalars(a)), gamma), q)
+
+    def torques(self, q: Any, v: Any, rates: Any) -> Any:
+        """Return the input of least norm with which the independent velocities change so, shape (..., nu)."""
+        state = self.state(q, v)
+        S, gamma = self.solution(state)
+        return stacked(self._driven(state, q, S, scalars(rates), self.unmoved(state, S, gamma)), q)
+
+    def _driven(self, state: State, q: Any, S: Matrix, rates: Vector, rest: Vector) -> Vector:
+        """Return the input of least norm with which all accelerate as S rates + rest."""
+        M = self.inertia(state, q)
+        whole = self.felt(state, [dot(row, rates) + g for row, g in zip(S, rest, strict=True)])
+        force = [dot(row, whole) + n for row, n in zip(M, self.effects(state, q), strict=True)]
+        return self._least(state, S, force)
+
+    def input_columns(self, state: State, columns: Matrix) -> Matrix:
+        """Return S' B: what each input is to each independent velocity, of the columns of S."""
+        units = [self.generalised(state, one, 0.0) for one in np.eye(self.nu)]
+        return [[dot(column, unit) for unit in units] for column in columns]
+
+    def _least(self, state: State, S: Matrix, force: Vector) -> Vector:
+        """Return the input of least norm that does what a generalised force along the body's axes does."""
+        columns = transposed(S)
+        right = [dot(column, force) for column in columns]
+        B = self.input_columns(state, columns)
+        square = [[dot(x, y) for y in B] for x in B]
+        found = solved(square, right, list(range(len(right))))
+        return [dot(column, found) for column in zip(*B, strict=True)]
+
+    def allocate_scaled(self, q: Any, tau: Any) -> tuple[Any, Any]:
+        """Return an input for a force on body and arms, and what of it is left, see `WheeledRobot`."""
+        state = self.state(q, stacked([ZERO] * self.nv, q))
+        S, _ = self.solution(state)
+        along = state.along(scalars(tau))
+        u = stacked(self._least(state, S, [*along, *[ZERO] * self.joints]), q)
+        upper, lower = (
+            np.array([getattr(each, side) for each in self.inputs]) for side in ("upper", "lower")
+        )
+        if np.isfinite([upper, lower]).any():
+            high, low = u > upper, u < lower
+            beyond = np.where(high, upper, np.where(low, lower, 1.0)) / np.where(high | low, u, 1.0)
+            u = u * np.min(beyond, axis=-1)[..., None]
+        rest = [a - b for a, b in zip(along, self.supplied(state, u), strict=True)]
+        return u, stacked(state.outward(rest), q)
+
+    def supplied(self, state: State, u: Any) -> Vector:
+        """Return the force on body and arms of what an input turns, along the body's axes."""
+        ns, first = len(self.table.axes), _BASE + self.na
+        effort = self.generalised(state, u, 0.0)
+        found: Vector = [ZERO] * _BASE + effort[_BASE:first]
+        for row in self.kinematics.rows(state.steering, [ZERO] * 3, [ZERO] * self.joints):
+            if row.kind in ("rolling", "roller"):
+                at = ns + row.wheel
+                force = -(effort[first + at] / row.joints[at])
+                found[:_BASE] = [x + force * b for x, b in zip(found[:_BASE], row.base, strict=True)]
+        return found
+
+    def fitted_twist(self, rates: Array, steering: Any = (), turning: Any = ()) -> Array:
+        """Return the body twist that fits numbers best, the shortest where several do."""
+        n, ns, lead = _BASE + self.na, len(self.table.axes), rates.shape[:-1]
+        angles, turns = (np.broadcast_to(x if np.size(x) else 0.0, (*lead, ns)) for x in (steering, turning))
+        q = np.concatenate([np.zeros((*lead, n)), angles, np.zeros_like(rates)], axis=-1)
+        A = self.constraints(q, np.zeros(self.nv))[0]
+        known = A[..., n:] @ np.concatenate([turns, rates], axis=-1)[..., None]
+        return np.asarray(-(np.linalg.pinv(A[..., :_BASE]) @ known)[..., 0])
 
     @property
     def axle(self) -> Any:
@@ -355,10 +564,6 @@ class WheeledDynamics:
                 rows.append([x[at], ZERO, exact(first.angle)])
         return matrix(rows, self.x)
 
-    def allocate_scaled(self, q: Any, tau: Any) -> tuple[Any, Any]:
-        """Return an input for a force on body and arms, and what of it is left, see `WheeledRobot`."""
-        return self.freedom.allocated(q, tau)
-
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return the q and v with which a reference begins, see `WheeledRobot.start`."""
         return self.begun(*self.robot.start(reference))
@@ -368,7 +573,7 @@ class WheeledDynamics:
         q, v = np.append(q, np.zeros(self.joints)), np.append(v, np.zeros(self.joints))
         n, ns = _BASE + self.na, len(self.table.axes)
         twist = [float(number(x)) for x in self.state(q, v).twist]
-        q[n : n + ns] = [self._steered_to(axis, twist) for axis in self.table.axes]
+        q[n : n + ns] = [self.steered_to(axis, twist) for axis in self.table.axes]
         state = self.state(q, v)
         rows = self.kinematics.rows(state.steering, state.twist, state.rates)
         for joint, i in self.choice.joints:
@@ -377,7 +582,7 @@ class WheeledDynamics:
             v[n + joint] = -(known - own[joint] * v[n + joint]) / own[joint]
         return q, v
 
-    def _steered_to(self, axis: Axis, twist: Sequence[float]) -> float:
+    def steered_to(self, axis: Axis, twist: Sequence[float]) -> float:
         """Return the steering angle at which a wheel goes where the body takes it; 0 at rest."""
         wheel = self.table.wheels[axis.wheels[0]]
         x, y = (wheel.x - axis.ackermann, 0.0) if axis.ackermann is not None else (wheel.x, wheel.y)
@@ -386,109 +591,3 @@ class WheeledDynamics:
         if wheel.motor is not None or axis.ackermann is not None:  # it may as well run backwards
             angle = (angle + np.pi / 2) % np.pi - np.pi / 2
         return angle
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class RollingDynamics(WheeledDynamics):
-    """A robot whose wheels roll ideally, unchecked."""
-
-    slips: ClassVar[bool] = False
-
-    @cached_property
-    def groups(self) -> tuple[Group, ...]:
-        """Wheels, alone or together, as their lateral forces are determined; none on gear trains."""
-        return groups_of(self)
-
-    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
-        """Return a = S nu' + gamma, S' M S nu' = S' (tau - n - M gamma), shape (..., nv)."""
-        state = self.state(q, v)
-        M, (S, gamma) = self.inertia(state, q), self.freedom.solution(state)
-        force = self.generalised(state, u, f)
-        effects = self.effects(state, q)
-        felt = self.felt(state, gamma)
-        rest = [t - n - dot(row, felt) for t, n, row in zip(force, effects, M, strict=True)]
-        through, first = _through(M, S), _BASE + self.na
-        rates = _reduced(through, S, applied(transposed(S), rest))
-        for k, limit in self.stops:
-            outward = stop_of(state.steering[k], limit, state.rates[k])
-            more = dot(S[first + k], rates) + gamma[first + k]
-            rates = stopped(rates, outward, more, S[first + k], _reduced(through, S, S[first + k]))
-        return self.in_plane(state, [dot(row, rates) + g for row, g in zip(S, gamma, strict=True)], q)
-
-    def project(self, q: Any, v: Any) -> Any:
-        """Return the velocity that rolls and is nearest in the mass metric, shape (..., nv).
-
-        It is S (nu + x): nu is read off the velocity, and of what is then left over, which wheels and the
-        body's motion across them alone have, S' M S x = S' M (v - S nu).
-        """
-        state = self.state(q, v)
-        S, _ = self.freedom.solution(state)
-        rates = self.freedom.velocities(state)
-        off = self._off(state, S, rates)
-        if not all(_is_zero(x) for x in off):  # many robots that start at rest need no mass matrix
-            through = _through(self.inertia(state, q), S)
-            more = _reduced(through, S, applied(through, off))
-            rates = [x + y for x, y in zip(rates, more, strict=True)]
-        for k, limit in self.stops:
-            row, through = S[_BASE + self.na + k], _through(self.inertia(state, q), S)
-            rates = stopped(
-                rates, stop_of(state.steering[k], limit), dot(row, rates), row, _reduced(through, S, row)
-            )
-        return self.in_plane(state, [dot(row, rates) for row in S], q)
-
-    def _off(self, state: State, S: Matrix, nu: Vector) -> Vector:
-        """Return v - S nu, along the body's axes: zero for each coordinate that is one of nu itself."""
-        held, first = self.choice.body, _BASE + self.na
-        found: Vector = [ZERO] * self.size
-        if len(held) == 1:
-            rows = self.kinematics.rows(state.steering, state.twist, state.rates)
-            a = rows[held[0]].base
-            slip = dot(a, state.twist)
-            found[:2] = [a[0] * slip, a[1] * slip]
-        elif held:
-            found[:_BASE] = [x - dot(row, nu) for x, row in zip(state.twist, S[:_BASE], strict=True)]
-        for joint, _ in self.choice.joints:
-            found[first + joint] = state.rates[joint] - dot(S[first + joint], nu)
-        return found
-
-
-def _is_zero(x: Any) -> bool:
-    """Return whether a scalar is known to be zero, in all robots."""
-    return x is ZERO or (isinstance(x, float | np.ndarray) and not np.any(x))
-
-
-def _through(M: Matrix, S: Matrix) -> Matrix:
-    """Return S' M of a symmetric M."""
-    return [applied(M, column) for column in transposed(S)]
-
-
-def stop_of(angle: Any, limit: float, rate: Any = 0.0) -> Any:
-    """Return 1 or -1, which way out is, at a steering stop that the angle has reached, and does not leave."""
-    angle, rate = number(angle), number(rate)
-    side = choose(angle >= limit, 1.0, choose(angle <= -limit, -1.0, 0.0))
-    return choose(side * rate >= -_RESTING, side, 0.0)
-
-
-def stopped(values: Vector, outward: Any, more: Any, row: Vector, response: Vector) -> Vector:
-    """Return velocities or accelerations less what a stop takes from an axis that goes on outward.
-
-    Parameters
-    ----------
-    values : list of scalars
-        Of independent velocities, or of all.
-    outward : scalar
-        As of `stop_of`.
-    more : scalar
-        What the axis has.
-    row, response : list of scalars
-        The axis's rate per value, and values per impulse on the axis.
-    """
-    size = choose(outward * number(more) > 0.0, number(more) / number(dot(row, response)), 0.0)
-    return [number(x - y * size) for x, y in zip(values, response, strict=True)]
-
-
-def _reduced(through: Matrix, S: Matrix, right: Vector) -> Vector:
-    """Return the solution of S' M S x = right, given S' M."""
-    reduced = [applied(through, column) for column in transposed(S)]
-    return solved_by(reduced, right, list(reversed(range(len(right)))))

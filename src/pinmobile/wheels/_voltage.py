@@ -5,6 +5,7 @@ It is what a `ByVoltage` is to loops of any engine.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,10 +13,10 @@ from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite, vector
-from pinmobile.compiled import higher, plain, repeated
+from pinmobile.arrays import Array, ArrayLike, finite
+from pinmobile.compiled import higher, repeated
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.parts import Powered, also_symbols, by_value, child, holds_symbols, part, structure
+from pinmobile.parts import Powered, also_symbols, by_value, child, holds_symbols, part, structure, takes
 from pinmobile.plant import Input, Step
 from pinmobile.robot import (
     ZERO,
@@ -26,11 +27,13 @@ from pinmobile.robot import (
     number,
     scalars,
     sine_and_cosine,
+    transposed,
     vector_of as stacked,
 )
-from pinmobile.wheels.freedom import Followed
-from pinmobile.wheels.loads import item
-from pinmobile.wheels.motors import (
+from pinmobile.wheels._contact import factored
+from pinmobile.wheels._dynamics import WheeledDynamics
+from pinmobile.wheels._loads import item
+from pinmobile.wheels._motors import (
     CONSTANTS,
     Beside,
     Motor,
@@ -41,30 +44,17 @@ from pinmobile.wheels.motors import (
     theta,
     within,
 )
-from pinmobile.wheels.rolling import State, WheeledDynamics, stop_of, stopped
-from pinmobile.wheels.rows import column as column_of
-from pinmobile.wheels.tree import factored
+from pinmobile.wheels._rolling import stop_of, stopped, through
+from pinmobile.wheels._table import column as column_of
+from pinmobile.wheels._velocities import Followed
 
 _BASE = 3
 _INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
 _PASSES = 3
 _ROUNDS, _ENOUGH = 200, 1e-13  # of dry friction: at most, and of the largest what may still change
-_OF_TORQUES = (
-    "array_dynamics",
-    "law",
-    "nominal",
-    "terms",
-    "inverse_dynamics",
-    "check_inverse_dynamics",
-    "torques",
-    "allocate",
-    "allocate_scaled",
-    "constraint_forces",
-    "input_matrix",
-    "calls",
-    "slip_margins",
-    "measures",
-    "measured",
+_OF_TORQUES = re.compile(
+    "_.*|array_dynamics|law|nominal|terms|(check_)?inverse_dynamics|torques|allocate(_scaled)?|constraint_forces|"
+    "input_matrix|calls|slip_margins|measure[sd]"
 )
 
 
@@ -133,11 +123,10 @@ class VoltageDynamics:
 
     def _at_rates(self, v: Any, u: Any, law: Any) -> Any:
         """Return an input in which a law of number, value and rate of each motor takes the value's place."""
-        found, na = [number(_plain(x)) for x in scalars(u)], self.wheeled.na
-        rates = [number(_plain(x)) for x in scalars(v)][_BASE + na :]
+        found, na = [number(x) for x in scalars(u)], self.wheeled.na
+        rates = self.wheeled.actuator_rates(scalars(v)[_BASE + na :])
         for k, i in enumerate(self.electric):
-            column = [exact(x) for x in self.wheeled.table.actuators[i].column]
-            found[na + i] = law(k, found[na + i], number(dot(column, rates)))
+            found[na + i] = law(k, found[na + i], rates[i])
         return stacked(found, u)
 
     def followed(self, reference: Any) -> Followed:
@@ -152,11 +141,9 @@ class VoltageDynamics:
         A, B = self.wheeled.linearize_tracked(q, v, torques)
         own = np.moveaxis(self.wheeled.reduced(q, v).B, -1, 0)  # a torque's power is torque times B' nu
         na, n = self.wheeled.na, A.shape[-1] - own.shape[-1]
-        rates, volts = [number(_plain(x)) for x in scalars(v)][_BASE + na :], scalars(u)
+        rates, volts = self.wheeled.actuator_rates(scalars(v)[_BASE + na :]), scalars(u)
         for k, i in enumerate(self.electric):
-            column = [exact(x) for x in self.wheeled.table.actuators[i].column]
-            rate = number(dot(column, rates))
-            slope, gain = law.slopes(k, number(_plain(volts[na + i])), rate)
+            slope, gain = law.slopes(k, number(volts[na + i]), rates[i])
             felt = B[..., n:, na + i, None] * own[na + i][..., None, :]
             A[..., n:, n:] -= np.asarray(slope)[..., None, None] * felt
             B[..., na + i] *= np.asarray(gain)[..., None]
@@ -184,7 +171,7 @@ class VoltageDynamics:
         memory : Driving
             From the step before.
         """
-        law, given = self.motors, [number(_plain(x)) for x in scalars(u)][self.wheeled.na :]
+        law, given = self.motors, [number(x) for x in scalars(u)][self.wheeled.na :]
         volts = [law.volts(k, given[i]) for k, i in enumerate(self.electric)]
 
         def motors(rates: Vector, clips: Any) -> list[Push]:
@@ -216,35 +203,33 @@ class VoltageDynamics:
         Implicit in the independent velocities: M (nu+ - nu) = h (B tau - n), with the shape of mid-step, and
         the rest at nu + theta (nu+ - nu).
         """
-        body, h = self.wheeled, _plain(h)
+        body, h = self.wheeled, item(h)
         q_middle = body.integrate(q, (0.5 * h) * v)
-        start, middle = _plain_state(body.state(q, v)), _plain_state(body.state(q_middle, v))
-        nu = [number(x) for x in body.freedom.velocities(start)]
-        M, (S, _) = body.inertia(middle, q), body.freedom.solution(middle)
-        columns = [list(column) for column in zip(*S, strict=True)]
-        pushed = [[dot(row, column) for row in M] for column in columns]
+        start, middle = body.state(q, v), body.state(q_middle, v)
+        nu = [number(x) for x in body.velocities(start)]
+        M, (S, _) = body.inertia(middle, q), body.solution(middle)
+        columns, pushed = transposed(S), through(M, S)
         reduced = [[dot(a, b) for b in pushed] for a in columns]
-        units = [body.generalised(middle, one, 0.0) for one in np.eye(self.nu)[body.na :]]
-        B = [[dot(column, unit) for column in columns] for unit in units]
+        B = transposed(body.input_columns(middle, columns))[body.na :]
         solve, _ = factored(reduced)
         freedom = [number(dot(b, solve(b))) for b in B]
         begun = [number(dot(b, nu)) for b in B]
-        psi, na = _plain(scalars(q)[2]), body.na
+        psi, na = scalars(q)[2], body.na
         beside = f(q_middle, v)
-        rates, mean, impulses = begun, nu, [number(_plain(x)) * h for x in scalars(memory.holding)]
+        rates, mean, impulses = begun, nu, [number(x) * h for x in scalars(memory.holding)]
         for again in range(_PASSES):
             pushes = motors(rates, again > 0)
             share: Any = 0.5
             for push, x in zip(pushes, freedom, strict=True):
                 if push.slope is not ZERO:
                     share = higher(share, theta(h * push.slope * x))
-            at = self._moving(middle, S, mean)
+            at = middle.moving([number(dot(row, mean)) for row in S])
             s, c = sine_and_cosine(psi + 0.5 * h * at.twist[2])
             at = at._replace(c=c, s=s)
             if again and np.ndim(beside):
-                there = body.in_plane(at, [*at.twist, *at.arm_rates, *at.rates], q)
+                there = body.in_plane(at, at.velocities, q)
                 beside = f(body.integrate(q, (0.5 * h) * there), there)
-            still = body.felt(at, body.freedom.unmoved(at, *body.freedom.solution(at)))
+            still = body.felt(at, body.unmoved(at, *body.solution(at)))
             torques = [push.torque - push.slope * x for push, x in zip(pushes, begun, strict=True)]
             whole = body.generalised(at, stacked([*scalars(u)[:na], *torques], q), beside)
             rest = [t - n - dot(row, still) for t, n, row in zip(whole, body.effects(at, q), M, strict=True)]
@@ -264,30 +249,19 @@ class VoltageDynamics:
                 after = stopped(after, stop_of(reached, limit), rate, row, solve(row))
             mean = [number(x + share * (y - x)) for x, y in zip(nu, after, strict=True)]
             rates = [number(dot(b, mean)) for b in B]
-        at = self._moving(middle, S, mean)
+        at = middle.moving([number(dot(row, mean)) for row in S])
         s, c = sine_and_cosine(psi + 0.5 * h * at.twist[2])
-        rolled = [*at.twist, *at.arm_rates, *at.rates]
-        q_after = body.integrate(q, body.in_plane(at._replace(c=c, s=s), [h * x for x in rolled], q))
-        end = _plain_state(body.state(q_after, v))
-        v_after = body.in_plane(end, [dot(row, after) for row in body.freedom.solution(end).S], q)
+        moved = body.in_plane(at._replace(c=c, s=s), [h * x for x in at.velocities], q)
+        q_after = body.integrate(q, moved)
+        end = body.state(q_after, v)
+        v_after = body.in_plane(end, [dot(row, after) for row in body.solution(end).S], q)
         given = [push.torque - push.slope * x for push, x in zip(pushes, rates, strict=True)]
         for k, i in enumerate(self.electric):
             given[i] = given[i] + impulses[k] / h
         return Step(q_after, v_after), given, rates, stacked([x / h for x in impulses], q)
 
-    def _moving(self, state: State, S: Sequence[Vector], nu: Vector) -> State:
-        """Return the state with other independent velocities."""
-        v, end = [number(dot(row, nu)) for row in S], _BASE + self.wheeled.na
-        return state._replace(twist=v[:_BASE], arm_rates=v[_BASE:end], rates=v[end:])
-
     def _held(
-        self,
-        nu: Vector,
-        B: Sequence[Vector],
-        solve: Any,
-        pushes: Sequence[Push],
-        before: Vector,
-        h: Any,
+        self, nu: Vector, B: Sequence[Vector], solve: Any, pushes: Sequence[Push], before: Vector, h: Any
     ) -> tuple[Vector, Vector]:
         """Return the velocities that dry friction leaves, and its angular impulses.
 
@@ -331,31 +305,15 @@ class VoltageDynamics:
         """
         body: Any = self.wheeled
         ground = body.signals(t, q, v, u, f, memory.grip) if body.slips else {}
-        own = {
-            "volts": ("V", memory.volts),
-            "currents": ("A", memory.currents),
-            "torques": ("N m", memory.torques),
-        }
-        return {**own, **ground}
+        volts, currents, torques, *_ = memory
+        return {"volts": ("V", volts), "currents": ("A", currents), "torques": ("N m", torques), **ground}
 
 
 def of_wheeled(part: Any, name: str) -> Any:
     """Return what a robot whose inputs are volts has of the one whose inputs are torques."""
-    if name.startswith("_") or name in _OF_TORQUES or "wheeled" not in part.__dict__:
+    if _OF_TORQUES.fullmatch(name) or "wheeled" not in part.__dict__:
         raise AttributeError(f"a {type(part).__name__} has no {name}")
     return getattr(part.wheeled, name)
-
-
-def _plain(x: Any) -> Any:
-    """Return the entry of an array without axes, and what is known to be a number as Python's."""
-    x = plain(x)
-    if isinstance(x, np.ndarray) and not x.ndim:
-        x = x.item()
-    return float(x) if isinstance(x, np.float64) else x
-
-
-def _plain_state(state: State) -> State:
-    return State(*([_plain(y) for y in x] if isinstance(x, list) else _plain(x) for x in state))
 
 
 @final
@@ -393,10 +351,8 @@ class ByVoltage:
         if not isinstance(self.wheeled.nv, int):
             raise InvalidArgument(f"wheeled is {shown(self.wheeled)}, expected a WheeledRobot")
         if not self._electric:
-            raise InvalidArgument(
-                "table has no motor that takes volts, expected Motor(resistance=..., torque_constant=..., "
-                "voltage=...)"
-            )
+            words = "Motor(resistance=..., torque_constant=..., voltage=...)"
+            raise InvalidArgument(f"table has no motor that takes volts, expected {words}")
         body = self.wheeled.array_dynamics
         if body.slips and not hasattr(body, "driven"):
             raise InvalidArgument(
@@ -464,8 +420,8 @@ class ByVoltage:
         """What a loop calls: itself, or its `array_dynamics` where it holds symbols."""
         return self.array_dynamics if self._is_symbolic else self
 
-    @also_symbols
-    def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Array:
+    @takes(q="nq", v="nv", u="nu", f="nv")
+    def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Any:
         """Return the acceleration, shape (..., nv) [m/s^2, ...]: the mean over a short step from the state.
 
         Parameters
@@ -477,15 +433,14 @@ class ByVoltage:
         f : array_like, shape (..., nv), optional
             Generalised forces beside them.
         """
-        beside = finite("f", f)
-        force = vector("f", beside, self.nv) if beside.ndim or beside else 0.0
-        return np.asarray(self.array_dynamics.forward_dynamics(*self._state(q, v, u), force))
+        return self.array_dynamics.forward_dynamics(q, v, u, f)
 
-    def _state(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array]:
-        return vector("q", q, self.nq), vector("v", v, self.nv), vector("u", u, self.nu)
+    @takes(q="nq", v="nv", u="nu")
+    def _state(self, q: Any, v: Any, u: Any) -> tuple[Any, ...]:
+        return q, v, u
 
-    @also_symbols
-    def volts_for(self, v: ArrayLike, torques: ArrayLike) -> Array:
+    @takes(v="nv", torques="nu")
+    def volts_for(self, v: ArrayLike, torques: ArrayLike) -> Any:
         """Return the input at which motors give torques at the present rates, shape (..., nu).
 
         Within their limits of voltage and current; what takes no volts stays.
@@ -497,11 +452,10 @@ class ByVoltage:
         torques : array_like, shape (..., nu)
             As inputs of the robot by torques [N m].
         """
-        v, torques = vector("v", v, self.nv), vector("torques", torques, self.nu)
-        return np.asarray(self.array_dynamics.volts_for(v, torques))
+        return self.array_dynamics.volts_for(v, torques)
 
-    @also_symbols
-    def torques_at(self, v: ArrayLike, u: ArrayLike) -> Array:
+    @takes(v="nv", u="nu")
+    def torques_at(self, v: ArrayLike, u: ArrayLike) -> Any:
         """Return the torques that motors give at the present rates, shape (..., nu) [N m].
 
         Parameters
@@ -509,10 +463,9 @@ class ByVoltage:
         v, u : array_like, shape (..., nv), (..., nu)
             Velocities, and volts.
         """
-        v, u = vector("v", v, self.nv), vector("u", u, self.nu)
-        return np.asarray(self.array_dynamics.torques_at(v, u))
+        return self.array_dynamics.torques_at(v, u)
 
-    @also_symbols
+    @takes(q="nq", v="nv", u="nu")
     def linearize_tracked(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> Linearization:
         """Return the first-order model of the tracked state, see `WheeledRobot.linearize_tracked`.
 
@@ -531,8 +484,6 @@ class ByVoltage:
         InvalidArgument
             If wheels steer, or an argument has another shape.
         """
-        q, v, u = self._state(q, v, u)
-        broadcast(q=q, v=v, u=u)
         return Linearization(*self.array_dynamics.linearize_tracked(q, v, u))
 
     def initial_state(self, context: Any = None) -> Driving:
@@ -540,24 +491,14 @@ class ByVoltage:
         return self.array_dynamics.initial_state(context)
 
     @also_symbols
-    def step(
-        self,
-        t: float,
-        q: ArrayLike,
-        v: ArrayLike,
-        u: ArrayLike,
-        h: float,
-        f: Beside | ArrayLike,
-        memory: Driving,
-    ) -> Step:
+    def step(self, t: float, q: Any, v: Any, u: Any, h: float, f: Beside | ArrayLike, memory: Any) -> Step:
         """Return the state a step later, under forces ``f(t, q, v)`` of mid-step, or such as stay."""
         beside = f if callable(f) else constant_force(finite("f", f))
-        return self.array_dynamics.step(t, *self._state(q, v, u), h, beside, memory)
+        q, v, u = self._state(q, v, u)
+        return self.array_dynamics.step(t, q, v, u, h, beside, memory)
 
     @also_symbols
-    def signals(
-        self, t: float, q: Array, v: Array, u: Array, f: ArrayLike, memory: Driving
-    ) -> dict[str, tuple[str, Any]]:
+    def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Driving) -> dict[str, tuple[str, Any]]:
         """Return what motors, and the ground where wheels slip, did in the step before."""
         return self.array_dynamics.signals(t, q, v, u, f, memory)
 

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Any, NamedTuple, final
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, instance
+from pinmobile.arrays import Array
+from pinmobile.parts import required
 from pinmobile.robot import (
     ZERO,
     Matrix,
@@ -25,8 +26,7 @@ from pinmobile.robot import (
     sine_and_cosine,
     solved as solved_by,
 )
-from pinmobile.wheels.loads import item
-from pinmobile.wheels.rows import GearTrain, Rows
+from pinmobile.wheels._loads import item
 
 
 class Row(NamedTuple):
@@ -58,6 +58,10 @@ class Row(NamedTuple):
         """All coefficients."""
         return [*self.base, *self.joints]
 
+    def slip(self, state: Any) -> Any:
+        """Return the velocity at which it slips in a state."""
+        return number(dot(self.base, state.twist) + dot(self.joints, state.rates))
+
 
 class Heading(NamedTuple):
     """Where a wheel rolls to at a steering angle: e, and how it turns with the steering coordinate.
@@ -88,18 +92,16 @@ class Kinematics:
         Of each wheel [m].
     """
 
-    table: Rows
+    table: Any
     x: Vector
     y: Vector
     radius: Vector
 
     @classmethod
-    def of(cls, table: Rows) -> Kinematics:
+    def of(cls, table: Any) -> Kinematics:
         """Return that of a table's own numbers."""
-        x, y, radius = (
-            [exact(item(getattr(wheel, name))) for wheel in table.wheels] for name in ("x", "y", "radius")
-        )
-        return cls(table, x, y, radius)
+        names = "x", "y", "radius"
+        return cls(table, *([exact(item(getattr(each, name))) for each in table.wheels] for name in names))
 
     @property
     def n(self) -> int:
@@ -153,18 +155,13 @@ class Kinematics:
         self, row: int, steering: Sequence[Any], twist: Sequence[Any], rates: Sequence[Any], across: bool
     ) -> list[Row]:
         wheel, k, head = self.table.wheels[row], self._axis_of[row], self.heading(row, steering)
-        along, aside = (exact(x) for x in wheel.trail)
-        o = [along * head.c - aside * head.s, along * head.s + aside * head.c]
-        p = [self.x[row] + o[0], self.y[row] + o[1]]
+        o, p = self.centre(row, steering)
         turn = head.first * rates[k] if k >= 0 else ZERO  # of the wheel about its pivot
         vx, vy, w = twist
         # The centre's velocity, and its acceleration where no coordinate accelerates.
         velocity = [vx - w * p[1] - turn * o[1], vy + w * p[0] + turn * o[0]]
         both, bent = w + turn, head.second * rates[k] * rates[k] if k >= 0 else ZERO
-        rest = [
-            w * vy - both * turn * o[0] - bent * o[1],
-            -(w * vx) - both * turn * o[1] + bent * o[0],
-        ]
+        rest = [w * vy - both * turn * o[0] - bent * o[1], -(w * vx) - both * turn * o[1] + bent * o[0]]
         angle, found = exact(0.0 if wheel.roller is None else wheel.roller), []
         s, c = sine_and_cosine(angle)
         first = "rolling" if wheel.roller is None else "roller"
@@ -185,15 +182,11 @@ class Kinematics:
 
     def _trains(self) -> list[Row]:
         found, ns = [], len(self.table.axes)
-        for train in self.table.couplings:
-            if not isinstance(train, GearTrain):
-                continue
-            first, *others = (self.table.names.index(name) for name in train.wheels)
-            for row, ratio in zip(others, train.ratios[1:], strict=True):
-                joints: Vector = [ZERO] * self.n
-                joints[ns + first] = self.radius[first] * exact(ratio / train.ratios[0])
-                joints[ns + row] = -self.radius[first]
-                found.append(Row(-1, "train", [ZERO] * 3, joints, ZERO))
+        for first, row, ratio in self.table.trains:
+            joints: Vector = [ZERO] * self.n
+            joints[ns + first] = self.radius[first] * exact(ratio)
+            joints[ns + row] = -self.radius[first]
+            found.append(Row(-1, "train", [ZERO] * 3, joints, ZERO))
         return found
 
     def centre(self, row: int, steering: Sequence[Any]) -> tuple[Vector, Vector]:
@@ -322,6 +315,14 @@ _RANK = 1e-9  # singular values below, relative to the largest, are rounding
 _COEFFICIENT = 1e-12
 
 
+class _Mobile(Protocol):
+    """A WheelTable."""
+
+    @property
+    def mobility(self) -> Any:
+        """What its wheels let a robot do."""
+
+
 @final
 @dataclass(frozen=True)
 class Mobility:
@@ -338,13 +339,10 @@ class Mobility:
         If it is no table.
     """
 
-    table: Rows
-
-    def __post_init__(self) -> None:
-        instance("table", self.table, Rows, "a WheelTable")
+    table: Any
 
     @classmethod
-    def of(cls, table: Rows) -> Mobility:
+    def of(cls, table: Any) -> Mobility:
         """Return that of a table, which is found once.
 
         Raises
@@ -352,7 +350,7 @@ class Mobility:
         InvalidArgument
             If it is no table.
         """
-        return _remembered(instance("table", table, Rows, "a WheelTable"))
+        return required("table", table, _Mobile).mobility  # type: ignore[no-any-return]
 
     @cached_property
     def _angles(self) -> Array:
@@ -379,14 +377,11 @@ class Mobility:
     def _lateral(self) -> tuple[list[int], list[int]]:
         """Rows that hold the body alone: of fixed wheels, and of steered ones."""
         steered = {row for axis in self.table.axes for row in axis.wheels}
-        held = [
-            i
-            for i, row in enumerate(self._rows)
-            if row.kind == "lateral" and np.abs(self.matrix[i, 3:]).max() < _COEFFICIENT
-        ]
-        return [i for i in held if self._rows[i].wheel not in steered], [
-            i for i in held if self._rows[i].wheel in steered
-        ]
+        found: tuple[list[int], list[int]] = [], []
+        for i, row in enumerate(self._rows):
+            if row.kind == "lateral" and np.abs(self.matrix[i, 3:]).max() < _COEFFICIENT:
+                found[row.wheel in steered].append(i)
+        return found
 
     @cached_property
     def mobility(self) -> int:
@@ -414,9 +409,7 @@ class Mobility:
             )
         trains = [row.kind == "train" for row in self._rows]
         if any(trains) and _rank(self.matrix) > _rank(self.matrix[~np.array(trains)]):
-            return (
-                "wheels on one gear train would have to turn at different rates, so it turns only by skidding"
-            )
+            return "wheels on one gear train have to turn at different rates, so it turns only by skidding"
         if self.mobility < 3 and self.mobility + self.steerability < 2:
             return "its wheels let it move along one curve only"
         return ""
@@ -444,25 +437,21 @@ class Mobility:
         ns, joints, told = len(self.table.axes), [], set()
         for i, row in enumerate(self._rows):
             for axis in range(ns):
-                if (
-                    row.kind == "lateral"
-                    and abs(self.matrix[i, 3 + axis]) >= _COEFFICIENT
-                    and axis not in told
-                ):
+                turns = row.kind == "lateral" and abs(self.matrix[i, 3 + axis]) >= _COEFFICIENT
+                if turns and axis not in told:
                     told.add(axis)
                     joints.append((axis, i))
-        wheels = [
-            (ns + row.wheel, i) for i, row in enumerate(self._rows) if row.kind in ("rolling", "roller")
-        ]
+        own = "rolling", "roller"
+        wheels = [(ns + row.wheel, i) for i, row in enumerate(self._rows) if row.kind in own]
         free = tuple(axis for axis in range(ns) if axis not in told)
         return Choice(tuple(body), bool(body) and body[0] in fixed, (*joints, *wheels), free)
 
     @cached_property
-    def determined(self) -> tuple[bool, ...]:
+    def determined(self) -> Any:
         """Of each row, whether rolling determines its force; of others only sums are."""
         u, s, _ = np.linalg.svd(self.matrix)
         rank = int(np.sum(s > _RANK * s[0]))
-        return tuple(bool(np.abs(row).max(initial=0.0) < 1e-9) for row in u[:, rank:])
+        return np.abs(u[:, rank:]).max(axis=1, initial=0.0) < 1e-9
 
     @cached_property
     def idle(self) -> Array | None:
@@ -489,28 +478,19 @@ class Mobility:
         }.get((m, s), "")
         lines = [f"type ({m}, {s}){f', {kind}' if kind else ''}: mobility {m}, steerability {s}"]
         rows, columns = self.matrix.shape
-        lines.append(
-            f"{columns} coordinates, {rows} rows of rank {self.rank}, {columns - self.rank} free velocities"
-        )
+        free = columns - self.rank
+        lines.append(f"{columns} coordinates, {rows} rows of rank {self.rank}, {free} free velocities")
         if self.idle is not None:
             along = ", ".join(f"{x:.3g}" for x in self.idle)
             moves = f"moves by (forward, left, turn) = ({along}) while no wheel turns"
             lines.append(f"{moves}: no motor drives that")
-        loose = [
-            f"{row.kind} of {self.table.names[row.wheel]}"
-            for row, known in zip(self._rows, self.determined, strict=True)
-            if not known and row.wheel >= 0
-        ]
+        rest = [row for row, known in zip(self._rows, self.determined, strict=True) if not known]
+        loose = [f"{row.kind} of {self.table.names[row.wheel]}" for row in rest if row.wheel >= 0]
         if loose:
             lines.append(f"forces that rolling does not determine, but for their sum: {', '.join(loose)}")
         else:
             lines.append("rolling determines the force of every wheel")
         return "\n".join(lines)
-
-
-@lru_cache(maxsize=256)
-def _remembered(table: Rows) -> Mobility:
-    return Mobility(table)
 
 
 def _rank(matrix: Array) -> int:

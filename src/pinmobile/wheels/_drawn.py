@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
 from pinmobile.robot import BODY, BODY_JOINT, MobileRobot, Solid, Solids, body_box, box_visuals, number
-from pinmobile.wheels.description import wheel_name
-from pinmobile.wheels.kinematics import Kinematics
-from pinmobile.wheels.table import FIXED, Support, Wheel, WheelTable
+from pinmobile.wheels._kinematics import Kinematics
+from pinmobile.wheels._reading import wheel_name
+from pinmobile.wheels._table import FIXED, Support, Wheel, WheelTable
 
 ACROSS = 0.45
 """Width of a tyre, in radii."""
@@ -23,7 +23,63 @@ _TOP, _TOP_OF_FORK = 2.1, 2.35  # above the ground, in radii of the wheel
 _SUPPORT = 0.3  # radius of what else it stands on, in radii of the largest wheel
 
 
-class Tyres:
+class Item(NamedTuple):
+    """Attachment of an object: to a joint of the robot without wheels, to a wheel, or to what steers it.
+
+    Attributes
+    ----------
+    joint : int
+        Number of the joint, from 0; -1: a wheel.
+    row : int
+        The wheel.
+    spins : bool
+        Whether it turns with the wheel; else it steers with it alone.
+    placement : ndarray, shape (4, 4)
+        In the frame of that.
+    """
+
+    joint: int
+    row: int
+    spins: bool
+    placement: Array
+
+
+class _Objects:
+    """Abstract base: objects of a robot on wheels, and where they are in the inertial frame."""
+
+    def __init__(self, robot: MobileRobot, table: WheelTable) -> None:
+        self.robot, self.table, self.items = robot, table, list[Item]()
+        self._kinematics, self._n = Kinematics.of(table), robot.nq
+
+    def _ride(self, row: int, spins: bool, placement: Array) -> Item:
+        """Return the attachment to a wheel of what a file places on the body."""
+        steering, wheels = np.zeros(len(self.table.axes)), np.zeros(len(self.table)) if spins else None
+        frames = wheel_frames(self.table, self._kinematics, steering, wheels, ())
+        return Item(-1, row, spins, np.linalg.inv(frames[row]) @ placement)
+
+    def placements(self, q: Array) -> Array:
+        """Return where the objects are in the inertial frame, shape (..., k, 4, 4).
+
+        Parameters
+        ----------
+        q : ndarray, shape (..., nq)
+            Configuration of the robot on wheels.
+        """
+        n, axes, lead = self._n, len(self.table.axes), q.shape[:-1]
+        joints = self.robot.frame_placements(q[..., :n])
+        body = joints[..., BODY_JOINT - 1, None, :, :]
+        steering, wheels = q[..., n : n + axes], q[..., n + axes :]
+        spun = body @ wheel_frames(self.table, self._kinematics, steering, wheels, lead)
+        steered = body @ wheel_frames(self.table, self._kinematics, steering, None, lead)
+        found = np.empty((*lead, len(self.items), 4, 4))
+        for k, item in enumerate(self.items):
+            turning = spun if item.spins else steered
+            frame = joints[..., item.joint, :, :] if item.joint >= 0 else turning[..., item.row, :, :]
+            found[..., k, :, :] = frame @ item.placement
+        return found
+
+
+class Tyres(_Objects):
     """The shapes of a robot on wheels, and where they are.
 
     Those of its file that turn with a wheel steer with it; of wheels that no file shows it is a cylinder of a
@@ -38,71 +94,45 @@ class Tyres:
     """
 
     def __init__(self, robot: MobileRobot, table: WheelTable) -> None:
-        self._robot, self._table, self._kinematics = robot, table, Kinematics.of(table)
-        own = robot.solids
-        moved = {str(k): shape.joints for k, shape in enumerate(own.shapes)}
-        rides = {int(name): row for name, row in riding(robot, table, moved).items()}
-        spinning = {row for row, spins in rides.values() if spins}
-        body = [self._of_body(shape) for shape in own.shapes]
-        added = list(self._missing(spinning))
-        self._rows = [
-            *((k, row, spins) for k, (row, spins) in rides.items()),
-            *((len(body) + k, row, True) for k, (row, _) in enumerate(added) if row >= 0),
-        ]
-        shapes = (*body, *(shape for _, shape in added))
-        standing = {shapes[k].link for k, _, spins in self._rows if spins}
-        standing |= {shape.link for row, shape in added if row < 0}
-        self.solids: Solids = replace(own, shapes=shapes, standing=frozenset(standing))
-        still = np.zeros(len(table.axes))
-        self._own = np.stack([shape.placement.homogeneous for shape in shapes])
-        for k, row, spins in self._rows:
-            self._own[k] = np.linalg.inv(self._frames(still, spins)[row]) @ self._own[k]
-
-    def _of_body(self, shape: Solid) -> Solid:
-        """Return a shape of the robot without wheels; a box stands above them."""
-        if not (self._robot.is_box and shape.part == 0 and shape.link == body_box(self._robot.size).link):
-            return shape
-        return body_box(self._robot.size, height_above_wheels(self._robot.size, self._table))
-
-    def _missing(self, there: set[int]) -> Iterator[tuple[int, Solid]]:
-        """Return the wheels that no file shows, with their rows, and what else it stands on, with -1."""
         import coal
 
-        level = pin.utils.rotate("x", np.pi / 2)  # a cylinder's axis is z, an axle y
-        frames = self._frames(np.zeros(len(self._table.axes)), True)
-        for row, wheel in enumerate(self._table.wheels):
-            if row not in there:
-                placement = pin.SE3(frames[row]) * pin.SE3(level, np.zeros(3))
-                tyre = coal.Cylinder(wheel.radius, ACROSS * wheel.radius)
-                yield row, Solid(f"{wheel.name}/tyre", 0, placement, tyre)
-        radius = _SUPPORT * max(wheel.radius for wheel in self._table.wheels)
-        for k, support in enumerate(self._table.supports, start=1):
-            placement = pin.SE3(np.eye(3), np.array([support.x, support.y, radius]))
-            yield -1, Solid(f"support_{k}/ball", 0, placement, coal.Sphere(radius))
+        super().__init__(robot, table)
+        own, standing, shapes = robot.solids, set[str](), list[Solid]()
+        rides = riding(robot, table, {str(k): shape.joints for k, shape in enumerate(own.shapes)})
 
-    def _frames(self, steering: Array, spins: bool) -> Array:
-        lead = steering.shape[:-1]
-        still = np.zeros((*lead, len(self._table))) if spins else None
-        return wheel_frames(self._table, self._kinematics, steering, still, lead)
+        def add(shape: Solid, item: Item, stands: bool) -> None:
+            shapes.append(shape)
+            self.items.append(item)
+            standing.update([shape.link] if stands else [])
+
+        for k, shape in enumerate(own.shapes):
+            if robot.is_box and shape.part == 0 and shape.link == body_box(robot.size).link:
+                shape = body_box(robot.size, height_above_wheels(robot.size, table))  # above the wheels
+            placement = shape.placement.homogeneous
+            item = Item(BODY_JOINT - 1 + shape.part, -1, False, placement)
+            if str(k) in rides:
+                item = self._ride(*rides[str(k)], placement)
+            add(shape, item, item.spins)
+        level = pin.SE3(pin.utils.rotate("x", np.pi / 2), np.zeros(3))
+        there = {row for row, spins in rides.values() if spins}
+        for row, wheel in enumerate(table.wheels):
+            if row not in there:  # a cylinder's axis is z, an axle y
+                tyre = coal.Cylinder(wheel.radius, ACROSS * wheel.radius)
+                shape = Solid(f"{wheel.name}/tyre", 0, wheel.placement * level, tyre)
+                add(shape, Item(-1, row, True, level.homogeneous), True)
+        radius = _SUPPORT * max(wheel.radius for wheel in table.wheels)
+        for k, support in enumerate(table.supports, start=1):
+            place = pin.SE3(np.eye(3), np.array([support.x, support.y, radius]))
+            ball = Solid(f"support_{k}/ball", 0, place, coal.Sphere(radius))
+            add(ball, Item(BODY_JOINT - 1, -1, False, place.homogeneous), True)
+        self.solids: Solids = replace(own, shapes=tuple(shapes), standing=frozenset(standing))
 
     def placements(self, q: Array) -> Array:
-        """Return where the shapes are in the body's frame, shape (..., shapes, 4, 4).
-
-        Parameters
-        ----------
-        q : ndarray, shape (..., nq)
-            Configuration of the robot on wheels.
-        """
-        n, axes = self._robot.nq, len(self._table.axes)
-        still = q[..., :n].copy()
+        """Return where the shapes are in the body's frame, shape (..., shapes, 4, 4)."""
+        still = q.copy()
         still[..., :BODY_JOINT] = 0.0
-        parts = self._robot.frame_placements(still)[..., BODY_JOINT - 1 :, :, :]
-        found = np.asarray(parts[..., [shape.part for shape in self.solids.shapes], :, :] @ self._own)
-        steering = q[..., n : n + axes]
-        frames = {spins: self._frames(steering, spins) for spins in (True, False)}
-        for k, row, spins in self._rows:
-            found[..., k, :, :] = frames[spins][..., row, :, :] @ self._own[k]
-        return found
+        still[..., self._n + len(self.table.axes) :] = 0.0
+        return super().placements(still)
 
 
 def wheel_frames(
@@ -199,28 +229,7 @@ _LONGEST = 0.8  # half a roller, in radii of the wheel
 _IN_ROWS = 0.35  # [rad]: rollers nearer to the rolling direction stand in two rows, which take turns
 
 
-class Item(NamedTuple):
-    """What an object of the drawing rides on.
-
-    Attributes
-    ----------
-    joint : int
-        Of the robot without wheels, from 0; -1: of a wheel.
-    row : int
-        The wheel.
-    spins : bool
-        Whether it turns with the wheel; else it steers with it alone.
-    placement : ndarray, shape (4, 4)
-        There.
-    """
-
-    joint: int
-    row: int
-    spins: bool
-    placement: Array
-
-
-class Picture:
+class Picture(_Objects):
     """The objects that are drawn of a robot on wheels, and where they are.
 
     Parameters
@@ -232,9 +241,8 @@ class Picture:
     """
 
     def __init__(self, robot: MobileRobot, table: WheelTable) -> None:
-        self.robot, self.table = robot, table
-        self._kinematics, self._n = Kinematics.of(table), robot.nq
-        self.visuals, self.items = pin.GeometryModel(), list[Item]()
+        super().__init__(robot, table)
+        self.visuals = pin.GeometryModel()
         shown = robot.visual_model
         boxed = any(item.name == BODY for item in shown.geometryObjects)
         clearance = height_above_wheels(robot.size, table) if boxed else 0.0
@@ -246,7 +254,7 @@ class Picture:
             if boxed and item.parentJoint == BODY_JOINT and item.name in (BODY, "front", "wedge"):
                 continue
             if item.name in rides:
-                self._of_file(item, *rides[item.name])
+                self._kept(item, self._ride(*rides[item.name], item.placement.homogeneous))
             else:
                 self._of_robot(item)
         there = {row for row, spins in rides.values() if spins}
@@ -275,13 +283,6 @@ class Picture:
         self.visuals.addGeometryObject(copy)
         self.items.append(ride)
 
-    def _of_file(self, item: pin.GeometryObject, row: int, spins: bool) -> None:
-        """Let an object of the body's own visuals turn with a wheel."""
-        turned = np.zeros(len(self.table)) if spins else None
-        still = self._frames(np.zeros(BODY_JOINT), np.zeros(len(self.table.axes)), turned)
-        placement = np.linalg.inv(still[row]) @ item.placement.homogeneous
-        self._kept(item, Item(-1, row, spins, placement))
-
     def _wheel(self, row: int, wheel: Wheel) -> None:
         parts = _tyre(wheel) if wheel.roller is None else _rollers(wheel, wheel.roller)
         for name, shape, colour in zip(("tyre", "spokes"), parts, (_DARK, _LIGHT), strict=True):
@@ -301,41 +302,6 @@ class Picture:
         ):
             at = pin.SE3(np.eye(3), np.array([support.x, support.y, height])).homogeneous
             self._add(f"support_{k + 1}/{name}", shape, colour, Item(BODY_JOINT - 1, -1, False, at))
-
-    def _frames(self, pose: Array, steering: Array, wheels: Array | None) -> Array:
-        found = wheel_frames(self.table, self._kinematics, steering, wheels, pose.shape[:-1])
-        return np.asarray(_body(pose)[..., None, :, :] @ found)
-
-    def placements(self, q: Array) -> Array:
-        """Return the placements of the objects in the inertial frame, shape (..., k, 4, 4).
-
-        Parameters
-        ----------
-        q : ndarray, shape (..., nq)
-            Configuration of the robot on wheels.
-        """
-        axes, joints = len(self.table.axes), self.robot.frame_placements(q[..., : self._n])
-        pose, steering, wheels = (
-            q[..., :BODY_JOINT],
-            q[..., self._n : self._n + axes],
-            q[..., self._n + axes :],
-        )
-        spun, steered = self._frames(pose, steering, wheels), self._frames(pose, steering, None)
-        found = np.empty((*q.shape[:-1], len(self.items), 4, 4))
-        for k, item in enumerate(self.items):
-            frames, at = (joints, item.joint) if item.joint >= 0 else (spun, item.row)
-            if item.joint < 0 and not item.spins:
-                frames = steered
-            found[..., k, :, :] = frames[..., at, :, :] @ item.placement
-        return found
-
-
-def _body(pose: Array) -> Array:
-    c, s, found = np.cos(pose[..., 2]), np.sin(pose[..., 2]), np.zeros((*pose.shape[:-1], 4, 4))
-    found[..., 0, 0], found[..., 0, 1], found[..., 1, 0], found[..., 1, 1] = c, -s, s, c
-    found[..., 0, 3], found[..., 1, 3] = pose[..., 0], pose[..., 1]
-    found[..., 2, 2] = found[..., 3, 3] = 1.0
-    return found
 
 
 def _mesh(triangles: _Triangles) -> Any:
@@ -389,15 +355,8 @@ def _tyre(wheel: Wheel) -> tuple[_Triangles, _Triangles]:
     hub = _turned([(-0.9 * w, 0.0), (-0.9 * w, 0.24 * R), (0.9 * w, 0.24 * R), (0.9 * w, 0.0)], 16)
     spoke = _box((-0.07 * R, -0.8 * w, 0.2 * R), (0.07 * R, 0.8 * w, 0.68 * R))
     spokes = [_about_axle(spoke, 2 * np.pi * k / _SPOKES) for k in range(_SPOKES)]
-    rim = _turned(
-        [
-            (-0.85 * w, 0.6 * R),
-            (-0.85 * w, 0.68 * R),
-            (0.85 * w, 0.68 * R),
-            (0.85 * w, 0.6 * R),
-            (-0.85 * w, 0.6 * R),
-        ]
-    )
+    ring = [(-0.85, 0.6), (-0.85, 0.68), (0.85, 0.68), (0.85, 0.6), (-0.85, 0.6)]
+    rim = _turned([(y * w, r * R) for y, r in ring])
     bar = _box((-0.09 * R, -0.7 * w, 0.9 * R), (0.09 * R, 0.7 * w, 1.01 * R))
     sides = [_box((-0.09 * R, y - 0.1 * w, 0.7 * R), (0.09 * R, y + 0.1 * w, 0.92 * R)) for y in (-w, w)]
     return tyre, _joined([hub, rim, bar, *sides, *spokes])
@@ -423,16 +382,8 @@ def _rollers(wheel: Wheel, roller: float) -> tuple[_Triangles, _Triangles]:
         found += [_about_axle(moved, 2 * np.pi * (k + row / rows) / count) for k in range(count)]
     wide = half * abs(np.sin(roller)) + thick * (0.4 if rows == 1 else 2.2)
     rim = (reach - 0.5 * thick) if rows == 2 else (reach - 0.9 * thick)
-    hub = _turned(
-        [
-            (-wide, 0.0),
-            (-wide, 0.5 * rim),
-            (-0.5 * wide, rim),
-            (0.5 * wide, rim),
-            (wide, 0.5 * rim),
-            (wide, 0.0),
-        ]
-    )
+    half_hub = [(-1.0, 0.0), (-1.0, 0.5), (-0.5, 1.0), (0.5, 1.0), (1.0, 0.5), (1.0, 0.0)]
+    hub = _turned([(y * wide, r * rim) for y, r in half_hub])
     return _joined(found[1:]), _joined([found[0], hub])
 
 

@@ -14,8 +14,8 @@ from pinmobile.parts import child, integer, number, part
 from pinmobile.plant import Context
 from pinmobile.robot import ZERO, scalars, vector_of as stacked
 from pinmobile.signals import signals_of
-from pinmobile.wheels.kinematics import Kinematics
-from pinmobile.wheels.table import WheelTable
+from pinmobile.wheels._kinematics import Kinematics
+from pinmobile.wheels._table import WheelTable
 
 
 @final

@@ -1,0 +1,665 @@
+"""Loads of wheels and supports, forces of wheels that roll, their margins before they slip, and metrics.
+
+Everything is over scalars: numbers, arrays with leading axes, or symbols.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from pinmobile.arrays import Array
+from pinmobile.compiled import choose, higher, plain, repeated, square_root
+from pinmobile.errors import InvalidArgument
+from pinmobile.measures import Measure
+from pinmobile.plant import ContactLoads, Contacts, SlipMargins, TorqueMargins
+from pinmobile.robot import (
+    ONE,
+    WEIGHTLESS,
+    ZERO,
+    Vector,
+    cross,
+    dot,
+    exact,
+    margin_inside,
+    number,
+    pressed_at,
+    scalars,
+    sine_and_cosine,
+    vector_of as stacked,
+)
+from pinmobile.wheels._velocities import Followed, driving_inputs
+
+_BASE = 3
+_STILL = 1e-9  # [rad/s], below which a body does not turn
+_FORCES = "along", "across", "loads"
+_SECOND = "lateral", "across"  # kinds of rows that are a wheel's second direction
+_FLAT = 1e-9  # of the determinant of all contacts: those that are left stand on a line
+_NOTHING = 1e-12  # of the weight: what rounding makes of a contact without load
+_SOFT = 1e-7  # of the moments of all springs: how little the ground holds where contacts stand on a line
+_EDGE = 1e-5  # of the size of all contacts: how far beyond their edge the weight may press and not tip
+
+
+class Loads(NamedTuple):
+    """What each contact carries.
+
+    Attributes
+    ----------
+    values : list of scalars
+        Of each contact, none below zero [N].
+    tips : scalar
+        1 where no loads that press balance the robot, which begins to tip over; what is told then carries
+        the weight at the place, on the edge of all contacts, nearest to where it would have to press. Else 0.
+    springs : list of scalars
+        What equal springs at all contacts would carry that may pull too: below zero where a contact has no
+        load [N].
+    """
+
+    values: Vector
+    tips: Any
+    springs: Vector
+
+
+def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any) -> Loads:
+    """Return the loads that balance a wrench: those of equal springs, which press and never pull.
+
+    The least sum of N^2 with N >= 0 and G' N = b, with the rows 1, y, -x of G and b = (fz, mx, my): contacts
+    leave one by one before their load turns negative, and come back where the ground would rise through them
+    (Lawson and Hanson, Solving least squares problems, 1974, chapter 23).
+
+    Parameters
+    ----------
+    places : sequence of (x, y), scalars
+        Of the contacts, along the body's axes from its origin on the ground [m].
+    fz, mx, my : scalars
+        Force of the ground along the vertical [N], and its moment about the body's origin [N m].
+    """
+    n, wrench = len(places), [number(x) for x in (fz, mx, my)]
+    fz, nothing = wrench[0], _NOTHING * abs(wrench[0])
+    springs, whole = _of_springs(places, [ONE] * n, wrench)
+    size = sum((dot(place, place) for place in places), ZERO)
+    press = springs[0] >= -nothing
+    for x in springs[1:]:
+        press = press & (x >= -nothing)
+
+    def one(numbers: Vector) -> tuple[Vector, Any]:
+        kept, old = numbers[:n], numbers[n:]
+        found, _ = _of_springs(places, kept, wrench, _SOFT * size)
+        share, rises, parts = 1.0 + 0.0 * fz, 0.0 * fz, []
+        for k, x, y in zip(kept, old, found, strict=True):
+            falls = (k > 0.0) & (y < 0.0)
+            parts.append(choose(falls, x / choose(falls, x - y, 1.0), 2.0))
+            share = choose(parts[-1] < share, parts[-1], share)
+            rises = higher(choose(k > 0.0, 0.0, y), rises)
+        leaves, joins = share < 1.0, rises > nothing
+        kept = [
+            choose(leaves, choose(part <= share, 0.0, k), choose(joins & (y >= rises), 1.0, k))
+            for k, part, y in zip(kept, parts, found, strict=True)
+        ]
+        new = [choose(k > 0.0, x + share * (y - x), 0.0) for k, x, y in zip(kept, old, found, strict=True)]
+        return [*kept, *new], (share >= 1.0) & (rises <= nothing)
+
+    first = [1.0 + 0.0 * fz] * n + [higher(fz, 0.0) * (1.0 / n)] * n
+    kept, soft = _halves(repeated(one, first, 4 * n, press | (fz <= 0.0)))
+    sharp, area = _of_springs(places, kept, wrench, flat=_FLAT * whole)
+    stands = area > _FLAT * whole
+    values = [choose(k > 0.0, choose(stands, x, y), 0.0) for k, x, y in zip(kept, sharp, soft, strict=True)]
+    values = [higher(choose(press, y, x), 0.0) for x, y in zip(values, springs, strict=True)]
+    total = sum(values[1:], values[0])
+    scale = choose(press, 1.0, higher(fz, 0.0) / choose(total > 0.0, total, 1.0))
+    values = [x * scale for x in values]
+    off = [dot([place[i] for place in places], values) - x for i, x in ((1, wrench[1]), (0, -wrench[2]))]
+    beyond = dot(off, off) > (_EDGE * _EDGE) * size * (fz * fz)
+    return Loads(values, choose(beyond | (fz <= 0.0), 1.0, 0.0), springs)
+
+
+def _halves(x: Vector) -> tuple[Vector, Vector]:
+    return x[: len(x) // 2], x[len(x) // 2 :]
+
+
+def _of_springs(
+    places: Sequence[Vector], weights: Vector, wrench: Vector, soft: Any = None, flat: Any = 0.0
+) -> tuple[Vector, Any]:
+    """Return the forces of springs at all places, where some of them carry, and the determinant of G K G'.
+
+    Parameters
+    ----------
+    weights : list of scalars
+        1 of a spring that carries, else 0.
+    soft : scalar, optional
+        Added to the moments of inertia: springs on a line hold the robot as well as they can.
+    flat : scalar, optional
+        Determinant up to which they stand on a line, and what is told is of no use.
+    """
+    rows = [[ONE, y, -x] for x, y in places]
+    weighed = [[w * x for x in row] for w, row in zip(weights, rows, strict=True)]
+    a, d, e, b, f, c = (
+        sum((w[i] * row[j] for w, row in zip(weighed, rows, strict=True)), ZERO)
+        for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+    )
+    if soft is not None:
+        b, c = b + soft, c + soft
+    minors = [
+        [b * c - f * f, e * f - d * c, d * f - e * b],
+        [e * f - d * c, a * c - e * e, d * e - a * f],
+        [d * f - e * b, d * e - a * f, a * b - d * d],
+    ]
+    area = number(dot([a, d, e], minors[0]))
+    share = 1.0 / choose(area > flat, area, 1.0)
+    bent = [dot(row, wrench) * share for row in minors]
+    return [number(dot(row, bent)) for row in rows], area
+
+
+def places_of(body: Any, steering: Sequence[Any]) -> list[Vector]:
+    """Return where wheels and supports touch the ground, along the body's axes [m]."""
+    found = [body.kinematics.centre(row, steering)[1] for row in range(len(body.table))]
+    return found + [[exact(each.x), exact(each.y)] for each in body.table.supports]
+
+
+def wheel_loads(body: Any, state: Any, felt: Vector, q: Any) -> Loads:
+    """Return what wheels and supports carry: see `pressed`."""
+    return shared_loads(places_of(body, state.steering), *pressed(body, state, felt, q))
+
+
+def pressed(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
+    """Return fz, mx and my of the ground on a robot, wheels spinning [N, N m, N m].
+
+    What the ground exerts is the rate of momentum of all bodies, less gravity: of a robot without arms by
+    Newton's and Euler's equations, of others by their recursion; the spin of the wheels is added.
+
+    Parameters
+    ----------
+    body : WheeledDynamics
+        The robot.
+    state : State
+        Shape and velocities.
+    felt : list of scalars
+        Accelerations along the body's axes, less gravity in the plane.
+    q : ndarray
+        Any configuration, for its shape.
+    """
+    w = state.twist[2]
+    fz, mx, my = _carried(body, state, felt, q)
+    first = _BASE + body.na
+    rates = [*state.rates]
+    for row, spin in enumerate(scalars(body.spin_inertia)):
+        head, k = body.kinematics.heading(row, state.steering), len(body.table.axes) + row
+        steered = [axis for at, axis in body._steered if at == row]
+        turn = w + head.first * rates[steered[0]] if steered else w
+        faster, slower = spin * felt[first + k], spin * rates[k] * turn
+        mx = mx - head.s * faster - head.c * slower
+        my = my + head.c * faster - head.s * slower
+        wheel = body.table.wheels[row]
+        if steered and wheel.mass and any(wheel.trail):  # its weight moves, and its centre swings
+            (o, p), (o0, p0) = body._centres(row, state)
+            weight, axis = -wheel.mass * float(body.fall[2]), steered[0]
+            mx, my = mx + weight * (p[1] - p0[1]), my - weight * (p[0] - p0[0])
+            turning = felt[2] + head.first * felt[first + axis] + head.second * rates[axis] * rates[axis]
+            swing = wheel.mass * scalars(body.radius)[row]
+            ahead = felt[2] * o0[1] - turning * o[1] - turn * turn * o[0] + w * w * o0[0]
+            aside = turning * o[0] - felt[2] * o0[0] - turn * turn * o[1] + w * w * o0[1]
+            mx, my = mx - swing * aside, my + swing * ahead
+    return [fz, mx, my]
+
+
+def _carried(body: Any, state: Any, a: Vector, q: Any) -> Vector:
+    """Return fz, mx and my of the ground, wheels at rest in the body; `a` has no part of gravity."""
+    if body.na:
+        n = _BASE + body.na
+        at, still = stacked([ZERO, ZERO, ZERO, *state.arms], q), stacked([ZERO] * n, q)
+        v = stacked([*state.twist, *state.arm_rates], q)
+        found = scalars(body.robot.ground_wrench(at, v, stacked(a[:n], q)))[2:5]
+        if not body._slack:
+            return found
+        weights = scalars(body.robot.ground_wrench(at, still, still))[2:5]
+        return [x - body._slack * y for x, y in zip(found, weights, strict=True)]
+    own = body.robot
+    m, x, y = (exact(item(each)) for each in (own.mass, own.com_x, own.com_y))
+    (height, xz, yz), w, spin, g = scalars(body.upright), state.twist[2], a[2], -float(body.fall[2])
+    ax, ay = a[0] - spin * y - w * w * x, a[1] + spin * x - w * w * y
+    mx = m * (y * g - height * ay) + (xz * spin - yz * (w * w))
+    my = m * (height * ax - x * g) + (yz * spin + xz * (w * w))
+    return [m * g, mx, my]
+
+
+def item(x: Any) -> Any:
+    """Return the entry of an array without axes; an array or a number as it is."""
+    x = plain(x)
+    return x.item() if isinstance(x, np.ndarray) and not x.ndim else x
+
+
+class Group(NamedTuple):
+    """Wheels whose lateral forces are found: one wheel, or some of which only the sum is determined.
+
+    Attributes
+    ----------
+    wheels : tuple of int
+        Rows of the table.
+    lateral : tuple of int
+        Their lateral rows among those of the kinematics; none of wheels with rollers.
+    held : int
+        Which row of ``choice.body`` it is; -1: a row that a joint tells, or none.
+    """
+
+    wheels: tuple[int, ...]
+    lateral: tuple[int, ...]
+    held: int
+
+
+class Margin(NamedTuple):
+    """How far wheels are from slipping.
+
+    Attributes
+    ----------
+    along : list of scalars
+        Force of the ground along each wheel, or along the axis of its roller [N].
+    lateral : list of scalars
+        That across the wheels of each group, in the sum [N].
+    margins : list of scalars
+        Of each group [N].
+    """
+
+    along: Vector
+    lateral: Vector
+    margins: Vector
+
+
+def groups_of(body: Any) -> tuple[Group, ...]:
+    """Return the groups of wheels of a body that rolls, in the order of their first wheels.
+
+    A drive with gear trains, whose wheels share what these transmit, has none.
+    """
+    table, choice = body.table, body.choice
+    if table.trains:
+        return ()
+    rows = _still_rows(body)
+    told = {i for _, i in choice.joints}
+    sharing: dict[int, list[int]] = {k: [] for k in range(len(choice.body))}
+    found = []
+    for i, row in enumerate(rows):
+        if row.kind == "roller":
+            found.append(Group((row.wheel,), (), -1))
+        elif row.kind == "lateral" and i in told:
+            found.append(Group((row.wheel,), (i,), -1))
+        elif row.kind == "lateral":
+            sharing[_axle(body, rows, row)].append(i)
+    for k, own in sharing.items():
+        found.append(Group(tuple(rows[i].wheel for i in own), tuple(own), k))
+    return tuple(sorted(found))
+
+
+def _still_rows(body: Any) -> list[Any]:
+    still: Vector = [ZERO] * body.joints
+    return body.kinematics.rows([ZERO] * len(body.table.axes), [ZERO] * _BASE, still)  # type: ignore[no-any-return]
+
+
+def _axle(body: Any, rows: Sequence[Any], row: Any) -> int:
+    """Return on which of the rows that hold the body a lateral row's wheel stands."""
+    held, axes = body.choice.body, body.table.axes
+    if len(held) == 1:
+        return 0
+    if row.wheel in (rows[i].wheel for i in held):
+        return [rows[i].wheel for i in held].index(row.wheel)
+    if body.choice.is_fixed:
+        return int(any(row.wheel in axis.wheels for axis in axes))
+    own = next(axis.wheels for axis in axes if row.wheel in axis.wheels)
+    return int(rows[held[0]].wheel not in own)
+
+
+def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any) -> Margin:
+    """Return the forces of wheels that roll, and their margins before they slip.
+
+    The force along a wheel is what its spin leaves of its torque; that across one axle what body and arms
+    need beyond; across two axles both are. Wheels of one axle share: its margin is that of the best split,
+    ``sum sqrt((mu N)^2 - along^2) - |Y|``, and no more than ``mu N - |along|`` of each. Two wheels that steer
+    by Ackermann count as an axle through the wheel in their middle.
+
+    Parameters
+    ----------
+    body : RollingDynamics
+        What rolls.
+    state, felt, q
+        As in `pressed`.
+    u : ndarray, shape (..., nu)
+        Torques.
+    carried : list of scalars
+        Loads of wheels, and of supports behind them [N].
+    """
+    groups, ns, first = body.groups, len(body.table.axes), _BASE + body.na
+    M, n, tau = body.inertia(state, q), body.effects(state, q), body.generalised(state, u, 0.0)
+    rows = body.kinematics.rows(state.steering, state.twist, state.rates)
+    of_wheels = {row.wheel: i for i, row in enumerate(rows) if row.kind in ("rolling", "roller")}
+
+    def left(k: int) -> Any:
+        return n[k] + dot(M[k], felt) - tau[k]
+
+    forces: dict[int, Any] = {}
+    for joint, i in sorted(body.choice.joints, reverse=True):  # wheels, and then what they steer
+        others = [rows[j].joints[joint] * x for j, x in forces.items()] if joint < ns else []
+        rest = left(first + joint)
+        for x in others:
+            rest = rest - x
+        forces[i] = rest / rows[i].joints[joint]
+    base = [left(k) for k in range(_BASE)]
+    for i, x in forces.items():
+        base = [b - x * c for b, c in zip(base, rows[i].base, strict=True)]
+    held = _axles(body, state, rows)
+    if len(held) == 1:
+        across = [held[0][0] * base[0] + held[0][1] * base[1]]
+    elif held:
+        about = cross(held[0], held[1])
+        share = 1.0 / number(dot(about, about))
+        across = [dot(cross(base, held[1]), about) * share, dot(cross(held[0], base), about) * share]
+    along = [number(forces[of_wheels[row]]) for row in range(len(body.table))]
+    most = [mu * load for mu, load in zip(scalars(body.mu), carried, strict=False)]
+    lateral, margins = [], []
+    for group in groups:
+        side = forces[group.lateral[0]] if group.held < 0 and group.lateral else ZERO
+        side = number(across[group.held] if group.held >= 0 else side)
+        lateral.append(side)
+        margins.append(_margin([(along[k], most[k]) for k in group.wheels], side, bool(group.lateral)))
+    return Margin(along, lateral, margins)
+
+
+def _axles(body: Any, state: Any, rows: Sequence[Any]) -> list[Vector]:
+    """Return the base of what each axle's lateral force acts along."""
+    found = []
+    for i in body.choice.body:
+        axis = next((k for k, axis in enumerate(body.table.axes) if rows[i].wheel in axis.wheels), None)
+        if axis is None or body.table.axes[axis].ackermann is None:
+            found.append(rows[i].base)
+            continue
+        s, c = sine_and_cosine(state.steering[axis])
+        found.append([-s, c, c * body.kinematics.x[rows[i].wheel]])
+    return found
+
+
+def _margin(wheels: Sequence[tuple[Any, Any]], side: Any, is_tyre: bool) -> Any:
+    """Return the margin of wheels, each with its force along and its largest friction."""
+    if not is_tyre:
+        return wheels[0][1] - abs(wheels[0][0])
+    if len(wheels) == 1:
+        force, most = wheels[0]
+        return most - square_root(force * force + side * side)
+    least, total = None, ZERO
+    for force, most in wheels:
+        own, rest = most - abs(force), most * most - force * force
+        total = total + square_root(higher(number(rest), 0.0))
+        least = own if least is None else choose(own < least, own, least)
+    rest = total - abs(side)
+    return choose(rest < least, rest, least)
+
+
+def lowest(values: Sequence[Any]) -> Any:
+    """Return the least of scalars."""
+    found = values[0]
+    for x in values[1:]:
+        found = choose(x < found, x, found)
+    return found
+
+
+def arms_of(body: Any) -> Any:
+    """Return the judgement of the arms that a body carries; None: it carries none."""
+    return getattr(body.robot, "judgement", None) if body.na else None
+
+
+def footprint_of(body: Any) -> Array | None:
+    """Return the corners of what a body with arms stands on, shape (k, 2) [m], if that is judged."""
+    return body.footprint if body.stands and arms_of(body) is not None else None
+
+
+def limits_of(body: Any) -> list[tuple[int, float]]:
+    """Return which inputs have limits, each with the largest size."""
+    found = [(k, max(abs(one.lower), abs(one.upper))) for k, one in enumerate(body.inputs)]
+    return [(k, limit) for k, limit in found if np.isfinite(limit)]
+
+
+def measures_of(body: Any) -> tuple[Measure, ...]:
+    """Return what `measured` gives.
+
+    Parameters
+    ----------
+    body : WheeledDynamics
+        Whose they are.
+    """
+    arms, found = arms_of(body), []
+    if arms is not None:
+        found += [one for one in arms.measures if one.name.startswith("end effector")]
+    if limits_of(body):
+        found.append(Measure("effort", "", "largest |torque| of a joint or wheel, of what its motor can do"))
+    if footprint_of(body) is not None:
+        words = "distance of the zero-moment point inside the edge of what it stands on"
+        found.append(Measure("tip-over margin", "m", words, "smallest"))
+    if body.stands:
+        words = "smallest load of a wheel or support, as springs that pull too would share them"
+        found.append(Measure("load", "N", words, "smallest"))
+        words = "no loads of wheels and supports balance them; tipping over is not simulated"
+        found.append(Measure("tip over", "", words, "ever"))
+    if body.slips:
+        found.append(Measure("slip", "m/s", "largest velocity at which a wheel slides on the ground"))
+    elif body.stands and body.groups:
+        words = "smallest friction that a wheel, or an axle, has left before it slips"
+        found.append(Measure("slip margin", "N", words, "smallest"))
+    return tuple(found)
+
+
+def measured(body: Any, q: Any, v: Any, a: Any, u: Any, desired: Any) -> Any:
+    """Return the measures of a robot that moves so, shape (..., m).
+
+    Parameters
+    ----------
+    body : WheeledDynamics
+        Whose they are.
+    q, v, a, u : ndarray, shape (..., nq), (..., nv), (..., nv), (..., nu)
+        State, acceleration and input.
+    desired : ndarray, shape (..., k)
+        Where the reference has the first numbers of q.
+    """
+    state, found, arms = body.state(q, v), [], arms_of(body)
+    if arms is not None and arms.tips:
+        found += scalars(arms.apart(body.robot, q[..., : int(body.robot.nq)], desired))
+    limits = limits_of(body)
+    if limits:
+        inputs, most = scalars(u), 0.0
+        for k, limit in limits:
+            most = higher(abs(number(inputs[k])) * (1.0 / limit), most)
+        found.append(most)
+    if body.stands:
+        found += _of_ground(body, state, a, u, q)
+    if body.slips:
+        found.append(_slip(body, state))
+    return stacked([number(x) for x in found], q)
+
+
+def _of_ground(body: Any, state: Any, a: Any, u: Any, q: Any) -> Vector:
+    felt, found = body.felt(state, state.along(scalars(a))), []
+    fz, mx, my = pressed(body, state, felt, q)
+    corners = footprint_of(body)
+    if corners is not None:
+        wrench = stacked([ZERO, ZERO, fz, mx, my, ZERO], q)
+        carried = wrench[..., 2] > WEIGHTLESS * body.weight
+        inside = margin_inside(corners, pressed_at(wrench, carried))
+        found += scalars(np.where(carried, inside, -np.inf)[..., None])
+    places = places_of(body, state.steering)
+    shared = shared_loads(places, fz, mx, my)
+    found += [lowest(shared.springs), shared.tips]
+    if not body.slips and body.groups:
+        found.append(lowest(margin(body, state, felt, u, shared.values, q).margins))
+    return found
+
+
+def _slip(body: Any, state: Any) -> Any:
+    """Return the largest velocity at which a wheel slides; one with rollers slides along their axes."""
+    slips: dict[int, Vector] = {}
+    for row in body.kinematics.rows(state.steering, state.twist, state.rates):
+        if row.wheel >= 0:
+            slips.setdefault(row.wheel, []).append(row.slip(state))
+    most: Any = 0.0
+    for slip in slips.values():
+        most = higher(sum((x * x for x in slip[1:]), slip[0] * slip[0]), most)
+    return square_root(most)
+
+
+class Forces(NamedTuple):
+    """What the ground does at the wheels.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the rows, such as ``"left rolling"``.
+    values : ndarray, shape (..., k)
+        Force of the ground on the robot along each row [N], of a gear train what it transmits.
+    determined : ndarray of bool, shape (k,)
+        Whether rolling determines it; of the others only sums are, and they are shared so that the sum of
+        squares is least.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    determined: Array
+
+
+def contact_loads(body: Any, state: Any, felt: Any, q: Array) -> ContactLoads:
+    """Return the load of each contact, of arrays."""
+    found = wheel_loads(body, state, felt, q)
+    names = (*body.table.names, *(f"support {k + 1}" for k in range(len(body.table.supports))))
+    tips = np.broadcast_to(number(found.tips), q.shape[:-1]) > 0
+    return ContactLoads(names, _arrays(found.values, q), _arrays(found.springs, q), tips)
+
+
+def rolling_margins(body: Any, state: Any, felt: Any, u: Array, q: Array) -> tuple[ContactLoads, SlipMargins]:
+    """Return loads and slip margins of wheels that roll, of arrays."""
+    if not body.groups:
+        raise InvalidArgument(
+            "robot has wheels on a gear train, which share what it transmits, so rolling does not tell the "
+            "force of each; expected ground=Coulomb()"
+        )
+    loads = contact_loads(body, state, felt, q)
+    found = margin(body, state, felt, u, list(np.moveaxis(loads.values, -1, 0)), q)
+    names = tuple(" + ".join(body.table.names[k] for k in group.wheels) for group in body.groups)
+    values = (_arrays(x, q) for x in (found.margins, found.along, found.lateral))
+    return loads, SlipMargins(names, *values)
+
+
+def recorded_margins(body: Any, motion: Any) -> SlipMargins:
+    """Return the slip margins in a run of a robot whose wheels may slip: those of its signals."""
+    signals = getattr(motion, "signals", None) or {}
+    if not set(_FORCES) <= set(signals):
+        raise InvalidArgument(
+            "motion has no signals of the wheels' forces, without which those on Coulomb ground are not "
+            "known; expected the Rollout of a simulation"
+        )
+    along, across, loads = (np.asarray(signals[name][1]) for name in _FORCES)
+    rollers = np.array([wheel.roller is not None for wheel in body.table.wheels])
+    size = np.where(rollers, np.abs(along), np.hypot(along, across))
+    return SlipMargins(body.table.names, body.mu * loads[..., : len(body.table)] - size, along, across)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class TimeScaledMotion:
+    """A robot whose wheels roll along a reference, as fast as it is or faster.
+
+    Parameters
+    ----------
+    body : RollingDynamics
+        What rolls.
+    along : Followed
+        How it does.
+    efforts : ndarray, shape (arms,)
+        Largest torques of the arms' joints [N m].
+    """
+
+    body: Any
+    along: Followed
+    efforts: Array
+
+    def at(self, factor: float) -> tuple[ContactLoads, SlipMargins, TorqueMargins]:
+        """Return loads, slip and torque margins where it goes along `factor` times as fast, (N, k) each."""
+        body, q, v = self.body, self.along.q, factor * self.along.v
+        state, rates = body.state(q, v), factor**2 * self.along.rates
+        a = body.accelerations(state, list(np.moveaxis(rates, -1, 0)))
+        felt = body.felt(state, [number(x) for x in a])
+        u = driving_inputs(body, q, v, rates)
+        return *rolling_margins(body, state, felt, u, q), self._margins(v, u)
+
+    def _margins(self, v: Array, u: Array) -> TorqueMargins:
+        """Return what motors have left of their torques, those of arms and wheels."""
+        body, na = self.body, self.body.na
+        rates = v[:, 3 + na :] @ np.array([each.column for each in body.table.actuators], float).T
+        found = list((self.efforts - np.abs(u[:, :na])).T)
+        for actuator, torque, rate in zip(body.table.actuators, u[:, na:].T, rates.T, strict=True):
+            found.append(actuator.motor.margin(torque, rate))
+        return TorqueMargins(tuple(one.name for one in body.inputs), np.stack(found, axis=-1))
+
+
+def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: Mapping[str, Any]) -> Contacts:
+    """Return the contacts of a robot on wheels at the samples of a run.
+
+    On `Coulomb` ground they are the signals of the run, means over the step before. On `Rolling` ground they
+    are the constraint forces of state and input, forces on the body beside it left out; their limits are what
+    the wheels' own friction would give at the loads of the recorded acceleration.
+
+    Parameters
+    ----------
+    wheeled : WheeledRobot
+        The robot.
+    q, v, a, u : ndarray, shape (n, ...)
+        Of the samples.
+    signals : mapping of str to Signal
+        Of the run.
+    """
+    table, body, n = wheeled.table, wheeled.array_dynamics, len(q)
+    state, k = body.state(q, v), len(table)
+    places, directions = np.empty((n, k, 2)), np.empty((n, k))
+    for i, wheel in enumerate(table.wheels):
+        x, y = state.outward(body.kinematics.centre(i, state.steering)[1])
+        places[:, i, 0], places[:, i, 1] = q[:, 0] + number(x), q[:, 1] + number(y)
+        head = body.kinematics.heading(i, state.steering)
+        directions[:, i] = q[:, 2] + np.arctan2(number(head.s), number(head.c)) + (wheel.roller or 0.0)
+    determined, forces, slips = np.ones((k, 2), bool), np.zeros((n, k, 2)), np.zeros((n, k, 2))
+    loads, slides = np.full((n, k), np.nan), np.zeros((n, k), bool)
+    rows = body.kinematics.rows(state.steering, state.twist, state.rates)
+    if wheeled.mobility.is_regular:
+        for row, known in zip(rows, wheeled.mobility.determined, strict=True):
+            if row.wheel >= 0:
+                determined[row.wheel, int(row.kind in _SECOND)] = known
+    if body.slips:
+        if not {*_FORCES, "slip_along", "slip_across", "slides"} <= set(signals):
+            raise InvalidArgument(
+                "signals has no forces of the wheels, expected those of a run of this robot"
+            )
+        along, across, loads = (signals[name].values for name in _FORCES)
+        forces, loads = np.stack([along, across], axis=-1), loads[:, :k]
+        slips = np.stack([signals["slip_along"].values, signals["slip_across"].values], axis=-1)
+        slides = signals["slides"].values > 0.5
+    else:
+        for row, force in zip(
+            rows, np.moveaxis(wheeled.constraint_forces(q, v, u).values, -1, 0), strict=True
+        ):
+            if row.wheel >= 0:
+                forces[:, row.wheel, int(row.kind in _SECOND)] = force
+        if body.stands:
+            loads = wheeled.contact_loads(q, v, a).values[:, :k]
+        for row in body.kinematics.rows(state.steering, state.twist, state.rates, across=True):
+            if row.kind == "across":  # the ground passes across rollers
+                slips[:, row.wheel, 1] = row.slip(state)
+    own = [wheel.friction.across for wheel in table.wheels]
+    across = [mu if w.roller is None else x for mu, x, w in zip(wheeled.mu, own, table.wheels, strict=True)]
+    limits = loads[..., None] * np.stack([wheeled.mu, across], axis=-1)
+    centre = _rotation_centre(q, v)
+    return Contacts(table.names, places, directions, forces, determined, loads, limits, slips, slides, centre)
+
+
+def _rotation_centre(q: Array, v: Array) -> Array:
+    """Return the instantaneous centre of rotation, shape (n, 2)."""
+    turns = np.abs(v[:, 2]) > _STILL
+    found = q[:, :2] + np.stack([-v[:, 1], v[:, 0]], axis=-1) / np.where(turns, v[:, 2], 1.0)[:, None]
+    return np.where(turns[:, None], found, np.inf)
+
+
+def _arrays(values: Any, q: Array) -> Array:
+    return np.stack([np.broadcast_to(number(x), q.shape[:-1]) for x in values], axis=-1)

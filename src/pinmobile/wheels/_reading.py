@@ -1,0 +1,545 @@
+"""The wheel joints of a robot's URDF, and a table of wheels from them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import atan2, cos, hypot, pi, radians, sin
+from os import PathLike
+from pathlib import Path
+from typing import Any
+from warnings import warn
+from xml.etree import ElementTree
+
+import numpy as np
+
+from pinmobile.arrays import ArrayLike, bounded, finite, instance, one_of, positive, scalar, sequence, shaped
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.parts import evolved
+from pinmobile.robot import LOCKED, TOUCH, MobileRobot, Swivel, WheelJoint
+from pinmobile.wheels._motors import Motor
+from pinmobile.wheels._table import (
+    DRIVEN,
+    FIXED,
+    FREE,
+    Coupling,
+    Differential,
+    GearTrain,
+    Support,
+    Wheel,
+    WheelTable,
+    each_of,
+)
+
+_TRAIL = 1e-3  # [m]: a wheel nearer to its swivel than that does not trail
+_ROUNDED = 0.002  # [rad] of a multiple of 15 degrees: files have 1.57 and 3.14
+_STEP = radians(15)
+_ROUND = 0.02  # share by which moments of a wheel may differ across its axle, and its com be off it
+_DIGITS = 12  # of a length [m]
+_LINE = 1e-3  # [m]: axles so near one line are on it
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """The wheels of a robot's file, and what is given beside it: see `read_wheels`."""
+
+    robot: MobileRobot
+    radius: Any = None
+    rollers: Any = None
+    driven: Any = None
+    steering: Any = None
+    inertia: Any = None
+    locked: Any = ()
+    supports: Any = None
+    couplings: Any = ()
+    words: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        instance("robot", self.robot, MobileRobot, "a MobileRobot")
+        sequence("couplings", self.couplings, "GearTrain, Differential or Ackermann")
+        if not self._names:
+            words = "no joint that turns freely about a level axis; expected table="
+            raise InvalidArgument(f"robot has no wheels in its file, {words}")
+        if not self.joints:
+            words = "all wheels of the robot; expected some left"
+            raise InvalidArgument(f"locked is {shown(self.locked)}, {words}")
+        if not isinstance(self.steering, Mapping | None):
+            raise InvalidArgument(
+                f"steering is {shown(self.steering)}, expected a mapping from names of wheels"
+            )
+        for key in ("radius", "rollers", "steering", "inertia"):
+            if isinstance(value := getattr(self, key), Mapping):
+                self._known(key, value)
+
+    @property
+    def _names(self) -> list[str]:
+        return [joint.name for joint in self.robot.undercarriage.wheels]
+
+    def _known(self, key: str, names: Iterable[object]) -> list[str]:
+        """Return names of wheels, checked."""
+        return [one_of(f"wheel of {key}", name, self._names) for name in names]
+
+    @cached_property
+    def _locked(self) -> list[str]:
+        return self._known("locked", sequence("locked", self.locked, "names of wheels"))
+
+    @cached_property
+    def joints(self) -> list[WheelJoint]:
+        """Joints that become wheels of the table."""
+        return [joint for joint in self.robot.undercarriage.wheels if joint.name not in self._locked]
+
+    def _given(self, key: str, name: str) -> Any:
+        """Return what is given of a wheel, None for nothing."""
+        value = getattr(self, key)
+        return value.get(name) if isinstance(value, Mapping) else value
+
+    def radius_of(self, joint: WheelJoint) -> float:
+        """Return the radius of a wheel [m]."""
+        own = self._given("radius", joint.name)
+        if own is not None and (isinstance(self.radius, Mapping) or joint.radius is None):
+            return positive(f"radius of wheel {joint.name!r}", own, "m")
+        if joint.radius is None:
+            raise InvalidArgument(
+                f"radius of wheel {joint.name!r} is not known: its file has no collision cylinder or sphere "
+                f"about the axle; expected radius={{{joint.name!r}: ...}} [m]"
+            )
+        return joint.radius
+
+    def _inertia(self, joint: WheelJoint, radius: float) -> tuple[float, float]:
+        """Return the inertia of a wheel about its axle and across it [kg m^2]."""
+        own = self._given("inertia", joint.name)
+        if own is not None:
+            words = f"inertia of wheel {joint.name!r}"
+            pair = shaped(words, finite(words, own), (2,), words=": about its axle and across it [kg m^2]")
+            about, across = bounded(words, pair, least=0, unit="kg m^2").tolist()
+            return about, across
+        spin, (one, other), products, aside = joint.moments()
+        way_out = (
+            "its inertia would depend on the angle it has turned; expected equal moments across the axle and "
+            f"a centre of mass on it, or inertia={{{joint.name!r}: (about the axle, across it)}} [kg m^2]"
+        )
+        if aside > _ROUND * radius:
+            raise InvalidArgument(
+                f"wheel {joint.name!r} has its centre of mass {1e3 * aside:.3g} mm off its axle: {way_out}"
+            )
+        if max(abs(one - other), products) > _ROUND * max(spin, one, other):
+            raise InvalidArgument(
+                f"wheel {joint.name!r} is no solid of revolution about its axle, with moments of {spin:.4g} "
+                f"about it, {one:.4g} and {other:.4g} across, and products up to {products:.2g} kg m^2: "
+                f"{way_out}"
+            )
+        if not spin > 0:
+            raise InvalidArgument(
+                f"wheel {joint.name!r} has no inertia in its file, expected one, or "
+                f"inertia={{{joint.name!r}: (about the axle, across it)}} [kg m^2]"
+            )
+        return spin, (one + other) / 2
+
+    def _roller(self, joint: WheelJoint) -> float | None:
+        own, name = self._given("rollers", joint.name), joint.name
+        if own is None:
+            if joint.carried:
+                raise InvalidArgument(
+                    f"wheel {name!r} carries joints {', '.join(map(repr, joint.carried[:3]))}: their angle "
+                    f"decides how it rolls; expected rollers={{{name!r}: angle from the rolling direction}} "
+                    "[rad]"
+                )
+            return None
+        angle = scalar(f"rollers of wheel {name!r}", own)
+        if isinstance(self.rollers, Mapping) or not angle:
+            return angle
+        middle = np.mean([each.centre for each in self.joints], axis=0)
+        corners = {tuple(np.sign(np.round(each.centre - middle, 6)[:2])) for each in self.joints}
+        forward = all(abs(each.axis[1]) > cos(_ROUNDED) for each in self.joints)
+        if not forward or len(self.joints) != 4 or corners != {(1, 1), (1, -1), (-1, 1), (-1, -1)}:
+            raise InvalidArgument(
+                f"rollers is {angle:g} rad for {len(self.joints)} wheels that are not four at the corners of "
+                "a rectangle, their axles along y; expected a mapping from their names"
+            )
+        x, y, _ = joint.centre - middle
+        return -angle if x * y > 0 else angle
+
+    def _forward(self, joint: WheelJoint, roller: float | None) -> float:
+        """Return the angle of the rolling direction [rad]."""
+        angle = snapped(atan2(-joint.axis[0], joint.axis[1]))
+        if abs(angle) < pi / 2 - 1e-9 or abs(angle - pi / 2) < 1e-9:
+            return angle
+        others = [each.axis for each in self.joints if each is not joint]
+        alone = all(abs(np.dot(joint.axis, axis)) < cos(_ROUNDED) for axis in others)
+        return angle if alone and roller is not None else angle - pi if angle > 0 else angle + pi
+
+    def _steered(self, joint: WheelJoint, roller: float | None) -> tuple[str, Swivel | None]:
+        asked = self._given("steering", joint.name)
+        if not joint.swivels:
+            if asked not in (None, FIXED):
+                raise InvalidArgument(
+                    f"steering of wheel {joint.name!r} is {shown(asked)}, but it hangs on no joint about the "
+                    "vertical; expected 'fixed'"
+                )
+            return FIXED, None
+        if asked == FIXED:
+            return FIXED, None
+        swivel, *more = joint.swivels
+        if more:
+            raise InvalidArgument(
+                f"wheel {joint.name!r} hangs on two joints about the vertical, {swivel.name!r} and "
+                f"{more[0].name!r}; expected one, or steering={{{joint.name!r}: 'fixed'}}"
+            )
+        twins = [each.name for each in self.joints if swivel.name in (one.name for one in each.swivels)]
+        if len(twins) > 1:
+            raise InvalidArgument(
+                f"wheels {', '.join(map(repr, twins))} hang on one swivel, {swivel.name!r}, for which a "
+                "table has no row; expected locked=, or a table= of your own"
+            )
+        if asked is not None:
+            return one_of(f"steering of wheel {joint.name!r}", asked, (FIXED, DRIVEN, FREE)), swivel
+        if np.isfinite(swivel.limit):
+            return DRIVEN, swivel
+        if hypot(joint.centre[0] - swivel.x, joint.centre[1] - swivel.y) > _TRAIL:
+            return FREE, swivel
+        if roller is None:
+            raise InvalidArgument(
+                f"wheel {joint.name!r} stands right below its swivel {swivel.name!r}, which the file does "
+                "not say to be driven, and which nothing else could turn; expected "
+                f"steering={{{joint.name!r}: 'driven'}} or 'fixed', or rollers="
+            )
+        return FIXED, None
+
+    def _row(self, joint: WheelJoint) -> Wheel:
+        """Return a wheel as a row of a table."""
+        radius, roller = self.radius_of(joint), self._roller(joint)
+        steering, swivel = self._steered(joint, roller)
+        spin, across = self._inertia(joint, radius)
+        (x, y, _), angle = joint.centre, self._forward(joint, roller)
+        own: dict[str, Any] = {"mass": joint.lump.mass, "yaw_inertia": across}
+        if swivel is not None:
+            c, s, ox, oy = cos(angle), sin(angle), x - swivel.x, y - swivel.y
+            own["trail"] = (to_length(c * ox + s * oy), to_length(c * oy - s * ox))
+            own["mass"], own["yaw_inertia"] = swivel.turning(joint, across)
+            x, y = swivel.x, swivel.y
+            if swivel.limit > 0:
+                own["steering_limit"] = swivel.limit
+        name, place = wheel_name(joint.name), (to_length(x), to_length(y))
+        return Wheel(name, *place, radius, angle, steering, roller=roller, spin_inertia=spin, **own)
+
+    def table(self) -> WheelTable:
+        """Return the table."""
+        if isinstance(self.radius, float | int) and all(each.radius for each in self.joints):
+            raise InvalidArgument(
+                f"radius is {shown(self.radius)} m, but the file tells that of every wheel; expected a "
+                "mapping for those that have another"
+            )
+        rows = [self._row(joint) for joint in self.joints]
+        self._check_plane(rows)
+        rows = self._on_lines(rows)
+        driven = self._motors_at(rows)
+        rows = [
+            evolved(row, motor=motor_of(joint)) if joint.name in driven else row
+            for row, joint in zip(rows, self.joints, strict=True)
+        ]
+        table = WheelTable(tuple(rows), self._supports(rows), tuple(self.couplings))
+        return evolved(table, source="; ".join(self._sources(table)))
+
+    def _check_plane(self, rows: Sequence[Wheel]) -> None:
+        lowest = {
+            joint.name: joint.centre[2] - row.radius for joint, row in zip(self.joints, rows, strict=True)
+        }
+        heights = [*lowest.values(), *([0.0] if self.robot.grounded else [])]
+        if max(heights) - min(heights) > TOUCH:
+            listed = ", ".join(f"{name} at z = {z:.4g}" for name, z in lowest.items())
+            ground = ", the ground at z = 0" if self.robot.grounded else ""
+            raise InvalidArgument(
+                f"wheels do not stand on one plane, their lowest points being {listed}{ground} m, expected "
+                f"them within {1e3 * TOUCH:g} mm, other radii, or locked= for those that do not roll"
+            )
+
+    def _on_lines(self, rows: Sequence[Wheel]) -> list[Wheel]:
+        """Return the rows with axles of fixed tyres that are nearly on one line on it.
+
+        Refuse to guess what wheels on several axles are, where nothing says that they skid.
+        """
+        found, moved = list(rows), 0.0
+        fixed = [k for k, row in enumerate(rows) if row.steering == FIXED]
+        tyres = [k for k in fixed if rows[k].roller is None]
+        for k in tyres:
+            line = [x for x in (_offset(rows[j]) for j in tyres if rows[j].angle == rows[k].angle)]
+            line = [x for x in line if abs(x - _offset(rows[k])) <= _LINE]
+            away = sum(line) / len(line) - _offset(rows[k]) if max(line) > min(line) else 0.0
+            if away:
+                x, y = rows[k].x + away * cos(rows[k].angle), rows[k].y + away * sin(rows[k].angle)
+                found[k] = evolved(rows[k], x=to_length(x), y=to_length(y))
+                moved = max(moved, abs(away))
+        if moved > 1e-9:
+            self.words.append(f"axles put on one line, by {1e3 * moved:.2g} mm at most")
+        axles = {(round(found[k].angle, 9), round(_offset(found[k]), 9)) for k in fixed}
+        trains = any(isinstance(each, GearTrain) for each in self.couplings)
+        if self.rollers is None and len(axles) > 1 and not trains:
+            names = ", ".join(repr(rows[k].name) for k in fixed)
+            raise InvalidArgument(
+                f"rollers is not given, and wheels {names} are fixed on "
+                "more than one axle: they are tyres that skid in turns, or have rollers, which files do not "
+                "tell; expected rollers={} for tyres, rollers=pi / 4 for mecanum wheels, or a mapping"
+            )
+        return found
+
+    def _motors_at(self, rows: Sequence[Wheel]) -> list[str]:
+        """Return the names of the joints of wheels that have a motor."""
+        if self.driven is not None:
+            return self._known("driven", sequence("driven", self.driven, "names of wheels"))
+        shared: set[str] = set()
+        for each in self.couplings:
+            if isinstance(each, Differential | GearTrain):
+                shared.update(each.wheels[isinstance(each, GearTrain) :])
+        kind = FIXED if any(row.steering == FIXED for row in rows) else DRIVEN
+        pairs = zip(self.joints, rows, strict=True)
+        return [joint.name for joint, row in pairs if row.steering == kind and row.name not in shared]
+
+    def _supports(self, rows: Sequence[Wheel]) -> tuple[Support, ...]:
+        if self.supports is not None:
+            return tuple(Support(*at) for at in each_of("supports", self.supports))
+        taken, found = [row.centre for row in rows], []
+        places = list(self.robot.undercarriage.supports)
+        for joint in self.robot.undercarriage.wheels:
+            height = joint.centre[2] if self.robot.grounded else 0.0
+            if joint.name in self._locked and (joint.radius is None or abs(height - joint.radius) <= TOUCH):
+                places.append(joint.centre[:2])
+        for place in places:
+            x, y = map(to_length, place)
+            if all(hypot(x - x0, y - y0) > _LINE for x0, y0 in taken):
+                taken.append((x, y))
+                found.append(Support(x, y))
+        return tuple(found)
+
+    def _sources(self, table: WheelTable) -> list[str]:
+        """Return what is from where, in words."""
+        found = [f"wheels of its file: {', '.join(joint.name for joint in self.joints)}"]
+        pairs, signs = list(zip(table.wheels, self.joints, strict=True)), joint_signs(self.robot, table)
+        guess = "" if self.driven is not None else "guessed: "
+
+        def tell(words: str, holds: Callable[[Wheel, WheelJoint], object]) -> None:
+            names = [joint.name for row, joint in pairs if holds(row, joint)]
+            if names:
+                found.append(f"{words} {', '.join(names) if len(names) < len(pairs) else 'all'}")
+
+        def rounds(row: Wheel, joint: WheelJoint) -> bool:
+            angle = atan2(-joint.axis[0], joint.axis[1])
+            return abs(snapped(angle) - angle) > 1e-9
+
+        def rubs(joint: WheelJoint) -> bool:
+            return bool(joint.damping or joint.friction)
+
+        tell("radius by the collision geometry of", lambda row, joint: joint.radius == row.radius)
+        tell("radius as given of", lambda row, joint: joint.radius != row.radius)
+        tell("the joint turns the other way at", lambda row, joint: signs[row.name] < 0)
+        tell("axes that the file rounds are exact at", rounds)
+        given = "inertia as given, the whole's as in the file, of"
+        tell(given, lambda row, joint: self._given("inertia", joint.name) is not None)
+        tell(f"{guess}motors at", lambda row, joint: row.motor)
+        limit = "torque limit by the file's effort at"
+        tell(limit, lambda row, joint: row.motor and np.isfinite(row.motor.torque_limit))
+        words = "damping and friction of the joint are"
+        tell(f"{words} the motor's at", lambda row, joint: row.motor and rubs(joint))
+        tell(f"{words} left out at", lambda row, joint: not row.motor and rubs(joint))
+        tell("turns freely behind its swivel:", lambda row, joint: row.steering == FREE)
+        tell("steering driven at", lambda row, joint: row.steering == DRIVEN)
+        tell("swivel locked of", lambda row, joint: joint.swivels and row.steering == FIXED)
+        if self.rollers is not None:
+            tell("rollers as given at", lambda row, joint: row.roller is not None)
+        if self.rollers is None:
+            found.append("guessed: no wheel has rollers, of which files do not tell")
+        elif not any(row.roller is not None for row in table.wheels):
+            found.append("no rollers as given")
+        found += self.words
+        if self.locked:
+            found.append(f"locked: {', '.join(self.locked)}")
+        if table.supports:
+            places = ", ".join(f"({each.x:.4g}, {each.y:.4g})" for each in table.supports)
+            near = f"where the file is within {1e3 * TOUCH:g} mm of the ground"
+            given = "as given" if self.supports is not None else near
+            found.append(f"supports without friction {given}, at {places} m")
+        return found
+
+
+def _offset(row: Wheel) -> float:
+    """Return how far the axle of a wheel is ahead of the origin [m]."""
+    return cos(row.angle) * row.x + sin(row.angle) * row.y
+
+
+def motor_of(joint: WheelJoint) -> Motor:
+    """Return what drives a wheel, as far as its file tells."""
+    if not (np.isfinite(joint.effort) or joint.damping or joint.friction):
+        return Motor()
+    viscous, coulomb = max(joint.damping, 0.0), max(joint.friction, 0.0)
+    return Motor(joint.effort, viscous=viscous, coulomb=coulomb, source=f"joint {joint.name}")
+
+
+def snapped(angle: float) -> float:
+    """Return an angle [rad], that which a file rounds where it nearly is one of every 15 degrees."""
+    nearest = round(angle / _STEP)
+    exact = {-6: -pi / 2, 6: pi / 2, 12: pi, -12: pi}.get(nearest, nearest * _STEP)
+    return exact if abs(angle - nearest * _STEP) < _ROUNDED else angle
+
+
+def to_length(x: float) -> float:
+    """Return a length without what products of rotations leave of rounding [m]."""
+    return round(float(x), _DIGITS) + 0.0
+
+
+def wheel_name(name: str) -> str:
+    """Return the name of a joint as that of a wheel."""
+    return "".join("_" if letter in '/,":.' else letter for letter in name)
+
+
+def read_wheels(
+    robot: MobileRobot,
+    *,
+    radius: float | Mapping[str, float] | None = None,
+    rollers: float | Mapping[str, float] | None = None,
+    driven: Sequence[str] | None = None,
+    steering: Mapping[str, str] | None = None,
+    inertia: ArrayLike | Mapping[str, ArrayLike] | None = None,
+    locked: Sequence[str] = (),
+    supports: Iterable[ArrayLike] | None = None,
+    couplings: Sequence[Coupling] = (),
+) -> WheelTable:
+    """Return the wheel table of a robot read from a URDF or a model; its `source` says what is from where.
+
+    The wheels are called as their joints, in the model's order. The axis of a joint at rest is the axle, made
+    level; angles that the file rounds, such as 1.57, are exact to 15 degrees, and axles within 1 mm of one
+    line are on it. A wheel rolls forward (or left, where its axle is along x) at a positive rate; where
+    its joint turns the other way, as in mirrored frames, `WheeledRobot.joint_signs` has -1. A wheel with
+    rollers whose axle is parallel to no other keeps its joint's sense.
+
+    Masses and inertias are those of the links, which the robot's whole holds already. Of a caster, what its
+    fork's turning adds is in the wheel's mass and yaw inertia. The effort of a driven joint is its motor's
+    torque limit, its damping and friction are the motor's, which act where it is driven by volts; those of
+    other joints are left out.
+
+    A mapping, below, has names of wheel joints.
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        With the `undercarriage` of its file.
+    radius : float or mapping of str to float, optional
+        [m]; a number is that of all wheels of which the file does not tell it.
+    rollers : float or mapping of str to float, optional
+        Angle of the axis of the roller at the ground from the rolling direction [rad], see `Wheel`; wheels
+        without are tyres, all of them with ``{}``. A number is that of all: 0 of omni wheels; else of four
+        mecanum wheels, whose rollers form an X seen from above where it is positive. It must be given where
+        wheels are fixed on more than one axle, unless a gear train says that they skid.
+    driven : sequence of str, optional
+        Wheels with a motor; by default those that hang on no swivel, or where there are none, those whose
+        steering is driven; of a gear train the first one alone, of a differential none.
+    steering : mapping of str to str, optional
+        Of wheels on a swivel ``"fixed"``, ``"driven"`` or ``"free"``; by default a swivel with limits is
+        driven, one that turns freely is free where the wheel trails behind it, and fixed of a wheel with
+        rollers.
+    inertia : sequence of 2 floats, or mapping of str to that, optional
+        Of a wheel about its axle and across it [kg m^2]; a pair is that of all. The whole robot's mass and
+        inertia stay those of the file.
+    locked : sequence of str
+        Wheel joints that are no wheels of the table: where they touch the ground they carry, without
+        friction.
+    supports : sequence of (x, y), optional
+        Where it stands beside its wheels [m]; by default where the file has what touches the ground.
+    couplings : sequence of GearTrain, Differential, Ackermann
+        See `WheelTable`.
+
+    Raises
+    ------
+    InvalidArgument
+        If there are no wheels, a radius, or whether they have rollers, is not known, wheels do not stand on
+        one plane, a wheel is no solid of revolution about its axle or hangs on what a table has no row for;
+        or an argument is something else.
+    UnknownName
+        If there is no such wheel.
+    """
+    return _Reader(robot, radius, rollers, driven, steering, inertia, locked, supports, couplings).table()
+
+
+def joint_signs(robot: MobileRobot, table: WheelTable) -> dict[str, int]:
+    """Return of each wheel of its file 1, or -1 where the joint there turns the other way.
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        With the `undercarriage` of its file.
+    table : WheelTable
+        Its wheels, called as the joints.
+    """
+    found = {wheel_name(joint.name): joint for joint in robot.undercarriage.wheels}
+    rows = [wheel for wheel in table.wheels if wheel.name in found]
+    return {wheel.name: 1 if _leftward(wheel.angle, found[wheel.name].axis) > 0 else -1 for wheel in rows}
+
+
+def _leftward(angle: float, axis: Sequence[float]) -> float:
+    """Return the part of an axis a quarter of a turn to the left of an angle."""
+    return cos(angle) * axis[1] - sin(angle) * axis[0]
+
+
+def source_of(robot: MobileRobot, table: WheelTable) -> str:
+    """Return where the numbers of a robot on wheels come from, in words."""
+    locked, turns = robot.locked_joints, dict(zip(table.names, table.wheels, strict=True))
+    moving = set[str]()
+    for joint in robot.undercarriage.wheels:
+        if wheel := turns.get(wheel_name(joint.name)):
+            moving |= {joint.name, *(each.name for each in joint.swivels if wheel.steering != FIXED)}
+    held = ", ".join(name for name in locked if name not in moving)
+    words = robot.source.replace(f"; {LOCKED}", "")
+    words = words.replace(f"; locked at rest: {', '.join(locked)}", held and f"; locked at rest: {held}")
+    return f"{words}; {table.source}"
+
+
+def read_robot(
+    path: str | PathLike[str],
+    package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]],
+    ground_z: ArrayLike | None,
+    radius: float | Mapping[str, float] | None,
+    locked: Sequence[str],
+) -> MobileRobot:
+    """Return the robot of a URDF, on the ground by given radii where the file does not tell where that is.
+
+    Parameters
+    ----------
+    path, package_dirs, ground_z
+        As in `MobileRobot.from_urdf`.
+    radius, locked
+        As in `read_wheels`.
+    """
+    robot = MobileRobot.from_urdf(path, package_dirs, ground=ground_z)
+    _report_ignored(Path(path))
+    if robot.grounded or radius is None:
+        return robot
+    wheels = _Reader(robot, radius, locked=locked)
+    lowest = [joint.centre[2] - wheels.radius_of(joint) for joint in wheels.joints]
+    return MobileRobot.from_urdf(path, package_dirs, ground=sum(lowest) / len(lowest))
+
+
+def _report_ignored(path: Path) -> None:
+    """Warn of what a file says of friction that changes nothing."""
+    root = ElementTree.parse(path).getroot()
+    joints, links = [], []
+    for joint in root.findall("joint"):
+        dynamics = joint.find("dynamics")
+        given = {} if dynamics is None else dynamics.attrib
+        if any(float(given.get(x, 0)) for x in ("damping", "friction")) and joint.get("type") != "fixed":
+            joints.append(str(joint.get("name")))
+    for gazebo in root.findall("gazebo"):
+        if gazebo.find("mu1") is not None or gazebo.find("mu2") is not None:
+            links.append(str(gazebo.get("reference")))
+    words = []
+    if joints:
+        words.append(
+            f"damping and friction of {_listed(joints)} act where motors take volts alone (by_voltage): give "
+            "forces=[ViscousFriction(...)], or Friction(rolling=...) of the wheels"
+        )
+    if links:
+        words.append(f"mu1 and mu2 of {_listed(links)} are not used: give ground=Coulomb(mu)")
+    if words:
+        warn(f"{path.name}: {'; '.join(words)}", stacklevel=4)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names) if len(names) < 4 else f"{names[0]}, {names[1]} and {len(names) - 2} more"

@@ -1,0 +1,250 @@
+"""`Reduced`: the dynamics of wheels that roll in independent velocities; references, and linear models."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument
+from pinmobile.plant import Input
+from pinmobile.robot import Matrix, number, scalars, slopes, vector_of as stacked
+
+_BASE = 3
+_LEAST_NORM = 1e-6  # relative weight of torques beside what they are for, where limits hold them
+_OFF = 1e-6  # of the largest rate, beyond which wheels would slide sideways; of the largest force
+
+
+def matrix(rows: Matrix, q: Any) -> Any:
+    """Return rows of scalars at configurations q as an array."""
+    return np.stack(np.broadcast_arrays(*(stacked(row, q) for row in rows)), axis=-2)
+
+
+class Reduced(NamedTuple):
+    """Rolling in independent velocities nu: M nu' + n = B u, v = S nu (Kane's equations).
+
+    nu is, of a body that is free, its twist (forward, left, yaw rate); of one with one axle, the speed along
+    the wheels at the axle and the yaw rate; of one with two axles, the speed at the fixed one, or, where both
+    are steered, the number eta with twist = eta (a1 x a2) of the axles' rows. Rates of the arms and of
+    steering axes that nothing else determines follow.
+
+    Attributes
+    ----------
+    M, n, B : ndarray, shape (..., m, m), (..., m), (..., m, nu)
+        Mass matrix, nonlinear effects and input matrix.
+    S : ndarray, shape (..., nv, m)
+        All velocities by the independent ones.
+    nu : ndarray, shape (..., m)
+        Those of the state.
+    """
+
+    M: Any
+    n: Any
+    B: Any
+    S: Any
+    nu: Any
+
+    def torques(self, rates: Array) -> Array:
+        """Return the input of least norm with which nu changes so, shape (..., nu) [N m].
+
+        Parameters
+        ----------
+        rates : ndarray, shape (..., m)
+            nu' [m/s^2, rad/s^2].
+        """
+        force = np.einsum("...ij,...j->...i", self.M, rates) + self.n
+        return np.asarray(np.linalg.pinv(self.B) @ force[..., None])[..., 0]
+
+    def nearest(self, force: Array, inputs: Sequence[Input]) -> Array:
+        """Return the input within limits that comes nearest to a force, shape (nu,), of one state.
+
+        Where limits allow it, it does what the force does, and has least norm; else what it misses is least
+        in the metric of the inverse mass, by a quadratic program.
+
+        Parameters
+        ----------
+        force : ndarray, shape (m,)
+            On the independent velocities, S' tau.
+        inputs : sequence of Input
+            With their limits.
+        """
+        metric = np.linalg.inv(np.linalg.cholesky(self.M))
+        B, right = metric @ self.B, metric @ force
+        u = np.linalg.pinv(B) @ right
+        lower, upper = (np.array([getattr(each, x) for each in inputs]) for x in ("lower", "upper"))
+        if (u < lower).any() or (u > upper).any():
+            from scipy.optimize import lsq_linear
+
+            small = _LEAST_NORM * np.linalg.norm(B) * np.eye(len(u))
+            wanted = np.append(right, np.zeros(len(u)))
+            found = lsq_linear(np.vstack([B, small]), wanted, (lower, upper), tol=1e-14)
+            u = np.clip(found.x, lower, upper)
+        return np.asarray(u)
+
+
+class Allocation(NamedTuple):
+    """Torques for a force that is wanted on body and arms.
+
+    Attributes
+    ----------
+    u : ndarray, shape (..., nu)
+        The input [N m].
+    residual : ndarray, shape (..., 3 + arms)
+        What of the force wheels and joints do not supply: what is beyond their limits, and what no wheel
+        can give, such as a force across the axle [N, N, N m, ...].
+    """
+
+    u: Array
+    residual: Array
+
+
+class Followed(NamedTuple):
+    """Wheels that roll along a reference.
+
+    Attributes
+    ----------
+    q, v : ndarray, shape (N, nq), (N, nv)
+        States, wheel angles zero.
+    nu, rates : ndarray, shape (N, m)
+        Independent velocities, and their rates.
+    u : ndarray, shape (N, nu)
+        Inputs of least norm.
+    """
+
+    q: Array
+    v: Array
+    nu: Array
+    rates: Array
+    u: Array
+
+
+def check_steers_not(body: Any) -> None:
+    """Refuse wheels that steer, whose angles belong to the state."""
+    if body.table.axes:
+        raise InvalidArgument(
+            f"robot steers wheels about {len(body.table.axes)} axes, whose angles no reference leads, "
+            "expected wheels that do not steer, or Backstepping(law, robot)"
+        )
+
+
+def followed(body: Any, reference: Any, t: Array | None = None) -> Followed:
+    """Return how a body on wheels goes along a reference; arms that this leaves out rest.
+
+    Parameters
+    ----------
+    body : WheeledDynamics
+        What rolls.
+    reference : Reference
+        q, v and a, shape (N, ...).
+    t : ndarray, shape (N,), optional
+        Times [s], from which steering rates follow; without them no wheel may steer.
+
+    Raises
+    ------
+    InvalidArgument
+        If wheels steer or cannot roll so, or no input does it.
+    """
+    if t is None:
+        check_steers_not(body)
+    n, ns, (*lead, known) = _BASE + body.na, len(body.table.axes), reference.q.shape
+    if known > n:
+        raise InvalidArgument(
+            f"reference has {known} coordinates, expected those of body and arms, {n}: a motion of both is "
+            "WholeBody(robot, base, *joints)"
+        )
+    q, v, a = (np.zeros((*lead, body.nv)) for _ in range(3))
+    q[..., :known], v[..., :known], a[..., :known] = reference
+    if known < n:
+        q[..., known:n] = body.robot.rest[known:]
+    turning = faster = np.zeros((*lead, ns))
+    if t is not None and ns:
+        twists = np.stack(np.broadcast_arrays(*map(number, body.state(q, v).twist)), -1).tolist()
+        steered = np.array([[body.steered_to(axis, twist) for axis in body.table.axes] for twist in twists])
+        q[:, n : n + ns] = steered
+        if len(t) > 3:
+            from scipy.interpolate import CubicSpline
+
+            q[:, n : n + ns] = np.unwrap(steered, axis=0, period=np.pi)
+            spline = CubicSpline(t, q[:, n : n + ns])
+            turning, faster = spline(t, 1), spline(t, 2)
+    v[..., n : n + ns] = turning
+    nu = stacked(body.velocities(body.state(q, v)), q)
+    rolls = _rolling(body, q, nu)
+    off = np.abs(rolls - v)[..., :n].max(axis=-1)
+    if (off > _OFF * (1 + np.abs(v).max())).any():
+        k = int(np.argmax(off))
+        when = f"its sample {k}" if t is None else f"{t[k]:.6g} s"
+        raise InvalidArgument(
+            f"reference moves the body by {off[k]:.3g} m/s, or rad/s, at {when} as its wheels cannot roll, "
+            "expected one that they can follow, such as Tangent(path)"
+        )
+    state = body.state(q, rolls)
+    own = nu.shape[-1] - body.na - len(body.choice.free)
+    rates = body.offset(state, state.along(scalars(a)))[:own]
+    rates = [*rates, *scalars(a)[_BASE:n], *(faster[..., k] for k in body.choice.free)]
+    changes = stacked(rates, q)
+    return Followed(q, rolls, nu, changes, driving_inputs(body, q, rolls, changes))
+
+
+def driving_inputs(body: Any, q: Array, v: Array, rates: Array) -> Array:
+    """Return the inputs of least norm with which independent velocities change so, and refuse if none do."""
+    if not body.nu:
+        raise InvalidArgument("robot has no motor, expected one that can be driven along a reference")
+    own = body.reduced(q, v)
+    u = own.torques(rates)
+    needed = np.einsum("...ij,...j->...i", own.M, rates) + own.n
+    missed = np.abs(np.einsum("...ij,...j->...i", own.B, u) - needed).max()
+    if missed > _OFF * (1 + np.abs(needed).max()):
+        raise InvalidArgument(
+            f"reference needs a force of {missed:.3g} N, or N m, that no motor of the robot exerts, expected "
+            "a drive with a motor for each degree of freedom, or a reference that needs none"
+        )
+    return np.asarray(u)
+
+
+def _rolling(body: Any, q: Any, nu: Any) -> Any:
+    """Return v of independent velocities, shape (..., nv)."""
+    still = np.zeros((*q.shape[:-1], body.nv))
+    state = body.state(q, still)
+    S, _ = body.solution(state)
+    columns = np.moveaxis(nu, -1, 0)
+    moved = [sum((number(x) * y for x, y in zip(row, columns, strict=True)), 0.0 * columns[0]) for row in S]
+    return body.in_plane(state, moved, q)
+
+
+def linearized(body: Any, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
+    """Return the first-order model of the tracked state, A and B, see `WheeledRobot.linearize_tracked`.
+
+    Parameters
+    ----------
+    body : WheeledDynamics
+        Whose wheels do not steer.
+    q, v, u : ndarray, shape (..., nq), (..., nv), (..., nu)
+        State, which rolls, and input.
+    """
+    check_steers_not(body)
+    n = _BASE + body.na
+    q, v, u = (np.asarray(x, np.float64) for x in (q, v, u))
+    lead = np.broadcast_shapes(q.shape[:-1], v.shape[:-1], u.shape[:-1])
+    q, v, u = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v, u))
+    nu = stacked(body.velocities(body.state(q, v)), q)
+    m = nu.shape[-1]
+
+    def rates(step: Array, q: Array, nu: Array, u: Array) -> Any:
+        count = np.broadcast_shapes(step.shape[:-1], q.shape[:-1])
+        moves = np.zeros((*count, body.nv), np.complex128)
+        moves[..., :n] = step[..., :n]
+        moved, velocities = body.integrate(q, moves), nu + step[..., n : n + m]
+        rolls = _rolling(body, moved, velocities)
+        own = body.reduced(moved, rolls)
+        pushed = np.einsum("...ij,...j->...i", own.B, u + step[..., n + m :]) - own.n
+        gained = np.linalg.solve(own.M, pushed[..., None])[..., 0]
+        return np.concatenate([rolls[..., :n], gained], axis=-1)
+
+    # Nothing follows from where the body is.
+    found = slopes(rates, np.eye(n + m + u.shape[-1])[2:], q, nu, u)
+    A = np.zeros((*lead, n + m, n + m))
+    A[..., 2:] = found[..., : n + m - 2]
+    return A, np.ascontiguousarray(found[..., n + m - 2 :])
