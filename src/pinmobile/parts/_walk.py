@@ -82,7 +82,7 @@ def walk(part: Any) -> Sequence[Leaf]:
     for name, declared, value in fields_of(part):
         for path, each in _inner(name, declared, value):
             if _is_within(declared, each):
-                found += [leaf._replace(path=f"{path}.{leaf.path}") for leaf in walk(each)]
+                found += [Leaf(f"{path}.{inner}", *others) for inner, *others in walk(each)]
             else:
                 found.append(Leaf(path, part, declared, each))
     if attrs.has(type(part)):
