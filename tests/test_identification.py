@@ -94,6 +94,7 @@ def found(seed: int = 0, delay: int = 0) -> Identification:
     return identify(log(seed, delay))
 
 
+@pytest.mark.long
 @pytest.mark.once
 def test_intervals_hold_the_true_parameters_where_poses_and_forces_are_noisy() -> None:
     inside = [
@@ -158,6 +159,7 @@ def test_one_wrong_pose_is_one_outlier_at_the_ends_too(row: int) -> None:
     np.testing.assert_allclose(cleaned.noise, before.noise, rtol=0.02)
 
 
+@pytest.mark.long
 def test_a_delay_that_is_ignored_spoils_friction() -> None:
     ignored = identify(log(0, 3), delay=0.0)
     assert abs(ignored.parameters["viscous_forward"] / 6 - 1) > 0.1
@@ -191,6 +193,7 @@ def test_an_offset_that_a_motion_does_not_tell_from_friction_is_taken_as_zero_an
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("ahead", "method"), [(1, "output error"), (1, "weak"), (3, "weak")])
 def test_poses_ahead_of_the_inputs_that_move_the_robot_are_refused(ahead: int, method: str) -> None:
     read = log()
@@ -202,6 +205,7 @@ def test_poses_ahead_of_the_inputs_that_move_the_robot_are_refused(ahead: int, m
     assert identify(early, method=method, delay=0.0).method
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("low", [-15.0, -1e9])
 def test_an_input_that_was_clipped_is_reported_and_its_intervals_are_not_valid(low: float) -> None:
     assert not found().clipped
@@ -232,6 +236,7 @@ def test_the_prediction_is_told_beside_the_noise() -> None:
     assert "noise" in str(other)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["weak", "output error"])
 def test_rows_that_lack_a_pose_are_bridged_by_their_inputs_and_counted(method: str) -> None:
     q = np.array(log().q)
@@ -275,6 +280,7 @@ def test_a_circle_is_refused_and_with_a_robot_what_is_unseen_is_told_and_kept() 
         kept.spread(3)
 
 
+@pytest.mark.long
 @pytest.mark.once
 def test_what_is_said_to_be_identifiable_holds_true_values_whatever_the_prior() -> None:
     inside, farthest = [], 0.0
@@ -478,6 +484,7 @@ def noisy(run: Rollout, seed: int) -> Log:
     return Log(plain.t, plain.q, plain.u, None, rates)
 
 
+@pytest.mark.long
 @pytest.mark.once
 def test_gears_that_lose_by_the_direction_of_power_and_motors_that_rub_are_known() -> None:
     rubs = evolved(MOTOR, efficiency=0.8, coulomb=0.003, viscous=2e-5)

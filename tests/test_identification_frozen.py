@@ -134,6 +134,7 @@ def told(name: str) -> str:
     return f"{name}: {counts}; late {found.delay:.7g} 0.002, {', '.join(numbers)}"
 
 
+@pytest.mark.long
 def test_estimates_are_those_of_the_table() -> None:
     lines = TABLE.read_text().splitlines()
     assert [line.partition(":")[0] for line in lines] == list(CASES)

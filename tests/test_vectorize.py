@@ -58,6 +58,7 @@ def asked(robot: MobileRobot) -> dict[str, tuple[Any, ...]]:
     }
 
 
+@pytest.mark.long
 @pytest.mark.once
 @pytest.mark.parametrize("name", ROBOTS)
 def test_many_states_are_as_pinocchio_has_them_one_after_another(name: str) -> None:

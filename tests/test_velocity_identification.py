@@ -346,6 +346,7 @@ def test_what_commands_do_not_explain_is_refused(change: Any, why: str, pose: bo
         identify_velocity(change(logged(VELOCITY_ROBOTS["pioneer_3dx"], pose=pose)))
 
 
+@pytest.mark.long
 def test_what_runs_away_is_refused_in_words() -> None:
     robot = VELOCITY_ROBOTS["pioneer_3dx"]
     still = FixedHeading(Hold((0, 0), 60.0), 0.0)
