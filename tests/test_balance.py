@@ -25,7 +25,7 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.balance import body_zero_moment_point
 from pinmobile.robot import BODY_JOINT
-from pinmobile.robot.stance import margin_inside
+from pinmobile.robot.support_geometry import margin_inside
 from tests.users import Follower, TwoWheels
 
 G = 9.81

@@ -33,7 +33,7 @@ from pinmobile import (
 )
 from pinmobile.loop import COMPILED, Outline, run_scenario
 from pinmobile.loop._variables import PER_ROBOT
-from pinmobile.plots.drivers import causes, worst_share
+from pinmobile.plots.sensitivity import causes, worst_share
 from tests.damage import answer, damaged
 
 ROBOT = MobileRobot(10, 1.3, com=(0.1, 0.05)).attach(Load(2, (0.1, 0, 0.2)))

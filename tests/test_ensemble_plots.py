@@ -31,9 +31,9 @@ from pinmobile import (
     plots,
 )
 from pinmobile.loop import COMPILED
-from pinmobile.plots.drivers import causes, worst_share
+from pinmobile.plots.parameter_curves import strip_above
+from pinmobile.plots.sensitivity import causes, worst_share
 from pinmobile.plots.style import percent
-from pinmobile.plots.swept import strip_above
 
 pytestmark = pytest.mark.once
 

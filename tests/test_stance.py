@@ -29,8 +29,8 @@ from pinmobile import (
     zero_moment_point,
 )
 from pinmobile.robot import Stance
-from pinmobile.robot.reading import read_urdf
-from pinmobile.robot.stance import hull
+from pinmobile.robot.model_import import read_urdf
+from pinmobile.robot.support_geometry import hull
 from pinmobile.urdf import Body
 from tests import wheeled
 from tests.wheeled import HALF_PI, inertial, joint, link, robot as urdf, shape

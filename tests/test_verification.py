@@ -24,7 +24,7 @@ from pinmobile.arrays import Array
 from pinmobile.parts import evolved
 from pinmobile.robot import arms
 from pinmobile.robot.linkage import replace_continuous_joints
-from pinmobile.robot.pinocchio_calls import Engine
+from pinmobile.robot.pinocchio_backend import Engine
 from pinmobile.verification import COMPILED
 
 

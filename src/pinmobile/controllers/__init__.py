@@ -6,6 +6,7 @@ and returns the next one (None where it has no memory, see `initial_state`). q, 
 leading axes. `Saturated`, `Delayed` and `NoisyMeasurement` wrap any of them, and each other.
 """
 
+from pinmobile.controllers.actuation import Driven, RandomSteps, VelocityCommand, WheelSpeed
 from pinmobile.controllers.adaptive import Adaptive, AdaptiveVelocity
 from pinmobile.controllers.backstepping import Backstepping, SwerveTracking
 from pinmobile.controllers.controller import (
@@ -19,12 +20,8 @@ from pinmobile.controllers.controller import (
     planar_difference,
     told as told,
 )
-from pinmobile.controllers.driving import Driven, RandomSteps, VelocityCommand, WheelSpeed
 from pinmobile.controllers.feedback import PD, PID, ComputedTorque, Decoupled, PDGravity, gain_matrix
-from pinmobile.controllers.lqr import LQR
-from pinmobile.controllers.mpc import MPC
-from pinmobile.controllers.sliding import SlidingMode, SuperTwisting
-from pinmobile.controllers.steering import (
+from pinmobile.controllers.kinematic_laws import (
     Changing,
     DynamicFeedback,
     Kanayama,
@@ -33,6 +30,9 @@ from pinmobile.controllers.steering import (
     Tracked,
     Tracking,
 )
+from pinmobile.controllers.lqr import LQR
+from pinmobile.controllers.mpc import MPC
+from pinmobile.controllers.sliding import SlidingMode, SuperTwisting
 from pinmobile.controllers.wrappers import (
     ADRC,
     Allocated,

@@ -12,8 +12,8 @@ from pinmobile.arrays import Array, frozen, instance, scalar, shaped, vector
 from pinmobile.controllers.backstepping import reference_of, speeds_along
 from pinmobile.controllers.controller import State, combined, passive_torque
 from pinmobile.controllers.feedback import SLOPE, OfBody, bound, comparison, coordinates_of
+from pinmobile.controllers.kinematic_laws import Changing, cos, rate_of, sin, tanh, value_of
 from pinmobile.controllers.lqr import check_held, diagonal, double_integrators
-from pinmobile.controllers.steering import Changing, cos, rate_of, sin, tanh, value_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import Commanded, Passive, array, child, each, number, option, part, structure
 from pinmobile.plant import Context

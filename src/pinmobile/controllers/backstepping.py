@@ -8,7 +8,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, callable_as, frozen, wrap_angle
 from pinmobile.controllers.controller import State, check_wheels
-from pinmobile.controllers.steering import (
+from pinmobile.controllers.kinematic_laws import (
     LAW,
     Changing,
     KinematicLaw,

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 
 from pinmobile.arrays import Array, instance
 from pinmobile.identification import Prediction
-from pinmobile.plots.sheet import Canvas, Sheet, Spot
+from pinmobile.plots.figure_layout import Canvas, Sheet, Spot
 from pinmobile.plots.style import (
     Rollouts,
     Style,

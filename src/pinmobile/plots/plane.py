@@ -22,7 +22,7 @@ from pinmobile.arrays import Array, ArrayLike, bounded, callable_as, finite, pos
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import written
 from pinmobile.loop import Rollout
-from pinmobile.plots.sheet import Canvas, Sheet, headed, letters, over, wrapped
+from pinmobile.plots.figure_layout import Canvas, Sheet, headed, letters, over, wrapped
 from pinmobile.plots.style import (
     Rollouts,
     Style,

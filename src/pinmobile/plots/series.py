@@ -17,7 +17,7 @@ from pinmobile.balance import reaction_wrench
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import Grounded
 from pinmobile.plant import Plant, configuration_names_of, coordinates_of
-from pinmobile.plots.sheet import Canvas, Sheet, letters, over_titles, wrapped
+from pinmobile.plots.figure_layout import Canvas, Sheet, letters, over_titles, wrapped
 from pinmobile.plots.style import (
     Rollouts,
     Style,

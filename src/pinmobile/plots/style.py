@@ -18,7 +18,7 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.loop import Rollout
 from pinmobile.palette import INK
 from pinmobile.parts import able
-from pinmobile.plots.sheet import Sheet, letters, wrapped
+from pinmobile.plots.figure_layout import Sheet, letters, wrapped
 
 Style: TypeAlias = dict[str, Any]
 """How something is drawn: keyword arguments of matplotlib's artists."""

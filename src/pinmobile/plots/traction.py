@@ -17,8 +17,8 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Rollout
 from pinmobile.palette import INK, QUIET, SLIDES
 from pinmobile.plant import Contacts, coordinates_of
+from pinmobile.plots.figure_layout import Canvas, Sheet, Spot, letters
 from pinmobile.plots.series import GROUNDED
-from pinmobile.plots.sheet import Canvas, Sheet, Spot, letters
 from pinmobile.plots.style import (
     Rollouts,
     Style,

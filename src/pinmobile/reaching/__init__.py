@@ -7,6 +7,6 @@ from pinmobile.reaching.poses import (
     pose_error,
     target_names as target_names,
 )
-from pinmobile.reaching.resolution import EndEffectorTracking, Resolved, resolve
+from pinmobile.reaching.trajectory import EndEffectorTracking, Resolved, resolve
 
 __all__ = ["EndEffectorTracking", "PosePath", "PoseTarget", "Resolved", "pose_error", "resolve"]

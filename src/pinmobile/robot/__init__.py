@@ -1,5 +1,6 @@
 """`MobileRobot`: a Pinocchio model whose root is the DH chain, and what it carries."""
 
+from pinmobile.robot.arm_loading import EXCEPTIONS, Mountable, Mountables, kept_arm as kept_arm, mountable
 from pinmobile.robot.arms import Arm
 from pinmobile.robot.articulated import (
     ArticulatedDynamics as ArticulatedDynamics,
@@ -26,17 +27,16 @@ from pinmobile.robot.linkage import (
     vector_of as vector_of,
 )
 from pinmobile.robot.mobile import MobileRobot
-from pinmobile.robot.mounts import Link, Load, Mount, named_frames as named_frames, prefixed as prefixed
-from pinmobile.robot.pinocchio_calls import Engine as Engine, UncheckedDynamics
-from pinmobile.robot.reading import (
+from pinmobile.robot.model_import import (
     LOCKED as LOCKED,
     Lump as Lump,
     Swivel as Swivel,
     Undercarriage as Undercarriage,
     WheelJoint as WheelJoint,
 )
-from pinmobile.robot.sources import EXCEPTIONS, Mountable, Mountables, kept_arm as kept_arm, mountable
-from pinmobile.robot.stance import (
+from pinmobile.robot.mounts import Link, Load, Mount, named_frames as named_frames, prefixed as prefixed
+from pinmobile.robot.pinocchio_backend import Engine as Engine, UncheckedDynamics
+from pinmobile.robot.support_geometry import (
     WEIGHTLESS as WEIGHTLESS,
     Stance,
     checked_footprint as checked_footprint,

@@ -49,7 +49,7 @@ from pinmobile.robot.linkage import (
 )
 from pinmobile.robot.mounts import assemble, named_frames
 from pinmobile.robot.recursions import Moving, Posture, by_matrix, operations
-from pinmobile.robot.stance import Judgement
+from pinmobile.robot.support_geometry import Judgement
 
 _STEP = 1e-30  # its square is nothing beside any number
 _SAMPLES = 256  # of which slopes are found at once

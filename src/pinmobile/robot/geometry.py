@@ -12,9 +12,9 @@ import pinocchio as pin
 from pinmobile.arrays import Array, ArrayLike, finite
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.linkage import children, turns_freely
-from pinmobile.robot.stance import Stance, hull, margin_inside
+from pinmobile.robot.support_geometry import Stance, hull, margin_inside
+from pinmobile.robot.urdf_checks import numbers
 from pinmobile.robot.visuals import VisualFile, found
-from pinmobile.robot.wellformed import numbers
 
 _ALONG = 0.995
 """Cosine beyond which two directions are the same: files have angles such as 1.57."""

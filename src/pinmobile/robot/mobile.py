@@ -46,9 +46,19 @@ from pinmobile.parts import (
     structure,
     walk,
 )
+from pinmobile.robot.arm_loading import existing_folders, read_arm
 from pinmobile.robot.arms import check_whole
 from pinmobile.robot.articulated import ArticulatedDynamics, PlanarDynamics, Tree
 from pinmobile.robot.linkage import BODY_JOINT
+from pinmobile.robot.model_import import (
+    LOCKED,
+    Reading,
+    Undercarriage,
+    build_model,
+    check_chain,
+    read_model,
+    read_urdf,
+)
 from pinmobile.robot.mounts import (
     Load,
     Mount,
@@ -59,18 +69,8 @@ from pinmobile.robot.mounts import (
     free_place,
     placed,
 )
-from pinmobile.robot.pinocchio_calls import Engine, UncheckedDynamics, in_public_order
-from pinmobile.robot.reading import (
-    LOCKED,
-    Reading,
-    Undercarriage,
-    build_model,
-    check_chain,
-    read_model,
-    read_urdf,
-)
-from pinmobile.robot.sources import existing_folders, read_arm
-from pinmobile.robot.stance import Judgement, Stance
+from pinmobile.robot.pinocchio_backend import Engine, UncheckedDynamics, in_public_order
+from pinmobile.robot.support_geometry import Judgement, Stance
 from pinmobile.robot.system import System, by_values
 from pinmobile.robot.visuals import (
     Solids,

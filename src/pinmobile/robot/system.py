@@ -30,10 +30,10 @@ from pinmobile.arrays import (
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
 from pinmobile.parts import Desired, is_symbolic, is_tracing, on_numbers, required, structure
 from pinmobile.plant import Coordinate, Input
-from pinmobile.robot import pinocchio_calls
+from pinmobile.robot import pinocchio_backend
 from pinmobile.robot.linkage import BODY_JOINT, circular_coordinates, coordinates, inputs, limits
 from pinmobile.robot.mounts import Load, Mount, named_frames, resistances
-from pinmobile.robot.pinocchio_calls import Engine, Law
+from pinmobile.robot.pinocchio_backend import Engine, Law
 
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 
@@ -296,7 +296,7 @@ class System:
     def _each(self, law: Law, **arguments: Array) -> Array:
         """Return what a law gives for each row of the arguments, in public order.
 
-        Leading axes broadcast; what comes back is stacked along them: see `pinocchio_calls.stacked`.
+        Leading axes broadcast; what comes back is stacked along them: see `pinocchio_backend.stacked`.
 
         Raises
         ------
@@ -306,7 +306,7 @@ class System:
         engine, rows = self._numeric, []
         for argument in arguments.values():
             if argument.ndim != 1:
-                return pinocchio_calls.stacked(engine, law, **arguments)
+                return pinocchio_backend.stacked(engine, law, **arguments)
             rows.append(argument[engine.order])
         # A copy: Pinocchio hands out views of its data.
         answer = law.order(engine, np.array(law.run(engine.model, engine.data, *rows)))
@@ -414,7 +414,7 @@ class System:
         UnknownName
             If there is no such frame.
         """
-        return self._each(pinocchio_calls.frame_pose(self._frame(frame)[1]), q=self._q(q))
+        return self._each(pinocchio_backend.frame_pose(self._frame(frame)[1]), q=self._q(q))
 
     @by_values()
     def frame_jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
@@ -427,7 +427,7 @@ class System:
         q, frame
             As in `frame_pose`, with the same error.
         """
-        return self._each(pinocchio_calls.frame_jacobian(self._frame(frame)[1]), q=self._here(q))
+        return self._each(pinocchio_backend.frame_jacobian(self._frame(frame)[1]), q=self._here(q))
 
     @by_values()
     def frame_drift(self, q: ArrayLike, v: ArrayLike, frame: str | None = None) -> Array:
@@ -443,7 +443,9 @@ class System:
         v : array_like, shape (..., nv)
             Velocity [m/s, m/s, rad/s, ...].
         """
-        return self._each(pinocchio_calls.frame_drift(self._frame(frame)[1]), q=self._q(q), v=self._v("v", v))
+        return self._each(
+            pinocchio_backend.frame_drift(self._frame(frame)[1]), q=self._q(q), v=self._v("v", v)
+        )
 
     @by_values()
     def manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
@@ -457,7 +459,7 @@ class System:
         q, frame
             As in `frame_pose`, with the same error.
         """
-        return self._each(pinocchio_calls.manipulability(self._frame(frame)[1]), q=self._here(q))
+        return self._each(pinocchio_backend.manipulability(self._frame(frame)[1]), q=self._here(q))
 
     @by_values()
     def arm_manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
@@ -474,7 +476,7 @@ class System:
         arms = [mount for mount in self.mounts if name.startswith(f"{mount.name}/")]
         if not arms:
             raise InvalidArgument(f"frame is {shown(name)}, expected one of an arm")
-        law = pinocchio_calls.manipulability(number, arms[0].v)
+        law = pinocchio_backend.manipulability(number, arms[0].v)
         return self._each(law, q=self._here(q))
 
     def _frame(self, name: str | None) -> tuple[str, int]:
@@ -487,7 +489,7 @@ class System:
 
         The third is the body's; it is the last one where nothing is mounted.
         """
-        return self._each(pinocchio_calls.PLACEMENTS, q=self._q(q))
+        return self._each(pinocchio_backend.PLACEMENTS, q=self._q(q))
 
     @by_values()
     def jacobian(self, q: ArrayLike) -> Array:
@@ -515,18 +517,18 @@ class System:
     @by_values(pin.crba, 1)
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], by Pinocchio's CRBA."""
-        return self._each(pinocchio_calls.MASS_MATRIX, q=self._q(q))
+        return self._each(pinocchio_backend.MASS_MATRIX, q=self._q(q))
 
     @by_values(pin.nonLinearEffects, 2)
     def nonlinear_effects(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return n(q, v), shape (..., nv) [N, N, N m], by Pinocchio's RNEA without acceleration."""
-        return self._each(pinocchio_calls.NONLINEAR_EFFECTS, q=self._q(q), v=self._v("v", v))
+        return self._each(pinocchio_backend.NONLINEAR_EFFECTS, q=self._q(q), v=self._v("v", v))
 
     @by_values(pin.rnea, 3)
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return tau = M(q) a + n(q, v), shape (..., nv) [N, N, N m], by Pinocchio's RNEA."""
         return self._each(
-            pinocchio_calls.INVERSE_DYNAMICS, q=self._q(q), v=self._v("v", v), a=self._v("a", a)
+            pinocchio_backend.INVERSE_DYNAMICS, q=self._q(q), v=self._v("v", v), a=self._v("a", a)
         )
 
     @by_values(pin.aba, 3)
@@ -552,7 +554,7 @@ class System:
             broadcast(tau=force, f=beside)
             with np.errstate(over="ignore"):
                 arguments["tau"] = finite_answer(force + beside, tau=force, f=beside)
-        return self._each(pinocchio_calls.FORWARD_DYNAMICS, **arguments)
+        return self._each(pinocchio_backend.FORWARD_DYNAMICS, **arguments)
 
     @by_values()
     def effort(self, q: ArrayLike, wrench: ArrayLike) -> Array:
@@ -599,27 +601,27 @@ class System:
     @by_values()
     def coriolis_matrix(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return C(q, v), shape (..., nv, nv): C v = n(q, v), and dM/dt - 2 C is skew-symmetric."""
-        return self._each(pinocchio_calls.CORIOLIS_MATRIX, q=self._here(q), v=self._v("v", v))
+        return self._each(pinocchio_backend.CORIOLIS_MATRIX, q=self._here(q), v=self._v("v", v))
 
     @by_values()
     def kinetic_energy(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return v' M(q) v / 2, shape (...) [J]."""
-        return self._each(pinocchio_calls.KINETIC_ENERGY, q=self._q(q), v=self._v("v", v))
+        return self._each(pinocchio_backend.KINETIC_ENERGY, q=self._q(q), v=self._v("v", v))
 
     @by_values()
     def potential_energy(self, q: ArrayLike) -> Array:
         """Return the energy in the field of gravity, shape (...) [J]; zero where all is on the ground."""
-        return self._each(pinocchio_calls.POTENTIAL_ENERGY, q=self._q(q))
+        return self._each(pinocchio_backend.POTENTIAL_ENERGY, q=self._q(q))
 
     @by_values(pin.computeGeneralizedGravity, 1)
     def gravity(self, q: ArrayLike) -> Array:
         """Return g(q), shape (..., nv) [N, N, N m]: what holds the robot at rest; none of it for the base."""
-        return self._each(pinocchio_calls.GRAVITY, q=self._q(q))
+        return self._each(pinocchio_backend.GRAVITY, q=self._q(q))
 
     @by_values()
     def regressor(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return Y(q, v, a), shape (..., nv, 10 bodies): tau = Y `inertial_parameters`, rotors left out."""
-        return self._each(pinocchio_calls.REGRESSOR, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
+        return self._each(pinocchio_backend.REGRESSOR, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
 
     @by_values()
     def forward_dynamics_derivatives(
@@ -632,7 +634,7 @@ class System:
     def _derivatives(self, q: ArrayLike, v: ArrayLike, **push: ArrayLike) -> Array:
         """Return the three derivatives stacked; a push has the name that the caller gave it."""
         pushes = {name: self._v(name, value) for name, value in push.items()}
-        return self._each(pinocchio_calls.DERIVATIVES, q=self._here(q), v=self._v("v", v), **pushes)
+        return self._each(pinocchio_backend.DERIVATIVES, q=self._here(q), v=self._v("v", v), **pushes)
 
     @by_values()
     def linearize(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Linearization:
@@ -667,7 +669,7 @@ class System:
         Along the axes of the body's frame B, with the moment about its origin, which lies on the ground: the
         rate of the momentum of all bodies, less gravity. Whatever else acts from outside is in it.
         """
-        return self._each(pinocchio_calls.GROUND_WRENCH, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
+        return self._each(pinocchio_backend.GROUND_WRENCH, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
 
     @by_values()
     def mount_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike, mount: str | None = None) -> Array:
@@ -694,7 +696,7 @@ class System:
             If nothing is mounted by that name.
         """
         arm = self._mount(mount)
-        law = pinocchio_calls.mount_wrench(arm, self._model, self._fixed(arm))
+        law = pinocchio_backend.mount_wrench(arm, self._model, self._fixed(arm))
         return self._each(law, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
 
     def _mount(self, name: str | None) -> Mount:

@@ -19,7 +19,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.robot.arms import link_of
 from pinmobile.robot.linkage import BODY_JOINT
 from pinmobile.robot.mounts import Load, Mount, named_frames
-from pinmobile.robot.wellformed import urdf_tree
+from pinmobile.robot.urdf_checks import urdf_tree
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from pinmobile.viewer.pages import OfflineWindow
 from pinmobile.viewer.recording import Recording, check_films as check_films
-from pinmobile.viewer.stage import Arrows, Follow, Overlays, Stay
+from pinmobile.viewer.scene_tree import Arrows, Follow, Overlays, Stay
 from pinmobile.viewer.viewer import Viewer
 
 if TYPE_CHECKING:

@@ -16,6 +16,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.loop import EndEffector, Rollout
 from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.plant import whole_configurations
+from pinmobile.viewer.contact_markers import ABOVE, TRAIL, draw_ground, draw_hand, hand_errors, hand_of
 from pinmobile.viewer.motion import (
     Channel,
     Drawing,
@@ -28,8 +29,7 @@ from pinmobile.viewer.motion import (
     poses_of,
     sampled,
 )
-from pinmobile.viewer.stage import Arrows, Extent, Follow, Overlays, Stage, Stay, View, overview
-from pinmobile.viewer.underfoot import ABOVE, TRAIL, draw_ground, draw_hand, hand_errors, hand_of
+from pinmobile.viewer.scene_tree import Arrows, Extent, Follow, Overlays, Stage, Stay, View, overview
 
 _POSE = ("x", "y", "psi")
 

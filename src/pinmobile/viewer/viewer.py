@@ -19,7 +19,7 @@ from pinmobile.viewer.motion import figure, frame_times, tracks
 from pinmobile.viewer.pages import OfflineWindow
 from pinmobile.viewer.recording import Recording, picture_of, recorded_page
 from pinmobile.viewer.scene import Scene
-from pinmobile.viewer.stage import Overlays, Stage
+from pinmobile.viewer.scene_tree import Overlays, Stage
 
 if TYPE_CHECKING:
     from pinmobile.viewer.window import LiveWindow

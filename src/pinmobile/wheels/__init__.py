@@ -7,11 +7,11 @@ from pinmobile.wheels._kinematics import Kinematics as Kinematics, Mobility
 from pinmobile.wheels._loads import Forces
 from pinmobile.wheels._motors import MOTORS, Motor, MotorLaw as MotorLaw
 from pinmobile.wheels._odometry import ByOdometry
-from pinmobile.wheels._reading import read_wheels
 from pinmobile.wheels._rolling import Ground as Ground, Ramp, Rolling
 from pinmobile.wheels._table import Ackermann, Differential, Friction, GearTrain, Support, Wheel, WheelTable
+from pinmobile.wheels._urdf_reader import read_wheels
 from pinmobile.wheels._velocities import Allocation, Reduced
-from pinmobile.wheels._voltage import ByVoltage
+from pinmobile.wheels._voltage_dynamics import ByVoltage
 
 __all__ = [
     "MOTORS",

@@ -32,7 +32,6 @@ from pinmobile.parts import (
 from pinmobile.plant import ContactLoads, Contacts, Coordinate, Input, SlipMargins, Step
 from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, Load, MobileRobot, number
 from pinmobile.wheels._coulomb import Coulomb
-from pinmobile.wheels._drawn import Picture, Tyres
 from pinmobile.wheels._kinematics import Mobility
 from pinmobile.wheels._loads import (
     Forces,
@@ -44,11 +43,12 @@ from pinmobile.wheels._loads import (
     rolling_margins,
 )
 from pinmobile.wheels._motors import Beside, constant_force
-from pinmobile.wheels._reading import joint_signs, read_robot, read_wheels, source_of
 from pinmobile.wheels._rolling import Ground, Ramp, Rolling, RollingDynamics
 from pinmobile.wheels._table import WheelTable, column
+from pinmobile.wheels._urdf_reader import joint_signs, read_robot, read_wheels, source_of
 from pinmobile.wheels._velocities import Allocation, Reduced, followed
-from pinmobile.wheels._voltage import ByVoltage
+from pinmobile.wheels._visuals import Picture, Tyres
+from pinmobile.wheels._voltage_dynamics import ByVoltage
 
 _OFF = 1e-9  # of a start's rates, beyond which it does not roll
 

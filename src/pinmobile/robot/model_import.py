@@ -16,9 +16,9 @@ from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable, JointType
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.geometry import Shape, WheelReading, ground_below, shapes_of, stance_on, wheels_of
 from pinmobile.robot.linkage import Joint, carries_only_wheels, children, joints_of, turns_freely
-from pinmobile.robot.stance import Stance, stance_written
+from pinmobile.robot.support_geometry import Stance, stance_written
+from pinmobile.robot.urdf_checks import MOMENTS, judge_links, urdf_model
 from pinmobile.robot.visuals import VisualFile
-from pinmobile.robot.wellformed import MOMENTS, judge_links, urdf_model
 from pinmobile.urdf import Body
 
 _TRAIL = 1e-3  # [m]: a wheel nearer to its swivel than that does not trail

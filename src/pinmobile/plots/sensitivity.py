@@ -20,9 +20,9 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Bands, Ensemble, Same, edges
 from pinmobile.measures import Measure
 from pinmobile.palette import INK
-from pinmobile.plots.sheet import Canvas, Sheet, Spot, letters, over, wrapped
+from pinmobile.plots.figure_layout import Canvas, Sheet, Spot, letters, over, wrapped
+from pinmobile.plots.parameter_curves import strip_above
 from pinmobile.plots.style import Style, colour, dress, heading, ink, named, percent, shortened, si, tint
-from pinmobile.plots.swept import strip_above
 
 _ALWAYS = "distance", "heading"
 _LINEAR_BANDS = 40.0  # by how much the largest of all may exceed the smallest median on a linear axis

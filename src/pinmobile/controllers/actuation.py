@@ -11,7 +11,7 @@ import numpy as np
 from pinmobile.arrays import Array, callable_as, frozen, vector
 from pinmobile.controllers.backstepping import reference_of, speeds_along, tracked
 from pinmobile.controllers.controller import Controller, Seen, State, Wrapper, answer_of, told
-from pinmobile.controllers.steering import LAW, KinematicLaw, value_of
+from pinmobile.controllers.kinematic_laws import LAW, KinematicLaw, value_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import (
     Child,

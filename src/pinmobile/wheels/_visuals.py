@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.robot import BODY, BODY_JOINT, MobileRobot, Solid, Solids, body_box, box_visuals, number
 from pinmobile.wheels._kinematics import Kinematics
-from pinmobile.wheels._reading import wheel_name
 from pinmobile.wheels._table import FIXED, Support, Wheel, WheelTable
+from pinmobile.wheels._urdf_reader import wheel_name
 
 ACROSS = 0.45
 """Width of a tyre, in radii."""

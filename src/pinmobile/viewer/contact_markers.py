@@ -15,7 +15,7 @@ from pinmobile.palette import GRIPS, INK, QUIET, SLIDES, colour
 from pinmobile.plant import Contacts
 from pinmobile.signals import Signal
 from pinmobile.viewer.motion import Channel, along
-from pinmobile.viewer.stage import Extent, Overlays, Stage
+from pinmobile.viewer.scene_tree import Extent, Overlays, Stage
 
 _ORDER = 20  # over what lies on the ground, under what shows through everything
 _SIDES = 6

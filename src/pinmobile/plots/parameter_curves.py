@@ -18,7 +18,7 @@ from pinmobile.accuracy import Convergence, IntegratorReport
 from pinmobile.arrays import Array, ArrayLike, bounded, finite, mapping, real, sequence, shaped, text
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.palette import INK
-from pinmobile.plots.sheet import Canvas, Sheet, letters
+from pinmobile.plots.figure_layout import Canvas, Sheet, letters
 from pinmobile.plots.style import Style, colour, dress, ink, line_style, named
 
 _SHARE = 0.11  # of the height of the axes below it

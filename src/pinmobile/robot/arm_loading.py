@@ -16,8 +16,8 @@ from pinmobile.arrays import Array, ArrayLike, instance, location, sequence, sha
 from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName, shown
 from pinmobile.robot.arms import Arm, Origin, Picture
 from pinmobile.robot.linkage import convert_configuration, joints_of, replace_continuous_joints
+from pinmobile.robot.urdf_checks import judge_links, urdf_model
 from pinmobile.robot.visuals import FilePicture, FileShapes, GivenPicture
-from pinmobile.robot.wellformed import judge_links, urdf_model
 
 _FINGERS = (
     "its fingers have no inertia: lock bravo_finger1_joint and bravo_finger2_joint "
