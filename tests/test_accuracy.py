@@ -22,8 +22,7 @@ from pinmobile import (
     rk4,
     semi_implicit_euler,
 )
-from pinmobile.accuracy import Convergence, IntegratorReport
-from pinmobile.accuracy.convergence import conserved, free_body, free_motion, guarded
+from pinmobile.accuracy import Convergence, IntegratorReport, conserved, free_body, free_motion, guarded
 from pinmobile.arrays import Array
 from pinmobile.palette import colour
 

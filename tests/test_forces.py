@@ -265,8 +265,7 @@ class Deaf(OtherPlant):
         ({"forces": [FORCES[0], (1, 2, 3)]}, "forces[1] is (1, 2, 3), expected a function of t, q and v"),
         (
             {"forces": [ViscousFriction]},
-            "forces[0] is <class 'pinmobile.forces.force.ViscousFriction'>, "
-            "expected a function of t, q and v",
+            "forces[0] is <class 'pinmobile.forces.ViscousFriction'>, expected a function of t, q and v",
         ),
         (
             {"forces": [FORCES[0], lambda *_: np.zeros(2)]},

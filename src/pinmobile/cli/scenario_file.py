@@ -15,11 +15,12 @@ import attrs
 from pinmobile import Circle, ComputedTorque, MobileRobot, Scenario, Tangent, simulate
 from pinmobile.controllers import Controller
 from pinmobile.errors import InvalidArgument, UnknownName
-from pinmobile.forces import CoordinateForce, Force
+from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import Rollout
 from pinmobile.parts import (
     InvalidEntries,
+    OnCoordinates,
     Values,
     are_nested,
     child,
@@ -94,7 +95,7 @@ class ScenarioFile:
         Trajectory, default=Tangent(Circle(3.0, 0.1, 60.0), turn_time=2.0), doc="trajectory"
     )
     forces: Any = children(
-        (Force, CoordinateForce), default={}, doc="external forces, by names of yours", expected="a force"
+        (Force, OnCoordinates), default={}, doc="external forces, by names of yours", expected="a force"
     )
     integrator: Any = child(
         Integrator, default=None, optional=True, doc="integrator", expected="an integrator"

@@ -25,7 +25,7 @@ from pinmobile.arrays import (
 from pinmobile.compiled import is_constant
 from pinmobile.controllers import Controller, check_controller, check_memory
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.forces import CoordinateForce, Force
+from pinmobile.forces import Force
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
 from pinmobile.loop._engines import error_of_sizes
 from pinmobile.loop._loop import displaced, named_forces
@@ -33,7 +33,7 @@ from pinmobile.parts import Carried, Following, OnCoordinates, Pushable, Steppin
 from pinmobile.plant import Context, Plant, check_plant, coordinates_of, leading_of, refuse_path
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
-_Forces: TypeAlias = Sequence[Force | CoordinateForce]
+_Forces: TypeAlias = Sequence[Force | OnCoordinates]
 _Ask: TypeAlias = Callable[[Array, Array], object]
 
 _WHOLE = 1e-9  # relative rounding allowed in duration / dt

@@ -14,7 +14,7 @@ from pinmobile.arrays import Array, callable_as, instance, whole
 from pinmobile.compiled import BINS, processors, robot_keys
 from pinmobile.controllers import Controller
 from pinmobile.errors import InvalidArgument, LimitWarning, NotFinite, NotTraceable, SlowerEngine
-from pinmobile.forces import CoordinateForce, Force
+from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop._checks import sampled
 from pinmobile.loop._counts import Part, Records, bins_of, member_of
@@ -29,7 +29,7 @@ from pinmobile.loop._simulate import COMPILED, PYTHON, Engine, checked_engine
 from pinmobile.loop._spread import Source
 from pinmobile.loop._trace import arrays_of, initial_memory
 from pinmobile.measures import measures_of
-from pinmobile.parts import evolved, replace as replaced
+from pinmobile.parts import OnCoordinates, evolved, replace as replaced
 from pinmobile.plant import Context, Plant
 from pinmobile.trajectories import Reference, Trajectory
 
@@ -256,7 +256,7 @@ def ensemble(
     duration: float | None = None,
     integrator: Integrator | None = None,
     substeps: int = 1,
-    forces: Sequence[Force | CoordinateForce] | Mapping[str, Force | CoordinateForce] = (),
+    forces: Sequence[Force | OnCoordinates] | Mapping[str, Force | OnCoordinates] = (),
     limit: float = 1e3,
     after: float = 0.0,
     every: int | None = None,

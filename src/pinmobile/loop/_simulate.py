@@ -16,7 +16,7 @@ from pinmobile.compiled import is_constant
 from pinmobile.controllers import Controller
 from pinmobile.divergence import is_near
 from pinmobile.errors import Diverged, InvalidArgument, LimitWarning, NotTraceable, SlowerEngine, shown
-from pinmobile.forces import CoordinateForce, Force
+from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop._checks import (
     check_answers,
@@ -93,7 +93,7 @@ def simulate(
     v0: ArrayLike | None = None,
     integrator: Integrator | None = None,
     substeps: int = 1,
-    forces: Sequence[Force | CoordinateForce] | Mapping[str, Force | CoordinateForce] = (),
+    forces: Sequence[Force | OnCoordinates] | Mapping[str, Force | OnCoordinates] = (),
     limit: float = 1e3,
     engine: Engine | None = None,
     seed: int = 0,

@@ -1,4 +1,4 @@
-"""Forces: functions of time, a payload, friction and rolling resistance."""
+"""Forces that no controller asked for: disturbances, friction, rolling resistance."""
 
 from __future__ import annotations
 
@@ -11,7 +11,14 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, frozen, representable, seeded, sequence, shaped, text
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.parts import Number, array, declare, number, option, part
+from pinmobile.parts import (
+    Number,
+    array,
+    declare,
+    number,
+    option,
+    part,
+)
 from pinmobile.plant import coordinates_of
 
 
