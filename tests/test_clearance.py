@@ -192,6 +192,14 @@ def test_a_mesh_that_is_hollow_counts_as_it_is(height: float, distance: float) -
     assert near == pytest.approx(distance, abs=1e-9) or (distance < 0 and near < 0)
 
 
+def test_robots_that_differ_in_their_shapes_alone_have_their_own_distances() -> None:
+    small, large = (slider((1, coal.Sphere(r)), (3, coal.Sphere(0.05))) for r in (0.05, 0.2))
+    assert small == large
+    q = np.array([0, 0, 0, 0, 0, 0.5])
+    for robot, distance in ((small, 0.4), (large, 0.25), (small, 0.4)):
+        assert clearance(robot, q).distances.min() == pytest.approx(distance, abs=1e-6)
+
+
 def test_what_is_wholly_inside_a_mesh_overlaps_it() -> None:
     block = coal.Box(0.6, 0.6, 0.6)
     corners = 0.3 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])

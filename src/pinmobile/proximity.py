@@ -167,9 +167,10 @@ class _Choice:
 
 def _choice(robot: Any) -> _Choice:
     """Return the pairs of a robot's links that count; what cannot change is chosen once."""
-    found = _choices.get(robot)
+    solids = robot.solids  # not the robot, which equals one of other shapes
+    found = _choices.get(solids)
     if found is None:
-        found = _choices[robot] = _chosen(robot)
+        found = _choices[solids] = _chosen(robot)
     return found
 
 
