@@ -349,7 +349,7 @@ def test_what_commands_do_not_explain_is_refused(change: Any, why: str, pose: bo
 @pytest.mark.long
 def test_what_runs_away_is_refused_in_words() -> None:
     robot = VELOCITY_ROBOTS["pioneer_3dx"]
-    still = FixedHeading(Hold((0, 0), 60.0), 0.0)
+    still = FixedHeading(Hold((0, 0), 42.0), 0.0)
     log = Log.from_rollout(simulate(robot, RandomSteps(), still, dt=0.05, engine=COMPILED), noise=1e-3)
     with pytest.raises(InvalidArgument, match=OTHERS):
         identify_velocity(changed(log, u=log.u[:, ::-1]))
