@@ -212,6 +212,8 @@ def test_a_run_that_diverges_keeps_what_came_before(
         ("run --radios 1", "No such option"),
         ("run duration=0.25", "duration is 0.25 s, expected a whole number of steps dt = 0.1 s"),
         ("view a.npz ur5", "saved rollouts stand alone, but there is 'ur5' too"),
+        ("view run.csv", "'run.csv' is a table, expected the .npz of the run, or a scenario"),
+        ("run differential robot.mass=25", "robot.mass is unknown, WheeledRobot has robot, table, ground"),
         ("ensemble spread.mas=1", "spread.mas=1: unknown parameter in spread 'mas', did you mean 'mass'?"),
         ("ensemble spread.mass=Normal(1,5)", "draws ("),
         ("ensemble spread.mass=Uniform(40,20)", "low is 40.0, expected at most high, 20.0"),

@@ -689,3 +689,9 @@ def test_two_names_of_one_number_are_refused() -> None:
         InvalidArgument, match=r"spread has 'mass' and 'plant\.mass', both of which are plant\.mass"
     ):
         made(spread={"mass": Uniform(20, 30), "plant.mass": 25.0})
+
+
+def test_an_array_of_numbers_that_differ_gets_no_number_for_all() -> None:
+    expected = r"which has 3 numbers that differ, expected 'com\.x', 'com\.y', 'com\.z', or a Relative"
+    with pytest.raises(InvalidArgument, match=expected):
+        made(spread={"com": Uniform(-0.03, 0.03)})

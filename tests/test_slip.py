@@ -744,6 +744,23 @@ def test_a_divergence_of_a_robot_that_tips_over_says_so() -> None:
 
 
 @pytest.mark.parametrize("engine", [COMPILED, PYTHON])
+@pytest.mark.parametrize("ground", [Rolling(), Coulomb(0.8)], ids=["rolls", "slips"])
+def test_a_run_warns_of_a_robot_that_tips_over(ground: Any, engine: Engine) -> None:
+    own: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
+    table = WheelTable.differential(0.5, 0.1, supports=[(0.3, 0)], **own)
+    path, words = Tangent(Circle(1.0, 1.5, 2.0)), r"it tips over, which is not simulated \(from t = "
+    for height, tips in ((0.1, False), (0.9, True)):
+        robot = WheeledRobot(MobileRobot(30, 3, com=(0.1, 0, height)), table, ground)
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            run = simulate(
+                robot, WheelSpeed(Tracking(), robot, kp=5), path, dt=0.02, duration=0.4, engine=engine
+            )
+        assert [bool(re.search(words, str(each.message))) for each in told] == [True] * tips
+        assert [bool(re.search(words, each)) for each in run.events] == [True] * tips
+
+
+@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
 def test_an_ensemble_counts_the_robots_that_tip_over_and_warns_once(engine: Engine, tmp_path: Path) -> None:
     own: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
     table = WheelTable.differential(0.5, 0.1, supports=[(0.3, 0)], **own)

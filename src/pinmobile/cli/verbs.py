@@ -193,7 +193,8 @@ def identify(
     """Estimate mass, centre of mass, yaw inertia and friction, with confidence intervals, from robot logs.
 
     Inputs are forces on a body, or with robot=... torques or volts of its wheels. Two inputs without a robot
-    are commands of speed and yaw rate. pinmobile parts Identified lists the paths.
+    are commands of speed and yaw rate. Paths: robot, loads, method, delay, rolling_speed, columns.ROLE,
+    topics.ROLE.
 
     Example: pinmobile identify run.csv "robot=WheelTable.differential(0.5, 0.1)"
     """

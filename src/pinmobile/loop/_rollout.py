@@ -153,8 +153,13 @@ class Rollout:
         Limits of position, speed and torque that were exceeded, and where the ground cannot carry the robot.
         """
         found = list(limits_exceeded(self.plant, self.t, self.q, self.v, self.u))
+        judged = any(one.worst == "ever" for one in measures_of(self.plant))
         for name, words in _GROUND.items() if hasattr(self.plant, "contact_loads") else ():
-            told = np.flatnonzero(self.signals[name].values) if name in self.signals else np.empty(0, int)
+            told = np.empty(0, int)
+            if name in self.signals:
+                told = np.flatnonzero(self.signals[name].values)
+            elif name == "tips" and judged:  # wheels that roll do not record it
+                told = np.flatnonzero(self.plant.contact_loads(self.q, self.v, self.a).tips)  # type: ignore[union-attr]
             if len(told):
                 found.append(f"{words} (from t = {self.t[told[0]]:g} s, {len(told)} of {len(self)} samples)")
         return tuple(found)

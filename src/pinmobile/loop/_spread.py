@@ -260,7 +260,14 @@ def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str
     check_mapping(spread)
     found, named = {}, dict[str, str]()
     for name, source in spread.items():
-        path = find(name).path
+        one = find(name)
+        path, entries = one.path, one.leaf.entries
+        if one.is_array and entries and not (one.leaf.is_gain or isinstance(source, Relative | Same)):
+            each = ", ".join(repr(f"{name}.{entry}") for entry in entries)
+            raise InvalidArgument(
+                f"spread has {name!r}, which has {len(entries)} numbers that differ, expected {each}, or a "
+                "Relative distribution"
+            )
         if named.setdefault(path, name) != name:
             raise InvalidArgument(
                 f"spread has {named[path]!r} and {name!r}, both of which are {path}, expected one of them"

@@ -196,7 +196,8 @@ class Reader:
             elif each.is_required:
                 told = f"{at} is missing, expected {expected(each.declared)}{each.doc and ': ' + each.doc}"
                 values[key] = self._fail(at, told)
-        values |= {key: self._generic(tree[key], _join(path, key)) for key in tree if key not in known}
+        if "**" in known:
+            values |= {key: self._generic(tree[key], _join(path, key)) for key in tree if key not in known}
         made = self._made(make, dict(values), path)
         if others and made is not _WRONG:
             made = self._changed(made, others, path)
