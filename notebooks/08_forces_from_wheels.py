@@ -396,7 +396,7 @@ print(f"five times the wrench: torques {beyond.u} N m, residual {beyond.residual
 # %%
 light = {"radius": 0.1, "mass": 0.2, "spin_inertia": 0.001, "yaw_inertia": 0.0005}
 free = MobileRobot.lecture()
-two = WheeledRobot(free, WheelTable.differential(0.3, supports=[(-0.2, 0)], **light))
+two = WheeledRobot(free, WheelTable.differential(0.3, supports=[(0.2, 0), (-0.2, 0)], **light))
 four = WheeledRobot(free, WheelTable.mecanum(0.3, 0.3, **light))
 via_stop = CubicVia((0, 0), (2, 2), (0, 4), t_via=30, t_end=60, via_velocity=(0, 0))
 trajectories = {

@@ -230,7 +230,7 @@ def _both(path: str, lecture: Runs, right: Runs) -> list[str]:
 def _on_wheels() -> tuple[str, dict[str, Rollout]]:
     """Return what the wheels of a differential drive change, as text, and runs that start beside a path."""
     table = WheelTable.differential(
-        0.3, 0.1, supports=[(-0.2, 0)], mass=0.5, spin_inertia=2.5e-3, yaw_inertia=1.3e-3
+        0.3, 0.1, supports=[(0.2, 0), (-0.2, 0)], mass=0.5, spin_inertia=2.5e-3, yaw_inertia=1.3e-3
     )
     wheeled = WheeledRobot(MobileRobot.lecture(), table)
     head = f"{'':10} {'':23} {'free body':>21}   {'on wheels':>21}"
