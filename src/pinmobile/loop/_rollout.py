@@ -159,7 +159,7 @@ class Rollout:
             if name in self.signals:
                 told = np.flatnonzero(self.signals[name].values)
             elif name == "tips" and judged:  # wheels that roll do not record it
-                told = np.flatnonzero(self.plant.contact_loads(self.q, self.v, self.a).tips)  # type: ignore[union-attr]
+                told = np.flatnonzero(self.plant.contact_loads(self.q, self.v, self.a).tips)
             if len(told):
                 found.append(f"{words} (from t = {self.t[told[0]]:g} s, {len(told)} of {len(self)} samples)")
         return tuple(found)
