@@ -341,8 +341,8 @@ def test_by_default_only_this_machine_can_reach_it() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"host": ""}, "host is '', expected a name or an address such as '127.0.0.1'"),
-        ({"host": None}, "host is None, expected a name or an address such as '127.0.0.1'"),
+        ({"host": ""}, "host is '', expected a name or an address such as '127.0.0.1', '::1'"),
+        ({"host": None}, "host is None, expected text without control characters"),
         ({"port": 0}, "port is 0, expected a whole number >= 1"),
         ({"port": 65536}, "port is 65536, expected at most 65,535"),
         ({"token": ""}, "token is empty or not made of letters, digits, '-', '.', '_' and '~'"),

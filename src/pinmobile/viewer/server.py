@@ -75,13 +75,13 @@ class Access:
         """
         host, origin = headers.get("Host", ""), headers.get("Origin")
         if not self._is_own(host):
-            return f"this server is not {_printable(host)}"
+            return f"this server is not {host[:80]!r}"
         if self.token is not None and not (
             len(tokens) == 1 and secrets.compare_digest(tokens[0], self.token.encode())
         ):
             return "the token is missing or wrong: use the whole address that was printed"
         if origin is not None and origin.lower() not in (f"http://{host.lower()}", f"https://{host.lower()}"):
-            return f"requests from pages of {_printable(origin)} are not answered"
+            return f"requests from pages of {origin[:80]!r} are not answered"
         return None
 
     def _is_own(self, netloc: str) -> bool:
@@ -109,16 +109,14 @@ def access_for(host: str, token: str | None) -> Access:
     InvalidArgument
         If the host is empty, or the token has letters that an address cannot have.
     """
-    if not isinstance(host, str) or not host.strip():
-        raise InvalidArgument(f"host is {shown(host)}, expected a name or an address such as '127.0.0.1'")
     if token is not None and not (isinstance(token, str) and _TOKEN.fullmatch(token)):
         raise InvalidArgument("token is empty or not made of letters, digits, '-', '.', '_' and '~'")
-    host = host.strip()
+    given, host = host, text("host", host).strip()
     bracketed = host.startswith("[") and host.endswith("]")
     host = host[1:-1] if bracketed else host
-    if set("[]/@?# ") & set(host) or (bracketed and ":" not in host) or text("host", host) != host:
+    if not host or set("[]/@?# ") & set(host) or (bracketed and ":" not in host):
         raise InvalidArgument(
-            f"host is {shown(host)}, expected a name or an address such as '127.0.0.1' or '::1'"
+            f"host is {shown(given)}, expected a name or an address such as '127.0.0.1', '::1'"
         )
     if host.lower() in _LOOPBACK:
         return Access(host.lower(), token)
@@ -129,10 +127,6 @@ def access_for(host: str, token: str | None) -> Access:
         stacklevel=3,
     )
     return Access(host, secrets.token_urlsafe(24) if token is None else token)
-
-
-def _printable(text: str) -> str:
-    return repr(text[:80])
 
 
 _LOG = logging.getLogger(__name__)
@@ -349,8 +343,7 @@ class Server:
         self.backlog = Backlog()
         self.browsers: list[Browser] = []
         self._stopped, self._process = False, os.getpid()
-        self._changed = threading.Condition()
-        self._started = threading.Event()
+        self._changed, self._started = threading.Condition(), threading.Event()
         self._told = False  # that there is something to send, and the loop has not looked yet
         self._thread = threading.Thread(
             target=lambda: asyncio.run(self._serve(listener)), name="pinmobile-viewer", daemon=True
