@@ -102,7 +102,8 @@ def test_what_is_loaded_is_what_was_saved_bit_for_bit(tmp_path: Path, name: str)
     for i, trace in one.traces.items():
         assert loaded.traces[i].plant == trace.plant
         assert loaded.trace(i) is loaded.traces[i]
-    assert not loaded.max_error.flags.writeable
+    for array in (loaded.max_error, loaded.scenario.t, *loaded.scenario.reference):
+        assert not array.flags.writeable
     assert not any(values.flags.writeable for values in loaded.draws.values())
     loaded.save(tmp_path / "again.npz")
     assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "saved.npz").read_bytes()

@@ -10,7 +10,7 @@ from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, frozen
 from pinmobile.errors import shown
 from pinmobile.loop._loop import named_forces
 from pinmobile.loop._scenario import Scenario, checked_scenario, first_counted
@@ -206,8 +206,8 @@ class Outline:
             coordinates=tuple(Coordinate(name, unit) for name, unit in described["coordinates"]),
             inputs=tuple(Input(name, unit) for name, unit in described["inputs"]),
             judged=tuple(Measure(*one) for one in described["judged"]),
-            t=t,
-            reference=reference,
+            t=frozen(t),
+            reference=Reference(*map(frozen, reference)),
         )
 
     def description(self) -> dict[str, Any]:

@@ -72,7 +72,6 @@ def restored_run(described: Mapping[str, Any], beside: Array) -> dict[str, Any]:
         What `described_run` returned; a file of before may say nothing of how it was made.
     beside : ndarray, shape (N + 1, ...)
         What `signal_columns` returned.
-
     """
     outline = None if described["outline"] is None else _outline(described["outline"])
     signals = _split(beside, described["signals"])
