@@ -25,9 +25,11 @@ from pinmobile import (
     plots,
     simulate,
 )
-from pinmobile.cli import main
+from pinmobile.cli import main, verbs
+from pinmobile.cli.identify import IdentifyPaths
 from pinmobile.cli.lecture import EXPECTED
 from pinmobile.cli.verbs import complete
+from pinmobile.parts import parameters
 from tests import wheeled
 from tests.damage import full_disk
 from tests.test_identification import log, rolled
@@ -212,7 +214,8 @@ def test_a_run_that_diverges_keeps_what_came_before(
         ("run --radios 1", "No such option"),
         ("run duration=0.25", "duration is 0.25 s, expected a whole number of steps dt = 0.1 s"),
         ("view a.npz ur5", "saved rollouts stand alone, but there is 'ur5' too"),
-        ("view run.csv", "'run.csv' is a table, expected the .npz of the run, or a scenario"),
+        ("view run.csv", "FILE is 'run.csv', a recorded run, expected a scenario; view takes .npz of runs"),
+        ("run run.npz", "FILE is 'run.npz', a recorded run, expected a scenario; view takes .npz of runs"),
         ("run differential robot.mass=25", "robot.mass is unknown, WheeledRobot has robot, table, ground"),
         ("ensemble spread.mas=1", "spread.mas=1: unknown parameter in spread 'mas', did you mean 'mass'?"),
         ("ensemble spread.mass=Normal(1,5)", "draws ("),
@@ -623,3 +626,9 @@ def test_words_about_no_log_are_answered_in_one_line(
     code, _, err = typed(capsys, "identify", *told, "--out", str(tmp_path))
     assert code == 2
     assert re.fullmatch(f"pinmobile: ({message})\n", err), err
+
+
+def test_the_help_of_identify_names_every_path() -> None:
+    words = " ".join((verbs.identify.__doc__ or "").split())
+    for name in parameters(IdentifyPaths):
+        assert re.search(rf"Paths: .*\b{name}\b", words), name

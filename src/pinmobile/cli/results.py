@@ -286,9 +286,6 @@ def _unit(values: Array) -> tuple[str, float]:
 def show_live(words: Sequence[str], *, host: str, port: int | None, allow_code: bool) -> int:
     """Serve a run, or saved rollouts, until Ctrl-C or SIGTERM; both end it in order."""
     saved = [Path(word) for word in words if word.endswith(".npz")]
-    tables = [word for word in words if word.endswith(".csv")]
-    if tables:
-        raise InvalidArgument(f"{tables[0]!r} is a table, expected the .npz of the run, or a scenario")
     if saved and len(saved) < len(words):
         others = [word for word in words if not word.endswith(".npz")]
         raise InvalidArgument(f"saved rollouts stand alone, but there is {others[0]!r} too")

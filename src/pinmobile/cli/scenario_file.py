@@ -258,6 +258,10 @@ def _label(value: object) -> str:
 def _text_of(name: str) -> str:
     """Return the text of a file, or of a shipped scenario: a name without an ending that is no file."""
     path = Path(name)
+    if path.suffix in (".csv", ".npz"):
+        raise InvalidArgument(
+            f"FILE is {name!r}, a recorded run, expected a scenario; view takes .npz of runs"
+        )
     if path.suffix or path.exists():
         return read_file(path)
     if name not in shipped():
