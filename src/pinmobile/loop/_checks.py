@@ -286,8 +286,8 @@ def check_answers(
     InvalidArgument
         If a size differs, or an answer does not repeat.
     """
-    constant = not named_forces(forces) and all(map(is_constant, (plant, integrator or plant)))
-    if constant and _answered.get(plant) == (integrator, h):
+    constant = not named_forces(forces) and is_constant(integrator or plant)
+    if constant and _answered.get(plant, (integrator, h)):
         return
     with np.errstate(all="ignore"):
         _check_sizes(plant, q, v)
@@ -306,7 +306,7 @@ def check_answers(
         if not able(plant, Stepping) and integrator is not None:
             _check_moves(plant, integrator, states, h)
     if constant:
-        _answered[plant] = integrator, h
+        _answered.keep(plant, (integrator, h), True)
 
 
 def _check_moves(
@@ -322,8 +322,25 @@ def _check_moves(
     _check_repeated("integrator", integrator, moved, [(still, w) for _, w in states])
 
 
-_answered: weakref.WeakKeyDictionary[Any, Any] = weakref.WeakKeyDictionary()
-"""Constant parts that have answered well: plants with integrator and step, controllers with shapes."""
+class Last:
+    """The last answer of each part that cannot change, with what it was asked."""
+
+    def __init__(self) -> None:
+        self._known: weakref.WeakKeyDictionary[Any, tuple[Any, Any]] = weakref.WeakKeyDictionary()
+
+    def get(self, part: Any, asked: Any) -> Any:
+        """Return the last answer of a part; None where it was asked something else, or may change."""
+        known = self._known.get(part) if is_constant(part) else None
+        return known[1] if known is not None and known[0] == asked else None
+
+    def keep(self, part: Any, asked: Any, found: Any) -> None:
+        """Keep the answer of a part that cannot change."""
+        if is_constant(part):
+            self._known[part] = asked, found
+
+
+_answered = Last()
+"""Whether answers repeat: of plants by integrator and step, of controllers by shapes."""
 
 
 def _check_sizes(plant: Plant, q: Array, v: Array) -> None:
@@ -380,15 +397,14 @@ def check_controllers_memory(controller: Controller, context: Context, q: Array,
     InvalidArgument
         If it does not; see `pinmobile.controllers.controller.check_memory`.
     """
-    constant, sizes = is_constant(controller), (q.shape, v.shape, *map(np.shape, context.reference))
-    if constant and _answered.get(controller) == sizes:
+    sizes = q.shape, v.shape, *map(np.shape, context.reference)
+    if _answered.get(controller, sizes):
         return
     try:
         check_memory(controller, context, q, v)
     except InvalidArgument as error:
         raise error_of_sizes(context, error) from error.__cause__
-    if constant:
-        _answered[controller] = sizes
+    _answered.keep(controller, sizes, True)
 
 
 def _are_same(one: Array, other: Array) -> bool:

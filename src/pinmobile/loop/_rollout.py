@@ -153,12 +153,12 @@ class Rollout:
         Limits of position, speed and torque that were exceeded, and where the ground cannot carry the robot.
         """
         found = list(limits_exceeded(self.plant, self.t, self.q, self.v, self.u))
-        judged = any(one.worst == "ever" for one in measures_of(self.plant))
         for name, words in _GROUND.items() if hasattr(self.plant, "contact_loads") else ():
             told = np.empty(0, int)
             if name in self.signals:
                 told = np.flatnonzero(self.signals[name].values)
-            elif name == "tips" and judged:  # wheels that roll do not record it
+            elif name == "tips" and any(one.worst == "ever" for one in measures_of(self.plant)):
+                # Wheels that roll do not record it.
                 told = np.flatnonzero(self.plant.contact_loads(self.q, self.v, self.a).tips)
             if len(told):
                 found.append(f"{words} (from t = {self.t[told[0]]:g} s, {len(told)} of {len(self)} samples)")

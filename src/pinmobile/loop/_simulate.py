@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import Enum
@@ -12,13 +11,13 @@ from warnings import warn
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, positive, shaped, whole
-from pinmobile.compiled import is_constant
 from pinmobile.controllers import Controller
 from pinmobile.divergence import is_near
 from pinmobile.errors import Diverged, InvalidArgument, LimitWarning, NotTraceable, SlowerEngine, shown
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop._checks import (
+    Last,
     check_answers,
     check_controllers_memory,
     checked_forces,
@@ -231,11 +230,10 @@ def _start(
 ) -> tuple[Array, Array]:
     """Return the state to start with: as given, or on the reference as the plant completes it."""
     first = Reference(*(part[0] for part in reference))
-    key = tuple(part.tobytes() for part in first)
-    lasts = q0 is None and v0 is None and is_constant(plant)
-    known = _started.get(plant) if lasts else None
-    if known is not None and known[0] == key:
-        return known[1].copy(), known[2].copy()
+    asked, by_default = tuple(part.tobytes() for part in first), q0 is None and v0 is None
+    known = _started.get(plant, asked) if by_default else None
+    if known is not None:
+        return known[0].copy(), known[1].copy()
     if able(plant, Starting):
         on_reference = started(plant, first)
     elif first.v.size == plant.nv:
@@ -266,13 +264,13 @@ def _start(
             if error.argument == "start" and q0 is None and v0 is None:
                 raise error.calling("reference at its start") from None
             raise
-    if lasts:
-        _started[plant] = key, q.copy(), v.copy()
+    if by_default:
+        _started.keep(plant, asked, (q.copy(), v.copy()))
     return q, v
 
 
-_started: weakref.WeakKeyDictionary[Any, Any] = weakref.WeakKeyDictionary()
-"""Of plants that cannot change: the first reference of the last run, and the start on it."""
+_started = Last()
+"""Starts of plants, by the bytes of the first reference."""
 
 
 def errors_of(plant: Plant, q: Array, reference: Reference) -> Array:

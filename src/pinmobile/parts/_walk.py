@@ -70,24 +70,25 @@ def entries_of(value: Any) -> list[tuple[str, Any]]:
     ]
 
 
-def walk(part: Any) -> Sequence[Leaf]:
+def walk(part: Any) -> tuple[Leaf, ...]:
     """Return all fields of a part and of the parts within it, that are no parts themselves.
 
     A declared part, which cannot change, keeps them.
     """
-    kept = getattr(part, "__dict__", {}).get("_leaves")
+    kept: tuple[Leaf, ...] | None = getattr(part, "__dict__", {}).get("_leaves")
     if kept is not None:
-        return tuple(kept)
-    found = []
+        return kept
+    found: list[Leaf] = []
     for name, declared, value in fields_of(part):
         for path, each in _inner(name, declared, value):
             if _is_within(declared, each):
                 found += [Leaf(f"{path}.{inner}", *others) for inner, *others in walk(each)]
             else:
                 found.append(Leaf(path, part, declared, each))
+    kept = tuple(found)
     if attrs.has(type(part)):
-        object.__setattr__(part, "_leaves", found)
-    return found
+        object.__setattr__(part, "_leaves", kept)
+    return kept
 
 
 def _inner(path: str, declared: Field, value: Any) -> list[tuple[str, Any]]:
