@@ -93,8 +93,7 @@ def identify(
     ------
     InvalidArgument
         If the log is too short, or of another robot, the units are wrong, the clocks drift, or the motion
-        leaves
-        something unseen and no robot says what is believed of it: see the message.
+        leaves something unseen and no robot says what is believed of it: see the message.
     """
     logs = logs_of(log)
     one_of("method", method, METHODS)
