@@ -441,8 +441,9 @@ class WheeledRobot:
         for name, slip in zip(self.constraint_names, largest, strict=True):
             is_held = name == "train" or not self.array_dynamics.slips
             if is_held and slip > _OFF * (1 + float(np.abs(v).max())):
+                what = "a wheel of a gear train" if name == "train" else name
                 raise InvalidArgument(
-                    f"start does not roll: {name} slips at {slip:.3g} m/s; expected a reference that "
+                    f"start does not roll: {what} slips at {slip:.3g} m/s; expected a reference that "
                     "the wheels can follow, such as Tangent(path), v0 = robot.project(q0, v0), or v0 of zeros"
                 )
 
