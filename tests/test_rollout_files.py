@@ -102,6 +102,17 @@ def test_a_run_on_wheels_comes_back_with_its_signals_and_the_names_of_its_wheels
         plots.slip(loaded)
 
 
+@pytest.mark.parametrize("content", [b"", b"text", b"\x80\x04K\x01."])
+def test_what_is_no_archive_is_not_called_one_that_may_be_loaded_unsafely(
+    content: bytes, tmp_path: Path
+) -> None:
+    (tmp_path / "run.npz").write_bytes(content)
+    with pytest.raises(
+        InvalidArgument, match=r"which is no 'pinmobile rollout 2' archive: it is no \.npz file"
+    ):
+        Rollout.load(tmp_path / "run.npz")
+
+
 def test_an_arm_that_is_gone_is_no_damage(tmp_path: Path) -> None:
     """As documented: what is told of the robot is its names and units, and nothing else is missing."""
     mount = {

@@ -8,6 +8,7 @@ import io
 import json
 import os
 import stat
+import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from os import PathLike
@@ -248,8 +249,12 @@ def archive_of(
     """
     wanted = {"format", description, *kinds}
     try:
-        with refusals("read", "path", path), path.open("rb") as file, np.load(file) as archive:
-            named = {name: archive[name] for name in wanted & set(archive)}
+        with refusals("read", "path", path), path.open("rb") as file:
+            if not zipfile.is_zipfile(file):  # else NumPy advises to load what may run code
+                raise ValueError("it is no .npz file, or its end is lost")
+            file.seek(0)
+            with np.load(file) as archive:
+                named = {name: archive[name] for name in wanted & set(archive)}
         other = str(named["format"])
         if other != form:
             raise ValueError(f"it is of another format, {other!r}")
