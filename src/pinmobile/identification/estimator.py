@@ -349,7 +349,7 @@ def scaled(H: Array) -> tuple[Array, Array]:
 
 
 def hidden(J: Array, sizes: Array) -> NDArray[np.bool_]:
-    """Return of which numbers slopes tell nothing: their deviations are larger than they are."""
+    """Return which numbers are not identifiable: their standard errors are larger than they are."""
     R, size = scaled(np.einsum("smp,smq->pq", J, J))
     values, vectors = np.linalg.eigh(R)
     seen = values > _UNSEEN
@@ -371,7 +371,7 @@ def jackknife(near: Linear, pull: Array | float = 0.0) -> Array:
     Raises
     ------
     InvalidArgument
-        If one segment alone tells a number.
+        If a number is identifiable by one segment alone.
     """
     J, S = near.J, len(near.J)
     H = np.einsum("smp,smq->spq", J, J)
@@ -381,7 +381,7 @@ def jackknife(near: Linear, pull: Array | float = 0.0) -> Array:
         d = np.linalg.solve((H.sum(axis=0) - H) * np.outer(size, size), g[..., None])[..., 0] * size
     except np.linalg.LinAlgError as error:
         raise InvalidArgument(
-            f"log has {S} segments, without one of which a parameter is not told: expected a longer log, or "
-            "one that excites more, see excitation"
+            f"log has {S} segments, and without one of them a parameter is not identifiable: expected a longer "
+            "log, or one that excites more, see excitation"
         ) from error
     return np.asarray((S - 1) / S * d.T @ d)

@@ -374,7 +374,7 @@ class PlanarModel:
             )
         return tuple(told)
 
-    def foretell(
+    def predicted(
         self, found: Identification, log: Log, seconds: float | None
     ) -> tuple[Segments, Array, NDArray[np.bool_], Array]:
         """Return segments of a log, measured less simulated, which samples count, and the sensors' noise."""

@@ -402,7 +402,7 @@ class Identification:
         }
 
     def predict(self, log: Log, seconds: float | None = None) -> Prediction:
-        """Return how well the robot that was found foretells another log, beside the noise of its sensors.
+        """Return how well the robot that was found predicts another log, beside the noise of its sensors.
 
         Segments start where they fit best, and are simulated from there.
 
@@ -419,7 +419,7 @@ class Identification:
             If it is none, too short, measures something else, or what is predicted runs away from it.
         """
         instance("log", log, Log, "a Log")
-        segments, residual, good, noise = self.model.foretell(self, log, seconds)
+        segments, residual, good, noise = self.model.predicted(self, log, seconds)
         names, units = zip(*self.model.measured, strict=True)
         measured, left = segments.y[..., : len(names)], residual[..., : len(names)]
         rms = np.sqrt((left[good] ** 2).mean(axis=0))

@@ -207,7 +207,7 @@ class VelocityModel:
             told += VelocityRobot([_NEUTRAL[n] if n in neutral else x for n, x in pairs]).problems
         return tuple(told)
 
-    def foretell(
+    def predicted(
         self, found: Identification, log: Log, seconds: float | None
     ) -> tuple[Segments, Array, NDArray[np.bool_], Array]:
         """Return segments of a log, measured less simulated, which samples count, and what was left."""
