@@ -381,7 +381,7 @@ def jackknife(near: Linear, pull: Array | float = 0.0) -> Array:
         d = np.linalg.solve((H.sum(axis=0) - H) * np.outer(size, size), g[..., None])[..., 0] * size
     except np.linalg.LinAlgError as error:
         raise InvalidArgument(
-            f"log has {S} segments, and without one of them a parameter is not identifiable: expected a longer "
-            "log, or one that excites more, see excitation"
+            f"log has {S} segments, and without one of them a parameter is not identifiable: expected a "
+            "longer log, or one that excites more, see excitation"
         ) from error
     return np.asarray((S - 1) / S * d.T @ d)
