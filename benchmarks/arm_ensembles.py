@@ -37,10 +37,10 @@ LIMITS = {"a new robot: nothing compiled": 0.5, "a known one: with its file": 0.
 FIRST = """
 from time import perf_counter as now
 start = now()
-from pinmobile import Circle, ComputedTorque, CubicVia, JointFriction, Load, MobileRobot, Tangent
+from pinmobile import Circle, ComputedTorque, CubicVia, JointFriction, PayloadBody, MobileRobot, Tangent
 from pinmobile import Uniform, WholeBody, ensemble
 imported = now()
-robot = MobileRobot.box(30).mount("{arm}", (0.1, -0.05, 0.2, 0.4)).attach(Load(1.0, (0, 0, 0.05)))
+robot = MobileRobot.box(30).mount("{arm}", (0.1, -0.05, 0.2, 0.4)).attach(PayloadBody(1.0, (0, 0, 0.05)))
 base = Tangent(Circle(1, 0.5, 6))
 joints = CubicVia(robot.rest[3:], robot.rest[3:], robot.rest[3:], 3, 6)
 motion, controller = WholeBody(robot, base, joints), ComputedTorque(robot, 100, 20)

@@ -18,7 +18,6 @@ from measuring import selecting
 
 from pinmobile import (
     ADRC,
-    COMPILED,
     LQR,
     MPC,
     PD,
@@ -27,14 +26,14 @@ from pinmobile import (
     Circle,
     ComputedTorque,
     ConstantForce,
-    Delayed,
     DisturbanceObserver,
+    Engine,
+    InputSaturation,
+    MeasurementDelay,
+    MeasurementNoise,
     MobileRobot,
-    NoisyMeasurement,
-    Payload,
     RollingResistance,
     Rollout,
-    Saturated,
     Scenario,
     SlidingMode,
     SuperTwisting,
@@ -45,6 +44,7 @@ from pinmobile import (
     simulate,
     sweep,
 )
+from pinmobile.forces import PayloadForce
 
 NOMINAL = MobileRobot(mass=30.0, yaw_inertia=1.3, com=(0.1, 0.05))
 """The robot in which all controllers believe."""
@@ -56,7 +56,7 @@ _FRICTION = {
     "forces.viscous": ViscousFriction((10.0, 20.0, 2.0)),
     "forces.rolling": RollingResistance((6.0, 9.0, 1.0), 0.01),
 }
-_PAYLOAD = {"forces.payload": Payload(10.0, (0.25, 0.1), 15.0)}
+_PAYLOAD = {"forces.payload": PayloadForce(10.0, (0.25, 0.1), 15.0)}
 _NOISE = {"controller.controller.std_q": 1e-3, "controller.controller.std_v": 1e-2}
 CASES: Mapping[str, Mapping[str, Any]] = {
     "nominal": {},
@@ -143,7 +143,7 @@ def limited() -> dict[str, Any]:
 
 def loop(n: int = 1) -> Scenario:
     """Return the nominal loop of a controller whose measurements cases make late and noisy."""
-    measured = Delayed(NoisyMeasurement(PD(120.0, 120.0), 0.0, 0.0, seed=0), 0)
+    measured = MeasurementDelay(MeasurementNoise(PD(120.0, 120.0), 0.0, 0.0, seed=0), 0)
     parts: dict[str, Any] = {"robot": NOMINAL, "controller": measured, "trajectory": CIRCLE, "spread": {}}
     return Scenario(**parts, n=n, dt=0.01, after=5.0, integrator=rk4, substeps=4)
 
@@ -161,7 +161,7 @@ def traced(found: Any) -> Rollout:
 
 def engine_of(controller: Any) -> Any:
     """Return the fastest engine that runs a controller."""
-    return None if "MPC(" in repr(controller) else COMPILED
+    return None if "MPC(" in repr(controller) else Engine.COMPILED
 
 
 def chatter(run: Rollout) -> float:
@@ -213,7 +213,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             off = np.array([-0.3, -0.5, 0.4])
             start = {"q0": CIRCLE(0.0).q + off, "v0": CIRCLE(0.0).v, "engine": engine_of(controller)}
             given: dict[str, Any] = {"dt": 0.01, "integrator": rk4, "substeps": 4}
-            run = simulate(NOMINAL, Saturated(controller, LIMITS), CIRCLE, **start, **given)
+            run = simulate(NOMINAL, InputSaturation(controller, LIMITS), CIRCLE, **start, **given)
             t, distance = run.t, np.linalg.norm(run.error[:, :2], axis=-1)
             settled = t[np.flatnonzero(distance > 0.02)[-1] + 1]
             squares = float(np.sum(distance[:-1] ** 2) * (t[1] - t[0]))

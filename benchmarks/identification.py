@@ -78,15 +78,15 @@ def motion(seed: int) -> Excitation:
     b = raw[:, 1] / order
     b = b - order * (order * b).sum(axis=0) / (order**2).sum()
     shape = Excitation(np.stack([a, b], 1), 20.0, 60.0)
-    fastest = np.abs(shape(np.linspace(0, 20, 400)).v).max(axis=0)
-    return Excitation(np.stack([a, b], 1) * np.array([1.5, 1.2, 1.2]) / fastest, 20.0, 60.0)
+    max_path_speed = np.abs(shape(np.linspace(0, 20, 400)).v).max(axis=0)
+    return Excitation(np.stack([a, b], 1) * np.array([1.5, 1.2, 1.2]) / max_path_speed, 20.0, 60.0)
 
 
 def made(case: Case, seed: int) -> pm.Log:
     """Return a log of a case."""
     forces: list[Any] = list(FRICTION)
     if case.unmodelled:
-        forces.append(pm.NoiseForce((1.0, 1.0, 0.1), 1.0, seed=seed))
+        forces.append(pm.forces.NoiseForce((1.0, 1.0, 0.1), 1.0, seed=seed))
     run = pm.simulate(
         ROBOT,
         pm.ComputedTorque(ROBOT, kp=16, kd=8),
@@ -95,7 +95,7 @@ def made(case: Case, seed: int) -> pm.Log:
         integrator=pm.rk4,
         substeps=max(1, 400 // case.rate),
         forces=forces,
-        engine=pm.COMPILED,
+        engine=pm.Engine.COMPILED,
     )
     log = pm.Log.from_rollout(run, NOISE, case.force_noise, delay=case.delay, seed=seed)
     if not case.outliers:
@@ -109,7 +109,7 @@ Answer = tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], float]
 
 
 @lru_cache(100)
-def found_in(log: pm.Log, method: str) -> pm.Identification:
+def found_in(log: pm.Log, method: str) -> pm.identification.Identification:
     """Return what `identify` finds."""
     return pm.identify(log, method=method)
 

@@ -193,11 +193,11 @@ def seconds(run: Callable[[], Any]) -> float:
 
 LOOPS: dict[str, Callable[[Work], float]] = {
     "computed torque": lambda w: w.many(),
-    "saturation": lambda w: w.many(w.of.Saturated(w.computed, [50, 50, 10])),
+    "saturation": lambda w: w.many(w.of.InputSaturation(w.computed, [50, 50, 10])),
     "viscous and sinusoidal force": lambda w: w.many(
         forces=[w.of.ViscousFriction([3, 3, 1]), w.of.SinusoidalForce([1, 2, 0.1], 0.5)]
     ),
-    "delay of 3 samples": lambda w: w.many(w.of.Delayed(w.computed, 3)),
+    "delay of 3 samples": lambda w: w.many(w.of.MeasurementDelay(w.computed, 3)),
     "rolling resistance": lambda w: w.many(forces=[w.of.RollingResistance([5, 5, 1])]),
     "rk4": lambda w: w.many(integrator=w.of.rk4),
     "a user's PID": lambda w: w.many(PID()),
@@ -210,7 +210,7 @@ LOOPS: dict[str, Callable[[Work], float]] = {
     "ADRC": lambda w: w.many(w.of.ADRC(w.robot)),
     "disturbance observer": lambda w: w.many(w.of.DisturbanceObserver(w.computed, gain=GAIN)),
     "LQR": lambda w: w.many(w.of.LQR(w.robot)),
-    "noisy measurement": lambda w: w.many(w.of.NoisyMeasurement(w.computed, 1e-3, 1e-3, 3)),
+    "noisy measurement": lambda w: w.many(w.of.MeasurementNoise(w.computed, 1e-3, 1e-3, 3)),
 }
 """Rows of many robots: seconds of a robot-step."""
 
@@ -220,7 +220,7 @@ RUNS: dict[str, Callable[[Work], float]] = {
     "ensemble, n = 100": lambda w: w.few(100),
     "simulate, compiled": lambda w: w.rollout("COMPILED"),
     "simulate, compiled, noise": lambda w: w.rollout(
-        "COMPILED", w.of.NoisyMeasurement(w.pd(), 1e-3, 1e-3, 3)
+        "COMPILED", w.of.MeasurementNoise(w.pd(), 1e-3, 1e-3, 3)
     ),
     "simulate, compiled, rk4": lambda w: w.rollout("COMPILED", integrator=w.of.rk4),
     "simulate, compiled, UR5": lambda w: w.arm(),

@@ -61,17 +61,17 @@ def loops() -> Iterator[tuple[str, Any]]:
     }
     body = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05))
     for name, path in paths.items():
-        for heading in (pm.Tangent(path), pm.LectureHeading(path)):
+        for heading in (pm.Tangent(path), pm.trajectories.LectureHeading(path)):
             kind = f"{name} {type(heading).__name__}"
             yield f"{kind} PD", (body, pm.PD((120, 120, 0.4), (120, 120, 0.4)), heading, {})
             yield f"{kind} computed torque", (body, pm.ComputedTorque(body, 4, 4), heading, {})
     believed = pm.MobileRobot(25.0, 1.0)
-    noisy = pm.Delayed(pm.NoisyMeasurement(pm.ComputedTorque(believed, 4, 4), 1e-3, 1e-3, seed=3), 2)
+    noisy = pm.MeasurementDelay(pm.MeasurementNoise(pm.ComputedTorque(believed, 4, 4), 1e-3, 1e-3, seed=3), 2)
     acting = {
         "forces": (
             pm.ViscousFriction((3, 4, 0.5)),
-            pm.SinusoidalForce((2, 1, 0.1), 0.5),
-            pm.NoiseForce((1, 1, 0.1), 2.0, seed=5),
+            pm.forces.SinusoidalForce((2, 1, 0.1), 0.5),
+            pm.forces.NoiseForce((1, 1, 0.1), 2.0, seed=5),
         ),
         "integrator": pm.rk4,
         "substeps": 2,
@@ -88,9 +88,9 @@ def loops() -> Iterator[tuple[str, Any]]:
             yield name, (drive, pm.ComputedTorque(drive, 4, 4), pm.Tangent(paths["circle"]), {})
         else:
             yield name, (drive, pm.law(_turning), pm.Tangent(paths["circle"]), {"limit": 1e6})
-    yield "all at once", (body, pm.Saturated(noisy, (80, 80, 20)), pm.Tangent(paths["circle"]), acting)
+    yield "all at once", (body, pm.InputSaturation(noisy, (80, 80, 20)), pm.Tangent(paths["circle"]), acting)
     bare = pm.MobileRobot.box().mount("ur5")
-    arm = bare.attach(pm.Load(2.0))
+    arm = bare.attach(pm.PayloadBody(2.0))
     trajectory = pm.WholeBody(arm, pm.Tangent(pm.Circle(3.0, 0.1, 3.0)), pm.Hold(arm.rest[3:], 3.0))
     yield "ur5", (arm, pm.ComputedTorque(arm, 9, 6), trajectory, {})
     yield (
@@ -104,7 +104,7 @@ def rollouts() -> Iterator[tuple[str, str]]:
     import pinmobile as pm
 
     for name, (robot, controller, trajectory, options) in loops():
-        for engine in (pm.PYTHON, pm.COMPILED):
+        for engine in (pm.Engine.PYTHON, pm.Engine.COMPILED):
             run = pm.simulate(robot, controller, trajectory, dt=0.05, engine=engine, **options)
             yield f"rollout {name} {engine!r}", digest(run.t, run.q, run.v, run.a, run.u, str(run))
 
@@ -117,7 +117,7 @@ def ensembles() -> Iterator[tuple[str, str]]:
         spread: dict[str, Any] = {"mass": pm.Uniform(20, 40), "start.x": pm.Normal(0, 0.05)}
         if "ur5" in name:
             spread["loads.0.mass"] = pm.Uniform(0, 3)
-        for engine in (pm.COMPILED, pm.COMPILED):
+        for engine in (pm.Engine.COMPILED, pm.Engine.COMPILED):
             run = pm.ensemble(
                 robot, controller, trajectory, n=20, spread=spread, dt=0.1, engine=engine, **options
             )
@@ -143,8 +143,11 @@ def tables() -> Iterator[tuple[str, str]]:
     arm = pm.MobileRobot.box().mount("ur5")
     for name, robot in {"bare": pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05)), "ur5": arm}.items():
         yield f"verify {name}", digest(str(pm.verify(robot)))
-    yield "integrators", digest(str(pm.integrator_report(pm.rk4)))
-    for name, found in {"lecture": derivation.lecture(), "slide": derivation.derive(pm.SLIDE_TABLE)}.items():
+    yield "integrators", digest(str(pm.accuracy.integrator_report(pm.rk4)))
+    for name, found in {
+        "lecture": derivation.lecture(),
+        "slide": derivation.derive(pm.dh.SLIDE_TABLE),
+    }.items():
         yield f"derivation {name}", digest(str(found), repr(found))
     yield "urdf", digest(arm.to_urdf(), repr(arm))
 

@@ -25,7 +25,14 @@ def logged(robot: pm.VelocityRobot, seed: int, kind: str) -> pm.Log:
     """Return what is logged of a robot under random steps."""
     still = pm.FixedHeading(pm.Hold((0, 0), SECONDS), 0.0)
     substeps = int(np.ceil(DT / min(robot.time_constants) / 0.2))
-    run = pm.simulate(robot, pm.RandomSteps(seed=seed), still, dt=DT, substeps=substeps, engine=pm.COMPILED)
+    run = pm.simulate(
+        robot,
+        pm.controllers.RandomSteps(seed=seed),
+        still,
+        dt=DT,
+        substeps=substeps,
+        engine=pm.Engine.COMPILED,
+    )
     rng = np.random.default_rng([seed, 7])
     true = run.q if kind == "poses" else robot.independent(run.q, run.v)
     seen = true + NOISE[kind] * rng.normal(size=true.shape)

@@ -27,7 +27,8 @@ from stock_server import StockServer
 from task import GAIN, PD_GAINS, RADIUS, RATE
 
 from memory import resident
-from pinmobile import PD, Circle, ComputedTorque, MobileRobot, Tangent, ViewerError, __version__, simulate
+from pinmobile import PD, Circle, ComputedTorque, MobileRobot, Tangent, __version__, simulate
+from pinmobile.errors import ViewerError
 from pinmobile.viewer import Viewer
 from pinmobile.viewer.recording import Browser, find_chromium
 

@@ -21,7 +21,7 @@ from rich.console import Console
 
 import pinmobile as pm
 from pinmobile.paths import Hold
-from pinmobile.wheels import Coulomb, Friction, WheeledRobot, WheelTable
+from pinmobile.wheels import Coulomb, WheeledRobot, WheelFriction, WheelTable
 
 DT, STEPS, QUICK_STEPS = 0.005, 400, 40
 ROBOTS, QUICK_ROBOTS = 10_000, 100
@@ -73,13 +73,13 @@ def body() -> pm.MobileRobot:
 
 
 def differential(ground: Any = None) -> WheeledRobot:
-    friction = Friction(mu=0.8, rolling=0.0)
+    friction = WheelFriction(mu=0.8, rolling=0.0)
     drive = WheelTable.differential(0.5, 0.1, supports=SUPPORTS, friction=friction, **WHEEL)
     return WheeledRobot(body(), drive, ground)
 
 
 def four(mu: float) -> WheeledRobot:
-    drive = WheelTable.skid_steer(0.5, 0.4, 0.1, friction=Friction(mu=mu), **WHEEL)
+    drive = WheelTable.skid_steer(0.5, 0.4, 0.1, friction=WheelFriction(mu=mu), **WHEEL)
     return WheeledRobot(body(), drive)
 
 
@@ -181,12 +181,14 @@ ROLLOUT = "mujoco.rollout, wheel bodies"
 RAW, MUJOCO = "Pinocchio and KKT, loop in Python", "MuJoCo, wheel bodies"
 SINGLE = (
     One("bare body", simulated(body(), (0.3, 0.0, 0.05))),
-    One("bare body, compiled", simulated(body(), (0.3, 0.0, 0.05), pm.COMPILED)),
+    One("bare body, compiled", simulated(body(), (0.3, 0.0, 0.05), pm.Engine.COMPILED)),
     One("Rolling", simulated(differential(), TORQUES), SAME),
-    One("Rolling, compiled", simulated(differential(), TORQUES, pm.COMPILED), SAME),
-    One("Coulomb, two wheels, compiled", simulated(differential(Coulomb()), TORQUES, pm.COMPILED), 1e-3),
-    One("Coulomb, four wheels that stick, compiled", simulated(four(0.8), (0.5, 0.5), pm.COMPILED)),
-    One("Coulomb, four wheels that slide, compiled", simulated(four(0.4), (9.0, -9.0), pm.COMPILED)),
+    One("Rolling, compiled", simulated(differential(), TORQUES, pm.Engine.COMPILED), SAME),
+    One(
+        "Coulomb, two wheels, compiled", simulated(differential(Coulomb()), TORQUES, pm.Engine.COMPILED), 1e-3
+    ),
+    One("Coulomb, four wheels that stick, compiled", simulated(four(0.8), (0.5, 0.5), pm.Engine.COMPILED)),
+    One("Coulomb, four wheels that slide, compiled", simulated(four(0.4), (9.0, -9.0), pm.Engine.COMPILED)),
     One(RAW, raw, SAME),
     One(MUJOCO, alone, MUJOCO_SAME),
 )
@@ -205,7 +207,7 @@ def together(
             "duration": steps * DT,
             "measures": measures,
         }
-        return lambda: pm.ensemble(robot, controller, trajectory, engine=pm.COMPILED, **given)
+        return lambda: pm.ensemble(robot, controller, trajectory, engine=pm.Engine.COMPILED, **given)
 
     return prepare
 
@@ -236,18 +238,22 @@ def fleets() -> dict[str, Callable[[int, int], Callable[[], Any]]]:
     rolling, spread = differential(), {"mass": pm.Uniform(24, 30), "left.radius": pm.Normal(0.1, 0.0005)}
     ur5 = WheeledRobot(body().mount("ur5", (0.0, 0.0, 0.2, 0.0)), differential().table)
     arms = pm.WholeBody(ur5.robot, path, Hold(ur5.robot.rest[3:], longest))
-    by_wrench = pm.Allocated(pm.PD(50, 20), rolling)
+    by_wrench = pm.ControlAllocation(pm.PD(50, 20), rolling)
     mass = {"mass": pm.Uniform(24, 30)}
     return {
         "bare body, PD": together(body(), pm.PD(50, 20), path, mass),
         "rolling, torques": together(rolling, Torques(*TORQUES), still, spread),
-        "rolling, Allocated(PD)": together(rolling, by_wrench, path, spread),
-        "rolling, Allocated(PD), load and slip margin judged": together(
+        "rolling, ControlAllocation(PD)": together(rolling, by_wrench, path, spread),
+        "rolling, ControlAllocation(PD), load and slip margin judged": together(
             rolling, by_wrench, path, spread, None
         ),
-        "rolling, Backstepping": together(rolling, pm.Backstepping(pm.Tracking(), rolling), path, spread),
+        "rolling, Backstepping": together(
+            rolling, pm.Backstepping(pm.UnicycleTracking(), rolling), path, spread
+        ),
         "rolling with a UR5, torques": together(ur5, Torques(*[0.0] * 6, *TORQUES), still, mass),
-        "rolling with a UR5, Allocated(PD)": together(ur5, pm.Allocated(pm.PD(50, 20), ur5), arms, mass),
+        "rolling with a UR5, ControlAllocation(PD)": together(
+            ur5, pm.ControlAllocation(pm.PD(50, 20), ur5), arms, mass
+        ),
         "Coulomb, four wheels that stick": together(four(0.8), Torques(0.5, 0.5), still, mass),
         "Coulomb, four wheels that slide": together(four(0.4), Torques(9.0, -9.0), still, mass),
         ROLLOUT: rolled_out,

@@ -38,7 +38,7 @@ TABLE = pm.WheelTable.differential(
     0.1,
     motor=MOTOR,
     supports=[(-0.2, 0.0), (0.2, 0.0)],
-    friction=pm.wheels.Friction(mu=0.3),
+    friction=pm.wheels.WheelFriction(mu=0.3),
     mass=1.0,
     spin_inertia=0.01,
     yaw_inertia=0.006,
@@ -67,22 +67,22 @@ EIGHT = pm.Tangent(Eight())
 
 def held(follower: Any) -> float:
     """Return the torque [N m] that friction holds along the eight, a fifth of it kept back."""
-    along = run(MODEL, follower, 0 * OFF, SECONDS, pm.COMPILED)
+    along = run(MODEL, follower, 0 * OFF, SECONDS, pm.Engine.COMPILED)
     driven = [one for one in TABLE.wheels if one.motor is not None]
-    least = pm.contact_loads(along).values[:, : len(driven)].min(axis=0)
+    least = pm.balance.contact_loads(along).values[:, : len(driven)].min(axis=0)
     return 0.8 * min(one.friction.mu * N * one.radius for one, N in zip(driven, least, strict=True))
 
 
 def controllers() -> Mapping[str, Any]:
     """Return controllers, each of the model: LQR and MPC of its volts, or of torques that motors give."""
     volts = MODEL.by_voltage()
-    follower = pm.Driven(pm.Backstepping(pm.Tracking(), MODEL), volts)
+    follower = pm.controllers.TorqueToVoltage(pm.Backstepping(pm.UnicycleTracking(), MODEL), volts)
     return {
         "backstepping": follower,
-        "LQR, torques": pm.Driven(pm.LQR(MODEL), volts),
+        "LQR, torques": pm.controllers.TorqueToVoltage(pm.LQR(MODEL), volts),
         "LQR, volts": pm.LQR(volts),
         "MPC, volts": pm.MPC(volts),
-        "MPC, friction": pm.Driven(pm.MPC(MODEL, limits=held(follower)), volts),
+        "MPC, friction": pm.controllers.TorqueToVoltage(pm.MPC(MODEL, limits=held(follower)), volts),
     }
 
 
@@ -122,7 +122,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"a robot {words}, which starts {start}")
             print("                 rms mm   max mm   rms V  chat V/s  limit % slip mm/s    s")
             for name, controller in every.items():
-                begin, engine = process_time(), None if "MPC" in name else pm.COMPILED
+                begin, engine = process_time(), None if "MPC" in name else pm.Engine.COMPILED
                 row = told(run(robot, controller, off, 8.0 if quick else SECONDS, engine))
                 print(f"  {name:13} {row} {process_time() - begin:6.1f}")
     return 0

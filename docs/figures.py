@@ -20,15 +20,13 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from pinmobile import (
-    COMPILED,
     PD,
     Backstepping,
-    ByOdometry,
     Circle,
     ComputedTorque,
     ConstantForce,
     Coulomb,
-    Decoupled,
+    Engine,
     Ensemble,
     Log,
     MobileRobot,
@@ -36,7 +34,7 @@ from pinmobile import (
     Rollout,
     Spline,
     Tangent,
-    Tracking,
+    UnicycleTracking,
     Uniform,
     WheeledRobot,
     WheelTable,
@@ -44,13 +42,15 @@ from pinmobile import (
     ensemble,
     excitation,
     identify,
-    integrator_report,
     plots,
     rk4,
-    semi_implicit_euler,
     simulate,
 )
+from pinmobile.accuracy import integrator_report
+from pinmobile.controllers import Decoupled
 from pinmobile.identification import Prediction
+from pinmobile.integrators import semi_implicit_euler
+from pinmobile.wheels import OdometryFeedback
 
 WIDTHS = 3.5, 7.0
 """Of one column of a paper and of both [in]."""
@@ -84,7 +84,7 @@ def wheels() -> dict[str, Rollout]:
     table, believed = (WheelTable.differential(0.46, radius, **own) for radius in (0.1, 0.099))
     box = MobileRobot(30.0, 1.3, com=(0.0, 0.0, 0.1), size=(0.6, 0.4, 0.25))
     rolling, slipping = WheeledRobot(box, table), WheeledRobot(box, table, Coulomb(0.3))
-    law = ByOdometry(Backstepping(Tracking(), rolling), believed)
+    law = OdometryFeedback(Backstepping(UnicycleTracking(), rolling), believed)
     way = Tangent(Circle(1, 0.5, 3))
     return {"rolls": simulate(rolling, law, way, dt=0.02), "slips": simulate(slipping, law, way, dt=0.02)}
 
@@ -97,7 +97,7 @@ def many() -> dict[str, Ensemble]:
     laws = {"PD": PD([120, 120, 5.2], [120, 120, 5.2]), "computed torque": ComputedTorque(robot)}
     wind = [ConstantForce((0, 0, 0))]
     return {
-        name: ensemble(robot, law, way, n=300, spread=spread, forces=wind, dt=0.1, engine=COMPILED)
+        name: ensemble(robot, law, way, n=300, spread=spread, forces=wind, dt=0.1, engine=Engine.COMPILED)
         for name, law in laws.items()
     }
 

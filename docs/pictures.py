@@ -8,7 +8,6 @@ from pinmobile import (
     PD,
     Circle,
     ComputedTorque,
-    Decoupled,
     MobileRobot,
     Spline,
     Tangent,
@@ -16,6 +15,7 @@ from pinmobile import (
     rk4,
     simulate,
 )
+from pinmobile.controllers import Decoupled
 from pinmobile.viewer import Viewer
 
 HERE = Path(__file__).parent

@@ -20,7 +20,8 @@ import sympy
 from IPython.display import Markdown, display
 from matplotlib.patches import Rectangle
 
-from pinmobile import LECTURE_TABLE, SLIDE_TABLE, derivation
+from pinmobile import derivation
+from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE
 from pinmobile.plots.style import colour, dress
 
 derived = derivation.lecture()

@@ -24,17 +24,17 @@ from pinmobile import (
     ConstantForce,
     CubicVia,
     Diverged,
-    LectureHeading,
+    InputSaturation,
     MobileRobot,
-    Saturated,
     Tangent,
     Uniform,
     ensemble,
-    plain_difference,
     plots,
     simulate,
 )
+from pinmobile.controllers import plain_difference
 from pinmobile.plots.style import colour, dress
+from pinmobile.trajectories import LectureHeading
 
 # %% [markdown]
 # ## The lecture's six runs
@@ -298,7 +298,7 @@ pushing = {"PD": PD(120, 120), "PID that winds up": PID(back=0.0), "PID": PID()}
 beside = {"q0": circle(0).q + np.array([0, -1.5, 0]), "v0": circle(0).v, "duration": 20.0}
 windy = {
     name: simulate(
-        box, Saturated(own, (20, 20, 5)), circle, dt=0.01, forces=[ConstantForce((15, 0, 0))], **beside
+        box, InputSaturation(own, (20, 20, 5)), circle, dt=0.01, forces=[ConstantForce((15, 0, 0))], **beside
     )
     for name, own in pushing.items()
 }
@@ -312,7 +312,7 @@ calm = ConstantForce((0, 0, 0))  # the spread gives each robot its own
 spread = {"force.x": Uniform(-15, 15), "start.y": Uniform(-1.5, 1.5)}
 within = {}
 for name, own in pushing.items():
-    limited = Saturated(own, (20, 20, 5))
+    limited = InputSaturation(own, (20, 20, 5))
     fleet = ensemble(box, limited, circle, n=10_000, spread=spread, forces=[calm], dt=0.01, after=8)
     within[name] = fleet.within(0.99).distance
     print(f"{name:18} {fleet.engine}: 99 % stay within {1e3 * within[name]:.1f} mm from t = 8 s on")

@@ -19,18 +19,9 @@ from urllib.parse import urlsplit
 import numpy as np
 from IPython.display import Image, display
 
-from pinmobile import (
-    LECTURE_TABLE,
-    PD,
-    SLIDE_TABLE,
-    Circle,
-    ComputedTorque,
-    MobileRobot,
-    Tangent,
-    ViewerError,
-    plots,
-    simulate,
-)
+from pinmobile import PD, Circle, ComputedTorque, MobileRobot, Tangent, plots, simulate
+from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE
+from pinmobile.errors import ViewerError
 from pinmobile.viewer import Arrows, Follow, Overlays, Stay, Viewer
 
 # %% [markdown]

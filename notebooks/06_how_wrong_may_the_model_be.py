@@ -19,10 +19,10 @@ from pinmobile import (
     Circle,
     ComputedTorque,
     ConstantForce,
+    MeasurementNoise,
     MobileRobot,
-    NoisyMeasurement,
     Normal,
-    Same,
+    SameAs,
     Tangent,
     Uniform,
     ViscousFriction,
@@ -83,13 +83,13 @@ spread = {
     "force.x": Normal(0, 0.05),
     "force.y": Normal(0, 0.05),
 }
-truth = {f"controller.{name}": Same(name) for name in ("mass", "yaw_inertia", "com.x", "com.y")}
+truth = {f"controller.{name}": SameAs(name) for name in ("mass", "yaw_inertia", "com.x", "com.y")}
 pd = PD((120, 120, 5.2), (120, 120, 5.2))  # 4 times 30 kg and 1.3 kg m²
 computed_torque = ComputedTorque(nominal, 4, 4)
 
 
 def noisy(controller):
-    return NoisyMeasurement(controller, std_q=5e-4, std_v=5e-4, seed=0)
+    return MeasurementNoise(controller, std_q=5e-4, std_v=5e-4, seed=0)
 
 
 runs = {

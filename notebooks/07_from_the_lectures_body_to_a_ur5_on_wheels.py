@@ -18,37 +18,32 @@ import pinocchio as pin
 import sympy
 
 from pinmobile import (
-    LECTURE_TABLE,
     Circle,
     ComputedTorque,
     CubicVia,
-    Decoupled,
-    DHRow,
-    DHTable,
     EndEffectorTracking,
-    JointType,
-    Load,
     MobileRobot,
     Normal,
+    PayloadBody,
     PosePath,
     RestToRest,
-    Same,
+    SameAs,
     Tangent,
     Uniform,
-    Unreachable,
     WholeBody,
     clearance,
     closed_form,
     derivation,
     ensemble,
     plots,
-    reaction_wrench,
-    required_friction,
-    resolve,
     rk4,
     simulate,
-    tip_over_margin,
+    solve_inverse_kinematics,
 )
+from pinmobile.balance import reaction_wrench, required_friction, tip_over_margin
+from pinmobile.controllers import Decoupled
+from pinmobile.dh import LECTURE_TABLE, DHRow, DHTable, JointType
+from pinmobile.errors import Unreachable
 from pinmobile.plots.style import INK, colour, dress, line_style, tint
 
 np.set_printoptions(precision=3, suppress=True, linewidth=110)
@@ -240,7 +235,8 @@ plots.balance(fast, title="In 1 s: balance on the ground")
 # ## The hand goes through poses, base and arm follow
 #
 # Nine coordinates, and a pose needs six: three are left. `PosePath.through` makes a smooth path of poses and
-# times, here a way of 1.2 m on which the hand turns three quarters about its own axis; `resolve` finds, step
+# times, here a way of 1.2 m on which the hand turns three quarters about its own axis;
+# `solve_inverse_kinematics` finds, step
 # by step and within the limits of the joints, how base and arm go together; the controller follows the pose
 # itself, and what the pose leaves free follows the reference.
 
@@ -253,7 +249,7 @@ quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
 for k in range(4):
     poses[k, :3, :3] = held[:3, :3] @ np.linalg.matrix_power(quarter, k)
 target = PosePath.through(poses, times=[0, 2, 4, 6])
-way = resolve(robot, target, q0=start)
+way = solve_inverse_kinematics(robot, target, q0=start)
 reached = simulate(robot, EndEffectorTracking(robot, target, dt=0.01), way, dt=0.01)
 metres, radians = reached.end_effector().max_error()
 travelled = np.ptp(reached.q[:, :2], axis=0)
@@ -263,17 +259,19 @@ plots.end_effector(reached, title="The hand goes through four poses, base and ar
 
 # %% [markdown]
 # Whether it goes through itself is another question. `clearance` asks the collision shapes, meshes of the
-# UR5's file and the box; neighbours and what can never touch do not count, and it says which. A goal inside
-# the robot's own body is reached to a hundredth of a millimetre; asked for a clearance, `resolve` refuses:
+# UR5's file and the box; neighbours and what can never touch do not count, and it says which. A goal
+# inside
+# the robot's own body is reached to a hundredth of a millimetre; asked for a clearance,
+# `solve_inverse_kinematics` refuses:
 
 # %%
 print(clearance(robot, reached.q).told)
 into_itself = PosePath(RestToRest(held[:3, 3], (0.2, 0.15, 0.12), 4))
 standing = np.where(np.arange(9) < 3, 0, robot.velocity_limit)
-through = resolve(robot, into_itself, q0=start, velocity_limit=standing)
+through = solve_inverse_kinematics(robot, into_itself, q0=start, velocity_limit=standing)
 print(f"error {1e3 * through.max_error()[0]:.3f} mm, clearance {through.clearance.told}")
 try:
-    resolve(robot, into_itself, q0=start, velocity_limit=standing, clearance=0.01)
+    solve_inverse_kinematics(robot, into_itself, q0=start, velocity_limit=standing, clearance=0.01)
 except Unreachable as refused:
     print(f"refused: {refused}")
 
@@ -289,12 +287,12 @@ except Unreachable as refused:
 # of tipping over.
 
 # %%
-carrier = robot.attach(Load(2, com=(0, 0, 0.1), size=(0.1, 0.1, 0.1)))
+carrier = robot.attach(PayloadBody(2, com=(0, 0, 0.1), size=(0.1, 0.1, 0.1)))
 stretched, swing = np.array([0, -0.6, 0.9, -0.3, 0.6, 0]), np.array([1.6, 0, 0, 0, 0, 0])
 sideways = CubicVia(stretched - swing, stretched + swing, stretched - swing, t_via=3, t_end=6)
 payloads = {
     "loads.0.mass": Uniform(0, 12),
-    "controller.loads.0.mass": Same("loads.0.mass"),
+    "controller.loads.0.mass": SameAs("loads.0.mass"),
     "loads.0.com.x": Normal(0, 0.02),
     "loads.0.com.y": Normal(0, 0.02),
     "loads.0.com.z": Normal(0.1, 0.03),

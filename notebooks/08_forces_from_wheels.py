@@ -21,20 +21,19 @@ from scipy.linalg import null_space
 from scipy.spatial import ConvexHull
 
 from pinmobile import (
-    COMPILED,
     PD,
-    Allocated,
     Backstepping,
     Circle,
     ComputedTorque,
+    ControlAllocation,
     CubicVia,
+    Engine,
     FixedHeading,
     InvalidArgument,
-    LectureHeading,
     MobileRobot,
     Motor,
     Tangent,
-    Tracking,
+    UnicycleTracking,
     WheeledRobot,
     WheelTable,
     closed_form,
@@ -43,6 +42,7 @@ from pinmobile import (
     verify,
 )
 from pinmobile.plots.style import INK, colour, dress, tint
+from pinmobile.trajectories import LectureHeading
 
 np.set_printoptions(precision=3, suppress=True, linewidth=110)
 
@@ -390,7 +390,8 @@ print(f"five times the wrench: torques {beyond.u} N m, residual {beyond.residual
 #
 # (errors along the robot's own axes), and **backstepping** finds the torques with which $\nu$ follows it:
 # $\bar M (\dot\nu_c + k\,(\nu_c - \nu)) + \bar n = \bar B \tau$. And PD? It does not know about wheels and
-# asks for what it always asks for; `Allocated` passes on what wheels can supply of it. The same runs once
+# asks for what it always asks for; `ControlAllocation` passes on what wheels can supply of it. The same runs
+# once
 # more from a start 0.1 m beside the path:
 
 # %%
@@ -409,8 +410,8 @@ rivals = {
     "free body, PD": (free, pd),
     "free body, computed torque": (free, ComputedTorque(free)),
     "mecanum, computed torque": (four, ComputedTorque(four)),
-    "differential, backstepping": (two, Backstepping(Tracking(), two, k=4)),
-    "differential, PD allocated": (two, Allocated(pd, two)),
+    "differential, backstepping": (two, Backstepping(UnicycleTracking(), two, k=4)),
+    "differential, PD allocated": (two, ControlAllocation(pd, two)),
 }
 
 
@@ -423,10 +424,10 @@ runs, on_path, left_over = {}, {}, {}
 print(f"{'':38}  on the path: largest   0.1 m beside: left at the end")
 for path_name, trajectory in trajectories.items():
     for name, (plant, controller) in rivals.items():
-        run = simulate(plant, controller, trajectory, dt=0.1, engine=COMPILED)
+        run = simulate(plant, controller, trajectory, dt=0.1, engine=Engine.COMPILED)
         q0 = run.q[0].copy()
         q0[:2] += 0.1 * np.array([-np.sin(q0[2]), np.cos(q0[2])])
-        beside = simulate(plant, controller, trajectory, dt=0.1, q0=q0, v0=run.v[0], engine=COMPILED)
+        beside = simulate(plant, controller, trajectory, dt=0.1, q0=q0, v0=run.v[0], engine=Engine.COMPILED)
         runs[path_name, name] = beside
         on_path[path_name, name] = distance(run).max()
         left_over[path_name, name] = distance(beside)[-1]
@@ -464,10 +465,10 @@ for axes in (left, right):
 words = {}
 for name, attempt in {
     "sideways": lambda: simulate(
-        two, Backstepping(Tracking(), two), FixedHeading(Circle(3, 0.1, 60), 0.0), dt=0.1
+        two, Backstepping(UnicycleTracking(), two), FixedHeading(Circle(3, 0.1, 60), 0.0), dt=0.1
     ),
     "a heading that jumps": lambda: simulate(
-        two, Backstepping(Tracking(), two), LectureHeading(via_stop), dt=0.1
+        two, Backstepping(UnicycleTracking(), two), LectureHeading(via_stop), dt=0.1
     ),
     "no inverse dynamics": lambda: ComputedTorque(two),
 }.items():
@@ -477,7 +478,7 @@ for name, attempt in {
         words[name] = str(error)
         print(f"{name}: {error}\n")
 sideways_run = simulate(
-    four, ComputedTorque(four), FixedHeading(Circle(3, 0.1, 60), 0.0), dt=0.1, engine=COMPILED
+    four, ComputedTorque(four), FixedHeading(Circle(3, 0.1, 60), 0.0), dt=0.1, engine=Engine.COMPILED
 )
 print(f"the mecanum drive follows it sideways, {1e3 * distance(sideways_run).max():.3f} mm off at most")
 

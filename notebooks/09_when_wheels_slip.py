@@ -16,44 +16,38 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from pinmobile import (
-    COMPILED,
-    PYTHON,
     Backstepping,
-    ByOdometry,
     Circle,
     ComputedTorque,
     Coulomb,
     EndEffectorTracking,
+    Engine,
     FixedHeading,
-    Friction,
     Hold,
     Lissajous,
     MobileRobot,
     Motor,
     Normal,
     PosePath,
-    Ramp,
     RestToRest,
-    Same,
+    SameAs,
     Spline,
     Tangent,
-    Tracking,
+    UnicycleTracking,
     Uniform,
     WheeledRobot,
-    WheelSpeed,
     WheelTable,
-    contact_loads,
     ensemble,
-    fastest,
     law,
     parts,
     plots,
-    resolve,
     simulate,
-    slip_margins,
-    tip_over_margin,
+    solve_inverse_kinematics,
 )
+from pinmobile.balance import contact_loads, max_path_speed, slip_margins, tip_over_margin
+from pinmobile.controllers import WheelSpeed
 from pinmobile.plots.style import INK, colour, dress
+from pinmobile.wheels import OdometryFeedback, Ramp, WheelFriction
 
 np.set_printoptions(precision=3, suppress=True, linewidth=110)
 g = 9.81  # [m/s^2]
@@ -76,7 +70,7 @@ def nothing(t, q, v, reference):
     return np.zeros(2)
 
 
-def left_alone(robot, duration, v=None, engine=COMPILED):
+def left_alone(robot, duration, v=None, engine=Engine.COMPILED):
     """Return what a robot does without torques, from rest or from velocities."""
     nowhere = FixedHeading(Hold([0.0, 0.0], duration), 0.0)
     v0 = np.zeros(robot.nv) if v is None else v
@@ -85,7 +79,7 @@ def left_alone(robot, duration, v=None, engine=COMPILED):
 
 def locked(mu, ramp=None):
     """Return the base on locked wheels."""
-    table = WheelTable.skid_steer(0.5, 0.4, 0.1, friction=Friction(mu=mu, rolling=1e3), **wheel)
+    table = WheelTable.skid_steer(0.5, 0.4, 0.1, friction=WheelFriction(mu=mu, rolling=1e3), **wheel)
     return WheeledRobot(body, table, Coulomb(ramp=ramp))
 
 
@@ -149,14 +143,14 @@ def effective_track(robot, table):
     """Return the track that a base seems to have in a slow turn in place, as a multiple of its own."""
     base, surface = WheeledRobot(robot, table), 0.02  # [m/s] of the wheels
     turning = surface / table.wheels[0].radius * np.array([-1.0, 1.0, -1.0, 1.0])
-    run = left_alone(base, 0.3, np.concatenate([np.zeros(3), turning]), PYTHON)
+    run = left_alone(base, 0.3, np.concatenate([np.zeros(3), turning]), Engine.PYTHON)
     radius, half = table.wheels[0].radius, table.wheels[0].y
     return run.v[-1, 4] * radius / run.v[-1, 2] / half
 
 
 def skidding(wheelbase, track, radius, mu):
     """Return four wheels that keep their rates, whatever the ground does: their motors have flywheels."""
-    kept = {**wheel, "friction": Friction(mu=mu, rolling=0.0), "motor": Motor(rotor_inertia=1e6)}
+    kept = {**wheel, "friction": WheelFriction(mu=mu, rolling=0.0), "motor": Motor(rotor_inertia=1e6)}
     return WheelTable.skid_steer(wheelbase, track, radius, **kept)
 
 
@@ -205,7 +199,7 @@ dress(axes)
 #
 # $$\sum_i \sqrt{(\mu N_i)^2 - \lambda_{i,\mathrm{along}}^2} \;-\; |Y|$$
 #
-# Before anything is driven, `fastest` tells how fast the whole path can be taken on ground with
+# Before anything is driven, `max_path_speed` tells how fast the whole path can be taken on ground with
 # $\mu = 0.4$, and what gives way first. Then it is driven, a little slower than that and a little faster, on
 # the same ground, by tyres that give way by 0.1 mm/s per newton before they slide, as tyres do: that decides
 # how the two share the force across.
@@ -221,8 +215,8 @@ def on(friction):
     return WheelTable.differential(0.5, 0.1, supports=places, motor=limited, friction=friction, **wheel)
 
 
-rolling = WheeledRobot(light, on(Friction(mu=0.4)))
-slippery = WheeledRobot(light, on(Friction(mu=0.4, slip=1e-4)), Coulomb())
+rolling = WheeledRobot(light, on(WheelFriction(mu=0.4)))
+slippery = WheeledRobot(light, on(WheelFriction(mu=0.4, slip=1e-4)), Coulomb())
 
 
 def ellipse(faster):
@@ -231,15 +225,15 @@ def ellipse(faster):
     return Tangent(Lissajous(2, 1, 0.5 * faster, 0.5 * faster, whole))
 
 
-limit = fastest(rolling, ellipse(1))
+limit = max_path_speed(rolling, ellipse(1))
 print(f"up to {limit.factor:.3f} times as fast, {limit.value:.2f} m/s; beyond, {limit.what}")
-firmware = WheelSpeed(Tracking(b=0.3), rolling, kp=3, ki=10)
+firmware = WheelSpeed(UnicycleTracking(b=0.3), rolling, kp=3, ki=10)
 turns, margins = {}, {}
 for share in (0.97, 1.1):
     quick = ellipse(share * limit.factor)
     name = f"{share:g} of the limit"
-    margins[name] = simulate(rolling, firmware, quick, dt=0.01, engine=COMPILED)
-    turns[name] = simulate(slippery, firmware, quick, dt=0.01, engine=COMPILED)
+    margins[name] = simulate(rolling, firmware, quick, dt=0.01, engine=Engine.COMPILED)
+    turns[name] = simulate(slippery, firmware, quick, dt=0.01, engine=Engine.COMPILED)
     slid_at = turns[name].measures()["slip"][1]
     left_over = slip_margins(margins[name]).values.min()
     print(f"{name}: if it rolled, margin {left_over:6.2f} N; on the ground, slip {slid_at.max():.1g} m/s")
@@ -281,7 +275,7 @@ plots.friction(turns["1.1 of the limit"], title="1.1 of the limit: force in the 
 judged = WheeledRobot(light, driven)
 uncertain = {
     "left.friction.mu": Uniform(0.2, 0.8),
-    "right.friction.mu": Same("left.friction.mu"),
+    "right.friction.mu": SameAs("left.friction.mu"),
     "com.z": Uniform(0.1, 0.2),
 }
 paces = np.array([1.4, 1.6, 1.8, 2.0, 2.2, 2.4, 2.6, 2.8])
@@ -289,11 +283,11 @@ told, did, agreed = [], [], []
 for pace in paces:
     circle = Tangent(Circle(2, pace / 2, 1))
     options = {"n": 10_000, "spread": uncertain, "dt": 0.01}
-    would = ensemble(judged, Backstepping(Tracking(), judged), circle, **options)
+    would = ensemble(judged, Backstepping(UnicycleTracking(), judged), circle, **options)
     told.append(np.mean(would.largest("slip margin") < 0))
     if pace in (1.6, 2.0, 2.4):
         ground = WheeledRobot(light, driven, Coulomb())
-        slipped = ensemble(ground, Backstepping(Tracking(), judged), circle, **options)
+        slipped = ensemble(ground, Backstepping(UnicycleTracking(), judged), circle, **options)
         did.append(np.mean(slipped.largest("slip") > 1e-3))
         agreed.append(np.mean((slipped.largest("slip") > 1e-3) == (would.largest("slip margin") < 0)))
 by_pencil = np.clip((2 * paces**2 / (2 * g) - 0.2) / 0.6, 0, 1)
@@ -313,7 +307,8 @@ dress(axes)
 # %% [markdown]
 # ## What is odometry worth?
 #
-# A wheel need not slip to mislead. `ByOdometry` tells its controller the pose that follows from what the
+# A wheel need not slip to mislead. `OdometryFeedback` tells its controller the pose that follows from what
+# the
 # wheels have turned, by the table that it believes. Let the left wheel be 1 % smaller than believed. The
 # robot drives 10 m straight on, as it thinks. By pencil: the left side makes 1 % less way, so the
 # heading turns by $0.01 / 0.5$ rad per metre (the track has 0.5 m), and 10 m on the robot is
@@ -321,9 +316,9 @@ dress(axes)
 
 # %%
 straight = Tangent(RestToRest((0, 0), (10, 0), duration=20))
-believes = ByOdometry(Backstepping(Tracking(), judged), driven)
+believes = OdometryFeedback(Backstepping(UnicycleTracking(), judged), driven)
 smaller = parts.replace(judged, {"table.wheels.left.radius": 0.099})
-misled = simulate(smaller, believes, straight, dt=0.02, engine=COMPILED)
+misled = simulate(smaller, believes, straight, dt=0.02, engine=Engine.COMPILED)
 aside = misled.q[-1, 1]
 thought = misled.signals["believed_pose"].values[-1]
 print(f"it believes to be at {thought[0]:.3f} m, {1e3 * thought[1]:.3f} mm aside,")
@@ -355,8 +350,10 @@ for share in shares:
 # ## With an arm on it
 #
 # A UR5 on a Ridgeback, a base on mecanum wheels (its numbers are those of its file, ridgeback/ridgeback
-# f38b789, with the wheels locked; its front axle hangs on a rocker, which is held here). The hand draws a
-# wave on a wall, 2 m long in 5 s, longer than the arm. `resolve` finds a motion of base and arm together,
+# f38b789, with the wheels locked; its front axle hangs on a rocker, which is held here). The hand draws
+# a
+# wave on a wall, 2 m long in 5 s, longer than the arm. `solve_inverse_kinematics` finds a motion of base and
+# arm together,
 # `EndEffectorTracking` follows the wave by the torques of ten motors: four wheels, six joints. The
 # friction is taken as 0.4.
 
@@ -368,7 +365,7 @@ rollers = WheelTable.mecanum(
     mass=2.3,
     spin_inertia=6.6424e-3,
     yaw_inertia=3.3212e-3,
-    friction=Friction(mu=0.4, across=0.0, rolling=0.0),
+    friction=WheelFriction(mu=0.4, across=0.0, rolling=0.0),
 )
 ridgeback = MobileRobot(195.038, 11.7683, com=(0.01017, 0.0017, 0.09031), size=(0.96, 0.793, 0.31))
 painter = WheeledRobot(ridgeback, rollers).mount("ur5", at=(0.2, 0, 0.31, 0))
@@ -378,7 +375,7 @@ times = np.linspace(0, 5, 41)
 way = (times / 5) ** 3 * (10 - 15 * (times / 5) + 6 * (times / 5) ** 2)
 wave = hand[:3, 3] + np.stack([0 * way, 2 * way, 0.15 * np.sin(4 * np.pi * way)], axis=-1)
 target = PosePath(Spline(wave, times), hand[:3, :3])
-motion = resolve(painter.robot, target, q0=begin, dt=0.02)
+motion = solve_inverse_kinematics(painter.robot, target, q0=begin, dt=0.02)
 painted = simulate(painter, EndEffectorTracking(painter, target, dt=0.01), motion, dt=0.01)
 at = painter.robot.frame_pose(painted.q[:, :9])[:, :3, 3]
 missed = np.linalg.norm(at - target(painted.t).pose[:, :3, 3], axis=1)
@@ -425,12 +422,12 @@ for axes in (left, right):
 
 # %%
 follower = ComputedTorque(painter, kp=100, kd=20)
-rolled = simulate(painter, follower, motion, dt=0.01, engine=COMPILED)
+rolled = simulate(painter, follower, motion, dt=0.01, engine=Engine.COMPILED)
 least = (np.abs(slip_margins(rolled).along) / contact_loads(rolled).values).max()
 slips = {}
 for share in (1.02, 0.98, 0.9, 0.6):
     floor = WheeledRobot(painter.robot, rollers, Coulomb(share * least))
-    tried = simulate(floor, follower, motion, dt=0.01, engine=COMPILED)
+    tried = simulate(floor, follower, motion, dt=0.01, engine=Engine.COMPILED)
     slips[share] = tried.measures()["slip"][1].max()
     off = painter.robot.frame_pose(tried.q[:, :9])[:, :3, 3] - target(tried.t).pose[:, :3, 3]
     off = np.linalg.norm(off, axis=1).max()

@@ -26,9 +26,9 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from pinmobile import (
-    COMPILED,
     Circle,
     ComputedTorque,
+    Engine,
     InvalidArgument,
     Log,
     MobileRobot,
@@ -67,7 +67,7 @@ def driven(trajectory):
     """Return the run of the real robot, driven by what is believed of it."""
     law = ComputedTorque(believed, kp=16, kd=8)
     return simulate(
-        real, law, trajectory, dt=dt, integrator=rk4, substeps=4, forces=friction, engine=COMPILED
+        real, law, trajectory, dt=dt, integrator=rk4, substeps=4, forces=friction, engine=Engine.COMPILED
     )
 
 

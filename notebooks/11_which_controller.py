@@ -15,7 +15,6 @@ import numpy as np
 
 from pinmobile import (
     ADRC,
-    COMPILED,
     LQR,
     MPC,
     PD,
@@ -24,15 +23,16 @@ from pinmobile import (
     Circle,
     ComputedTorque,
     ConstantForce,
-    Delayed,
     DisturbanceObserver,
+    Engine,
     FixedHeading,
+    InputSaturation,
+    MeasurementDelay,
+    MeasurementNoise,
     MobileRobot,
-    NoisyMeasurement,
     Polyline,
     Reference,
     RollingResistance,
-    Saturated,
     Scenario,
     SlidingMode,
     SuperTwisting,
@@ -41,8 +41,8 @@ from pinmobile import (
     rk4,
     simulate,
     sweep,
-    tip_over_margin,
 )
+from pinmobile.balance import tip_over_margin
 from pinmobile.plots.style import INK, colour, dress
 
 np.set_printoptions(precision=3, suppress=True, linewidth=110)
@@ -60,7 +60,7 @@ np.set_printoptions(precision=3, suppress=True, linewidth=110)
 NOMINAL = MobileRobot(mass=30.0, yaw_inertia=1.3, com=(0.1, 0.05))
 HEAVY = MobileRobot(mass=36.0, yaw_inertia=1.56, com=(0.1, 0.05))
 circle = Tangent(Circle(radius=1.5, rate=0.6, duration=30.0))
-measured = Delayed(NoisyMeasurement(PD(120, 120), 0.0, 0.0, seed=0), 0)
+measured = MeasurementDelay(MeasurementNoise(PD(120, 120), 0.0, 0.0, seed=0), 0)
 LAW = "controller.controller.controller"
 GIVEN = {"dt": 0.01, "integrator": rk4, "substeps": 4}
 base = Scenario(robot=NOMINAL, controller=measured, trajectory=circle, n=1, spread={}, after=5.0, **GIVEN)
@@ -108,7 +108,7 @@ print(result.table(most=5))
 def run_of(found, **labels):
     """Return the run of the first robot at a point of a sweep, compiled."""
     robot, controller, trajectory, options = found.ensemble(**labels).member(0)
-    return simulate(robot, controller, trajectory, engine=COMPILED, **options)
+    return simulate(robot, controller, trajectory, engine=Engine.COMPILED, **options)
 
 
 def chatter_of(run):
@@ -214,7 +214,8 @@ class Rich:
 
 motions = {"circle": circle, "rich": Rich()}
 adaptive = {
-    name: simulate(HEAVY, rivals["adaptive"], way, engine=COMPILED, **GIVEN) for name, way in motions.items()
+    name: simulate(HEAVY, rivals["adaptive"], way, engine=Engine.COMPILED, **GIVEN)
+    for name, way in motions.items()
 }
 truth = HEAVY.mass * np.array([1, *HEAVY.com[:2]])
 truth = np.append(truth, HEAVY.mass_matrix([0, 0, 0])[2, 2])
@@ -381,7 +382,7 @@ for name, controller in {
     "LQR": LQR(NOMINAL),
     "MPC": MPC(NOMINAL, limits=LIMITS),
 }.items():
-    run = simulate(NOMINAL, Saturated(controller, LIMITS), short, **start, **GIVEN)
+    run = simulate(NOMINAL, InputSaturation(controller, LIMITS), short, **start, **GIVEN)
     distances[name] = np.linalg.norm(run.error[:, :2], axis=-1)
     off = np.column_stack([run.error, run.v - run.reference.v])
     costs[name] = GIVEN["dt"] * (off**2 @ weights).sum()
@@ -408,7 +409,7 @@ figure, axes = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
 mpc = MPC(NOMINAL).within(PUSH, upper=WALL)
 beyond, margin = {}, {}
 for k, (name, controller) in enumerate({"LQR": LQR(NOMINAL), "MPC": mpc}.items()):
-    run = simulate(TALL, Saturated(controller, PUSH), corner, **start, **GIVEN)
+    run = simulate(TALL, InputSaturation(controller, PUSH), corner, **start, **GIVEN)
     axes.plot(*run.q[:, :2].T, dashes[k], color=colour(k), label=name)
     beyond[name], margin[name] = run.q[:, 0].max() - WALL[0], tip_over_margin(run).min()
     by = f"{1e3 * beyond[name]:.0f} mm beyond" if beyond[name] > 1e-3 else "before"

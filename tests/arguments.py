@@ -144,7 +144,7 @@ def _scenario() -> Any:
 
 def _commands() -> Any:
     still = pm.FixedHeading(pm.Hold((0, 0), 21.0), 0.0)
-    run = pm.simulate(WORLD.commanded, pm.RandomSteps(), still, dt=0.1, engine=pm.COMPILED)
+    run = pm.simulate(WORLD.commanded, pm.controllers.RandomSteps(), still, dt=0.1, engine=pm.Engine.COMPILED)
     q = run.q + 1e-3 * np.random.default_rng(1).normal(size=run.q.shape)
     return pm.Log(run.t, q, run.u)
 
@@ -172,7 +172,9 @@ MADE: dict[str, Callable[[], Any]] = {
     "standing": lambda: WheeledRobot(
         WORLD.robot, WheelTable.differential(0.5, 0.1, supports=[(0.6, 0.0), (-0.6, 0.0)])
     ),
-    "wheeled_motion": lambda: pm.Motion(WORLD.standing, np.zeros(5), np.zeros(5), np.zeros(5), np.zeros(2)),
+    "wheeled_motion": lambda: pm.balance.MotionStates(
+        WORLD.standing, np.zeros(5), np.zeros(5), np.zeros(5), np.zeros(2)
+    ),
     "electric": lambda: WheeledRobot(
         WORLD.robot,
         WheelTable.differential(
@@ -185,8 +187,8 @@ MADE: dict[str, Callable[[], Any]] = {
     "trajectory": lambda: pm.Tangent(WORLD.path),
     "rollout": lambda: pm.simulate(WORLD.robot, pm.PD(40, 20), WORLD.trajectory, dt=0.1),
     "told": lambda: replace(WORLD.rollout, signals={"margin": ("m", np.zeros(len(WORLD.rollout)))}),
-    "motion": lambda: pm.Motion(WORLD.robot, np.zeros(3), np.zeros(3), np.zeros(3)),
-    "arm_motion": lambda: pm.Motion(WORLD.armed, np.zeros(5), np.zeros(5), np.zeros(5)),
+    "motion": lambda: pm.balance.MotionStates(WORLD.robot, np.zeros(3), np.zeros(3), np.zeros(3)),
+    "arm_motion": lambda: pm.balance.MotionStates(WORLD.armed, np.zeros(5), np.zeros(5), np.zeros(5)),
     "target": lambda: pm.PosePath(pm.RestToRest([0.1, 0.0, 0.55], [0.2, 0.05, 0.55], 1)),
     "ensemble": _ensemble,
     "scenario": _scenario,
@@ -196,7 +198,7 @@ MADE: dict[str, Callable[[], Any]] = {
     "viewer": _viewer,
     "recording": lambda: WORLD.viewer.record(WORLD.rollout, fps=5),
     "body": lambda: urdf.Body(10.0, np.zeros(3), np.eye(3)),
-    "urdf": lambda: pm.shipped_urdf("box"),
+    "urdf": lambda: pm.urdf.shipped_urdf("box"),
     "ensemble_scenario": lambda: WORLD.ensemble.scenario,
     "saved_ensemble": lambda: (
         WORLD.ensemble.save(WORLD.folder / "ensemble.npz"),
@@ -218,7 +220,7 @@ def ENSEMBLE() -> dict[str, Any]:
         "dt": 0.1,
         "seed": 1,
         "duration": 1.0,
-        "integrator": pm.constant_acceleration,
+        "integrator": pm.integrators.constant_acceleration,
         "substeps": 1,
         "forces": [pm.ConstantForce([0.1, 0, 0])],
         "limit": 1e3,
@@ -226,7 +228,7 @@ def ENSEMBLE() -> dict[str, Any]:
         "every": 2,
         "measures": [],
         "traces": [0],
-        "engine": loop.COMPILED,
+        "engine": loop.Engine.COMPILED,
     }
 
 
@@ -279,15 +281,22 @@ STATES: dict[str, dict[str, Any]] = {
 }
 
 ROWS: dict[str, Row] = {
-    "PD": row(kp=1, kd=[1, 2, 3], difference=pm.planar_difference),
-    "ComputedTorque": row(robot=the("robot"), kp=4, kd=4, difference=pm.plain_difference),
-    "Decoupled": row(robot=the("robot"), kp=4, kd=4, difference=pm.planar_difference),
-    "PDGravity": row(robot=the("robot"), kp=4, kd=4, difference=pm.planar_difference),
-    "PID": row(robot=the("robot"), kp=48, ki=64, kd=12, difference=pm.planar_difference),
+    "PD": row(kp=1, kd=[1, 2, 3], difference=pm.controllers.planar_difference),
+    "ComputedTorque": row(robot=the("robot"), kp=4, kd=4, difference=pm.controllers.plain_difference),
+    "Decoupled": row(robot=the("robot"), kp=4, kd=4, difference=pm.controllers.planar_difference),
+    "PDGravity": row(robot=the("robot"), kp=4, kd=4, difference=pm.controllers.planar_difference),
+    "PID": row(robot=the("robot"), kp=48, ki=64, kd=12, difference=pm.controllers.planar_difference),
     "SlidingMode": row(
-        robot=the("robot"), slope=4, damping=4, reach=3, layer=0.1, difference=pm.planar_difference
+        robot=the("robot"),
+        slope=4,
+        damping=4,
+        reach=3,
+        layer=0.1,
+        difference=pm.controllers.planar_difference,
     ),
-    "SuperTwisting": row(robot=the("robot"), slope=4, k1=3, k2=3, difference=pm.planar_difference),
+    "SuperTwisting": row(
+        robot=the("robot"), slope=4, k1=3, k2=3, difference=pm.controllers.planar_difference
+    ),
     "Adaptive": row(
         robot=the("robot"),
         slope=4,
@@ -299,7 +308,7 @@ ROWS: dict[str, Row] = {
         leakage=0.01,
         lower=[1, -9, -9, 0],
         upper=[90, 9, 9, 9],
-        difference=pm.planar_difference,
+        difference=pm.controllers.planar_difference,
     ),
     "LQR": row(robot=the("robot"), Q=[400, 400, 100, 20, 20, 5], R=[0.001, 0.001, 0.02]),
     "MPC": row(
@@ -315,12 +324,12 @@ ROWS: dict[str, Row] = {
     ),
     "ADRC": row(robot=the("robot"), bandwidth=4, observer=20, inertia=[30, 30, 1.5]),
     "DisturbanceObserver": row(controller=pm.PD(1, 1), robot=the("robot"), gain=10),
-    "Saturated": row(controller=pm.PD(1, 1), limits=[1, 2, 3]),
-    "Allocated": row(controller=pm.PD(1, 1), robot=the("wheeled")),
-    "Backstepping": row(law=pm.Tracking(), robot=the("wheeled"), k=10, steer=10, arms=2),
-    "Driven": row(controller=pm.PD(1, 1), robot=the("electric")),
-    "WheelSpeed": row(law=pm.Tracking(), robot=the("wheeled"), kp=1, ki=2),
-    "VelocityCommand": row(law=pm.Tracking(), robot=the("commanded")),
+    "InputSaturation": row(controller=pm.PD(1, 1), limits=[1, 2, 3]),
+    "ControlAllocation": row(controller=pm.PD(1, 1), robot=the("wheeled")),
+    "Backstepping": row(law=pm.UnicycleTracking(), robot=the("wheeled"), k=10, steer=10, arms=2),
+    "TorqueToVoltage": row(controller=pm.PD(1, 1), robot=the("electric")),
+    "WheelSpeed": row(law=pm.UnicycleTracking(), robot=the("wheeled"), kp=1, ki=2),
+    "VelocityCommand": row(law=pm.UnicycleTracking(), robot=the("commanded")),
     "AdaptiveVelocity": row(
         robot=the("commanded"),
         ahead=0.2,
@@ -337,12 +346,12 @@ ROWS: dict[str, Row] = {
         theta=THETA, ahead=0.1, limits=[0.8, 1], accelerations=1.0, size=[0.4, 0.3, 0.2], source="a test"
     ),
     "SwerveTracking": row(robot=the("swerve"), kp=2, k=10, steer=10, least=0.05),
-    "Tracking": row(zeta=0.7, b=20),
+    "UnicycleTracking": row(zeta=0.7, b=20),
     "Kanayama": row(k1=2, k2=10, k3=5),
     "Parking": row(k1=1, k2=3, k3=2, near=0.001),
     "DynamicFeedback": row(kp=2, kd=2.8, least=0.05),
-    "Delayed": row(controller=pm.PD(1, 1), samples=2),
-    "NoisyMeasurement": row(controller=pm.PD(1, 1), std_q=0.1, std_v=[0.1, 0.1, 0.2], seed=1),
+    "MeasurementDelay": row(controller=pm.PD(1, 1), samples=2),
+    "MeasurementNoise": row(controller=pm.PD(1, 1), std_q=0.1, std_v=[0.1, 0.1, 0.2], seed=1),
     "EndEffectorTracking": row(
         robot=the("armed"),
         target=the("target"),
@@ -364,7 +373,7 @@ ROWS: dict[str, Row] = {
     "Lissajous": row(rx=1, ry=2, wx=0.5, wy=1, duration=1),
     "CompositePath": row(paths=[pm.Line([0, 0], [1, 0], 1), pm.Line([1, 0], [2, 0], 1)]),
     "Line": row(start=[0, 0], end=[1, 1], duration=1),
-    "Moved": row(path=the("path"), x=1, y=2, angle=0.5),
+    "TransformedPath": row(path=the("path"), x=1, y=2, angle=0.5),
     "Polyline": row(waypoints=[[0, 0], [1, 0], [1, 1]], corner_radius=0.2, duration=5, acceleration=2),
     "CubicVia": row(
         start=[0, 0],
@@ -394,17 +403,17 @@ ROWS: dict[str, Row] = {
     "Tangent.__call__": row(t=[0.1, 0.5]),
     "Circle.moved": row(x=1, y=2, angle=0.5),
     "ConstantForce": row(force=[1, 2, 3], begin=0.5, end=1.5),
-    "Payload": row(mass=2.0, at=[0.1, 0.2], when=1.0, yaw_inertia=0.1),
+    "PayloadForce": row(mass=2.0, at=[0.1, 0.2], when=1.0, yaw_inertia=0.1),
     "SinusoidalForce": row(amplitude=[1, 2, 3], frequency=0.5, phase=0.1),
     "NoiseForce": row(std=[1, 2, 3], bandwidth=2, seed=1),
     "JointFriction": row(viscous=[1, 2, 3], coulomb=[0.1, 0.2, 0.3], speed=0.1),
     "RollingResistance": row(force=[1, 2, 3], speed=0.01),
     "ViscousFriction": row(coefficients=None, forward=1, left=2, yaw=3),
-    "Load": row(mass=1, com=(0, 0, 0.1), inertia=np.eye(3), size=(0.1, 0.1, 0.1)),
-    "Motion": row(plant=the("robot"), q=Q, v=V, a=A, u=[1, 2, 3]),
-    "Limit": row(value=1.5, what="left slips", time=0.5, factor=2),
-    "fastest": row(plant=the("standing"), trajectory=the("trajectory"), samples=20),
-    "steepest": row(plant=the("standing"), direction=0.5),
+    "PayloadBody": row(mass=1, com=(0, 0, 0.1), inertia=np.eye(3), size=(0.1, 0.1, 0.1)),
+    "MotionStates": row(plant=the("robot"), q=Q, v=V, a=A, u=[1, 2, 3]),
+    "MotionLimit": row(value=1.5, what="left slips", time=0.5, factor=2),
+    "max_path_speed": row(plant=the("standing"), trajectory=the("trajectory"), samples=20),
+    "max_slope": row(plant=the("standing"), direction=0.5),
     "tip_over_margin": row(motion=the("motion"), footprint=[[-1, -1], [1, -1], [1, 1], [-1, 1]]),
     "zero_moment_point": row(motion=the("motion")),
     "reaction_wrench": row(motion=the("arm_motion"), mount="arm"),
@@ -415,7 +424,7 @@ ROWS: dict[str, Row] = {
     "Uniform": row(low=1, high=2),
     "Normal": row(mean=1, std=2),
     "Relative": row(factor=pm.Normal(1, 0.1)),
-    "Same": row(name="mass", factor=pm.Normal(1, 0.1)),
+    "SameAs": row(name="mass", factor=pm.Normal(1, 0.1)),
     "Scenario": Row(lambda: {k: v for k, v in ENSEMBLE().items() if k not in ("engine", "traces")}),
     "ensemble": Row(lambda: ENSEMBLE() | {"threads": 1, "progress": lambda done, n: None}, 300),
     "Ensemble.load": row(path=the("saved_ensemble"), scenario=the("ensemble_scenario")),
@@ -434,7 +443,7 @@ ROWS: dict[str, Row] = {
         version="1",
     ),
     "Sweep.within": row(share=0.9, by="distance"),
-    "MobileRobot": row(mass=10, yaw_inertia=1, com=(0.1, 0.05), size=(0.6, 0.4, 0.2), dh=pm.LECTURE_TABLE),
+    "MobileRobot": row(mass=10, yaw_inertia=1, com=(0.1, 0.05), size=(0.6, 0.4, 0.2), dh=pm.dh.LECTURE_TABLE),
     "MobileRobot.box": row(mass=10, size=(0.6, 0.4, 0.2)),
     "MobileRobot.from_urdf": row(path=the("urdf"), package_dirs=(), ground=-0.1),
     "MobileRobot.mount": row(
@@ -447,7 +456,7 @@ ROWS: dict[str, Row] = {
         rest=[0.1, 0.2],
         locked=["j1"],
     ),
-    "MobileRobot.attach": row(load=pm.Load(1), frame=None),
+    "MobileRobot.attach": row(load=pm.PayloadBody(1), frame=None),
     "MobileRobot.regressor": row(q=Q, v=V, a=A),
     "MobileRobot.frame_pose": row(q=Q, frame=None),
     "MobileRobot.linearize": row(q=Q, v=V, tau=A),
@@ -488,7 +497,7 @@ ROWS: dict[str, Row] = {
     "Rollout.save": row(path=partial(lambda: WORLD.folder / "again.npz")),
     "Rollout.end_effector": row(frame=None),
     "integrator_report": row(60, integrator=pm.rk4, robot=the("robot"), steps=(0.1, 0.05), duration=0.2),
-    "resolve": row(
+    "solve_inverse_kinematics": row(
         200,
         robot=the("armed"),
         target=the("target"),
@@ -521,14 +530,14 @@ ROWS: dict[str, Row] = {
     ),
     "vectorize": row(function=pm.MobileRobot.box().mass_matrix, axes=1, checked=True, keep=False),
     "verify": row(60, robot=the("robot"), states=3, seed=1),
-    "DHRow": row(alpha=0, a=0, theta=0, d=0, joint=pm.JointType.REVOLUTE, variable="a"),
-    "DHTable": row(rows=pm.LECTURE_TABLE.rows),
+    "DHRow": row(alpha=0, a=0, theta=0, d=0, joint=pm.dh.JointType.REVOLUTE, variable="a"),
+    "DHTable": row(rows=pm.dh.LECTURE_TABLE.rows),
     "DHTable.placements": row(q=Q),
     "urdf.Body": row(mass=1, com=[0, 0, 0], inertia=np.eye(3)),
     "urdf.box_inertia": row(mass=1, size=(1, 2, 3)),
-    "urdf.write": row(table=pm.LECTURE_TABLE, body=the("body"), size=(1, 2, 3), name="robot", stance={}),
+    "urdf.write": row(table=pm.dh.LECTURE_TABLE, body=the("body"), size=(1, 2, 3), name="robot", stance={}),
     "derivation.Chain": row(
-        table=pm.LECTURE_TABLE,
+        table=pm.dh.LECTURE_TABLE,
         links=[None, None, derivation.Link.general(3)],
         order=("x", "y", "psi"),
         gravity=(0, 0, 0),
@@ -536,7 +545,7 @@ ROWS: dict[str, Row] = {
     "derivation.Link": row(mass=1, com=(0, 0, 0), inertia=np.eye(3).tolist()),
     "derivation.derive": row(
         40,
-        table=pm.LECTURE_TABLE,
+        table=pm.dh.LECTURE_TABLE,
         links=[None, None, derivation.Link(1, (0, 0, 0), np.eye(3).tolist())],
         order=("x", "y", "psi"),
         gravity=(0, 0, 0),
@@ -574,11 +583,11 @@ ROWS: dict[str, Row] = {
         60, ensembles=the("ensemble"), levels=(0.5, 0.9), by=["distance"], title="a title", ax=None, width=6.0
     ),
     "plots.signals": row(rollouts=the("told"), title="a title", ax=None, width=6.0),
-    "Ackermann": row(wheels=("front_left", "front_right"), axle=0.1, name="steering"),
-    "ByOdometry": row(controller=pm.PD(1, 1), table=the("differential"), ticks=1000, noise=0.1, seed=1),
-    "Coulomb": row(mu=0.5, ramp=pm.Ramp(0.1), sweeps=100, tolerance=1e-09),
-    "Differential": row(wheels=("left", "right"), motor=pm.Motor(), name="drive"),
-    "Friction": row(mu=0.8, across=0.02, rolling=0.01, slip=0.1),
+    "AckermannSteering": row(wheels=("front_left", "front_right"), axle=0.1, name="steering"),
+    "OdometryFeedback": row(controller=pm.PD(1, 1), table=the("differential"), ticks=1000, noise=0.1, seed=1),
+    "Coulomb": row(mu=0.5, ramp=pm.wheels.Ramp(0.1), sweeps=100, tolerance=1e-09),
+    "DifferentialGear": row(wheels=("left", "right"), motor=pm.Motor(), name="drive"),
+    "WheelFriction": row(mu=0.8, across=0.02, rolling=0.01, slip=0.1),
     "GearTrain": row(wheels=("left", "right"), ratios=[1.0, 2.0]),
     "Motor": row(**MOTOR, source="a test"),
     "Motor.torque": row(volts=[1, 2], rate=3),
@@ -586,7 +595,7 @@ ROWS: dict[str, Row] = {
         voltage=12.0, stall_torque=2.0, stall_current=5.0, no_load_rate=20.0, no_load_current=0.2, gear=50.0
     ),
     "Ramp": row(angle=0.1, direction=0.2),
-    "Rolling": row(ramp=pm.Ramp(0.1)),
+    "Rolling": row(ramp=pm.wheels.Ramp(0.1)),
     "Support": row(x=1, y=2),
     "Wheel": row(
         name="left",
@@ -601,13 +610,13 @@ ROWS: dict[str, Row] = {
         spin_inertia=0.01,
         yaw_inertia=0.01,
         motor=pm.Motor(),
-        friction=pm.Friction(),
+        friction=pm.wheels.WheelFriction(),
         steering_limit=1.0,
     ),
     "WheelTable": row(
-        wheels=[pm.Wheel("left", 0, 0.2, 0.1), pm.Wheel("right", 0, -0.2, 0.1)],
-        supports=[pm.Support(0.2, 0)],
-        couplings=[pm.GearTrain(("left", "right"))],
+        wheels=[pm.wheels.Wheel("left", 0, 0.2, 0.1), pm.wheels.Wheel("right", 0, -0.2, 0.1)],
+        supports=[pm.wheels.Support(0.2, 0)],
+        couplings=[pm.wheels.GearTrain(("left", "right"))],
         source="a test",
     ),
     "WheelTable.car": row(wheelbase=0.6, track=0.4, radius=0.1, motor=pm.Motor(), steering_limit=0.6, mass=1),
@@ -649,7 +658,7 @@ ROWS: dict[str, Row] = {
         caption=True,
         desired=False,
         body_frame=False,
-        frames=(pm.LECTURE_TABLE,),
+        frames=(pm.dh.LECTURE_TABLE,),
         arrows=viewer.Arrows(),
         camera=viewer.Follow(),
     ),
@@ -681,7 +690,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "Log": lambda: WORLD.log,
     "Identification": lambda: WORLD.identified,
     "Rollout": lambda: WORLD.rollout,
-    "DHTable": lambda: pm.LECTURE_TABLE,
+    "DHTable": lambda: pm.dh.LECTURE_TABLE,
     "derivation.Numeric": lambda: WORLD.numeric,
     "viewer.Viewer": _viewer,
     "viewer.Recording": lambda: WORLD.recording,

@@ -19,8 +19,8 @@ import pinmobile as pm
 from pinmobile.controllers import ADRC, PID, Adaptive, SlidingMode, SuperTwisting
 
 FILE = Path(__file__).parent / "data" / "frozen.json"
-COMPILED = pm.COMPILED
-PYTHON = pm.PYTHON
+COMPILED = pm.Engine.COMPILED
+PYTHON = pm.Engine.PYTHON
 BODY = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05))
 WRONG = pm.MobileRobot(25.0, 1.0)
 
@@ -92,7 +92,7 @@ def loops() -> Iterator[tuple[str, tuple[Any, ...], dict[str, Any]]]:
         "computed torque": pm.ComputedTorque(BODY),
         "PDGravity": pm.PDGravity(BODY, (120, 110, 5), 30.0),
         "PID": PID(WRONG),
-        "Decoupled": pm.Decoupled(WRONG),
+        "Decoupled": pm.controllers.Decoupled(WRONG),
         "sliding": SlidingMode(WRONG),
         "super-twisting": SuperTwisting(WRONG),
         "adaptive": Adaptive(WRONG, friction=True),
@@ -100,26 +100,32 @@ def loops() -> Iterator[tuple[str, tuple[Any, ...], dict[str, Any]]]:
         "observer": pm.DisturbanceObserver(pm.ComputedTorque(WRONG)),
         "law": pm.law(own),
         "leaky": Leaky(),
-        "saturated": pm.Saturated(pd, (20, 15, 2)),
-        "delayed": pm.Delayed(pd, 2),
-        "noisy": pm.NoisyMeasurement(pd, 1e-3, 2e-3, seed=3),
-        "all": pm.Saturated(pm.Delayed(pm.NoisyMeasurement(PID(WRONG), 1e-3, 1e-3, seed=1), 1), (40, 30, 5)),
+        "saturated": pm.InputSaturation(pd, (20, 15, 2)),
+        "delayed": pm.MeasurementDelay(pd, 2),
+        "noisy": pm.MeasurementNoise(pd, 1e-3, 2e-3, seed=3),
+        "all": pm.InputSaturation(
+            pm.MeasurementDelay(pm.MeasurementNoise(PID(WRONG), 1e-3, 1e-3, seed=1), 1), (40, 30, 5)
+        ),
     }
     for name, controller in controllers.items():
         yield name, (BODY, controller, CIRCLE), {}
     forces = {
         "constant": pm.ConstantForce((3, -2, 0.1), 1.0, 3.0),
-        "sine": pm.SinusoidalForce((2, 1, 0.1), 0.5, 0.3),
-        "noise": pm.NoiseForce((1, 2, 0.1), 2.0, seed=5),
+        "sine": pm.forces.SinusoidalForce((2, 1, 0.1), 0.5, 0.3),
+        "noise": pm.forces.NoiseForce((1, 2, 0.1), 2.0, seed=5),
         "viscous": pm.ViscousFriction((5, 9, 0.4)),
         "resistance": pm.RollingResistance((2, 3, 0.3), 0.1),
         "joints": pm.JointFriction(2.0, 1.0, 0.05),
-        "payload": pm.Payload(6.0, (0.2, 0.1), 1.0, 0.1),
+        "payload": pm.forces.PayloadForce(6.0, (0.2, 0.1), 1.0, 0.1),
     }
     for name, force in forces.items():
         yield name, (BODY, pd, CIRCLE), {"forces": (force,), "integrator": pm.rk4, "substeps": 2}
     yield "all forces", (BODY, pd, CIRCLE), {"forces": tuple(forces.values())}
-    yield "semi-implicit", (BODY, pd, CIRCLE), {"integrator": pm.semi_implicit_euler, "substeps": 3}
+    yield (
+        "semi-implicit",
+        (BODY, pd, CIRCLE),
+        {"integrator": pm.integrators.semi_implicit_euler, "substeps": 3},
+    )
     push: dict[str, Any] = {"limit": 1e6}
     held = pm.law(turning)
     for ground in (pm.Rolling(), pm.Coulomb()):
@@ -128,22 +134,34 @@ def loops() -> Iterator[tuple[str, tuple[Any, ...], dict[str, Any]]]:
         tall = pm.MobileRobot(30.0, 1.3, com=(0.05, 0.02, 0.2))
         yield f"differential {kind}", (pm.WheeledRobot(tall, differential, ground), held, CIRCLE), push
         mecanum = pm.WheeledRobot(tall, table("mecanum"), ground)
-        yield f"mecanum {kind}", (mecanum, pm.Allocated(pd, mecanum), CIRCLE), push
+        yield f"mecanum {kind}", (mecanum, pm.ControlAllocation(pd, mecanum), CIRCLE), push
     skid = pm.WheeledRobot(BODY, table("skid_steer"), pm.Coulomb())
     yield "skid-steer", (skid, held, CIRCLE), push
     drive = pm.WheeledRobot(BODY, table("differential"))
-    yield "backstepping", (drive, pm.Backstepping(pm.Tracking(), drive), CIRCLE), {}
-    yield "wheel speed", (drive, pm.WheelSpeed(pm.Kanayama(), drive, 0.5, 0.1), CIRCLE), {}
+    yield "backstepping", (drive, pm.Backstepping(pm.UnicycleTracking(), drive), CIRCLE), {}
+    yield (
+        "wheel speed",
+        (drive, pm.controllers.WheelSpeed(pm.controllers.Kanayama(), drive, 0.5, 0.1), CIRCLE),
+        {},
+    )
     electric = pm.WheeledRobot(BODY, table("differential", motor=MOTOR))
     yield (
         "volts",
-        (electric.by_voltage(), pm.Driven(pm.Backstepping(pm.Tracking(), electric), electric), CIRCLE),
+        (
+            electric.by_voltage(),
+            pm.controllers.TorqueToVoltage(pm.Backstepping(pm.UnicycleTracking(), electric), electric),
+            CIRCLE,
+        ),
         {},
     )
     commanded = pm.VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], accelerations=(2.0, 4.0))
-    yield "commanded", (commanded, pm.VelocityCommand(pm.Tracking(), commanded), CIRCLE), {}
+    yield (
+        "commanded",
+        (commanded, pm.controllers.VelocityCommand(pm.UnicycleTracking(), commanded), CIRCLE),
+        {},
+    )
     bare = pm.MobileRobot.box().mount("ur5")
-    arm = bare.attach(pm.Load(2.0))
+    arm = bare.attach(pm.PayloadBody(2.0))
     base = pm.Tangent(pm.Circle(3.0, 0.1, 2.0))
     motion: Any = Rounded(pm.WholeBody(arm, base, pm.Hold(arm.rest[3:], 2.0)))
     yield "ur5", (arm, pm.ComputedTorque(bare, 9, 6), motion), {}
@@ -208,21 +226,21 @@ ERRORS: dict[str, Callable[[], Any]] = {
     "no robot": lambda: pm.ComputedTorque(3),
     "slope": lambda: SlidingMode(BODY, slope=-1.0),
     "leakage": lambda: Adaptive(BODY, leakage=-1.0),
-    "samples": lambda: pm.Delayed(pm.PD(1, 1), -1),
-    "limits": lambda: pm.Saturated(pm.PD(1, 1), -1.0),
-    "std": lambda: pm.NoisyMeasurement(pm.PD(1, 1), -1.0, 0.0, seed=1),
-    "no controller": lambda: pm.Delayed(3, 1),
+    "samples": lambda: pm.MeasurementDelay(pm.PD(1, 1), -1),
+    "limits": lambda: pm.InputSaturation(pm.PD(1, 1), -1.0),
+    "std": lambda: pm.MeasurementNoise(pm.PD(1, 1), -1.0, 0.0, seed=1),
+    "no controller": lambda: pm.MeasurementDelay(3, 1),
     "force": lambda: pm.ConstantForce((1, 2)),
-    "frequency": lambda: pm.SinusoidalForce((1, 2, 3), -1.0),
+    "frequency": lambda: pm.forces.SinusoidalForce((1, 2, 3), -1.0),
     "friction": lambda: pm.ViscousFriction((-1, 2, 3)),
     "speed": lambda: pm.RollingResistance((1, 2, 3), 0.0),
-    "payload": lambda: pm.Payload(-1.0, (0, 0), 1.0),
-    "bandwidth": lambda: pm.NoiseForce((1, 1, 1), 0.0, seed=1),
+    "payload": lambda: pm.forces.PayloadForce(-1.0, (0, 0), 1.0),
+    "bandwidth": lambda: pm.forces.NoiseForce((1, 1, 1), 0.0, seed=1),
     "radius": lambda: pm.Circle(-1.0, 0.5, 6.0),
     "duration": lambda: pm.Line((0, 0), (1, 1), 0.0),
     "path": lambda: pm.Tangent(3),
     "wheel": lambda: pm.WheelTable.differential(0.5, -0.1),
-    "mu": lambda: pm.Friction(mu=-1.0),
+    "mu": lambda: pm.wheels.WheelFriction(mu=-1.0),
     "motor": lambda: pm.Motor(resistance=-1.0),
     "dt": lambda: pm.simulate(BODY, pm.PD(1, 1), CIRCLE, dt=0.0),
     "substeps": lambda: pm.simulate(BODY, pm.PD(1, 1), CIRCLE, dt=0.1, substeps=0),

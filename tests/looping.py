@@ -9,18 +9,17 @@ import numpy as np
 from pinmobile import (
     ComputedTorque,
     ConstantForce,
-    Delayed,
+    InputSaturation,
+    MeasurementDelay,
+    MeasurementNoise,
     MobileRobot,
-    NoisyMeasurement,
     RollingResistance,
-    Saturated,
-    SinusoidalForce,
     ViscousFriction,
-    constant_acceleration,
     rk4,
-    semi_implicit_euler,
 )
 from pinmobile.compiled import Cache, Outcome, Program, robot_keys
+from pinmobile.forces import SinusoidalForce
+from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.loop import Loop, Samples
 from pinmobile.loop._engines import in_python
 from pinmobile.loop._program import Compiled
@@ -121,17 +120,23 @@ def torque() -> ComputedTorque:
 
 
 def _all(controller: Any) -> Any:
-    return Saturated(Delayed(NoisyMeasurement(controller, 0.001, 0.005, 3), 5), LIMITS)
+    return InputSaturation(MeasurementDelay(MeasurementNoise(controller, 0.001, 0.005, 3), 5), LIMITS)
 
 
 COMPOSITIONS: dict[str, Callable[[], Loop]] = {
     "computed torque": lambda: Loop(Body(), torque(), None, (), constant_acceleration),
     "all": lambda: Loop(Body(), _all(torque()), None, (*SMOOTH, *ROUGH), rk4, 2),
-    "delayed by one, twice": lambda: Loop(ROBOT, Delayed(Delayed(PD(), 1), 2), None, (), rk4),
-    "pid": lambda: Loop(Body(), Saturated(PID(90.0, 20.0, 90.0), LIMITS), None, ROUGH, constant_acceleration),
+    "delayed by one, twice": lambda: Loop(
+        ROBOT, MeasurementDelay(MeasurementDelay(PD(), 1), 2), None, (), rk4
+    ),
+    "pid": lambda: Loop(
+        Body(), InputSaturation(PID(90.0, 20.0, 90.0), LIMITS), None, ROUGH, constant_acceleration
+    ),
     "sliding": lambda: Loop(Body(), SlidingMode(), None, SMOOTH, rk4),
     "wheels, forces": lambda: Loop(Cart(), Follower(), None, (Spring(), Axle()), rk4),
-    "wheels, delayed": lambda: Loop(Cart(), Delayed(Follower(), 3), None, ROUGH, semi_implicit_euler),
+    "wheels, delayed": lambda: Loop(
+        Cart(), MeasurementDelay(Follower(), 3), None, ROUGH, semi_implicit_euler
+    ),
 }
 
 

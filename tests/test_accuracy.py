@@ -12,18 +12,18 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 
 import pinmobile.accuracy as held_force
-from pinmobile import (
-    Diverged,
-    InvalidArgument,
-    MobileRobot,
-    constant_acceleration,
+from pinmobile import Diverged, InvalidArgument, MobileRobot, plots, rk4
+from pinmobile.accuracy import (
+    Convergence,
+    IntegratorReport,
+    conserved,
+    free_body,
+    free_motion,
+    guarded,
     integrator_report,
-    plots,
-    rk4,
-    semi_implicit_euler,
 )
-from pinmobile.accuracy import Convergence, IntegratorReport, conserved, free_body, free_motion, guarded
 from pinmobile.arrays import Array
+from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.palette import colour
 
 ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))

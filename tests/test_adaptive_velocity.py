@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    COMPILED,
-    AdaptiveVelocity,
     Circle,
-    Context,
+    Engine,
     FixedHeading,
     InvalidArgument,
     Line,
@@ -24,7 +22,8 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
-from pinmobile.controllers import adaptive
+from pinmobile.controllers import AdaptiveVelocity, adaptive
+from pinmobile.plant import Context
 
 TRUE = VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2])
 WRONG = VelocityRobot(TRUE.theta * [1.3, 0.7, 1.3, 0.7, 0.7, 1.3])
@@ -124,7 +123,13 @@ def test_velocities_of_an_exact_model_fall_to_the_law_as_the_gain_says(ahead: fl
     q0 = path(0.0).q + OFF
     run = simulate(
         *(robot, controller, path),
-        **{"dt": dt, "duration": 1.5, "q0": q0, "v0": robot.rolling(q0, [-0.1, 0.3]), "engine": COMPILED},
+        **{
+            "dt": dt,
+            "duration": 1.5,
+            "q0": q0,
+            "v0": robot.rolling(q0, [-0.1, 0.3]),
+            "engine": Engine.COMPILED,
+        },
     )
     found = wanted(run, controller, ahead) - robot.independent(run.q, run.v)
     expected = found[0] * np.exp(-np.outer(run.t, k))
@@ -137,7 +142,7 @@ def test_the_sum_of_squares_falls_in_each_step() -> None:
     dt, controller = 2e-4, AdaptiveVelocity(WRONG)
     q0 = EIGHT(0.0).q + OFF
     v0 = TRUE.rolling(q0, [0.1, -0.5])
-    run = simulate(TRUE, controller, EIGHT, dt=dt, duration=1.0, q0=q0, v0=v0, engine=COMPILED)
+    run = simulate(TRUE, controller, EIGHT, dt=dt, duration=1.0, q0=q0, v0=v0, engine=Engine.COMPILED)
     e = wanted(run, controller, 0.0) - TRUE.independent(run.q, run.v)
     # A signal is told after its sample, when the estimate has been brought on.
     off = run.signals["theta"].values[:-1] - TRUE.theta
@@ -156,7 +161,7 @@ def test_estimates_become_right_where_the_motion_is_rich_and_not_on_a_circle() -
 
     def last(trajectory: Any) -> Array:
         controller = AdaptiveVelocity(WRONG, gamma=gamma, kp=0.4)
-        run = simulate(TRUE, controller, trajectory, dt=0.01, duration=120.0, engine=COMPILED)
+        run = simulate(TRUE, controller, trajectory, dt=0.01, duration=120.0, engine=Engine.COMPILED)
         return np.asarray(run.signals["theta"].values[-1])
 
     found, circle = last(rich()), last(CIRCLE)
@@ -175,7 +180,7 @@ def test_a_theta_that_is_wrong_by_30_percent_ends_with_less_error_than_without_a
         ensemble(TRUE, controller, EIGHT, **given)
         for controller in (AdaptiveVelocity(TRUE), AdaptiveVelocity(TRUE, gamma=0.0))
     )
-    assert with_.engine == COMPILED.name
+    assert with_.engine == Engine.COMPILED.name
     # A model that is nearly right needs no adaptation, and dt leaves some millimetres.
     assert np.median(with_.max_distance) < 0.1 * np.median(without.max_distance)
     assert with_.max_distance.max() < 0.05 < without.max_distance.max()
@@ -197,7 +202,7 @@ def test_what_limits_keep_commands_from_is_no_reason_to_estimate_more() -> None:
     controller = AdaptiveVelocity(TRUE)
     robot = VelocityRobot(TRUE.theta, limits=(0.3, 2.0))
     straight = Tangent(Line((0, 0), (24, 0), 40))
-    given: Any = {"dt": 0.02, "engine": COMPILED, "duration": 20.0}
+    given: Any = {"dt": 0.02, "engine": Engine.COMPILED, "duration": 20.0}
     within, beyond = (
         simulate(robot, each, straight, **given).signals["theta"].values[-1] for each in (controller, Deaf())
     )
@@ -217,7 +222,7 @@ def test_leakage_takes_estimates_back_to_the_first() -> None:
 def test_estimates_stay_within_their_bounds() -> None:
     lower, upper = 0.95 * WRONG.theta, 1.05 * WRONG.theta
     controller = AdaptiveVelocity(WRONG, lower=lower, upper=upper)
-    theta = simulate(TRUE, controller, EIGHT, dt=0.02, engine=COMPILED).signals["theta"].values
+    theta = simulate(TRUE, controller, EIGHT, dt=0.02, engine=Engine.COMPILED).signals["theta"].values
     assert (theta.min(axis=0) >= lower).all()
     assert (theta.max(axis=0) <= upper).all()
     assert (theta == lower).any()
@@ -236,7 +241,7 @@ def test_the_bound_of_dt_is_where_the_loop_itself_becomes_unstable(monkeypatch: 
     def last(dt: float) -> float:
         start: Any = {"q0": CIRCLE(0.0).q + np.array([0.003, 0, 0]), "v0": CIRCLE(0.0).v}
         run = simulate(
-            robot, controller, CIRCLE, dt=dt, duration=1000 * dt, substeps=4, engine=COMPILED, **start
+            robot, controller, CIRCLE, dt=dt, duration=1000 * dt, substeps=4, engine=Engine.COMPILED, **start
         )
         return float(errors(run)[-100:].max())
 

@@ -35,7 +35,7 @@ REFERENCES = [name for name in _parts(paths, trajectories) if name != "Reference
 USERS = {
     "accuracy.py": {"ComputedTorque", "Circle", "Tangent"},
     "cli/lecture.py": {
-        *("PD", "Allocated", "Backstepping", "ComputedTorque", "Tracking"),
+        *("PD", "ControlAllocation", "Backstepping", "ComputedTorque", "UnicycleTracking"),
         *("Circle", "CubicVia", "LectureHeading", "Tangent"),
     },
     "cli/scenario_file.py": {"Circle", "ComputedTorque", "Tangent"},  # where a file says nothing
@@ -107,7 +107,14 @@ def where(name: str) -> set[str]:
 
 
 def test_the_parts_are_those_of_the_library() -> None:
-    assert {"PD", "ComputedTorque", "Saturated", "Delayed", "NoiseForce", "RollingResistance"} <= set(PARTS)
+    assert {
+        "PD",
+        "ComputedTorque",
+        "InputSaturation",
+        "MeasurementDelay",
+        "NoiseForce",
+        "RollingResistance",
+    } <= set(PARTS)
     assert len(PARTS) >= 12
 
 

@@ -15,13 +15,11 @@ import pytest
 from pinmobile import (
     PD,
     Circle,
-    Context,
     InvalidArgument,
     MobileRobot,
     Rollout,
     Tangent,
     ViscousFriction,
-    constant_acceleration,
     ensemble,
     law,
     plots,
@@ -29,8 +27,9 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
+from pinmobile.integrators import constant_acceleration
 from pinmobile.loop import Loop
-from pinmobile.plant import Coordinate, Input, PlantOutline, Step
+from pinmobile.plant import Context, Coordinate, Input, PlantOutline, Step
 from pinmobile.viewer import Arrows, Overlays, Viewer
 from pinmobile.viewer.motion import configurations, figure, links
 from tests.looping import looped

@@ -25,56 +25,53 @@ import pytest
 
 import pinmobile
 from pinmobile import (
-    COMPILED,
     PD,
-    PYTHON,
-    TRUE_MODEL,
     Circle,
     ConstantForce,
     CubicVia,
-    DHTable,
     Diverged,
+    Engine,
     FixedHeading,
-    GearTrain,
     Hold,
+    InputSaturation,
     InvalidArgument,
     Lissajous,
-    Load,
+    MeasurementNoise,
     MobileRobot,
     Motor,
-    NoisyMeasurement,
-    NotFinite,
+    PayloadBody,
     PinmobileError,
     PosePath,
     RestToRest,
     Rollout,
-    Same,
-    Saturated,
+    SameAs,
     Scenario,
     Spline,
     Tangent,
     Uniform,
-    UnknownName,
     ViscousFriction,
     WheeledRobot,
     WheelTable,
     closed_form,
-    constant_acceleration,
     ensemble,
     extras,
-    integrator_report,
     law,
     plots,
     rk4,
-    shipped_urdf,
     simulate,
     urdf,
     verify,
 )
+from pinmobile.accuracy import integrator_report
 from pinmobile.arrays import MEMORY, Array, affordable, finite, frozen
 from pinmobile.cli import main
+from pinmobile.dh import DHTable
+from pinmobile.errors import NotFinite, UnknownName
+from pinmobile.integrators import constant_acceleration
+from pinmobile.loop import TRUE_MODEL
+from pinmobile.urdf import shipped_urdf
 from pinmobile.viewer import Viewer
-from pinmobile.wheels import Mobility
+from pinmobile.wheels import GearTrain, Mobility
 from tests import arguments
 from tests.arguments import ROWS
 
@@ -85,7 +82,7 @@ CIRCLE = Circle(radius=3, rate=0.1, duration=60)
 LOOP: dict[str, Any] = {"plant": ROBOT, "controller": PD(10, 10), "trajectory": Tangent(CIRCLE), "dt": 0.1}
 MANY: dict[str, Any] = {
     **{"robot": ROBOT, "controller": PD(120, 120), "trajectory": Tangent(CIRCLE), "dt": 0.1},
-    **{"n": 3, "spread": {"mass": Uniform(29, 31)}, "engine": COMPILED},
+    **{"n": 3, "spread": {"mass": Uniform(29, 31)}, "engine": Engine.COMPILED},
 }
 MASKED: Any = np.ma.masked_array([1.0, 2.0, 3.0], [False, True, False])
 RAGGED: Any = [[1, 2], [3]]
@@ -141,7 +138,7 @@ FAULTS = [
     ),
     Fault(
         "another kind",
-        lambda: ROBOT.attach(Load(1), frame=EMPTY),
+        lambda: ROBOT.attach(PayloadBody(1), frame=EMPTY),
         "unknown frame [], available: ",
         UnknownName,
     ),
@@ -152,13 +149,13 @@ FAULTS = [
     ),
     Fault(
         "another kind",
-        lambda: urdf.write(pinmobile.LECTURE_TABLE, NOTHING, size=(1, 1, 1)),
+        lambda: urdf.write(pinmobile.dh.LECTURE_TABLE, NOTHING, size=(1, 1, 1)),
         "body is None, expected a pinmobile.urdf.Body",
     ),
     Fault(
         "another kind",
-        lambda: Same("mass", cast(Any, Same("mass"))),
-        "factor is Same(name='mass', factor=1.0), expected",
+        lambda: SameAs("mass", cast(Any, SameAs("mass"))),
+        "factor is SameAs(name='mass', factor=1.0), expected",
     ),
     Fault("another kind", of_many(traces=b"a"), "traces is 97, expected at most"),
     Fault("another kind", lambda: verify(ROBOT, seed=NOTHING), "seed is None, expected a whole number >= 0"),
@@ -180,14 +177,20 @@ FAULTS = [
     ),
     # Numbers that are none.
     Fault(
-        "no numbers", lambda: Saturated(PD(1, 1), RAGGED), "limits is [[1, 2], [3]], expected real numbers"
+        "no numbers",
+        lambda: InputSaturation(PD(1, 1), RAGGED),
+        "limits is [[1, 2], [3]], expected real numbers",
     ),
     Fault(
         "no numbers",
-        lambda: NoisyMeasurement(PD(1, 1), RAGGED, 0, 0),
+        lambda: MeasurementNoise(PD(1, 1), RAGGED, 0, 0),
         "std_q is [[1, 2], [3]], expected real",
     ),
-    Fault("no numbers", lambda: Load(1, inertia=RAGGED), "inertia is [[1, 2], [3]], expected real numbers"),
+    Fault(
+        "no numbers",
+        lambda: PayloadBody(1, inertia=RAGGED),
+        "inertia is [[1, 2], [3]], expected real numbers",
+    ),
     # What a mask hides is not there.
     Fault(
         "masked numbers",
@@ -202,8 +205,8 @@ FAULTS = [
         lambda: finite("q", masked_entry()),
         "q is a masked array, expected one without",
     ),
-    Fault("masked numbers", lambda: Saturated(PD(1, 1), MASKED), "limits is a masked array"),
-    Fault("masked numbers", lambda: Load(1, com=MASKED), "com is a masked array"),
+    Fault("masked numbers", lambda: InputSaturation(PD(1, 1), MASKED), "limits is a masked array"),
+    Fault("masked numbers", lambda: PayloadBody(1, com=MASKED), "com is a masked array"),
     Fault("masked numbers", of_loop(q0=MASKED), "q0 is a masked array"),
     Fault("masked numbers", of_many(spread={"mass": MASKED}), "spread['mass'] is a masked array"),
     Fault(
@@ -360,7 +363,7 @@ FAULTS = [
         "another part",
         of_loop(trajectory=PosePath(Spline([[0, 0, 1], [1, 0, 1]], [0, 1]))),
         "a path of poses of an end effector, expected a trajectory of the robot's coordinates, such as "
-        "resolve(robot, path)",
+        "solve_inverse_kinematics(robot, path)",
     ),
     Fault(
         "another part", of_loop(integrator=PD(1, 1)), "a controller, expected one of pinmobile.integrators"
@@ -368,7 +371,7 @@ FAULTS = [
     Fault(
         "another part",
         of_many(engine="COMPILED"),
-        "expected COMPILED itself: write engine=COMPILED after 'from pinmobile import COMPILED'",
+        "expected Engine.PYTHON, Engine.COMPILED, or None",
     ),
     Fault(
         "another signature",
@@ -463,7 +466,7 @@ READ = {
     "Ensemble",
     "Identification",
     "Reference",
-    "Resolved",
+    "InverseKinematicsTrajectory",
     "Rollout",
     "Sweep",
 }
@@ -519,7 +522,7 @@ def test_what_is_affordable_is_not_refused() -> None:
         affordable("arrays", MEMORY / 8 + 1, "less")
 
 
-@pytest.mark.parametrize("one", [PYTHON, COMPILED, TRUE_MODEL], ids=["P", "C", "T"])
+@pytest.mark.parametrize("one", [Engine.PYTHON, Engine.COMPILED, TRUE_MODEL], ids=["P", "C", "T"])
 def test_engines_and_the_true_model_come_back_as_themselves(one: Any) -> None:
     assert pickle.loads(pickle.dumps(one)) is one
     assert copy.copy(one) is one
@@ -527,9 +530,9 @@ def test_engines_and_the_true_model_come_back_as_themselves(one: Any) -> None:
 
 
 def test_the_true_model_is_read_only() -> None:
-    assert dict(TRUE_MODEL)["controller.mass"] == Same("plant.mass")
+    assert dict(TRUE_MODEL)["controller.mass"] == SameAs("plant.mass")
     with pytest.raises(TypeError, match="does not support item assignment"):
-        TRUE_MODEL["controller.mass"] = Same("yaw_inertia")  # type: ignore[index]
+        TRUE_MODEL["controller.mass"] = SameAs("yaw_inertia")  # type: ignore[index]
 
 
 def test_names_of_joints_are_one_column_each_in_a_csv_file(tmp_path: Path) -> None:

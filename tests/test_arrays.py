@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from pinmobile import arrays, planar_difference
+from pinmobile import arrays
+from pinmobile.controllers import planar_difference
 from pinmobile.errors import InvalidArgument
 
 # What a type checker would refuse too.

@@ -9,34 +9,30 @@ import pytest
 
 from pinmobile import (
     PD,
-    Allocated,
     Backstepping,
     Circle,
     ComputedTorque,
-    Decoupled,
-    Delayed,
-    DynamicFeedback,
+    ControlAllocation,
     FixedHeading,
+    InputSaturation,
     InvalidArgument,
-    Kanayama,
-    LectureHeading,
+    MeasurementDelay,
+    MeasurementNoise,
     MobileRobot,
-    NoisyMeasurement,
-    Parking,
     Reference,
     Rollout,
-    Saturated,
     Scenario,
-    SwerveTracking,
     Tangent,
-    Tracking,
+    UnicycleTracking,
     Uniform,
     rk4,
     simulate,
 )
-from pinmobile.loop import COMPILED, PYTHON, run_scenario
+from pinmobile.controllers import Decoupled, DynamicFeedback, Kanayama, Parking, SwerveTracking
+from pinmobile.loop import Engine, run_scenario
 from pinmobile.parts import evolved
-from pinmobile.wheels import ByOdometry, Coulomb, Motor, Wheel, WheeledRobot, WheelTable
+from pinmobile.trajectories import LectureHeading
+from pinmobile.wheels import Coulomb, Motor, OdometryFeedback, Wheel, WheeledRobot, WheelTable
 from tests.parts import Eight
 
 OFF = np.array([-0.3, 0.3, 0.5])
@@ -81,7 +77,7 @@ def run(
 ) -> Rollout:
     q0, _ = robot.start(Reference(*trajectory(0.0)))
     q0[:3] += more.pop("off", OFF)
-    options: dict[str, Any] = {"integrator": rk4, "engine": COMPILED} | more
+    options: dict[str, Any] = {"integrator": rk4, "engine": Engine.COMPILED} | more
     return simulate(
         robot, controller, trajectory, dt=dt, duration=duration, q0=q0, v0=np.zeros(robot.nv), **options
     )
@@ -93,7 +89,7 @@ def distance(rollout: Rollout) -> Any:
 
 @cache
 def eight(dt: float) -> Rollout:
-    return run(DIFFERENTIAL, Backstepping(Tracking(), DIFFERENTIAL), EIGHT, 12.5, dt)
+    return run(DIFFERENTIAL, Backstepping(UnicycleTracking(), DIFFERENTIAL), EIGHT, 12.5, dt)
 
 
 def test_an_eight_is_followed_on_the_full_dynamics() -> None:
@@ -111,7 +107,7 @@ def test_a_torque_that_is_held_longer_costs_accuracy() -> None:
 
 def test_velocities_fall_to_the_law_as_the_gain_says() -> None:
     for k in (5.0, 20.0):
-        run_ = run(DIFFERENTIAL, Backstepping(Tracking(), DIFFERENTIAL, k=k), EIGHT, 1.0, 0.001)
+        run_ = run(DIFFERENTIAL, Backstepping(UnicycleTracking(), DIFFERENTIAL, k=k), EIGHT, 1.0, 0.001)
         c, s = np.cos(run_.q[:, 2]), np.sin(run_.q[:, 2])
         dx, dy = (run_.reference.q - run_.q[:, :3])[:, :2].T
         ahead, aside, turn = c * dx + s * dy, c * dy - s * dx, run_.reference.q[:, 2] - run_.q[:, 2]
@@ -149,14 +145,14 @@ def test_an_axle_that_is_not_at_the_origin_is_what_follows() -> None:
                 np.stack([-0.25 * s + 0.05 * c, 0.25 * c + 0.05 * s, 0 * one], -1),
             )
 
-    assert distance(run(robot, Backstepping(Tracking(), robot), Circling(), 10.0))[-1] < 1e-4
+    assert distance(run(robot, Backstepping(UnicycleTracking(), robot), Circling(), 10.0))[-1] < 1e-4
     with pytest.raises(
         InvalidArgument, match=r"reference moves sideways, at -0\.00075 m/s across the .*, at t = 0\.01 s"
     ):
-        run(robot, Backstepping(Tracking(), robot), EIGHT, 1.0)
+        run(robot, Backstepping(UnicycleTracking(), robot), EIGHT, 1.0)
 
 
-@pytest.mark.parametrize("law", [Tracking(), Kanayama()], ids=lambda law: type(law).__name__)
+@pytest.mark.parametrize("law", [UnicycleTracking(), Kanayama()], ids=lambda law: type(law).__name__)
 def test_a_car_steers_and_follows(law: Any) -> None:
     off = distance(run(CAR, Backstepping(law, CAR), LARGE, 20.0))
     assert off[1000:].max() < 2e-3
@@ -195,7 +191,7 @@ def test_a_robot_whose_wheels_slip_a_little_follows_by_the_model_of_one_that_rol
     robot = WheeledRobot(BODY, SUPPORTED, Coulomb())
     runs = []
     for model in (robot, WheeledRobot(BODY, SUPPORTED)):
-        controller = Backstepping(Tracking(), model)
+        controller = Backstepping(UnicycleTracking(), model)
         runs.append(run(robot, controller, EIGHT, 8.0, off=OFF / 10, integrator=None))
     assert distance(runs[0])[300:].max() < 5e-3
     np.testing.assert_allclose(runs[0].u, runs[1].u, atol=1e-9)
@@ -212,11 +208,11 @@ def test_arms_follow_beside_the_body() -> None:
             base, arm = EIGHT(t), Waving(robot.robot.rest[3:])(t)
             return Reference(*(np.concatenate(pair, axis=-1) for pair in zip(base, arm, strict=True)))
 
-    found = run(robot, Backstepping(Tracking(), robot), Both(), 8.0, 0.005)
+    found = run(robot, Backstepping(UnicycleTracking(), robot), Both(), 8.0, 0.005)
     errors = np.abs(found.q[:, :9] - found.reference.q)
     assert errors[-1].max() < 2e-4
     with pytest.raises(InvalidArgument, match="reference has 3 coordinates, expected 9: x, y, psi"):
-        run(robot, Backstepping(Tracking(), robot), EIGHT, 1.0)
+        run(robot, Backstepping(UnicycleTracking(), robot), EIGHT, 1.0)
 
 
 @pytest.mark.parametrize("pose", [(1.9, -1.3, 2.4), (-0.5, 0.9, -2.7), (1.7, 1.2, 0.1)])
@@ -238,7 +234,7 @@ def test_computed_torque_of_wheels_decays_as_its_gains_say(body: MobileRobot) ->
 
 
 def test_a_wrench_is_allocated_and_what_wheels_cannot_give_is_told() -> None:
-    controller = Allocated(PD((60.0, 60.0, 20.0), (60.0, 60.0, 10.0)), DIFFERENTIAL)
+    controller = ControlAllocation(PD((60.0, 60.0, 20.0), (60.0, 60.0, 10.0)), DIFFERENTIAL)
     found = run(DIFFERENTIAL, controller, EIGHT, 10.0)
     left = found.signals["residual"].values
     along = np.cos(found.q[:, 2]) * left[:, 0] + np.sin(found.q[:, 2]) * left[:, 1]
@@ -297,15 +293,15 @@ def test_the_rate_of_independent_velocities_is_what_torques_are_for() -> None:
 
 
 def test_odometry_of_the_true_table_is_nearly_the_pose_and_a_smaller_wheel_drifts() -> None:
-    law, still = Backstepping(Tracking(), DIFFERENTIAL), 0 * OFF
+    law, still = Backstepping(UnicycleTracking(), DIFFERENTIAL), 0 * OFF
     table = DIFFERENTIAL.table
     smaller = evolved(table, wheels=(evolved(table.wheels[0], radius=0.099), table.wheels[1]))
     drifts = {}
     for name, controller in {
-        "true": ByOdometry(law, table),
-        "coarse": ByOdometry(law, table, ticks=2000),
-        "noisy": ByOdometry(law, table, noise=0.1, seed=2),
-        "smaller": ByOdometry(law, smaller),
+        "true": OdometryFeedback(law, table),
+        "coarse": OdometryFeedback(law, table, ticks=2000),
+        "noisy": OdometryFeedback(law, table, noise=0.1, seed=2),
+        "smaller": OdometryFeedback(law, smaller),
     }.items():
         found = run(DIFFERENTIAL, controller, EIGHT, 10.0, off=still)
         believed = found.signals["believed_pose"].values
@@ -317,7 +313,7 @@ def test_odometry_of_the_true_table_is_nearly_the_pose_and_a_smaller_wheel_drift
 
 
 S = {"start.x": Uniform(-0.2, 0.2), "start.psi": Uniform(-0.3, 0.3)}
-ON_TWO, OF_CAR = Backstepping(Tracking(), DIFFERENTIAL), Backstepping(Tracking(), CAR)
+ON_TWO, OF_CAR = Backstepping(UnicycleTracking(), DIFFERENTIAL), Backstepping(UnicycleTracking(), CAR)
 CASES: dict[str, tuple[Any, Any, Any, Any]] = {
     "tracking": (DIFFERENTIAL, ON_TWO, EIGHT, {"zeta": Uniform(0.5, 0.9), "k": Uniform(5, 10)}),
     "references": (DIFFERENTIAL, ON_TWO, EIGHT, {"path.size": Uniform(0.9, 1.1)}),
@@ -325,16 +321,16 @@ CASES: dict[str, tuple[Any, Any, Any, Any]] = {
     "parking": (DIFFERENTIAL, Backstepping(Parking(), DIFFERENTIAL), Posed((1.0, 0.5, 0.3)), S),
     "car": (CAR, OF_CAR, LARGE, S),
     "swerve": (SWERVE, SwerveTracking(SWERVE), Crab(), S),
-    "car, delayed": (CAR, Delayed(OF_CAR, 1), LARGE, S),
+    "car, delayed": (CAR, MeasurementDelay(OF_CAR, 1), LARGE, S),
     "mecanum": (MECANUM, ComputedTorque(MECANUM), EIGHT, S),
-    "allocated": (DIFFERENTIAL, Allocated(PD((60, 60, 20), (60, 60, 10)), DIFFERENTIAL), EIGHT, S),
+    "allocated": (DIFFERENTIAL, ControlAllocation(PD((60, 60, 20), (60, 60, 10)), DIFFERENTIAL), EIGHT, S),
     "odometry": (
         DIFFERENTIAL,
-        ByOdometry(ON_TWO, DIFFERENTIAL.table, ticks=2000, noise=0.1),
+        OdometryFeedback(ON_TWO, DIFFERENTIAL.table, ticks=2000, noise=0.1),
         EIGHT,
         {**S, "controller.table.wheels.left.radius": Uniform(0.099, 0.101)},
     ),
-    "noisy": (DIFFERENTIAL, Saturated(NoisyMeasurement(ON_TWO, 1e-3, 1e-3, seed=1), 3.0), EIGHT, S),
+    "noisy": (DIFFERENTIAL, InputSaturation(MeasurementNoise(ON_TWO, 1e-3, 1e-3, seed=1), 3.0), EIGHT, S),
 }
 
 
@@ -343,7 +339,7 @@ def test_the_engines_agree(name: str) -> None:
     robot, controller, trajectory, spread = CASES[name]
     more: dict[str, Any] = {"dt": 0.01, "seed": 4, "duration": 0.3, "integrator": rk4}
     scenario = Scenario(robot=robot, controller=controller, trajectory=trajectory, n=3, spread=spread, **more)
-    alone, *others = (run_scenario(scenario, engine=engine) for engine in (PYTHON, COMPILED))
+    alone, *others = (run_scenario(scenario, engine=engine) for engine in (Engine.PYTHON, Engine.COMPILED))
     assert not alone.diverged.any()
     for one in others:
         for of in ("max_error", "rms_error", "max_force"):
@@ -361,11 +357,11 @@ def test_a_reference_that_wheels_cannot_follow_is_refused_with_its_time() -> Non
         (late, "reference moves sideways, at 0.1 m/s across the fixed axle, at t = 0 s"),
         (LectureHeading(_Back()), "reference turns its heading by 3.14 rad at once at t = 1.01 s"),
     ):
-        for controller in (ON_TWO, Allocated(PD(60, 60), DIFFERENTIAL)):
+        for controller in (ON_TWO, ControlAllocation(PD(60, 60), DIFFERENTIAL)):
             with pytest.raises(InvalidArgument, match=message):
                 run(DIFFERENTIAL, controller, trajectory, 2.0)
     aside = FixedHeading(EIGHT.path, 0.0)  # no matter for a drive that moves in every direction
-    assert len(run(MECANUM, Allocated(PD(60, 60), MECANUM), aside, 0.1)) > 1
+    assert len(run(MECANUM, ControlAllocation(PD(60, 60), MECANUM), aside, 0.1)) > 1
     tight = Tangent(Eight(1.0, 4 * np.pi))
     with pytest.raises(
         InvalidArgument, match=r"are steered by 0\.\d+ rad at t = [\d.]+ s, expected at most 0\.698"
@@ -397,26 +393,26 @@ class _Back:
             "its inverse dynamics; expected an omnidirectional drive, or Backstepping(law, robot)",
         ),
         (
-            lambda: Backstepping(Tracking(), MECANUM),
+            lambda: Backstepping(UnicycleTracking(), MECANUM),
             "robot is a drive of type (3, 0), expected one with a fixed axle: for this one, "
             "ComputedTorque(robot)",
         ),
         (lambda: Backstepping(PD(1, 1), DIFFERENTIAL), "law is PD("),
-        (lambda: Backstepping(Tracking(), BODY), "robot is MobileRobot("),
-        (lambda: Backstepping(Tracking(), DIFFERENTIAL, k=0), "k is 0.0 1/s, expected > 0"),
-        (lambda: Allocated(PD(1, 1), BODY), "robot is MobileRobot("),
+        (lambda: Backstepping(UnicycleTracking(), BODY), "robot is MobileRobot("),
+        (lambda: Backstepping(UnicycleTracking(), DIFFERENTIAL, k=0), "k is 0.0 1/s, expected > 0"),
+        (lambda: ControlAllocation(PD(1, 1), BODY), "robot is MobileRobot("),
         (
             lambda: SwerveTracking(SUPPORTED),
             "robot is WheelTable(",
         ),
-        (lambda: Allocated(Tracking(), DIFFERENTIAL), ""),
+        (lambda: ControlAllocation(UnicycleTracking(), DIFFERENTIAL), ""),
         (lambda: Decoupled(MECANUM), "robot is WheeledRobot("),
         (
-            lambda: Backstepping(Tracking(), _one_motor()),
+            lambda: Backstepping(UnicycleTracking(), _one_motor()),
             "robot has 1 motors and 2 independent velocities, expected a motor for each",
         ),
-        (lambda: ByOdometry(PD(1, 1), BODY), "table is MobileRobot("),  # type: ignore[arg-type]
-        (lambda: ByOdometry(PD(1, 1), DIFFERENTIAL.table, ticks=0), "ticks is 0.0, expected > 0"),
+        (lambda: OdometryFeedback(PD(1, 1), BODY), "table is MobileRobot("),  # type: ignore[arg-type]
+        (lambda: OdometryFeedback(PD(1, 1), DIFFERENTIAL.table, ticks=0), "ticks is 0.0, expected > 0"),
     ],
 )
 def test_wrong_parts_are_refused_when_they_are_made(make: Any, message: str) -> None:
@@ -430,11 +426,11 @@ def _one_motor() -> WheeledRobot:
     return WheeledRobot(BODY, WheelTable((left, evolved(DIFFERENTIAL.table.wheels[1], motor=None))))
 
 
-@pytest.mark.parametrize("engine", [None, COMPILED])
+@pytest.mark.parametrize("engine", [None, Engine.COMPILED])
 def test_a_controller_of_forces_on_the_body_is_told_what_turns_them_into_torques(engine: Any) -> None:
     robot = DIFFERENTIAL
     circle = Tangent(Circle(radius=2, rate=0.5, duration=1.0))
-    with pytest.raises(InvalidArgument, match=r"such as Allocated\(controller, robot\) makes"):
+    with pytest.raises(InvalidArgument, match=r"such as ControlAllocation\(controller, robot\) makes"):
         simulate(robot, PD(100, 120), circle, dt=0.01, integrator=rk4, engine=engine)
 
 
@@ -451,4 +447,4 @@ def test_a_drive_that_skids_has_no_type() -> None:
     with pytest.raises(
         InvalidArgument, match=r"robot is a drive that does not roll without slip, .*WheelSpeed"
     ):
-        Backstepping(Tracking(), skids)
+        Backstepping(UnicycleTracking(), skids)

@@ -10,20 +10,22 @@ from pinmobile import (
     Circle,
     ComputedTorque,
     InvalidArgument,
-    Load,
     MobileRobot,
-    Motion,
+    PayloadBody,
     Tangent,
-    UnknownName,
-    reaction_wrench,
-    required_friction,
     rk4,
     simulate,
+)
+from pinmobile.arrays import Array
+from pinmobile.balance import (
+    MotionStates,
+    body_zero_moment_point,
+    reaction_wrench,
+    required_friction,
     tip_over_margin,
     zero_moment_point,
 )
-from pinmobile.arrays import Array
-from pinmobile.balance import body_zero_moment_point
+from pinmobile.errors import UnknownName
 from pinmobile.robot import BODY_JOINT
 from pinmobile.robot.support_geometry import margin_inside
 from tests.users import Follower, TwoWheels
@@ -31,24 +33,24 @@ from tests.users import Follower, TwoWheels
 G = 9.81
 AT = (0.1, -0.05, 0.2, 0.4)
 BOX = MobileRobot.box()
-UR5 = BOX.mount("ur5", AT).attach(Load(2.0, (0.02, 0, 0.1)))
-TWO = BOX.mount("panda", AT).mount("kinova", (-0.1, 0.1, 0.2, -1.0)).attach(Load(1.5, (0, 0.1, 0.1)))
+UR5 = BOX.mount("ur5", AT).attach(PayloadBody(2.0, (0.02, 0, 0.1)))
+TWO = BOX.mount("panda", AT).mount("kinova", (-0.1, 0.1, 0.2, -1.0)).attach(PayloadBody(1.5, (0, 0.1, 0.1)))
 HEIGHT = 0.1  # of the box's centre of mass [m]
 
 
-def motion(robot: MobileRobot, count: int = 6) -> Motion:
+def motion(robot: MobileRobot, count: int = 6) -> MotionStates:
     rng = np.random.default_rng(11)
     v, a = rng.normal(size=(2, count, robot.nv))
-    return Motion(robot, robot.random_configuration(rng, (count,)), v, a)
+    return MotionStates(robot, robot.random_configuration(rng, (count,)), v, a)
 
 
-def at_rest(robot: MobileRobot, q: Array) -> Motion:
+def at_rest(robot: MobileRobot, q: Array) -> MotionStates:
     still = np.zeros(robot.nv)
-    return Motion(robot, q, still, still)
+    return MotionStates(robot, q, still, still)
 
 
-def planar(a: Any, v: Any = (0, 0, 0), psi: float = 0.7, robot: MobileRobot = BOX) -> Motion:
-    return Motion(robot, (1.0, 2.0, psi), v, a)
+def planar(a: Any, v: Any = (0, 0, 0), psi: float = 0.7, robot: MobileRobot = BOX) -> MotionStates:
+    return MotionStates(robot, (1.0, 2.0, psi), v, a)
 
 
 def momentum_rate(moving: Any, inertias: dict[int, pin.Inertia]) -> Array:
@@ -130,7 +132,7 @@ def test_an_arm_at_rest_weighs_m_g_at_its_centre_of_mass() -> None:
 
 
 def test_a_load_on_the_arms_foot_belongs_to_the_arm_and_one_on_the_body_does_not() -> None:
-    bare, point = BOX.mount("ur5", AT), Load(3.0, (0.1, 0.0, 0.0))
+    bare, point = BOX.mount("ur5", AT), PayloadBody(3.0, (0.1, 0.0, 0.0))
     q, names = bare.rest, ("ur5/base_link", "base_link")
     alone = reaction_wrench(at_rest(bare, q))
     foot, body = (reaction_wrench(at_rest(bare.attach(point, name), q)) for name in names)
@@ -143,7 +145,7 @@ def test_a_load_on_the_arms_foot_belongs_to_the_arm_and_one_on_the_body_does_not
 def test_a_load_on_the_foot_of_an_arm_is_not_that_of_another_whose_name_begins_alike() -> None:
     bare = BOX.mount("ur5", AT).mount("ur5", (-0.2, 0, 0.2, 0))
     assert [mount.name for mount in bare.mounts] == ["ur5", "ur5_2"]
-    loaded = bare.attach(Load(3.0), "ur5_2/base_link")
+    loaded = bare.attach(PayloadBody(3.0), "ur5_2/base_link")
     more = [
         reaction_wrench(at_rest(loaded, bare.rest), name) - reaction_wrench(at_rest(bare, bare.rest), name)
         for name in ("ur5", "ur5_2")
@@ -189,19 +191,23 @@ def test_the_margin_is_zero_where_the_body_begins_to_tip() -> None:
 
 def test_leading_axes_broadcast() -> None:
     v = np.zeros((4, 1, 3))
-    moving = Motion(BOX, np.zeros(3), v, np.ones((5, 3)))
+    moving = MotionStates(BOX, np.zeros(3), v, np.ones((5, 3)))
     assert zero_moment_point(moving).shape == (4, 5, 2)
     assert tip_over_margin(moving).shape == required_friction(moving).shape == (4, 5)
-    assert reaction_wrench(Motion(UR5, np.zeros((2, 9)), np.zeros(9), np.zeros((3, 1, 9)))).shape == (3, 2, 6)
+    assert reaction_wrench(MotionStates(UR5, np.zeros((2, 9)), np.zeros(9), np.zeros((3, 1, 9)))).shape == (
+        3,
+        2,
+        6,
+    )
 
 
-def lifting(upwards: float) -> Motion:
+def lifting(upwards: float) -> MotionStates:
     """Return a robot with a heavy load at the tip of its arm, which accelerates upwards."""
-    robot = BOX.mount("ur5", AT).attach(Load(300.0))
+    robot = BOX.mount("ur5", AT).attach(PayloadBody(300.0))
     q = robot.rest
     a = np.zeros(9)
     a[3:] = np.linalg.lstsq(robot.frame_jacobian(q)[:3, 3:], [0, 0, upwards], rcond=None)[0]
-    return Motion(robot, q, np.zeros(9), a)
+    return MotionStates(robot, q, np.zeros(9), a)
 
 
 def test_where_the_ground_would_have_to_pull_the_answers_say_so() -> None:
@@ -234,7 +240,7 @@ SQUARE = ((0, 0), (2, 0), (2, 2), (0, 2))
 
 @pytest.mark.parametrize("corners", [SQUARE, SQUARE[::-1], (*SQUARE[:2], (2, 1), *SQUARE[2:])])
 def test_the_distance_from_the_edge_is_signed_and_to_the_corner_outside(corners: Any) -> None:
-    moving = Motion(BOX, np.zeros(3), np.zeros(3), np.zeros(3))  # its point is the origin: a corner
+    moving = MotionStates(BOX, np.zeros(3), np.zeros(3), np.zeros(3))  # its point is the origin: a corner
     assert tip_over_margin(moving, corners) == pytest.approx(0, abs=1e-15)
     points = np.array([[1, 1], [1, 0.25], [5, 6], [1, -3], [np.nan, 0]])
     margin = margin_inside(np.array(SQUARE, dtype=float), points)
@@ -242,7 +248,7 @@ def test_the_distance_from_the_edge_is_signed_and_to_the_corner_outside(corners:
 
 
 def test_a_footprint_is_in_the_bodys_frame() -> None:
-    moving = Motion(BOX, (5.0, 6.0, np.pi / 2), np.zeros(3), np.zeros(3))
+    moving = MotionStates(BOX, (5.0, 6.0, np.pi / 2), np.zeros(3), np.zeros(3))
     assert tip_over_margin(moving, [(-0.1, -1), (0.7, -1), (0.7, 1), (-0.1, 1)]) == pytest.approx(0.1)
 
 
@@ -312,16 +318,16 @@ def test_what_has_no_arm_or_is_no_robot_is_refused() -> None:
     with pytest.raises(InvalidArgument, match="robot carries no arm, expected one"):
         reaction_wrench(planar((0, 0, 0)))
     with pytest.raises(InvalidArgument, match=r"plant is 3, expected a MobileRobot"):
-        Motion(3, [0], [0], [0])
+        MotionStates(3, [0], [0], [0])
     with pytest.raises(InvalidArgument, match=r"a has shape \(2,\), expected \(..., 3\)"):
         planar((0, 0))
     with pytest.raises(InvalidArgument, match="expected leading axes that broadcast"):
-        Motion(BOX, np.zeros((2, 3)), np.zeros((3, 3)), np.zeros(3))
+        MotionStates(BOX, np.zeros((2, 3)), np.zeros((3, 3)), np.zeros(3))
 
 
 def test_a_motion_holds_read_only_copies() -> None:
     given = np.zeros(3)
-    moving = Motion(BOX, given, given, given)
+    moving = MotionStates(BOX, given, given, given)
     given[:] = 9
     held: list[Any] = [moving.q, moving.v, moving.a]
     for array in held:

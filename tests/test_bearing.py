@@ -7,48 +7,47 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    COMPILED,
-    PYTHON,
     Circle,
     ComputedTorque,
+    Engine,
     Line,
-    Load,
     MobileRobot,
-    Motion,
     Normal,
+    PayloadBody,
     RestToRest,
-    Same,
+    SameAs,
     Tangent,
     Uniform,
     WholeBody,
     ensemble,
     errors,
     parts,
-    reaction_wrench,
-    required_friction,
     simulate,
-    tip_over_margin,
-    zero_moment_point,
 )
 from pinmobile.arrays import Array
 from pinmobile.balance import (
+    MotionStates,
     body_zero_moment_point,
     contact_loads,
-    fastest,
+    max_path_speed,
+    max_slope,
+    reaction_wrench,
+    required_friction,
     slip_margins,
-    steepest,
+    tip_over_margin,
+    zero_moment_point,
 )
-from pinmobile.controllers import PD, Allocated, Backstepping, Tracking
+from pinmobile.controllers import PD, Backstepping, ControlAllocation, UnicycleTracking
 from pinmobile.parts import evolved
 from pinmobile.wheels import (
     Coulomb,
-    Friction,
     Motor,
     Ramp,
     Rolling,
     Support,
     Wheel,
     WheeledRobot,
+    WheelFriction,
     WheelTable,
 )
 
@@ -140,7 +139,7 @@ def test_forces_of_wheels_are_those_of_constraints(name: str, arm: bool) -> None
 def test_all_states_at_once_are_each_alone() -> None:
     robot = WheeledRobot(BODY.mount("ur5"), TABLES["caster"])
     each = [moving(robot, k) for k in range(4)]
-    many = Motion(robot, *(np.array([getattr(one, name) for one in each]) for name in "qvau"))
+    many = MotionStates(robot, *(np.array([getattr(one, name) for one in each]) for name in "qvau"))
     np.testing.assert_allclose(
         contact_loads(many).values, [contact_loads(one).values for one in each], atol=1e-11
     )
@@ -156,20 +155,20 @@ def test_a_wheel_that_would_pull_has_lifted_off() -> None:
     robot = WheeledRobot(body, WheelTable.mecanum(0.5, 0.4, 0.08, **WHEEL))
     still, a = np.zeros(robot.nv), np.zeros(robot.nv)
     a[:2] = 6.0, 6.0
-    found = contact_loads(Motion(robot, robot.rest, still, a))
+    found = contact_loads(MotionStates(robot, robot.rest, still, a))
     assert found.springs.min() < 0
     assert found.values.min() == 0
     assert not found.tips
     np.testing.assert_allclose(found.values.sum(), 30 * G)
-    assert contact_loads(Motion(robot, robot.rest, still, 4 * a)).tips
+    assert contact_loads(MotionStates(robot, robot.rest, still, 4 * a)).tips
 
 
 def test_balance_takes_robots_on_wheels_with_arms() -> None:
     arm = BODY.mount("ur5", (0.1, 0.0, 0.3, 0.0))
     robot = WheeledRobot(arm, DIFFERENTIAL)
     still = np.zeros(robot.nv)
-    at = Motion(robot, robot.rest, still, still)
-    mine = Motion(arm, arm.rest, np.zeros(arm.nv), np.zeros(arm.nv))
+    at = MotionStates(robot, robot.rest, still, still)
+    mine = MotionStates(arm, arm.rest, np.zeros(arm.nv), np.zeros(arm.nv))
     for function in (reaction_wrench, zero_moment_point, required_friction):
         np.testing.assert_allclose(function(at), function(mine), atol=1e-11)
     assert tip_over_margin(at) == tip_over_margin(mine, robot.footprint)
@@ -185,11 +184,11 @@ def test_an_arm_at_rest_on_a_ramp_weighs_on_its_mount_along_the_slope_too() -> N
     robot = WheeledRobot(BODY.mount("ur5", (0.1, -0.05, 0.3, 0.4)), DIFFERENTIAL)
     q, still = robot.rest.copy(), np.zeros(robot.nv)
     q[3:9], q[2] = [0.3, -1.2, 1.6, -0.4, 1.57, 0.2], 0.7
-    level = reaction_wrench(Motion(robot, q, still, still))
+    level = reaction_wrench(MotionStates(robot, q, still, still))
     weight = -level[2]
     x, y = level[4] / weight, -level[3] / weight
     angle, direction = 0.2, 0.5
-    found = reaction_wrench(Motion(robot.on_ramp(angle, direction), q, still, still))
+    found = reaction_wrench(MotionStates(robot.on_ramp(angle, direction), q, still, still))
     down = np.array([*(-np.sin(angle) * np.array([np.cos(direction - 0.7), np.sin(direction - 0.7)])), 0])
     down[2] = -np.cos(angle)
     np.testing.assert_allclose(found[:3], weight * down, rtol=1e-12)
@@ -198,71 +197,75 @@ def test_an_arm_at_rest_on_a_ramp_weighs_on_its_mount_along_the_slope_too() -> N
     # Sliding down with the slope's own acceleration, it weighs on the mount across the plane alone.
     falling = still.copy()
     falling[:2] = -G * np.sin(angle) * np.array([np.cos(direction), np.sin(direction)])
-    free = reaction_wrench(Motion(robot.on_ramp(angle, direction), q, still, falling))
+    free = reaction_wrench(MotionStates(robot.on_ramp(angle, direction), q, still, falling))
     np.testing.assert_allclose(free, np.cos(angle) * level, atol=1e-10)
 
 
 @pytest.mark.parametrize(("mu", "speed"), [(0.3, 1.7), (0.8, 2.75)])
 def test_a_turn_too_fast_slides(mu: float, speed: float) -> None:
-    friction = Friction(mu=mu, rolling=0.0)
+    friction = WheelFriction(mu=mu, rolling=0.0)
     table = WheelTable.differential(
         0.5, 0.1, supports=[(0.25, 0.0), (-0.25, 0.0)], friction=friction, **WHEEL
     )
     body, path = MobileRobot(27.0, 2.3, com=(0.0, 0.0, 0.15)), Circle(2, 0.2, 10)
-    found = fastest(WheeledRobot(body, table), Tangent(path))
+    found = max_path_speed(WheeledRobot(body, table), Tangent(path))
     assert found.what == "left + right slip"
     assert found.value == pytest.approx(speed, rel=0.03)
     # Half of the weight is on the wheels, and forces along them are small where speed does not change.
     assert found.value == pytest.approx(np.sqrt(2 * mu * G / 2), rel=0.04)
     higher = WheeledRobot(MobileRobot(27.0, 2.3, com=(0.0, 0.0, 0.4)), table)
-    assert fastest(higher, Tangent(path)).value <= found.value
+    assert max_path_speed(higher, Tangent(path)).value <= found.value
     # Driven faster than that on ground that slips, it slides; slower, it sticks.
     for factor, slides in ((0.97, False), (1.1, True)):
         rate = factor * found.value
         robot, way = WheeledRobot(body, table, Coulomb()), Tangent(Circle(2, rate / 2, 1.5))
         run = simulate(
-            robot, Allocated(PD(400, 60), WheeledRobot(body, table)), way, dt=0.005, engine=COMPILED
+            robot,
+            ControlAllocation(PD(400, 60), WheeledRobot(body, table)),
+            way,
+            dt=0.005,
+            engine=Engine.COMPILED,
         )
         assert (run.measures()["slip"][1].max() > 1e-3) == slides
 
 
 def test_the_steepest_ramp_is_that_of_friction_and_weight() -> None:
     central = MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.1))
-    table = WheelTable.mecanum(0.5, 0.4, 0.08, friction=Friction(mu=0.3), **WHEEL)
+    table = WheelTable.mecanum(0.5, 0.4, 0.08, friction=WheelFriction(mu=0.3), **WHEEL)
     for direction in (0.0, np.pi / 2):  # rollers hold along their axes, at half a right angle
-        found = steepest(WheeledRobot(central, table), direction)
+        found = max_slope(WheeledRobot(central, table), direction)
         assert 0.15 < found.value < np.arctan(0.3)
         assert found.what.endswith("slips")
     # A support lifts where the weight points past the contacts that are left, here the axle.
     high = MobileRobot(30.0, 2.3, com=(-0.08, 0.0, 0.2))
-    friction = Friction(mu=9.0)
+    friction = WheelFriction(mu=9.0)
     rough = WheelTable.differential(0.5, 0.1, supports=[(0.2, 0.0)], x=-0.2, friction=friction, **WHEEL)
-    found = steepest(WheeledRobot(high, rough))
+    found = max_slope(WheeledRobot(high, rough))
     assert found.what == "support 1 lifts"
     np.testing.assert_allclose(np.tan(found.value), 0.12 / 0.2, rtol=1e-9)
 
 
 def test_a_motor_s_torque_limits_the_ramp_and_less_of_it_at_speed_the_path() -> None:
     """Of 300 kg, m g sin(angle) r = 2 tau; and tau falls from stall to none at the rate of the free run."""
-    motor, friction = Motor.from_sheet(24, 10, 20, 20), Friction(mu=0.8, rolling=0.0)
+    motor, friction = Motor.from_sheet(24, 10, 20, 20), WheelFriction(mu=0.8, rolling=0.0)
     table = WheelTable.differential(0.5, 0.1, supports=[(0.3, 0.0)], motor=motor, friction=friction, **WHEEL)
     robot = WheeledRobot(MobileRobot(300.0, 20.0, com=(0.1, 0.0, 0.2)), table)
     assert [(one.lower, one.upper) for one in robot.inputs] == [(-10.0, 10.0)] * 2
-    found = steepest(robot)
+    found = max_slope(robot)
     assert found.what.endswith("lacks torque")
     np.testing.assert_allclose(300 * G * np.sin(found.value) * 0.1, 20.0, rtol=1e-9)
-    along = fastest(robot, Tangent(Line((0, 0), (10, 0), 10)))
+    along = max_path_speed(robot, Tangent(Line((0, 0), (10, 0), 10)))
     assert along.value == pytest.approx(20 * 0.1)
     assert along.what.endswith("lacks torque")
     # On a circle of radius R, w = v / R, the outer wheel drives with m x w r (v / b - w) / 2.
     x, b, r, R = 0.1, 0.25, 0.1, 2.0
-    v = fastest(robot, Tangent(Circle(R, 0.2, 10))).value
+    v = max_path_speed(robot, Tangent(Circle(R, 0.2, 10))).value
     drives = 300 * x * (v / R) * r * (v / b - v / R) / 2
     np.testing.assert_allclose(drives, 10 * (1 - v * (1 + b / R) / r / 20), rtol=1e-6)
     # An arm's joints count too.
-    arm = WheeledRobot(robot.robot.mount("ur5").attach(Load(60.0), "ur5/tool0"), table)
+    arm = WheeledRobot(robot.robot.mount("ur5").attach(PayloadBody(60.0), "ur5/tool0"), table)
     with pytest.raises(errors.InvalidArgument, match=r"at rest: ur5/\w+_joint lacks torque"):
-        fastest(arm, Tangent(Line((0, 0), (10, 0), 10)))
+        max_path_speed(arm, Tangent(Line((0, 0), (10, 0), 10)))
 
 
 def test_what_rolls_is_judged_alike_in_all_engines() -> None:
@@ -279,7 +282,7 @@ def test_what_rolls_is_judged_alike_in_all_engines() -> None:
     run = simulate(robot, ComputedTorque(robot), path, dt=0.01)
     judged, fast = (
         run.measures(),
-        simulate(robot, ComputedTorque(robot), path, dt=0.01, engine=COMPILED).measures(),
+        simulate(robot, ComputedTorque(robot), path, dt=0.01, engine=Engine.COMPILED).measures(),
     )
     for name, (_, values) in judged.items():
         np.testing.assert_allclose(fast[name][1], values, atol=1e-7)
@@ -291,7 +294,7 @@ def test_what_rolls_is_judged_alike_in_all_engines() -> None:
         min(values) if one.is_margin else max(values)
         for one, (_, values) in zip(robot.measures, judged.values(), strict=True)
     ]
-    for engine in (COMPILED, PYTHON):
+    for engine in (Engine.COMPILED, Engine.PYTHON):
         spread: dict[str, Any] = {"mass": Uniform(30.0, 30.0 + 1e-12)}
         each = ensemble(robot, ComputedTorque(robot), path, n=2, spread=spread, dt=0.01, engine=engine)
         np.testing.assert_allclose(each.worst_measure, [worst, worst], atol=1e-7)
@@ -303,12 +306,12 @@ def test_ensembles_tell_how_many_would_slip_and_how_many_do() -> None:
     robot = WheeledRobot(body, table)
     spread: Any = {
         "left.friction.mu": Uniform(0.1, 0.5),
-        "right.friction.mu": Same("left.friction.mu"),
+        "right.friction.mu": SameAs("left.friction.mu"),
         "left.y": Normal(0.25, 0.001),
-        "right.y": Same("left.y", -1.0),
+        "right.y": SameAs("left.y", -1.0),
         "com.z": Uniform(0.1, 0.2),
     }
-    law = Backstepping(Tracking(), robot)
+    law = Backstepping(UnicycleTracking(), robot)
     rolling = ensemble(robot, law, path, n=200, dt=0.005, spread=spread, seed=1)
     slides = rolling.largest("slip margin") < 0
     # With half of the weight on the wheels, v^2 / R = mu g / 2 where it begins.
@@ -317,7 +320,9 @@ def test_ensembles_tell_how_many_would_slip_and_how_many_do() -> None:
     assert mu[slides].max() < 1.05 * 2 * 1.6**2 / 2 / G < 1.1 * mu[~slides].min()
     assert rolling.worst(1, by="slip margin")[0] == rolling.largest("slip margin").argmin()
     slipping = WheeledRobot(body, table, Coulomb())
-    found = ensemble(slipping, Allocated(PD(400, 60), robot), path, n=200, dt=0.005, spread=spread, seed=1)
+    found = ensemble(
+        slipping, ControlAllocation(PD(400, 60), robot), path, n=200, dt=0.005, spread=spread, seed=1
+    )
     assert [one.name for one in found.scenario.judged] == ["load", "tip over", "slip"]
     did = found.largest("slip") > 1e-3
     assert np.mean(did == slides) > 0.9
@@ -328,7 +333,7 @@ def test_what_is_not_known_is_refused() -> None:
     assert line.measures == ()
     assert line.footprint is None
     still = np.zeros(line.nv)
-    at = Motion(line, line.rest, still, still)
+    at = MotionStates(line, line.rest, still, still)
     with pytest.raises(
         errors.InvalidArgument, match=r"^table has 2 places where the robot stands, on one line"
     ):
@@ -336,21 +341,21 @@ def test_what_is_not_known_is_refused() -> None:
     with pytest.raises(
         errors.InvalidArgument, match=r"^motion.plant is .*, which does not tell what its wheels"
     ):
-        contact_loads(Motion(BODY, BODY.rest, np.zeros(3), np.zeros(3)))
+        contact_loads(MotionStates(BODY, BODY.rest, np.zeros(3), np.zeros(3)))
     robot = WheeledRobot(BODY, DIFFERENTIAL)
     with pytest.raises(errors.InvalidArgument, match=r"^motion.u is None"):
-        slip_margins(Motion(robot, robot.rest, still, still))
+        slip_margins(MotionStates(robot, robot.rest, still, still))
     skid = WheeledRobot(BODY, WheelTable.skid_steer(0.5, 0.4, 0.1, **WHEEL))
     with pytest.raises(errors.InvalidArgument, match=r"^motion has no signals"):
-        slip_margins(Motion(skid, skid.rest, np.zeros(skid.nv), np.zeros(skid.nv), np.zeros(skid.nu)))
+        slip_margins(MotionStates(skid, skid.rest, np.zeros(skid.nv), np.zeros(skid.nv), np.zeros(skid.nu)))
     with pytest.raises(errors.InvalidArgument, match=r"cannot roll without slip"):
-        fastest(skid, Tangent(Circle(2, 0.2, 10)))
+        max_path_speed(skid, Tangent(Circle(2, 0.2, 10)))
     with pytest.raises(errors.InvalidArgument, match=r"^reference moves the body by"):
-        fastest(robot, Tangent(Circle(2, 0.2, 10)))
+        max_path_speed(robot, Tangent(Circle(2, 0.2, 10)))
     left, right = DIFFERENTIAL.wheels
     one_motor = WheelTable((left, evolved(right, motor=None)), DIFFERENTIAL.supports)
     with pytest.raises(errors.InvalidArgument, match=r"^reference needs a force of"):
-        steepest(WheeledRobot(BODY, one_motor))
+        max_slope(WheeledRobot(BODY, one_motor))
 
 
 def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None:
@@ -358,16 +363,16 @@ def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None
     table = WheelTable.differential(0.5, 0.1, supports=[(0.2, 0.0), (-0.2, 0.0)], motor=motor, **WHEEL)
     robot = WheeledRobot(BODY, table)
     electric, still = robot.by_voltage(), np.zeros(robot.nv)
-    at = Motion(electric, robot.rest, still, still, [12.0, 12.0])
+    at = MotionStates(electric, robot.rest, still, still, [12.0, 12.0])
     np.testing.assert_array_equal(
-        contact_loads(at).values, contact_loads(Motion(robot, robot.rest, still, still)).values
+        contact_loads(at).values, contact_loads(MotionStates(robot, robot.rest, still, still)).values
     )
     with pytest.raises(errors.InvalidArgument, match=r"^motion.plant is .*, which does not tell how far"):
         slip_margins(at)
     assert not hasattr(electric, "measures")
     assert not hasattr(electric.array_dynamics, "measured")
     assert electric.on_ramp(0.1) == robot.on_ramp(0.1).by_voltage()
-    assert steepest(electric) == steepest(robot)
+    assert max_slope(electric) == max_slope(robot)
 
 
 def test_other_parameters_are_those_of_another_robot() -> None:

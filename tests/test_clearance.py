@@ -13,20 +13,20 @@ import pytest
 
 import tests.wheeled as wheeled
 from pinmobile import (
-    Clearance,
     InvalidArgument,
-    Load,
     MobileRobot,
+    PayloadBody,
     PosePath,
-    Resolved,
     Spline,
-    Unreachable,
     WheeledRobot,
     WheelTable,
     clearance,
-    resolve,
+    solve_inverse_kinematics,
 )
 from pinmobile.arrays import Array
+from pinmobile.errors import Unreachable
+from pinmobile.proximity import Clearance
+from pinmobile.reaching import InverseKinematicsTrajectory
 from pinmobile.robot import Solid
 from tests.test_mounted import mjcf, numbers, placed
 
@@ -287,7 +287,7 @@ def test_a_base_alone_has_no_pairs() -> None:
 
 def test_a_load_is_its_box() -> None:
     loaded = slider((1, coal.Sphere(0.1)), (2, coal.Sphere(0.1)), (3, coal.Sphere(0.1)))
-    loaded = loaded.attach(Load(1.0, (0, 0, 0.5), size=(0.2, 0.2, 0.2)), "arm/link3")
+    loaded = loaded.attach(PayloadBody(1.0, (0, 0, 0.5), size=(0.2, 0.2, 0.2)), "arm/link3")
     found = clearance(loaded, np.array([0, 0, 0, 0, 0, 0.3]))
     at = found.pairs.index(("arm/shape0", "load 1"))
     assert found.distances[at] == pytest.approx(0.3 + 0.5 - 0.1 - 0.1, abs=1e-9)
@@ -398,18 +398,20 @@ def down(way: Any) -> PosePath:
 
 def test_resolve_reports_the_smallest_clearance_and_refuses_to_go_below_it() -> None:
     through = down((-0.45, 0.0, -0.35))  # into the box that carries it
-    gone = resolve(UR5, through, q0=BENT, velocity_limit=LOCKED, dt=0.02)
+    gone = solve_inverse_kinematics(UR5, through, q0=BENT, velocity_limit=LOCKED, dt=0.02)
     assert gone.max_error()[0] < 1e-3
     assert isinstance(gone.clearance, Clearance)
     assert gone.clearance.smallest < 0
     np.testing.assert_array_equal(gone.clearance.distance, clearance(UR5, gone(gone.t).q).distance)
     assert f"smallest clearance {gone.clearance.told}" in repr(gone)
     with pytest.raises(Unreachable, match=r"clearance is .* m between .* expected at least 0.01 m") as caught:
-        resolve(UR5, through, q0=BENT, velocity_limit=LOCKED, dt=0.02, clearance=0.01)
-    kept: Resolved = caught.value.resolved
+        solve_inverse_kinematics(UR5, through, q0=BENT, velocity_limit=LOCKED, dt=0.02, clearance=0.01)
+    kept: InverseKinematicsTrajectory = caught.value.resolved
     k = int(np.argmax(kept.clearance.distance < 0.01))
     assert caught.value.time == kept.t[k]
-    away = resolve(UR5, down((0.1, 0.1, 0.1)), q0=BENT, velocity_limit=LOCKED, dt=0.02, clearance=0.01)
+    away = solve_inverse_kinematics(
+        UR5, down((0.1, 0.1, 0.1)), q0=BENT, velocity_limit=LOCKED, dt=0.02, clearance=0.01
+    )
     assert away.clearance.smallest >= 0.01
 
 
@@ -418,14 +420,14 @@ def test_resolve_refuses_the_floor() -> None:
     hand = low.frame_pose(BENT)[:3, 3]
     floor = PosePath(Spline([hand, hand + np.array([0.2, 0.1, -hand[2] - 0.1])], [0, 4]))
     with pytest.raises(Unreachable, match=r"between ur5/\w+ and ground"):
-        resolve(low, floor, q0=BENT, dt=0.02, clearance=0.0)
+        solve_inverse_kinematics(low, floor, q0=BENT, dt=0.02, clearance=0.0)
 
 
 def test_a_clearance_is_a_number_and_needs_shapes() -> None:
     arm = BOX.mount(UR5.mounts[0].model, AT, name="bare")
     target = PosePath(Spline([arm.frame_pose(BENT)[:3, 3], START[:3, 3]], [0, 2]))
     with pytest.raises(InvalidArgument, match="robot has an arm 'bare' without collision shapes"):
-        resolve(arm, target, q0=BENT, clearance=0.02)
-    assert "clearance" not in repr(resolve(arm, target, q0=BENT, dt=0.1))
+        solve_inverse_kinematics(arm, target, q0=BENT, clearance=0.02)
+    assert "clearance" not in repr(solve_inverse_kinematics(arm, target, q0=BENT, dt=0.1))
     with pytest.raises(InvalidArgument, match=r"clearance has shape \(2,\), expected"):
-        resolve(UR5, down((0.1, 0, 0)), q0=BENT, clearance=[0.1, 0.2])  # type: ignore[arg-type]
+        solve_inverse_kinematics(UR5, down((0.1, 0, 0)), q0=BENT, clearance=[0.1, 0.2])  # type: ignore[arg-type]

@@ -549,7 +549,7 @@ def test_volts_of_wheels_give_the_robot_and_loads_the_scale(
             written(tmp_path / f"{k}.csv", np.column_stack([rows(read), np.asarray(read.wheel_rates)]), head)
         )
     words = [WHEELS, "method=weak", "--out", str(tmp_path)]
-    load = 'loads=["none", "Load(8, (0.1, 0.05, 0), (0.0533, 0.0533, 0.0533, 0, 0, 0))"]'
+    load = 'loads=["none", "PayloadBody(8, (0.1, 0.05, 0), (0.0533, 0.0533, 0.0533, 0, 0, 0))"]'
     code, told, err = typed(capsys, "identify", *paths, load, *words)
     assert (code, err) == (0, "")
     assert estimate("input_scale", told) == pytest.approx(1.0, abs=0.02)

@@ -11,27 +11,24 @@ import pinocchio as pin
 import pytest
 
 from pinmobile import (
-    COMPILED,
-    PYTHON,
     ComputedTorque,
     ConstantForce,
-    Decoupled,
-    Delayed,
+    Engine,
+    InputSaturation,
     InvalidArgument,
     JointFriction,
-    Load,
+    MeasurementDelay,
+    MeasurementNoise,
     MobileRobot,
-    NoisyMeasurement,
     Normal,
+    PayloadBody,
     PDGravity,
     Reference,
     Relative,
     Rollout,
-    Same,
-    Saturated,
+    SameAs,
     Scenario,
     Uniform,
-    UnknownName,
     ViscousFriction,
     ensemble,
     parts as walk,
@@ -42,19 +39,20 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.compiled import Cache, Program
-from pinmobile.errors import SlowerEngine
+from pinmobile.controllers import Decoupled
+from pinmobile.errors import SlowerEngine, UnknownName
 from pinmobile.loop import run_scenario
 from pinmobile.loop._run import way_of
 from tests.test_compiled_loop import targets
 from tests.test_mounted import mjcf
 
 AT = (0.1, -0.05, 0.2, 0.4)
-LOAD = Load(1.0, (0, 0.01, 0.05), size=(0.1, 0.1, 0.1))
+LOAD = PayloadBody(1.0, (0, 0.01, 0.05), size=(0.1, 0.1, 0.1))
 UR5 = MobileRobot.box().mount("ur5", AT).attach(LOAD)
 PENDULUM = MobileRobot.box().mount("double_pendulum_continuous", AT)  # whose q has cosines and sines
 CLOSE = 1e-10
-WRAPPED = Saturated(
-    Delayed(NoisyMeasurement(ComputedTorque(UR5, 20, 8), 1e-4, 1e-4, seed=1), 1), UR5.effort_limit
+WRAPPED = InputSaturation(
+    MeasurementDelay(MeasurementNoise(ComputedTorque(UR5, 20, 8), 1e-4, 1e-4, seed=1), 1), UR5.effort_limit
 )
 
 
@@ -83,7 +81,7 @@ SPREAD: dict[str, Any] = {
     "ur5.at.yaw": Normal(0.4, 0.1),
     "loads.0.mass": Uniform(0.5, 3),
     "loads.0.com.z": Normal(0.05, 0.01),
-    "controller.loads.0.mass": Same("loads.0.mass"),
+    "controller.loads.0.mass": SameAs("loads.0.mass"),
     "controller.forearm_link.mass": Uniform(2, 3),
     "viscous": Uniform(0, 0.3),
     "kp": Relative(Uniform(0.9, 1.1)),
@@ -186,7 +184,7 @@ def test_compiled_dynamics_are_those_of_pinocchio_and_of_mujoco(kind: str) -> No
 
 def test_each_robot_of_an_ensemble_is_what_simulate_makes_of_it() -> None:
     runs = run()
-    assert runs.engine == COMPILED.name
+    assert runs.engine == Engine.COMPILED.name
     assert_members(runs, 0, 4)
     assert np.ptp(runs.max_error, axis=0).min() > 0
 
@@ -202,7 +200,7 @@ def test_each_robot_of_an_ensemble_is_what_simulate_makes_of_it() -> None:
 )
 def test_controllers_and_wrappers_of_arms_are_compiled(controller: Any) -> None:
     runs = run(controller=controller, spread={"loads.0.mass": Uniform(0.5, 3)}, n=2, dt=0.004)
-    assert runs.engine == COMPILED.name
+    assert runs.engine == Engine.COMPILED.name
     assert_members(runs, 1)
 
 
@@ -210,7 +208,7 @@ def test_rk4_substeps_and_pushes_on_the_base_are_compiled() -> None:
     spread = {"mass": Uniform(24, 36), "force.x": Uniform(-5, 5), "coefficients.forward": Uniform(0, 5)}
     forces = [ConstantForce((0, 0, 0)), ViscousFriction((0, 0, 0))]
     runs = run(spread=spread, forces=forces, n=2, integrator=rk4, substeps=2)
-    assert runs.engine == COMPILED.name
+    assert runs.engine == Engine.COMPILED.name
     assert_members(runs, 1)
 
 
@@ -231,13 +229,13 @@ def test_each_joint_has_a_friction_of_its_own() -> None:
 def test_joints_without_limits_are_compiled() -> None:
     link = PENDULUM.mounts[0].links[-1]
     runs = run(PENDULUM, spread={f"{link.name}.mass": Uniform(0.2, 0.4)}, n=2)
-    assert runs.engine == COMPILED.name
+    assert runs.engine == Engine.COMPILED.name
     assert_members(runs, 1)
 
 
 def test_the_engines_agree_and_the_bits_hang_on_nothing() -> None:
     runs, few = run(n=20, threads=2), run(n=3, threads=1)
-    for engine in (COMPILED, PYTHON):
+    for engine in (Engine.COMPILED, Engine.PYTHON):
         other = run(n=3, engine=engine)
         assert other.engine == engine.name
         np.testing.assert_allclose(other.max_error, few.max_error, rtol=1e-9, atol=CLOSE)
@@ -248,11 +246,11 @@ def test_the_engines_agree_and_the_bits_hang_on_nothing() -> None:
 @pytest.mark.parametrize("robot", [UR5, ALL_KINDS["kinova"]], ids=["ur5", "kinova"])
 def test_six_seconds_of_a_closed_loop_are_those_of_pinocchio(robot: MobileRobot) -> None:
     runs = run(robot, n=2, dt=0.01, lasts=6.0, spread={"mass": Uniform(24, 36), "viscous": Uniform(0, 0.05)})
-    assert runs.engine == COMPILED.name
+    assert runs.engine == Engine.COMPILED.name
     assert_members(runs, 1)
     member = runs.member(1)
     compiled, usual = (
-        simulate(*member[:3], **member.options, engine=engine) for engine in (COMPILED, PYTHON)
+        simulate(*member[:3], **member.options, engine=engine) for engine in (Engine.COMPILED, Engine.PYTHON)
     )
     assert len(usual.t) == 601
     for name in ("q", "v", "a", "u"):
@@ -263,12 +261,12 @@ def test_six_seconds_of_a_closed_loop_are_those_of_pinocchio(robot: MobileRobot)
 def test_rk4_wrappers_and_forces_together_are_those_of_pinocchio_for_six_seconds() -> None:
     forces = [JointFriction.of(UR5), ViscousFriction((5, 5, 1))]
     runs = run(controller=WRAPPED, forces=forces, integrator=rk4, n=2, dt=0.01, lasts=6.0)
-    assert runs.engine == COMPILED.name
+    assert runs.engine == Engine.COMPILED.name
     assert_members(runs, 1)
 
 
 def test_the_bits_of_arms_are_those_of_every_processor() -> None:
-    controller = Saturated(NoisyMeasurement(ComputedTorque(PENDULUM, 20, 8), 1e-4, 1e-4, seed=1), 50)
+    controller = InputSaturation(MeasurementNoise(ComputedTorque(PENDULUM, 20, 8), 1e-4, 1e-4, seed=1), 50)
     spread = {f"{PENDULUM.mounts[0].links[-1].name}.mass": Uniform(0.2, 0.4)}
     way = way_of(Scenario(**given(PENDULUM, controller, spread, n=11)))
     assert way.program is not None
@@ -288,7 +286,7 @@ def test_the_bits_of_arms_are_those_of_every_processor() -> None:
 
 def test_one_robot_runs_compiled_too() -> None:
     controller = ComputedTorque(UR5.base.mount("ur5", AT), 100, 20)
-    compiled = simulate(UR5, controller, Swing(UR5), dt=0.02, engine=COMPILED)
+    compiled = simulate(UR5, controller, Swing(UR5), dt=0.02, engine=Engine.COMPILED)
     usual = simulate(UR5, controller, Swing(UR5), dt=0.02)
     for name in ("q", "v", "a", "u"):
         np.testing.assert_allclose(getattr(compiled, name), getattr(usual, name), rtol=CLOSE, atol=1e-9)
@@ -339,9 +337,11 @@ def test_a_link_that_is_not_there_is_named_with_the_nearest() -> None:
 @pytest.mark.once
 def test_a_tree_that_is_too_large_runs_slower_and_says_so() -> None:
     robot = MobileRobot.box(size=(1, 1, 0.5)).mount("tiago_dual", AT)
-    with pytest.warns(SlowerEngine, match="runs by PYTHON.*not COMPILED.*more than 30000 operations"):
+    with pytest.warns(
+        SlowerEngine, match="runs by Engine.PYTHON.*not Engine.COMPILED.*more than 30000 operations"
+    ):
         runs = run(robot, spread={"mass": Uniform(24, 36)}, n=2, dt=0.3)
-    assert runs.engine == PYTHON.name  # few robots are faster one by one than side by side
+    assert runs.engine == Engine.PYTHON.name  # few robots are faster one by one than side by side
 
 
 def test_a_helical_joint_runs_one_state_at_a_time_and_says_why() -> None:
@@ -352,4 +352,4 @@ def test_a_helical_joint_runs_one_state_at_a_time_and_says_why() -> None:
     robot = MobileRobot.box().mount(model, AT)
     with pytest.warns(SlowerEngine, match="joint 'toy/screw' is a JointModelHX, neither revolute nor"):
         runs = run(robot, spread={"kp": Uniform(90, 110)}, n=2)
-    assert runs.engine == PYTHON.name
+    assert runs.engine == Engine.PYTHON.name

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy import linalg
 
-from pinmobile import COMPILED, Circle, InvalidArgument, MobileRobot, Tangent, errors, law, simulate
+from pinmobile import Circle, Engine, InvalidArgument, MobileRobot, Tangent, errors, law, simulate
 from pinmobile.compiled._tracing import tracing
 from pinmobile.compiled.symbolic import entries, symbols
 from pinmobile.compiled.tape import Node, Tape, evaluated
@@ -383,7 +383,7 @@ def test_a_compiled_solver_in_a_law_is_refused_at_the_user_s_line_with_the_engin
 
     circle, robot = Tangent(Circle(1, 0.5, 0.1)), MobileRobot.lecture()
     with pytest.raises(InvalidArgument) as caught:
-        simulate(robot, law(held), circle, dt=0.01, engine=COMPILED)
+        simulate(robot, law(held), circle, dt=0.01, engine=Engine.COMPILED)
     assert re.search(r"held, line \d+ of test_compiled_idioms\.py \(`return daqp\.solve", str(caught.value))
     assert "View.MemoryView" not in str(caught.value)
     assert str(caught.value).endswith("or run it by PYTHON")

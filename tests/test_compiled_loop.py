@@ -7,16 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    ComputedTorque,
-    MobileRobot,
-    Saturated,
-    SinusoidalForce,
-    constant_acceleration,
-    errors,
-    rk4,
-)
+from pinmobile import ComputedTorque, InputSaturation, MobileRobot, errors, rk4
 from pinmobile.compiled import BINS, FIRST, SHIFT, Shape, Target
+from pinmobile.forces import SinusoidalForce
+from pinmobile.integrators import constant_acceleration
 from pinmobile.loop import Loop, Worst
 from pinmobile.parts import replace
 from pinmobile.plant import Input
@@ -372,7 +366,9 @@ def test_arrays_of_other_shapes_are_refused_and_not_read_beyond() -> None:
 def test_one_object_serves_all_numbers_that_are_not_spread() -> None:
     programs = []
     for gain, mass, limit in ((4.0, 31.0, 50.0), (9.0, 17.0, 3.0)):
-        controller = Saturated(ComputedTorque(MobileRobot(mass, 1.1, com=(0.1, 0.1)), gain, gain), limit)
+        controller = InputSaturation(
+            ComputedTorque(MobileRobot(mass, 1.1, com=(0.1, 0.1)), gain, gain), limit
+        )
         loop = Loop(Body(), controller, None, ROUGH, rk4)
         q, v = started(loop.plant, 1)
         compiled = built(loop, {})

@@ -7,19 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from pinmobile import (
-    ConstantForce,
-    Coulomb,
-    NoisyMeasurement,
-    Rolling,
-    SinusoidalForce,
-    Uniform,
-    ensemble,
-    errors,
-    plain_difference,
-    planar_difference,
-)
+from pinmobile import ConstantForce, Coulomb, MeasurementNoise, Rolling, Uniform, ensemble, errors
 from pinmobile.compiled import robot_keys
+from pinmobile.controllers import plain_difference, planar_difference
+from pinmobile.forces import SinusoidalForce
 from pinmobile.integrators import RungeKuttaNystrom, constant_acceleration, rk4, semi_implicit_euler
 from pinmobile.loop import Loop, Samples, _trace
 from pinmobile.loop._program import Compiled
@@ -148,7 +139,7 @@ def test_forces_on_a_body_that_cannot_be_pushed_are_refused() -> None:
 
 
 def test_noises_have_numbers_of_their_own() -> None:
-    noisy = NoisyMeasurement(NoisyMeasurement(PD(20.0, 30.0), 0.01, 0.01, 3), 0.01, 0.01, 3)
+    noisy = MeasurementNoise(MeasurementNoise(PD(20.0, 30.0), 0.01, 0.01, 3), 0.01, 0.01, 3)
     assert_alike(Loop(Body(), noisy, None, (), constant_acceleration), CIRCLE.q[0], CIRCLE.v[0])
 
 

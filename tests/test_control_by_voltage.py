@@ -9,23 +9,22 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    COMPILED,
     LQR,
     MPC,
-    PYTHON,
     Backstepping,
-    Driven,
+    Engine,
     InvalidArgument,
     RestToRest,
     Rollout,
     Tangent,
-    Tracking,
+    UnicycleTracking,
     Uniform,
     WheeledRobot,
     WheelTable,
     ensemble,
     simulate,
 )
+from pinmobile.controllers import TorqueToVoltage
 from pinmobile.wheels import Motor
 
 pytestmark = pytest.mark.once
@@ -38,16 +37,16 @@ MODEL, HEAVY, EIGHT, VOLTS = races.MODEL, races.HEAVY, races.EIGHT, races.VOLTS
 def controllers() -> dict[str, Any]:
     volts = MODEL.by_voltage()
     return {
-        "backstepping": Driven(Backstepping(Tracking(), MODEL), volts),
+        "backstepping": TorqueToVoltage(Backstepping(UnicycleTracking(), MODEL), volts),
         "LQR": LQR(volts),
-        "LQR of torques": Driven(LQR(MODEL), volts),
+        "LQR of torques": TorqueToVoltage(LQR(MODEL), volts),
         "MPC": MPC(volts, 20, 0.1),
     }
 
 
 def run(robot: WheeledRobot, name: str, off: float, duration: float) -> Rollout:
     """Return a run that starts so far behind and beside the eight, where at all, at rest."""
-    engine = None if name == "MPC" else COMPILED
+    engine = None if name == "MPC" else Engine.COMPILED
     found: Rollout = races.run(robot, controllers()[name], np.array([-off, -off, 0, 0, 0]), duration, engine)
     return found
 
@@ -110,7 +109,9 @@ def test_limits_beyond_those_of_the_motors_are_refused_as_the_robot_would_cut_in
 def test_the_engines_agree() -> None:
     robot = MODEL.by_voltage()
     given: Any = {"dt": 0.01, "n": 3, "seed": 2, "duration": 1.0, "spread": {"mass": Uniform(28, 36)}}
-    found = [ensemble(robot, LQR(robot), EIGHT, engine=each, **given) for each in (COMPILED, PYTHON)]
+    found = [
+        ensemble(robot, LQR(robot), EIGHT, engine=each, **given) for each in (Engine.COMPILED, Engine.PYTHON)
+    ]
     for other in found[1:]:
         # 100 samples of contracting loops: rounding does not grow.
         assert np.abs(found[0].rms_error - other.rms_error).max() < 1e-12

@@ -8,20 +8,10 @@ import pytest
 from attrs import evolve
 from hypothesis import given, settings, strategies as st
 
-from pinmobile import (
-    PD,
-    ComputedTorque,
-    Context,
-    Decoupled,
-    InvalidArgument,
-    MobileRobot,
-    PDGravity,
-    Reference,
-    law,
-    plain_difference,
-    planar_difference,
-)
+from pinmobile import PD, ComputedTorque, InvalidArgument, MobileRobot, PDGravity, Reference, law
 from pinmobile.arrays import Array
+from pinmobile.controllers import Decoupled, plain_difference, planar_difference
+from pinmobile.plant import Context
 
 ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
 CONTEXT = Context.of(ROBOT, dt=0.1)

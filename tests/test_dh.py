@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from pinmobile import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, InvalidArgument, JointType
-from pinmobile.dh import transform
+from pinmobile import InvalidArgument
+from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType, transform
 
 # Every entry is a sum of few products of cosines and lengths: some roundings of numbers up to 100.
 ROUNDING = 1e-13

@@ -12,29 +12,28 @@ import pytest
 from matplotlib.figure import Figure
 
 from pinmobile import (
-    COMPILED,
     ComputedTorque,
-    EndEffector,
     EndEffectorTracking,
+    Engine,
     FixedHeading,
     Hold,
+    InputSaturation,
     InvalidArgument,
     MobileRobot,
     PosePath,
-    Resolved,
     Rollout,
-    Saturated,
     Spline,
-    UnknownName,
     WheeledRobot,
     WheelTable,
     WholeBody,
     plots,
-    resolve,
     simulate,
+    solve_inverse_kinematics,
 )
 from pinmobile.arrays import Array
-from pinmobile.reaching import pose_error
+from pinmobile.errors import UnknownName
+from pinmobile.loop import EndEffector
+from pinmobile.reaching import InverseKinematicsTrajectory, pose_error
 from pinmobile.viewer import Overlays, Viewer
 from tests.test_viewer import tracks
 
@@ -206,7 +205,7 @@ def test_a_path_through_poses_is_followed_all_the_way_round() -> None:
     steps = [turned(("z", a), ("x", 0.2 * np.sin(a))) for a in np.linspace(0, 1.8 * np.pi, 8)]
     way = START[:3, 3] + np.array([[0.2 * k, 0.05 * k * (7 - k), 0] for k in range(8)])
     target = PosePath.through(poses([START[:3, :3] @ R for R in steps], way), np.linspace(0, 8, 8))
-    found = resolve(ROBOT, target, q0=BENT, dt=0.02)
+    found = solve_inverse_kinematics(ROBOT, target, q0=BENT, dt=0.02)
     assert max(found.max_error()) < 1e-3
 
 
@@ -218,12 +217,12 @@ HAND = PosePath(
 
 
 @pytest.fixture(scope="module")
-def way() -> Resolved:
-    return resolve(ROBOT, HAND, q0=BENT, dt=0.02)
+def way() -> InverseKinematicsTrajectory:
+    return solve_inverse_kinematics(ROBOT, HAND, q0=BENT, dt=0.02)
 
 
 @pytest.fixture(scope="module")
-def run(way: Resolved) -> Rollout:
+def run(way: InverseKinematicsTrajectory) -> Rollout:
     return simulate(ROBOT, EndEffectorTracking(ROBOT, HAND, dt=0.02), way, dt=0.02)
 
 
@@ -267,12 +266,14 @@ def test_a_rollout_tells_where_its_end_effector_was_and_should_have_been(
     check_hand(pickle.loads(pickle.dumps(hand)), run)
 
 
-def test_the_target_is_that_of_controller_trajectory_or_reference(way: Resolved, run: Rollout) -> None:
+def test_the_target_is_that_of_controller_trajectory_or_reference(
+    way: InverseKinematicsTrajectory, run: Rollout
+) -> None:
     tracked = simulate(ROBOT, ComputedTorque(ROBOT, 100, 20), way, dt=0.02)
     check_hand(tracked.end_effector(), tracked)
-    compiled = simulate(ROBOT, ComputedTorque(ROBOT, 100, 20), way, dt=0.02, engine=COMPILED)
+    compiled = simulate(ROBOT, ComputedTorque(ROBOT, 100, 20), way, dt=0.02, engine=Engine.COMPILED)
     check_hand(compiled.end_effector(), compiled)
-    wrapped = Saturated(EndEffectorTracking(ROBOT, HAND, dt=0.02), 1e4)
+    wrapped = InputSaturation(EndEffectorTracking(ROBOT, HAND, dt=0.02), 1e4)
     rest = simulate(ROBOT, wrapped, way, dt=0.02, duration=1.0)
     check_hand(rest.end_effector(), rest)
     # A posture that is another one than the pose's: the controller's target counts.
@@ -285,7 +286,7 @@ def test_the_target_is_that_of_controller_trajectory_or_reference(way: Resolved,
     np.testing.assert_allclose(target_of(elbow), ROBOT.frame_pose(run.reference.q, elbow.frame), atol=1e-12)
 
 
-def test_the_end_effector_of_a_robot_on_wheels_is_that_of_its_arm(way: Resolved) -> None:
+def test_the_end_effector_of_a_robot_on_wheels_is_that_of_its_arm(way: InverseKinematicsTrajectory) -> None:
     table = WheelTable.mecanum(wheelbase=0.5, track=0.5, radius=0.08, mass=2.0, spin_inertia=0.006)
     robot = WheeledRobot(ROBOT, table)
     rolled = simulate(robot, ComputedTorque(robot, 100, 20), way, dt=0.02, duration=1.0)
@@ -298,7 +299,9 @@ def test_the_end_effector_of_a_robot_on_wheels_is_that_of_its_arm(way: Resolved)
 
 def test_where_only_the_position_is_followed_no_angle_is_wrong() -> None:
     target = PosePath(Spline([START[:3, 3], START[:3, 3] + [0.1, 0, 0]], [0, 1]))
-    run = simulate(ROBOT, EndEffectorTracking(ROBOT, target), resolve(ROBOT, target, q0=BENT), dt=0.01)
+    run = simulate(
+        ROBOT, EndEffectorTracking(ROBOT, target), solve_inverse_kinematics(ROBOT, target, q0=BENT), dt=0.01
+    )
     hand = run.end_effector()
     assert not hand.is_oriented
     assert np.isnan([*hand.angle, hand.max_error()[1]]).all()

@@ -10,40 +10,35 @@ import pytest
 
 from pinmobile import (
     PD,
-    AdaptiveVelocity,
     Backstepping,
     Circle,
     CompositePath,
     ComputedTorque,
     ConstantForce,
-    Decoupled,
-    Delayed,
     Ensemble,
+    InputSaturation,
     Line,
-    Load,
+    MeasurementDelay,
+    MeasurementNoise,
     MobileRobot,
-    NoiseForce,
-    NoisyMeasurement,
-    Payload,
+    PayloadBody,
     PDGravity,
     Polyline,
     Relative,
     RollingResistance,
-    Saturated,
     Scenario,
-    SinusoidalForce,
     Tangent,
-    Tracking,
+    UnicycleTracking,
     Uniform,
-    VelocityCommand,
     VelocityRobot,
     ViscousFriction,
-    constant_acceleration,
     law,
     rk4,
-    semi_implicit_euler,
 )
-from pinmobile.loop import COMPILED, PYTHON, part_of, run_scenario
+from pinmobile.controllers import AdaptiveVelocity, Decoupled, VelocityCommand
+from pinmobile.forces import NoiseForce, PayloadForce, SinusoidalForce
+from pinmobile.integrators import constant_acceleration, semi_implicit_euler
+from pinmobile.loop import Engine, part_of, run_scenario
 from tests.parts import PID, Cart, Eight, Follower, Nodding, SlidingMode, Smoothed, Spring, midpoint
 
 N, DT, DURATION = 3, 0.01, 1.0  # 101 samples
@@ -59,7 +54,7 @@ def _law(t: float, q: Any, v: Any, reference: Any) -> Any:
 COMMANDED = VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], accelerations=(2.0, 4.0))
 PLANTS: dict[str, Any] = {
     "offset": ROBOT,
-    "loaded": ROBOT.attach(Load(4.0, com=(0.1, -0.1, 0.2))),
+    "loaded": ROBOT.attach(PayloadBody(4.0, com=(0.1, -0.1, 0.2))),
     "cart": Cart(),
     "commanded": COMMANDED,
 }
@@ -75,17 +70,17 @@ CONTROLLERS: dict[str, Any] = {
     "sliding mode": SlidingMode(),
     "law": law(_law),
     "follower": Follower(),
-    "command": VelocityCommand(Tracking(), COMMANDED),
-    "backstepping": Backstepping(Tracking(), COMMANDED),
+    "command": VelocityCommand(UnicycleTracking(), COMMANDED),
+    "backstepping": Backstepping(UnicycleTracking(), COMMANDED),
     "adaptive velocity": AdaptiveVelocity(COMMANDED, leakage=0.1),
 }
 WRAPPERS: dict[str, Any] = {
     "bare": lambda controller, limits: controller,
-    "saturated": Saturated,
-    "delayed": lambda controller, limits: Delayed(controller, 2),
-    "noisy": lambda controller, limits: NoisyMeasurement(controller, 1e-3, 2e-3, seed=3),
+    "saturated": InputSaturation,
+    "delayed": lambda controller, limits: MeasurementDelay(controller, 2),
+    "noisy": lambda controller, limits: MeasurementNoise(controller, 1e-3, 2e-3, seed=3),
     "smoothed": lambda controller, limits: Smoothed(controller, 0.8),
-    "nested": lambda controller, limits: Saturated(Delayed(controller, 1), limits),
+    "nested": lambda controller, limits: InputSaturation(MeasurementDelay(controller, 1), limits),
 }
 # Rolling: stiff as 1 N m / (0.1 rad/s) about rest, for which 2 * 1.3 * 0.1 / 0.3 s is the longest step.
 STEADY: dict[str, Any] = {
@@ -93,7 +88,7 @@ STEADY: dict[str, Any] = {
     "constant": (ConstantForce((3.0, -2.0, 0.1)),),
     "viscous": (ViscousFriction((5.0, 9.0, 0.4)),),
     "rolling": (RollingResistance((2.0, 3.0, 0.3), 0.1),),
-    "payload": (Payload(6.0, (0.2, 0.1), 1.0, 0.1),),
+    "payload": (PayloadForce(6.0, (0.2, 0.1), 1.0, 0.1),),
     "spring": (Spring(),),
 }
 WAVING: dict[str, Any] = {
@@ -264,14 +259,14 @@ def test_every_two_parts_that_fit_meet() -> None:
 def compiled(k: int) -> tuple[Scenario, Ensemble]:
     """Return a composition and its ensemble by compiled code, one thread's."""
     scenario = made(compositions()[k])
-    return scenario, run_scenario(scenario, engine=COMPILED, threads=1)
+    return scenario, run_scenario(scenario, engine=Engine.COMPILED, threads=1)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("k", range(len(compositions())))
 def test_the_engines_agree(k: int) -> None:
     scenario, run = compiled(k)
-    alone = run_scenario(scenario, engine=PYTHON)
+    alone = run_scenario(scenario, engine=Engine.PYTHON)
     assert not alone.diverged.any()
     place, force = np.abs(scenario.reference.q).max(), alone.max_force.max()
     # Where nothing pushes, a force is what gains make of the rounding of places.
@@ -287,8 +282,8 @@ def test_the_bits_hang_on_no_thread_chunk_or_number_of_robots(
 ) -> None:
     monkeypatch.setattr("pinmobile.compiled.program._WORTH", 1.0)  # every block is worth a thread
     scenario, run = compiled(k)
-    many = run_scenario(made(compositions()[k], 20 * N), engine=COMPILED, threads=3)
-    chunk = part_of(scenario, 1, N, COMPILED)[1]
+    many = run_scenario(made(compositions()[k], 20 * N), engine=Engine.COMPILED, threads=3)
+    chunk = part_of(scenario, 1, N, Engine.COMPILED)[1]
     for name in ("max_error", "rms_error", "max_distance", "max_force"):
         np.testing.assert_array_equal(getattr(many, name)[:N], getattr(run, name), err_msg=name)
         np.testing.assert_array_equal(getattr(chunk, name), getattr(run, name)[1:], err_msg=name)

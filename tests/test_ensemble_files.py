@@ -16,13 +16,13 @@ from pinmobile import (
     ComputedTorque,
     ConstantForce,
     Ensemble,
+    InputSaturation,
     InvalidArgument,
-    Load,
     MobileRobot,
     Normal,
+    PayloadBody,
     Rollout,
-    Same,
-    Saturated,
+    SameAs,
     Scenario,
     Tangent,
     Uniform,
@@ -31,16 +31,16 @@ from pinmobile import (
     plots,
     sweep,
 )
-from pinmobile.loop import COMPILED, Outline, run_scenario
+from pinmobile.loop import Engine, Outline, run_scenario
 from pinmobile.loop._variables import PER_ROBOT
 from pinmobile.plots.sensitivity import causes, worst_share
 from tests.damage import answer, damaged
 
-ROBOT = MobileRobot(10, 1.3, com=(0.1, 0.05)).attach(Load(2, (0.1, 0, 0.2)))
+ROBOT = MobileRobot(10, 1.3, com=(0.1, 0.05)).attach(PayloadBody(2, (0.1, 0, 0.2)))
 CIRCLE = Tangent(Circle(3, 0.1, 20))
 SPREAD: dict[str, Any] = {
     "mass": Uniform(2, 10),
-    "controller.mass": Same("mass", stats.norm(1.0, scale=0.1)),
+    "controller.mass": SameAs("mass", stats.norm(1.0, scale=0.1)),
     "com.x": np.linspace(0, 0.1, 60),
     "force.x": Normal(0, 0.04),
     "kp": 4.0,
@@ -54,7 +54,7 @@ def scenario(**more: Any) -> Scenario:
 
 
 def run(traces: Any = (), **more: Any) -> Ensemble:
-    return run_scenario(scenario(**more), traces=traces, engine=COMPILED)
+    return run_scenario(scenario(**more), traces=traces, engine=Engine.COMPILED)
 
 
 # A controller that believes in 30 kg where there are 4 to 12, with the load, is beyond what the step allows.
@@ -199,12 +199,12 @@ except ValueError as error:
 
 def test_words_have_no_addresses_and_all_digits_whatever_is_set() -> None:
     with np.printoptions(precision=2, threshold=1, legacy="1.13"):
-        told = Outline.of(scenario(controller=Saturated(ComputedTorque(ROBOT, 1 / 3, 4), 50)))
+        told = Outline.of(scenario(controller=InputSaturation(ComputedTorque(ROBOT, 1 / 3, 4), 50)))
     assert "kp=0.3333333333333333" in told.controller
     assert "0x" not in str(told)
     assert told.spread["com.x"] == "60 numbers"
     assert told.spread["kp"] == "4.0"
-    assert told.spread["controller.mass"] == Same("mass", "norm(1.0, scale=0.1)")
+    assert told.spread["controller.mass"] == SameAs("mass", "norm(1.0, scale=0.1)")
     assert told.parameters["mass"].unit == "kg"
 
 

@@ -23,14 +23,14 @@ from pinmobile import (
     InvalidArgument,
     MobileRobot,
     Normal,
-    Same,
+    SameAs,
     Tangent,
     Uniform,
-    UnknownName,
     ensemble,
     plots,
 )
-from pinmobile.loop import COMPILED
+from pinmobile.errors import UnknownName
+from pinmobile.loop import Engine
 from pinmobile.plots.parameter_curves import strip_above
 from pinmobile.plots.sensitivity import causes, worst_share
 from pinmobile.plots.style import percent
@@ -49,7 +49,9 @@ SPREAD: dict[str, Any] = {
 def run(controller: Any, spread: dict[str, Any], n: int = 300, duration: float = 20.0) -> Ensemble:
     circle = Tangent(Circle(3, 0.1, duration))
     wind = [ConstantForce((0, 0, 0))]
-    return ensemble(ROBOT, controller, circle, n=n, spread=spread, forces=wind, dt=0.1, engine=COMPILED)
+    return ensemble(
+        ROBOT, controller, circle, n=n, spread=spread, forces=wind, dt=0.1, engine=Engine.COMPILED
+    )
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +116,13 @@ class TestBands:
 
     def test_what_a_start_costs_is_drawn_though_errors_count_later(self) -> None:
         aside, circle = {"start.x": Uniform(0.01, 0.02)}, Tangent(Circle(3, 0.1, 20))
-        options: dict[str, Any] = {"n": 50, "spread": aside, "dt": 0.1, "engine": COMPILED, "after": 10}
+        options: dict[str, Any] = {
+            "n": 50,
+            "spread": aside,
+            "dt": 0.1,
+            "engine": Engine.COMPILED,
+            "after": 10,
+        }
         made = ensemble(ROBOT, TRUE, circle, **options)
         axes = plots.bands(made).axes[0]
         assert axes.get_title(loc="left").endswith(" from 10 s on")
@@ -132,7 +140,7 @@ class TestBands:
         assert [axes.get_xlabel() for axes in rows(plots.bands(pair), 2)[1]] == ["t [s]"] * 2
 
     def test_errors_that_differ_by_orders_have_logarithmic_axes(self, pair: dict[str, Ensemble]) -> None:
-        exact = run(TRUE, {"mass": Uniform(24, 36), "controller.mass": Same("mass")}, n=50)
+        exact = run(TRUE, {"mass": Uniform(24, 36), "controller.mass": SameAs("mass")}, n=50)
         distance, heading = (row[0] for row in rows(plots.bands({"PD": pair["PD"], "exact": exact}), 2))
         assert distance.get_yscale() == "log"
         medians = [made.bands(0.5).distance.max() * 1e3 for made in (pair["PD"], exact)]
@@ -154,7 +162,7 @@ class TestBands:
     def test_what_fades_to_nothing_does_not_stretch_logarithmic_axes(self) -> None:
         slow, aside = Tangent(Circle(3, 0.001, 20)), {"start.x": Uniform(0.01, 0.02)}
         fading = ensemble(
-            ROBOT, ComputedTorque(ROBOT, 25, 10), slow, n=300, spread=aside, dt=0.1, engine=COMPILED
+            ROBOT, ComputedTorque(ROBOT, 25, 10), slow, n=300, spread=aside, dt=0.1, engine=Engine.COMPILED
         )
         worst = run(PD(1, 1), {"mass": Uniform(24, 36)})
         axes = plots.bands({"fading": fading, "worst": worst}).axes[0]
@@ -277,7 +285,9 @@ class TestHeatmap:
 
     def test_all_may_diverge_and_all_may_be_alike(self) -> None:
         for value, text in ((np.inf, "diverges"), (0.25, "0.250"), (12345.6, "12346"), (1.2e-7, "1.2e-07")):
-            figure = plots.heatmap(np.full((2, 3), value), x=GAINS, y=SPEEDS, label="error [m]", title="Same")
+            figure = plots.heatmap(
+                np.full((2, 3), value), x=GAINS, y=SPEEDS, label="error [m]", title="SameAs"
+            )
             drawn(figure)
             assert {one.get_text() for one in figure.axes[0].texts} == {text}
 
@@ -484,8 +494,12 @@ class TestDrivers:
         assert power == ""
 
     def test_of_a_multiple_the_factor_counts(self) -> None:
-        spread = {"mass": Uniform(20, 40), "controller.mass": Same("mass", Uniform(0.8, 1.2)), "com.x": 0.01}
-        made = run(TRUE, spread | {"controller.yaw_inertia": Same("yaw_inertia", 1.1)})
+        spread = {
+            "mass": Uniform(20, 40),
+            "controller.mass": SameAs("mass", Uniform(0.8, 1.2)),
+            "com.x": 0.01,
+        }
+        made = run(TRUE, spread | {"controller.yaw_inertia": SameAs("yaw_inertia", 1.1)})
         figure = plots.drivers(made)
         assert figure.texts[0].get_text() == "controller.mass / mass drives the worst 5 % most"
         assert [axes.get_xlabel() for axes in figure.axes[:-1]] == ["controller.mass / mass", "mass [kg]"]

@@ -10,44 +10,41 @@ from scipy import stats
 
 from pinmobile import (
     PD,
-    TRUE_MODEL,
     Circle,
     ComputedTorque,
     ConstantForce,
-    Context,
     CubicVia,
-    Delayed,
     FixedHeading,
     Hold,
+    InputSaturation,
     InvalidArgument,
     JointFriction,
     Line,
     Lissajous,
+    MeasurementDelay,
+    MeasurementNoise,
     MobileRobot,
-    NoiseForce,
-    NoisyMeasurement,
     Normal,
-    Payload,
     Polyline,
     RestToRest,
     RollingResistance,
-    Same,
-    Saturated,
+    SameAs,
     Scenario,
-    SinusoidalForce,
     Spline,
     Tangent,
     Uniform,
-    UnknownName,
     ViscousFriction,
     ensemble,
     law,
-    planar_difference,
     simulate,
 )
 from pinmobile.compiled import BINS
-from pinmobile.loop import Within, run_scenario
+from pinmobile.controllers import planar_difference
+from pinmobile.errors import UnknownName
+from pinmobile.forces import NoiseForce, PayloadForce, SinusoidalForce
+from pinmobile.loop import TRUE_MODEL, Within, run_scenario
 from pinmobile.loop._counts import bins_of, edges, quantiles
+from pinmobile.plant import Context
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
 TRAJECTORY = Tangent(Circle(3.0, 0.1, 60.0))
@@ -100,7 +97,7 @@ def test_robots_far_apart_are_drawn_by_themselves() -> None:
 
 def test_factors_of_two_parameters_are_drawn_by_themselves() -> None:
     off = Uniform(0.8, 1.2)
-    spread = {"controller.mass": Same("mass", off), "controller.yaw_inertia": Same("yaw_inertia", off)}
+    spread = {"controller.mass": SameAs("mass", off), "controller.yaw_inertia": SameAs("yaw_inertia", off)}
     mass, inertia = made(spread=spread).draws().values()
     # Of independent ones, the correlation of a sample of n is within 4 / sqrt(n) of zero.
     assert abs(np.corrcoef(mass, inertia)[0, 1]) < 4 / np.sqrt(1000)
@@ -108,7 +105,7 @@ def test_factors_of_two_parameters_are_drawn_by_themselves() -> None:
 
 def test_an_array_that_changes_later_changes_nothing() -> None:
     masses = np.linspace(20, 40, 5)
-    scenario = made(n=5, spread={"mass": masses, "com.x": Same("mass", masses)})
+    scenario = made(n=5, spread={"mass": masses, "com.x": SameAs("mass", masses)})
     before = {name: column.copy() for name, column in scenario.draws().items()}
     masses[:] = 1.0
     np.testing.assert_equal(scenario.draws(), before)
@@ -130,15 +127,15 @@ def test_same_makes_the_controller_know_what_it_is_told() -> None:
     )
     # With the true model what is left is the held force: that of the lecture's table, 3.5e-5 m on each axis.
     assert told < 1e-4 < nominal
-    off = made(spread={"controller.mass": Same("mass", Uniform(0.8, 1.2))}).draws()["controller.mass"]
+    off = made(spread={"controller.mass": SameAs("mass", Uniform(0.8, 1.2))}).draws()["controller.mass"]
     assert 24 <= off.min() < 25
     assert 35 < off.max() <= 36
 
 
 def test_a_gain_may_be_a_multiple_of_one_that_is_not_spread() -> None:
-    spread = {"kd": Same("kp", 2.0)}
+    spread = {"kd": SameAs("kp", 2.0)}
     assert made(n=2, controller=PD(5, 1), spread=spread).draws()["kd"].tolist() == [10, 10]
-    several = made(n=2, controller=PD((5, 6, 7), 1), spread={"kp.y": Same("kp.psi", 3.0)})
+    several = made(n=2, controller=PD((5, 6, 7), 1), spread={"kp.y": SameAs("kp.psi", 3.0)})
     assert several.draws()["kp.y"].tolist() == [21, 21]
     with pytest.raises(
         InvalidArgument, match=r"refers to 'controller\.kp', which has several numbers, expected one"
@@ -149,7 +146,7 @@ def test_a_gain_may_be_a_multiple_of_one_that_is_not_spread() -> None:
 def test_a_member_is_the_robot_that_was_drawn() -> None:
     spread = {
         "mass": Uniform(20, 40),
-        "controller.mass": Same("mass", 1.1),
+        "controller.mass": SameAs("mass", 1.1),
         "kp": 5.0,
         "kd.psi": 7.0,
         "start.y": 0.3,
@@ -175,7 +172,7 @@ FORCED = (
     NoiseForce((6, 5, 4), 1.0, seed=0),
     RollingResistance((1, 1, 0.1), 0.05),
     JointFriction(0.1, 0.1, 0.05),
-    Payload(1.0, (0.1, 0.1), 0.5, 0.1),
+    PayloadForce(1.0, (0.1, 0.1), 0.5, 0.1),
     ConstantForce((1, 1, 0.1), 0.1, 0.8),
     ViscousFriction((1, 1, 0.1)),
 )
@@ -243,7 +240,7 @@ def test_a_member_has_all_else_of_its_scenario() -> None:
 
 
 def test_two_noises_of_one_robot_are_not_the_same() -> None:
-    noisy = NoisyMeasurement(NoisyMeasurement(PD(40, 40), 1e-2, 0.0, seed=0), 1e-2, 0.0, seed=0)
+    noisy = MeasurementNoise(MeasurementNoise(PD(40, 40), 1e-2, 0.0, seed=0), 1e-2, 0.0, seed=0)
     noise = NoiseForce((1, 1, 1), 1.0, seed=0)
     member = run_scenario(made(n=2, controller=noisy, forces=(noise, noise))).member(1)
     one, other = (force.phases for force in member.options["forces"])
@@ -254,7 +251,7 @@ def test_two_noises_of_one_robot_are_not_the_same() -> None:
 
 
 def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
-    noisy = NoisyMeasurement(PD(40, 40), 1e-2, 0.0, seed=0)
+    noisy = MeasurementNoise(PD(40, 40), 1e-2, 0.0, seed=0)
     noise: dict[str, Any] = {"forces": (NoiseForce((1, 1, 1), 1.0, seed=0),)}
     for changes in ({"controller": noisy}, noise, {"controller": noisy, **noise}):
         scenario = made(n=3, duration=5.0, **changes)
@@ -309,12 +306,12 @@ def test_every_number_of_a_trajectory_can_be_spread_and_matters() -> None:
         ({"n": True}, InvalidArgument, "n is True, expected a whole number >= 1"),
         ({"seed": None}, InvalidArgument, "seed is None, expected a whole number >= 0"),
         (
-            {"controller": Saturated(PD(4, 4), [1, 2])},
+            {"controller": InputSaturation(PD(4, 4), [1, 2])},
             InvalidArgument,
             "limits has shape (2,), expected () or (..., 3)",
         ),
         (
-            {"controller": NoisyMeasurement(PD(4, 4), 0, [1, 2], seed=0)},
+            {"controller": MeasurementNoise(PD(4, 4), 0, [1, 2], seed=0)},
             InvalidArgument,
             "std_v has shape (2,), expected () or (..., 3)",
         ),
@@ -353,12 +350,12 @@ def test_every_number_of_a_trajectory_can_be_spread_and_matters() -> None:
             "spread['mass'] is the class Uniform, expected one of it",
         ),
         (
-            {"spread": {"mass": Same("mas")}},
+            {"spread": {"mass": SameAs("mas")}},
             UnknownName,
             "unknown parameter in spread['mass'] 'mas', did you mean 'mass'",
         ),
         (
-            {"spread": {"mass": Same("controller.mass"), "controller.mass": Same("mass")}},
+            {"spread": {"mass": SameAs("controller.mass"), "controller.mass": SameAs("mass")}},
             InvalidArgument,
             "spread is circular (mass, controller.mass, mass): give one its own distribution",
         ),
@@ -398,9 +395,11 @@ def test_a_scenario_checks_itself(changes: Any, error: Any, text: str) -> None:
 
 @pytest.mark.parametrize("name", ["samples", "controller.samples", "controller.controller.samples"])
 def test_what_all_robots_share_is_named_where_a_spread_asks_for_it(name: str) -> None:
-    delayed = Delayed(PD(4, 4), 3)
-    late = Delayed(delayed, 0) if name.count(".") == 2 else delayed
-    words = f"spread has {name!r}, a whole number of a Delayed, which all robots of an ensemble share"
+    delayed = MeasurementDelay(PD(4, 4), 3)
+    late = MeasurementDelay(delayed, 0) if name.count(".") == 2 else delayed
+    words = (
+        f"spread has {name!r}, a whole number of a MeasurementDelay, which all robots of an ensemble share"
+    )
     with pytest.raises(InvalidArgument, match=f"^{re.escape(words)}"):
         made(controller=late, spread={name: Uniform(1, 4)})
 
@@ -417,7 +416,7 @@ def test_what_all_robots_share_is_named_where_a_spread_asks_for_it(name: str) ->
             "kg m^2 as the inertia of the robot about the vertical through its centre of mass, and ",
         ),
         (
-            {"controller.mass": Same("mass", -1.0)},
+            {"controller.mass": SameAs("mass", -1.0)},
             "spread['controller.mass'] gives -30 kg as the mass of the robot",
         ),
         (
@@ -525,7 +524,7 @@ def test_a_distribution_that_gives_no_numbers_is_refused() -> None:
         (lambda: Uniform(2, 1), "low is 2.0, expected at most high, 1.0"),
         (lambda: Uniform(np.nan, 1), "low is nan, expected a finite number"),
         (lambda: Normal(0, -1), "std is -1.0, expected >= 0"),
-        (lambda: Same(3), "name is 3, expected the name of a parameter"),  # type: ignore[arg-type]
+        (lambda: SameAs(3), "name is 3, expected the name of a parameter"),  # type: ignore[arg-type]
     ],
 )
 def test_distributions_check_themselves(make: Any, text: str) -> None:

@@ -17,40 +17,36 @@ from pinmobile import (
     ComputedTorque,
     ConstantForce,
     CubicVia,
-    Delayed,
     Diverged,
     Ensemble,
     FixedHeading,
     Hold,
+    InputSaturation,
     InvalidArgument,
-    LectureHeading,
     Lissajous,
-    Load,
+    MeasurementDelay,
+    MeasurementNoise,
     MobileRobot,
-    NoiseForce,
-    NoisyMeasurement,
     Normal,
+    PayloadBody,
     RollingResistance,
-    Same,
-    Saturated,
+    SameAs,
     Scenario,
-    SinusoidalForce,
     Tangent,
     Uniform,
     ViscousFriction,
-    constant_acceleration,
     ensemble,
     law,
-    plain_difference,
-    planar_difference,
     rk4,
-    semi_implicit_euler,
     simulate,
 )
+from pinmobile.controllers import plain_difference, planar_difference
 from pinmobile.errors import SlowerEngine
-from pinmobile.integrators import RungeKuttaNystrom
-from pinmobile.loop import COMPILED, PYTHON, part_of, run_scenario
+from pinmobile.forces import NoiseForce, SinusoidalForce
+from pinmobile.integrators import RungeKuttaNystrom, constant_acceleration, semi_implicit_euler
+from pinmobile.loop import Engine, part_of, run_scenario
 from pinmobile.loop._description import judgement
+from pinmobile.trajectories import LectureHeading
 from tests.memory import PEAK
 from tests.users import PID
 
@@ -82,11 +78,13 @@ CONTROLLERS: dict[str, Any] = {
     "computed torque": ComputedTorque(ROBOT),
     "PD": PD((40, 50, 4), (60, 50, 4)),
     "matrix gains": ComputedTorque(ROBOT, kp=MATRIX, kd=4.0),
-    "saturated": Saturated(ComputedTorque(ROBOT), (12.0, 9.0, 2.0)),
-    "delayed": Delayed(ComputedTorque(ROBOT, kp=1, kd=2), 3),
-    "noisy": NoisyMeasurement(ComputedTorque(ROBOT), 1e-3, (1e-3, 2e-3, 1e-3), seed=3),
-    "all of it": NoisyMeasurement(
-        Delayed(Saturated(NoisyMeasurement(PD(SOFT, SOFT), 1e-3, 0.0, seed=1), (9, 7, 0.4)), 1),
+    "saturated": InputSaturation(ComputedTorque(ROBOT), (12.0, 9.0, 2.0)),
+    "delayed": MeasurementDelay(ComputedTorque(ROBOT, kp=1, kd=2), 3),
+    "noisy": MeasurementNoise(ComputedTorque(ROBOT), 1e-3, (1e-3, 2e-3, 1e-3), seed=3),
+    "all of it": MeasurementNoise(
+        MeasurementDelay(
+            InputSaturation(MeasurementNoise(PD(SOFT, SOFT), 1e-3, 0.0, seed=1), (9, 7, 0.4)), 1
+        ),
         0.0,
         1e-2,
         seed=2,
@@ -161,19 +159,19 @@ def assert_is_simulated(run: Ensemble, i: int) -> None:
 )
 def test_both_engines_agree_with_simulate(controller: str, trajectory: str) -> None:
     parts = {"controller": CONTROLLERS[controller], "trajectory": TRAJECTORIES[trajectory]}
-    assert_is_simulated(run_scenario(made(**parts), engine=COMPILED), 66)
+    assert_is_simulated(run_scenario(made(**parts), engine=Engine.COMPILED), 66)
     few = made(**parts, n=5)
-    assert_close(run_scenario(few, engine=COMPILED), run_scenario(few, engine=PYTHON))
+    assert_close(run_scenario(few, engine=Engine.COMPILED), run_scenario(few, engine=Engine.PYTHON))
 
 
 @pytest.mark.parametrize("integrator", [constant_acceleration, semi_implicit_euler, rk4])
 @pytest.mark.parametrize("forces", FORCES)
 def test_forces_and_integrators_agree_with_simulate(forces: str, integrator: Any) -> None:
-    controller = Delayed(ComputedTorque(ROBOT, kp=1, kd=2), 1)
+    controller = MeasurementDelay(ComputedTorque(ROBOT, kp=1, kd=2), 1)
     parts = {"controller": controller, "forces": FORCES[forces], "integrator": integrator}
     many, few = (made(**parts, substeps=2, n=n, duration=10.0) for n in (66, 5))
-    assert_is_simulated(run_scenario(many, engine=COMPILED), 65)
-    assert_close(run_scenario(few, engine=COMPILED), run_scenario(few, engine=PYTHON))
+    assert_is_simulated(run_scenario(many, engine=Engine.COMPILED), 65)
+    assert_close(run_scenario(few, engine=Engine.COMPILED), run_scenario(few, engine=Engine.PYTHON))
 
 
 class Own:
@@ -193,8 +191,8 @@ def twofold(q0: Any, q1: Any) -> Any:
 SOFTLY = PD((40, 50, 4), (60, 50, 4))
 TWICE: dict[str, Any] = {
     "steps within a sample": {"substeps": 3},
-    "limits": {"controller": Saturated(Saturated(SOFTLY, (1.0, 9.0, 0.4)), (9.0, 1.0, np.inf))},
-    "delays": {"controller": Delayed(Delayed(SOFTLY, 2), 1)},
+    "limits": {"controller": InputSaturation(InputSaturation(SOFTLY, (1.0, 9.0, 0.4)), (9.0, 1.0, np.inf))},
+    "delays": {"controller": MeasurementDelay(MeasurementDelay(SOFTLY, 2), 1)},
     "steady forces": {"forces": (ConstantForce((3, -2, 0.1)), ConstantForce((1, 5, 0.2)))},
     "friction": {"forces": (ViscousFriction((5, 9, 0.4)), ViscousFriction((2, 1, 0.3)))},
     "resistance": {
@@ -213,14 +211,16 @@ TWICE: dict[str, Any] = {
 @pytest.mark.parametrize("what", TWICE)
 def test_two_of_a_kind_and_what_is_ones_own_are_as_simulated(what: str) -> None:
     scenario = made(n=3, duration=10.0, **TWICE[what])
-    run = run_scenario(scenario, engine=COMPILED)
-    assert_close(run, run_scenario(scenario, engine=PYTHON))
+    run = run_scenario(scenario, engine=Engine.COMPILED)
+    assert_close(run, run_scenario(scenario, engine=Engine.PYTHON))
     assert_is_simulated(run, 2)
 
 
 def test_a_noisy_robot_is_run_alone_by_any_engine() -> None:
     member = run_scenario(made(controller=CONTROLLERS["noisy"], n=3, duration=3.0)).member(2)
-    alone = [simulate(*member[:3], **member.options, engine=engine) for engine in (PYTHON, COMPILED)]
+    alone = [
+        simulate(*member[:3], **member.options, engine=engine) for engine in (Engine.PYTHON, Engine.COMPILED)
+    ]
     np.testing.assert_allclose(alone[1].q, alone[0].q, rtol=0, atol=1e-12)
     other = simulate(*member[:3], **{**member.options, "member": 1})
     assert np.abs(other.u - alone[0].u).max() > 1e-3
@@ -231,8 +231,8 @@ def test_a_users_integral_is_told_what_is_applied_as_in_simulate(noise: float) -
     """Each robot is told of its own limited force: those that start far away do not wind up."""
     runs = []
     for back in (2.0, 0.0):
-        inner = Delayed(Saturated(PID(25.0, 12.0, 30.0, back), (9.0, 9.0, 1.0)), 1)
-        controller = NoisyMeasurement(inner, noise, noise, seed=3)
+        inner = MeasurementDelay(InputSaturation(PID(25.0, 12.0, 30.0, back), (9.0, 9.0, 1.0)), 1)
+        controller = MeasurementNoise(inner, noise, noise, seed=3)
         spread = {"start.x": np.array([-4.0, -0.5, 4.0])}
         runs.append(run_scenario(made(controller=controller, spread=spread, n=3, dt=0.05, duration=10.0)))
         assert runs[-1].engine == "COMPILED"
@@ -257,13 +257,13 @@ def test_a_start_that_is_a_turn_ahead_is_seen_as_simulate_and_its_controller_see
 ) -> None:
     controller: Any = PD((40, 50, 4), (60, 50, 4), difference=difference)
     scenario = made(
-        controller=Delayed(controller, delay) if delay else controller,
+        controller=MeasurementDelay(controller, delay) if delay else controller,
         spread={"start.psi": 2 * np.pi + np.array([0.1, -0.2])},
         n=2,
         duration=10.0,
     )
-    compiled = run_scenario(scenario, engine=COMPILED)
-    assert_close(compiled, run_scenario(scenario, engine=PYTHON))
+    compiled = run_scenario(scenario, engine=Engine.COMPILED)
+    assert_close(compiled, run_scenario(scenario, engine=Engine.PYTHON))
     assert_is_simulated(compiled, 1)
     # The lecture's subtraction turns it back by a whole turn: half of one is the farthest.
     farthest = [np.pi, np.pi] if difference is plain_difference else [0.1, 0.2]
@@ -297,10 +297,10 @@ def test_any_robot_is_as_simulated(
         "start.x": start[0],
         "start.y": start[1],
         "start.psi": start[2],
-        "controller.mass": Same("mass", believed),
-        "controller.yaw_inertia": Same("yaw_inertia"),
-        "controller.com.x": Same("com.x"),
-        "controller.com.y": Same("com.y"),
+        "controller.mass": SameAs("mass", believed),
+        "controller.yaw_inertia": SameAs("yaw_inertia"),
+        "controller.com.x": SameAs("com.x"),
+        "controller.com.y": SameAs("com.y"),
         "kp": kp,
         "kd": 2 * np.sqrt(kp),
     }
@@ -314,7 +314,7 @@ def test_diverging_robots_are_flagged_as_by_simulate_and_the_others_untouched() 
     gains = np.full(130, 4.0)
     gains[[3, 64, 100]] = 900.0, 2000.0, 500.0  # beyond what dt = 0.1 s bears
     spread = {"mass": Uniform(20, 40), "kp": gains}
-    for engine in (COMPILED, PYTHON):
+    for engine in (Engine.COMPILED, Engine.PYTHON):
         run = run_scenario(made(n=130, spread=spread, duration=15.0), engine=engine)
         assert np.flatnonzero(run.diverged).tolist() == [3, 64, 100]
         for i in (3, 64, 100):
@@ -340,7 +340,7 @@ def test_diverging_robots_are_flagged_as_by_simulate_and_the_others_untouched() 
         assert np.isinf(run.bands((0.95, 0.99)).distance[:, -1]).tolist() == [False, True]
 
 
-@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
+@pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
 def test_half_a_turn_off_all_robots_turn_left_in_every_engine(engine: Any) -> None:
     # Half a turn, and what rounding may make of it: to the right, it would be the other way round.
     off = np.pi + np.array([0.0, 1e-15, -1e-15, 1e-12, -1e-12])
@@ -381,15 +381,22 @@ def test_what_overflows_is_flagged_too() -> None:
     assert run.diverged.all()
     assert_is_simulated(run, 2)
     slow = ensemble(
-        ROBOT, PD(1e200, 1e200), CIRCLE, n=3, spread={"start.x": 1.0}, dt=0.1, limit=1e300, engine=PYTHON
+        ROBOT,
+        PD(1e200, 1e200),
+        CIRCLE,
+        n=3,
+        spread={"start.x": 1.0},
+        dt=0.1,
+        limit=1e300,
+        engine=Engine.PYTHON,
     )
     np.testing.assert_array_equal(slow.diverged_at, run.diverged_at)
 
 
-@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
+@pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
 @pytest.mark.parametrize("forces", ["none", "all"])
 def test_errors_are_kept_from_a_time_on_and_all_else_from_the_start(forces: str, engine: Any) -> None:
-    n = 70 if engine is COMPILED else 4
+    n = 70 if engine is Engine.COMPILED else 4
     scenario = made(after=20.0, forces=FORCES[forces], n=n)
     run = run_scenario(scenario, engine=engine)
     assert scenario.t[scenario.begin] == 20.0
@@ -419,7 +426,7 @@ def test_who_diverges_before_errors_count_has_none_and_is_beyond_everything() ->
     assert run.within(1.0).distance == np.inf
 
 
-@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
+@pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
 def test_an_acceleration_that_is_none_is_a_divergence_though_its_force_is_finite(engine: Any) -> None:
     scenario = made(controller=PD(1e200, 0), n=2, spread={"mass": 1e-200, "start.x": 1.0}, limit=1e300)
     run = run_scenario(scenario, engine=engine)
@@ -451,10 +458,10 @@ def test_a_robot_that_is_beyond_the_limit_from_the_start_has_no_records() -> Non
         run.trace(1)
 
 
-@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
+@pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
 @pytest.mark.parametrize("controller", ["computed torque", "noisy"])
 def test_the_same_seed_gives_the_same_bits_however_the_work_is_divided(controller: str, engine: Any) -> None:
-    n = 700 if engine is COMPILED else 14
+    n = 700 if engine is Engine.COMPILED else 14
     scenario = made(
         n=n,
         controller=CONTROLLERS[controller],
@@ -479,7 +486,7 @@ def test_the_same_seed_gives_the_same_bits_however_the_work_is_divided(controlle
 def test_what_goes_to_another_process_holds_its_own_robots_of_an_array_alone() -> None:
     spread: dict[str, Any] = {
         "mass": np.linspace(20, 40, 50_000),
-        "controller.mass": Same("mass", np.linspace(0.9, 1.1, 50_000)),
+        "controller.mass": SameAs("mass", np.linspace(0.9, 1.1, 50_000)),
         "com.x": Normal(0.1, 0.01),
         "start.x": 0.01,
     }
@@ -504,11 +511,11 @@ def test_another_seed_gives_other_robots() -> None:
     assert not np.isin(one.draws["mass"], other.draws["mass"]).any()
 
 
-@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
+@pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
 @pytest.mark.parametrize("seed", [3, 2**70, np.random.SeedSequence(3, spawn_key=(1,))])
 def test_the_seed_of_a_noise_enters_that_of_every_robot(engine: Any, seed: Any) -> None:
     def run(noise: Any, force: Any) -> Ensemble:
-        controller = NoisyMeasurement(ComputedTorque(ROBOT), 1e-3, 1e-3, seed=noise)
+        controller = MeasurementNoise(ComputedTorque(ROBOT), 1e-3, 1e-3, seed=noise)
         forces = (NoiseForce((1.0, 2.0, 0.1), 2.0, seed=force),)
         return run_scenario(made(controller=controller, forces=forces, n=2, duration=1.0), engine=engine)
 
@@ -532,7 +539,7 @@ def test_a_users_own_controller_force_and_integrator_are_compiled() -> None:
     assert run.engine == "COMPILED"
     assert not run.diverged.any()
     assert_is_simulated(run, 4)
-    assert_close(run, run_scenario(scenario, engine=PYTHON))
+    assert_close(run, run_scenario(scenario, engine=Engine.PYTHON))
 
 
 class OwnGains:
@@ -557,7 +564,7 @@ class OwnGains:
         {"robot": "a name", "controller": PD(1, 1), "limits": (1.0, 2.0), "std_q": np.ones(2), "samples": 3},
     ],
 )
-@pytest.mark.parametrize("wrap", [lambda c: c, lambda c: NoisyMeasurement(c, 1e-3, 1e-3, seed=1)])
+@pytest.mark.parametrize("wrap", [lambda c: c, lambda c: MeasurementNoise(c, 1e-3, 1e-3, seed=1)])
 def test_a_users_controller_is_run_as_what_it_is_whatever_attributes_it_has(
     attributes: dict[str, Any], wrap: Any
 ) -> None:
@@ -594,11 +601,11 @@ class Summing:
         return KP * error + KD * (reference.v - v) + 0.1 * self.sum, state
 
 
-@pytest.mark.parametrize("engine", [None, COMPILED, PYTHON])
+@pytest.mark.parametrize("engine", [None, Engine.COMPILED, Engine.PYTHON])
 def test_what_a_controller_keeps_in_itself_is_refused(engine: Any) -> None:
     generator = np.random.default_rng(0)
     drawing = law(lambda t, q, v, r: KP * (r.q - q) + generator.normal(size=3))
-    for controller in (Summing(), Saturated(Summing(), 9.0), drawing):
+    for controller in (Summing(), InputSaturation(Summing(), 9.0), drawing):
         with pytest.raises(InvalidArgument, match=r"asked again .* keep memory in state, and take random"):
             run_scenario(made(controller=controller, n=2, duration=2.0), engine=engine)
 
@@ -667,7 +674,7 @@ def test_a_law_that_asks_its_state_runs_one_robot_after_another_and_says_so() ->
         assert text in str(told[0].message)
     for i in range(5):
         assert_is_simulated(run, i)
-    same = run_scenario(scenario, engine=PYTHON)
+    same = run_scenario(scenario, engine=Engine.PYTHON)
     assert_close(run, same)  # by Pinocchio
     assert run.counts.sum(axis=-1).tolist() == [[5, 5]] * len(scenario.grid)
 
@@ -711,7 +718,7 @@ def test_traces_are_those_of_simulate() -> None:
 
 
 def test_loads_count_as_the_bodys_on_the_plant_and_in_the_model() -> None:
-    loaded = ROBOT.attach(Load(10.0, (0.3, 0.1, 0.3)))
+    loaded = ROBOT.attach(PayloadBody(10.0, (0.3, 0.1, 0.3)))
     for robot, believed in ((loaded, ROBOT), (ROBOT, loaded)):
         run = run_scenario(made(robot=robot, controller=ComputedTorque(believed), n=2, duration=20.0))
         assert_is_simulated(run, 1)

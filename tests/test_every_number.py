@@ -7,16 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    AdaptiveVelocity,
-    DynamicFeedback,
-    InvalidArgument,
-    Kanayama,
-    VelocityCommand,
-    VelocityRobot,
-)
+from pinmobile import InvalidArgument, VelocityRobot
 from pinmobile.compiled import robot_keys
 from pinmobile.compiled.identity import is_traced
+from pinmobile.controllers import AdaptiveVelocity, DynamicFeedback, Kanayama, VelocityCommand
 from pinmobile.loop import Loop, Samples
 from pinmobile.loop._checks import chosen_integrator, sampled, started
 from pinmobile.loop._engines import in_python

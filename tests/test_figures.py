@@ -188,11 +188,20 @@ def test_colours_and_dashes_differ_in_grey() -> None:
 
 
 def test_bands_say_which_rows_are_logarithmic() -> None:
-    from pinmobile import COMPILED, Circle, ComputedTorque, MobileRobot, Same, Tangent, Uniform, ensemble
+    from pinmobile import (
+        Circle,
+        ComputedTorque,
+        Engine,
+        MobileRobot,
+        SameAs,
+        Tangent,
+        Uniform,
+        ensemble,
+    )
 
     robot, way = MobileRobot(30, 1.3), Tangent(Circle(3, 0.1, 20))
-    exact: dict[str, Any] = {"mass": Uniform(24, 36), "controller.mass": Same("mass")}
-    best = ensemble(robot, ComputedTorque(robot), way, n=50, spread=exact, dt=0.1, engine=COMPILED)
+    exact: dict[str, Any] = {"mass": Uniform(24, 36), "controller.mass": SameAs("mass")}
+    best = ensemble(robot, ComputedTorque(robot), way, n=50, spread=exact, dt=0.1, engine=Engine.COMPILED)
     figure = plots.bands({"PD": page.many()["PD"], "exact": best})
     scales = {axes.get_yscale(): axes.get_ylabel() for axes in figure.axes[::2]}
     assert scales["log"].endswith("logarithmic")

@@ -18,7 +18,6 @@ from pinmobile import (
     PD,
     Circle,
     Ensemble,
-    FileError,
     InvalidArgument,
     MobileRobot,
     Rollout,
@@ -29,15 +28,16 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.cli.output import Section, index_page, output_folder, save_figure
+from pinmobile.errors import FileError
 from pinmobile.files import replacing, write
-from pinmobile.loop import COMPILED
+from pinmobile.loop import Engine
 from pinmobile.viewer import Recording, Viewer
 from tests.damage import full_disk
 
 ROBOT = MobileRobot.lecture()
 LOOP: Any = (ROBOT, PD((120, 120, 0.4), (120, 120, 0.4)), Tangent(Circle(3, 0.1, 6)))
 RUN = simulate(*LOOP, dt=0.1)
-ROBOTS = ensemble(*LOOP, n=30, spread={"mass": Uniform(8, 12)}, dt=0.1, engine=COMPILED)
+ROBOTS = ensemble(*LOOP, n=30, spread={"mass": Uniform(8, 12)}, dt=0.1, engine=Engine.COMPILED)
 
 
 def recording() -> Recording:

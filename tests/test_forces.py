@@ -10,22 +10,20 @@ from pinmobile import (
     Circle,
     ComputedTorque,
     ConstantForce,
-    Context,
     Diverged,
     FixedHeading,
     InvalidArgument,
     MobileRobot,
-    NoiseForce,
     RollingResistance,
-    SinusoidalForce,
     ViscousFriction,
-    constant_acceleration,
     law,
     rk4,
-    semi_implicit_euler,
     simulate,
 )
 from pinmobile.arrays import Array
+from pinmobile.forces import NoiseForce, SinusoidalForce
+from pinmobile.integrators import constant_acceleration, semi_implicit_euler
+from pinmobile.plant import Context
 
 ROBOT, BALANCED = MobileRobot(10, 1.2, com=(0.15, 0.05)), MobileRobot(10, 1.2)
 CIRCLE = FixedHeading(Circle(1.0, 0.5, 4.0), 0.3)

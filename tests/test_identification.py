@@ -13,27 +13,23 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    COMPILED,
     Backstepping,
     Circle,
     ComputedTorque,
     Coulomb,
-    Driven,
+    Engine,
     FixedHeading,
-    Friction,
     Hold,
-    Identification,
     InvalidArgument,
     Line,
-    Load,
     Log,
     MobileRobot,
     Motor,
+    PayloadBody,
     RollingResistance,
     Rollout,
     Tangent,
-    Tracking,
-    UnknownName,
+    UnicycleTracking,
     VelocityRobot,
     ViscousFriction,
     WheeledRobot,
@@ -48,12 +44,14 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
-from pinmobile.errors import FileError, PinmobileError
-from pinmobile.identification import Excitation
+from pinmobile.controllers import TorqueToVoltage
+from pinmobile.errors import FileError, PinmobileError, UnknownName
+from pinmobile.identification import Excitation, Identification
 from pinmobile.identification.model import PlanarModel
 from pinmobile.identification.noise import ResidualNoise
 from pinmobile.identification.preprocessing import PreprocessedLog, Slippage
 from pinmobile.parts import evolved
+from pinmobile.wheels import WheelFriction
 from tests.damage import answer, damaged
 
 ROBOT = MobileRobot(32.0, 1.6, com=(0.12, -0.04))
@@ -80,7 +78,7 @@ def driven(trajectory: Any = None, rate: int = 50) -> Rollout:
         integrator=rk4,
         substeps=400 // rate,
         forces=FRICTION,
-        engine=COMPILED,
+        engine=Engine.COMPILED,
     )
 
 
@@ -300,7 +298,7 @@ def test_what_is_said_to_be_identifiable_holds_true_values_whatever_the_prior() 
             integrator=rk4,
             substeps=8,
             forces=[ViscousFriction(viscous), RollingResistance(dry)],
-            engine=COMPILED,
+            engine=Engine.COMPILED,
         )
         read = Log.from_rollout(run, 1e-3, (1.0, 1.0, 0.15) if seed % 3 else 0.0, seed=seed)
         known = identify(read, MobileRobot(30.0, 1.5))
@@ -405,7 +403,7 @@ def straight() -> Log:
         integrator=rk4,
         substeps=8,
         forces=FRICTION,
-        engine=COMPILED,
+        engine=Engine.COMPILED,
     )
     return Log.from_rollout(run, 1e-3, (1.0, 1.0, 0.15))
 
@@ -447,11 +445,11 @@ def test_the_regressor_is_the_robots_dynamics() -> None:
 
 MOTOR = Motor(resistance=1.2, torque_constant=0.04, voltage=24.0, gear=30.0, rotor_inertia=2e-5)
 BODY = MobileRobot(30.0, 1.3, com=(0.06, 0.02, 0.2))
-LOAD = Load(8.0, (0.1, 0.05, 0.1), size=(0.2, 0.2, 0.2))
+LOAD = PayloadBody(8.0, (0.1, 0.05, 0.1), size=(0.2, 0.2, 0.2))
 
 
 def on_wheels(
-    body: MobileRobot, motor: Motor = MOTOR, radius: float = 0.1, dry: Friction | None = None
+    body: MobileRobot, motor: Motor = MOTOR, radius: float = 0.1, dry: WheelFriction | None = None
 ) -> Any:
     wheel: dict[str, Any] = {"supports": [(-0.3, 0)], "mass": 1.0, "spin_inertia": 0.005}
     if dry is None:
@@ -466,15 +464,15 @@ def rolled(loaded: bool) -> Log:
 
 
 @cache
-def run_on_wheels(loaded: bool = False, dry: Friction | None = None, motor: Motor = MOTOR) -> Rollout:
+def run_on_wheels(loaded: bool = False, dry: WheelFriction | None = None, motor: Motor = MOTOR) -> Rollout:
     plant = on_wheels(BODY.attach(LOAD).lumped() if loaded else BODY, motor)
     path = excitation(
         plant, duration=44.0, period=11.0, velocity=(0.8, 1.0, 1.2), acceleration=(1.0, 1.0, 2.0)
     )
-    controller = Driven(Backstepping(Tracking(), plant.wheeled), plant)
+    controller = TorqueToVoltage(Backstepping(UnicycleTracking(), plant.wheeled), plant)
     if dry is not None:
-        return simulate(on_wheels(BODY, dry=dry), controller, path, dt=0.02, engine=COMPILED)
-    return simulate(plant, controller, path, dt=0.02, substeps=4, engine=COMPILED)
+        return simulate(on_wheels(BODY, dry=dry), controller, path, dt=0.02, engine=Engine.COMPILED)
+    return simulate(plant, controller, path, dt=0.02, substeps=4, engine=Engine.COMPILED)
 
 
 def noisy(run: Rollout, seed: int) -> Log:
@@ -530,12 +528,12 @@ def test_of_wheels_alone_nothing_is_believed_of_the_body() -> None:
 
 @pytest.mark.once
 def test_wheels_that_slip_are_told_from_those_that_roll_with_noise() -> None:
-    slides = noisy(run_on_wheels(dry=Friction(mu=0.1, rolling=0.0)), 0)
+    slides = noisy(run_on_wheels(dry=WheelFriction(mu=0.1, rolling=0.0)), 0)
     text = r"^log has poses that move otherwise than wheels roll, by \S+ m/s, \S+% of the speed, "
     for read in (slides, Log(slides.t, slides.q, slides.u)):  # by encoders, and by the way across the wheels
         with pytest.raises(InvalidArgument, match=f"{text}where noise .*: they slip, or .* that roll$"):
             identify(read, on_wheels(BODY))
-    creeps = noisy(run_on_wheels(dry=Friction(rolling=0.0, slip=1e-3)), 0)
+    creeps = noisy(run_on_wheels(dry=WheelFriction(rolling=0.0, slip=1e-3)), 0)
     with pytest.raises(InvalidArgument, match=r"ahead of the inputs .* Its poses move otherwise than wheels"):
         identify(creeps, on_wheels(BODY), method="weak")
     crept = identify(creeps, on_wheels(BODY), method="weak", delay=0.0)
@@ -544,7 +542,7 @@ def test_wheels_that_slip_are_told_from_those_that_roll_with_noise() -> None:
     assert 0.01 < crept.slippage.share < 0.05
     assert any(note.startswith("poses move otherwise than wheels roll, by 0.0") for note in crept.notes)
     with pytest.raises(InvalidArgument, match=r"two clocks .* Its poses move otherwise than wheels roll"):
-        identify(noisy(run_on_wheels(dry=Friction(rolling=0.0, slip=3e-3)), 0), on_wheels(BODY))
+        identify(noisy(run_on_wheels(dry=WheelFriction(rolling=0.0, slip=3e-3)), 0), on_wheels(BODY))
 
 
 @pytest.mark.once
@@ -555,13 +553,13 @@ def test_wheels_that_slip_are_told_from_those_that_roll_with_noise() -> None:
 def test_resistance_that_depends_on_load_is_not_given_a_valid_interval(rolling: float, said: str) -> None:
     wheel: dict[str, Any] = {"supports": [(-0.3, 0)], "mass": 1.0, "spin_inertia": 0.005}
     body = MobileRobot(30.0, 1.3, com=(0.06, 0.02, 0.5))
-    table = WheelTable.differential(0.5, 0.1, friction=Friction(rolling=rolling), **wheel)
+    table = WheelTable.differential(0.5, 0.1, friction=WheelFriction(rolling=rolling), **wheel)
     rolls = WheeledRobot(body, WheelTable.differential(0.5, 0.1, **wheel))
     path = excitation(
         rolls, duration=44.0, period=11.0, velocity=(0.8, 1.0, 1.2), acceleration=(1.0, 1.0, 2.0)
     )
-    controller = Backstepping(Tracking(), rolls)
-    run = simulate(WheeledRobot(body, table, Coulomb()), controller, path, dt=0.02, engine=COMPILED)
+    controller = Backstepping(UnicycleTracking(), rolls)
+    run = simulate(WheeledRobot(body, table, Coulomb()), controller, path, dt=0.02, engine=Engine.COMPILED)
     read = Log.from_rollout(run, 1e-3, seed=1)
     known = identify(Log(read.t, read.q, read.u), rolls.table)
     assert said in str(known).splitlines()[0]
@@ -570,8 +568,8 @@ def test_resistance_that_depends_on_load_is_not_given_a_valid_interval(rolling: 
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("dry", [None, Friction(rolling=0.0)])
-def test_wheels_that_roll_are_not_said_to_slip(dry: Friction | None) -> None:
+@pytest.mark.parametrize("dry", [None, WheelFriction(rolling=0.0)])
+def test_wheels_that_roll_are_not_said_to_slip(dry: WheelFriction | None) -> None:
     model, nothing = PlanarModel.rolling(on_wheels(BODY), 0.1), np.zeros(4)
     for seed in range(20):
         read = noisy(run_on_wheels(dry=dry), seed)

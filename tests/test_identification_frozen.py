@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    COMPILED,
     Backstepping,
     ComputedTorque,
+    Engine,
     InvalidArgument,
     Log,
     MobileRobot,
-    Tracking,
+    UnicycleTracking,
     VelocityRobot,
     WheeledRobot,
     WheelTable,
@@ -45,7 +45,9 @@ def by_torques(noise: float) -> Log:
     """Return the log of a differential drive whose torques are logged with noise."""
     plant = forces.on_wheels(forces.BODY).wheeled
     path = excitation(plant, duration=31.0, period=11.0)
-    run = simulate(plant, Backstepping(Tracking(), plant), path, dt=0.02, substeps=4, engine=COMPILED)
+    run = simulate(
+        plant, Backstepping(UnicycleTracking(), plant), path, dt=0.02, substeps=4, engine=Engine.COMPILED
+    )
     return Log.from_rollout(run, 1e-3, noise, seed=1)
 
 
@@ -53,7 +55,9 @@ def of_mecanum() -> Any:
     """Return what is found of a base on mecanum wheels."""
     table = WheelTable.mecanum(0.4, 0.48, 0.09, **WHEEL)
     plant, path = WheeledRobot(forces.BODY, table), forces.motion()
-    run = simulate(plant, ComputedTorque(plant), path, dt=0.02, duration=31.0, substeps=4, engine=COMPILED)
+    run = simulate(
+        plant, ComputedTorque(plant), path, dt=0.02, duration=31.0, substeps=4, engine=Engine.COMPILED
+    )
     return identify(Log.from_rollout(run, 1e-3, 0.02, seed=1), WheeledRobot(BELIEVED, table), method="weak")
 
 

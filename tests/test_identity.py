@@ -18,21 +18,20 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    COMPILED,
     PD,
-    Allocated,
     Circle,
     ComputedTorque,
+    ControlAllocation,
     Coulomb,
-    Delayed,
+    Engine,
     Hold,
+    InputSaturation,
     JointFriction,
+    MeasurementDelay,
+    MeasurementNoise,
     MobileRobot,
-    NoiseForce,
-    NoisyMeasurement,
     Normal,
     RollingResistance,
-    Saturated,
     Tangent,
     Uniform,
     ViscousFriction,
@@ -42,11 +41,12 @@ from pinmobile import (
     ensemble,
     law,
     rk4,
-    semi_implicit_euler,
     simulate,
 )
 from pinmobile.compiled import Cache, Target, identity, processor
 from pinmobile.compiled.processor import LOOP
+from pinmobile.forces import NoiseForce
+from pinmobile.integrators import semi_implicit_euler
 from pinmobile.loop import _program
 from pinmobile.loop._trace import traced
 
@@ -83,7 +83,12 @@ def process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Process:
 
 
 def run(controller: Any, **options: Any) -> Any:
-    given: dict[str, Any] = {"n": 3, "spread": {"mass": Uniform(20, 40)}, "dt": 0.1, "engine": COMPILED}
+    given: dict[str, Any] = {
+        "n": 3,
+        "spread": {"mass": Uniform(20, 40)},
+        "dt": 0.1,
+        "engine": Engine.COMPILED,
+    }
     return ensemble(ROBOT, controller, CIRCLE, **given | options)
 
 
@@ -97,13 +102,13 @@ def wheeled(mass: float, ground: Any) -> WheeledRobot:
 
 def rolling(mass: float, ground: Any = None) -> Any:
     plant = wheeled(mass, ground)
-    return simulate(plant, Allocated(PD(mass, 20.0), plant), CIRCLE, dt=0.1, engine=COMPILED)
+    return simulate(plant, ControlAllocation(PD(mass, 20.0), plant), CIRCLE, dt=0.1, engine=Engine.COMPILED)
 
 
 def armed(mass: float) -> Any:
     robot = MobileRobot(mass, 1.0).mount("double_pendulum", (0.1, 0.0, 0.2, 0.0))
     motion = WholeBody(robot, CIRCLE, Hold(robot.rest[3:], 1.0))
-    given: dict[str, Any] = {"dt": 0.001, "duration": 0.02, "engine": COMPILED}
+    given: dict[str, Any] = {"dt": 0.001, "duration": 0.02, "engine": Engine.COMPILED}
     return simulate(
         robot, ComputedTorque(robot, mass, 6), motion, forces=[JointFriction(0.001 * mass)], **given
     )
@@ -114,7 +119,9 @@ ALIKE: dict[str, Callable[[float], Any]] = {
     "forces": lambda x: run(
         PD(9, 9), forces=[RollingResistance((x, x, x), 0.05), ViscousFriction((x, x, 1))]
     ),
-    "wrappers": lambda x: run(Saturated(NoisyMeasurement(Delayed(PD(x, 9), 1), 0.1, 0.1, 3), x)),
+    "wrappers": lambda x: run(
+        InputSaturation(MeasurementNoise(MeasurementDelay(PD(x, 9), 1), 0.1, 0.1, 3), x)
+    ),
     "a start, a reference and a step": lambda x: simulate(
         ROBOT,
         PD(9, 9),
@@ -122,7 +129,7 @@ ALIKE: dict[str, Callable[[float], Any]] = {
         dt=x / 300,
         duration=x / 30,
         v0=[x, 0, 0],
-        engine=COMPILED,
+        engine=Engine.COMPILED,
     ),
     "wheels": rolling,
     "wheels on a ground": lambda x: rolling(x, Coulomb(0.02 * x)),
@@ -146,8 +153,8 @@ def test_another_class_integrator_or_structure_is_another_program(process: Proce
         lambda: run(PD((9, 8, 7), 9)),
         lambda: run(PD(9, 9), spread={}),
         lambda: run(PD(9, 9), spread={"kp": Uniform(8, 9)}),
-        lambda: run(Delayed(PD(9, 9), 1)),
-        lambda: run(Delayed(PD(9, 9), 2)),
+        lambda: run(MeasurementDelay(PD(9, 9), 1)),
+        lambda: run(MeasurementDelay(PD(9, 9), 2)),
         lambda: run(PD(9, 9), n=1),
     )
     for _ in range(2):
@@ -475,10 +482,10 @@ def test_an_object_that_has_every_name_is_no_obstacle() -> None:
 
 def _run_and_forgotten() -> list[weakref.ref[Any]]:
     robot, large = MobileRobot(31.0, 1.4), np.ones(1_000)
-    torque, force = Saturated(ComputedTorque(robot, 4, 5), [50, 50, 50]), ViscousFriction([1, 2, 3])
+    torque, force = InputSaturation(ComputedTorque(robot, 4, 5), [50, 50, 50]), ViscousFriction([1, 2, 3])
     trajectory = Tangent(Circle(2.0, 0.1, 5.0))
     ensemble(robot, torque, trajectory, n=2, spread={"mass": Normal(31, 1)}, dt=0.1, forces=[force])
-    simulate(robot, torque, trajectory, dt=0.1, forces=[force], engine=COMPILED)
+    simulate(robot, torque, trajectory, dt=0.1, forces=[force], engine=Engine.COMPILED)
     return [weakref.ref(x) for x in (robot, large, torque, trajectory, force)]
 
 
@@ -492,7 +499,9 @@ def test_nothing_that_was_run_is_kept_alive() -> None:
 
 LOOPS: dict[str, Callable[[], Any]] = {
     "computed torque": lambda: run(ComputedTorque(ROBOT, 4, 5)),
-    "wrappers": lambda: run(NoisyMeasurement(Delayed(Saturated(PD(100, 20), [9, 9, 3]), 2), 0.1, 0.1, 3)),
+    "wrappers": lambda: run(
+        MeasurementNoise(MeasurementDelay(InputSaturation(PD(100, 20), [9, 9, 3]), 2), 0.1, 0.1, 3)
+    ),
     "noise": lambda: run(PD(100, 20), forces=[NoiseForce([1, 2, 3], 2.0, 5)], integrator=semi_implicit_euler),
     "a law": lambda: run(law(lambda t, q, v, reference: 9.0 * (reference.q - q) - np.tanh(v))),
     "spread of the start": lambda: run(PD(9, 2), spread={"start.x": Normal(0, 0.1), "kp": Uniform(3, 5)}),
@@ -690,6 +699,6 @@ def test_a_part_that_another_of_its_class_preceded_is_found_alone_too() -> None:
     one, other = Brake(2.0), Brake(30.0)
     for forces in ((one, other), (other,)):
         given: dict[str, Any] = {"forces": forces, "dt": 0.02, "n": 2, "spread": {"mass": 30.0}}
-        run = ensemble(ROBOT, PD(90.0, 30.0), CIRCLE, engine=COMPILED, **given)
+        run = ensemble(ROBOT, PD(90.0, 30.0), CIRCLE, engine=Engine.COMPILED, **given)
         alone = simulate(ROBOT, PD(90.0, 30.0), CIRCLE, dt=0.02, forces=forces)
         np.testing.assert_allclose(run.max_error[0], alone.max_error(), rtol=0, atol=1e-12)

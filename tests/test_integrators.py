@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pinmobile import (
-    MobileRobot,
-    constant_acceleration,
-    rk4,
-    semi_implicit_euler,
-)
+from pinmobile import MobileRobot, rk4
 from pinmobile.arrays import Array
+from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 
 ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
 TAU = np.array([3.0, -2.0, 1.5])

@@ -7,7 +7,7 @@ import pytest
 
 from pinmobile import InvalidArgument, JointFriction, MobileRobot, law, rk4, simulate
 from pinmobile.arrays import Array
-from pinmobile.loop._simulate import COMPILED
+from pinmobile.loop._simulate import Engine
 from pinmobile.trajectories import Reference
 from tests.users import TwoWheels
 
@@ -66,7 +66,7 @@ def test_it_slows_wheels_down_in_python_and_in_compiled_code() -> None:
     options: dict[str, Any] = {"dt": 0.02, "integrator": rk4}
     rough = simulate(plant, driven, Resting(), forces=[friction], **options)
     smooth = simulate(plant, driven, Resting(), **options)
-    compiled = simulate(plant, driven, Resting(), forces=[friction], engine=COMPILED, **options)
+    compiled = simulate(plant, driven, Resting(), forces=[friction], engine=Engine.COMPILED, **options)
     assert (rough.v[-1, 3:] < 0.9 * smooth.v[-1, 3:]).all()
     for name in ("q", "v", "a"):
         largest = np.abs(getattr(rough, name)).max()

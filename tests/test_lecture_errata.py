@@ -14,13 +14,13 @@ from pinmobile import (
     ComputedTorque,
     CubicVia,
     Diverged,
-    LectureHeading,
     Lissajous,
     MobileRobot,
     Tangent,
-    plain_difference,
     simulate,
 )
+from pinmobile.controllers import plain_difference
+from pinmobile.trajectories import LectureHeading
 
 VIA_STOP = CubicVia((0, 0), (2, 2), (0, 4), 30, 60, via_velocity=(0, 0))
 VIA_FREE = CubicVia((0, 0), (2, 2), (0, 4), 30, 60)

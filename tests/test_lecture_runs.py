@@ -6,19 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    CubicVia,
-    LectureHeading,
-    MobileRobot,
-    Rollout,
-    Tangent,
-    plain_difference,
-    simulate,
-)
+from pinmobile import PD, Circle, ComputedTorque, CubicVia, MobileRobot, Rollout, Tangent, simulate
 from pinmobile.cli.lecture import EXPECTED
+from pinmobile.controllers import plain_difference
+from pinmobile.trajectories import LectureHeading
 
 DATA = Path(__file__).parent / "data"
 ROBOT = MobileRobot.lecture()

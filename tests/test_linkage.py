@@ -7,11 +7,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import InvalidArgument, Load, MobileRobot, UnknownName, mountable, verify
+from pinmobile import InvalidArgument, MobileRobot, PayloadBody, verify
 from pinmobile.arrays import Array
 from pinmobile.compiled.tape import Tape, needed
-from pinmobile.errors import NotTraceable
+from pinmobile.errors import NotTraceable, UnknownName
 from pinmobile.parts import find, replace
+from pinmobile.robot import mountable
 from pinmobile.robot.articulated import ArticulatedDynamics
 from pinmobile.robot.linkage import Linkage, Place, exact
 from pinmobile.robot.recursions import by_matrix, operations
@@ -108,7 +109,10 @@ def test_random_trees_move_as_pinocchio_says(seed: int) -> None:
         .mount("ur5", (-0.3, 0, 0.2, -2.0))
     )
     assert_agrees(
-        robot.attach(Load(1.5, (0.1, 0, 0.2), size=(0.1, 0.2, 0.3))).attach(Load(2.0), "ur5/base_link"), 3
+        robot.attach(PayloadBody(1.5, (0.1, 0, 0.2), size=(0.1, 0.2, 0.3))).attach(
+            PayloadBody(2.0), "ur5/base_link"
+        ),
+        3,
     )
 
 
@@ -210,7 +214,7 @@ FOREARM = "mounts.ur5.links.forearm_link"
 
 
 def changed() -> MobileRobot:
-    robot = MobileRobot.box().mount("ur5", AT).attach(Load(1.0, size=(0.1, 0.1, 0.1)))
+    robot = MobileRobot.box().mount("ur5", AT).attach(PayloadBody(1.0, size=(0.1, 0.1, 0.1)))
     link = next(link for link in robot.mounts[0].links if link.name == "forearm_link")
     return replace(
         robot,

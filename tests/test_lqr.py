@@ -6,19 +6,17 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    COMPILED,
     LQR,
     MPC,
-    PYTHON,
     Circle,
-    Context,
+    Engine,
     FixedHeading,
+    InputSaturation,
     InvalidArgument,
+    MeasurementNoise,
     MobileRobot,
-    NoisyMeasurement,
     Reference,
     RestToRest,
-    Saturated,
     Tangent,
     Uniform,
     WheeledRobot,
@@ -30,6 +28,7 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.controllers.lqr import riccati, tracked_model
 from pinmobile.parts import evolved
+from pinmobile.plant import Context
 from tests.parts import Waving
 from tests.rivals import CIRCLE, HEAVY, NOMINAL
 
@@ -100,7 +99,7 @@ def test_along_a_reference_without_errors_it_gives_the_inverse_dynamics() -> Non
 
 def test_on_wheels_it_comes_back_to_the_reference_and_without_errors_stays() -> None:
     heavy = WheeledRobot(HEAVY, DIFFERENTIAL)
-    given: Any = {"dt": 0.01, "engine": COMPILED, "duration": 15.0}
+    given: Any = {"dt": 0.01, "engine": Engine.COMPILED, "duration": 15.0}
     on = simulate(WHEELED, LQR(WHEELED), CIRCLE, **given)
     # The reference's input is held for dt, along which it turns by 6e-3 rad.
     assert np.abs((on.q[:, :3] - on.reference.q)[:, :2]).max() < 1e-3
@@ -115,37 +114,50 @@ def test_on_wheels_it_comes_back_to_the_reference_and_without_errors_stays() -> 
 
 def test_arms_follow_too() -> None:
     start = Waving(ARM)(0.0).q + 0.05
-    given: Any = {"dt": 0.01, "integrator": rk4, "engine": COMPILED, "q0": start, "v0": np.zeros(ARM.nv)}
+    given: Any = {
+        "dt": 0.01,
+        "integrator": rk4,
+        "engine": Engine.COMPILED,
+        "q0": start,
+        "v0": np.zeros(ARM.nv),
+    }
     run = simulate(ARM, LQR(ARM), Waving(ARM), **given)
     assert np.abs(run.q - run.reference.q)[-1].max() < 0.02
 
 
 @pytest.mark.parametrize("robot", [NOMINAL, WHEELED])
 def test_all_engines_agree(robot: Any) -> None:
-    noisy = NoisyMeasurement(LQR(robot), 1e-3, 1e-3, seed=1)
+    noisy = MeasurementNoise(LQR(robot), 1e-3, 1e-3, seed=1)
     noise = {"std_q": Uniform(0.0, 1e-3)}  # the wrapper's, of which the gains know nothing
-    for spread, engines in (({}, (COMPILED, PYTHON)), (noise, (COMPILED, PYTHON))):
+    for spread, engines in (
+        ({}, (Engine.COMPILED, Engine.PYTHON)),
+        (noise, (Engine.COMPILED, Engine.PYTHON)),
+    ):
         given: Any = {"dt": 0.01, "seed": 2, "n": 3, "spread": {"mass": Uniform(25, 36), **spread}}
-        runs = [ensemble(robot, Saturated(noisy, 30), SHORT, engine=engine, **given) for engine in engines]
+        runs = [
+            ensemble(robot, InputSaturation(noisy, 30), SHORT, engine=engine, **given) for engine in engines
+        ]
         for other in runs[1:]:
             # 200 samples of contracting loops: rounding does not grow.
             assert np.abs(runs[0].rms_error - other.rms_error).max() < 1e-12
 
 
 def test_rows_are_data_another_reference_gives_other_gains_and_the_same_program() -> None:
-    given: Any = {"dt": 0.01, "integrator": rk4, "engine": COMPILED}
+    given: Any = {"dt": 0.01, "integrator": rk4, "engine": Engine.COMPILED}
     other = Tangent(Circle(radius=1.0, rate=-0.9, duration=3))
     start = np.array([0.1, 0.0, 0.1])
     for controller, trajectory in ((LQR(NOMINAL), SHORT), (LQR(NOMINAL, R=[1e-4, 1e-4, 1e-3]), other)):
         q0 = trajectory(0.0).q + start
         fast = simulate(NOMINAL, controller, trajectory, q0=q0, v0=np.zeros(3), **given)
-        slow = simulate(NOMINAL, controller, trajectory, q0=q0, v0=np.zeros(3), **{**given, "engine": PYTHON})
+        slow = simulate(
+            NOMINAL, controller, trajectory, q0=q0, v0=np.zeros(3), **{**given, "engine": Engine.PYTHON}
+        )
         assert np.abs(fast.q - slow.q).max() < 1e-12
 
 
 @pytest.mark.parametrize("kind", [LQR, MPC])
 def test_the_weight_of_the_input_is_spread_one_robot_after_another(kind: Any) -> None:
-    given: Any = {"dt": 0.01, "seed": 1, "duration": 0.2, "engine": PYTHON}
+    given: Any = {"dt": 0.01, "seed": 1, "duration": 0.2, "engine": Engine.PYTHON}
     found = ensemble(HEAVY, kind(NOMINAL), SHORT, n=2, spread={"input_weight": Uniform(1, 100)}, **given)
     for weight, error in zip(found.draws["input_weight"], found.rms_error, strict=True):
         own = kind(NOMINAL, R=weight * np.array([1e-3, 1e-3, 2e-2]))
@@ -157,7 +169,13 @@ def test_a_second_ensemble_reads_no_law_anew(monkeypatch: pytest.MonkeyPatch) ->
     from pinmobile.loop import _program
 
     own = LQR(NOMINAL)
-    given: Any = {"dt": 0.01, "n": 2, "seed": 1, "spread": {"mass": Uniform(25, 36)}, "engine": COMPILED}
+    given: Any = {
+        "dt": 0.01,
+        "n": 2,
+        "seed": 1,
+        "spread": {"mass": Uniform(25, 36)},
+        "engine": Engine.COMPILED,
+    }
     first = ensemble(NOMINAL, own, SHORT, **given)
     for name in ("traced", "Program"):
         monkeypatch.delattr(_program, name)
@@ -169,11 +187,11 @@ def test_a_model_that_differs_from_robot_to_robot_is_run_one_after_another() -> 
     given: Any = {"dt": 0.01, "integrator": rk4, "n": 2, "seed": 1, "spread": spread}
     with pytest.warns(UserWarning, match=r"depends on controller.robot.mass, which each"):
         found = ensemble(HEAVY, LQR(NOMINAL), SHORT, **given)
-    assert found.engine == repr(PYTHON)
+    assert found.engine == repr(Engine.PYTHON)
     masses = found.draws["controller.mass"]
     for mass, error in zip(masses, found.rms_error, strict=True):
         model = evolved(NOMINAL, mass=mass)
-        alone = ensemble(HEAVY, LQR(model), SHORT, **{**given, "n": 1, "spread": {}}, engine=COMPILED)
+        alone = ensemble(HEAVY, LQR(model), SHORT, **{**given, "n": 1, "spread": {}}, engine=Engine.COMPILED)
         assert np.abs(alone.rms_error[0] - error).max() < 1e-12
 
 
@@ -190,7 +208,10 @@ class Tabled:
 
 def test_a_schedule_gives_each_sample_its_row_in_all_engines() -> None:
     given: Any = {"dt": 0.01, "integrator": rk4}
-    runs = [simulate(NOMINAL, Tabled(), SHORT, engine=engine, **given) for engine in (PYTHON, COMPILED)]
+    runs = [
+        simulate(NOMINAL, Tabled(), SHORT, engine=engine, **given)
+        for engine in (Engine.PYTHON, Engine.COMPILED)
+    ]
     for run in runs:
         assert np.abs(run.u - 10 * np.sin(np.outer(run.t, [1, 2, 3])) + run.v).max() < 1e-12
 
@@ -231,7 +252,7 @@ def test_bad_arguments_are_refused(make: Any, words: str) -> None:
 def test_a_drive_that_moves_in_every_direction_may_end_at_rest() -> None:
     mecanum = WheeledRobot(NOMINAL, WheelTable.mecanum(0.5, 0.4, 0.1))
     straight = FixedHeading(RestToRest([0, 0], [1, 0], 2), 0.0)
-    run = simulate(mecanum, LQR(mecanum), straight, dt=0.01, engine=COMPILED)
+    run = simulate(mecanum, LQR(mecanum), straight, dt=0.01, engine=Engine.COMPILED)
     assert np.abs(run.q[-1, :2] - [1, 0]).max() < 1e-3
-    body = simulate(NOMINAL, LQR(NOMINAL), straight, dt=0.01, engine=COMPILED, integrator=rk4)
+    body = simulate(NOMINAL, LQR(NOMINAL), straight, dt=0.01, engine=Engine.COMPILED, integrator=rk4)
     assert np.abs(body.q[-1, :2] - [1, 0]).max() < 1e-3

@@ -8,32 +8,29 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    COMPILED,
     PD,
-    PYTHON,
     ComputedTorque,
     Engine,
     Ensemble,
     FixedHeading,
     Hold,
     InvalidArgument,
-    Load,
     MobileRobot,
-    Motion,
+    PayloadBody,
     Reference,
     RestToRest,
     Scenario,
     Sweep,
     Uniform,
-    UnknownName,
     WholeBody,
     plots,
     simulate,
     sweep,
-    tip_over_margin,
 )
 from pinmobile.arrays import Array
+from pinmobile.balance import MotionStates, tip_over_margin
 from pinmobile.compiled import BINS
+from pinmobile.errors import UnknownName
 from pinmobile.loop import run_scenario
 from pinmobile.loop._counts import bins_of, quantiles
 from pinmobile.measures import Measure, size_of, value_of
@@ -48,7 +45,7 @@ INERTIA = np.array([[0.6, 0.05, 0.08], [0.05, 1.2, -0.06], [0.08, -0.06, 1.4]])
 UR5 = MobileRobot.from_body(Body(30.0, np.array([0.02, 0.01, 0.1]), INERTIA)).mount(
     "ur5", (0.1, -0.05, 0.2, 0.4)
 )
-UR5 = UR5.attach(Load(1.0, (0, 0.01, 0.05), size=(0.1, 0.1, 0.1)))
+UR5 = UR5.attach(PayloadBody(1.0, (0, 0.01, 0.05), size=(0.1, 0.1, 0.1)))
 NAMES = ["end effector", "end effector angle", "effort", "tip-over margin"]
 ELBOW = "ur5/elbow_joint"
 SPREAD: dict[str, Any] = {
@@ -84,7 +81,9 @@ def test_measures_of_an_arm_are_those_of_its_own_kinematics_limits_and_balance()
     apart = error_sizes(pose_error(UR5.frame_pose(desired), UR5.frame_pose(q)))
     np.testing.assert_allclose(found[:, :2], apart, atol=CLOSE)
     np.testing.assert_allclose(found[:, 2], (np.abs(u) / UR5.effort_limit).max(axis=1), rtol=CLOSE)
-    np.testing.assert_allclose(found[:, 3], tip_over_margin(Motion(UR5, q, v, a)), rtol=CLOSE, atol=CLOSE)
+    np.testing.assert_allclose(
+        found[:, 3], tip_over_margin(MotionStates(UR5, q, v, a)), rtol=CLOSE, atol=CLOSE
+    )
     symbolic = UR5.array_dynamics.measured(0.0, q, v, a, u, Reference(desired, v, a))  # type: ignore[union-attr]
     np.testing.assert_allclose(symbolic, found, rtol=CLOSE, atol=CLOSE)
 
@@ -110,9 +109,9 @@ def test_each_arm_has_an_end_effector_and_a_bare_robot_no_measure() -> None:
     assert NAMES[-1] not in [one.name for one in unknown.measures]  # whose footprint is not known
 
 
-@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
+@pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
 def test_all_engines_judge_alike(engine: Engine) -> None:
-    fast, slow = (run_scenario(scenario(), engine=each) for each in (COMPILED, engine))
+    fast, slow = (run_scenario(scenario(), engine=each) for each in (Engine.COMPILED, engine))
     for name in ("worst_measure", "rms_measure", "max_error", "rms_error"):
         np.testing.assert_allclose(getattr(slow, name), getattr(fast, name), rtol=CLOSE, atol=CLOSE)
     for name, values in fast.bands().quantiles.items():
@@ -332,7 +331,9 @@ def fenced(plant: Any, **options: Any) -> Scenario:
 
 @pytest.mark.parametrize("after", [0.0, 0.6])
 def test_a_plant_of_ones_own_states_measures_in_plain_numpy(after: float) -> None:
-    made = [run_scenario(fenced(Fenced(), after=after), engine=each) for each in (COMPILED, PYTHON)]
+    made = [
+        run_scenario(fenced(Fenced(), after=after), engine=each) for each in (Engine.COMPILED, Engine.PYTHON)
+    ]
     for other in made[1:]:
         np.testing.assert_allclose(other.worst_measure, made[0].worst_measure, rtol=CLOSE, atol=CLOSE)
         np.testing.assert_allclose(other.rms_measure, made[0].rms_measure, rtol=CLOSE, atol=CLOSE)
@@ -351,7 +352,7 @@ def test_what_is_infinite_before_errors_count_is_forgotten() -> None:
             early = np.array([-np.inf, np.inf])
             return np.where(np.asarray(t < 0.3)[..., None], early, found)
 
-    for engine in (COMPILED, PYTHON):
+    for engine in (Engine.COMPILED, Engine.PYTHON):
         late, usual = (run_scenario(fenced(x, after=0.6), engine=engine) for x in (Late(), Fenced()))
         np.testing.assert_allclose(late.worst_measure, usual.worst_measure, rtol=CLOSE)
         np.testing.assert_allclose(late.rms_measure, usual.rms_measure, rtol=CLOSE)
@@ -396,7 +397,7 @@ def test_measures_that_are_not_what_is_expected_are_refused(plant: Any, words: s
         fenced(plant)
 
 
-@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
+@pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
 def test_a_measure_that_becomes_nan_is_refused(engine: Engine) -> None:
     late = stating([ONE], lambda q: np.sqrt(0.1 - q[..., :1]))
     with (

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import COMPILED, PYTHON, ensemble, errors, parts
+from pinmobile import Engine, ensemble, errors, parts
 from pinmobile.arrays import Array
-from pinmobile.controllers import Backstepping, Driven, Tracking, WheelSpeed
+from pinmobile.controllers import Backstepping, TorqueToVoltage, UnicycleTracking, WheelSpeed
 from pinmobile.loop import Rollout, simulate
 from pinmobile.parts import evolved
 from pinmobile.paths import Circle, Hold
@@ -17,20 +17,20 @@ from pinmobile.wheels import (
     MOTORS,
     ByVoltage,
     Coulomb,
-    Differential,
-    Friction,
+    DifferentialGear,
     Motor,
     Ramp,
     Rolling,
     Support,
     Wheel,
     WheeledRobot,
+    WheelFriction,
     WheelTable,
 )
 from pinmobile.wheels._motors import MotorLaw
 
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
-GRIPS = Friction(mu=2.0, rolling=0.0)
+GRIPS = WheelFriction(mu=2.0, rolling=0.0)
 MOTOR = Motor(
     resistance=1.2,
     torque_constant=0.03,
@@ -73,7 +73,7 @@ class Held:
 
 
 def run(
-    robot: ByVoltage, u: tuple[float, ...], dt: float, duration: float, engine: Any = COMPILED
+    robot: ByVoltage, u: tuple[float, ...], dt: float, duration: float, engine: Any = Engine.COMPILED
 ) -> Rollout:
     where = FixedHeading(Hold([0.0, 0.0], duration), 0.0)
     start = {"q0": robot.rest, "v0": np.zeros(robot.nv)}
@@ -167,7 +167,7 @@ def test_the_error_falls_with_the_square_of_the_step_and_engines_agree(ground: A
     off = [max(np.abs(x.q[-1] - best.q[-1]).max(), np.abs(x.v[-1] - best.v[-1]).max()) for x in ends]
     assert off[0] < 0.01
     assert 3.5 < off[0] / off[1] < 4.5
-    here = run(robot, (12.0, 10.0), 0.02, 0.5, PYTHON)
+    here = run(robot, (12.0, 10.0), 0.02, 0.5, Engine.PYTHON)
     np.testing.assert_allclose(here.q, ends[0].q, rtol=0, atol=1e-13)
     np.testing.assert_allclose(here.v, ends[0].v, rtol=0, atol=1e-13)
     for name, signal in here.signals.items():
@@ -196,7 +196,9 @@ def test_electrical_energy_is_what_moves_and_what_is_lost() -> None:
 def test_a_motor_far_stiffer_than_the_step_takes_the_rate_of_its_volts_at_once(ground: Any) -> None:
     """Time constants of less than 0.1 ms, at dt = 0.01: no ringing."""
     stiff = evolved(PLAIN, resistance=1e-5)
-    robot = WheeledRobot(CENTRAL, table(stiff, friction=Friction(mu=1e6, rolling=0.0)), ground).by_voltage()
+    robot = WheeledRobot(
+        CENTRAL, table(stiff, friction=WheelFriction(mu=1e6, rolling=0.0)), ground
+    ).by_voltage()
     found = run(robot, (3.0, 3.0), 0.01, 0.2)
     rates = found.v[1:, -2:]
     assert np.abs(rates - 3.0 / (0.03 * 20)).max() < 0.02
@@ -241,7 +243,7 @@ def drives() -> dict[str, WheelTable]:
         "omni": WheelTable.omni(0.25, 0.05, motor=MOTOR, **WHEEL),
         "tricycle": WheelTable((Wheel("front", 0.4, 0.0, R, **steered), *differential.wheels)),
         "caster": WheelTable((*differential.wheels, caster)),
-        "open": WheelTable(tuple(front), couplings=(Differential(("a", "b"), MOTOR),)),
+        "open": WheelTable(tuple(front), couplings=(DifferentialGear(("a", "b"), MOTOR),)),
     }
 
 
@@ -288,13 +290,13 @@ def test_driven_follows_as_torques_would_and_is_told_what_was_applied(ground: An
     ideal = WheeledRobot(BODY, table_)
     path = Tangent(Circle(2.0, 0.3, 20.0))
     q0, v0 = ideal.start(path(0.0))
-    controller = Driven(Backstepping(Tracking(), ideal), wheeled)
+    controller = TorqueToVoltage(Backstepping(UnicycleTracking(), ideal), wheeled)
     found = simulate(
-        wheeled.by_voltage(), controller, path, dt=0.005, duration=2.0, q0=q0, v0=v0, engine=COMPILED
+        wheeled.by_voltage(), controller, path, dt=0.005, duration=2.0, q0=q0, v0=v0, engine=Engine.COMPILED
     )
     assert found.engine == "COMPILED"
     assert np.abs(found.q[-1, :2] - path(2.0).q[:2]).max() < 0.02
-    limited = Driven(Torques(3.0, 100.0), wheeled)
+    limited = TorqueToVoltage(Torques(3.0, 100.0), wheeled)
     nothing: Any = None
     u, state = limited(0.0, q0, v0, nothing, limited.initial_state(nothing))
     assert abs(u[1]) <= 24.0
@@ -317,16 +319,16 @@ class Torques(Held):
 def test_wheel_speed_follows_by_loops_of_each_wheel(kind: str) -> None:
     path = Tangent(Circle(2.0, 0.3, 20.0))
     if kind == "skid":
-        wheels = WheelTable.skid_steer(0.2, 0.6, R, motor=MOTOR, **{**WHEEL, "friction": Friction()})
+        wheels = WheelTable.skid_steer(0.2, 0.6, R, motor=MOTOR, **{**WHEEL, "friction": WheelFriction()})
     else:
         wheels = table(MOTOR)
     wheeled = WheeledRobot(CENTRAL, wheels)
     robot = wheeled if kind == "torque" else wheeled.by_voltage()
-    controller = WheelSpeed(Tracking(), robot, kp=1.0, ki=20.0)
+    controller = WheelSpeed(UnicycleTracking(), robot, kp=1.0, ki=20.0)
     q0 = np.zeros(robot.nq)
     q0[:3] = path(0.0).q
     found = simulate(
-        robot, controller, path, dt=0.005, duration=4.0, q0=q0, v0=np.zeros(robot.nv), engine=COMPILED
+        robot, controller, path, dt=0.005, duration=4.0, q0=q0, v0=np.zeros(robot.nv), engine=Engine.COMPILED
     )
     assert np.abs(found.q[-1, :2] - path(4.0).q[:2]).max() < 0.05
 
@@ -336,12 +338,16 @@ def test_controllers_of_motors_give_the_same_in_all_engines(kind: str) -> None:
     wheeled = WheeledRobot(BODY, table(MOTOR))
     robot = wheeled.by_voltage()
     path = Tangent(Circle(2.0, 0.3, 20.0))
-    inner = Backstepping(Tracking(), wheeled)
-    controller: Any = Driven(inner, robot) if kind == "driven" else WheelSpeed(Tracking(), robot, 3.0, 30.0)
+    inner = Backstepping(UnicycleTracking(), wheeled)
+    controller: Any = (
+        TorqueToVoltage(inner, robot)
+        if kind == "driven"
+        else WheelSpeed(UnicycleTracking(), robot, 3.0, 30.0)
+    )
     q0, v0 = np.append(path(0.0).q, [0.0, 0.0]), np.zeros(robot.nv)
     here, there = (
         simulate(robot, controller, path, dt=0.01, duration=0.3, q0=q0, v0=v0, engine=engine)
-        for engine in (PYTHON, COMPILED)
+        for engine in (Engine.PYTHON, Engine.COMPILED)
     )
     assert (np.abs(here.u).max(axis=0) > 1.0).all()
     np.testing.assert_allclose(here.u, there.u, rtol=0, atol=1e-9)
@@ -350,7 +356,7 @@ def test_controllers_of_motors_give_the_same_in_all_engines(kind: str) -> None:
 
 def test_the_integral_of_wheel_speed_does_not_wind_up() -> None:
     robot = WheeledRobot(CENTRAL, table(MOTOR)).by_voltage()
-    controller = WheelSpeed(Tracking(), robot, kp=1.0, ki=20.0)
+    controller = WheelSpeed(UnicycleTracking(), robot, kp=1.0, ki=20.0)
     none = np.zeros(2)
     state = (None, none, np.array([0.1, -0.1]), np.array([30.0, 30.0]), 0.01)
     _, integral, *_ = controller.applied(np.array([24.0, 24.0]), (None, none + 0.5, *state[2:]))
@@ -371,7 +377,7 @@ def test_inputs_are_volts_and_torques_with_the_limits_of_motors() -> None:
         dt=0.01,
         q0=limited.rest,
         v0=np.zeros(limited.nv),
-        engine=COMPILED,
+        engine=Engine.COMPILED,
     )
     assert (found.u == [2.0, -2.0]).all()  # a motor's limit is part of what is applied
     assert robot.project(robot.rest, np.ones(robot.nv)).shape == (robot.nv,)
@@ -479,13 +485,13 @@ def test_what_has_no_volts_is_refused() -> None:
     open_ = WheelTable(
         (Wheel("a", 0.0, 0.2, R, **WHEEL), Wheel("b", 0.0, -0.2, R, **WHEEL)),
         supports=(Support(0.3, 0.0),),
-        couplings=(Differential(("a", "b"), MOTOR),),
+        couplings=(DifferentialGear(("a", "b"), MOTOR),),
     )
     with pytest.raises(errors.InvalidArgument, match="slip independently of each other"):
         WheeledRobot(CENTRAL, open_, Coulomb()).by_voltage()
     with pytest.raises(errors.InvalidArgument, match="expected a WheeledRobot with electric motors"):
-        Driven(Held(0.0), BODY)
+        TorqueToVoltage(Held(0.0), BODY)
     with pytest.raises(errors.InvalidArgument, match="wheels that steer"):
-        WheelSpeed(Tracking(), WheeledRobot(BODY, drives()["tricycle"]), kp=1.0)
+        WheelSpeed(UnicycleTracking(), WheeledRobot(BODY, drives()["tricycle"]), kp=1.0)
     with pytest.raises(errors.InvalidArgument, match="stall_torque is 3 N m, expected at most"):
         Motor.from_sheet(12.0, 3.0, 1.0, 10.0)

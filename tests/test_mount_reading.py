@@ -18,15 +18,15 @@ from pinmobile import (
     FixedHeading,
     InvalidArgument,
     Lissajous,
-    Load,
     MobileRobot,
+    PayloadBody,
     Reference,
     Rollout,
-    UnknownName,
     WholeBody,
     simulate,
 )
 from pinmobile.arrays import Array
+from pinmobile.errors import UnknownName
 from pinmobile.loop._storage import why_unknown
 from pinmobile.plant import PlantOutline
 from pinmobile.robot import BODY_JOINT
@@ -311,7 +311,7 @@ def test_unknown_names_come_with_the_nearest_ones() -> None:
     with pytest.raises(UnknownName, match=r"^unknown joint 'elbow', did you mean 'elbow_joint'"):
         BOX.mount("ur5", locked=["elbow"])
     with pytest.raises(UnknownName, match=r"^unknown frame 'ur5/tool', did you mean 'ur5/tool0' or "):
-        BOX.mount("ur5").attach(Load(1), "ur5/tool")
+        BOX.mount("ur5").attach(PayloadBody(1), "ur5/tool")
 
 
 def test_a_file_that_is_none_is_refused(urdf: Path, tmp_path: Path) -> None:
@@ -391,9 +391,9 @@ def test_limits_of_a_joint_that_is_locked_do_not_matter() -> None:
 )
 def test_loads_that_cannot_be_are_refused(arguments: dict[str, Any], text: str) -> None:
     with pytest.raises(InvalidArgument) as caught:
-        Load(**({"mass": 1} | arguments))
+        PayloadBody(**({"mass": 1} | arguments))
     assert str(caught.value).startswith(text)
-    with pytest.raises(InvalidArgument, match="load is 2, expected a Load"):
+    with pytest.raises(InvalidArgument, match="load is 2, expected a PayloadBody"):
         BOX.attach(2)  # type: ignore[arg-type]
 
 
@@ -431,7 +431,7 @@ def driven(robot: MobileRobot) -> Rollout:
 
 def test_a_rollout_brings_its_robot_back(tmp_path: Path, urdf: Path) -> None:
     path = tmp_path / "run.npz"
-    load = Load(1.0, (0.1, 0, 0), ((0.1, 0, 0), (0, 0.2, 0), (0, 0, 0.25)))
+    load = PayloadBody(1.0, (0.1, 0, 0), ((0.1, 0, 0), (0, 0.2, 0), (0, 0, 0.25)))
     robot = (
         BOX.mount("kinova", (0.1, 0, 0.2, 0.3)).mount(urdf, locked=["elbow"], rest=(0.9, 0.1)).attach(load)
     )
@@ -516,7 +516,12 @@ def test_damping_and_friction_of_joints_are_kept(urdf: Path, tmp_path: Path) -> 
     cart.write_text(BASE)
     base = MobileRobot.from_urdf(cart)
     robot = base.mount(urdf, (0, 0, 0.2, 0)).mount(urdf, (0.1, 0, 0.2, 0), locked=["shoulder"])
-    for carrying in (robot, robot.attach(Load(1.0)), pickle.loads(pickle.dumps(robot)), copy.deepcopy(robot)):
+    for carrying in (
+        robot,
+        robot.attach(PayloadBody(1.0)),
+        pickle.loads(pickle.dumps(robot)),
+        copy.deepcopy(robot),
+    ):
         assert carrying.joint_damping.tolist() == [0, 0, 0, 0.7, 0.3, 0.3]
         assert carrying.joint_friction.tolist() == [0, 0, 0, 0.2, 0.1, 0.1]
         assert carrying.model.damping[3:].tolist() == [0.7, 0.3, 0.3]
@@ -534,7 +539,7 @@ def test_damping_and_friction_of_joints_are_kept(urdf: Path, tmp_path: Path) -> 
 
 def test_damping_and_friction_of_a_model_are_kept() -> None:
     model = unsound(damping=0.5, friction=0.25, armature=0.1, rotorInertia=0.01, rotorGearRatio=50.0)
-    robot = BOX.mount(model, (0, 0, 0.2, 0)).attach(Load(0.5))
+    robot = BOX.mount(model, (0, 0, 0.2, 0)).attach(PayloadBody(0.5))
     assert robot.joint_damping.tolist() == [0, 0, 0, 0, 0.5]
     assert robot.joint_friction.tolist() == [0, 0, 0, 0, 0.25]
     # What else the file says of a joint comes through, too.

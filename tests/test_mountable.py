@@ -16,15 +16,13 @@ from pinmobile import (
     InvalidArgument,
     MobileRobot,
     Reference,
-    UnknownName,
-    mountable,
     simulate,
     verification,
     verify,
 )
 from pinmobile.arrays import Array
-from pinmobile.errors import NotTraceable
-from pinmobile.robot import BODY_JOINT, EXCEPTIONS, visuals
+from pinmobile.errors import NotTraceable, UnknownName
+from pinmobile.robot import BODY_JOINT, EXCEPTIONS, mountable, visuals
 from pinmobile.robot.visuals import VisualFile
 from pinmobile.viewer import Viewer
 

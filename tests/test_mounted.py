@@ -18,19 +18,16 @@ from pinmobile import (
     Circle,
     ComputedTorque,
     CubicVia,
-    Decoupled,
     Diverged,
+    InputSaturation,
     InvalidArgument,
-    Load,
     MobileRobot,
+    PayloadBody,
     PDGravity,
     Reference,
     Rollout,
-    Saturated,
     Tangent,
-    UnknownName,
     WholeBody,
-    constant_acceleration,
     law,
     plots,
     rk4,
@@ -38,14 +35,21 @@ from pinmobile import (
     verify,
 )
 from pinmobile.arrays import Array, wrap_angle
-from pinmobile.errors import LimitWarning
+from pinmobile.controllers import Decoupled
+from pinmobile.errors import LimitWarning, UnknownName
+from pinmobile.integrators import constant_acceleration
 from pinmobile.robot import Mount
 
 AT = (0.1, -0.05, 0.2, 0.4)
 UR5 = MobileRobot.box().mount("ur5", AT)
 PANDA = MobileRobot.box().mount("panda", AT)
 KINOVA = MobileRobot.box().mount("kinova", AT)  # four of its joints are continuous
-TWO = MobileRobot.box().mount("panda", AT).mount("kinova", (-0.1, 0, 0.2, 0)).attach(Load(1.5, (0, 0, 0.1)))
+TWO = (
+    MobileRobot.box()
+    .mount("panda", AT)
+    .mount("kinova", (-0.1, 0, 0.2, 0))
+    .attach(PayloadBody(1.5, (0, 0, 0.1)))
+)
 BENT = [0.1, 1.2, -1, 0, 0, 0, 0]  # a posture of the z1
 ROBOTS = pytest.mark.parametrize("robot", [UR5, KINOVA, TWO], ids=["ur5", "kinova", "two arms and a load"])
 
@@ -385,7 +389,7 @@ def test_pd_turns_continuous_joints_the_short_way() -> None:
 
 def test_the_base_carries_neither_arms_nor_loads() -> None:
     box = MobileRobot.box()
-    for robot in (box.attach(Load(3.0)), UR5, UR5.attach(Load(3.0)), box):
+    for robot in (box.attach(PayloadBody(3.0)), UR5, UR5.attach(PayloadBody(3.0)), box):
         assert robot.base == box
         assert (robot.base.mounts, robot.base.loads) == ((), ())
 
@@ -441,7 +445,7 @@ def test_a_mounted_robot_is_a_value() -> None:
     assert again == UR5
     assert hash(again) == hash(UR5)
     assert again != MobileRobot.box().mount("ur5", (*AT[:3], 0.5))
-    assert again != again.attach(Load(1.0))
+    assert again != again.attach(PayloadBody(1.0))
     assert again.base == MobileRobot.box()
     assert repr(UR5).endswith(".mount('ur5', at=(0.1, -0.05, 0.2, 0.4), name='ur5')")
     for robot in (UR5, TWO, MobileRobot.box().mount(pendulum(continuous=True))):
@@ -449,7 +453,7 @@ def test_a_mounted_robot_is_a_value() -> None:
         assert copy == robot
         q, v, _ = states(robot)
         np.testing.assert_array_equal(copy.nonlinear_effects(q, v), robot.nonlinear_effects(q, v))
-    plain = MobileRobot.lecture().mount("panda", AT).attach(Load(1.5, (0, 0, 0.1)))
+    plain = MobileRobot.lecture().mount("panda", AT).attach(PayloadBody(1.5, (0, 0, 0.1)))
     assert eval(repr(plain)) == plain
 
 
@@ -506,7 +510,7 @@ def test_clashing_names_are_numbered() -> None:
 
 def test_loads_weigh_where_they_are() -> None:
     q, _, _ = states(UR5)
-    light = UR5.attach(Load(2.0, (0, 0, 0.1), size=(0.1, 0.2, 0.3)))
+    light = UR5.attach(PayloadBody(2.0, (0, 0, 0.1), size=(0.1, 0.2, 0.3)))
     J = UR5.frame_jacobian(q)
     point = UR5.frame_pose(q) @ [0, 0, 0.1, 1]
     arm = point[:, :3] - UR5.frame_pose(q)[:, :3, 3]
@@ -611,7 +615,7 @@ def test_what_is_said_to_take_instead_has_the_right_derivatives() -> None:
 
 
 @pytest.mark.parametrize("robot", [MobileRobot.box(), UR5, KINOVA], ids=["base", "ur5", "kinova"])
-@pytest.mark.parametrize("limited", [lambda c: c, lambda c: Saturated(c, 1e6)], ids=["bare", "wrapped"])
+@pytest.mark.parametrize("limited", [lambda c: c, lambda c: InputSaturation(c, 1e6)], ids=["bare", "wrapped"])
 def test_pd_with_the_robots_difference_is_pd(robot: MobileRobot, limited: Any) -> None:
     """In the order that Pinocchio has; over a start that is a turn and more away from the reference."""
     start = robot.integrate(robot.rest, np.full(robot.nv, 0.05))

@@ -6,19 +6,17 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    COMPILED,
     LQR,
     MPC,
     Circle,
     ConstantForce,
-    Context,
-    Delayed,
+    Engine,
     FixedHeading,
+    InputSaturation,
     InvalidArgument,
     Line,
     Lissajous,
-    NotSolved,
-    Saturated,
+    MeasurementDelay,
     Tangent,
     Uniform,
     WheeledRobot,
@@ -29,6 +27,8 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.controllers.lqr import riccati, tracked_model
+from pinmobile.errors import NotSolved
+from pinmobile.plant import Context
 from tests.rivals import HEAVY, NOMINAL, OFF
 
 LOADED = OFF
@@ -95,7 +95,10 @@ def settled(controller: Any) -> tuple[float, Array]:
 @pytest.mark.long
 def test_under_limits_it_settles_no_later_than_a_regulator_that_is_cut_off() -> None:
     limits = (22.0, 22.0, 3.0)
-    (mine, largest), (cut, _) = settled(MPC(NOMINAL, limits=limits)), settled(Saturated(LQR(NOMINAL), limits))
+    (mine, largest), (cut, _) = (
+        settled(MPC(NOMINAL, limits=limits)),
+        settled(InputSaturation(LQR(NOMINAL), limits)),
+    )
     assert mine <= cut
     assert np.array_equal(largest, limits)
 
@@ -150,10 +153,10 @@ def test_an_ensemble_says_why_it_is_slow_and_how_long_many_would_take() -> None:
     given: Any = {"dt": 0.01, "n": 2, "seed": 1, "spread": {"mass": Uniform(28, 32)}, "duration": 0.1}
     words = r"quadratic program at each of 11 samples, so that 10,000 robots take some [\d.e-]+ h"
     with pytest.warns(UserWarning, match=words):
-        found = ensemble(NOMINAL, Saturated(MPC(NOMINAL), 100), SHORT, **given)
+        found = ensemble(NOMINAL, InputSaturation(MPC(NOMINAL), 100), SHORT, **given)
     assert found.engine == "PYTHON"
     with pytest.raises(InvalidArgument, match="10,000 robots"):
-        ensemble(NOMINAL, MPC(NOMINAL), SHORT, engine=COMPILED, **given)
+        ensemble(NOMINAL, MPC(NOMINAL), SHORT, engine=Engine.COMPILED, **given)
 
 
 def test_a_program_that_fails_keeps_its_state_and_problem(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -234,7 +237,12 @@ BAD: Any = [
         "step is 0.025 s, expected a whole",
     ),
     (
-        lambda: simulate(NOMINAL, Delayed(Saturated(Delayed(MPC(NOMINAL, 2), 6), 100), 4), SHORT, dt=0.01),
+        lambda: simulate(
+            NOMINAL,
+            MeasurementDelay(InputSaturation(MeasurementDelay(MPC(NOMINAL, 2), 6), 100), 4),
+            SHORT,
+            dt=0.01,
+        ),
         "horizon is 0.1 s, no longer than the delay of what it is told, 0.1 s, expected more than 2 steps",
     ),
     (

@@ -14,9 +14,8 @@ from pinmobile import (
     Coulomb,
     Diverged,
     InvalidArgument,
-    Load,
     MobileRobot,
-    NotFinite,
+    PayloadBody,
     PinmobileError,
     Tangent,
     WheeledRobot,
@@ -26,6 +25,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
+from pinmobile.errors import NotFinite
 from pinmobile.urdf import Body
 
 HUGE = (1e100, 1e160, 1e200, 1e308)
@@ -252,15 +252,15 @@ def test_what_is_carried_and_drowns_the_rest_is_refused() -> None:
     ur5, box = ROBOTS["ur5"], MobileRobot.box()
     for robot, mass in ((ur5, 1e308), (box, 1e308)):
         with pytest.raises(InvalidArgument, match=r"mass matrix is beyond 1\.8e308, .*: the heaviest, 1"):
-            robot.attach(Load(mass, (0.1, 0, 0)))
+            robot.attach(PayloadBody(mass, (0.1, 0, 0)))
     with pytest.raises(InvalidArgument, match=r"singular to rounding at rest: joint 'ur5/wrist_1_joint'"):
-        ur5.attach(Load(1e20))
+        ur5.attach(PayloadBody(1e20))
     for mass in (1e308, 1e20):
         with pytest.raises(InvalidArgument, match="the mass matrix is singular at rest about joint"):
             box.mount(heavy_arm(mass))
     with pytest.raises(InvalidArgument, match=r"mass matrix is beyond 1\.8e308"):
         box.mount("ur5", (1e200, 0, 0.2, 0))
-    assert np.isfinite(ur5.attach(Load(1e3)).mass_matrix(ur5.rest)).all()
+    assert np.isfinite(ur5.attach(PayloadBody(1e3)).mass_matrix(ur5.rest)).all()
 
 
 def test_a_loop_that_overflows_has_diverged_whoever_notices() -> None:

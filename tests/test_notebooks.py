@@ -18,7 +18,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from pinmobile import ViewerError
+from pinmobile.errors import ViewerError
 from pinmobile.viewer.recording import find_chromium
 from tests.chromium import Chromium
 

@@ -19,18 +19,16 @@ from pinmobile import (
     Ensemble,
     FixedHeading,
     Hold,
+    InputSaturation,
     InvalidArgument,
-    LectureHeading,
     Lissajous,
     MobileRobot,
     RestToRest,
     Rollout,
-    Saturated,
     Scenario,
     Spline,
     Tangent,
     Uniform,
-    UnknownName,
     ViscousFriction,
     WholeBody,
     ensemble,
@@ -39,10 +37,11 @@ from pinmobile import (
     simulate,
     sweep,
 )
-from pinmobile.errors import SlowerEngine
-from pinmobile.loop import COMPILED, PYTHON, Loop, part_of, run_scenario
+from pinmobile.errors import SlowerEngine, UnknownName
+from pinmobile.loop import Engine, Loop, part_of, run_scenario
 from pinmobile.loop._variables import PER_ROBOT
 from pinmobile.parts import find, replace
+from pinmobile.trajectories import LectureHeading
 from tests.parts import (
     PID,
     Axle,
@@ -63,11 +62,11 @@ N = 4
 LIMITS = (120.0, 110.0, 6.0)  # which all robots reach at first
 STARTS = {"start.x": np.array([0.1, -0.1, 0.3, 0.0]), "start.psi": np.array([0.2, 0.5, -0.3, 0.1])}
 PARTS: dict[str, dict[str, Any]] = {
-    "controller with memory": {"controller": Saturated(PID(), LIMITS)},
+    "controller with memory": {"controller": InputSaturation(PID(), LIMITS)},
     "controller": {"controller": SlidingMode()},
     "force": {"controller": PD(100, 120), "forces": [Spring()]},
     "wrapper": {"controller": Smoothed(ComputedTorque(ROBOT))},
-    "wrappers of a user's": {"controller": Saturated(Smoothed(PID()), LIMITS)},
+    "wrappers of a user's": {"controller": InputSaturation(Smoothed(PID()), LIMITS)},
     "integrator": {"controller": PD(100, 120), "integrator": midpoint},
     "path": {"controller": ComputedTorque(ROBOT), "trajectory": Tangent(Eight())},
     "heading": {"controller": ComputedTorque(ROBOT), "trajectory": Nodding(Circle(1.0, 0.5, 12.0))},
@@ -106,7 +105,7 @@ def assert_same(one: Ensemble, other: Ensemble) -> None:
 def test_a_users_part_has_the_same_numbers_by_all_engines(what: str) -> None:
     name, _, values, _ = NAMED.get(what, ("mass", "", [25.0, 28.0, 31.0, 34.0], ""))
     scenario = made(what, {**STARTS, name: np.array(values)})
-    runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, PYTHON)]
+    runs = [run_scenario(scenario, engine=engine) for engine in (Engine.COMPILED, Engine.PYTHON)]
     assert [run.engine for run in runs] == ["COMPILED", "PYTHON"]
     assert not runs[0].diverged.any()
     assert_close(*runs)
@@ -122,7 +121,7 @@ def test_a_users_part_is_simulated_and_its_rollout_kept(what: str, tmp_path: Pat
     np.testing.assert_array_equal(Rollout.load(tmp_path / "run.npz").q, rollout.q)
     traced = run_scenario(scenario, traces=[2]).traces[2]
     np.testing.assert_array_equal(traced.q, rollout.q)
-    compiled = simulate(*member[:3], **member.options, engine=COMPILED)
+    compiled = simulate(*member[:3], **member.options, engine=Engine.COMPILED)
     assert_as_simulated(compiled, rollout)
 
 
@@ -203,7 +202,7 @@ def carted(**changes: Any) -> Scenario:
 CARTED: dict[str, dict[str, Any]] = {
     "all coordinates": {},
     "pose alone": {"trajectory": Tangent(Circle(2.0, 0.5, 6.0))},
-    "wrapped": {"controller": Saturated(Smoothed(Follower(), 0.8), 0.5)},
+    "wrapped": {"controller": InputSaturation(Smoothed(Follower(), 0.8), 0.5)},
     "pushed": {"forces": [Spring(), ViscousFriction((3.0, 3.0, 0.3))], "integrator": rk4, "substeps": 2},
     "one wheel runs heavily": {"forces": [Axle()], "integrator": midpoint},
 }
@@ -212,7 +211,7 @@ CARTED: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("what", CARTED)
 def test_a_users_plant_has_the_same_numbers_by_all_engines(what: str) -> None:
     scenario = carted(**CARTED[what])
-    runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, PYTHON)]
+    runs = [run_scenario(scenario, engine=engine) for engine in (Engine.COMPILED, Engine.PYTHON)]
     assert not runs[0].diverged.any()
     assert runs[0].max_error.shape == (N, 3 if what == "pose alone" else 5)
     assert runs[0].max_force.shape == (N, 2)
@@ -220,7 +219,7 @@ def test_a_users_plant_has_the_same_numbers_by_all_engines(what: str) -> None:
     assert run_scenario(scenario).engine == "COMPILED"
     member = runs[0].member(1)
     of_pinocchio, compiled = (
-        simulate(*member[:3], **member.options, engine=engine) for engine in (PYTHON, COMPILED)
+        simulate(*member[:3], **member.options, engine=engine) for engine in (Engine.PYTHON, Engine.COMPILED)
     )
     assert_as_simulated(compiled, of_pinocchio)
 
@@ -230,7 +229,7 @@ def test_an_ordinary_class_for_one_state_is_compiled_and_its_numbers_are_its_own
     spread: Any = {"start.y": 0.1, "rate": Uniform(0.3, 0.5)}
     run = run_scenario(carted(**given, spread=spread))
     assert run.engine == "COMPILED"
-    assert_close(run, run_scenario(carted(**given, spread=spread), engine=PYTHON))
+    assert_close(run, run_scenario(carted(**given, spread=spread), engine=Engine.PYTHON))
     with pytest.raises(UnknownName, match=r"^unknown parameter in spread 'mass'"):
         carted(**given, spread={"mass": 20.0})
 
@@ -340,7 +339,7 @@ def test_what_a_part_derives_of_its_numbers_follows_them(name: str) -> None:
 
 
 @pytest.mark.parametrize("answer", [5.0, None, np.zeros(2), np.array([5.0])], ids=str)
-@pytest.mark.parametrize("engine", [None, COMPILED], ids=str)
+@pytest.mark.parametrize("engine", [None, Engine.COMPILED], ids=str)
 def test_a_force_of_another_shape_is_refused_by_every_engine(answer: Any, engine: Any) -> None:
     with pytest.raises(InvalidArgument, match=r"forces\[0\].*expected an array of shape \(3,\)"):
         simulate(
@@ -393,10 +392,13 @@ def test_a_law_that_reaches_a_robot_by_a_name_is_compiled(function: Any) -> None
     given: dict[str, Any] = {"n": 2, "spread": MASSES | {"start.x": 0.1}, "dt": 0.02}
     run = ensemble(ROBOT, law(function), motion, **given)
     assert run.engine == "COMPILED"
-    assert_close(run, ensemble(ROBOT, law(function), motion, **given, engine=PYTHON))
+    assert_close(run, ensemble(ROBOT, law(function), motion, **given, engine=Engine.PYTHON))
     assert_close(run, ensemble(ROBOT, ComputedTorque(ROBOT), motion, **given))
     other = _closed_over(MobileRobot(50.0, 1.3))  # the same code, another robot
-    runs = [ensemble(ROBOT, law(other), motion, **given, engine=engine) for engine in (COMPILED, PYTHON)]
+    runs = [
+        ensemble(ROBOT, law(other), motion, **given, engine=engine)
+        for engine in (Engine.COMPILED, Engine.PYTHON)
+    ]
     assert_close(*runs)
 
 
@@ -407,7 +409,13 @@ def test_what_a_robot_does_by_pinocchio_alone_is_refused_with_the_line() -> None
     what = "jacobian of a MobileRobot, which takes numbers alone; .* for .*inverse_dynamics"
     with pytest.raises(InvalidArgument, match=rf"function, line \d+ of test_parts\.py .*: {what}"):
         ensemble(
-            ROBOT, law(function), Tangent(Circle(2.0, 0.5, 1.0)), n=2, spread={}, dt=0.1, engine=COMPILED
+            ROBOT,
+            law(function),
+            Tangent(Circle(2.0, 0.5, 1.0)),
+            n=2,
+            spread={},
+            dt=0.1,
+            engine=Engine.COMPILED,
         )
 
 
@@ -446,7 +454,7 @@ def owned(what: str, **changes: Any) -> Scenario:
 @pytest.mark.parametrize("what", OWN)
 def test_each_robot_follows_a_reference_of_its_own_by_all_engines(what: str) -> None:
     scenario = owned(what)
-    runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, PYTHON)]
+    runs = [run_scenario(scenario, engine=engine) for engine in (Engine.COMPILED, Engine.PYTHON)]
     assert_close(*runs)
     assert run_scenario(scenario).engine == "COMPILED"
     motion, spread = OWN[what]
@@ -523,7 +531,7 @@ def test_the_models_that_a_trajectory_knows_are_no_numbers_of_it() -> None:
     scenario = Scenario(robot=ROBOT, **given, spread=spread)
     assert scenario.find("controller.mass").path == "controller.robot.mass"
     assert scenario.find("radius").path == "trajectory.base.path.radius"
-    runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, PYTHON)]
+    runs = [run_scenario(scenario, engine=engine) for engine in (Engine.COMPILED, Engine.PYTHON)]
     assert_close(*runs)
     assert runs[0].member(1).trajectory == WholeBody(ROBOT, Tangent(Circle(2.0, 0.5, 1.0)))
 

@@ -20,11 +20,11 @@ from pinmobile.paths import (
     Hold,
     Line,
     Lissajous,
-    Moved,
     Path,
     Polyline,
     RestToRest,
     Spline,
+    TransformedPath,
     pieces_of,
 )
 
@@ -40,7 +40,7 @@ QUINTIC = RestToRest((1, -2), (3, 4), 2.5)
 LINE = Line((0, 1), (3, 1), 6)
 TURN = Circle(1, 0.5, 4, (3, 2), heading=0.0)
 ROUNDED = Polyline([(0, 0), (4, 0), (4, 3), (1, 4)], 0.5, 22.7, 0.3)
-MOVED = Moved(SPLINE, 1, -2, 0.7)
+MOVED = TransformedPath(SPLINE, 1, -2, 0.7)
 CHAINED = CompositePath([LINE, TURN])
 PATHS = [
     *(VIA_STOP, VIA_FREE, SPLINE, EIGHT, Circle(3, 0.1, 60), QUINTIC, Hold((1, 2), 3)),
@@ -95,10 +95,10 @@ def test_velocity_is_continuous_at_the_via_and_acceleration_where_the_velocity_i
     for order in (1, 2) if path.via_velocity is None else (1,):
         left, right = before.derivative(path.t_via, order), after.derivative(path.t_via, order)
         # The durations can be a thousandfold apart: the scale is that of the steeper piece.
-        steepest = max(
+        max_slope = max(
             np.abs(piece.derivative([piece.start, piece.end], order)).max() for piece in path.pieces
         )
-        np.testing.assert_allclose(left, right, rtol=0, atol=1e-13 * max(steepest, 1.0))
+        np.testing.assert_allclose(left, right, rtol=0, atol=1e-13 * max(max_slope, 1.0))
 
 
 def test_the_lecture_s_via_free_coefficients() -> None:

@@ -6,32 +6,31 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    COMPILED,
     PD,
-    PYTHON,
     Circle,
     ComputedTorque,
     ConstantForce,
     Coulomb,
+    Engine,
     InvalidArgument,
-    Load,
     MobileRobot,
-    Payload,
+    PayloadBody,
     Tangent,
     Uniform,
     WheeledRobot,
     WheelTable,
     ensemble,
     rk4,
-    semi_implicit_euler,
     simulate,
 )
+from pinmobile.forces import PayloadForce
+from pinmobile.integrators import semi_implicit_euler
 from pinmobile.loop import reaction
 
 BODY = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
 CIRCLE = Tangent(Circle(radius=1.5, rate=0.6, duration=2))
 INERTIA = (0.2, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, 0.2)
-CARRIED = Payload(10, (0.25, 0.1), 1.0, 0.2)
+CARRIED = PayloadForce(10, (0.25, 0.1), 1.0, 0.2)
 
 
 class Later:
@@ -44,13 +43,13 @@ class Later:
 
 
 @pytest.mark.parametrize("integrator", [semi_implicit_euler, rk4])
-@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
+@pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
 def test_it_is_two_runs_that_are_joined_when_it_comes(integrator: Any, engine: Any) -> None:
     controller = ComputedTorque(BODY, 16, 8)
     given: Any = {"dt": 0.01, "integrator": integrator, "engine": engine}
     whole = simulate(BODY, controller, CIRCLE, forces=[CARRIED], **given)
     before = simulate(BODY, controller, CIRCLE, duration=1.0, **given)
-    loaded = BODY.attach(Load(10, (0.25, 0.1, 0.1), INERTIA), "base_link")
+    loaded = BODY.attach(PayloadBody(10, (0.25, 0.1, 0.1), INERTIA), "base_link")
     after = simulate(loaded.lumped(), controller, Later(), q0=before.q[-1], v0=before.v[-1], **given)
     joined = np.vstack([before.q[:-1], after.q])
     jump = np.abs(after.a[0] - before.a[-1]).max()
@@ -69,7 +68,7 @@ def carrying(robot: Any, q: Any, v: Any, u: Any) -> Any:
 
 
 def test_with_an_arm_and_on_wheels_too() -> None:
-    load = Load(10, (0.25, 0.1, 0.1), INERTIA)
+    load = PayloadBody(10, (0.25, 0.1, 0.1), INERTIA)
     wheels = WheelTable.differential(0.1, 0.4)
     generator = np.random.default_rng(5)
     arm = MobileRobot.box().mount("ur5")
@@ -92,7 +91,7 @@ def test_all_engines_agree_and_each_robot_has_its_own() -> None:
     controller = ComputedTorque(BODY, 16, 8)
     runs = [
         ensemble(BODY, controller, CIRCLE, spread=spread, engine=engine, **given)
-        for engine in (COMPILED, PYTHON)
+        for engine in (Engine.COMPILED, Engine.PYTHON)
     ]
     # 200 samples of contracting loops: rounding does not grow.
     for other in runs[1:]:
@@ -108,9 +107,9 @@ def test_a_push_acts_between_its_times() -> None:
 
 
 BAD: Any = [
-    (lambda: Payload(-1, (0, 0), 1), "mass is -1.0 kg, expected >= 0"),
-    (lambda: Payload(1, (0, 0, 0), 1), r"at has shape \(3,\), expected \(2,\)"),
-    (lambda: Payload(1, (0, 0), np.nan), "when is nan"),
+    (lambda: PayloadForce(-1, (0, 0), 1), "mass is -1.0 kg, expected >= 0"),
+    (lambda: PayloadForce(1, (0, 0, 0), 1), r"at has shape \(3,\), expected \(2,\)"),
+    (lambda: PayloadForce(1, (0, 0), np.nan), "when is nan"),
     (lambda: ConstantForce((1, 0, 0), 2.0, 1.0), "end is 1.0 s, expected above begin, 2.0 s"),
     (
         lambda: simulate(

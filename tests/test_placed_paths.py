@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.integrate import quad
 
-from pinmobile import COMPILED, PD, ComputedTorque, MobileRobot, Tangent, Uniform, ensemble, simulate
+from pinmobile import PD, ComputedTorque, Engine, MobileRobot, Tangent, Uniform, ensemble, simulate
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import numbers
 from pinmobile.paths import (
@@ -20,10 +20,10 @@ from pinmobile.paths import (
     Hold,
     Line,
     Lissajous,
-    Moved,
     Path,
     Polyline,
     Spline,
+    TransformedPath,
     pieces_of,
 )
 from pinmobile.trajectories import FixedHeading
@@ -186,7 +186,7 @@ def test_a_body_with_inertia_follows_a_rounded_polyline() -> None:
     # per dt at most, and no jump of a turn rate, which would be radians per second.
     robot = MobileRobot(30, 1.3, com=(0.1, 0.05))
     path = Tangent(Polyline([(0, 0), (3, 0), (3, 2)], 0.4, 12, 0.4))
-    run = simulate(robot, ComputedTorque(robot, 25, 10), path, dt=0.01, engine=COMPILED)
+    run = simulate(robot, ComputedTorque(robot, 25, 10), path, dt=0.01, engine=Engine.COMPILED)
     times = np.linspace(0, 12, 1201)
     change = np.abs(np.diff(path(times).a, axis=0)).max(axis=0)
     assert (run.max_error() < 0.5 * change).all()
@@ -374,12 +374,12 @@ def test_a_spread_that_tears_a_path_apart_is_refused_for_the_robot_that_it_tears
             "duration is 5 s, expected at least 5.47723 s for 4 m with acceleration = 1 m/s^2",
         ),
         (
-            lambda: Moved(Hold((1, 2, 3, 4), 1), 1, 2),
+            lambda: TransformedPath(Hold((1, 2, 3, 4), 1), 1, 2),
             "path has points of shape (4,), expected (2,) or (3,)",
         ),
         (lambda: Hold((1, 2), 1).moved(np.inf), "x is inf, expected a finite number"),
         (
-            lambda: Moved(3, 1, 2),
+            lambda: TransformedPath(3, 1, 2),
             "path is 3, expected a path: path(t), path.derivative(t, order), path.duration",
         ),
     ],

@@ -16,14 +16,11 @@ from pinmobile import (
     Reference,
     Rollout,
     Tangent,
-    UnknownName,
     plots,
-    reaction_wrench,
-    required_friction,
     simulate,
-    tip_over_margin,
 )
-from pinmobile.balance import body_zero_moment_point
+from pinmobile.balance import body_zero_moment_point, reaction_wrench, required_friction, tip_over_margin
+from pinmobile.errors import UnknownName
 
 pytestmark = pytest.mark.once
 

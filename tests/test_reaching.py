@@ -13,21 +13,18 @@ from pinmobile import (
     ComputedTorque,
     EndEffectorTracking,
     InvalidArgument,
-    Load,
     MobileRobot,
+    PayloadBody,
     PosePath,
     Reference,
-    Resolved,
     Spline,
-    UnknownName,
-    Unreachable,
-    resolve,
     rk4,
     simulate,
+    solve_inverse_kinematics,
 )
 from pinmobile.arrays import Array
-from pinmobile.errors import LimitWarning
-from pinmobile.reaching import pose_error
+from pinmobile.errors import LimitWarning, UnknownName, Unreachable
+from pinmobile.reaching import InverseKinematicsTrajectory, pose_error
 from pinmobile.reaching.solver import Limits, Solver, bounded_least_squares
 
 BOX = MobileRobot.box()
@@ -74,12 +71,12 @@ def misses(robot: MobileRobot, target: PosePath, t: Array, q: Array) -> tuple[fl
     return float(np.linalg.norm(way, axis=1).max()), float(np.linalg.norm(turn, axis=1).max())
 
 
-def dense(resolved: Resolved) -> tuple[Array, Reference]:
+def dense(resolved: InverseKinematicsTrajectory) -> tuple[Array, Reference]:
     t = np.linspace(0, resolved.duration, 5001)
     return t, resolved(t)
 
 
-def check_limits(resolved: Resolved, velocity: Array, acceleration: float = 10.0) -> None:
+def check_limits(resolved: InverseKinematicsTrajectory, velocity: Array, acceleration: float = 10.0) -> None:
     robot, (_, reference) = resolved.robot, dense(resolved)
     assert (reference.q >= robot.lower).all()
     assert (reference.q <= robot.upper).all()
@@ -88,11 +85,11 @@ def check_limits(resolved: Resolved, velocity: Array, acceleration: float = 10.0
 
 
 @pytest.fixture(scope="module")
-def ring() -> Resolved:
-    return resolve(UR5, RING, q0=BENT)
+def ring() -> InverseKinematicsTrajectory:
+    return solve_inverse_kinematics(UR5, RING, q0=BENT)
 
 
-def test_base_and_arm_together_stay_on_a_ring_in_space(ring: Resolved) -> None:
+def test_base_and_arm_together_stay_on_a_ring_in_space(ring: InverseKinematicsTrajectory) -> None:
     t, reference = dense(ring)
     way, turn = misses(UR5, RING, t, reference.q)
     # The spline smooths the control points by a dt^2 / 6: 8.5e-6 m; between them half as much again.
@@ -106,7 +103,9 @@ def test_base_and_arm_together_stay_on_a_ring_in_space(ring: Resolved) -> None:
     assert np.abs(reference.a).max() < 2
 
 
-def test_velocity_and_acceleration_are_the_derivatives_of_the_configuration(ring: Resolved) -> None:
+def test_velocity_and_acceleration_are_the_derivatives_of_the_configuration(
+    ring: InverseKinematicsTrajectory,
+) -> None:
     t = np.linspace(0.1, 6, 50) + 1e-5  # beside the knots, where jerk jumps
     h = 1e-4
     ahead, here, behind = (ring(t + k * h) for k in (1, 0, -1))
@@ -115,12 +114,12 @@ def test_velocity_and_acceleration_are_the_derivatives_of_the_configuration(ring
     np.testing.assert_allclose((ahead.v - behind.v) / (2 * h), here.a, atol=5 * h)
 
 
-def test_the_error_is_of_second_order_in_the_step(ring: Resolved) -> None:
-    coarse = resolve(UR5, RING, q0=BENT, dt=0.02)
+def test_the_error_is_of_second_order_in_the_step(ring: InverseKinematicsTrajectory) -> None:
+    coarse = solve_inverse_kinematics(UR5, RING, q0=BENT, dt=0.02)
     assert coarse.max_error()[0] / ring.max_error()[0] == pytest.approx(4, rel=0.05)
 
 
-def test_computed_torque_tracks_it(ring: Resolved) -> None:
+def test_computed_torque_tracks_it(ring: InverseKinematicsTrajectory) -> None:
     run = simulate(UR5, ComputedTorque(UR5, 100, 20), ring, dt=0.002, duration=6)
     assert run.max_error().max() < 1e-4  # a held force lags by dt: of the order of jerk dt / kp = 2e-5
     assert misses(UR5, RING, run.t, run.q)[0] < 1e-4
@@ -128,7 +127,7 @@ def test_computed_torque_tracks_it(ring: Resolved) -> None:
 
 def test_the_position_alone_leaves_the_orientation_free() -> None:
     target = PosePath(RING.path)
-    resolved = resolve(UR5, target, q0=BENT)
+    resolved = solve_inverse_kinematics(UR5, target, q0=BENT)
     assert resolved.max_error()[0] < 1e-4
     assert np.isnan(resolved.max_error()[1])
     assert misses(UR5, RING, *(part for part in (resolved.t, resolved(resolved.t).q)))[1] > 0.1
@@ -138,31 +137,33 @@ def test_the_position_alone_leaves_the_orientation_free() -> None:
 def test_other_robots_follow_a_line_from_rest(robot: MobileRobot) -> None:
     T = robot.frame_pose(robot.rest)
     target = PosePath(line(T[:3, 3], (1.5, -1, 0)), T[:3, :3])
-    resolved = resolve(robot, target)
+    resolved = solve_inverse_kinematics(robot, target)
     assert resolved.max_error()[0] < 1e-4
     check_limits(resolved, robot.velocity_limit)
 
 
 def test_the_start_is_found_far_away_and_turned() -> None:
     R = START[:3, :3] @ pin.utils.rotate("x", 2.0)
-    resolved = resolve(UR5, PosePath(line((300.0, -500.0, 0.6), (0.1, 0, 0)), R))
+    resolved = solve_inverse_kinematics(UR5, PosePath(line((300.0, -500.0, 0.6), (0.1, 0, 0)), R))
     assert max(resolved.max_error()) < 1e-4
 
 
 def test_an_arm_that_is_not_the_first_follows_too() -> None:
-    robot = UR5.mount("panda", (-0.1, 0, 0.2, 3)).attach(Load(1.0), "ur5/tool0")
+    robot = UR5.mount("panda", (-0.1, 0, 0.2, 3)).attach(PayloadBody(1.0), "ur5/tool0")
     frame = robot.mounts[1].tip
     T = robot.frame_pose(robot.rest, frame)
-    resolved = resolve(robot, PosePath(line(T[:3, 3], (0.3, 0.2, 0.1)), T[:3, :3]), frame=frame)
+    resolved = solve_inverse_kinematics(
+        robot, PosePath(line(T[:3, 3], (0.3, 0.2, 0.1)), T[:3, :3]), frame=frame
+    )
     assert resolved.max_error()[0] < 1e-4
     np.testing.assert_allclose(np.ptp(resolved(resolved.t).q[:, robot.mounts[0].q], axis=0), 0, atol=1e-9)
 
 
 def test_what_the_arm_cannot_reach_is_reached_because_the_base_moves() -> None:
     far = PosePath(line(START[:3, 3], (2, 0, 0)), START[:3, :3])
-    assert resolve(UR5, far, q0=BENT).max_error()[0] < 1e-4
+    assert solve_inverse_kinematics(UR5, far, q0=BENT).max_error()[0] < 1e-4
     with pytest.raises(Unreachable, match=r"target is missed by .* m and .* rad at t = 0\.\d+ s") as caught:
-        resolve(UR5, far, q0=BENT, velocity_limit=LOCKED)
+        solve_inverse_kinematics(UR5, far, q0=BENT, velocity_limit=LOCKED)
     kept = caught.value.resolved
     assert np.nanmax(kept.error[kept.t < caught.value.time]) <= 1e-2
     assert kept.max_error()[0] > 1
@@ -180,36 +181,40 @@ def test_a_tolerance_is_of_distance_and_angle_whatever_the_direction(towards: fl
         missed = PosePath(line(START[:3, 3], (0, 0, 0)), START[:3, :3], axis @ START[:3, :3])
     else:
         missed = PosePath(line(START[:3, 3], ahead))
-    resolved = resolve(UR5, missed, q0=BENT, dt=0.05, velocity_limit=locked, tolerance=0.0141)
+    resolved = solve_inverse_kinematics(
+        UR5, missed, q0=BENT, dt=0.05, velocity_limit=locked, tolerance=0.0141
+    )
     assert max(resolved.max_error()) == pytest.approx(0.014, rel=1e-9)
     with pytest.raises(Unreachable, match=r"largest errors are .*0\.014"):
-        resolve(UR5, missed, q0=BENT, dt=0.05, velocity_limit=locked, tolerance=0.0139)
+        solve_inverse_kinematics(UR5, missed, q0=BENT, dt=0.05, velocity_limit=locked, tolerance=0.0139)
 
 
-def test_the_velocity_at_the_start_is_the_targets_but_for_dt_squared(ring: Resolved) -> None:
+def test_the_velocity_at_the_start_is_the_targets_but_for_dt_squared(
+    ring: InverseKinematicsTrajectory,
+) -> None:
     wanted = RING(0.0).twist
     missed = []
     for dt in (0.02, 0.01, 0.005):
-        resolved = resolve(UR5, RING, q0=BENT, dt=dt)
+        resolved = solve_inverse_kinematics(UR5, RING, q0=BENT, dt=dt)
         at = resolved(0.0)
         missed.append(np.abs(UR5.frame_jacobian(at.q) @ at.v - wanted).max())
     assert missed[0] > 1e-6
     np.testing.assert_allclose(np.divide(missed[:-1], missed[1:]), 4, rtol=0.1)
-    assert "dt^2" in str(resolve.__doc__).partition("Returns")[2]
+    assert "dt^2" in str(solve_inverse_kinematics.__doc__).partition("Returns")[2]
 
 
 def test_an_orientation_that_is_missed_is_told_though_the_position_is_met() -> None:
     turning = PosePath(line(START[:3, 3], (0, 0, 0), 0.5), START[:3, :3], START[:3, :3] @ TURN)
     slow = np.full(9, 0.1)
     with pytest.raises(Unreachable) as caught:
-        resolve(UR5, turning, q0=BENT, velocity_limit=slow, tolerance=0.1)
+        solve_inverse_kinematics(UR5, turning, q0=BENT, velocity_limit=slow, tolerance=0.1)
     assert caught.value.resolved.max_error()[0] < 0.1 < caught.value.resolved.max_error()[1]
 
 
 def test_a_joint_that_would_go_beyond_its_limit_is_named_with_how_far() -> None:
     spinning = PosePath(line(START[:3, 3], (0, 0, 0), 10.0), START[:3, :3], turn=(0, 0, 4 * np.pi))
     with pytest.raises(Unreachable) as caught:
-        resolve(UR5, spinning, q0=BENT, dt=0.1)
+        solve_inverse_kinematics(UR5, spinning, q0=BENT, dt=0.1)
     found = re.search(r"with (.*) \[rad\] at (\S+), (\S+) beyond its limit of (\S+)$", str(caught.value))
     assert found is not None
     assert found[1] == "ur5/wrist_3_joint"
@@ -222,21 +227,23 @@ def test_a_joint_that_would_go_beyond_its_limit_is_named_with_how_far() -> None:
 @pytest.mark.parametrize("value", [-1.0, -1e-12, np.nan])
 def test_a_clearance_below_zero_is_refused(value: float) -> None:
     with pytest.raises(InvalidArgument, match=r"^clearance is -.* m, expected >= 0|^clearance is nan"):
-        resolve(UR5, RING, clearance=value)
+        solve_inverse_kinematics(UR5, RING, clearance=value)
 
 
 @pytest.mark.parametrize(("duration", "dt", "steps"), [(2.1, 0.3, 7), (1.0, 0.3, 4), (0.5, 9.0, 2)])
 def test_control_points_are_as_far_apart_as_asked_for_or_nearer(
     duration: float, dt: float, steps: int
 ) -> None:
-    resolved = resolve(UR5, PosePath(line(START[:3, 3], (0.05, 0, 0), duration)), q0=BENT, dt=dt)
+    resolved = solve_inverse_kinematics(
+        UR5, PosePath(line(START[:3, 3], (0.05, 0, 0), duration)), q0=BENT, dt=dt
+    )
     np.testing.assert_allclose(resolved.t, np.linspace(0, duration, steps + 1), rtol=1e-12)
 
 
 def test_a_limit_of_velocity_is_held_and_the_error_made_good_later() -> None:
     target = PosePath(Spline([START[:3, 3], START[:3, 3] + [1, 0, 0], START[:3, 3] + [1, 0, 0]], [0, 1, 5]))
     slow = np.where(np.arange(9) < 3, 0.5, 0.1)
-    resolved = resolve(UR5, target, q0=BENT, velocity_limit=slow, tolerance=np.inf)
+    resolved = solve_inverse_kinematics(UR5, target, q0=BENT, velocity_limit=slow, tolerance=np.inf)
     check_limits(resolved, slow)
     assert resolved.max_error()[0] > 0.1
     assert np.abs(resolved.error[-1, : resolved.target.rows]).max() < 1e-4
@@ -244,11 +251,13 @@ def test_a_limit_of_velocity_is_held_and_the_error_made_good_later() -> None:
 
 
 def test_torques_beyond_limits_are_reported_when_and_how_far() -> None:
-    heavy, up = UR5.attach(Load(40.0), "ur5/tool0"), np.array([[0, 0, 0], [0, 0, 0.1], [0, 0, 0.2]])
+    heavy, up = UR5.attach(PayloadBody(40.0), "ur5/tool0"), np.array([[0, 0, 0], [0, 0, 0.1], [0, 0, 0.2]])
     with pytest.warns(
         LimitWarning, match=r"^input of ur5/shoulder_lift_joint reaches -?[\d.]+ N m at"
     ) as told:
-        found = resolve(heavy, PosePath(Spline(START[:3, 3] + up, [0.0, 0.5, 1.0])), q0=BENT, dt=0.1)
+        found = solve_inverse_kinematics(
+            heavy, PosePath(Spline(START[:3, 3] + up, [0.0, 0.5, 1.0])), q0=BENT, dt=0.1
+        )
     way = found(found.t)
     assert len(told) == 1
     size = np.abs(heavy.inverse_dynamics(*way)).max(axis=0) > heavy.effort_limit
@@ -261,7 +270,9 @@ def test_a_start_at_a_limit_is_left_within_it() -> None:
     q0[4:6] = -1.5, UR5.upper[5]
     T = UR5.frame_pose(q0)  # folded: singular, so that the pose is missed by centimetres
     target = PosePath(line(T[:3, 3], (0.3, 0, 0)), T[:3, :3])
-    resolved = resolve(UR5, target, q0=q0, velocity_limit=LOCKED, posture=BENT[3:], tolerance=np.inf)
+    resolved = solve_inverse_kinematics(
+        UR5, target, q0=q0, velocity_limit=LOCKED, posture=BENT[3:], tolerance=np.inf
+    )
     displacement = resolved._curve(dense(resolved)[0])  # before rounding is cut off
     assert (resolved.start + displacement <= UR5.upper + 1e-12).all()
     assert resolved(3.0).q[5] < UR5.upper[5] - 0.1
@@ -272,14 +283,16 @@ def test_where_the_search_from_rest_is_stuck_others_are_tried_unless_a_start_is_
     q[:3] = 0
     T, locked = PANDA.frame_pose(q), np.where(np.arange(12) < 3, 0.0, PANDA.velocity_limit)
     target = PosePath(line(T[:3, 3], (0, 0, 0), 0.1), T[:3, :3])
-    assert max(resolve(PANDA, target, velocity_limit=locked).max_error()) < 1e-9
+    assert max(solve_inverse_kinematics(PANDA, target, velocity_limit=locked).max_error()) < 1e-9
     with pytest.raises(Unreachable, match="at t = 0 s"):
-        resolve(PANDA, target, velocity_limit=locked, q0=PANDA.rest)
+        solve_inverse_kinematics(PANDA, target, velocity_limit=locked, q0=PANDA.rest)
 
 
 def test_what_is_locked_is_not_moved_by_the_search_for_the_start() -> None:
     aside = PosePath(line(START[:3, 3] + [-0.05, 0.05, 0.02], (0, 0, 0), 0.1))
-    free, locked = (resolve(UR5, aside, q0=BENT, velocity_limit=most) for most in (None, LOCKED))
+    free, locked = (
+        solve_inverse_kinematics(UR5, aside, q0=BENT, velocity_limit=most) for most in (None, LOCKED)
+    )
     assert np.abs(free.start[:2]).min() > 1e-3
     assert locked.start[:3].tolist() == [0, 0, 0]
     assert locked.max_error()[0] < 1e-9
@@ -299,7 +312,7 @@ def test_a_joint_brakes_at_its_limit_and_the_error_grows() -> None:
     T = PANDA.frame_pose(PANDA.rest)
     locked = np.where(np.arange(12) < 3, 0.0, PANDA.velocity_limit)
     away = PosePath(line(T[:3, 3], (-0.6, 0, -0.3)), T[:3, :3])
-    resolved = resolve(PANDA, away, velocity_limit=locked, tolerance=np.inf)
+    resolved = solve_inverse_kinematics(PANDA, away, velocity_limit=locked, tolerance=np.inf)
     check_limits(resolved, locked)
     q = resolved(resolved.t).q
     assert np.minimum(q - PANDA.lower, PANDA.upper - q)[:, 3:-2].min() < 1e-3
@@ -312,7 +325,7 @@ def test_a_singular_posture_does_not_blow_up() -> None:
     T = UR5.frame_pose(straight)
     out = [T[:3, 3], T[:3, 3] + 0.3 * T[:3, 3] / np.linalg.norm(T[:3, 3]), T[:3, 3] - [0.2, 0.1, 0]]
     target = PosePath(Spline(out, [0, 2, 6]))
-    resolved = resolve(UR5, target, q0=straight, velocity_limit=LOCKED, tolerance=np.inf)
+    resolved = solve_inverse_kinematics(UR5, target, q0=straight, velocity_limit=LOCKED, tolerance=np.inf)
     check_limits(resolved, LOCKED)
     assert 0.1 < resolved.max_error()[0] < 0.5
     assert np.abs(resolved.error[-1, : resolved.target.rows]).max() < 1e-3
@@ -321,34 +334,39 @@ def test_a_singular_posture_does_not_blow_up() -> None:
 def test_where_the_pose_leaves_it_free_the_arm_tends_to_its_posture() -> None:
     target = PosePath(line(START[:3, 3], (0, 0, 0), 8))
     posture = BENT[3:] + np.array([0.3, 0, 0, 0, 0, 0.5])  # the height stays
-    resolved = resolve(UR5, target, q0=BENT, posture=posture)
+    resolved = solve_inverse_kinematics(UR5, target, q0=BENT, posture=posture)
     np.testing.assert_allclose(resolved(8.0).q[3:], posture, atol=2e-3)  # exp(-6) of 0.5: the base moves too
     assert resolved.max_error()[0] < 1e-4
-    stiff = resolve(UR5, target, q0=BENT, posture=posture, posture_gain=0)
+    stiff = solve_inverse_kinematics(UR5, target, q0=BENT, posture=posture, posture_gain=0)
     assert np.abs(stiff(8.0).q[3:] - BENT[3:]).max() < 0.05
 
 
 def test_what_is_dear_moves_less() -> None:
     target = PosePath(line(START[:3, 3], (0.2, 0.1, 0.1)), START[:3, :3])
     price = np.where(np.arange(9) < 3, 100.0, 1.0)
-    moved = [np.abs(resolve(UR5, target, q0=BENT, cost=cost)(3.0).q[:3]).max() for cost in (1.0, price)]
+    moved = [
+        np.abs(solve_inverse_kinematics(UR5, target, q0=BENT, cost=cost)(3.0).q[:3]).max()
+        for cost in (1.0, price)
+    ]
     assert moved[1] < 0.1 * moved[0]
 
 
 class TestTracking:
-    def test_the_pose_is_tracked(self, ring: Resolved) -> None:
+    def test_the_pose_is_tracked(self, ring: InverseKinematicsTrajectory) -> None:
         run = simulate(UR5, EndEffectorTracking(UR5, RING), ring, dt=0.01, duration=5)
         assert max(misses(UR5, RING, run.t, run.q)) < 1e-4
 
     @pytest.mark.parametrize("t", [1.0, 4.0])
-    def test_on_the_way_it_asks_for_the_references_own_acceleration(self, ring: Resolved, t: float) -> None:
+    def test_on_the_way_it_asks_for_the_references_own_acceleration(
+        self, ring: InverseKinematicsTrajectory, t: float
+    ) -> None:
         on = ring(t)
         a = EndEffectorTracking(UR5, RING).acceleration(t, on.q, on.v, on)
         # kp times the spline's own error, 100 / s^2 times 8.5e-6 m.
         np.testing.assert_allclose(a, on.a, atol=2e-3)
         assert np.abs(on.a[6:]).max() > 0.02
 
-    def test_an_error_at_the_start_dies_away_within_limits(self, ring: Resolved) -> None:
+    def test_an_error_at_the_start_dies_away_within_limits(self, ring: InverseKinematicsTrajectory) -> None:
         q0 = ring(0.0).q + np.array([0.05, -0.05, 0.1, 0.1, -0.1, 0.1, 0, 0, 0])
         run = simulate(UR5, EndEffectorTracking(UR5, RING), ring, dt=0.01, duration=3, q0=q0)
         late = run.t >= 2
@@ -547,14 +565,14 @@ def test_after_any_acceleration_that_limits_allow_a_joint_can_still_stop() -> No
 )
 def test_what_cannot_be_resolved_is_refused(options: dict[str, Any], text: str) -> None:
     with pytest.raises(InvalidArgument, match=text):
-        resolve(UR5, RING, **options)
+        solve_inverse_kinematics(UR5, RING, **options)
 
 
 def test_other_things_than_robots_targets_and_frames_are_refused() -> None:
     with pytest.raises(InvalidArgument, match="target is 3, expected a PosePath"):
-        resolve(UR5, 3)  # type: ignore[arg-type]
+        solve_inverse_kinematics(UR5, 3)  # type: ignore[arg-type]
     with pytest.raises(UnknownName, match="unknown frame 'ur5/tool', did you mean 'ur5/tool0'"):
-        resolve(UR5, RING, frame="ur5/tool")
+        solve_inverse_kinematics(UR5, RING, frame="ur5/tool")
     with pytest.raises(UnknownName, match="unknown frame"):
         EndEffectorTracking(UR5, RING, frame="tip")
     with pytest.raises(InvalidArgument, match=r"kp is -1\.0, expected >= 0"):

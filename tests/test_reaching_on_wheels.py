@@ -7,38 +7,37 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    COMPILED,
     Circle,
     ComputedTorque,
     Coulomb,
     EndEffectorTracking,
-    Friction,
+    Engine,
     InvalidArgument,
     Line,
     MobileRobot,
     PosePath,
-    Resolved,
     Rollout,
     Spline,
     Tangent,
     WheeledRobot,
     WheelTable,
-    constant_acceleration,
-    contact_loads,
-    resolve,
     simulate,
-    slip_margins,
+    solve_inverse_kinematics,
 )
 from pinmobile.arrays import Array
+from pinmobile.balance import contact_loads, slip_margins
+from pinmobile.integrators import constant_acceleration
 from pinmobile.parts import evolved
 from pinmobile.plant import ContactLoads, SlipMargins
+from pinmobile.reaching import InverseKinematicsTrajectory
+from pinmobile.wheels import WheelFriction
 from tests import wheeled
 
 BENT = np.array([0, 0, 0, 0, -1.2, 1.6, -0.4, 1.57, 0])
 DURATION = 5.0
 DT = 0.01
 # Nothing but what is Coulomb's: rollers that turn freely, wheels without resistance.
-ROLLERS = Friction(mu=0.4, across=0.0, rolling=0.0)
+ROLLERS = WheelFriction(mu=0.4, across=0.0, rolling=0.0)
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class Wall:
 
     robot: WheeledRobot
     target: PosePath
-    motion: Resolved
+    motion: InverseKinematicsTrajectory
     run: Rollout
 
     def missed(self, run: Rollout) -> Array:
@@ -69,7 +68,7 @@ def wall(tmp_path_factory: pytest.TempPathFactory) -> Wall:
     s = s**3 * (10 - 15 * s + 6 * s**2)
     wave = hand[:3, 3] + np.stack([0 * s, 2 * s, 0.15 * np.sin(4 * pi * s)], axis=-1)
     target = PosePath(Spline(wave, t), hand[:3, :3])
-    motion = resolve(robot.robot, target, q0=BENT, dt=0.02)
+    motion = solve_inverse_kinematics(robot.robot, target, q0=BENT, dt=0.02)
     run = simulate(robot, tracking(robot, target), motion, dt=DT, integrator=constant_acceleration)
     return Wall(robot, target, motion, run)
 
@@ -128,13 +127,13 @@ def test_slip_margins_are_those_of_constraint_forces_and_springs(wall: Wall) -> 
 
 def test_the_friction_that_its_margins_ask_for_is_what_it_needs(wall: Wall) -> None:
     follower = ComputedTorque(wall.robot, 100, 20)
-    rolled = simulate(wall.robot, follower, wall.motion, dt=DT, engine=COMPILED)
+    rolled = simulate(wall.robot, follower, wall.motion, dt=DT, engine=Engine.COMPILED)
     margins: SlipMargins = slip_margins(rolled)
     loads: ContactLoads = contact_loads(rolled)
     needed = float((np.abs(margins.along) / loads.values).max())
     for share, slides in ((1.02, False), (0.98, True)):
         floor = WheeledRobot(wall.robot.robot, wall.robot.table, Coulomb(share * needed))
-        run = simulate(floor, follower, wall.motion, dt=DT, engine=COMPILED)
+        run = simulate(floor, follower, wall.motion, dt=DT, engine=Engine.COMPILED)
         slip = run.measures()["slip"][1].max()
         assert slip > 1e-2 if slides else slip < 1e-12
         assert bool(run.signals["slides"].values.any()) == slides

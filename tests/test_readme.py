@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 import pinmobile
-from pinmobile import ViewerError
 from pinmobile.cli.lecture import EXPECTED
+from pinmobile.errors import ViewerError
 from pinmobile.viewer.recording import find_chromium
 
 ROOT = Path(__file__).parents[1]

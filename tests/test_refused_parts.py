@@ -17,7 +17,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.errors import SlowerEngine
-from pinmobile.loop import COMPILED, PYTHON
+from pinmobile.loop import Engine
 from tests.parts import Cart, CartCircle, Eight, Follower, Nodding, Spring
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
@@ -39,10 +39,10 @@ def simulated(parts: dict[str, Any], **options: Any) -> Any:
 
 def assert_refused(parts: dict[str, Any], why: str) -> None:
     """Check that parts are refused for the same reason wherever they are run."""
-    for engine in (None, COMPILED, PYTHON):
+    for engine in (None, Engine.COMPILED, Engine.PYTHON):
         with pytest.raises(InvalidArgument, match=why):
             in_ensemble(parts, engine=engine)
-    for engine in (None, COMPILED):
+    for engine in (None, Engine.COMPILED):
         with pytest.raises(InvalidArgument, match=why):
             simulated(parts, engine=engine)
 
@@ -233,8 +233,10 @@ def test_a_tape_that_is_another_each_time_though_its_numbers_are_not_is_refused_
 
     parts = BODY | {"controller": law(spelled)}
     with pytest.raises(InvalidArgument, match=r"spelled, line .*asked again.*keep memory in state"):
-        in_ensemble(parts, engine=COMPILED)
-    with pytest.warns(SlowerEngine, match=r"by PYTHON.*not COMPILED.*spelled, line .*keep memory in state"):
+        in_ensemble(parts, engine=Engine.COMPILED)
+    with pytest.warns(
+        SlowerEngine, match=r"by Engine.PYTHON.*not Engine.COMPILED.*spelled, line .*keep memory in state"
+    ):
         run = in_ensemble(parts)
     assert (run.engine, "keep memory in state" in run.why) == ("PYTHON", True)
 
@@ -259,11 +261,15 @@ def _by_eigenvalues(t: float, q: Any, v: Any, reference: Any) -> Any:
 
 
 UNTRACED: dict[str, tuple[dict[str, Any], Any, str]] = {
-    "if": (BODY | {"controller": law(_branching)}, PYTHON, r"_branching, line \d+ of test_.*np\.where"),
-    "math": (BODY | {"forces": [_by_math]}, PYTHON, r"_by_math, line \d+ of test_.*NumPy's function"),
+    "if": (
+        BODY | {"controller": law(_branching)},
+        Engine.PYTHON,
+        r"_branching, line \d+ of test_.*np\.where",
+    ),
+    "math": (BODY | {"forces": [_by_math]}, Engine.PYTHON, r"_by_math, line \d+ of test_.*NumPy's function"),
     "eigenvalues": (
         BODY | {"controller": law(_by_eigenvalues)},
-        PYTHON,
+        Engine.PYTHON,
         r"_by_eigenvalues, line \d+ of test_.*np\.where",
     ),
 }
@@ -272,10 +278,10 @@ UNTRACED: dict[str, tuple[dict[str, Any], Any, str]] = {
 @pytest.mark.parametrize("what", UNTRACED)
 def test_a_law_that_cannot_be_traced_runs_slower_and_says_so_or_is_refused(what: str) -> None:
     parts, engine, why = UNTRACED[what]
-    with pytest.raises(InvalidArgument, match=rf"^engine is COMPILED, which cannot run this: .*{why}"):
-        in_ensemble(parts, engine=COMPILED)
-    with pytest.raises(InvalidArgument, match=rf"^engine is COMPILED, which cannot run this: .*{why}"):
-        simulated(parts, engine=COMPILED)
+    with pytest.raises(InvalidArgument, match=rf"^engine is Engine.COMPILED, which cannot run this: .*{why}"):
+        in_ensemble(parts, engine=Engine.COMPILED)
+    with pytest.raises(InvalidArgument, match=rf"^engine is Engine.COMPILED, which cannot run this: .*{why}"):
+        simulated(parts, engine=Engine.COMPILED)
     with pytest.warns(SlowerEngine, match=rf"runs by {engine!r}, .*not COMPILED: .*{why}") as told:
         run = in_ensemble(parts)
     assert len(told) == 1
@@ -410,7 +416,7 @@ def _late_integrator(acceleration: Any, t: float, q: Any, v: Any, h: float) -> A
     ],
 )
 def test_what_stops_being_real_is_told_when_it_does(parts: dict[str, Any], why: str) -> None:
-    runs: Any = simulated, lambda parts: in_ensemble(parts, n=1, engine=PYTHON)
+    runs: Any = simulated, lambda parts: in_ensemble(parts, n=1, engine=Engine.PYTHON)
     for run in runs:
         with pytest.raises(InvalidArgument, match=why):
             run(parts)
@@ -431,9 +437,11 @@ def test_a_state_that_changes_its_shape_is_named_and_runs_in_python() -> None:
     parts = BODY | {"controller": Growing()}
     why = r"state\['seen'\] of the controller has shape \(2, 3\) and a sample later \(3, 3\); let init"
     for run in (simulated, in_ensemble):
-        with pytest.raises(InvalidArgument, match=rf"^engine is COMPILED, which cannot run this: {why}"):
-            run(parts, engine=COMPILED)
-    with pytest.warns(SlowerEngine, match=rf"runs by PYTHON, .*not COMPILED: {why}"):
+        with pytest.raises(
+            InvalidArgument, match=rf"^engine is Engine.COMPILED, which cannot run this: {why}"
+        ):
+            run(parts, engine=Engine.COMPILED)
+    with pytest.warns(SlowerEngine, match=rf"runs by Engine.PYTHON, .*not COMPILED: {why}"):
         runs = in_ensemble(parts, n=2)
     np.testing.assert_allclose(runs.max_error[0], simulated(parts).max_error(), rtol=1e-12)
 

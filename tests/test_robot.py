@@ -6,17 +6,9 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, strategies as st
 
-from pinmobile import (
-    LECTURE_TABLE,
-    SLIDE_TABLE,
-    DHRow,
-    DHTable,
-    InvalidArgument,
-    JointType,
-    Load,
-    MobileRobot,
-)
+from pinmobile import InvalidArgument, MobileRobot, PayloadBody
 from pinmobile.arrays import Array
+from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType
 
 robots = st.builds(
     MobileRobot,
@@ -270,8 +262,8 @@ def test_nothing_is_lost_far_from_the_origin(offset_robot: MobileRobot, x: float
 
 
 def test_what_is_handed_out_may_be_written_into_and_nothing_changes() -> None:
-    robot = MobileRobot.box().mount("ur5").attach(Load(1.0, (0, 0, 0.1)))
-    again = MobileRobot.box().mount("ur5").attach(Load(1.0, (0, 0, 0.1)))
+    robot = MobileRobot.box().mount("ur5").attach(PayloadBody(1.0, (0, 0, 0.1)))
+    again = MobileRobot.box().mount("ur5").attach(PayloadBody(1.0, (0, 0, 0.1)))
     q = robot.rest
     M, pose, drawn = robot.mass_matrix(q), robot.frame_pose(q), robot.visual_model.geometryObjects[0]
     heavy = pin.Inertia(99.0, np.ones(3), np.eye(3))
@@ -287,7 +279,7 @@ def test_what_is_handed_out_may_be_written_into_and_nothing_changes() -> None:
     items[0].placement, items[0].meshColor = pin.SE3.Random(), np.ones(4)
     items[0].geometry.halfSide = np.ones(3)
     for same in (robot, pickle.loads(pickle.dumps(robot)), MobileRobot.box().mount(arm.whole, name="ur5")):
-        carrying = same if same.loads else same.attach(Load(1.0, (0, 0, 0.1)))
+        carrying = same if same.loads else same.attach(PayloadBody(1.0, (0, 0, 0.1)))
         np.testing.assert_array_equal(carrying.mass_matrix(q), M)
         np.testing.assert_array_equal(carrying.frame_pose(q), pose)
         np.testing.assert_array_equal(carrying.upper, again.upper)

@@ -6,8 +6,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import LECTURE_TABLE, SLIDE_TABLE, InvalidArgument, MobileRobot
+from pinmobile import InvalidArgument, MobileRobot
 from pinmobile.arrays import Array
+from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE
 
 
 def link(name: str, mass: float = 0, com: str = "0 0 0", rpy: str = "0 0 0", i: str = "1 0 0 1 0 1") -> str:

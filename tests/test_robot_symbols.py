@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import Load, MobileRobot
+from pinmobile import MobileRobot, PayloadBody
 from pinmobile.arrays import Array
 from pinmobile.compiled._tracing import tracing
 from pinmobile.compiled.symbolic import Symbols, entries, symbols
@@ -18,11 +18,11 @@ from pinmobile.robot import ArticulatedDynamics, PlanarDynamics, UncheckedDynami
 from pinmobile.trajectories import Reference
 
 AT = (0.1, -0.05, 0.5, 0.4)
-LOAD = Load(1.5, (0.1, 0, 0.2), size=(0.1, 0.2, 0.3))
+LOAD = PayloadBody(1.5, (0.1, 0, 0.2), size=(0.1, 0.2, 0.3))
 ROBOTS = {
     "bare": MobileRobot(30.0, 1.1, com=(0.1, -0.05, 0.2)),
-    "loaded": MobileRobot(30.0, 1.1, com=(0.1, -0.05, 0.2)).attach(LOAD).attach(Load(2.0)),
-    "ur5": MobileRobot.box().mount("ur5", AT).attach(LOAD).attach(Load(2.0), "base_link"),
+    "loaded": MobileRobot(30.0, 1.1, com=(0.1, -0.05, 0.2)).attach(LOAD).attach(PayloadBody(2.0)),
+    "ur5": MobileRobot.box().mount("ur5", AT).attach(LOAD).attach(PayloadBody(2.0), "base_link"),
     "two": MobileRobot.box().mount("kinova", AT).mount("ur3", (-0.2, 0, 0.2, 0), name="left"),
 }
 STATE = ("q", "v", "a")

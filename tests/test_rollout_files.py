@@ -11,25 +11,25 @@ import pytest
 from pinmobile import (
     PD,
     Backstepping,
-    ByOdometry,
     Circle,
     Coulomb,
     InvalidArgument,
-    Load,
     MobileRobot,
     Motor,
+    PayloadBody,
     Rolling,
     Rollout,
     Tangent,
-    Tracking,
+    UnicycleTracking,
     WheeledRobot,
     WheelTable,
     plots,
     simulate,
 )
+from pinmobile.wheels import OdometryFeedback
 from tests.damage import answer, damaged
 
-ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05)).attach(Load(2, (0.1, 0, 0.2)))
+ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05)).attach(PayloadBody(2, (0.1, 0, 0.2)))
 RUN = simulate(ROBOT, PD((8, 8, 1), (8, 8, 1)), Tangent(Circle(3, 0.1, 6)), dt=0.5)
 
 
@@ -81,7 +81,7 @@ def test_a_run_on_wheels_comes_back_with_its_signals_and_the_names_of_its_wheels
         0.46, 0.1, supports=[(0.2, 0), (-0.2, 0)], mass=1.0, spin_inertia=0.005, motor=Motor(5.0)
     )
     plant = WheeledRobot(MobileRobot(30, 1.3, com=(0, 0, 0.1), size=(0.6, 0.4, 0.25)), table, ground)
-    law = ByOdometry(Backstepping(Tracking(), plant), table)
+    law = OdometryFeedback(Backstepping(UnicycleTracking(), plant), table)
     run = simulate(plant, law, Tangent(Circle(1, 0.5, 0.1)), dt=0.02)
     run.save(tmp_path / "run.npz")
     loaded = Rollout.load(tmp_path / "run.npz")

@@ -14,7 +14,6 @@ import pytest
 
 from pinmobile import (
     Backstepping,
-    Friction,
     InvalidArgument,
     MobileRobot,
     Motor,
@@ -39,7 +38,7 @@ from pinmobile.parts import (
     schema_of,
     write_text,
 )
-from pinmobile.wheels import MOTORS
+from pinmobile.wheels import MOTORS, WheelFriction
 from tests.wheeled import husky
 
 ODD = [5e-324, 1e22, 0.1, 1 / 3, -0.0, 2**53 + 0.0, 1e-7, 123456789.123456789]
@@ -47,14 +46,14 @@ PARTS = {name: one for name, one in public().items() if attrs.has(one) and is_pa
 # What numbers alone do not make: names, tables that fit each other, parts that only Python makes.
 APART = {
     *(
-        "Ackermann",
+        "AckermannSteering",
         "Adaptive",
         "AdaptiveVelocity",
-        "Differential",
+        "DifferentialGear",
         "GearTrain",
         "LQR",
         "MPC",
-        "Load",
+        "PayloadBody",
         "Wheel",
     ),
     *("WheelTable", "WheeledRobot", "WholeBody"),
@@ -99,7 +98,7 @@ def robots() -> list[Any]:
     body = MobileRobot(30.0, 1 / 3, com=(0.1, 0, 0.1))
     electric = Motor(resistance=1.7, torque_constant=0.04, voltage=24.0)
     table = WheelTable.differential(
-        0.46, 0.1, supports=[(0.3, 0)], motor=electric, friction=Friction(slip=1e-4)
+        0.46, 0.1, supports=[(0.3, 0)], motor=electric, friction=WheelFriction(slip=1e-4)
     )
     swerve = WheelTable.swerve([(0.2, 0.1), (-0.2, -0.1)], 0.05, yaw_inertia=0.001)
     wheeled, omni = WheeledRobot(body, table), WheeledRobot(body, WheelTable.omni(0.2, 0.1))
@@ -309,7 +308,10 @@ def test_paths_change_what_stands_there_and_names_what_is_new() -> None:
     assert (one.controller.kp, one.controller.kd, one.robot.com[0]) == (9.0, 4.0, 0.1)
     assert one.controller.robot == attrs.evolve(one.robot, mass=25.0)  # believes in 25 kg, the rest is so
     other = Opened(
-        ["controller=Saturated(PD((1, 2, 3), kd=4), [20, inf, 5])", "forces.wind=ConstantForce((1, 0, 0))"]
+        [
+            "controller=InputSaturation(PD((1, 2, 3), kd=4), [20, inf, 5])",
+            "forces.wind=ConstantForce((1, 0, 0))",
+        ]
     )
     assert other.content.controller.limits.tolist() == [20, np.inf, 5]
     assert other.content.controller.controller.kp.tolist() == [1, 2, 3]
@@ -322,7 +324,9 @@ def test_the_robot_of_the_file_stands_for_models_that_are_not_given() -> None:
     assert one.controller.robot is one.robot
     assert [wheel.radius for wheel in one.robot.table.wheels] == [0.11, 0.1]
     assert one.robot.robot.mass == 20
-    by = Opened(["differential", "controller=ByOdometry(Backstepping(Tracking()), ticks=1024)"]).content
+    by = Opened(
+        ["differential", "controller=OdometryFeedback(Backstepping(UnicycleTracking()), ticks=1024)"]
+    ).content
     assert by.controller.table is by.robot.table
 
 
@@ -330,8 +334,8 @@ def test_robots_of_files_and_lists_of_parts_are_stated(tmp_path: Path) -> None:
     (tmp_path / "husky.urdf").write_text(husky())
     text = f"WheeledRobot.from_urdf({str(tmp_path / 'husky.urdf')!r}, rollers={{}})"
     laws = (
-        "controller=WheelSpeed(Tracking(), kp=1)",
-        "forces=[ConstantForce((1, 0, 0)), Payload(3, (0, 0), 0)]",
+        "controller=WheelSpeed(UnicycleTracking(), kp=1)",
+        "forces=[ConstantForce((1, 0, 0)), PayloadForce(3, (0, 0), 0)]",
     )
     opened = Opened([f"robot={text}", "robot.table.wheels.wheel_0.radius=0.2", *laws])
     assert opened.content.robot.ground.slips
@@ -358,7 +362,7 @@ def test_text_makes_what_python_makes() -> None:
     table = "WheelTable.mecanum(0.4, 0.5, radius=0.1, motor=wheels.MOTORS['pololu_37d_50_12v'])"
     text = f"WheeledRobot(MobileRobot(30, 1.3), {table})"
     made = Opened([f"robot={text}", "controller.kp=25"]).content.robot
-    volts = Opened([f"robot={text}.by_voltage()", "controller=Driven(ComputedTorque())"]).content
+    volts = Opened([f"robot={text}.by_voltage()", "controller=TorqueToVoltage(ComputedTorque())"]).content
     assert isinstance(made, WheeledRobot)
     assert made.table.source == WheelTable.mecanum(0.4, 0.5, 0.1).source
     assert made.table.wheels[0].motor == MOTORS["pololu_37d_50_12v"]
@@ -447,8 +451,8 @@ def test_the_schema_has_each_part_with_its_bounds() -> None:
     assert "[m]" in radius["description"]
     assert {"$ref": "#/$defs/AnyController"} in schema["properties"]["controller"]["anyOf"]
     names = schema["$defs"]["AnyController"]["properties"]["type"]["anyOf"][0]["enum"]
-    assert {"PD", "Saturated"} < set(names) < set(schema["$defs"])
-    assert not {"Circle", "ConstantForce", "Tracking"} & set(names)
+    assert {"PD", "InputSaturation"} < set(names) < set(schema["$defs"])
+    assert not {"Circle", "ConstantForce", "UnicycleTracking"} & set(names)
 
 
 def test_arguments_of_constructors_have_their_meaning() -> None:

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    COMPILED,
-    PYTHON,
-    Delayed,
+    Engine,
+    InputSaturation,
     InvalidArgument,
+    MeasurementDelay,
+    MeasurementNoise,
     MobileRobot,
-    NoisyMeasurement,
     Rollout,
-    Saturated,
     Uniform,
     ensemble,
     plots,
@@ -54,7 +53,7 @@ class TellingSmoothed(Smoothed):
         return {"smooth": ("N", state[1]), **self.controller.signals(state[0])}
 
 
-WRAPPED = NoisyMeasurement(Delayed(Saturated(TellingPID(), 40.0), 2), 1e-3, 1e-3, 5)
+WRAPPED = MeasurementNoise(MeasurementDelay(InputSaturation(TellingPID(), 40.0), 2), 1e-3, 1e-3, 5)
 
 
 @pytest.mark.parametrize(
@@ -77,7 +76,7 @@ def test_every_part_tells_the_same_in_each_engine(
     trajectory, options = where
     runs = [
         simulate(plant, controller, trajectory, forces=forces, engine=engine, **options)
-        for engine in (PYTHON, COMPILED)
+        for engine in (Engine.PYTHON, Engine.COMPILED)
     ]
     for run in runs:
         assert {name: signal.unit for name, signal in run.signals.items()} == units
@@ -95,18 +94,20 @@ class Silent(PID):
         return {"contacts": ("N", np.zeros(0))}
 
 
-@pytest.mark.parametrize("engine", [PYTHON, COMPILED])
+@pytest.mark.parametrize("engine", [Engine.PYTHON, Engine.COMPILED])
 def test_a_signal_may_have_no_number(engine: Any) -> None:
     run = simulate(ROBOT, Silent(), BODY[0], engine=engine, **BODY[1])
     assert run.signals["contacts"].values.shape == (len(run.t), 0)
 
 
 def test_they_are_what_the_laws_say() -> None:
-    run = simulate(TellingCart(), FOLLOWER, CART[0], forces=[TellingAxle()], engine=COMPILED, **CART[1])
+    run = simulate(
+        TellingCart(), FOLLOWER, CART[0], forces=[TellingAxle()], engine=Engine.COMPILED, **CART[1]
+    )
     np.testing.assert_allclose(run.signals["power"].values, run.u * run.v[:, 3:], rtol=1e-14)
     np.testing.assert_allclose(run.signals["axle torque"].values, -0.02 * run.v[:, 3], rtol=1e-14)
     np.testing.assert_array_equal(run.signals["pushed"].values[:, 3], run.signals["axle torque"].values)
-    told = simulate(ROBOT, Saturated(TellingPID(), 15.0), BODY[0], engine=COMPILED, **BODY[1])
+    told = simulate(ROBOT, InputSaturation(TellingPID(), 15.0), BODY[0], engine=Engine.COMPILED, **BODY[1])
     assert np.abs(told.u).max() == 15.0
     assert np.abs(told.signals["applied"].values).max() > 15.0  # what it asked for
 
@@ -132,7 +133,7 @@ class Branching(TellingPID):
         return {"integral": ("N", 1.0 if state["sum"][0] > 0 else 0.0)}
 
 
-@pytest.mark.parametrize("engine", [PYTHON, COMPILED])
+@pytest.mark.parametrize("engine", [Engine.PYTHON, Engine.COMPILED])
 @pytest.mark.parametrize(
     ("controller", "forces", "why"),
     [
@@ -142,7 +143,7 @@ class Branching(TellingPID):
             r"forces\[0\] and forces\[1\] both have the signal '",
         ),
         (
-            Saturated(TellingPID(), 9.0),
+            InputSaturation(TellingPID(), 9.0),
             [Claiming()],
             r"controller and forces\[0\] both have the signal '",
         ),
@@ -153,7 +154,7 @@ def test_a_name_that_two_parts_claim_is_refused(controller: Any, forces: Any, wh
         simulate(ROBOT, controller, BODY[0], forces=forces, engine=engine, **BODY[1])
 
 
-@pytest.mark.parametrize("engine", [PYTHON, COMPILED])
+@pytest.mark.parametrize("engine", [Engine.PYTHON, Engine.COMPILED])
 @pytest.mark.parametrize(
     ("answer", "why"),
     [
@@ -177,14 +178,16 @@ def test_what_is_no_signal_is_refused(answer: Any, why: str, engine: Any) -> Non
 
 
 def test_signals_that_cannot_be_compiled_are_told_with_their_line() -> None:
-    with pytest.raises(InvalidArgument, match=r"^engine is COMPILED, .*Branching.signals, line \d+.*where"):
-        simulate(ROBOT, Branching(), BODY[0], engine=COMPILED, **BODY[1])
+    with pytest.raises(
+        InvalidArgument, match=r"^engine is Engine.COMPILED, .*Branching.signals, line \d+.*where"
+    ):
+        simulate(ROBOT, Branching(), BODY[0], engine=Engine.COMPILED, **BODY[1])
     # An ensemble keeps no signals, and asks for none.
     assert ensemble(ROBOT, Branching(), BODY[0], n=2, spread={}, **BODY[1]).engine == "COMPILED"
 
 
 def test_files_and_figures_have_their_names_and_units(tmp_path: Path) -> None:
-    run = simulate(ROBOT, WRAPPED, BODY[0], forces=[TellingSpring()], engine=COMPILED, **BODY[1])
+    run = simulate(ROBOT, WRAPPED, BODY[0], forces=[TellingSpring()], engine=Engine.COMPILED, **BODY[1])
     run.save(tmp_path / "run.npz")
     kept = Rollout.load(tmp_path / "run.npz")
     for name, (unit, values) in run.signals.items():

@@ -14,25 +14,23 @@ from pinmobile import (
     PD,
     Circle,
     ComputedTorque,
-    Context,
     Diverged,
     FixedHeading,
+    InputSaturation,
     InvalidArgument,
     MobileRobot,
     Reference,
     Rollout,
-    Saturated,
     Tangent,
     WholeBody,
-    constant_acceleration,
     law,
-    plain_difference,
-    planar_difference,
     rk4,
-    semi_implicit_euler,
     simulate,
 )
 from pinmobile.arrays import Array
+from pinmobile.controllers import plain_difference, planar_difference
+from pinmobile.integrators import constant_acceleration, semi_implicit_euler
+from pinmobile.plant import Context
 
 ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
 UR5 = MobileRobot.box().mount("ur5")
@@ -328,7 +326,9 @@ def test_a_controller_is_told_of_its_loop_and_of_nothing_that_the_plant_does() -
             return np.zeros(len(v)), None
 
     for robot, trajectory in ((ROBOT, CIRCLE), (UR5, WholeBody(UR5, CIRCLE, None))):
-        rollout = simulate(robot, Saturated(Listening(), 1.0), trajectory, dt=0.5, duration=2.0, limit=1e9)
+        rollout = simulate(
+            robot, InputSaturation(Listening(), 1.0), trajectory, dt=0.5, duration=2.0, limit=1e9
+        )
         context = contexts.pop()
         assert (context.dt, context.t.tolist()) == (0.5, rollout.t.tolist())
         assert context.trajectory is trajectory
@@ -353,7 +353,7 @@ def test_a_controller_that_asks_for_no_context_is_told_what_to_write() -> None:
 
     text = r"called as controller\.initial_state\(context\).*: write def initial_state\(self, context\)$"
     old: Any = Old()
-    for call in (lambda: simulate(ROBOT, old, CIRCLE, dt=0.5), lambda: Saturated(old, 1.0)):
+    for call in (lambda: simulate(ROBOT, old, CIRCLE, dt=0.5), lambda: InputSaturation(old, 1.0)):
         with pytest.raises(InvalidArgument, match=text):
             call()
     with pytest.raises(InvalidArgument, match=r"cannot be called as controller\.applied\(u, state\)"):

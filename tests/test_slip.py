@@ -10,20 +10,18 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    COMPILED,
-    PYTHON,
     Circle,
     Engine,
     Ensemble,
     Tangent,
-    Tracking,
+    UnicycleTracking,
     ViscousFriction,
-    WheelSpeed,
     ensemble,
     errors,
     law,
 )
 from pinmobile.arrays import Array
+from pinmobile.controllers import WheelSpeed
 from pinmobile.integrators import rk4
 from pinmobile.loop import Loop, Rollout, Samples, simulate
 from pinmobile.loop._program import Compiled
@@ -33,7 +31,6 @@ from pinmobile.trajectories import FixedHeading, Reference
 from pinmobile.verification._wheels import WheelTree
 from pinmobile.wheels import (
     Coulomb,
-    Friction,
     GearTrain,
     Motor,
     Ramp,
@@ -41,6 +38,7 @@ from pinmobile.wheels import (
     Support,
     Wheel,
     WheeledRobot,
+    WheelFriction,
     WheelTable,
 )
 from pinmobile.wheels._contact import Bounds, Impulses, Touch, impulses
@@ -49,7 +47,7 @@ from tests import wheeled
 from tests.looping import looped, told
 
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
-DRY = Friction(mu=0.6, rolling=0.0)
+DRY = WheelFriction(mu=0.6, rolling=0.0)
 BODY = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
 CENTRAL = MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.2))
 SKID = WheelTable.skid_steer(0.5, 0.4, 0.1, **WHEEL)
@@ -76,7 +74,9 @@ def run(
     where = FixedHeading(Hold([0.0, 0.0], duration), 0.0)
     q0, v0 = (robot.rest if q is None else q), (np.zeros(robot.nv) if v is None else v)
     by = rk4 if isinstance(robot.ground, Rolling) else None
-    return simulate(robot, Torques(*u), where, dt=dt, q0=q0, v0=v0, integrator=by, engine=COMPILED, limit=1e9)
+    return simulate(
+        robot, Torques(*u), where, dt=dt, q0=q0, v0=v0, integrator=by, engine=Engine.COMPILED, limit=1e9
+    )
 
 
 def rolling_at(robot: WheeledRobot, *twist: float) -> Array:
@@ -87,7 +87,7 @@ def rolling_at(robot: WheeledRobot, *twist: float) -> Array:
     return v
 
 
-def skid(friction: Friction, **others: Any) -> WheelTable:
+def skid(friction: WheelFriction, **others: Any) -> WheelTable:
     return WheelTable.skid_steer(0.5, 0.4, 0.1, **{**WHEEL, "friction": friction, **others})
 
 
@@ -105,7 +105,7 @@ def test_the_error_of_fixed_wheels_falls_with_the_square_of_the_step() -> None:
 
 
 def test_locked_wheels_slide_as_far_as_friction_says() -> None:
-    robot = WheeledRobot(CENTRAL, skid(Friction(mu=0.5, rolling=1e3)))
+    robot = WheeledRobot(CENTRAL, skid(WheelFriction(mu=0.5, rolling=1e3)))
     v = np.zeros(robot.nv)
     v[0] = 2.0
     found = run(robot, (0.0, 0.0), 0.01, 1.0, v=v)
@@ -116,7 +116,7 @@ def test_locked_wheels_slide_as_far_as_friction_says() -> None:
 @pytest.mark.parametrize("direction", [0.0, 0.7, np.pi / 2])
 @pytest.mark.once
 def test_what_friction_can_hold_on_a_ramp_stays_and_what_it_cannot_accelerates(direction: float) -> None:
-    locked = skid(Friction(mu=0.5, rolling=1e3))
+    locked = skid(WheelFriction(mu=0.5, rolling=1e3))
     below = WheeledRobot(CENTRAL, locked, Coulomb(ramp=Ramp(np.arctan(0.98 * 0.5), direction)))
     held = run(below, (0.0, 0.0), 0.01, 10.0)
     # At most what forces, found to the tolerance, add to the speed in one step, for all the time.
@@ -139,7 +139,7 @@ def effective_track(robot: MobileRobot, table: WheelTable) -> float:
 
 @pytest.mark.parametrize("mu", [0.3, 0.8])
 def test_a_skid_steer_turns_as_if_its_track_were_wider_whatever_the_friction(mu: float) -> None:
-    table = skid(Friction(mu=mu, rolling=0.0), motor=Motor(rotor_inertia=1e6))
+    table = skid(WheelFriction(mu=mu, rolling=0.0), motor=Motor(rotor_inertia=1e6))
     assert effective_track(CENTRAL, table) == pytest.approx(1 + (0.25 / 0.2) ** 2, rel=1e-5)
 
 
@@ -170,7 +170,7 @@ def test_the_track_of_real_bases_is_near_what_their_drivers_are_configured_with(
     assert abs(found / configured - 1) < 0.04
 
 
-GRIPS = {**WHEEL, "friction": Friction(mu=500.0, across=0.0, rolling=0.0)}
+GRIPS = {**WHEEL, "friction": WheelFriction(mu=500.0, across=0.0, rolling=0.0)}
 DRIVES = {
     "differential": WheelTable.differential(0.5, 0.1, x=0.07, supports=[(-0.2, 0.0)], **GRIPS),
     "mecanum": WheelTable.mecanum(0.5, 0.4, 0.08, **GRIPS),
@@ -198,7 +198,7 @@ def rear_driven(com: tuple[float, float, float], support: float, mu: float, **wh
         "mass": 0.05,
         "spin_inertia": 0.004,
         "yaw_inertia": 0.003,
-        "friction": Friction(mu, rolling=0.0),
+        "friction": WheelFriction(mu, rolling=0.0),
     }
     table = WheelTable.differential(0.5, 0.1, supports=[(support, 0)], **wheel)
     return WheeledRobot(MobileRobot(30.0, 3.0, com=com), table, Coulomb())
@@ -221,7 +221,7 @@ def test_braking_wheels_slide_with_the_load_that_braking_leaves_them(
     # In a run too, from its first sample, in every engine.
     here = FixedHeading(Hold([0.0, 0.0], 0.1), 0.0)
     begun, braking = np.array([5.0, 0, 0, 0, 0]), Torques(-torque, -torque)
-    for engine in (COMPILED, PYTHON):
+    for engine in (Engine.COMPILED, Engine.PYTHON):
         found = simulate(robot, braking, here, dt=0.01, q0=robot.rest, v0=begun, engine=engine, limit=1e9)
         # Loads are found to 1e-8 of the weight.
         np.testing.assert_allclose(found.a[:, 0], -force / 30, rtol=1e-7)
@@ -234,7 +234,9 @@ def test_locked_wheels_behind_a_high_centre_of_mass_slide_all_the_time() -> None
     robot = rear_driven((0.2, 0.0, 0.7), 0.4, 0.8, motor=motor).by_voltage()
     here = FixedHeading(Hold([0.0, 0.0], 0.5), 0.0)
     v0 = np.array([5.0, 0, 0, 0, 0])
-    found = simulate(robot, Torques(0, 0), here, dt=0.01, q0=robot.rest, v0=v0, engine=COMPILED, limit=1e9)
+    found = simulate(
+        robot, Torques(0, 0), here, dt=0.01, q0=robot.rest, v0=v0, engine=Engine.COMPILED, limit=1e9
+    )
     np.testing.assert_allclose(found.a[:, 0], -0.8 * G * 0.5 / (1 + 0.8 * 0.7 / 0.4), rtol=1e-7)
 
 
@@ -248,7 +250,14 @@ def test_locked_wheels_slide_straight_at_speed_whatever_the_step(yaw_inertia: fl
     )
     here, v0 = FixedHeading(Hold([0.0, 0.0], 2.0), 0.0), np.array([30.0, 0.1, 0.1, 0, 0, 0, 0])
     found = simulate(
-        robot.by_voltage(), Torques(0, 0), here, dt=0.05, q0=robot.rest, v0=v0, engine=COMPILED, limit=1e9
+        robot.by_voltage(),
+        Torques(0, 0),
+        here,
+        dt=0.05,
+        q0=robot.rest,
+        v0=v0,
+        engine=Engine.COMPILED,
+        limit=1e9,
     )
     assert np.abs(found.v[:, 2]).max() < 0.2
     assert not found.signals["missed"].values.any()
@@ -279,7 +288,7 @@ def test_of_two_solutions_a_step_takes_that_of_the_step_before_and_says_which() 
         0.1,
         x=0.3,
         supports=[(0, 0.1), (0, -0.1), (-0.3, 0.1), (-0.3, -0.1)],
-        friction=Friction(mu=1.0, rolling=1e3),
+        friction=WheelFriction(mu=1.0, rolling=1e3),
         mass=0.05,
         spin_inertia=0.004,
         yaw_inertia=0.003,
@@ -448,7 +457,7 @@ def test_forces_of_all_wheels_are_the_rate_of_momentum(table: WheelTable, armed:
 @pytest.mark.parametrize("seed", range(3))
 def test_energy_never_grows_without_input(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    robot = WheeledRobot(BODY, skid(Friction(mu=0.5), coupled=False))
+    robot = WheeledRobot(BODY, skid(WheelFriction(mu=0.5), coupled=False))
     v = rng.normal(size=robot.nv) * [1, 1, 2, 10, 10, 10, 10]
     found = run(robot, (0.0,) * 4, 0.01, 1.0, v=v)
     energy = robot.kinetic_energy(found.q, found.v)
@@ -521,7 +530,7 @@ def test_a_ramp_pulls_rolling_wheels_as_the_tree_says() -> None:
 def test_rolling_resistance_holds_and_brakes() -> None:
     """At rest up to its bound; beyond, wheels accelerate with what is left."""
     table = WheelTable.skid_steer(
-        0.5, 0.4, 0.1, coupled=False, **{**WHEEL, "friction": Friction(rolling=0.02)}
+        0.5, 0.4, 0.1, coupled=False, **{**WHEEL, "friction": WheelFriction(rolling=0.02)}
     )
     robot = WheeledRobot(CENTRAL, table)
     bound = 0.02 * 0.1 * 30.0 * G
@@ -531,14 +540,14 @@ def test_rolling_resistance_holds_and_brakes() -> None:
 
 
 def test_a_tyre_that_gives_way_slips_in_proportion() -> None:
-    locked = skid(Friction(mu=0.5, rolling=1e3, slip=1e-3))
+    locked = skid(WheelFriction(mu=0.5, rolling=1e3, slip=1e-3))
     robot = WheeledRobot(CENTRAL, locked, Coulomb(ramp=Ramp(0.1)))
     v = run(robot, (0.0, 0.0), 0.01, 0.5).v[-1]
     assert v[0] == pytest.approx(-30.0 * G * np.sin(0.1) / 4 * 1e-3, rel=1e-6)
 
 
 def test_gear_trains_hold_whatever_the_friction() -> None:
-    robot = WheeledRobot(BODY, skid(Friction(mu=0.05)))
+    robot = WheeledRobot(BODY, skid(WheelFriction(mu=0.05)))
     v = run(robot, (20.0, -20.0), 0.01, 0.5).v
     np.testing.assert_array_equal(v[:, 3:5], v[:, 5:7])
     geared = WheelTable(SKID.wheels, (), (GearTrain(("front_left", "rear_left"), (1.0, -2.0)),))
@@ -690,14 +699,14 @@ def test_a_wheel_lifts_in_a_turn_too_fast_and_the_robot_is_told_to_tip() -> None
     assert fast.signals["tips"].values.max() == 1
 
 
-@pytest.mark.parametrize("engine", [PYTHON, COMPILED])
+@pytest.mark.parametrize("engine", [Engine.PYTHON, Engine.COMPILED])
 def test_forces_are_those_of_mid_step_and_as_accurate(engine: Any) -> None:
     """A drive that sticks, pushed by its wheels and held by a drag: m v' = F - c v, turned by a quarter.
 
     The error falls with the square of the step; with forces of a step's start it would with the step.
     """
     table = WheelTable.differential(
-        0.4, 0.1, supports=[(0.2, 0.0)], **{**WHEEL, "friction": Friction(rolling=0.0)}
+        0.4, 0.1, supports=[(0.2, 0.0)], **{**WHEEL, "friction": WheelFriction(rolling=0.0)}
     )
     robot, c, T = WheeledRobot(CENTRAL, table, Coulomb(mu=5.0)), 60.0, 0.8
     mass, q = 30.0 + 2 * 0.01 / 0.1**2, robot.rest + 0.0
@@ -740,10 +749,10 @@ def test_a_divergence_of_a_robot_that_tips_over_says_so() -> None:
     with pytest.raises(
         errors.Diverged, match=r"the error in .*; no loads of wheels and supports balance the robot"
     ):
-        simulate(robot, WheelSpeed(Tracking(), robot, kp=50), circle, dt=0.02, limit=1.0)
+        simulate(robot, WheelSpeed(UnicycleTracking(), robot, kp=50), circle, dt=0.02, limit=1.0)
 
 
-@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
+@pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
 @pytest.mark.parametrize("ground", [Rolling(), Coulomb(0.8)], ids=["rolls", "slips"])
 def test_a_run_warns_of_a_robot_that_tips_over(ground: Any, engine: Engine) -> None:
     own: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
@@ -754,24 +763,24 @@ def test_a_run_warns_of_a_robot_that_tips_over(ground: Any, engine: Engine) -> N
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
             run = simulate(
-                robot, WheelSpeed(Tracking(), robot, kp=5), path, dt=0.02, duration=0.4, engine=engine
+                robot, WheelSpeed(UnicycleTracking(), robot, kp=5), path, dt=0.02, duration=0.4, engine=engine
             )
         assert [bool(re.search(words, str(each.message))) for each in told] == [True] * tips
         assert [bool(re.search(words, each)) for each in run.events] == [True] * tips
 
 
-@pytest.mark.parametrize("engine", [COMPILED, PYTHON])
+@pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
 def test_an_ensemble_counts_the_robots_that_tip_over_and_warns_once(engine: Engine, tmp_path: Path) -> None:
     own: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
     table = WheelTable.differential(0.5, 0.1, supports=[(0.3, 0)], **own)
     robot = WheeledRobot(MobileRobot(30, 3, com=(0.1, 0, 0.1)), table, Coulomb(mu=0.8))
     turning, heights = Tangent(Circle(1.0, 1.5, 2.0)), np.array([0.1, 0.9, 0.9])
-    parts = robot, WheelSpeed(Tracking(), robot, kp=5), turning
+    parts = robot, WheelSpeed(UnicycleTracking(), robot, kp=5), turning
     loop: Any = {"n": 3, "dt": 0.02, "duration": 0.4, "engine": engine}
     words = r"2 of 3 robots tip over: no loads of wheels and supports balance them"
     with pytest.warns(errors.LimitWarning, match=words) as told:
         found = ensemble(
-            robot, WheelSpeed(Tracking(), robot, kp=5), turning, spread={"com.z": heights}, **loop
+            robot, WheelSpeed(UnicycleTracking(), robot, kp=5), turning, spread={"com.z": heights}, **loop
         )
     assert len(told) == 1
     assert found.largest("tip over").tolist() == [0, 1, 1]

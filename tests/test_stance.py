@@ -15,19 +15,16 @@ from pinmobile import (
     Circle,
     ComputedTorque,
     InvalidArgument,
-    Load,
     MobileRobot,
-    Motion,
+    PayloadBody,
     Rollout,
     Tangent,
     Uniform,
     ensemble,
     plots,
-    required_friction,
     simulate,
-    tip_over_margin,
-    zero_moment_point,
 )
+from pinmobile.balance import MotionStates, required_friction, tip_over_margin, zero_moment_point
 from pinmobile.robot import Stance
 from pinmobile.robot.model_import import read_urdf
 from pinmobile.robot.support_geometry import hull
@@ -47,7 +44,7 @@ def read(folder: Path, text: str, **options: Any) -> MobileRobot:
 
 def braking(robot: MobileRobot, a: float) -> float:
     """Return the margin of a robot on a straight line, accelerated by a forward."""
-    return float(tip_over_margin(Motion(robot, (1.0, 2.0, 0.0), np.zeros(3), (a, 0.0, 0.0))))
+    return float(tip_over_margin(MotionStates(robot, (1.0, 2.0, 0.0), np.zeros(3), (a, 0.0, 0.0))))
 
 
 def by_hand(*bodies: tuple[float, tuple[float, float, float]]) -> tuple[float, ...]:
@@ -263,7 +260,7 @@ def test_where_radii_are_in_meshes_alone_the_ground_is_asked_for(tmp_path: Path)
     assert not robot.grounded
     assert (robot.footprint, robot.top) == (None, None)
     assert "where the ground is is not known" in robot.source
-    still = Motion(robot, np.zeros(3), np.zeros(3), (1.0, 0, 0))
+    still = MotionStates(robot, np.zeros(3), np.zeros(3), (1.0, 0, 0))
     for ask in (zero_moment_point, lambda motion: tip_over_margin(motion, box(0.1, 0.1))):
         with pytest.raises(InvalidArgument, match=r"one that does: MobileRobot.from_urdf\(path, ground"):
             ask(still)
@@ -275,7 +272,7 @@ def test_where_radii_are_in_meshes_alone_the_ground_is_asked_for(tmp_path: Path)
     assert known.grounded
     assert known.com[2] == pytest.approx(robot.com[2] + 0.0604 - 0.055325, abs=1e-15)
     with pytest.raises(InvalidArgument, match="footprint is not given, and that of the robot is not known"):
-        tip_over_margin(Motion(known, np.zeros(3), np.zeros(3), np.zeros(3)))
+        tip_over_margin(MotionStates(known, np.zeros(3), np.zeros(3), np.zeros(3)))
     rollout = simulate(known, ComputedTorque(known), Tangent(Circle(1, 0.5, 1)), dt=0.1)
     with pytest.raises(InvalidArgument, match="footprint is not given, and that of the robot is not known"):
         plots.balance(rollout)
@@ -441,7 +438,7 @@ def test_how_it_stands_survives_all_that_keeps_a_robot(tmp_path: Path, name: str
     robot = read(tmp_path, TEXTS[name]())
     assert read(tmp_path, robot.to_urdf()) == robot
     assert read(tmp_path, robot.to_urdf()).stance == robot.stance
-    arm = robot.mount("ur5", (0, 0, 0.5, 0)).attach(Load(1.0))
+    arm = robot.mount("ur5", (0, 0, 0.5, 0)).attach(PayloadBody(1.0))
     for same in (pickle.loads(pickle.dumps(arm)), arm.lumped(), arm.base):
         assert same.stance == robot.stance
         assert same.locked_joints == robot.locked_joints

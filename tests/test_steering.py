@@ -8,13 +8,13 @@ import pytest
 from attrs import fields
 from hypothesis import given, settings, strategies as st
 
-from pinmobile import DynamicFeedback, InvalidArgument, Kanayama, MobileRobot, Parking, Tracking
-from pinmobile.controllers import Changing, KinematicLaw, Tracked
+from pinmobile import InvalidArgument, MobileRobot, UnicycleTracking
+from pinmobile.controllers import Changing, DynamicFeedback, Kanayama, KinematicLaw, Parking, Tracked
 from pinmobile.plant import Context
 
 T = np.arange(0.0, 1.0, 0.1)
 CONTEXT = Context.of(MobileRobot(1.0, 1.0), dt=0.001)
-LAWS = Tracking(), Kanayama(), Parking(), DynamicFeedback()
+LAWS = UnicycleTracking(), Kanayama(), Parking(), DynamicFeedback()
 NUMBERS = st.floats(-1.5, 1.5)
 
 
@@ -73,8 +73,8 @@ def _of_parking(law: Any, e: Tracked) -> tuple[float, float]:
 
 
 CANDIDATES: list[tuple[Any, Callable[[Any, Tracked], tuple[float, float]], tuple[float, float]]] = [
-    (Tracking(), _of_tracking, (0.7, 0.4)),
-    (Tracking(), _of_tracking, (-0.7, 0.4)),
+    (UnicycleTracking(), _of_tracking, (0.7, 0.4)),
+    (UnicycleTracking(), _of_tracking, (-0.7, 0.4)),
     (Kanayama(), _of_kanayama, (0.7, 0.4)),
     (Parking(), _of_parking, (0.0, 0.0)),
 ]
@@ -98,7 +98,7 @@ def test_a_reference_is_followed_backwards() -> None:
     e = np.array([0.3, -0.3, 0.5])
     for _ in range(5000):
         tracked = Tracked(e[0], e[1], e[2], -0.5, 0.2)
-        (v, w), _ = Tracking()(tracked, None)
+        (v, w), _ = UnicycleTracking()(tracked, None)
         e = e + 2e-3 * np.asarray(derivative(tracked, v, w), np.float64)
     assert np.abs(e).max() < 1e-6
 
@@ -118,26 +118,26 @@ def test_errors_of_the_place_decay_as_two_poles_by_dynamic_feedback() -> None:
 @pytest.mark.parametrize(
     ("law", "speed", "yaw_rate", "message"),
     [
-        (Tracking(), 0 * T, 0 * T, "reference rests, expected one that moves, or the law Parking()"),
+        (UnicycleTracking(), 0 * T, 0 * T, "reference rests, expected one that moves, or the law Parking()"),
         (
             Kanayama(),
             0.5 - T,
             0 * T,
             "reference goes at 0 m/s at t = 0.5 s, expected one that always moves forwards, or the law "
-            "Tracking()",
+            "UnicycleTracking()",
         ),
         (
             Parking(),
             np.maximum(T - 0.45, 0.0),
             0 * T,
-            "reference moves at t = 0.5 s, expected one that rests, or the law Tracking()",
+            "reference moves at t = 0.5 s, expected one that rests, or the law UnicycleTracking()",
         ),
         (
             DynamicFeedback(),
             0.3 - T,
             0 * T,
             "reference goes at 0 m/s at t = 0.3 s, expected 0.05 m/s or more, always in one direction, "
-            "or the law Tracking()",
+            "or the law UnicycleTracking()",
         ),
     ],
 )
@@ -149,7 +149,7 @@ def test_a_law_refuses_a_reference_that_it_cannot_follow(
     assert str(error.value) == message
 
 
-@pytest.mark.parametrize("law", [Tracking, Kanayama, Parking, DynamicFeedback])
+@pytest.mark.parametrize("law", [UnicycleTracking, Kanayama, Parking, DynamicFeedback])
 def test_gains_are_above_zero(law: Any) -> None:
     for name in (field.name for field in fields(law)):
         with pytest.raises(InvalidArgument, match=rf"^{name} is -1\.0( \S+)?, expected > 0"):

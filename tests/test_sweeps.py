@@ -24,14 +24,14 @@ from pinmobile import (
     InvalidArgument,
     MobileRobot,
     Normal,
-    Same,
+    SameAs,
     Sweep,
     Tangent,
     Uniform,
-    UnknownName,
     rk4,
     sweep,
 )
+from pinmobile.errors import UnknownName
 from pinmobile.loop import run_scenario
 from pinmobile.loop._counts import edges
 from pinmobile.sweeps import Axis, Points
@@ -120,7 +120,7 @@ def test_a_path_changes_what_it_names_and_nothing_else(changes: Any, read: Any, 
         ({"client": "tcp://"}, "client is 'tcp://', expected a distributed.Client"),
         ({"progress": 3}, "progress is 3, expected a function"),
         ({"version": " "}, "version is ' ', expected a word"),
-        ({"grid": {"spread.mass": {"wide": Same("start.x")}}}, r"are impossible; .*at spread.mass = wide"),
+        ({"grid": {"spread.mass": {"wide": SameAs("start.x")}}}, r"are impossible; .*at spread.mass = wide"),
         (
             {"grid": {"mass": [1, 2]}, "cases": {"spread": {"spread.mass": Uniform(1, 2)}}},
             "grid or cases have 'plant.mass', which the spread gives each robot anyway",

@@ -14,7 +14,8 @@ from typing import Any
 
 import pytest
 
-from pinmobile import InvalidArgument, SchedulerError, Sweep, law, sweep
+from pinmobile import InvalidArgument, Sweep, law, sweep
+from pinmobile.errors import SchedulerError
 from pinmobile.sweeps import connected
 from tests.sweeping import contents, scenario, swept
 

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import FileError, InvalidArgument, Sweep, sweep
+from pinmobile import InvalidArgument, Sweep, sweep
+from pinmobile.errors import FileError
 from pinmobile.sweeps import Points
 from pinmobile.sweeps._fingerprint import describe
 from tests.damage import answer, damaged, full_disk, little_memory

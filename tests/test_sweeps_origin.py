@@ -19,20 +19,20 @@ import pytest
 from pinmobile import (
     ComputedTorque,
     ConstantForce,
+    InputSaturation,
     InvalidArgument,
+    MeasurementNoise,
     MobileRobot,
-    NoiseForce,
-    NoisyMeasurement,
     Reference,
-    Saturated,
     Sweep,
     Uniform,
     law,
-    planar_difference,
     rk4,
     sweep,
 )
 from pinmobile.arrays import Array
+from pinmobile.controllers import planar_difference
+from pinmobile.forces import NoiseForce
 from pinmobile.sweeps import Points
 from pinmobile.sweeps._fingerprint import describe, differences
 from tests.sweeping import points, scenario
@@ -194,9 +194,9 @@ DIFFERENT: dict[str, Callable[[float], Any]] = {
     "a slice": lambda k: closure(slice(0, int(k))),
     "a compiled object": lambda k: closure(itemgetter(int(k))),
     "a generator of random numbers": lambda k: closure(np.random.default_rng(int(k))),
-    "the seed of a noisy measurement": lambda k: NoisyMeasurement(closure(1.0), 1e-3, 1e-3, seed=int(k)),
-    "the seed sequence of one": lambda k: NoisyMeasurement(closure(1.0), 1e-3, 1e-3, seed=seed(k)),
-    "a controller in a wrapper": lambda k: Saturated(closure(k), 9.0),
+    "the seed of a noisy measurement": lambda k: MeasurementNoise(closure(1.0), 1e-3, 1e-3, seed=int(k)),
+    "the seed sequence of one": lambda k: MeasurementNoise(closure(1.0), 1e-3, 1e-3, seed=seed(k)),
+    "a controller in a wrapper": lambda k: InputSaturation(closure(k), 9.0),
 }
 
 

@@ -19,8 +19,8 @@ import pytest
 from pinmobile import (
     Circle,
     InvalidArgument,
-    Load,
     MobileRobot,
+    PayloadBody,
     Reference,
     Tangent,
     Uniform,
@@ -28,16 +28,15 @@ from pinmobile import (
     WheelTable,
     ensemble,
     law,
-    shipped_urdf,
     simulate,
 )
 from pinmobile.arrays import Array
 from pinmobile.compiled.symbolic import Symbols
-from pinmobile.loop import PYTHON
+from pinmobile.loop import Engine
 from pinmobile.parts import evolved, replace
 from pinmobile.robot import ArticulatedDynamics, PlanarDynamics, Solids, UncheckedDynamics
 from pinmobile.robot.articulated import Tree
-from pinmobile.urdf import Body
+from pinmobile.urdf import Body, shipped_urdf
 
 THREADS = 8
 STATES = 12
@@ -67,7 +66,7 @@ VALUES: dict[str, Callable[[MobileRobot, int], Any]] = {
     "pin_model": lambda robot, k: robot.base.model,
     "source": lambda robot, k: f"a test, {k}",
     "body": lambda robot, k: Body(10 + k, np.array([0.1, 0, 0.2]), np.diag([1, 1, 1 + k / STATES])),
-    "load": lambda robot, k: Load(1.0 + k, (0, 0, 0.1)),
+    "load": lambda robot, k: PayloadBody(1.0 + k, (0, 0, 0.1)),
     "arm": lambda robot, k: "double_pendulum",
     "at": lambda robot, k: (0.1, 0.01 * k, 0.3, 0.1 * k),
 }
@@ -257,7 +256,7 @@ def test_an_ensemble_of_a_law_that_asks_a_robot_is_the_same_on_its_default_threa
             dt=0.02,
             duration=0.4,
             threads=threads,
-            engine=PYTHON,
+            engine=Engine.PYTHON,
         )
         return plain((runs.max_error, runs.rms_error, runs.max_force))
 

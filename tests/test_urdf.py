@@ -7,17 +7,10 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, strategies as st
 
-from pinmobile import (
-    LECTURE_TABLE,
-    SLIDE_TABLE,
-    DHTable,
-    InvalidArgument,
-    MobileRobot,
-    UnknownName,
-    shipped_urdf,
-)
-from pinmobile.dh import DHRow, JointType
-from pinmobile.urdf import Body, box_inertia, write
+from pinmobile import InvalidArgument, MobileRobot
+from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType
+from pinmobile.errors import UnknownName
+from pinmobile.urdf import Body, box_inertia, shipped_urdf, write
 
 SHIPPED = Path(__file__).parents[1] / "models" / "urdf"
 BODY = Body(10.0, np.array([0.15, 0.05, 0.02]), np.diag([1.0, 1.1, 1.2]))

@@ -8,9 +8,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import InvalidArgument, Load, MobileRobot, NotFinite, arrays, vectorize
+from pinmobile import InvalidArgument, MobileRobot, PayloadBody, arrays, vectorize
 from pinmobile.arrays import Array
-from pinmobile.errors import NotTraceable
+from pinmobile.errors import NotFinite, NotTraceable
 from pinmobile.urdf import Body
 from tests.looping import Body as Plain
 from tests.test_linkage import AT, arm_of
@@ -18,7 +18,7 @@ from tests.test_linkage import AT, arm_of
 CLOSE = 1e-10  # of the largest number; forward dynamics lose the digits of M's condition
 COUNT = 103  # states; the last do not fill a vector
 FEW = 6  # states that Pinocchio is asked for
-LOAD = Load(1.5, (0.1, 0, 0.2), size=(0.1, 0.2, 0.3))
+LOAD = PayloadBody(1.5, (0.1, 0, 0.2), size=(0.1, 0.2, 0.3))
 # Its body has products of inertia, and its centre of mass is off the axis: the ground feels both.
 FULL = Body(
     30.0, np.array([0.1, -0.05, 0.2]), np.array([[1.0, 0.1, 0.2], [0.1, 1.2, -0.1], [0.2, -0.1, 1.5]])

@@ -8,22 +8,19 @@ import numpy as np
 import pytest
 
 from pinmobile import (
-    COMPILED,
     Backstepping,
     Circle,
+    Engine,
     FixedHeading,
     Hold,
-    Identification,
     InvalidArgument,
     Log,
     MobileRobot,
     Motor,
-    RandomSteps,
     Tangent,
-    Tracking,
+    UnicycleTracking,
     VelocityRobot,
     WheeledRobot,
-    WheelSpeed,
     WheelTable,
     ensemble,
     identify_velocity,
@@ -31,8 +28,8 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
-from pinmobile.controllers import Tracked
-from pinmobile.identification import VELOCITY_ROBOTS
+from pinmobile.controllers import RandomSteps, Tracked, WheelSpeed
+from pinmobile.identification import VELOCITY_ROBOTS, Identification
 from pinmobile.plant import Context
 
 pytestmark = pytest.mark.once
@@ -56,7 +53,7 @@ def logged(
     """Return what is logged of random steps: twists by default, commands that act late."""
     still = FixedHeading(Hold((0, 0), seconds), 0.0)
     substeps = int(np.ceil(DT / min(robot.time_constants) / 0.2))
-    run = simulate(robot, RandomSteps(seed=seed), still, dt=DT, substeps=substeps, engine=COMPILED)
+    run = simulate(robot, RandomSteps(seed=seed), still, dt=DT, substeps=substeps, engine=Engine.COMPILED)
     rng = np.random.default_rng([seed, 7])
     commands = np.vstack([run.u[late:], np.repeat(run.u[-1:], late, axis=0)])
     if pose:
@@ -163,13 +160,13 @@ def test_draws_are_as_wide_as_intervals_and_are_a_spread() -> None:
     robot = one.robot()
     runs = ensemble(
         robot,
-        Backstepping(Tracking(), robot),
+        Backstepping(UnicycleTracking(), robot),
         Tangent(Circle(1.0, 0.5, 5.0)),
         n=200,
         spread=one.spread(200),
         dt=0.05,
     )
-    assert runs.engine == COMPILED.name
+    assert runs.engine == Engine.COMPILED.name
     assert runs.max_error[:, :2].max() < 0.01
 
 
@@ -230,7 +227,7 @@ def of_motors(ki: float) -> Log:
     robot = MOTORS.by_voltage()
     still = FixedHeading(Hold((0, 0), 60.0), 0.0)
     controller = Told(WheelSpeed(Stepping(RandomSteps(seed=2)), robot, 0.8, ki))
-    run = simulate(robot, controller, still, dt=0.005, engine=COMPILED)
+    run = simulate(robot, controller, still, dt=0.005, engine=Engine.COMPILED)
     commands = np.stack([run.signals[name].values for name in ("speed", "yaw rate")], axis=-1)
     rng = np.random.default_rng(8)
     poses = run.q[::16, :3] + 1e-3 * rng.normal(size=(len(run.q[::16]), 3))
@@ -300,7 +297,7 @@ def test_what_is_no_such_log_is_refused(call: Any, why: str) -> None:
 
 def test_a_motion_that_tells_too_little_is_told_in_words() -> None:
     straight = RandomSteps((-0.2, 0.0), (0.8, 0.0), seed=1)
-    run = simulate(ROBOT, straight, FixedHeading(Hold((0, 0), 60.0), 0.0), dt=DT, engine=COMPILED)
+    run = simulate(ROBOT, straight, FixedHeading(Hold((0, 0), 60.0), 0.0), dt=DT, engine=Engine.COMPILED)
     speed = ROBOT.independent(run.q, run.v)[:, 0]
     twist = np.stack([speed, 0 * speed, 0 * speed], axis=-1)
     twist = twist + 0.005 * np.random.default_rng(1).normal(size=twist.shape) * [1, 0, 1]
@@ -350,7 +347,7 @@ def test_what_commands_do_not_explain_is_refused(change: Any, why: str, pose: bo
 def test_what_runs_away_is_refused_in_words() -> None:
     robot = VELOCITY_ROBOTS["pioneer_3dx"]
     still = FixedHeading(Hold((0, 0), 42.0), 0.0)
-    log = Log.from_rollout(simulate(robot, RandomSteps(), still, dt=0.05, engine=COMPILED), noise=1e-3)
+    log = Log.from_rollout(simulate(robot, RandomSteps(), still, dt=0.05, engine=Engine.COMPILED), noise=1e-3)
     with pytest.raises(InvalidArgument, match=OTHERS):
         identify_velocity(changed(log, u=log.u[:, ::-1]))
     one = identify_velocity(log)

@@ -9,25 +9,21 @@ import pytest
 import sympy
 
 from pinmobile import (
-    COMPILED,
     Backstepping,
     Circle,
     ConstantForce,
+    Engine,
     FixedHeading,
     Hold,
     InvalidArgument,
-    Kanayama,
     MobileRobot,
     Motor,
-    RandomSteps,
     Reference,
     Tangent,
-    Tracking,
+    UnicycleTracking,
     Uniform,
-    VelocityCommand,
     VelocityRobot,
     WheeledRobot,
-    WheelSpeed,
     WheelTable,
     ensemble,
     parts,
@@ -35,7 +31,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
-from pinmobile.controllers import Tracked
+from pinmobile.controllers import Kanayama, RandomSteps, Tracked, VelocityCommand, WheelSpeed
 from pinmobile.identification import VELOCITY_ROBOTS
 from pinmobile.parts import evolved
 from pinmobile.plant import Context
@@ -187,7 +183,7 @@ def test_theta_of_motors_is_what_the_wheeled_robot_does() -> None:
     robot = VelocityRobot.from_motors(wheeled, KP)
     controller, off = WheelSpeed(Fed(), wheeled, KP), []
     for dt in (0.004, 0.002):
-        options: Any = {"dt": dt, "engine": COMPILED}
+        options: Any = {"dt": dt, "engine": Engine.COMPILED}
         full = simulate(wheeled, controller, Waves(), q0=np.zeros(5), v0=np.zeros(5), **options)
         command = VelocityCommand(Fed(), robot)
         short = simulate(robot, command, Waves(), q0=np.zeros(3), v0=np.zeros(3), **options)
@@ -233,7 +229,7 @@ def test_physics_leaves_its_mark_on_theta() -> None:
         ),
         (lambda: VelocityRobot.from_motors(on_wheels().mount("ur5"), 1.0), "wheeled has arms"),
         (lambda: VelocityCommand(3, VelocityRobot(THETA)), "law is 3, expected a kinematic law"),
-        (lambda: VelocityCommand(Tracking(), MobileRobot.box()), "expected a VelocityRobot"),
+        (lambda: VelocityCommand(UnicycleTracking(), MobileRobot.box()), "expected a VelocityRobot"),
         (lambda: RandomSteps(hold=(0.0, 1.0)), "hold is 0.0 s, expected > 0"),
         (lambda: RandomSteps(hold=(2.0, 1.0)), "expected 0 < shortest <= longest"),
         (lambda: RandomSteps((1.0, 0.0), (0.0, 1.0)), "largest is .*, expected at least lowest"),
@@ -246,7 +242,7 @@ def test_what_is_no_robot_is_refused(made: Any, why: str) -> None:
 
 def test_no_force_pushes_it_and_it_starts_rolling() -> None:
     robot = VelocityRobot(THETA)
-    command, circle = VelocityCommand(Tracking(), robot), Tangent(Circle(1.0, 0.5, 1.0))
+    command, circle = VelocityCommand(UnicycleTracking(), robot), Tangent(Circle(1.0, 0.5, 1.0))
     with pytest.raises(InvalidArgument, match=r"VelocityRobot\(.*\), which has no effort"):
         simulate(robot, command, circle, dt=0.1, forces=[ConstantForce((1.0, 0.0, 0.0))])
     with pytest.raises(InvalidArgument, match="what firmware does about a force, theta does not tell"):
@@ -256,17 +252,17 @@ def test_no_force_pushes_it_and_it_starts_rolling() -> None:
     with pytest.raises(InvalidArgument, match="reference moves sideways"):
         simulate(
             VelocityRobot(THETA, ahead=0.2),
-            VelocityCommand(Tracking(), VelocityRobot(THETA, 0.2)),
+            VelocityCommand(UnicycleTracking(), VelocityRobot(THETA, 0.2)),
             circle,
             dt=0.1,
         )
 
 
-@pytest.mark.parametrize("law", [Tracking(), Kanayama()])
+@pytest.mark.parametrize("law", [UnicycleTracking(), Kanayama()])
 def test_backstepping_knows_how_late_the_firmware_is(law: Any) -> None:
     robot, circle = VELOCITY_ROBOTS["robulab_10"], Tangent(Circle(1.0, 0.5, 10.0))
     plain, knowing = (
-        simulate(robot, controller, circle, dt=0.02, engine=COMPILED).max_error()[:2].max()
+        simulate(robot, controller, circle, dt=0.02, engine=Engine.COMPILED).max_error()[:2].max()
         for controller in (VelocityCommand(law, robot), Backstepping(law, robot))
     )
     assert plain > 0.1
@@ -277,7 +273,7 @@ def test_a_wrong_theta_costs_what_it_is_wrong_by() -> None:
     robot, circle = VelocityRobot(THETA), Tangent(Circle(1.0, 0.5, 10.0))
     runs = ensemble(
         robot,
-        Backstepping(Tracking(), robot),
+        Backstepping(UnicycleTracking(), robot),
         circle,
         n=40,
         spread={
@@ -287,14 +283,14 @@ def test_a_wrong_theta_costs_what_it_is_wrong_by() -> None:
         },
         dt=0.05,
     )
-    assert runs.engine == COMPILED.name
+    assert runs.engine == Engine.COMPILED.name
     assert 1e-3 < runs.max_error[:, :2].max() < 0.1
 
 
 def test_random_steps_are_independent_and_within_their_bounds() -> None:
     robot, still = VelocityRobot(THETA), FixedHeading(Hold((0, 0), 200.0), 0.0)
     run, again, other = (
-        simulate(robot, RandomSteps(seed=seed), still, dt=0.1, engine=COMPILED) for seed in (0, 0, 1)
+        simulate(robot, RandomSteps(seed=seed), still, dt=0.1, engine=Engine.COMPILED) for seed in (0, 0, 1)
     )
     np.testing.assert_array_equal(run.u, again.u)
     assert np.abs(run.u - other.u).max() > 0.5

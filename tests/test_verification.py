@@ -8,12 +8,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from pinmobile import (
-    LECTURE_TABLE,
-    SLIDE_TABLE,
-    DHTable,
     InvalidArgument,
-    Load,
     MobileRobot,
+    PayloadBody,
     WheeledRobot,
     WheelTable,
     closed_form,
@@ -21,6 +18,7 @@ from pinmobile import (
     verify,
 )
 from pinmobile.arrays import Array
+from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
 from pinmobile.parts import evolved
 from pinmobile.robot import arms
 from pinmobile.robot.linkage import replace_continuous_joints
@@ -108,9 +106,9 @@ ARMS = {
     "two": MobileRobot(30, 1.3, (0.1, 0.05), dh=SLIDE_TABLE)
     .mount("panda", (0.1, 0, 0.2, 0))
     .mount("z1", (-0.1, 0, 0.2, 1))
-    .attach(Load(2.0, (0.1, 0.2, 0.3), size=(0.1, 0.2, 0.3)), "base_link")
-    .attach(Load(1.5, (0, 0, 0.1)), "panda/panda_link5"),
-    "loads alone": MobileRobot(30, 1.3, (0.1, 0.05)).attach(Load(4.0, (0.3, 0, 0.1))),
+    .attach(PayloadBody(2.0, (0.1, 0.2, 0.3), size=(0.1, 0.2, 0.3)), "base_link")
+    .attach(PayloadBody(1.5, (0, 0, 0.1)), "panda/panda_link5"),
+    "loads alone": MobileRobot(30, 1.3, (0.1, 0.05)).attach(PayloadBody(4.0, (0.3, 0, 0.1))),
 }
 PARTS = "Newton-Euler of the parts"
 
@@ -245,8 +243,8 @@ def test_whatever_is_assembled_wrongly_is_seen(wrong: Callable[[pin.Model], None
 def test_a_load_belongs_on_the_body_or_on_an_arm() -> None:
     for frame in ("x", "y"):
         with pytest.raises(InvalidArgument, match=f"frame is '{frame}', a virtual link, expected"):
-            MobileRobot.box().attach(Load(1.0), frame)
-    assert MobileRobot.box().attach(Load(1.0), "psi").lumped().mass == 31
+            MobileRobot.box().attach(PayloadBody(1.0), frame)
+    assert MobileRobot.box().attach(PayloadBody(1.0), "psi").lumped().mass == 31
 
 
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}

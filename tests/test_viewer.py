@@ -28,9 +28,7 @@ from PIL import Image, ImageColor
 
 import pinmobile.viewer.recording as recording_module
 from pinmobile import (
-    LECTURE_TABLE,
     PD,
-    SLIDE_TABLE,
     Circle,
     ComputedTorque,
     CubicVia,
@@ -38,10 +36,11 @@ from pinmobile import (
     MobileRobot,
     Rollout,
     Tangent,
-    ViewerError,
     simulate,
 )
 from pinmobile.arrays import Array
+from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE
+from pinmobile.errors import ViewerError
 from pinmobile.palette import colour
 from pinmobile.viewer import Arrows, Follow, Overlays, Recording, Stay, Viewer
 from pinmobile.viewer.recording import Browser, gif as encoded_gif
@@ -865,7 +864,7 @@ def test_the_box_stands_on_the_ground_and_shows_its_front() -> None:
 
 
 def _shipped() -> Path:
-    from pinmobile import shipped_urdf
+    from pinmobile.urdf import shipped_urdf
 
     return shipped_urdf("lecture")
 

@@ -23,7 +23,8 @@ import pytest
 import umsgpack
 from PIL import Image
 
-from pinmobile import InvalidArgument, ViewerError
+from pinmobile import InvalidArgument
+from pinmobile.errors import ViewerError
 from pinmobile.viewer import server, window as live
 from pinmobile.viewer.pages import OfflineWindow, Visualizer
 from pinmobile.viewer.window import LiveWindow

@@ -6,24 +6,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import PYTHON, InvalidArgument, MobileRobot, VelocityRobot, parts, simulate
+from pinmobile import Engine, InvalidArgument, MobileRobot, VelocityRobot, parts, simulate
 from pinmobile.arrays import Array
 from pinmobile.compiled import symbols
 from pinmobile.compiled.symbolic import entries
 from pinmobile.compiled.tape import Node, Tape, evaluated
-from pinmobile.controllers import Backstepping, Tracking
+from pinmobile.controllers import Backstepping, UnicycleTracking
 from pinmobile.paths import Circle
 from pinmobile.robot import dot
 from pinmobile.trajectories import Tangent
 from pinmobile.wheels import (
     Coulomb,
-    Friction,
     Motor,
     Ramp,
     Rolling,
     Wheel,
     WheeledDynamics,
     WheeledRobot,
+    WheelFriction,
     WheelTable,
 )
 
@@ -222,8 +222,8 @@ def test_a_ground_of_ones_own_is_one_class() -> None:
         assert not hasattr(robot, "project")
         assert not hasattr(robot, "step")
         rolling = WheeledRobot(BODY, PAIR)
-        law = Backstepping(Tracking(), rolling)
-        run = simulate(robot, law, Tangent(Circle(1.5, 0.4, 0.6)), dt=0.002, engine=PYTHON)
+        law = Backstepping(UnicycleTracking(), rolling)
+        run = simulate(robot, law, Tangent(Circle(1.5, 0.4, 0.6)), dt=0.002, engine=Engine.PYTHON)
         slips.append(np.abs(run.signals["slip"].values[100:]).max())
         assert [one.name for one in robot.measures] == ["effort", "load", "tip over", "slip"]
     assert 0 < slips[1] < 0.3 * slips[0] < 0.3
@@ -240,8 +240,8 @@ def test_a_ground_of_ones_own_is_one_class() -> None:
         (lambda: WheeledRobot(WRONG, PAIR), "robot is 3, expected a MobileRobot"),
         (lambda: WheeledRobot(BODY, PAIR, 3), "ground is 3, expected a ground with dynamics(wheeled)"),
         (lambda: Wheel("a.b", 0, 0, 0.1), "name is 'a.b', expected a word without slash"),
-        (lambda: Wheel("a", 0, 0, 0.1, friction=WRONG), "friction is 3, expected a Friction"),
-        (lambda: Friction(mu=-1), "mu is -1.0, expected >= 0"),
+        (lambda: Wheel("a", 0, 0, 0.1, friction=WRONG), "friction is 3, expected a WheelFriction"),
+        (lambda: WheelFriction(mu=-1), "mu is -1.0, expected >= 0"),
         (lambda: Motor(efficiency=1.1), "efficiency is 1.1, expected > 0 and <= 1"),
         (lambda: Coulomb(mu=-0.1), "mu is -0.1, expected >= 0"),
         (lambda: Rolling(ramp=WRONG), "ramp is 3, expected a Ramp(angle, direction) or None"),

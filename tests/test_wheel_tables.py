@@ -35,7 +35,10 @@ def test_a_table_prints_its_rows_and_the_type_of_the_drive() -> None:
         (WheelTable.mecanum(0.5, 0.4, 0.08, **WHEEL), "type (3, 0), omnidirectional"),
         (WheelTable.omni(0.3, 0.05), "type (3, 0), omnidirectional"),
         (WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.06), "type (1, 2), two steered axles"),
-        (WheelTable.car(0.6, 0.4, 0.1), "Ackermann of front_left, front_right\ntype (1, 1), car-like"),
+        (
+            WheelTable.car(0.6, 0.4, 0.1),
+            "AckermannSteering of front_left, front_right\ntype (1, 1), car-like",
+        ),
         (WheelTable.skid_steer(0.5, 0.4, 0.1), "cannot roll without slip: wheels 'front_left'"),
     ],
     ids=["differential", "mecanum", "omni", "swerve", "car", "skid steer"],

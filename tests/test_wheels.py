@@ -9,22 +9,17 @@ from hypothesis import assume, given, settings, strategies as st
 from scipy.integrate import solve_ivp
 
 from pinmobile import (
-    COMPILED,
-    PYTHON,
     Coulomb,
+    Engine,
     FixedHeading,
     Hold,
     InvalidArgument,
     MobileRobot,
     Motor,
-    Ramp,
     Rolling,
     Scenario,
-    SinusoidalForce,
     Spline,
-    UnknownName,
     ViscousFriction,
-    Wheel,
     WheeledRobot,
     WheelTable,
     closed_form,
@@ -36,9 +31,20 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.compiled.folding import STATE
 from pinmobile.compiled.tape import needed
+from pinmobile.errors import UnknownName
+from pinmobile.forces import SinusoidalForce
 from pinmobile.integrators import constant_acceleration
 from pinmobile.loop._run import way_of
-from pinmobile.wheels import Ackermann, Differential, Friction, GearTrain, Mobility, Support
+from pinmobile.wheels import (
+    AckermannSteering,
+    DifferentialGear,
+    GearTrain,
+    Mobility,
+    Ramp,
+    Support,
+    Wheel,
+    WheelFriction,
+)
 
 OWN: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
 BASE = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
@@ -206,7 +212,7 @@ def test_ackermanns_wheels_are_those_of_one_steering_angle() -> None:
 
 def test_an_open_differential_gives_each_wheel_half() -> None:
     pair = [Wheel("left", 0, 0.25, 0.1, **OWN), Wheel("right", 0, -0.25, 0.1, **OWN)]
-    open_one = WheeledRobot(BASE, WheelTable(tuple(pair), (), (Differential(("left", "right")),)))
+    open_one = WheeledRobot(BASE, WheelTable(tuple(pair), (), (DifferentialGear(("left", "right")),)))
     each = WheeledRobot(BASE, WheelTable.differential(0.5, 0.1, **OWN))
     rng = np.random.default_rng(1)
     q = rng.normal(size=each.nq)
@@ -298,7 +304,7 @@ def test_pickled_it_is_the_same_robot(kind: str) -> None:
     q = rng.uniform(-0.5, 0.5, wheeled.nq)
     v, u = wheeled.project(q, rng.normal(size=wheeled.nv)), rng.normal(size=wheeled.nu)
     np.testing.assert_array_equal(back.forward_dynamics(q, v, u), wheeled.forward_dynamics(q, v, u))
-    again = eval(repr(ROLLING[kind]), {**globals(), "Friction": Friction, "inf": np.inf})
+    again = eval(repr(ROLLING[kind]), {**globals(), "WheelFriction": WheelFriction, "inf": np.inf})
     assert again == ROLLING[kind]
 
 
@@ -344,8 +350,8 @@ def test_pickled_it_is_the_same_robot(kind: str) -> None:
             "unknown wheel of a GearTrain 'x'",
         ),
         (
-            lambda: WheelTable(tuple(SIDES), (), (Ackermann(("l", "r")),)),
-            "wheel 'l' of Ackermann(...) is Wheel(",
+            lambda: WheelTable(tuple(SIDES), (), (AckermannSteering(("l", "r")),)),
+            "wheel 'l' of AckermannSteering(...) is Wheel(",
         ),
         (
             lambda: WheeledRobot(BASE, DIFFERENTIAL).forward_dynamics(np.zeros(5), np.zeros(5), np.zeros(3)),
@@ -412,7 +418,10 @@ def test_compiled_it_rolls_as_in_python_from_the_start_that_is_given(kind: str, 
     v0 += 1e-11  # within what a start may slip
     controller, still = law(lambda t, q, v, reference: u), FixedHeading(Hold([0, 0], 1.0), 0.0)
     given: dict[str, Any] = {"dt": 0.02, "q0": q0, "v0": v0, "substeps": substeps}
-    runs = [simulate(wheeled, controller, still, engine=engine, **given) for engine in (PYTHON, COMPILED)]
+    runs = [
+        simulate(wheeled, controller, still, engine=engine, **given)
+        for engine in (Engine.PYTHON, Engine.COMPILED)
+    ]
     for name in ("q", "v", "a"):
         one, other = (getattr(run, name) for run in runs)
         np.testing.assert_allclose(other, one, rtol=1e-10, atol=1e-10)
@@ -437,7 +446,7 @@ def test_a_compiled_sample_has_sines_and_mass_matrix_once() -> None:
         measures=(),
         integrator=constant_acceleration,
     )
-    program = way_of(scenario, COMPILED).program
+    program = way_of(scenario, Engine.COMPILED).program
     assert program is not None
     loop = program.tape
     tape, wanted = loop.tape, needed(loop.tape, loop.outputs)
@@ -456,7 +465,7 @@ def run_of(
     controller = law(lambda t, q, v, reference: held)
     trajectory = FixedHeading(Hold([0, 0], T), 0.0)
     return simulate(
-        wheeled, controller, trajectory, dt=dt, q0=q0, v0=v0, integrator=rk4, engine=COMPILED, **more
+        wheeled, controller, trajectory, dt=dt, q0=q0, v0=v0, integrator=rk4, engine=Engine.COMPILED, **more
     )
 
 
@@ -483,7 +492,7 @@ RUNS = {
 }
 
 
-@pytest.mark.parametrize("engine", [PYTHON, COMPILED])
+@pytest.mark.parametrize("engine", [Engine.PYTHON, Engine.COMPILED])
 @pytest.mark.parametrize("volts", [False, True])
 @pytest.mark.parametrize("ground", [Rolling(), Coulomb()], ids=["rolls", "slips"])
 def test_a_steering_axis_stays_at_its_stop_and_leaves_it(ground: Any, volts: bool, engine: Any) -> None:

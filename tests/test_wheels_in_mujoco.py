@@ -17,12 +17,11 @@ import pinocchio as pin
 import pytest
 
 from pinmobile import (
-    COMPILED,
     Coulomb,
+    Engine,
     FixedHeading,
     Hold,
     MobileRobot,
-    Wheel,
     WheeledRobot,
     WheelTable,
     law,
@@ -30,7 +29,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
-from pinmobile.wheels import Friction
+from pinmobile.wheels import Wheel, WheelFriction
 
 pytestmark = pytest.mark.once
 
@@ -38,7 +37,7 @@ OWN: dict[str, Any] = {
     "mass": 1.0,
     "spin_inertia": 0.006,
     "yaw_inertia": 0.004,
-    "friction": Friction(across=0.0, rolling=0.0),
+    "friction": WheelFriction(across=0.0, rolling=0.0),
 }
 BASE = MobileRobot(30.0, 1.3, com=(0.03, 0.01, 0.2), size=(0.6, 0.5, 0.2))
 ROLLERS, THIN, ROLLER_MASS = 16, 0.22, 0.002  # of a wheel; radius of a roller by that of its wheel; [kg]
@@ -155,7 +154,7 @@ def driven(table: WheelTable, u: Array, T: float) -> tuple[Array, Array]:
 def ours(table: WheelTable, u: Array, T: float, ground: Any = None) -> Any:
     robot, own = WheeledRobot(BASE, table, ground), rk4 if ground is None else None
     controller, still = law(lambda t, q, v, reference: u), FixedHeading(Hold([0, 0], T), 0.0)
-    return simulate(robot, controller, still, dt=0.001, q0=robot.rest, integrator=own, engine=COMPILED)
+    return simulate(robot, controller, still, dt=0.001, q0=robot.rest, integrator=own, engine=Engine.COMPILED)
 
 
 def length(path: Array) -> float:

@@ -11,21 +11,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import (
-    Circle,
-    ComputedTorque,
-    InvalidArgument,
-    MobileRobot,
-    Tangent,
-    UnknownName,
-    parts,
-    simulate,
-)
-from pinmobile.controllers import Backstepping, Controller, Tracking, law
+from pinmobile import Circle, ComputedTorque, InvalidArgument, MobileRobot, Tangent, parts, simulate
+from pinmobile.controllers import Backstepping, Controller, UnicycleTracking, law
+from pinmobile.errors import UnknownName
 from pinmobile.wheels import (
-    Ackermann,
+    AckermannSteering,
     Coulomb,
-    Differential,
+    DifferentialGear,
     GearTrain,
     Motor,
     Rolling,
@@ -145,7 +137,8 @@ def test_friction_of_a_file_that_changes_nothing_is_reported(tmp_path: Path) -> 
     (words,) = (str(one.message) for one in told)
     assert words == (
         "base.urdf: damping and friction of ${namespace}wheel_left_joint act where motors take volts alone "
-        "(by_voltage): give forces=[ViscousFriction(...)], or Friction(rolling=...) of the wheels; mu1 and "
+        "(by_voltage): give forces=[ViscousFriction(...)], or WheelFriction(rolling=...) of the "
+        "wheels; mu1 and "
         "mu2 of wheel_left_link are not used: give ground=Coulomb(mu)"
     )
 
@@ -397,7 +390,7 @@ def test_real_robots_whose_origin_is_on_the_axle_follow_a_circle(tmp_path: Path,
     make, given = REAL[name]
     robot = read(tmp_path, round_wheels(make()), **given)
     free = robot.mobility.mobility == 3
-    controller: Controller = ComputedTorque(robot) if free else Backstepping(Tracking(), robot)
+    controller: Controller = ComputedTorque(robot) if free else Backstepping(UnicycleTracking(), robot)
     run = simulate(robot, controller, Tangent(Circle(1.0, 0.3, 5.0)), dt=0.01, duration=3.0)
     assert np.abs(run.q[-1, :3] - run.reference.q[-1, :3]).max() < 1e-4
     assert np.linalg.norm(run.v[-1, :2]) == pytest.approx(0.3, rel=1e-3)
@@ -529,7 +522,10 @@ def test_a_car_is_steered_by_ackermann_and_driven_through_its_differential(tmp_p
         for side, y in (("left", 0.2), ("right", -0.2))
     ]
     rear = wheel("rear_left", "0 0.2 0.1") + wheel("rear_right", "0 -0.2 0.1")
-    couplings = [Differential(("rear_left", "rear_right")), Ackermann(("front_left", "front_right"))]
+    couplings = [
+        DifferentialGear(("rear_left", "rear_right")),
+        AckermannSteering(("front_left", "front_right")),
+    ]
     car = read(tmp_path, base(*front, rear), couplings=couplings)
     assert (car.mobility.mobility, car.mobility.steerability) == (1, 1)
     assert [each.name for each in car.inputs] == ["steering", "differential"]

@@ -21,11 +21,11 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
-from pinmobile.controllers import Backstepping, Tracking
+from pinmobile.controllers import Backstepping, UnicycleTracking
 from pinmobile.palette import GRIPS, QUIET, SLIDES
 from pinmobile.viewer import Overlays, Viewer
 from pinmobile.viewer.motion import envelope, figure
-from pinmobile.wheels import ByOdometry, Coulomb, Support, Wheel, WheeledRobot, WheelTable
+from pinmobile.wheels import Coulomb, OdometryFeedback, Support, Wheel, WheeledRobot, WheelTable
 from tests import wheeled
 
 pytestmark = pytest.mark.once
@@ -49,7 +49,7 @@ TABLES: dict[str, WheelTable] = {
 def rolls() -> Rollout:
     """Return a differential drive that rolls on a circle."""
     robot = WheeledRobot(BOX, DIFFERENTIAL)
-    law = ByOdometry(Backstepping(Tracking(), robot), _BELIEVED)
+    law = OdometryFeedback(Backstepping(UnicycleTracking(), robot), _BELIEVED)
     return simulate(robot, law, Tangent(Circle(1, 0.5, 0.6)), dt=0.02, integrator=rk4)
 
 

@@ -15,36 +15,34 @@ from pinmobile import (
     ComputedTorque,
     ConstantForce,
     CubicVia,
-    Decoupled,
     FixedHeading,
     Hold,
+    InputSaturation,
     InvalidArgument,
-    Load,
     MobileRobot,
-    NoiseForce,
+    PayloadBody,
     PDGravity,
     Reference,
     RestToRest,
     RollingResistance,
-    Saturated,
-    SinusoidalForce,
     Spline,
     Tangent,
     ViscousFriction,
     WholeBody,
-    constant_acceleration,
     law,
     rk4,
     simulate,
 )
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.controllers import planar_difference
+from pinmobile.controllers import Decoupled, planar_difference
+from pinmobile.forces import NoiseForce, SinusoidalForce
+from pinmobile.integrators import constant_acceleration
 
 AT = (0.1, -0.05, 0.2, 0.4)
 BARE = MobileRobot.box()
 UR5 = BARE.mount("ur5", AT)
 KINOVA = BARE.mount("kinova", AT)  # four of its joints are continuous
-TWO = BARE.mount("panda", AT).mount("kinova", (-0.1, 0, 0.2, 0)).attach(Load(1.5, (0, 0, 0.1)))
+TWO = BARE.mount("panda", AT).mount("kinova", (-0.1, 0, 0.2, 0)).attach(PayloadBody(1.5, (0, 0, 0.1)))
 ROBOTS = pytest.mark.parametrize("robot", [UR5, KINOVA, TWO], ids=["ur5", "kinova", "two arms and a load"])
 CIRCLE = Tangent(Circle(1, 0.5, 6))
 
@@ -465,12 +463,12 @@ def test_in_the_loop_and_asked_from_outside_a_controller_is_the_same(make: Any, 
     controller, start = make(UR5, kp, kd), UR5.rest + 0.1
     runs = [
         simulate(UR5, one, trajectory, dt=0.002, duration=0.4, q0=start, integrator=integrator)
-        for one in (controller, Saturated(controller, 1e6))
+        for one in (controller, InputSaturation(controller, 1e6))
     ]
     # Another order of coordinates, hence of roundings, amplified by a condition number of 1e4.
     for name in ("q", "v", "u"):
         np.testing.assert_allclose(getattr(runs[0], name), getattr(runs[1], name), rtol=0, atol=1e-9)
-    limited = simulate(UR5, Saturated(controller, 5.0), trajectory, dt=0.002, duration=0.1, q0=start)
+    limited = simulate(UR5, InputSaturation(controller, 5.0), trajectory, dt=0.002, duration=0.1, q0=start)
     assert np.abs(limited.u).max() == 5.0
 
 

@@ -8,16 +8,9 @@ import pytest
 from attrs import evolve
 from hypothesis import given, strategies as st
 
-from pinmobile import (
-    ConstantForce,
-    InvalidArgument,
-    NoiseForce,
-    RollingResistance,
-    SinusoidalForce,
-    ViscousFriction,
-)
+from pinmobile import ConstantForce, InvalidArgument, RollingResistance, ViscousFriction
 from pinmobile.arrays import Array
-from pinmobile.forces import noise_frequencies
+from pinmobile.forces import NoiseForce, SinusoidalForce, noise_frequencies
 from pinmobile.parts import named
 
 Q, V = np.array([1.0, -2.0, 0.7]), np.array([0.5, 0.3, -0.4])

@@ -9,21 +9,20 @@ import pytest
 
 from pinmobile import (
     ADRC,
-    COMPILED,
     PD,
     PID,
-    PYTHON,
     Adaptive,
     Circle,
     ComputedTorque,
     ConstantForce,
     DisturbanceObserver,
+    Engine,
     FixedHeading,
+    InputSaturation,
     InvalidArgument,
     MobileRobot,
     Reference,
     Rollout,
-    Saturated,
     SlidingMode,
     SuperTwisting,
     Tangent,
@@ -131,7 +130,7 @@ def test_estimates_become_right_where_the_motion_is_rich_and_not_on_a_circle() -
     true = np.array([36.0, 3.6, 1.8, 1.56 + 36 * (0.1**2 + 0.05**2)])
 
     def last(trajectory: Any) -> Array:
-        given: Any = {"dt": 0.01, "integrator": rk4, "engine": COMPILED, "duration": 30.0}
+        given: Any = {"dt": 0.01, "integrator": rk4, "engine": Engine.COMPILED, "duration": 30.0}
         told = simulate(HEAVY, EACH["adaptive"], trajectory, **given).signals
         parts = [told[name].values[-1] for name in ("mass", "first_moment", "inertia")]
         return np.hstack(parts)
@@ -152,7 +151,7 @@ def test_the_sum_of_squares_of_adaptive_control_falls_in_each_step() -> None:
         dt=dt,
         duration=1.0,
         integrator=rk4,
-        engine=COMPILED,
+        engine=Engine.COMPILED,
         q0=Rich()(0.0).q + np.array([0.1, -0.05, 0.1]),
         v0=Rich()(0.0).v,
     )
@@ -181,7 +180,13 @@ def test_the_observer_is_exact_for_constant_forces_and_as_fast_as_its_gain() -> 
     controller = DisturbanceObserver(ComputedTorque(NOMINAL, 16, 8))
     still = FixedHeading(Circle(radius=1.5, rate=0.6, duration=4), 0.3)
     run = simulate(
-        NOMINAL, controller, still, dt=1e-3, integrator=rk4, engine=COMPILED, forces=[ConstantForce(force)]
+        NOMINAL,
+        controller,
+        still,
+        dt=1e-3,
+        integrator=rk4,
+        engine=Engine.COMPILED,
+        forces=[ConstantForce(force)],
     )
     found = run.signals["disturbance"].values
     # Explicit Euler of the integral: order 1 in dt.
@@ -192,9 +197,9 @@ def test_the_observer_is_exact_for_constant_forces_and_as_fast_as_its_gain() -> 
 
 def cut_off(controller: Any) -> tuple[Rollout, Array]:
     """Return a run within limits that starts beside the circle, and its distances from it [m]."""
-    given: Any = {"dt": 0.01, "integrator": rk4, "substeps": 4, "duration": 10.0, "engine": COMPILED}
+    given: Any = {"dt": 0.01, "integrator": rk4, "substeps": 4, "duration": 10.0, "engine": Engine.COMPILED}
     start = CIRCLE(0.0).q + np.array([0.5, -0.3, 0.4])
-    run = simulate(NOMINAL, Saturated(controller, LIMITS), CIRCLE, q0=start, **given)
+    run = simulate(NOMINAL, InputSaturation(controller, LIMITS), CIRCLE, q0=start, **given)
     return run, np.linalg.norm(run.error[:, :2], axis=-1)
 
 
@@ -224,8 +229,10 @@ def test_all_engines_agree(name: str) -> None:
     given: Any = {"dt": 0.01, "integrator": rk4, "seed": 2, "n": 3}
     spread = {"mass": Uniform(25, 36), "start.x": Uniform(-0.1, 0.1)}
     runs = [
-        ensemble(NOMINAL, Saturated(EACH[name], (25, 25, 4)), SHORT, spread=spread, engine=engine, **given)
-        for engine in (COMPILED, PYTHON)
+        ensemble(
+            NOMINAL, InputSaturation(EACH[name], (25, 25, 4)), SHORT, spread=spread, engine=engine, **given
+        )
+        for engine in (Engine.COMPILED, Engine.PYTHON)
     ]
     # 200 samples of contracting loops: rounding does not grow, but where a sign switches.
     close = 1e-9 if name == "super-twisting" else 1e-12
@@ -236,7 +243,7 @@ def test_all_engines_agree(name: str) -> None:
 def test_arms_are_adapted_too() -> None:
     heavier = replace(ARM, {find(ARM, "forearm_link.mass").path: 4.0})
 
-    given: Any = {"dt": 0.01, "integrator": rk4, "engine": COMPILED}
+    given: Any = {"dt": 0.01, "integrator": rk4, "engine": Engine.COMPILED}
     fixed = simulate(heavier, Adaptive(ARM, gamma=0.0), Waving(ARM), **given)
     adapted = simulate(heavier, Adaptive(ARM), Waving(ARM), **given)
     worst = [np.abs(run.q - run.reference.q)[50:].max() for run in (fixed, adapted)]

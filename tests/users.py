@@ -6,9 +6,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pinmobile import Context
 from pinmobile.arrays import Array
-from pinmobile.plant import Coordinate, Input
+from pinmobile.plant import Context, Coordinate, Input
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ import numpy as np
 from arm_task import AT, KD, KP, MASS, PERIOD, RADIUS, RATE, SIZE, WAY, ArmTask
 from task import Log, Run
 
-from pinmobile import Circle, ComputedTorque, CubicVia, Decoupled, MobileRobot, Tangent, WholeBody, simulate
+from pinmobile import Circle, ComputedTorque, CubicVia, MobileRobot, Tangent, WholeBody, simulate
+from pinmobile.controllers import Decoupled
 
 
 def build() -> MobileRobot:

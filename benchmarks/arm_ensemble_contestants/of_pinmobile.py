@@ -13,8 +13,8 @@ from pinmobile import (
     ComputedTorque,
     CubicVia,
     JointFriction,
-    Load,
     MobileRobot,
+    PayloadBody,
     Scenario,
     Tangent,
     WholeBody,
@@ -28,7 +28,7 @@ from pinmobile.loop._run import way_of
 def words(fleet: ArmFleet) -> dict[str, object]:
     """Return what `ensemble` and `Scenario` are told."""
     arm = fleet.task.arm
-    robot = MobileRobot.box(MASS, SIZE).mount(arm, AT).attach(Load(PAYLOAD, LEVER, size=(SIDE,) * 3))
+    robot = MobileRobot.box(MASS, SIZE).mount(arm, AT).attach(PayloadBody(PAYLOAD, LEVER, size=(SIDE,) * 3))
     start, way = motion(arm)
     joints = CubicVia(start, start + way, start, PERIOD / 2, PERIOD)
     spread = {"loads.0.mass": fleet.payload, "mass": fleet.mass, "viscous": fleet.friction}

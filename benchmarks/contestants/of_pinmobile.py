@@ -7,17 +7,8 @@ from typing import Any
 import numpy as np
 from task import GAIN, PD_GAINS, RADIUS, RATE, Body, Log, Run, Task
 
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    MobileRobot,
-    Tangent,
-    constant_acceleration,
-    law,
-    rk4,
-    simulate,
-)
+from pinmobile import PD, Circle, ComputedTorque, MobileRobot, Tangent, law, rk4, simulate
+from pinmobile.integrators import constant_acceleration
 
 
 def build(body: Body) -> MobileRobot:

@@ -42,62 +42,46 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 
-# Each module with the names that it gives to this one; others are imported by their own name.
+# Each module with the names that it gives to this one. Import all others from their module.
 _NAMES = {
     name: tuple(names.split())
     for name, names in {
-        "accuracy": "integrator_report",
+        "accuracy": "",
         "arrays": "",
-        "balance": (
-            "Limit Motion contact_loads fastest reaction_wrench required_friction slip_margins "
-            "steepest tip_over_margin zero_moment_point"
-        ),
+        "balance": "",
         "closed_form": "",
         "compiled": "vectorize",
         "controllers": (
-            "PD Allocated Backstepping ComputedTorque Decoupled Delayed Driven DynamicFeedback "
-            "Kanayama NoisyMeasurement PDGravity ADRC LQR MPC PID Adaptive AdaptiveVelocity "
-            "DisturbanceObserver SlidingMode SuperTwisting Parking RandomSteps Saturated "
-            "SwerveTracking Tracking VelocityCommand WheelSpeed law plain_difference "
-            "planar_difference"
+            "PD ControlAllocation Backstepping ComputedTorque MeasurementDelay MeasurementNoise "
+            "PDGravity ADRC LQR MPC PID Adaptive DisturbanceObserver SlidingMode SuperTwisting "
+            "InputSaturation UnicycleTracking law"
         ),
         "derivation": "",
-        "dh": "LECTURE_TABLE SLIDE_TABLE DHRow DHTable JointType",
+        "dh": "",
         "divergence": "",
-        "errors": (
-            "Diverged FileError InvalidArgument NotFinite NotSolved NotTraceable PinmobileError "
-            "SchedulerError UnknownName Unreachable ViewerError"
-        ),
+        "errors": "Diverged InvalidArgument PinmobileError",
         "extras": "",
         "files": "",
-        "forces": (
-            "ConstantForce JointFriction NoiseForce Payload RollingResistance SinusoidalForce ViscousFriction"
-        ),
-        "identification": "Identification Log VelocityRobot excitation identify identify_velocity",
-        "integrators": "constant_acceleration rk4 semi_implicit_euler",
-        "loop": (
-            "COMPILED PYTHON TRUE_MODEL EndEffector Engine Ensemble Normal Relative Rollout Same "
-            "Scenario Uniform ensemble simulate"
-        ),
+        "forces": "ConstantForce JointFriction RollingResistance ViscousFriction",
+        "identification": "Log VelocityRobot excitation identify identify_velocity",
+        "integrators": "rk4",
+        "loop": ("Engine Ensemble Loop Normal Relative Rollout SameAs Scenario Uniform ensemble simulate"),
         "measures": "",
         "palette": "",
         "parts": "",
-        "paths": ("Circle CompositePath CubicVia Hold Line Lissajous Moved Polyline RestToRest Spline"),
-        "plant": "Context",
+        "paths": "Circle CompositePath CubicVia Hold Line Lissajous Polyline RestToRest Spline",
+        "plant": "",
         "plots": "",
-        "proximity": "Clearance clearance",
-        "reaching": "EndEffectorTracking PosePath Resolved resolve",
-        "robot": "Load MobileRobot mountable",
+        "proximity": "clearance",
+        "reaching": "EndEffectorTracking PosePath solve_inverse_kinematics",
+        "robot": "PayloadBody MobileRobot",
         "signals": "",
         "sweeps": "Sweep sweep",
-        "trajectories": "FixedHeading LectureHeading Reference Tangent WholeBody",
-        "urdf": "shipped_urdf",
+        "trajectories": "FixedHeading Reference Tangent WholeBody",
+        "urdf": "",
         "verification": "verify",
         "viewer": "",
-        "wheels": (
-            "Ackermann ByOdometry Coulomb Differential Friction GearTrain Motor Ramp Rolling Support "
-            "Wheel WheelTable WheeledRobot"
-        ),
+        "wheels": "Coulomb Motor Rolling WheelTable WheeledRobot",
     }.items()
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}

@@ -33,7 +33,7 @@ _UPRIGHT = np.pi / 2 - 1e-9  # [rad]
 
 
 class Moving(Protocol):
-    """A Rollout or a Motion."""
+    """A Rollout or a MotionStates."""
 
     @property
     def plant(self) -> Any:
@@ -53,7 +53,7 @@ class Moving(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class MotionStates:
     """States of a robot that no simulation recorded: one, or many along leading axes that broadcast.
 
     Parameters
@@ -104,7 +104,7 @@ def reaction_wrench(motion: Moving, mount: str | None = None) -> Array:
 
     Parameters
     ----------
-    motion : Rollout or Motion
+    motion : Rollout or MotionStates
         Robot, q, v and a.
     mount : str, optional
         Name of one of ``robot.mounts``; by default that of the first.
@@ -142,7 +142,7 @@ def zero_moment_point(motion: Moving) -> Array:
 
     Parameters
     ----------
-    motion : Rollout or Motion
+    motion : Rollout or MotionStates
         Robot, q, v and a. Forces that do not come from the ground, such as a push, count as if they did.
 
     Returns
@@ -168,7 +168,7 @@ def body_zero_moment_point(motion: Moving) -> Array:
 
     Parameters
     ----------
-    motion : Rollout or Motion
+    motion : Rollout or MotionStates
         As in `zero_moment_point`.
 
     Raises
@@ -192,7 +192,7 @@ def tip_over_margin(motion: Moving, footprint: ArrayLike | None = None) -> Array
 
     Parameters
     ----------
-    motion : Rollout or Motion
+    motion : Rollout or MotionStates
         As in `zero_moment_point`.
     footprint : array_like, shape (k, 2), optional
         Corners of the convex polygon on which the body stands, in its frame [m]; by default the robot's own.
@@ -221,7 +221,7 @@ def contact_loads(motion: Moving) -> ContactLoads:
 
     Parameters
     ----------
-    motion : Rollout or Motion
+    motion : Rollout or MotionStates
         Robot, q, v and a. Forces that do not come from the ground count as if they did.
 
     Raises
@@ -241,7 +241,7 @@ def slip_margins(motion: Moving) -> SlipMargins:
 
     Parameters
     ----------
-    motion : Rollout or Motion
+    motion : Rollout or MotionStates
         Robot, q, v, a and u; wheels that may slip have their forces in the signals of a `Rollout`.
 
     Raises
@@ -275,7 +275,7 @@ def _method(argument: str, plant: Any, name: str, words: str) -> Any:
     return found
 
 
-class Limit(NamedTuple):
+class MotionLimit(NamedTuple):
     """Where something gives way first.
 
     Attributes
@@ -297,7 +297,7 @@ class Limit(NamedTuple):
     factor: float = 1.0
 
 
-def fastest(plant: Any, trajectory: Any, samples: int = 400) -> Limit:
+def max_path_speed(plant: Any, trajectory: Any, samples: int = 400) -> MotionLimit:
     """Return how fast a robot can follow a trajectory before wheels slip, lift off or lack torque.
 
     The whole trajectory is taken faster or slower: the same places at times that are all shortened alike,
@@ -334,15 +334,15 @@ def fastest(plant: Any, trajectory: Any, samples: int = 400) -> Limit:
     while _first(going, high)[0] >= 0:
         low, high = high, 2.0 * high
         if high > _FASTEST:
-            return Limit(np.inf, "", 0.0, np.inf)
+            return MotionLimit(np.inf, "", 0.0, np.inf)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if _first(going, middle)[0] >= 0 else (low, middle)
     _, what, at = _first(going, high)
-    return Limit(low * speed, what, float(t[at]), low)
+    return MotionLimit(low * speed, what, float(t[at]), low)
 
 
-def steepest(plant: Any, direction: float = 0.0) -> Limit:
+def max_slope(plant: Any, direction: float = 0.0) -> MotionLimit:
     """Return the steepest ramp on which a robot stands, held by its motors, before it slips, tips or rolls.
 
     Parameters
@@ -372,7 +372,7 @@ def steepest(plant: Any, direction: float = 0.0) -> Limit:
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if worst(middle)[0] >= 0 else (low, middle)
-    return Limit(low, worst(high)[1])
+    return MotionLimit(low, worst(high)[1])
 
 
 def _first(going: Any, factor: float) -> tuple[float, str, int]:
@@ -424,7 +424,7 @@ def required_friction(motion: Moving) -> Array:
 
     Parameters
     ----------
-    motion : Rollout or Motion
+    motion : Rollout or MotionStates
         As in `zero_moment_point`.
 
     Returns

@@ -199,7 +199,7 @@ class Unreachable(InvalidArgument):
     ----------
     time : float
         The first time at which the error is beyond the tolerance, or the clearance too small [s].
-    resolved : Resolved
+    resolved : InverseKinematicsTrajectory
         The trajectory that comes nearest, step by step, with its errors.
     """
 

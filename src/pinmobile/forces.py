@@ -211,7 +211,7 @@ def noise_frequencies(bandwidth: float) -> Array:
 
 @final
 @part
-class Payload:
+class PayloadForce:
     """A load on the body from a time on, which then moves with it.
 
     The velocity is continuous: the load comes at the velocity of the place where it is put. One that is put

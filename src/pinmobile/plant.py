@@ -57,7 +57,7 @@ def refuse_path(name: str, trajectory: object) -> None:
     if hasattr(trajectory, "rows"):
         raise InvalidArgument(
             f"{name} is {shown(trajectory)}, a path of poses of an end effector, expected a trajectory of "
-            "the robot's coordinates, such as resolve(robot, path)"
+            "the robot's coordinates, such as solve_inverse_kinematics(robot, path)"
         )
     if hasattr(trajectory, "derivative"):
         raise InvalidArgument(
@@ -346,7 +346,7 @@ class Context:
     seed, member : int
         Seed of the ensemble and number of the robot in it: `normal` derives its noise from them.
     delay : int
-        Samples by which the measured state is late, see `Delayed`.
+        Samples by which the measured state is late, see `MeasurementDelay`.
     """
 
     dt: float

@@ -38,7 +38,7 @@ class IdentifyPaths:
     ----------
     robot : MobileRobot, WheeledRobot or WheelTable, optional
         Robot, kept where the logs say nothing, or its wheels alone; its inputs are those of the logs.
-    loads : sequence of Load or "none", optional
+    loads : sequence of PayloadBody or "none", optional
         Known load of each log: loads that differ give the scale of the input.
     method : str
         See `identify`.

@@ -10,24 +10,20 @@ import numpy as np
 from rich.progress import Progress
 
 from pinmobile import (
-    COMPILED,
     PD,
-    Allocated,
     Backstepping,
     Circle,
     ComputedTorque,
+    ControlAllocation,
     CubicVia,
+    Engine,
     InvalidArgument,
-    LectureHeading,
     MobileRobot,
     Rollout,
     Tangent,
-    Tracking,
+    UnicycleTracking,
     WheeledRobot,
     WheelTable,
-    constant_acceleration,
-    plain_difference,
-    planar_difference,
     plots,
     simulate,
 )
@@ -43,8 +39,11 @@ from pinmobile.cli.output import (
 )
 from pinmobile.cli.results import FIGURES, check_film, draw, save_film
 from pinmobile.cli.scenario_file import Opened
+from pinmobile.controllers import plain_difference, planar_difference
 from pinmobile.files import write
+from pinmobile.integrators import constant_acceleration
 from pinmobile.loop import error_text
+from pinmobile.trajectories import LectureHeading
 
 if TYPE_CHECKING:
     from pinmobile.derivation import Derivation
@@ -246,9 +245,16 @@ def _on_wheels() -> tuple[str, dict[str, Rollout]]:
         for label in _LABELS:
             loop, pd = _loop(path, label, corrected=True), label == "PD"
             law: Any = (
-                Allocated(loop["controller"], wheeled) if pd else Backstepping(Tracking(), wheeled, k=4)
+                ControlAllocation(loop["controller"], wheeled)
+                if pd
+                else Backstepping(UnicycleTracking(), wheeled, k=4)
             )
-            rolled = loop | {"plant": wheeled, "controller": law, "integrator": None, "engine": COMPILED}
+            rolled = loop | {
+                "plant": wheeled,
+                "controller": law,
+                "integrator": None,
+                "engine": Engine.COMPILED,
+            }
             found, beside = zip(*(_on_and_beside(one) for one in (loop, rolled)), strict=True)
             numbers = (f"{on:10.1e} {off:10.1e}" for on, off in found)
             lines.append(f"{path:10} {label if pd else f'{label}*':23} {'   '.join(numbers)}")
@@ -278,7 +284,9 @@ def _on_and_beside(loop: dict[str, Any]) -> tuple[tuple[float, float], Rollout]:
 def _refused(wheeled: WheeledRobot) -> str:
     """Return what is said of the lecture's own heading, which jumps where the path begins."""
     try:
-        simulate(wheeled, Backstepping(Tracking(), wheeled), LectureHeading(_PATHS["via stop"]), dt=0.1)
+        simulate(
+            wheeled, Backstepping(UnicycleTracking(), wheeled), LectureHeading(_PATHS["via stop"]), dt=0.1
+        )
     except InvalidArgument as error:
         return str(error)
     return ""

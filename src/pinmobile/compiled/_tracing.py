@@ -133,7 +133,7 @@ def tracing(namespaces: Iterable[dict[str, Any]] = (), cells: Iterable[CellType]
                 f"on symbols it raises {type(error).__name__} ({error})",
                 "where an index comes from a symbol, use np.where or np.select"
                 if index
-                else "write it for one state, by NumPy's operators and functions, or run it by PYTHON",
+                else "write it in NumPy for one state, or run it with engine=Engine.PYTHON",
                 place_of(error.__traceback__),
             ) from error
         finally:

@@ -275,7 +275,7 @@ def _pseudo_inverse(a: Symbols) -> Any:
     return np.linalg.inv(a.T @ a) @ a.T if rows >= columns else a.T @ np.linalg.inv(a @ a.T)
 
 
-_LOOPS = "it branches on its values: write it by np.where, or run the law with engine=PYTHON"
+_LOOPS = "it branches on its values: write it by np.where, or run the law with engine=Engine.PYTHON"
 
 
 _NOT_TRACED: dict[Any, str] = {

@@ -279,7 +279,7 @@ class Symbols(NDArrayOperatorsMixin):
             except (TypeError, AttributeError, ValueError) as error:
                 raise NotTraceable(
                     f"np.{function.__name__} of symbols ({error})",
-                    "write it by sums, products and np.where, or run the law with engine=PYTHON",
+                    "write it by sums, products and np.where, or run the law with engine=Engine.PYTHON",
                 ) from None
         return found if out is None else put(found, out)
 

@@ -285,7 +285,7 @@ class Tape:
             if self._own >= self._largest or index >= _SHARED * self._largest:
                 raise NotTraceable(
                     f"the law has more than {self._largest} operations, its loops unrolled",
-                    "take fewer rounds, or run it with engine=PYTHON",
+                    "take fewer rounds, or run it with engine=Engine.PYTHON",
                 )
             self._known[operation] = index
             if operation[0] == "const":

@@ -3,10 +3,10 @@
 A controller is called as ``controller(t, q, v, reference, state) -> (u, state)``: it takes its own state
 and returns the next one (None where it has no memory, see `initial_state`). q, v and tau have shape
 (..., n); a reference has the attributes q, v and a of that shape. Those of this module broadcast over
-leading axes. `Saturated`, `Delayed` and `NoisyMeasurement` wrap any of them, and each other.
+leading axes. `InputSaturation`, `MeasurementDelay` and `MeasurementNoise` wrap any of them, and each other.
 """
 
-from pinmobile.controllers.actuation import Driven, RandomSteps, VelocityCommand, WheelSpeed
+from pinmobile.controllers.actuation import RandomSteps, TorqueToVoltage, VelocityCommand, WheelSpeed
 from pinmobile.controllers.adaptive import Adaptive, AdaptiveVelocity
 from pinmobile.controllers.backstepping import Backstepping, SwerveTracking
 from pinmobile.controllers.controller import (
@@ -28,18 +28,18 @@ from pinmobile.controllers.kinematic_laws import (
     KinematicLaw,
     Parking,
     Tracked,
-    Tracking,
+    UnicycleTracking,
 )
 from pinmobile.controllers.lqr import LQR
 from pinmobile.controllers.mpc import MPC
 from pinmobile.controllers.sliding import SlidingMode, SuperTwisting
 from pinmobile.controllers.wrappers import (
     ADRC,
-    Allocated,
-    Delayed,
+    ControlAllocation,
     DisturbanceObserver,
-    NoisyMeasurement,
-    Saturated,
+    InputSaturation,
+    MeasurementDelay,
+    MeasurementNoise,
 )
 from pinmobile.parts import Gravitating as Gravity, Invertible as InverseDynamics
 
@@ -51,31 +51,31 @@ __all__ = [
     "PID",
     "Adaptive",
     "AdaptiveVelocity",
-    "Allocated",
     "Backstepping",
     "Changing",
     "ComputedTorque",
+    "ControlAllocation",
     "Controller",
     "Decoupled",
-    "Delayed",
     "DisturbanceObserver",
-    "Driven",
     "DynamicFeedback",
     "Gravity",
+    "InputSaturation",
     "InverseDynamics",
     "Kanayama",
     "KinematicLaw",
-    "NoisyMeasurement",
+    "MeasurementDelay",
+    "MeasurementNoise",
     "PDGravity",
     "Parking",
     "RandomSteps",
-    "Saturated",
     "SlidingMode",
     "State",
     "SuperTwisting",
     "SwerveTracking",
+    "TorqueToVoltage",
     "Tracked",
-    "Tracking",
+    "UnicycleTracking",
     "VelocityCommand",
     "WheelSpeed",
     "check_controller",

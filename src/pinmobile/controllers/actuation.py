@@ -48,7 +48,7 @@ class _ByVoltage(Child):
 
 @final
 @part
-class Driven(Wrapper):
+class TorqueToVoltage(Wrapper):
     """A controller of torques whose robot takes volts: by the inverse of its motors at the present rates.
 
     Volts are held between samples while rates change, so that torques are those asked for at a sample and
@@ -105,7 +105,7 @@ class WheelSpeed:
     Parameters
     ----------
     law : kinematic law
-        Such as `Tracking`.
+        Such as `UnicycleTracking`.
     robot : WheeledRobot
         Its wheels in which the controller believes; of one by volts the gains are per volt.
     kp, ki : float
@@ -206,7 +206,7 @@ class VelocityCommand:
     Parameters
     ----------
     law : kinematic law
-        Such as `Tracking`; what it needs of a reference is said there.
+        Such as `UnicycleTracking`; what it needs of a reference is said there.
     robot : VelocityRobot
         Of which the controller knows where the axle is.
 

@@ -57,7 +57,7 @@ class Backstepping:
     Parameters
     ----------
     law : kinematic law
-        Such as `Tracking`; what it needs of a reference is said there.
+        Such as `UnicycleTracking`; what it needs of a reference is said there.
     robot : WheeledRobot or VelocityRobot
         The model that the controller believes in; of one that takes speeds the input is commands.
     k, steer, arms : float
@@ -84,7 +84,7 @@ class Backstepping:
         if not has_axle(mobility):
             others = {(3, 0): "ComputedTorque(robot)", (1, 2): "SwerveTracking(robot)"}
             kind = mobility.mobility, mobility.steerability
-            other = others.get(kind, "Allocated(controller, robot)")
+            other = others.get(kind, "ControlAllocation(controller, robot)")
             if not mobility.is_regular:
                 other = "WheelSpeed(law, robot, kp), where no wheel steers"
             raise InvalidArgument(

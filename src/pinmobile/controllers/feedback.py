@@ -77,7 +77,9 @@ def check_wheelless(robot: Any, wanted: str = "") -> None:
         If it is such.
     """
     if max(leading_of(robot)) < robot.nv:
-        wanted = wanted or "the body on them, robot.robot, and the controller in Allocated(..., robot)"
+        wanted = (
+            wanted or "the body on them, robot.robot, and the controller in ControlAllocation(..., robot)"
+        )
         raise InvalidArgument(f"robot is {shown(robot)}, which has wheels, expected {wanted}")
 
 
@@ -225,7 +227,7 @@ class PDGravity:
     def check(self) -> None:
         """Raise `InvalidArgument` where the robot has wheels or compares nothing."""
         check_compares(self)
-        check_wheelless(self.robot, "Allocated(PDGravity(robot.robot, ...), robot)")
+        check_wheelless(self.robot, "ControlAllocation(PDGravity(robot.robot, ...), robot)")
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
@@ -378,7 +380,7 @@ class Decoupled:
     def check(self) -> None:
         """Raise `InvalidArgument` where the robot has wheels or compares nothing."""
         check_compares(self)
-        check_wheelless(self.robot, "Allocated(Decoupled(robot.robot, ...), robot)")
+        check_wheelless(self.robot, "ControlAllocation(Decoupled(robot.robot, ...), robot)")
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""

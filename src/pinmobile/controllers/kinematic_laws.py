@@ -20,7 +20,7 @@ from pinmobile.plant import Context
 _SMALL = 1e-3  # [rad], below which sin(x) / x is its series
 _STILL = 1e-6  # [m/s, rad/s], below which a reference is at rest
 
-LAW = "a kinematic law, such as Tracking()"
+LAW = "a kinematic law, such as UnicycleTracking()"
 """What is expected where a law is missing."""
 
 
@@ -176,7 +176,7 @@ class Tracked(NamedTuple):
 
 
 class KinematicLaw(Protocol):
-    """A kinematic law, such as Tracking(): from what is tracked to speed and yaw rate."""
+    """A kinematic law, such as UnicycleTracking(): from what is tracked to speed and yaw rate."""
 
     def initial_state(self, context: Context, /) -> Any:
         """Return the state to start with; None where there is no memory."""
@@ -196,7 +196,7 @@ def _first(t: Array, wrong: Any) -> float | None:
 
 @final
 @part
-class Tracking:
+class UnicycleTracking:
     """Follow a moving reference, forwards or backwards (De Luca, Oriolo, Vendittelli 2001).
 
         v = v_r cos et + k ex,  w = w_r + b v_r (sin et / et) ey + k et,  k = 2 zeta sqrt(w_r^2 + b v_r^2)
@@ -261,7 +261,7 @@ class Kanayama:
             raise InvalidArgument(
                 f"reference goes at {speed[t == when][0]:.3g} m/s at t = {when:g} s, expected one that "
                 "always moves "
-                "forwards, or the law Tracking()"
+                "forwards, or the law UnicycleTracking()"
             )
 
     def __call__(self, tracked: Tracked, state: None) -> tuple[tuple[Any, Any], None]:
@@ -304,7 +304,7 @@ class Parking:
         when = _first(t, np.hypot(speed, yaw_rate) > _STILL)
         if when is not None:
             raise InvalidArgument(
-                f"reference moves at t = {when:g} s, expected one that rests, or the law Tracking()"
+                f"reference moves at t = {when:g} s, expected one that rests, or the law UnicycleTracking()"
             )
 
     def __call__(self, tracked: Tracked, state: None) -> tuple[tuple[Any, Any], None]:
@@ -360,7 +360,7 @@ class DynamicFeedback:
         if when is not None:
             raise InvalidArgument(
                 f"reference goes at {speed[t == when][0]:.3g} m/s at t = {when:g} s, expected "
-                f"{self.least:g} m/s or more, always in one direction, or the law Tracking()"
+                f"{self.least:g} m/s or more, always in one direction, or the law UnicycleTracking()"
             )
 
     def __call__(

@@ -211,7 +211,8 @@ def whole_reference(context: Context, robot: Any) -> Any:
     if len(theirs) == len(own) and ([unit == "V" for unit in theirs] != [unit == "V" for unit in own]):
         raise InvalidArgument(
             f"robot has inputs in {', '.join(own)}, and what is driven in {', '.join(theirs)}, expected a "
-            "robot of the same inputs: by_voltage() of wheels takes volts, and Driven(controller, robot) "
+            "robot of the same inputs: by_voltage() of wheels takes volts, and "
+            "TorqueToVoltage(controller, robot) "
             "gives volts for torques"
         )
     if context.reference is None:

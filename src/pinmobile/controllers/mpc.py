@@ -244,7 +244,8 @@ class MPC(Weighted):
     InvalidArgument
         If an argument is something else, or limits are beyond those of the robot; at the start of a run, if
         the limits exclude the reference, the step is no whole number of time steps, the horizon no longer
-        than the delay of what it is told (see `Delayed`), the estimate unstable at this dt, or as of `LQR`.
+        than the delay of what it is told (see `MeasurementDelay`), the estimate unstable at this dt, or as
+        of `LQR`.
     NotSolved
         If a quadratic program has no solution.
     """
@@ -386,7 +387,7 @@ class MPC(Weighted):
             raise NotTraceable(
                 f"MPC solves a quadratic program at each of {len(plan.u):,} samples, so that {_MANY:,} "
                 f"robots take some {hours:.2g} h of a processor",
-                "take LQR in Saturated, which is compiled",
+                "take LQR in InputSaturation, which is compiled",
             )
         dx = -tracked_errors(self.robot, q, v, reference, plan.x[k][np.shape(reference.v)[-1] :])
         if self.observer > 0:

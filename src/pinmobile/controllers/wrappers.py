@@ -233,7 +233,7 @@ def _seed(name: str, value: Any) -> Any:
 
 @final
 @part
-class Saturated(Wrapper):
+class InputSaturation(Wrapper):
     """A controller whose force is limited, as a motor's is.
 
     Parameters
@@ -274,7 +274,7 @@ class Saturated(Wrapper):
 
 @final
 @part
-class Delayed(Wrapper):
+class MeasurementDelay(Wrapper):
     """A controller that is told of the state some samples late; of the reference it is told in time.
 
     Until there are that many, it is told of the first one.
@@ -312,7 +312,7 @@ class Delayed(Wrapper):
 
 @final
 @part
-class NoisyMeasurement(Wrapper):
+class MeasurementNoise(Wrapper):
     """A controller that is told of the state with white Gaussian noise added.
 
     The noise of sample k depends on the seed and k alone, so that a second run gets the same; it is
@@ -348,7 +348,7 @@ class NoisyMeasurement(Wrapper):
         """Name of its noise: another for each seed, and for each of several, one in the other."""
         within, inner = 0, self.controller
         while inner is not None:
-            within += isinstance(inner, NoisyMeasurement)
+            within += isinstance(inner, MeasurementNoise)
             inner = getattr(inner, "controller", None)
         sequence = (
             self.seed if isinstance(self.seed, np.random.SeedSequence) else np.random.SeedSequence(self.seed)
@@ -380,7 +380,7 @@ def _fitting(name: str, value: ArrayLike, size: tuple[int, ...]) -> Array:
 
 @final
 @part
-class Allocated(Wrapper):
+class ControlAllocation(Wrapper):
     """A controller of body and arms, such as `PD`, whose force the wheels are to give.
 
     It sees what a robot without wheels would be: the pose, the arms and their rates. What it returns, a force

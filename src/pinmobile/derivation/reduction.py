@@ -290,7 +290,7 @@ class _Steps:
         k, g, slope = (Symbol(f"{letter}_{name}") for letter in ("k", "g", "gprime"))
         ratio = Function(g.name)(_DELTA)
         why = (
-            "Ackermann's law: all axles meet L / tan(delta) to the left of the rear one's middle, so "
+            "AckermannSteering's law: all axles meet L / tan(delta) to the left of the rear one's middle, so "
             "that the wheel is along (1 - y tan(delta) / L, tan(delta)), a vector of this length."
         )
         length = self._tell(k.name, f"Length, {words}", why, sympy.latex(k), root)

@@ -19,7 +19,7 @@ from pinmobile.identification.result import Identification
 from pinmobile.identification.statistics import Whiteness, whiteness
 from pinmobile.identification.weak_form import WINDOW, WeakFit, WeakForm
 from pinmobile.parts import Tabled, offers
-from pinmobile.robot import Load, MobileRobot
+from pinmobile.robot import MobileRobot, PayloadBody
 from pinmobile.wheels import WheeledRobot, WheelTable
 
 METHODS = ("output error", "weak")
@@ -49,7 +49,7 @@ def identify(
     log: Log | Sequence[Log],
     robot: Any = None,
     *,
-    loads: Sequence[Load | None] | None = None,
+    loads: Sequence[PayloadBody | None] | None = None,
     method: str = "output error",
     delay: float | None = None,
     rolling_speed: float | None = None,
@@ -71,7 +71,7 @@ def identify(
         What is believed of the robot: kept where the motion tells nothing; its wheels and motors are taken as
         they are. Of wheels alone nothing else is believed; the input is volts where they have electric
         motors, else torques. Without it, a body that is pushed.
-    loads : sequence of Load or None, optional
+    loads : sequence of PayloadBody or None, optional
         Load that the robot carried in each log, in the body's frame. With loads that differ, the scale of the
         input is identified too, such as an unknown torque constant: of logs of currents it is the torque per
         ampere. One scale stands for all inputs.
@@ -270,13 +270,13 @@ def _weakly(form: WeakForm, base: Array, basis: Array, given: float | None) -> W
 
 
 def _model(
-    robot: Any, speed: float | None, loads: Sequence[Load | None] | None, count: int
+    robot: Any, speed: float | None, loads: Sequence[PayloadBody | None] | None, count: int
 ) -> tuple[PlanarModel, list[Array]]:
-    expected = f"a Load or None for each of {count} logs"
+    expected = f"a PayloadBody or None for each of {count} logs"
     given = [None] * count if loads is None else sequence("loads", loads, expected)
     if len(given) != count:
         raise InvalidArgument(f"loads is {shown(loads)}, expected {expected}")
-    carried = [_moments(instance("loads", each, Load | None, expected)) for each in given]
+    carried = [_moments(instance("loads", each, PayloadBody | None, expected)) for each in given]
     if loads is not None and all(np.array_equal(each, carried[0]) for each in carried):
         raise InvalidArgument(
             "loads has the same for all logs, expected loads that differ: their difference tells the scale "
@@ -357,7 +357,7 @@ def _check_late(late: float, error: float, dt: float) -> None:
         )
 
 
-def _moments(load: Load | None) -> Array:
+def _moments(load: PayloadBody | None) -> Array:
     """Return mass, its moments and inertia about the body's origin, shape (4,)."""
     if load is None:
         return np.zeros(4)

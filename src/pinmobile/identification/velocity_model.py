@@ -156,9 +156,9 @@ class VelocityModel:
         late = delay / self.dt
         whole = np.floor(late + 1e-9).astype(int)
         share = np.maximum(late - whole, 0.0)[:, None, None]
-        fastest = (theta[:, [3, 5]] / theta[:, [0, 1]]).max()
+        max_path_speed = (theta[:, [3, 5]] / theta[:, [0, 1]]).max()
         bends = _BENDS if np.isfinite(most).any() else 1
-        steps = bends * int(np.clip(np.ceil(self.dt * fastest / _FINE), 1, _MOST_STEPS))
+        steps = bends * int(np.clip(np.ceil(self.dt * max_path_speed / _FINE), 1, _MOST_STEPS))
         length = segments.y.shape[1]
         first, then = segments.applied(whole + 1, length - 1), segments.applied(whole, length - 1)
         z, kept = starts, np.empty((length, *starts.shape))

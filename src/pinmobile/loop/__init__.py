@@ -27,13 +27,13 @@ from pinmobile.loop._record import Samples, Worst
 from pinmobile.loop._rollout import Rollout, error_text as error_text
 from pinmobile.loop._run import ensemble, part_of, run_scenario, way_of as way_of
 from pinmobile.loop._scenario import Scenario
-from pinmobile.loop._simulate import COMPILED, PYTHON, Engine, simulate
+from pinmobile.loop._simulate import Engine, simulate
 from pinmobile.loop._spread import (
     TRUE_MODEL,
     Distribution,
     Normal,
     Relative,
-    Same,
+    SameAs,
     Uniform,
 )
 from pinmobile.loop._storage import (
@@ -55,8 +55,6 @@ from pinmobile.plant import Plant
 from pinmobile.signals import Signal
 
 __all__ = [
-    "COMPILED",
-    "PYTHON",
     "TRUE_MODEL",
     "Bands",
     "Distribution",
@@ -72,7 +70,7 @@ __all__ = [
     "Record",
     "Relative",
     "Rollout",
-    "Same",
+    "SameAs",
     "Sample",
     "Samples",
     "Scenario",

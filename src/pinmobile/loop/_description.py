@@ -14,7 +14,7 @@ from pinmobile.arrays import Array, frozen
 from pinmobile.errors import shown
 from pinmobile.loop._loop import named_forces
 from pinmobile.loop._scenario import Scenario, checked_scenario, first_counted
-from pinmobile.loop._spread import Same, Source
+from pinmobile.loop._spread import SameAs, Source
 from pinmobile.measures import Measure, channels_of, in_words
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.trajectories import Reference
@@ -127,8 +127,8 @@ class Outline:
         The parts, as Python shows them.
     forces : tuple of str
         The forces, likewise.
-    spread : dict of str to str or Same
-        From what each parameter was drawn; of a `Same`, the factor in words.
+    spread : dict of str to str or SameAs
+        From what each parameter was drawn; of a `SameAs`, the factor in words.
     parameters : dict of str to Parameter
         Unit and meaning of what was drawn.
     coordinates : tuple of Coordinate
@@ -150,7 +150,7 @@ class Outline:
     trajectory: str
     integrator: str
     forces: tuple[str, ...]
-    spread: Mapping[str, str | Same]
+    spread: Mapping[str, str | SameAs]
     parameters: Mapping[str, Parameter]
     coordinates: tuple[Coordinate, ...]
     inputs: tuple[Input, ...]
@@ -199,7 +199,7 @@ class Outline:
             **{name: described[name] for name in (*_PARTS, *_NUMBERS)},
             forces=tuple(described["forces"]),
             spread={
-                name: one["source"] if one["same_as"] is None else Same(one["same_as"], one["source"])
+                name: one["source"] if one["same_as"] is None else SameAs(one["same_as"], one["source"])
                 for name, one in spread.items()
             },
             parameters={name: Parameter(name, one["unit"], one["meaning"]) for name, one in spread.items()},
@@ -214,7 +214,7 @@ class Outline:
         """Return all but times and reference, as JSON can hold it."""
         spread = {}
         for name, source in self.spread.items():
-            other, words = (source.name, source.factor) if isinstance(source, Same) else (None, source)
+            other, words = (source.name, source.factor) if isinstance(source, SameAs) else (None, source)
             one = self.parameters[name]
             spread[name] = {"unit": one.unit, "meaning": one.meaning, "source": words, "same_as": other}
         plain = {name: getattr(self, name) for name in (*_PARTS, *_NUMBERS)}
@@ -259,7 +259,7 @@ class Outline:
         found = {name: getattr(self, name) for name in _PARTS}
         found |= {f"forces[{k}]": force for k, force in enumerate(self.forces)}
         for name, source in self.spread.items():
-            words = f"{source.name} times {source.factor}" if isinstance(source, Same) else source
+            words = f"{source.name} times {source.factor}" if isinstance(source, SameAs) else source
             found[f"spread[{name!r}]"] = words
         if self.judged:
             found["measures"] = ", ".join(one.name for one in self.judged)
@@ -272,10 +272,10 @@ def alike(one: Array, other: Array) -> bool:
     return one.shape == other.shape and np.allclose(one, other, rtol=_CLOSE, atol=_CLOSE * size)
 
 
-def _source(source: Source) -> str | Same:
+def _source(source: Source) -> str | SameAs:
     """Return in words from what a parameter is drawn."""
-    if isinstance(source, Same):
-        return Same(source.name, _drawn_from(source.factor))
+    if isinstance(source, SameAs):
+        return SameAs(source.name, _drawn_from(source.factor))
     return _drawn_from(source)
 
 

@@ -87,7 +87,7 @@ class EndEffector:
         if self.target is None:
             raise InvalidArgument(
                 f"end effector {self.frame!r} has no target, expected a run of EndEffectorTracking, of a "
-                "trajectory that resolve gave, or of a reference with the arm's coordinates"
+                "trajectory that solve_inverse_kinematics gave, or of a reference with the arm's coordinates"
             )
         error = pose_error(self.target, self.pose)
         if not self.is_oriented:

@@ -54,7 +54,8 @@ def error_of_sizes(context: Context, error: InvalidArgument) -> InvalidArgument:
         return error
     if n == max(context.leading, default=count):  # wheels have no reference
         return InvalidArgument(
-            f"{error}; expected a controller of wheels' torques, such as Allocated(controller, robot) makes "
+            f"{error}; expected a controller of wheels' torques, such as "
+            f"ControlAllocation(controller, robot) makes "
             "of one of forces on the body"
         )
     return InvalidArgument(

@@ -283,7 +283,8 @@ class Rollout:
         """Return a frame over the samples: its path, where it should have been, and how far off it was.
 
         The target is that of the controller, such as `EndEffectorTracking`; else that of the trajectory, such
-        as `resolve` gives; else where the reference puts the frame, if it has the arm's coordinates.
+        as `solve_inverse_kinematics` gives; else where the reference puts the frame, if it has the arm's
+        coordinates.
 
         Parameters
         ----------

@@ -25,7 +25,7 @@ from pinmobile.loop._program import Compiled
 from pinmobile.loop._python import with_compiled_plant
 from pinmobile.loop._record import Worst
 from pinmobile.loop._scenario import Scenario, checked_scenario
-from pinmobile.loop._simulate import COMPILED, PYTHON, Engine, checked_engine
+from pinmobile.loop._simulate import Engine, checked_engine
 from pinmobile.loop._spread import Source
 from pinmobile.loop._trace import arrays_of, initial_memory
 from pinmobile.measures import measures_of
@@ -62,14 +62,14 @@ class Way:
     def divided(self, start: int, stop: int) -> list[tuple[int, int]]:
         """Divide the robots, for progress and for little memory."""
         each = _ONE_BY_ONE
-        if self.engine is COMPILED:
+        if self.engine is Engine.COMPILED:
             work = _SAMPLED if self.scenario.has_own_references else _WORK
             each = 256 * max(1, min(256, round(work / len(self.scenario.t) / 256)))
         return [(first, min(first + each, stop)) for first in range(start, stop, each)]
 
     def run(self, draws: Mapping[str, Array], start: int, stop: int, threads: int) -> Part:
         """Return the records of the robots from `start` to before `stop`, given what is drawn for these."""
-        if self.engine is COMPILED:
+        if self.engine is Engine.COMPILED:
             part = _compiled(self, draws, start, stop, threads)
         else:
             part = _in_python(self, draws, start, stop)
@@ -102,15 +102,17 @@ def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
     InvalidArgument
         If the engine that is asked for cannot run it, or a parameter is spread that no law uses.
     """
-    asked = checked_engine(engine, COMPILED, PYTHON)
-    if asked is PYTHON:
-        return Way(scenario, PYTHON)
+    asked = checked_engine(engine)
+    if asked is Engine.PYTHON:
+        return Way(scenario, Engine.PYTHON)
     try:
-        return Way(scenario, COMPILED, "", _as_compiled(scenario))
+        return Way(scenario, Engine.COMPILED, "", _as_compiled(scenario))
     except NotTraceable as error:
         if asked is not None:
-            raise InvalidArgument(f"engine is COMPILED, which cannot run this: {error.reason}") from error
-        return Way(scenario, PYTHON, f"not COMPILED: {error.reason}")
+            raise InvalidArgument(
+                f"engine is Engine.COMPILED, which cannot run this: {error.reason}"
+            ) from error
+        return Way(scenario, Engine.PYTHON, f"not COMPILED: {error.reason}")
 
 
 def _with_recorder(scenario: Scenario, loop: Loop | None = None) -> Loop:
@@ -283,7 +285,8 @@ def ensemble(
     traces : iterable of int
         Robots of which a whole `Rollout` is kept, made by `simulate`.
     engine : Engine, optional
-        `COMPILED`, the default where all parts can be compiled, or `PYTHON`, one robot after another.
+        `Engine.COMPILED`, the default where all parts can be compiled, or `Engine.PYTHON`, one robot after
+        another.
     threads : int, optional
         Of compiled loops; by default one for each processor.
     progress : callable, optional

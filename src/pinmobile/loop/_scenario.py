@@ -89,7 +89,7 @@ class Scenario:
     seed : int
         Seed of all draws; those of robot i do not depend on n.
     dt, duration, integrator, substeps, forces, limit
-        See `simulate`. A `NoiseForce` or a `NoisyMeasurement` has its own draws for each robot, which depend
+        See `simulate`. A `NoiseForce` or a `MeasurementNoise` has its own draws for each robot, which depend
         on this seed and its own.
     after : float
         Time from which the ensemble records errors [s], so that the start of a run does not dominate them.

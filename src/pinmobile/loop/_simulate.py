@@ -45,19 +45,10 @@ class Engine(Enum):
     COMPILED = "laws run on symbols and compiled: parts written in NumPy"
 
     def __repr__(self) -> str:
-        return self.name
-
-    __str__ = __repr__
+        return str(self)
 
 
-PYTHON = Engine.PYTHON
-"""One robot at a time, in Python, with Pinocchio's dynamics of a MobileRobot: any parts."""
-
-COMPILED = Engine.COMPILED
-"""Laws run on symbols and compiled: parts written in NumPy."""
-
-
-def checked_engine(engine: object, *known: Engine) -> Engine | None:
+def checked_engine(engine: object) -> Engine | None:
     """Check that this is None or one of the engines, and return it.
 
     Raises
@@ -65,20 +56,13 @@ def checked_engine(engine: object, *known: Engine) -> Engine | None:
     InvalidArgument
         If it is something else.
     """
-    if engine is None or (isinstance(engine, Engine) and engine in known):
+    if engine is None or isinstance(engine, Engine):
         return engine
-    names = [repr(each) for each in known]
-    meant = str(engine).strip().upper()
-    if meant in names:
-        raise InvalidArgument(
-            f"engine is {shown(engine)}, expected {meant} itself: write engine={meant} after "
-            f"'from pinmobile import {meant}'"
-        )
-    raise InvalidArgument(f"engine is {shown(engine)}, expected {', '.join(names)} of pinmobile, or None")
+    raise InvalidArgument(f"engine is {shown(engine)}, expected {', '.join(map(str, Engine))}, or None")
 
 
 _CHUNK = 512  # samples between two looks for divergence
-_NOT_ASKED = f"not {COMPILED!r}, which runs what can be compiled where engine={COMPILED!r} asks for it"
+_NOT_ASKED = "not COMPILED, which runs what can be compiled where engine=Engine.COMPILED asks for it"
 
 
 def simulate(
@@ -136,7 +120,8 @@ def simulate(
         The loop counts as diverged when an error in a coordinate (psi on the circle) or in a velocity is
         beyond it [m, rad, m/s, rad/s].
     engine : Engine, optional
-        `PYTHON` or `COMPILED`, the same laws as machine code; by default the plant's choice: a MobileRobot
+        `Engine.PYTHON` or `Engine.COMPILED`, the same laws as machine code; by default the plant's choice: a
+        MobileRobot
         runs in Python, with Pinocchio's dynamics, a robot on wheels compiled. Where a controller cannot be
         compiled, plant and forces are; `Rollout.why` says why.
     seed, member : int
@@ -166,8 +151,8 @@ def simulate(
     checked_loop(plant, controller, trajectory, integrator)
     t = sample_times(dt, duration, trajectory.duration)
     count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
-    asked = checked_engine(engine, PYTHON, COMPILED)
-    compiles = asked is COMPILED or (asked is None and getattr(plant, "compiles", False))
+    asked = checked_engine(engine)
+    compiles = asked is Engine.COMPILED or (asked is None and getattr(plant, "compiles", False))
     whole_loop = Loop(plant, controller, trajectory, checked, integrator, count)
     reference = sampled(trajectory, t, plant)
     start = _start(plant, reference, q0, v0)
@@ -214,8 +199,10 @@ def _engaged(
     try:
         return CompiledRun(loop, context, *start), ""
     except NotTraceable as error:
-        if asked is COMPILED:
-            raise InvalidArgument(f"engine is COMPILED, which cannot run this: {error.reason}") from error
+        if asked is Engine.COMPILED:
+            raise InvalidArgument(
+                f"engine is Engine.COMPILED, which cannot run this: {error.reason}"
+            ) from error
         why = error.reason
     try:
         compiled = with_compiled_plant(loop, context, *start)

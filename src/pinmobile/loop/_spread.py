@@ -112,11 +112,11 @@ class Normal:
 
 @final
 @dataclass(frozen=True)
-class Same:
+class SameAs:
     """The value of another number of the same robot, times a factor.
 
-    ``{"mass": Uniform(20, 40), "controller.mass": Same("mass")}`` gives the controller model the true mass;
-    ``Same("mass", Normal(1, 0.1))`` gives it a mass with an error of some 10 %.
+    ``{"mass": Uniform(20, 40), "controller.mass": SameAs("mass")}`` gives the controller model the true mass;
+    ``SameAs("mass", Normal(1, 0.1))`` gives it a mass with an error of some 10 %.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ class Same:
 
     def __post_init__(self) -> None:
         instance("name", self.name, str, "the name of a parameter")
-        if isinstance(self.factor, Same):
+        if isinstance(self.factor, SameAs):
             raise InvalidArgument(
                 f"factor is {shown(self.factor)}, expected a number, numbers or a distribution: "
                 "give what is the same as another one a name in the spread"
@@ -154,19 +154,19 @@ class Relative:
     factor: Distribution | ArrayLike
 
     def __post_init__(self) -> None:
-        if isinstance(self.factor, Same | Relative):
+        if isinstance(self.factor, SameAs | Relative):
             raise InvalidArgument(
                 f"factor is {shown(self.factor)}, expected a number, numbers or a distribution"
             )
 
 
-class _TrueModel(Mapping[str, Same]):
+class _TrueModel(Mapping[str, SameAs]):
     """Immutable mapping that other processes can receive; a pickle returns the same object."""
 
     def __init__(self, names: Iterable[str]) -> None:
-        self._held = {f"controller.{name}": Same(f"plant.{name}") for name in names}
+        self._held = {f"controller.{name}": SameAs(f"plant.{name}") for name in names}
 
-    def __getitem__(self, name: str) -> Same:
+    def __getitem__(self, name: str) -> SameAs:
         return self._held[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -182,10 +182,10 @@ class _TrueModel(Mapping[str, Same]):
         return "TRUE_MODEL"
 
 
-TRUE_MODEL: Mapping[str, Same] = _TrueModel(("mass", "yaw_inertia", "com.x", "com.y"))
+TRUE_MODEL: Mapping[str, SameAs] = _TrueModel(("mass", "yaw_inertia", "com.x", "com.y"))
 """Spread that gives a controller model each robot's numbers: ``{"mass": Uniform(20, 40), **TRUE_MODEL}``."""
 
-Source: TypeAlias = Distribution | Same | Relative | ArrayLike
+Source: TypeAlias = Distribution | SameAs | Relative | ArrayLike
 
 
 def _random(generator: object) -> np.random.Generator:
@@ -254,7 +254,8 @@ def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str
     UnknownName
         If there is no such number.
     InvalidArgument
-        If a source is no distribution, number, array of shape (n,), `Relative` or `Same`, or is circular, or
+        If a source is no distribution, number, array of shape (n,), `Relative` or `SameAs`, or is circular,
+        or
         two names mean one number.
     """
     check_mapping(spread)
@@ -262,7 +263,7 @@ def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str
     for name, source in spread.items():
         one = find(name)
         path, entries = one.path, one.leaf.entries
-        if one.is_array and entries and not (one.leaf.is_gain or isinstance(source, Relative | Same)):
+        if one.is_array and entries and not (one.leaf.is_gain or isinstance(source, Relative | SameAs)):
             each = ", ".join(repr(f"{name}.{entry}") for entry in entries)
             raise InvalidArgument(
                 f"spread has {name!r}, which has {len(entries)} numbers that differ, expected {each}, or a "
@@ -273,7 +274,7 @@ def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str
                 f"spread has {named[path]!r} and {name!r}, both of which are {path}, expected one of them"
             )
         found[name] = _checked(f"spread[{name!r}]", source, n)
-        if isinstance(source, Same):
+        if isinstance(source, SameAs):
             _follow(name, source, spread, find)
     return found
 
@@ -334,8 +335,8 @@ def check_possible(draws: Mapping[str, Array], found: Mapping[str, Found]) -> No
 
 
 def _checked(what: str, source: Any, n: int) -> Any:
-    if isinstance(source, Same):
-        return Same(source.name, _checked(f"{what}.factor", source.factor, n))
+    if isinstance(source, SameAs):
+        return SameAs(source.name, _checked(f"{what}.factor", source.factor, n))
     if isinstance(source, Relative):
         return Relative(_checked(f"{what}.factor", source.factor, n))
     if isinstance(source, type):
@@ -350,9 +351,9 @@ def _checked(what: str, source: Any, n: int) -> Any:
     return values.copy()
 
 
-def _follow(name: str, source: Same, spread: Mapping[str, Any], find: Find) -> None:
+def _follow(name: str, source: SameAs, spread: Mapping[str, Any], find: Find) -> None:
     paths, seen = {find(other).path: other for other in spread}, [find(name).path]
-    while isinstance(source, Same):
+    while isinstance(source, SameAs):
         path = find(source.name, f"spread[{paths[seen[-1]]!r}]").path
         if path in seen:
             circle = ", ".join(paths[each] for each in (*seen, path))
@@ -396,7 +397,7 @@ def draw(spread: Mapping[str, Any], seed: int, start: int, stop: int, find: Find
         if path not in values:
             name = names.get(path)
             source = None if name is None else spread[name]
-            if isinstance(source, Same):
+            if isinstance(source, SameAs):
                 other = find(source.name)
                 factor = _values(f"{name} factor", source.factor, seed, start, stop)
                 values[path] = of(other.path, other) * factor
@@ -436,8 +437,8 @@ def held(spread: Mapping[str, Any], start: int, stop: int) -> dict[str, Any]:
     """
 
     def part(source: object) -> Any:
-        if isinstance(source, Same):
-            return Same(source.name, part(source.factor))
+        if isinstance(source, SameAs):
+            return SameAs(source.name, part(source.factor))
         if isinstance(source, Relative):
             return Relative(part(source.factor))
         if isinstance(source, np.ndarray) and source.ndim:

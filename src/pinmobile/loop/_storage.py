@@ -16,7 +16,7 @@ from pinmobile.errors import InvalidArgument, PinmobileError
 from pinmobile.files import archive_of
 from pinmobile.parts import evolved, numbers, replace
 from pinmobile.plant import Coordinate, Input, PlantOutline
-from pinmobile.robot import Load, MobileRobot, Stance, kept_arm
+from pinmobile.robot import MobileRobot, PayloadBody, Stance, kept_arm
 from pinmobile.signals import Signal
 from pinmobile.urdf import Body
 
@@ -240,7 +240,7 @@ def _restore(described: dict[str, Any] | None) -> MobileRobot:
         name, at = mount.pop("name"), mount.pop("at")
         robot = robot.mount(kept_arm(**mount), at, name=name)
     for frame, mass, com, inertia, size in described.get("loads", ()):
-        robot = robot.attach(Load(mass, com, inertia, size), frame)
+        robot = robot.attach(PayloadBody(mass, com, inertia, size), frame)
     changes = described.get("changes", {})
     robot = replace(robot, changes) if changes else robot
     files = ", ".join(mount["arm"] for mount in mounts)

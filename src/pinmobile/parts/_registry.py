@@ -118,7 +118,10 @@ def resolve(name: str, folder: Path | None = None) -> Any:
     path, bracket, key = name.partition("[")
     first, *rest = path.split(".")
     library = import_module("pinmobile")
-    found = getattr(library, first) if first in dir(library) and first[:1] != "_" else None
+    if first in library.__all__ or first not in dir(library):
+        found = public().get(first)
+    else:
+        found = None if first[:1] == "_" else getattr(library, first)
     for word in rest:
         found = _member(found, word)
     if bracket:
@@ -176,10 +179,33 @@ def _code(text: str, folder: Path | None) -> Any:
     return loaded
 
 
+_PACKAGES = [
+    "controllers",
+    "dh",
+    "forces",
+    "integrators",
+    "loop",
+    "paths",
+    "reaching",
+    "robot",
+    "trajectories",
+    "wheels",
+]
+
+
+@cache
 def public() -> dict[str, Any]:
-    """Return all names of the library's top level, with what they stand for."""
+    """Return the names of the library's top level and of the packages of parts, with what they stand for."""
     library = import_module("pinmobile")
-    return {name: getattr(library, name) for name in library.__all__}
+    found = {name: getattr(library, name) for name in library.__all__}
+    for package in map(import_module, (f"pinmobile.{name}" for name in _PACKAGES)):
+        names = vars(package).get("__all__") or [
+            name
+            for name, one in vars(package).items()
+            if name[:1] != "_" and getattr(one, "__module__", "") == package.__name__
+        ]
+        found |= {name: getattr(package, name) for name in names}
+    return found
 
 
 @cache

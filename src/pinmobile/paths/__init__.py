@@ -2,9 +2,9 @@
 
 from pinmobile.paths.curves import Circle, CubicVia, Hold, Line, Lissajous, RestToRest, Spline
 from pinmobile.paths.path import (
-    Moved,
     Path,
     Piece,
+    TransformedPath,
     Value as Value,
     Whole,
     checked_path as checked_path,
@@ -20,12 +20,12 @@ __all__ = [
     "Hold",
     "Line",
     "Lissajous",
-    "Moved",
     "Path",
     "Piece",
     "Polyline",
     "RestToRest",
     "Spline",
+    "TransformedPath",
     "Whole",
     "pieces_of",
     "within",

@@ -266,7 +266,7 @@ class Curve(Value):
         """
         return self._at(within("t", t, self.duration), checked_order(order))
 
-    def moved(self, x: float = 0.0, y: float = 0.0, angle: float = 0.0) -> Moved:
+    def moved(self, x: float = 0.0, y: float = 0.0, angle: float = 0.0) -> TransformedPath:
         """Return the path turned about the origin by `angle` [rad], then shifted by (`x`, `y`) [m].
 
         Raises
@@ -274,7 +274,7 @@ class Curve(Value):
         InvalidArgument
             If a number is not finite, or its points are neither in the plane nor in space.
         """
-        return Moved(self, x, y, angle)
+        return TransformedPath(self, x, y, angle)
 
 
 def _plain(value: object) -> object:
@@ -291,7 +291,7 @@ def turned(vectors: Array, angle: float) -> Array:
 
 @final
 @part
-class Moved(Curve):
+class TransformedPath(Curve):
     """A path elsewhere: turned about the origin, then shifted. In space, about the z axis and level."""
 
     path: Any = child(Path, doc="any path in the plane or in space")
@@ -329,7 +329,7 @@ class Moved(Curve):
 class _MovedPiece:
     """A piece of a path, moved."""
 
-    whole: Moved
+    whole: TransformedPath
     piece: Piece
 
     @property

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, finite, one_of, scalar, sequence, shaped
 from pinmobile.errors import InvalidArgument
-from pinmobile.loop import Bands, Ensemble, Same, edges
+from pinmobile.loop import Bands, Ensemble, SameAs, edges
 from pinmobile.measures import Measure
 from pinmobile.palette import INK
 from pinmobile.plots.figure_layout import Canvas, Sheet, Spot, letters, over, wrapped
@@ -341,12 +341,12 @@ def causes(ensemble: Ensemble, worst: NDArray[np.bool_]) -> list[Cause]:
 
 
 def _parameters(ensemble: Ensemble) -> list[tuple[str, str, Array]]:
-    """Return name, unit and values of what is drawn by itself; of a `Same`, the factor."""
+    """Return name, unit and values of what is drawn by itself; of a `SameAs`, the factor."""
     found = []
     for name, values in ensemble.draws.items():
         source = ensemble.scenario.spread[name]
-        base = ensemble.draws.get(source.name) if isinstance(source, Same) else None
-        if isinstance(source, Same) and base is not None:
+        base = ensemble.draws.get(source.name) if isinstance(source, SameAs) else None
+        if isinstance(source, SameAs) and base is not None:
             ratio = np.divide(values, base, out=np.ones_like(values), where=base != 0)
             found.append((f"{name} / {source.name}", "", ratio))
         else:
@@ -405,7 +405,7 @@ def drivers(
     parameters are in the order of Kuiper's statistic, the sum of both one-sided ones of Kolmogorov and
     Smirnov: by how much more of the worst than of the others lie in the interval, or outside the interval,
     that tells them apart best. That place is shaded, and stands above each panel. What differs no more than
-    chance allows (at 1 %) is said to play no part. Where a parameter is `Same` as another but for a factor,
+    chance allows (at 1 %) is said to play no part. Where a parameter is `SameAs` as another but for a factor,
     that factor takes its place. At most six are drawn.
 
     Parameters

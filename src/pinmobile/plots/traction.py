@@ -211,7 +211,7 @@ def odometry(
     Parameters
     ----------
     rollouts : Rollout or mapping of str to Rollout
-        Runs with a controller `ByOdometry`; each gets a column.
+        Runs with a controller `OdometryFeedback`; each gets a column.
     title : str, optional
         Heading of the figure.
     ax, width
@@ -231,7 +231,7 @@ def odometry(
         if "believed_pose" not in run.signals:
             raise InvalidArgument(
                 f"{called(label)} has no signal believed_pose, expected a run with "
-                "ByOdometry(controller, table)"
+                "OdometryFeedback(controller, table)"
             )
     names = ["y [m]", "odometry off by [m]"]
     sheet, grid = _axes(runs, names, ax, width, 1.7)

@@ -7,6 +7,17 @@ from pinmobile.reaching.poses import (
     pose_error,
     target_names as target_names,
 )
-from pinmobile.reaching.trajectory import EndEffectorTracking, Resolved, resolve
+from pinmobile.reaching.trajectory import (
+    EndEffectorTracking,
+    InverseKinematicsTrajectory,
+    solve_inverse_kinematics,
+)
 
-__all__ = ["EndEffectorTracking", "PosePath", "PoseTarget", "Resolved", "pose_error", "resolve"]
+__all__ = [
+    "EndEffectorTracking",
+    "InverseKinematicsTrajectory",
+    "PosePath",
+    "PoseTarget",
+    "pose_error",
+    "solve_inverse_kinematics",
+]

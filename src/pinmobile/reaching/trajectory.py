@@ -42,8 +42,8 @@ _DEGREE = 3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Resolved:
-    """A trajectory of all coordinates, a uniform cubic B-spline of them; made by `resolve`.
+class InverseKinematicsTrajectory:
+    """A trajectory of all coordinates, a uniform cubic B-spline of them; made by `solve_inverse_kinematics`.
 
     q is twice continuously differentiable, and v and a are its derivatives. q, v and a are averages of the
     control points, their first and their second differences (de Boor, "A practical guide to splines", 1978):
@@ -87,7 +87,8 @@ class Resolved:
             near = f", smallest clearance {self.clearance.told}"
         except PinmobileError:  # without collision shapes it is not known
             near = ""
-        return f"<Resolved: {self.frame} over {self.duration:g} s, largest error {metres:.3e} m{turn}{near}>"
+        over = f"{self.frame} over {self.duration:g} s"
+        return f"<InverseKinematicsTrajectory: {over}, largest error {metres:.3e} m{turn}{near}>"
 
     @property
     def duration(self) -> float:
@@ -157,7 +158,7 @@ class Resolved:
 _MOST_STEPS = 1_000_000  # hours
 
 
-def resolve(
+def solve_inverse_kinematics(
     robot: MobileRobot,
     target: PosePath,
     *,
@@ -172,7 +173,7 @@ def resolve(
     damping: float = 1e-2,
     tolerance: float = 1e-2,
     clearance: float | None = None,
-) -> Resolved:
+) -> InverseKinematicsTrajectory:
     """Return a trajectory of base and arm together on which a frame follows a path of poses.
 
     Step by step, damped least squares within bounds (Nakamura and Hanafusa, 1986): of the displacements that
@@ -207,15 +208,18 @@ def resolve(
     damping : float
         Weight of a displacement beside the error [m/rad], > 0.
     tolerance : float
-        Largest distance and largest angle that are accepted, as of `Resolved.max_error` [m, rad]; infinite:
-        any, see `Resolved.error`.
+        Largest distance and largest angle that are accepted, as of `InverseKinematicsTrajectory.max_error`
+        [m, rad]; infinite:
+        any, see `InverseKinematicsTrajectory.error`.
     clearance : float, optional
-        Smallest distance between links, and from them to the ground, that is accepted, >= 0 [m], see
-        `clearance`; by default any, even through the robot's own body: `Resolved.clearance` tells.
+        Smallest distance between links, and from them to the ground, that is accepted, >= 0 [m],
+        see
+        `clearance`; by default any, even through the robot's own body:
+        `InverseKinematicsTrajectory.clearance` tells.
 
     Returns
     -------
-    trajectory : Resolved
+    trajectory : InverseKinematicsTrajectory
         To be followed from its beginning. There, the frame's velocity is that of the target but for an error
         in proportion to dt^2.
 
@@ -256,7 +260,9 @@ def resolve(
             f"dt is {dt} s, which makes {wanted:.3g} steps, expected at most {_MOST_STEPS:,}"
         )
     count = max(int(np.ceil(wanted - 1e-9)), 2)
-    resolved = Resolved(robot, target, name, start, solver.steps(start, tending, gain, count))
+    resolved = InverseKinematicsTrajectory(
+        robot, target, name, start, solver.steps(start, tending, gain, count)
+    )
     _judge(resolved, tolerance, lambda: _beyond(solver, start, tending, gain, count, tolerance))
     if room is not None:
         _judge_clearance(resolved, room)
@@ -296,7 +302,9 @@ def _beyond(solver: Solver, start: Array, tending: Array, gain: float, count: in
     if not solver.robot.mounts:
         return ""
     free = replace(solver, limits=solver.limits.endless())
-    way = Resolved(free.robot, free.target, free.frame, start, free.steps(start, tending, gain, count))
+    way = InverseKinematicsTrajectory(
+        free.robot, free.target, free.frame, start, free.steps(start, tending, gain, count)
+    )
     q = free.robot.integrate(start, way._curve(way.t))  # not cut off at limits
     missed = pose_error(free.target(way.t).pose, free.robot.frame_pose(q, free.frame))
     if not error_sizes(missed[:, : free.target.rows]).max() <= tolerance:
@@ -308,7 +316,7 @@ def _beyond(solver: Solver, start: Array, tending: Array, gain: float, count: in
     )
 
 
-def _judge(resolved: Resolved, tolerance: float, more: Callable[[], str]) -> None:
+def _judge(resolved: InverseKinematicsTrajectory, tolerance: float, more: Callable[[], str]) -> None:
     sizes = error_sizes(resolved.error[:, : resolved.target.rows])
     beyond = sizes.max(axis=-1) > tolerance
     if beyond.any():
@@ -324,7 +332,7 @@ def _judge(resolved: Resolved, tolerance: float, more: Callable[[], str]) -> Non
         )
 
 
-def _judge_clearance(resolved: Resolved, room: float) -> None:
+def _judge_clearance(resolved: InverseKinematicsTrajectory, room: float) -> None:
     found = resolved.clearance
     near = found.distance < room
     if near.any():
@@ -397,9 +405,9 @@ class EndEffectorTracking:
     damping : float
         Weight of an acceleration beside that of the frame [m/rad], > 0.
     velocity_limit : array_like, shape () or (nv,), optional
-        As in `resolve`.
+        As in `solve_inverse_kinematics`.
     acceleration_limit : array_like, shape () or (nv,)
-        As in `resolve`.
+        As in `solve_inverse_kinematics`.
     dt : float
         Time over which a force is held, that of `simulate` [s], > 0: with another, limits are overrun.
     integrator : callable
@@ -483,8 +491,9 @@ class EndEffectorTracking:
         count = np.shape(reference.v)[-1]
         if count != body.nv:
             raise InvalidArgument(
-                f"reference has {count} coordinates, expected the {body.nv} of base and arms, such as a "
-                "trajectory by resolve(robot, target) or WholeBody(robot, base, *joints) gives"
+                f"reference has {count} coordinates, expected the {body.nv} of base and arms, such "
+                "as a trajectory by solve_inverse_kinematics(robot, target) or WholeBody(robot, base, *joints) "
+                "gives"
             )
         own_q, own_v = q[: body.nq], v[: body.nv]
         target = self.target(t)

@@ -34,7 +34,13 @@ from pinmobile.robot.model_import import (
     Undercarriage as Undercarriage,
     WheelJoint as WheelJoint,
 )
-from pinmobile.robot.mounts import Link, Load, Mount, named_frames as named_frames, prefixed as prefixed
+from pinmobile.robot.mounts import (
+    Link,
+    Mount,
+    PayloadBody,
+    named_frames as named_frames,
+    prefixed as prefixed,
+)
 from pinmobile.robot.pinocchio_backend import Engine as Engine, UncheckedDynamics
 from pinmobile.robot.support_geometry import (
     WEIGHTLESS as WEIGHTLESS,
@@ -59,11 +65,11 @@ __all__ = [
     "Arm",
     "Linearization",
     "Link",
-    "Load",
     "MobileRobot",
     "Mount",
     "Mountable",
     "Mountables",
+    "PayloadBody",
     "Stance",
     "System",
     "UncheckedDynamics",

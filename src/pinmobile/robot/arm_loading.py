@@ -305,7 +305,9 @@ def _from_model(
         arm = arm.model
     instance("arm", arm, pin.Model, "a name, the path of a URDF, or a pinocchio.Model")
     if arm.njoints == 1:
-        raise InvalidArgument(f"arm {arm.name!r} has no joints, expected one at least: a Load has none")
+        raise InvalidArgument(
+            f"arm {arm.name!r} has no joints, expected one at least: a PayloadBody has none"
+        )
     shown, solid = (pin.GeometryModel() if each is None else each.clone() for each in (visual, collision))
     _check_geometry("visual", arm, shown)
     _check_geometry("collision", arm, solid)

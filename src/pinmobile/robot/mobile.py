@@ -60,8 +60,8 @@ from pinmobile.robot.model_import import (
     read_urdf,
 )
 from pinmobile.robot.mounts import (
-    Load,
     Mount,
+    PayloadBody,
     assemble,
     checked_name,
     com_field,
@@ -128,7 +128,7 @@ class MobileRobot(System):
     ----------
     mounts : tuple of Mount
         Its arms.
-    loads : tuple of Load
+    loads : tuple of PayloadBody
         What is attached to it.
     reference_inertia : ndarray, shape (3, 3), or None
         Inertia of the body about all axes, which grows with `yaw_inertia`; None: the same about all.
@@ -155,7 +155,9 @@ class MobileRobot(System):
     )
     dh: DHTable = option(default=LECTURE_TABLE, check=_checked_chain, doc="the chain that carries it")
     mounts: tuple[Mount, ...] = children(Mount, default=(), kw_only=True, doc="arms on it")
-    loads: tuple[Load, ...] = children(Load, default=(), kw_only=True, doc="loads that are attached to it")
+    loads: tuple[PayloadBody, ...] = children(
+        PayloadBody, default=(), kw_only=True, doc="loads that are attached to it"
+    )
     # The plane feels Izz alone. Ixx = Iyy = Izz is a body that exists; diag(0, 0, Izz) is not.
     reference_inertia: Array | None = option(
         default=None, check=_frozen, kw_only=True, doc="inertia about all axes, which grows with yaw_inertia"
@@ -599,12 +601,12 @@ class MobileRobot(System):
         mount = Mount.after(self.nv, ready, free_name(wanted, taken), place)
         return evolved(self, {"mounts": (*self.mounts, mount)})
 
-    def attach(self, load: Load, frame: str | None = None) -> MobileRobot:
+    def attach(self, load: PayloadBody, frame: str | None = None) -> MobileRobot:
         """Return the robot with a load fixed to one of its frames.
 
         Parameters
         ----------
-        load : Load
+        load : PayloadBody
             Mass, centre of mass, inertia, size.
         frame : str, optional
             One of `frame_names`; by default `end_effector`.
@@ -617,7 +619,7 @@ class MobileRobot(System):
         UnknownName
             If there is no such frame.
         """
-        instance("load", load, Load, "a Load")
+        instance("load", load, PayloadBody, "a PayloadBody")
         name, number = self._frame(frame)
         if self._model.frames[number].parentJoint < BODY_JOINT:
             raise InvalidArgument(

@@ -268,7 +268,7 @@ def _checked_size(name: str, value: Any) -> Any:
 
 
 @part
-class Load:
+class PayloadBody:
     """A rigid body that is fixed to a frame of a robot.
 
     Parameters
@@ -337,13 +337,13 @@ class Load:
         own = matrix_of_six(self.inertia)
         solid = np.zeros((3, 3)) if self.size is None else box_inertia(self.mass, self.size)
         inertia = None if np.array_equal(own, solid) else tuple(map(tuple, own.tolist()))
-        return f"Load(mass={self.mass!r}, com={self.com!r}, inertia={inertia!r}, size={self.size!r})"
+        return f"PayloadBody(mass={self.mass!r}, com={self.com!r}, inertia={inertia!r}, size={self.size!r})"
 
     def _key(self) -> tuple[object, ...]:
         return self.mass, self.com, self.inertia.tobytes(), self.size, self.frame
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Load) and self._key() == other._key()
+        return isinstance(other, PayloadBody) and self._key() == other._key()
 
     def __hash__(self) -> int:
         return hash(self._key())
@@ -412,7 +412,7 @@ def free_name(name: str, taken: Iterable[str]) -> str:
 
 
 def assemble(
-    base: pin.Model, mounts: Sequence[Mount], loads: Sequence[Load] = (), *, at_origin: bool = False
+    base: pin.Model, mounts: Sequence[Mount], loads: Sequence[PayloadBody] = (), *, at_origin: bool = False
 ) -> pin.Model:
     """Return the model of a body that carries arms, and loads at frames of either.
 
@@ -422,7 +422,7 @@ def assemble(
         The chain with the body; the body's frame is its last.
     mounts : sequence of Mount
         One after the other.
-    loads : sequence of Load
+    loads : sequence of PayloadBody
         What is attached.
     at_origin : bool
         Whether the arms stand at the body's origin, instead of where they do.

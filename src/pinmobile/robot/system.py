@@ -32,7 +32,7 @@ from pinmobile.parts import Desired, is_symbolic, is_tracing, on_numbers, requir
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import pinocchio_backend
 from pinmobile.robot.linkage import BODY_JOINT, circular_coordinates, coordinates, inputs, limits
-from pinmobile.robot.mounts import Load, Mount, named_frames, resistances
+from pinmobile.robot.mounts import Mount, PayloadBody, named_frames, resistances
 from pinmobile.robot.pinocchio_backend import Engine, Law
 
 _Method = TypeVar("_Method", bound=Callable[..., Any])
@@ -114,7 +114,7 @@ class System:
 
     _engine: Any  # an `Engine`; None where it holds symbols
     mounts: tuple[Mount, ...]
-    loads: tuple[Load, ...]
+    loads: tuple[PayloadBody, ...]
 
     @property
     def model(self) -> pin.Model:
@@ -160,7 +160,8 @@ class System:
     def inputs(self) -> tuple[Input, ...]:
         """Each of the nu numbers of an input: Fx, Fy, Mz, then the forces and torques at the arms' joints.
 
-        They have no limits: what motors can do, `effort_limit` knows, and `Saturated` holds a controller to.
+        They have no limits: what motors can do, `effort_limit` knows, and `InputSaturation` holds a
+        controller to.
         """
         return inputs(self.coordinates)
 

@@ -18,7 +18,7 @@ from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.arms import link_of
 from pinmobile.robot.linkage import BODY_JOINT
-from pinmobile.robot.mounts import Load, Mount, named_frames
+from pinmobile.robot.mounts import Mount, PayloadBody, named_frames
 from pinmobile.robot.urdf_checks import urdf_tree
 
 
@@ -393,7 +393,7 @@ def add_carried(
     visuals: pin.GeometryModel,
     model: pin.Model,
     mounts: Sequence[Mount],
-    loads: Sequence[Load],
+    loads: Sequence[PayloadBody],
 ) -> None:
     """Add what is drawn of arms and loads, on the joints of the whole model."""
     import coal
@@ -526,7 +526,9 @@ def body_box(size: Sequence[float], bottom: float = 0.0) -> Solid:
     return Solid(BODY_LINK, 0, pin.SE3(np.eye(3), middle), coal.Box(length, width, height - bottom))
 
 
-def carried_shapes(model: pin.Model, mounts: Sequence[Mount], loads: Sequence[Load]) -> Iterator[Solid]:
+def carried_shapes(
+    model: pin.Model, mounts: Sequence[Mount], loads: Sequence[PayloadBody]
+) -> Iterator[Solid]:
     """Return the shapes of arms, and the boxes of loads that have a size, on the parts of the whole model.
 
     Raises

@@ -19,7 +19,7 @@ from pinmobile.trajectories.direction import (
     STANDSTILL,
     Hodograph,
     Leg,
-    Limit,
+    MotionLimit,
     halve,
     heading,
     hodograph,
@@ -122,7 +122,7 @@ def _jump(before: Leg, after: Leg, psi_before: float, psi_after: float) -> _Jump
     )
 
 
-def _derivatives(limit: Limit, psi: float) -> Array:
+def _derivatives(limit: MotionLimit, psi: float) -> Array:
     u, du, half = np.concatenate([limit.series, np.zeros((2, 2))])[:3]
     _, rate, acceleration = heading(u, du, 2 * half)
     return np.array([psi, rate, acceleration])

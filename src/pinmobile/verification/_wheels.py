@@ -16,7 +16,7 @@ from pinmobile.parts import Stepping, able, evolved
 from pinmobile.plant import Step
 from pinmobile.robot import BODY_JOINT, Engine, System, number
 from pinmobile.verification.bodies import WheelBodies
-from pinmobile.wheels import Ackermann, Coulomb, Kinematics, WheeledRobot
+from pinmobile.wheels import AckermannSteering, Coulomb, Kinematics, WheeledRobot
 
 ROUNDING = 1e-13  # some hundred roundings, relative to the scale of the terms
 SOLVED = 1e-12  # the same, where two solutions of linear equations are compared
@@ -263,7 +263,7 @@ def by_closed_form(wheeled: WheeledRobot, q: Array, nu: Array) -> closed_form.Re
         return closed_form.differential_drive(
             nu[:, [0, 1]], **body, track=2 * first.y, radius=first.radius, spin_inertia=spins[0], axle=first.x
         )
-    turned = next((each for each in table.couplings if isinstance(each, Ackermann)), None)
+    turned = next((each for each in table.couplings if isinstance(each, AckermannSteering)), None)
     if turned is None or len(wheels) != 4 or len(table.axes) != 1 or turned.axle or first.x:
         return None
     front = wheels[table.names.index(turned.wheels[0])]
@@ -314,8 +314,8 @@ def _rate(
 
     The path q + v s + a s^2 / 2 has the state's velocity and acceleration; the rate hangs on nothing else.
     """
-    fastest = 1 + np.abs(v[:, 2:]).max(-1) + np.sqrt(np.abs(a[:, 2:]).max(-1))
-    h = (_STEP / fastest)[:, None]
+    max_path_speed = 1 + np.abs(v[:, 2:]).max(-1) + np.sqrt(np.abs(a[:, 2:]).max(-1))
+    h = (_STEP / max_path_speed)[:, None]
 
     def at(s: float) -> Array:
         moved = wheeled.integrate(q, s * h * v + (s * h) ** 2 / 2 * a)

@@ -17,7 +17,7 @@ import pinocchio as pin
 from pinmobile.arrays import Array
 from pinmobile.dh import JointType
 from pinmobile.robot import BODY_JOINT, MobileRobot, Mount, joints_of, named_frames, prefixed
-from pinmobile.wheels import Ackermann, GearTrain, Wheel, WheeledRobot
+from pinmobile.wheels import AckermannSteering, GearTrain, Wheel, WheeledRobot
 
 _DOWN = np.array([0, 0, -9.81])  # [m/s^2]
 _POSE = ("x", "y", "psi")
@@ -326,7 +326,7 @@ class WheelBodies:
         if axis >= 0:
             angle, first, rate = steering[:, axis], still + 1, self.rates[:, axis]
         for each in self.table.couplings:
-            if isinstance(each, Ackermann) and wheel.name in each.wheels:
+            if isinstance(each, AckermannSteering) and wheel.name in each.wheels:
                 # cot(angle) = cot(coordinate) - k, whose squared sines have `first` as ratio.
                 k, c, s = wheel.y / (wheel.x - each.axle), np.cos(angle), np.sin(angle)
                 first = 1 / (s**2 + (c - k * s) ** 2)

@@ -6,31 +6,39 @@ from pinmobile.wheels._dynamics import WheeledDynamics as WheeledDynamics
 from pinmobile.wheels._kinematics import Kinematics as Kinematics, Mobility
 from pinmobile.wheels._loads import Forces
 from pinmobile.wheels._motors import MOTORS, Motor, MotorLaw as MotorLaw
-from pinmobile.wheels._odometry import ByOdometry
+from pinmobile.wheels._odometry import OdometryFeedback
 from pinmobile.wheels._rolling import Ground as Ground, Ramp, Rolling
-from pinmobile.wheels._table import Ackermann, Differential, Friction, GearTrain, Support, Wheel, WheelTable
+from pinmobile.wheels._table import (
+    AckermannSteering,
+    DifferentialGear,
+    GearTrain,
+    Support,
+    Wheel,
+    WheelFriction,
+    WheelTable,
+)
 from pinmobile.wheels._urdf_reader import read_wheels
 from pinmobile.wheels._velocities import Allocation, Reduced
 from pinmobile.wheels._voltage_dynamics import ByVoltage
 
 __all__ = [
     "MOTORS",
-    "Ackermann",
+    "AckermannSteering",
     "Allocation",
-    "ByOdometry",
     "ByVoltage",
     "Coulomb",
-    "Differential",
+    "DifferentialGear",
     "Forces",
-    "Friction",
     "GearTrain",
     "Mobility",
     "Motor",
+    "OdometryFeedback",
     "Ramp",
     "Reduced",
     "Rolling",
     "Support",
     "Wheel",
+    "WheelFriction",
     "WheelTable",
     "WheeledRobot",
     "read_wheels",

@@ -196,7 +196,7 @@ class SlippingDynamics(WheeledDynamics):
     Parameters
     ----------
     across, rolling, slip : ndarray, shape (wheels,)
-        As of `Friction`.
+        As of `WheelFriction`.
     sweeps, tolerance
         As of `Coulomb`.
     rubbing : tuple of int

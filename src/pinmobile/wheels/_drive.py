@@ -30,7 +30,7 @@ from pinmobile.parts import (
     takes,
 )
 from pinmobile.plant import ContactLoads, Contacts, Coordinate, Input, SlipMargins, Step
-from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, Load, MobileRobot, number
+from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, MobileRobot, PayloadBody, number
 from pinmobile.wheels._coulomb import Coulomb
 from pinmobile.wheels._kinematics import Mobility
 from pinmobile.wheels._loads import (
@@ -171,7 +171,7 @@ class WheeledRobot:
         """Return the robot with an arm on its body: see `MobileRobot.mount`."""
         return WheeledRobot(self.robot.mount(arm, at, **options), self.table, self.ground)
 
-    def attach(self, load: Load, frame: str | None = None) -> WheeledRobot:
+    def attach(self, load: PayloadBody, frame: str | None = None) -> WheeledRobot:
         """Return the robot with a load fixed to one of its frames: see `MobileRobot.attach`."""
         return WheeledRobot(self.robot.attach(load, frame), self.table, self.ground)
 
@@ -805,7 +805,7 @@ class WheeledRobot:
 
         Parameters
         ----------
-        motion : Rollout or Motion
+        motion : Rollout or MotionStates
             With q, v, a and u.
         """
         self.check_stands()
@@ -813,7 +813,8 @@ class WheeledRobot:
             return recorded_margins(self.array_dynamics, motion)
         if getattr(motion, "u", None) is None:
             raise InvalidArgument(
-                "motion.u is None, expected the input, on which the forces of wheels depend: Motion(..., u=u)"
+                "motion.u is None, expected the input, on which the forces of wheels depend: "
+                "MotionStates(..., u=u)"
             )
         return self._rolling_margins(motion.q, motion.v, motion.a, motion.u)
 

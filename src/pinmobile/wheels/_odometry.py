@@ -1,4 +1,4 @@
-"""`ByOdometry`: a controller that knows the pose from what its wheels turned alone."""
+"""`OdometryFeedback`: a controller that knows the pose from what its wheels turned alone."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pinmobile.wheels._table import WheelTable
 
 @final
 @part
-class ByOdometry:
+class OdometryFeedback:
     """A controller that is told the pose that its wheels' encoders lead to, instead of the true one.
 
     It starts at the true pose. From sample to sample encoders tell how far each wheel has turned; the body's

@@ -59,7 +59,7 @@ TORQUE = Motor()  # a source of torque without limits
 @final
 @part
 @by_value
-class Friction:
+class WheelFriction:
     """Dry friction between a wheel and the ground, and in the wheel.
 
     The defaults are usual magnitudes, not measurements.
@@ -134,7 +134,7 @@ class Wheel:
         `motor`.
     motor : Motor, optional
         What drives it; None: nothing, it only rolls along.
-    friction : Friction
+    friction : WheelFriction
         Of its own.
     steering_limit : float
         Largest steering angle, to either side [rad]: a stop without rebound, found to what turns in a step.
@@ -163,7 +163,7 @@ class Wheel:
         default=0.0, unit="kg m^2", lower=0, fixed=True, doc="inertia about the vertical through its centre"
     )
     motor: Motor | None = child(Motor, default=None, optional=True, expected="a Motor")
-    friction: Friction = child(Friction, default=Friction(), expected="a Friction")
+    friction: WheelFriction = child(WheelFriction, default=WheelFriction(), expected="a WheelFriction")
     steering_limit: float = number(
         default=np.inf, unit="rad", above=0, endless=True, fixed=True, doc="largest steering angle"
     )
@@ -255,7 +255,7 @@ class GearTrain:
 @final
 @part
 @by_value
-class Differential:
+class DifferentialGear:
     """An open differential: one motor that turns at the mean rate of its wheels, with equal torques on them.
 
     Parameters
@@ -276,7 +276,7 @@ class Differential:
 @final
 @part
 @by_value
-class Ackermann:
+class AckermannSteering:
     """Wheels that one steering angle turns so that all axles meet in one point.
 
     The angle is that of a wheel in the middle, at y = 0 and the same x.
@@ -301,7 +301,7 @@ def column(values: Sequence[Any]) -> Any:
     return np.stack(values) if any(map(is_symbolic, values)) else frozen(values)
 
 
-Coupling = GearTrain | Differential | Ackermann
+Coupling = GearTrain | DifferentialGear | AckermannSteering
 
 
 class Axis(NamedTuple):
@@ -362,7 +362,7 @@ class WheelTable:
         One row each.
     supports : sequence of Support
         Where the robot stands beside its wheels.
-    couplings : sequence of GearTrain, Differential, Ackermann
+    couplings : sequence of GearTrain, DifferentialGear, AckermannSteering
         What holds whatever the friction.
     source : str
         Where its numbers come from, in words; no part of what makes two tables equal.
@@ -377,7 +377,9 @@ class WheelTable:
     wheels: tuple[Wheel, ...] = children(Wheel, expected="Wheel(...)")
     supports: tuple[Support, ...] = children(Support, default=(), expected="Support(x, y)")
     couplings: tuple[Coupling, ...] = children(
-        (GearTrain, Differential, Ackermann), default=(), expected="GearTrain, Differential or Ackermann"
+        (GearTrain, DifferentialGear, AckermannSteering),
+        default=(),
+        expected="GearTrain, DifferentialGear or AckermannSteering",
     )
     source: str = option(default="wheels made from numbers", check=text, eq=False)
 
@@ -391,7 +393,7 @@ class WheelTable:
         for coupling in self.couplings:
             for name in coupling.wheels:
                 one_of(f"wheel of a {type(coupling).__name__}", name, self.names)
-            if isinstance(coupling, Ackermann):
+            if isinstance(coupling, AckermannSteering):
                 self._check_axle(coupling)
         names = [*_OF_BODY, *self.names, *(axis.name for axis in self.axes)]
         twice = next((name for name in names if names.count(name) > 1), None)
@@ -432,7 +434,7 @@ class WheelTable:
     @structure
     def axes(self) -> tuple[Axis, ...]:
         """The steering coordinates, in the order of the table."""
-        pairs = [each for each in self.couplings if isinstance(each, Ackermann)]
+        pairs = [each for each in self.couplings if isinstance(each, AckermannSteering)]
         shared = {name: each for each in pairs for name in each.wheels}
         found: dict[Any, Axis] = {}
         for row, wheel in enumerate(self.wheels):
@@ -446,14 +448,15 @@ class WheelTable:
                 found[row] = Axis(f"{wheel.name}_steering", (row,), None, driven, wheel.steering_limit)
         return tuple(found.values())
 
-    def _check_axle(self, together: Ackermann) -> None:
+    def _check_axle(self, together: AckermannSteering) -> None:
         wheels = [self.wheels[self.names.index(name)] for name in together.wheels]
         first, axle = wheels[0], together.axle
         for wheel in wheels:
             fits = wheel.steering != FIXED and wheel.x != axle and not (any(wheel.trail) or wheel.angle)
             if not fits or (wheel.steering, wheel.x) != (first.steering, first.x):
                 raise InvalidArgument(
-                    f"wheel {wheel.name!r} of Ackermann(...) is {wheel!r}, expected a steered one with angle "
+                    f"wheel {wheel.name!r} of AckermannSteering(...) is {wheel!r}, expected a "
+                    f"steered one with angle "
                     f"0, its centre on its pivot, away from the axle at x = {axle:g} m, beside the others"
                 )
 
@@ -486,7 +489,7 @@ class WheelTable:
             if wheel.motor is not None:
                 add(wheel.name, wheel.motor, [ns + row], f"wheels.{wheel.name}.motor")
             for key, each in entries_of(self.couplings):
-                if isinstance(each, Differential) and key not in done and wheel.name in each.wheels:
+                if isinstance(each, DifferentialGear) and key not in done and wheel.name in each.wheels:
                     done.add(key)
                     rows = [ns + self.names.index(name) for name in each.wheels]
                     add(each.name, each.motor, rows, f"couplings.{key}.motor")
@@ -730,8 +733,8 @@ class WheelTable:
             for side, y in (("left", half), ("right", -half))
         ]
         couplings = (
-            Differential(("rear_left", "rear_right"), motor, "drive"),
-            Ackermann(("front_left", "front_right")),
+            DifferentialGear(("rear_left", "rear_right"), motor, "drive"),
+            AckermannSteering(("front_left", "front_right")),
         )
         return cls((*rear, *front), (), couplings)
 

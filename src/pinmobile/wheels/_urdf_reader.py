@@ -24,7 +24,7 @@ from pinmobile.wheels._table import (
     FIXED,
     FREE,
     Coupling,
-    Differential,
+    DifferentialGear,
     GearTrain,
     Support,
     Wheel,
@@ -57,7 +57,7 @@ class _Reader:
 
     def __post_init__(self) -> None:
         instance("robot", self.robot, MobileRobot, "a MobileRobot")
-        sequence("couplings", self.couplings, "GearTrain, Differential or Ackermann")
+        sequence("couplings", self.couplings, "GearTrain, DifferentialGear or AckermannSteering")
         if not self._names:
             words = "no joint that turns freely about a level axis; expected table="
             raise InvalidArgument(f"robot has no wheels in its file, {words}")
@@ -289,7 +289,7 @@ class _Reader:
             return self._known("driven", sequence("driven", self.driven, "names of wheels"))
         shared: set[str] = set()
         for each in self.couplings:
-            if isinstance(each, Differential | GearTrain):
+            if isinstance(each, DifferentialGear | GearTrain):
                 shared.update(each.wheels[isinstance(each, GearTrain) :])
         kind = FIXED if any(row.steering == FIXED for row in rows) else DRIVEN
         pairs = zip(self.joints, rows, strict=True)
@@ -444,7 +444,7 @@ def read_wheels(
         friction.
     supports : sequence of (x, y), optional
         Where it stands beside its wheels [m]; by default where the file has what touches the ground.
-    couplings : sequence of GearTrain, Differential, Ackermann
+    couplings : sequence of GearTrain, DifferentialGear, AckermannSteering
         See `WheelTable`.
 
     Raises
@@ -533,7 +533,7 @@ def _report_ignored(path: Path) -> None:
     if joints:
         words.append(
             f"damping and friction of {_listed(joints)} act where motors take volts alone (by_voltage): give "
-            "forces=[ViscousFriction(...)], or Friction(rolling=...) of the wheels"
+            "forces=[ViscousFriction(...)], or WheelFriction(rolling=...) of the wheels"
         )
     if links:
         words.append(f"mu1 and mu2 of {_listed(links)} are not used: give ground=Coulomb(mu)")
