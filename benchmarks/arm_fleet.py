@@ -233,7 +233,7 @@ def expected(fleet: ArmFleet) -> Figures:
 def difference(found: Figures, fleet: ArmFleet) -> float:
     """Return the largest difference of the checked robots' figures, each on its scale or 1."""
     right, apart = expected(fleet), 0.0
-    for one, other in ((found.max_error, right.max_error), (found.max_force, right.max_force)):
+    for one, other in ((found.max_error, right.max_error), (found.max_input, right.max_input)):
         if one is None:
             continue
         if one.shape != (fleet.n, other.shape[1]) or not np.isfinite(one).all():

@@ -77,7 +77,7 @@ class Figures(NamedTuple):
 
     max_error: np.ndarray
     rms_error: np.ndarray | None = None
-    max_force: np.ndarray | None = None
+    max_input: np.ndarray | None = None
     max_distance: np.ndarray | None = None
     histogram: np.ndarray | None = None
 

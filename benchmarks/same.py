@@ -121,7 +121,7 @@ def ensembles() -> Iterator[tuple[str, str]]:
             run = pm.ensemble(
                 robot, controller, trajectory, n=20, spread=spread, dt=0.1, engine=engine, **options
             )
-            columns = (run.max_error, run.rms_error, run.max_distance, run.max_force, run.counts[:, :2])
+            columns = (run.max_error, run.rms_error, run.max_distance, run.max_input, run.counts[:, :2])
             yield f"ensemble {name} {engine!r}", digest(*columns, *run.draws.values())
     robot, controller, trajectory, options = next(value for _, value in loops())
 
@@ -131,7 +131,7 @@ def ensembles() -> Iterator[tuple[str, str]]:
     with tempfile.TemporaryDirectory() as folder:
         found = pm.sweep(one, Path(folder) / "store", grid=grid)
         each = [found.ensemble(**{"spread.mass": mass}) for mass in (25.0, 30.0)]
-        numbers = (column for run in each for column in (run.max_error, run.rms_error, run.max_force))
+        numbers = (column for run in each for column in (run.max_error, run.rms_error, run.max_input))
         yield "sweep", digest(*numbers, found.table())
 
 

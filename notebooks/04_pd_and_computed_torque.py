@@ -314,7 +314,7 @@ within = {}
 for name, own in pushing.items():
     limited = InputSaturation(own, (20, 20, 5))
     fleet = ensemble(box, limited, circle, n=10_000, spread=spread, forces=[calm], dt=0.01, after=8)
-    within[name] = fleet.within(0.99).distance
+    within[name] = fleet.error_quantile(0.99).distance
     print(f"{name:18} {fleet.engine}: 99 % stay within {1e3 * within[name]:.1f} mm from t = 8 s on")
 
 # %% [markdown]

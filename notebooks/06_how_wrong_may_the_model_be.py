@@ -185,7 +185,7 @@ for share in shares:
     masses = {"mass": Uniform(30 * (1 - share), 30 * (1 + share))}
     for name, controller in (("PD", pd), ("computed torque", computed_torque)):
         made = ensemble(nominal, controller, circle, n=10_000, spread=masses, dt=0.1)
-        found[name].append(made.within(0.99).distance)
+        found[name].append(made.error_quantile(0.99).distance)
 unit = radius * rate**2 / kp  # [m]
 expected = {"PD": unit * (1 + 0.98 * shares), "computed torque": unit * 0.99 * shares}
 
@@ -294,6 +294,6 @@ for made_light in light.values():
 drawn = off.draws["com.x"]
 assert not off.diverged[drawn < limit_offset].any(), "a robot diverges though it is centred enough"
 assert off.diverged[drawn > 1.03 * limit_offset].all(), "a robot far off its centre does not diverge"
-gain = runs["PD"].within().distance / runs["nominal model"].within().distance
+gain = runs["PD"].error_quantile().distance / runs["nominal model"].error_quantile().distance
 assert gain > 3, "the nominal model is not worth much"
 print(f"Shown: a rule tells each robot's error; here a rough model keeps {gain:.1f} times closer than PD.")

@@ -2,7 +2,7 @@
 # # 9 When wheels slip
 #
 # In notebook 8 the wheels rolled, whatever force that took. The ground supplies what it can: a wheel that
-# carries the load $N$ gets at most $\mu N$ along the ground, in any direction. Within that it sticks, beyond
+# carries the load $N$ gets at most $\mu N$ along the ground, in any direction. ErrorQuantile that it sticks, beyond
 # it slides, and then the force is just $\mu N$, against the sliding. That is Coulomb's law of dry friction,
 #
 # $$|\lambda| \le \mu N, \qquad \lambda = -\mu N \frac{s}{|s|} \ \text{ where it slides with } s \ne 0 .$$
@@ -339,7 +339,7 @@ fleet = ensemble(
     dt=0.02,
 )
 shares = {0.5: 0.6745, 0.9: 1.6449, 0.99: 2.5758}  # of a normal distribution: standard deviations
-strayed = {share: fleet.within(share).distance for share in shares}
+strayed = {share: fleet.error_quantile(share).distance for share in shares}
 ruled = {share: k * np.sqrt(2) * 0.005 / 0.5 * 100 / 2 for share, k in shares.items()}
 for share in shares:
     print(f"{100 * share:g} % stray by {strayed[share]:.2f} m at most, by the rule {ruled[share]:.2f} m")

@@ -266,7 +266,7 @@ tuned = ComputedTorque(found.robot(), kp=16, kd=8)
 fleet = ensemble(
     found.robot(), tuned, Tangent(Circle(1, 0.5, 10)), n=1000, spread=spread, forces=found.forces(), dt=0.02
 )
-within = fleet.within(0.99).distance
+within = fleet.error_quantile(0.99).distance
 print(f"99 % of the robots that the log allows stay within {1e3 * within:.1f} mm")
 
 # %% [markdown]

@@ -117,7 +117,7 @@ def chatter_of(run):
     return np.abs(np.diff(run.u[late, :2], axis=0)).sum(axis=0).max() / (run.t[-1] - run.t[late][0])
 
 
-largest = {name: 1e3 * result.within().sel({LAW: name}).values for name in rivals}  # [mm], by case
+largest = {name: 1e3 * result.error_quantile().sel({LAW: name}).values for name in rivals}  # [mm], by case
 chatter = {name: chatter_of(run_of(result, **{LAW: name}, case="noise")) for name in rivals}
 print(f"{'':20}{'':4}" + "".join(f"{name:>12}" for name in places) + "  chatter under noise [N/s]")
 for name, row in largest.items():
@@ -155,7 +155,7 @@ class AsMeasured:
         self.controller, self.samples = controller, samples
 
     def initial_state(self, context):
-        return self.controller.initial_state(context), context.line(self.samples)
+        return self.controller.initial_state(context), context.delay(self.samples)
 
     def applied(self, u, state):
         told = getattr(self.controller, "applied", None)
@@ -179,7 +179,7 @@ print(f"{'largest distance [mm]':22}{'in time':>10}{'late':>10}{'late, reference
 mended = {}
 for name in chosen:
     in_time, late = (largest[name][list(places).index(place)] for place in ("mass +20 %", "delay"))
-    mended[name] = in_time, late, 1e3 * float(timed.within().sel({LAW: name}).values[0])
+    mended[name] = in_time, late, 1e3 * float(timed.error_quantile().sel({LAW: name}).values[0])
     print("{:22}{:10.2f}{:10.1f}{:26.2f}".format(name, *mended[name]))
 
 # %% [markdown]
@@ -270,7 +270,7 @@ turned = {}
 for name, settings in knobs.items():
     made = compared(name.split(":")[0], {str(k): one for k, one in enumerate(settings)}, noisy)
     runs = [run_of(made, **{LAW: str(k)}) for k in range(len(settings))]
-    turned[name] = np.array([chatter_of(run) for run in runs]), 1e3 * made.within().values[:, 0]
+    turned[name] = np.array([chatter_of(run) for run in runs]), 1e3 * made.error_quantile().values[:, 0]
 
 figure, axes = plt.subplots(figsize=(7.4, 4.4), layout="constrained")
 for k, (name, (rattle, far)) in enumerate(turned.items()):
@@ -293,7 +293,7 @@ dress(axes)
 # %%
 two = {"sliding mode": SlidingMode(NOMINAL), "p = 16 / s": ComputedTorque(NOMINAL, 256, 32)}
 stiff = compared("stiff", two)
-far = 1e3 * stiff.within().values
+far = 1e3 * stiff.error_quantile().values
 near = [chatter_of(run_of(stiff, **{LAW: name}, case="noise")) for name in two]
 draws = 6  # robots that differ in their noise alone
 many = Scenario(robot=NOMINAL, controller=measured, trajectory=circle, n=draws, spread={}, after=5.0, **GIVEN)

@@ -429,7 +429,7 @@ ROWS: dict[str, Row] = {
     "ensemble": Row(lambda: ENSEMBLE() | {"threads": 1, "progress": lambda done, n: None}, 300),
     "Ensemble.load": row(path=the("saved_ensemble"), scenario=the("ensemble_scenario")),
     "Ensemble.bands": row(levels=[0.5, 0.9]),
-    "Ensemble.within": row(share=0.9),
+    "Ensemble.error_quantile": row(share=0.9),
     "Ensemble.worst": row(count=2, by="distance"),
     "sweep": row(
         60,
@@ -442,7 +442,7 @@ ROWS: dict[str, Row] = {
         progress=lambda done, n: None,
         version="1",
     ),
-    "Sweep.within": row(share=0.9, by="distance"),
+    "Sweep.error_quantile": row(share=0.9, by="distance"),
     "MobileRobot": row(mass=10, yaw_inertia=1, com=(0.1, 0.05), size=(0.6, 0.4, 0.2), dh=pm.dh.LECTURE_TABLE),
     "MobileRobot.box": row(mass=10, size=(0.6, 0.4, 0.2)),
     "MobileRobot.from_urdf": row(path=the("urdf"), package_dirs=(), ground=-0.1),

@@ -276,7 +276,7 @@ def frozen() -> dict[str, Any]:
             found["tables"][name] = str(run)
         if name in SPREADS:
             many = pm.ensemble(*parts, dt=0.02, n=5, seed=3, spread=SPREADS[name], engine=COMPILED, **options)
-            records = many.max_error, many.rms_error, many.max_distance, many.max_force
+            records = many.max_error, many.rms_error, many.max_distance, many.max_input
             kept = np.array([one.worst != "ever" for one in many.scenario.channels])  # events came later
             measures = kept[len(kept) - len(many.scenario.judged) :]
             sizes = many.counts[:, kept], *many.draws.values(), many.worst_measure[:, measures]

@@ -7,24 +7,30 @@ import re
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
 import pinmobile
 from pinmobile import controllers, forces, paths, trajectories
+from pinmobile.parts._registry import public
 
 ROOT = Path(__file__).parents[1]
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
 SOURCE = Path(pinmobile.__file__).parent
 
 
+def _public(package: ModuleType) -> dict[str, Any]:
+    return {name: getattr(package, name) for name in getattr(package, "__all__", vars(package))}
+
+
 def _parts(*packages: ModuleType) -> list[str]:
-    kinds = [(name, getattr(package, name)) for package in packages for name in vars(package)]
+    kinds = [(name, one) for package in packages for name, one in _public(package).items()]
     own = tuple(package.__name__ for package in packages)
     classes = [
         (name, kind)
         for name, kind in kinds
-        if isinstance(kind, type) and name in pinmobile.__all__ and kind.__module__.startswith(own)
+        if isinstance(kind, type) and name[:1] != "_" and kind.__module__.startswith(own)
     ]
     return [name for name, kind in classes if not getattr(kind, "_is_protocol", False)]
 
@@ -120,11 +126,11 @@ def test_the_parts_are_those_of_the_library() -> None:
 
 @pytest.mark.parametrize("name", [*PARTS, *REFERENCES])
 def test_a_part_is_known_by_its_own_file_and_its_package_alone(name: str) -> None:
-    part = getattr(pinmobile, name)
+    part = public()[name]
     own = Path(*part.__module__.split(".")[1:]).with_suffix(".py")
     allowed = {own.as_posix(), (own.parent / "__init__.py").as_posix(), "__init__.py"}
     allowed |= {file for file, used in USERS.items() if name in used}
-    allowed |= ALSO_A_DELAY if name == "Line" else set()  # of `Context.line`
+    allowed |= ALSO_A_DELAY if name == "Line" else set()  # of `Context.delay`
     assert where(name) <= allowed
     of_package = {(own.parent / "__init__.py").as_posix()} - {"__init__.py"}  # a module lists nothing
     assert {own.as_posix(), *of_package} <= where(name)

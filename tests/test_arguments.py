@@ -371,7 +371,7 @@ FAULTS = [
     Fault(
         "another part",
         of_many(engine="COMPILED"),
-        "expected Engine.PYTHON, Engine.COMPILED, or None",
+        "expected Engine.PYTHON, Engine.COMPILED or None",
     ),
     Fault(
         "another signature",

@@ -470,7 +470,7 @@ def test_an_arm_with_another_payload_is_not_taken_for_right(bench: SimpleNamespa
     assert one.apart(right, work) == 0
     work.payload[2] += 0.01
     assert one.apart(right, work) > 1e3 * bench.task.TOLERANCE
-    assert one.apart(right._replace(max_force=right.max_force[:2]), work) == np.inf
+    assert one.apart(right._replace(max_input=right.max_input[:2]), work) == np.inf
 
 
 def test_the_tables_of_arms_are_printed(
@@ -519,7 +519,7 @@ def test_the_processors_vectors_are_stated(bench: SimpleNamespace, monkeypatch: 
         assert f"{platform.machine()}{said} " in bench.measuring.about()
 
 
-@pytest.mark.parametrize("figure", ["max_error", "rms_error", "max_force", "max_distance", "histogram"])
+@pytest.mark.parametrize("figure", ["max_error", "rms_error", "max_input", "max_distance", "histogram"])
 def test_a_wrong_figure_is_reported_and_not_timed(bench: SimpleNamespace, figure: str) -> None:
     runs: list[Any] = []
 

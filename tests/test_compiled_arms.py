@@ -107,7 +107,7 @@ def assert_members(runs: Any, *which: int) -> None:
         alone = simulate(*member[:3], **member.options)
         assert alone.engine == "PYTHON"
         np.testing.assert_allclose(runs.max_error[i], alone.max_error(), rtol=CLOSE, atol=CLOSE)
-        np.testing.assert_allclose(runs.max_force[i], alone.max_input(), rtol=CLOSE, atol=1e-8)
+        np.testing.assert_allclose(runs.max_input[i], alone.max_input(), rtol=CLOSE, atol=1e-8)
 
 
 def answers(body: Any, frame: str) -> Any:
@@ -240,7 +240,7 @@ def test_the_engines_agree_and_the_bits_hang_on_nothing() -> None:
         assert other.engine == engine.name
         np.testing.assert_allclose(other.max_error, few.max_error, rtol=1e-9, atol=CLOSE)
     np.testing.assert_array_equal(runs.max_error[:3], few.max_error)
-    np.testing.assert_array_equal(runs.max_force[:3], few.max_force)
+    np.testing.assert_array_equal(runs.max_input[:3], few.max_input)
 
 
 @pytest.mark.parametrize("robot", [UR5, ALL_KINDS["kinova"]], ids=["ur5", "kinova"])

@@ -355,7 +355,7 @@ REFUSED: dict[str, tuple[Callable[[Any], Any], str]] = {
     "least squares": (lambda q: np.linalg.lstsq(K, q), "np.linalg.solve"),
     "single precision": (lambda q: q.astype(np.float32), "float64"),
     "array of whole numbers": (whole_set, "arrays of floats"),
-    "random": (lambda q: q + np.random.normal(size=3), "context.normal"),  # noqa: NPY002
+    "random": (lambda q: q + np.random.normal(size=3), "context.noise"),  # noqa: NPY002
     "array from outside": (lambda q: np.add(q, 1.0, out=LIMITS.copy()), "in the law"),
     "unknown ufunc": (lambda q: np.nextafter(q, 1.0), "use one of"),
 }

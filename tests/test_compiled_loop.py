@@ -286,7 +286,7 @@ def endless(t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
 # The law, its first state, and what is said of it: what, instead and place.
 REFUSED: dict[str, tuple[Any, Any, str, str, str]] = {
     "a counter outside the state": (counting, None, "asked again", "state", "counting, line"),
-    "a generator of one's own": (drawing, None, "asked again", "context.normal", "drawing, line"),
+    "a generator of one's own": (drawing, None, "asked again", "context.noise", "drawing, line"),
     "a symbol that is kept": (keeping, None, "", "memory in state", ""),
     "another form of memory": (growing, None, "None", "initial_state", ""),
     "other names in memory": (renaming, {"old": 0.0}, "'new'", "initial_state", ""),
@@ -313,7 +313,7 @@ def test_memory_that_grows_without_end_is_refused() -> None:
 def test_a_delay_that_is_pushed_twice_is_refused() -> None:
     class Twice(PD):
         def initial_state(self, context: Any) -> Any:
-            return context.line(2)
+            return context.delay(2)
 
         def __call__(self, t: Any, q: Any, v: Any, reference: Any, line: Any) -> Any:
             _, line = line.push(q)

@@ -268,9 +268,9 @@ def test_the_engines_agree(k: int) -> None:
     scenario, run = compiled(k)
     alone = run_scenario(scenario, engine=Engine.PYTHON)
     assert not alone.diverged.any()
-    place, force = np.abs(scenario.reference.q).max(), alone.max_force.max()
+    place, force = np.abs(scenario.reference.q).max(), alone.max_input.max()
     # Where nothing pushes, a force is what gains make of the rounding of places.
-    sizes = {"max_error": place, "rms_error": place, "max_distance": place, "max_force": max(force, place)}
+    sizes = {"max_error": place, "rms_error": place, "max_distance": place, "max_input": max(force, place)}
     for name, size in sizes.items():  # an error is a difference of coordinates, and rounded as these are
         here, there = getattr(run, name), getattr(alone, name)
         np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * size, err_msg=name)
@@ -284,6 +284,6 @@ def test_the_bits_hang_on_no_thread_chunk_or_number_of_robots(
     scenario, run = compiled(k)
     many = run_scenario(made(compositions()[k], 20 * N), engine=Engine.COMPILED, threads=3)
     chunk = part_of(scenario, 1, N, Engine.COMPILED)[1]
-    for name in ("max_error", "rms_error", "max_distance", "max_force"):
+    for name in ("max_error", "rms_error", "max_distance", "max_input"):
         np.testing.assert_array_equal(getattr(many, name)[:N], getattr(run, name), err_msg=name)
         np.testing.assert_array_equal(getattr(chunk, name), getattr(run, name)[1:], err_msg=name)

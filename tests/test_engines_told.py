@@ -36,7 +36,7 @@ from pinmobile.cli import main
 from pinmobile.errors import SlowerEngine
 
 CIRCLE = Tangent(Circle(2, 0.25, 2))
-NOT_ASKED = "not Engine.COMPILED, which runs what can be compiled where engine=Engine.COMPILED asks for it"
+NOT_ASKED = "not COMPILED, which runs what can be compiled where engine=Engine.COMPILED asks for it"
 
 
 def branching(t: float, q: Any, v: Any, reference: Any) -> Any:
@@ -99,7 +99,7 @@ def test_a_rollout_says_why_and_its_file_keeps_it(tmp_path: Path) -> None:
         engine: simulate(robot, PD(9, 9), CIRCLE, dt=0.2, engine=engine) for engine in (None, Engine.COMPILED)
     }
     made[Engine.PYTHON] = simulate(robot, PD(9, 9), CIRCLE, dt=0.2, engine=Engine.PYTHON)
-    told = {engine: (run.engine, run.why) for engine, run in made.items()}
+    told = {engine: (run.engine, run.fallback_reason) for engine, run in made.items()}
     assert told == {
         None: ("PYTHON", NOT_ASKED),
         Engine.COMPILED: ("COMPILED", ""),
@@ -108,7 +108,7 @@ def test_a_rollout_says_why_and_its_file_keeps_it(tmp_path: Path) -> None:
     for run in made.values():
         run.save(tmp_path / "run.npz")
         kept = Rollout.load(tmp_path / "run.npz")
-        assert (kept.engine, kept.why) == (run.engine, run.why)
+        assert (kept.engine, kept.fallback_reason) == (run.engine, run.fallback_reason)
     # A file that was written before files told it.
     with np.load(tmp_path / "run.npz") as file:
         arrays = dict(file)
@@ -116,7 +116,7 @@ def test_a_rollout_says_why_and_its_file_keeps_it(tmp_path: Path) -> None:
     del described["engine"], described["why"]
     np.savez(tmp_path / "old.npz", **arrays | {"plant": np.array(json.dumps(described))})
     old = Rollout.load(tmp_path / "old.npz")
-    assert (old.engine, old.why) == ("", "")
+    assert (old.engine, old.fallback_reason) == ("", "")
     np.testing.assert_array_equal(old.q, run.q)
 
 
@@ -124,7 +124,7 @@ def test_traces_of_an_ensembles_file_say_it_too(tmp_path: Path) -> None:
     runs = ensemble(MobileRobot.box(), PD(9, 9), CIRCLE, n=2, spread={}, dt=0.2, traces=[1])
     runs.save(tmp_path / "runs.npz")
     kept = Ensemble.load(tmp_path / "runs.npz").traces[1]
-    assert (kept.engine, kept.why) == ("PYTHON", NOT_ASKED)
+    assert (kept.engine, kept.fallback_reason) == ("PYTHON", NOT_ASKED)
 
 
 _NOT_EXECUTABLE = """
@@ -171,7 +171,7 @@ def test_where_no_memory_may_be_written_and_executed_another_engine_runs_and_say
 
 @pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
 def test_an_engine_as_a_string_is_told_what_to_write(engine: Any) -> None:
-    why = rf"^engine is '{engine}', expected Engine.PYTHON, Engine.COMPILED, or None"
+    why = rf"^engine is '{engine!r}', expected Engine.PYTHON, Engine.COMPILED or None"
     given: Any = repr(engine)
     for run in (
         lambda: simulate(MobileRobot.box(), PD(9, 9), CIRCLE, dt=0.2, engine=given),
@@ -198,10 +198,10 @@ def test_plant_and_forces_are_compiled_where_the_controller_alone_cannot_be(
     traced = law(lambda t, q, v, reference: np.array([0.6, 0.7]) + 0.0 * v[:2])
     one = simulate(robot, traced, CIRCLE, **given)
     other = simulate(robot, law(_branching_torques), CIRCLE, **given)
-    assert other.why.startswith(
+    assert other.fallback_reason.startswith(
         "plant and forces are compiled, the controller runs in Python; not COMPILED: _"
     )
-    assert (one.engine, one.why, other.engine) == ("COMPILED", "", "PYTHON")
+    assert (one.engine, one.fallback_reason, other.engine) == ("COMPILED", "", "PYTHON")
     for name in ("q", "v", "u", "a"):
         here, there = getattr(one, name), getattr(other, name)
         np.testing.assert_allclose(there, here, rtol=0, atol=1e-9 * (1 + np.abs(here).max()), err_msg=name)

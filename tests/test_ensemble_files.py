@@ -117,7 +117,7 @@ def test_what_is_loaded_answers_as_what_was_saved(tmp_path: Path, name: str) -> 
     assert repr(loaded) == repr(one)
     assert str(loaded) == f"{one}\n{loaded.scenario}"
     for share in (0.5, 0.99, 1.0):
-        assert loaded.within(share) == one.within(share)
+        assert loaded.error_quantile(share) == one.error_quantile(share)
     mine, theirs = (each.bands((0.1, 0.9)) for each in (loaded, one))
     np.testing.assert_equal(vars(mine), vars(theirs))
     for by in ("distance", "heading"):
@@ -322,7 +322,7 @@ def test_csv_has_a_row_per_robot_and_every_digit(tmp_path: Path, name: str) -> N
     for k, (of, unit) in enumerate((("x", "m"), ("y", "m"), ("psi", "rad"))):
         wanted |= {f"max_error_{of} [{unit}]": one.max_error[:, k]}
         wanted |= {f"rms_error_{of} [{unit}]": one.rms_error[:, k]}
-        wanted |= {f"max_force_{('Fx [N]', 'Fy [N]', 'Mz [N m]')[k]}": one.max_force[:, k]}
+        wanted |= {f"max_force_{('Fx [N]', 'Fy [N]', 'Mz [N m]')[k]}": one.max_input[:, k]}
     wanted["diverged_at [s]"] = one.diverged_at
     assert set(wanted) == set(header)
     for each, values in wanted.items():

@@ -103,7 +103,7 @@ class TestBands:
         for row, attribute in zip(rows(plots.bands(pair), 2), ("distance", "heading"), strict=True):
             for axes, made in zip(row, pair.values(), strict=True):
                 bands = made.bands(levels)
-                most = [[getattr(made.within(level), attribute)] for level in levels]
+                most = [[getattr(made.error_quantile(level), attribute)] for level in levels]
                 quantiles = 1e3 * np.minimum(getattr(bands, attribute), most)
                 quantiles[quantiles < 1e3 * 2**-34] = 0
                 for line, quantile in zip(axes.lines, quantiles, strict=True):
@@ -129,7 +129,7 @@ class TestBands:
         line, begin = axes.lines[-2], axes.lines[-1]
         assert np.ravel(begin.get_xdata()).tolist() == [10, 10]
         assert np.asarray(line.get_ydata())[0] == pytest.approx(1e3 * made.bands(0.99).distance[0, 0])
-        assert np.asarray(line.get_ydata())[0] > 100 * 1e3 * made.within().distance
+        assert np.asarray(line.get_ydata())[0] > 100 * 1e3 * made.error_quantile().distance
 
     def test_controllers_share_their_axes(self, pair: dict[str, Ensemble]) -> None:
         for row, unit in zip(rows(plots.bands(pair), 2), ("[mm]", "[mrad]"), strict=True):
@@ -180,7 +180,7 @@ class TestBands:
             scale = 1e3 if axes.get_ylabel().endswith("[mm]") else 1.0
             for line, level, raw in zip(axes.lines, levels, made.bands(levels).distance, strict=True):
                 drawn = np.asarray(line.get_ydata()) / scale
-                exact, finite = made.within(level).distance, np.isfinite(raw)
+                exact, finite = made.error_quantile(level).distance, np.isfinite(raw)
                 assert (drawn[finite] <= exact * (1 + 1e-12)).all()
                 resolved = finite & (raw > 1e-9)
                 assert (drawn[resolved] >= raw[resolved] / 1.04).all()  # the width of a bin, no more
@@ -190,7 +190,7 @@ class TestBands:
     def test_words_say_who_stays_within_what(self, pair: dict[str, Ensemble]) -> None:
         top, low = rows(plots.bands(pair), 2)
         assert top[0].get_title(loc="left") == "99 % stay within 9.2 mm throughout"
-        assert pair["PD"].within(0.99).distance == pytest.approx(9.2e-3, rel=0.01)
+        assert pair["PD"].error_quantile(0.99).distance == pytest.approx(9.2e-3, rel=0.01)
         assert low[0].get_title(loc="left").startswith("99 % stay within ")
         assert [note.get_text() for note in top[1].texts] == ["none of 300 diverged", "computed torque"]
         assert texts(plots.bands(pair)) == ["50 %", "90 %", "99 % of 300 robots"]

@@ -42,7 +42,7 @@ from pinmobile.compiled import BINS
 from pinmobile.controllers import planar_difference
 from pinmobile.errors import UnknownName
 from pinmobile.forces import NoiseForce, PayloadForce, SinusoidalForce
-from pinmobile.loop import TRUE_MODEL, Within, run_scenario
+from pinmobile.loop import TRUE_MODEL, ErrorQuantile, run_scenario
 from pinmobile.loop._counts import bins_of, edges, quantiles
 from pinmobile.plant import Context
 
@@ -122,7 +122,7 @@ def test_arrays_give_each_robot_its_number() -> None:
 def test_same_makes_the_controller_know_what_it_is_told() -> None:
     truth = {"mass": Uniform(20, 40), "com.x": Normal(0.1, 0.05)}
     told, nominal = (
-        run_scenario(made(spread=spread, duration=60.0)).within(0.99).distance
+        run_scenario(made(spread=spread, duration=60.0)).error_quantile(0.99).distance
         for spread in ({**truth, **TRUE_MODEL}, truth)
     )
     # With the true model what is left is the held force: that of the lecture's table, 3.5e-5 m on each axis.
@@ -588,8 +588,8 @@ def test_a_share_of_whole_robots_is_that_many(n: int) -> None:
     run = run_scenario(made(n=n, spread={"mass": Uniform(20, 40)}))
     distance, heading = np.sort(run.max_distance), np.sort(run.max_error[:, 2])
     for k in range(1, n + 1):
-        assert run.within(k / n) == Within({"distance": distance[k - 1], "heading": heading[k - 1]})
-    assert run.within(0) == Within({"distance": distance[0], "heading": heading[0]})
+        assert run.error_quantile(k / n) == ErrorQuantile({"distance": distance[k - 1], "heading": heading[k - 1]})
+    assert run.error_quantile(0) == ErrorQuantile({"distance": distance[0], "heading": heading[0]})
     # In bins too: seven apart from the rest.
     apart = np.concatenate([np.full(7, 0.001), np.full(93, 1.0)])
     counts = np.bincount(bins_of(apart), minlength=BINS)
@@ -620,15 +620,15 @@ def test_an_ensemble_says_what_came_of_it() -> None:
     assert "none diverged" in text
     assert f"{np.median(run.max_distance):.4g}" in text
     assert len(run) == 1000
-    assert run.within(1.0).distance == run.max_distance.max()
-    assert run.within(0.5).heading == np.sort(run.max_error[:, 2])[499]
+    assert run.error_quantile(1.0).distance == run.max_distance.max()
+    assert run.error_quantile(0.5).heading == np.sort(run.max_error[:, 2])[499]
     bands = run.bands()
     assert bands.distance.shape == (3, 61)
     assert (np.diff(bands.distance, axis=0) >= 0).all()
-    assert bands.distance[-1].max() == pytest.approx(run.within(0.99).distance, rel=2**-5)
+    assert bands.distance[-1].max() == pytest.approx(run.error_quantile(0.99).distance, rel=2**-5)
     for share in (-0.1, 1.1, np.nan, [0.5, 0.9]):
         with pytest.raises(InvalidArgument, match="share"):
-            run.within(share)  # type: ignore[arg-type]
+            run.error_quantile(share)  # type: ignore[arg-type]
     for levels in (-0.1, [], [2.0]):
         with pytest.raises(InvalidArgument, match="levels"):
             run.bands(levels)
@@ -640,7 +640,7 @@ def test_an_ensemble_tells_least_median_and_largest_of_each_record() -> None:
     records = {"largest distance [m]": run.max_distance}
     for k, (error, force) in enumerate((("x [m]", "Fx [N]"), ("y [m]", "Fy [N]"), ("psi [rad]", "Mz [N m]"))):
         records[f"largest error of {error}"] = run.max_error[:, k]
-        records[f"largest {force}"] = run.max_force[:, k]
+        records[f"largest {force}"] = run.max_input[:, k]
     assert set(rows) == set(records)
     for name, values in records.items():
         low, middle, high = np.quantile(values[1:], (0, 0.5, 1))  # the first has none: it diverged at once
@@ -650,7 +650,7 @@ def test_an_ensemble_tells_least_median_and_largest_of_each_record() -> None:
 
 def test_what_came_of_an_ensemble_cannot_be_overwritten() -> None:
     run = run_scenario(made(n=3, spread={"mass": Uniform(20, 40)}))
-    records = [run.max_error, run.rms_error, run.max_distance, run.max_force, run.diverged_at, run.counts]
+    records = [run.max_error, run.rms_error, run.max_distance, run.max_input, run.diverged_at, run.counts]
     held: list[Any] = [*records, *run.draws.values()]
     for array in held:
         with pytest.raises(ValueError, match="read-only"):

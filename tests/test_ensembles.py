@@ -101,7 +101,7 @@ FORCES: dict[str, Any] = {
         ViscousFriction((5.0, 9.0, 0.4)),
     ),
 }
-RECORDS = ("max_error", "rms_error", "max_distance", "max_force", "diverged_at")
+RECORDS = ("max_error", "rms_error", "max_distance", "max_input", "diverged_at")
 
 
 def made(**changes: Any) -> Scenario:
@@ -120,13 +120,13 @@ def made(**changes: Any) -> Scenario:
 def assert_close(one: Ensemble, other: Ensemble) -> None:
     """Compare records to 1e-12 of the size of what they are differences of."""
     size = 1 + np.abs(np.hstack(one.scenario.reference)).max()
-    force = 1 + one.max_force.max()
+    force = 1 + one.max_input.max()
     for name in RECORDS:
         np.testing.assert_allclose(
             getattr(one, name),
             getattr(other, name),
             rtol=0,
-            atol=1e-12 * (force if name == "max_force" else size),
+            atol=1e-12 * (force if name == "max_input" else size),
             err_msg=name,
         )
     np.testing.assert_array_equal(one.counts, other.counts)
@@ -141,10 +141,10 @@ def assert_is_simulated(run: Ensemble, i: int) -> None:
     """Compare robot i with what `simulate` makes of it."""
     rollout = run.trace(i)
     size = 1 + np.abs(np.hstack(run.scenario.reference)).max()
-    force = 1 + run.max_force[i].max()
+    force = 1 + run.max_input[i].max()
     np.testing.assert_allclose(rollout.max_error(), run.max_error[i], rtol=0, atol=1e-12 * size)
     np.testing.assert_allclose(rollout.rms_error(), run.rms_error[i], rtol=0, atol=1e-12 * size)
-    np.testing.assert_allclose(rollout.max_input(), run.max_force[i], rtol=0, atol=1e-12 * force)
+    np.testing.assert_allclose(rollout.max_input(), run.max_input[i], rtol=0, atol=1e-12 * force)
     distance = np.hypot(*rollout.error[:, :2].T).max()
     assert distance == pytest.approx(run.max_distance[i], abs=1e-12 * size)
 
@@ -247,7 +247,7 @@ def test_what_is_ones_own_is_compiled_where_its_law_is_numpys() -> None:
     nine = RungeKuttaNystrom("nine", (0.0,) * 9, stages, stages, (0.5, *[0.0] * 8), (1.0, *[0.0] * 8))
     for changes in (TWICE["a difference of one's own"], TWICE["a model of one's own"], {"integrator": nine}):
         run = run_scenario(made(n=2, duration=2.0, **changes))
-        assert (run.engine, run.why) == ("COMPILED", "")
+        assert (run.engine, run.fallback_reason) == ("COMPILED", "")
 
 
 @pytest.mark.parametrize("difference", [planar_difference, plain_difference, ROBOT.difference])
@@ -334,8 +334,8 @@ def test_diverging_robots_are_flagged_as_by_simulate_and_the_others_untouched() 
         after = np.argsort(-tame.max_error[:, 2], kind="stable")
         expected = [*run.worst(3).tolist(), *after[~np.isin(after, [3, 64, 100])][:4].tolist()]
         assert run.worst(7, "heading").tolist() == expected != run.worst(7).tolist()
-        assert run.within(0.97).distance < 0.01
-        assert run.within(0.99).distance == np.inf
+        assert run.error_quantile(0.97).distance < 0.01
+        assert run.error_quantile(0.99).distance == np.inf
         # In the bands they are beyond everything from then on: 3 of 130 are more than 1 %, less than 5 %.
         assert np.isinf(run.bands((0.95, 0.99)).distance[:, -1]).tolist() == [False, True]
 
@@ -352,7 +352,7 @@ def test_half_a_turn_off_all_robots_turn_left_in_every_engine(engine: Any) -> No
         assert (alone.error[:, 2] > 0).all()
         assert alone.q[-1, 2] > alone.q[0, 2]
         np.testing.assert_allclose(wide.max_error[i], alone.max_error(), rtol=0, atol=1e-8)
-        np.testing.assert_allclose(wide.max_force[i], alone.max_input(), rtol=0, atol=1e-7)
+        np.testing.assert_allclose(wide.max_input[i], alone.max_input(), rtol=0, atol=1e-7)
 
 
 def test_rounding_stays_rounding_but_where_a_loop_is_chaotic() -> None:
@@ -411,7 +411,7 @@ def test_errors_are_kept_from_a_time_on_and_all_else_from_the_start(forces: str,
             np.testing.assert_allclose(getattr(run, name)[i], value, rtol=0, atol=1e-12 * 4)
     throughout = run_scenario(made(forces=FORCES[forces], n=n), engine=engine)
     assert n < 9 or np.median(run.max_distance / throughout.max_distance) < 0.6
-    np.testing.assert_array_equal(run.max_force, throughout.max_force)
+    np.testing.assert_array_equal(run.max_input, throughout.max_input)
     np.testing.assert_array_equal(run.counts, throughout.counts)
     assert f"{n} robots over 60 s: from 20 s on 99 % stay within" in repr(run)
 
@@ -421,9 +421,9 @@ def test_who_diverges_before_errors_count_has_none_and_is_beyond_everything() ->
     run = run_scenario(made(n=2, spread=spread, after=50.0))
     assert run.diverged.tolist() == [False, True]
     assert np.isnan(run.max_distance).tolist() == [False, True]
-    assert np.isfinite(run.max_force).all()
-    assert run.within(0.5).distance < 1e-3
-    assert run.within(1.0).distance == np.inf
+    assert np.isfinite(run.max_input).all()
+    assert run.error_quantile(0.5).distance < 1e-3
+    assert run.error_quantile(1.0).distance == np.inf
 
 
 @pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
@@ -453,7 +453,7 @@ def test_a_robot_that_is_beyond_the_limit_from_the_start_has_no_records() -> Non
     run = run_scenario(made(n=2, spread={"start.x": np.array([0.0, 2e3])}))
     assert run.diverged_at.tolist()[1] == 0.0
     assert np.isnan(run.max_error[1]).all()
-    assert run.within(0.5).distance < 1
+    assert run.error_quantile(0.5).distance < 1
     with pytest.raises(Diverged, match="the error in x is -2000"):
         run.trace(1)
 
@@ -476,7 +476,7 @@ def test_the_same_seed_gives_the_same_bits_however_the_work_is_divided(controlle
     for start, stop in ((0, 1), (1, n // 2), (n // 2, n)):
         draws, part = part_of(scenario, start, stop, engine)
         np.testing.assert_array_equal(part.max_error, whole.max_error[start:stop])
-        np.testing.assert_array_equal(part.max_force, whole.max_force[start:stop])
+        np.testing.assert_array_equal(part.max_input, whole.max_input[start:stop])
         for name, column in draws.items():
             np.testing.assert_array_equal(column, whole.draws[name][start:stop])
         counts += part.counts
@@ -670,7 +670,7 @@ def test_a_law_that_asks_its_state_runs_one_robot_after_another_and_says_so() ->
         run = run_scenario(scenario)
     assert run.engine == "PYTHON"
     for text in ("not COMPILED", "_branching", "np.where"):
-        assert text in run.why
+        assert text in run.fallback_reason
         assert text in str(told[0].message)
     for i in range(5):
         assert_is_simulated(run, i)

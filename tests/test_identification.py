@@ -331,7 +331,7 @@ def test_what_is_found_goes_on_to_simulate_and_ensemble() -> None:
     runs = ensemble(
         robot, controller, Tangent(Circle(1, 0.5, 2)), n=200, spread=spread, forces=friction, dt=0.02
     )
-    assert 0 < runs.within(0.99).distance < 0.1
+    assert 0 < runs.error_quantile(0.99).distance < 0.1
 
 
 def test_a_urdfs_robot_keeps_what_the_plane_cannot_tell() -> None:

@@ -515,7 +515,7 @@ def test_a_loop_is_traced_in_one_process_alone_and_gives_the_same_bits(name: str
     process.begin()
     again = LOOPS[name]()
     assert process.traced == 0
-    for what in ("max_error", "max_force", "rms_error"):
+    for what in ("max_error", "max_input", "rms_error"):
         assert np.array_equal(getattr(first, what), getattr(again, what))
 
 

@@ -139,26 +139,26 @@ def test_a_member_is_judged_as_its_rollout_is(runs: Ensemble) -> None:
 
 def test_robots_are_compared_by_measures_and_joints(runs: Ensemble) -> None:
     joints = [one.name for one in runs.scenario.coordinates[3:]]
-    assert list(runs.within().sizes) == ["distance", "heading", *joints, *NAMES]
-    assert list(runs.bands().quantiles) == list(runs.within().sizes)
+    assert list(runs.error_quantile().sizes) == ["distance", "heading", *joints, *NAMES]
+    assert list(runs.bands().quantiles) == list(runs.error_quantile().sizes)
     margin = runs.largest("tip-over margin")
     np.testing.assert_array_equal(margin, runs.worst_measure[:, 3])
     assert runs.worst(1, by="tip-over margin") == margin.argmin()
     np.testing.assert_array_equal(runs.largest(ELBOW), runs.max_error[:, 5])
     assert runs.worst(1, by=ELBOW) == runs.max_error[:, 5].argmax()
-    within = runs.within(0.75)
+    within = runs.error_quantile(0.75)
     assert within["tip-over margin"] == np.sort(margin)[10]  # 30 of 40 have at least that
     assert within["effort"] == np.sort(runs.largest("effort"))[29]
     bands = runs.bands([0.25, 1.0])
     assert (bands["tip-over margin"][0] > bands["tip-over margin"][1]).all()
     begun = bands.t >= 0.1
     for name in ("end effector", "effort", ELBOW):
-        assert bands[name][1][begun].max() == pytest.approx(runs.within(1.0)[name], rel=2**-5)
+        assert bands[name][1][begun].max() == pytest.approx(runs.error_quantile(1.0)[name], rel=2**-5)
     assert bands["tip-over margin"][1][begun].min() == pytest.approx(margin.min(), rel=2**-5)
     words = str(runs)
     assert f"largest end effector [m] {'':21} least {runs.largest('end effector').min():.4g}" in words
     assert "\nsmallest tip-over margin [m]" in words
-    for ask in (runs.largest, lambda by: runs.worst(1, by), runs.within(), runs.bands()):
+    for ask in (runs.largest, lambda by: runs.worst(1, by), runs.error_quantile(), runs.bands()):
         get = ask if callable(ask) else ask.__getitem__
         with pytest.raises(UnknownName, match=r"'tip-over margn'.*'tip-over margin'"):
             get("tip-over margn")
@@ -203,7 +203,7 @@ def test_files_and_tables_keep_measures(runs: Ensemble, tmp_path: Path) -> None:
         np.testing.assert_array_equal(loaded.worst_measure, runs.worst_measure)
         np.testing.assert_array_equal(loaded.rms_measure, runs.rms_measure)
         assert loaded.scenario.judged == runs.scenario.judged
-        assert loaded.within() == runs.within()
+        assert loaded.error_quantile() == runs.error_quantile()
         np.testing.assert_equal(vars(loaded.bands()), vars(runs.bands()))
     other = replace(runs.scenario, measures=["effort"])
     with pytest.raises(InvalidArgument, match=r"^scenario is not that of .*: measures is end effector, "):
@@ -238,12 +238,12 @@ def test_a_sweeps_store_keeps_measures(runs: Ensemble, tmp_path: Path) -> None:
     np.testing.assert_array_equal(light.worst_measure, runs.worst_measure[:10])
     np.testing.assert_array_equal(light.counts, run_scenario(scenario(n=10)).counts)
     for by in ("tip-over margin", "effort", ELBOW, "heading", "distance"):
-        assert float(found.within(0.8, by).sel(case="light")) == light.within(0.8)[by]
-    margins = Sweep.open(tmp_path / "store").within(by="tip-over margin")
+        assert float(found.error_quantile(0.8, by).sel(case="light")) == light.error_quantile(0.8)[by]
+    margins = Sweep.open(tmp_path / "store").error_quantile(by="tip-over margin")
     assert float(margins.sel(case="heavy")) < float(margins.sel(case="light"))
     assert margins.attrs["long_name"] == "tip-over margin that 99 % of the robots have at least"
     with pytest.raises(UnknownName, match=r"'margin'"):
-        found.within(by="margin")
+        found.error_quantile(by="margin")
     with pytest.raises(InvalidArgument, match=r"^judged is end effector \[m\], .* and none at case = b"):
         sweep(scenario(), tmp_path / "other", cases={"a": {}, "b": {"measures": ()}})
 
@@ -263,7 +263,7 @@ def test_members_are_drawn_and_viewed(runs: Ensemble) -> None:
 def test_figures_show_measures(runs: Ensemble) -> None:
     figure = plots.bands({"UR5": runs})
     assert [axes.get_ylabel().partition(" [")[0] for axes in figure.axes][2:] == NAMES
-    stays = f"99 % have at least {1e3 * runs.within()['tip-over margin']:.0f} mm from 0.1 s on"
+    stays = f"99 % have at least {1e3 * runs.error_quantile()['tip-over margin']:.0f} mm from 0.1 s on"
     assert figure.axes[-1].get_title(loc="left") == stays
     (joint,) = plots.bands(runs, by=[ELBOW]).axes
     assert joint.get_ylabel().startswith(f"error of\n{ELBOW} [")
@@ -278,8 +278,8 @@ def test_a_robot_that_diverges_has_no_margin() -> None:
     wild = replace(scenario(), limit=2e-4)
     runs = run_scenario(wild)
     assert runs.diverged.all()
-    assert runs.within()["tip-over margin"] == -np.inf
-    assert runs.within()["effort"] == np.inf
+    assert runs.error_quantile()["tip-over margin"] == -np.inf
+    assert runs.error_quantile()["effort"] == np.inf
     bands = runs.bands([0.5])
     assert bands["tip-over margin"][0, -1] == -np.inf
     assert bands["effort"][0, -1] == np.inf
@@ -342,7 +342,7 @@ def test_a_plant_of_ones_own_states_measures_in_plain_numpy(after: float) -> Non
     trace = made[0].trace(2)
     begin = made[0].scenario.begin
     assert clearance[2] == pytest.approx((0.33 - np.abs(trace.q[begin:, 0])).min(), abs=CLOSE)
-    assert made[0].within(1.0)["clearance"] == clearance.min()
+    assert made[0].error_quantile(1.0)["clearance"] == clearance.min()
 
 
 def test_what_is_infinite_before_errors_count_is_forgotten() -> None:

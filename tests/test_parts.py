@@ -214,7 +214,7 @@ def test_a_users_plant_has_the_same_numbers_by_all_engines(what: str) -> None:
     runs = [run_scenario(scenario, engine=engine) for engine in (Engine.COMPILED, Engine.PYTHON)]
     assert not runs[0].diverged.any()
     assert runs[0].max_error.shape == (N, 3 if what == "pose alone" else 5)
-    assert runs[0].max_force.shape == (N, 2)
+    assert runs[0].max_input.shape == (N, 2)
     assert_close(*runs)
     assert run_scenario(scenario).engine == "COMPILED"
     member = runs[0].member(1)
@@ -253,11 +253,11 @@ def test_an_ensemble_of_a_users_plant_is_told_by_its_names_and_units(tmp_path: P
     assert header[4:9] == ["max_error_" + each for each in ("x [m]", "y [m]", "psi [rad]", *_WHEELS)]
     assert header[14:16] == ["max_force_left_torque [N m]", "max_force_right_torque [N m]"]
     table = np.loadtxt(tmp_path / "runs.csv", delimiter=",", skiprows=1)
-    np.testing.assert_array_equal(table[:, 14:16], run.max_force)
+    np.testing.assert_array_equal(table[:, 14:16], run.max_input)
     data = run.to_xarray()
     assert data.coordinate.values.tolist() == NAMES
     assert data.input.values.tolist() == INPUTS
-    assert data.max_force.attrs["units"] == "N m, N m"
+    assert data.max_input.attrs["units"] == "N m, N m"
 
 
 _WHEELS = ("left [rad]", "right [rad]")

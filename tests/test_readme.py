@@ -70,10 +70,8 @@ def test_the_names_it_mentions_exist() -> None:
     names = re.findall(r"`(?:pinmobile\.)?([A-Za-z_]\w+)", table)
     assert {"MobileRobot", "ComputedTorque", "simulate", "ensemble", "sweep"} < set(names)
     for name in names:
-        known = hasattr(pinmobile, name) or any(
-            hasattr(getattr(pinmobile, module), name) for module in ("plots", "derivation", "viewer")
-        )
-        assert known or name in ("closed_form", "print"), name
+        modules = (getattr(pinmobile, module) for module in pinmobile._NAMES)
+        assert name == "print" or hasattr(pinmobile, name) or any(hasattr(m, name) for m in modules), name
 
 
 def test_the_pythons_it_names_are_the_projects() -> None:

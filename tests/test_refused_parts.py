@@ -238,7 +238,7 @@ def test_a_tape_that_is_another_each_time_though_its_numbers_are_not_is_refused_
         SlowerEngine, match=r"by Engine.PYTHON.*not Engine.COMPILED.*spelled, line .*keep memory in state"
     ):
         run = in_ensemble(parts)
-    assert (run.engine, "keep memory in state" in run.why) == ("PYTHON", True)
+    assert (run.engine, "keep memory in state" in run.fallback_reason) == ("PYTHON", True)
 
 
 # Laws that cannot be traced.
@@ -286,7 +286,7 @@ def test_a_law_that_cannot_be_traced_runs_slower_and_says_so_or_is_refused(what:
         run = in_ensemble(parts)
     assert len(told) == 1
     assert run.engine == repr(engine)
-    assert run.why in str(told[0].message)
+    assert run.fallback_reason in str(told[0].message)
     alone = simulated(parts)
     assert alone.engine == "PYTHON"
     np.testing.assert_allclose(run.max_error[0], alone.max_error(), rtol=1e-12)

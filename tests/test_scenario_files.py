@@ -49,6 +49,8 @@ APART = {
         "AckermannSteering",
         "Adaptive",
         "AdaptiveVelocity",
+        "ByVoltage",
+        "Link",
         "DifferentialGear",
         "GearTrain",
         "LQR",

@@ -241,7 +241,7 @@ def test_import_pulls_in_none_of_its_own_modules_and_no_library() -> None:
     [
         ("from pinmobile import PD, Circle, ComputedTorque, MobileRobot, Tangent, simulate", ()),
         ("import pinmobile; pinmobile.balance, pinmobile.closed_form, pinmobile.loop", ()),
-        ("from pinmobile import EndEffectorTracking, Spline, UnknownName", ()),
+        ("from pinmobile import EndEffectorTracking, InvalidArgument, Spline", ()),
         ("from pinmobile import Scenario, sweep", ()),
         ("import pinmobile.derivation", ("sympy",)),
         ("import pinmobile.plots", ("matplotlib",)),
@@ -254,7 +254,7 @@ def test_a_first_use_pulls_in_what_it_needs_and_nothing_heavier(use: str, heavy:
 
 @pytest.mark.once
 def test_names_are_there_however_they_are_asked_for() -> None:
-    fresh("from pinmobile import *; PD, MobileRobot, ensemble, sweep, tip_over_margin")
+    fresh("from pinmobile import *; PD, MobileRobot, ensemble, sweep, verify")
     fresh("from pinmobile import plots, robot, rk4; plots.path, robot.Mount, rk4")
     fresh("import pinmobile.paths as paths, pinmobile; assert pinmobile.Circle is paths.Circle")
     made = pickle.dumps([pinmobile.PD(kp=2, kd=1), pinmobile.Uniform, pinmobile.rk4])

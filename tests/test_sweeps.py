@@ -172,7 +172,7 @@ def test_the_store_has_named_dimensions_and_units(done: Sweep) -> None:
 def test_a_sweep_has_the_ensembles_bit_for_bit(done: Sweep, tmp_path: Path) -> None:
     mine = done.ensemble(**{"controller.kp": 16, "spread.mass": 0.2})
     alone = run_scenario(points().scenarios[3])
-    for name in ("max_error", "rms_error", "max_distance", "max_force", "diverged_at", "counts"):
+    for name in ("max_error", "rms_error", "max_distance", "max_input", "diverged_at", "counts"):
         np.testing.assert_array_equal(getattr(mine, name), getattr(alone, name))
     for name, values in alone.draws.items():
         np.testing.assert_array_equal(mine.draws[name], values)
@@ -181,7 +181,7 @@ def test_a_sweep_has_the_ensembles_bit_for_bit(done: Sweep, tmp_path: Path) -> N
         there = done.dataset.quantiles.sel(at | {"channel": channel}).values
         np.testing.assert_array_equal(there, getattr(alone.bands(), channel))
     for share in (0.01, 0.07, 0.9, 1):
-        assert float(done.within(share).sel(at)) == alone.within(share).distance
+        assert float(done.error_quantile(share).sel(at)) == alone.error_quantile(share).distance
     other = swept(tmp_path / "store", chunk=None)
     for name, values in done.dataset.data_vars.items():
         one, two = (data.sum("chunk") if name == "counts" else data for data in (values, other.dataset[name]))
@@ -199,7 +199,7 @@ def test_cases_and_parts_are_compared_by_label(tmp_path: Path) -> None:
     words = r"with case = push, PD stays within .* in 99 % of runs, wild diverges in all runs"
     assert re.fullmatch(words, found.answer())
     assert Sweep.open(found.path).answer() == found.answer()
-    assert np.isinf(found.within().sel(controller="wild")).all()
+    assert np.isinf(found.error_quantile().sel(controller="wild")).all()
     pushed = replace(scenario(n=3, limit=5.0), controller=laws["PD"], forces={"push": PUSH}, robot=_heavy())
     mine, alone = found.ensemble(controller="PD", case="push"), run_scenario(pushed)
     np.testing.assert_array_equal(mine.max_error, alone.max_error)
@@ -321,7 +321,7 @@ def test_a_sweep_on_its_way_says_how_much_is_done(done: Sweep, tmp_path: Path) -
     found = Sweep.open(tmp_path / "store", scenario(), grid=GRID)
     assert found.answer().startswith("50 % of the robots are done: with ")
     assert str(found).count("unknown") == 4
-    missing = next(at for at in np.ndindex(2, 2) if np.isnan(found.within().values[at]))
+    missing = next(at for at in np.ndindex(2, 2) if np.isnan(found.error_quantile().values[at]))
     labels: Any = {name: axis.values[i] for (name, axis), i in zip(found.axes.items(), missing, strict=True)}
     with pytest.raises(InvalidArgument, match="of which robots are missing: start the same sweep again"):
         found.ensemble(**labels)
@@ -412,7 +412,7 @@ def test_wrong_labels(done: Sweep) -> None:
     with pytest.raises(InvalidArgument, match=r"scenario is missing, expected Sweep\.open"):
         Sweep.open(done.path).ensemble(**at)
     with pytest.raises(InvalidArgument, match=r"share is 2\.0, expected 0 <= share <= 1"):
-        done.within(2)
+        done.error_quantile(2)
 
 
 def test_a_missing_package_names_the_extra(done: Sweep, tmp_path: Path) -> None:

@@ -136,7 +136,7 @@ def test_of_many_sweeps_at_once_one_writes_and_others_read(done: Path, tmp_path:
         refused = [str(each) for each in found if each is not one]
         assert refused == [f"store is {str(store)!r}, which another process is writing"] * 7
         early = Sweep.open(store)
-        assert np.isnan(early.within()).all()
+        assert np.isnan(early.error_quantile()).all()
         assert early.table().splitlines()[1].split() == ["4", "unknown", "unknown"]
         assert early.answer() == "0 % of the robots are done, and all robots of no scenario"
         one.__exit__()
@@ -289,7 +289,7 @@ def numbers(path: Path) -> dict[str, Any]:
     read: dict[str, Any] = {"table": str(found)}
     for gain in (4, 16):
         one = found.ensemble(**{"controller.kp": gain})
-        for name in ("max_error", "rms_error", "max_force", "counts"):
+        for name in ("max_error", "rms_error", "max_input", "counts"):
             read[f"{name} {gain}"] = np.asarray(getattr(one, name))
         read |= {f"{name} {gain}": values for name, values in one.draws.items()}
     data = found.dataset[["controller.kp", "time", "quantiles"]].load()

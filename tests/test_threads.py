@@ -258,7 +258,7 @@ def test_an_ensemble_of_a_law_that_asks_a_robot_is_the_same_on_its_default_threa
             threads=threads,
             engine=Engine.PYTHON,
         )
-        return plain((runs.max_error, runs.rms_error, runs.max_force))
+        return plain((runs.max_error, runs.rms_error, runs.max_input))
 
     alone = run(1)
     assert [run(None) for _ in range(2)] == [alone] * 2
@@ -278,7 +278,7 @@ def test_ensembles_whose_laws_ask_one_robot_run_side_by_side() -> None:
             return robot.nonlinear_effects(q, v) + robot.mass_matrix(q) @ error
 
         runs = ensemble(robot, law(force), motion, n=8, spread=spread, dt=0.1)
-        return runs.engine, plain((runs.max_error, runs.rms_error, runs.max_force))
+        return runs.engine, plain((runs.max_error, runs.rms_error, runs.max_input))
 
     with ThreadPoolExecutor(2) as pool:
         first = pool.submit(run, 0, 0.3)

@@ -145,7 +145,7 @@ def test_accelerations_and_commands_are_limited() -> None:
     run = simulate(robot, steps, FixedHeading(Hold((0, 0), 10.0), 0.0), dt=0.02)
     assert np.abs(run.u).max(axis=0) == pytest.approx([0.5, 0.4])
     rates = np.diff(robot.independent(run.q, run.v), axis=0) / 0.02
-    # Within a step rk4 leaves the circle on which the body turns by (w h)^5 / 120.
+    # ErrorQuantile a step rk4 leaves the circle on which the body turns by (w h)^5 / 120.
     assert np.abs(rates).max(axis=0) == pytest.approx([0.8, 1.5], rel=1e-7)
     found = parts.find(robot, "accelerations.yaw_acceleration")
     assert (found.path, found.unit) == ("accelerations.yaw_acceleration", "rad/s^2")

@@ -61,7 +61,7 @@ OTHERS = {
 def test_errors_and_chatter_are_those_of_an_independent_implementation(tmp_path: Path) -> None:
     """A sweep of controllers in cases: latency costs all the same, switching buys accuracy by chatter."""
     found = published.swept(RIVALS, tmp_path / "store", list(published.CASES))
-    within = 1e3 * found.within()
+    within = 1e3 * found.error_quantile()
     for name in RIVALS:
         printed, chatter = published.PUBLISHED[name]
         for case, wanted in zip(published.CASES, printed.split(), strict=True):

@@ -62,7 +62,7 @@ def ensembles(told: dict[str, object]) -> Run:
 
     def run() -> Figures:
         done = ensemble(**told)
-        return Figures(done.max_error, done.rms_error, done.max_force)
+        return Figures(done.max_error, done.rms_error, done.max_input)
 
     return run
 
@@ -84,6 +84,6 @@ def kernel(fleet: ArmFleet, made: Callable[[LoopTape], Program]) -> Run:
 
     def run() -> Figures:
         done = way.run(scenario.draws(), 0, fleet.n, threads)
-        return Figures(done.max_error, done.rms_error, done.max_force)
+        return Figures(done.max_error, done.rms_error, done.max_input)
 
     return run

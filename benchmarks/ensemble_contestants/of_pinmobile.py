@@ -17,7 +17,7 @@ def rollout(fleet: Fleet) -> Run:
         done = ensemble(
             robot, controller, trajectory, n=fleet.n, spread=spread, seed=0, dt=fleet.task.dt, every=EVERY
         )
-        figures = done.max_error, done.rms_error, done.max_force, done.max_distance
+        figures = done.max_error, done.rms_error, done.max_input, done.max_distance
         return Figures(*figures, done.counts.transpose(1, 0, 2))
 
     return run

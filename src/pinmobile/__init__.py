@@ -19,24 +19,19 @@ if not any(list(pathlib.Path(folder).glob("*pywrap*")) for folder in _folders):
     )
 
 if TYPE_CHECKING:
-    from pinmobile.accuracy import *
-    from pinmobile.balance import *
     from pinmobile.compiled import *
     from pinmobile.controllers import *
-    from pinmobile.dh import *
     from pinmobile.errors import *
     from pinmobile.forces import *
     from pinmobile.identification import *
     from pinmobile.integrators import *
     from pinmobile.loop import *
     from pinmobile.paths import *
-    from pinmobile.plant import *
     from pinmobile.proximity import *
     from pinmobile.reaching import *
     from pinmobile.robot import *
     from pinmobile.sweeps import *
     from pinmobile.trajectories import *
-    from pinmobile.urdf import *
     from pinmobile.verification import *
     from pinmobile.wheels import *
 

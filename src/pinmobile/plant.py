@@ -368,7 +368,7 @@ class Context:
         """Number of coordinates of the reference."""
         return int(np.shape(self.reference.v)[-1])
 
-    def line(self, samples: int) -> Line:
+    def delay(self, samples: int) -> Line:
         """Return a delay to keep in the state: ``old, line = line.push(values)``.
 
         ``push`` returns the tree of arrays that it received `samples` samples before; until then, the first.
@@ -377,7 +377,7 @@ class Context:
 
         return Line(whole("samples", samples, least=0))
 
-    def normal(self, name: str, n: int) -> Noise:
+    def noise(self, name: str, n: int) -> Noise:
         """Return noise to keep in the state: ``numbers, noise = noise.draw()``.
 
         The n numbers of a sample are standard normal and independent. They depend only on the seed, the

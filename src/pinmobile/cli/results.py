@@ -234,7 +234,7 @@ def _points(opened: Opened) -> Points:
 
 def _sweep_figures(found: Sweep, folder: Path) -> list[Picture]:
     """Draw the distance that 99 % of the robots keep: curves over one axis of numbers, else maps of two."""
-    within = found.within()
+    within = found.error_quantile()
     long = [name for name, axis in found.axes.items() if len(axis.values) > 1]
     numeric = [name for name in long if within[name].dtype.kind in "fiu"]
     named = [name for name in long if name not in numeric]

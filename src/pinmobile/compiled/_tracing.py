@@ -64,7 +64,7 @@ class _NumPy(ModuleType):
         if name == "random" and is_tracing():
             raise NotTraceable(
                 "np.random in a law",
-                "take the numbers from the context: context.normal(name, n), kept in state",
+                "take the numbers from the context: context.noise(name, n), kept in state",
             )
         return getattr(np, name)
 

@@ -300,7 +300,7 @@ class RandomSteps:
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, float]:
         """Return how long levels still hold, levels, the noise that draws them, and the sampling time."""
-        return np.zeros(2), np.zeros(2), context.normal(f"random steps {self.seed}", 8), float(context.dt)
+        return np.zeros(2), np.zeros(2), context.noise(f"random steps {self.seed}", 8), float(context.dt)
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any, Any, float]

@@ -148,7 +148,7 @@ def check_memory(controller: Controller, context: Context, q: Array, v: Array) -
         raise InvalidArgument(
             f"controller is {shown(controller)}, which returns {first.tolist()} and, asked again for the "
             f"same arguments, {again.tolist()}, expected the same: keep memory in state, and take random "
-            "numbers from context.normal(name, n)"
+            "numbers from context.noise(name, n)"
         )
 
 

@@ -298,7 +298,7 @@ class MeasurementDelay(Wrapper):
     def initial_state(self, context: Context) -> tuple[Any, Any]:
         """Return the state that the wrapped controller starts with, and a line without measurements."""
         late: Any = Seen(context, delay=context.delay + self.samples)
-        return self.controller.initial_state(late), context.line(self.samples)
+        return self.controller.initial_state(late), context.delay(self.samples)
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any]
@@ -316,7 +316,7 @@ class MeasurementNoise(Wrapper):
     """A controller that is told of the state with white Gaussian noise added.
 
     The noise of sample k depends on the seed and k alone, so that a second run gets the same; it is
-    `Context.normal`, the same in every engine. Where q and v have leading axes, all of them get the same
+    `Context.noise`, the same in every engine. Where q and v have leading axes, all of them get the same
     noise, and in an ensemble each robot its own. That of q is a displacement, by which the plant's
     `integrate` moves q.
 
@@ -357,7 +357,7 @@ class MeasurementNoise(Wrapper):
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any]:
         """Return the state that the wrapped controller starts with, the noise, and how q moves."""
-        noise = context.normal(self._name, 2 * context.nv)
+        noise = context.noise(self._name, 2 * context.nv)
         return self.controller.initial_state(context), noise, context.integrate
 
     def __call__(

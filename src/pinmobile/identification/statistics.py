@@ -101,7 +101,7 @@ class Whiteness(NamedTuple):
     correlation : ndarray, shape (m,)
         Of successive residuals, of each thing measured.
     bound : float
-        Within which that of white noise lies 95 times in 100.
+        ErrorQuantile which that of white noise lies 95 times in 100.
     """
 
     correlation: Array

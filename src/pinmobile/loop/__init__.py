@@ -14,7 +14,7 @@ from pinmobile.loop._counts import (
 )
 from pinmobile.loop._description import Outline, percent as percent
 from pinmobile.loop._end_effector import EndEffector
-from pinmobile.loop._ensemble import Bands, Ensemble, Within
+from pinmobile.loop._ensemble import Bands, Ensemble, ErrorQuantile
 from pinmobile.loop._loop import (
     Loop,
     Record,
@@ -76,7 +76,7 @@ __all__ = [
     "Scenario",
     "Signal",
     "Uniform",
-    "Within",
+    "ErrorQuantile",
     "Worst",
     "ensemble",
     "part_of",

@@ -385,7 +385,7 @@ def _check_repeated(
         raise InvalidArgument(
             f"{path} is {shown(part)}, which returns {shown(first)} and, asked again for the same arguments, "
             f"{shown(again)}, expected the same: only controllers have memory, in their state, and random "
-            "numbers come from their context.normal(name, n), or from a NoiseForce"
+            "numbers come from their context.noise(name, n), or from a NoiseForce"
         )
 
 

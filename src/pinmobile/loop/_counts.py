@@ -37,7 +37,7 @@ class Part(NamedTuple):
         Largest distance from the desired position [m].
     rms_error : ndarray, shape (m, c)
         Root of the mean squared error.
-    max_force : ndarray, shape (m, nu)
+    max_input : ndarray, shape (m, nu)
         Largest |input|.
     worst_measure, rms_measure : ndarray, shape (m, j)
         Worst, and root of the mean square, of each measure, in the samples of which errors are kept.
@@ -50,7 +50,7 @@ class Part(NamedTuple):
     max_error: Array
     max_distance: Array
     rms_error: Array
-    max_force: Array
+    max_input: Array
     worst_measure: Array
     rms_measure: Array
     counts: NDArray[np.int32]
@@ -208,7 +208,7 @@ def _rank(share: float, count: int | NDArray[np.int64]) -> Array:
 def quantiles(counts: NDArray[np.int64], wanted: Array, *, margins: bool = False) -> Array:
     """Return quantiles from counts: what shares of the robots are within.
 
-    Within a bin the numbers are taken to lie evenly in the logarithm: a quantile is off by the width of its
+    ErrorQuantile a bin the numbers are taken to lie evenly in the logarithm: a quantile is off by the width of its
     bin, 2 to 3 %, at most.
 
     Parameters

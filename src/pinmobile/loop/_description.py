@@ -60,7 +60,7 @@ def percent(part: int, n: int) -> str:
 def ranges(
     max_distance: Array,
     max_error: Array,
-    max_force: Array,
+    max_input: Array,
     coordinates: Sequence[Coordinate],
     inputs: Sequence[Input],
     worst_measure: Array,
@@ -72,7 +72,7 @@ def ranges(
     ----------
     max_distance : ndarray, shape (n,)
         Largest distance from the desired position [m].
-    max_error, max_force : ndarray, shape (n, c), (n, nu)
+    max_error, max_input : ndarray, shape (n, c), (n, nu)
         Largest error and input.
     coordinates, inputs : sequence of Coordinate, sequence of Input
         Their names and units.
@@ -86,7 +86,7 @@ def ranges(
         (_titled(f"error of {one.name}", one.unit), column)
         for one, column in zip(coordinates, max_error.T, strict=True)
     ]
-    sizes = [(_titled(one.name, one.unit), column) for one, column in zip(inputs, max_force.T, strict=True)]
+    sizes = [(_titled(one.name, one.unit), column) for one, column in zip(inputs, max_input.T, strict=True)]
     for pair in zip_longest(errors, sizes):
         columns |= {title: column for title, column in filter(None, pair)}
     each = zip(measures, worst_measure.T, strict=True)

@@ -65,7 +65,7 @@ class Bands:
 
 
 @dataclass(frozen=True)
-class Within:
+class ErrorQuantile:
     """What a share of the robots stays within, all the time.
 
     ``within["tip-over margin"]`` is that of one of `Scenario.channels`: the share errs at most by this, or
@@ -109,7 +109,7 @@ class Ensemble:
         that time or at the start.
     max_distance : ndarray, shape (n,)
         Largest distance from the desired position [m], likewise.
-    max_force : ndarray, shape (n, nu)
+    max_input : ndarray, shape (n, nu)
         Largest |input| from the start on, such as [N, N, N m]; of a diverged robot until then, NaN where
         there is none. `Scenario.coordinates` and `Scenario.inputs` have names and units.
     worst_measure, rms_measure : ndarray, shape (n, j)
@@ -124,7 +124,7 @@ class Ensemble:
         Everything of the robots that were asked for; of a diverged one until then.
     engine : str
         How they were run: ``"COMPILED"``, or ``"PYTHON"``, one after another.
-    why : str
+    fallback_reason : str
         Why not by a faster engine; "" where there is none.
     """
 
@@ -133,14 +133,14 @@ class Ensemble:
     max_error: Array
     rms_error: Array
     max_distance: Array
-    max_force: Array
+    max_input: Array
     worst_measure: Array
     rms_measure: Array
     diverged_at: Array
     counts: NDArray[np.int32]
     traces: Mapping[int, Rollout]
     engine: str = ""
-    why: str = ""
+    fallback_reason: str = ""
 
     def __post_init__(self) -> None:
         for array in (*self.draws.values(), *(getattr(self, name) for name in (*PER_ROBOT, "counts"))):
@@ -154,7 +154,7 @@ class Ensemble:
         part: Part,
         traces: Iterable[int] = (),
         engine: str = "",
-        why: str = "",
+        fallback_reason: str = "",
     ) -> Ensemble:
         """Return the ensemble of all records of a scenario.
 
@@ -168,7 +168,7 @@ class Ensemble:
             The records of all n.
         traces : iterable of int
             Robots of which a whole `Rollout` is made.
-        engine, why : str
+        engine, fallback_reason : str
             How they were run, and why not by a faster engine.
         """
         for array in (
@@ -176,7 +176,7 @@ class Ensemble:
             *(part.worst_measure, part.rms_measure),
         ):
             array[part.lived <= scenario.begin] = np.nan
-        part.max_force[part.lived == 0] = np.nan
+        part.max_input[part.lived == 0] = np.nan
         samples = len(scenario.t)
         times = np.append(scenario.t, np.nan)
         made = cls(
@@ -185,14 +185,14 @@ class Ensemble:
             max_error=part.max_error,
             rms_error=part.rms_error,
             max_distance=part.max_distance,
-            max_force=part.max_force,
+            max_input=part.max_input,
             worst_measure=part.worst_measure,
             rms_measure=part.rms_measure,
             diverged_at=times[np.minimum(part.lived, samples)],
             counts=part.counts,
             traces={},
             engine=engine,
-            why=why,
+            fallback_reason=fallback_reason,
         )
         object.__setattr__(made, "traces", {i: made.trace(i) for i in traces})
         return made
@@ -212,7 +212,7 @@ class Ensemble:
         told = [(one, int(count)) for one, count in happened if one.worst == "ever" and count]
         return tuple(f"{count:,} of {len(self):,} robots {one.name}: {one.meaning}" for one, count in told)
 
-    def within(self, share: float = 0.99) -> Within:
+    def error_quantile(self, share: float = 0.99) -> ErrorQuantile:
         """Return what a share of the robots stays within, exactly, a diverged one being beyond everything.
 
         From `Scenario.after` on, all the time.
@@ -226,7 +226,7 @@ class Ensemble:
         for one in self.scenario.channels:
             size = float(share_within(self._badness(one.name), level))
             found[one.name] = -size if one.is_margin else size
-        return Within(found)
+        return ErrorQuantile(found)
 
     def _badness(self, by: str) -> Array:
         """Return what is the larger the worse a robot is, shape (n,), infinite where it diverged."""
@@ -428,11 +428,11 @@ class Ensemble:
         samples = f"seed {self.scenario.seed}, {len(self.scenario.t)} samples each"
         named = self.scenario.coordinates, self.scenario.inputs
         judged = self.worst_measure, self.scenario.judged
-        rows = ranges(self.max_distance, self.max_error, self.max_force, *named, *judged)
+        rows = ranges(self.max_distance, self.max_error, self.max_input, *named, *judged)
         words = [str(self.scenario)] if isinstance(self.scenario, Outline) else []
         return "\n".join([self._judgement(), samples, *rows, *words])
 
     def _judgement(self) -> str:
-        within, counted = self.within(0.99), (int(self.diverged.sum()), self.scenario.after)
+        within, counted = self.error_quantile(0.99), (int(self.diverged.sum()), self.scenario.after)
         words = judgement(len(self), self.scenario.t[-1], (within.distance, within.heading), *counted)
         return "; ".join([words, *self.events])

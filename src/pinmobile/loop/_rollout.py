@@ -70,7 +70,7 @@ class Rollout:
         Further series of the parts, by name, each with its unit.
     engine : str
         What ran the loop: ``"PYTHON"``, in Python, or ``"COMPILED"``; "" where that is not known.
-    why : str
+    fallback_reason : str
         Why not a faster engine; "" where there is none, or it was asked for.
 
     Raises
@@ -89,7 +89,7 @@ class Rollout:
     reference: Reference
     signals: Mapping[str, Signal] = field(default_factory=dict)
     engine: str = ""
-    why: str = ""
+    fallback_reason: str = ""
 
     def __post_init__(self) -> None:
         for name in _RECORDED:
@@ -124,7 +124,7 @@ class Rollout:
 
     def __reduce__(self) -> tuple[Any, ...]:
         arrays = (getattr(self, name) for name in _RECORDED)
-        return Rollout, (self.plant, *arrays, self.reference, dict(self.signals), self.engine, self.why)
+        return Rollout, (self.plant, *arrays, self.reference, dict(self.signals), self.engine, self.fallback_reason)
 
     def __repr__(self) -> str:
         errors = self._errors("largest", self.max_error())

@@ -48,7 +48,7 @@ class Way:
         What is run.
     engine : Engine
         By which engine.
-    why : str
+    fallback_reason : str
         Why not compiled; "" where it is, or the engine was asked for.
     program : Compiled or None
         Its compiled loop.
@@ -56,7 +56,7 @@ class Way:
 
     scenario: Scenario
     engine: Engine
-    why: str = ""
+    fallback_reason: str = ""
     program: Compiled | None = None
 
     def divided(self, start: int, stop: int) -> list[tuple[int, int]]:
@@ -200,7 +200,7 @@ def _in_python(way: Way, draws: Mapping[str, Array], start: int, stop: int) -> P
     for i in range(start, stop):
         try:
             own = {name: column[i - start : i - start + 1] for name, column in draws.items()}
-            records.put(i, i + 1, _alone(way.scenario, own, i, compiles=bool(way.why)))
+            records.put(i, i + 1, _alone(way.scenario, own, i, compiles=bool(way.fallback_reason)))
         except InvalidArgument as error:
             if type(error) is InvalidArgument and not str(error).startswith("robot "):
                 raise InvalidArgument(f"robot {i}: {error}") from error
@@ -352,12 +352,12 @@ def run_scenario(
     followed = [whole("traces", i, least=0, most=scenario.n - 1) for i in listed]
     draws = scenario.draws()
     way = way_of(scenario, engine)
-    if way.why and engine is None:
+    if way.fallback_reason and engine is None:
         warn(
-            f"this ensemble runs by {way.engine!r}, {way.engine.value}; {way.why}", SlowerEngine, stacklevel=3
+            f"this ensemble runs by {way.engine!r}, {way.engine.value}; {way.fallback_reason}", SlowerEngine, stacklevel=3
         )
     part = _run(way, draws, 0, scenario.n, workers, progress)
-    found = Ensemble.of(scenario, draws, part, followed, engine=repr(way.engine), why=way.why)
+    found = Ensemble.of(scenario, draws, part, followed, engine=repr(way.engine), fallback_reason=way.fallback_reason)
     if found.events:
         warn("; ".join(found.events), LimitWarning, stacklevel=3)
     return found

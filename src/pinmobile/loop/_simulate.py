@@ -45,7 +45,9 @@ class Engine(Enum):
     COMPILED = "laws run on symbols and compiled: parts written in NumPy"
 
     def __repr__(self) -> str:
-        return str(self)
+        return self.name
+
+    __str__ = __repr__
 
 
 def checked_engine(engine: object) -> Engine | None:
@@ -58,7 +60,7 @@ def checked_engine(engine: object) -> Engine | None:
     """
     if engine is None or isinstance(engine, Engine):
         return engine
-    raise InvalidArgument(f"engine is {shown(engine)}, expected {', '.join(map(str, Engine))}, or None")
+    raise InvalidArgument(f"engine is {shown(engine)}, expected Engine.PYTHON, Engine.COMPILED or None")
 
 
 _CHUNK = 512  # samples between two looks for divergence
@@ -123,7 +125,7 @@ def simulate(
         `Engine.PYTHON` or `Engine.COMPILED`, the same laws as machine code; by default the plant's choice: a
         MobileRobot
         runs in Python, with Pinocchio's dynamics, a robot on wheels compiled. Where a controller cannot be
-        compiled, plant and forces are; `Rollout.why` says why.
+        compiled, plant and forces are; `Rollout.fallback_reason` says why.
     seed, member : int
         What the noise of controllers follows from: the seed of an ensemble, and the robot's number in it.
 
@@ -161,7 +163,7 @@ def simulate(
     check_answers(plant, checked, integrator, *start, dt / count)
     check_controllers_memory(controller, context, *start)
     loop, why = _engaged(whole_loop, context, start, asked, compiles=compiles)
-    made = {"engine": "COMPILED" if isinstance(loop, CompiledRun) else "PYTHON", "why": why}
+    made = {"engine": "COMPILED" if isinstance(loop, CompiledRun) else "PYTHON", "fallback_reason": why}
     if why.startswith("not") and compiles:
         warn(f"this loop runs by PYTHON: {why}", SlowerEngine, stacklevel=2)
     told, chunk = (controller, trajectory), len(t) if isinstance(loop, CompiledRun) else _CHUNK

@@ -49,7 +49,7 @@ def described_run(rollout: Any) -> dict[str, Any]:
     plant, q, signals = rollout.plant, rollout.q, rollout.signals
     return {
         "engine": rollout.engine,
-        "why": rollout.why,
+        "fallback_reason": rollout.fallback_reason,
         "robot": described_robot(plant),
         "unknown": _unkept(plant),
         "outline": None if plant is None else _outlined(PlantOutline.of(plant, q)),
@@ -76,7 +76,7 @@ def restored_run(described: Mapping[str, Any], beside: Array) -> dict[str, Any]:
     outline = None if described["outline"] is None else _outline(described["outline"])
     signals = _split(beside, described["signals"])
     robot = _restored_robot(described["robot"])
-    made = {name: described.get(name, "") for name in ("engine", "why")}
+    made = {name: described.get(name, "") for name in ("engine", "fallback_reason")}
     return {"plant": outline if robot is None else robot, "signals": signals, **made}
 
 

@@ -230,7 +230,7 @@ class _Trace:
         raise NotTraceable(
             "the law computes something else when it is asked again, as one does that counts, draws or "
             "remembers outside its state",
-            "keep memory in state, and take noise from context.normal(name, n)",
+            "keep memory in state, and take noise from context.noise(name, n)",
             told.tape.places[min(differ, len(told.tape.places) - 1)],
         )
 
@@ -487,7 +487,7 @@ def _wider(owner: str, path: str, old: tuple[int, ...], new: tuple[int, ...]) ->
         raise NotTraceable(
             f"{path} of the {owner} has shape {old} and a sample later {new}",
             "let initial_state return arrays of the shapes that they keep, and take delays from "
-            "context.line(samples)",
+            "context.delay(samples)",
         ) from None
 
 

@@ -61,7 +61,7 @@ _SINCE = f"from the scenario's `after` on, {_UNTIL}"
 _EACH, _EACH_COORDINATE, _EACH_INPUT = ("robot",), ("robot", "coordinate"), ("robot", "input")
 _EACH_MEASURE = ("robot", "measure")
 PER_ROBOT = (
-    *("max_error", "rms_error", "max_force", "max_distance", "diverged_at"),
+    *("max_error", "rms_error", "max_input", "max_distance", "diverged_at"),
     *("worst_measure", "rms_measure"),
 )
 """Names of the arrays with one entry per robot, beside what was drawn."""
@@ -80,7 +80,7 @@ def per_robot(scenario: Scenario | Outline) -> dict[str, Variable]:
     found = {
         "max_error": Variable(_EACH_COORDINATE, errors, f"largest |error|, {_SINCE}"),
         "rms_error": Variable(_EACH_COORDINATE, errors, f"root of the mean squared error, {_SINCE}"),
-        "max_force": Variable(_EACH_INPUT, sizes, f"largest |input|, {_UNTIL}"),
+        "max_input": Variable(_EACH_INPUT, sizes, f"largest |input|, {_UNTIL}"),
         "max_distance": Variable(_EACH, "m", f"largest distance from the desired position, {_SINCE}"),
         "diverged_at": Variable(_EACH, "s", "when the loop diverged; NaN where it did not"),
     }
@@ -267,7 +267,7 @@ def write_ensemble(file: IO[bytes], ensemble: Any) -> None:
     described = {
         "scenario": outline.description(),
         "engine": ensemble.engine,
-        "why": ensemble.why,
+        "fallback_reason": ensemble.fallback_reason,
         "variables": {name: one._asdict() for name, one in variables.items()},
         "traces": [
             {"index": i, "samples": len(one), "plant": described_run(one)} for i, one in traces.items()
@@ -309,7 +309,7 @@ def read_ensemble(path: Path) -> dict[str, Any]:
     return {
         "scenario": outline,
         "engine": described["engine"],
-        "why": described["why"],
+        "fallback_reason": described["fallback_reason"],
         "draws": dict(zip(outline.parameters, named["draws"], strict=True)),
         "traces": _traces(named, described["traces"]),
         **{name: named[name] for name in (*PER_ROBOT, "counts")},

@@ -204,18 +204,19 @@ def public() -> dict[str, Any]:
             for name, one in vars(package).items()
             if name[:1] != "_" and getattr(one, "__module__", "") == package.__name__
         ]
-        found |= {name: getattr(package, name) for name in names}
+        found |= {name: one for name in names if _is_usable(one := getattr(package, name))}
     return found
+
+
+def _is_usable(one: object) -> bool:
+    """Return whether a file may name an object: a class of parts, a part or a function."""
+    return is_part_class(one) or is_part(one) or isinstance(one, FunctionType)
 
 
 @cache
 def names_of(kind: Any) -> tuple[str, ...]:
     """Return the public names of the parts of a kind."""
-    return tuple(
-        name
-        for name, one in public().items()
-        if (is_part_class(one) or is_part(one) or isinstance(one, FunctionType)) and fits(kind, one)
-    )
+    return tuple(name for name, one in public().items() if _is_usable(one) and fits(kind, one))
 
 
 def fits(kind: Any, one: Any) -> bool:

@@ -143,10 +143,10 @@ def _drawn(ensemble: Ensemble, levels: Array, names: Sequence[str]) -> Bands:
     """Return the quantiles that are drawn, none above what its share of the robots stays within.
 
     That holds from `Scenario.after` on. The counts know an error to the width of a bin alone,
-    `Ensemble.within` exactly. What they cannot tell from zero is zero.
+    `Ensemble.error_quantile` exactly. What they cannot tell from zero is zero.
     """
     found = ensemble.bands(levels)
-    most = [ensemble.within(level) for level in levels]
+    most = [ensemble.error_quantile(level) for level in levels]
     begun = found.t >= ensemble.scenario.t[ensemble.scenario.begin]
     drawn = {}
     for name in names:
@@ -209,7 +209,7 @@ def _bounds(
     sheet: Sheet, column: NDArray[Any], rows: Sequence[Measure], one: Ensemble, level: float
 ) -> float:
     """Write above each of a column's axes what a share stays within; return how high the first is [pt]."""
-    after, within = one.scenario.after, one.within(level)
+    after, within = one.scenario.after, one.error_quantile(level)
     when = f"from {after:g} s on" if after else "throughout"
     for axes, channel in zip(column, rows, strict=True):
         size = within[channel.name]

@@ -492,8 +492,8 @@ class EndEffectorTracking:
         if count != body.nv:
             raise InvalidArgument(
                 f"reference has {count} coordinates, expected the {body.nv} of base and arms, such "
-                "as a trajectory by solve_inverse_kinematics(robot, target) or WholeBody(robot, base, *joints) "
-                "gives"
+                "as a trajectory by solve_inverse_kinematics(robot, target) or WholeBody(robot, "
+                "base, *joints)"
             )
         own_q, own_v = q[: body.nq], v[: body.nv]
         target = self.target(t)

@@ -99,7 +99,7 @@ class Sweep:
         laws = [name for name in named if name.split(".")[-1] == "controller"]
         return [*named, *laws][-1] if named else None
 
-    def within(self, share: float = 0.99, by: str = "distance") -> Any:
+    def error_quantile(self, share: float = 0.99, by: str = "distance") -> Any:
         """Return the error that a share of the robots does not exceed from `Scenario.after` on, exactly.
 
         Parameters
@@ -164,7 +164,7 @@ class Sweep:
         InvalidArgument
             If `share` is not between 0 and 1, or a file of the store cannot be read.
         """
-        within, diverged, limit = self.within(share).values, self.diverged, whole("most", most)
+        within, diverged, limit = self.error_quantile(share).values, self.diverged, whole("most", most)
         heads = [f"{x} [{axis.unit}]" if axis.unit else x for x, axis in self.axes.items()]
         rows = [[*heads, f"{share * 100:g} % within", "diverged"]]
         for index in list(np.ndindex(within.shape))[:limit]:
@@ -191,7 +191,7 @@ class Sweep:
         data = self._read(self.dataset[["max_distance", "diverged_at"]])
         done = float((data.max_distance.notnull() | data.diverged_at.notnull()).mean())
         begun = f"{done * 100:.3g} % of the robots are done" if done < 1 else ""
-        within, diverged, n = self.within(share).values, self.diverged, self.dataset.sizes["robot"]
+        within, diverged, n = self.error_quantile(share).values, self.diverged, self.dataset.sizes["robot"]
         if np.isnan(within).all():
             return f"{begun}, and all robots of no scenario"
         beside = self.rivals

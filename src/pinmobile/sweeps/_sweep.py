@@ -141,8 +141,8 @@ def _warn_if_slower(points: Points, jobs: Sequence[Job]) -> None:
     reasons: dict[str, list[int]] = {}
     for k in sorted({job.scenario for job in jobs}):
         way = way_of(points.scenarios[k])
-        if way.why:
-            reasons.setdefault(f"by {way.engine!r}, {way.engine.value}; {way.why}", []).append(k)
+        if way.fallback_reason:
+            reasons.setdefault(f"by {way.engine!r}, {way.engine.value}; {way.fallback_reason}", []).append(k)
     told = []
     for reason, places in reasons.items():
         more = f" and {len(places) - 1} more" if len(places) > 1 else ""

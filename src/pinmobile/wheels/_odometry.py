@@ -77,7 +77,7 @@ class OdometryFeedback:
             own, plants = ", ".join(self.table.names), ", ".join(names)
             raise InvalidArgument(f"table has the wheels {own}, expected those of the plant: {plants}")
         joints = np.zeros(len(self.table.axes) + len(self.table))
-        noise = context.normal(f"odometry {self.seed}", len(self.table))
+        noise = context.noise(f"odometry {self.seed}", len(self.table))
         inner = self.controller.initial_state(context)
         return inner, noise, float(context.dt), (np.zeros(3), joints, 0.0)
 
