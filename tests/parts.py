@@ -171,7 +171,7 @@ class Cart:
         *(Coordinate("left", "rad"), Coordinate("right", "rad")),
     )
     inputs = (Input("left_torque", "N m", -5.0, 5.0), Input("right_torque", "N m", -5.0, 5.0))
-    leading: ClassVar[dict[int, int]] = {3: 3, 5: 5}
+    reference_sizes: ClassVar[dict[int, int]] = {3: 3, 5: 5}
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         c, s, r, b = np.cos(q[..., 2]), np.sin(q[..., 2]), self.radius, self.track
@@ -204,10 +204,10 @@ class Cart:
     def pose(self, q: Any) -> Any:
         return q[..., :3]
 
-    def rate(self, q: Any, v: Any) -> Any:
+    def pose_rate(self, q: Any, v: Any) -> Any:
         return v[..., :3]
 
-    def effort(self, q: Any, wrench: Any) -> Any:
+    def generalized_force(self, q: Any, wrench: Any) -> Any:
         return np.concatenate([wrench, 0.0 * wrench[..., :2]], axis=-1)
 
 

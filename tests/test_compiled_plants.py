@@ -59,10 +59,10 @@ class Turning:
     def pose(self, q: Any) -> Any:
         return np.array([q[0], q[1], np.arctan2(q[3], q[2])])
 
-    def rate(self, q: Any, v: Any) -> Any:
+    def pose_rate(self, q: Any, v: Any) -> Any:
         return v
 
-    def effort(self, q: Any, wrench: Any) -> Any:
+    def generalized_force(self, q: Any, wrench: Any) -> Any:
         return wrench
 
 
@@ -130,7 +130,7 @@ def test_a_plant_that_is_not_numpy_says_what_it_is_in_numpy() -> None:
 
 def test_forces_on_a_body_that_cannot_be_pushed_are_refused() -> None:
     class Fixed(Body):
-        def effort(self, q: Any, wrench: Any) -> None:
+        def generalized_force(self, q: Any, wrench: Any) -> None:
             return None
 
     loop = Loop(Fixed(), PD(1.0, 1.0), None, (ConstantForce((1, 1, 1)),), constant_acceleration)

@@ -588,7 +588,9 @@ def test_a_share_of_whole_robots_is_that_many(n: int) -> None:
     run = run_scenario(made(n=n, spread={"mass": Uniform(20, 40)}))
     distance, heading = np.sort(run.max_distance), np.sort(run.max_error[:, 2])
     for k in range(1, n + 1):
-        assert run.error_quantile(k / n) == ErrorQuantile({"distance": distance[k - 1], "heading": heading[k - 1]})
+        assert run.error_quantile(k / n) == ErrorQuantile(
+            {"distance": distance[k - 1], "heading": heading[k - 1]}
+        )
     assert run.error_quantile(0) == ErrorQuantile({"distance": distance[0], "heading": heading[0]})
     # In bins too: seven apart from the rest.
     apart = np.concatenate([np.full(7, 0.001), np.full(93, 1.0)])

@@ -60,10 +60,10 @@ class OtherPlant:
     def pose(self, q: Array) -> Array:
         return q[:3]
 
-    def rate(self, q: Array, v: Array) -> Array:
+    def pose_rate(self, q: Array, v: Array) -> Array:
         return v[:3]
 
-    def effort(self, q: Array, wrench: Array) -> Array:
+    def generalized_force(self, q: Array, wrench: Array) -> Array:
         return np.append(wrench, np.zeros(self.nv - 3))
 
 
@@ -242,7 +242,7 @@ class Rubber:
 class Rail(OtherPlant):
     """A plant whose body cannot be pushed."""
 
-    effort = None  # type: ignore[assignment]
+    generalized_force = None  # type: ignore[assignment]
 
 
 class Deaf(OtherPlant):

@@ -62,7 +62,7 @@ def test_it_is_two_runs_that_are_joined_when_it_comes(integrator: Any, engine: A
 
 def carrying(robot: Any, q: Any, v: Any, u: Any) -> Any:
     """Return the acceleration of a robot that carries the payload."""
-    f = robot.effort(q, CARRIED(2.0, robot.pose(q), robot.rate(q, v)))
+    f = robot.generalized_force(q, CARRIED(2.0, robot.pose(q), robot.pose_rate(q, v)))
     f = f + reaction(robot, [CARRIED], 2.0, q, lambda more: robot.forward_dynamics(q, v, u, f + more))
     return robot.forward_dynamics(q, v, u, f)
 

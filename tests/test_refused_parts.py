@@ -82,10 +82,10 @@ class Posed(Plain):
     def pose(self, q: Any) -> Any:
         return q
 
-    def rate(self, q: Any, v: Any) -> Any:
+    def pose_rate(self, q: Any, v: Any) -> Any:
         return v
 
-    def effort(self, q: Any, wrench: Any) -> Any:
+    def generalized_force(self, q: Any, wrench: Any) -> Any:
         return wrench
 
 

@@ -121,7 +121,7 @@ def test_a_robot_of_numbers_that_a_law_closes_over_takes_symbols(name: str) -> N
     q, v = traced.state(given["q"], given["v"])
 
     def law(q: Any, v: Any) -> Any:
-        return robot.nonlinear_effects(q, v=v) + robot.mass_matrix(q) @ v + robot.effort(q, v[:3])
+        return robot.nonlinear_effects(q, v=v) + robot.mass_matrix(q) @ v + robot.generalized_force(q, v[:3])
 
     whole = np.zeros(robot.nv)
     whole[:3] = given["v"][:3]

@@ -91,7 +91,7 @@ def test_a_run_on_wheels_comes_back_with_its_signals_and_the_names_of_its_wheels
     for name, kept in run.signals.items():
         assert loaded.signals[name].unit == kept.unit
         assert np.array_equal(loaded.signals[name].values, kept.values)
-    for name in ("coordinates", "inputs", "leading", "nq", "nv", "nu", "size"):
+    for name in ("coordinates", "inputs", "reference_sizes", "nq", "nv", "nu", "size"):
         assert getattr(loaded.plant, name) == getattr(plant, name)
     loaded.save(tmp_path / "again.npz")
     assert Rollout.load(tmp_path / "again.npz").plant == loaded.plant

@@ -134,7 +134,7 @@ def test_structure_follows_the_numbers_of_a_robot_on_symbols() -> None:
     robot, tape = ROBOTS["car"], Tape()
     given = {path: symbols([tape.input("row", 0)], ()) for path in of_wheels(robot)}
     symbolic = parts.replace(robot, given, nominal=True)
-    for name in ("nq", "nv", "nu", "coordinates", "inputs", "mobility", "footprint", "leading"):
+    for name in ("nq", "nv", "nu", "coordinates", "inputs", "mobility", "footprint", "reference_sizes"):
         assert getattr(symbolic, name) is getattr(robot, name)
     assert symbolic.law is symbolic.array_dynamics
     assert robot.law is robot

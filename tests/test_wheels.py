@@ -583,7 +583,7 @@ def test_a_run_is_that_of_the_dynamics_derived_by_hand(kind: str) -> None:
         gammas = [wheel.roller or 0.0 for wheel in wheeled.table.wheels]
         radii = [wheel.radius for wheel in wheeled.table.wheels]
         expected = (u - inertia * spins) / (radii * np.cos(gammas))
-        f = wheeled.effort(q, push(t, q[:3], v[:3]))
+        f = wheeled.generalized_force(q, push(t, q[:3], v[:3]))
         forces = wheeled.constraint_forces(q, v, u, f)
         named = dict(zip(forces.names, forces.values, strict=True))
         along = [x for name, x in named.items() if not name.endswith("lateral")]

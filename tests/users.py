@@ -43,7 +43,7 @@ class TwoWheels:
         Coordinate("right wheel", "rad"),
     )
     inputs = (Input("left torque", "N m", -2.0, 2.0), Input("right torque", "N m", -2.0, 2.0))
-    leading: ClassVar[Mapping[int, int]] = {3: 3, 5: 5}
+    reference_sizes: ClassVar[Mapping[int, int]] = {3: 3, 5: 5}
     mass, yaw_inertia, spin, radius, track = 20.0, 0.9, 0.02, 0.1, 0.5
 
     def rolling(self, psi: Any, speed: Any, turn: Any) -> Array:
@@ -75,10 +75,10 @@ class TwoWheels:
     def pose(self, q: Array) -> Array:
         return q[:3]
 
-    def rate(self, q: Array, v: Array) -> Array:
+    def pose_rate(self, q: Array, v: Array) -> Array:
         return v[:3]
 
-    def effort(self, q: Array, wrench: Array) -> Array:
+    def generalized_force(self, q: Array, wrench: Array) -> Array:
         return np.append(wrench, [0.0, 0.0])
 
     def start(self, reference: Any) -> tuple[Array, Array]:

@@ -19,6 +19,13 @@ if not any(list(pathlib.Path(folder).glob("*pywrap*")) for folder in _folders):
     )
 
 if TYPE_CHECKING:
+    from pinmobile import (
+        accuracy as accuracy,
+        balance as balance,
+        dh as dh,
+        plant as plant,
+        urdf as urdf,
+    )
     from pinmobile.compiled import *
     from pinmobile.controllers import *
     from pinmobile.errors import *

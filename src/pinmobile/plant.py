@@ -85,7 +85,7 @@ class Plant(Protocol):
     ``coordinates``, ``configuration_names``, ``inputs``
         Tuples of nv `Coordinate` (x, y, psi first), nq names, and nu `Input`, whose limits the loop applies.
         A plant without them has numbers for names.
-    ``leading``
+    ``reference_sizes``
         Number of entries of q for each number of coordinates that a reference may have; default: {nv: nq}.
     ``compiles``
         True if `simulate` compiles the loop by default.
@@ -335,7 +335,7 @@ class Context:
         Coordinates of the plant, in the order of v.
     inputs : tuple of Input
         Inputs of the plant, in the order of u.
-    leading : mapping of int to int
+    reference_sizes : mapping of int to int
         Number of entries of q for each number of coordinates that a reference may have.
     reference : Reference or None
         The reference at all samples, q, v and a of shape (N + 1, ...); None in calls by hand.
@@ -344,8 +344,8 @@ class Context:
     nv : int
         Size of v of the plant.
     seed, member : int
-        Seed of the ensemble and number of the robot in it: `normal` derives its noise from them.
-    delay : int
+        Seed of the ensemble and number of the robot in it: `noise` derives its noise from them.
+    measurement_delay : int
         Samples by which the measured state is late, see `MeasurementDelay`.
     """
 
@@ -355,13 +355,13 @@ class Context:
     integrate: Callable[[Array, Array], Array]
     coordinates: tuple[Coordinate, ...] = ()
     inputs: tuple[Input, ...] = ()
-    leading: Mapping[int, int] = field(default_factory=dict)
+    reference_sizes: Mapping[int, int] = field(default_factory=dict)
     reference: Any = None
     trajectory: Any = None
     nv: int = 0
     seed: int = 0
     member: int = 0
-    delay: int = 0
+    measurement_delay: int = 0
 
     @property
     def size(self) -> int:
@@ -439,7 +439,7 @@ class Context:
             raise InvalidArgument(f"plant is {shown(plant)}{what}, expected a MobileRobot or other plant")
         check_difference(plant.difference)
         times = shaped("t", finite("t", np.zeros(1) if t is None else t), ("n",))
-        named = coordinates_of(plant), inputs_of(plant), leading_of(plant)
+        named = coordinates_of(plant), inputs_of(plant), reference_sizes_of(plant)
         return cls(
             positive("dt", dt, "s"),
             frozen(times),
@@ -474,9 +474,9 @@ def configuration_names_of(plant: object) -> tuple[str, ...]:
     return tuple(one.name for one in named) if len(named) == count else tuple(f"[{k}]" for k in range(count))
 
 
-def leading_of(plant: object) -> Mapping[int, int]:
+def reference_sizes_of(plant: object) -> Mapping[int, int]:
     """Return the number of entries of q for each number of coordinates that a reference may have."""
-    found: Mapping[int, int] = getattr(plant, "leading", None) or {
+    found: Mapping[int, int] = getattr(plant, "reference_sizes", None) or {
         getattr(plant, "nv", 0): getattr(plant, "nq", 0)
     }
     return found
@@ -591,7 +591,7 @@ class PlantOutline:
         Coordinates and inputs of the plant.
     configuration_names : tuple of str
         Names of the nq entries of q.
-    leading : mapping of int to int
+    reference_sizes : mapping of int to int
         Lengths of references, see `Plant`.
     posed : tuple of 3 int, or None
         Entries of q that are x, y and psi of the body; None if unknown.
@@ -603,7 +603,7 @@ class PlantOutline:
     coordinates: tuple[Coordinate, ...]
     configuration_names: tuple[str, ...]
     inputs: tuple[Input, ...]
-    leading: Mapping[int, int]
+    reference_sizes: Mapping[int, int]
     posed: tuple[int, ...] | None = None
     size: tuple[float, ...] | None = None
 
@@ -618,7 +618,7 @@ class PlantOutline:
             coordinates=tuple(Coordinate(*one) for one in coordinates_of(plant)),
             configuration_names=configuration_names_of(plant),
             inputs=tuple(Input(*one) for one in inputs_of(plant)),
-            leading=dict(leading_of(plant)),
+            reference_sizes=dict(reference_sizes_of(plant)),
             posed=_posed(plant, q),
             size=None if size is None or np.shape(size) != (3,) else tuple(float(x) for x in size),
         )

@@ -95,7 +95,7 @@ class Backstepping:
     @structure
     def _n(self) -> int:
         """Coordinates that a reference has: x, y, psi and those of arms."""
-        return int(max(self.robot.leading))
+        return int(max(self.robot.reference_sizes))
 
     @structure
     def _steers(self) -> tuple[float, Array] | None:
@@ -246,7 +246,7 @@ class SwerveTracking:
         if not isinstance(robot.nv, int):
             raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
         kind = robot.mobility.mobility, robot.mobility.steerability
-        if kind != (1, 2) or max(robot.leading) > _BASE or len(robot.inputs) != 4:
+        if kind != (1, 2) or max(robot.reference_sizes) > _BASE or len(robot.inputs) != 4:
             raise InvalidArgument(
                 f"robot is {robot.mobility.kind} with {len(robot.inputs)} inputs, expected two modules "
                 "that steer and drive, without arms"

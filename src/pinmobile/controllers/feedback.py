@@ -11,7 +11,7 @@ from pinmobile.controllers.controller import State
 from pinmobile.controllers.lqr import check_held, double_integrators
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Comparing, Gravitating, Inverted, Invertible, able, child, gain, option, part
-from pinmobile.plant import Context, Difference, check_difference, leading_of
+from pinmobile.plant import Context, Difference, check_difference, reference_sizes_of
 
 SLOPE = "rate at which errors vanish where s does"
 """What a slope is."""
@@ -31,7 +31,7 @@ def coordinates_of(controller: Any) -> int:
 def tracked_coordinates_of(controller: Any) -> int:
     """Return how many coordinates the model of a controller tracks: all, or all but those of wheels."""
     coordinates_of(controller)
-    return max(leading_of(controller.robot))
+    return max(reference_sizes_of(controller.robot))
 
 
 def comparison() -> Any:
@@ -76,7 +76,7 @@ def check_wheelless(robot: Any, wanted: str = "") -> None:
     InvalidArgument
         If it is such.
     """
-    if max(leading_of(robot)) < robot.nv:
+    if max(reference_sizes_of(robot)) < robot.nv:
         wanted = (
             wanted or "the body on them, robot.robot, and the controller in ControlAllocation(..., robot)"
         )
@@ -162,7 +162,8 @@ def feedback(controller: Any, difference: Difference, q: Array, v: Array, refere
     robot, wanted = getattr(controller, "robot", None), reference.q
     n = reference.v.shape[-1]
     if q.shape != wanted.shape or v.shape != reference.v.shape or (robot is not None and robot.nv != n):
-        if robot is not None and n == max(leading_of(robot)) < v.shape[-1]:  # wheels have no reference
+        # Wheels have no reference.
+        if robot is not None and n == max(reference_sizes_of(robot)) < v.shape[-1]:
             lead, length = q.shape[:-1], wanted.shape[-1]
             wanted = np.concatenate([np.broadcast_to(wanted, (*lead, length)), q[..., length:]], axis=-1)
         else:

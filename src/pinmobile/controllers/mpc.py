@@ -331,10 +331,11 @@ class MPC(Weighted):
         stride = round(self.step / dt)
         if stride < 1 or abs(stride * dt - self.step) > _WHOLE * self.step:
             raise InvalidArgument(f"step is {self.step:g} s, expected a whole number of time steps, {dt:g} s")
-        if self.horizon * stride <= context.delay:
+        if self.horizon * stride <= context.measurement_delay:
             raise InvalidArgument(
                 f"horizon is {self.horizon * self.step:g} s, no longer than the delay of what it is told, "
-                f"{context.delay * dt:g} s, expected more than {context.delay / stride:.3g} steps"
+                f"{context.measurement_delay * dt:g} s, expected more than "
+                f"{context.measurement_delay / stride:.3g} steps"
             )
         check_held(lambda: {"observer": self.observer}, lambda dt: np.array([[1.0 - dt * self.observer]]), dt)
         Q, R = self.Q, self.input_weight * self.R

@@ -19,7 +19,7 @@ from pinmobile.controllers.feedback import check_wheelless, coordinates_of
 from pinmobile.controllers.lqr import check_held
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Allocating, Integrating, Observable, child, each, integer, option, part, structure
-from pinmobile.plant import Context, inputs_of, leading_of
+from pinmobile.plant import Context, inputs_of, reference_sizes_of
 
 
 @final
@@ -297,7 +297,7 @@ class MeasurementDelay(Wrapper):
 
     def initial_state(self, context: Context) -> tuple[Any, Any]:
         """Return the state that the wrapped controller starts with, and a line without measurements."""
-        late: Any = Seen(context, delay=context.delay + self.samples)
+        late: Any = Seen(context, measurement_delay=context.measurement_delay + self.samples)
         return self.controller.initial_state(late), context.delay(self.samples)
 
     def __call__(
@@ -430,7 +430,7 @@ class ControlAllocation(Wrapper):
             difference=body.difference,
             integrate=body.integrate,
             nv=body.nv,
-            leading=leading_of(body),
+            reference_sizes=reference_sizes_of(body),
             coordinates=context.coordinates[: body.nv],
             inputs=inputs_of(body),
         )

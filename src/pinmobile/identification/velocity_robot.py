@@ -202,7 +202,7 @@ class VelocityRobot:
         Coordinate("y", "m", rate="vy"),
         Coordinate("psi", "rad", rate="yaw_rate"),
     )
-    leading: ClassVar[Mapping[int, int]] = MappingProxyType({3: 3})
+    reference_sizes: ClassVar[Mapping[int, int]] = MappingProxyType({3: 3})
     mobility: ClassVar[Mobile] = Mobile()
     rest: ClassVar[Array] = frozen(np.zeros(3))
 
@@ -342,7 +342,7 @@ class VelocityRobot:
         return q
 
     @_arrays(q=3, v=3)
-    def rate(self, q: Any, v: Any) -> Any:
+    def pose_rate(self, q: Any, v: Any) -> Any:
         """Return the rates of x, y, psi, shape (..., 3) [m/s, m/s, rad/s]."""
         return v
 

@@ -30,7 +30,7 @@ from pinmobile.integrators import Integrator, check_integrator, constant_acceler
 from pinmobile.loop._engines import error_of_sizes
 from pinmobile.loop._loop import displaced, named_forces
 from pinmobile.parts import Carried, Following, OnCoordinates, Pushable, Stepping, able, required
-from pinmobile.plant import Context, Plant, check_plant, coordinates_of, leading_of, refuse_path
+from pinmobile.plant import Context, Plant, check_plant, coordinates_of, reference_sizes_of, refuse_path
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 _Forces: TypeAlias = Sequence[Force | OnCoordinates]
@@ -172,14 +172,14 @@ def sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
         raise InvalidArgument(
             f"trajectory cannot be asked for an array of {len(t)} times: {error}"
         ) from error
-    leading = leading_of(plant)
+    reference_sizes = reference_sizes_of(plant)
     count = np.asarray(getattr(reference, "v", None)).shape[-1:]
-    n = count[0] if count and count[0] in leading else max(leading)
-    sizes = {"q": leading[n], "v": n, "a": n}
+    n = count[0] if count and count[0] in reference_sizes else max(reference_sizes)
+    sizes = {"q": reference_sizes[n], "v": n, "a": n}
     for name, size in sizes.items():
         value = np.asarray(getattr(reference, name, None))
         if value.shape != (len(t), size):
-            shorter = [k for k in leading if k != n]
+            shorter = [k for k in reference_sizes if k != n]
             how = f", or the first of its coordinates: {', '.join(map(str, shorter))}" if shorter else ""
             raise InvalidArgument(
                 f"trajectory gives {name} of shape {value.shape} for {len(t)} times, "
@@ -292,7 +292,7 @@ def check_answers(
     with np.errstate(all="ignore"):
         _check_sizes(plant, q, v)
         states = [(x.copy(), w.copy()) for x, w in ((q, v), (plant.integrate(q, 0.01 + 0 * v), v + 0.01))]
-        pose, rate = getattr(plant, "pose", None), getattr(plant, "rate", None)
+        pose, rate = getattr(plant, "pose", None), getattr(plant, "pose_rate", None)
         for name, force in named_forces(forces).items():
             ask: _Ask
             if able(force, OnCoordinates):
@@ -356,8 +356,8 @@ def _check_sizes(plant: Plant, q: Array, v: Array) -> None:
         "difference": ("q0, q1", nv, (q, q)),
         "project": ("q, v", nv, (q, v)),
         "pose": ("q", 3, (q,)),
-        "rate": ("q, v", 3, (q, v)),
-        "effort": ("q, wrench", nv, (q, wrench)),
+        "pose_rate": ("q, v", 3, (q, v)),
+        "generalized_force": ("q, wrench", nv, (q, wrench)),
     }
     if not able(plant, Stepping):
         asked["forward_dynamics"] = ("q, v, u", nv, (q, v, u))

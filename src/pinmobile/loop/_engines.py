@@ -52,7 +52,7 @@ def error_of_sizes(context: Context, error: InvalidArgument) -> InvalidArgument:
     n, count = context.reference.v.shape[1], len(context.coordinates)
     if n == count or " has shape " not in str(error):
         return error
-    if n == max(context.leading, default=count):  # wheels have no reference
+    if n == max(context.reference_sizes, default=count):  # wheels have no reference
         return InvalidArgument(
             f"{error}; expected a controller of wheels' torques, such as "
             f"ControlAllocation(controller, robot) makes "
@@ -82,7 +82,7 @@ class PythonRun:
     def __init__(self, loop: Loop, context: Context, q0: Array, v0: Array) -> None:
         plant, t, reference = loop.plant, context.t, context.reference
         loop = evolved(loop, {"recorder": _Signals()})
-        self._adds = getattr(plant, "adds", False) and reference.v.shape[1] == plant.nv
+        self._adds = getattr(plant, "is_vector_space", False) and reference.v.shape[1] == plant.nv
         self._desired = np.hstack([reference.q, reference.v])
         sizes = plant.nq, plant.nv, plant.nv, plant.nu
         self._rows = tuple(np.full((len(t), size), np.nan) for size in sizes)
@@ -133,7 +133,7 @@ class CompiledRun(PythonRun):
         plant, reference = loop.plant, Reference(*context.reference)
         loop = evolved(loop, {"recorder": Samples()})
         whole = reference.q.shape[1] == plant.nq and reference.v.shape[1] == plant.nv
-        self._adds = whole and getattr(plant, "adds", False)
+        self._adds = whole and getattr(plant, "is_vector_space", False)
         self._desired, self.stopped = np.hstack([reference.q, reference.v]), None
         first = Reference(*(part[0] for part in reference))
         compiled = Compiled(loop, context, (q0, v0), first, single=True)

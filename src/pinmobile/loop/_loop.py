@@ -326,7 +326,7 @@ def collected_signals(
         if able(force, OnCoordinates):
             yield name, signals_of(force, t, q.copy(), v.copy())
         elif able(force, Signalling):
-            yield name, force.signals(t, plant.pose(q), plant.rate(q, v))
+            yield name, force.signals(t, plant.pose(q), plant.pose_rate(q, v))
 
 
 def _signal(name: str, value: Any) -> Any:
@@ -347,13 +347,13 @@ def _pushed(loop: Loop, t: Any, q: Any, v: Any) -> Any:
     """Return the external forces on the coordinates, shape (nv,), or 0."""
     plant, total = loop.law, 0.0
     if loop.wrenches:
-        pose, rate = plant.pose(q), plant.rate(q, v)
+        pose, rate = plant.pose(q), plant.pose_rate(q, v)
         wrench: Any = 0.0
         for name, force in loop.wrenches:
             wrench = wrench + _numbers(name, force(t, pose.copy(), rate.copy()), t, np.shape(pose))
         if type(wrench) is np.ndarray and not isfinite(wrench.sum()):
             return np.full(plant.nv, np.nan)  # the run reports it, with all samples before
-        total = plant.effort(q, wrench)
+        total = plant.generalized_force(q, wrench)
         if total is None:
             raise InvalidArgument(
                 f"plant is a {type(loop.plant).__name__}, whose body cannot be pushed, and forces push it"
@@ -401,7 +401,7 @@ def reaction(plant: Any, forces: Iterable[Any], t: Any, q: Any, accelerate: Call
     if not carried:
         return 0.0
     M = sum(force.inertia(t, plant.pose(q)) for force in carried)
-    axes = [plant.effort(q, axis + 0.0 * q[..., :3]) for axis in np.eye(3)]
+    axes = [plant.generalized_force(q, axis + 0.0 * q[..., :3]) for axis in np.eye(3)]
     free = accelerate(0.0)[..., :3]
     W = np.stack([accelerate(axis)[..., :3] - free for axis in axes], axis=-1)
     w = -np.linalg.solve(np.eye(3) + M @ W, M @ free[..., None])[..., 0]

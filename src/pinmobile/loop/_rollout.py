@@ -24,8 +24,8 @@ from pinmobile.plant import (
     configuration_names_of,
     coordinates_of,
     inputs_of,
-    leading_of,
     limits_exceeded,
+    reference_sizes_of,
     whole_configurations,
 )
 from pinmobile.signals import Signal
@@ -124,7 +124,14 @@ class Rollout:
 
     def __reduce__(self) -> tuple[Any, ...]:
         arrays = (getattr(self, name) for name in _RECORDED)
-        return Rollout, (self.plant, *arrays, self.reference, dict(self.signals), self.engine, self.fallback_reason)
+        return Rollout, (
+            self.plant,
+            *arrays,
+            self.reference,
+            dict(self.signals),
+            self.engine,
+            self.fallback_reason,
+        )
 
     def __repr__(self) -> str:
         errors = self._errors("largest", self.max_error())
@@ -236,7 +243,7 @@ class Rollout:
     @property
     def _led(self) -> int:
         """How many coordinates stand in one line of text: the fewest that a reference may have."""
-        return min(*leading_of(self.plant), self.error.shape[1]) if self.plant is not None else _POSE
+        return min(*reference_sizes_of(self.plant), self.error.shape[1]) if self.plant is not None else _POSE
 
     @property
     def _by_coordinate(self) -> bool:

@@ -354,10 +354,14 @@ def run_scenario(
     way = way_of(scenario, engine)
     if way.fallback_reason and engine is None:
         warn(
-            f"this ensemble runs by {way.engine!r}, {way.engine.value}; {way.fallback_reason}", SlowerEngine, stacklevel=3
+            f"this ensemble runs by {way.engine!r}, {way.engine.value}; {way.fallback_reason}",
+            SlowerEngine,
+            stacklevel=3,
         )
     part = _run(way, draws, 0, scenario.n, workers, progress)
-    found = Ensemble.of(scenario, draws, part, followed, engine=repr(way.engine), fallback_reason=way.fallback_reason)
+    found = Ensemble.of(
+        scenario, draws, part, followed, engine=repr(way.engine), fallback_reason=way.fallback_reason
+    )
     if found.events:
         warn("; ".join(found.events), LimitWarning, stacklevel=3)
     return found

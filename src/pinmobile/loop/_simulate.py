@@ -101,7 +101,7 @@ def simulate(
         See `pinmobile.controllers`; `law(f)` makes one of a plain function.
     trajectory : trajectory
         Gives the reference: ``trajectory(t)`` with `t` of shape (N + 1,), and a ``duration`` [s]. It has as
-        many of the plant's first coordinates as its ``leading`` allows.
+        many of the plant's first coordinates as its ``reference_sizes`` allows.
     dt : float
         Sampling time of the controller [s].
     duration : float, optional
@@ -310,7 +310,7 @@ def _too_stiff(plant: Any, forces: Any, q: Array, h: float) -> str:
         psi = plant.pose(q)[2]
         cos, sin = np.cos(psi), np.sin(psi)
         axes = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])  # of the body
-        J = np.stack([plant.effort(q, axis) for axis in axes])
+        J = np.stack([plant.generalized_force(q, axis) for axis in axes])
         C += J.T @ np.diag(force.damping) @ J
     if not C.any():
         return ""

@@ -132,7 +132,7 @@ def _outlined(outline: PlantOutline) -> dict[str, Any]:
             {key: None if value in (np.inf, -np.inf) else value for key, value in one._asdict().items()}
             for one in getattr(outline, name)
         ]
-    return found | {"leading": list(outline.leading.items())}
+    return found | {"reference_sizes": list(outline.reference_sizes.items())}
 
 
 def _outline(described: Mapping[str, Any]) -> PlantOutline:
@@ -143,7 +143,7 @@ def _outline(described: Mapping[str, Any]) -> PlantOutline:
         coordinates=tuple(Coordinate(**_limited(one)) for one in described["coordinates"]),
         configuration_names=tuple(described["configuration_names"]),
         inputs=tuple(Input(**_limited(one)) for one in described["inputs"]),
-        leading=dict(described["leading"]),
+        reference_sizes=dict(described["reference_sizes"]),
         posed=None if posed is None else tuple(posed),
         size=None if size is None else tuple(size),
     )

@@ -52,17 +52,17 @@ class Pushable(Protocol):
     def pose(self, q: Any, /) -> Any:
         """Return x, y, psi of the body, shape (3,) [m, m, rad]."""
 
-    def rate(self, q: Any, v: Any, /) -> Any:
+    def pose_rate(self, q: Any, v: Any, /) -> Any:
         """Return their rates, shape (3,)."""
 
-    def effort(self, q: Any, wrench: Any, /) -> Any:
+    def generalized_force(self, q: Any, wrench: Any, /) -> Any:
         """Return the generalized force of a wrench (Fx, Fy, Mz) on the body, shape (nv,)."""
 
 
 class Starting(Protocol):
     """A plant with start(reference), which completes the first sample of a reference.
 
-    The reference has the first n coordinates of the plant, one of the lengths in ``leading``.
+    The reference has the first n coordinates of the plant, one of the lengths in ``reference_sizes``.
     """
 
     def start(self, reference: Any, /) -> Any:

@@ -126,7 +126,7 @@ class PlanarDynamics:
     nq: ClassVar[int] = 3
     nv: ClassVar[int] = 3
     nu: ClassVar[int] = 3
-    leading: ClassVar[dict[int, int]] = {3: 3}
+    reference_sizes: ClassVar[dict[int, int]] = {3: 3}
     coordinates: ClassVar[tuple[Coordinate, ...]] = (
         Coordinate("x", "m", rate="vx"),
         Coordinate("y", "m", rate="vy"),
@@ -184,11 +184,11 @@ class PlanarDynamics:
         """Return q."""
         return q
 
-    def rate(self, q: Array, v: Array) -> Array:
+    def pose_rate(self, q: Array, v: Array) -> Array:
         """Return v."""
         return v
 
-    def effort(self, q: Array, wrench: Array) -> Array:
+    def generalized_force(self, q: Array, wrench: Array) -> Array:
         """Return the wrench."""
         return wrench
 
@@ -406,7 +406,7 @@ class ArticulatedDynamics:
         return self.tree.judgement
 
     @property
-    def leading(self) -> dict[int, int]:
+    def reference_sizes(self) -> dict[int, int]:
         """How many numbers of q the first n coordinates have, for each n that a reference may have."""
         return {n: n for n in range(_BASE, self.nv + 1)}
 
@@ -659,11 +659,11 @@ class ArticulatedDynamics:
         """Return x, y and psi of the body, shape (..., 3)."""
         return q[..., :_BASE]
 
-    def rate(self, q: Array, v: Array) -> Array:
+    def pose_rate(self, q: Array, v: Array) -> Array:
         """Return the rates of x, y and psi, shape (..., 3)."""
         return v[..., :_BASE]
 
-    def effort(self, q: Array, wrench: Array) -> Array:
+    def generalized_force(self, q: Array, wrench: Array) -> Array:
         """Return the generalised force of a wrench on the body, shape (..., nv)."""
         return np.concatenate([wrench, np.zeros((*np.shape(wrench)[:-1], self.nv - _BASE))], axis=-1)
 

@@ -472,7 +472,7 @@ class MobileRobot(System):
             If an argument has another shape or is not finite.
         """
         required("reference", reference, Desired)
-        wanted = [("...", n) for n in self.leading]
+        wanted = [("...", n) for n in self.reference_sizes]
         desired = shaped("reference.q", finite("reference.q", reference.q), *wanted)
         state = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a), "u": self._v("u", u)}
         lead = broadcast(**state, **{"reference.q": desired})

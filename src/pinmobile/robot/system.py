@@ -166,12 +166,12 @@ class System:
         return inputs(self.coordinates)
 
     @structure
-    def leading(self) -> Mapping[int, int]:
+    def reference_sizes(self) -> Mapping[int, int]:
         """How many numbers of q the first n coordinates have, for each n that a reference may have."""
         return MappingProxyType({n: n for n in range(BODY_JOINT, self.nv + 1)})
 
     @property
-    def adds(self) -> bool:
+    def is_vector_space(self) -> bool:
         """Whether `integrate` adds displacements to q."""
         return type(self).integrate is System.integrate
 
@@ -373,7 +373,7 @@ class System:
         return self._q(q)[..., :BODY_JOINT].copy()
 
     @by_values()
-    def rate(self, q: ArrayLike, v: ArrayLike) -> Array:
+    def pose_rate(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return the rates of x, y and psi of the body, shape (..., 3) [m/s, m/s, rad/s]."""
         q, v = self._q(q), self._v("v", v)
         lead = broadcast(q=q, v=v)
@@ -562,7 +562,7 @@ class System:
         return self._each(pinocchio_backend.FORWARD_DYNAMICS, **arguments)
 
     @by_values()
-    def effort(self, q: ArrayLike, wrench: ArrayLike) -> Array:
+    def generalized_force(self, q: ArrayLike, wrench: ArrayLike) -> Array:
         """Return the generalised force of a wrench on the body, shape (..., nv) [N, N, N m, ...].
 
         Parameters
@@ -587,7 +587,7 @@ class System:
         Parameters
         ----------
         reference : Reference
-            Its first sample: q and v of the first n coordinates, n one of `leading`.
+            Its first sample: q and v of the first n coordinates, n one of `reference_sizes`.
 
         Raises
         ------
@@ -596,8 +596,8 @@ class System:
         """
         required("reference", reference, Desired)
         v, q = finite("reference.v", reference.v), finite("reference.q", reference.q)
-        if v.shape != q.shape or v.shape not in [(n,) for n in self.leading]:
-            listed = ", ".join(f"({n},)" for n in self.leading)
+        if v.shape != q.shape or v.shape not in [(n,) for n in self.reference_sizes]:
+            listed = ", ".join(f"({n},)" for n in self.reference_sizes)
             raise InvalidArgument(
                 f"reference has q and v of shapes {q.shape} and {v.shape}, expected both one of {listed}"
             )

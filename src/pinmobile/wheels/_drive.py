@@ -313,7 +313,9 @@ class WheeledRobot:
         most = ((one.name, one.motor.largest_torque) for one in self.table.actuators)
         return (*self.robot.inputs[BODY_JOINT:], *(Input(name, "N m", -x, x) for name, x in most))
 
-    leading = _of("robot", "leading", "Numbers of q of the first n coordinates, for each n of a reference.")
+    reference_sizes = _of(
+        "robot", "reference_sizes", "Numbers of q, for each count of coordinates of a reference."
+    )
 
     @structure
     def rest(self) -> Array:
@@ -411,14 +413,14 @@ class WheeledRobot:
         return self._numeric.pose(q).copy()
 
     @takes(q="nq", v="nv")
-    def rate(self, q: ArrayLike, v: ArrayLike) -> Any:
+    def pose_rate(self, q: ArrayLike, v: ArrayLike) -> Any:
         """Return the rates of x, y and psi of the body, shape (..., 3) [m/s, m/s, rad/s]."""
-        return self._numeric.rate(q, v).copy()
+        return self._numeric.pose_rate(q, v).copy()
 
     @takes(q="nq", wrench=3)
-    def effort(self, q: ArrayLike, wrench: ArrayLike) -> Any:
+    def generalized_force(self, q: ArrayLike, wrench: ArrayLike) -> Any:
         """Return the generalised force of a wrench on the body, shape (..., nv) [N, N, N m, ...]."""
-        return self._numeric.effort(q, wrench)
+        return self._numeric.generalized_force(q, wrench)
 
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return the q and v with which a reference begins, shape (nq,) and (nv,).
@@ -876,7 +878,7 @@ class WheeledRobot:
             Where the first coordinates should be.
         """
         required("reference", reference, Desired)
-        wanted = [("...", n) for n in self.leading]
+        wanted = [("...", n) for n in self.reference_sizes]
         given = [*self._state(q, v, u, a), shaped("reference.q", finite("reference.q", reference.q), *wanted)]
         lead = broadcast(**{"q": given[0], "reference.q": given[-1]})
         q, v, u, a, desired = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in given)

@@ -162,7 +162,7 @@ class WheeledDynamics:
         return self.na + len(self.table.actuators)
 
     @property
-    def leading(self) -> dict[int, int]:
+    def reference_sizes(self) -> dict[int, int]:
         """How many numbers of q the first n coordinates have, for each n that a reference may have."""
         return {n: n for n in range(_BASE, _BASE + self.na + 1)}
 
@@ -352,11 +352,11 @@ class WheeledDynamics:
         """Return x, y, psi of the body."""
         return q[..., :_BASE]
 
-    def rate(self, q: Any, v: Any) -> Any:
+    def pose_rate(self, q: Any, v: Any) -> Any:
         """Return the rates of x, y, psi."""
         return v[..., :_BASE]
 
-    def effort(self, q: Any, wrench: Any) -> Any:
+    def generalized_force(self, q: Any, wrench: Any) -> Any:
         """Return the generalised force of a wrench on the body, shape (..., nv)."""
         return stacked([*scalars(wrench), *[ZERO] * (self.nv - _BASE)], q)
 
