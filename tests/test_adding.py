@@ -30,13 +30,13 @@ def _parts(*packages: ModuleType) -> list[str]:
     classes = [
         (name, kind)
         for name, kind in kinds
-        if isinstance(kind, type) and name[:1] != "_" and kind.__module__.startswith(own)
+        if isinstance(kind, type) and name in public() and kind.__module__.startswith(own)
     ]
     return [name for name, kind in classes if not getattr(kind, "_is_protocol", False)]
 
 
 PARTS = _parts(controllers, forces)
-REFERENCES = [name for name in _parts(paths, trajectories) if name != "Reference"]
+REFERENCES = [name for name in _parts(paths, trajectories) if name not in ("Reference", "Whole")]
 # Parts that a file uses to get its own work done, as a user does, not to know them from others.
 USERS = {
     "accuracy.py": {"ComputedTorque", "Circle", "Tangent"},

@@ -417,7 +417,7 @@ def plant_with(**changed: Any) -> Any:
         (plant_with(nu=3), "nu = 3 and 2 inputs"),
         (plant_with(configuration_names=("x",)), "nq = 5 and 1 configuration_names"),
         (plant_with(coordinates=3), "plant.coordinates is 3, expected a sequence of Coordinate"),
-        (plant_with(leading={5: 5}), r"trajectory gives q of shape \(201, 3\) .*, expected \(201, 5\)"),
+        (plant_with(reference_sizes={5: 5}), r"trajectory gives q of shape \(201, 3\) .*, expected \(201, 5"),
         (plant_with(start=lambda self, reference: ([0], [0])), r"q0 .*has shape \(1,\), expected \(5,\)"),
         (
             plant_with(project=lambda self, q, v: v[:3], start=at_rest),

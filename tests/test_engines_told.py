@@ -113,7 +113,7 @@ def test_a_rollout_says_why_and_its_file_keeps_it(tmp_path: Path) -> None:
     with np.load(tmp_path / "run.npz") as file:
         arrays = dict(file)
     described = json.loads(str(arrays["plant"]))
-    del described["engine"], described["why"]
+    del described["engine"], described["fallback_reason"]
     np.savez(tmp_path / "old.npz", **arrays | {"plant": np.array(json.dumps(described))})
     old = Rollout.load(tmp_path / "old.npz")
     assert (old.engine, old.fallback_reason) == ("", "")

@@ -271,8 +271,9 @@ class Deaf(OtherPlant):
         ),
         (
             {"plant": Rail(), "forces": FORCES},
-            ", which has no effort, and forces push its body, expected a plant whose body can be pushed: "
-            "pose(q), rate(q, v) and effort(q, wrench)",
+            ", which has no generalized_force, and forces push its body, expected a plant whose "
+            "body can be pushed: "
+            "pose(q), pose_rate(q, v) and generalized_force(q, wrench)",
         ),
         (
             {"plant": Deaf(), "forces": FORCES},

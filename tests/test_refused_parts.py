@@ -100,11 +100,12 @@ LACKING: dict[str, tuple[dict[str, Any], str]] = {
     "plant without a displacement": (CART | {"robot": without("integrate")}, "which has no integrate"),
     "no pose to push": (
         BODY | {"robot": Plain(), "forces": [Spring()]},
-        r"plant is .*Plain.*, and forces push its body, expected .*pose\(q\), rate\(q, v\) and effort",
+        r"plant is .*Plain.*, and forces push its body, "
+        r"expected .*pose\(q\), pose_rate\(q, v\) and generalized_force",
     ),
     "no effort to push": (
-        CART | {"robot": without("effort"), "forces": [Spring()]},
-        r"plant is .*Withouteffort.*, which has no effort, and forces push its body",
+        CART | {"robot": without("generalized_force"), "forces": [Spring()]},
+        r"plant is .*Withoutgeneralized_force.*, which has no generalized_force, and forces push its body",
     ),
     "no place for forces": (
         BODY | {"robot": Posed(), "forces": [Spring()]},
@@ -167,7 +168,7 @@ class Inputs(Cart):
             )
             for name, size in (
                 *(("forward_dynamics", 5), ("integrate", 5), ("difference", 5)),
-                *(("pose", 3), ("rate", 3), ("effort", 5)),
+                *(("pose", 3), ("pose_rate", 3), ("generalized_force", 5)),
             )
         ),
         (Short("project"), r"which starts with v of shape \(2,\), expected \(5,\)|v0 has shape \(2,\)"),
@@ -235,7 +236,7 @@ def test_a_tape_that_is_another_each_time_though_its_numbers_are_not_is_refused_
     with pytest.raises(InvalidArgument, match=r"spelled, line .*asked again.*keep memory in state"):
         in_ensemble(parts, engine=Engine.COMPILED)
     with pytest.warns(
-        SlowerEngine, match=r"by Engine.PYTHON.*not Engine.COMPILED.*spelled, line .*keep memory in state"
+        SlowerEngine, match=r"by PYTHON.*not COMPILED.*spelled, line .*keep memory in state"
     ):
         run = in_ensemble(parts)
     assert (run.engine, "keep memory in state" in run.fallback_reason) == ("PYTHON", True)
@@ -374,7 +375,7 @@ UNREAL: dict[str, tuple[dict[str, Any], str]] = {
             CART | {"robot": Turning(name)},
             rf"(?s)^plant is a Turning .*, whose {name}\(.*\) returned .*j.*, expected real numbers$",
         )
-        for name in ("forward_dynamics", "integrate", "difference", "pose", "rate", "effort")
+        for name in ("forward_dynamics", "integrate", "difference", "pose", "pose_rate", "generalized_force")
     },
 }
 
@@ -441,7 +442,7 @@ def test_a_state_that_changes_its_shape_is_named_and_runs_in_python() -> None:
             InvalidArgument, match=rf"^engine is Engine.COMPILED, which cannot run this: {why}"
         ):
             run(parts, engine=Engine.COMPILED)
-    with pytest.warns(SlowerEngine, match=rf"runs by Engine.PYTHON, .*not COMPILED: {why}"):
+    with pytest.warns(SlowerEngine, match=rf"runs by PYTHON, .*not COMPILED: {why}"):
         runs = in_ensemble(parts, n=2)
     np.testing.assert_allclose(runs.max_error[0], simulated(parts).max_error(), rtol=1e-12)
 

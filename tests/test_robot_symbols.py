@@ -96,7 +96,7 @@ def methods(robot: MobileRobot) -> dict[str, tuple[Any, ...]]:
         "integrate": ("qv",),
         "difference": ("qv",),
         "pose": ("q",),
-        "rate": ("qv",),
+        "pose_rate": ("qv",),
         **arms,
     }
 

@@ -51,6 +51,7 @@ APART = {
         "AdaptiveVelocity",
         "ByVoltage",
         "Link",
+        "Mount",
         "DifferentialGear",
         "GearTrain",
         "LQR",

@@ -243,7 +243,7 @@ def test_what_is_no_robot_is_refused(made: Any, why: str) -> None:
 def test_no_force_pushes_it_and_it_starts_rolling() -> None:
     robot = VelocityRobot(THETA)
     command, circle = VelocityCommand(UnicycleTracking(), robot), Tangent(Circle(1.0, 0.5, 1.0))
-    with pytest.raises(InvalidArgument, match=r"VelocityRobot\(.*\), which has no effort"):
+    with pytest.raises(InvalidArgument, match=r"VelocityRobot\(.*\), which has no generalized_force"):
         simulate(robot, command, circle, dt=0.1, forces=[ConstantForce((1.0, 0.0, 0.0))])
     with pytest.raises(InvalidArgument, match="what firmware does about a force, theta does not tell"):
         robot.forward_dynamics(np.zeros(3), np.zeros(3), np.zeros(2), [1.0, 0.0, 0.0])

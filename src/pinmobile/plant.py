@@ -74,7 +74,8 @@ class Plant(Protocol):
 
     - `Stepping`: ``step(t, q, v, u, h, f, memory)`` replaces integrator and ``forward_dynamics``.
     - `Constrained`: ``project(q, v)`` keeps velocities on constraints such as rolling.
-    - `Pushable`: ``pose(q)``, ``rate(q, v)`` and ``effort(q, wrench)`` let forces act on the body.
+    - `Pushable`: ``pose(q)``, ``pose_rate(q, v)`` and ``generalized_force(q, wrench)`` let forces act on the
+    body.
     - `Starting`: ``start(reference)`` completes the first sample of a reference.
     - `Remembering`: ``initial_state(context)`` is the memory before the first sample.
     - `Measuring`: ``measures`` and ``measured(...)`` are metrics, of which ensembles keep the worst.
@@ -93,7 +94,7 @@ class Plant(Protocol):
         Default integrator of `simulate`; without it, constant_acceleration.
     ``law``
         The dynamics without input validation, as a loop calls them; default: the plant itself.
-    ``adds``, ``broadcasts``
+    ``is_vector_space``, ``broadcasts``
         True if ``integrate(q, dq)`` is q + dq; True if all methods take leading axes.
     ``check_start(q, v)``
         Raises if a start is impossible, such as off the constraints.

@@ -293,11 +293,11 @@ class Scenario:
         """Whether the controller uses noise of its context."""
         asked = []
 
-        def normal(name: str, n: int) -> Noise:
+        def noise(name: str, n: int) -> Noise:
             asked.append(name)
             return Noise(0, n)
 
-        initial_memory(self.loop, self.context, normal=normal)
+        initial_memory(self.loop, self.context, noise=noise)
         return bool(asked)
 
     @property

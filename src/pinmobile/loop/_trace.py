@@ -190,7 +190,7 @@ class _Trace:
         begun = initial_memory(
             self.loop,
             self.context,
-            normal=lambda name, n: Noise(0, n, k),
+            noise=lambda name, n: Noise(0, n, k),
             schedule=lambda rows: Schedule(rows, k),
         )
         return self._grown(begun)
@@ -526,9 +526,9 @@ def _used(tape: Tape, wanted: Iterable[int]) -> set[Any]:
 class _Context:
     """A context whose delays, noise and schedules are made by others, such as those of a tape."""
 
-    def __init__(self, given: Context, line: Any, normal: Any, schedule: Any) -> None:
-        self._given, self.line, self._schedule = given, line, schedule
-        self.normal = normal or (lambda name, n: Noise(0, n))
+    def __init__(self, given: Context, delay: Any, noise: Any, schedule: Any) -> None:
+        self._given, self.delay, self._schedule = given, delay, schedule
+        self.noise = noise or (lambda name, n: Noise(0, n))
 
     def schedule(self, rows: ArrayLike) -> Any:
         """Return what a controller keeps of rows that are known for each sample, checked."""
@@ -541,8 +541,8 @@ class _Context:
 def initial_memory(
     loop: Loop,
     context: Context,
-    line: Callable[..., Any] = Line,
-    normal: Callable[..., Any] | None = None,
+    delay: Callable[..., Any] = Line,
+    noise: Callable[..., Any] | None = None,
     schedule: Callable[..., Any] = Schedule,
 ) -> State:
     """Return the memory before the first sample; by default with noise of the key 0.
@@ -553,10 +553,10 @@ def initial_memory(
         The closed loop.
     context : Context
         Argument of the controller's `initial_state`, which gets its delays and noise here.
-    line, normal, schedule : callable
+    delay, noise, schedule : callable
         Make a delay, a noise and a schedule.
     """
-    return initial(loop, _Context(context, line, normal, schedule))  # type: ignore[arg-type]
+    return initial(loop, _Context(context, delay, noise, schedule))  # type: ignore[arg-type]
 
 
 def scheduled_rows(loop: Loop, context: Context) -> list[Array]:

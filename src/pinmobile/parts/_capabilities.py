@@ -43,7 +43,7 @@ class Constrained(Protocol):
 
 
 class Pushable(Protocol):
-    """A plant whose body can be pushed: pose(q), rate(q, v) and effort(q, wrench).
+    """A plant whose body can be pushed: pose(q), pose_rate(q, v) and generalized_force(q, wrench).
 
     Its ``forward_dynamics(q, v, u, f)`` takes external forces f, shape (nv,), beside the input. Plots and the
     viewer use the pose.
