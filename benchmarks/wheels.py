@@ -195,7 +195,7 @@ SINGLE = (
 
 
 def together(
-    robot: Any, controller: Any, trajectory: Any, spread: Any, measures: Any = ()
+    robot: Any, controller: Any, trajectory: Any, spread: Any, metrics: Any = ()
 ) -> Callable[[int, int], Callable[[], Any]]:
     """Return what runs an ensemble."""
 
@@ -205,7 +205,7 @@ def together(
             "dt": DT,
             "spread": spread,
             "duration": steps * DT,
-            "measures": measures,
+            "metrics": metrics,
         }
         return lambda: pm.ensemble(robot, controller, trajectory, engine=pm.Engine.COMPILED, **given)
 

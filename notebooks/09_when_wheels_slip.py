@@ -235,7 +235,7 @@ for share in (0.97, 1.1):
     name = f"{share:g} of the limit"
     margins[name] = simulate(rolling, firmware, quick, dt=0.01, engine=Engine.COMPILED)
     turns[name] = simulate(slippery, firmware, quick, dt=0.01, engine=Engine.COMPILED)
-    slid_at = turns[name].measures()["slip"][1]
+    slid_at = turns[name].metrics()["slip"][1]
     left_over = slip_margins(margins[name]).values.min()
     print(f"{name}: if it rolled, margin {left_over:6.2f} N; on the ground, slip {slid_at.max():.1g} m/s")
 
@@ -429,7 +429,7 @@ slips = {}
 for share in (1.02, 0.98, 0.9, 0.6):
     floor = WheeledRobot(painter.robot, rollers, Coulomb(share * least))
     tried = simulate(floor, follower, motion, dt=0.01, engine=Engine.COMPILED)
-    slips[share] = tried.measures()["slip"][1].max()
+    slips[share] = tried.metrics()["slip"][1].max()
     off = painter.robot.frame_pose(tried.q[:, :9])[:, :3, 3] - target(tried.t).pose[:, :3, 3]
     off = np.linalg.norm(off, axis=1).max()
     often = 100 * tried.signals["slides"].values.any(axis=1).mean()
@@ -457,7 +457,7 @@ for name, (_, size, configured) in bases.items():
     assert abs(found[name] / configured - 1) < 0.045, "makers configure something else"
 assert abs(ahead - 1) < 1e-3, "the front wheels do not stick under a mass ahead"
 assert limit.what == "left + right slip", "something else gives way"
-slow, quick = (run.measures()["slip"][1].max() for run in turns.values())
+slow, quick = (run.metrics()["slip"][1].max() for run in turns.values())
 assert slow < 0.02, "it slides below the limit"
 assert not turns["0.97 of the limit"].signals["slides"].values.all(axis=1).any(), "both wheels slide"
 assert quick > 1, "it does not slide above the limit"

@@ -226,7 +226,7 @@ def ENSEMBLE() -> dict[str, Any]:
         "limit": 1e3,
         "after": 0.0,
         "every": 2,
-        "measures": [],
+        "metrics": [],
         "traces": [0],
         "engine": loop.Engine.COMPILED,
     }

@@ -278,8 +278,8 @@ def frozen() -> dict[str, Any]:
             many = pm.ensemble(*parts, dt=0.02, n=5, seed=3, spread=SPREADS[name], engine=COMPILED, **options)
             records = many.max_error, many.rms_error, many.max_distance, many.max_input
             kept = np.array([one.worst != "ever" for one in many.scenario.channels])  # events came later
-            measures = kept[len(kept) - len(many.scenario.judged) :]
-            sizes = many.counts[:, kept], *many.draws.values(), many.worst_measure[:, measures]
+            metrics = kept[len(kept) - len(many.scenario.recorded_metrics) :]
+            sizes = many.counts[:, kept], *many.draws.values(), many.worst_metric[:, metrics]
             found["ensembles"][name] = digest(*records, *sizes)
             found["tables"][f"ensemble {name}"] = str(many)
     for kind, given in (("lapack", by_lapack), ("python", in_python)):

@@ -226,7 +226,7 @@ def test_a_turn_too_fast_slides(mu: float, speed: float) -> None:
             dt=0.005,
             engine=Engine.COMPILED,
         )
-        assert (run.measures()["slip"][1].max() > 1e-3) == slides
+        assert (run.metrics()["slip"][1].max() > 1e-3) == slides
 
 
 def test_the_steepest_ramp_is_that_of_friction_and_weight() -> None:
@@ -270,7 +270,7 @@ def test_a_motor_s_torque_limits_the_ramp_and_less_of_it_at_speed_the_path() -> 
 
 def test_what_rolls_is_judged_alike_in_all_engines() -> None:
     robot = WheeledRobot(BODY.mount("ur5"), TABLES["mecanum"])
-    assert [one.name for one in robot.measures] == [
+    assert [one.name for one in robot.metrics] == [
         "end effector",
         "end effector angle",
         "tip-over margin",
@@ -281,23 +281,23 @@ def test_what_rolls_is_judged_alike_in_all_engines() -> None:
     path = WholeBody(robot.robot, Tangent(Circle(2, 0.3, 1)), RestToRest(BENT, BENT + 0.3, 1))
     run = simulate(robot, ComputedTorque(robot), path, dt=0.01)
     judged, fast = (
-        run.measures(),
-        simulate(robot, ComputedTorque(robot), path, dt=0.01, engine=Engine.COMPILED).measures(),
+        run.metrics(),
+        simulate(robot, ComputedTorque(robot), path, dt=0.01, engine=Engine.COMPILED).metrics(),
     )
     for name, (_, values) in judged.items():
         np.testing.assert_allclose(fast[name][1], values, atol=1e-7)
     np.testing.assert_allclose(judged["slip margin"][1], slip_margins(run).values.min(axis=1), atol=1e-9)
     np.testing.assert_allclose(judged["load"][1], contact_loads(run).springs.min(axis=1), atol=1e-9)
     np.testing.assert_allclose(judged["tip-over margin"][1], tip_over_margin(run), atol=1e-11)
-    # In ensembles the law of the measures is part of the loop, and compiled as that is.
+    # In ensembles the law of the metrics is part of the loop, and compiled as that is.
     worst = [
         min(values) if one.is_margin else max(values)
-        for one, (_, values) in zip(robot.measures, judged.values(), strict=True)
+        for one, (_, values) in zip(robot.metrics, judged.values(), strict=True)
     ]
     for engine in (Engine.COMPILED, Engine.PYTHON):
         spread: dict[str, Any] = {"mass": Uniform(30.0, 30.0 + 1e-12)}
         each = ensemble(robot, ComputedTorque(robot), path, n=2, spread=spread, dt=0.01, engine=engine)
-        np.testing.assert_allclose(each.worst_measure, [worst, worst], atol=1e-7)
+        np.testing.assert_allclose(each.worst_metric, [worst, worst], atol=1e-7)
 
 
 def test_ensembles_tell_how_many_would_slip_and_how_many_do() -> None:
@@ -323,14 +323,14 @@ def test_ensembles_tell_how_many_would_slip_and_how_many_do() -> None:
     found = ensemble(
         slipping, ControlAllocation(PD(400, 60), robot), path, n=200, dt=0.005, spread=spread, seed=1
     )
-    assert [one.name for one in found.scenario.judged] == ["load", "tip over", "slip"]
+    assert [one.name for one in found.scenario.recorded_metrics] == ["load", "tip over", "slip"]
     did = found.largest("slip") > 1e-3
     assert np.mean(did == slides) > 0.9
 
 
 def test_what_is_not_known_is_refused() -> None:
     line = WheeledRobot(BODY, WheelTable.differential(0.5, 0.1, **WHEEL))
-    assert line.measures == ()
+    assert line.metrics == ()
     assert line.footprint is None
     still = np.zeros(line.nv)
     at = MotionStates(line, line.rest, still, still)
@@ -369,7 +369,7 @@ def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None
     )
     with pytest.raises(errors.InvalidArgument, match=r"^motion.plant is .*, which does not tell how far"):
         slip_margins(at)
-    assert not hasattr(electric, "measures")
+    assert not hasattr(electric, "metrics")
     assert not hasattr(electric.array_dynamics, "measured")
     assert electric.on_ramp(0.1) == robot.on_ramp(0.1).by_voltage()
     assert max_slope(electric) == max_slope(robot)

@@ -337,9 +337,7 @@ def test_a_link_that_is_not_there_is_named_with_the_nearest() -> None:
 @pytest.mark.once
 def test_a_tree_that_is_too_large_runs_slower_and_says_so() -> None:
     robot = MobileRobot.box(size=(1, 1, 0.5)).mount("tiago_dual", AT)
-    with pytest.warns(
-        SlowerEngine, match="runs by PYTHON.*not COMPILED.*more than 30000 operations"
-    ):
+    with pytest.warns(SlowerEngine, match="runs by PYTHON.*not COMPILED.*more than 30000 operations"):
         runs = run(robot, spread={"mass": Uniform(24, 36)}, n=2, dt=0.3)
     assert runs.engine == Engine.PYTHON.name  # few robots are faster one by one than side by side
 

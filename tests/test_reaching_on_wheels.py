@@ -134,7 +134,7 @@ def test_the_friction_that_its_margins_ask_for_is_what_it_needs(wall: Wall) -> N
     for share, slides in ((1.02, False), (0.98, True)):
         floor = WheeledRobot(wall.robot.robot, wall.robot.table, Coulomb(share * needed))
         run = simulate(floor, follower, wall.motion, dt=DT, engine=Engine.COMPILED)
-        slip = run.measures()["slip"][1].max()
+        slip = run.metrics()["slip"][1].max()
         assert slip > 1e-2 if slides else slip < 1e-12
         assert bool(run.signals["slides"].values.any()) == slides
         assert wall.missed(run).max() < 1e-3

@@ -235,9 +235,7 @@ def test_a_tape_that_is_another_each_time_though_its_numbers_are_not_is_refused_
     parts = BODY | {"controller": law(spelled)}
     with pytest.raises(InvalidArgument, match=r"spelled, line .*asked again.*keep memory in state"):
         in_ensemble(parts, engine=Engine.COMPILED)
-    with pytest.warns(
-        SlowerEngine, match=r"by PYTHON.*not COMPILED.*spelled, line .*keep memory in state"
-    ):
+    with pytest.warns(SlowerEngine, match=r"by PYTHON.*not COMPILED.*spelled, line .*keep memory in state"):
         run = in_ensemble(parts)
     assert (run.engine, "keep memory in state" in run.fallback_reason) == ("PYTHON", True)
 

@@ -147,7 +147,7 @@ def test_structure_is_that_of_the_numbers() -> None:
     assert new.coordinates is robot.coordinates
     assert new.rest is robot.rest
     assert new.tree is robot.tree
-    assert new.measures is robot.measures
+    assert new.metrics is robot.metrics
     assert new.frame_names == robot.frame_names
     assert new.end_effector == robot.end_effector
     assert new.stance == robot.stance
@@ -163,9 +163,9 @@ def test_measures_and_the_start_are_those_of_the_robot_with_such_numbers() -> No
     reference = Reference(desired, desired, desired)
     numeric = Reference(given["q"][:3] + 0.1, np.zeros(3), np.zeros(3))
     robot: Any = traced.other
-    expected = robot.measured(0.0, *given.values(), numeric)
+    expected = robot.evaluate_metrics(0.0, *given.values(), numeric)
     robot = traced.robot
-    found = traced.answer(lambda: robot.measured(0.0, q, v, a, u, reference))
+    found = traced.answer(lambda: robot.evaluate_metrics(0.0, q, v, a, u, reference))
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
     begun = traced.answer(lambda: traced.robot.start(reference)[0])
     np.testing.assert_allclose(begun, traced.other.start(numeric)[0])

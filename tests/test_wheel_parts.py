@@ -225,7 +225,7 @@ def test_a_ground_of_ones_own_is_one_class() -> None:
         law = Backstepping(UnicycleTracking(), rolling)
         run = simulate(robot, law, Tangent(Circle(1.5, 0.4, 0.6)), dt=0.002, engine=Engine.PYTHON)
         slips.append(np.abs(run.signals["slip"].values[100:]).max())
-        assert [one.name for one in robot.measures] == ["effort", "load", "tip over", "slip"]
+        assert [one.name for one in robot.metrics] == ["effort", "load", "tip over", "slip"]
     assert 0 < slips[1] < 0.3 * slips[0] < 0.3
     with pytest.raises(InvalidArgument, match="has no step that motors drive"):
         robot.by_voltage()

@@ -443,7 +443,7 @@ def test_a_compiled_sample_has_sines_and_mass_matrix_once() -> None:
         n=2,
         spread={},
         dt=0.02,
-        measures=(),
+        metrics=(),
         integrator=constant_acceleration,
     )
     program = way_of(scenario, Engine.COMPILED).program

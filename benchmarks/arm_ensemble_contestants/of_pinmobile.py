@@ -42,7 +42,7 @@ def words(fleet: ArmFleet) -> dict[str, object]:
         "duration": fleet.task.duration,
         "integrator": rk4 if fleet.task.step == "rk4" else None,
         "forces": [JointFriction(0.0)],
-        "measures": (),
+        "metrics": (),
     }
 
 
@@ -51,9 +51,9 @@ def rollout(fleet: ArmFleet) -> Run:
     return ensembles(words(fleet))
 
 
-def judged(fleet: ArmFleet) -> Run:
+def recorded_metrics(fleet: ArmFleet) -> Run:
     """Judge end effector, effort and tip-over margin too, as is the default."""
-    return ensembles({**words(fleet), "measures": None})
+    return ensembles({**words(fleet), "metrics": None})
 
 
 def ensembles(told: dict[str, object]) -> Run:

@@ -68,7 +68,7 @@ _NAMES = {
         "identification": "Log VelocityRobot excitation identify identify_velocity",
         "integrators": "rk4",
         "loop": ("Engine Ensemble Loop Normal Relative Rollout SameAs Scenario Uniform ensemble simulate"),
-        "measures": "",
+        "metrics": "",
         "palette": "",
         "parts": "",
         "paths": "Circle CompositePath CubicVia Hold Line Lissajous Polyline RestToRest Spline",

@@ -78,7 +78,7 @@ class Plant(Protocol):
     body.
     - `Starting`: ``start(reference)`` completes the first sample of a reference.
     - `Remembering`: ``initial_state(context)`` is the memory before the first sample.
-    - `Measuring`: ``measures`` and ``measured(...)`` are metrics, of which ensembles keep the worst.
+    - `Measuring`: ``metrics`` and ``evaluate_metrics(...)`` are metrics, of which ensembles keep the worst.
     - `Signalling`: ``signals(...)`` are further series worth recording.
 
     A plant describes itself by these attributes, all optional:

@@ -27,7 +27,7 @@ from pinmobile.cli.output import (
 )
 from pinmobile.cli.scenario_file import Opened
 from pinmobile.loop import run_scenario, why_unknown
-from pinmobile.measures import in_words, measures_of
+from pinmobile.metrics import in_words, measures_of
 from pinmobile.sweeps import Axis, Points, connected, run_points
 
 _FILM = 10.0  # [s] that a film lasts at most
@@ -110,7 +110,7 @@ def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: 
 
 def _metrics(run: Rollout) -> list[str]:
     """Return a line for each metric of the plant: its worst value."""
-    found = run.measures() if run.plant is not None else {}
+    found = run.metrics() if run.plant is not None else {}
     lines = []
     for each in measures_of(run.plant) if found else ():
         values = found[each.name].values

@@ -17,7 +17,7 @@ from pinmobile.arrays import Array, ArrayLike, bounded, finite, scalar, shaped
 from pinmobile.compiled import BINS, FIRST, SHIFT
 from pinmobile.controllers import Controller
 from pinmobile.loop._scenario import Scenario
-from pinmobile.measures import value_of
+from pinmobile.metrics import value_of
 from pinmobile.parts import replace
 from pinmobile.trajectories import Trajectory
 
@@ -39,7 +39,7 @@ class Part(NamedTuple):
         Root of the mean squared error.
     max_input : ndarray, shape (m, nu)
         Largest |input|.
-    worst_measure, rms_measure : ndarray, shape (m, j)
+    worst_metric, rms_metric : ndarray, shape (m, j)
         Worst, and root of the mean square, of each measure, in the samples of which errors are kept.
     counts : ndarray of int, shape (G, channels, BINS)
         At each time of the grid, how many robots have a distance, and so on, of which size; see
@@ -51,8 +51,8 @@ class Part(NamedTuple):
     max_distance: Array
     rms_error: Array
     max_input: Array
-    worst_measure: Array
-    rms_measure: Array
+    worst_metric: Array
+    rms_metric: Array
     counts: NDArray[np.int32]
 
     @classmethod
@@ -61,7 +61,7 @@ class Part(NamedTuple):
         lived = record["lived"].astype(np.int64)
         kept = np.maximum(lived - scenario.begin, 1)[:, None]
         none = np.zeros((len(lived), 0))
-        signs = np.array([-1.0 if one.is_margin else 1.0 for one in scenario.judged])
+        signs = np.array([-1.0 if one.is_margin else 1.0 for one in scenario.recorded_metrics])
         return cls(
             lived,
             record["largest"].copy(),  # not a view of all that the robots kept
@@ -219,7 +219,7 @@ def quantiles(counts: NDArray[np.int64], wanted: Array, *, margins: bool = False
     wanted : ndarray, shape (m,)
         Levels from 0 to 1.
     margins : bool
-        Whether these are sizes of margins, see `pinmobile.measures.size_of`: then a share of the robots has
+        Whether these are sizes of margins, see `pinmobile.metrics.size_of`: then a share of the robots has
         at least what is returned, in numbers of the margin.
 
     Returns

@@ -15,7 +15,7 @@ from pinmobile.errors import shown
 from pinmobile.loop._loop import named_forces
 from pinmobile.loop._scenario import Scenario, checked_scenario, first_counted
 from pinmobile.loop._spread import SameAs, Source
-from pinmobile.measures import Measure, channels_of, in_words
+from pinmobile.metrics import Metric, channels_of, in_words
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.trajectories import Reference
 
@@ -63,8 +63,8 @@ def ranges(
     max_input: Array,
     coordinates: Sequence[Coordinate],
     inputs: Sequence[Input],
-    worst_measure: Array,
-    measures: Sequence[Measure],
+    worst_metric: Array,
+    metrics: Sequence[Metric],
 ) -> list[str]:
     """Return a row for each error, input and measure: the least, the median and the largest over the robots.
 
@@ -76,9 +76,9 @@ def ranges(
         Largest error and input.
     coordinates, inputs : sequence of Coordinate, sequence of Input
         Their names and units.
-    worst_measure : ndarray, shape (n, j)
+    worst_metric : ndarray, shape (n, j)
         Worst of what else is judged.
-    measures : sequence of Measure
+    metrics : sequence of Metric
         Its names and units.
     """
     columns = {"largest distance [m]": max_distance}
@@ -89,7 +89,7 @@ def ranges(
     sizes = [(_titled(one.name, one.unit), column) for one, column in zip(inputs, max_input.T, strict=True)]
     for pair in zip_longest(errors, sizes):
         columns |= {title: column for title, column in filter(None, pair)}
-    each = zip(measures, worst_measure.T, strict=True)
+    each = zip(metrics, worst_metric.T, strict=True)
     columns |= {f"{one.worst} {one.title}": column for one, column in each if one.worst != "ever"}
     rows, width = [], max(_NARROWEST, *map(len, columns))
     for name, values in columns.items():
@@ -135,7 +135,7 @@ class Outline:
         Name and unit of those that the reference has.
     inputs : tuple of Input
         Name and unit of the plant's.
-    judged : tuple of Measure
+    judged : tuple of Metric
         What of the plant is judged beside errors.
     n, seed, dt, substeps, limit, after, every : number
         As given.
@@ -154,7 +154,7 @@ class Outline:
     parameters: Mapping[str, Parameter]
     coordinates: tuple[Coordinate, ...]
     inputs: tuple[Input, ...]
-    judged: tuple[Measure, ...]
+    recorded_metrics: tuple[Metric, ...]
     n: int
     seed: int
     dt: float
@@ -188,7 +188,7 @@ class Outline:
             spread={name: _source(source) for name, source in spread},
             coordinates=tuple(Coordinate(*one[:2]) for one in given.coordinates),
             inputs=tuple(Input(*one[:2]) for one in given.inputs),
-            judged=given.judged,
+            recorded_metrics=given.recorded_metrics,
         )
 
     @classmethod
@@ -205,7 +205,7 @@ class Outline:
             parameters={name: Parameter(name, one["unit"], one["meaning"]) for name, one in spread.items()},
             coordinates=tuple(Coordinate(name, unit) for name, unit in described["coordinates"]),
             inputs=tuple(Input(name, unit) for name, unit in described["inputs"]),
-            judged=tuple(Measure(*one) for one in described["judged"]),
+            recorded_metrics=tuple(Metric(*one) for one in described["judged"]),
             t=frozen(t),
             reference=Reference(*map(frozen, reference)),
         )
@@ -219,7 +219,7 @@ class Outline:
             spread[name] = {"unit": one.unit, "meaning": one.meaning, "source": words, "same_as": other}
         plain = {name: getattr(self, name) for name in (*_PARTS, *_NUMBERS)}
         named = {name: [one[:2] for one in getattr(self, name)] for name in ("coordinates", "inputs")}
-        judged = [list(one) for one in self.judged]
+        judged = [list(one) for one in self.recorded_metrics]
         return {**plain, **named, "judged": judged, "forces": list(self.forces), "spread": spread}
 
     @property
@@ -233,9 +233,9 @@ class Outline:
         return self.t[:: self.every]
 
     @property
-    def channels(self) -> tuple[Measure, ...]:
+    def channels(self) -> tuple[Metric, ...]:
         """What is counted over time."""
-        return channels_of(self.coordinates, self.judged)
+        return channels_of(self.coordinates, self.recorded_metrics)
 
     def difference(self, other: Outline) -> str:
         """Return how another scenario differs as text; "" where no difference is visible."""
@@ -261,8 +261,8 @@ class Outline:
         for name, source in self.spread.items():
             words = f"{source.name} times {source.factor}" if isinstance(source, SameAs) else source
             found[f"spread[{name!r}]"] = words
-        if self.judged:
-            found["measures"] = ", ".join(one.name for one in self.judged)
+        if self.recorded_metrics:
+            found["metrics"] = ", ".join(one.name for one in self.recorded_metrics)
         return found | {name: f"{getattr(self, name)!r}" for name in _NUMBERS}
 
 

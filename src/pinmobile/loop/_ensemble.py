@@ -112,8 +112,9 @@ class Ensemble:
     max_input : ndarray, shape (n, nu)
         Largest |input| from the start on, such as [N, N, N m]; of a diverged robot until then, NaN where
         there is none. `Scenario.coordinates` and `Scenario.inputs` have names and units.
-    worst_measure, rms_measure : ndarray, shape (n, j)
-        Worst, and root of the mean square, of what else is judged, `Scenario.judged`: the largest size, or
+    worst_metric, rms_metric : ndarray, shape (n, j)
+        Worst, and root of the mean square, of what else is judged, `Scenario.recorded_metrics`: the largest
+        size, or
         the smallest margin, likewise from `Scenario.after` on.
     diverged_at : ndarray, shape (n,)
         When the loop diverged [s]; NaN where it did not.
@@ -134,8 +135,8 @@ class Ensemble:
     rms_error: Array
     max_distance: Array
     max_input: Array
-    worst_measure: Array
-    rms_measure: Array
+    worst_metric: Array
+    rms_metric: Array
     diverged_at: Array
     counts: NDArray[np.int32]
     traces: Mapping[int, Rollout]
@@ -173,7 +174,7 @@ class Ensemble:
         """
         for array in (
             *(part.max_error, part.max_distance, part.rms_error),
-            *(part.worst_measure, part.rms_measure),
+            *(part.worst_metric, part.rms_metric),
         ):
             array[part.lived <= scenario.begin] = np.nan
         part.max_input[part.lived == 0] = np.nan
@@ -186,8 +187,8 @@ class Ensemble:
             rms_error=part.rms_error,
             max_distance=part.max_distance,
             max_input=part.max_input,
-            worst_measure=part.worst_measure,
-            rms_measure=part.rms_measure,
+            worst_metric=part.worst_metric,
+            rms_metric=part.rms_metric,
             diverged_at=times[np.minimum(part.lived, samples)],
             counts=part.counts,
             traces={},
@@ -208,7 +209,7 @@ class Ensemble:
     @property
     def events(self) -> tuple[str, ...]:
         """What some robots do from `Scenario.after` on that is worth a warning, such as tipping over."""
-        happened = zip(self.scenario.judged, (self.worst_measure > 0).sum(axis=0), strict=True)
+        happened = zip(self.scenario.recorded_metrics, (self.worst_metric > 0).sum(axis=0), strict=True)
         told = [(one, int(count)) for one, count in happened if one.worst == "ever" and count]
         return tuple(f"{count:,} of {len(self):,} robots {one.name}: {one.meaning}" for one, count in told)
 
@@ -231,7 +232,7 @@ class Ensemble:
     def _badness(self, by: str) -> Array:
         """Return what is the larger the worse a robot is, shape (n,), infinite where it diverged."""
         values = self.largest(by)
-        margins = [one.name for one in self.scenario.judged if one.is_margin]
+        margins = [one.name for one in self.scenario.recorded_metrics if one.is_margin]
         return np.where(self.diverged, np.inf, -values if by in margins else values)
 
     def bands(self, levels: ArrayLike = (0.5, 0.9, 0.99)) -> Bands:
@@ -279,7 +280,7 @@ class Ensemble:
         ----------
         by : str
             "distance" from the desired position [m], "heading" [rad], a coordinate of the reference by its
-            name, or one of `Scenario.judged`, such as "end effector" [m] and "tip-over margin" [m].
+            name, or one of `Scenario.recorded_metrics`, such as "end effector" [m] and "tip-over margin" [m].
 
         Raises
         ------
@@ -289,8 +290,8 @@ class Ensemble:
         errors = {"distance": self.max_distance, "heading": self.max_error[:, 2]}
         coordinates = zip(self.scenario.coordinates, self.max_error.T, strict=True)
         errors |= {one.name: column for one, column in coordinates}
-        measures = zip(self.scenario.judged, self.worst_measure.T, strict=True)
-        errors |= {one.name: column for one, column in measures}
+        metrics = zip(self.scenario.recorded_metrics, self.worst_metric.T, strict=True)
+        errors |= {one.name: column for one, column in metrics}
         return errors[one_of("error", by, errors)]
 
     def member(self, i: int) -> Member:
@@ -392,7 +393,7 @@ class Ensemble:
         Returns
         -------
         dataset : xarray.Dataset
-            Dimensions ``robot``, ``coordinate``, ``input``, ``measure`` (where there is one), ``time``,
+            Dimensions ``robot``, ``coordinate``, ``input``, ``metric`` (where there is one), ``time``,
             ``channel``, ``level`` and ``bin``;
             each variable has attributes ``units`` and ``long_name``. What was drawn is ``drawn_mass`` and so
             on. Attribute ``scenario`` describes the run. The traces, which may differ in length,
@@ -427,7 +428,7 @@ class Ensemble:
     def __str__(self) -> str:
         samples = f"seed {self.scenario.seed}, {len(self.scenario.t)} samples each"
         named = self.scenario.coordinates, self.scenario.inputs
-        judged = self.worst_measure, self.scenario.judged
+        judged = self.worst_metric, self.scenario.recorded_metrics
         rows = ranges(self.max_distance, self.max_error, self.max_input, *named, *judged)
         words = [str(self.scenario)] if isinstance(self.scenario, Outline) else []
         return "\n".join([self._judgement(), samples, *rows, *words])

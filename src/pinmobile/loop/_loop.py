@@ -17,7 +17,7 @@ import numpy as np
 from pinmobile.arrays import Array, are_real
 from pinmobile.compiled import entries, has_symbols
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.measures import measured_of
+from pinmobile.metrics import evaluate_metrics_of
 from pinmobile.parts import (
     Carried,
     Constrained,
@@ -158,7 +158,7 @@ class Loop:
     @cached_property
     def is_measured(self) -> bool:
         """Whether the recorder looks at the plant's metrics."""
-        return bool(getattr(self.recorder, "measures", ())) and able(self.plant, Measuring) is not None
+        return bool(getattr(self.recorder, "metrics", ())) and able(self.plant, Measuring) is not None
 
     @cached_property
     def signals(self) -> bool:
@@ -211,7 +211,7 @@ class Sample(NamedTuple):
     signals : dict of str to Claim
         By name, where the recorder has ``signals = True``.
     measured : ndarray, shape (m,)
-        Metrics of the plant, where the recorder has ``measures``.
+        Metrics of the plant, where the recorder has ``metrics``.
     """
 
     k: Any
@@ -290,7 +290,7 @@ def step(
         signals = claimed(collected_signals(loop, t, q, v, u, memory, own), _signal)
     measured: Any = ()
     if loop.is_measured:
-        measured = measured_of(plant, t, q, v, a, u, reference)
+        measured = evaluate_metrics_of(plant, t, q, v, a, u, reference)
     sample = Sample(k, t, q, v, u, a, error, error_rate, signals, measured)
     record = NOTHING if loop.recorder is None else loop.recorder(sample, record_state)
     return State(q1, v1, after, kept, record.state), sample, record

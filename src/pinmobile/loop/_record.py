@@ -14,7 +14,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.divergence import is_alive
 from pinmobile.loop._loop import Record, Sample
-from pinmobile.measures import size_of
+from pinmobile.metrics import size_of
 from pinmobile.parts import number, option, part
 
 
@@ -34,15 +34,15 @@ class Worst:
     distances : tuple of tuples of int
         Coordinates whose errors make a distance together; of each distance the largest is kept, and its sizes
         are counted.
-    measures : tuple of (int, bool)
+    metrics : tuple of (int, bool)
         Which of the plant's measures are kept and counted, and whether it is a margin, of which the smallest
-        is the worst: see `pinmobile.measures`.
+        is the worst: see `pinmobile.metrics`.
     """
 
     limit: float = number(default=np.inf, above=0, endless=True, doc="largest error")
     begin: Any = number(default=None, optional=True, doc="first sample whose error is kept")
     distances: tuple[tuple[int, ...], ...] = option(default=((0, 1), (2,)))
-    measures: tuple[tuple[int, bool], ...] = option(default=())
+    metrics: tuple[tuple[int, bool], ...] = option(default=())
 
     def initial_state(self, n: int, nu: int) -> dict[str, Array]:
         """Return the record of no sample, for n errors and nu inputs."""
@@ -58,9 +58,9 @@ class Worst:
         }
 
     def _unmeasured(self) -> dict[str, Array]:
-        if not self.measures:
+        if not self.metrics:
             return {}
-        worst = np.array([-np.inf if is_margin else 0.0 for _, is_margin in self.measures])
+        worst = np.array([-np.inf if is_margin else 0.0 for _, is_margin in self.metrics])
         return {"worst": worst, "measure_squares": np.zeros(len(worst))}  # margins: the largest -m
 
     def __call__(self, sample: Sample, state: Mapping[str, Any]) -> Record:
@@ -89,7 +89,7 @@ class Worst:
             else np.where(alive, error[..., group[0]], np.inf)
             for square, group in zip(groups, self.distances, strict=True)
         ]
-        if not self.measures:
+        if not self.metrics:
             return Record(new, sizes)
         kept, found = self._measured(sample, state, alive)
         return Record(new | kept, sizes + found)
@@ -98,7 +98,7 @@ class Worst:
         self, sample: Sample, state: Mapping[str, Any], alive: Any
     ) -> tuple[dict[str, Any], list[Any]]:
         """Return what is kept of the plant's measures, and their sizes."""
-        columns = [(sample.measured[..., i], is_margin) for i, is_margin in self.measures]
+        columns = [(sample.measured[..., i], is_margin) for i, is_margin in self.metrics]
         bad = [-x if is_margin else np.abs(x) for x, is_margin in columns]
         before = {name: state[name] for name in ("worst", "measure_squares")}
         if self.begin is not None:  # what was infinite before is forgotten, too

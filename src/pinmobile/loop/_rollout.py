@@ -16,7 +16,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.files import replacing, write_table
 from pinmobile.loop._end_effector import EndEffector, aimed_at, end_effector_of
 from pinmobile.loop._storage import read_archive, write_archive
-from pinmobile.measures import in_words, measured_of, measures_of
+from pinmobile.metrics import evaluate_metrics_of, in_words, measures_of
 from pinmobile.plant import (
     Coordinate,
     Input,
@@ -220,23 +220,26 @@ class Rollout:
             )
         return frozen(all_samples(self.plant, "pose", q))
 
-    def measures(self) -> dict[str, Signal]:
-        """Return what the plant states as ``measures``, with units, at all samples, by name.
+    def metrics(self) -> dict[str, Signal]:
+        """Return what the plant states as ``metrics``, with units, at all samples, by name.
 
         Raises
         ------
         InvalidArgument
-            If the plant's ``measured`` returns another shape, or no real numbers.
+            If the plant's ``evaluate_metrics`` returns another shape, or no real numbers.
         """
         stated = measures_of(self.plant)
         if not stated:
             return {}
         recorded = self.t, self.q, self.v, self.a, self.u
         if getattr(self.plant, "broadcasts", False):
-            found = measured_of(self.plant, *recorded, self.reference)
+            found = evaluate_metrics_of(self.plant, *recorded, self.reference)
         else:
             samples = zip(*recorded, *self.reference, strict=True)
-            rows = (measured_of(self.plant, t, q, v, a, u, Reference(*at)) for t, q, v, a, u, *at in samples)
+            rows = (
+                evaluate_metrics_of(self.plant, t, q, v, a, u, Reference(*at))
+                for t, q, v, a, u, *at in samples
+            )
             found = np.stack(list(rows))
         return {one.name: Signal(one.unit, frozen(found[:, k])) for k, one in enumerate(stated)}
 

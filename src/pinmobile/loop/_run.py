@@ -28,7 +28,7 @@ from pinmobile.loop._scenario import Scenario, checked_scenario
 from pinmobile.loop._simulate import Engine, checked_engine
 from pinmobile.loop._spread import Source
 from pinmobile.loop._trace import arrays_of, initial_memory
-from pinmobile.measures import measures_of
+from pinmobile.metrics import measures_of
 from pinmobile.parts import OnCoordinates, evolved, replace as replaced
 from pinmobile.plant import Context, Plant
 from pinmobile.trajectories import Reference, Trajectory
@@ -85,7 +85,7 @@ def _check_measured(scenario: Scenario, part: Part, start: int) -> None:
     InvalidArgument
         If there is one.
     """
-    for one, column in zip(scenario.judged, part.rms_measure.T, strict=True):
+    for one, column in zip(scenario.recorded_metrics, part.rms_metric.T, strict=True):
         wrong = np.flatnonzero(np.isnan(column))
         if wrong.size:
             raise InvalidArgument(
@@ -123,7 +123,7 @@ def _with_recorder(scenario: Scenario, loop: Loop | None = None) -> Loop:
         limit=scenario.limit,
         begin=begin,
         distances=((0, 1), (2,), *((k,) for k in range(3, scenario.size))),
-        measures=tuple((stated.index(one.name), one.is_margin) for one in scenario.judged),
+        metrics=tuple((stated.index(one.name), one.is_margin) for one in scenario.recorded_metrics),
     )
     return evolved(loop, {"recorder": recorder})
 
@@ -262,7 +262,7 @@ def ensemble(
     limit: float = 1e3,
     after: float = 0.0,
     every: int | None = None,
-    measures: Sequence[str] | None = None,
+    metrics: Sequence[str] | None = None,
     traces: Iterable[int] = (),
     engine: Engine | None = None,
     threads: int | None = None,
@@ -280,7 +280,7 @@ def ensemble(
         Time from which on errors are kept [s].
     every : int, optional
         Samples between two entries of the bands over time.
-    measures : sequence of str, optional
+    metrics : sequence of str, optional
         What the robot states that is judged beside errors, by name; by default all, see `Scenario`.
     traces : iterable of int
         Robots of which a whole `Rollout` is kept, made by `simulate`.
@@ -324,7 +324,7 @@ def ensemble(
         limit=limit,
         after=after,
         every=every,
-        measures=measures,
+        metrics=metrics,
     )
     return run_scenario(scenario, traces=traces, engine=engine, threads=threads, progress=progress)
 

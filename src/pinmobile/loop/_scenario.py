@@ -39,7 +39,7 @@ from pinmobile.loop._spread import (
     in_blocks,
 )
 from pinmobile.loop._trace import initial_memory, initial_velocities
-from pinmobile.measures import Measure, channels_of, check_measured, chosen
+from pinmobile.metrics import Metric, channels_of, check_measured, chosen
 from pinmobile.parts import (
     Constrained,
     Found,
@@ -96,7 +96,7 @@ class Scenario:
         Inputs, divergence and bands include the start.
     every : int, optional
         Samples between two entries of the bands over time; default: some 60 entries.
-    measures : sequence of str, optional
+    metrics : sequence of str, optional
         Names of the robot's metrics to record beside errors; default: all. Compiled robots with arms take 1.4
         times as long with all metrics as with none, ``()``. Robots that tip over are counted by "tip over".
 
@@ -120,7 +120,7 @@ class Scenario:
     limit: float = 1e3
     after: float = 0.0
     every: int | None = None
-    measures: Sequence[str] | None = None
+    metrics: Sequence[str] | None = None
     t: Array = field(init=False, repr=False)
     reference: Reference = field(init=False, repr=False)
 
@@ -155,7 +155,7 @@ class Scenario:
             (1 + len(self.channels)) * BINS * len(self.grid),
             "give a larger `every`",
         )
-        own = 3 + 2 * self.size + len(self.inputs) + 2 * len(self.judged) + len(self.spread)
+        own = 3 + 2 * self.size + len(self.inputs) + 2 * len(self.recorded_metrics) + len(self.spread)
         affordable(f"the records of {n:,} robots", own * n, "give a smaller n")
         try:
             self._set(spread=checked_spread(self.spread, n, self.find))
@@ -185,7 +185,7 @@ class Scenario:
     def _check_answers(self) -> None:
         """Reject parts that return arrays of wrong shapes, or different values for the same arguments."""
         h = self.dt / self.substeps
-        if self.judged:
+        if self.recorded_metrics:
             check_measured(self.robot, *self._beginning(self.robot), self.reference)
         check_answers(self.robot, self.forces, self.integrator, *self._beginning(self.robot), h)
         check_controllers_memory(self.controller, self.context, *self.start)
@@ -242,15 +242,15 @@ class Scenario:
         return self.context.inputs
 
     @cached_property
-    def judged(self) -> tuple[Measure, ...]:
+    def recorded_metrics(self) -> tuple[Metric, ...]:
         """Metrics of the robot that the ensemble records beside errors."""
         errors = "distance", "heading", *(one.name for one in self._coordinates)
-        return chosen(self.robot, self.measures, errors)
+        return chosen(self.robot, self.metrics, errors)
 
     @property
-    def channels(self) -> tuple[Measure, ...]:
-        """Metrics with bands over time: distance, heading, errors of further coordinates, and `judged`."""
-        return channels_of(self.coordinates, self.judged)
+    def channels(self) -> tuple[Metric, ...]:
+        """Metrics with bands over time: distance, heading, errors of further coordinates, and others."""
+        return channels_of(self.coordinates, self.recorded_metrics)
 
     @cached_property
     def found(self) -> dict[str, Found]:

@@ -18,7 +18,7 @@ from pinmobile.loop._description import Outline
 from pinmobile.loop._rollout import Rollout
 from pinmobile.loop._scenario import Scenario
 from pinmobile.loop._storage import RECORDED, described_run, restored_run, signal_columns
-from pinmobile.measures import Measure
+from pinmobile.metrics import Metric
 from pinmobile.plant import Parameter
 from pinmobile.trajectories import Reference
 
@@ -59,10 +59,10 @@ class Variable(NamedTuple):
 _UNTIL = "of a diverged robot until then"
 _SINCE = f"from the scenario's `after` on, {_UNTIL}"
 _EACH, _EACH_COORDINATE, _EACH_INPUT = ("robot",), ("robot", "coordinate"), ("robot", "input")
-_EACH_MEASURE = ("robot", "measure")
+_EACH_MEASURE = ("robot", "metric")
 PER_ROBOT = (
     *("max_error", "rms_error", "max_input", "max_distance", "diverged_at"),
-    *("worst_measure", "rms_measure"),
+    *("worst_metric", "rms_metric"),
 )
 """Names of the arrays with one entry per robot, beside what was drawn."""
 
@@ -75,7 +75,7 @@ def per_robot(scenario: Scenario | Outline) -> dict[str, Variable]:
     scenario : Scenario or Outline
         Whose.
     """
-    named = scenario.coordinates, scenario.inputs, scenario.judged
+    named = scenario.coordinates, scenario.inputs, scenario.recorded_metrics
     errors, sizes, units = (", ".join(one.unit or "1" for one in each) for each in named)
     found = {
         "max_error": Variable(_EACH_COORDINATE, errors, f"largest |error|, {_SINCE}"),
@@ -84,11 +84,11 @@ def per_robot(scenario: Scenario | Outline) -> dict[str, Variable]:
         "max_distance": Variable(_EACH, "m", f"largest distance from the desired position, {_SINCE}"),
         "diverged_at": Variable(_EACH, "s", "when the loop diverged; NaN where it did not"),
     }
-    if scenario.judged:
+    if scenario.recorded_metrics:
         worst = f"largest size, or smallest margin, of what else is judged, {_SINCE}"
-        each = ", ".join(one.worst for one in scenario.judged)
-        found["worst_measure"] = Variable(_EACH_MEASURE, units, worst, each)
-        found["rms_measure"] = Variable(_EACH_MEASURE, units, f"root of its mean square, {_SINCE}")
+        each = ", ".join(one.worst for one in scenario.recorded_metrics)
+        found["worst_metric"] = Variable(_EACH_MEASURE, units, worst, each)
+        found["rms_metric"] = Variable(_EACH_MEASURE, units, f"root of its mean square, {_SINCE}")
     return found
 
 
@@ -96,12 +96,12 @@ SUMMED = ("counts", "quantiles")
 """Names of the arrays that are summed up over all robots."""
 
 
-def over_all(channels: Sequence[Measure]) -> dict[str, Variable]:
+def over_all(channels: Sequence[Metric]) -> dict[str, Variable]:
     """Return the arrays of `SUMMED`.
 
     Parameters
     ----------
-    channels : sequence of Measure
+    channels : sequence of Metric
         What is counted.
     """
     counted = "how many robots have this size; what diverged counts in the last bin, of margins in the first"
@@ -126,7 +126,7 @@ def drawn(parameters: Mapping[str, Parameter]) -> dict[str, Variable]:
     }
 
 
-def quantiles_of(counts: NDArray[np.int32], levels: Array, channels: Sequence[Measure]) -> dict[str, Array]:
+def quantiles_of(counts: NDArray[np.int32], levels: Array, channels: Sequence[Metric]) -> dict[str, Array]:
     """Return the quantiles over time of each channel, shape (L, G), by name.
 
     Parameters
@@ -135,7 +135,7 @@ def quantiles_of(counts: NDArray[np.int32], levels: Array, channels: Sequence[Me
         Of all robots.
     levels : ndarray, shape (L,)
         Shares of the robots.
-    channels : sequence of Measure
+    channels : sequence of Metric
         What is counted.
     """
     return {
@@ -144,7 +144,7 @@ def quantiles_of(counts: NDArray[np.int32], levels: Array, channels: Sequence[Me
     }
 
 
-def summed(counts: NDArray[np.int32], channels: Sequence[Measure]) -> dict[str, Array | NDArray[np.int32]]:
+def summed(counts: NDArray[np.int32], channels: Sequence[Metric]) -> dict[str, Array | NDArray[np.int32]]:
     """Return the arrays of `SUMMED`; the arguments are those of `quantiles_of`."""
     found = quantiles_of(counts, np.array(LEVELS), channels)
     return {"counts": counts, "quantiles": np.array(list(found.values()))}
@@ -158,11 +158,12 @@ def coordinates(scenario: Scenario | Outline) -> list[tuple[str, Sequence[Any], 
     scenario : Scenario or Outline
         Whose.
     """
-    names, inputs, measures = (
-        [one.name for one in each] for each in (scenario.coordinates, scenario.inputs, scenario.judged)
+    names, inputs, metrics = (
+        [one.name for one in each]
+        for each in (scenario.coordinates, scenario.inputs, scenario.recorded_metrics)
     )
     told = ", ".join(f"{one.meaning} [{one.unit or '1'}]" for one in scenario.channels)
-    judged = ", ".join(one.meaning for one in scenario.judged)
+    judged = ", ".join(one.meaning for one in scenario.recorded_metrics)
     return [
         ("time", scenario.grid.tolist(), "s", "time"),
         ("coordinate", list(names), "1", "coordinate"),
@@ -175,7 +176,7 @@ def coordinates(scenario: Scenario | Outline) -> list[tuple[str, Sequence[Any], 
             "as of the channel",
             "lower edge; the upper one is the next bin's lower one; of a margin m, of m + sqrt(m^2 + 2^-24)",
         ),
-        *([("measure", measures, "1", judged)] if measures else []),
+        *([("metric", metrics, "1", judged)] if metrics else []),
     ]
 
 
@@ -217,7 +218,7 @@ def columns_of(ensemble: Any) -> tuple[list[str], list[Array]]:
     named: Mapping[str, Sequence[Any]] = {
         "coordinate": ensemble.scenario.coordinates,
         "input": ensemble.scenario.inputs,
-        "measure": ensemble.scenario.judged,
+        "metric": ensemble.scenario.recorded_metrics,
     }
     for name, one, array in _arrays(ensemble):
         each = [(f"{name}_{part.name}", part.unit) for part in named.get(one.dimensions[-1], ())]

@@ -83,10 +83,10 @@ class Measuring(Protocol):
     """
 
     @property
-    def measures(self) -> Any:
-        """Tuple of m `pinmobile.measures.Measure`: names, units and meanings of the metrics."""
+    def metrics(self) -> Any:
+        """Tuple of m `pinmobile.metrics.Metric`: names, units and meanings of the metrics."""
 
-    def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any, /) -> Any:
+    def evaluate_metrics(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any, /) -> Any:
         """Return the metrics of a sample, shape (m,)."""
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, ArrayLike, finite, one_of, scalar, sequence, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Bands, Ensemble, SameAs, edges
-from pinmobile.measures import Measure
+from pinmobile.metrics import Metric
 from pinmobile.palette import INK
 from pinmobile.plots.figure_layout import Canvas, Sheet, Spot, letters, over, wrapped
 from pinmobile.plots.parameter_curves import strip_above
@@ -108,7 +108,7 @@ def bands(
     return sheet.finish(title, "How far the robots stray", list(_keys(drawn[0], list(known.values()))))
 
 
-def _rows(ensembles: Sequence[Ensemble], by: Sequence[str] | None) -> list[Measure]:
+def _rows(ensembles: Sequence[Ensemble], by: Sequence[str] | None) -> list[Metric]:
     """Return what has a row.
 
     Raises
@@ -118,7 +118,8 @@ def _rows(ensembles: Sequence[Ensemble], by: Sequence[str] | None) -> list[Measu
     """
     known = [{each.name: each for each in one.scenario.channels} for one in ensembles]
     if by is None:
-        judged = [each.name for each in ensembles[0].scenario.judged if each.worst != "ever"]
+        recorded = ensembles[0].scenario.recorded_metrics
+        judged = [each.name for each in recorded if each.worst != "ever"]
         names = [*_ALWAYS, *(name for name in judged if all(name in each for each in known))]
     else:
         names = list(sequence("by", by, "a sequence of names, such as ['distance']"))
@@ -130,7 +131,7 @@ def _rows(ensembles: Sequence[Ensemble], by: Sequence[str] | None) -> list[Measu
     return [known[0][name] for name in names]
 
 
-def _words(channel: Measure) -> str:
+def _words(channel: Metric) -> str:
     """Return what is told beside the axes of a row."""
     if channel.name == "distance":
         return "distance from\ndesired position"
@@ -159,7 +160,7 @@ def _drawn(ensemble: Ensemble, levels: Array, names: Sequence[str]) -> Bands:
     return Bands(found.t, found.levels, drawn)
 
 
-def _scale(quantiles: Sequence[Array], channel: Measure) -> _Scale:
+def _scale(quantiles: Sequence[Array], channel: Metric) -> _Scale:
     """Return axes that hold all that is finite, each of shape (L, G); of a margin linear ones, and zero."""
     known = np.concatenate([one[np.isfinite(one)] for one in quantiles])
     lowest, highest = float(known.min(initial=0.0)), float(known.max(initial=0.0))
@@ -205,9 +206,7 @@ def _shades(base: str, count: int) -> list[tuple[float, float, float]]:
     return [tint(base, share) for share in np.linspace(0.75, 0.15, count)]
 
 
-def _bounds(
-    sheet: Sheet, column: NDArray[Any], rows: Sequence[Measure], one: Ensemble, level: float
-) -> float:
+def _bounds(sheet: Sheet, column: NDArray[Any], rows: Sequence[Metric], one: Ensemble, level: float) -> float:
     """Write above each of a column's axes what a share stays within; return how high the first is [pt]."""
     after, within = one.scenario.after, one.error_quantile(level)
     when = f"from {after:g} s on" if after else "throughout"
@@ -539,9 +538,9 @@ def _fate(ensemble: Ensemble, by: str) -> str:
     return "diverged" if ensemble.diverged[_lost(ensemble, by)].all() else "no bound"
 
 
-def _judged(ensemble: Ensemble, by: str) -> Measure:
+def _judged(ensemble: Ensemble, by: str) -> Metric:
     """Return what is told of a name of `Ensemble.largest`."""
-    known = {one.name: Measure(one.name, one.unit, "") for one in ensemble.scenario.coordinates}
+    known = {one.name: Metric(one.name, one.unit, "") for one in ensemble.scenario.coordinates}
     known |= {one.name: one for one in ensemble.scenario.channels}
     return known[by]
 

@@ -23,7 +23,7 @@ from pinmobile.closed_form import (
 )
 from pinmobile.compiled import Node, plain, symbols
 from pinmobile.errors import InvalidArgument, NotTraceable
-from pinmobile.measures import Measure
+from pinmobile.metrics import Metric
 from pinmobile.parts import is_symbolic
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot.linkage import (
@@ -591,15 +591,17 @@ class ArticulatedDynamics:
         return symbols([weight], ()) if type(weight) is Node else weight
 
     @property
-    def measures(self) -> tuple[Measure, ...]:
-        """What is worth judging about it: see `MobileRobot.measures`."""
-        return () if self.judgement is None else self.judgement.measures
+    def metrics(self) -> tuple[Metric, ...]:
+        """What is worth judging about it: see `MobileRobot.metrics`."""
+        return () if self.judgement is None else self.judgement.metrics
 
-    def measured(self, t: Array | float, q: Array, v: Array, a: Array, u: Array, reference: Any) -> Array:
+    def evaluate_metrics(
+        self, t: Array | float, q: Array, v: Array, a: Array, u: Array, reference: Any
+    ) -> Array:
         """Return its measures, shape (..., m)."""
         if self.judgement is None:
             return np.zeros((*np.shape(q)[:-1], 0))
-        return self.judgement.measured(self, q, v, a, u, reference.q)
+        return self.judgement.evaluate_metrics(self, q, v, a, u, reference.q)
 
     def frame_pose(self, q: Array, frame: str | None = None) -> Array:
         """Return T_0_f, the pose of a frame, shape (..., 4, 4)."""

@@ -30,7 +30,7 @@ from pinmobile.arrays import (
 )
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable
-from pinmobile.measures import Measure
+from pinmobile.metrics import Metric
 from pinmobile.parts import (
     Desired,
     Number,
@@ -436,20 +436,20 @@ class MobileRobot(System):
         return Judgement.of(self)
 
     @property
-    def measures(self) -> tuple[Measure, ...]:
-        """What is worth judging about it beside errors, none without arms: what `measured` returns.
+    def metrics(self) -> tuple[Metric, ...]:
+        """What is worth judging about it beside errors, none without arms: what `evaluate_metrics` returns.
 
         Of each arm how far its end effector is from where the reference puts it, and by what angle; where
         joints have limits, the largest effort of what they allow; and the tip-over margin, where footprint
         and ground are known.
         """
-        return self._judgement.measures if self.mounts else ()
+        return self._judgement.metrics if self.mounts else ()
 
     @by_values()
-    def measured(
+    def evaluate_metrics(
         self, t: ArrayLike, q: ArrayLike, v: ArrayLike, a: ArrayLike, u: ArrayLike, reference: Any
     ) -> Array:
-        """Return its `measures`, shape (..., m).
+        """Return its `metrics`, shape (..., m).
 
         What the reference does not lead it puts where `rest` has it, as `start` does.
 
@@ -480,7 +480,7 @@ class MobileRobot(System):
             return np.zeros((*lead, 0))
         numbers = state["q"], state["v"], state["a"], state["u"]
         with np.errstate(over="ignore"):
-            found: Array = self._judgement.measured(self, *numbers, desired)
+            found: Array = self._judgement.evaluate_metrics(self, *numbers, desired)
         finite_answer(np.where(found == -np.inf, 0.0, found), **state)  # a margin may be minus infinity
         return found
 

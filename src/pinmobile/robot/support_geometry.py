@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, instance, lengths, positive, shaped
 from pinmobile.errors import InvalidArgument
-from pinmobile.measures import Measure
+from pinmobile.metrics import Metric
 
 WEIGHTLESS = 1e-9
 """Share of the weight: a vertical force of the ground that only rounding made."""
@@ -255,20 +255,20 @@ class Judgement:
         return np.flatnonzero(np.isfinite(self.effort_limit)).tolist()
 
     @cached_property
-    def measures(self) -> tuple[Measure, ...]:
-        """What `measured` returns."""
+    def metrics(self) -> tuple[Metric, ...]:
+        """What `evaluate_metrics` returns."""
         found = []
         for k, (arm, tip) in enumerate(self.tips):
             of = f" of {arm}" if k else ""  # the first arm's is the robot's
             where = "where the reference puts it"
-            found.append(Measure(f"end effector{of}", "m", f"distance of {tip} from {where}"))
-            found.append(Measure(f"end effector angle{of}", "rad", f"angle of {tip} to {where}"))
+            found.append(Metric(f"end effector{of}", "m", f"distance of {tip} from {where}"))
+            found.append(Metric(f"end effector angle{of}", "rad", f"angle of {tip} to {where}"))
         if self._limited:
             words = "largest |force or torque| of a joint, of what its motor can do"
-            found.append(Measure("effort", "", words))
+            found.append(Metric("effort", "", words))
         if self.footprint is not None:
             words = "distance of the zero-moment point inside the footprint's edge"
-            found.append(Measure("tip-over margin", "m", words, "smallest"))
+            found.append(Metric("tip-over margin", "m", words, "smallest"))
         return tuple(found)
 
     def apart(self, robot: Any, q: Array, desired: Array) -> Array:
@@ -277,7 +277,7 @@ class Judgement:
         Parameters
         ----------
         robot, q, desired
-            As in `measured`.
+            As in `evaluate_metrics`.
         """
         rest = self.rest[np.shape(desired)[-1] :]
         rest = np.broadcast_to(rest, (*np.shape(desired)[:-1], len(rest)))
@@ -286,7 +286,7 @@ class Judgement:
         found = [each for pair in poses for each in _apart(*pair)]
         return np.stack(np.broadcast_arrays(*found), axis=-1)
 
-    def measured(self, robot: Any, q: Array, v: Array, a: Array, u: Array, desired: Array) -> Array:
+    def evaluate_metrics(self, robot: Any, q: Array, v: Array, a: Array, u: Array, desired: Array) -> Array:
         """Return the measures of a robot that moves so, shape (..., m).
 
         Parameters

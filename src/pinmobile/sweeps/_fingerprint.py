@@ -23,7 +23,7 @@ from pinmobile.sweeps._points import Points
 FORMAT = 4
 """Format of stores."""
 
-_PLAIN = ("n", "seed", "dt", "substeps", "limit", "after", "stride", "measures")
+_PLAIN = ("n", "seed", "dt", "substeps", "limit", "after", "stride", "metrics")
 _SHOWN = 16  # numbers of an array that are stated one by one
 _LONG = 100  # letters of a text that is stated as it is
 _DIGEST = re.compile(r"\b[0-9a-f]{32} of ")

@@ -33,7 +33,7 @@ Changes: TypeAlias = Mapping[str, Any]
 _PARTS = {"robot": "plant"} | {name: name for name in ("controller", "trajectory", "integrator", "forces")}
 _OWN = {each.name for each in fields(Scenario) if each.init} - _PARTS.keys()
 _UNITS = {"dt": "s", "duration": "s", "after": "s"}
-_COORDINATES = "coordinate", "input", "measure", "channel", "time", "level", "bin"
+_COORDINATES = "coordinate", "input", "metric", "channel", "time", "level", "bin"
 _NAMES = {"robot", "chunk", *_COORDINATES, *PER_ROBOT, *SUMMED}  # of a store's own dimensions and arrays
 _MOST = 100_000  # points, each with some twenty files in a store
 

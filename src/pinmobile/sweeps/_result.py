@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import location, one_of, whole
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import PER_ROBOT, Ensemble, Scenario, checked_share, drawn_name, percent, share_within
-from pinmobile.measures import in_words
+from pinmobile.metrics import in_words
 from pinmobile.sweeps._fingerprint import describe, differences
 from pinmobile.sweeps._points import Axis, Label, Points, index_of, place
 
@@ -136,7 +136,7 @@ class Sweep:
     def _judged(self) -> dict[str, tuple[str, dict[str, int], str, float]]:
         """Return array, place in it, unit, and sign (-1 of margins) of each error and metric, by name."""
         found = {"distance": ("max_distance", dict[str, int](), "m", 1.0)}
-        for name, dimension in (("max_error", "coordinate"), ("worst_measure", "measure")):
+        for name, dimension in (("max_error", "coordinate"), ("worst_metric", "metric")):
             if name in self.dataset:
                 attributes, labels = self.dataset[name].attrs, self.dataset[dimension].values.tolist()
                 units, worst = (attributes.get(key, "").split(", ") for key in ("units", "worst"))

@@ -243,7 +243,7 @@ def _make_arrays(group: Any, points: Points, chunk: int) -> None:
         group.create_array(name, dtype=kind, attributes=attributes, **options)[:] = data
     sizes = {"robot": n, "coordinate": len(first.coordinates), "input": len(first.inputs)}
     sizes |= {"time": len(first.grid), "bin": BINS, "level": len(LEVELS), "chunk": -(-n // chunk)}
-    sizes |= {"measure": len(first.judged), "channel": len(first.channels)}
+    sizes |= {"metric": len(first.recorded_metrics), "channel": len(first.channels)}
     spread = {name: one for scenario in points.scenarios for name, one in scenario.parameters.items()}
     variables = {**per_robot(first), **drawn(dict(sorted(spread.items()))), **over_all(first.channels)}
     counts = variables["counts"]

@@ -15,7 +15,7 @@ import pinocchio as pin
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, frozen, positive, shaped
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import rk4
-from pinmobile.measures import Measure
+from pinmobile.metrics import Metric
 from pinmobile.parts import (
     Desired,
     also_symbols,
@@ -852,21 +852,21 @@ class WheeledRobot:
         return TimeScaledMotion(self._rolling, along, self.robot.effort_limit[BODY_JOINT:])
 
     @property
-    def measures(self) -> tuple[Measure, ...]:
-        """What is worth judging about it beside errors: what `measured` returns.
+    def metrics(self) -> tuple[Metric, ...]:
+        """What is worth judging about it beside errors: what `evaluate_metrics` returns.
 
         The smallest load of wheels and supports; of wheels that roll the smallest slip margin, see
         `slip_margins`, and of those that may slip the largest velocity at which one slides; where there are
         limits, the largest torque of what motors allow; with arms, what is judged of these, see
-        `MobileRobot.measures`.
+        `MobileRobot.metrics`.
         """
-        return self.array_dynamics.measures  # type: ignore[no-any-return]
+        return self.array_dynamics.metrics  # type: ignore[no-any-return]
 
     @also_symbols
-    def measured(
+    def evaluate_metrics(
         self, t: ArrayLike, q: ArrayLike, v: ArrayLike, a: ArrayLike, u: ArrayLike, reference: Any
     ) -> Array:
-        """Return its `measures`, shape (..., m).
+        """Return its `metrics`, shape (..., m).
 
         Parameters
         ----------
@@ -883,6 +883,8 @@ class WheeledRobot:
         lead = broadcast(**{"q": given[0], "reference.q": given[-1]})
         q, v, u, a, desired = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in given)
         with np.errstate(all="ignore"):
-            found = np.asarray(self.array_dynamics.measured(t, q, v, a, u, reference._replace(q=desired)))
+            found = np.asarray(
+                self.array_dynamics.evaluate_metrics(t, q, v, a, u, reference._replace(q=desired))
+            )
         finite_answer(np.where(found == -np.inf, 0.0, found), q=q, v=v, a=a, u=u)  # a margin may be that
-        return np.array(np.broadcast_to(found, (*lead, len(self.measures))))
+        return np.array(np.broadcast_to(found, (*lead, len(self.metrics))))

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.measures import Measure
+from pinmobile.metrics import Metric
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import (
     ZERO,
@@ -32,7 +32,7 @@ from pinmobile.robot import (
     vector_of as stacked,
 )
 from pinmobile.wheels._kinematics import Choice, Kinematics, Row, Solution, solved as rolled
-from pinmobile.wheels._loads import measured, measures_of
+from pinmobile.wheels._loads import evaluate_metrics, metrics_of
 from pinmobile.wheels._table import Axis, WheelTable
 from pinmobile.wheels._velocities import Followed, Reduced, followed, linearized, matrix
 
@@ -177,14 +177,14 @@ class WheeledDynamics:
         return [(k, axis.limit) for k, axis in enumerate(self.table.axes) if np.isfinite(axis.limit)]
 
     @cached_property
-    def measures(self) -> tuple[Measure, ...]:
-        """What is worth judging about it: see `WheeledRobot.measures`."""
-        return measures_of(self)
+    def metrics(self) -> tuple[Metric, ...]:
+        """What is worth judging about it: see `WheeledRobot.metrics`."""
+        return metrics_of(self)
 
-    def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+    def evaluate_metrics(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
         """Return its measures, shape (..., m)."""
         del t
-        return measured(self, q, v, a, u, reference.q)
+        return evaluate_metrics(self, q, v, a, u, reference.q)
 
     @property
     def weight(self) -> Any:

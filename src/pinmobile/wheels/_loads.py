@@ -14,7 +14,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.compiled import choose, higher, plain, repeated, square_root
 from pinmobile.errors import InvalidArgument
-from pinmobile.measures import Measure
+from pinmobile.metrics import Metric
 from pinmobile.plant import ContactLoads, Contacts, SlipMargins, TorqueMargins
 from pinmobile.robot import (
     ONE,
@@ -417,8 +417,8 @@ def limits_of(body: Any) -> list[tuple[int, float]]:
     return [(k, limit) for k, limit in found if np.isfinite(limit)]
 
 
-def measures_of(body: Any) -> tuple[Measure, ...]:
-    """Return what `measured` gives.
+def metrics_of(body: Any) -> tuple[Metric, ...]:
+    """Return what `evaluate_metrics` gives.
 
     Parameters
     ----------
@@ -427,26 +427,26 @@ def measures_of(body: Any) -> tuple[Measure, ...]:
     """
     arms, found = arms_of(body), []
     if arms is not None:
-        found += [one for one in arms.measures if one.name.startswith("end effector")]
+        found += [one for one in arms.metrics if one.name.startswith("end effector")]
     if limits_of(body):
-        found.append(Measure("effort", "", "largest |torque| of a joint or wheel, of what its motor can do"))
+        found.append(Metric("effort", "", "largest |torque| of a joint or wheel, of what its motor can do"))
     if footprint_of(body) is not None:
         words = "distance of the zero-moment point inside the edge of what it stands on"
-        found.append(Measure("tip-over margin", "m", words, "smallest"))
+        found.append(Metric("tip-over margin", "m", words, "smallest"))
     if body.stands:
         words = "smallest load of a wheel or support, as springs that pull too would share them"
-        found.append(Measure("load", "N", words, "smallest"))
+        found.append(Metric("load", "N", words, "smallest"))
         words = "no loads of wheels and supports balance them; tipping over is not simulated"
-        found.append(Measure("tip over", "", words, "ever"))
+        found.append(Metric("tip over", "", words, "ever"))
     if body.slips:
-        found.append(Measure("slip", "m/s", "largest velocity at which a wheel slides on the ground"))
+        found.append(Metric("slip", "m/s", "largest velocity at which a wheel slides on the ground"))
     elif body.stands and body.groups:
         words = "smallest friction that a wheel, or an axle, has left before it slips"
-        found.append(Measure("slip margin", "N", words, "smallest"))
+        found.append(Metric("slip margin", "N", words, "smallest"))
     return tuple(found)
 
 
-def measured(body: Any, q: Any, v: Any, a: Any, u: Any, desired: Any) -> Any:
+def evaluate_metrics(body: Any, q: Any, v: Any, a: Any, u: Any, desired: Any) -> Any:
     """Return the measures of a robot that moves so, shape (..., m).
 
     Parameters

@@ -33,7 +33,7 @@ from pinmobile.compiled import BINS
 from pinmobile.errors import UnknownName
 from pinmobile.loop import run_scenario
 from pinmobile.loop._counts import bins_of, quantiles
-from pinmobile.measures import Measure, size_of, value_of
+from pinmobile.metrics import Metric, size_of, value_of
 from pinmobile.reaching.poses import error_sizes, pose_error
 from pinmobile.urdf import Body
 from pinmobile.viewer import Viewer
@@ -76,43 +76,43 @@ def random_states(robot: MobileRobot, count: int) -> tuple[Array, ...]:
 
 def test_measures_of_an_arm_are_those_of_its_own_kinematics_limits_and_balance() -> None:
     q, v, a, u, desired = random_states(UR5, 20)
-    assert [one.name for one in UR5.measures] == NAMES
-    found = UR5.measured(0.0, q, v, a, u, Reference(desired, v, a))
+    assert [one.name for one in UR5.metrics] == NAMES
+    found = UR5.evaluate_metrics(0.0, q, v, a, u, Reference(desired, v, a))
     apart = error_sizes(pose_error(UR5.frame_pose(desired), UR5.frame_pose(q)))
     np.testing.assert_allclose(found[:, :2], apart, atol=CLOSE)
     np.testing.assert_allclose(found[:, 2], (np.abs(u) / UR5.effort_limit).max(axis=1), rtol=CLOSE)
     np.testing.assert_allclose(
         found[:, 3], tip_over_margin(MotionStates(UR5, q, v, a)), rtol=CLOSE, atol=CLOSE
     )
-    symbolic = UR5.array_dynamics.measured(0.0, q, v, a, u, Reference(desired, v, a))  # type: ignore[union-attr]
+    symbolic = UR5.array_dynamics.evaluate_metrics(0.0, q, v, a, u, Reference(desired, v, a))  # type: ignore[union-attr]
     np.testing.assert_allclose(symbolic, found, rtol=CLOSE, atol=CLOSE)
 
 
 def test_what_the_reference_does_not_lead_is_taken_at_rest() -> None:
     q, v, a, u, _ = random_states(UR5, 3)
-    found = UR5.measured(0.0, q, v, a, u, Reference(q[:, :3], v[:, :3], a[:, :3]))
+    found = UR5.evaluate_metrics(0.0, q, v, a, u, Reference(q[:, :3], v[:, :3], a[:, :3]))
     desired = np.concatenate([q[:, :3], np.broadcast_to(UR5.rest[3:], (3, 6))], axis=1)
-    np.testing.assert_array_equal(found, UR5.measured(0.0, q, v, a, u, Reference(desired, v, a)))
+    np.testing.assert_array_equal(found, UR5.evaluate_metrics(0.0, q, v, a, u, Reference(desired, v, a)))
 
 
 def test_each_arm_has_an_end_effector_and_a_bare_robot_no_measure() -> None:
     two = MobileRobot.box().mount("double_pendulum").mount("double_pendulum", (0.2, 0, 0.2, 0))
-    names = [one.name for one in two.measures]
+    names = [one.name for one in two.metrics]
     assert names[:2] == NAMES[:2]
     assert names[2:4] == [f"{name} of {two.mounts[1].name}" for name in NAMES[:2]]
     assert names[-1] == NAMES[-1]
     bare = MobileRobot.box()
-    assert bare.measures == ()
+    assert bare.metrics == ()
     at = Reference(*np.zeros((3, 3)))
-    assert bare.measured(0.0, *np.zeros((4, 3)), at).shape == (0,)  # type: ignore[call-arg]
+    assert bare.evaluate_metrics(0.0, *np.zeros((4, 3)), at).shape == (0,)  # type: ignore[call-arg]
     unknown = MobileRobot.from_model(MobileRobot.box().model).mount("double_pendulum", (0, 0, 0.2, 0))
-    assert NAMES[-1] not in [one.name for one in unknown.measures]  # whose footprint is not known
+    assert NAMES[-1] not in [one.name for one in unknown.metrics]  # whose footprint is not known
 
 
 @pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
 def test_all_engines_judge_alike(engine: Engine) -> None:
     fast, slow = (run_scenario(scenario(), engine=each) for each in (Engine.COMPILED, engine))
-    for name in ("worst_measure", "rms_measure", "max_error", "rms_error"):
+    for name in ("worst_metric", "rms_metric", "max_error", "rms_error"):
         np.testing.assert_allclose(getattr(slow, name), getattr(fast, name), rtol=CLOSE, atol=CLOSE)
     for name, values in fast.bands().quantiles.items():
         # Where a number is next to the edge of a bin, rounding may put it into the next: 3 %.
@@ -127,10 +127,10 @@ def test_a_member_is_judged_as_its_rollout_is(runs: Ensemble) -> None:
     effort = (np.abs(alone.u) / robot.effort_limit).max(axis=1)
     expected = np.column_stack([apart, effort, tip_over_margin(alone)])[begin:]
     worst = [*expected[:, :3].max(axis=0), expected[:, 3].min()]
-    np.testing.assert_allclose(runs.worst_measure[7], worst, rtol=CLOSE, atol=CLOSE)
+    np.testing.assert_allclose(runs.worst_metric[7], worst, rtol=CLOSE, atol=CLOSE)
     rms = np.sqrt(np.square(expected).mean(axis=0))
-    np.testing.assert_allclose(runs.rms_measure[7], rms, rtol=CLOSE, atol=CLOSE)
-    told = alone.measures()
+    np.testing.assert_allclose(runs.rms_metric[7], rms, rtol=CLOSE, atol=CLOSE)
+    told = alone.metrics()
     assert [(name, signal.unit) for name, signal in told.items()] == list(
         zip(NAMES, ("m", "rad", "", "m"), strict=True)
     )
@@ -142,7 +142,7 @@ def test_robots_are_compared_by_measures_and_joints(runs: Ensemble) -> None:
     assert list(runs.error_quantile().sizes) == ["distance", "heading", *joints, *NAMES]
     assert list(runs.bands().quantiles) == list(runs.error_quantile().sizes)
     margin = runs.largest("tip-over margin")
-    np.testing.assert_array_equal(margin, runs.worst_measure[:, 3])
+    np.testing.assert_array_equal(margin, runs.worst_metric[:, 3])
     assert runs.worst(1, by="tip-over margin") == margin.argmin()
     np.testing.assert_array_equal(runs.largest(ELBOW), runs.max_error[:, 5])
     assert runs.worst(1, by=ELBOW) == runs.max_error[:, 5].argmax()
@@ -165,11 +165,11 @@ def test_robots_are_compared_by_measures_and_joints(runs: Ensemble) -> None:
 
 
 def test_a_choice_judges_that_alone(runs: Ensemble) -> None:
-    some = run_scenario(scenario(measures=["tip-over margin", "end effector"]))
-    np.testing.assert_array_equal(some.worst_measure, runs.worst_measure[:3, [0, 3]])
-    assert [one.name for one in some.scenario.judged] == ["end effector", "tip-over margin"]
-    none = run_scenario(scenario(measures=()))
-    assert none.worst_measure.shape == (3, 0)
+    some = run_scenario(scenario(metrics=["tip-over margin", "end effector"]))
+    np.testing.assert_array_equal(some.worst_metric, runs.worst_metric[:3, [0, 3]])
+    assert [one.name for one in some.scenario.recorded_metrics] == ["end effector", "tip-over margin"]
+    none = run_scenario(scenario(metrics=()))
+    assert none.worst_metric.shape == (3, 0)
     np.testing.assert_array_equal(none.max_error, some.max_error)
     bare = replace(
         scenario(spread={"mass": Uniform(20, 30)}),
@@ -177,21 +177,21 @@ def test_a_choice_judges_that_alone(runs: Ensemble) -> None:
         controller=PD(40, 20),
         trajectory=FixedHeading(RestToRest((0, 0), (0.1, 0), 0.6), psi=0),
     )
-    assert bare.judged == ()
+    assert bare.recorded_metrics == ()
 
 
 @pytest.mark.parametrize(
-    ("measures", "error", "words"),
+    ("metrics", "error", "words"),
     [
         (["efort"], UnknownName, "unknown measure 'efort'.*'effort'"),
-        ("effort", InvalidArgument, r"^measures is 'effort', expected a sequence of names$"),
-        (7, InvalidArgument, r"^measures is 7, expected a sequence of names$"),
+        ("effort", InvalidArgument, r"^metrics is 'effort', expected a sequence of names$"),
+        (7, InvalidArgument, r"^metrics is 7, expected a sequence of names$"),
         ([7], UnknownName, "measure 7"),
     ],
 )
-def test_measures_that_there_are_not_are_refused(measures: Any, error: Any, words: str) -> None:
+def test_measures_that_there_are_not_are_refused(metrics: Any, error: Any, words: str) -> None:
     with pytest.raises(error, match=words):
-        scenario(measures=measures)
+        scenario(metrics=metrics)
 
 
 def test_files_and_tables_keep_measures(runs: Ensemble, tmp_path: Path) -> None:
@@ -200,22 +200,22 @@ def test_files_and_tables_keep_measures(runs: Ensemble, tmp_path: Path) -> None:
         Ensemble.load(tmp_path / "runs.npz"),
         Ensemble.load(tmp_path / "runs.npz", runs.scenario),
     ):
-        np.testing.assert_array_equal(loaded.worst_measure, runs.worst_measure)
-        np.testing.assert_array_equal(loaded.rms_measure, runs.rms_measure)
-        assert loaded.scenario.judged == runs.scenario.judged
+        np.testing.assert_array_equal(loaded.worst_metric, runs.worst_metric)
+        np.testing.assert_array_equal(loaded.rms_metric, runs.rms_metric)
+        assert loaded.scenario.recorded_metrics == runs.scenario.recorded_metrics
         assert loaded.error_quantile() == runs.error_quantile()
         np.testing.assert_equal(vars(loaded.bands()), vars(runs.bands()))
-    other = replace(runs.scenario, measures=["effort"])
-    with pytest.raises(InvalidArgument, match=r"^scenario is not that of .*: measures is end effector, "):
+    other = replace(runs.scenario, metrics=["effort"])
+    with pytest.raises(InvalidArgument, match=r"^scenario is not that of .*: metrics is end effector, "):
         Ensemble.load(tmp_path / "runs.npz", other)
     runs.to_csv(tmp_path / "runs.csv")
     header, first = (tmp_path / "runs.csv").read_text().splitlines()[:2]
     columns = dict(zip(header.split(","), first.split(","), strict=True))
-    assert float(columns["worst_measure_tip-over margin [m]"]) == runs.worst_measure[0, 3]
-    assert float(columns["rms_measure_effort"]) == runs.rms_measure[0, 2]
+    assert float(columns["worst_measure_tip-over margin [m]"]) == runs.worst_metric[0, 3]
+    assert float(columns["rms_measure_effort"]) == runs.rms_metric[0, 2]
     data = runs.to_xarray()
-    assert data.worst_measure.sel(measure="effort").values.tolist() == runs.largest("effort").tolist()
-    assert data.worst_measure.attrs["units"] == "m, rad, 1, m"
+    assert data.worst_metric.sel(measure="effort").values.tolist() == runs.largest("effort").tolist()
+    assert data.worst_metric.attrs["units"] == "m, rad, 1, m"
     np.testing.assert_array_equal(
         data.quantiles.sel(channel="tip-over margin"), runs.bands()["tip-over margin"]
     )
@@ -224,7 +224,7 @@ def test_files_and_tables_keep_measures(runs: Ensemble, tmp_path: Path) -> None:
 def test_a_file_of_an_older_format_is_refused_with_the_reason(runs: Ensemble, tmp_path: Path) -> None:
     runs.save(tmp_path / "runs.npz")
     with np.load(tmp_path / "runs.npz") as archive:
-        arrays = {name: archive[name] for name in archive.files if "measure" not in name}
+        arrays = {name: archive[name] for name in archive.files if "metric" not in name}
     np.savez(tmp_path / "old.npz", **arrays | {"format": np.array("pinmobile ensemble 2")})
     with pytest.raises(InvalidArgument, match=r"it is of another format, 'pinmobile ensemble 2'$"):
         Ensemble.load(tmp_path / "old.npz")
@@ -235,7 +235,7 @@ def test_a_sweeps_store_keeps_measures(runs: Ensemble, tmp_path: Path) -> None:
     cases = {"light": {}, "heavy": {"spread": heavy}}
     found = sweep(scenario(n=10), tmp_path / "store", cases=cases, chunk=4)
     light = found.ensemble(case="light")
-    np.testing.assert_array_equal(light.worst_measure, runs.worst_measure[:10])
+    np.testing.assert_array_equal(light.worst_metric, runs.worst_metric[:10])
     np.testing.assert_array_equal(light.counts, run_scenario(scenario(n=10)).counts)
     for by in ("tip-over margin", "effort", ELBOW, "heading", "distance"):
         assert float(found.error_quantile(0.8, by).sel(case="light")) == light.error_quantile(0.8)[by]
@@ -245,7 +245,7 @@ def test_a_sweeps_store_keeps_measures(runs: Ensemble, tmp_path: Path) -> None:
     with pytest.raises(UnknownName, match=r"'margin'"):
         found.error_quantile(by="margin")
     with pytest.raises(InvalidArgument, match=r"^judged is end effector \[m\], .* and none at case = b"):
-        sweep(scenario(), tmp_path / "other", cases={"a": {}, "b": {"measures": ()}})
+        sweep(scenario(), tmp_path / "other", cases={"a": {}, "b": {"metrics": ()}})
 
 
 def test_members_are_drawn_and_viewed(runs: Ensemble) -> None:
@@ -312,13 +312,13 @@ def test_quantiles_of_margins_are_those_of_the_sorted_ones_to_a_bin() -> None:
 class Fenced(Pushed):
     """A body between two walls, which states how far it is from them and how fast it is, in plain NumPy."""
 
-    measures = (
-        Measure("clearance", "m", "from the walls", "smallest"),
-        Measure("speed", "m/s", "of the body"),
+    metrics = (
+        Metric("clearance", "m", "from the walls", "smallest"),
+        Metric("speed", "m/s", "of the body"),
     )
     wall = 0.33
 
-    def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+    def evaluate_metrics(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
         speed = np.sqrt(v[..., 0] ** 2 + v[..., 1] ** 2)
         return np.stack([self.wall - np.abs(q[..., 0]), speed], axis=-1)
 
@@ -335,8 +335,8 @@ def test_a_plant_of_ones_own_states_measures_in_plain_numpy(after: float) -> Non
         run_scenario(fenced(Fenced(), after=after), engine=each) for each in (Engine.COMPILED, Engine.PYTHON)
     ]
     for other in made[1:]:
-        np.testing.assert_allclose(other.worst_measure, made[0].worst_measure, rtol=CLOSE, atol=CLOSE)
-        np.testing.assert_allclose(other.rms_measure, made[0].rms_measure, rtol=CLOSE, atol=CLOSE)
+        np.testing.assert_allclose(other.worst_metric, made[0].worst_metric, rtol=CLOSE, atol=CLOSE)
+        np.testing.assert_allclose(other.rms_metric, made[0].rms_metric, rtol=CLOSE, atol=CLOSE)
     clearance = made[0].largest("clearance")
     assert clearance.min() < 0 < clearance.max()  # some overshoot into the wall
     trace = made[0].trace(2)
@@ -347,32 +347,32 @@ def test_a_plant_of_ones_own_states_measures_in_plain_numpy(after: float) -> Non
 
 def test_what_is_infinite_before_errors_count_is_forgotten() -> None:
     class Late(Fenced):
-        def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
-            found = super().measured(t, q, v, a, u, reference)
+        def evaluate_metrics(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+            found = super().evaluate_metrics(t, q, v, a, u, reference)
             early = np.array([-np.inf, np.inf])
             return np.where(np.asarray(t < 0.3)[..., None], early, found)
 
     for engine in (Engine.COMPILED, Engine.PYTHON):
         late, usual = (run_scenario(fenced(x, after=0.6), engine=engine) for x in (Late(), Fenced()))
-        np.testing.assert_allclose(late.worst_measure, usual.worst_measure, rtol=CLOSE)
-        np.testing.assert_allclose(late.rms_measure, usual.rms_measure, rtol=CLOSE)
+        np.testing.assert_allclose(late.worst_metric, usual.worst_metric, rtol=CLOSE)
+        np.testing.assert_allclose(late.rms_metric, usual.rms_metric, rtol=CLOSE)
     assert late.bands([0.5])["clearance"][0, 0] == -np.inf
 
 
-def stating(measures: Any, found: Any = None) -> Any:
+def stating(metrics: Any, found: Any = None) -> Any:
     """Return a plant that states some measures, and gives something for them."""
 
     class Stating(Pushed):
         pass
 
     plant: Any = Stating()
-    Stating.measures = measures  # type: ignore[attr-defined]
+    Stating.metrics = metrics  # type: ignore[attr-defined]
     if found is not None:
         Stating.measured = lambda self, t, q, v, a, u, reference: found(q)  # type: ignore[attr-defined]
     return plant
 
 
-ONE = Measure("clearance", "m", "from the walls", "smallest")
+ONE = Metric("clearance", "m", "from the walls", "smallest")
 OF = "^measures of the plant, a Stating"
 
 
@@ -411,7 +411,7 @@ def test_joints_are_held_against_limits_that_they_have() -> None:
     motion = WholeBody(UR5, FixedHeading(Hold((0, 0), 0.2), psi=0), Hold(UR5.rest[3:], 0.2))
     held = simulate(UR5, ComputedTorque(UR5, 100, 20), motion, dt=0.1)
     shares = np.abs(UR5.gravity(UR5.rest))[3:] / UR5.effort_limit[3:]
-    np.testing.assert_allclose(held.measures()["effort"].values, shares.max(), rtol=1e-9)
+    np.testing.assert_allclose(held.metrics()["effort"].values, shares.max(), rtol=1e-9)
 
 
 def test_names_of_limits_and_links_that_there_are_not_come_with_the_nearest() -> None:

@@ -1,4 +1,4 @@
-"""`Measure`, what a plant states of a sample beside its errors; and sizes in words."""
+"""`Metric`, what a plant states of a sample beside its errors; and sizes in words."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def in_words(size: float, form: str = ".4g") -> str:
     return f"{size:{form}}"
 
 
-class Measure(NamedTuple):
-    """One of the numbers that a plant's ``measured`` gives for a sample.
+class Metric(NamedTuple):
+    """One of the numbers that a plant's ``evaluate_metrics`` gives for a sample.
 
     Attributes
     ----------
@@ -73,22 +73,22 @@ def value_of(size: Array) -> Array:
         return np.asarray((size - _SCALE**2 / size) / 2)
 
 
-def measures_of(plant: object) -> tuple[Measure, ...]:
+def measures_of(plant: object) -> tuple[Metric, ...]:
     """Return the measures of a plant, none of one without.
 
     Raises
     ------
     UnknownName
-        If the worst of one is none of those of `Measure`.
+        If the worst of one is none of those of `Metric`.
     """
     stated = able(plant, Measuring)
-    found = () if stated is None else tuple(stated.measures)
+    found = () if stated is None else tuple(stated.metrics)
     for one in found:
         one_of(f"worst of the measure {one.name!r}:", one.worst, _WORST)
     return found
 
 
-def chosen(plant: object, names: object, taken: Sequence[str]) -> tuple[Measure, ...]:
+def chosen(plant: object, names: object, taken: Sequence[str]) -> tuple[Metric, ...]:
     """Return the measures of a plant that are asked for, in its order.
 
     Parameters
@@ -118,26 +118,26 @@ def chosen(plant: object, names: object, taken: Sequence[str]) -> tuple[Measure,
     if names is None:
         return stated
     known = {one.name: one for one in stated}
-    wanted = [one_of("measure", name, known) for name in sequence("measures", names, "a sequence of names")]
+    wanted = [one_of("metric", name, known) for name in sequence("metrics", names, "a sequence of names")]
     return tuple(one for one in stated if one.name in wanted)
 
 
-def channels_of(coordinates: Sequence[Any], measures: Sequence[Measure]) -> tuple[Measure, ...]:
+def channels_of(coordinates: Sequence[Any], metrics: Sequence[Metric]) -> tuple[Metric, ...]:
     """Return what robots are compared by: errors of the reference's coordinates, and measures.
 
     Parameters
     ----------
     coordinates : sequence of Coordinate
         Those that the reference has, x, y and psi first.
-    measures : sequence of Measure
+    metrics : sequence of Metric
         Those that are judged.
     """
-    errors = [Measure(one.name, one.unit, f"error of {one.name}") for one in coordinates[3:]]
+    errors = [Metric(one.name, one.unit, f"error of {one.name}") for one in coordinates[3:]]
     return (
-        Measure("distance", "m", "distance from the desired position"),
-        Measure("heading", "rad", "error of the heading"),
+        Metric("distance", "m", "distance from the desired position"),
+        Metric("heading", "rad", "error of the heading"),
         *errors,
-        *measures,
+        *metrics,
     )
 
 
@@ -159,7 +159,7 @@ def check_measured(plant: Any, q: Array, v: Array, reference: Any) -> None:
         If it is such; infinity is a number.
     """
     first = type(reference)(*(x[0] for x in reference))
-    found = measured_of(plant, np.zeros(()), q, v, np.zeros(plant.nv), np.zeros(plant.nu), first)
+    found = evaluate_metrics_of(plant, np.zeros(()), q, v, np.zeros(plant.nv), np.zeros(plant.nu), first)
     for one, number in zip(measures_of(plant), found, strict=True):
         if np.isnan(number):
             raise InvalidArgument(
@@ -168,7 +168,7 @@ def check_measured(plant: Any, q: Array, v: Array, reference: Any) -> None:
             )
 
 
-def measured_of(plant: Any, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+def evaluate_metrics_of(plant: Any, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
     """Return the measures of a sample, shape (..., m), as the plant has them.
 
     Parameters
@@ -188,7 +188,7 @@ def measured_of(plant: Any, t: Any, q: Any, v: Any, a: Any, u: Any, reference: A
         If it returns another shape.
     """
     copies = type(reference)(*(x.copy() for x in reference))
-    found = plant.measured(t, q.copy(), v.copy(), a.copy(), u.copy(), copies)
+    found = plant.evaluate_metrics(t, q.copy(), v.copy(), a.copy(), u.copy(), copies)
     words = ": a number for each measure"
     asked = f"what measured(t, q, v, a, u, reference) of the plant, a {type(plant).__name__}, returned,"
-    return shaped(asked, found, (*np.shape(v)[:-1], len(plant.measures)), words=words)
+    return shaped(asked, found, (*np.shape(v)[:-1], len(plant.metrics)), words=words)
