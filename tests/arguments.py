@@ -708,6 +708,8 @@ def resolved(name: str) -> Callable[..., Any]:
     owner, _, method = name.rpartition(".")
     if owner in OWNERS:
         return getattr(OWNERS[owner](), method)  # type: ignore[no-any-return]
+    if not owner and not hasattr(pm, method):  # a part of a package
+        owner = next(module for module in pm._NAMES if hasattr(getattr(pm, module), method))
     return getattr(importlib.import_module(f"pinmobile.{owner}".rstrip(".")), method)  # type: ignore[no-any-return]
 
 

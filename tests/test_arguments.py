@@ -460,13 +460,9 @@ def test_every_part_and_function_of_the_top_level_has_a_row() -> None:
 
 
 READ = {
-    "Clearance",
-    "Context",
-    "EndEffector",
+    "Loop",
     "Ensemble",
-    "Identification",
     "Reference",
-    "InverseKinematicsTrajectory",
     "Rollout",
     "Sweep",
 }

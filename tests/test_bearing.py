@@ -370,7 +370,7 @@ def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None
     with pytest.raises(errors.InvalidArgument, match=r"^motion.plant is .*, which does not tell how far"):
         slip_margins(at)
     assert not hasattr(electric, "metrics")
-    assert not hasattr(electric.array_dynamics, "measured")
+    assert not hasattr(electric.array_dynamics, "evaluate_metrics")
     assert electric.on_ramp(0.1) == robot.on_ramp(0.1).by_voltage()
     assert max_slope(electric) == max_slope(robot)
 

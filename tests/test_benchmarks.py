@@ -457,7 +457,7 @@ def test_ensembles_are_right(bench: SimpleNamespace, module: str) -> None:
 )
 def test_ensembles_of_arms_are_right(bench: SimpleNamespace, arm: str, modules: list[str]) -> None:
     for one in bench.arm_ensemble_contestants.ARMS[arm]:
-        others = "rk4", "all measures"  # which take as long again to compile
+        others = "rk4", "all metrics"  # which take as long again to compile
         if one.peer.installed and one.module in modules and not one.name.endswith(others):
             work = one.lasting(9, 0.01)  # a block of eight and a part of one
             assert one.apart(one.prepare(work)(), work) <= bench.task.TOLERANCE, one.name

@@ -322,7 +322,7 @@ def test_csv_has_a_row_per_robot_and_every_digit(tmp_path: Path, name: str) -> N
     for k, (of, unit) in enumerate((("x", "m"), ("y", "m"), ("psi", "rad"))):
         wanted |= {f"max_error_{of} [{unit}]": one.max_error[:, k]}
         wanted |= {f"rms_error_{of} [{unit}]": one.rms_error[:, k]}
-        wanted |= {f"max_force_{('Fx [N]', 'Fy [N]', 'Mz [N m]')[k]}": one.max_input[:, k]}
+        wanted |= {f"max_input_{('Fx [N]', 'Fy [N]', 'Mz [N m]')[k]}": one.max_input[:, k]}
     wanted["diverged_at [s]"] = one.diverged_at
     assert set(wanted) == set(header)
     for each, values in wanted.items():

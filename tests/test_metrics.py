@@ -183,10 +183,10 @@ def test_a_choice_judges_that_alone(runs: Ensemble) -> None:
 @pytest.mark.parametrize(
     ("metrics", "error", "words"),
     [
-        (["efort"], UnknownName, "unknown measure 'efort'.*'effort'"),
+        (["efort"], UnknownName, "unknown metric 'efort'.*'effort'"),
         ("effort", InvalidArgument, r"^metrics is 'effort', expected a sequence of names$"),
         (7, InvalidArgument, r"^metrics is 7, expected a sequence of names$"),
-        ([7], UnknownName, "measure 7"),
+        ([7], UnknownName, "metric 7"),
     ],
 )
 def test_measures_that_there_are_not_are_refused(metrics: Any, error: Any, words: str) -> None:
@@ -211,10 +211,10 @@ def test_files_and_tables_keep_measures(runs: Ensemble, tmp_path: Path) -> None:
     runs.to_csv(tmp_path / "runs.csv")
     header, first = (tmp_path / "runs.csv").read_text().splitlines()[:2]
     columns = dict(zip(header.split(","), first.split(","), strict=True))
-    assert float(columns["worst_measure_tip-over margin [m]"]) == runs.worst_metric[0, 3]
-    assert float(columns["rms_measure_effort"]) == runs.rms_metric[0, 2]
+    assert float(columns["worst_metric_tip-over margin [m]"]) == runs.worst_metric[0, 3]
+    assert float(columns["rms_metric_effort"]) == runs.rms_metric[0, 2]
     data = runs.to_xarray()
-    assert data.worst_metric.sel(measure="effort").values.tolist() == runs.largest("effort").tolist()
+    assert data.worst_metric.sel(metric="effort").values.tolist() == runs.largest("effort").tolist()
     assert data.worst_metric.attrs["units"] == "m, rad, 1, m"
     np.testing.assert_array_equal(
         data.quantiles.sel(channel="tip-over margin"), runs.bands()["tip-over margin"]
@@ -244,7 +244,9 @@ def test_a_sweeps_store_keeps_measures(runs: Ensemble, tmp_path: Path) -> None:
     assert margins.attrs["long_name"] == "tip-over margin that 99 % of the robots have at least"
     with pytest.raises(UnknownName, match=r"'margin'"):
         found.error_quantile(by="margin")
-    with pytest.raises(InvalidArgument, match=r"^judged is end effector \[m\], .* and none at case = b"):
+    with pytest.raises(
+        InvalidArgument, match=r"^recorded_metrics is end effector \[m\], .* and none at case = b"
+    ):
         sweep(scenario(), tmp_path / "other", cases={"a": {}, "b": {"metrics": ()}})
 
 
@@ -360,7 +362,7 @@ def test_what_is_infinite_before_errors_count_is_forgotten() -> None:
 
 
 def stating(metrics: Any, found: Any = None) -> Any:
-    """Return a plant that states some measures, and gives something for them."""
+    """Return a plant that states some metrics, and gives something for them."""
 
     class Stating(Pushed):
         pass
@@ -368,12 +370,12 @@ def stating(metrics: Any, found: Any = None) -> Any:
     plant: Any = Stating()
     Stating.metrics = metrics  # type: ignore[attr-defined]
     if found is not None:
-        Stating.measured = lambda self, t, q, v, a, u, reference: found(q)  # type: ignore[attr-defined]
+        Stating.evaluate_metrics = lambda self, t, q, v, a, u, reference: found(q)  # type: ignore[attr-defined]
     return plant
 
 
 ONE = Metric("clearance", "m", "from the walls", "smallest")
-OF = "^measures of the plant, a Stating"
+OF = "^metrics of the plant, a Stating"
 
 
 @pytest.mark.parametrize(
@@ -383,7 +385,7 @@ OF = "^measures of the plant, a Stating"
         (stating([ONE._replace(name="heading")], lambda q: q[..., :1]), f"{OF}, has 'heading', as an error"),
         (
             stating([ONE._replace(worst="least")], lambda q: q[..., :1]),
-            "worst of the measure 'clearance': 'least'",
+            "worst of the metric 'clearance': 'least'",
         ),
         (
             stating([ONE], lambda q: q[..., :2]),

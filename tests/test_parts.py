@@ -251,7 +251,7 @@ def test_an_ensemble_of_a_users_plant_is_told_by_its_names_and_units(tmp_path: P
     header = (tmp_path / "runs.csv").read_text().splitlines()[0].split(",")
     assert header[1:4] == ["drawn_mass", "drawn_along", "drawn_start.y [m]"]
     assert header[4:9] == ["max_error_" + each for each in ("x [m]", "y [m]", "psi [rad]", *_WHEELS)]
-    assert header[14:16] == ["max_force_left_torque [N m]", "max_force_right_torque [N m]"]
+    assert header[14:16] == ["max_input_left_torque [N m]", "max_input_right_torque [N m]"]
     table = np.loadtxt(tmp_path / "runs.csv", delimiter=",", skiprows=1)
     np.testing.assert_array_equal(table[:, 14:16], run.max_input)
     data = run.to_xarray()
@@ -307,7 +307,7 @@ def test_plants_without_names_have_numbers_for_names(tmp_path: Path) -> None:
     run = run_scenario(carted(robot=Nameless(), spread={"mass": OF_CART["mass"], "start.[1]": 0.1}))
     assert "largest error of [3] " in str(run)
     run.to_csv(tmp_path / "runs.csv")
-    assert "max_force_[1]" in (tmp_path / "runs.csv").read_text().splitlines()[0].split(",")
+    assert "max_input_[1]" in (tmp_path / "runs.csv").read_text().splitlines()[0].split(",")
 
 
 @dataclass(frozen=True)

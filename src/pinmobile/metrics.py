@@ -74,7 +74,7 @@ def value_of(size: Array) -> Array:
 
 
 def measures_of(plant: object) -> tuple[Metric, ...]:
-    """Return the measures of a plant, none of one without.
+    """Return the metrics of a plant, none of one without.
 
     Raises
     ------
@@ -84,12 +84,12 @@ def measures_of(plant: object) -> tuple[Metric, ...]:
     stated = able(plant, Measuring)
     found = () if stated is None else tuple(stated.metrics)
     for one in found:
-        one_of(f"worst of the measure {one.name!r}:", one.worst, _WORST)
+        one_of(f"worst of the metric {one.name!r}:", one.worst, _WORST)
     return found
 
 
 def chosen(plant: object, names: object, taken: Sequence[str]) -> tuple[Metric, ...]:
-    """Return the measures of a plant that are asked for, in its order.
+    """Return the metrics of a plant that are asked for, in its order.
 
     Parameters
     ----------
@@ -103,16 +103,16 @@ def chosen(plant: object, names: object, taken: Sequence[str]) -> tuple[Metric, 
     Raises
     ------
     InvalidArgument
-        If `names` is something else, or a measure is called as something else is.
+        If `names` is something else, or a metric is called as something else is.
     UnknownName
-        If the plant states no measure of a name.
+        If the plant states no metric of a name.
     """
     stated = measures_of(plant)
     every = [*taken, *(one.name for one in stated)]
     twice = next((name for name in every if every.count(name) > 1), None)
     if twice is not None:
         raise InvalidArgument(
-            f"measures of the plant, a {type(plant).__name__}, has {twice!r}, as an error or another measure "
+            f"metrics of the plant, a {type(plant).__name__}, has {twice!r}, as an error or another metric "
             "is called, expected names that differ"
         )
     if names is None:
@@ -123,7 +123,7 @@ def chosen(plant: object, names: object, taken: Sequence[str]) -> tuple[Metric, 
 
 
 def channels_of(coordinates: Sequence[Any], metrics: Sequence[Metric]) -> tuple[Metric, ...]:
-    """Return what robots are compared by: errors of the reference's coordinates, and measures.
+    """Return what robots are compared by: errors of the reference's coordinates, and metrics.
 
     Parameters
     ----------
@@ -142,12 +142,12 @@ def channels_of(coordinates: Sequence[Any], metrics: Sequence[Metric]) -> tuple[
 
 
 def check_measured(plant: Any, q: Array, v: Array, reference: Any) -> None:
-    """Refuse a plant whose measures, at rest where it starts, have another shape or are no numbers.
+    """Refuse a plant whose metrics, at rest where it starts, have another shape or are no numbers.
 
     Parameters
     ----------
     plant : plant
-        One that states measures.
+        One that states metrics.
     q, v : ndarray, shape (nq,), (nv,)
         Where it starts.
     reference : Reference
@@ -169,12 +169,12 @@ def check_measured(plant: Any, q: Array, v: Array, reference: Any) -> None:
 
 
 def evaluate_metrics_of(plant: Any, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
-    """Return the measures of a sample, shape (..., m), as the plant has them.
+    """Return the metrics of a sample, shape (..., m), as the plant has them.
 
     Parameters
     ----------
     plant : plant
-        One that states measures.
+        One that states metrics.
     t : float
         Time [s].
     q, v, a, u : ndarray, shape (..., nq), (..., nv), (..., nv), (..., nu)
@@ -189,6 +189,6 @@ def evaluate_metrics_of(plant: Any, t: Any, q: Any, v: Any, a: Any, u: Any, refe
     """
     copies = type(reference)(*(x.copy() for x in reference))
     found = plant.evaluate_metrics(t, q.copy(), v.copy(), a.copy(), u.copy(), copies)
-    words = ": a number for each measure"
+    words = ": a number for each metric"
     asked = f"what measured(t, q, v, a, u, reference) of the plant, a {type(plant).__name__}, returned,"
     return shaped(asked, found, (*np.shape(v)[:-1], len(plant.metrics)), words=words)

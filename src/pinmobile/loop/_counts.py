@@ -40,7 +40,7 @@ class Part(NamedTuple):
     max_input : ndarray, shape (m, nu)
         Largest |input|.
     worst_metric, rms_metric : ndarray, shape (m, j)
-        Worst, and root of the mean square, of each measure, in the samples of which errors are kept.
+        Worst, and root of the mean square, of each metric, in the samples of which errors are kept.
     counts : ndarray of int, shape (G, channels, BINS)
         At each time of the grid, how many robots have a distance, and so on, of which size; see
         `Scenario.channels`.

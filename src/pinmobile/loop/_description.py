@@ -66,7 +66,7 @@ def ranges(
     worst_metric: Array,
     metrics: Sequence[Metric],
 ) -> list[str]:
-    """Return a row for each error, input and measure: the least, the median and the largest over the robots.
+    """Return a row for each error, input and metric: the least, the median and the largest over the robots.
 
     Parameters
     ----------

@@ -94,7 +94,7 @@ class CompiledPlant:
         self.plant = plant = loop.plant
         self.nq, self.nv, self.nu = plant.nq, plant.nv, plant.nu
         self.integrate, self.difference = plant.integrate, plant.difference
-        for name in ("inputs", "coordinates", "metrics", "measured"):
+        for name in ("inputs", "coordinates", "metrics", "evaluate_metrics"):
             if hasattr(plant, name):
                 setattr(self, name, getattr(plant, name))
         held = _Held(np.zeros(self.nu))

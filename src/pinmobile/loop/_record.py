@@ -35,7 +35,7 @@ class Worst:
         Coordinates whose errors make a distance together; of each distance the largest is kept, and its sizes
         are counted.
     metrics : tuple of (int, bool)
-        Which of the plant's measures are kept and counted, and whether it is a margin, of which the smallest
+        Which of the plant's metrics are kept and counted, and whether it is a margin, of which the smallest
         is the worst: see `pinmobile.metrics`.
     """
 
@@ -97,7 +97,7 @@ class Worst:
     def _measured(
         self, sample: Sample, state: Mapping[str, Any], alive: Any
     ) -> tuple[dict[str, Any], list[Any]]:
-        """Return what is kept of the plant's measures, and their sizes."""
+        """Return what is kept of the plant's metrics, and their sizes."""
         columns = [(sample.measured[..., i], is_margin) for i, is_margin in self.metrics]
         bad = [-x if is_margin else np.abs(x) for x, is_margin in columns]
         before = {name: state[name] for name in ("worst", "measure_squares")}

@@ -78,7 +78,7 @@ class Way:
 
 
 def _check_measured(scenario: Scenario, part: Part, start: int) -> None:
-    """Refuse measures that became no numbers, of which nothing but the mean square tells.
+    """Refuse metrics that became no numbers, of which nothing but the mean square tells.
 
     Raises
     ------

@@ -41,7 +41,7 @@ class Variable(NamedTuple):
     meaning : str
         What it is, in words.
     worst : str
-        Of measures, whether the largest or the smallest of each is the worst.
+        Of metrics, whether the largest or the smallest of each is the worst.
     """
 
     dimensions: tuple[str, ...]
@@ -68,7 +68,7 @@ PER_ROBOT = (
 
 
 def per_robot(scenario: Scenario | Outline) -> dict[str, Variable]:
-    """Return the arrays of `PER_ROBOT`; those of measures where there are any.
+    """Return the arrays of `PER_ROBOT`; those of metrics where there are any.
 
     Parameters
     ----------

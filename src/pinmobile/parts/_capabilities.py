@@ -77,7 +77,7 @@ class Remembering(Protocol):
 
 
 class Measuring(Protocol):
-    """A plant with metrics: measures, and measured(t, q, v, a, u, reference).
+    """a plant with metrics: metrics, and evaluate_metrics(t, q, v, a, u, reference).
 
     Ensembles keep the worst value of each metric beside the errors.
     """

@@ -415,7 +415,7 @@ def drivers(
         Share of the robots that are called the worst, above 0 and below 1.
     by : str
         What makes them the worst, see `Ensemble.largest`: "distance" from the desired position, "heading", a
-        coordinate by its name, or a measure, such as "tip-over margin", of which the smallest is the worst.
+        coordinate by its name, or a metric, such as "tip-over margin", of which the smallest is the worst.
     title : str, optional
         Heading of the figure, which by default names what drives them.
     ax, width

@@ -598,7 +598,7 @@ class ArticulatedDynamics:
     def evaluate_metrics(
         self, t: Array | float, q: Array, v: Array, a: Array, u: Array, reference: Any
     ) -> Array:
-        """Return its measures, shape (..., m)."""
+        """Return its metrics, shape (..., m)."""
         if self.judgement is None:
             return np.zeros((*np.shape(q)[:-1], 0))
         return self.judgement.evaluate_metrics(self, q, v, a, u, reference.q)

@@ -224,7 +224,7 @@ def stance_written(root: Element, name: str) -> Stance | None:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """The measures of a robot with arms, and their law, for Pinocchio's numbers as for symbols and arrays.
+    """The metrics of a robot with arms, and their law, for Pinocchio's numbers as for symbols and arrays.
 
     Parameters
     ----------
@@ -287,7 +287,7 @@ class Judgement:
         return np.stack(np.broadcast_arrays(*found), axis=-1)
 
     def evaluate_metrics(self, robot: Any, q: Array, v: Array, a: Array, u: Array, desired: Array) -> Array:
-        """Return the measures of a robot that moves so, shape (..., m).
+        """Return the metrics of a robot that moves so, shape (..., m).
 
         Parameters
         ----------

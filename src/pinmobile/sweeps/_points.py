@@ -163,7 +163,7 @@ def _alike(scenario: Scenario) -> dict[str, Any]:
     """Return what the scenarios of a store share."""
     listed = {
         name: ", ".join(f"{one.name} [{one.unit}]" for one in getattr(scenario, name)) or "none"
-        for name in ("coordinates", "inputs", "judged")
+        for name in ("coordinates", "inputs", "recorded_metrics")
     }
     times = f"every {scenario.dt * scenario.stride:.9g} s, {len(scenario.grid)} times"
     return {"n": scenario.n, **listed, "time of the bands": times}

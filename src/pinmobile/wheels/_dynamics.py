@@ -182,7 +182,7 @@ class WheeledDynamics:
         return metrics_of(self)
 
     def evaluate_metrics(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
-        """Return its measures, shape (..., m)."""
+        """Return its metrics, shape (..., m)."""
         del t
         return evaluate_metrics(self, q, v, a, u, reference.q)
 

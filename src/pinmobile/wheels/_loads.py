@@ -447,7 +447,7 @@ def metrics_of(body: Any) -> tuple[Metric, ...]:
 
 
 def evaluate_metrics(body: Any, q: Any, v: Any, a: Any, u: Any, desired: Any) -> Any:
-    """Return the measures of a robot that moves so, shape (..., m).
+    """Return the metrics of a robot that moves so, shape (..., m).
 
     Parameters
     ----------

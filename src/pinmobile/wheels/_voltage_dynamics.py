@@ -54,7 +54,7 @@ _PASSES = 3
 _ROUNDS, _ENOUGH = 200, 1e-13  # of dry friction: at most, and of the largest what may still change
 _OF_TORQUES = re.compile(
     "_.*|array_dynamics|law|nominal|terms|(check_)?inverse_dynamics|torques|allocate(_scaled)?|constraint_forces|"
-    "input_matrix|calls|slip_margins|measure[sd]"
+    "input_matrix|calls|slip_margins|metrics|evaluate_metrics"
 )
 
 
