@@ -6,6 +6,7 @@ import inspect
 import pickle
 import pkgutil
 import pydoc
+import re
 import subprocess
 import sys
 import venv
@@ -415,3 +416,27 @@ def test_no_package_reaches_for_what_is_private_in_another() -> None:
             whose = node.value.id if isinstance(node.value, ast.Name) else ""
             if whose not in ("self", "cls", "sys") and node.attr not in of_tuples:
                 assert node.attr in own, f"{package} reads {ast.unparse(node)}"
+
+
+def test_the_page_of_names_says_where_each_is() -> None:
+    """Of the 134 names that the top level had, and of each row of the table that the README had."""
+    page = (ROOT / "docs" / "names.md").read_text().split("## Rows")
+    names, rows = (
+        re.findall(r"^\| (?!before|row)(.+?) \| (\w[^|]*?)(?: \| (.+))? \|$", part, re.M) for part in page
+    )
+    assert len(names) == len({name for name, _, _ in names}) == 134
+    for name, happened, now in names:
+        old, new = name.strip("`"), now.strip("`")
+        owner, _, last = new.rpartition(".")
+        if happened == "cut":
+            assert old not in pinmobile.__all__
+            continue
+        assert hasattr(getattr(pinmobile, owner) if owner else pinmobile, last), new
+        assert (last == old) == (happened in ("kept", "moved")) or owner == "Engine", name
+        assert (new in pinmobile.__all__) == (happened in ("kept", "renamed")) or owner == "Engine", name
+    assert len(pinmobile.__all__) <= 75
+    table = (ROOT / "README.md").read_text().split("| ask | with |")[1].split("\n\n")[0]
+    now = {line.split(" | ")[0].strip("| ") for line in table.splitlines()[2:]}
+    assert {
+        row if happened == "kept" else happened.removeprefix("renamed: ") for row, happened, _ in rows
+    } == now
