@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+INSTALL ?= $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-all lint bench notebooks clean
@@ -37,18 +38,18 @@ $(BIN)/python:
 
 $(BIN)/.installed: $(BIN)/python pyproject.toml
 	@echo "setting up $(VENV): a minute or two, once"
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	$(INSTALL) --editable .
 	@touch $@
 
 $(BIN)/.installed-test: $(BIN)/python pyproject.toml
 	@echo "setting up $(VENV) for the tests: a minute or two, once"
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	$(INSTALL) --editable '.[test]'
 	@touch $@ $(BIN)/.installed
 
 $(BIN)/.installed-bench: $(BIN)/python pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	$(INSTALL) --editable .
 	@touch $@ $(BIN)/.installed
 
 $(BIN)/.installed-lint: $(BIN)/python pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[lint]'
+	$(INSTALL) --editable '.[lint]'
 	@touch $@ $(BIN)/.installed $(BIN)/.installed-test
