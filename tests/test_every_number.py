@@ -11,6 +11,7 @@ from pinmobile import InvalidArgument, VelocityRobot
 from pinmobile.compiled import robot_keys
 from pinmobile.compiled.identity import is_traced
 from pinmobile.controllers import AdaptiveVelocity, DynamicFeedback, Kanayama, VelocityCommand
+from pinmobile.errors import NotTraceable
 from pinmobile.loop import Loop, Samples
 from pinmobile.loop._checks import chosen_integrator, sampled, started
 from pinmobile.loop._engines import in_python
@@ -72,13 +73,29 @@ def by_python(loop: Loop, context: Context, start: Any) -> Any:
     return rows(list(in_python(loop, context, *start)))
 
 
-def by_compiled(loop: Loop, context: Context, start: Any) -> Any:
+def by_compiled(loop: Loop, context: Context, start: Any, others: list[Loop]) -> Any:
+    """Return what robots do, of which each has the numbers of another loop."""
+    paths, n = varied(loop) if others else [], max(len(others), 1)
+    values = {
+        path: np.array([np.asarray(numbers(one)[path].value, float) for one in others]) for path in paths
+    }
     first = Reference(*(x[0] for x in context.reference))
-    compiled = Compiled(loop, context, start, first, single=True)
-    q, v = start
-    keys = {name: robot_keys(context.seed, name, range(1)) for name in compiled.tape.keys}
-    run = compiled.run((q[None], v[None]), context.t, Reference(*context.reference), keys=keys)
-    return {name: run.kept[name][0] for name in ("q", "v", "u", "a")}
+    spread = {path: np.ones(value.shape[1:], bool) for path, value in values.items()}
+    try:
+        compiled = Compiled(loop, context, start, first, spread=spread)
+    except NotTraceable:  # gains that follow from its numbers are those of all robots
+        found = [by_compiled(one, context, start, []) for one in others]
+        return {name: np.concatenate([one[name] for one in found]) for name in found[0]}
+    q, v = (np.tile(x, (n, 1)) for x in start)
+    keys = {name: np.repeat(robot_keys(context.seed, name, range(1)), n) for name in compiled.tape.keys}
+    given: Any = {"values": values, "keys": keys}
+    run = compiled.run((q, v), context.t, Reference(*context.reference), **given)
+    return {name: run.kept[name] for name in ("q", "v", "u", "a")}
+
+
+def varied(loop: Loop) -> list[str]:
+    """Return the paths of the numbers of a loop's law."""
+    return [path for path in numbers(loop) if is_traced(path) and not path.startswith("recorder.")]
 
 
 def changed(loop: Loop, path: str, value: Any) -> Loop:
@@ -103,19 +120,18 @@ def changed(loop: Loop, path: str, value: Any) -> Loop:
 def test_every_number_moves_both_engines_alike(name: str) -> None:
     loop, context, start = made(name)
     nominal, unused = by_python(loop, context, start), []
-    for path, leaf in numbers(loop).items():
-        if not is_traced(path) or path.startswith("recorder.") or path.endswith("wheels.right.x"):
-            continue
-        if path.startswith("controller.") and path.endswith(ITS_OWN_AXLE):
-            continue
-        other = changed(loop, path, leaf.value)
-        expected, found = by_python(other, context, start), by_compiled(other, context, start)
+    paths = [path for path in varied(loop) if not path.endswith("wheels.right.x")]
+    paths = [path for path in paths if not (path.startswith("controller.") and path.endswith(ITS_OWN_AXLE))]
+    others = [changed(loop, path, numbers(loop)[path].value) for path in paths]
+    found = by_compiled(loop, context, start, others)
+    for k, (path, other) in enumerate(zip(paths, others, strict=True)):
+        expected = by_python(other, context, start)
         for each, column in expected.items():
             within = 1e-9 * max(np.abs(column).max(), 1e-3)
-            np.testing.assert_allclose(found[each], column, rtol=0, atol=within, err_msg=f"{path}, {each}")
+            np.testing.assert_allclose(found[each][k], column, rtol=0, atol=within, err_msg=f"{path}, {each}")
         if all(np.array_equal(nominal[each], expected[each]) for each in expected):
             unused.append(path)
-    others = [path for path in unused if not path.endswith(UNUSED)]
+    left = [path for path in unused if not path.endswith(UNUSED)]
     assert [
-        path for path in others if path.startswith("plant.") or not path.endswith(OTHERS.get(name, ()))
+        path for path in left if path.startswith("plant.") or not path.endswith(OTHERS.get(name, ()))
     ] == []
