@@ -36,6 +36,7 @@ SECONDS = 5  # of processor time for one call
 MEMORY = 6 << 30  # of address space; libraries that only reserve it have some 3 GB
 
 # What is put in the place of an argument, made anew for each call: what a user may type by mistake.
+TRIES = 30  # of each callable
 KINDS: dict[str, Callable[[], Any]] = {
     "None": lambda: None,
     "NaN": lambda: float("nan"),
@@ -760,8 +761,9 @@ def trials(name: str) -> Iterator[tuple[str, str, str]]:
     except Exception as error:
         yield "", "valid", f"{type(error).__name__}: {error}\n{traceback.format_exc()}"
     pairs = [(argument, kind) for argument in valid for kind in KINDS]
-    if 0 < line.tries < len(pairs):
-        pairs = Random(SEED + crc32(name.encode())).sample(pairs, line.tries)
+    most = line.tries or TRIES
+    if most < len(pairs):
+        pairs = Random(SEED + crc32(name.encode())).sample(pairs, most)
     for argument, kind in pairs:
         yield argument, kind, attempt(function, line.arguments() | {argument: KINDS[kind]()})
 

@@ -39,8 +39,8 @@ from pinmobile.robot.articulated import Tree
 from pinmobile.urdf import Body, shipped_urdf
 
 THREADS = 8
-STATES = 12
-ROUNDS = 5  # of what answers in numbers; the rest, which makes robots or reads files, has one
+STATES = 8
+ROUNDS = 2  # of what answers in numbers; the rest, which makes robots or reads files, has one
 ROBOTS = {"lecture": MobileRobot.lecture(), "ur5": MobileRobot.box().mount("ur5")}
 NAMES = [name for name in dir(MobileRobot) if not name.startswith("_") and name != "check"]
 ON_ARMS = {"arm_manipulability", "mount_wrench"}  # of a bare robot they are errors
