@@ -26,7 +26,6 @@ FULL = Body(
 ROBOTS = {
     "bare": MobileRobot.from_body(FULL),
     "ur5": MobileRobot.from_body(FULL).mount("ur5", AT).attach(LOAD),
-    "two": MobileRobot.box().mount("panda", AT).mount("ur3", (-0.2, 0, 0.2, 0), name="left"),
     "tree": MobileRobot(30.0, 1.1, com=(0.1, -0.05, 0.2)).mount(arm_of(1, 6), AT),  # all kinds, with rotors
 }
 RNG = np.random.default_rng(8)
