@@ -35,8 +35,19 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--part", metavar="K/N", default="", help=words)
 
 
+LONGEST = "notebooks", "identification", "arguments", "ensembles", "cli", "viewer_windows", "derivation", "wheels"
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Take the part that is asked for."""
+    """Begin with what takes longest, a file for each processor; take the part that is asked for."""
+
+    def rank(item: pytest.Item) -> int:
+        name = item.path.stem.removeprefix("test_")
+        return LONGEST.index(name) if name in LONGEST else len(LONGEST)
+
+    items.sort(key=rank)
+    for item in items:  # notebooks share nothing
+        item.add_marker(pytest.mark.xdist_group(item.name if rank(item) == 0 else item.path.stem))
     this, _, of = config.getoption("--part").partition("/")
     if not this:
         return
