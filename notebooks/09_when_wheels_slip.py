@@ -2,7 +2,7 @@
 # # 9 When wheels slip
 #
 # In notebook 8 the wheels rolled, whatever force that took. The ground supplies what it can: a wheel that
-# carries the load $N$ gets at most $\mu N$ along the ground, in any direction. ErrorQuantile that it sticks,
+# carries the load $N$ gets at most $\mu N$ along the ground, in any direction. Within that it sticks,
 # beyond
 # it slides, and then the force is just $\mu N$, against the sliding. That is Coulomb's law of dry friction,
 #

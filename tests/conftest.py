@@ -35,7 +35,16 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--part", metavar="K/N", default="", help=words)
 
 
-LONGEST = "notebooks", "identification", "arguments", "ensembles", "cli", "viewer_windows", "derivation", "wheels"
+LONGEST = (
+    "notebooks",
+    "identification",
+    "arguments",
+    "ensembles",
+    "cli",
+    "viewer_windows",
+    "derivation",
+    "wheels",
+)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -6,17 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile import (
-    ComputedTorque,
-    ConstantForce,
-    InputSaturation,
-    MeasurementDelay,
-    MeasurementNoise,
-    MobileRobot,
-    RollingResistance,
-    ViscousFriction,
-    rk4,
-)
+import pinmobile as pm
 from pinmobile.compiled import Cache, Outcome, Program, robot_keys
 from pinmobile.forces import SinusoidalForce
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
@@ -109,33 +99,35 @@ class PD:
         return self.kp * difference(q, reference.q) + self.kd * (reference.v - v), difference
 
 
-ROBOT = MobileRobot(31.0, 1.2, com=(0.12, 0.04))
-SMOOTH = ViscousFriction((5.0, 8.0, 2.0)), SinusoidalForce((3.0, 2.0, 1.0), 0.5)
-ROUGH = ConstantForce((2.0, 1.0, 0.1)), RollingResistance((3.0, 5.0, 1.0), 0.1)
+ROBOT = pm.MobileRobot(31.0, 1.2, com=(0.12, 0.04))
+SMOOTH = pm.ViscousFriction((5.0, 8.0, 2.0)), SinusoidalForce((3.0, 2.0, 1.0), 0.5)
+ROUGH = pm.ConstantForce((2.0, 1.0, 0.1)), pm.RollingResistance((3.0, 5.0, 1.0), 0.1)
 LIMITS = (60.0, 60.0, 5.0)
 
 
-def torque() -> ComputedTorque:
-    return ComputedTorque(ROBOT, 4.0, (4.0, 4.0, 5.0))
+def torque() -> pm.ComputedTorque:
+    return pm.ComputedTorque(ROBOT, 4.0, (4.0, 4.0, 5.0))
 
 
 def _all(controller: Any) -> Any:
-    return InputSaturation(MeasurementDelay(MeasurementNoise(controller, 0.001, 0.005, 3), 5), LIMITS)
+    return pm.InputSaturation(
+        pm.MeasurementDelay(pm.MeasurementNoise(controller, 0.001, 0.005, 3), 5), LIMITS
+    )
 
 
 COMPOSITIONS: dict[str, Callable[[], Loop]] = {
     "computed torque": lambda: Loop(Body(), torque(), None, (), constant_acceleration),
-    "all": lambda: Loop(Body(), _all(torque()), None, (*SMOOTH, *ROUGH), rk4, 2),
+    "all": lambda: Loop(Body(), _all(torque()), None, (*SMOOTH, *ROUGH), pm.rk4, 2),
     "delayed by one, twice": lambda: Loop(
-        ROBOT, MeasurementDelay(MeasurementDelay(PD(), 1), 2), None, (), rk4
+        ROBOT, pm.MeasurementDelay(pm.MeasurementDelay(PD(), 1), 2), None, (), pm.rk4
     ),
     "pid": lambda: Loop(
-        Body(), InputSaturation(PID(90.0, 20.0, 90.0), LIMITS), None, ROUGH, constant_acceleration
+        Body(), pm.InputSaturation(PID(90.0, 20.0, 90.0), LIMITS), None, ROUGH, constant_acceleration
     ),
-    "sliding": lambda: Loop(Body(), SlidingMode(), None, SMOOTH, rk4),
-    "wheels, forces": lambda: Loop(Cart(), Follower(), None, (Spring(), Axle()), rk4),
+    "sliding": lambda: Loop(Body(), SlidingMode(), None, SMOOTH, pm.rk4),
+    "wheels, forces": lambda: Loop(Cart(), Follower(), None, (Spring(), Axle()), pm.rk4),
     "wheels, delayed": lambda: Loop(
-        Cart(), MeasurementDelay(Follower(), 3), None, ROUGH, semi_implicit_euler
+        Cart(), pm.MeasurementDelay(Follower(), 3), None, ROUGH, semi_implicit_euler
     ),
 }
 
@@ -195,7 +187,7 @@ def assert_near(found: Mapping[str, Any], expected: Mapping[str, Any], within: f
 class Swing:
     """All coordinates of a robot to and fro."""
 
-    def __init__(self, robot: MobileRobot, duration: float = 0.6) -> None:
+    def __init__(self, robot: pm.MobileRobot, duration: float = 0.6) -> None:
         self.robot, self.duration = robot, duration
         self.way = 0.2 * np.arange(1, robot.nv + 1) / robot.nv
 

@@ -7,48 +7,37 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from pinmobile import (
-    Circle,
-    ComputedTorque,
-    MobileRobot,
-    Normal,
-    Relative,
-    Scenario,
-    Sweep,
-    Tangent,
-    Uniform,
-    sweep,
-)
+import pinmobile as pm
 from pinmobile.sweeps import Points, connected
 
 CHUNK = 64
-ROBOT = MobileRobot.lecture()
+ROBOT = pm.MobileRobot.lecture()
 GRID: dict[str, Any] = {
     "controller.kp": [4, 16],
-    "spread.mass": {0.1: Relative(Uniform(0.9, 1.1)), 0.2: Relative(Uniform(0.8, 1.2))},
+    "spread.mass": {0.1: pm.Relative(pm.Uniform(0.9, 1.1)), 0.2: pm.Relative(pm.Uniform(0.8, 1.2))},
 }
 
 
-def scenario(**changed: Any) -> Scenario:
+def scenario(**changed: Any) -> pm.Scenario:
     given: dict[str, Any] = {
         "robot": ROBOT,
-        "controller": ComputedTorque(ROBOT, 4, 4),
-        "trajectory": Tangent(Circle(3, 0.1, 6)),
+        "controller": pm.ComputedTorque(ROBOT, 4, 4),
+        "trajectory": pm.Tangent(pm.Circle(3, 0.1, 6)),
         "n": 200,
-        "spread": {"start.x": Normal(0, 0.01)},
+        "spread": {"start.x": pm.Normal(0, 0.01)},
         "dt": 0.1,
         "seed": 1,
     }
-    return Scenario(**given | changed)
+    return pm.Scenario(**given | changed)
 
 
 def points(**changed: Any) -> Points:
     return Points.of(scenario(**changed), GRID)
 
 
-def swept(store: Path, **options: Any) -> Sweep:
+def swept(store: Path, **options: Any) -> pm.Sweep:
     given: dict[str, Any] = {"grid": GRID, "chunk": CHUNK}
-    return sweep(scenario(), store, **given | options)
+    return pm.sweep(scenario(), store, **given | options)
 
 
 def contents(store: Path) -> dict[str, str]:

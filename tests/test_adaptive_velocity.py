@@ -6,27 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    Circle,
-    Engine,
-    FixedHeading,
-    InvalidArgument,
-    Line,
-    MobileRobot,
-    Reference,
-    Rollout,
-    Tangent,
-    Uniform,
-    VelocityRobot,
-    ensemble,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.controllers import AdaptiveVelocity, adaptive
 from pinmobile.plant import Context
 
-TRUE = VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2])
-WRONG = VelocityRobot(TRUE.theta * [1.3, 0.7, 1.3, 0.7, 0.7, 1.3])
+TRUE = pm.VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2])
+WRONG = pm.VelocityRobot(TRUE.theta * [1.3, 0.7, 1.3, 0.7, 0.7, 1.3])
 
 
 class Eights:
@@ -42,8 +28,8 @@ class Eights:
         return np.asarray(size * rate**order * np.sin(rate * np.asarray(t)[..., None] + order * np.pi / 2))
 
 
-EIGHT = Tangent(Eights())
-CIRCLE = Tangent(Circle(1.0, 0.5, 400.0))
+EIGHT = pm.Tangent(Eights())
+CIRCLE = pm.Tangent(pm.Circle(1.0, 0.5, 400.0))
 OFF = np.array([0.15, -0.1, 0.3])
 
 
@@ -67,17 +53,17 @@ class Rich:
         psi = 0.9 / 1.1 * (1 - np.cos(1.1 * t)) + 0.5 / 2.3 * (1 - np.cos(2.3 * t))
         return u, faster, w, turning, psi
 
-    def __call__(self, t: Any) -> Reference:
+    def __call__(self, t: Any) -> pm.Reference:
         t = np.asarray(t, float)
         u, faster, w, turning, psi = self._rates(t)
         x, y = (np.interp(t, self.t, column) for column in self.places.T)
         c, s = np.cos(psi), np.sin(psi)
         v = np.stack([u * c, u * s, w], axis=-1)
         a = np.stack([faster * c - u * w * s, faster * s + u * w * c, turning], axis=-1)
-        return Reference(np.stack([x, y, psi], axis=-1), v, a)
+        return pm.Reference(np.stack([x, y, psi], axis=-1), v, a)
 
 
-def wanted(run: Rollout, controller: AdaptiveVelocity, ahead: float) -> Array:
+def wanted(run: pm.Rollout, controller: AdaptiveVelocity, ahead: float) -> Array:
     """Return what the kinematic law asks for, of a robot whose body is so far ahead of its axle."""
     a, off = float(controller.ahead or 0), float(controller.ahead or 0) - ahead
     psi, psi_r, w_r = run.q[:, 2], run.reference.q[:, 2], run.reference.v[:, 2:]
@@ -91,7 +77,7 @@ def wanted(run: Rollout, controller: AdaptiveVelocity, ahead: float) -> Array:
     return np.stack([c * rate[:, 0] + s * rate[:, 1], (c * rate[:, 1] - s * rate[:, 0]) / a], axis=-1)
 
 
-def errors(run: Rollout) -> Any:
+def errors(run: pm.Rollout) -> Any:
     return np.hypot(*(run.q - run.reference.q)[:, :2].T)
 
 
@@ -103,32 +89,32 @@ class Led:
     def __init__(self, ahead: float) -> None:
         self.ahead = ahead
 
-    def __call__(self, t: Any) -> Reference:
+    def __call__(self, t: Any) -> pm.Reference:
         q, v, a = CIRCLE(t)
         c, s, w = np.cos(q[..., 2]), np.sin(q[..., 2]), v[..., 2]
         ways = np.stack([c, s, 0 * c], axis=-1), np.stack([-s, c, 0 * c], axis=-1)
         w = w[..., None]
-        return Reference(
+        return pm.Reference(
             q + self.ahead * ways[0], v + self.ahead * w * ways[1], a - self.ahead * w * w * ways[0]
         )
 
 
 @pytest.mark.parametrize(
-    ("ahead", "path"), [(0.0, EIGHT), (0.15, FixedHeading(Eights(), 0.3)), (-0.1, Led(-0.1))]
+    ("ahead", "path"), [(0.0, EIGHT), (0.15, pm.FixedHeading(Eights(), 0.3)), (-0.1, Led(-0.1))]
 )
 def test_velocities_of_an_exact_model_fall_to_the_law_as_the_gain_says(ahead: float, path: Any) -> None:
     """Which they do only where the rates of the law's velocities are right."""
-    robot, dt, k = VelocityRobot(TRUE.theta, ahead), 1e-3, np.array([3.0, 5.0])
+    robot, dt, k = pm.VelocityRobot(TRUE.theta, ahead), 1e-3, np.array([3.0, 5.0])
     controller = AdaptiveVelocity(robot, k=k, gamma=0.0)
     q0 = path(0.0).q + OFF
-    run = simulate(
+    run = pm.simulate(
         *(robot, controller, path),
         **{
             "dt": dt,
             "duration": 1.5,
             "q0": q0,
             "v0": robot.rolling(q0, [-0.1, 0.3]),
-            "engine": Engine.COMPILED,
+            "engine": pm.Engine.COMPILED,
         },
     )
     found = wanted(run, controller, ahead) - robot.independent(run.q, run.v)
@@ -142,7 +128,7 @@ def test_the_sum_of_squares_falls_in_each_step() -> None:
     dt, controller = 2e-4, AdaptiveVelocity(WRONG)
     q0 = EIGHT(0.0).q + OFF
     v0 = TRUE.rolling(q0, [0.1, -0.5])
-    run = simulate(TRUE, controller, EIGHT, dt=dt, duration=1.0, q0=q0, v0=v0, engine=Engine.COMPILED)
+    run = pm.simulate(TRUE, controller, EIGHT, dt=dt, duration=1.0, q0=q0, v0=v0, engine=pm.Engine.COMPILED)
     e = wanted(run, controller, 0.0) - TRUE.independent(run.q, run.v)
     # A signal is told after its sample, when the estimate has been brought on.
     off = run.signals["theta"].values[:-1] - TRUE.theta
@@ -161,7 +147,7 @@ def test_estimates_become_right_where_the_motion_is_rich_and_not_on_a_circle() -
 
     def last(trajectory: Any) -> Array:
         controller = AdaptiveVelocity(WRONG, gamma=gamma, kp=0.4)
-        run = simulate(TRUE, controller, trajectory, dt=0.01, duration=120.0, engine=Engine.COMPILED)
+        run = pm.simulate(TRUE, controller, trajectory, dt=0.01, duration=120.0, engine=pm.Engine.COMPILED)
         return np.asarray(run.signals["theta"].values[-1])
 
     found, circle = last(rich()), last(CIRCLE)
@@ -172,15 +158,15 @@ def test_estimates_become_right_where_the_motion_is_rich_and_not_on_a_circle() -
 
 def test_a_theta_that_is_wrong_by_30_percent_ends_with_less_error_than_without_adaptation() -> None:
     spread = {
-        f"controller.theta.theta_{j + 1}": Uniform(*sorted((0.7 * x, 1.3 * x)))
+        f"controller.theta.theta_{j + 1}": pm.Uniform(*sorted((0.7 * x, 1.3 * x)))
         for j, x in enumerate(TRUE.theta)
     }
     given: Any = {"n": 50, "spread": spread, "dt": 0.02, "seed": 3, "after": 40.0}
     with_, without = (
-        ensemble(TRUE, controller, EIGHT, **given)
+        pm.ensemble(TRUE, controller, EIGHT, **given)
         for controller in (AdaptiveVelocity(TRUE), AdaptiveVelocity(TRUE, gamma=0.0))
     )
-    assert with_.engine == Engine.COMPILED.name
+    assert with_.engine == pm.Engine.COMPILED.name
     # A model that is nearly right needs no adaptation, and dt leaves some millimetres.
     assert np.median(with_.max_distance) < 0.1 * np.median(without.max_distance)
     assert with_.max_distance.max() < 0.05 < without.max_distance.max()
@@ -200,11 +186,12 @@ def test_what_limits_keep_commands_from_is_no_reason_to_estimate_more() -> None:
             return controller.signals(state)
 
     controller = AdaptiveVelocity(TRUE)
-    robot = VelocityRobot(TRUE.theta, limits=(0.3, 2.0))
-    straight = Tangent(Line((0, 0), (24, 0), 40))
-    given: Any = {"dt": 0.02, "engine": Engine.COMPILED, "duration": 20.0}
+    robot = pm.VelocityRobot(TRUE.theta, limits=(0.3, 2.0))
+    straight = pm.Tangent(pm.Line((0, 0), (24, 0), 40))
+    given: Any = {"dt": 0.02, "engine": pm.Engine.COMPILED, "duration": 20.0}
     within, beyond = (
-        simulate(robot, each, straight, **given).signals["theta"].values[-1] for each in (controller, Deaf())
+        pm.simulate(robot, each, straight, **given).signals["theta"].values[-1]
+        for each in (controller, Deaf())
     )
     assert abs(beyond[3] - 1.1) > 1.0
     assert np.abs(within - TRUE.theta).max() < 0.02
@@ -222,7 +209,7 @@ def test_leakage_takes_estimates_back_to_the_first() -> None:
 def test_estimates_stay_within_their_bounds() -> None:
     lower, upper = 0.95 * WRONG.theta, 1.05 * WRONG.theta
     controller = AdaptiveVelocity(WRONG, lower=lower, upper=upper)
-    theta = simulate(TRUE, controller, EIGHT, dt=0.02, engine=Engine.COMPILED).signals["theta"].values
+    theta = pm.simulate(TRUE, controller, EIGHT, dt=0.02, engine=pm.Engine.COMPILED).signals["theta"].values
     assert (theta.min(axis=0) >= lower).all()
     assert (theta.max(axis=0) <= upper).all()
     assert (theta == lower).any()
@@ -231,17 +218,24 @@ def test_estimates_stay_within_their_bounds() -> None:
 
 def test_the_bound_of_dt_is_where_the_loop_itself_becomes_unstable(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a circle, of whose regressor the mean is all there is."""
-    robot = VelocityRobot([0.3, 0.3, 0.0, 1.0, 0.0, 1.0])
+    robot = pm.VelocityRobot([0.3, 0.3, 0.0, 1.0, 0.0, 1.0])
     controller = AdaptiveVelocity(robot, gamma=[0, 0, 0, 20, 0, 0])
-    with pytest.raises(InvalidArgument, match=r"gains kp = .* dt < ([0-9.]+) s") as caught:
-        simulate(robot, controller, CIRCLE, dt=0.5)
+    with pytest.raises(pm.InvalidArgument, match=r"gains kp = .* dt < ([0-9.]+) s") as caught:
+        pm.simulate(robot, controller, CIRCLE, dt=0.5)
     bound = float(str(caught.value).rpartition("dt < ")[2].partition(" s")[0])
     monkeypatch.setattr(adaptive, "check_held", lambda *given: None)
 
     def last(dt: float) -> float:
         start: Any = {"q0": CIRCLE(0.0).q + np.array([0.003, 0, 0]), "v0": CIRCLE(0.0).v}
-        run = simulate(
-            robot, controller, CIRCLE, dt=dt, duration=1000 * dt, substeps=4, engine=Engine.COMPILED, **start
+        run = pm.simulate(
+            robot,
+            controller,
+            CIRCLE,
+            dt=dt,
+            duration=1000 * dt,
+            substeps=4,
+            engine=pm.Engine.COMPILED,
+            **start,
         )
         return float(errors(run)[-100:].max())
 
@@ -249,7 +243,7 @@ def test_the_bound_of_dt_is_where_the_loop_itself_becomes_unstable(monkeypatch: 
 
 
 BAD: Any = [
-    (lambda: AdaptiveVelocity(MobileRobot.box()), "robot is .*, expected a VelocityRobot"),
+    (lambda: AdaptiveVelocity(pm.MobileRobot.box()), "robot is .*, expected a VelocityRobot"),
     (lambda: AdaptiveVelocity(TRUE, ahead=0), "ahead is 0.0 m, expected > 0"),
     (lambda: AdaptiveVelocity(TRUE, ahead=-0.1), r"ahead is -0.1 m, expected > 0"),
     (lambda: AdaptiveVelocity(TRUE, k=[1, 2, 3]), r"k has shape \(3,\), expected \(\) or \(2,\)"),
@@ -261,13 +255,18 @@ BAD: Any = [
         "lower and upper of theta_4 are 0.11 and 1, which exclude that of the robot, 1.1",
     ),
     (lambda: AdaptiveVelocity(TRUE, lower=[0, 0, -1, 0, -1, 0]), "lower of theta_1 is 0, expected > 0"),
-    (lambda: simulate(TRUE, AdaptiveVelocity(TRUE, k=30), EIGHT, dt=0.1), r"k = \[30.0\].*expected dt < 0.0"),
     (
-        lambda: simulate(TRUE, AdaptiveVelocity(TRUE), FixedHeading(Eights(), 0.3), dt=0.02),
+        lambda: pm.simulate(TRUE, AdaptiveVelocity(TRUE, k=30), EIGHT, dt=0.1),
+        r"k = \[30.0\].*expected dt < 0.0",
+    ),
+    (
+        lambda: pm.simulate(TRUE, AdaptiveVelocity(TRUE), pm.FixedHeading(Eights(), 0.3), dt=0.02),
         "reference moves sideways",
     ),
     (
-        lambda: simulate(TRUE, AdaptiveVelocity(TRUE), FixedHeading(Line((0, 0), (-2, 0), 4), 0.0), dt=0.02),
+        lambda: pm.simulate(
+            TRUE, AdaptiveVelocity(TRUE), pm.FixedHeading(pm.Line((0, 0), (-2, 0), 4), 0.0), dt=0.02
+        ),
         "reference goes at -0.5 m/s at t = 0 s, expected one that does not go backwards",
     ),
 ]
@@ -275,5 +274,5 @@ BAD: Any = [
 
 @pytest.mark.parametrize(("make", "words"), BAD)
 def test_bad_arguments_are_refused(make: Any, words: str) -> None:
-    with pytest.raises(InvalidArgument, match=words):
+    with pytest.raises(pm.InvalidArgument, match=words):
         make()

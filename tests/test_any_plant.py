@@ -12,20 +12,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import (
-    PD,
-    Circle,
-    InvalidArgument,
-    MobileRobot,
-    Rollout,
-    Tangent,
-    ViscousFriction,
-    ensemble,
-    law,
-    plots,
-    rk4,
-    simulate,
-)
+import pinmobile as pm
+from pinmobile import plots
 from pinmobile.arrays import Array
 from pinmobile.integrators import constant_acceleration
 from pinmobile.loop import Loop
@@ -36,9 +24,9 @@ from tests.looping import looped
 from tests.parts import Axle
 from tests.users import Follower, TwoWheels
 
-PATH = Tangent(Circle(2, 0.25, 20))
-FORCES = (ViscousFriction([2, 0, 0.1]), Axle(0.01))
-RUN = simulate(TwoWheels(), Follower(), PATH, dt=0.02, forces=FORCES, integrator=rk4)
+PATH = pm.Tangent(pm.Circle(2, 0.25, 20))
+FORCES = (pm.ViscousFriction([2, 0, 0.1]), Axle(0.01))
+RUN = pm.simulate(TwoWheels(), Follower(), PATH, dt=0.02, forces=FORCES, integrator=pm.rk4)
 NAMES = ["x", "y", "psi", "left wheel", "right wheel"]
 
 
@@ -51,14 +39,14 @@ def test_two_wheels_follow_a_circle_and_roll_all_the_way() -> None:
     np.testing.assert_allclose(RUN.error[:, :2], RUN.reference.q[:, :2] - RUN.q[:, :2], rtol=0, atol=1e-15)
 
 
-@pytest.mark.parametrize("integrator", [constant_acceleration, rk4])
+@pytest.mark.parametrize("integrator", [constant_acceleration, pm.rk4])
 @pytest.mark.parametrize("substeps", [1, 3])
 @pytest.mark.parametrize("pushed", [False, True])
 def test_the_loop_is_the_one_that_is_compiled(integrator: Any, substeps: int, pushed: bool) -> None:
     """`simulate` and the loop that is run on symbols do the same, step for step."""
     plant, forces = TwoWheels(), FORCES if pushed else ()
     options: dict[str, Any] = {"substeps": substeps, "integrator": integrator, "forces": forces}
-    run = simulate(plant, Follower(), PATH, dt=0.02, duration=2, **options)
+    run = pm.simulate(plant, Follower(), PATH, dt=0.02, duration=2, **options)
     loop = Loop(plant, Follower(), None, forces, integrator, substeps)
     rows = looped(loop, run.q[0], run.v[0], run.t, run.reference)
     for name in ("q", "v", "u", "a"):
@@ -135,7 +123,7 @@ def test_it_is_read_where_its_class_is_not(tmp_path: Path) -> None:
 
 def test_a_file_keeps_every_number_name_and_limit(tmp_path: Path) -> None:
     RUN.save(tmp_path / "run.npz")
-    kept = Rollout.load(tmp_path / "run.npz")
+    kept = pm.Rollout.load(tmp_path / "run.npz")
     for name, array in RUN.arrays().items():
         np.testing.assert_array_equal(kept.arrays()[name], array)
     assert kept.plant == PlantOutline.of(TwoWheels(), RUN.q)
@@ -144,7 +132,7 @@ def test_a_file_keeps_every_number_name_and_limit(tmp_path: Path) -> None:
     assert kept.signals["error across"].unit == "m"
     np.testing.assert_array_equal(kept.signals["error across"].values, RUN.signals["error across"].values)
     kept.save(tmp_path / "again.npz")
-    assert Rollout.load(tmp_path / "again.npz").plant == kept.plant
+    assert pm.Rollout.load(tmp_path / "again.npz").plant == kept.plant
 
 
 class Boxed(TwoWheels):
@@ -190,7 +178,7 @@ class Drawn(TwoWheels):
 
 
 def test_a_plant_draws_itself_live_recorded_and_as_a_ghost() -> None:
-    run = simulate(Drawn(), Follower(), PATH, dt=0.02, duration=4)
+    run = pm.simulate(Drawn(), Follower(), PATH, dt=0.02, duration=4)
     drawn = figure(run.plant)
     times = np.array([0.0, 1.013, 4.0])
     rows = configurations(drawn, run.t, run.q, times)
@@ -243,7 +231,7 @@ def test_members_of_an_ensemble_are_drawn_as_they_are() -> None:
             return found
 
     options: Any = {"n": 2, "spread": {"track": [0.4, 0.6]}, "dt": 0.05, "duration": 0.5}
-    runs = ensemble(Wide(), Follower(), PATH, **options)
+    runs = pm.ensemble(Wide(), Follower(), PATH, **options)
     aside: list[Any] = []
     for i in range(2):
         run = runs.trace(i)
@@ -271,7 +259,7 @@ def test_a_drawing_that_is_none_is_refused(changed: dict[str, Any], why: str) ->
     plant = type("Changed", (Drawn,), {k: v for k, v in changed.items() if k != "visual_model"})()
     if "visual_model" in changed:
         plant.visual_model = changed["visual_model"]
-    with pytest.raises(InvalidArgument, match=why), Viewer(plant) as viewer:
+    with pytest.raises(pm.InvalidArgument, match=why), Viewer(plant) as viewer:
         viewer.display(RUN.q[0])
 
 
@@ -279,20 +267,20 @@ def test_a_plant_that_does_not_tell_where_it_is_is_not_drawn() -> None:
     class Nowhere(TwoWheels):
         pose = None  # type: ignore[assignment]
 
-    run = simulate(Nowhere(), Follower(), PATH, dt=0.1, duration=1)
+    run = pm.simulate(Nowhere(), Follower(), PATH, dt=0.1, duration=1)
     for draw in (
         lambda: Viewer(Nowhere()),
-        lambda: Viewer(MobileRobot.box()).record(run),
+        lambda: Viewer(pm.MobileRobot.box()).record(run),
         lambda: plots.path(run),
     ):
-        with pytest.raises(InvalidArgument, match=r"pose\(q\), which returns x, y and psi"):
+        with pytest.raises(pm.InvalidArgument, match=r"pose\(q\), which returns x, y and psi"):
             draw()
 
 
 def test_arrows_need_a_force_on_the_base() -> None:
     with (
         Viewer(TwoWheels()) as viewer,
-        pytest.raises(InvalidArgument, match="of the inputs Fx, Fy, Mz"),
+        pytest.raises(pm.InvalidArgument, match="of the inputs Fx, Fy, Mz"),
     ):
         viewer.record(RUN, overlays=Overlays(arrows=Arrows()))
 
@@ -308,7 +296,7 @@ def test_limits_hold_after_wrappers_and_are_what_is_applied() -> None:
             told.append(u.copy())
             return state
 
-    run = simulate(TwoWheels(), Loud(), PATH, dt=0.1, duration=0.5)
+    run = pm.simulate(TwoWheels(), Loud(), PATH, dt=0.1, duration=0.5)
     assert np.array_equal(run.u, [[2.0, -0.5]] * 6)
     np.testing.assert_array_equal(told, run.u)
     acceleration = TwoWheels().forward_dynamics(run.q[3], run.v[3], run.u[3])
@@ -319,16 +307,16 @@ def test_a_start_is_completed_and_checked() -> None:
     class Held(TwoWheels):
         def check_start(self, q: Array, v: Array) -> None:
             if np.abs(self.project(q, v) - v).max() > 1e-9:
-                raise InvalidArgument("v0 does not roll")
+                raise pm.InvalidArgument("v0 does not roll")
 
     np.testing.assert_allclose(RUN.v[0, 3:] * 0.1, [0.5 - 0.0625, 0.5 + 0.0625], atol=1e-12)
     sliding: Any = {"v0": [0.5, 0.2, 0.25, 0, 0]}
-    with pytest.raises(InvalidArgument, match="v0 does not roll"):
-        simulate(Held(), Follower(), PATH, dt=0.1, **sliding)
-    free = simulate(TwoWheels(), Follower(), PATH, dt=0.1, duration=0.1, **sliding)
+    with pytest.raises(pm.InvalidArgument, match="v0 does not roll"):
+        pm.simulate(Held(), Follower(), PATH, dt=0.1, **sliding)
+    free = pm.simulate(TwoWheels(), Follower(), PATH, dt=0.1, duration=0.1, **sliding)
     assert free.v[0].tolist() == sliding["v0"]
-    with pytest.raises(InvalidArgument, match=r"q0 has shape \(3,\), expected \(5,\)"):
-        simulate(Held(), Follower(), PATH, dt=0.1, q0=np.zeros(3))
+    with pytest.raises(pm.InvalidArgument, match=r"q0 has shape \(3,\), expected \(5,\)"):
+        pm.simulate(Held(), Follower(), PATH, dt=0.1, q0=np.zeros(3))
 
 
 class Sliding:
@@ -373,8 +361,8 @@ class Spring:
 
 
 def test_a_step_of_its_own_is_taken_with_its_memory_and_signals() -> None:
-    push = law(lambda *_: np.array([3.0]))
-    run = simulate(Sliding(), push, Still(), dt=0.1, substeps=2, forces=[Spring()], q0=[0.5], v0=[1.0])
+    push = pm.law(lambda *_: np.array([3.0]))
+    run = pm.simulate(Sliding(), push, Still(), dt=0.1, substeps=2, forces=[Spring()], q0=[0.5], v0=[1.0])
     loop = Loop(Sliding(), push, None, (Spring(),), None, 2)
     rows = looped(loop, run.q[0], run.v[0], run.t, run.reference)
     for name in ("q", "v", "u", "a"):
@@ -385,18 +373,20 @@ def test_a_step_of_its_own_is_taken_with_its_memory_and_signals() -> None:
     assert hits[-1] > 0
     np.testing.assert_array_equal(run.signals["state"].values, np.hstack([run.q, run.v]))
     assert "push 3 N" in str(run)
-    for chosen in (rk4, constant_acceleration):
-        with pytest.raises(InvalidArgument, match="a Sliding, has a step of its own: leave integrator out"):
-            simulate(Sliding(), push, Still(), dt=0.1, integrator=chosen)
+    for chosen in (pm.rk4, constant_acceleration):
+        with pytest.raises(
+            pm.InvalidArgument, match="a Sliding, has a step of its own: leave integrator out"
+        ):
+            pm.simulate(Sliding(), push, Still(), dt=0.1, integrator=chosen)
 
 
 def test_a_plant_chooses_its_integrator() -> None:
     class Precise(TwoWheels):
-        integrator = rk4
+        integrator = pm.rk4
 
     chosen, given, usual = (
-        simulate(plant, Follower(), PATH, dt=0.1, integrator=integrator).q
-        for plant, integrator in ((Precise(), None), (TwoWheels(), rk4), (TwoWheels(), None))
+        pm.simulate(plant, Follower(), PATH, dt=0.1, integrator=integrator).q
+        for plant, integrator in ((Precise(), None), (TwoWheels(), pm.rk4), (TwoWheels(), None))
     )
     np.testing.assert_array_equal(chosen, given)
     assert np.abs(chosen - usual).max() > 1e-9
@@ -427,23 +417,23 @@ def plant_with(**changed: Any) -> Any:
     ],
 )
 def test_a_plant_that_contradicts_itself_is_refused(plant: Any, why: str) -> None:
-    with pytest.raises(InvalidArgument, match=why):
-        simulate(plant, Follower(), PATH, dt=0.1)
+    with pytest.raises(pm.InvalidArgument, match=why):
+        pm.simulate(plant, Follower(), PATH, dt=0.1)
 
 
 def test_a_shorter_reference_without_a_start_needs_one() -> None:
     plant: Any = plant_with()
     del_start = type("NoStart", (TwoWheels,), {"start": property(lambda self: self.nothing)})()
     assert not hasattr(del_start, "start")
-    with pytest.raises(InvalidArgument, match=r"has no start\(reference\), .*: give q0 and v0"):
-        simulate(del_start, Follower(), PATH, dt=0.1)
+    with pytest.raises(pm.InvalidArgument, match=r"has no start\(reference\), .*: give q0 and v0"):
+        pm.simulate(del_start, Follower(), PATH, dt=0.1)
     q0, v0 = plant.start(PATH(0.0))
-    begun = simulate(del_start, Follower(), PATH, dt=0.1, q0=q0, v0=v0)
-    np.testing.assert_array_equal(begun.q, simulate(TwoWheels(), Follower(), PATH, dt=0.1).q)
+    begun = pm.simulate(del_start, Follower(), PATH, dt=0.1, q0=q0, v0=v0)
+    np.testing.assert_array_equal(begun.q, pm.simulate(TwoWheels(), Follower(), PATH, dt=0.1).q)
 
 
 def test_a_base_with_an_arm_follows_a_reference_of_the_base() -> None:
-    robot = MobileRobot.box().mount("ur5")
+    robot = pm.MobileRobot.box().mount("ur5")
 
     def held(t: float, q: Array, v: Array, reference: Any) -> Array:
         whole = np.append(reference.q, robot.rest[3:])
@@ -452,14 +442,14 @@ def test_a_base_with_an_arm_follows_a_reference_of_the_base() -> None:
         a[:3] += reference.a
         return robot.inverse_dynamics(q, v, a)
 
-    run = simulate(robot, law(held), PATH, dt=0.01, duration=1)
+    run = pm.simulate(robot, pm.law(held), PATH, dt=0.01, duration=1)
     assert run.error.shape == (101, 3)
     assert (run.max_error() < 1e-3).all()
     assert run.q[0, 3:].tolist() == robot.rest[3:].tolist()
     assert len(str(run).splitlines()) == 4
     assert plots.errors(run).axes[0].get_ylabel() == "error in $x$ [m]"
-    with pytest.raises(InvalidArgument, match=r"has the first 3 of 9 coordinates, .* WholeBody"):
-        simulate(robot, PD(1, 1), PATH, dt=0.1)
+    with pytest.raises(pm.InvalidArgument, match=r"has the first 3 of 9 coordinates, .* WholeBody"):
+        pm.simulate(robot, pm.PD(1, 1), PATH, dt=0.1)
 
 
 class Telling(Follower):
@@ -496,12 +486,12 @@ def test_signals_that_are_none_are_refused(answers: Any, why: str) -> None:
     def signals(self: Any, t: float, q: Array, v: Array, u: Array, f: Any, memory: Any) -> Any:
         return {"tread": ("N", 1.0)}
 
-    with pytest.raises(InvalidArgument, match=why):
-        simulate(plant_with(signals=signals), Telling(*answers), PATH, dt=0.1, duration=1)
+    with pytest.raises(pm.InvalidArgument, match=why):
+        pm.simulate(plant_with(signals=signals), Telling(*answers), PATH, dt=0.1, duration=1)
 
 
 def test_rollouts_without_signals_have_none_to_draw() -> None:
-    run = simulate(MobileRobot.box(), PD(9, 9), PATH, dt=0.1)
+    run = pm.simulate(pm.MobileRobot.box(), pm.PD(9, 9), PATH, dt=0.1)
     assert dict(run.signals) == {}
-    with pytest.raises(InvalidArgument, match="rollouts have no signals"):
+    with pytest.raises(pm.InvalidArgument, match="rollouts have no signals"):
         plots.signals(run)

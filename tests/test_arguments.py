@@ -24,44 +24,8 @@ import numpy as np
 import pytest
 
 import pinmobile
-from pinmobile import (
-    PD,
-    Circle,
-    ConstantForce,
-    CubicVia,
-    Diverged,
-    Engine,
-    FixedHeading,
-    Hold,
-    InputSaturation,
-    InvalidArgument,
-    Lissajous,
-    MeasurementNoise,
-    MobileRobot,
-    Motor,
-    PayloadBody,
-    PinmobileError,
-    PosePath,
-    RestToRest,
-    Rollout,
-    SameAs,
-    Scenario,
-    Spline,
-    Tangent,
-    Uniform,
-    ViscousFriction,
-    WheeledRobot,
-    WheelTable,
-    closed_form,
-    ensemble,
-    extras,
-    law,
-    plots,
-    rk4,
-    simulate,
-    urdf,
-    verify,
-)
+import pinmobile as pm
+from pinmobile import closed_form, plots, urdf
 from pinmobile.accuracy import integrator_report
 from pinmobile.arrays import MEMORY, Array, affordable, finite, frozen
 from pinmobile.cli import main
@@ -76,13 +40,18 @@ from tests import arguments
 from tests.arguments import ROWS
 
 ROOT = Path(__file__).parents[1]
-ROBOT = MobileRobot.box()
-ON_WHEELS = WheeledRobot(ROBOT, WheelTable.differential(0.4, 0.1))
-CIRCLE = Circle(radius=3, rate=0.1, duration=60)
-LOOP: dict[str, Any] = {"plant": ROBOT, "controller": PD(10, 10), "trajectory": Tangent(CIRCLE), "dt": 0.1}
+ROBOT = pm.MobileRobot.box()
+ON_WHEELS = pm.WheeledRobot(ROBOT, pm.WheelTable.differential(0.4, 0.1))
+CIRCLE = pm.Circle(radius=3, rate=0.1, duration=60)
+LOOP: dict[str, Any] = {
+    "plant": ROBOT,
+    "controller": pm.PD(10, 10),
+    "trajectory": pm.Tangent(CIRCLE),
+    "dt": 0.1,
+}
 MANY: dict[str, Any] = {
-    **{"robot": ROBOT, "controller": PD(120, 120), "trajectory": Tangent(CIRCLE), "dt": 0.1},
-    **{"n": 3, "spread": {"mass": Uniform(29, 31)}, "engine": Engine.COMPILED},
+    **{"robot": ROBOT, "controller": pm.PD(120, 120), "trajectory": pm.Tangent(CIRCLE), "dt": 0.1},
+    **{"n": 3, "spread": {"mass": pm.Uniform(29, 31)}, "engine": pm.Engine.COMPILED},
 }
 MASKED: Any = np.ma.masked_array([1.0, 2.0, 3.0], [False, True, False])
 RAGGED: Any = [[1, 2], [3]]
@@ -97,7 +66,7 @@ class Fault(NamedTuple):
     kind: str
     call: Callable[[], Any]
     text: str
-    error: type[PinmobileError] = InvalidArgument
+    error: type[pm.PinmobileError] = pm.InvalidArgument
 
 
 def hidden() -> Any:
@@ -119,12 +88,12 @@ def endless_list() -> list[Any]:
 
 def of_many(**changed: Any) -> Callable[[], Any]:
     """Return a call of `ensemble` with some arguments changed."""
-    return lambda: ensemble(**MANY | changed)
+    return lambda: pm.ensemble(**MANY | changed)
 
 
 def of_loop(**changed: Any) -> Callable[[], Any]:
     """Return a call of `simulate` with some arguments changed."""
-    return lambda: simulate(**LOOP | changed)
+    return lambda: pm.simulate(**LOOP | changed)
 
 
 FAULTS = [
@@ -138,7 +107,7 @@ FAULTS = [
     ),
     Fault(
         "another kind",
-        lambda: ROBOT.attach(PayloadBody(1), frame=EMPTY),
+        lambda: ROBOT.attach(pm.PayloadBody(1), frame=EMPTY),
         "unknown frame [], available: ",
         UnknownName,
     ),
@@ -154,14 +123,16 @@ FAULTS = [
     ),
     Fault(
         "another kind",
-        lambda: SameAs("mass", cast(Any, SameAs("mass"))),
+        lambda: pm.SameAs("mass", cast(Any, pm.SameAs("mass"))),
         "factor is SameAs(name='mass', factor=1.0), expected",
     ),
     Fault("another kind", of_many(traces=b"a"), "traces is 97, expected at most"),
-    Fault("another kind", lambda: verify(ROBOT, seed=NOTHING), "seed is None, expected a whole number >= 0"),
+    Fault(
+        "another kind", lambda: pm.verify(ROBOT, seed=NOTHING), "seed is None, expected a whole number >= 0"
+    ),
     Fault(
         "another kind",
-        lambda: WheelTable.swerve(NOTHING, 0.1),
+        lambda: pm.WheelTable.swerve(NOTHING, 0.1),
         "places is None, expected (x, y) of each [m]",
     ),
     Fault("another kind", lambda: Mobility.of(EMPTY), "table is [], expected a WheelTable"),
@@ -178,23 +149,23 @@ FAULTS = [
     # Numbers that are none.
     Fault(
         "no numbers",
-        lambda: InputSaturation(PD(1, 1), RAGGED),
+        lambda: pm.InputSaturation(pm.PD(1, 1), RAGGED),
         "limits is [[1, 2], [3]], expected real numbers",
     ),
     Fault(
         "no numbers",
-        lambda: MeasurementNoise(PD(1, 1), RAGGED, 0, 0),
+        lambda: pm.MeasurementNoise(pm.PD(1, 1), RAGGED, 0, 0),
         "std_q is [[1, 2], [3]], expected real",
     ),
     Fault(
         "no numbers",
-        lambda: PayloadBody(1, inertia=RAGGED),
+        lambda: pm.PayloadBody(1, inertia=RAGGED),
         "inertia is [[1, 2], [3]], expected real numbers",
     ),
     # What a mask hides is not there.
     Fault(
         "masked numbers",
-        lambda: ConstantForce(MASKED),
+        lambda: pm.ConstantForce(MASKED),
         "force is a masked array, expected one without a mask",
     ),
     Fault(
@@ -205,8 +176,8 @@ FAULTS = [
         lambda: finite("q", masked_entry()),
         "q is a masked array, expected one without",
     ),
-    Fault("masked numbers", lambda: InputSaturation(PD(1, 1), MASKED), "limits is a masked array"),
-    Fault("masked numbers", lambda: PayloadBody(1, com=MASKED), "com is a masked array"),
+    Fault("masked numbers", lambda: pm.InputSaturation(pm.PD(1, 1), MASKED), "limits is a masked array"),
+    Fault("masked numbers", lambda: pm.PayloadBody(1, com=MASKED), "com is a masked array"),
     Fault("masked numbers", of_loop(q0=MASKED), "q0 is a masked array"),
     Fault("masked numbers", of_many(spread={"mass": MASKED}), "spread['mass'] is a masked array"),
     Fault(
@@ -221,38 +192,42 @@ FAULTS = [
         "values is a masked array",
     ),
     # Finite numbers whose results are not.
-    Fault("beyond the largest number", lambda: Uniform(-1e308, 1e308), "expected a width that is a number"),
+    Fault(
+        "beyond the largest number", lambda: pm.Uniform(-1e308, 1e308), "expected a width that is a number"
+    ),
     Fault(
         "beyond the largest number",
-        lambda: RestToRest([0], [1], 1e308),
+        lambda: pm.RestToRest([0], [1], 1e308),
         "duration is 1e+308 s, expected 1e-50 <= ",
     ),
     Fault(
         "beyond the largest number",
-        lambda: RestToRest([0], [1], 1e-300),
+        lambda: pm.RestToRest([0], [1], 1e-300),
         "duration is 1e-300 s, expected 1e-50 <= ",
     ),
     Fault(
-        "beyond the largest number", lambda: RestToRest([-1e308], [1e308], 1), "a coefficient of the path is"
+        "beyond the largest number",
+        lambda: pm.RestToRest([-1e308], [1e308], 1),
+        "a coefficient of the path is",
     ),
     Fault(
         "beyond the largest number",
-        lambda: CubicVia([0], [1], [2], 1e-200, 1),
+        lambda: pm.CubicVia([0], [1], [2], 1e-200, 1),
         "t_via is 1e-200 s, expected 1e-50 <= ",
     ),
     Fault(
         "beyond the largest number",
-        lambda: CubicVia([0], [1], [2], 1, 1e200),
+        lambda: pm.CubicVia([0], [1], [2], 1, 1e200),
         "t_end - t_via is 1e+200 s, expected",
     ),
     Fault(
         "beyond the largest number",
-        lambda: Spline([[0], [1]], [0, 1e-300]),
+        lambda: pm.Spline([[0], [1]], [0, 1e-300]),
         "times[1] - times[0] is 1e-300 s",
     ),
     Fault(
         "beyond the largest number",
-        lambda: Lissajous(1, 1, 10, 1, 1).derivative(0, 900),
+        lambda: pm.Lissajous(1, 1, 10, 1, 1).derivative(0, 900),
         "derivative of the figure",
     ),
     Fault("beyond the largest number", lambda: CIRCLE.derivative(0, 10**400), "order is 1000000000"),
@@ -269,7 +244,7 @@ FAULTS = [
     ),
     Fault(
         "beyond the largest number",
-        lambda: Motor(gear=1e200),
+        lambda: pm.Motor(gear=1e200),
         "gear of a Motor is 1e+200 with a rotor inertia of 0 kg m^2, whose square times it is beyond 1.8e308",
     ),
     Fault(
@@ -284,13 +259,15 @@ FAULTS = [
     Fault("too much", of_many(substeps=10**12), "substeps is 1000000000000, expected at most 166,389,351"),
     Fault("too much", of_many(every=1e300), "every is 1e+300, expected at most"),
     Fault("too much", of_loop(dt=6e-7), "the records of 100,000,001 samples take 38.4 GB"),
-    Fault("too much", lambda: integrator_report(rk4, duration=1e308), "duration is 1e+308 s, which makes"),
+    Fault("too much", lambda: integrator_report(pm.rk4, duration=1e308), "duration is 1e+308 s, which makes"),
     Fault(
-        "too much", lambda: Uniform(0, 1).sample(np.random.default_rng(0), 10**12), "1000000000000 draws take"
+        "too much",
+        lambda: pm.Uniform(0, 1).sample(np.random.default_rng(0), 10**12),
+        "1000000000000 draws take",
     ),
     Fault(
         "too much",
-        lambda: verify(ROBOT, states=10**22),
+        lambda: pm.verify(ROBOT, states=10**22),
         "states is 10000000000000000000000, expected at most",
     ),
     Fault(
@@ -299,14 +276,18 @@ FAULTS = [
         "random configurations take",
     ),
     # Text that no file, page or heading can have.
-    Fault("no text", lambda: MobileRobot.from_urdf("a\0b"), "path is 'a\\x00b', expected the path of a file"),
-    Fault("no text", lambda: Rollout.load("a\0b"), "path is 'a\\x00b', expected the path of a file"),
     Fault(
-        "no text", lambda: MobileRobot.from_urdf(SURROGATE), "path is 'half a \\ud83d', expected the path of"
+        "no text", lambda: pm.MobileRobot.from_urdf("a\0b"), "path is 'a\\x00b', expected the path of a file"
+    ),
+    Fault("no text", lambda: pm.Rollout.load("a\0b"), "path is 'a\\x00b', expected the path of a file"),
+    Fault(
+        "no text",
+        lambda: pm.MobileRobot.from_urdf(SURROGATE),
+        "path is 'half a \\ud83d', expected the path of",
     ),
     Fault(
         "no text",
-        lambda: MobileRobot.from_urdf("x" * 5_000),
+        lambda: pm.MobileRobot.from_urdf("x" * 5_000),
         "... (5,002 letters), expected the path of a file",
     ),
     Fault(
@@ -324,12 +305,12 @@ FAULTS = [
     ),
     Fault(
         "no text",
-        lambda: plots.path(simulate(**LOOP), title=SURROGATE),
+        lambda: plots.path(pm.simulate(**LOOP), title=SURROGATE),
         "title is 'half a \\ud83d', expected text",
     ),
     Fault(
         "no text",
-        lambda: Viewer(ROBOT).record(simulate(**LOOP), title=SURROGATE),
+        lambda: Viewer(ROBOT).record(pm.simulate(**LOOP), title=SURROGATE),
         "title is 'half a \\ud83d', expected text without control characters",
     ),
     Fault(
@@ -361,12 +342,12 @@ FAULTS = [
     ),
     Fault(
         "another part",
-        of_loop(trajectory=PosePath(Spline([[0, 0, 1], [1, 0, 1]], [0, 1]))),
+        of_loop(trajectory=pm.PosePath(pm.Spline([[0, 0, 1], [1, 0, 1]], [0, 1]))),
         "a path of poses of an end effector, expected a trajectory of the robot's coordinates, such as "
         "solve_inverse_kinematics(robot, path)",
     ),
     Fault(
-        "another part", of_loop(integrator=PD(1, 1)), "a controller, expected one of pinmobile.integrators"
+        "another part", of_loop(integrator=pm.PD(1, 1)), "a controller, expected one of pinmobile.integrators"
     ),
     Fault(
         "another part",
@@ -375,7 +356,7 @@ FAULTS = [
     ),
     Fault(
         "another signature",
-        lambda: law(lambda t, q: np.zeros(3)),  # type: ignore[misc, arg-type]
+        lambda: pm.law(lambda t, q: np.zeros(3)),  # type: ignore[misc, arg-type]
         "which cannot be called as function(t, q, v, reference): too many positional arguments",
     ),
     Fault(
@@ -395,7 +376,7 @@ FAULTS = [
     ),
     Fault(
         "another signature",
-        lambda: PD(1, 1, difference=lambda q: q),
+        lambda: pm.PD(1, 1, difference=lambda q: q),
         "which cannot be called as difference(q0, q1): too many",
     ),
     Fault(
@@ -405,12 +386,12 @@ FAULTS = [
     ),
     Fault(
         "another shape returned",
-        of_loop(controller=law(lambda t, q, v, reference: [1.0, 2.0])),
+        of_loop(controller=pm.law(lambda t, q, v, reference: [1.0, 2.0])),
         "controller returned array([1., 2.]) at t = 0 s, expected an array of shape (3,)",
     ),
     Fault(
         "another shape returned",
-        of_loop(controller=law(lambda t, q, v, reference: NOTHING)),
+        of_loop(controller=pm.law(lambda t, q, v, reference: NOTHING)),
         "function of the law returned None at t = 0 s, expected a force: nu numbers",
     ),
     Fault(
@@ -426,9 +407,9 @@ FAULTS = [
     # A loop that shakes itself to pieces.
     Fault(
         "too long a step",
-        of_loop(forces=[ViscousFriction([1000, 1000, 0])]),
+        of_loop(forces=[pm.ViscousFriction([1000, 1000, 0])]),
         "needs steps of the integrator of at most 0.06 s, and they are 0.1 s: give a smaller dt, or substeps",
-        Diverged,
+        pm.Diverged,
     ),
 ]
 
@@ -497,7 +478,7 @@ def test_wrong_values_end_in_an_error_of_the_library_or_a_right_answer(
 def test_frozen_copies_what_it_has_not_made_itself() -> None:
     mine = np.ones(3)
     mine.setflags(write=False)
-    robot_force = ConstantForce(mine)
+    robot_force = pm.ConstantForce(mine)
     mine.setflags(write=True)
     mine[0] = 7
     assert np.asarray(robot_force.force).tolist() == [1, 1, 1]
@@ -514,11 +495,11 @@ def test_a_number_of_any_type_is_a_number() -> None:
 
 def test_what_is_affordable_is_not_refused() -> None:
     affordable("arrays", MEMORY / 8, "nothing")
-    with pytest.raises(InvalidArgument, match=r"^arrays take 16 GB, expected at most 16 GB: less$"):
+    with pytest.raises(pm.InvalidArgument, match=r"^arrays take 16 GB, expected at most 16 GB: less$"):
         affordable("arrays", MEMORY / 8 + 1, "less")
 
 
-@pytest.mark.parametrize("one", [Engine.PYTHON, Engine.COMPILED, TRUE_MODEL], ids=["P", "C", "T"])
+@pytest.mark.parametrize("one", [pm.Engine.PYTHON, pm.Engine.COMPILED, TRUE_MODEL], ids=["P", "C", "T"])
 def test_engines_and_the_true_model_come_back_as_themselves(one: Any) -> None:
     assert pickle.loads(pickle.dumps(one)) is one
     assert copy.copy(one) is one
@@ -526,9 +507,9 @@ def test_engines_and_the_true_model_come_back_as_themselves(one: Any) -> None:
 
 
 def test_the_true_model_is_read_only() -> None:
-    assert dict(TRUE_MODEL)["controller.mass"] == SameAs("plant.mass")
+    assert dict(TRUE_MODEL)["controller.mass"] == pm.SameAs("plant.mass")
     with pytest.raises(TypeError, match="does not support item assignment"):
-        TRUE_MODEL["controller.mass"] = SameAs("yaw_inertia")  # type: ignore[index]
+        TRUE_MODEL["controller.mass"] = pm.SameAs("yaw_inertia")  # type: ignore[index]
 
 
 def test_names_of_joints_are_one_column_each_in_a_csv_file(tmp_path: Path) -> None:
@@ -536,7 +517,7 @@ def test_names_of_joints_are_one_column_each_in_a_csv_file(tmp_path: Path) -> No
     model.names[1], model.names[2] = "lift, or\nnot", 'the "elbow"'
     robot = ROBOT.mount(model, (0, 0, 0.2, 0), name="arm")
     still = np.zeros((2, 5))
-    rollout = Rollout(
+    rollout = pm.Rollout(
         robot, np.arange(2.0), still, still, still, still, still, pinmobile.Reference(*[still] * 3)
     )
     rollout.to_csv(tmp_path / "a.csv")
@@ -562,7 +543,7 @@ def test_a_mesh_whose_name_no_file_can_have_is_missing(tmp_path: Path, letters: 
     file = tmp_path / "mesh.urdf"
     file.write_text(re.sub(r"(<link name=\"base_link\">)", rf"\1{mesh}", text))
     with pytest.warns(UserWarning, match=f"x{{{letters}}}"):
-        assert MobileRobot.from_urdf(file).visual_model.ngeoms >= 1
+        assert pm.MobileRobot.from_urdf(file).visual_model.ngeoms >= 1
 
 
 INTERRUPTED = """
@@ -601,21 +582,21 @@ def test_packages_of_extras_are_those_of_the_project() -> None:
             )
         return found
 
-    for extra, packages in extras.EXTRAS.items():
+    for extra, packages in pm.extras.EXTRAS.items():
         assert set(packages) == names(extra)
 
 
 def test_a_missing_package_is_named_with_how_to_get_it() -> None:
     with pytest.raises(
-        InvalidArgument, match=r"^a sweep needs nothing_of_it, which is not installed: pip install da"
+        pm.InvalidArgument, match=r"^a sweep needs nothing_of_it, which is not installed: pip install da"
     ):
-        extras.imported("nothing_of_it", "sweeps", "a sweep")
+        pm.extras.imported("nothing_of_it", "sweeps", "a sweep")
 
 
 def test_a_stable_friction_has_no_hint() -> None:
-    strong = ConstantForce([1e9, 0, 0])
-    with pytest.raises(Diverged) as caught:
-        simulate(**LOOP | {"forces": [ViscousFriction([1, 1, 0.1]), strong]})
+    strong = pm.ConstantForce([1e9, 0, 0])
+    with pytest.raises(pm.Diverged) as caught:
+        pm.simulate(**LOOP | {"forces": [pm.ViscousFriction([1, 1, 0.1]), strong]})
     assert "friction" not in str(caught.value)
 
 
@@ -624,12 +605,12 @@ def test_what_a_users_own_function_raises_comes_through() -> None:
         raise TypeError("mine")
 
     with pytest.raises(TypeError, match=r"^mine$"):
-        simulate(**LOOP | {"controller": law(broken)})
+        pm.simulate(**LOOP | {"controller": pm.law(broken)})
 
 
 def test_scenarios_hold_plain_numbers() -> None:
     named = {name: value for name, value in MANY.items() if name != "engine"}
-    scenario = Scenario(**named | {"dt": np.array(0.1), "duration": np.array(6.0)})
+    scenario = pm.Scenario(**named | {"dt": np.array(0.1), "duration": np.array(6.0)})
     assert (type(scenario.dt), type(scenario.duration)) == (float, float)
     assert scenario.integrator is constant_acceleration
-    assert FixedHeading(CIRCLE, 0)(0.0).q.shape == Hold([0, 0, 0], 1)(0.0).shape
+    assert pm.FixedHeading(CIRCLE, 0)(0.0).q.shape == pm.Hold([0, 0, 0], 1)(0.0).shape

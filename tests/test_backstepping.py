@@ -7,27 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    PD,
-    Backstepping,
-    Circle,
-    ComputedTorque,
-    ControlAllocation,
-    FixedHeading,
-    InputSaturation,
-    InvalidArgument,
-    MeasurementDelay,
-    MeasurementNoise,
-    MobileRobot,
-    Reference,
-    Rollout,
-    Scenario,
-    Tangent,
-    UnicycleTracking,
-    Uniform,
-    rk4,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.controllers import Decoupled, DynamicFeedback, Kanayama, Parking, SwerveTracking
 from pinmobile.loop import Engine, run_scenario
 from pinmobile.parts import evolved
@@ -36,15 +16,15 @@ from pinmobile.wheels import Coulomb, Motor, OdometryFeedback, Wheel, WheeledRob
 from tests.parts import Eight
 
 OFF = np.array([-0.3, 0.3, 0.5])
-BODY = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
+BODY = pm.MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
 DIFFERENTIAL = WheeledRobot(BODY, WheelTable.differential(0.5, 0.1, **WHEEL))
 SUPPORTED = WheelTable.differential(0.5, 0.1, supports=[(-0.2, 0.0)], **WHEEL)
 CAR = WheeledRobot(BODY, WheelTable.car(0.35, 0.3, 0.1, **WHEEL))
 MECANUM = WheeledRobot(BODY, WheelTable.mecanum(0.5, 0.4, 0.08, **WHEEL))
 SWERVE = WheeledRobot(BODY, WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.06, **WHEEL))
-EIGHT = Tangent(Eight(1.0, 4 * np.pi))  # 1 m sin 0.5 t, 0.5 m sin t
-LARGE = Tangent(Eight(2.0, 8 * np.pi))
+EIGHT = pm.Tangent(Eight(1.0, 4 * np.pi))  # 1 m sin 0.5 t, 0.5 m sin t
+LARGE = pm.Tangent(Eight(2.0, 8 * np.pi))
 
 
 @dataclass(frozen=True)
@@ -54,9 +34,9 @@ class Waving:
     rest: Any
     duration: float = 6.0
 
-    def __call__(self, t: Any) -> Reference:
+    def __call__(self, t: Any) -> pm.Reference:
         phase = 0.7 * np.asarray(t)[..., None] + np.arange(len(self.rest)) + 1.0
-        return Reference(self.rest + 0.3 * np.sin(phase), 0.21 * np.cos(phase), -0.147 * np.sin(phase))
+        return pm.Reference(self.rest + 0.3 * np.sin(phase), 0.21 * np.cos(phase), -0.147 * np.sin(phase))
 
 
 @dataclass(frozen=True)
@@ -67,29 +47,29 @@ class Posed:
     rate: tuple[float, float, float] = (0.0, 0.0, 0.0)
     duration: float = 30.0
 
-    def __call__(self, t: Any) -> Reference:
+    def __call__(self, t: Any) -> pm.Reference:
         v = np.zeros((*np.shape(t), 3)) + self.rate
-        return Reference(np.asarray(self.pose) + np.asarray(t)[..., None] * v, v, 0.0 * v)
+        return pm.Reference(np.asarray(self.pose) + np.asarray(t)[..., None] * v, v, 0.0 * v)
 
 
 def run(
     robot: WheeledRobot, controller: Any, trajectory: Any, duration: float, dt: float = 0.01, **more: Any
-) -> Rollout:
-    q0, _ = robot.start(Reference(*trajectory(0.0)))
+) -> pm.Rollout:
+    q0, _ = robot.start(pm.Reference(*trajectory(0.0)))
     q0[:3] += more.pop("off", OFF)
-    options: dict[str, Any] = {"integrator": rk4, "engine": Engine.COMPILED} | more
-    return simulate(
+    options: dict[str, Any] = {"integrator": pm.rk4, "engine": Engine.COMPILED} | more
+    return pm.simulate(
         robot, controller, trajectory, dt=dt, duration=duration, q0=q0, v0=np.zeros(robot.nv), **options
     )
 
 
-def distance(rollout: Rollout) -> Any:
+def distance(rollout: pm.Rollout) -> Any:
     return np.hypot(*(rollout.q[:, :2] - rollout.reference.q[:, :2]).T)
 
 
 @cache
-def eight(dt: float) -> Rollout:
-    return run(DIFFERENTIAL, Backstepping(UnicycleTracking(), DIFFERENTIAL), EIGHT, 12.5, dt)
+def eight(dt: float) -> pm.Rollout:
+    return run(DIFFERENTIAL, pm.Backstepping(pm.UnicycleTracking(), DIFFERENTIAL), EIGHT, 12.5, dt)
 
 
 def test_an_eight_is_followed_on_the_full_dynamics() -> None:
@@ -107,7 +87,7 @@ def test_a_torque_that_is_held_longer_costs_accuracy() -> None:
 
 def test_velocities_fall_to_the_law_as_the_gain_says() -> None:
     for k in (5.0, 20.0):
-        run_ = run(DIFFERENTIAL, Backstepping(UnicycleTracking(), DIFFERENTIAL, k=k), EIGHT, 1.0, 0.001)
+        run_ = run(DIFFERENTIAL, pm.Backstepping(pm.UnicycleTracking(), DIFFERENTIAL, k=k), EIGHT, 1.0, 0.001)
         c, s = np.cos(run_.q[:, 2]), np.sin(run_.q[:, 2])
         dx, dy = (run_.reference.q - run_.q[:, :3])[:, :2].T
         ahead, aside, turn = c * dx + s * dy, c * dy - s * dx, run_.reference.q[:, 2] - run_.q[:, 2]
@@ -124,7 +104,7 @@ def test_velocities_fall_to_the_law_as_the_gain_says() -> None:
 
 @pytest.mark.parametrize("law", [Kanayama(), DynamicFeedback()], ids=lambda law: type(law).__name__)
 def test_other_laws_follow_too(law: Any) -> None:
-    assert distance(run(DIFFERENTIAL, Backstepping(law, DIFFERENTIAL), EIGHT, 12.0))[1000:].max() < 2e-3
+    assert distance(run(DIFFERENTIAL, pm.Backstepping(law, DIFFERENTIAL), EIGHT, 12.0))[1000:].max() < 2e-3
 
 
 def test_an_axle_that_is_not_at_the_origin_is_what_follows() -> None:
@@ -135,26 +115,26 @@ def test_an_axle_that_is_not_at_the_origin_is_what_follows() -> None:
     class Circling:  # of the axle's middle, on a circle of 1 m
         duration: float = 10.0
 
-        def __call__(self, t: Any) -> Reference:
+        def __call__(self, t: Any) -> pm.Reference:
             psi = 0.5 * np.asarray(t)
             c, s, one = np.cos(psi), np.sin(psi), np.ones_like(psi)
             x, y = s - 0.2 * c, 1 - c - 0.2 * s
-            return Reference(
+            return pm.Reference(
                 np.stack([x, y, psi], -1),
                 np.stack([0.5 * c + 0.1 * s, 0.5 * s - 0.1 * c, 0.5 * one], -1),
                 np.stack([-0.25 * s + 0.05 * c, 0.25 * c + 0.05 * s, 0 * one], -1),
             )
 
-    assert distance(run(robot, Backstepping(UnicycleTracking(), robot), Circling(), 10.0))[-1] < 1e-4
+    assert distance(run(robot, pm.Backstepping(pm.UnicycleTracking(), robot), Circling(), 10.0))[-1] < 1e-4
     with pytest.raises(
-        InvalidArgument, match=r"reference moves sideways, at -0\.00075 m/s across the .*, at t = 0\.01 s"
+        pm.InvalidArgument, match=r"reference moves sideways, at -0\.00075 m/s across the .*, at t = 0\.01 s"
     ):
-        run(robot, Backstepping(UnicycleTracking(), robot), EIGHT, 1.0)
+        run(robot, pm.Backstepping(pm.UnicycleTracking(), robot), EIGHT, 1.0)
 
 
-@pytest.mark.parametrize("law", [UnicycleTracking(), Kanayama()], ids=lambda law: type(law).__name__)
+@pytest.mark.parametrize("law", [pm.UnicycleTracking(), Kanayama()], ids=lambda law: type(law).__name__)
 def test_a_car_steers_and_follows(law: Any) -> None:
-    off = distance(run(CAR, Backstepping(law, CAR), LARGE, 20.0))
+    off = distance(run(CAR, pm.Backstepping(law, CAR), LARGE, 20.0))
     assert off[1000:].max() < 2e-3
     assert off[1500:].max() < 1e-4
 
@@ -165,10 +145,10 @@ class Crab:
 
     duration: float = 12.0
 
-    def __call__(self, t: Any) -> Reference:
+    def __call__(self, t: Any) -> pm.Reference:
         t = np.asarray(t)
         s, c, s4, c4 = np.sin(0.5 * t), np.cos(0.5 * t), np.sin(0.4 * t), np.cos(0.4 * t)
-        return Reference(
+        return pm.Reference(
             np.stack([0.5 * t, 0.4 * s, 0.3 * s4], axis=-1),
             np.stack([0.5 + 0 * t, 0.2 * c, 0.12 * c4], axis=-1),
             np.stack([0 * t, -0.1 * s, -0.048 * s4], axis=-1),
@@ -182,7 +162,7 @@ def test_two_modules_steer_and_drive_along_a_pose(trajectory: Any) -> None:
     assert errors[1000:].max() < 3e-4
     assert errors[200] == pytest.approx(OFF[2] / 3 * np.exp(-4.0), rel=1.5)
     with pytest.raises(
-        InvalidArgument, match=r"type \(2, 0\) with 2 inputs, expected two modules that steer"
+        pm.InvalidArgument, match=r"type \(2, 0\) with 2 inputs, expected two modules that steer"
     ):
         SwerveTracking(DIFFERENTIAL)
 
@@ -191,7 +171,7 @@ def test_a_robot_whose_wheels_slip_a_little_follows_by_the_model_of_one_that_rol
     robot = WheeledRobot(BODY, SUPPORTED, Coulomb())
     runs = []
     for model in (robot, WheeledRobot(BODY, SUPPORTED)):
-        controller = Backstepping(UnicycleTracking(), model)
+        controller = pm.Backstepping(pm.UnicycleTracking(), model)
         runs.append(run(robot, controller, EIGHT, 8.0, off=OFF / 10, integrator=None))
     assert distance(runs[0])[300:].max() < 5e-3
     np.testing.assert_allclose(runs[0].u, runs[1].u, atol=1e-9)
@@ -204,20 +184,20 @@ def test_arms_follow_beside_the_body() -> None:
     class Both:
         duration: float = 8.0
 
-        def __call__(self, t: Any) -> Reference:
+        def __call__(self, t: Any) -> pm.Reference:
             base, arm = EIGHT(t), Waving(robot.robot.rest[3:])(t)
-            return Reference(*(np.concatenate(pair, axis=-1) for pair in zip(base, arm, strict=True)))
+            return pm.Reference(*(np.concatenate(pair, axis=-1) for pair in zip(base, arm, strict=True)))
 
-    found = run(robot, Backstepping(UnicycleTracking(), robot), Both(), 8.0, 0.005)
+    found = run(robot, pm.Backstepping(pm.UnicycleTracking(), robot), Both(), 8.0, 0.005)
     errors = np.abs(found.q[:, :9] - found.reference.q)
     assert errors[-1].max() < 2e-4
-    with pytest.raises(InvalidArgument, match="reference has 3 coordinates, expected 9: x, y, psi"):
-        run(robot, Backstepping(UnicycleTracking(), robot), EIGHT, 1.0)
+    with pytest.raises(pm.InvalidArgument, match="reference has 3 coordinates, expected 9: x, y, psi"):
+        run(robot, pm.Backstepping(pm.UnicycleTracking(), robot), EIGHT, 1.0)
 
 
 @pytest.mark.parametrize("pose", [(1.9, -1.3, 2.4), (-0.5, 0.9, -2.7), (1.7, 1.2, 0.1)])
 def test_parking_comes_to_rest_at_the_pose(pose: Any) -> None:
-    found = run(DIFFERENTIAL, Backstepping(Parking(), DIFFERENTIAL), Posed(pose), 25.0, off=0 * OFF - pose)
+    found = run(DIFFERENTIAL, pm.Backstepping(Parking(), DIFFERENTIAL), Posed(pose), 25.0, off=0 * OFF - pose)
     turned = (found.q[-1, 2] - pose[2] + np.pi) % (2 * np.pi) - np.pi
     assert distance(found)[-1] < 1.5e-3
     assert abs(turned) < 0.03
@@ -225,16 +205,16 @@ def test_parking_comes_to_rest_at_the_pose(pose: Any) -> None:
 
 
 @pytest.mark.parametrize("body", [BODY, BODY.mount("ur5")], ids=["bare", "with an arm"])
-def test_computed_torque_of_wheels_decays_as_its_gains_say(body: MobileRobot) -> None:
+def test_computed_torque_of_wheels_decays_as_its_gains_say(body: pm.MobileRobot) -> None:
     robot = WheeledRobot(body, MECANUM.table)
-    found = run(robot, ComputedTorque(robot), Waving(body.rest), 4.0, 0.005)
+    found = run(robot, pm.ComputedTorque(robot), Waving(body.rest), 4.0, 0.005)
     left = found.reference.q[-1, 0] - found.q[-1, 0]  # (1 + 2 t) e^(-2 t), and the start at rest
     v = found.reference.v[0, 0]
     assert left == pytest.approx((0.3 * (1 + 8) + v * 4) * np.exp(-8.0), abs=4e-4)
 
 
 def test_a_wrench_is_allocated_and_what_wheels_cannot_give_is_told() -> None:
-    controller = ControlAllocation(PD((60.0, 60.0, 20.0), (60.0, 60.0, 10.0)), DIFFERENTIAL)
+    controller = pm.ControlAllocation(pm.PD((60.0, 60.0, 20.0), (60.0, 60.0, 10.0)), DIFFERENTIAL)
     found = run(DIFFERENTIAL, controller, EIGHT, 10.0)
     left = found.signals["residual"].values
     along = np.cos(found.q[:, 2]) * left[:, 0] + np.sin(found.q[:, 2]) * left[:, 1]
@@ -293,7 +273,7 @@ def test_the_rate_of_independent_velocities_is_what_torques_are_for() -> None:
 
 
 def test_odometry_of_the_true_table_is_nearly_the_pose_and_a_smaller_wheel_drifts() -> None:
-    law, still = Backstepping(UnicycleTracking(), DIFFERENTIAL), 0 * OFF
+    law, still = pm.Backstepping(pm.UnicycleTracking(), DIFFERENTIAL), 0 * OFF
     table = DIFFERENTIAL.table
     smaller = evolved(table, wheels=(evolved(table.wheels[0], radius=0.099), table.wheels[1]))
     drifts = {}
@@ -312,33 +292,48 @@ def test_odometry_of_the_true_table_is_nearly_the_pose_and_a_smaller_wheel_drift
     assert 0.02 < drifts["smaller"] < 0.5
 
 
-S = {"start.x": Uniform(-0.2, 0.2), "start.psi": Uniform(-0.3, 0.3)}
-ON_TWO, OF_CAR = Backstepping(UnicycleTracking(), DIFFERENTIAL), Backstepping(UnicycleTracking(), CAR)
+S = {"start.x": pm.Uniform(-0.2, 0.2), "start.psi": pm.Uniform(-0.3, 0.3)}
+ON_TWO, OF_CAR = (
+    pm.Backstepping(pm.UnicycleTracking(), DIFFERENTIAL),
+    pm.Backstepping(pm.UnicycleTracking(), CAR),
+)
 CASES: dict[str, tuple[Any, Any, Any, Any]] = {
-    "tracking": (DIFFERENTIAL, ON_TWO, EIGHT, {"zeta": Uniform(0.5, 0.9), "k": Uniform(5, 10)}),
-    "references": (DIFFERENTIAL, ON_TWO, EIGHT, {"path.size": Uniform(0.9, 1.1)}),
-    "dynamic": (DIFFERENTIAL, Backstepping(DynamicFeedback(), DIFFERENTIAL), EIGHT, S),
-    "parking": (DIFFERENTIAL, Backstepping(Parking(), DIFFERENTIAL), Posed((1.0, 0.5, 0.3)), S),
+    "tracking": (DIFFERENTIAL, ON_TWO, EIGHT, {"zeta": pm.Uniform(0.5, 0.9), "k": pm.Uniform(5, 10)}),
+    "references": (DIFFERENTIAL, ON_TWO, EIGHT, {"path.size": pm.Uniform(0.9, 1.1)}),
+    "dynamic": (DIFFERENTIAL, pm.Backstepping(DynamicFeedback(), DIFFERENTIAL), EIGHT, S),
+    "parking": (DIFFERENTIAL, pm.Backstepping(Parking(), DIFFERENTIAL), Posed((1.0, 0.5, 0.3)), S),
     "car": (CAR, OF_CAR, LARGE, S),
     "swerve": (SWERVE, SwerveTracking(SWERVE), Crab(), S),
-    "car, delayed": (CAR, MeasurementDelay(OF_CAR, 1), LARGE, S),
-    "mecanum": (MECANUM, ComputedTorque(MECANUM), EIGHT, S),
-    "allocated": (DIFFERENTIAL, ControlAllocation(PD((60, 60, 20), (60, 60, 10)), DIFFERENTIAL), EIGHT, S),
+    "car, delayed": (CAR, pm.MeasurementDelay(OF_CAR, 1), LARGE, S),
+    "mecanum": (MECANUM, pm.ComputedTorque(MECANUM), EIGHT, S),
+    "allocated": (
+        DIFFERENTIAL,
+        pm.ControlAllocation(pm.PD((60, 60, 20), (60, 60, 10)), DIFFERENTIAL),
+        EIGHT,
+        S,
+    ),
     "odometry": (
         DIFFERENTIAL,
         OdometryFeedback(ON_TWO, DIFFERENTIAL.table, ticks=2000, noise=0.1),
         EIGHT,
-        {**S, "controller.table.wheels.left.radius": Uniform(0.099, 0.101)},
+        {**S, "controller.table.wheels.left.radius": pm.Uniform(0.099, 0.101)},
     ),
-    "noisy": (DIFFERENTIAL, InputSaturation(MeasurementNoise(ON_TWO, 1e-3, 1e-3, seed=1), 3.0), EIGHT, S),
+    "noisy": (
+        DIFFERENTIAL,
+        pm.InputSaturation(pm.MeasurementNoise(ON_TWO, 1e-3, 1e-3, seed=1), 3.0),
+        EIGHT,
+        S,
+    ),
 }
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_the_engines_agree(name: str) -> None:
     robot, controller, trajectory, spread = CASES[name]
-    more: dict[str, Any] = {"dt": 0.01, "seed": 4, "duration": 0.3, "integrator": rk4}
-    scenario = Scenario(robot=robot, controller=controller, trajectory=trajectory, n=3, spread=spread, **more)
+    more: dict[str, Any] = {"dt": 0.01, "seed": 4, "duration": 0.3, "integrator": pm.rk4}
+    scenario = pm.Scenario(
+        robot=robot, controller=controller, trajectory=trajectory, n=3, spread=spread, **more
+    )
     alone, *others = (run_scenario(scenario, engine=engine) for engine in (Engine.PYTHON, Engine.COMPILED))
     assert not alone.diverged.any()
     for one in others:
@@ -351,20 +346,20 @@ def test_a_reference_that_wheels_cannot_follow_is_refused_with_its_time() -> Non
     late = Posed((0.0, 0.0, 0.0), (0.3, 0.1, 0.0))
     for trajectory, message in (
         (
-            FixedHeading(EIGHT.path, 0.0),
+            pm.FixedHeading(EIGHT.path, 0.0),
             "reference moves sideways, at 0.5 m/s across the fixed axle, at t = 0 s",
         ),
         (late, "reference moves sideways, at 0.1 m/s across the fixed axle, at t = 0 s"),
         (LectureHeading(_Back()), "reference turns its heading by 3.14 rad at once at t = 1.01 s"),
     ):
-        for controller in (ON_TWO, ControlAllocation(PD(60, 60), DIFFERENTIAL)):
-            with pytest.raises(InvalidArgument, match=message):
+        for controller in (ON_TWO, pm.ControlAllocation(pm.PD(60, 60), DIFFERENTIAL)):
+            with pytest.raises(pm.InvalidArgument, match=message):
                 run(DIFFERENTIAL, controller, trajectory, 2.0)
-    aside = FixedHeading(EIGHT.path, 0.0)  # no matter for a drive that moves in every direction
-    assert len(run(MECANUM, ControlAllocation(PD(60, 60), MECANUM), aside, 0.1)) > 1
-    tight = Tangent(Eight(1.0, 4 * np.pi))
+    aside = pm.FixedHeading(EIGHT.path, 0.0)  # no matter for a drive that moves in every direction
+    assert len(run(MECANUM, pm.ControlAllocation(pm.PD(60, 60), MECANUM), aside, 0.1)) > 1
+    tight = pm.Tangent(Eight(1.0, 4 * np.pi))
     with pytest.raises(
-        InvalidArgument, match=r"are steered by 0\.\d+ rad at t = [\d.]+ s, expected at most 0\.698"
+        pm.InvalidArgument, match=r"are steered by 0\.\d+ rad at t = [\d.]+ s, expected at most 0\.698"
     ):
         run(CAR, OF_CAR, tight, 4.0)
 
@@ -388,35 +383,35 @@ class _Back:
     ("make", "message"),
     [
         (
-            lambda: ComputedTorque(DIFFERENTIAL),
+            lambda: pm.ComputedTorque(DIFFERENTIAL),
             "robot is a drive of type (2, 0), which cannot accelerate in every direction, so no torques are "
             "its inverse dynamics; expected an omnidirectional drive, or Backstepping(law, robot)",
         ),
         (
-            lambda: Backstepping(UnicycleTracking(), MECANUM),
+            lambda: pm.Backstepping(pm.UnicycleTracking(), MECANUM),
             "robot is a drive of type (3, 0), expected one with a fixed axle: for this one, "
             "ComputedTorque(robot)",
         ),
-        (lambda: Backstepping(PD(1, 1), DIFFERENTIAL), "law is PD("),
-        (lambda: Backstepping(UnicycleTracking(), BODY), "robot is MobileRobot("),
-        (lambda: Backstepping(UnicycleTracking(), DIFFERENTIAL, k=0), "k is 0.0 1/s, expected > 0"),
-        (lambda: ControlAllocation(PD(1, 1), BODY), "robot is MobileRobot("),
+        (lambda: pm.Backstepping(pm.PD(1, 1), DIFFERENTIAL), "law is PD("),
+        (lambda: pm.Backstepping(pm.UnicycleTracking(), BODY), "robot is MobileRobot("),
+        (lambda: pm.Backstepping(pm.UnicycleTracking(), DIFFERENTIAL, k=0), "k is 0.0 1/s, expected > 0"),
+        (lambda: pm.ControlAllocation(pm.PD(1, 1), BODY), "robot is MobileRobot("),
         (
             lambda: SwerveTracking(SUPPORTED),
             "robot is WheelTable(",
         ),
-        (lambda: ControlAllocation(UnicycleTracking(), DIFFERENTIAL), ""),
+        (lambda: pm.ControlAllocation(pm.UnicycleTracking(), DIFFERENTIAL), ""),
         (lambda: Decoupled(MECANUM), "robot is WheeledRobot("),
         (
-            lambda: Backstepping(UnicycleTracking(), _one_motor()),
+            lambda: pm.Backstepping(pm.UnicycleTracking(), _one_motor()),
             "robot has 1 motors and 2 independent velocities, expected a motor for each",
         ),
-        (lambda: OdometryFeedback(PD(1, 1), BODY), "table is MobileRobot("),  # type: ignore[arg-type]
-        (lambda: OdometryFeedback(PD(1, 1), DIFFERENTIAL.table, ticks=0), "ticks is 0.0, expected > 0"),
+        (lambda: OdometryFeedback(pm.PD(1, 1), BODY), "table is MobileRobot("),  # type: ignore[arg-type]
+        (lambda: OdometryFeedback(pm.PD(1, 1), DIFFERENTIAL.table, ticks=0), "ticks is 0.0, expected > 0"),
     ],
 )
 def test_wrong_parts_are_refused_when_they_are_made(make: Any, message: str) -> None:
-    with pytest.raises(InvalidArgument) as error:
+    with pytest.raises(pm.InvalidArgument) as error:
         make()
     assert str(error.value).startswith(message)
 
@@ -429,14 +424,14 @@ def _one_motor() -> WheeledRobot:
 @pytest.mark.parametrize("engine", [None, Engine.COMPILED])
 def test_a_controller_of_forces_on_the_body_is_told_what_turns_them_into_torques(engine: Any) -> None:
     robot = DIFFERENTIAL
-    circle = Tangent(Circle(radius=2, rate=0.5, duration=1.0))
-    with pytest.raises(InvalidArgument, match=r"such as ControlAllocation\(controller, robot\) makes"):
-        simulate(robot, PD(100, 120), circle, dt=0.01, integrator=rk4, engine=engine)
+    circle = pm.Tangent(pm.Circle(radius=2, rate=0.5, duration=1.0))
+    with pytest.raises(pm.InvalidArgument, match=r"such as ControlAllocation\(controller, robot\) makes"):
+        pm.simulate(robot, pm.PD(100, 120), circle, dt=0.01, integrator=pm.rk4, engine=engine)
 
 
 def test_a_start_that_does_not_roll_may_be_one_at_rest() -> None:
     robot = DIFFERENTIAL
-    with pytest.raises(InvalidArgument, match=r"left lateral slips at 1 m/s; .* v0 of zeros"):
+    with pytest.raises(pm.InvalidArgument, match=r"left lateral slips at 1 m/s; .* v0 of zeros"):
         robot.check_start(robot.rest, [0.0, 1.0, 0.0, 0.0, 0.0])
 
 
@@ -445,6 +440,6 @@ def test_a_drive_that_skids_has_no_type() -> None:
     assert "of no type, as it cannot roll without slip" in str(skids.table)
     assert "type (" not in str(skids.table)
     with pytest.raises(
-        InvalidArgument, match=r"robot is a drive that does not roll without slip, .*WheelSpeed"
+        pm.InvalidArgument, match=r"robot is a drive that does not roll without slip, .*WheelSpeed"
     ):
-        Backstepping(UnicycleTracking(), skids)
+        pm.Backstepping(pm.UnicycleTracking(), skids)

@@ -6,16 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import (
-    Circle,
-    ComputedTorque,
-    InvalidArgument,
-    MobileRobot,
-    PayloadBody,
-    Tangent,
-    rk4,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.balance import (
     MotionStates,
@@ -32,24 +23,26 @@ from tests.users import Follower, TwoWheels
 
 G = 9.81
 AT = (0.1, -0.05, 0.2, 0.4)
-BOX = MobileRobot.box()
-UR5 = BOX.mount("ur5", AT).attach(PayloadBody(2.0, (0.02, 0, 0.1)))
-TWO = BOX.mount("panda", AT).mount("kinova", (-0.1, 0.1, 0.2, -1.0)).attach(PayloadBody(1.5, (0, 0.1, 0.1)))
+BOX = pm.MobileRobot.box()
+UR5 = BOX.mount("ur5", AT).attach(pm.PayloadBody(2.0, (0.02, 0, 0.1)))
+TWO = (
+    BOX.mount("panda", AT).mount("kinova", (-0.1, 0.1, 0.2, -1.0)).attach(pm.PayloadBody(1.5, (0, 0.1, 0.1)))
+)
 HEIGHT = 0.1  # of the box's centre of mass [m]
 
 
-def motion(robot: MobileRobot, count: int = 6) -> MotionStates:
+def motion(robot: pm.MobileRobot, count: int = 6) -> MotionStates:
     rng = np.random.default_rng(11)
     v, a = rng.normal(size=(2, count, robot.nv))
     return MotionStates(robot, robot.random_configuration(rng, (count,)), v, a)
 
 
-def at_rest(robot: MobileRobot, q: Array) -> MotionStates:
+def at_rest(robot: pm.MobileRobot, q: Array) -> MotionStates:
     still = np.zeros(robot.nv)
     return MotionStates(robot, q, still, still)
 
 
-def planar(a: Any, v: Any = (0, 0, 0), psi: float = 0.7, robot: MobileRobot = BOX) -> MotionStates:
+def planar(a: Any, v: Any = (0, 0, 0), psi: float = 0.7, robot: pm.MobileRobot = BOX) -> MotionStates:
     return MotionStates(robot, (1.0, 2.0, psi), v, a)
 
 
@@ -91,7 +84,7 @@ DIFFERENCES: dict[str, Any] = {"rtol": 1e-6, "atol": 1e-6}
 
 
 @pytest.mark.parametrize("robot", [UR5, TWO], ids=["ur5", "two arms"])
-def test_the_arms_reaction_is_its_weight_less_the_rate_of_its_momentum(robot: MobileRobot) -> None:
+def test_the_arms_reaction_is_its_weight_less_the_rate_of_its_momentum(robot: pm.MobileRobot) -> None:
     moving, model = motion(robot), robot.model
     for mount in robot.mounts:
         bodies = {joint: model.inertias[joint] for joint in range(mount.joints.start, mount.joints.stop)}
@@ -101,7 +94,7 @@ def test_the_arms_reaction_is_its_weight_less_the_rate_of_its_momentum(robot: Mo
 
 
 @pytest.mark.parametrize("robot", [BOX, UR5, TWO], ids=["box", "ur5", "two arms"])
-def test_the_grounds_wrench_is_the_rate_of_all_momentum(robot: MobileRobot) -> None:
+def test_the_grounds_wrench_is_the_rate_of_all_momentum(robot: pm.MobileRobot) -> None:
     moving, model = motion(robot), robot.model
     bodies = {joint: model.inertias[joint] for joint in range(BODY_JOINT, model.njoints)}
     expected = seen_from(momentum_rate(moving, bodies), moving, np.zeros(3))
@@ -126,13 +119,13 @@ def test_an_arm_at_rest_weighs_m_g_at_its_centre_of_mass() -> None:
     told = [0, 0, -mass * G, -mass * G * com[1], mass * G * com[0], 0]
     np.testing.assert_allclose(expected, told, rtol=1e-15)
     assert np.abs(expected[3:5]).min() > 1
-    for text in (reaction_wrench.__doc__, MobileRobot.mount_wrench.__doc__):
+    for text in (reaction_wrench.__doc__, pm.MobileRobot.mount_wrench.__doc__):
         assert text is not None
         assert "(-m g y, m g x, 0)" in text
 
 
 def test_a_load_on_the_arms_foot_belongs_to_the_arm_and_one_on_the_body_does_not() -> None:
-    bare, point = BOX.mount("ur5", AT), PayloadBody(3.0, (0.1, 0.0, 0.0))
+    bare, point = BOX.mount("ur5", AT), pm.PayloadBody(3.0, (0.1, 0.0, 0.0))
     q, names = bare.rest, ("ur5/base_link", "base_link")
     alone = reaction_wrench(at_rest(bare, q))
     foot, body = (reaction_wrench(at_rest(bare.attach(point, name), q)) for name in names)
@@ -145,7 +138,7 @@ def test_a_load_on_the_arms_foot_belongs_to_the_arm_and_one_on_the_body_does_not
 def test_a_load_on_the_foot_of_an_arm_is_not_that_of_another_whose_name_begins_alike() -> None:
     bare = BOX.mount("ur5", AT).mount("ur5", (-0.2, 0, 0.2, 0))
     assert [mount.name for mount in bare.mounts] == ["ur5", "ur5_2"]
-    loaded = bare.attach(PayloadBody(3.0), "ur5_2/base_link")
+    loaded = bare.attach(pm.PayloadBody(3.0), "ur5_2/base_link")
     more = [
         reaction_wrench(at_rest(loaded, bare.rest), name) - reaction_wrench(at_rest(bare, bare.rest), name)
         for name in ("ur5", "ur5_2")
@@ -171,8 +164,8 @@ def test_acceleration_shifts_it_back_by_h_a_over_g() -> None:
 
 def test_on_a_circle_it_lies_outwards_and_friction_is_v_squared_over_r_g() -> None:
     radius, rate = 2.0, 0.8
-    trajectory = Tangent(Circle(radius, rate, 2))
-    rollout = simulate(BOX, ComputedTorque(BOX), trajectory, dt=0.01)
+    trajectory = pm.Tangent(pm.Circle(radius, rate, 2))
+    rollout = pm.simulate(BOX, pm.ComputedTorque(BOX), trajectory, dt=0.01)
     # The loop's error with a held force is of the order of dt: some 1e-3 of the acceleration.
     outwards = np.tile([0, -HEIGHT * radius * rate**2 / G], (len(rollout), 1))
     np.testing.assert_allclose(body_zero_moment_point(rollout), outwards, atol=1e-4)
@@ -203,7 +196,7 @@ def test_leading_axes_broadcast() -> None:
 
 def lifting(upwards: float) -> MotionStates:
     """Return a robot with a heavy load at the tip of its arm, which accelerates upwards."""
-    robot = BOX.mount("ur5", AT).attach(PayloadBody(300.0))
+    robot = BOX.mount("ur5", AT).attach(pm.PayloadBody(300.0))
     q = robot.rest
     a = np.zeros(9)
     a[3:] = np.linalg.lstsq(robot.frame_jacobian(q)[:3, 3:], [0, 0, upwards], rcond=None)[0]
@@ -219,7 +212,7 @@ def test_where_the_ground_would_have_to_pull_the_answers_say_so() -> None:
 
 
 def test_where_nothing_weighs_no_friction_is_told() -> None:
-    adrift = MobileRobot.box()
+    adrift = pm.MobileRobot.box()
     engine: Any = adrift._engine
     engine.model.gravity = pin.Motion.Zero()
     moving = planar(np.array([[0.0, 0, 0], [1.0, 0, 0]]), robot=adrift)
@@ -229,7 +222,7 @@ def test_where_nothing_weighs_no_friction_is_told() -> None:
 
 @pytest.mark.parametrize("mass", [1e-12, 1e12])
 def test_how_heavy_it_is_does_not_matter(mass: float) -> None:
-    alike = MobileRobot.box(mass)
+    alike = pm.MobileRobot.box(mass)
     for answer in (required_friction, tip_over_margin, zero_moment_point):
         found, expected = (answer(planar((1.5, -0.5, 2.0), robot=robot)) for robot in (alike, BOX))
         np.testing.assert_allclose(found, expected, rtol=1e-12)
@@ -267,7 +260,7 @@ def test_a_footprint_is_in_the_bodys_frame() -> None:
     ],
 )
 def test_a_footprint_that_is_none_is_refused(footprint: Any, text: str) -> None:
-    with pytest.raises(InvalidArgument, match=text):
+    with pytest.raises(pm.InvalidArgument, match=text):
         tip_over_margin(planar((0, 0, 0)), footprint)
 
 
@@ -289,15 +282,15 @@ class Standing(TwoWheels):
 
 
 def test_a_plant_of_ones_own_that_tells_what_the_ground_bears_stands_or_tips() -> None:
-    path = Tangent(Circle(2, 0.25, 2))
-    run = simulate(Standing(), Follower(), path, dt=0.02, integrator=rk4)
+    path = pm.Tangent(pm.Circle(2, 0.25, 2))
+    run = pm.simulate(Standing(), Follower(), path, dt=0.02, integrator=pm.rk4)
     inward = run.a[:, 1] * np.cos(run.q[:, 2]) - run.a[:, 0] * np.sin(run.q[:, 2])
     ahead = run.a[:, 0] * np.cos(run.q[:, 2]) + run.a[:, 1] * np.sin(run.q[:, 2])
     point = np.stack([-0.3 * ahead / G, -0.3 * inward / G], axis=-1)
     np.testing.assert_allclose(body_zero_moment_point(run), point, rtol=0, atol=1e-13)
     np.testing.assert_array_equal(tip_over_margin(run), margin_inside(Standing.footprint, point))
     np.testing.assert_allclose(required_friction(run), np.hypot(ahead, inward) / G, rtol=0, atol=1e-13)
-    with pytest.raises(InvalidArgument, match="which has no arm, expected a MobileRobot with one"):
+    with pytest.raises(pm.InvalidArgument, match="which has no arm, expected a MobileRobot with one"):
         reaction_wrench(run)
     plant: Any = run.plant
     plant.footprint = Standing.footprint[::-1]  # clockwise
@@ -308,20 +301,20 @@ def test_a_plant_of_ones_own_that_tells_what_the_ground_bears_stands_or_tips() -
         (np.full((101, 6), 1j), "expected real numbers"),
     ):
         plant.ground_wrench = lambda q, v, a, answer=answer: answer
-        with pytest.raises(InvalidArgument, match=f"(?s)ground_wrench of motion.plant.*{why}"):
+        with pytest.raises(pm.InvalidArgument, match=f"(?s)ground_wrench of motion.plant.*{why}"):
             required_friction(run)
 
 
 def test_what_has_no_arm_or_is_no_robot_is_refused() -> None:
     with pytest.raises(UnknownName, match="unknown mount 'arm', available: ur5"):
         reaction_wrench(at_rest(UR5, UR5.rest), "arm")
-    with pytest.raises(InvalidArgument, match="robot carries no arm, expected one"):
+    with pytest.raises(pm.InvalidArgument, match="robot carries no arm, expected one"):
         reaction_wrench(planar((0, 0, 0)))
-    with pytest.raises(InvalidArgument, match=r"plant is 3, expected a MobileRobot"):
+    with pytest.raises(pm.InvalidArgument, match=r"plant is 3, expected a MobileRobot"):
         MotionStates(3, [0], [0], [0])
-    with pytest.raises(InvalidArgument, match=r"a has shape \(2,\), expected \(..., 3\)"):
+    with pytest.raises(pm.InvalidArgument, match=r"a has shape \(2,\), expected \(..., 3\)"):
         planar((0, 0))
-    with pytest.raises(InvalidArgument, match="expected leading axes that broadcast"):
+    with pytest.raises(pm.InvalidArgument, match="expected leading axes that broadcast"):
         MotionStates(BOX, np.zeros((2, 3)), np.zeros((3, 3)), np.zeros(3))
 
 

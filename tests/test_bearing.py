@@ -6,24 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    Circle,
-    ComputedTorque,
-    Engine,
-    Line,
-    MobileRobot,
-    Normal,
-    PayloadBody,
-    RestToRest,
-    SameAs,
-    Tangent,
-    Uniform,
-    WholeBody,
-    ensemble,
-    errors,
-    parts,
-    simulate,
-)
+import pinmobile as pm
+from pinmobile import errors, parts
 from pinmobile.arrays import Array
 from pinmobile.balance import (
     MotionStates,
@@ -52,7 +36,7 @@ from pinmobile.wheels import (
 )
 
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
-BODY = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
+BODY = pm.MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
 G = float(np.linalg.norm(BODY.model.gravity.linear))
 DIFFERENTIAL = WheelTable.differential(0.5, 0.1, x=0.07, supports=[(-0.2, 0.0)], **WHEEL)
 CASTER = Wheel("caster", -0.3, 0.02, 0.05, 0.3, steering="free", trail=(-0.03, 0.005), **WHEEL)
@@ -151,7 +135,7 @@ def test_all_states_at_once_are_each_alone() -> None:
 
 
 def test_a_wheel_that_would_pull_has_lifted_off() -> None:
-    body = MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.2))
+    body = pm.MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.2))
     robot = WheeledRobot(body, WheelTable.mecanum(0.5, 0.4, 0.08, **WHEEL))
     still, a = np.zeros(robot.nv), np.zeros(robot.nv)
     a[:2] = 6.0, 6.0
@@ -207,37 +191,37 @@ def test_a_turn_too_fast_slides(mu: float, speed: float) -> None:
     table = WheelTable.differential(
         0.5, 0.1, supports=[(0.25, 0.0), (-0.25, 0.0)], friction=friction, **WHEEL
     )
-    body, path = MobileRobot(27.0, 2.3, com=(0.0, 0.0, 0.15)), Circle(2, 0.2, 10)
-    found = max_path_speed(WheeledRobot(body, table), Tangent(path))
+    body, path = pm.MobileRobot(27.0, 2.3, com=(0.0, 0.0, 0.15)), pm.Circle(2, 0.2, 10)
+    found = max_path_speed(WheeledRobot(body, table), pm.Tangent(path))
     assert found.what == "left + right slip"
     assert found.value == pytest.approx(speed, rel=0.03)
     # Half of the weight is on the wheels, and forces along them are small where speed does not change.
     assert found.value == pytest.approx(np.sqrt(2 * mu * G / 2), rel=0.04)
-    higher = WheeledRobot(MobileRobot(27.0, 2.3, com=(0.0, 0.0, 0.4)), table)
-    assert max_path_speed(higher, Tangent(path)).value <= found.value
+    higher = WheeledRobot(pm.MobileRobot(27.0, 2.3, com=(0.0, 0.0, 0.4)), table)
+    assert max_path_speed(higher, pm.Tangent(path)).value <= found.value
     # Driven faster than that on ground that slips, it slides; slower, it sticks.
     for factor, slides in ((0.97, False), (1.1, True)):
         rate = factor * found.value
-        robot, way = WheeledRobot(body, table, Coulomb()), Tangent(Circle(2, rate / 2, 1.5))
-        run = simulate(
+        robot, way = WheeledRobot(body, table, Coulomb()), pm.Tangent(pm.Circle(2, rate / 2, 1.5))
+        run = pm.simulate(
             robot,
             ControlAllocation(PD(400, 60), WheeledRobot(body, table)),
             way,
             dt=0.005,
-            engine=Engine.COMPILED,
+            engine=pm.Engine.COMPILED,
         )
         assert (run.metrics()["slip"][1].max() > 1e-3) == slides
 
 
 def test_the_steepest_ramp_is_that_of_friction_and_weight() -> None:
-    central = MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.1))
+    central = pm.MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.1))
     table = WheelTable.mecanum(0.5, 0.4, 0.08, friction=WheelFriction(mu=0.3), **WHEEL)
     for direction in (0.0, np.pi / 2):  # rollers hold along their axes, at half a right angle
         found = max_slope(WheeledRobot(central, table), direction)
         assert 0.15 < found.value < np.arctan(0.3)
         assert found.what.endswith("slips")
     # A support lifts where the weight points past the contacts that are left, here the axle.
-    high = MobileRobot(30.0, 2.3, com=(-0.08, 0.0, 0.2))
+    high = pm.MobileRobot(30.0, 2.3, com=(-0.08, 0.0, 0.2))
     friction = WheelFriction(mu=9.0)
     rough = WheelTable.differential(0.5, 0.1, supports=[(0.2, 0.0)], x=-0.2, friction=friction, **WHEEL)
     found = max_slope(WheeledRobot(high, rough))
@@ -249,23 +233,23 @@ def test_a_motor_s_torque_limits_the_ramp_and_less_of_it_at_speed_the_path() -> 
     """Of 300 kg, m g sin(angle) r = 2 tau; and tau falls from stall to none at the rate of the free run."""
     motor, friction = Motor.from_sheet(24, 10, 20, 20), WheelFriction(mu=0.8, rolling=0.0)
     table = WheelTable.differential(0.5, 0.1, supports=[(0.3, 0.0)], motor=motor, friction=friction, **WHEEL)
-    robot = WheeledRobot(MobileRobot(300.0, 20.0, com=(0.1, 0.0, 0.2)), table)
+    robot = WheeledRobot(pm.MobileRobot(300.0, 20.0, com=(0.1, 0.0, 0.2)), table)
     assert [(one.lower, one.upper) for one in robot.inputs] == [(-10.0, 10.0)] * 2
     found = max_slope(robot)
     assert found.what.endswith("lacks torque")
     np.testing.assert_allclose(300 * G * np.sin(found.value) * 0.1, 20.0, rtol=1e-9)
-    along = max_path_speed(robot, Tangent(Line((0, 0), (10, 0), 10)))
+    along = max_path_speed(robot, pm.Tangent(pm.Line((0, 0), (10, 0), 10)))
     assert along.value == pytest.approx(20 * 0.1)
     assert along.what.endswith("lacks torque")
     # On a circle of radius R, w = v / R, the outer wheel drives with m x w r (v / b - w) / 2.
     x, b, r, R = 0.1, 0.25, 0.1, 2.0
-    v = max_path_speed(robot, Tangent(Circle(R, 0.2, 10))).value
+    v = max_path_speed(robot, pm.Tangent(pm.Circle(R, 0.2, 10))).value
     drives = 300 * x * (v / R) * r * (v / b - v / R) / 2
     np.testing.assert_allclose(drives, 10 * (1 - v * (1 + b / R) / r / 20), rtol=1e-6)
     # An arm's joints count too.
-    arm = WheeledRobot(robot.robot.mount("ur5").attach(PayloadBody(60.0), "ur5/tool0"), table)
+    arm = WheeledRobot(robot.robot.mount("ur5").attach(pm.PayloadBody(60.0), "ur5/tool0"), table)
     with pytest.raises(errors.InvalidArgument, match=r"at rest: ur5/\w+_joint lacks torque"):
-        max_path_speed(arm, Tangent(Line((0, 0), (10, 0), 10)))
+        max_path_speed(arm, pm.Tangent(pm.Line((0, 0), (10, 0), 10)))
 
 
 def test_what_rolls_is_judged_alike_in_all_engines() -> None:
@@ -278,11 +262,11 @@ def test_what_rolls_is_judged_alike_in_all_engines() -> None:
         "tip over",
         "slip margin",
     ]
-    path = WholeBody(robot.robot, Tangent(Circle(2, 0.3, 1)), RestToRest(BENT, BENT + 0.3, 1))
-    run = simulate(robot, ComputedTorque(robot), path, dt=0.01)
+    path = pm.WholeBody(robot.robot, pm.Tangent(pm.Circle(2, 0.3, 1)), pm.RestToRest(BENT, BENT + 0.3, 1))
+    run = pm.simulate(robot, pm.ComputedTorque(robot), path, dt=0.01)
     judged, fast = (
         run.metrics(),
-        simulate(robot, ComputedTorque(robot), path, dt=0.01, engine=Engine.COMPILED).metrics(),
+        pm.simulate(robot, pm.ComputedTorque(robot), path, dt=0.01, engine=pm.Engine.COMPILED).metrics(),
     )
     for name, (_, values) in judged.items():
         np.testing.assert_allclose(fast[name][1], values, atol=1e-7)
@@ -294,25 +278,25 @@ def test_what_rolls_is_judged_alike_in_all_engines() -> None:
         min(values) if one.is_margin else max(values)
         for one, (_, values) in zip(robot.metrics, judged.values(), strict=True)
     ]
-    for engine in (Engine.COMPILED, Engine.PYTHON):
-        spread: dict[str, Any] = {"mass": Uniform(30.0, 30.0 + 1e-12)}
-        each = ensemble(robot, ComputedTorque(robot), path, n=2, spread=spread, dt=0.01, engine=engine)
+    for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON):
+        spread: dict[str, Any] = {"mass": pm.Uniform(30.0, 30.0 + 1e-12)}
+        each = pm.ensemble(robot, pm.ComputedTorque(robot), path, n=2, spread=spread, dt=0.01, engine=engine)
         np.testing.assert_allclose(each.worst_metric, [worst, worst], atol=1e-7)
 
 
 def test_ensembles_tell_how_many_would_slip_and_how_many_do() -> None:
     table = WheelTable.differential(0.5, 0.1, supports=[(0.25, 0), (-0.25, 0)], **WHEEL)
-    body, path = MobileRobot(27.0, 2.3, com=(0.0, 0.0, 0.15)), Tangent(Circle(2, 0.8, 1))
+    body, path = pm.MobileRobot(27.0, 2.3, com=(0.0, 0.0, 0.15)), pm.Tangent(pm.Circle(2, 0.8, 1))
     robot = WheeledRobot(body, table)
     spread: Any = {
-        "left.friction.mu": Uniform(0.1, 0.5),
-        "right.friction.mu": SameAs("left.friction.mu"),
-        "left.y": Normal(0.25, 0.001),
-        "right.y": SameAs("left.y", -1.0),
-        "com.z": Uniform(0.1, 0.2),
+        "left.friction.mu": pm.Uniform(0.1, 0.5),
+        "right.friction.mu": pm.SameAs("left.friction.mu"),
+        "left.y": pm.Normal(0.25, 0.001),
+        "right.y": pm.SameAs("left.y", -1.0),
+        "com.z": pm.Uniform(0.1, 0.2),
     }
     law = Backstepping(UnicycleTracking(), robot)
-    rolling = ensemble(robot, law, path, n=200, dt=0.005, spread=spread, seed=1)
+    rolling = pm.ensemble(robot, law, path, n=200, dt=0.005, spread=spread, seed=1)
     slides = rolling.largest("slip margin") < 0
     # With half of the weight on the wheels, v^2 / R = mu g / 2 where it begins.
     mu = rolling.draws["left.friction.mu"]
@@ -320,7 +304,7 @@ def test_ensembles_tell_how_many_would_slip_and_how_many_do() -> None:
     assert mu[slides].max() < 1.05 * 2 * 1.6**2 / 2 / G < 1.1 * mu[~slides].min()
     assert rolling.worst(1, by="slip margin")[0] == rolling.largest("slip margin").argmin()
     slipping = WheeledRobot(body, table, Coulomb())
-    found = ensemble(
+    found = pm.ensemble(
         slipping, ControlAllocation(PD(400, 60), robot), path, n=200, dt=0.005, spread=spread, seed=1
     )
     assert [one.name for one in found.scenario.recorded_metrics] == ["load", "tip over", "slip"]
@@ -349,9 +333,9 @@ def test_what_is_not_known_is_refused() -> None:
     with pytest.raises(errors.InvalidArgument, match=r"^motion has no signals"):
         slip_margins(MotionStates(skid, skid.rest, np.zeros(skid.nv), np.zeros(skid.nv), np.zeros(skid.nu)))
     with pytest.raises(errors.InvalidArgument, match=r"cannot roll without slip"):
-        max_path_speed(skid, Tangent(Circle(2, 0.2, 10)))
+        max_path_speed(skid, pm.Tangent(pm.Circle(2, 0.2, 10)))
     with pytest.raises(errors.InvalidArgument, match=r"^reference moves the body by"):
-        max_path_speed(robot, Tangent(Circle(2, 0.2, 10)))
+        max_path_speed(robot, pm.Tangent(pm.Circle(2, 0.2, 10)))
     left, right = DIFFERENTIAL.wheels
     one_motor = WheelTable((left, evolved(right, motor=None)), DIFFERENTIAL.supports)
     with pytest.raises(errors.InvalidArgument, match=r"^reference needs a force of"):

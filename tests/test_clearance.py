@@ -11,18 +11,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import pinmobile as pm
 import tests.wheeled as wheeled
-from pinmobile import (
-    InvalidArgument,
-    MobileRobot,
-    PayloadBody,
-    PosePath,
-    Spline,
-    WheeledRobot,
-    WheelTable,
-    clearance,
-    solve_inverse_kinematics,
-)
 from pinmobile.arrays import Array
 from pinmobile.errors import Unreachable
 from pinmobile.proximity import Clearance
@@ -30,7 +20,7 @@ from pinmobile.reaching import InverseKinematicsTrajectory
 from pinmobile.robot import Solid
 from tests.test_mounted import mjcf, numbers, placed
 
-BOX = MobileRobot.box(100, (0.8, 0.6, 0.3))
+BOX = pm.MobileRobot.box(100, (0.8, 0.6, 0.3))
 AT = (0.1, -0.05, 0.3, 0.4)
 UR5 = BOX.mount("ur5", AT)
 BENT = np.array([0, 0, 0, 0, -1.2, 1.6, -0.4, 1.57, 0])
@@ -45,7 +35,7 @@ LINKS = (  # of a UR5: its joint, and a capsule or a box along the way to the ne
 )
 
 
-def of_primitives() -> MobileRobot:
+def of_primitives() -> pm.MobileRobot:
     """Return a UR5 on the box whose links are capsules, cylinders, spheres and boxes."""
     model, shapes = UR5.mounts[0].model, pin.GeometryModel()
     for name, joint, place, axis, shape in LINKS:
@@ -67,7 +57,7 @@ def geom(name: str, solid: Solid) -> str:
     return f'<geom name="{name}" type="{kind}" size="{size}" {placed(solid.placement)} mass="0"/>'
 
 
-def by_mujoco(robot: MobileRobot, q: Array, pairs: Any) -> Array:
+def by_mujoco(robot: pm.MobileRobot, q: Array, pairs: Any) -> Array:
     """Return the distances of pairs of links, shape (n, pairs): the least of those of their shapes."""
     geoms: dict[int, str] = {-1: '<geom name="ground" type="plane" size="9 9 1"/>'}
     names: dict[str, list[str]] = {"ground": ["ground"]}
@@ -101,9 +91,9 @@ def reach(solid: Solid, T: Array, ways: Array) -> Array:
 
 
 @pytest.mark.parametrize("robot", [PRIMITIVE, PANDA], ids=["ur5", "panda"])
-def test_mujoco_has_the_same_distances(robot: MobileRobot) -> None:
+def test_mujoco_has_the_same_distances(robot: pm.MobileRobot) -> None:
     q = robot.random_configuration(np.random.default_rng(1), (100,))
-    found = clearance(robot, q)
+    found = pm.clearance(robot, q)
     theirs = by_mujoco(robot, q, found.pairs)
     assert found.distances.shape == (100, len(found.pairs))
     apart = theirs > 0
@@ -117,7 +107,7 @@ def test_mujoco_has_the_same_distances(robot: MobileRobot) -> None:
 
 def test_shapes_that_overlap_are_apart_after_the_depth_along_some_way_and_after_less_along_none() -> None:
     q = PRIMITIVE.random_configuration(np.random.default_rng(1), (100,))
-    found, shapes = clearance(PRIMITIVE, q), PRIMITIVE.solids.shapes
+    found, shapes = pm.clearance(PRIMITIVE, q), PRIMITIVE.solids.shapes
     placements = PRIMITIVE.solid_placements(q)
     k = found.pairs.index(("base_link", "ur5/upper_arm_link"))
     a, b = (next(i for i, each in enumerate(shapes) if each.link == name) for name in found.pairs[k])
@@ -156,7 +146,7 @@ def cup(size: float = 0.2, wall: float = 0.02) -> Any:
     return mesh(points, faces)
 
 
-def slider(*shapes: tuple[int, Any], rest: float = 1.0) -> MobileRobot:
+def slider(*shapes: tuple[int, Any], rest: float = 1.0) -> pm.MobileRobot:
     """Return a box that carries two slides along z, one on the other, with shapes on either."""
     model, geometry = pin.Model(), pin.GeometryModel()
     for k in (1, 2, 3):
@@ -187,7 +177,7 @@ def test_a_mesh_that_is_hollow_counts_as_it_is(height: float, distance: float) -
     |_______|
     """
     robot = slider((1, cup(0.12)), (3, coal.Sphere(0.05)))
-    found = clearance(robot, np.array([0.0, 0, 0, 0, 0, height]))
+    found = pm.clearance(robot, np.array([0.0, 0, 0, 0, 0, height]))
     near = found.distances[found.pairs.index(("arm/shape0", "arm/shape1"))]
     assert near == pytest.approx(distance, abs=1e-9) or (distance < 0 and near < 0)
 
@@ -197,7 +187,7 @@ def test_robots_that_differ_in_their_shapes_alone_have_their_own_distances() -> 
     assert small == large
     q = np.array([0, 0, 0, 0, 0, 0.5])
     for robot, distance in ((small, 0.4), (large, 0.25), (small, 0.4)):
-        assert clearance(robot, q).distances.min() == pytest.approx(distance, abs=1e-6)
+        assert pm.clearance(robot, q).distances.min() == pytest.approx(distance, abs=1e-6)
 
 
 def test_what_is_wholly_inside_a_mesh_overlaps_it() -> None:
@@ -208,25 +198,25 @@ def test_what_is_wholly_inside_a_mesh_overlaps_it() -> None:
     for shape in (block, mesh(corners, faces)):
         robot = slider((1, shape), (3, coal.Sphere(0.05)))
         q = np.array([[0, 0, 0, 0, 0, z] for z in (0.0, 0.1, 0.34, 0.36, 1.0)])
-        found = clearance(robot, q)
+        found = pm.clearance(robot, q)
         near = found.distances[:, found.pairs.index(("arm/shape0", "arm/shape1"))]
         np.testing.assert_allclose(near, [-0.35, -0.25, -0.01, 0.01, 0.65], atol=1e-6)
 
 
 def test_pairs_that_touch_at_rest_are_left_out_and_named_and_so_are_neighbours() -> None:
     robot = slider((1, coal.Box(1, 1, 1)), (2, coal.Box(0.2, 0.2, 0.2)), (3, coal.Sphere(0.1)), rest=0.55)
-    found = clearance(robot, robot.rest)
+    found = pm.clearance(robot, robot.rest)
     assert found.left_out["arm/shape0", "arm/shape2"] == "touch at rest"
     assert found.left_out["arm/shape0", "arm/shape1"] == "joined by a joint"
     assert found.left_out["base_link", "ground"] == "nothing moves one against the other"
     assert "touch at rest: arm/shape0 - arm/shape2" in str(found)
     assert ("base_link", "arm/shape2") in found.pairs
     higher = slider((1, coal.Box(1, 1, 1)), (3, coal.Sphere(0.1)), rest=1.0)
-    assert ("arm/shape0", "arm/shape1") in clearance(higher, higher.rest).pairs
+    assert ("arm/shape0", "arm/shape1") in pm.clearance(higher, higher.rest).pairs
 
 
 def test_links_that_pass_each_other_closely_and_never_touch_do_not_count() -> None:
-    found = clearance(UR5, UR5.rest)
+    found = pm.clearance(UR5, UR5.rest)
     never = {pair for pair, why in found.left_out.items() if why.startswith("never touch")}
     assert ("ur5/wrist_1_link", "ur5/wrist_3_link") in never  # 14 mm apart whatever wrist 2 does
     assert ("base_link", "ur5/upper_arm_link") in found.pairs  # two joints apart, and it can hit the box
@@ -235,7 +225,7 @@ def test_links_that_pass_each_other_closely_and_never_touch_do_not_count() -> No
 
 def test_meshes_are_as_near_as_their_nearest_points() -> None:
     q = UR5.random_configuration(np.random.default_rng(3), (20,))
-    found, shapes, placements = clearance(UR5, q), UR5.solids.shapes, UR5.solid_placements(q)
+    found, shapes, placements = pm.clearance(UR5, q), UR5.solids.shapes, UR5.solid_placements(q)
     counted = 0
     for row, distances in enumerate(found.distances):
         k = int(distances.argmin())
@@ -256,16 +246,16 @@ def test_meshes_are_as_near_as_their_nearest_points() -> None:
 
 def test_it_takes_any_leading_axes_wherever_the_robot_is_and_tells_the_smallest() -> None:
     q = PRIMITIVE.random_configuration(np.random.default_rng(4), (3, 4))
-    found = clearance(PRIMITIVE, q)
+    found = pm.clearance(PRIMITIVE, q)
     assert found.distance.shape == (3, 4)
     assert found.smallest == found.distance.min() == found.distance[found.at]
     k = found.pairs.index(found.nearest)
     assert found.distances[(*found.at, k)] == found.smallest
     assert f"{found.smallest:.4g} m between {' and '.join(found.nearest)}" in repr(found)
     moved = q + np.where(np.arange(9) < 3, [1e3, -2e3, 0.7, 0, 0, 0, 0, 0, 0], 0)
-    np.testing.assert_array_equal(clearance(PRIMITIVE, moved).distances, found.distances)
-    np.testing.assert_array_equal(clearance(PRIMITIVE, q[1, 2]).distances, found.distances[1, 2])
-    assert clearance(PRIMITIVE, q[:0]).smallest == np.inf
+    np.testing.assert_array_equal(pm.clearance(PRIMITIVE, moved).distances, found.distances)
+    np.testing.assert_array_equal(pm.clearance(PRIMITIVE, q[1, 2]).distances, found.distances[1, 2])
+    assert pm.clearance(PRIMITIVE, q[:0]).smallest == np.inf
     again = pickle.loads(pickle.dumps(found))
     np.testing.assert_array_equal(again.distances, found.distances)
     assert again.left_out == found.left_out
@@ -274,33 +264,33 @@ def test_it_takes_any_leading_axes_wherever_the_robot_is_and_tells_the_smallest(
 
 
 def test_a_base_alone_has_no_pairs() -> None:
-    found = clearance(BOX, [0, 0, 0])
+    found = pm.clearance(BOX, [0, 0, 0])
     assert found.smallest == np.inf
     words = (
         "no pairs, as nothing of the robot moves against another part of it or the ground: expected an arm"
     )
     assert words in repr(found)
     assert str(found).startswith(f"{words}, by robot.mount(...), whose links have shapes")
-    with pytest.raises(InvalidArgument, match=f"clearance has {words}"):
+    with pytest.raises(pm.InvalidArgument, match=f"clearance has {words}"):
         _ = found.nearest
 
 
 def test_a_load_is_its_box() -> None:
     loaded = slider((1, coal.Sphere(0.1)), (2, coal.Sphere(0.1)), (3, coal.Sphere(0.1)))
-    loaded = loaded.attach(PayloadBody(1.0, (0, 0, 0.5), size=(0.2, 0.2, 0.2)), "arm/link3")
-    found = clearance(loaded, np.array([0, 0, 0, 0, 0, 0.3]))
+    loaded = loaded.attach(pm.PayloadBody(1.0, (0, 0, 0.5), size=(0.2, 0.2, 0.2)), "arm/link3")
+    found = pm.clearance(loaded, np.array([0, 0, 0, 0, 0, 0.3]))
     at = found.pairs.index(("arm/shape0", "load 1"))
     assert found.distances[at] == pytest.approx(0.3 + 0.5 - 0.1 - 0.1, abs=1e-9)
     assert found.left_out["arm/shape2", "load 1"] == "nothing moves one against the other"
 
 
-SWERVE = WheelTable.swerve(
+SWERVE = pm.WheelTable.swerve(
     [(0.3, 0.25), (0.3, -0.25), (-0.3, 0.0)], radius=0.08, mass=1.0, spin_inertia=0.003, yaw_inertia=0.003
 )
 
 
 def test_wheels_are_cylinders_that_steer_stand_on_the_ground_and_are_in_the_arms_way() -> None:
-    robot = WheeledRobot(UR5, SWERVE)
+    robot = pm.WheeledRobot(UR5, SWERVE)
     shapes = [shape.link for shape in robot.solids.shapes]
     q = robot.rest.copy()
     q[9:12] = 0.3, -1.1, 0.7
@@ -313,7 +303,7 @@ def test_wheels_are_cylinders_that_steer_stand_on_the_ground_and_are_in_the_arms
         own = placements[shapes.index(f"{name}/tyre")]
         np.testing.assert_allclose(own[:3, 3], seen[:3, 3], atol=1e-12)
         np.testing.assert_allclose(np.abs(own[:3, 2]), np.abs(seen[:3, 1]), atol=1e-12)  # the axle
-    found = clearance(robot, q)
+    found = pm.clearance(robot, q)
     for name in SWERVE.names:
         assert found.left_out[f"{name}/tyre", "ground"] == "stands on the ground"
     assert any("tyre" in pair[1] and "wrist" in pair[0] for pair in found.pairs)
@@ -321,7 +311,7 @@ def test_wheels_are_cylinders_that_steer_stand_on_the_ground_and_are_in_the_arms
     assert box.placement.translation[2] + box.geometry.halfSide[2] == pytest.approx(0.3)
     assert box.placement.translation[2] - box.geometry.halfSide[2] > 0.1  # above the wheels
     # The arm is where it was without wheels.
-    bare = clearance(UR5, q[:9])
+    bare = pm.clearance(UR5, q[:9])
     for pair in (("ur5/forearm_link", "ground"), ("base_link", "ur5/forearm_link")):
         both = [each.distances[each.pairs.index(pair)] for each in (found, bare)]
         assert both[0] == pytest.approx(both[1], abs=1e-9)
@@ -335,99 +325,101 @@ def written(folder: Path, text: str, name: str = "base.urdf") -> Path:
 
 def test_shapes_of_a_file_are_taken_and_those_of_its_wheels_stand(tmp_path: Path) -> None:
     path = written(tmp_path, wheeled.turtlebot("burger"))
-    robot = WheeledRobot.from_urdf(path).mount("ur5", (0, 0, 0.3, 0))
+    robot = pm.WheeledRobot.from_urdf(path).mount("ur5", (0, 0, 0.3, 0))
     shapes = {shape.link: shape for shape in robot.solids.shapes}
     assert len(robot.solids.standing) >= 2
     assert not any("tyre" in name for name in shapes)  # the file has its own
-    found = clearance(robot, robot.rest)
+    found = pm.clearance(robot, robot.rest)
     for link in robot.solids.standing:
         assert found.left_out[link, "ground"] == "stands on the ground"
-    body = clearance(robot.robot, robot.robot.rest)
+    body = pm.clearance(robot.robot, robot.robot.rest)
     assert body.smallest == pytest.approx(found.smallest, abs=1e-12)
 
 
 def test_a_robot_without_collision_shapes_is_refused(tmp_path: Path) -> None:
-    no_shapes = MobileRobot.from_model(BOX.model)
-    with pytest.raises(InvalidArgument, match="robot has a body without collision shapes"):
-        clearance(no_shapes, no_shapes.rest)
+    no_shapes = pm.MobileRobot.from_model(BOX.model)
+    with pytest.raises(pm.InvalidArgument, match="robot has a body without collision shapes"):
+        pm.clearance(no_shapes, no_shapes.rest)
     arm = BOX.mount(UR5.mounts[0].model, AT, name="bare")
-    with pytest.raises(InvalidArgument, match="robot has an arm 'bare' without collision shapes"):
-        clearance(arm, arm.rest)
+    with pytest.raises(pm.InvalidArgument, match="robot has an arm 'bare' without collision shapes"):
+        pm.clearance(arm, arm.rest)
     seen = written(tmp_path, wheeled.turtlebot("burger").replace("collision", "visual"))
-    drawn = MobileRobot.from_urdf(seen, ground=0.0)
-    with pytest.raises(InvalidArgument, match=r"collision shapes: base.urdf has no link with <collision>"):
-        clearance(drawn, drawn.rest)
-    lost = MobileRobot.from_urdf(written(tmp_path, wheeled.ridgeback(), "ridgeback.urdf"))
+    drawn = pm.MobileRobot.from_urdf(seen, ground=0.0)
+    with pytest.raises(pm.InvalidArgument, match=r"collision shapes: base.urdf has no link with <collision>"):
+        pm.clearance(drawn, drawn.rest)
+    lost = pm.MobileRobot.from_urdf(written(tmp_path, wheeled.ridgeback(), "ridgeback.urdf"))
     expected = r"ridgeback.urdf has collision meshes that are missing: body-collision.stl; expected them"
-    with pytest.raises(InvalidArgument, match=expected):
-        clearance(lost, lost.rest)
+    with pytest.raises(pm.InvalidArgument, match=expected):
+        pm.clearance(lost, lost.rest)
     (tmp_path / "body-collision.stl").write_text("solid nothing")
-    with pytest.raises(InvalidArgument, match=r"ridgeback.urdf has collision shapes that cannot be read"):
-        clearance(MobileRobot.from_urdf(tmp_path / "ridgeback.urdf"), lost.rest)
+    with pytest.raises(pm.InvalidArgument, match=r"ridgeback.urdf has collision shapes that cannot be read"):
+        pm.clearance(pm.MobileRobot.from_urdf(tmp_path / "ridgeback.urdf"), lost.rest)
 
 
-@pytest.mark.parametrize("robot", [3, MobileRobot, Mapping, None])
+@pytest.mark.parametrize("robot", [3, pm.MobileRobot, Mapping, None])
 def test_other_things_than_robots_are_refused(robot: Any) -> None:
-    with pytest.raises(InvalidArgument, match="which does not tell its collision shapes, expected a Mobile"):
-        clearance(robot, [0, 0, 0])
+    with pytest.raises(
+        pm.InvalidArgument, match="which does not tell its collision shapes, expected a Mobile"
+    ):
+        pm.clearance(robot, [0, 0, 0])
 
 
 def test_shapes_for_an_arm_are_those_of_a_model_alone() -> None:
-    with pytest.raises(InvalidArgument, match=r"collision is 3, expected a pinocchio.GeometryModel"):
+    with pytest.raises(pm.InvalidArgument, match=r"collision is 3, expected a pinocchio.GeometryModel"):
         BOX.mount("ur5", AT, collision=3)
-    with pytest.raises(InvalidArgument, match="collision does not apply to a loader's name, 'ur5'"):
+    with pytest.raises(pm.InvalidArgument, match="collision does not apply to a loader's name, 'ur5'"):
         BOX.mount("ur5", AT, collision=pin.GeometryModel())
     shapes = pin.GeometryModel()
     shapes.addGeometryObject(pin.GeometryObject("far", 40, pin.SE3.Identity(), coal.Sphere(0.1)))
-    with pytest.raises(InvalidArgument, match="collision has 'far' on joint 40"):
+    with pytest.raises(pm.InvalidArgument, match="collision has 'far' on joint 40"):
         BOX.mount(UR5.mounts[0].model, AT, collision=shapes)
     flat = mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
     thin = slider((1, flat))
-    with pytest.raises(InvalidArgument, match="has a collision mesh without convex hull"):
-        clearance(thin, thin.rest)
+    with pytest.raises(pm.InvalidArgument, match="has a collision mesh without convex hull"):
+        pm.clearance(thin, thin.rest)
 
 
 LOCKED = np.where(np.arange(9) < 3, 0.0, UR5.velocity_limit)
 START = UR5.frame_pose(BENT)
 
 
-def down(way: Any) -> PosePath:
+def down(way: Any) -> pm.PosePath:
     """Return a straight way of the hand's position from rest to rest."""
-    return PosePath(Spline([START[:3, 3], START[:3, 3] + way], [0, 4]))
+    return pm.PosePath(pm.Spline([START[:3, 3], START[:3, 3] + way], [0, 4]))
 
 
 def test_resolve_reports_the_smallest_clearance_and_refuses_to_go_below_it() -> None:
     through = down((-0.45, 0.0, -0.35))  # into the box that carries it
-    gone = solve_inverse_kinematics(UR5, through, q0=BENT, velocity_limit=LOCKED, dt=0.02)
+    gone = pm.solve_inverse_kinematics(UR5, through, q0=BENT, velocity_limit=LOCKED, dt=0.02)
     assert gone.max_error()[0] < 1e-3
     assert isinstance(gone.clearance, Clearance)
     assert gone.clearance.smallest < 0
-    np.testing.assert_array_equal(gone.clearance.distance, clearance(UR5, gone(gone.t).q).distance)
+    np.testing.assert_array_equal(gone.clearance.distance, pm.clearance(UR5, gone(gone.t).q).distance)
     assert f"smallest clearance {gone.clearance.told}" in repr(gone)
     with pytest.raises(Unreachable, match=r"clearance is .* m between .* expected at least 0.01 m") as caught:
-        solve_inverse_kinematics(UR5, through, q0=BENT, velocity_limit=LOCKED, dt=0.02, clearance=0.01)
+        pm.solve_inverse_kinematics(UR5, through, q0=BENT, velocity_limit=LOCKED, dt=0.02, clearance=0.01)
     kept: InverseKinematicsTrajectory = caught.value.resolved
     k = int(np.argmax(kept.clearance.distance < 0.01))
     assert caught.value.time == kept.t[k]
-    away = solve_inverse_kinematics(
+    away = pm.solve_inverse_kinematics(
         UR5, down((0.1, 0.1, 0.1)), q0=BENT, velocity_limit=LOCKED, dt=0.02, clearance=0.01
     )
     assert away.clearance.smallest >= 0.01
 
 
 def test_resolve_refuses_the_floor() -> None:
-    low = MobileRobot.box(100, (0.5, 0.4, 0.1)).mount("ur5", (0.2, 0, 0.1, 0))
+    low = pm.MobileRobot.box(100, (0.5, 0.4, 0.1)).mount("ur5", (0.2, 0, 0.1, 0))
     hand = low.frame_pose(BENT)[:3, 3]
-    floor = PosePath(Spline([hand, hand + np.array([0.2, 0.1, -hand[2] - 0.1])], [0, 4]))
+    floor = pm.PosePath(pm.Spline([hand, hand + np.array([0.2, 0.1, -hand[2] - 0.1])], [0, 4]))
     with pytest.raises(Unreachable, match=r"between ur5/\w+ and ground"):
-        solve_inverse_kinematics(low, floor, q0=BENT, dt=0.02, clearance=0.0)
+        pm.solve_inverse_kinematics(low, floor, q0=BENT, dt=0.02, clearance=0.0)
 
 
 def test_a_clearance_is_a_number_and_needs_shapes() -> None:
     arm = BOX.mount(UR5.mounts[0].model, AT, name="bare")
-    target = PosePath(Spline([arm.frame_pose(BENT)[:3, 3], START[:3, 3]], [0, 2]))
-    with pytest.raises(InvalidArgument, match="robot has an arm 'bare' without collision shapes"):
-        solve_inverse_kinematics(arm, target, q0=BENT, clearance=0.02)
-    assert "clearance" not in repr(solve_inverse_kinematics(arm, target, q0=BENT, dt=0.1))
-    with pytest.raises(InvalidArgument, match=r"clearance has shape \(2,\), expected"):
-        solve_inverse_kinematics(UR5, down((0.1, 0, 0)), q0=BENT, clearance=[0.1, 0.2])  # type: ignore[arg-type]
+    target = pm.PosePath(pm.Spline([arm.frame_pose(BENT)[:3, 3], START[:3, 3]], [0, 2]))
+    with pytest.raises(pm.InvalidArgument, match="robot has an arm 'bare' without collision shapes"):
+        pm.solve_inverse_kinematics(arm, target, q0=BENT, clearance=0.02)
+    assert "clearance" not in repr(pm.solve_inverse_kinematics(arm, target, q0=BENT, dt=0.1))
+    with pytest.raises(pm.InvalidArgument, match=r"clearance has shape \(2,\), expected"):
+        pm.solve_inverse_kinematics(UR5, down((0.1, 0, 0)), q0=BENT, clearance=[0.1, 0.2])  # type: ignore[arg-type]

@@ -14,17 +14,8 @@ import pytest
 from matplotlib.figure import Figure
 
 import pinmobile
-from pinmobile import (
-    Circle,
-    ComputedTorque,
-    FixedHeading,
-    MobileRobot,
-    Rollout,
-    Sweep,
-    WholeBody,
-    plots,
-    simulate,
-)
+import pinmobile as pm
+from pinmobile import plots
 from pinmobile.cli import main, verbs
 from pinmobile.cli.identify import IdentifyPaths
 from pinmobile.cli.lecture import EXPECTED
@@ -146,7 +137,7 @@ def test_lecture_says_no_when_a_number_is_not_the_lectures(
 
 def test_verify_and_derive_take_robots(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "mine.urdf"
-    path.write_text(MobileRobot(7, 0.5, com=(0.1, 0)).to_urdf())
+    path.write_text(pm.MobileRobot(7, 0.5, com=(0.1, 0)).to_urdf())
     for words in (
         ["robot=MobileRobot(10, 1.2, (0.1, 0.05), dh=SLIDE_TABLE)"],
         [f"robot=MobileRobot.from_urdf({str(path)!r}, ground=-0.1)"],
@@ -171,7 +162,7 @@ def test_run_is_the_lectures_circle_by_default(capsys: pytest.CaptureFixture[str
     assert "largest error: x 3.491279e-05 m, y 3.491278e-05 m" in text
     assert f"open {out / 'index.html'}\nsee it move: open {tmp_path / 'a' / 'see.html'}\n" in text
     assert (tmp_path / "a" / "see.html").stat().st_size > 100_000
-    rollout = Rollout.load(out / "rollout.npz")
+    rollout = pm.Rollout.load(out / "rollout.npz")
     assert rollout.max_error()[0] == pytest.approx(3.491279e-05, rel=1e-6)
     assert (out / "rollout.csv").read_text().startswith("t [s],x [m],y [m],psi [rad]")
     names = {path.name for path in out.iterdir()}
@@ -202,7 +193,7 @@ def test_a_run_that_diverges_keeps_what_came_before(
     assert err.startswith("pinmobile: the loop diverged at t = ")
     assert err.count("\n") == 1
     assert "up to there:" in out
-    assert len(Rollout.load(tmp_path / "rollout.npz")) > 3
+    assert len(pm.Rollout.load(tmp_path / "rollout.npz")) > 3
 
 
 @pytest.mark.parametrize(
@@ -368,7 +359,7 @@ def test_a_sweep_is_printed_drawn_and_kept(
     assert code == 0
     assert "robot.com.x [m]" in out
     assert "PD stays within " in out
-    assert dict(Sweep.open(tmp_path / "out" / "sweep.zarr").dataset.sizes)["robot.com.x"] == 3
+    assert dict(pm.Sweep.open(tmp_path / "out" / "sweep.zarr").dataset.sizes)["robot.com.x"] == 3
     assert drawn[0][:2] == (["PD", "computed torque"], [3, 3])
     assert drawn[0][2] == ("robot.com.x", "m", [0.0, 0.01, 0.02])
     assert typed(capsys, *swept)[:2] == (0, out)  # from the store
@@ -460,9 +451,9 @@ def test_view_says_why_it_does_not_know_the_robot_of_a_file(
 ) -> None:
     urdf, file = tmp_path / "slide.urdf", tmp_path / "run.npz"
     urdf.write_text(SLIDE)
-    robot = MobileRobot.box().mount(urdf)
-    motion = WholeBody(robot, FixedHeading(Circle(1, 0.1, 1), 0), None)
-    simulate(robot, ComputedTorque(robot), motion, dt=0.5).save(file)
+    robot = pm.MobileRobot.box().mount(urdf)
+    motion = pm.WholeBody(robot, pm.FixedHeading(pm.Circle(1, 0.1, 1), 0), None)
+    pm.simulate(robot, pm.ComputedTorque(robot), motion, dt=0.5).save(file)
     urdf.unlink()
     code, out, err = typed(capsys, "view", str(file))
     assert (code, out) == (2, "")

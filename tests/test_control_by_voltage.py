@@ -8,22 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    LQR,
-    MPC,
-    Backstepping,
-    Engine,
-    InvalidArgument,
-    RestToRest,
-    Rollout,
-    Tangent,
-    UnicycleTracking,
-    Uniform,
-    WheeledRobot,
-    WheelTable,
-    ensemble,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.controllers import TorqueToVoltage
 from pinmobile.wheels import Motor
 
@@ -37,21 +22,23 @@ MODEL, HEAVY, EIGHT, VOLTS = races.MODEL, races.HEAVY, races.EIGHT, races.VOLTS
 def controllers() -> dict[str, Any]:
     volts = MODEL.by_voltage()
     return {
-        "backstepping": TorqueToVoltage(Backstepping(UnicycleTracking(), MODEL), volts),
-        "LQR": LQR(volts),
-        "LQR of torques": TorqueToVoltage(LQR(MODEL), volts),
-        "MPC": MPC(volts, 20, 0.1),
+        "backstepping": TorqueToVoltage(pm.Backstepping(pm.UnicycleTracking(), MODEL), volts),
+        "LQR": pm.LQR(volts),
+        "LQR of torques": TorqueToVoltage(pm.LQR(MODEL), volts),
+        "MPC": pm.MPC(volts, 20, 0.1),
     }
 
 
-def run(robot: WheeledRobot, name: str, off: float, duration: float) -> Rollout:
+def run(robot: pm.WheeledRobot, name: str, off: float, duration: float) -> pm.Rollout:
     """Return a run that starts so far behind and beside the eight, where at all, at rest."""
-    engine = None if name == "MPC" else Engine.COMPILED
-    found: Rollout = races.run(robot, controllers()[name], np.array([-off, -off, 0, 0, 0]), duration, engine)
+    engine = None if name == "MPC" else pm.Engine.COMPILED
+    found: pm.Rollout = races.run(
+        robot, controllers()[name], np.array([-off, -off, 0, 0, 0]), duration, engine
+    )
     return found
 
 
-def distance(found: Rollout) -> Any:
+def distance(found: pm.Rollout) -> Any:
     return np.hypot(*(found.q[:, :2] - found.reference.q[:, :2]).T)
 
 
@@ -83,34 +70,35 @@ def test_volts_of_the_reference_are_those_of_its_torques_and_rates() -> None:
     np.testing.assert_allclose(volts.u, body.volts_for(along.v, along.u), rtol=1e-12)
     assert np.abs(volts.u).max() < VOLTS
     # What limits exclude is told, as they do not clip it.
-    with pytest.raises(InvalidArgument, match="limits exclude the reference: at t = "):
-        simulate(body, MPC(body, limits=3.0), EIGHT, dt=0.01, duration=1.0)
+    with pytest.raises(pm.InvalidArgument, match="limits exclude the reference: at t = "):
+        pm.simulate(body, pm.MPC(body, limits=3.0), EIGHT, dt=0.01, duration=1.0)
 
 
 def test_limits_beyond_those_of_the_motors_are_refused_as_the_robot_would_cut_inputs_off() -> None:
-    volts, weak = MODEL.by_voltage(), WheelTable.differential(0.5, 0.1, motor=Motor(torque_limit=4.0))
-    torques = WheeledRobot(MODEL.robot, weak)
+    volts, weak = MODEL.by_voltage(), pm.WheelTable.differential(0.5, 0.1, motor=Motor(torque_limit=4.0))
+    torques = pm.WheeledRobot(MODEL.robot, weak)
     for robot, limits, words in (
         (volts, 7.0, "has 7 V for left, expected at most 6 V, the largest of its motor"),
         (volts, [6.0, 6.1], "has 6.1 V for right, expected at most 6 V"),
         (torques, 4.5, "has 4.5 N m for left, expected at most 4 N m"),
     ):
-        with pytest.raises(InvalidArgument, match=f"^limits {words}"):
-            MPC(robot, limits=limits)
-        with pytest.raises(InvalidArgument, match=f"^limits {words}"):
-            MPC(robot).within(limits)
-    assert MPC(volts, limits=VOLTS).range[1].tolist() == MPC(volts).range[1].tolist() == [VOLTS, VOLTS]
+        with pytest.raises(pm.InvalidArgument, match=f"^limits {words}"):
+            pm.MPC(robot, limits=limits)
+        with pytest.raises(pm.InvalidArgument, match=f"^limits {words}"):
+            pm.MPC(robot).within(limits)
+    assert pm.MPC(volts, limits=VOLTS).range[1].tolist() == pm.MPC(volts).range[1].tolist() == [VOLTS, VOLTS]
     # Where one is endless, the motor's own stays.
-    assert [each.tolist() for each in MPC(volts, limits=[5.0, np.inf]).range] == [[-5.0, -6.0], [5.0, 6.0]]
-    strong = WheeledRobot(MODEL.robot, WheelTable.differential(0.5, 0.1))
-    assert MPC(strong, limits=1e6).range[1].tolist() == [1e6, 1e6]
+    assert [each.tolist() for each in pm.MPC(volts, limits=[5.0, np.inf]).range] == [[-5.0, -6.0], [5.0, 6.0]]
+    strong = pm.WheeledRobot(MODEL.robot, pm.WheelTable.differential(0.5, 0.1))
+    assert pm.MPC(strong, limits=1e6).range[1].tolist() == [1e6, 1e6]
 
 
 def test_the_engines_agree() -> None:
     robot = MODEL.by_voltage()
-    given: Any = {"dt": 0.01, "n": 3, "seed": 2, "duration": 1.0, "spread": {"mass": Uniform(28, 36)}}
+    given: Any = {"dt": 0.01, "n": 3, "seed": 2, "duration": 1.0, "spread": {"mass": pm.Uniform(28, 36)}}
     found = [
-        ensemble(robot, LQR(robot), EIGHT, engine=each, **given) for each in (Engine.COMPILED, Engine.PYTHON)
+        pm.ensemble(robot, pm.LQR(robot), EIGHT, engine=each, **given)
+        for each in (pm.Engine.COMPILED, pm.Engine.PYTHON)
     ]
     for other in found[1:]:
         # 100 samples of contracting loops: rounding does not grow.
@@ -119,25 +107,25 @@ def test_the_engines_agree() -> None:
 
 def test_volts_cost_by_default_what_their_torque_costs() -> None:
     plain = Motor(resistance=1.2, torque_constant=0.03, voltage=VOLTS, gear=20.0)
-    robot = WheeledRobot(MODEL.robot, WheelTable.differential(0.5, 0.1, motor=plain))
+    robot = pm.WheeledRobot(MODEL.robot, pm.WheelTable.differential(0.5, 0.1, motor=plain))
     # 0.03 N m/A times 20, over 1.2 ohm
-    np.testing.assert_allclose(np.diag(np.asarray(LQR(robot.by_voltage()).R)), 0.02 * 0.5**2, rtol=1e-12)
+    np.testing.assert_allclose(np.diag(np.asarray(pm.LQR(robot.by_voltage()).R)), 0.02 * 0.5**2, rtol=1e-12)
 
 
-@pytest.mark.parametrize("kind", [LQR, MPC])
+@pytest.mark.parametrize("kind", [pm.LQR, pm.MPC])
 @pytest.mark.parametrize("robot", [MODEL, MODEL.by_voltage()], ids=["torques", "volts"])
 def test_a_reference_that_ends_at_rest_is_refused_with_the_reason(kind: Any, robot: Any) -> None:
-    straight = Tangent(RestToRest([0, 0], [1, 0], 2))
-    with pytest.raises(InvalidArgument, match=r"ends at rest, at t = 2 s, where .* cannot move sideways"):
-        simulate(robot, kind(robot), straight, dt=0.01)
+    straight = pm.Tangent(pm.RestToRest([0, 0], [1, 0], 2))
+    with pytest.raises(pm.InvalidArgument, match=r"ends at rest, at t = 2 s, where .* cannot move sideways"):
+        pm.simulate(robot, kind(robot), straight, dt=0.01)
 
 
-@pytest.mark.parametrize("make", [LQR, MPC])
+@pytest.mark.parametrize("make", [pm.LQR, pm.MPC])
 def test_volts_are_not_taken_for_torques_nor_torques_for_volts(make: Any) -> None:
     volts = MODEL.by_voltage()
     q, v = MODEL.start(EIGHT(0.0))
     given: Any = {"dt": 0.01, "duration": 0.1, "q0": q, "v0": v}
-    with pytest.raises(InvalidArgument, match=r"robot has inputs in V, V, and what is driven in N m, N m"):
-        simulate(MODEL, make(volts), EIGHT, **given)
-    with pytest.raises(InvalidArgument, match=r"robot has inputs in N m, N m, and what is driven in V, V"):
-        simulate(volts, make(MODEL), EIGHT, **given)
+    with pytest.raises(pm.InvalidArgument, match=r"robot has inputs in V, V, and what is driven in N m, N m"):
+        pm.simulate(MODEL, make(volts), EIGHT, **given)
+    with pytest.raises(pm.InvalidArgument, match=r"robot has inputs in N m, N m, and what is driven in V, V"):
+        pm.simulate(volts, make(MODEL), EIGHT, **given)

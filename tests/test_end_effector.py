@@ -11,25 +11,8 @@ import pinocchio as pin
 import pytest
 from matplotlib.figure import Figure
 
-from pinmobile import (
-    ComputedTorque,
-    EndEffectorTracking,
-    Engine,
-    FixedHeading,
-    Hold,
-    InputSaturation,
-    InvalidArgument,
-    MobileRobot,
-    PosePath,
-    Rollout,
-    Spline,
-    WheeledRobot,
-    WheelTable,
-    WholeBody,
-    plots,
-    simulate,
-    solve_inverse_kinematics,
-)
+import pinmobile as pm
+from pinmobile import plots
 from pinmobile.arrays import Array
 from pinmobile.errors import UnknownName
 from pinmobile.loop import EndEffector
@@ -37,10 +20,10 @@ from pinmobile.reaching import InverseKinematicsTrajectory, pose_error
 from pinmobile.viewer import Overlays, Viewer
 from tests.test_viewer import tracks
 
-ROBOT = MobileRobot.box(100, (0.8, 0.6, 0.3)).mount("ur5", (0.1, 0, 0.3, 0))
+ROBOT = pm.MobileRobot.box(100, (0.8, 0.6, 0.3)).mount("ur5", (0.1, 0, 0.3, 0))
 BENT = np.array([0, 0, 0, 0, -1.2, 1.6, -0.4, 1.57, 0])
 START = ROBOT.frame_pose(BENT)
-STAYS = Hold((0.3, -0.2, 0.9), 6.0)
+STAYS = pm.Hold((0.3, -0.2, 0.9), 6.0)
 
 
 def turned(*steps: tuple[str, float]) -> Array:
@@ -69,7 +52,7 @@ def some(n: int, largest: float, seed: int) -> tuple[Array, Array]:
 @pytest.mark.parametrize(("n", "largest"), [(2, 3.1), (3, 2.0), (9, 1.0), (9, 3.1), (40, 0.3)])
 def test_a_path_through_poses_is_smooth_and_its_rates_are_exact(n: int, largest: float) -> None:
     T, times = some(n, largest, n)
-    path = PosePath.through(T, times)
+    path = pm.PosePath.through(T, times)
     at = path(times)
     np.testing.assert_allclose(at.pose, T, atol=1e-12)
     np.testing.assert_allclose(at.twist[[0, -1]], 0, atol=1e-12)  # at rest at both ends
@@ -90,8 +73,8 @@ def test_a_path_through_poses_is_smooth_and_its_rates_are_exact(n: int, largest:
 
 def test_turns_about_one_axis_are_the_spline_of_their_angles() -> None:
     angles, times = np.array([0, 1.0, 3.5, 5.0, 7.5]), np.array([0, 1, 2.5, 4, 6])
-    path = PosePath(STAYS, [turned(("z", a)) for a in angles], times=times)
-    spline = Spline(angles[:, None], times)
+    path = pm.PosePath(STAYS, [turned(("z", a)) for a in angles], times=times)
+    spline = pm.Spline(angles[:, None], times)
     t = np.linspace(0, 6, 31)
     found = path(t)
     np.testing.assert_allclose(
@@ -105,7 +88,7 @@ def test_turns_about_one_axis_are_the_spline_of_their_angles() -> None:
 
 def test_a_turn_may_be_of_any_length() -> None:
     R = turned(("x", 0.3), ("y", -0.7))
-    path = PosePath(STAYS, R, turn=(0, 0, 5 * np.pi))
+    path = pm.PosePath(STAYS, R, turn=(0, 0, 5 * np.pi))
     t = np.linspace(0, 6, 13)
     s = (t / 6) ** 3 * (10 - 15 * t / 6 + 6 * (t / 6) ** 2)
     expected = [R @ turned(("z", float(a))) for a in 5 * np.pi * s]
@@ -114,8 +97,8 @@ def test_a_turn_may_be_of_any_length() -> None:
     fine = np.linspace(0, 6, 2001)
     rate = path(fine).twist[:, 3:] @ R[:, 2]
     assert np.trapezoid(rate, fine) == pytest.approx(5 * np.pi, abs=1e-9)
-    shortest = PosePath(STAYS, R, R @ turned(("z", 1.0)))
-    same = PosePath(STAYS, R, turn=(0, 0, 1.0))
+    shortest = pm.PosePath(STAYS, R, R @ turned(("z", 1.0)))
+    same = pm.PosePath(STAYS, R, turn=(0, 0, 1.0))
     np.testing.assert_allclose(same(t).pose, shortest(t).pose, atol=1e-12)
     np.testing.assert_allclose(same(t).twist, shortest(t).twist, atol=1e-12)
 
@@ -140,12 +123,12 @@ class Jumping:
 def test_a_path_that_jumps_is_refused_wherever_it_does() -> None:
     for size in (1e-3, 2.0):
         with pytest.raises(
-            InvalidArgument, match=r"path jumps by .* m at t = 1\.2345 s, expected a path that"
+            pm.InvalidArgument, match=r"path jumps by .* m at t = 1\.2345 s, expected a path that"
         ):
-            PosePath(Jumping(size))
-    assert PosePath(Jumping(0.0)).rows == 3  # fast as it is
+            pm.PosePath(Jumping(size))
+    assert pm.PosePath(Jumping(0.0)).rows == 3  # fast as it is
     steep = np.array([[0, 0, 0], [5, 0, 0], [5, 0, 1e-3]])
-    assert PosePath(Spline(steep, [0, 0.01, 4])).duration == 4
+    assert pm.PosePath(pm.Spline(steep, [0, 0.01, 4])).duration == 4
 
 
 R0, R1 = np.eye(3), turned(("x", 0.4))
@@ -156,61 +139,70 @@ TWO = poses([R0, R1], [(0, 0, 0), (1, 0, 0)])
     ("make", "text"),
     [
         (
-            lambda: PosePath.through(TWO),
+            lambda: pm.PosePath.through(TWO),
             r"times is not given, expected when each pose shall be reached",
         ),
-        (lambda: PosePath.through(TWO, [0]), r"times has shape \(1,\), expected \(2,\), one for each pose"),
         (
-            lambda: PosePath.through([*TWO, TWO[0]], [0, 1, 1]),
+            lambda: pm.PosePath.through(TWO, [0]),
+            r"times has shape \(1,\), expected \(2,\), one for each pose",
+        ),
+        (
+            lambda: pm.PosePath.through([*TWO, TWO[0]], [0, 1, 1]),
             r"times\[2\] is 1\.0 s after 1\.0 s, expected more",
         ),
-        (lambda: PosePath.through(TWO, [1, 2]), r"times\[0\] is 1\.0 s, expected 0"),
-        (lambda: PosePath.through(TWO, [0, -1]), r"times\[1\] is -1\.0 s after 0\.0 s, expected more"),
+        (lambda: pm.PosePath.through(TWO, [1, 2]), r"times\[0\] is 1\.0 s, expected 0"),
+        (lambda: pm.PosePath.through(TWO, [0, -1]), r"times\[1\] is -1\.0 s after 0\.0 s, expected more"),
         (
-            lambda: PosePath.through(TWO[:1], [0]),
+            lambda: pm.PosePath.through(TWO[:1], [0]),
             r"poses has shape \(1, 4, 4\), expected \(n, 4, 4\), n >= 2",
         ),
-        (lambda: PosePath.through(2 * TWO, [0, 1]), r"poses has last rows off by 1"),
+        (lambda: pm.PosePath.through(2 * TWO, [0, 1]), r"poses has last rows off by 1"),
         (
-            lambda: PosePath.through(poses([R0, turned(("z", np.pi))], [(0, 0, 0)] * 2), [0, 1]),
+            lambda: pm.PosePath.through(poses([R0, turned(("z", np.pi))], [(0, 0, 0)] * 2), [0, 1]),
             r"rotation\[1\] is half a turn from rotation\[0\], expected less",
         ),
-        (lambda: PosePath(STAYS, [R0, R1]), r"times is not given, expected when each pose"),
+        (lambda: pm.PosePath(STAYS, [R0, R1]), r"times is not given, expected when each pose"),
         (
-            lambda: PosePath(STAYS, [R0, R1], times=[0, 5]),
+            lambda: pm.PosePath(STAYS, [R0, R1], times=[0, 5]),
             r"times goes from 0 to 5 s, expected from 0 to 6 s",
         ),
         (
-            lambda: PosePath(STAYS, [R0, R1, R0], times=[0, 6, 6]),
+            lambda: pm.PosePath(STAYS, [R0, R1, R0], times=[0, 6, 6]),
             r"times\[2\] is 6\.0 s after 6\.0 s, expected more",
         ),
         (
-            lambda: PosePath(STAYS, [R0, R1], times=[0]),
+            lambda: pm.PosePath(STAYS, [R0, R1], times=[0]),
             r"times has shape \(1,\), expected \(2,\), one for each",
         ),
-        (lambda: PosePath(STAYS, [R0, 2 * R1], times=[0, 6]), r"rotation\[1\] has R' R off by 3"),
-        (lambda: PosePath(STAYS, R0, times=[0, 6]), r"times is given with one rotation, expected n of them"),
-        (lambda: PosePath(STAYS, R0, R1, turn=(0, 0, 1)), r"final_rotation and turn are given, expected one"),
-        (lambda: PosePath(STAYS, turn=(0, 0, 1)), r"turn is given without rotation, expected both"),
-        (lambda: PosePath(STAYS, R0, turn=3.0), r"turn has shape \(\), expected \(3,\): axis times angle"),
-        (lambda: PosePath(STAYS, np.ones((2, 2, 2)), times=[0, 6]), r"rotation has shape \(2, 2, 2\)"),
+        (lambda: pm.PosePath(STAYS, [R0, 2 * R1], times=[0, 6]), r"rotation\[1\] has R' R off by 3"),
+        (
+            lambda: pm.PosePath(STAYS, R0, times=[0, 6]),
+            r"times is given with one rotation, expected n of them",
+        ),
+        (
+            lambda: pm.PosePath(STAYS, R0, R1, turn=(0, 0, 1)),
+            r"final_rotation and turn are given, expected one",
+        ),
+        (lambda: pm.PosePath(STAYS, turn=(0, 0, 1)), r"turn is given without rotation, expected both"),
+        (lambda: pm.PosePath(STAYS, R0, turn=3.0), r"turn has shape \(\), expected \(3,\): axis times angle"),
+        (lambda: pm.PosePath(STAYS, np.ones((2, 2, 2)), times=[0, 6]), r"rotation has shape \(2, 2, 2\)"),
     ],
 )
 def test_poses_that_make_no_path_are_refused(make: Callable[[], object], text: str) -> None:
-    with pytest.raises(InvalidArgument, match=text):
+    with pytest.raises(pm.InvalidArgument, match=text):
         make()
 
 
 def test_a_path_through_poses_is_followed_all_the_way_round() -> None:
     steps = [turned(("z", a), ("x", 0.2 * np.sin(a))) for a in np.linspace(0, 1.8 * np.pi, 8)]
     way = START[:3, 3] + np.array([[0.2 * k, 0.05 * k * (7 - k), 0] for k in range(8)])
-    target = PosePath.through(poses([START[:3, :3] @ R for R in steps], way), np.linspace(0, 8, 8))
-    found = solve_inverse_kinematics(ROBOT, target, q0=BENT, dt=0.02)
+    target = pm.PosePath.through(poses([START[:3, :3] @ R for R in steps], way), np.linspace(0, 8, 8))
+    found = pm.solve_inverse_kinematics(ROBOT, target, q0=BENT, dt=0.02)
     assert max(found.max_error()) < 1e-3
 
 
-HAND = PosePath(
-    Spline([START[:3, 3], START[:3, 3] + [0.4, 0.2, -0.1], START[:3, 3] + [0.8, 0, 0.1]], [0, 2, 4]),
+HAND = pm.PosePath(
+    pm.Spline([START[:3, 3], START[:3, 3] + [0.4, 0.2, -0.1], START[:3, 3] + [0.8, 0, 0.1]], [0, 2, 4]),
     START[:3, :3],
     turn=(0.4, 0, 4.0),
 )
@@ -218,12 +210,12 @@ HAND = PosePath(
 
 @pytest.fixture(scope="module")
 def way() -> InverseKinematicsTrajectory:
-    return solve_inverse_kinematics(ROBOT, HAND, q0=BENT, dt=0.02)
+    return pm.solve_inverse_kinematics(ROBOT, HAND, q0=BENT, dt=0.02)
 
 
 @pytest.fixture(scope="module")
-def run(way: InverseKinematicsTrajectory) -> Rollout:
-    return simulate(ROBOT, EndEffectorTracking(ROBOT, HAND, dt=0.02), way, dt=0.02)
+def run(way: InverseKinematicsTrajectory) -> pm.Rollout:
+    return pm.simulate(ROBOT, pm.EndEffectorTracking(ROBOT, HAND, dt=0.02), way, dt=0.02)
 
 
 def target_of(hand: EndEffector) -> Array:
@@ -231,7 +223,7 @@ def target_of(hand: EndEffector) -> Array:
     return hand.target
 
 
-def check_hand(hand: EndEffector, run: Rollout, q: Array | None = None) -> None:
+def check_hand(hand: EndEffector, run: pm.Rollout, q: Array | None = None) -> None:
     """Compare with what the target and the robot say themselves."""
     actual, wanted = ROBOT.frame_pose(run.q[:, :9] if q is None else q), HAND(run.t).pose
     np.testing.assert_allclose(hand.pose, actual, atol=1e-12)
@@ -245,7 +237,7 @@ def check_hand(hand: EndEffector, run: Rollout, q: Array | None = None) -> None:
 
 
 def test_a_rollout_tells_where_its_end_effector_was_and_should_have_been(
-    run: Rollout, tmp_path: Path
+    run: pm.Rollout, tmp_path: Path
 ) -> None:
     hand = run.end_effector()
     assert (hand.frame, hand.is_oriented) == ("ur5/tool0", True)
@@ -260,36 +252,36 @@ def test_a_rollout_tells_where_its_end_effector_was_and_should_have_been(
     assert repr(hand) == f"<EndEffector: {words}>"
     assert str(run).endswith(f"end effector {words}")
     run.save(tmp_path / "run.npz")
-    check_hand(Rollout.load(tmp_path / "run.npz").end_effector(), run)
+    check_hand(pm.Rollout.load(tmp_path / "run.npz").end_effector(), run)
     run.to_csv(tmp_path / "run.csv")
     assert "target position of ur5/tool0[2] [m]" in (tmp_path / "run.csv").read_text().splitlines()[0]
     check_hand(pickle.loads(pickle.dumps(hand)), run)
 
 
 def test_the_target_is_that_of_controller_trajectory_or_reference(
-    way: InverseKinematicsTrajectory, run: Rollout
+    way: InverseKinematicsTrajectory, run: pm.Rollout
 ) -> None:
-    tracked = simulate(ROBOT, ComputedTorque(ROBOT, 100, 20), way, dt=0.02)
+    tracked = pm.simulate(ROBOT, pm.ComputedTorque(ROBOT, 100, 20), way, dt=0.02)
     check_hand(tracked.end_effector(), tracked)
-    compiled = simulate(ROBOT, ComputedTorque(ROBOT, 100, 20), way, dt=0.02, engine=Engine.COMPILED)
+    compiled = pm.simulate(ROBOT, pm.ComputedTorque(ROBOT, 100, 20), way, dt=0.02, engine=pm.Engine.COMPILED)
     check_hand(compiled.end_effector(), compiled)
-    wrapped = InputSaturation(EndEffectorTracking(ROBOT, HAND, dt=0.02), 1e4)
-    rest = simulate(ROBOT, wrapped, way, dt=0.02, duration=1.0)
+    wrapped = pm.InputSaturation(pm.EndEffectorTracking(ROBOT, HAND, dt=0.02), 1e4)
+    rest = pm.simulate(ROBOT, wrapped, way, dt=0.02, duration=1.0)
     check_hand(rest.end_effector(), rest)
     # A posture that is another one than the pose's: the controller's target counts.
-    still = WholeBody(ROBOT, FixedHeading(Hold((0, 0), 1.0), 0.0), Hold(BENT[3:], 1.0))
-    aimed = simulate(ROBOT, EndEffectorTracking(ROBOT, HAND, dt=0.02), still, dt=0.02)
+    still = pm.WholeBody(ROBOT, pm.FixedHeading(pm.Hold((0, 0), 1.0), 0.0), pm.Hold(BENT[3:], 1.0))
+    aimed = pm.simulate(ROBOT, pm.EndEffectorTracking(ROBOT, HAND, dt=0.02), still, dt=0.02)
     check_hand(aimed.end_effector(), aimed)
-    led = simulate(ROBOT, ComputedTorque(ROBOT, 100, 20), still, dt=0.02).end_effector()
+    led = pm.simulate(ROBOT, pm.ComputedTorque(ROBOT, 100, 20), still, dt=0.02).end_effector()
     np.testing.assert_allclose(target_of(led), np.broadcast_to(START, (51, 4, 4)), atol=1e-12)
     elbow = run.end_effector("ur5/forearm_link")
     np.testing.assert_allclose(target_of(elbow), ROBOT.frame_pose(run.reference.q, elbow.frame), atol=1e-12)
 
 
 def test_the_end_effector_of_a_robot_on_wheels_is_that_of_its_arm(way: InverseKinematicsTrajectory) -> None:
-    table = WheelTable.mecanum(wheelbase=0.5, track=0.5, radius=0.08, mass=2.0, spin_inertia=0.006)
-    robot = WheeledRobot(ROBOT, table)
-    rolled = simulate(robot, ComputedTorque(robot, 100, 20), way, dt=0.02, duration=1.0)
+    table = pm.WheelTable.mecanum(wheelbase=0.5, track=0.5, radius=0.08, mass=2.0, spin_inertia=0.006)
+    robot = pm.WheeledRobot(ROBOT, table)
+    rolled = pm.simulate(robot, pm.ComputedTorque(robot, 100, 20), way, dt=0.02, duration=1.0)
     hand = rolled.end_effector()
     check_hand(hand, rolled)
     assert hand.max_error()[0] < 1e-3
@@ -298,9 +290,12 @@ def test_the_end_effector_of_a_robot_on_wheels_is_that_of_its_arm(way: InverseKi
 
 
 def test_where_only_the_position_is_followed_no_angle_is_wrong() -> None:
-    target = PosePath(Spline([START[:3, 3], START[:3, 3] + [0.1, 0, 0]], [0, 1]))
-    run = simulate(
-        ROBOT, EndEffectorTracking(ROBOT, target), solve_inverse_kinematics(ROBOT, target, q0=BENT), dt=0.01
+    target = pm.PosePath(pm.Spline([START[:3, 3], START[:3, 3] + [0.1, 0, 0]], [0, 1]))
+    run = pm.simulate(
+        ROBOT,
+        pm.EndEffectorTracking(ROBOT, target),
+        pm.solve_inverse_kinematics(ROBOT, target, q0=BENT),
+        dt=0.01,
     )
     hand = run.end_effector()
     assert not hand.is_oriented
@@ -312,22 +307,24 @@ def test_where_only_the_position_is_followed_no_angle_is_wrong() -> None:
     assert hand.distance.max() < 1e-3
 
 
-def test_what_has_no_target_or_no_frames_says_so(run: Rollout) -> None:
+def test_what_has_no_target_or_no_frames_says_so(run: pm.Rollout) -> None:
     base = replace_reference(run)
     hand = base.end_effector()
     assert hand.target is None
     assert "without target" in repr(hand)
-    with pytest.raises(InvalidArgument, match="end effector 'ur5/tool0' has no target, expected a run of"):
+    with pytest.raises(pm.InvalidArgument, match="end effector 'ur5/tool0' has no target, expected a run of"):
         _ = hand.error
     with pytest.raises(
         UnknownName, match=r"unknown frame 'tool', did you mean .* available: .*ur5/wrist_3_link"
     ):
         run.end_effector("tool")
-    with pytest.raises(InvalidArgument, match="does not tell where its frames are, expected a MobileRobot"):
+    with pytest.raises(
+        pm.InvalidArgument, match="does not tell where its frames are, expected a MobileRobot"
+    ):
         replace(run, plant=None, signals={}).end_effector()
 
 
-def replace_reference(run: Rollout) -> Rollout:
+def replace_reference(run: pm.Rollout) -> pm.Rollout:
     """Return the run with a reference of the base alone, and no target."""
     short = type(run.reference)(*(part[:, :3] for part in run.reference))
     return replace(run, reference=short, error=run.error[:, :3], signals={})
@@ -341,26 +338,26 @@ def test_signals_of_all_samples_at_once_are_checked() -> None:
             self.answer = answer
 
         def __call__(self, t: Any) -> Any:
-            return FixedHeading(Hold((0, 0), 0.1), 0.0)(t)
+            return pm.FixedHeading(pm.Hold((0, 0), 0.1), 0.0)(t)
 
         def signals_at(self, t: Array) -> Any:
             return self.answer
 
-    box = MobileRobot.box()
+    box = pm.MobileRobot.box()
     for answer, text in (
         (3, "what Told.signals_at returned is 3, expected a dict of signals"),
         ({"a": ("m", np.zeros(2))}, r"Told.signals_at\['a'\] has shape \(2,\), expected \(3,\) or \(3, k\)"),
         ({"a": ("m", ["x"])}, r"Told.signals_at\['a'\]"),
     ):
-        with pytest.raises(InvalidArgument, match=text):
-            simulate(box, ComputedTorque(box, 1, 1), Told(answer), dt=0.05)
+        with pytest.raises(pm.InvalidArgument, match=text):
+            pm.simulate(box, pm.ComputedTorque(box, 1, 1), Told(answer), dt=0.05)
     told = Told({"a": ("m", [1.0, 2.0, 3.0])})
-    run = simulate(box, ComputedTorque(box, 1, 1), told, dt=0.05)
+    run = pm.simulate(box, pm.ComputedTorque(box, 1, 1), told, dt=0.05)
     assert run.signals["a"].values.tolist() == [1, 2, 3]
 
 
 @pytest.mark.once
-def test_the_figure_has_path_height_and_both_errors(run: Rollout) -> None:
+def test_the_figure_has_path_height_and_both_errors(run: pm.Rollout) -> None:
     hand = run.end_effector()
     for width, columns in ((3.5, 1), (9.0, 2)):
         figure = plots.end_effector(run, width=width)
@@ -400,16 +397,16 @@ def test_the_figure_has_path_height_and_both_errors(run: Rollout) -> None:
         ({"ax": grid[0, 0]}, "ax is one Axes, expected 4, one for each panel, or a figure"),
         ({"ax": sheet, "width": 3.0}, "width is 3.0, with ax, whose figure has a width"),
     ):
-        with pytest.raises(InvalidArgument, match=text):
+        with pytest.raises(pm.InvalidArgument, match=text):
             plots.end_effector(run, **options)
     with pytest.raises(UnknownName, match="unknown frame 'hand'"):
         plots.end_effector(run, frame="hand")
-    with pytest.raises(InvalidArgument, match=r"rollouts\['a'\].plant is None, which does not tell"):
+    with pytest.raises(pm.InvalidArgument, match=r"rollouts\['a'\].plant is None, which does not tell"):
         plots.end_effector({"a": replace(run, plant=None, signals={})})
 
 
 @pytest.mark.once
-def test_the_viewer_shows_trail_target_and_error_of_the_end_effector(run: Rollout) -> None:
+def test_the_viewer_shows_trail_target_and_error_of_the_end_effector(run: pm.Rollout) -> None:
     hand = run.end_effector()
     with Viewer(ROBOT) as viewer:
         found = tracks(viewer.record(run, fps=10))

@@ -9,33 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    PD,
-    Backstepping,
-    Circle,
-    CompositePath,
-    ComputedTorque,
-    ConstantForce,
-    Ensemble,
-    InputSaturation,
-    Line,
-    MeasurementDelay,
-    MeasurementNoise,
-    MobileRobot,
-    PayloadBody,
-    PDGravity,
-    Polyline,
-    Relative,
-    RollingResistance,
-    Scenario,
-    Tangent,
-    UnicycleTracking,
-    Uniform,
-    VelocityRobot,
-    ViscousFriction,
-    law,
-    rk4,
-)
+import pinmobile as pm
 from pinmobile.controllers import AdaptiveVelocity, Decoupled, VelocityCommand
 from pinmobile.forces import NoiseForce, PayloadForce, SinusoidalForce
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
@@ -43,51 +17,51 @@ from pinmobile.loop import Engine, part_of, run_scenario
 from tests.parts import PID, Cart, Eight, Follower, Nodding, SlidingMode, Smoothed, Spring, midpoint
 
 N, DT, DURATION = 3, 0.01, 0.6  # 61 samples
-ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
-WRONG = MobileRobot(27.0, 1.1, com=(0.05, 0.0))
+ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05))
+WRONG = pm.MobileRobot(27.0, 1.1, com=(0.05, 0.0))
 
 
 def _law(t: float, q: Any, v: Any, reference: Any) -> Any:
     return np.array([40.0, 50.0, 4.0]) * (reference.q - q) + 40.0 * np.tanh(reference.v - v)
 
 
-COMMANDED = VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], accelerations=(2.0, 4.0))
+COMMANDED = pm.VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], accelerations=(2.0, 4.0))
 PLANTS: dict[str, Any] = {
     "offset": ROBOT,
-    "loaded": ROBOT.attach(PayloadBody(4.0, com=(0.1, -0.1, 0.2))),
+    "loaded": ROBOT.attach(pm.PayloadBody(4.0, com=(0.1, -0.1, 0.2))),
     "cart": Cart(),
     "commanded": COMMANDED,
 }
 CONTROLLERS: dict[str, Any] = {
-    "PD": PD(40.0, 40.0),
-    "PD, vector": PD((60.0, 50.0, 4.0), (60.0, 50.0, 4.0)),
-    "PD, matrix": PD([[60.0, 5.0, 0.0], [3.0, 50.0, 1.0], [0.0, -1.0, 4.0]], 30.0),
-    "computed torque": ComputedTorque(ROBOT),
-    "computed torque, wrong": ComputedTorque(WRONG, kp=(3.0, 4.0, 5.0)),
-    "PDGravity": PDGravity(ROBOT, (60.0, 50.0, 4.0), (60.0, 50.0, 4.0)),
+    "PD": pm.PD(40.0, 40.0),
+    "PD, vector": pm.PD((60.0, 50.0, 4.0), (60.0, 50.0, 4.0)),
+    "PD, matrix": pm.PD([[60.0, 5.0, 0.0], [3.0, 50.0, 1.0], [0.0, -1.0, 4.0]], 30.0),
+    "computed torque": pm.ComputedTorque(ROBOT),
+    "computed torque, wrong": pm.ComputedTorque(WRONG, kp=(3.0, 4.0, 5.0)),
+    "PDGravity": pm.PDGravity(ROBOT, (60.0, 50.0, 4.0), (60.0, 50.0, 4.0)),
     "Decoupled": Decoupled(WRONG),
     "PID": PID(50.0, 10.0, 50.0),
     "sliding mode": SlidingMode(),
-    "law": law(_law),
+    "law": pm.law(_law),
     "follower": Follower(),
-    "command": VelocityCommand(UnicycleTracking(), COMMANDED),
-    "backstepping": Backstepping(UnicycleTracking(), COMMANDED),
+    "command": VelocityCommand(pm.UnicycleTracking(), COMMANDED),
+    "backstepping": pm.Backstepping(pm.UnicycleTracking(), COMMANDED),
     "adaptive velocity": AdaptiveVelocity(COMMANDED, leakage=0.1),
 }
 WRAPPERS: dict[str, Any] = {
     "bare": lambda controller, limits: controller,
-    "saturated": InputSaturation,
-    "delayed": lambda controller, limits: MeasurementDelay(controller, 2),
-    "noisy": lambda controller, limits: MeasurementNoise(controller, 1e-3, 2e-3, seed=3),
+    "saturated": pm.InputSaturation,
+    "delayed": lambda controller, limits: pm.MeasurementDelay(controller, 2),
+    "noisy": lambda controller, limits: pm.MeasurementNoise(controller, 1e-3, 2e-3, seed=3),
     "smoothed": lambda controller, limits: Smoothed(controller, 0.8),
-    "nested": lambda controller, limits: InputSaturation(MeasurementDelay(controller, 1), limits),
+    "nested": lambda controller, limits: pm.InputSaturation(pm.MeasurementDelay(controller, 1), limits),
 }
 # Rolling: stiff as 1 N m / (0.1 rad/s) about rest, for which 2 * 1.3 * 0.1 / 0.3 s is the longest step.
 STEADY: dict[str, Any] = {
     "free": (),
-    "constant": (ConstantForce((3.0, -2.0, 0.1)),),
-    "viscous": (ViscousFriction((5.0, 9.0, 0.4)),),
-    "rolling": (RollingResistance((2.0, 3.0, 0.3), 0.1),),
+    "constant": (pm.ConstantForce((3.0, -2.0, 0.1)),),
+    "viscous": (pm.ViscousFriction((5.0, 9.0, 0.4)),),
+    "rolling": (pm.RollingResistance((2.0, 3.0, 0.3), 0.1),),
     "payload": (PayloadForce(6.0, (0.2, 0.1), 1.0, 0.1),),
     "spring": (Spring(),),
 }
@@ -100,19 +74,19 @@ WAVING: dict[str, Any] = {
 INTEGRATORS: dict[str, Any] = {
     "acceleration": constant_acceleration,
     "semi-implicit": semi_implicit_euler,
-    "rk4": rk4,
+    "rk4": pm.rk4,
     "midpoint": midpoint,
 }
 PATHS: dict[str, Any] = {
     "eight": Eight(),
-    "circle": Circle(1.5, 0.6, 4.0, (0.5, -1.0), heading=0.7),
-    "line": Line((0.5, 1.0), (3.0, -1.0), 4.0),
-    "polyline": Polyline([(0.0, 0.0), (1.2, 0.0), (1.6, 1.2)], 0.2, 4.0, 2.0),
-    "moved": Circle(1.0, 0.5, 4.0).moved(1.0, 2.0, 0.5),
-    "one after another": CompositePath(
+    "circle": pm.Circle(1.5, 0.6, 4.0, (0.5, -1.0), heading=0.7),
+    "line": pm.Line((0.5, 1.0), (3.0, -1.0), 4.0),
+    "polyline": pm.Polyline([(0.0, 0.0), (1.2, 0.0), (1.6, 1.2)], 0.2, 4.0, 2.0),
+    "moved": pm.Circle(1.0, 0.5, 4.0).moved(1.0, 2.0, 0.5),
+    "one after another": pm.CompositePath(
         [
-            Polyline([(0.0, 0.0), (1.0, 0.0)], 0.2, 1.5, 6.0),  # from rest to rest
-            Polyline([(1.0, 0.0), (2.0, 0.0), (2.4, 0.8)], 0.2, 2.5, 4.0),
+            pm.Polyline([(0.0, 0.0), (1.0, 0.0)], 0.2, 1.5, 6.0),  # from rest to rest
+            pm.Polyline([(1.0, 0.0), (2.0, 0.0), (2.4, 0.8)], 0.2, 2.5, 4.0),
         ]
     ),
 }
@@ -141,7 +115,7 @@ OF_PATHS: Mapping[str, tuple[str, float]] = {
 }
 MODELS = ("computed torque", "computed torque, wrong", "Decoupled")
 KINEMATIC = ("command", "backstepping", "adaptive velocity")
-STARTS = {"start.x": Uniform(-0.2, 0.2), "start.psi": Uniform(-0.3, 0.3)}
+STARTS = {"start.x": pm.Uniform(-0.2, 0.2), "start.psi": pm.Uniform(-0.3, 0.3)}
 SPREADS = ("nothing", "mass", "gains", "model", "forces", "start", "reference")
 FACTORS: dict[str, tuple[str, ...]] = {
     "controller": tuple(CONTROLLERS),
@@ -197,26 +171,26 @@ def spread_of(choice: Mapping[str, str]) -> dict[str, Any]:
     name, of_path = OF_PATHS[choice["path"]]
     found: dict[str, dict[str, Any]] = {
         "nothing": {},
-        "mass": {"plant.mass": Uniform(20.0, 35.0)}
+        "mass": {"plant.mass": pm.Uniform(20.0, 35.0)}
         if choice["plant"] != "commanded"
-        else {"plant.theta.theta_1": Uniform(0.2, 0.3)},
-        "gains": {f"controller.{gain}": Relative(Uniform(0.8, 1.2))},
-        "model": {"controller.mass": Uniform(25.0, 35.0), "controller.com.x": Uniform(0.0, 0.1)},
+        else {"plant.theta.theta_1": pm.Uniform(0.2, 0.3)},
+        "gains": {f"controller.{gain}": pm.Relative(pm.Uniform(0.8, 1.2))},
+        "model": {"controller.mass": pm.Uniform(25.0, 35.0), "controller.com.x": pm.Uniform(0.0, 0.1)},
         "start": STARTS,
-        "reference": {name: Uniform(*sorted((0.9 * of_path, 1.1 * of_path)))},
+        "reference": {name: pm.Uniform(*sorted((0.9 * of_path, 1.1 * of_path)))},
     }
     if steady in FORCES:
-        found["forces"] = {f"forces.0.{FORCES[steady]}": Uniform(0.5, nominal[FORCES[steady]])}
+        found["forces"] = {f"forces.0.{FORCES[steady]}": pm.Uniform(0.5, nominal[FORCES[steady]])}
     return found[choice["spread"]]
 
 
-def made(choice: Mapping[str, str], n: int = N) -> Scenario:
+def made(choice: Mapping[str, str], n: int = N) -> pm.Scenario:
     cart, commanded = (choice["plant"] == name for name in ("cart", "commanded"))
     limits = 0.2 if cart else (0.6, 0.9) if commanded else (15.0, 12.0, 1.5)
-    return Scenario(
+    return pm.Scenario(
         robot=PLANTS[choice["plant"]],
         controller=WRAPPERS[choice["wrapper"]](CONTROLLERS[choice["controller"]], limits),
-        trajectory=(Tangent if cart or commanded else Nodding)(PATHS[choice["path"]]),
+        trajectory=(pm.Tangent if cart or commanded else Nodding)(PATHS[choice["path"]]),
         n=n,
         spread=spread_of(choice),
         dt=DT,
@@ -235,7 +209,7 @@ def test_every_part_is_in_a_composition() -> None:
 
 
 @cache
-def compiled(k: int) -> tuple[Scenario, Ensemble]:
+def compiled(k: int) -> tuple[pm.Scenario, pm.Ensemble]:
     """Return a composition and its ensemble by compiled code, one thread's."""
     scenario = made(compositions()[k])
     return scenario, run_scenario(scenario, engine=Engine.COMPILED, threads=1)

@@ -10,32 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    Coulomb,
-    Engine,
-    Ensemble,
-    InvalidArgument,
-    MobileRobot,
-    Rolling,
-    Rollout,
-    Scenario,
-    Tangent,
-    Uniform,
-    ViscousFriction,
-    WheeledRobot,
-    WheelTable,
-    ensemble,
-    law,
-    simulate,
-    sweep,
-)
+import pinmobile as pm
 from pinmobile.cli import main
 from pinmobile.errors import SlowerEngine
 
-CIRCLE = Tangent(Circle(2, 0.25, 2))
+CIRCLE = pm.Tangent(pm.Circle(2, 0.25, 2))
 NOT_ASKED = "not COMPILED, which runs what can be compiled where engine=Engine.COMPILED asks for it"
 
 
@@ -46,20 +25,20 @@ def branching(t: float, q: Any, v: Any, reference: Any) -> Any:
     return 100.0 * error + 120.0 * (reference.v - v)
 
 
-def scenario(controller: Any, width: float) -> Scenario:
-    spread = {"start.x": Uniform(-width, width)}
-    return Scenario(
-        robot=MobileRobot.box(), controller=controller, trajectory=CIRCLE, n=12, spread=spread, dt=0.2
+def scenario(controller: Any, width: float) -> pm.Scenario:
+    spread = {"start.x": pm.Uniform(-width, width)}
+    return pm.Scenario(
+        robot=pm.MobileRobot.box(), controller=controller, trajectory=CIRCLE, n=12, spread=spread, dt=0.2
     )
 
 
 def test_a_sweep_tells_once_which_part_makes_it_slower_and_where(tmp_path: Path) -> None:
-    widths = {width: Uniform(-width, width) for width in (0.01, 0.02)}
-    laws = {"branching": law(branching), "PD": PD(100, 120)}
+    widths = {width: pm.Uniform(-width, width) for width in (0.01, 0.02)}
+    laws = {"branching": pm.law(branching), "PD": pm.PD(100, 120)}
     plan: Any = scenario(laws["PD"], 0.01), tmp_path / "store"
     grid = {"controller": laws, "spread.start.x": widths}
     with pytest.warns(SlowerEngine, match="^this sweep runs by PYTHON") as told:
-        sweep(*plan, grid=grid, chunk=4)
+        pm.sweep(*plan, grid=grid, chunk=4)
     assert len(told) == 1
     text = str(told[0].message)
     assert told[0].filename == __file__
@@ -68,7 +47,7 @@ def test_a_sweep_tells_once_which_part_makes_it_slower_and_where(tmp_path: Path)
     assert text.endswith("spread.start.x = 0.01 and 1 more)")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        sweep(*plan, grid=grid, chunk=4)  # nothing is left to run
+        pm.sweep(*plan, grid=grid, chunk=4)  # nothing is left to run
 
 
 def test_the_command_prints_it_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -94,20 +73,21 @@ def test_the_command_prints_it_once(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 def test_a_rollout_says_why_and_its_file_keeps_it(tmp_path: Path) -> None:
-    robot = MobileRobot.box()
+    robot = pm.MobileRobot.box()
     made = {
-        engine: simulate(robot, PD(9, 9), CIRCLE, dt=0.2, engine=engine) for engine in (None, Engine.COMPILED)
+        engine: pm.simulate(robot, pm.PD(9, 9), CIRCLE, dt=0.2, engine=engine)
+        for engine in (None, pm.Engine.COMPILED)
     }
-    made[Engine.PYTHON] = simulate(robot, PD(9, 9), CIRCLE, dt=0.2, engine=Engine.PYTHON)
+    made[pm.Engine.PYTHON] = pm.simulate(robot, pm.PD(9, 9), CIRCLE, dt=0.2, engine=pm.Engine.PYTHON)
     told = {engine: (run.engine, run.fallback_reason) for engine, run in made.items()}
     assert told == {
         None: ("PYTHON", NOT_ASKED),
-        Engine.COMPILED: ("COMPILED", ""),
-        Engine.PYTHON: ("PYTHON", ""),
+        pm.Engine.COMPILED: ("COMPILED", ""),
+        pm.Engine.PYTHON: ("PYTHON", ""),
     }
     for run in made.values():
         run.save(tmp_path / "run.npz")
-        kept = Rollout.load(tmp_path / "run.npz")
+        kept = pm.Rollout.load(tmp_path / "run.npz")
         assert (kept.engine, kept.fallback_reason) == (run.engine, run.fallback_reason)
     # A file that was written before files told it.
     with np.load(tmp_path / "run.npz") as file:
@@ -115,15 +95,15 @@ def test_a_rollout_says_why_and_its_file_keeps_it(tmp_path: Path) -> None:
     described = json.loads(str(arrays["plant"]))
     del described["engine"], described["fallback_reason"]
     np.savez(tmp_path / "old.npz", **arrays | {"plant": np.array(json.dumps(described))})
-    old = Rollout.load(tmp_path / "old.npz")
+    old = pm.Rollout.load(tmp_path / "old.npz")
     assert (old.engine, old.fallback_reason) == ("", "")
     np.testing.assert_array_equal(old.q, run.q)
 
 
 def test_traces_of_an_ensembles_file_say_it_too(tmp_path: Path) -> None:
-    runs = ensemble(MobileRobot.box(), PD(9, 9), CIRCLE, n=2, spread={}, dt=0.2, traces=[1])
+    runs = pm.ensemble(pm.MobileRobot.box(), pm.PD(9, 9), CIRCLE, n=2, spread={}, dt=0.2, traces=[1])
     runs.save(tmp_path / "runs.npz")
-    kept = Ensemble.load(tmp_path / "runs.npz").traces[1]
+    kept = pm.Ensemble.load(tmp_path / "runs.npz").traces[1]
     assert (kept.engine, kept.fallback_reason) == ("PYTHON", NOT_ASKED)
 
 
@@ -163,21 +143,21 @@ def test_where_no_memory_may_be_written_and_executed_another_engine_runs_and_say
     assert f"not COMPILED: {why}" in message
     assert refused.startswith(f"engine is Engine.COMPILED, which cannot run this: {why}")
     assert last.startswith(f"3000|compiled for ensembles: {why}")
-    robot, spread = MobileRobot.box(), {"mass": Uniform(20, 40)}
-    run = ensemble(robot, ComputedTorque(robot, 4, 4), CIRCLE, n=12, dt=0.1, spread=spread)
+    robot, spread = pm.MobileRobot.box(), {"mass": pm.Uniform(20, 40)}
+    run = pm.ensemble(robot, pm.ComputedTorque(robot, 4, 4), CIRCLE, n=12, dt=0.1, spread=spread)
     assert run.engine == "COMPILED"
     assert float(distance) == pytest.approx(run.max_distance.max(), rel=1e-9)  # both are exact to rounding
 
 
-@pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
+@pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
 def test_an_engine_as_a_string_is_told_what_to_write(engine: Any) -> None:
     why = rf"^engine is '{engine!r}', expected Engine.PYTHON, Engine.COMPILED or None"
     given: Any = repr(engine)
     for run in (
-        lambda: simulate(MobileRobot.box(), PD(9, 9), CIRCLE, dt=0.2, engine=given),
-        lambda: ensemble(MobileRobot.box(), PD(9, 9), CIRCLE, n=2, spread={}, dt=0.2, engine=given),
+        lambda: pm.simulate(pm.MobileRobot.box(), pm.PD(9, 9), CIRCLE, dt=0.2, engine=given),
+        lambda: pm.ensemble(pm.MobileRobot.box(), pm.PD(9, 9), CIRCLE, n=2, spread={}, dt=0.2, engine=given),
     ):
-        with pytest.raises(InvalidArgument, match=why):
+        with pytest.raises(pm.InvalidArgument, match=why):
             run()
 
 
@@ -185,19 +165,19 @@ def _branching_torques(t: float, q: Any, v: Any, reference: Any) -> Any:
     return np.array([0.6, 0.7]) if q[0] < 1e9 else np.zeros(2)
 
 
-@pytest.mark.parametrize("ground", [Rolling(), Coulomb()], ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize("ground", [pm.Rolling(), pm.Coulomb()], ids=lambda one: type(one).__name__)
 @pytest.mark.parametrize("substeps", [1, 3])
 def test_plant_and_forces_are_compiled_where_the_controller_alone_cannot_be(
     ground: Any, substeps: int
 ) -> None:
     wheel: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
-    table = WheelTable.differential(0.5, 0.1, supports=[(-0.3, 0.0)], **wheel)
-    robot = WheeledRobot(MobileRobot(30.0, 1.3, com=(0.1, 0.05, 0.2)), table, ground)
-    given: dict[str, Any] = {"forces": [ViscousFriction((5.0, 9.0, 0.4))], "substeps": substeps}
+    table = pm.WheelTable.differential(0.5, 0.1, supports=[(-0.3, 0.0)], **wheel)
+    robot = pm.WheeledRobot(pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05, 0.2)), table, ground)
+    given: dict[str, Any] = {"forces": [pm.ViscousFriction((5.0, 9.0, 0.4))], "substeps": substeps}
     given |= {"dt": 0.02, "limit": 1e6}
-    traced = law(lambda t, q, v, reference: np.array([0.6, 0.7]) + 0.0 * v[:2])
-    one = simulate(robot, traced, CIRCLE, **given)
-    other = simulate(robot, law(_branching_torques), CIRCLE, **given)
+    traced = pm.law(lambda t, q, v, reference: np.array([0.6, 0.7]) + 0.0 * v[:2])
+    one = pm.simulate(robot, traced, CIRCLE, **given)
+    other = pm.simulate(robot, pm.law(_branching_torques), CIRCLE, **given)
     assert other.fallback_reason.startswith(
         "plant and forces are compiled, the controller runs in Python; not COMPILED: _"
     )

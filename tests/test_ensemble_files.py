@@ -10,71 +10,52 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    ConstantForce,
-    Ensemble,
-    InputSaturation,
-    InvalidArgument,
-    MobileRobot,
-    Normal,
-    PayloadBody,
-    Rollout,
-    SameAs,
-    Scenario,
-    Tangent,
-    Uniform,
-    ensemble,
-    law,
-    plots,
-    sweep,
-)
+import pinmobile as pm
+from pinmobile import plots
 from pinmobile.loop import Engine, Outline, run_scenario
 from pinmobile.loop._variables import PER_ROBOT
 from pinmobile.plots.sensitivity import causes, worst_share
 from tests.damage import answer, damaged
 
-ROBOT = MobileRobot(10, 1.3, com=(0.1, 0.05)).attach(PayloadBody(2, (0.1, 0, 0.2)))
-CIRCLE = Tangent(Circle(3, 0.1, 20))
+ROBOT = pm.MobileRobot(10, 1.3, com=(0.1, 0.05)).attach(pm.PayloadBody(2, (0.1, 0, 0.2)))
+CIRCLE = pm.Tangent(pm.Circle(3, 0.1, 20))
 SPREAD: dict[str, Any] = {
-    "mass": Uniform(2, 10),
-    "controller.mass": SameAs("mass", stats.norm(1.0, scale=0.1)),
+    "mass": pm.Uniform(2, 10),
+    "controller.mass": pm.SameAs("mass", stats.norm(1.0, scale=0.1)),
     "com.x": np.linspace(0, 0.1, 60),
-    "force.x": Normal(0, 0.04),
+    "force.x": pm.Normal(0, 0.04),
     "kp": 4.0,
 }
 
 
-def scenario(**more: Any) -> Scenario:
-    loop = {"robot": ROBOT, "controller": ComputedTorque(MobileRobot(30, 1.3)), "trajectory": CIRCLE}
-    loop["forces"] = [ConstantForce((0, 0, 0))]
-    return Scenario(**{**loop, "n": 60, "spread": SPREAD, "dt": 0.1, "seed": 7, "after": 2.0, **more})
+def scenario(**more: Any) -> pm.Scenario:
+    loop = {"robot": ROBOT, "controller": pm.ComputedTorque(pm.MobileRobot(30, 1.3)), "trajectory": CIRCLE}
+    loop["forces"] = [pm.ConstantForce((0, 0, 0))]
+    return pm.Scenario(**{**loop, "n": 60, "spread": SPREAD, "dt": 0.1, "seed": 7, "after": 2.0, **more})
 
 
-def run(traces: Any = (), **more: Any) -> Ensemble:
+def run(traces: Any = (), **more: Any) -> pm.Ensemble:
     return run_scenario(scenario(**more), traces=traces, engine=Engine.COMPILED)
 
 
 # A controller that believes in 30 kg where there are 4 to 12, with the load, is beyond what the step allows.
 DIVERGING = run(traces=[17, 3], spread=SPREAD | {"controller.mass": 30.0})
-MADE: dict[str, Ensemble] = {
+MADE: dict[str, pm.Ensemble] = {
     "some diverge, two traced": DIVERGING,
     "none diverges, none traced": run(),
     "nothing spread, one robot": run(spread={}, n=1, traces=[0]),
     "on a bare loop": run(
-        controller=PD(40, 40), spread={"mass": Uniform(9, 11)}, forces=[ConstantForce((0.1, 0, 0))]
+        controller=pm.PD(40, 40), spread={"mass": pm.Uniform(9, 11)}, forces=[pm.ConstantForce((0.1, 0, 0))]
     ),
 }
 
 
-def saved(one: Ensemble, tmp_path: Path) -> Path:
+def saved(one: pm.Ensemble, tmp_path: Path) -> Path:
     one.save(tmp_path / "saved.npz")
     return tmp_path / "saved.npz"
 
 
-def bits(one: Ensemble) -> dict[str, Any]:
+def bits(one: pm.Ensemble) -> dict[str, Any]:
     """Return all numbers of an ensemble, so that NaN is NaN."""
     arrays = {name: getattr(one, name) for name in (*PER_ROBOT, "counts")}
     arrays |= {f"drawn {name}": values for name, values in one.draws.items()}
@@ -95,7 +76,7 @@ def test_the_trials_are_what_they_say() -> None:
 @pytest.mark.parametrize("name", MADE)
 def test_what_is_loaded_is_what_was_saved_bit_for_bit(tmp_path: Path, name: str) -> None:
     one = MADE[name]
-    loaded = Ensemble.load(saved(one, tmp_path))
+    loaded = pm.Ensemble.load(saved(one, tmp_path))
     assert bits(loaded) == bits(one)
     assert list(bits(loaded)) == list(bits(one))
     assert list(loaded.traces) == list(one.traces)
@@ -112,7 +93,7 @@ def test_what_is_loaded_is_what_was_saved_bit_for_bit(tmp_path: Path, name: str)
 @pytest.mark.parametrize("name", MADE)
 def test_what_is_loaded_answers_as_what_was_saved(tmp_path: Path, name: str) -> None:
     one = MADE[name]
-    loaded = Ensemble.load(saved(one, tmp_path))
+    loaded = pm.Ensemble.load(saved(one, tmp_path))
     assert len(loaded) == len(one)
     assert repr(loaded) == repr(one)
     assert str(loaded) == f"{one}\n{loaded.scenario}"
@@ -164,7 +145,7 @@ def test_a_file_is_read_where_the_users_classes_are_not(
     monkeypatch.syspath_prepend(tmp_path / "there")
     import usersown  # type: ignore[import-not-found]
 
-    one = ensemble(
+    one = pm.ensemble(
         ROBOT, usersown.Lazy(), usersown.Still(), n=5, spread={"mass": usersown.Wide()}, dt=0.1, traces=[2]
     )
     path = saved(one, tmp_path)
@@ -199,12 +180,12 @@ except ValueError as error:
 
 def test_words_have_no_addresses_and_all_digits_whatever_is_set() -> None:
     with np.printoptions(precision=2, threshold=1, legacy="1.13"):
-        told = Outline.of(scenario(controller=InputSaturation(ComputedTorque(ROBOT, 1 / 3, 4), 50)))
+        told = Outline.of(scenario(controller=pm.InputSaturation(pm.ComputedTorque(ROBOT, 1 / 3, 4), 50)))
     assert "kp=0.3333333333333333" in told.controller
     assert "0x" not in str(told)
     assert told.spread["com.x"] == "60 numbers"
     assert told.spread["kp"] == "4.0"
-    assert told.spread["controller.mass"] == SameAs("mass", "norm(1.0, scale=0.1)")
+    assert told.spread["controller.mass"] == pm.SameAs("mass", "norm(1.0, scale=0.1)")
     assert told.parameters["mass"].unit == "kg"
 
 
@@ -234,22 +215,22 @@ class Odd:
     ],
 )
 def test_any_repr_is_kept_as_text(tmp_path: Path, words: Callable[[], str], told: str) -> None:
-    one = run(controller=Odd(words), spread={"mass": Uniform(9, 11)}, n=3)
-    assert Ensemble.load(saved(one, tmp_path)).scenario.controller == told
+    one = run(controller=Odd(words), spread={"mass": pm.Uniform(9, 11)}, n=3)
+    assert pm.Ensemble.load(saved(one, tmp_path)).scenario.controller == told
 
 
 def test_with_its_scenario_a_loaded_ensemble_makes_robots_again(tmp_path: Path) -> None:
     path = saved(DIVERGING, tmp_path)
-    loaded = Ensemble.load(path, scenario(spread=SPREAD | {"controller.mass": 30.0}))
+    loaded = pm.Ensemble.load(path, scenario(spread=SPREAD | {"controller.mass": 30.0}))
     assert str(loaded) == str(DIVERGING)
     assert loaded.member(5).robot == DIVERGING.member(5).robot
     for name, array in DIVERGING.trace(5).arrays().items():
         np.testing.assert_array_equal(loaded.trace(5).arrays()[name], array)
-    alone = Ensemble.load(path)
-    with pytest.raises(InvalidArgument, match=r"^i is 60, expected at most 59$"):
+    alone = pm.Ensemble.load(path)
+    with pytest.raises(pm.InvalidArgument, match=r"^i is 60, expected at most 59$"):
         alone.trace(60)
     with pytest.raises(
-        InvalidArgument, match=r"^i is 5, a robot that cannot be made again: .*ComputedTorque"
+        pm.InvalidArgument, match=r"^i is 5, a robot that cannot be made again: .*ComputedTorque"
     ):
         alone.trace(5)
 
@@ -257,19 +238,19 @@ def test_with_its_scenario_a_loaded_ensemble_makes_robots_again(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("changed", "why"),
     [
-        ({"controller": ComputedTorque(ROBOT)}, r"controller is .*30.0.* there and .*10.0.* here"),
+        ({"controller": pm.ComputedTorque(ROBOT)}, r"controller is .*30.0.* there and .*10.0.* here"),
         (
-            {"controller": ComputedTorque(MobileRobot(30, 1.3), kp=9)},
+            {"controller": pm.ComputedTorque(pm.MobileRobot(30, 1.3), kp=9)},
             r"controller is .*4.* there and .*9.* here",
         ),
-        ({"robot": MobileRobot(10, 1.4)}, r"robot is .*1.3.* there and .*1.4.* here"),
+        ({"robot": pm.MobileRobot(10, 1.4)}, r"robot is .*1.3.* there and .*1.4.* here"),
         ({"seed": 8}, "seed is 7 there and 8 here"),
         ({"n": 61, "spread": SPREAD | {"com.x": 0.0}}, r"spread\['com.x'\] is 60 numbers there and 0.0 here"),
         (
             {"spread": {name: SPREAD[name] for name in SPREAD if name != "mass"}},
             r"spread\['mass'\] is Uniform\(low=2.0, high=10.0\) there and absent here",
         ),
-        ({"forces": [ConstantForce((1, 0, 0))]}, r"forces\[0\] is Const.* there and Const.* here"),
+        ({"forces": [pm.ConstantForce((1, 0, 0))]}, r"forces\[0\] is Const.* there and Const.* here"),
         ({"spread": SPREAD | {"com.x": np.linspace(0, 0.2, 60)}}, "it draws another com.x"),
         ({"duration": 10.0, "every": 3}, "t is another"),
         ({"every": 2}, "every is 3 there and 2 here"),
@@ -277,8 +258,8 @@ def test_with_its_scenario_a_loaded_ensemble_makes_robots_again(tmp_path: Path) 
 )
 def test_another_scenario_is_refused(tmp_path: Path, changed: dict[str, Any], why: str) -> None:
     path = saved(MADE["none diverges, none traced"], tmp_path)
-    with pytest.raises(InvalidArgument, match=rf"^scenario is not that of '.*saved.npz': {why}$"):
-        Ensemble.load(path, scenario(**changed))
+    with pytest.raises(pm.InvalidArgument, match=rf"^scenario is not that of '.*saved.npz': {why}$"):
+        pm.Ensemble.load(path, scenario(**changed))
 
 
 def test_another_reference_is_refused(tmp_path: Path) -> None:
@@ -295,10 +276,10 @@ def test_another_reference_is_refused(tmp_path: Path) -> None:
             return CIRCLE(t)._replace(q=CIRCLE(t).q + self.by)
 
     path = saved(run(trajectory=Turned(0.0), n=2, spread={}), tmp_path)
-    with pytest.raises(InvalidArgument, match=r"saved.npz': reference.q is another$"):
-        Ensemble.load(path, scenario(trajectory=Turned(1e-3), n=2, spread={}))
-    with pytest.raises(InvalidArgument, match=r"^scenario is a dict, expected a Scenario$"):
-        Ensemble.load(path, {})  # type: ignore[arg-type]
+    with pytest.raises(pm.InvalidArgument, match=r"saved.npz': reference.q is another$"):
+        pm.Ensemble.load(path, scenario(trajectory=Turned(1e-3), n=2, spread={}))
+    with pytest.raises(pm.InvalidArgument, match=r"^scenario is a dict, expected a Scenario$"):
+        pm.Ensemble.load(path, {})  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", MADE)
@@ -332,7 +313,7 @@ def test_csv_has_a_row_per_robot_and_every_digit(tmp_path: Path, name: str) -> N
 def test_a_dataset_is_what_a_sweep_of_the_same_has(tmp_path: Path) -> None:
     xarray = pytest.importorskip("xarray")
     whole = scenario(n=60)
-    stored = sweep(whole, tmp_path / "sweep.zarr")
+    stored = pm.sweep(whole, tmp_path / "sweep.zarr")
     one = stored.ensemble()
     theirs, mine = stored.dataset.isel(dict.fromkeys(stored.axes, 0), drop=True).load(), one.to_xarray()
     counts = theirs.counts
@@ -344,7 +325,7 @@ def test_a_dataset_is_what_a_sweep_of_the_same_has(tmp_path: Path) -> None:
     assert {"units", "long_name"} == set(mine.drawn_mass.attrs)
     assert mine.drawn_mass.attrs["units"] == "kg"
     assert mine.attrs["errors_from_s"] == theirs.attrs["errors_from_s"] == 2.0
-    loaded = Ensemble.load(saved(one, tmp_path)).to_xarray()
+    loaded = pm.Ensemble.load(saved(one, tmp_path)).to_xarray()
     assert loaded.identical(mine)
     assert "controller: ComputedTorque(" in loaded.attrs["scenario"]
     loaded.max_error[:] = 0.0  # it is the reader's own
@@ -354,7 +335,7 @@ def test_a_dataset_is_what_a_sweep_of_the_same_has(tmp_path: Path) -> None:
 def test_without_xarray_what_to_install_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "xarray", None)
     with pytest.raises(
-        InvalidArgument, match=r"^a Dataset needs xarray, which is not installed: pip install "
+        pm.InvalidArgument, match=r"^a Dataset needs xarray, which is not installed: pip install "
     ):
         DIVERGING.to_xarray()
 
@@ -363,23 +344,23 @@ def test_another_kind_of_file_is_refused_either_way(tmp_path: Path) -> None:
     path = saved(DIVERGING, tmp_path)
     DIVERGING.traces[3].save(tmp_path / "run.npz")
     with pytest.raises(
-        InvalidArgument, match=r"run.npz', which is no 'pinmobile ensemble 3' archive: it is of another"
+        pm.InvalidArgument, match=r"run.npz', which is no 'pinmobile ensemble 3' archive: it is of another"
     ):
-        Ensemble.load(tmp_path / "run.npz")
+        pm.Ensemble.load(tmp_path / "run.npz")
     with pytest.raises(
-        InvalidArgument, match=r"saved.npz', which is no 'pinmobile rollout 2' archive: it is of another"
+        pm.InvalidArgument, match=r"saved.npz', which is no 'pinmobile rollout 2' archive: it is of another"
     ):
-        Rollout.load(path)
+        pm.Rollout.load(path)
 
 
 def test_damaged_bytes_are_refused_or_do_no_harm(tmp_path: Path) -> None:
     content, path = saved(DIVERGING, tmp_path).read_bytes(), tmp_path / "robots.npz"
-    wanted, words = bits(DIVERGING), str(Ensemble.load(saved(DIVERGING, tmp_path)))
+    wanted, words = bits(DIVERGING), str(pm.Ensemble.load(saved(DIVERGING, tmp_path)))
     read = 0
     for seed in range(100):
         path.write_bytes(damaged(content, np.random.default_rng(seed)))
-        loaded = answer(lambda: Ensemble.load(path))
-        if isinstance(loaded, InvalidArgument):
+        loaded = answer(lambda: pm.Ensemble.load(path))
+        if isinstance(loaded, pm.InvalidArgument):
             assert str(loaded).startswith(f"path is {str(path)!r}, which ")
         else:
             assert bits(loaded) == wanted
@@ -390,6 +371,6 @@ def test_damaged_bytes_are_refused_or_do_no_harm(tmp_path: Path) -> None:
 
 def test_a_function_is_a_part_that_words_can_tell(tmp_path: Path) -> None:
     one = run(
-        controller=law(lambda t, q, v, r: 40 * (r.q - q) - 40 * v), spread={"mass": Uniform(9, 11)}, n=3
+        controller=pm.law(lambda t, q, v, r: 40 * (r.q - q) - 40 * v), spread={"mass": pm.Uniform(9, 11)}, n=3
     )
-    assert "<lambda>>" in Ensemble.load(saved(one, tmp_path)).scenario.controller
+    assert "<lambda>>" in pm.Ensemble.load(saved(one, tmp_path)).scenario.controller

@@ -14,21 +14,8 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    ConstantForce,
-    Ensemble,
-    InvalidArgument,
-    MobileRobot,
-    Normal,
-    SameAs,
-    Tangent,
-    Uniform,
-    ensemble,
-    plots,
-)
+import pinmobile as pm
+from pinmobile import plots
 from pinmobile.errors import UnknownName
 from pinmobile.loop import Engine
 from pinmobile.plots.parameter_curves import strip_above
@@ -37,32 +24,32 @@ from pinmobile.plots.style import percent
 
 pytestmark = pytest.mark.once
 
-ROBOT = MobileRobot(30, 1.3)
-TRUE = ComputedTorque(ROBOT)
+ROBOT = pm.MobileRobot(30, 1.3)
+TRUE = pm.ComputedTorque(ROBOT)
 SPREAD: dict[str, Any] = {
-    "mass": Uniform(24, 36),
-    "force.x": Normal(0, 0.04),
-    "com.x": Uniform(-0.05, 0.05),
+    "mass": pm.Uniform(24, 36),
+    "force.x": pm.Normal(0, 0.04),
+    "com.x": pm.Uniform(-0.05, 0.05),
 }
 
 
-def run(controller: Any, spread: dict[str, Any], n: int = 300, duration: float = 20.0) -> Ensemble:
-    circle = Tangent(Circle(3, 0.1, duration))
-    wind = [ConstantForce((0, 0, 0))]
-    return ensemble(
+def run(controller: Any, spread: dict[str, Any], n: int = 300, duration: float = 20.0) -> pm.Ensemble:
+    circle = pm.Tangent(pm.Circle(3, 0.1, duration))
+    wind = [pm.ConstantForce((0, 0, 0))]
+    return pm.ensemble(
         ROBOT, controller, circle, n=n, spread=spread, forces=wind, dt=0.1, engine=Engine.COMPILED
     )
 
 
 @pytest.fixture(scope="module")
-def pair() -> dict[str, Ensemble]:
-    return {"PD": run(PD([120, 120, 5.2], [120, 120, 5.2]), SPREAD), "computed torque": run(TRUE, SPREAD)}
+def pair() -> dict[str, pm.Ensemble]:
+    return {"PD": run(pm.PD([120, 120, 5.2], [120, 120, 5.2]), SPREAD), "computed torque": run(TRUE, SPREAD)}
 
 
 @pytest.fixture(scope="module")
-def diverging() -> Ensemble:
+def diverging() -> pm.Ensemble:
     """Of these, the lightest fifth and some more diverge: the model is more than five times too heavy."""
-    return run(TRUE, {"mass": Uniform(4, 12), "force.x": Normal(0, 0.02)})
+    return run(TRUE, {"mass": pm.Uniform(4, 12), "force.x": pm.Normal(0, 0.02)})
 
 
 def rows(figure: Figure, columns: int) -> list[list[Axes]]:
@@ -98,7 +85,7 @@ def apart(figure: Figure) -> None:
 
 
 class TestBands:
-    def test_lines_are_the_quantiles_and_bands_lie_between_them(self, pair: dict[str, Ensemble]) -> None:
+    def test_lines_are_the_quantiles_and_bands_lie_between_them(self, pair: dict[str, pm.Ensemble]) -> None:
         levels = (0.5, 0.9, 0.99)
         for row, attribute in zip(rows(plots.bands(pair), 2), ("distance", "heading"), strict=True):
             for axes, made in zip(row, pair.values(), strict=True):
@@ -115,7 +102,7 @@ class TestBands:
                     assert points[:, 1].max() == pytest.approx(top.max())
 
     def test_what_a_start_costs_is_drawn_though_errors_count_later(self) -> None:
-        aside, circle = {"start.x": Uniform(0.01, 0.02)}, Tangent(Circle(3, 0.1, 20))
+        aside, circle = {"start.x": pm.Uniform(0.01, 0.02)}, pm.Tangent(pm.Circle(3, 0.1, 20))
         options: dict[str, Any] = {
             "n": 50,
             "spread": aside,
@@ -123,7 +110,7 @@ class TestBands:
             "engine": Engine.COMPILED,
             "after": 10,
         }
-        made = ensemble(ROBOT, TRUE, circle, **options)
+        made = pm.ensemble(ROBOT, TRUE, circle, **options)
         axes = plots.bands(made).axes[0]
         assert axes.get_title(loc="left").endswith(" from 10 s on")
         line, begin = axes.lines[-2], axes.lines[-1]
@@ -131,7 +118,7 @@ class TestBands:
         assert np.asarray(line.get_ydata())[0] == pytest.approx(1e3 * made.bands(0.99).distance[0, 0])
         assert np.asarray(line.get_ydata())[0] > 100 * 1e3 * made.error_quantile().distance
 
-    def test_controllers_share_their_axes(self, pair: dict[str, Ensemble]) -> None:
+    def test_controllers_share_their_axes(self, pair: dict[str, pm.Ensemble]) -> None:
         for row, unit in zip(rows(plots.bands(pair), 2), ("[mm]", "[mrad]"), strict=True):
             assert row[0].get_ylim() == row[1].get_ylim()
             assert row[0].get_ylabel().endswith(unit)
@@ -139,8 +126,8 @@ class TestBands:
             assert row[0].get_ylim()[0] == 0
         assert [axes.get_xlabel() for axes in rows(plots.bands(pair), 2)[1]] == ["t [s]"] * 2
 
-    def test_errors_that_differ_by_orders_have_logarithmic_axes(self, pair: dict[str, Ensemble]) -> None:
-        exact = run(TRUE, {"mass": Uniform(24, 36), "controller.mass": SameAs("mass")}, n=50)
+    def test_errors_that_differ_by_orders_have_logarithmic_axes(self, pair: dict[str, pm.Ensemble]) -> None:
+        exact = run(TRUE, {"mass": pm.Uniform(24, 36), "controller.mass": pm.SameAs("mass")}, n=50)
         distance, heading = (row[0] for row in rows(plots.bands({"PD": pair["PD"], "exact": exact}), 2))
         assert distance.get_yscale() == "log"
         medians = [made.bands(0.5).distance.max() * 1e3 for made in (pair["PD"], exact)]
@@ -150,8 +137,8 @@ class TestBands:
 
     def test_on_logarithmic_axes_every_band_of_the_best_controller_is_seen(self) -> None:
         # From a start aside to a hundredth of that, and far worse ones beside it.
-        best = run(TRUE, {"start.x": Uniform(0.01, 0.02), "force.x": Uniform(0.001, 0.002)})
-        worst = run(PD(1, 1), {"mass": Uniform(24, 36)})
+        best = run(TRUE, {"start.x": pm.Uniform(0.01, 0.02), "force.x": pm.Uniform(0.001, 0.002)})
+        worst = run(pm.PD(1, 1), {"mass": pm.Uniform(24, 36)})
         figure = plots.bands({"best": best, "worst": worst})
         axes = figure.axes[0]
         assert axes.get_yscale() == "log"
@@ -160,18 +147,18 @@ class TestBands:
         assert axes.get_ylim()[0] < lines.min()
 
     def test_what_fades_to_nothing_does_not_stretch_logarithmic_axes(self) -> None:
-        slow, aside = Tangent(Circle(3, 0.001, 20)), {"start.x": Uniform(0.01, 0.02)}
-        fading = ensemble(
-            ROBOT, ComputedTorque(ROBOT, 25, 10), slow, n=300, spread=aside, dt=0.1, engine=Engine.COMPILED
+        slow, aside = pm.Tangent(pm.Circle(3, 0.001, 20)), {"start.x": pm.Uniform(0.01, 0.02)}
+        fading = pm.ensemble(
+            ROBOT, pm.ComputedTorque(ROBOT, 25, 10), slow, n=300, spread=aside, dt=0.1, engine=Engine.COMPILED
         )
-        worst = run(PD(1, 1), {"mass": Uniform(24, 36)})
+        worst = run(pm.PD(1, 1), {"mass": pm.Uniform(24, 36)})
         axes = plots.bands({"fading": fading, "worst": worst}).axes[0]
         low, high = axes.get_ylim()
         assert np.asarray(axes.lines[0].get_ydata()).min() < low
         assert 1e8 < high / low < 1e10
 
     def test_no_line_is_above_what_its_share_stays_within(
-        self, pair: dict[str, Ensemble], diverging: Ensemble
+        self, pair: dict[str, pm.Ensemble], diverging: pm.Ensemble
     ) -> None:
         levels = (0.5, 0.9, 0.99, 1.0)
         clipped = 0
@@ -187,7 +174,7 @@ class TestBands:
                 clipped += bool((drawn[resolved] < raw[resolved] * (1 - 1e-12)).any())
         assert clipped
 
-    def test_words_say_who_stays_within_what(self, pair: dict[str, Ensemble]) -> None:
+    def test_words_say_who_stays_within_what(self, pair: dict[str, pm.Ensemble]) -> None:
         top, low = rows(plots.bands(pair), 2)
         assert top[0].get_title(loc="left") == "99 % stay within 9.2 mm throughout"
         assert pair["PD"].error_quantile(0.99).distance == pytest.approx(9.2e-3, rel=0.01)
@@ -195,7 +182,7 @@ class TestBands:
         assert [note.get_text() for note in top[1].texts] == ["none of 300 diverged", "computed torque"]
         assert texts(plots.bands(pair)) == ["50 %", "90 %", "99 % of 300 robots"]
 
-    def test_a_single_ensemble_and_other_levels(self, pair: dict[str, Ensemble]) -> None:
+    def test_a_single_ensemble_and_other_levels(self, pair: dict[str, pm.Ensemble]) -> None:
         figure = plots.bands(pair["PD"], levels=(0.999, 0.25))
         assert len(figure.axes) == 2
         assert texts(figure) == ["25 %", "99.9 % of 300 robots"]
@@ -203,7 +190,7 @@ class TestBands:
         one_level = plots.bands({"a": pair["PD"], "b": run(TRUE, SPREAD, n=10)}, levels=0.5)
         assert texts(one_level) == ["50 % of the robots"]
 
-    def test_bands_of_diverged_robots_leave_at_the_top(self, diverging: Ensemble) -> None:
+    def test_bands_of_diverged_robots_leave_at_the_top(self, diverging: pm.Ensemble) -> None:
         figure = plots.bands(diverging)
         drawn(figure)
         axes = figure.axes[0]
@@ -215,20 +202,20 @@ class TestBands:
         assert median[-1] < axes.get_ylim()[1] < outermost[-1]
         assert np.isinf(diverging.bands(0.99).distance[0, -1])
 
-    def test_bad_arguments(self, pair: dict[str, Ensemble]) -> None:
+    def test_bad_arguments(self, pair: dict[str, pm.Ensemble]) -> None:
         bands: Any = plots.bands
-        with pytest.raises(InvalidArgument, match=r"^ensembles is {}, expected an Ensemble or a mapping"):
+        with pytest.raises(pm.InvalidArgument, match=r"^ensembles is {}, expected an Ensemble or a mapping"):
             bands({})
         with pytest.raises(
-            InvalidArgument,
+            pm.InvalidArgument,
             match=r"^ensembles is .*, expected an Ensemble or a mapping of labels to Ensembles$",
         ):
             bands([pair["PD"]])
-        with pytest.raises(InvalidArgument, match=r"^ensembles\['a'\] is 3, expected an Ensemble$"):
+        with pytest.raises(pm.InvalidArgument, match=r"^ensembles\['a'\] is 3, expected an Ensemble$"):
             bands({"a": 3})
-        with pytest.raises(InvalidArgument, match=r"^levels\[1\] is 2.0, expected 0 <= levels <= 1$"):
+        with pytest.raises(pm.InvalidArgument, match=r"^levels\[1\] is 2.0, expected 0 <= levels <= 1$"):
             bands(pair, levels=(0.5, 2))
-        with pytest.raises(InvalidArgument, match=r"^levels has shape \(0,\), expected \(n,\), n >= 1"):
+        with pytest.raises(pm.InvalidArgument, match=r"^levels has shape \(0,\), expected \(n,\), n >= 1"):
             bands(pair, levels=())
 
 
@@ -316,7 +303,7 @@ class TestHeatmap:
     )
     def test_bad_arguments(self, changes: dict[str, Any], message: str) -> None:
         options: dict[str, Any] = {"values": VALUES, "x": GAINS, "y": SPEEDS, "label": "error [mm]"} | changes
-        with pytest.raises(InvalidArgument, match=message):
+        with pytest.raises(pm.InvalidArgument, match=message):
             plots.heatmap(**options)
 
 
@@ -367,26 +354,26 @@ class TestCurves:
     )
     def test_wrong_arguments(self, changes: dict[str, Any], message: str) -> None:
         options: dict[str, Any] = {"values": self.ROWS, "x": self.X, "label": "error [mm]", **changes}
-        with pytest.raises(InvalidArgument, match=message):
+        with pytest.raises(pm.InvalidArgument, match=message):
             plots.curves(**options)
 
 
 class TestDrivers:
-    def test_the_title_names_what_drives_the_worst(self, pair: dict[str, Ensemble]) -> None:
+    def test_the_title_names_what_drives_the_worst(self, pair: dict[str, pm.Ensemble]) -> None:
         made = pair["computed torque"]
         assert plots.drivers(made).texts[0].get_text() == "mass drives the worst 5 % most, then force.x"
         title = plots.drivers(pair["PD"], share=0.2).texts[0].get_text()
         assert title == "mass drives the worst 20 % most"
         assert plots.drivers(made, title="Circle").texts[0].get_text() == "Circle"
 
-    def test_the_most_different_comes_first(self, pair: dict[str, Ensemble]) -> None:
+    def test_the_most_different_comes_first(self, pair: dict[str, pm.Ensemble]) -> None:
         *panels, scatter = plots.drivers(pair["computed torque"]).axes
         assert [axes.get_xlabel() for axes in panels] == ["mass [kg]", "force.x [N]", "com.x [m]"]
         assert scatter.get_xlabel() == "mass [kg]"
         assert scatter.get_ylabel() == "largest distance from the desired position [mm]"
         assert panels[2].get_title(loc="left") == "plays no part"
 
-    def test_words_say_where_the_worst_are(self, pair: dict[str, Ensemble]) -> None:
+    def test_words_say_where_the_worst_are(self, pair: dict[str, pm.Ensemble]) -> None:
         for label, outside in (("computed torque", True), ("PD", False)):
             made = pair[label]
             worst = worst_share(made, 0.1)
@@ -399,7 +386,7 @@ class TestDrivers:
             assert title == f"{first.place}:\n{shares[0]} of the worst, {shares[1]} of the others"
         assert first.place == f"above {first.low:.3g} kg"
 
-    def test_where_the_worst_are_is_shaded(self, pair: dict[str, Ensemble]) -> None:
+    def test_where_the_worst_are_is_shaded(self, pair: dict[str, pm.Ensemble]) -> None:
         for label in pair:
             made = pair[label]
             first = causes(made, worst_share(made, 0.1))[0]
@@ -409,7 +396,7 @@ class TestDrivers:
             found = [(p.get_x(), p.get_x() + p.get_width()) for p in shaded if isinstance(p, Rectangle)]
             np.testing.assert_allclose(found, places)
 
-    def test_places_in_words(self, pair: dict[str, Ensemble]) -> None:
+    def test_places_in_words(self, pair: dict[str, pm.Ensemble]) -> None:
         first = causes(pair["PD"], worst_share(pair["PD"], 0.1))[0]
         for low, high, outside, place in (
             (1.0, 2.0, False, "from 1 to 2 kg"),
@@ -422,7 +409,7 @@ class TestDrivers:
         edge = first._replace(low=1.0, high=2.0, outside=False).holds(np.array([1.0, 2.0]))
         assert edge.tolist() == [False, True]
 
-    def test_the_dots_are_the_robots(self, pair: dict[str, Ensemble]) -> None:
+    def test_the_dots_are_the_robots(self, pair: dict[str, pm.Ensemble]) -> None:
         made = pair["computed torque"]
         scatter = plots.drivers(made, share=0.1).axes[-1]
         dots = np.concatenate([np.asarray(line.get_xydata()) for line in scatter.lines])
@@ -431,7 +418,7 @@ class TestDrivers:
         assert [len(np.asarray(line.get_xdata())) for line in scatter.lines] == [270, 30]
 
     def test_the_worst_may_be_those_of_the_heading(self) -> None:
-        made = run(TRUE, {"force.x": Normal(0, 0.04), "force.moment": Normal(0, 0.04)})
+        made = run(TRUE, {"force.x": pm.Normal(0, 0.04), "force.moment": pm.Normal(0, 0.04)})
         assert plots.drivers(made).texts[0].get_text() == "force.x drives the worst 5 % most"
         figure = plots.drivers(made, by="heading")
         assert figure.texts[0].get_text() == "force.moment drives the worst 5 % of headings most"
@@ -444,7 +431,7 @@ class TestDrivers:
         with pytest.raises(UnknownName, match="unknown error 'z', available: distance, heading, x, y, psi"):
             plots.drivers(made, by="z")
 
-    def test_diverged_robots_are_the_worst(self, diverging: Ensemble) -> None:
+    def test_diverged_robots_are_the_worst(self, diverging: pm.Ensemble) -> None:
         figure = plots.drivers(diverging, share=0.1)
         drawn(figure)
         assert figure.texts[0].get_text() == "mass drives the worst 10 % most"
@@ -460,7 +447,7 @@ class TestDrivers:
     def test_crosses_of_diverged_robots_stand_at_their_own_word_above_all_numbers(
         self, heaviest: float, scale: str
     ) -> None:
-        figure = plots.drivers(run(TRUE, {"mass": Uniform(4, heaviest), "force.x": Normal(0, 0.02)}))
+        figure = plots.drivers(run(TRUE, {"mass": pm.Uniform(4, heaviest), "force.x": pm.Normal(0, 0.02)}))
         axes = figure.axes[-1]
         assert axes.get_yscale() == scale
         heights = {float(y) for line in axes.lines[2:] for y in np.ravel(line.get_ydata())}
@@ -472,7 +459,7 @@ class TestDrivers:
         apart(figure)
 
     def test_where_all_diverged_no_number_stands_at_the_axis(self) -> None:
-        figure = plots.drivers(run(TRUE, {"mass": Uniform(2, 5)}))
+        figure = plots.drivers(run(TRUE, {"mass": pm.Uniform(2, 5)}))
         assert [label.get_text() for label in figure.axes[-1].get_yticklabels()] == ["diverged"]
         assert not len(figure.axes[-1].get_yticks(minor=True))
         assert len(np.ravel(figure.axes[-1].lines[-1].get_xdata())) == 15
@@ -495,31 +482,33 @@ class TestDrivers:
 
     def test_of_a_multiple_the_factor_counts(self) -> None:
         spread = {
-            "mass": Uniform(20, 40),
-            "controller.mass": SameAs("mass", Uniform(0.8, 1.2)),
+            "mass": pm.Uniform(20, 40),
+            "controller.mass": pm.SameAs("mass", pm.Uniform(0.8, 1.2)),
             "com.x": 0.01,
         }
-        made = run(TRUE, spread | {"controller.yaw_inertia": SameAs("yaw_inertia", 1.1)})
+        made = run(TRUE, spread | {"controller.yaw_inertia": pm.SameAs("yaw_inertia", 1.1)})
         figure = plots.drivers(made)
         assert figure.texts[0].get_text() == "controller.mass / mass drives the worst 5 % most"
         assert [axes.get_xlabel() for axes in figure.axes[:-1]] == ["controller.mass / mass", "mass [kg]"]
 
-    def test_nothing_may_drive_them(self, pair: dict[str, Ensemble]) -> None:
-        made = run(TRUE, {"yaw_inertia": Uniform(1, 2)}, n=100)
+    def test_nothing_may_drive_them(self, pair: dict[str, pm.Ensemble]) -> None:
+        made = run(TRUE, {"yaw_inertia": pm.Uniform(1, 2)}, n=100)
         assert plots.drivers(made).texts[0].get_text() == "Nothing that was spread drives the worst 5 %"
 
-    def test_bad_arguments(self, pair: dict[str, Ensemble]) -> None:
+    def test_bad_arguments(self, pair: dict[str, pm.Ensemble]) -> None:
         drivers: Any = plots.drivers
-        with pytest.raises(InvalidArgument, match=r"^ensemble is a dict, expected an Ensemble$"):
+        with pytest.raises(pm.InvalidArgument, match=r"^ensemble is a dict, expected an Ensemble$"):
             drivers(pair)
         for share in (0, 1, 1e-4, -0.5):
-            with pytest.raises(InvalidArgument, match=rf"^share is {float(share)}, -?\d+ of 300 robots; exp"):
+            with pytest.raises(
+                pm.InvalidArgument, match=rf"^share is {float(share)}, -?\d+ of 300 robots; exp"
+            ):
                 drivers(pair["PD"], share=share)
-        with pytest.raises(InvalidArgument, match=r"^ensemble has robots that differ in no parameter"):
+        with pytest.raises(pm.InvalidArgument, match=r"^ensemble has robots that differ in no parameter"):
             drivers(run(TRUE, {"mass": 31}, n=20))
 
 
-def figures(pair: dict[str, Ensemble]) -> list[Callable[[], Figure]]:
+def figures(pair: dict[str, pm.Ensemble]) -> list[Callable[[], Figure]]:
     return [
         lambda: plots.bands(pair),
         lambda: plots.drivers(pair["computed torque"]),
@@ -529,13 +518,13 @@ def figures(pair: dict[str, Ensemble]) -> list[Callable[[], Figure]]:
 
 
 class TestFigures:
-    def test_nothing_overlaps(self, pair: dict[str, Ensemble]) -> None:
+    def test_nothing_overlaps(self, pair: dict[str, pm.Ensemble]) -> None:
         for draw in figures(pair):
             figure = draw()
             apart(figure)
             assert 400 < figure.bbox.width <= 1100
 
-    def test_pyplot_and_settings_are_left_alone(self, pair: dict[str, Ensemble]) -> None:
+    def test_pyplot_and_settings_are_left_alone(self, pair: dict[str, pm.Ensemble]) -> None:
         before, loaded = dict(matplotlib.rcParams), "matplotlib.pyplot" in sys.modules
         for draw in figures(pair):
             figure: Any = draw()
@@ -546,6 +535,8 @@ class TestFigures:
 
 def test_many_drivers_fit_on_a_page() -> None:
     ends = {"mass": (20, 40), "kp": (3, 5), "kd": (3, 5), "com.x": (-0.1, 0.1), "com.y": (-0.1, 0.1)}
-    spread = {name: Uniform(*each) for name, each in ends.items()} | {"yaw_inertia": Uniform(1, 2)}
-    made = ensemble(ROBOT, PD(4, 4), Tangent(Circle(1, 0.5, 1)), dt=0.05, n=200, seed=1, spread=spread)
+    spread = {name: pm.Uniform(*each) for name, each in ends.items()} | {"yaw_inertia": pm.Uniform(1, 2)}
+    made = pm.ensemble(
+        ROBOT, pm.PD(4, 4), pm.Tangent(pm.Circle(1, 0.5, 1)), dt=0.05, n=200, seed=1, spread=spread
+    )
     assert plots.drivers(made).get_size_inches()[0] == 9.0

@@ -8,36 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    ConstantForce,
-    CubicVia,
-    FixedHeading,
-    Hold,
-    InputSaturation,
-    InvalidArgument,
-    JointFriction,
-    Line,
-    Lissajous,
-    MeasurementDelay,
-    MeasurementNoise,
-    MobileRobot,
-    Normal,
-    Polyline,
-    RestToRest,
-    RollingResistance,
-    SameAs,
-    Scenario,
-    Spline,
-    Tangent,
-    Uniform,
-    ViscousFriction,
-    ensemble,
-    law,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.compiled import BINS
 from pinmobile.controllers import planar_difference
 from pinmobile.errors import UnknownName
@@ -46,8 +17,8 @@ from pinmobile.loop import TRUE_MODEL, ErrorQuantile, run_scenario
 from pinmobile.loop._counts import bins_of, edges, quantiles
 from pinmobile.plant import Context
 
-ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
-TRAJECTORY = Tangent(Circle(3.0, 0.1, 60.0))
+ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.02))
+TRAJECTORY = pm.Tangent(pm.Circle(3.0, 0.1, 60.0))
 WITH_ARM = ROBOT.mount("ur5")
 
 
@@ -62,21 +33,21 @@ class Own:
         return a
 
 
-def made(**changes: Any) -> Scenario:
+def made(**changes: Any) -> pm.Scenario:
     chosen: dict[str, Any] = {
         "robot": ROBOT,
-        "controller": ComputedTorque(ROBOT),
+        "controller": pm.ComputedTorque(ROBOT),
         "trajectory": TRAJECTORY,
         "n": 1000,
         "spread": {},
         "dt": 0.1,
         "duration": 1.0,
     }
-    return Scenario(**(chosen | changes))
+    return pm.Scenario(**(chosen | changes))
 
 
 def test_draws_follow_their_distributions() -> None:
-    spread = {"mass": Uniform(20, 40), "com.x": Normal(0.1, 0.02), "kp": stats.gamma(4), "com.y": 0.03}
+    spread = {"mass": pm.Uniform(20, 40), "com.x": pm.Normal(0.1, 0.02), "kp": stats.gamma(4), "com.y": 0.03}
     draws = made(n=20_000, spread=spread).draws()
     # The largest deviation of a sample of n from its distribution exceeds 1.95 / sqrt(n) once in 1000
     # (Smirnov); the seed is fixed.
@@ -91,13 +62,16 @@ def test_draws_follow_their_distributions() -> None:
 
 
 def test_robots_far_apart_are_drawn_by_themselves() -> None:
-    masses = made(n=20_000, spread={"mass": Uniform(20, 40)}).draws()["mass"]
+    masses = made(n=20_000, spread={"mass": pm.Uniform(20, 40)}).draws()["mass"]
     assert len(np.unique(masses)) == 20_000
 
 
 def test_factors_of_two_parameters_are_drawn_by_themselves() -> None:
-    off = Uniform(0.8, 1.2)
-    spread = {"controller.mass": SameAs("mass", off), "controller.yaw_inertia": SameAs("yaw_inertia", off)}
+    off = pm.Uniform(0.8, 1.2)
+    spread = {
+        "controller.mass": pm.SameAs("mass", off),
+        "controller.yaw_inertia": pm.SameAs("yaw_inertia", off),
+    }
     mass, inertia = made(spread=spread).draws().values()
     # Of independent ones, the correlation of a sample of n is within 4 / sqrt(n) of zero.
     assert abs(np.corrcoef(mass, inertia)[0, 1]) < 4 / np.sqrt(1000)
@@ -105,7 +79,7 @@ def test_factors_of_two_parameters_are_drawn_by_themselves() -> None:
 
 def test_an_array_that_changes_later_changes_nothing() -> None:
     masses = np.linspace(20, 40, 5)
-    scenario = made(n=5, spread={"mass": masses, "com.x": SameAs("mass", masses)})
+    scenario = made(n=5, spread={"mass": masses, "com.x": pm.SameAs("mass", masses)})
     before = {name: column.copy() for name, column in scenario.draws().items()}
     masses[:] = 1.0
     np.testing.assert_equal(scenario.draws(), before)
@@ -120,40 +94,40 @@ def test_arrays_give_each_robot_its_number() -> None:
 
 
 def test_same_makes_the_controller_know_what_it_is_told() -> None:
-    truth = {"mass": Uniform(20, 40), "com.x": Normal(0.1, 0.05)}
+    truth = {"mass": pm.Uniform(20, 40), "com.x": pm.Normal(0.1, 0.05)}
     told, nominal = (
         run_scenario(made(spread=spread, duration=60.0)).error_quantile(0.99).distance
         for spread in ({**truth, **TRUE_MODEL}, truth)
     )
     # With the true model what is left is the held force: that of the lecture's table, 3.5e-5 m on each axis.
     assert told < 1e-4 < nominal
-    off = made(spread={"controller.mass": SameAs("mass", Uniform(0.8, 1.2))}).draws()["controller.mass"]
+    off = made(spread={"controller.mass": pm.SameAs("mass", pm.Uniform(0.8, 1.2))}).draws()["controller.mass"]
     assert 24 <= off.min() < 25
     assert 35 < off.max() <= 36
 
 
 def test_a_gain_may_be_a_multiple_of_one_that_is_not_spread() -> None:
-    spread = {"kd": SameAs("kp", 2.0)}
-    assert made(n=2, controller=PD(5, 1), spread=spread).draws()["kd"].tolist() == [10, 10]
-    several = made(n=2, controller=PD((5, 6, 7), 1), spread={"kp.y": SameAs("kp.psi", 3.0)})
+    spread = {"kd": pm.SameAs("kp", 2.0)}
+    assert made(n=2, controller=pm.PD(5, 1), spread=spread).draws()["kd"].tolist() == [10, 10]
+    several = made(n=2, controller=pm.PD((5, 6, 7), 1), spread={"kp.y": pm.SameAs("kp.psi", 3.0)})
     assert several.draws()["kp.y"].tolist() == [21, 21]
     with pytest.raises(
-        InvalidArgument, match=r"refers to 'controller\.kp', which has several numbers, expected one"
+        pm.InvalidArgument, match=r"refers to 'controller\.kp', which has several numbers, expected one"
     ):
-        made(n=2, controller=PD((5, 6, 7), 1), spread=spread).draws()
+        made(n=2, controller=pm.PD((5, 6, 7), 1), spread=spread).draws()
 
 
 def test_a_member_is_the_robot_that_was_drawn() -> None:
     spread = {
-        "mass": Uniform(20, 40),
-        "controller.mass": SameAs("mass", 1.1),
+        "mass": pm.Uniform(20, 40),
+        "controller.mass": pm.SameAs("mass", 1.1),
         "kp": 5.0,
         "kd.psi": 7.0,
         "start.y": 0.3,
-        "force.x": Uniform(1, 2),
+        "force.x": pm.Uniform(1, 2),
         "coefficients.yaw": 0.3,
     }
-    forces = ConstantForce((0, 0, 0)), ViscousFriction((0, 0, 0))
+    forces = pm.ConstantForce((0, 0, 0)), pm.ViscousFriction((0, 0, 0))
     run = run_scenario(made(spread=spread, n=8, forces=forces))
     member = run.member(7)
     controller: Any = member.controller
@@ -170,11 +144,11 @@ def test_a_member_is_the_robot_that_was_drawn() -> None:
 FORCED = (
     SinusoidalForce((9, 8, 7), 0.5, 0.1),
     NoiseForce((6, 5, 4), 1.0, seed=0),
-    RollingResistance((1, 1, 0.1), 0.05),
-    JointFriction(0.1, 0.1, 0.05),
+    pm.RollingResistance((1, 1, 0.1), 0.05),
+    pm.JointFriction(0.1, 0.1, 0.05),
     PayloadForce(1.0, (0.1, 0.1), 0.5, 0.1),
-    ConstantForce((1, 1, 0.1), 0.1, 0.8),
-    ViscousFriction((1, 1, 0.1)),
+    pm.ConstantForce((1, 1, 0.1), 0.1, 0.8),
+    pm.ViscousFriction((1, 1, 0.1)),
 )
 
 
@@ -222,7 +196,7 @@ def test_a_start_is_beside_the_trajectorys(name: str, place: int) -> None:
 def test_a_gain_of_one_coordinate_leaves_the_others(name: str, place: int) -> None:
     coupled = np.array([[4.0, 1, 0], [0, 5, 0], [0, 2, 6]])
     controller: Any = (
-        run_scenario(made(n=2, spread={name: 9.0}, controller=PD(coupled, 4))).member(1).controller
+        run_scenario(made(n=2, spread={name: 9.0}, controller=pm.PD(coupled, 4))).member(1).controller
     )
     expected = coupled.copy()
     expected[place, place] = 9.0
@@ -230,7 +204,7 @@ def test_a_gain_of_one_coordinate_leaves_the_others(name: str, place: int) -> No
 
 
 def test_a_member_has_all_else_of_its_scenario() -> None:
-    robot = MobileRobot(30, 1.3, com=(0.1, 0.02, 0.4), size=(1, 2, 3))
+    robot = pm.MobileRobot(30, 1.3, com=(0.1, 0.02, 0.4), size=(1, 2, 3))
     scenario = made(n=2, robot=robot, spread={"com.y": 0.05}, limit=7.0, substeps=3, duration=0.5)
     member = run_scenario(scenario).member(1)
     assert (member.robot.mass, member.robot.com, member.robot.size) == (30, (0.1, 0.05, 0.4), (1, 2, 3))
@@ -240,7 +214,7 @@ def test_a_member_has_all_else_of_its_scenario() -> None:
 
 
 def test_two_noises_of_one_robot_are_not_the_same() -> None:
-    noisy = MeasurementNoise(MeasurementNoise(PD(40, 40), 1e-2, 0.0, seed=0), 1e-2, 0.0, seed=0)
+    noisy = pm.MeasurementNoise(pm.MeasurementNoise(pm.PD(40, 40), 1e-2, 0.0, seed=0), 1e-2, 0.0, seed=0)
     noise = NoiseForce((1, 1, 1), 1.0, seed=0)
     member = run_scenario(made(n=2, controller=noisy, forces=(noise, noise))).member(1)
     one, other = (force.phases for force in member.options["forces"])
@@ -251,7 +225,7 @@ def test_two_noises_of_one_robot_are_not_the_same() -> None:
 
 
 def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
-    noisy = MeasurementNoise(PD(40, 40), 1e-2, 0.0, seed=0)
+    noisy = pm.MeasurementNoise(pm.PD(40, 40), 1e-2, 0.0, seed=0)
     noise: dict[str, Any] = {"forces": (NoiseForce((1, 1, 1), 1.0, seed=0),)}
     for changes in ({"controller": noisy}, noise, {"controller": noisy, **noise}):
         scenario = made(n=3, duration=5.0, **changes)
@@ -262,21 +236,21 @@ def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
     assert not np.array_equal(*phases)
 
 
-VIA = CubicVia((0, 0), (0.2, 0.2), (0, 0.4), 1.0, 2.0, (0, 0))
-POLYLINE = Polyline([(0, 0), (1, 0), (1, 1)], 0.2, 2.0, acceleration=9.0)
+VIA = pm.CubicVia((0, 0), (0.2, 0.2), (0, 0.4), 1.0, 2.0, (0, 0))
+POLYLINE = pm.Polyline([(0, 0), (1, 0), (1, 1)], 0.2, 2.0, acceleration=9.0)
 MOTIONS: list[Any] = [
     TRAJECTORY,
-    FixedHeading(VIA, 0.3),
-    Tangent(VIA, 0.5),
-    FixedHeading(Hold([0, 0], 2.0), 0.3),
-    FixedHeading(Lissajous(1, 2, 0.5, 1.0, 2.0), 0.3),
-    FixedHeading(RestToRest([0, 0], [1, 1], 2.0), 0.3),
-    FixedHeading(Circle(3.0, 0.1, 2.0, (0.5, -1.0), phase=0.3), 0.3),
-    FixedHeading(Circle(3.0, 0.1, 2.0, (0.5, -1.0), heading=0.7), 0.3),
-    FixedHeading(Line((0, 0), (1, 1), 2.0), 0.3),
-    FixedHeading(Circle(3.0, 0.1, 2.0).moved(1.0, 2.0, 0.5), 0.3),
-    FixedHeading(Spline([(0, 0), (1, 1), (2, 0)], [0, 1, 2]), 0.3),
-    FixedHeading(POLYLINE, 0.3),
+    pm.FixedHeading(VIA, 0.3),
+    pm.Tangent(VIA, 0.5),
+    pm.FixedHeading(pm.Hold([0, 0], 2.0), 0.3),
+    pm.FixedHeading(pm.Lissajous(1, 2, 0.5, 1.0, 2.0), 0.3),
+    pm.FixedHeading(pm.RestToRest([0, 0], [1, 1], 2.0), 0.3),
+    pm.FixedHeading(pm.Circle(3.0, 0.1, 2.0, (0.5, -1.0), phase=0.3), 0.3),
+    pm.FixedHeading(pm.Circle(3.0, 0.1, 2.0, (0.5, -1.0), heading=0.7), 0.3),
+    pm.FixedHeading(pm.Line((0, 0), (1, 1), 2.0), 0.3),
+    pm.FixedHeading(pm.Circle(3.0, 0.1, 2.0).moved(1.0, 2.0, 0.5), 0.3),
+    pm.FixedHeading(pm.Spline([(0, 0), (1, 1), (2, 0)], [0, 1, 2]), 0.3),
+    pm.FixedHeading(POLYLINE, 0.3),
 ]
 RIGID = {  # where a whole motion lies, start included
     f"trajectory.path.{name}"
@@ -300,91 +274,91 @@ def test_every_number_of_a_trajectory_can_be_spread_and_matters() -> None:
 @pytest.mark.parametrize(
     ("changes", "error", "text"),
     [
-        ({"n": -3}, InvalidArgument, "n is -3, expected a whole number >= 1"),
-        ({"n": 2.5}, InvalidArgument, "n is 2.5, expected a whole number >= 1"),
-        ({"n": 10**11}, InvalidArgument, "expected at most 100,000,000, whose records take 15 GB"),
-        ({"n": True}, InvalidArgument, "n is True, expected a whole number >= 1"),
-        ({"seed": None}, InvalidArgument, "seed is None, expected a whole number >= 0"),
+        ({"n": -3}, pm.InvalidArgument, "n is -3, expected a whole number >= 1"),
+        ({"n": 2.5}, pm.InvalidArgument, "n is 2.5, expected a whole number >= 1"),
+        ({"n": 10**11}, pm.InvalidArgument, "expected at most 100,000,000, whose records take 15 GB"),
+        ({"n": True}, pm.InvalidArgument, "n is True, expected a whole number >= 1"),
+        ({"seed": None}, pm.InvalidArgument, "seed is None, expected a whole number >= 0"),
         (
-            {"controller": InputSaturation(PD(4, 4), [1, 2])},
-            InvalidArgument,
+            {"controller": pm.InputSaturation(pm.PD(4, 4), [1, 2])},
+            pm.InvalidArgument,
             "limits has shape (2,), expected () or (..., 3)",
         ),
         (
-            {"controller": MeasurementNoise(PD(4, 4), 0, [1, 2], seed=0)},
-            InvalidArgument,
+            {"controller": pm.MeasurementNoise(pm.PD(4, 4), 0, [1, 2], seed=0)},
+            pm.InvalidArgument,
             "std_v has shape (2,), expected () or (..., 3)",
         ),
         (
             {"robot": WITH_ARM},
-            InvalidArgument,
+            pm.InvalidArgument,
             "q0 has shape (9,), expected (..., 3); the reference has the first 3 of 9",
         ),
         (
-            {"controller": ComputedTorque(WITH_ARM)},
-            InvalidArgument,
+            {"controller": pm.ComputedTorque(WITH_ARM)},
+            pm.InvalidArgument,
             ", which has 9 coordinates, expected 3, as the plant has",
         ),
         (
-            {"controller": ComputedTorque(Own()), "spread": {"controller.mass": 3}},
+            {"controller": pm.ComputedTorque(Own()), "spread": {"controller.mass": 3}},
             UnknownName,
             "unknown parameter in spread 'controller.mass', available: mass, ",
         ),
-        ({"seed": -1}, InvalidArgument, "seed is -1, expected a whole number >= 0"),
-        ({"robot": "me"}, InvalidArgument, "plant is 'me', expected something with 'forward_dynamics'"),
-        ({"spread": 3}, InvalidArgument, "spread is 3, expected a mapping of parameters to distributions"),
+        ({"seed": -1}, pm.InvalidArgument, "seed is -1, expected a whole number >= 0"),
+        ({"robot": "me"}, pm.InvalidArgument, "plant is 'me', expected something with 'forward_dynamics'"),
+        ({"spread": 3}, pm.InvalidArgument, "spread is 3, expected a mapping of parameters to distributions"),
         (
             {"spread": {"masss": 3}},
             UnknownName,
             "unknown parameter in spread 'masss', did you mean 'mass'? available: mass, ",
         ),
-        ({"spread": {"mass": "3"}}, InvalidArgument, "spread['mass'] is '3', expected real numbers"),
+        ({"spread": {"mass": "3"}}, pm.InvalidArgument, "spread['mass'] is '3', expected real numbers"),
         (
             {"spread": {"mass": np.ones(3)}},
-            InvalidArgument,
+            pm.InvalidArgument,
             "spread['mass'] has shape (3,), expected () or (1000,)",
         ),
         (
-            {"spread": {"mass": Uniform}},
-            InvalidArgument,
+            {"spread": {"mass": pm.Uniform}},
+            pm.InvalidArgument,
             "spread['mass'] is the class Uniform, expected one of it",
         ),
         (
-            {"spread": {"mass": SameAs("mas")}},
+            {"spread": {"mass": pm.SameAs("mas")}},
             UnknownName,
             "unknown parameter in spread['mass'] 'mas', did you mean 'mass'",
         ),
         (
-            {"spread": {"mass": SameAs("controller.mass"), "controller.mass": SameAs("mass")}},
-            InvalidArgument,
+            {"spread": {"mass": pm.SameAs("controller.mass"), "controller.mass": pm.SameAs("mass")}},
+            pm.InvalidArgument,
             "spread is circular (mass, controller.mass, mass): give one its own distribution",
         ),
         (
-            {"controller": PD(4, 4), "spread": {"controller.mass": 3}},
+            {"controller": pm.PD(4, 4), "spread": {"controller.mass": 3}},
             UnknownName,
             "unknown parameter in spread 'controller.mass', available: mass, yaw_inertia, ",
         ),
         (
-            {"controller": law(lambda t, q, v, reference: -q), "spread": {"kp": 3}},
+            {"controller": pm.law(lambda t, q, v, reference: -q), "spread": {"kp": 3}},
             UnknownName,
             "unknown parameter in spread 'kp', available: mass, yaw_inertia, ",
         ),
         (
-            {"spread": {"force.x": 3}, "forces": [ConstantForce((1, 0, 0))] * 2},
-            InvalidArgument,
+            {"spread": {"force.x": 3}, "forces": [pm.ConstantForce((1, 0, 0))] * 2},
+            pm.InvalidArgument,
             "spread has 'force.x', which forces.0.force.x and forces.1.force.x have, expected one of them: "
             "'forces.0.force.x' or 'forces.1.force.x'",
         ),
         ({"spread": {"force.x": 3}}, UnknownName, "unknown parameter in spread 'force.x'"),
-        ({"after": 1.1}, InvalidArgument, "after is 1.1 s, expected 0 <= after <= 1 s"),
-        ({"after": -0.1}, InvalidArgument, "after is -0.1 s, expected 0 <= after <= 1 s"),
-        ({"every": 0}, InvalidArgument, "every is 0, expected a whole number >= 1"),
+        ({"after": 1.1}, pm.InvalidArgument, "after is 1.1 s, expected 0 <= after <= 1 s"),
+        ({"after": -0.1}, pm.InvalidArgument, "after is -0.1 s, expected 0 <= after <= 1 s"),
+        ({"every": 0}, pm.InvalidArgument, "every is 0, expected a whole number >= 1"),
         (
             {"dt": 0.3, "duration": 1.0},
-            InvalidArgument,
+            pm.InvalidArgument,
             "duration is 1.0 s, expected a whole number of steps dt = 0.3 s",
         ),
-        ({"controller": PD}, InvalidArgument, "expected a controller"),
+        ({"controller": pm.PD}, pm.InvalidArgument, "expected a controller"),
     ],
 )
 def test_a_scenario_checks_itself(changes: Any, error: Any, text: str) -> None:
@@ -395,28 +369,28 @@ def test_a_scenario_checks_itself(changes: Any, error: Any, text: str) -> None:
 
 @pytest.mark.parametrize("name", ["samples", "controller.samples", "controller.controller.samples"])
 def test_what_all_robots_share_is_named_where_a_spread_asks_for_it(name: str) -> None:
-    delayed = MeasurementDelay(PD(4, 4), 3)
-    late = MeasurementDelay(delayed, 0) if name.count(".") == 2 else delayed
+    delayed = pm.MeasurementDelay(pm.PD(4, 4), 3)
+    late = pm.MeasurementDelay(delayed, 0) if name.count(".") == 2 else delayed
     words = (
         f"spread has {name!r}, a whole number of a MeasurementDelay, which all robots of an ensemble share"
     )
-    with pytest.raises(InvalidArgument, match=f"^{re.escape(words)}"):
-        made(controller=late, spread={name: Uniform(1, 4)})
+    with pytest.raises(pm.InvalidArgument, match=f"^{re.escape(words)}"):
+        made(controller=late, spread={name: pm.Uniform(1, 4)})
 
 
 @pytest.mark.parametrize(
     ("spread", "text"),
     [
         (
-            {"mass": Normal(5, 5)},
+            {"mass": pm.Normal(5, 5)},
             "kg as the mass of the robot, and 172 of 1000 draws (17.20%) are impossible; expected > 0",
         ),
         (
-            {"yaw_inertia": Normal(1.0, 0.4)},
+            {"yaw_inertia": pm.Normal(1.0, 0.4)},
             "kg m^2 as the inertia of the robot about the vertical through its centre of mass, and ",
         ),
         (
-            {"controller.mass": SameAs("mass", -1.0)},
+            {"controller.mass": pm.SameAs("mass", -1.0)},
             "spread['controller.mass'] gives -30 kg as the mass of the robot",
         ),
         (
@@ -426,8 +400,8 @@ def test_what_all_robots_share_is_named_where_a_spread_asks_for_it(name: str) ->
     ],
 )
 def test_impossible_draws_are_refused_with_their_share(spread: Any, text: str) -> None:
-    with pytest.raises(InvalidArgument) as caught:
-        run_scenario(made(spread=spread, forces=[ViscousFriction((0, 0, 0))]))
+    with pytest.raises(pm.InvalidArgument) as caught:
+        run_scenario(made(spread=spread, forces=[pm.ViscousFriction((0, 0, 0))]))
     assert text in str(caught.value)
 
 
@@ -473,7 +447,7 @@ def test_what_must_not_be_negative_is_refused_below_zero_and_what_must_be_positi
         if name in refused:
             sign = ">=" if name in MAY_VANISH else ">"
             with pytest.raises(
-                InvalidArgument, match=rf"spread\['{re.escape(name)}'\] gives .*; expected {sign} 0$"
+                pm.InvalidArgument, match=rf"spread\['{re.escape(name)}'\] gives .*; expected {sign} 0$"
             ):
                 scenario.draws()
         else:
@@ -482,14 +456,16 @@ def test_what_must_not_be_negative_is_refused_below_zero_and_what_must_be_positi
 
 @pytest.mark.parametrize("name", sorted(POSITIVE | MAY_VANISH))
 def test_a_distribution_may_begin_at_zero(name: str) -> None:
-    scenario = made(spread={name: Uniform(0, 30)}, forces=FORCED, duration=2.0, trajectory=motion_with(name))
+    scenario = made(
+        spread={name: pm.Uniform(0, 30)}, forces=FORCED, duration=2.0, trajectory=motion_with(name)
+    )
     assert (scenario.draws()[name] > 0).all()
 
 
 @pytest.mark.parametrize(
     ("source", "text"),
     [
-        (Uniform(-1, 30), "reaches -1 kg as the mass of the robot, and 3.23% of its draws are impossible"),
+        (pm.Uniform(-1, 30), "reaches -1 kg as the mass of the robot, and 3.23% of its draws are impossible"),
         (
             stats.uniform(-5, 20),
             "reaches -5 kg as the mass of the robot, and 25.00% of its draws",
@@ -497,7 +473,7 @@ def test_a_distribution_may_begin_at_zero(name: str) -> None:
     ],
 )
 def test_a_distribution_that_reaches_what_is_impossible_is_refused(source: Any, text: str) -> None:
-    with pytest.raises(InvalidArgument) as caught:
+    with pytest.raises(pm.InvalidArgument) as caught:
         made(n=1, spread={"mass": source})
     assert text in str(caught.value)
 
@@ -510,10 +486,10 @@ def test_a_distribution_that_gives_no_numbers_is_refused() -> None:
         def sample(self, generator: Any, size: int) -> Any:
             return self.values
 
-    with pytest.raises(InvalidArgument, match=r"draws has shape \(2,\), expected \(4096,\)"):
+    with pytest.raises(pm.InvalidArgument, match=r"draws has shape \(2,\), expected \(4096,\)"):
         run_scenario(made(spread={"mass": Broken([1.0, 2.0])}))
     with pytest.raises(
-        InvalidArgument, match=r"what spread\['mass'\] draws is nan, expected a finite number"
+        pm.InvalidArgument, match=r"what spread\['mass'\] draws is nan, expected a finite number"
     ):
         run_scenario(made(spread={"mass": Broken(np.nan)}))
 
@@ -521,14 +497,14 @@ def test_a_distribution_that_gives_no_numbers_is_refused() -> None:
 @pytest.mark.parametrize(
     ("make", "text"),
     [
-        (lambda: Uniform(2, 1), "low is 2.0, expected at most high, 1.0"),
-        (lambda: Uniform(np.nan, 1), "low is nan, expected a finite number"),
-        (lambda: Normal(0, -1), "std is -1.0, expected >= 0"),
-        (lambda: SameAs(3), "name is 3, expected the name of a parameter"),  # type: ignore[arg-type]
+        (lambda: pm.Uniform(2, 1), "low is 2.0, expected at most high, 1.0"),
+        (lambda: pm.Uniform(np.nan, 1), "low is nan, expected a finite number"),
+        (lambda: pm.Normal(0, -1), "std is -1.0, expected >= 0"),
+        (lambda: pm.SameAs(3), "name is 3, expected the name of a parameter"),  # type: ignore[arg-type]
     ],
 )
 def test_distributions_check_themselves(make: Any, text: str) -> None:
-    with pytest.raises(InvalidArgument, match=text):
+    with pytest.raises(pm.InvalidArgument, match=text):
         make()
 
 
@@ -546,20 +522,20 @@ def test_distributions_check_themselves(make: Any, text: str) -> None:
     ],
 )
 def test_options_of_a_run_are_checked_before_it(options: Any, text: str) -> None:
-    with pytest.raises(InvalidArgument, match=text):
+    with pytest.raises(pm.InvalidArgument, match=text):
         run_scenario(made(), **options)
 
 
 @pytest.mark.parametrize("n", [3, 128])
 def test_what_is_written_for_one_robot_is_compiled(n: int) -> None:
-    one = law(lambda t, q, v, reference: np.array([-q[0], -q[1], -q[2]]))
+    one = pm.law(lambda t, q, v, reference: np.array([-q[0], -q[1], -q[2]]))
 
     def drag(t: float, q: Any, v: Any) -> Any:
         return np.array([-v[0], -v[1], -v[2]])
 
-    for controller, forces in ((one, []), (PD(4, 4), [drag])):
+    for controller, forces in ((one, []), (pm.PD(4, 4), [drag])):
         given: dict[str, Any] = {"n": n, "spread": {}, "dt": 0.1, "duration": 2.0, "forces": forces}
-        assert ensemble(ROBOT, controller, TRAJECTORY, **given).engine == "COMPILED"
+        assert pm.ensemble(ROBOT, controller, TRAJECTORY, **given).engine == "COMPILED"
 
 
 def test_an_integrator_that_returns_no_state_is_told_so() -> None:
@@ -567,10 +543,10 @@ def test_an_integrator_that_returns_no_state_is_told_so() -> None:
         return None
 
     text = r"integrator returned None at t = 0 s, expected \(q, v\) of shapes \(3,\) and \(3,\)"
-    with pytest.raises(InvalidArgument, match=text):
+    with pytest.raises(pm.InvalidArgument, match=text):
         run_scenario(made(n=5, integrator=none), threads=1)
-    with pytest.raises(InvalidArgument, match=text):
-        simulate(ROBOT, PD(4, 4), TRAJECTORY, dt=0.1, integrator=none)
+    with pytest.raises(pm.InvalidArgument, match=text):
+        pm.simulate(ROBOT, pm.PD(4, 4), TRAJECTORY, dt=0.1, integrator=none)
 
 
 def test_quantiles_from_counts_are_right_to_the_width_of_a_bin() -> None:
@@ -585,7 +561,7 @@ def test_quantiles_from_counts_are_right_to_the_width_of_a_bin() -> None:
 @pytest.mark.parametrize("n", [20, 50, 100, 200, 1000])
 def test_a_share_of_whole_robots_is_that_many(n: int) -> None:
     # 0.07 * 100 = 7.000000000000001, and the seventh of a hundred is meant.
-    run = run_scenario(made(n=n, spread={"mass": Uniform(20, 40)}))
+    run = run_scenario(made(n=n, spread={"mass": pm.Uniform(20, 40)}))
     distance, heading = np.sort(run.max_distance), np.sort(run.max_error[:, 2])
     for k in range(1, n + 1):
         assert run.error_quantile(k / n) == ErrorQuantile(
@@ -616,7 +592,7 @@ def test_bins_hold_what_their_edges_say() -> None:
 
 
 def test_an_ensemble_says_what_came_of_it() -> None:
-    run = run_scenario(made(spread={"mass": Uniform(20, 40)}, duration=60.0))
+    run = run_scenario(made(spread={"mass": pm.Uniform(20, 40)}, duration=60.0))
     text = str(run)
     assert "1,000 robots over 60 s: 99 % stay within" in text
     assert "none diverged" in text
@@ -629,15 +605,17 @@ def test_an_ensemble_says_what_came_of_it() -> None:
     assert (np.diff(bands.distance, axis=0) >= 0).all()
     assert bands.distance[-1].max() == pytest.approx(run.error_quantile(0.99).distance, rel=2**-5)
     for share in (-0.1, 1.1, np.nan, [0.5, 0.9]):
-        with pytest.raises(InvalidArgument, match="share"):
+        with pytest.raises(pm.InvalidArgument, match="share"):
             run.error_quantile(share)  # type: ignore[arg-type]
     for levels in (-0.1, [], [2.0]):
-        with pytest.raises(InvalidArgument, match="levels"):
+        with pytest.raises(pm.InvalidArgument, match="levels"):
             run.bands(levels)
 
 
 def test_an_ensemble_tells_least_median_and_largest_of_each_record() -> None:
-    run = run_scenario(made(n=50, spread={"mass": Uniform(20, 40), "start.x": np.array([2e3, *[0.1] * 49])}))
+    run = run_scenario(
+        made(n=50, spread={"mass": pm.Uniform(20, 40), "start.x": np.array([2e3, *[0.1] * 49])})
+    )
     rows = {line[:28].strip(): line[28:] for line in str(run).splitlines()[2:]}
     records = {"largest distance [m]": run.max_distance}
     for k, (error, force) in enumerate((("x [m]", "Fx [N]"), ("y [m]", "Fy [N]"), ("psi [rad]", "Mz [N m]"))):
@@ -651,7 +629,7 @@ def test_an_ensemble_tells_least_median_and_largest_of_each_record() -> None:
 
 
 def test_what_came_of_an_ensemble_cannot_be_overwritten() -> None:
-    run = run_scenario(made(n=3, spread={"mass": Uniform(20, 40)}))
+    run = run_scenario(made(n=3, spread={"mass": pm.Uniform(20, 40)}))
     records = [run.max_error, run.rms_error, run.max_distance, run.max_input, run.diverged_at, run.counts]
     held: list[Any] = [*records, *run.draws.values()]
     for array in held:
@@ -663,7 +641,7 @@ def test_what_came_of_an_ensemble_cannot_be_overwritten() -> None:
 def test_a_robot_that_is_not_there_is_no_member(i: Any) -> None:
     run = run_scenario(made(n=3))
     for ask in (run.member, run.trace):
-        with pytest.raises(InvalidArgument, match=rf"^i is {i}, expected "):
+        with pytest.raises(pm.InvalidArgument, match=rf"^i is {i}, expected "):
             ask(i)
     assert run.member(2).robot.mass == 30
 
@@ -671,14 +649,14 @@ def test_a_robot_that_is_not_there_is_no_member(i: Any) -> None:
 def test_a_wind_without_friction_is_what_the_closed_form_says() -> None:
     # PD holds a robot against a steady force at |e| = F / kp, whatever the friction; overdamped, it comes
     # from below. The reference creeps by 1e-9 m/s, so as much more.
-    still = FixedHeading(Circle(1.0, 1e-9, 60.0), 0.0)
-    run = ensemble(
-        MobileRobot(30.0, 1.3),
-        PD((40, 50, 4), (90, 90, 6)),
+    still = pm.FixedHeading(pm.Circle(1.0, 1e-9, 60.0), 0.0)
+    run = pm.ensemble(
+        pm.MobileRobot(30.0, 1.3),
+        pm.PD((40, 50, 4), (90, 90, 6)),
         still,
         n=50,
         spread={"force.x": np.linspace(-5, 5, 50), "force.moment": 0.2},
-        forces=(ConstantForce((0, 0, 0)), ViscousFriction((4.0, 4.0, 0.4))),
+        forces=(pm.ConstantForce((0, 0, 0)), pm.ViscousFriction((4.0, 4.0, 0.4))),
         dt=0.05,
     )
     np.testing.assert_allclose(run.max_error[:, 0], np.abs(np.linspace(-5, 5, 50)) / 40, atol=1e-8)
@@ -687,12 +665,12 @@ def test_a_wind_without_friction_is_what_the_closed_form_says() -> None:
 
 def test_two_names_of_one_number_are_refused() -> None:
     with pytest.raises(
-        InvalidArgument, match=r"spread has 'mass' and 'plant\.mass', both of which are plant\.mass"
+        pm.InvalidArgument, match=r"spread has 'mass' and 'plant\.mass', both of which are plant\.mass"
     ):
-        made(spread={"mass": Uniform(20, 30), "plant.mass": 25.0})
+        made(spread={"mass": pm.Uniform(20, 30), "plant.mass": 25.0})
 
 
 def test_an_array_of_numbers_that_differ_gets_no_number_for_all() -> None:
     expected = r"which has 3 numbers that differ, expected 'com\.x', 'com\.y', 'com\.z', or a Relative"
-    with pytest.raises(InvalidArgument, match=expected):
-        made(spread={"com": Uniform(-0.03, 0.03)})
+    with pytest.raises(pm.InvalidArgument, match=expected):
+        made(spread={"com": pm.Uniform(-0.03, 0.03)})

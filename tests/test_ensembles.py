@@ -11,35 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    ConstantForce,
-    CubicVia,
-    Diverged,
-    Ensemble,
-    FixedHeading,
-    Hold,
-    InputSaturation,
-    InvalidArgument,
-    Lissajous,
-    MeasurementDelay,
-    MeasurementNoise,
-    MobileRobot,
-    Normal,
-    PayloadBody,
-    RollingResistance,
-    SameAs,
-    Scenario,
-    Tangent,
-    Uniform,
-    ViscousFriction,
-    ensemble,
-    law,
-    rk4,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.controllers import plain_difference, planar_difference
 from pinmobile.errors import SlowerEngine
 from pinmobile.forces import NoiseForce, SinusoidalForce
@@ -50,40 +22,40 @@ from pinmobile.trajectories import LectureHeading
 from tests.memory import PEAK
 from tests.users import PID
 
-ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
-CIRCLE = Tangent(Circle(3.0, 0.1, 60.0))
-LISSAJOUS = Lissajous(3.0, 2.0, 0.2, 0.1, 60.0)
+ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.02))
+CIRCLE = pm.Tangent(pm.Circle(3.0, 0.1, 60.0))
+LISSAJOUS = pm.Lissajous(3.0, 2.0, 0.2, 0.1, 60.0)
 TRAJECTORIES: dict[str, Any] = {
     "circle": CIRCLE,
-    "fixed": FixedHeading(LISSAJOUS, 0.7),
-    "tangent": Tangent(LISSAJOUS),
+    "fixed": pm.FixedHeading(LISSAJOUS, 0.7),
+    "tangent": pm.Tangent(LISSAJOUS),
     "lecture": LectureHeading(LISSAJOUS),
-    "turns": Tangent(CubicVia((0, 0), (2, 2), (0, 4), 25.0, 50.0, via_velocity=(0, 0)), turn_time=10.0),
+    "turns": pm.Tangent(pm.CubicVia((0, 0), (2, 2), (0, 4), 25.0, 50.0, via_velocity=(0, 0)), turn_time=10.0),
 }
 SPREAD: dict[str, Any] = {
-    "mass": Uniform(20, 40),
-    "yaw_inertia": Uniform(1, 2),
-    "com.x": Normal(0.05, 0.03),
-    "com.y": Normal(0.0, 0.03),
-    "start.x": Normal(0, 0.1),
-    "start.y": Normal(0, 0.1),
-    "start.psi": Normal(0, 0.3),
-    "start_rate.vx": Normal(0, 0.1),
-    "start_rate.yaw_rate": Normal(0, 0.1),
+    "mass": pm.Uniform(20, 40),
+    "yaw_inertia": pm.Uniform(1, 2),
+    "com.x": pm.Normal(0.05, 0.03),
+    "com.y": pm.Normal(0.0, 0.03),
+    "start.x": pm.Normal(0, 0.1),
+    "start.y": pm.Normal(0, 0.1),
+    "start.psi": pm.Normal(0, 0.3),
+    "start_rate.vx": pm.Normal(0, 0.1),
+    "start_rate.yaw_rate": pm.Normal(0, 0.1),
 }
 KP, KD = np.array([100.0, 100.0, 3.0]), np.array([120.0, 120.0, 4.0])
 SOFT = (20.0, 20.0, 0.8)
 MATRIX = [[4.0, 0.5, 0.0], [0.3, 5.0, 0.1], [0.0, -0.2, 3.0]]
 CONTROLLERS: dict[str, Any] = {
-    "computed torque": ComputedTorque(ROBOT),
-    "PD": PD((40, 50, 4), (60, 50, 4)),
-    "matrix gains": ComputedTorque(ROBOT, kp=MATRIX, kd=4.0),
-    "saturated": InputSaturation(ComputedTorque(ROBOT), (12.0, 9.0, 2.0)),
-    "delayed": MeasurementDelay(ComputedTorque(ROBOT, kp=1, kd=2), 3),
-    "noisy": MeasurementNoise(ComputedTorque(ROBOT), 1e-3, (1e-3, 2e-3, 1e-3), seed=3),
-    "all of it": MeasurementNoise(
-        MeasurementDelay(
-            InputSaturation(MeasurementNoise(PD(SOFT, SOFT), 1e-3, 0.0, seed=1), (9, 7, 0.4)), 1
+    "computed torque": pm.ComputedTorque(ROBOT),
+    "PD": pm.PD((40, 50, 4), (60, 50, 4)),
+    "matrix gains": pm.ComputedTorque(ROBOT, kp=MATRIX, kd=4.0),
+    "saturated": pm.InputSaturation(pm.ComputedTorque(ROBOT), (12.0, 9.0, 2.0)),
+    "delayed": pm.MeasurementDelay(pm.ComputedTorque(ROBOT, kp=1, kd=2), 3),
+    "noisy": pm.MeasurementNoise(pm.ComputedTorque(ROBOT), 1e-3, (1e-3, 2e-3, 1e-3), seed=3),
+    "all of it": pm.MeasurementNoise(
+        pm.MeasurementDelay(
+            pm.InputSaturation(pm.MeasurementNoise(pm.PD(SOFT, SOFT), 1e-3, 0.0, seed=1), (9, 7, 0.4)), 1
         ),
         0.0,
         1e-2,
@@ -92,32 +64,32 @@ CONTROLLERS: dict[str, Any] = {
 }
 FORCES: dict[str, Any] = {
     "none": (),
-    "steady": (ConstantForce((3.0, -2.0, 0.1)), ViscousFriction((5.0, 9.0, 0.4))),
+    "steady": (pm.ConstantForce((3.0, -2.0, 0.1)), pm.ViscousFriction((5.0, 9.0, 0.4))),
     "all": (
         SinusoidalForce((2.0, 1.0, 0.1), 0.3, 0.5),
         NoiseForce((1.0, 2.0, 0.1), 2.0, seed=5),
-        RollingResistance((2.0, 3.0, 0.2), 0.05),
+        pm.RollingResistance((2.0, 3.0, 0.2), 0.05),
         NoiseForce((0.5, 0.2, 0.1), 0.7, seed=6),
-        ViscousFriction((5.0, 9.0, 0.4)),
+        pm.ViscousFriction((5.0, 9.0, 0.4)),
     ),
 }
 RECORDS = ("max_error", "rms_error", "max_distance", "max_input", "diverged_at")
 
 
-def made(**changes: Any) -> Scenario:
+def made(**changes: Any) -> pm.Scenario:
     """Return a scenario of the circle, unless something else is asked for."""
     chosen: dict[str, Any] = {
         "robot": ROBOT,
-        "controller": ComputedTorque(ROBOT),
+        "controller": pm.ComputedTorque(ROBOT),
         "trajectory": CIRCLE,
         "n": 70,
         "spread": SPREAD,
         "dt": 0.1,
     }
-    return Scenario(**(chosen | changes))
+    return pm.Scenario(**(chosen | changes))
 
 
-def assert_close(one: Ensemble, other: Ensemble) -> None:
+def assert_close(one: pm.Ensemble, other: pm.Ensemble) -> None:
     """Compare records to 1e-12 of the size of what they are differences of."""
     size = 1 + np.abs(np.hstack(one.scenario.reference)).max()
     force = 1 + one.max_input.max()
@@ -137,7 +109,7 @@ def assert_same(one: Any, other: Any, rows: slice = slice(None)) -> None:
         np.testing.assert_array_equal(getattr(one, name)[rows], getattr(other, name), err_msg=name)
 
 
-def assert_is_simulated(run: Ensemble, i: int) -> None:
+def assert_is_simulated(run: pm.Ensemble, i: int) -> None:
     """Compare robot i with what `simulate` makes of it."""
     rollout = run.trace(i)
     size = 1 + np.abs(np.hstack(run.scenario.reference)).max()
@@ -164,10 +136,10 @@ def test_both_engines_agree_with_simulate(controller: str, trajectory: str) -> N
     assert_close(run_scenario(few, engine=Engine.COMPILED), run_scenario(few, engine=Engine.PYTHON))
 
 
-@pytest.mark.parametrize("integrator", [constant_acceleration, semi_implicit_euler, rk4])
+@pytest.mark.parametrize("integrator", [constant_acceleration, semi_implicit_euler, pm.rk4])
 @pytest.mark.parametrize("forces", FORCES)
 def test_forces_and_integrators_agree_with_simulate(forces: str, integrator: Any) -> None:
-    controller = MeasurementDelay(ComputedTorque(ROBOT, kp=1, kd=2), 1)
+    controller = pm.MeasurementDelay(pm.ComputedTorque(ROBOT, kp=1, kd=2), 1)
     parts = {"controller": controller, "forces": FORCES[forces], "integrator": integrator}
     many, few = (made(**parts, substeps=2, n=n, duration=10.0) for n in (66, 5))
     assert_is_simulated(run_scenario(many, engine=Engine.COMPILED), 65)
@@ -181,29 +153,31 @@ class Own:
     difference = staticmethod(planar_difference)
 
     def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
-        return MobileRobot(40.0, 1.5).inverse_dynamics(q, v, a)
+        return pm.MobileRobot(40.0, 1.5).inverse_dynamics(q, v, a)
 
 
 def twofold(q0: Any, q1: Any) -> Any:
     return 2 * planar_difference(q0, q1)
 
 
-SOFTLY = PD((40, 50, 4), (60, 50, 4))
+SOFTLY = pm.PD((40, 50, 4), (60, 50, 4))
 TWICE: dict[str, Any] = {
     "steps within a sample": {"substeps": 3},
-    "limits": {"controller": InputSaturation(InputSaturation(SOFTLY, (1.0, 9.0, 0.4)), (9.0, 1.0, np.inf))},
-    "delays": {"controller": MeasurementDelay(MeasurementDelay(SOFTLY, 2), 1)},
-    "steady forces": {"forces": (ConstantForce((3, -2, 0.1)), ConstantForce((1, 5, 0.2)))},
-    "friction": {"forces": (ViscousFriction((5, 9, 0.4)), ViscousFriction((2, 1, 0.3)))},
+    "limits": {
+        "controller": pm.InputSaturation(pm.InputSaturation(SOFTLY, (1.0, 9.0, 0.4)), (9.0, 1.0, np.inf))
+    },
+    "delays": {"controller": pm.MeasurementDelay(pm.MeasurementDelay(SOFTLY, 2), 1)},
+    "steady forces": {"forces": (pm.ConstantForce((3, -2, 0.1)), pm.ConstantForce((1, 5, 0.2)))},
+    "friction": {"forces": (pm.ViscousFriction((5, 9, 0.4)), pm.ViscousFriction((2, 1, 0.3)))},
     "resistance": {
         "forces": (
-            RollingResistance((2, 3, 0.2), (0.05, 0.1, 0.2)),
-            RollingResistance((1, 4, 0.1), (0.2, 0.05, 0.1)),
+            pm.RollingResistance((2, 3, 0.2), (0.05, 0.1, 0.2)),
+            pm.RollingResistance((1, 4, 0.1), (0.2, 0.05, 0.1)),
         )
     },
     "waves": {"forces": (SinusoidalForce((2, 1, 0.1), 0.3, 0.5), SinusoidalForce((1, 3, 0.2), 0.7, 1.5))},
-    "a difference of one's own": {"controller": PD((40, 50, 4), (60, 50, 4), difference=twofold)},
-    "a model of one's own": {"controller": ComputedTorque(Own())},
+    "a difference of one's own": {"controller": pm.PD((40, 50, 4), (60, 50, 4), difference=twofold)},
+    "a model of one's own": {"controller": pm.ComputedTorque(Own())},
     "a table of one's own": {"integrator": RungeKuttaNystrom("own", (0.0,), ((),), ((),), (0.5,), (0.9,))},
 }
 
@@ -219,10 +193,11 @@ def test_two_of_a_kind_and_what_is_ones_own_are_as_simulated(what: str) -> None:
 def test_a_noisy_robot_is_run_alone_by_any_engine() -> None:
     member = run_scenario(made(controller=CONTROLLERS["noisy"], n=3, duration=3.0)).member(2)
     alone = [
-        simulate(*member[:3], **member.options, engine=engine) for engine in (Engine.PYTHON, Engine.COMPILED)
+        pm.simulate(*member[:3], **member.options, engine=engine)
+        for engine in (Engine.PYTHON, Engine.COMPILED)
     ]
     np.testing.assert_allclose(alone[1].q, alone[0].q, rtol=0, atol=1e-12)
-    other = simulate(*member[:3], **{**member.options, "member": 1})
+    other = pm.simulate(*member[:3], **{**member.options, "member": 1})
     assert np.abs(other.u - alone[0].u).max() > 1e-3
 
 
@@ -231,8 +206,8 @@ def test_a_users_integral_is_told_what_is_applied_as_in_simulate(noise: float) -
     """Each robot is told of its own limited force: those that start far away do not wind up."""
     runs = []
     for back in (2.0, 0.0):
-        inner = MeasurementDelay(InputSaturation(PID(25.0, 12.0, 30.0, back), (9.0, 9.0, 1.0)), 1)
-        controller = MeasurementNoise(inner, noise, noise, seed=3)
+        inner = pm.MeasurementDelay(pm.InputSaturation(PID(25.0, 12.0, 30.0, back), (9.0, 9.0, 1.0)), 1)
+        controller = pm.MeasurementNoise(inner, noise, noise, seed=3)
         spread = {"start.x": np.array([-4.0, -0.5, 4.0])}
         runs.append(run_scenario(made(controller=controller, spread=spread, n=3, dt=0.05, duration=10.0)))
         assert runs[-1].engine == "COMPILED"
@@ -255,9 +230,9 @@ def test_what_is_ones_own_is_compiled_where_its_law_is_numpys() -> None:
 def test_a_start_that_is_a_turn_ahead_is_seen_as_simulate_and_its_controller_see_it(
     delay: int, difference: Any
 ) -> None:
-    controller: Any = PD((40, 50, 4), (60, 50, 4), difference=difference)
+    controller: Any = pm.PD((40, 50, 4), (60, 50, 4), difference=difference)
     scenario = made(
-        controller=MeasurementDelay(controller, delay) if delay else controller,
+        controller=pm.MeasurementDelay(controller, delay) if delay else controller,
         spread={"start.psi": 2 * np.pi + np.array([0.1, -0.2])},
         n=2,
         duration=10.0,
@@ -297,10 +272,10 @@ def test_any_robot_is_as_simulated(
         "start.x": start[0],
         "start.y": start[1],
         "start.psi": start[2],
-        "controller.mass": SameAs("mass", believed),
-        "controller.yaw_inertia": SameAs("yaw_inertia"),
-        "controller.com.x": SameAs("com.x"),
-        "controller.com.y": SameAs("com.y"),
+        "controller.mass": pm.SameAs("mass", believed),
+        "controller.yaw_inertia": pm.SameAs("yaw_inertia"),
+        "controller.com.x": pm.SameAs("com.x"),
+        "controller.com.y": pm.SameAs("com.y"),
         "kp": kp,
         "kd": 2 * np.sqrt(kp),
     }
@@ -313,13 +288,13 @@ def test_any_robot_is_as_simulated(
 def test_diverging_robots_are_flagged_as_by_simulate_and_the_others_untouched() -> None:
     gains = np.full(130, 4.0)
     gains[[3, 64, 100]] = 900.0, 2000.0, 500.0  # beyond what dt = 0.1 s bears
-    spread = {"mass": Uniform(20, 40), "kp": gains}
+    spread = {"mass": pm.Uniform(20, 40), "kp": gains}
     run = run_scenario(made(n=130, spread=spread, duration=15.0), engine=Engine.COMPILED)
     assert np.flatnonzero(run.diverged).tolist() == [3, 64, 100]
     for i in (3, 64, 100):
         member = run.member(i)
-        with pytest.raises(Diverged) as caught:
-            simulate(*member[:3], **member.options)
+        with pytest.raises(pm.Diverged) as caught:
+            pm.simulate(*member[:3], **member.options)
         assert caught.value.time == run.diverged_at[i]
         # What came before: rounding grows as the error does.
         np.testing.assert_allclose(run.trace(i).max_error(), run.max_error[i], rtol=1e-9, atol=1e-9)
@@ -348,8 +323,8 @@ def test_half_a_turn_off_all_robots_turn_left_in_every_engine(engine: Any) -> No
     # Half a turn, and what rounding may make of it: to the right, it would be the other way round.
     off = np.pi + np.array([0.0, 1e-15, -1e-15, 1e-12, -1e-12])
     spread = {"start.psi": np.concatenate([off, -off])}
-    held = FixedHeading(Circle(1, 0.1, 2), 0.0)
-    wide = ensemble(ROBOT, ComputedTorque(ROBOT), held, n=10, dt=0.1, spread=spread, engine=engine)
+    held = pm.FixedHeading(pm.Circle(1, 0.1, 2), 0.0)
+    wide = pm.ensemble(ROBOT, pm.ComputedTorque(ROBOT), held, n=10, dt=0.1, spread=spread, engine=engine)
     for i in range(10):
         alone = wide.trace(i)
         assert (alone.error[:, 2] > 0).all()
@@ -360,17 +335,17 @@ def test_half_a_turn_off_all_robots_turn_left_in_every_engine(engine: Any) -> No
 
 def test_rounding_stays_rounding_but_where_a_loop_is_chaotic() -> None:
     # A body on springs at its origin, its centre of mass beside it: an elastic pendulum that turns over.
-    body, springs = MobileRobot(30, 1.3, com=(0.3, 0.1)), PD((30, 60, 0), 0)
-    spread = {"start_rate.yaw_rate": Uniform(2, 4), "start.x": Uniform(0.5, 1.5)}
+    body, springs = pm.MobileRobot(30, 1.3, com=(0.3, 0.1)), pm.PD((30, 60, 0), 0)
+    spread = {"start_rate.yaw_rate": pm.Uniform(2, 4), "start.x": pm.Uniform(0.5, 1.5)}
     off = []
     for duration in (2.0, 50.0):
-        held = FixedHeading(Hold((0, 0), duration), 0.0)
-        run = ensemble(body, springs, held, n=6, dt=0.05, integrator=rk4, spread=spread)
+        held = pm.FixedHeading(pm.Hold((0, 0), duration), 0.0)
+        run = pm.ensemble(body, springs, held, n=6, dt=0.05, integrator=pm.rk4, spread=spread)
         alone = [np.sqrt(np.square(run.trace(i).error).mean(axis=0)) for i in range(6)]
         off.append(np.abs(run.rms_error - alone).max())
     assert off[0] < 1e-13  # some 40 steps, each to 1e-15
     assert off[1] > 1e-10
-    assert "chaotic" in str(Ensemble.trace.__doc__)
+    assert "chaotic" in str(pm.Ensemble.trace.__doc__)
 
 
 def test_the_worst_are_those_that_strayed_farthest() -> None:
@@ -380,12 +355,12 @@ def test_the_worst_are_those_that_strayed_farthest() -> None:
 
 
 def test_what_overflows_is_flagged_too() -> None:
-    run = ensemble(ROBOT, PD(1e200, 1e200), CIRCLE, n=3, spread={"start.x": 1.0}, dt=0.1, limit=1e300)
+    run = pm.ensemble(ROBOT, pm.PD(1e200, 1e200), CIRCLE, n=3, spread={"start.x": 1.0}, dt=0.1, limit=1e300)
     assert run.diverged.all()
     assert_is_simulated(run, 2)
-    slow = ensemble(
+    slow = pm.ensemble(
         ROBOT,
-        PD(1e200, 1e200),
+        pm.PD(1e200, 1e200),
         CIRCLE,
         n=3,
         spread={"start.x": 1.0},
@@ -431,10 +406,10 @@ def test_who_diverges_before_errors_count_has_none_and_is_beyond_everything() ->
 
 @pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
 def test_an_acceleration_that_is_none_is_a_divergence_though_its_force_is_finite(engine: Any) -> None:
-    scenario = made(controller=PD(1e200, 0), n=2, spread={"mass": 1e-200, "start.x": 1.0}, limit=1e300)
+    scenario = made(controller=pm.PD(1e200, 0), n=2, spread={"mass": 1e-200, "start.x": 1.0}, limit=1e300)
     run = run_scenario(scenario, engine=engine)
     assert run.diverged_at.tolist() == [0, 0]
-    with pytest.raises(Diverged, match="a not finite") as caught:
+    with pytest.raises(pm.Diverged, match="a not finite") as caught:
         run.trace(0)
     assert caught.value.time == 0
 
@@ -448,7 +423,7 @@ def test_a_controller_may_write_into_what_it_is_told() -> None:
         q[:] = v[:] = np.nan
         return tau
 
-    one, other = (run_scenario(made(controller=law(f), n=3, duration=2.0)) for f in (careful, careless))
+    one, other = (run_scenario(made(controller=pm.law(f), n=3, duration=2.0)) for f in (careful, careless))
     assert_same(one, other)
 
 
@@ -457,7 +432,7 @@ def test_a_robot_that_is_beyond_the_limit_from_the_start_has_no_records() -> Non
     assert run.diverged_at.tolist()[1] == 0.0
     assert np.isnan(run.max_error[1]).all()
     assert run.error_quantile(0.5).distance < 1
-    with pytest.raises(Diverged, match="the error in x is -2000"):
+    with pytest.raises(pm.Diverged, match="the error in x is -2000"):
         run.trace(1)
 
 
@@ -489,8 +464,8 @@ def test_the_same_seed_gives_the_same_bits_however_the_work_is_divided(controlle
 def test_what_goes_to_another_process_holds_its_own_robots_of_an_array_alone() -> None:
     spread: dict[str, Any] = {
         "mass": np.linspace(20, 40, 50_000),
-        "controller.mass": SameAs("mass", np.linspace(0.9, 1.1, 50_000)),
-        "com.x": Normal(0.1, 0.01),
+        "controller.mass": pm.SameAs("mass", np.linspace(0.9, 1.1, 50_000)),
+        "com.x": pm.Normal(0.1, 0.01),
         "start.x": 0.01,
     }
     scenario = made(n=50_000, spread=spread, duration=1.0)
@@ -517,8 +492,8 @@ def test_another_seed_gives_other_robots() -> None:
 @pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
 @pytest.mark.parametrize("seed", [3, 2**70, np.random.SeedSequence(3, spawn_key=(1,))])
 def test_the_seed_of_a_noise_enters_that_of_every_robot(engine: Any, seed: Any) -> None:
-    def run(noise: Any, force: Any) -> Ensemble:
-        controller = MeasurementNoise(ComputedTorque(ROBOT), 1e-3, 1e-3, seed=noise)
+    def run(noise: Any, force: Any) -> pm.Ensemble:
+        controller = pm.MeasurementNoise(pm.ComputedTorque(ROBOT), 1e-3, 1e-3, seed=noise)
         forces = (NoiseForce((1.0, 2.0, 0.1), 2.0, seed=force),)
         return run_scenario(made(controller=controller, forces=forces, n=2, duration=1.0), engine=engine)
 
@@ -536,7 +511,7 @@ def test_a_users_own_controller_force_and_integrator_are_compiled() -> None:
     def euler(acceleration: Any, t: float, q: Any, v: Any, dt: float) -> Any:
         return q + dt * v, v + dt * acceleration(t, q, v)
 
-    mine = law(lambda t, q, v, reference: KP * (reference.q - q) + KD * (reference.v - v))
+    mine = pm.law(lambda t, q, v, reference: KP * (reference.q - q) + KD * (reference.v - v))
     scenario = made(controller=mine, forces=(drag,), integrator=euler, n=5, dt=0.05)
     run = run_scenario(scenario)
     assert run.engine == "COMPILED"
@@ -564,10 +539,16 @@ class OwnGains:
         {"difference": plain_difference},
         {"robot": ROBOT, "difference": plain_difference},
         {"robot": ROBOT.mount("ur5")},
-        {"robot": "a name", "controller": PD(1, 1), "limits": (1.0, 2.0), "std_q": np.ones(2), "samples": 3},
+        {
+            "robot": "a name",
+            "controller": pm.PD(1, 1),
+            "limits": (1.0, 2.0),
+            "std_q": np.ones(2),
+            "samples": 3,
+        },
     ],
 )
-@pytest.mark.parametrize("wrap", [lambda c: c, lambda c: MeasurementNoise(c, 1e-3, 1e-3, seed=1)])
+@pytest.mark.parametrize("wrap", [lambda c: c, lambda c: pm.MeasurementNoise(c, 1e-3, 1e-3, seed=1)])
 def test_a_users_controller_is_run_as_what_it_is_whatever_attributes_it_has(
     attributes: dict[str, Any], wrap: Any
 ) -> None:
@@ -607,9 +588,9 @@ class Summing:
 @pytest.mark.parametrize("engine", [None, Engine.COMPILED, Engine.PYTHON])
 def test_what_a_controller_keeps_in_itself_is_refused(engine: Any) -> None:
     generator = np.random.default_rng(0)
-    drawing = law(lambda t, q, v, r: KP * (r.q - q) + generator.normal(size=3))
-    for controller in (Summing(), InputSaturation(Summing(), 9.0), drawing):
-        with pytest.raises(InvalidArgument, match=r"asked again .* keep memory in state, and take random"):
+    drawing = pm.law(lambda t, q, v, r: KP * (r.q - q) + generator.normal(size=3))
+    for controller in (Summing(), pm.InputSaturation(Summing(), 9.0), drawing):
+        with pytest.raises(pm.InvalidArgument, match=r"asked again .* keep memory in state, and take random"):
             run_scenario(made(controller=controller, n=2, duration=2.0), engine=engine)
 
 
@@ -652,9 +633,11 @@ def _branching(t: float, q: Any, v: Any, reference: Any) -> Any:
 
 
 FOR_ONE: dict[str, dict[str, Any]] = {
-    "mixing": {"controller": law(_for_one)},
-    "unpacking": {"controller": law(_unpacking)},
-    "difference": {"controller": PD(KP, KD, difference=lambda q0, q1: (q1 - q0) / (1 + np.linalg.norm(q0)))},
+    "mixing": {"controller": pm.law(_for_one)},
+    "unpacking": {"controller": pm.law(_unpacking)},
+    "difference": {
+        "controller": pm.PD(KP, KD, difference=lambda q0, q1: (q1 - q0) / (1 + np.linalg.norm(q0)))
+    },
     "force": {"forces": (lambda t, q, v: -v[2] * np.ones(3),)},
 }
 
@@ -668,7 +651,7 @@ def test_laws_for_one_robot_are_compiled(what: str) -> None:
 
 
 def test_a_law_that_asks_its_state_runs_one_robot_after_another_and_says_so() -> None:
-    scenario = made(controller=law(_branching), n=5, duration=3.0)
+    scenario = made(controller=pm.law(_branching), n=5, duration=3.0)
     with pytest.warns(SlowerEngine, match=r"runs by PYTHON") as told:
         run = run_scenario(scenario)
     assert run.engine == "PYTHON"
@@ -689,7 +672,7 @@ def _failing(t: float, q: Any, v: Any, reference: Any) -> Any:
 
 def test_an_error_in_a_law_is_its_own() -> None:
     with pytest.raises(KeyError, match="gain"):
-        run_scenario(made(controller=law(_failing)))
+        run_scenario(made(controller=pm.law(_failing)))
 
 
 class Column:
@@ -707,7 +690,7 @@ def test_a_column_of_numbers_is_no_distribution() -> None:
 
 
 def test_ensemble_takes_what_a_scenario_takes_with_the_same_defaults() -> None:
-    taken, fields = (signature(what).parameters for what in (ensemble, Scenario))
+    taken, fields = (signature(what).parameters for what in (pm.ensemble, pm.Scenario))
     own = {"traces", "engine", "threads", "progress"}
     assert set(taken) == {*fields, *own}
     assert {name: taken[name].default for name in fields} == {n: p.default for n, p in fields.items()}
@@ -721,12 +704,12 @@ def test_traces_are_those_of_simulate() -> None:
 
 
 def test_loads_count_as_the_bodys_on_the_plant_and_in_the_model() -> None:
-    loaded = ROBOT.attach(PayloadBody(10.0, (0.3, 0.1, 0.3)))
+    loaded = ROBOT.attach(pm.PayloadBody(10.0, (0.3, 0.1, 0.3)))
     for robot, believed in ((loaded, ROBOT), (ROBOT, loaded)):
-        run = run_scenario(made(robot=robot, controller=ComputedTorque(believed), n=2, duration=20.0))
+        run = run_scenario(made(robot=robot, controller=pm.ComputedTorque(believed), n=2, duration=20.0))
         assert_is_simulated(run, 1)
         alike = run_scenario(
-            made(robot=robot, controller=ComputedTorque(believed), n=1, spread={}, duration=20.0)
+            made(robot=robot, controller=pm.ComputedTorque(believed), n=1, spread={}, duration=20.0)
         )
         assert_is_simulated(alike, 0)
         assert alike.max_error[0, 2] > 1e-3

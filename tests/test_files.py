@@ -14,19 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    PD,
-    Circle,
-    Ensemble,
-    InvalidArgument,
-    MobileRobot,
-    Rollout,
-    Tangent,
-    Uniform,
-    ensemble,
-    plots,
-    simulate,
-)
+import pinmobile as pm
+from pinmobile import plots
 from pinmobile.cli.output import Section, index_page, output_folder, save_figure
 from pinmobile.errors import FileError
 from pinmobile.files import replacing, write
@@ -34,10 +23,10 @@ from pinmobile.loop import Engine
 from pinmobile.viewer import Recording, Viewer
 from tests.damage import full_disk
 
-ROBOT = MobileRobot.lecture()
-LOOP: Any = (ROBOT, PD((120, 120, 0.4), (120, 120, 0.4)), Tangent(Circle(3, 0.1, 6)))
-RUN = simulate(*LOOP, dt=0.1)
-ROBOTS = ensemble(*LOOP, n=30, spread={"mass": Uniform(8, 12)}, dt=0.1, engine=Engine.COMPILED)
+ROBOT = pm.MobileRobot.lecture()
+LOOP: Any = (ROBOT, pm.PD((120, 120, 0.4), (120, 120, 0.4)), pm.Tangent(pm.Circle(3, 0.1, 6)))
+RUN = pm.simulate(*LOOP, dt=0.1)
+ROBOTS = pm.ensemble(*LOOP, n=30, spread={"mass": pm.Uniform(8, 12)}, dt=0.1, engine=Engine.COMPILED)
 
 
 def recording() -> Recording:
@@ -146,7 +135,7 @@ def test_a_file_that_open_refuses_is_refused(tmp_path: Path) -> None:
     try:
         (tmp_path / "file").open("ab").close()
     except PermissionError:
-        with pytest.raises(InvalidArgument, match="file', which cannot be written: Permission denied"):
+        with pytest.raises(pm.InvalidArgument, match="file', which cannot be written: Permission denied"):
             write(tmp_path / "file", b"new")
         assert held(tmp_path) == {"file": b"good"}
     else:
@@ -167,7 +156,9 @@ def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path: Path) -> None:
     assert held(tmp_path / "there") == {"file": b"new", "made": b"made"}
     assert all((tmp_path / name).is_symlink() for name in ("link", "further", "ahead"))
     (tmp_path / "round").symlink_to("round")
-    with pytest.raises(InvalidArgument, match="round', which cannot be written: Too many levels of symbolic"):
+    with pytest.raises(
+        pm.InvalidArgument, match="round', which cannot be written: Too many levels of symbolic"
+    ):
         write(tmp_path / "round", b"")
 
 
@@ -213,17 +204,17 @@ def test_of_two_that_write_at_once_one_is_whole(tmp_path: Path) -> None:
 def test_where_no_file_can_be_is_no_failure_of_the_system(tmp_path: Path, name: str, why: str) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").touch()
-    with pytest.raises(InvalidArgument, match=f"^path is '.*', which cannot be written: {why}$"):
+    with pytest.raises(pm.InvalidArgument, match=f"^path is '.*', which cannot be written: {why}$"):
         RUN.save(tmp_path / name)
-    for load in (Rollout.load, Ensemble.load):
-        with pytest.raises(InvalidArgument, match=r"^path is '.*', which cannot be read: "):
+    for load in (pm.Rollout.load, pm.Ensemble.load):
+        with pytest.raises(pm.InvalidArgument, match=r"^path is '.*', which cannot be read: "):
             load(tmp_path / name)
 
 
 def test_a_name_as_long_as_can_be_is_written_and_none_that_is_longer(tmp_path: Path) -> None:
     write(tmp_path / ("x" * 255), b"long")
     with pytest.raises(
-        InvalidArgument, match=r"^path is '.*', expected the path of a file: .* at most 255 bytes"
+        pm.InvalidArgument, match=r"^path is '.*', expected the path of a file: .* at most 255 bytes"
     ):
         write(tmp_path / ("x" * 256), b"longer")
     assert held(tmp_path) == {"x" * 255: b"long"}
@@ -236,13 +227,15 @@ def test_a_look_whether_a_folder_can_be_written_to_touches_nothing_in_it(tmp_pat
 
 
 def test_joints_of_any_name_are_columns(tmp_path: Path) -> None:
-    class Named(MobileRobot):  # type: ignore[misc]
+    class Named(pm.MobileRobot):  # type: ignore[misc]
         @property
         def coordinate_names(self) -> Any:
             return ("x", "y", "ψ")
 
         configuration_names = coordinate_names
 
-    simulate(Named(10, 1.2), PD(1, 1), Tangent(Circle(3, 0.1, 6)), dt=0.5).to_csv(tmp_path / "run.csv")
+    pm.simulate(Named(10, 1.2), pm.PD(1, 1), pm.Tangent(pm.Circle(3, 0.1, 6)), dt=0.5).to_csv(
+        tmp_path / "run.csv"
+    )
     assert (tmp_path / "run.csv").read_text(encoding="utf-8").splitlines()[0].split(",")[3] == "ψ"
     assert np.loadtxt(tmp_path / "run.csv", delimiter=",", skiprows=1, encoding="utf-8").shape[0] == 13

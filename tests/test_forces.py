@@ -5,39 +5,25 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    ConstantForce,
-    Diverged,
-    FixedHeading,
-    InvalidArgument,
-    MobileRobot,
-    RollingResistance,
-    ViscousFriction,
-    law,
-    rk4,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.forces import NoiseForce, SinusoidalForce
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.plant import Context
 
-ROBOT, BALANCED = MobileRobot(10, 1.2, com=(0.15, 0.05)), MobileRobot(10, 1.2)
-CIRCLE = FixedHeading(Circle(1.0, 0.5, 4.0), 0.3)
+ROBOT, BALANCED = pm.MobileRobot(10, 1.2, com=(0.15, 0.05)), pm.MobileRobot(10, 1.2)
+CIRCLE = pm.FixedHeading(pm.Circle(1.0, 0.5, 4.0), 0.3)
 START: dict[str, Any] = {"q0": (0.2, -0.1, 0.9), "v0": (0.1, 0.0, -0.4)}
-NOTHING = law(lambda t, q, v, reference: np.zeros(3))
+NOTHING = pm.law(lambda t, q, v, reference: np.zeros(3))
 FORCES: list[Any] = [
-    ConstantForce((1, 2, 0.3)),
+    pm.ConstantForce((1, 2, 0.3)),
     SinusoidalForce((3, 1, 0.4), 1.3, 0.2),
     NoiseForce((2, 2, 0.2), 3.0, 1),
-    ViscousFriction((2, 8, 0.5)),
-    RollingResistance((3, 9, 0.2), 0.1),
+    pm.ViscousFriction((2, 8, 0.5)),
+    pm.RollingResistance((3, 9, 0.2), 0.1),
 ]
-ORDERS = [(constant_acceleration, 1), (semi_implicit_euler, 1), (rk4, 4)]
-INTEGRATORS = [constant_acceleration, semi_implicit_euler, rk4]
+ORDERS = [(constant_acceleration, 1), (semi_implicit_euler, 1), (pm.rk4, 4)]
+INTEGRATORS = [constant_acceleration, semi_implicit_euler, pm.rk4]
 
 
 class OtherPlant:
@@ -72,7 +58,7 @@ def total(t: float, q: Array, v: Array) -> Array:
 
 
 def asked(controller: Any) -> Any:
-    return law(lambda t, q, v, reference: controller(t, q, v, reference, None)[0])
+    return pm.law(lambda t, q, v, reference: controller(t, q, v, reference, None)[0])
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
@@ -81,12 +67,12 @@ def test_every_way_through_the_loop_is_the_same(integrator: Any, substeps: int) 
     def users(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
         return integrator(acceleration, t, q, v, dt)  # type: ignore[no-any-return]
 
-    controller = ComputedTorque(MobileRobot(8, 1), 3, (2, 3, 4))
+    controller = pm.ComputedTorque(pm.MobileRobot(8, 1), 3, (2, 3, 4))
     options: dict[str, Any] = {"dt": 0.05, "substeps": substeps, "forces": FORCES, **START}
-    own = simulate(ROBOT, controller, CIRCLE, integrator=integrator, **options)
+    own = pm.simulate(ROBOT, controller, CIRCLE, integrator=integrator, **options)
     for plant in (ROBOT, OtherPlant()):
         for step in (integrator, users):
-            other = simulate(plant, asked(controller), CIRCLE, integrator=step, **options)
+            other = pm.simulate(plant, asked(controller), CIRCLE, integrator=step, **options)
             for name in ("q", "v", "a", "u"):
                 # The same sums in another order, over 80 steps; noise asked at times that differ by rounding.
                 np.testing.assert_allclose(getattr(other, name), getattr(own, name), rtol=0, atol=1e-11)
@@ -94,8 +80,8 @@ def test_every_way_through_the_loop_is_the_same(integrator: Any, substeps: int) 
 
 def test_every_sample_is_that_of_the_loop_written_by_hand() -> None:
     """The force of the controller is held, the others are asked at every stage."""
-    controller, dt = PD(40, 20), 0.1
-    rollout = simulate(ROBOT, controller, CIRCLE, dt=dt, integrator=rk4, forces=FORCES, **START)
+    controller, dt = pm.PD(40, 20), 0.1
+    rollout = pm.simulate(ROBOT, controller, CIRCLE, dt=dt, integrator=pm.rk4, forces=FORCES, **START)
     q, v = np.array(START["q0"]), np.array(START["v0"])
     state = controller.initial_state(Context.of(ROBOT, dt=dt))
     for k in range(40):
@@ -116,12 +102,12 @@ def test_every_sample_is_that_of_the_loop_written_by_hand() -> None:
         v = v + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
-def run(force: Any, integrator: Any, dt: float, robot: MobileRobot = BALANCED) -> Any:
-    return simulate(robot, NOTHING, CIRCLE, dt=dt, integrator=integrator, forces=[force], **START)
+def run(force: Any, integrator: Any, dt: float, robot: pm.MobileRobot = BALANCED) -> Any:
+    return pm.simulate(robot, NOTHING, CIRCLE, dt=dt, integrator=integrator, forces=[force], **START)
 
 
 def test_a_constant_force_makes_a_parabola() -> None:
-    rollout = run(ConstantForce((5, -3, 0.6)), constant_acceleration, 0.5)
+    rollout = run(pm.ConstantForce((5, -3, 0.6)), constant_acceleration, 0.5)
     a, t = np.array([0.5, -0.3, 0.5]), rollout.t[:, None]
     np.testing.assert_allclose(rollout.q, START["q0"] + START["v0"] * t + a / 2 * t**2, rtol=0, atol=1e-14)
     assert rollout.max_input().tolist() == [0, 0, 0]
@@ -132,7 +118,7 @@ def fitted(off: list[float], steps: Array) -> float:
 
 
 @pytest.mark.parametrize(
-    ("integrator", "order"), [(constant_acceleration, 1), (semi_implicit_euler, 1), (rk4, 4)]
+    ("integrator", "order"), [(constant_acceleration, 1), (semi_implicit_euler, 1), (pm.rk4, 4)]
 )
 def test_a_sinusoidal_force_is_followed_to_the_order_of_the_method(integrator: Any, order: int) -> None:
     """v(T) is the integral of a sinusoid: exact only to the order at which stages see their own time."""
@@ -147,12 +133,12 @@ def test_a_sinusoidal_force_is_followed_to_the_order_of_the_method(integrator: A
 
 
 @pytest.mark.parametrize(
-    ("integrator", "order"), [(constant_acceleration, 1), (semi_implicit_euler, 1), (rk4, 4)]
+    ("integrator", "order"), [(constant_acceleration, 1), (semi_implicit_euler, 1), (pm.rk4, 4)]
 )
 def test_viscous_friction_lets_the_speed_decay(integrator: Any, order: int) -> None:
     """With equal coefficients over equal inertia, v = v0 exp(-c t / m) whatever the heading."""
     steps = np.array([0.1, 0.05, 0.025])
-    friction = ViscousFriction((10, 10, 1.2))
+    friction = pm.ViscousFriction((10, 10, 1.2))
     off = [
         float(np.abs(run(friction, integrator, float(dt)).v[-1] - np.array(START["v0"]) * np.exp(-4.0)).max())
         for dt in steps
@@ -162,8 +148,8 @@ def test_viscous_friction_lets_the_speed_decay(integrator: Any, order: int) -> N
 
 def test_rolling_resistance_stops_the_robot_where_it_must() -> None:
     """With dv/dt = -g v / sqrt(v^2 + s^2), the distance to rest is the integral of sqrt(v^2 + s^2) / g dv."""
-    force, options = RollingResistance((20, 0, 0), 0.05), {"q0": (0, 0, 0), "v0": (1, 0, 0)}
-    rollout = simulate(BALANCED, NOTHING, CIRCLE, dt=0.01, integrator=rk4, forces=[force], **options)  # type: ignore[arg-type]
+    force, options = pm.RollingResistance((20, 0, 0), 0.05), {"q0": (0, 0, 0), "v0": (1, 0, 0)}
+    rollout = pm.simulate(BALANCED, NOTHING, CIRCLE, dt=0.01, integrator=pm.rk4, forces=[force], **options)  # type: ignore[arg-type]
     distance = (np.hypot(1, 0.05) + 0.05**2 * np.arcsinh(1 / 0.05)) / (2 * 2)
     # After 4 s exp(-(4 - 0.5) 2 / 0.05) of the speed is left; h g / s = 0.4 at the end, to the fourth power.
     assert rollout.q[-1, 0] == pytest.approx(distance, abs=1e-6)
@@ -171,7 +157,7 @@ def test_rolling_resistance_stops_the_robot_where_it_must() -> None:
 
 
 def test_friction_takes_exactly_the_energy_that_is_lost() -> None:
-    rollout = run(ViscousFriction((2, 8, 0.5)), rk4, 0.01, ROBOT)
+    rollout = run(pm.ViscousFriction((2, 8, 0.5)), pm.rk4, 0.01, ROBOT)
     power = np.sum(FORCES[3](rollout.t, rollout.q, rollout.v) * rollout.v, axis=1)
     energy = ROBOT.kinetic_energy(rollout.q, rollout.v)
     work = np.sum((power[:-1] + power[1:]) / 2) * 0.01
@@ -185,7 +171,7 @@ def test_an_integrator_that_looks_ahead_sees_the_force_that_will_be() -> None:
         return q, v + dt * acceleration(t + dt, q, v)
 
     ramp = [lambda t, q, v: np.array([10 * t, 0, 0])]
-    rollout = simulate(
+    rollout = pm.simulate(
         BALANCED, NOTHING, CIRCLE, dt=0.5, integrator=ahead, forces=ramp, q0=(0, 0, 0), v0=(0, 0, 0)
     )
     np.testing.assert_allclose(rollout.v[:, 0], np.cumsum([0, *(0.5 * rollout.t[1:])]), rtol=1e-14)
@@ -205,8 +191,8 @@ def test_a_force_acts_on_the_first_three_coordinates_of_a_plant_with_more() -> N
         seen.append((q.shape, v.shape))
         return np.array([1.0, 2.0, 3.0])
 
-    plant, silent = OtherPlant(extra=2), law(lambda *_: np.arange(5.0))
-    simulate(plant, silent, Trajectory(), dt=0.1, duration=0.2, forces=[force])
+    plant, silent = OtherPlant(extra=2), pm.law(lambda *_: np.arange(5.0))
+    pm.simulate(plant, silent, Trajectory(), dt=0.1, duration=0.2, forces=[force])
     # Before the loop it is asked for the shape of its answer, without input.
     assert {tuple(u) for u in plant.asked} - {(0, 0, 0, 0, 0)} == {(1, 3, 5, 3, 4)}
     assert set(seen) == {((3,), (3,))}
@@ -217,9 +203,9 @@ def test_a_force_cannot_write_into_the_record() -> None:
         q[:] = v[:] = 99
         return np.zeros(3)
 
-    plain = simulate(ROBOT, PD(9, 9), CIRCLE, dt=0.5, integrator=rk4)
+    plain = pm.simulate(ROBOT, pm.PD(9, 9), CIRCLE, dt=0.5, integrator=pm.rk4)
     for plant in (ROBOT, OtherPlant()):
-        rollout = simulate(plant, PD(9, 9), CIRCLE, dt=0.5, integrator=rk4, forces=[vandal])
+        rollout = pm.simulate(plant, pm.PD(9, 9), CIRCLE, dt=0.5, integrator=pm.rk4, forces=[vandal])
         np.testing.assert_allclose(rollout.q, plain.q, rtol=0, atol=1e-12)
 
 
@@ -227,8 +213,8 @@ def test_a_force_that_is_not_a_number_is_divergence_with_everything_before_it() 
     def fails(t: float, q: Array, v: Array) -> Array:
         return np.full(3, np.nan if t > 1.05 else 0.0)
 
-    with pytest.raises(Diverged, match=r"at t = 1\.1 s .*: a not finite") as caught:
-        simulate(ROBOT, PD(9, 9), CIRCLE, dt=0.1, forces=[fails])
+    with pytest.raises(pm.Diverged, match=r"at t = 1\.1 s .*: a not finite") as caught:
+        pm.simulate(ROBOT, pm.PD(9, 9), CIRCLE, dt=0.1, forces=[fails])
     assert len(caught.value.rollout) == 11
 
 
@@ -262,7 +248,7 @@ class Deaf(OtherPlant):
         ({"forces": 3}, "forces is 3, expected a sequence of forces"),
         ({"forces": [FORCES[0], (1, 2, 3)]}, "forces[1] is (1, 2, 3), expected a function of t, q and v"),
         (
-            {"forces": [ViscousFriction]},
+            {"forces": [pm.ViscousFriction]},
             "forces[0] is <class 'pinmobile.forces.ViscousFriction'>, expected a function of t, q and v",
         ),
         (
@@ -287,7 +273,7 @@ class Deaf(OtherPlant):
     ],
 )
 def test_forces_that_do_not_fit_are_refused(changed: dict[str, Any], text: str) -> None:
-    arguments: dict[str, Any] = {"plant": ROBOT, "controller": PD(1, 1), "trajectory": CIRCLE, "dt": 0.1}
-    with pytest.raises(InvalidArgument) as caught:
-        simulate(**(arguments | changed))
+    arguments: dict[str, Any] = {"plant": ROBOT, "controller": pm.PD(1, 1), "trajectory": CIRCLE, "dt": 0.1}
+    with pytest.raises(pm.InvalidArgument) as caught:
+        pm.simulate(**(arguments | changed))
     assert text in str(caught.value)

@@ -12,37 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    Backstepping,
-    Circle,
-    ComputedTorque,
-    Coulomb,
-    Engine,
-    FixedHeading,
-    Hold,
-    InvalidArgument,
-    Line,
-    Log,
-    MobileRobot,
-    Motor,
-    PayloadBody,
-    RollingResistance,
-    Rollout,
-    Tangent,
-    UnicycleTracking,
-    VelocityRobot,
-    ViscousFriction,
-    WheeledRobot,
-    WheelTable,
-    ensemble,
-    excitation,
-    identify,
-    identify_velocity,
-    law,
-    plots,
-    rk4,
-    simulate,
-)
+import pinmobile as pm
+from pinmobile import plots
 from pinmobile.arrays import Array
 from pinmobile.controllers import TorqueToVoltage
 from pinmobile.errors import FileError, PinmobileError, UnknownName
@@ -54,42 +25,42 @@ from pinmobile.parts import evolved
 from pinmobile.wheels import WheelFriction
 from tests.damage import answer, damaged
 
-ROBOT = MobileRobot(32.0, 1.6, com=(0.12, -0.04))
+ROBOT = pm.MobileRobot(32.0, 1.6, com=(0.12, -0.04))
 TRUE = {
     **{"mass": 32.0, "com_x": 0.12, "com_y": -0.04, "yaw_inertia": 1.6},
     **{"viscous_forward": 6.0, "viscous_left": 14.0, "viscous_yaw": 1.2},
     **{"rolling_forward": 4.0, "rolling_left": 7.0, "rolling_yaw": 0.6},
 }
-FRICTION: list[Any] = [ViscousFriction((6.0, 14.0, 1.2)), RollingResistance((4.0, 7.0, 0.6))]
+FRICTION: list[Any] = [pm.ViscousFriction((6.0, 14.0, 1.2)), pm.RollingResistance((4.0, 7.0, 0.6))]
 
 
 @cache
 def motion() -> Excitation:
-    return excitation(ROBOT, duration=44.0, period=11.0, velocity=(1.2, 1.2, 1.2))
+    return pm.excitation(ROBOT, duration=44.0, period=11.0, velocity=(1.2, 1.2, 1.2))
 
 
 @cache
-def driven(trajectory: Any = None, rate: int = 50) -> Rollout:
-    return simulate(
+def driven(trajectory: Any = None, rate: int = 50) -> pm.Rollout:
+    return pm.simulate(
         ROBOT,
-        ComputedTorque(ROBOT, kp=16, kd=8),
+        pm.ComputedTorque(ROBOT, kp=16, kd=8),
         trajectory or motion(),
         dt=1 / rate,
-        integrator=rk4,
+        integrator=pm.rk4,
         substeps=400 // rate,
         forces=FRICTION,
-        engine=Engine.COMPILED,
+        engine=pm.Engine.COMPILED,
     )
 
 
 @cache
-def log(seed: int = 0, delay: int = 0, forces: bool = True) -> Log:
-    return Log.from_rollout(driven(), 1e-3, (1.0, 1.0, 0.15) if forces else 0.0, delay=delay, seed=seed)
+def log(seed: int = 0, delay: int = 0, forces: bool = True) -> pm.Log:
+    return pm.Log.from_rollout(driven(), 1e-3, (1.0, 1.0, 0.15) if forces else 0.0, delay=delay, seed=seed)
 
 
 @cache
 def found(seed: int = 0, delay: int = 0) -> Identification:
-    return identify(log(seed, delay))
+    return pm.identify(log(seed, delay))
 
 
 @pytest.mark.long
@@ -109,10 +80,10 @@ def test_intervals_hold_the_true_parameters_where_poses_and_forces_are_noisy() -
 def test_a_delay_between_samples_is_found_by_the_weak_form_and_widens_its_intervals() -> None:
     fine, start = driven(rate=200), 2  # every fourth sample, beginning in the middle of two
     u = fine.u[: 4 * (len(fine.u) // 4)].reshape(-1, 4, 3).mean(axis=1)
-    read = Log(0.02 * np.arange(len(u) - 1.0), fine.q[4 - start :: 4][: len(u) - 1], u[1:])
-    weak = identify(read, method="weak")
+    read = pm.Log(0.02 * np.arange(len(u) - 1.0), fine.q[4 - start :: 4][: len(u) - 1], u[1:])
+    weak = pm.identify(read, method="weak")
     assert weak.delay == pytest.approx(0.01, abs=5e-4)
-    known = identify(read, method="weak", delay=0.01)
+    known = pm.identify(read, method="weak", delay=0.01)
     ratio = np.sqrt(np.diag(weak.covariance) / np.diag(known.covariance))
     assert ratio.max() > 1.05
 
@@ -150,7 +121,7 @@ def test_noise_of_forces_is_told_from_a_force_that_remembers_and_whitened(memory
 def test_one_wrong_pose_is_one_outlier_at_the_ends_too(row: int) -> None:
     plain, q = log(1, 0, forces=False), np.array(log(1, 0, forces=False).q)
     q[row] += np.array([0.3, 0.0, -0.3])
-    cleaned = PreprocessedLog.of(Log(plain.t, q, plain.u), PlanarModel.pushed(0.01), np.zeros(4))
+    cleaned = PreprocessedLog.of(pm.Log(plain.t, q, plain.u), PlanarModel.pushed(0.01), np.zeros(4))
     before = PreprocessedLog.of(plain, PlanarModel.pushed(0.01), np.zeros(4))
     assert cleaned.outliers == before.outliers + 1
     assert not cleaned.good[row]
@@ -159,32 +130,35 @@ def test_one_wrong_pose_is_one_outlier_at_the_ends_too(row: int) -> None:
 
 @pytest.mark.long
 def test_a_delay_that_is_ignored_spoils_friction() -> None:
-    ignored = identify(log(0, 3), delay=0.0)
+    ignored = pm.identify(log(0, 3), delay=0.0)
     assert abs(ignored.parameters["viscous_forward"] / 6 - 1) > 0.1
     assert not ignored.whiteness.is_white
     told = "the delay of 0 ms was given, but the log agrees with 59.4 ms: with a wrong delay"
     assert any(note.startswith(told) for note in ignored.notes)
     for given in (None, 0.06):
-        assert np.isnan(identify(log(0, 3), method="weak", delay=given).other_delay)
+        assert np.isnan(pm.identify(log(0, 3), method="weak", delay=given).other_delay)
 
 
 def test_a_wrong_delay_is_blamed_and_not_the_inputs_where_the_log_agrees_with_another() -> None:
     with pytest.raises(
-        InvalidArgument,
+        pm.InvalidArgument,
         match=r"^log has inputs that explain 0% of the motion, .* Its delay of 3000 ms was given, but with "
         r"59\.4 ms the motion explains 100% of the inputs$",
     ):
-        identify(log(0, 3), delay=3.0)
+        pm.identify(log(0, 3), delay=3.0)
     with pytest.raises(
-        InvalidArgument, match=r"^log leads to a mass of -[\d.]+ kg, .* Its delay of 1000 ms was given, but "
+        pm.InvalidArgument,
+        match=r"^log leads to a mass of -[\d.]+ kg, .* Its delay of 1000 ms was given, but ",
     ):
-        identify(rolled(False), on_wheels(BODY), delay=1.0)
-    with pytest.raises(InvalidArgument, match=r"^log leads to a mass of -32 kg, .* have inputs another sign"):
-        identify(changed(u=lambda u: -u), delay=0.0)
+        pm.identify(rolled(False), on_wheels(BODY), delay=1.0)
+    with pytest.raises(
+        pm.InvalidArgument, match=r"^log leads to a mass of -32 kg, .* have inputs another sign"
+    ):
+        pm.identify(changed(u=lambda u: -u), delay=0.0)
 
 
 def test_an_offset_that_a_motion_does_not_tell_from_friction_is_taken_as_zero_and_said() -> None:
-    forward = identify(straight(), MobileRobot(30.0, 1.5), method="weak")
+    forward = pm.identify(straight(), pm.MobileRobot(30.0, 1.5), method="weak")
     assert not any(name.startswith("offset") for name in forward.names)
     assert any(
         note.endswith("constant offsets of inputs from friction: taken as zero") for note in forward.notes
@@ -195,19 +169,19 @@ def test_an_offset_that_a_motion_does_not_tell_from_friction_is_taken_as_zero_an
 @pytest.mark.parametrize(("ahead", "method"), [(1, "output error"), (1, "weak"), (3, "weak")])
 def test_poses_ahead_of_the_inputs_that_move_the_robot_are_refused(ahead: int, method: str) -> None:
     read = log()
-    early = Log(read.t[:-ahead], read.q[ahead:], read.u[:-ahead])  # type: ignore[index]
+    early = pm.Log(read.t[:-ahead], read.q[ahead:], read.u[:-ahead])  # type: ignore[index]
     with pytest.raises(
-        InvalidArgument, match=r"^log has poses [24]0\S* ms \(\S+ samples\) ahead of the inputs that move"
+        pm.InvalidArgument, match=r"^log has poses [24]0\S* ms \(\S+ samples\) ahead of the inputs that move"
     ):
-        identify(early, method=method)
-    assert identify(early, method=method, delay=0.0).method
+        pm.identify(early, method=method)
+    assert pm.identify(early, method=method, delay=0.0).method
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("low", [-15.0, -1e9])
 def test_an_input_that_was_clipped_is_reported_and_its_intervals_are_not_valid(low: float) -> None:
     assert not found().clipped
-    clipped = identify(changed(u=lambda u: np.column_stack([np.clip(u[:, 0], low, 15.0), u[:, 1:]])))
+    clipped = pm.identify(changed(u=lambda u: np.column_stack([np.clip(u[:, 0], low, 15.0), u[:, 1:]])))
     assert re.match(r"input Fx of log stays at -\S+ or 15, its extremes, in \d+% of", clipped.clipped)
     assert clipped.clipped in clipped.notes
     assert not clipped.is_noise
@@ -215,7 +189,7 @@ def test_an_input_that_was_clipped_is_reported_and_its_intervals_are_not_valid(l
 
 
 def test_residuals_are_white_where_the_sensors_noise_is_all_that_is_left() -> None:
-    clean = identify(log(1, 0, forces=False))
+    clean = pm.identify(log(1, 0, forces=False))
     assert clean.whiteness.is_white
     assert clean.chi2 == pytest.approx(1.0, abs=0.1)  # 6,600 residuals: 0.017 is a deviation
     np.testing.assert_allclose(clean.noise, 1e-3, rtol=0.05)
@@ -241,12 +215,12 @@ def test_rows_that_lack_a_pose_are_bridged_by_their_inputs_and_counted(method: s
     q[:5] = np.nan
     for begin in range(50, 2150, 45):  # 0.3 s of each 0.9 s, beside what outliers were
         q[begin : begin + 15] = np.nan
-    read = Log(log().t, q, log().u)
+    read = pm.Log(log().t, q, log().u)
     assert (len(read), read.dropped) == (2196, 710)
     assert read.samples().seen.sum() == 2201 - 710
     np.testing.assert_array_equal(read.samples().u, log().u[5:])
-    np.testing.assert_array_equal(Log(read.t, read.q, read.u).samples().seen, read.samples().seen)
-    spoiled = identify(read, method=method)
+    np.testing.assert_array_equal(pm.Log(read.t, read.q, read.u).samples().seen, read.samples().seen)
+    spoiled = pm.identify(read, method=method)
     assert (spoiled.samples, spoiled.dropped) == (2201 - 710, 710)
     assert spoiled.parameters["mass"] == pytest.approx(32.0, rel=0.01)
     off = np.array([spoiled.parameters[name] - value for name, value in TRUE.items()])
@@ -258,23 +232,23 @@ def test_rows_that_lack_a_pose_are_bridged_by_their_inputs_and_counted(method: s
 def test_a_stream_of_inputs_that_lacks_some_is_not_known_meanwhile_and_no_longer() -> None:
     u = np.array(log().u)
     u[700] = np.nan
-    read = Log.from_streams(log().t, log().q, log().t, u)  # type: ignore[arg-type]
+    read = pm.Log.from_streams(log().t, log().q, log().t, u)  # type: ignore[arg-type]
     assert read.dropped == 1
     np.testing.assert_allclose(read.samples().u[701:2200], log().u[701:2200], atol=1e-9)
 
 
 def test_a_circle_is_refused_and_with_a_robot_what_is_unseen_is_told_and_kept() -> None:
-    circle = Log.from_rollout(driven(Tangent(Circle(1.5, 0.6, 44.0))), 1e-3)
+    circle = pm.Log.from_rollout(driven(pm.Tangent(pm.Circle(1.5, 0.6, 44.0))), 1e-3)
     with pytest.raises(
-        InvalidArgument, match=r"^log has a motion of rank 3 of 10: the motion does not tell .*yaw_inertia"
+        pm.InvalidArgument, match=r"^log has a motion of rank 3 of 10: the motion does not tell .*yaw_inertia"
     ):
-        identify(circle)
-    kept = identify(circle, MobileRobot(30.0, 1.5))
+        pm.identify(circle)
+    kept = pm.identify(circle, pm.MobileRobot(30.0, 1.5))
     assert kept.rank == 3
     assert not any(kept.is_seen.values())
     assert kept.interval()["mass"] == (0.0, np.inf)
     assert kept.robot().body.yaw_inertia == pytest.approx(1.5, rel=0.05)
-    with pytest.raises(InvalidArgument, match="needs a log that tells all: the motion"):
+    with pytest.raises(pm.InvalidArgument, match="needs a log that tells all: the motion"):
         kept.spread(3)
 
 
@@ -286,22 +260,22 @@ def test_what_is_said_to_be_identifiable_holds_true_values_whatever_the_prior() 
         rng = np.random.default_rng([seed, 7])
         mass, com, radius = rng.uniform(15, 60), rng.uniform(-0.1, 0.1, 2), rng.uniform(0.17, 0.3)
         viscous, dry = rng.uniform(2, 15, 3) * [1, 1, 0.1], rng.uniform(1, 8, 3) * [1, 1, 0.1]
-        robot = MobileRobot(mass, mass * radius**2, com=tuple(com))
+        robot = pm.MobileRobot(mass, mass * radius**2, com=tuple(com))
         weave = np.zeros((5, 2, 3))  # along a line, with little yaw
         weave[:, 0, 0] = [0.5, -0.3, 0.2, -0.3, -0.1]
         weave[:, 0, 2] = np.array([0.4, -0.2, -0.4, 0.1, 0.1]) * [0.02, 0.1][seed % 2]
-        run = simulate(
+        run = pm.simulate(
             robot,
-            ComputedTorque(robot, kp=16, kd=8),
+            pm.ComputedTorque(robot, kp=16, kd=8),
             Excitation(weave, 20.0, 44.0),
             dt=0.02,
-            integrator=rk4,
+            integrator=pm.rk4,
             substeps=8,
-            forces=[ViscousFriction(viscous), RollingResistance(dry)],
-            engine=Engine.COMPILED,
+            forces=[pm.ViscousFriction(viscous), pm.RollingResistance(dry)],
+            engine=pm.Engine.COMPILED,
         )
-        read = Log.from_rollout(run, 1e-3, (1.0, 1.0, 0.15) if seed % 3 else 0.0, seed=seed)
-        known = identify(read, MobileRobot(30.0, 1.5))
+        read = pm.Log.from_rollout(run, 1e-3, (1.0, 1.0, 0.15) if seed % 3 else 0.0, seed=seed)
+        known = pm.identify(read, pm.MobileRobot(30.0, 1.5))
         assert known.unseen
         deviations = known._deviations(0.95) * np.sqrt(np.diag(known.covariance))
         true = [mass, *com, mass * radius**2, *viscous, *dry]
@@ -327,15 +301,15 @@ def test_what_is_found_goes_on_to_simulate_and_ensemble() -> None:
     joint = np.corrcoef(spread["coefficients.forward"], spread["force.forward"])[0, 1]
     C = found().covariance
     assert joint == pytest.approx(C[4, 7] / np.sqrt(C[4, 4] * C[7, 7]), abs=0.2)
-    controller = ComputedTorque(robot, kp=16, kd=8)
-    runs = ensemble(
-        robot, controller, Tangent(Circle(1, 0.5, 2)), n=200, spread=spread, forces=friction, dt=0.02
+    controller = pm.ComputedTorque(robot, kp=16, kd=8)
+    runs = pm.ensemble(
+        robot, controller, pm.Tangent(pm.Circle(1, 0.5, 2)), n=200, spread=spread, forces=friction, dt=0.02
     )
     assert 0 < runs.error_quantile(0.99).distance < 0.1
 
 
 def test_a_urdfs_robot_keeps_what_the_plane_cannot_tell() -> None:
-    believed = MobileRobot.box(30.0, (0.8, 0.6, 0.5))  # whose moments allow for another about z
+    believed = pm.MobileRobot.box(30.0, (0.8, 0.6, 0.5))  # whose moments allow for another about z
     kept = replace(found(), prior=believed).robot()
     np.testing.assert_array_equal(np.diag(kept.body.inertia)[:2], np.diag(believed.body.inertia)[:2])
     assert kept.com[2] == believed.com[2]
@@ -394,30 +368,30 @@ def test_an_identification_can_be_pickled() -> None:
 
 
 @cache
-def straight() -> Log:
-    run = simulate(
+def straight() -> pm.Log:
+    run = pm.simulate(
         ROBOT,
-        ComputedTorque(ROBOT, kp=16, kd=8),
-        FixedHeading(Line((0, 0), (20, 0), 44.0), 0.0),
+        pm.ComputedTorque(ROBOT, kp=16, kd=8),
+        pm.FixedHeading(pm.Line((0, 0), (20, 0), 44.0), 0.0),
         dt=0.02,
-        integrator=rk4,
+        integrator=pm.rk4,
         substeps=8,
         forces=FRICTION,
-        engine=Engine.COMPILED,
+        engine=pm.Engine.COMPILED,
     )
-    return Log.from_rollout(run, 1e-3, (1.0, 1.0, 0.15))
+    return pm.Log.from_rollout(run, 1e-3, (1.0, 1.0, 0.15))
 
 
-def weakly(read: Log) -> tuple[Array, Array]:
+def weakly(read: pm.Log) -> tuple[Array, Array]:
     """Return the weak form's estimates and their deviations, of a log that is not late."""
-    weak = identify(read, method="weak", delay=0.0)
+    weak = pm.identify(read, method="weak", delay=0.0)
     return weak.values[:10], np.sqrt(np.diag(weak.covariance))[:10]
 
 
 @pytest.mark.parametrize("far", [0.0, 1000.0])
 def test_the_weak_form_of_a_log_without_noise_is_exact_wherever_the_robot_is(far: float) -> None:
     run = driven()
-    estimates, _ = weakly(Log(run.t, run.q + np.array([far, -far, 0.0]), run.u))
+    estimates, _ = weakly(pm.Log(run.t, run.q + np.array([far, -far, 0.0]), run.u))
     # Sums over windows of 31 samples, of forces that jump where dry friction does.
     np.testing.assert_allclose(estimates, list(TRUE.values()), rtol=5e-3)
 
@@ -443,43 +417,47 @@ def test_the_regressor_is_the_robots_dynamics() -> None:
 
 # -- wheels ----------------------------------------------------------------------------------------
 
-MOTOR = Motor(resistance=1.2, torque_constant=0.04, voltage=24.0, gear=30.0, rotor_inertia=2e-5)
-BODY = MobileRobot(30.0, 1.3, com=(0.06, 0.02, 0.2))
-LOAD = PayloadBody(8.0, (0.1, 0.05, 0.1), size=(0.2, 0.2, 0.2))
+MOTOR = pm.Motor(resistance=1.2, torque_constant=0.04, voltage=24.0, gear=30.0, rotor_inertia=2e-5)
+BODY = pm.MobileRobot(30.0, 1.3, com=(0.06, 0.02, 0.2))
+LOAD = pm.PayloadBody(8.0, (0.1, 0.05, 0.1), size=(0.2, 0.2, 0.2))
 
 
 def on_wheels(
-    body: MobileRobot, motor: Motor = MOTOR, radius: float = 0.1, dry: WheelFriction | None = None
+    body: pm.MobileRobot, motor: pm.Motor = MOTOR, radius: float = 0.1, dry: WheelFriction | None = None
 ) -> Any:
     wheel: dict[str, Any] = {"supports": [(-0.3, 0)], "mass": 1.0, "spin_inertia": 0.005}
     if dry is None:
-        return WheeledRobot(body, WheelTable.differential(0.5, radius, motor=motor, **wheel)).by_voltage()
-    table = WheelTable.differential(0.5, radius, motor=motor, friction=dry, **wheel)
-    return WheeledRobot(body, table, Coulomb()).by_voltage()
+        return pm.WheeledRobot(
+            body, pm.WheelTable.differential(0.5, radius, motor=motor, **wheel)
+        ).by_voltage()
+    table = pm.WheelTable.differential(0.5, radius, motor=motor, friction=dry, **wheel)
+    return pm.WheeledRobot(body, table, pm.Coulomb()).by_voltage()
 
 
 @cache
-def rolled(loaded: bool) -> Log:
+def rolled(loaded: bool) -> pm.Log:
     return noisy(run_on_wheels(loaded), int(loaded))
 
 
 @cache
-def run_on_wheels(loaded: bool = False, dry: WheelFriction | None = None, motor: Motor = MOTOR) -> Rollout:
+def run_on_wheels(
+    loaded: bool = False, dry: WheelFriction | None = None, motor: pm.Motor = MOTOR
+) -> pm.Rollout:
     plant = on_wheels(BODY.attach(LOAD).lumped() if loaded else BODY, motor)
-    path = excitation(
+    path = pm.excitation(
         plant, duration=44.0, period=11.0, velocity=(0.8, 1.0, 1.2), acceleration=(1.0, 1.0, 2.0)
     )
-    controller = TorqueToVoltage(Backstepping(UnicycleTracking(), plant.wheeled), plant)
+    controller = TorqueToVoltage(pm.Backstepping(pm.UnicycleTracking(), plant.wheeled), plant)
     if dry is not None:
-        return simulate(on_wheels(BODY, dry=dry), controller, path, dt=0.02, engine=Engine.COMPILED)
-    return simulate(plant, controller, path, dt=0.02, substeps=4, engine=Engine.COMPILED)
+        return pm.simulate(on_wheels(BODY, dry=dry), controller, path, dt=0.02, engine=pm.Engine.COMPILED)
+    return pm.simulate(plant, controller, path, dt=0.02, substeps=4, engine=pm.Engine.COMPILED)
 
 
-def noisy(run: Rollout, seed: int) -> Log:
-    plain = Log.from_rollout(run, 1e-3, 0.02, seed=seed)
+def noisy(run: pm.Rollout, seed: int) -> pm.Log:
+    plain = pm.Log.from_rollout(run, 1e-3, 0.02, seed=seed)
     assert plain.wheel_rates is not None
     rates = plain.wheel_rates + np.random.default_rng(4 + seed).normal(0, 0.02, plain.wheel_rates.shape)
-    return Log(plain.t, plain.q, plain.u, None, rates)
+    return pm.Log(plain.t, plain.q, plain.u, None, rates)
 
 
 @pytest.mark.long
@@ -487,14 +465,14 @@ def noisy(run: Rollout, seed: int) -> Log:
 def test_gears_that_lose_by_the_direction_of_power_and_motors_that_rub_are_known() -> None:
     rubs = evolved(MOTOR, efficiency=0.8, coulomb=0.003, viscous=2e-5)
     read = noisy(run_on_wheels(motor=rubs), 0)
-    known = identify(read, on_wheels(MobileRobot(20.0, 1.0), rubs))
+    known = pm.identify(read, on_wheels(pm.MobileRobot(20.0, 1.0), rubs))
     for name, value in {"mass": 30.0, "com_x": 0.06, "com_y": 0.02, "yaw_inertia": 1.3}.items():
         assert known.parameters[name] == pytest.approx(value, rel=0.02), name
     # The motors have it, so that it is not found again: of 30 * 0.003 = 0.09 N m and 30^2 * 2e-5 = 0.018.
     friction = list(known.parameters.values())[4:]
     np.testing.assert_allclose(friction, 0.0, atol=6e-3)
     # Who does not know of it finds a mass of 28, and has more left than the noise.
-    simple = identify(read, on_wheels(MobileRobot(20.0, 1.0)))
+    simple = pm.identify(read, on_wheels(pm.MobileRobot(20.0, 1.0)))
     assert abs(simple.parameters["mass"] / 30 - 1) > 0.05
     assert known.chi2 < 0.5 * simple.chi2
 
@@ -502,9 +480,9 @@ def test_gears_that_lose_by_the_direction_of_power_and_motors_that_rub_are_known
 @pytest.mark.once
 def test_of_wheels_alone_nothing_is_believed_of_the_body() -> None:
     wheel: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.005, "yaw_inertia": 0.003}
-    volts = WheelTable.differential(0.5, 0.1, motor=MOTOR, **wheel)
-    found = identify(rolled(False), volts, method="weak")
-    known = identify(rolled(False), on_wheels(MobileRobot(20.0, 1.0)), method="weak")
+    volts = pm.WheelTable.differential(0.5, 0.1, motor=MOTOR, **wheel)
+    found = pm.identify(rolled(False), volts, method="weak")
+    known = pm.identify(rolled(False), on_wheels(pm.MobileRobot(20.0, 1.0)), method="weak")
     np.testing.assert_allclose(found.phi, known.phi, rtol=1e-6, atol=1e-9)
     assert "the wheels' own inertia cannot be told" in str(found)
     assert "a log with a known load tells it" in str(found)
@@ -514,35 +492,40 @@ def test_of_wheels_alone_nothing_is_believed_of_the_body() -> None:
     assert [one.names for one in found.forces()] == [one.names for one in known.forces()]
     t = np.linspace(0, 29.98, 1500)
     q = np.column_stack([np.sin(t), 0 * t, 0 * t]) + np.random.default_rng(1).normal(0, 1e-3, (1500, 3))
-    straight = Log(t, q, np.column_stack([-np.sin(t), -np.sin(t)]))
-    torques = WheelTable.differential(0.5, 0.1, **wheel)
+    straight = pm.Log(t, q, np.column_stack([-np.sin(t), -np.sin(t)]))
+    torques = pm.WheelTable.differential(0.5, 0.1, **wheel)
     with pytest.raises(
-        InvalidArgument, match=r"the motion does not tell .*yaw_inertia.*, or robot=\.\.\., whic"
+        pm.InvalidArgument, match=r"the motion does not tell .*yaw_inertia.*, or robot=\.\.\., whic"
     ):
-        identify(straight, torques)
-    light = identify(straight, WheeledRobot(MobileRobot(20.0, 1.0), torques))
+        pm.identify(straight, torques)
+    light = pm.identify(straight, pm.WheeledRobot(pm.MobileRobot(20.0, 1.0), torques))
     assert light.unseen
-    with pytest.raises(InvalidArgument, match="with wheels that slip"):
-        identify(straight, WheelTable.skid_steer(0.4, 0.5, 0.1, **wheel))
+    with pytest.raises(pm.InvalidArgument, match="with wheels that slip"):
+        pm.identify(straight, pm.WheelTable.skid_steer(0.4, 0.5, 0.1, **wheel))
 
 
 @pytest.mark.once
 def test_wheels_that_slip_are_told_from_those_that_roll_with_noise() -> None:
     slides = noisy(run_on_wheels(dry=WheelFriction(mu=0.1, rolling=0.0)), 0)
     text = r"^log has poses that move otherwise than wheels roll, by \S+ m/s, \S+% of the speed, "
-    for read in (slides, Log(slides.t, slides.q, slides.u)):  # by encoders, and by the way across the wheels
-        with pytest.raises(InvalidArgument, match=f"{text}where noise .*: they slip, or .* that roll$"):
-            identify(read, on_wheels(BODY))
+    for read in (
+        slides,
+        pm.Log(slides.t, slides.q, slides.u),
+    ):  # by encoders, and by the way across the wheels
+        with pytest.raises(pm.InvalidArgument, match=f"{text}where noise .*: they slip, or .* that roll$"):
+            pm.identify(read, on_wheels(BODY))
     creeps = noisy(run_on_wheels(dry=WheelFriction(rolling=0.0, slip=1e-3)), 0)
-    with pytest.raises(InvalidArgument, match=r"ahead of the inputs .* Its poses move otherwise than wheels"):
-        identify(creeps, on_wheels(BODY), method="weak")
-    crept = identify(creeps, on_wheels(BODY), method="weak", delay=0.0)
+    with pytest.raises(
+        pm.InvalidArgument, match=r"ahead of the inputs .* Its poses move otherwise than wheels"
+    ):
+        pm.identify(creeps, on_wheels(BODY), method="weak")
+    crept = pm.identify(creeps, on_wheels(BODY), method="weak", delay=0.0)
     assert not crept.is_noise
     assert crept.slippage is not None
     assert 0.01 < crept.slippage.share < 0.05
     assert any(note.startswith("poses move otherwise than wheels roll, by 0.0") for note in crept.notes)
-    with pytest.raises(InvalidArgument, match=r"two clocks .* Its poses move otherwise than wheels roll"):
-        identify(noisy(run_on_wheels(dry=WheelFriction(rolling=0.0, slip=3e-3)), 0), on_wheels(BODY))
+    with pytest.raises(pm.InvalidArgument, match=r"two clocks .* Its poses move otherwise than wheels roll"):
+        pm.identify(noisy(run_on_wheels(dry=WheelFriction(rolling=0.0, slip=3e-3)), 0), on_wheels(BODY))
 
 
 @pytest.mark.once
@@ -552,16 +535,18 @@ def test_wheels_that_slip_are_told_from_those_that_roll_with_noise() -> None:
 )
 def test_resistance_that_depends_on_load_is_not_given_a_valid_interval(rolling: float, said: str) -> None:
     wheel: dict[str, Any] = {"supports": [(-0.3, 0)], "mass": 1.0, "spin_inertia": 0.005}
-    body = MobileRobot(30.0, 1.3, com=(0.06, 0.02, 0.5))
-    table = WheelTable.differential(0.5, 0.1, friction=WheelFriction(rolling=rolling), **wheel)
-    rolls = WheeledRobot(body, WheelTable.differential(0.5, 0.1, **wheel))
-    path = excitation(
+    body = pm.MobileRobot(30.0, 1.3, com=(0.06, 0.02, 0.5))
+    table = pm.WheelTable.differential(0.5, 0.1, friction=WheelFriction(rolling=rolling), **wheel)
+    rolls = pm.WheeledRobot(body, pm.WheelTable.differential(0.5, 0.1, **wheel))
+    path = pm.excitation(
         rolls, duration=44.0, period=11.0, velocity=(0.8, 1.0, 1.2), acceleration=(1.0, 1.0, 2.0)
     )
-    controller = Backstepping(UnicycleTracking(), rolls)
-    run = simulate(WheeledRobot(body, table, Coulomb()), controller, path, dt=0.02, engine=Engine.COMPILED)
-    read = Log.from_rollout(run, 1e-3, seed=1)
-    known = identify(Log(read.t, read.q, read.u), rolls.table)
+    controller = pm.Backstepping(pm.UnicycleTracking(), rolls)
+    run = pm.simulate(
+        pm.WheeledRobot(body, table, pm.Coulomb()), controller, path, dt=0.02, engine=pm.Engine.COMPILED
+    )
+    read = pm.Log.from_rollout(run, 1e-3, seed=1)
+    known = pm.identify(pm.Log(read.t, read.q, read.u), rolls.table)
     assert said in str(known).splitlines()[0]
     assert known.is_noise == (rolling < 0.05)
     assert ("the structure of the model is wrong" in str(known)) == (rolling == 0.05)
@@ -573,7 +558,7 @@ def test_wheels_that_roll_are_not_said_to_slip(dry: WheelFriction | None) -> Non
     model, nothing = PlanarModel.rolling(on_wheels(BODY), 0.1), np.zeros(4)
     for seed in range(20):
         read = noisy(run_on_wheels(dry=dry), seed)
-        for each in (read, Log(read.t, read.q, read.u)):
+        for each in (read, pm.Log(read.t, read.q, read.u)):
             slippage = Slippage.of(PreprocessedLog.of(each, model, nothing), model)
             assert slippage is not None
             assert not slippage.is_certain
@@ -585,19 +570,19 @@ def test_wheels_that_roll_are_not_said_to_slip(dry: WheelFriction | None) -> Non
 def test_a_wheel_of_another_radius_is_told_by_its_ratio() -> None:
     why = "ratios of 0.909 forward and 0.909 in yaw explain it, as of wheels of another radius"
     with pytest.raises(
-        InvalidArgument, match=f"^log has poses that move otherwise than wheels roll, .*: {why}"
+        pm.InvalidArgument, match=f"^log has poses that move otherwise than wheels roll, .*: {why}"
     ):
-        identify(noisy(run_on_wheels(), 0), on_wheels(BODY, radius=0.11))
-    near = identify(noisy(run_on_wheels(), 0), on_wheels(BODY, radius=0.102), method="weak")
+        pm.identify(noisy(run_on_wheels(), 0), on_wheels(BODY, radius=0.11))
+    near = pm.identify(noisy(run_on_wheels(), 0), on_wheels(BODY, radius=0.102), method="weak")
     assert any("ratios of 0.98 forward and 0.98 in yaw explain it" in note for note in near.notes)
-    assert identify(log(), method="weak").slippage is None
+    assert pm.identify(log(), method="weak").slippage is None
 
 
 @pytest.mark.once
 def test_a_known_load_tells_the_motors_constant() -> None:
-    wrong = Motor(resistance=1.2, torque_constant=0.06, voltage=24.0, gear=30.0, rotor_inertia=2e-5)
-    both = identify(
-        [rolled(False), rolled(True)], on_wheels(MobileRobot(20.0, 1.0), wrong), loads=[None, LOAD]
+    wrong = pm.Motor(resistance=1.2, torque_constant=0.06, voltage=24.0, gear=30.0, rotor_inertia=2e-5)
+    both = pm.identify(
+        [rolled(False), rolled(True)], on_wheels(pm.MobileRobot(20.0, 1.0), wrong), loads=[None, LOAD]
     )
     np.testing.assert_allclose(both.torque_constants, 0.04, rtol=0.05)
     low, high = both.interval(0.99)["input_scale"]
@@ -613,9 +598,9 @@ def test_currents_and_a_known_load_tell_the_torque_per_ampere() -> None:
         # What back-EMF leaves of the volts, on average over the step for which these are held.
         mean = (each.wheel_rates + np.roll(each.wheel_rates, -1, axis=0)) / 2
         currents = (each.u - 30.0 * 0.04 * mean) / 1.2
-        logs.append(Log(each.t, each.q, currents, None, each.wheel_rates, units=("A", "A")))
-    believed = on_wheels(MobileRobot(20.0, 1.0)).wheeled
-    found = identify(logs, believed, loads=[None, LOAD], method="weak")
+        logs.append(pm.Log(each.t, each.q, currents, None, each.wheel_rates, units=("A", "A")))
+    believed = on_wheels(pm.MobileRobot(20.0, 1.0)).wheeled
+    found = pm.identify(logs, believed, loads=[None, LOAD], method="weak")
     low, high = found.interval(0.99)["input_scale"]
     assert low < 30.0 * 0.04 < high
     assert found.parameters["input_scale"] == pytest.approx(1.2, rel=0.05)
@@ -628,14 +613,14 @@ def test_short_and_coarse_logs_are_refused_with_the_reason(rows: int, dt: float)
     every = round(dt / 0.02)
     t, q, u = (np.array(x) for x in (log().t, log().q, log().u))
     cuts = [np.s_[k : k + rows * every : every] for k in range(0, 6 if rows < 45 else 2)]
-    logs = [Log(t[cut], q[cut], u[cut]) for cut in cuts]
+    logs = [pm.Log(t[cut], q[cut], u[cut]) for cut in cuts]
     why = (
         "has samples every 0.5 s, expected 0.1 s or less"
         if dt > 0.1
         else "is .* s long.*, too short, expected"
     )
-    with pytest.raises(InvalidArgument, match=rf"^log(\[0\])? {why}"):
-        identify(logs)
+    with pytest.raises(pm.InvalidArgument, match=rf"^log(\[0\])? {why}"):
+        pm.identify(logs)
 
 
 @pytest.mark.once
@@ -644,19 +629,19 @@ def test_an_encoder_that_jumps_once_is_an_outlier() -> None:
     assert plain.wheel_rates is not None
     rates = np.array(plain.wheel_rates)
     rates[500, 0] += 50.0
-    believed = on_wheels(MobileRobot(20.0, 1.0))
-    spiked = identify(Log(plain.t, plain.q, plain.u, None, rates), believed, method="weak")
-    known = identify(plain, believed, method="weak")
+    believed = on_wheels(pm.MobileRobot(20.0, 1.0))
+    spiked = pm.identify(pm.Log(plain.t, plain.q, plain.u, None, rates), believed, method="weak")
+    known = pm.identify(plain, believed, method="weak")
     assert (known.outliers, spiked.outliers) == (0, 1)
     np.testing.assert_allclose(spiked.phi[:4], known.phi[:4], rtol=2e-3)
 
 
 @pytest.mark.once
 def test_a_robot_of_motors_whose_friction_is_stated_too_high_is_refused_by_its_friction() -> None:
-    believed = on_wheels(MobileRobot(20.0, 1.0), evolved(MOTOR, coulomb=0.01))
-    found = identify(rolled(False), believed, method="weak")
+    believed = on_wheels(pm.MobileRobot(20.0, 1.0), evolved(MOTOR, coulomb=0.01))
+    found = pm.identify(rolled(False), believed, method="weak")
     assert found.parameters["mass"] == pytest.approx(30.0, rel=0.03)
-    with pytest.raises(InvalidArgument, match=r"^log leads to a .* is friction of its motors stated too"):
+    with pytest.raises(pm.InvalidArgument, match=r"^log leads to a .* is friction of its motors stated too"):
         found.robot()
 
 
@@ -665,7 +650,7 @@ def test_a_robot_of_motors_whose_friction_is_stated_too_high_is_refused_by_its_f
 
 def test_a_motion_stays_in_its_limits_and_its_derivatives_are_its_own() -> None:
     t, h = np.linspace(1, 43, 400), 1e-5
-    for trajectory in (motion(), excitation(on_wheels(BODY), duration=44.0, period=11.0)):
+    for trajectory in (motion(), pm.excitation(on_wheels(BODY), duration=44.0, period=11.0)):
         at = trajectory(t)
         ends = trajectory(np.array([0.0, 44.0]))
         np.testing.assert_allclose(ends.v, 0, atol=1e-12)
@@ -683,9 +668,9 @@ def test_a_motion_stays_in_its_limits_and_its_derivatives_are_its_own() -> None:
 # -- logs that are refused -------------------------------------------------------------------------
 
 
-def changed(**new: Callable[[Array], Array]) -> Log:
+def changed(**new: Callable[[Array], Array]) -> pm.Log:
     parts = {"t": log().t, "q": log().q, "u": log().u}
-    return Log(*(new[name](np.array(x)) if name in new else x for name, x in parts.items()))  # type: ignore[arg-type]
+    return pm.Log(*(new[name](np.array(x)) if name in new else x for name, x in parts.items()))  # type: ignore[arg-type]
 
 
 def holed(q: Array) -> Array:
@@ -728,20 +713,23 @@ def drifting(q: Array) -> Array:
             r"^q has shape \(2200, 3\), expected \(2201, 3\), a row for each time$",
         ),
         (
-            lambda: identify(changed(u=lambda u: 1000 * u)),
+            lambda: pm.identify(changed(u=lambda u: 1000 * u)),
             r"^log leads to a mass of 3\.\d+e\+04 kg, .*forces in N",
         ),
         (
-            lambda: identify(changed(u=lambda u: 1e-3 * u), method="weak"),
+            lambda: pm.identify(changed(u=lambda u: 1e-3 * u), method="weak"),
             r"^log leads to a radius of gyration of 0\.2\d+ m with a mass of 0\.03\d+ kg, .* forces in N,",
         ),
         (
-            lambda: identify(changed(u=lambda u: u * np.array([1, 1, 1000.0])), method="weak"),
+            lambda: pm.identify(changed(u=lambda u: u * np.array([1, 1, 1000.0])), method="weak"),
             r"^log leads to a radius of gyration of .* kg, .* moments in N m,",
         ),
-        (lambda: identify(log().between(0, 12)), r"^log is 12 s long, too short, expected at least"),
-        (lambda: identify(changed(q=lambda q: 0 * q, u=lambda u: 0 * u)), r"^log has poses that move by 0 m"),
-        (lambda: identify(changed(u=lambda u: u[::-1])), r"^log has inputs that explain"),
+        (lambda: pm.identify(log().between(0, 12)), r"^log is 12 s long, too short, expected at least"),
+        (
+            lambda: pm.identify(changed(q=lambda q: 0 * q, u=lambda u: 0 * u)),
+            r"^log has poses that move by 0 m",
+        ),
+        (lambda: pm.identify(changed(u=lambda u: u[::-1])), r"^log has inputs that explain"),
         (
             lambda: changed(q=lambda q: q * np.nan),
             r"^q has 2201 rows, and NaN in each, expected rows without$",
@@ -750,34 +738,34 @@ def drifting(q: Array) -> Array:
             lambda: changed(u=lambda u: u * np.nan),
             r"^u has 2201 rows, and NaN in each, expected rows without$",
         ),
-        (lambda: identify(changed(q=drifting)), r"^log has poses whose delay changes by .*two clocks"),
+        (lambda: pm.identify(changed(q=drifting)), r"^log has poses whose delay changes by .*two clocks"),
         (
-            lambda: Log.from_streams(log().t, log().q, log().t + 1e9, log().u),  # type: ignore[arg-type]
+            lambda: pm.Log.from_streams(log().t, log().q, log().t + 1e9, log().u),  # type: ignore[arg-type]
             r"^t_u is from 1e\+09 to .* two clocks",
         ),
         (
-            lambda: identify(changed(u=lambda u: u[:, :2])),
+            lambda: pm.identify(changed(u=lambda u: u[:, :2])),
             r"^log has 2 inputs, expected 3: \(Fx, Fy, Mz\) .* identify_velocity; joints of arms",
         ),
         (
-            lambda: identify(log(), on_wheels(BODY)),
+            lambda: pm.identify(log(), on_wheels(BODY)),
             r"^log has 3 inputs, expected 2: .* left, right; is it of",
         ),
-        (lambda: identify("run.csv"), r"^log is 'run.csv', expected .*: Log.from_csv makes one$"),  # type: ignore[arg-type]
-        (lambda: identify(driven()), r"^log is .*, expected .*: Log.from_rollout makes one$"),  # type: ignore[arg-type]
+        (lambda: pm.identify("run.csv"), r"^log is 'run.csv', expected .*: Log.from_csv makes one$"),  # type: ignore[arg-type]
+        (lambda: pm.identify(driven()), r"^log is .*, expected .*: Log.from_rollout makes one$"),  # type: ignore[arg-type]
         (
-            lambda: identify(log(), delay=30),
+            lambda: pm.identify(log(), delay=30),
             r"^delay is 30\.0 s, expected -4\.402 <= delay <= 4\.402 s$",
         ),
         (
-            lambda: identify([log(), Log(log().t[::2], log().q[::2], log().u[::2])]),  # type: ignore[index]
+            lambda: pm.identify([log(), pm.Log(log().t[::2], log().q[::2], log().u[::2])]),  # type: ignore[index]
             r"^log has samples every 0\.02 and 0\.04 s, expected equal steps$",
         ),
         (lambda: changed(q=lambda q: q[0]), r"^q has shape \(3,\)"),
-        (lambda: Log(*np.zeros((3, 0))), r"^t has shape \(0,\), expected \(N,\), N >= 2$"),
-        (lambda: Log(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3))), r"^t has shape \(1,\)"),
+        (lambda: pm.Log(*np.zeros((3, 0))), r"^t has shape \(0,\), expected \(N,\), N >= 2$"),
+        (lambda: pm.Log(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3))), r"^t has shape \(1,\)"),
         (
-            lambda: identify([log(), log()]),
+            lambda: pm.identify([log(), log()]),
             r"^log\[1\] has the numbers of log\[0\], expected another run",
         ),
         (
@@ -785,52 +773,52 @@ def drifting(q: Array) -> Array:
             r"^q has each pose in 5 rows, of 0\.02 s each, expected it once, and NaN in rows where",
         ),
         (
-            lambda: identify(changed(u=lambda u: u * np.array([1, 1, -1.0]))),
+            lambda: pm.identify(changed(u=lambda u: u * np.array([1, 1, -1.0]))),
             r"^log has inputs that explain .* of another sign, or in",
         ),
-        (lambda: identify([]), r"^log is \[\], expected a Log, or several$"),
+        (lambda: pm.identify([]), r"^log is \[\], expected a Log, or several$"),
         (
-            lambda: identify(log(), loads=[None]),
+            lambda: pm.identify(log(), loads=[None]),
             r"^loads has the same for all logs, expected loads that differ",
         ),
-        (lambda: identify(log(), "robot"), r"^robot is 'robot', expected a MobileRobot"),
+        (lambda: pm.identify(log(), "robot"), r"^robot is 'robot', expected a MobileRobot"),
     ],
 )
 def test_a_log_that_tells_something_else_is_refused_with_what_it_is(call: Any, text: str) -> None:
-    with pytest.raises(InvalidArgument, match=text):
+    with pytest.raises(pm.InvalidArgument, match=text):
         call()
 
 
-def on(table: WheelTable, **how: Any) -> WheeledRobot:
-    return WheeledRobot(MobileRobot.box(30.0, (0.6, 0.4, 0.2)), table, **how)
+def on(table: pm.WheelTable, **how: Any) -> pm.WheeledRobot:
+    return pm.WheeledRobot(pm.MobileRobot.box(30.0, (0.6, 0.4, 0.2)), table, **how)
 
 
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.005, "yaw_inertia": 0.003}
 ROLLING = "expected wheels that roll and do not steer, .* such as .* differential, mecanum or omni drive$"
-PAIR = WheelTable.differential(0.5, 0.1, supports=[(0.25, 0), (-0.25, 0)], **WHEEL)
+PAIR = pm.WheelTable.differential(0.5, 0.1, supports=[(0.25, 0), (-0.25, 0)], **WHEEL)
 
 
 @pytest.mark.parametrize(
     ("robot", "text"),
     [
         (
-            lambda: on(WheelTable.swerve([(0.2, 0), (-0.2, 0)], 0.05, **WHEEL)),
+            lambda: on(pm.WheelTable.swerve([(0.2, 0), (-0.2, 0)], 0.05, **WHEEL)),
             f"with wheels that steer, {ROLLING}",
         ),
-        (lambda: on(WheelTable.car(0.5, 0.4, 0.1, **WHEEL)), f"with wheels that steer, {ROLLING}"),
-        (lambda: on(PAIR, ground=Coulomb()), f"with wheels that slip, {ROLLING}"),
+        (lambda: on(pm.WheelTable.car(0.5, 0.4, 0.1, **WHEEL)), f"with wheels that steer, {ROLLING}"),
+        (lambda: on(PAIR, ground=pm.Coulomb()), f"with wheels that slip, {ROLLING}"),
         (
-            lambda: on(WheelTable.skid_steer(0.4, 0.5, 0.1, **WHEEL), ground=Coulomb()),
+            lambda: on(pm.WheelTable.skid_steer(0.4, 0.5, 0.1, **WHEEL), ground=pm.Coulomb()),
             f"with wheels that slip, {ROLLING}",
         ),
         (lambda: on(PAIR).mount("ur5"), f"with arms, {ROLLING}"),
-        (lambda: MobileRobot.box().mount("ur5"), r"without arms \(robot.lumped\(\) has them locked\), .*"),
-        (lambda: VelocityRobot([0.3, 0.3, 0, 1, 0, 1]), "take identify_velocity$"),
+        (lambda: pm.MobileRobot.box().mount("ur5"), r"without arms \(robot.lumped\(\) has them locked\), .*"),
+        (lambda: pm.VelocityRobot([0.3, 0.3, 0, 1, 0, 1]), "take identify_velocity$"),
     ],
 )
 def test_a_robot_that_is_not_identified_is_refused_with_what_is(robot: Any, text: str) -> None:
-    for call in (lambda: identify(log(), robot()), lambda: excitation(robot())):
-        with pytest.raises(InvalidArgument, match=rf"^robot is .*{text}"):
+    for call in (lambda: pm.identify(log(), robot()), lambda: pm.excitation(robot())):
+        with pytest.raises(pm.InvalidArgument, match=rf"^robot is .*{text}"):
             call()
 
 
@@ -839,17 +827,19 @@ def test_a_robot_that_is_not_identified_is_refused_with_what_is(robot: Any, text
 
 def test_a_csv_is_read_with_its_units(tmp_path: Path) -> None:
     driven().to_csv(tmp_path / "run.csv")
-    read = Log.from_csv(tmp_path / "run.csv")
+    read = pm.Log.from_csv(tmp_path / "run.csv")
     np.testing.assert_array_equal(read.q, driven().q)
     np.testing.assert_array_equal(read.u, driven().u)
     rows = np.column_stack([1e3 * read.t, 1e3 * read.q[:, :2], np.rad2deg(read.q[:, 2]), read.u])  # type: ignore[index]
     header = "time [ms],x [mm],y [mm],yaw [deg],Fx [N],Fy [N],Mz [N m]"
     np.savetxt(tmp_path / "other.csv", rows, "%.17g", ",", header=header, comments="")
-    other = Log.from_csv(tmp_path / "other.csv")
+    other = pm.Log.from_csv(tmp_path / "other.csv")
     np.testing.assert_allclose(other.q, read.q, rtol=0, atol=1e-12)  # type: ignore[arg-type]
     np.testing.assert_allclose(other.t, read.t, rtol=0, atol=1e-12)
     with pytest.raises(UnknownName, match=r"unknown column of .*'Fz', .*available: .*Fx"):
-        Log.from_csv(tmp_path / "other.csv", {"t": "time", "q": ("x", "y", "yaw"), "u": ("Fx", "Fy", "Fz")})
+        pm.Log.from_csv(
+            tmp_path / "other.csv", {"t": "time", "q": ("x", "y", "yaw"), "u": ("Fx", "Fy", "Fz")}
+        )
 
 
 HEAD = "t,x,y,psi,Fx,Fy,Mz"
@@ -896,8 +886,8 @@ def dated() -> str:
 def test_a_csv_is_read_as_others_write_it(content: str, encoding: str, tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_bytes(content.lstrip("\ufeff" if encoding != "utf-8" else "").encode(encoding))
-    read = Log.from_csv(path)
-    expected = Log(FEW[:, 0], FEW[:, 1:4], FEW[:, 4:])
+    read = pm.Log.from_csv(path)
+    expected = pm.Log(FEW[:, 0], FEW[:, 1:4], FEW[:, 4:])
     np.testing.assert_allclose(read.t - read.t[0], expected.t, rtol=0, atol=1e-6)
     np.testing.assert_allclose(read.q, expected.q, rtol=0, atol=1e-8)  # type: ignore[arg-type]
     np.testing.assert_allclose(read.u, expected.u, rtol=0, atol=1e-8)
@@ -915,19 +905,19 @@ def test_a_csv_is_read_as_others_write_it(content: str, encoding: str, tmp_path:
 def test_a_column_in_a_unit_of_another_quantity_is_refused(head: str, said: str, tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text(lines_of(FEW, head))
-    with pytest.raises(InvalidArgument, match=f"^columns has {said}"):
-        Log.from_csv(path)
+    with pytest.raises(pm.InvalidArgument, match=f"^columns has {said}"):
+        pm.Log.from_csv(path)
 
 
 def test_inputs_are_turned_into_si_and_refused_where_a_robot_takes_others(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text(lines_of(FEW * [1, 1, 1, 1, 1e-3, 1e-3, 1e3], f"{HEAD[:9]},Fx [kN],Fy [kN],Mz [mN m]"))
-    read = Log.from_csv(path)
+    read = pm.Log.from_csv(path)
     np.testing.assert_allclose(read.u, FEW[:, 4:], atol=1e-5)  # nine digits of a kN
     assert read.units == ("N", "N", "N m")
-    assert Log.from_csv(path, {"u": "Fx"}).between(0, 0.5).units == ("N",)
+    assert pm.Log.from_csv(path, {"u": "Fx"}).between(0, 0.5).units == ("N",)
     assert rolled(False).units == ()
-    assert Log.from_rollout(run_on_wheels()).units == ("V", "V")
+    assert pm.Log.from_rollout(run_on_wheels()).units == ("V", "V")
     for units, robot, said in (
         (("A", "A"), on_wheels(BODY).wheeled, "left in A, expected N m: currents take loads="),
         (
@@ -938,21 +928,23 @@ def test_inputs_are_turned_into_si_and_refused_where_a_robot_takes_others(tmp_pa
         (("N m", "N m"), on_wheels(BODY), "left in N m, expected V: torques take wheels without electric"),
         (("N", "N m"), on_wheels(BODY).wheeled, "left in N, expected N m: forces take robot=None or a Mob"),
     ):
-        with pytest.raises(InvalidArgument, match=f"^log has input {said}"):
-            identify(replace(rolled(False), units=units), robot)
-    with pytest.raises(InvalidArgument, match=r"^log has input Mz in N, expected N m: forces take"):
-        identify(replace(log(), units=("N", "N", "N")))
+        with pytest.raises(pm.InvalidArgument, match=f"^log has input {said}"):
+            pm.identify(replace(rolled(False), units=units), robot)
+    with pytest.raises(pm.InvalidArgument, match=r"^log has input Mz in N, expected N m: forces take"):
+        pm.identify(replace(log(), units=("N", "N", "N")))
     with pytest.raises(
-        InvalidArgument, match=r"^units is \('N',\), expected 3, one for each input, or none$"
+        pm.InvalidArgument, match=r"^units is \('N',\), expected 3, one for each input, or none$"
     ):
         replace(log(), units=("N",))
-    with pytest.raises(InvalidArgument, match=r"^log has input speed in V, expected m/s: volts"):
-        identify_velocity(replace(rolled(False), units=("V", "V")))
+    with pytest.raises(pm.InvalidArgument, match=r"^log has input speed in V, expected m/s: volts"):
+        pm.identify_velocity(replace(rolled(False), units=("V", "V")))
 
 
 @pytest.mark.parametrize(("factor", "said"), [(1.0, False), (1 / 500, True), (500.0, True)])
 def test_a_mass_that_is_implausible_for_the_size_is_questioned(factor: float, said: bool) -> None:
-    asked = [n for n in identify(changed(u=lambda u: factor * u), method="weak").notes if "implausible" in n]
+    asked = [
+        n for n in pm.identify(changed(u=lambda u: factor * u), method="weak").notes if "implausible" in n
+    ]
     assert bool(asked) == said
     if said:
         assert re.fullmatch(
@@ -965,9 +957,9 @@ def test_a_mass_that_is_implausible_for_the_size_is_questioned(factor: float, sa
 def test_columns_of_other_names_are_told_those_that_are_known_need_not_be(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text(lines_of(FEW, "t,px,py,angle,Fx,Fy,Mz"))
-    np.testing.assert_allclose(Log.from_csv(path, {"q": ("px", "py", "angle")}).u, FEW[:, 4:], atol=1e-8)
+    np.testing.assert_allclose(pm.Log.from_csv(path, {"q": ("px", "py", "angle")}).u, FEW[:, 4:], atol=1e-8)
     path.write_text(turned("a,b,c,d"))
-    told = Log.from_csv(path, {"q": ("x", "y", "a", "b", "c", "d")}).q
+    told = pm.Log.from_csv(path, {"q": ("x", "y", "a", "b", "c", "d")}).q
     np.testing.assert_allclose(told, FEW[:, 1:4], atol=1e-8)  # type: ignore[arg-type]
 
 
@@ -975,8 +967,8 @@ def test_a_header_of_many_columns_is_read_in_linear_time_and_told_in_short(tmp_p
     path, many = tmp_path / "run.csv", 40_000
     path.write_text("\n".join(["[," * many + "t", "0," * many + "0", "0," * many + "1"]))
     began = process_time()
-    with pytest.raises(InvalidArgument, match="none is known as that of"):
-        Log.from_csv(path)
+    with pytest.raises(pm.InvalidArgument, match="none is known as that of"):
+        pm.Log.from_csv(path)
     assert process_time() - began < 5  # of half a second, where quadratic time is some 20 s
     path.write_text(
         "\n".join([",".join(f"c{k}" for k in range(many + 1)), "0," * many + "0", "1," * many + "1"])
@@ -984,16 +976,16 @@ def test_a_header_of_many_columns_is_read_in_linear_time_and_told_in_short(tmp_p
     columns = {"t": "c0", "q": ["c1", "c2", "c3"], "u": ["force"]}
     for given, text in ((None, r", c3, .* and 3\d,\d{3} more: none is"), (columns, r"3\d,\d{3} more$")):
         with pytest.raises(PinmobileError, match=text) as refused:
-            Log.from_csv(path, given)
+            pm.Log.from_csv(path, given)
         assert len(str(refused.value)) < 5000
 
 
 def test_a_csv_of_wheels_has_their_rates(tmp_path: Path) -> None:
     plant = on_wheels(BODY)
-    still = FixedHeading(Hold((0.0, 0.0), 0.5), 0.0)
-    run = simulate(plant, law(lambda t, q, v, reference: np.array([3.0, 5.0])), still, dt=0.02)
+    still = pm.FixedHeading(pm.Hold((0.0, 0.0), 0.5), 0.0)
+    run = pm.simulate(plant, pm.law(lambda t, q, v, reference: np.array([3.0, 5.0])), still, dt=0.02)
     run.to_csv(tmp_path / "run.csv")
-    read, expected = Log.from_csv(tmp_path / "run.csv"), Log.from_rollout(run)
+    read, expected = pm.Log.from_csv(tmp_path / "run.csv"), pm.Log.from_rollout(run)
     np.testing.assert_array_equal(read.u, expected.u)
     np.testing.assert_array_equal(read.wheel_rates, expected.wheel_rates)
 
@@ -1030,15 +1022,15 @@ def test_a_csv_of_wheels_has_their_rates(tmp_path: Path) -> None:
 def test_a_file_that_is_no_log_is_refused_with_what_it_has(content: str, text: str, tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text(content)
-    with pytest.raises(InvalidArgument, match=rf"^path is '\S+run\.csv', {text}"):
-        Log.from_csv(path)
+    with pytest.raises(pm.InvalidArgument, match=rf"^path is '\S+run\.csv', {text}"):
+        pm.Log.from_csv(path)
 
 
 @pytest.mark.parametrize("kind", ["SQLITE3", "MCAP", "ros1"])
 def test_a_bag_is_read_without_ros(kind: str, tmp_path: Path) -> None:
     pytest.importorskip("rosbags", reason="needs the extra bags")
     path = written_bag(tmp_path, kind)
-    read = Log.from_bag(path, {"q": "/odom", "u": "/wrench", "twist": "/odom"})
+    read = pm.Log.from_bag(path, {"q": "/odom", "u": "/wrench", "twist": "/odom"})
     few = driven().q[:50]
     np.testing.assert_allclose(read.q, few, atol=1e-14)  # type: ignore[arg-type]
     np.testing.assert_allclose(read.u, driven().u[:50], rtol=0, atol=1e-12)  # means, of 0.02 s and 76 N
@@ -1046,9 +1038,11 @@ def test_a_bag_is_read_without_ros(kind: str, tmp_path: Path) -> None:
     with pytest.raises(
         UnknownName, match=r"'/force', .*available: /odom \(Odometry\), /wrench \(WrenchStamped\)"
     ):
-        Log.from_bag(path, {"q": "/odom", "u": "/force"})
-    with pytest.raises(InvalidArgument, match=r"^topics\['q'\] is '/wrench', whose messages are .*Odometry"):
-        Log.from_bag(path, {"q": "/wrench", "u": "/wrench"})
+        pm.Log.from_bag(path, {"q": "/odom", "u": "/force"})
+    with pytest.raises(
+        pm.InvalidArgument, match=r"^topics\['q'\] is '/wrench', whose messages are .*Odometry"
+    ):
+        pm.Log.from_bag(path, {"q": "/wrench", "u": "/wrench"})
 
 
 def stored(bag: Path) -> Path:
@@ -1070,13 +1064,13 @@ def test_a_damaged_bag_is_told_as_such(kind: str, tmp_path: Path) -> None:
     pages += [good[:-1000], good[:20], b"", *(damaged(good, rng) for _ in range(60))]
     for content in pages:
         file.write_bytes(content)
-        found = answer(lambda: Log.from_bag(path, TOPICS))
+        found = answer(lambda: pm.Log.from_bag(path, TOPICS))
         if isinstance(found, FileError):
             assert str(found).startswith(f"path is {str(path)!r}, which is damaged or no bag: ")
             told += 1
     assert told > 20
     file.write_bytes(good)
-    assert len(Log.from_bag(path, TOPICS)) == 50
+    assert len(pm.Log.from_bag(path, TOPICS)) == 50
 
 
 def test_a_bag_that_lost_messages_is_damaged(tmp_path: Path) -> None:
@@ -1086,7 +1080,7 @@ def test_a_bag_that_lost_messages_is_damaged(tmp_path: Path) -> None:
     good = file.read_bytes()
     file.write_bytes(good[:9000] + bytes(3000) + good[12000:])  # zeros of which the reader makes nothing
     with pytest.raises(FileError, match=r"damaged or no bag: '\d\d messages that the bag counts are gone'"):
-        Log.from_bag(path, TOPICS)
+        pm.Log.from_bag(path, TOPICS)
 
 
 def written_bag(folder: Path, kind: str) -> Path:
@@ -1151,5 +1145,5 @@ def test_a_prediction_is_drawn_in_axes_of_its_own_or_in_given_ones() -> None:
     assert len(figure.axes) == 6
     other = plots.prediction(foretold, ax=figure.axes)
     assert other is figure
-    with pytest.raises(InvalidArgument, match="ax is 2 Axes, expected 6, one for each panel"):
+    with pytest.raises(pm.InvalidArgument, match="ax is 2 Axes, expected 6, one for each panel"):
         plots.prediction(foretold, ax=figure.axes[:2])

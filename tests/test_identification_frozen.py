@@ -10,104 +10,96 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    Backstepping,
-    ComputedTorque,
-    Engine,
-    InvalidArgument,
-    Log,
-    MobileRobot,
-    UnicycleTracking,
-    VelocityRobot,
-    WheeledRobot,
-    WheelTable,
-    excitation,
-    identify,
-    identify_velocity,
-    simulate,
-)
+import pinmobile as pm
 from tests import test_identification as forces, test_velocity_identification as speeds
 
 pytestmark = pytest.mark.once
 
 TABLE = Path(__file__).with_suffix(".txt")
-BELIEVED = MobileRobot(20.0, 1.0)
+BELIEVED = pm.MobileRobot(20.0, 1.0)
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.005}
 
 
-def short(log: Log, offset: Any = 0.0) -> Log:
+def short(log: pm.Log, offset: Any = 0.0) -> pm.Log:
     """Return half a minute of a log, with an offset of its inputs."""
     part = log.between(0.0, 31.0)
-    return Log(part.t, part.q, part.u + np.array(offset), part.twist, part.wheel_rates, units=part.units)
+    return pm.Log(part.t, part.q, part.u + np.array(offset), part.twist, part.wheel_rates, units=part.units)
 
 
-def by_torques(noise: float) -> Log:
+def by_torques(noise: float) -> pm.Log:
     """Return the log of a differential drive whose torques are logged with noise."""
     plant = forces.on_wheels(forces.BODY).wheeled
-    path = excitation(plant, duration=31.0, period=11.0)
-    run = simulate(
-        plant, Backstepping(UnicycleTracking(), plant), path, dt=0.02, substeps=4, engine=Engine.COMPILED
+    path = pm.excitation(plant, duration=31.0, period=11.0)
+    run = pm.simulate(
+        plant,
+        pm.Backstepping(pm.UnicycleTracking(), plant),
+        path,
+        dt=0.02,
+        substeps=4,
+        engine=pm.Engine.COMPILED,
     )
-    return Log.from_rollout(run, 1e-3, noise, seed=1)
+    return pm.Log.from_rollout(run, 1e-3, noise, seed=1)
 
 
 def of_mecanum() -> Any:
     """Return what is found of a base on mecanum wheels."""
-    table = WheelTable.mecanum(0.4, 0.48, 0.09, **WHEEL)
-    plant, path = WheeledRobot(forces.BODY, table), forces.motion()
-    run = simulate(
-        plant, ComputedTorque(plant), path, dt=0.02, duration=31.0, substeps=4, engine=Engine.COMPILED
+    table = pm.WheelTable.mecanum(0.4, 0.48, 0.09, **WHEEL)
+    plant, path = pm.WheeledRobot(forces.BODY, table), forces.motion()
+    run = pm.simulate(
+        plant, pm.ComputedTorque(plant), path, dt=0.02, duration=31.0, substeps=4, engine=pm.Engine.COMPILED
     )
-    return identify(Log.from_rollout(run, 1e-3, 0.02, seed=1), WheeledRobot(BELIEVED, table), method="weak")
+    return pm.identify(
+        pm.Log.from_rollout(run, 1e-3, 0.02, seed=1), pm.WheeledRobot(BELIEVED, table), method="weak"
+    )
 
 
-def of_a_car() -> WheeledRobot:
+def of_a_car() -> pm.WheeledRobot:
     """Return a robot with wheels that steer, which is refused."""
-    return WheeledRobot(forces.BODY, WheelTable.car(0.5, 0.4, 0.1, yaw_inertia=0.003, **WHEEL))
+    return pm.WheeledRobot(forces.BODY, pm.WheelTable.car(0.5, 0.4, 0.1, yaw_inertia=0.003, **WHEEL))
 
 
-def spoiled() -> Log:
+def spoiled() -> pm.Log:
     """Return a log with outliers and lost rows."""
     log, rng = forces.log(), np.random.default_rng(0)
     q, wild = np.array(log.q), rng.choice(1500, 30, replace=False)
     q[wild] += rng.choice([-1, 1], (30, 3)) * rng.uniform(0.05, 0.3, (30, 3))
     q[[100, 500]] = np.nan
-    return short(Log(log.t, q, log.u))
+    return short(pm.Log(log.t, q, log.u))
 
 
-LIMITED = VelocityRobot(speeds.ROBOT.theta, accelerations=(0.6, 1.5))
+LIMITED = pm.VelocityRobot(speeds.ROBOT.theta, accelerations=(0.6, 1.5))
 CASES: dict[str, Callable[[], Any]] = {
-    "no noise": lambda: identify(short(Log.from_rollout(forces.driven()))),
-    "noise": lambda: identify(short(forces.log())),
-    "noise of poses": lambda: identify(short(forces.log(1, 0, forces=False))),
-    "weak form": lambda: identify(short(forces.log()), method="weak"),
-    "late": lambda: identify(short(forces.log(1, 3))),
-    "late, ignored": lambda: identify(short(forces.log(0, 3)), delay=0.0, method="weak"),
-    "offset": lambda: identify(short(forces.log(), (20.0, 0.0, -1.0))),
-    "outliers": lambda: identify(spoiled(), MobileRobot(30.0, 1.5)),
-    "straight": lambda: identify(short(forces.straight()), MobileRobot(30.0, 1.5)),
-    "volts": lambda: identify(short(forces.rolled(False)), forces.on_wheels(BELIEVED)),
-    "wheels alone": lambda: identify(
+    "no noise": lambda: pm.identify(short(pm.Log.from_rollout(forces.driven()))),
+    "noise": lambda: pm.identify(short(forces.log())),
+    "noise of poses": lambda: pm.identify(short(forces.log(1, 0, forces=False))),
+    "weak form": lambda: pm.identify(short(forces.log()), method="weak"),
+    "late": lambda: pm.identify(short(forces.log(1, 3))),
+    "late, ignored": lambda: pm.identify(short(forces.log(0, 3)), delay=0.0, method="weak"),
+    "offset": lambda: pm.identify(short(forces.log(), (20.0, 0.0, -1.0))),
+    "outliers": lambda: pm.identify(spoiled(), pm.MobileRobot(30.0, 1.5)),
+    "straight": lambda: pm.identify(short(forces.straight()), pm.MobileRobot(30.0, 1.5)),
+    "volts": lambda: pm.identify(short(forces.rolled(False)), forces.on_wheels(BELIEVED)),
+    "wheels alone": lambda: pm.identify(
         short(forces.rolled(False)),
-        WheelTable.differential(0.5, 0.1, motor=forces.MOTOR, **WHEEL),
+        pm.WheelTable.differential(0.5, 0.1, motor=forces.MOTOR, **WHEEL),
         method="weak",
     ),
-    "loads": lambda: identify(
+    "loads": lambda: pm.identify(
         [short(forces.rolled(False)), short(forces.rolled(True))],
         forces.on_wheels(BELIEVED),
         loads=[None, forces.LOAD],
         method="weak",
     ),
-    "torques": lambda: identify(by_torques(0.02), forces.on_wheels(BELIEVED).wheeled),
-    "noisy torques": lambda: identify(by_torques(0.3), forces.on_wheels(BELIEVED).wheeled),
+    "torques": lambda: pm.identify(by_torques(0.02), forces.on_wheels(BELIEVED).wheeled),
+    "noisy torques": lambda: pm.identify(by_torques(0.3), forces.on_wheels(BELIEVED).wheeled),
     "mecanum": of_mecanum,
-    "car": lambda: identify(forces.log(), of_a_car()),
-    "speeds": lambda: identify_velocity(speeds.logged()),
-    "speeds, late poses": lambda: identify_velocity(speeds.logged(late=3, pose=True)),
-    "speeds, axle": lambda: identify_velocity(
-        speeds.logged(VelocityRobot(speeds.ROBOT.theta, ahead=0.15), pose=True), ahead=None
+    "car": lambda: pm.identify(forces.log(), of_a_car()),
+    "speeds": lambda: pm.identify_velocity(speeds.logged()),
+    "speeds, late poses": lambda: pm.identify_velocity(speeds.logged(late=3, pose=True)),
+    "speeds, axle": lambda: pm.identify_velocity(
+        speeds.logged(pm.VelocityRobot(speeds.ROBOT.theta, ahead=0.15), pose=True), ahead=None
     ),
-    "speeds, limits": lambda: identify_velocity(speeds.logged(LIMITED), accelerations=None, delay=0.0),
+    "speeds, limits": lambda: pm.identify_velocity(speeds.logged(LIMITED), accelerations=None, delay=0.0),
 }
 
 
@@ -130,7 +122,7 @@ def told(name: str) -> str:
     """Return a line of the table: the delay, then estimates with the half widths of their intervals."""
     try:
         found = CASES[name]()
-    except InvalidArgument as error:
+    except pm.InvalidArgument as error:
         return f"{name}: {error}"
     pairs = zip(found.parameters.items(), np.sqrt(np.diag(found.covariance)), strict=True)
     numbers = [f"{each} {value:.7g} {2 * deviation:.4g}" for (each, value), deviation in pairs]

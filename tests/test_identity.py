@@ -17,32 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    ControlAllocation,
-    Coulomb,
-    Engine,
-    Hold,
-    InputSaturation,
-    JointFriction,
-    MeasurementDelay,
-    MeasurementNoise,
-    MobileRobot,
-    Normal,
-    RollingResistance,
-    Tangent,
-    Uniform,
-    ViscousFriction,
-    WheeledRobot,
-    WheelTable,
-    WholeBody,
-    ensemble,
-    law,
-    rk4,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.compiled import Cache, Target, identity, processor
 from pinmobile.compiled.processor import LOOP
 from pinmobile.forces import NoiseForce
@@ -50,8 +25,8 @@ from pinmobile.integrators import semi_implicit_euler
 from pinmobile.loop import _program
 from pinmobile.loop._trace import traced
 
-ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
-CIRCLE = Tangent(Circle(2.0, 0.2, 1.0))
+ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05))
+CIRCLE = pm.Tangent(pm.Circle(2.0, 0.2, 1.0))
 
 
 class Process:
@@ -85,54 +60,56 @@ def process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Process:
 def run(controller: Any, **options: Any) -> Any:
     given: dict[str, Any] = {
         "n": 3,
-        "spread": {"mass": Uniform(20, 40)},
+        "spread": {"mass": pm.Uniform(20, 40)},
         "dt": 0.1,
-        "engine": Engine.COMPILED,
+        "engine": pm.Engine.COMPILED,
     }
-    return ensemble(ROBOT, controller, CIRCLE, **given | options)
+    return pm.ensemble(ROBOT, controller, CIRCLE, **given | options)
 
 
 # Other numbers are no other program.
 
 
-def wheeled(mass: float, ground: Any) -> WheeledRobot:
-    table = WheelTable.differential(0.5, 0.1, supports=[(0.2, 0.0)], mass=1, spin_inertia=0.01)
-    return WheeledRobot(MobileRobot(mass, 2.3, com=(0.0, 0.0, 0.1)), table, ground)
+def wheeled(mass: float, ground: Any) -> pm.WheeledRobot:
+    table = pm.WheelTable.differential(0.5, 0.1, supports=[(0.2, 0.0)], mass=1, spin_inertia=0.01)
+    return pm.WheeledRobot(pm.MobileRobot(mass, 2.3, com=(0.0, 0.0, 0.1)), table, ground)
 
 
 def rolling(mass: float, ground: Any = None) -> Any:
     plant = wheeled(mass, ground)
-    return simulate(plant, ControlAllocation(PD(mass, 20.0), plant), CIRCLE, dt=0.1, engine=Engine.COMPILED)
+    return pm.simulate(
+        plant, pm.ControlAllocation(pm.PD(mass, 20.0), plant), CIRCLE, dt=0.1, engine=pm.Engine.COMPILED
+    )
 
 
 def armed(mass: float) -> Any:
-    robot = MobileRobot(mass, 1.0).mount("double_pendulum", (0.1, 0.0, 0.2, 0.0))
-    motion = WholeBody(robot, CIRCLE, Hold(robot.rest[3:], 1.0))
-    given: dict[str, Any] = {"dt": 0.001, "duration": 0.02, "engine": Engine.COMPILED}
-    return simulate(
-        robot, ComputedTorque(robot, mass, 6), motion, forces=[JointFriction(0.001 * mass)], **given
+    robot = pm.MobileRobot(mass, 1.0).mount("double_pendulum", (0.1, 0.0, 0.2, 0.0))
+    motion = pm.WholeBody(robot, CIRCLE, pm.Hold(robot.rest[3:], 1.0))
+    given: dict[str, Any] = {"dt": 0.001, "duration": 0.02, "engine": pm.Engine.COMPILED}
+    return pm.simulate(
+        robot, pm.ComputedTorque(robot, mass, 6), motion, forces=[pm.JointFriction(0.001 * mass)], **given
     )
 
 
 ALIKE: dict[str, Callable[[float], Any]] = {
-    "gains and a model": lambda x: run(ComputedTorque(MobileRobot(x, 1.3, com=(0.1, 0.1)), x, 5)),
+    "gains and a model": lambda x: run(pm.ComputedTorque(pm.MobileRobot(x, 1.3, com=(0.1, 0.1)), x, 5)),
     "forces": lambda x: run(
-        PD(9, 9), forces=[RollingResistance((x, x, x), 0.05), ViscousFriction((x, x, 1))]
+        pm.PD(9, 9), forces=[pm.RollingResistance((x, x, x), 0.05), pm.ViscousFriction((x, x, 1))]
     ),
     "wrappers": lambda x: run(
-        InputSaturation(MeasurementNoise(MeasurementDelay(PD(x, 9), 1), 0.1, 0.1, 3), x)
+        pm.InputSaturation(pm.MeasurementNoise(pm.MeasurementDelay(pm.PD(x, 9), 1), 0.1, 0.1, 3), x)
     ),
-    "a start, a reference and a step": lambda x: simulate(
+    "a start, a reference and a step": lambda x: pm.simulate(
         ROBOT,
-        PD(9, 9),
-        Tangent(Circle(x, 0.2, 1.0)),
+        pm.PD(9, 9),
+        pm.Tangent(pm.Circle(x, 0.2, 1.0)),
         dt=x / 300,
         duration=x / 30,
         v0=[x, 0, 0],
-        engine=Engine.COMPILED,
+        engine=pm.Engine.COMPILED,
     ),
     "wheels": rolling,
-    "wheels on a ground": lambda x: rolling(x, Coulomb(0.02 * x)),
+    "wheels on a ground": lambda x: rolling(x, pm.Coulomb(0.02 * x)),
     "an arm": armed,
 }
 
@@ -147,15 +124,15 @@ def test_the_same_loop_with_other_numbers_is_not_traced_again(what: str, process
 
 def test_another_class_integrator_or_structure_is_another_program(process: Process) -> None:
     loops: tuple[Callable[[], Any], ...] = (
-        lambda: run(PD(9, 9)),
-        lambda: run(PD(9, 9), integrator=rk4),
-        lambda: run(PD(9, 9), substeps=2),
-        lambda: run(PD((9, 8, 7), 9)),
-        lambda: run(PD(9, 9), spread={}),
-        lambda: run(PD(9, 9), spread={"kp": Uniform(8, 9)}),
-        lambda: run(MeasurementDelay(PD(9, 9), 1)),
-        lambda: run(MeasurementDelay(PD(9, 9), 2)),
-        lambda: run(PD(9, 9), n=1),
+        lambda: run(pm.PD(9, 9)),
+        lambda: run(pm.PD(9, 9), integrator=pm.rk4),
+        lambda: run(pm.PD(9, 9), substeps=2),
+        lambda: run(pm.PD((9, 8, 7), 9)),
+        lambda: run(pm.PD(9, 9), spread={}),
+        lambda: run(pm.PD(9, 9), spread={"kp": pm.Uniform(8, 9)}),
+        lambda: run(pm.MeasurementDelay(pm.PD(9, 9), 1)),
+        lambda: run(pm.MeasurementDelay(pm.PD(9, 9), 2)),
+        lambda: run(pm.PD(9, 9), n=1),
     )
     for _ in range(2):
         for one in loops:
@@ -335,7 +312,7 @@ CHANGES: dict[str, tuple[Any, Callable[[float], Any]]] = {
 
 def assert_as_python(controller: Any) -> float:
     one = run(controller, n=1, spread={})
-    alone = simulate(ROBOT, controller, CIRCLE, dt=0.1)
+    alone = pm.simulate(ROBOT, controller, CIRCLE, dt=0.1)
     np.testing.assert_allclose(one.max_error[0], alone.max_error(), rtol=1e-12, atol=1e-12)
     return float(one.max_error[0, 0])
 
@@ -349,7 +326,7 @@ def test_what_a_law_reaches_in_any_way_is_seen_when_it_changes(what: str, proces
             change(value)
             if k == 2:
                 process.begin()
-            assert_as_python(law(function))
+            assert_as_python(pm.law(function))
     finally:
         change(2.0)
 
@@ -393,7 +370,7 @@ def test_a_module_that_is_reloaded_is_traced_anew(tmp_path: Path, monkeypatch: p
     module = importlib.import_module("edited_law")
     for gain in (2.0, 20.0):
         file.write_text(text.format(gain))
-        found.append(assert_as_python(law(importlib.reload(module).control)))
+        found.append(assert_as_python(pm.law(importlib.reload(module).control)))
     assert found[0] > 1.01 * found[1]
 
 
@@ -402,7 +379,7 @@ def _twice(one: float, other: float) -> Any:
         return lambda e: gain * e
 
     first, second = made(one), made(other)
-    return law(lambda t, q, v, reference: first(reference.q - q) - second(v))
+    return pm.law(lambda t, q, v, reference: first(reference.q - q) - second(v))
 
 
 def test_closures_of_one_function_are_told_apart(process: Process) -> None:
@@ -443,15 +420,15 @@ def _wrapped(gain: float) -> Any:
 
     for each in (one, other):  # as `functools.wraps` names what wraps a function of a library
         each.__module__, each.__qualname__ = "numpy", "hypot"
-    return law(one if gain == 4.0 else other)
+    return pm.law(one if gain == 4.0 else other)
 
 
 @pytest.mark.parametrize(
     "made",
     [
-        lambda gain: law(Gain(gain)),
-        lambda gain: law(_default(Gain(gain))),
-        lambda gain: law(partial(_asked, Gain(gain))),
+        lambda gain: pm.law(Gain(gain)),
+        lambda gain: pm.law(_default(Gain(gain))),
+        lambda gain: pm.law(partial(_asked, Gain(gain))),
         _wrapped,
     ],
 )
@@ -477,15 +454,18 @@ def test_an_object_that_has_every_name_is_no_obstacle() -> None:
     def holding(t: float, q: Any, v: Any, reference: Any) -> Any:
         return (3.0 if OBLIGING is not None else 0.0) * (reference.q - q)
 
-    assert_as_python(law(holding))
+    assert_as_python(pm.law(holding))
 
 
 def _run_and_forgotten() -> list[weakref.ref[Any]]:
-    robot, large = MobileRobot(31.0, 1.4), np.ones(1_000)
-    torque, force = InputSaturation(ComputedTorque(robot, 4, 5), [50, 50, 50]), ViscousFriction([1, 2, 3])
-    trajectory = Tangent(Circle(2.0, 0.1, 5.0))
-    ensemble(robot, torque, trajectory, n=2, spread={"mass": Normal(31, 1)}, dt=0.1, forces=[force])
-    simulate(robot, torque, trajectory, dt=0.1, forces=[force], engine=Engine.COMPILED)
+    robot, large = pm.MobileRobot(31.0, 1.4), np.ones(1_000)
+    torque, force = (
+        pm.InputSaturation(pm.ComputedTorque(robot, 4, 5), [50, 50, 50]),
+        pm.ViscousFriction([1, 2, 3]),
+    )
+    trajectory = pm.Tangent(pm.Circle(2.0, 0.1, 5.0))
+    pm.ensemble(robot, torque, trajectory, n=2, spread={"mass": pm.Normal(31, 1)}, dt=0.1, forces=[force])
+    pm.simulate(robot, torque, trajectory, dt=0.1, forces=[force], engine=pm.Engine.COMPILED)
     return [weakref.ref(x) for x in (robot, large, torque, trajectory, force)]
 
 
@@ -498,13 +478,19 @@ def test_nothing_that_was_run_is_kept_alive() -> None:
 # Another process.
 
 LOOPS: dict[str, Callable[[], Any]] = {
-    "computed torque": lambda: run(ComputedTorque(ROBOT, 4, 5)),
+    "computed torque": lambda: run(pm.ComputedTorque(ROBOT, 4, 5)),
     "wrappers": lambda: run(
-        MeasurementNoise(MeasurementDelay(InputSaturation(PD(100, 20), [9, 9, 3]), 2), 0.1, 0.1, 3)
+        pm.MeasurementNoise(
+            pm.MeasurementDelay(pm.InputSaturation(pm.PD(100, 20), [9, 9, 3]), 2), 0.1, 0.1, 3
+        )
     ),
-    "noise": lambda: run(PD(100, 20), forces=[NoiseForce([1, 2, 3], 2.0, 5)], integrator=semi_implicit_euler),
-    "a law": lambda: run(law(lambda t, q, v, reference: 9.0 * (reference.q - q) - np.tanh(v))),
-    "spread of the start": lambda: run(PD(9, 2), spread={"start.x": Normal(0, 0.1), "kp": Uniform(3, 5)}),
+    "noise": lambda: run(
+        pm.PD(100, 20), forces=[NoiseForce([1, 2, 3], 2.0, 5)], integrator=semi_implicit_euler
+    ),
+    "a law": lambda: run(pm.law(lambda t, q, v, reference: 9.0 * (reference.q - q) - np.tanh(v))),
+    "spread of the start": lambda: run(
+        pm.PD(9, 2), spread={"start.x": pm.Normal(0, 0.1), "kp": pm.Uniform(3, 5)}
+    ),
 }
 
 
@@ -519,7 +505,7 @@ def test_a_loop_is_traced_in_one_process_alone_and_gives_the_same_bits(name: str
         assert np.array_equal(getattr(first, what), getattr(again, what))
 
 
-@pytest.mark.parametrize("make", [armed, lambda x: rolling(x, Coulomb())], ids=["arm", "wheels"])
+@pytest.mark.parametrize("make", [armed, lambda x: rolling(x, pm.Coulomb())], ids=["arm", "wheels"])
 def test_one_robot_and_its_signals_are_found_again(make: Any, process: Process) -> None:
     first = make(20.0)
     process.begin()
@@ -552,23 +538,23 @@ def test_another_process_finds_the_loop_whatever_its_seed_of_hashes(process: Pro
 def test_no_file_is_used_where_the_source_is_not_what_was_loaded(
     process: Process, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run(PD(100, 20))
+    run(pm.PD(100, 20))
     identity._source.cache_clear()
     monkeypatch.setattr(identity, "_BEGAN", 0.0)
     process.begin()
-    run(PD(100, 20))
+    run(pm.PD(100, 20))
     assert process.traced == 1
     identity._source.cache_clear()
 
 
 def replaced(process: Process, change: Callable[[bytes], bytes], suffix: str) -> None:
     """Change the files of one kind, and run their loop again."""
-    before = run(PD(100, 20)).max_error
+    before = run(pm.PD(100, 20)).max_error
     (file,) = process.folder.glob(f"*{suffix}")
     whole = file.read_bytes()
     file.write_bytes(change(whole))
     process.begin()
-    assert np.array_equal(run(PD(100, 20)).max_error, before)
+    assert np.array_equal(run(pm.PD(100, 20)).max_error, before)
     assert file.read_bytes() == whole
 
 
@@ -581,20 +567,20 @@ def test_a_damaged_file_is_made_again(damage: Any, suffix: str, process: Process
 
 @pytest.mark.parametrize("text", [b"{}", b"[", b"[1]", b'{"loop": {}}'])
 def test_a_whole_file_that_holds_no_loop_is_written_again(text: bytes, process: Process) -> None:
-    before = run(PD(100, 20)).max_error
+    before = run(pm.PD(100, 20)).max_error
     (name,) = process.loops
     Cache(process.folder).write(name.removesuffix(".loop"), text, LOOP)
     process.begin()
-    assert np.array_equal(run(PD(100, 20)).max_error, before)
+    assert np.array_equal(run(pm.PD(100, 20)).max_error, before)
     assert process.traced == 1
 
 
 def test_a_loop_whose_machine_code_is_gone_is_built_and_not_traced(process: Process) -> None:
-    before = run(PD(100, 20)).max_error
+    before = run(pm.PD(100, 20)).max_error
     for file in process.folder.glob("*.o"):
         file.unlink()
     process.begin()
-    assert np.array_equal(run(PD(100, 20)).max_error, before)
+    assert np.array_equal(run(pm.PD(100, 20)).max_error, before)
     assert process.traced == 0
 
 
@@ -606,7 +592,7 @@ def test_where_nothing_can_be_written_a_loop_is_built(
 ) -> None:
     (tmp_path / "file").write_text("")
     Process(tmp_path / "file" / "inside", monkeypatch)
-    assert_as_python(PD(9, 9))
+    assert_as_python(pm.PD(9, 9))
     assert (tmp_path / "file").read_text() == ""
 
 
@@ -699,6 +685,6 @@ def test_a_part_that_another_of_its_class_preceded_is_found_alone_too() -> None:
     one, other = Brake(2.0), Brake(30.0)
     for forces in ((one, other), (other,)):
         given: dict[str, Any] = {"forces": forces, "dt": 0.02, "n": 2, "spread": {"mass": 30.0}}
-        run = ensemble(ROBOT, PD(90.0, 30.0), CIRCLE, engine=Engine.COMPILED, **given)
-        alone = simulate(ROBOT, PD(90.0, 30.0), CIRCLE, dt=0.02, forces=forces)
+        run = pm.ensemble(ROBOT, pm.PD(90.0, 30.0), CIRCLE, engine=pm.Engine.COMPILED, **given)
+        alone = pm.simulate(ROBOT, pm.PD(90.0, 30.0), CIRCLE, dt=0.02, forces=forces)
         np.testing.assert_allclose(run.max_error[0], alone.max_error(), rtol=0, atol=1e-12)

@@ -8,22 +8,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    CubicVia,
-    Diverged,
-    Lissajous,
-    MobileRobot,
-    Tangent,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.controllers import plain_difference
 from pinmobile.trajectories import LectureHeading
 
-VIA_STOP = CubicVia((0, 0), (2, 2), (0, 4), 30, 60, via_velocity=(0, 0))
-VIA_FREE = CubicVia((0, 0), (2, 2), (0, 4), 30, 60)
+VIA_STOP = pm.CubicVia((0, 0), (2, 2), (0, 4), 30, 60, via_velocity=(0, 0))
+VIA_FREE = pm.CubicVia((0, 0), (2, 2), (0, 4), 30, 60)
 LECTURE_GAINS = (120, 120, 0.4)
 
 
@@ -44,18 +34,18 @@ def test_derivatives_of_the_second_cubic_have_their_factors() -> None:
 
 def test_heading_rate_on_a_vertical_tangent() -> None:
     """Lecture: divides by x_dot. Straight up, x_dot is 0 all the way; on a circle, at the quarter turns."""
-    upwards = CubicVia((0, 0), (0, 1), (1, 2), 5, 10, via_velocity=(0.0, 0.2), start_velocity=(0.0, 0.2))
+    upwards = pm.CubicVia((0, 0), (0, 1), (1, 2), 5, 10, via_velocity=(0.0, 0.2), start_velocity=(0.0, 0.2))
     t = np.array([0.0, 1.0, 4.9])
-    assert Tangent(upwards)(t).q[:, 2].tolist() == [np.pi / 2] * 3
-    assert Tangent(upwards)(t).v[:, 2].tolist() == [0] * 3
+    assert pm.Tangent(upwards)(t).q[:, 2].tolist() == [np.pi / 2] * 3
+    assert pm.Tangent(upwards)(t).v[:, 2].tolist() == [0] * 3
     # Where x_dot passes through an exact zero and the path bends, the lecture's formula has no number.
-    parabola = CubicVia(
+    parabola = pm.CubicVia(
         (0.25, 0), (0, 0.5), (0.25, 1), 0.5, 1, (0, 1), start_velocity=(-1, 1), end_velocity=(1, 1)
     )
     assert parabola.derivative(0.5, 1).tolist() == [0, 1]
     expected = -parabola.derivative(0.5, 2)[0]
     assert abs(expected) > 0.1
-    assert Tangent(parabola)(0.5).v[2] == pytest.approx(expected, rel=1e-14)
+    assert pm.Tangent(parabola)(0.5).v[2] == pytest.approx(expected, rel=1e-14)
     with np.errstate(divide="ignore", invalid="ignore"):
         (xd, yd), (xdd, ydd) = parabola.derivative(0.5, 1), parabola.derivative(0.5, 2)
         assert np.isnan((ydd / xd - yd * xdd / xd**2) / (yd**2 / xd**2 + 1))
@@ -66,7 +56,7 @@ def test_heading_rate_on_a_vertical_tangent() -> None:
 def test_heading_at_rest_is_the_limit_of_the_tangent() -> None:
     """Lecture: atan2(0, 0) = 0, a jump of the reference after the first sample."""
     first, next_to_last, last = 0.1, 59.9, 60.0
-    right, lecture = Tangent(VIA_FREE), LectureHeading(VIA_FREE)
+    right, lecture = pm.Tangent(VIA_FREE), LectureHeading(VIA_FREE)
     start = VIA_FREE.derivative(0.0, 2)
     assert right(0.0).q[2] == pytest.approx(np.arctan2(start[1], start[0]), abs=1e-15)
     assert abs(right(first).q[2] - right(0.0).q[2]) < 0.01
@@ -77,7 +67,7 @@ def test_heading_at_rest_is_the_limit_of_the_tangent() -> None:
 
 def test_a_cusp_is_a_turn_on_the_spot() -> None:
     """Lecture: the reference jumps by 90 degrees between two samples."""
-    trajectory = Tangent(VIA_STOP, turn_time=2.0)
+    trajectory = pm.Tangent(VIA_STOP, turn_time=2.0)
     t = np.linspace(0, trajectory.duration, 6201)
     q, v, _ = trajectory(t)
     assert trajectory.duration == 62
@@ -92,7 +82,7 @@ def test_a_cusp_is_a_turn_on_the_spot() -> None:
 def test_heading_acceleration_is_the_derivative_of_the_rate() -> None:
     """Lecture: psi_ddot_d = 0."""
     t, h = np.linspace(1, 59, 60), 1e-4  # not the via point, where psi_ddot jumps
-    for make, is_right in ((Tangent, True), (LectureHeading, False)):
+    for make, is_right in ((pm.Tangent, True), (LectureHeading, False)):
         trajectory = make(VIA_FREE)
         centred = (trajectory(t + h).v[:, 2] - trajectory(t - h).v[:, 2]) / (2 * h)
         # h^2 of a third derivative below 1, and eps / h of rounding.
@@ -101,35 +91,35 @@ def test_heading_acceleration_is_the_derivative_of_the_rate() -> None:
 
 def test_error_has_no_spike_where_the_heading_crosses_zero() -> None:
     """Lecture: wrapTo2Pi of the reference alone; seen with wx = 0.2."""
-    path, robot = Lissajous(3, 3, 0.2, 0.1, 60), MobileRobot.lecture()
+    path, robot = pm.Lissajous(3, 3, 0.2, 0.1, 60), pm.MobileRobot.lecture()
     lecture = LectureHeading(path)
     heading = lecture(np.arange(601) * 0.1).q[:, 2]
     assert np.abs(np.diff(heading)).max() > 6
-    plain = simulate(robot, ComputedTorque(robot, difference=plain_difference), lecture, dt=0.1)
+    plain = pm.simulate(robot, pm.ComputedTorque(robot, difference=plain_difference), lecture, dt=0.1)
     assert np.abs(plain.u[:, 2]).max() > 2  # Icz Kp 2 pi: the loop unwinds a whole turn
-    right = simulate(robot, ComputedTorque(robot), Tangent(path), dt=0.1)
+    right = pm.simulate(robot, pm.ComputedTorque(robot), pm.Tangent(path), dt=0.1)
     assert np.abs(np.diff(right.reference.q[:, 2])).max() < 0.2
     assert np.abs(right.u[:, 2]).max() < 0.1
     assert right.max_error()[2] < 0.01
     # Even a wrapped reference does no harm where the error is taken on the circle.
-    circle = simulate(robot, ComputedTorque(robot), lecture, dt=0.1)
+    circle = pm.simulate(robot, pm.ComputedTorque(robot), lecture, dt=0.1)
     assert np.abs(circle.u[:, 2]).max() < 0.1
 
 
 def test_pd_gains_that_are_four_times_m_diverge_with_an_offset_centre_of_mass() -> None:
     """Lecture: numbers past the largest float are results like any other."""
-    offset = MobileRobot(30, 0.1, com=(0.1, 0.05))
-    gains = 4 * np.diag(MobileRobot.lecture().mass_matrix([0, 0, 0]))
+    offset = pm.MobileRobot(30, 0.1, com=(0.1, 0.05))
+    gains = 4 * np.diag(pm.MobileRobot.lecture().mass_matrix([0, 0, 0]))
     assert gains.tolist() == pytest.approx(LECTURE_GAINS)
-    with pytest.raises(Diverged) as caught:
-        simulate(offset, PD(LECTURE_GAINS, LECTURE_GAINS), Tangent(Circle(3, 0.1, 60)), dt=0.1)
+    with pytest.raises(pm.Diverged) as caught:
+        pm.simulate(offset, pm.PD(LECTURE_GAINS, LECTURE_GAINS), pm.Tangent(pm.Circle(3, 0.1, 60)), dt=0.1)
     assert 0 < caught.value.time < 60
     assert np.isfinite(caught.value.rollout.q).all()
 
 
 def test_the_lectures_inertia_is_a_preset_with_a_physical_one_beside_it() -> None:
     """diag(0, 0, Icz) is no body's inertia, and Icz = 0.1 is not that of a 30 kg box of this size."""
-    lecture, box = MobileRobot.lecture(), MobileRobot.box()
+    lecture, box = pm.MobileRobot.lecture(), pm.MobileRobot.box()
     assert (lecture.mass, lecture.yaw_inertia, lecture.com) == (30, 0.1, (0, 0, 0))
     assert box.yaw_inertia == pytest.approx(1.3)
     assert box.size == lecture.size == (0.6, 0.4, 0.2)

@@ -5,26 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    LQR,
-    MPC,
-    Circle,
-    Engine,
-    FixedHeading,
-    InputSaturation,
-    InvalidArgument,
-    MeasurementNoise,
-    MobileRobot,
-    Reference,
-    RestToRest,
-    Tangent,
-    Uniform,
-    WheeledRobot,
-    WheelTable,
-    ensemble,
-    rk4,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.controllers.lqr import riccati, tracked_model
 from pinmobile.parts import evolved
@@ -32,13 +13,13 @@ from pinmobile.plant import Context
 from tests.parts import Waving
 from tests.rivals import CIRCLE, HEAVY, NOMINAL
 
-ARM = MobileRobot.box().mount("ur5")
-SHORT = Tangent(Circle(radius=1.5, rate=0.6, duration=2))
-DIFFERENTIAL = WheelTable.differential(0.1, 0.4)
-WHEELED = WheeledRobot(NOMINAL, DIFFERENTIAL)
+ARM = pm.MobileRobot.box().mount("ur5")
+SHORT = pm.Tangent(pm.Circle(radius=1.5, rate=0.6, duration=2))
+DIFFERENTIAL = pm.WheelTable.differential(0.1, 0.4)
+WHEELED = pm.WheeledRobot(NOMINAL, DIFFERENTIAL)
 
 
-def rows(controller: LQR, robot: Any, trajectory: Any, dt: float = 0.01) -> tuple[Array, ...]:
+def rows(controller: pm.LQR, robot: Any, trajectory: Any, dt: float = 0.01) -> tuple[Array, ...]:
     """Return the inputs, velocities and gains of all samples."""
     t = np.arange(round(trajectory.duration / dt) + 1) * dt
     context = Context.of(robot, dt=dt, t=t, reference=trajectory(t))
@@ -49,7 +30,7 @@ def rows(controller: LQR, robot: Any, trajectory: Any, dt: float = 0.01) -> tupl
 def test_the_cost_of_a_motion_is_the_cost_to_go_and_no_other_input_costs_less(robot: Any) -> None:
     t = np.arange(201) * 0.01
     A, B = tracked_model(robot, SHORT(t)).discrete(0.01)
-    controller = LQR(robot)
+    controller = pm.LQR(robot)
     Q, R = np.asarray(controller.Q), np.asarray(controller.R)
     K, P = riccati(A, B, Q, R)
     assert np.array_equal(K, rows(controller, robot, SHORT)[2])
@@ -89,7 +70,7 @@ def test_the_matrix_exponential_is_the_motion_with_the_input_held() -> None:
 
 
 def test_along_a_reference_without_errors_it_gives_the_inverse_dynamics() -> None:
-    u, nu, gains = rows(LQR(NOMINAL), NOMINAL, SHORT)
+    u, nu, gains = rows(pm.LQR(NOMINAL), NOMINAL, SHORT)
     reference = SHORT(np.arange(201) * 0.01)
     wanted = NOMINAL.inverse_dynamics(*reference)
     assert np.abs(u - wanted).max() < 1e-12 * np.abs(wanted).max()
@@ -98,15 +79,15 @@ def test_along_a_reference_without_errors_it_gives_the_inverse_dynamics() -> Non
 
 
 def test_on_wheels_it_comes_back_to_the_reference_and_without_errors_stays() -> None:
-    heavy = WheeledRobot(HEAVY, DIFFERENTIAL)
-    given: Any = {"dt": 0.01, "engine": Engine.COMPILED, "duration": 15.0}
-    on = simulate(WHEELED, LQR(WHEELED), CIRCLE, **given)
+    heavy = pm.WheeledRobot(HEAVY, DIFFERENTIAL)
+    given: Any = {"dt": 0.01, "engine": pm.Engine.COMPILED, "duration": 15.0}
+    on = pm.simulate(WHEELED, pm.LQR(WHEELED), CIRCLE, **given)
     # The reference's input is held for dt, along which it turns by 6e-3 rad.
     assert np.abs((on.q[:, :3] - on.reference.q)[:, :2]).max() < 1e-3
-    q, v = WHEELED.start(Reference(*(x[0] for x in on.reference)))
+    q, v = WHEELED.start(pm.Reference(*(x[0] for x in on.reference)))
     q = q + np.array([0.2, -0.2, 0.3, 0.0, 0.0])
     v = heavy.reduced(q, 0 * v).S @ heavy.independent(heavy.rest, 0 * v)
-    run = simulate(heavy, LQR(WHEELED), CIRCLE, q0=q, v0=v, **given)
+    run = pm.simulate(heavy, pm.LQR(WHEELED), CIRCLE, q0=q, v0=v, **given)
     off = np.linalg.norm((run.q[:, :3] - run.reference.q)[:, :2], axis=-1)
     assert off[0] > 0.28
     assert off[1000:].max() < 0.02
@@ -116,26 +97,27 @@ def test_arms_follow_too() -> None:
     start = Waving(ARM)(0.0).q + 0.05
     given: Any = {
         "dt": 0.01,
-        "integrator": rk4,
-        "engine": Engine.COMPILED,
+        "integrator": pm.rk4,
+        "engine": pm.Engine.COMPILED,
         "q0": start,
         "v0": np.zeros(ARM.nv),
     }
-    run = simulate(ARM, LQR(ARM), Waving(ARM), **given)
+    run = pm.simulate(ARM, pm.LQR(ARM), Waving(ARM), **given)
     assert np.abs(run.q - run.reference.q)[-1].max() < 0.02
 
 
 @pytest.mark.parametrize("robot", [NOMINAL, WHEELED])
 def test_all_engines_agree(robot: Any) -> None:
-    noisy = MeasurementNoise(LQR(robot), 1e-3, 1e-3, seed=1)
-    noise = {"std_q": Uniform(0.0, 1e-3)}  # the wrapper's, of which the gains know nothing
+    noisy = pm.MeasurementNoise(pm.LQR(robot), 1e-3, 1e-3, seed=1)
+    noise = {"std_q": pm.Uniform(0.0, 1e-3)}  # the wrapper's, of which the gains know nothing
     for spread, engines in (
-        ({}, (Engine.COMPILED, Engine.PYTHON)),
-        (noise, (Engine.COMPILED, Engine.PYTHON)),
+        ({}, (pm.Engine.COMPILED, pm.Engine.PYTHON)),
+        (noise, (pm.Engine.COMPILED, pm.Engine.PYTHON)),
     ):
-        given: Any = {"dt": 0.01, "seed": 2, "n": 3, "spread": {"mass": Uniform(25, 36), **spread}}
+        given: Any = {"dt": 0.01, "seed": 2, "n": 3, "spread": {"mass": pm.Uniform(25, 36), **spread}}
         runs = [
-            ensemble(robot, InputSaturation(noisy, 30), SHORT, engine=engine, **given) for engine in engines
+            pm.ensemble(robot, pm.InputSaturation(noisy, 30), SHORT, engine=engine, **given)
+            for engine in engines
         ]
         for other in runs[1:]:
             # 200 samples of contracting loops: rounding does not grow.
@@ -143,55 +125,59 @@ def test_all_engines_agree(robot: Any) -> None:
 
 
 def test_rows_are_data_another_reference_gives_other_gains_and_the_same_program() -> None:
-    given: Any = {"dt": 0.01, "integrator": rk4, "engine": Engine.COMPILED}
-    other = Tangent(Circle(radius=1.0, rate=-0.9, duration=3))
+    given: Any = {"dt": 0.01, "integrator": pm.rk4, "engine": pm.Engine.COMPILED}
+    other = pm.Tangent(pm.Circle(radius=1.0, rate=-0.9, duration=3))
     start = np.array([0.1, 0.0, 0.1])
-    for controller, trajectory in ((LQR(NOMINAL), SHORT), (LQR(NOMINAL, R=[1e-4, 1e-4, 1e-3]), other)):
+    for controller, trajectory in ((pm.LQR(NOMINAL), SHORT), (pm.LQR(NOMINAL, R=[1e-4, 1e-4, 1e-3]), other)):
         q0 = trajectory(0.0).q + start
-        fast = simulate(NOMINAL, controller, trajectory, q0=q0, v0=np.zeros(3), **given)
-        slow = simulate(
-            NOMINAL, controller, trajectory, q0=q0, v0=np.zeros(3), **{**given, "engine": Engine.PYTHON}
+        fast = pm.simulate(NOMINAL, controller, trajectory, q0=q0, v0=np.zeros(3), **given)
+        slow = pm.simulate(
+            NOMINAL, controller, trajectory, q0=q0, v0=np.zeros(3), **{**given, "engine": pm.Engine.PYTHON}
         )
         assert np.abs(fast.q - slow.q).max() < 1e-12
 
 
-@pytest.mark.parametrize("kind", [LQR, MPC])
+@pytest.mark.parametrize("kind", [pm.LQR, pm.MPC])
 def test_the_weight_of_the_input_is_spread_one_robot_after_another(kind: Any) -> None:
-    given: Any = {"dt": 0.01, "seed": 1, "duration": 0.2, "engine": Engine.PYTHON}
-    found = ensemble(HEAVY, kind(NOMINAL), SHORT, n=2, spread={"input_weight": Uniform(1, 100)}, **given)
+    given: Any = {"dt": 0.01, "seed": 1, "duration": 0.2, "engine": pm.Engine.PYTHON}
+    found = pm.ensemble(
+        HEAVY, kind(NOMINAL), SHORT, n=2, spread={"input_weight": pm.Uniform(1, 100)}, **given
+    )
     for weight, error in zip(found.draws["input_weight"], found.rms_error, strict=True):
         own = kind(NOMINAL, R=weight * np.array([1e-3, 1e-3, 2e-2]))
-        alone = ensemble(HEAVY, own, SHORT, n=1, spread={}, **given)
+        alone = pm.ensemble(HEAVY, own, SHORT, n=1, spread={}, **given)
         assert np.abs(alone.rms_error[0] - error).max() < 1e-12
 
 
 def test_a_second_ensemble_reads_no_law_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     from pinmobile.loop import _program
 
-    own = LQR(NOMINAL)
+    own = pm.LQR(NOMINAL)
     given: Any = {
         "dt": 0.01,
         "n": 2,
         "seed": 1,
-        "spread": {"mass": Uniform(25, 36)},
-        "engine": Engine.COMPILED,
+        "spread": {"mass": pm.Uniform(25, 36)},
+        "engine": pm.Engine.COMPILED,
     }
-    first = ensemble(NOMINAL, own, SHORT, **given)
+    first = pm.ensemble(NOMINAL, own, SHORT, **given)
     for name in ("traced", "Program"):
         monkeypatch.delattr(_program, name)
-    assert np.array_equal(first.rms_error, ensemble(NOMINAL, own, SHORT, **given).rms_error)
+    assert np.array_equal(first.rms_error, pm.ensemble(NOMINAL, own, SHORT, **given).rms_error)
 
 
 def test_a_model_that_differs_from_robot_to_robot_is_run_one_after_another() -> None:
-    spread = {"controller.mass": Uniform(20, 40)}
-    given: Any = {"dt": 0.01, "integrator": rk4, "n": 2, "seed": 1, "spread": spread}
+    spread = {"controller.mass": pm.Uniform(20, 40)}
+    given: Any = {"dt": 0.01, "integrator": pm.rk4, "n": 2, "seed": 1, "spread": spread}
     with pytest.warns(UserWarning, match=r"depends on controller.robot.mass, which each"):
-        found = ensemble(HEAVY, LQR(NOMINAL), SHORT, **given)
-    assert found.engine == repr(Engine.PYTHON)
+        found = pm.ensemble(HEAVY, pm.LQR(NOMINAL), SHORT, **given)
+    assert found.engine == repr(pm.Engine.PYTHON)
     masses = found.draws["controller.mass"]
     for mass, error in zip(masses, found.rms_error, strict=True):
         model = evolved(NOMINAL, mass=mass)
-        alone = ensemble(HEAVY, LQR(model), SHORT, **{**given, "n": 1, "spread": {}}, engine=Engine.COMPILED)
+        alone = pm.ensemble(
+            HEAVY, pm.LQR(model), SHORT, **{**given, "n": 1, "spread": {}}, engine=pm.Engine.COMPILED
+        )
         assert np.abs(alone.rms_error[0] - error).max() < 1e-12
 
 
@@ -207,35 +193,37 @@ class Tabled:
 
 
 def test_a_schedule_gives_each_sample_its_row_in_all_engines() -> None:
-    given: Any = {"dt": 0.01, "integrator": rk4}
+    given: Any = {"dt": 0.01, "integrator": pm.rk4}
     runs = [
-        simulate(NOMINAL, Tabled(), SHORT, engine=engine, **given)
-        for engine in (Engine.PYTHON, Engine.COMPILED)
+        pm.simulate(NOMINAL, Tabled(), SHORT, engine=engine, **given)
+        for engine in (pm.Engine.PYTHON, pm.Engine.COMPILED)
     ]
     for run in runs:
         assert np.abs(run.u - 10 * np.sin(np.outer(run.t, [1, 2, 3])) + run.v).max() < 1e-12
 
 
 BAD: Any = [
-    (lambda: LQR(NOMINAL, Q=[1, 2, 3]), r"Q weighs 3 numbers, expected 6: shape \(6,\) or \(6, 6\)"),
-    (lambda: LQR(NOMINAL, R=[1, 2, 0]), r"R has the eigenvalue 0, expected a positive definite"),
-    (lambda: LQR(NOMINAL, Q=np.triu(np.ones((6, 6)))), "Q is not symmetric"),
-    (lambda: LQR(NOMINAL, Q=[-1, 1, 1, 1, 1, 1]), "expected a positive semidefinite"),
-    (lambda: LQR(Tangent), "robot is .*, expected a MobileRobot"),
+    (lambda: pm.LQR(NOMINAL, Q=[1, 2, 3]), r"Q weighs 3 numbers, expected 6: shape \(6,\) or \(6, 6\)"),
+    (lambda: pm.LQR(NOMINAL, R=[1, 2, 0]), r"R has the eigenvalue 0, expected a positive definite"),
+    (lambda: pm.LQR(NOMINAL, Q=np.triu(np.ones((6, 6)))), "Q is not symmetric"),
+    (lambda: pm.LQR(NOMINAL, Q=[-1, 1, 1, 1, 1, 1]), "expected a positive semidefinite"),
+    (lambda: pm.LQR(pm.Tangent), "robot is .*, expected a MobileRobot"),
     (
-        lambda: LQR(WheeledRobot(NOMINAL, WheelTable.car(0.6, 0.4, 0.1, yaw_inertia=0.006))),
+        lambda: pm.LQR(pm.WheeledRobot(NOMINAL, pm.WheelTable.car(0.6, 0.4, 0.1, yaw_inertia=0.006))),
         "steers wheels about 1 axes",
     ),
     (
-        lambda: simulate(WHEELED, LQR(WHEELED), Tangent(RestToRest([0, 0], [1, 0], 2)), dt=0.01),
+        lambda: pm.simulate(WHEELED, pm.LQR(WHEELED), pm.Tangent(pm.RestToRest([0, 0], [1, 0], 2)), dt=0.01),
         "reference ends at rest, at t = 2 s, where a WheeledRobot that cannot move sideways",
     ),
     (
-        lambda: rows(LQR(WHEELED), WHEELED, FixedHeading(Circle(radius=1.5, rate=0.6, duration=2), 0.3)),
+        lambda: rows(
+            pm.LQR(WHEELED), WHEELED, pm.FixedHeading(pm.Circle(radius=1.5, rate=0.6, duration=2), 0.3)
+        ),
         "as its wheels cannot roll",
     ),
-    (lambda: simulate(ARM, LQR(ARM), SHORT, dt=0.01), "reference has 3 coordinates, expected all"),
-    (lambda: LQR(NOMINAL).initial_state(Context.of(NOMINAL, dt=0.1)), "context has no reference"),
+    (lambda: pm.simulate(ARM, pm.LQR(ARM), SHORT, dt=0.01), "reference has 3 coordinates, expected all"),
+    (lambda: pm.LQR(NOMINAL).initial_state(Context.of(NOMINAL, dt=0.1)), "context has no reference"),
     (
         lambda: Context.of(NOMINAL, dt=0.1).schedule(np.zeros((2, 3))),
         r"rows has shape \(2, 3\), expected \(1, 3\)",
@@ -245,14 +233,16 @@ BAD: Any = [
 
 @pytest.mark.parametrize(("make", "words"), BAD)
 def test_bad_arguments_are_refused(make: Any, words: str) -> None:
-    with pytest.raises(InvalidArgument, match=words):
+    with pytest.raises(pm.InvalidArgument, match=words):
         make()
 
 
 def test_a_drive_that_moves_in_every_direction_may_end_at_rest() -> None:
-    mecanum = WheeledRobot(NOMINAL, WheelTable.mecanum(0.5, 0.4, 0.1))
-    straight = FixedHeading(RestToRest([0, 0], [1, 0], 2), 0.0)
-    run = simulate(mecanum, LQR(mecanum), straight, dt=0.01, engine=Engine.COMPILED)
+    mecanum = pm.WheeledRobot(NOMINAL, pm.WheelTable.mecanum(0.5, 0.4, 0.1))
+    straight = pm.FixedHeading(pm.RestToRest([0, 0], [1, 0], 2), 0.0)
+    run = pm.simulate(mecanum, pm.LQR(mecanum), straight, dt=0.01, engine=pm.Engine.COMPILED)
     assert np.abs(run.q[-1, :2] - [1, 0]).max() < 1e-3
-    body = simulate(NOMINAL, LQR(NOMINAL), straight, dt=0.01, engine=Engine.COMPILED, integrator=rk4)
+    body = pm.simulate(
+        NOMINAL, pm.LQR(NOMINAL), straight, dt=0.01, engine=pm.Engine.COMPILED, integrator=pm.rk4
+    )
     assert np.abs(body.q[-1, :2] - [1, 0]).max() < 1e-3

@@ -7,26 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    PD,
-    ComputedTorque,
-    Engine,
-    Ensemble,
-    FixedHeading,
-    Hold,
-    InvalidArgument,
-    MobileRobot,
-    PayloadBody,
-    Reference,
-    RestToRest,
-    Scenario,
-    Sweep,
-    Uniform,
-    WholeBody,
-    plots,
-    simulate,
-    sweep,
-)
+import pinmobile as pm
+from pinmobile import plots
 from pinmobile.arrays import Array
 from pinmobile.balance import MotionStates, tip_over_margin
 from pinmobile.compiled import BINS
@@ -42,32 +24,32 @@ from tests.looping import Body as Pushed, Swing
 CLOSE = 1e-10
 # The base's products of inertia, which the ground alone feels, and its height.
 INERTIA = np.array([[0.6, 0.05, 0.08], [0.05, 1.2, -0.06], [0.08, -0.06, 1.4]])
-UR5 = MobileRobot.from_body(Body(30.0, np.array([0.02, 0.01, 0.1]), INERTIA)).mount(
+UR5 = pm.MobileRobot.from_body(Body(30.0, np.array([0.02, 0.01, 0.1]), INERTIA)).mount(
     "ur5", (0.1, -0.05, 0.2, 0.4)
 )
-UR5 = UR5.attach(PayloadBody(1.0, (0, 0.01, 0.05), size=(0.1, 0.1, 0.1)))
+UR5 = UR5.attach(pm.PayloadBody(1.0, (0, 0.01, 0.05), size=(0.1, 0.1, 0.1)))
 NAMES = ["end effector", "end effector angle", "effort", "tip-over margin"]
 ELBOW = "ur5/elbow_joint"
 SPREAD: dict[str, Any] = {
-    "yaw_inertia": Uniform(1.3, 1.5),
-    "com.x": Uniform(-0.02, 0.02),
-    "loads.0.mass": Uniform(0.5, 5),
-    "at.x": Uniform(0.0, 0.1),
-    "kp": Uniform(90, 110),
+    "yaw_inertia": pm.Uniform(1.3, 1.5),
+    "com.x": pm.Uniform(-0.02, 0.02),
+    "loads.0.mass": pm.Uniform(0.5, 5),
+    "at.x": pm.Uniform(0.0, 0.1),
+    "kp": pm.Uniform(90, 110),
 }
 
 
-def scenario(**options: Any) -> Scenario:
+def scenario(**options: Any) -> pm.Scenario:
     given = {"n": 3, "dt": 0.02, "seed": 3, "after": 0.1, "spread": SPREAD, **options}
-    return Scenario(robot=UR5, controller=ComputedTorque(UR5, 100, 20), trajectory=Swing(UR5), **given)
+    return pm.Scenario(robot=UR5, controller=pm.ComputedTorque(UR5, 100, 20), trajectory=Swing(UR5), **given)
 
 
 @pytest.fixture(scope="module")
-def runs() -> Ensemble:
+def runs() -> pm.Ensemble:
     return run_scenario(scenario(n=40))
 
 
-def random_states(robot: MobileRobot, count: int) -> tuple[Array, ...]:
+def random_states(robot: pm.MobileRobot, count: int) -> tuple[Array, ...]:
     numbers = np.random.default_rng(4)
     q, desired = (robot.random_configuration(numbers, (count,)) for _ in range(2))
     v, a, u = (numbers.normal(size=(count, robot.nv)) for _ in range(3))
@@ -77,41 +59,41 @@ def random_states(robot: MobileRobot, count: int) -> tuple[Array, ...]:
 def test_measures_of_an_arm_are_those_of_its_own_kinematics_limits_and_balance() -> None:
     q, v, a, u, desired = random_states(UR5, 20)
     assert [one.name for one in UR5.metrics] == NAMES
-    found = UR5.evaluate_metrics(0.0, q, v, a, u, Reference(desired, v, a))
+    found = UR5.evaluate_metrics(0.0, q, v, a, u, pm.Reference(desired, v, a))
     apart = error_sizes(pose_error(UR5.frame_pose(desired), UR5.frame_pose(q)))
     np.testing.assert_allclose(found[:, :2], apart, atol=CLOSE)
     np.testing.assert_allclose(found[:, 2], (np.abs(u) / UR5.effort_limit).max(axis=1), rtol=CLOSE)
     np.testing.assert_allclose(
         found[:, 3], tip_over_margin(MotionStates(UR5, q, v, a)), rtol=CLOSE, atol=CLOSE
     )
-    symbolic = UR5.array_dynamics.evaluate_metrics(0.0, q, v, a, u, Reference(desired, v, a))  # type: ignore[union-attr]
+    symbolic = UR5.array_dynamics.evaluate_metrics(0.0, q, v, a, u, pm.Reference(desired, v, a))  # type: ignore[union-attr]
     np.testing.assert_allclose(symbolic, found, rtol=CLOSE, atol=CLOSE)
 
 
 def test_what_the_reference_does_not_lead_is_taken_at_rest() -> None:
     q, v, a, u, _ = random_states(UR5, 3)
-    found = UR5.evaluate_metrics(0.0, q, v, a, u, Reference(q[:, :3], v[:, :3], a[:, :3]))
+    found = UR5.evaluate_metrics(0.0, q, v, a, u, pm.Reference(q[:, :3], v[:, :3], a[:, :3]))
     desired = np.concatenate([q[:, :3], np.broadcast_to(UR5.rest[3:], (3, 6))], axis=1)
-    np.testing.assert_array_equal(found, UR5.evaluate_metrics(0.0, q, v, a, u, Reference(desired, v, a)))
+    np.testing.assert_array_equal(found, UR5.evaluate_metrics(0.0, q, v, a, u, pm.Reference(desired, v, a)))
 
 
 def test_each_arm_has_an_end_effector_and_a_bare_robot_no_measure() -> None:
-    two = MobileRobot.box().mount("double_pendulum").mount("double_pendulum", (0.2, 0, 0.2, 0))
+    two = pm.MobileRobot.box().mount("double_pendulum").mount("double_pendulum", (0.2, 0, 0.2, 0))
     names = [one.name for one in two.metrics]
     assert names[:2] == NAMES[:2]
     assert names[2:4] == [f"{name} of {two.mounts[1].name}" for name in NAMES[:2]]
     assert names[-1] == NAMES[-1]
-    bare = MobileRobot.box()
+    bare = pm.MobileRobot.box()
     assert bare.metrics == ()
-    at = Reference(*np.zeros((3, 3)))
+    at = pm.Reference(*np.zeros((3, 3)))
     assert bare.evaluate_metrics(0.0, *np.zeros((4, 3)), at).shape == (0,)  # type: ignore[call-arg]
-    unknown = MobileRobot.from_model(MobileRobot.box().model).mount("double_pendulum", (0, 0, 0.2, 0))
+    unknown = pm.MobileRobot.from_model(pm.MobileRobot.box().model).mount("double_pendulum", (0, 0, 0.2, 0))
     assert NAMES[-1] not in [one.name for one in unknown.metrics]  # whose footprint is not known
 
 
-@pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
-def test_all_engines_judge_alike(engine: Engine) -> None:
-    fast, slow = (run_scenario(scenario(), engine=each) for each in (Engine.COMPILED, engine))
+@pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
+def test_all_engines_judge_alike(engine: pm.Engine) -> None:
+    fast, slow = (run_scenario(scenario(), engine=each) for each in (pm.Engine.COMPILED, engine))
     for name in ("worst_metric", "rms_metric", "max_error", "rms_error"):
         np.testing.assert_allclose(getattr(slow, name), getattr(fast, name), rtol=CLOSE, atol=CLOSE)
     for name, values in fast.bands().quantiles.items():
@@ -119,9 +101,9 @@ def test_all_engines_judge_alike(engine: Engine) -> None:
         np.testing.assert_allclose(slow.bands()[name], values, rtol=0.03, atol=1e-9)
 
 
-def test_a_member_is_judged_as_its_rollout_is(runs: Ensemble) -> None:
+def test_a_member_is_judged_as_its_rollout_is(runs: pm.Ensemble) -> None:
     member = runs.member(7)
-    alone: Any = simulate(*member[:3], **member.options)
+    alone: Any = pm.simulate(*member[:3], **member.options)
     robot, begin = alone.plant, runs.scenario.begin
     apart = error_sizes(pose_error(robot.frame_pose(alone.reference.q), robot.frame_pose(alone.q)))
     effort = (np.abs(alone.u) / robot.effort_limit).max(axis=1)
@@ -137,7 +119,7 @@ def test_a_member_is_judged_as_its_rollout_is(runs: Ensemble) -> None:
     np.testing.assert_allclose(told[NAMES[3]].values[begin:], expected[:, 3], rtol=CLOSE)
 
 
-def test_robots_are_compared_by_measures_and_joints(runs: Ensemble) -> None:
+def test_robots_are_compared_by_measures_and_joints(runs: pm.Ensemble) -> None:
     joints = [one.name for one in runs.scenario.coordinates[3:]]
     assert list(runs.error_quantile().sizes) == ["distance", "heading", *joints, *NAMES]
     assert list(runs.bands().quantiles) == list(runs.error_quantile().sizes)
@@ -164,7 +146,7 @@ def test_robots_are_compared_by_measures_and_joints(runs: Ensemble) -> None:
             get("tip-over margn")
 
 
-def test_a_choice_judges_that_alone(runs: Ensemble) -> None:
+def test_a_choice_judges_that_alone(runs: pm.Ensemble) -> None:
     some = run_scenario(scenario(metrics=["tip-over margin", "end effector"]))
     np.testing.assert_array_equal(some.worst_metric, runs.worst_metric[:3, [0, 3]])
     assert [one.name for one in some.scenario.recorded_metrics] == ["end effector", "tip-over margin"]
@@ -172,10 +154,10 @@ def test_a_choice_judges_that_alone(runs: Ensemble) -> None:
     assert none.worst_metric.shape == (3, 0)
     np.testing.assert_array_equal(none.max_error, some.max_error)
     bare = replace(
-        scenario(spread={"mass": Uniform(20, 30)}),
-        robot=MobileRobot.box(),
-        controller=PD(40, 20),
-        trajectory=FixedHeading(RestToRest((0, 0), (0.1, 0), 0.6), psi=0),
+        scenario(spread={"mass": pm.Uniform(20, 30)}),
+        robot=pm.MobileRobot.box(),
+        controller=pm.PD(40, 20),
+        trajectory=pm.FixedHeading(pm.RestToRest((0, 0), (0.1, 0), 0.6), psi=0),
     )
     assert bare.recorded_metrics == ()
 
@@ -184,8 +166,8 @@ def test_a_choice_judges_that_alone(runs: Ensemble) -> None:
     ("metrics", "error", "words"),
     [
         (["efort"], UnknownName, "unknown metric 'efort'.*'effort'"),
-        ("effort", InvalidArgument, r"^metrics is 'effort', expected a sequence of names$"),
-        (7, InvalidArgument, r"^metrics is 7, expected a sequence of names$"),
+        ("effort", pm.InvalidArgument, r"^metrics is 'effort', expected a sequence of names$"),
+        (7, pm.InvalidArgument, r"^metrics is 7, expected a sequence of names$"),
         ([7], UnknownName, "metric 7"),
     ],
 )
@@ -194,11 +176,11 @@ def test_measures_that_there_are_not_are_refused(metrics: Any, error: Any, words
         scenario(metrics=metrics)
 
 
-def test_files_and_tables_keep_measures(runs: Ensemble, tmp_path: Path) -> None:
+def test_files_and_tables_keep_measures(runs: pm.Ensemble, tmp_path: Path) -> None:
     runs.save(tmp_path / "runs.npz")
     for loaded in (
-        Ensemble.load(tmp_path / "runs.npz"),
-        Ensemble.load(tmp_path / "runs.npz", runs.scenario),
+        pm.Ensemble.load(tmp_path / "runs.npz"),
+        pm.Ensemble.load(tmp_path / "runs.npz", runs.scenario),
     ):
         np.testing.assert_array_equal(loaded.worst_metric, runs.worst_metric)
         np.testing.assert_array_equal(loaded.rms_metric, runs.rms_metric)
@@ -206,8 +188,8 @@ def test_files_and_tables_keep_measures(runs: Ensemble, tmp_path: Path) -> None:
         assert loaded.error_quantile() == runs.error_quantile()
         np.testing.assert_equal(vars(loaded.bands()), vars(runs.bands()))
     other = replace(runs.scenario, metrics=["effort"])
-    with pytest.raises(InvalidArgument, match=r"^scenario is not that of .*: metrics is end effector, "):
-        Ensemble.load(tmp_path / "runs.npz", other)
+    with pytest.raises(pm.InvalidArgument, match=r"^scenario is not that of .*: metrics is end effector, "):
+        pm.Ensemble.load(tmp_path / "runs.npz", other)
     runs.to_csv(tmp_path / "runs.csv")
     header, first = (tmp_path / "runs.csv").read_text().splitlines()[:2]
     columns = dict(zip(header.split(","), first.split(","), strict=True))
@@ -221,36 +203,36 @@ def test_files_and_tables_keep_measures(runs: Ensemble, tmp_path: Path) -> None:
     )
 
 
-def test_a_file_of_an_older_format_is_refused_with_the_reason(runs: Ensemble, tmp_path: Path) -> None:
+def test_a_file_of_an_older_format_is_refused_with_the_reason(runs: pm.Ensemble, tmp_path: Path) -> None:
     runs.save(tmp_path / "runs.npz")
     with np.load(tmp_path / "runs.npz") as archive:
         arrays = {name: archive[name] for name in archive.files if "metric" not in name}
     np.savez(tmp_path / "old.npz", **arrays | {"format": np.array("pinmobile ensemble 2")})
-    with pytest.raises(InvalidArgument, match=r"it is of another format, 'pinmobile ensemble 2'$"):
-        Ensemble.load(tmp_path / "old.npz")
+    with pytest.raises(pm.InvalidArgument, match=r"it is of another format, 'pinmobile ensemble 2'$"):
+        pm.Ensemble.load(tmp_path / "old.npz")
 
 
-def test_a_sweeps_store_keeps_measures(runs: Ensemble, tmp_path: Path) -> None:
-    heavy = {**SPREAD, "loads.0.mass": Uniform(5, 8)}
+def test_a_sweeps_store_keeps_measures(runs: pm.Ensemble, tmp_path: Path) -> None:
+    heavy = {**SPREAD, "loads.0.mass": pm.Uniform(5, 8)}
     cases = {"light": {}, "heavy": {"spread": heavy}}
-    found = sweep(scenario(n=10), tmp_path / "store", cases=cases, chunk=4)
+    found = pm.sweep(scenario(n=10), tmp_path / "store", cases=cases, chunk=4)
     light = found.ensemble(case="light")
     np.testing.assert_array_equal(light.worst_metric, runs.worst_metric[:10])
     np.testing.assert_array_equal(light.counts, run_scenario(scenario(n=10)).counts)
     for by in ("tip-over margin", "effort", ELBOW, "heading", "distance"):
         assert float(found.error_quantile(0.8, by).sel(case="light")) == light.error_quantile(0.8)[by]
-    margins = Sweep.open(tmp_path / "store").error_quantile(by="tip-over margin")
+    margins = pm.Sweep.open(tmp_path / "store").error_quantile(by="tip-over margin")
     assert float(margins.sel(case="heavy")) < float(margins.sel(case="light"))
     assert margins.attrs["long_name"] == "tip-over margin that 99 % of the robots have at least"
     with pytest.raises(UnknownName, match=r"'margin'"):
         found.error_quantile(by="margin")
     with pytest.raises(
-        InvalidArgument, match=r"^recorded_metrics is end effector \[m\], .* and none at case = b"
+        pm.InvalidArgument, match=r"^recorded_metrics is end effector \[m\], .* and none at case = b"
     ):
-        sweep(scenario(), tmp_path / "other", cases={"a": {}, "b": {"metrics": ()}})
+        pm.sweep(scenario(), tmp_path / "other", cases={"a": {}, "b": {"metrics": ()}})
 
 
-def test_members_are_drawn_and_viewed(runs: Ensemble) -> None:
+def test_members_are_drawn_and_viewed(runs: pm.Ensemble) -> None:
     chosen = {"worst": int(runs.worst(1, by="tip-over margin")[0]), "first": 0}
     traces = {label: runs.trace(i) for label, i in chosen.items()}
     figure = plots.balance(traces)
@@ -262,7 +244,7 @@ def test_members_are_drawn_and_viewed(runs: Ensemble) -> None:
         assert shown.record(traces, fps=5)
 
 
-def test_figures_show_measures(runs: Ensemble) -> None:
+def test_figures_show_measures(runs: pm.Ensemble) -> None:
     figure = plots.bands({"UR5": runs})
     assert [axes.get_ylabel().partition(" [")[0] for axes in figure.axes][2:] == NAMES
     stays = f"99 % have at least {1e3 * runs.error_quantile()['tip-over margin']:.0f} mm from 0.1 s on"
@@ -325,16 +307,17 @@ class Fenced(Pushed):
         return np.stack([self.wall - np.abs(q[..., 0]), speed], axis=-1)
 
 
-def fenced(plant: Any, **options: Any) -> Scenario:
-    given = {"n": 6, "dt": 0.01, "spread": {"mass": Uniform(20, 60)}, **options}
-    path = FixedHeading(RestToRest((0, 0), (0.29, 0.1), 1.0), psi=0.3)
-    return Scenario(robot=plant, controller=PD(2000, 100), trajectory=path, **given)
+def fenced(plant: Any, **options: Any) -> pm.Scenario:
+    given = {"n": 6, "dt": 0.01, "spread": {"mass": pm.Uniform(20, 60)}, **options}
+    path = pm.FixedHeading(pm.RestToRest((0, 0), (0.29, 0.1), 1.0), psi=0.3)
+    return pm.Scenario(robot=plant, controller=pm.PD(2000, 100), trajectory=path, **given)
 
 
 @pytest.mark.parametrize("after", [0.0, 0.6])
 def test_a_plant_of_ones_own_states_measures_in_plain_numpy(after: float) -> None:
     made = [
-        run_scenario(fenced(Fenced(), after=after), engine=each) for each in (Engine.COMPILED, Engine.PYTHON)
+        run_scenario(fenced(Fenced(), after=after), engine=each)
+        for each in (pm.Engine.COMPILED, pm.Engine.PYTHON)
     ]
     for other in made[1:]:
         np.testing.assert_allclose(other.worst_metric, made[0].worst_metric, rtol=CLOSE, atol=CLOSE)
@@ -354,7 +337,7 @@ def test_what_is_infinite_before_errors_count_is_forgotten() -> None:
             early = np.array([-np.inf, np.inf])
             return np.where(np.asarray(t < 0.3)[..., None], early, found)
 
-    for engine in (Engine.COMPILED, Engine.PYTHON):
+    for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON):
         late, usual = (run_scenario(fenced(x, after=0.6), engine=engine) for x in (Late(), Fenced()))
         np.testing.assert_allclose(late.worst_metric, usual.worst_metric, rtol=CLOSE)
         np.testing.assert_allclose(late.rms_metric, usual.rms_metric, rtol=CLOSE)
@@ -395,23 +378,23 @@ OF = "^metrics of the plant, a Stating"
     ],
 )
 def test_measures_that_are_not_what_is_expected_are_refused(plant: Any, words: str) -> None:
-    with pytest.raises((InvalidArgument, UnknownName), match=words):
+    with pytest.raises((pm.InvalidArgument, UnknownName), match=words):
         fenced(plant)
 
 
-@pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
-def test_a_measure_that_becomes_nan_is_refused(engine: Engine) -> None:
+@pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
+def test_a_measure_that_becomes_nan_is_refused(engine: pm.Engine) -> None:
     late = stating([ONE], lambda q: np.sqrt(0.1 - q[..., :1]))
     with (
         np.errstate(invalid="ignore"),
-        pytest.raises(InvalidArgument, match=r"^robot \d: plant is a Stating, .* NaN as"),
+        pytest.raises(pm.InvalidArgument, match=r"^robot \d: plant is a Stating, .* NaN as"),
     ):
         run_scenario(fenced(late), engine=engine)
 
 
 def test_joints_are_held_against_limits_that_they_have() -> None:
-    motion = WholeBody(UR5, FixedHeading(Hold((0, 0), 0.2), psi=0), Hold(UR5.rest[3:], 0.2))
-    held = simulate(UR5, ComputedTorque(UR5, 100, 20), motion, dt=0.1)
+    motion = pm.WholeBody(UR5, pm.FixedHeading(pm.Hold((0, 0), 0.2), psi=0), pm.Hold(UR5.rest[3:], 0.2))
+    held = pm.simulate(UR5, pm.ComputedTorque(UR5, 100, 20), motion, dt=0.1)
     shares = np.abs(UR5.gravity(UR5.rest))[3:] / UR5.effort_limit[3:]
     np.testing.assert_allclose(held.metrics()["effort"].values, shares.max(), rtol=1e-9)
 
@@ -422,9 +405,9 @@ def test_names_of_limits_and_links_that_there_are_not_come_with_the_nearest() ->
         ("effort_limit.elbow_joint", "parameter in spread 'effort_limit.elbow_joint'"),
     ):
         with pytest.raises(UnknownName, match=near):
-            scenario(spread={name: Uniform(1, 2)})
-    with pytest.raises(InvalidArgument, match=r"^n is 200,000,000, expected at most 100,000,000"):
+            scenario(spread={name: pm.Uniform(1, 2)})
+    with pytest.raises(pm.InvalidArgument, match=r"^n is 200,000,000, expected at most 100,000,000"):
         scenario(n=2 * 10**8)
     words = r"^the records of 100,000,000 robots take 34.4 GB, expected at most 16 GB: give a smaller n$"
-    with pytest.raises(InvalidArgument, match=words):
+    with pytest.raises(pm.InvalidArgument, match=words):
         scenario(n=10**8)

@@ -12,19 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import (
-    Circle,
-    ComputedTorque,
-    FixedHeading,
-    InvalidArgument,
-    Lissajous,
-    MobileRobot,
-    PayloadBody,
-    Reference,
-    Rollout,
-    WholeBody,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.errors import UnknownName
 from pinmobile.loop._storage import why_unknown
@@ -34,7 +22,7 @@ from pinmobile.viewer import Arrows, Overlays, Viewer
 from tests.chromium import Chromium
 from tests.webclient import eventually
 
-BOX = MobileRobot.box()
+BOX = pm.MobileRobot.box()
 
 ARM = """<robot name="two links">
   <link name="foot"><inertial><mass value="2"/>
@@ -109,7 +97,7 @@ def test_geometry_of_another_robot_is_refused() -> None:
     for at, place in ((joint, 0), (1, frame)):
         item = pin.GeometryObject("hand", at, place, pin.SE3.Identity(), coal.Box(1, 1, 1))
         other.addGeometryObject(item)
-        with pytest.raises(InvalidArgument, match=rf"^visual has 'hand' on joint {at} and frame {place} "):
+        with pytest.raises(pm.InvalidArgument, match=rf"^visual has 'hand' on joint {at} and frame {place} "):
             BOX.mount(ur5.whole, visual=other)
         BOX.mount(panda.whole, visual=other)
         other.removeGeometryObject("hand")
@@ -161,7 +149,7 @@ def test_what_would_hang_below_the_ground_is_raised(name: str) -> None:
     assert _lowest(BOX.mount(name), name) == pytest.approx(BOX.size[2])
 
 
-def _lowest(robot: MobileRobot, name: str) -> float:
+def _lowest(robot: pm.MobileRobot, name: str) -> float:
     frames = [frame for frame in robot.frame_names if frame.startswith(f"{name}/")]
     return min(float(robot.frame_pose(robot.rest, frame)[2, 3]) for frame in frames)
 
@@ -178,7 +166,9 @@ def test_joints_are_locked_where_links_and_joints_share_a_name(name: str) -> Non
 
 def test_two_arms_do_not_stand_in_the_same_place_unless_they_are_told_to() -> None:
     one = BOX.mount("ur5")
-    with pytest.raises(InvalidArgument, match=r"^at is not given for 'z1', and 'ur5' stands in the middle"):
+    with pytest.raises(
+        pm.InvalidArgument, match=r"^at is not given for 'z1', and 'ur5' stands in the middle"
+    ):
         one.mount("z1")
     assert one.mount("z1", (0, 0, 0.2, 0)).mounts[1].at == one.mounts[0].at
     assert BOX.mount("ur5", (0.2, 0, 0.2, 0)).mount("z1").mounts[1].at == (0, 0, 0.2, 0)
@@ -300,7 +290,7 @@ MIMIC = MIMIC.replace("continuous", "revolute").replace(
     ],
 )
 def test_bad_input_is_named(arguments: dict[str, Any], text: str) -> None:
-    with pytest.raises(InvalidArgument) as caught:
+    with pytest.raises(pm.InvalidArgument) as caught:
         BOX.mount(**({"arm": "ur5"} | arguments))
     assert str(caught.value).startswith(text)
 
@@ -311,17 +301,17 @@ def test_unknown_names_come_with_the_nearest_ones() -> None:
     with pytest.raises(UnknownName, match=r"^unknown joint 'elbow', did you mean 'elbow_joint'"):
         BOX.mount("ur5", locked=["elbow"])
     with pytest.raises(UnknownName, match=r"^unknown frame 'ur5/tool', did you mean 'ur5/tool0' or "):
-        BOX.mount("ur5").attach(PayloadBody(1), "ur5/tool")
+        BOX.mount("ur5").attach(pm.PayloadBody(1), "ur5/tool")
 
 
 def test_a_file_that_is_none_is_refused(urdf: Path, tmp_path: Path) -> None:
-    with pytest.raises(InvalidArgument, match=r"package_dirs has '.*nowhere', expected a folder"):
+    with pytest.raises(pm.InvalidArgument, match=r"package_dirs has '.*nowhere', expected a folder"):
         BOX.mount(urdf, package_dirs=[tmp_path / "nowhere"])
     urdf.write_text("<robot>")
-    with pytest.raises(InvalidArgument, match=r"^arm\.urdf is not well-formed XML"):
+    with pytest.raises(pm.InvalidArgument, match=r"^arm\.urdf is not well-formed XML"):
         BOX.mount(urdf)
     urdf.write_text(ARM.format(lower=""))
-    with pytest.raises(InvalidArgument, match=r"joint 'elbow' moves parts that have no inertia"):
+    with pytest.raises(pm.InvalidArgument, match=r"joint 'elbow' moves parts that have no inertia"):
         BOX.mount(urdf)
 
 
@@ -364,7 +354,7 @@ def unsound(**changed: Any) -> pin.Model:
     ],
 )
 def test_arms_that_cannot_be_are_refused(model: pin.Model, text: str) -> None:
-    with pytest.raises(InvalidArgument) as caught:
+    with pytest.raises(pm.InvalidArgument) as caught:
         BOX.mount(model)
     assert str(caught.value).startswith(f"arm 'toy': joint 'j1'{text}")
 
@@ -390,18 +380,18 @@ def test_limits_of_a_joint_that_is_locked_do_not_matter() -> None:
     ],
 )
 def test_loads_that_cannot_be_are_refused(arguments: dict[str, Any], text: str) -> None:
-    with pytest.raises(InvalidArgument) as caught:
-        PayloadBody(**({"mass": 1} | arguments))
+    with pytest.raises(pm.InvalidArgument) as caught:
+        pm.PayloadBody(**({"mass": 1} | arguments))
     assert str(caught.value).startswith(text)
-    with pytest.raises(InvalidArgument, match="load is 2, expected a PayloadBody"):
+    with pytest.raises(pm.InvalidArgument, match="load is 2, expected a PayloadBody"):
         BOX.attach(2)  # type: ignore[arg-type]
 
 
 def test_configurations_of_the_wrong_size_are_refused() -> None:
     robot = BOX.mount("ur5")
-    with pytest.raises(InvalidArgument, match=r"q has shape \(3,\), expected \(\.\.\., 9\)"):
+    with pytest.raises(pm.InvalidArgument, match=r"q has shape \(3,\), expected \(\.\.\., 9\)"):
         robot.mass_matrix([0, 0, 0])
-    with pytest.raises(InvalidArgument, match=r"q has shape \(4,\), expected \(9,\) or \(6,\)"):
+    with pytest.raises(pm.InvalidArgument, match=r"q has shape \(4,\), expected \(9,\) or \(6,\)"):
         robot.lumped(np.zeros(4))
 
 
@@ -410,10 +400,10 @@ class Whole:
 
     duration = 4.0
 
-    def __init__(self, robot: MobileRobot) -> None:
-        self.robot, self.base = robot, FixedHeading(Lissajous(1, 0.5, 1, 2, self.duration), 0.3)
+    def __init__(self, robot: pm.MobileRobot) -> None:
+        self.robot, self.base = robot, pm.FixedHeading(pm.Lissajous(1, 0.5, 1, 2, self.duration), 0.3)
 
-    def __call__(self, t: Any) -> Reference:
+    def __call__(self, t: Any) -> pm.Reference:
         base, one = self.base(t), np.ones(self.robot.nv - 3)
         swing = (0.4 * (1 - np.cos(t)), 0.4 * np.sin(t), 0.4 * np.cos(t))
 
@@ -422,31 +412,31 @@ class Whole:
 
         rest = np.broadcast_to(self.robot.rest, (*np.shape(t), self.robot.nq))
         q = self.robot.integrate(rest, whole(base.q, swing[0]))
-        return Reference(q, whole(base.v, swing[1]), whole(base.a, swing[2]))
+        return pm.Reference(q, whole(base.v, swing[1]), whole(base.a, swing[2]))
 
 
-def driven(robot: MobileRobot) -> Rollout:
-    return simulate(robot, ComputedTorque(robot, 100, 20), Whole(robot), dt=0.01)
+def driven(robot: pm.MobileRobot) -> pm.Rollout:
+    return pm.simulate(robot, pm.ComputedTorque(robot, 100, 20), Whole(robot), dt=0.01)
 
 
 def test_a_rollout_brings_its_robot_back(tmp_path: Path, urdf: Path) -> None:
     path = tmp_path / "run.npz"
-    load = PayloadBody(1.0, (0.1, 0, 0), ((0.1, 0, 0), (0, 0.2, 0), (0, 0, 0.25)))
+    load = pm.PayloadBody(1.0, (0.1, 0, 0), ((0.1, 0, 0), (0, 0.2, 0), (0, 0, 0.25)))
     robot = (
         BOX.mount("kinova", (0.1, 0, 0.2, 0.3)).mount(urdf, locked=["elbow"], rest=(0.9, 0.1)).attach(load)
     )
     run = driven(robot)
     run.save(path)
-    back = Rollout.load(path)
+    back = pm.Rollout.load(path)
     assert back.plant == robot
     np.testing.assert_array_equal(back.q, run.q)
     urdf.write_text(urdf.read_text().replace('<mass value="1"/>', '<mass value="1.5"/>'))
-    assert Rollout.load(path).plant == PlantOutline.of(robot, run.q)  # it is no longer what it was
+    assert pm.Rollout.load(path).plant == PlantOutline.of(robot, run.q)  # it is no longer what it was
     urdf.unlink()
-    assert Rollout.load(path).plant.coordinates == robot.coordinates  # the arrays are there
-    np.testing.assert_array_equal(Rollout.load(path).u, run.u)
+    assert pm.Rollout.load(path).plant.coordinates == robot.coordinates  # the arrays are there
+    np.testing.assert_array_equal(pm.Rollout.load(path).u, run.u)
     driven(BOX.mount(massful())).save(path)
-    assert Rollout.load(path).plant.kind == "MobileRobot"
+    assert pm.Rollout.load(path).plant.kind == "MobileRobot"
 
 
 @pytest.mark.parametrize("name", ["double_pendulum", "double_pendulum_continuous"])
@@ -456,7 +446,7 @@ def test_links_are_drawn_where_they_are(name: str) -> None:
     with Viewer(robot, overlays=Overlays(arrows=Arrows(), desired=True)) as viewer:
         recording = viewer.record(run, fps=20)
         viewer.display(run.q[-1])
-        with pytest.raises(InvalidArgument, match=rf"q has shape \(3,\), expected \({robot.nq},\)"):
+        with pytest.raises(pm.InvalidArgument, match=rf"q has shape \(3,\), expected \({robot.nq},\)"):
             viewer.display([0, 0, 0])
     tracks = {track["path"]: track["clip"]["tracks"] for track in recording.tracks}
     assert {"meshcat/force", "meshcat/moment"} <= {*tracks}  # those on the base
@@ -514,11 +504,11 @@ def test_damping_and_friction_of_joints_are_kept(urdf: Path, tmp_path: Path) -> 
     urdf.write_text(RESISTED)
     cart = tmp_path / "cart.urdf"
     cart.write_text(BASE)
-    base = MobileRobot.from_urdf(cart)
+    base = pm.MobileRobot.from_urdf(cart)
     robot = base.mount(urdf, (0, 0, 0.2, 0)).mount(urdf, (0.1, 0, 0.2, 0), locked=["shoulder"])
     for carrying in (
         robot,
-        robot.attach(PayloadBody(1.0)),
+        robot.attach(pm.PayloadBody(1.0)),
         pickle.loads(pickle.dumps(robot)),
         copy.deepcopy(robot),
     ):
@@ -539,7 +529,7 @@ def test_damping_and_friction_of_joints_are_kept(urdf: Path, tmp_path: Path) -> 
 
 def test_damping_and_friction_of_a_model_are_kept() -> None:
     model = unsound(damping=0.5, friction=0.25, armature=0.1, rotorInertia=0.01, rotorGearRatio=50.0)
-    robot = BOX.mount(model, (0, 0, 0.2, 0)).attach(PayloadBody(0.5))
+    robot = BOX.mount(model, (0, 0, 0.2, 0)).attach(pm.PayloadBody(0.5))
     assert robot.joint_damping.tolist() == [0, 0, 0, 0, 0.5]
     assert robot.joint_friction.tolist() == [0, 0, 0, 0, 0.25]
     # What else the file says of a joint comes through, too.
@@ -552,11 +542,11 @@ def test_a_saved_rollout_knows_whether_damping_and_friction_are_what_they_were(
 ) -> None:
     urdf.write_text(RESISTED)
     robot = BOX.mount(urdf, (0, 0, 0.2, 0))
-    file, motion = tmp_path / "run.npz", WholeBody(robot, FixedHeading(Circle(1, 0.1, 1), 0), None)
-    simulate(robot, ComputedTorque(robot), motion, dt=0.5).save(file)
-    loaded = Rollout.load(file).plant
+    file, motion = tmp_path / "run.npz", pm.WholeBody(robot, pm.FixedHeading(pm.Circle(1, 0.1, 1), 0), None)
+    pm.simulate(robot, pm.ComputedTorque(robot), motion, dt=0.5).save(file)
+    loaded = pm.Rollout.load(file).plant
     assert loaded == robot
     assert loaded.joint_damping.tolist() == robot.joint_damping.tolist()
     urdf.write_text(RESISTED.replace('friction="0.2"', 'friction="0.4"'))
-    assert isinstance(Rollout.load(file).plant, PlantOutline)
+    assert isinstance(pm.Rollout.load(file).plant, PlantOutline)
     assert "its joints' damping, friction and rotors are no longer those that were kept" in why_unknown(file)

@@ -11,15 +11,8 @@ import pinocchio as pin
 import pytest
 import umsgpack
 
-from pinmobile import (
-    ComputedTorque,
-    InvalidArgument,
-    MobileRobot,
-    Reference,
-    simulate,
-    verification,
-    verify,
-)
+import pinmobile as pm
+from pinmobile import verification
 from pinmobile.arrays import Array
 from pinmobile.errors import NotTraceable, UnknownName
 from pinmobile.robot import BODY_JOINT, EXCEPTIONS, mountable, visuals
@@ -45,15 +38,15 @@ class Drive:
 
     duration = 1.0
 
-    def __init__(self, robot: MobileRobot) -> None:
+    def __init__(self, robot: pm.MobileRobot) -> None:
         self.robot = robot
 
-    def __call__(self, t: Any) -> Reference:
+    def __call__(self, t: Any) -> pm.Reference:
         q = np.tile(self.robot.rest, (*np.shape(t), 1))
         v, a = np.zeros((2, *np.shape(t), self.robot.nv))
         q[..., 0], v[..., 0], a[..., 0] = np.sin(t), np.cos(t), -np.sin(t)
         q[..., 2], v[..., 2] = 0.4 * t, 0.4
-        return Reference(q, v, a)
+        return pm.Reference(q, v, a)
 
 
 def boxes(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, visuals.Lost]:
@@ -65,7 +58,7 @@ def boxes(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, visua
     return root, missing
 
 
-def sent(robot: MobileRobot, q: Array) -> dict[str, Array]:
+def sent(robot: pm.MobileRobot, q: Array) -> dict[str, Array]:
     """Return where the viewer puts each object, shape (4, 4), as what it sends to a browser says."""
     objects, poses = set(), {}
     with Viewer(robot) as viewer:
@@ -92,15 +85,15 @@ def sent(robot: MobileRobot, q: Array) -> dict[str, Array]:
 @pytest.mark.long
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in REFUSED])
 def test_each_mounts_drives_and_draws(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    robot = MobileRobot.box().mount(name)
+    robot = pm.MobileRobot.box().mount(name)
     assert robot.nv > 3 or name in ("hector", "iris")  # a quadrotor without an arm is a load
     assert robot.model.nq == robot.nq == robot.nv  # each joint has one number
     assert all(joint.startswith(f"{name}/") for joint in list(robot.model.names)[BODY_JOINT + 1 :])
     # Building machine code of all takes minutes; test_linkage has it of some.
     refused = mock.Mock(side_effect=NotTraceable("not", "asked for"))
     monkeypatch.setattr(verification, "by_machine_code", refused)
-    assert verify(robot, states=2).passed
-    rollout = simulate(robot, ComputedTorque(robot, 100, 20), Drive(robot), dt=0.02)
+    assert pm.verify(robot, states=2).passed
+    rollout = pm.simulate(robot, pm.ComputedTorque(robot, 100, 20), Drive(robot), dt=0.02)
     # The step is exact where the acceleration is constant: what is left is its change, h^3 / 6, per step,
     # damped with 1 / kd, some 1e-6 m; the arm has nothing to do but to hold.
     assert rollout.max_error()[:3].max() < 1e-4
@@ -124,8 +117,8 @@ def test_each_mounts_drives_and_draws(name: str, monkeypatch: pytest.MonkeyPatch
 @pytest.mark.parametrize("name", REFUSED)
 def test_an_exception_that_works_is_none(name: str) -> None:
     assert name in NAMES
-    with pytest.raises(InvalidArgument, match=f"^arm '{name}'"):
-        MobileRobot.box().mount(name)
+    with pytest.raises(pm.InvalidArgument, match=f"^arm '{name}'"):
+        pm.MobileRobot.box().mount(name)
 
 
 @pytest.mark.parametrize(
@@ -137,19 +130,19 @@ def test_an_exception_that_works_is_none(name: str) -> None:
     ],
 )
 def test_what_exceptions_say_helps_helps(name: str, locked: tuple[str, ...]) -> None:
-    robot = MobileRobot.box().mount(name, locked=locked)
+    robot = pm.MobileRobot.box().mount(name, locked=locked)
     assert robot.nv + len(locked) - 3 == robot.mounts[0].arm.whole.nv
 
 
 def test_what_is_wrong_with_icub_and_romeo_is_said() -> None:
     text = r"^arm 'icub': the mass matrix is singular at rest about joint 'neck_roll': moved together"
-    with pytest.raises(InvalidArgument, match=text):
-        MobileRobot.box().mount("icub")
+    with pytest.raises(pm.InvalidArgument, match=text):
+        pm.MobileRobot.box().mount("icub")
     fingers = [name for name in MASSLESS if "Hand" not in name]
     with pytest.raises(
-        InvalidArgument, match="joint 'RHand' moves parts that have no inertia, expected inertia"
+        pm.InvalidArgument, match="joint 'RHand' moves parts that have no inertia, expected inertia"
     ):
-        MobileRobot.box().mount("romeo", locked=fingers)
+        pm.MobileRobot.box().mount("romeo", locked=fingers)
     assert len(MASSLESS) == int(EXCEPTIONS["romeo"].reason.split()[0])
 
 
@@ -180,7 +173,7 @@ def test_the_list_is_a_table_of_all_of_them() -> None:
 
 @pytest.mark.parametrize("name", ["tiago", "tiago_dual", "tiago_pro", "tiago_no_hand"])
 def test_wheels_are_locked(name: str) -> None:
-    (mount,) = MobileRobot.box().mount(name).mounts
+    (mount,) = pm.MobileRobot.box().mount(name).mounts
     names = {str(joint) for joint in mount.model.names}
     assert not any("wheel" in joint or "caster" in joint for joint in names)
     assert any("wheel" in str(joint) for joint in mount.arm.whole.names)

@@ -13,27 +13,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    CubicVia,
-    Diverged,
-    InputSaturation,
-    InvalidArgument,
-    MobileRobot,
-    PayloadBody,
-    PDGravity,
-    Reference,
-    Rollout,
-    Tangent,
-    WholeBody,
-    law,
-    plots,
-    rk4,
-    simulate,
-    verify,
-)
+import pinmobile as pm
+from pinmobile import plots
 from pinmobile.arrays import Array, wrap_angle
 from pinmobile.controllers import Decoupled
 from pinmobile.errors import LimitWarning, UnknownName
@@ -41,14 +22,14 @@ from pinmobile.integrators import constant_acceleration
 from pinmobile.robot import Mount
 
 AT = (0.1, -0.05, 0.2, 0.4)
-UR5 = MobileRobot.box().mount("ur5", AT)
-PANDA = MobileRobot.box().mount("panda", AT)
-KINOVA = MobileRobot.box().mount("kinova", AT)  # four of its joints are continuous
+UR5 = pm.MobileRobot.box().mount("ur5", AT)
+PANDA = pm.MobileRobot.box().mount("panda", AT)
+KINOVA = pm.MobileRobot.box().mount("kinova", AT)  # four of its joints are continuous
 TWO = (
-    MobileRobot.box()
+    pm.MobileRobot.box()
     .mount("panda", AT)
     .mount("kinova", (-0.1, 0, 0.2, 0))
-    .attach(PayloadBody(1.5, (0, 0, 0.1)))
+    .attach(pm.PayloadBody(1.5, (0, 0, 0.1)))
 )
 BENT = [0.1, 1.2, -1, 0, 0, 0, 0]  # a posture of the z1
 ROBOTS = pytest.mark.parametrize("robot", [UR5, KINOVA, TWO], ids=["ur5", "kinova", "two arms and a load"])
@@ -62,19 +43,19 @@ class Still:
     def __init__(self, q: Array, nv: int) -> None:
         self.q, self.nv = q, nv
 
-    def __call__(self, t: Any) -> Reference:
+    def __call__(self, t: Any) -> pm.Reference:
         v, a = np.zeros((2, *np.shape(t), self.nv))
-        return Reference(np.broadcast_to(self.q, (*np.shape(t), len(self.q))), v, a)
+        return pm.Reference(np.broadcast_to(self.q, (*np.shape(t), len(self.q))), v, a)
 
 
-def without_gravity(robot: MobileRobot) -> MobileRobot:
+def without_gravity(robot: pm.MobileRobot) -> pm.MobileRobot:
     engine: Any = robot._engine
     for model in (engine.model, engine.public):
         model.gravity = pin.Motion.Zero()
     return robot
 
 
-def states(robot: MobileRobot, count: int = 12, seed: int = 4) -> tuple[Array, Array, Array]:
+def states(robot: pm.MobileRobot, count: int = 12, seed: int = 4) -> tuple[Array, Array, Array]:
     rng = np.random.default_rng(seed)
     v, a = rng.normal(size=(2, count, robot.nv))
     return robot.random_configuration(rng, (count,)), v, a
@@ -122,7 +103,7 @@ def placed(place: pin.SE3) -> str:
     return f'pos="{numbers(place.translation)}" quat="{numbers(np.array([w, x, y, z]))}"'
 
 
-def mjcf(robot: MobileRobot, mount: Mount, geoms: Mapping[int, str] = MappingProxyType({})) -> str:
+def mjcf(robot: pm.MobileRobot, mount: Mount, geoms: Mapping[int, str] = MappingProxyType({})) -> str:
     """Return the same bodies for MuJoCo: the base is one body with three joints x, y, psi.
 
     Shapes may be given by what they move with: -1 the world, 0 the body, k the arm's k-th joint.
@@ -154,7 +135,7 @@ def mjcf(robot: MobileRobot, mount: Mount, geoms: Mapping[int, str] = MappingPro
 
 
 @pytest.mark.parametrize("robot", [UR5, PANDA], ids=["ur5", "panda"])
-def test_mujoco_has_the_same_mass_matrix_forces_and_inverse_dynamics(robot: MobileRobot) -> None:
+def test_mujoco_has_the_same_mass_matrix_forces_and_inverse_dynamics(robot: pm.MobileRobot) -> None:
     model = mujoco.MjModel.from_xml_string(mjcf(robot, robot.mounts[0]))
     data = mujoco.MjData(model)
     assert model.nv == robot.nv
@@ -175,8 +156,8 @@ def test_mujoco_has_the_same_mass_matrix_forces_and_inverse_dynamics(robot: Mobi
 
 
 @ROBOTS
-def test_dynamics_hold_together(robot: MobileRobot) -> None:
-    assert verify(robot, states=20).passed
+def test_dynamics_hold_together(robot: pm.MobileRobot) -> None:
+    assert pm.verify(robot, states=20).passed
     q, v, a = states(robot)
     tau, n = robot.inverse_dynamics(q, v, a), robot.nonlinear_effects(q, v)
     M = robot.mass_matrix(q)
@@ -189,7 +170,7 @@ def test_dynamics_hold_together(robot: MobileRobot) -> None:
 
 
 @ROBOTS
-def test_gravity_is_the_slope_of_the_potential_energy(robot: MobileRobot) -> None:
+def test_gravity_is_the_slope_of_the_potential_energy(robot: pm.MobileRobot) -> None:
     q, _, _ = states(robot)
     h = 1e-5
     slope = [
@@ -202,7 +183,7 @@ def test_gravity_is_the_slope_of_the_potential_energy(robot: MobileRobot) -> Non
 
 
 @ROBOTS
-def test_a_frames_jacobian_is_the_slope_of_its_pose(robot: MobileRobot) -> None:
+def test_a_frames_jacobian_is_the_slope_of_its_pose(robot: pm.MobileRobot) -> None:
     q, v, _ = states(robot)
     h = 1e-6
     for frame in (robot.end_effector, "base_link"):
@@ -239,7 +220,7 @@ BODY = 3  # joints of the chain, before those of arms
 
 
 @ROBOTS
-def test_locked_arms_are_a_load(robot: MobileRobot) -> None:
+def test_locked_arms_are_a_load(robot: pm.MobileRobot) -> None:
     q, v, a = states(robot)
     v[:, 3:] = a[:, 3:] = 0
     for k in range(4):
@@ -249,12 +230,12 @@ def test_locked_arms_are_a_load(robot: MobileRobot) -> None:
         np.testing.assert_allclose(lump.inverse_dynamics(q[k, :3], v[k, :3], a[k, :3]), tau, atol=1e-11)
         assert robot.lumped(q[k, 3:]) == robot.lumped(np.concatenate([np.zeros(3), q[k, 3:]]))
     assert robot.lumped() == robot.lumped(robot.rest)
-    assert robot.base == MobileRobot.box()
+    assert robot.base == pm.MobileRobot.box()
 
 
 def test_as_the_arms_inertias_shrink_to_nothing_the_base_is_the_lectures() -> None:
     q = np.concatenate([[1.0, 2.0, 0.7], np.linspace(-1, 1, 6)])
-    lecture = MobileRobot.lecture()
+    lecture = pm.MobileRobot.lecture()
     full = lecture.mount("ur5", AT).mass_matrix(q)[:3, :3]
     model = UR5.mounts[0].model
     for share in (1e-3, 1e-6, 1e-9):
@@ -270,13 +251,13 @@ def test_as_the_arms_inertias_shrink_to_nothing_the_base_is_the_lectures() -> No
         np.testing.assert_allclose(M, expected, rtol=0, atol=1e-13)  # roundings of 50 kg
 
 
-def drift(robot: MobileRobot, dt: float, integrator: object) -> Array:
+def drift(robot: pm.MobileRobot, dt: float, integrator: object) -> Array:
     """Return how far a second of free motion takes momentum (x, y, about z) and energy."""
     q0 = robot.integrate(robot.rest, np.linspace(-0.6, 0.9, robot.nv))
     v0 = np.linspace(0.8, -0.5, robot.nv)
-    free = law(lambda t, q, v, reference: np.zeros(robot.nv))
+    free = pm.law(lambda t, q, v, reference: np.zeros(robot.nv))
     still = Still(q0, robot.nv)
-    run = simulate(robot, free, still, dt=dt, duration=1.0, v0=v0, integrator=integrator)  # type: ignore[arg-type]
+    run = pm.simulate(robot, free, still, dt=dt, duration=1.0, v0=v0, integrator=integrator)  # type: ignore[arg-type]
     q, v = run.q[[0, -1]], run.v[[0, -1]]
     p = np.einsum("nij,nj->ni", robot.mass_matrix(q), v)[:, :3]
     about = p[:, 2] + q[:, 0] * p[:, 1] - q[:, 1] * p[:, 0]
@@ -286,19 +267,19 @@ def drift(robot: MobileRobot, dt: float, integrator: object) -> Array:
 
 
 def test_the_free_whole_keeps_momentum_and_energy_to_the_integrators_order() -> None:
-    weightless = without_gravity(MobileRobot.box().mount("ur5", AT))
+    weightless = without_gravity(pm.MobileRobot.box().mount("ur5", AT))
     # With gravity, and joints on the circle: it does not push along the plane, and is in the energy.
-    pendulum = MobileRobot.box().mount("double_pendulum_continuous", AT)
+    pendulum = pm.MobileRobot.box().mount("double_pendulum_continuous", AT)
     for robot, dt in ((weightless, 0.01), (pendulum, 0.005)):
-        coarse, fine = drift(robot, dt, rk4), drift(robot, dt / 2, rk4)
+        coarse, fine = drift(robot, dt, pm.rk4), drift(robot, dt / 2, pm.rk4)
         assert fine.max() < 1e-5
         assert (coarse / fine > 12).all()  # 16 where the leading term rules
     first = drift(weightless, 0.01, constant_acceleration) / drift(weightless, 0.005, constant_acceleration)
     np.testing.assert_allclose(first, 2, atol=0.1)
 
 
-@pytest.mark.parametrize("robot", [KINOVA, TWO, MobileRobot.box().mount(pendulum(continuous=True), AT)])
-def test_integrate_and_difference_go_around_the_circle(robot: MobileRobot) -> None:
+@pytest.mark.parametrize("robot", [KINOVA, TWO, pm.MobileRobot.box().mount(pendulum(continuous=True), AT)])
+def test_integrate_and_difference_go_around_the_circle(robot: pm.MobileRobot) -> None:
     q, v, _ = states(robot)
     moved = robot.integrate(q, v)
     assert moved.shape == (12, robot.nq)
@@ -311,9 +292,9 @@ def test_integrate_and_difference_go_around_the_circle(robot: MobileRobot) -> No
 
 
 def test_a_run_beyond_limits_reports_which_when_and_how_far_once() -> None:
-    push = law(lambda t, q, v, reference: np.where(np.arange(9) == 5, 1000.0, 0.0))
+    push = pm.law(lambda t, q, v, reference: np.where(np.arange(9) == 5, 1000.0, 0.0))
     with pytest.warns(LimitWarning) as told:
-        run = simulate(UR5, push, Still(UR5.rest, 9), dt=0.001, duration=0.2)
+        run = pm.simulate(UR5, push, Still(UR5.rest, 9), dt=0.001, duration=0.2)
     assert str(told[0].message) == "; ".join(run.events)
     assert len(told) == 1
     q, most = run.q[:, 5], UR5.upper[5]
@@ -327,7 +308,7 @@ def test_a_run_beyond_limits_reports_which_when_and_how_far_once() -> None:
     assert any(one.startswith("ur5/elbow_joint moves at") for one in run.events)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        at_rest = simulate(UR5, PDGravity(UR5, 100, 20), Still(UR5.rest, 9), dt=0.001, duration=0.02)
+        at_rest = pm.simulate(UR5, pm.PDGravity(UR5, 100, 20), Still(UR5.rest, 9), dt=0.001, duration=0.02)
     assert at_rest.events == ()
 
 
@@ -340,7 +321,7 @@ def test_arms_with_limits_are_subtracted() -> None:
 
 
 @pytest.mark.parametrize("robot", [UR5, KINOVA])
-def test_linearisation_predicts_the_change_of_the_displacement(robot: MobileRobot) -> None:
+def test_linearisation_predicts_the_change_of_the_displacement(robot: pm.MobileRobot) -> None:
     """With q = q*(t) + d: d' = A (d, e) + B u, taken over a short time by the robot's own difference."""
     q, v, _ = (part[0] for part in states(robot, 1))
     n, tau = robot.nv, robot.gravity(q)
@@ -361,14 +342,14 @@ def test_linearisation_predicts_the_change_of_the_displacement(robot: MobileRobo
 
 
 @pytest.mark.parametrize("robot", [UR5, KINOVA], ids=["ur5", "kinova"])
-def test_computed_torque_takes_the_short_way_and_is_linear_in_the_error(robot: MobileRobot) -> None:
+def test_computed_torque_takes_the_short_way_and_is_linear_in_the_error(robot: pm.MobileRobot) -> None:
     start = robot.rest
     offset = np.zeros(robot.nv)
     offset[:3], offset[3], offset[4] = (0.2, -0.1, 3.0), 3.0, 0.2
     goal = robot.integrate(start, offset)
     goal[2] += 2 * np.pi  # the same heading
-    run = simulate(
-        robot, ComputedTorque(robot, 4, 4), Still(goal, robot.nv), dt=0.005, q0=start, integrator=rk4
+    run = pm.simulate(
+        robot, pm.ComputedTorque(robot, 4, 4), Still(goal, robot.nv), dt=0.005, q0=start, integrator=pm.rk4
     )
     t = run.t[:, None]
     # Critically damped at 2 rad/s; the force is held for 5 ms: 2.5 ms late, at most 2 rad/s * 3 rad * 2.5 ms.
@@ -377,30 +358,30 @@ def test_computed_torque_takes_the_short_way_and_is_linear_in_the_error(robot: M
 
 def test_pd_turns_continuous_joints_the_short_way() -> None:
     goal = KINOVA.integrate(KINOVA.rest, 0.1 * np.ones(9))
-    weightless = without_gravity(MobileRobot.box().mount("kinova", AT))
+    weightless = without_gravity(pm.MobileRobot.box().mount("kinova", AT))
     gains = 4 * np.diag(weightless.mass_matrix(goal))
-    held = PD(gains, gains)
+    held = pm.PD(gains, gains)
     start = KINOVA.rest.copy()
     start[[2, 3]] += 2 * np.pi
-    run = simulate(weightless, held, Still(goal, 9), dt=0.002, q0=start)
+    run = pm.simulate(weightless, held, Still(goal, 9), dt=0.002, q0=start)
     np.testing.assert_allclose(run.error[0], 0.1, atol=1e-12)
     assert np.abs(run.error[-1]).max() < 0.05 * np.abs(run.error[0]).max()
 
 
 def test_the_base_carries_neither_arms_nor_loads() -> None:
-    box = MobileRobot.box()
-    for robot in (box.attach(PayloadBody(3.0)), UR5, UR5.attach(PayloadBody(3.0)), box):
+    box = pm.MobileRobot.box()
+    for robot in (box.attach(pm.PayloadBody(3.0)), UR5, UR5.attach(pm.PayloadBody(3.0)), box):
         assert robot.base == box
         assert (robot.base.mounts, robot.base.loads) == ((), ())
 
 
-@pytest.mark.parametrize("make", [ComputedTorque, Decoupled, PDGravity])
+@pytest.mark.parametrize("make", [pm.ComputedTorque, Decoupled, pm.PDGravity])
 def test_a_difference_of_ones_own_is_taken_and_else_the_controllers_robots(make: Any) -> None:
     def mine(q0: Array, q1: Array) -> Array:
         return np.asarray(2 * KINOVA.difference(q0, q1))
 
     rest, away = KINOVA.rest, KINOVA.integrate(KINOVA.rest, np.full(9, 0.1))
-    at, still = Reference(away, *np.zeros((2, 9))), np.zeros(9)
+    at, still = pm.Reference(away, *np.zeros((2, 9))), np.zeros(9)
 
     def force(**options: Any) -> Array:
         return np.asarray(make(KINOVA, 1, 0, **options)(0.0, rest, still, at, None)[0])
@@ -411,14 +392,14 @@ def test_a_difference_of_ones_own_is_taken_and_else_the_controllers_robots(make:
 
 
 def test_what_diverges_on_the_circle_too_carries_what_was_recorded() -> None:
-    with pytest.raises(Diverged) as caught:
-        simulate(KINOVA, PD(400, 400), Still(KINOVA.rest, 9), dt=0.05)
+    with pytest.raises(pm.Diverged) as caught:
+        pm.simulate(KINOVA, pm.PD(400, 400), Still(KINOVA.rest, 9), dt=0.05)
     assert len(caught.value.rollout) > 1
 
 
 def test_a_bare_bases_controller_is_refused_for_the_whole() -> None:
-    with pytest.raises(InvalidArgument, match="has 3 coordinates, expected 9, as the plant"):
-        simulate(UR5, ComputedTorque(MobileRobot.box()), Still(UR5.rest, 9), dt=0.01)
+    with pytest.raises(pm.InvalidArgument, match="has 3 coordinates, expected 9, as the plant"):
+        pm.simulate(UR5, pm.ComputedTorque(pm.MobileRobot.box()), Still(UR5.rest, 9), dt=0.01)
 
 
 def test_limits_and_postures_are_the_files() -> None:
@@ -428,7 +409,7 @@ def test_limits_and_postures_are_the_files() -> None:
     np.testing.assert_array_equal(PANDA.velocity_limit[3:], own.velocityLimit)
     np.testing.assert_array_equal(PANDA.rest[3:10], PANDA.mounts[0].arm.posture[:7])
     assert np.isinf(KINOVA.lower[3])  # continuous
-    unknown = MobileRobot.box().mount("double_pendulum")  # its file writes zero for each
+    unknown = pm.MobileRobot.box().mount("double_pendulum")  # its file writes zero for each
     for limit in (unknown.lower, unknown.upper, unknown.velocity_limit, unknown.effort_limit):
         assert np.isinf(limit).all()
     drawn = TWO.random_configuration(np.random.default_rng(0), (50,))
@@ -441,19 +422,19 @@ def test_limits_and_postures_are_the_files() -> None:
 
 
 def test_a_mounted_robot_is_a_value() -> None:
-    again = MobileRobot.box().mount("ur5", AT)
+    again = pm.MobileRobot.box().mount("ur5", AT)
     assert again == UR5
     assert hash(again) == hash(UR5)
-    assert again != MobileRobot.box().mount("ur5", (*AT[:3], 0.5))
-    assert again != again.attach(PayloadBody(1.0))
-    assert again.base == MobileRobot.box()
+    assert again != pm.MobileRobot.box().mount("ur5", (*AT[:3], 0.5))
+    assert again != again.attach(pm.PayloadBody(1.0))
+    assert again.base == pm.MobileRobot.box()
     assert repr(UR5).endswith(".mount('ur5', at=(0.1, -0.05, 0.2, 0.4), name='ur5')")
-    for robot in (UR5, TWO, MobileRobot.box().mount(pendulum(continuous=True))):
+    for robot in (UR5, TWO, pm.MobileRobot.box().mount(pendulum(continuous=True))):
         copy = pickle.loads(pickle.dumps(robot))
         assert copy == robot
         q, v, _ = states(robot)
         np.testing.assert_array_equal(copy.nonlinear_effects(q, v), robot.nonlinear_effects(q, v))
-    plain = MobileRobot.lecture().mount("panda", AT).attach(PayloadBody(1.5, (0, 0, 0.1)))
+    plain = pm.MobileRobot.lecture().mount("panda", AT).attach(pm.PayloadBody(1.5, (0, 0, 0.1)))
     assert eval(repr(plain)) == plain
 
 
@@ -466,7 +447,10 @@ def test_a_mounted_robot_is_a_value() -> None:
     ],
 )
 def test_what_is_locked_and_another_rest_are_told_and_can_be_pasted_back(options: dict[str, Any]) -> None:
-    plain, robot = MobileRobot.lecture().mount("z1", AT), MobileRobot.lecture().mount("z1", AT, **options)
+    plain, robot = (
+        pm.MobileRobot.lecture().mount("z1", AT),
+        pm.MobileRobot.lecture().mount("z1", AT, **options),
+    )
     assert robot != plain
     assert eval(repr(robot)) == robot
     for word in ("locked", "rest"):
@@ -483,16 +467,18 @@ def test_a_rest_is_told_of_models_and_files_too(tmp_path: Path) -> None:
         '<limit lower="-1" upper="1" effort="30" velocity="2"/></joint></robot>'
     )
     for arm, rest in ((model, [2.0, 0.5]), (path, [0.25])):
-        assert "rest=" not in repr(MobileRobot.box().mount(arm))
-        assert f"rest={[float(number) for number in rest]}" in repr(MobileRobot.box().mount(arm, rest=rest))
-    found = MobileRobot.lecture().mount(path, package_dirs=tmp_path)
+        assert "rest=" not in repr(pm.MobileRobot.box().mount(arm))
+        assert f"rest={[float(number) for number in rest]}" in repr(
+            pm.MobileRobot.box().mount(arm, rest=rest)
+        )
+    found = pm.MobileRobot.lecture().mount(path, package_dirs=tmp_path)
     assert f"package_dirs=({str(tmp_path)!r},)" in repr(found)
     assert eval(repr(found)) == found
 
 
 @pytest.mark.parametrize("name", ["talos_arm", "ur5"])
 def test_the_arms_own_mass_matrix_stands_in_that_of_the_whole_rotors_included(name: str) -> None:
-    robot = MobileRobot.box().mount(name, (0.1, 0.2, 0.3, 0.9))
+    robot = pm.MobileRobot.box().mount(name, (0.1, 0.2, 0.3, 0.9))
     (mount,) = robot.mounts
     q = robot.random_configuration(np.random.default_rng(0))
     alone = pin.crba(mount.model, mount.model.createData(), q[mount.q])
@@ -501,7 +487,7 @@ def test_the_arms_own_mass_matrix_stands_in_that_of_the_whole_rotors_included(na
 
 
 def test_clashing_names_are_numbered() -> None:
-    robot = MobileRobot.box().mount("ur5").mount("ur5", AT).mount("ur5", (-0.2, 0, 0.2, 0), name="ur5")
+    robot = pm.MobileRobot.box().mount("ur5").mount("ur5", AT).mount("ur5", (-0.2, 0, 0.2, 0), name="ur5")
     assert [mount.name for mount in robot.mounts] == ["ur5", "ur5_2", "ur5_3"]
     assert [mount.q for mount in robot.mounts] == [slice(3, 9), slice(9, 15), slice(15, 21)]
     assert len(set(robot.model.names)) == robot.model.njoints
@@ -510,7 +496,7 @@ def test_clashing_names_are_numbered() -> None:
 
 def test_loads_weigh_where_they_are() -> None:
     q, _, _ = states(UR5)
-    light = UR5.attach(PayloadBody(2.0, (0, 0, 0.1), size=(0.1, 0.2, 0.3)))
+    light = UR5.attach(pm.PayloadBody(2.0, (0, 0, 0.1), size=(0.1, 0.2, 0.3)))
     J = UR5.frame_jacobian(q)
     point = UR5.frame_pose(q) @ [0, 0, 0.1, 1]
     arm = point[:, :3] - UR5.frame_pose(q)[:, :3, 3]
@@ -542,9 +528,9 @@ def _composite() -> pin.JointModel:
 def test_joints_with_several_axes_are_refused_unless_they_are_locked(
     joint: pin.JointModel, kind: str
 ) -> None:
-    base, model = MobileRobot.box(mass=10), in_series(pin.JointModelRZ(), joint, pin.JointModelRX())
+    base, model = pm.MobileRobot.box(mass=10), in_series(pin.JointModelRZ(), joint, pin.JointModelRX())
     model.name = "toy"
-    with pytest.raises(InvalidArgument) as refused:
+    with pytest.raises(pm.InvalidArgument) as refused:
         base.mount(model)
     assert str(refused.value) == (
         f"arm 'toy': joint 'joint1' is a JointModel{kind}, which has several axes, expected one axis: model "
@@ -560,7 +546,7 @@ def test_joints_with_several_axes_are_refused_unless_they_are_locked(
 def test_a_continuous_joint_is_an_angle_whose_error_wraps_as_that_of_psi(kind: Any) -> None:
     model = in_series(pin.JointModelRX(), kind(), pin.JointModelRX())
     model.armature = np.array([0.1, 0.2, 0.3])
-    robot = MobileRobot.box(mass=10).mount(model, AT)
+    robot = pm.MobileRobot.box(mass=10).mount(model, AT)
     assert model.nq == 4  # of Pinocchio, the angle's cosine and sine
     assert robot.model.nq == robot.nq == robot.nv == 6
     psi, angle = robot.coordinates[2], robot.coordinates[4]
@@ -575,25 +561,27 @@ def test_a_continuous_joint_is_an_angle_whose_error_wraps_as_that_of_psi(kind: A
     data, own = model.createData(), np.array([0.5, np.cos(3.0), np.sin(3.0), -0.4])
     M = pin.crba(model, data, own)
     np.testing.assert_allclose(robot.mass_matrix(q)[3:, 3:], M, atol=1e-14)
-    assert verify(robot, states=20).passed
+    assert pm.verify(robot, states=20).passed
 
 
 def test_the_reference_posture_of_a_continuous_joint_is_an_angle() -> None:
     model = pendulum(continuous=True)
     wrapped = SimpleNamespace(model=model, visual_model=None, q0=np.array([np.cos(2.5), np.sin(2.5), 0.1]))
-    robot = MobileRobot.box().mount(wrapped, AT)
+    robot = pm.MobileRobot.box().mount(wrapped, AT)
     np.testing.assert_allclose(robot.rest[3:], [2.5, 0.1], rtol=1e-15)
-    turned = MobileRobot.box().mount(model, AT, rest=[7.0, 0.1])
+    turned = pm.MobileRobot.box().mount(model, AT, rest=[7.0, 0.1])
     np.testing.assert_array_equal(turned.rest[3:], [7.0, 0.1])
-    with pytest.raises(InvalidArgument, match=r"^rest has shape \(3,\), expected \(\.\.\., 2\)$"):
-        MobileRobot.box().mount(model, AT, rest=[np.cos(2.5), np.sin(2.5), 0.1])
+    with pytest.raises(pm.InvalidArgument, match=r"^rest has shape \(3,\), expected \(\.\.\., 2\)$"):
+        pm.MobileRobot.box().mount(model, AT, rest=[np.cos(2.5), np.sin(2.5), 0.1])
 
 
 def test_a_continuous_joint_moves_as_one_with_two_turns_to_either_side() -> None:
     """Only the error differs, so the two robots agree in all that has no error beyond half a turn."""
-    free, limited = (MobileRobot.box().mount(pendulum(continuous=each), AT) for each in (True, False))
+    free, limited = (pm.MobileRobot.box().mount(pendulum(continuous=each), AT) for each in (True, False))
     q0 = free.rest + np.array([0, 0, 0.3, 0.2, -0.4])
-    runs = [simulate(robot, PD(30, 8), Still(robot.rest, 5), dt=0.005, q0=q0) for robot in (free, limited)]
+    runs = [
+        pm.simulate(robot, pm.PD(30, 8), Still(robot.rest, 5), dt=0.005, q0=q0) for robot in (free, limited)
+    ]
     np.testing.assert_array_equal(runs[0].q, runs[1].q)
     step = np.array([0, 0, 0, 4.0, 0])
     assert free.difference(q0, q0 + step)[3] == pytest.approx(4 - 2 * np.pi)
@@ -601,10 +589,10 @@ def test_a_continuous_joint_moves_as_one_with_two_turns_to_either_side() -> None
 
 
 def test_what_is_said_to_take_instead_has_the_right_derivatives() -> None:
-    robot = MobileRobot.box(mass=10).mount(in_series(pin.JointModelRX(), pin.JointModelRY()))
+    robot = pm.MobileRobot.box(mass=10).mount(in_series(pin.JointModelRX(), pin.JointModelRY()))
     (q, *_), (v, *_), (tau, *_) = states(robot)
     by_q, by_v, _ = robot.forward_dynamics_derivatives(q, v, tau)
-    assert verify(robot, states=20).passed
+    assert pm.verify(robot, states=20).passed
     h = 1e-5  # of central differences: h^2 times the third derivative and 1e-16 / h times a are below 1e-7
     for k, unit in enumerate(h * np.eye(robot.nv)):
         ahead, behind = robot.integrate(q, unit), robot.integrate(q, -unit)
@@ -614,16 +602,18 @@ def test_what_is_said_to_take_instead_has_the_right_derivatives() -> None:
         np.testing.assert_allclose(by_v[:, k], slope / (2 * h), atol=1e-5)
 
 
-@pytest.mark.parametrize("robot", [MobileRobot.box(), UR5, KINOVA], ids=["base", "ur5", "kinova"])
-@pytest.mark.parametrize("limited", [lambda c: c, lambda c: InputSaturation(c, 1e6)], ids=["bare", "wrapped"])
-def test_pd_with_the_robots_difference_is_pd(robot: MobileRobot, limited: Any) -> None:
+@pytest.mark.parametrize("robot", [pm.MobileRobot.box(), UR5, KINOVA], ids=["base", "ur5", "kinova"])
+@pytest.mark.parametrize(
+    "limited", [lambda c: c, lambda c: pm.InputSaturation(c, 1e6)], ids=["bare", "wrapped"]
+)
+def test_pd_with_the_robots_difference_is_pd(robot: pm.MobileRobot, limited: Any) -> None:
     """In the order that Pinocchio has; over a start that is a turn and more away from the reference."""
     start = robot.integrate(robot.rest, np.full(robot.nv, 0.05))
     start[list(robot._circular)] += 7.0
     rest = Still(robot.rest, robot.nv)
     gains = 20 * np.diag(robot.mass_matrix(robot.rest))
     runs = [
-        simulate(robot, limited(PD(gains, gains, **option)), rest, dt=0.005, q0=start)
+        pm.simulate(robot, limited(pm.PD(gains, gains, **option)), rest, dt=0.005, q0=start)
         for option in ({}, {"difference": robot.difference})
     ]
     np.testing.assert_array_equal(runs[0].q, runs[1].q)
@@ -635,16 +625,16 @@ def test_pd_with_the_robots_difference_is_pd(robot: MobileRobot, limited: Any) -
 
 
 @pytest.fixture(scope="module")
-def run() -> Rollout:
+def run() -> pm.Rollout:
     """Return a run of an arm whose joints have no limits; each goes 0.1 rad and comes back."""
-    robot = MobileRobot.box().mount("kinova")
+    robot = pm.MobileRobot.box().mount("kinova")
     rest = robot.rest[3:]
-    way = CubicVia(rest, rest + 0.1, rest, 0.5, 1.0)
-    motion = WholeBody(robot, Tangent(Circle(1.0, 0.5, 1.0)), way)
-    return simulate(robot, ComputedTorque(robot, 100.0, 20.0), motion, dt=0.02)
+    way = pm.CubicVia(rest, rest + 0.1, rest, 0.5, 1.0)
+    motion = pm.WholeBody(robot, pm.Tangent(pm.Circle(1.0, 0.5, 1.0)), way)
+    return pm.simulate(robot, pm.ComputedTorque(robot, 100.0, 20.0), motion, dt=0.02)
 
 
-def test_a_rollout_says_the_errors_of_joints_by_name(run: Rollout) -> None:
+def test_a_rollout_says_the_errors_of_joints_by_name(run: pm.Rollout) -> None:
     lines = str(run).splitlines()
     joints = lines[5 : len(lines) - len(run.events)]
     assert [line.split()[0] for line in joints] == [one.name for one in run.plant.coordinates[3:]]
@@ -655,7 +645,7 @@ def test_a_rollout_says_the_errors_of_joints_by_name(run: Rollout) -> None:
     assert [line.split()[0] for line in joints] == [f"[{k}]" for k in range(3, 9)]
 
 
-def test_the_columns_of_a_record_are_joints(run: Rollout, tmp_path: Path) -> None:
+def test_the_columns_of_a_record_are_joints(run: pm.Rollout, tmp_path: Path) -> None:
     run.to_csv(tmp_path / "run.csv")
     header = (tmp_path / "run.csv").read_text().splitlines()[0].split(",")
     first = run.plant.coordinates[3].name
@@ -664,7 +654,7 @@ def test_the_columns_of_a_record_are_joints(run: Rollout, tmp_path: Path) -> Non
     assert len(header) == len(set(header)) == 1 + 6 * 9
 
 
-def test_figures_name_joints_and_unwrap_their_angles(run: Rollout) -> None:
+def test_figures_name_joints_and_unwrap_their_angles(run: pm.Rollout) -> None:
     panels = plots.states({"a": run, "b": run}).axes
     assert [axes.get_title(loc="left") for axes in panels[2:5]] == [
         r"$\psi$",

@@ -5,26 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    LQR,
-    MPC,
-    Circle,
-    ConstantForce,
-    Engine,
-    FixedHeading,
-    InputSaturation,
-    InvalidArgument,
-    Line,
-    Lissajous,
-    MeasurementDelay,
-    Tangent,
-    Uniform,
-    WheeledRobot,
-    WheelTable,
-    ensemble,
-    rk4,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.controllers.lqr import riccati, tracked_model
 from pinmobile.errors import NotSolved
@@ -32,9 +13,9 @@ from pinmobile.plant import Context
 from tests.rivals import HEAVY, NOMINAL, OFF
 
 LOADED = OFF
-WHEELED = WheeledRobot(NOMINAL, WheelTable.differential(0.1, 0.4))
-LONG = Tangent(Circle(radius=1.5, rate=0.6, duration=10))
-SHORT = Tangent(Circle(radius=1.5, rate=0.6, duration=2))
+WHEELED = pm.WheeledRobot(NOMINAL, pm.WheelTable.differential(0.1, 0.4))
+LONG = pm.Tangent(pm.Circle(radius=1.5, rate=0.6, duration=10))
+SHORT = pm.Tangent(pm.Circle(radius=1.5, rate=0.6, duration=2))
 T: Array = np.asarray(np.arange(201) * 0.01, np.float64)
 
 
@@ -48,9 +29,9 @@ def asked(controller: Any, robot: Any, q: Array, v: Array) -> Array:
 def test_it_is_lqr_while_nothing_is_limited_and_its_step_is_that_of_the_loop(robot: Any) -> None:
     q, v = robot.start(SHORT(0.0))
     q = robot.integrate(q, np.append([0.1, -0.05, 0.1], np.zeros(robot.nv - 3)))
-    wanted = asked(LQR(robot), robot, q, v)
+    wanted = asked(pm.LQR(robot), robot, q, v)
     for horizon in (1, 20):
-        found = asked(MPC(robot, horizon, 0.01, limits=1e6, observer=0), robot, q, v)
+        found = asked(pm.MPC(robot, horizon, 0.01, limits=1e6, observer=0), robot, q, v)
         assert np.abs(found - wanted).max() < 1e-12 * np.abs(wanted).max()
 
 
@@ -58,7 +39,7 @@ def test_within_limits_it_is_the_solution_of_the_program_of_all_inputs() -> None
     from scipy.optimize import lsq_linear
 
     step, N, limits = 0.05, 12, np.array([22.0, 22.0, 3.0])
-    controller = MPC(NOMINAL, N, step, limits=limits, observer=0)
+    controller = pm.MPC(NOMINAL, N, step, limits=limits, observer=0)
     start, v = SHORT(0.0).q + np.array([-0.3, -0.5, 0.4]), SHORT(0.0).v
     found = asked(controller, NOMINAL, start, v)
     model = tracked_model(NOMINAL, SHORT(T))
@@ -86,8 +67,8 @@ def test_within_limits_it_is_the_solution_of_the_program_of_all_inputs() -> None
 def settled(controller: Any) -> tuple[float, Array]:
     """Return when the distance stays below 20 mm [s], and the largest inputs."""
     start = LONG(0.0).q + np.array([-0.3, -0.5, 0.4])
-    given: Any = {"dt": 0.01, "integrator": rk4, "substeps": 4, "duration": 6.0}
-    run = simulate(NOMINAL, controller, LONG, q0=start, v0=LONG(0.0).v, **given)
+    given: Any = {"dt": 0.01, "integrator": pm.rk4, "substeps": 4, "duration": 6.0}
+    run = pm.simulate(NOMINAL, controller, LONG, q0=start, v0=LONG(0.0).v, **given)
     off = np.linalg.norm((run.q - run.reference.q)[:, :2], axis=-1)
     return float(run.t[np.flatnonzero(off > 0.02)[-1] + 1]), np.abs(run.u).max(axis=0)
 
@@ -96,8 +77,8 @@ def settled(controller: Any) -> tuple[float, Array]:
 def test_under_limits_it_settles_no_later_than_a_regulator_that_is_cut_off() -> None:
     limits = (22.0, 22.0, 3.0)
     (mine, largest), (cut, _) = (
-        settled(MPC(NOMINAL, limits=limits)),
-        settled(InputSaturation(LQR(NOMINAL), limits)),
+        settled(pm.MPC(NOMINAL, limits=limits)),
+        settled(pm.InputSaturation(pm.LQR(NOMINAL), limits)),
     )
     assert mine <= cut
     assert np.array_equal(largest, limits)
@@ -105,18 +86,21 @@ def test_under_limits_it_settles_no_later_than_a_regulator_that_is_cut_off() -> 
 
 def test_errors_are_those_of_an_independent_implementation() -> None:
     for robot, observer, printed in ((HEAVY, 0.0, 5.48), (HEAVY, 10.0, 0.383), (LOADED, 10.0, 0.214)):
-        controller = MPC(NOMINAL, 20, 0.01, observer=observer)
-        run = simulate(robot, controller, LONG, dt=0.01, integrator=rk4, substeps=4)
+        controller = pm.MPC(NOMINAL, 20, 0.01, observer=observer)
+        run = pm.simulate(robot, controller, LONG, dt=0.01, integrator=pm.rk4, substeps=4)
         off = (run.q - run.reference.q)[run.t >= 5, :2]
         # Two percent, or half a unit of the last digit that is printed.
         assert 1e3 * np.linalg.norm(off, axis=-1).max() == pytest.approx(printed, rel=0.02, abs=5e-4)
 
 
 def test_no_constant_force_leaves_an_error_nor_is_it_taken_from_what_limits_leave() -> None:
-    still, force = FixedHeading(Circle(radius=1.5, rate=0.6, duration=4), 0.3), np.array([12.0, -7.0, 1.5])
-    given: Any = {"dt": 0.01, "integrator": rk4, "forces": [ConstantForce(force)]}
-    run = simulate(NOMINAL, MPC(NOMINAL, limits=(60, 60, 9)), still, **given)
-    without = simulate(NOMINAL, MPC(NOMINAL, limits=(60, 60, 9), observer=0), still, **given)
+    still, force = (
+        pm.FixedHeading(pm.Circle(radius=1.5, rate=0.6, duration=4), 0.3),
+        np.array([12.0, -7.0, 1.5]),
+    )
+    given: Any = {"dt": 0.01, "integrator": pm.rk4, "forces": [pm.ConstantForce(force)]}
+    run = pm.simulate(NOMINAL, pm.MPC(NOMINAL, limits=(60, 60, 9)), still, **given)
+    without = pm.simulate(NOMINAL, pm.MPC(NOMINAL, limits=(60, 60, 9), observer=0), still, **given)
     last, other = (np.abs((x.q - x.reference.q)[-1]).max() for x in (run, without))
     assert last < 0.02 * other
     # Explicit Euler of the integral: order 1 in dt, along a reference that turns at 0.6 rad/s.
@@ -124,10 +108,10 @@ def test_no_constant_force_leaves_an_error_nor_is_it_taken_from_what_limits_leav
 
 
 def test_on_wheels_neither_a_ramp_nor_a_push_leaves_an_error() -> None:
-    along = FixedHeading(Line((0, 0), (4, 0), duration=4.0), 0.0)
-    pushed: Any = {"forces": [ConstantForce((-20.0, 3.0, 2.0))]}
+    along = pm.FixedHeading(pm.Line((0, 0), (4, 0), duration=4.0), 0.0)
+    pushed: Any = {"forces": [pm.ConstantForce((-20.0, 3.0, 2.0))]}
     for plant, given in ((WHEELED.on_ramp(0.1, 0.3), {}), (WHEELED, pushed)):
-        runs = [simulate(plant, MPC(WHEELED, observer=x), along, dt=0.01, **given) for x in (10.0, 0.0)]
+        runs = [pm.simulate(plant, pm.MPC(WHEELED, observer=x), along, dt=0.01, **given) for x in (10.0, 0.0)]
         mine, other = (np.abs((run.q[:, :3] - run.reference.q)[-1]).max() for run in runs)
         assert other > 0.05
         # What is left decays with the slowest pole of the loop, some 2 / s: e^-8.
@@ -138,25 +122,25 @@ def test_on_wheels_neither_a_ramp_nor_a_push_leaves_an_error() -> None:
 
 
 def test_soft_bounds_hold_a_corridor_that_the_reference_leaves() -> None:
-    across = FixedHeading(Lissajous(1.0, 0.6, 0.5, 1.0, duration=6.0), 0.0)
+    across = pm.FixedHeading(pm.Lissajous(1.0, 0.6, 0.5, 1.0, duration=6.0), 0.0)
     endless = np.full(6, np.inf)
     upper = endless.copy()
     upper[1] = 0.4
-    given: Any = {"dt": 0.01, "integrator": rk4}
-    free = simulate(NOMINAL, MPC(NOMINAL, observer=0), across, **given)
-    bound = simulate(NOMINAL, MPC(NOMINAL, upper=upper, observer=0), across, **given)
+    given: Any = {"dt": 0.01, "integrator": pm.rk4}
+    free = pm.simulate(NOMINAL, pm.MPC(NOMINAL, observer=0), across, **given)
+    bound = pm.simulate(NOMINAL, pm.MPC(NOMINAL, upper=upper, observer=0), across, **given)
     assert free.q[:, 1].max() > 0.55
     assert bound.q[:, 1].max() < 0.42
 
 
 def test_an_ensemble_says_why_it_is_slow_and_how_long_many_would_take() -> None:
-    given: Any = {"dt": 0.01, "n": 2, "seed": 1, "spread": {"mass": Uniform(28, 32)}, "duration": 0.1}
+    given: Any = {"dt": 0.01, "n": 2, "seed": 1, "spread": {"mass": pm.Uniform(28, 32)}, "duration": 0.1}
     words = r"quadratic program at each of 11 samples, so that 10,000 robots take some [\d.e-]+ h"
     with pytest.warns(UserWarning, match=words):
-        found = ensemble(NOMINAL, InputSaturation(MPC(NOMINAL), 100), SHORT, **given)
+        found = pm.ensemble(NOMINAL, pm.InputSaturation(pm.MPC(NOMINAL), 100), SHORT, **given)
     assert found.engine == "PYTHON"
-    with pytest.raises(InvalidArgument, match="10,000 robots"):
-        ensemble(NOMINAL, MPC(NOMINAL), SHORT, engine=Engine.COMPILED, **given)
+    with pytest.raises(pm.InvalidArgument, match="10,000 robots"):
+        pm.ensemble(NOMINAL, pm.MPC(NOMINAL), SHORT, engine=pm.Engine.COMPILED, **given)
 
 
 def test_a_program_that_fails_keeps_its_state_and_problem(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -167,13 +151,13 @@ def test_a_program_that_fails_keeps_its_state_and_problem(monkeypatch: pytest.Mo
     monkeypatch.setattr(mpc, "solver", lambda: lambda H, *given, **no: (np.zeros(len(H)), 0.0, -1, {}))
     start = SHORT(0.0).q + np.array([-0.3, -0.5, 0.4])
     with pytest.raises(NotSolved, match="at t = 0 s has no solution") as caught:
-        asked(MPC(NOMINAL, 4, limits=(22, 22, 3)), NOMINAL, start, SHORT(0.0).v)
+        asked(pm.MPC(NOMINAL, 4, limits=(22, 22, 3)), NOMINAL, start, SHORT(0.0).v)
     assert caught.value.time == 0
     monkeypatch.undo()
     H, f, A, lower, upper, sense = caught.value.problem.values()
     z, _, flag, _ = solve(H, f, A, upper, lower, sense)
     assert flag == 1
-    moved = MPC(NOMINAL, 4, limits=(22, 22, 3))
+    moved = pm.MPC(NOMINAL, 4, limits=(22, 22, 3))
     plan = moved.initial_state(Context.of(NOMINAL, dt=0.01, t=T, reference=SHORT(T)))[0]
     u = plan.u[0] - plan.K[0] @ caught.value.state + plan.moves[0] @ z[:3]
     assert np.abs(u - asked(moved, NOMINAL, start, SHORT(0.0).v)).max() < 1e-6 * 22
@@ -203,9 +187,9 @@ def test_a_program_begins_with_the_bounds_of_the_one_before_which_changes_nothin
     box = np.array([np.inf, 0.7, np.inf, 1.0, 1.0, np.inf])
     for fails in (False, True):
         monkeypatch.setattr(mpc, "solver", lambda fails=fails: told(fails))
-        controller = MPC(NOMINAL, limits=(22, 22, 3), lower=-box, upper=box, observer=0)
+        controller = pm.MPC(NOMINAL, limits=(22, 22, 3), lower=-box, upper=box, observer=0)
         given: Any = {"dt": 0.01, "q0": start, "v0": SHORT(0.0).v, "duration": 0.3}
-        runs.append(simulate(NOMINAL, controller, SHORT, **given))
+        runs.append(pm.simulate(NOMINAL, controller, SHORT, **given))
     # daqp holds bounds within 1e-9.
     assert np.abs(runs[0].u - runs[1].u).max() < 1e-6 * 22
     warm, cold = ([n for begins, n in tries if begins is which] for which in (True, False))
@@ -216,7 +200,7 @@ def test_a_program_begins_with_the_bounds_of_the_one_before_which_changes_nothin
 
 def test_rows_of_a_program_are_what_its_inputs_do_to_the_model() -> None:
     box = np.array([1.0, np.inf, np.inf, np.inf, 1.0, np.inf])
-    controller = MPC(NOMINAL, 9, 0.05, upper=box)
+    controller = pm.MPC(NOMINAL, 9, 0.05, upper=box)
     plan = controller.initial_state(Context.of(NOMINAL, dt=0.01, t=T, reference=SHORT(T)))[0]
     A, B = tracked_model(NOMINAL, SHORT(T)).discrete(0.05)
     for k in (0, 180):  # from the second, the horizon reaches beyond the end
@@ -231,40 +215,43 @@ def test_rows_of_a_program_are_what_its_inputs_do_to_the_model() -> None:
 
 
 BAD: Any = [
-    (lambda: simulate(NOMINAL, MPC(NOMINAL, limits=5), SHORT, dt=0.01), "limits exclude the reference: at t"),
     (
-        lambda: simulate(NOMINAL, MPC(NOMINAL, step=0.025), SHORT, dt=0.01),
+        lambda: pm.simulate(NOMINAL, pm.MPC(NOMINAL, limits=5), SHORT, dt=0.01),
+        "limits exclude the reference: at t",
+    ),
+    (
+        lambda: pm.simulate(NOMINAL, pm.MPC(NOMINAL, step=0.025), SHORT, dt=0.01),
         "step is 0.025 s, expected a whole",
     ),
     (
-        lambda: simulate(
+        lambda: pm.simulate(
             NOMINAL,
-            MeasurementDelay(InputSaturation(MeasurementDelay(MPC(NOMINAL, 2), 6), 100), 4),
+            pm.MeasurementDelay(pm.InputSaturation(pm.MeasurementDelay(pm.MPC(NOMINAL, 2), 6), 100), 4),
             SHORT,
             dt=0.01,
         ),
         "horizon is 0.1 s, no longer than the delay of what it is told, 0.1 s, expected more than 2 steps",
     ),
     (
-        lambda: simulate(NOMINAL, MPC(NOMINAL, observer=201), SHORT, dt=0.01),
+        lambda: pm.simulate(NOMINAL, pm.MPC(NOMINAL, observer=201), SHORT, dt=0.01),
         r"gains observer = \[201.0\] are unstable .* dt < 0.00995 s",
     ),
-    (lambda: MPC(NOMINAL, limits=[1, 2]), r"limits has shape \(2,\), expected \(\) or \(3,\)"),
-    (lambda: MPC(NOMINAL, lower=[1, 2]), r"lower has shape \(2,\), expected \(6,\)"),
-    (lambda: MPC(NOMINAL, lower=np.ones(6), upper=np.zeros(6)), "lower is not below upper"),
-    (lambda: MPC(NOMINAL, horizon=0), "horizon is 0, expected"),
+    (lambda: pm.MPC(NOMINAL, limits=[1, 2]), r"limits has shape \(2,\), expected \(\) or \(3,\)"),
+    (lambda: pm.MPC(NOMINAL, lower=[1, 2]), r"lower has shape \(2,\), expected \(6,\)"),
+    (lambda: pm.MPC(NOMINAL, lower=np.ones(6), upper=np.zeros(6)), "lower is not below upper"),
+    (lambda: pm.MPC(NOMINAL, horizon=0), "horizon is 0, expected"),
 ]
 
 
 @pytest.mark.parametrize(("make", "words"), BAD)
 def test_bad_arguments_are_refused(make: Any, words: str) -> None:
-    with pytest.raises(InvalidArgument, match=words):
+    with pytest.raises(pm.InvalidArgument, match=words):
         make()
 
 
 def test_limits_and_walls_may_be_added() -> None:
-    told = MPC(NOMINAL, lower=[-9] * 6).within((30, 30, 5), upper=(3.1, 4.0))
+    told = pm.MPC(NOMINAL, lower=[-9] * 6).within((30, 30, 5), upper=(3.1, 4.0))
     assert told.limits.tolist() == [30, 30, 5]
     assert told.upper[:3].tolist() == [3.1, 4, np.inf]
     assert told.lower.tolist() == [-9] * 6
-    assert MPC(NOMINAL, limits=50).within(upper=[1]).range[1].tolist() == [50, 50, 50]
+    assert pm.MPC(NOMINAL, limits=50).within(upper=[1]).range[1].tolist() == [50, 50, 50]

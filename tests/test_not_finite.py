@@ -9,32 +9,19 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import (
-    Circle,
-    Coulomb,
-    Diverged,
-    InvalidArgument,
-    MobileRobot,
-    PayloadBody,
-    PinmobileError,
-    Tangent,
-    WheeledRobot,
-    WheelTable,
-    closed_form,
-    law,
-    simulate,
-)
+import pinmobile as pm
+from pinmobile import closed_form
 from pinmobile.arrays import Array
 from pinmobile.errors import NotFinite
 from pinmobile.urdf import Body
 
 HUGE = (1e100, 1e160, 1e200, 1e308)
 ROBOTS = {
-    "lecture": MobileRobot.lecture(),
-    "off its axis": MobileRobot(30, 1.3, (0.1, 0.05)),
-    "light": MobileRobot(1e-310, 1e-310),
-    "ur5": MobileRobot.box().mount("ur5"),
-    "kinova": MobileRobot.box().mount("kinova"),
+    "lecture": pm.MobileRobot.lecture(),
+    "off its axis": pm.MobileRobot(30, 1.3, (0.1, 0.05)),
+    "light": pm.MobileRobot(1e-310, 1e-310),
+    "ur5": pm.MobileRobot.box().mount("ur5"),
+    "kinova": pm.MobileRobot.box().mount("kinova"),
 }
 STATE = ("q", "q0", "q1", "v", "a", "tau", "u", "dq", "wrench")
 
@@ -45,21 +32,21 @@ def parameters(function: Any) -> list[str]:
 
 METHODS = [
     name
-    for name in dir(MobileRobot)
-    if not name.startswith("_") and inspect.isfunction(getattr(MobileRobot, name))
-    if parameters(getattr(MobileRobot, name)) and name not in ("lumped", "evaluate_metrics")
+    for name in dir(pm.MobileRobot)
+    if not name.startswith("_") and inspect.isfunction(getattr(pm.MobileRobot, name))
+    if parameters(getattr(pm.MobileRobot, name)) and name not in ("lumped", "evaluate_metrics")
 ]
 ON_ARMS = {"arm_manipulability", "mount_wrench"}  # of a bare robot they are errors
 CASES = [(kind, name) for kind in ROBOTS for name in METHODS if ROBOTS[kind].mounts or name not in ON_ARMS]
 WHEELS: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.005, "yaw_inertia": 0.003}
-BASE = MobileRobot(30.0, 1.3, com=(0.05, 0.02, 0.1), size=(0.6, 0.4, 0.25))
-MECANUM = WheelTable.mecanum(0.4, 0.48, 0.09, **WHEELS)
+BASE = pm.MobileRobot(30.0, 1.3, com=(0.05, 0.02, 0.1), size=(0.6, 0.4, 0.25))
+MECANUM = pm.WheelTable.mecanum(0.4, 0.48, 0.09, **WHEELS)
 WHEELED = {
-    "differential": WheeledRobot(BASE, WheelTable.differential(0.46, 0.1, **WHEELS)),
-    "mecanum": WheeledRobot(BASE, MECANUM),
-    "mecanum that slips": WheeledRobot(BASE, MECANUM, Coulomb(0.1)),
-    "swerve": WheeledRobot(BASE, WheelTable.swerve([(0.2, 0.1), (-0.2, -0.1)], 0.06, **WHEELS)),
-    "car": WheeledRobot(BASE.mount("ur5"), WheelTable.car(0.5, 0.46, 0.1, **WHEELS)),
+    "differential": pm.WheeledRobot(BASE, pm.WheelTable.differential(0.46, 0.1, **WHEELS)),
+    "mecanum": pm.WheeledRobot(BASE, MECANUM),
+    "mecanum that slips": pm.WheeledRobot(BASE, MECANUM, pm.Coulomb(0.1)),
+    "swerve": pm.WheeledRobot(BASE, pm.WheelTable.swerve([(0.2, 0.1), (-0.2, -0.1)], 0.06, **WHEELS)),
+    "car": pm.WheeledRobot(BASE.mount("ur5"), pm.WheelTable.car(0.5, 0.46, 0.1, **WHEELS)),
 }
 DRIVES: dict[str, tuple[Any, dict[str, Any]]] = {
     "differential_drive": (closed_form.differential_drive, {"nu": np.ones(2), "track": 0.4, "radius": 0.1}),
@@ -119,7 +106,7 @@ def test_every_drive_answers_in_finite_numbers_or_says_that_it_cannot(name: str)
         value = size if np.ndim(usual[large]) == 0 else np.full(len(usual[large]), size)
         try:
             assert f"|{large}| up to " in (why_not(function, usual | {large: value}) or f"|{large}| up to ")
-        except InvalidArgument as error:
+        except pm.InvalidArgument as error:
             assert "< 1.57079633 rad" in str(error)  # noqa: PT017  # of angles that are huge
 
 
@@ -127,7 +114,7 @@ OF_WHEELS = {"u": "nu", "f": "nv", "dq": "nv", "v": "nv"}
 ANGLES_OF = ("q", "q0", "q1")
 
 
-def for_wheels(robot: WheeledRobot, name: str, parameter: str) -> Array:
+def for_wheels(robot: pm.WheeledRobot, name: str, parameter: str) -> Array:
     """Return ordinary numbers for a parameter of a method."""
     if parameter in ANGLES_OF:
         return robot.rest.copy()
@@ -146,8 +133,8 @@ def test_robots_on_wheels_answer_in_finite_numbers_or_say_that_they_cannot(kind:
     robot = WHEELED[kind]
     known = ANGLES_OF + tuple(OF_WHEELS) + ("rates", "twist", "wrench", "a", "tau")
     tried = []
-    for name in dir(WheeledRobot):
-        method = getattr(WheeledRobot, name)
+    for name in dir(pm.WheeledRobot):
+        method = getattr(pm.WheeledRobot, name)
         if name.startswith("_") or name in (
             "contacts",
             "check_start",
@@ -169,7 +156,7 @@ def test_robots_on_wheels_answer_in_finite_numbers_or_say_that_they_cannot(kind:
                 arguments = {p: np.stack([value] * 2) for p, value in arguments.items()}
             try:
                 told = why_not_of_wheels(method, arguments)
-            except InvalidArgument as error:
+            except pm.InvalidArgument as error:
                 why = "no fixed axle|every direction|that may slip|on one line|carries no arm|steers wheels"
                 assert re.search(why, str(error))  # noqa: PT017
                 continue
@@ -194,7 +181,7 @@ def test_a_start_that_is_too_large_to_be_judged_is_refused(kind: str) -> None:
     robot = WHEELED[kind]
     for size in HUGE:
         for v in (np.full(robot.nv, size), np.full((2, robot.nv), size)):
-            with pytest.raises(PinmobileError, match=r"start does not roll|\|v\| up to"):
+            with pytest.raises(pm.PinmobileError, match=r"start does not roll|\|v\| up to"):
                 robot.check_start(robot.rest, v)
 
 
@@ -203,7 +190,7 @@ def test_the_error_says_what_was_large() -> None:
         ROBOTS["off its axis"].forward_dynamics([0, 0, 0.5], np.array([0, 0, 1e200]), [0, 0, 7])
     expected = "the answer is nan for |q| up to 0.5, |v| up to 1e+200, |tau| up to 7, made of numbers beyond"
     assert str(caught.value) == f"{expected} 1.8e308: expected smaller ones"
-    assert isinstance(caught.value, PinmobileError)
+    assert isinstance(caught.value, pm.PinmobileError)
     assert isinstance(caught.value, ArithmeticError)
 
 
@@ -228,19 +215,19 @@ def test_a_large_argument_alone_is_no_reason_to_warn_or_to_refuse() -> None:
 def test_a_body_whose_yaw_inertia_is_lost_to_rounding_is_refused(
     arguments: tuple[Any, ...], text: str
 ) -> None:
-    with pytest.raises(InvalidArgument) as caught:
-        MobileRobot(*arguments)
+    with pytest.raises(pm.InvalidArgument) as caught:
+        pm.MobileRobot(*arguments)
     assert str(caught.value).startswith(text)
     assert "beside which the yaw inertia about it, " in str(caught.value)
     assert "expected it to be 1e-09 of m |com|^2 = " in str(caught.value)
-    with pytest.raises(InvalidArgument, match="is lost to rounding"):
+    with pytest.raises(pm.InvalidArgument, match="is lost to rounding"):
         Body(arguments[0], np.append(arguments[2], 0.0)[:3], np.eye(3) * arguments[1])
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, 2.0])
 def test_of_a_body_that_is_accepted_six_digits_of_the_yaw_acceleration_are_left(angle: float) -> None:
     inertia = 2e-9 * 1e4
-    robot = MobileRobot(1, inertia, (100 * np.cos(angle), 100 * np.sin(angle)))
+    robot = pm.MobileRobot(1, inertia, (100 * np.cos(angle), 100 * np.sin(angle)))
     tau = np.array([0.3, -0.2, 1.1])
     q, v = [0, 0, 0.3], [0, 0, 0.2]
     right = closed_form.forward_dynamics(q, v, tau, mass=1, yaw_inertia=inertia, com=robot.com[:2])
@@ -255,32 +242,32 @@ def heavy_arm(mass: float) -> pin.Model:
 
 
 def test_what_is_carried_and_drowns_the_rest_is_refused() -> None:
-    ur5, box = ROBOTS["ur5"], MobileRobot.box()
+    ur5, box = ROBOTS["ur5"], pm.MobileRobot.box()
     for robot, mass in ((ur5, 1e308), (box, 1e308)):
-        with pytest.raises(InvalidArgument, match=r"mass matrix is beyond 1\.8e308, .*: the heaviest, 1"):
-            robot.attach(PayloadBody(mass, (0.1, 0, 0)))
-    with pytest.raises(InvalidArgument, match=r"singular to rounding at rest: joint 'ur5/wrist_1_joint'"):
-        ur5.attach(PayloadBody(1e20))
+        with pytest.raises(pm.InvalidArgument, match=r"mass matrix is beyond 1\.8e308, .*: the heaviest, 1"):
+            robot.attach(pm.PayloadBody(mass, (0.1, 0, 0)))
+    with pytest.raises(pm.InvalidArgument, match=r"singular to rounding at rest: joint 'ur5/wrist_1_joint'"):
+        ur5.attach(pm.PayloadBody(1e20))
     for mass in (1e308, 1e20):
-        with pytest.raises(InvalidArgument, match="the mass matrix is singular at rest about joint"):
+        with pytest.raises(pm.InvalidArgument, match="the mass matrix is singular at rest about joint"):
             box.mount(heavy_arm(mass))
-    with pytest.raises(InvalidArgument, match=r"mass matrix is beyond 1\.8e308"):
+    with pytest.raises(pm.InvalidArgument, match=r"mass matrix is beyond 1\.8e308"):
         box.mount("ur5", (1e200, 0, 0.2, 0))
-    assert np.isfinite(ur5.attach(PayloadBody(1e3)).mass_matrix(ur5.rest)).all()
+    assert np.isfinite(ur5.attach(pm.PayloadBody(1e3)).mass_matrix(ur5.rest)).all()
 
 
 def test_a_loop_that_overflows_has_diverged_whoever_notices() -> None:
     """Between two looks for divergence a state may become so large that a robot that is asked refuses."""
-    robot, motion = ROBOTS["off its axis"], Tangent(Circle(radius=1, rate=0.5, duration=5))
+    robot, motion = ROBOTS["off its axis"], pm.Tangent(pm.Circle(radius=1, rate=0.5, duration=5))
 
     def away(t: float, q: Array, v: Array, reference: Any) -> Array:
         return robot.inverse_dynamics(q, v, 1e4 * (v - reference.v) + 1e4 * (q - reference.q))
 
     start = {"dt": 0.01, "q0": np.array([1.0, 1.0, 0.0])}
-    with pytest.raises(Diverged) as caught:
-        simulate(robot, law(away), motion, **start)  # type: ignore[arg-type]
+    with pytest.raises(pm.Diverged) as caught:
+        pm.simulate(robot, pm.law(away), motion, **start)  # type: ignore[arg-type]
     assert caught.value.rollout is not None
     assert np.abs(caught.value.rollout.error).max() <= 1e3
-    with pytest.raises(Diverged, match="not finite") as caught:
-        simulate(robot, law(away), motion, **start, limit=1e300)  # type: ignore[arg-type]
+    with pytest.raises(pm.Diverged, match="not finite") as caught:
+        pm.simulate(robot, pm.law(away), motion, **start, limit=1e300)  # type: ignore[arg-type]
     assert isinstance(caught.value.__cause__, NotFinite)

@@ -10,33 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    ConstantForce,
-    CubicVia,
-    Ensemble,
-    FixedHeading,
-    Hold,
-    InputSaturation,
-    InvalidArgument,
-    Lissajous,
-    MobileRobot,
-    RestToRest,
-    Rollout,
-    Scenario,
-    Spline,
-    Tangent,
-    Uniform,
-    ViscousFriction,
-    WholeBody,
-    ensemble,
-    law,
-    rk4,
-    simulate,
-    sweep,
-)
+import pinmobile as pm
 from pinmobile.errors import SlowerEngine, UnknownName
 from pinmobile.loop import Engine, Loop, part_of, run_scenario
 from pinmobile.loop._variables import PER_ROBOT
@@ -57,19 +31,19 @@ from tests.parts import (
 )
 from tests.users import Follower as OfOneState, TwoWheels
 
-ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
+ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05))
 N = 4
 LIMITS = (120.0, 110.0, 6.0)  # which all robots reach at first
 STARTS = {"start.x": np.array([0.1, -0.1, 0.3, 0.0]), "start.psi": np.array([0.2, 0.5, -0.3, 0.1])}
 PARTS: dict[str, dict[str, Any]] = {
-    "controller with memory": {"controller": InputSaturation(PID(), LIMITS)},
+    "controller with memory": {"controller": pm.InputSaturation(PID(), LIMITS)},
     "controller": {"controller": SlidingMode()},
-    "force": {"controller": PD(100, 120), "forces": [Spring()]},
-    "wrapper": {"controller": Smoothed(ComputedTorque(ROBOT))},
-    "wrappers of a user's": {"controller": InputSaturation(Smoothed(PID()), LIMITS)},
-    "integrator": {"controller": PD(100, 120), "integrator": midpoint},
-    "path": {"controller": ComputedTorque(ROBOT), "trajectory": Tangent(Eight())},
-    "heading": {"controller": ComputedTorque(ROBOT), "trajectory": Nodding(Circle(1.0, 0.5, 12.0))},
+    "force": {"controller": pm.PD(100, 120), "forces": [Spring()]},
+    "wrapper": {"controller": Smoothed(pm.ComputedTorque(ROBOT))},
+    "wrappers of a user's": {"controller": pm.InputSaturation(Smoothed(PID()), LIMITS)},
+    "integrator": {"controller": pm.PD(100, 120), "integrator": midpoint},
+    "path": {"controller": pm.ComputedTorque(ROBOT), "trajectory": pm.Tangent(Eight())},
+    "heading": {"controller": pm.ComputedTorque(ROBOT), "trajectory": Nodding(pm.Circle(1.0, 0.5, 12.0))},
 }
 # A number of each part, by its name and by its path: values, and the unit that files tell.
 NAMED: dict[str, tuple[str, str, Any, str]] = {
@@ -83,12 +57,12 @@ NAMED: dict[str, tuple[str, str, Any, str]] = {
 }
 
 
-def made(what: str, spread: Any = STARTS, **options: Any) -> Scenario:
+def made(what: str, spread: Any = STARTS, **options: Any) -> pm.Scenario:
     chosen: dict[str, Any] = {"robot": ROBOT, "trajectory": Nodding(Eight()), "dt": 0.02, "duration": 6.0}
-    return Scenario(**(chosen | PARTS[what] | {"n": N, "spread": spread} | options))
+    return pm.Scenario(**(chosen | PARTS[what] | {"n": N, "spread": spread} | options))
 
 
-def assert_close(one: Ensemble, other: Ensemble) -> None:
+def assert_close(one: pm.Ensemble, other: pm.Ensemble) -> None:
     """Compare all records to 1e-12 of the largest number of each."""
     for name in PER_ROBOT:
         here, there = getattr(one, name), getattr(other, name)
@@ -96,7 +70,7 @@ def assert_close(one: Ensemble, other: Ensemble) -> None:
         np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * size, err_msg=name)
 
 
-def assert_same(one: Ensemble, other: Ensemble) -> None:
+def assert_same(one: pm.Ensemble, other: pm.Ensemble) -> None:
     for name in (*PER_ROBOT, "counts"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
 
@@ -116,16 +90,16 @@ def test_a_users_part_has_the_same_numbers_by_all_engines(what: str) -> None:
 def test_a_users_part_is_simulated_and_its_rollout_kept(what: str, tmp_path: Path) -> None:
     scenario = made(what)
     member = run_scenario(scenario, traces=[2]).member(2)
-    rollout = simulate(*member[:3], **member.options)
+    rollout = pm.simulate(*member[:3], **member.options)
     rollout.save(tmp_path / "run.npz")
-    np.testing.assert_array_equal(Rollout.load(tmp_path / "run.npz").q, rollout.q)
+    np.testing.assert_array_equal(pm.Rollout.load(tmp_path / "run.npz").q, rollout.q)
     traced = run_scenario(scenario, traces=[2]).traces[2]
     np.testing.assert_array_equal(traced.q, rollout.q)
-    compiled = simulate(*member[:3], **member.options, engine=Engine.COMPILED)
+    compiled = pm.simulate(*member[:3], **member.options, engine=Engine.COMPILED)
     assert_as_simulated(compiled, rollout)
 
 
-def assert_as_simulated(one: Rollout, other: Rollout) -> None:
+def assert_as_simulated(one: pm.Rollout, other: pm.Rollout) -> None:
     """Compare all samples to 1e-12 of the largest number of each kind."""
     for name in ("q", "v", "a", "u", "error"):
         here, there = getattr(one, name), getattr(other, name)
@@ -140,7 +114,7 @@ def test_a_number_of_a_users_part_is_spread_by_name_and_by_path(what: str, tmp_p
     assert len(np.unique(by_name.rms_error, axis=0)) == N, "each robot has a value of its own"
     assert by_name.draws[name].tolist() == by_path.draws[path].tolist() == values
     by_name.save(tmp_path / "runs.npz")
-    loaded = Ensemble.load(tmp_path / "runs.npz")
+    loaded = pm.Ensemble.load(tmp_path / "runs.npz")
     assert loaded.draws[name].tolist() == values
     assert loaded.scenario.parameters[name].unit == unit
     by_name.to_csv(tmp_path / "runs.csv")
@@ -151,18 +125,20 @@ def test_a_number_of_a_users_part_is_spread_by_name_and_by_path(what: str, tmp_p
 
 
 def test_a_parameter_that_a_user_bounds_is_refused_beyond() -> None:
-    with pytest.raises(InvalidArgument, match=r"spread\['width'\] gives 0 m/s as the width .*expected > 0"):
+    with pytest.raises(
+        pm.InvalidArgument, match=r"spread\['width'\] gives 0 m/s as the width .*expected > 0"
+    ):
         run_scenario(made("controller", {"width": np.array([0.5, 0.0, 0.5, 0.5])}))
 
 
 def test_a_sweep_over_users_parts_has_the_bits_of_their_ensembles(tmp_path: Path) -> None:
     controllers = {"PID": Smoothed(PID()), "sliding mode": SlidingMode()}
 
-    def scenario(controller: Any) -> Scenario:
+    def scenario(controller: Any) -> pm.Scenario:
         return made("force", controller=controller)
 
     base = scenario(PID())
-    result = sweep(base, tmp_path / "store", grid={"controller": controllers}, chunk=2)
+    result = pm.sweep(base, tmp_path / "store", grid={"controller": controllers}, chunk=2)
     for label, controller in controllers.items():
         assert_same(result.ensemble(controller=label), run_scenario(scenario(controller)))
 
@@ -195,15 +171,19 @@ OF_CART: dict[str, Any] = {
 NAMES, INPUTS = ["x", "y", "psi", "left", "right"], ["left_torque", "right_torque"]
 
 
-def carted(**changes: Any) -> Scenario:
-    return Scenario(**(CART | {"n": N, "spread": OF_CART} | changes))
+def carted(**changes: Any) -> pm.Scenario:
+    return pm.Scenario(**(CART | {"n": N, "spread": OF_CART} | changes))
 
 
 CARTED: dict[str, dict[str, Any]] = {
     "all coordinates": {},
-    "pose alone": {"trajectory": Tangent(Circle(2.0, 0.5, 6.0))},
-    "wrapped": {"controller": InputSaturation(Smoothed(Follower(), 0.8), 0.5)},
-    "pushed": {"forces": [Spring(), ViscousFriction((3.0, 3.0, 0.3))], "integrator": rk4, "substeps": 2},
+    "pose alone": {"trajectory": pm.Tangent(pm.Circle(2.0, 0.5, 6.0))},
+    "wrapped": {"controller": pm.InputSaturation(Smoothed(Follower(), 0.8), 0.5)},
+    "pushed": {
+        "forces": [Spring(), pm.ViscousFriction((3.0, 3.0, 0.3))],
+        "integrator": pm.rk4,
+        "substeps": 2,
+    },
     "one wheel runs heavily": {"forces": [Axle()], "integrator": midpoint},
 }
 
@@ -219,14 +199,15 @@ def test_a_users_plant_has_the_same_numbers_by_all_engines(what: str) -> None:
     assert run_scenario(scenario).engine == "COMPILED"
     member = runs[0].member(1)
     of_pinocchio, compiled = (
-        simulate(*member[:3], **member.options, engine=engine) for engine in (Engine.PYTHON, Engine.COMPILED)
+        pm.simulate(*member[:3], **member.options, engine=engine)
+        for engine in (Engine.PYTHON, Engine.COMPILED)
     )
     assert_as_simulated(compiled, of_pinocchio)
 
 
 def test_an_ordinary_class_for_one_state_is_compiled_and_its_numbers_are_its_own() -> None:
     given: Any = {"robot": TwoWheels(), "controller": OfOneState(), "trajectory": OWN["circle"][0]}
-    spread: Any = {"start.y": 0.1, "rate": Uniform(0.3, 0.5)}
+    spread: Any = {"start.y": 0.1, "rate": pm.Uniform(0.3, 0.5)}
     run = run_scenario(carted(**given, spread=spread))
     assert run.engine == "COMPILED"
     assert_close(run, run_scenario(carted(**given, spread=spread), engine=Engine.PYTHON))
@@ -266,13 +247,13 @@ _WHEELS = ("left [rad]", "right [rad]")
 def test_a_saved_ensemble_of_a_users_plant_answers_where_its_class_is_not_known(tmp_path: Path) -> None:
     run = run_scenario(carted(), traces=[3, 0])
     run.save(tmp_path / "runs.npz")
-    loaded = Ensemble.load(tmp_path / "runs.npz")
+    loaded = pm.Ensemble.load(tmp_path / "runs.npz")
     assert_same(loaded, run)
     assert str(loaded.traces[3]) == str(run.traces[3])
     assert "left_torque" in str(loaded.traces[3])
     assert str(loaded) == f"{run}\n{loaded.scenario}"
     assert loaded.to_xarray().identical(run.to_xarray())
-    again = Ensemble.load(tmp_path / "runs.npz", carted())
+    again = pm.Ensemble.load(tmp_path / "runs.npz", carted())
     assert again.member(1).robot.mass == 19.0
     code = (
         "import pinmobile; runs = pinmobile.Ensemble.load('runs.npz'); print(runs);"
@@ -287,15 +268,17 @@ def test_a_saved_ensemble_of_a_users_plant_answers_where_its_class_is_not_known(
 
 
 def test_a_sweep_of_a_users_plant_has_its_names_and_no_other_plants(tmp_path: Path) -> None:
-    result = sweep(carted(), tmp_path / "store")
+    result = pm.sweep(carted(), tmp_path / "store")
     assert result.dataset.coordinate.values.tolist() == NAMES
     assert result.dataset.input.values.tolist() == INPUTS
     assert_same(result.ensemble(), run_scenario(carted()))
     other = made("controller", spread={}, dt=0.01)
     names = "robot", "controller", "trajectory", "forces", "dt"
     case = {name: getattr(other, name) for name in names}
-    with pytest.raises(InvalidArgument, match=r"^coordinates is x \[m\], .* at case = 1, expected the same"):
-        sweep(carted(spread={}), tmp_path / "both", cases={"0": {}, "1": case})
+    with pytest.raises(
+        pm.InvalidArgument, match=r"^coordinates is x \[m\], .* at case = 1, expected the same"
+    ):
+        pm.sweep(carted(spread={}), tmp_path / "both", cases={"0": {}, "1": case})
 
 
 class Nameless(Cart):
@@ -330,20 +313,25 @@ class Derived:
 
 @pytest.mark.parametrize("name", ["gain", "push"])
 def test_what_a_part_derives_of_its_numbers_follows_them(name: str) -> None:
-    motion, values = Tangent(Circle(2.0, 0.5, 1.0)), np.array([10.0, 30.0])
-    run = ensemble(ROBOT, Derived(), motion, n=2, spread={name: values}, dt=0.02)
+    motion, values = pm.Tangent(pm.Circle(2.0, 0.5, 1.0)), np.array([10.0, 30.0])
+    run = pm.ensemble(ROBOT, Derived(), motion, n=2, spread={name: values}, dt=0.02)
     assert run.engine == "COMPILED"
     for i, value in enumerate(values):
-        alone = simulate(ROBOT, Derived(**{name: value}), motion, dt=0.02)
+        alone = pm.simulate(ROBOT, Derived(**{name: value}), motion, dt=0.02)
         np.testing.assert_allclose(run.max_error[i], alone.max_error(), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("answer", [5.0, None, np.zeros(2), np.array([5.0])], ids=str)
 @pytest.mark.parametrize("engine", [None, Engine.COMPILED], ids=str)
 def test_a_force_of_another_shape_is_refused_by_every_engine(answer: Any, engine: Any) -> None:
-    with pytest.raises(InvalidArgument, match=r"forces\[0\].*expected an array of shape \(3,\)"):
-        simulate(
-            ROBOT, PD(9, 9), Tangent(Circle(2.0, 0.5, 1.0)), dt=0.1, forces=[lambda *_: answer], engine=engine
+    with pytest.raises(pm.InvalidArgument, match=r"forces\[0\].*expected an array of shape \(3,\)"):
+        pm.simulate(
+            ROBOT,
+            pm.PD(9, 9),
+            pm.Tangent(pm.Circle(2.0, 0.5, 1.0)),
+            dt=0.1,
+            forces=[lambda *_: answer],
+            engine=engine,
         )
 
 
@@ -356,8 +344,8 @@ def test_a_law_may_write_into_the_reference_that_it_is_told() -> None:
     def careful(t: float, q: Any, v: Any, reference: Any) -> Any:
         return 120 * (reference.q - q) - 10 * v
 
-    motion = Tangent(Circle(2.0, 0.5, 1.0))
-    one, other = (simulate(ROBOT, law(function), motion, dt=0.02) for function in (careless, careful))
+    motion = pm.Tangent(pm.Circle(2.0, 0.5, 1.0))
+    one, other = (pm.simulate(ROBOT, pm.law(function), motion, dt=0.02) for function in (careless, careful))
     np.testing.assert_array_equal(one.q, other.q)
     np.testing.assert_array_equal(one.reference.q, other.reference.q)
 
@@ -388,15 +376,15 @@ def _closed_over(robot: Any) -> Any:
 
 @pytest.mark.parametrize("function", [_by_global, _by_dict, _closed_over(ROBOT)])
 def test_a_law_that_reaches_a_robot_by_a_name_is_compiled(function: Any) -> None:
-    motion = Tangent(Circle(2.0, 0.5, 1.0))
+    motion = pm.Tangent(pm.Circle(2.0, 0.5, 1.0))
     given: dict[str, Any] = {"n": 2, "spread": MASSES | {"start.x": 0.1}, "dt": 0.02}
-    run = ensemble(ROBOT, law(function), motion, **given)
+    run = pm.ensemble(ROBOT, pm.law(function), motion, **given)
     assert run.engine == "COMPILED"
-    assert_close(run, ensemble(ROBOT, law(function), motion, **given, engine=Engine.PYTHON))
-    assert_close(run, ensemble(ROBOT, ComputedTorque(ROBOT), motion, **given))
-    other = _closed_over(MobileRobot(50.0, 1.3))  # the same code, another robot
+    assert_close(run, pm.ensemble(ROBOT, pm.law(function), motion, **given, engine=Engine.PYTHON))
+    assert_close(run, pm.ensemble(ROBOT, pm.ComputedTorque(ROBOT), motion, **given))
+    other = _closed_over(pm.MobileRobot(50.0, 1.3))  # the same code, another robot
     runs = [
-        ensemble(ROBOT, law(other), motion, **given, engine=engine)
+        pm.ensemble(ROBOT, pm.law(other), motion, **given, engine=engine)
         for engine in (Engine.COMPILED, Engine.PYTHON)
     ]
     assert_close(*runs)
@@ -407,11 +395,11 @@ def test_what_a_robot_does_by_pinocchio_alone_is_refused_with_the_line() -> None
         return ROBOT.jacobian(q).T[:, :3] @ (reference.q - q)
 
     what = "jacobian of a MobileRobot, which takes numbers alone; .* for .*inverse_dynamics"
-    with pytest.raises(InvalidArgument, match=rf"function, line \d+ of test_parts\.py .*: {what}"):
-        ensemble(
+    with pytest.raises(pm.InvalidArgument, match=rf"function, line \d+ of test_parts\.py .*: {what}"):
+        pm.ensemble(
             ROBOT,
-            law(function),
-            Tangent(Circle(2.0, 0.5, 1.0)),
+            pm.law(function),
+            pm.Tangent(pm.Circle(2.0, 0.5, 1.0)),
             n=2,
             spread={},
             dt=0.1,
@@ -421,24 +409,24 @@ def test_what_a_robot_does_by_pinocchio_alone_is_refused_with_the_line() -> None
 
 # Parameters of paths and headings: each robot has a reference of its own.
 
-STEADY = PD((100, 100, 5), (100, 100, 5))
-VIA = CubicVia((0, 0), (2, 2), (0, 4), 3.0, 6.0, via_velocity=(0, 0))
+STEADY = pm.PD((100, 100, 5), (100, 100, 5))
+VIA = pm.CubicVia((0, 0), (2, 2), (0, 4), 3.0, 6.0, via_velocity=(0, 0))
 OWN: dict[str, tuple[Any, dict[str, Any]]] = {
-    "circle": (Tangent(Circle(2.0, 0.5, 6.0)), {"radius": (1.0, 3.0), "rate": (0.3, 0.6)}),
+    "circle": (pm.Tangent(pm.Circle(2.0, 0.5, 6.0)), {"radius": (1.0, 3.0), "rate": (0.3, 0.6)}),
     "figure": (
-        FixedHeading(Lissajous(2, 1, 0.5, 1.0, 6.0), 0.2),
+        pm.FixedHeading(pm.Lissajous(2, 1, 0.5, 1.0, 6.0), 0.2),
         {"ry": (0.5, -1), "psi": (0, 3)},
     ),
-    "turns": (Tangent(VIA, 1.0), {"via.x": (1.0, 3.0), "t_via": (2.5, 4.0), "turn_time": (1.5, 1.0)}),
-    "spline": (Tangent(Spline([[0, 0], [1, 1], [2, 0]], [0, 3, 6])), {"waypoints.1.y": (0.5, 1.5)}),
-    "way": (FixedHeading(RestToRest([0, 0], [1, 1], 6.0), 0.0), {"end.y": (0.5, 1.5)}),
-    "point": (FixedHeading(Hold([0, 0], 6.0), 0.0), {"point.x": (0.5, 1.5)}),
-    "lecture's heading": (LectureHeading(Circle(2.0, 0.5, 6.0)), {"radius": (1.0, 3.0)}),
+    "turns": (pm.Tangent(VIA, 1.0), {"via.x": (1.0, 3.0), "t_via": (2.5, 4.0), "turn_time": (1.5, 1.0)}),
+    "spline": (pm.Tangent(pm.Spline([[0, 0], [1, 1], [2, 0]], [0, 3, 6])), {"waypoints.1.y": (0.5, 1.5)}),
+    "way": (pm.FixedHeading(pm.RestToRest([0, 0], [1, 1], 6.0), 0.0), {"end.y": (0.5, 1.5)}),
+    "point": (pm.FixedHeading(pm.Hold([0, 0], 6.0), 0.0), {"point.x": (0.5, 1.5)}),
+    "lecture's heading": (LectureHeading(pm.Circle(2.0, 0.5, 6.0)), {"radius": (1.0, 3.0)}),
     "user's": (Nodding(Eight(2.0, 6.0)), {"size": (1.0, 2.0), "angle": (0.1, 0.3)}),
 }
 
 
-def owned(what: str, **changes: Any) -> Scenario:
+def owned(what: str, **changes: Any) -> pm.Scenario:
     motion, spread = OWN[what]
     spread = {name: np.array(values, float) for name, values in spread.items()}
     given: dict[str, Any] = {
@@ -448,7 +436,7 @@ def owned(what: str, **changes: Any) -> Scenario:
         "n": 2,
         "dt": 0.03,
     }
-    return Scenario(**(given | {"duration": 6.0, "spread": spread | {"start.y": 0.1}} | changes))
+    return pm.Scenario(**(given | {"duration": 6.0, "spread": spread | {"start.y": 0.1}} | changes))
 
 
 @pytest.mark.parametrize("what", OWN)
@@ -467,7 +455,7 @@ def test_each_robot_follows_a_reference_of_its_own_by_all_engines(what: str) -> 
             path = found.leaf.path.removeprefix("trajectory.")
             own = replace(own, {path: number if number.ndim else float(number)})
         begun = own(0.0)
-        alone = simulate(
+        alone = pm.simulate(
             *(ROBOT, STEADY, own),
             **{"dt": 0.03, "duration": 6.0, "q0": begun.q + np.array([0, 0.1, 0]), "v0": begun.v},
         )
@@ -476,29 +464,34 @@ def test_each_robot_follows_a_reference_of_its_own_by_all_engines(what: str) -> 
         np.testing.assert_array_equal(scenario_member_reference(runs[0], i).q, alone.reference.q)
 
 
-def scenario_member_reference(run: Ensemble, i: int) -> Any:
+def scenario_member_reference(run: pm.Ensemble, i: int) -> Any:
     member = run.member(i)
-    return simulate(*member[:3], **member.options).reference
+    return pm.simulate(*member[:3], **member.options).reference
 
 
 def test_own_references_have_the_same_bits_however_the_robots_are_divided(tmp_path: Path) -> None:
-    scenario = owned("circle", n=7, spread={"radius": Uniform(1, 3), "mass": Uniform(25, 35)})
+    scenario = owned("circle", n=7, spread={"radius": pm.Uniform(1, 3), "mass": pm.Uniform(25, 35)})
     whole = run_scenario(scenario, threads=1)
-    for other in (run_scenario(scenario, threads=3), sweep(scenario, tmp_path / "store", chunk=3).ensemble()):
+    for other in (
+        run_scenario(scenario, threads=3),
+        pm.sweep(scenario, tmp_path / "store", chunk=3).ensemble(),
+    ):
         assert_same(other, whole)
     pieces = [part_of(pickle.loads(pickle.dumps(scenario.holding(k, k + 1))), k, k + 1)[1] for k in range(7)]
     np.testing.assert_array_equal(np.concatenate([each.max_error for each in pieces]), whole.max_error)
 
 
 def test_a_trajectory_that_cannot_be_made_is_told_with_the_robots_number() -> None:
-    with pytest.raises(InvalidArgument, match=r"^robot 1: t_via is 7.0 s, expected 0 < t_via < t_end"):
+    with pytest.raises(pm.InvalidArgument, match=r"^robot 1: t_via is 7.0 s, expected 0 < t_via < t_end"):
         run_scenario(owned("turns", spread={"t_via": np.array([3.0, 7.0])}))
     with pytest.raises(
-        InvalidArgument, match=r"^robot 0: its trajectory lasts 6.25 s, expected at least 7 s"
+        pm.InvalidArgument, match=r"^robot 0: its trajectory lasts 6.25 s, expected at least 7 s"
     ):
         run_scenario(owned("turns", duration=7.0, dt=0.1, spread={"turn_time": np.array([0.25, 1.0])}))
-    with pytest.raises(InvalidArgument, match=r"reaches -1 m as the radius of the circle, .* expected > 0"):
-        owned("circle", spread={"radius": Uniform(-1, 1)})
+    with pytest.raises(
+        pm.InvalidArgument, match=r"reaches -1 m as the radius of the circle, .* expected > 0"
+    ):
+        owned("circle", spread={"radius": pm.Uniform(-1, 1)})
 
 
 @dataclass(frozen=True)
@@ -516,43 +509,46 @@ def test_a_controller_that_looks_ahead_sees_its_own_robots_reference() -> None:
     with pytest.warns(
         SlowerEngine, match="asks its context for the reference, which each robot has of its own"
     ):
-        run = ensemble(*(ROBOT, Ahead(), OWN["way"][0]), n=2, spread={"end.y": np.array([0.5, 1.5])}, dt=0.05)
+        run = pm.ensemble(
+            *(ROBOT, Ahead(), OWN["way"][0]), n=2, spread={"end.y": np.array([0.5, 1.5])}, dt=0.05
+        )
     assert run.engine == "PYTHON"
     for i, y in enumerate((0.5, 1.5)):
-        motion = FixedHeading(RestToRest([0, 0], [1, y], 6.0), 0.0)
-        alone = simulate(ROBOT, Ahead(), motion, dt=0.05).max_error()
+        motion = pm.FixedHeading(pm.RestToRest([0, 0], [1, y], 6.0), 0.0)
+        alone = pm.simulate(ROBOT, Ahead(), motion, dt=0.05).max_error()
         np.testing.assert_allclose(run.max_error[i], alone, rtol=0, atol=1e-12)
 
 
 def test_the_models_that_a_trajectory_knows_are_no_numbers_of_it() -> None:
-    motion = WholeBody(ROBOT, Tangent(Circle(2.0, 0.5, 1.0)))
-    given: dict[str, Any] = {"controller": ComputedTorque(ROBOT), "trajectory": motion, "n": 2, "dt": 0.05}
+    motion = pm.WholeBody(ROBOT, pm.Tangent(pm.Circle(2.0, 0.5, 1.0)))
+    given: dict[str, Any] = {"controller": pm.ComputedTorque(ROBOT), "trajectory": motion, "n": 2, "dt": 0.05}
     spread = {"controller.mass": np.array([25.0, 30.0]), "radius": np.array([1.0, 2.0])}
-    scenario = Scenario(robot=ROBOT, **given, spread=spread)
+    scenario = pm.Scenario(robot=ROBOT, **given, spread=spread)
     assert scenario.find("controller.mass").path == "controller.robot.mass"
     assert scenario.find("radius").path == "trajectory.base.path.radius"
     runs = [run_scenario(scenario, engine=engine) for engine in (Engine.COMPILED, Engine.PYTHON)]
     assert_close(*runs)
-    assert runs[0].member(1).trajectory == WholeBody(ROBOT, Tangent(Circle(2.0, 0.5, 1.0)))
+    assert runs[0].member(1).trajectory == pm.WholeBody(ROBOT, pm.Tangent(pm.Circle(2.0, 0.5, 1.0)))
 
 
 def test_a_sweep_knows_another_trajectory_of_the_same_nominal_reference(tmp_path: Path) -> None:
-    still = {"trajectory": FixedHeading(Lissajous(0, 0, 0.5, 1.0, 6.0), 0.0)}
-    sweep(owned("figure", **still), tmp_path / "store")
-    with pytest.raises(InvalidArgument, match=r"belongs to another sweep.*trajectory.*wx"):
-        sweep(
-            owned("figure", trajectory=FixedHeading(Lissajous(0, 0, 0.7, 1.0, 6.0), 0.0)), tmp_path / "store"
+    still = {"trajectory": pm.FixedHeading(pm.Lissajous(0, 0, 0.5, 1.0, 6.0), 0.0)}
+    pm.sweep(owned("figure", **still), tmp_path / "store")
+    with pytest.raises(pm.InvalidArgument, match=r"belongs to another sweep.*trajectory.*wx"):
+        pm.sweep(
+            owned("figure", trajectory=pm.FixedHeading(pm.Lissajous(0, 0, 0.7, 1.0, 6.0), 0.0)),
+            tmp_path / "store",
         )
 
 
 def test_a_path_with_a_typo_is_answered_with_the_nearest_path() -> None:
-    loop = Loop(ROBOT, Derived(), None, {"wind": ConstantForce((1.0, 0.0, 0.0))})
+    loop = Loop(ROBOT, Derived(), None, {"wind": pm.ConstantForce((1.0, 0.0, 0.0))})
     with pytest.raises(UnknownName, match=r"'forces\.wind\.forse', did you mean 'forces\.wind\.force'"):
         find(loop, "forces.wind.forse")
 
 
 def test_what_is_no_part_is_told_so() -> None:
-    with pytest.raises(InvalidArgument, match=r"part is of type object, expected a class with @part"):
+    with pytest.raises(pm.InvalidArgument, match=r"part is of type object, expected a class with @part"):
         replace(object(), {"mass": 1.0})
-    with pytest.raises(InvalidArgument, match=r"plant is None, expected a plant"):
+    with pytest.raises(pm.InvalidArgument, match=r"plant is None, expected a plant"):
         Loop(None, Derived())

@@ -5,30 +5,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    ConstantForce,
-    Coulomb,
-    Engine,
-    InvalidArgument,
-    MobileRobot,
-    PayloadBody,
-    Tangent,
-    Uniform,
-    WheeledRobot,
-    WheelTable,
-    ensemble,
-    rk4,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.forces import PayloadForce
 from pinmobile.integrators import semi_implicit_euler
 from pinmobile.loop import reaction
 
-BODY = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
-CIRCLE = Tangent(Circle(radius=1.5, rate=0.6, duration=2))
+BODY = pm.MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
+CIRCLE = pm.Tangent(pm.Circle(radius=1.5, rate=0.6, duration=2))
 INERTIA = (0.2, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, 0.2)
 CARRIED = PayloadForce(10, (0.25, 0.1), 1.0, 0.2)
 
@@ -42,20 +25,20 @@ class Later:
         return CIRCLE(np.asarray(t) + 1.0)
 
 
-@pytest.mark.parametrize("integrator", [semi_implicit_euler, rk4])
-@pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
+@pytest.mark.parametrize("integrator", [semi_implicit_euler, pm.rk4])
+@pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
 def test_it_is_two_runs_that_are_joined_when_it_comes(integrator: Any, engine: Any) -> None:
-    controller = ComputedTorque(BODY, 16, 8)
+    controller = pm.ComputedTorque(BODY, 16, 8)
     given: Any = {"dt": 0.01, "integrator": integrator, "engine": engine}
-    whole = simulate(BODY, controller, CIRCLE, forces=[CARRIED], **given)
-    before = simulate(BODY, controller, CIRCLE, duration=1.0, **given)
-    loaded = BODY.attach(PayloadBody(10, (0.25, 0.1, 0.1), INERTIA), "base_link")
-    after = simulate(loaded.lumped(), controller, Later(), q0=before.q[-1], v0=before.v[-1], **given)
+    whole = pm.simulate(BODY, controller, CIRCLE, forces=[CARRIED], **given)
+    before = pm.simulate(BODY, controller, CIRCLE, duration=1.0, **given)
+    loaded = BODY.attach(pm.PayloadBody(10, (0.25, 0.1, 0.1), INERTIA), "base_link")
+    after = pm.simulate(loaded.lumped(), controller, Later(), q0=before.q[-1], v0=before.v[-1], **given)
     joined = np.vstack([before.q[:-1], after.q])
     jump = np.abs(after.a[0] - before.a[-1]).max()
     assert jump > 0.3
     # The last stage of the step before sees the load: a sixth of the jump for a step. Else rounding.
-    close = 0.01 / 6 * jump if integrator is rk4 else 1e-12
+    close = 0.01 / 6 * jump if integrator is pm.rk4 else 1e-12
     assert np.abs(whole.q - joined).max() < close
     assert np.abs(whole.a[100:] - after.a).max() < 100 * close
 
@@ -68,13 +51,13 @@ def carrying(robot: Any, q: Any, v: Any, u: Any) -> Any:
 
 
 def test_with_an_arm_and_on_wheels_too() -> None:
-    load = PayloadBody(10, (0.25, 0.1, 0.1), INERTIA)
-    wheels = WheelTable.differential(0.1, 0.4)
+    load = pm.PayloadBody(10, (0.25, 0.1, 0.1), INERTIA)
+    wheels = pm.WheelTable.differential(0.1, 0.4)
     generator = np.random.default_rng(5)
-    arm = MobileRobot.box().mount("ur5")
+    arm = pm.MobileRobot.box().mount("ur5")
     for robot, loaded in (
         (arm, arm.attach(load, "base_link")),
-        (WheeledRobot(BODY, wheels), WheeledRobot(BODY.attach(load, "base_link"), wheels)),
+        (pm.WheeledRobot(BODY, wheels), pm.WheeledRobot(BODY.attach(load, "base_link"), wheels)),
     ):
         q = robot.integrate(robot.rest, generator.normal(size=robot.nv))
         v, u = generator.normal(size=robot.nv), generator.normal(size=robot.nu)
@@ -85,13 +68,17 @@ def test_with_an_arm_and_on_wheels_too() -> None:
 
 
 def test_all_engines_agree_and_each_robot_has_its_own() -> None:
-    spread = {"forces.0.mass": Uniform(0, 20), "when": Uniform(0.5, 1.5), "plant.mass": Uniform(25, 36)}
-    push = ConstantForce((3, 1, 0.1), 0.5, 1.2)
-    given: Any = {"dt": 0.01, "integrator": rk4, "seed": 2, "n": 5, "forces": [CARRIED, push]}
-    controller = ComputedTorque(BODY, 16, 8)
+    spread = {
+        "forces.0.mass": pm.Uniform(0, 20),
+        "when": pm.Uniform(0.5, 1.5),
+        "plant.mass": pm.Uniform(25, 36),
+    }
+    push = pm.ConstantForce((3, 1, 0.1), 0.5, 1.2)
+    given: Any = {"dt": 0.01, "integrator": pm.rk4, "seed": 2, "n": 5, "forces": [CARRIED, push]}
+    controller = pm.ComputedTorque(BODY, 16, 8)
     runs = [
-        ensemble(BODY, controller, CIRCLE, spread=spread, engine=engine, **given)
-        for engine in (Engine.COMPILED, Engine.PYTHON)
+        pm.ensemble(BODY, controller, CIRCLE, spread=spread, engine=engine, **given)
+        for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON)
     ]
     # 200 samples of contracting loops: rounding does not grow.
     for other in runs[1:]:
@@ -100,7 +87,7 @@ def test_all_engines_agree_and_each_robot_has_its_own() -> None:
 
 
 def test_a_push_acts_between_its_times() -> None:
-    push = ConstantForce((3, 1, 0.1), 0.5, 1.2)
+    push = pm.ConstantForce((3, 1, 0.1), 0.5, 1.2)
     q = np.zeros((4, 3))
     found = push(np.array([0.49, 0.5, 1.19, 1.2]), q, q)
     assert np.array_equal(found, np.outer([0, 1, 1, 0], [3, 1, 0.1]))
@@ -110,11 +97,11 @@ BAD: Any = [
     (lambda: PayloadForce(-1, (0, 0), 1), "mass is -1.0 kg, expected >= 0"),
     (lambda: PayloadForce(1, (0, 0, 0), 1), r"at has shape \(3,\), expected \(2,\)"),
     (lambda: PayloadForce(1, (0, 0), np.nan), "when is nan"),
-    (lambda: ConstantForce((1, 0, 0), 2.0, 1.0), "end is 1.0 s, expected above begin, 2.0 s"),
+    (lambda: pm.ConstantForce((1, 0, 0), 2.0, 1.0), "end is 1.0 s, expected above begin, 2.0 s"),
     (
-        lambda: simulate(
-            WheeledRobot(BODY, WheelTable.mecanum(0.5, 0.4, 0.1, spin_inertia=0.01), Coulomb()),
-            PD(1, 1),
+        lambda: pm.simulate(
+            pm.WheeledRobot(BODY, pm.WheelTable.mecanum(0.5, 0.4, 0.1, spin_inertia=0.01), pm.Coulomb()),
+            pm.PD(1, 1),
             CIRCLE,
             dt=0.01,
             forces=[CARRIED],
@@ -126,5 +113,5 @@ BAD: Any = [
 
 @pytest.mark.parametrize(("make", "words"), BAD)
 def test_bad_arguments_are_refused(make: Any, words: str) -> None:
-    with pytest.raises(InvalidArgument, match=words):
+    with pytest.raises(pm.InvalidArgument, match=words):
         make()

@@ -8,35 +8,28 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from pinmobile import (
-    Circle,
-    ComputedTorque,
-    InvalidArgument,
-    MobileRobot,
-    Reference,
-    Rollout,
-    Tangent,
-    plots,
-    simulate,
-)
+import pinmobile as pm
+from pinmobile import plots
 from pinmobile.balance import body_zero_moment_point, reaction_wrench, required_friction, tip_over_margin
 from pinmobile.errors import UnknownName
 
 pytestmark = pytest.mark.once
 
-BOX = MobileRobot.box()
+BOX = pm.MobileRobot.box()
 UR5 = BOX.mount("ur5")
 
 
-def driven(rate: float) -> Rollout:
-    return simulate(BOX, ComputedTorque(BOX, 25, 10), Tangent(Circle(1, rate, 2)), dt=0.02, q0=(0, 0.02, 0.1))
+def driven(rate: float) -> pm.Rollout:
+    return pm.simulate(
+        BOX, pm.ComputedTorque(BOX, 25, 10), pm.Tangent(pm.Circle(1, rate, 2)), dt=0.02, q0=(0, 0.02, 0.1)
+    )
 
 
-def waved() -> Rollout:
+def waved() -> pm.Rollout:
     """Return states of a robot with an arm that no controller made."""
     t = np.linspace(0, 1, 30)
     q, v, a = (np.outer(wave, np.linspace(0.1, 1, 9)) for wave in (np.sin(t), np.cos(t), -np.sin(t)))
-    return Rollout(UR5, t, q, v, a, 0 * v, 0 * v, Reference(q, v, a))
+    return pm.Rollout(UR5, t, q, v, a, 0 * v, 0 * v, pm.Reference(q, v, a))
 
 
 def drawn(figure: Figure) -> None:
@@ -73,7 +66,7 @@ def test_a_footprint_of_ones_own_is_drawn_and_counts() -> None:
     figure = plots.balance(run, footprint=triangle)
     np.testing.assert_array_equal(figure.axes[0].lines[0].get_ydata(), tip_over_margin(run, triangle))
     assert not figure.legends
-    with pytest.raises(InvalidArgument, match="footprint has shape"):
+    with pytest.raises(pm.InvalidArgument, match="footprint has shape"):
         plots.balance(run, footprint=[(0, 0)])
 
 
@@ -111,14 +104,14 @@ def test_reaction_draws_six_components_with_their_units() -> None:
 
 @pytest.mark.parametrize("draw", [plots.balance, plots.reaction])
 def test_what_is_no_rollout_of_a_robot_is_refused(draw: Any) -> None:
-    with pytest.raises(InvalidArgument, match="rollouts is 3, expected a Rollout"):
+    with pytest.raises(pm.InvalidArgument, match="rollouts is 3, expected a Rollout"):
         draw(3)
-    with pytest.raises(InvalidArgument, match=r"rollouts\['a'\].plant is None, expected a MobileRobot"):
+    with pytest.raises(pm.InvalidArgument, match=r"rollouts\['a'\].plant is None, expected a MobileRobot"):
         draw({"a": replace(driven(1.0), plant=None)})
 
 
 def test_a_reaction_needs_an_arm_of_that_name() -> None:
-    with pytest.raises(InvalidArgument, match="robot carries no arm"):
+    with pytest.raises(pm.InvalidArgument, match="robot carries no arm"):
         plots.reaction(driven(1.0))
     with pytest.raises(UnknownName, match="unknown mount 'arm', available: ur5"):
         plots.reaction(waved(), mount="arm")

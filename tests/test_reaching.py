@@ -9,25 +9,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import (
-    ComputedTorque,
-    EndEffectorTracking,
-    InvalidArgument,
-    MobileRobot,
-    PayloadBody,
-    PosePath,
-    Reference,
-    Spline,
-    rk4,
-    simulate,
-    solve_inverse_kinematics,
-)
+import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.errors import LimitWarning, UnknownName, Unreachable
 from pinmobile.reaching import InverseKinematicsTrajectory, pose_error
 from pinmobile.reaching.solver import Limits, Solver, bounded_least_squares
 
-BOX = MobileRobot.box()
+BOX = pm.MobileRobot.box()
 UR5 = BOX.mount("ur5", (0.1, -0.05, 0.2, 0.4))
 PANDA = BOX.mount("panda", (0.1, 0.0, 0.2, 0.0))
 KINOVA = BOX.mount("kinova", (0.1, 0.0, 0.2, 0.0))  # four of its joints are continuous
@@ -57,21 +45,21 @@ class Ring:
         return np.asarray(wave @ plane + ahead)
 
 
-RING = PosePath(Ring(START[:3, 3]), START[:3, :3], START[:3, :3] @ TURN)
+RING = pm.PosePath(Ring(START[:3, 3]), START[:3, :3], START[:3, :3] @ TURN)
 ACCELERATION = 0.5 * np.hypot(1, 0.2)  # its largest [m/s^2]
 
 
-def line(begin: Any, way: Any, duration: float = 3.0) -> Spline:
+def line(begin: Any, way: Any, duration: float = 3.0) -> pm.Spline:
     """Return a line in space from rest to rest."""
-    return Spline([begin, np.add(begin, way)], [0, duration])
+    return pm.Spline([begin, np.add(begin, way)], [0, duration])
 
 
-def misses(robot: MobileRobot, target: PosePath, t: Array, q: Array) -> tuple[float, float]:
+def misses(robot: pm.MobileRobot, target: pm.PosePath, t: Array, q: Array) -> tuple[float, float]:
     way, turn = np.split(pose_error(target(t).pose, robot.frame_pose(q)), 2, axis=1)
     return float(np.linalg.norm(way, axis=1).max()), float(np.linalg.norm(turn, axis=1).max())
 
 
-def dense(resolved: InverseKinematicsTrajectory) -> tuple[Array, Reference]:
+def dense(resolved: InverseKinematicsTrajectory) -> tuple[Array, pm.Reference]:
     t = np.linspace(0, resolved.duration, 5001)
     return t, resolved(t)
 
@@ -86,7 +74,7 @@ def check_limits(resolved: InverseKinematicsTrajectory, velocity: Array, acceler
 
 @pytest.fixture(scope="module")
 def ring() -> InverseKinematicsTrajectory:
-    return solve_inverse_kinematics(UR5, RING, q0=BENT)
+    return pm.solve_inverse_kinematics(UR5, RING, q0=BENT)
 
 
 def test_base_and_arm_together_stay_on_a_ring_in_space(ring: InverseKinematicsTrajectory) -> None:
@@ -115,55 +103,55 @@ def test_velocity_and_acceleration_are_the_derivatives_of_the_configuration(
 
 
 def test_the_error_is_of_second_order_in_the_step(ring: InverseKinematicsTrajectory) -> None:
-    coarse = solve_inverse_kinematics(UR5, RING, q0=BENT, dt=0.02)
+    coarse = pm.solve_inverse_kinematics(UR5, RING, q0=BENT, dt=0.02)
     assert coarse.max_error()[0] / ring.max_error()[0] == pytest.approx(4, rel=0.05)
 
 
 def test_computed_torque_tracks_it(ring: InverseKinematicsTrajectory) -> None:
-    run = simulate(UR5, ComputedTorque(UR5, 100, 20), ring, dt=0.002, duration=6)
+    run = pm.simulate(UR5, pm.ComputedTorque(UR5, 100, 20), ring, dt=0.002, duration=6)
     assert run.max_error().max() < 1e-4  # a held force lags by dt: of the order of jerk dt / kp = 2e-5
     assert misses(UR5, RING, run.t, run.q)[0] < 1e-4
 
 
 def test_the_position_alone_leaves_the_orientation_free() -> None:
-    target = PosePath(RING.path)
-    resolved = solve_inverse_kinematics(UR5, target, q0=BENT)
+    target = pm.PosePath(RING.path)
+    resolved = pm.solve_inverse_kinematics(UR5, target, q0=BENT)
     assert resolved.max_error()[0] < 1e-4
     assert np.isnan(resolved.max_error()[1])
     assert misses(UR5, RING, *(part for part in (resolved.t, resolved(resolved.t).q)))[1] > 0.1
 
 
 @pytest.mark.parametrize("robot", [PANDA, KINOVA, BOX], ids=["panda", "kinova", "bare"])
-def test_other_robots_follow_a_line_from_rest(robot: MobileRobot) -> None:
+def test_other_robots_follow_a_line_from_rest(robot: pm.MobileRobot) -> None:
     T = robot.frame_pose(robot.rest)
-    target = PosePath(line(T[:3, 3], (1.5, -1, 0)), T[:3, :3])
-    resolved = solve_inverse_kinematics(robot, target)
+    target = pm.PosePath(line(T[:3, 3], (1.5, -1, 0)), T[:3, :3])
+    resolved = pm.solve_inverse_kinematics(robot, target)
     assert resolved.max_error()[0] < 1e-4
     check_limits(resolved, robot.velocity_limit)
 
 
 def test_the_start_is_found_far_away_and_turned() -> None:
     R = START[:3, :3] @ pin.utils.rotate("x", 2.0)
-    resolved = solve_inverse_kinematics(UR5, PosePath(line((300.0, -500.0, 0.6), (0.1, 0, 0)), R))
+    resolved = pm.solve_inverse_kinematics(UR5, pm.PosePath(line((300.0, -500.0, 0.6), (0.1, 0, 0)), R))
     assert max(resolved.max_error()) < 1e-4
 
 
 def test_an_arm_that_is_not_the_first_follows_too() -> None:
-    robot = UR5.mount("panda", (-0.1, 0, 0.2, 3)).attach(PayloadBody(1.0), "ur5/tool0")
+    robot = UR5.mount("panda", (-0.1, 0, 0.2, 3)).attach(pm.PayloadBody(1.0), "ur5/tool0")
     frame = robot.mounts[1].tip
     T = robot.frame_pose(robot.rest, frame)
-    resolved = solve_inverse_kinematics(
-        robot, PosePath(line(T[:3, 3], (0.3, 0.2, 0.1)), T[:3, :3]), frame=frame
+    resolved = pm.solve_inverse_kinematics(
+        robot, pm.PosePath(line(T[:3, 3], (0.3, 0.2, 0.1)), T[:3, :3]), frame=frame
     )
     assert resolved.max_error()[0] < 1e-4
     np.testing.assert_allclose(np.ptp(resolved(resolved.t).q[:, robot.mounts[0].q], axis=0), 0, atol=1e-9)
 
 
 def test_what_the_arm_cannot_reach_is_reached_because_the_base_moves() -> None:
-    far = PosePath(line(START[:3, 3], (2, 0, 0)), START[:3, :3])
-    assert solve_inverse_kinematics(UR5, far, q0=BENT).max_error()[0] < 1e-4
+    far = pm.PosePath(line(START[:3, 3], (2, 0, 0)), START[:3, :3])
+    assert pm.solve_inverse_kinematics(UR5, far, q0=BENT).max_error()[0] < 1e-4
     with pytest.raises(Unreachable, match=r"target is missed by .* m and .* rad at t = 0\.\d+ s") as caught:
-        solve_inverse_kinematics(UR5, far, q0=BENT, velocity_limit=LOCKED)
+        pm.solve_inverse_kinematics(UR5, far, q0=BENT, velocity_limit=LOCKED)
     kept = caught.value.resolved
     assert np.nanmax(kept.error[kept.t < caught.value.time]) <= 1e-2
     assert kept.max_error()[0] > 1
@@ -178,15 +166,15 @@ def test_a_tolerance_is_of_distance_and_angle_whatever_the_direction(towards: fl
     locked, ahead = np.zeros(9), 0.014 * np.array([np.cos(towards), np.sin(towards), 0])
     if turns:
         axis = pin.exp3(ahead)
-        missed = PosePath(line(START[:3, 3], (0, 0, 0)), START[:3, :3], axis @ START[:3, :3])
+        missed = pm.PosePath(line(START[:3, 3], (0, 0, 0)), START[:3, :3], axis @ START[:3, :3])
     else:
-        missed = PosePath(line(START[:3, 3], ahead))
-    resolved = solve_inverse_kinematics(
+        missed = pm.PosePath(line(START[:3, 3], ahead))
+    resolved = pm.solve_inverse_kinematics(
         UR5, missed, q0=BENT, dt=0.05, velocity_limit=locked, tolerance=0.0141
     )
     assert max(resolved.max_error()) == pytest.approx(0.014, rel=1e-9)
     with pytest.raises(Unreachable, match=r"largest errors are .*0\.014"):
-        solve_inverse_kinematics(UR5, missed, q0=BENT, dt=0.05, velocity_limit=locked, tolerance=0.0139)
+        pm.solve_inverse_kinematics(UR5, missed, q0=BENT, dt=0.05, velocity_limit=locked, tolerance=0.0139)
 
 
 def test_the_velocity_at_the_start_is_the_targets_but_for_dt_squared(
@@ -195,26 +183,26 @@ def test_the_velocity_at_the_start_is_the_targets_but_for_dt_squared(
     wanted = RING(0.0).twist
     missed = []
     for dt in (0.02, 0.01, 0.005):
-        resolved = solve_inverse_kinematics(UR5, RING, q0=BENT, dt=dt)
+        resolved = pm.solve_inverse_kinematics(UR5, RING, q0=BENT, dt=dt)
         at = resolved(0.0)
         missed.append(np.abs(UR5.frame_jacobian(at.q) @ at.v - wanted).max())
     assert missed[0] > 1e-6
     np.testing.assert_allclose(np.divide(missed[:-1], missed[1:]), 4, rtol=0.1)
-    assert "dt^2" in str(solve_inverse_kinematics.__doc__).partition("Returns")[2]
+    assert "dt^2" in str(pm.solve_inverse_kinematics.__doc__).partition("Returns")[2]
 
 
 def test_an_orientation_that_is_missed_is_told_though_the_position_is_met() -> None:
-    turning = PosePath(line(START[:3, 3], (0, 0, 0), 0.5), START[:3, :3], START[:3, :3] @ TURN)
+    turning = pm.PosePath(line(START[:3, 3], (0, 0, 0), 0.5), START[:3, :3], START[:3, :3] @ TURN)
     slow = np.full(9, 0.1)
     with pytest.raises(Unreachable) as caught:
-        solve_inverse_kinematics(UR5, turning, q0=BENT, velocity_limit=slow, tolerance=0.1)
+        pm.solve_inverse_kinematics(UR5, turning, q0=BENT, velocity_limit=slow, tolerance=0.1)
     assert caught.value.resolved.max_error()[0] < 0.1 < caught.value.resolved.max_error()[1]
 
 
 def test_a_joint_that_would_go_beyond_its_limit_is_named_with_how_far() -> None:
-    spinning = PosePath(line(START[:3, 3], (0, 0, 0), 10.0), START[:3, :3], turn=(0, 0, 4 * np.pi))
+    spinning = pm.PosePath(line(START[:3, 3], (0, 0, 0), 10.0), START[:3, :3], turn=(0, 0, 4 * np.pi))
     with pytest.raises(Unreachable) as caught:
-        solve_inverse_kinematics(UR5, spinning, q0=BENT, dt=0.1)
+        pm.solve_inverse_kinematics(UR5, spinning, q0=BENT, dt=0.1)
     found = re.search(r"with (.*) \[rad\] at (\S+), (\S+) beyond its limit of (\S+)$", str(caught.value))
     assert found is not None
     assert found[1] == "ur5/wrist_3_joint"
@@ -226,24 +214,26 @@ def test_a_joint_that_would_go_beyond_its_limit_is_named_with_how_far() -> None:
 
 @pytest.mark.parametrize("value", [-1.0, -1e-12, np.nan])
 def test_a_clearance_below_zero_is_refused(value: float) -> None:
-    with pytest.raises(InvalidArgument, match=r"^clearance is -.* m, expected >= 0|^clearance is nan"):
-        solve_inverse_kinematics(UR5, RING, clearance=value)
+    with pytest.raises(pm.InvalidArgument, match=r"^clearance is -.* m, expected >= 0|^clearance is nan"):
+        pm.solve_inverse_kinematics(UR5, RING, clearance=value)
 
 
 @pytest.mark.parametrize(("duration", "dt", "steps"), [(2.1, 0.3, 7), (1.0, 0.3, 4), (0.5, 9.0, 2)])
 def test_control_points_are_as_far_apart_as_asked_for_or_nearer(
     duration: float, dt: float, steps: int
 ) -> None:
-    resolved = solve_inverse_kinematics(
-        UR5, PosePath(line(START[:3, 3], (0.05, 0, 0), duration)), q0=BENT, dt=dt
+    resolved = pm.solve_inverse_kinematics(
+        UR5, pm.PosePath(line(START[:3, 3], (0.05, 0, 0), duration)), q0=BENT, dt=dt
     )
     np.testing.assert_allclose(resolved.t, np.linspace(0, duration, steps + 1), rtol=1e-12)
 
 
 def test_a_limit_of_velocity_is_held_and_the_error_made_good_later() -> None:
-    target = PosePath(Spline([START[:3, 3], START[:3, 3] + [1, 0, 0], START[:3, 3] + [1, 0, 0]], [0, 1, 5]))
+    target = pm.PosePath(
+        pm.Spline([START[:3, 3], START[:3, 3] + [1, 0, 0], START[:3, 3] + [1, 0, 0]], [0, 1, 5])
+    )
     slow = np.where(np.arange(9) < 3, 0.5, 0.1)
-    resolved = solve_inverse_kinematics(UR5, target, q0=BENT, velocity_limit=slow, tolerance=np.inf)
+    resolved = pm.solve_inverse_kinematics(UR5, target, q0=BENT, velocity_limit=slow, tolerance=np.inf)
     check_limits(resolved, slow)
     assert resolved.max_error()[0] > 0.1
     assert np.abs(resolved.error[-1, : resolved.target.rows]).max() < 1e-4
@@ -251,12 +241,12 @@ def test_a_limit_of_velocity_is_held_and_the_error_made_good_later() -> None:
 
 
 def test_torques_beyond_limits_are_reported_when_and_how_far() -> None:
-    heavy, up = UR5.attach(PayloadBody(40.0), "ur5/tool0"), np.array([[0, 0, 0], [0, 0, 0.1], [0, 0, 0.2]])
+    heavy, up = UR5.attach(pm.PayloadBody(40.0), "ur5/tool0"), np.array([[0, 0, 0], [0, 0, 0.1], [0, 0, 0.2]])
     with pytest.warns(
         LimitWarning, match=r"^input of ur5/shoulder_lift_joint reaches -?[\d.]+ N m at"
     ) as told:
-        found = solve_inverse_kinematics(
-            heavy, PosePath(Spline(START[:3, 3] + up, [0.0, 0.5, 1.0])), q0=BENT, dt=0.1
+        found = pm.solve_inverse_kinematics(
+            heavy, pm.PosePath(pm.Spline(START[:3, 3] + up, [0.0, 0.5, 1.0])), q0=BENT, dt=0.1
         )
     way = found(found.t)
     assert len(told) == 1
@@ -269,8 +259,8 @@ def test_a_start_at_a_limit_is_left_within_it() -> None:
     q0 = BENT.copy()
     q0[4:6] = -1.5, UR5.upper[5]
     T = UR5.frame_pose(q0)  # folded: singular, so that the pose is missed by centimetres
-    target = PosePath(line(T[:3, 3], (0.3, 0, 0)), T[:3, :3])
-    resolved = solve_inverse_kinematics(
+    target = pm.PosePath(line(T[:3, 3], (0.3, 0, 0)), T[:3, :3])
+    resolved = pm.solve_inverse_kinematics(
         UR5, target, q0=q0, velocity_limit=LOCKED, posture=BENT[3:], tolerance=np.inf
     )
     displacement = resolved._curve(dense(resolved)[0])  # before rounding is cut off
@@ -282,16 +272,16 @@ def test_where_the_search_from_rest_is_stuck_others_are_tried_unless_a_start_is_
     q = PANDA.random_configuration(np.random.default_rng(1))
     q[:3] = 0
     T, locked = PANDA.frame_pose(q), np.where(np.arange(12) < 3, 0.0, PANDA.velocity_limit)
-    target = PosePath(line(T[:3, 3], (0, 0, 0), 0.1), T[:3, :3])
-    assert max(solve_inverse_kinematics(PANDA, target, velocity_limit=locked).max_error()) < 1e-9
+    target = pm.PosePath(line(T[:3, 3], (0, 0, 0), 0.1), T[:3, :3])
+    assert max(pm.solve_inverse_kinematics(PANDA, target, velocity_limit=locked).max_error()) < 1e-9
     with pytest.raises(Unreachable, match="at t = 0 s"):
-        solve_inverse_kinematics(PANDA, target, velocity_limit=locked, q0=PANDA.rest)
+        pm.solve_inverse_kinematics(PANDA, target, velocity_limit=locked, q0=PANDA.rest)
 
 
 def test_what_is_locked_is_not_moved_by_the_search_for_the_start() -> None:
-    aside = PosePath(line(START[:3, 3] + [-0.05, 0.05, 0.02], (0, 0, 0), 0.1))
+    aside = pm.PosePath(line(START[:3, 3] + [-0.05, 0.05, 0.02], (0, 0, 0), 0.1))
     free, locked = (
-        solve_inverse_kinematics(UR5, aside, q0=BENT, velocity_limit=most) for most in (None, LOCKED)
+        pm.solve_inverse_kinematics(UR5, aside, q0=BENT, velocity_limit=most) for most in (None, LOCKED)
     )
     assert np.abs(free.start[:2]).min() > 1e-3
     assert locked.start[:3].tolist() == [0, 0, 0]
@@ -311,8 +301,8 @@ def test_the_spline_begins_at_a_limit_that_it_leaves_ever_slower() -> None:
 def test_a_joint_brakes_at_its_limit_and_the_error_grows() -> None:
     T = PANDA.frame_pose(PANDA.rest)
     locked = np.where(np.arange(12) < 3, 0.0, PANDA.velocity_limit)
-    away = PosePath(line(T[:3, 3], (-0.6, 0, -0.3)), T[:3, :3])
-    resolved = solve_inverse_kinematics(PANDA, away, velocity_limit=locked, tolerance=np.inf)
+    away = pm.PosePath(line(T[:3, 3], (-0.6, 0, -0.3)), T[:3, :3])
+    resolved = pm.solve_inverse_kinematics(PANDA, away, velocity_limit=locked, tolerance=np.inf)
     check_limits(resolved, locked)
     q = resolved(resolved.t).q
     assert np.minimum(q - PANDA.lower, PANDA.upper - q)[:, 3:-2].min() < 1e-3
@@ -324,28 +314,28 @@ def test_a_singular_posture_does_not_blow_up() -> None:
     assert UR5.arm_manipulability(straight) < 1e-9
     T = UR5.frame_pose(straight)
     out = [T[:3, 3], T[:3, 3] + 0.3 * T[:3, 3] / np.linalg.norm(T[:3, 3]), T[:3, 3] - [0.2, 0.1, 0]]
-    target = PosePath(Spline(out, [0, 2, 6]))
-    resolved = solve_inverse_kinematics(UR5, target, q0=straight, velocity_limit=LOCKED, tolerance=np.inf)
+    target = pm.PosePath(pm.Spline(out, [0, 2, 6]))
+    resolved = pm.solve_inverse_kinematics(UR5, target, q0=straight, velocity_limit=LOCKED, tolerance=np.inf)
     check_limits(resolved, LOCKED)
     assert 0.1 < resolved.max_error()[0] < 0.5
     assert np.abs(resolved.error[-1, : resolved.target.rows]).max() < 1e-3
 
 
 def test_where_the_pose_leaves_it_free_the_arm_tends_to_its_posture() -> None:
-    target = PosePath(line(START[:3, 3], (0, 0, 0), 8))
+    target = pm.PosePath(line(START[:3, 3], (0, 0, 0), 8))
     posture = BENT[3:] + np.array([0.3, 0, 0, 0, 0, 0.5])  # the height stays
-    resolved = solve_inverse_kinematics(UR5, target, q0=BENT, posture=posture)
+    resolved = pm.solve_inverse_kinematics(UR5, target, q0=BENT, posture=posture)
     np.testing.assert_allclose(resolved(8.0).q[3:], posture, atol=2e-3)  # exp(-6) of 0.5: the base moves too
     assert resolved.max_error()[0] < 1e-4
-    stiff = solve_inverse_kinematics(UR5, target, q0=BENT, posture=posture, posture_gain=0)
+    stiff = pm.solve_inverse_kinematics(UR5, target, q0=BENT, posture=posture, posture_gain=0)
     assert np.abs(stiff(8.0).q[3:] - BENT[3:]).max() < 0.05
 
 
 def test_what_is_dear_moves_less() -> None:
-    target = PosePath(line(START[:3, 3], (0.2, 0.1, 0.1)), START[:3, :3])
+    target = pm.PosePath(line(START[:3, 3], (0.2, 0.1, 0.1)), START[:3, :3])
     price = np.where(np.arange(9) < 3, 100.0, 1.0)
     moved = [
-        np.abs(solve_inverse_kinematics(UR5, target, q0=BENT, cost=cost)(3.0).q[:3]).max()
+        np.abs(pm.solve_inverse_kinematics(UR5, target, q0=BENT, cost=cost)(3.0).q[:3]).max()
         for cost in (1.0, price)
     ]
     assert moved[1] < 0.1 * moved[0]
@@ -353,7 +343,7 @@ def test_what_is_dear_moves_less() -> None:
 
 class TestTracking:
     def test_the_pose_is_tracked(self, ring: InverseKinematicsTrajectory) -> None:
-        run = simulate(UR5, EndEffectorTracking(UR5, RING), ring, dt=0.01, duration=5)
+        run = pm.simulate(UR5, pm.EndEffectorTracking(UR5, RING), ring, dt=0.01, duration=5)
         assert max(misses(UR5, RING, run.t, run.q)) < 1e-4
 
     @pytest.mark.parametrize("t", [1.0, 4.0])
@@ -361,14 +351,14 @@ class TestTracking:
         self, ring: InverseKinematicsTrajectory, t: float
     ) -> None:
         on = ring(t)
-        a = EndEffectorTracking(UR5, RING).acceleration(t, on.q, on.v, on)
+        a = pm.EndEffectorTracking(UR5, RING).acceleration(t, on.q, on.v, on)
         # kp times the spline's own error, 100 / s^2 times 8.5e-6 m.
         np.testing.assert_allclose(a, on.a, atol=2e-3)
         assert np.abs(on.a[6:]).max() > 0.02
 
     def test_an_error_at_the_start_dies_away_within_limits(self, ring: InverseKinematicsTrajectory) -> None:
         q0 = ring(0.0).q + np.array([0.05, -0.05, 0.1, 0.1, -0.1, 0.1, 0, 0, 0])
-        run = simulate(UR5, EndEffectorTracking(UR5, RING), ring, dt=0.01, duration=3, q0=q0)
+        run = pm.simulate(UR5, pm.EndEffectorTracking(UR5, RING), ring, dt=0.01, duration=3, q0=q0)
         late = run.t >= 2
         # Critically damped at 10 rad/s: (1 + 20) exp(-20) of 0.2 m; beyond it, what holding the force costs.
         assert max(misses(UR5, RING, run.t[late], run.q[late])) < 1e-4
@@ -376,17 +366,17 @@ class TestTracking:
         assert (np.abs(run.v) <= UR5.velocity_limit).all()
 
     def test_the_rest_follows_a_posture_that_has_another_pose(self) -> None:
-        target = PosePath(line(START[:3, 3], (1.0, 0.5, 0.1), 4), START[:3, :3])
+        target = pm.PosePath(line(START[:3, 3], (1.0, 0.5, 0.1), 4), START[:3, :3])
         rest = Still(BENT)  # it would stay where it is
-        run = simulate(UR5, EndEffectorTracking(UR5, target), rest, dt=0.01, q0=BENT)
+        run = pm.simulate(UR5, pm.EndEffectorTracking(UR5, target), rest, dt=0.01, q0=BENT)
         assert max(misses(UR5, target, run.t, run.q)) < 2e-3  # posture pulls by damping^2 of its error
 
     def test_joints_stop_at_their_limits(self) -> None:
         T = PANDA.frame_pose(PANDA.rest)
         locked = np.where(np.arange(12) < 3, 0.0, PANDA.velocity_limit)
-        away = PosePath(line(T[:3, 3], (-0.6, 0, -0.3), 4), T[:3, :3])
-        law = EndEffectorTracking(PANDA, away, velocity_limit=locked)
-        run = simulate(PANDA, law, Still(PANDA.rest), dt=0.01)
+        away = pm.PosePath(line(T[:3, 3], (-0.6, 0, -0.3), 4), T[:3, :3])
+        law = pm.EndEffectorTracking(PANDA, away, velocity_limit=locked)
+        run = pm.simulate(PANDA, law, Still(PANDA.rest), dt=0.01)
         # The force is held, not the acceleration, which then changes by some 1e-2 of it within dt = 10 ms.
         slack = 1e-2 * 20 * 0.01**2
         assert (run.q > PANDA.lower - slack).all()
@@ -399,9 +389,9 @@ class TestTracking:
     def test_limits_hold_however_the_plant_moves_under_the_held_force(self, substeps: int) -> None:
         T = PANDA.frame_pose(PANDA.rest)  # one finger at its limit, the base locked
         locked = np.where(np.arange(12) < 3, 0.0, PANDA.velocity_limit)
-        away = PosePath(line(T[:3, 3], (-0.6, 0, -0.3), 4), T[:3, :3])
-        law = EndEffectorTracking(PANDA, away, velocity_limit=locked, integrator=rk4)
-        run = simulate(PANDA, law, Still(PANDA.rest), dt=0.01, integrator=rk4, substeps=substeps)
+        away = pm.PosePath(line(T[:3, 3], (-0.6, 0, -0.3), 4), T[:3, :3])
+        law = pm.EndEffectorTracking(PANDA, away, velocity_limit=locked, integrator=pm.rk4)
+        run = pm.simulate(PANDA, law, Still(PANDA.rest), dt=0.01, integrator=pm.rk4, substeps=substeps)
         # What five corrections leave of a coordinate's overrun, 1e-2 each; steps a fifth as long differ from
         # one by some 1e-4 of rk4's own error per step.
         assert (run.q > PANDA.lower - 1e-10).all()
@@ -412,10 +402,10 @@ class TestTracking:
 
     def test_an_integrator_is_a_step(self) -> None:
         with pytest.raises(
-            InvalidArgument,
+            pm.InvalidArgument,
             match=r"^integrator is 'rk4', expected one of pinmobile.integrators or such a step",
         ):
-            EndEffectorTracking(UR5, RING, integrator="rk4")  # type: ignore[arg-type]
+            pm.EndEffectorTracking(UR5, RING, integrator="rk4")  # type: ignore[arg-type]
 
 
 class Still:
@@ -426,9 +416,9 @@ class Still:
     def __init__(self, q: Array) -> None:
         self.q = q
 
-    def __call__(self, t: Any) -> Reference:
+    def __call__(self, t: Any) -> pm.Reference:
         v, a = np.zeros((2, *np.shape(t), len(self.q)))
-        return Reference(np.broadcast_to(self.q, v.shape), v, a)
+        return pm.Reference(np.broadcast_to(self.q, v.shape), v, a)
 
 
 def test_a_pose_paths_twist_and_rate_are_its_slopes() -> None:
@@ -460,7 +450,7 @@ def test_half_a_turn_of_a_pose_has_one_sense_whatever_rounding_leaves(axis: Any)
 
 def test_a_pose_path_holds_read_only_copies_of_its_rotations() -> None:
     given = np.eye(3)
-    target = PosePath(RING.path, given, given)
+    target = pm.PosePath(RING.path, given, given)
     given[0, 0] = 9
     held: list[Any] = [target.rotation, target.final_rotation]
     for R in held:
@@ -484,12 +474,12 @@ def test_manipulability_is_yoshikawas() -> None:
     both[..., second.q] = q[..., 3:]
     np.testing.assert_allclose(two.arm_manipulability(both, second.tip), arm, rtol=1e-9, atol=1e-12)
     assert BOX.manipulability(np.zeros((2, 3))).tolist() == [0, 0]
-    with pytest.raises(InvalidArgument, match="frame is 'base_link', expected one of an arm"):
+    with pytest.raises(pm.InvalidArgument, match="frame is 'base_link', expected one of an arm"):
         UR5.arm_manipulability(q, "base_link")
 
 
 @pytest.mark.parametrize("robot", [UR5, KINOVA], ids=["ur5", "kinova"])
-def test_a_frames_drift_is_the_rate_of_its_jacobian(robot: MobileRobot) -> None:
+def test_a_frames_drift_is_the_rate_of_its_jacobian(robot: pm.MobileRobot) -> None:
     rng, h = np.random.default_rng(6), 1e-5
     q, v = robot.random_configuration(rng, (5,)), rng.normal(size=(5, robot.nv))
     ahead, behind = (robot.frame_jacobian(robot.integrate(q, s * h * v)) for s in (1, -1))
@@ -564,26 +554,26 @@ def test_after_any_acceleration_that_limits_allow_a_joint_can_still_stop() -> No
     ],
 )
 def test_what_cannot_be_resolved_is_refused(options: dict[str, Any], text: str) -> None:
-    with pytest.raises(InvalidArgument, match=text):
-        solve_inverse_kinematics(UR5, RING, **options)
+    with pytest.raises(pm.InvalidArgument, match=text):
+        pm.solve_inverse_kinematics(UR5, RING, **options)
 
 
 def test_other_things_than_robots_targets_and_frames_are_refused() -> None:
-    with pytest.raises(InvalidArgument, match="target is 3, expected a PosePath"):
-        solve_inverse_kinematics(UR5, 3)  # type: ignore[arg-type]
+    with pytest.raises(pm.InvalidArgument, match="target is 3, expected a PosePath"):
+        pm.solve_inverse_kinematics(UR5, 3)  # type: ignore[arg-type]
     with pytest.raises(UnknownName, match="unknown frame 'ur5/tool', did you mean 'ur5/tool0'"):
-        solve_inverse_kinematics(UR5, RING, frame="ur5/tool")
+        pm.solve_inverse_kinematics(UR5, RING, frame="ur5/tool")
     with pytest.raises(UnknownName, match="unknown frame"):
-        EndEffectorTracking(UR5, RING, frame="tip")
-    with pytest.raises(InvalidArgument, match=r"kp is -1\.0, expected >= 0"):
-        EndEffectorTracking(UR5, RING, kp=-1)
+        pm.EndEffectorTracking(UR5, RING, frame="tip")
+    with pytest.raises(pm.InvalidArgument, match=r"kp is -1\.0, expected >= 0"):
+        pm.EndEffectorTracking(UR5, RING, kp=-1)
 
 
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
         ((3,), "path is 3, expected a path"),
-        ((Spline([(0, 0), (1, 1)], [0, 1]),), r"path has points of shape \(2,\), expected \(3,\)"),
+        ((pm.Spline([(0, 0), (1, 1)], [0, 1]),), r"path has points of shape \(2,\), expected \(3,\)"),
         ((RING.path, np.eye(2)), r"rotation has shape \(2, 2\), expected \(3, 3\)"),
         ((RING.path, -np.eye(3)), r"rotation has R' R off by 0 and det R = -1, expected a rotation matrix"),
         ((RING.path, None, np.eye(3)), "final_rotation is given without rotation, expected both"),
@@ -591,5 +581,5 @@ def test_other_things_than_robots_targets_and_frames_are_refused() -> None:
     ],
 )
 def test_a_pose_path_that_is_none_is_refused(arguments: Any, text: str) -> None:
-    with pytest.raises(InvalidArgument, match=text):
-        PosePath(*arguments)
+    with pytest.raises(pm.InvalidArgument, match=text):
+        pm.PosePath(*arguments)

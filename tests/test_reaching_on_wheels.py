@@ -6,24 +6,7 @@ from math import pi
 import numpy as np
 import pytest
 
-from pinmobile import (
-    Circle,
-    ComputedTorque,
-    Coulomb,
-    EndEffectorTracking,
-    Engine,
-    InvalidArgument,
-    Line,
-    MobileRobot,
-    PosePath,
-    Rollout,
-    Spline,
-    Tangent,
-    WheeledRobot,
-    WheelTable,
-    simulate,
-    solve_inverse_kinematics,
-)
+import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.balance import contact_loads, slip_margins
 from pinmobile.integrators import constant_acceleration
@@ -44,12 +27,12 @@ ROLLERS = WheelFriction(mu=0.4, across=0.0, rolling=0.0)
 class Wall:
     """What draws a wave of 2 m on a wall, sideways."""
 
-    robot: WheeledRobot
-    target: PosePath
+    robot: pm.WheeledRobot
+    target: pm.PosePath
     motion: InverseKinematicsTrajectory
-    run: Rollout
+    run: pm.Rollout
 
-    def missed(self, run: Rollout) -> Array:
+    def missed(self, run: pm.Rollout) -> Array:
         """Return how far the hand is from the wave, shape (samples,) [m]."""
         hand = self.robot.robot.frame_pose(run.q[:, : self.robot.robot.nq])
         return np.asarray(np.linalg.norm((hand - self.target(run.t).pose)[:, :3, 3], axis=1))
@@ -59,22 +42,24 @@ class Wall:
 def wall(tmp_path_factory: pytest.TempPathFactory) -> Wall:
     path = tmp_path_factory.mktemp("ridgeback") / "ridgeback.urdf"
     path.write_text(wheeled.ridgeback())
-    base = WheeledRobot.from_urdf(path, rollers=pi / 4)
+    base = pm.WheeledRobot.from_urdf(path, rollers=pi / 4)
     wheels = tuple(evolved(wheel, friction=ROLLERS) for wheel in base.table.wheels)
     table = evolved(base.table, wheels=wheels)
-    robot = WheeledRobot(base.robot, table).mount("ur5", at=(0.2, 0, 0.31, 0))
+    robot = pm.WheeledRobot(base.robot, table).mount("ur5", at=(0.2, 0, 0.31, 0))
     hand, t = robot.robot.frame_pose(BENT), np.linspace(0, DURATION, 41)
     s = t / DURATION
     s = s**3 * (10 - 15 * s + 6 * s**2)
     wave = hand[:3, 3] + np.stack([0 * s, 2 * s, 0.15 * np.sin(4 * pi * s)], axis=-1)
-    target = PosePath(Spline(wave, t), hand[:3, :3])
-    motion = solve_inverse_kinematics(robot.robot, target, q0=BENT, dt=0.02)
-    run = simulate(robot, tracking(robot, target), motion, dt=DT, integrator=constant_acceleration)
+    target = pm.PosePath(pm.Spline(wave, t), hand[:3, :3])
+    motion = pm.solve_inverse_kinematics(robot.robot, target, q0=BENT, dt=0.02)
+    run = pm.simulate(robot, tracking(robot, target), motion, dt=DT, integrator=constant_acceleration)
     return Wall(robot, target, motion, run)
 
 
-def tracking(robot: WheeledRobot | MobileRobot, target: PosePath, dt: float = DT) -> EndEffectorTracking:
-    return EndEffectorTracking(robot, target, dt=dt)
+def tracking(
+    robot: pm.WheeledRobot | pm.MobileRobot, target: pm.PosePath, dt: float = DT
+) -> pm.EndEffectorTracking:
+    return pm.EndEffectorTracking(robot, target, dt=dt)
 
 
 def test_the_hand_is_where_the_same_robot_without_wheels_has_it(wall: Wall) -> None:
@@ -87,8 +72,8 @@ def test_the_hand_is_where_the_same_robot_without_wheels_has_it(wall: Wall) -> N
         run = wall.run
         if dt != DT:
             follower = tracking(wall.robot, wall.target, dt)
-            run = simulate(wall.robot, follower, wall.motion, dt=dt, integrator=constant_acceleration)
-        pushed = simulate(body, tracking(body, wall.target, dt), wall.motion, dt=dt)
+            run = pm.simulate(wall.robot, follower, wall.motion, dt=dt, integrator=constant_acceleration)
+        pushed = pm.simulate(body, tracking(body, wall.target, dt), wall.motion, dt=dt)
         far.append(np.abs(run.q[:, : body.nq] - pushed.q).max())
         missed.append(wall.missed(run).max())
         assert np.abs(wall.missed(run) - wall.missed(pushed)).max() < 1e-4 * missed[-1]
@@ -126,14 +111,14 @@ def test_slip_margins_are_those_of_constraint_forces_and_springs(wall: Wall) -> 
 
 
 def test_the_friction_that_its_margins_ask_for_is_what_it_needs(wall: Wall) -> None:
-    follower = ComputedTorque(wall.robot, 100, 20)
-    rolled = simulate(wall.robot, follower, wall.motion, dt=DT, engine=Engine.COMPILED)
+    follower = pm.ComputedTorque(wall.robot, 100, 20)
+    rolled = pm.simulate(wall.robot, follower, wall.motion, dt=DT, engine=pm.Engine.COMPILED)
     margins: SlipMargins = slip_margins(rolled)
     loads: ContactLoads = contact_loads(rolled)
     needed = float((np.abs(margins.along) / loads.values).max())
     for share, slides in ((1.02, False), (0.98, True)):
-        floor = WheeledRobot(wall.robot.robot, wall.robot.table, Coulomb(share * needed))
-        run = simulate(floor, follower, wall.motion, dt=DT, engine=Engine.COMPILED)
+        floor = pm.WheeledRobot(wall.robot.robot, wall.robot.table, pm.Coulomb(share * needed))
+        run = pm.simulate(floor, follower, wall.motion, dt=DT, engine=pm.Engine.COMPILED)
         slip = run.metrics()["slip"][1].max()
         assert slip > 1e-2 if slides else slip < 1e-12
         assert bool(run.signals["slides"].values.any()) == slides
@@ -144,24 +129,28 @@ def test_limits_hold_on_wheels(wall: Wall) -> None:
     n = wall.robot.robot.nv
     most = np.where(np.arange(n) < 3, 0.5, wall.robot.robot.velocity_limit)
     assert np.abs(wall.run.v[:, :n]).max(axis=0)[1] > 0.7  # what it takes without
-    slow = EndEffectorTracking(wall.robot, wall.target, velocity_limit=most, dt=DT)
-    run = simulate(wall.robot, slow, wall.motion, dt=DT, integrator=constant_acceleration)
+    slow = pm.EndEffectorTracking(wall.robot, wall.target, velocity_limit=most, dt=DT)
+    run = pm.simulate(wall.robot, slow, wall.motion, dt=DT, integrator=constant_acceleration)
     # Wheels that turn while torques are held add 1e-6 in a step; corrected, it is what counts as rounding.
     assert (np.abs(run.v[:, :n]) < most + 1e-9).all()
 
 
 def test_a_drive_that_cannot_go_everywhere_is_refused() -> None:
-    table = WheelTable.differential(0.5, 0.1, mass=1.0, spin_inertia=0.005)
-    robot = WheeledRobot(MobileRobot.box(), table).mount("ur5")
-    target = PosePath(Spline([[0.5, 0, 0.5], [0.5, 1, 0.5]], [0, 3]))
-    with pytest.raises(InvalidArgument, match=r"^robot is a drive of type \(2, 0\), which cannot accelerate"):
-        EndEffectorTracking(robot, target)
+    table = pm.WheelTable.differential(0.5, 0.1, mass=1.0, spin_inertia=0.005)
+    robot = pm.WheeledRobot(pm.MobileRobot.box(), table).mount("ur5")
+    target = pm.PosePath(pm.Spline([[0.5, 0, 0.5], [0.5, 1, 0.5]], [0, 3]))
+    with pytest.raises(
+        pm.InvalidArgument, match=r"^robot is a drive of type \(2, 0\), which cannot accelerate"
+    ):
+        pm.EndEffectorTracking(robot, target)
 
 
 def test_a_reference_of_the_base_alone_is_refused_in_words() -> None:
-    robot = MobileRobot.box().mount("ur5")
+    robot = pm.MobileRobot.box().mount("ur5")
     pose = robot.frame_pose(robot.rest)
-    target = PosePath(Line(pose[:3, 3], pose[:3, 3] + np.array([0.1, 0.0, 0.0]), 2.0))
-    base = Tangent(Circle(1, 0.5, 2.0))
-    with pytest.raises(InvalidArgument, match="reference has 3 coordinates, expected the 9 of base and arms"):
-        simulate(robot, EndEffectorTracking(robot, target), base, dt=0.01)
+    target = pm.PosePath(pm.Line(pose[:3, 3], pose[:3, 3] + np.array([0.1, 0.0, 0.0]), 2.0))
+    base = pm.Tangent(pm.Circle(1, 0.5, 2.0))
+    with pytest.raises(
+        pm.InvalidArgument, match="reference has 3 coordinates, expected the 9 of base and arms"
+    ):
+        pm.simulate(robot, pm.EndEffectorTracking(robot, target), base, dt=0.01)

@@ -6,44 +6,35 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    PD,
-    ComputedTorque,
-    InvalidArgument,
-    MobileRobot,
-    Uniform,
-    ensemble,
-    law,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.errors import SlowerEngine
 from pinmobile.loop import Engine
 from tests.parts import Cart, CartCircle, Eight, Follower, Nodding, Spring
 
-ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
-BODY: dict[str, Any] = {"robot": ROBOT, "controller": PD(100, 120), "trajectory": Nodding(Eight())}
+ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05))
+BODY: dict[str, Any] = {"robot": ROBOT, "controller": pm.PD(100, 120), "trajectory": Nodding(Eight())}
 CART: dict[str, Any] = {"robot": Cart(), "controller": Follower(), "trajectory": CartCircle()}
 OPTIONS: dict[str, Any] = {"dt": 0.02, "duration": 2.0}
 
 
 def in_ensemble(parts: dict[str, Any], **options: Any) -> Any:
     given: dict[str, Any] = parts | OPTIONS | {"n": 5, "spread": {}} | options
-    return ensemble(**given)
+    return pm.ensemble(**given)
 
 
 def simulated(parts: dict[str, Any], **options: Any) -> Any:
     given: dict[str, Any] = parts | OPTIONS | options
     robot, controller, trajectory = (given.pop(name) for name in ("robot", "controller", "trajectory"))
-    return simulate(robot, controller, trajectory, **given)
+    return pm.simulate(robot, controller, trajectory, **given)
 
 
 def assert_refused(parts: dict[str, Any], why: str) -> None:
     """Check that parts are refused for the same reason wherever they are run."""
     for engine in (None, Engine.COMPILED, Engine.PYTHON):
-        with pytest.raises(InvalidArgument, match=why):
+        with pytest.raises(pm.InvalidArgument, match=why):
             in_ensemble(parts, engine=engine)
     for engine in (None, Engine.COMPILED):
-        with pytest.raises(InvalidArgument, match=why):
+        with pytest.raises(pm.InvalidArgument, match=why):
             simulated(parts, engine=engine)
 
 
@@ -112,11 +103,11 @@ LACKING: dict[str, tuple[dict[str, Any], str]] = {
         r"a Posed, whose forward_dynamics takes no forces f .* expected forward_dynamics\(q, v, u, f\)",
     ),
     "a model of another plant": (
-        CART | {"controller": ComputedTorque(ROBOT)},
+        CART | {"controller": pm.ComputedTorque(ROBOT)},
         "robot of the controller is MobileRobot.* has 3 coordinates, expected 5, as the plant has",
     ),
     "an input of another size": (
-        CART | {"controller": PD(1.0, 1.0)},
+        CART | {"controller": pm.PD(1.0, 1.0)},
         r"controller returned .*, expected .*2,?\)",
     ),
     "a reference of more coordinates": (
@@ -132,8 +123,10 @@ def test_a_part_without_what_the_loop_needs_is_told_so(what: str) -> None:
 
 
 def test_a_controllers_robot_without_its_dynamics_is_told_so() -> None:
-    with pytest.raises(InvalidArgument, match=r"^robot is .*Cart.*, which has no inverse_dynamics, expected"):
-        ComputedTorque(Cart())
+    with pytest.raises(
+        pm.InvalidArgument, match=r"^robot is .*Cart.*, which has no inverse_dynamics, expected"
+    ):
+        pm.ComputedTorque(Cart())
 
 
 # A plant whose sizes contradict each other.
@@ -205,8 +198,8 @@ def _step(acceleration: Any, t: float, q: Any, v: Any, h: float) -> Any:
 
 GENERATOR = np.random.default_rng(0)
 FORGETFUL: dict[str, dict[str, Any]] = {
-    "controller": BODY | {"controller": law(lambda t, q, v, r: np.random.normal(size=3))},  # noqa: NPY002
-    "counter": BODY | {"controller": law(Counting(lambda t, q, v, r: r.q - q))},
+    "controller": BODY | {"controller": pm.law(lambda t, q, v, r: np.random.normal(size=3))},  # noqa: NPY002
+    "counter": BODY | {"controller": pm.law(Counting(lambda t, q, v, r: r.q - q))},
     "force": BODY | {"forces": [lambda t, pose, rate: GENERATOR.normal(size=3)]},
     "np.random": BODY | {"forces": [lambda t, pose, rate: np.random.normal(size=3)]},  # noqa: NPY002
     "counting force": BODY | {"forces": [Spring(), Counting(lambda t, pose, rate: np.ones(3))]},
@@ -232,8 +225,8 @@ def test_a_tape_that_is_another_each_time_though_its_numbers_are_not_is_refused_
         error = 100.0 * (reference.q - q) + 120.0 * (reference.v - v)
         return error + 1e-15 * (np.sin(q) if count[0] % 2 else np.tanh(q))
 
-    parts = BODY | {"controller": law(spelled)}
-    with pytest.raises(InvalidArgument, match=r"spelled, line .*asked again.*keep memory in state"):
+    parts = BODY | {"controller": pm.law(spelled)}
+    with pytest.raises(pm.InvalidArgument, match=r"spelled, line .*asked again.*keep memory in state"):
         in_ensemble(parts, engine=Engine.COMPILED)
     with pytest.warns(SlowerEngine, match=r"by PYTHON.*not COMPILED.*spelled, line .*keep memory in state"):
         run = in_ensemble(parts)
@@ -261,13 +254,13 @@ def _by_eigenvalues(t: float, q: Any, v: Any, reference: Any) -> Any:
 
 UNTRACED: dict[str, tuple[dict[str, Any], Any, str]] = {
     "if": (
-        BODY | {"controller": law(_branching)},
+        BODY | {"controller": pm.law(_branching)},
         Engine.PYTHON,
         r"_branching, line \d+ of test_.*np\.where",
     ),
     "math": (BODY | {"forces": [_by_math]}, Engine.PYTHON, r"_by_math, line \d+ of test_.*NumPy's function"),
     "eigenvalues": (
-        BODY | {"controller": law(_by_eigenvalues)},
+        BODY | {"controller": pm.law(_by_eigenvalues)},
         Engine.PYTHON,
         r"_by_eigenvalues, line \d+ of test_.*np\.where",
     ),
@@ -277,9 +270,13 @@ UNTRACED: dict[str, tuple[dict[str, Any], Any, str]] = {
 @pytest.mark.parametrize("what", UNTRACED)
 def test_a_law_that_cannot_be_traced_runs_slower_and_says_so_or_is_refused(what: str) -> None:
     parts, engine, why = UNTRACED[what]
-    with pytest.raises(InvalidArgument, match=rf"^engine is Engine.COMPILED, which cannot run this: .*{why}"):
+    with pytest.raises(
+        pm.InvalidArgument, match=rf"^engine is Engine.COMPILED, which cannot run this: .*{why}"
+    ):
         in_ensemble(parts, engine=Engine.COMPILED)
-    with pytest.raises(InvalidArgument, match=rf"^engine is Engine.COMPILED, which cannot run this: .*{why}"):
+    with pytest.raises(
+        pm.InvalidArgument, match=rf"^engine is Engine.COMPILED, which cannot run this: .*{why}"
+    ):
         simulated(parts, engine=Engine.COMPILED)
     with pytest.warns(SlowerEngine, match=rf"runs by {engine!r}, .*not COMPILED: .*{why}") as told:
         run = in_ensemble(parts)
@@ -297,12 +294,12 @@ def test_a_law_that_cannot_be_traced_runs_slower_and_says_so_or_is_refused(what:
 def test_names_that_two_parts_claim_are_asked_for_by_path() -> None:
     parts = BODY | {"forces": [Spring(), Spring(4.0)]}
     with pytest.raises(
-        InvalidArgument,
+        pm.InvalidArgument,
         match=r"^spread has 'stiffness', which forces\.0\.stiffness and forces\.1\.stiffness have, "
         r"expected one of them: 'forces\.0\.stiffness' or 'forces\.1\.stiffness'$",
     ):
-        in_ensemble(parts, spread={"stiffness": Uniform(1, 2)})
-    run = in_ensemble(parts, spread={"forces.1.stiffness": Uniform(1, 2)})
+        in_ensemble(parts, spread={"stiffness": pm.Uniform(1, 2)})
+    run = in_ensemble(parts, spread={"forces.1.stiffness": pm.Uniform(1, 2)})
     assert len(np.unique(run.max_error[:, 0])) == 5
 
 
@@ -349,11 +346,11 @@ UNREAL: dict[str, tuple[dict[str, Any], str]] = {
         r"(?s)^controller returned .*j.*, expected real numbers$",
     ),
     "complex law": (
-        BODY | {"controller": law(lambda t, q, v, r: 1j * q)},
+        BODY | {"controller": pm.law(lambda t, q, v, r: 1j * q)},
         r"(?s)^function of the law returned .*j.*, expected a force: nu numbers$",
     ),
     "no numbers": (
-        BODY | {"controller": law(lambda t, q, v, r: np.array([1, 2, None]))},
+        BODY | {"controller": pm.law(lambda t, q, v, r: np.array([1, 2, None]))},
         r"(?s)^function of the law returned .*None.*, expected a force: nu numbers$",
     ),
     "complex force": (
@@ -397,7 +394,7 @@ def _late_integrator(acceleration: Any, t: float, q: Any, v: Any, h: float) -> A
     ("parts", "why"),
     [
         (
-            BODY | {"controller": law(lambda t, q, v, r: (1j if t > 1 else 1.0) * (r.q - q))},
+            BODY | {"controller": pm.law(lambda t, q, v, r: (1j if t > 1 else 1.0) * (r.q - q))},
             r"(?s)^(robot 0: )?function of the law returned .*j.* at t = 1.02 s, expected a force",
         ),
         (
@@ -417,7 +414,7 @@ def _late_integrator(acceleration: Any, t: float, q: Any, v: Any, h: float) -> A
 def test_what_stops_being_real_is_told_when_it_does(parts: dict[str, Any], why: str) -> None:
     runs: Any = simulated, lambda parts: in_ensemble(parts, n=1, engine=Engine.PYTHON)
     for run in runs:
-        with pytest.raises(InvalidArgument, match=why):
+        with pytest.raises(pm.InvalidArgument, match=why):
             run(parts)
 
 
@@ -437,7 +434,7 @@ def test_a_state_that_changes_its_shape_is_named_and_runs_in_python() -> None:
     why = r"state\['seen'\] of the controller has shape \(2, 3\) and a sample later \(3, 3\); let init"
     for run in (simulated, in_ensemble):
         with pytest.raises(
-            InvalidArgument, match=rf"^engine is Engine.COMPILED, which cannot run this: {why}"
+            pm.InvalidArgument, match=rf"^engine is Engine.COMPILED, which cannot run this: {why}"
         ):
             run(parts, engine=Engine.COMPILED)
     with pytest.warns(SlowerEngine, match=rf"runs by PYTHON, .*not COMPILED: {why}"):

@@ -8,29 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    PD,
-    Backstepping,
-    Circle,
-    Coulomb,
-    InvalidArgument,
-    MobileRobot,
-    Motor,
-    PayloadBody,
-    Rolling,
-    Rollout,
-    Tangent,
-    UnicycleTracking,
-    WheeledRobot,
-    WheelTable,
-    plots,
-    simulate,
-)
+import pinmobile as pm
+from pinmobile import plots
 from pinmobile.wheels import OdometryFeedback
 from tests.damage import answer, damaged
 
-ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05)).attach(PayloadBody(2, (0.1, 0, 0.2)))
-RUN = simulate(ROBOT, PD((8, 8, 1), (8, 8, 1)), Tangent(Circle(3, 0.1, 6)), dt=0.5)
+ROBOT = pm.MobileRobot(10, 1.2, com=(0.15, 0.05)).attach(pm.PayloadBody(2, (0.1, 0, 0.2)))
+RUN = pm.simulate(ROBOT, pm.PD((8, 8, 1), (8, 8, 1)), pm.Tangent(pm.Circle(3, 0.1, 6)), dt=0.5)
 
 
 def saved(tmp_path: Path) -> bytes:
@@ -44,7 +28,7 @@ def members(tmp_path: Path) -> dict[str, Any]:
         return dict(archive)
 
 
-def same(loaded: Rollout) -> bool:
+def same(loaded: pm.Rollout) -> bool:
     names = ("t", "q", "v", "a", "u", "error")
     pairs = [(getattr(loaded, name), getattr(RUN, name)) for name in names]
     pairs += list(zip(loaded.reference, RUN.reference, strict=True))
@@ -68,23 +52,23 @@ def described(tmp_path: Path, **changed: Any) -> Any:
 def test_what_no_rollout_holds_is_refused(tmp_path: Path, changed: dict[str, Any], why: str) -> None:
     made = {name: array for name, array in (members(tmp_path) | changed).items() if array is not None}
     np.savez(tmp_path / "run.npz", **made)
-    with pytest.raises(InvalidArgument, match=why):
-        Rollout.load(tmp_path / "run.npz")
+    with pytest.raises(pm.InvalidArgument, match=why):
+        pm.Rollout.load(tmp_path / "run.npz")
 
 
-@pytest.mark.parametrize("ground", [Rolling(), Coulomb(0.5)], ids=["rolls", "slips"])
+@pytest.mark.parametrize("ground", [pm.Rolling(), pm.Coulomb(0.5)], ids=["rolls", "slips"])
 def test_a_run_on_wheels_comes_back_with_its_signals_and_the_names_of_its_wheels(
-    tmp_path: Path, ground: Rolling | Coulomb
+    tmp_path: Path, ground: pm.Rolling | pm.Coulomb
 ) -> None:
     """The robot is told by names, units and limits; what asks its wheels needs the robot itself."""
-    table = WheelTable.differential(
-        0.46, 0.1, supports=[(0.2, 0), (-0.2, 0)], mass=1.0, spin_inertia=0.005, motor=Motor(5.0)
+    table = pm.WheelTable.differential(
+        0.46, 0.1, supports=[(0.2, 0), (-0.2, 0)], mass=1.0, spin_inertia=0.005, motor=pm.Motor(5.0)
     )
-    plant = WheeledRobot(MobileRobot(30, 1.3, com=(0, 0, 0.1), size=(0.6, 0.4, 0.25)), table, ground)
-    law = OdometryFeedback(Backstepping(UnicycleTracking(), plant), table)
-    run = simulate(plant, law, Tangent(Circle(1, 0.5, 0.1)), dt=0.02)
+    plant = pm.WheeledRobot(pm.MobileRobot(30, 1.3, com=(0, 0, 0.1), size=(0.6, 0.4, 0.25)), table, ground)
+    law = OdometryFeedback(pm.Backstepping(pm.UnicycleTracking(), plant), table)
+    run = pm.simulate(plant, law, pm.Tangent(pm.Circle(1, 0.5, 0.1)), dt=0.02)
     run.save(tmp_path / "run.npz")
-    loaded = Rollout.load(tmp_path / "run.npz")
+    loaded = pm.Rollout.load(tmp_path / "run.npz")
     names = ("t", "q", "v", "a", "u", "error")
     assert all(np.array_equal(getattr(loaded, name), getattr(run, name)) for name in names)
     assert list(loaded.signals) == list(run.signals)
@@ -94,11 +78,11 @@ def test_a_run_on_wheels_comes_back_with_its_signals_and_the_names_of_its_wheels
     for name in ("coordinates", "inputs", "reference_sizes", "nq", "nv", "nu", "size"):
         assert getattr(loaded.plant, name) == getattr(plant, name)
     loaded.save(tmp_path / "again.npz")
-    assert Rollout.load(tmp_path / "again.npz").plant == loaded.plant
+    assert pm.Rollout.load(tmp_path / "again.npz").plant == loaded.plant
     assert pickle.loads(pickle.dumps(plant)) == plant
-    again = simulate(pickle.loads(pickle.dumps(plant)), law, Tangent(Circle(1, 0.5, 0.1)), dt=0.02)
+    again = pm.simulate(pickle.loads(pickle.dumps(plant)), law, pm.Tangent(pm.Circle(1, 0.5, 0.1)), dt=0.02)
     assert np.array_equal(again.q, run.q)
-    with pytest.raises(InvalidArgument, match="WheeledRobot"):
+    with pytest.raises(pm.InvalidArgument, match="WheeledRobot"):
         plots.slip(loaded)
 
 
@@ -108,9 +92,9 @@ def test_what_is_no_archive_is_not_called_one_that_may_be_loaded_unsafely(
 ) -> None:
     (tmp_path / "run.npz").write_bytes(content)
     with pytest.raises(
-        InvalidArgument, match=r"which is no 'pinmobile rollout 2' archive: it is no \.npz file"
+        pm.InvalidArgument, match=r"which is no 'pinmobile rollout 2' archive: it is no \.npz file"
     ):
-        Rollout.load(tmp_path / "run.npz")
+        pm.Rollout.load(tmp_path / "run.npz")
 
 
 def test_an_arm_that_is_gone_is_no_damage(tmp_path: Path) -> None:
@@ -124,14 +108,14 @@ def test_an_arm_that_is_gone_is_no_damage(tmp_path: Path) -> None:
         "rest": [0.0] * 6,
     }
     np.savez(tmp_path / "run.npz", **members(tmp_path) | {"plant": described(tmp_path, mounts=[mount])})
-    assert Rollout.load(tmp_path / "run.npz").plant.coordinates == ROBOT.coordinates
-    assert same(Rollout.load(tmp_path / "run.npz"))
+    assert pm.Rollout.load(tmp_path / "run.npz").plant.coordinates == ROBOT.coordinates
+    assert same(pm.Rollout.load(tmp_path / "run.npz"))
 
 
 def loaded_or_refused(path: Path) -> bool:
     """Tell whether a damaged file is read; what is read must be what was saved."""
-    loaded = answer(lambda: Rollout.load(path))
-    if isinstance(loaded, InvalidArgument):
+    loaded = answer(lambda: pm.Rollout.load(path))
+    if isinstance(loaded, pm.InvalidArgument):
         assert str(loaded).startswith(f"path is {str(path)!r}, which ")
         return False
     assert same(loaded)

@@ -12,15 +12,7 @@ import attrs
 import numpy as np
 import pytest
 
-from pinmobile import (
-    Backstepping,
-    InvalidArgument,
-    MobileRobot,
-    Motor,
-    VelocityRobot,
-    WheeledRobot,
-    WheelTable,
-)
+import pinmobile as pm
 from pinmobile.cli.identify import IdentifyPaths
 from pinmobile.cli.scenario_file import Opened, ScenarioFile, shipped
 from pinmobile.parts import (
@@ -98,15 +90,15 @@ def drawn(make: Any, rng: random.Random, depth: int = 0) -> Any:
 
 def robots() -> list[Any]:
     """Return robots of every kind, and wheels."""
-    body = MobileRobot(30.0, 1 / 3, com=(0.1, 0, 0.1))
-    electric = Motor(resistance=1.7, torque_constant=0.04, voltage=24.0)
-    table = WheelTable.differential(
+    body = pm.MobileRobot(30.0, 1 / 3, com=(0.1, 0, 0.1))
+    electric = pm.Motor(resistance=1.7, torque_constant=0.04, voltage=24.0)
+    table = pm.WheelTable.differential(
         0.46, 0.1, supports=[(0.3, 0)], motor=electric, friction=WheelFriction(slip=1e-4)
     )
-    swerve = WheelTable.swerve([(0.2, 0.1), (-0.2, -0.1)], 0.05, yaw_inertia=0.001)
-    wheeled, omni = WheeledRobot(body, table), WheeledRobot(body, WheelTable.omni(0.2, 0.1))
-    velocity = VelocityRobot((0.26, 0.25, 0, 1, 0, 1))
-    return [body, wheeled, wheeled.by_voltage(), WheeledRobot(body, swerve), omni, velocity, table]
+    swerve = pm.WheelTable.swerve([(0.2, 0.1), (-0.2, -0.1)], 0.05, yaw_inertia=0.001)
+    wheeled, omni = pm.WheeledRobot(body, table), pm.WheeledRobot(body, pm.WheelTable.omni(0.2, 0.1))
+    velocity = pm.VelocityRobot((0.26, 0.25, 0, 1, 0, 1))
+    return [body, wheeled, wheeled.by_voltage(), pm.WheeledRobot(body, swerve), omni, velocity, table]
 
 
 ROBOTS = robots()
@@ -123,9 +115,9 @@ def drawn_child(name: str, declared: Child, rng: random.Random, depth: int) -> A
             try:
                 one = drawn(part, rng, depth + 1)
                 return [one, one] if declared.many else one
-            except (InvalidArgument, ArithmeticError, AttributeError):
+            except (pm.InvalidArgument, ArithmeticError, AttributeError):
                 continue
-    raise InvalidArgument(f"{name} is not drawn")
+    raise pm.InvalidArgument(f"{name} is not drawn")
 
 
 def fields(part: Any) -> Any:
@@ -147,7 +139,7 @@ def test_a_part_is_the_same_after_toml_bit_for_bit(name: str) -> None:
     for _ in range(400):
         try:
             part = drawn(PARTS[name], rng)
-        except (InvalidArgument, ArithmeticError, AttributeError):
+        except (pm.InvalidArgument, ArithmeticError, AttributeError):
             continue
         text = write_text(holder, Reader().tree(holder(part)))
         again = Reader().root(holder, tomllib.loads(text)).one
@@ -189,7 +181,7 @@ amplitude = [1, 0,
 
 
 def problems(*words: str) -> str:
-    with pytest.raises(InvalidArgument) as caught:
+    with pytest.raises(pm.InvalidArgument) as caught:
         list(Opened(words).points())
     return str(caught.value)
 
@@ -323,7 +315,7 @@ def test_paths_change_what_stands_there_and_names_what_is_new() -> None:
 
 def test_the_robot_of_the_file_stands_for_models_that_are_not_given() -> None:
     one = Opened(["differential", "robot.table.wheels.left.radius=0.11", "robot.robot.mass=20"]).content
-    assert isinstance(one.controller, Backstepping)
+    assert isinstance(one.controller, pm.Backstepping)
     assert one.controller.robot is one.robot
     assert [wheel.radius for wheel in one.robot.table.wheels] == [0.11, 0.1]
     assert one.robot.robot.mass == 20
@@ -366,13 +358,13 @@ def test_text_makes_what_python_makes() -> None:
     text = f"WheeledRobot(MobileRobot(30, 1.3), {table})"
     made = Opened([f"robot={text}", "controller.kp=25"]).content.robot
     volts = Opened([f"robot={text}.by_voltage()", "controller=TorqueToVoltage(ComputedTorque())"]).content
-    assert isinstance(made, WheeledRobot)
-    assert made.table.source == WheelTable.mecanum(0.4, 0.5, 0.1).source
+    assert isinstance(made, pm.WheeledRobot)
+    assert made.table.source == pm.WheelTable.mecanum(0.4, 0.5, 0.1).source
     assert made.table.wheels[0].motor == MOTORS["pololu_37d_50_12v"]
     assert volts.robot == made.by_voltage()
     assert volts.controller.controller.robot == made
     alone = Opened(["robot=WheelTable.differential(0.5, 0.1)"], kind=IdentifyPaths)
-    assert alone.content.robot == WheelTable.differential(0.5, 0.1)
+    assert alone.content.robot == pm.WheelTable.differential(0.5, 0.1)
 
 
 CODE = """
@@ -442,7 +434,7 @@ def test_users_parts_run_where_they_are_allowed(tmp_path: Path) -> None:
         ("parts_of_mine:Pull", "nothing_of_mine:Push", "which fails: ModuleNotFoundError"),
     ):
         file.write_text(lines.replace(old, new))
-        with pytest.raises(InvalidArgument, match=r".") as caught:
+        with pytest.raises(pm.InvalidArgument, match=r".") as caught:
             Opened([str(file)], allow_code=True)
         assert said in str(caught.value)
 
@@ -459,6 +451,6 @@ def test_the_schema_has_each_part_with_its_bounds() -> None:
 
 
 def test_arguments_of_constructors_have_their_meaning() -> None:
-    track = parameters(WheelTable.differential)["track"]
+    track = parameters(pm.WheelTable.differential)["track"]
     assert isinstance(track, Parameter)
     assert track.doc == "Distance of the wheels [m]"

@@ -7,22 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    Engine,
-    InputSaturation,
-    InvalidArgument,
-    MeasurementDelay,
-    MeasurementNoise,
-    MobileRobot,
-    Rollout,
-    Uniform,
-    ensemble,
-    plots,
-    simulate,
-)
+import pinmobile as pm
+from pinmobile import plots
 from tests.parts import PID, Axle, Cart, CartCircle, Eight, Follower, Nodding, Smoothed, Spring
 
-ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
+ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05))
 BODY: Any = (Nodding(Eight()), {"dt": 0.02, "duration": 3.0})
 FOLLOWER: Any = Follower()
 CART: Any = (CartCircle(), {"dt": 0.02, "duration": 3.0})
@@ -53,7 +42,7 @@ class TellingSmoothed(Smoothed):
         return {"smooth": ("N", state[1]), **self.controller.signals(state[0])}
 
 
-WRAPPED = MeasurementNoise(MeasurementDelay(InputSaturation(TellingPID(), 40.0), 2), 1e-3, 1e-3, 5)
+WRAPPED = pm.MeasurementNoise(pm.MeasurementDelay(pm.InputSaturation(TellingPID(), 40.0), 2), 1e-3, 1e-3, 5)
 
 
 @pytest.mark.parametrize(
@@ -75,8 +64,8 @@ def test_every_part_tells_the_same_in_each_engine(
 ) -> None:
     trajectory, options = where
     runs = [
-        simulate(plant, controller, trajectory, forces=forces, engine=engine, **options)
-        for engine in (Engine.PYTHON, Engine.COMPILED)
+        pm.simulate(plant, controller, trajectory, forces=forces, engine=engine, **options)
+        for engine in (pm.Engine.PYTHON, pm.Engine.COMPILED)
     ]
     for run in runs:
         assert {name: signal.unit for name, signal in run.signals.items()} == units
@@ -94,32 +83,34 @@ class Silent(PID):
         return {"contacts": ("N", np.zeros(0))}
 
 
-@pytest.mark.parametrize("engine", [Engine.PYTHON, Engine.COMPILED])
+@pytest.mark.parametrize("engine", [pm.Engine.PYTHON, pm.Engine.COMPILED])
 def test_a_signal_may_have_no_number(engine: Any) -> None:
-    run = simulate(ROBOT, Silent(), BODY[0], engine=engine, **BODY[1])
+    run = pm.simulate(ROBOT, Silent(), BODY[0], engine=engine, **BODY[1])
     assert run.signals["contacts"].values.shape == (len(run.t), 0)
 
 
 def test_they_are_what_the_laws_say() -> None:
-    run = simulate(
-        TellingCart(), FOLLOWER, CART[0], forces=[TellingAxle()], engine=Engine.COMPILED, **CART[1]
+    run = pm.simulate(
+        TellingCart(), FOLLOWER, CART[0], forces=[TellingAxle()], engine=pm.Engine.COMPILED, **CART[1]
     )
     np.testing.assert_allclose(run.signals["power"].values, run.u * run.v[:, 3:], rtol=1e-14)
     np.testing.assert_allclose(run.signals["axle torque"].values, -0.02 * run.v[:, 3], rtol=1e-14)
     np.testing.assert_array_equal(run.signals["pushed"].values[:, 3], run.signals["axle torque"].values)
-    told = simulate(ROBOT, InputSaturation(TellingPID(), 15.0), BODY[0], engine=Engine.COMPILED, **BODY[1])
+    told = pm.simulate(
+        ROBOT, pm.InputSaturation(TellingPID(), 15.0), BODY[0], engine=pm.Engine.COMPILED, **BODY[1]
+    )
     assert np.abs(told.u).max() == 15.0
     assert np.abs(told.signals["applied"].values).max() > 15.0  # what it asked for
 
 
 def test_members_of_an_ensemble_tell_what_their_controllers_tell() -> None:
-    options: Any = {"n": 3, "spread": {"mass": Uniform(25, 35)}, "traces": [1]} | BODY[1]
-    runs = ensemble(ROBOT, WRAPPED, BODY[0], **options)
+    options: Any = {"n": 3, "spread": {"mass": pm.Uniform(25, 35)}, "traces": [1]} | BODY[1]
+    runs = pm.ensemble(ROBOT, WRAPPED, BODY[0], **options)
     assert list(runs.traces[1].signals) == ["integral", "applied"]
     member = runs.member(2)
     np.testing.assert_array_equal(
         runs.trace(2).signals["integral"].values,
-        simulate(*member[:3], **member.options).signals["integral"].values,
+        pm.simulate(*member[:3], **member.options).signals["integral"].values,
     )
 
 
@@ -133,7 +124,7 @@ class Branching(TellingPID):
         return {"integral": ("N", 1.0 if state["sum"][0] > 0 else 0.0)}
 
 
-@pytest.mark.parametrize("engine", [Engine.PYTHON, Engine.COMPILED])
+@pytest.mark.parametrize("engine", [pm.Engine.PYTHON, pm.Engine.COMPILED])
 @pytest.mark.parametrize(
     ("controller", "forces", "why"),
     [
@@ -143,18 +134,18 @@ class Branching(TellingPID):
             r"forces\[0\] and forces\[1\] both have the signal '",
         ),
         (
-            InputSaturation(TellingPID(), 9.0),
+            pm.InputSaturation(TellingPID(), 9.0),
             [Claiming()],
             r"controller and forces\[0\] both have the signal '",
         ),
     ],
 )
 def test_a_name_that_two_parts_claim_is_refused(controller: Any, forces: Any, why: str, engine: Any) -> None:
-    with pytest.raises(InvalidArgument, match=why):
-        simulate(ROBOT, controller, BODY[0], forces=forces, engine=engine, **BODY[1])
+    with pytest.raises(pm.InvalidArgument, match=why):
+        pm.simulate(ROBOT, controller, BODY[0], forces=forces, engine=engine, **BODY[1])
 
 
-@pytest.mark.parametrize("engine", [Engine.PYTHON, Engine.COMPILED])
+@pytest.mark.parametrize("engine", [pm.Engine.PYTHON, pm.Engine.COMPILED])
 @pytest.mark.parametrize(
     ("answer", "why"),
     [
@@ -173,23 +164,23 @@ def test_what_is_no_signal_is_refused(answer: Any, why: str, engine: Any) -> Non
         def signals(self, t: float, pose: Any, rate: Any) -> Any:
             return answer
 
-    with pytest.raises(InvalidArgument, match=why):
-        simulate(ROBOT, PID(), BODY[0], forces=[Answering()], engine=engine, **BODY[1])
+    with pytest.raises(pm.InvalidArgument, match=why):
+        pm.simulate(ROBOT, PID(), BODY[0], forces=[Answering()], engine=engine, **BODY[1])
 
 
 def test_signals_that_cannot_be_compiled_are_told_with_their_line() -> None:
     with pytest.raises(
-        InvalidArgument, match=r"^engine is Engine.COMPILED, .*Branching.signals, line \d+.*where"
+        pm.InvalidArgument, match=r"^engine is Engine.COMPILED, .*Branching.signals, line \d+.*where"
     ):
-        simulate(ROBOT, Branching(), BODY[0], engine=Engine.COMPILED, **BODY[1])
+        pm.simulate(ROBOT, Branching(), BODY[0], engine=pm.Engine.COMPILED, **BODY[1])
     # An ensemble keeps no signals, and asks for none.
-    assert ensemble(ROBOT, Branching(), BODY[0], n=2, spread={}, **BODY[1]).engine == "COMPILED"
+    assert pm.ensemble(ROBOT, Branching(), BODY[0], n=2, spread={}, **BODY[1]).engine == "COMPILED"
 
 
 def test_files_and_figures_have_their_names_and_units(tmp_path: Path) -> None:
-    run = simulate(ROBOT, WRAPPED, BODY[0], forces=[TellingSpring()], engine=Engine.COMPILED, **BODY[1])
+    run = pm.simulate(ROBOT, WRAPPED, BODY[0], forces=[TellingSpring()], engine=pm.Engine.COMPILED, **BODY[1])
     run.save(tmp_path / "run.npz")
-    kept = Rollout.load(tmp_path / "run.npz")
+    kept = pm.Rollout.load(tmp_path / "run.npz")
     for name, (unit, values) in run.signals.items():
         assert kept.signals[name].unit == unit
         np.testing.assert_array_equal(kept.signals[name].values, values)

@@ -10,31 +10,15 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    Diverged,
-    FixedHeading,
-    InputSaturation,
-    InvalidArgument,
-    MobileRobot,
-    Reference,
-    Rollout,
-    Tangent,
-    WholeBody,
-    law,
-    rk4,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.controllers import plain_difference, planar_difference
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.plant import Context
 
-ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
-UR5 = MobileRobot.box().mount("ur5")
-CIRCLE = FixedHeading(Circle(1.0, 0.5, 12.0), 0.3)
+ROBOT = pm.MobileRobot(10, 1.2, com=(0.15, 0.05))
+UR5 = pm.MobileRobot.box().mount("ur5")
+CIRCLE = pm.FixedHeading(pm.Circle(1.0, 0.5, 12.0), 0.3)
 START = {"q0": (0.2, -0.1, 0.9), "v0": (0.1, 0.0, -0.4)}
 
 
@@ -43,8 +27,8 @@ class Hold:
 
     duration = 6.0
 
-    def __call__(self, t: Any) -> Reference:
-        return Reference(*np.zeros((3, *np.shape(t), 3)))
+    def __call__(self, t: Any) -> pm.Reference:
+        return pm.Reference(*np.zeros((3, *np.shape(t), 3)))
 
 
 class Rest:
@@ -52,12 +36,12 @@ class Rest:
 
     duration = 1.0
 
-    def __init__(self, robot: MobileRobot) -> None:
+    def __init__(self, robot: pm.MobileRobot) -> None:
         self.robot = robot
 
-    def __call__(self, t: Any) -> Reference:
+    def __call__(self, t: Any) -> pm.Reference:
         v, a = np.zeros((2, *np.shape(t), self.robot.nv))
-        return Reference(np.broadcast_to(self.robot.rest, (*np.shape(t), self.robot.nq)), v, a)
+        return pm.Reference(np.broadcast_to(self.robot.rest, (*np.shape(t), self.robot.nq)), v, a)
 
 
 class Asked:
@@ -89,18 +73,18 @@ class OtherPlant:
         return ROBOT.difference(q0, q1)
 
 
-@pytest.mark.parametrize("integrator", [constant_acceleration, semi_implicit_euler, rk4])
+@pytest.mark.parametrize("integrator", [constant_acceleration, semi_implicit_euler, pm.rk4])
 @pytest.mark.parametrize("substeps", [1, 3])
 @pytest.mark.parametrize(
-    "controller", [ComputedTorque(MobileRobot(8, 1), 3, (2, 3, 4)), PD(40 * np.eye(3), 20)]
+    "controller", [pm.ComputedTorque(pm.MobileRobot(8, 1), 3, (2, 3, 4)), pm.PD(40 * np.eye(3), 20)]
 )
 def test_the_librarys_own_loop_and_a_users_are_the_same(
     integrator: Any, substeps: int, controller: Any
 ) -> None:
     options: dict[str, Any] = {"dt": 0.05, "integrator": integrator, "substeps": substeps, **START}
-    own = simulate(ROBOT, controller, CIRCLE, **options)
+    own = pm.simulate(ROBOT, controller, CIRCLE, **options)
     for plant in (ROBOT, OtherPlant()):
-        users = simulate(plant, Asked(controller), CIRCLE, **options)
+        users = pm.simulate(plant, Asked(controller), CIRCLE, **options)
         for name in ("q", "v", "a", "u", "error"):
             # The same sums in another order, over 240 steps of a stable loop.
             np.testing.assert_allclose(getattr(users, name), getattr(own, name), rtol=0, atol=1e-12)
@@ -113,20 +97,20 @@ class Own:
     difference = staticmethod(planar_difference)
 
     def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Array:
-        return MobileRobot(8, 1).inverse_dynamics(q, v, a)
+        return pm.MobileRobot(8, 1).inverse_dynamics(q, v, a)
 
 
 def test_a_model_of_ones_own_is_as_good_as_the_librarys() -> None:
     runs = [
-        simulate(ROBOT, ComputedTorque(model, 3, 4), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
-        for model in (MobileRobot(8, 1), Own())
+        pm.simulate(ROBOT, pm.ComputedTorque(model, 3, 4), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+        for model in (pm.MobileRobot(8, 1), Own())
     ]
     np.testing.assert_allclose(runs[1].q, runs[0].q, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("substeps", [1, 2])
-@pytest.mark.parametrize("plant", [ROBOT, MobileRobot.box().mount("kinova")])
-def test_an_integrator_may_write_into_what_it_is_given(plant: MobileRobot, substeps: int) -> None:
+@pytest.mark.parametrize("plant", [ROBOT, pm.MobileRobot.box().mount("kinova")])
+def test_an_integrator_may_write_into_what_it_is_given(plant: pm.MobileRobot, substeps: int) -> None:
     def heun(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
         a = acceleration(t, q, v)
         b = acceleration(t + dt, q + dt * v, v + dt * a)
@@ -143,9 +127,9 @@ def test_an_integrator_may_write_into_what_it_is_given(plant: MobileRobot, subst
         return q, v
 
     one, other = (
-        simulate(
+        pm.simulate(
             plant,
-            law(lambda t, q, v, reference: np.zeros(plant.nv)),
+            pm.law(lambda t, q, v, reference: np.zeros(plant.nv)),
             Rest(plant),
             dt=0.02,
             duration=0.2,
@@ -172,13 +156,13 @@ def test_an_integrator_that_moves_first_is_told_the_acceleration_there() -> None
         return q, v
 
     one, other = (
-        simulate(ROBOT, PD(40, 20), CIRCLE, dt=0.05, integrator=step, **START)  # type: ignore[arg-type]
+        pm.simulate(ROBOT, pm.PD(40, 20), CIRCLE, dt=0.05, integrator=step, **START)  # type: ignore[arg-type]
         for step in (leapfrog, careless)
     )
     np.testing.assert_array_equal(other.q, one.q)
 
 
-def by_hand(plant: MobileRobot, controller: Any, dt: float, n: int) -> tuple[Array, Array]:
+def by_hand(plant: pm.MobileRobot, controller: Any, dt: float, n: int) -> tuple[Array, Array]:
     """Return q and tau of the lecture's loop, written as the lecture writes it."""
     q, v = np.array(START["q0"]), np.array(START["v0"])
     qs, taus = [], []
@@ -192,15 +176,15 @@ def by_hand(plant: MobileRobot, controller: Any, dt: float, n: int) -> tuple[Arr
 
 
 def test_every_sample_is_that_of_the_loop_written_by_hand() -> None:
-    controller = ComputedTorque(MobileRobot(12, 1.0, com=(0.1, 0.0)))
-    rollout = simulate(ROBOT, controller, CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+    controller = pm.ComputedTorque(pm.MobileRobot(12, 1.0, com=(0.1, 0.0)))
+    rollout = pm.simulate(ROBOT, controller, CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
     q, tau = by_hand(ROBOT, controller, 0.1, 120)
     np.testing.assert_allclose(rollout.q, q, rtol=0, atol=1e-12)
     np.testing.assert_allclose(rollout.u, tau, rtol=0, atol=1e-11)
 
 
 def test_the_record_is_consistent_and_includes_the_last_sample() -> None:
-    rollout = simulate(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+    rollout = pm.simulate(ROBOT, pm.ComputedTorque(ROBOT), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
     assert len(rollout) == 121
     assert (rollout.t[0], rollout.t[-1]) == (0.0, 12.0)
     np.testing.assert_allclose(rollout.t, np.arange(121) * 0.1, rtol=1e-15)
@@ -219,15 +203,15 @@ def test_the_record_is_consistent_and_includes_the_last_sample() -> None:
 @pytest.mark.parametrize(("duration", "last"), [(0.3, 0.3), (12 * (1 + 1e-10), 12.0), (None, 12.0)])
 def test_the_last_sample_is_at_the_duration_to_the_last_digit(duration: Any, last: float) -> None:
     assert np.arange(4)[-1] * 0.1 != 0.3  # as the other samples are
-    rollout = simulate(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.1, duration=duration)
+    rollout = pm.simulate(ROBOT, pm.ComputedTorque(ROBOT), CIRCLE, dt=0.1, duration=duration)
     assert rollout.t[-1] == last
 
 
 def test_a_rollout_holds_read_only_copies() -> None:
-    rollout = simulate(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+    rollout = pm.simulate(ROBOT, pm.ComputedTorque(ROBOT), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
     names = ("t", "q", "v", "a", "u", "error")
     given: Any = {name: np.array(getattr(rollout, name)) for name in names}
-    reference = Reference(*map(np.array, rollout.reference))
+    reference = pm.Reference(*map(np.array, rollout.reference))
     copy = replace(rollout, reference=reference, **given)
     for array in (*given.values(), *reference):
         array[...] = 9
@@ -241,8 +225,8 @@ def test_a_rollout_holds_read_only_copies() -> None:
 def test_error_follows_the_exact_recurrence_under_a_held_force() -> None:
     """At rest with com = 0, M is constant: one step maps (e, e_dot) by a matrix, exactly."""
     kp, kd, dt = 4.0, 3.0, 0.1
-    robot = MobileRobot(10, 1.2)
-    rollout = simulate(robot, ComputedTorque(robot, kp, kd), Hold(), dt=dt, **START)  # type: ignore[arg-type]
+    robot = pm.MobileRobot(10, 1.2)
+    rollout = pm.simulate(robot, pm.ComputedTorque(robot, kp, kd), Hold(), dt=dt, **START)  # type: ignore[arg-type]
     step = np.array([[1 - kp * dt**2 / 2, dt - kd * dt**2 / 2], [-kp * dt, 1 - kd * dt]])
     e = np.stack([-rollout.q, -rollout.v], axis=1)  # (N + 1, 2, 3)
     expected = np.stack([np.linalg.matrix_power(step, k) @ e[0] for k in range(61)])
@@ -256,16 +240,16 @@ def test_error_tends_to_that_of_the_continuous_loop() -> None:
     steps = np.array([0.02, 0.01, 0.005])
     off = []
     for dt in steps:
-        controller = ComputedTorque(ROBOT, kp, kd)
-        rollout = simulate(ROBOT, controller, Hold(), dt=float(dt), integrator=rk4, **START)  # type: ignore[arg-type]
+        controller = pm.ComputedTorque(ROBOT, kp, kd)
+        rollout = pm.simulate(ROBOT, controller, Hold(), dt=float(dt), integrator=pm.rk4, **START)  # type: ignore[arg-type]
         off.append(np.abs(rollout.error[-1] - flow[0]).max())
     slope = np.polyfit(np.log(steps), np.log(off), 1)[0]
     assert slope == pytest.approx(1, abs=0.15)
 
 
 def test_a_wrong_model_in_the_controller_is_not_the_plants() -> None:
-    right = simulate(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.01)
-    wrong = simulate(ROBOT, ComputedTorque(MobileRobot(20, 1.2)), CIRCLE, dt=0.01)
+    right = pm.simulate(ROBOT, pm.ComputedTorque(ROBOT), CIRCLE, dt=0.01)
+    wrong = pm.simulate(ROBOT, pm.ComputedTorque(pm.MobileRobot(20, 1.2)), CIRCLE, dt=0.01)
     assert wrong.max_error()[0] > 10 * right.max_error()[0]
 
 
@@ -276,23 +260,23 @@ def test_the_force_is_held_over_dt_whatever_the_substeps() -> None:
         asked.append(t)
         return np.array([1.0, 0, 0])
 
-    simulate(ROBOT, law(push), CIRCLE, dt=0.5, duration=2.0, substeps=10, integrator=rk4)
+    pm.simulate(ROBOT, pm.law(push), CIRCLE, dt=0.5, duration=2.0, substeps=10, integrator=pm.rk4)
     # Before the loop it is asked three times whether it answers alike.
     assert asked == [0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.5, 2.0]
 
 
 @pytest.mark.parametrize("robot", [ROBOT, UR5], ids=["body", "arm"])
-def test_a_users_integrator_may_hold_several_accelerations_at_once(robot: MobileRobot) -> None:
+def test_a_users_integrator_may_hold_several_accelerations_at_once(robot: pm.MobileRobot) -> None:
     """Pinocchio answers in memory that its next answer overwrites; who asks four times keeps four."""
 
     def own(*given: Any) -> Any:
-        return rk4(*given)
+        return pm.rk4(*given)
 
-    trajectory = CIRCLE if robot is ROBOT else WholeBody(UR5, CIRCLE, None)
+    trajectory = CIRCLE if robot is ROBOT else pm.WholeBody(UR5, CIRCLE, None)
     given: dict[str, Any] = {"dt": 0.05, "duration": 1.0}
-    integrators: list[Any] = [rk4, own]
+    integrators: list[Any] = [pm.rk4, own]
     runs = [
-        simulate(robot, ComputedTorque(robot, 9, 6), trajectory, **given, v0=v0, integrator=step)
+        pm.simulate(robot, pm.ComputedTorque(robot, 9, 6), trajectory, **given, v0=v0, integrator=step)
         for step in integrators
         for v0 in (None, 1.1 * trajectory(0.0).v)
     ]
@@ -311,7 +295,7 @@ class Counter:
 
 
 def test_a_controllers_memory_is_handed_on() -> None:
-    rollout = simulate(ROBOT, Counter(), CIRCLE, dt=0.5, duration=2.0)
+    rollout = pm.simulate(ROBOT, Counter(), CIRCLE, dt=0.5, duration=2.0)
     assert rollout.u[:, 0].tolist() == [0, 1, 2, 3, 4]
 
 
@@ -325,9 +309,9 @@ def test_a_controller_is_told_of_its_loop_and_of_nothing_that_the_plant_does() -
         def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:
             return np.zeros(len(v)), None
 
-    for robot, trajectory in ((ROBOT, CIRCLE), (UR5, WholeBody(UR5, CIRCLE, None))):
-        rollout = simulate(
-            robot, InputSaturation(Listening(), 1.0), trajectory, dt=0.5, duration=2.0, limit=1e9
+    for robot, trajectory in ((ROBOT, CIRCLE), (UR5, pm.WholeBody(UR5, CIRCLE, None))):
+        rollout = pm.simulate(
+            robot, pm.InputSaturation(Listening(), 1.0), trajectory, dt=0.5, duration=2.0, limit=1e9
         )
         context = contexts.pop()
         assert (context.dt, context.t.tolist()) == (0.5, rollout.t.tolist())
@@ -353,11 +337,11 @@ def test_a_controller_that_asks_for_no_context_is_told_what_to_write() -> None:
 
     text = r"called as controller\.initial_state\(context\).*: write def initial_state\(self, context\)$"
     old: Any = Old()
-    for call in (lambda: simulate(ROBOT, old, CIRCLE, dt=0.5), lambda: InputSaturation(old, 1.0)):
-        with pytest.raises(InvalidArgument, match=text):
+    for call in (lambda: pm.simulate(ROBOT, old, CIRCLE, dt=0.5), lambda: pm.InputSaturation(old, 1.0)):
+        with pytest.raises(pm.InvalidArgument, match=text):
             call()
-    with pytest.raises(InvalidArgument, match=r"cannot be called as controller\.applied\(u, state\)"):
-        simulate(ROBOT, Deaf(), CIRCLE, dt=0.5)
+    with pytest.raises(pm.InvalidArgument, match=r"cannot be called as controller\.applied\(u, state\)"):
+        pm.simulate(ROBOT, Deaf(), CIRCLE, dt=0.5)
 
 
 def test_a_plant_that_cannot_compare_configurations_is_refused_before_the_loop() -> None:
@@ -367,8 +351,8 @@ def test_a_plant_that_cannot_compare_configurations_is_refused_before_the_loop()
     plant: Any = SimpleNamespace(nq=3, nv=3, nu=3, forward_dynamics=asked, integrate=np.add)
     for options, text in (({}, "which has no difference"), ({"difference": np.subtract}, "plain_difference")):
         plant = SimpleNamespace(**vars(plant), **options)
-        with pytest.raises(InvalidArgument, match=text):
-            simulate(plant, law(asked), CIRCLE, dt=0.5)
+        with pytest.raises(pm.InvalidArgument, match=text):
+            pm.simulate(plant, pm.law(asked), CIRCLE, dt=0.5)
 
 
 def test_a_controller_cannot_write_into_the_record() -> None:
@@ -376,34 +360,34 @@ def test_a_controller_cannot_write_into_the_record() -> None:
         q[:] = v[:] = 99
         return np.zeros(3)
 
-    rollout = simulate(ROBOT, law(vandal), CIRCLE, dt=0.5, duration=2.0)
+    rollout = pm.simulate(ROBOT, pm.law(vandal), CIRCLE, dt=0.5, duration=2.0)
     assert np.abs(rollout.q).max() < 10
 
 
 def test_what_a_subclass_overrides_is_heard() -> None:
     """The library's own classes take a shorter way through the loop; others must not."""
 
-    class Silent(PD):  # type: ignore[misc]  # final, and yet what a user tries first
+    class Silent(pm.PD):  # type: ignore[misc]  # final, and yet what a user tries first
         def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
             return np.zeros(3), state
 
-    class Rubbing(MobileRobot):  # type: ignore[misc]
+    class Rubbing(pm.MobileRobot):  # type: ignore[misc]
         def forward_dynamics(self, q: Any, v: Any, tau: Any, f: Any = 0.0) -> Array:
             return super().forward_dynamics(q, v, np.asarray(tau) - 5 * np.asarray(v))
 
-    assert simulate(ROBOT, Silent(9, 9), CIRCLE, dt=0.1).max_input().tolist() == [0, 0, 0]
+    assert pm.simulate(ROBOT, Silent(9, 9), CIRCLE, dt=0.1).max_input().tolist() == [0, 0, 0]
     smooth, rough = (
-        simulate(r, PD(9, 9), CIRCLE, dt=0.1) for r in (ROBOT, Rubbing(10, 1.2, com=(0.15, 0.05)))
+        pm.simulate(r, pm.PD(9, 9), CIRCLE, dt=0.1) for r in (ROBOT, Rubbing(10, 1.2, com=(0.15, 0.05)))
     )
     assert np.abs(smooth.q - rough.q).max() > 0.1
 
 
 def test_divergence_is_reported_with_everything_before_it() -> None:
     """Errata, PD gains: with an offset centre of mass the lecture's loop diverges."""
-    robot = MobileRobot(30, 0.1, com=(0.1, 0.05))
+    robot = pm.MobileRobot(30, 0.1, com=(0.1, 0.05))
     gains = (120, 120, 0.4)
-    with pytest.raises(Diverged, match=r"the loop diverged at t = .* s \(sample \d+ of 120\)") as caught:
-        simulate(robot, PD(gains, gains), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+    with pytest.raises(pm.Diverged, match=r"the loop diverged at t = .* s \(sample \d+ of 120\)") as caught:
+        pm.simulate(robot, pm.PD(gains, gains), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
     error = caught.value
     assert len(error.rollout) > 3
     assert error.time == pytest.approx(error.rollout.t[-1] + 0.1)
@@ -415,21 +399,21 @@ def test_divergence_is_reported_with_everything_before_it() -> None:
 
 
 def test_without_a_limit_the_numbers_overflow_and_that_is_reported_too() -> None:
-    robot = MobileRobot(30, 0.1, com=(0.1, 0.05))
-    with pytest.raises(Diverged, match="not finite") as caught:
-        simulate(robot, PD((120, 120, 0.4), (120, 120, 0.4)), CIRCLE, dt=0.1, limit=1e300, **START)  # type: ignore[arg-type]
+    robot = pm.MobileRobot(30, 0.1, com=(0.1, 0.05))
+    with pytest.raises(pm.Diverged, match="not finite") as caught:
+        pm.simulate(robot, pm.PD((120, 120, 0.4), (120, 120, 0.4)), CIRCLE, dt=0.1, limit=1e300, **START)  # type: ignore[arg-type]
     assert np.isfinite(caught.value.rollout.u).all()
 
 
 def test_a_spinning_heading_is_divergence_though_its_error_stays_on_the_circle() -> None:
-    robot = MobileRobot(30, 0.1)
-    with pytest.raises(Diverged, match="the rate of psi"):
-        simulate(robot, PD((120, 120, 400), (120, 120, 400)), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+    robot = pm.MobileRobot(30, 0.1)
+    with pytest.raises(pm.Diverged, match="the rate of psi"):
+        pm.simulate(robot, pm.PD((120, 120, 400), (120, 120, 400)), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
 
 
 def test_a_start_beyond_the_limit_diverges_at_once_with_nothing_recorded() -> None:
-    with pytest.raises(Diverged, match=r"at t = 0 s .*the error in x is -2001") as caught:
-        simulate(ROBOT, PD(1, 1), CIRCLE, dt=0.1, q0=(2001, 0, 0))
+    with pytest.raises(pm.Diverged, match=r"at t = 0 s .*the error in x is -2001") as caught:
+        pm.simulate(ROBOT, pm.PD(1, 1), CIRCLE, dt=0.1, q0=(2001, 0, 0))
     assert caught.value.rollout is None
 
 
@@ -437,8 +421,8 @@ def test_not_a_number_from_a_controller_is_divergence_at_that_sample() -> None:
     def fails(t: float, q: Array, v: Array, reference: Any) -> Array:
         return np.full(3, np.nan if t > 1 else 0.0)
 
-    with pytest.raises(Diverged, match=r"at t = 1.1 s .* u not finite") as caught:
-        simulate(ROBOT, law(fails), CIRCLE, dt=0.1)
+    with pytest.raises(pm.Diverged, match=r"at t = 1.1 s .* u not finite") as caught:
+        pm.simulate(ROBOT, pm.law(fails), CIRCLE, dt=0.1)
     assert len(caught.value.rollout) == 11
 
 
@@ -457,14 +441,14 @@ class TauAlone:
 
 
 def test_without_a_duration_a_run_takes_the_whole_steps_of_the_trajectory_s_and_reports_it() -> None:
-    circle = Tangent(Circle(1, 0.5, 10))
+    circle = pm.Tangent(pm.Circle(1, 0.5, 10))
     with pytest.warns(
         UserWarning, match=r"^the last sample is at t = 9\.99 s, as the trajectory's 10 s are"
     ) as told:
-        run = simulate(MobileRobot.lecture(), PD(4, 4), circle, dt=0.03)
+        run = pm.simulate(pm.MobileRobot.lecture(), pm.PD(4, 4), circle, dt=0.03)
     assert len(told) == 1
     assert (len(run), run.t[-1]) == (334, pytest.approx(9.99, abs=1e-12))
-    given = simulate(MobileRobot.lecture(), PD(4, 4), circle, dt=0.03, duration=9.99)
+    given = pm.simulate(pm.MobileRobot.lecture(), pm.PD(4, 4), circle, dt=0.03, duration=9.99)
     np.testing.assert_allclose(run.q, given.q, rtol=0, atol=1e-12)
 
 
@@ -473,8 +457,8 @@ class ScalarOnly:
 
     duration = 12.0
 
-    def __call__(self, t: Any) -> Reference:
-        return Reference(*np.array([[float(t), 0, 0]] * 3))
+    def __call__(self, t: Any) -> pm.Reference:
+        return pm.Reference(*np.array([[float(t), 0, 0]] * 3))
 
 
 @pytest.mark.parametrize(
@@ -496,18 +480,18 @@ class ScalarOnly:
         ({"v0": (0, np.inf, 0)}, "v0[1] is inf, expected a finite number"),
         ({"controller": zero}, "expected a controller: wrap a function in law(...)"),
         (
-            {"controller": law(lambda *_: [1, 2])},
+            {"controller": pm.law(lambda *_: [1, 2])},
             "controller returned array([1., 2.]) at t = 0 s, expected an",
         ),
         ({"dt": 1e-9}, "dt is 1e-09 s, expected at most the duration, 12.0 s, and at least 1.2e-07 s"),
         ({"integrator": "rk4"}, "integrator is 'rk4', expected one of pinmobile.integrators or such a step"),
-        ({"controller": ComputedTorque}, "expected a controller"),
+        ({"controller": pm.ComputedTorque}, "expected a controller"),
         (
             {"controller": TauAlone()},
             "controller returned array([0., 0., 0.]) at t = 0 s, expected (u,",
         ),
         (
-            {"controller": PD(1, 1, difference=plain_difference), "trajectory": ScalarOnly()},
+            {"controller": pm.PD(1, 1, difference=plain_difference), "trajectory": ScalarOnly()},
             "array of 121 times",
         ),
         ({"trajectory": None}, "trajectory is None, expected a trajectory"),
@@ -515,17 +499,17 @@ class ScalarOnly:
     ],
 )
 def test_arguments_that_do_not_fit_are_refused(changed: dict[str, Any], text: str) -> None:
-    arguments: dict[str, Any] = {"plant": ROBOT, "controller": PD(1, 1), "trajectory": CIRCLE, "dt": 0.1}
+    arguments: dict[str, Any] = {"plant": ROBOT, "controller": pm.PD(1, 1), "trajectory": CIRCLE, "dt": 0.1}
     arguments |= changed
-    with pytest.raises(InvalidArgument) as caught:
-        simulate(**arguments)
+    with pytest.raises(pm.InvalidArgument) as caught:
+        pm.simulate(**arguments)
     assert text in str(caught.value)
 
 
 def test_a_rollout_is_saved_and_loaded_without_loss(tmp_path: Path) -> None:
-    rollout = simulate(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+    rollout = pm.simulate(ROBOT, pm.ComputedTorque(ROBOT), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
     rollout.save(tmp_path / "run")
-    loaded = Rollout.load(tmp_path / "run")
+    loaded = pm.Rollout.load(tmp_path / "run")
     assert loaded.plant == ROBOT
     assert loaded.plant.source == ROBOT.source
     for name in ("t", "q", "v", "a", "u", "error"):
@@ -535,13 +519,13 @@ def test_a_rollout_is_saved_and_loaded_without_loss(tmp_path: Path) -> None:
 
 
 def test_a_rollout_of_another_plant_is_saved_with_what_it_says_of_itself(tmp_path: Path) -> None:
-    simulate(OtherPlant(), PD(1, 1), CIRCLE, dt=0.1).save(tmp_path / "run.npz")
-    kept = Rollout.load(tmp_path / "run.npz").plant
+    pm.simulate(OtherPlant(), pm.PD(1, 1), CIRCLE, dt=0.1).save(tmp_path / "run.npz")
+    kept = pm.Rollout.load(tmp_path / "run.npz").plant
     assert (kept.kind, kept.nq, kept.nv, kept.nu, kept.pose) == ("OtherPlant", 3, 3, 3, None)
 
 
 def test_csv_has_a_header_and_every_digit(tmp_path: Path) -> None:
-    rollout = simulate(ROBOT, PD(1, 1), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+    rollout = pm.simulate(ROBOT, pm.PD(1, 1), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
     rollout.to_csv(tmp_path / "run.csv")
     header = (tmp_path / "run.csv").read_text().splitlines()[0].split(",")
     assert header[:5] == ["t [s]", "x [m]", "y [m]", "psi [rad]", "v_x [m/s]"]
@@ -558,30 +542,32 @@ def test_csv_columns_fit_a_plant_with_fewer_inputs(tmp_path: Path) -> None:
         def forward_dynamics(self, q: Array, v: Array, u: Array) -> Array:
             return np.array([u[0] * np.cos(q[2]), u[0] * np.sin(q[2]), u[1]])
 
-    simulate(Unicycle(), law(lambda *_: np.array([0.1, 0.2])), CIRCLE, dt=0.1).to_csv(tmp_path / "run.csv")
+    pm.simulate(Unicycle(), pm.law(lambda *_: np.array([0.1, 0.2])), CIRCLE, dt=0.1).to_csv(
+        tmp_path / "run.csv"
+    )
     header, first = (tmp_path / "run.csv").read_text().splitlines()[:2]
     row = dict(zip(header.split(","), first.split(","), strict=True))
     assert (row["u_[0]"], row["u_[1]"]) == ("0.10000000000000001", "0.20000000000000001")
 
 
 def test_files_that_cannot_be_written_or_read_are_refused_by_name(tmp_path: Path) -> None:
-    rollout = simulate(ROBOT, PD(1, 1), CIRCLE, dt=0.1, duration=0.1)
+    rollout = pm.simulate(ROBOT, pm.PD(1, 1), CIRCLE, dt=0.1, duration=0.1)
     for write in (rollout.save, rollout.to_csv):
-        with pytest.raises(InvalidArgument, match=r"nowhere.*which cannot be written"):
+        with pytest.raises(pm.InvalidArgument, match=r"nowhere.*which cannot be written"):
             write(tmp_path / "nowhere" / "run")
-    with pytest.raises(InvalidArgument, match=r"missing.*which cannot be read"):
-        Rollout.load(tmp_path / "missing")
+    with pytest.raises(pm.InvalidArgument, match=r"missing.*which cannot be read"):
+        pm.Rollout.load(tmp_path / "missing")
     for content in (b"", b"not an archive", b"PK\x03\x04 broken"):
         (tmp_path / "bad").write_bytes(content)
-        with pytest.raises(InvalidArgument, match="bad"):
-            Rollout.load(tmp_path / "bad")
+        with pytest.raises(pm.InvalidArgument, match="bad"):
+            pm.Rollout.load(tmp_path / "bad")
     np.savez(tmp_path / "other.npz", x=np.zeros(3))
-    with pytest.raises(InvalidArgument, match="which is no 'pinmobile rollout 2' archive"):
-        Rollout.load(tmp_path / "other.npz")
+    with pytest.raises(pm.InvalidArgument, match="which is no 'pinmobile rollout 2' archive"):
+        pm.Rollout.load(tmp_path / "other.npz")
 
 
 def test_digits_of_rounding_are_not_printed() -> None:
-    run = simulate(ROBOT, ComputedTorque(ROBOT, 4, 4), Tangent(Circle(3, 0.1, 60)), dt=0.01)
+    run = pm.simulate(ROBOT, pm.ComputedTorque(ROBOT, 4, 4), pm.Tangent(pm.Circle(3, 0.1, 60)), dt=0.01)
     x, _, psi = run.max_error()
     assert x > 1e-7
     assert 0 < psi < 1e-12
@@ -591,8 +577,10 @@ def test_digits_of_rounding_are_not_printed() -> None:
 
 
 def test_a_rollout_says_what_came_of_it() -> None:
-    text = str(simulate(ROBOT, PD(1, 1), CIRCLE, dt=0.1, duration=0.5))
+    text = str(pm.simulate(ROBOT, pm.PD(1, 1), CIRCLE, dt=0.1, duration=0.5))
     assert "6 samples over 0.5 s at dt = 0.1 s" in text
     assert "largest error: x " in text
     assert "largest input: Fx " in text
-    assert repr(simulate(ROBOT, PD(1, 1), CIRCLE, dt=0.1, duration=0.5)).startswith("<Rollout: 6 samples")
+    assert repr(pm.simulate(ROBOT, pm.PD(1, 1), CIRCLE, dt=0.1, duration=0.5)).startswith(
+        "<Rollout: 6 samples"
+    )

@@ -9,17 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    Circle,
-    Engine,
-    Ensemble,
-    Tangent,
-    UnicycleTracking,
-    ViscousFriction,
-    ensemble,
-    errors,
-    law,
-)
+import pinmobile as pm
+from pinmobile import errors
 from pinmobile.arrays import Array
 from pinmobile.controllers import WheelSpeed
 from pinmobile.integrators import rk4
@@ -75,7 +66,7 @@ def run(
     q0, v0 = (robot.rest if q is None else q), (np.zeros(robot.nv) if v is None else v)
     by = rk4 if isinstance(robot.ground, Rolling) else None
     return simulate(
-        robot, Torques(*u), where, dt=dt, q0=q0, v0=v0, integrator=by, engine=Engine.COMPILED, limit=1e9
+        robot, Torques(*u), where, dt=dt, q0=q0, v0=v0, integrator=by, engine=pm.Engine.COMPILED, limit=1e9
     )
 
 
@@ -221,7 +212,7 @@ def test_braking_wheels_slide_with_the_load_that_braking_leaves_them(
     # In a run too, from its first sample, in every engine.
     here = FixedHeading(Hold([0.0, 0.0], 0.1), 0.0)
     begun, braking = np.array([5.0, 0, 0, 0, 0]), Torques(-torque, -torque)
-    for engine in (Engine.COMPILED, Engine.PYTHON):
+    for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON):
         found = simulate(robot, braking, here, dt=0.01, q0=robot.rest, v0=begun, engine=engine, limit=1e9)
         # Loads are found to 1e-8 of the weight.
         np.testing.assert_allclose(found.a[:, 0], -force / 30, rtol=1e-7)
@@ -235,7 +226,7 @@ def test_locked_wheels_behind_a_high_centre_of_mass_slide_all_the_time() -> None
     here = FixedHeading(Hold([0.0, 0.0], 0.5), 0.0)
     v0 = np.array([5.0, 0, 0, 0, 0])
     found = simulate(
-        robot, Torques(0, 0), here, dt=0.01, q0=robot.rest, v0=v0, engine=Engine.COMPILED, limit=1e9
+        robot, Torques(0, 0), here, dt=0.01, q0=robot.rest, v0=v0, engine=pm.Engine.COMPILED, limit=1e9
     )
     np.testing.assert_allclose(found.a[:, 0], -0.8 * G * 0.5 / (1 + 0.8 * 0.7 / 0.4), rtol=1e-7)
 
@@ -256,7 +247,7 @@ def test_locked_wheels_slide_straight_at_speed_whatever_the_step(yaw_inertia: fl
         dt=0.05,
         q0=robot.rest,
         v0=v0,
-        engine=Engine.COMPILED,
+        engine=pm.Engine.COMPILED,
         limit=1e9,
     )
     assert np.abs(found.v[:, 2]).max() < 0.2
@@ -498,7 +489,7 @@ def test_compiled_robots_find_slow_forces_as_numbers_do() -> None:
 def test_compiled_robots_do_as_alone_and_as_numbers_do() -> None:
     """Rounds end when all robots side by side are done; none depends on the others."""
     robot = WheeledRobot(BODY, SKID)
-    drag = (ViscousFriction([20.0, 10.0, 3.0]),)
+    drag = (pm.ViscousFriction([20.0, 10.0, 3.0]),)
     looped_both(robot, np.array([30.0, -25.0]), rolling_at(robot, 1.0, 0.3, 0.0), forces=drag)
 
 
@@ -699,7 +690,7 @@ def test_a_wheel_lifts_in_a_turn_too_fast_and_the_robot_is_told_to_tip() -> None
     assert fast.signals["tips"].values.max() == 1
 
 
-@pytest.mark.parametrize("engine", [Engine.PYTHON, Engine.COMPILED])
+@pytest.mark.parametrize("engine", [pm.Engine.PYTHON, pm.Engine.COMPILED])
 def test_forces_are_those_of_mid_step_and_as_accurate(engine: Any) -> None:
     """A drive that sticks, pushed by its wheels and held by a drag: m v' = F - c v, turned by a quarter.
 
@@ -718,12 +709,12 @@ def test_forces_are_those_of_mid_step_and_as_accurate(engine: Any) -> None:
     for h in (0.02, 0.01):
         found = simulate(
             robot,
-            law(lambda t, q, v, reference: np.full(2, 1.5) + 0 * t),
+            pm.law(lambda t, q, v, reference: np.full(2, 1.5) + 0 * t),
             FixedHeading(Hold([0.0, 0.0], T), np.pi / 2),
             dt=0.02,
             substeps=round(0.02 / h),
             q0=q,
-            forces=[ViscousFriction([c, 5.0, 1.0])],
+            forces=[pm.ViscousFriction([c, 5.0, 1.0])],
             engine=engine,
             limit=1e9,
         )
@@ -745,49 +736,56 @@ def test_a_divergence_of_a_robot_that_tips_over_says_so() -> None:
     own: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
     table = WheelTable.differential(0.5, 0.1, supports=[(0.3, 0)], **own)
     robot = WheeledRobot(MobileRobot(30, 3, com=(0.1, 0, 0.6)), table, Coulomb(mu=0.8))
-    circle = Tangent(Circle(1.0, 2.5, 2.0))
+    circle = pm.Tangent(pm.Circle(1.0, 2.5, 2.0))
     with pytest.raises(
         errors.Diverged, match=r"the error in .*; no loads of wheels and supports balance the robot"
     ):
-        simulate(robot, WheelSpeed(UnicycleTracking(), robot, kp=50), circle, dt=0.02, limit=1.0)
+        simulate(robot, WheelSpeed(pm.UnicycleTracking(), robot, kp=50), circle, dt=0.02, limit=1.0)
 
 
-@pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
+@pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
 @pytest.mark.parametrize("ground", [Rolling(), Coulomb(0.8)], ids=["rolls", "slips"])
-def test_a_run_warns_of_a_robot_that_tips_over(ground: Any, engine: Engine) -> None:
+def test_a_run_warns_of_a_robot_that_tips_over(ground: Any, engine: pm.Engine) -> None:
     own: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
     table = WheelTable.differential(0.5, 0.1, supports=[(0.3, 0)], **own)
-    path, words = Tangent(Circle(1.0, 1.5, 2.0)), r"it tips over, which is not simulated \(from t = "
+    path, words = pm.Tangent(pm.Circle(1.0, 1.5, 2.0)), r"it tips over, which is not simulated \(from t = "
     for height, tips in ((0.1, False), (0.9, True)):
         robot = WheeledRobot(MobileRobot(30, 3, com=(0.1, 0, height)), table, ground)
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
             run = simulate(
-                robot, WheelSpeed(UnicycleTracking(), robot, kp=5), path, dt=0.02, duration=0.4, engine=engine
+                robot,
+                WheelSpeed(pm.UnicycleTracking(), robot, kp=5),
+                path,
+                dt=0.02,
+                duration=0.4,
+                engine=engine,
             )
         assert [bool(re.search(words, str(each.message))) for each in told] == [True] * tips
         assert [bool(re.search(words, each)) for each in run.events] == [True] * tips
 
 
-@pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
-def test_an_ensemble_counts_the_robots_that_tip_over_and_warns_once(engine: Engine, tmp_path: Path) -> None:
+@pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
+def test_an_ensemble_counts_the_robots_that_tip_over_and_warns_once(
+    engine: pm.Engine, tmp_path: Path
+) -> None:
     own: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
     table = WheelTable.differential(0.5, 0.1, supports=[(0.3, 0)], **own)
     robot = WheeledRobot(MobileRobot(30, 3, com=(0.1, 0, 0.1)), table, Coulomb(mu=0.8))
-    turning, heights = Tangent(Circle(1.0, 1.5, 2.0)), np.array([0.1, 0.9, 0.9])
-    parts = robot, WheelSpeed(UnicycleTracking(), robot, kp=5), turning
+    turning, heights = pm.Tangent(pm.Circle(1.0, 1.5, 2.0)), np.array([0.1, 0.9, 0.9])
+    parts = robot, WheelSpeed(pm.UnicycleTracking(), robot, kp=5), turning
     loop: Any = {"n": 3, "dt": 0.02, "duration": 0.4, "engine": engine}
     words = r"2 of 3 robots tip over: no loads of wheels and supports balance them"
     with pytest.warns(errors.LimitWarning, match=words) as told:
-        found = ensemble(
-            robot, WheelSpeed(UnicycleTracking(), robot, kp=5), turning, spread={"com.z": heights}, **loop
+        found = pm.ensemble(
+            robot, WheelSpeed(pm.UnicycleTracking(), robot, kp=5), turning, spread={"com.z": heights}, **loop
         )
     assert len(told) == 1
     assert found.largest("tip over").tolist() == [0, 1, 1]
     assert re.search(words, str(found))
     found.save(tmp_path / "runs.npz")
-    assert Ensemble.load(tmp_path / "runs.npz").events == found.events
+    assert pm.Ensemble.load(tmp_path / "runs.npz").events == found.events
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        stands = ensemble(*parts, spread={}, **loop)
+        stands = pm.ensemble(*parts, spread={}, **loop)
     assert not stands.events

@@ -11,19 +11,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import (
-    Circle,
-    ComputedTorque,
-    InvalidArgument,
-    MobileRobot,
-    PayloadBody,
-    Rollout,
-    Tangent,
-    Uniform,
-    ensemble,
-    plots,
-    simulate,
-)
+import pinmobile as pm
+from pinmobile import plots
 from pinmobile.balance import MotionStates, required_friction, tip_over_margin, zero_moment_point
 from pinmobile.robot import Stance
 from pinmobile.robot.model_import import read_urdf
@@ -36,13 +25,13 @@ G = 9.81
 ROLLING = shape("cylinder", 'radius="0.1" length="0.04"', rpy=f"{HALF_PI} 0 0")
 
 
-def read(folder: Path, text: str, **options: Any) -> MobileRobot:
+def read(folder: Path, text: str, **options: Any) -> pm.MobileRobot:
     path = folder / "base.urdf"
     path.write_text(text)
-    return MobileRobot.from_urdf(path, **options)
+    return pm.MobileRobot.from_urdf(path, **options)
 
 
-def braking(robot: MobileRobot, a: float) -> float:
+def braking(robot: pm.MobileRobot, a: float) -> float:
     """Return the margin of a robot on a straight line, accelerated by a forward."""
     return float(tip_over_margin(MotionStates(robot, (1.0, 2.0, 0.0), np.zeros(3), (a, 0.0, 0.0))))
 
@@ -57,7 +46,7 @@ def box(x: float, y: float) -> list[list[float]]:
     return [[-x, -y], [x, -y], [x, y], [-x, y]]
 
 
-def stands_on(robot: MobileRobot, corners: Any, atol: float = 1e-15) -> None:
+def stands_on(robot: pm.MobileRobot, corners: Any, atol: float = 1e-15) -> None:
     assert robot.footprint is not None
     np.testing.assert_allclose(robot.footprint, corners, rtol=0, atol=atol)
 
@@ -111,7 +100,9 @@ def test_ridgeback_stands_on_rocker_and_wheels_and_its_top_is_that_of_its_mesh(t
     assert robot.size == (0.493, 0.493, 0.055)
     assert robot.top is None
     assert "top not known: cannot be read: body-collision.stl" in robot.source
-    with pytest.raises(InvalidArgument, match="at is not given for 'ur5', and the top of the robot is not"):
+    with pytest.raises(
+        pm.InvalidArgument, match="at is not given for 'ur5', and the top of the robot is not"
+    ):
         robot.mount("ur5")
     stl(tmp_path / "body-collision.stl", [(-0.4, 0, 0.1), (0.4, 0.3, 0.2), (0.4, -0.3, 0.31)])
     assert read(tmp_path, wheeled.ridgeback()).top == pytest.approx(0.31 + high, abs=1e-7)  # float32
@@ -194,7 +185,7 @@ def test_an_impossible_link_that_matters_is_refused(tmp_path: Path) -> None:
 
     with pytest.warns(UserWarning, match=r"link 'b': inertia has principal moments \(-0.0009, 0.001, 0.001"):
         assert read(tmp_path, with_moment(-0.9e-3)).mass == 5.01
-    with pytest.raises(InvalidArgument, match=r"link 'b': inertia has principal moments \(-0.0011, "):
+    with pytest.raises(pm.InvalidArgument, match=r"link 'b': inertia has principal moments \(-0.0011, "):
         read(tmp_path, with_moment(-1.1e-3))
 
 
@@ -204,7 +195,7 @@ def test_the_same_link_of_an_arm_is_judged_by_its_joint(tmp_path: Path) -> None:
     bend = joint("bend", "revolute", "root", "upper"), joint("j", "fixed", "upper", "clip")
     path.write_text(urdf(*parts, *bend))
     with pytest.warns(UserWarning, match="arm.urdf: link 'clip': inertia has principal moments") as caught:
-        robot = MobileRobot.box().mount(path)
+        robot = pm.MobileRobot.box().mount(path)
     assert Path(caught[0].filename).name == "test_stance.py"
     # A revolute joint without <limit>, which Pinocchio refuses to read, has none.
     assert (robot.lower[3], robot.upper[3], robot.nq) == (-np.inf, np.inf, 4)
@@ -233,7 +224,7 @@ def test_a_joint_of_few_turns_is_no_wheel(tmp_path: Path) -> None:
         link("w", inertial(1)),
         joint("j", "revolute", "base", "w", limit=limit),
     )
-    with pytest.raises(InvalidArgument, match=r"joint 'j' .* is neither a wheel"):
+    with pytest.raises(pm.InvalidArgument, match=r"joint 'j' .* is neither a wheel"):
         read(tmp_path, urdf(*parts))
     model = pin.Model()  # made joint by joint, it has not said what its limits are
     model.appendBodyToJoint(
@@ -241,8 +232,8 @@ def test_a_joint_of_few_turns_is_no_wheel(tmp_path: Path) -> None:
         pin.Inertia.Random(),
         pin.SE3.Identity(),
     )
-    with pytest.raises(InvalidArgument, match=r"joint 'elbow' .* is neither a wheel"):
-        MobileRobot.from_model(model)
+    with pytest.raises(pm.InvalidArgument, match=r"joint 'elbow' .* is neither a wheel"):
+        pm.MobileRobot.from_model(model)
 
 
 def test_a_base_may_have_one_wheel(tmp_path: Path) -> None:
@@ -262,19 +253,25 @@ def test_where_radii_are_in_meshes_alone_the_ground_is_asked_for(tmp_path: Path)
     assert "where the ground is is not known" in robot.source
     still = MotionStates(robot, np.zeros(3), np.zeros(3), (1.0, 0, 0))
     for ask in (zero_moment_point, lambda motion: tip_over_margin(motion, box(0.1, 0.1))):
-        with pytest.raises(InvalidArgument, match=r"one that does: MobileRobot.from_urdf\(path, ground"):
+        with pytest.raises(pm.InvalidArgument, match=r"one that does: MobileRobot.from_urdf\(path, ground"):
             ask(still)
     assert required_friction(still) == pytest.approx(1 / G)  # no height is in it
-    with pytest.raises(InvalidArgument, match="the top of the robot is not known, expected x, y, z and yaw"):
+    with pytest.raises(
+        pm.InvalidArgument, match="the top of the robot is not known, expected x, y, z and yaw"
+    ):
         robot.mount("ur5")
     # The driver's wheels have a radius of 60 mm or so.
     known = read(tmp_path, wheeled.fetch(), ground=0.055325 - 0.0604)
     assert known.grounded
     assert known.com[2] == pytest.approx(robot.com[2] + 0.0604 - 0.055325, abs=1e-15)
-    with pytest.raises(InvalidArgument, match="footprint is not given, and that of the robot is not known"):
+    with pytest.raises(
+        pm.InvalidArgument, match="footprint is not given, and that of the robot is not known"
+    ):
         tip_over_margin(MotionStates(known, np.zeros(3), np.zeros(3), np.zeros(3)))
-    rollout = simulate(known, ComputedTorque(known), Tangent(Circle(1, 0.5, 1)), dt=0.1)
-    with pytest.raises(InvalidArgument, match="footprint is not given, and that of the robot is not known"):
+    rollout = pm.simulate(known, pm.ComputedTorque(known), pm.Tangent(pm.Circle(1, 0.5, 1)), dt=0.1)
+    with pytest.raises(
+        pm.InvalidArgument, match="footprint is not given, and that of the robot is not known"
+    ):
         plots.balance(rollout)
     assert plots.balance(rollout, footprint=box(0.2, 0.2)).axes
 
@@ -284,16 +281,17 @@ def test_the_ground_may_be_given_in_place_of_the_files(tmp_path: Path) -> None:
     assert robot.com[2] == pytest.approx(0.18884 + 0.2 - 0.13228, abs=5e-6)
     assert robot.footprint is None  # no wheel is near it
     assert "ground as given, at z = -0.2 m" in robot.source
-    with pytest.raises(InvalidArgument, match=r"ground is nan, expected a finite number"):
+    with pytest.raises(pm.InvalidArgument, match=r"ground is nan, expected a finite number"):
         read(tmp_path, wheeled.husky(), ground=np.nan)
-    with pytest.raises(InvalidArgument, match=r"ground has shape \(2,\), expected one number"):
+    with pytest.raises(pm.InvalidArgument, match=r"ground has shape \(2,\), expected one number"):
         read(tmp_path, wheeled.husky(), ground=[0, 0])
 
 
 def test_ground_above_the_centre_of_mass_is_refused(tmp_path: Path) -> None:
     """The likely slip: the height of Husky's base_link above the ground, in place of the ground's z."""
     with pytest.raises(
-        InvalidArgument, match=r"ground is 0\.132 m, 0\.07544 m above the robot's centre of mass.* below zero"
+        pm.InvalidArgument,
+        match=r"ground is 0\.132 m, 0\.07544 m above the robot's centre of mass.* below zero",
     ):
         read(tmp_path, wheeled.husky(), ground=0.132)
     assert read(tmp_path, urdf(link("base", inertial(9))), ground=0).com[2] == 0
@@ -302,7 +300,7 @@ def test_ground_above_the_centre_of_mass_is_refused(tmp_path: Path) -> None:
 def test_a_wheel_without_a_radius_leaves_the_footprint_unknown_unless_it_is_inside(tmp_path: Path) -> None:
     """A rear wheel known by its mesh alone was left out in silence: a triangle for a base on four wheels."""
 
-    def on_wheels(*places: tuple[float, float]) -> MobileRobot:
+    def on_wheels(*places: tuple[float, float]) -> pm.MobileRobot:
         shapes = [ROLLING] * (len(places) - 1) + [shape("mesh", 'filename="rear.stl"')]
         parts = [
             link(f"w{k}", inertial(1), shapes[k])
@@ -314,7 +312,7 @@ def test_a_wheel_without_a_radius_leaves_the_footprint_unknown_unless_it_is_insi
     robot = on_wheels((0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2))
     assert robot.footprint is None
     assert "j0, j1, j2, but the file does not tell the radius of j3" in robot.source
-    with pytest.raises(InvalidArgument, match="that of the robot is not known"):
+    with pytest.raises(pm.InvalidArgument, match="that of the robot is not known"):
         braking(robot, -1.0)
     six = on_wheels((0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2), (0, 0.2), (0, -0.2))
     stands_on(six, box(0.3, 0.2))
@@ -329,7 +327,7 @@ def bicycle(low: float, rear: str = ROLLING) -> str:
 def test_wheels_that_stand_on_no_plane_are_refused_by_name(tmp_path: Path) -> None:
     assert read(tmp_path, bicycle(0.104)).com[2] == pytest.approx(0.204 / 11 - 0.002)
     with pytest.raises(
-        InvalidArgument, match=r"plane, their lowest points being b at z = 0\.006, f at z = 0 m"
+        pm.InvalidArgument, match=r"plane, their lowest points being b at z = 0\.006, f at z = 0 m"
     ):
         read(tmp_path, bicycle(0.106))
     # Given the ground, only what touches it carries.
@@ -395,13 +393,13 @@ def test_a_link_base_footprint_tells_where_the_ground_is(tmp_path: Path) -> None
     assert robot.com == (0, 0, 0.3)
     assert "ground at its link ns/base_footprint, at z = -0.3 m" in robot.source
     model = pin.buildModelFromXML(wheeled.mp400())
-    assert MobileRobot.from_model(model).grounded
-    assert MobileRobot.from_model(model, ground=-0.0025).com[2] == pytest.approx(0.0145135, abs=1e-7)
+    assert pm.MobileRobot.from_model(model).grounded
+    assert pm.MobileRobot.from_model(model, ground=-0.0025).com[2] == pytest.approx(0.0145135, abs=1e-7)
 
 
 def test_shapes_that_are_no_shapes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(
-        InvalidArgument, match="link 'base' has <collision/geometry/sphere> with radius 'nan'"
+        pm.InvalidArgument, match="link 'base' has <collision/geometry/sphere> with radius 'nan'"
     ):
         read(tmp_path, urdf(link("base", inertial(9), shape("sphere", 'radius="nan"'))))
 
@@ -410,7 +408,7 @@ def test_shapes_that_are_no_shapes_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_robot_made_from_numbers_is_its_size() -> None:
-    robot = MobileRobot(30, 1.3, size=(0.8, 0.6, 0.3))
+    robot = pm.MobileRobot(30, 1.3, size=(0.8, 0.6, 0.3))
     stands_on(robot, box(0.4, 0.3), 0)
     assert (robot.top, robot.grounded, robot.locked_joints) == (0.3, True, ())
     assert robot.mount("ur5").mounts[0].at == (0, 0, 0.3, 0)
@@ -438,28 +436,28 @@ def test_how_it_stands_survives_all_that_keeps_a_robot(tmp_path: Path, name: str
     robot = read(tmp_path, TEXTS[name]())
     assert read(tmp_path, robot.to_urdf()) == robot
     assert read(tmp_path, robot.to_urdf()).stance == robot.stance
-    arm = robot.mount("ur5", (0, 0, 0.5, 0)).attach(PayloadBody(1.0))
+    arm = robot.mount("ur5", (0, 0, 0.5, 0)).attach(pm.PayloadBody(1.0))
     for same in (pickle.loads(pickle.dumps(arm)), arm.lumped(), arm.base):
         assert same.stance == robot.stance
         assert same.locked_joints == robot.locked_joints
-    run = simulate(robot, ComputedTorque(robot), Tangent(Circle(1, 0.5, 1)), dt=0.1)
+    run = pm.simulate(robot, pm.ComputedTorque(robot), pm.Tangent(pm.Circle(1, 0.5, 1)), dt=0.1)
     run.save(tmp_path / "run.npz")
-    kept = Rollout.load(tmp_path / "run.npz").plant
+    kept = pm.Rollout.load(tmp_path / "run.npz").plant
     assert kept == robot
     assert repr(kept) == repr(robot)
     other = robot.with_body(Body(5.0, np.array([0.0, 0, 0.1]), np.eye(3)), "lighter")
     assert (other.stance, other.mass, other.source) == (robot.stance, 5.0, "lighter")
-    assert robot != MobileRobot.from_body(robot.body, robot.size)  # a box stands otherwise
+    assert robot != pm.MobileRobot.from_body(robot.body, robot.size)  # a box stands otherwise
 
 
 def test_a_member_of_an_ensemble_stands_as_its_robot(tmp_path: Path) -> None:
     robot = read(tmp_path, wheeled.husky())
-    runs = ensemble(
+    runs = pm.ensemble(
         robot,
-        ComputedTorque(robot),
-        Tangent(Circle(1, 0.5, 1)),
+        pm.ComputedTorque(robot),
+        pm.Tangent(pm.Circle(1, 0.5, 1)),
         n=2,
-        spread={"mass": Uniform(50, 60)},
+        spread={"mass": pm.Uniform(50, 60)},
         dt=0.1,
         seed=1,
     )
@@ -467,20 +465,20 @@ def test_a_member_of_an_ensemble_stands_as_its_robot(tmp_path: Path) -> None:
 
 
 def test_a_stance_checks_itself() -> None:
-    with pytest.raises(InvalidArgument, match="footprint has shape"):
+    with pytest.raises(pm.InvalidArgument, match="footprint has shape"):
         Stance([(0, 0), (1, 0)])  # type: ignore[arg-type]
-    with pytest.raises(InvalidArgument, match=r"top is -1\.0 m, expected > 0"):
+    with pytest.raises(pm.InvalidArgument, match=r"top is -1\.0 m, expected > 0"):
         Stance(top=-1.0)
-    with pytest.raises(InvalidArgument, match=r"stance is 3, expected a pinmobile.robot.Stance"):
-        MobileRobot.from_body(MobileRobot.box().body, stance=3)  # type: ignore[arg-type]
+    with pytest.raises(pm.InvalidArgument, match=r"stance is 3, expected a pinmobile.robot.Stance"):
+        pm.MobileRobot.from_body(pm.MobileRobot.box().body, stance=3)  # type: ignore[arg-type]
     assert Stance.of_box((1, 2, 3)) == Stance(box(0.5, 1), 3)  # type: ignore[arg-type]
     assert hash(Stance.of_box((1, 2, 3))) == hash(Stance(box(0.5, 1), 3))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("words", ['top="a"', 'top="1 2"', 'footprint="1 2 3"', 'footprint="0 0 1 0"'])
 def test_a_damaged_note_of_our_own_is_refused(tmp_path: Path, words: str) -> None:
-    text = MobileRobot.box().to_urdf().replace("</robot>", f'<pinmobile ground="0" {words}/></robot>')
-    with pytest.raises(InvalidArgument, match=r"pinmobile|footprint"):
+    text = pm.MobileRobot.box().to_urdf().replace("</robot>", f'<pinmobile ground="0" {words}/></robot>')
+    with pytest.raises(pm.InvalidArgument, match=r"pinmobile|footprint"):
         read(tmp_path, text)
 
 

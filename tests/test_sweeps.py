@@ -15,22 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    ConstantForce,
-    FixedHeading,
-    InvalidArgument,
-    MobileRobot,
-    Normal,
-    SameAs,
-    Sweep,
-    Tangent,
-    Uniform,
-    rk4,
-    sweep,
-)
+import pinmobile as pm
 from pinmobile.errors import UnknownName
 from pinmobile.loop import run_scenario
 from pinmobile.loop._counts import edges
@@ -40,7 +25,7 @@ from pinmobile.sweeps._result import compared, length
 from tests.sweeping import CHUNK, GRID, ROBOT, contents, points, scenario, swept
 
 ROOT = Path(__file__).parents[1]
-PUSH = ConstantForce((10.0, 0.0, 0.0))
+PUSH = pm.ConstantForce((10.0, 0.0, 0.0))
 INF, NAN = math.inf, math.nan
 
 
@@ -57,12 +42,12 @@ def stop_at(robots: int) -> Callable[[int, int], None]:
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
+def done(tmp_path_factory: pytest.TempPathFactory) -> pm.Sweep:
     return swept(tmp_path_factory.mktemp("sweep") / "store")
 
 
 @pytest.fixture
-def copy(done: Sweep, tmp_path: Path) -> Path:
+def copy(done: pm.Sweep, tmp_path: Path) -> Path:
     return Path(shutil.copytree(done.path, tmp_path / "store"))
 
 
@@ -75,19 +60,23 @@ def copy(done: Sweep, tmp_path: Path) -> Path:
         ({"controller.robot.mass": 25}, lambda s: (s.controller.robot.mass, s.robot.mass), (25, 30)),
         ({"controller.kp.y": 9}, lambda s: s.controller.kp.tolist(), [4, 9, 4]),
         ({"kp.x": 1, "kp.psi": 2}, lambda s: s.controller.kp.tolist(), [1, 4, 2]),
-        ({"controller.kp": 9, "controller": PD(1, 2)}, lambda s: (s.controller.kp, s.controller.kd), (9, 2)),
         (
-            {"radius": 2, "trajectory": FixedHeading(Circle(3, 0.1, 6), 0)},
+            {"controller.kp": 9, "controller": pm.PD(1, 2)},
+            lambda s: (s.controller.kp, s.controller.kd),
+            (9, 2),
+        ),
+        (
+            {"radius": 2, "trajectory": pm.FixedHeading(pm.Circle(3, 0.1, 6), 0)},
             lambda s: s.trajectory.path.radius,
             2,
         ),
         ({"trajectory.path.duration": 3.0}, lambda s: s.t[-1], 3.0),
         ({"forces.push": PUSH}, lambda s: s.forces, {"push": PUSH}),
         ({"forces": [PUSH], "forces.0.force.y": 3}, lambda s: s.forces[0].force.tolist(), [10, 3, 0]),
-        ({"robot": MobileRobot.box(), "mass": 7.0}, lambda s: s.robot.mass, 7),
-        ({"integrator": rk4, "substeps": 2}, lambda s: (s.integrator, s.substeps), (rk4, 2)),
+        ({"robot": pm.MobileRobot.box(), "mass": 7.0}, lambda s: s.robot.mass, 7),
+        ({"integrator": pm.rk4, "substeps": 2}, lambda s: (s.integrator, s.substeps), (pm.rk4, 2)),
         ({"dt": 0.05, "seed": 3}, lambda s: (s.dt, s.seed, s.grid[1]), (0.05, 3, 0.1)),
-        ({"spread.mass": Uniform(1, 2)}, lambda s: (*s.spread,), ("start.x", "mass")),
+        ({"spread.mass": pm.Uniform(1, 2)}, lambda s: (*s.spread,), ("start.x", "mass")),
         ({"spread": {"mass": 3.0}}, lambda s: (*s.spread,), ("mass",)),
         ({"start.y": 0.5}, lambda s: float(s.spread["start.y"]), 0.5),
     ],
@@ -107,7 +96,7 @@ def test_a_path_changes_what_it_names_and_nothing_else(changes: Any, read: Any, 
         ({"grid": {"mass": [4, 4]}}, "mass is .*4, 4.*, expected different"),
         ({"grid": {"mass": [4, "x"]}}, "expected different finite numbers or texts"),
         ({"grid": {"mass": [NAN]}}, "expected different finite numbers"),
-        ({"grid": {"controller": [PD(1, 1)]}}, "or a mapping of them"),
+        ({"grid": {"controller": [pm.PD(1, 1)]}}, "or a mapping of them"),
         ({"grid": {"mass": [4, -1]}}, r"mass is -1.* kg, expected > 0 \(at mass = -1\)"),
         ({"grid": {"time": [4]}}, "grid has 'time', a name of the store's own"),
         ({"grid": 3}, "grid is 3, expected a mapping by text"),
@@ -120,33 +109,36 @@ def test_a_path_changes_what_it_names_and_nothing_else(changes: Any, read: Any, 
         ({"client": "tcp://"}, "client is 'tcp://', expected a distributed.Client"),
         ({"progress": 3}, "progress is 3, expected a function"),
         ({"version": " "}, "version is ' ', expected a word"),
-        ({"grid": {"spread.mass": {"wide": SameAs("start.x")}}}, r"are impossible; .*at spread.mass = wide"),
         (
-            {"grid": {"mass": [1, 2]}, "cases": {"spread": {"spread.mass": Uniform(1, 2)}}},
+            {"grid": {"spread.mass": {"wide": pm.SameAs("start.x")}}},
+            r"are impossible; .*at spread.mass = wide",
+        ),
+        (
+            {"grid": {"mass": [1, 2]}, "cases": {"spread": {"spread.mass": pm.Uniform(1, 2)}}},
             "grid or cases have 'plant.mass', which the spread gives each robot anyway",
         ),
     ],
 )
 def test_wrong_arguments(tmp_path: Path, options: Any, text: str) -> None:
-    with pytest.raises(InvalidArgument, match=text):
-        sweep(scenario(), tmp_path / "store", **options)
+    with pytest.raises(pm.InvalidArgument, match=text):
+        pm.sweep(scenario(), tmp_path / "store", **options)
     assert not (tmp_path / "store").exists()
 
 
 def test_wrong_scenarios_paths_and_stores(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     untyped: Any = 3
-    with pytest.raises(InvalidArgument, match="scenario is a int, expected a Scenario"):
-        sweep(untyped, tmp_path / "store")
+    with pytest.raises(pm.InvalidArgument, match="scenario is a int, expected a Scenario"):
+        pm.sweep(untyped, tmp_path / "store")
     with pytest.raises(UnknownName, match="unknown parameter in grid or cases 'masss', did you mean 'mass'"):
-        sweep(scenario(), tmp_path / "store", grid={"masss": [1]})
-    with pytest.raises(InvalidArgument, match=r"which cannot be written: there is no folder '.*file'"):
-        sweep(scenario(), tmp_path / "file" / "store")
-    with pytest.raises(InvalidArgument, match="which is not the store of a sweep"):
-        Sweep.open(tmp_path / "store")
+        pm.sweep(scenario(), tmp_path / "store", grid={"masss": [1]})
+    with pytest.raises(pm.InvalidArgument, match=r"which cannot be written: there is no folder '.*file'"):
+        pm.sweep(scenario(), tmp_path / "file" / "store")
+    with pytest.raises(pm.InvalidArgument, match="which is not the store of a sweep"):
+        pm.Sweep.open(tmp_path / "store")
 
 
-def test_the_store_has_named_dimensions_and_units(done: Sweep) -> None:
+def test_the_store_has_named_dimensions_and_units(done: pm.Sweep) -> None:
     xarray = pytest.importorskip("xarray")
     data = xarray.open_zarr(done.path)
     assert dict(data.sizes) == {
@@ -169,7 +161,7 @@ def test_the_store_has_named_dimensions_and_units(done: Sweep) -> None:
     assert {name for name in mine if not name.startswith("drawn_")} <= _NAMES
 
 
-def test_a_sweep_has_the_ensembles_bit_for_bit(done: Sweep, tmp_path: Path) -> None:
+def test_a_sweep_has_the_ensembles_bit_for_bit(done: pm.Sweep, tmp_path: Path) -> None:
     mine = done.ensemble(**{"controller.kp": 16, "spread.mass": 0.2})
     alone = run_scenario(points().scenarios[3])
     for name in ("max_error", "rms_error", "max_distance", "max_input", "diverged_at", "counts"):
@@ -189,16 +181,16 @@ def test_a_sweep_has_the_ensembles_bit_for_bit(done: Sweep, tmp_path: Path) -> N
 
 
 def test_cases_and_parts_are_compared_by_label(tmp_path: Path) -> None:
-    laws = {"PD": PD((20, 20, 1), (20, 20, 1)), "wild": PD(-3000, 0)}
+    laws = {"PD": pm.PD((20, 20, 1), (20, 20, 1)), "wild": pm.PD(-3000, 0)}
     cases = {"nominal": {}, "push": {"forces.push": PUSH, "robot.mass": 35.0}}
-    found = sweep(scenario(n=3, limit=5.0), tmp_path / "store", grid={"controller": laws}, cases=cases)
+    found = pm.sweep(scenario(n=3, limit=5.0), tmp_path / "store", grid={"controller": laws}, cases=cases)
     assert {name: axis.values for name, axis in found.axes.items()} == {
         "controller": ("PD", "wild"),
         "case": ("nominal", "push"),
     }
     words = r"with case = push, PD stays within .* in 99 % of runs, wild diverges in all runs"
     assert re.fullmatch(words, found.answer())
-    assert Sweep.open(found.path).answer() == found.answer()
+    assert pm.Sweep.open(found.path).answer() == found.answer()
     assert np.isinf(found.error_quantile().sel(controller="wild")).all()
     pushed = replace(scenario(n=3, limit=5.0), controller=laws["PD"], forces={"push": PUSH}, robot=_heavy())
     mine, alone = found.ensemble(controller="PD", case="push"), run_scenario(pushed)
@@ -206,16 +198,16 @@ def test_cases_and_parts_are_compared_by_label(tmp_path: Path) -> None:
     rows = [line.split() for line in found.table(most=3).splitlines()]
     assert rows[0] == ["controller", "case", "99", "%", "within", "diverged"]
     assert rows[3:] == [["wild", "nominal", "unbounded", "3"], ["...", "and", "1", "more"]]
-    alone_ = sweep(scenario(n=3), tmp_path / "alone")
+    alone_ = pm.sweep(scenario(n=3), tmp_path / "alone")
     assert re.fullmatch(r"the robots stay within .* in 99 % of runs", alone_.answer())
     assert len(alone_.ensemble().max_distance) == 3
 
 
-def _heavy() -> MobileRobot:
+def _heavy() -> pm.MobileRobot:
     return changed(scenario(), {"robot.mass": 35.0}).robot  # type: ignore[no-any-return]
 
 
-def judged(axes: dict[str, Any], within: Any, diverged: Any = 0, n: int = 20) -> Sweep:
+def judged(axes: dict[str, Any], within: Any, diverged: Any = 0, n: int = 20) -> pm.Sweep:
     """Return a sweep in which 90 % of the robots stay within these distances."""
     xarray = pytest.importorskip("xarray")
     sizes = np.repeat(np.array(within, float)[..., None], n, axis=-1)
@@ -227,7 +219,7 @@ def judged(axes: dict[str, Any], within: Any, diverged: Any = 0, n: int = 20) ->
             "diverged_at": ((*axes, "robot"), np.where(lost, 1.0, NAN)),
         }
     )
-    return Sweep(Path(), {name: Axis(*one) for name, one in axes.items()}, data)
+    return pm.Sweep(Path(), {name: Axis(*one) for name, one in axes.items()}, data)
 
 
 RIVALS = {"controller": (("PD", "wild"),), "error": ((0.1, 0.2, 0.4),)}
@@ -303,7 +295,7 @@ def test_lengths_and_shares_in_words() -> None:
 @pytest.mark.parametrize("robots", [0, 264, 800])
 @pytest.mark.once
 def test_a_killed_sweep_resumes_and_ends_with_the_same_store(
-    done: Sweep, tmp_path: Path, robots: int
+    done: pm.Sweep, tmp_path: Path, robots: int
 ) -> None:
     store = tmp_path / "store"
     words = [sys.executable, "-m", "tests.sweeping", str(store), str(robots)]
@@ -315,15 +307,15 @@ def test_a_killed_sweep_resumes_and_ends_with_the_same_store(
     assert contents(store) == contents(done.path)
 
 
-def test_a_sweep_on_its_way_says_how_much_is_done(done: Sweep, tmp_path: Path) -> None:
+def test_a_sweep_on_its_way_says_how_much_is_done(done: pm.Sweep, tmp_path: Path) -> None:
     with pytest.raises(Stop):
         swept(tmp_path / "store", chunk=200, progress=stop_at(400))
-    found = Sweep.open(tmp_path / "store", scenario(), grid=GRID)
+    found = pm.Sweep.open(tmp_path / "store", scenario(), grid=GRID)
     assert found.answer().startswith("50 % of the robots are done: with ")
     assert str(found).count("unknown") == 4
     missing = next(at for at in np.ndindex(2, 2) if np.isnan(found.error_quantile().values[at]))
     labels: Any = {name: axis.values[i] for (name, axis), i in zip(found.axes.items(), missing, strict=True)}
-    with pytest.raises(InvalidArgument, match="of which robots are missing: start the same sweep again"):
+    with pytest.raises(pm.InvalidArgument, match="of which robots are missing: start the same sweep again"):
         found.ensemble(**labels)
     heard: list[Any] = []
     before = contents(done.path)
@@ -344,13 +336,13 @@ def test_a_sweep_on_its_way_says_how_much_is_done(done: Sweep, tmp_path: Path) -
         ("max_error/zarr.json", 800),
     ],
 )
-def test_a_file_that_is_gone_is_computed_again(done: Sweep, copy: Path, file: str, robots: int) -> None:
+def test_a_file_that_is_gone_is_computed_again(done: pm.Sweep, copy: Path, file: str, robots: int) -> None:
     (copy / file).unlink()
     if file.endswith("kp/c/0"):
         with pytest.raises(
-            InvalidArgument, match=rf"of which '.*{file}' is gone; start the same sweep again"
+            pm.InvalidArgument, match=rf"of which '.*{file}' is gone; start the same sweep again"
         ):
-            Sweep.open(copy)
+            pm.Sweep.open(copy)
     heard: list[int] = []
     swept(copy, progress=lambda now, total: heard.append(now))
     assert (heard[0], heard[-1]) == (robots, 800)
@@ -362,12 +354,14 @@ def test_a_file_that_is_gone_is_computed_again(done: Sweep, copy: Path, file: st
 )
 @pytest.mark.parametrize("file", ["max_distance/c/1/0/2", "counts/c/1/0/0/0/0/0"])
 def test_a_file_that_cannot_be_read_is_named(
-    done: Sweep, copy: Path, file: str, damage: Callable[[bytes], bytes]
+    done: pm.Sweep, copy: Path, file: str, damage: Callable[[bytes], bytes]
 ) -> None:
     path = copy / file
     path.write_bytes(damage(path.read_bytes()))
-    found = Sweep.open(copy, scenario(), grid=GRID)
-    with pytest.raises(InvalidArgument, match=rf"of which '.*{file}' cannot be read: .*; remove that file"):
+    found = pm.Sweep.open(copy, scenario(), grid=GRID)
+    with pytest.raises(
+        pm.InvalidArgument, match=rf"of which '.*{file}' cannot be read: .*; remove that file"
+    ):
         found.ensemble(**{"controller.kp": 16, "spread.mass": 0.1})
     path.unlink()
     swept(copy)
@@ -386,36 +380,36 @@ def test_a_file_that_cannot_be_read_is_named(
         ({"seed": 2}, GRID, "seed is 1 there and 2 here"),
         ({"dt": 0.05}, GRID, r"dt is 0\.1 there and 0\.05 here"),
         (
-            {"trajectory": Tangent(Circle(2, 0.1, 6))},
+            {"trajectory": pm.Tangent(pm.Circle(2, 0.1, 6))},
             GRID,
             r"trajectory\.path\.radius is 3\.0 there and 2\.0",
         ),
     ],
 )
-def test_a_store_of_another_sweep_is_refused(done: Sweep, base: Any, grid: Any, text: str) -> None:
-    with pytest.raises(InvalidArgument, match=f"which belongs to another sweep: .*{text}"):
-        sweep(scenario(**base), done.path, grid=grid)
-    with pytest.raises(InvalidArgument, match=f"scenario is not that of .*{text}"):
-        Sweep.open(done.path, scenario(**base), grid=grid)
+def test_a_store_of_another_sweep_is_refused(done: pm.Sweep, base: Any, grid: Any, text: str) -> None:
+    with pytest.raises(pm.InvalidArgument, match=f"which belongs to another sweep: .*{text}"):
+        pm.sweep(scenario(**base), done.path, grid=grid)
+    with pytest.raises(pm.InvalidArgument, match=f"scenario is not that of .*{text}"):
+        pm.Sweep.open(done.path, scenario(**base), grid=grid)
 
 
-def test_wrong_labels(done: Sweep) -> None:
+def test_wrong_labels(done: pm.Sweep) -> None:
     at: Any = {"controller.kp": 4, "spread.mass": 0.1}
-    with pytest.raises(InvalidArgument, match="chunk is 100, expected 64 as in the store, or None"):
+    with pytest.raises(pm.InvalidArgument, match="chunk is 100, expected 64 as in the store, or None"):
         swept(done.path, chunk=100)
     with pytest.raises(UnknownName, match=r"unknown axis 'controller\.kd', did you mean 'controller\.kp'"):
         done.ensemble(**{"controller.kd": 4})
-    with pytest.raises(InvalidArgument, match=r"spread\.mass is None, expected one of 0\.1, 0\.2"):
+    with pytest.raises(pm.InvalidArgument, match=r"spread\.mass is None, expected one of 0\.1, 0\.2"):
         done.ensemble(**{"controller.kp": 4})
-    with pytest.raises(InvalidArgument, match=r"controller\.kp is 5, expected one of 4, 16"):
+    with pytest.raises(pm.InvalidArgument, match=r"controller\.kp is 5, expected one of 4, 16"):
         done.ensemble(**at | {"controller.kp": 5})
-    with pytest.raises(InvalidArgument, match=r"scenario is missing, expected Sweep\.open"):
-        Sweep.open(done.path).ensemble(**at)
-    with pytest.raises(InvalidArgument, match=r"share is 2\.0, expected 0 <= share <= 1"):
+    with pytest.raises(pm.InvalidArgument, match=r"scenario is missing, expected Sweep\.open"):
+        pm.Sweep.open(done.path).ensemble(**at)
+    with pytest.raises(pm.InvalidArgument, match=r"share is 2\.0, expected 0 <= share <= 1"):
         done.error_quantile(2)
 
 
-def test_a_missing_package_names_the_extra(done: Sweep, tmp_path: Path) -> None:
+def test_a_missing_package_names_the_extra(done: pm.Sweep, tmp_path: Path) -> None:
     code = f"""if True:
         import sys
         from pinmobile import InvalidArgument
@@ -437,9 +431,9 @@ def test_a_missing_package_names_the_extra(done: Sweep, tmp_path: Path) -> None:
 
 def test_a_robot_may_be_an_axis(tmp_path: Path) -> None:
     robots = {"light": ROBOT, "heavy": _heavy()}
-    law = ComputedTorque(ROBOT, 4, 4)
-    spread = {"start.x": Normal(0, 0.01)}
-    found = sweep(scenario(n=2, spread=spread, controller=law), tmp_path / "s", grid={"robot": robots})
+    law = pm.ComputedTorque(ROBOT, 4, 4)
+    spread = {"start.x": pm.Normal(0, 0.01)}
+    found = pm.sweep(scenario(n=2, spread=spread, controller=law), tmp_path / "s", grid={"robot": robots})
     assert list(found.axes) == ["plant"]
     assert found.ensemble(robot="heavy").scenario.robot.mass == 35.0
     assert Points.of(scenario(n=2), {"robot": robots}).shape == (2,)

@@ -16,20 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from pinmobile import (
-    ComputedTorque,
-    ConstantForce,
-    InputSaturation,
-    InvalidArgument,
-    MeasurementNoise,
-    MobileRobot,
-    Reference,
-    Sweep,
-    Uniform,
-    law,
-    rk4,
-    sweep,
-)
+import pinmobile as pm
+from pinmobile import law
 from pinmobile.arrays import Array
 from pinmobile.controllers import planar_difference
 from pinmobile.forces import NoiseForce
@@ -79,7 +67,7 @@ def dressed(gain: float) -> Any:
         return 3.0 * planar_difference(q0, q1)
 
     mine = wraps(planar_difference)(twice if gain == 3 else thrice)
-    return ComputedTorque(MobileRobot.lecture(), difference=mine)
+    return pm.ComputedTorque(pm.MobileRobot.lecture(), difference=mine)
 
 
 def with_attribute(gain: float) -> Any:
@@ -157,7 +145,7 @@ DIFFERENT: dict[str, Callable[[float], Any]] = {
     "a partial's argument": lambda k: law(partial(push, k)),
     "a partial's keyword": lambda k: law(partial(push, 1.0, more=k)),
     "a partial in a partial": lambda k: law(partial(partial(push, np.array([k, 1, 1])))),
-    "a robot in a partial": lambda k: law(partial(push, MobileRobot(k, 1.0))),
+    "a robot in a partial": lambda k: law(partial(push, pm.MobileRobot(k, 1.0))),
     "a part in a partial": lambda k: law(partial(push, Plain(k))),
     "a default": by_default,
     "the text of a function": lambda k: typed(f"{k} * q"),
@@ -194,9 +182,9 @@ DIFFERENT: dict[str, Callable[[float], Any]] = {
     "a slice": lambda k: closure(slice(0, int(k))),
     "a compiled object": lambda k: closure(itemgetter(int(k))),
     "a generator of random numbers": lambda k: closure(np.random.default_rng(int(k))),
-    "the seed of a noisy measurement": lambda k: MeasurementNoise(closure(1.0), 1e-3, 1e-3, seed=int(k)),
-    "the seed sequence of one": lambda k: MeasurementNoise(closure(1.0), 1e-3, 1e-3, seed=seed(k)),
-    "a controller in a wrapper": lambda k: InputSaturation(closure(k), 9.0),
+    "the seed of a noisy measurement": lambda k: pm.MeasurementNoise(closure(1.0), 1e-3, 1e-3, seed=int(k)),
+    "the seed sequence of one": lambda k: pm.MeasurementNoise(closure(1.0), 1e-3, 1e-3, seed=seed(k)),
+    "a controller in a wrapper": lambda k: pm.InputSaturation(closure(k), 9.0),
 }
 
 
@@ -218,10 +206,10 @@ class OwnTrajectory:
     def __init__(self, last: float) -> None:
         self.last, self.unknown = last, (item for item in "ab")
 
-    def __call__(self, t: Any) -> Reference:
+    def __call__(self, t: Any) -> pm.Reference:
         q, v, a = np.zeros((3, *np.shape(t), 3))
         q[..., 0] = np.where(np.asarray(t) == 6.0, self.last, 0.0)
-        return Reference(q, v, a)
+        return pm.Reference(q, v, a)
 
 
 def made(gain: float) -> Any:
@@ -233,19 +221,19 @@ def made(gain: float) -> Any:
     [
         ({}, {"limit": 7.0}, "limit is 1000.0 there and 7.0 here"),
         ({}, {"substeps": 2}, "substeps is 1 there and 2 here"),
-        ({}, {"integrator": rk4}, "integrator"),
+        ({}, {"integrator": pm.rk4}, "integrator"),
         ({}, {"every": 3}, "stride is 1 there and 3 here"),
         ({}, {"after": 2.0}, "after is 0.0 there and 2.0 here"),
         ({}, {"duration": 3.0}, "duration is 6.0 there and 3.0 here"),
-        ({}, {"robot": MobileRobot(30, 0.1, com=(0.1, 0))}, "plant.com"),
-        ({}, {"forces": (ConstantForce((1, 0, 0)),)}, "forces.0.force is absent there and float64"),
+        ({}, {"robot": pm.MobileRobot(30, 0.1, com=(0.1, 0))}, "plant.com"),
+        ({}, {"forces": (pm.ConstantForce((1, 0, 0)),)}, "forces.0.force is absent there and float64"),
         ({"forces": (made(1.0),)}, {"forces": (made(2.0),)}, "forces.0 is "),
         (
             {"forces": (NoiseForce((1, 1, 1), 1.0, seed=0),)},
             {"forces": (NoiseForce((1, 1, 1), 1.0, seed=1),)},
             "forces.0",
         ),
-        ({}, {"spread": {"mass": Uniform(20, 30)}}, "spread.mass.high is absent there and 30.0 here"),
+        ({}, {"spread": {"mass": pm.Uniform(20, 30)}}, "spread.mass.high is absent there and 30.0 here"),
         (
             {"spread": {"mass": MASSES}},
             {"spread": {"mass": [*MASSES[:-1], 41]}},
@@ -289,21 +277,21 @@ def test_what_cannot_be_recognised_needs_a_word_of_its_user(tmp_path: Path) -> N
     first = replace(scenario(n=3), controller=closure(item for item in "ab"), duration=0.5)
     path = tmp_path / "store"
     with pytest.raises(
-        InvalidArgument, match=r"controller\.function has .*<genexpr>, .*version=\"1\"\), a word"
+        pm.InvalidArgument, match=r"controller\.function has .*<genexpr>, .*version=\"1\"\), a word"
     ):
-        sweep(first, path)
-    sweep(first, path, version="stiff")
-    assert len(sweep(first, path, version="stiff").ensemble().max_distance) == 3
-    assert len(Sweep.open(path, first).ensemble().max_distance) == 3
-    with pytest.raises(InvalidArgument, match="version is stiff there and soft here"):
-        sweep(first, path, version="soft")
+        pm.sweep(first, path)
+    pm.sweep(first, path, version="stiff")
+    assert len(pm.sweep(first, path, version="stiff").ensemble().max_distance) == 3
+    assert len(pm.Sweep.open(path, first).ensemble().max_distance) == 3
+    with pytest.raises(pm.InvalidArgument, match="version is stiff there and soft here"):
+        pm.sweep(first, path, version="soft")
 
 
 def test_a_store_does_not_take_the_other_of_two_lambdas_on_a_line(tmp_path: Path) -> None:
     first = replace(scenario(n=3), controller=SHAPED[0], duration=0.5)
-    sweep(first, tmp_path / "store")
-    with pytest.raises(InvalidArgument, match=r"another sweep: controller\.function is "):
-        sweep(replace(first, controller=SHAPED[1]), tmp_path / "store")
+    pm.sweep(first, tmp_path / "store")
+    with pytest.raises(pm.InvalidArgument, match=r"another sweep: controller\.function is "):
+        pm.sweep(replace(first, controller=SHAPED[1]), tmp_path / "store")
 
 
 def test_every_process_tells_the_same_of_all_of_them() -> None:

@@ -16,20 +16,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import (
-    Circle,
-    InvalidArgument,
-    MobileRobot,
-    PayloadBody,
-    Reference,
-    Tangent,
-    Uniform,
-    WheeledRobot,
-    WheelTable,
-    ensemble,
-    law,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.compiled.symbolic import Symbols
 from pinmobile.loop import Engine
@@ -41,13 +28,13 @@ from pinmobile.urdf import Body, shipped_urdf
 THREADS = 8
 STATES = 8
 ROUNDS = 2  # of what answers in numbers; the rest, which makes robots or reads files, has one
-ROBOTS = {"lecture": MobileRobot.lecture(), "ur5": MobileRobot.box().mount("ur5")}
-NAMES = [name for name in dir(MobileRobot) if not name.startswith("_") and name != "check"]
+ROBOTS = {"lecture": pm.MobileRobot.lecture(), "ur5": pm.MobileRobot.box().mount("ur5")}
+NAMES = [name for name in dir(pm.MobileRobot) if not name.startswith("_") and name != "check"]
 ON_ARMS = {"arm_manipulability", "mount_wrench"}  # of a bare robot they are errors
 CASES = [(kind, name) for kind in ROBOTS for name in NAMES if kind == "ur5" or name not in ON_ARMS]
 
 # What to give a parameter of that name, for a robot and the number of a state.
-VALUES: dict[str, Callable[[MobileRobot, int], Any]] = {
+VALUES: dict[str, Callable[[pm.MobileRobot, int], Any]] = {
     "q": lambda robot, k: configuration(robot, k),
     "q0": lambda robot, k: configuration(robot, k),
     "q1": lambda robot, k: configuration(robot, k + 1),
@@ -59,24 +46,24 @@ VALUES: dict[str, Callable[[MobileRobot, int], Any]] = {
     "value": lambda robot, k: configuration(robot, k),
     "f": lambda robot, k: rate(robot, 5, k),
     "wrench": lambda robot, k: rate(robot, 6, k)[:3],
-    "reference": lambda robot, k: Reference(*(rate(robot, seed, k)[:3] for seed in (7, 8, 9))),
+    "reference": lambda robot, k: pm.Reference(*(rate(robot, seed, k)[:3] for seed in (7, 8, 9))),
     "dq": lambda robot, k: rate(robot, 4, k),
     "generator": lambda robot, k: np.random.default_rng(k),
     "path": lambda robot, k: shipped_urdf("lecture"),
     "pin_model": lambda robot, k: robot.base.model,
     "source": lambda robot, k: f"a test, {k}",
     "body": lambda robot, k: Body(10 + k, np.array([0.1, 0, 0.2]), np.diag([1, 1, 1 + k / STATES])),
-    "load": lambda robot, k: PayloadBody(1.0 + k, (0, 0, 0.1)),
+    "load": lambda robot, k: pm.PayloadBody(1.0 + k, (0, 0, 0.1)),
     "arm": lambda robot, k: "double_pendulum",
     "at": lambda robot, k: (0.1, 0.01 * k, 0.3, 0.1 * k),
 }
 
 
-def configuration(robot: MobileRobot, k: int) -> Array:
+def configuration(robot: pm.MobileRobot, k: int) -> Array:
     return robot.random_configuration(np.random.default_rng(k))
 
 
-def rate(robot: MobileRobot, seed: int, k: int) -> Array:
+def rate(robot: pm.MobileRobot, seed: int, k: int) -> Array:
     return np.random.default_rng([seed, k]).normal(size=robot.nv)
 
 
@@ -84,7 +71,7 @@ def plain(answer: Any) -> Any:
     """Return what can be compared, to the last bit, of an answer."""
     if isinstance(answer, np.ndarray):
         return answer.shape, answer.tobytes()
-    if isinstance(answer, MobileRobot):
+    if isinstance(answer, pm.MobileRobot):
         return answer, plain(answer.mass_matrix(answer.rest))
     if isinstance(answer, tuple):
         return tuple(map(plain, answer))
@@ -110,7 +97,7 @@ def plain(answer: Any) -> Any:
     return answer
 
 
-def ask(robot: MobileRobot, name: str, k: int) -> Any:
+def ask(robot: pm.MobileRobot, name: str, k: int) -> Any:
     """Return the answer of a property, or of a method to arguments made for its parameters."""
     member = getattr(robot, name)
     if not inspect.isroutine(member):
@@ -150,7 +137,7 @@ def test_every_answer_is_that_of_one_thread_bit_for_bit(kind: str, name: str) ->
     # What is no method has one answer, of a copy that has nothing cached; what makes robots takes long.
     states = STATES if inspect.isroutine(getattr(robot, name)) else 1
     alone = [ask(robot, name, k) for k in range(states)]
-    rounds = 1 if states == 1 or isinstance(alone[0][0], MobileRobot) else ROUNDS
+    rounds = 1 if states == 1 or isinstance(alone[0][0], pm.MobileRobot) else ROUNDS
     shared = robot if rounds > 1 else fresh(robot)
 
     def task(number: int) -> int:
@@ -161,11 +148,11 @@ def test_every_answer_is_that_of_one_thread_bit_for_bit(kind: str, name: str) ->
 
 
 WHEELS: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.005, "yaw_inertia": 0.003}
-BASE = MobileRobot(30.0, 1.3, com=(0.05, 0.02, 0.1), size=(0.6, 0.4, 0.25))
+BASE = pm.MobileRobot(30.0, 1.3, com=(0.05, 0.02, 0.1), size=(0.6, 0.4, 0.25))
 ON_WHEELS = {
-    "mecanum": WheeledRobot(BASE, WheelTable.mecanum(0.4, 0.48, 0.09, **WHEELS)),
-    "car with an arm": WheeledRobot(BASE.mount("ur5"), WheelTable.car(0.5, 0.46, 0.1, **WHEELS)),
-    "skid steer": WheeledRobot(BASE, WheelTable.skid_steer(0.5, 0.4, 0.1, **WHEELS)),
+    "mecanum": pm.WheeledRobot(BASE, pm.WheelTable.mecanum(0.4, 0.48, 0.09, **WHEELS)),
+    "car with an arm": pm.WheeledRobot(BASE.mount("ur5"), pm.WheelTable.car(0.5, 0.46, 0.1, **WHEELS)),
+    "skid steer": pm.WheeledRobot(BASE, pm.WheelTable.skid_steer(0.5, 0.4, 0.1, **WHEELS)),
 }
 ASKED = {
     *("mass_matrix", "nonlinear_effects", "forward_dynamics", "project", "reduced", "constraint_matrix"),
@@ -173,7 +160,7 @@ ASKED = {
 }
 
 
-def of_wheels(robot: WheeledRobot, k: int) -> list[Any]:
+def of_wheels(robot: pm.WheeledRobot, k: int) -> list[Any]:
     """Return what a robot on wheels answers to numbers, and what it is when made again, of a state."""
     given = {name: rate_of(k, seed, robot.nv) for seed, name in enumerate(("v", "a", "dq"))}
     given |= {"u": rate_of(k, 4, robot.nu), "tau": rate_of(k, 5, robot.robot.nv)}
@@ -186,7 +173,7 @@ def of_wheels(robot: WheeledRobot, k: int) -> list[Any]:
             method = getattr(robot, name)
             parameters = [p for p in inspect.signature(method).parameters if p in given]
             found.append(plain(method(**{p: given[p] for p in parameters})))
-        except (AttributeError, InvalidArgument) as error:  # of wheels that slip
+        except (AttributeError, pm.InvalidArgument) as error:  # of wheels that slip
             found.append(str(error))
     other = replace(robot, {f"table.wheels.{robot.table.names[0]}.radius": 0.09 + 0.001 * (k + 1)})
     return [*found, other.table, plain(other.mass_matrix(given["q"]))]
@@ -223,7 +210,7 @@ def test_many_states_at_once_too(name: str) -> None:
 
 def test_loops_of_one_robot_run_side_by_side() -> None:
     robot = ROBOTS["lecture"]
-    motion = Tangent(Circle(radius=1, rate=0.5, duration=2))
+    motion = pm.Tangent(pm.Circle(radius=1, rate=0.5, duration=2))
 
     def run(number: int) -> Any:
         def force(t: float, q: Array, v: Array, reference: Any) -> Array:
@@ -231,13 +218,13 @@ def test_loops_of_one_robot_run_side_by_side() -> None:
             error = np.append(error, reference.q[2] - q[2])
             return robot.inverse_dynamics(q, v, (number + 1) * error + 2 * (reference.v - v))
 
-        return plain(simulate(robot, law(force), motion, dt=0.01).q)
+        return plain(pm.simulate(robot, pm.law(force), motion, dt=0.01).q)
 
     assert together(run) == [run(number) for number in range(THREADS)]
 
 
 def test_an_ensemble_of_a_law_that_asks_a_robot_is_the_same_on_its_default_threads() -> None:
-    robot = MobileRobot(30, 1.3, com=(0.1, 0.05))
+    robot = pm.MobileRobot(30, 1.3, com=(0.1, 0.05))
 
     def force(t: float, q: Array, v: Array, reference: Any) -> Array:
         place = robot.frame_placements(q)[..., -1, :2, 3]
@@ -245,11 +232,11 @@ def test_an_ensemble_of_a_law_that_asks_a_robot_is_the_same_on_its_default_threa
         return np.asarray(120 * error + 120 * (reference.v - v))
 
     def run(threads: int | None) -> Any:
-        spread = {"mass": Uniform(20, 40), "com.x": Uniform(0, 0.2)}
-        motion = Tangent(Circle(radius=3, rate=0.1, duration=60))
-        runs = ensemble(
+        spread = {"mass": pm.Uniform(20, 40), "com.x": pm.Uniform(0, 0.2)}
+        motion = pm.Tangent(pm.Circle(radius=3, rate=0.1, duration=60))
+        runs = pm.ensemble(
             robot,
-            law(force),
+            pm.law(force),
             motion,
             n=40,
             spread=spread,
@@ -265,8 +252,8 @@ def test_an_ensemble_of_a_law_that_asks_a_robot_is_the_same_on_its_default_threa
 
 
 def test_ensembles_whose_laws_ask_one_robot_run_side_by_side() -> None:
-    robot = MobileRobot(30, 1.3, com=(0.1, 0.05))
-    motion, spread = Tangent(Circle(radius=3, rate=0.1, duration=2)), {"mass": Uniform(20, 40)}
+    robot = pm.MobileRobot(30, 1.3, com=(0.1, 0.05))
+    motion, spread = pm.Tangent(pm.Circle(radius=3, rate=0.1, duration=2)), {"mass": pm.Uniform(20, 40)}
     traced = threading.Event()
 
     def run(number: int, pause: float = 0.0) -> Any:
@@ -277,7 +264,7 @@ def test_ensembles_whose_laws_ask_one_robot_run_side_by_side() -> None:
             error = (number + 1) * (reference.q - q) + 2 * (reference.v - v)
             return robot.nonlinear_effects(q, v) + robot.mass_matrix(q) @ error
 
-        runs = ensemble(robot, law(force), motion, n=8, spread=spread, dt=0.1)
+        runs = pm.ensemble(robot, pm.law(force), motion, n=8, spread=spread, dt=0.1)
         return runs.engine, plain((runs.max_error, runs.rms_error, runs.max_input))
 
     with ThreadPoolExecutor(2) as pool:
@@ -293,14 +280,14 @@ def fresh(robot: Any) -> Any:
     return evolved(robot)
 
 
-def workspace(robot: MobileRobot) -> Any:
+def workspace(robot: pm.MobileRobot) -> Any:
     """Return Pinocchio's data of a robot in this thread."""
     engine: Any = robot._engine
     return engine.data
 
 
 def test_a_dead_threads_workspace_goes_away() -> None:
-    robot = MobileRobot(10, 1.2)
+    robot = pm.MobileRobot(10, 1.2)
     here = weakref.ref(workspace(robot))
     with ThreadPoolExecutor(1) as pool:
         there = pool.submit(lambda: weakref.ref(workspace(robot))).result()
@@ -313,7 +300,7 @@ def test_a_dead_threads_workspace_goes_away() -> None:
 
 def test_a_robots_workspaces_go_away_with_it() -> None:
     asked, done = threading.Event(), threading.Event()
-    robots, kept = [MobileRobot(10, 1.2)], []
+    robots, kept = [pm.MobileRobot(10, 1.2)], []
 
     def work() -> None:
         kept.append(weakref.ref(workspace(robots[0])))
@@ -332,7 +319,7 @@ def test_a_robots_workspaces_go_away_with_it() -> None:
 
 
 @pytest.mark.parametrize("remade", [deepcopy, lambda robot: pickle.loads(pickle.dumps(robot))])
-def test_a_copy_has_a_workspace_of_its_own(remade: Callable[[MobileRobot], MobileRobot]) -> None:
+def test_a_copy_has_a_workspace_of_its_own(remade: Callable[[pm.MobileRobot], pm.MobileRobot]) -> None:
     robot = ROBOTS["ur5"]
     other = remade(robot)
     assert other == robot

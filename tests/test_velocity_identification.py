@@ -7,26 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    Backstepping,
-    Circle,
-    Engine,
-    FixedHeading,
-    Hold,
-    InvalidArgument,
-    Log,
-    MobileRobot,
-    Motor,
-    Tangent,
-    UnicycleTracking,
-    VelocityRobot,
-    WheeledRobot,
-    WheelTable,
-    ensemble,
-    identify_velocity,
-    plots,
-    simulate,
-)
+import pinmobile as pm
+from pinmobile import plots
 from pinmobile.arrays import Array
 from pinmobile.controllers import RandomSteps, Tracked, WheelSpeed
 from pinmobile.identification import VELOCITY_ROBOTS, Identification
@@ -42,54 +24,56 @@ ROBOT = VELOCITY_ROBOTS["pioneer_3dx_laser"]
 
 @cache
 def logged(
-    robot: VelocityRobot = ROBOT,
+    robot: pm.VelocityRobot = ROBOT,
     seed: int = 1,
     *,
     pose: bool = False,
     late: int = 0,
     seconds: float = SECONDS,
     noise: float = 1.0,
-) -> Log:
+) -> pm.Log:
     """Return what is logged of random steps: twists by default, commands that act late."""
-    still = FixedHeading(Hold((0, 0), seconds), 0.0)
+    still = pm.FixedHeading(pm.Hold((0, 0), seconds), 0.0)
     substeps = int(np.ceil(DT / min(robot.time_constants) / 0.2))
-    run = simulate(robot, RandomSteps(seed=seed), still, dt=DT, substeps=substeps, engine=Engine.COMPILED)
+    run = pm.simulate(
+        robot, RandomSteps(seed=seed), still, dt=DT, substeps=substeps, engine=pm.Engine.COMPILED
+    )
     rng = np.random.default_rng([seed, 7])
     commands = np.vstack([run.u[late:], np.repeat(run.u[-1:], late, axis=0)])
     if pose:
-        return Log(run.t, run.q + noise * POSE_NOISE * rng.normal(size=run.q.shape), commands)
+        return pm.Log(run.t, run.q + noise * POSE_NOISE * rng.normal(size=run.q.shape), commands)
     nu = robot.independent(run.q, run.v)
     u, w = (nu + noise * NOISE * rng.normal(size=nu.shape)).T
-    return Log(run.t, None, commands, twist=np.stack([u, 0 * u, w], axis=-1))
+    return pm.Log(run.t, None, commands, twist=np.stack([u, 0 * u, w], axis=-1))
 
 
 @cache
-def found(robot: VelocityRobot = ROBOT, **options: Any) -> Identification:
-    return identify_velocity(logged(robot, **options))
+def found(robot: pm.VelocityRobot = ROBOT, **options: Any) -> Identification:
+    return pm.identify_velocity(logged(robot, **options))
 
 
 def test_without_noise_it_is_exact() -> None:
     """What is left is rk4's: (h / T)^5 / 120 = 1e-6 of a step of 0.1 s."""
     for pose in (False, True):
-        one = identify_velocity(logged(pose=pose, noise=0.0), delay=0.0)
+        one = pm.identify_velocity(logged(pose=pose, noise=0.0), delay=0.0)
         np.testing.assert_allclose(one.theta, ROBOT.theta, rtol=0, atol=2e-4)
 
 
 def test_a_forgotten_delay_is_a_wrong_theta() -> None:
-    wrong = identify_velocity(logged(late=3), delay=0.0)
+    wrong = pm.identify_velocity(logged(late=3), delay=0.0)
     assert abs(wrong.parameters["theta_1"] - ROBOT.theta[0]) > 0.1
     assert any("what is left is correlated" in note for note in wrong.notes)
 
 
 def test_where_the_axle_is_and_what_firmware_allows_are_found() -> None:
-    robot = VelocityRobot(ROBOT.theta, ahead=0.15)
-    one = identify_velocity(logged(robot, pose=True), ahead=None)
+    robot = pm.VelocityRobot(ROBOT.theta, ahead=0.15)
+    one = pm.identify_velocity(logged(robot, pose=True), ahead=None)
     assert one.standard_errors["ahead"] < 1e-3
     assert one.robot().ahead == one.parameters["ahead"]
-    robot = VelocityRobot(ROBOT.theta, accelerations=(0.6, 1.5))
-    one = identify_velocity(logged(robot), accelerations=None)
+    robot = pm.VelocityRobot(ROBOT.theta, accelerations=(0.6, 1.5))
+    one = pm.identify_velocity(logged(robot), accelerations=None)
     np.testing.assert_array_equal(one.robot().accelerations, one.values[-2:])
-    plain = identify_velocity(logged(robot))
+    plain = pm.identify_velocity(logged(robot))
     assert any("what is left is correlated" in note for note in plain.notes)
 
 
@@ -100,7 +84,7 @@ def test_outliers_and_lost_rows_are_left_out() -> None:
     wild = rng.choice(np.arange(10, 590), 20, replace=False)
     twist[wild, 0] += 0.3 * rng.choice([-1, 1], 20)
     twist[rng.choice(np.setdiff1d(np.arange(10, 590, 3), wild), 12, replace=False), 2] = np.nan
-    one = identify_velocity(Log(log.t, None, u, twist=twist))
+    one = pm.identify_velocity(pm.Log(log.t, None, u, twist=twist))
     assert one.dropped == 12
     assert 18 <= one.outliers <= 26  # some more where a command was lost with its row
     z = (one.theta - ROBOT.theta) / [one.standard_errors[name] for name in one.names[:6]]
@@ -116,7 +100,7 @@ def test_one_pose_that_is_far_off_changes_nothing(k: int, size: float) -> None:
     assert log.q is not None
     q = np.array(log.q)
     q[k] += [size, -size, size]
-    other = identify_velocity(changed(log, q=q))
+    other = pm.identify_velocity(changed(log, q=q))
     assert other.outliers == one.outliers + (k > 1)
     errors = [one.standard_errors[name] for name in one.names]
     assert np.abs((other.values - one.values) / errors).max() < 0.3
@@ -158,15 +142,15 @@ def test_draws_are_as_wide_as_intervals_and_are_a_spread() -> None:
         share = ((values >= low) & (values <= high)).mean()
         assert share == pytest.approx(0.95, abs=0.015)  # 4 sqrt(0.95 * 0.05 / 4000)
     robot = one.robot()
-    runs = ensemble(
+    runs = pm.ensemble(
         robot,
-        Backstepping(UnicycleTracking(), robot),
-        Tangent(Circle(1.0, 0.5, 5.0)),
+        pm.Backstepping(pm.UnicycleTracking(), robot),
+        pm.Tangent(pm.Circle(1.0, 0.5, 5.0)),
         n=200,
         spread=one.spread(200),
         dt=0.05,
     )
-    assert runs.engine == Engine.COMPILED.name
+    assert runs.engine == pm.Engine.COMPILED.name
     assert runs.max_error[:, :2].max() < 0.01
 
 
@@ -207,12 +191,12 @@ class Told:
         return {"speed": ("m/s", state[0][1][0]), "yaw rate": ("rad/s", state[0][1][1])}
 
 
-MOTORS = WheeledRobot(
-    MobileRobot(30.0, 2.3, com=(0.06, 0.0, 0.2)),
-    WheelTable.differential(
+MOTORS = pm.WheeledRobot(
+    pm.MobileRobot(30.0, 2.3, com=(0.06, 0.0, 0.2)),
+    pm.WheelTable.differential(
         0.5,
         0.1,
-        motor=Motor(resistance=1.2, torque_constant=0.03, voltage=200.0, gear=20.0, viscous=2e-5),
+        motor=pm.Motor(resistance=1.2, torque_constant=0.03, voltage=200.0, gear=20.0, viscous=2e-5),
         supports=[(-0.2, 0.0), (0.2, 0.0)],
         mass=1.0,
         spin_inertia=0.01,
@@ -222,21 +206,21 @@ MOTORS = WheeledRobot(
 
 
 @cache
-def of_motors(ki: float) -> Log:
+def of_motors(ki: float) -> pm.Log:
     """Return the log of a robot with motors and firmware, all of it simulated."""
     robot = MOTORS.by_voltage()
-    still = FixedHeading(Hold((0, 0), 60.0), 0.0)
+    still = pm.FixedHeading(pm.Hold((0, 0), 60.0), 0.0)
     controller = Told(WheelSpeed(Stepping(RandomSteps(seed=2)), robot, 0.8, ki))
-    run = simulate(robot, controller, still, dt=0.005, engine=Engine.COMPILED)
+    run = pm.simulate(robot, controller, still, dt=0.005, engine=pm.Engine.COMPILED)
     commands = np.stack([run.signals[name].values for name in ("speed", "yaw rate")], axis=-1)
     rng = np.random.default_rng(8)
     poses = run.q[::16, :3] + 1e-3 * rng.normal(size=(len(run.q[::16]), 3))
     held = commands[:-1].reshape(-1, 16, 2).mean(axis=1)
-    return Log(run.t[::16], poses, np.vstack([held, held[-1:]]))
+    return pm.Log(run.t[::16], poses, np.vstack([held, held[-1:]]))
 
 
 def test_a_log_of_motors_and_firmware_tells_the_theta_of_their_formulas() -> None:
-    expected, one = VelocityRobot.from_motors(MOTORS, 0.8), identify_velocity(of_motors(0.0))
+    expected, one = pm.VelocityRobot.from_motors(MOTORS, 0.8), pm.identify_velocity(of_motors(0.0))
     # Firmware that samples every 5 ms sees rates late by half of it: kp exp(-s h / 2) = kp - kp s h / 2.
     off = one.theta - expected.theta + np.array([0.0025, 0.0025, 0, 0, 0, 0])
     errors = np.array([one.standard_errors[name] for name in one.names[:6]])
@@ -246,69 +230,74 @@ def test_a_log_of_motors_and_firmware_tells_the_theta_of_their_formulas() -> Non
 
 
 def test_firmware_with_an_integral_has_a_theta_that_comes_near() -> None:
-    one = identify_velocity(of_motors(1.0))
+    one = pm.identify_velocity(of_motors(1.0))
     assert one.explained > 0.97
     # An integral leaves no steady error.
     np.testing.assert_allclose(one.theta[[3, 5]], 1.0, rtol=0, atol=0.08)
 
 
-def changed(log: Log, **new: Any) -> Log:
-    return Log(**{**{name: getattr(log, name) for name in ("t", "q", "u", "twist")}, **new})
+def changed(log: pm.Log, **new: Any) -> pm.Log:
+    return pm.Log(**{**{name: getattr(log, name) for name in ("t", "q", "u", "twist")}, **new})
 
 
 @pytest.mark.parametrize(
     ("call", "why"),
     [
-        (lambda: identify_velocity(3), "log is 3, expected a Log, or several"),  # type: ignore[arg-type]
-        (lambda: identify_velocity([]), r"log is \[\], expected a Log"),
+        (lambda: pm.identify_velocity(3), "log is 3, expected a Log, or several"),  # type: ignore[arg-type]
+        (lambda: pm.identify_velocity([]), r"log is \[\], expected a Log"),
         (
-            lambda: identify_velocity(logged().between(0.0, 30.0)),
+            lambda: pm.identify_velocity(logged().between(0.0, 30.0)),
             r"29.9 s long, which gives 14 segments of 2 s, too short: expected 20, .*: 41 s and more",
         ),
         (
-            lambda: identify_velocity(changed(logged(), u=np.zeros((601, 3)))),
+            lambda: pm.identify_velocity(changed(logged(), u=np.zeros((601, 3)))),
             "log has 3 inputs, expected two, commands of speed and yaw rate: is it of a robot that takes",
         ),
         (
-            lambda: identify_velocity(changed(logged(), u=np.ones((601, 2)))),
+            lambda: pm.identify_velocity(changed(logged(), u=np.ones((601, 2)))),
             "commands that never change, expected excitation, such as RandomSteps",
         ),
-        (lambda: identify_velocity(logged(), delay=9.0), r"delay is 9.0 s, expected 0 <= delay <= 0.6 s"),
-        (lambda: identify_velocity(logged(), ahead=None), "ahead is None, and the log measures a twist"),
-        (lambda: identify_velocity(logged(), ahead=100.0), "ahead is 100.0 m, expected -10 <= ahead <= 10 m"),
+        (lambda: pm.identify_velocity(logged(), delay=9.0), r"delay is 9.0 s, expected 0 <= delay <= 0.6 s"),
+        (lambda: pm.identify_velocity(logged(), ahead=None), "ahead is None, and the log measures a twist"),
         (
-            lambda: identify_velocity(logged(), accelerations=(1, 1, 1)),
+            lambda: pm.identify_velocity(logged(), ahead=100.0),
+            "ahead is 100.0 m, expected -10 <= ahead <= 10 m",
+        ),
+        (
+            lambda: pm.identify_velocity(logged(), accelerations=(1, 1, 1)),
             r"accelerations has shape",
         ),
         (
             lambda: found().spread(10**12),
             "1,000,000,000,000 draws take .* GB, expected at most .*: draw fewer",
         ),
-        (lambda: identify_velocity(logged(), seconds=0.1), "seconds is 0.1 s, expected >= 0.3"),
-        (lambda: identify_velocity([logged(), logged(pose=True)]), "a twist, and another one a pose"),
+        (lambda: pm.identify_velocity(logged(), seconds=0.1), "seconds is 0.1 s, expected >= 0.3"),
+        (lambda: pm.identify_velocity([logged(), logged(pose=True)]), "a twist, and another one a pose"),
         (lambda: found().interval(1.0), "level is 1.0, expected 0 < level < 1"),
         (lambda: found().predict(logged(pose=True)), "a twist, and another one a pose"),
     ],
 )
 def test_what_is_no_such_log_is_refused(call: Any, why: str) -> None:
-    with pytest.raises(InvalidArgument, match=why):
+    with pytest.raises(pm.InvalidArgument, match=why):
         call()
 
 
 def test_a_motion_that_tells_too_little_is_told_in_words() -> None:
     straight = RandomSteps((-0.2, 0.0), (0.8, 0.0), seed=1)
-    run = simulate(ROBOT, straight, FixedHeading(Hold((0, 0), 60.0), 0.0), dt=DT, engine=Engine.COMPILED)
+    run = pm.simulate(
+        ROBOT, straight, pm.FixedHeading(pm.Hold((0, 0), 60.0), 0.0), dt=DT, engine=pm.Engine.COMPILED
+    )
     speed = ROBOT.independent(run.q, run.v)[:, 0]
     twist = np.stack([speed, 0 * speed, 0 * speed], axis=-1)
     twist = twist + 0.005 * np.random.default_rng(1).normal(size=twist.shape) * [1, 0, 1]
-    one = identify_velocity(Log(run.t, None, run.u, twist=twist))
+    one = pm.identify_velocity(pm.Log(run.t, None, run.u, twist=twist))
     assert [name for name, seen in one.is_seen.items() if not seen] == [f"theta_{k}" for k in (2, 3, 5, 6)]
     assert one.unseen == "the motion tells nothing of theta_2, theta_3, theta_5, theta_6: rank 3 of 7"
     assert np.isinf(one.interval()["theta_2"]).all()
     assert abs(one.parameters["theta_1"] - ROBOT.theta[0]) < 4 * one.standard_errors["theta_1"]
     for ask in (one.robot, lambda: one.spread(3)):
         with pytest.raises(
-            InvalidArgument, match=r"tells nothing of theta_2, .*; expected one that excites more"
+            pm.InvalidArgument, match=r"tells nothing of theta_2, .*; expected one that excites more"
         ):
             ask()
 
@@ -319,7 +308,7 @@ OTHERS = (
 UNITS = "expected about 1: are commands in m/s and rad/s"
 
 
-def shuffled(log: Log) -> Log:
+def shuffled(log: pm.Log) -> pm.Log:
     return changed(log, u=np.random.default_rng(1).permutation(log.u))
 
 
@@ -339,23 +328,25 @@ def shuffled(log: Log) -> Log:
     ],
 )
 def test_what_commands_do_not_explain_is_refused(change: Any, why: str, pose: bool) -> None:
-    with pytest.raises(InvalidArgument, match=why):
-        identify_velocity(change(logged(VELOCITY_ROBOTS["pioneer_3dx"], pose=pose)))
+    with pytest.raises(pm.InvalidArgument, match=why):
+        pm.identify_velocity(change(logged(VELOCITY_ROBOTS["pioneer_3dx"], pose=pose)))
 
 
 @pytest.mark.long
 def test_what_runs_away_is_refused_in_words() -> None:
     robot = VELOCITY_ROBOTS["pioneer_3dx"]
-    still = FixedHeading(Hold((0, 0), 42.0), 0.0)
-    log = Log.from_rollout(simulate(robot, RandomSteps(), still, dt=0.05, engine=Engine.COMPILED), noise=1e-3)
-    with pytest.raises(InvalidArgument, match=OTHERS):
-        identify_velocity(changed(log, u=log.u[:, ::-1]))
-    one = identify_velocity(log)
-    with pytest.raises(InvalidArgument, match=OTHERS):
+    still = pm.FixedHeading(pm.Hold((0, 0), 42.0), 0.0)
+    log = pm.Log.from_rollout(
+        pm.simulate(robot, RandomSteps(), still, dt=0.05, engine=pm.Engine.COMPILED), noise=1e-3
+    )
+    with pytest.raises(pm.InvalidArgument, match=OTHERS):
+        pm.identify_velocity(changed(log, u=log.u[:, ::-1]))
+    one = pm.identify_velocity(log)
+    with pytest.raises(pm.InvalidArgument, match=OTHERS):
         one.predict(changed(log, u=log.u * [1e3, 1]))
 
 
-def measured(log: Log, times: Any) -> Log:
+def measured(log: pm.Log, times: Any) -> pm.Log:
     if log.q is not None:
         return changed(log, q=log.q * times)
     assert log.twist is not None

@@ -8,28 +8,8 @@ import numpy as np
 import pytest
 import sympy
 
-from pinmobile import (
-    Backstepping,
-    Circle,
-    ConstantForce,
-    Engine,
-    FixedHeading,
-    Hold,
-    InvalidArgument,
-    MobileRobot,
-    Motor,
-    Reference,
-    Tangent,
-    UnicycleTracking,
-    Uniform,
-    VelocityRobot,
-    WheeledRobot,
-    WheelTable,
-    ensemble,
-    parts,
-    rk4,
-    simulate,
-)
+import pinmobile as pm
+from pinmobile import parts
 from pinmobile.arrays import Array
 from pinmobile.controllers import Kanayama, RandomSteps, Tracked, VelocityCommand, WheelSpeed
 from pinmobile.identification import VELOCITY_ROBOTS
@@ -39,15 +19,17 @@ from pinmobile.viewer import Viewer
 from pinmobile.wheels import Mobility
 
 THETA = (0.26, 0.25, 0.03, 1.1, 0.2, 1.2)
-MOTOR = Motor(resistance=1.2, torque_constant=0.03, voltage=1e3, gear=20.0, rotor_inertia=1e-5, viscous=2e-5)
+MOTOR = pm.Motor(
+    resistance=1.2, torque_constant=0.03, voltage=1e3, gear=20.0, rotor_inertia=1e-5, viscous=2e-5
+)
 KP = 0.8  # V s/rad
 
 
-def on_wheels(x: float = 0.0, motor: Motor = MOTOR, com: Any = (0.06, 0.0, 0.2)) -> WheeledRobot:
+def on_wheels(x: float = 0.0, motor: pm.Motor = MOTOR, com: Any = (0.06, 0.0, 0.2)) -> pm.WheeledRobot:
     wheel: Any = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
     supports = [(-0.25, 0.0), (0.25, 0.0)]
-    table = WheelTable.differential(0.5, 0.1, x=x, motor=motor, supports=supports, **wheel)
-    return WheeledRobot(MobileRobot(30.0, 2.3, com=com), table)
+    table = pm.WheelTable.differential(0.5, 0.1, x=x, motor=motor, supports=supports, **wheel)
+    return pm.WheeledRobot(pm.MobileRobot(30.0, 2.3, com=com), table)
 
 
 class Fed:
@@ -71,13 +53,13 @@ class Waves:
     def __init__(self, ahead: float = 0.0) -> None:
         self.ahead = ahead
 
-    def __call__(self, t: Any) -> Reference:
+    def __call__(self, t: Any) -> pm.Reference:
         t = np.asarray(t, float)
         u, w = 0.5 + 0.3 * np.sin(1.7 * t), 0.3 + 0.8 * np.sin(1.3 * t)
         psi, zero = 0.3 * t + 0.8 / 1.3 * (1 - np.cos(1.3 * t)), 0 * t
         c, s, aside = np.cos(psi), np.sin(psi), self.ahead * w
         v = np.stack([u * c - aside * s, u * s + aside * c, w], axis=-1)
-        return Reference(np.stack([zero, zero, psi], axis=-1), v, 0 * v)
+        return pm.Reference(np.stack([zero, zero, psi], axis=-1), v, 0 * v)
 
 
 def test_the_acceleration_is_the_derivative_of_the_velocity() -> None:
@@ -90,7 +72,7 @@ def test_the_acceleration_is_the_derivative_of_the_velocity() -> None:
     )
     rate = place.diff(u) * faster + place.diff(w) * turning + place.diff(psi) * w
     expected = sympy.lambdify(names, list(rate))
-    robot, rng = VelocityRobot(THETA, ahead=0.15), np.random.default_rng(1)
+    robot, rng = pm.VelocityRobot(THETA, ahead=0.15), np.random.default_rng(1)
     for _ in range(20):
         q, nu, command = rng.normal(size=3), rng.normal(size=2), rng.normal(size=2)
         found = robot.forward_dynamics(q, robot.rolling(q, nu), command)
@@ -98,7 +80,7 @@ def test_the_acceleration_is_the_derivative_of_the_velocity() -> None:
 
 
 @pytest.mark.parametrize("robot", VELOCITY_ROBOTS.values(), ids=list(VELOCITY_ROBOTS))
-def test_commands_are_the_inverse_and_linear_in_theta(robot: VelocityRobot) -> None:
+def test_commands_are_the_inverse_and_linear_in_theta(robot: pm.VelocityRobot) -> None:
     rng = np.random.default_rng(2)
     q, nu, rates = rng.normal(size=(50, 3)), rng.normal(size=(50, 2)), rng.normal(size=(50, 2))
     v = robot.rolling(q, nu)
@@ -113,9 +95,9 @@ def test_commands_are_the_inverse_and_linear_in_theta(robot: VelocityRobot) -> N
 
 def test_steps_alone_are_exponentials() -> None:
     """Without coupling, speed and yaw rate follow exp(-t / T) to the gain 1 / theta_4, 1 / theta_6."""
-    robot = VelocityRobot([0.3, 0.2, 0.0, 1.5, 0.0, 0.8])
+    robot = pm.VelocityRobot([0.3, 0.2, 0.0, 1.5, 0.0, 0.8])
     steps = RandomSteps((0.6, 0.4), (0.6, 0.4), (9.0, 9.0))
-    run = simulate(robot, steps, FixedHeading(Hold((0, 0), 2.0), 0.0), dt=0.02)
+    run = pm.simulate(robot, steps, pm.FixedHeading(pm.Hold((0, 0), 2.0), 0.0), dt=0.02)
     slow, turning = robot.time_constants
     assert (slow, turning) == pytest.approx((0.2, 0.25))
     speed, w = robot.independent(run.q, run.v).T
@@ -127,10 +109,10 @@ def test_steps_alone_are_exponentials() -> None:
 
 
 def test_it_rolls_all_the_way_and_rk4_keeps_its_order() -> None:
-    robot = VelocityRobot(THETA, ahead=0.2)
+    robot = pm.VelocityRobot(THETA, ahead=0.2)
     ends = []
     for dt in (0.1, 0.05, 0.025, 0.0125):
-        run = simulate(robot, VelocityCommand(Fed(), robot), Waves(0.2), dt=0.1, substeps=round(0.1 / dt))
+        run = pm.simulate(robot, VelocityCommand(Fed(), robot), Waves(0.2), dt=0.1, substeps=round(0.1 / dt))
         across = run.v[:, 1] * np.cos(run.q[:, 2]) - run.v[:, 0] * np.sin(run.q[:, 2])
         np.testing.assert_allclose(across, 0.2 * run.v[:, 2], rtol=0, atol=1e-13)
         ends.append(run.q[-1])
@@ -140,12 +122,12 @@ def test_it_rolls_all_the_way_and_rk4_keeps_its_order() -> None:
 
 
 def test_accelerations_and_commands_are_limited() -> None:
-    robot = VelocityRobot(THETA, limits=(0.5, 0.4), accelerations=(0.8, 1.5))
+    robot = pm.VelocityRobot(THETA, limits=(0.5, 0.4), accelerations=(0.8, 1.5))
     steps = RandomSteps((-2.0, -2.0), (2.0, 2.0), (0.5, 1.0))
-    run = simulate(robot, steps, FixedHeading(Hold((0, 0), 10.0), 0.0), dt=0.02)
+    run = pm.simulate(robot, steps, pm.FixedHeading(pm.Hold((0, 0), 10.0), 0.0), dt=0.02)
     assert np.abs(run.u).max(axis=0) == pytest.approx([0.5, 0.4])
     rates = np.diff(robot.independent(run.q, run.v), axis=0) / 0.02
-    # ErrorQuantile a step rk4 leaves the circle on which the body turns by (w h)^5 / 120.
+    # Within a step rk4 leaves the circle on which the body turns by (w h)^5 / 120.
     assert np.abs(rates).max(axis=0) == pytest.approx([0.8, 1.5], rel=1e-7)
     found = parts.find(robot, "accelerations.yaw_acceleration")
     assert (found.path, found.unit) == ("accelerations.yaw_acceleration", "rad/s^2")
@@ -160,7 +142,7 @@ def test_theta_of_motors_is_the_reduced_dynamics_of_the_wheeled_robot(
     """M nu' + n = B torques, by Pinocchio's tree, with the motors' and the firmware's law solved for nu'."""
     motor = evolved(MOTOR, efficiency=efficiency)
     wheeled = on_wheels(x, motor)
-    robot = VelocityRobot.from_motors(wheeled.by_voltage() if x else wheeled, KP, kd)
+    robot = pm.VelocityRobot.from_motors(wheeled.by_voltage() if x else wheeled, KP, kd)
     rng, G, R = np.random.default_rng(3), motor.gear, float(motor.resistance or 0)
     K, B = G * float(motor.torque_constant or 0), efficiency * G * G * motor.viscous
     T = wheeled.wheel_rates(np.array([[1, 0, 0], [0, -x, 1]])).T
@@ -180,13 +162,13 @@ def test_theta_of_motors_is_the_reduced_dynamics_of_the_wheeled_robot(
 def test_theta_of_motors_is_what_the_wheeled_robot_does() -> None:
     """Firmware samples: what differs falls with dt, and is nothing at dt = 0."""
     wheeled = on_wheels().by_voltage()
-    robot = VelocityRobot.from_motors(wheeled, KP)
+    robot = pm.VelocityRobot.from_motors(wheeled, KP)
     controller, off = WheelSpeed(Fed(), wheeled, KP), []
     for dt in (0.004, 0.002):
-        options: Any = {"dt": dt, "engine": Engine.COMPILED}
-        full = simulate(wheeled, controller, Waves(), q0=np.zeros(5), v0=np.zeros(5), **options)
+        options: Any = {"dt": dt, "engine": pm.Engine.COMPILED}
+        full = pm.simulate(wheeled, controller, Waves(), q0=np.zeros(5), v0=np.zeros(5), **options)
         command = VelocityCommand(Fed(), robot)
-        short = simulate(robot, command, Waves(), q0=np.zeros(3), v0=np.zeros(3), **options)
+        short = pm.simulate(robot, command, Waves(), q0=np.zeros(3), v0=np.zeros(3), **options)
         off.append((full.q[:, :3] - short.q)[:: round(0.004 / dt)])
     first, second = (np.abs(each).max() for each in off)
     assert first < 1e-3
@@ -196,19 +178,19 @@ def test_theta_of_motors_is_what_the_wheeled_robot_does() -> None:
 
 def test_what_theta_cannot_hold_is_told() -> None:
     motor = evolved(MOTOR, coulomb=0.01, current=10.0)
-    robot = VelocityRobot.from_motors(on_wheels(motor=motor, com=(0.06, 0.02, 0.2)), KP)
+    robot = pm.VelocityRobot.from_motors(on_wheels(motor=motor, com=(0.06, 0.02, 0.2)), KP)
     for word in ("dry friction", "limits of 1000 V and 10 A", "centre of mass 0.02 m aside"):
         assert word in robot.source
     assert robot.problems == ()
 
 
 def test_physics_leaves_its_mark_on_theta() -> None:
-    one, two, three, four, five, six = VelocityRobot.from_motors(on_wheels(), KP).theta
+    one, two, three, four, five, six = pm.VelocityRobot.from_motors(on_wheels(), KP).theta
     kT, kR, d = KP / 0.1, KP * 0.5 / 0.2, 0.5
     assert three / five == pytest.approx(d * kR / (2 * kT))
     assert (six - 1) / (four - 1) == pytest.approx(d * kT / (2 * kR))
-    heavier = WheeledRobot(MobileRobot(37.0, 2.3, com=(0.06, 0.0, 0.2)), on_wheels().table)
-    more = VelocityRobot.from_motors(heavier, KP).theta
+    heavier = pm.WheeledRobot(pm.MobileRobot(37.0, 2.3, com=(0.06, 0.0, 0.2)), on_wheels().table)
+    more = pm.VelocityRobot.from_motors(heavier, KP).theta
     by = 1.2 / (20.0 * 0.03)  # ohm A/(N m)
     assert more[0] - one == pytest.approx(by * 0.1 * 7.0 / (2 * kT))
     assert (one, two, four, six) > (0, 0, 1, 1)
@@ -217,80 +199,81 @@ def test_physics_leaves_its_mark_on_theta() -> None:
 @pytest.mark.parametrize(
     ("made", "why"),
     [
-        (lambda: VelocityRobot([1.0, 1.0]), r"theta has shape \(2,\), expected \(6,\)"),
-        (lambda: VelocityRobot((-1.0, *THETA[1:])), r"theta\[0\] is -1.0 s, expected > 0"),
-        (lambda: VelocityRobot(THETA, limits=(1.0, -1.0)), "limits is .*, expected > 0"),
-        (lambda: VelocityRobot(THETA, accelerations=[1, 1, 1]), "accelerations has shape"),
-        (lambda: VelocityRobot.from_motors(MobileRobot.box(), 1.0), "expected a WheeledRobot"),  # type: ignore[arg-type]
-        (lambda: VelocityRobot.from_motors(on_wheels(), 0.0), "kp is 0.0 V s/rad, expected > 0"),
+        (lambda: pm.VelocityRobot([1.0, 1.0]), r"theta has shape \(2,\), expected \(6,\)"),
+        (lambda: pm.VelocityRobot((-1.0, *THETA[1:])), r"theta\[0\] is -1.0 s, expected > 0"),
+        (lambda: pm.VelocityRobot(THETA, limits=(1.0, -1.0)), "limits is .*, expected > 0"),
+        (lambda: pm.VelocityRobot(THETA, accelerations=[1, 1, 1]), "accelerations has shape"),
+        (lambda: pm.VelocityRobot.from_motors(pm.MobileRobot.box(), 1.0), "expected a WheeledRobot"),  # type: ignore[arg-type]
+        (lambda: pm.VelocityRobot.from_motors(on_wheels(), 0.0), "kp is 0.0 V s/rad, expected > 0"),
         (
-            lambda: VelocityRobot.from_motors(on_wheels(motor=Motor(torque_limit=3.0)), 1.0),
+            lambda: pm.VelocityRobot.from_motors(on_wheels(motor=pm.Motor(torque_limit=3.0)), 1.0),
             "other wheels or motors",
         ),
-        (lambda: VelocityRobot.from_motors(on_wheels().mount("ur5"), 1.0), "wheeled has arms"),
-        (lambda: VelocityCommand(3, VelocityRobot(THETA)), "law is 3, expected a kinematic law"),
-        (lambda: VelocityCommand(UnicycleTracking(), MobileRobot.box()), "expected a VelocityRobot"),
+        (lambda: pm.VelocityRobot.from_motors(on_wheels().mount("ur5"), 1.0), "wheeled has arms"),
+        (lambda: VelocityCommand(3, pm.VelocityRobot(THETA)), "law is 3, expected a kinematic law"),
+        (lambda: VelocityCommand(pm.UnicycleTracking(), pm.MobileRobot.box()), "expected a VelocityRobot"),
         (lambda: RandomSteps(hold=(0.0, 1.0)), "hold is 0.0 s, expected > 0"),
         (lambda: RandomSteps(hold=(2.0, 1.0)), "expected 0 < shortest <= longest"),
         (lambda: RandomSteps((1.0, 0.0), (0.0, 1.0)), "largest is .*, expected at least lowest"),
     ],
 )
 def test_what_is_no_robot_is_refused(made: Any, why: str) -> None:
-    with pytest.raises(InvalidArgument, match=why):
+    with pytest.raises(pm.InvalidArgument, match=why):
         made()
 
 
 def test_no_force_pushes_it_and_it_starts_rolling() -> None:
-    robot = VelocityRobot(THETA)
-    command, circle = VelocityCommand(UnicycleTracking(), robot), Tangent(Circle(1.0, 0.5, 1.0))
-    with pytest.raises(InvalidArgument, match=r"VelocityRobot\(.*\), which has no generalized_force"):
-        simulate(robot, command, circle, dt=0.1, forces=[ConstantForce((1.0, 0.0, 0.0))])
-    with pytest.raises(InvalidArgument, match="what firmware does about a force, theta does not tell"):
+    robot = pm.VelocityRobot(THETA)
+    command, circle = VelocityCommand(pm.UnicycleTracking(), robot), pm.Tangent(pm.Circle(1.0, 0.5, 1.0))
+    with pytest.raises(pm.InvalidArgument, match=r"VelocityRobot\(.*\), which has no generalized_force"):
+        pm.simulate(robot, command, circle, dt=0.1, forces=[pm.ConstantForce((1.0, 0.0, 0.0))])
+    with pytest.raises(pm.InvalidArgument, match="what firmware does about a force, theta does not tell"):
         robot.forward_dynamics(np.zeros(3), np.zeros(3), np.zeros(2), [1.0, 0.0, 0.0])
-    with pytest.raises(InvalidArgument, match=r"wheels slide sideways at 0\.3 m/s"):
-        simulate(robot, command, circle, dt=0.1, q0=np.zeros(3), v0=[0.5, 0.3, 0.0])
-    with pytest.raises(InvalidArgument, match="reference moves sideways"):
-        simulate(
-            VelocityRobot(THETA, ahead=0.2),
-            VelocityCommand(UnicycleTracking(), VelocityRobot(THETA, 0.2)),
+    with pytest.raises(pm.InvalidArgument, match=r"wheels slide sideways at 0\.3 m/s"):
+        pm.simulate(robot, command, circle, dt=0.1, q0=np.zeros(3), v0=[0.5, 0.3, 0.0])
+    with pytest.raises(pm.InvalidArgument, match="reference moves sideways"):
+        pm.simulate(
+            pm.VelocityRobot(THETA, ahead=0.2),
+            VelocityCommand(pm.UnicycleTracking(), pm.VelocityRobot(THETA, 0.2)),
             circle,
             dt=0.1,
         )
 
 
-@pytest.mark.parametrize("law", [UnicycleTracking(), Kanayama()])
+@pytest.mark.parametrize("law", [pm.UnicycleTracking(), Kanayama()])
 def test_backstepping_knows_how_late_the_firmware_is(law: Any) -> None:
-    robot, circle = VELOCITY_ROBOTS["robulab_10"], Tangent(Circle(1.0, 0.5, 10.0))
+    robot, circle = VELOCITY_ROBOTS["robulab_10"], pm.Tangent(pm.Circle(1.0, 0.5, 10.0))
     plain, knowing = (
-        simulate(robot, controller, circle, dt=0.02, engine=Engine.COMPILED).max_error()[:2].max()
-        for controller in (VelocityCommand(law, robot), Backstepping(law, robot))
+        pm.simulate(robot, controller, circle, dt=0.02, engine=pm.Engine.COMPILED).max_error()[:2].max()
+        for controller in (VelocityCommand(law, robot), pm.Backstepping(law, robot))
     )
     assert plain > 0.1
     assert knowing < 1e-6
 
 
 def test_a_wrong_theta_costs_what_it_is_wrong_by() -> None:
-    robot, circle = VelocityRobot(THETA), Tangent(Circle(1.0, 0.5, 10.0))
-    runs = ensemble(
+    robot, circle = pm.VelocityRobot(THETA), pm.Tangent(pm.Circle(1.0, 0.5, 10.0))
+    runs = pm.ensemble(
         robot,
-        Backstepping(UnicycleTracking(), robot),
+        pm.Backstepping(pm.UnicycleTracking(), robot),
         circle,
         n=40,
         spread={
-            "theta.theta_1": Uniform(0.2, 0.3),
-            "theta.theta_4": Uniform(1.0, 1.2),
-            "controller.theta.theta_6": Uniform(1.1, 1.3),
+            "theta.theta_1": pm.Uniform(0.2, 0.3),
+            "theta.theta_4": pm.Uniform(1.0, 1.2),
+            "controller.theta.theta_6": pm.Uniform(1.1, 1.3),
         },
         dt=0.05,
     )
-    assert runs.engine == Engine.COMPILED.name
+    assert runs.engine == pm.Engine.COMPILED.name
     assert 1e-3 < runs.max_error[:, :2].max() < 0.1
 
 
 def test_random_steps_are_independent_and_within_their_bounds() -> None:
-    robot, still = VelocityRobot(THETA), FixedHeading(Hold((0, 0), 200.0), 0.0)
+    robot, still = pm.VelocityRobot(THETA), pm.FixedHeading(pm.Hold((0, 0), 200.0), 0.0)
     run, again, other = (
-        simulate(robot, RandomSteps(seed=seed), still, dt=0.1, engine=Engine.COMPILED) for seed in (0, 0, 1)
+        pm.simulate(robot, RandomSteps(seed=seed), still, dt=0.1, engine=pm.Engine.COMPILED)
+        for seed in (0, 0, 1)
     )
     np.testing.assert_array_equal(run.u, again.u)
     assert np.abs(run.u - other.u).max() > 0.5
@@ -317,8 +300,8 @@ def test_published_robots_say_where_they_come_from_and_what_they_break() -> None
 
 
 def test_it_is_one_value() -> None:
-    robot = VelocityRobot(THETA, ahead=0.1, limits=(0.8, np.inf), accelerations=1.0, source="a test")
-    for twin in (pickle.loads(pickle.dumps(robot)), evolved(robot), VelocityRobot(**vars_of(robot))):
+    robot = pm.VelocityRobot(THETA, ahead=0.1, limits=(0.8, np.inf), accelerations=1.0, source="a test")
+    for twin in (pickle.loads(pickle.dumps(robot)), evolved(robot), pm.VelocityRobot(**vars_of(robot))):
         assert twin == robot
         assert hash(twin) == hash(robot)
     assert repr(robot) == (
@@ -326,27 +309,27 @@ def test_it_is_one_value() -> None:
         "accelerations=(1, 1))"
     )
     assert eval(repr(robot)) == evolved(robot, source="")
-    assert robot != VelocityRobot(THETA)
+    assert robot != pm.VelocityRobot(THETA)
     assert not robot.theta.flags.writeable
-    drive = Mobility.of(WheelTable.differential(0.5, 0.1))
+    drive = Mobility.of(pm.WheelTable.differential(0.5, 0.1))
     assert (robot.mobility.mobility, robot.mobility.steerability) == (drive.mobility, drive.steerability)
-    assert VelocityRobot.integrator is rk4
+    assert pm.VelocityRobot.integrator is pm.rk4
 
 
-def vars_of(robot: VelocityRobot) -> dict[str, Any]:
+def vars_of(robot: pm.VelocityRobot) -> dict[str, Any]:
     return {
         name: getattr(robot, name) for name in ("theta", "ahead", "limits", "accelerations", "size", "source")
     }
 
 
 def test_the_viewer_draws_it_on_its_axle() -> None:
-    robot = VelocityRobot(THETA, ahead=0.12)
+    robot = pm.VelocityRobot(THETA, ahead=0.12)
     names = [item.name for item in robot.visual_model.geometryObjects]
     assert {"left/tyre", "right/tyre"} <= set(names)
     placed = robot.drawing([1.0, 2.0, np.pi / 2])
     tyre = placed[names.index("left/tyre"), :3, 3]
     np.testing.assert_allclose(tyre[:2], [1.0 - 0.5 * 0.38, 2.0 - 0.12], rtol=0, atol=1e-12)
-    run = simulate(robot, RandomSteps(), FixedHeading(Hold((0, 0), 2.0), 0.0), dt=0.1)
+    run = pm.simulate(robot, RandomSteps(), pm.FixedHeading(pm.Hold((0, 0), 2.0), 0.0), dt=0.1)
     with Viewer(robot) as viewer:
         viewer.display(run.q[-1])
         assert viewer.record(run).tracks

@@ -26,18 +26,8 @@ import numpy as np
 import pytest
 from PIL import Image, ImageColor
 
+import pinmobile as pm
 import pinmobile.viewer.recording as recording_module
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    CubicVia,
-    InvalidArgument,
-    MobileRobot,
-    Rollout,
-    Tangent,
-    simulate,
-)
 from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE
 from pinmobile.errors import ViewerError
@@ -52,27 +42,27 @@ BLUE = ImageColor.getrgb(colour(0))[:3]
 
 
 @pytest.fixture(scope="module")
-def runs() -> dict[str, Rollout]:
+def runs() -> dict[str, pm.Rollout]:
     """Return the lecture's circle with PD and with computed torque."""
-    robot, reference = MobileRobot.lecture(), Tangent(Circle(3, 0.1, 60))
-    pd = simulate(robot, PD((120, 120, 0.4), (120, 120, 0.4)), reference, dt=0.1)
-    return {"PD": pd, "computed torque": simulate(robot, ComputedTorque(robot), reference, dt=0.1)}
+    robot, reference = pm.MobileRobot.lecture(), pm.Tangent(pm.Circle(3, 0.1, 60))
+    pd = pm.simulate(robot, pm.PD((120, 120, 0.4), (120, 120, 0.4)), reference, dt=0.1)
+    return {"PD": pd, "computed torque": pm.simulate(robot, pm.ComputedTorque(robot), reference, dt=0.1)}
 
 
 @pytest.fixture(scope="module")
-def apart() -> dict[str, Rollout]:
+def apart() -> dict[str, pm.Rollout]:
     """Return a good and a bad controller, whose robots can be told apart by eye."""
-    robot = MobileRobot.box()
-    reference = Tangent(CubicVia((0, 0), (2, 2), (0, 4), 10, 20))
+    robot = pm.MobileRobot.box()
+    reference = pm.Tangent(pm.CubicVia((0, 0), (2, 2), (0, 4), 10, 20))
     return {
-        "good": simulate(robot, ComputedTorque(robot), reference, dt=0.05),
-        "bad": simulate(robot, PD(3, 9), reference, dt=0.05),
+        "good": pm.simulate(robot, pm.ComputedTorque(robot), reference, dt=0.05),
+        "bad": pm.simulate(robot, pm.PD(3, 9), reference, dt=0.05),
     }
 
 
 @pytest.fixture(scope="module")
 def viewer() -> Iterator[Viewer]:
-    with Viewer(MobileRobot.lecture()) as made:
+    with Viewer(pm.MobileRobot.lecture()) as made:
         yield made
 
 
@@ -131,16 +121,16 @@ def tracks(recording: Recording) -> dict[tuple[str, str], dict[str, Any]]:
     }
 
 
-def pose(run: Rollout, t: float) -> Array:
+def pose(run: pm.Rollout, t: float) -> Array:
     return np.array([np.interp(t, run.t, column) for column in run.q.T])
 
 
-def place(run: Rollout, t: float) -> tuple[float, float]:
+def place(run: pm.Rollout, t: float) -> tuple[float, float]:
     x, y, _ = pose(run, t)
     return float(x), float(y)
 
 
-def side(robot: MobileRobot, at: Array) -> tuple[float, float, float]:
+def side(robot: pm.MobileRobot, at: Array) -> tuple[float, float, float]:
     """Return a point of the box's top, beside the wedge: near its left rear corner."""
     length, width, height = robot.size
     x, y = -0.35 * length, 0.3 * width
@@ -151,7 +141,7 @@ def side(robot: MobileRobot, at: Array) -> tuple[float, float, float]:
 # Recorded
 
 
-def test_a_recordings_tracks_are_the_rollouts_poses(viewer: Viewer, runs: dict[str, Rollout]) -> None:
+def test_a_recordings_tracks_are_the_rollouts_poses(viewer: Viewer, runs: dict[str, pm.Rollout]) -> None:
     recording = viewer.record(runs, fps=10)
     for index, run in enumerate(runs.values()):
         moved = tracks(recording)[f"meshcat/robot{index}", ".position"]
@@ -166,7 +156,7 @@ def test_a_recordings_tracks_are_the_rollouts_poses(viewer: Viewer, runs: dict[s
         np.testing.assert_allclose(np.unwrap(2 * np.arctan2(z, w), period=4 * np.pi), run.q[:, 2], atol=3e-6)
 
 
-def test_frames_between_two_samples_lie_between_them(viewer: Viewer, runs: dict[str, Rollout]) -> None:
+def test_frames_between_two_samples_lie_between_them(viewer: Viewer, runs: dict[str, pm.Rollout]) -> None:
     run = runs["PD"]
     moved = tracks(viewer.record(run, fps=30, speed=4))["meshcat/robot0", ".position"]
     assert np.allclose(np.diff(moved["times"]), 4 / 30, atol=2e-4)
@@ -174,7 +164,7 @@ def test_frames_between_two_samples_lie_between_them(viewer: Viewer, runs: dict[
     np.testing.assert_allclose(np.reshape(moved["values"], (-1, 3))[:, :2], expected, atol=4e-5)
 
 
-def test_what_stands_still_costs_nothing(viewer: Viewer, runs: dict[str, Rollout]) -> None:
+def test_what_stands_still_costs_nothing(viewer: Viewer, runs: dict[str, pm.Rollout]) -> None:
     recording = viewer.record(runs["PD"], overlays=Overlays(frames=(LECTURE_TABLE,)))
     found = tracks(recording)
     assert len(found["meshcat/table0/0", ".position"]["times"]) == 1
@@ -182,7 +172,7 @@ def test_what_stands_still_costs_nothing(viewer: Viewer, runs: dict[str, Rollout
     assert len(found["meshcat/table0/1", ".position"]["times"]) > 1000
 
 
-def test_frames_are_where_the_tables_say(viewer: Viewer, runs: dict[str, Rollout]) -> None:
+def test_frames_are_where_the_tables_say(viewer: Viewer, runs: dict[str, pm.Rollout]) -> None:
     run = runs["PD"]
     found = tracks(viewer.record(run, fps=10, overlays=Overlays(frames=(LECTURE_TABLE, SLIDE_TABLE))))
     for number, table, k in (
@@ -202,7 +192,7 @@ def test_frames_are_where_the_tables_say(viewer: Viewer, runs: dict[str, Rollout
     assert ("meshcat/table1/3", ".position") not in found
 
 
-def test_arrows_are_to_scale(viewer: Viewer, apart: dict[str, Rollout]) -> None:
+def test_arrows_are_to_scale(viewer: Viewer, apart: dict[str, pm.Rollout]) -> None:
     run = apart["bad"]
     found = tracks(viewer.record(run, fps=20, overlays=Overlays(arrows=Arrows(force=0.5, moment=0.25))))
     scale = np.reshape(found["meshcat/force", ".scale"]["values"], (-1, 3))
@@ -212,14 +202,14 @@ def test_arrows_are_to_scale(viewer: Viewer, apart: dict[str, Rollout]) -> None:
     np.testing.assert_allclose(radius[:, 0], np.maximum(0.25 * np.abs(run.u[:, 2]), 1e-4), atol=1e-4)
 
 
-def test_captions_tell_time_and_error(viewer: Viewer, runs: dict[str, Rollout]) -> None:
+def test_captions_tell_time_and_error(viewer: Viewer, runs: dict[str, pm.Rollout]) -> None:
     said = tracks(viewer.record(runs, fps=10))["meshcat/stage", ".caption"]
     assert len(said["times"]) == 601
     assert said["values"][300] == "t = 30.0 s\nposition error\nPD  7.48 mm\ncomputed torque  34.9 µm"
 
 
 def test_a_recorded_page_shows_the_robot_where_its_pose_projects(
-    page: Page, viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path
+    page: Page, viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path
 ) -> None:
     run = runs["computed torque"]
     opened(page, viewer.record(run, speed=2), tmp_path)
@@ -237,7 +227,7 @@ def test_a_recorded_page_shows_the_robot_where_its_pose_projects(
 
 
 def test_a_recorded_page_plays_at_once_and_again(
-    page: Page, viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path
+    page: Page, viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path
 ) -> None:
     opened(page, viewer.record(runs, speed=100), tmp_path)
     page.wait_for_changes("viewer.animator.time", 1, -1)
@@ -249,7 +239,7 @@ def test_a_recorded_page_plays_at_once_and_again(
     assert page.evaluate("viewer.animator.time") == stood
 
 
-def test_the_trail_grows(page: Page, viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path) -> None:
+def test_the_trail_grows(page: Page, viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path) -> None:
     run = runs["PD"]
     opened(page, viewer.record(run), tmp_path)
     drawn = "viewer.scene_tree.find(['meshcat', 'trail0', '<object>']).object.geometry.drawRange.count"
@@ -268,7 +258,7 @@ def test_the_trail_grows(page: Page, viewer: Viewer, runs: dict[str, Rollout], t
 
 
 def test_a_second_rollout_is_a_ghost(
-    page: Page, viewer: Viewer, apart: dict[str, Rollout], tmp_path: Path
+    page: Page, viewer: Viewer, apart: dict[str, pm.Rollout], tmp_path: Path
 ) -> None:
     opened(page, viewer.record(apart, overlays=Overlays(trail=False, path=False)), tmp_path)
     t = float(apart["bad"].t[np.abs(apart["bad"].error[:, 0]).argmax()])
@@ -290,7 +280,7 @@ def test_a_second_rollout_is_a_ghost(
 
 @pytest.mark.parametrize("away", [8.0, 2.0])
 def test_a_ghost_leaves_what_it_coincides_with_its_colours_whichever_way_its_triangles_face(
-    page: Page, viewer: Viewer, apart: dict[str, Rollout], tmp_path: Path, away: float
+    page: Page, viewer: Viewer, apart: dict[str, pm.Rollout], tmp_path: Path, away: float
 ) -> None:
     run = apart["good"]
     overlays = Overlays(trail=False, path=False, camera=Follow(away))
@@ -311,7 +301,7 @@ def test_a_ghost_leaves_what_it_coincides_with_its_colours_whichever_way_its_tri
     assert red > blue + 30  # it was there all the time
 
 
-def test_the_desired_pose_is_a_ghost_too(viewer: Viewer, apart: dict[str, Rollout]) -> None:
+def test_the_desired_pose_is_a_ghost_too(viewer: Viewer, apart: dict[str, pm.Rollout]) -> None:
     run = apart["bad"]
     found = tracks(viewer.record(run, fps=20, overlays=Overlays(desired=True)))
     moved = np.reshape(found["meshcat/desired", ".position"]["values"], (-1, 3))
@@ -319,7 +309,7 @@ def test_the_desired_pose_is_a_ghost_too(viewer: Viewer, apart: dict[str, Rollou
 
 
 def test_a_camera_follows_or_stays(
-    page: Page, viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path
+    page: Page, viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path
 ) -> None:
     run = runs["PD"]
     opened(page, viewer.record(run, overlays=Overlays(camera=Follow(3.0))), tmp_path)
@@ -339,7 +329,7 @@ def test_a_camera_follows_or_stays(
 
 @pytest.mark.parametrize("size", [(900, 600), (1600, 700), (420, 800)])
 def test_the_whole_path_is_seen_at_the_first_glance(
-    page: Page, viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path, size: tuple[int, int]
+    page: Page, viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path, size: tuple[int, int]
 ) -> None:
     page.resize(*size)
     opened(page, viewer.record(runs), tmp_path)
@@ -354,12 +344,12 @@ def test_the_whole_path_is_seen_at_the_first_glance(
 
 @pytest.mark.parametrize("samples", [1, 2, 50])
 def test_a_robot_that_stands_can_be_recorded(
-    page: Page, viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path, samples: int
+    page: Page, viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path, samples: int
 ) -> None:
     run = runs["PD"]
     parts = {name: getattr(run, name)[:samples] for name in ("t", "v", "a", "u", "error")}
     still = np.zeros((samples, 3))
-    stands = Rollout(plant=run.plant, q=still, reference=type(run.reference)(still, still, still), **parts)
+    stands = pm.Rollout(plant=run.plant, q=still, reference=type(run.reference)(still, still, still), **parts)
     overlays = Overlays(arrows=Arrows(), desired=True, body_frame=True, frames=(SLIDE_TABLE,))
     opened(page, viewer.record(stands, overlays=overlays), tmp_path)
     page.evaluate("pinmobile.seek(0)")
@@ -367,8 +357,8 @@ def test_a_robot_that_stands_can_be_recorded(
 
 
 def test_pages_are_small_and_made_fast(viewer: Viewer, tmp_path: Path) -> None:
-    robot, path = MobileRobot.lecture(), Circle(3, 0.1, 60)
-    run = simulate(robot, ComputedTorque(robot), Tangent(path), dt=0.006)
+    robot, path = pm.MobileRobot.lecture(), pm.Circle(3, 0.1, 60)
+    run = pm.simulate(robot, pm.ComputedTorque(robot), pm.Tangent(path), dt=0.006)
     sizes = {}
     for frames in (600, 10_000):
         began = time.perf_counter()
@@ -381,7 +371,7 @@ def test_pages_are_small_and_made_fast(viewer: Viewer, tmp_path: Path) -> None:
 
 
 def test_a_page_is_one_file_that_names_no_other(
-    viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path
+    viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path
 ) -> None:
     text = viewer.record(runs, title="<b> & more").save_html(tmp_path / "scene.html").read_text()
     assert "<title>&lt;b&gt; &amp; more</title>" in text
@@ -396,7 +386,7 @@ def test_a_page_is_one_file_that_names_no_other(
 
 @pytest.fixture
 def live() -> Iterator[Viewer]:
-    with Viewer(MobileRobot.lecture(), live=True) as made:
+    with Viewer(pm.MobileRobot.lecture(), live=True) as made:
         yield made
 
 
@@ -417,7 +407,7 @@ def test_a_live_page_shows_the_robot_where_it_is_displayed(page: Page, live: Vie
 
 
 def test_play_goes_through_the_rollout_in_its_time(
-    page: Page, live: Viewer, apart: dict[str, Rollout]
+    page: Page, live: Viewer, apart: dict[str, pm.Rollout]
 ) -> None:
     page.open(live.url)
     live.wait(20)
@@ -436,14 +426,14 @@ def test_play_goes_through_the_rollout_in_its_time(
     assert page.evaluate("document.getElementById('legend').innerText") == "desired\ntravelled"
 
 
-def test_a_page_that_comes_late_sees_the_same(page: Page, live: Viewer, apart: dict[str, Rollout]) -> None:
+def test_a_page_that_comes_late_sees_the_same(page: Page, live: Viewer, apart: dict[str, pm.Rollout]) -> None:
     live.play(apart["good"], speed=200)
     page.open(live.url)
     page.wait_for("document.getElementById('caption').textContent.includes('t = 20.0 s')")
     assert page.evaluate("viewer.scene_tree.find(['meshcat', 'trail0', '<object>']).object.drawn") > 1000
 
 
-def test_nobody_needs_to_look(live: Viewer, apart: dict[str, Rollout], tmp_path: Path) -> None:
+def test_nobody_needs_to_look(live: Viewer, apart: dict[str, pm.Rollout], tmp_path: Path) -> None:
     live.display((0, 0, 0))
     live.play(apart, speed=100)
     began = time.perf_counter()
@@ -465,7 +455,7 @@ def test_display_is_safe_from_several_threads(live: Viewer) -> None:
     assert not any(thread.is_alive() for thread in threads)
 
 
-def test_ctrl_c_ends_play_and_the_viewer_goes_on(live: Viewer, apart: dict[str, Rollout]) -> None:
+def test_ctrl_c_ends_play_and_the_viewer_goes_on(live: Viewer, apart: dict[str, pm.Rollout]) -> None:
     timer = threading.Timer(0.4, signal.raise_signal, (signal.SIGINT,))
     timer.start()
     began = time.perf_counter()
@@ -479,7 +469,7 @@ def test_ctrl_c_ends_play_and_the_viewer_goes_on(live: Viewer, apart: dict[str, 
 
 
 def test_a_screenshot_is_of_the_time_that_is_asked_for(
-    viewer: Viewer, runs: dict[str, Rollout], browser: Chromium, tmp_path: Path
+    viewer: Viewer, runs: dict[str, pm.Rollout], browser: Chromium, tmp_path: Path
 ) -> None:
     recording = viewer.record(runs["PD"])
     early = recording.screenshot(tmp_path / "early.png", t=3, size=(600, 400)).read_bytes()
@@ -493,7 +483,7 @@ def test_a_screenshot_is_of_the_time_that_is_asked_for(
 
 
 def test_a_screenshot_of_what_is_displayed(browser: Chromium, tmp_path: Path) -> None:
-    with Viewer(MobileRobot.lecture()) as shown:
+    with Viewer(pm.MobileRobot.lecture()) as shown:
         shown.display((1, 2, 0.5))
         path = shown.screenshot(tmp_path / "a.png", size=(450, 300))
     with Image.open(path) as picture:
@@ -503,7 +493,7 @@ def test_a_screenshot_of_what_is_displayed(browser: Chromium, tmp_path: Path) ->
 
 @pytest.mark.parametrize("width", [300, 420, 1000])
 def test_caption_and_legend_never_overlap(
-    page: Page, viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path, width: int
+    page: Page, viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path, width: int
 ) -> None:
     page.resize(width, 560)
     opened(page, viewer.record(runs), tmp_path)
@@ -524,7 +514,7 @@ def test_caption_and_legend_never_overlap(
 def test_a_robot_alone_fills_the_picture_whatever_its_size(
     page: Page, tmp_path: Path, size: tuple[float, float, float]
 ) -> None:
-    robot = MobileRobot(1.0, 0.01, size=size)
+    robot = pm.MobileRobot(1.0, 0.01, size=size)
     with Viewer(robot) as shown:
         shown.display((5, -2, 0.3))
         (tmp_path / "a.html").write_text(shown.static_html())
@@ -540,7 +530,9 @@ def test_a_robot_alone_fills_the_picture_whatever_its_size(
     assert paint[[0, -1]].sum() == paint[:, [0, -1]].sum() == 0
 
 
-def test_gifs_and_films(viewer: Viewer, runs: dict[str, Rollout], browser: Chromium, tmp_path: Path) -> None:
+def test_gifs_and_films(
+    viewer: Viewer, runs: dict[str, pm.Rollout], browser: Chromium, tmp_path: Path
+) -> None:
     recording = viewer.record(runs, speed=60)
     seen: list[tuple[int, int]] = []
     path = recording.save_gif(
@@ -555,7 +547,7 @@ def test_gifs_and_films(viewer: Viewer, runs: dict[str, Rollout], browser: Chrom
 
 
 def test_films_are_taken_in_batches_by_several_browsers_and_told_in_order(
-    viewer: Viewer, runs: dict[str, Rollout], monkeypatch: pytest.MonkeyPatch
+    viewer: Viewer, runs: dict[str, pm.Rollout], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Fake:
         """A browser whose picture is as wide as the number of the time that it was asked for."""
@@ -620,7 +612,7 @@ def untyped(function: Any) -> Any:
     return function
 
 
-def nan_rollout(run: Rollout) -> Rollout:
+def nan_rollout(run: pm.Rollout) -> pm.Rollout:
     q = run.q.copy()
     q[17, 1] = np.nan
     return dataclasses.replace(run, q=q)
@@ -629,20 +621,20 @@ def nan_rollout(run: Rollout) -> Rollout:
 @pytest.mark.parametrize(
     ("call", "error", "text"),
     [
-        (lambda v, r: v.display((1, np.nan, 0)), InvalidArgument, "q[1] is nan, expected a finite number"),
-        (lambda v, r: v.display((1, 2, np.inf)), InvalidArgument, "q[2] is inf"),
-        (lambda v, r: v.display((1, 2)), InvalidArgument, "q has shape (2,), expected (3,)"),
-        (lambda v, r: v.display([[1, 2, 3]]), InvalidArgument, "q has shape (1, 3), expected (3,)"),
-        (lambda v, r: v.record(nan_rollout(r)), InvalidArgument, "q[17, 1] is nan"),
-        (lambda v, r: v.record(r.q), InvalidArgument, "expected a Rollout or a mapping"),
-        (lambda v, r: v.record({}), InvalidArgument, "rollout is {}, expected"),
-        (lambda v, r: v.record({"a": 3}), InvalidArgument, "rollout['a'] is 3, expected a Rollout"),
-        (lambda v, r: v.record(r, fps=0), InvalidArgument, "fps is 0.0 1/s, expected > 0"),
-        (lambda v, r: v.record(r, fps=1e9), InvalidArgument, "expected at most 200000"),
-        (lambda v, r: v.record(r, speed=-1), InvalidArgument, "speed is -1.0, expected > 0"),
+        (lambda v, r: v.display((1, np.nan, 0)), pm.InvalidArgument, "q[1] is nan, expected a finite number"),
+        (lambda v, r: v.display((1, 2, np.inf)), pm.InvalidArgument, "q[2] is inf"),
+        (lambda v, r: v.display((1, 2)), pm.InvalidArgument, "q has shape (2,), expected (3,)"),
+        (lambda v, r: v.display([[1, 2, 3]]), pm.InvalidArgument, "q has shape (1, 3), expected (3,)"),
+        (lambda v, r: v.record(nan_rollout(r)), pm.InvalidArgument, "q[17, 1] is nan"),
+        (lambda v, r: v.record(r.q), pm.InvalidArgument, "expected a Rollout or a mapping"),
+        (lambda v, r: v.record({}), pm.InvalidArgument, "rollout is {}, expected"),
+        (lambda v, r: v.record({"a": 3}), pm.InvalidArgument, "rollout['a'] is 3, expected a Rollout"),
+        (lambda v, r: v.record(r, fps=0), pm.InvalidArgument, "fps is 0.0 1/s, expected > 0"),
+        (lambda v, r: v.record(r, fps=1e9), pm.InvalidArgument, "expected at most 200000"),
+        (lambda v, r: v.record(r, speed=-1), pm.InvalidArgument, "speed is -1.0, expected > 0"),
         (
             lambda v, r: v.record(r, overlays="trail"),
-            InvalidArgument,
+            pm.InvalidArgument,
             "overlays is 'trail', expected Overlays",
         ),
         (lambda v, r: v.play(r), ViewerError, "play needs a live viewer: Viewer(plant, live=True)"),
@@ -652,56 +644,64 @@ def nan_rollout(run: Rollout) -> Rollout:
         (lambda v, r: v.screenshot("a.png"), ViewerError, "call display or play first"),
         (
             lambda v, r: v.record(r).screenshot("a.png", t=61),
-            InvalidArgument,
+            pm.InvalidArgument,
             "t is 61.0 s, expected 0 <= t <= 60 s",
         ),
-        (lambda v, r: v.record(r).screenshot("a.png", size=3), InvalidArgument, "size is 3, expected width"),
-        (lambda v, r: v.record(r).save_gif("a.gif", fps=80), InvalidArgument, "expected 0 < fps <= 50 1/s"),
+        (
+            lambda v, r: v.record(r).screenshot("a.png", size=3),
+            pm.InvalidArgument,
+            "size is 3, expected width",
+        ),
+        (
+            lambda v, r: v.record(r).save_gif("a.gif", fps=80),
+            pm.InvalidArgument,
+            "expected 0 < fps <= 50 1/s",
+        ),
         (
             lambda v, r: v.record(r).save_html("a.htm"),
-            InvalidArgument,
+            pm.InvalidArgument,
             "expected a name that ends in '.html'",
         ),
-        (lambda v, r: v.record(r).save_html("/no/a.html"), InvalidArgument, "which cannot be written"),
-        (lambda v, r: v.record(r).save_gif("/no/a.gif"), InvalidArgument, "which cannot be written"),
+        (lambda v, r: v.record(r).save_html("/no/a.html"), pm.InvalidArgument, "which cannot be written"),
+        (lambda v, r: v.record(r).save_gif("/no/a.gif"), pm.InvalidArgument, "which cannot be written"),
         (
             lambda v, r: v.record(r).save_mp4("a.mp4", size=(99, 100)),
-            InvalidArgument,
+            pm.InvalidArgument,
             "expected even numbers",
         ),
         (
             lambda v, r: untyped(Viewer)("robot"),
-            InvalidArgument,
+            pm.InvalidArgument,
             "plant is 'robot', expected a MobileRobot, or a plant with pose(q)",
         ),
         (
             lambda v, r: untyped(Overlays)(frames=("lecture",)),
-            InvalidArgument,
+            pm.InvalidArgument,
             "frames has 'lecture', expected tables",
         ),
-        (lambda v, r: untyped(Overlays)(camera=None), InvalidArgument, "camera is None, expected"),
-        (lambda v, r: Follow(-1), InvalidArgument, "distance is -1.0 m, expected > 0"),
-        (lambda v, r: Stay(eye=(1, 2)), InvalidArgument, "eye has shape (2,), expected (3,)"),
-        (lambda v, r: Arrows(force=0), InvalidArgument, "force is 0.0 m/N, expected > 0"),
+        (lambda v, r: untyped(Overlays)(camera=None), pm.InvalidArgument, "camera is None, expected"),
+        (lambda v, r: Follow(-1), pm.InvalidArgument, "distance is -1.0 m, expected > 0"),
+        (lambda v, r: Stay(eye=(1, 2)), pm.InvalidArgument, "eye has shape (2,), expected (3,)"),
+        (lambda v, r: Arrows(force=0), pm.InvalidArgument, "force is 0.0 m/N, expected > 0"),
     ],
 )
 def test_what_cannot_be_shown_is_refused(
-    runs: dict[str, Rollout],
+    runs: dict[str, pm.Rollout],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
-    call: Callable[[Viewer, Rollout], object],
+    call: Callable[[Viewer, pm.Rollout], object],
     error: type[Exception],
     text: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with Viewer(MobileRobot.lecture()) as fresh, pytest.raises(error, match=re.escape(text)):
+    with Viewer(pm.MobileRobot.lecture()) as fresh, pytest.raises(error, match=re.escape(text)):
         call(fresh, runs["PD"])
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_closed_viewer_says_so(runs: dict[str, Rollout], tmp_path: Path) -> None:
+def test_a_closed_viewer_says_so(runs: dict[str, pm.Rollout], tmp_path: Path) -> None:
     for is_live in (False, True):
-        viewer = Viewer(MobileRobot.lecture(), live=is_live)
+        viewer = Viewer(pm.MobileRobot.lecture(), live=is_live)
         viewer.close()
         viewer.close()
         calls: tuple[Callable[[Viewer], object], ...] = (
@@ -719,7 +719,7 @@ def test_a_closed_viewer_says_so(runs: dict[str, Rollout], tmp_path: Path) -> No
 
 
 def test_no_chromium_is_said_before_anything_is_written(
-    viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recording = viewer.record(runs)
     monkeypatch.setenv("PINMOBILE_CHROMIUM", "")
@@ -734,7 +734,7 @@ def test_no_chromium_is_said_before_anything_is_written(
 
 
 def test_a_chromium_that_dies_is_told(
-    viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PINMOBILE_CHROMIUM", "/bin/false")
     with pytest.raises(ViewerError, match="the browser has gone"):
@@ -756,7 +756,7 @@ def test_the_sandbox_is_given_up_as_root_alone_and_one_that_cannot_start_is_told
 
 
 def test_no_encoder_is_told_with_the_extra_that_has_it(
-    viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(ViewerError, match=r"pip install imageio-ffmpeg, or 'pinmobile\[mp4\]'$"):
@@ -777,7 +777,7 @@ _BASE = """<robot name="truck"><link name="base">
 </geometry><material name="green"><color rgba="0 0.6 0.4 1"/></material></visual></link>{1}</robot>"""
 
 
-def truck(folder: Path, mesh: str) -> MobileRobot:
+def truck(folder: Path, mesh: str) -> pm.MobileRobot:
     corners = 1000 * np.array([[-0.4, -0.3, 0], [0.4, -0.3, 0], [0, 0.3, 0], [0, 0, 0.5]])
     faces = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)]
     facets = [struct.pack("<12f2x", 0, 0, 0, *corners[a], *corners[b], *corners[c]) for a, b, c in faces]
@@ -785,7 +785,7 @@ def truck(folder: Path, mesh: str) -> MobileRobot:
     (folder / "truck" / "hull.stl").write_bytes(bytes(80) + struct.pack("<I", len(faces)) + b"".join(facets))
     path = folder / "truck" / "truck.urdf"
     path.write_text(_BASE.format(mesh, _WHEEL))
-    return MobileRobot.from_urdf(path, [folder])
+    return pm.MobileRobot.from_urdf(path, [folder])
 
 
 def test_a_robot_with_meshes_is_drawn_whole(page: Page, tmp_path: Path) -> None:
@@ -794,7 +794,7 @@ def test_a_robot_with_meshes_is_drawn_whole(page: Page, tmp_path: Path) -> None:
     assert {hull.parentJoint, wheel.parentJoint} == {3}
     np.testing.assert_allclose(hull.placement.translation, (0, 0, 0.25))
     np.testing.assert_allclose(wheel.placement.translation, (0.2, 0.3, 0.1))
-    run = simulate(robot, ComputedTorque(robot), Tangent(Circle(1, 0.5, 6)), dt=0.05)
+    run = pm.simulate(robot, pm.ComputedTorque(robot), pm.Tangent(pm.Circle(1, 0.5, 6)), dt=0.05)
     with Viewer(robot) as viewer:
         opened(page, viewer.record(run), tmp_path)
     size = page.evaluate(
@@ -833,7 +833,7 @@ def test_collision_shapes_stand_for_meshes_that_are_missing(tmp_path: Path) -> N
     for shape in ('<cylinder radius="0.2" length="0.5"/>', '<mesh filename="package://truck/gone too.stl"/>'):
         link.append(ElementTree.fromstring(f"<collision><geometry>{shape}</geometry></collision>"))
     tree.write(path)
-    robot = MobileRobot.from_urdf(path, [tmp_path])
+    robot = pm.MobileRobot.from_urdf(path, [tmp_path])
     name = link.get("name")
     words = rf"missing: package://truck/gone.stl; collision shapes are drawn in their place of {name}$"
     with pytest.warns(UserWarning, match=words):
@@ -847,12 +847,12 @@ def test_collision_shapes_stand_for_meshes_that_are_missing(tmp_path: Path) -> N
 def test_looks_survive_pickling_and_are_no_part_of_equality(tmp_path: Path) -> None:
     robot = truck(tmp_path, "hull")
     copy = pickle.loads(pickle.dumps(robot))
-    assert copy == robot == MobileRobot.from_body(robot.body, robot.size, stance=robot.stance)
+    assert copy == robot == pm.MobileRobot.from_body(robot.body, robot.size, stance=robot.stance)
     assert copy.visual_model.ngeoms == 2
 
 
 def test_the_box_stands_on_the_ground_and_shows_its_front() -> None:
-    robot = MobileRobot.lecture()
+    robot = pm.MobileRobot.lecture()
     body, front, wedge = robot.visual_model.geometryObjects
     assert body.placement.translation.tolist() == [0, 0, 0.1]
     assert (2 * body.geometry.halfSide).tolist() == [0.6, 0.4, 0.2]
@@ -860,7 +860,7 @@ def test_the_box_stands_on_the_ground_and_shows_its_front() -> None:
     assert wedge.placement.translation.tolist() == [0, 0, 0.2]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert MobileRobot.from_urdf(_shipped()).visual_model.ngeoms == 3
+        assert pm.MobileRobot.from_urdf(_shipped()).visual_model.ngeoms == 3
 
 
 def _shipped() -> Path:
@@ -873,7 +873,7 @@ def _shipped() -> Path:
 
 
 def test_the_command_serves_until_it_is_told_to_end(
-    page: Page, runs: dict[str, Rollout], tmp_path: Path
+    page: Page, runs: dict[str, pm.Rollout], tmp_path: Path
 ) -> None:
     runs["PD"].save(tmp_path / "rollout.npz")
     words = [sys.executable, "-m", "pinmobile", "view", str(tmp_path / "rollout.npz")]
@@ -914,9 +914,9 @@ def end(process: subprocess.Popen[str]) -> None:
     process.communicate()
 
 
-def test_nothing_is_left_behind(runs: dict[str, Rollout], browser: Chromium, tmp_path: Path) -> None:
+def test_nothing_is_left_behind(runs: dict[str, pm.Rollout], browser: Chromium, tmp_path: Path) -> None:
     descriptors, threads = len(os.listdir("/proc/self/fd")), threading.active_count()
-    with Viewer(MobileRobot.lecture(), live=True) as viewer:
+    with Viewer(pm.MobileRobot.lecture(), live=True) as viewer:
         viewer.record(runs["PD"]).screenshot(tmp_path / "a.png", t=1, size=(200, 150))
         children = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
         names = [Path(f"/proc/{child}/comm").read_text().strip() for child in children]
@@ -926,8 +926,8 @@ def test_nothing_is_left_behind(runs: dict[str, Rollout], browser: Chromium, tmp
 
 
 def test_a_refused_pose_leaves_a_viewer_that_draws() -> None:
-    with Viewer(MobileRobot.lecture()) as viewer:
-        with pytest.raises(InvalidArgument, match="expected x and y within 1e\\+09 m"):
+    with Viewer(pm.MobileRobot.lecture()) as viewer:
+        with pytest.raises(pm.InvalidArgument, match="expected x and y within 1e\\+09 m"):
             viewer.display([1e300, 0, 0])
         with pytest.raises(ViewerError, match="there is nothing to draw yet"):
             viewer.static_html()  # nothing is counted as drawn

@@ -8,26 +8,8 @@ import pytest
 from hypothesis import assume, given, settings, strategies as st
 from scipy.integrate import solve_ivp
 
-from pinmobile import (
-    Coulomb,
-    Engine,
-    FixedHeading,
-    Hold,
-    InvalidArgument,
-    MobileRobot,
-    Motor,
-    Rolling,
-    Scenario,
-    Spline,
-    ViscousFriction,
-    WheeledRobot,
-    WheelTable,
-    closed_form,
-    law,
-    rk4,
-    simulate,
-    verify,
-)
+import pinmobile as pm
+from pinmobile import closed_form
 from pinmobile.arrays import Array
 from pinmobile.compiled.folding import STATE
 from pinmobile.compiled.tape import needed
@@ -47,36 +29,36 @@ from pinmobile.wheels import (
 )
 
 OWN: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
-BASE = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
+BASE = pm.MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
 BODY: dict[str, Any] = {"mass": 30.0, "yaw_inertia": 2.3, "com": (0.05, 0.02)}
-GEARED = Motor(rotor_inertia=1e-4, gear=10)
-DIFFERENTIAL = WheelTable.differential(0.5, 0.1, x=0.07, supports=[(-0.2, 0)], motor=GEARED, **OWN)
+GEARED = pm.Motor(rotor_inertia=1e-4, gear=10)
+DIFFERENTIAL = pm.WheelTable.differential(0.5, 0.1, x=0.07, supports=[(-0.2, 0)], motor=GEARED, **OWN)
 CASTER = Wheel("caster", -0.3, 0.02, 0.05, 0.3, steering="free", trail=(-0.03, 0.005), **OWN)
 FRONT = Wheel("front", 0.4, 0.0, 0.1, steering="driven", motor=GEARED, **OWN)
 SIDES = [Wheel("l", 0, 0.2, 0.1, **OWN), Wheel("r", 0, -0.2, 0.1, **OWN)]
 CORNERS = [(0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2)]
 ROLLING = {
     "differential": DIFFERENTIAL,
-    "mecanum": WheelTable.mecanum(0.5, 0.4, 0.08, motor=GEARED, **OWN),
-    "O": WheelTable.mecanum(0.6, 0.4, 0.08, roller=-0.7, **OWN),
-    "omni": WheelTable.omni(0.25, 0.05, **OWN),
-    "four omni": WheelTable.omni(0.25, 0.05, n=4, first=0.3, **OWN),
-    "swerve": WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.06, supports=[(0, 0.3)], **OWN),
-    "car": WheelTable.car(0.6, 0.4, 0.1, motor=GEARED, **OWN),
-    "casters": WheelTable((*DIFFERENTIAL.wheels, CASTER)),
-    "tricycle": WheelTable((FRONT, *SIDES)),
+    "mecanum": pm.WheelTable.mecanum(0.5, 0.4, 0.08, motor=GEARED, **OWN),
+    "O": pm.WheelTable.mecanum(0.6, 0.4, 0.08, roller=-0.7, **OWN),
+    "omni": pm.WheelTable.omni(0.25, 0.05, **OWN),
+    "four omni": pm.WheelTable.omni(0.25, 0.05, n=4, first=0.3, **OWN),
+    "swerve": pm.WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.06, supports=[(0, 0.3)], **OWN),
+    "car": pm.WheelTable.car(0.6, 0.4, 0.1, motor=GEARED, **OWN),
+    "casters": pm.WheelTable((*DIFFERENTIAL.wheels, CASTER)),
+    "tricycle": pm.WheelTable((FRONT, *SIDES)),
 }
 SLIPPING = {
-    "skid": WheelTable.skid_steer(0.5, 0.4, 0.1, **OWN),
-    "skid apart": WheelTable.skid_steer(0.5, 0.4, 0.1, coupled=False, **OWN),
-    "swerve": WheelTable.swerve(CORNERS, 0.06, **OWN),
+    "skid": pm.WheelTable.skid_steer(0.5, 0.4, 0.1, **OWN),
+    "skid apart": pm.WheelTable.skid_steer(0.5, 0.4, 0.1, coupled=False, **OWN),
+    "swerve": pm.WheelTable.swerve(CORNERS, 0.06, **OWN),
 }
 
 
 @pytest.mark.parametrize("kind", ROLLING)
 def test_every_route_agrees_where_wheels_roll(kind: str) -> None:
     for robot in (BASE, BASE.mount("ur5", (0.1, 0, 0.3, 0))):
-        verification = verify(WheeledRobot(robot, ROLLING[kind]), states=20)
+        verification = pm.verify(pm.WheeledRobot(robot, ROLLING[kind]), states=20)
         assert verification.passed, str(verification)
         assert not verification.missing
         found = {(row.quantity, row.route) for row in verification.rows}
@@ -85,7 +67,7 @@ def test_every_route_agrees_where_wheels_roll(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["differential", "mecanum", "omni", "car"])
 def test_the_dynamics_derived_by_hand_are_one_of_the_routes(kind: str) -> None:
-    rows = verify(WheeledRobot(BASE, ROLLING[kind]), states=5).rows
+    rows = pm.verify(pm.WheeledRobot(BASE, ROLLING[kind]), states=5).rows
     assert [row.quantity for row in rows if row.against == "closed form by hand"] == [
         "M of nu",
         "n of nu",
@@ -96,22 +78,24 @@ def test_the_dynamics_derived_by_hand_are_one_of_the_routes(kind: str) -> None:
 @pytest.mark.parametrize("kind", SLIPPING)
 def test_a_step_that_slips_balances(kind: str) -> None:
     for robot in (BASE, BASE.mount("ur5", (0.1, 0, 0.3, 0)))[: 1 + (kind == "skid")]:
-        verification = verify(WheeledRobot(robot, SLIPPING[kind]), states=20)
+        verification = pm.verify(pm.WheeledRobot(robot, SLIPPING[kind]), states=20)
         assert verification.passed, str(verification)
         assert {row.quantity for row in verification.rows} >= {"tau", "loads", "cone", "power"}
 
 
 @pytest.mark.parametrize("kind", ["casters", "omni"])
 def test_a_step_of_a_drive_that_could_roll_balances(kind: str) -> None:
-    ground = Coulomb(ramp=Ramp(0.2, 0.5))
-    verification = verify(WheeledRobot(BASE, ROLLING[kind], ground), states=20)
+    ground = pm.Coulomb(ramp=Ramp(0.2, 0.5))
+    verification = pm.verify(pm.WheeledRobot(BASE, ROLLING[kind], ground), states=20)
     assert verification.passed, str(verification)
 
 
 def test_on_a_ramp_all_routes_agree() -> None:
     for kind in ("differential", "casters"):
         for robot in (BASE, BASE.mount("ur5", (0.1, 0, 0.3, 0))):
-            verification = verify(WheeledRobot(robot, ROLLING[kind], Rolling(Ramp(0.3, 1.0))), states=20)
+            verification = pm.verify(
+                pm.WheeledRobot(robot, ROLLING[kind], pm.Rolling(Ramp(0.3, 1.0))), states=20
+            )
             assert verification.passed, str(verification)
 
 
@@ -125,7 +109,7 @@ def wheels(draw: st.DrawFn, k: int) -> Wheel:
     own: dict[str, Any] = {"mass": draw(st.floats(0, 1.5)), "spin_inertia": draw(st.floats(1e-3, 0.05))}
     own["yaw_inertia"] = draw(st.floats(1e-3, 0.02))
     if draw(st.booleans()):
-        own["motor"] = Motor(rotor_inertia=draw(st.floats(0, 1e-4)), gear=draw(st.floats(0.5, 30)))
+        own["motor"] = pm.Motor(rotor_inertia=draw(st.floats(0, 1e-4)), gear=draw(st.floats(0.5, 30)))
     if kind == "rollers":
         own["roller"] = draw(st.floats(-1.0, 1.0))
     if kind in ("caster", "offset"):
@@ -137,18 +121,18 @@ def wheels(draw: st.DrawFn, k: int) -> Wheel:
 
 
 @st.composite
-def tables(draw: st.DrawFn) -> WheelTable:
+def tables(draw: st.DrawFn) -> pm.WheelTable:
     count = draw(st.integers(1, 4))
-    return WheelTable(tuple(draw(wheels(k)) for k in range(count)))
+    return pm.WheelTable(tuple(draw(wheels(k)) for k in range(count)))
 
 
 @given(tables(), st.booleans(), st.integers(0, 2**32 - 1))
 @settings(max_examples=25)
-def test_every_route_agrees_for_any_table(table: WheelTable, armed: bool, seed: int) -> None:
+def test_every_route_agrees_for_any_table(table: pm.WheelTable, armed: bool, seed: int) -> None:
     assume(Mobility.of(table).is_regular)
-    robot = MobileRobot(30.0, 4.0, com=(0.05, 0.02, 0.2))
-    wheeled = WheeledRobot(robot.mount("double_pendulum") if armed else robot, table)
-    verification = verify(wheeled, states=5, seed=seed)
+    robot = pm.MobileRobot(30.0, 4.0, com=(0.05, 0.02, 0.2))
+    wheeled = pm.WheeledRobot(robot.mount("double_pendulum") if armed else robot, table)
+    verification = pm.verify(wheeled, states=5, seed=seed)
     assert verification.passed, str(verification)
 
 
@@ -158,17 +142,17 @@ def test_every_route_agrees_for_any_table(table: WheelTable, armed: bool, seed: 
 def test_a_gear_train_is_one_wheel_with_the_inertia_of_both() -> None:
     """A driven wheel and one of half its size on one axle, which a train turns twice as fast."""
     own: dict[str, Any] = {"mass": 0.5, "yaw_inertia": 0.003}
-    inner = Wheel("in", 0, 0.2, 0.1, spin_inertia=0.01, motor=Motor(), **own)
+    inner = Wheel("in", 0, 0.2, 0.1, spin_inertia=0.01, motor=pm.Motor(), **own)
     outer = Wheel("out", 0, 0.35, 0.05, roller=0.0, spin_inertia=0.004, **own)
     free = Wheel("third", -0.3, 0.0, 0.1, roller=0.0, angle=1.2, spin_inertia=0.01, **own)
     # The train asks r_in phi_in = r_out phi_out: the body may not turn.
-    table = WheelTable((inner, outer, free), (), (GearTrain(("in", "out"), (1.0, 2.0)),))
+    table = pm.WheelTable((inner, outer, free), (), (GearTrain(("in", "out"), (1.0, 2.0)),))
     assert "different rates" in Mobility.of(table).why_not
     # Two on a line ahead of each other may, and share the torque.
     ahead = Wheel("out", 0.3, 0.2, 0.05, roller=0.0, spin_inertia=0.004, **own)
-    table = WheelTable((inner, ahead, free), (), (GearTrain(("in", "out"), (1.0, 2.0)),))
-    wheeled = WheeledRobot(MobileRobot(20.0, 1.5, com=(0.1, 0.05, 0.1)), table)
-    assert verify(wheeled, states=10).passed
+    table = pm.WheelTable((inner, ahead, free), (), (GearTrain(("in", "out"), (1.0, 2.0)),))
+    wheeled = pm.WheeledRobot(pm.MobileRobot(20.0, 1.5, com=(0.1, 0.05, 0.1)), table)
+    assert pm.verify(wheeled, states=10).passed
     q, v = wheeled.rest, np.zeros(wheeled.nv)
     a = wheeled.forward_dynamics(q, v, [0.4])
     # By hand, at rest: v forward and w; the inner wheel rolls at v - 0.2 w and the outer at twice its rate.
@@ -184,7 +168,7 @@ def test_a_gear_train_is_one_wheel_with_the_inertia_of_both() -> None:
 
 
 def test_ackermanns_wheels_are_those_of_one_steering_angle() -> None:
-    wheeled = WheeledRobot(BASE, ROLLING["car"])
+    wheeled = pm.WheeledRobot(BASE, ROLLING["car"])
     q, v = wheeled.rest.copy(), np.zeros(wheeled.nv)
     q[3] = 0.4
     v[:3] = 1.0, 0.0, np.tan(0.4) / 0.6
@@ -212,8 +196,8 @@ def test_ackermanns_wheels_are_those_of_one_steering_angle() -> None:
 
 def test_an_open_differential_gives_each_wheel_half() -> None:
     pair = [Wheel("left", 0, 0.25, 0.1, **OWN), Wheel("right", 0, -0.25, 0.1, **OWN)]
-    open_one = WheeledRobot(BASE, WheelTable(tuple(pair), (), (DifferentialGear(("left", "right")),)))
-    each = WheeledRobot(BASE, WheelTable.differential(0.5, 0.1, **OWN))
+    open_one = pm.WheeledRobot(BASE, pm.WheelTable(tuple(pair), (), (DifferentialGear(("left", "right")),)))
+    each = pm.WheeledRobot(BASE, pm.WheelTable.differential(0.5, 0.1, **OWN))
     rng = np.random.default_rng(1)
     q = rng.normal(size=each.nq)
     v = each.project(q, rng.normal(size=each.nv))
@@ -222,8 +206,8 @@ def test_an_open_differential_gives_each_wheel_half() -> None:
 
 
 def test_the_bicycle_is_the_car_without_a_track() -> None:
-    table = WheelTable((FRONT, Wheel("rear", 0, 0, 0.1, motor=Motor(), **OWN)))
-    wheeled = WheeledRobot(BASE, table)
+    table = pm.WheelTable((FRONT, Wheel("rear", 0, 0, 0.1, motor=pm.Motor(), **OWN)))
+    wheeled = pm.WheeledRobot(BASE, table)
     rng = np.random.default_rng(2)
     q = rng.normal(size=wheeled.nq)
     q[3] = 0.5
@@ -239,19 +223,19 @@ def test_the_bicycle_is_the_car_without_a_track() -> None:
 
 RANKS = [
     # table, coordinates, rows, rank, free
-    (WheelTable.differential(0.5, 0.1, **OWN), 5, 4, 3, 2),
+    (pm.WheelTable.differential(0.5, 0.1, **OWN), 5, 4, 3, 2),
     (ROLLING["casters"], 7, 6, 5, 2),
     (ROLLING["mecanum"], 7, 4, 4, 3),
     (ROLLING["omni"], 6, 3, 3, 3),
     (ROLLING["swerve"], 7, 4, 4, 3),
-    (WheelTable((FRONT, Wheel("rear", 0, 0, 0.1, **OWN))), 6, 4, 4, 2),
+    (pm.WheelTable((FRONT, Wheel("rear", 0, 0, 0.1, **OWN))), 6, 4, 4, 2),
     (SLIPPING["swerve"], 11, 8, 7, 4),
 ]
 
 
 @pytest.mark.parametrize(("table", "coordinates", "rows", "rank", "free"), RANKS)
 def test_ranks_are_those_of_the_table(
-    table: WheelTable, coordinates: int, rows: int, rank: int, free: int
+    table: pm.WheelTable, coordinates: int, rows: int, rank: int, free: int
 ) -> None:
     mobility = Mobility.of(table)
     assert mobility.matrix.shape == (rows, coordinates)
@@ -260,7 +244,7 @@ def test_ranks_are_those_of_the_table(
 
 
 def test_of_redundant_rows_the_sum_is_determined() -> None:
-    wheeled = WheeledRobot(BASE, WheelTable.differential(0.5, 0.1, x=0.07, **OWN))
+    wheeled = pm.WheeledRobot(BASE, pm.WheelTable.differential(0.5, 0.1, x=0.07, **OWN))
     rng = np.random.default_rng(3)
     q = rng.normal(size=(20, wheeled.nq))
     v = wheeled.project(q, rng.normal(size=(20, wheeled.nv)))
@@ -288,16 +272,16 @@ def test_of_redundant_rows_the_sum_is_determined() -> None:
 
 def test_arms_may_be_mounted_before_or_after() -> None:
     for table in (DIFFERENTIAL, SLIPPING["skid"]):
-        before = WheeledRobot(BASE.mount("ur5", (0.1, 0, 0.3, 0)), table)
-        after = WheeledRobot(BASE, table).mount("ur5", (0.1, 0, 0.3, 0))
+        before = pm.WheeledRobot(BASE.mount("ur5", (0.1, 0, 0.3, 0)), table)
+        after = pm.WheeledRobot(BASE, table).mount("ur5", (0.1, 0, 0.3, 0))
         assert before == after
         assert hash(before) == hash(after)
-        assert before != WheeledRobot(BASE, table)
+        assert before != pm.WheeledRobot(BASE, table)
 
 
 @pytest.mark.parametrize("kind", ["differential", "car", "casters"])
 def test_pickled_it_is_the_same_robot(kind: str) -> None:
-    wheeled = WheeledRobot(BASE, ROLLING[kind], Rolling(Ramp(0.1)))
+    wheeled = pm.WheeledRobot(BASE, ROLLING[kind], pm.Rolling(Ramp(0.1)))
     back = pickle.loads(pickle.dumps(wheeled))
     assert back == wheeled
     rng = np.random.default_rng(4)
@@ -315,50 +299,52 @@ def test_pickled_it_is_the_same_robot(kind: str) -> None:
     ("make", "text"),
     [
         (
-            lambda: WheeledRobot(BASE, SLIPPING["skid"], Rolling()),
+            lambda: pm.WheeledRobot(BASE, SLIPPING["skid"], pm.Rolling()),
             "table cannot roll without slip: wheels 'front",
         ),
         (
-            lambda: WheeledRobot(BASE, SLIPPING["swerve"], Rolling()),
+            lambda: pm.WheeledRobot(BASE, SLIPPING["swerve"], pm.Rolling()),
             "table cannot roll without slip: wheels 'wheel_1', 'wheel_2', ",
         ),
         (
-            lambda: WheeledRobot(MobileRobot(1.5, 1.0), DIFFERENTIAL),
+            lambda: pm.WheeledRobot(pm.MobileRobot(1.5, 1.0), DIFFERENTIAL),
             "robot has a mass of 1.5 kg, and its wheels 2 kg",
         ),
         (lambda: Wheel("a", 0, 0, 0.0), "radius is 0"),
         (lambda: Wheel("a", 0, 0, 0.1, roller=np.pi / 2), "roller of wheel 'a' is 1.5708 rad, expected less"),
         (
-            lambda: WheelTable((Wheel("a", 0, 0, 0.1), Wheel("b", 0, 0, 0.2))),
+            lambda: pm.WheelTable((Wheel("a", 0, 0, 0.1), Wheel("b", 0, 0, 0.2))),
             "wheel 'a' and wheel 'b' stand in one place, (0, 0) m",
         ),
         (
-            lambda: WheelTable.mecanum(0.5, 0.4, 0.1, roller=0.0),
+            lambda: pm.WheelTable.mecanum(0.5, 0.4, 0.1, roller=0.0),
             "roller is 0 rad on a base of 0.5 by 0.4 m: the rollers all roll along x",
         ),
         (
-            lambda: WheelTable((Wheel("x", 0.0, 0.2, 0.1), Wheel("y", 0.0, -0.2, 0.1))),
+            lambda: pm.WheelTable((Wheel("x", 0.0, 0.2, 0.1), Wheel("y", 0.0, -0.2, 0.1))),
             "'x' names two coordinates of the robot, expected names that differ",
         ),
         (
-            lambda: WheelTable.mecanum(0.4, 0.4, 0.1, roller=-np.pi / 4),
+            lambda: pm.WheelTable.mecanum(0.4, 0.4, 0.1, roller=-np.pi / 4),
             "roller is -0.785398 rad on a base of 0.4 by 0.4 m: the rollers form an O",
         ),
-        (lambda: WheelTable(()), "wheels is empty"),
+        (lambda: pm.WheelTable(()), "wheels is empty"),
         (
-            lambda: WheelTable(tuple(SIDES), (), (GearTrain(("l", "x")),)),
+            lambda: pm.WheelTable(tuple(SIDES), (), (GearTrain(("l", "x")),)),
             "unknown wheel of a GearTrain 'x'",
         ),
         (
-            lambda: WheelTable(tuple(SIDES), (), (AckermannSteering(("l", "r")),)),
+            lambda: pm.WheelTable(tuple(SIDES), (), (AckermannSteering(("l", "r")),)),
             "wheel 'l' of AckermannSteering(...) is Wheel(",
         ),
         (
-            lambda: WheeledRobot(BASE, DIFFERENTIAL).forward_dynamics(np.zeros(5), np.zeros(5), np.zeros(3)),
+            lambda: pm.WheeledRobot(BASE, DIFFERENTIAL).forward_dynamics(
+                np.zeros(5), np.zeros(5), np.zeros(3)
+            ),
             "u has shape (3,), expected (..., 2)",
         ),
         (
-            lambda: WheeledRobot(BASE, WheelTable(tuple(SIDES), (Support(-0.2, 0),))).forward_dynamics(
+            lambda: pm.WheeledRobot(BASE, pm.WheelTable(tuple(SIDES), (Support(-0.2, 0),))).forward_dynamics(
                 np.zeros(5), np.zeros(5), [1.0]
             ),
             "u has shape (1,), expected (..., 0)",
@@ -366,33 +352,35 @@ def test_pickled_it_is_the_same_robot(kind: str) -> None:
     ],
 )
 def test_bad_input_is_refused_each_with_its_own_words(make: Any, text: str) -> None:
-    with pytest.raises((InvalidArgument, UnknownName)) as caught:
+    with pytest.raises((pm.InvalidArgument, UnknownName)) as caught:
         make()
     assert str(caught.value).startswith(text)
 
 
 def test_a_start_that_does_not_roll_is_refused_and_projected_only_if_asked() -> None:
-    wheeled = WheeledRobot(BASE, DIFFERENTIAL)
-    still = law(lambda t, q, v, reference: np.zeros(2))
-    reference = FixedHeading(Hold([0, 0], 0.1), 0.0)
+    wheeled = pm.WheeledRobot(BASE, DIFFERENTIAL)
+    still = pm.law(lambda t, q, v, reference: np.zeros(2))
+    reference = pm.FixedHeading(pm.Hold([0, 0], 0.1), 0.0)
     v0 = np.array([1.0, 0.2, 0.3, 0, 0])
     with pytest.raises(
-        InvalidArgument, match=r"start does not roll: .* slips at .*; expected .* v0 = robot.project"
+        pm.InvalidArgument, match=r"start does not roll: .* slips at .*; expected .* v0 = robot.project"
     ):
-        simulate(wheeled, still, reference, dt=0.01, q0=wheeled.rest, v0=v0)
-    aside = FixedHeading(Spline([[0, 0], [0, 1]], [0, 1], start_velocity=(0, 1)), 0.0)
-    with pytest.raises(InvalidArgument, match=r"^reference at its start does not roll: .* a reference that"):
-        simulate(wheeled, still, aside, dt=0.1)
+        pm.simulate(wheeled, still, reference, dt=0.01, q0=wheeled.rest, v0=v0)
+    aside = pm.FixedHeading(pm.Spline([[0, 0], [0, 1]], [0, 1], start_velocity=(0, 1)), 0.0)
+    with pytest.raises(
+        pm.InvalidArgument, match=r"^reference at its start does not roll: .* a reference that"
+    ):
+        pm.simulate(wheeled, still, aside, dt=0.1)
     v0 = wheeled.project(wheeled.rest, v0)
-    run = simulate(wheeled, still, reference, dt=0.01, q0=wheeled.rest, v0=v0)
+    run = pm.simulate(wheeled, still, reference, dt=0.01, q0=wheeled.rest, v0=v0)
     assert np.abs(wheeled.constraint_matrix(run.q[-1]) @ run.v[-1]).max() < 1e-14
 
 
 @pytest.mark.parametrize("kind", [*ROLLING, "massless"])
 @pytest.mark.parametrize("base", [BASE, BASE.mount("ur5", (0.1, 0, 0.3, 0))], ids=["bare", "ur5"])
-def test_what_is_projected_rolls_and_is_nearest(kind: str, base: MobileRobot) -> None:
-    table = ROLLING.get(kind, WheelTable.differential(0.5, 0.1, x=0.07))
-    wheeled = WheeledRobot(base, table)
+def test_what_is_projected_rolls_and_is_nearest(kind: str, base: pm.MobileRobot) -> None:
+    table = ROLLING.get(kind, pm.WheelTable.differential(0.5, 0.1, x=0.07))
+    wheeled = pm.WheeledRobot(base, table)
     rng = np.random.default_rng(5)
     q, v = rng.uniform(-0.5, 0.5, (20, wheeled.nq)), rng.normal(size=(20, wheeled.nv))
     near = wheeled.project(q, v)
@@ -411,16 +399,16 @@ def test_what_is_projected_rolls_and_is_nearest(kind: str, base: MobileRobot) ->
 @pytest.mark.parametrize("substeps", [1, 2])
 def test_compiled_it_rolls_as_in_python_from_the_start_that_is_given(kind: str, substeps: int) -> None:
     """At dt = 0.02 a step leaves 1e-4 m/s for the projection to take: not to project would be seen."""
-    wheeled, rng = WheeledRobot(BASE, ROLLING[kind]), np.random.default_rng(8)
+    wheeled, rng = pm.WheeledRobot(BASE, ROLLING[kind]), np.random.default_rng(8)
     q0, u = wheeled.rest.copy(), rng.normal(size=wheeled.nu) * 0.1
     q0[2:] += rng.uniform(-0.3, 0.3, wheeled.nq - 2)
     v0 = wheeled.project(q0, rng.normal(size=wheeled.nv))
     v0 += 1e-11  # within what a start may slip
-    controller, still = law(lambda t, q, v, reference: u), FixedHeading(Hold([0, 0], 1.0), 0.0)
+    controller, still = pm.law(lambda t, q, v, reference: u), pm.FixedHeading(pm.Hold([0, 0], 1.0), 0.0)
     given: dict[str, Any] = {"dt": 0.02, "q0": q0, "v0": v0, "substeps": substeps}
     runs = [
-        simulate(wheeled, controller, still, engine=engine, **given)
-        for engine in (Engine.PYTHON, Engine.COMPILED)
+        pm.simulate(wheeled, controller, still, engine=engine, **given)
+        for engine in (pm.Engine.PYTHON, pm.Engine.COMPILED)
     ]
     for name in ("q", "v", "a"):
         one, other = (getattr(run, name) for run in runs)
@@ -433,10 +421,10 @@ def test_compiled_it_rolls_as_in_python_from_the_start_that_is_given(kind: str, 
 
 def test_a_compiled_sample_has_sines_and_mass_matrix_once() -> None:
     """What the projection needs the dynamics need too: sines of seven angles, one factor of eight rows."""
-    wheeled = WheeledRobot(BASE.mount("ur5", (0.1, 0, 0.3, 0)), DIFFERENTIAL)
-    controller = law(lambda t, q, v, reference: 0.1 * np.ones(wheeled.nu) + 0.0 * q[0])
-    still = FixedHeading(Hold([0, 0], 1.0), 0.0)
-    scenario = Scenario(
+    wheeled = pm.WheeledRobot(BASE.mount("ur5", (0.1, 0, 0.3, 0)), DIFFERENTIAL)
+    controller = pm.law(lambda t, q, v, reference: 0.1 * np.ones(wheeled.nu) + 0.0 * q[0])
+    still = pm.FixedHeading(pm.Hold([0, 0], 1.0), 0.0)
+    scenario = pm.Scenario(
         robot=wheeled,
         controller=controller,
         trajectory=still,
@@ -446,7 +434,7 @@ def test_a_compiled_sample_has_sines_and_mass_matrix_once() -> None:
         metrics=(),
         integrator=constant_acceleration,
     )
-    program = way_of(scenario, Engine.COMPILED).program
+    program = way_of(scenario, pm.Engine.COMPILED).program
     assert program is not None
     loop = program.tape
     tape, wanted = loop.tape, needed(loop.tape, loop.outputs)
@@ -459,13 +447,21 @@ def test_a_compiled_sample_has_sines_and_mass_matrix_once() -> None:
 
 
 def run_of(
-    wheeled: WheeledRobot, u: list[float], q0: Array, v0: Array, dt: float, T: float, **more: Any
+    wheeled: pm.WheeledRobot, u: list[float], q0: Array, v0: Array, dt: float, T: float, **more: Any
 ) -> Any:
     held = np.array(u)
-    controller = law(lambda t, q, v, reference: held)
-    trajectory = FixedHeading(Hold([0, 0], T), 0.0)
-    return simulate(
-        wheeled, controller, trajectory, dt=dt, q0=q0, v0=v0, integrator=rk4, engine=Engine.COMPILED, **more
+    controller = pm.law(lambda t, q, v, reference: held)
+    trajectory = pm.FixedHeading(pm.Hold([0, 0], T), 0.0)
+    return pm.simulate(
+        wheeled,
+        controller,
+        trajectory,
+        dt=dt,
+        q0=q0,
+        v0=v0,
+        integrator=pm.rk4,
+        engine=pm.Engine.COMPILED,
+        **more,
     )
 
 
@@ -495,22 +491,26 @@ RUNS = {
 @pytest.mark.parametrize("volts", [False, True])
 @pytest.mark.parametrize(
     ("ground", "engine"),
-    [(Rolling(), Engine.PYTHON), (Rolling(), Engine.COMPILED), (Coulomb(), Engine.COMPILED)],
+    [
+        (pm.Rolling(), pm.Engine.PYTHON),
+        (pm.Rolling(), pm.Engine.COMPILED),
+        (pm.Coulomb(), pm.Engine.COMPILED),
+    ],
     ids=["rolls", "rolls, compiled", "slips"],
 )
 def test_a_steering_axis_stays_at_its_stop_and_leaves_it(ground: Any, volts: bool, engine: Any) -> None:
     """It stops within what it turns in a step, and its torque pushes it no further."""
-    motor = Motor(resistance=1.0, torque_constant=0.02, voltage=24.0, gear=5.0)
+    motor = pm.Motor(resistance=1.0, torque_constant=0.02, voltage=24.0, gear=5.0)
     wheel: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006, "motor": motor}
-    car = WheelTable.car(0.6, 0.4, 0.1, steering_limit=0.3, **wheel)
-    robot: Any = WheeledRobot(MobileRobot(30.0, 3.0, com=(0.3, 0.0, 0.2)), car, ground)
+    car = pm.WheelTable.car(0.6, 0.4, 0.1, steering_limit=0.3, **wheel)
+    robot: Any = pm.WheeledRobot(pm.MobileRobot(30.0, 3.0, com=(0.3, 0.0, 0.2)), car, ground)
     robot, push = (robot.by_voltage(), 0.1) if volts else (robot, 0.02)
     axis = robot.wheeled.robot.nv if volts else robot.robot.nv
     steered = np.full(robot.nu, push)
-    there = law(lambda t, q, v, reference: np.where(t < 2.0, 1.0, -0.5) * steered)
-    here = FixedHeading(Hold([0, 0], 4.0), 0.0)
+    there = pm.law(lambda t, q, v, reference: np.where(t < 2.0, 1.0, -0.5) * steered)
+    here = pm.FixedHeading(pm.Hold([0, 0], 4.0), 0.0)
     zeros = {"q0": robot.rest, "v0": np.zeros(robot.nv)}
-    run = simulate(robot, there, here, dt=0.01, limit=1e6, engine=engine, **zeros)
+    run = pm.simulate(robot, there, here, dt=0.01, limit=1e6, engine=engine, **zeros)
     angle = run.q[:, axis]
     step = np.abs(np.diff(angle)).max()
     assert 0.3 - step < angle.max() <= 0.3 + step
@@ -523,13 +523,19 @@ def test_a_steering_axis_stays_at_its_stop_and_leaves_it(ground: Any, volts: boo
 
 def test_the_plant_s_own_integrator_keeps_to_an_arc_at_speed() -> None:
     """Without torques and with the mass above the axle it goes on along a circle of radius v / w."""
-    wheels = WheelTable.differential(0.5, 0.1, supports=[(-0.3, 0)], mass=1.0, spin_inertia=0.005)
-    robot = WheeledRobot(MobileRobot(30.0, 1.3, com=(0, 0, 0.2)), wheels)
+    wheels = pm.WheelTable.differential(0.5, 0.1, supports=[(-0.3, 0)], mass=1.0, spin_inertia=0.005)
+    robot = pm.WheeledRobot(pm.MobileRobot(30.0, 1.3, com=(0, 0, 0.2)), wheels)
     v0 = robot.project(robot.rest, [30.0, 0.0, 0.5, *robot.wheel_rates([30.0, 0.0, 0.5])])
-    far, here = [], FixedHeading(Hold([0, 0], 10.0), 0.0)
+    far, here = [], pm.FixedHeading(pm.Hold([0, 0], 10.0), 0.0)
     for dt in (0.02, 0.01):
-        run = simulate(
-            robot, law(lambda t, q, v, reference: np.zeros(2)), here, dt=dt, q0=robot.rest, v0=v0, limit=1e6
+        run = pm.simulate(
+            robot,
+            pm.law(lambda t, q, v, reference: np.zeros(2)),
+            here,
+            dt=dt,
+            q0=robot.rest,
+            v0=v0,
+            limit=1e6,
         )
         arc = 60.0 * np.stack([np.sin(0.5 * run.t), 1 - np.cos(0.5 * run.t)], axis=-1)
         far.append(np.abs(run.q[:, :2] - arc).max())
@@ -540,7 +546,7 @@ def test_the_plant_s_own_integrator_keeps_to_an_arc_at_speed() -> None:
 @pytest.mark.parametrize("kind", RUNS)
 def test_a_run_is_that_of_the_dynamics_derived_by_hand(kind: str) -> None:
     """DOP853 of scipy on the closed form, in which nothing can drift."""
-    wheeled, u, T = WheeledRobot(BASE, ROLLING[kind]), np.array(RUNS[kind]), 4.0
+    wheeled, u, T = pm.WheeledRobot(BASE, ROLLING[kind]), np.array(RUNS[kind]), 4.0
     push = SinusoidalForce([3.0, 2.0, 1.0], 0.4)
     q0, v0, axes = wheeled.rest.copy(), np.zeros(wheeled.nv), len(wheeled.table.axes)
     q0[2:4], v0[:3] = (0.4, 0.15 * axes), (0.5, 0.2, 0.3)
@@ -595,12 +601,12 @@ def test_a_run_is_that_of_the_dynamics_derived_by_hand(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["differential", "car", "casters"])
 def test_an_hour_of_driving_rolls_to_rounding(kind: str) -> None:
-    wheeled = WheeledRobot(BASE, ROLLING[kind])
+    wheeled = pm.WheeledRobot(BASE, ROLLING[kind])
     u = {"differential": [0.2, 0.21], "car": [0.2, 0.0], "casters": [0.2, 0.21]}[kind]
     q0, v0 = wheeled.rest.copy(), np.zeros(wheeled.nv)
     if kind == "car":
         q0[3] = 0.2
-    drag = [ViscousFriction([8.0, 8.0, 2.0])]
+    drag = [pm.ViscousFriction([8.0, 8.0, 2.0])]
     run = run_of(wheeled, u, q0, v0, 0.05, 3600.0, forces=drag)
     drift = np.einsum("nij,nj->ni", wheeled.constraint_matrix(run.q[::50]), run.v[::50])
     assert np.abs(drift).max() < 2e-15 * (1 + np.abs(run.v).max())
@@ -609,7 +615,7 @@ def test_an_hour_of_driving_rolls_to_rounding(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["differential", "mecanum", "casters", "car"])
 def test_what_torques_do_is_in_the_energy(kind: str) -> None:
-    wheeled = WheeledRobot(BASE, ROLLING[kind])
+    wheeled = pm.WheeledRobot(BASE, ROLLING[kind])
     u = RUNS.get(kind, [0.5, 0.62])
     q0, v0 = wheeled.rest.copy(), np.zeros(wheeled.nv)
     if kind == "casters":
@@ -624,18 +630,18 @@ def test_what_torques_do_is_in_the_energy(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["differential", "mecanum", "car", "casters"])
 def test_wheels_without_mass_and_inertia_are_massless_and_nothing_else(kind: str) -> None:
-    light: dict[str, WheelTable] = {
-        "differential": WheelTable.differential(0.5, 0.1, x=0.07),
-        "mecanum": WheelTable.mecanum(0.5, 0.4, 0.08),
-        "car": WheelTable.car(0.6, 0.4, 0.1, yaw_inertia=0.006),
-        "casters": WheelTable(
+    light: dict[str, pm.WheelTable] = {
+        "differential": pm.WheelTable.differential(0.5, 0.1, x=0.07),
+        "mecanum": pm.WheelTable.mecanum(0.5, 0.4, 0.08),
+        "car": pm.WheelTable.car(0.6, 0.4, 0.1, yaw_inertia=0.006),
+        "casters": pm.WheelTable(
             (
-                *WheelTable.differential(0.5, 0.1).wheels,
+                *pm.WheelTable.differential(0.5, 0.1).wheels,
                 Wheel("caster", -0.3, 0.02, 0.05, steering="free", trail=(-0.03, 0)),
             )
         ),
     }
-    wheeled = WheeledRobot(BASE, light[kind])
+    wheeled = pm.WheeledRobot(BASE, light[kind])
     rng = np.random.default_rng(6)
     q = rng.uniform(-0.5, 0.5, (10, wheeled.nq))
     v, u = wheeled.project(q, rng.normal(size=(10, wheeled.nv))), rng.normal(size=(10, wheeled.nu))
@@ -650,6 +656,6 @@ def test_wheels_without_mass_and_inertia_are_massless_and_nothing_else(kind: str
 
 def test_steering_that_nothing_holds_has_an_inertia() -> None:
     with pytest.raises(
-        InvalidArgument, match="steering of the table has no inertia about its axis, expected"
+        pm.InvalidArgument, match="steering of the table has no inertia about its axis, expected"
     ):
-        WheeledRobot(BASE, WheelTable.car(0.6, 0.4, 0.1))
+        pm.WheeledRobot(BASE, pm.WheelTable.car(0.6, 0.4, 0.1))

@@ -16,18 +16,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import (
-    Coulomb,
-    Engine,
-    FixedHeading,
-    Hold,
-    MobileRobot,
-    WheeledRobot,
-    WheelTable,
-    law,
-    rk4,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.wheels import Wheel, WheelFriction
 
@@ -39,7 +28,7 @@ OWN: dict[str, Any] = {
     "yaw_inertia": 0.004,
     "friction": WheelFriction(across=0.0, rolling=0.0),
 }
-BASE = MobileRobot(30.0, 1.3, com=(0.03, 0.01, 0.2), size=(0.6, 0.5, 0.2))
+BASE = pm.MobileRobot(30.0, 1.3, com=(0.03, 0.01, 0.2), size=(0.6, 0.5, 0.2))
 ROLLERS, THIN, ROLLER_MASS = 16, 0.22, 0.002  # of a wheel; radius of a roller by that of its wheel; [kg]
 STEP, PACE = 0.0005, 2  # [s] of MuJoCo, and how many of its steps one of ours has
 SPRING = 5e4  # [N/m] of a wheel with rollers, beside three others
@@ -76,7 +65,7 @@ def rolling(wheel: Wheel) -> str:
     return found
 
 
-def bodies(robot: MobileRobot, table: WheelTable) -> str:
+def bodies(robot: pm.MobileRobot, table: pm.WheelTable) -> str:
     """Return the robot as MuJoCo's XML; a support is a ball without friction."""
     whole, wheels = pin.Inertia(robot.body.mass, robot.body.com, robot.body.inertia), ""
     for wheel in table.wheels:
@@ -115,7 +104,7 @@ def bodies(robot: MobileRobot, table: WheelTable) -> str:
     )
 
 
-def driven(table: WheelTable, u: Array, T: float) -> tuple[Array, Array]:
+def driven(table: pm.WheelTable, u: Array, T: float) -> tuple[Array, Array]:
     """Return x, y, psi at each ms, and the mean load of each wheel and support after half a second."""
     xml = bodies(BASE, table).replace('inertiafromgeom="false"', 'inertiafromgeom="auto"')
     model = mujoco.MjModel.from_xml_string(xml)
@@ -151,10 +140,12 @@ def driven(table: WheelTable, u: Array, T: float) -> tuple[Array, Array]:
     return found, loads
 
 
-def ours(table: WheelTable, u: Array, T: float, ground: Any = None) -> Any:
-    robot, own = WheeledRobot(BASE, table, ground), rk4 if ground is None else None
-    controller, still = law(lambda t, q, v, reference: u), FixedHeading(Hold([0, 0], T), 0.0)
-    return simulate(robot, controller, still, dt=0.001, q0=robot.rest, integrator=own, engine=Engine.COMPILED)
+def ours(table: pm.WheelTable, u: Array, T: float, ground: Any = None) -> Any:
+    robot, own = pm.WheeledRobot(BASE, table, ground), pm.rk4 if ground is None else None
+    controller, still = pm.law(lambda t, q, v, reference: u), pm.FixedHeading(pm.Hold([0, 0], T), 0.0)
+    return pm.simulate(
+        robot, controller, still, dt=0.001, q0=robot.rest, integrator=own, engine=pm.Engine.COMPILED
+    )
 
 
 def length(path: Array) -> float:
@@ -162,7 +153,7 @@ def length(path: Array) -> float:
 
 
 def test_a_differential_drive_on_spheres_goes_where_rolling_goes() -> None:
-    table = WheelTable.differential(0.5, 0.1, supports=[(0.25, 0)], **OWN)
+    table = pm.WheelTable.differential(0.5, 0.1, supports=[(0.25, 0)], **OWN)
     u, T = np.array([0.9, 1.1]), 3.0
     path, loads = driven(table, u, T)
     run = ours(table, u, T)
@@ -172,22 +163,22 @@ def test_a_differential_drive_on_spheres_goes_where_rolling_goes() -> None:
     np.testing.assert_allclose(loads, loads_of(table, u, T), rtol=0.01)
 
 
-def loads_of(table: WheelTable, u: Array, T: float) -> Array:
+def loads_of(table: pm.WheelTable, u: Array, T: float) -> Array:
     """Return the mean load of each wheel and support after half a second, where wheels may slip."""
-    found = ours(table, u, T, Coulomb(mu=1.0)).signals["loads"].values
+    found = ours(table, u, T, pm.Coulomb(mu=1.0)).signals["loads"].values
     return np.asarray(found[501:].mean(axis=0))
 
 
 MADE = {
-    "omni": WheelTable.omni(0.25, 0.1, first=np.pi / 2, **OWN),
-    "mecanum": WheelTable.mecanum(0.5, 0.45, 0.1, **OWN),
+    "omni": pm.WheelTable.omni(0.25, 0.1, first=np.pi / 2, **OWN),
+    "mecanum": pm.WheelTable.mecanum(0.5, 0.45, 0.1, **OWN),
 }
 
 
 @pytest.mark.parametrize("kind", MADE)
 def test_wheels_with_rollers_go_sideways_as_they_roll_and_carry_as_much(kind: str) -> None:
     table, T = MADE[kind], 2.0
-    robot = WheeledRobot(BASE, table)
+    robot = pm.WheeledRobot(BASE, table)
     u = robot.inverse_dynamics(robot.rest, np.zeros(robot.nv), [0.0, 0.5, 0.0])
     path, loads = driven(table, u, T)
     run = ours(table, u, T)
@@ -199,12 +190,12 @@ def test_wheels_with_rollers_go_sideways_as_they_roll_and_carry_as_much(kind: st
 @pytest.mark.parametrize("kind", MADE)
 def test_wheels_with_rollers_carry_as_much_ahead(kind: str) -> None:
     table, T = MADE[kind], 1.5
-    robot = WheeledRobot(BASE, table)
+    robot = pm.WheeledRobot(BASE, table)
     u = robot.inverse_dynamics(robot.rest, np.zeros(robot.nv), [0.5, 0.0, 0.0])
     check_loads(driven(table, u, T)[1], table, u, T)
 
 
-def check_loads(loads: Array, table: WheelTable, u: Array, T: float) -> None:
+def check_loads(loads: Array, table: pm.WheelTable, u: Array, T: float) -> None:
     """Check means over some twenty rollers, each of which takes the load from the one before.
 
     Where contacts give way, the one that comes carries a little more than the one that goes: rollers at 45

@@ -9,17 +9,8 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from pinmobile import (
-    Circle,
-    ComputedTorque,
-    InvalidArgument,
-    MobileRobot,
-    Rollout,
-    Tangent,
-    plots,
-    rk4,
-    simulate,
-)
+import pinmobile as pm
+from pinmobile import plots
 from pinmobile.arrays import Array
 from pinmobile.controllers import Backstepping, UnicycleTracking
 from pinmobile.palette import GRIPS, QUIET, SLIDES
@@ -31,7 +22,7 @@ from tests import wheeled
 pytestmark = pytest.mark.once
 
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.005, "yaw_inertia": 0.003}
-BOX = MobileRobot(30.0, 1.3, com=(0.0, 0.0, 0.1), size=(0.6, 0.4, 0.25))
+BOX = pm.MobileRobot(30.0, 1.3, com=(0.0, 0.0, 0.1), size=(0.6, 0.4, 0.25))
 _BELIEVED = WheelTable.differential(0.46, 0.099, supports=[(0.25, 0), (-0.25, 0)], **WHEEL)
 CASTER = Wheel("caster", -0.3, 0.02, 0.05, 0.3, steering="free", trail=(-0.03, 0.005), **WHEEL)
 DIFFERENTIAL = WheelTable.differential(0.46, 0.1, supports=[(0.25, 0), (-0.25, 0)], **WHEEL)
@@ -46,18 +37,18 @@ TABLES: dict[str, WheelTable] = {
 
 
 @pytest.fixture(scope="module")
-def rolls() -> Rollout:
+def rolls() -> pm.Rollout:
     """Return a differential drive that rolls on a circle."""
     robot = WheeledRobot(BOX, DIFFERENTIAL)
     law = OdometryFeedback(Backstepping(UnicycleTracking(), robot), _BELIEVED)
-    return simulate(robot, law, Tangent(Circle(1, 0.5, 0.6)), dt=0.02, integrator=rk4)
+    return pm.simulate(robot, law, pm.Tangent(pm.Circle(1, 0.5, 0.6)), dt=0.02, integrator=pm.rk4)
 
 
 @pytest.fixture(scope="module")
-def slides() -> Rollout:
+def slides() -> pm.Rollout:
     """Return a mecanum base on ice, whose wheels slide."""
     robot = WheeledRobot(BOX, TABLES["mecanum"], Coulomb(0.05))
-    return simulate(robot, _Forward(), Tangent(Circle(1, 0.5, 0.2)), dt=0.02)
+    return pm.simulate(robot, _Forward(), pm.Tangent(pm.Circle(1, 0.5, 0.2)), dt=0.02)
 
 
 class _Forward:
@@ -142,7 +133,7 @@ def test_a_box_stands_above_wheels_that_are_below_it_and_reaches_down_beside_oth
 
     assert bottom(TABLES["omni"]) > 2 * 0.06
     assert bottom(DIFFERENTIAL) == pytest.approx(0.06)
-    assert MobileRobot.box().visual_model.geometryObjects[0].placement.translation[2] == pytest.approx(0.1)
+    assert pm.MobileRobot.box().visual_model.geometryObjects[0].placement.translation[2] == pytest.approx(0.1)
 
 
 def test_supports_forks_and_arms_are_drawn_where_they_are() -> None:
@@ -186,7 +177,7 @@ def test_wheels_that_a_file_shows_turn_and_are_not_doubled(tmp_path: Path) -> No
     assert "wheel_0/tyre" in [item.name for item in bare.visual_model.geometryObjects]
 
 
-def test_contacts_of_what_rolls_are_newtons_law_and_tell_what_is_not_determined(rolls: Rollout) -> None:
+def test_contacts_of_what_rolls_are_newtons_law_and_tell_what_is_not_determined(rolls: pm.Rollout) -> None:
     plant = rolls.plant
     found = plant.contacts(rolls.q, rolls.v, rolls.a, rolls.u, rolls.signals)
     mass = sum(inertia.mass for inertia in BOX.model.inertias)
@@ -211,7 +202,7 @@ def test_loads_that_cannot_be_told_are_no_numbers() -> None:
     assert np.isfinite(found.forces).all()
 
 
-def test_contacts_of_what_slides_are_the_signals_at_the_limit(slides: Rollout) -> None:
+def test_contacts_of_what_slides_are_the_signals_at_the_limit(slides: pm.Rollout) -> None:
     plant = slides.plant
     found = plant.contacts(slides.q, slides.v, slides.a, slides.u, slides.signals)
     assert found.slides[1:].all()
@@ -222,7 +213,7 @@ def test_contacts_of_what_slides_are_the_signals_at_the_limit(slides: Rollout) -
 
 
 def test_a_page_has_discs_forces_and_the_centre_and_colours_of_what_slides(
-    rolls: Rollout, slides: Rollout
+    rolls: pm.Rollout, slides: pm.Rollout
 ) -> None:
     shown = Overlays(contacts=True, centre=True)
     for run, paint, other in ((rolls, QUIET, SLIDES), (slides, SLIDES, QUIET)):
@@ -247,15 +238,15 @@ def test_a_page_has_discs_forces_and_the_centre_and_colours_of_what_slides(
 
 
 def test_overlays_of_contacts_are_refused_where_a_plant_tells_none(tmp_path: Path) -> None:
-    robot = MobileRobot.lecture()
-    run = simulate(robot, ComputedTorque(robot), Tangent(Circle(1, 0.5, 0.2)), dt=0.1)
-    with Viewer(robot) as viewer, pytest.raises(InvalidArgument, match="overlays has contacts or centre"):
+    robot = pm.MobileRobot.lecture()
+    run = pm.simulate(robot, pm.ComputedTorque(robot), pm.Tangent(pm.Circle(1, 0.5, 0.2)), dt=0.1)
+    with Viewer(robot) as viewer, pytest.raises(pm.InvalidArgument, match="overlays has contacts or centre"):
         viewer.record(run, overlays=Overlays(contacts=True))
 
 
 @pytest.mark.parametrize("figure", [plots.wheel_torques, plots.friction, plots.slip, plots.loads])
 def test_figures_of_wheels_have_a_line_for_each_and_units(
-    figure: Callable[..., Any], rolls: Rollout, slides: Rollout
+    figure: Callable[..., Any], rolls: pm.Rollout, slides: pm.Rollout
 ) -> None:
     drawn = figure({"rolls": rolls, "slides": slides})
     first, second = drawn.axes[:2]
@@ -263,9 +254,9 @@ def test_figures_of_wheels_have_a_line_for_each_and_units(
     assert re.search(r"\[(N m|-|m/s|N)\]", first.get_ylabel())
     assert len({line.get_color() for line in second.lines[:4]}) == 4
     assert len({str(line._dash_pattern) for line in second.lines[:4]}) == 4
-    robot = MobileRobot.lecture()
-    bare = simulate(robot, ComputedTorque(robot), Tangent(Circle(1, 0.5, 0.2)), dt=0.1)
-    with pytest.raises(InvalidArgument, match=r"rollouts.plant is .*, expected a WheeledRobot"):
+    robot = pm.MobileRobot.lecture()
+    bare = pm.simulate(robot, pm.ComputedTorque(robot), pm.Tangent(pm.Circle(1, 0.5, 0.2)), dt=0.1)
+    with pytest.raises(pm.InvalidArgument, match=r"rollouts.plant is .*, expected a WheeledRobot"):
         figure(bare)
 
 
@@ -275,7 +266,7 @@ def words(axes: Axes) -> list[str]:
     return [] if legend is None else [text.get_text() for text in legend.get_texts()]
 
 
-def test_figures_tell_shares_friction_and_odometry(rolls: Rollout, slides: Rollout) -> None:
+def test_figures_tell_shares_friction_and_odometry(rolls: pm.Rollout, slides: pm.Rollout) -> None:
     assert words(plots.friction(rolls).axes[0]) == ["left (share)", "right (share)"]
     top = max(np.max(np.asarray(line.get_ydata())) for line in plots.friction(slides).axes[0].lines[:4])
     assert top == pytest.approx(1.0)
@@ -283,14 +274,14 @@ def test_figures_tell_shares_friction_and_odometry(rolls: Rollout, slides: Rollo
     assert words(path) == ["desired", "true", "believed"]
     believed = rolls.signals["believed_pose"].values
     assert off.lines[0].get_ydata() == pytest.approx(np.hypot(*(believed - rolls.poses)[:, :2].T))
-    with pytest.raises(InvalidArgument, match="no signal believed_pose"):
+    with pytest.raises(pm.InvalidArgument, match="no signal believed_pose"):
         plots.odometry(slides)
     alone = WheeledRobot(BOX, WheelTable.differential(0.46, 0.1, **WHEEL))
-    with pytest.raises(InvalidArgument, match="loads are not known"):
+    with pytest.raises(pm.InvalidArgument, match="loads are not known"):
         plots.friction(_with_plant(rolls, alone))
 
 
-def _with_plant(run: Rollout, plant: WheeledRobot) -> Rollout:
+def _with_plant(run: pm.Rollout, plant: WheeledRobot) -> pm.Rollout:
     from dataclasses import replace
 
     return replace(run, plant=plant)

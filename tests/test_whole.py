@@ -9,50 +9,27 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    ConstantForce,
-    CubicVia,
-    FixedHeading,
-    Hold,
-    InputSaturation,
-    InvalidArgument,
-    MobileRobot,
-    PayloadBody,
-    PDGravity,
-    Reference,
-    RestToRest,
-    RollingResistance,
-    Spline,
-    Tangent,
-    ViscousFriction,
-    WholeBody,
-    law,
-    rk4,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.controllers import Decoupled, planar_difference
 from pinmobile.forces import NoiseForce, SinusoidalForce
 from pinmobile.integrators import constant_acceleration
 
 AT = (0.1, -0.05, 0.2, 0.4)
-BARE = MobileRobot.box()
+BARE = pm.MobileRobot.box()
 UR5 = BARE.mount("ur5", AT)
 KINOVA = BARE.mount("kinova", AT)  # four of its joints are continuous
-TWO = BARE.mount("panda", AT).mount("kinova", (-0.1, 0, 0.2, 0)).attach(PayloadBody(1.5, (0, 0, 0.1)))
+TWO = BARE.mount("panda", AT).mount("kinova", (-0.1, 0, 0.2, 0)).attach(pm.PayloadBody(1.5, (0, 0, 0.1)))
 ROBOTS = pytest.mark.parametrize("robot", [UR5, KINOVA, TWO], ids=["ur5", "kinova", "two arms and a load"])
-CIRCLE = Tangent(Circle(1, 0.5, 6))
+CIRCLE = pm.Tangent(pm.Circle(1, 0.5, 6))
 
 
-def rest_of(robot: MobileRobot) -> Array:
+def rest_of(robot: pm.MobileRobot) -> Array:
     """Return the coordinates of the joints at rest."""
     return robot.rest[3:]
 
 
-def inward(robot: MobileRobot, way: float) -> list[tuple[Array, Array]]:
+def inward(robot: pm.MobileRobot, way: float) -> list[tuple[Array, Array]]:
     """Return for each arm the coordinates at rest, and those that far from them, away from limits."""
     ends = []
     for mount in robot.mounts:
@@ -62,13 +39,13 @@ def inward(robot: MobileRobot, way: float) -> list[tuple[Array, Array]]:
     return ends
 
 
-def there_and_back(robot: MobileRobot, way: float = 0.5, duration: float = 6.0) -> WholeBody:
+def there_and_back(robot: pm.MobileRobot, way: float = 0.5, duration: float = 6.0) -> pm.WholeBody:
     """Return the circle, beside it every joint through `way` and back."""
-    paths = [CubicVia(start, via, start, duration / 2, duration) for start, via in inward(robot, way)]
-    return WholeBody(robot, Tangent(Circle(1, 0.5, duration)), *paths)
+    paths = [pm.CubicVia(start, via, start, duration / 2, duration) for start, via in inward(robot, way)]
+    return pm.WholeBody(robot, pm.Tangent(pm.Circle(1, 0.5, duration)), *paths)
 
 
-def gains(robot: MobileRobot) -> Array:
+def gains(robot: pm.MobileRobot) -> Array:
     """Return the moments of inertia at rest: as gains of a force they are 1/s^2 of the motion."""
     return np.diag(robot.mass_matrix(robot.rest)).copy()
 
@@ -77,8 +54,8 @@ def gains(robot: MobileRobot) -> Array:
 
 
 def test_the_reference_is_the_bases_beside_the_paths() -> None:
-    path = RestToRest(np.zeros(6), np.linspace(-1, 1, 6), 6)
-    trajectory, t = WholeBody(UR5, CIRCLE, path), np.linspace(0, 6, 12).reshape(3, 4)
+    path = pm.RestToRest(np.zeros(6), np.linspace(-1, 1, 6), 6)
+    trajectory, t = pm.WholeBody(UR5, CIRCLE, path), np.linspace(0, 6, 12).reshape(3, 4)
     assert trajectory.duration == 6.0
     got = trajectory(t)
     for k, part in enumerate(got):
@@ -90,9 +67,9 @@ def test_the_reference_is_the_bases_beside_the_paths() -> None:
 
 
 @ROBOTS
-def test_velocity_and_acceleration_are_those_of_the_configuration(robot: MobileRobot) -> None:
-    paths = [Spline([start, via, start], (0, 2.5, 6)) for start, via in inward(robot, 0.03)]
-    trajectory, h = WholeBody(robot, CIRCLE, *paths), 1e-4
+def test_velocity_and_acceleration_are_those_of_the_configuration(robot: pm.MobileRobot) -> None:
+    paths = [pm.Spline([start, via, start], (0, 2.5, 6)) for start, via in inward(robot, 0.03)]
+    trajectory, h = pm.WholeBody(robot, CIRCLE, *paths), 1e-4
     t = np.linspace(0.1, 5.9, 31)  # between the knots
     before, now, after = (trajectory(t + s * h) for s in (-1, 0, 1))
     assert now.q.shape == (31, robot.nq)
@@ -105,37 +82,37 @@ def test_velocity_and_acceleration_are_those_of_the_configuration(robot: MobileR
 def test_a_joint_without_limits_goes_round_and_round() -> None:
     pendulum = BARE.mount("double_pendulum_continuous", AT)  # its speed has no limit either
     start = rest_of(pendulum)
-    trajectory = WholeBody(pendulum, CIRCLE, RestToRest(start, start + np.array([20, 0]), 6))
+    trajectory = pm.WholeBody(pendulum, CIRCLE, pm.RestToRest(start, start + np.array([20, 0]), 6))
     t = np.linspace(0, 6, 7)
     angle = start[0] + 20 * (10 * (t / 6) ** 3 - 15 * (t / 6) ** 4 + 6 * (t / 6) ** 5)
     np.testing.assert_allclose(trajectory(t).q[:, 3], angle, atol=1e-13)
 
 
 @ROBOTS
-def test_an_arm_without_a_path_is_held_at_rest(robot: MobileRobot) -> None:
-    reference = WholeBody(robot, CIRCLE, *[None] * len(robot.mounts))((0, 2.5, 6))
+def test_an_arm_without_a_path_is_held_at_rest(robot: pm.MobileRobot) -> None:
+    reference = pm.WholeBody(robot, CIRCLE, *[None] * len(robot.mounts))((0, 2.5, 6))
     np.testing.assert_allclose(reference.q[:, 3:], [robot.rest[3:]] * 3, atol=1e-15)
     assert not reference.v[:, 3:].any()
-    assert WholeBody(BARE, CIRCLE)(2.5).q.shape == (3,)
+    assert pm.WholeBody(BARE, CIRCLE)(2.5).q.shape == (3,)
 
 
 def test_an_arm_without_joints_is_held_too() -> None:
     copter = BARE.mount("hector", AT)
-    for path in (None, Hold((), 2)):
-        run = simulate(copter, Decoupled(copter, 100, 20), WholeBody(copter, CIRCLE, path), dt=0.01)
+    for path in (None, pm.Hold((), 2)):
+        run = pm.simulate(copter, Decoupled(copter, 100, 20), pm.WholeBody(copter, CIRCLE, path), dt=0.01)
         assert run.q.shape == (601, 3)
 
 
 def test_what_ends_first_is_held_at_its_end() -> None:
-    line = Tangent(RestToRest((0, 0), (3, 4), 2))
-    trajectory = WholeBody(UR5, line, RestToRest(np.zeros(6), np.ones(6), 5))
+    line = pm.Tangent(pm.RestToRest((0, 0), (3, 4), 2))
+    trajectory = pm.WholeBody(UR5, line, pm.RestToRest(np.zeros(6), np.ones(6), 5))
     assert trajectory.duration == 5.0
     late = trajectory((2.5, 5))
     np.testing.assert_array_equal(late.q[:, :3], [line(2).q] * 2)
     assert not late.v[:, :3].any()
     assert not late.a[:, :3].any()
     # A cubic comes to rest with an acceleration, which is over when it is.
-    stopped = WholeBody(UR5, CIRCLE, CubicVia(np.zeros(6), np.ones(6), np.zeros(6), 1, 2))((2, 2.001))
+    stopped = pm.WholeBody(UR5, CIRCLE, pm.CubicVia(np.zeros(6), np.ones(6), np.zeros(6), 1, 2))((2, 2.001))
     assert stopped.a[0, 3:].all()
     assert not stopped.a[1, 3:].any()
     np.testing.assert_allclose(stopped.q[1, 3:], 0, atol=1e-14)
@@ -143,13 +120,13 @@ def test_what_ends_first_is_held_at_its_end() -> None:
 
 def test_durations_that_differ_by_rounding_are_one() -> None:
     third = 6 / 3 + 6 / 3 + 6 / 3 * (1 + 1e-15)
-    trajectory = WholeBody(UR5, CIRCLE, Hold(np.zeros(6), third * (1 + 1e-14)))
+    trajectory = pm.WholeBody(UR5, CIRCLE, pm.Hold(np.zeros(6), third * (1 + 1e-14)))
     assert trajectory.duration > 6
     assert trajectory(trajectory.duration).v[0] == CIRCLE(6).v[0] != 0
 
 
 def test_a_trajectory_of_the_whole_is_a_value() -> None:
-    trajectory, again = (there_and_back(MobileRobot.lecture().mount("ur5", AT)) for _ in range(2))
+    trajectory, again = (there_and_back(pm.MobileRobot.lecture().mount("ur5", AT)) for _ in range(2))
     assert trajectory == again == pickle.loads(pickle.dumps(trajectory)) == eval(repr(trajectory))
     assert hash(trajectory) == hash(again)
     assert trajectory != there_and_back(trajectory.robot, 0.4)
@@ -173,14 +150,14 @@ class Spike:
 
 
 def test_what_leaves_the_limits_is_refused_where_it_is_seen() -> None:
-    steep = RestToRest(np.zeros(6), [0, 0, -3.5, 0, 0, 0], 6)
+    steep = pm.RestToRest(np.zeros(6), [0, 0, -3.5, 0, 0, 0], 6)
     text = (
         "reference has joint 'ur5/elbow_joint' at -3.24333087 rad at t = 4.6875 s, "
         "expected -3.14159265 to 3.14159265 rad"
     )
-    with pytest.raises(InvalidArgument, match=f"^{re.escape(text)}$"):
-        WholeBody(UR5, CIRCLE, steep)
-    short = WholeBody(UR5, CIRCLE, Spike(7.0))
+    with pytest.raises(pm.InvalidArgument, match=f"^{re.escape(text)}$"):
+        pm.WholeBody(UR5, CIRCLE, steep)
+    short = pm.WholeBody(UR5, CIRCLE, Spike(7.0))
     assert short(1.0).q[3] == 0
     text = (
         "reference has joint 'ur5/shoulder_pan_joint' at 7 rad at t = 1.001 s, "
@@ -188,31 +165,31 @@ def test_what_leaves_the_limits_is_refused_where_it_is_seen() -> None:
     )
     for call in (
         lambda: short([[1.0, 1.001]]),
-        lambda: simulate(UR5, ComputedTorque(UR5), short, dt=1e-3),
-        lambda: simulate(UR5, PD(1, 1), Unchecked(Spike(7.0)), dt=1e-3),
+        lambda: pm.simulate(UR5, pm.ComputedTorque(UR5), short, dt=1e-3),
+        lambda: pm.simulate(UR5, pm.PD(1, 1), Unchecked(Spike(7.0)), dt=1e-3),
     ):
-        with pytest.raises(InvalidArgument, match=f"^{re.escape(text)}$"):
+        with pytest.raises(pm.InvalidArgument, match=f"^{re.escape(text)}$"):
             call()
 
 
 def test_a_start_outside_the_joint_limits_is_refused() -> None:
-    reference = WholeBody(UR5, CIRCLE, None)
+    reference = pm.WholeBody(UR5, CIRCLE, None)
     beyond, fast = UR5.rest.copy(), np.zeros(9)
     beyond[5], fast[4] = 7.0, -4.0
     for start, text in (
         ({"q0": beyond}, "q0 has joint 'ur5/elbow_joint' at 7 rad, expected -3.14159265 to 3.14159265 rad"),
         ({"v0": fast}, "v0 moves joint 'ur5/shoulder_lift_joint' at -4 rad/s, expected at most 3.15 rad/s"),
     ):
-        with pytest.raises(InvalidArgument, match=f"^{re.escape(text)}$"):
-            simulate(UR5, ComputedTorque(UR5), reference, dt=1e-3, **start)
+        with pytest.raises(pm.InvalidArgument, match=f"^{re.escape(text)}$"):
+            pm.simulate(UR5, pm.ComputedTorque(UR5), reference, dt=1e-3, **start)
 
 
 def test_what_is_faster_than_a_joint_can_be_is_refused() -> None:
     text = "reference moves joint 'ur5/shoulder_pan_joint' at "
     with pytest.raises(
-        InvalidArgument, match=f"^{re.escape(text)}.* rad/s at t = .* s, expected at most 3.15 rad/s$"
+        pm.InvalidArgument, match=f"^{re.escape(text)}.* rad/s at t = .* s, expected at most 3.15 rad/s$"
     ):
-        WholeBody(UR5, CIRCLE, RestToRest(np.zeros(6), np.full(6, 3.0), 0.2))
+        pm.WholeBody(UR5, CIRCLE, pm.RestToRest(np.zeros(6), np.full(6, 3.0), 0.2))
 
 
 @pytest.mark.parametrize("sign", ["", "-"])
@@ -221,21 +198,23 @@ def test_a_joint_that_is_too_fast_is_named_whichever_way_it_goes(k: int, sign: s
     start = np.full(6, 3.0)  # within its limits; three of its joints have two numbers in q
     end = start + float(f"{sign}0.2") * np.eye(6)[k]
     text = rf"^reference moves joint 'kinova/j2s6s200_joint_{k + 1}' at {sign}\d\.\d+ rad/s"
-    with pytest.raises(InvalidArgument, match=text):
-        WholeBody(KINOVA, Tangent(Circle(1, 0.5, 0.2)), RestToRest(start, end, 0.2))
+    with pytest.raises(pm.InvalidArgument, match=text):
+        pm.WholeBody(KINOVA, pm.Tangent(pm.Circle(1, 0.5, 0.2)), pm.RestToRest(start, end, 0.2))
 
 
 def test_a_path_of_the_second_arm_that_leaves_its_limits_is_refused_at_once() -> None:
     start = rest_of(TWO)[TWO.mounts[1].v.start - 3 :]
-    with pytest.raises(InvalidArgument, match=r"^reference has joint 'kinova/j2s6s200_joint_2' at \d"):
-        WholeBody(TWO, Tangent(Circle(1, 0.1, 60)), None, RestToRest(start, start + 4 * np.eye(6)[1], 60))
+    with pytest.raises(pm.InvalidArgument, match=r"^reference has joint 'kinova/j2s6s200_joint_2' at \d"):
+        pm.WholeBody(
+            TWO, pm.Tangent(pm.Circle(1, 0.1, 60)), None, pm.RestToRest(start, start + 4 * np.eye(6)[1], 60)
+        )
 
 
 def test_a_short_path_of_the_second_arm_is_looked_at_between_the_times_of_the_first() -> None:
     start = rest_of(TWO)[TWO.mounts[1].v.start - 3 :]
-    away = CubicVia(start, start + 4 * np.eye(6)[1], start, 0.45, 0.9)
-    with pytest.raises(InvalidArgument, match=r"joint 'kinova/j2s6s200_joint_2' at \d"):
-        WholeBody(TWO, Tangent(Circle(1, 0.1, 60)), None, away)
+    away = pm.CubicVia(start, start + 4 * np.eye(6)[1], start, 0.45, 0.9)
+    with pytest.raises(pm.InvalidArgument, match=r"joint 'kinova/j2s6s200_joint_2' at \d"):
+        pm.WholeBody(TWO, pm.Tangent(pm.Circle(1, 0.1, 60)), None, away)
 
 
 @dataclass(frozen=True)
@@ -245,74 +224,75 @@ class Unchecked:
     path: Spike
     duration: float = 6.0
 
-    def __call__(self, t: ArrayLike) -> Reference:
+    def __call__(self, t: ArrayLike) -> pm.Reference:
         arm = (self.path.derivative(t, order) for order in range(3))
-        return Reference(*(np.concatenate([np.zeros((*np.shape(t), 3)), part], -1) for part in arm))
+        return pm.Reference(*(np.concatenate([np.zeros((*np.shape(t), 3)), part], -1) for part in arm))
 
 
 def test_slides_have_their_limits_in_metres_and_a_limit_itself_is_within() -> None:
     panda = BARE.mount("panda", AT)
     rest, finger = rest_of(panda), np.eye(9)[7]
     top = rest + finger * (panda.upper[10] - rest[7])
-    assert WholeBody(panda, CIRCLE, RestToRest(rest, top, 6))(6.0).q[10] == pytest.approx(0.04)
+    assert pm.WholeBody(panda, CIRCLE, pm.RestToRest(rest, top, 6))(6.0).q[10] == pytest.approx(0.04)
     with pytest.raises(
-        InvalidArgument, match=r"finger_joint1' at 0\.0405523071 m at t = 4\.3125 s, expected 0 to 0\.04 m$"
+        pm.InvalidArgument,
+        match=r"finger_joint1' at 0\.0405523071 m at t = 4\.3125 s, expected 0 to 0\.04 m$",
     ):
-        WholeBody(panda, CIRCLE, Spline([rest, top + 0.01 * finger], (0, 6)))
+        pm.WholeBody(panda, CIRCLE, pm.Spline([rest, top + 0.01 * finger], (0, 6)))
 
 
 @pytest.mark.parametrize(
     ("call", "text"),
     [
-        (lambda: WholeBody("ur5", CIRCLE), "robot is 'ur5', expected a MobileRobot"),
+        (lambda: pm.WholeBody("ur5", CIRCLE), "robot is 'ur5', expected a MobileRobot"),
         (
-            lambda: WholeBody(UR5, Circle(1, 1, 6), None),
+            lambda: pm.WholeBody(UR5, pm.Circle(1, 1, 6), None),
             "base is Circle(radius=1.0, rate=1.0, duration=6.0), a path, which has no heading, expected a "
             "trajectory: wrap the path in Tangent or FixedHeading, such as Tangent(path)",
         ),
         (
-            lambda: WholeBody(UR5, WholeBody(UR5, CIRCLE, None), None),
+            lambda: pm.WholeBody(UR5, pm.WholeBody(UR5, CIRCLE, None), None),
             "base has configurations of shape (9,), expected (3,): x, y and psi",
         ),
         (
-            lambda: WholeBody(UR5, CIRCLE),
+            lambda: pm.WholeBody(UR5, CIRCLE),
             "joints has 0 paths, expected 1, one per arm of the robot",
         ),
         (
-            lambda: WholeBody(TWO, CIRCLE, None, None, None),
+            lambda: pm.WholeBody(TWO, CIRCLE, None, None, None),
             "joints has 3 paths, expected 2, one per arm of the robot",
         ),
         (
-            lambda: WholeBody(UR5, CIRCLE, np.zeros(6)),  # type: ignore[arg-type]
+            lambda: pm.WholeBody(UR5, CIRCLE, np.zeros(6)),  # type: ignore[arg-type]
             "joints[0] is array([0., 0., 0., 0., 0., 0.]), expected a path of 6 coordinates, or None",
         ),
         (
-            lambda: WholeBody(TWO, CIRCLE, None, Hold(np.zeros(5), 6)),
+            lambda: pm.WholeBody(TWO, CIRCLE, None, pm.Hold(np.zeros(5), 6)),
             "joints[1] has points of shape (5,), expected (6,), one coordinate per joint of 'kinova'",
         ),
         (
-            lambda: WholeBody(UR5, CIRCLE, Spike(np.nan)),
+            lambda: pm.WholeBody(UR5, CIRCLE, Spike(np.nan)),
             "joints[0](0)[0] is nan, expected a finite number",
         ),
         (
-            lambda: WholeBody(UR5, CIRCLE, Spike(1.0, duration=0.0)),
+            lambda: pm.WholeBody(UR5, CIRCLE, Spike(1.0, duration=0.0)),
             "joints[0].duration is 0.0 s, expected > 0",
         ),
         (
-            lambda: WholeBody(UR5, CIRCLE, Hold(np.zeros(6), 7)),
+            lambda: pm.WholeBody(UR5, CIRCLE, pm.Hold(np.zeros(6), 7)),
             "base ends after 6 s of 7 s while it moves at 0.5, expected it to end at rest or last as long",
         ),
         (
-            lambda: WholeBody(
-                UR5, CIRCLE, Spline([np.zeros(6), np.ones(6)], (0, 4), end_velocity=np.ones(6))
+            lambda: pm.WholeBody(
+                UR5, CIRCLE, pm.Spline([np.zeros(6), np.ones(6)], (0, 4), end_velocity=np.ones(6))
             ),
             "joints[0] ends after 4 s of 6 s while it moves at 1, expected it to end at rest or last as long",
         ),
-        (lambda: CIRCLE and WholeBody(UR5, CIRCLE, None)(6.1), "t is 6.1 s, expected 0 <= t <= 6 s"),
+        (lambda: CIRCLE and pm.WholeBody(UR5, CIRCLE, None)(6.1), "t is 6.1 s, expected 0 <= t <= 6 s"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(call: Any, text: str) -> None:
-    with pytest.raises(InvalidArgument) as caught:
+    with pytest.raises(pm.InvalidArgument) as caught:
         call()
     assert str(caught.value) == text
 
@@ -320,18 +300,18 @@ def test_what_does_not_fit_together_is_refused(call: Any, text: str) -> None:
 # -- controllers -----------------------------------------------------------------------------------
 
 
-def drawn(robot: MobileRobot) -> tuple[Array, Array, Reference]:
+def drawn(robot: pm.MobileRobot) -> tuple[Array, Array, pm.Reference]:
     """Return states and references, 12 each."""
     rng = np.random.default_rng(11)
     q, q_d = robot.random_configuration(rng, (2, 12))
     v, v_d, a_d = rng.normal(size=(3, 12, robot.nv))
-    return q, v, Reference(q_d, v_d, a_d)
+    return q, v, pm.Reference(q_d, v_d, a_d)
 
 
 @ROBOTS
-def test_whole_body_computed_torque_makes_the_error_linear(robot: MobileRobot) -> None:
+def test_whole_body_computed_torque_makes_the_error_linear(robot: pm.MobileRobot) -> None:
     q, v, reference = drawn(robot)
-    tau, _ = ComputedTorque(robot, 3, 2)(0.0, q, v, reference, None)
+    tau, _ = pm.ComputedTorque(robot, 3, 2)(0.0, q, v, reference, None)
     expected = reference.a + 3 * robot.difference(q, reference.q) + 2 * (reference.v - v)
     # Rounding, amplified by a condition number of 1e4.
     np.testing.assert_allclose(robot.forward_dynamics(q, v, tau), expected, atol=1e-9)
@@ -340,17 +320,17 @@ def test_whole_body_computed_torque_makes_the_error_linear(robot: MobileRobot) -
 
 
 @ROBOTS
-def test_pd_with_gravity_is_pd_and_gravity(robot: MobileRobot) -> None:
+def test_pd_with_gravity_is_pd_and_gravity(robot: pm.MobileRobot) -> None:
     q, v, reference = drawn(robot)
     kp, kd = np.linspace(1, 2, robot.nv), np.linspace(3, 4, robot.nv)
-    tau, state = PDGravity(robot, kp, kd)(0.0, q, v, reference, None)
+    tau, state = pm.PDGravity(robot, kp, kd)(0.0, q, v, reference, None)
     expected = robot.gravity(q) + kp * robot.difference(q, reference.q) + kd * (reference.v - v)
     np.testing.assert_allclose(tau, expected, rtol=1e-13)
     assert state is None
 
 
 @ROBOTS
-def test_decoupled_is_the_locked_load_and_the_arm_on_a_fixed_base(robot: MobileRobot) -> None:
+def test_decoupled_is_the_locked_load_and_the_arm_on_a_fixed_base(robot: pm.MobileRobot) -> None:
     q, v, reference = drawn(robot)
     tau, state = Decoupled(robot, 3, 2)(0.0, q, v, reference, None)
     command = reference.a + 3 * robot.difference(q, reference.q) + 2 * (reference.v - v)
@@ -365,14 +345,14 @@ def test_decoupled_is_the_locked_load_and_the_arm_on_a_fixed_base(robot: MobileR
             arm = pin.rnea(own, own.createData(), q[k, mount.q], v[k, mount.v], command[k, mount.v])
             np.testing.assert_allclose(tau[k, mount.v], arm, atol=1e-11)
     assert state is None
-    single = Decoupled(robot, 3, 2)(0.0, q[4], v[4], Reference(*(part[4] for part in reference)), None)[0]
+    single = Decoupled(robot, 3, 2)(0.0, q[4], v[4], pm.Reference(*(part[4] for part in reference)), None)[0]
     np.testing.assert_array_equal(single, tau[4])
 
 
 def test_without_arms_or_coupling_decoupled_is_computed_torque() -> None:
     q, v, reference = drawn(BARE)
     decoupled, whole = (
-        make(BARE, 3, 2)(0.0, q, v, reference, None)[0] for make in (Decoupled, ComputedTorque)
+        make(BARE, 3, 2)(0.0, q, v, reference, None)[0] for make in (Decoupled, pm.ComputedTorque)
     )
     np.testing.assert_array_equal(decoupled, whole)
 
@@ -381,8 +361,8 @@ def test_the_whole_body_controller_tracks_and_the_decoupled_one_lags() -> None:
     """UR5 on a circle of 1 m at 0.5 rad/s, every joint through 0.5 rad and back in 6 s, dt = 1 ms."""
     trajectory, dt = there_and_back(UR5), 1e-3
     whole, decoupled = (
-        simulate(UR5, make(UR5, 100, 20), trajectory, dt=dt).max_error()
-        for make in (ComputedTorque, Decoupled)
+        pm.simulate(UR5, make(UR5, 100, 20), trajectory, dt=dt).max_error()
+        for make in (pm.ComputedTorque, Decoupled)
     )
     # A force that is held is half a step late: e'' + kd e' + kp e = dt/2 times the jerk, which is that of the
     # circle and that of a cubic through 0.5 rad in 3 s. It changes too slowly for the left side to lag much.
@@ -397,44 +377,45 @@ def test_the_whole_body_controller_tracks_and_the_decoupled_one_lags() -> None:
 def test_computed_torque_of_another_step_is_off_by_the_held_force_alone() -> None:
     trajectory = there_and_back(UR5)
     coarse, fine = (
-        simulate(UR5, ComputedTorque(UR5, 100, 20), trajectory, dt=dt).max_error()[3:] for dt in (4e-3, 2e-3)
+        pm.simulate(UR5, pm.ComputedTorque(UR5, 100, 20), trajectory, dt=dt).max_error()[3:]
+        for dt in (4e-3, 2e-3)
     )
     np.testing.assert_allclose(coarse / fine, 2, atol=0.1)
 
 
 @pytest.mark.parametrize("name", ["ur5", "kinova"])
 def test_forces_act_on_the_base_of_a_robot_with_arms(name: str) -> None:
-    robot = MobileRobot.box().mount(name)
-    whole = WholeBody(robot, Tangent(Circle(1, 0.5, 0.2)), None)
+    robot = pm.MobileRobot.box().mount(name)
+    whole = pm.WholeBody(robot, pm.Tangent(pm.Circle(1, 0.5, 0.2)), None)
     push, seen = np.array([5.0, -3.0, 0.4]), []
 
     def wind(t: float, q: Array, v: Array) -> Array:
         seen.append((q.shape, v.shape))
         return push
 
-    free = ComputedTorque(robot, 100, 20)
+    free = pm.ComputedTorque(robot, 100, 20)
     padded = np.append(push, np.zeros(robot.nv - 3))
-    held_too = law(lambda t, q, v, reference: free(t, q, v, reference, None)[0] + padded)
-    options: dict[str, Any] = {"dt": 0.01, "integrator": rk4}
-    held = simulate(robot, held_too, whole, **options)
-    for force in (wind, ConstantForce(push)):
-        run = simulate(robot, free, whole, forces=[force], **options)
+    held_too = pm.law(lambda t, q, v, reference: free(t, q, v, reference, None)[0] + padded)
+    options: dict[str, Any] = {"dt": 0.01, "integrator": pm.rk4}
+    held = pm.simulate(robot, held_too, whole, **options)
+    for force in (wind, pm.ConstantForce(push)):
+        run = pm.simulate(robot, free, whole, forces=[force], **options)
         np.testing.assert_allclose(run.q, held.q, rtol=0, atol=1e-13)
     assert set(seen) == {((3,), (3,))}
     for other in (
-        ViscousFriction((5, 5, 1)),
-        RollingResistance((5, 5, 1)),
+        pm.ViscousFriction((5, 5, 1)),
+        pm.RollingResistance((5, 5, 1)),
         SinusoidalForce((5, 5, 1), 1.0, 0.5),
         NoiseForce((5, 5, 1), 1.0, seed=0),
     ):
-        run = simulate(robot, free, whole, forces=[other], **options)
+        run = pm.simulate(robot, free, whole, forces=[other], **options)
         assert np.abs(run.q[-1] - held.q[-1]).max() > 1e-6
 
 
 @pytest.mark.parametrize("robot", [KINOVA, TWO], ids=["kinova", "two arms and a load"])
-def test_other_arms_track_too(robot: MobileRobot) -> None:
+def test_other_arms_track_too(robot: pm.MobileRobot) -> None:
     trajectory = there_and_back(robot, 0.02, 0.5)
-    run = simulate(robot, ComputedTorque(robot, 100, 20), trajectory, dt=1e-3)
+    run = pm.simulate(robot, pm.ComputedTorque(robot, 100, 20), trajectory, dt=1e-3)
     assert run.q.shape == (501, robot.nq)
     # As above, the jerk 12 * 0.02 rad / (0.25 s)^3: 8e-5.
     assert run.max_error().max() < 1e-4
@@ -442,12 +423,12 @@ def test_other_arms_track_too(robot: MobileRobot) -> None:
 
 def test_pd_with_gravity_comes_to_rest_at_the_goal_where_pd_sags() -> None:
     goal = np.array([0.5, -0.7, 0.9, 0.3, -0.4, 0.2])
-    held = WholeBody(UR5, FixedHeading(Hold((0.1, 0.2), 4), 0.3), Hold(goal, 4))
+    held = pm.WholeBody(UR5, pm.FixedHeading(pm.Hold((0.1, 0.2), 4), 0.3), pm.Hold(goal, 4))
     # As gains: 5 rad/s and damping one, at the inertia of the rest posture.
     kp, kd = 25 * gains(UR5), 10 * gains(UR5)
     found = [
-        simulate(UR5, controller, held, dt=1e-3, q0=UR5.rest, integrator=rk4).error[-1]
-        for controller in (PDGravity(UR5, kp, kd), PD(kp, kd))
+        pm.simulate(UR5, controller, held, dt=1e-3, q0=UR5.rest, integrator=pm.rk4).error[-1]
+        for controller in (pm.PDGravity(UR5, kp, kd), pm.PD(kp, kd))
     ]
     assert np.abs(found[0]).max() < 1e-3  # e^-20 but for postures with other inertias
     expected = UR5.gravity(held(0.0).q)[4] / kp[4]
@@ -455,41 +436,43 @@ def test_pd_with_gravity_comes_to_rest_at_the_goal_where_pd_sags() -> None:
     assert abs(found[1][4]) > 0.05
 
 
-@pytest.mark.parametrize("make", [PDGravity, ComputedTorque, Decoupled])
-@pytest.mark.parametrize("integrator", [constant_acceleration, rk4])
+@pytest.mark.parametrize("make", [pm.PDGravity, pm.ComputedTorque, Decoupled])
+@pytest.mark.parametrize("integrator", [constant_acceleration, pm.rk4])
 def test_in_the_loop_and_asked_from_outside_a_controller_is_the_same(make: Any, integrator: Any) -> None:
     trajectory = there_and_back(UR5)
-    kp, kd = np.array([4.0, 4]) if make is not PDGravity else 4 * np.ones((2, 1)) * gains(UR5)
+    kp, kd = np.array([4.0, 4]) if make is not pm.PDGravity else 4 * np.ones((2, 1)) * gains(UR5)
     controller, start = make(UR5, kp, kd), UR5.rest + 0.1
     runs = [
-        simulate(UR5, one, trajectory, dt=0.002, duration=0.4, q0=start, integrator=integrator)
-        for one in (controller, InputSaturation(controller, 1e6))
+        pm.simulate(UR5, one, trajectory, dt=0.002, duration=0.4, q0=start, integrator=integrator)
+        for one in (controller, pm.InputSaturation(controller, 1e6))
     ]
     # Another order of coordinates, hence of roundings, amplified by a condition number of 1e4.
     for name in ("q", "v", "u"):
         np.testing.assert_allclose(getattr(runs[0], name), getattr(runs[1], name), rtol=0, atol=1e-9)
-    limited = simulate(UR5, InputSaturation(controller, 5.0), trajectory, dt=0.002, duration=0.1, q0=start)
+    limited = pm.simulate(
+        UR5, pm.InputSaturation(controller, 5.0), trajectory, dt=0.002, duration=0.1, q0=start
+    )
     assert np.abs(limited.u).max() == 5.0
 
 
 @pytest.mark.parametrize(
     ("call", "text"),
     [
-        (lambda: PDGravity("ur5", 1, 1), "robot is 'ur5', expected a MobileRobot"),
+        (lambda: pm.PDGravity("ur5", 1, 1), "robot is 'ur5', expected a MobileRobot"),
         (lambda: Decoupled("ur5"), "robot is 'ur5', expected a MobileRobot"),
-        (lambda: PDGravity(UR5, (1, 2, 3), 1), "kp has shape (3,), expected (), (9,) or (9, 9)"),
+        (lambda: pm.PDGravity(UR5, (1, 2, 3), 1), "kp has shape (3,), expected (), (9,) or (9, 9)"),
         (lambda: Decoupled(UR5, 1, np.eye(3)), "kd has shape (3, 3), expected (), (9,) or (9, 9)"),
         (lambda: Decoupled(UR5, np.inf, 1), "kp is inf, expected a finite number"),
         (
-            lambda: Decoupled(UR5)(0.0, np.zeros(3), np.zeros(3), Reference(*np.zeros((3, 3))), None),
+            lambda: Decoupled(UR5)(0.0, np.zeros(3), np.zeros(3), pm.Reference(*np.zeros((3, 3))), None),
             f"robot of the controller is {UR5!r}, which has 9 coordinates, expected 3, as the plant has",
         ),
         (
-            lambda: PDGravity(UR5, 1, 1)(0.0, np.zeros(9), np.zeros(9), CIRCLE(0.0), None),
+            lambda: pm.PDGravity(UR5, 1, 1)(0.0, np.zeros(9), np.zeros(9), CIRCLE(0.0), None),
             "q has shape (9,), expected (..., 3), as the reference's",
         ),
         (
-            lambda: simulate(UR5, Decoupled(UR5), CIRCLE, dt=0.01),
+            lambda: pm.simulate(UR5, Decoupled(UR5), CIRCLE, dt=0.01),
             "q has shape (9,), expected (..., 3), as the reference's; the reference has the first 3 of 9 "
             "coordinates, expected a controller that follows these, or a reference of all: a motion of base "
             "and arms is WholeBody(robot, base, *joints)",
@@ -497,6 +480,6 @@ def test_in_the_loop_and_asked_from_outside_a_controller_is_the_same(make: Any, 
     ],
 )
 def test_sizes_that_do_not_fit_are_refused(call: Any, text: str) -> None:
-    with pytest.raises(InvalidArgument) as caught:
+    with pytest.raises(pm.InvalidArgument) as caught:
         call()
     assert str(caught.value) == text

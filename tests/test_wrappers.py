@@ -11,34 +11,18 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    FixedHeading,
-    Hold,
-    InputSaturation,
-    InvalidArgument,
-    MeasurementDelay,
-    MeasurementNoise,
-    MobileRobot,
-    Reference,
-    WholeBody,
-    law,
-    rk4,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.plant import Context
 from tests.users import PID
 
-ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
-CIRCLE = FixedHeading(Circle(1.0, 0.5, 12.0), 0.3)
+ROBOT = pm.MobileRobot(10, 1.2, com=(0.15, 0.05))
+CIRCLE = pm.FixedHeading(pm.Circle(1.0, 0.5, 12.0), 0.3)
 START: dict[str, Any] = {"q0": (0.2, -0.1, 0.9), "v0": (0.1, 0.0, -0.4)}
-HOLD = FixedHeading(Hold((1.0, 0.0), 20.0), 0.3)
-REST = Reference(*np.zeros((3, 3)))
+HOLD = pm.FixedHeading(pm.Hold((1.0, 0.0), 20.0), 0.3)
+REST = pm.Reference(*np.zeros((3, 3)))
 CONTEXT = Context.of(ROBOT, dt=0.1)
-TOLD = law(lambda t, q, v, reference: q)  # its force is the configuration that it is told of
+TOLD = pm.law(lambda t, q, v, reference: q)  # its force is the configuration that it is told of
 
 
 class Counter:
@@ -64,18 +48,18 @@ QS, VS = np.random.default_rng(0).normal(size=(2, 600, 3))
 
 
 def test_a_force_beyond_its_limit_is_the_limit() -> None:
-    forces = asked(InputSaturation(TOLD, (0.5, 1, 2)), QS)
+    forces = asked(pm.InputSaturation(TOLD, (0.5, 1, 2)), QS)
     np.testing.assert_array_equal(forces, np.clip(QS, [-0.5, -1, -2], [0.5, 1, 2]))
-    np.testing.assert_array_equal(asked(InputSaturation(TOLD, 0.5), QS), np.clip(QS, -0.5, 0.5))
-    assert np.isnan(asked(InputSaturation(TOLD, 1), np.full((1, 3), np.nan))).all()
+    np.testing.assert_array_equal(asked(pm.InputSaturation(TOLD, 0.5), QS), np.clip(QS, -0.5, 0.5))
+    assert np.isnan(asked(pm.InputSaturation(TOLD, 1), np.full((1, 3), np.nan))).all()
 
 
 @given(seed=st.integers(0, 2**32 - 1), limits=st.lists(st.floats(0.1, 100), min_size=3, max_size=3))
 def test_no_force_is_beyond_the_limits_and_none_within_is_changed(seed: int, limits: list[float]) -> None:
     q, v = np.random.default_rng(seed).normal(size=(2, 5, 3))
-    inner = ComputedTorque(ROBOT, 9, 6)
+    inner = pm.ComputedTorque(ROBOT, 9, 6)
     free, _ = inner(0.0, q, v, REST, None)
-    tau, _ = InputSaturation(inner, limits)(0.0, q, v, REST, None)
+    tau, _ = pm.InputSaturation(inner, limits)(0.0, q, v, REST, None)
     assert (np.abs(tau) <= limits).all()
     within = np.abs(free) <= limits
     np.testing.assert_array_equal(tau[within], free[within])
@@ -85,19 +69,19 @@ def test_no_force_is_beyond_the_limits_and_none_within_is_changed(seed: int, lim
 def test_a_delayed_controller_is_told_of_the_state_that_many_samples_ago() -> None:
     for samples in (0, 1, 3):
         expected = QS[np.maximum(np.arange(600) - samples, 0)]
-        np.testing.assert_array_equal(asked(MeasurementDelay(TOLD, samples), QS), expected)
-    both = asked(MeasurementDelay(law(lambda t, q, v, reference: v), 2), QS, VS)
+        np.testing.assert_array_equal(asked(pm.MeasurementDelay(TOLD, samples), QS), expected)
+    both = asked(pm.MeasurementDelay(pm.law(lambda t, q, v, reference: v), 2), QS, VS)
     np.testing.assert_array_equal(both, VS[np.maximum(np.arange(600) - 2, 0)])
 
 
 def test_the_reference_is_not_delayed() -> None:
-    seen = law(lambda t, q, v, reference: reference.q)
-    rollout = simulate(ROBOT, MeasurementDelay(seen, 4), CIRCLE, dt=0.1, duration=1.0)
+    seen = pm.law(lambda t, q, v, reference: reference.q)
+    rollout = pm.simulate(ROBOT, pm.MeasurementDelay(seen, 4), CIRCLE, dt=0.1, duration=1.0)
     np.testing.assert_array_equal(rollout.u, rollout.reference.q)
 
 
 def test_a_delay_keeps_its_own_copies_and_no_more_than_it_needs() -> None:
-    controller, q = MeasurementDelay(TOLD, 2), np.zeros(3)
+    controller, q = pm.MeasurementDelay(TOLD, 2), np.zeros(3)
     state, forces = controller.initial_state(CONTEXT), []
     for k in range(6):
         q[:] = k  # as in a loop that has one array
@@ -114,14 +98,15 @@ def test_who_is_told_late_may_write_into_what_it_is_told() -> None:
         return np.asarray(told)
 
     q, v = QS[:9].copy(), VS[:9].copy()
-    first, *others = asked(MeasurementDelay(law(careless), 1), q, v)
+    first, *others = asked(pm.MeasurementDelay(pm.law(careless), 1), q, v)
     np.testing.assert_array_equal([first, *others], (QS + 10 * VS)[[0, *range(8)]])
     np.testing.assert_array_equal((q, v), (QS[:9], VS[:9]))
 
 
 def test_two_delays_are_their_sum() -> None:
     np.testing.assert_array_equal(
-        asked(MeasurementDelay(MeasurementDelay(TOLD, 2), 3), QS), asked(MeasurementDelay(TOLD, 5), QS)
+        asked(pm.MeasurementDelay(pm.MeasurementDelay(TOLD, 2), 3), QS),
+        asked(pm.MeasurementDelay(TOLD, 5), QS),
     )
 
 
@@ -135,14 +120,14 @@ def drawn(controller: Any, samples: int) -> Array:
 
 
 def test_noise_is_the_contexts_and_follows_from_its_seed_and_the_sample() -> None:
-    controller = MeasurementNoise(TOLD, (0.1, 0.2, 0.3), 0, seed=7)
+    controller = pm.MeasurementNoise(TOLD, (0.1, 0.2, 0.3), 0, seed=7)
     table, noisy = drawn(controller, 600), asked(controller, QS)
     np.testing.assert_array_equal(noisy, QS + table[:, :3] * [0.1, 0.2, 0.3])
     np.testing.assert_array_equal(asked(controller, QS), noisy)  # a second run is the first
-    same = law(lambda t, q, v, reference: v)
-    rates = MeasurementNoise(same, 0, 2.0, np.random.SeedSequence(7))
+    same = pm.law(lambda t, q, v, reference: v)
+    rates = pm.MeasurementNoise(same, 0, 2.0, np.random.SeedSequence(7))
     np.testing.assert_array_equal(asked(rates, QS, VS), VS + 2 * table[:, 3:])
-    assert not np.isin(table, drawn(MeasurementNoise(TOLD, 1, 1, seed=8), 600)).any()
+    assert not np.isin(table, drawn(pm.MeasurementNoise(TOLD, 1, 1, seed=8), 600)).any()
     # Moments of 3600 standard normal numbers, to four of their own standard deviations.
     for power, moment, spread in ((1, 0, 1), (2, 1, 2), (3, 0, 15), (4, 3, 96)):
         assert abs((table**power).mean() - moment) < 4 * np.sqrt(spread / table.size)
@@ -152,7 +137,7 @@ def test_noise_is_the_contexts_and_follows_from_its_seed_and_the_sample() -> Non
 
 def test_parameters_are_read_only_copies() -> None:
     given = np.ones(3)
-    noisy, limited = MeasurementNoise(TOLD, given, given, 0), InputSaturation(TOLD, given)
+    noisy, limited = pm.MeasurementNoise(TOLD, given, given, 0), pm.InputSaturation(TOLD, given)
     given[:] = 9
     held: list[Any] = [noisy.std_q, noisy.std_v, limited.limits]
     for array in held:
@@ -161,24 +146,24 @@ def test_parameters_are_read_only_copies() -> None:
             array[0] = 2
 
 
-KINOVA = MobileRobot.box().mount("kinova")  # four of its joints are continuous
+KINOVA = pm.MobileRobot.box().mount("kinova")  # four of its joints are continuous
 
 
 @pytest.mark.parametrize(
     "inner",
     [
-        ComputedTorque(KINOVA, 9, 6),
-        PD(9, 6),
-        law(lambda t, q, v, reference: q),
-        InputSaturation(MeasurementDelay(ComputedTorque(KINOVA, 9, 6), 0), 1e9),
+        pm.ComputedTorque(KINOVA, 9, 6),
+        pm.PD(9, 6),
+        pm.law(lambda t, q, v, reference: q),
+        pm.InputSaturation(pm.MeasurementDelay(pm.ComputedTorque(KINOVA, 9, 6), 0), 1e9),
     ],
     ids=["computed torque", "PD", "law", "within others"],
 )
 def test_noise_moves_the_joints_of_an_arm(inner: Any) -> None:
     rng, std = np.random.default_rng(2), np.linspace(0.1, 0.9, 9)
     q, v = KINOVA.random_configuration(rng, (4,)), rng.normal(size=(4, 9))
-    at = Reference(*np.zeros((3, 9)))
-    noisy = MeasurementNoise(inner, std, 0.2, seed=7)
+    at = pm.Reference(*np.zeros((3, 9)))
+    noisy = pm.MeasurementNoise(inner, std, 0.2, seed=7)
     tau, _ = noisy(0.0, q, v, at, noisy.initial_state(Context.of(KINOVA, dt=0.1)))
     row: Any = noisy.initial_state(Context.of(KINOVA, dt=0.1))[1].draw()[0]
     told = KINOVA.integrate(q, std * row[:9]), v + 0.2 * row[9:]
@@ -187,24 +172,24 @@ def test_noise_moves_the_joints_of_an_arm(inner: Any) -> None:
 
 
 def test_all_wrappers_together_hold_an_arm_without_limits_at_rest() -> None:
-    hold = WholeBody(KINOVA, FixedHeading(Circle(1.0, 0.01, 1.0), 0), None)
+    hold = pm.WholeBody(KINOVA, pm.FixedHeading(pm.Circle(1.0, 0.01, 1.0), 0), None)
     std = np.full(9, 1e-4)
-    wrapped = InputSaturation(
-        MeasurementDelay(MeasurementNoise(ComputedTorque(KINOVA, 100, 20), std, 0, 3), 1), 1e6
+    wrapped = pm.InputSaturation(
+        pm.MeasurementDelay(pm.MeasurementNoise(pm.ComputedTorque(KINOVA, 100, 20), std, 0, 3), 1), 1e6
     )
-    rollout = simulate(KINOVA, wrapped, hold, dt=0.01)
+    rollout = pm.simulate(KINOVA, wrapped, hold, dt=0.01)
     # A measurement that is 1e-4 off moves the robot by no more than a few times that.
     assert 1e-6 < rollout.max_error()[3:].max() < 1e-3
 
 
 def test_noise_has_the_plants_number_of_velocities() -> None:
-    long = MeasurementNoise(ComputedTorque(KINOVA), np.ones(12), 1, 0)
-    with pytest.raises(InvalidArgument, match=r"^std_q has shape \(12,\), expected \(\) or \(..., 9\)$"):
+    long = pm.MeasurementNoise(pm.ComputedTorque(KINOVA), np.ones(12), 1, 0)
+    with pytest.raises(pm.InvalidArgument, match=r"^std_q has shape \(12,\), expected \(\) or \(..., 9\)$"):
         long(0.0, np.zeros(9), np.zeros(9), REST, long.initial_state(CONTEXT))
 
 
 def test_threads_that_share_a_noisy_controller_get_the_same() -> None:
-    controller, together = MeasurementNoise(TOLD, 1.0, 1.0, seed=3), Barrier(8)
+    controller, together = pm.MeasurementNoise(TOLD, 1.0, 1.0, seed=3), Barrier(8)
 
     def late(_: int) -> Array:
         together.wait()
@@ -216,18 +201,22 @@ def test_threads_that_share_a_noisy_controller_get_the_same() -> None:
 
 
 def test_a_noisy_controller_is_pickled_and_copied_without_its_table() -> None:
-    controller = MeasurementNoise(PD(1, 2), 0.1, 0.2, seed=7)
+    controller = pm.MeasurementNoise(pm.PD(1, 2), 0.1, 0.2, seed=7)
     fresh = len(pickle.dumps(controller))
     forces = asked(controller, QS, VS)
     assert len(pickle.dumps(controller)) == fresh
     for copy in (pickle.loads(pickle.dumps(controller)), deepcopy(controller)):
         np.testing.assert_array_equal(asked(copy, QS, VS), forces)
-    assert repr(MeasurementDelay(PD(1, 2), 3)).startswith("MeasurementDelay(controller=PD(kp=1.0, kd=2.0, ")
+    assert repr(pm.MeasurementDelay(pm.PD(1, 2), 3)).startswith(
+        "MeasurementDelay(controller=PD(kp=1.0, kd=2.0, "
+    )
 
 
 def test_leading_axes_are_kept() -> None:
     q, v = np.random.default_rng(1).normal(size=(2, 4, 5, 3))
-    nested = InputSaturation(MeasurementDelay(MeasurementNoise(PD(3, 2), 0.1, 0.2, 5), 1), (1, 2, 3))
+    nested = pm.InputSaturation(
+        pm.MeasurementDelay(pm.MeasurementNoise(pm.PD(3, 2), 0.1, 0.2, 5), 1), (1, 2, 3)
+    )
     many, _ = nested(0.0, q, v, REST, nested.initial_state(CONTEXT))
     one, _ = nested(0.0, q[2, 3], v[2, 3], REST, nested.initial_state(CONTEXT))
     assert many.shape == (4, 5, 3)
@@ -236,47 +225,49 @@ def test_leading_axes_are_kept() -> None:
 
 def test_they_nest_in_any_order_and_so_do_their_states() -> None:
     """A delay outside of the noise delays the state and not the noise."""
-    noise = drawn(MeasurementNoise(TOLD, 1, 0, 7), 600)[:, :3]
+    noise = drawn(pm.MeasurementNoise(TOLD, 1, 0, 7), 600)[:, :3]
     old = np.maximum(np.arange(600) - 2, 0)
-    outside = asked(MeasurementDelay(MeasurementNoise(TOLD, 1, 0, 7), 2), QS)
+    outside = asked(pm.MeasurementDelay(pm.MeasurementNoise(TOLD, 1, 0, 7), 2), QS)
     np.testing.assert_array_equal(outside, QS[old] + noise)
-    inside = asked(MeasurementNoise(MeasurementDelay(TOLD, 2), 1, 0, 7), QS)
+    inside = asked(pm.MeasurementNoise(pm.MeasurementDelay(TOLD, 2), 1, 0, 7), QS)
     np.testing.assert_array_equal(inside, (QS + noise)[old])
-    controller = InputSaturation(MeasurementNoise(MeasurementDelay(Counter(), 1), 1, 1, 0), 3)
+    controller = pm.InputSaturation(pm.MeasurementNoise(pm.MeasurementDelay(Counter(), 1), 1, 1, 0), 3)
     assert asked(controller, QS[:6])[:, 0].tolist() == [0, 1, 2, 3, 3, 3]
 
 
-@pytest.mark.parametrize("inner", [ComputedTorque(MobileRobot(8, 1), 3, (2, 3, 4)), PD(40 * np.eye(3), 20)])
+@pytest.mark.parametrize(
+    "inner", [pm.ComputedTorque(pm.MobileRobot(8, 1), 3, (2, 3, 4)), pm.PD(40 * np.eye(3), 20)]
+)
 def test_around_what_changes_nothing_the_loop_is_the_same(inner: Any) -> None:
     """`simulate` takes its shorter way for the bare controller, its general one for the wrapped."""
-    wrapped = InputSaturation(MeasurementDelay(MeasurementNoise(inner, 0, 0, 1), 0), 1e6)
-    bare, other = (simulate(ROBOT, c, CIRCLE, dt=0.05, **START) for c in (inner, wrapped))
+    wrapped = pm.InputSaturation(pm.MeasurementDelay(pm.MeasurementNoise(inner, 0, 0, 1), 0), 1e6)
+    bare, other = (pm.simulate(ROBOT, c, CIRCLE, dt=0.05, **START) for c in (inner, wrapped))
     for name in ("q", "v", "a", "u"):
         # The same sums in another order, over 240 steps of a stable loop.
         np.testing.assert_allclose(getattr(other, name), getattr(bare, name), rtol=0, atol=1e-12)
 
 
 def test_in_the_loop_each_does_what_it_says() -> None:
-    inner = ComputedTorque(ROBOT, 4, 4)
-    limited = simulate(ROBOT, InputSaturation(inner, (2, 3, 0.5)), CIRCLE, dt=0.1, **START)
+    inner = pm.ComputedTorque(ROBOT, 4, 4)
+    limited = pm.simulate(ROBOT, pm.InputSaturation(inner, (2, 3, 0.5)), CIRCLE, dt=0.1, **START)
     assert limited.max_input().tolist() == [2, 3, 0.5]
-    noisy = MeasurementNoise(inner, 0.01, 0.02, 11)
-    first, second = (simulate(ROBOT, noisy, CIRCLE, dt=0.1, **START) for _ in range(2))
+    noisy = pm.MeasurementNoise(inner, 0.01, 0.02, 11)
+    first, second = (pm.simulate(ROBOT, noisy, CIRCLE, dt=0.1, **START) for _ in range(2))
     np.testing.assert_array_equal(first.u, second.u)
-    late = simulate(ROBOT, MeasurementDelay(inner, 3), CIRCLE, dt=0.1, **START)
+    late = pm.simulate(ROBOT, pm.MeasurementDelay(inner, 3), CIRCLE, dt=0.1, **START)
     for k in (0, 2, 3, 50):
         told = late.q[max(k - 3, 0)], late.v[max(k - 3, 0)]
-        expected, _ = inner(0.0, *told, Reference(*(part[k] for part in late.reference)), None)
+        expected, _ = inner(0.0, *told, pm.Reference(*(part[k] for part in late.reference)), None)
         np.testing.assert_allclose(late.u[k], expected, rtol=0, atol=1e-13)
 
 
 PIDS = {
-    "limits": lambda inner: InputSaturation(inner, (4.0, 4.0, 1.0)),
-    "limits, delay, noise": lambda inner: MeasurementNoise(
-        MeasurementDelay(InputSaturation(inner, (4.0, 4.0, 1.0)), 1), 1e-3, 1e-3, 5
+    "limits": lambda inner: pm.InputSaturation(inner, (4.0, 4.0, 1.0)),
+    "limits, delay, noise": lambda inner: pm.MeasurementNoise(
+        pm.MeasurementDelay(pm.InputSaturation(inner, (4.0, 4.0, 1.0)), 1), 1e-3, 1e-3, 5
     ),
-    "limits within limits": lambda inner: InputSaturation(
-        MeasurementDelay(InputSaturation(inner, 9.0), 0), (4.0, 4.0, 1.0)
+    "limits within limits": lambda inner: pm.InputSaturation(
+        pm.MeasurementDelay(pm.InputSaturation(inner, 9.0), 0), (4.0, 4.0, 1.0)
     ),
 }
 
@@ -286,7 +277,8 @@ def test_an_integral_that_is_told_what_is_applied_does_not_wind_up(wrapped: Any)
     """Sent from 4 m away with 4 N, an integral grows until it comes by, and throws the robot far beyond."""
     far: dict[str, Any] = {"dt": 0.02, "q0": CIRCLE(0.0).q - [4.0, 0, 0], "v0": np.zeros(3)}
     told, wound = (
-        simulate(ROBOT, wrapped(PID(25.0, 12.0, 30.0, back)), HOLD, limit=1e6, **far) for back in (2.0, 0.0)
+        pm.simulate(ROBOT, wrapped(PID(25.0, 12.0, 30.0, back)), HOLD, limit=1e6, **far)
+        for back in (2.0, 0.0)
     )
     beyond = [-min(0.0, float(run.error[:, 0].min())) for run in (told, wound)]
     assert beyond[0] < 0.3 * beyond[1]
@@ -308,21 +300,21 @@ def test_what_is_applied_is_told_inward_once_a_sample() -> None:
             u[:] = 99  # its own copy
             return state + 1
 
-    nested = InputSaturation(
-        MeasurementDelay(MeasurementNoise(InputSaturation(Told(), 3.0), 0, 0, 1), 2), (2.0, 9.0, 9.0)
+    nested = pm.InputSaturation(
+        pm.MeasurementDelay(pm.MeasurementNoise(pm.InputSaturation(Told(), 3.0), 0, 0, 1), 2), (2.0, 9.0, 9.0)
     )
-    rollout = simulate(ROBOT, nested, CIRCLE, dt=0.5, duration=2.0, substeps=3, integrator=rk4)
+    rollout = pm.simulate(ROBOT, nested, CIRCLE, dt=0.5, duration=2.0, substeps=3, integrator=pm.rk4)
     assert seen == [(k, [2.0, -3.0, 0.1]) for k in range(5)]
     np.testing.assert_array_equal(rollout.u, [[2.0, -3.0, 0.1]] * 5)
 
 
 def test_a_delay_costs_damping() -> None:
     """At x'' = -4 x(t - T) - 2 x'(t - T) a tenth of a second does no harm, and nine are too many."""
-    controller = PD(40, 20)
-    robot = MobileRobot(10, 10)
+    controller = pm.PD(40, 20)
+    robot = pm.MobileRobot(10, 10)
     options: dict[str, Any] = {"dt": 0.1, "limit": 1e9, **START}
     sizes = [
-        np.abs(simulate(robot, MeasurementDelay(controller, k), CIRCLE, **options).error[-20:]).max()
+        np.abs(pm.simulate(robot, pm.MeasurementDelay(controller, k), CIRCLE, **options).error[-20:]).max()
         for k in (1, 9)
     ]
     assert sizes[0] < 0.5
@@ -346,29 +338,30 @@ def once(controller: Any) -> Any:
 @pytest.mark.parametrize(
     ("call", "text"),
     [
-        (lambda: InputSaturation(3, 1),
+        (lambda: pm.InputSaturation(3, 1),
          "controller is 3, expected a controller: wrap a function in law(...)"),
-        (lambda: MeasurementDelay(ComputedTorque, 1),
+        (lambda: pm.MeasurementDelay(pm.ComputedTorque, 1),
          "controller is <class 'pinmobile.controllers.feedback.ComputedTorque'>, expected a "
          "controller: wrap a function in law(...)"),
-        (lambda: InputSaturation(TOLD, (1, 0, 1)), "limits is 0.0 N, expected > 0"),
-        (lambda: InputSaturation(TOLD, np.ones((2, 3))), "limits has shape (2, 3), expected () or (n,)"),
-        (lambda: once(InputSaturation(TOLD, (1, 2))), "limits has shape (2,), expected () or (..., 3)"),
-        (lambda: MeasurementDelay(TOLD, -1), "samples is -1, expected a whole number >= 0"),
-        (lambda: MeasurementDelay(TOLD, 1.5),  # type: ignore[arg-type]
+        (lambda: pm.InputSaturation(TOLD, (1, 0, 1)), "limits is 0.0 N, expected > 0"),
+        (lambda: pm.InputSaturation(TOLD, np.ones((2, 3))), "limits has shape (2, 3), expected () or (n,)"),
+        (lambda: once(pm.InputSaturation(TOLD, (1, 2))), "limits has shape (2,), expected () or (..., 3)"),
+        (lambda: pm.MeasurementDelay(TOLD, -1), "samples is -1, expected a whole number >= 0"),
+        (lambda: pm.MeasurementDelay(TOLD, 1.5),  # type: ignore[arg-type]
          "samples is 1.5, expected a whole number >= 0"),
-        (lambda: MeasurementNoise(TOLD, (1, -1, 1), 0, 0), "std_q is -1.0 m, expected >= 0"),
-        (lambda: MeasurementNoise(TOLD, 1, np.ones((3, 3)), 0),
+        (lambda: pm.MeasurementNoise(TOLD, (1, -1, 1), 0, 0), "std_q is -1.0 m, expected >= 0"),
+        (lambda: pm.MeasurementNoise(TOLD, 1, np.ones((3, 3)), 0),
          "std_v has shape (3, 3), expected () or (n,)"),
-        (lambda: once(MeasurementNoise(TOLD, 1, (1, 2), 0)), "std_v has shape (2,), expected () or (..., 3)"),
-        (lambda: MeasurementNoise(TOLD, 1, 1, None),
+        (lambda: once(pm.MeasurementNoise(TOLD, 1, (1, 2), 0)),
+         "std_v has shape (2,), expected () or (..., 3)"),
+        (lambda: pm.MeasurementNoise(TOLD, 1, 1, None),
          "seed is None, expected a whole number >= 0 or a SeedSequence"),
-        (lambda: MeasurementNoise(TOLD, 1, 1, True),
+        (lambda: pm.MeasurementNoise(TOLD, 1, 1, True),
          "seed is True, expected a whole number >= 0 or a SeedSequence"),
-        (lambda: MeasurementNoise(TOLD, 1, 1, -1),
+        (lambda: pm.MeasurementNoise(TOLD, 1, 1, -1),
          "seed is -1, expected a whole number >= 0 or a SeedSequence"),
         (
-            lambda: MeasurementNoise(TOLD, 1, 1, np.random.default_rng(0)),
+            lambda: pm.MeasurementNoise(TOLD, 1, 1, np.random.default_rng(0)),
             "seed is Generator(PCG64), expected a whole number >= 0 or a SeedSequence",
         ),
         *(
@@ -377,25 +370,25 @@ def once(controller: Any) -> Any:
                 "controller returned array([0., 0., 0.]) at t = 0.5 s, expected (u, state)",
             )
             for wrap in (
-                lambda c: InputSaturation(c, 1),
-                lambda c: MeasurementDelay(c, 1),
-                lambda c: MeasurementNoise(c, 1, 1, 0),
+                lambda c: pm.InputSaturation(c, 1),
+                lambda c: pm.MeasurementDelay(c, 1),
+                lambda c: pm.MeasurementNoise(c, 1, 1, 0),
             )
         ),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused(call: Any, text: str) -> None:
-    with pytest.raises(InvalidArgument) as caught:
+    with pytest.raises(pm.InvalidArgument) as caught:
         call()
     assert re.sub(r" at 0x[0-9A-F]+", "", str(caught.value)) == text
 
 
 def test_an_infinite_limit_is_none() -> None:
-    free = PD(100.0, 0.0)
-    limited = InputSaturation(free, (np.inf, 5.0, np.inf))
-    at = Reference(*np.ones((3, 3)))
+    free = pm.PD(100.0, 0.0)
+    limited = pm.InputSaturation(free, (np.inf, 5.0, np.inf))
+    at = pm.Reference(*np.ones((3, 3)))
     tau, _ = limited(0.0, np.zeros(3), np.zeros(3), at, limited.initial_state(CONTEXT))
     assert tau.tolist() == [100.0, 5.0, 100.0]
     for limits in ((np.nan, 1.0, 1.0), (-np.inf, 1.0, 1.0)):
-        with pytest.raises(InvalidArgument, match=r"limits\[0\] is (nan|-inf), expected a finite number"):
-            InputSaturation(free, limits)
+        with pytest.raises(pm.InvalidArgument, match=r"limits\[0\] is (nan|-inf), expected a finite number"):
+            pm.InputSaturation(free, limits)

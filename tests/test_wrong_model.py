@@ -7,32 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import (
-    ADRC,
-    PD,
-    PID,
-    Adaptive,
-    Circle,
-    ComputedTorque,
-    ConstantForce,
-    DisturbanceObserver,
-    Engine,
-    FixedHeading,
-    InputSaturation,
-    InvalidArgument,
-    MobileRobot,
-    Reference,
-    Rollout,
-    SlidingMode,
-    SuperTwisting,
-    Tangent,
-    Uniform,
-    WheeledRobot,
-    WheelTable,
-    ensemble,
-    rk4,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.controllers.controller import passive_torque
 from pinmobile.parts import find, replace
@@ -40,8 +15,8 @@ from pinmobile.plant import Context
 from tests.parts import Waving
 from tests.rivals import CIRCLE, HEAVY, NOMINAL, RIVALS, published
 
-ARM = MobileRobot.box().mount("ur5")
-SHORT = Tangent(Circle(radius=1.5, rate=0.6, duration=2))
+ARM = pm.MobileRobot.box().mount("ur5")
+SHORT = pm.Tangent(pm.Circle(radius=1.5, rate=0.6, duration=2))
 GAIN = (120.0, 120.0, 6.0)
 LIMITS = (22.0, 22.0, 3.0)
 NAMES = "PID", "sliding mode", "super-twisting", "adaptive", "adaptive, friction", "observer", "ADRC"
@@ -100,7 +75,7 @@ def test_torque_keeps_the_robot_passive_and_is_what_the_regressor_says() -> None
         found = passive_torque(robot, q, v, velocity, acceleration)
         scale = np.abs(wanted).max()
         assert np.abs(found - wanted).max() < 1e-13 * scale
-        adaptive = Adaptive(robot)
+        adaptive = pm.Adaptive(robot)
         Y = adaptive._regressor(q, v, velocity, acceleration)
         assert np.abs(Y @ adaptive._nominal - wanted).max() < 1e-13 * scale
 
@@ -119,19 +94,21 @@ class Rich:
 
     duration = 40.0
 
-    def __call__(self, t: Any) -> Reference:
+    def __call__(self, t: Any) -> pm.Reference:
         t = np.asarray(t)
         size, rate, phase = np.array([1.2, 0.8, 0.8]), np.array([0.9, 1.3, 0.7]), np.array([0, 0.4, 0])
         angle = rate * t[..., None] + phase
-        return Reference(size * np.sin(angle), size * rate * np.cos(angle), -size * rate**2 * np.sin(angle))
+        return pm.Reference(
+            size * np.sin(angle), size * rate * np.cos(angle), -size * rate**2 * np.sin(angle)
+        )
 
 
 def test_estimates_become_right_where_the_motion_is_rich_and_not_on_a_circle() -> None:
     true = np.array([36.0, 3.6, 1.8, 1.56 + 36 * (0.1**2 + 0.05**2)])
 
     def last(trajectory: Any) -> Array:
-        given: Any = {"dt": 0.01, "integrator": rk4, "engine": Engine.COMPILED, "duration": 30.0}
-        told = simulate(HEAVY, EACH["adaptive"], trajectory, **given).signals
+        given: Any = {"dt": 0.01, "integrator": pm.rk4, "engine": pm.Engine.COMPILED, "duration": 30.0}
+        told = pm.simulate(HEAVY, EACH["adaptive"], trajectory, **given).signals
         parts = [told[name].values[-1] for name in ("mass", "first_moment", "inertia")]
         return np.hstack(parts)
 
@@ -144,14 +121,14 @@ def test_estimates_become_right_where_the_motion_is_rich_and_not_on_a_circle() -
 
 def test_the_sum_of_squares_of_adaptive_control_falls_in_each_step() -> None:
     dt = 2e-4
-    run = simulate(
+    run = pm.simulate(
         HEAVY,
-        Adaptive(NOMINAL, kd=GAIN),
+        pm.Adaptive(NOMINAL, kd=GAIN),
         Rich(),
         dt=dt,
         duration=1.0,
-        integrator=rk4,
-        engine=Engine.COMPILED,
+        integrator=pm.rk4,
+        engine=pm.Engine.COMPILED,
         q0=Rich()(0.0).q + np.array([0.1, -0.05, 0.1]),
         v0=Rich()(0.0).v,
     )
@@ -168,7 +145,7 @@ def test_the_sum_of_squares_of_adaptive_control_falls_in_each_step() -> None:
 
 
 def test_leakage_takes_estimates_back_to_the_first_at_its_rate() -> None:
-    controller, reference = Adaptive(NOMINAL, gamma=0.0, leakage=0.5), SHORT(0.0)
+    controller, reference = pm.Adaptive(NOMINAL, gamma=0.0, leakage=0.5), SHORT(0.0)
     change, *others = controller.initial_state(Context.of(NOMINAL, dt=0.01, t=np.array([0.0, 0.01])))
     off = np.asarray(change) + np.array([6.0, 0.6, 0.3, 0.26])
     _, (after, *_) = controller(0.0, reference.q, reference.v, reference, (off, *others))
@@ -177,16 +154,16 @@ def test_leakage_takes_estimates_back_to_the_first_at_its_rate() -> None:
 
 def test_the_observer_is_exact_for_constant_forces_and_as_fast_as_its_gain() -> None:
     force = np.array([12.0, -7.0, 1.5])
-    controller = DisturbanceObserver(ComputedTorque(NOMINAL, 16, 8))
-    still = FixedHeading(Circle(radius=1.5, rate=0.6, duration=4), 0.3)
-    run = simulate(
+    controller = pm.DisturbanceObserver(pm.ComputedTorque(NOMINAL, 16, 8))
+    still = pm.FixedHeading(pm.Circle(radius=1.5, rate=0.6, duration=4), 0.3)
+    run = pm.simulate(
         NOMINAL,
         controller,
         still,
         dt=1e-3,
-        integrator=rk4,
-        engine=Engine.COMPILED,
-        forces=[ConstantForce(force)],
+        integrator=pm.rk4,
+        engine=pm.Engine.COMPILED,
+        forces=[pm.ConstantForce(force)],
     )
     found = run.signals["disturbance"].values
     # Explicit Euler of the integral: order 1 in dt.
@@ -195,11 +172,17 @@ def test_the_observer_is_exact_for_constant_forces_and_as_fast_as_its_gain() -> 
     assert np.abs(at - (1 - np.exp(-1))).max() < 0.01
 
 
-def cut_off(controller: Any) -> tuple[Rollout, Array]:
+def cut_off(controller: Any) -> tuple[pm.Rollout, Array]:
     """Return a run within limits that starts beside the circle, and its distances from it [m]."""
-    given: Any = {"dt": 0.01, "integrator": rk4, "substeps": 4, "duration": 10.0, "engine": Engine.COMPILED}
+    given: Any = {
+        "dt": 0.01,
+        "integrator": pm.rk4,
+        "substeps": 4,
+        "duration": 10.0,
+        "engine": pm.Engine.COMPILED,
+    }
     start = CIRCLE(0.0).q + np.array([0.5, -0.3, 0.4])
-    run = simulate(NOMINAL, InputSaturation(controller, LIMITS), CIRCLE, q0=start, **given)
+    run = pm.simulate(NOMINAL, pm.InputSaturation(controller, LIMITS), CIRCLE, q0=start, **given)
     return run, np.linalg.norm(run.error[:, :2], axis=-1)
 
 
@@ -226,13 +209,13 @@ def test_integral_action_without_being_told_of_limits_winds_up() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_all_engines_agree(name: str) -> None:
-    given: Any = {"dt": 0.01, "integrator": rk4, "seed": 2, "n": 3}
-    spread = {"mass": Uniform(25, 36), "start.x": Uniform(-0.1, 0.1)}
+    given: Any = {"dt": 0.01, "integrator": pm.rk4, "seed": 2, "n": 3}
+    spread = {"mass": pm.Uniform(25, 36), "start.x": pm.Uniform(-0.1, 0.1)}
     runs = [
-        ensemble(
-            NOMINAL, InputSaturation(EACH[name], (25, 25, 4)), SHORT, spread=spread, engine=engine, **given
+        pm.ensemble(
+            NOMINAL, pm.InputSaturation(EACH[name], (25, 25, 4)), SHORT, spread=spread, engine=engine, **given
         )
-        for engine in (Engine.COMPILED, Engine.PYTHON)
+        for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON)
     ]
     # 200 samples of contracting loops: rounding does not grow, but where a sign switches.
     close = 1e-9 if name == "super-twisting" else 1e-12
@@ -243,62 +226,67 @@ def test_all_engines_agree(name: str) -> None:
 def test_arms_are_adapted_too() -> None:
     heavier = replace(ARM, {find(ARM, "forearm_link.mass").path: 4.0})
 
-    given: Any = {"dt": 0.01, "integrator": rk4, "engine": Engine.COMPILED}
-    fixed = simulate(heavier, Adaptive(ARM, gamma=0.0), Waving(ARM), **given)
-    adapted = simulate(heavier, Adaptive(ARM), Waving(ARM), **given)
+    given: Any = {"dt": 0.01, "integrator": pm.rk4, "engine": pm.Engine.COMPILED}
+    fixed = pm.simulate(heavier, pm.Adaptive(ARM, gamma=0.0), Waving(ARM), **given)
+    adapted = pm.simulate(heavier, pm.Adaptive(ARM), Waving(ARM), **given)
     worst = [np.abs(run.q - run.reference.q)[50:].max() for run in (fixed, adapted)]
     assert worst[1] < 0.8 * worst[0]
 
 
 UNSTABLE: Any = [
-    (PID(NOMINAL, kp=3000, ki=64, kd=250), "gains kp = "),
-    (PID(NOMINAL, kp=4, ki=64, kd=4), "unstable at any dt"),
-    (SlidingMode(NOMINAL, reach=30), "gains slope = "),
-    (Adaptive(NOMINAL, kd=(9000, 9000, 500)), "gains slope = "),
-    (DisturbanceObserver(PD(1, 1), NOMINAL, gain=250), r"gain = \[250.0\] are unstable .* dt < 0.008 s"),
-    (ADRC(NOMINAL, bandwidth=300, observer=20), "gains bandwidth = "),
+    (pm.PID(NOMINAL, kp=3000, ki=64, kd=250), "gains kp = "),
+    (pm.PID(NOMINAL, kp=4, ki=64, kd=4), "unstable at any dt"),
+    (pm.SlidingMode(NOMINAL, reach=30), "gains slope = "),
+    (pm.Adaptive(NOMINAL, kd=(9000, 9000, 500)), "gains slope = "),
+    (
+        pm.DisturbanceObserver(pm.PD(1, 1), NOMINAL, gain=250),
+        r"gain = \[250.0\] are unstable .* dt < 0.008 s",
+    ),
+    (pm.ADRC(NOMINAL, bandwidth=300, observer=20), "gains bandwidth = "),
 ]
 
 
 @pytest.mark.parametrize(("controller", "words"), UNSTABLE)
 def test_gains_that_are_unstable_at_this_dt_are_refused_with_the_bound(controller: Any, words: str) -> None:
-    with pytest.raises(InvalidArgument, match=words):
-        simulate(NOMINAL, controller, SHORT, dt=0.01)
+    with pytest.raises(pm.InvalidArgument, match=words):
+        pm.simulate(NOMINAL, controller, SHORT, dt=0.01)
 
 
 def test_the_bound_is_where_the_loop_itself_becomes_unstable() -> None:
     gains: Any = {"kp": 100.0, "ki": 0.0, "kd": 20.0}
-    with pytest.raises(InvalidArgument, match=r"dt < ([0-9.]+) s") as caught:
-        simulate(NOMINAL, PID(NOMINAL, **gains), SHORT, dt=0.5)
+    with pytest.raises(pm.InvalidArgument, match=r"dt < ([0-9.]+) s") as caught:
+        pm.simulate(NOMINAL, pm.PID(NOMINAL, **gains), SHORT, dt=0.5)
     bound = float(str(caught.value).rpartition("dt < ")[2].partition(" s")[0])
 
     class Still:
         duration = 100.0
 
-        def __call__(self, t: Any) -> Reference:
-            return Reference(*(np.zeros((*np.shape(t), 3)),) * 3)
+        def __call__(self, t: Any) -> pm.Reference:
+            return pm.Reference(*(np.zeros((*np.shape(t), 3)),) * 3)
 
     def last(dt: float) -> float:
-        body = MobileRobot(mass=30, yaw_inertia=1.3)
-        given: Any = {"dt": dt, "duration": 200 * dt, "integrator": rk4, "limit": 1e9}
-        run = simulate(body, ComputedTorque(body, 100, 20), Still(), q0=[0.01, 0, 0], v0=np.zeros(3), **given)
+        body = pm.MobileRobot(mass=30, yaw_inertia=1.3)
+        given: Any = {"dt": dt, "duration": 200 * dt, "integrator": pm.rk4, "limit": 1e9}
+        run = pm.simulate(
+            body, pm.ComputedTorque(body, 100, 20), Still(), q0=[0.01, 0, 0], v0=np.zeros(3), **given
+        )
         return float(abs(run.q[-1, 0]))
 
     assert last(0.97 * bound) < 0.01 < last(1.03 * bound)
 
 
 BAD: Any = [
-    (lambda: Adaptive(NOMINAL, lower=[31, -9, -9, 0]), "exclude that of the robot, 30"),
-    (lambda: Adaptive(NOMINAL, upper=[90, 9, 9]), r"upper has shape \(3,\), expected \(4,\)"),
-    (lambda: Adaptive(NOMINAL, friction=1), "friction is 1, expected True or False"),  # type: ignore[arg-type]
-    (lambda: SlidingMode(NOMINAL, layer=0), "layer is 0.0, expected > 0"),
-    (lambda: SuperTwisting(NOMINAL, k1=[1, 2]), r"k1 has shape \(2,\), expected \(\) or \(3,\)"),
-    (lambda: DisturbanceObserver(PD(1, 1)), "robot is None, expected a MobileRobot"),
-    (lambda: ADRC(WheeledRobot(NOMINAL, WheelTable.differential(0.1, 0.4))), "which has wheels"),
+    (lambda: pm.Adaptive(NOMINAL, lower=[31, -9, -9, 0]), "exclude that of the robot, 30"),
+    (lambda: pm.Adaptive(NOMINAL, upper=[90, 9, 9]), r"upper has shape \(3,\), expected \(4,\)"),
+    (lambda: pm.Adaptive(NOMINAL, friction=1), "friction is 1, expected True or False"),  # type: ignore[arg-type]
+    (lambda: pm.SlidingMode(NOMINAL, layer=0), "layer is 0.0, expected > 0"),
+    (lambda: pm.SuperTwisting(NOMINAL, k1=[1, 2]), r"k1 has shape \(2,\), expected \(\) or \(3,\)"),
+    (lambda: pm.DisturbanceObserver(pm.PD(1, 1)), "robot is None, expected a MobileRobot"),
+    (lambda: pm.ADRC(pm.WheeledRobot(NOMINAL, pm.WheelTable.differential(0.1, 0.4))), "which has wheels"),
 ]
 
 
 @pytest.mark.parametrize(("make", "words"), BAD)
 def test_bad_arguments_are_refused(make: Any, words: str) -> None:
-    with pytest.raises(InvalidArgument, match=words):
+    with pytest.raises(pm.InvalidArgument, match=words):
         make()

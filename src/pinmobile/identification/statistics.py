@@ -101,7 +101,7 @@ class Whiteness(NamedTuple):
     correlation : ndarray, shape (m,)
         Of successive residuals, of each thing measured.
     bound : float
-        ErrorQuantile which that of white noise lies 95 times in 100.
+        Within which that of white noise lies 95 times in 100.
     """
 
     correlation: Array

@@ -208,9 +208,8 @@ def _rank(share: float, count: int | NDArray[np.int64]) -> Array:
 def quantiles(counts: NDArray[np.int64], wanted: Array, *, margins: bool = False) -> Array:
     """Return quantiles from counts: what shares of the robots are within.
 
-    ErrorQuantile a bin the numbers are taken to lie evenly in the logarithm: a quantile is off by the width
-    of its
-    bin, 2 to 3 %, at most.
+    Within a bin the numbers are taken to lie evenly in the logarithm: a quantile is off by the width
+    of its bin, 2 to 3 %, at most.
 
     Parameters
     ----------

@@ -354,7 +354,7 @@ class MotorLaw:
         k : int
             Which.
         volts : scalar
-            ErrorQuantile the limit [V].
+            Within the limit [V].
         rate : scalar
             Of the wheel [rad/s].
         clips : bool or symbol
@@ -407,7 +407,7 @@ class MotorLaw:
         k : int
             Which.
         volts, rate : scalar
-            ErrorQuantile the limit [V], and of the wheel [rad/s].
+            Within the limit [V], and of the wheel [rad/s].
         sign : scalar
             Of the rate, from -1 to 1.
         """

@@ -443,7 +443,7 @@ class ByVoltage:
     def volts_for(self, v: ArrayLike, torques: ArrayLike) -> Any:
         """Return the input at which motors give torques at the present rates, shape (..., nu).
 
-        ErrorQuantile their limits of voltage and current; what takes no volts stays.
+        Within their limits of voltage and current; what takes no volts stays.
 
         Parameters
         ----------
