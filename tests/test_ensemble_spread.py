@@ -513,7 +513,7 @@ def test_distributions_check_themselves(make: Any, text: str) -> None:
     [
         (
             {"engine": "numba"},
-            "engine is 'numba', expected COMPILED, PYTHON of pinmobile, or None",
+            "engine is 'numba', expected Engine.PYTHON, Engine.COMPILED or None",
         ),
         ({"threads": 0}, "threads is 0, expected a whole number >= 1"),
         ({"traces": 3}, "traces is 3, expected indices of robots, such as"),

@@ -435,7 +435,7 @@ def test_a_mounted_robot_is_a_value() -> None:
         q, v, _ = states(robot)
         np.testing.assert_array_equal(copy.nonlinear_effects(q, v), robot.nonlinear_effects(q, v))
     plain = pm.MobileRobot.lecture().mount("panda", AT).attach(pm.PayloadBody(1.5, (0, 0, 0.1)))
-    assert eval(repr(plain)) == plain
+    assert eval(repr(plain), {**globals(), **vars(pm)}) == plain
 
 
 @pytest.mark.parametrize(
@@ -452,7 +452,7 @@ def test_what_is_locked_and_another_rest_are_told_and_can_be_pasted_back(options
         pm.MobileRobot.lecture().mount("z1", AT, **options),
     )
     assert robot != plain
-    assert eval(repr(robot)) == robot
+    assert eval(repr(robot), {**globals(), **vars(pm)}) == robot
     for word in ("locked", "rest"):
         assert (f"{word}=" in repr(robot)) == (word in options)
         assert f"{word}=" not in repr(plain)
@@ -473,7 +473,7 @@ def test_a_rest_is_told_of_models_and_files_too(tmp_path: Path) -> None:
         )
     found = pm.MobileRobot.lecture().mount(path, package_dirs=tmp_path)
     assert f"package_dirs=({str(tmp_path)!r},)" in repr(found)
-    assert eval(repr(found)) == found
+    assert eval(repr(found), {**globals(), **vars(pm)}) == found
 
 
 @pytest.mark.parametrize("name", ["talos_arm", "ur5"])

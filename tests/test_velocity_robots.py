@@ -308,7 +308,7 @@ def test_it_is_one_value() -> None:
         "VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], ahead=0.1, limits=(0.8, np.inf), "
         "accelerations=(1, 1))"
     )
-    assert eval(repr(robot)) == evolved(robot, source="")
+    assert eval(repr(robot), {**globals(), **vars(pm)}) == evolved(robot, source="")
     assert robot != pm.VelocityRobot(THETA)
     assert not robot.theta.flags.writeable
     drive = Mobility.of(pm.WheelTable.differential(0.5, 0.1))

@@ -288,7 +288,9 @@ def test_pickled_it_is_the_same_robot(kind: str) -> None:
     q = rng.uniform(-0.5, 0.5, wheeled.nq)
     v, u = wheeled.project(q, rng.normal(size=wheeled.nv)), rng.normal(size=wheeled.nu)
     np.testing.assert_array_equal(back.forward_dynamics(q, v, u), wheeled.forward_dynamics(q, v, u))
-    again = eval(repr(ROLLING[kind]), {**globals(), "WheelFriction": WheelFriction, "inf": np.inf})
+    again = eval(
+        repr(ROLLING[kind]), {**globals(), **vars(pm), "WheelFriction": WheelFriction, "inf": np.inf}
+    )
     assert again == ROLLING[kind]
 
 

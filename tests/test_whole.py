@@ -127,7 +127,12 @@ def test_durations_that_differ_by_rounding_are_one() -> None:
 
 def test_a_trajectory_of_the_whole_is_a_value() -> None:
     trajectory, again = (there_and_back(pm.MobileRobot.lecture().mount("ur5", AT)) for _ in range(2))
-    assert trajectory == again == pickle.loads(pickle.dumps(trajectory)) == eval(repr(trajectory))
+    assert (
+        trajectory
+        == again
+        == pickle.loads(pickle.dumps(trajectory))
+        == eval(repr(trajectory), {**globals(), **vars(pm)})
+    )
     assert hash(trajectory) == hash(again)
     assert trajectory != there_and_back(trajectory.robot, 0.4)
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(trajectory))(2.0).q, trajectory(2.0).q)
