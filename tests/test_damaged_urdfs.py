@@ -28,7 +28,7 @@ def looped(*pairs: str) -> str:
 
 
 REFUSED = {
-    "itself": (looped("ab", "ac", "dd"), "joint 'j2' has link 'd' as its parent and its child"),
+    "itself": (looped("ab", "ac", "dd"), "link 'd' hangs on itself, by way of 'd', expected one root"),
     "loop": (looped("ab", "cd", "dc"), "link 'c' hangs on itself, by way of 'd', expected one root"),
     "all in a loop": (looped("ab", "bc", "cd", "da"), "link 'a' hangs on itself, by way of 'd'"),
     "two parents": (looped("ab", "cb", "cd"), "joint 'j1' has child link 'b', which hangs on 'a' already"),

@@ -2,7 +2,7 @@
 
 import pickle
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -101,34 +101,6 @@ def test_a_turn_may_be_of_any_length() -> None:
     same = pm.PosePath(STAYS, R, turn=(0, 0, 1.0))
     np.testing.assert_allclose(same(t).pose, shortest(t).pose, atol=1e-12)
     np.testing.assert_allclose(same(t).twist, shortest(t).twist, atol=1e-12)
-
-
-@dataclass(frozen=True)
-class Jumping:
-    """A path that is elsewhere from a time on."""
-
-    size: float
-    duration: float = 4.0
-
-    def __call__(self, t: Any) -> Array:
-        return self.derivative(t, 0)
-
-    def derivative(self, t: Any, order: int) -> Array:
-        t = np.asarray(t, np.float64)
-        x = np.sin(30 * t + order * np.pi / 2) * 30.0**order
-        jump = np.where(t > 1.2345, self.size, 0.0) if order == 0 else 0.0
-        return np.stack([x, 0 * x, 0 * x + jump], axis=-1)
-
-
-def test_a_path_that_jumps_is_refused_wherever_it_does() -> None:
-    for size in (1e-3, 2.0):
-        with pytest.raises(
-            pm.InvalidArgument, match=r"path jumps by .* m at t = 1\.2345 s, expected a path that"
-        ):
-            pm.PosePath(Jumping(size))
-    assert pm.PosePath(Jumping(0.0)).rows == 3  # fast as it is
-    steep = np.array([[0, 0, 0], [5, 0, 0], [5, 0, 1e-3]])
-    assert pm.PosePath(pm.Spline(steep, [0, 0.01, 4])).duration == 4
 
 
 R0, R1 = np.eye(3), turned(("x", 0.4))

@@ -1,26 +1,20 @@
 """What `mount` takes, what it makes of it, and what it refuses."""
 
 import copy
-import json
 import pickle
 from pathlib import Path
 from typing import Any
 
-import coal
 import example_robot_data
 import numpy as np
 import pinocchio as pin
 import pytest
 
 import pinmobile as pm
-from pinmobile.arrays import Array
 from pinmobile.errors import UnknownName
 from pinmobile.loop._storage import why_unknown
 from pinmobile.plant import PlantOutline
 from pinmobile.robot import BODY_JOINT
-from pinmobile.viewer import Arrows, Overlays, Viewer
-from tests.chromium import Chromium
-from tests.webclient import eventually
 
 BOX = pm.MobileRobot.box()
 
@@ -90,21 +84,6 @@ def test_a_mesh_that_cannot_be_read_is_named_and_not_drawn(name: str, urdf: Path
     assert [item.name for item in shown] == ["body", "front", "wedge", "arm/foot_0"]
 
 
-def test_geometry_of_another_robot_is_refused() -> None:
-    ur5, panda = (BOX.mount(name).mounts[0].arm for name in ("ur5", "panda"))
-    other = pin.GeometryModel()
-    joint, frame = panda.whole.njoints - 1, panda.whole.nframes - 1
-    for at, place in ((joint, 0), (1, frame)):
-        item = pin.GeometryObject("hand", at, place, pin.SE3.Identity(), coal.Box(1, 1, 1))
-        other.addGeometryObject(item)
-        with pytest.raises(pm.InvalidArgument, match=rf"^visual has 'hand' on joint {at} and frame {place} "):
-            BOX.mount(ur5.whole, visual=other)
-        BOX.mount(panda.whole, visual=other)
-        other.removeGeometryObject("hand")
-    other.addGeometryObject(pin.GeometryObject("hand", 1, pin.SE3.Identity(), coal.Box(1, 1, 1)))
-    assert len(BOX.mount(ur5.whole, visual=other).visual_model.geometryObjects) == 4
-
-
 @pytest.mark.parametrize("several", [True, False])
 def test_a_mesh_is_found_in_a_package(several: bool, urdf: Path, tmp_path: Path) -> None:
     (tmp_path / "packages" / "arms").mkdir(parents=True)
@@ -135,7 +114,7 @@ def test_a_root_of_its_own_is_replaced_by_the_chain(roots: tuple[Any, ...]) -> N
     assert robot.mass_matrix(robot.rest)[0, 0] == pytest.approx(BOX.mass + 3)
 
 
-@pytest.mark.parametrize("name", ["talos", "human", "anymal"])
+@pytest.mark.parametrize("name", ["talos", "anymal"])
 def test_what_has_legs_stands_with_its_feet_on_the_box(name: str) -> None:
     robot = BOX.mount(name)
     assert robot.mounts[0].at[2] > 0.6
@@ -259,13 +238,12 @@ MIMIC = MIMIC.replace("continuous", "revolute").replace(
     ("arguments", "text"),
     [
         ({"at": (0, 0, np.nan, 0)}, "at[2] is nan, expected a finite number"),
-        ({"at": (0, 0, 0)}, "at has shape (3,), expected (4,): x, y, z and yaw"),
         ({"name": "a/b"}, "name is 'a/b', expected a word without slash"),
         ({"name": ""}, "name is '', expected a word without slash"),
         ({"arm": 3}, "arm is 3, expected a name, the path of a URDF, or a pinocchio.Model"),
         (
             {"arm": massless()},
-            "arm 'grip': joint 'finger' moves parts that have no inertia, expected inertia",
+            "joint 'grip/finger' moves parts that have no inertia, expected inertia",
         ),
         (
             {"arm": pin.buildModelFromXML(MIMIC, mimic=True)},
@@ -280,10 +258,8 @@ MIMIC = MIMIC.replace("continuous", "revolute").replace(
             {"package_dirs": ["."]},
             "package_dirs does not apply to a loader's name, 'ur5', expected it beside",
         ),
-        ({"package_dirs": 3}, "package_dirs is 3, expected a sequence of folders"),
         ({"visual": pin.GeometryModel()}, "visual does not apply to a loader's name, 'ur5', expected it"),
         ({"arm": massful(), "visual": 3}, "visual is 3, expected a pinocchio.GeometryModel"),
-        ({"arm": massful(), "package_dirs": "."}, "package_dirs does not apply to a model, "),
         ({"arm": pin.Model()}, "arm '' has no joints, expected one at least"),
         ({"arm": "no/such.urdf"}, "arm is "),
         ({"arm": "cassie"}, "arm 'cassie' cannot be loaded: its loader reads SDF"),
@@ -311,7 +287,7 @@ def test_a_file_that_is_none_is_refused(urdf: Path, tmp_path: Path) -> None:
     with pytest.raises(pm.InvalidArgument, match=r"^arm\.urdf is not well-formed XML"):
         BOX.mount(urdf)
     urdf.write_text(ARM.format(lower=""))
-    with pytest.raises(pm.InvalidArgument, match=r"joint 'elbow' moves parts that have no inertia"):
+    with pytest.raises(pm.InvalidArgument, match=r"joint 'arm/elbow' moves parts that have no inertia"):
         BOX.mount(urdf)
 
 
@@ -334,29 +310,21 @@ def unsound(**changed: Any) -> pin.Model:
     [
         (
             unsound(lowerPositionLimit=2.0, upperPositionLimit=-2.0),
-            " has position limits from 2 to -2, expected the lower one first",
-        ),
-        (unsound(upperPositionLimit=np.nan), " has position limits from -1.79769e+308 to nan, expected"),
-        (unsound(velocityLimit=np.nan), ", whose velocity limit[0] is nan, expected >= 0"),
-        (unsound(effortLimit=-3.0), ", whose effort limit[0] is -3.0, expected >= 0"),
-        (unsound(damping=-0.5), ", whose damping[0] is -0.5, expected >= 0"),
-        (unsound(friction=np.nan), ", whose friction[0] is nan, expected >= 0"),
-        (unsound(body=(-5, (1, 1, 1))), ", whose mass is -5.0 kg, expected >= 0"),
-        (unsound(body=(np.nan, (1, 1, 1))), ", whose mass is nan, expected a finite number"),
-        (
-            unsound(body=(1, (1, 1, 9))),
-            " carries principal moments of inertia (1, 1, 9) kg m^2, which no rigid body has",
+            "joint 'j1' has position limits from 2 to -2, expected the lower one first",
         ),
         (
-            unsound(body=(1, (1, 1, 2.001))),
-            " carries principal moments of inertia (1, 1, 2.001) kg m^2, which no rigid body has",
+            unsound(upperPositionLimit=np.nan),
+            "joint 'j1' has position limits from -1.79769e+308 to nan, expected",
         ),
+        (unsound(body=(-5, (1, 1, 1))), "link 'j1': mass is -5.0 kg, expected >= 0"),
+        (unsound(body=(np.nan, (1, 1, 1))), "link 'j1': mass is nan, expected a finite number"),
+        (unsound(body=(1, (1, 1, 2.001))), "link 'j1': inertia of j1 is one that no body has"),
     ],
 )
 def test_arms_that_cannot_be_are_refused(model: pin.Model, text: str) -> None:
     with pytest.raises(pm.InvalidArgument) as caught:
         BOX.mount(model)
-    assert str(caught.value).startswith(f"arm 'toy': joint 'j1'{text}")
+    assert str(caught.value).startswith(f"arm 'toy': {text}")
 
 
 def test_a_flat_disk_is_a_body() -> None:
@@ -364,7 +332,7 @@ def test_a_flat_disk_is_a_body() -> None:
 
 
 def test_limits_of_a_joint_that_is_locked_do_not_matter() -> None:
-    assert BOX.mount(unsound(velocityLimit=-1.0), locked=["j1"]).nv == 4
+    assert BOX.mount(unsound(lowerPositionLimit=9.0), locked=["j1"]).nv == 4
 
 
 @pytest.mark.parametrize(
@@ -395,28 +363,9 @@ def test_configurations_of_the_wrong_size_are_refused() -> None:
         robot.lumped(np.zeros(4))
 
 
-class Whole:
-    """A Lissajous figure of the base, every joint swinging about its rest."""
-
-    duration = 4.0
-
-    def __init__(self, robot: pm.MobileRobot) -> None:
-        self.robot, self.base = robot, pm.FixedHeading(pm.Lissajous(1, 0.5, 1, 2, self.duration), 0.3)
-
-    def __call__(self, t: Any) -> pm.Reference:
-        base, one = self.base(t), np.ones(self.robot.nv - 3)
-        swing = (0.4 * (1 - np.cos(t)), 0.4 * np.sin(t), 0.4 * np.cos(t))
-
-        def whole(part: Array, angle: Array) -> Array:
-            return np.concatenate([part, angle[..., None] * one], axis=-1)
-
-        rest = np.broadcast_to(self.robot.rest, (*np.shape(t), self.robot.nq))
-        q = self.robot.integrate(rest, whole(base.q, swing[0]))
-        return pm.Reference(q, whole(base.v, swing[1]), whole(base.a, swing[2]))
-
-
 def driven(robot: pm.MobileRobot) -> pm.Rollout:
-    return pm.simulate(robot, pm.ComputedTorque(robot, 100, 20), Whole(robot), dt=0.01)
+    motion = pm.WholeBody(robot, pm.FixedHeading(pm.Circle(1, 0.1, 1), 0), *[None] * len(robot.mounts))
+    return pm.simulate(robot, pm.ComputedTorque(robot, 100, 20), motion, dt=0.1)
 
 
 def test_a_rollout_brings_its_robot_back(tmp_path: Path, urdf: Path) -> None:
@@ -437,53 +386,6 @@ def test_a_rollout_brings_its_robot_back(tmp_path: Path, urdf: Path) -> None:
     np.testing.assert_array_equal(pm.Rollout.load(path).u, run.u)
     driven(BOX.mount(massful())).save(path)
     assert pm.Rollout.load(path).plant.kind == "MobileRobot"
-
-
-@pytest.mark.parametrize("name", ["double_pendulum", "double_pendulum_continuous"])
-def test_links_are_drawn_where_they_are(name: str) -> None:
-    robot = BOX.mount(name, (0.1, 0.05, 0.2, 0.3))
-    run = driven(robot)
-    with Viewer(robot, overlays=Overlays(arrows=Arrows(), desired=True)) as viewer:
-        recording = viewer.record(run, fps=20)
-        viewer.display(run.q[-1])
-        with pytest.raises(pm.InvalidArgument, match=rf"q has shape \(3,\), expected \({robot.nq},\)"):
-            viewer.display([0, 0, 0])
-    tracks = {track["path"]: track["clip"]["tracks"] for track in recording.tracks}
-    assert {"meshcat/force", "meshcat/moment"} <= {*tracks}  # those on the base
-    items = [item for item in robot.visual_model.geometryObjects if item.parentJoint > BODY_JOINT]
-    assert len(items) > 0
-    T = robot.frame_placements(run.q[-1])
-    for item in items:
-        seen = np.linalg.inv(T[BODY_JOINT - 1]) @ T[item.parentJoint - 1] @ item.placement.homogeneous
-        (position,) = (
-            part for part in tracks[f"meshcat/robot0/visuals/{item.name}"] if part["name"] == ".position"
-        )
-        np.testing.assert_allclose(position["values"][-3:], seen[:3, 3], atol=1e-5)  # five digits are kept
-
-
-def test_a_ur5s_recording_is_small_and_plays_in_a_browser(browser: Chromium, tmp_path: Path) -> None:
-    robot = BOX.mount("ur5", (0.1, 0, 0.2, 0))
-    run = driven(robot)
-    with Viewer(robot) as viewer:
-        page = viewer.record(run, fps=150).save_html(tmp_path / "ur5.html")
-    assert page.stat().st_size < 6e6  # 600 frames
-    items = [item for item in robot.visual_model.geometryObjects if item.name.startswith("ur5/")]
-    script = """pinmobile.seek(3); JSON.stringify({paths}.map((path) => {{
-        const node = viewer.scene_tree.find(path).object;
-        viewer.scene.updateMatrixWorld(true);
-        return viewer.scene.worldToLocal(node.getWorldPosition(new MeshCat.THREE.Vector3())).toArray();
-    }}))"""
-    paths = [["meshcat", "robot0", "visuals", *item.name.split("/")] for item in items]
-    tab = browser.page(480, 360)
-    tab.open(page.as_uri())
-    assert eventually(lambda: tab.evaluate("pinmobile.ready()"))
-    seen = json.loads(tab.evaluate(script.format(paths=json.dumps(paths))))
-    assert tab.errors == []
-    assert [url for url in tab.requests if not url.startswith("data:")] == [page.as_uri()]
-    tab.close()
-    T = robot.frame_placements(run.q[300])
-    there = [T[item.parentJoint - 1] @ np.append(item.placement.translation, 1) for item in items]
-    np.testing.assert_allclose(seen, np.array(there)[:, :3], atol=1e-4)  # keys have five digits
 
 
 RESISTED = ARM.format(lower=INERTIAL)
@@ -542,8 +444,8 @@ def test_a_saved_rollout_knows_whether_damping_and_friction_are_what_they_were(
 ) -> None:
     urdf.write_text(RESISTED)
     robot = BOX.mount(urdf, (0, 0, 0.2, 0))
-    file, motion = tmp_path / "run.npz", pm.WholeBody(robot, pm.FixedHeading(pm.Circle(1, 0.1, 1), 0), None)
-    pm.simulate(robot, pm.ComputedTorque(robot), motion, dt=0.5).save(file)
+    file = tmp_path / "run.npz"
+    driven(robot).save(file)
     loaded = pm.Rollout.load(file).plant
     assert loaded == robot
     assert loaded.joint_damping.tolist() == robot.joint_damping.tolist()

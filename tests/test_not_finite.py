@@ -246,11 +246,10 @@ def test_what_is_carried_and_drowns_the_rest_is_refused() -> None:
     for robot, mass in ((ur5, 1e308), (box, 1e308)):
         with pytest.raises(pm.InvalidArgument, match=r"mass matrix is beyond 1\.8e308, .*: the heaviest, 1"):
             robot.attach(pm.PayloadBody(mass, (0.1, 0, 0)))
-    with pytest.raises(pm.InvalidArgument, match=r"singular to rounding at rest: joint 'ur5/wrist_1_joint'"):
+    with pytest.raises(pm.InvalidArgument, match=r"singular at rest about joint 'ur5/wrist_1_joint'"):
         ur5.attach(pm.PayloadBody(1e20))
-    for mass in (1e308, 1e20):
-        with pytest.raises(pm.InvalidArgument, match="the mass matrix is singular at rest about joint"):
-            box.mount(heavy_arm(mass))
+    with pytest.raises(pm.InvalidArgument, match="the mass matrix is singular at rest about joint"):
+        box.mount(heavy_arm(1e20))
     with pytest.raises(pm.InvalidArgument, match=r"mass matrix is beyond 1\.8e308"):
         box.mount("ur5", (1e200, 0, 0.2, 0))
     assert np.isfinite(ur5.attach(pm.PayloadBody(1e3)).mass_matrix(ur5.rest)).all()

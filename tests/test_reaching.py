@@ -1,7 +1,6 @@
 """Base and arm together follow a pose: how near, within which limits, and what happens where they cannot."""
 
 import pickle
-import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +12,6 @@ import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.errors import LimitWarning, UnknownName, Unreachable
 from pinmobile.reaching import InverseKinematicsTrajectory, pose_error
-from pinmobile.reaching.solver import Limits, Solver, bounded_least_squares
 
 BOX = pm.MobileRobot.box()
 UR5 = BOX.mount("ur5", (0.1, -0.05, 0.2, 0.4))
@@ -177,39 +175,12 @@ def test_a_tolerance_is_of_distance_and_angle_whatever_the_direction(towards: fl
         pm.solve_inverse_kinematics(UR5, missed, q0=BENT, dt=0.05, velocity_limit=locked, tolerance=0.0139)
 
 
-def test_the_velocity_at_the_start_is_the_targets_but_for_dt_squared(
-    ring: InverseKinematicsTrajectory,
-) -> None:
-    wanted = RING(0.0).twist
-    missed = []
-    for dt in (0.02, 0.01, 0.005):
-        resolved = pm.solve_inverse_kinematics(UR5, RING, q0=BENT, dt=dt)
-        at = resolved(0.0)
-        missed.append(np.abs(UR5.frame_jacobian(at.q) @ at.v - wanted).max())
-    assert missed[0] > 1e-6
-    np.testing.assert_allclose(np.divide(missed[:-1], missed[1:]), 4, rtol=0.1)
-    assert "dt^2" in str(pm.solve_inverse_kinematics.__doc__).partition("Returns")[2]
-
-
 def test_an_orientation_that_is_missed_is_told_though_the_position_is_met() -> None:
     turning = pm.PosePath(line(START[:3, 3], (0, 0, 0), 0.5), START[:3, :3], START[:3, :3] @ TURN)
     slow = np.full(9, 0.1)
     with pytest.raises(Unreachable) as caught:
         pm.solve_inverse_kinematics(UR5, turning, q0=BENT, velocity_limit=slow, tolerance=0.1)
     assert caught.value.resolved.max_error()[0] < 0.1 < caught.value.resolved.max_error()[1]
-
-
-def test_a_joint_that_would_go_beyond_its_limit_is_named_with_how_far() -> None:
-    spinning = pm.PosePath(line(START[:3, 3], (0, 0, 0), 10.0), START[:3, :3], turn=(0, 0, 4 * np.pi))
-    with pytest.raises(Unreachable) as caught:
-        pm.solve_inverse_kinematics(UR5, spinning, q0=BENT, dt=0.1)
-    found = re.search(r"with (.*) \[rad\] at (\S+), (\S+) beyond its limit of (\S+)$", str(caught.value))
-    assert found is not None
-    assert found[1] == "ur5/wrist_3_joint"
-    value, beyond, limit = map(float, found.groups()[1:])
-    assert limit == pytest.approx(2 * np.pi, abs=0.005)  # three digits of it are told
-    assert value == pytest.approx(4 * np.pi, abs=0.1)
-    assert value - limit == pytest.approx(beyond, abs=0.06)
 
 
 @pytest.mark.parametrize("value", [-1.0, -1e-12, np.nan])
@@ -255,19 +226,6 @@ def test_torques_beyond_limits_are_reported_when_and_how_far() -> None:
     assert [one.split()[2] for one in str(told[0].message).split("; ")] == named
 
 
-def test_a_start_at_a_limit_is_left_within_it() -> None:
-    q0 = BENT.copy()
-    q0[4:6] = -1.5, UR5.upper[5]
-    T = UR5.frame_pose(q0)  # folded: singular, so that the pose is missed by centimetres
-    target = pm.PosePath(line(T[:3, 3], (0.3, 0, 0)), T[:3, :3])
-    resolved = pm.solve_inverse_kinematics(
-        UR5, target, q0=q0, velocity_limit=LOCKED, posture=BENT[3:], tolerance=np.inf
-    )
-    displacement = resolved._curve(dense(resolved)[0])  # before rounding is cut off
-    assert (resolved.start + displacement <= UR5.upper + 1e-12).all()
-    assert resolved(3.0).q[5] < UR5.upper[5] - 0.1
-
-
 def test_where_the_search_from_rest_is_stuck_others_are_tried_unless_a_start_is_given() -> None:
     q = PANDA.random_configuration(np.random.default_rng(1))
     q[:3] = 0
@@ -286,16 +244,6 @@ def test_what_is_locked_is_not_moved_by_the_search_for_the_start() -> None:
     assert np.abs(free.start[:2]).min() > 1e-3
     assert locked.start[:3].tolist() == [0, 0, 0]
     assert locked.max_error()[0] < 1e-9
-
-
-def test_the_spline_begins_at_a_limit_that_it_leaves_ever_slower() -> None:
-    limits = Limits(UR5, UR5.velocity_limit, np.full(9, 10.0))
-    solver = Solver(UR5, RING, UR5.end_effector, limits, np.eye(9))
-    free, held = BENT, np.where(np.arange(9) == 5, UR5.upper, BENT)
-    nearest = np.zeros((3, 9))
-    nearest[:, 5] = 0, -0.0020, -0.0035
-    assert solver.beyond(nearest, free, 0.01)[5] == pytest.approx(0.0025)
-    assert solver.beyond(nearest, held, 0.01)[5] == pytest.approx(0.0020)
 
 
 def test_a_joint_brakes_at_its_limit_and_the_error_grows() -> None:
@@ -370,20 +318,6 @@ class TestTracking:
         rest = Still(BENT)  # it would stay where it is
         run = pm.simulate(UR5, pm.EndEffectorTracking(UR5, target), rest, dt=0.01, q0=BENT)
         assert max(misses(UR5, target, run.t, run.q)) < 2e-3  # posture pulls by damping^2 of its error
-
-    def test_joints_stop_at_their_limits(self) -> None:
-        T = PANDA.frame_pose(PANDA.rest)
-        locked = np.where(np.arange(12) < 3, 0.0, PANDA.velocity_limit)
-        away = pm.PosePath(line(T[:3, 3], (-0.6, 0, -0.3), 4), T[:3, :3])
-        law = pm.EndEffectorTracking(PANDA, away, velocity_limit=locked)
-        run = pm.simulate(PANDA, law, Still(PANDA.rest), dt=0.01)
-        # The force is held, not the acceleration, which then changes by some 1e-2 of it within dt = 10 ms.
-        slack = 1e-2 * 20 * 0.01**2
-        assert (run.q > PANDA.lower - slack).all()
-        assert (run.q < PANDA.upper + slack).all()
-        assert np.minimum(run.q - PANDA.lower, PANDA.upper - run.q)[:, 3:-2].min() < 1e-3
-        assert np.abs(run.q[:, :3]).max() < 1e-3
-        assert misses(PANDA, away, run.t, run.q)[0] > 0.05
 
     @pytest.mark.parametrize("substeps", [1, 5])
     def test_limits_hold_however_the_plant_moves_under_the_held_force(self, substeps: int) -> None:
@@ -485,58 +419,6 @@ def test_a_frames_drift_is_the_rate_of_its_jacobian(robot: pm.MobileRobot) -> No
     ahead, behind = (robot.frame_jacobian(robot.integrate(q, s * h * v)) for s in (1, -1))
     slope = np.einsum("nij,nj->ni", ahead - behind, v) / (2 * h)
     np.testing.assert_allclose(robot.frame_drift(q, v), slope, atol=1e-6)  # eps / h times numbers of order 10
-
-
-def test_bounded_least_squares_is_optimal() -> None:
-    rng = np.random.default_rng(8)
-    for _ in range(50):
-        A, b = rng.normal(size=(8, 5)), rng.normal(size=8)
-        least, most = np.sort(rng.normal(size=(2, 5)), axis=0)
-        least[0] = most[0]
-        least[1], most[1] = -np.inf, np.inf
-        x = bounded_least_squares(A, b, least, most)
-        slope = A.T @ (A @ x - b)
-        # No way that the bounds leave open goes downhill.
-        assert ((x >= least) & (x <= most)).all()
-        assert (slope[x > least] < 1e-8).all()
-        assert (slope[x < most] > -1e-8).all()
-
-
-def test_after_any_step_that_limits_allow_a_joint_can_still_stop() -> None:
-    limits = Limits(UR5, UR5.velocity_limit, np.full(9, 10.0))
-    rng, dt, q, v = np.random.default_rng(9), 0.01, UR5.rest, np.zeros(9)
-    for _ in range(2000):
-        least, most = limits.velocities(q, dt, v)
-        assert (np.abs(np.where(v > 0, least, most) - v) <= 10 * dt + 1e-12).all()  # it can brake
-        v = np.where(rng.random(9) < 0.95, most, least)
-        q = q + dt * v
-        assert ((q >= UR5.lower - 1e-12) & (q <= UR5.upper + 1e-12)).all()
-    assert (q[3:] > UR5.upper[3:] - 0.5).any()
-
-
-def test_a_joint_beyond_its_limit_has_no_room_and_goes_no_farther() -> None:
-    limits, beyond = Limits(UR5, UR5.velocity_limit, np.full(9, 10.0)), UR5.rest.copy()
-    beyond[3], beyond[4] = UR5.upper[3] + 0.1, UR5.lower[4] - 0.1
-    below, above = limits.room(beyond)
-    assert (above[3], below[4]) == (0, 0)
-    np.testing.assert_allclose((below[3], above[4]), (UR5.upper - UR5.lower)[3:5] + 0.1)
-    least, most = limits.velocities(beyond, 0.01)
-    assert (most[3], least[4]) == (0, 0)
-    least, most = limits.ramps(beyond, np.zeros(9), 0.01)
-    np.testing.assert_allclose((most[3], least[4]), 0, atol=1e-12)
-
-
-def test_after_any_acceleration_that_limits_allow_a_joint_can_still_stop() -> None:
-    limits = Limits(UR5, UR5.velocity_limit, np.full(9, 10.0))
-    rng, dt, q, v = np.random.default_rng(10), 0.01, UR5.rest, np.zeros(9)
-    for _ in range(2000):
-        least, most = limits.ramps(q, v, dt)
-        a = np.where(rng.random(9) < 0.95, most, least)
-        assert (np.abs(a) <= 10).all()
-        q, v = q + dt * v + 0.5 * dt * dt * a, v + dt * a
-        assert ((q >= UR5.lower - 1e-9) & (q <= UR5.upper + 1e-9)).all()
-        assert (np.abs(v) <= UR5.velocity_limit + 1e-9).all()
-    assert (q[3:] > UR5.upper[3:] - 0.5).any()
 
 
 @pytest.mark.parametrize(

@@ -95,14 +95,6 @@ WRONG = {
         ),
         "joint 'px' is prismatic along (1, 0, 0), expected a prismatic one along (0, 1, 0)",
     ),
-    "second slide along z": (
-        chain(SLIDES[0], joint("lift", "prismatic", "one", "two", "0 0 1"), SLIDES[2]),
-        "joint 'lift' is prismatic along (0, 0, 1), expected a prismatic one along (1, 0, 0)",
-    ),
-    "first slide to the right": (
-        chain(joint("slide_right", "prismatic", "world", "one", "0 -1 0"), *SLIDES[1:]),
-        "joint 'slide_right' is prismatic along (0, -1, 0), expected a prismatic one along (0, 1, 0)",
-    ),
     "turn to the right": (
         chain(*SLIDES[:2], joint("turn", "revolute", "two", "body", "0 0 -1")),
         "joint 'turn' is revolute along (0, 0, -1), expected a revolute one along (0, 0, 1)",
@@ -278,16 +270,17 @@ def test_an_arm_among_the_loaders_robots_is_refused() -> None:
         *(
             (robot(link("a", 5), link("b", 1).replace(*change), joint("j", "fixed", "a", "b")), text)
             for change, text in (
-                (('value="1"', 'value="nan"'), "link 'b' has mass 'nan', expected a finite number"),
-                (('value="1"', 'value="${m}"'), "link 'b' has mass '${m}', expected a finite number"),
+                (
+                    ('value="1"', 'value="nan"'),
+                    "link 'b' has <mass> with value 'nan', expected a finite number",
+                ),
+                (
+                    ('value="1"', 'value="${m}"'),
+                    "link 'b' has <mass> with value '${m}', expected a finite number",
+                ),
                 (('value="1"', 'value="-1"'), "link 'b' has mass -1 kg, expected >= 0"),
-                (('ixx="1"', 'ixx="-1"'), "link 'b': inertia has principal moments (-1, 1, 1) kg m^2"),
                 (("<mass", "<ms"), "link 'b' has an <inertial> without <mass>, expected both"),
             )
-        ),
-        (
-            '<robot name="r"><link name="a"/><link name="b"/></robot>',
-            "robot.urdf has root links ['a', 'b'], expected one that all others hang on",
         ),
     ],
 )
@@ -303,5 +296,3 @@ def test_mesh_folders_that_are_not_there_are_refused(tmp_path: Path) -> None:
     path = saved(tmp_path, base())
     with pytest.raises(InvalidArgument, match="package_dirs has 'nowhere', expected a folder"):
         MobileRobot.from_urdf(path, package_dirs=["nowhere"])
-    with pytest.raises(InvalidArgument, match="package_dirs has 'nowhere', expected a folder"):
-        MobileRobot.from_urdf(path, package_dirs="nowhere")

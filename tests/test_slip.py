@@ -20,6 +20,7 @@ from pinmobile.paths import Hold
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import FixedHeading, Reference
 from pinmobile.verification._wheels import WheelTree
+from pinmobile.verification.bodies import tree_motion
 from pinmobile.wheels import (
     Coulomb,
     GearTrain,
@@ -391,7 +392,7 @@ def test_loads_balance_what_pinocchio_says_the_ground_exerts(armed: bool) -> Non
 def in_tree(robot: WheeledRobot, q: Array, v: Array, a: Array) -> Array:
     """Return what Pinocchio says that the ground exerts on a robot and its wheels, along and about B."""
     tree = WheelTree(robot)
-    return tree.ground_wrench(*tree.moving(q, v, a)[0])
+    return tree.ground_wrench(*tree_motion(robot, q, v, a)[0])
 
 
 @pytest.mark.parametrize("armed", [False, True])

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from types import MappingProxyType
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -65,10 +64,6 @@ class Clearance:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "distances", frozen(self.distances))
-        object.__setattr__(self, "left_out", MappingProxyType(dict(self.left_out)))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Clearance, (self.distances, self.pairs, dict(self.left_out))
 
     @cached_property
     def distance(self) -> Array:

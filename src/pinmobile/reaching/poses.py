@@ -233,8 +233,6 @@ def _quintic(x: Array) -> tuple[Array, Array, Array]:
 _ORTHOGONAL = 1e-6  # how far R' R may be from the identity
 _POSITION = 3  # rows of a target without orientation
 _SAME_END = 1e-9  # relative
-_STRETCHES, _SUSPECTS, _HALVINGS = 400, 8, 48
-_JUMP = 1e-6  # [m]
 _SMALL = 0.05  # of the length of a rotation vector
 
 
@@ -281,7 +279,7 @@ class PosePath:
     Raises
     ------
     InvalidArgument
-        If `path` is no path in space, or jumps; a rotation is none; `final_rotation` or `turn` come without
+        If `path` is no path in space; a rotation is none; `final_rotation` or `turn` come without
         `rotation` or together; `final_rotation` is half a turn from `rotation`, or one of n from the one
         before; or `times` are missing, out of order, or do not begin and end with the path.
     """
@@ -294,7 +292,7 @@ class PosePath:
     _orientation: Orientation | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        _check_no_jump(checked_path(self.path, 3), float(self.path.duration))
+        checked_path(self.path, 3)
         given = {name: getattr(self, name) is not None for name in ("final_rotation", "turn", "times")}
         alone = [name for name, is_given in given.items() if is_given]
         if alone and self.rotation is None:
@@ -491,37 +489,3 @@ def _checked_rotation(R: Array, name: str = "rotation") -> Array:
             "expected a rotation matrix"
         )
     return frozen(R)
-
-
-def _check_no_jump(path: Path, duration: float) -> None:
-    """Refuse a path that is elsewhere an instant later.
-
-    A stretch along which it goes otherwise than its velocity tells is halved and halved again.
-
-    Raises
-    ------
-    InvalidArgument
-        If it jumps by more than a micrometre, as far as some hundred stretches show.
-    """
-    t = np.linspace(0.0, duration, _STRETCHES + 1)
-
-    def unexplained(ends: Array) -> Array:
-        h, r = np.diff(ends), finite("path(t)", path(ends))
-        v, a = (finite(f"path.derivative(t, {order})", path.derivative(ends, order)) for order in (1, 2))
-        way = h[:, None] * (v[1:] + v[:-1]) / 2 - h[:, None] ** 2 * np.diff(a, axis=0) / 12
-        return np.asarray(np.linalg.norm(np.diff(r, axis=0) - way, axis=1))
-
-    off = unexplained(t)
-    for k in np.argsort(-off)[:_SUSPECTS]:
-        if off[k] <= _JUMP:
-            break
-        low, high = t[k], t[k + 1]
-        for _ in range(_HALVINGS):
-            middle = (low + high) / 2
-            first, second = unexplained(np.array([low, middle, high]))
-            low, high = (low, middle) if first > second else (middle, high)
-        size = float(np.linalg.norm(np.subtract(*path(np.array([low, high])))))
-        if size > _JUMP:
-            raise InvalidArgument(
-                f"path jumps by {size:.3g} m at t = {high:.6g} s, expected a path that is continuous"
-            )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,35 +26,11 @@ class Limits:
         Largest |v| [m/s, m/s, rad/s, ...], >= 0; inf where there is no limit.
     acceleration : ndarray, shape (nv,)
         Largest |a| [m/s^2, m/s^2, rad/s^2, ...], > 0 and finite.
-
-    positions : bool
-        Whether the robot's limits of position hold.
     """
 
     robot: MobileRobot
     velocity: Array
     acceleration: Array
-    positions: bool = True
-
-    def endless(self) -> Limits:
-        """Return the same without limits of positions."""
-        return replace(self, positions=False)
-
-    def farthest(self, q: Array) -> tuple[str, float, float]:
-        """Return the joint that is farthest beyond a limit of its position, where it is, and the limit.
-
-        Parameters
-        ----------
-        q : ndarray, shape (N, nq)
-            Configurations, of which one is beyond a limit if any joint is.
-        """
-        lower, upper = self.robot.lower, self.robot.upper
-        beyond = np.maximum(lower - q, q - upper)
-        at, joint = np.unravel_index(int(beyond.argmax()), beyond.shape)
-        value = float(q[at, joint])
-        limit = lower[joint] if value < lower[joint] else upper[joint]
-        one = self.robot.coordinates[joint]
-        return f"{one.name} [{one.unit}]", value, float(limit)
 
     def room(self, q: Array) -> Array:
         """Return how far each coordinate is from its lower and its upper limit, shape (2, nv), >= 0."""
@@ -62,8 +38,6 @@ class Limits:
 
     def signed_room(self, q: Array) -> Array:
         """Return the same, shape (2, nv), below zero where a coordinate is beyond its limit."""
-        if not self.positions:
-            return np.full((2, self.robot.nv), np.inf)
         return np.stack([q - self.robot.lower, self.robot.upper - q])
 
     def ramps(self, q: Array, v: Array, dt: float) -> tuple[Array, Array]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol, final, runtime_checkable
 from warnings import warn
@@ -237,7 +237,8 @@ def solve_inverse_kinematics(
     LimitWarning
         Once, if the trajectory takes more torque than the robot's ``effort_limit``.
     """
-    _checked_target(robot, target)
+    instance("robot", robot, MobileRobot, "a MobileRobot")
+    instance("target", target, PosePath, "a PosePath")
     room = None if clearance is None else non_negative("clearance", clearance, "m")
     if room is not None:
         _ = robot.solids  # refused before the work, not after it
@@ -263,26 +264,12 @@ def solve_inverse_kinematics(
     resolved = InverseKinematicsTrajectory(
         robot, target, name, start, solver.steps(start, tending, gain, count)
     )
-    _judge(resolved, tolerance, lambda: _beyond(solver, start, tending, gain, count, tolerance))
-    if room is not None:
-        _judge_clearance(resolved, room)
+    _judge(resolved, tolerance, room)
     way = resolved(resolved.t)
     exceeded = limits_exceeded(robot, resolved.t, way.q, way.v, robot.inverse_dynamics(*way))
     if exceeded:
         warn("; ".join(exceeded), LimitWarning, stacklevel=2)
     return resolved
-
-
-def _checked_target(robot: MobileRobot, target: PosePath) -> None:
-    """Refuse what is no robot or no path of poses.
-
-    Raises
-    ------
-    InvalidArgument
-        If one is not.
-    """
-    instance("robot", robot, MobileRobot, "a MobileRobot")
-    instance("target", target, PosePath, "a PosePath")
 
 
 def _checked_posture(robot: MobileRobot, posture: ArrayLike) -> Array:
@@ -297,53 +284,28 @@ def _checked_posture(robot: MobileRobot, posture: ArrayLike) -> Array:
     return checked_configuration(robot, "posture", np.concatenate([np.zeros(3), arms]))
 
 
-def _beyond(solver: Solver, start: Array, tending: Array, gain: float, count: int, tolerance: float) -> str:
-    """Return which joint a target would take beyond its limit, and how far; nothing if none does alone."""
-    if not solver.robot.mounts:
-        return ""
-    free = replace(solver, limits=solver.limits.endless())
-    way = InverseKinematicsTrajectory(
-        free.robot, free.target, free.frame, start, free.steps(start, tending, gain, count)
-    )
-    q = free.robot.integrate(start, way._curve(way.t))  # not cut off at limits
-    missed = pose_error(free.target(way.t).pose, free.robot.frame_pose(q, free.frame))
-    if not error_sizes(missed[:, : free.target.rows]).max() <= tolerance:
-        return ""
-    joint, value, limit = solver.limits.farthest(q)
-    return (
-        f"; without limits of joints it is met, with {joint} at {value:.3g}, {abs(value - limit):.3g} beyond "
-        f"its limit of {limit:.3g}"
-    )
-
-
-def _judge(resolved: InverseKinematicsTrajectory, tolerance: float, more: Callable[[], str]) -> None:
-    sizes = error_sizes(resolved.error[:, : resolved.target.rows])
-    beyond = sizes.max(axis=-1) > tolerance
+def _judge(resolved: InverseKinematicsTrajectory, tolerance: float, room: float | None) -> None:
+    """Refuse a trajectory that misses its target or brings links too near to one another."""
+    t, sizes = resolved.t, error_sizes(resolved.error[:, : resolved.target.rows])
+    beyond, words = sizes.max(axis=-1) > tolerance, ""
     if beyond.any():
-        k = int(np.argmax(beyond))
-        way, turn = sizes[k]
+        way, turn = sizes[np.argmax(beyond)]
         most = sizes.max(axis=0)
-        raise Unreachable(
-            f"target is missed by {way:.3g} m and {turn:.3g} rad at t = {resolved.t[k]:g} s, expected "
+        words = (
+            f"target is missed by {way:.3g} m and {turn:.3g} rad at t = {t[np.argmax(beyond)]:g} s, expected "
             f"at most {tolerance:g}; the largest errors are {most[0]:.3g} m and {most[1]:.3g} rad"
-            f"{more()}",
-            time=float(resolved.t[k]),
-            resolved=resolved,
         )
-
-
-def _judge_clearance(resolved: InverseKinematicsTrajectory, room: float) -> None:
-    found = resolved.clearance
-    near = found.distance < room
-    if near.any():
-        k = int(np.argmax(near))
+    elif room is not None and resolved.clearance.smallest < room:
+        found = resolved.clearance
+        beyond = found.distance < room
+        k = int(np.argmax(beyond))
         a, b = found.pairs[int(found.distances[k].argmin())]
-        raise Unreachable(
-            f"clearance is {found.distance[k]:.3g} m between {a} and {b} at t = {resolved.t[k]:g} s, "
-            f"expected at least {room:g} m; the smallest is {found.told}",
-            time=float(resolved.t[k]),
-            resolved=resolved,
+        words = (
+            f"clearance is {found.distance[k]:.3g} m between {a} and {b} at t = {t[k]:g} s, "
+            f"expected at least {room:g} m; the smallest is {found.told}"
         )
+    if words:
+        raise Unreachable(words, time=float(t[np.argmax(beyond)]), resolved=resolved)
 
 
 _GAINS = ("kp", "kd", "posture_kp", "posture_kd")
@@ -441,7 +403,8 @@ class EndEffectorTracking:
     def __post_init__(self) -> None:
         # What follows is body and arms, whatever stands under them.
         body = self.robot.robot if isinstance(self.robot, Wheeled) else self.robot
-        _checked_target(body, self.target)
+        instance("robot", body, MobileRobot, "a MobileRobot")
+        instance("target", self.target, PosePath, "a PosePath")
         if isinstance(self.robot, Wheeled):
             self.robot.check_inverse_dynamics()
         own = {name: non_negative(name, getattr(self, name)) for name in _GAINS}

@@ -1,13 +1,12 @@
 """`MobileRobot`: a Pinocchio model whose root is the DH chain, and what it carries."""
 
 from pinmobile.robot.arm_loading import EXCEPTIONS, Mountable, Mountables, kept_arm as kept_arm, mountable
-from pinmobile.robot.arms import Arm
+from pinmobile.robot.arms import Arm, Link
 from pinmobile.robot.articulated import (
     ArticulatedDynamics as ArticulatedDynamics,
     PlanarDynamics as PlanarDynamics,
     slopes as slopes,
 )
-from pinmobile.robot.geometry import TOUCH as TOUCH
 from pinmobile.robot.linkage import (
     BODY_JOINT,
     ONE as ONE,
@@ -27,21 +26,9 @@ from pinmobile.robot.linkage import (
     vector_of as vector_of,
 )
 from pinmobile.robot.mobile import MobileRobot
-from pinmobile.robot.model_import import (
-    LOCKED as LOCKED,
-    Lump as Lump,
-    Swivel as Swivel,
-    Undercarriage as Undercarriage,
-    WheelJoint as WheelJoint,
-)
-from pinmobile.robot.mounts import (
-    Link,
-    Mount,
-    PayloadBody,
-    named_frames as named_frames,
-    prefixed as prefixed,
-)
-from pinmobile.robot.pinocchio_backend import Engine as Engine, UncheckedDynamics
+from pinmobile.robot.model_import import LOCKED as LOCKED, TOUCH as TOUCH
+from pinmobile.robot.mounts import Mount, PayloadBody, named_frames as named_frames, prefixed as prefixed
+from pinmobile.robot.pinocchio_backend import PinocchioBackend as PinocchioBackend, UncheckedDynamics
 from pinmobile.robot.support_geometry import (
     WEIGHTLESS as WEIGHTLESS,
     Stance,
@@ -58,6 +45,7 @@ from pinmobile.robot.visuals import (
     body_box as body_box,
     box_visuals as box_visuals,
 )
+from pinmobile.robot.wheel_layout import Swivel as Swivel, WheelJoint as WheelJoint
 
 __all__ = [
     "BODY_JOINT",

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from functools import cached_property
 from hashlib import sha256
-from typing import ClassVar, TypeAlias
+from typing import Any, ClassVar, NamedTuple, Protocol
 
+import attrs
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, bounded, finite, frozen, non_negative, one_of
+from pinmobile.arrays import Array, ArrayLike, frozen, one_of
 from pinmobile.errors import InvalidArgument
+from pinmobile.parts import Number, array, by_value, declare, is_symbolic, number, option, part
 from pinmobile.robot.linkage import (
     Joint,
     carries_only_wheels,
@@ -22,22 +25,159 @@ from pinmobile.robot.linkage import (
     tip_of,
 )
 
-Picture: TypeAlias = Callable[[pin.Model], pin.GeometryModel]
-
-
 _RIGHT = 2e-11  # that angles of eleven digits leave of a right one, two of them at most
 _ORTHONORMAL = 1e-15
-_ROUNDING = 1e-9  # of the moments of inertia, relative: files carry as many digits
-_GYRATION = 1e-9  # and of mass [m^2]: exporters leave noise of the size of 1e-18 where a moment is zero
 _SINGULAR = 1e-9  # what is left of a joint's inertia when all joints beyond it give way, as a share of it
 _GENERIC = 20  # seed of the posture at which inertias are tried; any will do
 
 
-@dataclass(frozen=True)
-class Origin:
-    """Where an arm comes from, so that it can be read again.
+_SLACK = 1e-9  # of the moments of inertia, relative, and of the mass [m^2]: files carry as many digits
+_MOMENTS = ("xx", "yy", "zz", "xy", "xz", "yz")
+_EXPECTED = "expected principal moments >= 0, none above the sum of the other two"
+
+
+@attrs.frozen
+class Entries(Number):
+    """Declaration of a few numbers that are kept as a tuple; entries that are not given are zero.
+
+    Attributes
+    ----------
+    length : int
+        How many.
+    """
+
+    length: int = 3
+
+    def checked(self, name: str, value: Any) -> Any:
+        """Return a tuple of floats; symbols as they are."""
+        found = super().checked(name, value)
+        if is_symbolic(found):
+            return found
+        numbers = found.tolist()
+        return (*numbers, *[0.0] * (self.length - len(numbers)))
+
+
+def com_field(default: Any = attrs.NOTHING, **options: Any) -> Any:
+    """Declare a centre of mass that is kept as a tuple of 3 numbers."""
+    return declare(Entries(unit="m", labels=("x", "y", "z"), **options), default)
+
+
+def six_of(inertia: Array) -> Array:
+    """Return (xx, yy, zz, xy, xz, yz) of an inertia, shape (3, 3)."""
+    return inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+
+
+def matrix_of_six(six: Array) -> Array:
+    """Return the matrix of (xx, yy, zz, xy, xz, yz)."""
+    return six[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
+
+
+def are_impossible(inertias: Array, masses: ArrayLike) -> NDArray[np.bool_]:
+    """Return which inertias (xx, yy, zz, xy, xz, yz) about a centre of mass no body has, shape (...)."""
+    xx, yy, zz, xy, xz, yz = np.moveaxis(inertias, -1, 0)
+    full = np.stack([np.stack(row, -1) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))], -2)
+    moments = np.linalg.eigvalsh(full)
+    slack = _SLACK * (np.abs(moments).max(axis=-1) + masses)
+    far = moments[..., 2] > moments[..., 0] + moments[..., 1] + slack
+    return np.asarray(far | (moments[..., 0] < -slack))
+
+
+def inertia_field(of: str) -> Any:
+    """Declare an inertia that is kept as (xx, yy, zz, xy, xz, yz)."""
+    doc = f"inertia of {of} about its centre of mass"
+    return array(shapes=((6,),), unit="kg m^2", labels=_MOMENTS, doc=doc)
+
+
+class RigidBody(Protocol):
+    """A part with mass, com and inertia (xx, yy, zz, xy, xz, yz), which some rigid body has."""
+
+    mass: float
+    com: Any
+    inertia: Any
+
+    @property
+    def called(self) -> str:
+        """What it is called in messages."""
+
+    def impossible(self, values: Mapping[str, Array]) -> tuple[NDArray[np.bool_], str]:
+        """Return which of several values of its numbers no rigid body has, and what is expected."""
+        mass = values.get("mass", self.mass)
+        return are_impossible(values.get("inertia", self.inertia), mass), _EXPECTED
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` where no rigid body has its inertia."""
+        if are_impossible(self.inertia, self.mass):
+            raise InvalidArgument(f"inertia of {self.called} is one that no body has, {_EXPECTED}")
+
+    @property
+    def body(self) -> pin.Inertia:
+        """Its inertia, seen from its frame."""
+        return pin.Inertia(self.mass, np.array(self.com), matrix_of_six(self.inertia))
+
+
+@by_value
+@part
+class Link(RigidBody):
+    """What of an arm moves together, along the axes of its joint's frame.
 
     Parameters
+    ----------
+    name : str
+        Of its first link with a mass.
+    mass : float
+        [kg].
+    com : array_like, shape (3,)
+        Centre of mass [m].
+    inertia : array_like, shape (6,)
+        xx, yy, zz, xy, xz, yz about the centre of mass [kg m^2].
+
+    Raises
+    ------
+    InvalidArgument
+        If no rigid body has these.
+    """
+
+    name: str = option(doc="name of the link")
+    mass: float = number(unit="kg", lower=0.0, doc="mass of the link")
+    com: Any = array(shapes=((3,),), unit="m", labels=("x", "y", "z"), doc="centre of mass of the link")
+    inertia: Any = inertia_field("the link")
+
+    @property
+    def called(self) -> str:
+        """What it is called in messages."""
+        return self.name
+
+
+def links_of(model: pin.Model, called: str) -> tuple[Link, ...]:
+    """Return what moves together in the model of an arm: first what is fixed to its root."""
+    found = list[Link]()
+    for name, body in zip(_link_names(model), model.inertias, strict=True):
+        try:
+            found.append(Link(name, float(body.mass), np.array(body.lever), six_of(body.inertia)))
+        except InvalidArgument as error:
+            raise InvalidArgument(f"{called}: link {name!r}: {error}") from None
+    return tuple(found)
+
+
+def _link_names(model: pin.Model) -> list[str]:
+    found = [str(name) for name in model.names]
+    links = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
+
+    def has_mass(link: pin.Frame) -> bool:
+        # Pinocchio keeps a link's mass with the joint that it hangs on, if that is a fixed one.
+        above = model.frames[link.parentFrame] if link.parentFrame < model.nframes else link
+        return bool(above.type == pin.FrameType.JOINT or above.inertia.mass > 0)
+
+    # What comes later here is taken: what has a mass, and of that the first.
+    for frame in sorted(reversed(links), key=has_mass):
+        found[frame.parentJoint] = str(frame.name)
+    return found
+
+
+class Origin(NamedTuple):
+    """Where an arm comes from, so that it can be read again.
+
+    Attributes
     ----------
     kind : str
         ``"loader"``, ``"urdf"`` or ``"model"``.
@@ -52,7 +192,7 @@ class Origin:
     package_dirs: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
+@attrs.frozen(eq=False, slots=False)
 class Arm:
     """A robot that can be mounted.
 
@@ -61,11 +201,9 @@ class Arm:
     origin : Origin
         Where it comes from.
     file_model : pin.Model
-        As Pinocchio read it. A copy is taken, and copies are handed out.
+        As Pinocchio read it; a copy is taken.
     rest : ndarray, shape (whole.nq,)
         Its reference posture; the pose of a root of its own is dropped.
-    picture : callable
-        Returns the visual `pin.GeometryModel` of the model.
     locked : tuple of str
         Joints to lock at rest, beside a root and wheels.
     stands : bool
@@ -73,17 +211,17 @@ class Arm:
         model with such a root in any case.
     usual : ndarray, shape (whole.nq,), optional
         The reference posture that it has unless another is asked for; by default `rest`.
-    shapes : callable, optional
-        Returns the collision `pin.GeometryModel` of the model; by default it has none.
+    file : VisualFile, optional
+        The URDF that has its geometry.
+    visual, collision : pin.GeometryModel, optional
+        The same without a file; None: it has none.
 
     Attributes
     ----------
-    model : pin.Model
-        A copy of `whole` without what is locked.
     posture : ndarray, shape (model.nq,)
         Its reference posture.
-    tip : str
-        Its end effector's frame.
+    links : tuple of Link
+        What is fixed to its root, then what is fixed to each of its joints.
     squared : tuple of str
         Joints of `whole` whose placement was turned by a right angle but for its last digits, as by a file's
         1.57079632679, and is so by an exact one.
@@ -98,64 +236,91 @@ class Arm:
     """
 
     origin: Origin
-    file_model: pin.Model
+    _file_model: pin.Model = attrs.field(repr=False)
     rest: Array
-    picture: Picture
     locked: tuple[str, ...] = ()
     stands: bool = False
-    usual: Array | None = None
-    shapes: Picture | None = None
-    model: pin.Model = field(init=False)
-    _file_model: pin.Model = field(init=False, repr=False)
-    _model: pin.Model = field(init=False, repr=False)
-    posture: Array = field(init=False)
-    tip: str = field(init=False)
-    squared: tuple[str, ...] = field(init=False)
+    usual: Array = attrs.field(default=attrs.Factory(lambda arm: arm.rest, takes_self=True))
+    file: Any = None
+    visual: pin.GeometryModel | None = None
+    collision: pin.GeometryModel | None = None
+
+    squared: tuple[str, ...] = attrs.field(init=False)
+    posture: Array = attrs.field(init=False)
+    links: tuple[Link, ...] = attrs.field(init=False, repr=False)
+    _whole: pin.Model = attrs.field(init=False, repr=False)
 
     # By which the store of a sweep knows it again.
     determined_by: ClassVar[tuple[str, ...]] = ("origin", "digest", "locked", "stands", "rest")
 
-    def __post_init__(self) -> None:
-        file_model = _copied(self._file_model)
-        for joint in joints_of(file_model):
+    def __attrs_post_init__(self) -> None:
+        called, model = f"arm {self.origin.value!r}", _copied(self._file_model)
+        for joint in joints_of(model):
             if joint.mimics:
                 raise InvalidArgument(
-                    f"arm {self.origin.value!r}: joint {joint.name!r} mimics another one, which "
-                    "Pinocchio's forward dynamics does not support, expected a model built with mimic=False"
+                    f"{called}: joint {joint.name!r} mimics another one, which Pinocchio's forward dynamics "
+                    "does not support, expected a model built with mimic=False"
                 )
-        squared = _squared(file_model)
-        whole = replace_continuous_joints(file_model)
-        rest = _without_root_pose(whole, self.rest)
-        joints, held = joints_of(whole), _held(whole, self.locked)
-        free = [joint for number, joint in enumerate(joints, 1) if number not in held]
+        own: dict[str, Any] = {"squared": _squared(model), "_file_model": model}
+        own["_whole"] = whole = replace_continuous_joints(model)
+        own |= {"rest": _without_root_pose(whole, self.rest), "usual": _without_root_pose(whole, self.usual)}
+        own["stands"] = self.stands or any(Joint.of(whole, j).in_space for j in root_of(whole))
+        vars(self).update(own)
+        free = [joint for number, joint in enumerate(joints_of(whole), 1) if number not in self.held]
         for joint in free:
             if not joint.nq == joint.nv == 1:
                 raise InvalidArgument(
-                    f"arm {self.origin.value!r}: joint {joint}, which has several axes, expected one axis: "
+                    f"{called}: joint {joint}, which has several axes, expected one axis: "
                     "model it as revolute and prismatic joints in series, or lock it with "
                     f"locked=[{joint.name!r}]"
                 )
-        check_bodies(whole, self.origin.value)
-        check_joint_limits(whole, free, self.origin.value)
-        model, _ = _reduced(whole, [], held, rest)
-        posture = rest[[joint.q.start for joint in free]]
-        check_inertias(model, posture, self.origin.value)
-        for name, value in {
-            "file_model": file_model,
-            "rest": rest,
-            "usual": rest if self.usual is None else _without_root_pose(whole, self.usual),
-            "model": model,
-            "posture": frozen(posture),
-            "tip": tip_of(model),
-            "squared": squared,
-            "stands": self.stands or any(joints[j - 1].in_space for j in root_of(whole)),
-        }.items():
-            object.__setattr__(self, name, value)
+            least, most = (float(x[joint.q][0]) for x in (whole.lowerPositionLimit, whole.upperPositionLimit))
+            if not least <= most:
+                raise InvalidArgument(
+                    f"{called}: joint {joint.name!r} has position limits from {least:g} to {most:g}, "
+                    "expected the lower one first"
+                )
+        vars(self)["posture"] = frozen(self.rest[[joint.q.start for joint in free]])
+        vars(self)["links"] = links_of(self._model, called)
+
+    @cached_property
+    def _key(self) -> tuple[object, ...]:
+        return self.origin, self.locked, self.rest.tobytes(), self.digest
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Arm) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    @cached_property
+    def held(self) -> list[int]:
+        """The joints of `whole` that do not move: a root of its own, wheels, and those in `locked`."""
+        return _held(self._file_model, self.locked)
+
+    @cached_property
+    def _model(self) -> pin.Model:
+        return self._reduced([])[0]
+
+    @property
+    def file_model(self) -> pin.Model:
+        """A copy of the file's model, right angles exact."""
+        return self._file_model.copy()
+
+    @property
+    def model(self) -> pin.Model:
+        """A copy of `whole` without what is locked."""
+        return self._model.copy()
 
     @property
     def whole(self) -> pin.Model:
         """A copy of the file's model with one angle for each continuous joint."""
-        return replace_continuous_joints(self.file_model)
+        return self._whole.copy()
+
+    @property
+    def tip(self) -> str:
+        """Its end effector's frame."""
+        return tip_of(self._model)
 
     @property
     def digest(self) -> str:
@@ -164,17 +329,12 @@ class Arm:
 
     def options(self) -> dict[str, object]:
         """Return what `MobileRobot.mount` was asked for beside what it does by default."""
-        usual = self.usual is None or np.array_equal(self.rest, self.usual)
         asked = {
             "package_dirs": self.origin.package_dirs,
-            "rest": () if usual else self.rest.tolist(),
+            "rest": () if np.array_equal(self.rest, self.usual) else self.rest.tolist(),
             "locked": self.locked,
         }
         return {word: value for word, value in asked.items() if value}
-
-    def key(self) -> tuple[object, ...]:
-        """Return what makes two arms the same one."""
-        return self.origin, self.locked, tuple(self.rest.tolist())
 
     def reach_down(self) -> float:
         """Return how far its lowest frame is below its root at rest [m]."""
@@ -182,23 +342,39 @@ class Arm:
         pin.framesForwardKinematics(self._model, data, np.array(self.posture))
         return -min(0.0, *(float(placement.translation[2]) for placement in data.oMf))
 
-    def held(self) -> list[int]:
-        """Return the joints of `whole` that do not move: a root of its own, wheels, and those in `locked`."""
-        return _held(self._file_model, self.locked)
-
     def visuals(self) -> pin.GeometryModel:
         """Return what is drawn of it, for `model`."""
-        whole = self.whole
-        _, (kept,) = _reduced(whole, [self.picture(whole)], self.held(), self.rest)
-        return kept
+        given = self.visual or pin.GeometryModel()
+        return self._reduced([self.file.visuals(self._whole, 7)[0] if self.file else given])[1][0]
 
     def solids(self) -> tuple[pin.GeometryModel, tuple[str, ...]]:
         """Return its collision geometry, for `model`, and the link of each shape."""
-        whole = self.whole
-        shapes = pin.GeometryModel() if self.shapes is None else self.shapes(whole)
-        links = tuple(link_of(item, whole) for item in shapes.geometryObjects)
-        _, (kept,) = _reduced(whole, [shapes], self.held(), self.rest)
-        return kept, links
+        given = self.collision or pin.GeometryModel()
+        shapes = self.file.shapes(self._whole) if self.file else given
+        links = tuple(link_of(item, self._whole) for item in shapes.geometryObjects)
+        return self._reduced([shapes])[1][0], links
+
+    def _reduced(self, shapes: list[pin.GeometryModel]) -> tuple[pin.Model, list[pin.GeometryModel]]:
+        """Return the model and its geometry with joints locked at rest; copies where there are none."""
+        model = self._whole.copy()
+        if not self.held:
+            return model, shapes
+        # Pinocchio refuses a link, a joint or a fixed joint of the same name, so they are numbered meanwhile.
+        names = {}
+        for k, frame in enumerate(model.frames):
+            if k and frame.type != pin.FrameType.JOINT:
+                names[f"{k}/{frame.name}"] = str(frame.name)
+                frame.name = f"{k}/{frame.name}"
+        try:
+            model, kept = pin.buildReducedModel(model, shapes, self.held, np.array(self.rest))
+        except (ValueError, RuntimeError) as error:
+            raise InvalidArgument(
+                f"arm {model.name!r} cannot be had with joints locked: Pinocchio says {error}, expected a "
+                "model with each joint's own frame before those that are fixed to it"
+            ) from error
+        for frame in model.frames:
+            frame.name = names.get(frame.name, frame.name)
+        return model, list(kept)
 
 
 def link_of(item: pin.GeometryObject, model: pin.Model) -> str:
@@ -206,24 +382,6 @@ def link_of(item: pin.GeometryObject, model: pin.Model) -> str:
     known = 0 <= item.parentFrame < model.nframes
     frame = model.frames[item.parentFrame] if known else None
     return str(frame.name if frame is not None and frame.type == pin.FrameType.BODY else item.name)
-
-
-class _Copied:
-    """A model that is kept below the name with an underscore, and handed out as a copy."""
-
-    def __init__(self, name: str) -> None:
-        self.kept = f"_{name}"
-
-    def __get__(self, arm: object, owner: type) -> pin.Model:
-        return getattr(arm, self.kept).copy()
-
-    def __set__(self, arm: object, model: pin.Model) -> None:
-        object.__setattr__(arm, self.kept, model)
-
-
-for _name in ("file_model", "model"):
-    # Not in the class, where a dataclass would take them for defaults.
-    setattr(Arm, _name, _Copied(_name))
 
 
 def _copied(model: pin.Model) -> pin.Model:
@@ -236,31 +394,6 @@ def _copied(model: pin.Model) -> pin.Model:
         if not copy.existFrame(copy.names[joint], pin.FrameType.JOINT):
             copy.addJointFrame(joint)
     return copy
-
-
-def _reduced(
-    whole: pin.Model, shown: list[pin.GeometryModel], held: list[int], rest: Array
-) -> tuple[pin.Model, list[pin.GeometryModel]]:
-    """Return the model and its geometry with joints locked at rest; a copy where there are none."""
-    model = whole.copy()
-    if not held:
-        return model, shown
-    # Pinocchio refuses a link, a joint or a fixed joint of the same name, so they are numbered meanwhile.
-    names = {}
-    for number, frame in enumerate(model.frames):
-        if number and frame.type != pin.FrameType.JOINT:
-            names[f"{number}/{frame.name}"] = str(frame.name)
-            frame.name = f"{number}/{frame.name}"
-    try:
-        model, kept = pin.buildReducedModel(model, shown, held, np.array(rest))
-    except (ValueError, RuntimeError) as error:
-        raise InvalidArgument(
-            f"arm {model.name!r} cannot be had with joints locked: Pinocchio says {error}, expected a model "
-            "with each joint's own frame before those that are fixed to it"
-        ) from error
-    for frame in model.frames:
-        frame.name = names.get(frame.name, frame.name)
-    return model, list(kept)
 
 
 def _squared(model: pin.Model) -> tuple[str, ...]:
@@ -317,95 +450,6 @@ def _held(model: pin.Model, names: Sequence[str]) -> list[int]:
     return sorted(held)
 
 
-def check_bodies(model: pin.Model, called: str) -> None:
-    """Refuse a joint that carries what no rigid body is; a joint may carry nothing.
-
-    Parameters
-    ----------
-    model : pin.Model
-        The arm as it was read; what is fixed to a link is a part of it.
-    called : str
-        What the arm is called, for the message.
-
-    Raises
-    ------
-    InvalidArgument
-        If a mass, a centre of mass or an inertia is not finite, a mass is negative, or the principal
-        moments of inertia are negative or break the triangle inequality.
-    """
-    for joint in range(model.njoints):
-        body = model.inertias[joint]
-        carrier = f"arm {called!r}: joint {model.names[joint]!r}" if joint else f"arm {called!r}: its root"
-        mass, inertia = float(body.mass), np.array(body.inertia)
-        non_negative(f"{carrier}, whose mass", mass, "kg")
-        finite(f"{carrier}, whose centre of mass", body.lever)
-        finite(f"{carrier}, whose inertia", inertia)
-        least, middle, most = moments = np.linalg.eigvalsh(inertia)
-        slack = _ROUNDING * np.abs(moments).max() + _GYRATION * mass
-        if least < -slack or most > least + middle + slack:
-            raise InvalidArgument(
-                f"{carrier} carries principal moments of inertia ({least:.6g}, {middle:.6g}, {most:.6g}) "
-                "kg m^2, which no rigid body has: expected each >= 0 and at most the sum of the other two"
-            )
-
-
-def check_joint_limits(model: pin.Model, joints: Iterable[Joint], called: str) -> None:
-    """Refuse position limits in the wrong order, and limits, damping and friction that are negative or NaN.
-
-    Parameters
-    ----------
-    model : pin.Model
-        The arm as it was read.
-    joints : iterable of Joint
-        Those of its joints that move.
-    called : str
-        What the arm is called, for the message.
-
-    Raises
-    ------
-    InvalidArgument
-        The message names the joint.
-    """
-    for joint in joints:
-        name, limits = (
-            f"arm {called!r}: joint {joint.name!r}",
-            (model.lowerPositionLimit, model.upperPositionLimit),
-        )
-        for least, most in zip(*(limit[joint.q] for limit in limits), strict=True):
-            if not least <= most:
-                raise InvalidArgument(
-                    f"{name} has position limits from {least:g} to {most:g}, expected the lower one first"
-                )
-        for kind, given in (
-            ("velocity limit", model.velocityLimit),
-            ("effort limit", model.effortLimit),
-            ("damping", model.damping),
-            ("friction", model.friction),
-        ):
-            bounded(f"{name}, whose {kind}", np.asarray(given[joint.v]), least=0)
-
-
-def check_inertias(model: pin.Model, posture: Array, called: str) -> None:
-    """Refuse a joint that moves no inertia, at rest or at another posture.
-
-    Parameters
-    ----------
-    model : pin.Model
-        The arm without what is locked.
-    posture : ndarray, shape (nq,)
-        Its reference posture.
-    called : str
-        What the arm is called, for the message.
-
-    Raises
-    ------
-    InvalidArgument
-        The message names the joint.
-    """
-    for joint, where in _weakest(model, posture):
-        raise InvalidArgument(f"arm {called!r}: {_cause(model, joint, where)}, or that joint locked")
-
-
 def check_whole(model: pin.Model, posture: Array) -> None:
     """Refuse a robot whose mass matrix overflows, or is singular to rounding, at rest or at another posture.
 
@@ -427,44 +471,30 @@ def check_whole(model: pin.Model, posture: Array) -> None:
         raise InvalidArgument(
             "the robot's mass matrix is beyond 1.8e308, expected smaller masses or distances: " + heaviest
         )
-    for joint, where in _weakest(model, posture):
-        raise InvalidArgument(
-            f"the robot's mass matrix is singular to rounding {where}: joint {model.names[joint]!r} alone "
-            f"moves less than {_SINGULAR:g} of the inertia that it moves with those beyond, expected masses "
-            f"and distances nearer to each other: {heaviest}"
-        )
-
-
-def _weakest(model: pin.Model, posture: Array) -> Iterator[tuple[int, str]]:
-    """Yield a joint that moves no inertia, but for rounding, and where, at each of two postures with one."""
-    if not model.nv:
-        return
     data = model.createData()
-    step = np.random.default_rng(_GENERIC).uniform(-1, 1, model.nv)
-    generic = posture + step
+    generic = posture + np.random.default_rng(_GENERIC).uniform(-1, 1, model.nv)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         for where, q in (("at rest", posture), ("at a posture like any other", generic)):
             own = np.diag(pin.crba(model, data, q)).copy()
             pin.cholesky.decompose(model, data)
-            left = np.array(data.D)
             # Elimination goes from the tips to the root, and what comes after a zero is no number.
-            singular = np.flatnonzero(~(left > _SINGULAR * own))
+            singular = np.flatnonzero(~(np.array(data.D) > _SINGULAR * own))
             if len(singular):
-                yield _joint_of(model, int(singular[-1])), where
+                raise InvalidArgument(_cause(model, int(singular[-1]), where, heaviest))
 
 
-def _cause(model: pin.Model, joint: int, where: str) -> str:
-    """Return what is wrong with a joint that moves no inertia, and what is expected."""
+def _cause(model: pin.Model, k: int, where: str, heaviest: str) -> str:
+    """Return what is wrong with the joint of a coordinate that moves no inertia, and what is expected."""
+    joint = next(j for j in range(1, model.njoints) if 0 <= k - model.idx_vs[j] < model.nvs[j])
     name = repr(model.names[joint])
     moved = [model.inertias[beyond] for beyond in model.subtrees[joint]]
     if not any(body.mass or np.array(body.inertia).any() for body in moved):
-        return f"joint {name} moves parts that have no inertia, expected inertia beyond each joint"
+        return (
+            f"joint {name} moves parts that have no inertia, expected inertia beyond each joint, or that "
+            "joint locked"
+        )
     return (
-        f"the mass matrix is singular {where} about joint {name}: moved together with joints beyond "
-        "it, it moves no inertia, expected another `rest`, inertia there"
+        f"the mass matrix is singular {where} about joint {name}: moved together with joints beyond it, it "
+        f"moves less than {_SINGULAR:g} of its own inertia, expected another `rest`, inertia there, masses "
+        f"and distances nearer to each other, or that joint locked: {heaviest}"
     )
-
-
-def _joint_of(model: pin.Model, k: int) -> int:
-    """Return the joint of a velocity coordinate."""
-    return next(j for j in range(1, model.njoints) if 0 <= k - model.idx_vs[j] < model.nvs[j])

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, Self, final
+from typing import Any, ClassVar, NamedTuple, Protocol, Self, cast, final
 
 import numpy as np
 import pinocchio as pin
@@ -25,13 +25,12 @@ from pinmobile.compiled import Node, plain, symbols
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.metrics import Metric
 from pinmobile.parts import is_symbolic
-from pinmobile.plant import Coordinate, Input
 from pinmobile.robot.linkage import (
     ZERO,
     Body,
     Linkage,
     Matrix,
-    Place,
+    Placement,
     Vector,
     applied,
     cross,
@@ -48,9 +47,10 @@ from pinmobile.robot.linkage import (
     volume,
 )
 from pinmobile.robot.mounts import assemble, named_frames
-from pinmobile.robot.recursions import Moving, Posture, by_matrix, operations
-from pinmobile.robot.support_geometry import Judgement
+from pinmobile.robot.recursions import LinkageDynamics, LinkageKinematics
+from pinmobile.robot.support_geometry import ArmMetrics
 
+_BASE = 3  # joints, coordinates and numbers of q of the base; the last carries its body
 _STEP = 1e-30  # its square is nothing beside any number
 _SAMPLES = 256  # of which slopes are found at once
 
@@ -78,37 +78,81 @@ def slopes(function: Callable[..., Any], directions: Array, *given: Array) -> Ar
     return np.asarray(np.swapaxes(whole, -1, -2)).reshape(*lead, whole.shape[-1], len(directions))
 
 
-def linearized(body: Any, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
-    """Return A and B of a body that is pushed, as `MobileRobot.linearize` has them, of its law on arrays.
+class _Coordinates(Protocol):
+    """What follows from the coordinates of a robot alone, and the linearization of its dynamics."""
 
-    Parameters
-    ----------
-    body : PlanarBody or ArticulatedBody
-        Each of whose joints moves along or about one axis.
-    q, v, u : ndarray, shape (..., nq), (..., nv), (..., nv)
-        State and generalised force.
-    """
-    n = int(body.nv)
-    q, v, u = (np.asarray(x, np.float64) for x in (q, v, u))
-    lead = np.broadcast_shapes(q.shape[:-1], v.shape[:-1], u.shape[:-1])
-    q, v, u = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v, u))
+    @property
+    def rest(self) -> Array:
+        """Where what has no reference starts, shape (nq,)."""
 
-    def accelerations(step: Array, q: Array, v: Array, u: Array) -> Any:
-        moved = body.integrate(q, step[..., :n]), v + step[..., n : 2 * n], u + step[..., 2 * n :]
-        return body.forward_dynamics(*moved)
+    @property
+    def circular(self) -> tuple[int, ...]:
+        """Coordinates whose errors are taken on the circle."""
 
-    # Nothing follows from where the body is.
-    found = slopes(accelerations, np.eye(3 * n)[2:], q, v, u)
-    A, B = np.zeros((*lead, 2 * n, 2 * n)), np.zeros((*lead, 2 * n, n))
-    A[..., :n, n:] = np.eye(n)
-    A[..., n:, 2:] = found[..., : 2 * n - 2]
-    B[..., n:, :] = found[..., 2 * n - 2 :]
-    return A, B
+    @property
+    def nv(self) -> int:
+        """Size of v and a."""
+        return len(self.rest)
+
+    @property
+    def nq(self) -> int:
+        """Size of q."""
+        return self.nv
+
+    @property
+    def nu(self) -> int:
+        """Size of the input."""
+        return self.nv
+
+    def linearize_tracked(self, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
+        """Return A, shape (..., 2 nv, 2 nv), and B, (..., 2 nv, nv), see `MobileRobot.linearize`."""
+        n, body = self.nv, cast(Any, self)
+        q, v, u = (np.asarray(x, np.float64) for x in (q, v, u))
+        lead = np.broadcast_shapes(q.shape[:-1], v.shape[:-1], u.shape[:-1])
+        q, v, u = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v, u))
+
+        def accelerations(step: Array, q: Array, v: Array, u: Array) -> Any:
+            return body.forward_dynamics(q + step[..., :n], v + step[..., n : 2 * n], u + step[..., 2 * n :])
+
+        # Nothing follows from where the body is.
+        found = slopes(accelerations, np.eye(3 * n)[2:], q, v, u)
+        A, B = np.zeros((*lead, 2 * n, 2 * n)), np.zeros((*lead, 2 * n, n))
+        A[..., :n, n:] = np.eye(n)
+        A[..., n:, 2:] = found[..., : 2 * n - 2]
+        B[..., n:, :] = found[..., 2 * n - 2 :]
+        return A, B
+
+    def integrate(self, q: Array, dq: Array) -> Array:
+        """Return q + dq."""
+        return q + dq
+
+    def difference(self, q0: Array, q1: Array) -> Array:
+        """Return the displacement from q0 to q1, shape (..., nv); psi and continuous joints on the circle."""
+        d = q1 - q0
+        angles = (wrap_angle(d[..., k]) if k in self.circular else d[..., k] for k in range(self.nv))
+        return np.stack(list(angles), axis=-1)
+
+    def pose(self, q: Array) -> Array:
+        """Return x, y and psi of the body, shape (..., 3)."""
+        return q[..., :_BASE]
+
+    def pose_rate(self, q: Array, v: Array) -> Array:
+        """Return the rates of x, y and psi, shape (..., 3)."""
+        return v[..., :_BASE]
+
+    def generalized_force(self, q: Array, wrench: Array) -> Array:
+        """Return the generalized force of a wrench on the body, shape (..., nv)."""
+        return np.concatenate([wrench, np.zeros((*np.shape(wrench)[:-1], self.nv - _BASE))], axis=-1)
+
+    def start(self, reference: Any) -> tuple[Array, Array]:
+        """Return the q and v with which a reference begins; what it does not lead rests."""
+        n = reference.v.shape[-1]
+        return np.append(reference.q, self.rest[n:]), np.append(reference.v, np.zeros(self.nv - n))
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class PlanarDynamics:
+class PlanarDynamics(_Coordinates):
     """A body in the plane, by the closed forms of `pinmobile.closed_form`, unchecked.
 
     Parameters
@@ -123,16 +167,8 @@ class PlanarDynamics:
     com_x: Numbers = 0.0
     com_y: Numbers = 0.0
 
-    nq: ClassVar[int] = 3
-    nv: ClassVar[int] = 3
-    nu: ClassVar[int] = 3
-    reference_sizes: ClassVar[dict[int, int]] = {3: 3}
-    coordinates: ClassVar[tuple[Coordinate, ...]] = (
-        Coordinate("x", "m", rate="vx"),
-        Coordinate("y", "m", rate="vy"),
-        Coordinate("psi", "rad", rate="yaw_rate"),
-    )
-    inputs: ClassVar[tuple[Input, ...]] = (Input("Fx", "N"), Input("Fy", "N"), Input("Mz", "N m"))
+    rest: ClassVar[Array] = frozen(np.zeros(3))
+    circular: ClassVar[tuple[int, ...]] = (2,)
 
     @property
     def _body(self) -> tuple[Numbers, Numbers, Numbers, Numbers]:
@@ -166,39 +202,6 @@ class PlanarDynamics:
     def gravity(self, q: Array) -> Array:
         """Return zeros, shape (..., 3): the ground is level."""
         return np.zeros(np.shape(q))
-
-    def linearize_tracked(self, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
-        """Return A, shape (..., 6, 6), and B, (..., 6, 3), see `MobileRobot.linearize`."""
-        return linearized(self, q, v, u)
-
-    def integrate(self, q: Array, dq: Array) -> Array:
-        """Return q + dq."""
-        return q + dq
-
-    def difference(self, q0: Array, q1: Array) -> Array:
-        """Return q1 - q0, shape (..., 3), with the difference of the heading wrapped."""
-        d = q1 - q0
-        return np.stack([d[..., 0], d[..., 1], wrap_angle(d[..., 2])], axis=-1)
-
-    def pose(self, q: Array) -> Array:
-        """Return q."""
-        return q
-
-    def pose_rate(self, q: Array, v: Array) -> Array:
-        """Return v."""
-        return v
-
-    def generalized_force(self, q: Array, wrench: Array) -> Array:
-        """Return the wrench."""
-        return wrench
-
-    def start(self, reference: Any) -> tuple[Array, Array]:
-        """Return the reference's configuration and velocity."""
-        return reference.q, reference.v
-
-
-_BASE = 3  # joints, coordinates and numbers of q of the base; the last carries its body
-_SHARED = 1.05  # the way by the mass matrix shares products of velocities with a controller's own dynamics
 
 
 class Fixed(NamedTuple):
@@ -239,11 +242,9 @@ class Tree:
         What has a name.
     arms : tuple of str
         Names of the arms.
-    coordinates, inputs
-        As of a plant.
     rest : ndarray, shape (nq,)
         Where what has no reference starts.
-    judgement : Judgement or None
+    arm_metrics : ArmMetrics or None
         What is worth judging about it; None without arms.
     end_effector : str
         The frame that is meant where none is named.
@@ -254,10 +255,8 @@ class Tree:
     links: tuple[Fixed, ...]
     frames: dict[str, Fixed]
     arms: tuple[str, ...]
-    coordinates: tuple[Coordinate, ...]
-    inputs: tuple[Input, ...]
     rest: Array
-    judgement: Judgement | None
+    arm_metrics: ArmMetrics | None
     end_effector: str
 
     @classmethod
@@ -289,10 +288,8 @@ class Tree:
                 if model.frames[k].parentJoint >= _BASE  # those of the virtual links move with a part of it
             },
             arms=arms,
-            coordinates=robot.coordinates,
-            inputs=robot.inputs,
             rest=robot.rest,
-            judgement=Judgement.of(robot) if arms else None,
+            arm_metrics=ArmMetrics.of(robot) if arms else None,
             end_effector=robot.end_effector,
         )
 
@@ -324,7 +321,7 @@ def entries_of(x: Any) -> Vector:
 
 @final
 @dataclass(frozen=True, eq=False)
-class ArticulatedDynamics:
+class ArticulatedDynamics(_Coordinates):
     """A body in the plane that carries arms and loads, by recursions over its joints, unchecked.
 
     What it is made of are scalars: numbers or symbols.
@@ -386,62 +383,27 @@ class ArticulatedDynamics:
         return self.tree.linkage
 
     @property
-    def coordinates(self) -> tuple[Coordinate, ...]:
-        """As of a plant."""
-        return self.tree.coordinates
-
-    @property
-    def inputs(self) -> tuple[Input, ...]:
-        """As of a plant."""
-        return self.tree.inputs
-
-    @property
     def rest(self) -> Array:
         """Where what has no reference starts, shape (nq,)."""
         return self.tree.rest
 
     @property
-    def judgement(self) -> Judgement | None:
-        """What is worth judging about it."""
-        return self.tree.judgement
-
-    @property
-    def reference_sizes(self) -> dict[int, int]:
-        """How many numbers of q the first n coordinates have, for each n that a reference may have."""
-        return {n: n for n in range(_BASE, self.nv + 1)}
-
-    @property
-    def nq(self) -> int:
-        """Size of q."""
-        return len(self.linkage)
-
-    @property
-    def nv(self) -> int:
-        """Size of v and a."""
-        return len(self.linkage)
-
-    @property
-    def nu(self) -> int:
-        """Size of the input."""
-        return self.nv
-
-    @property
-    def worth_arrays(self) -> int:
-        """Number of robots from which on arrays of them are faster than Pinocchio one after another."""
-        return 15 * self.nv
+    def circular(self) -> tuple[int, ...]:
+        """Coordinates whose errors are taken on the circle."""
+        return self.linkage.circular
 
     @cached_property
-    def _stands(self) -> list[Place]:
+    def _stands(self) -> list[Placement]:
         """Where the arms stand."""
-        return [Place.about_z(yaw, origin) for *origin, yaw in self.places]
+        return [Placement.about_z(yaw, origin) for *origin, yaw in self.places]
 
-    def _placed(self, arm: int, R: Array, p: Array) -> Place:
+    def _placed(self, arm: int, R: Array, p: Array) -> Placement:
         """Return where something stands in its joint's frame, on the root of an arm or not."""
-        place = Place.of(R, p)
+        place = Placement.of(R, p)
         return place if arm < 0 else place.within(self._stands[arm])
 
     @cached_property
-    def _joints(self) -> list[Place]:
+    def _joints(self) -> list[Placement]:
         """Where the joints stand in those that they hang on."""
         tree = self.tree
         rows = zip(tree.roots, tree.linkage.rotations, tree.linkage.offsets, strict=True)
@@ -465,7 +427,7 @@ class ArticulatedDynamics:
 
     def _carried(self, base: Body, before: str = "") -> list[Body]:
         """Return what is fixed to each joint: the base's body, and links and loads whose names begin so."""
-        found = [Body.none() for _ in self.coordinates]
+        found = [Body.none() for _ in self.rest]
         found[_BASE - 1] = base
         tree = self.tree
         loads = [(tree.frames[frame], solid) for frame, solid in self.loads]
@@ -485,23 +447,16 @@ class ArticulatedDynamics:
         """What motors add to the inertias of the joints, in the order of the linkage."""
         return [*[ZERO] * _BASE, *self.rotors]
 
-    @cached_property
-    def _by_matrix(self) -> bool:
-        """Whether accelerations come by the mass matrix, or else by articulated bodies: as takes less."""
-        by_bodies, by_mass_matrix = operations(self.linkage, self._joints, self._bodies, self._motors)
-        return by_mass_matrix < _SHARED * by_bodies
+    def _posture(self, q: Array) -> LinkageKinematics:
+        return LinkageKinematics(self.linkage, self._joints, scalars(q))
 
-    def _posture(self, q: Array) -> Posture:
-        return Posture(self.linkage, self._joints, scalars(q))
-
-    def _moving(self, q: Array, v: Array) -> Moving:
-        return Moving(self.linkage, self._joints, scalars(q), scalars(v))
+    def _moving(self, q: Array, v: Array) -> LinkageDynamics:
+        return LinkageDynamics(self.linkage, self._joints, scalars(q), scalars(v))
 
     def forward_dynamics(self, q: Array, v: Array, u: Array, f: Array | float = 0.0) -> Array:
         """Return the acceleration, shape (..., nv)."""
         moving, bodies, motors = self._moving(q, v), self._bodies, self._motors
-        way = by_matrix if self._by_matrix else Moving.accelerations
-        return vector_of(way(moving, bodies, motors, scalars(u + f)), q)
+        return vector_of(moving.accelerations(bodies, motors, scalars(u + f)), q)
 
     def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
         """Return M(q) a + n(q, v), shape (..., nv)."""
@@ -530,7 +485,7 @@ class ArticulatedDynamics:
     def gravity(self, q: Array) -> Array:
         """Return g(q), shape (..., nv)."""
         still = [ZERO] * self.nv
-        moving = Moving(self.linkage, self._joints, scalars(q), still)
+        moving = LinkageDynamics(self.linkage, self._joints, scalars(q), still)
         return vector_of(moving.efforts(self._bodies, still), q)
 
     def kinetic_energy(self, q: Array, v: Array) -> Array:
@@ -549,10 +504,6 @@ class ArticulatedDynamics:
         """Return Y(q, v, a), shape (..., nv, 10 bodies): of the base's body, and of each joint's after it."""
         found = self._moving(q, v).regressor(self._axes, _BASE - 1, scalars(a))
         return matrix_of([vector_of(row, q) for row in found])
-
-    def linearize_tracked(self, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
-        """Return A, shape (..., 2 nv, 2 nv), and B, (..., 2 nv, nv), see `MobileRobot.linearize`."""
-        return linearized(self, q, v, u)
 
     def mass_matrix(self, q: Array) -> Array:
         """Return M(q), shape (..., nv, nv)."""
@@ -593,15 +544,15 @@ class ArticulatedDynamics:
     @property
     def metrics(self) -> tuple[Metric, ...]:
         """What is worth judging about it: see `MobileRobot.metrics`."""
-        return () if self.judgement is None else self.judgement.metrics
+        return () if self.tree.arm_metrics is None else self.tree.arm_metrics.metrics
 
     def evaluate_metrics(
         self, t: Array | float, q: Array, v: Array, a: Array, u: Array, reference: Any
     ) -> Array:
         """Return its metrics, shape (..., m)."""
-        if self.judgement is None:
+        if self.tree.arm_metrics is None:
             return np.zeros((*np.shape(q)[:-1], 0))
-        return self.judgement.evaluate_metrics(self, q, v, a, u, reference.q)
+        return self.tree.arm_metrics.evaluate_metrics(self, q, v, a, u, reference.q)
 
     def frame_pose(self, q: Array, frame: str | None = None) -> Array:
         """Return T_0_f, the pose of a frame, shape (..., 4, 4)."""
@@ -645,31 +596,3 @@ class ArticulatedDynamics:
                 f"take one of {', '.join(self.tree.frames)}",
             )
         return self.tree.frames[name]
-
-    def integrate(self, q: Array, dq: Array) -> Array:
-        """Return the configuration that a displacement leads to, shape (..., nq)."""
-        return q + dq
-
-    def difference(self, q0: Array, q1: Array) -> Array:
-        """Return the displacement from q0 to q1, shape (..., nv); psi and continuous joints on the circle."""
-        d, circular = q1 - q0, self.linkage.circular
-        return np.stack(
-            [wrap_angle(d[..., k]) if k in circular else d[..., k] for k in range(self.nv)], axis=-1
-        )
-
-    def pose(self, q: Array) -> Array:
-        """Return x, y and psi of the body, shape (..., 3)."""
-        return q[..., :_BASE]
-
-    def pose_rate(self, q: Array, v: Array) -> Array:
-        """Return the rates of x, y and psi, shape (..., 3)."""
-        return v[..., :_BASE]
-
-    def generalized_force(self, q: Array, wrench: Array) -> Array:
-        """Return the generalised force of a wrench on the body, shape (..., nv)."""
-        return np.concatenate([wrench, np.zeros((*np.shape(wrench)[:-1], self.nv - _BASE))], axis=-1)
-
-    def start(self, reference: Any) -> tuple[Array, Array]:
-        """Return the q and v with which a reference begins; what it does not lead rests."""
-        n = reference.v.shape[-1]
-        return np.append(reference.q, self.rest[n:]), np.append(reference.v, np.zeros(self.nv - n))

@@ -14,14 +14,12 @@ import pinocchio as pin
 from pinmobile.arrays import Array, frozen
 from pinmobile.compiled import Node, maximum, plain, root, sincos, symbols
 from pinmobile.errors import NotTraceable
-from pinmobile.plant import Coordinate, Input
 
 BODY_JOINT = 3
 """The joint of the chain that carries the body; those before it carry nothing."""
 
 _SINGLE = re.compile("R[XYZ]|P[XYZ]|(Revolute|Prismatic)Unaligned")
 _CONTINUOUS = re.compile("RUB[XYZ]|RevoluteUnboundedUnaligned")
-_FAR = 1e8  # beyond, a limit is none
 _WHEEL_JOINTS = 3  # suspension, steering, wheel
 _TURNS = 1e3 * 2 * np.pi  # [rad]: limits beyond this, both ways, count as none
 _UNSET = 1e300  # [rad]: beyond, a model made joint by joint has not set them
@@ -229,52 +227,6 @@ def tip_of(model: pin.Model) -> str:
     return (tools or links or [str(frame.name) for frame in frames])[0 if tools else -1]
 
 
-_BASE = ("x", "m", "vx"), ("y", "m", "vy"), ("psi", "rad", "yaw_rate")
-_FORCES = ("Fx", "Fy", "Mz")
-_FORCE_UNITS = {"m": "N", "rad": "N m"}
-
-
-def coordinates(model: pin.Model, lower: Array, upper: Array) -> tuple[Coordinate, ...]:
-    """Return the coordinates: x, y, psi, then those of the joints.
-
-    Parameters
-    ----------
-    model : pin.Model
-        The chain, and what it carries.
-    lower, upper : ndarray, shape (nq,)
-        Limits.
-    """
-    joints = ((joint.name, "m" if joint.slides else "rad") for joint in joints_of(model, BODY_JOINT + 1))
-    named = (*_BASE, *((name, unit, f"{name}_rate") for name, unit in joints))
-    limits = zip(lower.tolist(), upper.tolist(), strict=True)
-    return tuple(
-        Coordinate(name, unit, *limit, rate) for (name, unit, rate), limit in zip(named, limits, strict=True)
-    )
-
-
-def inputs(coordinates: Sequence[Coordinate]) -> tuple[Input, ...]:
-    """Return the generalised forces of coordinates: Fx, Fy, Mz, then those of the joints, without limits."""
-    names = [*_FORCES, *(one.name for one in coordinates[len(_FORCES) :])]
-    return tuple(Input(name, _FORCE_UNITS[one.unit]) for name, one in zip(names, coordinates, strict=True))
-
-
-def limits(model: pin.Model) -> tuple[Array, Array, Array, Array]:
-    """Return lower and upper limits and those of velocity and effort, each of shape (nv,).
-
-    They are infinite for the base, and where a file has none.
-    """
-    lower, upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
-    speed, effort = upper.copy(), upper.copy()
-    arms = slice(BODY_JOINT, None)
-    least, most = model.lowerPositionLimit[arms], model.upperPositionLimit[arms]
-    known = least < most  # files write equal limits, or zero, where they know none
-    lower[arms] = np.where(known & (least > -_FAR), least, -np.inf)
-    upper[arms] = np.where(known & (most < _FAR), most, np.inf)
-    for target, source in ((speed, model.velocityLimit[arms]), (effort, model.effortLimit[arms])):
-        target[arms] = np.where((source > 0) & (source < _FAR), source, np.inf)
-    return lower, upper, speed, effort
-
-
 Vector: TypeAlias = list[Any]
 Matrix: TypeAlias = list[list[Any]]
 
@@ -391,11 +343,6 @@ def product(A: Matrix, B: Matrix) -> Matrix:
 def added(A: Matrix, B: Matrix) -> Matrix:
     """Return A + B."""
     return [plus(a, b) for a, b in zip(A, B, strict=True)]
-
-
-def skew(a: Vector) -> Matrix:
-    """Return the matrix whose product with x is a x x."""
-    return [[ZERO, -a[2], a[1]], [a[2], ZERO, -a[0]], [-a[1], a[0], ZERO]]
 
 
 def symmetric(J: Sequence[Any]) -> Matrix:
@@ -615,30 +562,30 @@ def without_rounding(array: Array) -> Array:
     return np.where((np.abs(array - whole) < _ROUNDING) & (np.abs(whole) <= 1), whole, array) + 0.0
 
 
-class Place(NamedTuple):
+class Placement(NamedTuple):
     """Where a frame stands in another: how it is turned, and its origin [m], as scalars."""
 
     R: Matrix
     p: Vector
 
     @classmethod
-    def of(cls, R: Array, p: Array) -> Place:
+    def of(cls, R: Array, p: Array) -> Placement:
         """Return that of numbers."""
         return cls([[exact(x) for x in row] for row in R.tolist()], [exact(x) for x in p.tolist()])
 
     @classmethod
-    def about_z(cls, angle: Any, p: Vector) -> Place:
+    def about_z(cls, angle: Any, p: Vector) -> Placement:
         """Return that of a frame which is turned about z."""
         s, c = sine_and_cosine(angle)
         return cls([[c, -s, ZERO], [s, c, ZERO], [ZERO, ZERO, ONE]], p)
 
-    def within(self, other: Place) -> Place:
+    def within(self, other: Placement) -> Placement:
         """Return it in the frame in which its own is at another place."""
-        return Place(product(other.R, self.R), plus(other.p, applied(other.R, self.p)))
+        return Placement(product(other.R, self.R), plus(other.p, applied(other.R, self.p)))
 
 
 def regrouped(
-    linkage: Linkage, places: Sequence[Place], bodies: Sequence[Body], least: int = 0
+    linkage: Linkage, places: Sequence[Placement], bodies: Sequence[Body], least: int = 0
 ) -> list[Body]:
     """Return bodies that move as these do, with fewer numbers that are not zero (Khalil and Dombre, 2002).
 

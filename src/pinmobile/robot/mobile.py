@@ -47,13 +47,11 @@ from pinmobile.parts import (
     walk,
 )
 from pinmobile.robot.arm_loading import existing_folders, read_arm
-from pinmobile.robot.arms import check_whole
+from pinmobile.robot.arms import check_whole, com_field
 from pinmobile.robot.articulated import ArticulatedDynamics, PlanarDynamics, Tree
 from pinmobile.robot.linkage import BODY_JOINT
 from pinmobile.robot.model_import import (
     LOCKED,
-    Reading,
-    Undercarriage,
     build_model,
     check_chain,
     read_model,
@@ -64,13 +62,11 @@ from pinmobile.robot.mounts import (
     PayloadBody,
     assemble,
     checked_name,
-    com_field,
     free_name,
     free_place,
-    placed,
 )
-from pinmobile.robot.pinocchio_backend import Engine, UncheckedDynamics, in_public_order
-from pinmobile.robot.support_geometry import Judgement, Stance
+from pinmobile.robot.pinocchio_backend import PinocchioBackend, UncheckedDynamics, in_public_order
+from pinmobile.robot.support_geometry import ArmMetrics, Stance
 from pinmobile.robot.system import System, by_values
 from pinmobile.robot.visuals import (
     Solids,
@@ -82,6 +78,7 @@ from pinmobile.robot.visuals import (
     carried_shapes,
     read_visuals,
 )
+from pinmobile.robot.wheel_layout import Undercarriage
 
 
 @attrs.frozen
@@ -174,7 +171,7 @@ class MobileRobot(System):
             return
         self.body  # noqa: B018 (it checks itself)
         if self.mounts or self.loads:
-            check_whole(self._model, self._numeric.reorder(self.rest))
+            check_whole(self._model, self.rest)
 
     @cached_property
     def _is_symbolic(self) -> bool:
@@ -204,11 +201,10 @@ class MobileRobot(System):
         return xz, yz
 
     @numeric
-    def _engine(self) -> Engine | None:
+    def _engine(self) -> PinocchioBackend | None:
         if self._is_symbolic:
             return None
-        base = build_model(self.dh, self.body)
-        return Engine(assemble(base, self.mounts, self.loads) if self.mounts or self.loads else base)
+        return PinocchioBackend(assemble(build_model(self.dh, self.body), self.mounts, self.loads))
 
     @numeric
     def stance(self) -> Stance:
@@ -231,7 +227,7 @@ class MobileRobot(System):
 
     def _key(self) -> tuple[object, ...]:
         own = self.mass, self.com, self.body.inertia.tobytes(), self.size, self.dh
-        return *own, self.stance._key(), self.mounts, self.loads
+        return *own, self.stance, self.mounts, self.loads
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, MobileRobot) or self._is_symbolic or other._is_symbolic:
@@ -249,7 +245,7 @@ class MobileRobot(System):
         what touches the ground: its wheels, and casters and skids that are fixed to it. None where that is
         not known: see `source`.
         """
-        return self.stance.footprint
+        return self.stance.footprint  # type: ignore[no-any-return]
 
     @property
     def top(self) -> float | None:
@@ -341,9 +337,7 @@ class MobileRobot(System):
             If a link has an inertia that no rigid body has, too small to matter.
         """
         folders = tuple(map(Path, existing_folders(package_dirs)))
-        file = location("path", path)
-        reading = read_urdf(file, folders, ground)
-        return _read(reading, VisualFile(file.resolve(), folders, reading.base))
+        return cls(**read_urdf(location("path", path), folders, ground))
 
     @classmethod
     def from_model(cls, pin_model: pin.Model, *, ground: ArrayLike | None = None) -> MobileRobot:
@@ -362,7 +356,7 @@ class MobileRobot(System):
             If it is neither, or describes a body that cannot exist.
         """
         instance("pin_model", pin_model, pin.Model, "a pinocchio.Model")
-        return _read(read_model(pin_model, pin_model.name or "the model", ground=ground), None)
+        return cls(**read_model(pin_model, pin_model.name or "the model", ground))
 
     @classmethod
     def from_body(
@@ -432,8 +426,8 @@ class MobileRobot(System):
         return evolved(self, own | bare)
 
     @structure
-    def _judgement(self) -> Judgement:
-        return Judgement.of(self)
+    def _arm_metrics(self) -> ArmMetrics:
+        return ArmMetrics.of(self)
 
     @property
     def metrics(self) -> tuple[Metric, ...]:
@@ -443,7 +437,7 @@ class MobileRobot(System):
         joints have limits, the largest effort of what they allow; and the tip-over margin, where footprint
         and ground are known.
         """
-        return self._judgement.metrics if self.mounts else ()
+        return self._arm_metrics.metrics if self.mounts else ()
 
     @by_values()
     def evaluate_metrics(
@@ -480,7 +474,7 @@ class MobileRobot(System):
             return np.zeros((*lead, 0))
         numbers = state["q"], state["v"], state["a"], state["u"]
         with np.errstate(over="ignore"):
-            found: Array = self._judgement.evaluate_metrics(self, *numbers, desired)
+            found: Array = self._arm_metrics.evaluate_metrics(self, *numbers, desired)
         finite_answer(np.where(found == -np.inf, 0.0, found), **state)  # a margin may be minus infinity
         return found
 
@@ -592,10 +586,9 @@ class MobileRobot(System):
         UnknownName
             If no loader has the name; the nearest come first.
         """
-        asked = None if at is None else placed(at)
         shapes = {"visual": visual, "collision": collision}
         ready = read_arm(arm, package_dirs=package_dirs, rest=rest, locked=locked, **shapes)
-        place = free_place(self.mounts, self.stance.top, ready) if asked is None else asked
+        place = free_place(self.mounts, self.stance.top, ready) if at is None else at
         wanted = checked_name(name if name is not None else Path(ready.origin.value).stem)
         taken = {mount.name for mount in self.mounts}
         mount = Mount.after(self.nv, ready, free_name(wanted, taken), place)
@@ -721,18 +714,6 @@ class MobileRobot(System):
         stance = None if box else self.stance.written()
         body = self.lumped().body if loaded else self.body
         return urdf.write(self.dh, body, size=self.size, stance=stance)
-
-
-def _read(reading: Reading, looks: VisualFile | None) -> MobileRobot:
-    robot = MobileRobot.from_body(
-        reading.body,
-        reading.size,
-        reading.table,
-        reading.source,
-        stance=reading.stance,
-        locked_joints=reading.locked,
-    )
-    return evolved(robot, {"_looks": looks, "undercarriage": reading.undercarriage})
 
 
 def _of_files(mounts: Sequence[Mount]) -> str:

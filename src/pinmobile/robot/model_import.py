@@ -1,263 +1,291 @@
-"""The chain with its body as a `pin.Model`, from a table, a model or a URDF, and the wheels of a file."""
+"""The chain with its body as a `pin.Model`, and the fields of a robot from a model or a URDF."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
-from xml.etree import ElementTree
+from typing import Any, NamedTuple
+from xml.etree.ElementTree import Element
 
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, instance
+from pinmobile.arrays import Array, ArrayLike, finite, instance
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable, JointType
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot.geometry import Shape, WheelReading, ground_below, shapes_of, stance_on, wheels_of
 from pinmobile.robot.linkage import Joint, carries_only_wheels, children, joints_of, turns_freely
-from pinmobile.robot.support_geometry import Stance, stance_written
+from pinmobile.robot.support_geometry import Stance, hull, margin_inside, stance_written
 from pinmobile.robot.urdf_checks import MOMENTS, judge_links, urdf_model
 from pinmobile.robot.visuals import VisualFile
+from pinmobile.robot.wheel_layout import WheelJoint, joint_axis, seen_from, triple, undercarriage_of
 from pinmobile.urdf import Body
 
-_TRAIL = 1e-3  # [m]: a wheel nearer to its swivel than that does not trail
-_VERTICAL = 0.995  # cosine of the angle by which a swivel may lean: files have angles such as 1.57
+_ALONG = 0.995
+"""Cosine beyond which two directions are the same: files have angles such as 1.57."""
+_SIZES = {"box": 3, "cylinder": 2, "capsule": 2, "sphere": 1, "mesh": 3}
+TOUCH = 0.005
+"""What is so near the ground, or one plane, stands on it [m]."""
 
-Triple = tuple[float, float, float]
-
-
-class Lump(NamedTuple):
-    """Links that move together, at rest.
-
-    Attributes
-    ----------
-    mass : float
-        [kg]; zero of links that have none.
-    com : tuple of 3 floats
-        Centre of mass in the body's frame B [m].
-    inertia : tuple of 3 tuples of 3 floats
-        About it, along the axes of B [kg m^2].
-    """
-
-    mass: float
-    com: Triple
-    inertia: tuple[Triple, Triple, Triple]
+_ROUNDING = 1e-9  # [m]
+_LEVEL = 0.1  # sine of the angle by which an axle may be off level: files have angles such as 1.57
+_FOOTPRINT = "base_footprint"  # REP-120: the link that is on the ground, whatever namespace is before it
 
 
-class Swivel(NamedTuple):
-    """A joint about the vertical that carries a wheel.
+class Shape(NamedTuple):
+    """A box, a cylinder along z, a capsule along z, a sphere, or a mesh, fixed to a joint.
 
     Attributes
     ----------
-    name : str
-        Of the joint.
-    x, y : float
-        Where its axis stands in B [m].
-    limit : float
-        Largest angle to either side [rad]; infinite: it turns freely.
-    lump : Lump
-        All that turns with it, wheels included.
+    link : str
+        Whose it is.
+    joint : int
+        What that is fixed to.
+    placement : pin.SE3
+        Pose in the joint's frame.
+    kind : str
+        Tag of the file.
+    sizes : tuple of floats
+        Sides of a box; else the radius and, of a cylinder or a capsule, the length; factors of a mesh [m].
+    collides : bool
+        Whether it is collision geometry; else what is drawn of a link that has none.
+    mesh : str
+        Name of the file, of a mesh.
     """
 
-    name: str
-    x: float
-    y: float
-    limit: float
-    lump: Lump
+    link: str
+    joint: int
+    placement: pin.SE3
+    kind: str
+    sizes: tuple[float, ...]
+    collides: bool = True
+    mesh: str = ""
 
-    def turning(self, wheel: WheelJoint, across: float) -> tuple[float, float]:
-        """Return mass and yaw inertia that, at the wheel's centre, turn as all on the swivel does.
+    def reach(self, rotation: Array) -> float:
+        """Return how far it reaches above its origin, and below it, when so turned; not of a mesh [m]."""
+        up = np.abs(rotation[2])  # the vertical, in the shape's frame
+        if self.kind == "box":
+            return float(up @ self.sizes / 2)
+        radius, along = self.sizes[0], up[2] * sum(self.sizes[1:]) / 2
+        return float(along + radius * (np.hypot(up[0], up[1]) if self.kind == "cylinder" else 1.0))
 
-        A rigid body about a pivot acts in the plane by its first and second moment about it. A mass at the
-        centre has the first one, along the trail; the rest of it is at the pivot, with the body. Where that
-        is no mass, or nothing trails, the wheel's own is returned, the rest as at the pivot.
+    def radius_about(self, axis: Array) -> float | None:
+        """Return its radius about an axis in its frame, or None where it is not round about it [m]."""
+        is_round = self.kind == "sphere" or (self.kind == "cylinder" and abs(axis[2]) > _ALONG)
+        return self.sizes[0] if is_round else None
 
-        Parameters
-        ----------
-        wheel : WheelJoint
-            The wheel.
-        across : float
-            Its own inertia across its axle [kg m^2].
-        """
-        fork = self._about(self.lump) - self._about(wheel.lump)
-        o = np.array([wheel.centre[0] - self.x, wheel.centre[1] - self.y])
-        square = float(o @ o)
-        if square > _TRAIL**2:
-            first = self.lump.mass * float(o @ [self.lump.com[0] - self.x, self.lump.com[1] - self.y])
-            mass = first / square
-            yaw = fork + across + wheel.lump.mass * self._square(wheel.lump) - mass * square
-            if mass > 0 and yaw > 0:
-                return mass, yaw
-        return wheel.lump.mass, across + max(fork, 0.0)
+    def corners_below(self, pose: pin.SE3) -> Array | None:
+        """Return the corners of the lower face of a box that lies level at a pose, shape (4, 2) [m]."""
+        steep = np.abs(pose.rotation[2])
+        if self.kind != "box" or steep.max() < _ALONG:
+            return None
+        edges = pose.rotation * np.array(self.sizes) / 2  # (3, 3), a column for each
+        a, b = np.delete(edges[:2], int(steep.argmax()), axis=1).T
+        return np.asarray(pose.translation[:2] + np.array([-a - b, a - b, a + b, b - a]))
 
-    def _square(self, lump: Lump) -> float:
-        return (lump.com[0] - self.x) ** 2 + (lump.com[1] - self.y) ** 2
+    def highest(self, pose: pin.SE3, file: VisualFile) -> float | None:
+        """Return the height of its highest point at a pose; None of a mesh that cannot be read [m]."""
+        if not self.mesh:
+            return float(pose.translation[2]) + self.reach(pose.rotation)
+        import coal
 
-    def _about(self, lump: Lump) -> float:
-        """Return the inertia of links about the axis [kg m^2]."""
-        return lump.inertia[2][2] + lump.mass * self._square(lump)
+        path = file.found(self.mesh)
+        try:
+            vertices = coal.MeshLoader().load(str(path), np.array(self.sizes)).vertices()
+        except (ValueError, RuntimeError):
+            return None
+        return float((np.asarray(vertices) @ pose.rotation[2]).max() + pose.translation[2])
 
 
-class WheelJoint(NamedTuple):
-    """A wheel of a model, at rest.
+def shapes_of(root: Element, model: pin.Model) -> list[Shape]:
+    """Return the collision geometry of each link of a checked file, or what is drawn of a link that has none.
 
-    Attributes
-    ----------
-    name : str
-        Of the joint that is its axle.
-    centre : tuple of 3 floats
-        Of the wheel, on its axle, in B [m].
-    axis : tuple of 3 floats
-        Unit vector of the axle there, level, in the sense that the joint turns.
-    radius : float or None
-        None where the model does not tell [m].
-    lump : Lump
-        All that turns with it.
-    swivels : tuple of Swivel
-        On the way from the body to it.
-    carried : tuple of str
-        Joints on it, such as those of rollers.
-    effort : float
-        Largest torque of the joint [N m]; infinite where there is none.
-    damping, friction : float
-        Of the joint [N m s/rad, N m].
+    What is a placeholder without extent, or no shape of URDFs, tells nothing and is left out.
     """
-
-    name: str
-    centre: Triple
-    axis: Triple
-    radius: float | None
-    lump: Lump
-    swivels: tuple[Swivel, ...] = ()
-    carried: tuple[str, ...] = ()
-    effort: float = np.inf
-    damping: float = 0.0
-    friction: float = 0.0
-
-    def moments(self) -> tuple[float, tuple[float, float], float, float]:
-        """Return what tells a solid of revolution about its axle.
-
-        Returns
-        -------
-        spin : float
-            Moment about the axle [kg m^2].
-        across : tuple of 2 floats
-            Those across it, level and vertical [kg m^2].
-        product : float
-            The largest product of inertia in these axes [kg m^2].
-        aside : float
-            Distance of the centre of mass from the axle [m].
-        """
-        axle = np.array(self.axis)
-        frame = np.stack([axle, np.cross([0.0, 0.0, 1.0], axle), [0.0, 0.0, 1.0]])
-        inertia = frame @ np.array(self.lump.inertia) @ frame.T
-        spin, level, vertical = inertia.diagonal().tolist()
-        product = float(np.abs(inertia[np.triu_indices(3, 1)]).max())
-        aside = np.linalg.norm(np.cross(np.subtract(self.lump.com, self.centre), axle))
-        return spin, (level, vertical), product, float(aside)
+    shapes: list[Shape] = []
+    for link in root.iterfind("link"):
+        name, collisions = link.get("name", ""), link.findall("collision")
+        frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+        for element in collisions or link.findall("visual"):
+            origin, given = element.find("origin"), element.find("geometry/*")
+            words = {} if origin is None else origin.attrib
+            xyz, rpy = (np.array([*map(float, words.get(k, "0 0 0").split())]) for k in ("xyz", "rpy"))
+            if given is None or given.tag not in _SIZES:
+                continue
+            read = [given.get(key, "").split() for key in ("size", "radius", "length")]
+            sizes = tuple(float(word) for group in read for word in group)
+            if given.tag == "mesh":
+                sizes = tuple(map(float, given.get("scale", "1 1 1").split()))
+            if len(sizes) == _SIZES[given.tag] and (given.tag == "mesh" or min(sizes) > 0):
+                placement = frame.placement * pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
+                at = name, frame.parentJoint, placement
+                shapes.append(Shape(*at, given.tag, sizes, bool(collisions), given.get("filename", "")))
+    return shapes
 
 
-class Undercarriage(NamedTuple):
-    """What a robot stands on, as its model has it.
+def wheels_of(
+    model: pin.Model, data: pin.Data, base: pin.SE3, root: int, shapes: Sequence[Shape]
+) -> list[WheelJoint]:
+    """Return the wheels: on each way from the root, the first joint that turns freely about a level axis.
 
-    Attributes
-    ----------
-    wheels : tuple of WheelJoint
-        In the order of the model.
-    supports : tuple of (float, float)
-        Where what does not roll touches the ground, in B [m]: fixed casters and skids.
-    """
-
-    wheels: tuple[WheelJoint, ...] = ()
-    supports: tuple[tuple[float, float], ...] = ()
-
-
-def undercarriage_of(
-    model: pin.Model,
-    data: pin.Data,
-    base: pin.SE3,
-    root: int,
-    wheels: Sequence[WheelReading],
-    supports: Sequence[tuple[float, float]],
-    ground: float,
-) -> Undercarriage:
-    """Return the undercarriage of a model.
+    Of what is beyond, such as the rollers of an omni wheel, nothing is a wheel of its own.
 
     Parameters
     ----------
     model, data
         With all joints at rest, Jacobians computed.
     base : pin.SE3
-        Pose of B.
+        Pose of the root link, in whose frame their centres are.
     root : int
-        The joint of the root link.
-    wheels : sequence of WheelReading
-        In the frame of the root link.
-    supports : sequence of (float, float)
-        Where what does not roll touches the ground, in B [m].
-    ground : float
-        z of B in the frame of the root link [m].
+        Its joint.
+    shapes : sequence of Shape
+        Of the model's links; a cylinder about the axle, or a sphere on it, tells the radius.
     """
-    below, found = children(model), []
-    for wheel in wheels:
-        way, joint = [], int(model.parents[wheel.joint])
-        while joint > root:
-            way.append(joint)
-            joint = int(model.parents[joint])
-        hub = (base.inverse() * data.oMi[wheel.joint]).translation
-        along = np.array(wheel.centre) - [0, 0, ground] - hub
-        v = model.idx_vs[wheel.joint]
-        effort = float(model.effortLimit[v])
-        found.append(
-            WheelJoint(
-                wheel.name,
-                _triple(hub + (along @ wheel.axis) * np.array(wheel.axis)),
-                wheel.axis,
-                wheel.radius,
-                _lump_of(model, data, base, wheel.joint),
-                tuple(
-                    _swivel(model, data, base, each) for each in way if _is_swivel(model, data, base, each)
-                ),
-                tuple(str(model.names[each]) for each in below[wheel.joint]),
-                effort if effort > 0 else np.inf,
-                float(model.damping[v]),
-                float(model.friction[v]),
+    below, wheels = children(model), []
+    waiting = below[root][::-1]
+    while waiting:
+        joint = waiting.pop()
+        axis = joint_axis(model, data, base, joint)
+        if not turns_freely(model, joint) or abs(axis[2]) > _LEVEL:
+            waiting += below[joint][::-1]
+            continue
+        axis = np.append(axis[:2] / np.hypot(axis[0], axis[1]), 0.0)
+        place = base.inverse() * data.oMi[joint]
+        round_about = []
+        for shape in shapes:
+            if shape.joint == joint:
+                at = place * shape.placement
+                radius = shape.radius_about(at.rotation.T @ axis)
+                aside = np.cross(at.translation - place.translation, axis)
+                if radius is not None and np.linalg.norm(aside) <= TOUCH:
+                    round_about.append((radius, at.translation))
+        radius, centre = max(round_about, key=lambda pair: pair[0], default=(None, place.translation))
+        found = str(model.names[joint]), joint, triple(centre), triple(axis), radius
+        wheels.append(WheelJoint(*found, carried=tuple(str(model.names[each]) for each in below[joint])))
+    return wheels
+
+
+def ground_below(
+    model: pin.Model,
+    data: pin.Data,
+    base: pin.SE3,
+    root: int,
+    wheels: Sequence[WheelJoint],
+    given: ArrayLike | None,
+    name: str,
+) -> tuple[float | None, str]:
+    """Return the height of the ground in the frame of the root link, None where nothing tells, and what does.
+
+    Raises
+    ------
+    InvalidArgument
+        If what is given is no number, or the wheels do not stand on one plane.
+    """
+    if given is not None:
+        ground = finite("ground", given)
+        if ground.ndim:
+            raise InvalidArgument(f"ground has shape {ground.shape}, expected one number: z of the ground")
+        return float(ground), "as given"
+    lowest = {wheel.name: wheel.centre[2] - wheel.radius for wheel in wheels if wheel.radius is not None}
+    if lowest:
+        heights = list(lowest.values())
+        if max(heights) - min(heights) > TOUCH:
+            listed = ", ".join(f"{wheel} at z = {_rounded(z):.4g}" for wheel, z in lowest.items())
+            raise InvalidArgument(
+                f"{name}: its wheels do not stand on one plane, their lowest points being {listed} m, "
+                f"expected them within {1e3 * TOUCH:g} mm, or ground=, the z of the ground in the root "
+                "link's frame [m]"
             )
-        )
-    return Undercarriage(tuple(found), tuple(supports))
+        return _rounded(sum(heights) / len(heights)), "below its wheels by their radii"
+    for number, frame in enumerate(model.frames):
+        is_link = number and frame.type == pin.FrameType.BODY and frame.parentJoint == root
+        if is_link and frame.name.endswith(_FOOTPRINT):
+            at = base.inverse() * data.oMi[root] * frame.placement
+            return _rounded(float(at.translation[2])), f"at its link {frame.name}"
+    return (0.0, "the plane of its chain") if root == 3 else (None, "")
 
 
-def _triple(values: Sequence[float]) -> Triple:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
+def _rounded(height: float) -> float:
+    return 0.0 if abs(height) < _ROUNDING else height
 
 
-def _lump_of(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> Lump:
-    total = pin.Inertia.Zero()
-    for each in model.subtrees[joint]:
-        if model.inertias[each].mass > 0:
-            total += (base.inverse() * data.oMi[each]).act(model.inertias[each])
-    first, second, third = (_triple(row) for row in total.inertia)
-    at = total.lever if total.mass > 0 else (base.inverse() * data.oMi[joint]).translation
-    return Lump(float(total.mass), _triple(at), (first, second, third))
+def stance_on(
+    model: pin.Model,
+    data: pin.Data,
+    base: pin.SE3,
+    wheels: Sequence[WheelJoint],
+    shapes: Sequence[Shape],
+    ground: float,
+    *,
+    file: VisualFile | None,
+    root: int,
+) -> tuple[Stance, list[str], list[tuple[float, float]]]:
+    """Return how a robot stands on the ground, where that is from, in words, and what stands beside wheels.
+
+    Parameters
+    ----------
+    model, data, base, wheels, shapes, root
+        As in `wheels_of`; `base` is B, on the ground.
+    ground : float
+        Its height in the frame in which the wheels are [m].
+    file : VisualFile or None
+        Tells where meshes lie.
+    """
+    apart = {joint for wheel in wheels for joint in model.subtrees[wheel.joint]}
+    placed = [
+        (shape, seen_from(base, data.oMi[shape.joint], shape.placement))
+        for shape in shapes
+        if shape.joint not in apart
+    ]
+    heights = [wheel.centre[2] - ground for wheel in wheels]
+    # Where a file tells no radius at all, wheels with axles of one height stand on the ground.
+    level = bool(heights) and min(heights) > 0 and max(heights) - min(heights) <= TOUCH
+    untold = level and all(wheel.radius is None for wheel in wheels)
+    points, names, supports = [], [], list[tuple[float, float]]()
+    for wheel, height in zip(wheels, heights, strict=True):
+        if untold if wheel.radius is None else abs(height - wheel.radius) <= TOUCH:
+            points.append(np.array([wheel.centre[:2]]))
+            names.append(wheel.name)
+    for shape, pose in placed:
+        if not shape.mesh and abs(pose.translation[2] - shape.reach(pose.rotation)) <= TOUCH:
+            face = None if wheels else shape.corners_below(pose)
+            # A caster or a skid of a robot on wheels carries at its middle.
+            points.append(np.array([pose.translation[:2]]) if face is None else face)
+            names.append(shape.link)
+            supports += [(float(x), float(y)) for x, y in points[-1]]
+    corners = hull(np.concatenate(points)) if points else None
+    listed = ", ".join(dict.fromkeys(names)) or "of all shapes none"
+    words = f"what is within {1e3 * TOUCH:g} mm of the ground, {listed}"
+    # A wheel of which nothing is told may stand on the ground too: that changes nothing inside the others.
+    lost = [] if untold else [wheel for wheel in wheels if wheel.radius is None and wheel.centre[2] > ground]
+    if corners is None:
+        words = f"footprint not known: {words}, has no area"
+    elif any(margin_inside(corners, np.array(wheel.centre[:2])) < -TOUCH for wheel in lost):
+        corners, radii = None, ", ".join(wheel.name for wheel in lost)
+        words = f"footprint not known: {words}, but the file does not tell the radius of {radii}"
+    else:
+        words = f"footprint: {words}"
+    top, why = _top([(shape, pose) for shape, pose in placed if shape.joint == root], file)
+    return Stance(corners, top), [words, why], supports
 
 
-def _is_swivel(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> bool:
-    own = Joint.of(model, joint)
-    if own.nv != 1 or own.slides:
-        return False
-    jacobian = pin.getJointJacobian(model, data, joint, pin.WORLD).reshape(6, -1)
-    return bool(abs((base.rotation.T @ jacobian[3:, model.idx_vs[joint]])[2]) > _VERTICAL)
+def _top(body: Sequence[tuple[Shape, pin.SE3]], file: VisualFile | None) -> tuple[float | None, str]:
+    """Return the height of the highest geometry of the body, and where that is from."""
+    # What is drawn stands for collision geometry where there is none but that of casters.
+    solid = [pair for pair in body if pair[0].collides]
+    chosen = solid if any(_is_above(*pair) for pair in solid) else body
+    heights = [(shape, shape.highest(pose, file) if file else None) for shape, pose in chosen]
+    lost = [shape.mesh for shape, z in heights if z is None]
+    known = [(z, shape.link) for shape, z in heights if z is not None]
+    if lost or not known or max(known)[0] <= 0:
+        reason = f"cannot be read: {', '.join(dict.fromkeys(lost))}" if lost else "there is no geometry"
+        return None, f"top not known: {reason}"
+    top, link = max(known)
+    return top, f"top {top:.4g} m, that of {link}"
 
 
-def _swivel(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> Swivel:
-    x, y, _ = _triple((base.inverse() * data.oMi[joint]).translation)
-    limit = np.inf
-    if not turns_freely(model, joint):
-        q = Joint.of(model, joint).q
-        limit = min(abs(float(model.lowerPositionLimit[q][0])), abs(float(model.upperPositionLimit[q][0])))
-    return Swivel(str(model.names[joint]), x, y, limit, _lump_of(model, data, base, joint))
+def _is_above(shape: Shape, pose: pin.SE3) -> bool:
+    """Return whether a shape is more than what a caster is: not a primitive that touches the ground."""
+    return bool(shape.mesh) or pose.translation[2] - shape.reach(pose.rotation) > TOUCH
 
 
 LOCKED = "wheels locked: they do not roll, and it can be pushed sideways"
@@ -309,46 +337,10 @@ def build_model(table: DHTable, body: Body) -> pin.Model:
     return model
 
 
-@dataclass(frozen=True)
-class Reading:
-    """What was read.
-
-    Parameters
-    ----------
-    table : DHTable
-        The chain.
-    body : Body
-        Everything that rides on it, as one body.
-    size : tuple of 3 floats
-        Length, width and height of a box to draw [m].
-    source : str
-        What was taken from where, in words.
-    base : tuple of 16 floats
-        Pose of the body, whose origin is on the ground, in the model's root with all joints at rest, row by
-        row.
-    stance : Stance
-        How it stands.
-    locked : tuple of str
-        Joints that are locked at rest.
-    wheels : tuple of WheelReading
-        Those among them that roll.
-    undercarriage : Undercarriage
-        These with all that a wheel table asks, and what else stands on the ground.
-    """
-
-    table: DHTable
-    body: Body
-    size: tuple[float, float, float]
-    source: str
-    base: tuple[float, ...]
-    stance: Stance
-    locked: tuple[str, ...]
-    wheels: tuple[WheelReading, ...]
-    undercarriage: Undercarriage
-
-
-def read_urdf(path: Path, package_dirs: tuple[Path, ...] = (), ground: ArrayLike | None = None) -> Reading:
-    """Read a URDF that is the chain with its body, or a bare base.
+def read_urdf(
+    path: Path, package_dirs: tuple[Path, ...] = (), ground: ArrayLike | None = None
+) -> dict[str, Any]:
+    """Return the fields of the `MobileRobot` of a URDF that is the chain with its body, or a bare base.
 
     Parameters
     ----------
@@ -361,47 +353,30 @@ def read_urdf(path: Path, package_dirs: tuple[Path, ...] = (), ground: ArrayLike
         If there is no such file, it is no URDF, or it is neither of the two.
     """
     model, root = urdf_model("path", path)
-    shown = Shown(
-        _largest_box(root),
-        tuple(shapes_of(root, model, path.name)),
-        VisualFile(path.resolve(), package_dirs, ()),
-        stance_written(root, path.name),
-        _only_body(root, model),
-    )
-    reading = read_model(model, path.name, shown, ground)
-    judge_links(root, path.name, lambda _: reading.body.inertia, stacklevel=4)
-    return reading
-
-
-@dataclass(frozen=True)
-class Shown:
-    """What a file says of a robot beside its model.
-
-    Parameters
-    ----------
-    size : tuple of 3 floats, optional
-        Of the largest box that is drawn [m].
-    shapes : tuple of Shape
-        What has an outline.
-    file : VisualFile, optional
-        Where its meshes lie.
-    stance : Stance, optional
-        How it stands, where the file says so itself.
-    only : (int, Body), optional
-        The one body in it, with its joint, where its frame is the joint's.
-    """
-
-    size: tuple[float, float, float] | None = None
-    shapes: tuple[Shape, ...] = ()
-    file: VisualFile | None = None
-    stance: Stance | None = None
-    only: tuple[int, Body] | None = None
+    fields = read_model(model, path.name, ground, root, VisualFile(path.resolve(), package_dirs))
+    judge_links(root, path.name, lambda _: fields["reference_inertia"], stacklevel=4)
+    return fields
 
 
 def read_model(
-    model: pin.Model, name: str, shown: Shown = Shown(), ground: ArrayLike | None = None
-) -> Reading:
-    """Read a model that is the chain with its body, or a bare base (with a planar or free root, or none).
+    model: pin.Model,
+    name: str,
+    ground: ArrayLike | None = None,
+    root: Element | None = None,
+    file: VisualFile | None = None,
+) -> dict[str, Any]:
+    """Return the fields of the `MobileRobot` of a model that is the chain with its body, or a bare base.
+
+    The base has a planar or free root, or none.
+
+    Parameters
+    ----------
+    model, ground
+        As in `MobileRobot.from_model`.
+    name : str
+        What it is called in messages.
+    root, file
+        The file that it is from, checked, which also has shapes.
 
     Raises
     ------
@@ -409,29 +384,30 @@ def read_model(
         If it is neither; the message names the joint that is wrong.
     """
     data = model.createData()
-    q = pin.neutral(model)
-    pin.computeJointJacobians(model, data, q)
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    shapes = [] if root is None else shapes_of(root, model)
     if _starts_with_slides(model):
         table = _chain_table(model, data, name)
         # Frames of neither table: B is then the frame that coincides with the ground's at rest.
-        root, base = 3, data.oMi[3] if table else pin.SE3.Identity()
+        first, base = 3, data.oMi[3] if table else pin.SE3.Identity()
         how = f"is the chain ({', '.join(model.names[1:4])})"
         how += (
             "" if table else "; B is the frame that coincides with the ground's when all joints are at zero"
         )
     else:
-        table = None
-        root = 1 if model.njoints > 1 and _is_floating(model, 1) else 0
-        base = data.oMi[root]
+        table, roots = None, list(model.parents)[1:].count(0)
+        first = 1 if roots == 1 and Joint.of(model, 1).floats else 0
+        base = data.oMi[first]
         how = "is a bare base, put on the chain (y, x, psi)"
-    locked = _locked(model, root, name)
-    wheels = wheels_of(model, data, base, root, shown.shapes)
-    z, told = ground_below(model, data, base, root, wheels, ground, name)
+    locked = _locked(model, first, name)
+    wheels = wheels_of(model, data, base, first, shapes)
+    z, told = ground_below(model, data, base, first, wheels, ground, name)
     if z:
         base = base * pin.SE3(np.eye(3), np.array([0.0, 0.0, z]))
-    body = _lump(model, data, base, [root, *locked], name)
-    if shown.only is not None and data.oMi[shown.only[0]] == base:
-        body = shown.only[1]  # Pinocchio divides by the mass again, and loses the last digit
+    body = _lump(model, data, base, [first, *locked], name)
+    only = None if root is None else _only_body(root, model)
+    if only is not None and data.oMi[only[0]] == base:
+        body = only[1]  # Pinocchio divides by the mass again, and loses the last digit
     if ground is not None and body.com[2] < -_ALIGNED:
         raise InvalidArgument(
             f"ground is {z:g} m, {-body.com[2]:.4g} m above the robot's centre of mass, expected the "
@@ -444,8 +420,8 @@ def read_model(
     parts.append(
         f"mass {body.mass:.6g} kg, centre of mass ({com}) m, yaw inertia {body.yaw_inertia:.6g} kg m^2"
     )
-    if shown.stance is not None:
-        own = shown.stance
+    own = None if root is None else stance_written(root, name)
+    if own is not None:
         stance = Stance(own.footprint, own.top and own.top - (z or 0.0), own.grounded or ground is not None)
     elif z is None:
         stance = Stance(grounded=False)
@@ -454,11 +430,9 @@ def read_model(
             "give ground=, its z there [m]"
         )
     else:
-        stance, words, supports = stance_on(
-            model, data, base, wheels, shown.shapes, z, file=shown.file, root=root
-        )
+        stance, words, supports = stance_on(model, data, base, wheels, shapes, z, file=file, root=first)
         parts += [f"ground {told}, at z = {z:.4g} m in the root link's frame", *words]
-    size = shown.size
+    size = None if root is None else _largest_box(root)
     if size is None:
         size = _box_of_inertia(body)
         parts.append("size of the box with the same mass and inertia")
@@ -466,10 +440,19 @@ def read_model(
             size = (*size[:2], stance.top)
             parts[-1] += ", as high as the top"
     pose = tuple(base.homogeneous.ravel().tolist())
-    names = tuple(str(model.names[joint]) for joint in locked)
-    source = "; ".join(parts)
-    below = undercarriage_of(model, data, base, root, wheels, supports, z or 0.0)
-    return Reading(table or LECTURE_TABLE, body, size, source, pose, stance, names, tuple(wheels), below)
+    return {
+        "mass": body.mass,
+        "yaw_inertia": body.yaw_inertia,
+        "com": body.com,
+        "size": size,
+        "dh": table or LECTURE_TABLE,
+        "reference_inertia": body.inertia,
+        "stance": stance,
+        "source": "; ".join(parts),
+        "locked_joints": tuple(str(model.names[joint]) for joint in locked),
+        "undercarriage": undercarriage_of(model, data, base, first, wheels, supports, z or 0.0),
+        "looks": None if file is None else file._replace(base=pose),
+    }
 
 
 def _starts_with_slides(model: pin.Model) -> bool:
@@ -477,11 +460,6 @@ def _starts_with_slides(model: pin.Model) -> bool:
     if model.njoints < 4 or [model.parents[j] for j in (1, 2, 3)] != [0, 1, 2]:
         return False
     return sum(joint.slides for joint in joints_of(model)[:3]) >= 2
-
-
-def _is_floating(model: pin.Model, joint: int) -> bool:
-    alone = sum(parent == 0 for parent in list(model.parents)[1:]) == 1
-    return alone and Joint.of(model, joint).floats
 
 
 def _chain_table(model: pin.Model, data: pin.Data, name: str) -> DHTable | None:
@@ -528,10 +506,7 @@ def _lump(model: pin.Model, data: pin.Data, base: pin.SE3, joints: Iterable[int]
     """Return all that is on the joints as one body, seen from the base at rest."""
     total = pin.Inertia.Zero()
     for joint in joints:
-        if data.oMi[joint] == base:  # to the last digit, then
-            total += model.inertias[joint]
-        else:
-            total += (base.inverse() * data.oMi[joint]).act(model.inertias[joint])
+        total += seen_from(base, data.oMi[joint], model.inertias[joint])
     if not total.mass > 0:
         raise InvalidArgument(f"{name}: the body has mass {total.mass} kg, expected > 0")
     for joint in (1, 2):
@@ -547,7 +522,7 @@ def _lump(model: pin.Model, data: pin.Data, base: pin.SE3, joints: Iterable[int]
         raise InvalidArgument(f"{name}: {error}") from None
 
 
-def _only_body(root: ElementTree.Element, model: pin.Model) -> tuple[int, Body] | None:
+def _only_body(root: Element, model: pin.Model) -> tuple[int, Body] | None:
     """Return the body of a file that has only one, as it is written, and the joint whose frame it is in."""
     links = [link for link in root.iterfind("link") if link.find("inertial") is not None]
     if len(links) != 1:
@@ -567,7 +542,7 @@ def _only_body(root: ElementTree.Element, model: pin.Model) -> tuple[int, Body] 
         return None  # what is wrong with it is said of the whole
 
 
-def _largest_box(root: ElementTree.Element) -> tuple[float, float, float] | None:
+def _largest_box(root: Element) -> tuple[float, float, float] | None:
     """Return the size of the largest box that the file shows, if it shows one."""
     sizes: list[tuple[float, float, float]] = []
     for box in root.iterfind("./link/visual/geometry/box"):

@@ -2,145 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from typing import Any
 
-import attrs
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, finite, lengths, positive, shaped, text
+from pinmobile.arrays import ArrayLike, finite, lengths, positive, text
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.parts import Number, array, children, declare, is_symbolic, number, option, part, structure
-from pinmobile.robot.arms import Arm
+from pinmobile.parts import array, by_value, children, declare, number, option, part, structure
+from pinmobile.robot.arms import (
+    Arm,
+    Entries,
+    Link,
+    RigidBody,
+    com_field,
+    inertia_field,
+    matrix_of_six,
+    six_of,
+)
+from pinmobile.robot.linkage import BODY_JOINT
 from pinmobile.urdf import Body, box_inertia
 
-_SLACK = 1e-9  # of the moments of inertia, relative, and of the mass [m^2]: files carry as many digits
-_MOMENTS = ("xx", "yy", "zz", "xy", "xz", "yz")
-_EXPECTED = "expected principal moments >= 0, none above the sum of the other two"
 
-
-@attrs.frozen
-class Entries(Number):
-    """Declaration of a few numbers that are kept as a tuple; entries that are not given are zero.
-
-    Attributes
-    ----------
-    length : int
-        How many.
-    """
-
-    length: int = 3
-
-    def checked(self, name: str, value: Any) -> Any:
-        """Return a tuple of floats; symbols as they are."""
-        found = super().checked(name, value)
-        if is_symbolic(found):
-            return found
-        numbers = found.tolist()
-        return (*numbers, *[0.0] * (self.length - len(numbers)))
-
-
-def com_field(default: Any = attrs.NOTHING, **options: Any) -> Any:
-    """Declare a centre of mass that is kept as a tuple of 3 numbers."""
-    return declare(Entries(unit="m", labels=("x", "y", "z"), **options), default)
-
-
-def six_of(inertia: Array) -> Array:
-    """Return (xx, yy, zz, xy, xz, yz) of an inertia, shape (3, 3)."""
-    return inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-
-
-def matrix_of_six(six: Array) -> Array:
-    """Return the matrix of (xx, yy, zz, xy, xz, yz)."""
-    return six[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
-
-
-def are_impossible(inertias: Array, masses: ArrayLike) -> NDArray[np.bool_]:
-    """Return which inertias (xx, yy, zz, xy, xz, yz) about a centre of mass no body has, shape (...)."""
-    xx, yy, zz, xy, xz, yz = np.moveaxis(inertias, -1, 0)
-    full = np.stack([np.stack(row, -1) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))], -2)
-    moments = np.linalg.eigvalsh(full)
-    slack = _SLACK * (np.abs(moments).max(axis=-1) + masses)
-    far = moments[..., 2] > moments[..., 0] + moments[..., 1] + slack
-    return np.asarray(far | (moments[..., 0] < -slack))
-
-
-def _inertia_field(of: str) -> Any:
-    doc = f"inertia of {of} about its centre of mass"
-    return array(shapes=((6,),), unit="kg m^2", labels=_MOMENTS, doc=doc)
-
-
-@part
-class Link:
-    """What of an arm moves together, along the axes of its joint's frame.
-
-    Parameters
-    ----------
-    name : str
-        Of its first link with a mass.
-    mass : float
-        [kg].
-    com : array_like, shape (3,)
-        Centre of mass [m].
-    inertia : array_like, shape (6,)
-        xx, yy, zz, xy, xz, yz about the centre of mass [kg m^2].
-
-    Raises
-    ------
-    InvalidArgument
-        If no rigid body has these.
-    """
-
-    name: str = option(doc="name of the link")
-    mass: float = number(unit="kg", lower=0.0, doc="mass of the link")
-    com: Any = array(shapes=((3,),), unit="m", labels=("x", "y", "z"), doc="centre of mass of the link")
-    inertia: Any = _inertia_field("the link")
-
-    def impossible(self, values: Mapping[str, Array]) -> tuple[NDArray[np.bool_], str]:
-        """Return which of several values of its numbers no rigid body has, and what is expected."""
-        mass = values.get("mass", self.mass)
-        return are_impossible(values.get("inertia", self.inertia), mass), _EXPECTED
-
-    def check(self) -> None:
-        """Raise `InvalidArgument` where no rigid body has its inertia."""
-        if are_impossible(self.inertia, self.mass):
-            raise InvalidArgument(f"inertia of {self.name} is one that no body has, {_EXPECTED}")
-
-    @property
-    def body(self) -> pin.Inertia:
-        """Its inertia."""
-        return pin.Inertia(self.mass, self.com, matrix_of_six(self.inertia))
-
-    def _key(self) -> tuple[object, ...]:
-        return self.name, self.mass, self.com.tobytes(), self.inertia.tobytes()
-
-
-def links_of(model: pin.Model) -> tuple[Link, ...]:
-    """Return what moves together in the model of an arm: first what is fixed to its root."""
-    rows = zip(_link_names(model), model.inertias, strict=True)
-    return tuple(
-        Link(name, float(body.mass), np.array(body.lever), six_of(body.inertia)) for name, body in rows
-    )
-
-
-def _link_names(model: pin.Model) -> list[str]:
-    found = [str(name) for name in model.names]
-    links = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
-
-    def has_mass(link: pin.Frame) -> bool:
-        # Pinocchio keeps a link's mass with the joint that it hangs on, if that is a fixed one.
-        above = model.frames[link.parentFrame] if link.parentFrame < model.nframes else link
-        return bool(above.type == pin.FrameType.JOINT or above.inertia.mass > 0)
-
-    # What comes later here is taken: what has a mass, and of that the first.
-    for frame in sorted(reversed(links), key=has_mass):
-        found[frame.parentJoint] = str(frame.name)
-    return found
-
-
+@by_value
 @part
 class Mount:
     """An arm at its place on the body.
@@ -182,9 +68,9 @@ class Mount:
     )
 
     @classmethod
-    def after(cls, coordinates: int, arm: Arm, name: str, at: tuple[float, ...]) -> Mount:
+    def after(cls, coordinates: int, arm: Arm, name: str, at: ArrayLike) -> Mount:
         """Return the mount of an arm that comes after so many coordinates."""
-        return cls(name, arm, coordinates, links_of(arm._model), arm._model.armature, at)
+        return cls(name, arm, coordinates, arm.links, arm._model.armature, at)
 
     @structure
     def joint_names(self) -> tuple[str, ...]:
@@ -230,7 +116,7 @@ class Mount:
     @cached_property
     def is_changed(self) -> bool:
         """Whether its links or motors have other numbers than those of the arm as it was read."""
-        return self._key() != self.as_read._key()
+        return self != self.as_read
 
     @property
     def as_read(self) -> Mount:
@@ -242,6 +128,11 @@ class Mount:
         """Its joints' numbers in the robot's `model`."""
         return range(self.joints.start, self.joints.stop)
 
+    def joint_of(self, item: pin.GeometryObject) -> tuple[int, pin.SE3]:
+        """Return the joint of the robot's `model` that a shape of the arm is on, and its place there."""
+        own = item.parentJoint
+        return (self.v.start + own, item.placement) if own else (BODY_JOINT, self.placement * item.placement)
+
     @property
     def placement(self) -> pin.SE3:
         """Pose of its root in the body's frame."""
@@ -252,23 +143,14 @@ class Mount:
         listed = ", ".join(f"{word}={value!r}" for word, value in words.items())
         return f".mount({self.arm.origin.value!r}, {listed})"
 
-    def _key(self) -> tuple[object, ...]:
-        links = tuple(link._key() for link in self.links)
-        return self.name, self.at, self.arm.key(), links, self.rotors.tobytes()
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Mount) and self._key() == other._key() and self._model == other._model
-
-    def __hash__(self) -> int:
-        return hash(self._key())
-
 
 def _checked_size(name: str, value: Any) -> Any:
     return None if value is None else tuple(lengths(value).tolist())
 
 
+@by_value
 @part
-class PayloadBody:
+class PayloadBody(RigidBody):
     """A rigid body that is fixed to a frame of a robot.
 
     Parameters
@@ -294,7 +176,7 @@ class PayloadBody:
 
     mass: float = number(unit="kg", above=0.0, doc="mass of the load")
     com: Any = com_field(shapes=((3,),), doc="centre of mass of the load")
-    inertia: Any = _inertia_field("the load")
+    inertia: Any = inertia_field("the load")
     size: tuple[float, float, float] | None = option(
         default=None, check=_checked_size, doc="size of the box that is drawn"
     )
@@ -317,49 +199,16 @@ class PayloadBody:
             six = six_of(Body(positive("mass", mass, "kg"), finite("com", com), given).inertia)
         self.__attrs_init__(mass, com, six, size, frame)  # type: ignore[attr-defined]
 
-    def impossible(self, values: Mapping[str, Array]) -> tuple[NDArray[np.bool_], str]:
-        """Return which of several values of its numbers no rigid body has, and what is expected."""
-        mass = values.get("mass", self.mass)
-        return are_impossible(values.get("inertia", self.inertia), mass), _EXPECTED
-
-    def check(self) -> None:
-        """Raise `InvalidArgument` where no rigid body has its inertia."""
-        if are_impossible(self.inertia, self.mass):
-            of = f"load at {self.frame}" if self.frame else "the load"
-            raise InvalidArgument(f"inertia of {of} is one that no body has, {_EXPECTED}")
-
     @property
-    def body(self) -> pin.Inertia:
-        """Its inertia, seen from the frame."""
-        return pin.Inertia(self.mass, np.array(self.com), matrix_of_six(self.inertia))
+    def called(self) -> str:
+        """What it is called in messages."""
+        return f"load at {self.frame}" if self.frame else "the load"
 
     def __repr__(self) -> str:
         own = matrix_of_six(self.inertia)
         solid = np.zeros((3, 3)) if self.size is None else box_inertia(self.mass, self.size)
         inertia = None if np.array_equal(own, solid) else tuple(map(tuple, own.tolist()))
         return f"PayloadBody(mass={self.mass!r}, com={self.com!r}, inertia={inertia!r}, size={self.size!r})"
-
-    def _key(self) -> tuple[object, ...]:
-        return self.mass, self.com, self.inertia.tobytes(), self.size, self.frame
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, PayloadBody) and self._key() == other._key()
-
-    def __hash__(self) -> int:
-        return hash(self._key())
-
-
-def placed(at: ArrayLike) -> tuple[float, float, float, float]:
-    """Return a mount point (x, y, z, yaw), checked.
-
-    Raises
-    ------
-    InvalidArgument
-        If it has another shape or is not finite.
-    """
-    array = shaped("at", finite("at", at), (4,), words=": x, y, z and yaw")
-    x, y, z, yaw = array.tolist()
-    return x, y, z, yaw
 
 
 def free_place(mounts: Sequence[Mount], top: float | None, arm: Arm) -> tuple[float, float, float, float]:
@@ -466,11 +315,3 @@ def prefixed(model: pin.Model, name: str) -> pin.Model:
             taken.add(own)
         frame.name = f"{name}/{own}"
     return copy
-
-
-def resistances(nv: int, mounts: Sequence[Mount]) -> tuple[Array, Array]:
-    """Return damping and friction of the joints, each of shape (nv,); the base has none."""
-    damping, friction = np.zeros((2, nv))
-    for mount in mounts:
-        damping[mount.v], friction[mount.v] = mount._model.damping, mount._model.friction
-    return damping, friction

@@ -4,31 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from math import prod
+from math import isfinite, prod
 from threading import local
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, broadcast, finite_answer
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite_answer, vector
 from pinmobile.robot.linkage import BODY_JOINT
 from pinmobile.robot.mounts import Mount
-
-
-class Law(NamedTuple):
-    """What is computed of one state.
-
-    Attributes
-    ----------
-    run : callable
-        ``run(model, data, *row)`` returns an array; in the chain's order, as its arguments are.
-    order : callable
-        ``order(engine, array)`` puts what `run` returns into public order.
-    """
-
-    run: Callable[..., Any]
-    order: Callable[[Engine, Array], Array] = lambda engine, array: array
 
 
 class UncheckedDynamics:
@@ -42,7 +27,7 @@ class UncheckedDynamics:
     ----------
     robot : System
         The robot.
-    engine : Engine
+    engine : PinocchioBackend
         Of it.
 
     Attributes
@@ -57,7 +42,7 @@ class UncheckedDynamics:
         The generalised force, shape (nv,), of q and a wrench (3,).
     """
 
-    def __init__(self, robot: Any, engine: Engine) -> None:
+    def __init__(self, robot: Any, engine: PinocchioBackend) -> None:
         data, public = engine.data, engine.public
         still = np.zeros(engine.nv - BODY_JOINT)
         self._robot = robot
@@ -87,44 +72,69 @@ class _Workspace(local):
         self.data = model.createData()
 
 
-class Engine:
-    """Pinocchio calls for one configuration, in the order of the chain, for any number of threads.
-
-    What rides on the body comes after it in either order. The model is only read, and what Pinocchio writes
-    into is each thread's own.
+class PinocchioBackend:
+    """Pinocchio calls for any number of threads: the model is only read, and each thread has its own data.
 
     Parameters
     ----------
     model : pin.Model
-        Chain whose first two joints are prismatic y and prismatic x.
+        Chain whose first two joints are prismatic y and prismatic x, and what rides on the body.
+
+    Attributes
+    ----------
+    public : pin.Model
+        The same in public order, (x, y, psi, ...); its virtual links move otherwise.
+    order : ndarray, shape (nv,)
+        Public index of each coordinate of the chain. Swapping two, it is its own inverse.
     """
 
     def __init__(self, model: pin.Model) -> None:
-        self.model, self._workspace = model, _Workspace(model)
+        self.model, self.public, self._workspace = model, in_public_order(model), _Workspace(model)
         self.nv = int(model.nv)
-        # Public index of each coordinate of the chain. Swapping two, it is its own inverse.
         self.order = np.array([1, 0, *range(2, self.nv)])
-        self._square = self.order[:, None], self.order
-        self.public = in_public_order(model)
 
     @property
     def data(self) -> pin.Data:
         """What Pinocchio writes into, this thread's own."""
         return self._workspace.data
 
-    def reorder(self, array: Array) -> Array:
-        """Return an array (..., nv) in chain order from public order, or the other way round."""
-        order = self.order
-        return array[order] if array.ndim == 1 else array[..., order]  # the first is six times as fast
+    def each(self, law: Callable[..., Any], chain: bool = False, /, **arguments: ArrayLike) -> Array:
+        """Return what ``law(model, data, *row)`` gives for each row of the arguments, shape (..., ...).
 
-    def reorder_square(self, matrices: Array) -> Array:
-        """Return matrices (..., nv, nv) in chain order from public order, or the other way round."""
-        return matrices[self._square] if matrices.ndim == 2 else matrices[..., *self._square]
+        Parameters
+        ----------
+        law : callable
+            Of one state of the model in public order; what it returns is copied.
+        chain : bool
+            Whether it is of the chain's model, and rows are in the chain's order.
+        **arguments : array_like, shape (..., nv)
+            In public order; leading axes broadcast.
+
+        Raises
+        ------
+        InvalidArgument
+            If an argument has another last axis, or is not finite.
+        NotFinite
+            If an answer is not finite.
+        """
+        model, data = self.model if chain else self.public, self.data
+        arrays = {name: vector(name, x, self.nv) for name, x in arguments.items()}
+        given = [x[..., self.order] if chain else x for x in arrays.values()]
+        lead = broadcast(**arrays)
+        if not lead:
+            answer = np.array(law(model, data, *given))
+            return answer if isfinite(np.vdot(answer, answer)) else finite_answer(answer, **arrays)
+        n = prod(lead)
+        columns = [np.broadcast_to(x, (*lead, self.nv)).reshape(n, self.nv) for x in given]
+        if not n:
+            return np.empty((*lead, *np.shape(law(model, data, *np.zeros((len(given), self.nv))))))
+        rows = [np.array(law(model, data, *row)) for row in zip(*columns, strict=True)]
+        return finite_answer(np.stack(rows).reshape((*lead, *rows[0].shape)), **arrays)
 
     def composite(self, q: Array) -> pin.Inertia:
         """Return the inertia of the body and all that rides on it, in the body's frame, at a public q."""
-        model, data = self.model, self.data
-        pin.forwardKinematics(model, data, self.reorder(q))
+        model, data = self.public, self.data
+        pin.forwardKinematics(model, data, q)
         total = pin.Inertia(model.inertias[BODY_JOINT])
         to_body = data.oMi[BODY_JOINT].inverse()
         for joint in range(BODY_JOINT + 1, model.njoints):
@@ -146,141 +156,69 @@ def in_public_order(model: pin.Model) -> pin.Model:
     return public
 
 
-def stacked(engine: Engine, law: Law, **arguments: Array) -> Array:
-    """Return what a law gives for states along leading axes that broadcast, in public order.
-
-    Parameters
-    ----------
-    engine : Engine
-        Of the robot.
-    law : Law
-        What is asked.
-    **arguments : ndarray, shape (..., size)
-        The states.
-
-    Raises
-    ------
-    NotFinite
-        If an answer is not finite.
-    """
-    lead = broadcast(**arguments)
-    model, data, n = engine.model, engine.data, prod(lead)
-    columns = [
-        engine.reorder(np.broadcast_to(x, (*lead, x.shape[-1]))).reshape(n, x.shape[-1])
-        for x in arguments.values()
-    ]
-    if not n:
-        probes = (np.zeros(column.shape[1]) for column in columns)
-        shape = np.shape(law.order(engine, np.asarray(law.run(model, data, *probes))))
-        return np.empty((*lead, *shape))
-    rows = [np.array(law.run(model, data, *row)) for row in zip(*columns, strict=True)]
-    answer = law.order(engine, np.stack(rows).reshape((*lead, *rows[0].shape)))
-    return finite_answer(answer, **arguments)
+def frame_pose(number: int, model: pin.Model, data: pin.Data, q: Array) -> Array:
+    """Return the pose of a frame."""
+    pin.forwardKinematics(model, data, q)
+    return np.asarray(pin.updateFramePlacement(model, data, number).homogeneous)
 
 
-def frame_pose(number: int) -> Law:
-    """Return the law of a frame's pose."""
-
-    def pose(model: pin.Model, data: pin.Data, q: Array) -> Array:
-        pin.forwardKinematics(model, data, q)
-        return np.asarray(pin.updateFramePlacement(model, data, number).homogeneous)
-
-    return Law(pose)
+def frame_jacobian(number: int, model: pin.Model, data: pin.Data, q: Array) -> Array:
+    """Return the Jacobian of a frame, its columns in public order where the model is the chain's."""
+    J = pin.computeFrameJacobian(model, data, q, number, pin.LOCAL_WORLD_ALIGNED)
+    return np.asarray(J[:, [1, 0, *range(2, model.nv)]])
 
 
-def _jacobian(number: int, model: pin.Model, data: pin.Data, q: Array) -> Array:
-    return np.asarray(pin.computeFrameJacobian(model, data, q, number, pin.LOCAL_WORLD_ALIGNED))
+def frame_drift(number: int, model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
+    """Return the acceleration of a frame where no coordinate accelerates."""
+    pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+    found = pin.getFrameClassicalAcceleration(model, data, number, pin.LOCAL_WORLD_ALIGNED)
+    return np.asarray(found.vector)
 
 
-def frame_jacobian(number: int) -> Law:
-    """Return the law of a frame's Jacobian."""
-    return Law(partial(_jacobian, number), Engine.reorder)
+def manipulability(number: int, part: slice, model: pin.Model, data: pin.Data, q: Array) -> float:
+    """Return sqrt(det J J') of a frame, of the columns of J that are a part."""
+    J = frame_jacobian(number, model, data, q)[:, part]
+    # The product of the singular values: det squares what is small.
+    return float(np.linalg.svd(J, compute_uv=False).prod()) if J.shape[1] >= len(J) else 0.0
 
 
-def frame_drift(number: int) -> Law:
-    """Return the law of a frame's acceleration where no coordinate accelerates."""
-
-    def drift(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
-        pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
-        reference = pin.LOCAL_WORLD_ALIGNED
-        return np.asarray(pin.getFrameClassicalAcceleration(model, data, number, reference).vector)
-
-    return Law(drift)
-
-
-def manipulability(number: int, part: slice = slice(None)) -> Law:
-    """Return the law of sqrt(det J J') of a frame, of all columns of J or of those of an arm."""
-
-    def volume(model: pin.Model, data: pin.Data, q: Array) -> float:
-        J = _jacobian(number, model, data, q)[:, part]
-        # The product of the singular values: det squares what is small.
-        return float(np.linalg.svd(J, compute_uv=False).prod()) if J.shape[1] >= len(J) else 0.0
-
-    return Law(volume)
-
-
-def mount_wrench(mount: Mount, model: pin.Model, fixed: pin.Inertia) -> Law:
-    """Return the law of what an arm exerts on the body.
-
-    Parameters
-    ----------
-    mount : Mount
-        The arm.
-    model : pin.Model
-        Of the whole robot.
-    fixed : pin.Inertia
-        In the body's frame, of what of the arm does not move on it.
-    """
-    roots = [joint for joint in mount.moving if model.parents[joint] == BODY_JOINT]
-    to_mount = pin.SE3(np.eye(3), np.array(mount.at[:3])).inverse()
-
-    def wrench(model: pin.Model, data: pin.Data, q: Array, v: Array, a: Array) -> Array:
-        pin.rnea(model, data, q, v, a)
-        twist = data.v[BODY_JOINT]
-        held = fixed * data.a_gf[BODY_JOINT] + twist.cross(fixed * twist)
-        for joint in roots:
-            held += data.liMi[joint].act(data.f[joint])
-        return 0.0 - np.asarray(to_mount.act(held).vector)
-
-    return Law(wrench)
-
-
-def _placements(model: pin.Model, data: pin.Data, q: Array) -> Array:
+def joint_placements(model: pin.Model, data: pin.Data, q: Array) -> Array:
+    """Return the poses of the frames of all joints."""
     pin.forwardKinematics(model, data, q)
     return np.stack([data.oMi[k].homogeneous for k in range(1, model.njoints)])
 
 
-def _kinetic_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Any:
-    # Pinocchio's own leaves out the motors of joints that turn about an axis of their own.
+def kinetic_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Any:
+    """Return v' M v / 2; Pinocchio's own leaves out the motors of joints about an axis of their own."""
     with np.errstate(over="ignore", invalid="ignore"):
         return np.vdot(v, pin.crba(model, data, q) @ v) / 2
 
 
-def _derivatives(model: pin.Model, data: pin.Data, q: Array, v: Array, tau: Array) -> Array:
+def regressor(model: pin.Model, data: pin.Data, q: Array, v: Array, a: Array) -> Array:
+    """Return the regressor without the columns of what is not there: the virtual links."""
+    return np.asarray(pin.computeJointTorqueRegressor(model, data, q, v, a)[:, 10 * (BODY_JOINT - 1) :])
+
+
+def derivatives(model: pin.Model, data: pin.Data, q: Array, v: Array, tau: Array) -> Array:
+    """Return the derivatives of the acceleration by q, v and tau, one after the other."""
     return np.stack(pin.computeABADerivatives(model, data, q, v, tau))
 
 
-def _of_bodies(engine: Engine, Y: Array) -> Array:
-    """Return a regressor in public order without the columns of what is not there: the virtual links."""
-    return Y[..., engine.order, 10 * (BODY_JOINT - 1) :]
-
-
-MASS_MATRIX = Law(pin.crba, Engine.reorder_square)
-NONLINEAR_EFFECTS = Law(pin.nonLinearEffects, Engine.reorder)
-INVERSE_DYNAMICS = Law(pin.rnea, Engine.reorder)
-FORWARD_DYNAMICS = Law(pin.aba, Engine.reorder)
-GRAVITY = Law(pin.computeGeneralizedGravity, Engine.reorder)
-KINETIC_ENERGY = Law(_kinetic_energy)
-POTENTIAL_ENERGY = Law(pin.computePotentialEnergy)
-REGRESSOR = Law(pin.computeJointTorqueRegressor, _of_bodies)
-CORIOLIS_MATRIX = Law(pin.computeCoriolisMatrix, Engine.reorder_square)
-DERIVATIVES = Law(_derivatives, Engine.reorder_square)
-
-
-def _ground_wrench(model: pin.Model, data: pin.Data, q: Array, v: Array, a: Array) -> Array:
+def ground_wrench(model: pin.Model, data: pin.Data, q: Array, v: Array, a: Array) -> Array:
+    """Return what the ground exerts on the body."""
     pin.rnea(model, data, q, v, a)
     return np.asarray(data.f[BODY_JOINT].vector)
 
 
-GROUND_WRENCH = Law(_ground_wrench)
-PLACEMENTS = Law(_placements)
+def mount_wrench(
+    mount: Mount, fixed: pin.Inertia, model: pin.Model, data: pin.Data, q: Array, v: Array, a: Array
+) -> Array:
+    """Return what an arm exerts on the body; `fixed` is its inertia that does not move there."""
+    pin.rnea(model, data, q, v, a)
+    twist = data.v[BODY_JOINT]
+    held = fixed * data.a_gf[BODY_JOINT] + twist.cross(fixed * twist)
+    for joint in mount.moving:
+        if model.parents[joint] == BODY_JOINT:
+            held += data.liMi[joint].act(data.f[joint])
+    to_mount = pin.SE3(np.eye(3), np.array(mount.at[:3])).inverse()
+    return 0.0 - np.asarray(to_mount.act(held).vector)

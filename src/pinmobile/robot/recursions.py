@@ -5,18 +5,16 @@ They are Featherstone's (2008), over scalars of any kind: see `linkage`. Vectors
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 from pinmobile.robot.linkage import (
-    ENTRIES,
     ONE,
     ZERO,
     Body,
-    Exact,
     Linkage,
     Matrix,
-    Place,
+    Placement,
     Vector,
     added,
     applied,
@@ -24,10 +22,8 @@ from pinmobile.robot.linkage import (
     dot,
     exact,
     plus,
-    product,
     scaled,
     sine_and_cosine,
-    skew,
     solved,
     symmetric,
     transposed,
@@ -35,20 +31,20 @@ from pinmobile.robot.linkage import (
 )
 
 
-class Posture:
+class LinkageKinematics:
     """A linkage at a configuration.
 
     Parameters
     ----------
     linkage : Linkage
         The tree.
-    places : sequence of Place
+    places : sequence of Placement
         Of each joint's frame in that of the joint it hangs on, at zero.
     q : list of scalars
         Configuration.
     """
 
-    def __init__(self, linkage: Linkage, places: Sequence[Place], q: Vector) -> None:
+    def __init__(self, linkage: Linkage, places: Sequence[Placement], q: Vector) -> None:
         self.linkage, self.R = linkage, [place.R for place in places]
         self.back = [transposed(R) for R in self.R]
         self.angles: list[tuple[Any, Any] | None] = []  # sine and cosine of those that turn
@@ -93,11 +89,6 @@ class Posture:
             )
         return turned(self.R[i], J)
 
-    def up_matrix(self, i: int, B: Matrix) -> Matrix:
-        """Return any matrix of the frame of joint i in the parent's."""
-        columns = [self.up(i, column) for column in transposed(B)]
-        return [self.up(i, row) for row in transposed(columns)]
-
     def ancestors(self, i: int) -> list[int]:
         """Return joint i and those it hangs on, up to the root."""
         found = []
@@ -106,12 +97,12 @@ class Posture:
             i = self.linkage.parents[i]
         return found
 
-    def placed(self, i: int, place: Place) -> Place:
+    def placed(self, i: int, place: Placement) -> Placement:
         """Return where a frame that is fixed to joint i stands in the world."""
         columns, p = transposed(place.R), place.p
         for j in self.ancestors(i):
             columns, p = [self.up(j, x) for x in columns], plus(self.p[j], self.up(j, p))
-        return Place(transposed(columns), p)
+        return Placement(transposed(columns), p)
 
     def jacobian(self, i: int, p: Vector) -> Matrix:
         """Return the velocity of a point that is fixed to joint i, and the angular velocity, 6 rows of n."""
@@ -159,10 +150,10 @@ class Posture:
         return M
 
 
-class Moving(Posture):
+class LinkageDynamics(LinkageKinematics):
     """A linkage at a configuration and a velocity."""
 
-    def __init__(self, linkage: Linkage, places: Sequence[Place], q: Vector, v: Vector) -> None:
+    def __init__(self, linkage: Linkage, places: Sequence[Placement], q: Vector, v: Vector) -> None:
         super().__init__(linkage, places, q)
         self.v = v
         self.w: list[Vector] = []  # angular velocities
@@ -234,6 +225,15 @@ class Moving(Posture):
             line, spin = self.up(j, line), self.up(j, spin)
         return line, spin
 
+    def accelerations(self, bodies: Sequence[Body], rotors: Vector, efforts: Vector) -> Vector:
+        """Return the accelerations of the joints by the mass matrix, factored from the leaves of the tree."""
+        n = len(efforts)
+        still, M = self.efforts(bodies, [ZERO] * n), self.mass_matrix(bodies)
+        for i, rotor in enumerate(rotors):
+            M[i][i] = M[i][i] + rotor
+        right = [effort - own for effort, own in zip(efforts, still, strict=True)]
+        return solved(M, right, range(n - 1, -1, -1))
+
     def regressor(self, axes: Sequence[Matrix], first: int, a: Vector) -> list[Vector]:
         """Return what efforts are over the ten numbers of each body, from that of joint `first` on.
 
@@ -265,58 +265,6 @@ class Moving(Posture):
                     found[j][10 * (i - first) : 10 * (i - first) + 10] = numbers
         return found
 
-    def accelerations(self, bodies: Sequence[Body], rotors: Vector, efforts: Vector) -> Vector:
-        """Return the accelerations of the joints, all in their order, by articulated bodies.
-
-        Accelerations are those of points of the bodies, not spatial ones, which saves products.
-        """
-        linkage, n = self.linkage, len(self.R)
-        pieces = [_Articulated.of(body, w) for body, w in zip(bodies, self.w, strict=True)]
-        drifts = [self._drift(i) for i in range(n)]
-        ways: list[_Way] = []
-        for i in reversed(range(n)):
-            way = pieces[i].along(linkage.turns[i], rotors[i], efforts[i])
-            ways.append(way)
-            above = linkage.parents[i]
-            if above >= 0:
-                free = (5 if linkage.turns[i] else 2) if rotors[i] is ZERO else None
-                rest = pieces[i].without(way, *drifts[i], free)
-                pieces[above] = pieces[above].joined(rest.up(self, i))
-        ways.reverse()
-        found: Vector = []
-        lines: list[Vector] = []
-        spins: list[Vector] = []
-        for i, above in enumerate(linkage.parents):
-            if above < 0:
-                line, spin = [exact(-g) for g in linkage.gravity.tolist()], [ZERO] * 3
-            else:
-                spin = spins[above]
-                line = plus(lines[above], cross(spin, self.p[i]))
-            line, spin = (
-                plus(self.down(i, x), extra) for x, extra in zip((line, spin), drifts[i], strict=True)
-            )
-            force, moment, inverse, left = ways[i]
-            a = (left - dot(force, line) - dot(moment, spin)) * inverse
-            found.append(a)
-            if linkage.turns[i]:
-                spin = [spin[0], spin[1], spin[2] + a]
-            else:
-                line = [line[0], line[1], line[2] + a]
-            lines.append(line)
-            spins.append(spin)
-        return found
-
-    def _drift(self, i: int) -> tuple[Vector, Vector]:
-        """Return the accelerations that a joint has from velocities: of its origin, and angular."""
-        above, w, rate = self.linkage.parents[i], self.w[i], self.v[i]
-        line = [ZERO] * 3
-        if above >= 0:
-            line = self.down(i, cross(self.w[above], cross(self.w[above], self.p[i])))
-        if self.linkage.turns[i]:
-            return line, [w[1] * rate, -(w[0] * rate), ZERO]
-        twice = rate + rate
-        return [line[0] + w[1] * twice, line[1] - w[0] * twice, line[2]], [ZERO] * 3
-
 
 def _field(w: Vector, spin: Vector) -> Matrix:
     """Return [spin x] + [w x]^2."""
@@ -327,144 +275,3 @@ def _field(w: Vector, spin: Vector) -> Matrix:
         [xy + spin[2], -(xx + zz), yz - spin[0]],
         [xz - spin[1], yz + spin[0], -(xx + yy)],
     ]
-
-
-class _Way(NamedTuple):
-    """What a joint's own coordinate feels: force and moment of a unit, 1 / inertia, and effort left."""
-
-    force: Vector
-    moment: Vector
-    inverse: Any
-    left: Any
-
-
-class _Articulated(NamedTuple):
-    """An articulated body: force = A line + B spin + f, moment = B' line + C spin + m."""
-
-    A: Matrix
-    B: Matrix
-    C: Matrix
-    force: Vector
-    moment: Vector
-
-    @classmethod
-    def of(cls, body: Body, w: Vector) -> _Articulated:
-        m, h, J = body
-        A = [[m if r == c else ZERO for c in range(3)] for r in range(3)]
-        return cls(A, skew([-x for x in h]), J, cross(w, cross(w, h)), cross(w, applied(J, w)))
-
-    def along(self, turns: bool, rotor: Any, effort: Any) -> _Way:
-        if turns:
-            force, moment = [row[2] for row in self.B], [row[2] for row in self.C]
-            return _Way(force, moment, 1.0 / (moment[2] + rotor), effort - self.moment[2])
-        force, moment = [row[2] for row in self.A], list(self.B[2])
-        return _Way(force, moment, 1.0 / (force[2] + rotor), effort - self.force[2])
-
-    def without(self, way: _Way, line: Vector, spin: Vector, free: int | None) -> _Articulated:
-        """Return what is left where the joint gives way; `line` and `spin` are what velocities make.
-
-        Of the six directions, nothing is left along `free`, that of a joint without rotor.
-        """
-        unit = [*way.force, *way.moment]
-        share = scaled(way.inverse, unit)
-
-        def left(r: int, c: int, value: Any) -> Any:
-            return ZERO if free in (r, c) else value - unit[r] * share[c]
-
-        A, B, C = ([[ZERO] * 3 for _ in range(3)] for _ in range(3))
-        for r, c in ENTRIES:
-            A[r][c] = A[c][r] = left(r, c, self.A[r][c])
-            C[r][c] = C[c][r] = left(3 + r, 3 + c, self.C[r][c])
-        for r in range(3):
-            B[r] = [left(r, 3 + c, self.B[r][c]) for c in range(3)]
-        pushed = scaled(way.left, share)
-        force = plus(plus(self.force, plus(applied(A, line), applied(B, spin))), pushed[:3])
-        moment = plus(plus(self.moment, plus(applied(transposed(B), line), applied(C, spin))), pushed[3:])
-        return _Articulated(A, B, C, force, moment)
-
-    def joined(self, other: _Articulated) -> _Articulated:
-        A, B, C = (added(a, b) for a, b in zip(self[:3], other[:3], strict=True))
-        return _Articulated(A, B, C, plus(self.force, other.force), plus(self.moment, other.moment))
-
-    def up(self, moving: Posture, i: int) -> _Articulated:
-        """Return it at the origin of the parent's frame."""
-        A, C, B = moving.up_symmetric(i, self.A), moving.up_symmetric(i, self.C), moving.up_matrix(i, self.B)
-        P = skew(moving.p[i])
-        pairs = zip(B, product(A, P), strict=True)
-        moved = [[b - x for b, x in zip(*rows, strict=True)] for rows in pairs]
-        right, left = product(P, moved), product(P, B)
-        for r, c in ENTRIES:
-            C[r][c] = C[c][r] = C[r][c] + right[r][c] + left[c][r]
-        force = moving.up(i, self.force)
-        moment = plus(moving.up(i, self.moment), cross(moving.p[i], force))
-        return _Articulated(A, moved, C, force, moment)
-
-
-def by_matrix(moving: Moving, bodies: Sequence[Body], rotors: Vector, efforts: Vector) -> Vector:
-    """Return what `Moving.accelerations` does by the mass matrix, factored from the leaves of the tree."""
-    n = len(efforts)
-    still, M = moving.efforts(bodies, [ZERO] * n), moving.mass_matrix(bodies)
-    for i, rotor in enumerate(rotors):
-        M[i][i] = M[i][i] + rotor
-    right = [effort - own for effort, own in zip(efforts, still, strict=True)]
-    return solved(M, right, range(n - 1, -1, -1))
-
-
-def operations(
-    linkage: Linkage, places: Sequence[Place], bodies: Sequence[Body], rotors: Vector
-) -> tuple[int, int]:
-    """Return how many operations accelerations take: by articulated bodies, and by the mass matrix.
-
-    What does not change with the state is not counted, as it is computed once. Equal operations are counted
-    each time, of which both ways have few, so that no tape is needed.
-    """
-    count, by_mass_matrix = (
-        _count(way, linkage, places, bodies, rotors) for way in (Moving.accelerations, by_matrix)
-    )
-    return count, by_mass_matrix
-
-
-class _Counted:
-    """A scalar that only counts what is done with it, where it is `late`, that is changes with the state."""
-
-    __slots__ = ("late", "tally")
-
-    def __init__(self, tally: list[int], late: bool) -> None:
-        self.tally, self.late = tally, late
-
-    def _with(self, other: Any) -> Any:
-        if isinstance(other, Exact):
-            return NotImplemented  # it knows better
-        late = other if getattr(other, "late", False) else self
-        self.tally[0] += late.late
-        return late
-
-    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = __rtruediv__ = _with
-
-    def __neg__(self) -> _Counted:
-        return self
-
-    def sine_and_cosine(self) -> tuple[_Counted, _Counted]:
-        """Return it twice: both ways take as many sines."""
-        return self, self
-
-
-def _count(
-    way: Callable[..., Vector],
-    linkage: Linkage,
-    places: Sequence[Place],
-    bodies: Sequence[Body],
-    rotors: Vector,
-) -> int:
-    tally, n = [0], len(linkage)
-    early, late = _Counted(tally, False), _Counted(tally, True)
-
-    def known(x: Any) -> Any:
-        if isinstance(x, list | tuple):
-            return [known(each) for each in x]
-        return x if isinstance(x, Exact) else early
-
-    at = [Place(*known(place)) for place in places]
-    moving = Moving(linkage, at, [late] * n, [late] * n)
-    way(moving, [Body(*known(body)) for body in bodies], known(rotors), [late] * n)
-    return tally[0]

@@ -10,13 +10,15 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, instance, lengths, positive, shaped
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.metrics import Metric
+from pinmobile.parts import by_value, number, option, part
 
 WEIGHTLESS = 1e-9
 """Share of the weight: a vertical force of the ground that only rounding made."""
 
+_STRAIGHT = 1e-9  # of the footprint: how far a straight corner may be inside
 _FLAT = 1e-12  # of the area of a square about the footprint: what rounding leaves of a straight corner
 
 
@@ -31,35 +33,24 @@ def checked_footprint(footprint: ArrayLike) -> Array:
     Parameters
     ----------
     footprint : array_like, shape (k, 2)
-        Its corners in order, either way round, in the body's frame [m]; the last is not the first again.
+        Its corners, in the body's frame [m].
 
     Raises
     ------
     InvalidArgument
         If it has fewer than three corners, is not finite, has no area, or is not convex.
     """
-    corners = shaped("footprint", finite("footprint", footprint), ("k>=3", 2))
-    edges = np.roll(corners, -1, axis=0) - corners
-    scale = float(np.ptp(corners, axis=0).max()) ** 2
-    area = 0.5 * float(_cross(corners - corners[0], edges).sum())
-    if abs(area) <= _FLAT * scale:
-        raise InvalidArgument(f"footprint has an area of {abs(area):.3g} m^2, expected a polygon with > 0")
-    if area < 0:
-        corners = corners[::-1]
-        edges = np.roll(corners, -1, axis=0) - corners
-    lengths = np.hypot(*edges.T)
-    if not lengths.all():
-        k = int(np.argmin(lengths))
-        raise InvalidArgument(f"footprint has the corner {corners[k].tolist()} twice in a row, expected once")
-    turns = _cross(edges, np.roll(edges, -1, axis=0))
-    # A star turns left at each corner too, but more than once round.
-    angles = np.arctan2(turns, (edges * np.roll(edges, -1, axis=0)).sum(axis=1))
-    if (turns < -_FLAT * scale).any() or angles.sum() > 3 * np.pi:
-        k = (int(np.argmin(turns)) + 1) % len(corners)
+    given = shaped("footprint", finite("footprint", footprint), ("k>=3", 2))
+    corners = hull(given)
+    if corners is None:
+        raise InvalidArgument(f"footprint is {given.tolist()}, expected a polygon with an area > 0")
+    inside = margin_inside(corners, given)
+    if inside.max() > _STRAIGHT * np.ptp(given):
+        k = int(inside.argmax())
         raise InvalidArgument(
-            f"footprint is not convex at the corner {corners[k].tolist()}, expected a convex polygon"
+            f"footprint is not convex at the corner {given[k].tolist()}, expected a convex polygon"
         )
-    return np.asarray(corners)
+    return corners
 
 
 def hull(points: ArrayLike) -> Array | None:
@@ -126,11 +117,16 @@ def pressed_at(wrench: Array, carried: NDArray[np.bool_]) -> Array:
     return np.stack([-wrench[..., 4] / vertical, wrench[..., 3] / vertical], axis=-1)
 
 
+def _kept_footprint(name: str, footprint: ArrayLike | None) -> Array | None:
+    return None if footprint is None else frozen(checked_footprint(footprint))
+
+
 def _cross(a: Array, b: Array) -> Array:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-@dataclass(frozen=True, eq=False)
+@by_value
+@part
 class Stance:
     """How a body stands on the ground, in its frame B.
 
@@ -146,19 +142,12 @@ class Stance:
     Raises
     ------
     InvalidArgument
-        If the footprint is no convex polygon, the top is not above the ground, or `grounded` is no bool.
+        If the footprint is no convex polygon, or the top is not above the ground.
     """
 
-    footprint: Array | None = None
-    top: float | None = None
-    grounded: bool = True
-
-    def __post_init__(self) -> None:
-        instance("grounded", self.grounded, bool, "True or False")
-        if self.footprint is not None:
-            object.__setattr__(self, "footprint", frozen(checked_footprint(self.footprint)))
-        if self.top is not None:
-            object.__setattr__(self, "top", positive("top", self.top, "m"))
+    footprint: Any = option(default=None, check=_kept_footprint, doc="corners of the footprint")
+    top: float | None = number(default=None, unit="m", above=0.0, optional=True, doc="height of the top")
+    grounded: bool = option(default=True, doc="whether the ground is known")
 
     @classmethod
     def of_box(cls, size: ArrayLike) -> Stance:
@@ -176,17 +165,6 @@ class Stance:
         """
         length, width, height = lengths(size).tolist()
         return cls(rectangle(length, width), height)
-
-    def _key(self) -> tuple[object, ...]:
-        """Return what makes two of them the same one."""
-        corners = None if self.footprint is None else self.footprint.tobytes()
-        return corners, self.top, self.grounded
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Stance) and self._key() == other._key()
-
-    def __hash__(self) -> int:
-        return hash(self._key())
 
     def written(self) -> dict[str, str]:
         """Return it as attributes of the element <pinmobile> of a URDF, which `stance_written` reads."""
@@ -207,23 +185,17 @@ def stance_written(root: Element, name: str) -> Stance | None:
     element = root.find("pinmobile")
     if element is None:
         return None
-    words = {key: element.get(key, "").split() for key in ("footprint", "top")}
+    corners, top = element.get("footprint", "").split(), element.get("top")
     try:
-        numbers = {key: list(map(float, given)) for key, given in words.items()}
-    except ValueError:
-        raise InvalidArgument(f"{name}: <pinmobile> has {element.attrib}, expected numbers") from None
-    footprint, top = numbers["footprint"], numbers["top"]
-    if len(footprint) % 2 or len(top) > 1:
-        raise InvalidArgument(f"{name}: <pinmobile> has {element.attrib}, expected x y of corners, and a top")
-    return Stance(
-        np.reshape(footprint, (-1, 2)) if footprint else None,
-        top[0] if top else None,
-        element.get("ground") is not None,
-    )
+        footprint = np.reshape([*map(float, corners)], (-1, 2)) if corners else None
+        return Stance(footprint, None if top is None else float(top), element.get("ground") is not None)
+    except ValueError as error:
+        words = f"{name}: <pinmobile> has {element.attrib}, expected x y of corners, and a top"
+        raise InvalidArgument(f"{words}: {error}") from None
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class ArmMetrics:
     """The metrics of a robot with arms, and their law, for Pinocchio's numbers as for symbols and arrays.
 
     Parameters
@@ -244,7 +216,7 @@ class Judgement:
     rest: Array
 
     @classmethod
-    def of(cls, robot: Any) -> Judgement:
+    def of(cls, robot: Any) -> ArmMetrics:
         """Return that of a `MobileRobot`."""
         tips = tuple((mount.name, mount.tip) for mount in robot.mounts)
         stands = robot.footprint if robot.grounded else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cached_property, wraps
+from functools import cached_property, partial, wraps
 from math import isfinite, prod
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
@@ -31,10 +31,12 @@ from pinmobile.errors import InvalidArgument, NotTraceable, shown
 from pinmobile.parts import Desired, is_symbolic, is_tracing, on_numbers, required, structure
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import pinocchio_backend
-from pinmobile.robot.linkage import BODY_JOINT, circular_coordinates, coordinates, inputs, limits
-from pinmobile.robot.mounts import Mount, PayloadBody, named_frames, resistances
-from pinmobile.robot.pinocchio_backend import Engine, Law
+from pinmobile.robot.linkage import BODY_JOINT, circular_coordinates, joints_of
+from pinmobile.robot.mounts import Mount, PayloadBody, named_frames
+from pinmobile.robot.pinocchio_backend import PinocchioBackend
 
+_BASE = ("x", "m", "vx"), ("y", "m", "vy"), ("psi", "rad", "yaw_rate")
+_FAR = 1e8  # beyond, a limit is none
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
@@ -53,9 +55,6 @@ class Linearization(NamedTuple):
     B: Array
 
 
-_LAWS: list[str] = []  # methods that take symbols
-
-
 def by_values(fast: Callable[..., Any] | None = None, states: int = 0) -> Callable[[_Method], _Method]:
     """Let a method be answered by Pinocchio for numbers, and on symbols by the robot's dynamics in NumPy.
 
@@ -69,7 +68,6 @@ def by_values(fast: Callable[..., Any] | None = None, states: int = 0) -> Callab
 
     def decorate(method: _Method) -> _Method:
         name = method.__name__
-        _LAWS.append(name)
 
         @wraps(method)
         def run(self: System, *given: Any, **options: Any) -> Any:
@@ -112,7 +110,7 @@ class System:
     the methods compute the same on symbols; those that cannot raise `NotTraceable`.
     """
 
-    _engine: Any  # an `Engine`; None where it holds symbols
+    _engine: Any  # an `PinocchioBackend`; None where it holds symbols
     mounts: tuple[Mount, ...]
     loads: tuple[PayloadBody, ...]
 
@@ -127,7 +125,7 @@ class System:
         return self._numeric.model
 
     @property
-    def _numeric(self) -> Engine:
+    def _numeric(self) -> PinocchioBackend:
         """Pinocchio's calls; raises `NotTraceable` where it holds symbols."""
         if self._engine is None:
             raise NotTraceable(
@@ -154,7 +152,13 @@ class System:
     @structure
     def coordinates(self) -> tuple[Coordinate, ...]:
         """Each of the nv numbers of q: x, y, psi, then those of the arms' joints."""
-        return coordinates(self._model, self.lower, self.upper)
+        joints = joints_of(self._model, BODY_JOINT + 1)
+        arms = ((each.name, "m" if each.slides else "rad", f"{each.name}_rate") for each in joints)
+        limits = zip(self.lower.tolist(), self.upper.tolist(), strict=True)
+        return tuple(
+            Coordinate(name, unit, *limit, rate)
+            for (name, unit, rate), limit in zip((*_BASE, *arms), limits, strict=True)
+        )
 
     @structure
     def inputs(self) -> tuple[Input, ...]:
@@ -163,17 +167,14 @@ class System:
         They have no limits: what motors can do, `effort_limit` knows, and `InputSaturation` holds a
         controller to.
         """
-        return inputs(self.coordinates)
+        names = ["Fx", "Fy", "Mz", *(one.name for one in self.coordinates[BODY_JOINT:])]
+        units = ["N" if one.unit == "m" else "N m" for one in self.coordinates]
+        return tuple(map(Input, names, units))
 
     @structure
     def reference_sizes(self) -> Mapping[int, int]:
         """How many numbers of q the first n coordinates have, for each n that a reference may have."""
         return MappingProxyType({n: n for n in range(BODY_JOINT, self.nv + 1)})
-
-    @property
-    def is_vector_space(self) -> bool:
-        """Whether `integrate` adds displacements to q."""
-        return type(self).integrate is System.integrate
 
     @property
     def broadcasts(self) -> bool:
@@ -182,8 +183,16 @@ class System:
 
     @structure
     def _limits(self) -> tuple[Array, Array, Array, Array]:
-        lower, upper, speed, effort = map(frozen, limits(self._model))
-        return lower, upper, speed, effort
+        model, arms = self._model, slice(BODY_JOINT, None)
+        lower, upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
+        speed, effort = upper.copy(), upper.copy()
+        least, most = model.lowerPositionLimit[arms], model.upperPositionLimit[arms]
+        known = least < most  # files write equal limits, or zero, where they know none
+        lower[arms] = np.where(known & (least > -_FAR), least, -np.inf)
+        upper[arms] = np.where(known & (most < _FAR), most, np.inf)
+        for target, source in ((speed, model.velocityLimit[arms]), (effort, model.effortLimit[arms])):
+            target[arms] = np.where((source > 0) & (source < _FAR), source, np.inf)
+        return frozen(lower), frozen(upper), frozen(speed), frozen(effort)
 
     @property
     def lower(self) -> Array:
@@ -207,8 +216,10 @@ class System:
 
     @structure
     def _resistances(self) -> tuple[Array, Array]:
-        damping, friction = map(frozen, resistances(self.nv, self.mounts))
-        return damping, friction
+        damping, friction = np.zeros((2, self.nv))
+        for mount in self.mounts:
+            damping[mount.v], friction[mount.v] = mount._model.damping, mount._model.friction
+        return frozen(damping), frozen(friction)
 
     @property
     def joint_damping(self) -> Array:
@@ -298,24 +309,13 @@ class System:
                 displacement[..., k] = wrap_angle(angle)
         return displacement
 
-    def _each(self, law: Law, **arguments: Array) -> Array:
-        """Return what a law gives for each row of the arguments, in public order.
+    def _each(self, law: Callable[..., Any], **arguments: ArrayLike) -> Array:
+        """Return what one of Pinocchio's laws gives for each row of the arguments."""
+        return self._numeric.each(law, False, **arguments)
 
-        Leading axes broadcast; what comes back is stacked along them: see `pinocchio_backend.stacked`.
-
-        Raises
-        ------
-        NotFinite
-            If what comes back is not finite.
-        """
-        engine, rows = self._numeric, []
-        for argument in arguments.values():
-            if argument.ndim != 1:
-                return pinocchio_backend.stacked(engine, law, **arguments)
-            rows.append(argument[engine.order])
-        # A copy: Pinocchio hands out views of its data.
-        answer = law.order(engine, np.array(law.run(engine.model, engine.data, *rows)))
-        return answer if isfinite(np.vdot(answer, answer)) else finite_answer(answer, **arguments)
+    def _of_frame(self, law: Callable[..., Any], *given: Any, **arguments: ArrayLike) -> Array:
+        """Return the same of a frame, by its number and what else the law takes first."""
+        return self._numeric.each(partial(law, *given), True, **arguments)
 
     def _quick(self, law: Callable[..., Any], *arguments: Any) -> Array | None:
         """Return what Pinocchio gives for one state of float64, as a loop asks; None of others.
@@ -339,13 +339,8 @@ class System:
                 return getattr(dynamics, name)(*given, **options)
         raise NotTraceable(
             f"{name} of a {type(self).__name__}, which takes numbers alone",
-            f"a law that is compiled asks it for {', '.join(self._compiled)}",
+            "call it before the law, on numbers",
         )
-
-    @property
-    def _compiled(self) -> list[str]:
-        """Names of the methods that answer symbols."""
-        return [name for name in _LAWS if any(hasattr(type(each), name) for each in self._array_ways)]
 
     @property
     def _array_ways(self) -> tuple[Any, ...]:
@@ -419,7 +414,7 @@ class System:
         UnknownName
             If there is no such frame.
         """
-        return self._each(pinocchio_backend.frame_pose(self._frame(frame)[1]), q=self._q(q))
+        return self._of_frame(pinocchio_backend.frame_pose, self._frame(frame)[1], q=q)
 
     @by_values()
     def frame_jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
@@ -432,7 +427,7 @@ class System:
         q, frame
             As in `frame_pose`, with the same error.
         """
-        return self._each(pinocchio_backend.frame_jacobian(self._frame(frame)[1]), q=self._here(q))
+        return self._of_frame(pinocchio_backend.frame_jacobian, self._frame(frame)[1], q=self._here(q))
 
     @by_values()
     def frame_drift(self, q: ArrayLike, v: ArrayLike, frame: str | None = None) -> Array:
@@ -448,9 +443,7 @@ class System:
         v : array_like, shape (..., nv)
             Velocity [m/s, m/s, rad/s, ...].
         """
-        return self._each(
-            pinocchio_backend.frame_drift(self._frame(frame)[1]), q=self._q(q), v=self._v("v", v)
-        )
+        return self._of_frame(pinocchio_backend.frame_drift, self._frame(frame)[1], q=q, v=v)
 
     @by_values()
     def manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
@@ -464,7 +457,7 @@ class System:
         q, frame
             As in `frame_pose`, with the same error.
         """
-        return self._each(pinocchio_backend.manipulability(self._frame(frame)[1]), q=self._here(q))
+        return self._volume(self._frame(frame)[1], slice(None), q)
 
     @by_values()
     def arm_manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
@@ -481,8 +474,10 @@ class System:
         arms = [mount for mount in self.mounts if name.startswith(f"{mount.name}/")]
         if not arms:
             raise InvalidArgument(f"frame is {shown(name)}, expected one of an arm")
-        law = pinocchio_backend.manipulability(number, arms[0].v)
-        return self._each(law, q=self._here(q))
+        return self._volume(number, arms[0].v, q)
+
+    def _volume(self, number: int, part: slice, q: ArrayLike) -> Array:
+        return self._of_frame(pinocchio_backend.manipulability, number, part, q=self._here(q))
 
     def _frame(self, name: str | None) -> tuple[str, int]:
         name = self.end_effector if name is None else name
@@ -494,7 +489,7 @@ class System:
 
         The third is the body's; it is the last one where nothing is mounted.
         """
-        return self._each(pinocchio_backend.PLACEMENTS, q=self._q(q))
+        return self._of_frame(pinocchio_backend.joint_placements, q=q)
 
     @by_values()
     def jacobian(self, q: ArrayLike) -> Array:
@@ -522,19 +517,17 @@ class System:
     @by_values(pin.crba, 1)
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], by Pinocchio's CRBA."""
-        return self._each(pinocchio_backend.MASS_MATRIX, q=self._q(q))
+        return self._each(pin.crba, q=q)
 
     @by_values(pin.nonLinearEffects, 2)
     def nonlinear_effects(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return n(q, v), shape (..., nv) [N, N, N m], by Pinocchio's RNEA without acceleration."""
-        return self._each(pinocchio_backend.NONLINEAR_EFFECTS, q=self._q(q), v=self._v("v", v))
+        return self._each(pin.nonLinearEffects, q=q, v=v)
 
     @by_values(pin.rnea, 3)
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return tau = M(q) a + n(q, v), shape (..., nv) [N, N, N m], by Pinocchio's RNEA."""
-        return self._each(
-            pinocchio_backend.INVERSE_DYNAMICS, q=self._q(q), v=self._v("v", v), a=self._v("a", a)
-        )
+        return self._each(pin.rnea, q=q, v=v, a=a)
 
     @by_values(pin.aba, 3)
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike, f: ArrayLike = 0.0) -> Array:
@@ -553,13 +546,12 @@ class System:
         """
         if type(f) is float and not f and (found := self._quick(pin.aba, q, v, tau)) is not None:
             return found
-        arguments = {"q": self._q(q), "v": self._v("v", v), "tau": self._v("tau", tau)}
         if np.ndim(f) or f:
-            force, beside = arguments["tau"], self._v("f", f)
+            force, beside = self._v("tau", tau), self._v("f", f)
             broadcast(tau=force, f=beside)
             with np.errstate(over="ignore"):
-                arguments["tau"] = finite_answer(force + beside, tau=force, f=beside)
-        return self._each(pinocchio_backend.FORWARD_DYNAMICS, **arguments)
+                tau = finite_answer(force + beside, tau=force, f=beside)
+        return self._each(pin.aba, q=q, v=v, tau=tau)
 
     @by_values()
     def generalized_force(self, q: ArrayLike, wrench: ArrayLike) -> Array:
@@ -606,40 +598,35 @@ class System:
     @by_values()
     def coriolis_matrix(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return C(q, v), shape (..., nv, nv): C v = n(q, v), and dM/dt - 2 C is skew-symmetric."""
-        return self._each(pinocchio_backend.CORIOLIS_MATRIX, q=self._here(q), v=self._v("v", v))
+        return self._each(pin.computeCoriolisMatrix, q=self._here(q), v=v)
 
     @by_values()
     def kinetic_energy(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return v' M(q) v / 2, shape (...) [J]."""
-        return self._each(pinocchio_backend.KINETIC_ENERGY, q=self._q(q), v=self._v("v", v))
+        return self._each(pinocchio_backend.kinetic_energy, q=q, v=v)
 
     @by_values()
     def potential_energy(self, q: ArrayLike) -> Array:
         """Return the energy in the field of gravity, shape (...) [J]; zero where all is on the ground."""
-        return self._each(pinocchio_backend.POTENTIAL_ENERGY, q=self._q(q))
+        return self._each(pin.computePotentialEnergy, q=q)
 
     @by_values(pin.computeGeneralizedGravity, 1)
     def gravity(self, q: ArrayLike) -> Array:
         """Return g(q), shape (..., nv) [N, N, N m]: what holds the robot at rest; none of it for the base."""
-        return self._each(pinocchio_backend.GRAVITY, q=self._q(q))
+        return self._each(pin.computeGeneralizedGravity, q=q)
 
     @by_values()
     def regressor(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return Y(q, v, a), shape (..., nv, 10 bodies): tau = Y `inertial_parameters`, rotors left out."""
-        return self._each(pinocchio_backend.REGRESSOR, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
+        return self._each(pinocchio_backend.regressor, q=q, v=v, a=a)
 
     @by_values()
     def forward_dynamics_derivatives(
         self, q: ArrayLike, v: ArrayLike, tau: ArrayLike
     ) -> tuple[Array, Array, Array]:
         """Return da/dq, da/dv, da/dtau = M^-1, each of shape (..., nv, nv), by Pinocchio's derivatives."""
-        stacked = self._derivatives(q, v, tau=tau)
+        stacked = self._each(pinocchio_backend.derivatives, q=self._here(q), v=v, tau=tau)
         return stacked[..., 0, :, :], stacked[..., 1, :, :], stacked[..., 2, :, :]
-
-    def _derivatives(self, q: ArrayLike, v: ArrayLike, **push: ArrayLike) -> Array:
-        """Return the three derivatives stacked; a push has the name that the caller gave it."""
-        pushes = {name: self._v(name, value) for name, value in push.items()}
-        return self._each(pinocchio_backend.DERIVATIVES, q=self._here(q), v=self._v("v", v), **pushes)
 
     @by_values()
     def linearize(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Linearization:
@@ -647,7 +634,8 @@ class System:
         return self._linearized(q, v, tau=tau)
 
     def _linearized(self, q: ArrayLike, v: ArrayLike, **push: ArrayLike) -> Linearization:
-        by_q, by_v, by_tau = np.moveaxis(self._derivatives(q, v, **push), -3, 0)
+        found = self._each(pinocchio_backend.derivatives, q=self._here(q), v=v, **push)
+        by_q, by_v, by_tau = np.moveaxis(found, -3, 0)
         A = np.zeros((*by_q.shape[:-2], 2 * self.nv, 2 * self.nv))
         B = np.zeros((*by_q.shape[:-2], 2 * self.nv, self.nv))
         A[..., : self.nv, self.nv :] = np.eye(self.nv)
@@ -674,7 +662,7 @@ class System:
         Along the axes of the body's frame B, with the moment about its origin, which lies on the ground: the
         rate of the momentum of all bodies, less gravity. Whatever else acts from outside is in it.
         """
-        return self._each(pinocchio_backend.GROUND_WRENCH, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
+        return self._each(pinocchio_backend.ground_wrench, q=q, v=v, a=a)
 
     @by_values()
     def mount_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike, mount: str | None = None) -> Array:
@@ -701,8 +689,7 @@ class System:
             If nothing is mounted by that name.
         """
         arm = self._mount(mount)
-        law = pinocchio_backend.mount_wrench(arm, self._model, self._fixed(arm))
-        return self._each(law, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
+        return self._each(partial(pinocchio_backend.mount_wrench, arm, self._fixed(arm)), q=q, v=v, a=a)
 
     def _mount(self, name: str | None) -> Mount:
         if not self.mounts:

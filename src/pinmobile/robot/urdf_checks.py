@@ -21,37 +21,24 @@ _JOINTS = ("fixed", "revolute", "continuous", "prismatic", "planar", "floating")
 MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 """Attributes of an <inertia>."""
 
-_ORIGIN = {"xyz": 3, "rpy": 3}
-_GEOMETRY = {
-    "box": {"size": 3},
-    "cylinder": {"radius": 1, "length": 1},
-    "capsule": {"radius": 1, "length": 1},
-    "sphere": {"radius": 1},
-    "mesh": {"scale": 3},
-}
-# What is made of numbers in a link and in a joint, and of how many.
-_NUMBERS: dict[str, dict[str, dict[str, int]]] = {
-    "link": {
-        "inertial/origin": _ORIGIN,
-        **{f"{kind}/origin": _ORIGIN for kind in ("visual", "collision")},
-        **{f"{kind}/geometry/{k}": v for kind in ("visual", "collision") for k, v in _GEOMETRY.items()},
-        "visual/material/color": {"rgba": 4},
-        "inertial/mass": {"value": 1},
-        "inertial/inertia": dict.fromkeys(MOMENTS, 1),
-    },
-    "joint": {
-        "origin": _ORIGIN,
-        "axis": {"xyz": 3},
-        "limit": dict.fromkeys(("lower", "upper", "effort", "velocity"), 1),
-        "dynamics": {"damping": 1, "friction": 1},
-        "mimic": {"multiplier": 1, "offset": 1},
-        "safety_controller": dict.fromkeys(
-            ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"), 1
-        ),
-        "calibration": {"rising": 1, "falling": 1},
-    },
-    "material": {"color": {"rgba": 4}},
-}
+_ATTRIBUTES = {
+    "origin": "xyz rpy",
+    "axis": "xyz",
+    "box": "size",
+    "cylinder": "radius length",
+    "capsule": "radius length",
+    "sphere": "radius",
+    "mesh": "scale",
+    "color": "rgba",
+    "mass": "value",
+    "inertia": " ".join(MOMENTS),
+    "limit": "lower upper effort velocity",
+    "dynamics": "damping friction",
+    "mimic": "multiplier offset",
+    "safety_controller": "soft_lower_limit soft_upper_limit k_position k_velocity",
+    "calibration": "rising falling",
+}  # of elements in links, joints and materials: what is made of numbers
+_COUNTS = {"xyz": 3, "rpy": 3, "size": 3, "scale": 3, "rgba": 4}  # and one of all others
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 _ROUNDING = 1e-9
@@ -156,61 +143,34 @@ def judge_links(root: Element, name: str, body_of: Callable[[str], Array], stack
 
 
 def _check_numbers(root: Element, name: str) -> None:
-    """Refuse what should be numbers and is not, in a tree that is one.
+    """Refuse what should be numbers, spelled as in C++, and is not, in a tree that is one.
 
     A reader drops what is about it, a link's whole inertia or shape, or refuses the file without a reason;
     so too where there is a space or a line end that it does not expect, of which the numbers are freed.
-
-    Parameters
-    ----------
-    root : xml.etree.ElementTree.Element
-        The file.
-    name : str
-        Its name, for the message.
-
-    Raises
-    ------
-    InvalidArgument
-        The message names the link or the joint that is wrong.
     """
-    for link in root.iterfind("link"):
-        inertial = link.find("inertial")
-        if inertial is not None:
-            _check_inertial(inertial, f"{name}: link {link.get('name')!r}")
-    for part in root:
-        for path, counts in _NUMBERS.get(part.tag, {}).items():
-            for element in part.iterfind(path):
-                for key, count in counts.items():
-                    if (text := element.get(key)) is None:
-                        continue
-                    called = f"{name}: {part.tag} {part.get('name')!r} has <{path}> with {key}"
-                    numbers(text, count, called)
-                    element.set(key, " ".join(text.split()))
-
-
-def numbers(text: str, count: int, called: str) -> tuple[float, ...]:
-    """Return the numbers of an attribute, spelled as the C++ language has them.
-
-    Parameters
-    ----------
-    text : str
-        The attribute.
-    count : int
-        How many there are.
-    called : str
-        What has them, for the message.
-
-    Raises
-    ------
-    InvalidArgument
-        If there are others than that many finite numbers.
-    """
-    words = text.split()
-    found = tuple(map(float, words)) if all(map(_NUMBER.fullmatch, words)) else ()
-    if len(found) != count or not all(map(isfinite, found)):
-        expected = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise InvalidArgument(f"{called} {text!r}, expected {expected}")
-    return found
+    for part in (part for part in root if part.tag in ("link", "joint", "material")):
+        called = f"{name}: {part.tag} {part.get('name')!r} has"
+        for inertial in part.iterfind("inertial"):
+            for tag in ("mass", "inertia"):
+                if inertial.find(tag) is None:
+                    raise InvalidArgument(f"{called} an <inertial> without <{tag}>, expected both")
+        for element in part.iter():
+            is_needed = element.tag in ("mass", "inertia")
+            for key in _ATTRIBUTES.get(element.tag, "").split():
+                text = element.get(key, "") if is_needed else element.get(key)
+                count = _COUNTS.get(key, 1)
+                if text is None:
+                    continue
+                found = text.split()
+                finite = all(_NUMBER.fullmatch(word) and isfinite(float(word)) for word in found)
+                if len(found) != count or not finite:
+                    expected = "a finite number" if count == 1 else f"{count} finite numbers"
+                    raise InvalidArgument(
+                        f"{called} <{element.tag}> with {key} {text!r}, expected {expected}"
+                    )
+                if element.tag == "mass" and float(text) < 0:
+                    raise InvalidArgument(f"{called} mass {text} kg, expected >= 0")
+                element.set(key, " ".join(found))
 
 
 def _check_tree(root: Element, name: str) -> None:
@@ -225,13 +185,20 @@ def _check_tree(root: Element, name: str) -> None:
             raise InvalidArgument(f"{name}: {kind} {twice[0]!r} is there twice, expected once")
     known, above = set(links), dict[str, str]()
     for joint in root.iterfind("joint"):
-        parent, child = _check_joint(joint, known, name)
+        called, of = f"{name}: joint {joint.get('name')!r}", joint.get("type")
+        if of not in _JOINTS:
+            raise InvalidArgument(f"{called} has type {of!r}, expected one of {', '.join(_JOINTS)}")
+        ends = {end: joint.find(end) for end in ("parent", "child")}
+        parent, child = (None if at is None else at.get("link") for at in ends.values())
+        for end, there in zip(ends, (parent, child), strict=True):
+            if there not in known:
+                raise InvalidArgument(f"{called} has {end} link {there!r}, which is not in the file")
         if child in above:
             raise InvalidArgument(
-                f"{name}: joint {joint.get('name')!r} has child link {child!r}, which hangs on "
-                f"{above[child]!r} already, expected one parent of each link"
+                f"{called} has child link {child!r}, which hangs on {above[child]!r} already, expected one "
+                "parent of each link"
             )
-        above[child] = parent
+        above[str(child)] = str(parent)
     roots = [link for link in links if link not in above]
     if len(roots) > 1:
         more = f" and {len(roots) - _SHOWN} more" if len(roots) > _SHOWN else ""
@@ -248,37 +215,3 @@ def _check_tree(root: Element, name: str) -> None:
                 f"{name}: link {at!r} hangs on itself, by way of {above[at]!r}, expected one root that all "
                 "links hang on"
             )
-
-
-def _check_joint(joint: Element, links: set[str], name: str) -> tuple[str, str]:
-    """Return the names of a joint's two links, which have to be there."""
-    called = f"{name}: joint {joint.get('name')!r}"
-    if joint.get("type") not in _JOINTS:
-        raise InvalidArgument(
-            f"{called} has type {joint.get('type')!r}, expected one of {', '.join(_JOINTS)}"
-        )
-    ends = []
-    for end in ("parent", "child"):
-        element = joint.find(end)
-        link = None if element is None else element.get("link")
-        if link is None or link not in links:
-            raise InvalidArgument(f"{called} has {end} link {link!r}, which is not in the file")
-        ends.append(link)
-    parent, child = ends
-    if parent == child:
-        raise InvalidArgument(f"{called} has link {child!r} as its parent and its child, expected two links")
-    return parent, child
-
-
-def _check_inertial(inertial: Element, called: str) -> None:
-    mass, inertia = inertial.find("mass"), inertial.find("inertia")
-    if mass is None or inertia is None:
-        missing = "mass" if mass is None else "inertia"
-        raise InvalidArgument(f"{called} has an <inertial> without <{missing}>, expected both")
-    for element, key, what in (
-        (mass, "value", "mass"),
-        *((inertia, key, f"inertia {key}") for key in MOMENTS),
-    ):
-        (value,) = numbers(element.get(key, ""), 1, f"{called} has {what}")
-        if element is mass and value < 0:
-            raise InvalidArgument(f"{called} has mass {mass.get('value')} kg, expected >= 0")

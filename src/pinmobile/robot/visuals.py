@@ -1,4 +1,4 @@
-"""Visual and collision geometry of a robot and of its loads."""
+"""Visual and collision geometry of a robot and of its loads, and the URDF that has it."""
 
 from __future__ import annotations
 
@@ -22,14 +22,13 @@ from pinmobile.robot.mounts import Mount, PayloadBody, named_frames
 from pinmobile.robot.urdf_checks import urdf_tree
 
 
-@dataclass(frozen=True)
-class VisualFile:
-    """The file that says how a robot looks.
+class VisualFile(NamedTuple):
+    """The URDF that says how a robot looks.
 
-    Parameters
+    Attributes
     ----------
     path : Path
-        A URDF.
+        The file.
     package_dirs : tuple of Path
         Folders that ``package://`` refers to.
     base : tuple of 16 floats
@@ -37,123 +36,130 @@ class VisualFile:
     """
 
     path: Path
-    package_dirs: tuple[Path, ...]
-    base: tuple[float, ...]
+    package_dirs: tuple[Path, ...] = ()
+    base: tuple[float, ...] = ()
+
+    def found(self, name: str) -> Path | None:
+        """Return where a mesh lies, or None where it is not there."""
+        scheme, apart, rest = name.rpartition("://")
+        rest = rest.lstrip("/") if scheme == "package" else rest
+        folders = (*self.package_dirs, self.path.parent) if scheme == "package" else (self.path.parent,)
+        candidates = (folder / (rest if apart else name) for folder in folders)
+        # Not `Path.is_file`, which raises where a name is longer than a file system allows.
+        return next((path.resolve() for path in candidates if isfile(path)), None)
+
+    def tree(self) -> ElementTree.Element:
+        """Return the file's tree with meshes where they lie; those that are missing have no name.
+
+        Raises
+        ------
+        InvalidArgument
+            If the file cannot be read any more, or is no URDF by now.
+        """
+        root = urdf_tree("path", self.path)  # again, since the file may be another one by now
+        for mesh in root.iterfind("link/*/geometry/mesh"):
+            path = self.found(mesh.get("filename", ""))
+            if path is None:
+                mesh.set("missing", mesh.get("filename", ""))
+            else:
+                mesh.set("filename", str(path))
+        return root
+
+    def visuals(
+        self, model: pin.Model, stacklevel: int
+    ) -> tuple[pin.GeometryModel, ElementTree.Element, bool]:
+        """Return what is drawn, each object on its own joint of the file's model, the tree, and a flag.
+
+        Meshes that are missing or cannot be read are named in a warning, and the collision shapes of a link
+        of which nothing else is drawn stand in their place. The flag is whether meshes were left out and
+        nothing stands for them.
+
+        Raises
+        ------
+        InvalidArgument
+            If the file cannot be read any more.
+        """
+        root = self.tree()
+        lost, standing = _without(root, lambda mesh: "missing" in mesh.attrib)
+        self._warn("missing", lost, standing, stacklevel)
+        try:
+            seen = _geometry(root, model, pin.GeometryType.VISUAL)
+        except (ValueError, RuntimeError) as error:
+            # Pinocchio does not say which of the files it was.
+            broken, others = _without(root, _is_broken)
+            if not broken:
+                raise InvalidArgument(f"path is {str(self.path)!r}, which cannot be drawn: {error}") from None
+            seen = _geometry(root, model, pin.GeometryType.VISUAL)
+            self._warn("damaged or of a format that is not read", broken, others, stacklevel)
+            lost, standing = lost + broken, standing + others
+        return seen, root, bool(lost and not standing)
+
+    def _warn(self, why: str, files: list[str], links: list[str], stacklevel: int) -> None:
+        words = f"{self.path.name}: not drawn, since {why}: {', '.join(dict.fromkeys(files))}"
+        if links:
+            words += f"; collision shapes are drawn in their place of {', '.join(links)}"
+        if files:
+            warnings.warn(words, stacklevel=stacklevel + 1)
+
+    def shapes(self, model: pin.Model) -> pin.GeometryModel:
+        """Return the collision geometry, each shape on its own joint of the file's model.
+
+        Raises
+        ------
+        InvalidArgument
+            If the file cannot be read any more, or a mesh is missing or cannot be read.
+        """
+        root = self.tree()
+        meshes = root.iterfind("link/collision/geometry/mesh")
+        lost = [mesh.get("missing", "") for mesh in meshes if "missing" in mesh.attrib]
+        if lost:
+            listed = ", ".join(dict.fromkeys(lost))
+            raise InvalidArgument(
+                f"{self.path.name} has collision meshes that are missing: {listed}; expected them beside the "
+                "file, or package_dirs="
+            )
+        try:
+            return _geometry(root, model, pin.GeometryType.COLLISION)
+        except (ValueError, RuntimeError) as error:
+            raise InvalidArgument(
+                f"{self.path.name} has collision shapes that cannot be read: {error}"
+            ) from None
+
+    def model(self) -> tuple[pin.Model, list[pin.SE3]]:
+        """Return the file's model, and where its joints are at rest, in the frame of the body."""
+        model = pin.buildModelFromXML(ElementTree.tostring(self.tree(), encoding="unicode"))
+        data = model.createData()
+        pin.forwardKinematics(model, data, pin.neutral(model))
+        base = pin.SE3(np.reshape(self.base, (4, 4))).inverse()
+        return model, [base * placement for placement in data.oMi]
 
 
-class Lost(NamedTuple):
-    """Meshes that are not drawn.
-
-    Attributes
-    ----------
-    files : list of str
-        Their names.
-    links : list of str
-        Links of which nothing else is drawn but, in their place, their collision shapes.
-    """
-
-    files: list[str]
-    links: list[str]
-
-    def warn(self, file: VisualFile, why: str, stacklevel: int) -> None:
-        """Tell of it, if there is any."""
-        if not self.files:
-            return
-        words = f"{file.path.name}: not drawn, since {why}: {', '.join(dict.fromkeys(self.files))}"
-        if self.links:
-            words += f"; collision shapes are drawn in their place of {', '.join(self.links)}"
-        warnings.warn(words, stacklevel=stacklevel + 1)
+def _geometry(root: ElementTree.Element, model: pin.Model, kind: pin.GeometryType) -> pin.GeometryModel:
+    return pin.buildGeomFromUrdfString(model, ElementTree.tostring(root, encoding="unicode"), kind)
 
 
-def readable(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, Lost]:
-    """Return the file's tree without the visuals whose meshes are missing, and which those are.
-
-    A link that would show nothing then shows its collision shapes.
-
-    Parameters
-    ----------
-    file : VisualFile
-        The file.
-    stacklevel : int
-        Of the warning that names them: how far up the user's call is.
-
-    Raises
-    ------
-    InvalidArgument
-        If the file cannot be read any more, or is no URDF by now.
-    """
-    root = urdf_tree("path", file.path)  # again, since the file may be another one by now
-    missing = _without_meshes(root, file, lambda mesh: _is_missing(mesh, file))
-    missing.warn(file, "missing", stacklevel)
-    return root, missing
-
-
-def shown(
-    model: pin.Model, root: ElementTree.Element, file: VisualFile, stacklevel: int
-) -> tuple[pin.GeometryModel, Lost]:
-    """Return what a tree shows of its model, and the meshes that cannot be read, taken out of the tree.
-
-    Parameters
-    ----------
-    model : pin.Model
-        The file's.
-    root, file, stacklevel
-        From `readable`, and as there.
-
-    Raises
-    ------
-    InvalidArgument
-        If the geometry cannot be read whatever the meshes.
-    """
-    broken = Lost([], [])
-    try:
-        seen = _geometry(model, root)
-    except (ValueError, RuntimeError) as error:
-        # Pinocchio does not say which of the files it was.
-        broken = _without_meshes(root, file, _is_broken)
-        if not broken.files:
-            raise InvalidArgument(f"path is {str(file.path)!r}, which cannot be drawn: {error}") from None
-        seen = _geometry(model, root)
-    broken.warn(file, "damaged or of a format that is not read", stacklevel)
-    return seen, broken
-
-
-def _geometry(model: pin.Model, root: ElementTree.Element) -> pin.GeometryModel:
-    text = ElementTree.tostring(root, encoding="unicode")
-    return pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL)
-
-
-def _without_meshes(
-    root: ElementTree.Element, file: VisualFile, unusable: Callable[[ElementTree.Element], bool]
-) -> Lost:
-    """Take visuals whose meshes are unusable out of the tree, and put collision shapes where none is left."""
-    lost = Lost([], [])
+def _without(
+    root: ElementTree.Element, unusable: Callable[[ElementTree.Element], bool]
+) -> tuple[list[str], list[str]]:
+    """Take visuals whose meshes are unusable out of a tree; return their files, and links with stand-ins."""
+    lost, standing = list[str](), list[str]()
     for link in root.iterfind("link"):
-        before = len(lost.files)
+        before = len(lost)
         for visual in link.findall("visual"):
             mesh = visual.find("geometry/mesh")
             if mesh is not None and unusable(mesh):
-                lost.files.append(mesh.get("filename", ""))
+                lost.append(mesh.get("filename", ""))
                 link.remove(visual)
-        if len(lost.files) == before or link.find("visual") is not None:
+        if len(lost) == before or link.find("visual") is not None:
             continue
-        for collision in link.findall("collision"):
-            stand_in = deepcopy(collision)
+        for stand_in in map(deepcopy, link.findall("collision")):
             mesh = stand_in.find("geometry/mesh")
-            if mesh is None or not (_is_missing(mesh, file) or _is_broken(mesh)):
+            if mesh is None or not ("missing" in mesh.attrib or _is_broken(mesh)):
                 stand_in.tag = "visual"
                 link.append(stand_in)
         if link.find("visual") is not None:
-            lost.links.append(link.get("name", ""))
-    return lost
-
-
-def _is_missing(mesh: ElementTree.Element, file: VisualFile) -> bool:
-    """Return whether there is no file of that name; where there is one, write into the mesh where it lies."""
-    path = found(mesh.get("filename", ""), file)
-    if path is not None:
-        mesh.set("filename", str(path))
-    return path is None
+            standing.append(link.get("name", ""))
+    return lost, standing
 
 
 def _is_broken(mesh: ElementTree.Element) -> bool:
@@ -164,16 +170,6 @@ def _is_broken(mesh: ElementTree.Element) -> bool:
     except (ValueError, RuntimeError):
         return True
     return False
-
-
-def found(name: str, file: VisualFile) -> Path | None:
-    """Return where a mesh of the file lies, or None where it is not there."""
-    scheme, apart, rest = name.rpartition("://")
-    rest = rest.lstrip("/") if scheme == "package" else rest
-    folders = (*file.package_dirs, file.path.parent) if scheme == "package" else (file.path.parent,)
-    candidates = (folder / (rest if apart else name) for folder in folders)
-    # Not `Path.is_file`, which raises where a name is longer than a file system allows.
-    return next((path.resolve() for path in candidates if isfile(path)), None)
 
 
 BODY = "body"
@@ -200,19 +196,14 @@ def read_visuals(
     InvalidArgument
         If the file cannot be read any more.
     """
-    root, left_out = readable(file, stacklevel=6)
-    model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
-    seen, broken = shown(model, root, file, stacklevel=6)
+    model, joints = file.model()
+    seen, root, is_lost = file.visuals(model, stacklevel=6)
     shapes = [shape.tag for shape in root.iterfind("./link/visual/geometry/*")]
-    data = model.createData()
-    pin.forwardKinematics(model, data, pin.neutral(model))
-    base = pin.SE3(np.reshape(file.base, (4, 4))).inverse()
-    placed = [(base * data.oMi[item.parentJoint] * item.placement, item) for item in seen.geometryObjects]
+    placed = [(joints[item.parentJoint] * item.placement, item) for item in seen.geometryObjects]
     ours = pin.SE3(np.eye(3), np.array([0.0, 0.0, size[2] / 2]))
     if not shapes or (shapes == ["box"] and placed[0][0].isApprox(ours, _THERE)):
         return box_visuals(size, joint), {}
-    stood = left_out.links or broken.links
-    lost = (left_out.files or broken.files) and not stood and "mesh" not in shapes
+    lost = is_lost and "mesh" not in shapes
     visuals = box_visuals(size, joint) if lost else pin.GeometryModel()
     for placement, item in placed:
         visuals.addGeometryObject(drawn(item.name, joint, placement, item))
@@ -290,129 +281,30 @@ def _prism(corners: Array) -> object:
 _LOAD_RGBA = (0.55, 0.55, 0.58, 1.0)
 
 
-@dataclass(frozen=True)
-class FilePicture:
-    """What a URDF shows, each object on its own joint; read when it is called.
-
-    Parameters
-    ----------
-    path, package_dirs
-        As in `VisualFile`.
-    """
-
-    path: Path
-    package_dirs: tuple[Path, ...]
-
-    def __call__(self, model: pin.Model) -> pin.GeometryModel:
-        """Return the geometry of the file's model; meshes that are missing or broken are named in a warning.
-
-        Raises
-        ------
-        InvalidArgument
-            If the file cannot be read any more.
-        """
-        file = VisualFile(self.path, self.package_dirs, ())
-        root, _ = readable(file, stacklevel=8)
-        return shown(model, root, file, stacklevel=8)[0]
-
-
-@dataclass(frozen=True)
-class FileShapes:
-    """The collision geometry of a URDF, read when it is called.
-
-    Parameters
-    ----------
-    path, package_dirs
-        As in `VisualFile`.
-    """
-
-    path: Path
-    package_dirs: tuple[Path, ...]
-
-    def __call__(self, model: pin.Model) -> pin.GeometryModel:
-        """Return it, each shape on its own joint of the file's model.
-
-        Raises
-        ------
-        InvalidArgument
-            If the file cannot be read any more, or a mesh is missing or cannot be read.
-        """
-        return _colliding(self._tree(), model, self.path)
-
-    def at_rest(self) -> tuple[pin.Model, pin.GeometryModel]:
-        """Return the model of the file, and its collision geometry."""
-        root = self._tree()
-        model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
-        return model, _colliding(root, model, self.path)
-
-    def _tree(self) -> ElementTree.Element:
-        root, file = urdf_tree("path", self.path), VisualFile(self.path, self.package_dirs, ())
-        lost = []
-        for mesh in root.iterfind("link/collision/geometry/mesh"):
-            name = mesh.get("filename", "")
-            where = found(name, file)
-            if where is None:
-                lost.append(name)
-            else:
-                mesh.set("filename", str(where))
-        if lost:
-            listed = ", ".join(dict.fromkeys(lost))
-            raise InvalidArgument(
-                f"{self.path.name} has collision meshes that are missing: {listed}; expected them beside the "
-                "file, or package_dirs="
-            )
-        return root
-
-
-def _colliding(root: ElementTree.Element, model: pin.Model, path: Path) -> pin.GeometryModel:
-    text = ElementTree.tostring(root, encoding="unicode")
-    try:
-        return pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
-    except (ValueError, RuntimeError) as error:
-        raise InvalidArgument(f"{path.name} has collision shapes that cannot be read: {error}") from None
-
-
-@dataclass(frozen=True, eq=False)
-class GivenPicture:
-    """Geometry that is there already.
-
-    Parameters
-    ----------
-    visual : pin.GeometryModel
-        What is drawn.
-    """
-
-    visual: pin.GeometryModel
-
-    def __call__(self, model: pin.Model) -> pin.GeometryModel:
-        """Return it."""
-        return self.visual
-
-
 def add_carried(
-    visuals: pin.GeometryModel,
-    model: pin.Model,
-    mounts: Sequence[Mount],
-    loads: Sequence[PayloadBody],
+    visuals: pin.GeometryModel, model: pin.Model, mounts: Sequence[Mount], loads: Sequence[PayloadBody]
 ) -> None:
     """Add what is drawn of arms and loads, on the joints of the whole model."""
-    import coal
-
     for mount in mounts:
         for item in mount.arm.visuals().geometryObjects:
-            own = item.parentJoint
-            joint = mount.joints.start + own - 1 if own else BODY_JOINT
-            placement = item.placement if own else mount.placement * item.placement
+            joint, placement = mount.joint_of(item)
             visuals.addGeometryObject(drawn(f"{mount.name}/{item.name}", joint, placement, item))
+    for number, joint, placement, box in boxes_of(model, loads):
+        item = pin.GeometryObject(f"load{number}", joint, placement, box)
+        item.meshColor = np.array(_LOAD_RGBA)
+        visuals.addGeometryObject(item)
+
+
+def boxes_of(model: pin.Model, loads: Sequence[PayloadBody]) -> Iterator[tuple[int, int, pin.SE3, Any]]:
+    """Yield number, joint of the whole model, placement and box of each load that has a size."""
+    import coal
+
     frames = named_frames(model)
     for number, load in enumerate(loads, start=1):
-        if load.size is None:
-            continue
-        frame = model.frames[frames[load.frame]]
-        placement = frame.placement * pin.SE3(np.eye(3), np.array(load.com))
-        box = pin.GeometryObject(f"load{number}", frame.parentJoint, placement, coal.Box(*load.size))
-        box.meshColor = np.array(_LOAD_RGBA)
-        visuals.addGeometryObject(box)
+        if load.size is not None:
+            frame = model.frames[frames[load.frame]]
+            placement = frame.placement * pin.SE3(np.eye(3), np.array(load.com))
+            yield number, frame.parentJoint, placement, coal.Box(*load.size)
 
 
 BODY_LINK = "base_link"
@@ -496,16 +388,14 @@ def body_shapes(looks: VisualFile | None, source: str) -> Iterator[Solid]:
             f"robot has a body without collision shapes ({source}), expected one made from numbers, or from "
             "a URDF whose links have <collision>"
         )
-    model, shapes = FileShapes(looks.path, looks.package_dirs).at_rest()
+    model, joints = looks.model()
+    shapes = looks.shapes(model)
     if not shapes.ngeoms:
         raise InvalidArgument(
             f"robot has a body without collision shapes: {looks.path.name} has no link with <collision>"
         )
-    data = model.createData()
-    pin.forwardKinematics(model, data, pin.neutral(model))
-    base = pin.SE3(np.reshape(looks.base, (4, 4))).inverse()
     for item in shapes.geometryObjects:
-        placement = base * data.oMi[item.parentJoint] * item.placement
+        placement = joints[item.parentJoint] * item.placement
         yield from _solid(link_of(item, model), 0, placement, item, joints_above(model, item.parentJoint))
 
 
@@ -536,8 +426,6 @@ def carried_shapes(
     InvalidArgument
         If an arm has none, or its file or a mesh cannot be read.
     """
-    import coal
-
     for mount in mounts:
         shapes, links = mount.arm.solids()
         if not shapes.ngeoms:
@@ -546,16 +434,10 @@ def carried_shapes(
                 "links with <collision>, or mount(model, collision=geometry)"
             )
         for item, link in zip(shapes.geometryObjects, links, strict=True):
-            own = item.parentJoint
-            part = mount.joints.start + own - 1 - BODY_JOINT if own else 0
-            placement = item.placement if own else mount.placement * item.placement
-            yield from _solid(f"{mount.name}/{link}", part, placement, item)
-    frames = named_frames(model)
-    for k, load in enumerate(loads, start=1):
-        if load.size is not None:
-            frame = model.frames[frames[load.frame]]
-            placement = frame.placement * pin.SE3(np.eye(3), np.array(load.com))
-            yield Solid(f"load {k}", frame.parentJoint - BODY_JOINT, placement, coal.Box(*load.size))
+            joint, placement = mount.joint_of(item)
+            yield from _solid(f"{mount.name}/{link}", joint - BODY_JOINT, placement, item)
+    for number, joint, placement, box in boxes_of(model, loads):
+        yield Solid(f"load {number}", joint - BODY_JOINT, placement, box)
 
 
 def _solid(

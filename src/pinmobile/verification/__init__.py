@@ -17,7 +17,7 @@ from pinmobile.dh import DHTable
 from pinmobile.errors import NotTraceable
 from pinmobile.robot import MobileRobot
 from pinmobile.verification._wheels import compare_wheeled
-from pinmobile.verification.bodies import Parts
+from pinmobile.verification.bodies import Parts, times
 from pinmobile.wheels import WheeledRobot
 
 __all__ = ["Comparison", "Verification", "verify"]
@@ -129,10 +129,9 @@ def verify(
     Of a robot on wheels that roll, at random states that do: M by CRBA and n by RNEA of the tree in which
     wheels are joints, and the torques that its accelerations and constraint forces by KKT say, against
     Newton's and Euler's laws of the body, arms and each wheel, one by one; the acceleration and the ground's
-    forces against the null space of the rows, found by singular values; the acceleration against the terms
-    that wheels are to the energy in the plane, by numbers and as machine code; M, n and B of the independent
-    velocities against these, and against the closed form where there is one: two fixed wheels on an axle,
-    fixed wheels with rollers, a car (with arms M alone, of the body that all of it is with its arms locked);
+    forces against the terms that wheels are to the energy in the plane, by numbers and as machine code; M, n
+    and B of the independent velocities against the tree, and against the closed form where there is one: two
+    fixed wheels on an axle, fixed wheels with rollers, a car (with arms M alone, its arms locked);
     nu' against the rate of nu as KKT moves it; the power of inputs, forces and gravity against the rate of
     kinetic energy. Where wheels slip, a step of 1 ms, in as many passes as change it: what it says of forces,
     of loads and of power at mid-step against the same laws, and forces against mu times the load. Scales are
@@ -226,12 +225,9 @@ def compare_planar(
     truth = _closed_form(robot, q, v, a)
     tau = truth["tau"]
     scales = _scales(robot, truth, v, a)
-    routes: dict[str, Callable[..., Dynamics]] = {
-        "Pinocchio (CRBA, RNEA, ABA)": by_pinocchio,
-        "symbolic Newton-Euler": _newton_euler,
-        "symbolic Lagrange": _lagrange,
-    }
-    found = {name: route(robot, q, v, a, tau) for name, route in routes.items()}
+    found = {"Pinocchio (CRBA, RNEA, ABA)": by_pinocchio(robot, q, v, a, tau)}
+    for name, numeric in zip(("Newton-Euler", "Lagrange"), _numeric(robot.dh), strict=True):
+        found[f"symbolic {name}"] = _symbolic(numeric, robot, q, v, a, tau)
     missing = ""
     try:
         found[COMPILED] = by_machine_code(robot, q, v, a, tau)
@@ -269,14 +265,6 @@ def _closed_form(robot: MobileRobot, q: Array, v: Array, a: Array) -> Dynamics:
         "tau": tau,
         "a": closed_form.forward_dynamics(q, v, tau, mass=mass, yaw_inertia=inertia, com=com),
     }
-
-
-def _newton_euler(robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array) -> Dynamics:
-    return _symbolic(_numeric(robot.dh)[0], robot, q, v, a, tau)
-
-
-def _lagrange(robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array) -> Dynamics:
-    return _symbolic(_numeric(robot.dh)[1], robot, q, v, a, tau)
 
 
 @lru_cache(maxsize=8)
@@ -331,8 +319,8 @@ def compare_mounted(
         ("f", "RNEA", _PARTS): each(robot.ground_wrench, q, v, a) - parts.ground_wrench(a),
         ("M", "CRBA", "RNEA's columns"): M - columns,
         ("M3", "CRBA", "closed form of the lump"): M[:, :3, :3] - _lumped(robot, q),
-        ("n", "RNEA", "C(q, v) v + g(q)"): n - _times(each(robot.coriolis_matrix, q, v), v) - g,
-        ("tau", "RNEA", "M a + n"): tau - _times(M, a) - n,
+        ("n", "RNEA", "C(q, v) v + g(q)"): n - times(each(robot.coriolis_matrix, q, v), v) - g,
+        ("tau", "RNEA", "M a + n"): tau - times(M, a) - n,
         ("a", "ABA", "M^-1 (tau - n)"): own["a"] - np.linalg.solve(M, (tau - n)[..., None])[..., 0],
     }
     missing = ""
@@ -372,7 +360,7 @@ def _mounted_scales(parts: Parts, v: Array, a: Array, M: Array) -> dict[str, Arr
         "n": felt * (_GRAVITY + speed)[:, None],
         "tau": tau,
         "f": felt[:, [0, 0, 0, 2, 2, 2]] * accelerated,  # the mass for forces, that about psi for moments
-        "a": _times(np.abs(np.linalg.inv(M)), tau),
+        "a": times(np.abs(np.linalg.inv(M)), tau),
     }
 
 
@@ -384,7 +372,3 @@ def _lumped(robot: MobileRobot, q: Array) -> Array:
         com, inertia = lump.com[:2], lump.yaw_inertia
         blocks.append(closed_form.mass_matrix(row[:3], mass=lump.mass, yaw_inertia=inertia, com=com))
     return np.stack(blocks)
-
-
-def _times(matrices: Array, vectors: Array) -> Array:
-    return np.asarray(np.einsum("...ij,...j->...i", matrices, vectors))

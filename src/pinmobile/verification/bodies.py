@@ -9,6 +9,7 @@ each of an arm's joints Pinocchio says how it moves by itself; of the base's the
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -16,8 +17,8 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array
 from pinmobile.dh import JointType
-from pinmobile.robot import BODY_JOINT, MobileRobot, Mount, joints_of, named_frames, prefixed
-from pinmobile.wheels import AckermannSteering, GearTrain, Wheel, WheeledRobot
+from pinmobile.robot import BODY_JOINT, MobileRobot, Mount, joints_of, named_frames, number, prefixed
+from pinmobile.wheels import GearTrain, Kinematics, Wheel, WheeledRobot
 
 _DOWN = np.array([0, 0, -9.81])  # [m/s^2]
 _POSE = ("x", "y", "psi")
@@ -38,7 +39,7 @@ class _Link:
         Its twist against the parent, linear and angular, along its own axes, for each of its coordinates.
     columns : sequence of m int
         Where its coordinates are in v.
-    rotors : ndarray, shape (m,)
+    rotors : ndarray, shape (m,), or 0.0
         Inertia of the rotors, as the joint feels it [kg m^2].
     bodies : list of (float, ndarray, ndarray)
         Mass, centre of mass and inertia about that of each body on it, in its frame.
@@ -48,7 +49,7 @@ class _Link:
     T: Array
     S: Array
     columns: list[int]
-    rotors: Array
+    rotors: Array | float = 0.0
     bodies: list[tuple[float, Array, Array]] = field(default_factory=list)
 
     def add(self, body: pin.Inertia, placement: pin.SE3) -> None:
@@ -91,13 +92,13 @@ class Parts:
         for k, row in enumerate(robot.dh):
             S = np.zeros((self.count, 6, 1))
             S[:, 2 if row.joint is JointType.PRISMATIC else 5] = 1.0
-            links.append(_Link(k - 1, transforms[:, k], S, [order[k]], np.zeros(1)))
+            links.append(_Link(k - 1, transforms[:, k], S, [order[k]]))
         return links
 
     def _mount(self, mount: Mount, q: Array) -> None:
         """Add the links of an arm as it was read; a joint that is locked has no coordinates."""
         arm, on_base = mount.arm, BODY_JOINT - 1
-        whole, built, held, rest = arm.file_model, arm.whole, arm.held(), arm.rest
+        whole, built, held, rest = arm.file_model, arm.whole, arm.held, arm.rest
         if mount.is_changed:  # to numbers which are those of what moves
             whole, built, held, rest = mount.model, mount.model, [], arm.posture
         free = [joint for joint in range(1, whole.njoints) if joint not in held]
@@ -116,8 +117,8 @@ class Parts:
             link.add(whole.inertias[joint], pin.SE3.Identity())
             self.links.append(link)
         own = prefixed(mount.model, mount.name)
-        for name, number in named_frames(own).items():
-            frame = own.frames[number]
+        for name, k in named_frames(own).items():
+            frame = own.frames[k]
             on_arm = first + free[frame.parentJoint - 1] if frame.parentJoint else on_base
             placement = frame.placement if frame.parentJoint else mount.placement * frame.placement
             self._frames[name] = on_arm, placement
@@ -126,7 +127,7 @@ class Parts:
         """Return the generalised forces that these states and accelerations ask for, shape (n, nv)."""
         tau = np.zeros((self.count, self.nv))
         for link, wrench in zip(self.links, self._wrenches(a, gravity), strict=True):
-            own = _times(link.S.transpose(0, 2, 1), wrench)
+            own = times(link.S.transpose(0, 2, 1), wrench)
             tau[:, link.columns] = own + link.rotors * a[:, link.columns]
         return tau
 
@@ -142,9 +143,9 @@ class Parts:
         lifted = ground - np.append(self.fall, np.zeros(3)) if gravity else ground  # as if the ground rose
         for link in self.links:
             twist, rate = rates[link.parent] if link.parent >= 0 else (ground, lifted)
-            own = _times(link.S, self.v[:, link.columns])
+            own = times(link.S, self.v[:, link.columns])
             w = _seen(link.T, twist) + own
-            dw = _seen(link.T, rate) + _times(link.S, a[:, link.columns]) + _cross(w, own)
+            dw = _seen(link.T, rate) + times(link.S, a[:, link.columns]) + _cross(w, own)
             rates.append((w, dw))
             wrenches.append(sum((_inertial(body, w, dw) for body in link.bodies), np.zeros((self.count, 6))))
         for link, wrench in zip(reversed(self.links), reversed(wrenches), strict=True):
@@ -224,14 +225,14 @@ def _seen(T: Array, twist: Array) -> Array:
     R, p = T[:, :3, :3], T[:, :3, 3]
     velocity = twist[:, :3] + _vector_product(twist[:, 3:], p)
     turned = R.transpose(0, 2, 1)
-    return np.hstack([_times(turned, velocity), _times(turned, twist[:, 3:])])
+    return np.hstack([times(turned, velocity), times(turned, twist[:, 3:])])
 
 
 def _carried(T: Array, wrench: Array) -> Array:
     """Return a wrench in a frame with pose T as the parent feels it."""
     R, p = T[:, :3, :3], T[:, :3, 3]
-    force = _times(R, wrench[:, :3])
-    return np.hstack([force, _times(R, wrench[:, 3:]) + _vector_product(p, force)])
+    force = times(R, wrench[:, :3])
+    return np.hstack([force, times(R, wrench[:, 3:]) + _vector_product(p, force)])
 
 
 def _cross(w: Array, twist: Array) -> Array:
@@ -245,34 +246,57 @@ def _vector_product(a: Array, b: Array) -> Array:
     return np.asarray(a.take(_NEXT, -1) * b.take(_LAST, -1) - a.take(_LAST, -1) * b.take(_NEXT, -1))
 
 
-def _times(matrices: Array, vectors: Array) -> Array:
-    return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))
+def times(matrices: Array, vectors: Array) -> Array:
+    """Return the products of matrices and vectors along the last axes."""
+    return np.asarray(np.einsum("...ij,...j->...i", matrices, vectors))
 
 
-class _Moving(NamedTuple):
-    """A wheel at n states, all along the body's axes.
+def tree_motion(
+    wheeled: WheeledRobot, q: Array, v: Array, a: Array
+) -> tuple[tuple[Array, Array, Array], Array]:
+    """Return configurations, velocities and accelerations of the tree of joints, shape (n, ...) each, and G.
+
+    In the tree each steered wheel has an angle of its own, right before the wheel; wheels that are steered
+    together share one coordinate: v_tree = G v.
+    """
+    table, nv, lead = wheeled.table, wheeled.robot.nv, q.shape[:-1]
+    ns, steered = len(table.axes), {row: k for k, axis in enumerate(table.axes) for row in axis.wheels}
+    steering, kinematics = list(np.moveaxis(q[..., nv : nv + ns], -1, 0)), Kinematics.of(table)
+    size = nv + len(steered) + len(table)
+    G, (whole, bent) = np.zeros((*lead, size, v.shape[-1])), np.zeros((2, *lead, size))
+    G[..., np.arange(nv), np.arange(nv)], whole[..., :nv] = 1, q[..., :nv]
+    at = nv
+    for row, wheel in enumerate(table.wheels):
+        if row in steered:
+            k = steered[row]
+            c, s, first, second = (number(x) for x in kinematics.heading(row, steering))
+            own = np.cos(wheel.angle), np.sin(wheel.angle)
+            whole[..., at] = np.arctan2(s * own[0] - c * own[1], c * own[0] + s * own[1])
+            G[..., at, nv + k], bent[..., at] = first, second * v[..., nv + k] ** 2
+            at += 1
+        G[..., at, nv + ns + row], whole[..., at] = 1, q[..., nv + ns + row]
+        at += 1
+    return (whole, times(G, v), times(G, a) + bent), G
+
+
+class _Placed(NamedTuple):
+    """A wheel at n states, along the body's axes.
 
     Attributes
     ----------
-    e, n : ndarray, shape (k, 2)
-        Where it rolls to, and its axle.
-    o, p : ndarray, shape (k, 2)
+    e : ndarray, shape (n, 2)
+        Where it rolls to.
+    o, p : ndarray, shape (n, 2)
         Its centre from its pivot, and from the body's origin [m].
-    axis : int
-        Its steering coordinate; -1: none.
-    first, turn, changing : ndarray, shape (k,)
-        Its steering angle's rate per rate of that coordinate, its rate, and the part of the rate's derivative
-        that is there where the coordinate does not accelerate.
+    steer, spin : int
+        Its coordinates in the tree; -1: not steered.
     """
 
     e: Array
-    n: Array
     o: Array
     p: Array
-    axis: int
-    first: Array
-    turn: Array
-    changing: Array
+    steer: int
+    spin: int
 
 
 class WheelBodies:
@@ -290,96 +314,55 @@ class WheelBodies:
 
     def __init__(self, wheeled: WheeledRobot, q: Array, v: Array, *, weightless: bool = False) -> None:
         robot, self.table = wheeled.robot, wheeled.table
-        nv, self.ns = robot.nv, len(wheeled.table.axes)
+        self.nv, self.ns, self.size = robot.nv, len(wheeled.table.axes), v.shape[1]
         g = float(np.linalg.norm(robot.model.gravity.linear))
         ramp = wheeled.ground.ramp
         fall = np.array([0.0, 0.0, -g]) if ramp is None else ramp.fall(g)
         self.fall = 0.0 * fall if weightless else fall
-        self.parts = Parts(robot, q[:, :nv], v[:, :nv], self.fall)
-        self.beyond = self.parts.beyond()
-        self.c, self.s, self.nv = np.cos(q[:, 2]), np.sin(q[:, 2]), nv
-        self.twist = np.column_stack([self._along(v), v[:, 2]])
-        self.rates = v[:, nv:]
-        self.wheels = [self._moving(row, q[:, nv : nv + self.ns]) for row in range(len(self.table))]
-        self.reflected = np.zeros((self.rates.shape[1], self.rates.shape[1]))
+        self._motion = partial(tree_motion, wheeled, q, v)
+        (whole, rates, _), self.G = self._motion(0 * v)
+        self.parts = Parts(robot, whole, rates, self.fall)
+        self.c, self.s = np.cos(q[:, 2]), np.sin(q[:, 2])
+        self.wheels = list[_Placed]()
+        column = self.nv
+        for row, wheel in enumerate(self.table.wheels):
+            parent, steer, heading = BODY_JOINT - 1, -1, np.full(len(q), wheel.angle)
+            if any(row in axis.wheels for axis in self.table.axes):
+                steer, heading = column, heading + whole[:, column]
+                column += 1
+            e = np.column_stack([np.cos(heading), np.sin(heading)])
+            o = wheel.trail[0] * e + wheel.trail[1] * _quarter(e)
+            p = o + np.array([wheel.x, wheel.y])
+            self.wheels.append(_Placed(e, o, p, steer, column))
+            hub = _pose(2, heading, np.column_stack([p, np.full(len(q), wheel.radius)]))
+            if steer >= 0:
+                pivot = np.tile([wheel.x, wheel.y, wheel.radius], (len(q), 1))
+                self.parts.links.append(_Link(parent, _pose(2, heading, pivot), self._axis(5), [steer]))
+                parent, hub = len(self.parts.links) - 1, _pose(2, 0 * heading, np.array([*wheel.trail, 0.0]))
+            spun = hub @ _pose(1, whole[:, column], np.zeros(3))
+            inertia = np.diag([wheel.yaw_inertia, wheel.spin_inertia, wheel.yaw_inertia])
+            body = wheel.mass, np.zeros(3), inertia
+            self.parts.links.append(_Link(parent, spun, self._axis(4), [column], bodies=[body]))
+            # The whole has them, at rest in the body: they are bodies of their own.
+            lever = np.array([*wheel.centre, wheel.radius])
+            self.parts.links[BODY_JOINT - 1].bodies.append((-wheel.mass, lever, -_locked(wheel)))
+            column += 1
+        self.reflected = np.zeros((self.size, self.size))
         for actuator in self.table.actuators:
-            column, rotor = np.array(actuator.column), actuator.motor.gear**2 * actuator.motor.rotor_inertia
-            self.reflected += rotor * np.outer(column, column)
-        for (
-            wheel
-        ) in self.table.wheels:  # the whole has them, at rest in the body: they are bodies of their own
-            lever, inertia = np.array([*wheel.centre, wheel.radius]), _locked(wheel)
-            self.parts.links[BODY_JOINT - 1].bodies.append((-wheel.mass, lever, -inertia))
+            own, rotor = np.array(actuator.column), actuator.motor.gear**2 * actuator.motor.rotor_inertia
+            self.reflected[self.nv :, self.nv :] += rotor * np.outer(own, own)
 
-    def _along(self, x: Array) -> Array:
-        """Return the first two entries of each row along the body's axes."""
-        return np.column_stack([self.c * x[:, 0] + self.s * x[:, 1], self.c * x[:, 1] - self.s * x[:, 0]])
-
-    def _inertial(self, x: Array) -> Array:
-        return np.column_stack([self.c * x[:, 0] - self.s * x[:, 1], self.s * x[:, 0] + self.c * x[:, 1]])
-
-    def _moving(self, row: int, steering: Array) -> _Moving:
-        wheel = self.table.wheels[row]
-        axis = next((k for k, each in enumerate(self.table.axes) if row in each.wheels), -1)
-        still = np.zeros(len(steering))
-        angle, first, second, rate = still, still, still, still
-        if axis >= 0:
-            angle, first, rate = steering[:, axis], still + 1, self.rates[:, axis]
-        for each in self.table.couplings:
-            if isinstance(each, AckermannSteering) and wheel.name in each.wheels:
-                # cot(angle) = cot(coordinate) - k, whose squared sines have `first` as ratio.
-                k, c, s = wheel.y / (wheel.x - each.axle), np.cos(angle), np.sin(angle)
-                first = 1 / (s**2 + (c - k * s) ** 2)
-                second = -2 * (s * c - (c - k * s) * (s + k * c)) * first**2
-                angle = np.arctan2(s, c - k * s)
-        angle = angle + wheel.angle
-        e = np.column_stack([np.cos(angle), np.sin(angle)])
-        n = _quarter(e)
-        o = wheel.trail[0] * e + wheel.trail[1] * n
-        return _Moving(e, n, o, o + np.array([wheel.x, wheel.y]), axis, first, first * rate, second * rate**2)
-
-    def _wrenches(self, a: Array) -> list[tuple[Array, Array]]:
-        """Return for each wheel the force (k, 3) that moves it, and the moment (k, 3) about its centre."""
-        found = []
-        origin, pull = self._along(a), self._along(np.broadcast_to(self.fall, (len(a), 3)))
-        w, alpha = self.twist[:, 2:], a[:, 2:3]
-        for row, (wheel, at) in enumerate(zip(self.table.wheels, self.wheels, strict=True)):
-            turning = alpha[:, 0] + at.changing
-            if at.axis >= 0:
-                turning = turning + at.first * a[:, self.nv + at.axis]
-            whole = w + at.turn[:, None]
-            pivot = at.p - at.o
-            moved = origin + alpha * _quarter(pivot) - w**2 * pivot
-            moved = moved + turning[:, None] * _quarter(at.o) - whole**2 * at.o
-            force = np.column_stack(
-                [wheel.mass * (moved - pull), np.full(len(a), -wheel.mass * self.fall[2])]
-            )
-            spin, faster = self.rates[:, self.ns + row, None], a[:, self.nv + self.ns + row, None]
-            flat = wheel.spin_inertia * (faster * at.n - spin * whole * at.e)
-            found.append((force, np.column_stack([flat, wheel.yaw_inertia * turning])))
-        return found
+    def _axis(self, k: int) -> Array:
+        return np.tile(np.eye(6)[:, [k]], (len(self.c), 1, 1))
 
     def wrench(self, a: Array) -> Array:
         """Return what moves the whole, along the body's axes and about its origin, shape (n, 6)."""
-        total = self.parts.ground_wrench(a[:, : self.nv])
-        for wheel, at, (force, moment) in zip(self.table.wheels, self.wheels, self._wrenches(a), strict=True):
-            arm = np.column_stack([at.p, np.full(len(a), wheel.radius)])
-            total = total + np.hstack([force, moment + np.cross(arm, force)])
-        return total
+        return self.parts.ground_wrench(self._motion(a)[0][2])
 
     def forces(self, a: Array) -> Array:
         """Return the generalised forces that these accelerations ask for, shape (n, nv of the whole)."""
-        tau = np.zeros_like(a)
-        tau[:, : self.nv] = self.parts.forces(a[:, : self.nv])
-        total = self.wrench(a)
-        tau[:, :2], tau[:, 2] = self._inertial(total), total[:, 5]
-        tau[:, self.nv :] = a[:, self.nv :] @ self.reflected
-        for row, (at, (force, moment)) in enumerate(zip(self.wheels, self._wrenches(a), strict=True)):
-            if at.axis >= 0:
-                about = moment[:, 2] + _crossed(at.o, force)
-                tau[:, self.nv + at.axis] += at.first * about
-            tau[:, self.nv + self.ns + row] += np.einsum("ni,ni->n", moment[:, :2], at.n)
-        return tau
+        tree = self.parts.forces(self._motion(a)[0][2])
+        return times(np.swapaxes(self.G, -1, -2), tree) + a @ self.reflected
 
     def contact(self, along: Array, across: Array) -> Array:
         """Return the generalised force of the ground's forces on the wheels, shape (n, nv of the whole).
@@ -390,18 +373,18 @@ class WheelBodies:
             Of a tyre along it and to its left; of a wheel with rollers along the axis of the one at
             the ground, and across that [N].
         """
-        tau = np.zeros((len(along), self.nv + self.rates.shape[1]))
+        tau = np.zeros(self.G.shape[:2])
         for row, at in enumerate(self.wheels):
             gamma = self.table.wheels[row].roller or 0.0
-            d = np.cos(gamma) * at.e + np.sin(gamma) * at.n
+            d = np.cos(gamma) * at.e + np.sin(gamma) * _quarter(at.e)
             force = along[:, row, None] * d + across[:, row, None] * _quarter(d)
-            tau[:, :2] += self._inertial(force)
+            tau[:, 0] += self.c * force[:, 0] - self.s * force[:, 1]
+            tau[:, 1] += self.s * force[:, 0] + self.c * force[:, 1]
             tau[:, 2] += _crossed(at.p, force)
-            if at.axis >= 0:
-                tau[:, self.nv + at.axis] += at.first * _crossed(at.o, force)
-            spun = self.table.wheels[row].radius * np.einsum("ni,ni->n", force, at.e)
-            tau[:, self.nv + self.ns + row] -= spun
-        return tau
+            if at.steer >= 0:
+                tau[:, at.steer] += _crossed(at.o, force)
+            tau[:, at.spin] -= self.table.wheels[row].radius * np.einsum("ni,ni->n", force, at.e)
+        return times(np.swapaxes(self.G, -1, -2), tau)
 
     def trains(self) -> Array:
         """Return the rows of gear trains, r (ratio phi_1' - phi_k'), shape (pairs, nv of the whole)."""
@@ -411,35 +394,36 @@ class WheelBodies:
                 first = names.index(train.wheels[0])
                 radius = self.table.wheels[first].radius
                 for name, ratio in zip(train.wheels[1:], train.ratios[1:], strict=True):
-                    row = np.zeros(self.nv + self.rates.shape[1])
+                    row = np.zeros(self.size)
                     row[self.nv + self.ns + first] = radius * ratio / train.ratios[0]
                     row[self.nv + self.ns + names.index(name)] = -radius
                     rows.append(row)
-        return np.reshape(rows, (len(rows), self.nv + self.rates.shape[1]))
+        return np.reshape(rows, (len(rows), self.size))
 
     def moving(self) -> tuple[Array, Array, Array]:
         """Return what each coordinate moves: mass (nv,), second moment (n, nv), and the reach (n,) [m]."""
-        masses, K, reach = self.beyond
-        first = self.nv + self.ns
-        masses = np.append(masses, np.zeros(self.rates.shape[1]))
-        K = np.hstack([K, np.zeros((len(K), self.rates.shape[1]))])
-        for row, (wheel, at) in enumerate(zip(self.table.wheels, self.wheels, strict=True)):
-            if at.axis >= 0:
-                k = self.nv + at.axis
-                masses[k] += wheel.mass
-                K[:, k] += at.first**2 * (
-                    wheel.yaw_inertia + wheel.mass * np.square(np.array(wheel.trail)).sum()
-                )
-            own = wheel.spin_inertia + self.reflected[self.ns + row, self.ns + row]
-            masses[first + row] = wheel.mass + own / wheel.radius**2
-            K[:, first + row] = own
+        masses, K, reach = self.parts.beyond()
+        masses, K = (self.G[0] != 0).T @ masses, np.einsum("nki,nk->ni", self.G**2, K)
+        K += self.reflected.diagonal()
+        radii = np.array([wheel.radius for wheel in self.table.wheels])
+        masses[self.nv + self.ns :] += K[0, self.nv + self.ns :] / radii**2
         return masses, K, reach
+
+
+def _pose(axis: int, angle: Array, p: Array) -> Array:
+    """Return the poses of frames that are turned about y or z, shape (n, 4, 4)."""
+    T = np.tile(np.eye(4), (len(angle), 1, 1))
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    T[:, i, i] = T[:, j, j] = np.cos(angle)
+    T[:, j, i] = np.sin(angle)
+    T[:, i, j] = -T[:, j, i]
+    T[:, :3, 3] = p
+    return T
 
 
 def _locked(wheel: Wheel) -> Array:
     """Return the inertia of a wheel about its centre at the table's angle, along the body's axes."""
-    c, s = np.cos(wheel.angle), np.sin(wheel.angle)
-    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    R = pin.utils.rotate("z", wheel.angle)
     return np.asarray(R @ np.diag([wheel.yaw_inertia, wheel.spin_inertia, wheel.yaw_inertia]) @ R.T)
 
 
