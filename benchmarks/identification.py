@@ -25,9 +25,9 @@ from measuring import about, console, picked, say, selecting, table
 
 import pinmobile as pm
 from pinmobile.identification import Excitation
-from pinmobile.identification.estimator import solve
-from pinmobile.identification.model import Search
-from pinmobile.identification.preprocessing import PreprocessedLog
+from pinmobile.identification._estimator import solve
+from pinmobile.identification._planar_problem import PlanarProblem
+from pinmobile.identification._preprocessing import PreprocessedLog
 
 RUNS, QUICK_RUNS = 2, 1
 SEGMENT = 2.0  # [s]
@@ -167,7 +167,7 @@ def by_sysid(log: pm.Log) -> Answer:
         found.model, found.delay / found.dt, SEGMENT, rates=False
     )
     scales = np.sqrt(np.diag(found.covariance_of_phi))
-    search = Search(found.model, found.phi, np.diag(scales), found.delay / found.dt)
+    search = PlanarProblem(found.model, found.phi, np.diag(scales), found.delay / found.dt)
     near = solve(search, segments, search.start, moves=False).near
     slopes = np.linalg.inv(found.model.slopes(found.phi) * scales)
     _, half = calculate_intervals([near.e.ravel()], near.J.reshape(-1, len(scales)) @ slopes)

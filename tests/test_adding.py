@@ -45,7 +45,11 @@ USERS = {
         *("Circle", "CubicVia", "LectureHeading", "Tangent"),
     },
     "cli/scenario_file.py": {"Circle", "ComputedTorque", "Tangent"},  # where a file says nothing
-    "identification/model.py": {"JointFriction", "RollingResistance", "ViscousFriction"},  # what was found
+    "identification/_planar_model.py": {
+        "JointFriction",
+        "RollingResistance",
+        "ViscousFriction",
+    },  # what was found
     "reaching/poses.py": {"Spline"},  # of positions, through poses
     "trajectories/reference.py": {"Hold"},
 }

@@ -16,11 +16,8 @@ import pinmobile as pm
 from pinmobile import plots
 from pinmobile.arrays import Array
 from pinmobile.controllers import TorqueToVoltage
-from pinmobile.errors import FileError, PinmobileError, UnknownName
+from pinmobile.errors import FileError, UnknownName
 from pinmobile.identification import Excitation, Identification
-from pinmobile.identification.model import PlanarModel
-from pinmobile.identification.noise import ResidualNoise
-from pinmobile.identification.preprocessing import PreprocessedLog, Slippage
 from pinmobile.parts import evolved
 from pinmobile.wheels import WheelFriction
 from tests.damage import answer, damaged
@@ -88,73 +85,15 @@ def test_a_delay_between_samples_is_found_by_the_weak_form_and_widens_its_interv
     assert ratio.max() > 1.05
 
 
-@pytest.mark.parametrize("memory", [0.0, 0.3])
-def test_noise_of_forces_is_told_from_a_force_that_remembers_and_whitened(memory: float) -> None:
-    rng, dt = np.random.default_rng(5), 0.02
-    force = rng.normal(size=(2, 400, 100))
-    keep = np.exp(-dt / memory) if memory else 0.0
-    for k in range(1, 100):
-        force[..., k] = keep * force[..., k - 1] + np.sqrt(1 - keep**2) * force[..., k]
-    place, speed, poses = np.zeros((2, 400)), np.zeros((2, 400)), [np.zeros((2, 400))]
-    for k in range(99):
-        place, speed = place + dt * speed + dt**2 / 2 * force[..., k], speed + dt * force[..., k]
-        poses.append(place)
-    residuals = np.array(poses).transpose(2, 0, 1) / 1e-3 + rng.normal(size=(400, 100, 2))
-    good = np.ones((400, 100), bool)
-    good[:200, 40] = False
-    residuals[:200, 40] = 0
-    answer = np.maximum(np.arange(100) - 0.5, 0.0)  # of a body to a force that is held for a step
-    noise = ResidualNoise.of(residuals, good, dt, np.repeat(answer[None, :, None], 2, axis=2))
-    assert noise.remembers == (memory > 0)
-    if not memory:
-        white = noise.white(residuals[None])[0]
-        for half in (white[:200], white[200:]):
-            # Of 400 rows a variance is known to 7 %, the mean of 100 to 0.7 %; a correlation to 5 %.
-            C = np.einsum("snj,smj->nm", half, half) / 400
-            kept = np.diag(C) > 0
-            assert kept.sum() >= 99
-            np.testing.assert_allclose(np.diag(C)[kept].mean(), 1.0, atol=0.03)
-            assert np.abs(np.diag(C, 1)).mean() < 0.06
-
-
-@pytest.mark.parametrize("row", [0, 1, -1, -2, -3, -8, 700])
+@pytest.mark.parametrize("row", [0, -1, 700])
 def test_one_wrong_pose_is_one_outlier_at_the_ends_too(row: int) -> None:
     plain, q = log(1, 0, forces=False), np.array(log(1, 0, forces=False).q)
     q[row] += np.array([0.3, 0.0, -0.3])
-    cleaned = PreprocessedLog.of(pm.Log(plain.t, q, plain.u), PlanarModel.pushed(0.01), np.zeros(4))
-    before = PreprocessedLog.of(plain, PlanarModel.pushed(0.01), np.zeros(4))
-    assert cleaned.outliers == before.outliers + 1
-    assert not cleaned.good[row]
-    np.testing.assert_allclose(cleaned.noise, before.noise, rtol=0.02)
-
-
-@pytest.mark.long
-def test_a_delay_that_is_ignored_spoils_friction() -> None:
-    ignored = pm.identify(log(0, 3), delay=0.0)
-    assert abs(ignored.parameters["viscous_forward"] / 6 - 1) > 0.1
-    assert not ignored.whiteness.is_white
-    told = "the delay of 0 ms was given, but the log agrees with 59.4 ms: with a wrong delay"
-    assert any(note.startswith(told) for note in ignored.notes)
-    for given in (None, 0.06):
-        assert np.isnan(pm.identify(log(0, 3), method="weak", delay=given).other_delay)
-
-
-def test_a_wrong_delay_is_blamed_and_not_the_inputs_where_the_log_agrees_with_another() -> None:
-    with pytest.raises(
-        pm.InvalidArgument,
-        match=r"^log has inputs that explain 0% of the motion, .* Its delay of 3000 ms was given, but with "
-        r"59\.4 ms the motion explains 100% of the inputs$",
-    ):
-        pm.identify(log(0, 3), delay=3.0)
-    with pytest.raises(
-        pm.InvalidArgument,
-        match=r"^log leads to a mass of -[\d.]+ kg, .* Its delay of 1000 ms was given, but ",
-    ):
-        pm.identify(rolled(False), on_wheels(BODY), delay=1.0)
-    with pytest.raises(
-        pm.InvalidArgument, match=r"^log leads to a mass of -32 kg, .* have inputs another sign"
-    ):
-        pm.identify(changed(u=lambda u: -u), delay=0.0)
+    spoiled, before = (
+        pm.identify(pm.Log(plain.t, x, plain.u), method="weak", delay=0.0) for x in (q, plain.q)
+    )
+    assert spoiled.outliers == before.outliers + 1
+    np.testing.assert_allclose(spoiled.noise, before.noise, rtol=0.02)
 
 
 def test_an_offset_that_a_motion_does_not_tell_from_friction_is_taken_as_zero_and_said() -> None:
@@ -166,7 +105,7 @@ def test_an_offset_that_a_motion_does_not_tell_from_friction_is_taken_as_zero_an
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("ahead", "method"), [(1, "output error"), (1, "weak"), (3, "weak")])
+@pytest.mark.parametrize(("ahead", "method"), [(1, "output error"), (3, "weak")])
 def test_poses_ahead_of_the_inputs_that_move_the_robot_are_refused(ahead: int, method: str) -> None:
     read = log()
     early = pm.Log(read.t[:-ahead], read.q[ahead:], read.u[:-ahead])  # type: ignore[index]
@@ -175,17 +114,6 @@ def test_poses_ahead_of_the_inputs_that_move_the_robot_are_refused(ahead: int, m
     ):
         pm.identify(early, method=method)
     assert pm.identify(early, method=method, delay=0.0).method
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("low", [-15.0, -1e9])
-def test_an_input_that_was_clipped_is_reported_and_its_intervals_are_not_valid(low: float) -> None:
-    assert not found().clipped
-    clipped = pm.identify(changed(u=lambda u: np.column_stack([np.clip(u[:, 0], low, 15.0), u[:, 1:]])))
-    assert re.match(r"input Fx of log stays at -\S+ or 15, its extremes, in \d+% of", clipped.clipped)
-    assert clipped.clipped in clipped.notes
-    assert not clipped.is_noise
-    assert "95 %, not valid" in str(clipped).splitlines()[0]
 
 
 def test_residuals_are_white_where_the_sensors_noise_is_all_that_is_left() -> None:
@@ -201,16 +129,8 @@ def test_residuals_are_white_where_the_sensors_noise_is_all_that_is_left() -> No
         assert "they do not cover the error of a force" in str(found(seed))
 
 
-def test_the_prediction_is_told_beside_the_noise() -> None:
-    other = found().predict(log(2))
-    assert (other.rms > 0.9 * other.noise).all()
-    assert (other.rms < 3 * other.noise).all()
-    assert "noise" in str(other)
-
-
 @pytest.mark.long
-@pytest.mark.parametrize("method", ["weak", "output error"])
-def test_rows_that_lack_a_pose_are_bridged_by_their_inputs_and_counted(method: str) -> None:
+def test_rows_that_lack_a_pose_are_bridged_by_their_inputs_and_counted() -> None:
     q = np.array(log().q)
     q[:5] = np.nan
     for begin in range(50, 2150, 45):  # 0.3 s of each 0.9 s, beside what outliers were
@@ -220,21 +140,13 @@ def test_rows_that_lack_a_pose_are_bridged_by_their_inputs_and_counted(method: s
     assert read.samples().seen.sum() == 2201 - 710
     np.testing.assert_array_equal(read.samples().u, log().u[5:])
     np.testing.assert_array_equal(pm.Log(read.t, read.q, read.u).samples().seen, read.samples().seen)
-    spoiled = pm.identify(read, method=method)
+    spoiled = pm.identify(read)
     assert (spoiled.samples, spoiled.dropped) == (2201 - 710, 710)
     assert spoiled.parameters["mass"] == pytest.approx(32.0, rel=0.01)
     off = np.array([spoiled.parameters[name] - value for name, value in TRUE.items()])
     z = off / np.sqrt(np.diag(spoiled.covariance))[:10]
     # Ten that are partly correlated: splines through the noise beside each hole would lead to 2.
     assert np.sqrt((z**2).mean()) < 1.5
-
-
-def test_a_stream_of_inputs_that_lacks_some_is_not_known_meanwhile_and_no_longer() -> None:
-    u = np.array(log().u)
-    u[700] = np.nan
-    read = pm.Log.from_streams(log().t, log().q, log().t, u)  # type: ignore[arg-type]
-    assert read.dropped == 1
-    np.testing.assert_allclose(read.samples().u[701:2200], log().u[701:2200], atol=1e-9)
 
 
 def test_a_circle_is_refused_and_with_a_robot_what_is_unseen_is_told_and_kept() -> None:
@@ -245,10 +157,10 @@ def test_a_circle_is_refused_and_with_a_robot_what_is_unseen_is_told_and_kept() 
         pm.identify(circle)
     kept = pm.identify(circle, pm.MobileRobot(30.0, 1.5))
     assert kept.rank == 3
-    assert not any(kept.is_seen.values())
+    assert not any(kept.is_identifiable.values())
     assert kept.interval()["mass"] == (0.0, np.inf)
     assert kept.robot().body.yaw_inertia == pytest.approx(1.5, rel=0.05)
-    with pytest.raises(pm.InvalidArgument, match="needs a log that tells all: the motion"):
+    with pytest.raises(pm.InvalidArgument, match="needs a log that identifies all: the motion"):
         kept.spread(3)
 
 
@@ -280,7 +192,7 @@ def test_what_is_said_to_be_identifiable_holds_true_values_whatever_the_prior() 
         deviations = known._deviations(0.95) * np.sqrt(np.diag(known.covariance))
         true = [mass, *com, mass * radius**2, *viscous, *dry]
         for name, value, half in zip(TRUE, true, deviations, strict=False):
-            if known.is_seen[name]:
+            if known.is_identifiable[name]:
                 off = abs(known.parameters[name] - value) / half
                 inside.append(off < 1)
                 farthest = max(farthest, off)
@@ -352,12 +264,12 @@ def test_an_estimate_below_zero_stays_and_is_told_in_words() -> None:
     assert below.parameters["rolling_forward"] == -deviation
     half = found().interval()["rolling_forward"][1] - found().parameters["rolling_forward"]
     np.testing.assert_allclose(below.interval()["rolling_forward"], (0.0, half))
-    told = (
-        f"rolling_forward is {-deviation:.3g} N, below zero within its uncertainty: the log tells that it is "
-    )
-    assert f"{told}not above {half:.3g}\n" in f"{below}\n"
+    told = f"rolling_forward is {-deviation:.3g} N, below zero within its uncertainty, {half:.3g}"
+    assert f"{told}\n" in f"{below}\n"
     phi[7] = -10 * deviation
-    assert "below zero by more than its uncertainty" in str(replace(found(), phi=phi))
+    assert "below zero (the model lacks a force) by more than its uncertainty" in str(
+        replace(found(), phi=phi)
+    )
     assert "below zero" not in str(found())
 
 
@@ -396,6 +308,7 @@ def test_the_weak_form_of_a_log_without_noise_is_exact_wherever_the_robot_is(far
     np.testing.assert_allclose(estimates, list(TRUE.values()), rtol=5e-3)
 
 
+@pytest.mark.long
 def test_the_weak_forms_deviations_are_those_of_its_errors() -> None:
     told, deviations = zip(*(weakly(log(seed)) for seed in range(8)), strict=True)
     z = (np.array(told) - list(TRUE.values())) / np.array(deviations)
@@ -500,7 +413,7 @@ def test_of_wheels_alone_nothing_is_believed_of_the_body() -> None:
         pm.identify(straight, torques)
     light = pm.identify(straight, pm.WheeledRobot(pm.MobileRobot(20.0, 1.0), torques))
     assert light.unseen
-    with pytest.raises(pm.InvalidArgument, match="with wheels that slip"):
+    with pytest.raises(pm.InvalidArgument, match="with wheels that steer or slip"):
         pm.identify(straight, pm.WheelTable.skid_steer(0.4, 0.5, 0.1, **wheel))
 
 
@@ -512,7 +425,7 @@ def test_wheels_that_slip_are_told_from_those_that_roll_with_noise() -> None:
         slides,
         pm.Log(slides.t, slides.q, slides.u),
     ):  # by encoders, and by the way across the wheels
-        with pytest.raises(pm.InvalidArgument, match=f"{text}where noise .*: they slip, or .* that roll$"):
+        with pytest.raises(pm.InvalidArgument, match=f"{text}where noise .*: wheels slip, .* that roll$"):
             pm.identify(read, on_wheels(BODY))
     creeps = noisy(run_on_wheels(dry=WheelFriction(rolling=0.0, slip=1e-3)), 0)
     with pytest.raises(
@@ -524,14 +437,15 @@ def test_wheels_that_slip_are_told_from_those_that_roll_with_noise() -> None:
     assert crept.slippage is not None
     assert 0.01 < crept.slippage.share < 0.05
     assert any(note.startswith("poses move otherwise than wheels roll, by 0.0") for note in crept.notes)
-    with pytest.raises(pm.InvalidArgument, match=r"two clocks .* Its poses move otherwise than wheels roll"):
+    with pytest.raises(pm.InvalidArgument, match=r"two clocks.* Its poses move otherwise than wheels roll"):
         pm.identify(noisy(run_on_wheels(dry=WheelFriction(rolling=0.0, slip=3e-3)), 0), on_wheels(BODY))
 
 
+@pytest.mark.long
 @pytest.mark.once
 @pytest.mark.parametrize(
     ("rolling", "said"),
-    [(0.0, "95 % interval"), (0.01, "95 % if noise alone"), (0.05, "95 %, not valid")],
+    [(0.0, "95 % interval"), (0.05, "95 %, not valid")],
 )
 def test_resistance_that_depends_on_load_is_not_given_a_valid_interval(rolling: float, said: str) -> None:
     wheel: dict[str, Any] = {"supports": [(-0.3, 0)], "mass": 1.0, "spin_inertia": 0.005}
@@ -555,59 +469,44 @@ def test_resistance_that_depends_on_load_is_not_given_a_valid_interval(rolling: 
 @pytest.mark.once
 @pytest.mark.parametrize("dry", [None, WheelFriction(rolling=0.0)])
 def test_wheels_that_roll_are_not_said_to_slip(dry: WheelFriction | None) -> None:
-    model, nothing = PlanarModel.rolling(on_wheels(BODY), 0.1), np.zeros(4)
-    for seed in range(20):
-        read = noisy(run_on_wheels(dry=dry), seed)
-        for each in (read, pm.Log(read.t, read.q, read.u)):
-            slippage = Slippage.of(PreprocessedLog.of(each, model, nothing), model)
-            assert slippage is not None
-            assert not slippage.is_certain
-            assert slippage.share < 0.005
-            assert slippage.noise < 0.005  # [m/s], of 1 mm at 50 Hz over 0.4 s
+    read = noisy(run_on_wheels(dry=dry), 0)
+    for each in (read, pm.Log(read.t, read.q, read.u)):
+        slippage = pm.identify(each, on_wheels(BODY), method="weak", delay=0.0).slippage
+        assert slippage is not None
+        assert not slippage.is_certain
+        assert slippage.share < 0.005
+        assert slippage.noise < 0.005  # [m/s], of 1 mm at 50 Hz over 0.4 s
 
 
 @pytest.mark.once
 def test_a_wheel_of_another_radius_is_told_by_its_ratio() -> None:
-    why = "ratios of 0.909 forward and 0.909 in yaw explain it, as of wheels of another radius"
+    why = "poses per encoders: 0.909 forward and 0.909 in yaw: wheels slip, have another radius"
     with pytest.raises(
-        pm.InvalidArgument, match=f"^log has poses that move otherwise than wheels roll, .*: {why}"
+        pm.InvalidArgument, match=f"^log has poses that move otherwise than wheels roll, .*{why}"
     ):
         pm.identify(noisy(run_on_wheels(), 0), on_wheels(BODY, radius=0.11))
     near = pm.identify(noisy(run_on_wheels(), 0), on_wheels(BODY, radius=0.102), method="weak")
-    assert any("ratios of 0.98 forward and 0.98 in yaw explain it" in note for note in near.notes)
+    assert any("poses per encoders: 0.98 forward and 0.98 in yaw" in note for note in near.notes)
     assert pm.identify(log(), method="weak").slippage is None
 
 
+@pytest.mark.long
 @pytest.mark.once
 def test_a_known_load_tells_the_motors_constant() -> None:
-    wrong = pm.Motor(resistance=1.2, torque_constant=0.06, voltage=24.0, gear=30.0, rotor_inertia=2e-5)
     both = pm.identify(
-        [rolled(False), rolled(True)], on_wheels(pm.MobileRobot(20.0, 1.0), wrong), loads=[None, LOAD]
+        [rolled(False), rolled(True)],
+        on_wheels(pm.MobileRobot(20.0, 1.0), evolved(MOTOR, torque_constant=0.06)),
+        loads=[None, LOAD],
+        method="weak",
     )
-    np.testing.assert_allclose(both.torque_constants, 0.04, rtol=0.05)
     low, high = both.interval(0.99)["input_scale"]
     assert low < 0.04 / 0.06 < high
     assert both.parameters["mass"] == pytest.approx(30.0, rel=0.05)
+    constants = [one.motor.torque_constant for one in both.robot().wheeled.table.actuators]
+    np.testing.assert_allclose(constants, 0.04, rtol=0.05)
 
 
-@pytest.mark.once
-def test_currents_and_a_known_load_tell_the_torque_per_ampere() -> None:
-    logs = []
-    for each in (rolled(False), rolled(True)):
-        assert each.wheel_rates is not None
-        # What back-EMF leaves of the volts, on average over the step for which these are held.
-        mean = (each.wheel_rates + np.roll(each.wheel_rates, -1, axis=0)) / 2
-        currents = (each.u - 30.0 * 0.04 * mean) / 1.2
-        logs.append(pm.Log(each.t, each.q, currents, None, each.wheel_rates, units=("A", "A")))
-    believed = on_wheels(pm.MobileRobot(20.0, 1.0)).wheeled
-    found = pm.identify(logs, believed, loads=[None, LOAD], method="weak")
-    low, high = found.interval(0.99)["input_scale"]
-    assert low < 30.0 * 0.04 < high
-    assert found.parameters["input_scale"] == pytest.approx(1.2, rel=0.05)
-    assert found.parameters["mass"] == pytest.approx(30.0, rel=0.05)
-
-
-@pytest.mark.parametrize("rows", [9, 12, 16, 45])
+@pytest.mark.parametrize("rows", [9, 45])
 @pytest.mark.parametrize("dt", [0.5, 0.1])
 def test_short_and_coarse_logs_are_refused_with_the_reason(rows: int, dt: float) -> None:
     every = round(dt / 0.02)
@@ -621,19 +520,6 @@ def test_short_and_coarse_logs_are_refused_with_the_reason(rows: int, dt: float)
     )
     with pytest.raises(pm.InvalidArgument, match=rf"^log(\[0\])? {why}"):
         pm.identify(logs)
-
-
-@pytest.mark.once
-def test_an_encoder_that_jumps_once_is_an_outlier() -> None:
-    plain = rolled(False)
-    assert plain.wheel_rates is not None
-    rates = np.array(plain.wheel_rates)
-    rates[500, 0] += 50.0
-    believed = on_wheels(pm.MobileRobot(20.0, 1.0))
-    spiked = pm.identify(pm.Log(plain.t, plain.q, plain.u, None, rates), believed, method="weak")
-    known = pm.identify(plain, believed, method="weak")
-    assert (known.outliers, spiked.outliers) == (0, 1)
-    np.testing.assert_allclose(spiked.phi[:4], known.phi[:4], rtol=2e-3)
 
 
 @pytest.mark.once
@@ -713,16 +599,8 @@ def drifting(q: Array) -> Array:
             r"^q has shape \(2200, 3\), expected \(2201, 3\), a row for each time$",
         ),
         (
-            lambda: pm.identify(changed(u=lambda u: 1000 * u)),
-            r"^log leads to a mass of 3\.\d+e\+04 kg, .*forces in N",
-        ),
-        (
             lambda: pm.identify(changed(u=lambda u: 1e-3 * u), method="weak"),
             r"^log leads to a radius of gyration of 0\.2\d+ m with a mass of 0\.03\d+ kg, .* forces in N,",
-        ),
-        (
-            lambda: pm.identify(changed(u=lambda u: u * np.array([1, 1, 1000.0])), method="weak"),
-            r"^log leads to a radius of gyration of .* kg, .* moments in N m,",
         ),
         (lambda: pm.identify(log().between(0, 12)), r"^log is 12 s long, too short, expected at least"),
         (
@@ -734,13 +612,9 @@ def drifting(q: Array) -> Array:
             lambda: changed(q=lambda q: q * np.nan),
             r"^q has 2201 rows, and NaN in each, expected rows without$",
         ),
-        (
-            lambda: changed(u=lambda u: u * np.nan),
-            r"^u has 2201 rows, and NaN in each, expected rows without$",
-        ),
         (lambda: pm.identify(changed(q=drifting)), r"^log has poses whose delay changes by .*two clocks"),
         (
-            lambda: pm.Log.from_streams(log().t, log().q, log().t + 1e9, log().u),  # type: ignore[arg-type]
+            lambda: pm.Log.from_streams(log().t, log().q, log().t + 1e9, log().u),
             r"^t_u is from 1e\+09 to .* two clocks",
         ),
         (
@@ -761,25 +635,14 @@ def drifting(q: Array) -> Array:
             lambda: pm.identify([log(), pm.Log(log().t[::2], log().q[::2], log().u[::2])]),  # type: ignore[index]
             r"^log has samples every 0\.02 and 0\.04 s, expected equal steps$",
         ),
-        (lambda: changed(q=lambda q: q[0]), r"^q has shape \(3,\)"),
         (lambda: pm.Log(*np.zeros((3, 0))), r"^t has shape \(0,\), expected \(N,\), N >= 2$"),
-        (lambda: pm.Log(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3))), r"^t has shape \(1,\)"),
-        (
-            lambda: pm.identify([log(), log()]),
-            r"^log\[1\] has the numbers of log\[0\], expected another run",
-        ),
         (
             lambda: changed(q=lambda q: np.repeat(q[::5], 5, axis=0)[:2201]),
             r"^q has each pose in 5 rows, of 0\.02 s each, expected it once, and NaN in rows where",
         ),
         (
-            lambda: pm.identify(changed(u=lambda u: u * np.array([1, 1, -1.0]))),
-            r"^log has inputs that explain .* of another sign, or in",
-        ),
-        (lambda: pm.identify([]), r"^log is \[\], expected a Log, or several$"),
-        (
             lambda: pm.identify(log(), loads=[None]),
-            r"^loads has the same for all logs, expected loads that differ",
+            r"^loads is \[None\], expected a Load or None for each of 1 logs, which differ",
         ),
         (lambda: pm.identify(log(), "robot"), r"^robot is 'robot', expected a MobileRobot"),
     ],
@@ -802,16 +665,11 @@ PAIR = pm.WheelTable.differential(0.5, 0.1, supports=[(0.25, 0), (-0.25, 0)], **
     ("robot", "text"),
     [
         (
-            lambda: on(pm.WheelTable.swerve([(0.2, 0), (-0.2, 0)], 0.05, **WHEEL)),
-            f"with wheels that steer, {ROLLING}",
+            lambda: on(pm.WheelTable.car(0.5, 0.4, 0.1, **WHEEL)),
+            f"with wheels that steer or slip, .*{ROLLING}",
         ),
-        (lambda: on(pm.WheelTable.car(0.5, 0.4, 0.1, **WHEEL)), f"with wheels that steer, {ROLLING}"),
-        (lambda: on(PAIR, ground=pm.Coulomb()), f"with wheels that slip, {ROLLING}"),
-        (
-            lambda: on(pm.WheelTable.skid_steer(0.4, 0.5, 0.1, **WHEEL), ground=pm.Coulomb()),
-            f"with wheels that slip, {ROLLING}",
-        ),
-        (lambda: on(PAIR).mount("ur5"), f"with arms, {ROLLING}"),
+        (lambda: on(PAIR, ground=pm.Coulomb()), f"with wheels that steer or slip, .*{ROLLING}"),
+        (lambda: on(PAIR).mount("ur5"), f"or arms, {ROLLING}"),
         (lambda: pm.MobileRobot.box().mount("ur5"), r"without arms \(robot.lumped\(\) has them locked\), .*"),
         (lambda: pm.VelocityRobot([0.3, 0.3, 0, 1, 0, 1]), "take identify_velocity$"),
     ],
@@ -858,12 +716,6 @@ def turned(columns: str) -> str:
     return lines_of(np.column_stack([FEW[:, :3], quaternion, FEW[:, 4:]]), f"t,x,y,{columns},Fx,Fy,Mz")
 
 
-def dated() -> str:
-    stamps = [f"2026-01-31T23:59:59.{round(1e6 * t):06d}Z," for t in FEW[:, 0]]
-    rows = lines_of(FEW[:, 1:], "").splitlines()[1:]
-    return "\n".join([HEAD, *(stamp + row for stamp, row in zip(stamps, rows, strict=True))])
-
-
 @pytest.mark.parametrize(
     "content",
     [
@@ -872,20 +724,18 @@ def dated() -> str:
         lines_of(FEW, between="\t"),
         lines_of(FEW, between="  "),
         lines_of(FEW, between=", "),
-        "# robot: mine, 3 kg\n% by hand\n" + lines_of(FEW),
+        "# robot: mine, 3 kg\n# by hand\n" + lines_of(FEW),
         "# a robot\n# " + lines_of(FEW),
         "\ufeff" + lines_of(FEW, "Time (s),X (m),Y (m),Yaw (rad),FX [N],FY [N],MZ [N\u00b7m]"),
         lines_of(FEW * [1, 1, 1, 180 / np.pi, 1, 1, 1], "t,x,y,psi [\u00b0],Fx,Fy,Mz"),
         lines_of(np.column_stack([np.arange(40), FEW]), f",{HEAD}"),
         turned("qx,qy,qz,qw"),
         turned("orientation.x,orientation.y,orientation.z,orientation.w"),
-        dated(),
     ],
 )
-@pytest.mark.parametrize("encoding", ["utf-8", "latin-1", "utf-16"])
-def test_a_csv_is_read_as_others_write_it(content: str, encoding: str, tmp_path: Path) -> None:
+def test_a_csv_is_read_as_others_write_it(content: str, tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
-    path.write_bytes(content.lstrip("\ufeff" if encoding != "utf-8" else "").encode(encoding))
+    path.write_text(content, encoding="utf-8")
     read = pm.Log.from_csv(path)
     expected = pm.Log(FEW[:, 0], FEW[:, 1:4], FEW[:, 4:])
     np.testing.assert_allclose(read.t - read.t[0], expected.t, rtol=0, atol=1e-6)
@@ -894,90 +744,55 @@ def test_a_csv_is_read_as_others_write_it(content: str, encoding: str, tmp_path:
 
 
 @pytest.mark.parametrize(
-    ("head", "said"),
+    ("call", "said"),
     [
-        ("t [m],x,y,psi,Fx,Fy,Mz", r"'t \[m\]' in m, expected s, ms, us, ns"),
-        ("t,x [s],y,psi,Fx,Fy,Mz", r"'x \[s\]' in s, expected m, mm, cm"),
-        ("t,x,y,psi [m],Fx,Fy,Mz", r"'psi \[m\]' in m, expected rad, .*deg"),
-        ("t,x,y,psi,u_left,u_right,rate_left [V]", r"'rate_left \[V\]' in V, expected rad/s, deg/s, rpm"),
+        (
+            lambda: pm.identify(units("A", "A"), on_wheels(BODY).wheeled),
+            "left in A, expected N m: .* loads=",
+        ),
+        (
+            lambda: pm.identify(units("N m", "N m"), on_wheels(BODY)),
+            "left in N m, expected V: .* without elec",
+        ),
+        (lambda: pm.identify(replace(log(), units=("N", "N", "N"))), "Mz in N, expected N m: .* robot=None"),
+        (lambda: pm.identify_velocity(units("V", "V")), "speed in V, expected m/s: .* wheels with electric"),
     ],
 )
-def test_a_column_in_a_unit_of_another_quantity_is_refused(head: str, said: str, tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    path.write_text(lines_of(FEW, head))
-    with pytest.raises(pm.InvalidArgument, match=f"^columns has {said}"):
-        pm.Log.from_csv(path)
+def test_inputs_in_units_of_another_robot_are_refused(call: Any, said: str) -> None:
+    with pytest.raises(pm.InvalidArgument, match=f"^log has input {said}"):
+        call()
 
 
-def test_inputs_are_turned_into_si_and_refused_where_a_robot_takes_others(tmp_path: Path) -> None:
+def units(*names: str) -> pm.Log:
+    return replace(rolled(False), units=names)
+
+
+def test_columns_have_units_and_other_names(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
-    path.write_text(lines_of(FEW * [1, 1, 1, 1, 1e-3, 1e-3, 1e3], f"{HEAD[:9]},Fx [kN],Fy [kN],Mz [mN m]"))
-    read = pm.Log.from_csv(path)
+    path.write_text(lines_of(FEW * [1, 1, 1, 1, 1e-3, 1e-3, 1e3], "t,px,y,psi,Fx [kN],Fy [kN],Mz [mN m]"))
+    read = pm.Log.from_csv(path, {"q": ("px", "y", "psi")})
     np.testing.assert_allclose(read.u, FEW[:, 4:], atol=1e-5)  # nine digits of a kN
     assert read.units == ("N", "N", "N m")
-    assert pm.Log.from_csv(path, {"u": "Fx"}).between(0, 0.5).units == ("N",)
-    assert rolled(False).units == ()
     assert pm.Log.from_rollout(run_on_wheels()).units == ("V", "V")
-    for units, robot, said in (
-        (("A", "A"), on_wheels(BODY).wheeled, "left in A, expected N m: currents take loads="),
-        (
-            ("V", "V"),
-            on_wheels(BODY).wheeled,
-            "left in V, expected N m: volts take wheels with electric",
-        ),
-        (("N m", "N m"), on_wheels(BODY), "left in N m, expected V: torques take wheels without electric"),
-        (("N", "N m"), on_wheels(BODY).wheeled, "left in N, expected N m: forces take robot=None or a Mob"),
-    ):
-        with pytest.raises(pm.InvalidArgument, match=f"^log has input {said}"):
-            pm.identify(replace(rolled(False), units=units), robot)
-    with pytest.raises(pm.InvalidArgument, match=r"^log has input Mz in N, expected N m: forces take"):
-        pm.identify(replace(log(), units=("N", "N", "N")))
-    with pytest.raises(
-        pm.InvalidArgument, match=r"^units is \('N',\), expected 3, one for each input, or none$"
-    ):
-        replace(log(), units=("N",))
-    with pytest.raises(pm.InvalidArgument, match=r"^log has input speed in V, expected m/s: volts"):
-        pm.identify_velocity(replace(rolled(False), units=("V", "V")))
-
-
-@pytest.mark.parametrize(("factor", "said"), [(1.0, False), (1 / 500, True), (500.0, True)])
-def test_a_mass_that_is_implausible_for_the_size_is_questioned(factor: float, said: bool) -> None:
-    asked = [
-        n for n in pm.identify(changed(u=lambda u: factor * u), method="weak").notes if "implausible" in n
-    ]
-    assert bool(asked) == said
-    if said:
-        assert re.fullmatch(
-            r"a mass of \S+ kg with a radius of gyration of 0\.2\d m is implausible: robots have 20 to 20000 "
-            r"kg per square metre of it; are inputs in N and N m, positions in m\?",
-            asked[0],
-        )
-
-
-def test_columns_of_other_names_are_told_those_that_are_known_need_not_be(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    path.write_text(lines_of(FEW, "t,px,py,angle,Fx,Fy,Mz"))
-    np.testing.assert_allclose(pm.Log.from_csv(path, {"q": ("px", "py", "angle")}).u, FEW[:, 4:], atol=1e-8)
     path.write_text(turned("a,b,c,d"))
     told = pm.Log.from_csv(path, {"q": ("x", "y", "a", "b", "c", "d")}).q
     np.testing.assert_allclose(told, FEW[:, 1:4], atol=1e-8)  # type: ignore[arg-type]
+    for head, said in (
+        ("t [m],x,y,psi,Fx,Fy,Mz", r"'t \[m\]' in m, expected s, ms, us, ns"),
+        ("t,x,y,psi,u_left,u_right,rate_left [V]", r"'rate_left \[V\]' in V, expected rad/s, deg/s, rpm"),
+    ):
+        path.write_text(lines_of(FEW, head))
+        with pytest.raises(pm.InvalidArgument, match=f"^columns has {said}"):
+            pm.Log.from_csv(path)
 
 
-def test_a_header_of_many_columns_is_read_in_linear_time_and_told_in_short(tmp_path: Path) -> None:
+def test_a_header_of_many_columns_is_read_in_linear_time(tmp_path: Path) -> None:
     path, many = tmp_path / "run.csv", 40_000
     path.write_text("\n".join(["[," * many + "t", "0," * many + "0", "0," * many + "1"]))
     began = process_time()
     with pytest.raises(pm.InvalidArgument, match="none is known as that of"):
         pm.Log.from_csv(path)
     assert process_time() - began < 5  # of half a second, where quadratic time is some 20 s
-    path.write_text(
-        "\n".join([",".join(f"c{k}" for k in range(many + 1)), "0," * many + "0", "1," * many + "1"])
-    )
-    columns = {"t": "c0", "q": ["c1", "c2", "c3"], "u": ["force"]}
-    for given, text in ((None, r", c3, .* and 3\d,\d{3} more: none is"), (columns, r"3\d,\d{3} more$")):
-        with pytest.raises(PinmobileError, match=text) as refused:
-            pm.Log.from_csv(path, given)
-        assert len(str(refused.value)) < 5000
 
 
 def test_a_csv_of_wheels_has_their_rates(tmp_path: Path) -> None:
@@ -1012,10 +827,6 @@ def test_a_csv_of_wheels_has_their_rates(tmp_path: Path) -> None:
         (lines_of(FEW).replace("0.", "zero"), "whose column 't' holds no numbers but 'zero0+', expected"),
         ("a\0b", "which is no text, expected a CSV file"),
         ("#\n" + lines_of(FEW).partition("\n")[2], "whose columns are : none is known as that of t"),
-        (
-            lines_of(FEW, "t,\x1b[31mred,y,psi,a,b,c"),
-            r"whose columns are t, '\\x1b\[31mred', y, psi",
-        ),
         (lines_of(FEW, "time\u202e,x,y,psi,a,b,c"), r"whose columns are 'time\\u202e', x, "),
     ],
 )
@@ -1045,42 +856,27 @@ def test_a_bag_is_read_without_ros(kind: str, tmp_path: Path) -> None:
         pm.Log.from_bag(path, {"q": "/wrench", "u": "/wrench"})
 
 
-def stored(bag: Path) -> Path:
-    """Return the file of a bag that has the messages."""
-    return bag if bag.is_file() else next(each for each in bag.iterdir() if each.suffix != ".yaml")
-
-
 TOPICS = {"q": "/odom", "u": "/wrench", "twist": "/odom"}
 
 
-@pytest.mark.parametrize("kind", ["SQLITE3", "MCAP", "ros1"])
+@pytest.mark.parametrize("kind", ["SQLITE3", "MCAP"])
 def test_a_damaged_bag_is_told_as_such(kind: str, tmp_path: Path) -> None:
     pytest.importorskip("rosbags", reason="needs the extra bags")
     path = written_bag(tmp_path, kind)
-    file, rng, told = stored(path), np.random.default_rng(1), 0
+    file, rng, told = next(x for x in path.iterdir() if x.suffix != ".yaml"), np.random.default_rng(1), 0
     good = file.read_bytes()
-    # The header and page 2 of SQLite, the middle of a chunk and all of it, and anything else.
+    # The header and page 2 of SQLite, the middle of a chunk and all of it, zeros, and anything else.
     pages = [good[:20] + bytes(50) + good[70:], good[:4096] + bytes(64) + good[4160:]]
-    pages += [good[:-1000], good[:20], b"", *(damaged(good, rng) for _ in range(60))]
-    for content in pages:
+    pages += [good[:9000] + bytes(3000) + good[12000:], good[:-1000], good[:20], b""]
+    for content in [*pages, *(damaged(good, rng) for _ in range(20))]:
         file.write_bytes(content)
         found = answer(lambda: pm.Log.from_bag(path, TOPICS))
         if isinstance(found, FileError):
             assert str(found).startswith(f"path is {str(path)!r}, which is damaged or no bag: ")
             told += 1
-    assert told > 20
+    assert told > 10
     file.write_bytes(good)
     assert len(pm.Log.from_bag(path, TOPICS)) == 50
-
-
-def test_a_bag_that_lost_messages_is_damaged(tmp_path: Path) -> None:
-    pytest.importorskip("rosbags", reason="needs the extra bags")
-    path = written_bag(tmp_path, "MCAP")
-    file = stored(path)
-    good = file.read_bytes()
-    file.write_bytes(good[:9000] + bytes(3000) + good[12000:])  # zeros of which the reader makes nothing
-    with pytest.raises(FileError, match=r"damaged or no bag: '\d\d messages that the bag counts are gone'"):
-        pm.Log.from_bag(path, TOPICS)
 
 
 def written_bag(folder: Path, kind: str) -> Path:
@@ -1138,12 +934,21 @@ def messages(types: Any, at: int, q: Array, u: Array) -> dict[str, Any]:
     }
 
 
-def test_a_prediction_is_drawn_in_axes_of_its_own_or_in_given_ones() -> None:
-    foretold = found().predict(log(2))
-    figure = plots.prediction(foretold, width=7.0)
+def test_a_prediction_is_as_good_as_the_noise_and_is_drawn() -> None:
+    other = found().predict(log(2))
+    assert (other.rms > 0.9 * other.noise).all()
+    assert (other.rms < 3 * other.noise).all()
+    assert "noise" in str(other)
+    figure = plots.prediction(other, width=7.0)
     assert figure.get_size_inches()[0] == 7.0
-    assert len(figure.axes) == 6
-    other = plots.prediction(foretold, ax=figure.axes)
-    assert other is figure
+    assert plots.prediction(other, ax=figure.axes) is figure
     with pytest.raises(pm.InvalidArgument, match="ax is 2 Axes, expected 6, one for each panel"):
-        plots.prediction(foretold, ax=figure.axes[:2])
+        plots.prediction(other, ax=figure.axes[:2])
+
+
+@pytest.mark.parametrize("low", [-15.0, -1e9])
+def test_an_input_that_was_clipped_is_reported_and_its_intervals_are_not_valid(low: float) -> None:
+    clipped = pm.identify(changed(u=lambda u: np.column_stack([np.clip(u[:, 0], low, 15.0), u[:, 1:]])))
+    assert re.match(r"input Fx of log stays at -\S+ or 15, its extremes, in \d+% of", clipped.clipped)
+    assert clipped.clipped in clipped.notes
+    assert not clipped.is_noise

@@ -9,10 +9,8 @@ import pytest
 
 import pinmobile as pm
 from pinmobile import plots
-from pinmobile.arrays import Array
-from pinmobile.controllers import RandomSteps, Tracked, WheelSpeed
+from pinmobile.controllers import RandomSteps
 from pinmobile.identification import VELOCITY_ROBOTS, Identification
-from pinmobile.plant import Context
 
 pytestmark = pytest.mark.once
 
@@ -62,7 +60,7 @@ def test_without_noise_it_is_exact() -> None:
 def test_a_forgotten_delay_is_a_wrong_theta() -> None:
     wrong = pm.identify_velocity(logged(late=3), delay=0.0)
     assert abs(wrong.parameters["theta_1"] - ROBOT.theta[0]) > 0.1
-    assert any("what is left is correlated" in note for note in wrong.notes)
+    assert any("the residual is correlated" in note for note in wrong.notes)
 
 
 def test_where_the_axle_is_and_what_firmware_allows_are_found() -> None:
@@ -74,7 +72,7 @@ def test_where_the_axle_is_and_what_firmware_allows_are_found() -> None:
     one = pm.identify_velocity(logged(robot), accelerations=None)
     np.testing.assert_array_equal(one.robot().accelerations, one.values[-2:])
     plain = pm.identify_velocity(logged(robot))
-    assert any("what is left is correlated" in note for note in plain.notes)
+    assert any("the residual is correlated" in note for note in plain.notes)
 
 
 def test_outliers_and_lost_rows_are_left_out() -> None:
@@ -91,8 +89,7 @@ def test_outliers_and_lost_rows_are_left_out() -> None:
     assert np.abs(z).max() < 4
 
 
-@pytest.mark.parametrize("k", [1, 100, 500])
-@pytest.mark.parametrize("size", [0.3, 10.0])
+@pytest.mark.parametrize(("k", "size"), [(1, 10.0), (500, 0.3)])
 def test_one_pose_that_is_far_off_changes_nothing(k: int, size: float) -> None:
     """No segment has the first poses, and what the fit begins with does."""
     robot = VELOCITY_ROBOTS["robulab_10"]
@@ -108,7 +105,7 @@ def test_one_pose_that_is_far_off_changes_nothing(k: int, size: float) -> None:
 
 def test_a_table_says_it_all() -> None:
     told = str(found())
-    for words in ("theta_6", "95 % ", "delay", "left by the model: speed", "theta_3 may as well be zero"):
+    for words in ("theta_6", "95 % ", "delay", "residual: speed", "theta_3 may as well be zero"):
         assert words in told
     assert "where a loop whose motors lose anything has more than 1" in told  # 0.9965 +- 0.001
     assert repr(found()).startswith("<Identification: theta_1 0.26")
@@ -154,88 +151,6 @@ def test_draws_are_as_wide_as_intervals_and_are_a_spread() -> None:
     assert runs.max_error[:, :2].max() < 0.01
 
 
-class Stepping:
-    """A kinematic law that asks for random steps."""
-
-    def __init__(self, steps: RandomSteps) -> None:
-        self.steps = steps
-
-    def initial_state(self, context: Context) -> Any:
-        return self.steps.initial_state(context), np.zeros(2)
-
-    def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
-        return
-
-    def __call__(self, tracked: Tracked, state: Any) -> tuple[tuple[Any, Any], Any]:
-        nothing: Any = np.zeros(3)
-        (speed, w), inner = self.steps(0.0, nothing, nothing, nothing, state[0])
-        return (speed, w), (inner, np.stack([speed, w]))
-
-
-class Told:
-    """`WheelSpeed` that tells what it was commanded."""
-
-    def __init__(self, inner: WheelSpeed) -> None:
-        self.controller = inner
-
-    def initial_state(self, context: Context) -> Any:
-        return self.controller.initial_state(context)
-
-    def applied(self, u: Array, state: Any) -> Any:
-        return self.controller.applied(u, state)
-
-    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
-        return self.controller(t, q, v, reference, state)
-
-    def signals(self, state: Any) -> dict[str, Any]:
-        return {"speed": ("m/s", state[0][1][0]), "yaw rate": ("rad/s", state[0][1][1])}
-
-
-MOTORS = pm.WheeledRobot(
-    pm.MobileRobot(30.0, 2.3, com=(0.06, 0.0, 0.2)),
-    pm.WheelTable.differential(
-        0.5,
-        0.1,
-        motor=pm.Motor(resistance=1.2, torque_constant=0.03, voltage=200.0, gear=20.0, viscous=2e-5),
-        supports=[(-0.2, 0.0), (0.2, 0.0)],
-        mass=1.0,
-        spin_inertia=0.01,
-        yaw_inertia=0.006,
-    ),
-)
-
-
-@cache
-def of_motors(ki: float) -> pm.Log:
-    """Return the log of a robot with motors and firmware, all of it simulated."""
-    robot = MOTORS.by_voltage()
-    still = pm.FixedHeading(pm.Hold((0, 0), 60.0), 0.0)
-    controller = Told(WheelSpeed(Stepping(RandomSteps(seed=2)), robot, 0.8, ki))
-    run = pm.simulate(robot, controller, still, dt=0.005, engine=pm.Engine.COMPILED)
-    commands = np.stack([run.signals[name].values for name in ("speed", "yaw rate")], axis=-1)
-    rng = np.random.default_rng(8)
-    poses = run.q[::16, :3] + 1e-3 * rng.normal(size=(len(run.q[::16]), 3))
-    held = commands[:-1].reshape(-1, 16, 2).mean(axis=1)
-    return pm.Log(run.t[::16], poses, np.vstack([held, held[-1:]]))
-
-
-def test_a_log_of_motors_and_firmware_tells_the_theta_of_their_formulas() -> None:
-    expected, one = pm.VelocityRobot.from_motors(MOTORS, 0.8), pm.identify_velocity(of_motors(0.0))
-    # Firmware that samples every 5 ms sees rates late by half of it: kp exp(-s h / 2) = kp - kp s h / 2.
-    off = one.theta - expected.theta + np.array([0.0025, 0.0025, 0, 0, 0, 0])
-    errors = np.array([one.standard_errors[name] for name in one.names[:6]])
-    assert (np.abs(off) < 4 * errors).all()
-    assert abs(one.delay) < 4 * one.standard_errors["delay"]
-    assert one.explained > 0.995  # of what is no straight line; the rest is noise
-
-
-def test_firmware_with_an_integral_has_a_theta_that_comes_near() -> None:
-    one = pm.identify_velocity(of_motors(1.0))
-    assert one.explained > 0.97
-    # An integral leaves no steady error.
-    np.testing.assert_allclose(one.theta[[3, 5]], 1.0, rtol=0, atol=0.08)
-
-
 def changed(log: pm.Log, **new: Any) -> pm.Log:
     return pm.Log(**{**{name: getattr(log, name) for name in ("t", "q", "u", "twist")}, **new})
 
@@ -267,11 +182,7 @@ def changed(log: pm.Log, **new: Any) -> pm.Log:
             lambda: pm.identify_velocity(logged(), accelerations=(1, 1, 1)),
             r"accelerations has shape",
         ),
-        (
-            lambda: found().spread(10**12),
-            "1,000,000,000,000 draws take .* GB, expected at most .*: draw fewer",
-        ),
-        (lambda: pm.identify_velocity(logged(), seconds=0.1), "seconds is 0.1 s, expected >= 0.3"),
+        (lambda: found().predict(logged(), 0.1), "seconds is 0.1 s, expected >= 0.3"),
         (lambda: pm.identify_velocity([logged(), logged(pose=True)]), "a twist, and another one a pose"),
         (lambda: found().interval(1.0), "level is 1.0, expected 0 < level < 1"),
         (lambda: found().predict(logged(pose=True)), "a twist, and another one a pose"),
@@ -291,7 +202,9 @@ def test_a_motion_that_tells_too_little_is_told_in_words() -> None:
     twist = np.stack([speed, 0 * speed, 0 * speed], axis=-1)
     twist = twist + 0.005 * np.random.default_rng(1).normal(size=twist.shape) * [1, 0, 1]
     one = pm.identify_velocity(pm.Log(run.t, None, run.u, twist=twist))
-    assert [name for name, seen in one.is_seen.items() if not seen] == [f"theta_{k}" for k in (2, 3, 5, 6)]
+    assert [name for name, seen in one.is_identifiable.items() if not seen] == [
+        f"theta_{k}" for k in (2, 3, 5, 6)
+    ]
     assert one.unseen == "the motion tells nothing of theta_2, theta_3, theta_5, theta_6: rank 3 of 7"
     assert np.isinf(one.interval()["theta_2"]).all()
     assert abs(one.parameters["theta_1"] - ROBOT.theta[0]) < 4 * one.standard_errors["theta_1"]
@@ -308,23 +221,15 @@ OTHERS = (
 UNITS = "expected about 1: are commands in m/s and rad/s"
 
 
-def shuffled(log: pm.Log) -> pm.Log:
-    return changed(log, u=np.random.default_rng(1).permutation(log.u))
-
-
-@pytest.mark.parametrize("pose", [False, True])
 @pytest.mark.parametrize(
-    ("change", "why"),
+    ("change", "why", "pose"),
     [
-        (lambda log: measured(log, [1, 1, -1]), OTHERS),
-        (lambda log: measured(log, [-1, 1, 1]), OTHERS),
-        (lambda log: changed(log, u=log.u[:, ::-1]), OTHERS),
-        (shuffled, OTHERS),
-        (lambda log: changed(log, u=log.u * [1e3, 1]), f"theta_4, command per steady speed, of .*, {UNITS}"),
-        (
-            lambda log: changed(log, u=log.u * [1, 57.3]),
-            f"theta_6, command per steady yaw rate, of .*{UNITS}",
-        ),
+        (lambda log: changed(log, twist=log.twist * [1, 1, -1]), OTHERS, False),
+        (lambda log: changed(log, q=log.q * [-1, 1, 1]), OTHERS, True),
+        (lambda log: changed(log, u=log.u[:, ::-1]), OTHERS, False),
+        (lambda log: changed(log, u=np.random.default_rng(1).permutation(log.u)), OTHERS, True),
+        (lambda log: changed(log, u=log.u * [1e3, 1]), f"theta_4, command per .*, {UNITS}", False),
+        (lambda log: changed(log, u=log.u * [1, 57.3]), f"theta_6, command per .*{UNITS}", True),
     ],
 )
 def test_what_commands_do_not_explain_is_refused(change: Any, why: str, pose: bool) -> None:
@@ -344,10 +249,3 @@ def test_what_runs_away_is_refused_in_words() -> None:
     one = pm.identify_velocity(log)
     with pytest.raises(pm.InvalidArgument, match=OTHERS):
         one.predict(changed(log, u=log.u * [1e3, 1]))
-
-
-def measured(log: pm.Log, times: Any) -> pm.Log:
-    if log.q is not None:
-        return changed(log, q=log.q * times)
-    assert log.twist is not None
-    return changed(log, twist=log.twist * times)

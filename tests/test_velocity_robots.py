@@ -11,7 +11,7 @@ import sympy
 import pinmobile as pm
 from pinmobile import parts
 from pinmobile.arrays import Array
-from pinmobile.controllers import Kanayama, RandomSteps, Tracked, VelocityCommand, WheelSpeed
+from pinmobile.controllers import Kanayama, RandomSteps, Tracked, VelocityCommand
 from pinmobile.identification import VELOCITY_ROBOTS
 from pinmobile.parts import evolved
 from pinmobile.plant import Context
@@ -79,7 +79,7 @@ def test_the_acceleration_is_the_derivative_of_the_velocity() -> None:
         np.testing.assert_allclose(found, expected(*nu, q[2], 0.15, *command, *THETA), rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("robot", VELOCITY_ROBOTS.values(), ids=list(VELOCITY_ROBOTS))
+@pytest.mark.parametrize("robot", [VELOCITY_ROBOTS["pioneer_3dx"], pm.VelocityRobot(THETA, ahead=0.1)])
 def test_commands_are_the_inverse_and_linear_in_theta(robot: pm.VelocityRobot) -> None:
     rng = np.random.default_rng(2)
     q, nu, rates = rng.normal(size=(50, 3)), rng.normal(size=(50, 2)), rng.normal(size=(50, 2))
@@ -159,43 +159,6 @@ def test_theta_of_motors_is_the_reduced_dynamics_of_the_wheeled_robot(
         np.testing.assert_allclose(robot.rates(own.nu, u), expected, rtol=0, atol=1e-10)
 
 
-def test_theta_of_motors_is_what_the_wheeled_robot_does() -> None:
-    """Firmware samples: what differs falls with dt, and is nothing at dt = 0."""
-    wheeled = on_wheels().by_voltage()
-    robot = pm.VelocityRobot.from_motors(wheeled, KP)
-    controller, off = WheelSpeed(Fed(), wheeled, KP), []
-    for dt in (0.004, 0.002):
-        options: Any = {"dt": dt, "engine": pm.Engine.COMPILED}
-        full = pm.simulate(wheeled, controller, Waves(), q0=np.zeros(5), v0=np.zeros(5), **options)
-        command = VelocityCommand(Fed(), robot)
-        short = pm.simulate(robot, command, Waves(), q0=np.zeros(3), v0=np.zeros(3), **options)
-        off.append((full.q[:, :3] - short.q)[:: round(0.004 / dt)])
-    first, second = (np.abs(each).max() for each in off)
-    assert first < 1e-3
-    assert 1.9 < first / second < 2.1
-    assert np.abs(2 * off[1] - off[0]).max() < 1e-2 * second
-
-
-def test_what_theta_cannot_hold_is_told() -> None:
-    motor = evolved(MOTOR, coulomb=0.01, current=10.0)
-    robot = pm.VelocityRobot.from_motors(on_wheels(motor=motor, com=(0.06, 0.02, 0.2)), KP)
-    for word in ("dry friction", "limits of 1000 V and 10 A", "centre of mass 0.02 m aside"):
-        assert word in robot.source
-    assert robot.problems == ()
-
-
-def test_physics_leaves_its_mark_on_theta() -> None:
-    one, two, three, four, five, six = pm.VelocityRobot.from_motors(on_wheels(), KP).theta
-    kT, kR, d = KP / 0.1, KP * 0.5 / 0.2, 0.5
-    assert three / five == pytest.approx(d * kR / (2 * kT))
-    assert (six - 1) / (four - 1) == pytest.approx(d * kT / (2 * kR))
-    heavier = pm.WheeledRobot(pm.MobileRobot(37.0, 2.3, com=(0.06, 0.0, 0.2)), on_wheels().table)
-    more = pm.VelocityRobot.from_motors(heavier, KP).theta
-    by = 1.2 / (20.0 * 0.03)  # ohm A/(N m)
-    assert more[0] - one == pytest.approx(by * 0.1 * 7.0 / (2 * kT))
-    assert (one, two, four, six) > (0, 0, 1, 1)
-
-
 @pytest.mark.parametrize(
     ("made", "why"),
     [
@@ -210,10 +173,8 @@ def test_physics_leaves_its_mark_on_theta() -> None:
             "other wheels or motors",
         ),
         (lambda: pm.VelocityRobot.from_motors(on_wheels().mount("ur5"), 1.0), "wheeled has arms"),
-        (lambda: VelocityCommand(3, pm.VelocityRobot(THETA)), "law is 3, expected a kinematic law"),
         (lambda: VelocityCommand(pm.UnicycleTracking(), pm.MobileRobot.box()), "expected a VelocityRobot"),
         (lambda: RandomSteps(hold=(0.0, 1.0)), "hold is 0.0 s, expected > 0"),
-        (lambda: RandomSteps(hold=(2.0, 1.0)), "expected 0 < shortest <= longest"),
         (lambda: RandomSteps((1.0, 0.0), (0.0, 1.0)), "largest is .*, expected at least lowest"),
     ],
 )
@@ -251,24 +212,6 @@ def test_backstepping_knows_how_late_the_firmware_is(law: Any) -> None:
     assert knowing < 1e-6
 
 
-def test_a_wrong_theta_costs_what_it_is_wrong_by() -> None:
-    robot, circle = pm.VelocityRobot(THETA), pm.Tangent(pm.Circle(1.0, 0.5, 10.0))
-    runs = pm.ensemble(
-        robot,
-        pm.Backstepping(pm.UnicycleTracking(), robot),
-        circle,
-        n=40,
-        spread={
-            "theta.theta_1": pm.Uniform(0.2, 0.3),
-            "theta.theta_4": pm.Uniform(1.0, 1.2),
-            "controller.theta.theta_6": pm.Uniform(1.1, 1.3),
-        },
-        dt=0.05,
-    )
-    assert runs.engine == pm.Engine.COMPILED.name
-    assert 1e-3 < runs.max_error[:, :2].max() < 0.1
-
-
 def test_random_steps_are_independent_and_within_their_bounds() -> None:
     robot, still = pm.VelocityRobot(THETA), pm.FixedHeading(pm.Hold((0, 0), 200.0), 0.0)
     run, again, other = (
@@ -301,7 +244,7 @@ def test_published_robots_say_where_they_come_from_and_what_they_break() -> None
 
 def test_it_is_one_value() -> None:
     robot = pm.VelocityRobot(THETA, ahead=0.1, limits=(0.8, np.inf), accelerations=1.0, source="a test")
-    for twin in (pickle.loads(pickle.dumps(robot)), evolved(robot), pm.VelocityRobot(**vars_of(robot))):
+    for twin in (pickle.loads(pickle.dumps(robot)), evolved(robot)):
         assert twin == robot
         assert hash(twin) == hash(robot)
     assert repr(robot) == (
@@ -314,12 +257,6 @@ def test_it_is_one_value() -> None:
     drive = Mobility.of(pm.WheelTable.differential(0.5, 0.1))
     assert (robot.mobility.mobility, robot.mobility.steerability) == (drive.mobility, drive.steerability)
     assert pm.VelocityRobot.integrator is pm.rk4
-
-
-def vars_of(robot: pm.VelocityRobot) -> dict[str, Any]:
-    return {
-        name: getattr(robot, name) for name in ("theta", "ahead", "limits", "accelerations", "size", "source")
-    }
 
 
 def test_the_viewer_draws_it_on_its_axle() -> None:

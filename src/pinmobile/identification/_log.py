@@ -19,7 +19,6 @@ from pinmobile.arrays import (
     increasing,
     instance,
     real,
-    representable,
     scalar,
     seeded,
     sequence,
@@ -27,103 +26,10 @@ from pinmobile.arrays import (
     whole,
 )
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.identification.logfiles import read_bag, read_csv
+from pinmobile.identification._files import read_bag, read_csv
+from pinmobile.identification._log_rows import check_pose, check_times, held_integrals, lost_rows, step
 from pinmobile.loop import Rollout
 from pinmobile.plant import coordinates_of, inputs_of
-
-_HOLE = 3  # rows in a row that may be lost, with their inputs
-_BRIDGED = 0.3  # [s] of rows without a measurement, half a window of the weak form: over more it is a guess
-_LONGEST_STEP = 5.0  # [s]; times of longer steps are no seconds
-_FASTEST = 60.0  # [m/s]; positions that change faster are no metres
-_HELD, _OFTEN = 1.0, 20  # [s] for which a pose may be that of a slower sensor, and how often it must be
-_EVENLY = 0.9  # of these
-_FASTEST_TURN = 12.0  # [rad/s], two turns a second; what turns faster is told in degrees
-_WINDOW = 0.25  # [s] over which speeds are looked at, so that noise is none
-
-
-def step(t: Array) -> float:
-    """Return the time between two samples: the mean of the steps that lack none."""
-    steps = np.diff(t)
-    return float(steps[steps < 1.5 * np.median(steps)].mean())
-
-
-def lost_rows(given: Mapping[str, Array]) -> dict[str, NDArray[np.bool_]]:
-    """Return which rows have NaN, by the part of the log."""
-    return {name: np.array(np.isnan(x).reshape(len(x), -1).any(axis=1)) for name, x in given.items()}
-
-
-def _any_of(lost: Mapping[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
-    """Return which rows have NaN in any part of the log."""
-    return np.asarray(np.logical_or.reduce(list(lost.values())))
-
-
-def _check_times(rows: Array, kept: NDArray[np.int_], lost: Mapping[str, NDArray[np.bool_]]) -> None:
-    """Refuse times that do not increase, are of another unit, or lack too many rows in a row.
-
-    Parameters
-    ----------
-    rows : ndarray, shape (N,)
-        All times.
-    kept : ndarray of int
-        Those whose input is known too.
-    lost : mapping of str to ndarray of bool, shape (N,)
-        Where there is NaN, by the part of the log.
-    """
-    there = kept[~_any_of(lost)[kept]]
-    if len(there) < 2:
-        raise InvalidArgument(f"t has {len(there)} times without NaN in their rows, expected more")
-    increasing("t", rows[kept])
-    usual = float(np.median(np.diff(rows[kept])))
-    if usual > _LONGEST_STEP:
-        raise InvalidArgument(f"t has steps of {usual:g} s, expected seconds: are these milliseconds?")
-    applied = {name: lost[name] for name in ("t", "u")}
-    bridged = max(_HOLE, round(_BRIDGED / usual))
-    for at, parts, most, why in (
-        (kept, applied, _HOLE, "what was applied meanwhile is not known"),
-        (there, lost, bridged, f"over more than {_BRIDGED} s what is bridged is a guess"),
-    ):
-        worst = int(np.diff(rows[at]).argmax())
-        (start, stop), (first, last) = rows[at[[worst, worst + 1]]], at[[worst, worst + 1]]
-        if stop - start <= (most + 1.5) * usual:
-            continue
-        count = {name: int(each[first + 1 : last].sum()) for name, each in parts.items()}
-        name = max(count, key=lambda each: count[each])
-        what = f"{name} has {count[name]} rows of NaN in a row" if count[name] else "t has a gap"
-        raise InvalidArgument(
-            f"{what}, between {start:g} and {stop:g} s, expected {most} rows at most: {why}; cut the log "
-            "there, identify takes several"
-        )
-
-
-def _check_pose(t: Array, q: Array) -> None:
-    """Refuse poses of a slower sensor, which stand in several rows each, and those of other units."""
-    apart, dt = max(1, round(_WINDOW / step(t))), step(t)
-    if len(t) <= apart:
-        return
-    lasts = np.diff(np.flatnonzero((np.diff(q, axis=0) != 0).any(axis=1)))
-    held = lasts[lasts * dt < _HELD]  # longer is a robot that stands
-    usual = float(np.median(held)) if len(held) > _OFTEN else 1.0
-    if usual > 1 and (np.abs(held - usual) <= 1).mean() > _EVENLY:
-        raise InvalidArgument(
-            f"q has each pose in {usual:g} rows, of {dt:.3g} s each, expected it once, and NaN in rows "
-            "where none was measured, or Log.from_streams"
-        )
-    span, psi = t[apart:] - t[:-apart], q[:, 2]
-    speed = np.median(np.hypot(*(q[apart:, :2] - q[:-apart, :2]).T) / span)
-    if speed > _FASTEST:
-        raise InvalidArgument(
-            f"q moves at {speed:.3g} m/s most of the time, expected metres: are these centimetres or "
-            "millimetres?"
-        )
-    whole_turns = (steps := np.abs(np.diff(psi)))[steps > 1.9 * np.pi]
-    turn, plain = (np.abs(each[apart:] - each[:-apart]) / span for each in (np.unwrap(psi), psi))
-    fast = max(np.median(turn), np.quantile(plain, 0.9)) > _FASTEST_TURN
-    if np.median(whole_turns) > 4 * np.pi if whole_turns.size else fast:
-        raise InvalidArgument(
-            f"q has psi from {psi.min():.4g} to {psi.max():.4g}, which turns at "
-            f"{np.quantile(plain, 0.9):.3g} rad/s and more, expected radians: are these degrees?"
-        )
-
 
 _POSE = 3  # x, y, psi
 
@@ -212,28 +118,23 @@ class Log:
             if name != "t":
                 width = _POSE if name in ("q", "twist") else "k>=1"
                 shaped(name, array, (len(t), width), words=", a row for each time")
-        if len(self.units) not in (0, given["u"].shape[1]):
-            raise InvalidArgument(
-                f"units is {shown(self.units)}, expected {given['u'].shape[1]}, one for each input, or none"
-            )
         if not {"q", "twist"} & set(given):
             raise InvalidArgument("q is None, and there is no twist, expected one of them: what was measured")
+        for name in given:
+            if lost_rows({name: given[name]}).all():
+                raise InvalidArgument(f"{name} has {len(t)} rows, and NaN in each, expected rows without")
         lost = lost_rows(given)
-        bad = _any_of(lost)
-        if bad.all():
-            worst = max(lost, key=lambda name: int(lost[name].sum()))
-            raise InvalidArgument(f"{worst} has {len(t)} rows, and NaN in each, expected rows without")
-        first, last = np.flatnonzero(~bad)[[0, -1]]
-        kept = np.flatnonzero(~lost["t"] & ~lost["u"])
-        kept = kept[(kept >= first) & (kept <= last)]
-        _check_times(t, kept, lost)
-        object.__setattr__(self, "dropped", self.dropped + int(bad.sum()))
-        given, seen = {name: array[kept] for name, array in given.items()}, ~bad[kept]
+        known = np.flatnonzero(~lost_rows({"t": t, "u": given["u"]}))
+        there = np.flatnonzero(~lost)
+        kept = known[(known >= there[0]) & (known <= there[-1])] if there.size else there
+        check_times(given, kept, lost)
+        object.__setattr__(self, "dropped", self.dropped + int(lost.sum()))
+        given, seen = {name: array[kept] for name, array in given.items()}, ~lost[kept]
         for name, array in given.items():
             finite(name, np.where(np.isnan(array), 0.0, array))
         if "q" in given:
             q = given["q"] = np.array(given["q"])
-            _check_pose(given["t"][seen], q[seen])
+            check_pose(given["t"][seen], q[seen])
             q[seen, 2] = np.unwrap(q[seen, 2])
             q[~seen] = np.nan
         for name, array in given.items():
@@ -274,7 +175,7 @@ class Log:
         """Return it on times of equal steps: what jitters is interpolated, what is lost is told."""
         dt, given = self.dt, self._given()
         t, u = given.pop("t") - self.t[0], given.pop("u")
-        there = ~_any_of(lost_rows(given))
+        there = ~lost_rows(given)
         steps = np.rint(t / dt).astype(int)
         grid = dt * np.arange(steps[-1] + 1)
         seen = np.zeros(len(grid), bool)
@@ -291,7 +192,7 @@ class Log:
     def from_streams(
         cls,
         t_q: ArrayLike,
-        q: ArrayLike,
+        q: ArrayLike | None,
         t_u: ArrayLike,
         u: ArrayLike,
         *,
@@ -305,7 +206,7 @@ class Log:
         Parameters
         ----------
         t_q, q : array_like, shape (N,), (N, 3)
-            Times [s] and poses.
+            Times [s] and poses; None where only the twist was measured.
         t_u, u : array_like, shape (M,), (M, nu)
             Times [s] and inputs.
         twist, wheel_rates : array_like, shape (N, ...), optional
@@ -316,11 +217,13 @@ class Log:
         InvalidArgument
             As of the class; and if the times overlap so little that they are of two clocks.
         """
-        poses, inputs = real("q", q), real("u", u)
-        times = {name: finite(name, x) for name, x in (("t_q", t_q), ("t_u", t_u))}
-        for (name, t), (other, x) in zip(times.items(), (("q", poses), ("u", inputs)), strict=True):
-            increasing(name, t)
-            shaped(other, x, (len(t), "k"), words=f", as {name} has")
+        given: dict[str, Array] = {}
+        poses: dict[str, Any] = {"q": q, "twist": twist, "wheel_rates": wheel_rates}
+        times = {"t_q": finite("t_q", t_q), "t_u": finite("t_u", t_u)}
+        for time, parts in (("t_q", poses), ("t_u", {"u": u})):
+            increasing(time, times[time])
+            words, found = f", as {time} has", {n: real(n, x) for n, x in parts.items() if x is not None}
+            given |= {n: shaped(n, x, (len(times[time]), "k"), words=words) for n, x in found.items()}
         t, held = times.values()
         first, last = max(t[0], held[0]), min(t[-1], held[-1])
         if last - first < 0.5 * (t[-1] - t[0]):
@@ -328,16 +231,12 @@ class Log:
                 f"t_u is from {held[0]:.9g} to {held[-1]:.9g} s and t_q from {t[0]:.9g} to {t[-1]:.9g} s, "
                 "which overlap by less than half: two clocks, expected one; subtract what one is ahead"
             )
-        kept = (t >= first) & (t <= held[-1])
-        t = t[kept]
-        edges, lost = np.append(t, t[-1] + step(t)), np.isnan(inputs).any(axis=1, keepdims=True)
-        mean = held_integrals(held, np.where(lost, 0.0, inputs), edges) / np.diff(edges)[:, None]
-        mean[held_integrals(held, np.where(lost, 1.0, 0.0), edges)[:, 0] > 0] = np.nan
-        rows = {}
-        for name, given in (("twist", twist), ("wheel_rates", wheel_rates)):
-            if given is not None:
-                rows[name] = shaped(name, real(name, given), (len(kept), "k"), words=", as t_q has")[kept]
-        return cls(t, poses[kept], mean, **rows)
+        inputs, kept = given.pop("u"), (t >= first) & (t <= held[-1])
+        edges = np.append(t[kept], t[kept][-1] + step(t[kept]))
+        mean = held_integrals(held, np.nan_to_num(inputs), edges) / np.diff(edges)[:, None]
+        gone = np.isnan(inputs).any(axis=1, keepdims=True)
+        mean[held_integrals(held, gone.astype(float), edges)[:, 0] > 0] = np.nan
+        return cls(t[kept], u=mean, **{"q": None} | {name: x[kept] for name, x in given.items()})
 
     @classmethod
     def from_rollout(
@@ -373,22 +272,18 @@ class Log:
             another shape.
         """
         instance("rollout", rollout, Rollout, "a Rollout")
-        late = whole("delay", delay, least=0, most=len(rollout) - 2)
-        generator, u = seeded("seed", seed), rollout.u
-        sigma = {
-            name: bounded(name, shaped(name, finite(name, value), (), (size,)), least=0)
-            for name, value, size in (("noise", noise, _POSE), ("input_noise", input_noise, u.shape[1]))
-        }
-        names = [one.name for one in coordinates_of(rollout.plant)]
-        wheels = [names.index(one.name) for one in inputs_of(rollout.plant) if one.name in names]
-        q, end = np.array(rollout.poses), len(rollout) - late
-        with np.errstate(all="ignore"):
-            q = q[:end] + sigma["noise"] * generator.standard_normal((end, _POSE))
-            told = u[late:] + sigma["input_noise"] * generator.standard_normal((end, u.shape[1]))
-        representable("a pose or an input with its noise", np.append(q, told))
-        units = tuple(one.unit for one in inputs_of(rollout.plant))
+        late, plant = whole("delay", delay, least=0, most=len(rollout) - 2), rollout.plant
+        generator, end = seeded("seed", seed), len(rollout) - late
+
+        def noisy(name: str, deviation: ArrayLike, values: Array) -> Array:
+            size = bounded(name, shaped(name, finite(name, deviation), (), values.shape[1:]), least=0)
+            return values + size * generator.standard_normal(values.shape)
+
+        q, u = noisy("noise", noise, rollout.poses[:end]), noisy("input_noise", input_noise, rollout.u[late:])
+        names, inputs = [one.name for one in coordinates_of(plant)], inputs_of(plant)
+        wheels = [names.index(one.name) for one in inputs if one.name in names]
         rates = rollout.v[:end, wheels] if wheels else None
-        return cls(rollout.t[late:], q, told, None, rates, units=units)
+        return cls(rollout.t[late:], q, u, None, rates, units=tuple(one.unit for one in inputs))
 
     @classmethod
     def from_csv(
@@ -424,40 +319,36 @@ class Log:
         return cls(times, parts.pop("q", None), parts.pop("u"), **parts, dropped=short, units=units)
 
     @classmethod
-    def from_bag(
-        cls, path: str | PathLike[str], topics: Mapping[str, str], *, stamps: str = "header"
-    ) -> Self:
+    def from_bag(cls, path: str | PathLike[str], topics: Mapping[str, str]) -> Self:
         """Return the log of a ROS 1 or ROS 2 bag, or of an MCAP file; ROS itself is not needed.
+
+        Times are those of the messages' headers where they have any, otherwise of arrival.
 
         Parameters
         ----------
         path : str or path-like
             A file ``.bag`` or ``.mcap``, or the folder of a bag of ROS 2.
         topics : mapping of str to str
-            Topics of ``q`` and ``u``, and of ``twist`` and ``wheel_rates`` where they are wanted: odometry,
-            poses and transforms tell a pose; wrenches, twists (forward, yaw rate), efforts of joints and
-            arrays of numbers an input.
-        stamps : str
-            ``"header"``: the times that messages have, where they have any; ``"bag"``: those of arrival.
+            Topics of ``q`` and ``u``, and optionally of ``twist`` and ``wheel_rates``: poses are odometry,
+            poses and transforms; inputs are wrenches, twists (forward, yaw rate), efforts of joints and
+            arrays of numbers.
 
         Raises
         ------
         InvalidArgument
-            If rosbags is not installed, there is no such bag, a topic's messages tell something else, or as
+            If rosbags is not installed, there is no such bag, a topic has messages of another type, or as
             of `from_streams`.
         FileError
-            If the bag is damaged, as far as its structure and the CRCs of its chunks tell.
+            If the bag is damaged, as far as its structure and the CRCs of its chunks show.
         UnknownName
             If the bag has no such topic: the message lists those it has.
         """
-        streams = read_bag(path, topics, stamps)
-        t, first = streams["q"] if "q" in streams else streams["twist"]
-        others = {n: streams[n] for n in ("twist", "wheel_rates") if n in streams}
-        measured: dict[str, Array] = {name: _interpolated(*each, t) for name, each in others.items()}
-        held = cls.from_streams(
-            t, first if "q" in streams else np.zeros((len(t), 3)), *streams["u"], **measured
-        )
-        return held if "q" in streams else cls(held.t, None, held.u, held.twist, held.wheel_rates)
+        streams = read_bag(path, topics)
+        (t_u, u), (t, _) = streams.pop("u"), streams["q" if "q" in streams else "twist"]
+        rows = {
+            name: _interpolated(*each, t) if each[0] is not t else each[1] for name, each in streams.items()
+        }
+        return cls.from_streams(t, rows.pop("q", None), t_u, u, **rows)
 
 
 def logs_of(log: object) -> list[Log]:
@@ -474,51 +365,23 @@ def logs_of(log: object) -> list[Log]:
     logs = [log] if isinstance(log, Log) else [*sequence("log", log, expected)]
     if not logs or not all(isinstance(each, Log) for each in logs):
         raise InvalidArgument(f"log is {shown(log)}, expected {expected}")
-    for k, each in enumerate(logs):
-        same = next((j for j in range(k) if _are_same(logs[j]._given(), each._given())), None)
-        if same is not None:
-            raise InvalidArgument(
-                f"log[{k}] has the numbers of log[{same}], expected another run: one that counts twice makes "
-                "intervals too narrow"
-            )
     return logs
 
 
-def _are_same(one: Mapping[str, Array], other: Mapping[str, Array]) -> bool:
-    same = (np.array_equal(one[n], other[n], equal_nan=True) for n in one if n in other)
-    return one.keys() == other.keys() and all(same)
-
-
-_INSTEAD = {
-    "N": "forces take robot=None or a MobileRobot",
-    "N m": "torques take wheels without electric motors",
-    "V": "volts take wheels with electric motors, or by_voltage()",
-    "A": "currents take loads=[None, load], which tell the torque per ampere; or multiply by it",
-    **dict.fromkeys(("m/s", "rad/s"), "commands of speed and yaw rate take identify_velocity"),
+_TAKEN_BY = {  # functions and arguments for inputs of a unit
+    "N": "robot=None or a MobileRobot",
+    "N m": "wheels without electric motors",
+    "V": "wheels with electric motors",
+    "A": "loads=[None, load], which identify the torque per ampere",
+    **dict.fromkeys(("m/s", "rad/s"), "identify_velocity"),
 }
-# What inputs of a unit are to be given to.
 
 
 def check_units(log: Log, name: str, expected: Mapping[str, str], also: str = "") -> None:
-    """Refuse inputs whose unit is not that of the robot's.
-
-    Parameters
-    ----------
-    log, name : Log, str
-        The log, and what messages call it.
-    expected : mapping of str to str
-        Units of the robot's inputs by name.
-    also : str
-        Another unit that each may have.
-
-    Raises
-    ------
-    InvalidArgument
-        If one is; the message says what takes it.
-    """
+    """Refuse inputs whose unit is neither that of the robot's, by name, nor another that each may have."""
     for unit, (one, wanted) in zip(log.units, expected.items(), strict=False):
         if unit not in ("", wanted, also):
-            why = _INSTEAD.get(unit, "are columns mixed up?")
+            why = f"such inputs take {_TAKEN_BY[unit]}" if unit in _TAKEN_BY else "are columns mixed up?"
             raise InvalidArgument(f"{name} has input {one} in {unit}, expected {wanted}: {why}")
 
 
@@ -531,10 +394,3 @@ def check_steps(steps: Sequence[float]) -> None:
 
 def _interpolated(t: Array, columns: Array, grid: Array) -> Array:
     return np.column_stack([np.interp(grid, t, column) for column in columns.T])
-
-
-def held_integrals(t: Array, u: Array, edges: Array) -> Array:
-    """Return the integrals between edges of values u each of which holds from its time on."""
-    spent = np.vstack([np.zeros(u.shape[1]), np.cumsum(u[:-1] * np.diff(t)[:, None], axis=0)])
-    k = np.clip(np.searchsorted(t, edges, side="right") - 1, 0, len(t) - 1)
-    return np.asarray(np.diff(spent[k] + u[k] * (edges - t[k])[:, None], axis=0))

@@ -18,9 +18,9 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
-from pinmobile.identification.model import PlanarModel
-from pinmobile.identification.preprocessing import PreprocessedLog, mean_inputs
-from pinmobile.identification.statistics import NORMAL
+from pinmobile.identification._estimator import NORMAL
+from pinmobile.identification._planar_model import PlanarModel
+from pinmobile.identification._preprocessing import PreprocessedLog, mean_inputs
 
 WINDOW = 0.6  # [s]
 _HOPS = 8  # per window
@@ -120,19 +120,23 @@ class WeakForm:
     @classmethod
     def of(cls, logs: Sequence[PreprocessedLog], model: PlanarModel) -> WeakForm:
         """Return the weak form of logs."""
-        build, rows, levels = (_inertial if model.B is None else _along_free), [], np.repeat(_LEVELS, _SHAKES)
+        build, rows = (_inertial if model.B is None else _along_free), []
         for log in logs:
             bump, generator = Bump.of(WINDOW, log.dt), np.random.default_rng(0)
-            Y, given = build(log, model, bump)
-            more = [build(log.shaken(generator, level), model, bump)[0] for level in levels]
-            rows.append(
-                (Y, np.reshape(more, (len(_LEVELS), _SHAKES, *Y.shape)), given + Y[..., :4] @ log.load)
-            )
-        Ys, shaken, known = zip(*rows, strict=True)
+            Y, known = build(log, model, bump)
+            more = [build(log.shaken(generator, x), model, bump)[0] for x in np.repeat(_LEVELS, _SHAKES)]
+            shaken = np.reshape(more, (len(_LEVELS), _SHAKES, *Y.shape))
+            rows.append((Y, np.moveaxis(shaken, 2, 0), known + Y[..., :4] @ log.load))
+        counts = tuple(len(Y) for Y, _, _ in rows)
+        Y, shaken, known = (np.concatenate(each) for each in zip(*rows, strict=True))
         rates = [log.rates_of(model).T for log in logs]
-        counts = tuple(map(len, Ys))
-        joined = np.concatenate(Ys), np.concatenate(shaken, axis=2), np.concatenate(known)
-        return cls(logs, model, *joined, rates, counts)
+        return cls(logs, model, Y, np.moveaxis(shaken, 0, 2), known, rates, counts)
+
+    @property
+    def _constant(self) -> Array:
+        """Effect of constant inputs on the forces, shape (k, nu) or without columns."""
+        B = np.eye(self.model.nu) if self.model.B is None else self.model.B
+        return B[:, : self.model.nu * self.model.offset]
 
     def forces(self, delay: float = 0.0, scale: float = 1.0) -> Array:
         """Return the forces of the windows, of a pose that comes late by so many samples, shape (n, k)."""
@@ -146,35 +150,26 @@ class WeakForm:
         return np.concatenate(found)
 
     def equations(self, delay: float, scale: float = 1.0) -> tuple[Array, Array, Array]:
-        """Return the regressor, shape (n, k, p), those shaken, and what they should give, shape (n, k).
+        """Return the regressor, shape (n, k, p), those shaken, and the forces, shape (n, k).
 
-        Linear near a scale of the inputs.
+        They are linear near a scale of the inputs.
         """
-        forces, model, columns = self.forces(delay, scale), self.model, []
-        y = forces - self.known
-        if model.offset:
-            columns.append(
-                np.eye(model.nu) if model.B is None else model.B
-            )  # of a constant: bumps have sum 1
-        if model.scaled:
+        forces = self.forces(delay, scale)
+        y, columns = (
+            forces - self.known,
+            np.broadcast_to(self._constant, (*forces.shape, self._constant.shape[1])),
+        )
+        if self.model.scaled:
             more, less = (self.forces(delay, scale * (1 + way * _NEAR)) for way in (1, -1))
             slope = (more - less) / (2 * _NEAR * scale)
-            columns.append(-slope[..., None])
-            y = y - slope * scale
-        Y, shaken = self.Y, self.shaken
-        for each in columns:
-            Y, shaken = _beside(Y, each), _beside(shaken, each)
-        return Y, shaken, y
+            columns, y = _beside(columns, -slope[..., None]), y - slope * scale
+        return _beside(self.Y, columns), _beside(self.shaken, columns), y
 
     def first_delay(self, delays: Array, base: Array, basis: Array) -> tuple[int, float, float]:
-        """Return which of some delays [samples] leaves least, the minimum near it, and what is explained."""
-        form = self
-        if self.model.scaled:  # whose scale tells no time: all in proportion to it
-            form, base, basis = (
-                replace(self, model=replace(self.model, scaled=False)),
-                base[:-1],
-                basis[:-1, :-1],
-            )
+        """Return which of some delays leaves least, the minimum near it, and the share explained."""
+        keep = len(base) - self.model.scaled  # the scale is in proportion to all else
+        form, base = replace(self, model=replace(self.model, scaled=False)), base[:keep]
+        basis = basis[:keep, : basis.shape[1] - self.model.scaled]
 
         def fit(delay: float) -> WeakFit:
             Y, _, y = form.equations(delay)
@@ -213,9 +208,8 @@ class WeakForm:
         """Return the same of equations that are linear near a scale of the inputs."""
         Y, shaken, y = self.equations(delay, scale)
         if free:
-            less, more = (self.forces(delay + shift, scale) for shift in (-0.5, 0.5))
-            column = (less - more)[..., None]
-            Y, shaken = _beside(Y, column), _beside(shaken, column)
+            less, more = (self.forces(delay + shift, scale)[..., None] for shift in (-0.5, 0.5))
+            Y, shaken = _beside(Y, less - more), _beside(shaken, less - more)
             prior, basis = np.append(prior, 0.0), np.pad(basis, ((0, 1), (0, 1)))
             basis[-1, -1] = 1.0
         plain, influence = fitted(Y, y, self.counts, prior, basis)
@@ -227,12 +221,9 @@ class WeakForm:
         covariance = _newey_west(influence, self.counts, basis.shape[1])
         if not free:
             return plain._replace(phi=phi, covariance=covariance, delay=delay)
-        size = (
-            phi[-2] / scale if self.model.scaled else 1.0
-        )  # of the forces, to which the column is in proportion
-        late, error = delay + phi[-1] / size, np.sqrt(covariance[-1, -1]) / abs(size)
-        inner = covariance[:-1, :-1]
-        return plain._replace(phi=phi[:-1], covariance=inner, delay=float(late), delay_error=float(error))
+        size = phi[-2] / scale if self.model.scaled else 1.0  # of the forces, as the column is in proportion
+        late, error = delay + float(phi[-1] / size), float(np.sqrt(covariance[-1, -1]) / abs(size))
+        return plain._replace(phi=phi[:-1], covariance=covariance[:-1, :-1], delay=late, delay_error=error)
 
     def directions(self, scales: Array) -> tuple[Array, Array]:
         """Return orthonormal directions that the motion tells, and those left unseen, in the scales (p,).
@@ -240,26 +231,18 @@ class WeakForm:
         Seen is what has more than a hundredth of the forces in the regressor, the part left out that the
         noise of poses makes: a second draw of it tells how much that is.
         """
-        model, extra = self.model, self.model.scaled
-        columns = np.eye(model.nu) if model.B is None else model.B
-        both = [_beside(x, columns) if model.offset else x for x in (self.Y, self.shaken[0])]
-        forces = self.forces()
-        size = np.sqrt((forces**2).mean(axis=0))
+        model, extra, shaken = self.model, self.model.scaled, _beside(self.shaken[0], self._constant)
+        Y, size = _beside(self.Y, self._constant), np.sqrt((self.forces() ** 2).mean(axis=0))
         force = max(np.hypot(*size[:2]) if model.free == 3 else size[0], 4 * size[-1])
         per_row = np.array([*[force] * (model.free - 1), max(size[-1], force * _LEVER)])
-        Y, N = (
-            each * scales[: len(scales) - extra] / per_row[:, None] for each in (both[0], both[1] - both[0])
-        )
+        Y, N = (each * scales[: Y.shape[-1]] / per_row[:, None] for each in (Y, shaken - Y))
         gram = np.einsum("nki,nkj->ij", Y, Y) - 1.5 * np.einsum("dnki,dnkj->ij", N, N) / len(N)
         values, vectors = np.linalg.eigh(gram / (Y.shape[0] * Y.shape[1]))
         told = values > _SEEN**2
-        seen, unseen = vectors[:, told], vectors[:, ~told]
-        if not extra:
-            return seen, unseen
-        # The scale is seen where all else is, as loads differ.
-        extended = np.zeros((len(scales), seen.shape[1] + 1))
-        extended[:-1, :-1], extended[-1, -1] = seen, 1.0
-        return extended, np.vstack([unseen, np.zeros(unseen.shape[1])])
+        # The scale is identifiable where all else is, as loads differ.
+        seen = np.pad(vectors[:, told], ((0, extra), (0, extra)))
+        seen[-1:, -1:] = 1.0 if extra else seen[-1:, -1:]
+        return seen, np.pad(vectors[:, ~told], ((0, extra), (0, 0)))
 
     def scales(self) -> Array:
         """Return the size that each parameter has if it alone were behind the forces, by their power.

@@ -8,8 +8,7 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, bounded, finite, positive, seeded, shaped, whole
-from pinmobile.identification.model import PlanarModel
-from pinmobile.identification.procedure import planar_model, prior_of
+from pinmobile.identification._planar_model import PlanarModel
 from pinmobile.parts import array, number, part
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import Reference
@@ -119,8 +118,7 @@ def excitation(
 ) -> Excitation:
     """Return a motion from which parameters can be told as well as its limits allow: D-optimal.
 
-    It makes the determinant of the information of the parameters that `identify` looks for as large as it
-    can:
+    It maximises the determinant of the information of the parameters that `identify` estimates:
     each candidate is scaled into the limits, so that these are reached; the best of random ones is improved.
     Robots on wheels get motions that they can roll.
 
@@ -149,16 +147,14 @@ def excitation(
     count, generator = whole("harmonics", harmonics, least=3), seeded("seed", seed)
     T, length = positive("period", period, "s"), positive("duration", duration, "s")
     believed = MobileRobot.box() if robot is None else robot
-    model = planar_model(believed)
-    prior = prior_of(believed, model)
-    assert prior is not None
-    problem = _Search(model, prior, T, length, limits, count)
+    model = PlanarModel.of(believed)
+    prior = model.prior(believed)
+    problem = _Search(model, prior, (T, length, count), limits)
     shape = count, 2, model.free if model.free < 3 else 3
-    draws = [
-        generator.standard_normal(shape) / np.arange(1, count + 1)[:, None, None] for _ in range(_CANDIDATES)
-    ]
+    order = np.arange(1, count + 1)[:, None, None]
+    draws = [generator.standard_normal(shape) / order for _ in range(_CANDIDATES)]
     best = problem.improved(min(draws, key=problem.cost), generator)
-    return problem.motion(best)
+    return Excitation(problem.coefficients(best), T, length, problem.S)
 
 
 class _Search:
@@ -170,31 +166,23 @@ class _Search:
         The robot.
     prior : ndarray, shape (p,)
         What is believed of it.
-    period, duration : float
-        Of the motion [s].
+    shape : tuple of float, float and int
+        Period and duration of the motion [s], and number of harmonics.
     limits : list of ndarray, shape (3,)
         Of pose, velocity and acceleration.
-    harmonics : int
-        Of the series.
     """
 
     def __init__(
-        self,
-        model: PlanarModel,
-        prior: Array,
-        period: float,
-        duration: float,
-        limits: list[Array],
-        harmonics: int,
-    ) -> None:
-        self.model, self.period, self.duration, self.limits = model, period, duration, limits
+        self, model: PlanarModel, prior: Array, shape: tuple[float, float, int], limits: list[Array]
+    ):
+        self.model, self.limits = model, limits
+        self.period, self.duration, harmonics = shape
         self.S = None if model.free == 3 else model.S
-        w = 2 * np.pi / period * np.arange(1, harmonics + 1)
-        phase = w * (period / _PER_PERIOD) * np.arange(_PER_PERIOD)[:, None]
-        zeroth = np.concatenate([np.sin(phase) / w, (1 - np.cos(phase)) / w], axis=1)
-        first = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
-        second = np.concatenate([-w * np.sin(phase), w * np.cos(phase)], axis=1)
-        self.series = zeroth, first, second  # of all cosines, then all sines
+        w = 2 * np.pi / self.period * np.arange(1, harmonics + 1)
+        phase = w * (self.period / _PER_PERIOD) * np.arange(_PER_PERIOD)[:, None]
+        c, s = np.cos(phase), np.sin(phase)
+        rows = (s / w, (1 - c) / w), (c, s), (-w * s, w * c)
+        self.series = [np.concatenate(row, axis=1) for row in rows]  # of all cosines, then all sines
         self.between = 1 + (np.pi * harmonics / _PER_PERIOD) ** 2 / 2  # peaks over those of samples
         mass, force = prior[0], prior[0] * _TYPICAL * limits[2][0]
         lever = max(np.sqrt(prior[3] / mass), 1e-3)
@@ -216,9 +204,7 @@ class _Search:
             sizes = [np.abs(each).max(axis=0) * self.between for each in (q, v, rate)]
             return np.asarray(new / np.max(np.array(sizes) / self.limits, axis=0))
         bodies = [np.abs(each) @ np.abs(self.S).T for each in (v, rate)]
-        shares = np.max(
-            [each.max(axis=0) / x for each, x in zip(bodies, self.limits[1:], strict=True)], axis=0
-        )
+        shares = np.max([x.max(axis=0) / y for x, y in zip(bodies, self.limits[1:], strict=True)], axis=0)
         new = new / np.maximum(self.between * shares[[0, 2]], 1e-9)
         far = np.max(self.reach(*self.of(new)[:2]) / self.limits[0][:2])
         return np.asarray(new / np.array([max(far, 1.0), 1.0]))
@@ -236,14 +222,8 @@ class _Search:
         c, s = np.cos(psi), np.sin(psi)
         step = self.period / _PER_PERIOD
         path = np.cumsum(np.column_stack([c * forward - s * left, s * forward + c * left]) * step, axis=0)
-        again = np.ceil(self.duration / self.period) - 1
-        return np.asarray(
-            np.max([np.abs(path).max(axis=0), np.abs(path + again * path[-1]).max(axis=0)], axis=0)
-        )
-
-    def motion(self, raw: Array) -> Excitation:
-        """Return the motion of raw coefficients."""
-        return Excitation(self.coefficients(raw), self.period, self.duration, self.S)
+        last = path + (np.ceil(self.duration / self.period) - 1) * path[-1]
+        return np.asarray(np.maximum(np.abs(path).max(axis=0), np.abs(last).max(axis=0)))
 
     def cost(self, raw: Array) -> float:
         """Return minus the logarithm of the information's determinant."""

@@ -7,18 +7,17 @@ model's numbers alone. Numbers and first states that are tried are simulated sid
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
-from pinmobile.identification.statistics import NORMAL
+from pinmobile.identification._simulation import Model, Segments, linearize, simulate
 
+NORMAL = 1.4826  # standard deviation of a normal distribution per median absolute one
 White = Callable[[Array], Array]
-_SLOPE = 1e-4  # of the size of a first state, by which differences are taken
-_LEAST_SIZE = 1e-3  # of an input, as a share of the largest
 _PASSES = 2  # in which first states are found
 _SHARES = np.array([1.0, 0.5, 0.2, 0.05, 0.0])  # of the step of a first state that are tried
 _CONVERGED = 1e-7  # relative change of the cost
@@ -26,133 +25,6 @@ _EVALUATIONS = 40  # of the cost, at most
 _ROUNDS = 4  # of weights and outliers
 _OUTLIER = 6.0  # deviations
 _UNSEEN = 1e-10  # eigenvalues of the scaled normal matrix below it are none
-
-
-class Segments(NamedTuple):
-    """Segments of logs, each simulated from a first state of its own.
-
-    Attributes
-    ----------
-    dt : ndarray, shape (S,)
-        Time between two samples [s].
-    t : ndarray, shape (S, L)
-        Times since the first sample of the log [s].
-    y : ndarray, shape (S, L, m)
-        Measurements.
-    good : ndarray of bool, shape (S, L)
-        Samples that count.
-    noise : ndarray, shape (S, m)
-        Standard deviation of the sensors, infinite where there is none; 1 where it is not known.
-    start : ndarray, shape (S, n)
-        Guess of the first states.
-    inputs : ndarray, shape (N, nu)
-        Inputs of all logs.
-    at : ndarray of int, shape (S, W)
-        Rows of the inputs near a segment.
-    lead : int
-        How many of these are before the first sample.
-    load : ndarray, shape (S, 4)
-        Known moments of mass that the robot carries.
-    """
-
-    dt: Array
-    t: Array
-    y: Array
-    good: NDArray[np.bool_]
-    noise: Array
-    start: Array
-    inputs: Array
-    at: NDArray[np.int_]
-    lead: int
-    load: Array
-
-    @classmethod
-    def cut(
-        cls, dt: float, y: Array, good: NDArray[np.bool_], states: Array, u: Array, **how: Any
-    ) -> Segments:
-        """Return the segments of a log.
-
-        Parameters
-        ----------
-        dt : float
-            Time between two samples [s].
-        y, good, states, u : ndarray, shape (N, ...)
-            Measurements, which of them count, guesses of the states, and inputs.
-        **how
-            `length`, `first` and `stop`: samples of a segment, the first that is used, and where they end;
-            `lead` and `more`: inputs before and behind it; `noise`, `load` and `least`: as of the class, and
-            the share of samples that have to count.
-        """
-        first, length, stop, lead = how["first"], how["length"], how["stop"], how["lead"]
-        count = max(0, (stop - first) // length)
-        at = first + np.arange(count * length).reshape(count, length)
-        at = at[good[at].mean(axis=1) >= how.get("least", 0.0)]
-        rows = np.clip(at[:, :1] - lead + np.arange(lead + length + how["more"]), 0, len(u) - 1)
-        noise = np.tile(how.get("noise", np.ones(y.shape[1])), (len(at), 1))
-        load = np.tile(how.get("load", np.zeros(4)), (len(at), 1))
-        state, times = states[at[:, 0]], np.full(len(at), dt)
-        return cls(times, at * dt, y[at], good[at], noise, state, u, rows, lead, load)
-
-    @classmethod
-    def joined(cls, parts: list[Segments]) -> Segments:
-        """Return the segments of several logs as one."""
-        before = np.cumsum([0, *(len(part.inputs) for part in parts)])
-        moved = [part._replace(at=part.at + n) for part, n in zip(parts, before, strict=False)]
-        joined = {n: np.concatenate([getattr(x, n) for x in moved]) for n in cls._fields if n != "lead"}
-        return cls(lead=parts[0].lead, **joined)
-
-    @property
-    def sizes(self) -> Array:
-        """Standard deviations of the inputs, none below a thousandth of the largest, shape (nu,)."""
-        sizes = self.inputs[self.at.min() : self.at.max() + 1].std(axis=0)
-        return np.asarray(np.maximum(sizes, _LEAST_SIZE * sizes.max() + np.finfo(float).tiny))
-
-    def weighed(self, residuals: Array) -> Array:
-        """Return residuals, shape (V, S, L, m), over the noise; zero where nothing was measured."""
-        return np.asarray(residuals * self.good[..., None] / self.noise[:, None])
-
-    def applied(self, lag: Any, count: int) -> Array:
-        """Return the inputs that apply from each sample on, shape (V, S, count, nu), for lags (V,)."""
-        columns = self.lead + np.arange(count) - np.reshape(lag, (-1, 1))
-        return np.asarray(np.moveaxis(self.inputs[self.at[:, columns]], 0, 1))
-
-
-class Model(Protocol):
-    """Robot whose numbers are estimated from segments of logs."""
-
-    def simulate(self, segments: Segments, p: Array, starts: Array) -> Array:
-        """Return the simulated measurements, shape (V, S, L, m), of numbers (V, P) and starts (V, S, n)."""
-
-    def linearize(self, segments: Segments, p: Array, starts: Array) -> tuple[Array, Array]:
-        """Return the simulation, shape (S, L, m), and its derivatives by numbers and starts, (P + n, ...)."""
-
-    def is_possible(self, p: Array) -> bool:
-        """Return whether there is a robot of such numbers, shape (P,)."""
-
-    def sizes(self, p: Array) -> Array:
-        """Return how large numbers like p are, shape (P,): a first step is no longer."""
-
-
-def differences(
-    model: Model, segments: Segments, p: Array, starts: Array, steps: Array
-) -> tuple[Array, Array]:
-    """Return a simulation and its slopes by central differences; see `Model.linearize`."""
-    P, n = len(p), starts.shape[1]
-    size = np.append(steps, _SLOPE * np.maximum(np.abs(starts).mean(axis=0), 0.1))
-    ways = np.vstack([np.zeros(P + n), np.kron(np.diag(size), [[1.0], [-1.0]])])
-    out = model.simulate(segments, p + ways[:, :P], starts + ways[:, None, P:])
-    with np.errstate(all="ignore"):  # where a robot that is tried runs away
-        return out[0], np.nan_to_num(out[1::2] - out[2::2]) / (2 * size[:, None, None, None])
-
-
-def runge_kutta(rate: Callable[[Any], Any], z: Any, h: Any, steps: int) -> Any:
-    """Return the states some steps h later, by Runge's and Kutta's fourth order; in symbols too."""
-    for _ in range(steps):
-        a = rate(z)
-        b = rate(z + h / 2 * a)
-        c = rate(z + h / 2 * b)
-        z = z + h / 6 * (a + 2 * (b + c) + rate(z + h * c))
-    return z
 
 
 class Linear(NamedTuple):
@@ -187,7 +59,7 @@ class Linear(NamedTuple):
         InvalidArgument
             If the simulation runs away from the log.
         """
-        out, slopes = model.linearize(segments, p, starts)
+        out, slopes = linearize(model, segments, p, starts)
         residual = segments.y - out
         if not np.isfinite(residual).all():
             raise unexplained(0.0)
@@ -267,7 +139,7 @@ def solve(
             return np.full(near.raw.size, np.inf)
         ways = z + _SHARES[:, None, None] * near.starts(tried - at)
         with np.errstate(all="ignore"):
-            out = model.simulate(segments, np.tile(tried, (len(ways), 1)), ways)
+            out = simulate(model, segments, np.tile(tried, (len(ways), 1)), ways)
             found = white(segments.weighed(segments.y - out)).reshape(*out.shape[:2], -1) + shift
             costs = np.nan_to_num((found**2).sum(axis=-1), nan=np.inf)
         best = costs.argmin(axis=0), np.arange(len(z))
@@ -385,3 +257,31 @@ def jackknife(near: Linear, pull: Array | float = 0.0) -> Array:
             "longer log, or one that excites more, see excitation"
         ) from error
     return np.asarray((S - 1) / S * d.T @ d)
+
+
+class Whiteness(NamedTuple):
+    """Autocorrelation of residuals.
+
+    Attributes
+    ----------
+    correlation : ndarray, shape (m,)
+        Correlation of successive residuals of each measurement.
+    bound : float
+        95 % bound of white noise.
+    """
+
+    correlation: Array
+    bound: float
+
+    @property
+    def is_white(self) -> bool:
+        """Whether the residuals look like white noise."""
+        return bool((np.abs(self.correlation) <= 1.5 * self.bound).all())
+
+    @classmethod
+    def of(cls, residuals: Array, good: NDArray[np.bool_]) -> Whiteness:
+        """Return the whiteness of residuals, shape (S, L, m), zero where they are not good, shape (S, L)."""
+        power = (residuals**2).sum(axis=(0, 1)) / good.sum()
+        pairs = max((good[:, 1:] * good[:, :-1]).sum(), 1.0)
+        product = (residuals[:, 1:] * residuals[:, :-1]).sum(axis=(0, 1)) / pairs
+        return cls(product / np.maximum(power, np.finfo(float).tiny), 1.96 / np.sqrt(float(good.sum())))

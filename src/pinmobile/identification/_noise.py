@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.identification.estimator import Fit, Linear, Model, Segments
+from pinmobile.identification._estimator import Fit, Linear
+from pinmobile.identification._simulation import Model, Segments, simulate
 
 _MEMORY = 0.15  # [s] of a force that is not noise: Matern's covariance of order 3/2
 _WIDEST = 1e12  # between shares of both noises in a residual that are tried, as a ratio
@@ -141,7 +142,7 @@ def _likeliest(residuals: Array, order: int, moved: Array) -> tuple[float, Array
     return float(found.fun), np.asarray(white * (np.eye(length) + ratio / scale * moved)), white
 
 
-def pull(model: Model, segments: Segments, found: Fit, noise: ResidualNoise) -> Array:
+def input_noise_gradient(model: Model, segments: Segments, found: Fit, noise: ResidualNoise) -> Array:
     """Return what noise of the inputs adds to the gradient, shape (P,): from other draws of it.
 
     Parameters
@@ -158,7 +159,7 @@ def pull(model: Model, segments: Segments, found: Fit, noise: ResidualNoise) -> 
         return segments._replace(inputs=segments.inputs + more)
 
     def left(part: Segments) -> Array:
-        out = model.simulate(part, found.p[None], found.starts[None])
+        out = simulate(model, part, found.p[None], found.starts[None])
         return np.asarray(noise.white(part.weighed(part.y - out))[0])
 
     before = left(segments)

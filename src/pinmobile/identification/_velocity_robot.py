@@ -11,7 +11,6 @@ from importlib.resources import files
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, TypeVar, final
 
-import attrs
 import numpy as np
 import pinocchio as pin
 
@@ -22,9 +21,7 @@ from pinmobile.arrays import (
     finite,
     frozen,
     in_numbers,
-    instance,
     lengths,
-    non_negative,
     positive,
     shaped,
     text,
@@ -32,52 +29,23 @@ from pinmobile.arrays import (
     wrap_angle,
 )
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.identification._theta import ABOVE_ZERO, THETA, rates_of, rolling_of, stacked, theta_of_motors
 from pinmobile.integrators import rk4
 from pinmobile.parts import (
-    Desired,
-    Number,
     array,
     by_value,
-    declare,
     evolved,
     is_symbolic,
     number,
     option,
     part,
-    required,
     structure,
 )
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import MobileRobot
 from pinmobile.wheels import ByVoltage, Reduced, WheeledRobot, WheelTable
 
-THETA: tuple[tuple[str, str, str], ...] = (
-    ("theta_1", "s", "inertia of the speed, over the gain of its loop"),
-    ("theta_2", "s", "inertia of the yaw rate, over the gain of its loop"),
-    ("theta_3", "s m/rad^2", "what a centre of mass ahead of the axle does to the speed"),
-    ("theta_4", "", "command per steady speed: 1, and losses over the gain"),
-    ("theta_5", "s/m", "what a centre of mass ahead of the axle does to the yaw rate"),
-    ("theta_6", "", "command per steady yaw rate: 1, and losses over the gain"),
-)
-# Name, unit and meaning of each of the six parameters.
-
 _Method = TypeVar("_Method", bound=Callable[..., Any])
-ABOVE_ZERO = 0, 1, 3, 5  # without inertia there is no law, and without losses speeds grow by themselves
-
-
-def rates_of(theta: Any, most: Any, nu: Any, u: Any) -> Any:
-    """Return the rates of speed and yaw rate nu for commands u, within largest ones, shape (..., 2)."""
-    speed, w = nu[..., 0], nu[..., 1]
-    one, two, three, four, five, six = (theta[..., k] for k in range(len(THETA)))
-    faster = (three * (w * w) - four * speed + u[..., 0]) / one
-    turning = (u[..., 1] - five * (speed * w) - six * w) / two
-    return np.minimum(np.maximum(_stacked(faster, turning), -most), most)
-
-
-def rolling_of(ahead: Any, q: Any, nu: Any) -> Any:
-    """Return the rates of x, y and psi, of a point ahead of the axle, shape (..., 3)."""
-    c, s, u, w = np.cos(q[..., 2]), np.sin(q[..., 2]), nu[..., 0], nu[..., 1]
-    return _stacked(u * c - ahead * w * s, u * s + ahead * w * c, w)
 
 
 def _arrays(**sizes: int) -> Callable[[_Method], _Method]:
@@ -100,40 +68,20 @@ def _arrays(**sizes: int) -> Callable[[_Method], _Method]:
     return wrapped
 
 
-def _stacked(*columns: Any) -> Any:
-    return np.stack(np.broadcast_arrays(*columns), axis=-1)
-
-
 _OFF = 1e-9  # of a start's velocity, beyond which it does not roll
-_SAME = 1e-9  # relative, of two wheels that are alike
 
 
 class Mobile(NamedTuple):
-    """The type of a drive, as `Mobility` tells it of a wheel table.
-
-    Attributes
-    ----------
-    mobility, steerability : int
-        Of two driven wheels on one axle, 2 and 0.
-    """
+    """Type (mobility, steerability) of a drive with two driven wheels on one axle, as of `Mobility`."""
 
     mobility: int = 2
     steerability: int = 0
 
 
-@attrs.frozen
-class _Pair(Number):
-    """Declaration of two numbers, of which one may stand for both."""
-
-    def checked(self, name: str, value: Any) -> Any:
-        """Return a read-only array of two."""
-        found = super().checked(name, value)
-        return found if is_symbolic(found) else frozen(np.broadcast_to(found, (2,)))
-
-
-def _pair(doc: str, unit: str, labels: tuple[str, str], *, fixed: bool) -> Any:
-    shapes: Any = (), (2,)
-    return declare(_Pair(doc, unit, above=0, shapes=shapes, labels=labels, fixed=fixed, endless=True), np.inf)
+def _pair(doc: str, unit: str, labels: tuple[str, str], fixed: bool = False) -> Any:
+    """Declare two positive limits, of which one may stand for both."""
+    how: dict[str, Any] = {"doc": doc, "unit": unit, "labels": labels, "above": 0, "fixed": fixed}
+    return array(default=np.inf, shapes=((), ("n",)), endless=True, size=lambda robot: 2, **how)
 
 
 @final
@@ -184,7 +132,7 @@ class VelocityRobot:
     ahead: float = number(default=0.0, unit="m", doc="how far the body's origin is ahead of the axle")
     limits: Any = _pair("largest commands", "m/s, rad/s", ("speed", "yaw_rate"), fixed=True)
     accelerations: Any = _pair(
-        "largest |u'| and |w'|", "m/s^2, rad/s^2", ("acceleration", "yaw_acceleration"), fixed=False
+        "largest |u'| and |w'|", "m/s^2, rad/s^2", ("acceleration", "yaw_acceleration")
     )
     size: tuple[float, float, float] = option(
         default=(0.45, 0.38, 0.25), check=lambda name, value: tuple(lengths(value).tolist())
@@ -229,9 +177,9 @@ class VelocityRobot:
             theta_4 = (R/K) (K E / R + B) / (r kT) + 1
             theta_6 = (R/K) (K E / R + B) d / (2 r kR) + 1
 
-        (De La Cruz and Carelli 2008.) What the six cannot hold is left out, and told in `source`: dry
-        friction of the motors, limits of voltage and current, a centre of mass aside of the middle. Of a
-        gear with losses the motor drives the wheels.
+        (De La Cruz and Carelli 2008.) The six numbers do not include dry friction of the motors, limits of
+        voltage and current, and a centre of mass beside the middle. Of a gear with losses the motor drives
+        the wheels.
 
         Parameters
         ----------
@@ -248,45 +196,15 @@ class VelocityRobot:
         InvalidArgument
             If the robot has other wheels, motors or arms, or a gain is not in its range.
         """
-        robot: Any = getattr(wheeled, "wheeled", wheeled)
-        instance("wheeled", robot, WheeledRobot, "a WheeledRobot")
-        kp, kd = positive("kp", kp, "V s/rad"), non_negative("kd", kd, "V s^2/rad")
-        wheel, motor, d = _pair_of(robot)
-        base, r = robot.robot, wheel.radius
-        com_x, com_y = float(base.com[0]), float(base.com[1])
-        m, b = base.mass, com_x - wheel.x
-        J = wheel.spin_inertia + motor.reflected_inertia
-        E = motor.gear * motor.torque_constant
-        by = motor.resistance / (motor.efficiency * E)
-        losses = E + by * motor.efficiency * motor.gear**2 * motor.viscous  # (R/K) (K E / R + B)
-        T, R, dT, dR = (np.float64(x) for x in (kp / r, kp * d / (2 * r), kd / r, kd * d / (2 * r)))
-        turning = J * d * d + 2 * r * r * (base.yaw_inertia + m * b * b)
-        with np.errstate(all="ignore"):  # of gains that are none: theta is not finite
-            theta = [
-                (by * (m * r * r + 2 * J) + 2 * r * dT) / (2 * r * T),
-                (by * turning + 2 * r * d * dR) / (2 * r * d * R),
-                by * m * b * r / (2 * T),
-                losses / (r * T) + 1,
-                by * m * b * r / (d * R),
-                losses * d / (2 * r * R) + 1,
-            ]
-        limits = f"limits of {motor.voltage:g} V"
-        left = [
-            *(["dry friction of the motors"] if motor.coulomb else []),
-            limits + (f" and {motor.current:g} A" if np.isfinite(motor.current) else ""),
-            *([f"the centre of mass {com_y:g} m aside"] if com_y else []),
-        ]
-        said = f"motors of a WheeledRobot, gains kp = {kp:g}, kd = {kd:g}; left out: {', '.join(left)}"
-        return cls(np.array(theta), **{"ahead": -wheel.x, "size": base.size, "source": said, **others})
+        theta, known = theta_of_motors(wheeled, kp, kd)
+        return cls(np.array(theta), **{**known, **others})
 
     def __repr__(self) -> str:
         given = [f"[{', '.join(f'{x:.10g}' for x in self.theta)}]"]
         given += [f"ahead={self.ahead:g}"] if self.ahead else []
-        given += [
-            f"{name}=({', '.join(f'{x:g}' for x in getattr(self, name))})".replace("inf", "np.inf")
-            for name in ("limits", "accelerations")
-            if np.isfinite(getattr(self, name)).any()
-        ]
+        for name, pair in (("limits", self.limits), ("accelerations", self.accelerations)):
+            if np.isfinite(pair).any():
+                given.append(f"{name}=({', '.join(f'{x:g}' for x in pair)})".replace("inf", "np.inf"))
         return f"VelocityRobot({', '.join(given)})"
 
     @structure
@@ -313,9 +231,8 @@ class VelocityRobot:
             for name, value in (("theta_4", four), ("theta_6", six))
             if value < 1
         ]
-        if three * five < 0:
-            found.append(f"theta_3 is {three:g} and theta_5 {five:g}, where both have one sign")
-        return tuple(found)
+        signs = [f"theta_3 is {three:g} and theta_5 {five:g}, where both have one sign"]
+        return (*found, *signs * (three * five < 0))
 
     @property
     def axle(self) -> Any:
@@ -334,7 +251,7 @@ class VelocityRobot:
     def difference(self, q0: Any, q1: Any) -> Any:
         """Return the displacement from `q0` to `q1`, shape (..., 3); that of psi lies in (-pi, pi]."""
         d = q1 - q0
-        return _stacked(d[..., 0], d[..., 1], wrap_angle(d[..., 2]))
+        return stacked(d[..., 0], d[..., 1], wrap_angle(d[..., 2]))
 
     @_arrays(q=3)
     def pose(self, q: Any) -> Any:
@@ -349,17 +266,11 @@ class VelocityRobot:
     @_arrays(q=3, v=3)
     def independent(self, q: Any, v: Any) -> Any:
         """Return speed along the wheels and yaw rate, shape (..., 2) [m/s, rad/s]."""
-        return _stacked(np.cos(q[..., 2]) * v[..., 0] + np.sin(q[..., 2]) * v[..., 1], v[..., 2])
+        return stacked(np.cos(q[..., 2]) * v[..., 0] + np.sin(q[..., 2]) * v[..., 1], v[..., 2])
 
     @_arrays(q=3, nu=2)
     def rolling(self, q: Any, nu: Any) -> Any:
-        """Return v of a speed and a yaw rate, shape (..., 3) [m/s, m/s, rad/s].
-
-        Parameters
-        ----------
-        q, nu : array_like, shape (..., 3), (..., 2)
-            Configuration, and speed along the wheels and yaw rate [m/s, rad/s].
-        """
+        """Return v of a speed along the wheels and a yaw rate nu, shape (..., 3) [m/s, m/s, rad/s]."""
         return rolling_of(self.ahead, q, nu)
 
     @_arrays(q=3, v=3)
@@ -368,10 +279,9 @@ class VelocityRobot:
         return self.rolling(q, self.independent(q, v))
 
     def start(self, reference: Any) -> tuple[Array, Array]:
-        """Return the q and v with which a reference begins, shape (3,); what moves sideways is left out."""
-        required("reference", reference, Desired)
-        q, v = (shaped(f"reference.{n}", finite(n, getattr(reference, n)), (3,)) for n in ("q", "v"))
-        return q, self.project(q, v)
+        """Return the q and v with which a reference begins, shape (3,), without its velocity sideways."""
+        q = shaped("reference.q", finite("reference.q", reference.q), (3,))
+        return q, self.project(q, reference.v)
 
     def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
         """Refuse a start at which wheels slide sideways.
@@ -381,8 +291,7 @@ class VelocityRobot:
         InvalidArgument
             If it is such.
         """
-        v = vector("v", v, 3)
-        off = float(np.abs(self.project(q, v) - v).max(initial=0.0))
+        off = float(np.abs(self.project(q, v) - np.asarray(v)).max(initial=0.0))
         if off > _OFF * (1 + float(np.abs(v).max(initial=0.0))):
             raise InvalidArgument(
                 f"start does not roll: wheels slide sideways at {off:.3g} m/s; expected a reference "
@@ -428,9 +337,10 @@ class VelocityRobot:
             )
         nu = self.independent(q, v)
         rates, c, s, w = self.rates(nu, u), np.cos(q[..., 2]), np.sin(q[..., 2]), nu[..., 1]
-        along = rates[..., 0] - self.ahead * (w * w)
-        aside = nu[..., 0] * w + self.ahead * rates[..., 1]
-        return _stacked(along * c - aside * s, along * s + aside * c, rates[..., 1])
+        turned = stacked(
+            -(nu[..., 0] * s + self.ahead * w * c) * w, (nu[..., 0] * c - self.ahead * w * s) * w, 0.0
+        )
+        return rolling_of(self.ahead, q, rates) + turned
 
     @_arrays(q=3, v=3, rates=2)
     def commands(self, q: Any, v: Any, rates: Any) -> Any:
@@ -446,11 +356,7 @@ class VelocityRobot:
         rates : array_like, shape (..., 2)
             Of speed and yaw rate [m/s^2, rad/s^2].
         """
-        nu, theta = self.independent(q, v), self.theta
-        u, w = nu[..., 0], nu[..., 1]
-        ahead = theta[..., 0] * rates[..., 0] - theta[..., 2] * (w * w) + theta[..., 3] * u
-        turning = theta[..., 1] * rates[..., 1] + theta[..., 4] * (u * w) + theta[..., 5] * w
-        return _stacked(ahead, turning)
+        return self.regressor(q, v, rates) @ self.theta
 
     @_arrays(q=3, v=3, rates=2)
     def regressor(self, q: Any, v: Any, rates: Any) -> Any:
@@ -461,11 +367,11 @@ class VelocityRobot:
         q, v, rates
             As in `commands`.
         """
-        both = np.broadcast_arrays(self.independent(q, v), rates)
-        (u, w), (faster, turning) = (np.moveaxis(each, -1, 0) for each in both)
-        zero = np.zeros(u.shape)
-        rows = [faster, zero, -w * w, u, zero, zero], [zero, turning, zero, zero, u * w, w]
-        return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+        nu = self.independent(q, v)
+        u, w = nu[..., 0], nu[..., 1]
+        o = 0.0 * u
+        ahead = stacked(rates[..., 0], o, -w * w, u, o, o)
+        return np.stack([ahead, stacked(o, rates[..., 1], o, o, u * w, w)], axis=-2)
 
     @in_numbers
     def reduced(self, q: ArrayLike, v: ArrayLike) -> Reduced:
@@ -476,17 +382,16 @@ class VelocityRobot:
         nu = self.independent(q, v)
         lead = nu.shape[:-1]
         M, B = (np.broadcast_to(x, (*lead, 2, 2)) for x in (np.diag(self.theta[:2]), np.eye(2)))
-        ways = [np.broadcast_to(self.rolling(q, way), (*lead, 3)) for way in np.eye(2)]
-        return Reduced(M, self.commands(q, v, np.zeros(2)), B, np.stack(ways, axis=-1), nu)
+        S = np.stack([np.broadcast_to(self.rolling(q, way), (*lead, 3)) for way in np.eye(2)], axis=-1)
+        return Reduced(M, self.commands(q, v, np.zeros(2)), B, S, nu)
 
     # What is drawn
 
     @cached_property
     def _drawn(self) -> WheeledRobot:
         length, width, height = self.size
-        radius = min(0.45 * height, 0.3 * length)
-        support = (-np.sign(self.ahead or 1.0) * 0.3 * length, 0.0)
-        table = WheelTable.differential(width, radius, x=-self.ahead, supports=[support], mass=1e-2)
+        radius, caster = min(0.45 * height, 0.3 * length), -np.sign(self.ahead or 1.0) * 0.3 * length
+        table = WheelTable.differential(width, radius, x=-self.ahead, supports=[(caster, 0.0)], mass=1e-2)
         return WheeledRobot(MobileRobot(1.0, 1.0, size=self.size), table)
 
     @property
@@ -502,30 +407,12 @@ class VelocityRobot:
 
 def _published(file: str) -> Mapping[str, VelocityRobot]:
     """Return the robots of a file by name; their sources state what is odd of them too."""
-    found = {}
-    for name, row in tomllib.loads((files("pinmobile") / "identification" / file).read_text("utf-8")).items():
+    found, rows = {}, (files("pinmobile") / "identification" / file).read_text("utf-8")
+    for name, row in tomllib.loads(rows).items():
         bare = VelocityRobot(row["theta"], size=row["size"])
         said = f"{row['of']}; {row['source']}", row["odd"], *bare.problems
         found[name] = evolved(bare, source=". ".join(said))
     return MappingProxyType(found)
-
-
-def _pair_of(robot: WheeledRobot) -> tuple[Any, Any, float]:
-    """Return a wheel, a motor and the track of a robot on two driven wheels that are alike."""
-    table, alike, motor = robot.table, False, None
-    if not (robot.robot.nv > 3 or table.axes or table.couplings) and len(table) == len(table.actuators) == 2:
-        one, other = table.wheels
-        pairs = [(getattr(one, n), getattr(other, n)) for n in ("x", "radius", "spin_inertia")]
-        alike = all(abs(x - y) <= _SAME * (1 + abs(x)) for x, y in [*pairs, (one.y, -other.y)])
-        plain = not (one.angle or other.angle or one.roller or other.roller) and bool(one.y)
-        motor = one.motor if alike and plain and one.motor == other.motor else None
-    if motor is None or not motor.is_electric:
-        raise InvalidArgument(
-            "wheeled has arms, or other wheels or motors, expected two fixed wheels on one axle, alike, each "
-            "with the same Motor(resistance=..., torque_constant=..., voltage=...), and casters: "
-            "WheelTable.differential"
-        )
-    return one, motor, 2 * abs(one.y)
 
 
 VELOCITY_ROBOTS = _published("velocity_robots.toml")

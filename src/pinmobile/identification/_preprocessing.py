@@ -9,12 +9,14 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, shaped
 from pinmobile.errors import InvalidArgument
-from pinmobile.identification.estimator import Segments
-from pinmobile.identification.log import Log, check_units, held_integrals
-from pinmobile.identification.statistics import NORMAL
+from pinmobile.identification._estimator import NORMAL
+from pinmobile.identification._log import Log, check_units
+from pinmobile.identification._log_rows import held_integrals
+from pinmobile.identification._simulation import Segments
 
+_HALF = 0.5  # of a segment's samples, without which its first state is not identifiable
 LATER = 8  # samples by which a delay may differ from where its search begins
 _WINDOW = 0.15  # [s] of the cubic whose residual tells outliers and noise
 _OUTLIER = 6.0  # deviations
@@ -45,8 +47,8 @@ class PreprocessedLog:
         Of the driven wheels [rad/s].
     noise : ndarray, shape (3,)
         Deviation of the noise of the pose [m, m, rad].
-    rates_noise : ndarray, shape (a,), or None
-        That of the rates [rad/s].
+    rates_noise : ndarray, shape (a,) or (0,)
+        Standard deviation of the noise of the rates [rad/s].
     outliers : int
         How many poses are outliers.
     load : ndarray, shape (4,)
@@ -59,7 +61,7 @@ class PreprocessedLog:
     u: Array
     rates: Array | None
     noise: Array
-    rates_noise: Array | None
+    rates_noise: Array
     outliers: int
     load: Array
 
@@ -93,17 +95,13 @@ class PreprocessedLog:
             raise InvalidArgument(f"{name} is {even.t[-1]:.3g} s long, too short, expected 20 s and more")
         assert even.q is not None
         q, good, noise = without_outliers(even.q, even.seen, even.dt, _FINEST)
-        rates, rates_noise = even.wheel_rates, None
-        if rates is not None and model.wheels:
-            if rates.shape[1] != len(model.A):
-                raise InvalidArgument(
-                    f"{name} has wheel_rates of {rates.shape[1]} wheels, expected {len(model.A)}: "
-                    f"{', '.join(model.wheels)}"
-                )
+        rates = even.wheel_rates if model.wheels else None
+        rates_noise = np.zeros(0)
+        if rates is not None:
+            shaped(f"{name} has wheel_rates, which", rates, (len(rates), len(model.A)))
             rates, usual, rates_noise = without_outliers(rates, even.seen, even.dt, _FINEST_RATE)
             good = good & usual
         lost = int((even.seen & ~good).sum())
-        rates = rates if model.wheels else None
         return cls(even.dt, q, good, even.u, rates, noise, rates_noise, lost, load)
 
     @cached_property
@@ -121,7 +119,7 @@ class PreprocessedLog:
         """Return it with more noise, of a variance that is a multiple of what its sensors have."""
         size = np.sqrt(level)
         q, rates = self.q + size * self.noise * generator.standard_normal(self.q.shape), self.rates
-        if rates is not None and self.rates_noise is not None:
+        if rates is not None:
             rates = rates + size * self.rates_noise * generator.standard_normal(rates.shape)
         return replace(self, q=q, rates=rates)
 
@@ -130,32 +128,19 @@ class PreprocessedLog:
         return self.twist if model.B is None else np.asarray(self.free_velocities(model) @ model.A.T)
 
     def segments(self, model: Any, delay: float, seconds: float, rates: bool) -> Segments:
-        """Return the segments of a log whose poses come late by so many samples.
+        """Return the segments of a log, of a length [s], whose poses come late by some samples.
 
-        Parameters
-        ----------
-        model, delay : PlanarModel, float
-            The robot, and by which poses come late, in samples.
-        seconds : float
-            Length of a segment [s].
-        rates : bool
-            Whether rates of wheels are measured, of this log or another one.
+        Rates of wheels are measurements too where any log has them.
         """
         lag, N, noise, y = int(np.floor(delay)), len(self.q), self.noise, self.q
         if rates:
-            wheels, own = len(model.A), (self.rates, self.rates_noise)
-            more, of_it = own if self.rates is not None else (np.zeros((N, wheels)), np.full(wheels, np.inf))
-            y, noise = np.concatenate([y, more], axis=1), np.append(noise, of_it)  # type: ignore[arg-type]
-        return Segments.cut(
-            self.dt,
-            y,
-            self.good,
-            np.concatenate([self.q, self.free_velocities(model)], axis=1),
-            self.u,
-            **{"length": max(8, round(seconds / self.dt)), "first": max(0, lag + 1), "stop": min(N, N + lag)},
-            **{"lead": lag + LATER + 2, "more": LATER + 1 - lag, "noise": noise, "load": self.load},
-            least=_HALF,
-        )
+            none = np.zeros((N, len(model.A))), np.full(len(model.A), np.inf)
+            more, of_it = none if self.rates is None else (self.rates, self.rates_noise)
+            y, noise = np.concatenate([y, more], axis=1), np.append(noise, of_it)
+        states = np.concatenate([self.q, self.free_velocities(model)], axis=1)
+        length = max(8, round(seconds / self.dt))
+        span = max(0, lag + 1), min(N, N + lag), length, lag + LATER + 2, LATER + 1 - lag
+        return Segments.cut(self.dt, (y, self.good, states, self.u, noise), span, load=self.load, least=_HALF)
 
 
 def _filtered(columns: Array, dt: float) -> Array:
@@ -229,35 +214,30 @@ def _bridge(q: Array, good: NDArray[np.bool_], size: int) -> None:
             q[k[lost]] = V[lost] @ np.linalg.lstsq(V[near], q[k[near]], rcond=None)[0]
 
 
-_AVERAGED = 0.4  # [s] over which velocities are averaged, so that the noise of poses is 2 mm/s for each mm
-_MEASURED = 0.9  # of a window
-_HALF = 0.5  # of a segment's samples that count, without which its first state is not told
-_CERTAIN = 5.0  # deviations of what noise alone would lead to
-_TOLD, _MOST = 0.01, 0.1  # of the speed: what is told, and with what masses are of no use
-_LIKE = 1.5  # ratio, or its inverse: no radius is stated as wrongly as that
-_MOSTLY = 0.8  # of the mean square
+_AVERAGED = 0.4  # [s] over which velocities are averaged: the noise of poses is 2 mm/s for each mm
+_MEASURED = 0.9  # least share of a window
+_CERTAIN = 5.0  # standard deviations of noise alone
+_TOLD, _MOST = 0.01, 0.1  # of the speed: least slip that is reported, and slip that spoils the estimates
 
 
 class Slippage(NamedTuple):
-    """How far the poses of a log are from rolling.
+    """Deviation of the poses of a log from rolling.
 
-    Velocities of the body that poses tell, less those that encoders tell, or where there are none less the
-    nearest at which wheels roll, averaged over windows of 0.4 s. Yaw rates count by the speed of the wheels'
-    contacts.
+    It compares velocities of the body from poses with those from encoders, or where there are none with the
+    nearest at which wheels roll, averaged over windows of 0.4 s. Yaw rates count
+    by the speed of the contacts.
 
     Attributes
     ----------
     speed, noise : float
-        Root of the mean square of the difference, that of the noise taken off, and of the noise [m/s].
+        Root mean square of the difference without noise, and of the noise [m/s].
     share : float
-        The first as a share of the speed of the motion.
+        The first as a share of the speed.
     is_certain : bool
-        Whether noise alone is no explanation.
+        Whether noise alone does not explain it.
     ratios : ndarray, shape (3,)
-        Of the velocities that poses and encoders tell, forward, left and in yaw, that fit best; not numbers
-        where there are no encoders, or wheels cannot move the body so.
-    by_ratios : float
-        Share of the mean square that these explain.
+        Ratios of velocities from poses and encoders, forward, left and in yaw; NaN where there are no
+        encoders, or wheels cannot move the body so.
     """
 
     speed: float
@@ -265,50 +245,37 @@ class Slippage(NamedTuple):
     share: float
     is_certain: bool
     ratios: Array
-    by_ratios: float
 
     @property
     def matters(self) -> bool:
-        """Whether it is certain, and large enough to be told."""
+        """Whether it is certain, and large enough to be reported."""
         return self.is_certain and self.share > _TOLD
 
     def __str__(self) -> str:
-        return f"poses {self._told}"
-
-    @property
-    def _told(self) -> str:
-        known = np.isfinite(self.ratios)
-        ratios = self.ratios[known]
-        like = self.by_ratios > _MOSTLY and ((ratios < _LIKE) & (ratios > 1 / _LIKE)).all()
-        axes = [name for name, is_so in zip(("forward", "left", "in yaw"), known, strict=True) if is_so]
-        each = " and ".join(f"{ratio:.3g} {axis}" for ratio, axis in zip(ratios, axes, strict=True))
-        why = (
-            f"ratios of {each} explain it, as of wheels of another radius or place than is stated"
-            if like
-            else "they slip, or poses are of another point or time, or encoders of another sign or order"
-        )
+        axes = zip(self.ratios, ("forward", "left", "in yaw"), strict=True)
+        each = " and ".join(f"{ratio:.3g} {axis}" for ratio, axis in axes if np.isfinite(ratio))
+        told = f"; poses per encoders: {each}" * bool(each)
         return (
-            f"move otherwise than wheels roll, by {self.speed:.3g} m/s, {self.share:.1%} of the speed, "
-            f"where noise explains {self.noise:.2g} m/s: {why}"
+            f"poses move otherwise than wheels roll, by {self.speed:.3g} m/s, {self.share:.1%} of the speed, "
+            f"where noise explains {self.noise:.2g} m/s{told}: wheels slip, have another radius or place, or "
+            "poses are of another point or time, or encoders of another sign or order"
         )
 
     @classmethod
     def of(cls, run: PreprocessedLog, model: Any, name: str = "log") -> Self | None:
-        """Return that of a log; None where it cannot be told, as of a body that is pushed.
+        """Return that of a log; None where it is not identifiable, as of a body that is pushed.
 
         Raises
         ------
         InvalidArgument
-            If masses could not be told with as much of it; the message has the name.
+            If it spoils the estimates; the message has the name of the log.
         """
         if not model.wheels or (run.rates is None and model.free == 3):
             return None
         size = 2 * round(_AVERAGED / run.dt / 2) + 1
         g = (1 - np.linspace(-1, 1, size + 2)[1:-1] ** 2) ** 3
         g /= g.sum()
-        moved = run.twist
-        rolled = run.free_velocities(model) @ model.S.T
-        columns = np.concatenate([moved, rolled, run.good[:, None]], axis=1)
+        columns = np.column_stack([run.twist, run.free_velocities(model) @ model.S.T, run.good])
         means = np.lib.stride_tricks.sliding_window_view(columns, size, axis=0)[:: size // 4 + 1] @ g
         means = means[means[:, -1] > _MEASURED]
         if len(means) < 2:
@@ -316,34 +283,26 @@ class Slippage(NamedTuple):
         per_rate = model.A @ np.linalg.pinv(model.S)
         metric = np.array([1.0, 1.0, np.sqrt((per_rate[:, 2] ** 2).sum() / (per_rate[:, :2] ** 2).sum())])
         moved, rolled = means[:, :3] * metric, means[:, 3:6] * metric
-        off = moved - rolled
         variance = (run.noise * metric) ** 2 * (np.diff(g, prepend=0.0, append=0.0) ** 2).sum() / run.dt**2
-        told = 3
+        told, ratios, power = 3, np.full(3, np.nan), (rolled**2).sum(axis=0)
         if run.rates is None:  # velocities at which wheels roll are no difference
             free = np.eye(3) - model.S @ np.linalg.pinv(model.S)
             variance, told = (free**2) @ variance, 3 - model.free
-        elif run.rates_noise is not None:
-            gains = model.S @ np.linalg.pinv(model.A)
+        else:
+            gains, moves = model.S @ np.linalg.pinv(model.A), power > 1e-6 * power.sum()
             variance = variance + metric**2 * (gains**2 @ run.rates_noise**2) * (g**2).sum()
+            ratios[moves] = (moved * rolled).sum(axis=0)[moves] / power[moves]
         noise, motion = float(variance.sum()), float((moved**2).sum(axis=1).mean())
-        excess = float((off**2).sum(axis=1).mean()) - noise
-        alone = max(len(run.q) / size * told, 1.0)  # numbers that do not hang together
-        certain = excess > _CERTAIN * noise * np.sqrt(2 / alone) and excess > 0
-        ratios, left = np.full(3, np.nan), off
-        if run.rates is not None:
-            power = (rolled**2).sum(axis=0)
-            with np.errstate(all="ignore"):
-                ratios = np.where(power > 1e-6 * power.sum(), (moved * rolled).sum(axis=0) / power, np.nan)
-            left = moved - np.nan_to_num(ratios) * rolled
-        after = max(float((left**2).sum(axis=1).mean()) - noise, 0.0)
+        excess = max(float(((moved - rolled) ** 2).sum(axis=1).mean()) - noise, 0.0)
+        alone = max(len(run.q) / size * told, 1.0)  # independent numbers
         found = cls(
-            float(np.sqrt(max(excess, 0.0))),
+            float(np.sqrt(excess)),
             float(np.sqrt(noise)),
-            float(np.sqrt(max(excess, 0.0) / max(motion, 1e-300))),
-            bool(certain),
+            float(np.sqrt(excess / max(motion, 1e-300))),
+            excess > _CERTAIN * noise * np.sqrt(2 / alone),
             ratios,
-            1 - after / excess if excess > 0 else 0.0,
         )
         if found.matters and found.share > _MOST:
-            raise InvalidArgument(f"{name} has poses that {found._told}; expected wheels that roll")
+            said = str(found).replace("poses", "poses that", 1)
+            raise InvalidArgument(f"{name} has {said}; expected wheels that roll")
         return found

@@ -1,0 +1,295 @@
+"""Files of logs: CSV; bags of ROS 1 and ROS 2 and MCAP files, read without ROS."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Mapping, Sequence
+from itertools import takewhile
+from operator import attrgetter
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pinmobile.arrays import Array, location, one_of
+from pinmobile.errors import FileError, InvalidArgument, PinmobileError, UnknownName, format_names, shown
+from pinmobile.extras import imported
+from pinmobile.files import refusals
+
+_UNIT = re.compile(r"[\[(]([^][()]*)[\])]$")
+_SEPARATORS = ";", "\t", ",", " "
+_SIX = 6  # columns of x, y and a quaternion
+_TURNS = [
+    *(["psi"], ["yaw"], ["theta"], ["heading"]),
+    *([f"{n}{axis}" for axis in "xyzw"] for n in ("q", "q_", "quat_", "orientation.", "orientation_")),
+]
+_DEGREE, _REVOLUTION = np.pi / 180, 2 * np.pi / 60
+_SI: dict[str, dict[str, float]] = {  # factors of units to that of SI
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": _DEGREE, "degrees": _DEGREE, "\N{DEGREE SIGN}": _DEGREE},
+    "m/s": {"m/s": 1.0, "mm/s": 1e-3},
+    "rad/s": {"rad/s": 1.0, "deg/s": _DEGREE, "rpm": _REVOLUTION},
+    "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
+    "N m": {"N m": 1.0, "Nm": 1.0, "N mm": 1e-3, "mN m": 1e-3},
+    "V": {"V": 1.0, "mV": 1e-3},
+    "A": {"A": 1.0, "mA": 1e-3},
+}
+_EXPECTED: dict[tuple[str, int], Sequence[str | None]] = {  # of columns; inputs are those of a robot
+    ("t", 1): ("s",),
+    ("q", 3): ("m", "m", "rad"),
+    ("q", _SIX): ("m", "m", "", "", "", ""),
+    ("twist", 2): ("m/s", "rad/s"),
+    ("twist", 3): ("m/s", "m/s", "rad/s"),
+}
+
+
+def _refused(file: Path, what: str, expected: str) -> InvalidArgument:
+    return InvalidArgument(f"path is {str(file)!r}, {what}, expected {expected}")
+
+
+def read_csv(
+    path: str | PathLike[str], columns: Mapping[str, str | Sequence[str]] | None
+) -> tuple[dict[str, Array], tuple[str, ...], int]:
+    """Return columns by role, units of inputs, and the number of rows of another length: see `Log`."""
+    file = location("path", path)
+    head, rows = _table(file)
+    names = [_UNIT.sub("", title).strip() for title in head]
+    wanted = _known_columns(names) | dict(columns or {})
+    for roles in (("t",), ("u",), ("q", "twist")):
+        if not set(roles) & set(wanted):
+            raise _refused(
+                file,
+                f"whose columns are {format_names(names)}: none is known as that of {' or '.join(roles)}",
+                "columns={'t': 'time', 'q': ('x', 'y', 'psi'), 'u': (...)} with names of its header",
+            )
+    kept = [row for row in rows if len(row) == len(head)]
+    if len(kept) < 2:
+        raise _refused(file, f"with {len(kept)} rows of as many columns as its header", "more")
+    parts: dict[str, Array] = {}
+    units: list[str] = []
+    for role, listed in wanted.items():
+        one_of("part of a log", role, ("t", *_RULES))
+        listed = [listed] if isinstance(listed, str) else [*listed]
+        for name in listed:
+            one_of(f"column of {str(file)!r}", name, names)
+            if names.count(name) > 1:
+                raise _refused(file, f"with two columns {name!r}", "one")
+        at = [names.index(name) for name in listed]
+        expected = _EXPECTED.get((role, len(at)), ["rad/s" if role == "wheel_rates" else None] * len(at))
+        in_si = [_si_unit(head[k], unit) for k, unit in zip(at, expected, strict=True)]
+        cells = [_column(file, head[k], [row[k] for row in kept]) for k in at]
+        parts[role] = np.column_stack(cells) * [factor for _, factor in in_si]
+        units = [unit for unit, _ in in_si] if role == "u" else units
+    if "q" in parts and parts["q"].shape[1] == _SIX:
+        x, y, *quaternion = parts["q"].T
+        parts["q"] = np.column_stack([x, y, _yaw_of(*quaternion)])
+    return parts, tuple(units), len(rows) - len(kept)
+
+
+def _table(file: Path) -> tuple[list[str], list[list[str]]]:
+    """Return the header of a file and its rows: cells between commas, semicolons, tabs or blanks.
+
+    Lines before the header that begin with # are comments; the last is the header where numbers follow it.
+    """
+    with refusals("read", "path", file):
+        content = file.read_bytes().decode("utf-8-sig", errors="replace")
+    if "\0" in content:
+        raise _refused(file, "which is no text", "a CSV file")
+    lines = [line.strip() for line in content.splitlines() if line.strip()]
+    comments = [*takewhile(lambda line: line.startswith("#"), lines)]
+    lines = lines[len(comments) :]
+    if comments and lines and _is_numbers(lines[0]):
+        lines = [comments[-1].lstrip("# "), *lines]
+    if not lines or _is_numbers(lines[0]):
+        said = f"whose first line {shown(lines[0])} has numbers" if lines else "which is empty"
+        raise _refused(file, said, "a header that names the columns, such as t,x,y,psi,Fx,Fy,Mz")
+    bare = re.sub(r"\[[^][]*\]|\([^()]*\)", "", lines[0])  # units may hold blanks
+    between = next((each for each in _SEPARATORS if each in bare), ",")
+    try:
+        read = csv.reader(lines, delimiter=between, skipinitialspace=True)
+        head, *rows = [[cell.strip() for cell in row] for row in read]
+    except csv.Error as error:
+        raise InvalidArgument(f"path is {str(file)!r}, which is no table of cells: {error}") from error
+    if between != ",":  # a comma is then that of a decimal
+        rows = [[cell.replace(",", ".") for cell in row] for row in rows]
+    return head, rows
+
+
+def _is_numbers(line: str) -> bool:
+    cells = [cell for cell in re.split(r"[;\t, ]+", line) if cell]
+    return bool(cells) and not any(np.isnan(_number(cell)) for cell in cells)
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return np.nan
+
+
+def _column(file: Path, title: str, cells: Sequence[str]) -> Array:
+    """Return the numbers of a column; NaN where a cell holds none."""
+    numbers = np.array([_number(cell) for cell in cells])
+    if np.isnan(numbers).all():
+        raise _refused(file, f"whose column {title!r} holds no numbers but {shown(cells[0])}", "numbers")
+    return numbers
+
+
+def _si_unit(title: str, expected: str | None) -> tuple[str, float]:
+    """Return the SI unit of a column, "" where its title has none, and the factor to it.
+
+    Raises
+    ------
+    UnknownName, InvalidArgument
+        If its unit is not known, or of another quantity than is expected of the column.
+    """
+    found = _UNIT.search(title)
+    if not found or not found[1].strip():
+        return "", 1.0
+    unit = " ".join(map(str.strip, re.split(r"[*.\N{MIDDLE DOT}\N{DOT OPERATOR}]", found[1])))
+    si = next((si for si, factors in _SI.items() if unit in factors), None)
+    if si is None:
+        raise UnknownName(f"unit of column {title!r}", unit, [name for each in _SI.values() for name in each])
+    if expected not in (None, si):
+        listed = ", ".join(_SI[expected]) if expected else "no unit: it is of a quaternion"
+        raise InvalidArgument(f"columns has {title!r} in {unit}, expected {listed}")
+    return si, _SI[si][unit]
+
+
+def _known_columns(names: Sequence[str]) -> dict[str, str | Sequence[str]]:
+    """Return columns by role, as far as their names are known."""
+    known = {name.casefold(): name for name in names}
+
+    def first(*sets: Sequence[str]) -> list[str]:
+        return next(([known[n] for n in each] for each in sets if set(each) <= set(known)), [])
+
+    def beginning(prefix: str) -> list[str]:
+        return [name for name in names if name.startswith(prefix)]
+
+    inputs = beginning("u_") or [known[name] for name in ("fx", "fy", "mz") if name in known]
+    turned = [f"v_{name.removeprefix('u_')}" for name in inputs]  # as Rollout.to_csv calls them
+    found = {
+        "t": first(("t",), ("time",), ("stamp",), ("timestamp",)),
+        "q": first(*(("x", "y", *each) for each in _TURNS)),
+        "u": inputs,
+        "twist": beginning("twist_"),
+        "wheel_rates": beginning("rate_") or (turned if set(turned) <= set(names) else []),
+    }
+    return {role: listed for role, listed in found.items() if listed}
+
+
+def read_bag(path: str | PathLike[str], topics: Mapping[str, str]) -> dict[str, tuple[Array, Array]]:
+    """Return times, counted from the first of all, and rows of each topic, by role; see `Log.from_bag`."""
+    file = location("path", path)
+    if not isinstance(topics, Mapping) or "u" not in topics or not {"q", "twist"} & set(topics):
+        raise InvalidArgument(
+            f"topics is {shown(topics)}, expected those of u and of q or twist, such as "
+            "{'q': '/odom', 'u': '/wrench'}"
+        )
+    for role in topics:
+        one_of("part of a log", role, _RULES)
+    highlevel = imported("rosbags.highlevel", "bags", "a bag")
+    stores = imported("rosbags.typesys", "bags", "a bag")
+    store = stores.get_typestore(stores.Stores.ROS2_HUMBLE)
+    with refusals("read", "path", file):
+        file.stat()
+        try:
+            with highlevel.AnyReader([file], default_typestore=store) as reader:
+                return _streams(reader, topics, file)
+        except (PinmobileError, PermissionError):
+            raise
+        except Exception as error:  # rosbags and sqlite raise whatever the bytes lead them to
+            why = shown(str(error) or type(error).__name__)
+            message = f"path is {str(file)!r}, which is damaged or no bag: {why}"
+            raise FileError(message, errno=getattr(error, "errno", None), filename=str(file)) from error
+
+
+def _streams(reader: Any, topics: Mapping[str, str], file: Path) -> dict[str, tuple[Array, Array]]:
+    there = {each.topic: each.msgtype for each in reader.connections}
+    rules: dict[str, list[tuple[str, Row]]] = {topic: [] for topic in topics.values()}
+    for role, topic in topics.items():
+        if topic not in there:
+            listed = [f"{name} ({kind.rpartition('/')[2]})" for name, kind in there.items()]
+            raise UnknownName(f"topic of {str(file)!r}", topic, listed)
+        known, kind = _RULES[role], there[topic].rpartition("/")[2]
+        if kind not in known:
+            raise InvalidArgument(
+                f"topics[{role!r}] is {topic!r}, whose messages are {there[topic]}, expected "
+                f"{', '.join(known)}"
+            )
+        rules[topic].append((role, known[kind]))
+    times: dict[str, list[tuple[int, int]]] = {role: [] for role in topics}
+    rows: dict[str, list[Any]] = {role: [] for role in topics}
+    wanted = [each for each in reader.connections if each.topic in rules]
+    left = sum(each.msgcount for each in wanted)
+    for connection, arrived, raw in reader.messages(connections=wanted):
+        left -= 1
+        message = reader.deserialize(raw, connection.msgtype)
+        header = getattr(message, "header", None)
+        at = arrived if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
+        for role, row in rules[connection.topic]:
+            times[role].append((at, arrived))
+            rows[role].append(row(message))
+    if left > 0:  # as of a chunk without CRC, which is read up to its damage
+        raise ValueError(f"{left} messages that the bag counts are gone")
+    for role, topic in topics.items():
+        lengths = sorted({len(row) for row in rows[role]})
+        if len(rows[role]) < 2 or len(lengths) > 1 or not lengths[0]:
+            what = f"whose topic {topic!r} has {len(rows[role])} messages of {lengths} numbers"
+            raise _refused(file, what, f"2 and more that hold {role}, as many numbers in each")
+    stamped = all(each[-1][0] > each[0][0] for each in times.values())  # otherwise times of arrival
+    stamps = {role: [pair[not stamped] for pair in each] for role, each in times.items()}
+    first = min(min(each) for each in stamps.values())  # whole nanoseconds, beyond a float's digits
+    seconds = {role: 1e-9 * np.array([at - first for at in each], float) for role, each in stamps.items()}
+    return {role: (seconds[role], np.array(rows[role], float)) for role in topics}
+
+
+Row = Callable[[Any], Any]
+
+
+def _yaw_of(x: Any, y: Any, z: Any, w: Any) -> Any:
+    """Return the yaw of quaternions, which need not be of length one."""
+    return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
+def _pose_in(place: str, turn: str) -> Row:
+    """Return what reads a pose from a message, by the names of its parts."""
+    parts = attrgetter(place, turn)
+
+    def read(message: Any) -> Any:
+        at, by = parts(message)
+        return at.x, at.y, float(_yaw_of(by.x, by.y, by.z, by.w))
+
+    return read
+
+
+def _of(inside: str, *names: str) -> Row:
+    """Return what reads the numbers of a part of a message."""
+    return attrgetter(*(f"{inside}{name}" for name in names))
+
+
+_WRENCH, _TWIST = ("force.x", "force.y", "torque.z"), ("linear.x", "linear.y", "angular.z")
+_COMMAND = "linear.x", "angular.z"
+_ARRAYS: dict[str, Row] = dict.fromkeys(("Float64MultiArray", "Float32MultiArray"), attrgetter("data"))
+_NESTED = _pose_in("pose.pose.position", "pose.pose.orientation")
+_RULES: dict[str, dict[str, Row]] = {
+    "q": {
+        **{"Odometry": _NESTED, "PoseWithCovarianceStamped": _NESTED},
+        "PoseStamped": _pose_in("pose.position", "pose.orientation"),
+        **{"Pose": _pose_in("position", "orientation"), "Pose2D": _of("", "x", "y", "theta")},
+        "TransformStamped": _pose_in("transform.translation", "transform.rotation"),
+    },
+    "u": {
+        **{"WrenchStamped": _of("wrench.", *_WRENCH), "Wrench": _of("", *_WRENCH)},
+        **{"Twist": _of("", *_COMMAND), "TwistStamped": _of("twist.", *_COMMAND)},
+        **{"JointState": attrgetter("effort"), **_ARRAYS},
+    },
+    "twist": {
+        **dict.fromkeys(("Odometry", "TwistWithCovarianceStamped"), _of("twist.twist.", *_TWIST)),
+        **{"TwistStamped": _of("twist.", *_TWIST), "Twist": _of("", *_TWIST)},
+    },
+    "wheel_rates": {"JointState": attrgetter("velocity"), **_ARRAYS},
+}

@@ -1,0 +1,422 @@
+"""`PlanarModel`: a robot in the plane as its log sees it, linear in what is identified.
+
+The body twist is nu = S eta with free velocities eta: of a body that is pushed S is the identity, of wheels
+that roll without steering it is constant. With phi = (m, m x, m y, I | c | f), I about the body's origin,
+friction along the axes A eta, and what the wheels' own inertia adds, M_w::
+
+    S' [ m a_u - m x r^2 - m y r'   ]
+       [ m a_w + m x r' - m y r^2   ] + M_w eta' + A' (c A eta + f A eta / sqrt((A eta)^2 + e^2)) = F
+       [ m x a_w - m y a_u + I r'   ]
+
+with a_u = u' - r w and a_w = w' + r u. F is R(psi)' u of a body that is pushed, and B tau of wheels, u or tau
+less constant offsets where these are identified; tau are the torques: the input, or what motors make of volts
+and the wheels' rates by their law, limits and losses in the gear as they are stated. Where the input's scale
+is identified, torque constants have it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinmobile import parts
+from pinmobile.arrays import Array, bounded, frozen, positive, scalar
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.forces import JointFriction, RollingResistance, ViscousFriction
+from pinmobile.identification._estimator import solve
+from pinmobile.identification._log import Log
+from pinmobile.identification._planar_problem import PlanarProblem
+from pinmobile.identification._preprocessing import PreprocessedLog
+from pinmobile.identification._simulation import Quantity, Segments
+from pinmobile.parts import Tabled, offers
+from pinmobile.robot import MobileRobot
+from pinmobile.urdf import Body
+from pinmobile.wheels import Motor, MotorLaw
+
+if TYPE_CHECKING:
+    from pinmobile.identification._estimates import Identification
+
+_SPEED, _WHEEL_SPEED = 0.01, 0.1  # where dry friction has 71 %: [m/s, rad/s] of a body, [rad/s] of wheels
+_CONSTANTS = "resistance", "torque_constant", "viscous", "coulomb", "efficiency"
+_STILL = 2e-3  # [rad/s], where losses of a motor have 71 % of their size; those of real ones are sharp
+_GYRATION = 0.01  # [m], least radius of a body
+_LIGHTEST = 0.02  # [kg]
+_NOTHING = 1e-14  # of the largest variance
+_ROUNDED = 1e-6  # of what a bound lacks
+_STEPS = 200  # of a search for a body, of which some ten are needed
+_AHEAD = 2.0  # [s]
+_AXES = "forward", "left", "yaw"
+_BODY = (
+    Quantity("mass", "kg", True, "mass"),
+    Quantity("com_x", "m", False, "com.x"),
+    Quantity("com_y", "m", False, "com.y"),
+    Quantity("yaw_inertia", "kg m^2", True, "yaw_inertia"),
+)
+_BODY_FRICTION = (
+    ("viscous", "coefficients", {"": "N s/m", "yaw": "N m s"}),
+    ("rolling", "force", {"": "N", "yaw": "N m"}),
+)
+_JOINT_FRICTION = (
+    ("joint_viscous", "viscous", {"": "N m s/rad"}),
+    ("joint_coulomb", "coulomb", {"": "N m"}),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarModel:
+    """A robot in the plane, linear in what is identified.
+
+    Attributes
+    ----------
+    S : ndarray, shape (3, k)
+        Body twist of the free velocities.
+    A : ndarray, shape (a, k)
+        Rates along which there is friction: the body's axes, or the driven wheels.
+    B : ndarray, shape (k, nu), or None
+        Force of the inputs on the free velocities; None: the input is a force in the inertial frame.
+    inertia : ndarray, shape (k, k)
+        What turning wheels add to the mass matrix, known.
+    speed : float
+        Where dry friction has 71 % of its size.
+    wheels : tuple of str
+        Names of the driven wheels, whose friction it is; empty of a body that is pushed.
+    scaled : bool
+        Whether the input's scale is identified too, the last entry of phi.
+    motors : tuple of Motor
+        Of each input, where any takes volts; else empty.
+    offset : bool
+        Whether phi has, behind the friction, a constant force or torque by which each input reads too much.
+    """
+
+    S: Array
+    A: Array
+    B: Array | None
+    inertia: Array
+    speed: float
+    wheels: tuple[str, ...] = ()
+    scaled: bool = False
+    motors: tuple[Motor, ...] = ()
+    offset: bool = False
+
+    measured: ClassVar[tuple[tuple[str, str], ...]] = (("x", "m"), ("y", "m"), ("psi", "rad"))
+    told_first: ClassVar[int] = 4
+
+    @classmethod
+    def of(cls, robot: Any, speed: float | None = None, scaled: bool = False) -> PlanarModel:
+        """Return the model of a body pushed by forces, or of a robot on wheels by torques or volts.
+
+        Raises
+        ------
+        InvalidArgument
+            If its wheels steer, slip, or share a motor, or it has arms.
+        """
+        if not offers(robot, Tabled):
+            if robot is not None and (not isinstance(robot, MobileRobot) or robot.mounts):
+                raise InvalidArgument(
+                    f"robot is {shown(robot)}, expected a MobileRobot without arms (robot.lumped() has them "
+                    "locked), or a WheeledRobot whose wheels roll and do not steer; of a robot that takes "
+                    "speeds for commands take identify_velocity"
+                )
+            slow = positive("rolling_speed", _SPEED if speed is None else speed, "m/s")
+            eye = frozen(np.eye(3))
+            return cls(eye, eye, None, frozen(np.zeros((3, 3))), slow, scaled=scaled)
+        slow = positive("rolling_speed", _WHEEL_SPEED if speed is None else speed, "rad/s")
+        table = robot.table
+        if table.axes or robot.ground.slips or table.couplings or robot.mounts:
+            raise InvalidArgument(
+                f"robot is {shown(robot)}, with wheels that steer or slip, shared motors, or arms, expected "
+                "wheels that roll and do not steer, on a motor each and without arms: such as those of a "
+                "differential, mecanum or omni drive"
+            )
+        reduced = robot.reduced(robot.rest, np.zeros(robot.nv))
+        S, turning = reduced.S[:3], reduced.S[3:]
+        names = tuple(each.name for each in table.actuators)
+        inertia = reduced.M - S.T @ robot.robot.mass_matrix(np.zeros(3)) @ S
+        columns = np.stack([each.column for each in table.actuators], axis=-1)
+        volts = any(each.unit == "V" for each in robot.inputs)
+        motors = tuple(each.motor for each in table.actuators) if volts else ()
+        S, A, B, inertia = (frozen(each) for each in (S, columns.T @ turning, reduced.B, inertia))
+        return cls(S, A, B, inertia, slow, names, scaled, motors)
+
+    def prior(self, robot: Any) -> Array:
+        """Return phi of a robot."""
+        body = (robot.robot if self.wheels else robot).lumped()
+        told = np.zeros(self.size)
+        told[:4] = body.mass, *body.com[:2], body.body.yaw_inertia
+        told[self.size - self.scaled :] = 1.0
+        return self.phi(told)
+
+    @property
+    def free(self) -> int:
+        """How many free velocities there are."""
+        return int(self.S.shape[1])
+
+    @property
+    def nu(self) -> int:
+        """Size of the input."""
+        return 3 if self.B is None else int(self.B.shape[1])
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """Units of the inputs by name."""
+        if not self.wheels:
+            return {"Fx": "N", "Fy": "N", "Mz": "N m"}
+        electric = [each.is_electric for each in self.motors] or [False] * len(self.wheels)
+        return {n: "V" if volts else "N m" for n, volts in zip(self.wheels, electric, strict=True)}
+
+    @cached_property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """Identified numbers, with the centre of mass and the inertia about it."""
+        kinds = _JOINT_FRICTION if self.wheels else _BODY_FRICTION
+        found = [
+            *_BODY,
+            *(
+                Quantity(f"{kind}_{axis}", units.get(axis, units[""]), True, f"{path}.{axis}")
+                for kind, path, units in kinds
+                for axis in self.wheels or _AXES
+            ),
+        ]
+        if self.offset:
+            units = ["N m"] * self.nu if self.wheels else self.inputs.values()
+            pairs = zip(self.inputs, units, strict=True)
+            found += [Quantity(f"offset_{n}", unit, False) for n, unit in pairs]
+        if self.scaled:
+            found.append(Quantity("input_scale", "", True))
+        return tuple(found)
+
+    @property
+    def size(self) -> int:
+        """How many numbers phi has."""
+        return 4 + 2 * len(self.A) + self.nu * self.offset + self.scaled
+
+    @property
+    def dry(self) -> slice:
+        """Where phi has dry friction."""
+        return slice(4 + len(self.A), 4 + 2 * len(self.A))
+
+    @property
+    def offsets(self) -> slice:
+        """Where phi has offsets of the inputs."""
+        return slice(self.dry.stop, self.size - self.scaled)
+
+    def to_physical(self, phi: Array) -> Array:
+        """Return what is told of phi, shape (..., p): com = (m x, m y) / m, and the inertia about it."""
+        m, mx, my, inertia = (phi[..., k] for k in range(4))
+        about = inertia - (mx * mx + my * my) / m
+        return np.concatenate([np.stack([m, mx / m, my / m, about], -1), phi[..., 4:]], -1)
+
+    def phi(self, told: Array) -> Array:
+        """Return phi of what is told, shape (..., p)."""
+        m, x, y, about = (told[..., k] for k in range(4))
+        first = np.stack([m, m * x, m * y, about + m * (x * x + y * y)], -1)
+        return np.concatenate([first, told[..., 4:]], -1)
+
+    def slopes(self, phi: Array) -> Array:
+        """Return the derivatives of what is told by phi, shape (p, p)."""
+        m, mx, my = phi[:3]
+        D = np.eye(len(phi))
+        D[1, :2] = -mx / m**2, 1 / m
+        D[2, [0, 2]] = -my / m**2, 1 / m
+        D[3, :4] = (mx * mx + my * my) / m**2, -2 * mx / m, -2 * my / m, 1.0
+        return D
+
+    def are_possible(self, phi: Array) -> Any:
+        """Return whether mass and yaw inertia about the centre of mass are above zero, of phi (..., p)."""
+        m, mx, my, inertia = (phi[..., k] for k in range(4))
+        return (m > 0) & (m * inertia > mx * mx + my * my)
+
+    def possible(self, phi: Array, scales: Array) -> Array:
+        """Return parameters of a body, those given where they are: else with a small mass or inertia."""
+        told = np.array(phi)
+        told[0] = max(told[0], 1e-2 * scales[0])
+        about = (told[1] ** 2 + told[2] ** 2) / told[0]
+        told[3] = max(told[3], about + 1e-2 * scales[3])
+        return told
+
+    def plausible(self, phi: Array, covariance: Array) -> Array:
+        """Return the likeliest parameters of a body whose friction brakes: phi itself if it is one.
+
+        That is min (p - phi)' C^-1 (p - phi) with friction and scale not below zero, and the linear matrix
+        inequality of a body of radius of gyration rho and more::
+
+            [ I - rho^2 m  m x  m y ]
+            [ m x          m    0   ]  >= 0
+            [ m y          0    m   ]
+
+        Both are convex. Where the covariance C has nothing, nothing moves.
+
+        Raises
+        ------
+        InvalidArgument
+            If there is none.
+        """
+        from scipy.optimize import minimize  # here, because it takes long to load
+
+        friction = [k for k, one in enumerate(self.quantities) if one.bounded and k > 3]
+
+        def slack(p: Array) -> Array:
+            return np.concatenate([[p[0] - _LIGHTEST, _inertia_left(p)], p[friction]])
+
+        if (slack(phi) >= 0).all():
+            return phi
+        values, vectors = np.linalg.eigh(covariance)
+        known = values > _NOTHING * values.max()
+        root, size = vectors[:, known] * np.sqrt(values[known]), np.abs(slack(phi)) + 1e-3 * np.abs(phi).max()
+        limit = {"type": "ineq", "fun": lambda z: slack(phi + root @ z) / size}
+        how = {"method": "SLSQP", "constraints": limit, "options": {"ftol": _ROUNDED**2, "maxiter": _STEPS}}
+        body = phi + root @ minimize(lambda z: (z @ z / 2, z), np.zeros(root.shape[1]), jac=True, **how).x
+        if not (slack(body) >= -_ROUNDED * size).all():
+            raise InvalidArgument(
+                f"log leads to a mass of {phi[0]:.3g} kg and a yaw inertia of {self.to_physical(phi)[3]:.3g} "
+                "kg m^2, of which there is no body near: expected both above zero"
+            )
+        body[3] += max(0.0, -_inertia_left(body))
+        body[friction] = np.maximum(body[friction], 0.0)
+        return np.asarray(body)
+
+    def robot(self, found: Identification) -> Any:
+        """Return the robot as identified; see `Identification.robot`."""
+        m, x, y, inertia = self.to_physical(found.plausible)[:4].tolist()
+        prior = found.prior
+        if prior is None:
+            return MobileRobot(m, inertia, com=(x, y))
+        bare = (prior.robot if self.wheels else prior).lumped()
+        centre, J = np.array([x, y, bare.body.com[2]]), np.array(bare.body.inertia)
+        scaled, J[2, 2] = J * (inertia / J[2, 2]), inertia
+        # Moments that break the triangle inequality: those of a body of the same form.
+        body = Body(m, centre, J if J[2, 2] <= J[0, 0] + J[1, 1] else scaled)
+        new = bare.with_body(body, f"{bare.source}; identified from a log")
+        if not self.wheels:
+            return new
+        if not self.motors:
+            return parts.evolved(prior, robot=new)
+        driven = parts.evolved(prior.wheeled, robot=new).by_voltage()
+        if self.scaled:
+            scale = found.plausible[-1]
+            constants = zip(driven.motor_paths, self.motors, strict=True)
+            changes = {f"{path}.torque_constant": one.torque_constant * scale for path, one in constants}
+            driven = parts.replace(driven, changes)
+        return driven
+
+    def forces(self, found: Identification) -> list[Any]:
+        """Return the friction for `simulate`; see `Identification.forces`."""
+        viscous, dry = np.split(self.to_physical(found.plausible)[4 : self.dry.stop], 2)
+        if not self.wheels:
+            return [ViscousFriction(viscous), RollingResistance(dry, self.speed)]
+        names = [one.name for one in found.prior.coordinates]
+        columns = np.zeros((2, len(names)))
+        columns[:, [names.index(name) for name in self.wheels]] = viscous, dry
+        return [JointFriction(columns[0], columns[1], self.speed, names)]
+
+    def notes(self, found: Identification) -> list[str]:
+        """Return what such a log does not identify."""
+        told = ["the motion does not tell constant offsets of inputs from friction: taken as zero"]
+        told = told * (not self.offset)
+        if found.slippage is not None and found.slippage.matters:
+            told.append(str(found.slippage))
+        if self.wheels:
+            told.append(
+                "the wheels' own inertia cannot be told from mass and yaw inertia: "
+                f"{self.inertia[0, 0]:.3g} kg and {self.inertia[-1, -1]:.3g} kg m^2 were taken as stated"
+                + ", as were motors with their friction and gears"
+                * bool(self.motors)
+            )
+            if not self.scaled:
+                told.append(
+                    "all estimates are in proportion to the torque per input, taken as stated: a log with a "
+                    "known load tells it, identify([log, loaded], robot, loads=[None, load])"
+                )
+        return told
+
+    def predicted(
+        self, found: Identification, log: Log, seconds: float | None
+    ) -> tuple[Segments, Array, NDArray[np.bool_], Array]:
+        """Return segments of a log, measured less simulated, which samples count, and the sensors' noise."""
+        run = PreprocessedLog.of(log, self, np.zeros(4))
+        late, longest = found.delay / run.dt, len(run.q) * run.dt - 2 * abs(found.delay) - 4 * run.dt
+        length = scalar("seconds", _AHEAD if seconds is None else seconds)
+        ahead = bounded("seconds", length, least=10 * run.dt, most=longest, unit="s")
+        segments = run.segments(self, late, ahead, run.rates is not None)
+        search = PlanarProblem(self, found.phi, np.zeros((len(found.phi), 0)), late)
+        return segments, solve(search, segments, search.start).near.residual, segments.good, run.noise
+
+    def rows(self, a_u: Array, a_w: Array, turn: Array, square: Array, rates: Array, dry: Array) -> Array:
+        """Return the regressor along the free velocities, shape (n, k, p), a scale of the input left out.
+
+        Parameters
+        ----------
+        a_u, a_w : ndarray, shape (n,)
+            Acceleration forward and to the left.
+        turn, square : ndarray, shape (n,)
+            r' and r^2.
+        rates, dry : ndarray, shape (n, a)
+            Rates with friction, and their regularised signs.
+        """
+        zero = np.zeros_like(a_u)
+        columns = [a_u, -square, -turn, zero], [a_w, turn, -square, zero], [zero, a_w, -a_u, turn]
+        body = np.stack([np.stack(row, axis=-1) for row in columns], axis=1)
+        friction = [part[:, None, :] * self.A.T[None] for part in (rates, dry)]
+        return np.concatenate([np.einsum("ai,naj->nij", self.S, body), *friction], axis=-1)
+
+    def regressor(self, eta: Array, rate: Array) -> Array:
+        """Return the regressor of free velocities and their derivatives, both (n, k), shape (n, k, p)."""
+        (forward, left, r), (du, dw, turn) = (eta @ self.S.T).T, (rate @ self.S.T).T
+        rates = eta @ self.A.T
+        dry = rates / np.hypot(rates, self.speed)
+        return self.rows(du - r * left, dw + r * forward, turn, r * r, rates, dry)
+
+    def torques(self, u: Sequence[Any], rates: Sequence[Any], scale: Any = 1.0) -> list[Any]:
+        """Return the torques of the inputs at rates of their wheels, in numbers, arrays or symbols.
+
+        Parameters
+        ----------
+        u, rates : sequence, shape (nu,)
+            Inputs and rates [rad/s].
+        scale : scalar
+            Of torques per input; of motors, of their torque constants.
+        """
+        if not self.motors:
+            return [scale * x for x in u]
+        numbers = np.array([[getattr(one, name) or 0.0 for one in self.motors] for name in _CONSTANTS])
+        resistance, constant, viscous, coulomb, efficiency = numbers
+        law = MotorLaw(self.motors, resistance, scale * constant, viscous, coulomb, efficiency)
+        return [
+            law.smooth_torque(k, law.volts(k, x), rate, rate / np.sqrt(rate * rate + _STILL**2))
+            if motor.is_electric
+            else scale * x
+            for k, (motor, x, rate) in enumerate(zip(self.motors, u, rates, strict=True))
+        ]
+
+    def rates(self, z: Any, u: Any, phi: Any) -> Any:
+        """Return the rates of pose and free velocities, shape (3 + k,), of one state and input, in NumPy."""
+        psi, eta = z[2], z[3:]
+        (forward, left, r), along = self.S @ eta, self.A @ eta
+        m, mx, my, inertia = phi[0], phi[1], phi[2], phi[3]
+        a, c, s = len(self.A), np.cos(psi), np.sin(psi)
+        scale = phi[self.size - 1] if self.scaled else 1.0
+        force = np.stack(self.torques(u, along, scale))
+        if self.offset:
+            force = force - phi[self.offsets]
+        if self.B is None:
+            force = np.stack([c * force[0] + s * force[1], c * force[1] - s * force[0], force[2]])
+        else:
+            force = self.B @ force
+        h = np.stack([r * (m * left + mx * r), r * (my * r - m * forward), -r * (mx * forward + my * left)])
+        friction = phi[4 : 4 + a] * along + phi[self.dry] * along / np.sqrt(along * along + self.speed**2)
+        M = np.stack([np.stack([m, 0.0, -my]), np.stack([0.0, m, mx]), np.stack([-my, mx, inertia])])
+        rate = np.linalg.solve(
+            self.S.T @ M @ self.S + self.inertia, force + self.S.T @ h - self.A.T @ friction
+        )
+        way = np.stack([c * forward - s * left, s * forward + c * left, r])
+        return np.concatenate([way, rate])
+
+
+def _inertia_left(phi: Array) -> float:
+    """Return by how much the inertia about the centre of mass is above that of a least body."""
+    m, mx, my, inertia = phi[:4]
+    return float(inertia - _GYRATION**2 * m - (mx * mx + my * my) / max(m, _LIGHTEST))

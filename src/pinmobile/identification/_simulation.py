@@ -1,0 +1,203 @@
+"""Segments of logs, and simulations of them by any model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, NamedTuple, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinmobile.arrays import Array
+from pinmobile.compiled import vectorize
+
+_SLOPE = 1e-4  # of the size of a first state, by which differences are taken
+_LEAST_SIZE = 1e-3  # of an input, as a share of the largest
+_UNROLLED = 8  # integration steps per call of machine code
+
+
+class Segments(NamedTuple):
+    """Segments of logs, each simulated from a first state of its own.
+
+    Attributes
+    ----------
+    dt : ndarray, shape (S,)
+        Time between two samples [s].
+    t : ndarray, shape (S, L)
+        Times since the first sample of the log [s].
+    y : ndarray, shape (S, L, m)
+        Measurements.
+    good : ndarray of bool, shape (S, L)
+        Samples that count.
+    noise : ndarray, shape (S, m)
+        Standard deviation of the sensors, infinite where there is none; 1 where it is not known.
+    start : ndarray, shape (S, n)
+        Guess of the first states.
+    inputs : ndarray, shape (N, nu)
+        Inputs of all logs.
+    at : ndarray of int, shape (S, W)
+        Rows of the inputs near a segment.
+    lead : int
+        How many of these are before the first sample.
+    load : ndarray, shape (S, 4)
+        Known moments of mass that the robot carries.
+    """
+
+    dt: Array
+    t: Array
+    y: Array
+    good: NDArray[np.bool_]
+    noise: Array
+    start: Array
+    inputs: Array
+    at: NDArray[np.int_]
+    lead: int
+    load: Array
+
+    @classmethod
+    def cut(cls, dt: float, rows: tuple[Any, ...], span: Any, load: Any = 0.0, least: float = 0.0) -> Self:
+        """Return the segments of a log.
+
+        Parameters
+        ----------
+        dt : float
+            Time between two samples [s].
+        rows : tuple of ndarray, shape (N, ...)
+            Measurements, which of them count, guesses of the states, and inputs; and the noise, shape (m,).
+        span : tuple of 5 int
+            First sample, end, number of samples of a segment, and of inputs before and behind it.
+        load, least
+            As of the class, and the least share of samples that count.
+        """
+        (first, stop, length, lead, more), (y, good, states, u, noise) = span, rows
+        count = max(0, (stop - first) // length)
+        at = first + np.arange(count * length).reshape(count, length)
+        at = at[good[at].mean(axis=1) >= least]
+        near = np.clip(at[:, :1] - lead + np.arange(lead + length + more), 0, len(u) - 1)
+        sigma, known = np.tile(noise, (len(at), 1)), np.broadcast_to(load, (len(at), 4))
+        start, times = states[at[:, 0]], np.full(len(at), dt)
+        return cls(times, at * dt, y[at], good[at], sigma, start, u, near, lead, known)
+
+    @classmethod
+    def joined(cls, parts: list[Segments]) -> Segments:
+        """Return the segments of several logs as one."""
+        before = np.cumsum([0, *(len(part.inputs) for part in parts)])
+        moved = [part._replace(at=part.at + n) for part, n in zip(parts, before, strict=False)]
+        joined = {n: np.concatenate([getattr(x, n) for x in moved]) for n in cls._fields if n != "lead"}
+        return cls(lead=parts[0].lead, **joined)
+
+    @property
+    def sizes(self) -> Array:
+        """Standard deviations of the inputs, none below a thousandth of the largest, shape (nu,)."""
+        sizes = self.inputs[self.at.min() : self.at.max() + 1].std(axis=0)
+        return np.asarray(np.maximum(sizes, _LEAST_SIZE * sizes.max() + np.finfo(float).tiny))
+
+    def weighed(self, residuals: Array) -> Array:
+        """Return residuals, shape (V, S, L, m), over the noise; zero where nothing was measured."""
+        return np.asarray(residuals * self.good[..., None] / self.noise[:, None])
+
+    def applied(self, lag: Any, count: int) -> Array:
+        """Return the inputs that apply from each sample on, shape (V, S, count, nu), for lags (V,)."""
+        columns = self.lead + np.arange(count) - np.reshape(lag, (-1, 1))
+        return np.asarray(np.moveaxis(self.inputs[self.at[:, columns]], 0, 1))
+
+
+class Quantity(NamedTuple):
+    """Number that is identified.
+
+    Attributes
+    ----------
+    name, unit : str
+        Name and unit.
+    bounded : bool
+        Whether it cannot be below zero.
+    path : str
+        Name in a spread.
+    """
+
+    name: str
+    unit: str
+    bounded: bool
+    path: str = ""
+
+
+class Model(Protocol):
+    """Robot whose numbers p, shape (P,), are estimated from segments of logs."""
+
+    def rates(self, z: Any, u: Any, numbers: Any) -> Any:
+        """Return dz/dt, shape (n,), of one state and input, in NumPy: numbers are those of `resolved`."""
+
+    def resolved(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
+        """Return numbers of the law (V, 1 or S, k), delays (V,) in samples and the longest time step."""
+
+    def observed(self, segments: Segments, states: Array) -> Array:
+        """Return the measurements, shape (..., m), of states, shape (..., n)."""
+
+    def is_possible(self, p: Array) -> bool:
+        """Return whether p are numbers of a robot."""
+
+    def sizes(self, p: Array) -> Array:
+        """Return typical sizes of p, shape (P,): the first step of the search is no longer."""
+
+    def increments(self, p: Array) -> Array:
+        """Return the steps of central differences, shape (P,)."""
+
+
+@lru_cache(64)
+def _advance(law: Callable[..., Any], steps: int, *sizes: int) -> Callable[..., Array]:
+    """Return some steps of Runge's and Kutta's fourth order with constant input, compiled."""
+
+    def advance(z: Any, u: Any, numbers: Any, span: Any) -> Any:
+        h = span[0]
+        for _ in range(steps):
+            a = law(z, u, numbers)
+            b = law(z + h / 2 * a, u, numbers)
+            c = law(z + h / 2 * b, u, numbers)
+            z = z + h / 6 * (a + 2 * (b + c) + law(z + h * c, u, numbers))
+        return z
+
+    compiled = vectorize(advance, checked=False)
+    numbers = [np.full((1, 1, size), 0.1) for size in sizes]
+    compiled(*numbers, np.full((1, 1, 1), 1e-6))  # compares itself with numbers that do not diverge
+    return compiled
+
+
+@np.errstate(all="ignore")  # a robot that is tried may diverge
+def simulate(model: Model, segments: Segments, p: Array, starts: Array) -> Array:
+    """Return simulated measurements, shape (V, S, L, m), of numbers (V, P) and first states (V, S, n).
+
+    Of each sample the input before acts for the fraction of a sample in the delay, then the sample's own.
+    """
+    numbers, late, longest = model.resolved(segments, p)
+    lag, length = np.floor(late + 1e-9).astype(int), segments.y.shape[1]
+    share = np.maximum(late - lag, 0.0)
+    lag = lag[:1] if (lag == lag[0]).all() else lag
+    parts = []
+    for before, part in ((1, share), (0, 1 - share)):
+        span = part[:, None, None] * segments.dt[:, None]
+        count = int(np.ceil(span.max() / longest - 1e-9))
+        calls = -(-count // _UNROLLED)
+        if calls:
+            u, steps = segments.applied(lag + before, length - 1), -(-count // calls)
+            advance = _advance(model.rates, steps, starts.shape[-1], u.shape[-1], numbers.shape[-1])
+            parts.append((advance, u, calls, span / (calls * steps)))
+    states = np.empty((length, len(p), *starts.shape[-2:]))
+    states[0] = starts
+    for k in range(length - 1):
+        z = states[k]
+        for advance, u, calls, h in parts:
+            for _ in range(calls):
+                z = advance(z, u[:, :, k], numbers, h)
+        states[k + 1] = z
+    return np.moveaxis(model.observed(segments, states), 0, 2)
+
+
+def linearize(model: Model, segments: Segments, p: Array, starts: Array) -> tuple[Array, Array]:
+    """Return simulated measurements, (S, L, m), and slopes by numbers and first states, (P + n, S, L, m)."""
+    P, n = len(p), starts.shape[1]
+    size = np.append(model.increments(p), _SLOPE * np.maximum(np.abs(starts).mean(axis=0), 0.1))
+    ways = np.vstack([np.zeros(P + n), np.kron(np.diag(size), [[1.0], [-1.0]])])
+    out = simulate(model, segments, p + ways[:, :P], starts + ways[:, None, P:])
+    with np.errstate(all="ignore"):
+        return out[0], np.nan_to_num(out[1::2] - out[2::2]) / (2 * size[:, None, None, None])
