@@ -337,10 +337,9 @@ class VelocityRobot:
             )
         nu = self.independent(q, v)
         rates, c, s, w = self.rates(nu, u), np.cos(q[..., 2]), np.sin(q[..., 2]), nu[..., 1]
-        turned = stacked(
-            -(nu[..., 0] * s + self.ahead * w * c) * w, (nu[..., 0] * c - self.ahead * w * s) * w, 0.0
-        )
-        return rolling_of(self.ahead, q, rates) + turned
+        along = rates[..., 0] - self.ahead * (w * w)
+        aside = nu[..., 0] * w + self.ahead * rates[..., 1]
+        return stacked(along * c - aside * s, along * s + aside * c, rates[..., 1])
 
     @_arrays(q=3, v=3, rates=2)
     def commands(self, q: Any, v: Any, rates: Any) -> Any:
@@ -356,7 +355,11 @@ class VelocityRobot:
         rates : array_like, shape (..., 2)
             Of speed and yaw rate [m/s^2, rad/s^2].
         """
-        return self.regressor(q, v, rates) @ self.theta
+        nu, theta = self.independent(q, v), self.theta
+        u, w = nu[..., 0], nu[..., 1]
+        ahead = theta[..., 0] * rates[..., 0] - theta[..., 2] * (w * w) + theta[..., 3] * u
+        turning = theta[..., 1] * rates[..., 1] + theta[..., 4] * (u * w) + theta[..., 5] * w
+        return stacked(ahead, turning)
 
     @_arrays(q=3, v=3, rates=2)
     def regressor(self, q: Any, v: Any, rates: Any) -> Any:
