@@ -11,8 +11,8 @@ from pinmobile.compiled import Cache, Outcome, Program, robot_keys
 from pinmobile.forces import SinusoidalForce
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.loop import Loop, Samples
-from pinmobile.loop._engines import in_python
 from pinmobile.loop._program import Compiled
+from pinmobile.loop._python import in_python
 from pinmobile.parts import evolved
 from pinmobile.plant import Context
 from pinmobile.trajectories import Reference

@@ -582,7 +582,7 @@ def test_packages_of_extras_are_those_of_the_project() -> None:
             )
         return found
 
-    for extra, packages in pm.extras.EXTRAS.items():
+    for extra, packages in pm.errors.EXTRAS.items():
         assert set(packages) == names(extra)
 
 
@@ -590,7 +590,7 @@ def test_a_missing_package_is_named_with_how_to_get_it() -> None:
     with pytest.raises(
         pm.InvalidArgument, match=r"^a sweep needs nothing_of_it, which is not installed: pip install da"
     ):
-        pm.extras.imported("nothing_of_it", "sweeps", "a sweep")
+        pm.errors.imported("nothing_of_it", "sweeps", "a sweep")
 
 
 def test_a_stable_friction_has_no_hint() -> None:

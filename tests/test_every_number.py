@@ -14,8 +14,8 @@ from pinmobile.controllers import AdaptiveVelocity, DynamicFeedback, Kanayama, V
 from pinmobile.errors import NotTraceable
 from pinmobile.loop import Loop, Samples
 from pinmobile.loop._checks import chosen_integrator, sampled, started
-from pinmobile.loop._engines import in_python
 from pinmobile.loop._program import Compiled
+from pinmobile.loop._python import in_python
 from pinmobile.parts import numbers, replace
 from pinmobile.plant import Context
 from pinmobile.trajectories import Reference

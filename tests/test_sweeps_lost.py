@@ -17,7 +17,7 @@ import pytest
 from pinmobile import InvalidArgument, Sweep, sweep
 from pinmobile.errors import FileError
 from pinmobile.sweeps import Points
-from pinmobile.sweeps._fingerprint import describe
+from pinmobile.sweeps._points import describe
 from tests.damage import answer, damaged, full_disk, little_memory
 from tests.sweeping import contents, scenario
 from tests.test_sweeps import Stop, stop_at

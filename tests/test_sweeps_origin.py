@@ -22,7 +22,7 @@ from pinmobile.arrays import Array
 from pinmobile.controllers import planar_difference
 from pinmobile.forces import NoiseForce
 from pinmobile.sweeps import Points
-from pinmobile.sweeps._fingerprint import describe, differences
+from pinmobile.sweeps._points import describe, differences
 from tests.sweeping import points, scenario
 
 ROOT = Path(__file__).parents[1]

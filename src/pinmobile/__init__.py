@@ -62,7 +62,6 @@ _NAMES = {
         "dh": "",
         "divergence": "",
         "errors": "Diverged InvalidArgument PinmobileError",
-        "extras": "",
         "files": "",
         "forces": "ConstantForce JointFriction RollingResistance ViscousFriction",
         "identification": "Log VelocityRobot excitation identify identify_velocity",

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import partial
+from importlib import import_module
 from typing import Any
 
 _LONGEST = 500  # letters of a value that a message shows
@@ -228,3 +229,42 @@ class ViewerError(PinmobileError, RuntimeError):
 
 class SchedulerError(PinmobileError, ConnectionError):
     """A Dask cluster does not answer, has no worker, or is lost; or a process that ran robots is."""
+
+
+EXTRAS: Mapping[str, tuple[str, ...]] = {
+    "sweeps": ("dask", "distributed", "xarray", "zarr"),
+    "mp4": ("imageio-ffmpeg",),
+    "bags": ("rosbags",),
+    "mpc": ("daqp",),
+}
+"""The packages of each extra, as on PyPI; pyproject.toml has their versions."""
+
+
+def installing(extra: str) -> str:
+    """Return how the packages of an extra are installed, wherever this package came from; and the extra."""
+    return f"pip install {' '.join(EXTRAS[extra])}, or 'pinmobile[{extra}]'"
+
+
+def imported(name: str, extra: str, what: str) -> Any:
+    """Return a module of an extra.
+
+    Parameters
+    ----------
+    name : str
+        The module.
+    extra : str
+        The extra that it is of.
+    what : str
+        What needs it, for the message, such as ``"a sweep"``.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not installed.
+    """
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        raise InvalidArgument(
+            f"{what} needs {error.name}, which is not installed: {installing(extra)}"
+        ) from error

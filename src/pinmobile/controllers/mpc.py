@@ -25,8 +25,7 @@ from pinmobile.controllers.lqr import (
     whole_reference,
 )
 from pinmobile.controllers.wrappers import estimated
-from pinmobile.errors import InvalidArgument, NotSolved, NotTraceable
-from pinmobile.extras import imported
+from pinmobile.errors import InvalidArgument, NotSolved, NotTraceable, imported
 from pinmobile.parts import Linearized, Rolling, able, array, child, evolved, integer, number, part
 from pinmobile.plant import Context, inputs_of
 

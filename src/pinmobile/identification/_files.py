@@ -14,8 +14,15 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array, location, one_of
-from pinmobile.errors import FileError, InvalidArgument, PinmobileError, UnknownName, format_names, shown
-from pinmobile.extras import imported
+from pinmobile.errors import (
+    FileError,
+    InvalidArgument,
+    PinmobileError,
+    UnknownName,
+    format_names,
+    imported,
+    shown,
+)
 from pinmobile.files import refusals
 
 _UNIT = re.compile(r"[\[(]([^][()]*)[\])]$")

@@ -27,8 +27,8 @@ from pinmobile.controllers import Controller, check_controller, check_memory
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
-from pinmobile.loop._engines import error_of_sizes
 from pinmobile.loop._loop import displaced, named_forces
+from pinmobile.loop._python import error_of_sizes
 from pinmobile.parts import Carried, Following, OnCoordinates, Pushable, Stepping, able, required
 from pinmobile.plant import Context, Plant, check_plant, coordinates_of, reference_sizes_of, refuse_path
 from pinmobile.trajectories import Reference, Trajectory, check_limits

@@ -18,11 +18,10 @@ from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop._checks import sampled
 from pinmobile.loop._counts import Part, Records, bins_of, member_of
-from pinmobile.loop._engines import in_python
 from pinmobile.loop._ensemble import Ensemble
 from pinmobile.loop._loop import Loop
 from pinmobile.loop._program import Compiled
-from pinmobile.loop._python import with_compiled_plant
+from pinmobile.loop._python import in_python, with_compiled_plant
 from pinmobile.loop._record import Worst
 from pinmobile.loop._scenario import Scenario, checked_scenario
 from pinmobile.loop._simulate import Engine, checked_engine

@@ -28,9 +28,8 @@ from pinmobile.loop._checks import (
     sampled,
     started,
 )
-from pinmobile.loop._engines import CompiledRun, PythonRun
 from pinmobile.loop._loop import Loop, named_forces
-from pinmobile.loop._python import with_compiled_plant
+from pinmobile.loop._python import CompiledRun, PythonRun, with_compiled_plant
 from pinmobile.loop._rollout import Rollout
 from pinmobile.parts import OnCoordinates, Starting, able
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.extras import imported
+from pinmobile.errors import imported
 from pinmobile.files import archive_of
 from pinmobile.loop._counts import edges, quantiles
 from pinmobile.loop._description import Outline

@@ -68,7 +68,9 @@ from pinmobile.parts._fields import (
 )
 from pinmobile.parts._registry import (
     Parameter as Parameter,
+    expected as expected,
     fits as fits,
+    flat as flat,
     is_part_class as is_part_class,
     makes_part as makes_part,
     names_of as names_of,
@@ -86,7 +88,6 @@ from pinmobile.parts._text import (
     write_text as write_text,
 )
 from pinmobile.parts._tree import InvalidEntries as InvalidEntries, Reader as Reader
-from pinmobile.parts._values import expected as expected, flat as flat
 from pinmobile.parts._walk import (
     Found,
     Leaf,

@@ -14,15 +14,17 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.parts._fields import Child, Number, Values, Whole
 from pinmobile.parts._registry import (
     Parameter,
+    expected,
     is_code,
     is_part_class,
+    listed,
     names_of,
     parameters,
     public,
+    put,
     resolve,
 )
 from pinmobile.parts._tree import InvalidEntries, Reader
-from pinmobile.parts._values import expected, listed, put
 
 _MOST = 1 << 20  # bytes of a file
 

@@ -16,17 +16,20 @@ from pinmobile.errors import InvalidArgument, PinmobileError, shown
 from pinmobile.parts._fields import Child, Field, Number, Values, Whole, evolved, fields_of, is_part
 from pinmobile.parts._registry import (
     Parameter,
+    called,
+    expected,
     fits,
+    flat,
     is_code,
     is_part_class,
     makes_part,
     name_of,
     names_of,
     nearest,
+    nested,
     parameters,
     resolve,
 )
-from pinmobile.parts._values import called, expected, flat, nested
 from pinmobile.parts._walk import Leaf, entries_of
 
 _WRONG = object()  # in place of a part that cannot be made

@@ -15,8 +15,7 @@ from pinmobile.arrays import location, one_of, whole
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import PER_ROBOT, Ensemble, Scenario, checked_share, drawn_name, percent, share_within
 from pinmobile.metrics import in_words
-from pinmobile.sweeps._fingerprint import describe, differences
-from pinmobile.sweeps._points import Axis, Label, Points, index_of, place
+from pinmobile.sweeps._points import Axis, Label, Points, describe, differences, index_of, place
 
 _ROUNDING = 1e-9  # relative; a run's is orders less, and differences that matter are more
 

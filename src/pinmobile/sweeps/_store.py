@@ -20,8 +20,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled import BINS
-from pinmobile.errors import FileError, InvalidArgument, shown
-from pinmobile.extras import imported
+from pinmobile.errors import FileError, InvalidArgument, imported, shown
 from pinmobile.files import refusals, write
 from pinmobile.loop import (
     LEVELS,
@@ -35,8 +34,7 @@ from pinmobile.loop import (
     per_robot,
     summed,
 )
-from pinmobile.sweeps._fingerprint import FORMAT, differences
-from pinmobile.sweeps._points import Points
+from pinmobile.sweeps._points import FORMAT, Points, differences
 
 # This module is imported by the first sweep, which needs these packages.
 xarray: Any = imported("xarray", "sweeps", "a sweep")

@@ -13,11 +13,9 @@ import numpy as np
 
 from pinmobile.arrays import Array, callable_as, location, text, whole
 from pinmobile.compiled import processors
-from pinmobile.errors import InvalidArgument, SchedulerError, SlowerEngine, shown
-from pinmobile.extras import imported
+from pinmobile.errors import InvalidArgument, SchedulerError, SlowerEngine, imported, shown
 from pinmobile.loop import Part, Scenario, part_of, way_of
-from pinmobile.sweeps._fingerprint import describe
-from pinmobile.sweeps._points import Changes, Points
+from pinmobile.sweeps._points import Changes, Points, describe
 from pinmobile.sweeps._result import Sweep
 
 if TYPE_CHECKING:

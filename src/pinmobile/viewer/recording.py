@@ -33,8 +33,7 @@ from PIL import Image
 
 from pinmobile.arrays import bounded, positive, scalar, whole
 from pinmobile.compiled import processors
-from pinmobile.errors import InvalidArgument, ViewerError, shown
-from pinmobile.extras import installing
+from pinmobile.errors import InvalidArgument, ViewerError, installing, shown
 from pinmobile.files import write, written
 from pinmobile.viewer.pages import engine, loading, sealed, stage_page
 
