@@ -144,7 +144,7 @@ def _scenario() -> Any:
 
 
 def _commands() -> Any:
-    still = pm.FixedHeading(pm.Hold((0, 0), 21.0), 0.0)
+    still = pm.FixedHeading(pm.Hold((0, 0), 42.0), 0.0)
     run = pm.simulate(WORLD.commanded, pm.controllers.RandomSteps(), still, dt=0.1, engine=pm.Engine.COMPILED)
     q = run.q + 1e-3 * np.random.default_rng(1).normal(size=run.q.shape)
     return pm.Log(run.t, q, run.u)
@@ -477,9 +477,7 @@ ROWS: dict[str, Row] = {
         60,
     ),
     "identify": row(60, log=the("log"), robot=None, loads=None, method="weak", delay=0.0, rolling_speed=0.01),
-    "identify_velocity": row(
-        12, log=the("commands"), delay=0.0, ahead=0.0, accelerations=[9.0, 9.0], seconds=1.0
-    ),
+    "identify_velocity": row(12, log=the("commands"), delay=0.0, ahead=0.0, accelerations=[9.0, 9.0]),
     "Identification.interval": row(level=0.9),
     "Identification.spread": row(n=3, seed=0),
     "Identification.predict": row(60, log=the("log"), seconds=2.0),

@@ -412,7 +412,7 @@ def test_wrong_labels(done: pm.Sweep) -> None:
 def test_a_missing_package_names_the_extra(done: pm.Sweep, tmp_path: Path) -> None:
     code = f"""if True:
         import sys
-        from pinmobile import InvalidArgument
+        from pinmobile import InvalidArgument, Sweep
         from tests.sweeping import *
 
         for name in ("zarr", "xarray"):

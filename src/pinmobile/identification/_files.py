@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, location, one_of
+from pinmobile.arrays import Array, instance, location, one_of
 from pinmobile.errors import (
     FileError,
     InvalidArgument,
@@ -64,6 +64,7 @@ def read_csv(
     file = location("path", path)
     head, rows = _table(file)
     names = [_UNIT.sub("", title).strip() for title in head]
+    instance("columns", columns or {}, Mapping, "a mapping of roles to titles")
     wanted = _known_columns(names) | dict(columns or {})
     for roles in (("t",), ("u",), ("q", "twist")):
         if not set(roles) & set(wanted):

@@ -219,6 +219,7 @@ class Log:
         """
         given: dict[str, Array] = {}
         poses: dict[str, Any] = {"q": q, "twist": twist, "wheel_rates": wheel_rates}
+        u = real("u", u)
         times = {"t_q": finite("t_q", t_q), "t_u": finite("t_u", t_u)}
         for time, parts in (("t_q", poses), ("t_u", {"u": u})):
             increasing(time, times[time])
@@ -277,7 +278,8 @@ class Log:
 
         def noisy(name: str, deviation: ArrayLike, values: Array) -> Array:
             size = bounded(name, shaped(name, finite(name, deviation), (), values.shape[1:]), least=0)
-            return values + size * generator.standard_normal(values.shape)
+            with np.errstate(over="ignore"):  # a log has finite numbers
+                return values + size * generator.standard_normal(values.shape)
 
         q, u = noisy("noise", noise, rollout.poses[:end]), noisy("input_noise", input_noise, rollout.u[late:])
         names, inputs = [one.name for one in coordinates_of(plant)], inputs_of(plant)

@@ -13,6 +13,7 @@ import numpy as np
 from pinmobile.arrays import (
     Array,
     ArrayLike,
+    bounded,
     finite,
     frozen,
     instance,
@@ -254,7 +255,7 @@ def solve_inverse_kinematics(
     solver = Solver(robot, target, name, limits, weights)
     start = solver.start(q0)
     tending = start if posture is None else _checked_posture(robot, posture)
-    gain = non_negative("posture_gain", posture_gain, "1/s")
+    gain = bounded("posture_gain", non_negative("posture_gain", posture_gain, "1/s"), most=1e6, unit="1/s")
     wanted = target.duration / positive("dt", dt, "s")
     if not wanted <= _MOST_STEPS:
         raise InvalidArgument(
