@@ -1,5 +1,4 @@
 import json
-import platform
 import re
 import socket
 import subprocess
@@ -9,7 +8,6 @@ from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from runpy import run_path
-from time import sleep
 from types import SimpleNamespace
 from typing import Any
 from urllib.parse import urlsplit
@@ -105,30 +103,6 @@ def test_a_right_trajectory_is_timed(bench: SimpleNamespace) -> None:
     assert len(runs) == 2 + 3
 
 
-def test_a_model_that_is_wrong_off_the_axis_is_caught(bench: SimpleNamespace) -> None:
-    def prepare(task: Any) -> Any:
-        on_the_axis = replace(task, body=replace(task.body, com=(0.0, 0.0)))
-        return lambda: bench.task.expected(on_the_axis)
-
-    rows, sound = bench.rollout.race([stand_in("flat", prepare)], bench.task.Task(0.1, SHORT), rounds=1)
-    assert not sound
-    assert rows["flat"].word.startswith("WRONG")
-
-
-@pytest.mark.parametrize("spoiled", [float("nan"), float("inf")])
-def test_what_is_not_finite_is_wrong(bench: SimpleNamespace, spoiled: float) -> None:
-    one = right_but_for(bench, [], a=spoiled)
-    run, word = bench.rollout.check(one, bench.task.Task(0.1, SHORT))
-    assert run is None
-    assert word == "WRONG, not timed: off by inf"
-
-
-def test_a_log_that_lacks_a_sample_is_wrong(bench: SimpleNamespace) -> None:
-    task = bench.task.Task(0.1, SHORT)
-    log = bench.task.expected(task)
-    assert bench.task.difference(bench.task.Log(*(part[:-1] for part in log[:5])), log) == np.inf
-
-
 def test_a_missing_peer_is_named_with_what_installs_it(bench: SimpleNamespace) -> None:
     absent = stand_in("absent", prepare=None, installed=False)
     rows, sound = bench.rollout.race([absent], bench.task.Task(0.1, SHORT), rounds=1)
@@ -170,27 +144,6 @@ def test_an_arm_on_its_base_is_moved_alike_by_all_who_are_there(bench: SimpleNam
         assert run is not None, f"{one.name}: {word}"
 
 
-@pytest.mark.parametrize("quantity", ["q", "v", "a", "tau", "error"])
-def test_an_arm_that_is_moved_otherwise_is_not_timed(bench: SimpleNamespace, quantity: str) -> None:
-    task = bench.arm_task.ArmTask(duration=0.05)
-    log = bench.arm.expected(task)
-    wrong = stand_in("a peer", lambda task: lambda: log._replace(**{quantity: getattr(log, quantity) + 1e-6}))
-    broken = stand_in("broken", prepare=None)
-    rows, sound = bench.rollout.race([wrong, broken], task, rounds=1, judge=bench.arm.check)
-    assert not sound
-    assert rows["a peer"].word.startswith("WRONG, not timed: off by ")
-    assert rows["broken"].word.startswith("FAILED: TypeError: ")
-    assert rows["a peer"].times == rows["broken"].times == []
-
-
-def test_the_table_of_the_arm_is_printed(bench: SimpleNamespace, capsys: pytest.CaptureFixture[str]) -> None:
-    assert bench.arm.main(["--quick"]) == 0
-    printed = capsys.readouterr().out
-    assert "- of the raw loop: median of the ratios of each round, not ratio of the medians" in printed
-    assert printed.count("pinmobile simulate") == printed.count("raw Pinocchio loop (rnea, aba)") == 1
-    assert re.search(r"whole body \d\.\de-06, decoupled \d\.\de-03", printed)
-
-
 def test_batches_are_right_of_all_who_are_there(
     bench: SimpleNamespace, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -199,19 +152,6 @@ def test_batches_are_right_of_all_who_are_there(
     assert "WRONG" not in printed
     assert printed.count("pinmobile, batches: the first ") == 3
     assert re.search(r"pinmobile, one state after another +\S+( +[\d.]+ \(1\.0 x\)){3}", printed)
-
-
-def test_a_batch_that_is_wrong_is_not_timed(bench: SimpleNamespace) -> None:
-    given = bench.batches.states(3)
-    right = bench.batches.expected(given)
-    peer = stand_in("a peer", None).peer
-    wrong = {"M": lambda q: right["M"] * (1 + 1e-6), "inverse": lambda q, v, a: right["inverse"]}
-    one = bench.batches.Batcher("a peer", peer, lambda: wrong)
-    run, word = bench.batches.check(one, "M", given, right)
-    assert run is None
-    assert word.startswith("WRONG, not timed: M is off by ")
-    assert bench.batches.check(one, "inverse", given, right)[1] == ""
-    assert bench.batches.check(one, "forward", given, right) == (None, "none")
 
 
 def test_intervals_are_counted_and_the_table_of_logs_is_printed(
@@ -231,19 +171,6 @@ def test_intervals_are_counted_and_the_table_of_logs_is_printed(
     printed = capsys.readouterr().out
     assert printed.startswith("1 logs of 60 s")
     assert re.search(r"pose noise, 100 Hz +least squares as most write it( +[\d.]+){3} +- ", printed)
-
-
-def test_calls_of_pinmobile_are_right(bench: SimpleNamespace) -> None:
-    assert "WRONG" not in bench.calls.calls_of(bench.calls.PEOPLE[0]).values()
-
-
-def test_the_table_names_all_that_were_asked_for(
-    bench: SimpleNamespace, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert bench.rollout.main(["--quick", "--only", "closed form"]) == 0
-    printed = capsys.readouterr().out
-    assert printed.count("closed form in numpy") == printed.count("raw Pinocchio loop (rnea, aba)") == 2
-    assert "simulate" not in printed
 
 
 @pytest.fixture
@@ -287,24 +214,6 @@ def test_every_benchmark_is_run_and_understands_what_it_is_given(asked: Any) -> 
     assert list(asked()) == list(asked("--quick", "--rounds", "2")) == every
 
 
-@pytest.mark.parametrize(
-    ("words", "parts"),
-    [
-        (["ensemble"], ["ensembles", "arm_ensembles", "loop"]),
-        (["Raw"], ["rollout", "arm", "loop", "memory"]),
-        (["closed form", "jax"], ["rollout", "ensembles", "calls", "memory"]),
-    ],
-)
-def test_only_those_benchmarks_are_run_in_which_somebody_has_the_name(
-    asked: Any, words: list[str], parts: list[str]
-) -> None:
-    assert list(asked("--quick", "--only", *words)) == parts
-
-
-def test_another_version_is_beside_the_loop_alone(asked: Any) -> None:
-    assert list(asked("--before", "python3")) == ["loop"]
-
-
 def test_a_name_that_nobody_has_is_refused_before_anything_is_run(
     asked: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -317,19 +226,6 @@ def test_a_name_that_nobody_has_is_refused_before_anything_is_run(
             asked(*options)
         assert ended.value.code == 2
         assert capsys.readouterr().err.endswith(message)
-
-
-def test_calls_memory_and_the_arm_name_those_alone_who_were_asked_for(
-    bench: SimpleNamespace, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(bench.memory, "cells_of", lambda one, quick: ("1", "2", "3"))
-    for part in (bench.calls, bench.memory, bench.arm):
-        assert part.main(["--quick", "--only", "closed form"]) == 0
-    printed = capsys.readouterr().out
-    assert printed.count("closed form in numpy") == 2
-    assert printed.count("raw Pinocchio loop") == 1  # the arm's, which the others are compared with
-    assert "MuJoCo" not in printed
-    assert "simulate" not in printed
 
 
 def test_without_the_peers_every_benchmark_starts_and_knows_who_is_missing() -> None:
@@ -385,36 +281,6 @@ def test_imports_and_first_uses_are_told_as_shares_of_pinocchios(
     assert shares["from pinmobile import MobileRobot"] == "1.20"
 
 
-def test_an_import_is_measured_with_its_bytecode_kept_whatever_the_environment_says(
-    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
-    (tmp_path / "measured.py").write_text("from time import sleep\nsleep(0.05)\n")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    assert bench.imports.milliseconds("import measured", str(tmp_path / "kept")) >= 50
-    assert list((tmp_path / "kept").rglob("measured.*.pyc"))
-    assert not list(tmp_path.glob("__pycache__"))
-
-
-def test_steps_that_are_late_are_counted(bench: SimpleNamespace) -> None:
-    waits = iter([0.0, 0.03, 0.0, 0.0])
-    pace = bench.viewing.paced(lambda pose: sleep(next(waits)), np.zeros((4, 3)))
-    assert pace.late >= 1
-    assert pace.took >= 4 * bench.viewing.PERIOD
-    assert len(pace.times) == 4
-
-
-def test_without_a_chromium_the_recording_is_measured_all_the_same(
-    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("PINMOBILE_CHROMIUM", "no-such-program")
-    monkeypatch.setattr(bench.viewing, "in_fresh_process", lambda frames: [0.5, 0.25, 1.0, 90.0, 100.0])
-    assert bench.viewing.main(["--quick"]) == 0
-    printed = capsys.readouterr().out
-    assert "not installed: apt-get install chromium" in printed
-    assert "0.75" in printed
-
-
 def ensemble_of(bench: SimpleNamespace, prepare: Any, **differs: Any) -> Any:
     """Make an entrant that is there and that `prepare` sets up."""
     one = bench.ensemble_contestants.Entrant("a peer", bench.contestants.NUMPY, "none", **differs)
@@ -426,14 +292,6 @@ def test_the_expected_figures_are_those_of_simulate(bench: SimpleNamespace) -> N
     fleet = bench.fleet.Fleet(2)
     assert fleet.mass[0] != fleet.mass[1]
     assert bench.fleet.difference(bench.fleet.simulated(fleet), fleet) < 1e-12
-
-
-def test_bins_are_32_to_an_octave(bench: SimpleNamespace) -> None:
-    values = np.array([0.0, 2.0**-34, 1.0, 1.0 + 1 / 33, 1.0 + 1 / 31, 2.0, 1e9])
-    bins = np.repeat(np.arange(bench.fleet.BINS), bench.fleet.counted(values))
-    np.testing.assert_array_equal(
-        bins, [0, 1, 34 * 32 + 1, 34 * 32 + 1, 34 * 32 + 2, 35 * 32 + 1, 44 * 32 + 1]
-    )
 
 
 @pytest.mark.parametrize("module", ["of_c", "of_numpy", "of_pinocchio", "of_pinmobile"])
@@ -463,62 +321,6 @@ def test_ensembles_of_arms_are_right(bench: SimpleNamespace, arm: str, modules: 
             assert one.apart(one.prepare(work)(), work) <= bench.task.TOLERANCE, one.name
 
 
-def test_an_arm_with_another_payload_is_not_taken_for_right(bench: SimpleNamespace) -> None:
-    (one,) = (one for one in bench.arm_ensemble_contestants.EVERYONE if one.name == "UR5: pinmobile ensemble")
-    work = one.lasting(3, 0.03)
-    right = bench.arm_fleet.expected(work)
-    assert one.apart(right, work) == 0
-    work.payload[2] += 0.01
-    assert one.apart(right, work) > 1e3 * bench.task.TOLERANCE
-    assert one.apart(right._replace(max_input=right.max_input[:2]), work) == np.inf
-
-
-def test_the_tables_of_arms_are_printed(
-    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(bench.arm_ensembles, "QUICK_SIZES", (1, 3))
-    monkeypatch.setattr(
-        bench.arm_ensembles, "ASKED", [(bench.arm_ensembles.STEP, bench.arm_ensembles.LOOP, 1, 15)]
-    )
-    monkeypatch.setattr(
-        bench.arm_ensembles, "show_memory", lambda out, weighed, sizes, program: bool(weighed)
-    )
-    monkeypatch.setattr(bench.arm_fleet, "LONG", 0.03)
-    assert bench.arm_ensembles.main(["--quick", "--only", "UR5: pinmobile ensemble", "loop in Python"]) == 0
-    printed = capsys.readouterr().out
-    assert "WRONG" not in printed
-    assert re.search(r"pinmobile ensemble +Pinocchio, loop in Python +1 +[\d.,]+ +15", printed)
-    assert printed.count("code for AVX2") == 1  # of the UR5 alone
-    assert "million robot-steps a second" in printed
-
-
-def test_the_first_result_of_arms_is_timed_or_its_failure_named(
-    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    (tmp_path / "old").touch()
-    monkeypatch.setattr(bench.arm_ensembles, "FIRST", "raise RuntimeError('no compiler')")
-    assert bench.arm_ensembles.first_result("UR5", str(tmp_path), True) == "FAILED: RuntimeError: no compiler"
-    assert not list(tmp_path.iterdir())
-    monkeypatch.setattr(bench.arm_ensembles, "FIRST", "print('{arm}', 1, 2, 3, 4)")
-    assert bench.arm_ensembles.first_result("UR5", str(tmp_path), False) == (1, 2, 3, 4)
-
-
-def test_the_processors_vectors_are_stated(bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
-    for flags, said in (
-        ("sse2 avx avx2 avx512f", " with AVX-512,"),
-        ("sse2 avx avx2", " with AVX2,"),
-        ("", ","),
-    ):
-        monkeypatch.setattr(
-            bench.measuring,
-            "Path",
-            lambda _, text=flags: SimpleNamespace(
-                exists=lambda: True, read_text=lambda: f"flags : fpu {text}"
-            ),
-        )
-        assert f"{platform.machine()}{said} " in bench.measuring.about()
-
-
 @pytest.mark.parametrize("figure", ["max_error", "rms_error", "max_input", "max_distance", "histogram"])
 def test_a_wrong_figure_is_reported_and_not_timed(bench: SimpleNamespace, figure: str) -> None:
     runs: list[Any] = []
@@ -542,49 +344,6 @@ def test_a_wrong_figure_is_reported_and_not_timed(bench: SimpleNamespace, figure
     assert len(runs) == 1  # the check's; it is out for the other size
 
 
-def test_slow_ensembles_do_a_part_or_are_left_out(
-    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def prepare(fleet: Any) -> Any:
-        return lambda: (fleet.steps / 6e6, bench.fleet.expected(fleet))
-
-    monkeypatch.setattr(bench.ensemble_race, "timed", lambda run: run())
-    entrants = [ensemble_of(bench, prepare)]
-    monkeypatch.setattr(bench.fleet, "CHECKED", 10_000)
-    (line,), sound = bench.ensemble_race.race(entrants, [100, 200, 3_000], rounds=2, longest=0.015)
-    assert sound
-    assert line.fleets[100].task.duration == 60.0
-    assert line.fleets[200].task.duration == 6.0
-    assert line.rate(200) == pytest.approx(6.0)
-    assert line.rows[3_000].word == "left out: about 0 s a turn"
-
-
-def test_a_missing_ensemble_is_named_with_what_installs_it(bench: SimpleNamespace) -> None:
-    absent = bench.contestants.Peer("no_such_module", "absent", "pip install absent")
-    one = bench.ensemble_contestants.Entrant("absent", absent, "none")
-    (line,), sound = bench.ensemble_race.race([one], [1, 2], rounds=1, longest=9.0)
-    assert sound
-    assert list(line.words()) == ["not installed: pip install absent"]
-
-
-def test_the_tables_of_ensembles_are_printed(
-    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(bench.ensembles, "QUICK_SIZES", (1, 100))
-    monkeypatch.setattr(bench.ensembles, "QUICK_LONGEST", 1e3)  # nothing is left out on a busy machine
-    assert bench.ensembles.main(["--quick", "--only", "structure of arrays"]) == 0
-    printed = capsys.readouterr().out
-    assert printed.count("numpy, structure of arrays") == 3  # speeds, ratios, memory
-    assert "WRONG" not in printed
-
-
-def test_a_first_call_that_fails_is_named_with_its_error(
-    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr(bench.ensemble_costs, "FIRST", "raise RuntimeError('no compiler')")
-    assert bench.ensemble_costs.first_call(str(tmp_path)) == "FAILED: RuntimeError: no compiler"
-
-
 def test_every_row_of_the_loop_is_timed(bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench.loop_work, "SAMPLES", 61)
     monkeypatch.setattr(bench.loop_work, "QUICK_STEPS", bench.loop_work.SHORT)
@@ -596,26 +355,6 @@ def test_every_row_of_the_loop_is_timed(bench: SimpleNamespace, monkeypatch: pyt
     work.of = SimpleNamespace()  # an older version
     assert bench.loop_work.evaluate_metrics(work, "simulate, compiled") == "it has no engine COMPILED"
     assert bench.loop_work.evaluate_metrics(work, "rk4").startswith("FAILED: AttributeError: ")
-
-
-def test_a_loop_that_takes_too_long_is_timed_over_a_part(
-    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[int] = []
-    work = bench.loop_work.Work(quick=False, least=0.0)
-    monkeypatch.setattr(work, "ensemble", lambda n, steps, *_: asked.append(steps))
-    for longest, steps in ((1e3, [12, 12, 120, 1_200, 1_200]), (0.0, [12, 12, 12, 12])):
-        monkeypatch.setattr(bench.loop_work, "LONGEST", longest)
-        work.many()
-        assert asked == steps
-        asked.clear()
-
-
-def test_a_version_is_asked_in_a_process_of_its_own(bench: SimpleNamespace, tmp_path: Path) -> None:
-    row = "raw Pinocchio loop"
-    assert 0 < bench.loop.told([sys.executable], str(tmp_path), [row], True)[row] < 60
-    failed = bench.loop.told([sys.executable, "--unknown"], str(tmp_path), [row], True)[row]
-    assert failed.startswith("FAILED: ")
 
 
 def test_the_loop_is_printed_beside_another_version(

@@ -13,7 +13,6 @@ from scipy.integrate import quad
 
 from pinmobile import PD, ComputedTorque, Engine, MobileRobot, Tangent, Uniform, ensemble, simulate
 from pinmobile.errors import InvalidArgument
-from pinmobile.parts import numbers
 from pinmobile.paths import (
     Circle,
     CompositePath,
@@ -69,16 +68,6 @@ def test_a_circle_starts_in_the_direction_of_its_heading(rate: float, centre: An
             assert (as_complex(path(0)) - complex(*centre)) / 2 == pytest.approx(
                 -1j * side * np.exp(1j * heading)
             )
-
-
-def test_without_more_words_a_circle_has_the_bits_of_the_lecture_s_figure() -> None:
-    circle, figure = Circle(3, 0.1, 60), Lissajous(3, 3, 0.1, 0.1, 60)
-    t = np.linspace(0, 60, 601)
-    for order in range(4):
-        assert circle.derivative(t, order).tobytes() == figure.derivative(t, order).tobytes()
-    assert list(numbers(circle)) == ["radius", "rate"]
-    assert Circle(3, 0.1, 60, (0, 3)) != circle
-    np.testing.assert_array_equal(Circle(3, 0.1, 60, (0, 3), -np.pi / 2)(t), circle(t))
 
 
 # -- lines and polylines ---------------------------------------------------------------------------
@@ -155,32 +144,6 @@ def test_a_corner_is_the_integral_of_its_direction_and_no_tighter_than_its_radiu
     assert np.hypot(ax, ay).max() == pytest.approx(path.speed**2 / radius, rel=1e-12)
 
 
-def test_a_polyline_starts_and_stops_as_fast_as_it_may() -> None:
-    path = Polyline([(0, 0), (4, 0), (4, 3)], 0.5, 20.0, 0.25)
-    t = np.linspace(0, 20, 200_001)
-    speeds = np.linalg.norm(path.derivative(t, 1), axis=-1)
-    along = np.gradient(speeds, t)
-    assert np.abs(path.derivative([0, 20], 1)).max() < 1e-14
-    assert np.abs(path.derivative([0, 20], 2)).max() < 1e-13
-    assert np.abs(along).max() == pytest.approx(
-        0.25, rel=1e-6
-    )  # the middle of its start, between two samples
-    assert speeds.max() == pytest.approx(path.speed, rel=1e-12)
-    assert float(np.trapezoid(speeds, t)) == pytest.approx(path.length, rel=1e-9)
-    np.testing.assert_allclose(path(20), (4, 3), rtol=0, atol=1e-13)
-    assert path.length < 7
-
-
-def test_a_polyline_in_space_lies_in_the_planes_of_its_corners() -> None:
-    flat = Polyline([(0, 0), (3, 0), (3, 2)], 0.3, 10)
-    axes = np.array([(2, 1, 2), (-2, 2, 1)]) / 3  # of length one, and square to each other
-    t = np.linspace(0, 10, 50)
-    for order in range(4):
-        wanted = flat.derivative(t, order) @ axes + (order == 0) * np.array([1, 1, 1])
-        found = Polyline(np.array([(0, 0), (3, 0), (3, 2)]) @ axes + 1, 0.3, 10).derivative(t, order)
-        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12)
-
-
 def test_a_body_with_inertia_follows_a_rounded_polyline() -> None:
     # Forces that are held over dt leave what an acceleration that changes makes of it: dt^2 / 2 of its change
     # per dt at most, and no jump of a turn rate, which would be radians per second.
@@ -208,12 +171,6 @@ def test_a_path_is_turned_and_then_shifted(x: float, y: float, turn: float, orde
     np.testing.assert_allclose(found, expected, rtol=0, atol=8 * EPS * np.abs(expected).max(initial=1.0))
     for piece, other in zip(pieces_of(path.moved(x, y, turn)), path.pieces, strict=True):
         assert (piece.start, piece.end) == (other.start, other.end)
-
-
-def test_a_path_in_space_is_moved_level() -> None:
-    path = Line((1, 0, 5), (2, 0, 6), 1).moved(3, 4, np.pi / 2)
-    np.testing.assert_allclose(path([0, 1]), [(3, 5, 5), (3, 6, 6)], rtol=0, atol=1e-15)
-    assert path.derivative(0, 1)[2] == 1
 
 
 def test_a_reference_turns_with_its_path() -> None:
@@ -270,14 +227,6 @@ JUMPS: list[tuple[list[Any], str]] = [
 def test_paths_that_do_not_meet_are_refused(paths: list[Path], message: str) -> None:
     with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
         CompositePath(paths)
-
-
-def test_rounding_is_no_jump() -> None:
-    turn = Circle(1, 0.5, 3)
-    end, direction = turn(3), turn.derivative(3, 1)
-    assert CompositePath([turn, Line(end, end + 2 * direction, 2)]).duration == 5
-    with pytest.raises(InvalidArgument, match=r"1e-08 m from"):
-        CompositePath([turn, Line(end + np.array([1e-8, 0]), end + 2 * direction, 2)])
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ import pickle
 import re
 import shutil
 import threading
-import tracemalloc
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -71,22 +70,6 @@ def test_a_full_disk_leaves_the_store_as_good_as_it_was(
     assert not (store / ".writing").exists()
     small(store)
     assert contents(store) == contents(done)
-
-
-def test_a_store_that_could_not_be_begun_leaves_nothing(tmp_path: Path) -> None:
-    with full_disk(100), pytest.raises(FileError, match=r"zarr\.json', which cannot be written: File too la"):
-        small(tmp_path / "store")
-    assert not list(tmp_path.iterdir())
-
-
-def test_what_others_have_inside_a_store_stays(done: Path, tmp_path: Path) -> None:
-    store = begun(tmp_path / "keep.zarr", 16)
-    mine = ["mine.partial", "max_error/mine.partial", "c"]
-    for name in mine:
-        (store / name).write_bytes(b"mine")
-    small(store)
-    assert {name for name in contents(store) if name not in contents(done)} == set(mine)
-    assert Sweep.open(store).answer() == Sweep.open(done).answer()
 
 
 @pytest.mark.parametrize("left", [[], [".lock"], [".lock", ".writing"]])
@@ -247,40 +230,6 @@ def test_a_store_runs_no_code(copy: Path, monkeypatch: pytest.MonkeyPatch, name:
         with pytest.raises(InvalidArgument, match=f"array '{name}' has the codecs .* expected plain numbers"):
             call(copy)
     assert not (copy / "attacked").exists()
-
-
-def test_a_store_declares_no_more_than_a_sweep_has(copy: Path) -> None:
-    file, many = copy / "zarr.json", [400_000_000]
-    grid_of = {"name": "regular", "configuration": {"chunk_shape": many}}
-    file.write_bytes(resigned("time", shape=many, chunk_grid=grid_of)(file.read_bytes()))
-    with pytest.raises(InvalidArgument, match="coordinate 'time' declares 400,000,000 numbers, above 10,0"):
-        Sweep.open(copy)
-
-
-@pytest.mark.parametrize("place", ["time/c/0", "coordinate/c/0", "max_distance/c/0/0"])
-@pytest.mark.parametrize("first", [b"", bytes(488)])
-def test_a_chunk_unpacks_to_no_more_than_it_holds(copy: Path, place: str, first: bytes) -> None:
-    zstd = pytest.importorskip("numcodecs.zstd").Zstd(level=1, checksum=True)
-    huge = zstd.encode(bytes(200_000_000))
-    (copy / place).write_bytes(zstd.encode(first) + huge if first else huge)
-    tracemalloc.start()
-    try:
-        with pytest.raises(InvalidArgument, match=f"of which '.*{place}' cannot be read: "):
-            Sweep.open(copy).answer()
-        assert tracemalloc.get_traced_memory()[1] < 20_000_000
-    finally:
-        tracemalloc.stop()
-
-
-def test_a_sweep_may_go_to_another_process_and_others_may_write_metadata(copy: Path) -> None:
-    zarr = pytest.importorskip("zarr")
-    group = zarr.open_group(copy, mode="r+", use_consolidated=False)
-    group.update_attributes({"author": "somebody"})
-    group.create_array("note", shape=(2,), dtype="f8", dimension_names=["extra"])
-    with pytest.warns(UserWarning, match="Consolidated metadata"):
-        zarr.consolidate_metadata(copy)
-    found = Sweep.open(copy)
-    assert small(copy).answer() == found.answer() == pickle.loads(pickle.dumps(found)).answer()
 
 
 def numbers(path: Path) -> dict[str, Any]:
