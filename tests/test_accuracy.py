@@ -1,7 +1,6 @@
 """Order, drift and the cost of a held force, measured of each integrator and of some made to fail."""
 
 import re
-from functools import partial
 from itertools import combinations
 from typing import Any
 
@@ -11,15 +10,12 @@ from hypothesis import given, strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 
-import pinmobile.accuracy as held_force
-from pinmobile import Diverged, InvalidArgument, MobileRobot, plots, rk4
+from pinmobile import InvalidArgument, MobileRobot, plots, rk4
 from pinmobile.accuracy import (
     Convergence,
     IntegratorReport,
     conserved,
-    free_body,
     free_motion,
-    guarded,
     integrator_report,
 )
 from pinmobile.arrays import Array
@@ -98,41 +94,6 @@ def test_with_the_centre_of_mass_at_the_origin_a_held_force_is_integrated_exactl
     assert report.sampling.order == pytest.approx(1, abs=0.05)
     assert str(report.energy) == "exact to rounding"
     assert report.energy.order is None
-
-
-def falters(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
-    return q + dt * v, v * (0.5 if round(t / dt) % 2 == 0 else 2.0)
-
-
-def test_the_largest_drift_is_told_wherever_it_is_and_a_lag_as_an_error() -> None:
-    """At half speed in every other step: three steps of 0.4 s end there, six of 0.2 s do not."""
-    _, heading, momentum, _, energy = free_body(falters, MobileRobot.lecture(), (0.4, 0.2), 1.2)
-    np.testing.assert_allclose(heading.errors, [0.5 * 0.4, 3 * 0.5 * 0.2], rtol=1e-12)
-    np.testing.assert_allclose(momentum.errors, [1 - 1 / 2] * 2, rtol=1e-12)
-    np.testing.assert_allclose(energy.errors, [1 - 1 / 4] * 2, rtol=1e-12)
-
-
-@pytest.mark.parametrize("lost", [np.nan, np.inf, 1e13])
-def test_a_step_that_leads_nowhere_tells_when_it_ended(lost: float) -> None:
-    step = guarded(lambda acceleration, t, q, v, dt: (q, v * lost))
-    with pytest.raises(Diverged, match=r"the integrator diverged at t = 0\.75 s") as caught:
-        step(lambda t, q, v: v, 0.5, np.zeros(3), np.ones(3), 0.25)
-    assert caught.value.time == 0.75
-    np.testing.assert_array_equal(caught.value.v, np.full(3, lost))
-
-
-def test_the_finer_solution_gives_up_in_bounded_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
-
-    def stiff(t: float, q: Array, v: Array) -> Array:
-        asked.append(t)
-        assert len(asked) < 1000
-        return -1e9 * v
-
-    monkeypatch.setattr(held_force, "_MOST", 200)
-    with pytest.raises(Diverged, match="the loop diverged at t = "):
-        held_force._exactly()(stiff, 0.0, np.zeros(3), np.ones(3), 1.0)
-    assert len(asked) == 201
 
 
 robots = st.builds(
@@ -220,26 +181,6 @@ def test_a_step_that_is_wrong_is_told_from_one_that_is_not(integrator: Any, text
     assert str(report).endswith(
         "It does not converge: it solves another equation, or the steps are too long."
     )
-
-
-def test_a_body_that_the_held_force_spins_up_is_told_from_a_wrong_step() -> None:
-    """Nearly a point mass, far from the origin: the solution itself diverges, which must not take forever."""
-    report = integrator_report(rk4, MobileRobot(1e-3, 1e-6, com=(5, -3)), steps=(0.1, 0.05))
-    assert np.isinf(report.held)
-    assert str(report.substeps) == "diverges"
-    assert report.energy.order == pytest.approx(4, abs=0.03)
-
-
-def test_what_is_near_rounding_counts_as_converged() -> None:
-    assert made([1e-11, 1e-13, 1e-12]).converges
-    assert made([1e-13, 0.0]).converges
-    assert not made([np.inf, np.inf]).converges
-    assert not made([1.0, 1.0]).converges
-
-
-def test_a_method_without_a_name_is_called_by_its_repr() -> None:
-    report = integrator_report(partial(heun), steps=(0.1, 0.05))
-    assert report.integrator.startswith("functools.partial(<function heun")
 
 
 @pytest.mark.parametrize(

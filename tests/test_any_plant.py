@@ -1,8 +1,6 @@
 """Plants that are no `MobileRobot`: all that the library does with them, by what they say of themselves."""
 
 import csv
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +16,7 @@ from pinmobile.arrays import Array
 from pinmobile.integrators import constant_acceleration
 from pinmobile.loop import Loop
 from pinmobile.plant import Context, Coordinate, Input, PlantOutline, Step
-from pinmobile.viewer import Arrows, Overlays, Viewer
+from pinmobile.viewer import Overlays, Viewer
 from pinmobile.viewer.motion import configurations, figure, links
 from tests.looping import looped
 from tests.parts import Axle
@@ -28,15 +26,6 @@ PATH = pm.Tangent(pm.Circle(2, 0.25, 20))
 FORCES = (pm.ViscousFriction([2, 0, 0.1]), Axle(0.01))
 RUN = pm.simulate(TwoWheels(), Follower(), PATH, dt=0.02, forces=FORCES, integrator=pm.rk4)
 NAMES = ["x", "y", "psi", "left wheel", "right wheel"]
-
-
-def test_two_wheels_follow_a_circle_and_roll_all_the_way() -> None:
-    assert (RUN.max_error() < 0.05).all()
-    plant = TwoWheels()
-    rolled = np.array([plant.project(q, v) for q, v in zip(RUN.q, RUN.v, strict=True)])
-    np.testing.assert_allclose(RUN.v, rolled, rtol=0, atol=1e-13)
-    assert RUN.error.shape == RUN.reference.q.shape == (1001, 3)
-    np.testing.assert_allclose(RUN.error[:, :2], RUN.reference.q[:, :2] - RUN.q[:, :2], rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize("integrator", [constant_acceleration, pm.rk4])
@@ -97,28 +86,6 @@ def test_figures_have_its_names_and_units() -> None:
     (axes,) = plots.path({"two wheels": RUN}).axes
     travelled = next(line for line in axes.lines if line.get_label() == "travelled")
     np.testing.assert_array_equal(np.array(travelled.get_data()).T, RUN.q[:, :2])
-
-
-def test_it_is_read_where_its_class_is_not(tmp_path: Path) -> None:
-    """In another process, which cannot import the tests."""
-    RUN.save(tmp_path / "run.npz")
-    program = (
-        "from pinmobile import Rollout, plots\n"
-        "from pinmobile.viewer import Viewer\n"
-        "run = Rollout.load('run.npz')\n"
-        "run.to_csv('again.csv')\n"
-        "labels = [axes.get_ylabel() for axes in plots.forces(run).axes]\n"
-        "Viewer(run.plant).record(run).save_html('run.html')\n"
-        "print(run, run.plant.kind, labels, len(plots.path(run).axes), sep='\\n')"
-    )
-    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == f"{RUN}\nTwoWheels\n['left torque [N m]', 'right torque [N m]']\n1\n"
-    RUN.to_csv(tmp_path / "first.csv")
-    assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "first.csv").read_bytes()
-    assert (
-        "application" in (tmp_path / "run.html").read_text() or (tmp_path / "run.html").stat().st_size > 1e5
-    )
 
 
 def test_a_file_keeps_every_number_name_and_limit(tmp_path: Path) -> None:
@@ -238,51 +205,6 @@ def test_members_of_an_ensemble_are_drawn_as_they_are() -> None:
         channels = links("", figure(run.plant), configurations(figure(run.plant), run.t, run.q, run.t[:1]))
         aside.append(channels[2].values[0][1])
     np.testing.assert_allclose(aside, [0.2, 0.3], rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("changed", "why"),
-    [
-        (
-            {"visual_model": None},
-            r"which has drawing\(q\) and visual_model None, expected a pin",
-        ),
-        ({"drawing": lambda self, q: [np.eye(4)]}, r"(?s)drawing\(q\) returned .*, shape \(3, 4, 4\)"),
-        (
-            {"drawing": lambda self, q: "here"},
-            r"drawing\(q\) returned 'here', expected the placements",
-        ),
-        ({"drawing": lambda self, q: np.full((3, 4, 4), np.nan)}, r"plant.drawing\(q\)\[0, 0, 0\] is nan"),
-    ],
-)
-def test_a_drawing_that_is_none_is_refused(changed: dict[str, Any], why: str) -> None:
-    plant = type("Changed", (Drawn,), {k: v for k, v in changed.items() if k != "visual_model"})()
-    if "visual_model" in changed:
-        plant.visual_model = changed["visual_model"]
-    with pytest.raises(pm.InvalidArgument, match=why), Viewer(plant) as viewer:
-        viewer.display(RUN.q[0])
-
-
-def test_a_plant_that_does_not_tell_where_it_is_is_not_drawn() -> None:
-    class Nowhere(TwoWheels):
-        pose = None  # type: ignore[assignment]
-
-    run = pm.simulate(Nowhere(), Follower(), PATH, dt=0.1, duration=1)
-    for draw in (
-        lambda: Viewer(Nowhere()),
-        lambda: Viewer(pm.MobileRobot.box()).record(run),
-        lambda: plots.path(run),
-    ):
-        with pytest.raises(pm.InvalidArgument, match=r"pose\(q\), which returns x, y and psi"):
-            draw()
-
-
-def test_arrows_need_a_force_on_the_base() -> None:
-    with (
-        Viewer(TwoWheels()) as viewer,
-        pytest.raises(pm.InvalidArgument, match="of the inputs Fx, Fy, Mz"),
-    ):
-        viewer.record(RUN, overlays=Overlays(arrows=Arrows()))
 
 
 def test_limits_hold_after_wrappers_and_are_what_is_applied() -> None:
@@ -488,10 +410,3 @@ def test_signals_that_are_none_are_refused(answers: Any, why: str) -> None:
 
     with pytest.raises(pm.InvalidArgument, match=why):
         pm.simulate(plant_with(signals=signals), Telling(*answers), PATH, dt=0.1, duration=1)
-
-
-def test_rollouts_without_signals_have_none_to_draw() -> None:
-    run = pm.simulate(pm.MobileRobot.box(), pm.PD(9, 9), PATH, dt=0.1)
-    assert dict(run.signals) == {}
-    with pytest.raises(pm.InvalidArgument, match="rollouts have no signals"):
-        plots.signals(run)

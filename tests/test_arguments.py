@@ -79,13 +79,6 @@ def masked_entry() -> Any:
     return [1.0, np.ma.masked]
 
 
-def endless_list() -> list[Any]:
-    """Return a list that is its own entry."""
-    ring: list[Any] = []
-    ring.append(ring)
-    return ring
-
-
 def of_many(**changed: Any) -> Callable[[], Any]:
     """Return a call of `ensemble` with some arguments changed."""
     return lambda: pm.ensemble(**MANY | changed)

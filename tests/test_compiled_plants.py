@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from pinmobile import ConstantForce, Coulomb, MeasurementNoise, Rolling, Uniform, ensemble, errors
+from pinmobile import ConstantForce, Coulomb, Rolling, Uniform, ensemble, errors
 from pinmobile.compiled import robot_keys
-from pinmobile.controllers import plain_difference, planar_difference
 from pinmobile.forces import SinusoidalForce
 from pinmobile.integrators import RungeKuttaNystrom, constant_acceleration, rk4, semi_implicit_euler
 from pinmobile.loop import Loop, Samples, _trace
@@ -77,15 +76,6 @@ def test_a_heading_of_cosine_and_sine_is_turned_by_displacements(integrator: Run
     np.testing.assert_allclose(np.hypot(*turned.T), 1.0, rtol=1e-13)
 
 
-@pytest.mark.parametrize("difference", [planar_difference, plain_difference])
-def test_the_librarys_differences_are_traced(difference: Any) -> None:
-    """Whole turns apart, and half a turn, where rounding does not choose the side."""
-    own: Any = type("Own", (Body,), {"difference": staticmethod(difference)})
-    for psi in (0.2, 40.0, np.pi, -np.pi, 1e-12 - np.pi):
-        q = np.array([0.1, -0.1, psi])
-        assert_alike(Loop(own(), PD(4.0, 3.0), None, (), constant_acceleration), q, np.zeros(3))
-
-
 class Step(NamedTuple):
     q: Any
     v: Any
@@ -109,25 +99,6 @@ def test_a_plant_with_a_step_and_a_memory_of_its_own_needs_no_integrator() -> No
     assert_alike(loop, CIRCLE.q[0] + 0.1, CIRCLE.v[0])
 
 
-class Opaque(Body):
-    """A plant that computes by means of its own, and says what it is in NumPy."""
-
-    @property
-    def law(self) -> Body:
-        return Body(self.mass)
-
-    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
-        raise AssertionError
-
-
-def test_a_plant_that_is_not_numpy_says_what_it_is_in_numpy() -> None:
-    loop = Loop(Opaque(22.0), PD(20.0, 30.0), None, (), constant_acceleration)
-    q, v = CIRCLE.q[:1] + 0.1, CIRCLE.v[:1]
-    found = compiled(loop, q, v, values={"plant.mass": np.array([17.0])})
-    plain = Loop(Body(17.0), PD(20.0, 30.0), None, (), constant_acceleration)
-    assert_near({name: x[0] for name, x in found.items()}, looped(plain, q[0], v[0]), 1e-10)
-
-
 def test_forces_on_a_body_that_cannot_be_pushed_are_refused() -> None:
     class Fixed(Body):
         def generalized_force(self, q: Any, wrench: Any) -> None:
@@ -136,11 +107,6 @@ def test_forces_on_a_body_that_cannot_be_pushed_are_refused() -> None:
     loop = Loop(Fixed(), PD(1.0, 1.0), None, (ConstantForce((1, 1, 1)),), constant_acceleration)
     with pytest.raises(errors.InvalidArgument, match="cannot be pushed"):
         compiled(loop, CIRCLE.q[:1], CIRCLE.v[:1])
-
-
-def test_noises_have_numbers_of_their_own() -> None:
-    noisy = MeasurementNoise(MeasurementNoise(PD(20.0, 30.0), 0.01, 0.01, 3), 0.01, 0.01, 3)
-    assert_alike(Loop(Body(), noisy, None, (), constant_acceleration), CIRCLE.q[0], CIRCLE.v[0])
 
 
 @dataclass

@@ -86,23 +86,6 @@ def test_turns_about_one_axis_are_the_spline_of_their_angles() -> None:
     assert spline(6.0)[0] == 7.5  # beyond a whole turn
 
 
-def test_a_turn_may_be_of_any_length() -> None:
-    R = turned(("x", 0.3), ("y", -0.7))
-    path = pm.PosePath(STAYS, R, turn=(0, 0, 5 * np.pi))
-    t = np.linspace(0, 6, 13)
-    s = (t / 6) ** 3 * (10 - 15 * t / 6 + 6 * (t / 6) ** 2)
-    expected = [R @ turned(("z", float(a))) for a in 5 * np.pi * s]
-    np.testing.assert_allclose(path(t).pose[:, :3, :3], expected, atol=1e-12)
-    # Its angle is the integral of its rate, about z of the frame: two turns and a half.
-    fine = np.linspace(0, 6, 2001)
-    rate = path(fine).twist[:, 3:] @ R[:, 2]
-    assert np.trapezoid(rate, fine) == pytest.approx(5 * np.pi, abs=1e-9)
-    shortest = pm.PosePath(STAYS, R, R @ turned(("z", 1.0)))
-    same = pm.PosePath(STAYS, R, turn=(0, 0, 1.0))
-    np.testing.assert_allclose(same(t).pose, shortest(t).pose, atol=1e-12)
-    np.testing.assert_allclose(same(t).twist, shortest(t).twist, atol=1e-12)
-
-
 R0, R1 = np.eye(3), turned(("x", 0.4))
 TWO = poses([R0, R1], [(0, 0, 0), (1, 0, 0)])
 
@@ -259,24 +242,6 @@ def test_the_end_effector_of_a_robot_on_wheels_is_that_of_its_arm(way: InverseKi
     assert hand.max_error()[0] < 1e-3
     assert robot.end_effector == robot.frame_name() == "ur5/tool0"
     assert robot.frame_names == ROBOT.frame_names
-
-
-def test_where_only_the_position_is_followed_no_angle_is_wrong() -> None:
-    target = pm.PosePath(pm.Spline([START[:3, 3], START[:3, 3] + [0.1, 0, 0]], [0, 1]))
-    run = pm.simulate(
-        ROBOT,
-        pm.EndEffectorTracking(ROBOT, target),
-        pm.solve_inverse_kinematics(ROBOT, target, q0=BENT),
-        dt=0.01,
-    )
-    hand = run.end_effector()
-    assert not hand.is_oriented
-    assert np.isnan([*hand.angle, hand.max_error()[1]]).all()
-    assert np.isnan(hand.orientation_error).all()
-    assert "rad" not in repr(hand)
-    turn = plots.end_effector(run).axes[3]
-    assert [text.get_text() for text in turn.texts] == ["the target has no orientation"]
-    assert hand.distance.max() < 1e-3
 
 
 def test_what_has_no_target_or_no_frames_says_so(run: pm.Rollout) -> None:

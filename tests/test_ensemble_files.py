@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from scipy import stats
 
 import pinmobile as pm
 from pinmobile import plots
-from pinmobile.loop import Engine, Outline, run_scenario
+from pinmobile.loop import Engine, run_scenario
 from pinmobile.loop._variables import PER_ROBOT
 from pinmobile.plots.sensitivity import causes, worst_share
 from tests.damage import answer, damaged
@@ -64,13 +63,6 @@ def bits(one: pm.Ensemble) -> dict[str, Any]:
     arrays |= {"grid": one.scenario.grid, "t": one.scenario.t}
     arrays |= {f"reference.{name}": part for name, part in one.scenario.reference._asdict().items()}
     return {name: (array.shape, array.dtype.str, array.tobytes()) for name, array in arrays.items()}
-
-
-def test_the_trials_are_what_they_say() -> None:
-    assert DIVERGING.diverged.any()
-    assert DIVERGING.diverged[[17, 3]].tolist() == [True, False]
-    assert np.isnan(DIVERGING.max_error).any()
-    assert not MADE["none diverges, none traced"].diverged.any()
 
 
 @pytest.mark.parametrize("name", MADE)
@@ -176,47 +168,6 @@ except ValueError as error:
         "(its controller is Lazy(gain=3.0)); expected the ensemble of Ensemble.load(path, scenario), with"
         in done.stdout
     )
-
-
-def test_words_have_no_addresses_and_all_digits_whatever_is_set() -> None:
-    with np.printoptions(precision=2, threshold=1, legacy="1.13"):
-        told = Outline.of(scenario(controller=pm.InputSaturation(pm.ComputedTorque(ROBOT, 1 / 3, 4), 50)))
-    assert "kp=0.3333333333333333" in told.controller
-    assert "0x" not in str(told)
-    assert told.spread["com.x"] == "60 numbers"
-    assert told.spread["kp"] == "4.0"
-    assert told.spread["controller.mass"] == pm.SameAs("mass", "norm(1.0, scale=0.1)")
-    assert told.parameters["mass"].unit == "kg"
-
-
-class Odd:
-    """A controller whose repr no file could hold."""
-
-    def __init__(self, words: Callable[[], str]) -> None:
-        self.words = words
-
-    def __repr__(self) -> str:
-        return self.words()
-
-    def initial_state(self, context: Any) -> None:
-        return None
-
-    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: None) -> Any:
-        return 40 * (reference.q - q) - 40 * v, state
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (lambda: "two\n  lines\t\0", "two lines ?"),
-        (lambda: "half \ud800", "half ?"),
-        (lambda: "x" * 900, f"{'x' * 500}... (900 letters)"),
-        (lambda: f"{1 / 0}", "<Odd without a repr>"),
-    ],
-)
-def test_any_repr_is_kept_as_text(tmp_path: Path, words: Callable[[], str], told: str) -> None:
-    one = run(controller=Odd(words), spread={"mass": pm.Uniform(9, 11)}, n=3)
-    assert pm.Ensemble.load(saved(one, tmp_path)).scenario.controller == told
 
 
 def test_with_its_scenario_a_loaded_ensemble_makes_robots_again(tmp_path: Path) -> None:
@@ -367,10 +318,3 @@ def test_damaged_bytes_are_refused_or_do_no_harm(tmp_path: Path) -> None:
             assert str(loaded) == words
             read += 1
     assert read < 75
-
-
-def test_a_function_is_a_part_that_words_can_tell(tmp_path: Path) -> None:
-    one = run(
-        controller=pm.law(lambda t, q, v, r: 40 * (r.q - q) - 40 * v), spread={"mass": pm.Uniform(9, 11)}, n=3
-    )
-    assert "<lambda>>" in pm.Ensemble.load(saved(one, tmp_path)).scenario.controller

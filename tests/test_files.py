@@ -16,7 +16,7 @@ import pytest
 
 import pinmobile as pm
 from pinmobile import plots
-from pinmobile.cli.output import Section, index_page, output_folder, save_figure
+from pinmobile.cli.output import Section, index_page, save_figure
 from pinmobile.errors import FileError
 from pinmobile.files import replacing, write
 from pinmobile.loop import Engine
@@ -182,17 +182,6 @@ def test_pipes_and_the_console_are_written_to_as_they_are(tmp_path: Path) -> Non
         assert os.fstat(out.fileno()).st_ino == (tmp_path / "out").stat().st_ino
 
 
-def test_of_two_that_write_at_once_one_is_whole(tmp_path: Path) -> None:
-    contents = [bytes([k]) * 300_000 for k in range(8)]
-    threads = [threading.Thread(target=write, args=(tmp_path / "file", data)) for data in contents]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert list(held(tmp_path)) == ["file"]
-    assert (tmp_path / "file").read_bytes() in contents
-
-
 @pytest.mark.parametrize(
     ("name", "why"),
     [
@@ -209,21 +198,6 @@ def test_where_no_file_can_be_is_no_failure_of_the_system(tmp_path: Path, name: 
     for load in (pm.Rollout.load, pm.Ensemble.load):
         with pytest.raises(pm.InvalidArgument, match=r"^path is '.*', which cannot be read: "):
             load(tmp_path / name)
-
-
-def test_a_name_as_long_as_can_be_is_written_and_none_that_is_longer(tmp_path: Path) -> None:
-    write(tmp_path / ("x" * 255), b"long")
-    with pytest.raises(
-        pm.InvalidArgument, match=r"^path is '.*', expected the path of a file: .* at most 255 bytes"
-    ):
-        write(tmp_path / ("x" * 256), b"longer")
-    assert held(tmp_path) == {"x" * 255: b"long"}
-
-
-def test_a_look_whether_a_folder_can_be_written_to_touches_nothing_in_it(tmp_path: Path) -> None:
-    (tmp_path / ".pinmobile").write_bytes(b"mine")
-    output_folder(tmp_path)
-    assert held(tmp_path) == {".pinmobile": b"mine"}
 
 
 def test_joints_of_any_name_are_columns(tmp_path: Path) -> None:

@@ -18,8 +18,7 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
-from pinmobile.compiled import Cache, Target, identity, processor
-from pinmobile.compiled.processor import LOOP
+from pinmobile.compiled import Cache, processor
 from pinmobile.forces import NoiseForce
 from pinmobile.integrators import semi_implicit_euler
 from pinmobile.loop import _program
@@ -374,24 +373,6 @@ def test_a_module_that_is_reloaded_is_traced_anew(tmp_path: Path, monkeypatch: p
     assert found[0] > 1.01 * found[1]
 
 
-def _twice(one: float, other: float) -> Any:
-    def made(gain: float) -> Any:
-        return lambda e: gain * e
-
-    first, second = made(one), made(other)
-    return pm.law(lambda t, q, v, reference: first(reference.q - q) - second(v))
-
-
-def test_closures_of_one_function_are_told_apart(process: Process) -> None:
-    found = []
-    for gains in ((4.0, 9.0), (9.0, 4.0), (4.0, 9.0)):
-        process.begin()
-        found.append((run(_twice(*gains), n=1, spread={}).max_error[0], process.traced))
-    assert not np.array_equal(found[0][0], found[1][0])
-    assert np.array_equal(found[0][0], found[2][0])
-    assert [traces for _, traces in found] == [1, 1, 0]
-
-
 @dataclass(frozen=True)
 class Gain:
     gain: float
@@ -436,25 +417,6 @@ def test_parts_that_code_refers_to_are_told_apart_by_their_numbers(made: Callabl
     """They are no parts of the loop, so that their numbers are constants of its program."""
     found = [run(made(gain), n=1, spread={}).rms_error[0] for gain in (4.0, 16.0)]
     assert not np.array_equal(*found)
-
-
-class Obliging:
-    """It has whatever name it is asked for, but for those that Python itself looks for in a class."""
-
-    __slots__ = ()
-
-    def __getattr__(self, name: str) -> Any:
-        return self
-
-
-OBLIGING = Obliging()
-
-
-def test_an_object_that_has_every_name_is_no_obstacle() -> None:
-    def holding(t: float, q: Any, v: Any, reference: Any) -> Any:
-        return (3.0 if OBLIGING is not None else 0.0) * (reference.q - q)
-
-    assert_as_python(pm.law(holding))
 
 
 def _run_and_forgotten() -> list[weakref.ref[Any]]:
@@ -505,18 +467,6 @@ def test_a_loop_is_traced_in_one_process_alone_and_gives_the_same_bits(name: str
         assert np.array_equal(getattr(first, what), getattr(again, what))
 
 
-@pytest.mark.parametrize("make", [armed, lambda x: rolling(x, pm.Coulomb())], ids=["arm", "wheels"])
-def test_one_robot_and_its_signals_are_found_again(make: Any, process: Process) -> None:
-    first = make(20.0)
-    process.begin()
-    again = make(20.0)
-    assert process.traced == 0
-    assert np.array_equal(first.q, again.q)
-    units = [[(name, each.unit) for name, each in found.signals.items()] for found in (first, again)]
-    assert units[0] == units[1]
-    assert make is armed or units[0]
-
-
 def test_another_process_finds_the_loop_whatever_its_seed_of_hashes(process: Process) -> None:
     LOOPS["a law"]()
     LOOPS["wrappers"]()
@@ -533,18 +483,6 @@ def test_another_process_finds_the_loop_whatever_its_seed_of_hashes(process: Pro
     done = subprocess.run(words, **given, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert process.loops == before
-
-
-def test_no_file_is_used_where_the_source_is_not_what_was_loaded(
-    process: Process, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run(pm.PD(100, 20))
-    identity._source.cache_clear()
-    monkeypatch.setattr(identity, "_BEGAN", 0.0)
-    process.begin()
-    run(pm.PD(100, 20))
-    assert process.traced == 1
-    identity._source.cache_clear()
 
 
 def replaced(process: Process, change: Callable[[bytes], bytes], suffix: str) -> None:
@@ -565,16 +503,6 @@ def test_a_damaged_file_is_made_again(damage: Any, suffix: str, process: Process
     assert process.traced == (suffix == ".loop")
 
 
-@pytest.mark.parametrize("text", [b"{}", b"[", b"[1]", b'{"loop": {}}'])
-def test_a_whole_file_that_holds_no_loop_is_written_again(text: bytes, process: Process) -> None:
-    before = run(pm.PD(100, 20)).max_error
-    (name,) = process.loops
-    Cache(process.folder).write(name.removesuffix(".loop"), text, LOOP)
-    process.begin()
-    assert np.array_equal(run(pm.PD(100, 20)).max_error, before)
-    assert process.traced == 1
-
-
 def test_a_loop_whose_machine_code_is_gone_is_built_and_not_traced(process: Process) -> None:
     before = run(pm.PD(100, 20)).max_error
     for file in process.folder.glob("*.o"):
@@ -587,44 +515,12 @@ def test_a_loop_whose_machine_code_is_gone_is_built_and_not_traced(process: Proc
 # The folder of files.
 
 
-def test_where_nothing_can_be_written_a_loop_is_built(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "file").write_text("")
-    Process(tmp_path / "file" / "inside", monkeypatch)
-    assert_as_python(pm.PD(9, 9))
-    assert (tmp_path / "file").read_text() == ""
-
-
-@pytest.mark.parametrize("home", [None, "/nonexistent"])
-def test_a_machine_without_home_builds(home: str | None) -> None:
-    code = "from tests.test_identity import PD, assert_as_python; assert_as_python(PD(9, 9)); print('fine')"
-    kept = {name: value for name, value in os.environ.items() if name not in ("HOME", "XDG_CACHE_HOME")}
-    environment = kept if home is None else kept | {"HOME": home}
-    environment |= {"PINMOBILE_CACHE": "/proc/nothing"} if home is None else {}
-    given: Any = {"env": environment, "cwd": Path(__file__).parents[1]}
-    done = subprocess.run([sys.executable, "-c", code], **given, capture_output=True, text=True, check=False)
-    assert done.stdout == "fine\n", done.stderr
-
-
 def test_a_file_of_another_user_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache = Cache(tmp_path)
     cache.write("key", b"code")
     assert cache.read("key") == b"code"
     monkeypatch.setattr(os, "getuid", lambda: 12345678)
     assert cache.read("key") is None
-
-
-def test_swapped_files_are_not_run(tmp_path: Path) -> None:
-    cache = Cache(tmp_path)
-    for key, kind in (("one", ".o"), ("other", ".o"), ("one", ".loop")):
-        cache.write(key, f"{key} {kind}".encode(), kind)
-    contents = [(tmp_path / name).read_bytes() for name in ("one.o", "other.o", "one.loop")]
-    for name, content in zip(("other.o", "one.loop", "one.o"), contents, strict=True):
-        (tmp_path / name).write_bytes(content)
-    assert [cache.read("one"), cache.read("other"), cache.read("one", ".loop")] == [None, None, None]
-    (tmp_path / "one.o").write_bytes(contents[0])
-    assert cache.read("one") == b"one .o"
 
 
 @pytest.mark.parametrize("mode", [0o770, 0o702, None])
@@ -644,13 +540,6 @@ def test_a_folder_that_others_may_write_to_is_not_used(
     assert [each.name for each in tmp_path.iterdir()] == ["key.o"]
 
 
-def test_the_key_is_of_text_and_processor() -> None:
-    one = Target("haswell", "", 4)
-    assert one.key("text") != one.key("text ")
-    assert one.key("text") != Target("haswell", "-avx2", 4).key("text")
-    assert one.key("text") != Target("znver3", "", 4).key("text")
-
-
 def test_the_folder_is_thinned_and_leaves_no_halves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pinmobile.compiled.processor._MOST", 8)
     cache = Cache(tmp_path)
@@ -668,23 +557,3 @@ def test_the_environment_names_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_p
     assert Cache().folder == tmp_path
     monkeypatch.setenv("PINMOBILE_CACHE", "")
     assert Cache().folder is None
-
-
-@dataclass(frozen=True)
-class Brake:
-    """A user's force without anything that may change."""
-
-    size: float = 1.0
-
-    def __call__(self, t: float, pose: Any, rate: Any) -> Any:
-        return np.array([-self.size * rate[0], 0.0, 0.0])
-
-
-def test_a_part_that_another_of_its_class_preceded_is_found_alone_too() -> None:
-    """The second of a class refers to the first; in a loop of its own it must not."""
-    one, other = Brake(2.0), Brake(30.0)
-    for forces in ((one, other), (other,)):
-        given: dict[str, Any] = {"forces": forces, "dt": 0.02, "n": 2, "spread": {"mass": 30.0}}
-        run = pm.ensemble(ROBOT, pm.PD(90.0, 30.0), CIRCLE, engine=pm.Engine.COMPILED, **given)
-        alone = pm.simulate(ROBOT, pm.PD(90.0, 30.0), CIRCLE, dt=0.02, forces=forces)
-        np.testing.assert_allclose(run.max_error[0], alone.max_error(), rtol=0, atol=1e-12)

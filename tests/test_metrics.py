@@ -15,10 +15,9 @@ from pinmobile.compiled import BINS
 from pinmobile.errors import UnknownName
 from pinmobile.loop import run_scenario
 from pinmobile.loop._counts import bins_of, quantiles
-from pinmobile.metrics import Metric, size_of, value_of
+from pinmobile.metrics import Metric, size_of
 from pinmobile.reaching.poses import error_sizes, pose_error
 from pinmobile.urdf import Body
-from pinmobile.viewer import Viewer
 from tests.looping import Body as Pushed, Swing
 
 CLOSE = 1e-10
@@ -68,13 +67,6 @@ def test_measures_of_an_arm_are_those_of_its_own_kinematics_limits_and_balance()
     )
     symbolic = UR5.array_dynamics.evaluate_metrics(0.0, q, v, a, u, pm.Reference(desired, v, a))  # type: ignore[union-attr]
     np.testing.assert_allclose(symbolic, found, rtol=CLOSE, atol=CLOSE)
-
-
-def test_what_the_reference_does_not_lead_is_taken_at_rest() -> None:
-    q, v, a, u, _ = random_states(UR5, 3)
-    found = UR5.evaluate_metrics(0.0, q, v, a, u, pm.Reference(q[:, :3], v[:, :3], a[:, :3]))
-    desired = np.concatenate([q[:, :3], np.broadcast_to(UR5.rest[3:], (3, 6))], axis=1)
-    np.testing.assert_array_equal(found, UR5.evaluate_metrics(0.0, q, v, a, u, pm.Reference(desired, v, a)))
 
 
 def test_each_arm_has_an_end_effector_and_a_bare_robot_no_measure() -> None:
@@ -203,15 +195,6 @@ def test_files_and_tables_keep_measures(runs: pm.Ensemble, tmp_path: Path) -> No
     )
 
 
-def test_a_file_of_an_older_format_is_refused_with_the_reason(runs: pm.Ensemble, tmp_path: Path) -> None:
-    runs.save(tmp_path / "runs.npz")
-    with np.load(tmp_path / "runs.npz") as archive:
-        arrays = {name: archive[name] for name in archive.files if "metric" not in name}
-    np.savez(tmp_path / "old.npz", **arrays | {"format": np.array("pinmobile ensemble 2")})
-    with pytest.raises(pm.InvalidArgument, match=r"it is of another format, 'pinmobile ensemble 2'$"):
-        pm.Ensemble.load(tmp_path / "old.npz")
-
-
 def test_a_sweeps_store_keeps_measures(runs: pm.Ensemble, tmp_path: Path) -> None:
     heavy = {**SPREAD, "loads.0.mass": pm.Uniform(5, 8)}
     cases = {"light": {}, "heavy": {"spread": heavy}}
@@ -230,18 +213,6 @@ def test_a_sweeps_store_keeps_measures(runs: pm.Ensemble, tmp_path: Path) -> Non
         pm.InvalidArgument, match=r"^recorded_metrics is end effector \[m\], .* and none at case = b"
     ):
         pm.sweep(scenario(), tmp_path / "other", cases={"a": {}, "b": {"metrics": ()}})
-
-
-def test_members_are_drawn_and_viewed(runs: pm.Ensemble) -> None:
-    chosen = {"worst": int(runs.worst(1, by="tip-over margin")[0]), "first": 0}
-    traces = {label: runs.trace(i) for label, i in chosen.items()}
-    figure = plots.balance(traces)
-    drawn = [np.asarray(line.get_ydata()) for line in figure.axes[0].lines]
-    lowest = [values.min() for values in drawn if len(values) == len(traces["first"])]
-    margins = [tip_over_margin(trace).min() for trace in traces.values()]
-    np.testing.assert_allclose(sorted(lowest)[:2], sorted(margins), rtol=1e-9)
-    with Viewer(traces["worst"].plant) as shown:
-        assert shown.record(traces, fps=5)
 
 
 def test_figures_show_measures(runs: pm.Ensemble) -> None:
@@ -267,19 +238,6 @@ def test_a_robot_that_diverges_has_no_margin() -> None:
     bands = runs.bands([0.5])
     assert bands["tip-over margin"][0, -1] == -np.inf
     assert bands["effort"][0, -1] == np.inf
-
-
-def test_sizes_of_margins_grow_with_them_and_lead_back() -> None:
-    near = np.linspace(-1e-3, 1e-3, 401)
-    far = np.geomspace(1.1e-3, 500, 200)
-    margins = np.concatenate([-far[::-1], near, far])
-    sizes = size_of(margins)
-    assert (np.diff(sizes) > 0).all()
-    np.testing.assert_allclose(value_of(sizes), margins, rtol=1e-2, atol=1e-9)
-    bins = bins_of(sizes)
-    assert bins.min() > 0
-    assert bins.max() < BINS - 1
-    assert bins_of(size_of(np.array([-np.inf, -1e300, np.inf]))).tolist() == [0, 0, BINS - 1]
 
 
 def test_quantiles_of_margins_are_those_of_the_sorted_ones_to_a_bin() -> None:
@@ -330,20 +288,6 @@ def test_a_plant_of_ones_own_states_measures_in_plain_numpy(after: float) -> Non
     assert made[0].error_quantile(1.0)["clearance"] == clearance.min()
 
 
-def test_what_is_infinite_before_errors_count_is_forgotten() -> None:
-    class Late(Fenced):
-        def evaluate_metrics(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
-            found = super().evaluate_metrics(t, q, v, a, u, reference)
-            early = np.array([-np.inf, np.inf])
-            return np.where(np.asarray(t < 0.3)[..., None], early, found)
-
-    for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON):
-        late, usual = (run_scenario(fenced(x, after=0.6), engine=engine) for x in (Late(), Fenced()))
-        np.testing.assert_allclose(late.worst_metric, usual.worst_metric, rtol=CLOSE)
-        np.testing.assert_allclose(late.rms_metric, usual.rms_metric, rtol=CLOSE)
-    assert late.bands([0.5])["clearance"][0, 0] == -np.inf
-
-
 def stating(metrics: Any, found: Any = None) -> Any:
     """Return a plant that states some metrics, and gives something for them."""
 
@@ -390,13 +334,6 @@ def test_a_measure_that_becomes_nan_is_refused(engine: pm.Engine) -> None:
         pytest.raises(pm.InvalidArgument, match=r"^robot \d: plant is a Stating, .* NaN as"),
     ):
         run_scenario(fenced(late), engine=engine)
-
-
-def test_joints_are_held_against_limits_that_they_have() -> None:
-    motion = pm.WholeBody(UR5, pm.FixedHeading(pm.Hold((0, 0), 0.2), psi=0), pm.Hold(UR5.rest[3:], 0.2))
-    held = pm.simulate(UR5, pm.ComputedTorque(UR5, 100, 20), motion, dt=0.1)
-    shares = np.abs(UR5.gravity(UR5.rest))[3:] / UR5.effort_limit[3:]
-    np.testing.assert_allclose(held.metrics()["effort"].values, shares.max(), rtol=1e-9)
 
 
 def test_names_of_limits_and_links_that_there_are_not_come_with_the_nearest() -> None:

@@ -29,7 +29,6 @@ from tests.parts import (
     Spring,
     midpoint,
 )
-from tests.users import Follower as OfOneState, TwoWheels
 
 ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05))
 N = 4
@@ -205,16 +204,6 @@ def test_a_users_plant_has_the_same_numbers_by_all_engines(what: str) -> None:
     assert_as_simulated(compiled, of_pinocchio)
 
 
-def test_an_ordinary_class_for_one_state_is_compiled_and_its_numbers_are_its_own() -> None:
-    given: Any = {"robot": TwoWheels(), "controller": OfOneState(), "trajectory": OWN["circle"][0]}
-    spread: Any = {"start.y": 0.1, "rate": pm.Uniform(0.3, 0.5)}
-    run = run_scenario(carted(**given, spread=spread))
-    assert run.engine == "COMPILED"
-    assert_close(run, run_scenario(carted(**given, spread=spread), engine=Engine.PYTHON))
-    with pytest.raises(UnknownName, match=r"^unknown parameter in spread 'mass'"):
-        carted(**given, spread={"mass": 20.0})
-
-
 def test_an_ensemble_of_a_users_plant_is_told_by_its_names_and_units(tmp_path: Path) -> None:
     run = run_scenario(carted())
     rows = [line.partition("least")[0].rstrip() for line in str(run).splitlines()[2:]]
@@ -242,43 +231,6 @@ def test_an_ensemble_of_a_users_plant_is_told_by_its_names_and_units(tmp_path: P
 
 
 _WHEELS = ("left [rad]", "right [rad]")
-
-
-def test_a_saved_ensemble_of_a_users_plant_answers_where_its_class_is_not_known(tmp_path: Path) -> None:
-    run = run_scenario(carted(), traces=[3, 0])
-    run.save(tmp_path / "runs.npz")
-    loaded = pm.Ensemble.load(tmp_path / "runs.npz")
-    assert_same(loaded, run)
-    assert str(loaded.traces[3]) == str(run.traces[3])
-    assert "left_torque" in str(loaded.traces[3])
-    assert str(loaded) == f"{run}\n{loaded.scenario}"
-    assert loaded.to_xarray().identical(run.to_xarray())
-    again = pm.Ensemble.load(tmp_path / "runs.npz", carted())
-    assert again.member(1).robot.mass == 19.0
-    code = (
-        "import pinmobile; runs = pinmobile.Ensemble.load('runs.npz'); print(runs);"
-        "runs.to_csv('runs.csv'); runs.traces[0].to_csv('run.csv')"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert (done.stdout, done.stderr) == (f"{loaded}\n", "")
-    run.traces[0].to_csv(tmp_path / "here.csv")
-    assert (tmp_path / "run.csv").read_text() == (tmp_path / "here.csv").read_text()
-
-
-def test_a_sweep_of_a_users_plant_has_its_names_and_no_other_plants(tmp_path: Path) -> None:
-    result = pm.sweep(carted(), tmp_path / "store")
-    assert result.dataset.coordinate.values.tolist() == NAMES
-    assert result.dataset.input.values.tolist() == INPUTS
-    assert_same(result.ensemble(), run_scenario(carted()))
-    other = made("controller", spread={}, dt=0.01)
-    names = "robot", "controller", "trajectory", "forces", "dt"
-    case = {name: getattr(other, name) for name in names}
-    with pytest.raises(
-        pm.InvalidArgument, match=r"^coordinates is x \[m\], .* at case = 1, expected the same"
-    ):
-        pm.sweep(carted(spread={}), tmp_path / "both", cases={"0": {}, "1": case})
 
 
 class Nameless(Cart):
@@ -333,21 +285,6 @@ def test_a_force_of_another_shape_is_refused_by_every_engine(answer: Any, engine
             forces=[lambda *_: answer],
             engine=engine,
         )
-
-
-def test_a_law_may_write_into_the_reference_that_it_is_told() -> None:
-    def careless(t: float, q: Any, v: Any, reference: Any) -> Any:
-        error = reference.q
-        error -= q
-        return 120 * error - 10 * v
-
-    def careful(t: float, q: Any, v: Any, reference: Any) -> Any:
-        return 120 * (reference.q - q) - 10 * v
-
-    motion = pm.Tangent(pm.Circle(2.0, 0.5, 1.0))
-    one, other = (pm.simulate(ROBOT, pm.law(function), motion, dt=0.02) for function in (careless, careful))
-    np.testing.assert_array_equal(one.q, other.q)
-    np.testing.assert_array_equal(one.reference.q, other.reference.q)
 
 
 # A law that reaches a robot which is no attribute of a part.
@@ -529,16 +466,6 @@ def test_the_models_that_a_trajectory_knows_are_no_numbers_of_it() -> None:
     runs = [run_scenario(scenario, engine=engine) for engine in (Engine.COMPILED, Engine.PYTHON)]
     assert_close(*runs)
     assert runs[0].member(1).trajectory == pm.WholeBody(ROBOT, pm.Tangent(pm.Circle(2.0, 0.5, 1.0)))
-
-
-def test_a_sweep_knows_another_trajectory_of_the_same_nominal_reference(tmp_path: Path) -> None:
-    still = {"trajectory": pm.FixedHeading(pm.Lissajous(0, 0, 0.5, 1.0, 6.0), 0.0)}
-    pm.sweep(owned("figure", **still), tmp_path / "store")
-    with pytest.raises(pm.InvalidArgument, match=r"belongs to another sweep.*trajectory.*wx"):
-        pm.sweep(
-            owned("figure", trajectory=pm.FixedHeading(pm.Lissajous(0, 0, 0.7, 1.0, 6.0), 0.0)),
-            tmp_path / "store",
-        )
 
 
 def test_a_path_with_a_typo_is_answered_with_the_nearest_path() -> None:

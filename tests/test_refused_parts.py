@@ -132,43 +132,8 @@ def test_a_controllers_robot_without_its_dynamics_is_told_so() -> None:
 # A plant whose sizes contradict each other.
 
 
-class Short(Cart):
-    """Three numbers where there should be five."""
-
-    def __init__(self, wrong: str) -> None:
-        super().__init__()
-        method = getattr(super(), wrong)
-        setattr(self, wrong, lambda *given: method(*given)[..., :2])
-
-
 class Named(Cart):
     coordinates = Cart.coordinates[:4]  # type: ignore[assignment]
-
-
-class Inputs(Cart):
-    inputs = Cart.inputs[:1]  # type: ignore[assignment]
-
-
-@pytest.mark.parametrize(
-    ("plant", "why"),
-    [
-        (Named(), "plant has nv = 5 and 4 coordinates, expected as many"),
-        (Inputs(), "plant has nu = 2 and 1 inputs, expected as many"),
-        *(
-            (
-                Short(name),
-                rf"a Short with nq = 5, nv = 5 and nu = 2, whose {name}\(.*\) returned .*\({size},\)$",
-            )
-            for name, size in (
-                *(("forward_dynamics", 5), ("integrate", 5), ("difference", 5)),
-                *(("pose", 3), ("pose_rate", 3), ("generalized_force", 5)),
-            )
-        ),
-        (Short("project"), r"which starts with v of shape \(2,\), expected \(5,\)|v0 has shape \(2,\)"),
-    ],
-)
-def test_a_plant_that_contradicts_itself_is_refused(plant: Any, why: str) -> None:
-    assert_refused(CART | {"robot": plant}, why)
 
 
 # Memory outside the state, and random numbers of one's own.
@@ -416,56 +381,3 @@ def test_what_stops_being_real_is_told_when_it_does(parts: dict[str, Any], why: 
     for run in runs:
         with pytest.raises(pm.InvalidArgument, match=why):
             run(parts)
-
-
-class Growing:
-    """A controller that keeps all that it has seen, which is possible in Python alone."""
-
-    def initial_state(self, context: Any) -> Any:
-        return {"seen": np.zeros((1, 3))}
-
-    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
-        u = 100 * (reference.q - q) + 120 * (reference.v - v) + 1e-3 * state["seen"].mean(axis=0)
-        return u, {"seen": np.concatenate([state["seen"], q[None]])}
-
-
-def test_a_state_that_changes_its_shape_is_named_and_runs_in_python() -> None:
-    parts = BODY | {"controller": Growing()}
-    why = r"state\['seen'\] of the controller has shape \(2, 3\) and a sample later \(3, 3\); let init"
-    for run in (simulated, in_ensemble):
-        with pytest.raises(
-            pm.InvalidArgument, match=rf"^engine is Engine.COMPILED, which cannot run this: {why}"
-        ):
-            run(parts, engine=Engine.COMPILED)
-    with pytest.warns(SlowerEngine, match=rf"runs by PYTHON, .*not COMPILED: {why}"):
-        runs = in_ensemble(parts, n=2)
-    np.testing.assert_allclose(runs.max_error[0], simulated(parts).max_error(), rtol=1e-12)
-
-
-class Latched:
-    """A controller that remembers in itself that a second has gone by."""
-
-    def __init__(self) -> None:
-        self.late = False
-
-    def initial_state(self, context: Any) -> Any:
-        return [0.0]  # which it writes into, as it may
-
-    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
-        self.late = self.late or t > 1
-        state[0] += 1.0
-        return (90.0 if self.late else 100.0) * (reference.q - q) + 120.0 * (reference.v - v), state
-
-
-def _pull(t: float, q: Any, v: Any, reference: Any) -> Any:
-    return 100.0 * (reference.q - q) + 120.0 * (reference.v - v)
-
-
-def test_a_state_that_is_written_into_and_a_workspace_are_allowed() -> None:
-    class Working(Latched):
-        def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
-            self.late = q.copy()  # what a solver would start from the next time
-            state[0] += 0.5 * float(np.sum(q))
-            return _pull(t, q, v, reference) + 1e-3 * state[0], state
-
-    assert simulated(BODY | {"controller": Working()}).engine == "PYTHON"

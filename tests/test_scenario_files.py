@@ -19,7 +19,6 @@ from pinmobile.parts import (
     Child,
     InvalidEntries,
     Number,
-    Parameter,
     Reader,
     Whole,
     fits,
@@ -250,12 +249,6 @@ def test_a_file_that_is_no_toml_is_told(text: str, tmp_path: Path) -> None:
     assert "no.toml: " in problems(str(tmp_path / "no.toml"))
 
 
-def test_files_that_never_end_or_are_no_text_are_told(tmp_path: Path) -> None:
-    assert "of more than 1 MiB" in problems("/dev/zero")
-    (tmp_path / "a.toml").write_bytes(b"\xff")
-    assert "which cannot be read: 'utf-8'" in problems(str(tmp_path / "a.toml"))
-
-
 def mutated(tree: Any, rng: random.Random) -> Any:
     """Return a tree in which something is another thing."""
     tree = deepcopy(tree)
@@ -448,9 +441,3 @@ def test_the_schema_has_each_part_with_its_bounds() -> None:
     names = schema["$defs"]["AnyController"]["properties"]["type"]["anyOf"][0]["enum"]
     assert {"PD", "InputSaturation"} < set(names) < set(schema["$defs"])
     assert not {"Circle", "ConstantForce", "UnicycleTracking"} & set(names)
-
-
-def test_arguments_of_constructors_have_their_meaning() -> None:
-    track = parameters(pm.WheelTable.differential)["track"]
-    assert isinstance(track, Parameter)
-    assert track.doc == "Distance of the wheels [m]"

@@ -76,19 +76,6 @@ def test_every_part_tells_the_same_in_each_engine(
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * np.abs(one).max())
 
 
-class Silent(PID):
-    """It has a signal without a number."""
-
-    def signals(self, state: Any) -> dict[str, Any]:
-        return {"contacts": ("N", np.zeros(0))}
-
-
-@pytest.mark.parametrize("engine", [pm.Engine.PYTHON, pm.Engine.COMPILED])
-def test_a_signal_may_have_no_number(engine: Any) -> None:
-    run = pm.simulate(ROBOT, Silent(), BODY[0], engine=engine, **BODY[1])
-    assert run.signals["contacts"].values.shape == (len(run.t), 0)
-
-
 def test_they_are_what_the_laws_say() -> None:
     run = pm.simulate(
         TellingCart(), FOLLOWER, CART[0], forces=[TellingAxle()], engine=pm.Engine.COMPILED, **CART[1]
@@ -101,17 +88,6 @@ def test_they_are_what_the_laws_say() -> None:
     )
     assert np.abs(told.u).max() == 15.0
     assert np.abs(told.signals["applied"].values).max() > 15.0  # what it asked for
-
-
-def test_members_of_an_ensemble_tell_what_their_controllers_tell() -> None:
-    options: Any = {"n": 3, "spread": {"mass": pm.Uniform(25, 35)}, "traces": [1]} | BODY[1]
-    runs = pm.ensemble(ROBOT, WRAPPED, BODY[0], **options)
-    assert list(runs.traces[1].signals) == ["integral", "applied"]
-    member = runs.member(2)
-    np.testing.assert_array_equal(
-        runs.trace(2).signals["integral"].values,
-        pm.simulate(*member[:3], **member.options).signals["integral"].values,
-    )
 
 
 class Claiming(TellingSpring):

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 import pinmobile as pm
 from pinmobile.arrays import Array
@@ -143,25 +142,6 @@ def test_an_integrator_may_write_into_what_it_is_given(plant: pm.MobileRobot, su
         np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=0, atol=1e-10)
 
 
-def test_an_integrator_that_moves_first_is_told_the_acceleration_there() -> None:
-    def leapfrog(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
-        half = q + dt / 2 * v
-        v = v + dt * acceleration(t, half, v)
-        return half + dt / 2 * v, v
-
-    def careless(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
-        q += dt / 2 * v
-        v += dt * acceleration(t, q, v)
-        q += dt / 2 * v
-        return q, v
-
-    one, other = (
-        pm.simulate(ROBOT, pm.PD(40, 20), CIRCLE, dt=0.05, integrator=step, **START)  # type: ignore[arg-type]
-        for step in (leapfrog, careless)
-    )
-    np.testing.assert_array_equal(other.q, one.q)
-
-
 def by_hand(plant: pm.MobileRobot, controller: Any, dt: float, n: int) -> tuple[Array, Array]:
     """Return q and tau of the lecture's loop, written as the lecture writes it."""
     q, v = np.array(START["q0"]), np.array(START["v0"])
@@ -233,20 +213,6 @@ def test_error_follows_the_exact_recurrence_under_a_held_force() -> None:
     np.testing.assert_allclose(e, expected, rtol=0, atol=1e-14)
 
 
-def test_error_tends_to_that_of_the_continuous_loop() -> None:
-    """e'' + Kd e' + Kp e = 0 as dt goes to 0; what the held force costs is of first order."""
-    kp, kd = 4.0, 3.0
-    flow = expm(6.0 * np.array([[0, 1], [-kp, -kd]])) @ -np.array([START["q0"], START["v0"]])
-    steps = np.array([0.02, 0.01, 0.005])
-    off = []
-    for dt in steps:
-        controller = pm.ComputedTorque(ROBOT, kp, kd)
-        rollout = pm.simulate(ROBOT, controller, Hold(), dt=float(dt), integrator=pm.rk4, **START)  # type: ignore[arg-type]
-        off.append(np.abs(rollout.error[-1] - flow[0]).max())
-    slope = np.polyfit(np.log(steps), np.log(off), 1)[0]
-    assert slope == pytest.approx(1, abs=0.15)
-
-
 def test_a_wrong_model_in_the_controller_is_not_the_plants() -> None:
     right = pm.simulate(ROBOT, pm.ComputedTorque(ROBOT), CIRCLE, dt=0.01)
     wrong = pm.simulate(ROBOT, pm.ComputedTorque(pm.MobileRobot(20, 1.2)), CIRCLE, dt=0.01)
@@ -263,27 +229,6 @@ def test_the_force_is_held_over_dt_whatever_the_substeps() -> None:
     pm.simulate(ROBOT, pm.law(push), CIRCLE, dt=0.5, duration=2.0, substeps=10, integrator=pm.rk4)
     # Before the loop it is asked three times whether it answers alike.
     assert asked == [0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.5, 2.0]
-
-
-@pytest.mark.parametrize("robot", [ROBOT, UR5], ids=["body", "arm"])
-def test_a_users_integrator_may_hold_several_accelerations_at_once(robot: pm.MobileRobot) -> None:
-    """Pinocchio answers in memory that its next answer overwrites; who asks four times keeps four."""
-
-    def own(*given: Any) -> Any:
-        return pm.rk4(*given)
-
-    trajectory = CIRCLE if robot is ROBOT else pm.WholeBody(UR5, CIRCLE, None)
-    given: dict[str, Any] = {"dt": 0.05, "duration": 1.0}
-    integrators: list[Any] = [pm.rk4, own]
-    runs = [
-        pm.simulate(robot, pm.ComputedTorque(robot, 9, 6), trajectory, **given, v0=v0, integrator=step)
-        for step in integrators
-        for v0 in (None, 1.1 * trajectory(0.0).v)
-    ]
-    for table, called in zip(runs[:2], runs[2:], strict=True):
-        # The same sums in another order, over 20 steps.
-        np.testing.assert_allclose(called.q, table.q, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(called.a, table.a, rtol=0, atol=1e-10)
 
 
 class Counter:
@@ -325,25 +270,6 @@ def test_a_controller_is_told_of_its_loop_and_of_nothing_that_the_plant_does() -
         assert not any(hasattr(context, name) for name in ("plant", "robot", "forward_dynamics"))
 
 
-def test_a_controller_that_asks_for_no_context_is_told_what_to_write() -> None:
-    class Old:
-        def initial_state(self) -> None: ...
-
-        def __call__(self, *_: Any) -> Any:
-            raise AssertionError("the loop was begun")
-
-    class Deaf(Counter):
-        def applied(self, state: Any) -> Any: ...
-
-    text = r"called as controller\.initial_state\(context\).*: write def initial_state\(self, context\)$"
-    old: Any = Old()
-    for call in (lambda: pm.simulate(ROBOT, old, CIRCLE, dt=0.5), lambda: pm.InputSaturation(old, 1.0)):
-        with pytest.raises(pm.InvalidArgument, match=text):
-            call()
-    with pytest.raises(pm.InvalidArgument, match=r"cannot be called as controller\.applied\(u, state\)"):
-        pm.simulate(ROBOT, Deaf(), CIRCLE, dt=0.5)
-
-
 def test_a_plant_that_cannot_compare_configurations_is_refused_before_the_loop() -> None:
     def asked(*_: Any) -> Any:
         raise AssertionError("the loop was begun")
@@ -364,24 +290,6 @@ def test_a_controller_cannot_write_into_the_record() -> None:
     assert np.abs(rollout.q).max() < 10
 
 
-def test_what_a_subclass_overrides_is_heard() -> None:
-    """The library's own classes take a shorter way through the loop; others must not."""
-
-    class Silent(pm.PD):  # type: ignore[misc]  # final, and yet what a user tries first
-        def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
-            return np.zeros(3), state
-
-    class Rubbing(pm.MobileRobot):  # type: ignore[misc]
-        def forward_dynamics(self, q: Any, v: Any, tau: Any, f: Any = 0.0) -> Array:
-            return super().forward_dynamics(q, v, np.asarray(tau) - 5 * np.asarray(v))
-
-    assert pm.simulate(ROBOT, Silent(9, 9), CIRCLE, dt=0.1).max_input().tolist() == [0, 0, 0]
-    smooth, rough = (
-        pm.simulate(r, pm.PD(9, 9), CIRCLE, dt=0.1) for r in (ROBOT, Rubbing(10, 1.2, com=(0.15, 0.05)))
-    )
-    assert np.abs(smooth.q - rough.q).max() > 0.1
-
-
 def test_divergence_is_reported_with_everything_before_it() -> None:
     """Errata, PD gains: with an offset centre of mass the lecture's loop diverges."""
     robot = pm.MobileRobot(30, 0.1, com=(0.1, 0.05))
@@ -396,19 +304,6 @@ def test_divergence_is_reported_with_everything_before_it() -> None:
     assert np.abs(error.rollout.error).max() <= 1e3
     copy = pickle.loads(pickle.dumps(error))  # as when it comes from another process
     assert (str(copy), copy.time, len(copy.rollout)) == (str(error), error.time, len(error.rollout))
-
-
-def test_without_a_limit_the_numbers_overflow_and_that_is_reported_too() -> None:
-    robot = pm.MobileRobot(30, 0.1, com=(0.1, 0.05))
-    with pytest.raises(pm.Diverged, match="not finite") as caught:
-        pm.simulate(robot, pm.PD((120, 120, 0.4), (120, 120, 0.4)), CIRCLE, dt=0.1, limit=1e300, **START)  # type: ignore[arg-type]
-    assert np.isfinite(caught.value.rollout.u).all()
-
-
-def test_a_spinning_heading_is_divergence_though_its_error_stays_on_the_circle() -> None:
-    robot = pm.MobileRobot(30, 0.1)
-    with pytest.raises(pm.Diverged, match="the rate of psi"):
-        pm.simulate(robot, pm.PD((120, 120, 400), (120, 120, 400)), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
 
 
 def test_a_start_beyond_the_limit_diverges_at_once_with_nothing_recorded() -> None:
@@ -535,21 +430,6 @@ def test_csv_has_a_header_and_every_digit(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table[:, header.index("desired_x [m]")], rollout.reference.q[:, 0])
 
 
-def test_csv_columns_fit_a_plant_with_fewer_inputs(tmp_path: Path) -> None:
-    class Unicycle(OtherPlant):
-        nu = 2
-
-        def forward_dynamics(self, q: Array, v: Array, u: Array) -> Array:
-            return np.array([u[0] * np.cos(q[2]), u[0] * np.sin(q[2]), u[1]])
-
-    pm.simulate(Unicycle(), pm.law(lambda *_: np.array([0.1, 0.2])), CIRCLE, dt=0.1).to_csv(
-        tmp_path / "run.csv"
-    )
-    header, first = (tmp_path / "run.csv").read_text().splitlines()[:2]
-    row = dict(zip(header.split(","), first.split(","), strict=True))
-    assert (row["u_[0]"], row["u_[1]"]) == ("0.10000000000000001", "0.20000000000000001")
-
-
 def test_files_that_cannot_be_written_or_read_are_refused_by_name(tmp_path: Path) -> None:
     rollout = pm.simulate(ROBOT, pm.PD(1, 1), CIRCLE, dt=0.1, duration=0.1)
     for write in (rollout.save, rollout.to_csv):
@@ -564,16 +444,6 @@ def test_files_that_cannot_be_written_or_read_are_refused_by_name(tmp_path: Path
     np.savez(tmp_path / "other.npz", x=np.zeros(3))
     with pytest.raises(pm.InvalidArgument, match="which is no 'pinmobile rollout 2' archive"):
         pm.Rollout.load(tmp_path / "other.npz")
-
-
-def test_digits_of_rounding_are_not_printed() -> None:
-    run = pm.simulate(ROBOT, pm.ComputedTorque(ROBOT, 4, 4), pm.Tangent(pm.Circle(3, 0.1, 60)), dt=0.01)
-    x, _, psi = run.max_error()
-    assert x > 1e-7
-    assert 0 < psi < 1e-12
-    for text in (str(run), repr(run)):
-        assert f"largest error: x {x:.6e} m" in text
-        assert "psi < 1e-12 rad" in text
 
 
 def test_a_rollout_says_what_came_of_it() -> None:
