@@ -12,7 +12,6 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from hashlib import sha256
-from math import prod
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -43,8 +42,6 @@ zarr: Any = imported("zarr", "sweeps", "a sweep")
 METADATA = "zarr.json"
 AGAIN = "start the same sweep again"
 _LOCK, _WRITING = ".lock", ".writing"
-_LONGEST = 10_000_000  # numbers of a coordinate, which is read whole
-_TEXT = 1 << 24  # bytes of all texts of a coordinate
 
 
 class Job(NamedTuple):
@@ -298,7 +295,7 @@ def attributes_of(path: Path) -> dict[str, Any]:
 
 
 def _check_plain(name: str, node: Mapping[str, Any]) -> None:
-    """Refuse an array with codecs that may run code, and a coordinate beyond all sweeps."""
+    """Refuse an array with codecs that may run code."""
     if node["zarr_format"] == 3 and node["node_type"] == "group":
         return
     codecs = [codec["name"] if isinstance(codec, dict) else codec for codec in node.get("codecs", ())]
@@ -308,38 +305,10 @@ def _check_plain(name: str, node: Mapping[str, Any]) -> None:
         raise ValueError(
             f"array {shown(name)} has the codecs {shown(codecs)}, expected plain numbers or text"
         )
-    if node["dimension_names"] == [name] and prod(node["shape"]) > _LONGEST:
-        raise ValueError(f"coordinate {name!r} declares {prod(node['shape']):,} numbers, above {_LONGEST:,}")
-
-
-class BoundedZstd(zarr.codecs.ZstdCodec):  # type: ignore[misc]
-    """The codec of a store, which unpacks a chunk to the bytes that its array declares, and to no more."""
-
-    def _decode_sync(self, chunk: Any, spec: Any) -> Any:
-        declared = np.dtype(spec.dtype.to_native_dtype())
-        packed, text = chunk.to_bytes(), declared.kind == "T" or declared.hasobject
-        size, most = _unpacked_size(packed), _TEXT if text else prod(spec.shape) * declared.itemsize
-        if size > most or (size < most and not text):
-            raise ValueError(f"it unpacks to {size} bytes, expected {'at most ' * text}{most}")
-        unpacked = np.empty(size, np.uint8)
-        self._zstd_codec.decode(packed, out=unpacked)  # which has room for no more, whatever it says
-        return spec.prototype.buffer.from_array_like(unpacked)
-
-
-def _unpacked_size(frame: bytes) -> int:
-    """Return the content size in the header of a Zstandard frame (RFC 8878, 3.1.1.1) [bytes]."""
-    kind, single, dictionary = frame[4] >> 6, frame[4] >> 5 & 1, frame[4] & 3
-    start = 6 - single + (0, 1, 2, 4)[dictionary]
-    size = int.from_bytes(frame[start : start + (single, 2, 4, 8)[kind]], "little")
-    return size + 256 if kind == 1 else size
-
-
-zarr.registry.register_codec("zstd", BoundedZstd, qualname="pinmobile")
 
 
 def _open_group(path: Path) -> Any:
-    with zarr.config.set({"codecs.zstd": "pinmobile"}):
-        return zarr.open_group(path, mode="r", zarr_format=3, use_consolidated=True)
+    return zarr.open_group(path, mode="r", zarr_format=3, use_consolidated=True)
 
 
 def open_dataset(path: Path) -> Any:
@@ -348,7 +317,7 @@ def open_dataset(path: Path) -> Any:
         file = path / name / "c" / "0"
         if node["dimension_names"] == [name] and not file.is_file():
             raise InvalidArgument(f"store is {str(path)!r}, of which {str(file)!r} is gone; {AGAIN}")
-    with reading(path), zarr.config.set({"codecs.zstd": "pinmobile"}):
+    with reading(path):
         return xarray.open_zarr(path, chunks=None, consolidated=True, zarr_format=3)
 
 
