@@ -12,14 +12,12 @@ import arm_ensembles
 import batches
 import calls
 import controllers
-import distances
 import ensembles
 import identification
 import imports
 import loop
 import mpc
 import rollout
-import velocity
 import viewing
 import wheels
 import wheels_control
@@ -37,10 +35,8 @@ PARTS = (
     batches,
     memory,
     wheels,
-    distances,
     mpc,
     identification,
-    velocity,
     wheels_control,
     controllers,
     viewing,
@@ -56,7 +52,6 @@ PEOPLE = {
     batches: batches.EVERYONE,
     memory: memory.EVERYONE,
     wheels: wheels.EVERYONE,
-    distances: distances.EVERYONE,
     mpc: mpc.EVERYONE,
     identification: identification.EVERYONE,
 }

@@ -163,7 +163,7 @@ def test_intervals_are_counted_and_the_table_of_logs_is_printed(
     answers = iter(
         (part.TRUE + x, np.column_stack([part.TRUE + x - 1.5, part.TRUE + x + 1.5]), x[0] / 4) for x in off
     )
-    score = part.recorded_metrics(replace(one, answer=lambda log: next(answers)), part.CASES[0], [None] * 3)
+    score = part.judged(replace(one, answer=lambda log: next(answers)), part.CASES[0], [None] * 3)
     np.testing.assert_allclose(score.holds, 2 / 3)  # all but the one that is 2 off
     assert score.width == pytest.approx(1.5 / 1.96 / np.sqrt(5 / 3))
     assert score.delay == pytest.approx((np.sqrt(5 / 3) / 4, 0.5))
@@ -209,7 +209,7 @@ def test_predictive_control_is_timed_and_one_that_does_not_come_there_is_wrong(
 
 def test_every_benchmark_is_run_and_understands_what_it_is_given(asked: Any) -> None:
     every = ["rollout", "arm", "ensembles", "arm_ensembles", "loop", "calls", "batches"]
-    every += ["memory", "wheels", "distances", "mpc", "identification", "velocity", "wheels_control"]
+    every += ["memory", "wheels", "mpc", "identification", "wheels_control"]
     every += ["controllers", "viewing", "imports"]
     assert list(asked()) == list(asked("--quick", "--rounds", "2")) == every
 
@@ -349,12 +349,12 @@ def test_every_row_of_the_loop_is_timed(bench: SimpleNamespace, monkeypatch: pyt
     monkeypatch.setattr(bench.loop_work, "QUICK_STEPS", bench.loop_work.SHORT)
     work = bench.loop_work.Work(quick=True, least=0.0)
     for row in (*bench.loop_work.LOOPS, *bench.loop_work.RUNS):
-        found = bench.loop_work.evaluate_metrics(work, row)
+        found = bench.loop_work.measured(work, row)
         assert isinstance(found, float), f"{row}: {found}"
         assert found > 0
     work.of = SimpleNamespace()  # an older version
-    assert bench.loop_work.evaluate_metrics(work, "simulate, compiled") == "it has no engine COMPILED"
-    assert bench.loop_work.evaluate_metrics(work, "rk4").startswith("FAILED: AttributeError: ")
+    assert bench.loop_work.measured(work, "simulate, compiled") == "it has no engine COMPILED"
+    assert bench.loop_work.measured(work, "rk4").startswith("FAILED: AttributeError: ")
 
 
 def test_the_loop_is_printed_beside_another_version(

@@ -51,7 +51,7 @@ def rollout(fleet: ArmFleet) -> Run:
     return ensembles(words(fleet))
 
 
-def recorded_metrics(fleet: ArmFleet) -> Run:
+def judged(fleet: ArmFleet) -> Run:
     """Judge end effector, effort and tip-over margin too, as is the default."""
     return ensembles({**words(fleet), "metrics": None})
 
