@@ -34,16 +34,16 @@ FIRST = "\nfrom time import process_time\nprint()\nprint(process_time())\n"
 PLANAR = "import pinmobile as p; b = p.MobileRobot(30, 1.3, (0.1, 0.05)); "
 FIRST_RESULTS = {
     "first result, planar": PLANAR + "p.simulate(b, p.ComputedTorque(b), p.Tangent(p.Circle(2, 0.5, 6)), "
-    "dt=0.01, engine=p.COMPILED)",
+    "dt=0.01, engine=p.Engine.COMPILED)",
     "first result, UR5": "import pinmobile as p; b = p.MobileRobot.box().mount('ur5'); "
     "t = p.WholeBody(b, p.Tangent(p.Circle(3, 0.1, 2)), p.Hold(b.rest[3:], 2)); "
-    "p.simulate(b, p.ComputedTorque(b, 9, 6), t, dt=0.01, engine=p.COMPILED)",
+    "p.simulate(b, p.ComputedTorque(b, 9, 6), t, dt=0.01, engine=p.Engine.COMPILED)",
     "first result, sliding wheels": "import numpy as np; "
     + PLANAR
     + "w = p.WheelTable.differential(0.5, 0.1, supports=[(-0.3, 0)], mass=1.0, spin_inertia=0.01, "
     "yaw_inertia=0.006); d = p.WheeledRobot(b, w, p.Coulomb()); "
     "p.simulate(d, p.law(lambda t, q, v, r: np.array([0.6, 0.7]) + 0 * v[:2]), "
-    "p.Tangent(p.Circle(2, 0.5, 6)), dt=0.01, engine=p.COMPILED, limit=1e6)",
+    "p.Tangent(p.Circle(2, 0.5, 6)), dt=0.01, engine=p.Engine.COMPILED, limit=1e6)",
 }
 """First results of a process, whose machine code is on disk: seconds from the start of Python."""
 
@@ -90,13 +90,36 @@ class SlidingMode:
         return self.gains * (self.reach * surface + self.width * np.tanh(surface / self.width)), state
 
 
+_OLDER = {
+    "InputSaturation": "Saturated",
+    "MeasurementDelay": "Delayed",
+    "MeasurementNoise": "NoisyMeasurement",
+}
+
+
+class Names:
+    """The names of a version of pinmobile, wherever it has them, and what older ones call them."""
+
+    def __init__(self, version: Any) -> None:
+        self.places = version, getattr(version, "Engine", None)
+        self.places += version.integrators, version.controllers, version.forces
+
+    def __getattr__(self, name: str) -> Any:
+        for known in (name, _OLDER.get(name, name)):
+            for place in self.places:
+                if hasattr(place, known):
+                    return getattr(place, known)
+        raise AttributeError(name)
+
+
 class Work:
     """Robot, trajectory and loops of one size, and what they take."""
 
     def __init__(self, quick: bool, least: float) -> None:
         import pinmobile
 
-        self.of, self.quick, self.least = pinmobile, quick, least
+        self.of: Any = Names(pinmobile)
+        self.quick, self.least = quick, least
         self.robot = pinmobile.MobileRobot.lecture()
         self.computed = pinmobile.ComputedTorque(self.robot, kp=GAIN, kd=GAIN)
         start = "start.x" if hasattr(pinmobile, "parts") else "start_x"  # before parts, names had no dot
