@@ -8,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -489,3 +490,45 @@ def test_figures_name_joints_and_unwrap_their_angles(run: pm.Rollout) -> None:
     assert len(plots.errors({"a": run, "b": run}).axes) == 18
     two = plots.states({"a": replace(run, plant=None)}).axes
     assert [axes.get_title(loc="left") for axes in two[3:5]] == ["[3]", "[4]"]
+
+
+@pytest.mark.parametrize("robot", [UR5, PANDA], ids=["ur5", "panda"])
+def test_mujoco_has_the_same_mass_matrix_forces_and_inverse_dynamics(robot: pm.MobileRobot) -> None:
+    model = mujoco.MjModel.from_xml_string(mjcf(robot, robot.mounts[0]))
+    data = mujoco.MjData(model)
+    assert model.nv == robot.nv
+    for q, v, a in zip(*states(robot), strict=True):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q, v, a
+        mujoco.mj_inverse(model, data)
+        tau = data.qfrc_inverse.copy()
+        data.qpos[:], data.qvel[:] = q, v
+        mujoco.mj_forward(model, data)
+        M = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, M)
+        for ours, theirs in (
+            (robot.mass_matrix(q), M),
+            (robot.nonlinear_effects(q, v), data.qfrc_bias),
+            (robot.inverse_dynamics(q, v, a), tau),
+        ):
+            np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
+
+
+@pytest.mark.parametrize("robot", [UR5, KINOVA])
+def test_linearisation_predicts_the_change_of_the_displacement(robot: pm.MobileRobot) -> None:
+    """With q = q*(t) + d: d' = A (d, e) + B u, taken over a short time by the robot's own difference."""
+    q, v, _ = (part[0] for part in states(robot, 1))
+    n, tau = robot.nv, robot.gravity(q)
+    A, B = robot.linearize(q, v, tau)
+    rng = np.random.default_rng(1)
+    d, e, u = 1e-4 * rng.normal(size=(3, n))
+    h = 1e-4
+    near = robot.integrate(q, d)
+    rate = [
+        robot.difference(robot.integrate(q, s * h * v), robot.integrate(near, s * h * (v + e)))
+        for s in (1, -1)
+    ]
+    predicted = A @ np.concatenate([d, e]) + B @ u
+    # Second order in 1e-4, times second derivatives of up to 1e3; eps / h in the rate.
+    np.testing.assert_allclose((rate[0] - rate[1]) / (2 * h), predicted[:n], atol=1e-7)
+    change = robot.forward_dynamics(near, v + e, tau + u) - robot.forward_dynamics(q, v, tau)
+    assert np.linalg.norm(change - predicted[n:]) < 1e-2 * np.linalg.norm(change)
