@@ -229,7 +229,7 @@ _LONGEST = 0.8  # half a roller, in radii of the wheel
 _IN_ROWS = 0.35  # [rad]: rollers nearer to the rolling direction stand in two rows, which take turns
 
 
-class Picture(_Objects):
+class WheelVisuals(_Objects):
     """The objects that are drawn of a robot on wheels, and where they are.
 
     Parameters
