@@ -388,32 +388,6 @@ def test_inputs_are_volts_and_torques_with_the_limits_of_motors() -> None:
     assert robot.mount is not None
 
 
-@GROUNDS
-def test_many_robots_step_as_each_alone(ground: Any) -> None:
-    robot = WheeledRobot(BODY, table(MOTOR), ground).by_voltage().array_dynamics
-    rng = np.random.default_rng(1)
-    u = rng.uniform(-24.0, 24.0, (5, 2))
-    u[0] = 0.0
-    rates = rng.normal(size=(5, 2))
-    rates[0] = 0.0
-    v = np.stack([R * rates.mean(axis=1), 0 * u[:, 0], (rates @ [-1, 1]) * R / 0.5, *rates.T], axis=-1)
-    q = np.zeros((5, 5))
-    memory = robot.initial_state()
-    leaves = type(memory)(*(tiled(part) for part in memory))
-    many: Any = robot.step(0.0, q, v, u, 0.01, lambda *_: 0.0, leaves)
-    for k in range(5):
-        one: Any = robot.step(0.0, q[k], v[k], u[k], 0.01, lambda *_: 0.0, memory)
-        np.testing.assert_allclose(many.v[k], one.v, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(many.memory.torques[k], one.memory.torques, rtol=0, atol=1e-10)
-
-
-def tiled(part: Any) -> Any:
-    """Return what is kept of one robot as that of five."""
-    if isinstance(part, tuple):
-        return type(part)(*map(tiled, part)) if part else part
-    return np.broadcast_to(part, (5, *np.shape(part)))
-
-
 def test_an_ensemble_spreads_motor_constants() -> None:
     robot = WheeledRobot(BODY, table(MOTOR)).by_voltage()
     where = FixedHeading(Hold([0.0, 0.0], 0.2), 0.0)
@@ -444,18 +418,6 @@ def test_many_robots_whose_wheels_nothing_holds_run_too() -> None:
     found = ensemble(robot, Held(12.0, 12.0), where, dt=0.01, n=2, spread=spread, limit=1e9)
     assert found.engine == "COMPILED"
     assert not found.diverged.any()
-
-
-@GROUNDS
-def test_another_resistance_is_that_of_another_motor(ground: Any) -> None:
-    robot = WheeledRobot(BODY, table(MOTOR), ground).by_voltage()
-    other = WheeledRobot(BODY, table(evolved(MOTOR, resistance=2.0)), ground).by_voltage()
-    assert {f"{path}.resistance" for path in robot.motor_paths} <= set(parts.numbers(robot))
-    body = parts.replace(robot, {f"{path}.resistance": 2.0 for path in robot.motor_paths}).array_dynamics
-    state = robot.rest, np.zeros(robot.nv), np.array([12.0, 6.0])
-    expected = other.step(0.0, *state, 0.01, 0.0, other.initial_state())
-    found = body.step(0.0, *state, 0.01, lambda *_: 0.0, body.initial_state())
-    np.testing.assert_array_equal(found.v, expected.v)
 
 
 @pytest.mark.parametrize(
