@@ -28,6 +28,7 @@ from pinmobile.wheels import (
     WheelTable,
 )
 from pinmobile.wheels._motors import MotorLaw
+from tests.parts import steady
 
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
 GRIPS = WheelFriction(mu=2.0, rolling=0.0)
@@ -59,25 +60,12 @@ def table(motor: Motor, **others: Any) -> WheelTable:
     )
 
 
-class Held:
-    """An input that stays."""
-
-    def __init__(self, *u: float) -> None:
-        self.u = np.array(u)
-
-    def initial_state(self, context: Any) -> None:
-        return None
-
-    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: None) -> tuple[Any, None]:
-        return self.u + 0.0 * t, state
-
-
 def run(
     robot: ByVoltage, u: tuple[float, ...], dt: float, duration: float, engine: Any = Engine.COMPILED
 ) -> Rollout:
     where = FixedHeading(Hold([0.0, 0.0], duration), 0.0)
     start = {"q0": robot.rest, "v0": np.zeros(robot.nv)}
-    return simulate(robot, Held(*u), where, dt=dt, **start, engine=engine, limit=1e9)
+    return simulate(robot, steady(*u), where, dt=dt, **start, engine=engine, limit=1e9)
 
 
 def steps(
@@ -247,8 +235,7 @@ def drives() -> dict[str, WheelTable]:
     }
 
 
-@pytest.mark.parametrize("name", drives())
-@pytest.mark.parametrize("arm", [False, True], ids=["bare", "arm"])
+@pytest.mark.parametrize(("name", "arm"), [*((name, False) for name in drives()), ("tricycle", True)])
 def test_accelerations_are_those_of_the_tree_under_the_torques_of_its_motors(name: str, arm: bool) -> None:
     """Pinocchio's tree with constraint forces, and `Motor.torque`, neither of which the step uses."""
     rng = np.random.default_rng(3)
@@ -305,8 +292,14 @@ def test_driven_follows_as_torques_would_and_is_told_what_was_applied(ground: An
     assert inner[1] < 10.0
 
 
-class Torques(Held):
+class Torques:
     """Torques that stay, and what was applied as its state."""
+
+    def __init__(self, *u: float) -> None:
+        self.u = np.array(u)
+
+    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> tuple[Array, Any]:
+        return self.u, state
 
     def initial_state(self, context: Any) -> Any:
         return np.zeros(2)
@@ -372,7 +365,7 @@ def test_inputs_are_volts_and_torques_with_the_limits_of_motors() -> None:
     limited = WheeledRobot(BODY, table(Motor(torque_limit=2.0)))
     found = simulate(
         limited,
-        Held(5.0, -5.0),
+        steady(5.0, -5.0),
         FixedHeading(Hold([0.0, 0.0], 0.1), 0.0),
         dt=0.01,
         q0=limited.rest,
@@ -393,7 +386,7 @@ def test_an_ensemble_spreads_motor_constants() -> None:
     where = FixedHeading(Hold([0.0, 0.0], 0.2), 0.0)
     resistance = np.array([1.2, 2.4, 3.6])
     spread = {"left.motor.resistance": resistance}
-    found = ensemble(robot, Held(12.0, 12.0), where, dt=0.01, n=3, spread=spread, limit=1e9)
+    found = ensemble(robot, steady(12.0, 12.0), where, dt=0.01, n=3, spread=spread, limit=1e9)
     for k, x in enumerate(resistance):
         wheels = [
             evolved(wheel, motor=evolved(MOTOR, resistance=float(x))) if wheel.name == "left" else wheel
@@ -415,7 +408,7 @@ def test_many_robots_whose_wheels_nothing_holds_run_too() -> None:
     robot = WheeledRobot(BODY, table(PLAIN), Coulomb()).by_voltage()
     where = FixedHeading(Hold([0.0, 0.0], 0.05), 0.0)
     spread = {"left.radius": [0.1, 0.101]}
-    found = ensemble(robot, Held(12.0, 12.0), where, dt=0.01, n=2, spread=spread, limit=1e9)
+    found = ensemble(robot, steady(12.0, 12.0), where, dt=0.01, n=2, spread=spread, limit=1e9)
     assert found.engine == "COMPILED"
     assert not found.diverged.any()
 
@@ -452,7 +445,7 @@ def test_what_has_no_volts_is_refused() -> None:
     with pytest.raises(errors.InvalidArgument, match="slip independently of each other"):
         WheeledRobot(CENTRAL, open_, Coulomb()).by_voltage()
     with pytest.raises(errors.InvalidArgument, match="expected a WheeledRobot with electric motors"):
-        TorqueToVoltage(Held(0.0), BODY)
+        TorqueToVoltage(steady(0.0), BODY)
     with pytest.raises(errors.InvalidArgument, match="wheels that steer"):
         WheelSpeed(UnicycleTracking(), WheeledRobot(BODY, drives()["tricycle"]), kp=1.0)
     with pytest.raises(errors.InvalidArgument, match="stall_torque is 3 N m, expected at most"):

@@ -14,11 +14,10 @@ from pinmobile import errors
 from pinmobile.arrays import Array
 from pinmobile.controllers import WheelSpeed
 from pinmobile.integrators import rk4
-from pinmobile.loop import Loop, Rollout, Samples, simulate
-from pinmobile.loop._program import Compiled
+from pinmobile.loop import Rollout, simulate
 from pinmobile.paths import Hold
 from pinmobile.robot import MobileRobot
-from pinmobile.trajectories import FixedHeading, Reference
+from pinmobile.trajectories import FixedHeading
 from pinmobile.verification._wheels import WheelTree
 from pinmobile.verification.bodies import tree_motion
 from pinmobile.wheels import (
@@ -33,7 +32,7 @@ from pinmobile.wheels import (
 )
 from pinmobile.wheels._loads import shared_loads
 from tests import wheeled
-from tests.looping import looped, told
+from tests.parts import steady
 
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
 DRY = WheelFriction(mu=0.6, rolling=0.0)
@@ -41,19 +40,6 @@ BODY = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
 CENTRAL = MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.2))
 SKID = WheelTable.skid_steer(0.5, 0.4, 0.1, **WHEEL)
 G = float(np.linalg.norm(BODY.model.gravity.linear))
-
-
-class Torques:
-    """Torques that stay, and drive nothing else."""
-
-    def __init__(self, *u: float) -> None:
-        self.u = np.array(u)
-
-    def initial_state(self, context: Any) -> None:
-        return None
-
-    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: None) -> tuple[Any, None]:
-        return self.u + 0.0 * t, state
 
 
 def run(
@@ -64,16 +50,8 @@ def run(
     q0, v0 = (robot.rest if q is None else q), (np.zeros(robot.nv) if v is None else v)
     by = rk4 if isinstance(robot.ground, Rolling) else None
     return simulate(
-        robot, Torques(*u), where, dt=dt, q0=q0, v0=v0, integrator=by, engine=pm.Engine.COMPILED, limit=1e9
+        robot, steady(*u), where, dt=dt, q0=q0, v0=v0, integrator=by, engine=pm.Engine.COMPILED, limit=1e9
     )
-
-
-def rolling_at(robot: WheeledRobot, *twist: float) -> Array:
-    """Return velocities at which fixed wheels of angle zero do not slip along."""
-    v = np.zeros(robot.nv)
-    v[:3], n = twist, len(robot.table)
-    v[-n:] = [(v[0] - wheel.y * v[2]) / wheel.radius for wheel in robot.table.wheels]
-    return v
 
 
 def skid(friction: WheelFriction, **others: Any) -> WheelTable:
@@ -117,19 +95,13 @@ def test_what_friction_can_hold_on_a_ramp_stays_and_what_it_cannot_accelerates(d
     np.testing.assert_allclose(v[:2], expected, rtol=0, atol=1e-12)
 
 
-def effective_track(robot: MobileRobot, table: WheelTable) -> float:
-    """Return the track that a base seems to have which turns in place slowly, over its track."""
-    found = run(
-        WheeledRobot(robot, table), (0.0, 0.0), 0.01, 1.0, v=np.array([0, 0, 0, -0.2, 0.2, -0.2, 0.2])
-    )
-    radius, half = table.wheels[0].radius, table.wheels[0].y
-    return float(found.v[-1, 4] * radius / found.v[-1, 2] / half)
-
-
 @pytest.mark.parametrize("mu", [0.3, 0.8])
 def test_a_skid_steer_turns_as_if_its_track_were_wider_whatever_the_friction(mu: float) -> None:
+    """Of a base that turns in place slowly."""
     table = skid(WheelFriction(mu=mu, rolling=0.0), motor=Motor(rotor_inertia=1e6))
-    assert effective_track(CENTRAL, table) == pytest.approx(1 + (0.25 / 0.2) ** 2, rel=1e-5)
+    turning = np.array([0, 0, 0, -0.2, 0.2, -0.2, 0.2])
+    v = run(WheeledRobot(CENTRAL, table), (0.0, 0.0), 0.01, 1.0, v=turning).v[-1]
+    assert v[4] * 0.1 / v[2] / 0.2 == pytest.approx(1 + (0.25 / 0.2) ** 2, rel=1e-5)
 
 
 GRIPS = {**WHEEL, "friction": WheelFriction(mu=500.0, across=0.0, rolling=0.0)}
@@ -182,7 +154,7 @@ def test_braking_wheels_slide_with_the_load_that_braking_leaves_them(
     assert a[0] == pytest.approx(-force / 30, rel=1e-7)
     # In a run too, from its first sample, in every engine.
     here = FixedHeading(Hold([0.0, 0.0], 0.1), 0.0)
-    begun, braking = np.array([5.0, 0, 0, 0, 0]), Torques(-torque, -torque)
+    begun, braking = np.array([5.0, 0, 0, 0, 0]), steady(-torque, -torque)
     for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON):
         found = simulate(robot, braking, here, dt=0.01, q0=robot.rest, v0=begun, engine=engine, limit=1e9)
         # Loads are found to 1e-8 of the weight.
@@ -202,7 +174,7 @@ def test_locked_wheels_slide_straight_at_speed_whatever_the_step(yaw_inertia: fl
     here, v0 = FixedHeading(Hold([0.0, 0.0], 2.0), 0.0), np.array([30.0, 0.1, 0.1, 0, 0, 0, 0])
     found = simulate(
         robot.by_voltage(),
-        Torques(0, 0),
+        steady(0, 0),
         here,
         dt=0.05,
         q0=robot.rest,
@@ -215,17 +187,6 @@ def test_locked_wheels_slide_straight_at_speed_whatever_the_step(yaw_inertia: fl
     # It loses mu g: a force along the way, which the heading does not change.
     speed = np.hypot(found.v[-1, 0], found.v[-1, 1])
     assert speed == pytest.approx(np.hypot(30.0, 0.1) - 0.6 * G * 2.0, abs=2e-3)
-
-
-def test_sliding_under_a_high_centre_of_mass_is_of_order_two() -> None:
-    robot = rear_driven((0.05, 0.0, 0.25), 0.3, 0.6)
-    v = np.array([3.0, 0.0, 0.2, -5.0, -5.0])
-    ends = [run(robot, (-16.0, -15.0), h, 0.4, v=v) for h in (0.02, 0.01, 0.005, 0.0005)]
-    assert ends[-1].signals["slides"].values[1:].all()
-    far = [np.abs(end.q[-1, :3] - ends[-1].q[-1, :3]).max() for end in ends[:-1]]
-    assert far[0] < 1e-3
-    assert far[0] / far[1] > 3.5
-    assert far[1] / far[2] > 3.5
 
 
 def test_of_two_solutions_a_step_takes_that_of_the_step_before_and_says_which() -> None:
@@ -344,41 +305,19 @@ def test_energy_never_grows_without_input(seed: int) -> None:
     assert energy[-1] < 0.5 * energy[0]
 
 
-def looped_both(
-    robot: WheeledRobot, u: Array, v: Array, count: int = 20, forces: tuple[Any, ...] = ()
-) -> None:
-    times = np.linspace(0.0, 0.01 * (count - 1), count)
-    reference = Reference(*(np.zeros((count, 3)) for _ in range(3)))
-    first = Reference(*(x[0] for x in reference))
-    loop = Loop(robot, Torques(*u), None, forces, recorder=Samples())
-    expected = looped(loop, robot.rest, v, times, reference)
-    starts = np.stack([robot.rest] * 3), np.stack([v, 0.5 * v, 0 * v])
-    of = told(loop, times, reference)
-    alone, beside = (
-        Compiled(loop, of, (robot.rest, v), first, single=n == 1).run(
-            (starts[0][:n], starts[1][:n]), times, reference
-        )
-        for n in (1, 3)
-    )
-    for name, rows in alone.kept.items():
-        np.testing.assert_array_equal(beside.kept[name][0], rows[0])
-    for name in ("q", "v"):
-        np.testing.assert_allclose(alone.kept[name][0], expected[name], rtol=1e-9, atol=1e-10)
-
-
-def test_compiled_robots_find_slow_forces_as_numbers_do() -> None:
-    robot, v = WheeledRobot(BODY, SKID), np.zeros(7)
-    v[:] = [0.4, 0.1, 0.5, 8.0, -2.0, 8.0, -2.0]
-    looped_both(robot, np.array([6.0, 9.0]), v, 30)
-    plain = WheeledRobot(BODY, SKID, Coulomb(sweeps=24))  # as many as go wheel by wheel
-    assert run(plain, (6.0, 9.0), 0.01, 0.6, v=v).signals["missed"].values.any()
-
-
-def test_compiled_robots_do_as_alone_and_as_numbers_do() -> None:
+@pytest.mark.parametrize("u", [(30.0, -25.0), (20.0, 9.0)])
+def test_compiled_robots_do_as_alone_and_as_numbers_do(u: tuple[float, float]) -> None:
     """Rounds end when all robots side by side are done; none depends on the others."""
-    robot = WheeledRobot(BODY, SKID)
-    drag = (pm.ViscousFriction([20.0, 10.0, 3.0]),)
-    looped_both(robot, np.array([30.0, -25.0]), rolling_at(robot, 1.0, 0.3, 0.0), forces=drag)
+    robot, where = WheeledRobot(BODY, SKID), FixedHeading(Hold([0.0, 0.0], 0.2), 0.0)
+    drag, masses = pm.ViscousFriction([20.0, 10.0, 3.0]), np.array([28.0, 30.0, 32.0])
+    given: Any = {"dt": 0.01, "forces": (drag,), "limit": 1e9}
+    compiled, python = (
+        pm.ensemble(robot, steady(*u), where, n=3, spread={"mass": masses}, engine=engine, **given)
+        for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON)
+    )
+    np.testing.assert_allclose(compiled.max_error, python.max_error, rtol=1e-9, atol=1e-12)
+    alone = simulate(robot, steady(*u), where, engine=pm.Engine.COMPILED, **given)
+    np.testing.assert_array_equal(compiled.max_error[1], alone.max_error())
 
 
 def test_many_robots_as_arrays_step_as_each_does() -> None:

@@ -304,8 +304,8 @@ def impulses(
     most, tolerance
         As of `Coulomb`.
     """
-    n, spins = len(free), list(dict.fromkeys(touch.spin for touch in touches if touch.held))
     holder = {touch.spin: touch for touch in touches if touch.held}
+    n, spins = len(free), list(holder)
     most_of = [x for bound in bounds for x in (bound.along, bound.across)]
     for at in spins:
         most_of.append(next(b.spin for t, b in zip(touches, bounds, strict=True) if t.spin == at))

@@ -209,15 +209,13 @@ class SlippingDynamics(WheeledDynamics):
     tolerance: float
     rubbing: tuple[int, ...] = ()
 
-    memory: ClassVar[type] = ContactState
-
     # Gear trains
 
     @cached_property
     def _leaders(self) -> list[tuple[int, Any]]:
         """Which velocity each follows, and how many times as fast: wheels on a train follow its first."""
         first = _BASE + self.na + len(self.table.axes)
-        found: list[tuple[int, Any]] = [(i, ONE) for i in range(self.size)]
+        found: list[tuple[int, Any]] = [(i, ONE) for i in range(self.nv)]
         for row, (leader, ratio) in enumerate(gear_ratios(self.table)):
             found[first + row] = first + leader, exact(ratio)
         return found
@@ -363,11 +361,10 @@ class SlippingDynamics(WheeledDynamics):
     def initial_state(self, context: Any = None) -> ContactState:
         """Return what it keeps at first: nothing has slipped, and loads are those of rest."""
         del context
-        k, still = len(self.table), [ZERO] * self.size
-        arms = list(getattr(self.robot, "rest", np.zeros(_BASE)))[_BASE:]
-        q = np.concatenate([np.zeros(_BASE), arms, np.zeros(self.joints)])
-        found = wheel_loads(self, *self._seen(self.state(q, np.zeros(self.size)), still), q)
-        zeros = np.zeros(2 * k), np.zeros(len(self._held)), np.zeros(k), np.zeros(self.size)
+        k, still = len(self.table), [ZERO] * self.nv
+        q = np.concatenate([np.zeros(_BASE), self.robot.rest[_BASE:], np.zeros(self.joints)])
+        found = wheel_loads(self, *self._seen(self.state(q, np.zeros(self.nv)), still), q)
+        zeros = np.zeros(2 * k), np.zeros(len(self._held)), np.zeros(k), np.zeros(self.nv)
         return ContactState(*zeros, stacked(found.values, q), 0.0, 0.0)
 
     def step(
@@ -462,7 +459,7 @@ class SlippingDynamics(WheeledDynamics):
             )
             after = self._after(now, free, grip)
             for k, limit in self.stops:
-                unit = [ONE if i == _BASE + self.na + k else ZERO for i in range(self.size)]
+                unit = [ONE if i == _BASE + self.na + k else ZERO for i in range(self.nv)]
                 response = self._whole(now.solve(self._reduced(unit)))
                 rate = after[_BASE + self.na + k]
                 reached = state.steering[k] + (0.5 * h) * (state.rates[k] + rate)
@@ -517,7 +514,6 @@ class SlippingDynamics(WheeledDynamics):
         h: Any,
     ) -> list[tuple[int, Any]]:
         """Return actuators and the torque of their dry friction: of what holds a wheel, in proportion."""
-        spins = list(dict.fromkeys(touch.spin for touch in shape.touches if touch.held))
         most = {
             touch.spin: bound.spin for touch, bound in zip(shape.touches, bounds, strict=True) if touch.held
         }
@@ -526,7 +522,7 @@ class SlippingDynamics(WheeledDynamics):
             ((_, share),) = self.turned_by(k)
             whole = most[at]
             part = more / choose(whole > 0.0, whole, 1.0)
-            held = grip.impulses[2 * len(self.table) + spins.index(at)]
+            held = grip.impulses[2 * len(self.table) + list(most).index(at)]
             found.append((k, held * part / (h * float(share))))
         return found
 

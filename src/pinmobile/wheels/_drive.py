@@ -732,10 +732,6 @@ class WheeledRobot:
         """
         q, v, u = self._state(q, v, u)
         f, h = f if callable(f) else constant_force(finite("f", f)), positive("h", h, "s")
-        if not isinstance(memory, getattr(self.array_dynamics, "memory", object)):
-            raise InvalidArgument(
-                f"memory is {shown(memory)}, expected what initial_state or a step returned"
-            )
         return self.array_dynamics.step(t, q, v, u, h, f, memory)  # type: ignore[no-any-return]
 
     @_of_ground
@@ -807,7 +803,7 @@ class WheeledRobot:
         self.check_stands()
         if self.array_dynamics.slips:
             return recorded_margins(self.array_dynamics, motion)
-        if getattr(motion, "u", None) is None:
+        if motion.u is None:
             raise InvalidArgument(
                 "motion.u is None, expected the input, on which the forces of wheels depend: "
                 "MotionStates(..., u=u)"

@@ -147,19 +147,11 @@ class WheeledDynamics:
         return len(self.table.axes) + len(self.table)
 
     @property
-    def size(self) -> int:
-        """Number of velocities."""
+    def nv(self) -> int:
+        """Size of q, v and a."""
         return _BASE + self.na + self.joints
 
-    @property
-    def nq(self) -> int:
-        """Size of q."""
-        return self.size
-
-    @property
-    def nv(self) -> int:
-        """Size of v and a."""
-        return self.size
+    nq = nv
 
     @property
     def nu(self) -> int:
@@ -207,8 +199,8 @@ class WheeledDynamics:
         return found._replace(twist=found.along(found.twist))
 
     def inertia(self, state: State, q: Any) -> Matrix:
-        """Return M, (size, size), of body axes."""
-        M: Matrix = [[ZERO] * self.size for _ in range(self.size)]
+        """Return M, (nv, nv), of body axes."""
+        M: Matrix = [[ZERO] * self.nv for _ in range(self.nv)]
         carried = self.robot.mass_matrix(stacked([ZERO, ZERO, ZERO, *state.arms], q))
         for i in range(_BASE + self.na):
             M[i][: _BASE + self.na] = scalars(carried[..., i, :])
@@ -253,8 +245,8 @@ class WheeledDynamics:
         return self.kinematics.centre(row, state.steering), self.kinematics.centre(row, still)
 
     def effects(self, state: State, q: Any) -> Vector:
-        """Return n, (size,), along the body's axes."""
-        n: Vector = [ZERO] * self.size
+        """Return n, (nv,), along the body's axes."""
+        n: Vector = [ZERO] * self.nv
         at_zero = stacked([ZERO, ZERO, ZERO, *state.arms], q)
         carried = self.robot.nonlinear_effects(at_zero, stacked([*state.twist, *state.arm_rates], q))
         n[: _BASE + self.na] = scalars(carried)
@@ -317,18 +309,18 @@ class WheeledDynamics:
         return [number(dot([exact(x) for x in actuator.column], rates)) for actuator in self.table.actuators]
 
     def in_plane(self, state: State, a: Vector, q: Any) -> Any:
-        """Return numbers along the body's axes as a public array, shape (..., size)."""
+        """Return numbers along the body's axes as a public array, shape (..., nv)."""
         return stacked(state.outward(a), q)
 
     def mass_matrix(self, q: Any) -> Any:
         """Return M(q), shape (..., nv, nv), rotors included."""
-        state = self.state(q, stacked([ZERO] * self.size, q))
+        state = self.state(q, stacked([ZERO] * self.nv, q))
         half = transposed([state.outward(row) for row in self.inertia(state, q)])
         return matrix(transposed([state.outward(row) for row in half]), q)
 
     def nonlinear_effects(self, q: Any, v: Any) -> Any:
         """Return n(q, v), shape (..., nv)."""
-        return self.left(q, v, stacked([ZERO] * self.size, q))
+        return self.left(q, v, stacked([ZERO] * self.nv, q))
 
     def left(self, q: Any, v: Any, a: Any) -> Any:
         """Return M a + n, shape (..., nv)."""

@@ -52,11 +52,6 @@ class Row(NamedTuple):
     joints: Vector
     drift: Any
 
-    @property
-    def entries(self) -> Vector:
-        """All coefficients."""
-        return [*self.base, *self.joints]
-
     def slip(self, state: Any) -> Any:
         """Return the velocity at which it slips in a state."""
         return number(dot(self.base, state.twist) + dot(self.joints, state.rates))
@@ -353,7 +348,7 @@ class Mobility:
     @cached_property
     def matrix(self) -> Array:
         """The rows at these angles, shape (k, 3 + steering + wheels)."""
-        return np.array([[float(number(x)) for x in row.entries] for row in self._rows])
+        return np.array([[float(number(x)) for x in [*row.base, *row.joints]] for row in self._rows])
 
     @cached_property
     def rank(self) -> int:

@@ -103,7 +103,8 @@ def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any) -> Loads:
         return [*kept, *new], (share >= 1.0) & (rises <= nothing)
 
     first = [1.0 + 0.0 * fz] * n + [higher(fz, 0.0) * (1.0 / n)] * n
-    kept, soft = _halves(repeated(one, first, 4 * n, press | (fz <= 0.0)))
+    last = repeated(one, first, 4 * n, press | (fz <= 0.0))
+    kept, soft = last[:n], last[n:]
     sharp, area = _of_springs(places, kept, wrench, flat=_FLAT * whole)
     stands = area > _FLAT * whole
     values = [choose(k > 0.0, choose(stands, x, y), 0.0) for k, x, y in zip(kept, sharp, soft, strict=True)]
@@ -114,10 +115,6 @@ def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any) -> Loads:
     off = [dot([place[i] for place in places], values) - x for i, x in ((1, wrench[1]), (0, -wrench[2]))]
     beyond = dot(off, off) > (_EDGE * _EDGE) * size * (fz * fz)
     return Loads(values, choose(beyond | (fz <= 0.0), 1.0, 0.0), springs)
-
-
-def _halves(x: Vector) -> tuple[Vector, Vector]:
-    return x[: len(x) // 2], x[len(x) // 2 :]
 
 
 def _of_springs(
@@ -275,7 +272,7 @@ def groups_of(body: Any) -> tuple[AxleGroup, ...]:
     table, choice = body.table, body.choice
     if table.trains:
         return ()
-    rows = _still_rows(body)
+    rows = body.kinematics.rows([ZERO] * len(table.axes), [ZERO] * _BASE, [ZERO] * body.joints)
     told = {i for _, i in choice.joints}
     sharing: dict[int, list[int]] = {k: [] for k in range(len(choice.body))}
     found = []
@@ -289,11 +286,6 @@ def groups_of(body: Any) -> tuple[AxleGroup, ...]:
     for k, own in sharing.items():
         found.append(AxleGroup(tuple(rows[i].wheel for i in own), tuple(own), k))
     return tuple(sorted(found))
-
-
-def _still_rows(body: Any) -> list[Any]:
-    still: Vector = [ZERO] * body.joints
-    return body.kinematics.rows([ZERO] * len(body.table.axes), [ZERO] * _BASE, still)  # type: ignore[no-any-return]
 
 
 def _axle(body: Any, rows: Sequence[Any], row: Any) -> int:

@@ -173,7 +173,7 @@ class RollingDynamics(WheeledDynamics):
     def _off(self, state: State, S: Matrix, nu: Vector) -> Vector:
         """Return v - S nu, along the body's axes: zero for each coordinate that is one of nu itself."""
         held, first = self.choice.body, _BASE + self.na
-        found: Vector = [ZERO] * self.size
+        found: Vector = [ZERO] * self.nv
         if len(held) == 1:
             a = self.rows(state)[held[0]].base
             slip = dot(a, state.twist)

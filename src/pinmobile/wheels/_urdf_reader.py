@@ -469,12 +469,8 @@ def joint_signs(robot: MobileRobot, table: WheelTable) -> dict[str, int]:
     """
     found = {wheel_name(joint.name): joint for joint in robot.undercarriage.wheels}
     rows = [wheel for wheel in table.wheels if wheel.name in found]
-    return {wheel.name: 1 if _leftward(wheel.angle, found[wheel.name].axis) > 0 else -1 for wheel in rows}
-
-
-def _leftward(angle: float, axis: Sequence[float]) -> float:
-    """Return the part of an axis a quarter of a turn to the left of an angle."""
-    return cos(angle) * axis[1] - sin(angle) * axis[0]
+    axes = [(wheel.name, wheel.angle, found[wheel.name].axis) for wheel in rows]
+    return {name: 1 if cos(angle) * axis[1] > sin(angle) * axis[0] else -1 for name, angle, axis in axes}
 
 
 def source_of(robot: MobileRobot, table: WheelTable) -> str:
