@@ -288,7 +288,7 @@ def round_wheels(text: str) -> str:
 
 
 # Husky and Jackal turn by skidding alone: they do not roll ideally.
-REAL = {
+REAL: dict[str, tuple[Any, dict[str, Any]]] = {
     "ridgeback": (wheeled.ridgeback, {"rollers": pi / 4}),
     "burger": (lambda: wheeled.turtlebot("burger"), {}),
     "waffle": (lambda: wheeled.turtlebot("waffle"), {}),
