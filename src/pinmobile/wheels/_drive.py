@@ -514,8 +514,7 @@ class WheeledRobot:
         InvalidArgument
             If no wheel is fixed and keeps the body from moving across it.
         """
-        choice = self.mobility.choice
-        if not (choice.body and choice.is_fixed):
+        if not self.mobility.choice.is_fixed:
             raise InvalidArgument(f"robot is {self.mobility.kind}, which has no fixed axle")
         self._check_rolls()
         return frozen(self.array_dynamics.axle)
