@@ -89,7 +89,7 @@ for name, drive in drives.items():
     free = columns - able.rank if able.is_regular else "none"
     numbers = f"{columns:11}  {rows:4}  {able.rank:4}  {free:>15}"
     print(f"{name:19} {numbers}  ({able.mobility}, {able.steerability})  {drive.nu:6}")
-print(f"\nskid-steer {drives['skid-steer'].mobility.why_not}.")
+print(f"\nskid-steer {drives['skid-steer'].mobility.rolling_obstacle}.")
 
 # %% [markdown]
 # A drive of mobility 3 can start in any direction; of mobility 2 only straight on and about the vertical;

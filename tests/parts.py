@@ -6,9 +6,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from pinmobile.controllers import Controller, law
 from pinmobile.parts import array, number, part
 from pinmobile.plant import Coordinate, Input
 from pinmobile.trajectories import Reference
+
+
+def steady(*u: float) -> Controller:
+    """Return a controller whose input stays."""
+    return law(lambda t, q, v, reference: np.array(u) + 0.0 * t)
 
 
 @dataclass(frozen=True)

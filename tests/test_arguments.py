@@ -35,7 +35,7 @@ from pinmobile.integrators import constant_acceleration
 from pinmobile.loop import TRUE_MODEL
 from pinmobile.urdf import shipped_urdf
 from pinmobile.viewer import Viewer
-from pinmobile.wheels import GearTrain, Mobility
+from pinmobile.wheels import GearTrain
 from tests import arguments
 from tests.arguments import ROWS
 
@@ -128,7 +128,7 @@ FAULTS = [
         lambda: pm.WheelTable.swerve(NOTHING, 0.1),
         "places is None, expected (x, y) of each [m]",
     ),
-    Fault("another kind", lambda: Mobility.of(EMPTY), "table is [], expected a WheelTable"),
+    Fault("another kind", lambda: pm.WheeledRobot(ROBOT, EMPTY), "table is [], expected a WheelTable"),
     Fault(
         "another kind",
         lambda: GearTrain(("a", "b"), cast(Any, "ab")),

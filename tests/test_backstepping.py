@@ -300,9 +300,7 @@ ON_TWO, OF_CAR = (
 CASES: dict[str, tuple[Any, Any, Any, Any]] = {
     "tracking": (DIFFERENTIAL, ON_TWO, EIGHT, {"zeta": pm.Uniform(0.5, 0.9), "k": pm.Uniform(5, 10)}),
     "references": (DIFFERENTIAL, ON_TWO, EIGHT, {"path.size": pm.Uniform(0.9, 1.1)}),
-    "dynamic": (DIFFERENTIAL, pm.Backstepping(DynamicFeedback(), DIFFERENTIAL), EIGHT, S),
     "parking": (DIFFERENTIAL, pm.Backstepping(Parking(), DIFFERENTIAL), Posed((1.0, 0.5, 0.3)), S),
-    "car": (CAR, OF_CAR, LARGE, S),
     "swerve": (SWERVE, SwerveTracking(SWERVE), Crab(), S),
     "car, delayed": (CAR, pm.MeasurementDelay(OF_CAR, 1), LARGE, S),
     "mecanum": (MECANUM, pm.ComputedTorque(MECANUM), EIGHT, S),
@@ -317,12 +315,6 @@ CASES: dict[str, tuple[Any, Any, Any, Any]] = {
         OdometryFeedback(ON_TWO, DIFFERENTIAL.table, ticks=2000, noise=0.1),
         EIGHT,
         {**S, "controller.table.wheels.left.radius": pm.Uniform(0.099, 0.101)},
-    ),
-    "noisy": (
-        DIFFERENTIAL,
-        pm.InputSaturation(pm.MeasurementNoise(ON_TWO, 1e-3, 1e-3, seed=1), 3.0),
-        EIGHT,
-        S,
     ),
 }
 
@@ -433,13 +425,3 @@ def test_a_start_that_does_not_roll_may_be_one_at_rest() -> None:
     robot = DIFFERENTIAL
     with pytest.raises(pm.InvalidArgument, match=r"left lateral slips at 1 m/s; .* v0 of zeros"):
         robot.check_start(robot.rest, [0.0, 1.0, 0.0, 0.0, 0.0])
-
-
-def test_a_drive_that_skids_has_no_type() -> None:
-    skids = WheeledRobot(BODY, WheelTable.skid_steer(0.5, 0.4, 0.1, **WHEEL))
-    assert "of no type, as it cannot roll without slip" in str(skids.table)
-    assert "type (" not in str(skids.table)
-    with pytest.raises(
-        pm.InvalidArgument, match=r"robot is a drive that does not roll without slip, .*WheelSpeed"
-    ):
-        pm.Backstepping(pm.UnicycleTracking(), skids)

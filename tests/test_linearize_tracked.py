@@ -77,29 +77,13 @@ def test_on_wheels_it_is_the_difference_quotient_of_pinocchios_constrained_tree(
     assert np.abs(found - np.transpose(expected)).max() < 2e-6 * np.abs(found).max()
 
 
-def test_a_differential_drive_is_as_in_the_closed_form() -> None:
-    robot = ON_WHEELS["differential"]
-    q = np.array([1.0, 2.0, 0.3, 0.0, 0.0])
-    v = robot.reduced(q, np.zeros(5)).S @ [0.7, 0.4]
-    A, B = robot.linearize_tracked(q, v, [0.0, 0.0])
-    c, s = np.cos(0.3), np.sin(0.3)
-    expected = [[0, 0, -0.7 * s, c, 0], [0, 0, 0.7 * c, s, 0], [0, 0, 0, 0, 1]]
-    assert np.abs(A[:3] - expected).max() < 1e-15
-    own = robot.reduced(q, v)
-    assert np.abs(B[3:] - np.linalg.solve(own.M, own.B)).max() < 1e-13 * np.abs(B).max()
-    # n is quadratic in nu, so that central differences are exact.
-    both = [robot.reduced(q, own.S @ (own.nu + d)).n for e in np.eye(2) for d in (e, -e)]
-    slope = np.transpose([(both[0] - both[1]) / 2, (both[2] - both[3]) / 2])
-    assert np.abs(A[3:, 3:] + np.linalg.solve(own.M, slope)).max() < 1e-12
-
-
 def test_many_states_are_each_its_own() -> None:
     robot, generator = ON_WHEELS["differential with an arm"], np.random.default_rng(3)
-    states = [rolling(robot, generator) for _ in range(300)]
+    states = [rolling(robot, generator) for _ in range(260)]
     q, v = (np.array(x) for x in zip(*states, strict=True))
-    u = generator.normal(size=(300, robot.nu))
+    u = generator.normal(size=(260, robot.nu))
     A, B = robot.linearize_tracked(q, v, u)
-    for k in (0, 255, 256, 299):
+    for k in (0, 255, 256):
         one = robot.linearize_tracked(q[k], v[k], u[k])
         assert np.allclose(A[k], one.A, rtol=1e-12, atol=1e-12)
         assert np.allclose(B[k], one.B, rtol=1e-12, atol=1e-12)

@@ -28,6 +28,7 @@ from pinmobile.wheels import (
     WheelTable,
 )
 from pinmobile.wheels._motors import MotorLaw
+from tests.parts import steady
 
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
 GRIPS = WheelFriction(mu=2.0, rolling=0.0)
@@ -59,25 +60,12 @@ def table(motor: Motor, **others: Any) -> WheelTable:
     )
 
 
-class Held:
-    """An input that stays."""
-
-    def __init__(self, *u: float) -> None:
-        self.u = np.array(u)
-
-    def initial_state(self, context: Any) -> None:
-        return None
-
-    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: None) -> tuple[Any, None]:
-        return self.u + 0.0 * t, state
-
-
 def run(
     robot: ByVoltage, u: tuple[float, ...], dt: float, duration: float, engine: Any = Engine.COMPILED
 ) -> Rollout:
     where = FixedHeading(Hold([0.0, 0.0], duration), 0.0)
     start = {"q0": robot.rest, "v0": np.zeros(robot.nv)}
-    return simulate(robot, Held(*u), where, dt=dt, **start, engine=engine, limit=1e9)
+    return simulate(robot, steady(*u), where, dt=dt, **start, engine=engine, limit=1e9)
 
 
 def steps(
@@ -247,8 +235,7 @@ def drives() -> dict[str, WheelTable]:
     }
 
 
-@pytest.mark.parametrize("name", drives())
-@pytest.mark.parametrize("arm", [False, True], ids=["bare", "arm"])
+@pytest.mark.parametrize(("name", "arm"), [*((name, False) for name in drives()), ("tricycle", True)])
 def test_accelerations_are_those_of_the_tree_under_the_torques_of_its_motors(name: str, arm: bool) -> None:
     """Pinocchio's tree with constraint forces, and `Motor.torque`, neither of which the step uses."""
     rng = np.random.default_rng(3)
@@ -305,8 +292,14 @@ def test_driven_follows_as_torques_would_and_is_told_what_was_applied(ground: An
     assert inner[1] < 10.0
 
 
-class Torques(Held):
+class Torques:
     """Torques that stay, and what was applied as its state."""
+
+    def __init__(self, *u: float) -> None:
+        self.u = np.array(u)
+
+    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> tuple[Array, Any]:
+        return self.u, state
 
     def initial_state(self, context: Any) -> Any:
         return np.zeros(2)
@@ -372,7 +365,7 @@ def test_inputs_are_volts_and_torques_with_the_limits_of_motors() -> None:
     limited = WheeledRobot(BODY, table(Motor(torque_limit=2.0)))
     found = simulate(
         limited,
-        Held(5.0, -5.0),
+        steady(5.0, -5.0),
         FixedHeading(Hold([0.0, 0.0], 0.1), 0.0),
         dt=0.01,
         q0=limited.rest,
@@ -388,38 +381,12 @@ def test_inputs_are_volts_and_torques_with_the_limits_of_motors() -> None:
     assert robot.mount is not None
 
 
-@GROUNDS
-def test_many_robots_step_as_each_alone(ground: Any) -> None:
-    robot = WheeledRobot(BODY, table(MOTOR), ground).by_voltage().array_dynamics
-    rng = np.random.default_rng(1)
-    u = rng.uniform(-24.0, 24.0, (5, 2))
-    u[0] = 0.0
-    rates = rng.normal(size=(5, 2))
-    rates[0] = 0.0
-    v = np.stack([R * rates.mean(axis=1), 0 * u[:, 0], (rates @ [-1, 1]) * R / 0.5, *rates.T], axis=-1)
-    q = np.zeros((5, 5))
-    memory = robot.initial_state()
-    leaves = type(memory)(*(tiled(part) for part in memory))
-    many: Any = robot.step(0.0, q, v, u, 0.01, lambda *_: 0.0, leaves)
-    for k in range(5):
-        one: Any = robot.step(0.0, q[k], v[k], u[k], 0.01, lambda *_: 0.0, memory)
-        np.testing.assert_allclose(many.v[k], one.v, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(many.memory.torques[k], one.memory.torques, rtol=0, atol=1e-10)
-
-
-def tiled(part: Any) -> Any:
-    """Return what is kept of one robot as that of five."""
-    if isinstance(part, tuple):
-        return type(part)(*map(tiled, part)) if part else part
-    return np.broadcast_to(part, (5, *np.shape(part)))
-
-
 def test_an_ensemble_spreads_motor_constants() -> None:
     robot = WheeledRobot(BODY, table(MOTOR)).by_voltage()
     where = FixedHeading(Hold([0.0, 0.0], 0.2), 0.0)
     resistance = np.array([1.2, 2.4, 3.6])
     spread = {"left.motor.resistance": resistance}
-    found = ensemble(robot, Held(12.0, 12.0), where, dt=0.01, n=3, spread=spread, limit=1e9)
+    found = ensemble(robot, steady(12.0, 12.0), where, dt=0.01, n=3, spread=spread, limit=1e9)
     for k, x in enumerate(resistance):
         wheels = [
             evolved(wheel, motor=evolved(MOTOR, resistance=float(x))) if wheel.name == "left" else wheel
@@ -441,21 +408,9 @@ def test_many_robots_whose_wheels_nothing_holds_run_too() -> None:
     robot = WheeledRobot(BODY, table(PLAIN), Coulomb()).by_voltage()
     where = FixedHeading(Hold([0.0, 0.0], 0.05), 0.0)
     spread = {"left.radius": [0.1, 0.101]}
-    found = ensemble(robot, Held(12.0, 12.0), where, dt=0.01, n=2, spread=spread, limit=1e9)
+    found = ensemble(robot, steady(12.0, 12.0), where, dt=0.01, n=2, spread=spread, limit=1e9)
     assert found.engine == "COMPILED"
     assert not found.diverged.any()
-
-
-@GROUNDS
-def test_another_resistance_is_that_of_another_motor(ground: Any) -> None:
-    robot = WheeledRobot(BODY, table(MOTOR), ground).by_voltage()
-    other = WheeledRobot(BODY, table(evolved(MOTOR, resistance=2.0)), ground).by_voltage()
-    assert {f"{path}.resistance" for path in robot.motor_paths} <= set(parts.numbers(robot))
-    body = parts.replace(robot, {f"{path}.resistance": 2.0 for path in robot.motor_paths}).array_dynamics
-    state = robot.rest, np.zeros(robot.nv), np.array([12.0, 6.0])
-    expected = other.step(0.0, *state, 0.01, 0.0, other.initial_state())
-    found = body.step(0.0, *state, 0.01, lambda *_: 0.0, body.initial_state())
-    np.testing.assert_array_equal(found.v, expected.v)
 
 
 @pytest.mark.parametrize(
@@ -490,7 +445,7 @@ def test_what_has_no_volts_is_refused() -> None:
     with pytest.raises(errors.InvalidArgument, match="slip independently of each other"):
         WheeledRobot(CENTRAL, open_, Coulomb()).by_voltage()
     with pytest.raises(errors.InvalidArgument, match="expected a WheeledRobot with electric motors"):
-        TorqueToVoltage(Held(0.0), BODY)
+        TorqueToVoltage(steady(0.0), BODY)
     with pytest.raises(errors.InvalidArgument, match="wheels that steer"):
         WheelSpeed(UnicycleTracking(), WheeledRobot(BODY, drives()["tricycle"]), kp=1.0)
     with pytest.raises(errors.InvalidArgument, match="stall_torque is 3 N m, expected at most"):

@@ -14,11 +14,10 @@ from pinmobile import errors
 from pinmobile.arrays import Array
 from pinmobile.controllers import WheelSpeed
 from pinmobile.integrators import rk4
-from pinmobile.loop import Loop, Rollout, Samples, simulate
-from pinmobile.loop._program import Compiled
+from pinmobile.loop import Rollout, simulate
 from pinmobile.paths import Hold
 from pinmobile.robot import MobileRobot
-from pinmobile.trajectories import FixedHeading, Reference
+from pinmobile.trajectories import FixedHeading
 from pinmobile.verification._wheels import WheelTree
 from pinmobile.verification.bodies import tree_motion
 from pinmobile.wheels import (
@@ -27,16 +26,13 @@ from pinmobile.wheels import (
     Motor,
     Ramp,
     Rolling,
-    Support,
-    Wheel,
     WheeledRobot,
     WheelFriction,
     WheelTable,
 )
-from pinmobile.wheels._contact import Bounds, Impulses, Touch, impulses
 from pinmobile.wheels._loads import shared_loads
 from tests import wheeled
-from tests.looping import looped, told
+from tests.parts import steady
 
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
 DRY = WheelFriction(mu=0.6, rolling=0.0)
@@ -44,19 +40,6 @@ BODY = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
 CENTRAL = MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.2))
 SKID = WheelTable.skid_steer(0.5, 0.4, 0.1, **WHEEL)
 G = float(np.linalg.norm(BODY.model.gravity.linear))
-
-
-class Torques:
-    """Torques that stay, and drive nothing else."""
-
-    def __init__(self, *u: float) -> None:
-        self.u = np.array(u)
-
-    def initial_state(self, context: Any) -> None:
-        return None
-
-    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: None) -> tuple[Any, None]:
-        return self.u + 0.0 * t, state
 
 
 def run(
@@ -67,16 +50,8 @@ def run(
     q0, v0 = (robot.rest if q is None else q), (np.zeros(robot.nv) if v is None else v)
     by = rk4 if isinstance(robot.ground, Rolling) else None
     return simulate(
-        robot, Torques(*u), where, dt=dt, q0=q0, v0=v0, integrator=by, engine=pm.Engine.COMPILED, limit=1e9
+        robot, steady(*u), where, dt=dt, q0=q0, v0=v0, integrator=by, engine=pm.Engine.COMPILED, limit=1e9
     )
-
-
-def rolling_at(robot: WheeledRobot, *twist: float) -> Array:
-    """Return velocities at which fixed wheels of angle zero do not slip along."""
-    v = np.zeros(robot.nv)
-    v[:3], n = twist, len(robot.table)
-    v[-n:] = [(v[0] - wheel.y * v[2]) / wheel.radius for wheel in robot.table.wheels]
-    return v
 
 
 def skid(friction: WheelFriction, **others: Any) -> WheelTable:
@@ -105,14 +80,14 @@ def test_locked_wheels_slide_as_far_as_friction_says() -> None:
     assert np.abs(found.v[-1]).max() < 1e-14
 
 
-@pytest.mark.parametrize("direction", [0.0, 0.7, np.pi / 2])
+@pytest.mark.parametrize("direction", [0.0, 0.7])
 @pytest.mark.once
 def test_what_friction_can_hold_on_a_ramp_stays_and_what_it_cannot_accelerates(direction: float) -> None:
     locked = skid(WheelFriction(mu=0.5, rolling=1e3))
     below = WheeledRobot(CENTRAL, locked, Coulomb(ramp=Ramp(np.arctan(0.98 * 0.5), direction)))
-    held = run(below, (0.0, 0.0), 0.01, 10.0)
+    held = run(below, (0.0, 0.0), 0.01, 3.0)
     # At most what forces, found to the tolerance, add to the speed in one step, for all the time.
-    assert np.abs(held.q[:, :3]).max() < Coulomb().tolerance * 0.5 * G * 0.01 * 10.0
+    assert np.abs(held.q[:, :3]).max() < Coulomb().tolerance * 0.5 * G * 0.01 * 3.0
     angle = np.arctan(1.02 * 0.5)
     above = WheeledRobot(CENTRAL, locked, Coulomb(ramp=Ramp(angle, direction)))
     v = run(above, (0.0, 0.0), 0.01, 1.0).v[-1]
@@ -120,46 +95,13 @@ def test_what_friction_can_hold_on_a_ramp_stays_and_what_it_cannot_accelerates(d
     np.testing.assert_allclose(v[:2], expected, rtol=0, atol=1e-12)
 
 
-def effective_track(robot: MobileRobot, table: WheelTable) -> float:
-    """Return the track that a base seems to have which turns in place slowly, over its track."""
-    found = run(
-        WheeledRobot(robot, table), (0.0, 0.0), 0.01, 1.0, v=np.array([0, 0, 0, -0.2, 0.2, -0.2, 0.2])
-    )
-    radius, half = table.wheels[0].radius, table.wheels[0].y
-    return float(found.v[-1, 4] * radius / found.v[-1, 2] / half)
-
-
 @pytest.mark.parametrize("mu", [0.3, 0.8])
 def test_a_skid_steer_turns_as_if_its_track_were_wider_whatever_the_friction(mu: float) -> None:
+    """Of a base that turns in place slowly."""
     table = skid(WheelFriction(mu=mu, rolling=0.0), motor=Motor(rotor_inertia=1e6))
-    assert effective_track(CENTRAL, table) == pytest.approx(1 + (0.25 / 0.2) ** 2, rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("mass", "inertia", "height", "wheelbase", "track", "radius", "expected", "configured"),
-    [
-        (56.58, 2.5, 0.189, 0.512, 0.5708, 0.1651, 1.80, 1.875),
-        (18.43, 0.5, 0.1, 0.262, 0.3756, 0.098, 1.49, 1.5),
-    ],
-    ids=["husky", "jackal"],
-)
-def test_the_track_of_real_bases_is_near_what_their_drivers_are_configured_with(
-    mass: float,
-    inertia: float,
-    height: float,
-    wheelbase: float,
-    track: float,
-    radius: float,
-    expected: float,
-    configured: float,
-) -> None:
-    """Their masses taken as central; husky/husky and jackal/jackal, wheel_separation_multiplier."""
-    table = WheelTable.skid_steer(
-        wheelbase, track, radius, motor=Motor(rotor_inertia=1e6), **{**WHEEL, "friction": DRY}
-    )
-    found = effective_track(MobileRobot(mass, inertia, com=(0.0, 0.0, height)), table)
-    assert found == pytest.approx(expected, abs=0.006)
-    assert abs(found / configured - 1) < 0.04
+    turning = np.array([0, 0, 0, -0.2, 0.2, -0.2, 0.2])
+    v = run(WheeledRobot(CENTRAL, table), (0.0, 0.0), 0.01, 1.0, v=turning).v[-1]
+    assert v[4] * 0.1 / v[2] / 0.2 == pytest.approx(1 + (0.25 / 0.2) ** 2, rel=1e-5)
 
 
 GRIPS = {**WHEEL, "friction": WheelFriction(mu=500.0, across=0.0, rolling=0.0)}
@@ -198,7 +140,7 @@ def rear_driven(com: tuple[float, float, float], support: float, mu: float, **wh
 
 @pytest.mark.parametrize(
     ("height", "mu", "torque"),
-    [(0.5, 0.8, 12), (0.2, 0.6, 20), (0.3, 0.6, 20), (0.4, 0.6, 20), (2.0, 1.5, 12)],
+    [(0.5, 0.8, 12), (0.2, 0.6, 20), (2.0, 1.5, 12)],
 )
 def test_braking_wheels_slide_with_the_load_that_braking_leaves_them(
     height: float, mu: float, torque: float
@@ -212,24 +154,13 @@ def test_braking_wheels_slide_with_the_load_that_braking_leaves_them(
     assert a[0] == pytest.approx(-force / 30, rel=1e-7)
     # In a run too, from its first sample, in every engine.
     here = FixedHeading(Hold([0.0, 0.0], 0.1), 0.0)
-    begun, braking = np.array([5.0, 0, 0, 0, 0]), Torques(-torque, -torque)
+    begun, braking = np.array([5.0, 0, 0, 0, 0]), steady(-torque, -torque)
     for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON):
         found = simulate(robot, braking, here, dt=0.01, q0=robot.rest, v0=begun, engine=engine, limit=1e9)
         # Loads are found to 1e-8 of the weight.
         np.testing.assert_allclose(found.a[:, 0], -force / 30, rtol=1e-7)
         assert not found.signals["missed"].values.any()
         assert not found.signals["tips"].values.any()
-
-
-def test_locked_wheels_behind_a_high_centre_of_mass_slide_all_the_time() -> None:
-    motor = Motor(resistance=1.2, torque_constant=0.05, voltage=24, gear=10, coulomb=50)
-    robot = rear_driven((0.2, 0.0, 0.7), 0.4, 0.8, motor=motor).by_voltage()
-    here = FixedHeading(Hold([0.0, 0.0], 0.5), 0.0)
-    v0 = np.array([5.0, 0, 0, 0, 0])
-    found = simulate(
-        robot, Torques(0, 0), here, dt=0.01, q0=robot.rest, v0=v0, engine=pm.Engine.COMPILED, limit=1e9
-    )
-    np.testing.assert_allclose(found.a[:, 0], -0.8 * G * 0.5 / (1 + 0.8 * 0.7 / 0.4), rtol=1e-7)
 
 
 @pytest.mark.parametrize("yaw_inertia", [3.0, 0.5])
@@ -243,7 +174,7 @@ def test_locked_wheels_slide_straight_at_speed_whatever_the_step(yaw_inertia: fl
     here, v0 = FixedHeading(Hold([0.0, 0.0], 2.0), 0.0), np.array([30.0, 0.1, 0.1, 0, 0, 0, 0])
     found = simulate(
         robot.by_voltage(),
-        Torques(0, 0),
+        steady(0, 0),
         here,
         dt=0.05,
         q0=robot.rest,
@@ -256,17 +187,6 @@ def test_locked_wheels_slide_straight_at_speed_whatever_the_step(yaw_inertia: fl
     # It loses mu g: a force along the way, which the heading does not change.
     speed = np.hypot(found.v[-1, 0], found.v[-1, 1])
     assert speed == pytest.approx(np.hypot(30.0, 0.1) - 0.6 * G * 2.0, abs=2e-3)
-
-
-def test_sliding_under_a_high_centre_of_mass_is_of_order_two() -> None:
-    robot = rear_driven((0.05, 0.0, 0.25), 0.3, 0.6)
-    v = np.array([3.0, 0.0, 0.2, -5.0, -5.0])
-    ends = [run(robot, (-16.0, -15.0), h, 0.4, v=v) for h in (0.02, 0.01, 0.005, 0.0005)]
-    assert ends[-1].signals["slides"].values[1:].all()
-    far = [np.abs(end.q[-1, :3] - ends[-1].q[-1, :3]).max() for end in ends[:-1]]
-    assert far[0] < 1e-3
-    assert far[0] / far[1] > 3.5
-    assert far[1] / far[2] > 3.5
 
 
 def test_of_two_solutions_a_step_takes_that_of_the_step_before_and_says_which() -> None:
@@ -297,65 +217,10 @@ def test_of_two_solutions_a_step_takes_that_of_the_step_before_and_says_which() 
             assert memory.loads[:2].sum() == pytest.approx(30 * G * tips, abs=1e-6)
 
 
-def test_driving_wheels_that_lift_the_support_are_told_to_tip() -> None:
-    """The torque presses the wheels that it drives: beyond mu (h - r) = L no loads balance the robot."""
-    robot = rear_driven((0.1, 0.0, 0.8), 0.3, 0.8)
-    found = run(robot, (15.0, 15.0), 0.01, 0.1)
-    assert found.signals["tips"].values[1:].all()
-    assert not found.signals["missed"].values.any()
-    np.testing.assert_allclose(found.signals["loads"].values[1:, :2].sum(1), 30 * G, rtol=1e-7)
-
-
-def test_loads_are_those_of_springs_and_press_where_the_weight_does() -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        places = np.array([[0.4, 0.4], [0.4, -0.4], [-0.4, 0.4], [-0.4, -0.4]])
-        places = places + rng.uniform(-0.5, 0.5, (4, 2))
-        wrench = np.array([100.0, *rng.uniform(-8.0, 8.0, 2)])
-        rows = np.column_stack([np.ones(4), places[:, 1], -places[:, 0]])
-        springs = rows @ np.linalg.solve(rows.T @ rows, wrench)  # a plane that sinks and tilts
-        found = shared_loads(places.tolist(), *wrench.tolist())
-        if springs.min() > 0:
-            np.testing.assert_allclose(found.values, springs, rtol=1e-12)
-        if not found.tips:
-            np.testing.assert_allclose(rows.T @ found.values, wrench, rtol=1e-12, atol=1e-10)
-            pressed = np.array(found.values) @ places / 100.0
-            np.testing.assert_allclose(pressed, [-wrench[2] / 100.0, wrench[1] / 100.0], atol=1e-13)
-
-
-def test_a_wheel_that_would_be_pulled_lifts_off_and_the_others_carry() -> None:
-    places = [[0.3, 0.2], [0.3, -0.2], [-0.3, 0.2], [-0.3, -0.2]]
-    at = np.array([0.18, 0.1])  # where the weight presses: inside, and far from a corner
-    found = shared_loads(places, 100.0, 100.0 * at[1], -100.0 * at[0])
-    assert found.values[3] == 0
-    assert min(found.values[:3]) >= 0
-    assert not found.tips
-    np.testing.assert_allclose(np.array(found.values) @ places / 100.0, at, atol=1e-14)
-    out = shared_loads(places, 100.0, 0.0, -100.0 * 0.35)
-    assert out.tips
-    assert sum(out.values) == pytest.approx(100.0)
-
-
-def test_a_robot_that_its_supports_cannot_balance_is_reported_once() -> None:
-    """Its weight presses ahead of the wheels, and the caster stands behind them."""
-    table = WheelTable.differential(0.5, 0.1, supports=[(-0.3, 0)], **WHEEL)
-    ahead, above = (
-        WheeledRobot(MobileRobot(30.0, 1.3, com=(x, 0.05, 0.2)), table, Coulomb()) for x in (0.1, -0.1)
-    )
-    with pytest.warns(errors.LimitWarning, match=r"no loads .* balance the robot: it tips over") as told:
-        found = run(ahead, (0.1, 0.1), 0.01, 0.1)
-    assert len(told) == 1
-    assert str(told[0].message) == found.events[0] == str(found).splitlines()[-1]
-    assert found.events[0].endswith("(from t = 0.01 s, 10 of 11 samples)")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert run(above, (0.1, 0.1), 0.01, 0.1).events == ()
-
-
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_loads_that_balance_are_found_wherever_the_wheels_stand(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    for k in range(300):
+    for k in range(100):
         places = rng.uniform(-0.5, 0.5, (8, 2))
         loads = rng.dirichlet(np.full(8, 0.3)) if k % 2 else rng.dirichlet(np.ones(8)) * (rng.random(8) < 0.5)
         if not loads.any():
@@ -370,23 +235,6 @@ def test_loads_that_balance_are_found_wherever_the_wheels_stand(seed: int) -> No
         np.testing.assert_allclose(rows.T @ found.values, rows.T @ loads, rtol=0, atol=1e-5 * size)
         # Of all loads that balance, those of springs have the least sum of squares.
         assert np.square(found.values).sum() <= np.square(loads).sum() * (1 + 1e-5)
-
-
-@pytest.mark.parametrize("armed", [False, True])
-def test_loads_balance_what_pinocchio_says_the_ground_exerts(armed: bool) -> None:
-    """Wheels at rest in the body; with them, spin momentum is added in another test."""
-    own = BODY.mount("ur5", at=[0.05, 0.0, 0.3, 0.2]) if armed else BODY
-    table = SKID
-    robot, rng = WheeledRobot(own, table), np.random.default_rng(3)
-    q, v, a = robot.rest + 0.0, rng.normal(size=robot.nv) * 0.2, rng.normal(size=robot.nv) * 0.2
-    q[: own.nq] = own.integrate(own.rest, rng.normal(size=own.nv) * 0.3)
-    v[own.nv :], a[own.nv :] = 0, 0
-    found = robot.contact_loads(q, v, a)
-    wrench = own.ground_wrench(q[: own.nq], v[: own.nv], a[: own.nv])
-    values, places = np.array(found.values), np.array([[wheel.x, wheel.y] for wheel in table.wheels])
-    assert not found.tips
-    sums = [values.sum(), values @ places[:, 1], -values @ places[:, 0]]
-    np.testing.assert_allclose(sums, wrench[[2, 3, 4]], rtol=1e-11, atol=1e-10)
 
 
 def in_tree(robot: WheeledRobot, q: Array, v: Array, a: Array) -> Array:
@@ -446,7 +294,7 @@ def test_forces_of_all_wheels_are_the_rate_of_momentum(table: WheelTable, armed:
     np.testing.assert_allclose(found, wrench[[0, 1, 5]], rtol=1e-8, atol=1e-8 * np.abs(wrench[:2]).max())
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_energy_never_grows_without_input(seed: int) -> None:
     rng = np.random.default_rng(seed)
     robot = WheeledRobot(BODY, skid(WheelFriction(mu=0.5), coupled=False))
@@ -457,41 +305,19 @@ def test_energy_never_grows_without_input(seed: int) -> None:
     assert energy[-1] < 0.5 * energy[0]
 
 
-def looped_both(
-    robot: WheeledRobot, u: Array, v: Array, count: int = 20, forces: tuple[Any, ...] = ()
-) -> None:
-    times = np.linspace(0.0, 0.01 * (count - 1), count)
-    reference = Reference(*(np.zeros((count, 3)) for _ in range(3)))
-    first = Reference(*(x[0] for x in reference))
-    loop = Loop(robot, Torques(*u), None, forces, recorder=Samples())
-    expected = looped(loop, robot.rest, v, times, reference)
-    starts = np.stack([robot.rest] * 3), np.stack([v, 0.5 * v, 0 * v])
-    of = told(loop, times, reference)
-    alone, beside = (
-        Compiled(loop, of, (robot.rest, v), first, single=n == 1).run(
-            (starts[0][:n], starts[1][:n]), times, reference
-        )
-        for n in (1, 3)
-    )
-    for name, rows in alone.kept.items():
-        np.testing.assert_array_equal(beside.kept[name][0], rows[0])
-    for name in ("q", "v"):
-        np.testing.assert_allclose(alone.kept[name][0], expected[name], rtol=1e-9, atol=1e-10)
-
-
-def test_compiled_robots_find_slow_forces_as_numbers_do() -> None:
-    robot, v = WheeledRobot(BODY, SKID), np.zeros(7)
-    v[:] = [0.4, 0.1, 0.5, 8.0, -2.0, 8.0, -2.0]
-    looped_both(robot, np.array([6.0, 9.0]), v, 60)
-    plain = WheeledRobot(BODY, SKID, Coulomb(sweeps=24))  # as many as go wheel by wheel
-    assert run(plain, (6.0, 9.0), 0.01, 0.6, v=v).signals["missed"].values.any()
-
-
-def test_compiled_robots_do_as_alone_and_as_numbers_do() -> None:
+@pytest.mark.parametrize("u", [(30.0, -25.0), (20.0, 9.0)])
+def test_compiled_robots_do_as_alone_and_as_numbers_do(u: tuple[float, float]) -> None:
     """Rounds end when all robots side by side are done; none depends on the others."""
-    robot = WheeledRobot(BODY, SKID)
-    drag = (pm.ViscousFriction([20.0, 10.0, 3.0]),)
-    looped_both(robot, np.array([30.0, -25.0]), rolling_at(robot, 1.0, 0.3, 0.0), forces=drag)
+    robot, where = WheeledRobot(BODY, SKID), FixedHeading(Hold([0.0, 0.0], 0.2), 0.0)
+    drag, masses = pm.ViscousFriction([20.0, 10.0, 3.0]), np.array([28.0, 30.0, 32.0])
+    given: Any = {"dt": 0.01, "forces": (drag,), "limit": 1e9}
+    compiled, python = (
+        pm.ensemble(robot, steady(*u), where, n=3, spread={"mass": masses}, engine=engine, **given)
+        for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON)
+    )
+    np.testing.assert_allclose(compiled.max_error, python.max_error, rtol=1e-9, atol=1e-12)
+    alone = simulate(robot, steady(*u), where, engine=pm.Engine.COMPILED, **given)
+    np.testing.assert_array_equal(compiled.max_error[1], alone.max_error())
 
 
 def test_many_robots_as_arrays_step_as_each_does() -> None:
@@ -505,18 +331,6 @@ def test_many_robots_as_arrays_step_as_each_does() -> None:
         one: Any = robot.step(0.0, q[k], v[k], u[k], 0.01, 0.0, memory)
         np.testing.assert_allclose(many.v[k], one.v, rtol=1e-9, atol=1e-11)
         np.testing.assert_allclose(many.memory.forces[k], one.memory.forces, rtol=1e-6, atol=1e-8)
-
-
-def test_a_ramp_pulls_rolling_wheels_as_the_tree_says() -> None:
-    own, rng = BODY.mount("ur5"), np.random.default_rng(7)
-    table = WheelTable.differential(0.5, 0.1, x=0.07, supports=[(-0.2, 0.0)], **WHEEL)
-    robot = WheeledRobot(own, table, Rolling(ramp=Ramp(0.3, 0.4)))
-    q = robot.integrate(robot.rest, rng.normal(size=robot.nv) * 0.5)
-    v, u = robot.project(q, rng.normal(size=robot.nv)), rng.normal(size=robot.nu)
-    by_tree = robot.forward_dynamics(q, v, u)
-    np.testing.assert_allclose(robot.array_dynamics.forward_dynamics(q, v, u), by_tree, rtol=1e-9, atol=1e-9)
-    level = WheeledRobot(own, table)
-    assert np.abs(level.forward_dynamics(q, v, u) - by_tree).max() > 0.1
 
 
 def test_rolling_resistance_holds_and_brakes() -> None:
@@ -559,115 +373,28 @@ def test_what_a_wheeled_robot_can_do_follows_from_its_ground() -> None:
     assert not hasattr(slips, "project")
 
 
-def test_loads_and_sliding_wheels_are_signals() -> None:
-    found = run(WheeledRobot(BODY, skid(DRY)), (12.0, 12.0), 0.01, 0.1).signals
-    assert found["loads"].values[-1].sum() == pytest.approx(30.0 * G)
-    assert np.all(found["slides"].values[1:] == 1)
-    np.testing.assert_allclose(found["along"].values[-1], 0.6 * found["loads"].values[-1], rtol=1e-9)
-
-
-def refused(**others: Any) -> str:
-    given = {"robot": BODY, "table": SKID, "ground": Coulomb(), **others}
-    with pytest.raises(errors.InvalidArgument) as caught:
-        WheeledRobot(**given)
-    return str(caught.value)
-
-
 def test_what_cannot_slip_is_refused(tmp_path: Path) -> None:
     (tmp_path / "fetch.urdf").write_text(wheeled.fetch())  # which does not tell where the ground is
-    assert "ground=" in refused(robot=MobileRobot.from_urdf(tmp_path / "fetch.urdf"))
-    assert "supports=" in refused(table=WheelTable.differential(0.5, 0.1, **WHEEL))
-    assert "spin_inertia" in refused(table=WheelTable.skid_steer(0.5, 0.4, 0.1))
     trains = GearTrain(("front_left", "rear_left")), GearTrain(("front_left", "rear_left"), (1.0, 2.0))
-    assert "two rates" in refused(table=WheelTable(SKID.wheels, (), trains))
-    assert "cannot roll" in refused(ground=Rolling())
-    assert "expected a ground with dynamics(wheeled)" in refused(ground="ice")
-    with pytest.raises(errors.InvalidArgument, match="angle is"):
-        Ramp(2.0)
-    with pytest.raises(errors.InvalidArgument, match="ramp is"):
-        Coulomb(ramp=0.2)  # type: ignore[arg-type]
-    with pytest.raises(errors.InvalidArgument, match="mu is"):
-        Coulomb(-0.1)
-
-
-def test_blocks_of_three_find_what_a_fine_search_finds() -> None:
-    """One wheel alone: its disc, and what holds its rate."""
-    rng = np.random.default_rng(8)
-    for _ in range(8):
-        A, W = rng.normal(size=(2, 4)), rng.normal(size=(4, 4))
-        W = W @ W.T + 0.1 * np.eye(4)
-        free, bounds = rng.normal(size=4), Bounds(0.3, 0.3, 0.2, [0.0, 0.0])
-        touch = Touch(A.tolist(), (W @ A.T).T.tolist(), 3, W[3].tolist(), True, 0.0, True)
-        nothing = Impulses([], [0.0, 0.0], [0.0], [0.0], 0.0)
-        found = impulses(
-            [touch], [bounds], free.tolist(), np.linalg.inv(W).tolist(), nothing, most=500, tolerance=1e-13
-        )
-        J = np.vstack([A, np.eye(4)[3]])
-        H, g, p = J @ W @ J.T, J @ free, np.zeros(3)
-        for _ in range(1500):  # projected gradients
-            p = p - (H @ p + g) / np.linalg.norm(H, 2)
-            p[:2] *= min(1.0, 0.3 / max(np.hypot(*p[:2]), 1e-300))
-            p[2] = np.clip(p[2], -0.2, 0.2)
-
-        def value(x: Array, H: Array = H, g: Array = g) -> float:
-            return float(x @ H @ x / 2 + g @ x)
-
-        mine = np.array([*found.contact, *found.spin])
-        assert value(mine) <= value(p) + 1e-9
-        assert np.hypot(*mine[:2]) <= 0.3 * (1 + 1e-12)
-        assert abs(mine[2]) <= 0.2
-
-
-def off(touches: Sequence[Touch], bounds: Sequence[Bounds], free: Array, found: Impulses) -> float:
-    """Return by how much impulses change that are pushed against their slip, and cut to their bounds."""
-    p = np.reshape(found.contact, (-1, 2))
-    v = free + sum(x @ np.array(touch.columns) for x, touch in zip(p, touches, strict=True))
-    furthest = 0.0
-    for x, touch, bound in zip(p, touches, bounds, strict=True):
-        pushed = x - np.array(touch.rows) @ v / touch.own.a
-        pushed *= min(1.0, bound.along / max(np.hypot(*pushed), 1e-300))
-        furthest = max(furthest, float(np.abs(pushed - x).max()))
-    return furthest
-
-
-def test_wheels_whose_forces_are_not_determined_are_found_however_they_stick_and_slide() -> None:
-    """Four wheels on five velocities: what plain rounds alone leave off by half a percent and more."""
-    rng, slow = np.random.default_rng(9), 0.0
-    for _ in range(120):
-        places = rng.normal(size=(4, 2)) * 0.3
-        W = np.diag([1 / 30, 1 / 30, 1 / 2.3, 50.0, 50.0])
-        rows = np.array(
-            [
-                [[1.0, 0.0, -y, *(-0.1 * (np.arange(2) == k % 2))], [0.0, 1.0, x, 0.0, 0.0]]
-                for k, (x, y) in enumerate(places)
-            ]
-        )
-        touches = [
-            Touch(A.tolist(), (A @ W).tolist(), 3 + k % 2, W[3 + k % 2].tolist(), True, 0.0, False)
-            for k, A in enumerate(rows)
-        ]
-        bounds = [Bounds(x, x, 0.0, [0.0, 0.0]) for x in rng.uniform(0.1, 1.0, 4).tolist()]
-        free = rng.normal(size=5) * [0.1, 0.1, 0.4, 4.0, 4.0]
-        nothing = Impulses([], [0.0] * 8, [], [0.0] * 4)
-        given = touches, bounds, free.tolist(), np.linalg.inv(W).tolist(), nothing
-        found = impulses(*given, most=200, tolerance=1e-12)
-        assert not found.missed
-        assert off(touches, bounds, free, found) < 1e-8
-        some = impulses(*given, most=24, tolerance=1e-12)
-        assert some.missed == (some.rounds == 24 and some.velocity != found.velocity)
-        slow = max(slow, off(touches, bounds, free, some))
-    assert slow > 0.005
+    for robot, table, words in (
+        (MobileRobot.from_urdf(tmp_path / "fetch.urdf"), SKID, "ground="),
+        (BODY, WheelTable.differential(0.5, 0.1, **WHEEL), "supports="),
+        (BODY, WheelTable.skid_steer(0.5, 0.4, 0.1), "spin_inertia"),
+        (BODY, WheelTable(SKID.wheels, (), trains), "two rates"),
+    ):
+        with pytest.raises(errors.InvalidArgument, match=words):
+            WheeledRobot(robot, table, Coulomb())
 
 
 @pytest.mark.parametrize("table", [SKID, STEERED], ids=["skid", "swerve"])
 def test_forces_of_wheels_under_torques_at_random_are_found(table: WheelTable) -> None:
     robot, rng = WheeledRobot(BODY, table, Coulomb()), np.random.default_rng(10)
-    q, v = np.zeros((100, robot.nq)), np.zeros((100, robot.nv))
+    q, v = np.zeros((20, robot.nq)), np.zeros((20, robot.nv))
     memory: Any = robot.initial_state(None)
-    memory = type(memory)(*(np.broadcast_to(x, (100, *np.shape(x))) for x in memory))
+    memory = type(memory)(*(np.broadcast_to(x, (20, *np.shape(x))) for x in memory))
     scale = np.array([1.0 if each.name.endswith("steering") else 10.0 for each in robot.inputs])
     for _ in range(6):
-        u = rng.normal(size=(100, robot.nu)) * scale * rng.uniform(0, 2, size=(100, 1))
+        u = rng.normal(size=(20, robot.nu)) * scale * rng.uniform(0, 2, size=(20, 1))
         q, v, memory = robot.step(0.0, q, v, u, 0.01, 0.0, memory)
         assert not memory.missed.any()
 
@@ -677,18 +404,6 @@ def test_a_run_says_at_which_steps_forces_were_not_found() -> None:
     missed = run(robot, (30.0, -25.0), 0.01, 0.2).signals["missed"].values
     assert missed.max() == 1
     assert run(WheeledRobot(BODY, SKID), (30.0, -25.0), 0.01, 0.2).signals["missed"].values.max() == 0
-
-
-def test_a_wheel_lifts_in_a_turn_too_fast_and_the_robot_is_told_to_tip() -> None:
-    tall = MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.5))
-    table = WheelTable(
-        (*WheelTable.differential(0.4, 0.1, **WHEEL).wheels, Wheel("rear", -0.3, 0.0, 0.1, **WHEEL)),
-        (Support(0.3, 0.0),),
-    )
-    robot = WheeledRobot(tall, table, Coulomb(mu=2.0))
-    slow, fast = (run(robot, (0.0, 0.0), 0.005, 0.02, v=rolling_at(robot, 2.0, 0.0, w)) for w in (0.5, 6.0))
-    assert slow.signals["tips"].values.max() == 0
-    assert fast.signals["tips"].values.max() == 1
 
 
 @pytest.mark.parametrize("engine", [pm.Engine.PYTHON, pm.Engine.COMPILED])
@@ -733,10 +448,14 @@ def test_no_force_beside_the_input_is_a_force_of_zero() -> None:
     np.testing.assert_array_equal(robot.forward_dynamics(*state), expected)
 
 
+def on_casters(height: float, ground: Any = None) -> WheeledRobot:
+    """Return a robot that tips over in turns if its centre of mass is high."""
+    table = WheelTable.differential(0.5, 0.1, supports=[(0.3, 0)], **WHEEL)
+    return WheeledRobot(MobileRobot(30, 3, com=(0.1, 0, height)), table, ground or Coulomb(mu=0.8))
+
+
 def test_a_divergence_of_a_robot_that_tips_over_says_so() -> None:
-    own: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
-    table = WheelTable.differential(0.5, 0.1, supports=[(0.3, 0)], **own)
-    robot = WheeledRobot(MobileRobot(30, 3, com=(0.1, 0, 0.6)), table, Coulomb(mu=0.8))
+    robot = on_casters(0.6)
     circle = pm.Tangent(pm.Circle(1.0, 2.5, 2.0))
     with pytest.raises(
         errors.Diverged, match=r"the error in .*; no loads of wheels and supports balance the robot"
@@ -747,11 +466,9 @@ def test_a_divergence_of_a_robot_that_tips_over_says_so() -> None:
 @pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
 @pytest.mark.parametrize("ground", [Rolling(), Coulomb(0.8)], ids=["rolls", "slips"])
 def test_a_run_warns_of_a_robot_that_tips_over(ground: Any, engine: pm.Engine) -> None:
-    own: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
-    table = WheelTable.differential(0.5, 0.1, supports=[(0.3, 0)], **own)
     path, words = pm.Tangent(pm.Circle(1.0, 1.5, 2.0)), r"it tips over, which is not simulated \(from t = "
     for height, tips in ((0.1, False), (0.9, True)):
-        robot = WheeledRobot(MobileRobot(30, 3, com=(0.1, 0, height)), table, ground)
+        robot = on_casters(height, ground)
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
             run = simulate(
@@ -770,17 +487,13 @@ def test_a_run_warns_of_a_robot_that_tips_over(ground: Any, engine: pm.Engine) -
 def test_an_ensemble_counts_the_robots_that_tip_over_and_warns_once(
     engine: pm.Engine, tmp_path: Path
 ) -> None:
-    own: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
-    table = WheelTable.differential(0.5, 0.1, supports=[(0.3, 0)], **own)
-    robot = WheeledRobot(MobileRobot(30, 3, com=(0.1, 0, 0.1)), table, Coulomb(mu=0.8))
+    robot = on_casters(0.1)
     turning, heights = pm.Tangent(pm.Circle(1.0, 1.5, 2.0)), np.array([0.1, 0.9, 0.9])
     parts = robot, WheelSpeed(pm.UnicycleTracking(), robot, kp=5), turning
     loop: Any = {"n": 3, "dt": 0.02, "duration": 0.4, "engine": engine}
     words = r"2 of 3 robots tip over: no loads of wheels and supports balance them"
     with pytest.warns(errors.LimitWarning, match=words) as told:
-        found = pm.ensemble(
-            robot, WheelSpeed(pm.UnicycleTracking(), robot, kp=5), turning, spread={"com.z": heights}, **loop
-        )
+        found = pm.ensemble(*parts, spread={"com.z": heights}, **loop)
     assert len(told) == 1
     assert found.largest("tip over").tolist() == [0, 1, 1]
     assert re.search(words, str(found))

@@ -16,7 +16,6 @@ from pinmobile.identification import VELOCITY_ROBOTS
 from pinmobile.parts import evolved
 from pinmobile.plant import Context
 from pinmobile.viewer import Viewer
-from pinmobile.wheels import Mobility
 
 THETA = (0.26, 0.25, 0.03, 1.1, 0.2, 1.2)
 MOTOR = pm.Motor(
@@ -254,7 +253,7 @@ def test_it_is_one_value() -> None:
     assert eval(repr(robot), {**globals(), **vars(pm)}) == evolved(robot, source="")
     assert robot != pm.VelocityRobot(THETA)
     assert not robot.theta.flags.writeable
-    drive = Mobility.of(pm.WheelTable.differential(0.5, 0.1))
+    drive = pm.WheelTable.differential(0.5, 0.1).mobility
     assert (robot.mobility.mobility, robot.mobility.steerability) == (drive.mobility, drive.steerability)
     assert pm.VelocityRobot.integrator is pm.rk4
 

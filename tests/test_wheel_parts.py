@@ -13,7 +13,6 @@ from pinmobile.compiled.symbolic import entries
 from pinmobile.compiled.tape import Node, Tape, evaluated
 from pinmobile.controllers import Backstepping, UnicycleTracking
 from pinmobile.paths import Circle
-from pinmobile.robot import dot
 from pinmobile.trajectories import Tangent
 from pinmobile.wheels import (
     Coulomb,
@@ -188,29 +187,25 @@ class ViscousDynamics(WheeledDynamics):
     c: Any
 
     def _rows(self, state: Any) -> list[Any]:
-        rows = self.kinematics.rows(state.steering, state.twist, state.rates, across=True)
-        return [row for row in rows if row.wheel >= 0]
-
-    def _slip(self, row: Any, state: Any) -> Any:
-        return dot(row.base, state.twist) + dot(row.joints, state.rates)
+        return [row for row in self.rows(state, across=True) if row.wheel >= 0]
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return the acceleration, shape (nv,)."""
         state = self.state(q, v)
         force = self.generalised(state, u, f)
         for row in self._rows(state):
-            pull = -self.c * self._slip(row, state)
+            pull = -self.c * row.slip(state)
             for i, x in enumerate([*row.base, *row.joints]):
                 force[i] = force[i] + x * pull
         rest = [a - b for a, b in zip(force, self.effects(state, q), strict=True)]
         M = np.stack([np.stack([x + 0.0 * q[0] for x in row]) for row in self.inertia(state, q)])
         a = np.linalg.solve(M, np.stack([x + 0.0 * q[0] for x in rest]))
-        return self.in_plane(state, [a[i] for i in range(self.size)], q)
+        return self.in_plane(state, [a[i] for i in range(self.nv)], q)
 
     def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Any) -> dict[str, tuple[str, Any]]:
         """Return the slip of each wheel."""
         state = self.state(q, v)
-        slips = [self._slip(row, state) + 0.0 * q[0] for row in self._rows(state)]
+        slips = [row.slip(state) + 0.0 * q[0] for row in self._rows(state)]
         return {"slip": ("m/s", np.stack(slips))}
 
 

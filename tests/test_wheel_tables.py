@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from pinmobile import wheels
-from pinmobile.wheels import Mobility, Wheel, WheelTable
+from pinmobile.wheels import Wheel, WheelTable
 
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.005, "yaw_inertia": 0.003}
 
@@ -24,7 +24,7 @@ def test_a_table_prints_its_rows_and_the_type_of_the_drive() -> None:
         "left   0      0.25   0.1         0 deg     fixed                 yes",
         "right  0      -0.25  0.1         0 deg     fixed                 yes",
         "supports without friction: (-0.3, 0) m",
-        *str(Mobility.of(table)).splitlines(),
+        *str(table.mobility).splitlines(),
     ]
 
 

@@ -20,7 +20,7 @@ import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.wheels import Wheel, WheelFriction
 
-pytestmark = pytest.mark.once
+pytestmark = [pytest.mark.once, pytest.mark.long]
 
 OWN: dict[str, Any] = {
     "mass": 1.0,
@@ -185,14 +185,6 @@ def test_wheels_with_rollers_go_sideways_as_they_roll_and_carry_as_much(kind: st
     assert abs(run.q[-1, 1]) > 0.8
     assert np.linalg.norm(path[-1, :2] - run.q[-1, :2]) < 0.02 * length(run.q)
     check_loads(loads, table, u, T)
-
-
-@pytest.mark.parametrize("kind", MADE)
-def test_wheels_with_rollers_carry_as_much_ahead(kind: str) -> None:
-    table, T = MADE[kind], 1.5
-    robot = pm.WheeledRobot(BASE, table)
-    u = robot.inverse_dynamics(robot.rest, np.zeros(robot.nv), [0.5, 0.0, 0.0])
-    check_loads(driven(table, u, T)[1], table, u, T)
 
 
 def check_loads(loads: Array, table: pm.WheelTable, u: Array, T: float) -> None:

@@ -18,6 +18,7 @@ from pinmobile.viewer import Overlays, Viewer
 from pinmobile.viewer.motion import envelope, figure
 from pinmobile.wheels import Coulomb, OdometryFeedback, Support, Wheel, WheeledRobot, WheelTable
 from tests import wheeled
+from tests.parts import steady
 
 pytestmark = pytest.mark.once
 
@@ -48,17 +49,7 @@ def rolls() -> pm.Rollout:
 def slides() -> pm.Rollout:
     """Return a mecanum base on ice, whose wheels slide."""
     robot = WheeledRobot(BOX, TABLES["mecanum"], Coulomb(0.05))
-    return pm.simulate(robot, _Forward(), pm.Tangent(pm.Circle(1, 0.5, 0.2)), dt=0.02)
-
-
-class _Forward:
-    """Two newton metres at every wheel."""
-
-    def initial_state(self, context: Any) -> None:
-        return None
-
-    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:
-        return np.full(4, 2.0), None
+    return pm.simulate(robot, steady(2.0, 2.0, 2.0, 2.0), pm.Tangent(pm.Circle(1, 0.5, 0.2)), dt=0.02)
 
 
 def posture(robot: WheeledRobot, seed: int) -> tuple[Array, Array]:

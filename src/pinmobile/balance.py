@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -124,12 +125,8 @@ def reaction_wrench(motion: Moving, mount: str | None = None) -> Array:
     UnknownName
         If nothing is mounted by that name.
     """
-    plant = _robot_of(motion)
-    if not hasattr(plant, "mount_wrench"):
-        raise InvalidArgument(
-            f"motion.plant is {shown(plant)}, which has no arm, expected a MobileRobot with one"
-        )
-    return plant.mount_wrench(motion.q, motion.v, motion.a, mount)  # type: ignore[no-any-return]
+    answer = _method("motion.plant", _robot_of(motion), "mount_wrench", "what an arm exerts on it")
+    return answer(motion.q, motion.v, motion.a, mount)  # type: ignore[no-any-return]
 
 
 def zero_moment_point(motion: Moving) -> Array:
@@ -229,7 +226,7 @@ def contact_loads(motion: Moving) -> ContactLoads:
     InvalidArgument
         If the plant has no ``contact_loads``, or it is not known where it stands.
     """
-    answer = _able(motion, "contact_loads", "what its wheels carry")
+    answer = _method("motion.plant", _robot_of(motion), "contact_loads", "what its wheels carry")
     return answer(motion.q, motion.v, motion.a)  # type: ignore[no-any-return]
 
 
@@ -250,19 +247,8 @@ def slip_margins(motion: Moving) -> SlipMargins:
         If the plant has no ``slip_margins``, it is not known where it stands, or the motion does not tell the
         forces.
     """
-    answer = _able(motion, "slip_margins", "how far its wheels are from slipping")
-    return answer(motion)  # type: ignore[no-any-return]
-
-
-def _able(motion: Any, name: str, words: str) -> Any:
-    """Return a method of the plant of a motion.
-
-    Raises
-    ------
-    InvalidArgument
-        If the plant has none of that name.
-    """
-    return _method("motion.plant", _robot_of(motion), name, words)
+    words = "how far its wheels are from slipping"
+    return _method("motion.plant", _robot_of(motion), "slip_margins", words)(motion)  # type: ignore[no-any-return]
 
 
 def _method(argument: str, plant: Any, name: str, words: str) -> Any:
@@ -335,9 +321,7 @@ def max_path_speed(plant: Any, trajectory: Any, samples: int = 400) -> MotionLim
         low, high = high, 2.0 * high
         if high > _FASTEST:
             return MotionLimit(np.inf, "", 0.0, np.inf)
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if _first(going, middle)[0] >= 0 else (low, middle)
+    low, high = _halved(low, high, lambda factor: _first(going, factor)[0] >= 0)
     _, what, at = _first(going, high)
     return MotionLimit(low * speed, what, float(t[at]), low)
 
@@ -364,15 +348,19 @@ def max_slope(plant: Any, direction: float = 0.0) -> MotionLimit:
     def worst(angle: float) -> tuple[float, str, int]:
         return _first(on_ramp(angle, direction).follows(np.zeros(1), still), 0.0)
 
-    if worst(0.0)[0] < 0:
-        raise InvalidArgument(
-            f"plant does not stand on level ground: {worst(0.0)[1]}, expected one that does"
-        )
-    low, high = 0.0, _UPRIGHT
+    margin, what, _ = worst(0.0)
+    if margin < 0:
+        raise InvalidArgument(f"plant does not stand on level ground: {what}, expected one that does")
+    low, high = _halved(0.0, _UPRIGHT, lambda angle: worst(angle)[0] >= 0)
+    return MotionLimit(low, worst(high)[1])
+
+
+def _halved(low: float, high: float, stands: Callable[[float], bool]) -> tuple[float, float]:
+    """Return a small interval at whose lower end a robot stands, and at whose upper end it does not."""
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if worst(middle)[0] >= 0 else (low, middle)
-    return MotionLimit(low, worst(high)[1])
+        low, high = (middle, high) if stands(middle) else (low, middle)
+    return low, high
 
 
 def _first(going: Any, factor: float) -> tuple[float, str, int]:

@@ -12,9 +12,9 @@ what only their sum determines and some of them slide, `found_by_newton` goes on
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any, NamedTuple
 
 from pinmobile.compiled import choose, higher, repeated, square_root
@@ -66,7 +66,7 @@ class Pair(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Touch:
+class WheelContact:
     """A wheel on the ground, its directions along and across.
 
     Parameters
@@ -144,7 +144,7 @@ class Touch:
         slip = [began + dot(row, v) for row, began in zip(self.rows, bounds.began, strict=True)]
         if not self.held:
             now, shift = self.free.solved(self._wanted(self.own, p, slip), bounds, shift)
-            return self._moved(v, p, now, None), now, spin, shift
+            return self._moved(v, p, now, ZERO), now, spin, shift
         share = 1.0 / self.spun[self.spin]
         still = v[self.spin] * share
         wanted = [s - x * still for s, x in zip(slip, self.by_spin, strict=True)]
@@ -159,27 +159,24 @@ class Touch:
         held = choose(holds, asked, limit)
         return self._moved(v, p, now, held - spin), now, held, choose(holds, shift_locked, shift_turning)
 
-    def place(self, bounds: Bounds) -> Place:
+    def place(self, bounds: Bounds) -> FrictionConstraint:
         """Return what holds its slip."""
         most = [bounds.along, bounds.across]
-        return Place(self.rows, self.columns, most, self.is_disc, bounds.began, self.give)
+        return FrictionConstraint(self.rows, self.columns, most, self.is_disc, bounds.began, self.give)
 
-    def holds(self, bounds: Bounds) -> Place:
+    def holds(self, bounds: Bounds) -> FrictionConstraint:
         """Return what holds its rate."""
         row = [ONE if k == self.spin else ZERO for k in range(len(self.spun))]
-        return Place([row], [self.spun], [bounds.spin], False, [0.0], 0.0)
+        return FrictionConstraint([row], [self.spun], [bounds.spin], False, [0.0], 0.0)
 
     def _wanted(self, own: Pair, p: Vector, slip: Vector) -> Vector:
         """Return what its matrix times the new impulses has to be for it to stick."""
         return [a - s for a, s in zip(own.times(p), slip, strict=True)]
 
     def _moved(self, v: Vector, p: Vector, now: Vector, spin: Any) -> Vector:
-        changes = [a - b for a, b in zip(now, p, strict=True)]
-        found = []
-        for k, each in enumerate(v):
-            by = [self.columns[0][k], self.columns[1][k], ZERO if spin is None else self.spun[k]]
-            found.append(number(each + dot(by, [*changes, ZERO if spin is None else spin])))
-        return found
+        changes = [*(a - b for a, b in zip(now, p, strict=True)), spin]
+        columns = zip(*self.columns, self.spun, strict=True)
+        return [number(x + dot(by, changes)) for x, by in zip(v, columns, strict=True)]
 
 
 class _Disc(NamedTuple):
@@ -242,10 +239,10 @@ class _Rectangle(NamedTuple):
     def solved(self, y: Vector, bounds: Bounds, shift: Any) -> tuple[Vector, Any]:
         """Return the impulses, and no multiplier."""
         own = self.own
-        free = _within((y[0] - own.b * self.second * y[1]) * self.alone, bounds.along)
+        free = within((y[0] - own.b * self.second * y[1]) * self.alone, bounds.along)
         asked = (y[1] - own.b * free) * self.second
-        across = _within(asked, bounds.across)
-        along = _within((y[0] - own.b * across) * self.first, bounds.along)
+        across = within(asked, bounds.across)
+        along = within((y[0] - own.b * across) * self.first, bounds.along)
         sticks = abs(asked) <= bounds.across
         return [choose(sticks, free, along), across], shift
 
@@ -253,7 +250,8 @@ class _Rectangle(NamedTuple):
 _Block = _Disc | _Rectangle
 
 
-def _within(x: Any, bound: Any) -> Any:
+def within(x: Any, bound: Any) -> Any:
+    """Return what of a scalar lies within a bound to either side."""
     return choose(x > bound, bound, choose(x < -bound, -bound, x))
 
 
@@ -264,10 +262,8 @@ class Impulses(NamedTuple):
     ----------
     velocity : list of scalars
         Where it leads.
-    contact : list of scalars, shape (2 wheels,)
-        Impulses along and across each wheel [N s].
-    spin : list of scalars
-        Angular impulse that holds each coordinate of wheels [N m s].
+    impulses : list of scalars
+        Along and across each wheel [N s], and then the angular ones that hold coordinates of wheels [N m s].
     multipliers : list of scalars, shape (wheels,)
         Of the discs, zero where a wheel sticks.
     rounds : scalar
@@ -277,15 +273,14 @@ class Impulses(NamedTuple):
     """
 
     velocity: Vector
-    contact: Vector
-    spin: Vector
+    impulses: Vector
     multipliers: Vector
     rounds: Any = 0.0
     missed: Any = 0.0
 
 
 def impulses(
-    touches: Sequence[Touch],
+    touches: Sequence[WheelContact],
     bounds: Sequence[Bounds],
     free: Vector,
     inertia: Matrix,
@@ -298,7 +293,7 @@ def impulses(
 
     Parameters
     ----------
-    touches, bounds : sequence of Touch, Bounds
+    touches, bounds : sequence of WheelContact, Bounds
         Of each wheel.
     free : list of scalars
         Velocities without any impulse.
@@ -309,27 +304,19 @@ def impulses(
     most, tolerance
         As of `Coulomb`.
     """
-    n, spins = len(free), list(dict.fromkeys(touch.spin for touch in touches if touch.held))
     holder = {touch.spin: touch for touch in touches if touch.held}
-    contact: Vector = []
-    for k, bound in enumerate(bounds):  # what the loads of now allow, of what was before
-        old = before.contact[2 * k : 2 * k + 2]
-        contact += map(_within, old, (bound.along, bound.across))
-    spin = [
-        _within(x, next(b.spin for t, b in zip(touches, bounds, strict=True) if t.spin == at))
-        for x, at in zip(before.spin, spins, strict=True)
-    ]
-    velocity = list(free)
+    n, spins = len(free), list(holder)
+    most_of = [x for bound in bounds for x in (bound.along, bound.across)]
+    for at in spins:
+        most_of.append(next(b.spin for t, b in zip(touches, bounds, strict=True) if t.spin == at))
+    begun = list(map(within, before.impulses, most_of))  # what the loads of now allow, of what was before
+    velocity, m = list(free), 2 * len(touches)
     for k, touch in enumerate(touches):
-        velocity = touch._moved(velocity, [ZERO, ZERO], contact[2 * k : 2 * k + 2], None)
-    for x, at in zip(spin, spins, strict=True):
-        velocity = [number(v + by * x) for v, by in zip(velocity, holder[at].spun, strict=True)]
-    largest = bounds[0].along
-    for bound in bounds[1:]:
-        largest = higher(largest, bound.along)
-    enough = tolerance * largest
+        velocity = touch._moved(velocity, [ZERO, ZERO], begun[2 * k : 2 * k + 2], ZERO)
+    velocity = moved_by(velocity, [holder[at].spun for at in spins], begun[m:])
+    enough = tolerance * reduce(higher, [bound.along for bound in bounds])
 
-    end, inner = n + len(contact), n + len(contact) + len(spins)
+    end, inner = n + m, n + m + len(spins)
     plain = min(most, _SOON)
 
     def one(numbers: Vector) -> tuple[Vector, Any]:
@@ -348,19 +335,24 @@ def impulses(
         done = change <= enough
         return [*v, *p, *held, *shifts, rounds + 1.0, choose(done, 0.0, 1.0)], done
 
-    found = repeated(one, [*velocity, *contact, *spin, *before.multipliers, 0.0, 1.0], plain)
-    start = Found(found[:n], found[n:inner], found[inner:-2], *found[-2:])
+    found = repeated(one, [*velocity, *begun, *before.multipliers, 0.0, 1.0], plain)
+    start = Impulses(found[:n], found[n:inner], found[inner:-2], *found[-2:])
     if most > plain:
         places = [touch.place(bound) for touch, bound in zip(touches, bounds, strict=True)]
         places += [holder[at].holds(bounds[touches.index(holder[at])]) for at in spins]
-        start = found_by_newton(
-            places, inertia, free, start, settled=start.missed < 0.5, most=most - plain, tolerance=enough
-        )
-    m = len(contact)
-    return Impulses(start.velocity, start.impulses[:m], start.impulses[m:], *start[2:])
+        settled = start.missed < 0.5
+        return found_by_newton(places, inertia, free, start, settled, most - plain, enough)
+    return start
 
 
-class Place(NamedTuple):
+def moved_by(velocity: Vector, columns: Iterable[Vector], impulses: Iterable[Any]) -> Vector:
+    """Return the velocities that impulses lead to, of velocities per impulse."""
+    for column, x in zip(columns, impulses, strict=True):
+        velocity = [number(a + b * x) for a, b in zip(velocity, column, strict=True)]
+    return velocity
+
+
+class FrictionConstraint(NamedTuple):
     """Where something holds velocities: one direction, or two.
 
     Attributes
@@ -404,7 +396,7 @@ class Place(NamedTuple):
         share = 1.0 / (rounded + self.give)
         z = [(rounded * p - s) * share for p, s in zip(before, slip, strict=True)]
         if not self.is_disc:
-            now = list(map(_within, z, self.bounds))
+            now = list(map(within, z, self.bounds))
             bent = [choose(abs(x) <= most, share, 0.0) for x, most in zip(z, self.bounds, strict=True)]
             return _Pushed(now, bent, None, 0.0)
         radius = self.bounds[0]
@@ -427,7 +419,7 @@ class _Pushed(NamedTuple):
     turned: Vector | None
     multiplier: Any
 
-    def add(self, place: Place, H: Matrix, g: Vector) -> None:
+    def add(self, place: FrictionConstraint, H: Matrix, g: Vector) -> None:
         """Add to the second derivatives, and to the slope."""
         terms = list(zip(place.rows, self.bent, strict=True))
         if self.turned is not None:
@@ -443,37 +435,26 @@ class _Pushed(NamedTuple):
                     H[i][j] = H[j][i] = H[i][j] + x * heavy[j]
 
 
-class Found(NamedTuple):
-    """What has been found: as of `Impulses`, and 1 where it has not."""
-
-    velocity: Vector
-    impulses: Vector
-    multipliers: Vector
-    rounds: Any
-    missed: Any
-
-
 def found_by_newton(
-    places: Sequence[Place],
+    places: Sequence[FrictionConstraint],
     inertia: Matrix,
     free: Vector,
-    start: Found,
-    *,
+    start: Impulses,
     settled: Any,
     most: int,
     tolerance: Any,
-) -> Found:
+) -> Impulses:
     """Return the impulses, from those of a start.
 
     Parameters
     ----------
-    places : sequence of Place
+    places : sequence of FrictionConstraint
         What holds the velocities.
     inertia : list of lists of scalars
         Of the velocities, whose columns of M^-1 are those of the places.
     free : list of scalars
         Velocities without any impulse.
-    start : Found
+    start : Impulses
         What to begin with.
     settled : bool
         Where that is the answer.
@@ -485,11 +466,10 @@ def found_by_newton(
     n, sizes = len(free), [place.size for place in places]
     ends = [sum(len(place.rows) for place in places[:k]) for k in range(len(places) + 1)]
     m, discs = ends[-1], [k for k, place in enumerate(places) if place.is_disc]
-    largest = sizes[0]
-    for size in sizes[1:]:
-        largest = higher(largest, size)
     moving = number(dot(free, [number(dot(row, free)) for row in inertia]))
-    enough = largest * (_PLAIN * tolerance) * (_PLAIN * tolerance) + _ROUNDING * _ROUNDING * moving
+    enough = (
+        reduce(higher, sizes) * (_PLAIN * tolerance) * (_PLAIN * tolerance) + _ROUNDING * _ROUNDING * moving
+    )
     behind = 2 * n + m + 7
 
     def one(numbers: Vector) -> tuple[Vector, Any]:
@@ -524,9 +504,7 @@ def found_by_newton(
         level_at = share - uphill / choose(curve > 0.0, curve, 1.0)
         between = choose((level_at > low) & (level_at < high), level_at, 0.5 * (low + high))
         impulses = [choose(moves, x, y) for x, y in zip(now, p, strict=True)]
-        velocity = list(free)
-        for column, x in zip((c for place in places for c in place.columns), impulses, strict=True):
-            velocity = [number(a + b * x) for a, b in zip(velocity, column, strict=True)]
+        velocity = moved_by(free, (column for place in places for column in place.columns), impulses)
         smaller = choose(known, _FINE, higher(_LESS * rounded, _LEAST))
         return [
             *(choose(goes, x, y) for x, y in zip(at, v, strict=True)),
@@ -551,7 +529,7 @@ def found_by_newton(
     for k, x in zip(discs, told, strict=True):
         multipliers[k] = x
     velocity, pushed = found[behind : behind + n], found[2 * n : 2 * n + m]
-    return Found(velocity, pushed, multipliers, found[behind - 1], found[-1])
+    return Impulses(velocity, pushed, multipliers, found[behind - 1], found[-1])
 
 
 def factored(M: Matrix, order: Sequence[int] = ()) -> tuple[Callable[[Vector], Vector], Matrix]:

@@ -32,11 +32,11 @@ from pinmobile.robot import (
     transposed,
     vector_of as stacked,
 )
-from pinmobile.wheels._contact import Bounds, Impulses, Touch, factored, impulses
+from pinmobile.wheels._contact import Bounds, Impulses, WheelContact, factored, impulses
 from pinmobile.wheels._dynamics import State, WheeledDynamics
-from pinmobile.wheels._loads import item, places_of, pressed, shared_loads, wheel_loads
-from pinmobile.wheels._motors import Beside, Motors, Push, theta
-from pinmobile.wheels._rolling import Ramp, stop_of, stopped
+from pinmobile.wheels._loads import ground_reaction, places_of, shared_loads, unwrap_scalar, wheel_loads
+from pinmobile.wheels._motors import ExternalForceFunction, Motors, TorqueSpeedLine, theta
+from pinmobile.wheels._rolling import Ramp, check_inertias, stop_of, stopped
 from pinmobile.wheels._table import WheelTable, column
 
 _BASE = 3
@@ -48,7 +48,7 @@ _COARSER = 1e2  # tolerances of forces: share of the weight, and of free fall, t
 _LEVEL = 1e2  # times that, where a pass changes no less than the one before: so do forces that come slowly
 
 
-class Grip(NamedTuple):
+class ContactState(NamedTuple):
     """What a robot on dry ground keeps from step to step, means over the last one.
 
     Attributes
@@ -85,7 +85,7 @@ class _Pass(NamedTuple):
     ----------
     after : list of scalars
         Velocities at the end of the step.
-    contact, spin, multipliers
+    impulses, multipliers
         As of `Impulses`.
     assumed, missing, way : list of 6 scalars
         Twist at the end of the step, over the speed gained in a step of free fall, and what the ground
@@ -100,12 +100,11 @@ class _Pass(NamedTuple):
     loads : list of scalars
         Of wheels and supports.
     tips, missed, passes : list of one scalar
-        As of `Grip`, and how many passes there were.
+        As of `ContactState`, and how many passes there were.
     """
 
     after: Vector
-    contact: Vector
-    spin: Vector
+    impulses: Vector
     multipliers: Vector
     assumed: Vector
     missing: Vector
@@ -170,7 +169,7 @@ class _Shape(NamedTuple):
     ----------
     solve : callable
         Of a generalised force, the acceleration.
-    touches : list of Touch
+    touches : list of WheelContact
         Of the wheels, over the velocities that `touched` numbers.
     touched, rest : list of int
         Velocities that rows of wheels have, and those that have none.
@@ -181,7 +180,7 @@ class _Shape(NamedTuple):
     """
 
     solve: Any
-    touches: list[Touch]
+    touches: list[WheelContact]
     touched: list[int]
     rest: list[int]
     inertia: Matrix
@@ -210,16 +209,14 @@ class SlippingDynamics(WheeledDynamics):
     tolerance: float
     rubbing: tuple[int, ...] = ()
 
-    memory: ClassVar[type] = Grip
-
     # Gear trains
 
     @cached_property
     def _leaders(self) -> list[tuple[int, Any]]:
         """Which velocity each follows, and how many times as fast: wheels on a train follow its first."""
         first = _BASE + self.na + len(self.table.axes)
-        found: list[tuple[int, Any]] = [(i, ONE) for i in range(self.size)]
-        for row, (leader, ratio) in enumerate(led(self.table)):
+        found: list[tuple[int, Any]] = [(i, ONE) for i in range(self.nv)]
+        for row, (leader, ratio) in enumerate(gear_ratios(self.table)):
             found[first + row] = first + leader, exact(ratio)
         return found
 
@@ -290,7 +287,7 @@ class SlippingDynamics(WheeledDynamics):
             pushed, at = columns[2 * k : 2 * k + 2], spins[k]
             spin = touched.index(at), over(units[at])
             touches.append(
-                Touch([*map(over, pair)], [*map(over, pushed)], *spin, discs[k], give / h, at in held)
+                WheelContact([*map(over, pair)], [*map(over, pushed)], *spin, discs[k], give / h, at in held)
             )
         holding = [at for at in dict.fromkeys(spins) if at in held]
         return _Shape(solve, touches, touched, rest, inertia, [*columns, *(units[at] for at in holding)])
@@ -298,10 +295,15 @@ class SlippingDynamics(WheeledDynamics):
     def _seen(self, state: State, rate: Vector) -> tuple[State, Vector]:
         """Return a state, and accelerations along the body's axes less gravity in the plane."""
         vx, vy, w = state.twist
-        return state, self.felt(state, [rate[0] - w * vy, rate[1] + w * vx, *rate[2:]])
+        return state, self.proper_acceleration(state, [rate[0] - w * vy, rate[1] + w * vx, *rate[2:]])
 
     def _bounds(
-        self, shape: _Shape, loads: Vector, slips: Sequence[Vector], h: Any, pushes: Sequence[Push] = ()
+        self,
+        shape: _Shape,
+        loads: Vector,
+        slips: Sequence[Vector],
+        h: Any,
+        pushes: Sequence[TorqueSpeedLine] = (),
     ) -> list[Bounds]:
         """Return what the friction of each wheel is at most."""
         first, found = _BASE + self.na + len(self.table.axes), []
@@ -318,7 +320,7 @@ class SlippingDynamics(WheeledDynamics):
             found.append(Bounds(along, across, number(holds[shape.touches[k].spin]), slips[k]))
         return found
 
-    def _rubs(self, shape: _Shape, pushes: Sequence[Push], h: Any) -> list[tuple[int, Any]]:
+    def _rubs(self, shape: _Shape, pushes: Sequence[TorqueSpeedLine], h: Any) -> list[tuple[int, Any]]:
         """Return which touched velocities motors' dry friction holds, and the angular impulse at most."""
         found = []
         for k in self.rubbing if pushes else ():
@@ -356,17 +358,18 @@ class SlippingDynamics(WheeledDynamics):
 
     # The step
 
-    def initial_state(self, context: Any = None) -> Grip:
+    def initial_state(self, context: Any = None) -> ContactState:
         """Return what it keeps at first: nothing has slipped, and loads are those of rest."""
         del context
-        k, still = len(self.table), [ZERO] * self.size
-        arms = list(getattr(self.robot, "rest", np.zeros(_BASE)))[_BASE:]
-        q = np.concatenate([np.zeros(_BASE), arms, np.zeros(self.joints)])
-        found = wheel_loads(self, *self._seen(self.state(q, np.zeros(self.size)), still), q)
-        zeros = np.zeros(2 * k), np.zeros(len(self._held)), np.zeros(k), np.zeros(self.size)
-        return Grip(*zeros, stacked(found.values, q), 0.0, 0.0)
+        k, still = len(self.table), [ZERO] * self.nv
+        q = np.concatenate([np.zeros(_BASE), self.robot.rest[_BASE:], np.zeros(self.joints)])
+        found = wheel_loads(self, *self._seen(self.state(q, np.zeros(self.nv)), still), q)
+        zeros = np.zeros(2 * k), np.zeros(len(self._held)), np.zeros(k), np.zeros(self.nv)
+        return ContactState(*zeros, stacked(found.values, q), 0.0, 0.0)
 
-    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Beside, memory: Grip) -> Step:
+    def step(
+        self, t: Any, q: Any, v: Any, u: Any, h: Any, f: ExternalForceFunction, memory: ContactState
+    ) -> Step:
         """Return the state after a step, and what is kept for the next.
 
         Parameters
@@ -381,13 +384,13 @@ class SlippingDynamics(WheeledDynamics):
             ``f(t, q, v)``: generalised forces beside them, shape (..., nv), or 0.0.
         h : float
             Length of the step [s].
-        memory : Grip
+        memory : ContactState
             From the step before.
         """
         return self.driven(q, v, u, h, lambda q, v: f(t + 0.5 * h, q, v), memory)[0]
 
     def driven(
-        self, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Grip, motors: Motors | None = None
+        self, q: Any, v: Any, u: Any, h: Any, f: Any, memory: ContactState, motors: Motors | None = None
     ) -> tuple[Step, Vector, Vector]:
         """Return the state after a step, and torques and rates of actuators that motors drive.
 
@@ -396,10 +399,10 @@ class SlippingDynamics(WheeledDynamics):
         f : callable
             ``f(q, v)``: forces beside the torques at a state of mid-step.
         motors : callable, optional
-            ``motors(rates, clips)``: the `Push` of each actuator at its rate; `clips` is False for a first
-            guess. Without, `u` has the torques.
+            ``motors(rates, clips)``: the `TorqueSpeedLine` of each actuator at its rate; `clips` is False for
+            a first guess. Without, `u` has the torques.
         """
-        h = item(h)
+        h = unwrap_scalar(h)
         state = self.state(q, v)
         before = state.velocities
         middle = self._at_middle(state, q, v, h)
@@ -420,11 +423,11 @@ class SlippingDynamics(WheeledDynamics):
             return at, mean
 
         gained = h * abs(float(self.fall[2])) if self.fall[2] else 1.0
-        scales = [gained] * _BASE + [number(item(self.weight)) if self.fall[2] else 1.0] * 3
+        scales = [gained] * _BASE + [number(unwrap_scalar(self.weight)) if self.fall[2] else 1.0] * 3
 
         def led_to(after: Vector) -> Vector:
             rate = [(y - x) / h for x, y in zip(before, after, strict=True)]
-            exerted = pressed(self, *self._seen(at_mean(after)[0], rate), q)
+            exerted = ground_reaction(self, *self._seen(at_mean(after)[0], rate), q)
             return [x / scale for x, scale in zip([*after[:_BASE], *exerted], scales, strict=True)]
 
         def one(x: _Pass) -> tuple[_Pass, Any]:
@@ -436,7 +439,7 @@ class SlippingDynamics(WheeledDynamics):
                 there = self.in_plane(at, mean, q)
                 force = f(self.integrate(q, (0.5 * h) * there), there)
             loads = shared_loads(places, *taken[_BASE:])
-            pushes, shares, lag, torques = list[Push](), list[Any](), list[Any](), u
+            pushes, shares, lag, torques = list[TorqueSpeedLine](), list[Any](), list[Any](), u
             if motors is not None:
                 pushes = motors(x.rates, x.passes[0] > 0.0)
                 shares = [
@@ -450,13 +453,13 @@ class SlippingDynamics(WheeledDynamics):
             free = self._free(now, at, before, torques, h, force, q)
             began, slides = self._began(now, before, end, x.slides)
             bounds = self._bounds(now, loads.values, began, h, pushes)
-            start, known = Impulses([], *x[1:4]), [number(free[k]) for k in now.touched]
+            start, known = Impulses([], *x[1:3]), [number(free[k]) for k in now.touched]
             grip = impulses(
                 now.touches, bounds, known, now.inertia, start, most=self.sweeps, tolerance=self.tolerance
             )
             after = self._after(now, free, grip)
             for k, limit in self.stops:
-                unit = [ONE if i == _BASE + self.na + k else ZERO for i in range(self.size)]
+                unit = [ONE if i == _BASE + self.na + k else ZERO for i in range(self.nv)]
                 response = self._whole(now.solve(self._reduced(unit)))
                 rate = after[_BASE + self.na + k]
                 reached = state.steering[k] + (0.5 * h) * (state.rates[k] + rate)
@@ -476,26 +479,24 @@ class SlippingDynamics(WheeledDynamics):
             stays = (x.passes[0] > 0.0) & (off <= (_LEVEL * little) ** 2) & (off >= was)
             done = (off <= little * little) | stays
             last = [loads.tips], [choose(done, grip.missed, 1.0)], [x.passes[0] + 1.0]
-            found = _Pass(after, *grip[1:4], *better, slides, rates, given, loads.values, *last)
+            found = _Pass(after, *grip[1:3], *better, slides, rates, given, loads.values, *last)
             return found, done
 
         guess = [x + h * y for x, y in zip(before, scalars(memory.acceleration), strict=True)]
-        contact, holding, multipliers = (
-            [number(x) for x in scalars(part)] for part in (memory.forces, memory.holding, memory.multipliers)
-        )
+        forces = [*scalars(memory.forces), *(scalars(memory.holding) if self._held else [])]
         turns = [] if motors is None else begun
-        first = [guess, [x * h for x in contact], [x * h for x in holding] if self._held else [], multipliers]
+        first = [guess, [number(x) * h for x in forces], list(map(number, scalars(memory.multipliers)))]
         first += [led_to(guess), [0.0] * 6, [0.0] * 6]
         first += [[-1.0 if i == j else 0.0 for i in range(6) for j in range(6)], [1.0] * len(self.table)]
         start = _Pass(*first, *[turns, turns, [0.0] * len(places), [0.0], [1.0], [0.0]])
-        found = start.repeated(one, _PASSES)
+        found, m = start.repeated(one, _PASSES), 2 * len(self.table)
         after, mean = found.after, at_mean(found.after)[1]
         s, c = sine_and_cosine(psi + 0.5 * h * mean[2])
         moved = self.integrate(q, self.in_plane(state._replace(c=c, s=s), [h * x for x in mean], q))
         s, c = sine_and_cosine(psi + h * mean[2])
-        kept = Grip(
-            stacked([x / h for x in found.contact], q),
-            stacked([x / h for x in found.spin], q) if found.spin else memory.holding,
+        kept = ContactState(
+            stacked([x / h for x in found.impulses[:m]], q),
+            stacked([x / h for x in found.impulses[m:]], q) if self._held else memory.holding,
             stacked(found.multipliers, q),
             stacked([(y - x) / h for x, y in zip(before, after, strict=True)], q),
             stacked(found.loads, q),
@@ -505,10 +506,14 @@ class SlippingDynamics(WheeledDynamics):
         return step, found.torques, found.rates
 
     def _rubbed(
-        self, shape: _Shape, bounds: Sequence[Bounds], pushes: Sequence[Push], grip: Impulses, h: Any
+        self,
+        shape: _Shape,
+        bounds: Sequence[Bounds],
+        pushes: Sequence[TorqueSpeedLine],
+        grip: Impulses,
+        h: Any,
     ) -> list[tuple[int, Any]]:
         """Return actuators and the torque of their dry friction: of what holds a wheel, in proportion."""
-        spins = list(dict.fromkeys(touch.spin for touch in shape.touches if touch.held))
         most = {
             touch.spin: bound.spin for touch, bound in zip(shape.touches, bounds, strict=True) if touch.held
         }
@@ -517,7 +522,8 @@ class SlippingDynamics(WheeledDynamics):
             ((_, share),) = self.turned_by(k)
             whole = most[at]
             part = more / choose(whole > 0.0, whole, 1.0)
-            found.append((k, grip.spin[spins.index(at)] * part / (h * float(share))))
+            held = grip.impulses[2 * len(self.table) + list(most).index(at)]
+            found.append((k, held * part / (h * float(share))))
         return found
 
     def _freedom(self, state: State, q: Any) -> Vector:
@@ -547,18 +553,20 @@ class SlippingDynamics(WheeledDynamics):
 
     def _after(self, shape: _Shape, free: Vector, grip: Impulses) -> Vector:
         """Return all velocities at the end of a step."""
-        found, given = list(free), [*grip.contact, *grip.spin]
+        found = list(free)
         for k, x in zip(shape.touched, grip.velocity, strict=True):
             found[k] = x
         for k in shape.rest:
-            found[k] = free[k] + dot([column[k] for column in shape.columns], given)
+            found[k] = free[k] + dot([column[k] for column in shape.columns], grip.impulses)
         return self._whole(found)
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return the acceleration, shape (..., nv): the mean over a short step from the state."""
         return (self.step(0.0, q, v, u, _INSTANT, lambda t, q, v: f, self.initial_state()).v - v) / _INSTANT
 
-    def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Grip) -> dict[str, tuple[str, Any]]:
+    def signals(
+        self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: ContactState
+    ) -> dict[str, tuple[str, Any]]:
         """Return what the ground does, of the step before: a row of the wheels for each.
 
         ``along``, ``across`` and ``loads`` [N], those of the supports behind; ``slip_along`` and
@@ -568,7 +576,7 @@ class SlippingDynamics(WheeledDynamics):
         """
         del t, u, f
         state = self.state(q, v)
-        rows = self.kinematics.rows(state.steering, state.twist, state.rates, across=True)
+        rows = self.rows(state, across=True)
         slips = [row.slip(state) for row in rows if row.wheel >= 0]
         forces, k = memory.forces, len(self.table)
         along, across = forces[..., 0::2], forces[..., 1::2]
@@ -587,7 +595,7 @@ class SlippingDynamics(WheeledDynamics):
         }
 
 
-def led(table: WheelTable) -> list[tuple[int, float]]:
+def gear_ratios(table: WheelTable) -> list[tuple[int, float]]:
     """Return which wheel each turns with, and how many times as fast, by gear trains; else it is itself.
 
     Raises
@@ -663,12 +671,5 @@ class Coulomb:
     def check_robot(self, wheeled: Any) -> None:
         """Refuse what cannot be computed where wheels slip."""
         wheeled.check_stands()
-        table = wheeled.table
-        led(table)
-        names = (*(axis.name for axis in table.axes), *table.names)
-        for name, inertia in zip(names, wheeled.joint_inertias, strict=True):
-            if not inertia > 0:
-                raise InvalidArgument(
-                    f"{name} of the table has no inertia about its axis, expected one > 0 where wheels slip: "
-                    "give spin_inertia, and yaw_inertia of wheels that steer"
-                )
+        gear_ratios(wheeled.table)
+        check_inertias(wheeled, range(len(wheeled.joint_inertias)))

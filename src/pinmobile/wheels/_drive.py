@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from os import PathLike
-from types import MappingProxyType
+from types import MappingProxyType, MethodType
 from typing import Any, ClassVar, Self, final
 
 import numpy as np
@@ -23,7 +23,6 @@ from pinmobile.parts import (
     child,
     evolved,
     holds_symbols,
-    is_symbolic,
     part,
     required,
     structure,
@@ -32,22 +31,21 @@ from pinmobile.parts import (
 from pinmobile.plant import ContactLoads, Contacts, Coordinate, Input, SlipMargins, Step
 from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, MobileRobot, PayloadBody, number
 from pinmobile.wheels._coulomb import Coulomb
-from pinmobile.wheels._kinematics import Mobility
 from pinmobile.wheels._loads import (
     Forces,
     TimeScaledMotion,
     contact_loads,
     contacts_of,
-    pressed,
+    ground_reaction,
     recorded_margins,
     rolling_margins,
 )
-from pinmobile.wheels._motors import Beside, constant_force
+from pinmobile.wheels._motors import ExternalForceFunction, constant_force
 from pinmobile.wheels._rolling import Ground, Ramp, Rolling, RollingDynamics
 from pinmobile.wheels._table import WheelTable, column
 from pinmobile.wheels._urdf_reader import joint_signs, read_robot, read_wheels, source_of
 from pinmobile.wheels._velocities import Allocation, Reduced, followed
-from pinmobile.wheels._visuals import Picture, Tyres
+from pinmobile.wheels._visuals import Tyres, WheelVisuals
 from pinmobile.wheels._voltage_dynamics import ByVoltage
 
 _OFF = 1e-9  # of a start's rates, beyond which it does not roll
@@ -69,15 +67,16 @@ def _counted(doc: str, count: Callable[[Any], int]) -> Any:
     return found
 
 
-def _supplied(robot: Any, name: str) -> Any:
-    """Return a method of the dynamics that not all grounds supply."""
-    if not hasattr(robot.array_dynamics, name):
-        raise AttributeError(f"a WheeledRobot on {type(robot.ground).__name__} ground has no {name}")
-    return getattr(robot.array_dynamics, name)
+def _of_ground(method: Callable[..., Any]) -> Any:
+    """Let a robot have a method where the dynamics of its ground have it."""
 
+    def found(robot: Any) -> Any:
+        if not hasattr(robot.array_dynamics, method.__name__):
+            ground = type(robot.ground).__name__
+            raise AttributeError(f"a WheeledRobot on {ground} ground has no {method.__name__}")
+        return MethodType(method, robot)
 
-def _of_ground(name: str, doc: str) -> Any:
-    return property(lambda self: _supplied(self, name), doc=doc)
+    return property(found, doc=method.__doc__)
 
 
 @final
@@ -115,8 +114,8 @@ class WheeledRobot:
     def __init__(self, robot: MobileRobot, table: WheelTable | None = None, ground: Any = None) -> None:
         if table is None:
             table = read_wheels(robot)
-        if ground is None:
-            ground = Rolling() if Mobility.of(table).is_regular else Coulomb()
+        if ground is None and isinstance(table, WheelTable):
+            ground = Rolling() if table.mobility.is_regular else Coulomb()
         self.__attrs_init__(robot, table, ground)  # type: ignore[attr-defined]
 
     def check(self) -> None:
@@ -291,7 +290,7 @@ class WheeledRobot:
 
     def _check_rolls(self) -> None:
         if not self.mobility.is_regular:
-            raise InvalidArgument(f"robot cannot roll without slip: {self.mobility.why_not}")
+            raise InvalidArgument(f"robot cannot roll without slip: {self.mobility.rolling_obstacle}")
 
     _axes = _counted("Number of steering coordinates.", lambda self: len(self.table.axes))
     _wheels = _counted("Number of wheels.", lambda self: len(self.table))
@@ -356,8 +355,8 @@ class WheeledRobot:
     size = _of("robot", "size", "Length, width and height of the body [m].")
 
     @cached_property
-    def _picture(self) -> Picture:
-        return Picture(self.robot, self.table)
+    def _picture(self) -> WheelVisuals:
+        return WheelVisuals(self.robot, self.table)
 
     @cached_property
     def _tyres(self) -> Tyres:
@@ -427,7 +426,7 @@ class WheeledRobot:
 
         Steered wheels point to where they go, and all roll; what the reference leaves out of the arms rests.
         """
-        return self.array_dynamics.begun(*self.robot.start(reference))  # type: ignore[no-any-return]
+        return replace(self.array_dynamics, robot=self.robot).start(reference)  # type: ignore[no-any-return]
 
     @takes(q="nq", v="nv")
     def check_start(self, q: Any, v: Any) -> None:
@@ -515,8 +514,7 @@ class WheeledRobot:
         InvalidArgument
             If no wheel is fixed and keeps the body from moving across it.
         """
-        choice = self.mobility.choice
-        if not (choice.body and choice.is_fixed):
+        if not self.mobility.choice.is_fixed:
             raise InvalidArgument(f"robot is {self.mobility.kind}, which has no fixed axle")
         self._check_rolls()
         return frozen(self.array_dynamics.axle)
@@ -711,43 +709,34 @@ class WheeledRobot:
 
     # What the ground adds: a loop asks by name for what a plant can do
 
-    @property
-    def project(self) -> Any:
-        """``project(q, v)``: the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
-        own = _supplied(self, "project")
-        return own if self.array_dynamics.slips or self._is_symbolic else self._projected
-
-    def _projected(self, q: Any, v: Any) -> Any:
-        if is_symbolic(q) or is_symbolic(v):
-            return self.array_dynamics.project(q, v)
-        return self._rolled(q, v)
-
+    @_of_ground
     @takes(q="nq", v="nv")
-    def _rolled(self, q: Any, v: Any) -> Any:
+    def project(self, q: Any, v: Any) -> Any:
+        """Return the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
         return self._numeric.project(q, v)
 
-    initial_state = _of_ground("initial_state", "``(context)``: what wheels keep first, where they slip.")
+    @_of_ground
+    def initial_state(self, context: Any = None) -> Any:
+        """Return the memory of the wheels before the first step, where they slip."""
+        return self.array_dynamics.initial_state(context)
 
-    @property
-    def step(self) -> Any:
-        """``step(t, q, v, u, h, f, memory)``: the state a step later, where wheels slip.
+    @_of_ground
+    @also_symbols
+    def step(
+        self, t: float, q: Any, v: Any, u: Any, h: Any, f: ExternalForceFunction | ArrayLike, memory: Any
+    ) -> Step:
+        """Return the state a step later, where wheels slip.
 
         ``f(t, q, v)`` has the generalised forces beside the input, at mid-step; an array has those that stay.
         """
-        own = _supplied(self, "step")
-        return own if self._is_symbolic else self._stepped
-
-    signals = _of_ground("signals", "``(t, q, v, u, f, memory)``: what the ground does, where they slip.")
-
-    def _stepped(self, t: float, q: Any, v: Any, u: Any, h: Any, f: Beside | ArrayLike, memory: Any) -> Step:
-        if not any(map(is_symbolic, (q, v, u))):
-            q, v, u = self._state(q, v, u)
-            f, h = f if callable(f) else constant_force(finite("f", f)), positive("h", h, "s")
-            if not isinstance(memory, getattr(self.array_dynamics, "memory", object)):
-                raise InvalidArgument(
-                    f"memory is {shown(memory)}, expected what initial_state or a step returned"
-                )
+        q, v, u = self._state(q, v, u)
+        f, h = f if callable(f) else constant_force(finite("f", f)), positive("h", h, "s")
         return self.array_dynamics.step(t, q, v, u, h, f, memory)  # type: ignore[no-any-return]
+
+    @_of_ground
+    def signals(self, *given: Any) -> Any:
+        """Return the signals of (t, q, v, u, f, memory): what the ground does, where wheels slip."""
+        return self.array_dynamics.signals(*given)
 
     @takes(q="nq", v="nv", u="nu", a="nv")
     def _state(self, q: Any, v: Any, u: Any, a: Any = None) -> tuple[Any, ...]:
@@ -759,7 +748,7 @@ class WheeledRobot:
     def _felt(self, q: Any, v: Any, a: Any) -> tuple[Any, list[Any]]:
         """Return the state, and accelerations along the body's axes less gravity in the plane."""
         state = self._numeric.state(q, v)
-        return state, self._numeric.felt(state, state.along(list(np.moveaxis(a, -1, 0))))
+        return state, self._numeric.proper_acceleration(state, state.along(list(np.moveaxis(a, -1, 0))))
 
     @takes(q="nq", v="nv", a="nv")
     def ground_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Any:
@@ -770,7 +759,7 @@ class WheeledRobot:
         """
         state, felt = self._felt(q, v, a)
         fx, fy, mz, *_ = self._numeric.needed(state, felt, q)
-        found = [fx, fy, *pressed(self._numeric, state, felt, q), mz]
+        found = [fx, fy, *ground_reaction(self._numeric, state, felt, q), mz]
         return np.stack(np.broadcast_arrays(*map(number, found)), axis=-1)
 
     @takes(q="nq", v="nv", a="nv")
@@ -813,7 +802,7 @@ class WheeledRobot:
         self.check_stands()
         if self.array_dynamics.slips:
             return recorded_margins(self.array_dynamics, motion)
-        if getattr(motion, "u", None) is None:
+        if motion.u is None:
             raise InvalidArgument(
                 "motion.u is None, expected the input, on which the forces of wheels depend: "
                 "MotionStates(..., u=u)"

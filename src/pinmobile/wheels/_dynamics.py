@@ -31,10 +31,10 @@ from pinmobile.robot import (
     transposed,
     vector_of as stacked,
 )
-from pinmobile.wheels._kinematics import Choice, Kinematics, Row, Solution, solved as rolled
+from pinmobile.wheels._kinematics import Kinematics, NullSpaceBasis, Row, RowSelection, solve_null_space
 from pinmobile.wheels._loads import evaluate_metrics, metrics_of
 from pinmobile.wheels._table import Axis, WheelTable
-from pinmobile.wheels._velocities import Followed, Reduced, followed, linearized, matrix
+from pinmobile.wheels._velocities import Reduced, ReferenceMotion, followed, linearized, matrix
 
 _BASE = 3
 
@@ -79,6 +79,11 @@ class State(NamedTuple):
         return self._replace(twist=v[:_BASE], arm_rates=v[_BASE:end], rates=v[end:])
 
 
+def through(M: Matrix, S: Matrix) -> Matrix:
+    """Return S' M of a symmetric M."""
+    return [applied(M, column) for column in transposed(S)]
+
+
 @dataclass(frozen=True, eq=False)
 class WheeledDynamics:
     """A body, its arms and its wheels, free to slip: mass matrix and nonlinear effects along the body's axes.
@@ -106,7 +111,7 @@ class WheeledDynamics:
         Corners of what it stands on [m].
     stands : bool
         Whether it is known where it stands: how high it is, on three places that are not on a line.
-    choice : Choice
+    choice : RowSelection
         Which rows of the wheels determine what, where they roll.
     coordinates, inputs
         As of a plant.
@@ -124,7 +129,7 @@ class WheeledDynamics:
     upright: Any
     footprint: Array | None
     stands: bool
-    choice: Choice
+    choice: RowSelection
     coordinates: tuple[Coordinate, ...]
     inputs: tuple[Input, ...]
 
@@ -142,19 +147,11 @@ class WheeledDynamics:
         return len(self.table.axes) + len(self.table)
 
     @property
-    def size(self) -> int:
-        """Number of velocities."""
+    def nv(self) -> int:
+        """Size of q, v and a."""
         return _BASE + self.na + self.joints
 
-    @property
-    def nq(self) -> int:
-        """Size of q."""
-        return self.size
-
-    @property
-    def nv(self) -> int:
-        """Size of v and a."""
-        return self.size
+    nq = nv
 
     @property
     def nu(self) -> int:
@@ -202,8 +199,8 @@ class WheeledDynamics:
         return found._replace(twist=found.along(found.twist))
 
     def inertia(self, state: State, q: Any) -> Matrix:
-        """Return M, (size, size), of body axes."""
-        M: Matrix = [[ZERO] * self.size for _ in range(self.size)]
+        """Return M, (nv, nv), of body axes."""
+        M: Matrix = [[ZERO] * self.nv for _ in range(self.nv)]
         carried = self.robot.mass_matrix(stacked([ZERO, ZERO, ZERO, *state.arms], q))
         for i in range(_BASE + self.na):
             M[i][: _BASE + self.na] = scalars(carried[..., i, :])
@@ -248,8 +245,8 @@ class WheeledDynamics:
         return self.kinematics.centre(row, state.steering), self.kinematics.centre(row, still)
 
     def effects(self, state: State, q: Any) -> Vector:
-        """Return n, (size,), along the body's axes."""
-        n: Vector = [ZERO] * self.size
+        """Return n, (nv,), along the body's axes."""
+        n: Vector = [ZERO] * self.nv
         at_zero = stacked([ZERO, ZERO, ZERO, *state.arms], q)
         carried = self.robot.nonlinear_effects(at_zero, stacked([*state.twist, *state.arm_rates], q))
         n[: _BASE + self.na] = scalars(carried)
@@ -287,7 +284,7 @@ class WheeledDynamics:
         """Return gravity in the plane along the body's axes, which every mass feels alike [m/s^2]."""
         return state.along([exact(float(each)) for each in self.fall[:2]])
 
-    def felt(self, state: State, a: Vector) -> Vector:
+    def proper_acceleration(self, state: State, a: Vector) -> Vector:
         """Return accelerations less gravity in the plane, which is as if the plane accelerated against it."""
         x, y = self.pull(state)
         return [a[0] - x, a[1] - y, *a[2:]]
@@ -303,28 +300,34 @@ class WheeledDynamics:
             return found
         return [x + y for x, y in zip(found, state.along(scalars(f)), strict=True)]
 
+    def rows(self, state: State, *, across: bool = False) -> list[Row]:
+        """Return the rows of wheels and gear trains in a state, see `Kinematics.rows`."""
+        return self.kinematics.rows(state.steering, state.twist, state.rates, across=across)
+
     def actuator_rates(self, rates: Vector) -> Vector:
         """Return the rate of each actuator, of those of steering coordinates and wheels."""
         return [number(dot([exact(x) for x in actuator.column], rates)) for actuator in self.table.actuators]
 
     def in_plane(self, state: State, a: Vector, q: Any) -> Any:
-        """Return numbers along the body's axes as a public array, shape (..., size)."""
+        """Return numbers along the body's axes as a public array, shape (..., nv)."""
         return stacked(state.outward(a), q)
 
     def mass_matrix(self, q: Any) -> Any:
         """Return M(q), shape (..., nv, nv), rotors included."""
-        state = self.state(q, stacked([ZERO] * self.size, q))
+        state = self.state(q, stacked([ZERO] * self.nv, q))
         half = transposed([state.outward(row) for row in self.inertia(state, q)])
         return matrix(transposed([state.outward(row) for row in half]), q)
 
     def nonlinear_effects(self, q: Any, v: Any) -> Any:
         """Return n(q, v), shape (..., nv)."""
-        return self.left(q, v, stacked([ZERO] * self.size, q))
+        return self.left(q, v, stacked([ZERO] * self.nv, q))
 
     def left(self, q: Any, v: Any, a: Any) -> Any:
         """Return M a + n, shape (..., nv)."""
         state = self.state(q, v)
-        return self.in_plane(state, self.needed(state, self.felt(state, state.along(scalars(a))), q), q)
+        return self.in_plane(
+            state, self.needed(state, self.proper_acceleration(state, state.along(scalars(a))), q), q
+        )
 
     def needed(self, state: State, felt: Vector, q: Any) -> Vector:
         """Return the generalised force that lets it move so, along the body's axes."""
@@ -334,7 +337,7 @@ class WheeledDynamics:
     def constraints(self, q: Any, v: Any) -> tuple[Any, Any]:
         """Return A(q), shape (..., k, nv), and dA/dt v: A v = 0 where wheels roll."""
         state = self.state(q, v)
-        rows = self.kinematics.rows(state.steering, state.twist, state.rates)
+        rows = self.rows(state)
         A = [state.outward([*row.base, *[ZERO] * self.na, *row.joints]) for row in rows]
         return matrix(A, q), stacked([row.drift for row in rows], q)
 
@@ -378,28 +381,19 @@ class WheeledDynamics:
         """Return A and B of the tracked state, see `WheeledRobot.linearize_tracked`."""
         return linearized(self, q, v, u)
 
-    def followed(self, reference: Any) -> Followed:
-        """Return states, and inputs of least norm, with which it goes along a reference: see `Followed`."""
+    def followed(self, reference: Any) -> ReferenceMotion:
+        """Return states and inputs of least norm along a reference: see `ReferenceMotion`."""
         return followed(self, reference)
 
     # Where wheels roll: independent velocities nu, v = S nu, see `Reduced`
 
-    def solution(self, state: State) -> Solution:
+    def null_space(self, state: State) -> NullSpaceBasis:
         """Return what rolls, arms between body and joints."""
-        rows = self.kinematics.rows(state.steering, state.twist, state.rates)
-        choice = self.choice
-        S, gamma = rolled(rows, choice)
-        width, na = len(S[0]), self.na
-        own = _BASE if not choice.body else _BASE - len(choice.body)
-        wide = [[*row[:own], *[ZERO] * na, *row[own:]] for row in S]
-        arms: Matrix = [[ZERO] * (width + na) for _ in range(na)]
-        for i in range(na):
-            arms[i][own + i] = exact(1.0)
-        return Solution([*wide[:_BASE], *arms, *wide[_BASE:]], [*gamma[:_BASE], *[ZERO] * na, *gamma[_BASE:]])
+        return solve_null_space(self.rows(state), self.choice, self.na)
 
     def velocities(self, state: State) -> Vector:
         """Return the independent velocities nu of a state that rolls, in the order of the columns of S."""
-        held = [self.kinematics.rows(state.steering, state.twist, state.rates)[i] for i in self.choice.body]
+        held = [self.rows(state)[i] for i in self.choice.body]
         a, w = held[0].base if held else [], state.twist[2]
         if not held:
             body = state.twist
@@ -411,7 +405,7 @@ class WheeledDynamics:
             body = [dot(about, state.twist) / dot(about, about)]
         return [*body, *state.arm_rates, *(state.rates[k] for k in self.choice.free)]
 
-    def unmoved(self, state: State, S: Matrix, gamma: Vector) -> Vector:
+    def bias_acceleration(self, state: State, S: Matrix, gamma: Vector) -> Vector:
         """Return the accelerations, along the body's axes, where the independent velocities do not change."""
         offset = self.offset(state, gamma)
         return [g - dot(row, offset) for row, g in zip(S, gamma, strict=True)]
@@ -420,7 +414,7 @@ class WheeledDynamics:
         """Return the rates of the independent velocities where the accelerations are gamma."""
         vx, vy, w = state.twist
         moved = [gamma[0] + w * vy, gamma[1] - w * vx, gamma[2]]  # the rate of the body twist
-        rows = self.kinematics.rows(state.steering, state.twist, state.rates)
+        rows = self.rows(state)
         held = [(rows[i].base, self._turned(rows[i], state)) for i in self.choice.body]
         if not held:
             body = moved
@@ -450,18 +444,18 @@ class WheeledDynamics:
 
     def accelerations(self, state: State, rates: Vector) -> Vector:
         """Return the accelerations, along the body's axes, where the independent velocities change so."""
-        S, gamma = self.solution(state)
-        return [dot(row, rates) + g for row, g in zip(S, self.unmoved(state, S, gamma), strict=True)]
+        S, gamma = self.null_space(state)
+        return [
+            dot(row, rates) + g for row, g in zip(S, self.bias_acceleration(state, S, gamma), strict=True)
+        ]
 
     def reduced(self, q: Any, v: Any) -> Reduced:
         """Return the dynamics of the independent velocities: M nu' + n = B u, see `Reduced`."""
         state = self.state(q, v)
-        M, (S, gamma) = self.inertia(state, q), self.solution(state)
-        effects = self.effects(state, q)
-        columns = transposed(S)
-        pushed = [applied(M, column) for column in columns]
-        still = self.felt(state, self.unmoved(state, S, gamma))
-        rest = [n + dot(row, still) for n, row in zip(effects, M, strict=True)]
+        M, (S, gamma) = self.inertia(state, q), self.null_space(state)
+        columns, pushed = transposed(S), through(M, S)
+        still = self.proper_acceleration(state, self.bias_acceleration(state, S, gamma))
+        rest = [n + dot(row, still) for n, row in zip(self.effects(state, q), M, strict=True)]
         B = self.input_columns(state, columns)
         public = [self.in_plane(state, column, q) for column in columns]
         return Reduced(
@@ -478,21 +472,19 @@ class WheeledDynamics:
         Of drives whose body is free to move in any direction; `a` has the first 3 + arms coordinates.
         """
         state = self.state(q, v)
-        S, gamma = self.solution(state)
+        S, gamma = self.null_space(state)
         return stacked(self._driven(state, q, S, state.along(scalars(a)), gamma), q)
 
     def torques(self, q: Any, v: Any, rates: Any) -> Any:
         """Return the input of least norm with which the independent velocities change so, shape (..., nu)."""
         state = self.state(q, v)
-        S, gamma = self.solution(state)
-        return stacked(self._driven(state, q, S, scalars(rates), self.unmoved(state, S, gamma)), q)
+        S, gamma = self.null_space(state)
+        return stacked(self._driven(state, q, S, scalars(rates), self.bias_acceleration(state, S, gamma)), q)
 
     def _driven(self, state: State, q: Any, S: Matrix, rates: Vector, rest: Vector) -> Vector:
         """Return the input of least norm with which all accelerate as S rates + rest."""
-        M = self.inertia(state, q)
-        whole = self.felt(state, [dot(row, rates) + g for row, g in zip(S, rest, strict=True)])
-        force = [dot(row, whole) + n for row, n in zip(M, self.effects(state, q), strict=True)]
-        return self._least(state, S, force)
+        whole = [dot(row, rates) + g for row, g in zip(S, rest, strict=True)]
+        return self._least(state, S, self.needed(state, self.proper_acceleration(state, whole), q))
 
     def input_columns(self, state: State, columns: Matrix) -> Matrix:
         """Return S' B: what each input is to each independent velocity, of the columns of S."""
@@ -511,7 +503,7 @@ class WheeledDynamics:
     def allocate_scaled(self, q: Any, tau: Any) -> tuple[Any, Any]:
         """Return an input for a force on body and arms, and what of it is left, see `WheeledRobot`."""
         state = self.state(q, stacked([ZERO] * self.nv, q))
-        S, _ = self.solution(state)
+        S, _ = self.null_space(state)
         along = state.along(scalars(tau))
         u = stacked(self._least(state, S, [*along, *[ZERO] * self.joints]), q)
         upper, lower = (
@@ -566,19 +558,15 @@ class WheeledDynamics:
 
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return the q and v with which a reference begins, see `WheeledRobot.start`."""
-        return self.begun(*self.robot.start(reference))
-
-    def begun(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return q and v of one state, wheels steered to where they go, and rolling."""
+        q, v = self.robot.start(reference)
         q, v = np.append(q, np.zeros(self.joints)), np.append(v, np.zeros(self.joints))
         n, ns = _BASE + self.na, len(self.table.axes)
         twist = [float(number(x)) for x in self.state(q, v).twist]
         q[n : n + ns] = [self.steered_to(axis, twist) for axis in self.table.axes]
-        state = self.state(q, v)
-        rows = self.kinematics.rows(state.steering, state.twist, state.rates)
+        rows = self.rows(self.state(q, v))
         for joint, i in self.choice.joints:
             own = [float(number(x)) for x in rows[i].joints]
-            known = float(number(dot(rows[i].base, state.twist))) + float(np.dot(own, v[n:]))
+            known = float(number(dot(rows[i].base, twist))) + float(np.dot(own, v[n:]))
             v[n + joint] = -(known - own[joint] * v[n + joint]) / own[joint]
         return q, v
 

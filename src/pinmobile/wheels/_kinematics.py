@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.parts import required
 from pinmobile.robot import (
     ZERO,
     Matrix,
@@ -26,7 +25,7 @@ from pinmobile.robot import (
     sine_and_cosine,
     solved as solved_by,
 )
-from pinmobile.wheels._loads import item
+from pinmobile.wheels._loads import unwrap_scalar
 
 
 class Row(NamedTuple):
@@ -52,11 +51,6 @@ class Row(NamedTuple):
     base: Vector
     joints: Vector
     drift: Any
-
-    @property
-    def entries(self) -> Vector:
-        """All coefficients."""
-        return [*self.base, *self.joints]
 
     def slip(self, state: Any) -> Any:
         """Return the velocity at which it slips in a state."""
@@ -101,7 +95,9 @@ class Kinematics:
     def of(cls, table: Any) -> Kinematics:
         """Return that of a table's own numbers."""
         names = "x", "y", "radius"
-        return cls(table, *([exact(item(getattr(each, name))) for each in table.wheels] for name in names))
+        return cls(
+            table, *([exact(unwrap_scalar(getattr(each, name))) for each in table.wheels] for name in names)
+        )
 
     @property
     def n(self) -> int:
@@ -230,7 +226,7 @@ class Kinematics:
         return solved_by(square, [dot(column, known) for column in columns], [2, 1, 0])
 
 
-class Choice(NamedTuple):
+class RowSelection(NamedTuple):
     """Which rows hold the body, and which tell the rate of a joint; the others follow from these.
 
     Attributes
@@ -251,14 +247,14 @@ class Choice(NamedTuple):
     free: tuple[int, ...]
 
 
-class Solution(NamedTuple):
+class NullSpaceBasis(NamedTuple):
     """All velocities that roll, S nu, and accelerations, S nu' + gamma.
 
     Attributes
     ----------
-    S : list of lists of scalars, shape (3 + n, m + free)
-        Of the body twist, the steering coordinates and the wheels, by the independent velocities.
-    gamma : list of scalars, shape (3 + n,)
+    S : list of lists of scalars, shape (3 + arms + n, m + arms + free)
+        Of the body twist, arms, steering coordinates and wheels, by the independent velocities.
+    gamma : list of scalars, shape (3 + arms + n,)
         Accelerations, those of the origin along the body's axes.
     """
 
@@ -266,21 +262,30 @@ class Solution(NamedTuple):
     gamma: Vector
 
 
-def solved(rows: Sequence[Row], choice: Choice) -> Solution:
-    """Return what rolls: by one row the body turns about its axle, by two about where these meet."""
-    n = len(rows[0].joints)
+def solve_null_space(rows: Sequence[Row], choice: RowSelection, arms: int) -> NullSpaceBasis:
+    """Return what rolls: by one row the body turns about its axle, by two about where these meet.
+
+    Parameters
+    ----------
+    rows, choice
+        Of the wheels.
+    arms : int
+        Number of the arms' coordinates, which are independent velocities between body and steering axes.
+    """
     columns, body = _body_velocities([rows[i] for i in choice.body], choice.is_fixed)
-    S: Matrix = [[*row, *[ZERO] * len(choice.free)] for row in zip(*columns, strict=True)]
-    S += [[ZERO] * len(S[0]) for _ in range(n)]
-    gamma = [*body, *[ZERO] * n]
-    for k, axis in enumerate(choice.free):
-        S[3 + axis][len(columns) + k] = exact(1.0)
+    first, width = 3 + arms, len(columns) + arms + len(choice.free)
+    S: Matrix = [[*row, *[ZERO] * (width - len(columns))] for row in zip(*columns, strict=True)]
+    S += [[ZERO] * width for _ in range(arms + len(rows[0].joints))]
+    gamma = [*body, *[ZERO] * (len(S) - 3)]
+    for k, own in enumerate([*range(3, first), *(first + axis for axis in choice.free)], len(columns)):
+        S[own][k] = exact(1.0)
     for joint, i in choice.joints:
         own = rows[i].joints[joint]
-        others = [*rows[i].base, *(ZERO if j == joint else x for j, x in enumerate(rows[i].joints))]
-        S[3 + joint] = [-(dot(others, column) / own) for column in zip(*S, strict=True)]
-        gamma[3 + joint] = -((rows[i].drift + dot(others, gamma)) / own)
-    return Solution(S, gamma)
+        joints = (ZERO if j == joint else x for j, x in enumerate(rows[i].joints))
+        others = [*rows[i].base, *[ZERO] * arms, *joints]
+        S[first + joint] = [-(dot(others, column) / own) for column in zip(*S, strict=True)]
+        gamma[first + joint] = -((rows[i].drift + dot(others, gamma)) / own)
+    return NullSpaceBasis(S, gamma)
 
 
 def _body_velocities(held: Sequence[Row], is_fixed: bool) -> tuple[Matrix, Vector]:
@@ -315,14 +320,6 @@ _RANK = 1e-9  # singular values below, relative to the largest, are rounding
 _COEFFICIENT = 1e-12
 
 
-class _Mobile(Protocol):
-    """A WheelTable."""
-
-    @property
-    def mobility(self) -> Any:
-        """What its wheels let a robot do."""
-
-
 @final
 @dataclass(frozen=True)
 class Mobility:
@@ -333,24 +330,9 @@ class Mobility:
     table : WheelTable
         The wheels.
 
-    Raises
-    ------
-    InvalidArgument
-        If it is no table.
     """
 
     table: Any
-
-    @classmethod
-    def of(cls, table: Any) -> Mobility:
-        """Return that of a table, which is found once.
-
-        Raises
-        ------
-        InvalidArgument
-            If it is no table.
-        """
-        return required("table", table, _Mobile).mobility  # type: ignore[no-any-return]
 
     @cached_property
     def _angles(self) -> Array:
@@ -366,7 +348,7 @@ class Mobility:
     @cached_property
     def matrix(self) -> Array:
         """The rows at these angles, shape (k, 3 + steering + wheels)."""
-        return np.array([[float(number(x)) for x in row.entries] for row in self._rows])
+        return np.array([[float(number(x)) for x in [*row.base, *row.joints]] for row in self._rows])
 
     @cached_property
     def rank(self) -> int:
@@ -394,7 +376,7 @@ class Mobility:
         return 3 - self.mobility - _rank(self.matrix[self._lateral[0], :3])
 
     @cached_property
-    def why_not(self) -> str:
+    def rolling_obstacle(self) -> str:
         """Why the drive cannot roll ideally, as a sentence; empty where it can."""
         fixed, steered = self._lateral
         names = self.table.names
@@ -417,7 +399,7 @@ class Mobility:
     @property
     def is_regular(self) -> bool:
         """Whether the drive can roll without slip."""
-        return not self.why_not
+        return not self.rolling_obstacle
 
     @property
     def kind(self) -> str:
@@ -427,7 +409,7 @@ class Mobility:
         return f"a drive of type ({self.mobility}, {self.steerability})"
 
     @cached_property
-    def choice(self) -> Choice:
+    def choice(self) -> RowSelection:
         """Which rows determine what, for a drive that can roll."""
         fixed, steered = self._lateral
         body: list[int] = []
@@ -444,7 +426,7 @@ class Mobility:
         own = "rolling", "roller"
         wheels = [(ns + row.wheel, i) for i, row in enumerate(self._rows) if row.kind in own]
         free = tuple(axis for axis in range(ns) if axis not in told)
-        return Choice(tuple(body), bool(body) and body[0] in fixed, (*joints, *wheels), free)
+        return RowSelection(tuple(body), bool(body) and body[0] in fixed, (*joints, *wheels), free)
 
     @cached_property
     def determined(self) -> Any:
@@ -466,8 +448,8 @@ class Mobility:
         return np.asarray(found)
 
     def __str__(self) -> str:
-        if self.why_not:
-            return f"of no type, as it cannot roll without slip: {self.why_not}"
+        if self.rolling_obstacle:
+            return f"of no type, as it cannot roll without slip: {self.rolling_obstacle}"
         m, s = self.mobility, self.steerability
         kind = {
             (3, 0): "omnidirectional",

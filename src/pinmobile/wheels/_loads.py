@@ -31,7 +31,7 @@ from pinmobile.robot import (
     sine_and_cosine,
     vector_of as stacked,
 )
-from pinmobile.wheels._velocities import Followed, driving_inputs
+from pinmobile.wheels._velocities import ReferenceMotion, driving_inputs
 
 _BASE = 3
 _STILL = 1e-9  # [rad/s], below which a body does not turn
@@ -103,7 +103,8 @@ def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any) -> Loads:
         return [*kept, *new], (share >= 1.0) & (rises <= nothing)
 
     first = [1.0 + 0.0 * fz] * n + [higher(fz, 0.0) * (1.0 / n)] * n
-    kept, soft = _halves(repeated(one, first, 4 * n, press | (fz <= 0.0)))
+    last = repeated(one, first, 4 * n, press | (fz <= 0.0))
+    kept, soft = last[:n], last[n:]
     sharp, area = _of_springs(places, kept, wrench, flat=_FLAT * whole)
     stands = area > _FLAT * whole
     values = [choose(k > 0.0, choose(stands, x, y), 0.0) for k, x, y in zip(kept, sharp, soft, strict=True)]
@@ -114,10 +115,6 @@ def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any) -> Loads:
     off = [dot([place[i] for place in places], values) - x for i, x in ((1, wrench[1]), (0, -wrench[2]))]
     beyond = dot(off, off) > (_EDGE * _EDGE) * size * (fz * fz)
     return Loads(values, choose(beyond | (fz <= 0.0), 1.0, 0.0), springs)
-
-
-def _halves(x: Vector) -> tuple[Vector, Vector]:
-    return x[: len(x) // 2], x[len(x) // 2 :]
 
 
 def _of_springs(
@@ -160,11 +157,11 @@ def places_of(body: Any, steering: Sequence[Any]) -> list[Vector]:
 
 
 def wheel_loads(body: Any, state: Any, felt: Vector, q: Any) -> Loads:
-    """Return what wheels and supports carry: see `pressed`."""
-    return shared_loads(places_of(body, state.steering), *pressed(body, state, felt, q))
+    """Return what wheels and supports carry: see `ground_reaction`."""
+    return shared_loads(places_of(body, state.steering), *ground_reaction(body, state, felt, q))
 
 
-def pressed(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
+def ground_reaction(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
     """Return fz, mx and my of the ground on a robot, wheels spinning [N, N m, N m].
 
     What the ground exerts is the rate of momentum of all bodies, less gravity: of a robot without arms by
@@ -217,7 +214,7 @@ def _carried(body: Any, state: Any, a: Vector, q: Any) -> Vector:
         weights = scalars(body.robot.ground_wrench(at, still, still))[2:5]
         return [x - body._slack * y for x, y in zip(found, weights, strict=True)]
     own = body.robot
-    m, x, y = (exact(item(each)) for each in (own.mass, own.com_x, own.com_y))
+    m, x, y = (exact(unwrap_scalar(each)) for each in (own.mass, own.com_x, own.com_y))
     (height, xz, yz), w, spin, g = scalars(body.upright), state.twist[2], a[2], -float(body.fall[2])
     ax, ay = a[0] - spin * y - w * w * x, a[1] + spin * x - w * w * y
     mx = m * (y * g - height * ay) + (xz * spin - yz * (w * w))
@@ -225,13 +222,13 @@ def _carried(body: Any, state: Any, a: Vector, q: Any) -> Vector:
     return [m * g, mx, my]
 
 
-def item(x: Any) -> Any:
+def unwrap_scalar(x: Any) -> Any:
     """Return the entry of an array without axes; an array or a number as it is."""
     x = plain(x)
     return x.item() if isinstance(x, np.ndarray) and not x.ndim else x
 
 
-class Group(NamedTuple):
+class AxleGroup(NamedTuple):
     """Wheels whose lateral forces are found: one wheel, or some of which only the sum is determined.
 
     Attributes
@@ -249,7 +246,7 @@ class Group(NamedTuple):
     held: int
 
 
-class Margin(NamedTuple):
+class RollingForces(NamedTuple):
     """How far wheels are from slipping.
 
     Attributes
@@ -267,7 +264,7 @@ class Margin(NamedTuple):
     margins: Vector
 
 
-def groups_of(body: Any) -> tuple[Group, ...]:
+def groups_of(body: Any) -> tuple[AxleGroup, ...]:
     """Return the groups of wheels of a body that rolls, in the order of their first wheels.
 
     A drive with gear trains, whose wheels share what these transmit, has none.
@@ -275,25 +272,20 @@ def groups_of(body: Any) -> tuple[Group, ...]:
     table, choice = body.table, body.choice
     if table.trains:
         return ()
-    rows = _still_rows(body)
+    rows = body.kinematics.rows([ZERO] * len(table.axes), [ZERO] * _BASE, [ZERO] * body.joints)
     told = {i for _, i in choice.joints}
     sharing: dict[int, list[int]] = {k: [] for k in range(len(choice.body))}
     found = []
     for i, row in enumerate(rows):
         if row.kind == "roller":
-            found.append(Group((row.wheel,), (), -1))
+            found.append(AxleGroup((row.wheel,), (), -1))
         elif row.kind == "lateral" and i in told:
-            found.append(Group((row.wheel,), (i,), -1))
+            found.append(AxleGroup((row.wheel,), (i,), -1))
         elif row.kind == "lateral":
             sharing[_axle(body, rows, row)].append(i)
     for k, own in sharing.items():
-        found.append(Group(tuple(rows[i].wheel for i in own), tuple(own), k))
+        found.append(AxleGroup(tuple(rows[i].wheel for i in own), tuple(own), k))
     return tuple(sorted(found))
-
-
-def _still_rows(body: Any) -> list[Any]:
-    still: Vector = [ZERO] * body.joints
-    return body.kinematics.rows([ZERO] * len(body.table.axes), [ZERO] * _BASE, still)  # type: ignore[no-any-return]
 
 
 def _axle(body: Any, rows: Sequence[Any], row: Any) -> int:
@@ -309,7 +301,7 @@ def _axle(body: Any, rows: Sequence[Any], row: Any) -> int:
     return int(rows[held[0]].wheel not in own)
 
 
-def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any) -> Margin:
+def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any) -> RollingForces:
     """Return the forces of wheels that roll, and their margins before they slip.
 
     The force along a wheel is what its spin leaves of its torque; that across one axle what body and arms
@@ -322,7 +314,7 @@ def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any)
     body : RollingDynamics
         What rolls.
     state, felt, q
-        As in `pressed`.
+        As in `ground_reaction`.
     u : ndarray, shape (..., nu)
         Torques.
     carried : list of scalars
@@ -330,7 +322,7 @@ def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any)
     """
     groups, ns, first = body.groups, len(body.table.axes), _BASE + body.na
     M, n, tau = body.inertia(state, q), body.effects(state, q), body.generalised(state, u, 0.0)
-    rows = body.kinematics.rows(state.steering, state.twist, state.rates)
+    rows = body.rows(state)
     of_wheels = {row.wheel: i for i, row in enumerate(rows) if row.kind in ("rolling", "roller")}
 
     def left(k: int) -> Any:
@@ -361,7 +353,7 @@ def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any)
         side = number(across[group.held] if group.held >= 0 else side)
         lateral.append(side)
         margins.append(_margin([(along[k], most[k]) for k in group.wheels], side, bool(group.lateral)))
-    return Margin(along, lateral, margins)
+    return RollingForces(along, lateral, margins)
 
 
 def _axles(body: Any, state: Any, rows: Sequence[Any]) -> list[Vector]:
@@ -402,8 +394,8 @@ def lowest(values: Sequence[Any]) -> Any:
 
 
 def arms_of(body: Any) -> Any:
-    """Return the judgement of the arms that a body carries; None: it carries none."""
-    return getattr(body.robot, "judgement", None) if body.na else None
+    """Return the metrics of the arms that a body carries; None: it carries none."""
+    return body.robot.tree.arm_metrics if body.na else None
 
 
 def footprint_of(body: Any) -> Array | None:
@@ -475,8 +467,8 @@ def evaluate_metrics(body: Any, q: Any, v: Any, a: Any, u: Any, desired: Any) ->
 
 
 def _of_ground(body: Any, state: Any, a: Any, u: Any, q: Any) -> Vector:
-    felt, found = body.felt(state, state.along(scalars(a))), []
-    fz, mx, my = pressed(body, state, felt, q)
+    felt, found = body.proper_acceleration(state, state.along(scalars(a))), []
+    fz, mx, my = ground_reaction(body, state, felt, q)
     corners = footprint_of(body)
     if corners is not None:
         wrench = stacked([ZERO, ZERO, fz, mx, my, ZERO], q)
@@ -494,7 +486,7 @@ def _of_ground(body: Any, state: Any, a: Any, u: Any, q: Any) -> Vector:
 def _slip(body: Any, state: Any) -> Any:
     """Return the largest velocity at which a wheel slides; one with rollers slides along their axes."""
     slips: dict[int, Vector] = {}
-    for row in body.kinematics.rows(state.steering, state.twist, state.rates):
+    for row in body.rows(state):
         if row.wheel >= 0:
             slips.setdefault(row.wheel, []).append(row.slip(state))
     most: Any = 0.0
@@ -567,14 +559,14 @@ class TimeScaledMotion:
     ----------
     body : RollingDynamics
         What rolls.
-    along : Followed
+    along : ReferenceMotion
         How it does.
     efforts : ndarray, shape (arms,)
         Largest torques of the arms' joints [N m].
     """
 
     body: Any
-    along: Followed
+    along: ReferenceMotion
     efforts: Array
 
     def at(self, factor: float) -> tuple[ContactLoads, SlipMargins, TorqueMargins]:
@@ -582,7 +574,7 @@ class TimeScaledMotion:
         body, q, v = self.body, self.along.q, factor * self.along.v
         state, rates = body.state(q, v), factor**2 * self.along.rates
         a = body.accelerations(state, list(np.moveaxis(rates, -1, 0)))
-        felt = body.felt(state, [number(x) for x in a])
+        felt = body.proper_acceleration(state, [number(x) for x in a])
         u = driving_inputs(body, q, v, rates)
         return *rolling_margins(body, state, felt, u, q), self._margins(v, u)
 
@@ -622,16 +614,12 @@ def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: M
         directions[:, i] = q[:, 2] + np.arctan2(number(head.s), number(head.c)) + (wheel.roller or 0.0)
     determined, forces, slips = np.ones((k, 2), bool), np.zeros((n, k, 2)), np.zeros((n, k, 2))
     loads, slides = np.full((n, k), np.nan), np.zeros((n, k), bool)
-    rows = body.kinematics.rows(state.steering, state.twist, state.rates)
+    rows = body.rows(state)
     if wheeled.mobility.is_regular:
         for row, known in zip(rows, wheeled.mobility.determined, strict=True):
             if row.wheel >= 0:
                 determined[row.wheel, int(row.kind in _SECOND)] = known
     if body.slips:
-        if not {*_FORCES, "slip_along", "slip_across", "slides"} <= set(signals):
-            raise InvalidArgument(
-                "signals has no forces of the wheels, expected those of a run of this robot"
-            )
         along, across, loads = (signals[name].values for name in _FORCES)
         forces, loads = np.stack([along, across], axis=-1), loads[:, :k]
         slips = np.stack([signals["slip_along"].values, signals["slip_across"].values], axis=-1)
@@ -644,7 +632,7 @@ def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: M
                 forces[:, row.wheel, int(row.kind in _SECOND)] = force
         if body.stands:
             loads = wheeled.contact_loads(q, v, a).values[:, :k]
-        for row in body.kinematics.rows(state.steering, state.twist, state.rates, across=True):
+        for row in body.rows(state, across=True):
             if row.kind == "across":  # the ground passes across rollers
                 slips[:, row.wheel, 1] = row.slip(state)
     own = [wheel.friction.across for wheel in table.wheels]

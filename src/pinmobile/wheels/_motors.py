@@ -28,6 +28,7 @@ from pinmobile.compiled import choose
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import by_value, number as declared, option, part
 from pinmobile.robot import ONE, ZERO, Vector, number, scalars
+from pinmobile.wheels._contact import within
 
 _ELECTRIC = "resistance", "torque_constant", "voltage"
 CONSTANTS = "resistance", "torque_constant", "viscous", "coulomb", "efficiency"
@@ -232,7 +233,7 @@ class Motor:
 
     @in_numbers
     def _free(self, volts: float | None) -> Array:
-        R, k = self._law._numbers(0)[:2]
+        R, k = self._law._numbers[0][:2]
         held = self.gear * (k * k / R + self.viscous)
         return np.asarray((k * self._volts(volts) / R - self.coulomb) / held)
 
@@ -260,7 +261,7 @@ class Motor:
         return np.asarray(self.torque(way * self.voltage, rate) * way - np.abs(torque))
 
 
-class Push(NamedTuple):
+class TorqueSpeedLine(NamedTuple):
     """What a motor does at the wheel near a rate W: the torque is torque - slope W - hold sgn W.
 
     At rest it is anything within hold of that.
@@ -280,12 +281,12 @@ class Push(NamedTuple):
     hold: Any
 
 
-Motors = Callable[[Vector, Any], list[Push]]
-Beside = Callable[[Any, Any, Any], Any]
+Motors = Callable[[Vector, Any], list[TorqueSpeedLine]]
+ExternalForceFunction = Callable[[Any, Any, Any], Any]
 """Generalised forces beside the input, of t, q and v."""
 
 
-def constant_force(f: Array) -> Beside:
+def constant_force(f: Array) -> ExternalForceFunction:
     """Return what tells the same force at any time and state; an array without axes is none."""
     return lambda t, q, v: f if f.ndim else 0.0
 
@@ -297,11 +298,6 @@ def theta(z: Any) -> Any:
     to third order and forgets at once what is faster than the step (the approximant (1, 2) of Pade).
     """
     return (3.0 + z) / (6.0 + z)
-
-
-def within(x: Any, bound: Any) -> Any:
-    """Return what of a scalar lies within a bound to either side."""
-    return choose(x > bound, bound, choose(x < -bound, -bound, x))
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,16 +319,10 @@ class MotorLaw:
     coulomb: Any
     efficiency: Any
 
-    def __len__(self) -> int:
-        return len(self.motors)
-
     @cached_property
-    def _all(self) -> list[list[Any]]:
+    def _numbers(self) -> list[list[Any]]:
         parts = self.resistance, self.torque_constant, self.viscous, self.coulomb, self.efficiency
         return [list(row) for row in zip(*map(scalars, parts), strict=True)]
-
-    def _numbers(self, k: int) -> list[Any]:
-        return self._all[k]
 
     def volts(self, k: int, volts: Any) -> Any:
         """Return the voltage of a motor within its limit."""
@@ -340,13 +330,13 @@ class MotorLaw:
 
     def current(self, k: int, volts: Any, rate: Any, *, clips: Any = True) -> Any:
         """Return the current of a motor at a voltage within its limit."""
-        motor, (R, kt, *_) = self.motors[k], self._numbers(k)
+        motor, (R, kt, *_) = self.motors[k], self._numbers[k]
         asked = (volts - (number(kt) * motor.gear) * rate) / number(R)
         if clips is False or not np.isfinite(motor.current):
             return asked
         return choose(clips, within(asked, motor.current), asked)
 
-    def push(self, k: int, volts: Any, rate: Any, *, clips: Any = True) -> Push:
+    def push(self, k: int, volts: Any, rate: Any, *, clips: Any = True) -> TorqueSpeedLine:
         """Return what a motor does near a rate.
 
         Parameters
@@ -360,7 +350,7 @@ class MotorLaw:
         clips : bool or symbol
             Whether the limit of the current is looked at.
         """
-        motor, (R, kt, b, dry, share) = self.motors[k], self._numbers(k)
+        motor, (R, kt, b, dry, share) = self.motors[k], self._numbers[k]
         R, kt, G = number(R), number(kt), motor.gear
         i = self.current(k, volts, rate, clips=clips)
         felt = kt * kt * G / R
@@ -378,7 +368,9 @@ class MotorLaw:
         resting = choose(rate > 0.0, by, choose(rate < 0.0, by_back, eta))
         return self._limited(motor, G * (by * ahead), G * (by_back * back), G * (resting * fall), ONE, rate)
 
-    def _limited(self, motor: Motor, ahead: Any, back: Any, slope: Any, holds: Any, rate: Any) -> Push:
+    def _limited(
+        self, motor: Motor, ahead: Any, back: Any, slope: Any, holds: Any, rate: Any
+    ) -> TorqueSpeedLine:
         """Return what a motor does whose torques forwards and backwards are known, but for its limit."""
         most = motor.torque_limit
         if np.isfinite(most):
@@ -386,9 +378,9 @@ class MotorLaw:
             slope = choose(abs(now) <= most, slope, 0.0)
             ahead, back = within(ahead, most), within(back, most)
         if holds is ZERO:
-            return Push(ahead + slope * rate, slope, ZERO)
+            return TorqueSpeedLine(ahead + slope * rate, slope, ZERO)
         hold = 0.5 * (back - ahead)
-        return Push(0.5 * (ahead + back) + slope * rate, slope, hold)
+        return TorqueSpeedLine(0.5 * (ahead + back) + slope * rate, slope, hold)
 
     def torque(self, k: int, volts: Any, rate: Any, *, clips: bool = True) -> Any:
         """Return the torque of a motor at a rate; at rest dry friction takes what there is."""
@@ -411,7 +403,7 @@ class MotorLaw:
         sign : scalar
             Of the rate, from -1 to 1.
         """
-        motor, (_, kt, b, dry, share) = self.motors[k], [number(x) for x in self._numbers(k)]
+        motor, (_, kt, b, dry, share) = self.motors[k], [number(x) for x in self._numbers[k]]
         shaft = kt * self.current(k, volts, rate) - (b * motor.gear) * rate - dry * sign
         driving, driven = share + 1.0 / share, share - 1.0 / share
         torque = (0.5 * motor.gear) * (driving * shaft + driven * abs(shaft) * sign)
@@ -422,7 +414,7 @@ class MotorLaw:
 
         Limits of volts and currents are not looked at; where the torque is limited, both are 0.
         """
-        motor, (R, kt, b, *_) = self.motors[k], [number(x) for x in self._numbers(k)]
+        motor, (R, kt, b, *_) = self.motors[k], [number(x) for x in self._numbers[k]]
         slope = self.push(k, volts, rate, clips=False).slope
         return slope, slope * kt / (motor.gear * (kt * kt + b * R))
 
@@ -431,7 +423,7 @@ class MotorLaw:
 
         Dry friction is taken against the rate, of a wheel that stands against the torque.
         """
-        motor, (R, kt, b, dry, share) = self.motors[k], [number(x) for x in self._numbers(k)]
+        motor, (R, kt, b, dry, share) = self.motors[k], [number(x) for x in self._numbers[k]]
         G = motor.gear
         way = choose(rate > 0.0, 1.0, choose(rate < 0.0, -1.0, choose(torque < 0.0, -1.0, 1.0)))
         part = choose(torque * way >= 0.0, 1.0 / share, share)

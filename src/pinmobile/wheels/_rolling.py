@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from math import cos, pi, sin
@@ -14,8 +15,8 @@ from pinmobile.compiled import choose
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import by_value, child, number as declared, part
 from pinmobile.robot import ZERO, Matrix, Vector, applied, dot, number, solved, transposed
-from pinmobile.wheels._dynamics import State, WheeledDynamics
-from pinmobile.wheels._loads import Group, groups_of
+from pinmobile.wheels._dynamics import State, WheeledDynamics, through
+from pinmobile.wheels._loads import AxleGroup, groups_of
 
 _BASE = 3
 _REDUNDANT = 1e-10  # relative, of singular values: rows that follow from others
@@ -92,21 +93,25 @@ class Rolling:
 
     def check_robot(self, wheeled: Any) -> None:
         """Refuse drives that cannot roll, and steering that nothing holds and that has no inertia."""
-        mobility, table = wheeled.mobility, wheeled.table
+        mobility = wheeled.mobility
         if not mobility.is_regular:
             raise InvalidArgument(
-                f"table cannot roll without slip: {mobility.why_not}; expected a drive that can, or "
+                f"table cannot roll without slip: {mobility.rolling_obstacle}; expected a drive that can, or "
                 "ground=Coulomb()"
             )
-        inertias = wheeled.joint_inertias
-        for k in mobility.choice.free:
-            if not inertias[k] > 0:
-                axis = table.axes[k]
-                wheel = table.names[axis.wheels[0]]
-                raise InvalidArgument(
-                    f"{axis.name} of the table has no inertia about its axis, expected one > 0: give "
-                    f"yaw_inertia of wheel {wheel!r}"
-                )
+        check_inertias(wheeled, mobility.choice.free)
+
+
+def check_inertias(wheeled: Any, joints: Iterable[int]) -> None:
+    """Refuse steering coordinates and wheels that nothing holds and that have no inertia."""
+    table = wheeled.table
+    names = (*(axis.name for axis in table.axes), *table.names)
+    for k in joints:
+        if not wheeled.joint_inertias[k] > 0:
+            raise InvalidArgument(
+                f"{names[k]} of the table has no inertia about its axis, expected one > 0: give "
+                "spin_inertia, and yaw_inertia of wheels that steer"
+            )
 
 
 @final
@@ -117,17 +122,17 @@ class RollingDynamics(WheeledDynamics):
     slips: ClassVar[bool] = False
 
     @cached_property
-    def groups(self) -> tuple[Group, ...]:
+    def groups(self) -> tuple[AxleGroup, ...]:
         """Wheels, alone or together, as their lateral forces are determined; none on gear trains."""
         return groups_of(self)
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return a = S nu' + gamma, S' M S nu' = S' (tau - n - M gamma), shape (..., nv)."""
         state = self.state(q, v)
-        M, (S, gamma) = self.inertia(state, q), self.solution(state)
+        M, (S, gamma) = self.inertia(state, q), self.null_space(state)
         force = self.generalised(state, u, f)
         effects = self.effects(state, q)
-        felt = self.felt(state, gamma)
+        felt = self.proper_acceleration(state, gamma)
         rest = [t - n - dot(row, felt) for t, n, row in zip(force, effects, M, strict=True)]
         pushed, first = through(M, S), _BASE + self.na
         rates = _reduced(pushed, S, applied(transposed(S), rest))
@@ -151,7 +156,7 @@ class RollingDynamics(WheeledDynamics):
         body's motion across them alone have, S' M S x = S' M (v - S nu).
         """
         state = self.state(q, v)
-        S, _ = self.solution(state)
+        S, _ = self.null_space(state)
         rates = self.velocities(state)
         off = self._off(state, S, rates)
         if not all(_is_zero(x) for x in off):  # many robots that start at rest need no mass matrix
@@ -168,10 +173,9 @@ class RollingDynamics(WheeledDynamics):
     def _off(self, state: State, S: Matrix, nu: Vector) -> Vector:
         """Return v - S nu, along the body's axes: zero for each coordinate that is one of nu itself."""
         held, first = self.choice.body, _BASE + self.na
-        found: Vector = [ZERO] * self.size
+        found: Vector = [ZERO] * self.nv
         if len(held) == 1:
-            rows = self.kinematics.rows(state.steering, state.twist, state.rates)
-            a = rows[held[0]].base
+            a = self.rows(state)[held[0]].base
             slip = dot(a, state.twist)
             found[:2] = [a[0] * slip, a[1] * slip]
         elif held:
@@ -184,11 +188,6 @@ class RollingDynamics(WheeledDynamics):
 def _is_zero(x: Any) -> bool:
     """Return whether a scalar is known to be zero, in all robots."""
     return x is ZERO or (isinstance(x, float | np.ndarray) and not np.any(x))
-
-
-def through(M: Matrix, S: Matrix) -> Matrix:
-    """Return S' M of a symmetric M."""
-    return [applied(M, column) for column in transposed(S)]
 
 
 def stop_of(angle: Any, limit: float, rate: Any = 0.0) -> Any:

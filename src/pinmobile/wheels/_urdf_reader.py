@@ -326,9 +326,7 @@ class _Reader:
             angle = atan2(-joint.axis[0], joint.axis[1])
             return abs(snapped(angle) - angle) > 1e-9
 
-        def rubs(joint: WheelJoint) -> bool:
-            return bool(joint.damping or joint.friction)
-
+        rubs = {joint.name for joint in self.joints if joint.damping or joint.friction}
         tell("radius by the collision geometry of", lambda row, joint: joint.radius == row.radius)
         tell("radius as given of", lambda row, joint: joint.radius != row.radius)
         tell("the joint turns the other way at", lambda row, joint: signs[row.name] < 0)
@@ -339,8 +337,8 @@ class _Reader:
         limit = "torque limit by the file's effort at"
         tell(limit, lambda row, joint: row.motor and np.isfinite(row.motor.torque_limit))
         words = "damping and friction of the joint are"
-        tell(f"{words} the motor's at", lambda row, joint: row.motor and rubs(joint))
-        tell(f"{words} left out at", lambda row, joint: not row.motor and rubs(joint))
+        tell(f"{words} the motor's at", lambda row, joint: row.motor and joint.name in rubs)
+        tell(f"{words} left out at", lambda row, joint: not row.motor and joint.name in rubs)
         tell("turns freely behind its swivel:", lambda row, joint: row.steering == FREE)
         tell("steering driven at", lambda row, joint: row.steering == DRIVEN)
         tell("swivel locked of", lambda row, joint: joint.swivels and row.steering == FIXED)
@@ -471,12 +469,8 @@ def joint_signs(robot: MobileRobot, table: WheelTable) -> dict[str, int]:
     """
     found = {wheel_name(joint.name): joint for joint in robot.undercarriage.wheels}
     rows = [wheel for wheel in table.wheels if wheel.name in found]
-    return {wheel.name: 1 if _leftward(wheel.angle, found[wheel.name].axis) > 0 else -1 for wheel in rows}
-
-
-def _leftward(angle: float, axis: Sequence[float]) -> float:
-    """Return the part of an axis a quarter of a turn to the left of an angle."""
-    return cos(angle) * axis[1] - sin(angle) * axis[0]
+    axes = [(wheel.name, wheel.angle, found[wheel.name].axis) for wheel in rows]
+    return {name: 1 if cos(angle) * axis[1] > sin(angle) * axis[0] else -1 for name, angle, axis in axes}
 
 
 def source_of(robot: MobileRobot, table: WheelTable) -> str:
@@ -520,16 +514,18 @@ def read_robot(
 def _report_ignored(path: Path) -> None:
     """Warn of what a file says of friction that changes nothing."""
     root = ElementTree.parse(path).getroot()
-    joints, links = [], []
-    for joint in root.findall("joint"):
-        dynamics = joint.find("dynamics")
-        given = {} if dynamics is None else dynamics.attrib
-        if any(float(given.get(x, 0)) for x in ("damping", "friction")) and joint.get("type") != "fixed":
-            joints.append(str(joint.get("name")))
-    for gazebo in root.findall("gazebo"):
-        if gazebo.find("mu1") is not None or gazebo.find("mu2") is not None:
-            links.append(str(gazebo.get("reference")))
-    words = []
+    moving, words = (each for each in root.findall("joint") if each.get("type") != "fixed"), []
+    joints = [
+        str(joint.get("name"))
+        for joint in moving
+        for dynamics in joint.findall("dynamics")
+        if any(float(dynamics.get(x, 0)) for x in ("damping", "friction"))
+    ]
+    links = [
+        str(each.get("reference"))
+        for each in root.findall("gazebo")
+        if each.findall("mu1") + each.findall("mu2")
+    ]
     if joints:
         words.append(
             f"damping and friction of {_listed(joints)} act where motors take volts alone (by_voltage): give "

@@ -10,7 +10,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.plant import Input
-from pinmobile.robot import Matrix, number, scalars, slopes, vector_of as stacked
+from pinmobile.robot import Matrix, applied, number, scalars, slopes, vector_of as stacked
 
 _BASE = 3
 _LEAST_NORM = 1e-6  # relative weight of torques beside what they are for, where limits hold them
@@ -100,7 +100,7 @@ class Allocation(NamedTuple):
     residual: Array
 
 
-class Followed(NamedTuple):
+class ReferenceMotion(NamedTuple):
     """Wheels that roll along a reference.
 
     Attributes
@@ -129,7 +129,7 @@ def check_steers_not(body: Any) -> None:
         )
 
 
-def followed(body: Any, reference: Any, t: Array | None = None) -> Followed:
+def followed(body: Any, reference: Any, t: Array | None = None) -> ReferenceMotion:
     """Return how a body on wheels goes along a reference; arms that this leaves out rest.
 
     Parameters
@@ -185,13 +185,11 @@ def followed(body: Any, reference: Any, t: Array | None = None) -> Followed:
     rates = body.offset(state, state.along(scalars(a)))[:own]
     rates = [*rates, *scalars(a)[_BASE:n], *(faster[..., k] for k in body.choice.free)]
     changes = stacked(rates, q)
-    return Followed(q, rolls, nu, changes, driving_inputs(body, q, rolls, changes))
+    return ReferenceMotion(q, rolls, nu, changes, driving_inputs(body, q, rolls, changes))
 
 
 def driving_inputs(body: Any, q: Array, v: Array, rates: Array) -> Array:
     """Return the inputs of least norm with which independent velocities change so, and refuse if none do."""
-    if not body.nu:
-        raise InvalidArgument("robot has no motor, expected one that can be driven along a reference")
     own = body.reduced(q, v)
     u = own.torques(rates)
     needed = np.einsum("...ij,...j->...i", own.M, rates) + own.n
@@ -206,12 +204,8 @@ def driving_inputs(body: Any, q: Array, v: Array, rates: Array) -> Array:
 
 def _rolling(body: Any, q: Any, nu: Any) -> Any:
     """Return v of independent velocities, shape (..., nv)."""
-    still = np.zeros((*q.shape[:-1], body.nv))
-    state = body.state(q, still)
-    S, _ = body.solution(state)
-    columns = np.moveaxis(nu, -1, 0)
-    moved = [sum((number(x) * y for x, y in zip(row, columns, strict=True)), 0.0 * columns[0]) for row in S]
-    return body.in_plane(state, moved, q)
+    state = body.state(q, np.zeros((*q.shape[:-1], body.nv)))
+    return body.in_plane(state, applied(body.null_space(state).S, scalars(nu)), q)
 
 
 def linearized(body: Any, q: Array, v: Array, u: Array) -> tuple[Array, Array]:

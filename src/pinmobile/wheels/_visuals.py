@@ -188,22 +188,14 @@ def riding(
         Of each object by name the joints of the file that would move it, the nearest first.
     """
     rows = {name: row for row, name in enumerate(table.names)}
-    spinning: dict[str, int] = {}
-    steering: dict[str, int] = {}
+    carriers: dict[str, tuple[int, bool]] = {}
     for joint in robot.undercarriage.wheels:
-        row = rows.get(wheel_name(joint.name))
-        if row is not None:
-            spinning[joint.name] = row
-            if table.wheels[row].steering != FIXED:
-                steering |= {swivel.name: row for swivel in joint.swivels[:1]}
-    found: dict[str, tuple[int, bool]] = {}
-    for name, joints in moved.items():
-        for joint_name in joints:
-            if joint_name in spinning or joint_name in steering:
-                spins = joint_name in spinning
-                found[name] = (spinning if spins else steering)[joint_name], spins
-                break
-    return found
+        if (row := rows.get(wheel_name(joint.name))) is not None:
+            steers = table.wheels[row].steering != FIXED
+            carriers |= {swivel.name: (row, False) for swivel in joint.swivels[:1] if steers}
+            carriers[joint.name] = row, True
+    nearest = {name: next(filter(carriers.__contains__, joints), "") for name, joints in moved.items()}
+    return {name: carriers[joint] for name, joint in nearest.items() if joint}
 
 
 def height_above_wheels(size: Sequence[float], table: WheelTable) -> float:
@@ -229,7 +221,7 @@ _LONGEST = 0.8  # half a roller, in radii of the wheel
 _IN_ROWS = 0.35  # [rad]: rollers nearer to the rolling direction stand in two rows, which take turns
 
 
-class Picture(_Objects):
+class WheelVisuals(_Objects):
     """The objects that are drawn of a robot on wheels, and where they are.
 
     Parameters

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
@@ -30,23 +30,22 @@ from pinmobile.robot import (
     transposed,
     vector_of as stacked,
 )
-from pinmobile.wheels._contact import factored
-from pinmobile.wheels._dynamics import WheeledDynamics
-from pinmobile.wheels._loads import item
+from pinmobile.wheels._contact import factored, moved_by, within
+from pinmobile.wheels._dynamics import WheeledDynamics, through
+from pinmobile.wheels._loads import unwrap_scalar
 from pinmobile.wheels._motors import (
     CONSTANTS,
-    Beside,
+    ExternalForceFunction,
     Motor,
     MotorLaw,
     Motors,
-    Push,
+    TorqueSpeedLine,
     constant_force,
     theta,
-    within,
 )
-from pinmobile.wheels._rolling import stop_of, stopped, through
+from pinmobile.wheels._rolling import stop_of, stopped
 from pinmobile.wheels._table import column as column_of
-from pinmobile.wheels._velocities import Followed
+from pinmobile.wheels._velocities import ReferenceMotion
 
 _BASE = 3
 _INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
@@ -58,7 +57,7 @@ _OF_TORQUES = re.compile(
 )
 
 
-class Driving(NamedTuple):
+class MotorState(NamedTuple):
     """What motors did, means over the last step, and what is kept for the next.
 
     Attributes
@@ -67,7 +66,7 @@ class Driving(NamedTuple):
         [V], [A], and at the wheels [N m].
     holding : ndarray, shape (motors,)
         Torques of dry friction at the wheels, where they roll [N m].
-    grip : Grip or tuple
+    grip : ContactState or tuple
         What wheels that may slip keep.
     """
 
@@ -105,12 +104,12 @@ class VoltageDynamics:
     def __getattr__(self, name: str) -> Any:
         return of_wheeled(self, name)
 
-    def initial_state(self, context: Any = None) -> Driving:
+    def initial_state(self, context: Any = None) -> MotorState:
         """Return what it keeps at first: no current flows."""
         none = np.zeros(len(self.electric))
         body: Any = self.wheeled
         grip = body.initial_state(context) if body.slips else ()
-        return Driving(none, none, none, none, grip)
+        return MotorState(none, none, none, none, grip)
 
     def volts_for(self, v: Any, torques: Any) -> Any:
         """Return the input at which motors give these torques, as far as they can: see `ByVoltage`."""
@@ -129,8 +128,8 @@ class VoltageDynamics:
             found[na + i] = law(k, found[na + i], rates[i])
         return stacked(found, u)
 
-    def followed(self, reference: Any) -> Followed:
-        """Return states and volts, such as they are beyond limits too, along a reference: see `Followed`."""
+    def followed(self, reference: Any) -> ReferenceMotion:
+        """Return states and volts, beyond limits too, along a reference: see `ReferenceMotion`."""
         along, law = self.wheeled.followed(reference), self.motors
         return along._replace(u=self._at_rates(along.v, along.u, lambda *x: law.needed(*x, clips=False)))
 
@@ -153,7 +152,9 @@ class VoltageDynamics:
         """Return the acceleration, shape (..., nv): the mean over a short step from the state."""
         return (self.step(0.0, q, v, u, _INSTANT, lambda t, q, v: f, self.initial_state()).v - v) / _INSTANT
 
-    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Beside, memory: Driving) -> Step:
+    def step(
+        self, t: Any, q: Any, v: Any, u: Any, h: Any, f: ExternalForceFunction, memory: MotorState
+    ) -> Step:
         """Return the state after a step, and what is kept for the next.
 
         Parameters
@@ -168,14 +169,14 @@ class VoltageDynamics:
             ``f(t, q, v)``: generalised forces beside them, shape (..., nv), or 0.0.
         h : float
             Length of the step [s].
-        memory : Driving
+        memory : MotorState
             From the step before.
         """
         law, given = self.motors, [number(x) for x in scalars(u)][self.wheeled.na :]
         volts = [law.volts(k, given[i]) for k, i in enumerate(self.electric)]
 
-        def motors(rates: Vector, clips: Any) -> list[Push]:
-            found = [Push(x, ZERO, ZERO) for x in given]
+        def motors(rates: Vector, clips: Any) -> list[TorqueSpeedLine]:
+            found = [TorqueSpeedLine(x, ZERO, ZERO) for x in given]
             for k, i in enumerate(self.electric):
                 found[i] = law.push(k, volts[k], rates[i], clips=clips)
             return found
@@ -192,22 +193,22 @@ class VoltageDynamics:
             after, torques, rates, holding = self._rolled(q, v, u, h, beside, memory, motors)
         currents = [law.current(k, volts[k], rates[i]) for k, i in enumerate(self.electric)]
         own = [number(torques[i]) for i in self.electric]
-        kept = Driving(stacked(volts, q), stacked(currents, q), stacked(own, q), holding, grip)
+        kept = MotorState(stacked(volts, q), stacked(currents, q), stacked(own, q), holding, grip)
         return Step(after.q, after.v, kept)
 
     def _rolled(
-        self, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Driving, motors: Motors
+        self, q: Any, v: Any, u: Any, h: Any, f: Any, memory: MotorState, motors: Motors
     ) -> tuple[Step, Vector, Vector, Any]:
         """Return the state after a step of wheels that roll, actuators' torques and rates, and what holds.
 
         Implicit in the independent velocities: M (nu+ - nu) = h (B tau - n), with the shape of mid-step, and
         the rest at nu + theta (nu+ - nu).
         """
-        body, h = self.wheeled, item(h)
+        body, h = self.wheeled, unwrap_scalar(h)
         q_middle = body.integrate(q, (0.5 * h) * v)
         start, middle = body.state(q, v), body.state(q_middle, v)
         nu = [number(x) for x in body.velocities(start)]
-        M, (S, _) = body.inertia(middle, q), body.solution(middle)
+        M, (S, _) = body.inertia(middle, q), body.null_space(middle)
         columns, pushed = transposed(S), through(M, S)
         reduced = [[dot(a, b) for b in pushed] for a in columns]
         B = transposed(body.input_columns(middle, columns))[body.na :]
@@ -229,7 +230,7 @@ class VoltageDynamics:
             if again and np.ndim(beside):
                 there = body.in_plane(at, at.velocities, q)
                 beside = f(body.integrate(q, (0.5 * h) * there), there)
-            still = body.felt(at, body.unmoved(at, *body.solution(at)))
+            still = body.proper_acceleration(at, body.bias_acceleration(at, *body.null_space(at)))
             torques = [push.torque - push.slope * x for push, x in zip(pushes, begun, strict=True)]
             whole = body.generalised(at, stacked([*scalars(u)[:na], *torques], q), beside)
             rest = [t - n - dot(row, still) for t, n, row in zip(whole, body.effects(at, q), M, strict=True)]
@@ -254,14 +255,20 @@ class VoltageDynamics:
         moved = body.in_plane(at._replace(c=c, s=s), [h * x for x in at.velocities], q)
         q_after = body.integrate(q, moved)
         end = body.state(q_after, v)
-        v_after = body.in_plane(end, [dot(row, after) for row in body.solution(end).S], q)
+        v_after = body.in_plane(end, [dot(row, after) for row in body.null_space(end).S], q)
         given = [push.torque - push.slope * x for push, x in zip(pushes, rates, strict=True)]
         for k, i in enumerate(self.electric):
             given[i] = given[i] + impulses[k] / h
         return Step(q_after, v_after), given, rates, stacked([x / h for x in impulses], q)
 
     def _held(
-        self, nu: Vector, B: Sequence[Vector], solve: Any, pushes: Sequence[Push], before: Vector, h: Any
+        self,
+        nu: Vector,
+        B: Sequence[Vector],
+        solve: Any,
+        pushes: Sequence[TorqueSpeedLine],
+        before: Vector,
+        h: Any,
     ) -> tuple[Vector, Vector]:
         """Return the velocities that dry friction leaves, and its angular impulses.
 
@@ -274,14 +281,9 @@ class VoltageDynamics:
         columns = [solve(row) for row in rows]
         own = [1.0 / number(dot(row, column)) for row, column in zip(rows, columns, strict=True)]
         most = [number(h * pushes[self.electric[k]].hold) for k in rubs]
-        largest = most[0]
-        for x in most[1:]:
-            largest = higher(largest, x)
+        largest, n = reduce(higher, most), len(nu)
         held = [within(before[k], x) for k, x in zip(rubs, most, strict=True)]
-        first = list(nu)
-        for column, p in zip(columns, held, strict=True):
-            first = [number(x + y * p) for x, y in zip(first, column, strict=True)]
-        n = len(nu)
+        first = moved_by(nu, columns, held)
 
         def one(numbers: Vector) -> tuple[Vector, Any]:
             x, p, change = numbers[:n], numbers[n:], 0.0 * largest
@@ -298,7 +300,9 @@ class VoltageDynamics:
             impulses[k] = x
         return found[:n], impulses
 
-    def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Driving) -> dict[str, tuple[str, Any]]:
+    def signals(
+        self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: MotorState
+    ) -> dict[str, tuple[str, Any]]:
         """Return what motors did in the step before, a number of each: ``volts``, ``currents``, ``torques``.
 
         With what the ground did where wheels may slip.
@@ -348,8 +352,6 @@ class ByVoltage:
 
     def check(self) -> None:
         """Raise `InvalidArgument` where no motor takes volts, or the ground knows no such motors."""
-        if not isinstance(self.wheeled.nv, int):
-            raise InvalidArgument(f"wheeled is {shown(self.wheeled)}, expected a WheeledRobot")
         if not self._electric:
             words = "Motor(resistance=..., torque_constant=..., voltage=...)"
             raise InvalidArgument(f"table has no motor that takes volts, expected {words}")
@@ -388,7 +390,7 @@ class ByVoltage:
         """Actuators with dry friction, and those whose gear has losses, which hold too."""
 
         def rubs(motor: Motor) -> bool:
-            known = [number(exact(item(x))) for x in (motor.coulomb, motor.efficiency)]
+            known = [number(exact(unwrap_scalar(x))) for x in (motor.coulomb, motor.efficiency)]
             return not (all(isinstance(x, float) for x in known) and known == [0.0, 1.0])
 
         return tuple(k for k in self._electric if rubs(self.table.actuators[k].motor))
@@ -486,19 +488,23 @@ class ByVoltage:
         """
         return Linearization(*self.array_dynamics.linearize_tracked(q, v, u))
 
-    def initial_state(self, context: Any = None) -> Driving:
+    def initial_state(self, context: Any = None) -> MotorState:
         """Return what motors and wheels keep before the first step."""
         return self.array_dynamics.initial_state(context)
 
     @also_symbols
-    def step(self, t: float, q: Any, v: Any, u: Any, h: float, f: Beside | ArrayLike, memory: Any) -> Step:
+    def step(
+        self, t: float, q: Any, v: Any, u: Any, h: float, f: ExternalForceFunction | ArrayLike, memory: Any
+    ) -> Step:
         """Return the state a step later, under forces ``f(t, q, v)`` of mid-step, or such as stay."""
         beside = f if callable(f) else constant_force(finite("f", f))
         q, v, u = self._state(q, v, u)
         return self.array_dynamics.step(t, q, v, u, h, beside, memory)
 
     @also_symbols
-    def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Driving) -> dict[str, tuple[str, Any]]:
+    def signals(
+        self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: MotorState
+    ) -> dict[str, tuple[str, Any]]:
         """Return what motors, and the ground where wheels slip, did in the step before."""
         return self.array_dynamics.signals(t, q, v, u, f, memory)
 
