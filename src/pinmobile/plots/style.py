@@ -105,6 +105,12 @@ def dress(axes: Axes) -> None:
     axes.tick_params(color="#888888")
 
 
+def dress_time(axes: Axes) -> None:
+    """Give axes over time a quiet frame, and room beside what is drawn."""
+    dress(axes)
+    axes.margins(x=0.01, y=0.1)
+
+
 def heading(index: int) -> Style:
     """Return how the label of rollout `index` is written above its axes, by an offset in points."""
     return {
