@@ -15,11 +15,22 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, NullLocator
 
 from pinmobile.accuracy import Convergence, IntegratorReport
-from pinmobile.arrays import Array, ArrayLike, bounded, finite, mapping, real, sequence, shaped, text
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    bounded,
+    by_label,
+    finite,
+    mapping,
+    real,
+    sequence,
+    shaped,
+    text,
+)
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.palette import INK
 from pinmobile.plots.figure_layout import Layout, Sheet, letters
-from pinmobile.plots.style import Style, colour, dress, ink, line_style, named
+from pinmobile.plots.style import Style, colour, dress, ink, line_style
 
 _SHARE = 0.11  # of the height of the axes below it
 _GREY = "#f1f1f1"
@@ -303,7 +314,7 @@ def integrator(
     InvalidArgument
         If `reports` is something else.
     """
-    known: dict[str, IntegratorReport] = named("reports", reports, IntegratorReport)
+    known: dict[str, IntegratorReport] = by_label("reports", reports, IntegratorReport)
     sheet = Sheet(9.0, **layout)
     columns = sheet.columns(3, 2.6)
     rows = len(_PANELS) // columns

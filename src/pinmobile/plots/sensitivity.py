@@ -15,14 +15,14 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, finite, one_of, scalar, sequence, shaped
+from pinmobile.arrays import Array, ArrayLike, by_label, finite, one_of, scalar, sequence, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Bands, Ensemble, SameAs, edges
 from pinmobile.metrics import Metric
 from pinmobile.palette import INK
 from pinmobile.plots.figure_layout import Layout, Sheet, Spot, letters, over, wrapped
 from pinmobile.plots.parameter_curves import strip_above
-from pinmobile.plots.style import Style, colour, dress, heading, ink, named, percent, shortened, si, tint
+from pinmobile.plots.style import Style, colour, dress, heading, ink, percent, shortened, si, tint
 
 _ALWAYS = "distance", "heading"
 _LINEAR_BANDS = 40.0  # by how much the largest of all may exceed the smallest median on a linear axis
@@ -76,7 +76,7 @@ def bands(
     InvalidArgument, UnknownName
         If `ensembles` is something else, a level is not a share, or an ensemble counts nothing of a name.
     """
-    known: dict[str, Ensemble] = named("ensembles", ensembles, Ensemble)
+    known: dict[str, Ensemble] = by_label("ensembles", ensembles, Ensemble)
     shares = shaped("levels", np.unique(finite("levels", levels)), ("n>=1",))
     rows = _rows(list(known.values()), by)
     drawn = [_drawn(one, shares, [row.name for row in rows]) for one in known.values()]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,6 +16,7 @@ from pinmobile.balance import body_zero_moment_point, footprint_of, required_fri
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Rollout
 from pinmobile.palette import INK, QUIET, SLIDES
+from pinmobile.parts import Touching
 from pinmobile.plant import Contacts, coordinates_of
 from pinmobile.plots.figure_layout import Layout, Sheet, Spot, letters
 from pinmobile.plots.series import GROUNDED
@@ -36,12 +37,7 @@ from pinmobile.plots.style import (
     with_plants,
 )
 
-
-class _Touching(Protocol):
-    def contacts(self, q: Any, v: Any, a: Any, u: Any, signals: Any, /) -> Contacts: ...
-
-
-_WHEELED = _Touching, "a WheeledRobot, or a plant with contacts(q, v, a, u, signals)"
+_WHEELED = Touching, "a WheeledRobot, or a plant with contacts(q, v, a, u, signals)"
 _WIDTH, _HEIGHT = 5.0, 2.2  # of axes [in]
 _LIMIT: Style = {"color": INK, "linestyle": (0, (4, 3)), "linewidth": 1.2, "zorder": 2}
 _SLIDES: Style = {"facecolor": SLIDES, "alpha": 0.15, "zorder": 1}
