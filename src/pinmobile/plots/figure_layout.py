@@ -93,6 +93,11 @@ def _titled(axes: Axes, renderer: RendererBase) -> Bbox:
     return Bbox.union([title.get_window_extent(renderer) for title in _titles(axes)])
 
 
+def checked_title(title: str | None) -> str | None:
+    """Return the title that was given, which may be "" or None."""
+    return title if title is None or (isinstance(title, str) and not title) else text("title", title)
+
+
 def extent(line: str, size: float, **font: Any) -> float:
     """Return how long a line of letters of that size [pt] is [in]."""
     properties = FontProperties(family=rcParams["font.family"], size=size, **font)
@@ -160,7 +165,7 @@ class Sheet:
         width: float | None = None,
         known: bool = True,
     ) -> None:
-        self._title = text("title", title) if title or not isinstance(title, str | None) else title
+        self._title = checked_title(title)
         self.new = ax is None
         self._given: list[Axes] = []
         self._asked = self.new and (width is not None or _has_size())

@@ -18,11 +18,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from PIL import Image
 
-from pinmobile.arrays import Array, ArrayLike, bounded, callable_as, finite, positive, scalar, shaped, text
+from pinmobile.arrays import Array, ArrayLike, bounded, callable_as, finite, positive, scalar, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import written
 from pinmobile.loop import Rollout
-from pinmobile.plots.figure_layout import Layout, Sheet, Spot, letters, over, wrapped
+from pinmobile.plots.figure_layout import Layout, Sheet, Spot, checked_title, letters, over, wrapped
 from pinmobile.plots.style import (
     Rollouts,
     Style,
@@ -360,7 +360,7 @@ def animate(
     times = np.append(np.arange(start, end - 1e-9 * pace, pace / rate), end)
     if progress is not None:
         callable_as("progress(done, total)", progress)
-    frames = _frames(_Scene(runs, times, text("title", title) if title else "", pace), progress)
+    frames = _frames(_Scene(runs, times, checked_title(title) or "", pace), progress)
     ticks = np.round(100 * np.arange(len(times) + 1) / rate)  # of a GIF's hundredths of a second
     stand = [*(10 * np.diff(ticks[:-1])).astype(int).tolist(), round(1000 * _HELD)]  # [ms]
 
