@@ -22,7 +22,7 @@ from IPython.display import Image, display
 from pinmobile import PD, Circle, ComputedTorque, MobileRobot, Tangent, plots, simulate
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE
 from pinmobile.errors import ViewerError
-from pinmobile.viewer import Arrows, Follow, Overlays, Stay, Viewer
+from pinmobile.viewer import Arrows, FixedCamera, Follow, Overlays, Viewer
 
 # %% [markdown]
 # ## What is to be seen
@@ -136,7 +136,7 @@ display(Scene(recording, t=20))
 # has its own.
 
 # %%
-view = Stay(eye=(0.5, -3.2, 2.6), target=(0.7, 0.6, 0.2))
+view = FixedCamera(eye=(0.5, -3.2, 2.6), target=(0.7, 0.6, 0.2))
 both = Overlays(frames=(LECTURE_TABLE, SLIDE_TABLE), camera=view)
 with Viewer(robot, overlays=both) as viewer, TemporaryDirectory() as folder:
     viewer.display((1.2, 0.9, 0.6))

@@ -649,7 +649,7 @@ ROWS: dict[str, Row] = {
     "wheels.ByVoltage.forward_dynamics": row(q=FIVE, v=FIVE, u=[1, 2], f=FIVE),
     "viewer.Arrows": row(force=1, moment=1),
     "viewer.Follow": row(distance=4),
-    "viewer.Stay": row(eye=[1, 1, 1], target=[0, 0, 0]),
+    "viewer.FixedCamera": row(eye=[1, 1, 1], target=[0, 0, 0]),
     "viewer.Overlays": row(
         grid=True,
         path=True,

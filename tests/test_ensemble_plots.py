@@ -1,11 +1,9 @@
 """Figures of ensembles: what is drawn is what came of the robots, and it is said in words."""
 
-import sys
 from collections.abc import Callable
 from itertools import combinations
 from typing import Any, ClassVar
 
-import matplotlib
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -18,7 +16,6 @@ import pinmobile as pm
 from pinmobile import plots
 from pinmobile.errors import UnknownName
 from pinmobile.loop import Engine
-from pinmobile.plots.parameter_curves import strip_above
 from pinmobile.plots.sensitivity import causes, worst_share
 from pinmobile.plots.style import percent
 
@@ -103,14 +100,7 @@ class TestBands:
 
     def test_what_a_start_costs_is_drawn_though_errors_count_later(self) -> None:
         aside, circle = {"start.x": pm.Uniform(0.01, 0.02)}, pm.Tangent(pm.Circle(3, 0.1, 20))
-        options: dict[str, Any] = {
-            "n": 50,
-            "spread": aside,
-            "dt": 0.1,
-            "engine": Engine.COMPILED,
-            "after": 10,
-        }
-        made = pm.ensemble(ROBOT, TRUE, circle, **options)
+        made = pm.ensemble(ROBOT, TRUE, circle, n=50, spread=aside, dt=0.1, engine=Engine.COMPILED, after=10)
         axes = plots.bands(made).axes[0]
         assert axes.get_title(loc="left").endswith(" from 10 s on")
         line, begin = axes.lines[-2], axes.lines[-1]
@@ -130,21 +120,11 @@ class TestBands:
         exact = run(TRUE, {"mass": pm.Uniform(24, 36), "controller.mass": pm.SameAs("mass")}, n=50)
         distance, heading = (row[0] for row in rows(plots.bands({"PD": pair["PD"], "exact": exact}), 2))
         assert distance.get_yscale() == "log"
+        assert distance.get_ylabel().endswith("logarithmic")
         medians = [made.bands(0.5).distance.max() * 1e3 for made in (pair["PD"], exact)]
         assert distance.get_ylim()[0] < min(medians)
         assert heading.get_yscale() == "linear"  # rounding is no order of magnitude
         assert not np.asarray(heading.figure.axes[3].lines[0].get_ydata()).any()
-
-    def test_on_logarithmic_axes_every_band_of_the_best_controller_is_seen(self) -> None:
-        # From a start aside to a hundredth of that, and far worse ones beside it.
-        best = run(TRUE, {"start.x": pm.Uniform(0.01, 0.02), "force.x": pm.Uniform(0.001, 0.002)})
-        worst = run(pm.PD(1, 1), {"mass": pm.Uniform(24, 36)})
-        figure = plots.bands({"best": best, "worst": worst})
-        axes = figure.axes[0]
-        assert axes.get_yscale() == "log"
-        lines = np.array([line.get_ydata() for line in axes.lines])
-        assert lines[0].max() > 100 * lines[0].min()
-        assert axes.get_ylim()[0] < lines.min()
 
     def test_what_fades_to_nothing_does_not_stretch_logarithmic_axes(self) -> None:
         slow, aside = pm.Tangent(pm.Circle(3, 0.001, 20)), {"start.x": pm.Uniform(0.01, 0.02)}
@@ -156,23 +136,6 @@ class TestBands:
         low, high = axes.get_ylim()
         assert np.asarray(axes.lines[0].get_ydata()).min() < low
         assert 1e8 < high / low < 1e10
-
-    def test_no_line_is_above_what_its_share_stays_within(
-        self, pair: dict[str, pm.Ensemble], diverging: pm.Ensemble
-    ) -> None:
-        levels = (0.5, 0.9, 0.99, 1.0)
-        clipped = 0
-        for made in (*pair.values(), diverging):
-            axes = plots.bands(made, levels=levels).axes[0]
-            scale = 1e3 if axes.get_ylabel().endswith("[mm]") else 1.0
-            for line, level, raw in zip(axes.lines, levels, made.bands(levels).distance, strict=True):
-                drawn = np.asarray(line.get_ydata()) / scale
-                exact, finite = made.error_quantile(level).distance, np.isfinite(raw)
-                assert (drawn[finite] <= exact * (1 + 1e-12)).all()
-                resolved = finite & (raw > 1e-9)
-                assert (drawn[resolved] >= raw[resolved] / 1.04).all()  # the width of a bin, no more
-                clipped += bool((drawn[resolved] < raw[resolved] * (1 - 1e-12)).any())
-        assert clipped
 
     def test_words_say_who_stays_within_what(self, pair: dict[str, pm.Ensemble]) -> None:
         top, low = rows(plots.bands(pair), 2)
@@ -204,13 +167,6 @@ class TestBands:
 
     def test_bad_arguments(self, pair: dict[str, pm.Ensemble]) -> None:
         bands: Any = plots.bands
-        with pytest.raises(pm.InvalidArgument, match=r"^ensembles is {}, expected an Ensemble or a mapping"):
-            bands({})
-        with pytest.raises(
-            pm.InvalidArgument,
-            match=r"^ensembles is .*, expected an Ensemble or a mapping of labels to Ensembles$",
-        ):
-            bands([pair["PD"]])
         with pytest.raises(pm.InvalidArgument, match=r"^ensembles\['a'\] is 3, expected an Ensemble$"):
             bands({"a": 3})
         with pytest.raises(pm.InvalidArgument, match=r"^levels\[1\] is 2.0, expected 0 <= levels <= 1$"):
@@ -240,11 +196,6 @@ class TestHeatmap:
         assert (axes.get_xlabel(), axes.get_ylabel()) == ("gain [1/s²]", "speed")
         assert bar.get_ylabel() == "error [mm]"
         assert figure.texts[0].get_text() == "error [mm] over gain and speed"
-
-    def test_what_diverges_is_hatched(self) -> None:
-        axes = plots.heatmap(VALUES, x=GAINS, y=SPEEDS, label="error [mm]").axes[0]
-        (cell,) = (patch for patch in axes.patches if isinstance(patch, Rectangle))
-        assert (cell.get_xy(), cell.get_hatch()) == ((1.5, 0.5), "////")
 
     def test_with_the_same_limits_the_same_number_has_the_same_colour_in_every_map(self) -> None:
         shades = []
@@ -291,14 +242,10 @@ class TestHeatmap:
         ("changes", "message"),
         [
             ({"values": VALUES.T}, r"^values has shape \(3, 2\), expected \(2, 3\): a row for each of y"),
-            ({"values": [["a"]]}, r"^values is \[\['a'\]\], expected real numbers$"),
             ({"values": [[1, 2, 3], [1, np.nan, 3]]}, r"^values\[1, 1\] is nan, expected > -inf"),
             ({"x": "gain"}, r"^x is 'gain', expected \(name, unit, values\)$"),
-            ({"y": ("a", "m")}, r"^y is \('a', 'm'\), expected \(name, unit, values\)$"),
             ({"limits": (1, 30)}, r"^values\[4\] is 40.0, expected 1 <= values <= 30$"),
-            ({"limits": (50, 1)}, r"^values\[0\] is 1.0, expected 50 <= values <= 1$"),
             ({"limits": 3}, r"^limits has shape \(\), expected \(2,\): smallest, largest$"),
-            ({"y": ("a", "m", [])}, r"^values has shape \(2, 3\), expected \(0, 3\)"),
         ],
     )
     def test_bad_arguments(self, changes: dict[str, Any], message: str) -> None:
@@ -347,8 +294,6 @@ class TestCurves:
         [
             ({"values": [1, 2, 3]}, r"^values is \[1, 2, 3\], expected a mapping of names to numbers$"),
             ({"values": {"a": [1, 2]}}, r"^values\['a'\] has shape \(2,\), expected \(3,\)$"),
-            ({"values": {"a": [1, 2, np.nan]}}, r"^values\['a'\]\[2\] is nan, expected > -inf$"),
-            ({"x": "gain"}, r"^x is 'gain', expected \(name, unit, values\)$"),
             ({"x": ("gain", "", [])}, r"^x\[2\] has shape \(0,\), expected \(n,\), n >= 1$"),
         ],
     )
@@ -396,19 +341,6 @@ class TestDrivers:
             found = [(p.get_x(), p.get_x() + p.get_width()) for p in shaded if isinstance(p, Rectangle)]
             np.testing.assert_allclose(found, places)
 
-    def test_places_in_words(self, pair: dict[str, pm.Ensemble]) -> None:
-        first = causes(pair["PD"], worst_share(pair["PD"], 0.1))[0]
-        for low, high, outside, place in (
-            (1.0, 2.0, False, "from 1 to 2 kg"),
-            (1.0, 2.0, True, "below 1 or above 2 kg"),
-            (-np.inf, 2.0, False, "below 2 kg"),
-        ):
-            assert first._replace(low=low, high=high, outside=outside).place == place
-        inside = first._replace(low=1.0, high=2.0, outside=False).holds(np.array([0.5, 1.5, 2.5]))
-        assert inside.tolist() == [False, True, False]
-        edge = first._replace(low=1.0, high=2.0, outside=False).holds(np.array([1.0, 2.0]))
-        assert edge.tolist() == [False, True]
-
     def test_the_dots_are_the_robots(self, pair: dict[str, pm.Ensemble]) -> None:
         made = pair["computed torque"]
         scatter = plots.drivers(made, share=0.1).axes[-1]
@@ -431,25 +363,14 @@ class TestDrivers:
         with pytest.raises(UnknownName, match="unknown error 'z', available: distance, heading, x, y, psi"):
             plots.drivers(made, by="z")
 
-    def test_diverged_robots_are_the_worst(self, diverging: pm.Ensemble) -> None:
-        figure = plots.drivers(diverging, share=0.1)
-        drawn(figure)
-        assert figure.texts[0].get_text() == "mass drives the worst 10 % most"
-        assert figure.axes[0].get_title(loc="left").startswith("below ")
-        crosses = figure.axes[-1].lines[3]
-        assert (crosses.get_marker(), len(np.asarray(crosses.get_xdata()))) == ("x", 30)
-        assert np.asarray(crosses.get_xdata()).max() < 6
-        dots = np.concatenate([np.asarray(line.get_ydata()) for line in figure.axes[-1].lines[:2]])
-        assert np.asarray(crosses.get_ydata()).min() > dots.max()  # at the top
-        assert texts(figure)[-1] == "diverged"
-
-    @pytest.mark.parametrize(("heaviest", "scale"), [(12, "log"), (60, "linear")])
     def test_crosses_of_diverged_robots_stand_at_their_own_word_above_all_numbers(
-        self, heaviest: float, scale: str
+        self, diverging: pm.Ensemble
     ) -> None:
-        figure = plots.drivers(run(TRUE, {"mass": pm.Uniform(4, heaviest), "force.x": pm.Normal(0, 0.02)}))
+        figure = plots.drivers(diverging)
+        assert figure.axes[0].get_title(loc="left").startswith("below ")
+        assert texts(figure)[-1] == "diverged"
         axes = figure.axes[-1]
-        assert axes.get_yscale() == scale
+        assert axes.get_yscale() == "log"
         heights = {float(y) for line in axes.lines[2:] for y in np.ravel(line.get_ydata())}
         (height,) = heights
         dots = np.concatenate([np.ravel(line.get_ydata()) for line in axes.lines[:2]])
@@ -464,21 +385,6 @@ class TestDrivers:
         assert not len(figure.axes[-1].get_yticks(minor=True))
         assert len(np.ravel(figure.axes[-1].lines[-1].get_xdata())) == 15
         apart(figure)
-
-    def test_a_power_of_ten_above_the_axis_stays_there(self) -> None:
-        for largest in (4e-7, 4.0):
-            figure = Figure()
-            axes = figure.subplots()
-            axes.plot([0, largest])
-            before = drawn(figure) and [label.get_text() for label in axes.get_yticklabels()]
-            power = axes.yaxis.get_offset_text().get_text()
-            strip_above(axes, "diverged")
-            drawn(figure)
-            assert axes.yaxis.get_offset_text().get_text() == power
-            after = [label.get_text() for label in axes.get_yticklabels()]
-            assert after[-1] == "diverged"
-            assert set(after[:-1]) <= set(before)
-        assert power == ""
 
     def test_of_a_multiple_the_factor_counts(self) -> None:
         spread = {
@@ -499,9 +405,9 @@ class TestDrivers:
         drivers: Any = plots.drivers
         with pytest.raises(pm.InvalidArgument, match=r"^ensemble is a dict, expected an Ensemble$"):
             drivers(pair)
-        for share in (0, 1, 1e-4, -0.5):
+        for share in (0, 1, 1e-4):
             with pytest.raises(
-                pm.InvalidArgument, match=rf"^share is {float(share)}, -?\d+ of 300 robots; exp"
+                pm.InvalidArgument, match=rf"^share is {float(share)}, \d+ of 300 robots; exp"
             ):
                 drivers(pair["PD"], share=share)
         with pytest.raises(pm.InvalidArgument, match=r"^ensemble has robots that differ in no parameter"):
@@ -523,20 +429,3 @@ class TestFigures:
             figure = draw()
             apart(figure)
             assert 400 < figure.bbox.width <= 1100
-
-    def test_pyplot_and_settings_are_left_alone(self, pair: dict[str, pm.Ensemble]) -> None:
-        before, loaded = dict(matplotlib.rcParams), "matplotlib.pyplot" in sys.modules
-        for draw in figures(pair):
-            figure: Any = draw()
-            assert figure._repr_png_().startswith(b"\x89PNG")
-        assert dict(matplotlib.rcParams) == before
-        assert ("matplotlib.pyplot" in sys.modules) == loaded
-
-
-def test_many_drivers_fit_on_a_page() -> None:
-    ends = {"mass": (20, 40), "kp": (3, 5), "kd": (3, 5), "com.x": (-0.1, 0.1), "com.y": (-0.1, 0.1)}
-    spread = {name: pm.Uniform(*each) for name, each in ends.items()} | {"yaw_inertia": pm.Uniform(1, 2)}
-    made = pm.ensemble(
-        ROBOT, pm.PD(4, 4), pm.Tangent(pm.Circle(1, 0.5, 1)), dt=0.05, n=200, seed=1, spread=spread
-    )
-    assert plots.drivers(made).get_size_inches()[0] == 9.0

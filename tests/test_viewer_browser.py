@@ -1,10 +1,8 @@
 """The windows in a real headless Chromium: what is drawn where, and what the page says and asks for."""
 
 import re
-import threading
 import warnings
 from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -13,8 +11,8 @@ import pytest
 
 from pinmobile import Circle, ComputedTorque, MobileRobot, Tangent, simulate
 from pinmobile.viewer import Viewer
-from pinmobile.viewer.pages import ENGINE, OfflineWindow, Visualizer
-from pinmobile.viewer.window import LiveWindow
+from pinmobile.viewer.pages import OfflineWindow, Visualizer
+from pinmobile.viewer.server import LiveWindow
 from tests.chromium import Chromium, Page
 from tests.webclient import eventually
 
@@ -27,7 +25,6 @@ Window = OfflineWindow | LiveWindow
 WIDTH, HEIGHT = 480, 360
 RED, GREEN = (255, 0, 0), (0, 255, 0)
 HERE, THERE = (0.5, -0.8, 0.2), (-0.3, 0.9, 0.4)
-MESHCAT = ENGINE.with_name("index.html").read_text()
 
 
 @pytest.fixture
@@ -66,9 +63,8 @@ def colour_at(page: Page, point: tuple[float, float, float]) -> tuple[int, ...]:
     return colour
 
 
-@pytest.mark.parametrize("html", [None, MESHCAT], ids=["own page", "meshcat's page"])
-def test_a_box_is_drawn_where_its_pose_projects(page: Page, html: str | None) -> None:
-    with LiveWindow(page=html) as window:
+def test_a_box_is_drawn_where_its_pose_projects(page: Page) -> None:
+    with LiveWindow() as window:
         draw_box(window, HERE)
         page.open(window.url)
         assert window.wait(10)
@@ -88,7 +84,7 @@ def test_fault_the_browser_is_reloaded_and_closed_and_another_comes(page: Page, 
         assert window.wait(10)
         draw_box(window, HERE)
         assert eventually(lambda: colour_at(page, HERE) == RED)
-        page.reload()
+        page.open(window.url)
         assert eventually(lambda: colour_at(page, HERE) == RED)
         page.open("about:blank")
         assert eventually(lambda: window.browsers == 0)
@@ -98,22 +94,6 @@ def test_fault_the_browser_is_reloaded_and_closed_and_another_comes(page: Page, 
         assert eventually(lambda: colour_at(other, THERE) == RED)
         assert window.browsers == 1
         other.close()
-
-
-def test_fault_two_browsers(page: Page, browser: Chromium) -> None:
-    with LiveWindow() as window:
-        other = browser.page(WIDTH, HEIGHT)
-        other.open(window.url)
-        page.open(window.url)
-        assert eventually(lambda: window.browsers == 2)
-        draw_box(window, HERE)
-        assert [shown.evaluate("document.visibilityState") for shown in (page, other)] == ["visible"] * 2
-        assert eventually(lambda: colour_at(page, HERE) == RED)
-        assert eventually(lambda: colour_at(other, HERE) == RED)
-        other.close()
-        assert eventually(lambda: window.browsers == 1)
-        move_box(window, THERE)
-        assert eventually(lambda: colour_at(page, THERE) == RED)
 
 
 def test_what_is_deleted_and_drawn_anew_is_seen(page: Page) -> None:
@@ -150,46 +130,6 @@ def test_a_page_with_a_token_draws_and_each_request_carries_it(page: Page) -> No
         own = [url for url in page.requests if not url.startswith("data:")]
         assert len(own) == 3
         assert all(url.endswith(window.url.partition("/?")[2]) for url in own)
-
-
-@pytest.fixture
-def elsewhere() -> Iterator[str]:
-    """Yield the address of a page of another server on this machine."""
-
-    class Empty(BaseHTTPRequestHandler):
-        timeout = 0.5  # browsers also open connections on which they say nothing
-
-        def do_GET(self) -> None:
-            self.send_response(200)
-            self.end_headers()
-            self.wfile.write(b'<link rel="icon" href="data:,">')
-
-        def log_message(self, *_: object) -> None:
-            pass
-
-    with ThreadingHTTPServer(("127.0.0.1", 0), Empty) as other:
-        thread = threading.Thread(target=other.serve_forever)
-        thread.start()
-        yield f"http://127.0.0.1:{other.server_port}/"
-        other.shutdown()
-        thread.join()
-
-
-def test_fault_a_page_from_elsewhere_cannot_connect(page: Page, elsewhere: str) -> None:
-    script = """new Promise((done) => {{
-        const socket = new WebSocket("ws://127.0.0.1:{port}/socket");
-        socket.onopen = () => done("open");
-        socket.onerror = () => done("refused");
-    }})"""
-    with LiveWindow() as window:
-        page.open(window.url)
-        assert page.evaluate(script.format(port=window.port)) == "open"
-        assert eventually(lambda: window.browsers == 2)
-        page.open(elsewhere)
-        assert page.evaluate(script.format(port=window.port)) == "refused"
-        assert eventually(lambda: window.browsers == 0)
-        assert len(page.errors) == 1
-        assert "403" in page.errors.pop()
 
 
 def test_an_offline_page_draws_from_the_file_system(page: Page, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import base64
 import gc
 import os
+import re
 import signal
 import socket
 import struct
@@ -13,26 +14,23 @@ import threading
 import time
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-import umsgpack
 from PIL import Image
 
 from pinmobile import InvalidArgument
 from pinmobile.errors import ViewerError
-from pinmobile.viewer import server, window as live
-from pinmobile.viewer.pages import OfflineWindow, Visualizer
-from pinmobile.viewer.window import LiveWindow
+from pinmobile.viewer import server
+from pinmobile.viewer.pages import OfflineWindow, Visualizer, packed_array
+from pinmobile.viewer.server import LiveWindow
 from tests.webclient import WebSocket, ask, eventually, listens, resident
 
 pytestmark = pytest.mark.once
-
-Window = OfflineWindow | LiveWindow
 
 
 class Say(NamedTuple):
@@ -77,26 +75,15 @@ def nothing_is_left() -> Iterator[None]:
     assert eventually(lambda: set(threading.enumerate()) <= before), threading.enumerate()
 
 
-@pytest.fixture(params=[OfflineWindow, LiveWindow])
-def window(request: pytest.FixtureRequest) -> Iterator[Window]:
-    with request.param() as opened:
-        yield opened
-
-
 @pytest.fixture
-def bounded() -> Callable[[float], None]:
-    """Return a check that a test has taken less than some seconds so far."""
-    start = time.monotonic()
-
-    def check(seconds: float) -> None:
-        assert time.monotonic() - start < seconds
-
-    return check
+def window() -> Iterator[OfflineWindow]:
+    with OfflineWindow() as opened:  # a live window keeps its scene in the same way
+        yield opened
 
 
 def run(script: str, **options: Any) -> "subprocess.Popen[str]":
     """Start a script that has a window `w` and says its port first."""
-    lines = "from pinmobile.viewer.window import LiveWindow\nw = LiveWindow()\nprint(w.port, flush=True)\n"
+    lines = "from pinmobile.viewer.server import LiveWindow\nw = LiveWindow()\nprint(w.port, flush=True)\n"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     command = [sys.executable, "-W", "error", "-c", lines + textwrap.dedent(script)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment, **options)
@@ -105,32 +92,19 @@ def run(script: str, **options: Any) -> "subprocess.Popen[str]":
 # What a window keeps
 
 
-def test_meshcat_draws_into_a_window(window: Window) -> None:
+def test_a_command_replaces_the_one_before_and_what_is_deleted_leaves_nothing(window: OfflineWindow) -> None:
     scene = Visualizer(window=window)
     scene["box"].set_transform(np.eye(4))
     scene["box"].set_property("visible", False)
-    scene["box"].delete()
-    scene["other"].set_transform(np.eye(4))
-    html = scene.static_html()
-    assert html == window.static_html()
-    assert len(window.commands()) == 1
-    assert html.count("handle_command_bytearray(Uint8Array") == 1
-
-
-def test_an_offline_page_has_everything_in_it() -> None:
-    with OfflineWindow() as offline:
-        offline.send(prop("a", "visible", True))
-        page = offline.static_html()
-    assert "viewer.connect();" not in page
-    assert 'src="' not in page.partition("<body>")[2][:400]
-
-
-@pytest.mark.parametrize("path", ["/a/b", "a/b", "//a//b/"])
-def test_a_command_replaces_the_one_before(window: Window, path: str) -> None:
-    window.send(prop("/a/b", "scale", [1.0, 1.0, 1.0]))
+    assert scene.static_html() == window.static_html()
     size = window.scene_size
-    window.send(prop(path, "scale", [2.0, 2.0, 2.0]))
-    assert window.scene_size == size + len(path) - len("/a/b")
+    for k in range(3000):
+        window.send(prop("meshcat//box/", "visible", k > 0))
+        window.send(shape(f"n{k}/below"))
+        window.send(delete(f"n{k}"))
+    assert window.scene_size == size + len("meshcat//box/") - len("/meshcat/box")
+    scene["box"].delete()
+    assert window.scene_size == 0
 
 
 def test_a_late_browser_gets_the_scene_in_its_order_and_the_animation_last() -> None:
@@ -148,14 +122,6 @@ def test_a_late_browser_gets_the_scene_in_its_order_and_the_animation_last() -> 
         ]
 
 
-def test_a_new_object_has_none_of_the_old_ones_properties() -> None:
-    with LiveWindow() as w:
-        w.send(prop("a", "visible", True))
-        w.send(prop("a/<object>", "intensity", 1.0))
-        w.send(shape("a"))
-        assert received(w, least=2) == [("set_property", "a", "visible"), ("set_object", "a")]
-
-
 def test_deleting_forgets_all_below_and_remembers_what_the_page_has_by_itself() -> None:
     with LiveWindow() as w:
         for path in ("a", "a/b", "ab", "Grid/x"):
@@ -167,13 +133,6 @@ def test_deleting_forgets_all_below_and_remembers_what_the_page_has_by_itself() 
         w.send(delete("/"))
         # What is deleted while the last browser is still leaving is remembered for a moment.
         assert eventually(lambda: received(w, least=1) == [("delete", "Grid")])
-
-
-def test_nodes_that_come_and_go_leave_nothing(window: Window) -> None:
-    for k in range(3000):
-        window.send(shape(f"n{k}/below"))
-        window.send(delete(f"n{k}"))
-    assert window.scene_size == 0
 
 
 def test_a_connected_browser_is_told_of_deletions_and_replacements_in_order() -> None:
@@ -191,56 +150,26 @@ def test_a_connected_browser_is_told_of_deletions_and_replacements_in_order() ->
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        (
-            Say({"type": "set_transform", "path": "/a", "matrix": [0.0] * 12 + [np.nan] + [0.0] * 3}),
-            "set_transform of a: matrix[12] is nan, expected a finite number",
-        ),
-        (
-            Say({"type": "set_transform", "path": "/a", "matrix": [0.0] * 9}),
-            "the transform of a has 9 numbers, expected 16",
-        ),
-        (
-            prop("a", "position", [0.0, -np.inf, 0.0]),
-            "set_property of a: value[1] is -inf, expected a finite number",
-        ),
-        (prop("a", "fov", np.inf), "set_property of a: value is inf, expected a finite number"),
-        (
-            animation([{"times": [0.0, np.nan]}]),
-            "set_animation of /: animations[0].times[1] is nan, expected a finite number",
-        ),
-        (
-            prop("a", "x", {1, 2}),
-            "set_property of a cannot be sent: unsupported type: <class 'set'>",
-        ),
+        (Say({"type": "set_transform", "path": "/a", "matrix": [0.0] * 12 + [np.nan] + [0.0] * 3}),
+         "set_transform of a: matrix[12] is nan, expected a finite number"),
+        (Say({"type": "set_transform", "path": "/a", "matrix": [0.0] * 9}),
+         "the transform of a has 9 numbers, expected 16"),
+        (animation([{"times": [0.0, np.nan]}]),
+         "set_animation of /: animations[0].times[1] is nan, expected a finite number"),
+        (prop("a", "x", [1.7e308, 1.7e308, np.inf]), "set_property of a: value[2] is inf, expected"),
+        (prop("a", "x", {1, 2}), "set_property of a cannot be sent: unsupported type: <class 'set'>"),
+        (shape("a", {"position": packed_array(np.array([0.0, np.nan]))}), "position.array[1] is nan"),
+        ("text", "command is 'text', expected one of meshcat's"),
+        (Say({"type": "capture_image", "path": ""}), "expected one of meshcat's"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_drawn_is_refused_before_it_is_sent(
-    window: Window, command: Say, message: str
+    window: OfflineWindow, command: Any, message: str
 ) -> None:
-    with pytest.raises(InvalidArgument) as refused:
+    with pytest.raises(InvalidArgument, match=re.escape(message)):
         window.send(command)
-    assert str(refused.value) == message
     assert window.scene_size == 0
-
-
-def test_vertices_that_are_not_finite_are_refused(window: Window) -> None:
-    from pinmobile.viewer.pages import packed_array
-
-    with pytest.raises(InvalidArgument, match=r"position\.array\[1\] is nan"):
-        window.send(shape("a", {"position": packed_array(np.array([0.0, np.nan, 1.0]))}))
-
-
-@pytest.mark.parametrize("command", ["text", None, 3, Say({}), Say({"type": "capture_image", "path": ""})])
-def test_what_is_no_command_is_refused(window: Window, command: Any) -> None:
-    with pytest.raises(InvalidArgument, match="expected one of meshcat's"):
-        window.send(command)
-
-
-def test_huge_numbers_are_numbers_though_their_sum_is_none(window: Window) -> None:
-    window.send(prop("a", "x", [1.7e308, 1.7e308]))
-    assert [umsgpack.unpackb(command)["value"] for command in window.commands()] == [[1.7e308, 1.7e308]]
-    with pytest.raises(InvalidArgument, match=r"value\[2\] is inf, expected a finite number"):
-        window.send(prop("a", "x", [1.7e308, 1.7e308, np.inf]))
+    window.send(prop("a", "x", [1.7e308, 1.7e308]))  # numbers, though their sum is none
     assert len(window.commands()) == 1
 
 
@@ -256,9 +185,7 @@ def test_the_page_and_its_script_are_served_and_nothing_else() -> None:
         assert ask(w.url, path="/socket")[0] == 400
 
 
-@pytest.mark.parametrize(
-    "host", ["evil.example", "evil.example:{port}", "127.0.0.1.evil.example", "", "[", "é"]
-)
+@pytest.mark.parametrize("host", ["evil.example:{port}", "127.0.0.1.evil.example", "", "["])
 def test_fault_a_host_header_of_another_name_is_refused(host: str) -> None:
     with LiveWindow() as w:
         for path in ("/", "/main.min.js", "/socket", "/missing"):
@@ -268,7 +195,7 @@ def test_fault_a_host_header_of_another_name_is_refused(host: str) -> None:
             assert w.browsers == 0
 
 
-@pytest.mark.parametrize("host", ["localhost:8000", "127.0.0.1", "[::1]:1", "LOCALHOST"])
+@pytest.mark.parametrize("host", ["[::1]:1", "LOCALHOST:8000"])
 def test_this_machine_may_have_any_of_its_names_and_a_tunnel_any_port(host: str) -> None:
     with LiveWindow() as w:
         assert ask(w.url, {"Host": host})[0] == 200
@@ -276,9 +203,7 @@ def test_this_machine_may_have_any_of_its_names_and_a_tunnel_any_port(host: str)
             assert browser.status == 101
 
 
-@pytest.mark.parametrize(
-    "origin", ["http://evil.example", "null", "http://127.0.0.1:1", "http://localhost", ""]
-)
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1"])
 def test_fault_a_websocket_from_another_origin_is_refused(origin: str) -> None:
     with LiveWindow() as w:
         # A browser says both; of the second one tornado would believe anything.
@@ -290,9 +215,7 @@ def test_fault_a_websocket_from_another_origin_is_refused(origin: str) -> None:
             assert browser.status == 101
 
 
-@pytest.mark.parametrize(
-    "query", ["", "token=", "token=wrong", "token=right&token=right", "token=%ff", "t=right"]
-)
+@pytest.mark.parametrize("query", ["", "token=wrong", "token=right&token=right", "token=%ff"])
 def test_fault_a_token_missing_or_wrong_is_refused(query: str) -> None:
     with LiveWindow(token="right") as w:
         for path in ("/", "/main.min.js", "/socket", "/missing"):
@@ -332,23 +255,12 @@ def test_another_host_is_asked_for_by_name_warned_about_and_needs_a_token() -> N
         assert ask(w.url, {"Host": "evil.example"})[0] == 403
 
 
-def test_by_default_only_this_machine_can_reach_it() -> None:
-    with LiveWindow() as w:
-        assert listens(w.port)
-        assert not listens(w.port, "127.0.0.2")
-        assert w.url == f"http://127.0.0.1:{w.port}/" == w.web_url
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"host": ""}, "host is '', expected a name or an address such as '127.0.0.1', '::1'"),
-        ({"host": None}, "host is None, expected text without control characters"),
-        ({"port": 0}, "port is 0, expected a whole number >= 1"),
         ({"port": 65536}, "port is 65536, expected at most 65,535"),
-        ({"token": ""}, "token is empty or not made of letters, digits, '-', '.', '_' and '~'"),
         ({"token": 'a"b'}, "token is empty or not made of letters, digits, '-', '.', '_' and '~'"),
-        ({"page": "<html>"}, 'page has no src="main.min.js"'),
     ],
 )
 def test_arguments_are_checked(arguments: dict[str, Any], message: str) -> None:
@@ -360,9 +272,9 @@ def test_arguments_are_checked(arguments: dict[str, Any], message: str) -> None:
 # Faults
 
 
-def test_fault_no_browser(bounded: Callable[[float], None]) -> None:
+def test_fault_no_browser() -> None:
     with LiveWindow() as w:
-        for k in range(1000):
+        for k in range(100):
             w.send(prop("a", "x", k))
         assert w.flush()
         with pytest.raises(
@@ -371,7 +283,6 @@ def test_fault_no_browser(bounded: Callable[[float], None]) -> None:
             w.wait(0.2)
         with pytest.raises(ViewerError, match="no browser shows the page"):
             w.get_image()
-    bounded(15)
 
 
 def test_the_token_is_in_the_address_and_nowhere_else(
@@ -388,51 +299,28 @@ def test_the_token_is_in_the_address_and_nowhere_else(
         assert "the viewer failed at /\n" in caplog.text
 
 
-def test_fault_an_offline_window_has_no_browser() -> None:
-    with OfflineWindow() as w:
-        calls: list[Callable[[], object]] = [w.get_image, w.wait, lambda: w.web_url]
-        for call in calls:
-            with pytest.raises(ViewerError, match="an offline window"):
-                call()
-
-
-def test_fault_two_browsers_of_which_one_goes() -> None:
-    with LiveWindow() as w, WebSocket(w.url) as stays:
-        with WebSocket(w.url) as goes:
-            assert eventually(lambda: w.browsers == 2)
-            w.send(prop("a", "x", 1))
-            assert w.flush()
-            assert stays.last("a")
-            assert goes.last("a")
-        assert eventually(lambda: w.browsers == 1)
-        w.send(prop("a", "x", 2))
-        assert w.flush()
-        assert eventually(lambda: stays.last("a")["value"] == 2)
-
-
-def test_fault_a_browser_that_stops_reading(bounded: Callable[[float], None]) -> None:
+def test_fault_a_browser_that_stops_reading() -> None:
     with LiveWindow() as w, WebSocket(w.url, reads=False) as stuck, WebSocket(w.url) as reads:
         assert eventually(lambda: w.browsers == 2)
         w.send(shape("mesh", "x" * 12_000_000))
         assert eventually(lambda: reads.last("mesh", "set_object"))
         before, text = resident(), "y" * 2_000
-        for k in range(20_000):
+        for k in range(5000):
             w.send(prop(f"a{k % 50}", "x", [k, text]))
             if k % 500 == 0:
                 time.sleep(0.02)
         assert not w.flush(0.2)
-        assert eventually(lambda: reads.last("a49") and reads.last("a49")["value"][0] == 19_999)
+        assert eventually(lambda: reads.last("a49") and reads.last("a49")["value"][0] == 4999)
         assert resident() - before < 40
         # Once it reads, it has the newest state, and has not been sent what lies between.
         stuck.read()
-        assert eventually(lambda: stuck.last("a49") and stuck.last("a49")["value"][0] == 19_999)
+        assert eventually(lambda: stuck.last("a49") and stuck.last("a49")["value"][0] == 4999)
         assert w.flush()
         assert len(stuck.commands) < 1000
-    bounded(30)
 
 
 def test_fault_a_browser_that_never_answers_a_capture(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live, "_CAPTURE", 0.2)
+    monkeypatch.setattr(server, "_CAPTURE", 0.2)
     with LiveWindow() as w, WebSocket(w.url) as browser:
         assert w.wait(20)
         with pytest.raises(ViewerError, match=r"sent no picture within 0\.2 s"):
@@ -440,7 +328,7 @@ def test_fault_a_browser_that_never_answers_a_capture(monkeypatch: pytest.Monkey
         assert eventually(lambda: len(browser.commands) == 1)
 
 
-@pytest.mark.parametrize("words", [b"", b"{}", b"[", b'{"data": 3}', b'{"data": "data:,!"}', b"\xff"])
+@pytest.mark.parametrize("words", [b"[", b'{"data": "data:,!"}', b"\xff"])
 def test_fault_a_browser_that_talks_nonsense(words: bytes) -> None:
     with LiveWindow() as w, WebSocket(w.url) as browser:
         assert w.wait(20)
@@ -460,35 +348,26 @@ def test_fault_a_browser_that_goes_while_it_is_asked_for_a_picture() -> None:
             w.get_image()
 
 
-def test_fault_closed_while_it_is_asked_for_a_picture(bounded: Callable[[float], None]) -> None:
-    with LiveWindow() as w, WebSocket(w.url):
-        assert w.wait(20)
+@pytest.mark.parametrize("call", [LiveWindow.get_image, LiveWindow.wait])
+def test_fault_closed_while_it_waits(call: Callable[[LiveWindow], object]) -> None:
+    with LiveWindow() as w, WebSocket(w.url) if call is LiveWindow.get_image else nullcontext():
+        assert call is LiveWindow.wait or w.wait(20)
         threading.Timer(0.3, w.close).start()
         with pytest.raises(ViewerError, match="closed"):
-            w.get_image()
-    bounded(15)
+            call(w)
 
 
-def test_fault_closed_while_it_waits(bounded: Callable[[float], None]) -> None:
-    with LiveWindow() as w:
-        threading.Timer(0.2, w.close).start()
-        with pytest.raises(ViewerError, match="the window is closed"):
-            w.wait(30)
-    bounded(15)
-
-
-def test_fault_the_port_is_taken(bounded: Callable[[float], None]) -> None:
+def test_fault_the_port_is_taken() -> None:
     with LiveWindow() as w:
         with pytest.raises(ViewerError, match=rf"cannot listen on port {w.port} of 127\.0\.0\.1: .*in use"):
             LiveWindow(port=w.port)
         port = w.port
     with LiveWindow(port=port) as again:
         assert again.port == port
-    bounded(15)
 
 
 @pytest.mark.filterwarnings("ignore:the viewer listens")
-@pytest.mark.parametrize("host", ["192.0.2.1", "no.such.host.invalid", "x" * 300])
+@pytest.mark.parametrize("host", ["192.0.2.1", "no.such.host.invalid"])
 def test_fault_there_is_no_such_address(host: str) -> None:
     with pytest.raises(ViewerError, match="cannot listen on a free port of"):
         LiveWindow(host)
@@ -498,7 +377,7 @@ def test_fault_four_threads() -> None:
     with LiveWindow() as w, WebSocket(w.url) as browser:
 
         def work(number: int) -> None:
-            for k in range(2000):
+            for k in range(500):
                 w.send(prop(f"own{number}", "x", k))
                 w.send(prop("shared", "x", [number, k]))
 
@@ -508,8 +387,8 @@ def test_fault_four_threads() -> None:
         for thread in threads:
             thread.join(30)
         assert w.flush()
-        assert eventually(lambda: all(browser.last(f"own{n}")["value"] == 1999 for n in range(4)))
-        assert browser.last("shared")["value"][1] == 1999
+        assert eventually(lambda: all(browser.last(f"own{n}")["value"] == 499 for n in range(4)))
+        assert browser.last("shared")["value"][1] == 499
 
 
 def test_fault_used_after_it_was_closed() -> None:
@@ -527,13 +406,9 @@ def test_fault_used_after_it_was_closed() -> None:
             call()
     assert "closed" in repr(w)
     assert not listens(w.port)
-    offline = OfflineWindow()
-    offline.close()
-    with pytest.raises(ViewerError, match="the window is closed"):
-        offline.send(prop("a", "x", 1))
 
 
-def test_closing_is_quick_with_a_browser_that_stopped_reading(bounded: Callable[[float], None]) -> None:
+def test_closing_is_quick_with_a_browser_that_stopped_reading() -> None:
     with LiveWindow() as w, WebSocket(w.url, reads=False), WebSocket(w.url) as reads:
         assert eventually(lambda: w.browsers == 2)
         w.send(shape("mesh", "x" * 12_000_000))
@@ -541,7 +416,6 @@ def test_closing_is_quick_with_a_browser_that_stopped_reading(bounded: Callable[
         w.close()
         assert reads.closed.wait(2)
         assert not listens(w.port)
-    bounded(6)
 
 
 def test_a_window_that_nobody_holds_is_closed() -> None:
@@ -552,42 +426,33 @@ def test_a_window_that_nobody_holds_is_closed() -> None:
     assert not listens(port)
 
 
-def test_fault_100_000_property_updates(window: Window) -> None:
-    watched = WebSocket(window.url) if isinstance(window, LiveWindow) else None
-    for k in range(2000):
-        window.send(prop(f"a{k % 10}", "position", [float(k), 0.0, 0.0]))
-    size, before = window.scene_size, resident()
-    for k in range(100_000):
-        window.send(prop(f"a{k % 10}", "position", [float(k), 0.0, 0.0]))
-    assert window.scene_size == size
-    assert resident() - before < 15
-    if isinstance(window, LiveWindow) and watched is not None:
-        with watched:
-            assert window.flush()
-            assert watched.last("a9")["value"][0] == 99_999
+def test_fault_many_property_updates() -> None:
+    with LiveWindow() as window, WebSocket(window.url) as watched:
+        for k in range(20_000):
+            window.send(prop(f"a{k % 10}", "position", [float(k), 0.0, 0.0]))
+            if k == 1000:
+                size, before = window.scene_size, resident()
+        assert window.scene_size == size
+        assert resident() - before < 15
+        assert window.flush()
+        assert watched.last("a9")["value"][0] == 19_999
 
 
-def test_fault_5_000_requests_for_missing_pages_and_nobody_reads_the_errors() -> None:
+def test_fault_many_requests_for_missing_pages_and_nobody_reads_the_errors() -> None:
     with run("w.wait(120)", stderr=subprocess.PIPE) as script:
         try:
             assert script.stdout is not None
             url = f"http://127.0.0.1:{int(script.stdout.readline())}/"
-            for k in range(200):
-                assert ask(url, path=f"/missing{k}")[0] == 404
-            before = resident(script.pid)
-            for k in range(5000):
-                assert ask(url, path=f"/missing{k}")[0] == 404
-            assert resident(script.pid) - before < 15
+            for k in range(600):
+                assert ask(url, path=f"/missing{k}{'x' * 200}")[0] == 404  # more than a pipe holds
             assert ask(url)[0] == 200
         finally:
             script.kill()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_fault_a_signal_ends_the_script_and_nothing_listens(number: signal.Signals) -> None:
     script = """
-        import signal
-        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # which `nohup` and the like switch off
         while True:
             w.send(type("Say", (), {"lower": lambda self: {
                 "type": "set_property", "path": "a", "property": "x", "value": 1}})())
@@ -647,7 +512,7 @@ def test_fault_ctrl_c_in_send_leaves_a_window_that_works() -> None:
             process.kill()
 
 
-@pytest.mark.parametrize("ending", ["", "raise SystemExit(3)", "w.close()", "del w"])
+@pytest.mark.parametrize("ending", ["raise SystemExit(3)", "del w"])
 def test_a_script_that_ends_leaves_nothing_and_says_nothing(ending: str) -> None:
     with run(ending, stderr=subprocess.PIPE) as process:
         out, err = process.communicate(timeout=30)
@@ -656,34 +521,10 @@ def test_a_script_that_ends_leaves_nothing_and_says_nothing(ending: str) -> None
         assert not listens(int(out))
 
 
-def test_importing_it_starts_nothing_and_warns_of_nothing() -> None:
-    script = """
-        import threading, os
-        from pinmobile.viewer.window import LiveWindow
-        links = [os.readlink(f"/proc/self/fd/{fd}") for fd in os.listdir("/proc/self/fd") if fd.isdigit()
-                 and os.path.islink(f"/proc/self/fd/{fd}")]
-        print(threading.active_count(), any("socket:" in link for link in links))
-    """
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    command = [sys.executable, "-W", "error", "-c", textwrap.dedent(script)]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60, check=False)
-    assert (done.stdout, done.stderr) == ("1 False\n", "")
-
-
-def test_a_connection_that_says_nothing_holds_nothing_up() -> None:
-    with LiveWindow() as w:
-        idle = [socket.create_connection(("127.0.0.1", w.port)) for _ in range(50)]
-        assert ask(w.url)[0] == 200
-        for connection in idle:
-            connection.close()
-
-
 # Clients that mean it ill, or are broken
 
 
-@pytest.mark.parametrize(
-    "request_", [b"", b"GET / HTTP/1.1\r\nHost: x", b"GET / HTTP/1.1\r\nHost: x\r\nContent-Length: 9\r\n\r\n"]
-)
+@pytest.mark.parametrize("request_", [b"", b"GET / HTTP/1.1\r\nHost: x\r\nContent-Length: 9\r\n\r\n"])
 def test_a_request_that_never_ends_is_ended(request_: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "_PATIENCE", 0.3)
     with LiveWindow() as w, socket.create_connection(("127.0.0.1", w.port), timeout=120) as connection:
@@ -691,8 +532,8 @@ def test_a_request_that_never_ends_is_ended(request_: bytes, monkeypatch: pytest
         assert connection.recv(1) == b""
 
 
-@pytest.mark.parametrize("lines", [b"X: y\r\n" * 20_000, b"X: " + b"y" * 100_000 + b"\r\n"])
-def test_a_header_of_many_lines_or_a_long_one_is_not_read(lines: bytes) -> None:
+def test_a_header_of_many_lines_is_not_read() -> None:
+    lines = b"X: y\r\n" * 20_000
     with LiveWindow() as w, socket.create_connection(("127.0.0.1", w.port), timeout=120) as connection:
         asked = f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{w.port}\r\n".encode() + lines + b"\r\n"
         assert not exchanged(connection, asked).startswith(b"HTTP/1.1 200")
@@ -729,7 +570,6 @@ def chunk(kind: bytes, data: bytes) -> bytes:
         png()[:40],
         png()[:33] + chunk(b"zTXt", b"k\0\0" + zlib.compress(bytes(80 << 20))) + png()[33:],
         png()[:33] + chunk(b"IHDR", b"") + png()[33:],
-        png()[:8] + chunk(b"IHDR", struct.pack("!IIBBBBB", 1 << 16, 1 << 16, 8, 6, 0, 0, 0)) + png()[33:],
     ],
 )
 def test_a_damaged_picture_is_the_librarys_error(data: bytes) -> None:
@@ -740,10 +580,7 @@ def test_a_damaged_picture_is_the_librarys_error(data: bytes) -> None:
             w.get_image()
 
 
-@pytest.mark.parametrize(
-    "nonsense",
-    [b"[" * 200_000, b'{"data":' * 200_000, b"[]," * 1_000_000, b'"data":"data:image/png;base64,!' * 50_000],
-)
+@pytest.mark.parametrize("nonsense", [b"[" * 200_000, b'"data":"data:image/png;base64,!' * 50_000])
 def test_nonsense_beside_a_picture_is_passed_over(nonsense: bytes, capfd: pytest.CaptureFixture[str]) -> None:
     with LiveWindow() as w, WebSocket(w.url) as browser:
         assert w.wait(120)

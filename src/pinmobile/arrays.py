@@ -22,6 +22,7 @@ from pinmobile.errors import InvalidArgument, NotFinite, UnknownName, shown
 
 Array: TypeAlias = NDArray[np.float64]
 _Function = TypeVar("_Function")
+_Kind = TypeVar("_Kind")
 _Shaped = TypeVar("_Shaped")
 
 MEMORY = 16e9
@@ -479,6 +480,34 @@ def mapping(name: str, value: object, expected: str) -> Mapping[Any, Any]:
     if not isinstance(value, Mapping) or not value:
         raise InvalidArgument(f"{name} is {shown(value)}, expected {expected}")
     return value
+
+
+def by_label(argument: str, values: object, kind: type[_Kind]) -> dict[str, _Kind]:
+    """Return objects by label; a single one has the label "".
+
+    Parameters
+    ----------
+    argument : str
+        Name of the argument, for the message.
+    values : object or mapping of str to object
+        One object, or several by label.
+    kind : type
+        What each must be.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is something else, or holds nothing.
+    """
+    what = kind.__name__
+    one = f"{'an' if what[0] in 'AEIOU' else 'a'} {what}"
+    if isinstance(values, kind):
+        return {"": values}
+    found = mapping(argument, values, f"{one} or a mapping of labels to {what}s")
+    for label, value in found.items():
+        text(f"a label of {argument}", label)
+        instance(f"{argument}[{label!r}]", value, kind, one)
+    return dict(found)
 
 
 def one_of(kind: str, value: object, available: Iterable[str]) -> str:

@@ -308,6 +308,13 @@ class Desired(Protocol):
         """Desired acceleration."""
 
 
+class Touching(Protocol):
+    """A plant that tells its contacts with the ground, with contacts(q, v, a, u, signals)."""
+
+    def contacts(self, q: Any, v: Any, a: Any, u: Any, signals: Any, /) -> Any:
+        """Return the contacts at n samples."""
+
+
 class Grounded(Protocol):
     """A MobileRobot, or a plant with ground_wrench(q, v, a)."""
 

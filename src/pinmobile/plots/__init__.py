@@ -1,10 +1,9 @@
 """Figures of rollouts, reports and ensembles: matplotlib without pyplot, so no window is needed."""
 
-from pinmobile.plots.comparison import end_effector, prediction
 from pinmobile.plots.parameter_curves import curves, heatmap, integrator
-from pinmobile.plots.plane import animate, path
+from pinmobile.plots.plane import animate, end_effector, path
 from pinmobile.plots.sensitivity import bands, drivers
-from pinmobile.plots.series import errors, forces, reaction, signals, states
+from pinmobile.plots.series import errors, forces, prediction, reaction, signals, states
 from pinmobile.plots.traction import (
     balance,
     friction,

@@ -6,12 +6,11 @@ import re
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
 from io import BytesIO
 from itertools import combinations
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, TypedDict
 
 import numpy as np
 from matplotlib import get_backend, rcParams, rcParamsDefault
@@ -20,7 +19,6 @@ from matplotlib.axes import Axes
 from matplotlib.backend_bases import RendererBase
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.font_manager import FontProperties
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.text import Text
 from matplotlib.textpath import text_to_path
 from matplotlib.transforms import Bbox
@@ -35,13 +33,20 @@ Canvas: TypeAlias = Axes | Figure | SubFigure | Sequence[Axes] | NDArray[Any]
 Spot: TypeAlias = tuple[int | slice, int | slice]
 """Row and column of axes in a grid."""
 
+
+class Layout(TypedDict, total=False):
+    """What every figure takes: a heading ("" for none), where it is drawn, the width of a new one [in]."""
+
+    title: str | None
+    ax: Canvas | None
+    width: float | None
+
+
 _NARROWEST, _WIDEST = 0.5, 100.0  # [in]
 _NARROW, _WIDE = 0.62, 1.25  # by which panels are lower and higher in figures of other widths
 _LEAST = 0.3  # [in] of the sides of axes in which something is to be seen
-_ENDLESS = 1000  # letters, which no figure has room for
 _ROOM = 1.0  # [pt] by which letters may overlap: their boxes have rims
 _MOST_KEYS = 5  # in a row of a legend
-_PLACES: tuple[tuple[bool, Literal["original", "active"]], ...] = ((True, "original"), (False, "active"))
 _ABOVE = "axes fraction"  # where notes above axes are
 _NO_WINDOWS = {"agg", "cairo", "pdf", "pgf", "ps", "svg", "template"}
 
@@ -88,21 +93,13 @@ def _titled(axes: Axes, renderer: RendererBase) -> Bbox:
     return Bbox.union([title.get_window_extent(renderer) for title in _titles(axes)])
 
 
-def headed(title: object, default: str) -> str:
-    """Return the heading of a figure: what was given, "" for none, else the default.
-
-    Raises
-    ------
-    InvalidArgument
-        If it is no text.
-    """
-    return default if title is None else "" if isinstance(title, str) and not title else text("title", title)
+def checked_title(title: str | None) -> str | None:
+    """Return the title that was given, which may be "" or None."""
+    return title if title is None or (isinstance(title, str) and not title) else text("title", title)
 
 
 def extent(line: str, size: float, **font: Any) -> float:
-    """Return how long a line of letters of that size [pt] is [in]; one that nobody reads about so long."""
-    if len(line) > _ENDLESS:
-        return len(line) * size / 144
+    """Return how long a line of letters of that size [pt] is [in]."""
     properties = FontProperties(family=rcParams["font.family"], size=size, **font)
     is_math = len(re.findall(r"(?<!\\)\$", line)) > 1
     try:
@@ -114,8 +111,6 @@ def extent(line: str, size: float, **font: Any) -> float:
 
 def wrapped(words: str, size: float, room: float, **font: Any) -> str:
     """Return text in lines that are no longer than `room` [in], unless one word is."""
-    if len(words) > _ENDLESS:
-        return words
     lines = []
     for line in words.split("\n"):
         current = ""
@@ -137,12 +132,14 @@ class Sheet:
 
     Parameters
     ----------
+    natural : float
+        Width that suits what is drawn [in], at letters of 10 points.
+    title : str, optional
+        Heading; "" for none.
     ax : Axes, sequence of Axes, Figure or SubFigure, optional
         Where to draw; by default in a new figure.
     width : float, optional
         Of a new figure [in].
-    natural : float
-        Width that suits what is drawn [in], at letters of 10 points.
     known : bool
         Whether pyplot, if it has windows, is told of a new figure.
 
@@ -156,10 +153,19 @@ class Sheet:
     Raises
     ------
     InvalidArgument
-        If `ax` is something else, `width` is none, or both are given.
+        If `title` is no text, `ax` is something else, `width` is none, or both are given.
     """
 
-    def __init__(self, ax: Canvas | None, width: float | None, natural: float, *, known: bool = True) -> None:
+    def __init__(
+        self,
+        natural: float,
+        *,
+        title: str | None = None,
+        ax: Canvas | None = None,
+        width: float | None = None,
+        known: bool = True,
+    ) -> None:
+        self._title = checked_title(title)
         self.new = ax is None
         self._given: list[Axes] = []
         self._asked = self.new and (width is not None or _has_size())
@@ -184,7 +190,7 @@ class Sheet:
             return
         self._given = _axes_of(ax)
         self.parent = self._given[0].figure
-        self.width = sum(_inches(each.figure, each.bbox.width) for each in self._given[:1])
+        self.width = _inches(self.parent, self._given[0].bbox.width)
 
     @property
     def figure(self) -> Figure:
@@ -280,24 +286,15 @@ class Sheet:
         axes.set_title(axes.get_title(), fontsize=letters(), pad=high)
         self._left[axes] = high / 72
 
-    def resize(self, height: float) -> None:
-        """Give a new figure a height [in]."""
-        if self.new:
-            self.figure.set_size_inches(self.width, height)
-
-    def finish(
-        self, title: object, default: str, keys: Sequence[Artist] = (), *, height: float = 0.0
-    ) -> Figure:
+    def finish(self, default: str, keys: Sequence[Artist] = (), *, height: float = 0.0) -> Figure:
         """Write the heading and the legend, and return the figure.
 
-        Axes of the caller's get a heading only if there is a `title`, and the legend inside.
+        Axes of the caller's get a heading only if there is a title, and the legend inside.
 
         Parameters
         ----------
-        title : str or None
-            As the user gave it.
         default : str
-            What is written otherwise above figures.
+            What is written above figures without a title of their own.
         keys : sequence of Artist
             Of the legend.
         height : float
@@ -306,38 +303,40 @@ class Sheet:
         Raises
         ------
         InvalidArgument
-            If the title is no text, or the figure is too small for what was drawn.
+            If the figure is too small for what was drawn.
         """
-        words = headed(title, default)
         if self._given:
-            if title:
-                self._given[0].set_title(wrapped(words, letters(1.2), self.width))
+            if self._title:
+                self._given[0].set_title(wrapped(self._title, letters(1.2), self.width))
             if keys:
                 self._given[0].legend(handles=list(keys), frameon=False)
             self.check()
             return self.figure
-        size, lines = self._heading(title, default)
+        size, lines = self._heading(default)
         heading = self.parent.suptitle(lines, fontsize=size) if lines else None
-        self.legend(keys)
+        if keys:
+            where: Any = "lower center" if self.figure.get_layout_engine() is None else "outside lower center"
+            self.parent.legend(
+                handles=list(keys), loc=where, ncols=self._keys(keys)[1], frameon=False, columnspacing=1.5
+            )
         if self.new:
             rows = sum(self._row(row) for row in self._tall)
-            self.resize(
-                height or rows + self.heading(title, default) + self.below(keys) + 4.0 * letters() / 72
-            )
+            needed = rows + self.heading(default) + self.below(keys) + 4.0 * letters() / 72
+            self.figure.set_size_inches(self.width, height or needed)
         if height and heading is not None:
             heading.set(y=1 - 0.5 * size / 72 / height, va="top")
         if self._asked or not self.new:
             self.check()
         return self.figure
 
-    def heading(self, title: object, default: str) -> float:
+    def heading(self, default: str) -> float:
         """Return the height of the heading [in]."""
-        size, lines = self._heading(title, default)
+        size, lines = self._heading(default)
         return (1.3 * lines.count("\n") + 1.8) * size / 72 if lines else letters(1.5) / 72
 
-    def _heading(self, title: object, default: str) -> tuple[float, str]:
+    def _heading(self, default: str) -> tuple[float, str]:
         size = _points("figure.titlesize")
-        return size, wrapped(headed(title, default), size, 0.96 * self.width)
+        return size, wrapped(default if self._title is None else self._title, size, 0.96 * self.width)
 
     def below(self, keys: Sequence[Artist]) -> float:
         """Return the height of a legend [in]."""
@@ -349,14 +348,6 @@ class Sheet:
         wide = max(extent(str(key.get_label()), size) for key in keys) + 4.3 * size / 72
         rows = -(-len(keys) // int(np.clip(0.98 * self.width / wide, 1, min(len(keys), _MOST_KEYS))))
         return rows, -(-len(keys) // rows)
-
-    def legend(self, keys: Sequence[Artist]) -> None:
-        """Put a legend below all axes of a figure, where it hides nothing."""
-        if keys:
-            where: Any = "lower center" if self.figure.get_layout_engine() is None else "outside lower center"
-            self.parent.legend(
-                handles=list(keys), loc=where, ncols=self._keys(keys)[1], frameon=False, columnspacing=1.5
-            )
 
     def _row(self, number: int) -> float:
         """Return the height of a row [in]: what it has at least, and no less than its words."""
@@ -373,32 +364,25 @@ class Sheet:
         return max(words) + max(titles) + max(left)
 
     def check(self) -> None:
-        """Refuse a figure too small for what was drawn, however its axes are arranged.
+        """Refuse a figure too small for what was drawn; one without a layout may be arranged later.
 
         Raises
         ------
         InvalidArgument
             If a word is cut off or meets another one, or axes have no room.
         """
-        own = self._given or list(self.parent.axes)
-        placed = [
-            axes for axes in self._given if axes.get_subplotspec() is None
-        ]  # by hand: no layout moves it
-        endless = [each.get_text() for each in self.figure.findobj(Text) if len(each.get_text()) > _ENDLESS]
-        if endless:
-            why = f"{shown(endless[0])} would be cut off"
-        else:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of a layout without room, which is told below
-                try:
-                    for _ in range(2):  # axes of another size have other ticks, which want another size
-                        with _arranged(self.figure) as is_arranged:
-                            self.figure.draw_without_rendering()
-                            why = crowded(self.figure, own, placed if is_arranged else own)
-                        if not why:
-                            return
-                except (ValueError, OverflowError) as error:
-                    raise InvalidArgument(f"the figure cannot be drawn: {error}") from None
+        if self.figure.get_layout_engine() is None and not self.new:
+            return
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a layout without room, which is told below
+            try:
+                for _ in range(2):  # axes of another size have other ticks, which want another size
+                    self.figure.draw_without_rendering()
+                    why = crowded(self.figure, self._given or self.parent.axes)
+                    if not why:
+                        return
+            except (ValueError, OverflowError) as error:
+                raise InvalidArgument(f"the figure cannot be drawn: {error}") from None
         size, larger = f"width is {self.width:g} in", "wider"
         if not self.new:
             wide, high = (_inches(self.parent, side) for side in self.parent.bbox.size)
@@ -407,33 +391,6 @@ class Sheet:
             f"{size}, in which {why}: expected a {larger} figure, or smaller letters, "
             f"now rcParams['font.size'] = {rcParams['font.size']:g}"
         )
-
-
-@contextmanager
-def _arranged(figure: Figure) -> Iterator[bool]:
-    """Arrange axes as well as can be for a while, where nothing arranges them yet: a caller may later.
-
-    Tell whether they are arranged.
-    """
-    if figure.get_layout_engine() is not None:
-        yield True
-        return
-    kept = [
-        (axes, axes.get_in_layout(), [(axes.get_position(original), which) for original, which in _PLACES])
-        for axes in figure.axes
-    ]
-    try:
-        try:
-            ConstrainedLayoutEngine().execute(figure)
-        except ZeroDivisionError:  # it cannot do with the grid of a colour bar that is not its own
-            yield False
-        else:
-            yield True
-    finally:
-        for axes, is_laid_out, places in kept:
-            for place, which in places:
-                axes.set_position(place, which)
-            axes.set_in_layout(is_laid_out)
 
 
 def _points(name: Literal["figure.titlesize", "legend.fontsize"]) -> float:
@@ -511,11 +468,10 @@ def _words(figure: Figure) -> Iterator[tuple[str, Bbox, Axes | None, bool]]:
             yield plain(each.get_text()), each.get_window_extent(), whose, each in noted
 
 
-def crowded(figure: Figure, own: Sequence[Axes], placed: Sequence[Axes] = ()) -> str:
+def crowded(figure: Figure, own: Sequence[Axes]) -> str:
     """Return why these axes of a figure that was drawn cannot be read, or nothing.
 
-    Words of the figure, and of axes beside them, count where they meet words of these. Those of axes in
-    `placed` may be cut off.
+    Words of the figure, and of axes beside them, count where they meet words of these.
     """
     room = _ROOM * figure.dpi / 72
     least = _LEAST * figure.dpi
@@ -525,9 +481,8 @@ def crowded(figure: Figure, own: Sequence[Axes], placed: Sequence[Axes] = ()) ->
     whole = figure.bbox.padded(room)
     known = list(_words(figure))
     for words, box, whose, _ in known:
-        if whose is not None and (whose not in own or whose in placed):
-            continue
-        if not (whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 and box.y1 <= whole.y1):
+        inside = whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 and box.y1 <= whole.y1
+        if not inside and (whose is None or whose in own):
             return f"{shown(words)} would be cut off"
     pairs = combinations([(one, box, whose) for one, box, whose, noted in known if not noted], 2)
     for (words, box, whose), (others, other, theirs) in pairs:

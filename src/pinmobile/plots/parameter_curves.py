@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from matplotlib import colormaps, rcParams
@@ -15,11 +15,22 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, NullLocator
 
 from pinmobile.accuracy import Convergence, IntegratorReport
-from pinmobile.arrays import Array, ArrayLike, bounded, finite, mapping, real, sequence, shaped, text
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    bounded,
+    by_label,
+    finite,
+    mapping,
+    real,
+    sequence,
+    shaped,
+    text,
+)
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.palette import INK
-from pinmobile.plots.figure_layout import Canvas, Sheet, letters
-from pinmobile.plots.style import Style, colour, dress, ink, line_style, named
+from pinmobile.plots.figure_layout import Layout, Sheet, letters
+from pinmobile.plots.style import Style, colour, dress, ink, line_style
 
 _SHARE = 0.11  # of the height of the axes below it
 _GREY = "#f1f1f1"
@@ -65,7 +76,7 @@ def strip_above(axes: Axes, word: str, *, numbers: bool = True) -> float:
 
 
 _MAP = "cividis"  # Nunez, Anderton and Renslow 2018: alike with and without a deficiency of colour vision
-_LOGARITHMIC = 20.0  # from which ratio of the largest to the smallest on, colours are logarithmic
+_LOGARITHMIC = 20.0  # from which ratio of the largest to the smallest on, it is logarithmic
 _LARGEST = 11.0, 8.0  # [inch] of the cells together
 _CELL = 0.85, 0.55  # [inch] at most
 _LEAST = 5.0  # [pt] of numbers that can be read
@@ -79,10 +90,8 @@ def heatmap(
     x: _Axis,
     y: _Axis,
     label: str,
-    title: str | None = None,
     limits: tuple[float, float] | None = None,
-    ax: Canvas | None = None,
-    width: float | None = None,
+    **layout: Unpack[Layout],
 ) -> Figure:
     """Draw a number for each pair of two parameters, as colour and as text.
 
@@ -98,13 +107,11 @@ def heatmap(
         left and at the bottom.
     label : str
         What the numbers are, with their unit, such as ``"99 % stay within [mm]"``.
-    title : str, optional
-        Heading of the figure.
     limits : tuple of float, optional
         The numbers of the darkest and the brightest colour, in the unit of `values`: with the same ones,
         several maps can be compared. By default the smallest and the largest of `values`.
-    ax, width
-        As in `states`.
+    **layout
+        `title`, `ax` and `width`, as in `states`.
 
     Returns
     -------
@@ -116,59 +123,52 @@ def heatmap(
         If `values` has another shape, holds NaN, or a number that is outside `limits`, or these are no two
         numbers in order.
     """
-    columns, rows, label = _labels("x", x), _labels("y", y), text("label", label)
+    across, columns = _axis("x", x, words=True)
+    up, rows = _axis("y", y, words=True)
+    label = text("label", label)
     shape, words = (len(rows), len(columns)), ": a row for each of y, a column for each of x"
     numbers = bounded("values", shaped("values", real("values", values), shape, words=words), above=-np.inf)
     size = [min(count * cell, most) for count, cell, most in zip(
         (len(columns), len(rows)), _CELL, _LARGEST, strict=True)]  # fmt: skip
-    sheet = Sheet(ax, width, max(size[0], 3.2) + 2.2)
+    sheet = Sheet(max(size[0], 3.2) + 2.2, **layout)
     (axes,) = sheet.axes([(0, 0)], [max(size[1], 1.6)])
-    norm = _norm(numbers[np.isfinite(numbers)], limits)
+    low, high = _range(numbers)
+    if limits is not None:
+        low, high = shaped("limits", finite("limits", limits), (2,), words=": smallest, largest").tolist()
+        bounded("values", numbers[np.isfinite(numbers)], least=low, most=high)
+    norm = LogNorm(low, high) if 0 < _LOGARITHMIC * low < high else Normalize(low, high)
     image = axes.imshow(np.ma.masked_invalid(numbers), cmap=_MAP, norm=norm, origin="lower", aspect="auto")
     axes.figure.colorbar(image, ax=axes, pad=0.02).set_label(label)
-    _furnish(axes, columns, rows, (x, y))
+    long = max(map(len, columns)) > 6
+    axes.set_xticks(range(len(columns)), columns, rotation=30 * long, ha="right" if long else "center")
+    axes.set_yticks(range(len(rows)), rows)
+    axes.tick_params(length=0)
+    axes.set(xlabel=across, ylabel=up)
+    axes.spines[:].set_visible(False)
     wide = min(size[0], max(sheet.width - 2.2 * letters() / 10, 0.1))
     room = min(72 * wide / len(columns) / 3.6, 72 * size[1] / len(rows) / 1.6)  # [pt] for five digits
     _write(axes, numbers, norm, min(room, letters()))
-    return sheet.finish(title, f"{label} over {x[0]} and {y[0]}")
+    return sheet.finish(f"{label} over {x[0]} and {y[0]}")
 
 
-def _axis(name: str, axis: Any) -> Any:
-    """Return the values of (name, unit, values)."""
+def _axis(name: str, axis: Any, *, words: bool = False) -> tuple[str, Any]:
+    """Return the label and the values of (name, unit, values): numbers, or with `words` their labels."""
     if len(sequence(name, axis, "(name, unit, values)")) != 3:
         raise InvalidArgument(f"{name} is {shown(axis)}, expected (name, unit, values)")
-    text(f"{name}[0]", axis[0])
-    text(f"{name}[1]", axis[1])
-    return axis[2]
+    what, unit = text(f"{name}[0]", axis[0]), text(f"{name}[1]", axis[1])
+    label = what if unit in ("", "1") else f"{what} [{unit}]"
+    if words:
+        values = sequence(f"{name}[2]", axis[2], "a sequence of numbers or text")
+        if all(isinstance(one, str) for one in values):
+            return label, [text(f"{name}[2]", one) for one in values]
+    places = shaped(f"{name}[2]", finite(f"{name}[2]", axis[2]), ("n>=1",))
+    return label, [f"{one:.4g}" for one in places] if words else places
 
 
-def _labels(name: str, axis: object) -> list[str]:
-    values = sequence(f"{name}[2]", _axis(name, axis), "a sequence of numbers or text")
-    if all(isinstance(one, str) for one in values):
-        return [text(f"{name}[2]", one) for one in values]
-    return [f"{one:.4g}" for one in _places(name, axis)]
-
-
-def _norm(known: Array, limits: tuple[float, float] | None) -> Normalize:
-    if limits is None:
-        low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
-    else:
-        low, high = shaped("limits", finite("limits", limits), (2,), words=": smallest, largest").tolist()
-        bounded("values", known, least=low, most=high)
-    return LogNorm(low, high) if 0 < _LOGARITHMIC * low < high else Normalize(low, high)
-
-
-def _furnish(axes: Axes, columns: list[str], rows: list[str], names: Sequence[_Axis]) -> None:
-    long = max(map(len, columns)) > 6
-    axes.set_xticks(
-        range(len(columns)), columns, rotation=30 if long else 0, ha="right" if long else "center"
-    )
-    axes.set_yticks(range(len(rows)), rows)
-    axes.tick_params(length=0)
-    titles = [name if unit in ("", "1") else f"{name} [{unit}]" for name, unit, _ in names]
-    axes.set_xlabel(titles[0])
-    axes.set_ylabel(titles[1])
-    axes.spines[:].set_visible(False)
+def _range(numbers: Array) -> tuple[float, float]:
+    """Return the smallest and the largest of those that are finite."""
+    known = numbers[np.isfinite(numbers)]
+    return (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
 
 
 def _write(axes: Axes, numbers: Array, norm: Normalize, size: float) -> None:
@@ -199,19 +199,10 @@ def _write(axes: Axes, numbers: Array, norm: Normalize, size: float) -> None:
             text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1.0})
 
 
-_LOG_FROM = 20.0  # from which ratio of the largest to the smallest on, the axis is logarithmic
 _MARKERS = "osD^vP"  # with the colours: lines that coincide are told apart
 
 
-def curves(
-    values: Mapping[str, ArrayLike],
-    *,
-    x: _Axis,
-    label: str,
-    title: str | None = None,
-    ax: Canvas | None = None,
-    width: float | None = None,
-) -> Figure:
+def curves(values: Mapping[str, ArrayLike], *, x: _Axis, label: str, **layout: Unpack[Layout]) -> Figure:
     """Draw numbers over a parameter, a curve for each name.
 
     Where a number is infinite, nothing bounds it: a cross in a strip at the top says so. The axis is
@@ -225,10 +216,8 @@ def curves(
         Name, unit ("" for none) and values of the parameter: numbers.
     label : str
         What the numbers are, with their unit, such as ``"99 % stay within [mm]"``.
-    title : str, optional
-        Heading of the figure.
-    ax, width
-        As in `states`.
+    **layout
+        `title`, `ax` and `width`, as in `states`.
 
     Returns
     -------
@@ -239,48 +228,37 @@ def curves(
     InvalidArgument
         If there are no curves, one has another shape, or holds NaN.
     """
-    places, label = _places("x", x), text("label", label)
-    mapping("values", values, "a mapping of names to numbers")
-    rows = {name: _row(name, row, len(places)) for name, row in values.items()}
-    sheet = Sheet(ax, width, 8.0)
+    (across, places), label = _axis("x", x), text("label", label)
+    rows: dict[str, Array] = {}
+    for name, row in mapping("values", values, "a mapping of names to numbers").items():
+        called = f"values[{text('values', name)!r}]"
+        rows[name] = bounded(called, shaped(called, real(called, row), (len(places),)), above=-np.inf)
+    sheet = Sheet(8.0, **layout)
     (axes,) = sheet.axes([(0, 0)], [3.8])
     dress(axes)
     order = np.argsort(places, kind="stable")
     top = _scale(axes, np.concatenate(list(rows.values())))
     for k, row in enumerate(rows.values()):
         _curve(axes, places[order], row[order], top, k, len(rows))
-    axes.set_xlabel(f"{x[0]} [{x[1]}]" if x[1] else x[0])
-    axes.set_ylabel(label)
+    axes.set(xlabel=across, ylabel=label)
     keys = [Line2D([], [], label=name, **_look(k)) for k, name in enumerate(rows) if name]
     if any(np.isinf(row).any() for row in rows.values()):
         keys.append(Line2D([], [], color=ink(), marker="x", linestyle="", label="diverges"))
-    return sheet.finish(title, f"{label} over {x[0]}", keys)
-
-
-def _places(name: str, axis: object) -> Array:
-    return shaped(f"{name}[2]", finite(f"{name}[2]", _axis(name, axis)), ("n>=1",))
-
-
-def _row(name: str, values: ArrayLike, count: int) -> Array:
-    text("values", name)
-    called = f"values[{name!r}]"
-    return bounded(called, shaped(called, real(called, values), (count,)), above=-np.inf)
+    return sheet.finish(f"{label} over {x[0]}", keys)
 
 
 def _scale(axes: Axes, numbers: Array) -> float:
     """Choose the axis, and return where what is unbounded is marked."""
-    known = numbers[np.isfinite(numbers)]
-    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
-    if 0 < _LOG_FROM * low < high:
+    low, high = _range(numbers)
+    if 0 < _LOGARITHMIC * low < high:
         axes.set_yscale("log")
         room = (high / low) ** 0.05
         axes.set_ylim(low / room, high * room)
     else:
         least = min(low, 0.0)
         axes.set_ylim(least, high + 0.05 * ((high - least) or 1.0))
-    if len(known) == len(numbers):
-        return high
-    return strip_above(axes, "diverges", numbers=bool(len(known)))
+    finite = np.isfinite(numbers)
+    return high if finite.all() else strip_above(axes, "diverges", numbers=bool(finite.any()))
 
 
 def _curve(axes: Axes, x: Array, row: Array, top: float, index: int, count: int) -> None:
@@ -309,17 +287,12 @@ _PANELS = (
 _DOTS: Style = {"markersize": 5, "marker": "o"}
 _FLOOR = 1e-17  # where zero is drawn
 _TICKS = 6  # at most, along the steps
-_LONGEST = 22  # characters of a label above a panel; the legend has all
 _ROUNDING = "#dddddd"
 _GUIDE: Style = {"color": "#999999", "linestyle": (0, (4, 3)), "linewidth": 1.0, "zorder": 2}
 
 
 def integrator(
-    reports: IntegratorReport | Mapping[str, IntegratorReport],
-    *,
-    title: str | None = None,
-    ax: Canvas | None = None,
-    width: float | None = None,
+    reports: IntegratorReport | Mapping[str, IntegratorReport], **layout: Unpack[Layout]
 ) -> Figure:
     """Draw the errors over the step, double logarithmic, beside lines of the whole order that is nearest.
 
@@ -329,10 +302,8 @@ def integrator(
     ----------
     reports : IntegratorReport or mapping of str to IntegratorReport
         All are drawn in the same axes.
-    title : str, optional
-        Heading of the figure.
-    ax, width
-        As in `states`.
+    **layout
+        `title`, `ax` and `width`, as in `states`.
 
     Returns
     -------
@@ -343,8 +314,8 @@ def integrator(
     InvalidArgument
         If `reports` is something else.
     """
-    known: dict[str, IntegratorReport] = named("reports", reports, IntegratorReport)
-    sheet = Sheet(ax, width, 9.0)
+    known: dict[str, IntegratorReport] = by_label("reports", reports, IntegratorReport)
+    sheet = Sheet(9.0, **layout)
     columns = sheet.columns(3, 2.6)
     rows = len(_PANELS) // columns
     found = sheet.axes([divmod(k, columns) for k in range(6)], [1.7] * rows)
@@ -359,7 +330,7 @@ def integrator(
         Line2D([], [], label="whole order", **_GUIDE),
         Patch(facecolor=_ROUNDING, label="rounding"),
     ]
-    return sheet.finish(title, f"Accuracy{whose}: error over the step", keys)
+    return sheet.finish(f"Accuracy{whose}: error over the step", keys)
 
 
 def _panel(
@@ -371,8 +342,7 @@ def _panel(
     for index, (label, row) in enumerate(zip(labels, rows, strict=True)):
         errors = np.where(np.isfinite(row.errors), np.maximum(row.errors, _FLOOR), np.nan)
         axes.plot(1e3 * row.steps, errors, **_DOTS | line_style(index, len(rows)))
-        name = label if len(label) <= _LONGEST else f"{label[: _LONGEST - 1]}…"
-        note = f"{name}: {row}" if name else str(row)
+        note = f"{label}: {row}" if label else str(row)
         above = 4 + 1.3 * letters(0.9) * (len(rows) - 1 - index)
         axes.annotate(
             note, (0, 1), (0, above), xycoords="axes fraction", textcoords="offset points",

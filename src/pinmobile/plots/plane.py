@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from matplotlib import rcParams
@@ -22,7 +22,7 @@ from pinmobile.arrays import Array, ArrayLike, bounded, callable_as, finite, pos
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import written
 from pinmobile.loop import Rollout
-from pinmobile.plots.figure_layout import Canvas, Sheet, headed, letters, over, wrapped
+from pinmobile.plots.figure_layout import Layout, Sheet, Spot, checked_title, letters, over, wrapped
 from pinmobile.plots.style import (
     Rollouts,
     Style,
@@ -30,9 +30,12 @@ from pinmobile.plots.style import (
     curve,
     desired,
     dress,
+    dress_time,
     heading,
     ink,
+    keys_of,
     labelled,
+    line_style,
     of_each,
     same_references,
     si,
@@ -117,14 +120,7 @@ def _travelled() -> Style:
     return {"linewidth": 1.9 * float(rcParams["lines.linewidth"]), "zorder": 3}
 
 
-def path(
-    rollouts: Rollouts,
-    *,
-    times: ArrayLike | None = None,
-    title: str | None = None,
-    ax: Canvas | None = None,
-    width: float | None = None,
-) -> Figure:
+def path(rollouts: Rollouts, *, times: ArrayLike | None = None, **layout: Unpack[Layout]) -> Figure:
     """Draw the desired and the travelled path, and the robot at several instants at its actual pose.
 
     Parameters
@@ -133,10 +129,8 @@ def path(
         Each gets a panel; all panels show the same part of the plane.
     times : array_like, shape (n,), optional
         When the robot is drawn [s]; by default at up to 8 instants spread along the path.
-    title : str, optional
-        Heading of the figure.
-    ax, width
-        As in `states`.
+    **layout
+        `title`, `ax` and `width`, as in `states`.
 
     Returns
     -------
@@ -157,7 +151,7 @@ def path(
         for label, run in runs.items():
             least, most = float(run.t[0]), float(run.t[-1])
             instants[label] = bounded("times", given, least=least, most=most, unit="s")
-    figure, axes = panels(runs, title, "Desired and travelled path", ax, width)
+    figure, axes = panels(runs, "Desired and travelled path", **layout)
     otherwise = _arrowhead(axes[0])
     for index, (label, run) in enumerate(runs.items()):
         curve(axes[index], *run.poses[:, :2].T, color=colour(index), label="travelled", **_travelled())
@@ -168,13 +162,7 @@ def path(
 
 
 def panels(
-    runs: Mapping[str, Rollout],
-    title: str | None,
-    default: str,
-    ax: Canvas | None = None,
-    width: float | None = None,
-    *,
-    known: bool = True,
+    runs: Mapping[str, Rollout], default: str, *, known: bool = True, **layout: Unpack[Layout]
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with a panel for each rollout, its desired path drawn, and a legend below.
 
@@ -182,14 +170,14 @@ def panels(
     ----------
     runs : mapping of str to Rollout
         By label.
-    title, default, ax, width, known
+    default, known, **layout
         As in `Sheet`.
     """
     most = min(len(runs), 3)
     largest = (8.6 / most - 0.4, 4.8) if most > 1 else (7.0, 5.6)  # [in]
     shape = _shape(_window(runs, largest[0]))
     size = min(largest[0] / shape[0], largest[1] / shape[1])
-    sheet = Sheet(ax, width, 0.85 + most * (shape[0] * size + 0.3) - 0.3, known=known)
+    sheet = Sheet(0.85 + most * (shape[0] * size + 0.3) - 0.3, known=known, **layout)
     columns, keys = sheet.columns(most, 1.7), list(_keys(len(runs)))
     window = _window(runs, sheet.width / columns)
     shape = _shape(window)
@@ -202,7 +190,7 @@ def panels(
         sizes = zip([1 + note.count("\n") for note in notes], labels, strict=True)
         above = max(lines + 1.5 * bool(label) * (label.count("\n") + 1) for lines, label in sizes)
         height, grid = _placed(
-            sheet, spots, shape, 1.3 * above + 0.8, sheet.below(keys), sheet.heading(title, default)
+            sheet, spots, shape, 1.3 * above + 0.8, sheet.below(keys), sheet.heading(default)
         )
     else:
         grid = sheet.axes(spots, [3.0] * -(-len(runs) // columns), share="")
@@ -217,7 +205,7 @@ def panels(
         offset = 0, over(notes[index].count("\n") + 1)
         axes.annotate(labels[index], (0.5, 1), offset, ha="center", **heading(index))
         curve(axes, *run.reference_poses[:, :2].T, label="desired", **desired())
-    return sheet.finish(title, default, keys, height=height), grid
+    return sheet.finish(default, keys, height=height), grid
 
 
 def _placed(
@@ -372,7 +360,7 @@ def animate(
     times = np.append(np.arange(start, end - 1e-9 * pace, pace / rate), end)
     if progress is not None:
         callable_as("progress(done, total)", progress)
-    frames = _frames(_Scene(runs, times, headed(title, ""), pace), progress)
+    frames = _frames(_Scene(runs, times, checked_title(title) or "", pace), progress)
     ticks = np.round(100 * np.arange(len(times) + 1) / rate)  # of a GIF's hundredths of a second
     stand = [*(10 * np.diff(ticks[:-1])).astype(int).tolist(), round(1000 * _HELD)]  # [ms]
 
@@ -393,7 +381,7 @@ class _Scene:
     """A figure whose still parts are drawn once."""
 
     def __init__(self, runs: Mapping[str, Rollout], times: Array, title: str, pace: float) -> None:
-        figure, panes = panels(runs, None, "", known=False)
+        figure, panes = panels(runs, "", known=False)
         figure.set_dpi(_DPI)
         self.figure, self.times = figure, times
         self.canvas = _agg(figure)
@@ -454,3 +442,74 @@ def _frames(scene: _Scene, progress: Callable[[int, int], object] | None) -> Ite
         yield scene.frame(index).quantize(palette=palette, dither=Image.Dither.NONE)
         if progress is not None:
             progress(index + 1, total)
+
+
+_WIDE, _TALL = (1.4, 1.4, 1.4), (2.8, 1.2, 1.2, 1.2)  # [in]: heights of rows
+_NO_TARGET, _NO_ORIENTATION = "there is no target", "the target has no orientation"
+_PLACES = (("x [m]", "y [m]"), ("", "z [m]"), ("", "distance [m]"), ("t [s]", "angle [rad]"))
+"""Words beside the axes of path, height, distance and angle."""
+
+
+def end_effector(rollouts: Rollouts, *, frame: str | None = None, **layout: Unpack[Layout]) -> Figure:
+    """Draw an end effector's path from above, its height, and its pose's error: distance and angle.
+
+    Parameters
+    ----------
+    rollouts : Rollout or mapping of str to Rollout
+        All are drawn in the same axes.
+    frame : str, optional
+        As in `Rollout.end_effector`.
+    **layout
+        `title`, `ax` and `width`, as in `states`; axes are those of path, height, distance and angle.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+
+    Raises
+    ------
+    InvalidArgument
+        If `rollouts`, `ax` or `width` is something else, or a plant does not tell where its frames are.
+    UnknownName
+        If there is no such frame; it says which there are.
+    """
+    hands = of_each(labelled(rollouts), lambda run: run.end_effector(frame))
+    sheet = Sheet(9.0, **layout)
+    above, height, way, turn = _panels(sheet)
+    for index, (label, hand) in enumerate(hands.items()):
+        style = line_style(index, len(hands)) | {"label": label or "travelled"}
+        curve(above, *hand.position[:, :2].T, **style)
+        curve(height, hand.t, hand.position[:, 2], **style)
+        if hand.target is not None:
+            curve(way, hand.t, hand.distance, **style)
+            if hand.is_oriented:
+                curve(turn, hand.t, hand.angle, **style)
+    aimed = [(hand.t, hand.target) for hand in hands.values() if hand.target is not None]
+    for t, target in {t.tobytes() + target.tobytes(): (t, target) for t, target in aimed}.values():
+        curve(above, *target[:, :2, 3].T, **desired())
+        curve(height, t, target[:, 2, 3], **desired())
+    for axes, none in ((way, _NO_TARGET), (turn, _NO_ORIENTATION if way.lines else _NO_TARGET)):
+        axes.set_ylim(bottom=0.0)
+        if not axes.lines:
+            axes.text(0.5, 0.5, none, ha="center", va="center", transform=axes.transAxes)
+    names = ", ".join(dict.fromkeys(hand.frame for hand in hands.values()))
+    keys = [Line2D([], [], label="target", **desired())] if way.lines else []
+    return sheet.finish(f"End effector {names}", [*keys, *keys_of(hands, "travelled")])
+
+
+def _panels(sheet: Sheet) -> list[Axes]:
+    """Return axes on one another, or the path beside what goes over time."""
+    if sheet.columns(2, 3.2) == 1:
+        spots: list[Spot] = [(k, 0) for k in range(4)]
+        above, *later = sheet.axes(spots, _TALL, share="")
+    else:
+        spots = [(slice(None), 0), (0, 1), (1, 1), (2, 1)]
+        above, *later = sheet.axes(spots, _WIDE, ratios=(1.2, 1))
+    panels = [above, *later]
+    for axes, (x, y) in zip(panels, _PLACES, strict=True):
+        dress_time(axes)
+        axes.set(xlabel=x, ylabel=y)
+        axes.ticklabel_format(axis="y", scilimits=(-3, 4), useMathText=True)
+    above.set_aspect("equal", adjustable="datalim")
+    above.margins(0.1)
+    return panels

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 from matplotlib import rcParams
@@ -15,14 +15,14 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, finite, one_of, scalar, sequence, shaped
+from pinmobile.arrays import Array, ArrayLike, by_label, finite, one_of, scalar, sequence, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Bands, Ensemble, SameAs, edges
 from pinmobile.metrics import Metric
 from pinmobile.palette import INK
-from pinmobile.plots.figure_layout import Canvas, Sheet, Spot, letters, over, wrapped
+from pinmobile.plots.figure_layout import Layout, Sheet, Spot, letters, over, wrapped
 from pinmobile.plots.parameter_curves import strip_above
-from pinmobile.plots.style import Style, colour, dress, heading, ink, named, percent, shortened, si, tint
+from pinmobile.plots.style import Style, colour, dress, heading, ink, percent, shortened, si, tint
 
 _ALWAYS = "distance", "heading"
 _LINEAR_BANDS = 40.0  # by how much the largest of all may exceed the smallest median on a linear axis
@@ -46,9 +46,7 @@ def bands(
     *,
     levels: ArrayLike = (0.5, 0.9, 0.99),
     by: Sequence[str] | None = None,
-    title: str | None = None,
-    ax: Canvas | None = None,
-    width: float | None = None,
+    **layout: Unpack[Layout],
 ) -> Figure:
     """Draw what shares of the robots stay within, over time: distance from the desired position, and heading.
 
@@ -66,10 +64,8 @@ def bands(
     by : sequence of str, optional
         What is drawn of `Scenario.channels`, such as ``["end effector", "ur5/elbow_joint"]``; by default the
         distance, the heading, and what all ensembles judge beside errors.
-    title : str, optional
-        Heading of the figure.
-    ax, width
-        As in `states`.
+    **layout
+        `title`, `ax` and `width`, as in `states`.
 
     Returns
     -------
@@ -80,11 +76,11 @@ def bands(
     InvalidArgument, UnknownName
         If `ensembles` is something else, a level is not a share, or an ensemble counts nothing of a name.
     """
-    known: dict[str, Ensemble] = named("ensembles", ensembles, Ensemble)
+    known: dict[str, Ensemble] = by_label("ensembles", ensembles, Ensemble)
     shares = shaped("levels", np.unique(finite("levels", levels)), ("n>=1",))
     rows = _rows(list(known.values()), by)
     drawn = [_drawn(one, shares, [row.name for row in rows]) for one in known.values()]
-    sheet = Sheet(ax, width, max(7.5, 3.6 * len(known)))
+    sheet = Sheet(max(7.5, 3.6 * len(known)), **layout)
     grid = sheet.grid(len(rows), len(known), [max(2.0, 4.4 / len(rows))] * len(rows), share="xy")
     for row, channel in zip(grid, rows, strict=True):
         quantiles = [one[channel.name] for one in drawn]
@@ -105,7 +101,7 @@ def bands(
         grid[-1, index].set_xlabel("t [s]")
     if sheet.new:
         sheet.figure.align_ylabels(grid[:, 0])
-    return sheet.finish(title, "How far the robots stray", list(_keys(drawn[0], list(known.values()))))
+    return sheet.finish("How far the robots stray", list(_keys(drawn[0], list(known.values()))))
 
 
 def _rows(ensembles: Sequence[Ensemble], by: Sequence[str] | None) -> list[Metric]:
@@ -390,13 +386,7 @@ def _where() -> Style:
 
 
 def drivers(
-    ensemble: Ensemble,
-    *,
-    share: float = 0.05,
-    by: str = "distance",
-    title: str | None = None,
-    ax: Canvas | None = None,
-    width: float | None = None,
+    ensemble: Ensemble, *, share: float = 0.05, by: str = "distance", **layout: Unpack[Layout]
 ) -> Figure:
     """Draw what the worst robots have in common: each parameter's distribution among them and the others.
 
@@ -416,10 +406,8 @@ def drivers(
     by : str
         What makes them the worst, see `Ensemble.largest`: "distance" from the desired position, "heading", a
         coordinate by its name, or a metric, such as "tip-over margin", of which the smallest is the worst.
-    title : str, optional
-        Heading of the figure, which by default names what drives them.
-    ax, width
-        As in `states`; the last of several axes is that of the robots' errors.
+    **layout
+        `title`, `ax` and `width`, as in `states`; the last of several axes is that of the robots' errors.
 
     Returns
     -------
@@ -436,7 +424,7 @@ def drivers(
     worst = worst_share(ensemble, share, by)
     found = causes(ensemble, worst)
     shown = found[:_MOST]
-    sheet = Sheet(ax, width, 7.6 if len(shown) <= 3 else 9.0)
+    sheet = Sheet(7.6 if len(shown) <= 3 else 9.0, **layout)
     columns = sheet.columns(2 if len(shown) <= 3 else 3, 2.9)
     *panels, scatter = _axes(sheet, len(shown), columns)
     for axes, one in zip(panels, shown, strict=True):
@@ -449,7 +437,7 @@ def drivers(
     ]
     if _lost(ensemble, by).any():
         keys.append(Line2D([], [], color=ink(), marker="x", linestyle="", label=_fate(ensemble, by)))
-    return sheet.finish(title, _answer(found, share, by), keys)
+    return sheet.finish(_answer(found, share, by), keys)
 
 
 def _axes(sheet: Sheet, count: int, columns: int) -> list[Axes]:

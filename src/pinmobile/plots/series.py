@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Unpack
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import ScalarFormatter
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, instance
 from pinmobile.balance import reaction_wrench
 from pinmobile.errors import InvalidArgument
+from pinmobile.identification import Prediction
+from pinmobile.loop import Rollout
 from pinmobile.parts import Grounded
 from pinmobile.plant import Plant, configuration_names_of, coordinates_of
-from pinmobile.plots.figure_layout import Canvas, Sheet, letters, over_titles, wrapped
+from pinmobile.plots.figure_layout import Layout, Sheet, letters, over_titles, wrapped
 from pinmobile.plots.style import (
     Rollouts,
     Style,
     colour,
     desired,
     dress,
+    dress_time,
     heading,
     ink,
     keys_of,
@@ -32,6 +35,7 @@ from pinmobile.plots.style import (
     line_style,
     same_references,
     shortened,
+    tint,
     with_plants,
 )
 
@@ -40,9 +44,7 @@ _SYMBOLS = {**{"x": "$x$", "y": "$y$", "psi": r"$\psi$"}, **{"Fx": "$F_x$", "Fy"
 _ROUNDING = 1e-12  # what is smaller is drawn and told as the rounding that it is
 
 
-def states(
-    rollouts: Rollouts, *, title: str | None = None, ax: Canvas | None = None, width: float | None = None
-) -> Figure:
+def states(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     """Draw x, y and psi over time, desired and actual; of arms each joint too.
 
     Parameters
@@ -50,7 +52,7 @@ def states(
     rollouts : Rollout or mapping of str to Rollout
         All are drawn in the same axes.
     title : str, optional
-        Heading of the figure.
+        Heading of the figure; "" for none.
     ax : Axes, sequence of Axes, Figure or SubFigure, optional
         Where it is drawn: axes, one for each panel, or a figure that is filled; by default a new figure.
     width : float, optional
@@ -68,19 +70,15 @@ def states(
     """
     runs = labelled(rollouts)
     names = _names((run.plant, _named(run.plant, run.q.shape[1])) for run in runs.values())
-    sheet, panels = _rows(names, ax, width)
-    for index, run in enumerate(runs.values()):
-        draw(panels, run.t, run.q, **line_style(index, len(runs)))
+    sheet, panels = _over_each_other(runs, names, lambda run: run.q, layout)
     for labels in same_references(runs).values():
         run = runs[labels[0]]
         draw(panels, run.t, run.reference.q, label="desired", **desired())
     keys = [Line2D([], [], label="desired", **desired()), *keys_of(runs, "actual")]
-    return sheet.finish(title, "Desired and actual pose", keys)
+    return sheet.finish("Desired and actual pose", keys)
 
 
-def errors(
-    rollouts: Rollouts, *, title: str | None = None, ax: Canvas | None = None, width: float | None = None
-) -> Figure:
+def errors(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     """Draw the errors of x, y and psi, and of joints, over time, desired minus actual, on the circle.
 
     Controllers differ by orders of magnitude, so each rollout has a column with its own scale; above each
@@ -90,10 +88,8 @@ def errors(
     ----------
     rollouts : Rollout or mapping of str to Rollout
         Each gets a column.
-    title : str, optional
-        Heading of the figure.
-    ax, width
-        As in `states`.
+    **layout
+        `title`, `ax` and `width`, as in `states`.
 
     Returns
     -------
@@ -108,7 +104,7 @@ def errors(
     names = _names((run.plant, run.labels) for run in runs.values())
     note = "; each panel has its own scale" if len(runs) > 1 else ""
     many = len(names) > _MOST
-    sheet = Sheet(ax, width, max(9.0, (4.2 if many else 3.2) * len(runs)))
+    sheet = Sheet(max(9.0, (4.2 if many else 3.2) * len(runs)), **layout)
     grid = _stacked(sheet, names if many else [(f"error in {name}", unit) for name, unit in names], len(runs))
     for index, (label, run) in enumerate(runs.items()):
         column = grid[:, index]
@@ -118,22 +114,18 @@ def errors(
             largest = f"largest {_power(float(np.abs(values).max()))} {unit}"
             axes.set_title(wrapped(largest, letters(0.95), room), fontsize=letters(0.95), loc="right")
         over_titles(column[0], shortened(sheet, label), **heading(index))
-    return sheet.finish(title, f"Error: desired minus actual{note}")
+    return sheet.finish(f"Error: desired minus actual{note}")
 
 
-def forces(
-    rollouts: Rollouts, *, title: str | None = None, ax: Canvas | None = None, width: float | None = None
-) -> Figure:
+def forces(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     """Draw the plant's inputs over time, forces and torques, held from one sample to the next.
 
     Parameters
     ----------
     rollouts : Rollout or mapping of str to Rollout
         All are drawn in the same axes.
-    title : str, optional
-        Heading of the figure.
-    ax, width
-        As in `states`.
+    **layout
+        `title`, `ax` and `width`, as in `states`.
 
     Returns
     -------
@@ -146,25 +138,19 @@ def forces(
     """
     runs = labelled(rollouts)
     names = _names((run.plant, [(one.name, one.unit) for one in run.inputs]) for run in runs.values())
-    sheet, panels = _rows(names, ax, width)
-    for index, run in enumerate(runs.values()):
-        draw(panels, run.t, run.u, drawstyle="steps-post", **line_style(index, len(runs)))
-    return sheet.finish(title, "Input, held from one sample to the next", keys_of(runs))
+    sheet, _ = _over_each_other(runs, names, lambda run: run.u, layout, drawstyle="steps-post")
+    return sheet.finish("Input, held from one sample to the next", keys_of(runs))
 
 
-def signals(
-    rollouts: Rollouts, *, title: str | None = None, ax: Canvas | None = None, width: float | None = None
-) -> Figure:
+def signals(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     """Draw the signals that the parts of the loop gave, each with its unit.
 
     Parameters
     ----------
     rollouts : Rollout or mapping of str to Rollout
         All are drawn in the same axes; each signal of any has a panel.
-    title : str, optional
-        Heading of the figure.
-    ax, width
-        As in `states`.
+    **layout
+        `title`, `ax` and `width`, as in `states`.
 
     Returns
     -------
@@ -180,7 +166,7 @@ def signals(
     if not units:
         raise InvalidArgument("rollouts have no signals, expected at least one: see Rollout.signals")
     names = [(_symbol(name), unit) for name, unit in units.items()]
-    sheet, panels = _rows(names, ax, width)
+    sheet, panels = _rows(names, layout)
     most = max(values[0].size for run in runs.values() for _, values in run.signals.values())
 
     def style(index: int, k: int, count: int) -> Style:
@@ -200,18 +186,30 @@ def signals(
     ]
     if most > 1:
         keys += [Line2D([], [], label=f"[{k}]", color=colour(k), linewidth=3.0) for k in range(most)]
-    return sheet.finish(title, "Signals", keys)
+    return sheet.finish("Signals", keys)
 
 
 _MOST = 6  # coordinates below each other, with their symbols beside them; more have them above
 
 
-def _rows(
-    names: Sequence[tuple[str, str]], ax: Canvas | None, width: float | None
+def _over_each_other(
+    runs: Mapping[str, Rollout],
+    names: Sequence[tuple[str, str]],
+    values: Callable[[Rollout], Array],
+    layout: Layout,
+    **style: Any,
 ) -> tuple[Sheet, list[Axes]]:
+    """Draw a line of each rollout in the axes of each name, and return the sheet and these axes."""
+    sheet, panels = _rows(names, layout)
+    for index, run in enumerate(runs.values()):
+        draw(panels, run.t, values(run), **style, **line_style(index, len(runs)))
+    return sheet, panels
+
+
+def _rows(names: Sequence[tuple[str, str]], layout: Layout) -> tuple[Sheet, list[Axes]]:
     """Return a sheet with axes for each name and unit: below each other, or many up to three in a row."""
     count = len(names)
-    sheet = Sheet(ax, width, 9.0 if count <= _MOST else 12.0)
+    sheet = Sheet(9.0 if count <= _MOST else 12.0, **layout)
     if count <= _MOST:
         panels = list(_stacked(sheet, names, 1)[:, 0])
     else:
@@ -242,11 +240,8 @@ def _name(sheet: Sheet, axes: Axes, name: tuple[str, str], parts: int = 1) -> No
 
 def _over_time(sheet: Sheet, grid: NDArray[Any]) -> NDArray[Any]:
     for axes in grid.ravel():
-        dress(axes)
-        axes.margins(x=0.01, y=0.1)
-        formatter = ScalarFormatter(useMathText=True)
-        formatter.set_powerlimits((-3, 4))
-        axes.yaxis.set_major_formatter(formatter)
+        dress_time(axes)
+        axes.ticklabel_format(axis="y", scilimits=(-3, 4), useMathText=True)
     for axes in grid[-1]:
         axes.set_xlabel("t [s]")
     if sheet.new:
@@ -297,14 +292,7 @@ def _power(value: float) -> str:
 _WRENCH = [(f"${kind}_{axis}$", unit) for kind, unit in (("f", "N"), ("m", "N m")) for axis in "xyz"]
 
 
-def reaction(
-    rollouts: Rollouts,
-    *,
-    mount: str | None = None,
-    title: str | None = None,
-    ax: Canvas | None = None,
-    width: float | None = None,
-) -> Figure:
+def reaction(rollouts: Rollouts, *, mount: str | None = None, **layout: Unpack[Layout]) -> Figure:
     """Draw the force and the moment that an arm exerts on the base over time, along the body's axes.
 
     Parameters
@@ -313,10 +301,8 @@ def reaction(
         All are drawn in the same axes.
     mount : str, optional
         As in `reaction_wrench`.
-    title : str, optional
-        Heading of the figure.
-    ax, width
-        As in `states`.
+    **layout
+        `title`, `ax` and `width`, as in `states`.
 
     Returns
     -------
@@ -330,7 +316,72 @@ def reaction(
         If nothing is mounted by that name.
     """
     runs = with_plants(rollouts, *GROUNDED)
-    sheet, panels = _rows(_WRENCH, ax, width)
-    for index, run in enumerate(runs.values()):
-        draw(panels, run.t, reaction_wrench(run, mount), **line_style(index, len(runs)))
-    return sheet.finish(title, "Force and moment of the arm on the base, at its mount", keys_of(runs))
+    sheet, _ = _over_each_other(runs, _WRENCH, lambda run: reaction_wrench(run, mount), layout)
+    return sheet.finish("Force and moment of the arm on the base, at its mount", keys_of(runs))
+
+
+_MEASURED: Style = {"color": "#9a9a9a", "linewidth": 3.2, "solid_capstyle": "round"}
+_DEVIATIONS = 2.0  # of the noise, within which 95 of 100 differences lie
+_POINTS = 4000  # points of a line
+
+
+def prediction(foretold: Prediction, **layout: Unpack[Layout]) -> Figure:
+    """Draw what was measured and what was foretold, and their difference beside the sensor's noise.
+
+    Each segment of the prediction starts anew; the band is what 95 of 100 differences would lie within if the
+    sensor's noise were all that is left.
+
+    Parameters
+    ----------
+    foretold : Prediction
+        What `Identification.predict` returned.
+    **layout
+        `title`, `ax` and `width`, as in `states`; axes are, of x, y and psi
+        or of speed and yaw rate each, that of the values, then that of the differences.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+        The new one, or that of the first axes.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is no prediction, or `ax` or `width` is something else.
+    """
+    instance("foretold", foretold, Prediction, "what predict() of an identification returns")
+    sheet = Sheet(10.0, **layout)
+    grid = sheet.grid(len(foretold.names), 2, [1.7] * len(foretold.names))
+    t = _broken(foretold.t)
+    kept = np.arange(0, t.size, max(1, t.size // _POINTS))
+    for axes in grid.ravel():
+        dress(axes)
+    for k, (name, unit) in enumerate(zip(foretold.names, foretold.units, strict=True)):
+        (values, differences), small = grid[k], f"m{unit}"
+        measured, predicted = foretold.measured[..., k], foretold.predicted[..., k]
+        values.plot(t[kept], _broken(measured)[kept], **_MEASURED)
+        values.plot(t[kept], _broken(predicted)[kept], color=colour(0), linewidth=1.4)
+        values.set_ylabel(f"{_SYMBOLS[name] if name == 'psi' else name} [{unit}]")
+        noise = 1e3 * foretold.noise[k]
+        band = _DEVIATIONS * noise
+        differences.axhspan(-band, band, color=tint(ink(), 0.12), linewidth=0)
+        left = 1e3 * _broken(measured - predicted)
+        differences.plot(t[kept], left[kept], color=colour(0), linewidth=0.7)
+        differences.set_ylabel(f"difference [{small}]")
+        told = f"rms {1e3 * foretold.rms[k]:.2g} {small}, noise {noise:.2g} {small}"
+        sheet.write_above(differences, told, 0.95, loc="left")
+    for axes in grid[-1]:
+        axes.set_xlabel("t [s]")
+    keys = [
+        Line2D([], [], label="measured", **_MEASURED),
+        Line2D([], [], label="foretold", color=colour(0), linewidth=1.4),
+        Patch(color=tint(ink(), 0.12), label="noise of the sensor, 95 %"),
+    ]
+    span = float(foretold.t[0, -1] - foretold.t[0, 0])
+    return sheet.finish(f"Measured and foretold, {span:.3g} s ahead", keys)
+
+
+def _broken(segments: Array) -> Array:
+    """Return segments as one line that is broken between them, shape (S (L + 1),)."""
+    gap = np.full((len(segments), 1), np.nan)
+    return np.asarray(np.concatenate([segments, gap], axis=1).ravel())

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 import pinmobile.palette as palette
-from pinmobile.arrays import Array, instance, mapping, text
+from pinmobile.arrays import Array, by_label
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.loop import Rollout
 from pinmobile.palette import INK
@@ -105,6 +105,12 @@ def dress(axes: Axes) -> None:
     axes.tick_params(color="#888888")
 
 
+def dress_time(axes: Axes) -> None:
+    """Give axes over time a quiet frame, and room beside what is drawn."""
+    dress(axes)
+    axes.margins(x=0.01, y=0.1)
+
+
 def heading(index: int) -> Style:
     """Return how the label of rollout `index` is written above its axes, by an offset in points."""
     return {
@@ -154,40 +160,12 @@ def labelled(rollouts: object) -> dict[str, Rollout]:
     InvalidArgument
         If it is something else, or holds nothing.
     """
-    return named("rollouts", rollouts, Rollout)
+    return by_label("rollouts", rollouts, Rollout)
 
 
 def called(label: str) -> str:
     """Return what a message calls one of `labelled` rollouts."""
     return f"rollouts[{label!r}]" if label else "rollouts"
-
-
-def named(argument: str, values: object, kind: type[_Kind]) -> dict[str, _Kind]:
-    """Return what is drawn by label; a single one has the label "".
-
-    Parameters
-    ----------
-    argument : str
-        Name of the argument, for the message.
-    values : object or mapping of str to object
-        What a caller wants drawn.
-    kind : type
-        What each must be.
-
-    Raises
-    ------
-    InvalidArgument
-        If it is something else, or holds nothing.
-    """
-    what = kind.__name__
-    one = f"{'an' if what[0] in 'AEIOU' else 'a'} {what}"
-    if isinstance(values, kind):
-        return {"": values}
-    found = mapping(argument, values, f"{one} or a mapping of labels to {what}s")
-    for label, value in found.items():
-        text(f"a label of {argument}", label)
-        instance(f"{argument}[{label!r}]", value, kind, one)
-    return dict(found)
 
 
 def of_each(runs: Mapping[str, Rollout], ask: Callable[[Rollout], _Kind]) -> dict[str, _Kind]:

@@ -4,18 +4,27 @@ from typing import TYPE_CHECKING
 
 from pinmobile.viewer.pages import OfflineWindow
 from pinmobile.viewer.recording import Recording, check_films as check_films
-from pinmobile.viewer.scene_tree import Arrows, Follow, Overlays, Stay
+from pinmobile.viewer.scene_tree import Arrows, FixedCamera, Follow, Overlays
 from pinmobile.viewer.viewer import Viewer
 
 if TYPE_CHECKING:
-    from pinmobile.viewer.window import LiveWindow
+    from pinmobile.viewer.server import LiveWindow
 
-__all__ = ["Arrows", "Follow", "LiveWindow", "OfflineWindow", "Overlays", "Recording", "Stay", "Viewer"]
+__all__ = [
+    "Arrows",
+    "FixedCamera",
+    "Follow",
+    "LiveWindow",
+    "OfflineWindow",
+    "Overlays",
+    "Recording",
+    "Viewer",
+]
 
 
 def __getattr__(name: str) -> object:
     if name == "LiveWindow":  # a recording needs no server
-        from pinmobile.viewer.window import LiveWindow
+        from pinmobile.viewer.server import LiveWindow
 
         return LiveWindow
     raise AttributeError(f"module 'pinmobile.viewer' has no attribute {name!r}")

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 import pinmobile.viewer.shapes as shapes
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument, PinmobileError, shown
 from pinmobile.loop import EndEffector, Rollout
 from pinmobile.palette import GRIPS, INK, QUIET, SLIDES, colour
+from pinmobile.parts import Touching, able
 from pinmobile.plant import Contacts
 from pinmobile.signals import Signal
-from pinmobile.viewer.motion import Channel, along
-from pinmobile.viewer.scene_tree import Extent, Overlays, Stage
+from pinmobile.viewer.motion import Channel, along, samples_before
+from pinmobile.viewer.scene_tree import Extent, Stage
 
 _ORDER = 20  # over what lies on the ground, under what shows through everything
 _SIDES = 6
@@ -54,22 +55,51 @@ def draw_hand(
     path, trail : bool
         Which of the two.
     """
+    node = f"meshcat/hand{index}"
     if path and hand.target is not None:
-        points = _thinned(hand.target[:, :3, 3])
-        dash = max(0.028 * extent.radius, 0.05 * extent.unit)
-        bands = _dashes(points, _TARGET * extent.unit, dash)
+        points = hand.target[:: max(len(hand.target) // _SPREAD, 1), :3, 3]
+        bands = shapes.dashes(points, extent.dash, lambda part: tube(part, _TARGET * extent.unit))
         if bands is not None:
-            stage.put(f"meshcat/hand{index}/target", shapes.flat(bands, INK, order=_ORDER + 5))
-    kept = np.unique(np.append(np.arange(0, len(hand.t), -(-len(hand.t) // _SPREAD)), len(hand.t) - 1))
-    points = hand.position[kept]
-    if not trail or float(np.ptp(points, axis=0).max()) < _STILL:
+            stage.put(f"{node}/target", shapes.flat(bands, INK, order=_ORDER + 5))
+    if not trail or float(np.ptp(hand.position, axis=0).max()) < _STILL:
         return []
-    node = f"meshcat/hand{index}/trail/<object>"
-    band = tube(points, _TRAVELLED * extent.unit)
-    shape = shapes.flat(band, colour(index), order=_ORDER + index, trail=True)
-    stage.put(node.removesuffix("/<object>"), shape)
-    drawn = 6 * _SIDES * np.interp(times, hand.t[kept], np.arange(len(kept)))
-    return [Channel(node, "drawn", drawn[:, None])]
+    band = partial(tube, thickness=_TRAVELLED * extent.unit)
+    motion, path_of = (hand.t, hand.position), f"{node}/trail"
+    return draw_trail(stage, path_of, motion, times, band, paint=colour(index), order=_ORDER + index)
+
+
+def draw_trail(
+    stage: Stage,
+    path: str,
+    motion: tuple[Array, Array],
+    times: Array,
+    band: Callable[[Array], shapes.Triangles],
+    *,
+    paint: str,
+    order: int,
+) -> list[Channel]:
+    """Draw a band along what has been travelled, and return the channel of how much of it shows.
+
+    Parameters
+    ----------
+    stage, path
+        Where.
+    motion : tuple of ndarray, shape (N,) and (N, k)
+        Times [s] and points [m].
+    times : ndarray, shape (n,)
+        Of the frames [s].
+    band : callable
+        Gives the triangles of a band along points, as many from each to the next.
+    paint, order
+        As in `shapes.flat`.
+    """
+    t, points = motion
+    kept = np.unique(np.append(np.arange(0, len(t), -(-len(t) // _SPREAD)), len(t) - 1))
+    triangles = band(points[kept])
+    stage.put(path, shapes.flat(triangles, paint, order=order, trail=True))
+    each = 3 * len(triangles[1]) // max(len(kept) - 1, 1)
+    drawn = each * np.interp(times, t[kept], np.arange(len(kept)))
+    return [Channel(f"{path}/<object>", "drawn", drawn[:, None])]
 
 
 def hand_errors(hand: EndEffector | None) -> list[Array]:
@@ -79,7 +109,7 @@ def hand_errors(hand: EndEffector | None) -> list[Array]:
     return [hand.distance, hand.angle] if hand.is_oriented else [hand.distance]
 
 
-def tube(points: Array, thickness: float) -> tuple[Array, NDArray[np.uint32]]:
+def tube(points: Array, thickness: float) -> shapes.Triangles:
     """Return a round band along a curve in space, two triangles for each side of each stretch.
 
     Parameters
@@ -117,71 +147,31 @@ def _across(along: Array) -> tuple[Array, Array]:
     return first, np.cross(along, first)
 
 
-def _thinned(points: Array) -> Array:
-    return points[:: max(len(points) // _SPREAD, 1)]
-
-
-def _dashes(points: Array, thickness: float, dash: float) -> Any:
-    """Return tubes along the curve, `dash` long and 0.8 of that apart [m]; None of one that stands still."""
-    travelled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
-    if travelled[-1] < _STILL:
-        return None
-    parts = []
-    for start in np.arange(0.0, max(travelled[-1] - dash / 3, dash / 10), 1.8 * dash):
-        end = min(start + dash, travelled[-1])
-        inside = travelled[(travelled > start) & (travelled < end)]
-        at = np.concatenate([[start], inside[:: max(len(inside) // 8, 1)], [end]])
-        parts.append(tube(np.stack([np.interp(at, travelled, c) for c in points.T], axis=-1), thickness))
-    return shapes.joined(parts)
-
-
 TRAIL, ABOVE = 2, 40
 """What is painted over what: the grid, trails, the path, words, and what shows through everything."""
 _DISCS = 12  # over trails, path and words
 _NOTHING = 1e-4  # of a scale: not to be seen
-_LARGEST = (
-    0.4  # radius of the largest disc, or length of the largest arrow without one, in lengths of the robot
-)
+_LARGEST = 0.4  # radius of the largest disc, or length of the largest arrow, in lengths of the robot
 _THIN = 0.12  # of a disc: an ellipse that is narrower is drawn so wide
 _FAR = 4.0  # radii of the scene, beyond which no centre is drawn
 _NO_FORCE = 1e-9  # [N]
 
 
-def draw_ground(
-    stage: Stage,
-    run: Rollout,
-    times: Array,
-    poses: Array,
-    extent: Extent,
-    overlays: Overlays,
-) -> tuple[list[Channel], list[list[object]]]:
-    """Draw what the ground does, and return its channels and what the legend tells of it.
+def contacts_at(run: Rollout, times: Array, poses: Array) -> Contacts:
+    """Return the contacts of the sample before each frame, at the places of the frame.
 
     Raises
     ------
     InvalidArgument
         If the plant does not tell its contacts.
     """
-    found = _contacts(run, times, poses)
-    channels: list[Channel] = []
-    legend: list[list[object]] = []
-    if overlays.contacts:
-        _draw_contacts(stage, found, extent, channels, legend)
-    if overlays.centre:
-        _draw_centre(stage, found.centre, poses, extent, channels, legend)
-    return channels, legend
-
-
-def _contacts(run: Rollout, times: Array, poses: Array) -> Contacts:
-    """Return the contacts of the sample before each frame, at the places of the frame."""
-    plant: Any = run.plant
-    if not callable(getattr(plant, "contacts", None)):
+    plant = able(run.plant, Touching)
+    if plant is None:
         raise InvalidArgument(
-            f"overlays has contacts or centre, of which the plant {shown(plant)} tells nothing, expected a "
-            "plant with contacts(q, v, a, u, signals), such as a WheeledRobot"
+            f"overlays has contacts or centre, of which the plant {shown(run.plant)} tells nothing, expected "
+            "a plant with contacts(q, v, a, u, signals), such as a WheeledRobot"
         )
-    now = times + 1e-9 * max(abs(times[-1]), 1.0)
-    held = np.clip(np.searchsorted(run.t, now, side="right") - 1, 0, len(run) - 1)
+    held = samples_before(run.t, times)
     signals = {name: Signal(unit, values[held]) for name, (unit, values) in run.signals.items()}
     found: Contacts = plant.contacts(run.q[held], run.v[held], run.a[held], run.u[held], signals)
     at = run.poses[held]
@@ -192,14 +182,15 @@ def _contacts(run: Rollout, times: Array, poses: Array) -> Contacts:
     return found._replace(places=poses[:, None, :2] + moved, directions=found.directions + turn[:, None])
 
 
-def _draw_contacts(
-    stage: Stage, found: Contacts, extent: Extent, channels: list[Channel], legend: list[list[object]]
-) -> None:
+def draw_contacts(stage: Stage, found: Contacts, extent: Extent) -> tuple[list[Channel], list[list[object]]]:
+    """Draw forces and friction discs, and return their channels and what the legend tells of them."""
+    channels: list[Channel] = []
+    legend: list[list[object]] = []
     sizes = np.linalg.norm(found.forces, axis=-1)
     limits = np.nan_to_num(found.limits)
     largest = max(float(limits.max(initial=0.0)), 0.0) or float(sizes.max(initial=0.0))
     if not largest > _NO_FORCE:
-        return
+        return channels, legend
     scale = _LARGEST * extent.unit / largest
     shared = np.logical_not(np.asarray(found.determined.all(axis=1)))
     paints = {GRIPS: "force of the ground", SLIDES: "slides", QUIET: "force, share of a sum"}
@@ -234,6 +225,7 @@ def _draw_contacts(
         legend.append([f"{label}, 1 m = {1 / scale:.2g} N" if k == 0 else label, paint, "", 0.0])
     if np.isfinite(found.limits).any():
         legend.append(["disc: friction it has, mu N", GRIPS, "", 0.3])
+    return channels, legend
 
 
 def _disc(paint: str) -> dict[str, shapes.Shape]:
@@ -243,14 +235,10 @@ def _disc(paint: str) -> dict[str, shapes.Shape]:
     }
 
 
-def _draw_centre(
-    stage: Stage,
-    centre: Array,
-    poses: Array,
-    extent: Extent,
-    channels: list[Channel],
-    legend: list[list[object]],
-) -> None:
+def draw_centre(
+    stage: Stage, centre: Array, poses: Array, extent: Extent
+) -> tuple[list[Channel], list[list[object]]]:
+    """Draw the instantaneous centre of rotation, and return its channels and what the legend tells of it."""
     with np.errstate(invalid="ignore"):
         away = np.where(np.isfinite(centre), centre - poses[:, :2], 0.0)
         far = np.hypot(*np.where(np.isfinite(centre), centre - extent.centre, np.inf).T)
@@ -261,7 +249,7 @@ def _draw_centre(
     angle = np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
     band = shapes.ribbon(np.array([[0.0, 0.0], [1.0, 0.0]]), 0.02 * unit)
     stage.put(f"{path}/way", shapes.flat(band, INK, order=_DISCS + 2, opacity=0.6))
-    channels += along(f"{path}/way", np.column_stack([poses[:, :2], angle]))
+    channels = along(f"{path}/way", np.column_stack([poses[:, :2], angle]))
     shown_at = np.where(near[:, None], [1.0, 1.0, 1.0], _NOTHING)
     channels.append(Channel(f"{path}/way", "scale", np.column_stack([length, shown_at[:, 1:]])))
     ring = shapes.disc(0.6)
@@ -271,4 +259,4 @@ def _draw_centre(
     for name, aside in (("point", np.zeros(3)), ("name", unit * np.array([0.25, 0.25, 0.0]))):
         channels.append(Channel(f"{path}/{name}", "position", np.column_stack([place, ground]) + aside))
         channels.append(Channel(f"{path}/{name}", "scale", shown_at))
-    legend.append(["way to the instantaneous centre of rotation", INK, "", 0.6])
+    return channels, [["way to the instantaneous centre of rotation", INK, "", 0.6]]

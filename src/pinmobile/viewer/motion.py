@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, finite
 from pinmobile.errors import InvalidArgument, shown
@@ -96,6 +97,12 @@ def poses_of(path: str, placements: Array) -> list[Channel]:
 def sampled(times: Array, t: Array, values: Array) -> Array:
     """Return values, shape (N, k), at other times, shape (n,); straight between two samples."""
     return np.stack([np.interp(times, t, column) for column in values.T], axis=-1)
+
+
+def samples_before(t: Array, times: Array) -> NDArray[np.intp]:
+    """Return the index of the sample of t, shape (N,), at or before each of the times, shape (n,)."""
+    now = times + 1e-9 * max(abs(times[-1]), 1.0)  # a frame at a sample is not before it
+    return np.asarray(np.clip(np.searchsorted(t, now, side="right") - 1, 0, len(t) - 1), np.intp)
 
 
 def tracks(channels: Iterable[Channel], times: Array, end: float) -> list[dict[str, Any]]:

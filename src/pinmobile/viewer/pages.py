@@ -15,7 +15,7 @@ from math import isfinite
 from pathlib import Path
 from string import Template
 from threading import Lock
-from typing import Any, NamedTuple, NoReturn, Protocol
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -101,6 +101,16 @@ class Command(Protocol):
     def lower(self) -> dict[str, Any]:
         """Return the dict that meshcat's page reads."""
         ...
+
+
+class Content(NamedTuple):
+    """A command for a window, as `meshcat.commands` has them."""
+
+    content: dict[str, Any]
+
+    def lower(self) -> dict[str, Any]:
+        """Return what meshcat's page reads."""
+        return self.content
 
 
 class Key(NamedTuple):
@@ -219,11 +229,6 @@ class Backlog:
         with self.lock:
             return sum(len(entry.data) for entry in self._entries.values())
 
-    @property
-    def deletions(self) -> int:
-        """How many deletions are still kept for those who have not seen them."""
-        return len(self._deletions)
-
     def put(self, command: Command) -> None:
         """Take a command of meshcat's.
 
@@ -244,7 +249,7 @@ class Backlog:
             else:
                 # Meshcat's page cannot delete the root, but all that is below it.
                 for name in [path for path in self._below if path and "/" not in path]:
-                    self._delete(packed(_Delete(name)))
+                    self._delete(packed(Content({"type": "delete", "path": name})))
                 self._entries.pop(Key("set_animation", ""), None)
 
     def since(self, number: int) -> tuple[list[bytes], int]:
@@ -308,55 +313,31 @@ def _up(path: str) -> list[str]:
     return ["/".join(names[:k]) for k in range(1, len(names) + 1)]
 
 
-class _Delete(NamedTuple):
-    path: str
-
-    def lower(self) -> dict[str, str]:
-        return {"type": "delete", "path": self.path}
-
-
 _SCRIPT, _CONNECTING = '<script type="text/javascript" src="main.min.js">', "viewer.connect();"
 
 
-class OfflineWindow:
-    """A scene in memory: ``meshcat.Visualizer(window=OfflineWindow())``. No process, no port, no thread."""
+class SceneWindow:
+    """A window whose scene is in memory.
 
-    def __init__(self) -> None:
-        self._backlog, self._closed = Backlog(), False
+    Parameters
+    ----------
+    backlog : Backlog
+        The scene.
+    """
 
-    def __enter__(self) -> OfflineWindow:
+    def __init__(self, backlog: Backlog) -> None:
+        self._backlog = backlog
+
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def __repr__(self) -> str:
-        return f"<OfflineWindow: {self.scene_size} bytes>"
-
     @property
     def scene_size(self) -> int:
         """Of the commands that make the scene [byte]."""
         return self._backlog.size
-
-    @property
-    def web_url(self) -> str:
-        """An offline window has none: raises ViewerError."""
-        self._refuse("has no address")
-
-    def send(self, command: Command) -> None:
-        """Take a command of meshcat's.
-
-        Raises
-        ------
-        InvalidArgument
-            If it is none, or holds a number that is not finite.
-        ViewerError
-            If the window is closed.
-        """
-        if self._closed:
-            raise ViewerError("the window is closed")
-        self._backlog.put(command)
-        self._backlog.forget_deletions(self._backlog.latest)  # there is nobody to be told of them
 
     def commands(self) -> list[bytes]:
         """Return the commands that make the scene, as they would be sent, the animation last."""
@@ -368,20 +349,26 @@ class OfflineWindow:
 
     static_html = get_scene
 
-    def get_image(self, w: int | None = None, h: int | None = None) -> NoReturn:
-        """Raise ViewerError: nothing draws an offline window."""
-        self._refuse("draws nothing")
-
-    def wait(self, timeout: float = 0.0) -> NoReturn:
-        """Raise ViewerError at once: no browser can come."""
-        self._refuse("has no browser to wait for")
-
     def close(self) -> None:
-        """Take no more commands; the scene remains."""
-        self._closed = True
+        """End what the window has opened; the scene remains."""
 
-    def _refuse(self, what: str) -> NoReturn:
-        raise ViewerError(f"an offline window {what}: use a live one, or open its static_html() in a browser")
+
+class OfflineWindow(SceneWindow):
+    """A scene in memory: ``meshcat.Visualizer(window=OfflineWindow())``. No process, no port, no thread."""
+
+    def __init__(self) -> None:
+        super().__init__(Backlog())
+
+    def send(self, command: Command) -> None:
+        """Take a command of meshcat's.
+
+        Raises
+        ------
+        InvalidArgument
+            If it is none, or holds a number that is not finite.
+        """
+        self._backlog.put(command)
+        self._backlog.forget_deletions(self._backlog.latest)  # there is nobody to be told of them
 
 
 def static_page(commands: list[bytes]) -> str:

@@ -13,12 +13,10 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from io import BytesIO
-from itertools import islice
 from os import PathLike
 from pathlib import Path
 from queue import SimpleQueue
@@ -454,29 +452,13 @@ def _pictures_of(
         try:
             for browser in pool.map(lambda _: opened.enter_context(_opened(html, size)), range(count)):
                 idle.put(browser)
-            yield from _in_order(pool, taken, batches, progress)
+            frames = (data for batch in pool.map(taken, batches) for data in batch)
+            for done, data in enumerate(frames, 1):
+                yield Image.open(BytesIO(data))
+                if progress is not None:
+                    progress(done, len(times))
         finally:
             ended.set()
-
-
-def _in_order(
-    pool: ThreadPoolExecutor,
-    taken: Callable[[Sequence[float]], list[bytes]],
-    batches: Sequence[Sequence[float]],
-    progress: Progress | None,
-) -> Iterator[Image.Image]:
-    """Yield the pictures of batches, of which a few are under way or wait to be told."""
-    total, done = sum(map(len, batches)), 0
-    left, running = iter(batches), deque[Future[list[bytes]]]()
-    while True:
-        running.extend(pool.submit(taken, batch) for batch in islice(left, 2 * _BROWSERS - len(running)))
-        if not running:
-            return
-        for data in running.popleft().result():
-            yield Image.open(BytesIO(data))
-            done += 1
-            if progress is not None:
-                progress(done, total)
 
 
 def _picture(browser: Browser, time: float, *, fast: bool = False) -> bytes:

@@ -16,7 +16,17 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.loop import EndEffector, Rollout
 from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.plant import whole_configurations
-from pinmobile.viewer.contact_markers import ABOVE, TRAIL, draw_ground, draw_hand, hand_errors, hand_of
+from pinmobile.viewer.contact_markers import (
+    ABOVE,
+    TRAIL,
+    contacts_at,
+    draw_centre,
+    draw_contacts,
+    draw_hand,
+    draw_trail,
+    hand_errors,
+    hand_of,
+)
 from pinmobile.viewer.motion import (
     Channel,
     Drawing,
@@ -28,8 +38,9 @@ from pinmobile.viewer.motion import (
     links,
     poses_of,
     sampled,
+    samples_before,
 )
-from pinmobile.viewer.scene_tree import Arrows, Extent, Follow, Overlays, Stage, Stay, View, overview
+from pinmobile.viewer.scene_tree import Arrows, Extent, FixedCamera, Follow, Overlays, Stage, View, overview
 
 _POSE = ("x", "y", "psi")
 
@@ -128,9 +139,9 @@ def _draw_grid(stage: Stage, extent: Extent) -> None:
 def _draw_path(stage: Stage, run: Rollout, extent: Extent) -> None:
     """Draw the reference path of a rollout, dashed."""
     points = run.reference_poses[:: max(len(run) // 4000, 1), :2]
-    dash = max(0.028 * extent.radius, 0.05 * extent.unit)
-    bands = shapes.dashes(points, 0.025 * extent.unit, dash, 0.8 * dash)
-    stage.put("meshcat/path", shapes.flat(bands, INK, order=_PATH))
+    bands = shapes.dashes(points, extent.dash, lambda part: shapes.ribbon(part, 0.025 * extent.unit))
+    if bands is not None:
+        stage.put("meshcat/path", shapes.flat(bands, INK, order=_PATH))
 
 
 def _draw_triad(stage: Stage, path: str, label: str, extent: Extent, place: tuple[int, int]) -> Array:
@@ -169,7 +180,6 @@ Where = Callable[[Array], Array]  # from poses (n, 3) to placements (n, 4, 4)
 
 
 _BASE_FORCES = ("Fx", "Fy", "Mz")
-_SPREAD = 2500  # points of a trail at most
 _NO_FORCE = 1e-9  # [N or N m]; less is rounding
 _NAMES = {LECTURE_TABLE: "lecture", SLIDE_TABLE: "slide"}
 
@@ -259,7 +269,11 @@ class Scene:
             else:
                 self.channels += _ridden(path, robots[index], poses[index])
             if self.overlays.trail:
-                self._trail(index, len(runs), run, times, extent)
+                width = 0.05 * extent.unit * (1 + 0.9 * (len(runs) - 1 - index))
+                self.channels += draw_trail(
+                    self.stage, f"meshcat/trail{index}", (run.t, run.poses[:, :2]), times,
+                    partial(shapes.ribbon, width=width), paint=colour(index), order=TRAIL + index,
+                )  # fmt: skip
             hand, shown = hands.get(label), self.overlays
             if hand is not None:
                 self.channels += draw_hand(
@@ -279,9 +293,13 @@ class Scene:
         if self.overlays.arrows is not None:
             self._arrows(main, times, poses[0], extent, self.overlays.arrows)
         if self.overlays.contacts or self.overlays.centre:
-            channels, told = draw_ground(self.stage, main, times, poses[0], extent, self.overlays)
-            self.channels += channels
-            self.legend += told
+            found = contacts_at(main, times, poses[0])
+            drawn = [draw_contacts(self.stage, found, extent)] if self.overlays.contacts else []
+            if self.overlays.centre:
+                drawn.append(draw_centre(self.stage, found.centre, poses[0], extent))
+            for channels, told in drawn:
+                self.channels += channels
+                self.legend += told
         self._tables(poses[0], extent)
         if self.overlays.caption:
             self.channels.append(Channel("meshcat/stage", "caption", _captions(runs, times, hands)))
@@ -293,7 +311,7 @@ class Scene:
         if isinstance(camera, Follow):
             toward = (view.eye - view.target) / np.linalg.norm(view.eye - view.target)
             view = View(camera.distance * toward, np.zeros(3))
-        elif isinstance(camera, Stay):
+        elif isinstance(camera, FixedCamera):
             eye, target = (
                 default if value is None else np.asarray(value)
                 for value, default in ((camera.eye, view.eye), (camera.target, view.target))
@@ -304,17 +322,6 @@ class Scene:
             self._rides(_focus, poses)
         if self.overlays.grid:
             _draw_grid(self.stage, extent)
-
-    def _trail(self, index: int, count: int, run: Rollout, times: Array, extent: Extent) -> None:
-        kept = np.unique(np.append(np.arange(0, len(run), -(-len(run) // _SPREAD)), len(run) - 1))
-        width = 0.05 * extent.unit * (1 + 0.9 * (count - 1 - index))
-        band = shapes.ribbon(run.poses[kept, :2], width)
-        path = f"meshcat/trail{index}/<object>"
-        self.stage.put(
-            path.removesuffix("/<object>"), shapes.flat(band, colour(index), order=TRAIL + index, trail=True)
-        )
-        drawn = 6 * np.interp(times, run.t[kept], np.arange(len(kept)))
-        self.channels.append(Channel(path, "drawn", drawn[:, None]))
 
     def _tables(self, poses: Array, extent: Extent) -> None:
         drawn: list[Array] = []
@@ -339,9 +346,7 @@ class Scene:
         self._rides(lambda poses: [Channel(f"{path}name", "position", where(poses)[:, :3, 3] + away)], poses)
 
     def _arrows(self, run: Rollout, times: Array, poses: Array, extent: Extent, arrows: Arrows) -> None:
-        now = times + 1e-9 * max(abs(times[-1]), 1.0)  # a frame at a sample is not before it
-        held = np.clip(np.searchsorted(run.t, now, side="right") - 1, 0, len(run) - 1)
-        fx, fy, moment = run.u[np.ix_(held, _pushing(run))].T
+        fx, fy, moment = run.u[samples_before(run.t, times)][:, _pushing(run)].T
         heading = np.column_stack([poses[:, :2], np.unwrap(np.arctan2(fy, fx))])
         flat = poses[:, :3] * (1, 1, 0)
         unit = extent.unit

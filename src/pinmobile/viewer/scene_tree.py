@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from pinocchio.visualize import MeshcatVisualizer
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, sequence, shaped
+from pinmobile.arrays import Array, sequence
 from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.parts import array, child, number, option, part
 from pinmobile.robot import BODY
 from pinmobile.viewer.motion import Channel, Drawn
-from pinmobile.viewer.pages import Command, Visualizer
+from pinmobile.viewer.pages import Content, Visualizer
 from pinmobile.viewer.shapes import Shape, coarse, shadows
 
 _STAGE = "meshcat/stage"
@@ -36,138 +36,72 @@ class View(NamedTuple):
     target: Array
 
 
-@dataclass(frozen=True)
-class Stay:
-    """A camera that stays; by default where it sees all of the paths.
+@part
+class FixedCamera:
+    """A camera that stays; by default where it sees all of the paths."""
 
-    Parameters
-    ----------
-    eye, target : array_like, shape (3,), optional
-        From where to look at what [m].
-    """
-
-    eye: ArrayLike | None = None
-    target: ArrayLike | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("eye", "target"):
-            value = getattr(self, name)
-            if value is not None:
-                point = shaped(name, finite(name, value), (3,))
-                object.__setattr__(self, name, frozen(point))
+    eye: Any = array(default=None, shapes=((3,),), unit="m", doc="from where one looks")
+    target: Any = array(default=None, shapes=((3,),), unit="m", doc="at what one looks")
 
 
-@dataclass(frozen=True)
+@part
 class Follow:
-    """A camera that moves along with the robot, without turning.
+    """A camera that moves along with the robot, without turning."""
 
-    Parameters
-    ----------
-    distance : float
-        From the robot [m].
-    """
-
-    distance: float = 4.0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "distance", positive("distance", self.distance, "m"))
+    distance: float = number(default=4.0, above=0.0, unit="m", doc="distance from the robot")
 
 
-@dataclass(frozen=True)
+@part
 class Arrows:
     """Force on the base as an arrow and moment as an arc, to scale; those of arms are not drawn.
 
-    They are the inputs Fx, Fy and Mz of the plant: one that has others is refused.
-
-    Parameters
-    ----------
-    force : float, optional
-        Length of the arrow [m/N]; by default such that the largest is 1.6 times as long as the robot.
-    moment : float, optional
-        Radius of the arc [m/(N m)]; by default such that the largest is 0.8 times as long as the robot.
+    They are the inputs Fx, Fy and Mz of the plant: one that has others is refused. By default the largest
+    arrow is 1.6 times as long as the robot, and the radius of the largest arc 0.8 times.
     """
 
-    force: float | None = None
-    moment: float | None = None
+    force: float | None = number(
+        default=None, optional=True, above=0.0, unit="m/N", doc="length of the arrow"
+    )
+    moment: float | None = number(
+        default=None, optional=True, above=0.0, unit="m/(N m)", doc="radius of the arc"
+    )
 
-    def __post_init__(self) -> None:
-        for name, unit in (("force", "m/N"), ("moment", "m/(N m)")):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, positive(name, getattr(self, name), unit))
+
+def _tables(name: str, value: Any) -> tuple[DHTable, ...]:
+    for table in sequence(name, value, "a sequence of DHTable"):
+        if not isinstance(table, DHTable) or table.variables != ("y", "x", "psi"):
+            raise InvalidArgument(f"{name} has {shown(table)}, expected tables with variables y, x, psi")
+    return tuple(value)
 
 
-@dataclass(frozen=True)
+@part
 class Overlays:
     """What is shown beside the robot.
 
-    Parameters
-    ----------
-    grid : bool
-        A floor grid with a scale.
-    path : bool
-        The reference path, dashed.
-    trail : bool
-        The path travelled so far.
-    caption : bool
-        Time and position error.
-    desired : bool
-        The desired pose, as a ghost.
-    body_frame : bool
-        The axes x_B, y_B and z_B.
-    frames : sequence of DHTable
-        Tables whose frames, the ground's included, are drawn as triads with their names.
-    arrows : Arrows, optional
-        Force and moment.
-    contacts : bool
-        Forces of the ground where the plant touches it, with their friction discs on the ground, to one
-        scale; vermilion where it slides. Of a plant that does not tell its ``contacts`` it is refused.
-    end_effector : bool
-        Of a robot with an arm, path, trail and caption of its end effector too: that whose target the run
-        has, or the tip of the first arm.
-    centre : bool
-        The instantaneous centre of rotation of the body, and the way there, while it is not far off.
-    camera : Stay or Follow
-        From where one looks.
+    `contacts` are drawn to one scale, in vermilion where the plant slides; they are refused of a plant that
+    does not tell its ``contacts``. The end effector is that whose target the run has, or the tip of the first
+    arm.
     """
 
-    grid: bool = True
-    path: bool = True
-    trail: bool = True
-    caption: bool = True
-    desired: bool = False
-    body_frame: bool = False
-    frames: Sequence[DHTable] = ()
-    arrows: Arrows | None = None
-    contacts: bool = False
-    centre: bool = False
-    end_effector: bool = True
-    camera: Stay | Follow = field(default_factory=Stay)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "frames", sequence("frames", self.frames, "a sequence of DHTable"))
-        for table in self.frames:
-            if not isinstance(table, DHTable) or table.variables != ("y", "x", "psi"):
-                raise InvalidArgument(f"frames has {shown(table)}, expected tables with variables y, x, psi")
-        for name, kind in (("arrows", Arrows | None), ("camera", Stay | Follow)):
-            if not isinstance(getattr(self, name), kind):
-                raise InvalidArgument(f"{name} is {shown(getattr(self, name))}, expected {kind}")
-
-
-class Window(Protocol):
-    """What takes meshcat's commands."""
-
-    def send(self, command: Command) -> None:
-        """Take a command, an object whose ``lower()`` is the dict that meshcat's page reads."""
-
-
-class _Command(NamedTuple):
-    """A command for a window, as `meshcat.commands` has them."""
-
-    content: dict[str, Any]
-
-    def lower(self) -> dict[str, Any]:
-        """Return what meshcat's page reads."""
-        return self.content
+    grid: bool = option(default=True, doc="floor grid with a scale")
+    path: bool = option(default=True, doc="reference path, dashed")
+    trail: bool = option(default=True, doc="path travelled so far")
+    caption: bool = option(default=True, doc="time and position error")
+    desired: bool = option(default=False, doc="desired pose, as a ghost")
+    body_frame: bool = option(default=False, doc="axes x_B, y_B and z_B")
+    frames: Sequence[DHTable] = option(
+        default=(), check=_tables, doc="tables whose frames are drawn as triads"
+    )
+    arrows: Arrows | None = child(Arrows, default=None, optional=True, expected="Arrows", doc="arrows")
+    contacts: bool = option(default=False, doc="forces of the ground, with their friction discs")
+    centre: bool = option(default=False, doc="instantaneous centre of rotation, and the way there")
+    end_effector: bool = option(default=True, doc="path, trail and caption of an arm's end effector too")
+    camera: FixedCamera | Follow = child(
+        (FixedCamera, Follow),
+        default=FixedCamera(),
+        expected="a FixedCamera or Follow",
+        doc="from where one looks",
+    )
 
 
 class Extent(NamedTuple):
@@ -191,6 +125,11 @@ class Extent(NamedTuple):
     def unit(self) -> float:
         """Length of the robot, or more where it is a speck in the scene [m]; overlays scale with it."""
         return max(self.size[0], 0.06 * self.radius)
+
+    @property
+    def dash(self) -> float:
+        """Length of the dashes of a path [m]."""
+        return max(0.028 * self.radius, 0.05 * self.unit)
 
     @property
     def step(self) -> float:
@@ -217,21 +156,21 @@ class Stage:
 
     Parameters
     ----------
-    window : Window
+    window : LiveWindow or OfflineWindow
         Where they are.
     """
 
-    def __init__(self, window: Window) -> None:
+    def __init__(self, window: Any) -> None:
         self.window = window
 
     def put(self, path: str, shape: Shape) -> None:
         """Show a shape at a node; what was there is replaced."""
         shape["object"]["uuid"] = path  # animations tell objects apart by it
-        self.window.send(_Command({"type": "set_object", "path": path, "object": shape}))
+        self.window.send(Content({"type": "set_object", "path": path, "object": shape}))
 
     def set(self, path: str, name: str, value: object) -> None:
         """Set a property of a node."""
-        self.window.send(_Command({"type": "set_property", "path": path, "property": name, "value": value}))
+        self.window.send(Content({"type": "set_property", "path": path, "property": name, "value": value}))
 
     def tell(self, name: str, value: object) -> None:
         """Set a property of the stage itself, which its page reads."""
@@ -239,7 +178,7 @@ class Stage:
 
     def remove(self, path: str) -> None:
         """Remove a node and all below it."""
-        self.window.send(_Command({"type": "delete", "path": path}))
+        self.window.send(Content({"type": "delete", "path": path}))
 
     def show(self, channels: list[Channel], frame: int) -> None:
         """Put everything that moves where it is at a frame."""
@@ -261,10 +200,6 @@ class Stage:
         self.tell("aspect", _ASPECT)
         self.tell("caption", "")
         self.tell("legend", [])
-        self.look(view)
-
-    def look(self, view: View) -> None:
-        """Point the camera."""
         self.tell("eye", view.eye.tolist())
         self.tell("target", view.target.tolist())
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from io import BytesIO
 from typing import Any
@@ -16,52 +16,50 @@ from pinmobile.arrays import Array, ArrayLike
 from pinmobile.viewer.pages import packed_array
 
 Shape = dict[str, Any]
-_Triangles = tuple[Array, NDArray[np.uint32]]  # vertices (n, 3) [m], faces (m, 3)
+Triangles = tuple[Array, NDArray[np.uint32]]  # vertices (n, 3) [m], faces (m, 3)
 
 _TEXT_HEIGHT = 64  # [px]
+_STILL = 1e-6  # [m]: what moves less than that has no path
 _FEW = 300  # triangles that a mesh keeps: a wedge of eight would be gone
 
 
 def flat(
-    triangles: _Triangles, colour: str, *, order: int, opacity: float = 1.0, trail: bool = False
+    triangles: Triangles, colour: str, *, order: int, opacity: float = 1.0, trail: bool = False
 ) -> Shape:
     """Return an unlit mesh on the ground, painted over those of lower `order` without regard to depth.
 
     A `trail` shows as many vertices as its property ``drawn`` says, at first none.
     """
-    material = {"type": "MeshBasicMaterial", "color": _hex(colour), "side": 2, "transparent": True}
-    material |= {"opacity": opacity, "depthWrite": False}
+    material = _unlit(colour) | {"opacity": opacity, "depthWrite": False}
     return _mesh(triangles, material, {"flat": True, "trail": trail}, order)
 
 
-def over(triangles: _Triangles, colour: str, *, order: int) -> Shape:
+def over(triangles: Triangles, colour: str, *, order: int) -> Shape:
     """Return an unlit mesh that shows through whatever is in front of it."""
-    material = {"type": "MeshBasicMaterial", "color": _hex(colour), "side": 2, "transparent": True}
-    return _mesh(triangles, material | {"depthTest": False}, {"flat": True}, order)
+    return _mesh(triangles, _unlit(colour) | {"depthTest": False}, {"flat": True}, order)
+
+
+def _unlit(colour: str) -> Shape:
+    return {"type": "MeshBasicMaterial", "color": int(colour[1:], 16), "side": 2, "transparent": True}
 
 
 def shadows(radius: float) -> Shape:
     """Return the ground: nothing but the shadows on it."""
     corners = radius * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    material = {
-        "type": "ShadowMaterial",
-        "color": 0,
-        "opacity": 0.22,
-        "transparent": True,
-        "depthWrite": False,
-    }
+    material = {"type": "ShadowMaterial", "color": 0, "opacity": 0.22}
+    material |= {"transparent": True, "depthWrite": False}
     return _mesh((corners, np.array([[0, 1, 2], [0, 2, 3]], np.uint32)), material, {}, 0)
 
 
-def ribbon(points: ArrayLike, width: float, height: float = 0.0) -> _Triangles:
+def ribbon(points: ArrayLike, width: float) -> Triangles:
     """Return a flat band along a curve, two triangles from each point to the next.
 
     Parameters
     ----------
     points : array_like, shape (n, 2)
         The curve [m]; points may coincide.
-    width, height : float
-        Of the band, and where it lies above the ground [m].
+    width : float
+        Of the band [m].
     """
     points = np.asarray(points, np.float64)
     along = np.gradient(points, axis=0) if len(points) > 1 else np.zeros_like(points)
@@ -74,40 +72,49 @@ def ribbon(points: ArrayLike, width: float, height: float = 0.0) -> _Triangles:
     along = along[latest] / np.maximum(length[latest], 1e-300)[:, None]
     side = width / 2 * np.stack([-along[:, 1], along[:, 0]], axis=-1)
     edges = np.stack([points + side, points - side], axis=1).reshape(-1, 2)
-    vertices = np.column_stack([edges, np.full(len(edges), height)])
+    vertices = np.column_stack([edges, np.zeros(len(edges))])
     first = 2 * np.arange(max(len(points) - 1, 0), dtype=np.uint32)[:, None]
     faces = np.stack([first + np.array([0, 1, 2]), first + np.array([1, 3, 2])], axis=1).reshape(-1, 3)
     return vertices, faces.astype(np.uint32)
 
 
-def dashes(points: ArrayLike, width: float, dash: float, gap: float) -> _Triangles:
-    """Return ribbons along the curve, `dash` long and `gap` apart [m]."""
-    points = np.asarray(points, np.float64)
-    steps = np.hypot(*np.diff(points, axis=0).T)
-    travelled = np.append(0.0, np.cumsum(steps))
-    starts = np.arange(0.0, travelled[-1] - dash / 3, dash + gap)
+def dashes(points: Array, dash: float, band: Callable[[Array], Triangles]) -> Triangles | None:
+    """Return bands along a curve, `dash` long and 0.8 of that apart [m]; None where it stands still.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, k)
+        The curve [m].
+    dash : float
+        Length [m].
+    band : callable
+        Gives the triangles of a band along a part of the curve, shape (m, k).
+    """
+    travelled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    if travelled[-1] < _STILL:
+        return None
     parts = []
-    for start in starts:
+    for start in np.arange(0.0, max(travelled[-1] - dash / 3, dash / 10), 1.8 * dash):
         end = min(start + dash, travelled[-1])
         inside = travelled[(travelled > start) & (travelled < end)]
         at = np.concatenate([[start], inside[:: max(len(inside) // 8, 1)], [end]])
-        parts.append(ribbon(np.stack([np.interp(at, travelled, c) for c in points.T], axis=-1), width))
-    return joined(parts) if parts else ribbon(np.empty((0, 2)), width)
+        parts.append(band(np.stack([np.interp(at, travelled, c) for c in points.T], axis=-1)))
+    return joined(parts)
 
 
-def joined(parts: Sequence[_Triangles]) -> _Triangles:
+def joined(parts: Sequence[Triangles]) -> Triangles:
     """Return several sets of triangles as one."""
     offsets = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     faces = [faces + offset for (_, faces), offset in zip(parts, offsets, strict=False)]
     return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces).astype(np.uint32)
 
 
-def arrow(thickness: float = 0.05) -> _Triangles:
+def arrow(thickness: float = 0.05) -> Triangles:
     """Return an arrow of length 1 along x, round, with a head."""
     return _turned([(0, thickness / 2), (0.72, thickness / 2), (0.72, 1.6 * thickness), (1, 0)])
 
 
-def arc_arrow(thickness: float = 0.06) -> _Triangles:
+def arc_arrow(thickness: float = 0.06) -> Triangles:
     """Return three quarters of a flat ring of radius 1 about z, counterclockwise, with a head."""
     angle = np.linspace(0, 1.4 * np.pi, 40)
     ring = ribbon(np.stack([np.cos(angle), np.sin(angle)], axis=-1), 2 * thickness)
@@ -118,7 +125,7 @@ def arc_arrow(thickness: float = 0.06) -> _Triangles:
     return joined([ring, head])
 
 
-def disc(inner: float = 0.0, sides: int = 48) -> _Triangles:
+def disc(inner: float = 0.0, sides: int = 48) -> Triangles:
     """Return a flat ring of radius 1 about z, or with no inner radius a disc."""
     angle = np.linspace(0, 2 * np.pi, sides + 1)
     points = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -158,7 +165,7 @@ def word(text: str, colour: str, height: float, *, lying: bool, order: int) -> S
     return result
 
 
-def _mesh(triangles: _Triangles, material: Shape, data: Shape, order: int) -> Shape:
+def _mesh(triangles: Triangles, material: Shape, data: Shape, order: int) -> Shape:
     vertices, faces = triangles
     position = packed_array(np.ascontiguousarray(vertices, np.float32).T)
     geometry = {"attributes": {"position": position}, "index": packed_array(faces.astype(np.uint32).T)}
@@ -171,7 +178,7 @@ def _mesh(triangles: _Triangles, material: Shape, data: Shape, order: int) -> Sh
     }
 
 
-def _turned(profile: Sequence[tuple[float, float]], sides: int = 20) -> _Triangles:
+def _turned(profile: Sequence[tuple[float, float]], sides: int = 20) -> Triangles:
     """Return the surface that the profile (along x, away from x) makes when it is turned about x."""
     angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -192,22 +199,12 @@ def _picture(text: str, colour: str) -> tuple[str, float]:
     rim = _TEXT_HEIGHT // 16
     width = int(font.getlength(text)) + 6 * rim
     image = Image.new("RGBA", (width, _TEXT_HEIGHT), (255, 255, 255, 0))
-    ImageDraw.Draw(image).text(
-        (width / 2, _TEXT_HEIGHT / 2),
-        text,
-        colour,
-        font,
-        anchor="mm",
-        stroke_width=rim,
-        stroke_fill="#f6f6f4",
-    )
+    middle = (width / 2, _TEXT_HEIGHT / 2)
+    light: Shape = {"stroke_width": rim, "stroke_fill": "#f6f6f4"}
+    ImageDraw.Draw(image).text(middle, text, colour, font, anchor="mm", **light)
     buffer = BytesIO()
     image.save(buffer, "PNG", optimize=True)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode(), width / _TEXT_HEIGHT
-
-
-def _hex(colour: str) -> int:
-    return int(colour[1:], 16)
 
 
 def coarse(shape: Any, share: float) -> Any:

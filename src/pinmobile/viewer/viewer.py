@@ -11,18 +11,18 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import ArrayLike, finite, instance, mapping, positive, shaped, text
+from pinmobile.arrays import ArrayLike, by_label, finite, instance, positive, shaped, text
 from pinmobile.errors import InvalidArgument, ViewerError
 from pinmobile.files import written
 from pinmobile.loop import Rollout
-from pinmobile.viewer.motion import figure, frame_times, tracks
+from pinmobile.viewer.motion import Drawing, figure, frame_times, tracks
 from pinmobile.viewer.pages import OfflineWindow
 from pinmobile.viewer.recording import Recording, picture_of, recorded_page
 from pinmobile.viewer.scene import Scene
 from pinmobile.viewer.scene_tree import Overlays, Stage
 
 if TYPE_CHECKING:
-    from pinmobile.viewer.window import LiveWindow
+    from pinmobile.viewer.server import LiveWindow
 
 Rollouts: TypeAlias = Rollout | Mapping[str, Rollout]
 
@@ -74,7 +74,11 @@ class Viewer:
         self._lock, self._closed = RLock(), False
         self._scene: Scene | None = None
         self._recording: Recording | None = None
-        self._window: LiveWindow | OfflineWindow = _live_window(host, port) if live else OfflineWindow()
+        self._window: LiveWindow | OfflineWindow = OfflineWindow()
+        if live:
+            from pinmobile.viewer.server import LiveWindow  # here, since a recording needs no server
+
+            self._window = LiveWindow(host, port)
 
     def __enter__(self) -> Viewer:
         return self
@@ -124,7 +128,7 @@ class Viewer:
         """
         given = shaped("q", finite("q", q), (self.plant.nq,))
         pose = given
-        if hasattr(self._figure, "row"):
+        if isinstance(self._figure, Drawing):
             pose = self._figure.row(given)
         elif self._figure is not self.plant:
             pose = np.asarray(self.plant.pose(given))
@@ -299,23 +303,8 @@ class Viewer:
             raise ViewerError("the viewer is closed")
 
 
-def _live_window(host: str, port: int | None) -> LiveWindow:
-    from pinmobile.viewer.window import LiveWindow  # here, since a recording needs no server
-
-    return LiveWindow(host, port)
-
-
-def _checked_overlays(overlays: object, default: Overlays) -> Overlays:
-    """Return the overlays that are asked for.
-
-    Raises
-    ------
-    InvalidArgument
-        If they are something else.
-    """
-    if overlays is None:
-        return default
-    found: Overlays = instance("overlays", overlays, Overlays, "Overlays")
+def _checked_overlays(overlays: Overlays | None, default: Overlays) -> Overlays:
+    found: Overlays = instance("overlays", default if overlays is None else overlays, Overlays, "Overlays")
     return found
 
 
@@ -327,13 +316,11 @@ def _checked_runs(rollouts: object) -> dict[str, Rollout]:
     InvalidArgument
         If it is something else, holds nothing, or the plant of one does not tell where its body is.
     """
-    given = {"": rollouts} if isinstance(rollouts, Rollout) else rollouts
-    runs = mapping("rollout", given, "a Rollout or a mapping of labels to them")
+    runs = by_label("rollout", rollouts, Rollout)
     for label, run in runs.items():
-        where = f"rollout[{label!r}]" if label else "rollout"
-        instance(where, run, Rollout, "a Rollout")
         try:
             _ = run.poses, run.reference_poses
         except InvalidArgument as error:
+            where = f"rollout[{label!r}]" if label else "rollout"
             raise InvalidArgument(f"{where}.{error}") from None
-    return dict(runs)
+    return runs
