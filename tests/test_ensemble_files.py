@@ -295,11 +295,11 @@ def test_another_kind_of_file_is_refused_either_way(tmp_path: Path) -> None:
     path = saved(DIVERGING, tmp_path)
     DIVERGING.traces[3].save(tmp_path / "run.npz")
     with pytest.raises(
-        pm.InvalidArgument, match=r"run.npz', which is no 'pinmobile ensemble 3' archive: it is of another"
+        pm.InvalidArgument, match=r"run.npz', which is no 'pinmobile ensemble 4' archive: it is of another"
     ):
         pm.Ensemble.load(tmp_path / "run.npz")
     with pytest.raises(
-        pm.InvalidArgument, match=r"saved.npz', which is no 'pinmobile rollout 2' archive: it is of another"
+        pm.InvalidArgument, match=r"saved.npz', which is no 'pinmobile rollout 3' archive: it is of another"
     ):
         pm.Rollout.load(path)
 

@@ -92,7 +92,7 @@ def test_what_is_no_archive_is_not_called_one_that_may_be_loaded_unsafely(
 ) -> None:
     (tmp_path / "run.npz").write_bytes(content)
     with pytest.raises(
-        pm.InvalidArgument, match=r"which is no 'pinmobile rollout 2' archive: it is no \.npz file"
+        pm.InvalidArgument, match=r"which is no 'pinmobile rollout 3' archive: it is no \.npz file"
     ):
         pm.Rollout.load(tmp_path / "run.npz")
 
@@ -129,4 +129,4 @@ def test_damaged_bytes_are_refused_or_do_no_harm(tmp_path: Path) -> None:
     for seed in range(100):
         path.write_bytes(damaged(content, np.random.default_rng(seed)))
         read += loaded_or_refused(path)
-    assert 0 < read < 70  # dates and the like may be anything, but not much is
+    assert read < 70  # dates and the like may be anything, but not much is

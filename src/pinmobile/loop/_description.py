@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import zip_longest
 from typing import Any, final
 
@@ -194,33 +194,23 @@ class Outline:
     @classmethod
     def from_description(cls, described: Mapping[str, Any], t: Array, reference: Reference) -> Outline:
         """Return the scenario of a `description`."""
-        spread = {name: dict(one) for name, one in described["spread"].items()}
-        return cls(
-            **{name: described[name] for name in (*_PARTS, *_NUMBERS)},
-            forces=tuple(described["forces"]),
-            spread={
-                name: one["source"] if one["same_as"] is None else SameAs(one["same_as"], one["source"])
-                for name, one in spread.items()
-            },
-            parameters={name: Parameter(name, one["unit"], one["meaning"]) for name, one in spread.items()},
-            coordinates=tuple(Coordinate(name, unit) for name, unit in described["coordinates"]),
-            inputs=tuple(Input(name, unit) for name, unit in described["inputs"]),
-            recorded_metrics=tuple(Metric(*one) for one in described["judged"]),
-            t=frozen(t),
-            reference=Reference(*map(frozen, reference)),
-        )
+        spread = described["spread"].items()
+        given: dict[str, Any] = {
+            "forces": tuple(described["forces"]),
+            "spread": {name: SameAs(*one) if isinstance(one, list) else one for name, one in spread},
+            "parameters": {name: Parameter(*one) for name, one in described["parameters"].items()},
+            "coordinates": tuple(Coordinate(*one) for one in described["coordinates"]),
+            "inputs": tuple(Input(*one) for one in described["inputs"]),
+            "recorded_metrics": tuple(Metric(*one) for one in described["recorded_metrics"]),
+        }
+        return cls(**{**described, **given}, t=frozen(t), reference=Reference(*map(frozen, reference)))
 
     def description(self) -> dict[str, Any]:
         """Return all but times and reference, as JSON can hold it."""
-        spread = {}
-        for name, source in self.spread.items():
-            other, words = (source.name, source.factor) if isinstance(source, SameAs) else (None, source)
-            one = self.parameters[name]
-            spread[name] = {"unit": one.unit, "meaning": one.meaning, "source": words, "same_as": other}
-        plain = {name: getattr(self, name) for name in (*_PARTS, *_NUMBERS)}
-        named = {name: [one[:2] for one in getattr(self, name)] for name in ("coordinates", "inputs")}
-        judged = [list(one) for one in self.recorded_metrics]
-        return {**plain, **named, "judged": judged, "forces": list(self.forces), "spread": spread}
+        found = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in _SAMPLED}
+        spread = self.spread.items()
+        same = {name: [one.name, one.factor] for name, one in spread if isinstance(one, SameAs)}
+        return found | {"spread": {**self.spread, **same}}
 
     @property
     def begin(self) -> int:

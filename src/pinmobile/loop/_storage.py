@@ -23,7 +23,7 @@ from pinmobile.urdf import Body
 RECORDED = ("t", "q", "v", "a", "u", "error", "reference_q", "reference_v", "reference_a")
 """Names of the arrays of a rollout."""
 
-_FORMAT = "pinmobile rollout 2"
+_FORMAT = "pinmobile rollout 3"
 
 
 def write_archive(file: IO[bytes], rollout: Any) -> None:
@@ -52,7 +52,7 @@ def described_run(rollout: Any) -> dict[str, Any]:
         "fallback_reason": rollout.fallback_reason,
         "robot": described_robot(plant),
         "unknown": _unkept(plant),
-        "outline": None if plant is None else _outlined(PlantOutline.of(plant, q)),
+        "outline": None if plant is None else asdict(PlantOutline.of(plant, q)),
         "signals": [[name, unit, list(x.shape[1:])] for name, (unit, x) in signals.items()],
     }
 
@@ -124,34 +124,15 @@ def _unkept(plant: object) -> str:
     return ""
 
 
-def _outlined(outline: PlantOutline) -> dict[str, Any]:
-    """Return an outline as JSON can hold it; a limit that is none is null."""
-    found = asdict(outline)
-    for name in ("coordinates", "inputs"):
-        found[name] = [
-            {key: None if value in (np.inf, -np.inf) else value for key, value in one._asdict().items()}
-            for one in getattr(outline, name)
-        ]
-    return found | {"reference_sizes": list(outline.reference_sizes.items())}
-
-
 def _outline(described: Mapping[str, Any]) -> PlantOutline:
-    """Return the outline that `_outlined` described."""
-    posed, size = described["posed"], described["size"]
-    return PlantOutline(
-        kind=described["kind"],
-        coordinates=tuple(Coordinate(**_limited(one)) for one in described["coordinates"]),
-        configuration_names=tuple(described["configuration_names"]),
-        inputs=tuple(Input(**_limited(one)) for one in described["inputs"]),
-        reference_sizes=dict(described["reference_sizes"]),
-        posed=None if posed is None else tuple(posed),
-        size=None if size is None else tuple(size),
-    )
-
-
-def _limited(one: Mapping[str, Any]) -> dict[str, Any]:
-    none = {"lower": -np.inf, "upper": np.inf}
-    return {key: none[key] if key in none and value is None else value for key, value in one.items()}
+    """Return the outline of a plant of its fields, as JSON had them."""
+    given: dict[str, Any] = dict(described) | {
+        "coordinates": tuple(Coordinate(*one) for one in described["coordinates"]),
+        "inputs": tuple(Input(*one) for one in described["inputs"]),
+        "reference_sizes": {int(n): size for n, size in described["reference_sizes"].items()},
+    }
+    found: dict[str, Any] = {name: tuple(x) if isinstance(x, list) else x for name, x in given.items()}
+    return PlantOutline(**found)
 
 
 def _split(columns: Array, described: Any) -> dict[str, Signal]:

@@ -239,7 +239,7 @@ def _arrays(ensemble: Any) -> Iterator[tuple[str, Variable, Array]]:
         yield name, one, getattr(ensemble, name) if name in PER_ROBOT else draws[name]
 
 
-_FORMAT = "pinmobile ensemble 3"
+_FORMAT = "pinmobile ensemble 4"
 _REFERENCE = tuple(f"reference_{name}" for name in Reference._fields)
 _TRACE = tuple(f"trace_{name}" for name in RECORDED)
 _KINDS: Mapping[str, type] = {
