@@ -47,11 +47,6 @@ def read(folder: Path, text: str, **given: Any) -> WheeledRobot:
     return WheeledRobot.from_urdf(written(folder, text), **given)
 
 
-def table_of(folder: Path, text: str, **given: Any) -> WheelTable:
-    """Return a table, whether its wheels roll ideally or not."""
-    return read_wheels(MobileRobot.from_urdf(written(folder, text)), **given)
-
-
 def numbers(table: WheelTable) -> list[tuple[float, float, float]]:
     return [(wheel.x, wheel.y, wheel.radius) for wheel in table.wheels]
 
