@@ -128,18 +128,6 @@ def test_a_load_on_the_arms_foot_belongs_to_the_arm_and_one_on_the_body_does_not
     np.testing.assert_array_equal(body, alone)
 
 
-def test_a_load_on_the_foot_of_an_arm_is_not_that_of_another_whose_name_begins_alike() -> None:
-    bare = BOX.mount("ur5", AT).mount("ur5", (-0.2, 0, 0.2, 0))
-    assert [mount.name for mount in bare.mounts] == ["ur5", "ur5_2"]
-    loaded = bare.attach(pm.PayloadBody(3.0), "ur5_2/base_link")
-    more = [
-        reaction_wrench(at_rest(loaded, bare.rest), name) - reaction_wrench(at_rest(bare, bare.rest), name)
-        for name in ("ur5", "ur5_2")
-    ]
-    expected = np.outer([0, 1], [0, 0, -3 * G, 0, 0, 0])
-    np.testing.assert_allclose(np.array(more), expected, atol=1e-12)
-
-
 def test_at_rest_the_zero_moment_point_is_below_the_centre_of_mass() -> None:
     q = UR5.random_configuration(np.random.default_rng(3))
     com = UR5.lumped(q).body.com
@@ -173,18 +161,6 @@ def test_the_margin_is_zero_where_the_body_begins_to_tip() -> None:
         margin = tip_over_margin(planar((-share * G * 0.3 / HEIGHT, 0, 0), psi=0.0))
         assert np.sign(margin) == sign
         assert abs(margin) == pytest.approx(0.003, rel=1e-9)
-
-
-def test_leading_axes_broadcast() -> None:
-    v = np.zeros((4, 1, 3))
-    moving = MotionStates(BOX, np.zeros(3), v, np.ones((5, 3)))
-    assert zero_moment_point(moving).shape == (4, 5, 2)
-    assert tip_over_margin(moving).shape == required_friction(moving).shape == (4, 5)
-    assert reaction_wrench(MotionStates(UR5, np.zeros((2, 9)), np.zeros(9), np.zeros((3, 1, 9)))).shape == (
-        3,
-        2,
-        6,
-    )
 
 
 def lifting(upwards: float) -> MotionStates:
@@ -287,14 +263,3 @@ def test_what_has_no_arm_or_is_no_robot_is_refused() -> None:
         planar((0, 0))
     with pytest.raises(pm.InvalidArgument, match="expected leading axes that broadcast"):
         MotionStates(BOX, np.zeros((2, 3)), np.zeros((3, 3)), np.zeros(3))
-
-
-def test_a_motion_holds_read_only_copies() -> None:
-    given = np.zeros(3)
-    moving = MotionStates(BOX, given, given, given)
-    given[:] = 9
-    held: list[Any] = [moving.q, moving.v, moving.a]
-    for array in held:
-        assert array.tolist() == [0, 0, 0]
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 1

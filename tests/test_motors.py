@@ -123,15 +123,6 @@ def test_the_smooth_law_of_a_motor_is_its_law_where_its_wheel_turns() -> None:
 
 
 @GROUNDS
-def test_a_robot_too_heavy_to_move_feels_the_torque_of_a_held_motor(ground: Any) -> None:
-    heavy = MobileRobot(1e12, 1e12, com=(0.0, 0.0, 0.2))
-    robot = WheeledRobot(heavy, table(evolved(MOTOR, current=np.inf)), ground).by_voltage()
-    _, v, memory = steps(robot, (6.0, 6.0), 0.01, 1)
-    assert np.abs(v).max() < 1e-9
-    np.testing.assert_allclose(memory.torques, MOTOR.stall_torque(6.0), rtol=1e-6)
-
-
-@GROUNDS
 def test_the_current_is_limited_until_back_emf_leaves_less(ground: Any) -> None:
     robot = WheeledRobot(CENTRAL, table(MOTOR), ground).by_voltage()
     found = run(robot, (24.0, 24.0), 0.01, 2.0)
@@ -401,16 +392,6 @@ def test_an_ensemble_spreads_motor_constants() -> None:
     assert [wheel.motor.resistance for wheel in again.robot.table.wheels] == [2.4, 1.2]
     with pytest.raises(errors.UnknownName, match="resistances"):
         parts.replace(robot, {f"{robot.motor_paths[0]}.resistances": 1.0})
-
-
-def test_many_robots_whose_wheels_nothing_holds_run_too() -> None:
-    """What is kept of them has a part of no numbers."""
-    robot = WheeledRobot(BODY, table(PLAIN), Coulomb()).by_voltage()
-    where = FixedHeading(Hold([0.0, 0.0], 0.05), 0.0)
-    spread = {"left.radius": [0.1, 0.101]}
-    found = ensemble(robot, steady(12.0, 12.0), where, dt=0.01, n=2, spread=spread, limit=1e9)
-    assert found.engine == "COMPILED"
-    assert not found.diverged.any()
 
 
 @pytest.mark.parametrize(

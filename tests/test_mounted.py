@@ -4,7 +4,6 @@ import pickle
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -330,42 +329,6 @@ def test_a_mounted_robot_is_a_value() -> None:
     assert eval(repr(plain), {**globals(), **vars(pm)}) == plain
 
 
-def test_what_is_locked_and_another_rest_are_told_and_can_be_pasted_back() -> None:
-    plain = pm.MobileRobot.lecture().mount("z1", AT)
-    robot = pm.MobileRobot.lecture().mount("z1", AT, rest=BENT, locked=["joint1"])
-    assert robot != plain
-    assert eval(repr(robot), {**globals(), **vars(pm)}) == robot
-    for word in ("locked", "rest"):
-        assert f"{word}=" in repr(robot)
-        assert f"{word}=" not in repr(plain)
-
-
-def test_a_rest_is_told_of_models_and_files_too(tmp_path: Path) -> None:
-    model, path = pendulum(continuous=True), tmp_path / "slide.urdf"
-    path.write_text(
-        '<robot name="slide"><link name="foot"/><link name="slider"><inertial><mass value="2"/>'
-        '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-        '<joint name="lift" type="prismatic"><parent link="foot"/><child link="slider"/>'
-        '<limit lower="-1" upper="1" effort="30" velocity="2"/></joint></robot>'
-    )
-    for arm, rest in ((model, [2.0, 0.5]), (path, [0.25])):
-        assert "rest=" not in repr(pm.MobileRobot.box().mount(arm))
-        assert f"rest={[float(number) for number in rest]}" in repr(
-            pm.MobileRobot.box().mount(arm, rest=rest)
-        )
-    found = pm.MobileRobot.lecture().mount(path, package_dirs=tmp_path)
-    assert f"package_dirs=({str(tmp_path)!r},)" in repr(found)
-    assert eval(repr(found), {**globals(), **vars(pm)}) == found
-
-
-def test_clashing_names_are_numbered() -> None:
-    robot = pm.MobileRobot.box().mount("ur5").mount("ur5", AT).mount("ur5", (-0.2, 0, 0.2, 0), name="ur5")
-    assert [mount.name for mount in robot.mounts] == ["ur5", "ur5_2", "ur5_3"]
-    assert [mount.q for mount in robot.mounts] == [slice(3, 9), slice(9, 15), slice(15, 21)]
-    assert len(set(robot.model.names)) == robot.model.njoints
-    assert robot.mounts[1].tip in robot.frame_names
-
-
 def test_loads_weigh_where_they_are() -> None:
     q, _, _ = states(UR5)
     light = UR5.attach(pm.PayloadBody(2.0, (0, 0, 0.1), size=(0.1, 0.2, 0.3)))
@@ -454,26 +417,6 @@ def run() -> pm.Rollout:
     way = pm.CubicVia(rest, rest + 0.1, rest, 0.5, 1.0)
     motion = pm.WholeBody(robot, pm.Tangent(pm.Circle(1.0, 0.5, 1.0)), way)
     return pm.simulate(robot, pm.ComputedTorque(robot, 100.0, 20.0), motion, dt=0.02)
-
-
-def test_a_rollout_says_the_errors_of_joints_by_name(run: pm.Rollout) -> None:
-    lines = str(run).splitlines()
-    joints = lines[5 : len(lines) - len(run.events)]
-    assert [line.split()[0] for line in joints] == [one.name for one in run.plant.coordinates[3:]]
-    worst = int(run.max_error()[3:].argmax())
-    assert f"{run.plant.coordinates[3 + worst].name} {run.max_error()[3 + worst]:.6e} rad>" in repr(run)
-    unknown = replace(run, plant=None)
-    joints = str(unknown).splitlines()[5 : 5 + 6]
-    assert [line.split()[0] for line in joints] == [f"[{k}]" for k in range(3, 9)]
-
-
-def test_the_columns_of_a_record_are_joints(run: pm.Rollout, tmp_path: Path) -> None:
-    run.to_csv(tmp_path / "run.csv")
-    header = (tmp_path / "run.csv").read_text().splitlines()[0].split(",")
-    first = run.plant.coordinates[3].name
-    assert header[:5] == ["t [s]", "x [m]", "y [m]", "psi [rad]", f"{first} [rad]"]
-    assert f"v_{first} [rad/s]" in header
-    assert len(header) == len(set(header)) == 1 + 6 * 9
 
 
 def test_figures_name_joints_and_unwrap_their_angles(run: pm.Rollout) -> None:

@@ -212,40 +212,6 @@ def test_a_wheel_may_hang_on_suspension_and_steering() -> None:
     assert "locked at rest: spring, steer, roll" in read.source
 
 
-@pytest.mark.parametrize("root", [None, pin.JointModelFreeFlyer(), pin.JointModelPlanar()])
-def test_a_base_model_may_have_a_root_of_its_own(root: object) -> None:
-    model = pin.buildModelFromXML(base()) if root is None else pin.buildModelFromXML(base(), root)
-    mass, com, inertia = by_hand()
-    read = MobileRobot.from_model(model)
-    np.testing.assert_allclose([read.mass, *read.com], [mass, *com], rtol=1e-13)
-    np.testing.assert_allclose(read.body.inertia, inertia, atol=1e-12)
-
-
-def test_where_the_root_stands_in_its_model_does_not_matter() -> None:
-    model = pin.buildModelFromXML(base(), pin.JointModelFreeFlyer())
-    expected = MobileRobot.from_model(model)
-    model.jointPlacements[1] = pin.SE3(pin.utils.rotate("z", 0.7), np.array([1.0, -2.0, 0.5]))
-    read = MobileRobot.from_model(model)
-    np.testing.assert_allclose([read.mass, *read.com], [expected.mass, *expected.com], rtol=1e-12)
-    np.testing.assert_allclose(read.body.inertia, expected.body.inertia, atol=1e-12)
-
-
-def test_a_chain_may_carry_wheels() -> None:
-    wheel = (link("wheel", 1), joint("spin", "continuous", "body", "wheel", "0 1 0", xyz="0 0.5 0"))
-    model = pin.buildModelFromXML(chain(*SLIDES, *wheel))
-    read = MobileRobot.from_model(model)
-    assert read.mass == 6
-    assert read.com[1] == pytest.approx(0.5 / 6)
-    assert "locked at rest: spin" in read.source
-
-
-def test_the_users_model_is_left_alone() -> None:
-    model = pin.buildModelFromXML(chain(*SLIDES))
-    copy = model.copy()
-    assert MobileRobot.from_model(model).model is not model
-    assert model == copy
-
-
 def test_an_arm_among_the_loaders_robots_is_refused() -> None:
     with pytest.raises(InvalidArgument, match="is neither a wheel"):
         MobileRobot.from_model(pin.buildSampleModelManipulator())

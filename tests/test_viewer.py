@@ -267,28 +267,6 @@ def test_a_second_rollout_is_a_ghost(
     assert legend.split("\n") == ["good", "bad"]
 
 
-def test_a_ghost_leaves_what_it_coincides_with_its_colours_whichever_way_its_triangles_face(
-    page: Page, viewer: Viewer, apart: dict[str, pm.Rollout], tmp_path: Path
-) -> None:
-    run = apart["good"]
-    overlays = Overlays(trail=False, path=False, camera=Follow(2.0))
-    opened(page, viewer.record({"a": run, "b": run}, overlays=overlays), tmp_path)
-    page.evaluate("pinmobile.seek(0)")
-    # A mirrored mesh shows its near sides where another one shows its far ones.
-    page.evaluate(
-        "viewer.scene_tree.find(['meshcat', 'robot1']).object.traverse("
-        "one => { if (one.material) one.material.side = 0; }); viewer.set_dirty()"
-    )
-    page.frames()
-    there = projected(page, side(viewer.plant, pose(run, 0.0)))
-    assert sees(page, BLUE, there)
-    page.evaluate("viewer.scene_tree.find(['meshcat', 'robot0']).object.visible = false; viewer.set_dirty()")
-    page.frames()
-    assert not sees(page, BLUE, there)
-    red, _, blue = patch(page, there).mean(axis=0)
-    assert red > blue + 30  # it was there all the time
-
-
 def test_the_desired_pose_is_a_ghost_too(viewer: Viewer, apart: dict[str, pm.Rollout]) -> None:
     run = apart["bad"]
     found = tracks(viewer.record(run, fps=20, overlays=Overlays(desired=True)))
@@ -456,23 +434,6 @@ def test_caption_and_legend_never_overlap(
     for box in (caption, legend):
         assert (box >= 0).all()
         assert box[2] <= width
-
-
-@pytest.mark.parametrize("size", [(0.16, 0.17, 0.19), (3.0, 2.0, 1.0)])
-def test_a_robot_alone_fills_the_picture_whatever_its_size(
-    browser: Chromium, tmp_path: Path, size: tuple[float, float, float]
-) -> None:
-    robot = pm.MobileRobot(1.0, 0.01, size=size)
-    with Viewer(robot) as shown:
-        shown.display((5, -2, 0.3))
-        path = shown.screenshot(tmp_path / "a.png", size=(900, 600))
-    with Image.open(path) as picture:
-        pixels = np.asarray(picture.convert("RGB"), float)
-    paint = np.abs(pixels / pixels.max(axis=2, keepdims=True) - np.array(BLUE) / max(BLUE)).max(axis=2) < 0.15
-    rows, columns = np.nonzero(paint)
-    assert np.ptp(rows) > 600 / 6
-    assert np.ptp(columns) > 900 / 8
-    assert paint[[0, -1]].sum() == paint[:, [0, -1]].sum() == 0
 
 
 def test_gifs_and_films(

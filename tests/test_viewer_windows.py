@@ -122,19 +122,6 @@ def test_a_late_browser_gets_the_scene_in_its_order_and_the_animation_last() -> 
         ]
 
 
-def test_deleting_forgets_all_below_and_remembers_what_the_page_has_by_itself() -> None:
-    with LiveWindow() as w:
-        for path in ("a", "a/b", "ab", "Grid/x"):
-            w.send(prop(path, "visible", True))
-        w.send(delete("/a"))
-        w.send(delete("/Grid"))
-        assert received(w, least=2) == [("set_property", "ab", "visible"), ("delete", "/Grid")]
-        w.send(animation([]))
-        w.send(delete("/"))
-        # What is deleted while the last browser is still leaving is remembered for a moment.
-        assert eventually(lambda: received(w, least=1) == [("delete", "Grid")])
-
-
 def test_a_connected_browser_is_told_of_deletions_and_replacements_in_order() -> None:
     with LiveWindow() as w, WebSocket(w.url) as browser:
         assert w.wait(20)
@@ -193,14 +180,6 @@ def test_fault_a_host_header_of_another_name_is_refused(host: str) -> None:
         with WebSocket(w.url, {"Host": host.format(port=w.port)}) as browser:
             assert browser.status in (400, 403)
             assert w.browsers == 0
-
-
-@pytest.mark.parametrize("host", ["[::1]:1", "LOCALHOST:8000"])
-def test_this_machine_may_have_any_of_its_names_and_a_tunnel_any_port(host: str) -> None:
-    with LiveWindow() as w:
-        assert ask(w.url, {"Host": host})[0] == 200
-        with WebSocket(w.url, {"Host": host, "Origin": f"http://{host}"}) as browser:
-            assert browser.status == 101
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1"])
@@ -366,13 +345,6 @@ def test_fault_the_port_is_taken() -> None:
         assert again.port == port
 
 
-@pytest.mark.filterwarnings("ignore:the viewer listens")
-@pytest.mark.parametrize("host", ["192.0.2.1", "no.such.host.invalid"])
-def test_fault_there_is_no_such_address(host: str) -> None:
-    with pytest.raises(ViewerError, match="cannot listen on a free port of"):
-        LiveWindow(host)
-
-
 def test_fault_four_threads() -> None:
     with LiveWindow() as w, WebSocket(w.url) as browser:
 
@@ -406,48 +378,6 @@ def test_fault_used_after_it_was_closed() -> None:
             call()
     assert "closed" in repr(w)
     assert not listens(w.port)
-
-
-def test_closing_is_quick_with_a_browser_that_stopped_reading() -> None:
-    with LiveWindow() as w, WebSocket(w.url, reads=False), WebSocket(w.url) as reads:
-        assert eventually(lambda: w.browsers == 2)
-        w.send(shape("mesh", "x" * 12_000_000))
-        assert eventually(lambda: reads.last("mesh", "set_object"))
-        w.close()
-        assert reads.closed.wait(2)
-        assert not listens(w.port)
-
-
-def test_a_window_that_nobody_holds_is_closed() -> None:
-    w = LiveWindow()
-    port = w.port
-    del w
-    gc.collect()
-    assert not listens(port)
-
-
-def test_fault_many_property_updates() -> None:
-    with LiveWindow() as window, WebSocket(window.url) as watched:
-        for k in range(20_000):
-            window.send(prop(f"a{k % 10}", "position", [float(k), 0.0, 0.0]))
-            if k == 1000:
-                size, before = window.scene_size, resident()
-        assert window.scene_size == size
-        assert resident() - before < 15
-        assert window.flush()
-        assert watched.last("a9")["value"][0] == 19_999
-
-
-def test_fault_many_requests_for_missing_pages_and_nobody_reads_the_errors() -> None:
-    with run("w.wait(120)", stderr=subprocess.PIPE) as script:
-        try:
-            assert script.stdout is not None
-            url = f"http://127.0.0.1:{int(script.stdout.readline())}/"
-            for k in range(600):
-                assert ask(url, path=f"/missing{k}{'x' * 200}")[0] == 404  # more than a pipe holds
-            assert ask(url)[0] == 200
-        finally:
-            script.kill()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
@@ -532,23 +462,6 @@ def test_a_request_that_never_ends_is_ended(request_: bytes, monkeypatch: pytest
         assert connection.recv(1) == b""
 
 
-def test_a_header_of_many_lines_is_not_read() -> None:
-    lines = b"X: y\r\n" * 20_000
-    with LiveWindow() as w, socket.create_connection(("127.0.0.1", w.port), timeout=120) as connection:
-        asked = f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{w.port}\r\n".encode() + lines + b"\r\n"
-        assert not exchanged(connection, asked).startswith(b"HTTP/1.1 200")
-
-
-def exchanged(connection: socket.socket, data: bytes) -> bytes:
-    """Return what is answered until the end; a connection may be reset while it is written to."""
-    answer = b""
-    with suppress(ConnectionError):
-        connection.sendall(data)
-        while part := connection.recv(1 << 16):
-            answer += part
-    return answer
-
-
 def png() -> bytes:
     file = BytesIO()
     Image.new("RGBA", (2, 1), (1, 2, 3, 255)).save(file, "PNG")
@@ -578,41 +491,3 @@ def test_a_damaged_picture_is_the_librarys_error(data: bytes) -> None:
         threading.Timer(0.2, browser.say, [picture(data)]).start()
         with pytest.raises(ViewerError, match="the browser has sent no picture: "):
             w.get_image()
-
-
-@pytest.mark.parametrize("nonsense", [b"[" * 200_000, b'"data":"data:image/png;base64,!' * 50_000])
-def test_nonsense_beside_a_picture_is_passed_over(nonsense: bytes, capfd: pytest.CaptureFixture[str]) -> None:
-    with LiveWindow() as w, WebSocket(w.url) as browser:
-        assert w.wait(120)
-        taken: list[Any] = []
-        asking = threading.Thread(target=lambda: taken.append(w.get_image()))
-        asking.start()
-        assert eventually(lambda: len(browser.commands) == 1)
-        browser.say(nonsense)
-        browser.say(picture(png()))
-        asking.join(30)
-        assert [image.size for image in taken] == [(2, 1)]
-    assert capfd.readouterr().err == ""
-
-
-def test_a_forked_child_has_no_part_in_the_window() -> None:
-    script = """
-        import os
-        w.wait(30)
-        child = os.fork()
-        if child == 0:
-            try:
-                w.send(None)
-            except Exception as error:
-                os.write(1, f"{type(error).__name__} {error}\\n".encode())
-            w.close()
-            os._exit(0)
-        os.waitpid(child, 0)
-        print(w.browsers, w.flush())
-    """
-    with run(script) as process:
-        assert process.stdout is not None
-        port = int(process.stdout.readline())
-        with WebSocket(f"http://127.0.0.1:{port}/"):
-            assert process.stdout.readline() == "ViewerError the window is closed\n"
-            assert process.stdout.readline() == "1 True\n"

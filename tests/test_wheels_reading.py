@@ -21,7 +21,6 @@ from pinmobile.wheels import (
     GearTrain,
     Motor,
     Rolling,
-    Support,
     WheeledRobot,
     WheelTable,
     read_wheels,
@@ -31,8 +30,6 @@ from tests.wheeled import HALF_PI, inertial, joint, link, robot as urdf, shape
 
 ROLLING = shape("cylinder", 'radius="0.1" length="0.04"', rpy=f"{HALF_PI} 0 0")
 ROUND = "0.003 0 0 0.005 0 0.003"
-DINGO = (0.0004901, 0.0003234)  # as cylinders of its size have them
-MP400 = (0.00739239692, 0.0039974)
 CASTER = (1.541e-5, 1.075e-5)
 CASTERS = [f"caster_{end}_{side}_2_joint" for end in ("front", "back") for side in ("left", "right")]
 
@@ -150,38 +147,6 @@ def test_turtlebot_is_level_and_stands_on_its_casters(tmp_path: Path, model: str
     assert dict(robot.joint_signs) == dict.fromkeys(robot.table.names, 1)
 
 
-def test_dingo_is_asked_for_the_inertia_that_its_file_has_on_another_axis(tmp_path: Path) -> None:
-    with pytest.raises(
-        InvalidArgument,
-        match=r"wheel 'wheel_0' is no solid of revolution about its axle, with moments of 0\.0003234 "
-        r"about it, 0\.0003234 and 0\.00049\d* across.*or inertia=\{'wheel_0': \(about the axle, across",
-    ):
-        read(tmp_path, wheeled.dingo())
-    robot = read(tmp_path, wheeled.dingo(), inertia=DINGO)
-    y = 0.2160016 + 0.02032 / 2
-    near(robot.table, [(0.0989838, y), (0.0989838, -y)], 0.049)
-    assert robot.table.supports == (Support(-0.244, 0.0),)
-    assert robot.robot.com[0] < 0.0989838  # behind the axle
-    named = {"wheel_0": DINGO, "wheel_1": DINGO}
-    assert read(tmp_path, wheeled.dingo(), inertia=named) == robot
-    assert "inertia as given, the whole's as in the file, of all" in robot.source
-
-
-def test_mp400_turns_its_axes_by_rounded_angles(tmp_path: Path) -> None:
-    with pytest.raises(
-        InvalidArgument, match=r"moments of 0\.003997 about it, 0\.003997 and 0\.007392 across"
-    ):
-        read(tmp_path, wheeled.mp400())
-    robot = read(tmp_path, wheeled.mp400(), inertia=MP400)
-    # Axles turned by 1.57: 0.0008 rad off the y axis, they would be on two lines.
-    near(robot.table, [(0, -0.26), (0, 0.26)], 0.0765)
-    assert [wheel.angle for wheel in robot.table.wheels] == [0.0, 0.0]
-    assert "axes that the file rounds are exact at all" in robot.source
-    assert [wheel.motor.torque_limit for wheel in robot.table.wheels if wheel.motor] == [1000.0, 1000.0]
-    places = [(x, y) for x in (0.165, -0.22) for y in (0.155, -0.155)]
-    assert [(s.x, s.y) for s in robot.table.supports] == places
-
-
 def test_fetch_is_asked_for_its_radius_which_tells_the_ground_too(tmp_path: Path) -> None:
     with pytest.raises(
         InvalidArgument,
@@ -232,18 +197,6 @@ def test_tiago_stands_on_swivelling_casters(tmp_path: Path) -> None:
     said = "damping and friction of the joint are the motor's at wheel_left_joint, wheel_right_joint"
     assert said in robot.source
     assert "turns freely behind its swivel: caster_back_left_2_joint," in robot.source
-
-
-def test_casters_may_be_taken_as_supports(tmp_path: Path) -> None:
-    robot = read(tmp_path, wheeled.pmb2_on_casters(), locked=CASTERS)
-    assert robot.table.names == ("wheel_left_joint", "wheel_right_joint")
-    assert sorted((s.x, s.y) for s in robot.table.supports) == [
-        (-0.1895, -0.102),
-        (-0.1895, 0.102),
-        (0.1535, -0.102),
-        (0.1535, 0.102),
-    ]
-    assert robot.robot.mass == pytest.approx(28.26649 + 20 + 2 * 1.82362 + 4 * (0.05144761 + 0.08855784))
 
 
 # The same as Pinocchio's tree of the file
@@ -380,14 +333,6 @@ def test_omni_wheels_keep_the_sense_of_their_joints(tmp_path: Path) -> None:
         assert cos(row.angle - expected.angle) == pytest.approx(1)
 
 
-def test_axles_that_are_nearly_on_one_line_are_on_it(tmp_path: Path) -> None:
-    robot = read(tmp_path, base(wheel("left", "0.0004 0.2 0.1"), wheel("right", "-0.0004 -0.2 0.1")))
-    near(robot.table, [(0, 0.2), (0, -0.2)], 0.1)
-    assert "axles put on one line, by 0.4 mm at most" in robot.source
-    with pytest.raises(InvalidArgument, match="'left', 'right' are fixed on more than one axle"):
-        read(tmp_path, base(wheel("left", "0.002 0.2 0.1"), wheel("right", "-0.002 -0.2 0.1")))
-
-
 def on_swivel(at: str, wheel_at: str, name: str = "caster", **more: Any) -> str:
     fork = link(
         f"{name}_fork", inertial(0.5, more.pop("fork_at", "0 0 0"), moments="0.001 0 0 0.001 0 0.001")
@@ -467,14 +412,6 @@ def test_a_wheel_right_below_its_swivel_is_asked_about(tmp_path: Path) -> None:
     assert swerve.table.wheels[0].yaw_inertia == pytest.approx(0.003 + 0.001)
 
 
-def test_youbots_swivels_are_locked_where_the_wheels_have_rollers(tmp_path: Path) -> None:
-    text = base(*(on_swivel(f"{x} {y} 0.1", "0 0 0", name=f"w{k}") for k, (x, y) in enumerate(box(0.3, 0.2))))
-    robot = read(tmp_path, text, rollers=pi / 4)
-    assert (robot.table.axes, robot.mobility.mobility) == ((), 3)
-    assert [w.yaw_inertia for w in robot.table.wheels] == [0.003] * 4  # forks are the body's
-    assert "swivel locked of all" in robot.source
-
-
 def test_a_robot_read_before_has_the_same_wheels_and_keeps_them(tmp_path: Path) -> None:
     path = written(tmp_path, wheeled.turtlebot("burger"))
     before = MobileRobot.from_urdf(path)
@@ -489,14 +426,6 @@ def test_a_robot_read_before_has_the_same_wheels_and_keeps_them(tmp_path: Path) 
     assert "radius by the collision geometry of all" in robot.source
     own = WheelTable.differential(0.16, 0.033)
     assert WheeledRobot.from_urdf(path, table=own).table == own
-
-
-def test_a_pin_model_tells_no_radius(tmp_path: Path) -> None:
-    robot = MobileRobot.from_model(pin.buildModelFromXML(wheeled.mp400()))
-    with pytest.raises(InvalidArgument, match="radius of wheel 'wheel_0_joint' is not known"):
-        WheeledRobot(robot)
-    table = read_wheels(robot, radius=0.0765, inertia=MP400)
-    near(table, [(0, -0.26), (0, 0.26)], 0.0765)
 
 
 # What is refused
