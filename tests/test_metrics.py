@@ -55,7 +55,7 @@ def random_states(robot: pm.MobileRobot, count: int) -> tuple[Array, ...]:
     return q, v, a, 20 * u, desired
 
 
-def test_measures_of_an_arm_are_those_of_its_own_kinematics_limits_and_balance() -> None:
+def test_metrics_of_an_arm_are_those_of_its_own_kinematics_limits_and_balance() -> None:
     q, v, a, u, desired = random_states(UR5, 20)
     assert [one.name for one in UR5.metrics] == NAMES
     found = UR5.evaluate_metrics(0.0, q, v, a, u, pm.Reference(desired, v, a))

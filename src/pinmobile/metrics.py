@@ -73,7 +73,7 @@ def value_of(size: Array) -> Array:
         return np.asarray((size - _SCALE**2 / size) / 2)
 
 
-def measures_of(plant: object) -> tuple[Metric, ...]:
+def metrics_of(plant: object) -> tuple[Metric, ...]:
     """Return the metrics of a plant, none of one without.
 
     Raises
@@ -107,7 +107,7 @@ def chosen(plant: object, names: object, taken: Sequence[str]) -> tuple[Metric, 
     UnknownName
         If the plant states no metric of a name.
     """
-    stated = measures_of(plant)
+    stated = metrics_of(plant)
     every = [*taken, *(one.name for one in stated)]
     twice = next((name for name in every if every.count(name) > 1), None)
     if twice is not None:
@@ -160,7 +160,7 @@ def check_measured(plant: Any, q: Array, v: Array, reference: Any) -> None:
     """
     first = type(reference)(*(x[0] for x in reference))
     found = evaluate_metrics_of(plant, np.zeros(()), q, v, np.zeros(plant.nv), np.zeros(plant.nu), first)
-    for one, number in zip(measures_of(plant), found, strict=True):
+    for one, number in zip(metrics_of(plant), found, strict=True):
         if np.isnan(number):
             raise InvalidArgument(
                 f"plant is a {type(plant).__name__}, whose measured(t, q, v, a, u, reference) returned "

@@ -30,6 +30,16 @@ if TYPE_CHECKING:
 Difference: TypeAlias = Callable[[Array, Array], Array]
 
 
+_DEFAULTS = dict.fromkeys(("nq", "nv", "nu"), 0) | dict.fromkeys(
+    ("broadcasts", "compiles", "is_vector_space"), False
+)
+
+
+def stated(part: object, name: str) -> Any:
+    """Return what a part states of itself by an optional name, see `Plant`; else its default."""
+    return getattr(part, name, _DEFAULTS.get(name))
+
+
 def check_difference(difference: object) -> None:
     """Check a function ``difference(q0, q1)``.
 
@@ -54,12 +64,12 @@ def refuse_path(name: str, trajectory: object) -> None:
     InvalidArgument
         If it is a path of the body or of an end effector.
     """
-    if hasattr(trajectory, "rows"):
+    if stated(trajectory, "rows") is not None:
         raise InvalidArgument(
             f"{name} is {shown(trajectory)}, a path of poses of an end effector, expected a trajectory of "
             "the robot's coordinates, such as solve_inverse_kinematics(robot, path)"
         )
-    if hasattr(trajectory, "derivative"):
+    if stated(trajectory, "derivative") is not None:
         raise InvalidArgument(
             f"{name} is {shown(trajectory)}, a path, which has no heading, expected a trajectory: wrap the "
             "path in Tangent or FixedHeading, such as Tangent(path)"
@@ -434,7 +444,7 @@ class Context:
         InvalidArgument
             If the plant cannot compare and move configurations, `dt` is not above zero, or `t` is no row.
         """
-        missing = [name for name in ("difference", "integrate") if not callable(getattr(plant, name, None))]
+        missing = [name for name in ("difference", "integrate") if not callable(stated(plant, name))]
         if isinstance(plant, type) or missing:
             what = f", which has no {missing[0]}" if missing else ""
             raise InvalidArgument(f"plant is {shown(plant)}{what}, expected a MobileRobot or other plant")
@@ -449,37 +459,38 @@ class Context:
             *named,
             reference,
             trajectory,
-            getattr(plant, "nv", 0),
+            stated(plant, "nv"),
         )
 
 
 def coordinates_of(plant: object) -> tuple[Coordinate, ...]:
     """Return the coordinates of a plant, in the order of v; without names, numbers."""
-    if hasattr(plant, "coordinates"):
-        return sequence("plant.coordinates", plant.coordinates, "a sequence of Coordinate")
-    return tuple(Coordinate(f"[{k}]", "") for k in range(getattr(plant, "nv", 0)))
+    found = stated(plant, "coordinates")
+    if found is None:
+        return tuple(Coordinate(f"[{k}]", "") for k in range(stated(plant, "nv")))
+    return sequence("plant.coordinates", found, "a sequence of Coordinate")
 
 
 def inputs_of(plant: object) -> tuple[Input, ...]:
     """Return the inputs of a plant, in the order of u; without names, numbers."""
-    if hasattr(plant, "inputs"):
-        return sequence("plant.inputs", plant.inputs, "a sequence of Input")
-    return tuple(Input(f"[{k}]", "") for k in range(getattr(plant, "nu", 0)))
+    found = stated(plant, "inputs")
+    if found is None:
+        return tuple(Input(f"[{k}]", "") for k in range(stated(plant, "nu")))
+    return sequence("plant.inputs", found, "a sequence of Input")
 
 
 def configuration_names_of(plant: object) -> tuple[str, ...]:
     """Return the names of the entries of q: those of the coordinates if their number agrees, else numbers."""
-    if hasattr(plant, "configuration_names"):
-        return sequence("plant.configuration_names", plant.configuration_names, "a sequence of names")
-    count, named = getattr(plant, "nq", 0), coordinates_of(plant)
+    found = stated(plant, "configuration_names")
+    if found is not None:
+        return sequence("plant.configuration_names", found, "a sequence of names")
+    count, named = stated(plant, "nq"), coordinates_of(plant)
     return tuple(one.name for one in named) if len(named) == count else tuple(f"[{k}]" for k in range(count))
 
 
 def reference_sizes_of(plant: object) -> Mapping[int, int]:
     """Return the number of entries of q for each number of coordinates that a reference may have."""
-    found: Mapping[int, int] = getattr(plant, "reference_sizes", None) or {
-        getattr(plant, "nv", 0): getattr(plant, "nq", 0)
-    }
+    found: Mapping[int, int] = stated(plant, "reference_sizes") or {stated(plant, "nv"): stated(plant, "nq")}
     return found
 
 
@@ -514,8 +525,8 @@ def limits_exceeded(plant: object, t: Array, q: Array, v: Array, u: Array | None
     for one in named:
         if np.isfinite([one.lower, one.upper]).any() and one.name in names:
             check(q[:, names.index(one.name)], one.lower, one.upper, f"{one.name} reaches", one.unit)
-    robots: tuple[Any, ...] = (plant, getattr(plant, "robot", None))
-    robot = next((each for each in robots if hasattr(each, "effort_limit")), None)
+    robots = plant, stated(plant, "robot")
+    robot: Any = next((each for each in robots if stated(each, "effort_limit") is not None), None)
     if robot is None:
         return tuple(found)
     columns = [one.name for one in inputs_of(plant)] if u is not None else []
@@ -539,7 +550,7 @@ def check_plant(plant: object) -> None:
     """
     sizes: dict[str, Any] = {size: getattr(plant, size, None) for size in ("nq", "nv", "nu")}
     known = all(isinstance(value, int | np.integer) for value in sizes.values())
-    if isinstance(plant, type) or not hasattr(plant, "forward_dynamics") or not known:
+    if isinstance(plant, type) or stated(plant, "forward_dynamics") is None or not known:
         raise InvalidArgument(
             f"plant is {shown(plant)}, expected something with 'forward_dynamics' and the sizes nq, nv, nu"
         )
@@ -567,7 +578,7 @@ def all_samples(plant: object, name: str, *rows: Array) -> Array:
         Arguments of the method, N > 0.
     """
     method = getattr(plant, name)
-    if getattr(plant, "broadcasts", False):
+    if stated(plant, "broadcasts"):
         return np.asarray(method(*rows))
     return np.stack([method(*(part.copy() for part in row)) for row in zip(*rows, strict=True)])
 
@@ -613,7 +624,7 @@ class PlantOutline:
         """Return the outline of a plant; configurations q, shape (N, nq), locate its pose in q."""
         if isinstance(plant, cls):
             return plant
-        size = getattr(plant, "size", None)
+        size = stated(plant, "size")
         return cls(
             kind=type(plant).__name__,
             coordinates=tuple(Coordinate(*one) for one in coordinates_of(plant)),
@@ -652,7 +663,7 @@ class PlantOutline:
 
 def _posed(plant: object, q: Array) -> tuple[int, ...] | None:
     """Return the entries of q that equal the pose in all samples; None if there are none."""
-    if not callable(getattr(plant, "pose", None)) or not len(q):
+    if not callable(stated(plant, "pose")) or not len(q):
         return None
     poses = all_samples(plant, "pose", q)
     found = [np.flatnonzero((q == column[:, None]).all(axis=0)) for column in poses.T]

@@ -27,7 +27,7 @@ from pinmobile.cli.output import (
 )
 from pinmobile.cli.scenario_file import Opened
 from pinmobile.loop import run_scenario, why_unknown
-from pinmobile.metrics import in_words, measures_of
+from pinmobile.metrics import in_words, metrics_of
 from pinmobile.sweeps import Axis, Points, connected, run_points
 
 _FILM = 10.0  # [s] that a film lasts at most
@@ -112,7 +112,7 @@ def _metrics(run: Rollout) -> list[str]:
     """Return a line for each metric of the plant: its worst value."""
     found = run.metrics() if run.plant is not None else {}
     lines = []
-    for each in measures_of(run.plant) if found else ():
+    for each in metrics_of(run.plant) if found else ():
         values = found[each.name].values
         worst = np.nanmin(values) if each.is_margin else np.nanmax(np.abs(values))
         lines.append(f"{each.worst} {each.title}: {in_words(float(worst))}")

@@ -30,7 +30,15 @@ from pinmobile.integrators import Integrator, check_integrator, constant_acceler
 from pinmobile.loop._loop import displaced, named_forces
 from pinmobile.loop._python import error_of_sizes
 from pinmobile.parts import Carried, Following, OnCoordinates, Pushable, Stepping, able, required
-from pinmobile.plant import Context, Plant, check_plant, coordinates_of, reference_sizes_of, refuse_path
+from pinmobile.plant import (
+    Context,
+    Plant,
+    check_plant,
+    coordinates_of,
+    reference_sizes_of,
+    refuse_path,
+    stated,
+)
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 _Forces: TypeAlias = Sequence[Force | OnCoordinates]
@@ -71,7 +79,7 @@ def chosen_integrator(plant: Plant, integrator: Integrator | None) -> Integrator
     """
     own = None if isinstance(plant, type) else able(plant, Stepping)
     if own is None:
-        chosen = getattr(plant, "integrator", None) if integrator is None else integrator
+        chosen = stated(plant, "integrator") if integrator is None else integrator
         return constant_acceleration if chosen is None else chosen
     if integrator is not None:
         raise InvalidArgument(
@@ -173,11 +181,11 @@ def sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
             f"trajectory cannot be asked for an array of {len(t)} times: {error}"
         ) from error
     reference_sizes = reference_sizes_of(plant)
-    count = np.asarray(getattr(reference, "v", None)).shape[-1:]
+    count = np.asarray(stated(reference, "v")).shape[-1:]
     n = count[0] if count and count[0] in reference_sizes else max(reference_sizes)
     sizes = {"q": reference_sizes[n], "v": n, "a": n}
     for name, size in sizes.items():
-        value = np.asarray(getattr(reference, name, None))
+        value = np.asarray(stated(reference, name))
         if value.shape != (len(t), size):
             shorter = [k for k in reference_sizes if k != n]
             how = f", or the first of its coordinates: {', '.join(map(str, shorter))}" if shorter else ""
@@ -186,7 +194,7 @@ def sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
                 f"expected ({len(t)}, {size}){how}"
             )
     checked = Reference(*(vector(f"trajectory's {x}", getattr(reference, x), k) for x, k in sizes.items()))
-    if hasattr(plant, "velocity_limit"):
+    if stated(plant, "velocity_limit") is not None:
         check_limits(plant, checked.q, checked.v, t)
     if len(t) * n <= _KEPT and is_constant(trajectory):
         checked = Reference(*map(frozen, checked))
@@ -292,7 +300,7 @@ def check_answers(
     with np.errstate(all="ignore"):
         _check_sizes(plant, q, v)
         states = [(x.copy(), w.copy()) for x, w in ((q, v), (plant.integrate(q, 0.01 + 0 * v), v + 0.01))]
-        pose, rate = getattr(plant, "pose", None), getattr(plant, "pose_rate", None)
+        pose, rate = stated(plant, "pose"), stated(plant, "pose_rate")
         for name, force in named_forces(forces).items():
             ask: _Ask
             if able(force, OnCoordinates):
@@ -362,7 +370,7 @@ def _check_sizes(plant: Plant, q: Array, v: Array) -> None:
     if not able(plant, Stepping):
         asked["forward_dynamics"] = ("q, v, u", nv, (q, v, u))
     for name, (arguments, size, values) in asked.items():
-        method = getattr(plant, name, None)
+        method = stated(plant, name)
         if not callable(method):
             continue
         answer = method(*(value.copy() for value in values))

@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, frozen
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import whole_configurations
+from pinmobile.plant import stated, whole_configurations
 from pinmobile.reaching import error_sizes, pose_error, target_names
 from pinmobile.signals import Signal
 
@@ -122,7 +122,7 @@ class EndEffector:
 
 def aimed_at(rollout: Any) -> str | None:
     """Return the first frame of a rollout's plant whose target the run has; None where it has none."""
-    names = getattr(rollout.plant, "frame_names", ())
+    names = stated(rollout.plant, "frame_names") or ()
     return next((name for name in names if target_names(name)[0] in rollout.signals), None)
 
 
@@ -144,7 +144,7 @@ def end_effector_of(rollout: Any, frame: str | None) -> EndEffector:
         If there is no such frame.
     """
     plant = rollout.plant
-    if not callable(getattr(plant, "frame_pose", None)) or not callable(getattr(plant, "frame_name", None)):
+    if not all(callable(stated(plant, name)) for name in ("frame_pose", "frame_name")):
         raise InvalidArgument(
             f"plant is {shown(plant)}, which does not tell where its frames are, expected a MobileRobot, a "
             "WheeledRobot, or a plant with frame_name(frame) and frame_pose(q, frame)"
@@ -174,7 +174,7 @@ def _told(signals: Mapping[str, Signal], position: str, orientation: str) -> Arr
 
 def _coordinates_of(plant: Any, frame: str) -> int:
     """Return how many of the first coordinates a reference needs to define the pose of a frame."""
-    mounts = getattr(plant, "mounts", None)
+    mounts = stated(plant, "mounts")
     if mounts is None:
         return int(plant.nv)
     own = (mount.v.stop for mount in mounts if frame.startswith(f"{mount.name}/"))

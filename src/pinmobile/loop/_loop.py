@@ -33,7 +33,7 @@ from pinmobile.parts import (
     integer,
     part,
 )
-from pinmobile.plant import Context, coordinates_of
+from pinmobile.plant import Context, coordinates_of, stated
 from pinmobile.signals import Claim, claimed, number as signal_number, signals_of
 from pinmobile.trajectories import Reference
 
@@ -87,12 +87,12 @@ class Loop:
     @cached_property
     def law(self) -> Any:
         """The dynamics as a loop calls them, unchecked where the plant offers that."""
-        return getattr(self.plant, "law", self.plant)
+        return stated(self.plant, "law") or self.plant
 
     @cached_property
     def integrate(self) -> Callable[[Any, Any], Any]:
         """Function of a configuration and a displacement."""
-        return getattr(self.law, "integrate", None) or np.add
+        return stated(self.law, "integrate") or np.add
 
     @cached_property
     def steps(self) -> bool:
@@ -107,7 +107,7 @@ class Loop:
     @cached_property
     def displaced(self) -> Callable[..., tuple[Any, Any]]:
         """The integrator as a function of displacements, given the acceleration at the start."""
-        own = getattr(self.integrator, "displaced", None)
+        own = stated(self.integrator, "displaced")
         return partial(displaced, self.integrator) if own is None else own
 
     @cached_property
@@ -115,7 +115,7 @@ class Loop:
         """Least and largest input, shape (nu,); None where nothing has a limit."""
         inputs = getattr(self.plant, "inputs", ())
         low, high = (
-            np.array([sign * np.inf if (x := getattr(each, side, None)) is None else x for each in inputs])
+            np.array([sign * np.inf if (x := stated(each, side)) is None else x for each in inputs])
             for side, sign in (("lower", -1.0), ("upper", 1.0))
         )
         return (low, high) if np.isfinite([low, high]).any() else None
@@ -164,7 +164,7 @@ class Loop:
     def signals(self) -> bool:
         """Whether the recorder keeps signals, and a part has some."""
         parts = self.law, self.controller, *self.all_forces
-        wanted = getattr(self.recorder, "signals", False)
+        wanted = stated(self.recorder, "signals")
         return wanted and any(able(each, Signalling) for each in parts)
 
 
@@ -449,7 +449,7 @@ def _own_steps(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory: objec
     for j in range(loop.substeps):
         time = t + j * h if j else t
         found = loop.law.step(time, q, v, u, h, partial(_pushed, loop), memory)
-        if not all(hasattr(found, name) for name in ("q", "v", "memory")):
+        if any(stated(found, name) is None for name in ("q", "v", "memory")):
             raise InvalidArgument(
                 f"plant.step returned {shown(found)}{when(t)}, expected a Step(q, v, memory)"
             )
@@ -458,7 +458,7 @@ def _own_steps(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory: objec
             for name, x in (("q", q), ("v", v))
         )
         if acceleration is None:
-            own = getattr(found, "a", None)
+            own = stated(found, "a")
             acceleration = (v1 - v) / h if own is None else own
         q, v, memory = q1, v1, found.memory
     return acceleration, q, v, memory
@@ -486,7 +486,7 @@ def displaced(integrator: Any, acceleration: Any, first: Any, t: Any, v: Any, h:
 
 def initial(loop: Loop, context: Context, q: Any = None, v: Any = None) -> State:
     """Return the state before the first sample, with the memory of the parts."""
-    begin = getattr(loop.law, "initial_state", None)
+    begin = stated(loop.law, "initial_state")
     return State(
         q,
         v,

@@ -18,7 +18,7 @@ from pinmobile.loop._program import Compiled
 from pinmobile.loop._record import Samples
 from pinmobile.loop._trace import initial_memory, traced_numbers
 from pinmobile.parts import array, child, evolved, part
-from pinmobile.plant import Context
+from pinmobile.plant import Context, stated
 from pinmobile.signals import Recorder, Signal
 from pinmobile.trajectories import Reference
 
@@ -61,7 +61,7 @@ class _Whole:
 
     def initial_state(self, context: object) -> Any:
         """Return the memory of the plant."""
-        begin = getattr(self.inner.law, "initial_state", None)
+        begin = stated(self.inner.law, "initial_state")
         return None if begin is None else begin(context)
 
     def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> _Moved:
@@ -229,7 +229,7 @@ class PythonRun:
     def __init__(self, loop: Loop, context: Context, q0: Array, v0: Array) -> None:
         plant, t, reference = loop.plant, context.t, context.reference
         loop = evolved(loop, {"recorder": _Signals()})
-        self._adds = getattr(plant, "is_vector_space", False) and reference.v.shape[1] == plant.nv
+        self._adds = stated(plant, "is_vector_space") and reference.v.shape[1] == plant.nv
         self._desired = np.hstack([reference.q, reference.v])
         sizes = plant.nq, plant.nv, plant.nv, plant.nu
         self._rows = tuple(np.full((len(t), size), np.nan) for size in sizes)
@@ -280,7 +280,7 @@ class CompiledRun(PythonRun):
         plant, reference = loop.plant, Reference(*context.reference)
         loop = evolved(loop, {"recorder": Samples()})
         whole = reference.q.shape[1] == plant.nq and reference.v.shape[1] == plant.nv
-        self._adds = whole and getattr(plant, "is_vector_space", False)
+        self._adds = whole and stated(plant, "is_vector_space")
         self._desired, self.stopped = np.hstack([reference.q, reference.v]), None
         first = Reference(*(part[0] for part in reference))
         compiled = Compiled(loop, context, (q0, v0), first, single=True)

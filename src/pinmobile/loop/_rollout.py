@@ -16,7 +16,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.files import replacing, write_table
 from pinmobile.loop._end_effector import EndEffector, aimed_at, end_effector_of
 from pinmobile.loop._storage import read_archive, write_archive
-from pinmobile.metrics import evaluate_metrics_of, in_words, measures_of
+from pinmobile.metrics import evaluate_metrics_of, in_words, metrics_of
 from pinmobile.plant import (
     Coordinate,
     Input,
@@ -26,6 +26,7 @@ from pinmobile.plant import (
     inputs_of,
     limits_exceeded,
     reference_sizes_of,
+    stated,
     whole_configurations,
 )
 from pinmobile.signals import Signal
@@ -160,11 +161,11 @@ class Rollout:
         Limits of position, speed and torque that were exceeded, and where the ground cannot carry the robot.
         """
         found = list(limits_exceeded(self.plant, self.t, self.q, self.v, self.u))
-        for name, words in _GROUND.items() if hasattr(self.plant, "contact_loads") else ():
+        for name, words in _GROUND.items() if stated(self.plant, "contact_loads") else ():
             told = np.empty(0, int)
             if name in self.signals:
                 told = np.flatnonzero(self.signals[name].values)
-            elif name == "tips" and any(one.worst == "ever" for one in measures_of(self.plant)):
+            elif name == "tips" and any(one.worst == "ever" for one in metrics_of(self.plant)):
                 # Wheels that roll do not record it.
                 told = np.flatnonzero(self.plant.contact_loads(self.q, self.v, self.a).tips)
             if len(told):
@@ -212,7 +213,7 @@ class Rollout:
     def _poses(self, q: Array) -> Array:
         if self.plant is None and self.nq >= _POSE:
             return q[:, :_POSE]
-        if not callable(getattr(self.plant, "pose", None)):
+        if not callable(stated(self.plant, "pose")):
             kind = getattr(self.plant, "kind", type(self.plant).__name__)
             raise InvalidArgument(
                 f"plant is a {kind}, which does not tell where its body is, expected one with pose(q), which "
@@ -228,11 +229,11 @@ class Rollout:
         InvalidArgument
             If the plant's ``evaluate_metrics`` returns another shape, or no real numbers.
         """
-        stated = measures_of(self.plant)
-        if not stated:
+        known = metrics_of(self.plant)
+        if not known:
             return {}
         recorded = self.t, self.q, self.v, self.a, self.u
-        if getattr(self.plant, "broadcasts", False):
+        if stated(self.plant, "broadcasts"):
             found = evaluate_metrics_of(self.plant, *recorded, self.reference)
         else:
             samples = zip(*recorded, *self.reference, strict=True)
@@ -241,7 +242,7 @@ class Rollout:
                 for t, q, v, a, u, *at in samples
             )
             found = np.stack(list(rows))
-        return {one.name: Signal(one.unit, frozen(found[:, k])) for k, one in enumerate(stated)}
+        return {one.name: Signal(one.unit, frozen(found[:, k])) for k, one in enumerate(known)}
 
     @property
     def _led(self) -> int:

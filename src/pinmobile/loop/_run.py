@@ -27,7 +27,7 @@ from pinmobile.loop._scenario import Scenario, checked_scenario
 from pinmobile.loop._simulate import Engine, checked_engine
 from pinmobile.loop._spread import Source
 from pinmobile.loop._trace import arrays_of, initial_memory
-from pinmobile.metrics import measures_of
+from pinmobile.metrics import metrics_of
 from pinmobile.parts import OnCoordinates, evolved, replace as replaced
 from pinmobile.plant import Context, Plant
 from pinmobile.trajectories import Reference, Trajectory
@@ -117,7 +117,7 @@ def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
 def _with_recorder(scenario: Scenario, loop: Loop | None = None) -> Loop:
     begin = float(scenario.begin) if scenario.begin else None
     loop = scenario.loop if loop is None else loop
-    stated = [one.name for one in measures_of(scenario.robot)]
+    stated = [one.name for one in metrics_of(scenario.robot)]
     recorder = Worst(
         limit=scenario.limit,
         begin=begin,

@@ -32,7 +32,7 @@ from pinmobile.loop._loop import Loop, named_forces
 from pinmobile.loop._python import CompiledRun, PythonRun, with_compiled_plant
 from pinmobile.loop._rollout import Rollout
 from pinmobile.parts import OnCoordinates, Starting, able
-from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations
+from pinmobile.plant import Context, Plant, all_samples, coordinates_of, stated, whole_configurations
 from pinmobile.signals import told_at
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
@@ -153,7 +153,7 @@ def simulate(
     t = sample_times(dt, duration, trajectory.duration)
     count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
     asked = checked_engine(engine)
-    compiles = asked is Engine.COMPILED or (asked is None and getattr(plant, "compiles", False))
+    compiles = asked is Engine.COMPILED or (asked is None and stated(plant, "compiles"))
     whole_loop = Loop(plant, controller, trajectory, checked, integrator, count)
     reference = sampled(trajectory, t, plant)
     start = _start(plant, reference, q0, v0)
@@ -243,11 +243,12 @@ def _start(
         shaped(name, own, (size,))
         found.append(own)
     q, v = found
-    if hasattr(plant, "velocity_limit"):
+    if stated(plant, "velocity_limit") is not None:
         check_limits(plant, q, v)
-    if hasattr(plant, "check_start"):
+    check = stated(plant, "check_start")
+    if check is not None:
         try:
-            plant.check_start(q.copy(), v.copy())
+            check(q.copy(), v.copy())
         except InvalidArgument as error:
             if error.argument == "start" and q0 is None and v0 is None:
                 raise error.calling("reference at its start") from None
@@ -297,11 +298,11 @@ def _too_stiff(plant: Any, forces: Any, q: Array, h: float) -> str:
 
     With the damping C of all coordinates, explicit steps are stable up to 2 / max eig(M^-1 C), or some more.
     """
-    if not hasattr(plant, "mass_matrix"):
+    if stated(plant, "mass_matrix") is None:
         return ""
     C = np.zeros((plant.nv, plant.nv))
     for force in named_forces(forces).values():
-        if not hasattr(force, "damping"):
+        if stated(force, "damping") is None:
             continue
         if able(force, OnCoordinates):
             C += np.diag(np.broadcast_to(force.damping, plant.nv))

@@ -23,6 +23,7 @@ from pinmobile.arrays import (
 )
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Found, Number
+from pinmobile.plant import stated
 
 
 @runtime_checkable
@@ -225,7 +226,7 @@ def drawn(name: str, source: Any, generator: np.random.Generator, size: int) -> 
     InvalidArgument
         If the distribution returns anything but `size` finite numbers.
     """
-    if hasattr(source, "sample"):
+    if stated(source, "sample") is not None:
         values = source.sample(generator, size)
     else:
         values = source.rvs(size=size, random_state=generator)
@@ -300,9 +301,11 @@ def check_supports(spread: Mapping[str, Any], found: Mapping[str, Found]) -> Non
     """
     for name, source in spread.items():
         declared, one = found[name].leaf.declared, found[name]
-        known = isinstance(source, Uniform) or (hasattr(source, "rvs") and not hasattr(source, "sample"))
-        least = getattr(declared, "above", None)
-        least = getattr(declared, "lower", None) if least is None else least
+        known = isinstance(source, Uniform) or (
+            stated(source, "sample") is None and stated(source, "rvs") is not None
+        )
+        above, lower = (stated(declared, name) for name in ("above", "lower"))
+        least = lower if above is None else above
         if least is None or not known:
             continue
         low = float(source.support()[0])
@@ -343,8 +346,8 @@ def _checked(what: str, source: Any, n: int) -> Any:
         raise InvalidArgument(
             f"{what} is the class {source.__name__}, expected one of it, such as Uniform(1, 2)"
         )
-    numbers = hasattr(source, "__array__")  # such as a column of pandas, which has a `sample` too
-    if not numbers and (hasattr(source, "sample") or hasattr(source, "rvs")):
+    numbers = stated(source, "__array__") is not None  # such as a column of pandas, which has a `sample` too
+    if not numbers and any(stated(source, name) is not None for name in ("sample", "rvs")):
         return source
     values = finite(what, source)
     shaped(what, values, (), (n,))
@@ -457,7 +460,7 @@ def _values(name: str, source: Any, seed: int, start: int, stop: int) -> Array:
     def own(generator: np.random.Generator, size: int) -> Array:
         return drawn(name, source, generator, size)
 
-    return in_blocks(name, own, seed, start, stop, whole=not getattr(source, "in_order", False))
+    return in_blocks(name, own, seed, start, stop, whole=not stated(source, "in_order"))
 
 
 def in_blocks(

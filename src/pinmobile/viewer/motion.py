@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, finite
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.loop import Rollout
-from pinmobile.plant import all_samples
+from pinmobile.plant import all_samples, stated
 from pinmobile.robot import BODY_JOINT, MobileRobot
 
 _KINDS = {"position": "vector3", "scale": "vector3", "quaternion": "quaternion"}
@@ -199,7 +199,7 @@ class Drawing:
     def __init__(self, plant: Any) -> None:
         self.plant, self.size = plant, getattr(plant, "size", MobileRobot.box().size)
         self.mounts = tuple(getattr(plant, "mounts", ()))
-        given = getattr(plant, "visual_model", None)
+        given = stated(plant, "visual_model")
         if not isinstance(given, pin.GeometryModel) or not given.ngeoms:
             raise InvalidArgument(
                 f"plant is a {type(plant).__name__}, which has drawing(q) and visual_model {shown(given)}, "
@@ -274,17 +274,17 @@ def figure(plant: Any) -> Drawn:
     """
     if isinstance(plant, type):
         raise InvalidArgument(f"plant is {shown(plant)}, expected a plant, not its class")
-    if hasattr(plant, "frame_placements"):
+    if stated(plant, "frame_placements") is not None:
         robot: MobileRobot = plant
         return robot
-    if not callable(getattr(plant, "pose", None)):
+    if not callable(stated(plant, "pose")):
         raise InvalidArgument(
             f"plant is {shown(plant)}, expected a MobileRobot, or a plant with pose(q), which returns x, y "
             "and psi"
         )
-    if hasattr(plant, "drawing"):
+    if stated(plant, "drawing") is not None:
         return Drawing(plant)
-    size = getattr(plant, "size", None)
+    size = stated(plant, "size")
     return MobileRobot.box() if size is None else MobileRobot.box(size=size)
 
 
