@@ -449,7 +449,7 @@ def _own_steps(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory: objec
     for j in range(loop.substeps):
         time = t + j * h if j else t
         found = loop.law.step(time, q, v, u, h, partial(_pushed, loop), memory)
-        if any(stated(found, name) is None for name in ("q", "v", "memory")):
+        if not all(hasattr(found, name) for name in ("q", "v", "memory")):
             raise InvalidArgument(
                 f"plant.step returned {shown(found)}{when(t)}, expected a Step(q, v, memory)"
             )
