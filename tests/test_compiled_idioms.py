@@ -386,7 +386,7 @@ def test_a_compiled_solver_in_a_law_is_refused_at_the_user_s_line_with_the_engin
         simulate(robot, law(held), circle, dt=0.01, engine=Engine.COMPILED)
     assert re.search(r"held, line \d+ of test_compiled_idioms\.py \(`return daqp\.solve", str(caught.value))
     assert "View.MemoryView" not in str(caught.value)
-    assert str(caught.value).endswith("or run it by PYTHON")
+    assert str(caught.value).endswith("or run it with engine=Engine.PYTHON")
     assert len(simulate(robot, law(held), circle, dt=0.01)) == 11
 
 

@@ -634,7 +634,7 @@ def drifting(q: Array) -> Array:
         ),
         (
             lambda: pm.identify(log(), loads=[None]),
-            r"^loads is \[None\], expected a Load or None for each of 1 logs, which differ",
+            r"^loads is \[None\], expected a PayloadBody or None for each of 1 logs, which differ",
         ),
         (lambda: pm.identify(log(), "robot"), r"^robot is 'robot', expected a MobileRobot"),
     ],

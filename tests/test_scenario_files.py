@@ -38,6 +38,7 @@ PARTS = {name: one for name, one in public().items() if attrs.has(one) and is_pa
 APART = {
     *(
         "AckermannSteering",
+        "Arm",
         "Adaptive",
         "AdaptiveVelocity",
         "ByVoltage",

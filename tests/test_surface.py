@@ -382,9 +382,9 @@ def test_the_wheel_works_where_it_is_installed(wheel: Path, tmp_path: Path) -> N
     here = [entry for entry in sys.path if entry.endswith("site-packages")]
     (site / "dependencies.pth").write_text("\n".join(here))
     code = (
-        "import pinmobile, pathlib; from pinmobile import MobileRobot, shipped_urdf; "
+        "import pinmobile, pathlib; from pinmobile import MobileRobot, urdf; "
         "home = pathlib.Path(pinmobile.__file__).parent; assert 'env' in str(home), home; "
-        "path = shipped_urdf('lecture'); assert home in path.parents, path; "
+        "path = urdf.shipped_urdf('lecture'); assert home in path.parents, path; "
         "assert MobileRobot.from_urdf(path) == MobileRobot.lecture(); "
         "from pinmobile.cli import main; raise SystemExit(main(['verify', '--states', '5']))"
     )

@@ -119,7 +119,7 @@ def identify(
     try:
         found = _identified(runs, model, prior, method, delay)
     except InvalidArgument as error:
-        hints = [f"Its {worst}"] * (worst is not None and worst.matters) + [clipped] * bool(clipped)
+        hints = [f"Its {worst}"] * bool(worst is not None and worst.matters) + [clipped] * bool(clipped)
         raise InvalidArgument(" ".join([str(error), *hints])) from error
     dropped = sum(one.dropped for one in logs)
     return replace(found, dropped=dropped, prior=robot, slippage=worst, clipped=clipped)

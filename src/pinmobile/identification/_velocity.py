@@ -235,8 +235,16 @@ def identify_velocity(
     sought = {"delay": delay is None, "ahead": ahead is None, **dict.fromkeys(_LIMITS, accelerations is None)}
     most = VelocityRobot(np.ones(6), accelerations=np.inf if accelerations is None else accelerations)
     given = {
-        "delay": bounded("delay", scalar("delay", delay or 0.0), least=0, most=lead * dt, unit="s"),
-        "ahead": bounded("ahead", scalar("ahead", ahead or 0.0), least=-_FARTHEST, most=_FARTHEST, unit="m"),
+        "delay": bounded(
+            "delay", scalar("delay", 0.0 if delay is None else delay), least=0, most=lead * dt, unit="s"
+        ),
+        "ahead": bounded(
+            "ahead",
+            scalar("ahead", 0.0 if ahead is None else ahead),
+            least=-_FARTHEST,
+            most=_FARTHEST,
+            unit="m",
+        ),
         **dict(zip(_LIMITS, most.accelerations.tolist(), strict=True)),
     }
     model = VelocityModel(tuple(name for name, is_so in sought.items() if is_so), given, lead, dt, is_pose)

@@ -287,6 +287,7 @@ _PANELS = (
 _DOTS: Style = {"markersize": 5, "marker": "o"}
 _FLOOR = 1e-17  # where zero is drawn
 _TICKS = 6  # at most, along the steps
+_LONGEST = 22  # letters of a label above a panel; the legend has all
 _ROUNDING = "#dddddd"
 _GUIDE: Style = {"color": "#999999", "linestyle": (0, (4, 3)), "linewidth": 1.0, "zorder": 2}
 
@@ -342,7 +343,8 @@ def _panel(
     for index, (label, row) in enumerate(zip(labels, rows, strict=True)):
         errors = np.where(np.isfinite(row.errors), np.maximum(row.errors, _FLOOR), np.nan)
         axes.plot(1e3 * row.steps, errors, **_DOTS | line_style(index, len(rows)))
-        note = f"{label}: {row}" if label else str(row)
+        name = label if len(label) <= _LONGEST else f"{label[: _LONGEST - 1]}…"
+        note = f"{name}: {row}" if name else str(row)
         above = 4 + 1.3 * letters(0.9) * (len(rows) - 1 - index)
         axes.annotate(
             note, (0, 1), (0, above), xycoords="axes fraction", textcoords="offset points",
