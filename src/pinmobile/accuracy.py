@@ -470,7 +470,7 @@ def integrator_report(
     steps: Sequence[float] = (0.1, 0.05, 0.025, 0.0125, 0.00625),
     duration: float = 2.0,
 ) -> IntegratorReport:
-    """Metric an integrator: its order, what drifts, and what the held force costs beside it.
+    """Measure an integrator: its order, what drifts, and what the held force costs beside it.
 
     Alone, on the body that nothing acts on, which spins about a centre of mass that is not its origin: the
     centre of mass and the heading move uniformly, so pose, momentum and energy are known. No method of this
