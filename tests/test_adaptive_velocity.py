@@ -9,6 +9,7 @@ import pytest
 import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.controllers import AdaptiveVelocity, adaptive
+from pinmobile.plant import Context
 
 TRUE = pm.VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2])
 WRONG = pm.VelocityRobot(TRUE.theta * [1.3, 0.7, 1.3, 0.7, 0.7, 1.3])
@@ -194,6 +195,15 @@ def test_what_limits_keep_commands_from_is_no_reason_to_estimate_more() -> None:
     )
     assert abs(beyond[3] - 1.1) > 1.0
     assert np.abs(within - TRUE.theta).max() < 0.02
+
+
+def test_leakage_takes_estimates_back_to_the_first() -> None:
+    controller = AdaptiveVelocity(WRONG, gamma=0.0, leakage=0.5)
+    t: Any = np.arange(2) * 0.1
+    state = controller.initial_state(Context.of(TRUE, dt=0.1, t=t, reference=EIGHT(t)))
+    moved = (np.asarray(WRONG.theta) + 0.1, *state[1:])
+    _, state = controller(0.0, EIGHT(0.0).q, EIGHT(0.0).v, EIGHT(0.0), moved)
+    np.testing.assert_allclose(state[0] - WRONG.theta, 0.1 * (1 - 0.5 * 0.1), rtol=1e-12)
 
 
 def test_estimates_stay_within_their_bounds() -> None:

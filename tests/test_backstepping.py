@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
-from pinmobile.controllers import Decoupled, Kanayama, Parking, SwerveTracking
+from pinmobile.controllers import Decoupled, DynamicFeedback, Kanayama, Parking, SwerveTracking
 from pinmobile.loop import Engine, run_scenario
 from pinmobile.parts import evolved
 from pinmobile.trajectories import LectureHeading
@@ -94,6 +94,11 @@ def test_velocities_fall_to_the_law_as_the_gain_says() -> None:
         for z, nu in zip(wanted, own, strict=True):
             left = (z - nu)[200] / (z - nu)[0]
             assert left == pytest.approx(np.exp(-0.2 * k), abs=0.01)
+
+
+@pytest.mark.parametrize("law", [Kanayama(), DynamicFeedback()], ids=lambda law: type(law).__name__)
+def test_other_laws_follow_too(law: Any) -> None:
+    assert distance(run(DIFFERENTIAL, pm.Backstepping(law, DIFFERENTIAL), EIGHT, 12.0))[1000:].max() < 2e-3
 
 
 def test_an_axle_that_is_not_at_the_origin_is_what_follows() -> None:
@@ -408,3 +413,9 @@ def test_a_controller_of_forces_on_the_body_is_told_what_turns_them_into_torques
     circle = pm.Tangent(pm.Circle(radius=2, rate=0.5, duration=1.0))
     with pytest.raises(pm.InvalidArgument, match=r"such as ControlAllocation\(controller, robot\) makes"):
         pm.simulate(robot, pm.PD(100, 120), circle, dt=0.01, integrator=pm.rk4, engine=engine)
+
+
+def test_a_start_that_does_not_roll_may_be_one_at_rest() -> None:
+    robot = DIFFERENTIAL
+    with pytest.raises(pm.InvalidArgument, match=r"left lateral slips at 1 m/s; .* v0 of zeros"):
+        robot.check_start(robot.rest, [0.0, 1.0, 0.0, 0.0, 0.0])

@@ -128,6 +128,18 @@ def test_a_load_on_the_arms_foot_belongs_to_the_arm_and_one_on_the_body_does_not
     np.testing.assert_array_equal(body, alone)
 
 
+def test_a_load_on_the_foot_of_an_arm_is_not_that_of_another_whose_name_begins_alike() -> None:
+    bare = BOX.mount("ur5", AT).mount("ur5", (-0.2, 0, 0.2, 0))
+    assert [mount.name for mount in bare.mounts] == ["ur5", "ur5_2"]
+    loaded = bare.attach(pm.PayloadBody(3.0), "ur5_2/base_link")
+    more = [
+        reaction_wrench(at_rest(loaded, bare.rest), name) - reaction_wrench(at_rest(bare, bare.rest), name)
+        for name in ("ur5", "ur5_2")
+    ]
+    expected = np.outer([0, 1], [0, 0, -3 * G, 0, 0, 0])
+    np.testing.assert_allclose(np.array(more), expected, atol=1e-12)
+
+
 def test_at_rest_the_zero_moment_point_is_below_the_centre_of_mass() -> None:
     q = UR5.random_configuration(np.random.default_rng(3))
     com = UR5.lumped(q).body.com

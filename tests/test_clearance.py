@@ -186,6 +186,14 @@ def test_pairs_that_touch_at_rest_are_left_out_and_named_and_so_are_neighbours()
     assert ("arm/shape0", "arm/shape1") in pm.clearance(higher, higher.rest).pairs
 
 
+def test_links_that_pass_each_other_closely_and_never_touch_do_not_count() -> None:
+    found = pm.clearance(UR5, UR5.rest)
+    never = {pair for pair, why in found.left_out.items() if why.startswith("never touch")}
+    assert ("ur5/wrist_1_link", "ur5/wrist_3_link") in never  # 14 mm apart whatever wrist 2 does
+    assert ("base_link", "ur5/upper_arm_link") in found.pairs  # two joints apart, and it can hit the box
+    assert ("ur5/shoulder_link", "ur5/forearm_link") in found.pairs  # folded
+
+
 def test_it_takes_any_leading_axes_wherever_the_robot_is_and_tells_the_smallest() -> None:
     q = PRIMITIVE.random_configuration(np.random.default_rng(4), (3, 4))
     found = pm.clearance(PRIMITIVE, q)

@@ -226,6 +226,17 @@ def test_wrong_words_are_answered_in_a_line_each(
     assert err.count("\n") == 1 + ("kd=b" in words)
 
 
+@pytest.mark.parametrize("command", ["lecture", "run"])
+def test_an_output_folder_that_cannot_be_written_is_refused_before_any_work(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str
+) -> None:
+    (tmp_path / "file").write_text("")
+    code, out, err = typed(capsys, command, "--out", str(tmp_path / "file" / "out"))
+    assert code == 2
+    assert "which cannot be written to" in err
+    assert out == ""
+
+
 def test_help_teaches_and_loads_no_library(capsys: pytest.CaptureFixture[str]) -> None:
     for words in ([], ["--help"]):
         code, out, _ = typed(capsys, *words)
@@ -424,6 +435,15 @@ def test_a_closed_output_is_no_output(
     )
     assert done.returncode == code
     assert re.fullmatch(text, (done.stdout + done.stderr).strip()), done
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux alone has a device that is full")
+def test_a_console_behind_which_the_disk_is_full_is_told_in_one_line() -> None:
+    words = [sys.executable, "-m", "pinmobile", "derive"]
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, check=False, timeout=100)
+    assert done.returncode == 1
+    assert done.stderr == b"pinmobile: the output cannot be written: [Errno 28] No space left on device\n"
 
 
 def test_view_says_why_it_does_not_know_the_robot_of_a_file(

@@ -7,10 +7,12 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from pinmobile import (
     ComputedTorque,
+    ConstantForce,
     Engine,
     InputSaturation,
     InvalidArgument,
@@ -27,6 +29,7 @@ from pinmobile import (
     SameAs,
     Scenario,
     Uniform,
+    ViscousFriction,
     ensemble,
     parts as walk,
     simulate,
@@ -36,6 +39,7 @@ from pinmobile.arrays import Array
 from pinmobile.compiled import Cache, Program
 from pinmobile.controllers import Decoupled
 from pinmobile.errors import SlowerEngine
+from pinmobile.integrators import rk4
 from pinmobile.loop._run import way_of
 from tests.test_compiled_loop import targets
 from tests.test_mounted import mjcf
@@ -198,6 +202,28 @@ def test_controllers_and_wrappers_of_arms_are_compiled(controller: Any) -> None:
     assert_members(runs, 1)
 
 
+def test_rk4_substeps_and_pushes_on_the_base_are_compiled() -> None:
+    spread = {"mass": Uniform(24, 36), "force.x": Uniform(-5, 5), "coefficients.forward": Uniform(0, 5)}
+    forces = [ConstantForce((0, 0, 0)), ViscousFriction((0, 0, 0))]
+    runs = run(spread=spread, forces=forces, n=2, integrator=rk4, substeps=2)
+    assert runs.engine == Engine.COMPILED.name
+    assert_members(runs, 1)
+
+
+def test_each_joint_has_a_friction_of_its_own() -> None:
+    friction = JointFriction.of(UR5)
+    spread = {
+        "viscous.ur5/elbow_joint": Uniform(0, 2),
+        "coulomb.ur5/wrist_1_joint": Uniform(0, 1),
+    }
+    runs = run(spread=spread, forces=[friction], n=2)
+    assert_members(runs, 0, 1)
+    with pytest.raises(
+        InvalidArgument, match=r"^numbers of coordinates are viscous 2, names 3, expected as "
+    ):
+        JointFriction([1.0, 2.0], names=["x", "y", "psi"])
+
+
 def test_the_engines_agree_and_the_bits_hang_on_nothing() -> None:
     runs, few = run(n=20, threads=2), run(n=3, threads=1)
     for engine in (Engine.COMPILED, Engine.PYTHON):
@@ -269,3 +295,14 @@ def test_a_tree_that_is_too_large_runs_slower_and_says_so() -> None:
     with pytest.warns(SlowerEngine, match="runs by PYTHON.*not COMPILED.*more than 30000 operations"):
         runs = run(robot, spread={"mass": Uniform(24, 36)}, n=2, dt=0.3)
     assert runs.engine == Engine.PYTHON.name  # few robots are faster one by one than side by side
+
+
+def test_a_helical_joint_runs_one_state_at_a_time_and_says_why() -> None:
+    model = pin.Model()
+    model.name = "toy"
+    joint = model.addJoint(0, pin.JointModelHX(0.1), pin.SE3.Identity(), "screw")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0, 0, 0.3]), np.eye(3)), pin.SE3.Identity())
+    robot = MobileRobot.box().mount(model, AT)
+    with pytest.warns(SlowerEngine, match="joint 'toy/screw' is a JointModelHX, neither revolute nor"):
+        runs = run(robot, spread={"kp": Uniform(90, 110)}, n=2)
+    assert runs.engine == Engine.PYTHON.name

@@ -9,7 +9,7 @@ import pytest
 
 from pinmobile.arrays import Array
 from pinmobile.compiled import Noise, elementary, repeated, robot_keys
-from pinmobile.compiled.memory import normals
+from pinmobile.compiled.memory import _minus_two_log, normals
 from pinmobile.compiled.tape import COUNT, Tape, evaluated
 from tests.tapes import compiled
 from tests.test_compiled_loop import targets
@@ -69,6 +69,15 @@ def test_a_function_is_off_by_a_few_units_of_the_last_place(name: str) -> None:
         scale = [1.0 if name in ("sin", "cos") else abs(float(each)) for each in true]
         off = [abs(float(mpmath.mpf(float(a)) - b)) / s for a, b, s in zip(found, true, scale, strict=True)]
     assert max(off) < 8e-16
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("name", ["exp", "log", "tanh", "expm1", "sinh", "cosh", "arctan", "floor"])
+def test_of_what_is_no_usual_number_a_function_is_what_numpy_says(name: str) -> None:
+    x = np.array([0.0, np.inf, -np.inf, np.nan, 1.0, -1.0, 1e300, -1e300])
+    np.testing.assert_allclose(
+        elementary.of_floats(getattr(elementary, name))(x), getattr(np, name)(x), rtol=4e-16
+    )
 
 
 def test_the_angle_of_two_numbers_is_right_in_all_quadrants() -> None:
@@ -131,6 +140,12 @@ def test_noise_is_box_and_mullers_of_split_mix_64() -> None:
             angle = (math.pi / 2 - angle if mirrored else angle) + math.pi * sign
             assert math.isclose(x[i], radius * math.cos(angle), rel_tol=0, abs_tol=2e-9 * radius)
             assert math.isclose(y[i], radius * math.sin(angle), rel_tol=0, abs_tol=2e-9 * radius)
+
+
+@pytest.mark.parametrize("size", [0, 1, 2**39, 2**40 - 1])
+def test_the_smallest_and_the_largest_noise_are_right(size: int) -> None:
+    u = 1 - size / 2**40
+    np.testing.assert_allclose(_minus_two_log(np.float64(u)), -2 * math.log(u), rtol=5e-11, atol=0)
 
 
 def fourth_root(x: Any) -> Any:

@@ -77,6 +77,18 @@ def test_what_diverges_is_counted_so_far_and_in_the_last_bin() -> None:
     np.testing.assert_array_equal(found.counts[1, :, -1], [5, 5])
 
 
+def test_one_that_is_no_number_is_not_alive_though_no_input_says_so() -> None:
+    class Lost(Body):
+        def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
+            return np.where(v > 0.3, np.sqrt(-1.0 - v * v), 0.1 + 0 * v)
+
+    with np.errstate(invalid="ignore"):
+        compiled = built(plain(PD(0.0, 0.0), Lost()), {}, Worst())
+        record = compiled.recorded(ran(compiled, 3))
+    assert (record["alive"] == 0).all()
+    assert np.isfinite(record["largest"]).all()
+
+
 def test_numbers_that_stay_in_memory_are_numbers_of_the_run() -> None:
     kinds = {leaf.path: leaf.kind for leaf in built(plain(PID())).tape.leaves}
     assert kinds["state['dt']"] == "uniform"
@@ -293,6 +305,11 @@ def test_a_law_that_cannot_be_compiled_is_refused_with_what_to_write(name: str) 
     assert place in caught.value.place
 
 
+def test_memory_that_grows_without_end_is_refused() -> None:
+    with pytest.raises((errors.NotTraceable, ValueError)):
+        built(plain(Law(longer, np.zeros(3))), {})
+
+
 def test_a_delay_that_is_pushed_twice_is_refused() -> None:
     class Twice(PD):
         def initial_state(self, context: Any) -> Any:
@@ -305,6 +322,21 @@ def test_a_delay_that_is_pushed_twice_is_refused() -> None:
 
     with pytest.raises(errors.NotTraceable, match="pushed twice"):
         built(plain(Twice()), {})
+
+
+def test_a_laws_own_error_comes_as_it_is() -> None:
+    def broken(t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        raise KeyError("mine")
+
+    with pytest.raises(KeyError, match="mine"):
+        built(plain(Law(broken)), {})
+    with pytest.raises(errors.InvalidArgument, match=r"expected an array of shape \(3,\)"):
+        built(plain(Law(lambda t, q, v, reference, state: (q[:2], state))), {})
+
+
+def test_noise_without_a_key_is_refused() -> None:
+    with pytest.raises(errors.InvalidArgument, match=r"expected one for the noise 'measurement "):
+        ran(built(COMPOSITIONS["all"]()), 3, keys={})
 
 
 def test_arrays_of_other_shapes_are_refused_and_not_read_beyond() -> None:

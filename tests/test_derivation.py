@@ -260,6 +260,21 @@ def test_velocities_and_accelerations_in_the_base_are_time_derivatives(name: str
         assert any(found)
 
 
+def test_gyroscopic_term_is_turned_before_the_cross_product() -> None:
+    # The lecture has R'(a2 + w2 x z psi_dot): the rate is along the z axis of the next frame, not of this.
+    derivation = derive(TWISTED, [None] * 3)
+    rotation = derivation["T_1_2"].expression[:3, :3]
+    omega, alpha = derivation["omega_1"].expression, derivation["alpha_1"].expression
+    _, v2, _ = derivation.v
+    _, a2, _ = derivation.a
+    z = Matrix([0, 0, 1])
+    of_the_lecture = rotation.T * (alpha + omega.cross(z * v2)) + z * a2
+    pose = derivation["T_0_2"].expression[:3, :3]
+    right = in_time(derivation, pose * derivation["omega_2"].expression)
+    assert is_zero(pose * derivation["alpha_2"].expression - right)
+    assert not is_zero(pose * of_the_lecture - right)
+
+
 # Equations of motion
 
 
@@ -291,6 +306,12 @@ def test_lagrange_confirms_the_lecture(table: DHTable, order: tuple[str, ...] | 
     assert "T_0_3" in [step.name for step in confirmation.steps]
     with pytest.raises(UnknownName, match="f_0"):
         confirmation["f_0"]
+
+
+def test_lagrange_confirms_general_links_under_gravity() -> None:
+    arm = derive(DHTable(TWISTED.rows[:2]), gravity=(0, 0.1, -symbols("g")))
+    assert difference(arm, lagrange(arm)) == zeros(2, 1)
+    assert difference(rr(), lagrange(rr())) == zeros(2, 1)
 
 
 def test_difference_sees_a_wrong_term() -> None:
@@ -333,6 +354,17 @@ def test_six_joints_are_pinocchios_and_no_expression_is_long() -> None:
     assert len(derivation.assignments) < 1000
 
 
+def test_four_joints_by_lagrange_are_pinocchios() -> None:
+    rng, gravity = np.random.default_rng(8), (0.0, 0.5, -9.81)
+    table = DHTable(SIX.rows[:4])
+    bodies = [random_body(rng), None, random_body(rng), random_body(rng)]
+    links = [Link.general(k) if body else None for k, body in enumerate(bodies, 1)]
+    confirmation = lagrange(derive(table, links, gravity=gravity))
+    assert_same_as_pinocchio(confirmation, bodies, gravity, rng)
+    with pytest.raises(InvalidArgument, match="3 at most"):
+        difference(confirmation, confirmation)
+
+
 angles = st.one_of(
     st.integers(-12, 12).map(lambda k: k * pi / 12), st.floats(-3, 3).map(lambda a: round(a, 2))
 )
@@ -372,6 +404,14 @@ def test_written_out_is_free_of_names() -> None:
     assert {sympy.Symbol("c_1"), sympy.Symbol("omega_2x")} <= named
     short = lecture()
     assert short.written_out(short.inputs) == short.inputs
+
+
+def test_exact_numbers_leave_no_rounding() -> None:
+    derivation = derive(TWISTED, [None, None, Link(0.1, (0.3, 0, -0.2), sympy.diag(0.1, 0.2, 0.3))])
+    everything = [step.expression for step in derivation.steps]
+    assert not any(expression.atoms(sympy.Float) for expression in everything)
+    assert derivation["T_1_2"].expression[0, 3] == sympy.Rational(2, 5)
+    assert difference(derivation, lagrange(derivation)) == zeros(3, 1)
 
 
 # Numbers

@@ -61,6 +61,31 @@ def test_draws_follow_their_distributions() -> None:
     assert abs(np.corrcoef(draws["mass"], draws["com.x"])[0, 1]) < 4 / np.sqrt(20_000)
 
 
+def test_robots_far_apart_are_drawn_by_themselves() -> None:
+    masses = made(n=20_000, spread={"mass": pm.Uniform(20, 40)}).draws()["mass"]
+    assert len(np.unique(masses)) == 20_000
+
+
+def test_factors_of_two_parameters_are_drawn_by_themselves() -> None:
+    off = pm.Uniform(0.8, 1.2)
+    spread = {
+        "controller.mass": pm.SameAs("mass", off),
+        "controller.yaw_inertia": pm.SameAs("yaw_inertia", off),
+    }
+    mass, inertia = made(spread=spread).draws().values()
+    # Of independent ones, the correlation of a sample of n is within 4 / sqrt(n) of zero.
+    assert abs(np.corrcoef(mass, inertia)[0, 1]) < 4 / np.sqrt(1000)
+
+
+def test_an_array_that_changes_later_changes_nothing() -> None:
+    masses = np.linspace(20, 40, 5)
+    scenario = made(n=5, spread={"mass": masses, "com.x": pm.SameAs("mass", masses)})
+    before = {name: column.copy() for name, column in scenario.draws().items()}
+    masses[:] = 1.0
+    np.testing.assert_equal(scenario.draws(), before)
+    assert before["mass"].max() == 40
+
+
 def test_arrays_give_each_robot_its_number() -> None:
     masses = np.linspace(20, 40, 5)
     run = run_scenario(made(n=5, spread={"mass": masses}))
@@ -165,6 +190,27 @@ def test_a_start_is_beside_the_trajectorys(name: str, place: int) -> None:
     at = TRAJECTORY(0.0)
     offset = np.concatenate([options["q0"] - at.q, options["v0"] - at.v])
     np.testing.assert_array_equal(offset, 0.25 * (np.arange(6) == place))
+
+
+@pytest.mark.parametrize(("name", "place"), [("kp.x", 0), ("kp.y", 1), ("kp.psi", 2)])
+def test_a_gain_of_one_coordinate_leaves_the_others(name: str, place: int) -> None:
+    coupled = np.array([[4.0, 1, 0], [0, 5, 0], [0, 2, 6]])
+    controller: Any = (
+        run_scenario(made(n=2, spread={name: 9.0}, controller=pm.PD(coupled, 4))).member(1).controller
+    )
+    expected = coupled.copy()
+    expected[place, place] = 9.0
+    np.testing.assert_array_equal(controller.kp, expected)
+
+
+def test_a_member_has_all_else_of_its_scenario() -> None:
+    robot = pm.MobileRobot(30, 1.3, com=(0.1, 0.02, 0.4), size=(1, 2, 3))
+    scenario = made(n=2, robot=robot, spread={"com.y": 0.05}, limit=7.0, substeps=3, duration=0.5)
+    member = run_scenario(scenario).member(1)
+    assert (member.robot.mass, member.robot.com, member.robot.size) == (30, (0.1, 0.05, 0.4), (1, 2, 3))
+    assert member.options["limit"] == 7
+    assert (member.options["substeps"], member.options["duration"]) == (3, 0.5)
+    assert member.options["integrator"] is scenario.integrator
 
 
 def test_two_noises_of_one_robot_are_not_the_same() -> None:
@@ -424,6 +470,20 @@ def test_a_distribution_that_gives_no_numbers_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda: pm.Uniform(2, 1), "low is 2.0, expected at most high, 1.0"),
+        (lambda: pm.Uniform(np.nan, 1), "low is nan, expected a finite number"),
+        (lambda: pm.Normal(0, -1), "std is -1.0, expected >= 0"),
+        (lambda: pm.SameAs(3), "name is 3, expected the name of a parameter"),  # type: ignore[arg-type]
+    ],
+)
+def test_distributions_check_themselves(make: Any, text: str) -> None:
+    with pytest.raises(pm.InvalidArgument, match=text):
+        make()
+
+
+@pytest.mark.parametrize(
     ("options", "text"),
     [
         (
@@ -464,6 +524,13 @@ def test_a_share_of_whole_robots_is_that_many(n: int) -> None:
     apart = np.concatenate([np.full(7, 0.001), np.full(93, 1.0)])
     counts = np.bincount(bins_of(apart), minlength=BINS)
     assert quantiles(counts, np.array([0.07]))[0] == pytest.approx(0.001, rel=2**-5)
+
+
+def test_the_least_quantile_is_the_least_number_and_infinite_where_all_are() -> None:
+    counts = np.bincount(bins_of(np.array([0.7, 0.8, 1.5])), minlength=BINS)
+    np.testing.assert_allclose(quantiles(counts, np.array([0.0, 1.0])), [0.7, 1.5], rtol=2**-5)
+    lost = np.bincount(bins_of(np.full(3, np.inf)), minlength=BINS)
+    assert quantiles(lost, np.array([0.0, 0.5, 1.0])).tolist() == [np.inf] * 3
 
 
 def test_bins_hold_what_their_edges_say() -> None:
@@ -511,6 +578,15 @@ def test_an_ensemble_tells_least_median_and_largest_of_each_record() -> None:
         low, middle, high = np.quantile(values[1:], (0, 0.5, 1))  # the first has none: it diverged at once
         told = [f" {each:.4g}" if each >= 1e-12 else " < 1e-12" for each in (low, middle, high)]
         assert rows[name].strip() == "least{}, median{}, largest{}".format(*told), name
+
+
+def test_what_came_of_an_ensemble_cannot_be_overwritten() -> None:
+    run = run_scenario(made(n=3, spread={"mass": pm.Uniform(20, 40)}))
+    records = [run.max_error, run.rms_error, run.max_distance, run.max_input, run.diverged_at, run.counts]
+    held: list[Any] = [*records, *run.draws.values()]
+    for array in held:
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
 
 
 @pytest.mark.parametrize("i", [3, -1, 0.5])

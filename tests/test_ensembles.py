@@ -333,6 +333,44 @@ def test_half_a_turn_off_all_robots_turn_left_in_every_engine(engine: Any) -> No
         np.testing.assert_allclose(wide.max_input[i], alone.max_input(), rtol=0, atol=1e-7)
 
 
+def test_rounding_stays_rounding_but_where_a_loop_is_chaotic() -> None:
+    # A body on springs at its origin, its centre of mass beside it: an elastic pendulum that turns over.
+    body, springs = pm.MobileRobot(30, 1.3, com=(0.3, 0.1)), pm.PD((30, 60, 0), 0)
+    spread = {"start_rate.yaw_rate": pm.Uniform(2, 4), "start.x": pm.Uniform(0.5, 1.5)}
+    off = []
+    for duration in (2.0, 50.0):
+        held = pm.FixedHeading(pm.Hold((0, 0), duration), 0.0)
+        run = pm.ensemble(body, springs, held, n=6, dt=0.05, integrator=pm.rk4, spread=spread)
+        alone = [np.sqrt(np.square(run.trace(i).error).mean(axis=0)) for i in range(6)]
+        off.append(np.abs(run.rms_error - alone).max())
+    assert off[0] < 1e-13  # some 40 steps, each to 1e-15
+    assert off[1] > 1e-10
+    assert "chaotic" in str(pm.Ensemble.trace.__doc__)
+
+
+def test_the_worst_are_those_that_strayed_farthest() -> None:
+    run = run_scenario(made(n=40, duration=5.0))
+    assert run.worst(40).tolist() == np.argsort(-run.max_distance, kind="stable").tolist()
+    assert run.worst(3).tolist() == run.worst(40)[:3].tolist()
+
+
+def test_what_overflows_is_flagged_too() -> None:
+    run = pm.ensemble(ROBOT, pm.PD(1e200, 1e200), CIRCLE, n=3, spread={"start.x": 1.0}, dt=0.1, limit=1e300)
+    assert run.diverged.all()
+    assert_is_simulated(run, 2)
+    slow = pm.ensemble(
+        ROBOT,
+        pm.PD(1e200, 1e200),
+        CIRCLE,
+        n=3,
+        spread={"start.x": 1.0},
+        dt=0.1,
+        limit=1e300,
+        engine=Engine.PYTHON,
+    )
+    np.testing.assert_array_equal(slow.diverged_at, run.diverged_at)
+
+
 @pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
 @pytest.mark.parametrize("forces", ["none", "all"])
 def test_errors_are_kept_from_a_time_on_and_all_else_from_the_start(forces: str, engine: Any) -> None:
@@ -354,6 +392,39 @@ def test_errors_are_kept_from_a_time_on_and_all_else_from_the_start(forces: str,
     np.testing.assert_array_equal(run.max_input, throughout.max_input)
     np.testing.assert_array_equal(run.counts, throughout.counts)
     assert f"{n} robots over 60 s: from 20 s on 99 % stay within" in repr(run)
+
+
+def test_who_diverges_before_errors_count_has_none_and_is_beyond_everything() -> None:
+    spread = {"kp": np.array([4.0, -400.0]), "start.x": 0.1}
+    run = run_scenario(made(n=2, spread=spread, after=50.0))
+    assert run.diverged.tolist() == [False, True]
+    assert np.isnan(run.max_distance).tolist() == [False, True]
+    assert np.isfinite(run.max_input).all()
+    assert run.error_quantile(0.5).distance < 1e-3
+    assert run.error_quantile(1.0).distance == np.inf
+
+
+@pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
+def test_an_acceleration_that_is_none_is_a_divergence_though_its_force_is_finite(engine: Any) -> None:
+    scenario = made(controller=pm.PD(1e200, 0), n=2, spread={"mass": 1e-200, "start.x": 1.0}, limit=1e300)
+    run = run_scenario(scenario, engine=engine)
+    assert run.diverged_at.tolist() == [0, 0]
+    with pytest.raises(pm.Diverged, match="a not finite") as caught:
+        run.trace(0)
+    assert caught.value.time == 0
+
+
+def test_a_controller_may_write_into_what_it_is_told() -> None:
+    def careful(t: float, q: Any, v: Any, reference: Any) -> Any:
+        return KP * (reference.q - q) + KD * (reference.v - v)
+
+    def careless(t: float, q: Any, v: Any, reference: Any) -> Any:
+        tau = careful(t, q, v, reference)
+        q[:] = v[:] = np.nan
+        return tau
+
+    one, other = (run_scenario(made(controller=pm.law(f), n=3, duration=2.0)) for f in (careful, careless))
+    assert_same(one, other)
 
 
 def test_a_robot_that_is_beyond_the_limit_from_the_start_has_no_records() -> None:
@@ -413,6 +484,11 @@ def test_the_first_robots_are_the_same_for_any_n() -> None:
     assert not np.array_equal(few.max_error[:50], few.max_error[50:])
 
 
+def test_another_seed_gives_other_robots() -> None:
+    one, other = (run_scenario(made(n=5, seed=seed, duration=1.0)) for seed in (0, 1))
+    assert not np.isin(one.draws["mass"], other.draws["mass"]).any()
+
+
 @pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])
 @pytest.mark.parametrize("seed", [3, 2**70, np.random.SeedSequence(3, spawn_key=(1,))])
 def test_the_seed_of_a_noise_enters_that_of_every_robot(engine: Any, seed: Any) -> None:
@@ -461,6 +537,21 @@ def test_a_users_controller_is_run_as_what_it_is_whatever_attributes_it_has(
     attributes: dict[str, Any], wrap: Any
 ) -> None:
     run = run_scenario(made(controller=wrap(OwnGains(**attributes)), n=2, duration=2.0))
+    assert_is_simulated(run, 1)
+
+
+class OwnDraws:
+    """A user's distribution with a method called as one of the library's, which is something else."""
+
+    def support(self, level: float) -> float:
+        return level
+
+    def sample(self, generator: np.random.Generator, size: int) -> Any:
+        return generator.uniform(20, 40, size)
+
+
+def test_a_users_distribution_need_not_tell_its_support() -> None:
+    run = run_scenario(made(spread={"mass": OwnDraws()}, n=2, duration=1.0))
     assert_is_simulated(run, 1)
 
 
@@ -538,11 +629,28 @@ def test_a_law_that_asks_its_state_runs_one_robot_after_another_and_says_so() ->
     assert run.counts.sum(axis=-1).tolist() == [[5, 5]] * len(scenario.grid)
 
 
+def _failing(t: float, q: Any, v: Any, reference: Any) -> Any:
+    gains: dict[str, float] = {}
+    return gains["gain"] * q
+
+
+def test_an_error_in_a_law_is_its_own() -> None:
+    with pytest.raises(KeyError, match="gain"):
+        run_scenario(made(controller=pm.law(_failing)))
+
+
 def test_ensemble_takes_what_a_scenario_takes_with_the_same_defaults() -> None:
     taken, fields = (signature(what).parameters for what in (pm.ensemble, pm.Scenario))
     own = {"traces", "engine", "threads", "progress"}
     assert set(taken) == {*fields, *own}
     assert {name: taken[name].default for name in fields} == {n: p.default for n, p in fields.items()}
+
+
+def test_traces_are_those_of_simulate() -> None:
+    run = run_scenario(made(n=3, duration=2.0), traces=[2])
+    assert list(run.traces) == [2]
+    assert run.traces[2].q.shape == (21, 3)
+    assert run.traces[2].q[0, 0] == run.draws["start.x"][2]
 
 
 def test_loads_count_as_the_bodys_on_the_plant_and_in_the_model() -> None:

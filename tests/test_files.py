@@ -182,6 +182,17 @@ def test_pipes_and_the_console_are_written_to_as_they_are(tmp_path: Path) -> Non
         assert os.fstat(out.fileno()).st_ino == (tmp_path / "out").stat().st_ino
 
 
+def test_of_two_that_write_at_once_one_is_whole(tmp_path: Path) -> None:
+    contents = [bytes([k]) * 300_000 for k in range(8)]
+    threads = [threading.Thread(target=write, args=(tmp_path / "file", data)) for data in contents]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert list(held(tmp_path)) == ["file"]
+    assert (tmp_path / "file").read_bytes() in contents
+
+
 @pytest.mark.parametrize(
     ("name", "why"),
     [
@@ -198,6 +209,15 @@ def test_where_no_file_can_be_is_no_failure_of_the_system(tmp_path: Path, name: 
     for load in (pm.Rollout.load, pm.Ensemble.load):
         with pytest.raises(pm.InvalidArgument, match=r"^path is '.*', which cannot be read: "):
             load(tmp_path / name)
+
+
+def test_a_name_as_long_as_can_be_is_written_and_none_that_is_longer(tmp_path: Path) -> None:
+    write(tmp_path / ("x" * 255), b"long")
+    with pytest.raises(
+        pm.InvalidArgument, match=r"^path is '.*', expected the path of a file: .* at most 255 bytes"
+    ):
+        write(tmp_path / ("x" * 256), b"longer")
+    assert held(tmp_path) == {"x" * 255: b"long"}
 
 
 def test_joints_of_any_name_are_columns(tmp_path: Path) -> None:

@@ -166,6 +166,17 @@ def test_friction_takes_exactly_the_energy_that_is_lost() -> None:
     assert (np.diff(energy) < 0).all()
 
 
+def test_an_integrator_that_looks_ahead_sees_the_force_that_will_be() -> None:
+    def ahead(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
+        return q, v + dt * acceleration(t + dt, q, v)
+
+    ramp = [lambda t, q, v: np.array([10 * t, 0, 0])]
+    rollout = pm.simulate(
+        BALANCED, NOTHING, CIRCLE, dt=0.5, integrator=ahead, forces=ramp, q0=(0, 0, 0), v0=(0, 0, 0)
+    )
+    np.testing.assert_allclose(rollout.v[:, 0], np.cumsum([0, *(0.5 * rollout.t[1:])]), rtol=1e-14)
+
+
 def test_a_force_acts_on_the_first_three_coordinates_of_a_plant_with_more() -> None:
     class Trajectory:
         duration = 4.0
@@ -185,6 +196,17 @@ def test_a_force_acts_on_the_first_three_coordinates_of_a_plant_with_more() -> N
     # Before the loop it is asked for the shape of its answer, without input.
     assert {tuple(u) for u in plant.asked} - {(0, 0, 0, 0, 0)} == {(1, 3, 5, 3, 4)}
     assert set(seen) == {((3,), (3,))}
+
+
+def test_a_force_cannot_write_into_the_record() -> None:
+    def vandal(t: float, q: Array, v: Array) -> Array:
+        q[:] = v[:] = 99
+        return np.zeros(3)
+
+    plain = pm.simulate(ROBOT, pm.PD(9, 9), CIRCLE, dt=0.5, integrator=pm.rk4)
+    for plant in (ROBOT, OtherPlant()):
+        rollout = pm.simulate(plant, pm.PD(9, 9), CIRCLE, dt=0.5, integrator=pm.rk4, forces=[vandal])
+        np.testing.assert_allclose(rollout.q, plain.q, rtol=0, atol=1e-12)
 
 
 def test_a_force_that_is_not_a_number_is_divergence_with_everything_before_it() -> None:

@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
-from pinmobile.compiled import Cache, processor
+from pinmobile.compiled import Cache, Target, identity, processor
+from pinmobile.compiled.processor import LOOP
 from pinmobile.forces import NoiseForce
 from pinmobile.integrators import semi_implicit_euler
 from pinmobile.loop import _program
@@ -373,6 +374,24 @@ def test_a_module_that_is_reloaded_is_traced_anew(tmp_path: Path, monkeypatch: p
     assert found[0] > 1.01 * found[1]
 
 
+def _twice(one: float, other: float) -> Any:
+    def made(gain: float) -> Any:
+        return lambda e: gain * e
+
+    first, second = made(one), made(other)
+    return pm.law(lambda t, q, v, reference: first(reference.q - q) - second(v))
+
+
+def test_closures_of_one_function_are_told_apart(process: Process) -> None:
+    found = []
+    for gains in ((4.0, 9.0), (9.0, 4.0), (4.0, 9.0)):
+        process.begin()
+        found.append((run(_twice(*gains), n=1, spread={}).max_error[0], process.traced))
+    assert not np.array_equal(found[0][0], found[1][0])
+    assert np.array_equal(found[0][0], found[2][0])
+    assert [traces for _, traces in found] == [1, 1, 0]
+
+
 @dataclass(frozen=True)
 class Gain:
     gain: float
@@ -485,6 +504,18 @@ def test_another_process_finds_the_loop_whatever_its_seed_of_hashes(process: Pro
     assert process.loops == before
 
 
+def test_no_file_is_used_where_the_source_is_not_what_was_loaded(
+    process: Process, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(pm.PD(100, 20))
+    identity._source.cache_clear()
+    monkeypatch.setattr(identity, "_BEGAN", 0.0)
+    process.begin()
+    run(pm.PD(100, 20))
+    assert process.traced == 1
+    identity._source.cache_clear()
+
+
 def replaced(process: Process, change: Callable[[bytes], bytes], suffix: str) -> None:
     """Change the files of one kind, and run their loop again."""
     before = run(pm.PD(100, 20)).max_error
@@ -503,6 +534,16 @@ def test_a_damaged_file_is_made_again(damage: Any, suffix: str, process: Process
     assert process.traced == (suffix == ".loop")
 
 
+@pytest.mark.parametrize("text", [b"{}", b"[", b"[1]", b'{"loop": {}}'])
+def test_a_whole_file_that_holds_no_loop_is_written_again(text: bytes, process: Process) -> None:
+    before = run(pm.PD(100, 20)).max_error
+    (name,) = process.loops
+    Cache(process.folder).write(name.removesuffix(".loop"), text, LOOP)
+    process.begin()
+    assert np.array_equal(run(pm.PD(100, 20)).max_error, before)
+    assert process.traced == 1
+
+
 def test_a_loop_whose_machine_code_is_gone_is_built_and_not_traced(process: Process) -> None:
     before = run(pm.PD(100, 20)).max_error
     for file in process.folder.glob("*.o"):
@@ -510,6 +551,15 @@ def test_a_loop_whose_machine_code_is_gone_is_built_and_not_traced(process: Proc
     process.begin()
     assert np.array_equal(run(pm.PD(100, 20)).max_error, before)
     assert process.traced == 0
+
+
+def test_where_nothing_can_be_written_a_loop_is_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    Process(tmp_path / "file" / "inside", monkeypatch)
+    assert_as_python(pm.PD(9, 9))
+    assert (tmp_path / "file").read_text() == ""
 
 
 # The folder of files.
@@ -521,6 +571,18 @@ def test_a_file_of_another_user_is_not_run(tmp_path: Path, monkeypatch: pytest.M
     assert cache.read("key") == b"code"
     monkeypatch.setattr(os, "getuid", lambda: 12345678)
     assert cache.read("key") is None
+
+
+def test_swapped_files_are_not_run(tmp_path: Path) -> None:
+    cache = Cache(tmp_path)
+    for key, kind in (("one", ".o"), ("other", ".o"), ("one", ".loop")):
+        cache.write(key, f"{key} {kind}".encode(), kind)
+    contents = [(tmp_path / name).read_bytes() for name in ("one.o", "other.o", "one.loop")]
+    for name, content in zip(("other.o", "one.loop", "one.o"), contents, strict=True):
+        (tmp_path / name).write_bytes(content)
+    assert [cache.read("one"), cache.read("other"), cache.read("one", ".loop")] == [None, None, None]
+    (tmp_path / "one.o").write_bytes(contents[0])
+    assert cache.read("one") == b"one .o"
 
 
 @pytest.mark.parametrize("mode", [0o770, 0o702, None])
@@ -540,6 +602,13 @@ def test_a_folder_that_others_may_write_to_is_not_used(
     assert [each.name for each in tmp_path.iterdir()] == ["key.o"]
 
 
+def test_the_key_is_of_text_and_processor() -> None:
+    one = Target("haswell", "", 4)
+    assert one.key("text") != one.key("text ")
+    assert one.key("text") != Target("haswell", "-avx2", 4).key("text")
+    assert one.key("text") != Target("znver3", "", 4).key("text")
+
+
 def test_the_folder_is_thinned_and_leaves_no_halves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pinmobile.compiled.processor._MOST", 8)
     cache = Cache(tmp_path)
@@ -557,3 +626,23 @@ def test_the_environment_names_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_p
     assert Cache().folder == tmp_path
     monkeypatch.setenv("PINMOBILE_CACHE", "")
     assert Cache().folder is None
+
+
+@dataclass(frozen=True)
+class Brake:
+    """A user's force without anything that may change."""
+
+    size: float = 1.0
+
+    def __call__(self, t: float, pose: Any, rate: Any) -> Any:
+        return np.array([-self.size * rate[0], 0.0, 0.0])
+
+
+def test_a_part_that_another_of_its_class_preceded_is_found_alone_too() -> None:
+    """The second of a class refers to the first; in a loop of its own it must not."""
+    one, other = Brake(2.0), Brake(30.0)
+    for forces in ((one, other), (other,)):
+        given: dict[str, Any] = {"forces": forces, "dt": 0.02, "n": 2, "spread": {"mass": 30.0}}
+        run = pm.ensemble(ROBOT, pm.PD(90.0, 30.0), CIRCLE, engine=pm.Engine.COMPILED, **given)
+        alone = pm.simulate(ROBOT, pm.PD(90.0, 30.0), CIRCLE, dt=0.02, forces=forces)
+        np.testing.assert_allclose(run.max_error[0], alone.max_error(), rtol=0, atol=1e-12)

@@ -15,7 +15,7 @@ from pinmobile.compiled import BINS
 from pinmobile.errors import UnknownName
 from pinmobile.loop import run_scenario
 from pinmobile.loop._counts import bins_of, quantiles
-from pinmobile.metrics import Metric, size_of
+from pinmobile.metrics import Metric, size_of, value_of
 from pinmobile.reaching.poses import error_sizes, pose_error
 from pinmobile.urdf import Body
 from tests.looping import Body as Pushed, Swing
@@ -53,6 +53,13 @@ def random_states(robot: pm.MobileRobot, count: int) -> tuple[Array, ...]:
     q, desired = (robot.random_configuration(numbers, (count,)) for _ in range(2))
     v, a, u = (numbers.normal(size=(count, robot.nv)) for _ in range(3))
     return q, v, a, 20 * u, desired
+
+
+def test_what_the_reference_does_not_lead_is_taken_at_rest() -> None:
+    q, v, a, u, _ = random_states(UR5, 3)
+    found = UR5.evaluate_metrics(0.0, q, v, a, u, pm.Reference(q[:, :3], v[:, :3], a[:, :3]))
+    desired = np.concatenate([q[:, :3], np.broadcast_to(UR5.rest[3:], (3, 6))], axis=1)
+    np.testing.assert_array_equal(found, UR5.evaluate_metrics(0.0, q, v, a, u, pm.Reference(desired, v, a)))
 
 
 def test_metrics_of_an_arm_are_those_of_its_own_kinematics_limits_and_balance() -> None:
@@ -240,6 +247,19 @@ def test_a_robot_that_diverges_has_no_margin() -> None:
     assert bands["effort"][0, -1] == np.inf
 
 
+def test_sizes_of_margins_grow_with_them_and_lead_back() -> None:
+    near = np.linspace(-1e-3, 1e-3, 401)
+    far = np.geomspace(1.1e-3, 500, 200)
+    margins = np.concatenate([-far[::-1], near, far])
+    sizes = size_of(margins)
+    assert (np.diff(sizes) > 0).all()
+    np.testing.assert_allclose(value_of(sizes), margins, rtol=1e-2, atol=1e-9)
+    bins = bins_of(sizes)
+    assert bins.min() > 0
+    assert bins.max() < BINS - 1
+    assert bins_of(size_of(np.array([-np.inf, -1e300, np.inf]))).tolist() == [0, 0, BINS - 1]
+
+
 def test_quantiles_of_margins_are_those_of_the_sorted_ones_to_a_bin() -> None:
     margins = np.sort(np.random.default_rng(2).normal(0.02, 0.05, 1000))
     counts = np.bincount(bins_of(size_of(margins)), minlength=BINS)
@@ -286,6 +306,20 @@ def test_a_plant_of_ones_own_states_measures_in_plain_numpy(after: float) -> Non
     begin = made[0].scenario.begin
     assert clearance[2] == pytest.approx((0.33 - np.abs(trace.q[begin:, 0])).min(), abs=CLOSE)
     assert made[0].error_quantile(1.0)["clearance"] == clearance.min()
+
+
+def test_what_is_infinite_before_errors_count_is_forgotten() -> None:
+    class Late(Fenced):
+        def evaluate_metrics(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+            found = super().evaluate_metrics(t, q, v, a, u, reference)
+            early = np.array([-np.inf, np.inf])
+            return np.where(np.asarray(t < 0.3)[..., None], early, found)
+
+    for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON):
+        late, usual = (run_scenario(fenced(x, after=0.6), engine=engine) for x in (Late(), Fenced()))
+        np.testing.assert_allclose(late.worst_metric, usual.worst_metric, rtol=CLOSE)
+        np.testing.assert_allclose(late.rms_metric, usual.rms_metric, rtol=CLOSE)
+    assert late.bands([0.5])["clearance"][0, 0] == -np.inf
 
 
 def stating(metrics: Any, found: Any = None) -> Any:

@@ -123,6 +123,15 @@ def test_the_smooth_law_of_a_motor_is_its_law_where_its_wheel_turns() -> None:
 
 
 @GROUNDS
+def test_a_robot_too_heavy_to_move_feels_the_torque_of_a_held_motor(ground: Any) -> None:
+    heavy = MobileRobot(1e12, 1e12, com=(0.0, 0.0, 0.2))
+    robot = WheeledRobot(heavy, table(evolved(MOTOR, current=np.inf)), ground).by_voltage()
+    _, v, memory = steps(robot, (6.0, 6.0), 0.01, 1)
+    assert np.abs(v).max() < 1e-9
+    np.testing.assert_allclose(memory.torques, MOTOR.stall_torque(6.0), rtol=1e-6)
+
+
+@GROUNDS
 def test_the_current_is_limited_until_back_emf_leaves_less(ground: Any) -> None:
     robot = WheeledRobot(CENTRAL, table(MOTOR), ground).by_voltage()
     found = run(robot, (24.0, 24.0), 0.01, 2.0)

@@ -133,6 +133,16 @@ def _lowest(robot: pm.MobileRobot, name: str) -> float:
     return min(float(robot.frame_pose(robot.rest, frame)[2, 3]) for frame in frames)
 
 
+@pytest.mark.parametrize("name", ["so100", "z1", "anymal_c"])
+def test_joints_are_locked_where_links_and_joints_share_a_name(name: str) -> None:
+    free = BOX.mount(name)
+    joint = str(free.mounts[0].model.names[1])
+    held = BOX.mount(name, locked=[joint])
+    assert held.nv == free.nv - 1
+    assert set(held.frame_names) <= {*free.frame_names}
+    np.testing.assert_allclose(held.gravity(held.rest)[3:], free.gravity(free.rest)[4:], atol=1e-9)
+
+
 def test_two_arms_do_not_stand_in_the_same_place_unless_they_are_told_to() -> None:
     one = BOX.mount("ur5")
     with pytest.raises(
@@ -141,6 +151,23 @@ def test_two_arms_do_not_stand_in_the_same_place_unless_they_are_told_to() -> No
         one.mount("z1")
     assert one.mount("z1", (0, 0, 0.2, 0)).mounts[1].at == one.mounts[0].at
     assert BOX.mount("ur5", (0.2, 0, 0.2, 0)).mount("z1").mounts[1].at == (0, 0, 0.2, 0)
+
+
+def test_equal_limits_and_limits_of_zero_are_none(urdf: Path) -> None:
+    urdf.write_text(
+        ARM.format(lower=INERTIAL).replace(
+            'lower="-2" upper="1.5" effort="20" velocity="3"', 'lower="0" upper="0" effort="0" velocity="0"'
+        )
+    )
+    robot = BOX.mount(urdf)
+    limits = robot.lower[-1], robot.upper[-1], robot.velocity_limit[-1], robot.effort_limit[-1]
+    assert limits == (-np.inf, np.inf, np.inf, np.inf)
+
+
+def test_a_joint_that_mimics_another_in_a_file_moves_freely(urdf: Path) -> None:
+    mimic = '<mimic joint="shoulder"/><axis xyz="0 1 0"/>'
+    urdf.write_text(ARM.format(lower=INERTIAL).replace('<axis xyz="0 1 0"/>', mimic))
+    assert [one.name for one in BOX.mount(urdf).coordinates[3:]] == ["arm/shoulder", "arm/elbow"]
 
 
 def test_a_model_with_a_free_flyer_stands_on_its_feet_and_an_arm_on_its_root() -> None:
@@ -279,6 +306,10 @@ def test_arms_that_cannot_be_are_refused(model: pin.Model, text: str) -> None:
     with pytest.raises(pm.InvalidArgument) as caught:
         BOX.mount(model)
     assert str(caught.value).startswith(f"arm 'toy': {text}")
+
+
+def test_a_flat_disk_is_a_body() -> None:
+    assert BOX.mount(unsound(body=(1, (1, 1, 2)))).nv == 5
 
 
 @pytest.mark.parametrize(

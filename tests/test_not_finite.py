@@ -92,6 +92,15 @@ def test_a_start_that_is_too_large_to_be_judged_is_refused(kind: str) -> None:
                 robot.check_start(robot.rest, v)
 
 
+def test_the_error_says_what_was_large() -> None:
+    with pytest.raises(NotFinite) as caught:
+        ROBOTS["off its axis"].forward_dynamics([0, 0, 0.5], np.array([0, 0, 1e200]), [0, 0, 7])
+    expected = "the answer is nan for |q| up to 0.5, |v| up to 1e+200, |tau| up to 7, made of numbers beyond"
+    assert str(caught.value) == f"{expected} 1.8e308: expected smaller ones"
+    assert isinstance(caught.value, pm.PinmobileError)
+    assert isinstance(caught.value, ArithmeticError)
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
@@ -116,6 +125,17 @@ def test_a_body_whose_yaw_inertia_is_lost_to_rounding_is_refused(
     assert "expected it to be 1e-09 of m |com|^2 = " in str(caught.value)
     with pytest.raises(pm.InvalidArgument, match="is lost to rounding"):
         Body(arguments[0], np.append(arguments[2], 0.0)[:3], np.eye(3) * arguments[1])
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, 2.0])
+def test_of_a_body_that_is_accepted_six_digits_of_the_yaw_acceleration_are_left(angle: float) -> None:
+    inertia = 2e-9 * 1e4
+    robot = pm.MobileRobot(1, inertia, (100 * np.cos(angle), 100 * np.sin(angle)))
+    tau = np.array([0.3, -0.2, 1.1])
+    q, v = [0, 0, 0.3], [0, 0, 0.2]
+    right = closed_form.forward_dynamics(q, v, tau, mass=1, yaw_inertia=inertia, com=robot.com[:2])
+    # eps m |com|^2 / Icz = 1e-7 for each of a few roundings.
+    np.testing.assert_allclose(robot.forward_dynamics(q, v, tau), right, rtol=1e-6)
 
 
 def test_a_loop_that_overflows_has_diverged_whoever_notices() -> None:

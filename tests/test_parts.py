@@ -287,6 +287,21 @@ def test_a_force_of_another_shape_is_refused_by_every_engine(answer: Any, engine
         )
 
 
+def test_a_law_may_write_into_the_reference_that_it_is_told() -> None:
+    def careless(t: float, q: Any, v: Any, reference: Any) -> Any:
+        error = reference.q
+        error -= q
+        return 120 * error - 10 * v
+
+    def careful(t: float, q: Any, v: Any, reference: Any) -> Any:
+        return 120 * (reference.q - q) - 10 * v
+
+    motion = pm.Tangent(pm.Circle(2.0, 0.5, 1.0))
+    one, other = (pm.simulate(ROBOT, pm.law(function), motion, dt=0.02) for function in (careless, careful))
+    np.testing.assert_array_equal(one.q, other.q)
+    np.testing.assert_array_equal(one.reference.q, other.reference.q)
+
+
 # A law that reaches a robot which is no attribute of a part.
 
 MASSES = {"mass": np.array([27.0, 33.0])}
@@ -466,6 +481,16 @@ def test_the_models_that_a_trajectory_knows_are_no_numbers_of_it() -> None:
     runs = [run_scenario(scenario, engine=engine) for engine in (Engine.COMPILED, Engine.PYTHON)]
     assert_close(*runs)
     assert runs[0].member(1).trajectory == pm.WholeBody(ROBOT, pm.Tangent(pm.Circle(2.0, 0.5, 1.0)))
+
+
+def test_a_sweep_knows_another_trajectory_of_the_same_nominal_reference(tmp_path: Path) -> None:
+    still = {"trajectory": pm.FixedHeading(pm.Lissajous(0, 0, 0.5, 1.0, 6.0), 0.0)}
+    pm.sweep(owned("figure", **still), tmp_path / "store")
+    with pytest.raises(pm.InvalidArgument, match=r"belongs to another sweep.*trajectory.*wx"):
+        pm.sweep(
+            owned("figure", trajectory=pm.FixedHeading(pm.Lissajous(0, 0, 0.7, 1.0, 6.0), 0.0)),
+            tmp_path / "store",
+        )
 
 
 def test_a_path_with_a_typo_is_answered_with_the_nearest_path() -> None:

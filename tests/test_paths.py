@@ -113,6 +113,20 @@ def test_the_lecture_s_via_free_coefficients() -> None:
     assert VIA_FREE.derivative(30.0, 1).tolist() == [0, 0.1]
 
 
+def test_velocity_has_the_factors_that_the_slide_lost() -> None:
+    # Errata, slide eq. (3): b1 + b2 s + b3 s^2 is not the derivative of b0 + b1 s + b2 s^2 + b3 s^3.
+    s = 7.0
+    _, b1, b2, b3 = VIA_FREE.pieces[1].coefficients
+    slide = b1 + b2 * s + b3 * s**2
+    right = b1 + 2 * b2 * s + 3 * b3 * s**2
+    h = 1e-4  # a cubic's central difference is off by h^2 b3 exactly, and rounding by eps / h
+    slope = (VIA_FREE(30 + s + h) - VIA_FREE(30 + s - h)) / (2 * h)
+    np.testing.assert_allclose(slope, right, rtol=0, atol=1e-10)
+    assert np.abs(slope - slide).max() > 0.01
+    np.testing.assert_allclose(VIA_FREE.derivative(30 + s, 1), right, rtol=1e-14)
+    np.testing.assert_allclose(VIA_FREE.derivative(30 + s, 2), 2 * b2 + 6 * b3 * s, rtol=1e-14)
+
+
 def test_at_a_knot_derivatives_are_those_from_the_right_and_at_the_end_from_the_left() -> None:
     before, after = VIA_STOP.pieces
     assert (VIA_STOP.derivative(30, 2) == after.derivative(30.0, 2)).all()
@@ -121,6 +135,13 @@ def test_at_a_knot_derivatives_are_those_from_the_right_and_at_the_end_from_the_
     jerks = SPLINE.derivative(SPLINE.times, 3)
     assert (jerks[:-1] == [piece.derivative(piece.start, 3) for piece in SPLINE.pieces]).all()
     assert (jerks[-1] == jerks[-2]).all()
+
+
+def test_where_the_origin_is_does_not_matter() -> None:
+    far = CubicVia((1e6, 1e6), (1e6 + 2, 1e6 + 2), (1e6, 1e6 + 4), 30, 60)
+    for order in (1, 2, 3):
+        t = np.linspace(0, 60, 50)
+        assert (far.derivative(t, order) == VIA_FREE.derivative(t, order)).all()
 
 
 # -- splines ---------------------------------------------------------------------------------------
@@ -206,6 +227,11 @@ def test_a_circle_is_round_and_driven_at_one_speed(radius: float, rate: float, p
     for order in range(1, 6):
         length = float(np.hypot(*path.derivative(t, order)))
         assert length == pytest.approx(radius * abs(rate) ** order, rel=1e-14)
+
+
+def test_an_ellipse_has_two_axes() -> None:
+    x, y = Lissajous(3, 1, 0.5, 0.5, 20)(np.linspace(0, 20, 100)).T
+    np.testing.assert_allclose((x / 3) ** 2 + (y - 1) ** 2, 1, rtol=1e-14)
 
 
 # -- rests -----------------------------------------------------------------------------------------
@@ -357,6 +383,12 @@ def test_times_outside_are_refused(path: Path) -> None:
             path.derivative(t, 1)
     with pytest.raises(InvalidArgument, match=r"^t\[1\] is nan, expected a finite number$"):
         path([0, math.nan])
+
+
+@pytest.mark.parametrize("path", PATHS, ids=repr)
+def test_the_rounding_of_the_last_time_is_allowed(path: Path) -> None:
+    assert (path(np.nextafter(path.duration, math.inf)) == path(path.duration)).all()
+    assert (path(-1e-16) == path(0)).all()
 
 
 @pytest.mark.parametrize("order", [-1, 1.5, math.nan, "one", [1]])

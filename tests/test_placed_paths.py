@@ -13,6 +13,7 @@ from scipy.integrate import quad
 
 from pinmobile import PD, ComputedTorque, Engine, MobileRobot, Tangent, Uniform, ensemble, simulate
 from pinmobile.errors import InvalidArgument
+from pinmobile.parts import numbers
 from pinmobile.paths import (
     Circle,
     CompositePath,
@@ -68,6 +69,16 @@ def test_a_circle_starts_in_the_direction_of_its_heading(rate: float, centre: An
             assert (as_complex(path(0)) - complex(*centre)) / 2 == pytest.approx(
                 -1j * side * np.exp(1j * heading)
             )
+
+
+def test_without_more_words_a_circle_has_the_bits_of_the_lecture_s_figure() -> None:
+    circle, figure = Circle(3, 0.1, 60), Lissajous(3, 3, 0.1, 0.1, 60)
+    t = np.linspace(0, 60, 601)
+    for order in range(4):
+        assert circle.derivative(t, order).tobytes() == figure.derivative(t, order).tobytes()
+    assert list(numbers(circle)) == ["radius", "rate"]
+    assert Circle(3, 0.1, 60, (0, 3)) != circle
+    np.testing.assert_array_equal(Circle(3, 0.1, 60, (0, 3), -np.pi / 2)(t), circle(t))
 
 
 # -- lines and polylines ---------------------------------------------------------------------------
@@ -227,6 +238,14 @@ JUMPS: list[tuple[list[Any], str]] = [
 def test_paths_that_do_not_meet_are_refused(paths: list[Path], message: str) -> None:
     with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
         CompositePath(paths)
+
+
+def test_rounding_is_no_jump() -> None:
+    turn = Circle(1, 0.5, 3)
+    end, direction = turn(3), turn.derivative(3, 1)
+    assert CompositePath([turn, Line(end, end + 2 * direction, 2)]).duration == 5
+    with pytest.raises(InvalidArgument, match=r"1e-08 m from"):
+        CompositePath([turn, Line(end + np.array([1e-8, 0]), end + 2 * direction, 2)])
 
 
 @dataclass(frozen=True)

@@ -175,6 +175,14 @@ def test_a_tolerance_is_of_distance_and_angle_whatever_the_direction(towards: fl
         pm.solve_inverse_kinematics(UR5, missed, q0=BENT, dt=0.05, velocity_limit=locked, tolerance=0.0139)
 
 
+def test_an_orientation_that_is_missed_is_told_though_the_position_is_met() -> None:
+    turning = pm.PosePath(line(START[:3, 3], (0, 0, 0), 0.5), START[:3, :3], START[:3, :3] @ TURN)
+    slow = np.full(9, 0.1)
+    with pytest.raises(Unreachable) as caught:
+        pm.solve_inverse_kinematics(UR5, turning, q0=BENT, velocity_limit=slow, tolerance=0.1)
+    assert caught.value.resolved.max_error()[0] < 0.1 < caught.value.resolved.max_error()[1]
+
+
 @pytest.mark.parametrize("value", [-1.0, -1e-12, np.nan])
 def test_a_clearance_below_zero_is_refused(value: float) -> None:
     with pytest.raises(pm.InvalidArgument, match=r"^clearance is -.* m, expected >= 0|^clearance is nan"):
@@ -336,6 +344,22 @@ def test_a_pose_paths_twist_and_rate_are_its_slopes() -> None:
     ends = RING([0, RING.duration])
     np.testing.assert_allclose(ends.pose[:, :3, :3], [START[:3, :3], START[:3, :3] @ TURN], atol=1e-12)
     np.testing.assert_allclose(ends.twist[:, 3:], 0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "axis", [(1, 0, 0), (0, -1, 0), (1, -1, 0), (-1, 1, 1), (0, 1, -1), (-3, 0, 4)], ids=str
+)
+def test_half_a_turn_of_a_pose_has_one_sense_whatever_rounding_leaves(axis: Any) -> None:
+    unit = np.array(axis) / np.linalg.norm(axis)
+    leading = unit[np.flatnonzero(unit)[0]]
+    actual, target = np.tile(START, (20, 1, 1)), np.tile(START, (20, 1, 1))
+    rng = np.random.default_rng(7)
+    for k in range(20):
+        angle = np.pi + (0, 1e-15, -1e-15, 1e-9, -1e-9)[k % 5]
+        target[k, :3, :3] = pin.exp3(angle * unit) @ START[:3, :3] + rng.uniform(-1e-15, 1e-15, (3, 3))
+    turns = pose_error(target, actual)[:, 3:]
+    # log3 is good to the root of rounding here.
+    np.testing.assert_allclose(turns, np.tile(np.sign(leading) * np.pi * unit, (20, 1)), rtol=0, atol=1e-6)
 
 
 def test_manipulability_is_yoshikawas() -> None:

@@ -161,6 +161,18 @@ def test_steps_fit_each_other(kind: str) -> None:
         derivation["S_dots"]
 
 
+def test_the_slope_of_the_steering_ratio_is_its_derivative() -> None:
+    derivation = car()
+    for wheel in ("fl", "fr"):
+        k, g, slope = (derivation.written_out(Symbol(f"{name}_{wheel}")) for name in ("k", "g", "gprime"))
+        angle = sympy.acos(derivation.written_out(derivation[f"e_{wheel}"].expression)[0])
+        at = {"delta": 0.5, "b": 0.2, "L": 0.6}
+        delta = symbols("delta")
+        assert float((angle.diff(delta) - g).subs(at)) == pytest.approx(0, abs=ROUNDING)
+        assert float((g.diff(delta) - slope).subs(at)) == pytest.approx(0, abs=ROUNDING)
+        assert float(k.subs(at)) > 1 - 0.2 / 0.6 * np.tan(0.5)
+
+
 def test_mecanum_wheels_are_the_textbooks() -> None:
     r, Iw, m = symbols("r Iw m")
     derivation = roller_drive(MECANUM)

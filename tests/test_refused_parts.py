@@ -129,11 +129,46 @@ def test_a_controllers_robot_without_its_dynamics_is_told_so() -> None:
         pm.ComputedTorque(Cart())
 
 
+class Short(Cart):
+    """Three numbers where there should be five."""
+
+    def __init__(self, wrong: str) -> None:
+        super().__init__()
+        method = getattr(super(), wrong)
+        setattr(self, wrong, lambda *given: method(*given)[..., :2])
+
+
 # A plant whose sizes contradict each other.
 
 
 class Named(Cart):
     coordinates = Cart.coordinates[:4]  # type: ignore[assignment]
+
+
+class Inputs(Cart):
+    inputs = Cart.inputs[:1]  # type: ignore[assignment]
+
+
+@pytest.mark.parametrize(
+    ("plant", "why"),
+    [
+        (Named(), "plant has nv = 5 and 4 coordinates, expected as many"),
+        (Inputs(), "plant has nu = 2 and 1 inputs, expected as many"),
+        *(
+            (
+                Short(name),
+                rf"a Short with nq = 5, nv = 5 and nu = 2, whose {name}\(.*\) returned .*\({size},\)$",
+            )
+            for name, size in (
+                *(("forward_dynamics", 5), ("integrate", 5), ("difference", 5)),
+                *(("pose", 3), ("pose_rate", 3), ("generalized_force", 5)),
+            )
+        ),
+        (Short("project"), r"which starts with v of shape \(2,\), expected \(5,\)|v0 has shape \(2,\)"),
+    ],
+)
+def test_a_plant_that_contradicts_itself_is_refused(plant: Any, why: str) -> None:
+    assert_refused(CART | {"robot": plant}, why)
 
 
 # Memory outside the state, and random numbers of one's own.
@@ -381,3 +416,27 @@ def test_what_stops_being_real_is_told_when_it_does(parts: dict[str, Any], why: 
     for run in runs:
         with pytest.raises(pm.InvalidArgument, match=why):
             run(parts)
+
+
+class Growing:
+    """A controller that keeps all that it has seen, which is possible in Python alone."""
+
+    def initial_state(self, context: Any) -> Any:
+        return {"seen": np.zeros((1, 3))}
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        u = 100 * (reference.q - q) + 120 * (reference.v - v) + 1e-3 * state["seen"].mean(axis=0)
+        return u, {"seen": np.concatenate([state["seen"], q[None]])}
+
+
+def test_a_state_that_changes_its_shape_is_named_and_runs_in_python() -> None:
+    parts = BODY | {"controller": Growing()}
+    why = r"state\['seen'\] of the controller has shape \(2, 3\) and a sample later \(3, 3\); let init"
+    for run in (simulated, in_ensemble):
+        with pytest.raises(
+            pm.InvalidArgument, match=rf"^engine is Engine.COMPILED, which cannot run this: {why}"
+        ):
+            run(parts, engine=Engine.COMPILED)
+    with pytest.warns(SlowerEngine, match=rf"runs by PYTHON, .*not COMPILED: {why}"):
+        runs = in_ensemble(parts, n=2)
+    np.testing.assert_allclose(runs.max_error[0], simulated(parts).max_error(), rtol=1e-12)

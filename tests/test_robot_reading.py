@@ -212,6 +212,22 @@ def test_a_wheel_may_hang_on_suspension_and_steering() -> None:
     assert "locked at rest: spring, steer, roll" in read.source
 
 
+def test_a_chain_may_carry_wheels() -> None:
+    wheel = (link("wheel", 1), joint("spin", "continuous", "body", "wheel", "0 1 0", xyz="0 0.5 0"))
+    model = pin.buildModelFromXML(chain(*SLIDES, *wheel))
+    read = MobileRobot.from_model(model)
+    assert read.mass == 6
+    assert read.com[1] == pytest.approx(0.5 / 6)
+    assert "locked at rest: spin" in read.source
+
+
+def test_the_users_model_is_left_alone() -> None:
+    model = pin.buildModelFromXML(chain(*SLIDES))
+    copy = model.copy()
+    assert MobileRobot.from_model(model).model is not model
+    assert model == copy
+
+
 def test_an_arm_among_the_loaders_robots_is_refused() -> None:
     with pytest.raises(InvalidArgument, match="is neither a wheel"):
         MobileRobot.from_model(pin.buildSampleModelManipulator())

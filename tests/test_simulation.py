@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import pinmobile as pm
 from pinmobile.arrays import Array
@@ -213,6 +214,20 @@ def test_error_follows_the_exact_recurrence_under_a_held_force() -> None:
     np.testing.assert_allclose(e, expected, rtol=0, atol=1e-14)
 
 
+def test_error_tends_to_that_of_the_continuous_loop() -> None:
+    """e'' + Kd e' + Kp e = 0 as dt goes to 0; what the held force costs is of first order."""
+    kp, kd = 4.0, 3.0
+    flow = expm(6.0 * np.array([[0, 1], [-kp, -kd]])) @ -np.array([START["q0"], START["v0"]])
+    steps = np.array([0.02, 0.01, 0.005])
+    off = []
+    for dt in steps:
+        controller = pm.ComputedTorque(ROBOT, kp, kd)
+        rollout = pm.simulate(ROBOT, controller, Hold(), dt=float(dt), integrator=pm.rk4, **START)  # type: ignore[arg-type]
+        off.append(np.abs(rollout.error[-1] - flow[0]).max())
+    slope = np.polyfit(np.log(steps), np.log(off), 1)[0]
+    assert slope == pytest.approx(1, abs=0.15)
+
+
 def test_a_wrong_model_in_the_controller_is_not_the_plants() -> None:
     right = pm.simulate(ROBOT, pm.ComputedTorque(ROBOT), CIRCLE, dt=0.01)
     wrong = pm.simulate(ROBOT, pm.ComputedTorque(pm.MobileRobot(20, 1.2)), CIRCLE, dt=0.01)
@@ -304,6 +319,19 @@ def test_divergence_is_reported_with_everything_before_it() -> None:
     assert np.abs(error.rollout.error).max() <= 1e3
     copy = pickle.loads(pickle.dumps(error))  # as when it comes from another process
     assert (str(copy), copy.time, len(copy.rollout)) == (str(error), error.time, len(error.rollout))
+
+
+def test_without_a_limit_the_numbers_overflow_and_that_is_reported_too() -> None:
+    robot = pm.MobileRobot(30, 0.1, com=(0.1, 0.05))
+    with pytest.raises(pm.Diverged, match="not finite") as caught:
+        pm.simulate(robot, pm.PD((120, 120, 0.4), (120, 120, 0.4)), CIRCLE, dt=0.1, limit=1e300, **START)  # type: ignore[arg-type]
+    assert np.isfinite(caught.value.rollout.u).all()
+
+
+def test_a_spinning_heading_is_divergence_though_its_error_stays_on_the_circle() -> None:
+    robot = pm.MobileRobot(30, 0.1)
+    with pytest.raises(pm.Diverged, match="the rate of psi"):
+        pm.simulate(robot, pm.PD((120, 120, 400), (120, 120, 400)), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
 
 
 def test_a_start_beyond_the_limit_diverges_at_once_with_nothing_recorded() -> None:

@@ -15,6 +15,7 @@ import pinmobile as pm
 from pinmobile import plots
 from pinmobile.balance import MotionStates, required_friction, tip_over_margin, zero_moment_point
 from pinmobile.robot import Stance
+from pinmobile.robot.support_geometry import hull
 from pinmobile.urdf import Body
 from tests import wheeled
 from tests.wheeled import HALF_PI, inertial, joint, link, robot as urdf, shape
@@ -128,6 +129,19 @@ def test_turtlebot_stands_on_two_wheels_and_its_casters(
     assert robot.grounded
 
 
+def test_wheels_with_limits_of_1e16_are_wheels(tmp_path: Path) -> None:
+    robot = read(tmp_path, wheeled.mp400())
+    # Their radius of 76.5 mm is more than the height of the axles, 74 mm above base_footprint.
+    assert "ground below its wheels by their radii, at z = -0.0025 m" in robot.source
+    mass, x, _, z = by_hand(
+        (30, (0, 0, 0.0025)), (2 * 1.82362, (0, 0, 0.0765)), (4 * 1.4, (-0.0275, 0, 0.0385))
+    )
+    np.testing.assert_allclose([robot.mass, robot.com[0], robot.com[2]], [mass, x, z], atol=1e-14)
+    half = [(-0.22, -0.155), (0, -0.26), (0.165, -0.155)]
+    stands_on(robot, [*half, *((x, -y) for x, y in half[::-1])])
+    assert robot.locked_joints == ("wheel_0_joint", "wheel_1_joint")
+
+
 def test_pmb2_is_read_and_the_link_that_no_body_is_is_named(tmp_path: Path) -> None:
     text, folder = wheeled.pmb2()
     with pytest.warns(UserWarning, match="link 'base_antenna_(left|right)_link'") as caught:
@@ -168,6 +182,25 @@ def test_revolute_wheels_without_limits_are_wheels(tmp_path: Path, limit: str) -
     assert robot.mass == 11
     assert robot.com[2] == pytest.approx((9 * 0.07 + 2 * 0.1) / 11)
     assert robot.visual_model.ngeoms == 3  # the file is read again to be drawn
+
+
+def test_a_joint_of_few_turns_is_no_wheel(tmp_path: Path) -> None:
+    limit = '<limit lower="-6000" upper="6000" effort="1" velocity="1"/>'
+    parts = (
+        link("base", inertial(9)),
+        link("w", inertial(1)),
+        joint("j", "revolute", "base", "w", limit=limit),
+    )
+    with pytest.raises(pm.InvalidArgument, match=r"joint 'j' .* is neither a wheel"):
+        read(tmp_path, urdf(*parts))
+    model = pin.Model()  # made joint by joint, it has not said what its limits are
+    model.appendBodyToJoint(
+        model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "elbow"),
+        pin.Inertia.Random(),
+        pin.SE3.Identity(),
+    )
+    with pytest.raises(pm.InvalidArgument, match=r"joint 'elbow' .* is neither a wheel"):
+        pm.MobileRobot.from_model(model)
 
 
 # What a file does not tell
@@ -212,6 +245,16 @@ def test_the_ground_may_be_given_in_place_of_the_files(tmp_path: Path) -> None:
         read(tmp_path, wheeled.husky(), ground=np.nan)
     with pytest.raises(pm.InvalidArgument, match=r"ground has shape \(2,\), expected one number"):
         read(tmp_path, wheeled.husky(), ground=[0, 0])
+
+
+def test_ground_above_the_centre_of_mass_is_refused(tmp_path: Path) -> None:
+    """The likely slip: the height of Husky's base_link above the ground, in place of the ground's z."""
+    with pytest.raises(
+        pm.InvalidArgument,
+        match=r"ground is 0\.132 m, 0\.07544 m above the robot's centre of mass.* below zero",
+    ):
+        read(tmp_path, wheeled.husky(), ground=0.132)
+    assert read(tmp_path, urdf(link("base", inertial(9))), ground=0).com[2] == 0
 
 
 def test_a_wheel_without_a_radius_leaves_the_footprint_unknown_unless_it_is_inside(tmp_path: Path) -> None:
@@ -349,6 +392,24 @@ def test_a_stance_checks_itself() -> None:
         pm.MobileRobot.from_body(pm.MobileRobot.box().body, stance=3)  # type: ignore[arg-type]
     assert Stance.of_box((1, 2, 3)) == Stance(box(0.5, 1), 3)
     assert hash(Stance.of_box((1, 2, 3))) == hash(Stance(box(0.5, 1), 3))
+
+
+@pytest.mark.parametrize("words", ['top="a"', 'top="1 2"', 'footprint="1 2 3"', 'footprint="0 0 1 0"'])
+def test_a_damaged_note_of_our_own_is_refused(tmp_path: Path, words: str) -> None:
+    text = pm.MobileRobot.box().to_urdf().replace("</robot>", f'<pinmobile ground="0" {words}/></robot>')
+    with pytest.raises(pm.InvalidArgument, match=r"pinmobile|footprint"):
+        read(tmp_path, text)
+
+
+def test_the_hull_is_the_same_whatever_rounding_does() -> None:
+    points = np.array([*box(0.256, 0.2854), [0, 0.2854], [0, 0], [0.256, 0]])
+    expected = np.array(box(0.256, 0.2854))
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        noisy = rng.permutation(points) + rng.uniform(-1e-16, 1e-16, points.shape)
+        np.testing.assert_allclose(hull(noisy), expected, atol=1e-15)  # type: ignore[arg-type]
+    assert hull([(0, 0), (1, 0)]) is None
+    assert hull([(0, 0), (1, 0), (2, 1e-17), (1, 0)]) is None
 
 
 # What is drawn stands on the grid

@@ -72,6 +72,22 @@ def test_a_full_disk_leaves_the_store_as_good_as_it_was(
     assert contents(store) == contents(done)
 
 
+def test_a_store_that_could_not_be_begun_leaves_nothing(tmp_path: Path) -> None:
+    with full_disk(100), pytest.raises(FileError, match=r"zarr\.json', which cannot be written: File too la"):
+        small(tmp_path / "store")
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_others_have_inside_a_store_stays(done: Path, tmp_path: Path) -> None:
+    store = begun(tmp_path / "keep.zarr", 16)
+    mine = ["mine.partial", "max_error/mine.partial", "c"]
+    for name in mine:
+        (store / name).write_bytes(b"mine")
+    small(store)
+    assert {name for name in contents(store) if name not in contents(done)} == set(mine)
+    assert Sweep.open(store).answer() == Sweep.open(done).answer()
+
+
 @pytest.mark.parametrize("left", [[], [".lock"], [".lock", ".writing"]])
 def test_a_store_may_be_a_folder_that_is_empty_or_of_a_process_that_died_at_once(
     done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, left: list[str]
@@ -230,6 +246,17 @@ def test_a_store_runs_no_code(copy: Path, monkeypatch: pytest.MonkeyPatch, name:
         with pytest.raises(InvalidArgument, match=f"array '{name}' has the codecs .* expected plain numbers"):
             call(copy)
     assert not (copy / "attacked").exists()
+
+
+def test_a_sweep_may_go_to_another_process_and_others_may_write_metadata(copy: Path) -> None:
+    zarr = pytest.importorskip("zarr")
+    group = zarr.open_group(copy, mode="r+", use_consolidated=False)
+    group.update_attributes({"author": "somebody"})
+    group.create_array("note", shape=(2,), dtype="f8", dimension_names=["extra"])
+    with pytest.warns(UserWarning, match="Consolidated metadata"):
+        zarr.consolidate_metadata(copy)
+    found = Sweep.open(copy)
+    assert small(copy).answer() == found.answer() == pickle.loads(pickle.dumps(found)).answer()
 
 
 def numbers(path: Path) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property, partial, wraps
+from importlib.metadata import version
 from operator import itemgetter
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -247,6 +248,15 @@ def test_whatever_changes_the_numbers_is_told(one: Any, other: Any, told: str) -
     assert told in differences(there, here, most=30)
 
 
+def test_versions_and_machine_are_told() -> None:
+    there = account()
+    names = ("numpy", "scipy", "llvmlite", "pin", "pinmobile")
+    assert {name: there["versions"][name] for name in names} == {name: version(name) for name in names}
+    other = {**there, "machine": "abacus", "versions": {**there["versions"], "numpy": "0"}}
+    assert "version of numpy is" in differences(there, other)
+    assert "machine is" in differences(there, other)
+
+
 def test_globals_and_modules_are_told_and_caches_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
     before = account(law(read))
     monkeypatch.setitem(globals(), "FACTOR", 4.0)
@@ -275,6 +285,13 @@ def test_what_cannot_be_recognised_needs_a_word_of_its_user(tmp_path: Path) -> N
     assert len(pm.Sweep.open(path, first).ensemble().max_distance) == 3
     with pytest.raises(pm.InvalidArgument, match="version is stiff there and soft here"):
         pm.sweep(first, path, version="soft")
+
+
+def test_a_store_does_not_take_the_other_of_two_lambdas_on_a_line(tmp_path: Path) -> None:
+    first = replace(scenario(n=3), controller=SHAPED[0], duration=0.5)
+    pm.sweep(first, tmp_path / "store")
+    with pytest.raises(pm.InvalidArgument, match=r"another sweep: controller\.function is "):
+        pm.sweep(replace(first, controller=SHAPED[1]), tmp_path / "store")
 
 
 def test_every_process_tells_the_same_of_all_of_them() -> None:

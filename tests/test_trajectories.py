@@ -201,6 +201,23 @@ def test_at_rest_heading_and_rates_are_one_sided_limits() -> None:
     assert end.a[2] == pytest.approx(acceleration, rel=1e-12)
 
 
+def test_a_cycloid_keeps_its_rate_into_and_out_of_its_cusps() -> None:
+    path = Cycloid(6 * np.pi)
+    trajectory = Tangent(path, turn_time=2.0)
+    np.testing.assert_allclose(trajectory.turns, [2 * np.pi, 4 * np.pi + 2], rtol=1e-14)
+    assert trajectory.duration == pytest.approx(6 * np.pi + 4)
+    s = near([0.0, 2 * np.pi, 4 * np.pi, 6 * np.pi], path.duration)
+    s = s[np.abs(s / (2 * np.pi) - np.round(s / (2 * np.pi))) > 1e-13]  # the sides of a cusp are told apart
+    arch = np.floor(s / (2 * np.pi))
+    q, v, a = trajectory(s + 2 * arch)
+    # Half a turn to the left at every cusp.
+    np.testing.assert_allclose(q[:, 2], np.pi / 2 - s / 2 + np.pi * arch, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(v[:, 2], -0.5, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(a[:, 2], 0, rtol=0, atol=1e-10)
+    end = trajectory(trajectory.duration)
+    np.testing.assert_allclose([end.q[2], end.v[2]], [np.pi / 2 - np.pi, -0.5], rtol=0, atol=1e-13)
+
+
 def test_a_lissajous_3_2_reverses_with_half_turns_to_the_left() -> None:
     trajectory = Tangent(REVERSING, turn_time=0.5)
     rests = np.pi / 2 + np.pi * np.arange(3)
@@ -357,6 +374,16 @@ def test_a_turn_meets_heading_rate_and_acceleration_on_both_sides(path: Path, tu
         assert (trajectory(np.linspace(start, end, 9)[:-1]).v[:, :2] == 0).all()
 
 
+def test_a_half_turn_goes_to_the_left_whatever_the_direction() -> None:
+    for degrees in range(-180, 180, 5):
+        tip = np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
+        trajectory = Tangent(CubicVia((0, 0), tip, (0, 0), 1, 2), turn_time=1.0)
+        assert trajectory.turns.tolist() == pytest.approx([1.0])
+        first, last = trajectory([0.0, 3.0]).q[:, 2]
+        assert -np.pi < first <= np.pi
+        assert last - first == pytest.approx(np.pi, abs=1e-9)
+
+
 def test_a_turn_takes_the_shorter_way() -> None:
     for before, after, turn in (
         (170, -170, 20),
@@ -372,6 +399,18 @@ def test_a_turn_takes_the_shorter_way() -> None:
         assert last - first == pytest.approx(turn)
 
 
+def test_where_only_the_rate_jumps_at_rest_there_is_no_turn() -> None:
+    # u = (1, s), then (1, 0): the heading is continuous, its rate falls from 1 to 0.
+    path = Drawn([0, 1, 2], (roots(1), np.convolve(roots(1), [1, -1])), (-roots(0), [0]))
+    with pytest.warns(LimitWarning, match=r"turn rate jumps from -1 to 0 rad/s at t = 1 s") as told:
+        trajectory = Tangent(path)
+    assert len(told) == 1
+    assert trajectory.turns.tolist() == []
+    q, v, _ = trajectory([1 - 1e-9, 1.0, 1.5])
+    np.testing.assert_allclose(on_the_circle(q[:, 2] - np.pi), 0, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(np.abs(v[:, 2]), [1, 0, 0], rtol=0, atol=1e-8)
+
+
 def test_a_turn_rate_that_a_hold_ends_is_reported_and_one_that_ends_straight_is_not() -> None:
     cubic = CubicVia((0, 0), (1, 0.5), (1.5, 2), 5, 10)
     with pytest.warns(LimitWarning, match=r"from 0\.03077 to 0 rad/s at t = 10 s, where the path rests"):
@@ -380,6 +419,11 @@ def test_a_turn_rate_that_a_hold_ends_is_reported_and_one_that_ends_straight_is_
         warnings.simplefilter("error")
         Tangent(CompositePath([RestToRest((0, 0), (1, 1), 3), Hold((1, 1), 2)]))
         Tangent(cubic)
+
+
+def test_two_rests_close_together_are_two_turns() -> None:
+    path = Drawn([0, 1], (roots(0.3, 0.30001), roots(0.3, 0.30001, -2)))
+    np.testing.assert_allclose(Tangent(path, 1.0).turns, [0.3, 1.30001], rtol=1e-10)
 
 
 @pytest.mark.parametrize("miss", [1e-3, 1e-6, 1e-9])
@@ -392,11 +436,88 @@ def test_a_rest_narrowly_missed_is_none(miss: float) -> None:
     assert v[1, 2] == pytest.approx(2 / miss, rel=1e-5)
 
 
+@pytest.mark.parametrize("gap", [1e-4, 1e-9])
+def test_a_rest_next_to_an_end_is_found(gap: float) -> None:
+    for rest in (gap, 1 - gap):
+        path = Drawn([0, 1], (roots(rest), roots(rest, 2)))
+        np.testing.assert_allclose(Tangent(path, 1.0).turns, [rest], rtol=1e-12)
+
+
+def test_a_rest_just_behind_a_knot_is_found() -> None:
+    path = Drawn([0, 1, 2], ([-1 - 1e-9, 1], [0]), ([-1e-9, 1], [0]))
+    np.testing.assert_allclose(Tangent(path, 1.0).turns, [1 + 1e-9], rtol=1e-15)
+
+
+def test_a_rest_just_outside_is_none() -> None:
+    for rest in (-1e-9, 1 + 1e-9):
+        trajectory = Tangent(Drawn([0, 1], (roots(rest), -roots(rest))))
+        assert trajectory.turns.tolist() == []
+        assert len(set(trajectory([0, 0.5, 1]).q[:, 2])) == 1
+
+
+def test_a_rest_late_on_a_long_clock_is_found() -> None:
+    # There the clock itself ticks in steps of 1.5e-11 s, so that no speed is below 1e-12 of the largest.
+    late = 2.0**17
+    path = Drawn([0, late, late + 1], ([-0.3], [0.3]), (roots(0.3), -roots(0.3)))
+    np.testing.assert_allclose(Tangent(path, 1.0).turns, [late + 0.3], rtol=1e-15)
+
+
+def test_rests_of_order_two_stay_smooth_over_many_periods() -> None:
+    class Pulses(Cycloid):
+        """The cycloid's x alone, v = 1 - cos t, along a slope."""
+
+        def derivative(self, t: ArrayLike, order: int) -> Array:
+            x = super().derivative(t, order)[..., :1]
+            return np.concatenate([x, x], axis=-1)
+
+    trajectory = Tangent(Pulses(2 * np.pi * 100.5))
+    assert trajectory.turns.tolist() == []
+    q, v, _ = trajectory(2 * np.pi * np.arange(0, 100.5, 0.25))
+    np.testing.assert_allclose(q[:, 2], np.pi / 4, rtol=1e-15)
+    np.testing.assert_allclose(v[:, 2], 0, rtol=0, atol=1e-15)
+
+
+def test_speeds_at_rounding_of_the_largest_have_no_direction() -> None:
+    path = Drawn([0, 1], ([1e-13, 1], [-1e-13, 2]))
+    assert Tangent(path)(0.0).q[2] == pytest.approx(math.atan2(2, 1), abs=1e-15)
+    # The largest of the path, that is, also on a slow piece: this one starts at rest, to the left.
+    stop = Drawn([0, 1, 2], ([1, -1], [0]), ([1e-13, 0], [0, 1e-4]))
+    assert Tangent(stop, 1.0).turns.tolist() == [1.0]
+    # Velocities that differ by rounding alone make no corner, slow as they are.
+    slow = Drawn([0, 1, 2], ([1, -1 + 1e-10], [0]), ([1e-10, 1], [1e-17, 1]))
+    assert Tangent(slow).turns.tolist() == []
+
+
+def test_a_small_jump_is_a_jump() -> None:
+    path = CubicVia((0, 0), (1, 0), (2, 1e-6), 1, 2, via_velocity=(0, 0))
+    with pytest.raises(InvalidArgument, match=r"from 0 deg to 5.72958e-05 deg$"):
+        Tangent(path)
+    assert Tangent(path, 1.0)(3.0).q[2] == pytest.approx(1e-6)
+
+
+def test_just_before_a_turn_the_heading_is_that_before_it() -> None:
+    for turn_time in np.linspace(0.1, 3, 30).tolist():
+        trajectory = Tangent(REVERSING, turn_time)
+        before, at = trajectory(np.nextafter(trajectory.turns, 0)).q, trajectory(trajectory.turns).q
+        np.testing.assert_allclose(before, at, rtol=0, atol=1e-12)
+
+
+def test_rests_at_the_very_ends_need_no_turn() -> None:
+    half_way = Lissajous(2, 1, 3, 2, np.pi / 2)
+    assert Tangent(half_way).turns.tolist() == []
+    assert Tangent(half_way)(np.pi / 2).q[2] == pytest.approx(np.arctan2(4, -18), abs=1e-14)
+
+
 def test_many_rests_of_a_long_figure_are_all_found() -> None:
     path = Lissajous(3, 3, 0.3, 0.2, 2 * np.pi / 0.1 * 50)
     np.testing.assert_allclose(
         Tangent(path, 1.0).turns - np.arange(100), (np.pi / 2 + np.pi * np.arange(100)) / 0.1, rtol=1e-13
     )
+
+
+def test_a_line_sampled_in_step_with_its_rests_has_them_all() -> None:
+    path = Lissajous(3, 0, 2 * np.pi, 0, 64)
+    assert len(Tangent(path, 1.0).turns) == 128
 
 
 def test_a_dwell_keeps_the_heading() -> None:
@@ -447,6 +568,12 @@ def test_heading_acceleration() -> None:
         assert (np.abs(trajectory(t).a[:, 2] - slope) > 1e-8).any() == off
 
 
+def test_the_reference_is_continuous_where_the_heading_crosses_zero() -> None:
+    t = np.linspace(0, 60, 601)
+    assert np.abs(np.diff(Tangent(CROSSING)(t).q[:, 2])).max() < 0.1
+    assert np.abs(np.diff(LectureHeading(CROSSING)(t).q[:, 2])).max() > 6
+
+
 def test_a_cusp_is_turned_on_the_spot() -> None:
     t = np.linspace(0, 65, 6501)
     assert np.abs(np.diff(Tangent(VIA_STOP, 5.0)(t).q[:, 2])).max() < 0.01
@@ -479,6 +606,26 @@ def test_the_lecture_s_formulas() -> None:
         assert (a[:, 2] == 0).all()
         for order, got in enumerate((q, v, a)):
             assert (got[:, :2] == path.derivative(t, order)).all()
+
+
+@pytest.mark.parametrize("rounding", [0.0, 1e-17, -1e-17, 5e-324])
+def test_the_lecture_s_rate_at_the_free_via_does_not_hang_on_rounding(rounding: float) -> None:
+    # y' = 1/10 and x'' = -1/75 there; of x' a linear solver leaves 0 or 1e-17, and the recorded run is the
+    # formula's, 2/15, not its guard's 0.
+    assert LectureHeading(VIA_FREE)(30.0).v[2] == pytest.approx(2 / 15, rel=1e-14)
+    solved = CubicVia((0, 0), (2, 2), (0, 4), 30, 60, via_velocity=(rounding, 0.1))
+    assert LectureHeading(solved)(30.0).v[2] == pytest.approx(2 / 15, rel=1e-14)
+
+
+def test_rounding_does_not_turn_the_lecture_s_heading_by_a_whole_turn() -> None:
+    down = Drawn([0, 1], ([1.0], [-1e-20]))
+    assert LectureHeading(down)(0.5).q[2] == 0
+    steeper = Drawn([0, 1], ([1.0], [-1e-11]))
+    assert LectureHeading(steeper)(0.5).q[2] == 2 * np.pi - 1e-11
+    west = Drawn([0, 1], ([-1.0], [0.0]))
+    assert LectureHeading(west)(0.5).q[2] == np.pi
+    east = Drawn([0, 1], ([1.0], [-0.0]))
+    assert LectureHeading(east)(0.5).q[2] == 0
 
 
 def test_rounding_at_rest_has_no_heading_in_the_lecture_s_law() -> None:
@@ -643,6 +790,12 @@ def test_what_is_no_path_in_the_plane_is_refused(
 ) -> None:
     with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
         make(path)
+
+
+@pytest.mark.parametrize("make", MAKERS[:2])
+def test_a_path_whose_velocity_is_not_finite_is_refused(make: Callable[[Any], Trajectory]) -> None:
+    with pytest.raises(InvalidArgument, match=r"^path has no finite derivative of order 1 at t = "):
+        make(Broken(3.0, spoilt=math.nan))
 
 
 def test_a_heading_that_is_no_number_is_refused() -> None:

@@ -182,6 +182,14 @@ def test_fault_a_host_header_of_another_name_is_refused(host: str) -> None:
             assert w.browsers == 0
 
 
+@pytest.mark.parametrize("host", ["[::1]:1", "LOCALHOST:8000"])
+def test_this_machine_may_have_any_of_its_names_and_a_tunnel_any_port(host: str) -> None:
+    with LiveWindow() as w:
+        assert ask(w.url, {"Host": host})[0] == 200
+        with WebSocket(w.url, {"Host": host, "Origin": f"http://{host}"}) as browser:
+            assert browser.status == 101
+
+
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1"])
 def test_fault_a_websocket_from_another_origin_is_refused(origin: str) -> None:
     with LiveWindow() as w:
@@ -380,6 +388,14 @@ def test_fault_used_after_it_was_closed() -> None:
     assert not listens(w.port)
 
 
+def test_a_window_that_nobody_holds_is_closed() -> None:
+    w = LiveWindow()
+    port = w.port
+    del w
+    gc.collect()
+    assert not listens(port)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_fault_a_signal_ends_the_script_and_nothing_listens(number: signal.Signals) -> None:
     script = """
@@ -462,6 +478,23 @@ def test_a_request_that_never_ends_is_ended(request_: bytes, monkeypatch: pytest
         assert connection.recv(1) == b""
 
 
+def test_a_header_of_many_lines_is_not_read() -> None:
+    lines = b"X: y\r\n" * 20_000
+    with LiveWindow() as w, socket.create_connection(("127.0.0.1", w.port), timeout=120) as connection:
+        asked = f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{w.port}\r\n".encode() + lines + b"\r\n"
+        assert not exchanged(connection, asked).startswith(b"HTTP/1.1 200")
+
+
+def exchanged(connection: socket.socket, data: bytes) -> bytes:
+    """Return what is answered until the end; a connection may be reset while it is written to."""
+    answer = b""
+    with suppress(ConnectionError):
+        connection.sendall(data)
+        while part := connection.recv(1 << 16):
+            answer += part
+    return answer
+
+
 def png() -> bytes:
     file = BytesIO()
     Image.new("RGBA", (2, 1), (1, 2, 3, 255)).save(file, "PNG")
@@ -491,3 +524,26 @@ def test_a_damaged_picture_is_the_librarys_error(data: bytes) -> None:
         threading.Timer(0.2, browser.say, [picture(data)]).start()
         with pytest.raises(ViewerError, match="the browser has sent no picture: "):
             w.get_image()
+
+
+def test_a_forked_child_has_no_part_in_the_window() -> None:
+    script = """
+        import os
+        w.wait(30)
+        child = os.fork()
+        if child == 0:
+            try:
+                w.send(None)
+            except Exception as error:
+                os.write(1, f"{type(error).__name__} {error}\\n".encode())
+            w.close()
+            os._exit(0)
+        os.waitpid(child, 0)
+        print(w.browsers, w.flush())
+    """
+    with run(script) as process:
+        assert process.stdout is not None
+        port = int(process.stdout.readline())
+        with WebSocket(f"http://127.0.0.1:{port}/"):
+            assert process.stdout.readline() == "ViewerError the window is closed\n"
+            assert process.stdout.readline() == "1 True\n"

@@ -21,6 +21,7 @@ from pinmobile.wheels import (
     GearTrain,
     Motor,
     Rolling,
+    Support,
     WheeledRobot,
     WheelTable,
     read_wheels,
@@ -30,6 +31,12 @@ from tests.wheeled import HALF_PI, inertial, joint, link, robot as urdf, shape
 
 ROLLING = shape("cylinder", 'radius="0.1" length="0.04"', rpy=f"{HALF_PI} 0 0")
 ROUND = "0.003 0 0 0.005 0 0.003"
+
+
+DINGO = (0.0004901, 0.0003234)  # as cylinders of its size have them
+
+
+MP400 = (0.00739239692, 0.0039974)
 CASTER = (1.541e-5, 1.075e-5)
 CASTERS = [f"caster_{end}_{side}_2_joint" for end in ("front", "back") for side in ("left", "right")]
 
@@ -145,6 +152,38 @@ def test_turtlebot_is_level_and_stands_on_its_casters(tmp_path: Path, model: str
     np.testing.assert_allclose([(s.x, s.y) for s in robot.table.supports], casters, atol=1e-6)
     assert robot.robot.com[0] == pytest.approx(-0.004 if model == "burger" else -0.0058, abs=1e-4)
     assert dict(robot.joint_signs) == dict.fromkeys(robot.table.names, 1)
+
+
+def test_dingo_is_asked_for_the_inertia_that_its_file_has_on_another_axis(tmp_path: Path) -> None:
+    with pytest.raises(
+        InvalidArgument,
+        match=r"wheel 'wheel_0' is no solid of revolution about its axle, with moments of 0\.0003234 "
+        r"about it, 0\.0003234 and 0\.00049\d* across.*or inertia=\{'wheel_0': \(about the axle, across",
+    ):
+        read(tmp_path, wheeled.dingo())
+    robot = read(tmp_path, wheeled.dingo(), inertia=DINGO)
+    y = 0.2160016 + 0.02032 / 2
+    near(robot.table, [(0.0989838, y), (0.0989838, -y)], 0.049)
+    assert robot.table.supports == (Support(-0.244, 0.0),)
+    assert robot.robot.com[0] < 0.0989838  # behind the axle
+    named = {"wheel_0": DINGO, "wheel_1": DINGO}
+    assert read(tmp_path, wheeled.dingo(), inertia=named) == robot
+    assert "inertia as given, the whole's as in the file, of all" in robot.source
+
+
+def test_mp400_turns_its_axes_by_rounded_angles(tmp_path: Path) -> None:
+    with pytest.raises(
+        InvalidArgument, match=r"moments of 0\.003997 about it, 0\.003997 and 0\.007392 across"
+    ):
+        read(tmp_path, wheeled.mp400())
+    robot = read(tmp_path, wheeled.mp400(), inertia=MP400)
+    # Axles turned by 1.57: 0.0008 rad off the y axis, they would be on two lines.
+    near(robot.table, [(0, -0.26), (0, 0.26)], 0.0765)
+    assert [wheel.angle for wheel in robot.table.wheels] == [0.0, 0.0]
+    assert "axes that the file rounds are exact at all" in robot.source
+    assert [wheel.motor.torque_limit for wheel in robot.table.wheels if wheel.motor] == [1000.0, 1000.0]
+    places = [(x, y) for x in (0.165, -0.22) for y in (0.155, -0.155)]
+    assert [(s.x, s.y) for s in robot.table.supports] == places
 
 
 def test_fetch_is_asked_for_its_radius_which_tells_the_ground_too(tmp_path: Path) -> None:
@@ -331,6 +370,14 @@ def test_omni_wheels_keep_the_sense_of_their_joints(tmp_path: Path) -> None:
         assert row.roller == 0.0
         np.testing.assert_allclose([row.x, row.y], [expected.x, expected.y], atol=1e-12)
         assert cos(row.angle - expected.angle) == pytest.approx(1)
+
+
+def test_axles_that_are_nearly_on_one_line_are_on_it(tmp_path: Path) -> None:
+    robot = read(tmp_path, base(wheel("left", "0.0004 0.2 0.1"), wheel("right", "-0.0004 -0.2 0.1")))
+    near(robot.table, [(0, 0.2), (0, -0.2)], 0.1)
+    assert "axles put on one line, by 0.4 mm at most" in robot.source
+    with pytest.raises(InvalidArgument, match="'left', 'right' are fixed on more than one axle"):
+        read(tmp_path, base(wheel("left", "0.002 0.2 0.1"), wheel("right", "-0.002 -0.2 0.1")))
 
 
 def on_swivel(at: str, wheel_at: str, name: str = "caster", **more: Any) -> str:

@@ -24,6 +24,11 @@ ROBOTS = pytest.mark.parametrize("robot", [UR5, KINOVA, TWO], ids=["ur5", "kinov
 CIRCLE = pm.Tangent(pm.Circle(1, 0.5, 6))
 
 
+def rest_of(robot: pm.MobileRobot) -> Array:
+    """Return the coordinates of the joints at rest."""
+    return robot.rest[3:]
+
+
 def inward(robot: pm.MobileRobot, way: float) -> list[tuple[Array, Array]]:
     """Return for each arm the coordinates at rest, and those that far from them, away from limits."""
     ends = []
@@ -95,6 +100,13 @@ def test_what_ends_first_is_held_at_its_end() -> None:
     assert stopped.a[0, 3:].all()
     assert not stopped.a[1, 3:].any()
     np.testing.assert_allclose(stopped.q[1, 3:], 0, atol=1e-14)
+
+
+def test_durations_that_differ_by_rounding_are_one() -> None:
+    third = 6 / 3 + 6 / 3 + 6 / 3 * (1 + 1e-15)
+    trajectory = pm.WholeBody(UR5, CIRCLE, pm.Hold(np.zeros(6), third * (1 + 1e-14)))
+    assert trajectory.duration > 6
+    assert trajectory(trajectory.duration).v[0] == CIRCLE(6).v[0] != 0
 
 
 def test_a_trajectory_of_the_whole_is_a_value() -> None:
@@ -169,6 +181,31 @@ def test_what_is_faster_than_a_joint_can_be_is_refused() -> None:
         pm.WholeBody(UR5, CIRCLE, pm.RestToRest(np.zeros(6), np.full(6, 3.0), 0.2))
 
 
+@pytest.mark.parametrize("sign", ["", "-"])
+@pytest.mark.parametrize("k", range(6))
+def test_a_joint_that_is_too_fast_is_named_whichever_way_it_goes(k: int, sign: str) -> None:
+    start = np.full(6, 3.0)  # within its limits; three of its joints have two numbers in q
+    end = start + float(f"{sign}0.2") * np.eye(6)[k]
+    text = rf"^reference moves joint 'kinova/j2s6s200_joint_{k + 1}' at {sign}\d\.\d+ rad/s"
+    with pytest.raises(pm.InvalidArgument, match=text):
+        pm.WholeBody(KINOVA, pm.Tangent(pm.Circle(1, 0.5, 0.2)), pm.RestToRest(start, end, 0.2))
+
+
+def test_a_path_of_the_second_arm_that_leaves_its_limits_is_refused_at_once() -> None:
+    start = rest_of(TWO)[TWO.mounts[1].v.start - 3 :]
+    with pytest.raises(pm.InvalidArgument, match=r"^reference has joint 'kinova/j2s6s200_joint_2' at \d"):
+        pm.WholeBody(
+            TWO, pm.Tangent(pm.Circle(1, 0.1, 60)), None, pm.RestToRest(start, start + 4 * np.eye(6)[1], 60)
+        )
+
+
+def test_a_short_path_of_the_second_arm_is_looked_at_between_the_times_of_the_first() -> None:
+    start = rest_of(TWO)[TWO.mounts[1].v.start - 3 :]
+    away = pm.CubicVia(start, start + 4 * np.eye(6)[1], start, 0.45, 0.9)
+    with pytest.raises(pm.InvalidArgument, match=r"joint 'kinova/j2s6s200_joint_2' at \d"):
+        pm.WholeBody(TWO, pm.Tangent(pm.Circle(1, 0.1, 60)), None, away)
+
+
 @dataclass(frozen=True)
 class Unchecked:
     """A user's own trajectory of the UR5 on a base at rest."""
@@ -179,6 +216,18 @@ class Unchecked:
     def __call__(self, t: ArrayLike) -> pm.Reference:
         arm = (self.path.derivative(t, order) for order in range(3))
         return pm.Reference(*(np.concatenate([np.zeros((*np.shape(t), 3)), part], -1) for part in arm))
+
+
+def test_slides_have_their_limits_in_metres_and_a_limit_itself_is_within() -> None:
+    panda = BARE.mount("panda", AT)
+    rest, finger = rest_of(panda), np.eye(9)[7]
+    top = rest + finger * (panda.upper[10] - rest[7])
+    assert pm.WholeBody(panda, CIRCLE, pm.RestToRest(rest, top, 6))(6.0).q[10] == pytest.approx(0.04)
+    with pytest.raises(
+        pm.InvalidArgument,
+        match=r"finger_joint1' at 0\.0405523071 m at t = 4\.3125 s, expected 0 to 0\.04 m$",
+    ):
+        pm.WholeBody(panda, CIRCLE, pm.Spline([rest, top + 0.01 * finger], (0, 6)))
 
 
 @pytest.mark.parametrize(
@@ -312,6 +361,15 @@ def test_the_whole_body_controller_tracks_and_the_decoupled_one_lags() -> None:
     # Measured: 0.4 mm, 4 mrad. What it ignores does not vanish with dt.
     assert (decoupled > 100 * whole).all()
     assert decoupled.max() > 1e-3
+
+
+def test_computed_torque_of_another_step_is_off_by_the_held_force_alone() -> None:
+    trajectory = there_and_back(UR5)
+    coarse, fine = (
+        pm.simulate(UR5, pm.ComputedTorque(UR5, 100, 20), trajectory, dt=dt).max_error()[3:]
+        for dt in (4e-3, 2e-3)
+    )
+    np.testing.assert_allclose(coarse / fine, 2, atol=0.1)
 
 
 @pytest.mark.parametrize("name", ["ur5", "kinova"])

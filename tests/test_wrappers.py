@@ -1,6 +1,8 @@
 """Limits, delay and measurement noise around a controller."""
 
 import re
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
 from typing import Any
 
 import numpy as np
@@ -76,6 +78,17 @@ def test_the_reference_is_not_delayed() -> None:
     np.testing.assert_array_equal(rollout.u, rollout.reference.q)
 
 
+def test_a_delay_keeps_its_own_copies_and_no_more_than_it_needs() -> None:
+    controller, q = pm.MeasurementDelay(TOLD, 2), np.zeros(3)
+    state, forces = controller.initial_state(CONTEXT), []
+    for k in range(6):
+        q[:] = k  # as in a loop that has one array
+        tau, state = controller(0.0, q, q, REST, state)
+        assert len(state[1].past) <= 2
+        forces.append(tau[0])
+    assert forces == [0, 0, 0, 1, 2, 3]
+
+
 def test_two_delays_are_their_sum() -> None:
     np.testing.assert_array_equal(
         asked(pm.MeasurementDelay(pm.MeasurementDelay(TOLD, 2), 3), QS),
@@ -142,6 +155,18 @@ def test_all_wrappers_together_hold_an_arm_without_limits_at_rest() -> None:
     rollout = pm.simulate(KINOVA, wrapped, hold, dt=0.01)
     # A measurement that is 1e-4 off moves the robot by no more than a few times that.
     assert 1e-6 < rollout.max_error()[3:].max() < 1e-3
+
+
+def test_threads_that_share_a_noisy_controller_get_the_same() -> None:
+    controller, together = pm.MeasurementNoise(TOLD, 1.0, 1.0, seed=3), Barrier(8)
+
+    def late(_: int) -> Array:
+        together.wait()
+        return drawn(controller, 600)
+
+    with ThreadPoolExecutor(8) as pool:
+        tables = list(pool.map(late, range(8)))
+    np.testing.assert_array_equal(tables, 8 * [drawn(controller, 600)])
 
 
 def test_leading_axes_are_kept() -> None:
@@ -313,3 +338,14 @@ def test_what_does_not_fit_is_refused(call: Any, text: str) -> None:
     with pytest.raises(pm.InvalidArgument) as caught:
         call()
     assert re.sub(r" at 0x[0-9A-F]+", "", str(caught.value)) == text
+
+
+def test_an_infinite_limit_is_none() -> None:
+    free = pm.PD(100.0, 0.0)
+    limited = pm.InputSaturation(free, (np.inf, 5.0, np.inf))
+    at = pm.Reference(*np.ones((3, 3)))
+    tau, _ = limited(0.0, np.zeros(3), np.zeros(3), at, limited.initial_state(CONTEXT))
+    assert tau.tolist() == [100.0, 5.0, 100.0]
+    for limits in ((np.nan, 1.0, 1.0), (-np.inf, 1.0, 1.0)):
+        with pytest.raises(pm.InvalidArgument, match=r"limits\[0\] is (nan|-inf), expected a finite number"):
+            pm.InputSaturation(free, limits)

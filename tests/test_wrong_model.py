@@ -10,6 +10,9 @@ import pytest
 import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.controllers.controller import passive_torque
+from pinmobile.parts import find, replace
+from pinmobile.plant import Context
+from tests.parts import Waving
 from tests.rivals import CIRCLE, HEAVY, NOMINAL, RIVALS, published
 
 ARM = pm.MobileRobot.box().mount("ur5")
@@ -77,6 +80,15 @@ def test_torque_keeps_the_robot_passive_and_is_what_the_regressor_says() -> None
         assert np.abs(Y @ adaptive._nominal - wanted).max() < 1e-13 * scale
 
 
+def test_coriolis_matrix_of_the_tree_on_arrays_is_pinocchios() -> None:
+    generator = np.random.default_rng(4)
+    q, v = ARM.random_configuration(generator), generator.normal(size=ARM.nv)
+    mine, its = ARM.array_dynamics.coriolis_matrix(q, v), ARM.coriolis_matrix(q, v)
+    # Any C with C v = n and dM/dt - 2 C skew gives the same transposed product, all that a law takes of it.
+    assert np.abs(mine @ v - its @ v).max() < 1e-13 * np.abs(its @ v).max()
+    assert np.abs(mine.T @ v - its.T @ v).max() < 1e-13 * np.abs(its @ v).max()
+
+
 class Rich:
     """All coordinates to and fro, with frequencies of their own."""
 
@@ -130,6 +142,14 @@ def test_the_sum_of_squares_of_adaptive_control_falls_in_each_step() -> None:
     total = kinetic[1:] + ((phi - true) ** 2 / gamma).sum(axis=-1)[:-1] / 2
     assert total[0] > 1
     assert (np.diff(total) < 0).all()
+
+
+def test_leakage_takes_estimates_back_to_the_first_at_its_rate() -> None:
+    controller, reference = pm.Adaptive(NOMINAL, gamma=0.0, leakage=0.5), SHORT(0.0)
+    change, *others = controller.initial_state(Context.of(NOMINAL, dt=0.01, t=np.array([0.0, 0.01])))
+    off = np.asarray(change) + np.array([6.0, 0.6, 0.3, 0.26])
+    _, (after, *_) = controller(0.0, reference.q, reference.v, reference, (off, *others))
+    np.testing.assert_allclose(after, (1 - 0.01 * 0.5) * off, rtol=1e-12)
 
 
 def test_the_observer_is_exact_for_constant_forces_and_as_fast_as_its_gain() -> None:
@@ -201,6 +221,16 @@ def test_all_engines_agree(name: str) -> None:
     close = 1e-9 if name == "super-twisting" else 1e-12
     for other in runs[1:]:
         assert np.abs(runs[0].rms_error - other.rms_error).max() < close
+
+
+def test_arms_are_adapted_too() -> None:
+    heavier = replace(ARM, {find(ARM, "forearm_link.mass").path: 4.0})
+
+    given: Any = {"dt": 0.01, "integrator": pm.rk4, "engine": pm.Engine.COMPILED}
+    fixed = pm.simulate(heavier, pm.Adaptive(ARM, gamma=0.0), Waving(ARM), **given)
+    adapted = pm.simulate(heavier, pm.Adaptive(ARM), Waving(ARM), **given)
+    worst = [np.abs(run.q - run.reference.q)[50:].max() for run in (fixed, adapted)]
+    assert worst[1] < 0.8 * worst[0]
 
 
 UNSTABLE: Any = [
