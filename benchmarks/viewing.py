@@ -168,7 +168,7 @@ def show_beside_stock(out: Console, rounds: int, count: int) -> None:
     from pinocchio.visualize import MeshcatVisualizer
 
     from pinmobile.viewer.pages import Visualizer
-    from pinmobile.viewer.server import LiveWindow
+    from pinmobile.viewer.window import LiveWindow
 
     robot, poses = MobileRobot.lecture(), circle(count)
     columns = [robot.model.names.tolist().index(name) - 1 for name in ("x", "y", "psi")]

@@ -27,7 +27,7 @@ from pinmobile import InvalidArgument
 from pinmobile.errors import ViewerError
 from pinmobile.viewer import server
 from pinmobile.viewer.pages import OfflineWindow, Visualizer, packed_array
-from pinmobile.viewer.server import LiveWindow
+from pinmobile.viewer.window import LiveWindow
 from tests.webclient import WebSocket, ask, eventually, listens, resident
 
 pytestmark = pytest.mark.once
@@ -83,7 +83,7 @@ def window() -> Iterator[OfflineWindow]:
 
 def run(script: str, **options: Any) -> "subprocess.Popen[str]":
     """Start a script that has a window `w` and says its port first."""
-    lines = "from pinmobile.viewer.server import LiveWindow\nw = LiveWindow()\nprint(w.port, flush=True)\n"
+    lines = "from pinmobile.viewer.window import LiveWindow\nw = LiveWindow()\nprint(w.port, flush=True)\n"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     command = [sys.executable, "-W", "error", "-c", lines + textwrap.dedent(script)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment, **options)
@@ -307,7 +307,7 @@ def test_fault_a_browser_that_stops_reading() -> None:
 
 
 def test_fault_a_browser_that_never_answers_a_capture(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "_CAPTURE", 0.2)
+    monkeypatch.setattr(sys.modules[LiveWindow.__module__], "_CAPTURE", 0.2)
     with LiveWindow() as w, WebSocket(w.url) as browser:
         assert w.wait(20)
         with pytest.raises(ViewerError, match=r"sent no picture within 0\.2 s"):

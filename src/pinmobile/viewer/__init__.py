@@ -8,7 +8,7 @@ from pinmobile.viewer.scene_tree import Arrows, FixedCamera, Follow, Overlays
 from pinmobile.viewer.viewer import Viewer
 
 if TYPE_CHECKING:
-    from pinmobile.viewer.server import LiveWindow
+    from pinmobile.viewer.window import LiveWindow
 
 __all__ = [
     "Arrows",
@@ -24,7 +24,7 @@ __all__ = [
 
 def __getattr__(name: str) -> object:
     if name == "LiveWindow":  # a recording needs no server
-        from pinmobile.viewer.server import LiveWindow
+        from pinmobile.viewer.window import LiveWindow
 
         return LiveWindow
     raise AttributeError(f"module 'pinmobile.viewer' has no attribute {name!r}")

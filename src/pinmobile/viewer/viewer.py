@@ -22,7 +22,7 @@ from pinmobile.viewer.scene import Scene
 from pinmobile.viewer.scene_tree import Overlays, Stage
 
 if TYPE_CHECKING:
-    from pinmobile.viewer.server import LiveWindow
+    from pinmobile.viewer.window import LiveWindow
 
 Rollouts: TypeAlias = Rollout | Mapping[str, Rollout]
 
@@ -76,7 +76,7 @@ class Viewer:
         self._recording: Recording | None = None
         self._window: LiveWindow | OfflineWindow = OfflineWindow()
         if live:
-            from pinmobile.viewer.server import LiveWindow  # here, since a recording needs no server
+            from pinmobile.viewer.window import LiveWindow  # here, since a recording needs no server
 
             self._window = LiveWindow(host, port)
 
