@@ -321,6 +321,14 @@ def test_a_robot_that_stands_can_be_recorded(
     assert sees(page, BLUE, projected(page, side(viewer.plant, np.zeros(3))))
 
 
+def test_overlays_are_equal_by_value() -> None:
+    def given() -> Overlays:
+        return Overlays(arrows=Arrows(0.5), camera=FixedCamera((1.0, 2.0, 3.0), (0.0, 0.0, 0.0)))
+
+    assert given() == given()
+    assert len({given(), given(), Overlays(), Overlays(trail=False)}) == 3
+
+
 def test_a_page_is_one_file_that_names_no_other(
     viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path
 ) -> None:

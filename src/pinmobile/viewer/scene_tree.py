@@ -12,7 +12,7 @@ from pinocchio.visualize import MeshcatVisualizer
 from pinmobile.arrays import Array, sequence
 from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.parts import array, child, number, option, part
+from pinmobile.parts import array, by_value, child, number, option, part
 from pinmobile.robot import BODY
 from pinmobile.viewer.motion import Channel, Drawn
 from pinmobile.viewer.pages import Content, Visualizer
@@ -36,6 +36,7 @@ class View(NamedTuple):
     target: Array
 
 
+@by_value
 @part
 class FixedCamera:
     """A camera that stays; by default where it sees all of the paths."""
@@ -44,6 +45,7 @@ class FixedCamera:
     target: Any = array(default=None, shapes=((3,),), unit="m", doc="at what one looks")
 
 
+@by_value
 @part
 class Follow:
     """A camera that moves along with the robot, without turning."""
@@ -51,6 +53,7 @@ class Follow:
     distance: float = number(default=4.0, above=0.0, unit="m", doc="distance from the robot")
 
 
+@by_value
 @part
 class Arrows:
     """Force on the base as an arrow and moment as an arc, to scale; those of arms are not drawn.
@@ -74,6 +77,7 @@ def _tables(name: str, value: Any) -> tuple[DHTable, ...]:
     return tuple(value)
 
 
+@by_value
 @part
 class Overlays:
     """What is shown beside the robot.
