@@ -256,7 +256,7 @@ _TRUNCATION = 1e-17
 
 
 @dataclass(frozen=True, eq=False)
-class MotionLimit:
+class DirectionLimit:
     """The direction of motion at one end of a leg, and near it where the path rests there.
 
     Parameters
@@ -282,8 +282,8 @@ class MotionLimit:
 class Leg:
     """A stretch of path between knots and rests."""
 
-    head: MotionLimit
-    tail: MotionLimit
+    head: DirectionLimit
+    tail: DirectionLimit
 
 
 class Hodograph:
@@ -391,15 +391,15 @@ def _leg(piece: Piece, start: float, end: float, scales: _Scales, index: int) ->
     return Leg(*(_limit(piece, t, side, half, scales, index) for t, side in ((start, 1), (end, -1))))
 
 
-def _limit(piece: Piece, t: float, side: int, room: float, scales: _Scales, index: int) -> MotionLimit:
+def _limit(piece: Piece, t: float, side: int, room: float, scales: _Scales, index: int) -> DirectionLimit:
     k = _rest_order(piece, t, scales, index)
     if not k:
         v, a, jerk = (piece.derivative(t, order) for order in (1, 2, 3))
-        return MotionLimit(t, np.array([v, a, jerk / 2]), -1.0, float(np.linalg.norm(v)))
+        return DirectionLimit(t, np.array([v, a, jerk / 2]), -1.0, float(np.linalg.norm(v)))
     orders = range(k, k + _TERMS)
     series = np.array([piece.derivative(t, m + 1) / factorial(m) for m in orders]) * side**k
     series = series / np.linalg.norm(series[0])
-    return MotionLimit(t, series, min(room, _reach(series)), 0.0)
+    return DirectionLimit(t, series, min(room, _reach(series)), 0.0)
 
 
 def _reach(series: Array) -> float:
@@ -421,7 +421,7 @@ def _with_dwells(legs: list[Leg | None], spans: list[tuple[float, float]]) -> li
     held = next(leg for leg in legs if leg is not None).head.series[:1]
     whole: list[Leg] = []
     for leg, (start, end) in zip(legs, spans, strict=True):
-        filled = leg or Leg(MotionLimit(start, held, inf, 0.0), MotionLimit(end, held, -1.0, 0.0))
+        filled = leg or Leg(DirectionLimit(start, held, inf, 0.0), DirectionLimit(end, held, -1.0, 0.0))
         held = filled.tail.series[:1]
         whole.append(filled)
     return whole

@@ -17,9 +17,9 @@ from pinmobile.parts import child, number, part
 from pinmobile.paths import Path, Value, within
 from pinmobile.trajectories.direction import (
     STANDSTILL,
+    DirectionLimit,
     Hodograph,
     Leg,
-    MotionLimit,
     halve,
     heading,
     hodograph,
@@ -122,7 +122,7 @@ def _jump(before: Leg, after: Leg, psi_before: float, psi_after: float) -> _Jump
     )
 
 
-def _derivatives(limit: MotionLimit, psi: float) -> Array:
+def _derivatives(limit: DirectionLimit, psi: float) -> Array:
     u, du, half = np.concatenate([limit.series, np.zeros((2, 2))])[:3]
     _, rate, acceleration = heading(u, du, 2 * half)
     return np.array([psi, rate, acceleration])
