@@ -78,8 +78,8 @@ def motion(seed: int) -> Excitation:
     b = raw[:, 1] / order
     b = b - order * (order * b).sum(axis=0) / (order**2).sum()
     shape = Excitation(np.stack([a, b], 1), 20.0, 60.0)
-    max_path_speed = np.abs(shape(np.linspace(0, 20, 400)).v).max(axis=0)
-    return Excitation(np.stack([a, b], 1) * np.array([1.5, 1.2, 1.2]) / max_path_speed, 20.0, 60.0)
+    fastest = np.abs(shape(np.linspace(0, 20, 400)).v).max(axis=0)
+    return Excitation(np.stack([a, b], 1) * np.array([1.5, 1.2, 1.2]) / fastest, 20.0, 60.0)
 
 
 def made(case: Case, seed: int) -> pm.Log:

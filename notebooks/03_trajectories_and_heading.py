@@ -262,8 +262,8 @@ for name, path in all_paths.items():
     step = times[1]
     jump_right = np.abs(np.diff(q[:, 2])).max()
     jump_lecture = np.abs(np.diff(LectureHeading(path)(t).q[:, 2])).max()
-    max_path_speed = np.abs(v[:, 2]).max()
-    assert jump_right < 1.01 * max_path_speed * step + 1e-12, f"the heading jumps: {name}"
+    fastest = np.abs(v[:, 2]).max()
+    assert jump_right < 1.01 * fastest * step + 1e-12, f"the heading jumps: {name}"
     print(f"{name:18} {np.degrees(jump_lecture):9.1f} {np.degrees(jump_right):7.2f}")
     if path is not circle:
         assert jump_lecture > np.radians(80), f"the lecture's heading does not jump: {name}"

@@ -95,10 +95,10 @@ def test_velocity_is_continuous_at_the_via_and_acceleration_where_the_velocity_i
     for order in (1, 2) if path.via_velocity is None else (1,):
         left, right = before.derivative(path.t_via, order), after.derivative(path.t_via, order)
         # The durations can be a thousandfold apart: the scale is that of the steeper piece.
-        max_slope = max(
+        steepest = max(
             np.abs(piece.derivative([piece.start, piece.end], order)).max() for piece in path.pieces
         )
-        np.testing.assert_allclose(left, right, rtol=0, atol=1e-13 * max(max_slope, 1.0))
+        np.testing.assert_allclose(left, right, rtol=0, atol=1e-13 * max(steepest, 1.0))
 
 
 def test_the_lecture_s_via_free_coefficients() -> None:

@@ -477,8 +477,8 @@ class Adaptive(OfBody):
         tau = passive_torque(robot, q, v, velocity, acceleration) + self.kd * s
         tau = tau + np.sum(Y * change[..., None, :], axis=-1)
         grown = self.gamma * np.sum(Y * s[..., :, None], axis=-2) - self.leakage * change
-        is_identifiable = np.sum(s * s, axis=-1, keepdims=True) >= np.asarray(self.dead_zone)[..., None] ** 2
-        return tau, (self._possible(change + np.where(is_identifiable, dt * grown, 0.0)), change, tau, dt)
+        adapts = np.sum(s * s, axis=-1, keepdims=True) >= np.asarray(self.dead_zone)[..., None] ** 2
+        return tau, (self._possible(change + np.where(adapts, dt * grown, 0.0)), change, tau, dt)
 
     def _possible(self, change: Array) -> Array:
         """Return the estimates in their bounds."""

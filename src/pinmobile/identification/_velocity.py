@@ -127,8 +127,8 @@ class VelocityModel:
         others, theta = self.others(p), p[:, :6]
         numbers = np.column_stack([theta, others["ahead"], *(others[name] for name in _LIMITS)])[:, None]
         bends = _BENDS if np.isfinite(numbers[..., 7:]).any() else 1
-        max_path_speed = bends * (theta[:, [3, 5]] / theta[:, [0, 1]]).max()
-        longest = self.dt / float(np.clip(self.dt * max_path_speed / _FINE, 1, _MOST_STEPS))
+        fastest = bends * (theta[:, [3, 5]] / theta[:, [0, 1]]).max()
+        longest = self.dt / float(np.clip(self.dt * fastest / _FINE, 1, _MOST_STEPS))
         return numbers, others["delay"] / self.dt, longest
 
     def rates(self, z: Any, u: Any, numbers: Any) -> Any:

@@ -281,8 +281,8 @@ def _rate(
 
     The path q + v s + a s^2 / 2 has the state's velocity and acceleration; the rate hangs on nothing else.
     """
-    max_path_speed = 1 + np.abs(v[:, 2:]).max(-1) + np.sqrt(np.abs(a[:, 2:]).max(-1))
-    h = (_STEP / max_path_speed)[:, None]
+    fastest = 1 + np.abs(v[:, 2:]).max(-1) + np.sqrt(np.abs(a[:, 2:]).max(-1))
+    h = (_STEP / fastest)[:, None]
 
     def at(s: float) -> Array:
         moved = wheeled.integrate(q, s * h * v + (s * h) ** 2 / 2 * a)
