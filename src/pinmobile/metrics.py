@@ -190,5 +190,7 @@ def evaluate_metrics_of(plant: Any, t: Any, q: Any, v: Any, a: Any, u: Any, refe
     copies = type(reference)(*(x.copy() for x in reference))
     found = plant.evaluate_metrics(t, q.copy(), v.copy(), a.copy(), u.copy(), copies)
     words = ": a number for each metric"
-    asked = f"what measured(t, q, v, a, u, reference) of the plant, a {type(plant).__name__}, returned,"
+    asked = (
+        f"what evaluate_metrics(t, q, v, a, u, reference) of the plant, a {type(plant).__name__}, returned,"
+    )
     return shaped(asked, found, (*np.shape(v)[:-1], len(plant.metrics)), words=words)

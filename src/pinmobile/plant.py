@@ -84,8 +84,8 @@ class Plant(Protocol):
 
     - `Stepping`: ``step(t, q, v, u, h, f, memory)`` replaces integrator and ``forward_dynamics``.
     - `Constrained`: ``project(q, v)`` keeps velocities on constraints such as rolling.
-    - `Pushable`: ``pose(q)``, ``pose_rate(q, v)`` and ``generalized_force(q, wrench)`` let forces act on the
-    body.
+    - `Pushable`: ``pose(q)``, ``pose_rate(q, v)`` and ``generalized_force(q, wrench)`` let forces act on
+      the body.
     - `Starting`: ``start(reference)`` completes the first sample of a reference.
     - `Remembering`: ``initial_state(context)`` is the memory before the first sample.
     - `Measuring`: ``metrics`` and ``evaluate_metrics(...)`` are metrics, of which ensembles keep the worst.

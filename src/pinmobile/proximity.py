@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
+from types import MappingProxyType
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -157,7 +158,7 @@ class _Choice:
 
     scene: _Scene
     pairs: tuple[_Numbers, ...]
-    left_out: dict[Pair, str]
+    left_out: Mapping[Pair, str]
 
 
 def _choice(robot: Any) -> _Choice:
@@ -193,7 +194,7 @@ def _chosen(robot: Any) -> _Choice:
             if not touches:
                 left_out[scene.named(pair)] = _APART
     counted = tuple(pair for pair in pairs if scene.named(pair) not in left_out)
-    return _Choice(scene, counted, left_out)
+    return _Choice(scene, counted, MappingProxyType(left_out))
 
 
 def _why_not(solids: Solids, scene: _Scene, pair: _Numbers) -> str:

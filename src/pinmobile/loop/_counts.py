@@ -69,7 +69,7 @@ class Part(NamedTuple):
             np.sqrt(record["squares"] / kept),
             record["inputs"].copy(),
             record.get("worst", none) * signs,
-            np.sqrt(record.get("measure_squares", none) / kept),
+            np.sqrt(record.get("metric_squares", none) / kept),
             counts,
         )
 

@@ -135,8 +135,8 @@ class Outline:
         Name and unit of those that the reference has.
     inputs : tuple of Input
         Name and unit of the plant's.
-    judged : tuple of Metric
-        What of the plant is judged beside errors.
+    recorded_metrics : tuple of Metric
+        Those of the plant, beside errors.
     n, seed, dt, substeps, limit, after, every : number
         As given.
     t : ndarray, shape (N + 1,)

@@ -113,9 +113,8 @@ class Ensemble:
         Largest |input| from the start on, such as [N, N, N m]; of a diverged robot until then, NaN where
         there is none. `Scenario.coordinates` and `Scenario.inputs` have names and units.
     worst_metric, rms_metric : ndarray, shape (n, j)
-        Worst, and root of the mean square, of what else is judged, `Scenario.recorded_metrics`: the largest
-        size, or
-        the smallest margin, likewise from `Scenario.after` on.
+        Worst, and root of the mean square, of each of `Scenario.recorded_metrics`: the largest size, or the
+        smallest margin, likewise from `Scenario.after` on.
     diverged_at : ndarray, shape (n,)
         When the loop diverged [s]; NaN where it did not.
     counts : ndarray of int, shape (G, channels, BINS)

@@ -87,12 +87,14 @@ class Loop:
     @cached_property
     def law(self) -> Any:
         """The dynamics as a loop calls them, unchecked where the plant offers that."""
-        return stated(self.plant, "law") or self.plant
+        own = stated(self.plant, "law")
+        return self.plant if own is None else own
 
     @cached_property
     def integrate(self) -> Callable[[Any, Any], Any]:
         """Function of a configuration and a displacement."""
-        return stated(self.law, "integrate") or np.add
+        own = stated(self.law, "integrate")
+        return np.add if own is None else own
 
     @cached_property
     def steps(self) -> bool:

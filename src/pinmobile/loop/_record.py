@@ -54,14 +54,14 @@ class Worst:
             "farthest": np.zeros(farthest),  # squared
             "squares": np.zeros(n),
             "inputs": np.zeros(nu),
-            **self._unmeasured(),
+            **self._no_metrics(),
         }
 
-    def _unmeasured(self) -> dict[str, Array]:
+    def _no_metrics(self) -> dict[str, Array]:
         if not self.metrics:
             return {}
         worst = np.array([-np.inf if is_margin else 0.0 for _, is_margin in self.metrics])
-        return {"worst": worst, "measure_squares": np.zeros(len(worst))}  # margins: the largest -m
+        return {"worst": worst, "metric_squares": np.zeros(len(worst))}  # margins: the largest -m
 
     def __call__(self, sample: Sample, state: Mapping[str, Any]) -> Record:
         """Return the record with one more sample."""
@@ -100,16 +100,16 @@ class Worst:
         """Return what is kept of the plant's metrics, and their sizes."""
         columns = [(sample.measured[..., i], is_margin) for i, is_margin in self.metrics]
         bad = [-x if is_margin else np.abs(x) for x, is_margin in columns]
-        before = {name: state[name] for name in ("worst", "measure_squares")}
+        before = {name: state[name] for name in ("worst", "metric_squares")}
         if self.begin is not None:  # what was infinite before is forgotten, too
-            first = self._unmeasured()
+            first = self._no_metrics()
             before = {name: np.where(sample.k == self.begin, first[name], x) for name, x in before.items()}
         lives = alive[..., None]
-        worst = np.where(lives, np.stack(bad, axis=-1), self._unmeasured()["worst"])
+        worst = np.where(lives, np.stack(bad, axis=-1), self._no_metrics()["worst"])
         squares = np.where(lives, np.stack([x * x for x, _ in columns], axis=-1), 0.0)
         kept = {
             "worst": _larger(worst, before["worst"]),
-            "measure_squares": before["measure_squares"] + squares,
+            "metric_squares": before["metric_squares"] + squares,
         }
         sizes = [
             np.where(alive, size_of(x) if is_margin else y, 0.0 if is_margin else np.inf)

@@ -249,7 +249,7 @@ class Scenario:
 
     @property
     def channels(self) -> tuple[Metric, ...]:
-        """Metrics with bands over time: distance, heading, errors of further coordinates, and others."""
+        """Metrics with bands over time: distance, heading, errors of more coordinates, recorded metrics."""
         return channels_of(self.coordinates, self.recorded_metrics)
 
     @cached_property

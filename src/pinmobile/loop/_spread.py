@@ -256,8 +256,7 @@ def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str
         If there is no such number.
     InvalidArgument
         If a source is no distribution, number, array of shape (n,), `Relative` or `SameAs`, or is circular,
-        or
-        two names mean one number.
+        or two names mean one number.
     """
     check_mapping(spread)
     found, named = {}, dict[str, str]()

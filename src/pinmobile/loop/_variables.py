@@ -59,7 +59,7 @@ class Variable(NamedTuple):
 _UNTIL = "of a diverged robot until then"
 _SINCE = f"from the scenario's `after` on, {_UNTIL}"
 _EACH, _EACH_COORDINATE, _EACH_INPUT = ("robot",), ("robot", "coordinate"), ("robot", "input")
-_EACH_MEASURE = ("robot", "metric")
+_EACH_METRIC = ("robot", "metric")
 PER_ROBOT = (
     *("max_error", "rms_error", "max_input", "max_distance", "diverged_at"),
     *("worst_metric", "rms_metric"),
@@ -87,8 +87,8 @@ def per_robot(scenario: Scenario | Outline) -> dict[str, Variable]:
     if scenario.recorded_metrics:
         worst = f"largest size, or smallest margin, of what else is judged, {_SINCE}"
         each = ", ".join(one.worst for one in scenario.recorded_metrics)
-        found["worst_metric"] = Variable(_EACH_MEASURE, units, worst, each)
-        found["rms_metric"] = Variable(_EACH_MEASURE, units, f"root of its mean square, {_SINCE}")
+        found["worst_metric"] = Variable(_EACH_METRIC, units, worst, each)
+        found["rms_metric"] = Variable(_EACH_METRIC, units, f"root of its mean square, {_SINCE}")
     return found
 
 

@@ -77,7 +77,7 @@ class Remembering(Protocol):
 
 
 class Measuring(Protocol):
-    """a plant with metrics: metrics, and evaluate_metrics(t, q, v, a, u, reference).
+    """A plant with metrics: metrics, and evaluate_metrics(t, q, v, a, u, reference).
 
     Ensembles keep the worst value of each metric beside the errors.
     """

@@ -1,4 +1,4 @@
-"""Public names as files and commands use them: parts, what makes them, their arguments, and constants."""
+"""Public names as files and commands use them: parts, their arguments, constants; values from their text."""
 
 from __future__ import annotations
 

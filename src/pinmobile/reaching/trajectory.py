@@ -210,13 +210,11 @@ def solve_inverse_kinematics(
         Weight of a displacement beside the error [m/rad], > 0.
     tolerance : float
         Largest distance and largest angle that are accepted, as of `InverseKinematicsTrajectory.max_error`
-        [m, rad]; infinite:
-        any, see `InverseKinematicsTrajectory.error`.
+        [m, rad]; infinite: any, see `InverseKinematicsTrajectory.error`.
     clearance : float, optional
         Smallest distance between links, and from them to the ground, that is accepted, >= 0 [m],
-        see
-        `clearance`; by default any, even through the robot's own body:
-        `InverseKinematicsTrajectory.clearance` tells.
+        see `clearance`; by default any, even through the robot's own body, see
+        `InverseKinematicsTrajectory.clearance`.
 
     Returns
     -------

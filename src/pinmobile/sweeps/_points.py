@@ -1,4 +1,4 @@
-"""Points of a sweep: a scenario with other values at some paths, along named axes."""
+"""Points of a sweep: a scenario with other values at some paths, along named axes; its fingerprint."""
 
 from __future__ import annotations
 
