@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import vectorize
+from pinmobile.compiled import entries, repeated, symbols
+from pinmobile.compiled.recurrence import Recurrence
 
 _SLOPE = 1e-4  # of the size of a first state, by which differences are taken
 _LEAST_SIZE = 1e-3  # of an input, as a share of the largest
-_UNROLLED = 8  # integration steps per call of machine code
+_MOST_STEPS = 10**9  # of integration in a sample: their number is in the row of the robot
 
 
 class Segments(NamedTuple):
@@ -145,22 +146,33 @@ class Model(Protocol):
 
 
 @lru_cache(64)
-def _advance(law: Callable[..., Any], steps: int, *sizes: int) -> Callable[..., Array]:
-    """Return some steps of Runge's and Kutta's fourth order with constant input, compiled."""
+def _recurrence(law: Callable[..., Any], sizes: tuple[int, int, int]) -> Recurrence:
+    """Return a sample, with the input before and then its own, each for steps of a length and in a number."""
 
-    def advance(z: Any, u: Any, numbers: Any, span: Any) -> Any:
-        h = span[0]
-        for _ in range(steps):
-            a = law(z, u, numbers)
-            b = law(z + h / 2 * a, u, numbers)
-            c = law(z + h / 2 * b, u, numbers)
-            z = z + h / 6 * (a + 2 * (b + c) + law(z + h * c, u, numbers))
+    def sample(z: Any, u: Any, numbers: Any) -> Any:
+        m = len(u) // 2
+        for own, h, count in ((u[:m], numbers[0], numbers[1]), (u[m:], numbers[2], numbers[3])):
+            z = _advanced(law, z, own, numbers[4:], h, count)
         return z
 
-    compiled = vectorize(advance, checked=False)
-    numbers = [np.full((1, 1, size), 0.1) for size in sizes]
-    compiled(*numbers, np.full((1, 1, 1), 1e-6))  # compares itself with numbers that do not diverge
-    return compiled
+    n, m, k = sizes
+    return Recurrence(sample, (n, 2 * m, k + 4))
+
+
+def _advanced(law: Callable[..., Any], z: Any, u: Any, numbers: Any, h: Any, count: Any) -> Any:
+    """Return a state of symbols after `count` steps of Runge's and Kutta's fourth order of length h."""
+
+    def step(given: list[Any]) -> tuple[list[Any], Any]:
+        *state, left = given
+        z = symbols(state, (len(state),))
+        a = law(z, u, numbers)
+        b = law(z + h / 2 * a, u, numbers)
+        c = law(z + h / 2 * b, u, numbers)
+        after = z + h / 6 * (a + 2 * (b + c) + law(z + h * c, u, numbers))
+        return [*entries(after), left - 1.0], left <= 1.0
+
+    left = entries(count).item()
+    return symbols(repeated(step, [*entries(z), left], _MOST_STEPS, left <= 0.0)[:-1], z.shape)
 
 
 @np.errstate(all="ignore")  # a robot that is tried may diverge
@@ -170,27 +182,24 @@ def simulate(model: Model, segments: Segments, p: Array, starts: Array) -> Array
     Of each sample the input before acts for the fraction of a sample in the delay, then the sample's own.
     """
     numbers, late, longest = model.resolved(segments, p)
-    lag, length = np.floor(late + 1e-9).astype(int), segments.y.shape[1]
+    (V, S, n), K = starts.shape, segments.y.shape[1] - 1
+    lag = np.floor(late + 1e-9).astype(int)
     share = np.maximum(late - lag, 0.0)
     lag = lag[:1] if (lag == lag[0]).all() else lag
-    parts = []
+    inputs, rows = [], []
     for before, part in ((1, share), (0, 1 - share)):
         span = part[:, None, None] * segments.dt[:, None]
-        count = int(np.ceil(span.max() / longest - 1e-9))
-        calls = -(-count // _UNROLLED)
-        if calls:
-            u, steps = segments.applied(lag + before, length - 1), -(-count // calls)
-            advance = _advance(model.rates, steps, starts.shape[-1], u.shape[-1], numbers.shape[-1])
-            parts.append((advance, u, calls, span / (calls * steps)))
-    states = np.empty((length, len(p), *starts.shape[-2:]))
-    states[0] = starts
-    for k in range(length - 1):
-        z = states[k]
-        for advance, u, calls, h in parts:
-            for _ in range(calls):
-                z = advance(z, u[:, :, k], numbers, h)
-        states[k + 1] = z
-    return np.moveaxis(model.observed(segments, states), 0, 2)
+        count = np.ceil(span.max() / longest - 1e-9)
+        inputs.append(segments.applied(lag + before, K))
+        rows += [span / max(count, 1.0), np.full((1, 1, 1), count)]
+    u, m = np.moveaxis(np.concatenate(inputs, axis=-1), 2, 0), inputs[0].shape[-1]
+    each = np.concatenate([np.broadcast_to(x, (V, S, x.shape[2])) for x in (*rows, numbers)], axis=2)
+    states = _recurrence(model.rates, (n, m, numbers.shape[2]))(
+        starts.reshape(V * S, n),
+        np.broadcast_to(u, (K, V, S, 2 * m)).reshape(K, V * S, 2 * m),
+        each.reshape(V * S, -1),
+    )
+    return model.observed(segments, states.reshape(V, S, K + 1, n))
 
 
 def linearize(model: Model, segments: Segments, p: Array, starts: Array) -> tuple[Array, Array]:
