@@ -13,6 +13,9 @@ help: ## say what there is
 demo: $(BIN)/.installed ## the whole lecture: derivation, verification, six runs, figures under out/
 	$(BIN)/pinmobile lecture
 
+# Each processor has a test: threads of linear algebra would only wait for one another.
+test test-all: export OPENBLAS_NUM_THREADS = 1
+
 test: $(BIN)/.installed-test ## the tests on all processors, without the long ones
 	$(BIN)/python -m pytest -n logical --dist loadgroup --no-loadscope-reorder -m "not long" $(ARGS)
 
