@@ -7,11 +7,9 @@ With `--only`, just those in which somebody has such a word in the name, and of 
 import sys
 from collections.abc import Sequence
 
-import arm
 import arm_ensembles
 import batches
 import calls
-import controllers
 import ensembles
 import identification
 import imports
@@ -20,14 +18,12 @@ import mpc
 import rollout
 import viewing
 import wheels
-import wheels_control
 from measuring import picked, selecting
 
 import memory
 
 PARTS = (
     rollout,
-    arm,
     ensembles,
     arm_ensembles,
     loop,
@@ -37,14 +33,11 @@ PARTS = (
     wheels,
     mpc,
     identification,
-    wheels_control,
-    controllers,
     viewing,
     imports,
 )
 PEOPLE = {
     rollout: rollout.EVERYONE,
-    arm: arm.EVERYONE,
     ensembles: ensembles.EVERYONE,
     arm_ensembles: arm_ensembles.EVERYONE,
     loop: loop.EVERYONE,

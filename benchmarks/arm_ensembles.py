@@ -23,14 +23,13 @@ from rich.console import Console
 SIZES, QUICK_SIZES = (1, 100, 10_000), (1, 20)
 LONGEST, QUICK_LONGEST = 60.0, 0.05  # a turn [s]
 STEP, RK4, AVX2 = "pinmobile ensemble", "pinmobile ensemble, rk4", "pinmobile ensemble, code for AVX2"
-C, LOOP = "C of the same tape, AVX-512", "Pinocchio, loop in Python"
+LOOP = "Pinocchio, loop in Python"
 PARALLEL, MUJOCO = "Pinocchio, rnea and aba in parallel", "mujoco.rollout, open loop"
 ASKED = (  # ours, the peer, robots, and how many times as fast ours is to be at least
     (STEP, PARALLEL, 10_000, 50),
     (STEP, MUJOCO, 10_000, 35),
     (RK4, PARALLEL, 10_000, 15),
     (AVX2, PARALLEL, 10_000, 25),
-    (STEP, C, 10_000, 0.85),
     (STEP, LOOP, 1, 15),
 )
 LIMITS = {"a new robot: nothing compiled": 0.5, "a known one: with its file": 0.02}  # [s]

@@ -10,12 +10,16 @@ from math import remainder, tau
 
 import numpy as np
 import pinocchio as pin
-from arm_task import AT, KD, KP, MASS, PERIOD, RADIUS, RATE, SIZE, WAY
 from ensemble_contestants import Entrant
 from example_robot_data import load
 from fleet import Figures
 
 DT = 0.001  # [s]
+KP, KD = 100.0, 20.0  # of computed torque
+RADIUS, RATE = 1.0, 0.5  # of the circle [m], [rad/s]
+WAY, PERIOD = 0.5, 6.0  # every joint goes so far and back [rad], [s]
+MASS, SIZE = 30.0, (0.6, 0.4, 0.2)  # of the base, a homogeneous box on the ground [kg], [m]
+AT = (0.1, -0.05, 0.2, 0.4)  # where the arm stands on it: x, y, z, yaw [m, m, m, rad]
 TIPS = {"ur5": "tool0", "panda": "panda_hand_tcp"}  # frames that the payload is fixed to
 PAYLOAD, SIDE, LEVER = 1.0, 0.1, (0.0, 0.0, 0.05)  # nominal: of a cube [kg, m], and where its middle is [m]
 MIDDLE = 0.0, 0.0, SIZE[2] / 2  # of the base [m]

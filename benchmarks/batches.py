@@ -2,9 +2,9 @@
 
 Usage: python benchmarks/batches.py [--quick] [--rounds N] [--only WORD ...]
 
-The robot is that of `arm.py`. What a batch returns is compared with M, n and a linear solve before it is
-timed; a peer's own loop over the states, and handing over each, are part of it. What the first call takes,
-which compiles, is told apart.
+The robot is the nominal one of `arm_fleet.py`. What a batch returns is compared with M, n and a
+linear solve before it is timed; a peer's own loop over the states, and handing over each, are part of it.
+What the first call takes, which compiles, is told apart.
 """
 
 import os
@@ -12,15 +12,17 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from time import perf_counter
+from typing import Any
 
 import numpy as np
-from arm_task import SIZE_V
+from arm_fleet import ArmFleet, built
 from contestants import MUJOCO, PINMOBILE, PYTHON, Peer
 from measuring import Row, about, console, interleaved, median_time, picked, say, selecting, table
 from task import TOLERANCE
 
 Batch = Callable[..., np.ndarray]
 GIVEN = {"M": 1, "inverse": 3, "forward": 3}  # how many of q, v and a
+NV = 9
 FEW = 499  # states that pinmobile asks Pinocchio for, one after another
 
 
@@ -34,9 +36,9 @@ class Batcher:
 
 
 def of_pinmobile() -> dict[str, Batch]:
-    from arm_contestants.of_pinmobile import build
+    from arm_ensemble_contestants.of_pinmobile import words
 
-    robot = build()
+    robot: Any = words(ArmFleet(1))["robot"]
     return {"M": robot.mass_matrix, "inverse": robot.inverse_dynamics, "forward": robot.forward_dynamics}
 
 
@@ -55,9 +57,8 @@ def one_by_one() -> dict[str, Batch]:
 
 def of_pinocchio() -> dict[str, Batch]:
     import pinocchio as pin
-    from arm_contestants.of_pinocchio import build
 
-    model = build()
+    model = built("ur5")
     data = model.createData()
 
     def looped(function: Callable[..., np.ndarray], size: tuple[int, ...]) -> Batch:
@@ -80,10 +81,9 @@ def of_pinocchio() -> dict[str, Batch]:
 def in_parallel() -> dict[str, Batch]:
     """Return Pinocchio's functions that have threads of their own; none is of M."""
     import pinocchio as pin
-    from arm_contestants.of_pinocchio import build
 
     workers = os.cpu_count() or 1
-    pool = pin.ModelPool(build(), workers)
+    pool = pin.ModelPool(built("ur5"), workers)
 
     def turned(function: Callable[..., np.ndarray]) -> Batch:
         return lambda *given: function(workers, pool, *(x.T for x in given)).T
@@ -93,9 +93,9 @@ def in_parallel() -> dict[str, Batch]:
 
 def of_mujoco() -> dict[str, Batch]:
     import mujoco
-    from arm_contestants.of_mujoco import build
+    from arm_ensemble_contestants.of_mujoco import build
 
-    model, data = build(0.001)
+    model, data = build(0.001, built("ur5"))
     position, velocity, acceleration = data.qpos, data.qvel, data.qacc
 
     def M(q: np.ndarray) -> np.ndarray:
@@ -178,16 +178,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def states(n: int) -> tuple[np.ndarray, ...]:
     """Return q, v and a, shape (n, 9) each: any posture, and what an arm is asked for."""
     rng = np.random.default_rng(1)
-    return rng.uniform(-np.pi, np.pi, (n, SIZE_V)), *rng.normal(size=(2, n, SIZE_V))
+    return rng.uniform(-np.pi, np.pi, (n, NV)), *rng.normal(size=(2, n, NV))
 
 
 def expected(given: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
     """Return what must come out, by another way than rnea and aba."""
-    from arm_contestants.of_pinocchio import terms
+    import pinocchio as pin
 
-    made = terms()
-    each = [tuple(map(np.copy, made(q, v))) for q, v in zip(*given[:2], strict=True)]
-    M, n = np.array([M for M, _ in each]), np.array([n for _, n in each])
+    model = built("ur5")
+    data = model.createData()
+    M = np.array([pin.crba(model, data, q) for q in given[0]])
+    n = np.array([pin.nle(model, data, q, v) for q, v in zip(*given[:2], strict=True)])
     a = given[2]
     forward = np.linalg.solve(M, (a - n)[..., None])[..., 0]
     return {"M": M, "inverse": (M @ a[..., None])[..., 0] + n, "forward": forward}

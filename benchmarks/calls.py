@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from timeit import Timer
 
 import numpy as np
-from contestants import DRAKE, MUJOCO, NUMPY, PINMOBILE, PYBULLET, PYTHON, TOOLBOX, Contestant
+from contestants import MUJOCO, NUMPY, PINMOBILE, PYTHON, TOOLBOX, Contestant
 from measuring import about, console, interleaved, picked, say, selecting, table
 from task import TOLERANCE, Body, forward_dynamics, mass_matrix, nonlinear_effects
 
@@ -28,13 +28,10 @@ RIGHT = {
 }
 PEOPLE = (
     Contestant("pinmobile", PINMOBILE, "of_pinmobile"),
-    Contestant("pinmobile, unchecked", PINMOBILE, "unchecked"),
     Contestant("Pinocchio", PYTHON, "raw_pinocchio"),
     Contestant("closed form in numpy", NUMPY, "closed_form"),
     Contestant("MuJoCo", MUJOCO, "of_mujoco"),
-    Contestant("Drake", DRAKE, "of_drake"),
     Contestant("Robotics Toolbox", TOOLBOX, "of_toolbox"),
-    Contestant("PyBullet", PYBULLET, "of_pybullet"),
 )
 
 

@@ -4,9 +4,7 @@ Usage: python benchmarks/identification.py [--quick] [--runs N] [--only WORD ...
 
 Logs of 60 s of a body with ten unknown parameters, each run with a motion and noise of its own; `--runs 60`
 tells coverage to about two in a hundred. Beside `identify`: least squares as most write it, that is central
-differences, one fit and the covariance of white residuals; and where it is installed, the intervals that
-mujoco.sysid gives to the simulations that `identify` ends with (its joints have no friction along the body's
-axes, so the model is ours).
+differences, one fit and the covariance of white residuals.
 Of each: the share of runs whose interval holds the true parameter, averaged over the parameters; how wide
 intervals are beside 1.96 times the errors' root mean square (1: as needed); and seconds of the processor, at
 100 Hz those of 6,000 samples.
@@ -16,7 +14,6 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import import_module
 from time import process_time
 from typing import Any
 
@@ -25,12 +22,8 @@ from measuring import about, console, picked, say, selecting, table
 
 import pinmobile as pm
 from pinmobile.identification import Excitation
-from pinmobile.identification._estimator import solve
-from pinmobile.identification._planar_problem import PlanarProblem
-from pinmobile.identification._preprocessing import PreprocessedLog
 
 RUNS, QUICK_RUNS = 2, 1
-SEGMENT = 2.0  # [s]
 NOISE = 1e-3  # [m, m, rad]
 FORCE_NOISE = (1.0, 1.0, 0.15)  # [N, N, N m]
 TOLD = {
@@ -158,31 +151,6 @@ def by_least_squares(log: pm.Log) -> Answer:
     return told, np.column_stack([told - half, told + half]), 0.0
 
 
-def by_sysid(log: pm.Log) -> Answer:
-    """Return the estimates and delay of `identify` with the intervals of mujoco.sysid."""
-    from mujoco.sysid import calculate_intervals
-
-    found = found_in(log, "output error")
-    segments = PreprocessedLog.of(log, found.model, np.zeros(4)).segments(
-        found.model, found.delay / found.dt, SEGMENT, rates=False
-    )
-    scales = np.sqrt(np.diag(found.covariance_of_phi))
-    search = PlanarProblem(found.model, found.phi, np.diag(scales), found.delay / found.dt)
-    near = solve(search, segments, search.start, moves=False).near
-    slopes = np.linalg.inv(found.model.slopes(found.phi) * scales)
-    _, half = calculate_intervals([near.e.ravel()], near.J.reshape(-1, len(scales)) @ slopes)
-    told = np.array(list(found.parameters.values()))
-    return told[:10], np.column_stack([told - half, told + half])[:10], found.delay / found.dt
-
-
-def sysid_is_there() -> bool:
-    """Tell whether mujoco.sysid can be used: without its own extra it is an empty module."""
-    try:
-        return hasattr(import_module("mujoco.sysid"), "calculate_intervals")
-    except ImportError:
-        return False
-
-
 @dataclass(frozen=True)
 class Contestant:
     """Who takes part.
@@ -193,20 +161,17 @@ class Contestant:
         What its rows are called.
     answer : callable
         Estimates, intervals and delay of a log.
-    tells_delay, timed : bool
-        Whether it finds the delay, and whether it does all the work itself.
+    tells_delay : bool
+        Whether it finds the delay.
     """
 
     name: str
     answer: Callable[[pm.Log], Answer]
     tells_delay: bool = False
-    timed: bool = True
 
 
-SYSID = [Contestant("its fit, intervals of mujoco.sysid", by_sysid, timed=False)] if sysid_is_there() else []
 EVERYONE = (
     Contestant("identify", by_identify, tells_delay=True),
-    *SYSID,
     Contestant("identify, weak form alone", by_weak_form, tells_delay=True),
     Contestant("least squares as most write it", by_least_squares),
 )
@@ -271,12 +236,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 f"{100 * score.holds.min():.0f}",
                 f"{score.width:.2f}",
                 "{:.2f}, {:.2f}".format(*score.delay) if one.tells_delay else "-",
-                f"{score.seconds:.2f}" if one.timed else "-",
+                f"{score.seconds:.2f}",
             )
     out = console()
     out.print(shown)
-    absent = [] if SYSID else ["mujoco.sysid: not installed: pip install 'mujoco[sysid]'"]
-    say(out, [about(), "delay off: root mean square and largest of its errors, in samples", *absent])
+    say(out, [about(), "delay off: root mean square and largest of its errors, in samples"])
     return 0
 
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from functools import partial
 from tempfile import TemporaryDirectory
 
-from contestants import DRAKE, MUJOCO, NUMPY, PINMOBILE, PYBULLET, PYTHON, TOOLBOX, Peer
+from contestants import MUJOCO, NUMPY, PINMOBILE, PYTHON, TOOLBOX, Peer
 from measuring import Row, about, console, interleaved, options, say, table
 
 MODULES = {
@@ -21,9 +21,7 @@ MODULES = {
     "matplotlib.pyplot": Peer("matplotlib", "matplotlib", "pip install matplotlib"),
     "sympy": Peer("sympy", "sympy", "pip install sympy"),
     "mujoco": MUJOCO,
-    "pydrake.all": DRAKE,
     "roboticstoolbox": TOOLBOX,
-    "pybullet": PYBULLET,
 }
 # A module of this package is loaded when a name of it is first used, so what follows an import counts too.
 FIRST_USES = (

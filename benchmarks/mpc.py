@@ -1,12 +1,11 @@
-"""Model predictive control under limits: a call, its start, and what of it daqp takes.
+"""Model predictive control under limits: a call, and its start.
 
 Usage: python benchmarks/mpc.py [--quick] [--rounds N] [--only WORD ...]
 
 A body of 30 kg starts 0.58 m beside a circle and has 22 N and 3 N m to come to it: 40 steps of 0.05 s are
 predicted at each of 600 samples. Bounds of states are soft: a corridor, and speeds. Of each: the median and
 the 99th percentile of a call, in seconds of the processor (and of the clock, which a busy machine stretches),
-how many calls a second the former allows, and the start along a reference of 10 s. Programs of daqp are of
-these runs: as they are, beginning with the bounds of the sample before, and each by itself. Where it is
+how many calls a second the former allows, and the start along a reference of 10 s. Where it is
 installed, crocoddyl's BoxFDDP on the nonlinear model too, of examples/nonlinear_mpc.py.
 """
 
@@ -98,38 +97,6 @@ def called(controller: Any, steps: int) -> Calls:
     return Calls(started, *spent, settled=DT * (far[-1] + 1) if far.size else 0.0)
 
 
-def programs_of(controller: Any, steps: int) -> list[tuple[tuple[Any, ...], dict[str, Any]]]:
-    """Return what daqp is asked in a run."""
-    from pinmobile.controllers import mpc
-
-    asked: list[tuple[tuple[Any, ...], dict[str, Any]]] = []
-    solve, found = mpc.solver(), mpc.solver
-
-    def told(*given: Any, **more: Any) -> Any:
-        asked.append((given, more))
-        return solve(*given, **more)
-
-    mpc.solver = lambda: told  # type: ignore[assignment]
-    try:
-        called(controller, steps)
-    finally:
-        mpc.solver = found
-    return asked
-
-
-def solved(programs: Sequence[tuple[tuple[Any, ...], dict[str, Any]]], alone: bool) -> Any:
-    """Return what each program takes daqp [s]: each by itself, or beginning with the bounds it was given."""
-    from daqp import solve
-
-    spent = np.empty(len(programs))
-    for k, ((*given, sense), more) in enumerate(programs):
-        sense = sense & ~3 if alone else sense.copy()
-        begin = process_time()
-        solve(*given, sense, **more)
-        spent[k] = process_time() - begin
-    return spent
-
-
 def show(out: Any, names: Sequence[Contestant], rounds: int, steps: int) -> bool:
     """Print the tables; tell whether all did the work."""
     shown = table(
@@ -137,7 +104,6 @@ def show(out: Any, names: Sequence[Contestant], rounds: int, steps: int) -> bool
         *("controller", "", "median, ms", "99 %, ms", "99 % by the clock, ms", "calls a second", "start, ms"),
         "within 20 mm, s",
     )
-    told = table("\nOf which daqp", "controller", "", "median, ms", "99 %, ms", "programs")
     others, sound = [], True
     if find_spec("daqp") is not None:  # what a process imports once is not of each start
         called(pm.MPC(ROBOT, horizon=1, limits=LIMITS), 1)
@@ -161,16 +127,7 @@ def show(out: Any, names: Sequence[Contestant], rounds: int, steps: int) -> bool
             f"{1e3 * first.start:.0f}",
         )
         shown.add_row(one.name, "" if there else "WRONG", *cells, f"{runs[0].settled:.2f}")
-        if one.needs != "daqp":
-            continue
-        programs = programs_of(controller, steps)
-        for alone, word in ((False, "from the bounds before"), (True, "each by itself")):
-            times = [1e3 * solved(programs, alone) for _ in range(rounds)]
-            pair = (statistics.median(np.quantile(x, share) for x in times) for share in (0.5, 0.99))
-            told.add_row(one.name, word, *(f"{x:.2f}" for x in pair), f"{len(programs)}")
     out.print(shown)
-    if told.row_count:
-        out.print(told)
     say(out, [f"asked: {ASKED} calls a second and more, of the slowest in a hundred", *others])
     return sound
 

@@ -1,10 +1,9 @@
-"""The viewer: 50 Hz held live, one `display` beside meshcat's own server, recordings' size and time.
+"""The viewer: 50 Hz held live, recordings' size and time.
 
 python benchmarks/viewing.py [--quick] [--rounds N]
 
-Live and beside the stock server, a headless Chromium shows the page, drawn in software on the same
-processors; one browser goes from page to page, so that all share the machine with the same load. Without a
-Chromium these two parts are left out.
+Live, a headless Chromium shows the page, drawn in software on the same processors. Without a Chromium this
+part is left out.
 """
 
 import json
@@ -13,31 +12,26 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter, sleep
 from typing import Any
 
 import numpy as np
-from measuring import Row, about, console, interleaved, options, say, table
+from measuring import about, console, options, say, table
 from rich.console import Console
-from stock_server import StockServer
 from task import GAIN, PD_GAINS, RADIUS, RATE
 
 from memory import resident
-from pinmobile import PD, Circle, ComputedTorque, MobileRobot, Tangent, __version__, simulate
+from pinmobile import PD, Circle, ComputedTorque, MobileRobot, Tangent, simulate
 from pinmobile.errors import ViewerError
 from pinmobile.viewer import Viewer
 from pinmobile.viewer.recording import Browser, find_chromium
 
 NO_CHROMIUM = "not installed: apt-get install chromium"
 PERIOD = 0.02  # [s] between two poses
-WARM_UP = 10  # poses that are not measured
 DURATION = 60.0  # of the recorded rollouts [s]
 LIMITS = {10_000: ("3", "8")}  # frames: [s] for record and save_html, [MB]
-STOCK = "meshcat's own server"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -54,11 +48,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         find_chromium()
     except ViewerError:
-        say(out, [f"live, and beside {STOCK}: {NO_CHROMIUM}"])
+        say(out, [f"live: {NO_CHROMIUM}"])
     else:
         sound &= attempt(out, "live", lambda: show_live(out, 2.0 if chosen.quick else 10.0))
-        count = 50 if chosen.quick else 150
-        sound &= attempt(out, f"beside {STOCK}", lambda: show_beside_stock(out, rounds, count))
     sizes = (600,) if chosen.quick else (600, 10_000)
     sound &= attempt(out, "recording", lambda: show_recordings(out, sizes, rounds))
     return 0 if sound else 1
@@ -161,76 +153,6 @@ def show_live(out: Console, duration: float) -> None:
     shown.add_row("display, largest", "ms", f"{1e3 * max(pace.times):.2f}")
     shown.add_row("messages to the browser", "1/s", f"{got / pace.took:.0f}")
     out.print(shown)
-
-
-def show_beside_stock(out: Console, rounds: int, count: int) -> None:
-    import pinocchio as pin
-    from pinocchio.visualize import MeshcatVisualizer
-
-    from pinmobile.viewer.pages import Visualizer
-    from pinmobile.viewer.window import LiveWindow
-
-    robot, poses = MobileRobot.lecture(), circle(count)
-    columns = [robot.model.names.tolist().index(name) - 1 for name in ("x", "y", "psi")]
-
-    def of_pinocchio(window: Any) -> Callable[[Any], None]:
-        visualizer = MeshcatVisualizer(robot.model, pin.GeometryModel(), robot.visual_model)
-        visualizer.initViewer(viewer=Visualizer(window=window))
-        visualizer.loadViewerModel()
-
-        def display(pose: np.ndarray) -> None:
-            q = np.empty(3)
-            q[columns] = pose
-            visualizer.display(q)
-
-        return display
-
-    with ExitStack() as stack:
-        stack.enter_context(out.status(f"displaying beside {STOCK}"))
-        stock = stack.enter_context(StockServer())
-        window = stack.enter_context(LiveWindow())
-        viewer = stack.enter_context(Viewer(robot, live=True))
-        browser = stack.enter_context(quiet_browser())
-        shows = {
-            ("MeshcatVisualizer", STOCK): (of_pinocchio(stock.window), stock.url),
-            ("MeshcatVisualizer", "LiveWindow"): (of_pinocchio(window), window.url),
-            ("Viewer", "LiveWindow"): (viewer.display, viewer.url),
-        }
-        samples: dict[Any, list[float]] = {key: [] for key in shows}
-
-        def turn(key: Any) -> float:
-            display, url = shows[key]
-            display(poses[0])
-            look_at(browser, url)
-            paced(display, poses[:WARM_UP])
-            times = paced(display, poses).times
-            messages(browser)
-            browser.open("about:blank")
-            samples[key] += times
-            return statistics.median(times)
-
-        measured = interleaved({key: lambda key=key: turn(key) for key in shows}, rounds)
-    rows = {key: Row(key[0], times=measured[key]) for key in shows}
-    base = next(iter(rows.values()))
-    title = f"\nOne display of the lecture's robot at {1 / PERIOD:.0f} Hz, a browser attached"
-    shown = table(
-        title, "display of", "through", "mean, µs", "median, µs", "largest, ms", "median of stock's"
-    )
-    for key, row in rows.items():
-        mean, median = statistics.mean(samples[key]), statistics.median(samples[key])
-        times = (f"{1e6 * mean:.0f}", f"{1e6 * median:.0f}", f"{1e3 * max(samples[key]):.1f}")
-        shown.add_row(*key, *times, f"{row.ratio(base):.2f}")
-    out.print(shown)
-    say(
-        out,
-        [
-            f"meshcat {version('meshcat')}, pinmobile {__version__}; {rounds} rounds of {count} poses",
-            "the stock server answers each command before display goes on; LiveWindow takes it and sends the "
-            "newest state soon",
-            "Viewer moves the robot as one node; MeshcatVisualizer each of its "
-            f"{robot.visual_model.ngeoms} shapes",
-        ],
-    )
 
 
 def show_recordings(out: Console, sizes: Sequence[int], rounds: int) -> None:

@@ -54,7 +54,7 @@ np.set_printoptions(precision=3, suppress=True, linewidth=110)
 # at 0.9 m/s for half a minute, with forces that are held for 10 ms. A sweep runs each of them in each *case*:
 # the paths in which a case differs from what the controllers believe. The law stands in a measurement that
 # may be late and noisy; cases set how much. (MPC waits until it has its case: it takes more time than all the
-# others together. `benchmarks/controllers.py` has more cases, beside published numbers.)
+# others together.)
 
 # %%
 NOMINAL = MobileRobot(mass=30.0, yaw_inertia=1.3, com=(0.1, 0.05))

@@ -12,8 +12,9 @@ from pinmobile.arrays import Array
 from pinmobile.controllers.controller import passive_torque
 from pinmobile.parts import find, replace
 from pinmobile.plant import Context
+from tests import rivals
 from tests.parts import Waving
-from tests.rivals import CIRCLE, HEAVY, NOMINAL, RIVALS, published
+from tests.rivals import CIRCLE, HEAVY, NOMINAL, RIVALS
 
 ARM = pm.MobileRobot.box().mount("ur5")
 SHORT = pm.Tangent(pm.Circle(radius=1.5, rate=0.6, duration=2))
@@ -21,7 +22,7 @@ GAIN = (120.0, 120.0, 6.0)
 LIMITS = (22.0, 22.0, 3.0)
 NAMES = "PID", "sliding mode", "super-twisting", "adaptive", "adaptive, friction", "observer", "ADRC"
 EACH: Mapping[str, Any] = {name: RIVALS[name] for name in NAMES}
-# Which draws of the noise decide, or what had not been stated: see REASONS of the script.
+# Where draws of the noise decide, or where bounds of estimates and the speed of friction had not been stated.
 OTHERS = {
     ("adaptive, friction", "mass +20 %"): 0.1,
     ("adaptive, friction", "com off"): 0.28,
@@ -35,31 +36,20 @@ OTHERS = {
 @pytest.mark.once
 def test_errors_and_chatter_are_those_of_an_independent_implementation(tmp_path: Path) -> None:
     """A sweep of controllers in cases: latency costs all the same, switching buys accuracy by chatter."""
-    found = published.swept(RIVALS, tmp_path / "store", list(published.CASES))
+    found = rivals.swept(tmp_path / "store")
     within = 1e3 * found.error_quantile()
     for name in RIVALS:
-        printed, chatter = published.PUBLISHED[name]
-        for case, wanted in zip(published.CASES, printed.split(), strict=True):
+        printed, chatter = rivals.PUBLISHED[name]
+        for case, wanted in zip(rivals.CASES, printed.split(), strict=True):
             share = OTHERS.get((name, case), 0.15 if case in ("noise", "all") else 0.02)
-            largest = float(within.sel({published.LAW: name, "case": case}))
-            assert not published.differs(largest, wanted, share), (name, case, largest)
+            largest = float(within.sel({rivals.LAW: name, "case": case}))
+            assert not rivals.differs(largest, wanted, share), (name, case, largest)
         if name in ("computed torque", "sliding mode", "observer"):
-            run = published.traced(found.ensemble(**{published.LAW: name, "case": "noise"}))
-            assert published.chatter(run) == pytest.approx(chatter, rel=0.15), name
+            run = rivals.traced(found.ensemble(**{rivals.LAW: name, "case": "noise"}))
+            assert rivals.chatter(run) == pytest.approx(chatter, rel=0.15), name
     assert found.answer().startswith(
         "from t = 5 s on, with case = delay, PD diverges, computed torque stays within 27.2 mm"
     )
-
-
-@pytest.mark.once
-def test_the_table_is_printed_and_a_number_that_is_off_needs_a_reason(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert published.main(["--quick"]) == 0
-    assert "  com off       4.22 mm published,     4.22 mm\n" in capsys.readouterr().out
-    monkeypatch.setitem(published.PUBLISHED, "PD", ("120 155 130" + 6 * " 1", 1))
-    assert published.main(["--quick"]) == 1
-    assert capsys.readouterr().out.endswith("without a reason: PD in mass +20 %\n")
 
 
 def test_torque_keeps_the_robot_passive_and_is_what_the_regressor_says() -> None:

@@ -2,9 +2,7 @@
 
 from arm_fleet import ArmEntrant
 from contestants import MUJOCO, PINMOBILE, PYTHON
-from ensemble_contestants import NO_COMPILER, Compiler
 
-CC = Compiler("cc()", "", NO_COMPILER.format("AVX-512"), vectors="avx512f")
 NO_STATISTICS = "the largest |e| and |force| alone"
 
 
@@ -15,7 +13,6 @@ def everyone(arm: str) -> tuple[ArmEntrant, ...]:
         ArmEntrant(f"{arm}: pinmobile ensemble, rk4", PINMOBILE, "of_pinmobile"),
         ArmEntrant(f"{arm}: pinmobile ensemble, all measures", PINMOBILE, "of_pinmobile", "judged"),
         ArmEntrant(f"{arm}: pinmobile ensemble, code for AVX2", PINMOBILE, "of_pinmobile", "for_avx2"),
-        ArmEntrant(f"{arm}: C of the same tape, AVX-512", CC, "of_c"),
         ArmEntrant(
             f"{arm}: Pinocchio, loop in Python",
             PYTHON,

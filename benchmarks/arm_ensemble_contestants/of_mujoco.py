@@ -6,7 +6,6 @@ import os
 import mujoco
 import numpy as np
 import pinocchio as pin
-from arm_contestants.of_mujoco import build
 from arm_fleet import DT, LEVER, MIDDLE, TIPS, ArmFleet, built, nominal_forces, references
 from fleet import Figures, Run, on_circle
 from mujoco.rollout import Rollout
@@ -15,6 +14,51 @@ FORCE = mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
 WHOLE = mujoco.mjtState.mjSTATE_FULLPHYSICS.value
 CHUNK = 1000  # robots of one call: the states of all are too many to keep
 BASE = 3  # joint that carries the base, the first of the bodies
+
+
+# Nothing touches, so no constraints.
+MODEL = """
+<mujoco>
+  <compiler angle="radian"/>
+  <option gravity="0 0 -9.81" timestep="{dt}"><flag contact="disable" constraint="disable"/></option>
+  <worldbody>{body}</worldbody>
+</mujoco>
+"""
+
+
+def build(dt: float, bodies: pin.Model) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Return the model of the same bodies at the same places."""
+    text = MODEL.format(dt=dt, body=_body(bodies, 1))
+    model = mujoco.MjModel.from_xml_string(text)
+    return model, mujoco.MjData(model)
+
+
+def _body(model: pin.Model, joint: int) -> str:
+    place, joints = model.jointPlacements[joint], _joint(model, joint)
+    # One body with three joints: a moving body without mass is refused.
+    while not model.inertias[joint].mass:
+        joint += 1
+        joints += _joint(model, joint)
+    below = "".join(_body(model, k) for k in range(1, model.njoints) if model.parents[k] == joint)
+    x, y, z, w = pin.Quaternion(place.rotation).coeffs()
+    body = model.inertias[joint]
+    full = _text(body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+    return (
+        f'<body pos="{_text(place.translation)}" quat="{_text((w, x, y, z))}">{joints}'
+        f'<inertial pos="{_text(body.lever)}" mass="{body.mass!r}" fullinertia="{full}"/>{below}</body>'
+    )
+
+
+def _joint(model: pin.Model, joint: int) -> str:
+    motion = model.joints[joint].createData()
+    model.joints[joint].calc(motion, np.zeros(1))
+    axis = motion.S.ravel()
+    kind, axis = ("hinge", axis[3:]) if np.any(axis[3:]) else ("slide", axis[:3])
+    return f'<joint type="{kind}" axis="{_text(axis)}"/>'
+
+
+def _text(values: object) -> str:
+    return " ".join(repr(float(value)) for value in np.ravel(values))
 
 
 def rollout(fleet: ArmFleet) -> Run:

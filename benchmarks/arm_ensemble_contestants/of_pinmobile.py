@@ -4,8 +4,7 @@ import copy
 from collections.abc import Callable
 from dataclasses import replace
 
-from arm_fleet import DT, LEVER, PAYLOAD, SIDE, ArmFleet, motion
-from arm_task import AT, KD, KP, MASS, PERIOD, RADIUS, RATE, SIZE
+from arm_fleet import AT, DT, KD, KP, LEVER, MASS, PAYLOAD, PERIOD, RADIUS, RATE, SIDE, SIZE, ArmFleet, motion
 from fleet import Figures, Run
 
 from pinmobile import (

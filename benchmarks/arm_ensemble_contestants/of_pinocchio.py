@@ -5,8 +5,7 @@ from math import remainder, tau
 
 import numpy as np
 import pinocchio as pin
-from arm_fleet import DT, ArmFleet, built, references
-from arm_task import KD, KP
+from arm_fleet import DT, KD, KP, ArmFleet, built, references
 from fleet import Figures, Run, on_circle
 
 FEW = 100  # robots, to whom a thread of their own is worth its start

@@ -80,9 +80,7 @@ PINMOBILE = Peer("pinmobile", "pinmobile", "pip install -e .")
 PYTHON = Peer("pinocchio", "pin", "pip install pin")
 NUMPY = Peer("numpy", "numpy", "pip install numpy")
 MUJOCO = Peer("mujoco", "mujoco", "pip install mujoco")
-DRAKE = Peer("pydrake", "drake", "pip install drake")
 TOOLBOX = Peer("roboticstoolbox", "roboticstoolbox-python", "pip install roboticstoolbox-python")
-PYBULLET = Peer("pybullet", "pybullet", "pip install pybullet")
 OCTAVE = Peer("octave-cli()", "", "apt-get install octave")
 
 RAW = Contestant("raw Pinocchio loop (rnea, aba)", PYTHON, "raw_pinocchio")
@@ -99,9 +97,7 @@ EVERYONE = (
     Contestant("closed form in numpy", NUMPY, "closed_form"),
     Contestant("MuJoCo, the fastest loop found", MUJOCO, "of_mujoco"),
     Contestant("MuJoCo as most write it (fullM, solve)", MUJOCO, "of_mujoco", "common_rollout"),
-    Contestant("Drake, MultibodyPlant", DRAKE, "of_drake"),
     Contestant("Robotics Toolbox (rne, accel)", TOOLBOX, "of_toolbox"),
-    Contestant("PyBullet", PYBULLET, "of_pybullet"),
     Contestant("GNU Octave, the lecture's script", OCTAVE, "of_octave"),
 )
 """All who run computed torque with the lecture's step."""
