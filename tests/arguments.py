@@ -36,7 +36,7 @@ SECONDS = 5  # of processor time for one call
 MEMORY = 6 << 30  # of address space; libraries that only reserve it have some 3 GB
 
 # What is put in the place of an argument, made anew for each call: what a user may type by mistake.
-TRIES = 30  # of each callable
+TRIES = 12  # of each callable
 KINDS: dict[str, Callable[[], Any]] = {
     "None": lambda: None,
     "NaN": lambda: float("nan"),
@@ -427,13 +427,12 @@ ROWS: dict[str, Row] = {
     "Relative": row(factor=pm.Normal(1, 0.1)),
     "SameAs": row(name="mass", factor=pm.Normal(1, 0.1)),
     "Scenario": Row(lambda: {k: v for k, v in ENSEMBLE().items() if k not in ("engine", "traces")}),
-    "ensemble": Row(lambda: ENSEMBLE() | {"threads": 1, "progress": lambda done, n: None}, 300),
+    "ensemble": Row(lambda: ENSEMBLE() | {"threads": 1, "progress": lambda done, n: None}, 120),
     "Ensemble.load": row(path=the("saved_ensemble"), scenario=the("ensemble_scenario")),
     "Ensemble.bands": row(levels=[0.5, 0.9]),
     "Ensemble.error_quantile": row(share=0.9),
     "Ensemble.worst": row(count=2, by="distance"),
     "sweep": row(
-        60,
         scenario=the("scenario"),
         path=partial(lambda: WORLD.folder / "other.zarr"),
         grid={"controller.kp": [1.0, 2.0]},
@@ -461,7 +460,7 @@ ROWS: dict[str, Row] = {
     "MobileRobot.regressor": row(q=Q, v=V, a=A),
     "MobileRobot.frame_pose": row(q=Q, frame=None),
     "MobileRobot.linearize": row(q=Q, v=V, tau=A),
-    "Log": Row(lambda: {"t": WORLD.log.t, "q": WORLD.log.q, "u": WORLD.log.u, "twist": None}, 60),
+    "Log": Row(lambda: {"t": WORLD.log.t, "q": WORLD.log.q, "u": WORLD.log.u, "twist": None}),
     "Log.between": row(start=0.0, stop=5.0),
     "Log.from_csv": row(path=the("log_csv"), columns=None),
     "Log.from_rollout": row(rollout=the("rollout"), noise=0.001, input_noise=(1, 1, 0.1), delay=1, seed=0),
@@ -474,15 +473,13 @@ ROWS: dict[str, Row] = {
             "twist": None,
             "wheel_rates": None,
         },
-        60,
     ),
-    "identify": row(60, log=the("log"), robot=None, loads=None, method="weak", delay=0.0, rolling_speed=0.01),
-    "identify_velocity": row(12, log=the("commands"), delay=0.0, ahead=0.0, accelerations=[9.0, 9.0]),
+    "identify": row(log=the("log"), robot=None, loads=None, method="weak", delay=0.0, rolling_speed=0.01),
+    "identify_velocity": row(log=the("commands"), delay=0.0, ahead=0.0, accelerations=[9.0, 9.0]),
     "Identification.interval": row(level=0.9),
     "Identification.spread": row(n=3, seed=0),
-    "Identification.predict": row(60, log=the("log"), seconds=2.0),
+    "Identification.predict": row(log=the("log"), seconds=2.0),
     "excitation": row(
-        60,
         robot=None,
         duration=10.0,
         period=10.0,
@@ -495,9 +492,9 @@ ROWS: dict[str, Row] = {
     "Rollout.load": row(path=the("saved")),
     "Rollout.save": row(path=partial(lambda: WORLD.folder / "again.npz")),
     "Rollout.end_effector": row(frame=None),
-    "integrator_report": row(60, integrator=pm.rk4, robot=the("robot"), steps=(0.1, 0.05), duration=0.2),
+    "integrator_report": row(integrator=pm.rk4, robot=the("robot"), steps=(0.1, 0.05), duration=0.2),
     "solve_inverse_kinematics": row(
-        200,
+        80,
         robot=the("armed"),
         target=the("target"),
         frame="arm/l1",
@@ -528,7 +525,7 @@ ROWS: dict[str, Row] = {
         limit=1000.0,
     ),
     "vectorize": row(function=pm.MobileRobot.box().mass_matrix, axes=1, checked=True, keep=False),
-    "verify": row(60, robot=the("robot"), states=3, seed=1),
+    "verify": row(robot=the("robot"), states=3, seed=1),
     "DHRow": row(alpha=0, a=0, theta=0, d=0, joint=pm.dh.JointType.REVOLUTE, variable="a"),
     "DHTable": row(rows=pm.dh.LECTURE_TABLE.rows),
     "DHTable.placements": row(q=Q),
@@ -543,7 +540,6 @@ ROWS: dict[str, Row] = {
     ),
     "derivation.Link": row(mass=1, com=(0, 0, 0), inertia=np.eye(3).tolist()),
     "derivation.derive": row(
-        40,
         table=pm.dh.LECTURE_TABLE,
         links=[None, None, derivation.Link(1, (0, 0, 0), np.eye(3).tolist())],
         order=("x", "y", "psi"),
@@ -554,12 +550,12 @@ ROWS: dict[str, Row] = {
     "closed_form.differential_drive": row(
         nu=[0.4, 0.5], **BODY, track=0.5, radius=0.1, spin_inertia=0.01, axle=0.05
     ),
-    "plots.path": row(60, rollouts=the("rollout"), times=[0.1, 0.5], title="a title", ax=None, width=6.0),
+    "plots.path": row(rollouts=the("rollout"), times=[0.1, 0.5], title="a title", ax=None, width=6.0),
     "plots.curves": row(
-        120, values={"a": [1, 2]}, x=("a", "m", [1, 2]), label="b", title="a title", ax=None, width=6.0
+        48, values={"a": [1, 2]}, x=("a", "m", [1, 2]), label="b", title="a title", ax=None, width=6.0
     ),
     "plots.heatmap": row(
-        120,
+        48,
         values=[[1, 2], [3, 4]],
         x=("a", "m", [1, 2]),
         y=("b", "m", [1, 2]),
@@ -570,7 +566,6 @@ ROWS: dict[str, Row] = {
         limits=(1, 4),
     ),
     "plots.animate": row(
-        40,
         rollouts=the("rollout"),
         path=partial(lambda: WORLD.folder / "a.gif"),
         fps=2,
@@ -579,7 +574,7 @@ ROWS: dict[str, Row] = {
         progress=lambda done, n: None,
     ),
     "plots.bands": row(
-        60, ensembles=the("ensemble"), levels=(0.5, 0.9), by=["distance"], title="a title", ax=None, width=6.0
+        ensembles=the("ensemble"), levels=(0.5, 0.9), by=["distance"], title="a title", ax=None, width=6.0
     ),
     "plots.signals": row(rollouts=the("told"), title="a title", ax=None, width=6.0),
     "AckermannSteering": row(wheels=("front_left", "front_right"), axle=0.1, name="steering"),
@@ -632,7 +627,7 @@ ROWS: dict[str, Row] = {
     ),
     "WheeledRobot": row(robot=the("base"), table=the("differential"), ground=pm.Coulomb(0.5)),
     "WheeledRobot.from_urdf": row(
-        120,
+        48,
         path=the("turtlebot"),
         package_dirs=(),
         table=None,
@@ -641,7 +636,7 @@ ROWS: dict[str, Row] = {
         rollers={},
         supports=[(-0.08, 0)],
     ),
-    "WheeledRobot.mount": row(120, arm=the("arm"), at=(0, 0, 0.2, 0), name="arm"),
+    "WheeledRobot.mount": row(48, arm=the("arm"), at=(0, 0, 0.2, 0), name="arm"),
     "WheeledRobot.forward_dynamics": row(q=FIVE, v=FIVE, u=[1, 2], f=FIVE),
     "WheeledRobot.odometry": row(rates=[1, 2], steering=(), turning=()),
     "WheeledRobot.allocate": row(q=FIVE, tau=A),
@@ -661,7 +656,7 @@ ROWS: dict[str, Row] = {
         arrows=viewer.Arrows(),
         camera=viewer.Follow(),
     ),
-    "viewer.Viewer": row(80, plant=the("robot"), live=False, host="127.0.0.1", port=None, overlays=None),
+    "viewer.Viewer": row(32, plant=the("robot"), live=False, host="127.0.0.1", port=None, overlays=None),
     "viewer.Viewer.display": row(q=Q),
     "viewer.Viewer.record": row(rollout=the("rollout"), fps=5, speed=1, overlays=None, title="a title"),
     "viewer.Recording.save_html": row(path=partial(lambda: WORLD.folder / "a.html")),

@@ -374,7 +374,7 @@ rows = st.tuples(angles, lengths, angles, lengths, st.sampled_from([R, P]))
 
 # Not shrunk: a failure would take minutes.
 @settings(
-    max_examples=settings().max_examples // 5,
+    max_examples=settings().max_examples // 10,
     derandomize=True,
     deadline=None,
     phases=[Phase.explicit, Phase.generate],
