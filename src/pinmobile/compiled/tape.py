@@ -111,7 +111,14 @@ class Rounds(NamedTuple):
 
     @classmethod
     def of(cls, tape: Tape, index: int) -> Rounds:
-        """Return those of a node."""
+        """Return those of a node, which are found once."""
+        found = tape.rounds.get(index)
+        if found is None:
+            found = tape.rounds[index] = cls._found(tape, index)
+        return found
+
+    @classmethod
+    def _found(cls, tape: Tape, index: int) -> Rounds:
         _, number, level, most, done, settled, *nodes = tape.operations[index]
         half = len(nodes) // 2
         body, outside, todo = set(), {settled, *nodes[:half]}, [done, *nodes[half:]]
@@ -147,12 +154,15 @@ class Tape:
         Of each node: f, u or b.
     depends : list of int
         Of each node: which of UNIFORM, ROBOT, SAMPLE and STATE it depends on.
+    rounds : dict of int to Rounds
+        Those that are known, by node.
     """
 
     def __init__(self, largest: int = LARGEST, where: Callable[[], Any] | None = None) -> None:
         self.operations: list[_Operation] = []
         self.types: list[str] = []
         self.depends: list[int] = []
+        self.rounds: dict[int, Rounds] = {}
         self.places: list[Any] = []
         self._known: dict[_Operation, int] = {}
         self._applied: dict[tuple[Any, ...], int] = {}  # what has been asked for, before it was simplified
@@ -446,13 +456,15 @@ def evaluated(
     return [values[index] for index in wanted]
 
 
-def _after_rounds(tape: Tape, rounds: Rounds, known: Mapping[int, Any]) -> list[Any]:
-    """Return what is carried after the last round; a robot that is done stays as it is."""
-    carried, done = [known[i] for i in rounds.first], known[rounds.settled]
+def _after_rounds(tape: Tape, rounds: Rounds, values: dict[int, Any]) -> list[Any]:
+    """Return what is carried after the last round; a robot that is done stays as it is.
+
+    `values` has the nodes that are known, and then those of the last round.
+    """
+    carried, done = [values[i] for i in rounds.first], values[rounds.settled]
     for _ in range(rounds.most):
         if np.all(done):
             break
-        values = dict(known)
         for index in rounds.body:
             name, *given = tape.operations[index]
             if name == "carry":
