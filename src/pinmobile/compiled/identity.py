@@ -199,6 +199,8 @@ class Identity:
             return self._whole_part(x)
         if isinstance(x, PurePath | np.dtype | GenericAlias):
             return "text", repr(x)
+        if hasattr(type(x), "geometryObjects"):  # shapes, whose text takes seconds; no law has their points
+            return "shapes", tuple(map(_shape, x.geometryObjects))
         if hasattr(type(x), "saveToString"):  # a model of Pinocchio, whose copies are the same
             return "model", x.saveToString()
         if isinstance(x, slice):
@@ -342,6 +344,11 @@ class Contents(Identity):
             return "copied", self._value(x.__reduce_ex__(4))
         self.unknown = self.unknown or named or f"a {type(x).__name__}"
         return "unknown", type(x).__qualname__
+
+
+def _shape(shape: Any) -> Hashable:
+    place = np.asarray(shape.placement.homogeneous).tobytes()
+    return shape.name, shape.parentJoint, place, np.asarray(shape.meshScale).tobytes(), shape.meshPath
 
 
 def _is_cached(kind: type, name: str) -> bool:
