@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from types import MappingProxyType
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -149,7 +148,7 @@ def clearance(robot: Any, q: ArrayLike) -> Clearance:
     placements = np.asarray(robot.solid_placements(q))
     found = choice.scene.distances(placements.reshape(-1, *placements.shape[-3:]), choice.pairs)
     names = tuple(choice.scene.named(pair) for pair in choice.pairs)
-    return Clearance(found.reshape(*placements.shape[:-3], len(names)), names, choice.left_out)
+    return Clearance(found.reshape(*placements.shape[:-3], len(names)), names, dict(choice.left_out))
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +193,7 @@ def _chosen(robot: Any) -> _Choice:
             if not touches:
                 left_out[scene.named(pair)] = _APART
     counted = tuple(pair for pair in pairs if scene.named(pair) not in left_out)
-    return _Choice(scene, counted, MappingProxyType(left_out))
+    return _Choice(scene, counted, left_out)
 
 
 def _why_not(solids: Solids, scene: _Scene, pair: _Numbers) -> str:

@@ -5,7 +5,7 @@ from pinmobile.compiled._tracing import (
     tracing as tracing,
     uncollected as uncollected,
 )
-from pinmobile.compiled._vectorize import vectorize
+from pinmobile.compiled._vectorize import Recurrence as Recurrence, vectorize
 from pinmobile.compiled.elementary import sincos as sincos
 from pinmobile.compiled.emit import BINS as BINS, FIRST as FIRST, SHIFT as SHIFT, Shape as Shape
 from pinmobile.compiled.identity import (

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import entries, repeated, symbols
-from pinmobile.compiled.recurrence import Recurrence
+from pinmobile.compiled import Recurrence, entries, repeated, symbols
 
 _SLOPE = 1e-4  # of the size of a first state, by which differences are taken
 _LEAST_SIZE = 1e-3  # of an input, as a share of the largest
