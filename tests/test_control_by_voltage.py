@@ -1,8 +1,5 @@
 """LQR and MPC of robots whose inputs are volts, beside backstepping, on a figure of eight."""
 
-import sys
-from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,9 +11,44 @@ from pinmobile.wheels import Motor
 
 pytestmark = pytest.mark.once
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-races: Any = import_module("wheels_control")  # the script that runs the whole table
-MODEL, HEAVY, EIGHT, VOLTS = races.MODEL, races.HEAVY, races.EIGHT, races.VOLTS
+DT, SECONDS = 0.01, 25.0
+VOLTS = 6.0
+MOTOR = pm.wheels.Motor(
+    resistance=1.2,
+    torque_constant=0.03,
+    voltage=VOLTS,
+    gear=20.0,
+    rotor_inertia=1e-5,
+    viscous=1e-5,
+    coulomb=0.004,
+    efficiency=0.8,
+)
+TABLE = pm.WheelTable.differential(
+    0.5,
+    0.1,
+    motor=MOTOR,
+    supports=[(-0.2, 0.0), (0.2, 0.0)],
+    friction=pm.wheels.WheelFriction(mu=0.3),
+    mass=1.0,
+    spin_inertia=0.01,
+    yaw_inertia=0.006,
+)
+MODEL = pm.WheeledRobot(pm.MobileRobot(30.0, 2.3, com=(0.05, 0.0, 0.2)), TABLE)
+HEAVY = pm.WheeledRobot(pm.MobileRobot(36.0, 2.76, com=(0.05, 0.0, 0.2)), TABLE, pm.Coulomb())
+
+
+class Eight:
+    duration = SECONDS
+
+    def __call__(self, t: Any) -> Any:
+        return self.derivative(t, 0)
+
+    def derivative(self, t: Any, order: int) -> Any:
+        rate, size = np.array([0.5, 1.0]), np.array([1.0, 0.5])
+        return size * rate**order * np.sin(rate * np.asarray(t)[..., None] + order * np.pi / 2)
+
+
+EIGHT = pm.Tangent(Eight())
 
 
 def controllers() -> dict[str, Any]:
@@ -32,10 +64,10 @@ def controllers() -> dict[str, Any]:
 def run(robot: pm.WheeledRobot, name: str, off: float, duration: float) -> pm.Rollout:
     """Return a run that starts so far behind and beside the eight, where at all, at rest."""
     engine = None if name == "MPC" else pm.Engine.COMPILED
-    found: pm.Rollout = races.run(
-        robot, controllers()[name], np.array([-off, -off, 0, 0, 0]), duration, engine
-    )
-    return found
+    q, v = MODEL.start(EIGHT(0.0))
+    start = {"q0": q + np.array([-off, -off, 0, 0, 0]), "v0": 0 * v if off else v}
+    given: dict[str, Any] = {"dt": DT, "duration": duration, "engine": engine}
+    return pm.simulate(robot.by_voltage(), controllers()[name], EIGHT, **given, **start)
 
 
 def distance(found: pm.Rollout) -> Any:
