@@ -2,52 +2,59 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, bounded, broadcast, finite, finite_answer, shaped, vector
+from pinmobile.arrays import Array, ArrayLike, bounded, finite, finite_answer, shaped, vector
 from pinmobile.errors import InvalidArgument
 
 Numbers: TypeAlias = Array | float
 """A parameter of all bodies, or one for each, shape (...)."""
 
-quietly = np.errstate(over="ignore", invalid="ignore", divide="ignore")
-"""Decorator of what looks at its answer itself, so that numpy need not warn."""
+_SIZES = {"q": 3, "v": 3, "a": 3, "tau": 3, "twist": 3, "nu": 2, "com": 2}
+_COMPONENTS = "twist", "nu", "com"  # of which each number is told apart
+_POSITIVE = "mass", "yaw_inertia", "wheelbase", "radius"
+_NOT_NEGATIVE = "track", "spin_inertia", "steered_inertia"
+_ACUTE = "steering", "roller"
+_quietly = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # what looks at its answer itself
 
 
-def _checked_body(
-    q: Array, mass: ArrayLike, yaw_inertia: ArrayLike, com: ArrayLike, **others: Array
-) -> tuple[Array, ...]:
-    """Return mass, yaw inertia, xbc and ybc, all of one shape, that of the leading axes of q and their own.
-
-    With these, the leading axes of `others`, which are named as in q's function, have to broadcast.
+def _arguments(**given: ArrayLike) -> tuple[list[Array], Callable[[Array], Array]]:
+    """Return arguments by what their names ask for, numbers in one shape, and the check of an answer.
 
     Raises
     ------
     InvalidArgument
-        If a shape does not fit, a value is not finite, or a mass or inertia is not positive.
+        If a shape does not fit, a value is not finite, or not in its range.
     """
-    m, inertia, com = finite("mass", mass), finite("yaw_inertia", yaw_inertia), vector("com", com, 2)
-    for name, value in (("mass", m), ("yaw_inertia", inertia)):
-        bounded(name, value, above=0)
+    checked, parts, shapes = dict[str, Array](), list[Array](), dict[str, tuple[int, ...]]()
+    for name, value in given.items():
+        x = vector(name, value, _SIZES[name]) if name in _SIZES else finite(name, value)
+        if name in _POSITIVE:
+            bounded(name, x, above=0)
+        elif name in _NOT_NEGATIVE:
+            bounded(name, x, least=0)
+        elif name in _ACUTE:
+            bounded(name, x, above=-np.pi / 2, below=np.pi / 2, unit="rad")
+        checked[name] = x
+        shapes[name] = x.shape[:-1] if name in _SIZES else x.shape
+    lead = _broadcast(shapes)
+    for name, x in checked.items():
+        numbers = np.moveaxis(x, -1, 0) if name in _COMPONENTS else [x]
+        states = name in _SIZES and name not in _COMPONENTS
+        parts += [x] if states else [np.array(np.broadcast_to(each, lead)) for each in numbers]
+    return parts, partial(finite_answer, **checked)
+
+
+def _broadcast(shapes: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
     try:
-        np.broadcast_shapes(m.shape, inertia.shape, *(x.shape[:-1] for x in (com, q, *others.values())))
+        return np.broadcast_shapes(*shapes.values())
     except ValueError:
-        names = ", ".join(["q", *others, "mass", "yaw_inertia"])
-        shapes = [*(str(x.shape[:-1]) for x in (q, *others.values())), str(m.shape), str(inertia.shape)]
-        raise InvalidArgument(
-            f"{names} and com have leading shapes {', '.join(shapes)} and {com.shape[:-1]}, expected shapes "
-            "that broadcast"
-        ) from None
-    m, inertia, x, y, _ = np.broadcast_arrays(m, inertia, com[..., 0], com[..., 1], q[..., 2])
-    return m, inertia, x, y
-
-
-def _named(body: tuple[Array, ...]) -> dict[str, ArrayLike]:
-    """Return what `checked_body` returns, by name."""
-    mass, yaw_inertia, x, y = body
-    return {"mass": mass, "yaw_inertia": yaw_inertia, "com": (x, y)}
+        told = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+        raise InvalidArgument(f"leading shapes are {told}, expected shapes that broadcast") from None
 
 
 def _turned(q: Array, x: Numbers, y: Numbers) -> tuple[Array, Array]:
@@ -61,7 +68,7 @@ def _stacked(*columns: ArrayLike) -> Array:
     return np.stack(np.broadcast_arrays(*map(np.asarray, columns)), axis=-1)
 
 
-@quietly
+@_quietly
 def mass_matrix(q: ArrayLike, *, mass: ArrayLike, yaw_inertia: ArrayLike, com: ArrayLike = (0, 0)) -> Array:
     """Return the mass matrix M(q).
 
@@ -86,9 +93,8 @@ def mass_matrix(q: ArrayLike, *, mass: ArrayLike, yaw_inertia: ArrayLike, com: A
     NotFinite
         If the answer is beyond the numbers that a computer has.
     """
-    q = vector("q", q, 3)
-    body = _checked_body(q, mass, yaw_inertia, com)
-    return finite_answer(unchecked_mass_matrix(q, *body), **_named(body))
+    numbers, answer = _arguments(q=q, mass=mass, yaw_inertia=yaw_inertia, com=com)
+    return answer(unchecked_mass_matrix(*numbers))
 
 
 def unchecked_mass_matrix(
@@ -112,7 +118,7 @@ def unchecked_mass_matrix(
     return M
 
 
-@quietly
+@_quietly
 def coriolis_matrix(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: ArrayLike = (0, 0)) -> Array:
     """Return the matrix C(q, v) of Christoffel symbols: C v = n and dM/dt - 2 C is skew-symmetric.
 
@@ -137,10 +143,8 @@ def coriolis_matrix(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: ArrayLi
     NotFinite
         If the answer is beyond the numbers that a computer has.
     """
-    q, v = vector("q", q, 3), vector("v", v, 3)
-    broadcast(q=q, v=v)
-    m, _, x, y = body = _checked_body(q, mass, 1.0, com, v=v)
-    return finite_answer(unchecked_coriolis_matrix(q, v, m, x, y), v=v, **_named(body))
+    numbers, answer = _arguments(q=q, v=v, mass=mass, com=com)
+    return answer(unchecked_coriolis_matrix(*numbers))
 
 
 def unchecked_coriolis_matrix(q: Array, v: Array, mass: Numbers, com_x: Numbers, com_y: Numbers) -> Array:
@@ -161,7 +165,7 @@ def unchecked_coriolis_matrix(q: Array, v: Array, mass: Numbers, com_x: Numbers,
     return C
 
 
-@quietly
+@_quietly
 def nonlinear_effects(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: ArrayLike = (0, 0)) -> Array:
     """Return the nonlinear effects n(q, v): the centrifugal force, since the ground is level.
 
@@ -186,15 +190,13 @@ def nonlinear_effects(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: Array
     NotFinite
         If the answer is beyond the numbers that a computer has.
     """
-    q, v = vector("q", q, 3), vector("v", v, 3)
-    broadcast(q=q, v=v)
-    m, _, x, y = body = _checked_body(q, mass, 1.0, com, v=v)
+    (q, v, m, x, y), answer = _arguments(q=q, v=v, mass=mass, com=com)
     dx, dy = _turned(q, x, y)
     pull = -m * v[..., 2] ** 2
-    return finite_answer(_stacked(pull * dx, pull * dy, 0.0), v=v, **_named(body))
+    return answer(_stacked(pull * dx, pull * dy, 0.0))
 
 
-@quietly
+@_quietly
 def inverse_dynamics(
     q: ArrayLike,
     v: ArrayLike,
@@ -227,13 +229,11 @@ def inverse_dynamics(
     NotFinite
         If the answer is beyond the numbers that a computer has.
     """
-    q, v, a = vector("q", q, 3), vector("v", v, 3), vector("a", a, 3)
-    broadcast(q=q, v=v, a=a)
-    body = _checked_body(q, mass, yaw_inertia, com, v=v, a=a)
-    return finite_answer(unchecked_inverse_dynamics(q, v, a, *body), v=v, a=a, **_named(body))
+    numbers, answer = _arguments(q=q, v=v, a=a, mass=mass, yaw_inertia=yaw_inertia, com=com)
+    return answer(unchecked_inverse_dynamics(*numbers))
 
 
-@quietly
+@_quietly
 def forward_dynamics(
     q: ArrayLike,
     v: ArrayLike,
@@ -271,10 +271,8 @@ def forward_dynamics(
     NotFinite
         If the answer is beyond the numbers that a computer has.
     """
-    q, v, tau = vector("q", q, 3), vector("v", v, 3), vector("tau", tau, 3)
-    broadcast(q=q, v=v, tau=tau)
-    body = _checked_body(q, mass, yaw_inertia, com, v=v, tau=tau)
-    return finite_answer(unchecked_forward_dynamics(q, v, tau, *body), v=v, tau=tau, **_named(body))
+    numbers, answer = _arguments(q=q, v=v, tau=tau, mass=mass, yaw_inertia=yaw_inertia, com=com)
+    return answer(unchecked_forward_dynamics(*numbers))
 
 
 def unchecked_inverse_dynamics(
@@ -333,7 +331,7 @@ class ReducedModel(NamedTuple):
     B: Array
 
 
-@quietly
+@_quietly
 def differential_drive(
     nu: ArrayLike,
     *,
@@ -386,20 +384,20 @@ def differential_drive(
     NotFinite
         If the answer is beyond the numbers that a computer has.
     """
-    nu, com = vector("nu", nu, 2), vector("com", com, 2)
-    given = _positive(mass=mass, yaw_inertia=yaw_inertia, track=track, radius=radius)
-    given |= _not_negative(spin_inertia=spin_inertia) | {"axle": finite("axle", axle)}
-    m, inertia, track, r, spin, at, dx, dy, v, w = _alike(**given, com=com, nu=nu)
-    b, dx = track / 2, dx - at
+    body = {"mass": mass, "yaw_inertia": yaw_inertia, "com": com}
+    numbers, answer = _arguments(
+        **body, track=track, radius=radius, spin_inertia=spin_inertia, axle=axle, nu=nu
+    )
+    m, inertia, dx, dy, track, r, spin, at, v, w = numbers
+    b, dx = bounded("track", track, above=0) / 2, dx - at
     M = _matrix(
-        [m + 2 * spin / r**2, -m * dy],
-        [-m * dy, inertia + m * (dx**2 + dy**2) + 2 * spin * (b / r) ** 2],
+        [m + 2 * spin / r**2, -m * dy], [-m * dy, inertia + m * (dx**2 + dy**2) + 2 * spin * (b / r) ** 2]
     )
     B = _matrix([1 / r, 1 / r], [-b / r, b / r])
-    return _model(M, np.stack([-m * dx * w**2, m * dx * v * w], axis=-1), B, nu=nu, com=com, **given)
+    return ReducedModel(*map(answer, (M, _stacked(-m * dx * w**2, m * dx * v * w), B)))
 
 
-@quietly
+@_quietly
 def roller_drive(
     twist: ArrayLike,
     *,
@@ -453,26 +451,24 @@ def roller_drive(
     NotFinite
         If the answer is beyond the numbers that a computer has.
     """
-    twist, com = vector("twist", twist, 3), vector("com", com, 2)
-    given = _positive(mass=mass, yaw_inertia=yaw_inertia)
-    wheels = {name: finite(name, value) for name, value in (("x", x), ("y", y), ("angle", angle))}
-    wheels |= {"roller": finite("roller", roller)} | _positive(radius=radius)
-    wheels |= _not_negative(spin_inertia=spin_inertia)
-    bounded("roller", wheels["roller"], above=-np.pi / 2, below=np.pi / 2, unit="rad")
-    m, inertia, xc, yc, vx, vy, w = _alike(**given, com=com, twist=twist)
-    px, py, delta, gamma, r, spin = _alike(**wheels)
+    (m, inertia, xc, yc, vx, vy, w), of_body = _arguments(
+        mass=mass, yaw_inertia=yaw_inertia, com=com, twist=twist
+    )
+    (px, py, delta, gamma, r, spin), of_wheels = _arguments(
+        x=x, y=y, angle=angle, roller=roller, radius=radius, spin_inertia=spin_inertia
+    )
     shaped("x", px, ("...", "k"), words=", one number for each wheel")
+    _broadcast({"twist": m.shape, "x": px.shape[:-1]})
     c, s = np.cos(delta + gamma), np.sin(delta + gamma)
     J = np.stack([c, s, px * s - py * c], axis=-1) / (r * np.cos(gamma))[..., None]
-    _fits({"twist": m.shape, "x": px.shape[:-1]})
     zero = np.zeros_like(m)
     M = _matrix([m, zero, -m * yc], [zero, m, m * xc], [-m * yc, m * xc, inertia + m * (xc**2 + yc**2)])
     spun = np.einsum("...ki,...k,...kj->...ij", J, spin, J)
     n = (m * w)[..., None] * np.stack([-vy - xc * w, vx - yc * w, xc * vx + yc * vy], axis=-1)
-    return _model(M + spun, n, np.swapaxes(J, -1, -2), twist=twist, com=com, **given, **wheels)
+    return ReducedModel(of_wheels(M + spun), of_body(n), of_wheels(np.swapaxes(J, -1, -2)))
 
 
-@quietly
+@_quietly
 def car(
     nu: ArrayLike,
     steering: ArrayLike,
@@ -533,12 +529,19 @@ def car(
     NotFinite
         If the answer is beyond the numbers that a computer has.
     """
-    nu, com, delta = vector("nu", nu, 2), vector("com", com, 2), finite("steering", steering)
-    bounded("steering", delta, above=-np.pi / 2, below=np.pi / 2, unit="rad")
-    given = _positive(mass=mass, yaw_inertia=yaw_inertia, wheelbase=wheelbase, radius=radius)
-    given |= _not_negative(track=track, spin_inertia=spin_inertia, steered_inertia=steered_inertia)
-    given["steering"] = delta
-    m, inertia, L, r, track, spin, turned, delta, xc, yc, v, rate = _alike(**given, com=com, nu=nu)
+    numbers, answer = _arguments(
+        mass=mass,
+        yaw_inertia=yaw_inertia,
+        com=com,
+        wheelbase=wheelbase,
+        radius=radius,
+        track=track,
+        spin_inertia=spin_inertia,
+        steered_inertia=steered_inertia,
+        steering=steering,
+        nu=nu,
+    )
+    m, inertia, xc, yc, L, r, track, spin, turned, delta, v, rate = numbers
     b, c, s = track / 2, np.cos(delta), np.sin(delta)
     T, turn = s / (c * L), 1 / (L * c * c)  # w = T v, and d T / d delta
     J = inertia + m * (xc**2 + yc**2)
@@ -551,50 +554,15 @@ def car(
     M11 = m * (1 - 2 * yc * T) + J * T**2 + 2 * spin / r**2 * (1 + 1 / c**2 + 2 * (b * T) ** 2)
     M12 = turned * T * ratio.sum(0)
     half = (-m * yc + J * T + 2 * spin / r**2 * (L**2 + 2 * b**2) * T) * turn  # of the derivative of M11
-    n = np.stack(
-        [
-            half * v * rate + turned * T * tilt.sum(0) * rate**2,
-            turned * (turn * ratio.sum(0) * v * rate + (ratio * tilt).sum(0) * rate**2),
-        ],
-        axis=-1,
+    n = _stacked(
+        half * v * rate + turned * T * tilt.sum(0) * rate**2,
+        turned * (turn * ratio.sum(0) * v * rate + (ratio * tilt).sum(0) * rate**2),
     )
     zero, one = np.zeros_like(m), np.ones_like(m)
     M = _matrix([M11, M12], [M12, turned * (ratio**2).sum(0)])
     B = _matrix([1 / r, driven.sum(0) / (2 * r), zero], [zero, zero, one])
-    return _model(M, n, B, nu=nu, com=com, **given)
-
-
-def _positive(**given: ArrayLike) -> dict[str, Array]:
-    return {name: bounded(name, finite(name, value), above=0) for name, value in given.items()}
-
-
-def _not_negative(**given: ArrayLike) -> dict[str, Array]:
-    return {name: bounded(name, finite(name, value), least=0) for name, value in given.items()}
-
-
-_VECTORS = ("com", "nu", "twist")
-
-
-def _alike(**given: Array) -> list[Array]:
-    """Return all, vectors as their components, in one shape."""
-    _fits({name: x.shape[:-1] if name in _VECTORS else x.shape for name, x in given.items()})
-    parts = [
-        list(np.moveaxis(value, -1, 0)) if name in _VECTORS else [value] for name, value in given.items()
-    ]
-    return [np.array(x) for x in np.broadcast_arrays(*(x for part in parts for x in part))]
-
-
-def _fits(shapes: dict[str, tuple[int, ...]]) -> None:
-    try:
-        np.broadcast_shapes(*shapes.values())
-    except ValueError:
-        told = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
-        raise InvalidArgument(f"leading shapes are {told}, expected shapes that broadcast") from None
+    return ReducedModel(*map(answer, (M, n, B)))
 
 
 def _matrix(*rows: list[Array]) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def _model(M: Array, n: Array, B: Array, **arguments: ArrayLike) -> ReducedModel:
-    return ReducedModel(*(finite_answer(x, **arguments) for x in (M, n, B)))

@@ -277,12 +277,7 @@ def _numeric(table: DHTable) -> tuple[Numeric, Numeric]:
 def _symbolic(numeric: Numeric, robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array) -> Dynamics:
     parameters = {"m": robot.mass, "Icz": robot.yaw_inertia, "xbc": robot.com[0], "ybc": robot.com[1]}
     M, n = numeric.mass_matrix(q, parameters), numeric.nonlinear_effects(q, v, parameters)
-    return {
-        "M": M,
-        "n": n,
-        "tau": numeric.inverse_dynamics(q, v, a, parameters),
-        "a": _solved(M, tau - n),
-    }
+    return {"M": M, "n": n, "tau": numeric.inverse_dynamics(q, v, a, parameters), "a": _solved(M, tau - n)}
 
 
 def _solved(M: Array, force: Array) -> Array:
