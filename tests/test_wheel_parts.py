@@ -176,7 +176,7 @@ class Viscous:
 
     def dynamics(self, wheeled: Any) -> "ViscousDynamics":
         """Return the dynamics of a robot on it."""
-        own = ViscousDynamics(**wheeled.terms)
+        own = ViscousDynamics(wheeled, wheeled.robot.array_dynamics)
         object.__setattr__(own, "c", self.c)
         return own
 

@@ -55,7 +55,7 @@ class WheelTree(System):
 
     def __init__(self, wheeled: WheeledRobot) -> None:
         model = wheeled.robot.model
-        model.gravity.linear = np.array(wheeled.terms["fall"])
+        model.gravity.linear = np.array(wheeled.fall)
         model.inertias[BODY_JOINT] = wheeled.bare_body
         for wheel in wheeled.table.wheels:  # CRBA takes what hangs on a joint to come right after it
             parent, place = BODY_JOINT, wheel.placement

@@ -14,7 +14,6 @@ from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.arrays import frozen
 from pinmobile.compiled import choose, repeated
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import by_value, child, integer, number as declared, part
@@ -194,20 +193,20 @@ class SlippingDynamics(WheeledDynamics):
 
     Parameters
     ----------
-    across, rolling, slip : ndarray, shape (wheels,)
-        As of `WheelFriction`.
-    sweeps, tolerance
-        As of `Coulomb`.
+    ground : Coulomb
+        What it stands on.
     rubbing : tuple of int
         Actuators with dry friction, each of wheels that turn together.
     """
 
-    across: Any
-    rolling: Any
-    slip: Any
-    sweeps: int
-    tolerance: float
+    ground: Coulomb
     rubbing: tuple[int, ...] = ()
+
+    @cached_property
+    def mu(self) -> Any:
+        """Coefficients of friction, of rollers along their axes, shape (wheels,)."""
+        own = [wheel.friction.mu for wheel in self.table.wheels]
+        return column(own if self.ground.mu is None else [self.ground.mu] * len(own))
 
     # Gear trains
 
@@ -243,7 +242,11 @@ class SlippingDynamics(WheeledDynamics):
     def _held(self) -> list[int]:
         """Kept velocities that rolling resistance or dry friction of motors holds, in their order."""
         first = _BASE + self.na + len(self.table.axes)
-        resisted = {self._leaders[first + row][0] for row, x in enumerate(self.rolling) if x}
+        resisted = {
+            self._leaders[first + row][0]
+            for row, wheel in enumerate(self.table.wheels)
+            if wheel.friction.rolling
+        }
         resisted |= {self.turned_by(k)[0][0] for k in self.rubbing}
         return [k for k, i in enumerate(self._kept) if i in resisted]
 
@@ -282,12 +285,13 @@ class SlippingDynamics(WheeledDynamics):
         def over(x: Vector) -> Vector:
             return [x[k] for k in touched]
 
-        touches, discs = [], [wheel.roller is None for wheel in self.table.wheels]
-        for k, (pair, give) in enumerate(zip(pairs, scalars(self.slip), strict=True)):
+        touches = []
+        for k, (pair, wheel) in enumerate(zip(pairs, self.table.wheels, strict=True)):
             pushed, at = columns[2 * k : 2 * k + 2], spins[k]
             spin = touched.index(at), over(units[at])
+            give, disc = exact(wheel.friction.slip) / h, wheel.roller is None
             touches.append(
-                WheelContact([*map(over, pair)], [*map(over, pushed)], *spin, discs[k], give / h, at in held)
+                WheelContact([*map(over, pair)], [*map(over, pushed)], *spin, disc, give, at in held)
             )
         holding = [at for at in dict.fromkeys(spins) if at in held]
         return _Shape(solve, touches, touched, rest, inertia, [*columns, *(units[at] for at in holding)])
@@ -308,15 +312,15 @@ class SlippingDynamics(WheeledDynamics):
         """Return what the friction of each wheel is at most."""
         first, found = _BASE + self.na + len(self.table.axes), []
         holds: dict[int, Any] = {}
-        for k, (share, r) in enumerate(zip(scalars(self.rolling), scalars(self.radius), strict=True)):
-            ratio = abs(float(self._leaders[first + k][1]))
+        for k, (wheel, r) in enumerate(zip(self.table.wheels, scalars(self.radius), strict=True)):
+            share, ratio = exact(wheel.friction.rolling), abs(float(self._leaders[first + k][1]))
             at = shape.touches[k].spin
             holds[at] = holds.get(at, ZERO) + h * (exact(ratio) * share * r) * loads[k]
         for at, more in self._rubs(shape, pushes, h):
             holds[at] = holds[at] + more
         for k, wheel in enumerate(self.table.wheels):
             along = number(h * scalars(self.mu)[k] * loads[k])
-            across = along if wheel.roller is None else number(h * scalars(self.across)[k] * loads[k])
+            across = along if wheel.roller is None else number(h * exact(wheel.friction.across) * loads[k])
             found.append(Bounds(along, across, number(holds[shape.touches[k].spin]), slips[k]))
         return found
 
@@ -412,7 +416,7 @@ class SlippingDynamics(WheeledDynamics):
         turning = pushed or bool(self.fall[0] or self.fall[1])
         fixed = self._shape(middle, q, h) if motors is None else None
         places = places_of(self, middle.steering)
-        size, little = sum((dot(x, x) for x in places), ZERO), _COARSER * self.tolerance
+        size, little = sum((dot(x, x) for x in places), ZERO), _COARSER * self.ground.tolerance
 
         def at_mean(after: Vector) -> tuple[State, Vector]:
             mean = [0.5 * (x + y) for x, y in zip(before, after, strict=True)]
@@ -454,9 +458,8 @@ class SlippingDynamics(WheeledDynamics):
             began, slides = self._began(now, before, end, x.slides)
             bounds = self._bounds(now, loads.values, began, h, pushes)
             start, known = Impulses([], *x[1:3]), [number(free[k]) for k in now.touched]
-            grip = impulses(
-                now.touches, bounds, known, now.inertia, start, most=self.sweeps, tolerance=self.tolerance
-            )
+            most, tolerance = self.ground.sweeps, self.ground.tolerance
+            grip = impulses(now.touches, bounds, known, now.inertia, start, most=most, tolerance=tolerance)
             after = self._after(now, free, grip)
             for k, limit in self.stops:
                 unit = [ONE if i == _BASE + self.na + k else ZERO for i in range(self.nv)]
@@ -659,14 +662,7 @@ class Coulomb:
 
     def dynamics(self, wheeled: Any) -> SlippingDynamics:
         """Return the dynamics of a robot on it."""
-        terms, wheels = wheeled.terms, wheeled.table.wheels
-        own: dict[str, Any] = {
-            name: frozen([getattr(wheel.friction, name) for wheel in wheels])
-            for name in ("across", "rolling", "slip")
-        }
-        if self.mu is not None:
-            own["mu"] = column([self.mu] * len(wheels))
-        return SlippingDynamics(**terms | own, sweeps=self.sweeps, tolerance=self.tolerance)
+        return SlippingDynamics(wheeled, wheeled.robot.array_dynamics, self)
 
     def check_robot(self, wheeled: Any) -> None:
         """Refuse what cannot be computed where wheels slip."""

@@ -218,24 +218,7 @@ class WheeledRobot:
         """Its dynamics of numbers on ground where it rolls."""
         self._check_rolls()
         own = self._numeric
-        return RollingDynamics(**self.terms | {"robot": own.robot}) if own.slips else own
-
-    @cached_property
-    def terms(self) -> dict[str, Any]:
-        """Arguments of a `WheeledDynamics`, numbers or symbols, whatever the ground."""
-        return {
-            "robot": self.robot.array_dynamics,
-            "table": self.table,
-            **{name: getattr(self, name) for name in ("x", "y", "radius", "spin_inertia", "upright")},
-            "mu": column([wheel.friction.mu for wheel in self.table.wheels]),
-            "rotors": frozen([actuator.motor.reflected_inertia for actuator in self.table.actuators]),
-            "fall": self._fall,
-            "footprint": self.footprint,
-            "stands": self.grounded and self.footprint is not None,
-            "choice": self.mobility.choice,
-            "coordinates": self.coordinates,
-            "inputs": self.inputs,
-        }
+        return RollingDynamics(self, own.robot) if own.slips else own
 
     x = _of_wheels("x", "Where the wheels' pivots stand, forward, shape (wheels,) [m].")
     y = _of_wheels("y", "Where the wheels' pivots stand, to the left, shape (wheels,) [m].")
@@ -269,7 +252,7 @@ class WheeledRobot:
         return frozen([inertia.lever[2], inertia.inertia[0, 2], inertia.inertia[1, 2]])
 
     @structure
-    def _fall(self) -> Array:
+    def fall(self) -> Array:
         """Gravity along the axes of the plane, shape (3,) [m/s^2]."""
         g, ramp = np.array(self.robot.model.gravity.linear), getattr(self.ground, "ramp", None)
         return frozen(g) if ramp is None else ramp.fall(float(np.linalg.norm(g)))
@@ -767,7 +750,7 @@ class WheeledRobot:
         """Return the wrench of an arm on the body at its mount, (..., 6): see `MobileRobot.mount_wrench`."""
         n, slack = self.robot.nv, self.array_dynamics._slack
         q, v, a = q[..., :n], v[..., :n], a[..., :n].copy()
-        a[..., :2] -= self._fall[:2]  # gravity in the plane is as if the plane accelerated against it
+        a[..., :2] -= self.fall[:2]  # gravity in the plane is as if the plane accelerated against it
         found, still = self.robot.mount_wrench(q, v, a, mount), np.zeros_like(v)
         return found - slack * self.robot.mount_wrench(q, still, still, mount) if slack else found
 

@@ -13,9 +13,8 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, frozen
 from pinmobile.metrics import Metric
-from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import (
     ZERO,
     Matrix,
@@ -33,10 +32,13 @@ from pinmobile.robot import (
 )
 from pinmobile.wheels._kinematics import Kinematics, NullSpaceBasis, Row, RowSelection, solve_null_space
 from pinmobile.wheels._loads import evaluate_metrics, metrics_of
-from pinmobile.wheels._table import Axis, WheelTable
+from pinmobile.wheels._table import Axis, column
 from pinmobile.wheels._velocities import Reduced, ReferenceMotion, followed, linearized, matrix
 
 _BASE = 3
+_OF_ROBOT = frozenset(
+    ("table", "x", "y", "radius", "spin_inertia", "upright", "fall", "footprint", "coordinates", "inputs")
+)
 
 
 class State(NamedTuple):
@@ -90,51 +92,43 @@ class WheeledDynamics:
 
     Parameters
     ----------
-    robot : PlanarBody or ArticulatedBody
+    wheeled : WheeledRobot
+        Whose table, places, radii, inertias, footprint, coordinates and inputs it has too.
+    robot : PlanarDynamics, ArticulatedDynamics or MobileRobot
         The whole, wheels locked at their table angles.
-    table : WheelTable
-        The structure of the drive.
-    x, y, radius : ndarray, shape (wheels,)
-        Of each wheel [m].
-    spin_inertia : ndarray, shape (wheels,)
-        About the axles [kg m^2].
-    rotors : ndarray, shape (actuators,)
-        What motors add to the inertia [kg m^2].
-    fall : ndarray, shape (3,)
-        Gravity along the axes of the plane [m/s^2].
-    mu : ndarray, shape (wheels,)
-        Coefficients of friction, of rollers along their axes.
-    upright : ndarray, shape (3,)
-        Of a robot without arms, what the ground alone feels: height of the centre of mass of the whole [m],
-        and inertia xz and yz about it [kg m^2].
-    footprint : ndarray, shape (k, 2), or None
-        Corners of what it stands on [m].
-    stands : bool
-        Whether it is known where it stands: how high it is, on three places that are not on a line.
-    choice : RowSelection
-        Which rows of the wheels determine what, where they roll.
-    coordinates, inputs
-        As of a plant.
     """
 
+    wheeled: Any
     robot: Any
-    table: WheelTable
-    x: Any
-    y: Any
-    radius: Any
-    spin_inertia: Any
-    rotors: Any
-    fall: Any
-    mu: Any
-    upright: Any
-    footprint: Array | None
-    stands: bool
-    choice: RowSelection
-    coordinates: tuple[Coordinate, ...]
-    inputs: tuple[Input, ...]
 
     broadcasts: ClassVar[bool] = True
     slips: ClassVar[bool] = True
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in _OF_ROBOT:
+            raise AttributeError(f"{type(self).__name__} has no {name}")
+        found = vars(self)[name] = getattr(self.wheeled, name)
+        return found
+
+    @cached_property
+    def rotors(self) -> Array:
+        """What motors add to the inertia, shape (actuators,) [kg m^2]."""
+        return frozen([actuator.motor.reflected_inertia for actuator in self.table.actuators])
+
+    @cached_property
+    def mu(self) -> Any:
+        """Coefficients of friction, of rollers along their axes, shape (wheels,)."""
+        return column([wheel.friction.mu for wheel in self.table.wheels])
+
+    @cached_property
+    def stands(self) -> bool:
+        """Whether it is known where it stands: how high it is, on three places that are not on a line."""
+        return self.wheeled.grounded and self.footprint is not None
+
+    @cached_property
+    def choice(self) -> RowSelection:
+        """Which rows of the wheels determine what, where they roll."""
+        return self.table.mobility.choice  # type: ignore[no-any-return]
 
     @property
     def na(self) -> int:

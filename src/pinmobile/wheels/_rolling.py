@@ -89,7 +89,7 @@ class Rolling:
 
     def dynamics(self, wheeled: Any) -> RollingDynamics:
         """Return the dynamics of a robot on it."""
-        return RollingDynamics(**wheeled.terms)
+        return RollingDynamics(wheeled, wheeled.robot.array_dynamics)
 
     def check_robot(self, wheeled: Any) -> None:
         """Refuse drives that cannot roll, and steering that nothing holds and that has no inertia."""
