@@ -122,7 +122,7 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
         (lambda: pm.CubicVia([0], [1], [2], 1e-200, 1), "t_via is 1e-200 s, expected 1e-50 <= "),
         (
             lambda: closed_form.nonlinear_effects([0, 0, 0], [0, 0, 1e308], mass=1, com=(1, 0)),
-            "the answer is -inf for |v| up to 1e+308",
+            "the answer is -inf for |q| up to 0, |v| up to 1e+308",
             NotFinite,
         ),
         (

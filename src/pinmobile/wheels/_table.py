@@ -528,14 +528,7 @@ class WheelTable:
 
     @classmethod
     def differential(
-        cls,
-        track: float,
-        radius: float,
-        *,
-        x: float = 0.0,
-        supports: _Places = (),
-        motor: Motor = TORQUE,
-        **wheel: Any,
+        cls, track: float, radius: float, *, x: float = 0.0, supports: _Places = (), **wheel: Any
     ) -> Self:
         """Return two driven wheels on one axle, ``left`` and ``right``.
 
@@ -549,27 +542,17 @@ class WheelTable:
             Of the axle in the body's frame [m].
         supports : iterable of (x, y)
             Where casters without friction stand [m].
-        motor : Motor
-            Of each wheel.
         **wheel
-            What else each has, see `Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``, ``friction``.
+            What else each has, see `Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``, ``friction``,
+            ``motor``, by default a source of torque.
         """
-        half = positive("track", track, "m") / 2
-        rows = [
-            Wheel(name, x, y, radius, motor=motor, **wheel) for name, y in (("left", half), ("right", -half))
-        ]
+        half, own = positive("track", track, "m") / 2, {"motor": TORQUE, **wheel}
+        rows = (Wheel(name, x, y, radius, **own) for name, y in (("left", half), ("right", -half)))
         return cls(tuple(rows), _supports(supports))
 
     @classmethod
     def skid_steer(
-        cls,
-        wheelbase: float,
-        track: float,
-        radius: float,
-        *,
-        coupled: bool = True,
-        motor: Motor = TORQUE,
-        **wheel: Any,
+        cls, wheelbase: float, track: float, radius: float, *, coupled: bool = True, **wheel: Any
     ) -> Self:
         """Return four fixed wheels that turn by skidding.
 
@@ -580,31 +563,20 @@ class WheelTable:
         coupled : bool
             Whether the wheels of a side are on one gear train, with one motor a side, in the front; or else
             each wheel has a motor.
-        motor : Motor
-            Of each side, or each wheel.
         **wheel
-            What else each has, see `Wheel`.
+            What else each has, see `Wheel`; ``motor`` is that of each side, or each wheel.
         """
         instance("coupled", coupled, bool, "True or False")
-        rows = [
-            Wheel(name, x, y, radius, motor=None if coupled and name.startswith("rear") else motor, **wheel)
-            for name, x, y in _corners(wheelbase, track)
-        ]
-        trains = (
-            [GearTrain((f"front_{side}", f"rear_{side}")) for side in ("left", "right")] if coupled else []
-        )
-        return cls(tuple(rows), (), tuple(trains))
+        own = {"motor": TORQUE, **wheel}
+        rear = own | {"motor": None} if coupled else own
+        places = _corners(wheelbase, track)
+        rows = [Wheel(*at, radius, **(rear if at[0].startswith("rear") else own)) for at in places]
+        sides = ("left", "right") if coupled else ()
+        return cls(tuple(rows), (), tuple(GearTrain((f"front_{side}", f"rear_{side}")) for side in sides))
 
     @classmethod
     def mecanum(
-        cls,
-        wheelbase: float,
-        track: float,
-        radius: float,
-        *,
-        roller: float = pi / 4,
-        motor: Motor = TORQUE,
-        **wheel: Any,
+        cls, wheelbase: float, track: float, radius: float, *, roller: float = pi / 4, **wheel: Any
     ) -> Self:
         """Return four mecanum wheels whose rollers form an X seen from above.
 
@@ -615,12 +587,10 @@ class WheelTable:
         roller : float
             Angle of the rollers [rad]: positive for the X. A negative one is the O arrangement, which is
             refused on a square base: it could not turn.
-        motor : Motor
-            Of each wheel.
         **wheel
             What else each has, see `Wheel`.
         """
-        angle = scalar("roller", roller)
+        angle, own = scalar("roller", roller), {"motor": TORQUE, **wheel}
         turns = angle > 0 or abs(wheelbase - track * abs(np.tan(angle))) >= 1e-3 * track
         if not (angle and turns):
             flaw = "form an O whose axes meet in its middle, so that it cannot turn"
@@ -630,23 +600,11 @@ class WheelTable:
                 "expected the X, a positive angle, or WheelTable.omni(...)"
             )
         signs = {"front_left": -1, "front_right": 1, "rear_left": 1, "rear_right": -1}
-        rows = [
-            Wheel(name, x, y, radius, roller=signs[name] * angle, motor=motor, **wheel)
-            for name, x, y in _corners(wheelbase, track)
-        ]
-        return cls(tuple(rows))
+        places = _corners(wheelbase, track)
+        return cls(tuple(Wheel(*at, radius, roller=signs[at[0]] * angle, **own) for at in places))
 
     @classmethod
-    def omni(
-        cls,
-        distance: float,
-        radius: float,
-        *,
-        n: int = 3,
-        first: float = 0.0,
-        motor: Motor = TORQUE,
-        **wheel: Any,
-    ) -> Self:
+    def omni(cls, distance: float, radius: float, *, n: int = 3, first: float = 0.0, **wheel: Any) -> Self:
         """Return omni wheels on a circle, their axles through its middle.
 
         Parameters
@@ -657,24 +615,17 @@ class WheelTable:
             How many, three and more.
         first : float
             Where the first one is, from the body's x [rad].
-        motor : Motor
-            Of each wheel.
         **wheel
             What else each has, see `Wheel`.
         """
         count, L = whole("n", n, least=3, most=_MOST), positive("distance", distance, "m")
         angles = (scalar("first", first) + 2 * pi * np.arange(count) / count).tolist()
-        own: dict[str, Any] = {"roller": 0.0, "motor": motor, **wheel}
-        rows = [
-            Wheel(f"wheel_{k + 1}", L * cos(a), L * sin(a), radius, a + pi / 2, **own)
-            for k, a in enumerate(angles)
-        ]
-        return cls(tuple(rows))
+        own: dict[str, Any] = {"roller": 0.0, "motor": TORQUE, **wheel}
+        places = [(f"wheel_{k}", L * cos(a), L * sin(a), radius, a + pi / 2) for k, a in enumerate(angles, 1)]
+        return cls(tuple(Wheel(*at, **own) for at in places))
 
     @classmethod
-    def swerve(
-        cls, places: _Places, radius: float, *, motor: Motor = TORQUE, supports: _Places = (), **wheel: Any
-    ) -> Self:
+    def swerve(cls, places: _Places, radius: float, *, supports: _Places = (), **wheel: Any) -> Self:
         """Return modules that each steer and drive.
 
         Parameters
@@ -683,17 +634,13 @@ class WheelTable:
             Where they stand [m].
         radius : float
             Of the wheels [m].
-        motor : Motor
-            Of each wheel's drive.
         supports : iterable of (x, y)
             Where casters without friction stand [m].
         **wheel
-            What else each has, see `Wheel`.
+            What else each has, see `Wheel`; ``motor`` is that of its drive.
         """
-        rows = [
-            Wheel(f"wheel_{k + 1}", *at, radius, steering=DRIVEN, motor=motor, **wheel)
-            for k, at in enumerate(each_of("places", places))
-        ]
+        own: dict[str, Any] = {"steering": DRIVEN, "motor": TORQUE, **wheel}
+        rows = [Wheel(f"wheel_{k}", *at, radius, **own) for k, at in enumerate(each_of("places", places), 1)]
         return cls(tuple(rows), _supports(supports))
 
     @classmethod
@@ -725,18 +672,12 @@ class WheelTable:
         L, half = positive("wheelbase", wheelbase, "m"), positive("track", track, "m") / 2
         limit = scalar("steering_limit", steering_limit)
         bounded("steering_limit", limit, above=0, below=pi / 2, unit="rad")
-        rear = [
-            Wheel(f"rear_{side}", 0.0, y, radius, **wheel) for side, y in (("left", half), ("right", -half))
-        ]
-        front = [
-            Wheel(f"front_{side}", L, y, radius, steering=DRIVEN, steering_limit=limit, **wheel)
-            for side, y in (("left", half), ("right", -half))
-        ]
-        couplings = (
-            DifferentialGear(("rear_left", "rear_right"), motor, "drive"),
-            AckermannSteering(("front_left", "front_right")),
-        )
-        return cls((*rear, *front), (), couplings)
+        steered: dict[str, Any] = {"steering": DRIVEN, "steering_limit": limit}
+        axles = ("rear", 0.0, wheel), ("front", L, steered | wheel)
+        sides = ("left", half), ("right", -half)
+        rows = [Wheel(f"{end}_{side}", x, y, radius, **own) for end, x, own in axles for side, y in sides]
+        drive = DifferentialGear(("rear_left", "rear_right"), motor, "drive")
+        return cls(tuple(rows), (), (drive, AckermannSteering(("front_left", "front_right"))))
 
 
 def _told(wheel: Wheel) -> tuple[str, ...]:
