@@ -16,8 +16,8 @@ from pinmobile.derivation import Numeric, lagrange, lecture
 from pinmobile.dh import DHTable
 from pinmobile.errors import NotTraceable
 from pinmobile.robot import MobileRobot
-from pinmobile.verification._wheels import compare_wheeled
-from pinmobile.verification.bodies import Parts, times
+from pinmobile.verification._wheels import Row, compare_wheeled
+from pinmobile.verification.bodies import Parts, lumped, off_by, times
 from pinmobile.wheels import WheeledRobot
 
 __all__ = ["Comparison", "Verification", "verify"]
@@ -161,12 +161,11 @@ def verify(
     """
     instance("robot", robot, MobileRobot | WheeledRobot, "a MobileRobot or a WheeledRobot")
     rng, count = seeded("seed", seed), whole("states", states, most=_MOST)
-    if isinstance(robot, WheeledRobot):
-        rows, missing = compare_wheeled(robot, count, rng)
-        return Verification(robot, count, tuple(Comparison(*row) for row in rows), missing)
-    if robot.mounts or robot.loads:
-        return Verification(robot, count, *compare_mounted(robot, count, rng))
-    return Verification(robot, count, *compare_planar(robot, count, rng))
+    compare: Any = compare_wheeled
+    if isinstance(robot, MobileRobot):
+        compare = compare_mounted if robot.mounts or robot.loads else compare_planar
+    rows, missing = compare(robot, count, rng)
+    return Verification(robot, count, tuple(Comparison(*row) for row in rows), missing)
 
 
 Dynamics = dict[str, Array]
@@ -202,6 +201,14 @@ def by_machine_code(robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array
     return dict(zip(("M", "n", "tau", "a"), found, strict=True))
 
 
+def _compiled(robot: MobileRobot, *states: Array) -> tuple[dict[str, Dynamics], str]:
+    """Return the dynamics by machine code, by the name of the route, and why there are none."""
+    try:
+        return {COMPILED: by_machine_code(robot, *states)}, ""
+    except NotTraceable as error:
+        return {}, f"{COMPILED}: {error.reason}"
+
+
 def _dynamics(body: Any, q: Array, v: Array, a: Array, tau: Array) -> tuple[Array, ...]:
     return (
         body.mass_matrix(q),
@@ -215,32 +222,24 @@ _EPS = float(np.finfo(np.float64).eps)
 _TOLERANCE = 1e-12  # some thousand roundings, relative to the scale of the terms
 
 
-def compare_planar(
-    robot: MobileRobot, states: int, rng: np.random.Generator
-) -> tuple[tuple[Comparison, ...], str]:
+def compare_planar(robot: MobileRobot, states: int, rng: np.random.Generator) -> tuple[list[Row], str]:
     """Return every route of a bare body against the closed form, see `verify`, and why one is missing."""
     shape = (states, 3)
     q = rng.uniform(-4 * np.pi, 4 * np.pi, shape)
     v, a = rng.normal(size=shape), rng.normal(size=shape)
     truth = _closed_form(robot, q, v, a)
     tau = truth["tau"]
-    scales = _scales(robot, truth, v, a)
     found = {"Pinocchio (CRBA, RNEA, ABA)": by_pinocchio(robot, q, v, a, tau)}
     for name, numeric in zip(("Newton-Euler", "Lagrange"), _numeric(robot.dh), strict=True):
         found[f"symbolic {name}"] = _symbolic(numeric, robot, q, v, a, tau)
-    missing = ""
-    try:
-        found[COMPILED] = by_machine_code(robot, q, v, a, tau)
-    except NotTraceable as error:
-        missing = f"{COMPILED}: {error.reason}"
-    bounds = dict.fromkeys(("M", "n", "tau"), _TOLERANCE)
-    rows = []
-    for quantity, scale in scales.items():
-        for name, dynamics in found.items():
-            relative = float((np.abs(dynamics[quantity] - truth[quantity]) / scale).max())
-            bound = bounds.get(quantity, 8 * _EPS * float(np.linalg.cond(truth["M"]).max()))
-            rows.append(Comparison(quantity, name, "closed form", relative, bound))
-    return tuple(rows), missing
+    compiled, missing = _compiled(robot, q, v, a, tau)
+    solved, rows = 8 * _EPS * float(np.linalg.cond(truth["M"]).max()), list[Row]()
+    for quantity, scale in _scales(robot, truth, v, a).items():
+        bound = solved if quantity == "a" else _TOLERANCE
+        for name, dynamics in (found | compiled).items():
+            off = off_by(dynamics[quantity] - truth[quantity], scale)
+            rows.append((quantity, name, "closed form", off, bound))
+    return rows, missing
 
 
 def _scales(robot: MobileRobot, truth: Dynamics, v: Array, a: Array) -> Dynamics:
@@ -257,13 +256,14 @@ def _scales(robot: MobileRobot, truth: Dynamics, v: Array, a: Array) -> Dynamics
 
 
 def _closed_form(robot: MobileRobot, q: Array, v: Array, a: Array) -> Dynamics:
-    mass, inertia, com = robot.mass, robot.yaw_inertia, robot.com[:2]
-    tau = closed_form.inverse_dynamics(q, v, a, mass=mass, yaw_inertia=inertia, com=com)
+    moved = {"mass": robot.mass, "com": robot.com[:2]}
+    body = moved | {"yaw_inertia": robot.yaw_inertia}
+    tau = closed_form.inverse_dynamics(q, v, a, **body)
     return {
-        "M": closed_form.mass_matrix(q, mass=mass, yaw_inertia=inertia, com=com),
-        "n": closed_form.nonlinear_effects(q, v, mass=mass, com=com),
+        "M": closed_form.mass_matrix(q, **body),
+        "n": closed_form.nonlinear_effects(q, v, **moved),
         "tau": tau,
-        "a": closed_form.forward_dynamics(q, v, tau, mass=mass, yaw_inertia=inertia, com=com),
+        "a": closed_form.forward_dynamics(q, v, tau, **body),
     }
 
 
@@ -293,9 +293,7 @@ _GRAVITY = 9.81  # [m/s^2]
 _PARTS = "Newton-Euler of the parts"
 
 
-def compare_mounted(
-    robot: MobileRobot, states: int, rng: np.random.Generator
-) -> tuple[tuple[Comparison, ...], str]:
+def compare_mounted(robot: MobileRobot, states: int, rng: np.random.Generator) -> tuple[list[Row], str]:
     """Return the routes of a robot with arms against each other, see `verify`, and which is missing."""
     q = robot.random_configuration(rng, (states,))
     q[:, 2] = rng.uniform(-4 * np.pi, 4 * np.pi, states)
@@ -313,25 +311,18 @@ def compare_mounted(
         ("tau", "RNEA", _PARTS): tau - parts.forces(a),
         ("f", "RNEA", _PARTS): each(robot.ground_wrench, q, v, a) - parts.ground_wrench(a),
         ("M", "CRBA", "RNEA's columns"): M - columns,
-        ("M3", "CRBA", "closed form of the lump"): M[:, :3, :3] - _lumped(robot, q),
+        ("M3", "CRBA", "closed form of the lump"): M[:, :3, :3]
+        - closed_form.mass_matrix(q[:, :3], **lumped(robot, q)),
         ("n", "RNEA", "C(q, v) v + g(q)"): n - times(each(robot.coriolis_matrix, q, v), v) - g,
         ("tau", "RNEA", "M a + n"): tau - times(M, a) - n,
         ("a", "ABA", "M^-1 (tau - n)"): own["a"] - np.linalg.solve(M, (tau - n)[..., None])[..., 0],
     }
-    missing = ""
-    try:
-        compiled = by_machine_code(robot, q, v, a, tau)
-    except NotTraceable as error:
-        missing = f"{COMPILED}: {error.reason}"
-    else:
+    compiled, missing = _compiled(robot, q, v, a, tau)
+    for dynamics in compiled.values():
         against = {"M": "CRBA", "n": "RNEA", "tau": "RNEA", "a": "ABA"}
-        routes |= {(x, COMPILED, against[x]): compiled[x] - own[x] for x in against}
+        routes |= {(x, COMPILED, against[x]): dynamics[x] - own[x] for x in against}
     scales = _mounted_scales(parts, v, a, M)
-    rows = (
-        Comparison(*names, float((np.abs(off) / scales[names[0]]).max()), _ROUNDING)
-        for names, off in routes.items()
-    )
-    return tuple(rows), missing
+    return [(*names, off_by(off, scales[names[0]]), _ROUNDING) for names, off in routes.items()], missing
 
 
 def _mounted_scales(parts: Parts, v: Array, a: Array, M: Array) -> dict[str, Array]:
@@ -357,13 +348,3 @@ def _mounted_scales(parts: Parts, v: Array, a: Array, M: Array) -> dict[str, Arr
         "f": felt[:, [0, 0, 0, 2, 2, 2]] * accelerated,  # the mass for forces, that about psi for moments
         "a": times(np.abs(np.linalg.inv(M)), tau),
     }
-
-
-def _lumped(robot: MobileRobot, q: Array) -> Array:
-    """Return the closed form of the robot lumped at each configuration, shape (n, 3, 3)."""
-    blocks = []
-    for row in q:
-        lump = robot.lumped(row)
-        com, inertia = lump.com[:2], lump.yaw_inertia
-        blocks.append(closed_form.mass_matrix(row[:3], mass=lump.mass, yaw_inertia=inertia, com=com))
-    return np.stack(blocks)

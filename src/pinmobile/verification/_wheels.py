@@ -15,7 +15,7 @@ from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.parts import Stepping, able, evolved
 from pinmobile.plant import Step
 from pinmobile.robot import BODY_JOINT, PinocchioBackend, System
-from pinmobile.verification.bodies import WheelBodies, times, tree_motion
+from pinmobile.verification.bodies import WheelBodies, lumped, off_by, reflected, times, tree_motion
 from pinmobile.wheels import AckermannSteering, Coulomb, WheeledRobot
 
 ROUNDING = 1e-13  # some hundred roundings, relative to the scale of the terms
@@ -67,16 +67,11 @@ class WheelTree(System):
             model.appendBodyToJoint(joint, wheel.inertia, pin.SE3.Identity())
         self._engine, self._wheeled = PinocchioBackend(model), wheeled
         self.mounts, self.loads = wheeled.mounts, wheeled.robot.loads
-        first = wheeled.robot.nv
-        self.reflected = np.zeros((wheeled.nv, wheeled.nv))
-        for actuator in wheeled.table.actuators:
-            square = np.outer(actuator.column, actuator.column)
-            self.reflected[first:, first:] += actuator.motor.reflected_inertia * square
 
     def dynamics(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return M(q), rotors included, by CRBA and n(q, v) by RNEA."""
         moving, G = tree_motion(self._wheeled, q, v, 0 * v)
-        M = np.swapaxes(G, -1, -2) @ self.mass_matrix(moving[0]) @ G + self.reflected
+        M = np.swapaxes(G, -1, -2) @ self.mass_matrix(moving[0]) @ G + reflected(self._wheeled)
         return M, np.einsum("...ki,...k->...i", G, self.inverse_dynamics(*moving))
 
 
@@ -116,10 +111,6 @@ def _scales(bodies: WheelBodies, wheeled: WheeledRobot, M: Array, v: Array, a: A
     )
 
 
-def _off(difference: Array, scale: Array) -> float:
-    return float((np.abs(difference) / scale).max(initial=0.0))
-
-
 def _rolling(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> tuple[tuple[Row, ...], str]:
     q, v, u, f = _states(wheeled, states, rng)
     v = wheeled.project(q, v)
@@ -142,23 +133,23 @@ def _rolling(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> tu
     largest = np.abs(ground).max(-1, keepdims=True) + scales.tau[:, :2].max(-1, keepdims=True)
     plane, forces = wheeled.forward_dynamics(q, v, u, f), wheeled.constraint_forces(q, v, u, f).values
     rows: list[Row] = [
-        ("M", "CRBA", BODIES, _off(M - np.stack(by_bodies, axis=-1), scales.M), ROUNDING),
-        ("M", "CRBA", PLANE, _off(M - wheeled.mass_matrix(q), scales.M), ROUNDING),
-        ("n", "RNEA", BODIES, _off(n - bodies.forces(0 * a), scales.tau), ROUNDING),
-        ("n", "RNEA", PLANE, _off(n - wheeled.nonlinear_effects(q, v), scales.tau), ROUNDING),
-        ("tau", KKT, BODIES, _off(given + held - bodies.forces(a), scales.tau), SOLVED),
-        ("a", KKT, PLANE, _off(a - plane, scales.a), SOLVED),
-        ("lambda", KKT, PLANE, _off(ground - forces, largest), SOLVED),
+        ("M", "CRBA", BODIES, off_by(M - np.stack(by_bodies, axis=-1), scales.M), ROUNDING),
+        ("M", "CRBA", PLANE, off_by(M - wheeled.mass_matrix(q), scales.M), ROUNDING),
+        ("n", "RNEA", BODIES, off_by(n - bodies.forces(0 * a), scales.tau), ROUNDING),
+        ("n", "RNEA", PLANE, off_by(n - wheeled.nonlinear_effects(q, v), scales.tau), ROUNDING),
+        ("tau", KKT, BODIES, off_by(given + held - bodies.forces(a), scales.tau), SOLVED),
+        ("a", KKT, PLANE, off_by(a - plane, scales.a), SOLVED),
+        ("lambda", KKT, PLANE, off_by(ground - forces, largest), SOLVED),
         *_reduced_rows(wheeled, (M, n), q, v, u, a, f),
     ]
     power = np.einsum("ni,ni->n", v, given - wheeled.nonlinear_effects(q, 0 * v))
     rate = _rate(wheeled, wheeled.kinetic_energy, q, v, a)
-    rows.append(("power", KKT, RATE, _off(power - rate, scales.power), DIFFERENCED))
+    rows.append(("power", KKT, RATE, off_by(power - rate, scales.power), DIFFERENCED))
     try:
         compiled = vectorize(wheeled.array_dynamics.forward_dynamics, keep=False)(q, v, u, f)
     except NotTraceable as error:
         return tuple(rows), f"{COMPILED}: {error.reason}"
-    rows.append(("a", COMPILED, PLANE, _off(compiled - plane, scales.a), SOLVED))
+    rows.append(("a", COMPILED, PLANE, off_by(compiled - plane, scales.a), SOLVED))
     return tuple(rows), ""
 
 
@@ -179,22 +170,22 @@ def _reduced_rows(
     scales = {"M": pair, "n": size, "B": np.abs(own["B"]).max(axis=(1, 2), keepdims=True, initial=0.0) + 1.0}
     for quantity, scale in scales.items():
         difference = own[quantity] - getattr(plane, quantity)
-        yield f"{quantity} of nu", TREE, PLANE, _off(difference, scale), ROUNDING
+        yield f"{quantity} of nu", TREE, PLANE, off_by(difference, scale), ROUNDING
     by_hand = by_closed_form(wheeled, q, plane.nu)
     if by_hand is not None:
         arms = wheeled.robot.nv - 3
         bodily = 3 - len(wheeled.mobility.choice.body)
         kept = [*range(bodily), *range(bodily + arms, plane.nu.shape[-1])]
         some = np.ix_(range(len(q)), kept, kept)
-        yield "M of nu", TREE, HAND, _off(own["M"][some] - by_hand.M, pair[some]), ROUNDING
+        yield "M of nu", TREE, HAND, off_by(own["M"][some] - by_hand.M, pair[some]), ROUNDING
         for quantity in "nB" if not arms else "":
             difference = own[quantity] - getattr(by_hand, quantity)
-            yield f"{quantity} of nu", TREE, HAND, _off(difference, scales[quantity]), ROUNDING
+            yield f"{quantity} of nu", TREE, HAND, off_by(difference, scales[quantity]), ROUNDING
     rate = _rate(wheeled, wheeled.independent, q, v, a)
     force = times(own["B"], u) - own["n"] + times(S_T, f)
     solved = np.linalg.solve(own["M"], force[..., None])[..., 0]
     speed = np.abs(rate).max(-1, keepdims=True) + np.abs(solved).max(-1, keepdims=True) + rates[:, None] ** 2
-    yield "nu'", TREE, "rate of nu as KKT moves it", _off(solved - rate, speed), DIFFERENCED
+    yield "nu'", TREE, "rate of nu as KKT moves it", off_by(solved - rate, speed), DIFFERENCED
 
 
 def by_closed_form(wheeled: WheeledRobot, q: Array, nu: Array) -> closed_form.ReducedModel | None:
@@ -203,12 +194,7 @@ def by_closed_form(wheeled: WheeledRobot, q: Array, nu: Array) -> closed_form.Re
     wheels, alike = table.wheels, _alike(wheeled)
     if wheeled.ground.ramp is not None or any(any(wheel.trail) for wheel in wheels):
         return None
-    lumps = [robot.lumped(row) for row in q[:, : robot.nq]]
-    body: dict[str, Any] = {
-        "mass": np.array([lump.mass for lump in lumps]),
-        "yaw_inertia": np.array([lump.yaw_inertia for lump in lumps]),
-        "com": np.array([lump.com[:2] for lump in lumps]),
-    }
+    body: dict[str, Any] = lumped(robot, q[:, : robot.nq])
     spins, shared = np.array([wheel.spin_inertia for wheel in wheels]), 0.0
     for actuator in table.actuators:
         column, rotor = np.array(actuator.column[len(table.axes) :]), actuator.motor.reflected_inertia
@@ -336,7 +322,7 @@ def _step_rows(robot: WheeledRobot, q: Array, v: Array, u: Array, f: Array, step
         missed = missed - missed @ np.linalg.pinv(trains) @ trains
         rates = np.abs(step.v @ trains.T).max()
         yield "trains", STEP, "rates that fit", float(rates / np.abs(step.v).max()), ROUNDING
-    yield "tau", STEP, BODIES, _off(missed, scales.tau), SOLVED
+    yield "tau", STEP, BODIES, off_by(missed, scales.tau), SOLVED
     wrench, loads = bodies.wrench(a_mid), kept.loads
     places = np.stack(
         [*(at.p for at in bodies.wheels), *(np.tile([s.x, s.y], (len(q), 1)) for s in robot.table.supports)],
@@ -347,15 +333,15 @@ def _step_rows(robot: WheeledRobot, q: Array, v: Array, u: Array, f: Array, step
     )
     stands = np.broadcast_to(kept.tips, (len(q),)) == 0
     size = scales.tau[:, [0, 2, 2]]
-    yield "loads", STEP, BODIES, _off((held - wrench[:, 2:5])[stands], size[stands]), SOLVED
+    yield "loads", STEP, BODIES, off_by((held - wrench[:, 2:5])[stands], size[stands]), SOLVED
     most = robot.mu * loads[:, : len(robot.table)]
     along, across = kept.forces[:, 0::2], kept.forces[:, 1::2]
     tyre = np.array([wheel.roller is None for wheel in robot.table.wheels])
     used = np.where(tyre, np.hypot(along, across), np.abs(along))
-    yield "cone", STEP, "mu times the load", _off(np.maximum(used - most, 0), size[:, :1]), SOLVED
+    yield "cone", STEP, "mu times the load", off_by(np.maximum(used - most, 0), size[:, :1]), SOLVED
     power = np.einsum("ni,ni->n", v_mid, given - robot.nonlinear_effects(middle, 0 * v))
     rise = _rate(robot, lambda x, y: robot.kinetic_energy(x, y), middle, v_mid, a_mid)
-    yield "power", STEP, RATE, _off(power - rise, scales.power), DIFFERENCED
+    yield "power", STEP, RATE, off_by(power - rise, scales.power), DIFFERENCED
 
 
 def _holders(robot: WheeledRobot) -> list[int]:

@@ -251,6 +251,27 @@ def times(matrices: Array, vectors: Array) -> Array:
     return np.asarray(np.einsum("...ij,...j->...i", matrices, vectors))
 
 
+def off_by(difference: Array, scale: Array) -> float:
+    """Return the largest difference of all, relative to a scale."""
+    return float((np.abs(difference) / scale).max(initial=0.0))
+
+
+def lumped(robot: MobileRobot, q: Array) -> dict[str, Array]:
+    """Return mass, yaw inertia and centre of mass of the robot lumped at each configuration."""
+    lumps = [robot.lumped(row) for row in q]
+    found = ((lump.mass, lump.yaw_inertia, lump.com[:2]) for lump in lumps)
+    return dict(zip(("mass", "yaw_inertia", "com"), map(np.array, zip(*found, strict=True)), strict=True))
+
+
+def reflected(wheeled: WheeledRobot) -> Array:
+    """Return what the rotors of motors add to the mass matrix, shape (nv, nv)."""
+    found, first = np.zeros((wheeled.nv, wheeled.nv)), wheeled.robot.nv
+    for actuator in wheeled.table.actuators:
+        own, motor = np.array(actuator.column), actuator.motor
+        found[first:, first:] += motor.gear**2 * motor.rotor_inertia * np.outer(own, own)
+    return found
+
+
 def tree_motion(
     wheeled: WheeledRobot, q: Array, v: Array, a: Array
 ) -> tuple[tuple[Array, Array, Array], Array]:
@@ -347,10 +368,7 @@ class WheelBodies:
             lever = np.array([*wheel.centre, wheel.radius])
             self.parts.links[BODY_JOINT - 1].bodies.append((-wheel.mass, lever, -_locked(wheel)))
             column += 1
-        self.reflected = np.zeros((self.size, self.size))
-        for actuator in self.table.actuators:
-            own, rotor = np.array(actuator.column), actuator.motor.gear**2 * actuator.motor.rotor_inertia
-            self.reflected[self.nv :, self.nv :] += rotor * np.outer(own, own)
+        self.reflected = reflected(wheeled)
 
     def _axis(self, k: int) -> Array:
         return np.tile(np.eye(6)[:, [k]], (len(self.c), 1, 1))

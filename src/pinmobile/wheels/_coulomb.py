@@ -33,7 +33,7 @@ from pinmobile.robot import (
 )
 from pinmobile.wheels._contact import Bounds, Impulses, WheelContact, factored, impulses
 from pinmobile.wheels._dynamics import State, WheeledDynamics
-from pinmobile.wheels._loads import ground_reaction, places_of, shared_loads, unwrap_scalar, wheel_loads
+from pinmobile.wheels._loads import ground_reaction, places_of, shared_loads, unwrap_scalar
 from pinmobile.wheels._motors import ExternalForceFunction, Motors, TorqueSpeedLine, theta
 from pinmobile.wheels._rolling import Ramp, check_inertias, stop_of, stopped
 from pinmobile.wheels._table import WheelTable, column
@@ -367,7 +367,9 @@ class SlippingDynamics(WheeledDynamics):
         del context
         k, still = len(self.table), [ZERO] * self.nv
         q = np.concatenate([np.zeros(_BASE), self.robot.rest[_BASE:], np.zeros(self.joints)])
-        found = wheel_loads(self, *self._seen(self.state(q, np.zeros(self.nv)), still), q)
+        state = self.state(q, np.zeros(self.nv))
+        exerted = ground_reaction(self, *self._seen(state, still), q)
+        found = shared_loads(places_of(self, state.steering), *exerted)
         zeros = np.zeros(2 * k), np.zeros(len(self._held)), np.zeros(k), np.zeros(self.nv)
         return ContactState(*zeros, stacked(found.values, q), 0.0, 0.0)
 

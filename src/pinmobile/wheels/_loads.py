@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -154,11 +155,6 @@ def places_of(body: Any, steering: Sequence[Any]) -> list[Vector]:
     """Return where wheels and supports touch the ground, along the body's axes [m]."""
     found = [body.kinematics.centre(row, steering)[1] for row in range(len(body.table))]
     return found + [[exact(each.x), exact(each.y)] for each in body.table.supports]
-
-
-def wheel_loads(body: Any, state: Any, felt: Vector, q: Any) -> Loads:
-    """Return what wheels and supports carry: see `ground_reaction`."""
-    return shared_loads(places_of(body, state.steering), *ground_reaction(body, state, felt, q))
 
 
 def ground_reaction(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
@@ -330,10 +326,9 @@ def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any)
 
     forces: dict[int, Any] = {}
     for joint, i in sorted(body.choice.joints, reverse=True):  # wheels, and then what they steer
-        others = [rows[j].joints[joint] * x for j, x in forces.items()] if joint < ns else []
         rest = left(first + joint)
-        for x in others:
-            rest = rest - x
+        for j, x in forces.items() if joint < ns else ():
+            rest = rest - rows[j].joints[joint] * x
         forces[i] = rest / rows[i].joints[joint]
     base = [left(k) for k in range(_BASE)]
     for i, x in forces.items():
@@ -376,21 +371,14 @@ def _margin(wheels: Sequence[tuple[Any, Any]], side: Any, is_tyre: bool) -> Any:
     if len(wheels) == 1:
         force, most = wheels[0]
         return most - square_root(force * force + side * side)
-    least, total = None, ZERO
-    for force, most in wheels:
-        own, rest = most - abs(force), most * most - force * force
-        total = total + square_root(higher(number(rest), 0.0))
-        least = own if least is None else choose(own < least, own, least)
-    rest = total - abs(side)
-    return choose(rest < least, rest, least)
+    rests = (most * most - force * force for force, most in wheels)
+    total = sum((square_root(higher(number(rest), 0.0)) for rest in rests), ZERO)
+    return reduce(lower, [*(most - abs(force) for force, most in wheels), total - abs(side)])
 
 
-def lowest(values: Sequence[Any]) -> Any:
-    """Return the least of scalars."""
-    found = values[0]
-    for x in values[1:]:
-        found = choose(x < found, x, found)
-    return found
+def lower(x: Any, y: Any) -> Any:
+    """Return the lower of two scalars."""
+    return choose(y < x, y, x)
 
 
 def arms_of(body: Any) -> Any:
@@ -477,9 +465,9 @@ def _of_ground(body: Any, state: Any, a: Any, u: Any, q: Any) -> Vector:
         found += scalars(np.where(carried, inside, -np.inf)[..., None])
     places = places_of(body, state.steering)
     shared = shared_loads(places, fz, mx, my)
-    found += [lowest(shared.springs), shared.tips]
+    found += [reduce(lower, shared.springs), shared.tips]
     if not body.slips and body.groups:
-        found.append(lowest(margin(body, state, felt, u, shared.values, q).margins))
+        found.append(reduce(lower, margin(body, state, felt, u, shared.values, q).margins))
     return found
 
 
@@ -516,10 +504,10 @@ class Forces(NamedTuple):
 
 def contact_loads(body: Any, state: Any, felt: Any, q: Array) -> ContactLoads:
     """Return the load of each contact, of arrays."""
-    found = wheel_loads(body, state, felt, q)
+    found = shared_loads(places_of(body, state.steering), *ground_reaction(body, state, felt, q))
     names = (*body.table.names, *(f"support {k + 1}" for k in range(len(body.table.supports))))
     tips = np.broadcast_to(number(found.tips), q.shape[:-1]) > 0
-    return ContactLoads(names, _arrays(found.values, q), _arrays(found.springs, q), tips)
+    return ContactLoads(names, stacked(found.values, q), stacked(found.springs, q), tips)
 
 
 def rolling_margins(body: Any, state: Any, felt: Any, u: Array, q: Array) -> tuple[ContactLoads, SlipMargins]:
@@ -532,7 +520,7 @@ def rolling_margins(body: Any, state: Any, felt: Any, u: Array, q: Array) -> tup
     loads = contact_loads(body, state, felt, q)
     found = margin(body, state, felt, u, list(np.moveaxis(loads.values, -1, 0)), q)
     names = tuple(" + ".join(body.table.names[k] for k in group.wheels) for group in body.groups)
-    values = (_arrays(x, q) for x in (found.margins, found.along, found.lateral))
+    values = (stacked(x, q) for x in (found.margins, found.along, found.lateral))
     return loads, SlipMargins(names, *values)
 
 
@@ -606,30 +594,24 @@ def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: M
     """
     table, body, n = wheeled.table, wheeled.array_dynamics, len(q)
     state, k = body.state(q, v), len(table)
-    places, directions = np.empty((n, k, 2)), np.empty((n, k))
-    for i, wheel in enumerate(table.wheels):
-        x, y = state.outward(body.kinematics.centre(i, state.steering)[1])
-        places[:, i, 0], places[:, i, 1] = q[:, 0] + number(x), q[:, 1] + number(y)
-        head = body.kinematics.heading(i, state.steering)
-        directions[:, i] = q[:, 2] + np.arctan2(number(head.s), number(head.c)) + (wheel.roller or 0.0)
+    centres = [body.kinematics.centre(i, state.steering)[1] for i in range(k)]
+    places = q[:, None, :2] + np.stack([stacked(state.outward(at), q) for at in centres], axis=1)
+    heads = [body.kinematics.heading(i, state.steering) for i in range(k)]
+    turned = np.arctan2(stacked([head.s for head in heads], q), stacked([head.c for head in heads], q))
+    directions = q[:, 2:3] + turned + np.array([wheel.roller or 0.0 for wheel in table.wheels])
     determined, forces, slips = np.ones((k, 2), bool), np.zeros((n, k, 2)), np.zeros((n, k, 2))
     loads, slides = np.full((n, k), np.nan), np.zeros((n, k), bool)
-    rows = body.rows(state)
+    rows = [(i, row.wheel, int(row.kind in _SECOND)) for i, row in enumerate(body.rows(state))]
+    some, wheels, second = np.array([row for row in rows if row[1] >= 0]).T
     if wheeled.mobility.is_regular:
-        for row, known in zip(rows, wheeled.mobility.determined, strict=True):
-            if row.wheel >= 0:
-                determined[row.wheel, int(row.kind in _SECOND)] = known
+        determined[wheels, second] = wheeled.mobility.determined[some]
     if body.slips:
         along, across, loads = (signals[name].values for name in _FORCES)
         forces, loads = np.stack([along, across], axis=-1), loads[:, :k]
         slips = np.stack([signals["slip_along"].values, signals["slip_across"].values], axis=-1)
         slides = signals["slides"].values > 0.5
     else:
-        for row, force in zip(
-            rows, np.moveaxis(wheeled.constraint_forces(q, v, u).values, -1, 0), strict=True
-        ):
-            if row.wheel >= 0:
-                forces[:, row.wheel, int(row.kind in _SECOND)] = force
+        forces[:, wheels, second] = wheeled.constraint_forces(q, v, u).values[:, some]
         if body.stands:
             loads = wheeled.contact_loads(q, v, a).values[:, :k]
         for row in body.rows(state, across=True):
@@ -638,16 +620,7 @@ def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: M
     own = [wheel.friction.across for wheel in table.wheels]
     across = [mu if w.roller is None else x for mu, x, w in zip(wheeled.mu, own, table.wheels, strict=True)]
     limits = loads[..., None] * np.stack([wheeled.mu, across], axis=-1)
-    centre = _rotation_centre(q, v)
+    turns = np.abs(v[:, 2:3]) > _STILL
+    centre = q[:, :2] + np.stack([-v[:, 1], v[:, 0]], axis=-1) / np.where(turns, v[:, 2:3], 1.0)
+    centre = np.where(turns, centre, np.inf)
     return Contacts(table.names, places, directions, forces, determined, loads, limits, slips, slides, centre)
-
-
-def _rotation_centre(q: Array, v: Array) -> Array:
-    """Return the instantaneous centre of rotation, shape (n, 2)."""
-    turns = np.abs(v[:, 2]) > _STILL
-    found = q[:, :2] + np.stack([-v[:, 1], v[:, 0]], axis=-1) / np.where(turns, v[:, 2], 1.0)[:, None]
-    return np.where(turns[:, None], found, np.inf)
-
-
-def _arrays(values: Any, q: Array) -> Array:
-    return np.stack([np.broadcast_to(number(x), q.shape[:-1]) for x in values], axis=-1)
