@@ -6,13 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from os import PathLike
-from types import MappingProxyType, MethodType
+from types import MappingProxyType
 from typing import Any, ClassVar, Self, final
 
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, frozen, positive, shaped
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, frozen, shaped
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import rk4
 from pinmobile.metrics import Metric
@@ -22,15 +22,15 @@ from pinmobile.parts import (
     by_value,
     child,
     evolved,
-    holds_symbols,
     part,
     required,
     structure,
     takes,
 )
-from pinmobile.plant import ContactLoads, Contacts, Coordinate, Input, SlipMargins, Step
+from pinmobile.plant import ContactLoads, Contacts, Coordinate, Input, SlipMargins
 from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, MobileRobot, PayloadBody, number
 from pinmobile.wheels._coulomb import Coulomb
+from pinmobile.wheels._dynamics import PlantOnWheels, of_ground
 from pinmobile.wheels._loads import (
     Forces,
     TimeScaledMotion,
@@ -40,7 +40,6 @@ from pinmobile.wheels._loads import (
     recorded_margins,
     rolling_margins,
 )
-from pinmobile.wheels._motors import ExternalForceFunction, constant_force
 from pinmobile.wheels._rolling import Ground, Ramp, Rolling, RollingDynamics
 from pinmobile.wheels._table import WheelTable, column
 from pinmobile.wheels._urdf_reader import joint_signs, read_robot, read_wheels, source_of
@@ -67,22 +66,10 @@ def _counted(doc: str, count: Callable[[Any], int]) -> Any:
     return found
 
 
-def _of_ground(method: Callable[..., Any]) -> Any:
-    """Let a robot have a method where the dynamics of its ground have it."""
-
-    def found(robot: Any) -> Any:
-        if not hasattr(robot.array_dynamics, method.__name__):
-            ground = type(robot.ground).__name__
-            raise AttributeError(f"a WheeledRobot on {ground} ground has no {method.__name__}")
-        return MethodType(method, robot)
-
-    return property(found, doc=method.__doc__)
-
-
 @final
 @part
 @by_value
-class WheeledRobot:
+class WheeledRobot(PlantOnWheels):
     """A robot on wheels: q = (x, y, psi, arms, steering, wheels), u = torques at arms, wheels and axes.
 
     All methods broadcast over leading axes, and raise `InvalidArgument` for arguments of another last axis or
@@ -107,8 +94,6 @@ class WheeledRobot:
     robot: MobileRobot = child(MobileRobot, expected="a MobileRobot")
     table: WheelTable = child(WheelTable, expected="a WheelTable")
     ground: Any = child(Ground)
-    broadcasts: ClassVar[bool] = True
-    compiles: ClassVar[bool] = True
     integrator: ClassVar[Any] = rk4  # a lower order loses the way of a turn at speed
 
     def __init__(self, robot: MobileRobot, table: WheelTable | None = None, ground: Any = None) -> None:
@@ -198,15 +183,6 @@ class WheeledRobot:
     def array_dynamics(self) -> Any:
         """Its dynamics on its ground, a `WheeledDynamics`, for one state, many, or symbols, unchecked."""
         return self.ground.dynamics(self)
-
-    @cached_property
-    def _is_symbolic(self) -> bool:
-        return holds_symbols(self)
-
-    @property
-    def law(self) -> Any:
-        """What a loop calls: itself, or its `array_dynamics` where it holds symbols."""
-        return self.array_dynamics if self._is_symbolic else self
 
     @cached_property
     def _numeric(self) -> Any:
@@ -690,41 +666,11 @@ class WheeledRobot:
         """
         return self._rolling.allocate_scaled(q, tau)  # type: ignore[no-any-return]
 
-    # What the ground adds: a loop asks by name for what a plant can do
-
-    @_of_ground
+    @of_ground
     @takes(q="nq", v="nv")
     def project(self, q: Any, v: Any) -> Any:
         """Return the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
         return self._numeric.project(q, v)
-
-    @_of_ground
-    def initial_state(self, context: Any = None) -> Any:
-        """Return the memory of the wheels before the first step, where they slip."""
-        return self.array_dynamics.initial_state(context)
-
-    @_of_ground
-    @also_symbols
-    def step(
-        self, t: float, q: Any, v: Any, u: Any, h: Any, f: ExternalForceFunction | ArrayLike, memory: Any
-    ) -> Step:
-        """Return the state a step later, where wheels slip.
-
-        ``f(t, q, v)`` has the generalised forces beside the input, at mid-step; an array has those that stay.
-        """
-        q, v, u = self._state(q, v, u)
-        f, h = f if callable(f) else constant_force(finite("f", f)), positive("h", h, "s")
-        return self.array_dynamics.step(t, q, v, u, h, f, memory)  # type: ignore[no-any-return]
-
-    @_of_ground
-    def signals(self, *given: Any) -> Any:
-        """Return the signals of (t, q, v, u, f, memory): what the ground does, where wheels slip."""
-        return self.array_dynamics.signals(*given)
-
-    @takes(q="nq", v="nv", u="nu", a="nv")
-    def _state(self, q: Any, v: Any, u: Any, a: Any = None) -> tuple[Any, ...]:
-        """Return a state, an input and an acceleration, checked."""
-        return (q, v, u) if a is None else (q, v, u, a)
 
     # What the ground bears
 

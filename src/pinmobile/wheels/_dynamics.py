@@ -6,15 +6,18 @@ energy in the plane, and rolling as independent velocities.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import MethodType
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array, frozen
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive
 from pinmobile.metrics import Metric
+from pinmobile.parts import also_symbols, holds_symbols, takes
+from pinmobile.plant import Step
 from pinmobile.robot import (
     ZERO,
     Matrix,
@@ -32,6 +35,7 @@ from pinmobile.robot import (
 )
 from pinmobile.wheels._kinematics import Kinematics, NullSpaceBasis, Row, RowSelection, solve_null_space
 from pinmobile.wheels._loads import evaluate_metrics, metrics_of
+from pinmobile.wheels._motors import ExternalForceFunction, constant_force
 from pinmobile.wheels._table import Axis, column
 from pinmobile.wheels._velocities import Reduced, ReferenceMotion, followed, linearized, matrix
 
@@ -573,3 +577,61 @@ class WheeledDynamics:
         if wheel.motor is not None or axis.ackermann is not None:  # it may as well run backwards
             angle = (angle + np.pi / 2) % np.pi - np.pi / 2
         return angle
+
+
+def of_ground(method: Callable[..., Any]) -> Any:
+    """Let a robot have a method where the dynamics of its ground have it."""
+
+    def found(robot: Any) -> Any:
+        if not hasattr(robot.array_dynamics, method.__name__):
+            ground = type(robot.ground).__name__
+            raise AttributeError(f"a {type(robot).__name__} on {ground} ground has no {method.__name__}")
+        return MethodType(method, robot)
+
+    return property(found, doc=method.__doc__)
+
+
+class PlantOnWheels:
+    """Abstract base of plants on wheels: a loop asks by name for what the ground, or motors, add."""
+
+    broadcasts: ClassVar[bool] = True
+    compiles: ClassVar[bool] = True
+    array_dynamics: Any
+
+    @cached_property
+    def _is_symbolic(self) -> bool:
+        return holds_symbols(self)
+
+    @property
+    def law(self) -> Any:
+        """What a loop calls: itself, or its `array_dynamics` where it holds symbols."""
+        return self.array_dynamics if self._is_symbolic else self
+
+    @of_ground
+    def initial_state(self, context: Any = None) -> Any:
+        """Return the memory of motors, and of wheels that slip, before the first step."""
+        return self.array_dynamics.initial_state(context)
+
+    @of_ground
+    @also_symbols
+    def step(
+        self, t: float, q: Any, v: Any, u: Any, h: Any, f: ExternalForceFunction | ArrayLike, memory: Any
+    ) -> Step:
+        """Return the state a step later, where wheels slip or motors take volts.
+
+        ``f(t, q, v)`` has the generalised forces beside the input, at mid-step; an array has those that stay.
+        """
+        q, v, u = self._state(q, v, u)
+        f, h = f if callable(f) else constant_force(finite("f", f)), positive("h", h, "s")
+        return self.array_dynamics.step(t, q, v, u, h, f, memory)  # type: ignore[no-any-return]
+
+    @of_ground
+    @also_symbols
+    def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Any) -> dict[str, tuple[str, Any]]:
+        """Return what motors, and the ground where wheels slip, did in the step before."""
+        return self.array_dynamics.signals(t, q, v, u, f, memory)  # type: ignore[no-any-return]
+
+    @takes(q="nq", v="nv", u="nu", a="nv")
+    def _state(self, q: Any, v: Any, u: Any, a: Any = None) -> tuple[Any, ...]:
+        """Return a state, an input and an acceleration, checked."""
+        return (q, v, u) if a is None else (q, v, u, a)

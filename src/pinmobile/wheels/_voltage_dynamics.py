@@ -13,10 +13,10 @@ from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite
+from pinmobile.arrays import Array, ArrayLike
 from pinmobile.compiled import higher, repeated
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.parts import Powered, also_symbols, by_value, child, holds_symbols, part, structure, takes
+from pinmobile.parts import Powered, by_value, child, part, structure, takes
 from pinmobile.plant import Input, Step
 from pinmobile.robot import (
     ZERO,
@@ -31,7 +31,7 @@ from pinmobile.robot import (
     vector_of as stacked,
 )
 from pinmobile.wheels._contact import factored, moved_by, within
-from pinmobile.wheels._dynamics import WheeledDynamics, through
+from pinmobile.wheels._dynamics import PlantOnWheels, WheeledDynamics, through
 from pinmobile.wheels._loads import unwrap_scalar
 from pinmobile.wheels._motors import (
     CONSTANTS,
@@ -40,7 +40,6 @@ from pinmobile.wheels._motors import (
     MotorLaw,
     Motors,
     TorqueSpeedLine,
-    constant_force,
     theta,
 )
 from pinmobile.wheels._rolling import stop_of, stopped
@@ -323,7 +322,7 @@ def of_wheeled(part: Any, name: str) -> Any:
 @final
 @part
 @by_value
-class ByVoltage:
+class ByVoltage(PlantOnWheels):
     """A robot on wheels whose inputs are the voltages of its motors: what `WheeledRobot.by_voltage` returns.
 
     It is the same robot, q and v included, and what it does not say itself it has of that. Joints of arms,
@@ -346,9 +345,6 @@ class ByVoltage:
     """
 
     wheeled: Any = child(Powered, expected="a WheeledRobot")
-
-    broadcasts: ClassVar[bool] = True
-    compiles: ClassVar[bool] = True
 
     def check(self) -> None:
         """Raise `InvalidArgument` where no motor takes volts, or the ground knows no such motors."""
@@ -413,15 +409,6 @@ class ByVoltage:
         columns = {name: column_of([getattr(motor, name) for motor in motors]) for name in CONSTANTS}
         return VoltageDynamics(body, MotorLaw(motors, **columns), self._electric, self.inputs)
 
-    @cached_property
-    def _is_symbolic(self) -> bool:
-        return holds_symbols(self)
-
-    @property
-    def law(self) -> Any:
-        """What a loop calls: itself, or its `array_dynamics` where it holds symbols."""
-        return self.array_dynamics if self._is_symbolic else self
-
     @takes(q="nq", v="nv", u="nu", f="nv")
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Any:
         """Return the acceleration, shape (..., nv) [m/s^2, ...]: the mean over a short step from the state.
@@ -436,10 +423,6 @@ class ByVoltage:
             Generalised forces beside them.
         """
         return self.array_dynamics.forward_dynamics(q, v, u, f)
-
-    @takes(q="nq", v="nv", u="nu")
-    def _state(self, q: Any, v: Any, u: Any) -> tuple[Any, ...]:
-        return q, v, u
 
     @takes(v="nv", torques="nu")
     def volts_for(self, v: ArrayLike, torques: ArrayLike) -> Any:
@@ -487,26 +470,6 @@ class ByVoltage:
             If wheels steer, or an argument has another shape.
         """
         return Linearization(*self.array_dynamics.linearize_tracked(q, v, u))
-
-    def initial_state(self, context: Any = None) -> MotorState:
-        """Return what motors and wheels keep before the first step."""
-        return self.array_dynamics.initial_state(context)
-
-    @also_symbols
-    def step(
-        self, t: float, q: Any, v: Any, u: Any, h: float, f: ExternalForceFunction | ArrayLike, memory: Any
-    ) -> Step:
-        """Return the state a step later, under forces ``f(t, q, v)`` of mid-step, or such as stay."""
-        beside = f if callable(f) else constant_force(finite("f", f))
-        q, v, u = self._state(q, v, u)
-        return self.array_dynamics.step(t, q, v, u, h, beside, memory)
-
-    @also_symbols
-    def signals(
-        self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: MotorState
-    ) -> dict[str, tuple[str, Any]]:
-        """Return what motors, and the ground where wheels slip, did in the step before."""
-        return self.array_dynamics.signals(t, q, v, u, f, memory)
 
     def mount(self, arm: Any, at: ArrayLike | None = None, **options: Any) -> ByVoltage:
         """Return the robot with an arm on its body: see `MobileRobot.mount`."""
