@@ -17,6 +17,7 @@ from pinmobile.robot.linkage import (
     cross as cross,
     dot as dot,
     exact as exact,
+    factored as factored,
     joints_of as joints_of,
     number as number,
     scalars as scalars,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
@@ -358,24 +358,49 @@ def turned(R: Matrix, J: Matrix) -> Matrix:
     return found
 
 
-def solved(M: Matrix, right: Vector, order: Sequence[int]) -> Vector:
-    """Return the solution of M x = right by L D L', the unknowns eliminated in this order; zeros stay."""
-    M, x, inverse = [list(row) for row in M], list(right), [ZERO] * len(right)
+def factored(M: Matrix, order: Sequence[int] = ()) -> tuple[Callable[[Vector], Vector], Matrix]:
+    """Return what solves M x = right, of a symmetric M, and what is left of it halfway; zeros stay.
+
+    Parameters
+    ----------
+    M : list of lists of scalars
+        The matrix.
+    order : sequence of int, optional
+        Unknowns that are eliminated first. What is left is the matrix of the others; they follow, the last
+        first.
+    """
+    n, left = len(M), list[list[Any]]()
+    others = [i for i in range(n) if i not in order]
+    M, inverse, order = [list(row) for row in M], [ZERO] * n, [*order, *reversed(others)]
     for done, i in enumerate(order, 1):
-        inverse[i] = 1.0 / M[i][i]
+        if done > n - len(others) and not left:
+            left = [[M[j][k] for k in others] for j in others]
+        inverse[i] = 1.0 / number(M[i][i])
         rest = order[done:]
         factors = {j: M[j][i] * inverse[i] for j in rest}
         for at, j in enumerate(rest):
             for k in rest[: at + 1]:
                 M[j][k] = M[k][j] = M[j][k] - factors[j] * M[k][i]
-            x[j] = x[j] - factors[j] * x[i]
         for j in rest:
             M[j][i] = factors[j]
-    x = [value * inverse[i] for i, value in enumerate(x)]
-    for k, i in reversed(list(enumerate(order))):
-        for j in order[k + 1 :]:
-            x[i] = x[i] - M[j][i] * x[j]
-    return x
+
+    def solve(right: Vector) -> Vector:
+        x = list(right)
+        for done, i in enumerate(order, 1):
+            for j in order[done:]:
+                x[j] = x[j] - M[j][i] * x[i]
+        x = [value * inverse[i] for i, value in enumerate(x)]
+        for k, i in reversed(list(enumerate(order))):
+            for j in order[k + 1 :]:
+                x[i] = x[i] - M[j][i] * x[j]
+        return x
+
+    return solve, left
+
+
+def solved(M: Matrix, right: Vector, order: Sequence[int]) -> Vector:
+    """Return the solution of M x = right by L D L', the unknowns eliminated in this order; zeros stay."""
+    return factored(M, order)[0](right)
 
 
 def volume(rows: Matrix) -> Any:

@@ -6,7 +6,6 @@ from pinmobile.wheels._dynamics import WheeledDynamics as WheeledDynamics
 from pinmobile.wheels._kinematics import Kinematics as Kinematics, Mobility
 from pinmobile.wheels._loads import Forces
 from pinmobile.wheels._motors import MOTORS, Motor, MotorLaw as MotorLaw
-from pinmobile.wheels._odometry import OdometryFeedback
 from pinmobile.wheels._rolling import Ground as Ground, Ramp, Rolling
 from pinmobile.wheels._table import (
     AckermannSteering,
@@ -18,7 +17,7 @@ from pinmobile.wheels._table import (
     WheelTable,
 )
 from pinmobile.wheels._urdf_reader import read_wheels
-from pinmobile.wheels._velocities import Allocation, Reduced
+from pinmobile.wheels._velocities import Allocation, OdometryFeedback, Reduced
 from pinmobile.wheels._voltage_dynamics import ByVoltage
 
 __all__ = [

@@ -12,13 +12,13 @@ what only their sum determines and some of them slide, `found_by_newton` goes on
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from typing import Any, NamedTuple
 
 from pinmobile.compiled import choose, higher, repeated, square_root
-from pinmobile.robot import ONE, ZERO, Matrix, Vector, dot, number
+from pinmobile.robot import ONE, ZERO, Matrix, Vector, dot, factored, number
 
 _SOON = 24  # rounds
 _ROUNDED = 0.1  # at first: share of a wheel's own slip per impulse, over which friction's edge is rounded
@@ -530,43 +530,3 @@ def found_by_newton(
         multipliers[k] = x
     velocity, pushed = found[behind : behind + n], found[2 * n : 2 * n + m]
     return Impulses(velocity, pushed, multipliers, found[behind - 1], found[-1])
-
-
-def factored(M: Matrix, order: Sequence[int] = ()) -> tuple[Callable[[Vector], Vector], Matrix]:
-    """Return what solves M x = right, of a symmetric M, and what is left of it halfway; zeros stay.
-
-    Parameters
-    ----------
-    M : list of lists of scalars
-        The matrix.
-    order : sequence of int, optional
-        Unknowns that are eliminated first. What is left is the matrix of the others; they follow, the last
-        first.
-    """
-    n, left = len(M), list[list[Any]]()
-    others = [i for i in range(n) if i not in order]
-    M, inverse, order = [list(row) for row in M], [ZERO] * n, [*order, *reversed(others)]
-    for done, i in enumerate(order, 1):
-        if done > n - len(others) and not left:
-            left = [[M[j][k] for k in others] for j in others]
-        inverse[i] = 1.0 / number(M[i][i])
-        rest = order[done:]
-        factors = {j: M[j][i] * inverse[i] for j in rest}
-        for at, j in enumerate(rest):
-            for k in rest[: at + 1]:
-                M[j][k] = M[k][j] = M[j][k] - factors[j] * M[k][i]
-        for j in rest:
-            M[j][i] = factors[j]
-
-    def solve(right: Vector) -> Vector:
-        x = list(right)
-        for done, i in enumerate(order, 1):
-            for j in order[done:]:
-                x[j] = x[j] - M[j][i] * x[i]
-        x = [value * inverse[i] for i, value in enumerate(x)]
-        for k, i in reversed(list(enumerate(order))):
-            for j in order[k + 1 :]:
-                x[i] = x[i] - M[j][i] * x[j]
-        return x
-
-    return solve, left

@@ -25,15 +25,17 @@ from pinmobile.robot import (
     Vector,
     dot,
     exact,
+    factored,
     number,
     scalars,
     sine_and_cosine,
     transposed,
     vector_of as stacked,
 )
-from pinmobile.wheels._contact import Bounds, Impulses, WheelContact, factored, impulses
+from pinmobile.wheels._contact import Bounds, Impulses, WheelContact, impulses
 from pinmobile.wheels._dynamics import State, WheeledDynamics
-from pinmobile.wheels._loads import ground_reaction, places_of, shared_loads, unwrap_scalar
+from pinmobile.wheels._kinematics import unwrap_scalar
+from pinmobile.wheels._loads import ground_reaction, places_of, shared_loads
 from pinmobile.wheels._motors import ExternalForceFunction, Motors, TorqueSpeedLine, theta
 from pinmobile.wheels._rolling import Ramp, check_inertias, stop_of, stopped
 from pinmobile.wheels._table import WheelTable, column

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from pinmobile.arrays import Array
+from pinmobile.compiled import plain
 from pinmobile.robot import (
     ZERO,
     Matrix,
@@ -25,7 +26,12 @@ from pinmobile.robot import (
     sine_and_cosine,
     solved as solved_by,
 )
-from pinmobile.wheels._loads import unwrap_scalar
+
+
+def unwrap_scalar(x: Any) -> Any:
+    """Return the entry of an array without axes; an array or a number as it is."""
+    x = plain(x)
+    return x.item() if isinstance(x, np.ndarray) and not x.ndim else x
 
 
 class Row(NamedTuple):

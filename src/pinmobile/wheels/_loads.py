@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import choose, higher, plain, repeated, square_root
+from pinmobile.compiled import choose, higher, repeated, square_root
 from pinmobile.errors import InvalidArgument
 from pinmobile.metrics import Metric
 from pinmobile.plant import ContactLoads, Contacts, SlipMargins, TorqueMargins
@@ -32,6 +32,7 @@ from pinmobile.robot import (
     sine_and_cosine,
     vector_of as stacked,
 )
+from pinmobile.wheels._kinematics import unwrap_scalar
 from pinmobile.wheels._velocities import ReferenceMotion, driving_inputs
 
 _BASE = 3
@@ -216,12 +217,6 @@ def _carried(body: Any, state: Any, a: Vector, q: Any) -> Vector:
     mx = m * (y * g - height * ay) + (xz * spin - yz * (w * w))
     my = m * (height * ax - x * g) + (yz * spin + xz * (w * w))
     return [m * g, mx, my]
-
-
-def unwrap_scalar(x: Any) -> Any:
-    """Return the entry of an array without axes; an array or a number as it is."""
-    x = plain(x)
-    return x.item() if isinstance(x, np.ndarray) and not x.ndim else x
 
 
 class AxleGroup(NamedTuple):

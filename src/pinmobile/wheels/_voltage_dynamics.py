@@ -24,15 +24,16 @@ from pinmobile.robot import (
     Vector,
     dot,
     exact,
+    factored,
     number,
     scalars,
     sine_and_cosine,
     transposed,
     vector_of as stacked,
 )
-from pinmobile.wheels._contact import factored, moved_by, within
+from pinmobile.wheels._contact import moved_by, within
 from pinmobile.wheels._dynamics import PlantOnWheels, WheeledDynamics, through
-from pinmobile.wheels._loads import unwrap_scalar
+from pinmobile.wheels._kinematics import unwrap_scalar
 from pinmobile.wheels._motors import (
     CONSTANTS,
     ExternalForceFunction,
