@@ -20,6 +20,7 @@ from pinmobile.robot.linkage import (
     factored as factored,
     joints_of as joints_of,
     number as number,
+    scalar_of as scalar_of,
     scalars as scalars,
     sine_and_cosine as sine_and_cosine,
     solved as solved,

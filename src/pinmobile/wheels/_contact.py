@@ -12,7 +12,7 @@ what only their sum determines and some of them slide, `found_by_newton` goes on
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from typing import Any, NamedTuple
@@ -305,7 +305,7 @@ def impulses(
         As of `Coulomb`.
     """
     holder = {touch.spin: touch for touch in touches if touch.held}
-    n, spins = len(free), list(holder)
+    spins = list(holder)
     most_of = [x for bound in bounds for x in (bound.along, bound.across)]
     for at in spins:
         most_of.append(next(b.spin for t, b in zip(touches, bounds, strict=True) if t.spin == at))
@@ -316,12 +316,10 @@ def impulses(
     velocity = moved_by(velocity, [holder[at].spun for at in spins], begun[m:])
     enough = tolerance * reduce(higher, [bound.along for bound in bounds])
 
-    end, inner = n + m, n + m + len(spins)
     plain = min(most, _SOON)
 
-    def one(numbers: Vector) -> tuple[Vector, Any]:
-        v, p = numbers[:n], numbers[n:end]
-        held, shifts, rounds = numbers[end:inner], numbers[inner:-2], numbers[-2]
+    def one(v: Vector, p: Vector, held: Vector, shifts: Vector, rounds: Any, _: Any) -> tuple[Any, Any]:
+        before, p, held, shifts = p, list(p), list(held), list(shifts)
         for k, (touch, bound) in enumerate(zip(touches, bounds, strict=True)):
             at = spins.index(touch.spin) if touch.held else 0
             old = p[2 * k : 2 * k + 2]
@@ -330,19 +328,49 @@ def impulses(
             if touch.held:
                 held[at] = spun
         change: Any = 0.0
-        for x, y in zip(p, numbers[n:end], strict=True):
+        for x, y in zip(p, before, strict=True):
             change = higher(abs(x - y), change)
         done = change <= enough
-        return [*v, *p, *held, *shifts, rounds + 1.0, choose(done, 0.0, 1.0)], done
+        return (v, p, held, shifts, rounds + 1.0, choose(done, 0.0, 1.0)), done
 
-    found = repeated(one, [*velocity, *begun, *before.multipliers, 0.0, 1.0], plain)
-    start = Impulses(found[:n], found[n:inner], found[inner:-2], *found[-2:])
+    first = velocity, begun[:m], begun[m:], list(before.multipliers), 0.0, 1.0
+    velocity, p, held, *rest = iterated(one, first, plain)
+    start = Impulses(velocity, [*p, *held], *rest)
     if most > plain:
         places = [touch.place(bound) for touch, bound in zip(touches, bounds, strict=True)]
         places += [holder[at].holds(bounds[touches.index(holder[at])]) for at in spins]
         settled = start.missed < 0.5
         return found_by_newton(places, inertia, free, start, settled, most - plain, enough)
     return start
+
+
+def iterated(
+    one: Callable[..., tuple[Sequence[Any], Any]], first: Sequence[Any], most: int, settled: Any = False
+) -> tuple[Any, ...]:
+    """Return scalars and lists of scalars after rounds of a law: see `repeated`.
+
+    Parameters
+    ----------
+    one : callable
+        ``one(*parts)`` returns the parts after a round, and whether no further one is needed.
+    first : sequence of scalars and lists of scalars
+        The parts before the first round.
+    most, settled
+        As of `repeated`.
+    """
+
+    def flat(parts: Sequence[Any]) -> Vector:
+        return [number(x) for part in parts for x in (part if isinstance(part, list) else (part,))]
+
+    def shaped(numbers: Vector) -> tuple[Any, ...]:
+        rest = iter(numbers)
+        return tuple([next(rest) for _ in x] if isinstance(x, list) else next(rest) for x in first)
+
+    def law(numbers: Vector) -> tuple[Vector, Any]:
+        found, done = one(*shaped(numbers))
+        return flat(found), done
+
+    return shaped(repeated(law, flat(first), most, settled))
 
 
 def moved_by(velocity: Vector, columns: Iterable[Vector], impulses: Iterable[Any]) -> Vector:
@@ -465,16 +493,14 @@ def found_by_newton(
     """
     n, sizes = len(free), [place.size for place in places]
     ends = [sum(len(place.rows) for place in places[:k]) for k in range(len(places) + 1)]
-    m, discs = ends[-1], [k for k, place in enumerate(places) if place.is_disc]
+    discs = [k for k, place in enumerate(places) if place.is_disc]
     moving = number(dot(free, [number(dot(row, free)) for row in inertia]))
     enough = (
         reduce(higher, sizes) * (_PLAIN * tolerance) * (_PLAIN * tolerance) + _ROUNDING * _ROUNDING * moving
     )
-    behind = 2 * n + m + 7
 
-    def one(numbers: Vector) -> tuple[Vector, Any]:
-        v, way, p = numbers[:n], numbers[n : 2 * n], numbers[2 * n : 2 * n + m]
-        slope, share, low, high, rounded, sure, count = numbers[2 * n + m : behind]
+    def one(v: Vector, way: Vector, p: Vector, search: Vector, *_: Any) -> tuple[Any, Any]:
+        slope, share, low, high, rounded, sure, count = search
         at = [x + share * y for x, y in zip(v, way, strict=True)]
         H = [list(row) for row in inertia]
         change = [x - y for x, y in zip(at, free, strict=True)]
@@ -506,10 +532,7 @@ def found_by_newton(
         impulses = [choose(moves, x, y) for x, y in zip(now, p, strict=True)]
         velocity = moved_by(free, (column for place in places for column in place.columns), impulses)
         smaller = choose(known, _FINE, higher(_LESS * rounded, _LEAST))
-        return [
-            *(choose(goes, x, y) for x, y in zip(at, v, strict=True)),
-            *(choose(moves, 0.0, choose(goes, x, y)) for x, y in zip(next_way, way, strict=True)),
-            *impulses,
+        search = [
             choose(moves, 0.0, choose(goes, fall, slope)),
             choose(moves, 0.0, choose(goes, 1.0, between)),
             choose(goes, 0.0, low),
@@ -517,16 +540,15 @@ def found_by_newton(
             choose(moves, smaller, rounded),
             choose(moves, choose(known, 1.0, 0.0), sure),
             count + 1.0,
-            *velocity,
-            *multipliers,
-            choose(done, 0.0, 1.0),
-        ], done
+        ]
+        way = [choose(moves, 0.0, choose(goes, x, y)) for x, y in zip(next_way, way, strict=True)]
+        v = [choose(goes, x, y) for x, y in zip(at, v, strict=True)]
+        return (v, way, impulses, search, velocity, multipliers, choose(done, 0.0, 1.0)), done
 
-    first = [*start.velocity, *[0.0] * n, *start.impulses, *[0.0] * 4, _ROUNDED, 0.0, start.rounds]
-    first += [*start.velocity, *(start.multipliers[k] for k in discs), start.missed]
-    found = repeated(one, first, most, settled)
-    multipliers, told = list(start.multipliers), found[behind + n : -1]
-    for k, x in zip(discs, told, strict=True):
+    search, own = [0.0] * 4 + [_ROUNDED, 0.0, start.rounds], [start.multipliers[k] for k in discs]
+    first = start.velocity, [0.0] * n, start.impulses, search, start.velocity, own, start.missed
+    _, _, pushed, search, velocity, own, missed = iterated(one, first, most, settled)
+    multipliers = list(start.multipliers)
+    for k, x in zip(discs, own, strict=True):
         multipliers[k] = x
-    velocity, pushed = found[behind : behind + n], found[2 * n : 2 * n + m]
-    return Impulses(velocity, pushed, multipliers, found[behind - 1], found[-1])
+    return Impulses(velocity, pushed, multipliers, search[-1], missed)

@@ -6,15 +6,14 @@ axes, in which nothing depends on the pose; shapes, velocities and loads are tho
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.compiled import choose, repeated
+from pinmobile.compiled import choose
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import by_value, child, integer, number as declared, part
 from pinmobile.plant import Step
@@ -27,12 +26,13 @@ from pinmobile.robot import (
     exact,
     factored,
     number,
+    scalar_of,
     scalars,
     sine_and_cosine,
     transposed,
     vector_of as stacked,
 )
-from pinmobile.wheels._contact import Bounds, Impulses, WheelContact, impulses
+from pinmobile.wheels._contact import Bounds, Impulses, WheelContact, impulses, iterated
 from pinmobile.wheels._dynamics import State, WheeledDynamics
 from pinmobile.wheels._kinematics import unwrap_scalar
 from pinmobile.wheels._loads import ground_reaction, places_of, shared_loads
@@ -100,7 +100,7 @@ class _Pass(NamedTuple):
         Where motors drive.
     loads : list of scalars
         Of wheels and supports.
-    tips, missed, passes : list of one scalar
+    tips, missed, passes : scalar
         As of `ContactState`, and how many passes there were.
     """
 
@@ -115,9 +115,9 @@ class _Pass(NamedTuple):
     rates: Vector
     torques: Vector
     loads: Vector
-    tips: Vector
-    missed: Vector
-    passes: Vector
+    tips: Any
+    missed: Any
+    passes: Any
 
     def corrected(self, found: Vector) -> tuple[Vector, Vector, Vector, Vector]:
         """Return `assumed`, `missing`, `way` and `inverse` of the next pass.
@@ -136,7 +136,7 @@ class _Pass(NamedTuple):
         off = [x - dot(row, change) for x, row in zip(self.way, rows, strict=True)]
         left = [dot(self.way, column) for column in zip(*rows, strict=True)]
         bottom = number(dot(left, change))
-        given = (self.passes[0] > 0.0) & (bottom != 0.0)
+        given = (self.passes > 0.0) & (bottom != 0.0)
         share = choose(given, 1.0 / choose(given, bottom, 1.0), 0.0)
         rows = [
             [x + y * (share * z) for x, z in zip(row, left, strict=True)]
@@ -145,22 +145,6 @@ class _Pass(NamedTuple):
         way = [number(-dot(row, missing)) for row in rows]
         assumed = [x + y for x, y in zip(self.assumed, way, strict=True)]
         return assumed, missing, way, [x for row in rows for x in row]
-
-    def repeated(self, one: Callable[[_Pass], tuple[_Pass, Any]], most: int) -> _Pass:
-        """Return it after passes, until one says that it is the last."""
-        ends = np.cumsum([0, *map(len, self)]).tolist()
-
-        def of(x: Vector) -> _Pass:
-            return _Pass(*(x[a:b] for a, b in pairwise(ends)))
-
-        def flat(x: _Pass) -> Vector:
-            return [number(y) for part in x for y in part]
-
-        def law(x: Vector) -> tuple[Vector, Any]:
-            found, done = one(of(x))
-            return flat(found), done
-
-        return of(repeated(law, flat(self), most))
 
 
 class _Shape(NamedTuple):
@@ -438,7 +422,8 @@ class SlippingDynamics(WheeledDynamics):
             exerted = ground_reaction(self, *self._seen(at_mean(after)[0], rate), q)
             return [x / scale for x, scale in zip([*after[:_BASE], *exerted], scales, strict=True)]
 
-        def one(x: _Pass) -> tuple[_Pass, Any]:
+        def one(*parts: Any) -> tuple[_Pass, Any]:
+            x = _Pass(*parts)
             taken = [y * scale for y, scale in zip(x.assumed, scales, strict=True)]
             end = [*taken[:_BASE], *x.after[_BASE:]]
             at, mean = at_mean(end)
@@ -449,7 +434,7 @@ class SlippingDynamics(WheeledDynamics):
             loads = shared_loads(places, *taken[_BASE:])
             pushes, shares, lag, torques = list[TorqueSpeedLine](), list[Any](), list[Any](), u
             if motors is not None:
-                pushes = motors(x.rates, x.passes[0] > 0.0)
+                pushes = motors(x.rates, x.passes > 0.0)
                 shares = [
                     theta(h * push.slope * y) if push.slope is not ZERO else ZERO
                     for push, y in zip(pushes, self._freedom(middle, q), strict=True)
@@ -483,9 +468,9 @@ class SlippingDynamics(WheeledDynamics):
                 dot(each[:_BASE], each[:_BASE]) + each[_BASE] * each[_BASE] + dot(each[4:], each[4:]) / size
                 for each in (better[1], x.missing)
             )
-            stays = (x.passes[0] > 0.0) & (off <= (_LEVEL * little) ** 2) & (off >= was)
+            stays = (x.passes > 0.0) & (off <= (_LEVEL * little) ** 2) & (off >= was)
             done = (off <= little * little) | stays
-            last = [loads.tips], [choose(done, grip.missed, 1.0)], [x.passes[0] + 1.0]
+            last = loads.tips, choose(done, grip.missed, 1.0), x.passes + 1.0
             found = _Pass(after, *grip[1:3], *better, slides, rates, given, loads.values, *last)
             return found, done
 
@@ -495,8 +480,8 @@ class SlippingDynamics(WheeledDynamics):
         first = [guess, [number(x) * h for x in forces], list(map(number, scalars(memory.multipliers)))]
         first += [led_to(guess), [0.0] * 6, [0.0] * 6]
         first += [[-1.0 if i == j else 0.0 for i in range(6) for j in range(6)], [1.0] * len(self.table)]
-        start = _Pass(*first, *[turns, turns, [0.0] * len(places), [0.0], [1.0], [0.0]])
-        found, m = start.repeated(one, _PASSES), 2 * len(self.table)
+        start = _Pass(*first, *[turns, turns, [0.0] * len(places), 0.0, 1.0, 0.0])
+        found, m = _Pass(*iterated(one, start, _PASSES)), 2 * len(self.table)
         after, mean = found.after, at_mean(found.after)[1]
         s, c = sine_and_cosine(psi + 0.5 * h * mean[2])
         moved = self.integrate(q, self.in_plane(state._replace(c=c, s=s), [h * x for x in mean], q))
@@ -507,7 +492,7 @@ class SlippingDynamics(WheeledDynamics):
             stacked(found.multipliers, q),
             stacked([(y - x) / h for x, y in zip(before, after, strict=True)], q),
             stacked(found.loads, q),
-            *(stacked(x, q)[..., 0] for x in (found.tips, found.missed)),
+            *(scalar_of(x, q) for x in (found.tips, found.missed)),
         )
         step = Step(moved, self.in_plane(state._replace(c=c, s=s), after, q), kept)
         return step, found.torques, found.rates

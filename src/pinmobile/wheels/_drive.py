@@ -253,10 +253,10 @@ class WheeledRobot(PlantOnWheels):
 
     _axes = _counted("Number of steering coordinates.", lambda self: len(self.table.axes))
     _wheels = _counted("Number of wheels.", lambda self: len(self.table))
-    _joints = _counted("Number of both.", lambda self: self._axes + self._wheels)
+    joints = _counted("Number of steering coordinates and wheels.", lambda self: self._axes + self._wheels)
     _of_body = _counted("Number of coordinates of body and arms.", lambda self: self.robot.nv)
     nq = _counted("Size of q.", lambda self: self.nv)
-    nv = _counted("Size of v and a.", lambda self: self._of_body + self._joints)
+    nv = _counted("Size of v and a.", lambda self: self._of_body + self.joints)
     nu = _counted("Size of the input.", lambda self: self._of_body - BODY_JOINT + len(self.table.actuators))
 
     @structure
@@ -278,7 +278,7 @@ class WheeledRobot(PlantOnWheels):
     @structure
     def rest(self) -> Array:
         """Configuration at the origin, arms in their reference posture, shape (nq,)."""
-        return frozen(np.append(self.robot.rest, np.zeros(self._joints)))
+        return frozen(np.append(self.robot.rest, np.zeros(self.joints)))
 
     @property
     def source(self) -> str:
@@ -422,7 +422,7 @@ class WheeledRobot(PlantOnWheels):
     @cached_property
     def constraint_names(self) -> tuple[str, ...]:
         """Of each row of `constraint_matrix` its wheel and direction, such as ``"left rolling"``."""
-        names, zeros = self.table.names, [0.0] * self._joints
+        names, zeros = self.table.names, [0.0] * self.joints
         rows = self._numeric.kinematics.rows(zeros, [0.0] * BODY_JOINT, zeros)
         return tuple(f"{names[row.wheel]} {row.kind}" if row.wheel >= 0 else row.kind for row in rows)
 

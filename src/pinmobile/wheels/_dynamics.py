@@ -15,7 +15,6 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive
-from pinmobile.metrics import Metric
 from pinmobile.parts import also_symbols, holds_symbols, takes
 from pinmobile.plant import Step
 from pinmobile.robot import (
@@ -37,11 +36,12 @@ from pinmobile.wheels._kinematics import Kinematics, NullSpaceBasis, Row, RowSel
 from pinmobile.wheels._loads import evaluate_metrics, metrics_of
 from pinmobile.wheels._motors import ExternalForceFunction, constant_force
 from pinmobile.wheels._table import Axis, column
-from pinmobile.wheels._velocities import Reduced, ReferenceMotion, followed, linearized, matrix
+from pinmobile.wheels._velocities import Reduced, followed, linearized, matrix
 
 _BASE = 3
 _OF_ROBOT = frozenset(
     ("table", "x", "y", "radius", "spin_inertia", "upright", "fall", "footprint", "coordinates", "inputs")
+    + ("nq", "nv", "nu", "joints", "reference_sizes")
 )
 
 
@@ -97,7 +97,7 @@ class WheeledDynamics:
     Parameters
     ----------
     wheeled : WheeledRobot
-        Whose table, places, radii, inertias, footprint, coordinates and inputs it has too.
+        Whose sizes, table, places, radii, inertias, footprint, coordinates and inputs it has too.
     robot : PlanarDynamics, ArticulatedDynamics or MobileRobot
         The whole, wheels locked at their table angles.
     """
@@ -105,6 +105,7 @@ class WheeledDynamics:
     wheeled: Any
     robot: Any
 
+    metrics = cached_property(metrics_of)
     broadcasts: ClassVar[bool] = True
     slips: ClassVar[bool] = True
 
@@ -139,28 +140,6 @@ class WheeledDynamics:
         """Number of the arms' coordinates."""
         return int(self.robot.nv) - _BASE
 
-    @property
-    def joints(self) -> int:
-        """Number of steering coordinates and wheels."""
-        return len(self.table.axes) + len(self.table)
-
-    @property
-    def nv(self) -> int:
-        """Size of q, v and a."""
-        return _BASE + self.na + self.joints
-
-    nq = nv
-
-    @property
-    def nu(self) -> int:
-        """Size of the input."""
-        return self.na + len(self.table.actuators)
-
-    @property
-    def reference_sizes(self) -> dict[int, int]:
-        """How many numbers of q the first n coordinates have, for each n that a reference may have."""
-        return {n: n for n in range(_BASE, _BASE + self.na + 1)}
-
     @cached_property
     def kinematics(self) -> Kinematics:
         """Its rows."""
@@ -170,11 +149,6 @@ class WheeledDynamics:
     def stops(self) -> list[tuple[int, float]]:
         """Steering axes with a limit, each with its angle [rad]."""
         return [(k, axis.limit) for k, axis in enumerate(self.table.axes) if np.isfinite(axis.limit)]
-
-    @cached_property
-    def metrics(self) -> tuple[Metric, ...]:
-        """What is worth judging about it: see `WheeledRobot.metrics`."""
-        return metrics_of(self)
 
     def evaluate_metrics(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
         """Return its metrics, shape (..., m)."""
@@ -375,13 +349,8 @@ class WheeledDynamics:
         """Return the independent velocities nu of a state that rolls, shape (..., m)."""
         return stacked(self.velocities(self.state(q, v)), q)
 
-    def linearize_tracked(self, q: Any, v: Any, u: Any) -> tuple[Array, Array]:
-        """Return A and B of the tracked state, see `WheeledRobot.linearize_tracked`."""
-        return linearized(self, q, v, u)
-
-    def followed(self, reference: Any) -> ReferenceMotion:
-        """Return states and inputs of least norm along a reference: see `ReferenceMotion`."""
-        return followed(self, reference)
+    followed = followed
+    linearize_tracked = linearized
 
     # Where wheels roll: independent velocities nu, v = S nu, see `Reduced`
 

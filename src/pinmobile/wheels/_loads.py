@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import choose, higher, repeated, square_root
+from pinmobile.compiled import choose, higher, square_root
 from pinmobile.errors import InvalidArgument
 from pinmobile.metrics import Metric
 from pinmobile.plant import ContactLoads, Contacts, SlipMargins, TorqueMargins
@@ -32,6 +32,7 @@ from pinmobile.robot import (
     sine_and_cosine,
     vector_of as stacked,
 )
+from pinmobile.wheels._contact import iterated
 from pinmobile.wheels._kinematics import unwrap_scalar
 from pinmobile.wheels._velocities import ReferenceMotion, driving_inputs
 
@@ -87,8 +88,7 @@ def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any) -> Loads:
     for x in springs[1:]:
         press = press & (x >= -nothing)
 
-    def one(numbers: Vector) -> tuple[Vector, Any]:
-        kept, old = numbers[:n], numbers[n:]
+    def one(kept: Vector, old: Vector) -> tuple[Any, Any]:
         found, _ = _of_springs(places, kept, wrench, _SOFT * size)
         share, rises, parts = 1.0 + 0.0 * fz, 0.0 * fz, []
         for k, x, y in zip(kept, old, found, strict=True):
@@ -102,11 +102,10 @@ def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any) -> Loads:
             for k, part, y in zip(kept, parts, found, strict=True)
         ]
         new = [choose(k > 0.0, x + share * (y - x), 0.0) for k, x, y in zip(kept, old, found, strict=True)]
-        return [*kept, *new], (share >= 1.0) & (rises <= nothing)
+        return (kept, new), (share >= 1.0) & (rises <= nothing)
 
-    first = [1.0 + 0.0 * fz] * n + [higher(fz, 0.0) * (1.0 / n)] * n
-    last = repeated(one, first, 4 * n, press | (fz <= 0.0))
-    kept, soft = last[:n], last[n:]
+    first = [1.0 + 0.0 * fz] * n, [higher(fz, 0.0) * (1.0 / n)] * n
+    kept, soft = iterated(one, first, 4 * n, press | (fz <= 0.0))
     sharp, area = _of_springs(places, kept, wrench, flat=_FLAT * whole)
     stands = area > _FLAT * whole
     values = [choose(k > 0.0, choose(stands, x, y), 0.0) for k, x, y in zip(kept, sharp, soft, strict=True)]

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.compiled import higher, repeated
+from pinmobile.compiled import higher
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Powered, by_value, child, part, structure, takes
 from pinmobile.plant import Input, Step
@@ -31,7 +31,7 @@ from pinmobile.robot import (
     transposed,
     vector_of as stacked,
 )
-from pinmobile.wheels._contact import moved_by, within
+from pinmobile.wheels._contact import iterated, moved_by, within
 from pinmobile.wheels._dynamics import PlantOnWheels, WheeledDynamics, through
 from pinmobile.wheels._kinematics import unwrap_scalar
 from pinmobile.wheels._motors import (
@@ -281,24 +281,24 @@ class VoltageDynamics:
         columns = [solve(row) for row in rows]
         own = [1.0 / number(dot(row, column)) for row, column in zip(rows, columns, strict=True)]
         most = [number(h * pushes[self.electric[k]].hold) for k in rubs]
-        largest, n = reduce(higher, most), len(nu)
+        largest = reduce(higher, most)
         held = [within(before[k], x) for k, x in zip(rubs, most, strict=True)]
         first = moved_by(nu, columns, held)
 
-        def one(numbers: Vector) -> tuple[Vector, Any]:
-            x, p, change = numbers[:n], numbers[n:], 0.0 * largest
+        def one(x: Vector, p: Vector) -> tuple[Any, Any]:
+            change = 0.0 * largest
             for k, (row, column, share) in enumerate(zip(rows, columns, own, strict=True)):
                 now = within(p[k] - number(dot(row, x)) * share, most[k])
                 x = [number(a + b * (now - p[k])) for a, b in zip(x, column, strict=True)]
                 change = higher(abs(now - p[k]), change)
                 p[k] = now
-            return [*x, *p], change <= _ENOUGH * largest
+            return (x, p), change <= _ENOUGH * largest
 
-        found = repeated(one, [*first, *held], _ROUNDS)
+        found, last = iterated(one, (first, held), _ROUNDS)
         impulses: Vector = [0.0 for _ in before]
-        for k, x in zip(rubs, found[n:], strict=True):
+        for k, x in zip(rubs, last, strict=True):
             impulses[k] = x
-        return found[:n], impulses
+        return found, impulses
 
     def signals(
         self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: MotorState
