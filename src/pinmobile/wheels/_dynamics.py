@@ -39,10 +39,8 @@ from pinmobile.wheels._table import Axis, column
 from pinmobile.wheels._velocities import Reduced, followed, linearized, matrix
 
 _BASE = 3
-_OF_ROBOT = frozenset(
-    ("table", "x", "y", "radius", "spin_inertia", "upright", "fall", "footprint", "coordinates", "inputs")
-    + ("nq", "nv", "nu", "joints", "reference_sizes")
-)
+_SIZES = "nq", "nv", "nu", "joints", "reference_sizes", "coordinates", "inputs"
+_OF_ROBOT = {*_SIZES, "table", "x", "y", "radius", "spin_inertia", "upright", "fall", "footprint"}
 
 
 class State(NamedTuple):
