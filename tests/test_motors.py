@@ -5,32 +5,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import Engine, ensemble, errors, parts
+import pinmobile as pm
+from pinmobile import Coulomb, Engine, MobileRobot, Motor, Rolling, WheeledRobot, WheelTable, errors, parts
 from pinmobile.arrays import Array
 from pinmobile.controllers import Backstepping, TorqueToVoltage, UnicycleTracking, WheelSpeed
-from pinmobile.loop import Rollout, simulate
 from pinmobile.parts import evolved
-from pinmobile.paths import Circle, Hold
-from pinmobile.robot import MobileRobot
-from pinmobile.trajectories import FixedHeading, Tangent
-from pinmobile.wheels import (
-    MOTORS,
-    ByVoltage,
-    Coulomb,
-    DifferentialGear,
-    Motor,
-    Ramp,
-    Rolling,
-    Support,
-    Wheel,
-    WheeledRobot,
-    WheelFriction,
-    WheelTable,
-)
+from pinmobile.wheels import MOTORS, ByVoltage, DifferentialGear, Ramp, Support, Wheel, WheelFriction
 from pinmobile.wheels._motors import MotorLaw
 from tests.parts import steady
+from tests.wheeled import BODY, CASTER, CENTRAL, WHEEL, G, run
 
-WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
 GRIPS = WheelFriction(mu=2.0, rolling=0.0)
 MOTOR = Motor(
     resistance=1.2,
@@ -44,28 +28,13 @@ MOTOR = Motor(
     current=15.0,
 )
 PLAIN = evolved(MOTOR, viscous=0.0, coulomb=0.0, efficiency=1.0, current=np.inf)
-BODY = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
-CENTRAL = MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.2))
-G = float(np.linalg.norm(BODY.model.gravity.linear))
+PATH = pm.Tangent(pm.Circle(2.0, 0.3, 20.0))
 R = 0.1
 
 
 def table(motor: Motor, **others: Any) -> WheelTable:
-    return WheelTable.differential(
-        0.5,
-        R,
-        motor=motor,
-        supports=[(-0.2, 0.0), (0.2, 0.0)],
-        **{**WHEEL, "friction": GRIPS, **others},
-    )
-
-
-def run(
-    robot: ByVoltage, u: tuple[float, ...], dt: float, duration: float, engine: Any = Engine.COMPILED
-) -> Rollout:
-    where = FixedHeading(Hold([0.0, 0.0], duration), 0.0)
-    start = {"q0": robot.rest, "v0": np.zeros(robot.nv)}
-    return simulate(robot, steady(*u), where, dt=dt, **start, engine=engine, limit=1e9)
+    own = {**WHEEL, "friction": GRIPS, **others}
+    return WheelTable.differential(0.5, R, motor=motor, supports=[(-0.2, 0.0), (0.2, 0.0)], **own)
 
 
 def steps(
@@ -155,7 +124,7 @@ def test_the_error_falls_with_the_square_of_the_step_and_engines_agree(ground: A
     off = [max(np.abs(x.q[-1] - best.q[-1]).max(), np.abs(x.v[-1] - best.v[-1]).max()) for x in ends]
     assert off[0] < 0.01
     assert 3.5 < off[0] / off[1] < 4.5
-    here = run(robot, (12.0, 10.0), 0.02, 0.5, Engine.PYTHON)
+    here = run(robot, (12.0, 10.0), 0.02, 0.5, engine=Engine.PYTHON)
     np.testing.assert_allclose(here.q, ends[0].q, rtol=0, atol=1e-13)
     np.testing.assert_allclose(here.v, ends[0].v, rtol=0, atol=1e-13)
     for name, signal in here.signals.items():
@@ -184,9 +153,8 @@ def test_electrical_energy_is_what_moves_and_what_is_lost() -> None:
 def test_a_motor_far_stiffer_than_the_step_takes_the_rate_of_its_volts_at_once(ground: Any) -> None:
     """Time constants of less than 0.1 ms, at dt = 0.01: no ringing."""
     stiff = evolved(PLAIN, resistance=1e-5)
-    robot = WheeledRobot(
-        CENTRAL, table(stiff, friction=WheelFriction(mu=1e6, rolling=0.0)), ground
-    ).by_voltage()
+    rough = table(stiff, friction=WheelFriction(mu=1e6, rolling=0.0))
+    robot = WheeledRobot(CENTRAL, rough, ground).by_voltage()
     found = run(robot, (3.0, 3.0), 0.01, 0.2)
     rates = found.v[1:, -2:]
     assert np.abs(rates - 3.0 / (0.03 * 20)).max() < 0.02
@@ -224,13 +192,12 @@ def test_a_robot_that_coasts_stops_and_stays(ground: Any) -> None:
 def drives() -> dict[str, WheelTable]:
     steered = {"steering": "driven", "motor": MOTOR, **WHEEL}
     differential = WheelTable.differential(0.5, R, motor=MOTOR, **WHEEL)
-    caster = Wheel("caster", -0.3, 0.02, 0.05, 0.3, steering="free", trail=(-0.03, 0.005), **WHEEL)
     front = [Wheel("a", 0.3, 0.2, R, **WHEEL), Wheel("b", 0.3, -0.2, R, **WHEEL)]
     return {
         "mecanum": WheelTable.mecanum(0.5, 0.4, 0.08, motor=MOTOR, **WHEEL),
         "omni": WheelTable.omni(0.25, 0.05, motor=MOTOR, **WHEEL),
         "tricycle": WheelTable((Wheel("front", 0.4, 0.0, R, **steered), *differential.wheels)),
-        "caster": WheelTable((*differential.wheels, caster)),
+        "caster": WheelTable((*differential.wheels, CASTER)),
         "open": WheelTable(tuple(front), couplings=(DifferentialGear(("a", "b"), MOTOR),)),
     }
 
@@ -275,14 +242,12 @@ def test_driven_follows_as_torques_would_and_is_told_what_was_applied(ground: An
     table_ = table(MOTOR)
     wheeled = WheeledRobot(BODY, table_, ground)
     ideal = WheeledRobot(BODY, table_)
-    path = Tangent(Circle(2.0, 0.3, 20.0))
-    q0, v0 = ideal.start(path(0.0))
+    q0, v0 = ideal.start(PATH(0.0))
     controller = TorqueToVoltage(Backstepping(UnicycleTracking(), ideal), wheeled)
-    found = simulate(
-        wheeled.by_voltage(), controller, path, dt=0.005, duration=2.0, q0=q0, v0=v0, engine=Engine.COMPILED
-    )
+    given: Any = {"dt": 0.005, "duration": 2.0, "q0": q0, "v0": v0, "engine": Engine.COMPILED}
+    found = pm.simulate(wheeled.by_voltage(), controller, PATH, **given)
     assert found.engine == "COMPILED"
-    assert np.abs(found.q[-1, :2] - path(2.0).q[:2]).max() < 0.02
+    assert np.abs(found.q[-1, :2] - PATH(2.0).q[:2]).max() < 0.02
     limited = TorqueToVoltage(Torques(3.0, 100.0), wheeled)
     nothing: Any = None
     u, state = limited(0.0, q0, v0, nothing, limited.initial_state(nothing))
@@ -310,7 +275,6 @@ class Torques:
 
 @pytest.mark.parametrize("kind", ["differential", "skid", "torque"])
 def test_wheel_speed_follows_by_loops_of_each_wheel(kind: str) -> None:
-    path = Tangent(Circle(2.0, 0.3, 20.0))
     if kind == "skid":
         wheels = WheelTable.skid_steer(0.2, 0.6, R, motor=MOTOR, **{**WHEEL, "friction": WheelFriction()})
     else:
@@ -318,28 +282,22 @@ def test_wheel_speed_follows_by_loops_of_each_wheel(kind: str) -> None:
     wheeled = WheeledRobot(CENTRAL, wheels)
     robot = wheeled if kind == "torque" else wheeled.by_voltage()
     controller = WheelSpeed(UnicycleTracking(), robot, kp=1.0, ki=20.0)
-    q0 = np.zeros(robot.nq)
-    q0[:3] = path(0.0).q
-    found = simulate(
-        robot, controller, path, dt=0.005, duration=4.0, q0=q0, v0=np.zeros(robot.nv), engine=Engine.COMPILED
-    )
-    assert np.abs(found.q[-1, :2] - path(4.0).q[:2]).max() < 0.05
+    q0, v0 = np.append(PATH(0.0).q, np.zeros(robot.nq - 3)), np.zeros(robot.nv)
+    given: Any = {"dt": 0.005, "duration": 4.0, "q0": q0, "v0": v0, "engine": Engine.COMPILED}
+    found = pm.simulate(robot, controller, PATH, **given)
+    assert np.abs(found.q[-1, :2] - PATH(4.0).q[:2]).max() < 0.05
 
 
 @pytest.mark.parametrize("kind", ["driven", "speed"])
 def test_controllers_of_motors_give_the_same_in_all_engines(kind: str) -> None:
     wheeled = WheeledRobot(BODY, table(MOTOR))
     robot = wheeled.by_voltage()
-    path = Tangent(Circle(2.0, 0.3, 20.0))
-    inner = Backstepping(UnicycleTracking(), wheeled)
-    controller: Any = (
-        TorqueToVoltage(inner, robot)
-        if kind == "driven"
-        else WheelSpeed(UnicycleTracking(), robot, 3.0, 30.0)
-    )
-    q0, v0 = np.append(path(0.0).q, [0.0, 0.0]), np.zeros(robot.nv)
+    controller: Any = WheelSpeed(UnicycleTracking(), robot, 3.0, 30.0)
+    if kind == "driven":
+        controller = TorqueToVoltage(Backstepping(UnicycleTracking(), wheeled), robot)
+    q0, v0 = np.append(PATH(0.0).q, [0.0, 0.0]), np.zeros(robot.nv)
     here, there = (
-        simulate(robot, controller, path, dt=0.01, duration=0.3, q0=q0, v0=v0, engine=engine)
+        pm.simulate(robot, controller, PATH, dt=0.01, duration=0.3, q0=q0, v0=v0, engine=engine)
         for engine in (Engine.PYTHON, Engine.COMPILED)
     )
     assert (np.abs(here.u).max(axis=0) > 1.0).all()
@@ -363,15 +321,7 @@ def test_inputs_are_volts_and_torques_with_the_limits_of_motors() -> None:
     assert units == ["N m"] * 6 + ["V", "N m", "V", "V"]
     assert robot.inputs[6].upper == 24.0
     limited = WheeledRobot(BODY, table(Motor(torque_limit=2.0)))
-    found = simulate(
-        limited,
-        steady(5.0, -5.0),
-        FixedHeading(Hold([0.0, 0.0], 0.1), 0.0),
-        dt=0.01,
-        q0=limited.rest,
-        v0=np.zeros(limited.nv),
-        engine=Engine.COMPILED,
-    )
+    found = run(limited, (5.0, -5.0), 0.01, 0.1)
     assert (found.u == [2.0, -2.0]).all()  # a motor's limit is part of what is applied
     assert robot.project(robot.rest, np.ones(robot.nv)).shape == (robot.nv,)
     assert not hasattr(robot, "inverse_dynamics")
@@ -383,16 +333,14 @@ def test_inputs_are_volts_and_torques_with_the_limits_of_motors() -> None:
 
 def test_an_ensemble_spreads_motor_constants() -> None:
     robot = WheeledRobot(BODY, table(MOTOR)).by_voltage()
-    where = FixedHeading(Hold([0.0, 0.0], 0.2), 0.0)
+    where = pm.FixedHeading(pm.Hold([0.0, 0.0], 0.2), 0.0)
     resistance = np.array([1.2, 2.4, 3.6])
     spread = {"left.motor.resistance": resistance}
-    found = ensemble(robot, steady(12.0, 12.0), where, dt=0.01, n=3, spread=spread, limit=1e9)
+    found = pm.ensemble(robot, steady(12.0, 12.0), where, dt=0.01, n=3, spread=spread, limit=1e9)
     for k, x in enumerate(resistance):
-        wheels = [
-            evolved(wheel, motor=evolved(MOTOR, resistance=float(x))) if wheel.name == "left" else wheel
-            for wheel in robot.table.wheels
-        ]
-        other = WheeledRobot(BODY, WheelTable(tuple(wheels), robot.table.supports)).by_voltage()
+        left, right = robot.table.wheels
+        wheels = evolved(left, motor=evolved(MOTOR, resistance=float(x))), right
+        other = WheeledRobot(BODY, WheelTable(wheels, robot.table.supports)).by_voltage()
         alone = run(other, (12.0, 12.0), 0.01, 0.2)
         np.testing.assert_allclose(found.max_error[k], alone.max_error(), rtol=1e-12)
         assert parts.replace(robot, {f"{robot.motor_paths[0]}.resistance": x}) == other
@@ -424,19 +372,19 @@ def test_real_motors_stall_and_run_free_as_their_sheets_say(
     assert motor.source
 
 
-def test_what_has_no_volts_is_refused() -> None:
-    with pytest.raises(errors.InvalidArgument, match="table has no motor that takes volts"):
-        WheeledRobot(BODY, table(Motor())).by_voltage()
-    open_ = WheelTable(
-        (Wheel("a", 0.0, 0.2, R, **WHEEL), Wheel("b", 0.0, -0.2, R, **WHEEL)),
-        supports=(Support(0.3, 0.0),),
-        couplings=(DifferentialGear(("a", "b"), MOTOR),),
-    )
-    with pytest.raises(errors.InvalidArgument, match="slip independently of each other"):
-        WheeledRobot(CENTRAL, open_, Coulomb()).by_voltage()
-    with pytest.raises(errors.InvalidArgument, match="expected a WheeledRobot with electric motors"):
-        TorqueToVoltage(steady(0.0), BODY)
-    with pytest.raises(errors.InvalidArgument, match="wheels that steer"):
-        WheelSpeed(UnicycleTracking(), WheeledRobot(BODY, drives()["tricycle"]), kp=1.0)
-    with pytest.raises(errors.InvalidArgument, match="stall_torque is 3 N m, expected at most"):
-        Motor.from_sheet(12.0, 3.0, 1.0, 10.0)
+OPEN = evolved(drives()["open"], supports=(Support(-0.3, 0.0),))
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: WheeledRobot(BODY, table(Motor())).by_voltage(), "table has no motor that takes volts"),
+        (lambda: WheeledRobot(BODY, OPEN, Coulomb()).by_voltage(), "slip independently of each other"),
+        (lambda: TorqueToVoltage(steady(0.0), BODY), "expected a WheeledRobot with electric motors"),
+        (lambda: WheelSpeed(UnicycleTracking(), WheeledRobot(BODY, drives()["tricycle"]), 1.0), "that steer"),
+        (lambda: Motor.from_sheet(12.0, 3.0, 1.0, 10.0), "stall_torque is 3 N m, expected at most"),
+    ],
+)
+def test_what_has_no_volts_is_refused(make: Any, words: str) -> None:
+    with pytest.raises(errors.InvalidArgument, match=words):
+        make()

@@ -2,7 +2,6 @@
 
 import re
 import warnings
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,48 +9,19 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
-from pinmobile import errors
+from pinmobile import Coulomb, MobileRobot, Rolling, WheeledRobot, WheelTable, errors, simulate
 from pinmobile.arrays import Array
 from pinmobile.controllers import WheelSpeed
-from pinmobile.integrators import rk4
-from pinmobile.loop import Rollout, simulate
-from pinmobile.paths import Hold
-from pinmobile.robot import MobileRobot
-from pinmobile.trajectories import FixedHeading
 from pinmobile.verification._wheels import WheelTree
 from pinmobile.verification.bodies import tree_motion
-from pinmobile.wheels import (
-    Coulomb,
-    GearTrain,
-    Motor,
-    Ramp,
-    Rolling,
-    WheeledRobot,
-    WheelFriction,
-    WheelTable,
-)
+from pinmobile.wheels import GearTrain, Motor, Ramp, WheelFriction
 from pinmobile.wheels._loads import shared_loads
 from tests import wheeled
 from tests.parts import steady
+from tests.wheeled import BODY, CENTRAL, CORNERS, WHEEL, G, run
 
-WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
 DRY = WheelFriction(mu=0.6, rolling=0.0)
-BODY = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
-CENTRAL = MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.2))
 SKID = WheelTable.skid_steer(0.5, 0.4, 0.1, **WHEEL)
-G = float(np.linalg.norm(BODY.model.gravity.linear))
-
-
-def run(
-    robot: WheeledRobot, u: Sequence[float] | Array, dt: float, duration: float, q: Any = None, v: Any = None
-) -> Rollout:
-    """Return a run under constant torques, on machine code."""
-    where = FixedHeading(Hold([0.0, 0.0], duration), 0.0)
-    q0, v0 = (robot.rest if q is None else q), (np.zeros(robot.nv) if v is None else v)
-    by = rk4 if isinstance(robot.ground, Rolling) else None
-    return simulate(
-        robot, steady(*u), where, dt=dt, q0=q0, v0=v0, integrator=by, engine=pm.Engine.COMPILED, limit=1e9
-    )
 
 
 def skid(friction: WheelFriction, **others: Any) -> WheelTable:
@@ -126,37 +96,25 @@ def test_with_much_friction_wheels_roll(name: str) -> None:
     assert far[0] / far[1] == pytest.approx(2.0 if name == "car" else 4.0, rel=0.1)
 
 
-def rear_driven(com: tuple[float, float, float], support: float, mu: float, **wheel: Any) -> WheeledRobot:
-    """Return a robot whose braking wheels stand behind, and a support in front."""
-    wheel |= {
-        "mass": 0.05,
-        "spin_inertia": 0.004,
-        "yaw_inertia": 0.003,
-        "friction": WheelFriction(mu, rolling=0.0),
-    }
-    table = WheelTable.differential(0.5, 0.1, supports=[(support, 0)], **wheel)
-    return WheeledRobot(MobileRobot(30.0, 3.0, com=com), table, Coulomb())
+LIGHT: dict[str, Any] = {"mass": 0.05, "spin_inertia": 0.004, "yaw_inertia": 0.003}
 
 
-@pytest.mark.parametrize(
-    ("height", "mu", "torque"),
-    [(0.5, 0.8, 12), (0.2, 0.6, 20), (2.0, 1.5, 12)],
-)
+@pytest.mark.parametrize(("height", "mu", "torque"), [(0.5, 0.8, 12), (2.0, 1.5, 12)])
 def test_braking_wheels_slide_with_the_load_that_braking_leaves_them(
     height: float, mu: float, torque: float
 ) -> None:
     """F = mu N and N L = m g (L - x) - F (h - r) - T: for mu (h - r) > L too, where to find one from the
     other again and again leads away from both."""
     L, x, r = 0.3, 0.1, 0.1
-    robot = rear_driven((x, 0.0, height), L, mu)
+    own: dict[str, Any] = LIGHT | {"friction": WheelFriction(mu, rolling=0.0)}
+    table = WheelTable.differential(0.5, 0.1, supports=[(L, 0)], **own)  # behind, with a support in front
+    robot = WheeledRobot(MobileRobot(30.0, 3.0, com=(x, 0.0, height)), table, Coulomb())
     force = mu * (30 * G * (L - x) - 2 * torque) / (L + mu * (height - r))
     a = robot.forward_dynamics(robot.rest, np.zeros(5), [-torque, -torque])
     assert a[0] == pytest.approx(-force / 30, rel=1e-7)
     # In a run too, from its first sample, in every engine.
-    here = FixedHeading(Hold([0.0, 0.0], 0.1), 0.0)
-    begun, braking = np.array([5.0, 0, 0, 0, 0]), steady(-torque, -torque)
     for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON):
-        found = simulate(robot, braking, here, dt=0.01, q0=robot.rest, v0=begun, engine=engine, limit=1e9)
+        found = run(robot, (-torque, -torque), 0.01, 0.1, v=np.array([5.0, 0, 0, 0, 0]), engine=engine)
         # Loads are found to 1e-8 of the weight.
         np.testing.assert_allclose(found.a[:, 0], -force / 30, rtol=1e-7)
         assert not found.signals["missed"].values.any()
@@ -171,17 +129,7 @@ def test_locked_wheels_slide_straight_at_speed_whatever_the_step(yaw_inertia: fl
         MobileRobot(30.0, yaw_inertia, com=(0.0, 0.0, 0.2)),
         skid(DRY, motor=motor, mass=0.05, yaw_inertia=0.003),
     )
-    here, v0 = FixedHeading(Hold([0.0, 0.0], 2.0), 0.0), np.array([30.0, 0.1, 0.1, 0, 0, 0, 0])
-    found = simulate(
-        robot.by_voltage(),
-        steady(0, 0),
-        here,
-        dt=0.05,
-        q0=robot.rest,
-        v0=v0,
-        engine=pm.Engine.COMPILED,
-        limit=1e9,
-    )
+    found = run(robot.by_voltage(), (0, 0), 0.05, 2.0, v=np.array([30.0, 0.1, 0.1, 0, 0, 0, 0]))
     assert np.abs(found.v[:, 2]).max() < 0.2
     assert not found.signals["missed"].values.any()
     # It loses mu g: a force along the way, which the heading does not change.
@@ -195,16 +143,9 @@ def test_of_two_solutions_a_step_takes_that_of_the_step_before_and_says_which() 
     With the weight W at x < 0 the wheels lift; braked by mu W at the height h it presses at x + mu h, beyond
     the wheels. Either follows from itself.
     """
-    table = WheelTable.differential(
-        0.5,
-        0.1,
-        x=0.3,
-        supports=[(0, 0.1), (0, -0.1), (-0.3, 0.1), (-0.3, -0.1)],
-        friction=WheelFriction(mu=1.0, rolling=1e3),
-        mass=0.05,
-        spin_inertia=0.004,
-        yaw_inertia=0.003,
-    )
+    own: dict[str, Any] = LIGHT | {"friction": WheelFriction(mu=1.0, rolling=1e3)}
+    supports = [(0, 0.1), (0, -0.1), (-0.3, 0.1), (-0.3, -0.1)]
+    table = WheelTable.differential(0.5, 0.1, x=0.3, supports=supports, **own)
     body: Any = WheeledRobot(MobileRobot(30.0, 3.0, com=(-0.22, 0, 0.6)), table, Coulomb()).array_dynamics
     v, still = np.array([5.0, 0, 0, 0, 0]), body.initial_state()
     braked = still._replace(acceleration=np.array([-G, 0, 0, 0, 0]))
@@ -258,9 +199,7 @@ def test_loads_on_a_ramp_and_of_spinning_wheels_are_those_of_the_tree(armed: boo
     np.testing.assert_allclose(sums, wrench[[2, 3, 4]], rtol=1e-11, atol=1e-10)
 
 
-STEERED = WheelTable.swerve(
-    [(0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2)], 0.06, **{**WHEEL, "trail": (-0.01, 0.0)}
-)
+STEERED = WheelTable.swerve(CORNERS, 0.06, **{**WHEEL, "trail": (-0.01, 0.0)})
 
 
 @pytest.mark.parametrize(
@@ -308,11 +247,11 @@ def test_energy_never_grows_without_input(seed: int) -> None:
 @pytest.mark.parametrize("u", [(30.0, -25.0), (20.0, 9.0)])
 def test_compiled_robots_do_as_alone_and_as_numbers_do(u: tuple[float, float]) -> None:
     """Rounds end when all robots side by side are done; none depends on the others."""
-    robot, where = WheeledRobot(BODY, SKID), FixedHeading(Hold([0.0, 0.0], 0.2), 0.0)
-    drag, masses = pm.ViscousFriction([20.0, 10.0, 3.0]), np.array([28.0, 30.0, 32.0])
-    given: Any = {"dt": 0.01, "forces": (drag,), "limit": 1e9}
+    robot, where = WheeledRobot(BODY, SKID), pm.FixedHeading(pm.Hold([0.0, 0.0], 0.2), 0.0)
+    given: Any = {"dt": 0.01, "forces": (pm.ViscousFriction([20.0, 10.0, 3.0]),), "limit": 1e9}
+    many: Any = given | {"n": 3, "spread": {"mass": np.array([28.0, 30.0, 32.0])}}
     compiled, python = (
-        pm.ensemble(robot, steady(*u), where, n=3, spread={"mass": masses}, engine=engine, **given)
+        pm.ensemble(robot, steady(*u), where, engine=engine, **many)
         for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON)
     )
     np.testing.assert_allclose(compiled.max_error, python.max_error, rtol=1e-9, atol=1e-12)
@@ -335,10 +274,7 @@ def test_many_robots_as_arrays_step_as_each_does() -> None:
 
 def test_rolling_resistance_holds_and_brakes() -> None:
     """At rest up to its bound; beyond, wheels accelerate with what is left."""
-    table = WheelTable.skid_steer(
-        0.5, 0.4, 0.1, coupled=False, **{**WHEEL, "friction": WheelFriction(rolling=0.02)}
-    )
-    robot = WheeledRobot(CENTRAL, table)
+    robot = WheeledRobot(CENTRAL, skid(WheelFriction(rolling=0.02), coupled=False))
     bound = 0.02 * 0.1 * 30.0 * G
     assert np.abs(run(robot, (0.245 * bound,) * 4, 0.01, 0.2).q).max() < 1e-13
     v = run(robot, (0.5 * bound,) * 4, 0.01, 0.2).v[-1]
@@ -412,9 +348,8 @@ def test_forces_are_those_of_mid_step_and_as_accurate(engine: Any) -> None:
 
     The error falls with the square of the step; with forces of a step's start it would with the step.
     """
-    table = WheelTable.differential(
-        0.4, 0.1, supports=[(0.2, 0.0)], **{**WHEEL, "friction": WheelFriction(rolling=0.0)}
-    )
+    own = {**WHEEL, "friction": WheelFriction(rolling=0.0)}
+    table = WheelTable.differential(0.4, 0.1, supports=[(0.2, 0.0)], **own)
     robot, c, T = WheeledRobot(CENTRAL, table, Coulomb(mu=5.0)), 60.0, 0.8
     mass, q = 30.0 + 2 * 0.01 / 0.1**2, robot.rest + 0.0
     q[2] = np.pi / 2
@@ -423,17 +358,8 @@ def test_forces_are_those_of_mid_step_and_as_accurate(engine: Any) -> None:
     expected = top * (T - lag * (1 - np.exp(-T / lag))), top * (1 - np.exp(-T / lag))
     off: list[list[float]] = []
     for h in (0.02, 0.01):
-        found = simulate(
-            robot,
-            pm.law(lambda t, q, v, reference: np.full(2, 1.5) + 0 * t),
-            FixedHeading(Hold([0.0, 0.0], T), np.pi / 2),
-            dt=0.02,
-            substeps=round(0.02 / h),
-            q0=q,
-            forces=[pm.ViscousFriction([c, 5.0, 1.0])],
-            engine=engine,
-            limit=1e9,
-        )
+        more: dict[str, Any] = {"substeps": round(0.02 / h), "forces": [pm.ViscousFriction([c, 5.0, 1.0])]}
+        found = run(robot, (1.5, 1.5), 0.02, T, q, engine=engine, **more)
         off.append([found.q[-1, 1] - expected[0], found.v[-1, 1] - expected[1]])
     np.testing.assert_allclose(np.array(off[0]) / off[1], 4.0, rtol=0.1)
     assert np.abs(off[1]).max() < 1e-4
@@ -457,9 +383,8 @@ def on_casters(height: float, ground: Any = None) -> WheeledRobot:
 def test_a_divergence_of_a_robot_that_tips_over_says_so() -> None:
     robot = on_casters(0.6)
     circle = pm.Tangent(pm.Circle(1.0, 2.5, 2.0))
-    with pytest.raises(
-        errors.Diverged, match=r"the error in .*; no loads of wheels and supports balance the robot"
-    ):
+    words = r"the error in .*; no loads of wheels and supports balance the robot"
+    with pytest.raises(errors.Diverged, match=words):
         simulate(robot, WheelSpeed(pm.UnicycleTracking(), robot, kp=50), circle, dt=0.02, limit=1.0)
 
 
@@ -469,24 +394,16 @@ def test_a_run_warns_of_a_robot_that_tips_over(ground: Any, engine: pm.Engine) -
     path, words = pm.Tangent(pm.Circle(1.0, 1.5, 2.0)), r"it tips over, which is not simulated \(from t = "
     for height, tips in ((0.1, False), (0.9, True)):
         robot = on_casters(height, ground)
+        law = WheelSpeed(pm.UnicycleTracking(), robot, kp=5)
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
-            run = simulate(
-                robot,
-                WheelSpeed(pm.UnicycleTracking(), robot, kp=5),
-                path,
-                dt=0.02,
-                duration=0.4,
-                engine=engine,
-            )
+            found = simulate(robot, law, path, dt=0.02, duration=0.4, engine=engine)
         assert [bool(re.search(words, str(each.message))) for each in told] == [True] * tips
-        assert [bool(re.search(words, each)) for each in run.events] == [True] * tips
+        assert [bool(re.search(words, each)) for each in found.events] == [True] * tips
 
 
 @pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
-def test_an_ensemble_counts_the_robots_that_tip_over_and_warns_once(
-    engine: pm.Engine, tmp_path: Path
-) -> None:
+def test_an_ensemble_counts_the_robots_that_tip_over_and_warns_once(engine: Any, tmp_path: Path) -> None:
     robot = on_casters(0.1)
     turning, heights = pm.Tangent(pm.Circle(1.0, 1.5, 2.0)), np.array([0.1, 0.9, 0.9])
     parts = robot, WheelSpeed(pm.UnicycleTracking(), robot, kp=5), turning

@@ -1,8 +1,33 @@
-"""Real bases on wheels as small URDFs of our own: their numbers, each with the file that has them."""
+"""Robots on wheels of many tests, their runs, and real bases as small URDFs: the numbers of their files."""
 
 from functools import partial
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
+
+import numpy as np
+
+import pinmobile as pm
+from pinmobile.wheels import Wheel
+from tests.parts import steady
+
+WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
+BODY = pm.MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
+CENTRAL = pm.MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.2))
+CASTER = Wheel("caster", -0.3, 0.02, 0.05, 0.3, steering="free", trail=(-0.03, 0.005), **WHEEL)
+CORNERS = [(0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2)]
+G = float(np.linalg.norm(BODY.model.gravity.linear))
+
+
+def run(
+    robot: Any, u: Any, dt: float, duration: float, q: Any = None, v: Any = None, **more: Any
+) -> pm.Rollout:
+    """Return a run under constant inputs, by default from rest and on machine code."""
+    where = pm.FixedHeading(pm.Hold([0.0, 0.0], duration), 0.0)
+    q0, v0 = (robot.rest if q is None else q), (np.zeros(robot.nv) if v is None else v)
+    own: dict[str, Any] = {"dt": dt, "q0": q0, "v0": v0, "engine": pm.Engine.COMPILED, "limit": 1e9}
+    return pm.simulate(robot, steady(*u), where, **own | more)
+
 
 HALF_PI = "1.5707963267948966"
 
