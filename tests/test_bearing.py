@@ -34,12 +34,9 @@ from pinmobile.wheels import (
     WheelFriction,
     WheelTable,
 )
+from tests.wheeled import BODY, CASTER, WHEEL, G
 
-WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
-BODY = pm.MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
-G = float(np.linalg.norm(BODY.model.gravity.linear))
 DIFFERENTIAL = WheelTable.differential(0.5, 0.1, x=0.07, supports=[(-0.2, 0.0)], **WHEEL)
-CASTER = Wheel("caster", -0.3, 0.02, 0.05, 0.3, steering="free", trail=(-0.03, 0.005), **WHEEL)
 FRONT = Wheel("front", 0.4, 0.0, 0.1, steering="driven", motor=Motor(rotor_inertia=1e-4, gear=10), **WHEEL)
 TABLES = {
     "differential": DIFFERENTIAL,
@@ -86,10 +83,8 @@ def test_loads_balance_what_the_tree_of_bodies_needs(name: str, arm: bool, ramp:
     x, y = touching(robot, at.q).T
     sums = [found.springs.sum(), found.springs @ y, -found.springs @ x]
     np.testing.assert_allclose(sums, wrench[2:5], rtol=0, atol=1e-12)
-    assert found.names == (
-        *robot.table.names,
-        *(f"support {k + 1}" for k in range(len(x) - len(robot.table))),
-    )
+    supports = (f"support {k + 1}" for k in range(len(x) - len(robot.table)))
+    assert found.names == (*robot.table.names, *supports)
     if not found.tips:
         x_z, y_z = body_zero_moment_point(at)
         np.testing.assert_allclose(found.values @ x / found.values.sum(), x_z, atol=1e-13)
@@ -124,14 +119,12 @@ def test_all_states_at_once_are_each_alone() -> None:
     robot = WheeledRobot(BODY.mount("ur5"), TABLES["caster"])
     each = [moving(robot, k) for k in range(4)]
     many = MotionStates(robot, *(np.array([getattr(one, name) for one in each]) for name in "qvau"))
-    np.testing.assert_allclose(
-        contact_loads(many).values, [contact_loads(one).values for one in each], atol=1e-11
-    )
-    np.testing.assert_allclose(
-        slip_margins(many).values, [slip_margins(one).values for one in each], atol=1e-11
-    )
-    np.testing.assert_allclose(robot.ground_wrench(many.q, many.v, many.a)[2], robot.ground_wrench(
-        each[2].q, each[2].v, each[2].a), atol=1e-11)  # fmt: skip
+    for function in (
+        lambda at: contact_loads(at).values,
+        lambda at: slip_margins(at).values,
+        lambda at: robot.ground_wrench(at.q, at.v, at.a),
+    ):
+        np.testing.assert_allclose(function(many), [function(one) for one in each], atol=1e-11)
 
 
 def test_a_wheel_that_would_pull_has_lifted_off() -> None:
@@ -150,16 +143,13 @@ def test_a_wheel_that_would_pull_has_lifted_off() -> None:
 def test_balance_takes_robots_on_wheels_with_arms() -> None:
     arm = BODY.mount("ur5", (0.1, 0.0, 0.3, 0.0))
     robot = WheeledRobot(arm, DIFFERENTIAL)
-    still = np.zeros(robot.nv)
-    at = MotionStates(robot, robot.rest, still, still)
-    mine = MotionStates(arm, arm.rest, np.zeros(arm.nv), np.zeros(arm.nv))
+    at, mine = still(robot), still(arm)
     for function in (reaction_wrench, zero_moment_point, required_friction):
         np.testing.assert_allclose(function(at), function(mine), atol=1e-11)
     assert tip_over_margin(at) == tip_over_margin(mine, robot.footprint)
     # Wheels that turn faster push back on the body: the moment of their spin.
-    faster = still.copy()
-    faster[-2:] = 10.0
-    change = robot.ground_wrench(robot.rest, still, faster) - robot.ground_wrench(robot.rest, still, still)
+    faster = np.append(np.zeros(robot.nv - 2), [10.0, 10.0])
+    change = robot.ground_wrench(robot.rest, 0 * faster, faster) - robot.ground_wrench(at.q, at.v, at.a)
     np.testing.assert_allclose(change, [0, 0, 0, 0, 2 * 0.01 * 10, 0], atol=1e-12)
 
 
@@ -187,10 +177,8 @@ def test_an_arm_at_rest_on_a_ramp_weighs_on_its_mount_along_the_slope_too() -> N
 
 @pytest.mark.parametrize(("mu", "speed"), [(0.3, 1.7), (0.8, 2.75)])
 def test_a_turn_too_fast_slides(mu: float, speed: float) -> None:
-    friction = WheelFriction(mu=mu, rolling=0.0)
-    table = WheelTable.differential(
-        0.5, 0.1, supports=[(0.25, 0.0), (-0.25, 0.0)], friction=friction, **WHEEL
-    )
+    own: dict[str, Any] = {**WHEEL, "friction": WheelFriction(mu=mu, rolling=0.0)}
+    table = WheelTable.differential(0.5, 0.1, supports=[(0.25, 0.0), (-0.25, 0.0)], **own)
     body, path = pm.MobileRobot(27.0, 2.3, com=(0.0, 0.0, 0.15)), pm.Circle(2, 0.2, 10)
     found = max_path_speed(WheeledRobot(body, table), pm.Tangent(path))
     assert found.what == "left + right slip"
@@ -203,13 +191,8 @@ def test_a_turn_too_fast_slides(mu: float, speed: float) -> None:
     for factor, slides in ((0.97, False), (1.1, True)):
         rate = factor * found.value
         robot, way = WheeledRobot(body, table, Coulomb()), pm.Tangent(pm.Circle(2, rate / 2, 1.5))
-        run = pm.simulate(
-            robot,
-            ControlAllocation(PD(400, 60), WheeledRobot(body, table)),
-            way,
-            dt=0.005,
-            engine=pm.Engine.COMPILED,
-        )
+        law = ControlAllocation(PD(400, 60), WheeledRobot(body, table))
+        run = pm.simulate(robot, law, way, dt=0.005, engine=pm.Engine.COMPILED)
         assert (run.metrics()["slip"][1].max() > 1e-3) == slides
 
 
@@ -254,20 +237,12 @@ def test_a_motor_s_torque_limits_the_ramp_and_less_of_it_at_speed_the_path() -> 
 
 def test_what_rolls_is_judged_alike_in_all_engines() -> None:
     robot = WheeledRobot(BODY.mount("ur5"), TABLES["mecanum"])
-    assert [one.name for one in robot.metrics] == [
-        "end effector",
-        "end effector angle",
-        "tip-over margin",
-        "load",
-        "tip over",
-        "slip margin",
-    ]
+    names = "end effector", "end effector angle", "tip-over margin", "load", "tip over", "slip margin"
+    assert tuple(one.name for one in robot.metrics) == names
     path = pm.WholeBody(robot.robot, pm.Tangent(pm.Circle(2, 0.3, 1)), pm.RestToRest(BENT, BENT + 0.3, 1))
-    run = pm.simulate(robot, pm.ComputedTorque(robot), path, dt=0.01)
-    judged, fast = (
-        run.metrics(),
-        pm.simulate(robot, pm.ComputedTorque(robot), path, dt=0.01, engine=pm.Engine.COMPILED).metrics(),
-    )
+    law = pm.ComputedTorque(robot)
+    run, other = (pm.simulate(robot, law, path, dt=0.01, engine=engine) for engine in pm.Engine)
+    judged, fast = run.metrics(), other.metrics()
     for name, (_, values) in judged.items():
         np.testing.assert_allclose(fast[name][1], values, atol=1e-7)
     np.testing.assert_allclose(judged["slip margin"][1], slip_margins(run).values.min(axis=1), atol=1e-9)
@@ -280,7 +255,7 @@ def test_what_rolls_is_judged_alike_in_all_engines() -> None:
     ]
     for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON):
         spread: dict[str, Any] = {"mass": pm.Uniform(30.0, 30.0 + 1e-12)}
-        each = pm.ensemble(robot, pm.ComputedTorque(robot), path, n=2, spread=spread, dt=0.01, engine=engine)
+        each = pm.ensemble(robot, law, path, n=2, spread=spread, dt=0.01, engine=engine)
         np.testing.assert_allclose(each.worst_metric, [worst, worst], atol=1e-7)
 
 
@@ -304,53 +279,53 @@ def test_ensembles_tell_how_many_would_slip_and_how_many_do() -> None:
     assert mu[slides].max() < 1.05 * 2 * 1.6**2 / 2 / G < 1.1 * mu[~slides].min()
     assert rolling.worst(1, by="slip margin")[0] == rolling.largest("slip margin").argmin()
     slipping = WheeledRobot(body, table, Coulomb())
-    found = pm.ensemble(
-        slipping, ControlAllocation(PD(400, 60), robot), path, n=60, dt=0.005, spread=spread, seed=1
-    )
+    allocated = ControlAllocation(PD(400, 60), robot)
+    found = pm.ensemble(slipping, allocated, path, n=60, dt=0.005, spread=spread, seed=1)
     assert [one.name for one in found.scenario.recorded_metrics] == ["load", "tip over", "slip"]
     did = found.largest("slip") > 1e-3
     assert np.mean(did == slides) > 0.8
 
 
-def test_what_is_not_known_is_refused() -> None:
-    line = WheeledRobot(BODY, WheelTable.differential(0.5, 0.1, **WHEEL))
-    assert line.metrics == ()
-    assert line.footprint is None
-    still = np.zeros(line.nv)
-    at = MotionStates(line, line.rest, still, still)
-    with pytest.raises(
-        errors.InvalidArgument, match=r"^table has 2 places where the robot stands, on one line"
-    ):
-        contact_loads(at)
-    with pytest.raises(
-        errors.InvalidArgument, match=r"^motion.plant is .*, which does not tell what its wheels"
-    ):
-        contact_loads(MotionStates(BODY, BODY.rest, np.zeros(3), np.zeros(3)))
-    robot = WheeledRobot(BODY, DIFFERENTIAL)
-    with pytest.raises(errors.InvalidArgument, match=r"^motion.u is None"):
-        slip_margins(MotionStates(robot, robot.rest, still, still))
-    skid = WheeledRobot(BODY, WheelTable.skid_steer(0.5, 0.4, 0.1, **WHEEL))
-    with pytest.raises(errors.InvalidArgument, match=r"^motion has no signals"):
-        slip_margins(MotionStates(skid, skid.rest, np.zeros(skid.nv), np.zeros(skid.nv), np.zeros(skid.nu)))
-    with pytest.raises(errors.InvalidArgument, match=r"cannot roll without slip"):
-        max_path_speed(skid, pm.Tangent(pm.Circle(2, 0.2, 10)))
-    with pytest.raises(errors.InvalidArgument, match=r"^reference moves the body by"):
-        max_path_speed(robot, pm.Tangent(pm.Circle(2, 0.2, 10)))
-    left, right = DIFFERENTIAL.wheels
-    one_motor = WheelTable((left, evolved(right, motor=None)), DIFFERENTIAL.supports)
-    with pytest.raises(errors.InvalidArgument, match=r"^reference needs a force of"):
-        max_slope(WheeledRobot(BODY, one_motor))
+LINE = WheeledRobot(BODY, WheelTable.differential(0.5, 0.1, **WHEEL))
+ROLLS = WheeledRobot(BODY, DIFFERENTIAL)
+SKID = WheeledRobot(BODY, WheelTable.skid_steer(0.5, 0.4, 0.1, **WHEEL))
+ONE_MOTOR = WheelTable(
+    (DIFFERENTIAL.wheels[0], evolved(DIFFERENTIAL.wheels[1], motor=None)), DIFFERENTIAL.supports
+)
+CIRCLE = pm.Tangent(pm.Circle(2, 0.2, 10))
+
+
+def still(robot: Any, u: Any = None) -> MotionStates:
+    """Return a robot at rest."""
+    return MotionStates(robot, robot.rest, np.zeros(robot.nv), np.zeros(robot.nv), u)
+
+
+@pytest.mark.parametrize(
+    ("ask", "words"),
+    [
+        (lambda: contact_loads(still(LINE)), "^table has 2 places where the robot stands, on one line"),
+        (lambda: contact_loads(still(BODY)), "^motion.plant is .*, which does not tell what its wheels"),
+        (lambda: slip_margins(still(ROLLS)), "^motion.u is None"),
+        (lambda: slip_margins(still(SKID, np.zeros(SKID.nu))), "^motion has no signals"),
+        (lambda: max_path_speed(SKID, CIRCLE), "cannot roll without slip"),
+        (lambda: max_path_speed(ROLLS, CIRCLE), "^reference moves the body by"),
+        (lambda: max_slope(WheeledRobot(BODY, ONE_MOTOR)), "^reference needs a force of"),
+    ],
+)
+def test_what_is_not_known_is_refused(ask: Any, words: str) -> None:
+    assert LINE.metrics == ()
+    assert LINE.footprint is None
+    with pytest.raises(errors.InvalidArgument, match=words):
+        ask()
 
 
 def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None:
     motor = Motor(resistance=1.0, torque_constant=0.03, voltage=24.0, gear=20.0)
     table = WheelTable.differential(0.5, 0.1, supports=[(0.2, 0.0), (-0.2, 0.0)], motor=motor, **WHEEL)
     robot = WheeledRobot(BODY, table)
-    electric, still = robot.by_voltage(), np.zeros(robot.nv)
-    at = MotionStates(electric, robot.rest, still, still, [12.0, 12.0])
-    np.testing.assert_array_equal(
-        contact_loads(at).values, contact_loads(MotionStates(robot, robot.rest, still, still)).values
-    )
+    electric = robot.by_voltage()
+    at = still(electric, [12.0, 12.0])
+    np.testing.assert_array_equal(contact_loads(at).values, contact_loads(still(robot)).values)
     with pytest.raises(errors.InvalidArgument, match=r"^motion.plant is .*, which does not tell how far"):
         slip_margins(at)
     assert not hasattr(electric, "metrics")

@@ -12,24 +12,15 @@ from pinmobile import closed_form
 from pinmobile.arrays import Array
 from pinmobile.errors import UnknownName
 from pinmobile.forces import SinusoidalForce
-from pinmobile.wheels import (
-    AckermannSteering,
-    DifferentialGear,
-    GearTrain,
-    Ramp,
-    Support,
-    Wheel,
-)
+from pinmobile.wheels import AckermannSteering, DifferentialGear, GearTrain, Ramp, Support, Wheel
+from tests.wheeled import BODY as BASE, CASTER, CORNERS, WHEEL as OWN, run
 
-OWN: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
-BASE = pm.MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
 BODY: dict[str, Any] = {"mass": 30.0, "yaw_inertia": 2.3, "com": (0.05, 0.02)}
 GEARED = pm.Motor(rotor_inertia=1e-4, gear=10)
 DIFFERENTIAL = pm.WheelTable.differential(0.5, 0.1, x=0.07, supports=[(-0.2, 0)], motor=GEARED, **OWN)
-CASTER = Wheel("caster", -0.3, 0.02, 0.05, 0.3, steering="free", trail=(-0.03, 0.005), **OWN)
 FRONT = Wheel("front", 0.4, 0.0, 0.1, steering="driven", motor=GEARED, **OWN)
 SIDES = [Wheel("l", 0, 0.2, 0.1, **OWN), Wheel("r", 0, -0.2, 0.1, **OWN)]
-CORNERS = [(0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2)]
+UNDRIVEN = pm.WheelTable(tuple(SIDES), (Support(-0.2, 0),))
 ROLLING = {
     "differential": DIFFERENTIAL,
     "mecanum": pm.WheelTable.mecanum(0.5, 0.4, 0.08, motor=GEARED, **OWN),
@@ -49,16 +40,15 @@ SLIPPING = {
 
 
 ARMED = BASE.mount("ur5", (0.1, 0, 0.3, 0))
-STEP, TILTED = {"tau", "loads", "cone", "power"}, pm.Rolling(Ramp(0.3, 1.0))
+STEP, ROLLS = {"tau", "loads", "cone", "power"}, {"M", "a", "lambda", "nu'", "M of nu"}
+TILTED, SLOPE = pm.Rolling(Ramp(0.3, 1.0)), pm.Coulomb(ramp=Ramp(0.2, 0.5))
 LIGHT = {
     "differential": pm.WheelTable.differential(0.5, 0.1, x=0.07),
     "mecanum": pm.WheelTable.mecanum(0.5, 0.4, 0.08),
     "car": pm.WheelTable.car(0.6, 0.4, 0.1, yaw_inertia=0.006),
 }
 VERIFIED: dict[str, tuple[pm.WheelTable, Any, set[str]]] = {
-    **{
-        kind: (table, pm.Rolling(), {"M", "a", "lambda", "nu'", "M of nu"}) for kind, table in ROLLING.items()
-    },
+    **{kind: (table, pm.Rolling(), ROLLS) for kind, table in ROLLING.items()},
     **{f"{kind} on a ramp": (ROLLING[kind], TILTED, {"a", "nu'"}) for kind in ("differential", "casters")},
     **{f"{kind}, slipping": (table, pm.Coulomb(), STEP) for kind, table in SLIPPING.items()},
     **{
@@ -102,15 +92,10 @@ def wheels(draw: st.DrawFn, k: int) -> Wheel:
     return Wheel(f"w{k}", x, y, draw(sizes), draw(st.floats(-3, 3)), **own)
 
 
-@st.composite
-def tables(draw: st.DrawFn) -> pm.WheelTable:
-    count = draw(st.integers(1, 4))
-    return pm.WheelTable(tuple(draw(wheels(k)) for k in range(count)))
-
-
-@given(tables(), st.booleans(), st.integers(0, 2**32 - 1))
+@given(st.data(), st.integers(1, 4), st.booleans(), st.integers(0, 2**32 - 1))
 @settings(max_examples=12)
-def test_every_route_agrees_for_any_table(table: pm.WheelTable, armed: bool, seed: int) -> None:
+def test_every_route_agrees_for_any_table(data: st.DataObject, count: int, armed: bool, seed: int) -> None:
+    table = pm.WheelTable(tuple(data.draw(wheels(k)) for k in range(count)))
     assume(table.mobility.is_regular)
     robot = pm.MobileRobot(30.0, 4.0, com=(0.05, 0.02, 0.2))
     wheeled = pm.WheeledRobot(robot.mount("double_pendulum") if armed else robot, table)
@@ -126,13 +111,9 @@ def test_a_gear_train_turns_wheels_at_a_ratio() -> None:
     own: dict[str, Any] = {"mass": 0.5, "yaw_inertia": 0.003, "spin_inertia": 0.01}
     inner = Wheel("in", 0, 0.2, 0.1, motor=pm.Motor(), **own)
     free = Wheel("third", -0.3, 0.0, 0.1, roller=0.0, angle=1.2, **own)
-    beside, ahead = (
-        pm.WheelTable(
-            (inner, Wheel("out", x, y, 0.05, roller=0.0, **own), free),
-            couplings=(GearTrain(("in", "out"), (1.0, 2.0)),),
-        )
-        for x, y in ((0, 0.35), (0.3, 0.2))
-    )
+    train = (GearTrain(("in", "out"), (1.0, 2.0)),)
+    outer = (Wheel("out", *at, 0.05, roller=0.0, **own) for at in ((0, 0.35), (0.3, 0.2)))
+    beside, ahead = (pm.WheelTable((inner, each, free), couplings=train) for each in outer)
     assert "different rates" in beside.mobility.rolling_obstacle  # the body may not turn
     wheeled = pm.WheeledRobot(pm.MobileRobot(20.0, 1.5, com=(0.1, 0.05, 0.1)), ahead)
     assert pm.verify(wheeled, states=10).passed
@@ -212,9 +193,6 @@ def test_of_redundant_rows_the_sum_is_determined() -> None:
     np.testing.assert_allclose(found.values[:, 1], found.values[:, 3], atol=1e-11)
 
 
-# Equal robots
-
-
 # What is refused
 
 
@@ -265,15 +243,11 @@ def test_of_redundant_rows_the_sum_is_determined() -> None:
             "wheel 'l' of AckermannSteering(...) is Wheel(",
         ),
         (
-            lambda: pm.WheeledRobot(BASE, DIFFERENTIAL).forward_dynamics(
-                np.zeros(5), np.zeros(5), np.zeros(3)
-            ),
+            lambda: pm.WheeledRobot(BASE, DIFFERENTIAL).forward_dynamics(*np.zeros((2, 5)), np.zeros(3)),
             "u has shape (3,), expected (..., 2)",
         ),
         (
-            lambda: pm.WheeledRobot(BASE, pm.WheelTable(tuple(SIDES), (Support(-0.2, 0),))).forward_dynamics(
-                np.zeros(5), np.zeros(5), [1.0]
-            ),
+            lambda: pm.WheeledRobot(BASE, UNDRIVEN).forward_dynamics(*np.zeros((2, 5)), [1.0]),
             "u has shape (1,), expected (..., 0)",
         ),
     ],
@@ -286,21 +260,16 @@ def test_bad_input_is_refused_each_with_its_own_words(make: Any, text: str) -> N
 
 def test_a_start_that_does_not_roll_is_refused_and_projected_only_if_asked() -> None:
     wheeled = pm.WheeledRobot(BASE, DIFFERENTIAL)
-    still = pm.law(lambda t, q, v, reference: np.zeros(2))
-    reference = pm.FixedHeading(pm.Hold([0, 0], 0.1), 0.0)
     v0 = np.array([1.0, 0.2, 0.3, 0, 0])
-    with pytest.raises(
-        pm.InvalidArgument, match=r"start does not roll: .* slips at .*; expected .* v0 = robot.project"
-    ):
-        pm.simulate(wheeled, still, reference, dt=0.01, q0=wheeled.rest, v0=v0)
+    words = r"start does not roll: .* slips at .*; expected .* v0 = robot.project"
+    with pytest.raises(pm.InvalidArgument, match=words):
+        run(wheeled, (0, 0), 0.01, 0.1, v=v0)
     aside = pm.FixedHeading(pm.Spline([[0, 0], [0, 1]], [0, 1], start_velocity=(0, 1)), 0.0)
-    with pytest.raises(
-        pm.InvalidArgument, match=r"^reference at its start does not roll: .* a reference that"
-    ):
-        pm.simulate(wheeled, still, aside, dt=0.1)
-    v0 = wheeled.project(wheeled.rest, v0)
-    run = pm.simulate(wheeled, still, reference, dt=0.01, q0=wheeled.rest, v0=v0)
-    assert np.abs(wheeled.constraint_matrix(run.q[-1]) @ run.v[-1]).max() < 1e-14
+    words = r"^reference at its start does not roll: .* a reference that"
+    with pytest.raises(pm.InvalidArgument, match=words):
+        pm.simulate(wheeled, pm.law(lambda t, q, v, reference: np.zeros(2)), aside, dt=0.1)
+    found = run(wheeled, (0, 0), 0.01, 0.1, v=wheeled.project(wheeled.rest, v0))
+    assert np.abs(wheeled.constraint_matrix(found.q[-1]) @ found.v[-1]).max() < 1e-14
 
 
 @pytest.mark.parametrize("kind", [*ROLLING, "massless", "ur5"])
@@ -330,41 +299,18 @@ def test_compiled_it_rolls_as_in_python_from_the_start_that_is_given(kind: str, 
     q0[2:] += rng.uniform(-0.3, 0.3, wheeled.nq - 2)
     v0 = wheeled.project(q0, rng.normal(size=wheeled.nv))
     v0 += 1e-11  # within what a start may slip
-    controller, still = pm.law(lambda t, q, v, reference: u), pm.FixedHeading(pm.Hold([0, 0], 1.0), 0.0)
-    given: dict[str, Any] = {"dt": 0.02, "q0": q0, "v0": v0, "substeps": substeps}
-    runs = [
-        pm.simulate(wheeled, controller, still, engine=engine, **given)
-        for engine in (pm.Engine.PYTHON, pm.Engine.COMPILED)
-    ]
+    engines = pm.Engine.PYTHON, pm.Engine.COMPILED
+    runs = [run(wheeled, u, 0.02, 1.0, q0, v0, substeps=substeps, engine=engine) for engine in engines]
     for name in ("q", "v", "a"):
-        one, other = (getattr(run, name) for run in runs)
+        one, other = (getattr(each, name) for each in runs)
         np.testing.assert_allclose(other, one, rtol=1e-10, atol=1e-10)
-    for run in runs:
-        np.testing.assert_array_equal(run.v[0], v0)
-        slips = np.einsum("nij,nj->ni", wheeled.constraint_matrix(run.q), run.v)
+    for each in runs:
+        np.testing.assert_array_equal(each.v[0], v0)
+        slips = np.einsum("nij,nj->ni", wheeled.constraint_matrix(each.q), each.v)
         assert np.abs(slips[1:]).max() < 1e-13
 
 
 # Runs
-
-
-def run_of(
-    wheeled: pm.WheeledRobot, u: list[float], q0: Array, v0: Array, dt: float, T: float, **more: Any
-) -> Any:
-    held = np.array(u)
-    controller = pm.law(lambda t, q, v, reference: held)
-    trajectory = pm.FixedHeading(pm.Hold([0, 0], T), 0.0)
-    return pm.simulate(
-        wheeled,
-        controller,
-        trajectory,
-        dt=dt,
-        q0=q0,
-        v0=v0,
-        integrator=pm.rk4,
-        engine=pm.Engine.COMPILED,
-        **more,
-    )
 
 
 def by_hand(kind: str, nu: Array, delta: float) -> closed_form.ReducedModel:
@@ -383,11 +329,7 @@ def by_hand(kind: str, nu: Array, delta: float) -> closed_form.ReducedModel:
     return closed_form.roller_drive(nu, **BODY, **wheel, radius=0.08, spin_inertia=0.01 + reflected)
 
 
-RUNS = {
-    "differential": [0.5, 0.62],
-    "mecanum": [0.3, 0.2, -0.1, 0.25],
-    "car": [0.4, 0.0002],
-}
+RUNS = {"differential": [0.5, 0.62], "mecanum": [0.3, 0.2, -0.1, 0.25], "car": [0.4, 0.0002]}
 
 
 @pytest.mark.parametrize(
@@ -402,8 +344,7 @@ RUNS = {
 def test_a_steering_axis_stays_at_its_stop_and_leaves_it(ground: Any, volts: bool, engine: Any) -> None:
     """It stops within what it turns in a step, and its torque pushes it no further."""
     motor = pm.Motor(resistance=1.0, torque_constant=0.02, voltage=24.0, gear=5.0)
-    wheel: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006, "motor": motor}
-    car = pm.WheelTable.car(0.6, 0.4, 0.1, steering_limit=0.3, **wheel)
+    car = pm.WheelTable.car(0.6, 0.4, 0.1, steering_limit=0.3, **{**OWN, "motor": motor})
     robot: Any = pm.WheeledRobot(pm.MobileRobot(30.0, 3.0, com=(0.3, 0.0, 0.2)), car, ground)
     robot, push = (robot.by_voltage(), 0.1) if volts else (robot, 0.02)
     axis = robot.wheeled.robot.nv if volts else robot.robot.nv
@@ -411,8 +352,7 @@ def test_a_steering_axis_stays_at_its_stop_and_leaves_it(ground: Any, volts: boo
     there = pm.law(lambda t, q, v, reference: np.where(t < 2.0, 1.0, -0.5) * steered)
     here = pm.FixedHeading(pm.Hold([0, 0], 4.0), 0.0)
     zeros = {"q0": robot.rest, "v0": np.zeros(robot.nv)}
-    run = pm.simulate(robot, there, here, dt=0.01, limit=1e6, engine=engine, **zeros)
-    angle = run.q[:, axis]
+    angle = pm.simulate(robot, there, here, dt=0.01, limit=1e6, engine=engine, **zeros).q[:, axis]
     step = np.abs(np.diff(angle)).max()
     assert 0.3 - step < angle.max() <= 0.3 + step
     arrived = int(np.argmax(angle > angle.max() - 1e-9))
@@ -427,19 +367,11 @@ def test_the_plant_s_own_integrator_keeps_to_an_arc_at_speed() -> None:
     wheels = pm.WheelTable.differential(0.5, 0.1, supports=[(-0.3, 0)], mass=1.0, spin_inertia=0.005)
     robot = pm.WheeledRobot(pm.MobileRobot(30.0, 1.3, com=(0, 0, 0.2)), wheels)
     v0 = robot.project(robot.rest, [30.0, 0.0, 0.5, *robot.wheel_rates([30.0, 0.0, 0.5])])
-    far, here = [], pm.FixedHeading(pm.Hold([0, 0], 10.0), 0.0)
+    far = []
     for dt in (0.02, 0.01):
-        run = pm.simulate(
-            robot,
-            pm.law(lambda t, q, v, reference: np.zeros(2)),
-            here,
-            dt=dt,
-            q0=robot.rest,
-            v0=v0,
-            limit=1e6,
-        )
-        arc = 60.0 * np.stack([np.sin(0.5 * run.t), 1 - np.cos(0.5 * run.t)], axis=-1)
-        far.append(np.abs(run.q[:, :2] - arc).max())
+        found = run(robot, (0, 0), dt, 10.0, v=v0)
+        arc = 60.0 * np.stack([np.sin(0.5 * found.t), 1 - np.cos(0.5 * found.t)], axis=-1)
+        far.append(np.abs(found.q[:, :2] - arc).max())
     assert far[1] < 1e-8
     assert far[0] / far[1] > 3.5  # order 2, at least
 
@@ -452,7 +384,7 @@ def test_a_run_is_that_of_the_dynamics_derived_by_hand(kind: str) -> None:
     q0, v0, axes = wheeled.rest.copy(), np.zeros(wheeled.nv), len(wheeled.table.axes)
     q0[2:4], v0[:3] = (0.4, 0.15 * axes), (0.5, 0.2, 0.3)
     v0 = wheeled.project(q0, v0)
-    run = run_of(wheeled, RUNS[kind], q0, v0, 0.005, T, forces=[push])
+    its = run(wheeled, u, 0.005, T, q0, v0, forces=[push])
     first = wheeled.independent(q0, v0)
 
     def body(y: Array) -> tuple[Array, Array, Array]:
@@ -472,21 +404,21 @@ def test_a_run_is_that_of_the_dynamics_derived_by_hand(kind: str) -> None:
         return np.concatenate([R @ (columns @ nu), [nu[-1] * axes], np.linalg.solve(model.M, force)])
 
     start = np.concatenate([q0[:3], [0.15 * axes], first])
-    samples = run.t[::40]
+    samples = its.t[::40]
     found = solve_ivp(rates, (0, T), start, "DOP853", samples, rtol=1e-12, atol=1e-13)
     assert found.success
     y = found.y.T
-    np.testing.assert_allclose(run.q[::40, :3], y[:, :3], atol=1e-8)
+    np.testing.assert_allclose(its.q[::40, :3], y[:, :3], atol=1e-8)
     if axes:
-        np.testing.assert_allclose(run.q[::40, 3], y[:, 3], atol=1e-8)
-    np.testing.assert_allclose(wheeled.independent(run.q, run.v)[::40], y[:, 4:], atol=1e-8)
-    drift = np.einsum("nij,nj->ni", wheeled.constraint_matrix(run.q), run.v)
+        np.testing.assert_allclose(its.q[::40, 3], y[:, 3], atol=1e-8)
+    np.testing.assert_allclose(wheeled.independent(its.q, its.v)[::40], y[:, 4:], atol=1e-8)
+    drift = np.einsum("nij,nj->ni", wheeled.constraint_matrix(its.q), its.v)
     assert np.abs(drift).max() < 1e-14
     if axes:
         return
     # Forces along the wheels, from what spins them.
     inertia = 0.01 + GEARED.reflected_inertia
-    for t, q, v, x in zip(samples, run.q[::40], run.v[::40], y, strict=True):
+    for t, q, v, x in zip(samples, its.q[::40], its.v[::40], y, strict=True):
         _, nu, _ = body(x)
         model = by_hand(kind, nu, x[3])
         spins = model.B.T @ rates(t, x)[4:]
