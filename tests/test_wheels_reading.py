@@ -11,21 +11,22 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import Circle, ComputedTorque, InvalidArgument, MobileRobot, Tangent, simulate
-from pinmobile.controllers import Backstepping, Controller, UnicycleTracking
-from pinmobile.errors import UnknownName
-from pinmobile.wheels import (
-    AckermannSteering,
+from pinmobile import (
+    Circle,
+    ComputedTorque,
     Coulomb,
-    DifferentialGear,
-    GearTrain,
+    InvalidArgument,
+    MobileRobot,
     Motor,
     Rolling,
-    Support,
+    Tangent,
     WheeledRobot,
     WheelTable,
-    read_wheels,
+    simulate,
 )
+from pinmobile.controllers import Backstepping, Controller, UnicycleTracking
+from pinmobile.errors import UnknownName
+from pinmobile.wheels import AckermannSteering, DifferentialGear, GearTrain, Support, read_wheels
 from tests import wheeled
 from tests.wheeled import HALF_PI, inertial, joint, link, robot as urdf, shape
 
@@ -34,8 +35,6 @@ ROUND = "0.003 0 0 0.005 0 0.003"
 
 
 DINGO = (0.0004901, 0.0003234)  # as cylinders of its size have them
-
-
 MP400 = (0.00739239692, 0.0039974)
 CASTER = (1.541e-5, 1.075e-5)
 CASTERS = [f"caster_{end}_{side}_2_joint" for end in ("front", "back") for side in ("left", "right")]
@@ -69,9 +68,8 @@ def box(x: float, y: float) -> list[tuple[float, float]]:
 
 def test_husky_has_four_tyres_and_both_its_sides_may_be_coupled(tmp_path: Path) -> None:
     robot = MobileRobot.from_urdf(written(tmp_path, wheeled.husky()))
-    with pytest.raises(
-        InvalidArgument, match=r"'wheel_3' are fixed on more than one axle: .*rollers=\{\} for tyr"
-    ):
+    words = r"'wheel_3' are fixed on more than one axle: .*rollers=\{\} for tyr"
+    with pytest.raises(InvalidArgument, match=words):
         WheeledRobot(robot)
     table = read_wheels(robot, rollers={})
     near(table, box(0.256, 0.2854), 0.1651)
@@ -110,21 +108,14 @@ def test_friction_of_a_file_that_changes_nothing_is_reported(tmp_path: Path) -> 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         read(tmp_path, plain)
-    held = plain.replace(
-        'wheel_left_joint" type="continuous">',
-        'wheel_left_joint" type="continuous"><dynamics damping="5" friction="2"/>',
-    )
-    assert held != plain
+    left = 'wheel_left_joint" type="continuous">'
+    held = plain.replace(left, f'{left}<dynamics damping="5" friction="2"/>')
     slick = '<gazebo reference="wheel_left_link"><mu1>0.1</mu1></gazebo></robot>'
     with pytest.warns(UserWarning, match=r"^base\.urdf: ") as told:
         read(tmp_path, held.replace("</robot>", slick))
     (words,) = (str(one.message) for one in told)
-    assert words == (
-        "base.urdf: damping and friction of ${namespace}wheel_left_joint act where motors take volts alone "
-        "(by_voltage): give forces=[ViscousFriction(...)], or WheelFriction(rolling=...) of the "
-        "wheels; mu1 and "
-        "mu2 of wheel_left_link are not used: give ground=Coulomb(mu)"
-    )
+    assert "damping and friction of ${namespace}wheel_left_joint act where motors take volts alone" in words
+    assert words.endswith("mu1 and mu2 of wheel_left_link are not used: give ground=Coulomb(mu)")
 
 
 def test_ridgeback_is_mecanum_where_its_rollers_are_told(tmp_path: Path) -> None:
@@ -135,9 +126,7 @@ def test_ridgeback_is_mecanum_where_its_rollers_are_told(tmp_path: Path) -> None
     assert robot.mobility.mobility == 3
     named = dict(zip(robot.table.names, (-pi / 4, pi / 4, pi / 4, -pi / 4), strict=True))
     assert read(tmp_path, wheeled.ridgeback(), rollers=named).table == robot.table
-    with pytest.raises(
-        InvalidArgument, match="rollers is not given, and wheels 'front_left_wheel', 'front_rig"
-    ):
+    with pytest.raises(InvalidArgument, match="rollers is not given, and wheels 'front_left_wheel', 'front"):
         read(tmp_path, wheeled.ridgeback())  # the file does not tell
 
 
@@ -155,11 +144,8 @@ def test_turtlebot_is_level_and_stands_on_its_casters(tmp_path: Path, model: str
 
 
 def test_dingo_is_asked_for_the_inertia_that_its_file_has_on_another_axis(tmp_path: Path) -> None:
-    with pytest.raises(
-        InvalidArgument,
-        match=r"wheel 'wheel_0' is no solid of revolution about its axle, with moments of 0\.0003234 "
-        r"about it, 0\.0003234 and 0\.00049\d* across.*or inertia=\{'wheel_0': \(about the axle, across",
-    ):
+    words = r"about its axle, with moments of 0\.0003234 about it, 0\.0003234 and 0\.00049\d* across.*or iner"
+    with pytest.raises(InvalidArgument, match=rf"wheel 'wheel_0' is no solid of revolution {words}"):
         read(tmp_path, wheeled.dingo())
     robot = read(tmp_path, wheeled.dingo(), inertia=DINGO)
     y = 0.2160016 + 0.02032 / 2
@@ -172,9 +158,8 @@ def test_dingo_is_asked_for_the_inertia_that_its_file_has_on_another_axis(tmp_pa
 
 
 def test_mp400_turns_its_axes_by_rounded_angles(tmp_path: Path) -> None:
-    with pytest.raises(
-        InvalidArgument, match=r"moments of 0\.003997 about it, 0\.003997 and 0\.007392 across"
-    ):
+    words = r"moments of 0\.003997 about it, 0\.003997 and 0\.007392 across"
+    with pytest.raises(InvalidArgument, match=words):
         read(tmp_path, wheeled.mp400())
     robot = read(tmp_path, wheeled.mp400(), inertia=MP400)
     # Axles turned by 1.57: 0.0008 rad off the y axis, they would be on two lines.
@@ -187,10 +172,8 @@ def test_mp400_turns_its_axes_by_rounded_angles(tmp_path: Path) -> None:
 
 
 def test_fetch_is_asked_for_its_radius_which_tells_the_ground_too(tmp_path: Path) -> None:
-    with pytest.raises(
-        InvalidArgument,
-        match=r"radius of wheel 'l_wheel_joint' is not known.*expected radius=\{'l_wheel_joint': \.\.\.\}",
-    ):
+    words = r"radius of wheel 'l_wheel_joint' is not known.*expected radius=\{'l_wheel_joint': \.\.\.\}"
+    with pytest.raises(InvalidArgument, match=words):
         read(tmp_path, wheeled.fetch())
     robot = read(tmp_path, wheeled.fetch(), radius=0.0604, supports=[(-0.12, 0.1), (-0.12, -0.1)])
     near(robot.table, [(0.0012914, 0.18738), (0.0012914, -0.18738)], 0.0604)
@@ -198,9 +181,8 @@ def test_fetch_is_asked_for_its_radius_which_tells_the_ground_too(tmp_path: Path
     # The body's centre of mass is 1.4 mm above base_link, which is 5.075 mm above the ground.
     z = (70.1294 * 0.0014 + 2 * 4.3542 * 0.055325) / (70.1294 + 2 * 4.3542) + 0.0604 - 0.055325
     assert robot.robot.com[2] == pytest.approx(z)
-    assert [wheel.motor for wheel in robot.table.wheels] == [
-        Motor(8.85, source=f"joint {name}") for name in robot.table.names
-    ]
+    motors = [Motor(8.85, source=f"joint {name}") for name in robot.table.names]
+    assert [wheel.motor for wheel in robot.table.wheels] == motors
     assert len(robot.table.supports) == 2
     assert "radius as given of all" in robot.source
     ground = read(tmp_path, wheeled.fetch(), radius=0.0604, ground_z=0.055325 - 0.0604)
@@ -213,23 +195,14 @@ def test_tiago_stands_on_swivelling_casters(tmp_path: Path) -> None:
     robot = read(tmp_path, wheeled.pmb2_on_casters(), inertia=dict.fromkeys(CASTERS, CASTER))
     table = robot.table
     by_name = {wheel.name: wheel for wheel in table.wheels}
-    main = [by_name[f"wheel_{side}_joint"] for side in ("left", "right")]
-    assert [(w.x, w.y, w.radius, w.steering) for w in main] == [
-        (0.0, 0.2022, 0.0985, "fixed"),
-        (0.0, -0.2022, 0.0985, "fixed"),
-    ]
-    assert {w.motor for w in main} == {
-        Motor(6.0, viscous=1.0, coulomb=2.0, source=f"joint {w.name}") for w in main
-    }
-    assert {(w.steering, w.trail, w.radius, w.motor) for w in map(by_name.get, CASTERS) if w} == {
-        ("free", (-0.016, 0.0), 0.025, None)
-    }
-    assert sorted((by_name[name].x, by_name[name].y) for name in CASTERS) == [
-        (-0.1735, -0.102),
-        (-0.1735, 0.102),
-        (0.1695, -0.102),
-        (0.1695, 0.102),
-    ]
+    for side, y in (("left", 0.2022), ("right", -0.2022)):
+        w = by_name[f"wheel_{side}_joint"]
+        assert (w.x, w.y, w.radius, w.steering) == (0.0, y, 0.0985, "fixed")
+        assert w.motor == Motor(6.0, viscous=1.0, coulomb=2.0, source=f"joint {w.name}")
+    casters = [by_name[name] for name in CASTERS]
+    turns = {(w.steering, w.trail, w.radius, w.motor) for w in casters}
+    assert turns == {("free", (-0.016, 0.0), 0.025, None)}
+    assert {(w.x, w.y) for w in casters} == {(x, y) for x in (-0.1735, 0.1695) for y in (-0.102, 0.102)}
     assert (robot.mobility.mobility, len(table.axes), table.supports) == (2, 4, ())
     assert robot.inputs[0].name == "wheel_left_joint"
     assert robot.nu == 2
@@ -254,23 +227,22 @@ def energy_of_file(text: str, twist: Any, joints: Mapping[str, tuple[float, floa
     return float(pin.computeKineticEnergy(model, model.createData(), q, v))
 
 
+ON_ANOTHER_AXIS = {  # moments of wheels as files have them, and about their axles
+    ("0.0003234", "0.0003234", "0.00049015"): ("0.0003234", "0.00049015", "0.0003234"),
+    ("0.0003234", "0.0003234", "0.0004901"): ("0.0003234", "0.0004901", "0.0003234"),
+    ("0.00001075", "0.00001541", "0.00001075"): ("0.00001075", "0.00001075", "0.00001541"),
+    ("0.00399743171", "0.00399741733", "0.00739239692", "4.464e-8 -2.245e-8 -1.64e-9"): (
+        "0.00739239692",
+        "0.00399742",
+        "0.00399742",
+    ),
+}
+
+
 def round_wheels(text: str) -> str:
     """Return a file with the moments about the axles that it has on another axis."""
-    for wrong, right in (
-        (wheeled.wheels_moments("0.0003234", "0.0003234", "0.00049015"), "0.0003234 0.00049015 0.0003234"),
-        (wheeled.wheels_moments("0.0003234", "0.0003234", "0.0004901"), "0.0003234 0.0004901 0.0003234"),
-        (
-            wheeled.wheels_moments("0.00001075", "0.00001541", "0.00001075"),
-            "0.00001075 0.00001075 0.00001541",
-        ),
-        (
-            wheeled.wheels_moments(
-                "0.00399743171", "0.00399741733", "0.00739239692", "4.464e-8 -2.245e-8 -1.64e-9"
-            ),
-            "0.00739239692 0.00399742 0.00399742",
-        ),
-    ):
-        text = text.replace(wrong, wheeled.wheels_moments(*right.split()))
+    for wrong, right in ON_ANOTHER_AXIS.items():
+        text = text.replace(wheeled.wheels_moments(*wrong), wheeled.wheels_moments(*right))
     return text
 
 
@@ -333,10 +305,8 @@ def base(*wheels: str, body: str = "") -> str:
     return urdf(link("base", inertial(9, "0 0 0.1"), body), *wheels)
 
 
-def wheel(
-    name: str, at: str, parent: str = "base", solid: str = ROLLING, moments: str = ROUND, **more: Any
-) -> str:
-    own = link(f"{name}_link", inertial(1, moments=moments), solid)
+def wheel(name: str, at: str, parent: str = "base", moments: str = ROUND, **more: Any) -> str:
+    own = link(f"{name}_link", inertial(1, moments=moments), ROLLING)
     return own + joint(name, more.pop("kind", "continuous"), parent, f"{name}_link", at, **more)
 
 
@@ -358,10 +328,8 @@ def test_a_mirrored_wheel_rolls_forward_and_its_sign_is_kept(tmp_path: Path) -> 
 
 def test_omni_wheels_keep_the_sense_of_their_joints(tmp_path: Path) -> None:
     angles = [k * 2 * pi / 3 for k in range(3)]
-    wheels = [
-        wheel(f"w{k}", f"{0.3 * cos(a)} {0.3 * sin(a)} 0.1", rpy=f"0 0 {a + pi / 2}")
-        for k, a in enumerate(angles)
-    ]
+    places = [(f"{0.3 * cos(a)} {0.3 * sin(a)} 0.1", f"0 0 {a + pi / 2}") for a in angles]
+    wheels = [wheel(f"w{k}", at, rpy=rpy) for k, (at, rpy) in enumerate(places)]
     robot = read(tmp_path, base(*wheels), rollers=0.0)
     own = WheelTable.omni(0.3, 0.1)
     assert robot.mobility.mobility == 3
@@ -381,13 +349,10 @@ def test_axles_that_are_nearly_on_one_line_are_on_it(tmp_path: Path) -> None:
 
 
 def on_swivel(at: str, wheel_at: str, name: str = "caster", **more: Any) -> str:
-    fork = link(
-        f"{name}_fork", inertial(0.5, more.pop("fork_at", "0 0 0"), moments="0.001 0 0 0.001 0 0.001")
-    )
-    axis = joint(
-        f"{name}_swivel", more.pop("kind", "continuous"), "base", f"{name}_fork", at, axis="0 0 1", **more
-    )
-    return fork + axis + wheel(name, wheel_at, f"{name}_fork")
+    own = inertial(0.5, more.pop("fork_at", "0 0 0"), moments="0.001 0 0 0.001 0 0.001")
+    kind, fork = more.pop("kind", "continuous"), f"{name}_fork"
+    axis = joint(f"{name}_swivel", kind, "base", fork, at, axis="0 0 1", **more)
+    return link(fork, own) + axis + wheel(name, wheel_at, fork)
 
 
 def test_a_caster_with_its_fork_has_the_energy_of_the_files_tree(tmp_path: Path) -> None:
@@ -416,11 +381,8 @@ def test_a_swivel_with_limits_is_driven(tmp_path: Path) -> None:
     (axis,) = robot.table.axes
     assert (axis.driven, axis.limit) == (True, 0.5)
     assert [actuator.name for actuator in robot.table.actuators] == ["caster_steering", "left", "right"]
-    free = read(
-        tmp_path,
-        base(PAIR, on_swivel("0.5 0 0.1", "-0.03 0 0", kind="revolute", limit=limit)),
-        steering={"caster": "free"},
-    )
+    trailing = on_swivel("0.5 0 0.1", "-0.03 0 0", kind="revolute", limit=limit)
+    free = read(tmp_path, base(PAIR, trailing), steering={"caster": "free"})
     assert not free.table.axes[0].driven
 
 
@@ -431,10 +393,8 @@ def test_a_car_is_steered_by_ackermann_and_driven_through_its_differential(tmp_p
         for side, y in (("left", 0.2), ("right", -0.2))
     ]
     rear = wheel("rear_left", "0 0.2 0.1") + wheel("rear_right", "0 -0.2 0.1")
-    couplings = [
-        DifferentialGear(("rear_left", "rear_right")),
-        AckermannSteering(("front_left", "front_right")),
-    ]
+    gear, steering = DifferentialGear(("rear_left", "rear_right")), ("front_left", "front_right")
+    couplings = [gear, AckermannSteering(steering)]
     car = read(tmp_path, base(*front, rear), couplings=couplings)
     assert (car.mobility.mobility, car.mobility.steerability) == (1, 1)
     assert [each.name for each in car.inputs] == ["steering", "differential"]
@@ -444,17 +404,11 @@ def test_a_car_is_steered_by_ackermann_and_driven_through_its_differential(tmp_p
 def test_a_wheel_right_below_its_swivel_is_asked_about(tmp_path: Path) -> None:
     places = [(0.3, 0.0), (-0.3, 0.0)]
     text = base(*(on_swivel(f"{x} {y} 0.1", "0 0 0", name=f"m{k}") for k, (x, y) in enumerate(places)))
-    with pytest.raises(
-        InvalidArgument, match=r"'m0' stands right below its swivel 'm0_swivel'.*steering=\{'m0': 'driven'\}"
-    ):
+    words = r"'m0' stands right below its swivel 'm0_swivel'.*steering=\{'m0': 'driven'\}"
+    with pytest.raises(InvalidArgument, match=words):
         read(tmp_path, text)
     swerve = read(tmp_path, text, steering={"m0": "driven", "m1": "driven"})
-    assert [actuator.name for actuator in swerve.table.actuators] == [
-        "m0",
-        "m0_steering",
-        "m1",
-        "m1_steering",
-    ]
+    assert [each.name for each in swerve.table.actuators] == ["m0", "m0_steering", "m1", "m1_steering"]
     assert (swerve.mobility.mobility, swerve.mobility.steerability) == (1, 2)
     assert swerve.table.wheels[0].yaw_inertia == pytest.approx(0.003 + 0.001)
 
