@@ -6,30 +6,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import Engine, InvalidArgument, MobileRobot, VelocityRobot, parts, simulate
+from pinmobile import Coulomb, InvalidArgument, Motor, Rolling, VelocityRobot, WheeledRobot, WheelTable, parts
 from pinmobile.arrays import Array
 from pinmobile.compiled import symbols
 from pinmobile.compiled.symbolic import entries
 from pinmobile.compiled.tape import Node, Tape, evaluated
 from pinmobile.controllers import Backstepping, UnicycleTracking
+from pinmobile.loop import Engine, simulate
 from pinmobile.paths import Circle
 from pinmobile.trajectories import Tangent
-from pinmobile.wheels import (
-    Coulomb,
-    Motor,
-    Ramp,
-    Rolling,
-    Wheel,
-    WheeledDynamics,
-    WheeledRobot,
-    WheelFriction,
-    WheelTable,
-)
+from pinmobile.wheels import Ramp, Wheel, WheeledDynamics, WheelFriction
+from tests.wheeled import BODY, WHEEL as OWN
 
-OWN: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
 MOTOR = Motor(resistance=1.2, torque_constant=0.03, voltage=24.0, gear=20.0, viscous=1e-5, coulomb=0.01)
 WRONG: Any = 3
-BODY = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
 PAIR = WheelTable.differential(0.5, 0.1, supports=[(0.2, 0), (-0.2, 0)], motor=MOTOR, **OWN)
 CAR = WheelTable.car(0.6, 0.4, 0.1, **OWN)
 ROBOTS: dict[str, Any] = {

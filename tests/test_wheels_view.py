@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,22 +11,21 @@ import pytest
 from matplotlib.axes import Axes
 
 import pinmobile as pm
-from pinmobile import plots
+from pinmobile import Coulomb, WheeledRobot, WheelTable, plots
 from pinmobile.arrays import Array
 from pinmobile.controllers import Backstepping, UnicycleTracking
 from pinmobile.palette import GRIPS, QUIET, SLIDES
 from pinmobile.viewer import Overlays, Viewer
 from pinmobile.viewer.motion import envelope, figure
-from pinmobile.wheels import Coulomb, OdometryFeedback, Support, Wheel, WheeledRobot, WheelTable
+from pinmobile.wheels import OdometryFeedback, Support
 from tests import wheeled
 from tests.parts import steady
+from tests.wheeled import CASTER, WHEEL
 
 pytestmark = pytest.mark.once
 
-WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.005, "yaw_inertia": 0.003}
 BOX = pm.MobileRobot(30.0, 1.3, com=(0.0, 0.0, 0.1), size=(0.6, 0.4, 0.25))
 _BELIEVED = WheelTable.differential(0.46, 0.099, supports=[(0.25, 0), (-0.25, 0)], **WHEEL)
-CASTER = Wheel("caster", -0.3, 0.02, 0.05, 0.3, steering="free", trail=(-0.03, 0.005), **WHEEL)
 DIFFERENTIAL = WheelTable.differential(0.46, 0.1, supports=[(0.25, 0), (-0.25, 0)], **WHEEL)
 TABLES: dict[str, WheelTable] = {
     "differential": DIFFERENTIAL,
@@ -59,10 +59,14 @@ def posture(robot: WheeledRobot, seed: int) -> tuple[Array, Array]:
     return q, robot.project(q, rng.uniform(-1, 1, robot.nv))
 
 
+def geometries(robot: WheeledRobot) -> dict[str, Any]:
+    """Return the shapes of what is drawn, by name."""
+    return {item.name: item.geometry for item in robot.visual_model.geometryObjects}
+
+
 def placed(robot: WheeledRobot, q: Array) -> dict[str, Array]:
     """Return the placements of what is drawn, by name."""
-    names = [item.name for item in robot.visual_model.geometryObjects]
-    return dict(zip(names, robot.drawing(q), strict=True))
+    return dict(zip(geometries(robot), robot.drawing(q), strict=True))
 
 
 @pytest.mark.parametrize("name", TABLES)
@@ -88,12 +92,9 @@ def test_the_point_of_a_drawn_wheel_at_the_ground_stands_still_along_what_rolls(
 
 def test_wheels_are_round_stand_on_the_ground_and_have_a_mark_that_is_seen() -> None:
     for table in TABLES.values():
-        robot = WheeledRobot(BOX, table)
-        shapes = {item.name: item.geometry for item in robot.visual_model.geometryObjects}
+        shapes = geometries(WheeledRobot(BOX, table))
         for wheel in table.wheels:
-            tyre, spokes = (
-                np.array(shapes[f"{wheel.name}/{part}"].vertices()) for part in ("tyre", "spokes")
-            )
+            tyre, spokes = (np.array(shapes[f"{wheel.name}/{x}"].vertices()) for x in ("tyre", "spokes"))
             far = np.hypot(*np.concatenate([tyre, spokes])[:, [0, 2]].T).max()
             assert far == pytest.approx(wheel.radius, rel=0.02)
             turned = spokes * [-1, 1, -1]  # half a turn
@@ -103,7 +104,7 @@ def test_wheels_are_round_stand_on_the_ground_and_have_a_mark_that_is_seen() -> 
 
 def test_rollers_at_the_ground_lie_at_the_roller_angle_and_on_top_as_its_mirror_image() -> None:
     robot = WheeledRobot(BOX, TABLES["mecanum"])
-    shapes = {item.name: item.geometry for item in robot.visual_model.geometryObjects}
+    shapes = geometries(robot)
     for wheel in robot.table.wheels:
         points = np.array(shapes[f"{wheel.name}/spokes"].vertices())
         points = points[points[:, 2] < -0.75 * wheel.radius]  # the light roller is at the ground at rest
@@ -118,9 +119,7 @@ def test_rollers_at_the_ground_lie_at_the_roller_angle_and_on_top_as_its_mirror_
 def test_a_box_stands_above_wheels_that_are_below_it_and_reaches_down_beside_others() -> None:
     def bottom(table: WheelTable) -> float:
         robot = WheeledRobot(BOX, table)
-        box = next(item for item in robot.visual_model.geometryObjects if item.name == "body")
-        height = placed(robot, robot.rest)["body"][2, 3]
-        return float(height - box.geometry.halfSide[2])
+        return float(placed(robot, robot.rest)["body"][2, 3] - geometries(robot)["body"].halfSide[2])
 
     assert bottom(TABLES["omni"]) > 2 * 0.06
     assert bottom(DIFFERENTIAL) == pytest.approx(0.06)
@@ -143,13 +142,11 @@ def test_supports_forks_and_arms_are_drawn_where_they_are() -> None:
 
 
 def test_wheels_that_a_file_shows_turn_and_are_not_doubled(tmp_path: Path) -> None:
-    def with_visuals(found: re.Match[str]) -> str:
-        return f"{found[0]}<visual>{found[1]}</visual>"
-
-    text = re.sub(r"<collision>(.*?)</collision>", with_visuals, wheeled.husky())
+    both = r"\g<0><visual>\1</visual>"
+    text = re.sub(r"<collision>(.*?)</collision>", both, wheeled.husky())
     (tmp_path / "husky.urdf").write_text(text)
     robot = WheeledRobot.from_urdf(tmp_path / "husky.urdf", ground=Coulomb(), rollers={})
-    names = [item.name for item in robot.visual_model.geometryObjects]
+    names = geometries(robot)
     assert "wheel_0_link_0" in names
     assert not any(name.endswith(("/tyre", "/spokes")) for name in names)
     q = robot.rest.copy()
@@ -165,12 +162,16 @@ def test_wheels_that_a_file_shows_turn_and_are_not_doubled(tmp_path: Path) -> No
 
     (tmp_path / "bare.urdf").write_text(wheeled.husky())
     bare = WheeledRobot.from_urdf(tmp_path / "bare.urdf", ground=Coulomb(), rollers={})
-    assert "wheel_0/tyre" in [item.name for item in bare.visual_model.geometryObjects]
+    assert "wheel_0/tyre" in geometries(bare)
+
+
+def contacts_of(run: pm.Rollout) -> Any:
+    """Return the contacts of a run."""
+    return run.plant.contacts(run.q, run.v, run.a, run.u, run.signals)
 
 
 def test_contacts_of_what_rolls_are_newtons_law_and_tell_what_is_not_determined(rolls: pm.Rollout) -> None:
-    plant = rolls.plant
-    found = plant.contacts(rolls.q, rolls.v, rolls.a, rolls.u, rolls.signals)
+    found = contacts_of(rolls)
     mass = sum(inertia.mass for inertia in BOX.model.inertias)
     c, s = np.cos(found.directions), np.sin(found.directions)
     x = (c * found.forces[..., 0] - s * found.forces[..., 1]).sum(axis=1)
@@ -194,8 +195,7 @@ def test_loads_that_cannot_be_told_are_no_numbers() -> None:
 
 
 def test_contacts_of_what_slides_are_the_signals_at_the_limit(slides: pm.Rollout) -> None:
-    plant = slides.plant
-    found = plant.contacts(slides.q, slides.v, slides.a, slides.u, slides.signals)
+    found = contacts_of(slides)
     assert found.slides[1:].all()
     shares = np.abs(found.forces / found.limits)
     assert shares[1:, :, 0] == pytest.approx(1.0)
@@ -222,16 +222,24 @@ def test_a_page_has_discs_forces_and_the_centre_and_colours_of_what_slides(
         assert GRIPS.encode() in legend  # of the discs
         if run is rolls:
             assert other.encode() not in legend
-            found = run.plant.contacts(run.q, run.v, run.a, run.u, run.signals)
+            found = contacts_of(run)
             place = next(t for t in tracks["meshcat/contacts/0/grips/disc"] if t["name"] == ".position")
             assert place["values"][:3] == pytest.approx([*found.places[0, 0], 0.0], abs=1e-4)
             assert place["values"][-3:] == pytest.approx([*found.places[-1, 0], 0.0], abs=1e-4)
 
 
-def test_overlays_of_contacts_are_refused_where_a_plant_tells_none(tmp_path: Path) -> None:
+def of_lecture() -> pm.Rollout:
+    """Return a run of a body without wheels."""
     robot = pm.MobileRobot.lecture()
-    run = pm.simulate(robot, pm.ComputedTorque(robot), pm.Tangent(pm.Circle(1, 0.5, 0.2)), dt=0.1)
-    with Viewer(robot) as viewer, pytest.raises(pm.InvalidArgument, match="overlays has contacts or centre"):
+    return pm.simulate(robot, pm.ComputedTorque(robot), pm.Tangent(pm.Circle(1, 0.5, 0.2)), dt=0.1)
+
+
+def test_overlays_of_contacts_are_refused_where_a_plant_tells_none() -> None:
+    run = of_lecture()
+    with (
+        Viewer(run.plant) as viewer,
+        pytest.raises(pm.InvalidArgument, match="overlays has contacts or centre"),
+    ):
         viewer.record(run, overlays=Overlays(contacts=True))
 
 
@@ -245,19 +253,15 @@ def test_figures_of_wheels_have_a_line_for_each_and_units(
     assert re.search(r"\[(N m|-|m/s|N)\]", first.get_ylabel())
     assert len({line.get_color() for line in second.lines[:4]}) == 4
     assert len({str(line._dash_pattern) for line in second.lines[:4]}) == 4
-    robot = pm.MobileRobot.lecture()
-    bare = pm.simulate(robot, pm.ComputedTorque(robot), pm.Tangent(pm.Circle(1, 0.5, 0.2)), dt=0.1)
+    bare = of_lecture()
     with pytest.raises(pm.InvalidArgument, match=r"rollouts.plant is .*, expected a WheeledRobot"):
         figure(bare)
 
 
-def words(axes: Axes) -> list[str]:
-    """Return what the legend of axes says."""
-    legend = axes.get_legend()
-    return [] if legend is None else [text.get_text() for text in legend.get_texts()]
-
-
 def test_figures_tell_shares_friction_and_odometry(rolls: pm.Rollout, slides: pm.Rollout) -> None:
+    def words(axes: Axes) -> list[str]:
+        return [text.get_text() for text in axes.get_legend().get_texts()]  # type: ignore[union-attr]
+
     assert words(plots.friction(rolls).axes[0]) == ["left (share)", "right (share)"]
     top = max(np.max(np.asarray(line.get_ydata())) for line in plots.friction(slides).axes[0].lines[:4])
     assert top == pytest.approx(1.0)
@@ -269,10 +273,4 @@ def test_figures_tell_shares_friction_and_odometry(rolls: pm.Rollout, slides: pm
         plots.odometry(slides)
     alone = WheeledRobot(BOX, WheelTable.differential(0.46, 0.1, **WHEEL))
     with pytest.raises(pm.InvalidArgument, match="loads are not known"):
-        plots.friction(_with_plant(rolls, alone))
-
-
-def _with_plant(run: pm.Rollout, plant: WheeledRobot) -> pm.Rollout:
-    from dataclasses import replace
-
-    return replace(run, plant=plant)
+        plots.friction(replace(rolls, plant=alone))
