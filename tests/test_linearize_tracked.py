@@ -11,7 +11,7 @@ from pinmobile.wheels import Motor
 
 BODY = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
 ARM = MobileRobot.box().mount("ur5")
-ELECTRIC = {"resistance": 1.2, "torque_constant": 0.03, "voltage": 1e3, "gear": 20.0}
+ELECTRIC: Any = {"resistance": 1.2, "torque_constant": 0.03, "voltage": 1e3, "gear": 20.0}
 MOTOR = Motor(**ELECTRIC, efficiency=0.8, rotor_inertia=1e-5, viscous=1e-3, coulomb=0.004)
 ON_WHEELS: Any = {
     "differential": WheeledRobot(BODY, WheelTable.differential(0.1, 0.4)),

@@ -10,7 +10,6 @@ import pytest
 
 import pinmobile as pm
 from pinmobile import Coulomb, MobileRobot, Rolling, WheeledRobot, WheelTable, errors, simulate
-from pinmobile.arrays import Array
 from pinmobile.controllers import WheelSpeed
 from pinmobile.verification._wheels import WheelTree
 from pinmobile.verification.bodies import tree_motion
@@ -178,12 +177,6 @@ def test_loads_that_balance_are_found_wherever_the_wheels_stand(seed: int) -> No
         assert np.square(found.values).sum() <= np.square(loads).sum() * (1 + 1e-5)
 
 
-def in_tree(robot: WheeledRobot, q: Array, v: Array, a: Array) -> Array:
-    """Return what Pinocchio says that the ground exerts on a robot and its wheels, along and about B."""
-    tree = WheelTree(robot)
-    return tree.ground_wrench(*tree_motion(robot, q, v, a)[0])
-
-
 @pytest.mark.parametrize("armed", [False, True])
 def test_loads_on_a_ramp_and_of_spinning_wheels_are_those_of_the_tree(armed: bool) -> None:
     own = BODY.mount("ur5", at=[0.05, 0.0, 0.3, 0.2]) if armed else BODY
@@ -192,7 +185,7 @@ def test_loads_on_a_ramp_and_of_spinning_wheels_are_those_of_the_tree(armed: boo
     q[: own.nq] = own.integrate(own.rest, rng.normal(size=own.nv) * 0.3)
     v[-4:], a[-4:] = v[-4:] * 100, a[-4:] * 100
     found = robot.contact_loads(q, v, a)
-    wrench = in_tree(robot, q, v, a)
+    wrench = WheelTree(robot).ground_wrench(*tree_motion(robot, q, v, a)[0])  # by Pinocchio
     values, places = np.array(found.values), np.array([[wheel.x, wheel.y] for wheel in SKID.wheels])
     assert not found.tips
     sums = [values.sum(), values @ places[:, 1], -values @ places[:, 0]]
@@ -200,37 +193,6 @@ def test_loads_on_a_ramp_and_of_spinning_wheels_are_those_of_the_tree(armed: boo
 
 
 STEERED = WheelTable.swerve(CORNERS, 0.06, **{**WHEEL, "trail": (-0.01, 0.0)})
-
-
-@pytest.mark.parametrize(
-    ("table", "armed"),
-    [(SKID, False), (SKID, True), (WheelTable.mecanum(0.5, 0.4, 0.08, **WHEEL), False), (STEERED, False)],
-    ids=["skid", "skid-ur5", "mecanum", "swerve"],
-)
-def test_forces_of_all_wheels_are_the_rate_of_momentum(table: WheelTable, armed: bool) -> None:
-    own = BODY.mount("ur5") if armed else BODY
-    robot, rng = WheeledRobot(own, table, Coulomb(tolerance=1e-15)), np.random.default_rng(5)
-    h, q, v, u = 0.002, robot.rest + 0.0, rng.normal(size=robot.nv) * 0.3, rng.normal(size=robot.nu) * 0.1
-    v[-4:] = v[-4] * 10 if table is SKID else v[-4:] * 10
-    memory: Any = robot.initial_state(None)
-    for _ in range(2):
-        before, (q, v, memory) = (q, v), robot.step(0.0, q, v, u, h, 0.0, memory)
-    # Mid-step, turned so that the body's axes are those of the plane.
-    body = robot.array_dynamics
-    start, end = body.state(*before), body.state(q, v)
-    old, new = (np.array([*each.twist, *each.arm_rates, *each.rates], float) for each in (start, end))
-    mean, rate = (old + new) / 2, (new - old) / h
-    rate[:2] += mean[2] * np.array([-mean[1], mean[0]])
-    middle = robot.integrate(before[0], h / 2 * before[1])
-    middle[2] = 0.0
-    wrench = in_tree(robot, middle, mean, rate)
-    n = robot.robot.nq
-    rows = body.kinematics.rows(
-        list(middle[n : n + len(table.axes)]), mean[:3], mean[robot.robot.nv :], across=True
-    )
-    contact = [row for row in rows if row.wheel >= 0]
-    found = sum(x * np.array(row.base, float) for x, row in zip(memory.forces, contact, strict=True))
-    np.testing.assert_allclose(found, wrench[[0, 1, 5]], rtol=1e-8, atol=1e-8 * np.abs(wrench[:2]).max())
 
 
 @pytest.mark.parametrize("seed", range(2))

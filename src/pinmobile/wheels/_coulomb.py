@@ -397,7 +397,10 @@ class SlippingDynamics(WheeledDynamics):
         h = unwrap_scalar(h)
         state = self.state(q, v)
         before = state.velocities
-        middle = self._at_middle(state, q, v, h)
+        middle = state  # its shape is that of mid-step, as the velocity of now leads there
+        if self.na or self.table.axes:
+            there = self.state(self.integrate(q, (0.5 * h) * v), v)
+            middle = state._replace(arms=there.arms, steering=there.steering)
         psi, begun = scalars(q)[2], self.actuator_rates(state.rates)
         beside = f(self.integrate(q, (0.5 * h) * v), v)
         pushed = not (np.ndim(beside) == 0 and not isinstance(beside, np.ndarray) and beside == 0)
@@ -527,13 +530,6 @@ class SlippingDynamics(WheeledDynamics):
             turned = self.turned_by(k)
             found.append(number(dot([x * x for _, x in turned], [1.0 / reduced[i] for i, _ in turned])))
         return found
-
-    def _at_middle(self, state: State, q: Any, v: Any, h: Any) -> State:
-        """Return the state whose shape is that of mid-step, as the velocity of now leads there."""
-        if not (self.na or self.table.axes):
-            return state
-        there = self.state(self.integrate(q, (0.5 * h) * v), v)
-        return state._replace(arms=there.arms, steering=there.steering)
 
     def _free(self, shape: _Shape, at: State, before: Vector, u: Any, h: Any, f: Any, q: Any) -> Vector:
         """Return the kept velocities after a step without friction."""

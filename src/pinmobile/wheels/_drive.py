@@ -736,10 +736,7 @@ class WheeledRobot(PlantOnWheels):
                 "motion.u is None, expected the input, on which the forces of wheels depend: "
                 "MotionStates(..., u=u)"
             )
-        return self._rolling_margins(motion.q, motion.v, motion.a, motion.u)
-
-    @takes(q="nq", v="nv", a="nv", u="nu")
-    def _rolling_margins(self, q: Any, v: Any, a: Any, u: Any) -> SlipMargins:
+        q, v, u, a = self._state(motion.q, motion.v, motion.u, motion.a)
         return rolling_margins(self._numeric, *self._felt(q, v, a), u, q)[1]
 
     def contacts(self, q: Any, v: Any, a: Any, u: Any, signals: Mapping[str, Any]) -> Contacts:

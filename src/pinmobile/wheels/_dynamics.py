@@ -175,9 +175,7 @@ class WheeledDynamics:
         for i in range(_BASE + self.na):
             M[i][: _BASE + self.na] = scalars(carried[..., i, :])
         first = _BASE + self.na
-        spins = scalars(self.spin_inertia)
-        for row, spin in enumerate(spins):
-            k = first + len(self.table.axes) + row
+        for k, spin in enumerate(scalars(self.spin_inertia), first + len(self.table.axes)):
             M[k][k] = M[k][k] + spin
         for actuator, rotor in zip(self.table.actuators, scalars(self.rotors), strict=True):
             for i, a in enumerate(actuator.column):
@@ -222,9 +220,8 @@ class WheeledDynamics:
         n[: _BASE + self.na] = scalars(carried)
         if self.na and self._slack:
             weights = scalars(self.robot.gravity(at_zero))
-            n[_BASE : _BASE + self.na] = [x - self._slack * y for x, y in zip(n, weights, strict=False)][
-                _BASE : _BASE + self.na
-            ]
+            for i in range(_BASE, _BASE + self.na):
+                n[i] = n[i] - self._slack * weights[i]
         for row, k in self._steered:
             wheel, head = self.table.wheels[row], self.kinematics.heading(row, state.steering)
             at, w = _BASE + self.na + k, state.twist[2]
@@ -511,14 +508,12 @@ class WheeledDynamics:
     @property
     def pivots(self) -> Any:
         """Where wheels are steered, and angles at zero, shape (..., axes, 3), see `WheeledRobot.pivots`."""
-        x, y = scalars(self.x), scalars(self.y)
-        rows = []
+        x, y, rows = scalars(self.x), scalars(self.y), list[Vector]()
         for axis in self.table.axes:
-            first, at = self.table.wheels[axis.wheels[0]], axis.wheels[0]
-            if axis.ackermann is None:
-                rows.append([x[at], y[at], exact(first.angle)])
-            else:
-                rows.append([x[at], ZERO, exact(first.angle)])
+            at = axis.wheels[0]
+            rows.append(
+                [x[at], y[at] if axis.ackermann is None else ZERO, exact(self.table.wheels[at].angle)]
+            )
         return matrix(rows, self.x)
 
     def start(self, reference: Any) -> tuple[Array, Array]:

@@ -151,7 +151,12 @@ class Kinematics:
         found: list[Row] = []
         for row in range(len(self.table)):
             found += self._rows_of(row, steering, twist, rates, across)
-        return found + self._trains()
+        ns = len(self.table.axes)
+        for first, row, ratio in self.table.trains:
+            joints: Vector = [ZERO] * self.n
+            joints[ns + first], joints[ns + row] = self.radius[first] * exact(ratio), -self.radius[first]
+            found.append(Row(-1, "train", [ZERO] * 3, joints, ZERO))
+        return found
 
     def _rows_of(
         self, row: int, steering: Sequence[Any], twist: Sequence[Any], rates: Sequence[Any], across: bool
@@ -180,15 +185,6 @@ class Kinematics:
             joints[len(self.table.axes) + row] = -(self.radius[row] * a)
             drift = dot(d, rest) + turn * dot(across_d, velocity)
             found.append(Row(row, kind, [*d, d[1] * p[0] - d[0] * p[1]], joints, drift))
-        return found
-
-    def _trains(self) -> list[Row]:
-        found, ns = [], len(self.table.axes)
-        for first, row, ratio in self.table.trains:
-            joints: Vector = [ZERO] * self.n
-            joints[ns + first] = self.radius[first] * exact(ratio)
-            joints[ns + row] = -self.radius[first]
-            found.append(Row(-1, "train", [ZERO] * 3, joints, ZERO))
         return found
 
     def centre(self, row: int, steering: Sequence[Any]) -> tuple[Vector, Vector]:
@@ -341,15 +337,11 @@ class Mobility:
     table: Any
 
     @cached_property
-    def _angles(self) -> Array:
-        """Steering angles that are in no relation to each other [rad]."""
-        axes = self.table.axes
-        return np.array([min(0.9 * axis.limit, 0.31 + 0.23 * k) for k, axis in enumerate(axes)])
-
-    @cached_property
     def _rows(self) -> list[Row]:
+        """The rows at steering angles [rad] that are in no relation to each other."""
         kinematics = Kinematics.of(self.table)
-        return kinematics.rows(self._angles.tolist(), [0.0] * 3, [0.0] * kinematics.n)
+        angles = [min(0.9 * axis.limit, 0.31 + 0.23 * k) for k, axis in enumerate(self.table.axes)]
+        return kinematics.rows(angles, [0.0] * 3, [0.0] * kinematics.n)
 
     @cached_property
     def matrix(self) -> Array:

@@ -21,6 +21,7 @@ from pinmobile.robot import (
     ONE,
     WEIGHTLESS,
     ZERO,
+    Matrix,
     Vector,
     cross,
     dot,
@@ -236,24 +237,6 @@ class AxleGroup(NamedTuple):
     held: int
 
 
-class RollingForces(NamedTuple):
-    """How far wheels are from slipping.
-
-    Attributes
-    ----------
-    along : list of scalars
-        Force of the ground along each wheel, or along the axis of its roller [N].
-    lateral : list of scalars
-        That across the wheels of each group, in the sum [N].
-    margins : list of scalars
-        Of each group [N].
-    """
-
-    along: Vector
-    lateral: Vector
-    margins: Vector
-
-
 def groups_of(body: Any) -> tuple[AxleGroup, ...]:
     """Return the groups of wheels of a body that rolls, in the order of their first wheels.
 
@@ -291,8 +274,8 @@ def _axle(body: Any, rows: Sequence[Any], row: Any) -> int:
     return int(rows[held[0]].wheel not in own)
 
 
-def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any) -> RollingForces:
-    """Return the forces of wheels that roll, and their margins before they slip.
+def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any) -> Matrix:
+    """Return forces along wheels that roll, across each of `groups_of`, and the margins of these.
 
     The force along a wheel is what its spin leaves of its torque; that across one axle what body and arms
     need beyond; across two axles both are. Wheels of one axle share: its margin is that of the best split,
@@ -342,7 +325,7 @@ def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any)
         side = number(across[group.held] if group.held >= 0 else side)
         lateral.append(side)
         margins.append(_margin([(along[k], most[k]) for k in group.wheels], side, bool(group.lateral)))
-    return RollingForces(along, lateral, margins)
+    return [along, lateral, margins]
 
 
 def _axles(body: Any, state: Any, rows: Sequence[Any]) -> list[Vector]:
@@ -461,7 +444,7 @@ def _of_ground(body: Any, state: Any, a: Any, u: Any, q: Any) -> Vector:
     shared = shared_loads(places, fz, mx, my)
     found += [reduce(lower, shared.springs), shared.tips]
     if not body.slips and body.groups:
-        found.append(reduce(lower, margin(body, state, felt, u, shared.values, q).margins))
+        found.append(reduce(lower, margin(body, state, felt, u, shared.values, q)[2]))
     return found
 
 
@@ -514,8 +497,8 @@ def rolling_margins(body: Any, state: Any, felt: Any, u: Array, q: Array) -> tup
     loads = contact_loads(body, state, felt, q)
     found = margin(body, state, felt, u, list(np.moveaxis(loads.values, -1, 0)), q)
     names = tuple(" + ".join(body.table.names[k] for k in group.wheels) for group in body.groups)
-    values = (stacked(x, q) for x in (found.margins, found.along, found.lateral))
-    return loads, SlipMargins(names, *values)
+    along, lateral, margins = (stacked(x, q) for x in found)
+    return loads, SlipMargins(names, margins, along, lateral)
 
 
 def recorded_margins(body: Any, motion: Any) -> SlipMargins:

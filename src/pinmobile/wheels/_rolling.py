@@ -159,7 +159,8 @@ class RollingDynamics(WheeledDynamics):
         S, _ = self.null_space(state)
         rates = self.velocities(state)
         off = self._off(state, S, rates)
-        if not all(_is_zero(x) for x in off):  # many robots that start at rest need no mass matrix
+        # Many robots that start at rest need no mass matrix.
+        if not all(x is ZERO or (isinstance(x, float | np.ndarray) and not np.any(x)) for x in off):
             pushed = through(self.inertia(state, q), S)
             more = _reduced(pushed, S, applied(pushed, off))
             rates = [x + y for x, y in zip(rates, more, strict=True)]
@@ -183,11 +184,6 @@ class RollingDynamics(WheeledDynamics):
         for joint, _ in self.choice.joints:
             found[first + joint] = state.rates[joint] - dot(S[first + joint], nu)
         return found
-
-
-def _is_zero(x: Any) -> bool:
-    """Return whether a scalar is known to be zero, in all robots."""
-    return x is ZERO or (isinstance(x, float | np.ndarray) and not np.any(x))
 
 
 def stop_of(angle: Any, limit: float, rate: Any = 0.0) -> Any:

@@ -57,17 +57,12 @@ class _Reader:
 
     def __post_init__(self) -> None:
         instance("robot", self.robot, MobileRobot, "a MobileRobot")
-        sequence("couplings", self.couplings, "GearTrain, DifferentialGear or AckermannSteering")
         if not self._names:
             words = "no joint that turns freely about a level axis; expected table="
             raise InvalidArgument(f"robot has no wheels in its file, {words}")
         if not self.joints:
             words = "all wheels of the robot; expected some left"
             raise InvalidArgument(f"locked is {shown(self.locked)}, {words}")
-        if not isinstance(self.steering, Mapping | None):
-            raise InvalidArgument(
-                f"steering is {shown(self.steering)}, expected a mapping from names of wheels"
-            )
         for key in ("radius", "rollers", "steering", "inertia"):
             if isinstance(value := getattr(self, key), Mapping):
                 self._known(key, value)
@@ -395,7 +390,7 @@ def read_wheels(
     radius: float | Mapping[str, float] | None = None,
     rollers: float | Mapping[str, float] | None = None,
     driven: Sequence[str] | None = None,
-    steering: Mapping[str, str] | None = None,
+    steering: str | Mapping[str, str] | None = None,
     inertia: ArrayLike | Mapping[str, ArrayLike] | None = None,
     locked: Sequence[str] = (),
     supports: Iterable[ArrayLike] | None = None,
@@ -430,10 +425,10 @@ def read_wheels(
     driven : sequence of str, optional
         Wheels with a motor; by default those that hang on no swivel, or where there are none, those whose
         steering is driven; of a gear train the first one alone, of a differential none.
-    steering : mapping of str to str, optional
-        Of wheels on a swivel ``"fixed"``, ``"driven"`` or ``"free"``; by default a swivel with limits is
-        driven, one that turns freely is free where the wheel trails behind it, and fixed of a wheel with
-        rollers.
+    steering : str or mapping of str to str, optional
+        Of wheels on a swivel ``"fixed"``, ``"driven"`` or ``"free"``, a word that is that of all, or one for
+        each; by default a swivel with limits is driven, one that turns freely is free where the wheel trails
+        behind it, and fixed of a wheel with rollers.
     inertia : sequence of 2 floats, or mapping of str to that, optional
         Of a wheel about its axle and across it [kg m^2]; a pair is that of all. The whole robot's mass and
         inertia stay those of the file.

@@ -340,17 +340,20 @@ class OdometryFeedback:
         disturbed = np.concatenate([0.0 * steering, self.noise * (numbers * dt)], axis=-1) + turned
         rates = begun * disturbed / dt + (1.0 - begun) * v[..., -n:]
         moved = self._displacement((now[..., :ns] + before[..., :ns]) / 2, begun * disturbed)
-        along = pose[..., 2] + moved[..., 2] / 2
-        c, s = np.cos(along), np.sin(along)
-        step = [c * moved[..., 0] - s * moved[..., 1], s * moved[..., 0] + c * moved[..., 1], moved[..., 2]]
-        pose = pose + np.stack(step, axis=-1)
-        twist, c, s = self._displacement(steering, rates), np.cos(pose[..., 2]), np.sin(pose[..., 2])
-        speeds = [c * twist[..., 0] - s * twist[..., 1], s * twist[..., 0] + c * twist[..., 1], twist[..., 2]]
+        pose = pose + _outward(pose[..., 2] + moved[..., 2] / 2, moved)
+        speeds = _outward(pose[..., 2], self._displacement(steering, rates))
         seen_q = np.concatenate([pose, q[..., 3:-n], now], axis=-1)
-        seen_v = np.concatenate([np.stack(speeds, axis=-1), v[..., 3:-n], rates], axis=-1)
+        seen_v = np.concatenate([speeds, v[..., 3:-n], rates], axis=-1)
         u, inner = answer_of(self.controller, t, seen_q, seen_v, reference, inner)
         return u, (inner, noise, dt, (pose, now, 1.0 + 0.0 * known))
 
     def _displacement(self, steering: Any, joints: Any) -> Any:
         """Return the body's displacement, or twist, that fits those of its joints best, shape (..., 3)."""
         return stacked(self._kinematics.odometry(scalars(steering), scalars(joints)), joints)
+
+
+def _outward(psi: Any, twist: Any) -> Any:
+    """Return a displacement or twist of a body with a heading along the inertial axes, shape (..., 3)."""
+    c, s = np.cos(psi), np.sin(psi)
+    x, y = c * twist[..., 0] - s * twist[..., 1], s * twist[..., 0] + c * twist[..., 1]
+    return np.stack([x, y, twist[..., 2]], axis=-1)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.robot import BODY, BODY_JOINT, MobileRobot, Solid, Solids, body_box, box_visuals, number
 from pinmobile.wheels._kinematics import Kinematics
-from pinmobile.wheels._table import FIXED, Support, Wheel, WheelTable
+from pinmobile.wheels._table import FIXED, Wheel, WheelTable
 from pinmobile.wheels._urdf_reader import wheel_name
 
 ACROSS = 0.45
@@ -47,12 +47,18 @@ class Item(NamedTuple):
 class _Objects:
     """Abstract base: objects of a robot on wheels, and where they are in the inertial frame."""
 
-    def __init__(self, robot: MobileRobot, table: WheelTable) -> None:
+    def __init__(self, robot: MobileRobot, table: WheelTable, moved: Mapping[str, tuple[str, ...]]) -> None:
         self.robot, self.table, self.items = robot, table, list[Item]()
         self._kinematics, self._n = Kinematics.of(table), robot.nq
+        self._rides = riding(robot, table, moved)
+        there = {row for row, spins in self._rides.values() if spins}
+        self.lacking = [(row, wheel) for row, wheel in enumerate(table.wheels) if row not in there]
 
-    def _ride(self, row: int, spins: bool, placement: Array) -> Item:
-        """Return the attachment to a wheel of what a file places on the body."""
+    def _item(self, name: str, joint: int, placement: Array) -> Item:
+        """Return the attachment of what a file places on a joint, or what turns with a wheel to that."""
+        if name not in self._rides:
+            return Item(joint, -1, False, placement)
+        row, spins = self._rides[name]
         steering, wheels = np.zeros(len(self.table.axes)), np.zeros(len(self.table)) if spins else None
         frames = wheel_frames(self.table, self._kinematics, steering, wheels, ())
         return Item(-1, row, spins, np.linalg.inv(frames[row]) @ placement)
@@ -96,9 +102,8 @@ class Tyres(_Objects):
     def __init__(self, robot: MobileRobot, table: WheelTable) -> None:
         import coal
 
-        super().__init__(robot, table)
         own, standing, shapes = robot.solids, set[str](), list[Solid]()
-        rides = riding(robot, table, {str(k): shape.joints for k, shape in enumerate(own.shapes)})
+        super().__init__(robot, table, {str(k): shape.joints for k, shape in enumerate(own.shapes)})
 
         def add(shape: Solid, item: Item, stands: bool) -> None:
             shapes.append(shape)
@@ -108,18 +113,13 @@ class Tyres(_Objects):
         for k, shape in enumerate(own.shapes):
             if robot.is_box and shape.part == 0 and shape.link == body_box(robot.size).link:
                 shape = body_box(robot.size, height_above_wheels(robot.size, table))  # above the wheels
-            placement = shape.placement.homogeneous
-            item = Item(BODY_JOINT - 1 + shape.part, -1, False, placement)
-            if str(k) in rides:
-                item = self._ride(*rides[str(k)], placement)
+            item = self._item(str(k), BODY_JOINT - 1 + shape.part, shape.placement.homogeneous)
             add(shape, item, item.spins)
-        level = pin.SE3(pin.utils.rotate("x", np.pi / 2), np.zeros(3))
-        there = {row for row, spins in rides.values() if spins}
-        for row, wheel in enumerate(table.wheels):
-            if row not in there:  # a cylinder's axis is z, an axle y
-                tyre = coal.Cylinder(wheel.radius, ACROSS * wheel.radius)
-                shape = Solid(f"{wheel.name}/tyre", 0, wheel.placement * level, tyre)
-                add(shape, Item(-1, row, True, level.homogeneous), True)
+        level = pin.SE3(pin.utils.rotate("x", np.pi / 2), np.zeros(3))  # a cylinder's axis is z, an axle y
+        for row, wheel in self.lacking:
+            tyre = coal.Cylinder(wheel.radius, ACROSS * wheel.radius)
+            shape = Solid(f"{wheel.name}/tyre", 0, wheel.placement * level, tyre)
+            add(shape, Item(-1, row, True, level.homogeneous), True)
         radius = _SUPPORT * max(wheel.radius for wheel in table.wheels)
         for k, support in enumerate(table.supports, start=1):
             place = pin.SE3(np.eye(3), np.array([support.x, support.y, radius]))
@@ -233,67 +233,52 @@ class WheelVisuals(_Objects):
     """
 
     def __init__(self, robot: MobileRobot, table: WheelTable) -> None:
-        super().__init__(robot, table)
+        import coal
+
+        super().__init__(robot, table, robot.visual_joints)
         self.visuals = pin.GeometryModel()
-        shown = robot.visual_model
-        boxed = any(item.name == BODY for item in shown.geometryObjects)
+        shown = list(robot.visual_model.geometryObjects)
+        boxed = any(item.name == BODY for item in shown)
         clearance = height_above_wheels(robot.size, table) if boxed else 0.0
         if boxed:
-            for item in box_visuals(robot.size, BODY_JOINT, clearance).geometryObjects:
-                self._of_robot(item)
-        rides = riding(robot, table, robot.visual_joints)
-        for item in shown.geometryObjects:
-            if boxed and item.parentJoint == BODY_JOINT and item.name in (BODY, "front", "wedge"):
-                continue
-            if item.name in rides:
-                self._kept(item, self._ride(*rides[item.name], item.placement.homogeneous))
-            else:
-                self._of_robot(item)
-        there = {row for row, spins in rides.values() if spins}
+            box = BODY, "front", "wedge"
+            rest = [item for item in shown if item.parentJoint != BODY_JOINT or item.name not in box]
+            shown = [*box_visuals(robot.size, BODY_JOINT, clearance).geometryObjects, *rest]
+        for item in shown:
+            copy = item.copy()
+            copy.parentJoint, copy.placement = 0, pin.SE3.Identity()
+            self.visuals.addGeometryObject(copy)
+            self.items.append(self._item(item.name, item.parentJoint - 1, item.placement.homogeneous))
+        shared = {row for axis in table.axes if axis.ackermann is not None for row in axis.wheels}
+        lacking = dict(self.lacking)
         for row, wheel in enumerate(table.wheels):
-            if row not in there:
-                self._wheel(row, wheel)
+            if row in lacking:
+                parts = _tyre(wheel) if wheel.roller is None else _rollers(wheel, wheel.roller)
+                for name, part, colour in zip(("tyre", "spokes"), parts, (_DARK, _LIGHT), strict=True):
+                    self._add(f"{wheel.name}/{name}", _mesh(part), colour, Item(-1, row, True, np.eye(4)))
+                if wheel.steering != FIXED and row not in shared:
+                    fork = _mesh(_fork(wheel))
+                    self._add(f"{wheel.name}/fork", fork, _GREY, Item(-1, row, False, np.eye(4)))
             else:  # of a file's smooth wheel one would not see how it turns
                 R = wheel.radius
                 bar = _box((-0.09 * R, -0.14 * R, 0.96 * R), (0.09 * R, 0.14 * R, 1.015 * R))
                 self._add(f"{wheel.name}/bar", _mesh(bar), _DARK, Item(-1, row, True, np.eye(4)))
-        for k, support in enumerate(table.supports):
-            self._support(k, support, clearance)
+        radius = _SUPPORT * max(wheel.radius for wheel in table.wheels)
+        top = max(clearance, 2.2 * radius)
+        ball, cup = coal.Sphere(radius), coal.Cylinder(1.15 * radius, top - 1.1 * radius)
+        for k, support in enumerate(table.supports, 1):
+            for name, shape, z, colour in (
+                ("ball", ball, radius, _LIGHT),
+                ("cup", cup, (top + 1.1 * radius) / 2, _GREY),
+            ):
+                at = pin.SE3(np.eye(3), np.array([support.x, support.y, z])).homogeneous
+                self._add(f"support_{k}/{name}", shape, colour, Item(BODY_JOINT - 1, -1, False, at))
 
     def _add(self, name: str, shape: object, colour: Sequence[float], item: Item) -> None:
         drawn = pin.GeometryObject(name, 0, pin.SE3.Identity(), shape)
         drawn.meshColor = np.array(colour)
         self.visuals.addGeometryObject(drawn)
         self.items.append(item)
-
-    def _of_robot(self, item: pin.GeometryObject) -> None:
-        self._kept(item, Item(item.parentJoint - 1, -1, False, item.placement.homogeneous))
-
-    def _kept(self, item: pin.GeometryObject, ride: Item) -> None:
-        copy = item.copy()
-        copy.parentJoint, copy.placement = 0, pin.SE3.Identity()
-        self.visuals.addGeometryObject(copy)
-        self.items.append(ride)
-
-    def _wheel(self, row: int, wheel: Wheel) -> None:
-        parts = _tyre(wheel) if wheel.roller is None else _rollers(wheel, wheel.roller)
-        for name, shape, colour in zip(("tyre", "spokes"), parts, (_DARK, _LIGHT), strict=True):
-            self._add(f"{wheel.name}/{name}", _mesh(shape), colour, Item(-1, row, True, np.eye(4)))
-        shared = any(row in axis.wheels for axis in self.table.axes if axis.ackermann is not None)
-        if wheel.steering != FIXED and not shared:
-            self._add(f"{wheel.name}/fork", _mesh(_fork(wheel)), _GREY, Item(-1, row, False, np.eye(4)))
-
-    def _support(self, k: int, support: Support, clearance: float) -> None:
-        import coal
-
-        radius = 0.3 * max(wheel.radius for wheel in self.table.wheels)
-        top = max(clearance, 2.2 * radius)
-        for name, shape, height, colour in (
-            ("ball", coal.Sphere(radius), radius, _LIGHT),
-            ("cup", coal.Cylinder(1.15 * radius, top - 1.1 * radius), (top + 1.1 * radius) / 2, _GREY),
-        ):
-            at = pin.SE3(np.eye(3), np.array([support.x, support.y, height])).homogeneous
-            self._add(f"support_{k + 1}/{name}", shape, colour, Item(BODY_JOINT - 1, -1, False, at))
 
 
 def _mesh(triangles: _Triangles) -> Any:
