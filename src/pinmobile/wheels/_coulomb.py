@@ -28,7 +28,6 @@ from pinmobile.robot import (
     number,
     scalar_of,
     scalars,
-    sine_and_cosine,
     transposed,
     vector_of as stacked,
 )
@@ -199,7 +198,7 @@ class SlippingDynamics(WheeledDynamics):
     @cached_property
     def _leaders(self) -> list[tuple[int, Any]]:
         """Which velocity each follows, and how many times as fast: wheels on a train follow its first."""
-        first = _BASE + self.na + len(self.table.axes)
+        first = self.of_body + len(self.table.axes)
         found: list[tuple[int, Any]] = [(i, ONE) for i in range(self.nv)]
         for row, (leader, ratio) in enumerate(gear_ratios(self.table)):
             found[first + row] = first + leader, exact(ratio)
@@ -227,7 +226,7 @@ class SlippingDynamics(WheeledDynamics):
     @cached_property
     def _held(self) -> list[int]:
         """Kept velocities that rolling resistance or dry friction of motors holds, in their order."""
-        first = _BASE + self.na + len(self.table.axes)
+        first = self.of_body + len(self.table.axes)
         resisted = {
             self._leaders[first + row][0]
             for row, wheel in enumerate(self.table.wheels)
@@ -239,7 +238,7 @@ class SlippingDynamics(WheeledDynamics):
     def turned_by(self, actuator: int) -> list[tuple[int, Any]]:
         """Return the kept velocities that an actuator turns, and its rate per each."""
         found: dict[int, Any] = {}
-        for i, share in enumerate(self.table.actuators[actuator].column, _BASE + self.na):
+        for i, share in enumerate(self.table.actuators[actuator].column, self.of_body):
             leader, ratio = self._leaders[i]
             found[leader] = found.get(leader, ZERO) + exact(share) * ratio
         return [(i, x) for i, x in found.items() if x is not ZERO]
@@ -248,8 +247,8 @@ class SlippingDynamics(WheeledDynamics):
         """Return the robot at a shape, for a step of a length; motors that lag are as heavy rotors."""
         M = self.inertia(state, q)
         for actuator, more in zip(self.table.actuators, lag, strict=False):
-            for i, a in enumerate(actuator.column, _BASE + self.na):
-                for j, b in enumerate(actuator.column, _BASE + self.na):
+            for i, a in enumerate(actuator.column, self.of_body):
+                for j, b in enumerate(actuator.column, self.of_body):
                     M[i][j] = M[i][j] + exact(a * b) * more
         halved = transposed([self._reduced(row) for row in M])
         reduced = transposed([self._reduced(column) for column in halved])
@@ -258,7 +257,7 @@ class SlippingDynamics(WheeledDynamics):
         for row in rows:
             if row.wheel >= 0:
                 pairs[row.wheel].append(self._reduced([*row.base, *[ZERO] * self.na, *row.joints]))
-        n, held, first = len(self._kept), self._held, _BASE + self.na + len(self.table.axes)
+        n, held, first = len(self._kept), self._held, self.of_body + len(self.table.axes)
         spins = [self._kept.index(self._leaders[first + row][0]) for row in range(len(self.table))]
         touched = [
             k for k in range(n) if k in spins or any(row[k] is not ZERO for pair in pairs for row in pair)
@@ -296,7 +295,7 @@ class SlippingDynamics(WheeledDynamics):
         pushes: Sequence[TorqueSpeedLine] = (),
     ) -> list[Bounds]:
         """Return what the friction of each wheel is at most."""
-        first, found = _BASE + self.na + len(self.table.axes), []
+        first, found = self.of_body + len(self.table.axes), []
         holds: dict[int, Any] = {}
         for k, (wheel, r) in enumerate(zip(self.table.wheels, scalars(self.radius), strict=True)):
             share, ratio = exact(wheel.friction.rolling), abs(float(self._leaders[first + k][1]))
@@ -412,10 +411,7 @@ class SlippingDynamics(WheeledDynamics):
         def at_mean(after: Vector) -> tuple[State, Vector]:
             mean = [0.5 * (x + y) for x, y in zip(before, after, strict=True)]
             at = middle.moving(mean)
-            if turning:
-                s, c = sine_and_cosine(psi + 0.5 * h * mean[2])
-                at = at._replace(c=c, s=s)
-            return at, mean
+            return (at.turned(psi + 0.5 * h * mean[2]) if turning else at), mean
 
         gained = h * abs(float(self.fall[2])) if self.fall[2] else 1.0
         scales = [gained] * _BASE + [number(unwrap_scalar(self.weight)) if self.fall[2] else 1.0] * 3
@@ -454,14 +450,14 @@ class SlippingDynamics(WheeledDynamics):
             grip = impulses(now.touches, bounds, known, now.inertia, start, most=most, tolerance=tolerance)
             after = self._after(now, free, grip)
             for k, limit in self.stops:
-                unit = [ONE if i == _BASE + self.na + k else ZERO for i in range(self.nv)]
+                unit = [ONE if i == self.of_body + k else ZERO for i in range(self.nv)]
                 response = self._whole(now.solve(self._reduced(unit)))
-                rate = after[_BASE + self.na + k]
+                rate = after[self.of_body + k]
                 reached = state.steering[k] + (0.5 * h) * (state.rates[k] + rate)
                 after = stopped(after, stop_of(reached, limit), rate, unit, response)
             given, rates = [], []
             if motors is not None:
-                ends = self.actuator_rates(after[_BASE + self.na :])
+                ends = self.actuator_rates(after[self.of_body :])
                 rates = [number(y + z * (e - y)) for y, e, z in zip(begun, ends, shares, strict=True)]
                 given = [push.torque - push.slope * y for push, y in zip(pushes, rates, strict=True)]
                 for k, y in self._rubbed(now, bounds, pushes, grip, h):
@@ -486,9 +482,8 @@ class SlippingDynamics(WheeledDynamics):
         start = _Pass(*first, *[turns, turns, [0.0] * len(places), 0.0, 1.0, 0.0])
         found, m = _Pass(*iterated(one, start, _PASSES)), 2 * len(self.table)
         after, mean = found.after, at_mean(found.after)[1]
-        s, c = sine_and_cosine(psi + 0.5 * h * mean[2])
-        moved = self.integrate(q, self.in_plane(state._replace(c=c, s=s), [h * x for x in mean], q))
-        s, c = sine_and_cosine(psi + h * mean[2])
+        on_the_way = self.in_plane(state.turned(psi + 0.5 * h * mean[2]), [h * x for x in mean], q)
+        moved = self.integrate(q, on_the_way)
         kept = ContactState(
             stacked([x / h for x in found.impulses[:m]], q),
             stacked([x / h for x in found.impulses[m:]], q) if self._held else memory.holding,
@@ -497,7 +492,7 @@ class SlippingDynamics(WheeledDynamics):
             stacked(found.loads, q),
             *(scalar_of(x, q) for x in (found.tips, found.missed)),
         )
-        step = Step(moved, self.in_plane(state._replace(c=c, s=s), after, q), kept)
+        step = Step(moved, self.in_plane(state.turned(psi + h * mean[2]), after, q), kept)
         return step, found.torques, found.rates
 
     def _rubbed(

@@ -254,10 +254,10 @@ class WheeledRobot(PlantOnWheels):
     _axes = _counted("Number of steering coordinates.", lambda self: len(self.table.axes))
     _wheels = _counted("Number of wheels.", lambda self: len(self.table))
     joints = _counted("Number of steering coordinates and wheels.", lambda self: self._axes + self._wheels)
-    _of_body = _counted("Number of coordinates of body and arms.", lambda self: self.robot.nv)
+    of_body = _counted("Number of coordinates of body and arms.", lambda self: self.robot.nv)
     nq = _counted("Size of q.", lambda self: self.nv)
-    nv = _counted("Size of v and a.", lambda self: self._of_body + self.joints)
-    nu = _counted("Size of the input.", lambda self: self._of_body - BODY_JOINT + len(self.table.actuators))
+    nv = _counted("Size of v and a.", lambda self: self.of_body + self.joints)
+    nu = _counted("Size of the input.", lambda self: self.of_body - BODY_JOINT + len(self.table.actuators))
 
     @structure
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -545,7 +545,7 @@ class WheeledRobot(PlantOnWheels):
         """
         return self._rolling.reduced(q, v)  # type: ignore[no-any-return]
 
-    @takes(q="nq", v="nv", a="_of_body")
+    @takes(q="nq", v="nv", a="of_body")
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Any:
         """Return the input of least norm with which body and arms accelerate so, shape (..., nu) [N m].
 
@@ -626,7 +626,7 @@ class WheeledRobot(PlantOnWheels):
         own = self._rolling.reduced(q, v)
         return own.torques(shaped("rates", finite("rates", rates), ("...", own.nu.shape[-1])))
 
-    @takes(q="nq", tau="_of_body")
+    @takes(q="nq", tau="of_body")
     def allocate(self, q: Any, tau: Any) -> Allocation:
         """Return the torques within limits that come nearest to a force on body and arms.
 
@@ -650,7 +650,7 @@ class WheeledRobot(PlantOnWheels):
             rest[at] = tau[at] - [number(x) for x in state.outward(rolling.supplied(state, u[at]))]
         return Allocation(u, rest)
 
-    @takes(q="nq", tau="_of_body")
+    @takes(q="nq", tau="of_body")
     def allocate_scaled(self, q: ArrayLike, tau: ArrayLike) -> tuple[Array, Array]:
         """Return torques for a force on body and arms, scaled by one factor into limits, and what is left.
 

@@ -39,7 +39,7 @@ from pinmobile.wheels._table import Axis, column
 from pinmobile.wheels._velocities import Reduced, followed, linearized, matrix
 
 _BASE = 3
-_SIZES = "nq", "nv", "nu", "joints", "reference_sizes", "coordinates", "inputs"
+_SIZES = "nq", "nv", "nu", "of_body", "joints", "reference_sizes", "coordinates", "inputs"
 _OF_ROBOT = {*_SIZES, "table", "x", "y", "radius", "spin_inertia", "upright", "fall", "footprint"}
 
 
@@ -76,6 +76,11 @@ class State(NamedTuple):
     def velocities(self) -> Vector:
         """All velocities, along the body's axes."""
         return [*self.twist, *self.arm_rates, *self.rates]
+
+    def turned(self, psi: Any) -> State:
+        """Return the state with another heading."""
+        s, c = sine_and_cosine(psi)
+        return self._replace(c=c, s=s)
 
     def moving(self, v: Vector) -> State:
         """Return the state with other velocities."""
@@ -163,7 +168,7 @@ class WheeledDynamics:
         """Return a public state, seen from the body."""
         angles, rates = scalars(q), scalars(v)
         s, c = sine_and_cosine(angles[2])
-        arms = _BASE + self.na
+        arms = self.of_body
         steering = angles[arms : arms + len(self.table.axes)]
         found = State(c, s, angles[_BASE:arms], steering, rates[:_BASE], rates[_BASE:arms], rates[arms:])
         return found._replace(twist=found.along(found.twist))
@@ -172,9 +177,9 @@ class WheeledDynamics:
         """Return M, (nv, nv), of body axes."""
         M: Matrix = [[ZERO] * self.nv for _ in range(self.nv)]
         carried = self.robot.mass_matrix(stacked([ZERO, ZERO, ZERO, *state.arms], q))
-        for i in range(_BASE + self.na):
-            M[i][: _BASE + self.na] = scalars(carried[..., i, :])
-        first = _BASE + self.na
+        for i in range(self.of_body):
+            M[i][: self.of_body] = scalars(carried[..., i, :])
+        first = self.of_body
         for k, spin in enumerate(scalars(self.spin_inertia), first + len(self.table.axes)):
             M[k][k] = M[k][k] + spin
         for actuator, rotor in zip(self.table.actuators, scalars(self.rotors), strict=True):
@@ -193,7 +198,7 @@ class WheeledDynamics:
     def _add_steered(self, M: Matrix, row: int, k: int, state: State) -> None:
         """Add what a wheel's steering changes: I_z (2 w + d') d' / 2, and where its mass is."""
         wheel, head = self.table.wheels[row], self.kinematics.heading(row, state.steering)
-        at, turn = _BASE + self.na + k, exact(wheel.yaw_inertia) * head.first
+        at, turn = self.of_body + k, exact(wheel.yaw_inertia) * head.first
         M[at][at] = M[at][at] + turn * head.first
         M[2][at], M[at][2] = M[2][at] + turn, M[at][2] + turn
         if not (wheel.mass and any(wheel.trail)):
@@ -217,14 +222,14 @@ class WheeledDynamics:
         n: Vector = [ZERO] * self.nv
         at_zero = stacked([ZERO, ZERO, ZERO, *state.arms], q)
         carried = self.robot.nonlinear_effects(at_zero, stacked([*state.twist, *state.arm_rates], q))
-        n[: _BASE + self.na] = scalars(carried)
+        n[: self.of_body] = scalars(carried)
         if self.na and self._slack:
             weights = scalars(self.robot.gravity(at_zero))
-            for i in range(_BASE, _BASE + self.na):
+            for i in range(_BASE, self.of_body):
                 n[i] = n[i] - self._slack * weights[i]
         for row, k in self._steered:
             wheel, head = self.table.wheels[row], self.kinematics.heading(row, state.steering)
-            at, w = _BASE + self.na + k, state.twist[2]
+            at, w = self.of_body + k, state.twist[2]
             bent = head.second * state.rates[k] * state.rates[k]
             moment = exact(wheel.yaw_inertia) * bent
             n[2], n[at] = n[2] + moment, n[at] + moment * head.first
@@ -314,7 +319,7 @@ class WheeledDynamics:
 
     def difference(self, q0: Any, q1: Any) -> Any:
         """Return the displacement from q0 to q1 as `robot` has it, shape (..., nv)."""
-        n = _BASE + self.na
+        n = self.of_body
         own = self.robot.difference(q0[..., :n], q1[..., :n])
         return np.concatenate([own, q1[..., n:] - q0[..., n:]], axis=-1)
 
@@ -480,7 +485,7 @@ class WheeledDynamics:
 
     def supplied(self, state: State, u: Any) -> Vector:
         """Return the force on body and arms of what an input turns, along the body's axes."""
-        ns, first = len(self.table.axes), _BASE + self.na
+        ns, first = len(self.table.axes), self.of_body
         effort = self.generalised(state, u, 0.0)
         found: Vector = [ZERO] * _BASE + effort[_BASE:first]
         for row in self.kinematics.rows(state.steering, [ZERO] * 3, [ZERO] * self.joints):
@@ -492,7 +497,7 @@ class WheeledDynamics:
 
     def fitted_twist(self, rates: Array, steering: Any = (), turning: Any = ()) -> Array:
         """Return the body twist that fits numbers best, the shortest where several do."""
-        n, ns, lead = _BASE + self.na, len(self.table.axes), rates.shape[:-1]
+        n, ns, lead = self.of_body, len(self.table.axes), rates.shape[:-1]
         angles, turns = (np.broadcast_to(x if np.size(x) else 0.0, (*lead, ns)) for x in (steering, turning))
         q = np.concatenate([np.zeros((*lead, n)), angles, np.zeros_like(rates)], axis=-1)
         A = self.constraints(q, np.zeros(self.nv))[0]
@@ -520,7 +525,7 @@ class WheeledDynamics:
         """Return the q and v with which a reference begins, see `WheeledRobot.start`."""
         q, v = self.robot.start(reference)
         q, v = np.append(q, np.zeros(self.joints)), np.append(v, np.zeros(self.joints))
-        n, ns = _BASE + self.na, len(self.table.axes)
+        n, ns = self.of_body, len(self.table.axes)
         twist = [float(number(x)) for x in self.state(q, v).twist]
         q[n : n + ns] = [self.steered_to(axis, twist) for axis in self.table.axes]
         rows = self.rows(self.state(q, v))

@@ -177,7 +177,7 @@ def ground_reaction(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
     """
     w = state.twist[2]
     fz, mx, my = _carried(body, state, felt, q)
-    first = _BASE + body.na
+    first = body.of_body
     rates = [*state.rates]
     for row, spin in enumerate(scalars(body.spin_inertia)):
         head, k = body.kinematics.heading(row, state.steering), len(body.table.axes) + row
@@ -202,7 +202,7 @@ def ground_reaction(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
 def _carried(body: Any, state: Any, a: Vector, q: Any) -> Vector:
     """Return fz, mx and my of the ground, wheels at rest in the body; `a` has no part of gravity."""
     if body.na:
-        n = _BASE + body.na
+        n = body.of_body
         at, still = stacked([ZERO, ZERO, ZERO, *state.arms], q), stacked([ZERO] * n, q)
         v = stacked([*state.twist, *state.arm_rates], q)
         found = scalars(body.robot.ground_wrench(at, v, stacked(a[:n], q)))[2:5]
@@ -293,7 +293,7 @@ def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any)
     carried : list of scalars
         Loads of wheels, and of supports behind them [N].
     """
-    groups, ns, first = body.groups, len(body.table.axes), _BASE + body.na
+    groups, ns, first = body.groups, len(body.table.axes), body.of_body
     M, n, tau = body.inertia(state, q), body.effects(state, q), body.generalised(state, u, 0.0)
     rows = body.rows(state)
     of_wheels = {row.wheel: i for i, row in enumerate(rows) if row.kind in ("rolling", "roller")}

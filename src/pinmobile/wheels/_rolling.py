@@ -134,7 +134,7 @@ class RollingDynamics(WheeledDynamics):
         effects = self.effects(state, q)
         felt = self.proper_acceleration(state, gamma)
         rest = [t - n - dot(row, felt) for t, n, row in zip(force, effects, M, strict=True)]
-        pushed, first = through(M, S), _BASE + self.na
+        pushed, first = through(M, S), self.of_body
         rates = _reduced(pushed, S, applied(transposed(S), rest))
         for k, limit in self.stops:
             outward = stop_of(state.steering[k], limit, state.rates[k])
@@ -165,7 +165,7 @@ class RollingDynamics(WheeledDynamics):
             more = _reduced(pushed, S, applied(pushed, off))
             rates = [x + y for x, y in zip(rates, more, strict=True)]
         for k, limit in self.stops:
-            row, pushed = S[_BASE + self.na + k], through(self.inertia(state, q), S)
+            row, pushed = S[self.of_body + k], through(self.inertia(state, q), S)
             rates = stopped(
                 rates, stop_of(state.steering[k], limit), dot(row, rates), row, _reduced(pushed, S, row)
             )
@@ -173,7 +173,7 @@ class RollingDynamics(WheeledDynamics):
 
     def _off(self, state: State, S: Matrix, nu: Vector) -> Vector:
         """Return v - S nu, along the body's axes: zero for each coordinate that is one of nu itself."""
-        held, first = self.choice.body, _BASE + self.na
+        held, first = self.choice.body, self.of_body
         found: Vector = [ZERO] * self.nv
         if len(held) == 1:
             a = self.rows(state)[held[0]].base

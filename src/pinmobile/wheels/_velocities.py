@@ -154,7 +154,7 @@ def followed(body: Any, reference: Any, t: Array | None = None) -> ReferenceMoti
     """
     if t is None:
         check_steers_not(body)
-    n, ns, (*lead, known) = _BASE + body.na, len(body.table.axes), reference.q.shape
+    n, ns, (*lead, known) = body.of_body, len(body.table.axes), reference.q.shape
     if known > n:
         raise InvalidArgument(
             f"reference has {known} coordinates, expected those of body and arms, {n}: a motion of both is "
@@ -225,7 +225,7 @@ def linearized(body: Any, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
         State, which rolls, and input.
     """
     check_steers_not(body)
-    n = _BASE + body.na
+    n = body.of_body
     q, v, u = (np.asarray(x, np.float64) for x in (q, v, u))
     lead = np.broadcast_shapes(q.shape[:-1], v.shape[:-1], u.shape[:-1])
     q, v, u = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v, u))

@@ -27,7 +27,6 @@ from pinmobile.robot import (
     factored,
     number,
     scalars,
-    sine_and_cosine,
     transposed,
     vector_of as stacked,
 )
@@ -225,8 +224,7 @@ class VoltageDynamics:
                 if push.slope is not ZERO:
                     share = higher(share, theta(h * push.slope * x))
             at = middle.moving([number(dot(row, mean)) for row in S])
-            s, c = sine_and_cosine(psi + 0.5 * h * at.twist[2])
-            at = at._replace(c=c, s=s)
+            at = at.turned(psi + 0.5 * h * at.twist[2])
             if again and np.ndim(beside):
                 there = body.in_plane(at, at.velocities, q)
                 beside = f(body.integrate(q, (0.5 * h) * there), there)
@@ -251,8 +249,7 @@ class VoltageDynamics:
             mean = [number(x + share * (y - x)) for x, y in zip(nu, after, strict=True)]
             rates = [number(dot(b, mean)) for b in B]
         at = middle.moving([number(dot(row, mean)) for row in S])
-        s, c = sine_and_cosine(psi + 0.5 * h * at.twist[2])
-        moved = body.in_plane(at._replace(c=c, s=s), [h * x for x in at.velocities], q)
+        moved = body.in_plane(at.turned(psi + 0.5 * h * at.twist[2]), [h * x for x in at.velocities], q)
         q_after = body.integrate(q, moved)
         end = body.state(q_after, v)
         v_after = body.in_plane(end, [dot(row, after) for row in body.null_space(end).S], q)
