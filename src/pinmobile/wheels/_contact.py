@@ -280,14 +280,7 @@ class Impulses(NamedTuple):
 
 
 def impulses(
-    touches: Sequence[WheelContact],
-    bounds: Sequence[Bounds],
-    free: Vector,
-    inertia: Matrix,
-    before: Impulses,
-    *,
-    most: int,
-    tolerance: float,
+    touches: list[WheelContact], bounds: list[Bounds], free: Vector, M: Matrix, before: Impulses, ground: Any
 ) -> Impulses:
     """Return the impulses, from those of before.
 
@@ -297,12 +290,12 @@ def impulses(
         Of each wheel.
     free : list of scalars
         Velocities without any impulse.
-    inertia : list of lists of scalars
+    M : list of lists of scalars
         Of the velocities.
     before : Impulses
         What to start from.
-    most, tolerance
-        As of `Coulomb`.
+    ground : Coulomb
+        With its sweeps and tolerance.
     """
     holder = {touch.spin: touch for touch in touches if touch.held}
     spins = list(holder)
@@ -314,9 +307,9 @@ def impulses(
     for k, touch in enumerate(touches):
         velocity = touch._moved(velocity, [ZERO, ZERO], begun[2 * k : 2 * k + 2], ZERO)
     velocity = moved_by(velocity, [holder[at].spun for at in spins], begun[m:])
-    enough = tolerance * reduce(higher, [bound.along for bound in bounds])
+    enough = ground.tolerance * reduce(higher, [bound.along for bound in bounds])
 
-    plain = min(most, _SOON)
+    plain = min(ground.sweeps, _SOON)
 
     def one(v: Vector, p: Vector, held: Vector, shifts: Vector, rounds: Any, _: Any) -> tuple[Any, Any]:
         before, p, held, shifts = p, list(p), list(held), list(shifts)
@@ -336,11 +329,10 @@ def impulses(
     first = velocity, begun[:m], begun[m:], list(before.multipliers), 0.0, 1.0
     velocity, p, held, *rest = iterated(one, first, plain)
     start = Impulses(velocity, [*p, *held], *rest)
-    if most > plain:
+    if ground.sweeps > plain:
         places = [touch.place(bound) for touch, bound in zip(touches, bounds, strict=True)]
         places += [holder[at].holds(bounds[touches.index(holder[at])]) for at in spins]
-        settled = start.missed < 0.5
-        return found_by_newton(places, inertia, free, start, settled, most - plain, enough)
+        return found_by_newton(places, M, free, start, ground.sweeps - plain, enough)
     return start
 
 
@@ -464,13 +456,7 @@ class _Pushed(NamedTuple):
 
 
 def found_by_newton(
-    places: Sequence[FrictionConstraint],
-    inertia: Matrix,
-    free: Vector,
-    start: Impulses,
-    settled: Any,
-    most: int,
-    tolerance: Any,
+    places: list[FrictionConstraint], M: Matrix, free: Vector, start: Impulses, most: int, tolerance: Any
 ) -> Impulses:
     """Return the impulses, from those of a start.
 
@@ -478,14 +464,12 @@ def found_by_newton(
     ----------
     places : sequence of FrictionConstraint
         What holds the velocities.
-    inertia : list of lists of scalars
+    M : list of lists of scalars
         Of the velocities, whose columns of M^-1 are those of the places.
     free : list of scalars
         Velocities without any impulse.
     start : Impulses
-        What to begin with.
-    settled : bool
-        Where that is the answer.
+        What to begin with, and the answer where it has not missed.
     most : int
         Rounds at most.
     tolerance : scalar
@@ -494,7 +478,7 @@ def found_by_newton(
     n, sizes = len(free), [place.size for place in places]
     ends = [sum(len(place.rows) for place in places[:k]) for k in range(len(places) + 1)]
     discs = [k for k, place in enumerate(places) if place.is_disc]
-    moving = number(dot(free, [number(dot(row, free)) for row in inertia]))
+    moving = number(dot(free, [number(dot(row, free)) for row in M]))
     enough = (
         reduce(higher, sizes) * (_PLAIN * tolerance) * (_PLAIN * tolerance) + _ROUNDING * _ROUNDING * moving
     )
@@ -502,9 +486,9 @@ def found_by_newton(
     def one(v: Vector, way: Vector, p: Vector, search: Vector, *_: Any) -> tuple[Any, Any]:
         slope, share, low, high, rounded, sure, count = search
         at = [x + share * y for x, y in zip(v, way, strict=True)]
-        H = [list(row) for row in inertia]
+        H = [list(row) for row in M]
         change = [x - y for x, y in zip(at, free, strict=True)]
-        g = [number(dot(row, change)) for row in inertia]
+        g = [number(dot(row, change)) for row in M]
         now: Vector = []
         multipliers, off = [], ZERO
         for place, size, first, last in zip(places, sizes, ends, ends[1:], strict=False):
@@ -547,7 +531,7 @@ def found_by_newton(
 
     search, own = [0.0] * 4 + [_ROUNDED, 0.0, start.rounds], [start.multipliers[k] for k in discs]
     first = start.velocity, [0.0] * n, start.impulses, search, start.velocity, own, start.missed
-    _, _, pushed, search, velocity, own, missed = iterated(one, first, most, settled)
+    _, _, pushed, search, velocity, own, missed = iterated(one, first, most, start.missed < 0.5)
     multipliers = list(start.multipliers)
     for k, x in zip(discs, own, strict=True):
         multipliers[k] = x

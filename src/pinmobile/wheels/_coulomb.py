@@ -146,6 +146,15 @@ class _Pass(NamedTuple):
         return assumed, missing, way, [x for row in rows for x in row]
 
 
+class _Rub(NamedTuple):
+    """Dry friction of a motor: its actuator, which touched velocity it holds, its rate per that, at most."""
+
+    actuator: int
+    at: int
+    rate: float
+    most: Any
+
+
 class _Shape(NamedTuple):
     """A robot at the shape of mid-step, all in terms of velocities that gear trains leave free.
 
@@ -287,12 +296,7 @@ class SlippingDynamics(WheeledDynamics):
         return state, self.proper_acceleration(state, [rate[0] - w * vy, rate[1] + w * vx, *rate[2:]])
 
     def _bounds(
-        self,
-        shape: _Shape,
-        loads: Vector,
-        slips: Sequence[Vector],
-        h: Any,
-        pushes: Sequence[TorqueSpeedLine] = (),
+        self, shape: _Shape, loads: Vector, slips: list[Vector], h: Any, rubs: Sequence[_Rub]
     ) -> list[Bounds]:
         """Return what the friction of each wheel is at most."""
         first, found = self.of_body + len(self.table.axes), []
@@ -301,21 +305,21 @@ class SlippingDynamics(WheeledDynamics):
             share, ratio = exact(wheel.friction.rolling), abs(float(self._leaders[first + k][1]))
             at = shape.touches[k].spin
             holds[at] = holds.get(at, ZERO) + h * (exact(ratio) * share * r) * loads[k]
-        for at, more in self._rubs(shape, pushes, h):
-            holds[at] = holds[at] + more
+        for rub in rubs:
+            holds[rub.at] = holds[rub.at] + rub.most
         for k, wheel in enumerate(self.table.wheels):
             along = number(h * scalars(self.mu)[k] * loads[k])
             across = along if wheel.roller is None else number(h * exact(wheel.friction.across) * loads[k])
             found.append(Bounds(along, across, number(holds[shape.touches[k].spin]), slips[k]))
         return found
 
-    def _rubs(self, shape: _Shape, pushes: Sequence[TorqueSpeedLine], h: Any) -> list[tuple[int, Any]]:
-        """Return which touched velocities motors' dry friction holds, and the angular impulse at most."""
+    def _rubs(self, shape: _Shape, pushes: Sequence[TorqueSpeedLine], h: Any) -> list[_Rub]:
+        """Return the dry friction of motors."""
         found = []
         for k in self.rubbing if pushes else ():
             ((leader, share),) = self.turned_by(k)
-            at = shape.touched.index(self._kept.index(leader))
-            found.append((at, h * exact(abs(float(share))) * pushes[k].hold))
+            at, rate = shape.touched.index(self._kept.index(leader)), float(share)
+            found.append(_Rub(k, at, rate, h * exact(abs(rate)) * pushes[k].hold))
         return found
 
     def _began(
@@ -444,10 +448,10 @@ class SlippingDynamics(WheeledDynamics):
             now = self._shape(middle, q, h, lag) if fixed is None else fixed
             free = self._free(now, at, before, torques, h, force, q)
             began, slides = self._began(now, before, end, x.slides)
-            bounds = self._bounds(now, loads.values, began, h, pushes)
+            rubs = self._rubs(now, pushes, h)
+            bounds = self._bounds(now, loads.values, began, h, rubs)
             start, known = Impulses([], *x[1:3]), [number(free[k]) for k in now.touched]
-            most, tolerance = self.ground.sweeps, self.ground.tolerance
-            grip = impulses(now.touches, bounds, known, now.inertia, start, most=most, tolerance=tolerance)
+            grip = impulses(now.touches, bounds, known, now.inertia, start, self.ground)
             after = self._after(now, free, grip)
             for k, limit in self.stops:
                 unit = [ONE if i == self.of_body + k else ZERO for i in range(self.nv)]
@@ -460,8 +464,13 @@ class SlippingDynamics(WheeledDynamics):
                 ends = self.actuator_rates(after[self.of_body :])
                 rates = [number(y + z * (e - y)) for y, e, z in zip(begun, ends, shares, strict=True)]
                 given = [push.torque - push.slope * y for push, y in zip(pushes, rates, strict=True)]
-                for k, y in self._rubbed(now, bounds, pushes, grip, h):
-                    given[k] = given[k] + y
+                pairs = zip(now.touches, bounds, strict=True)
+                holds = {touch.spin: bound.spin for touch, bound in pairs if touch.held}
+                for rub in rubs:  # of what holds a wheel, in proportion
+                    whole = holds[rub.at]
+                    part = rub.most / choose(whole > 0.0, whole, 1.0)
+                    held = grip.impulses[2 * len(self.table) + list(holds).index(rub.at)]
+                    given[rub.actuator] = given[rub.actuator] + held * part / (h * rub.rate)
             better = x.corrected(led_to(after))
             off, was = (
                 dot(each[:_BASE], each[:_BASE]) + each[_BASE] * each[_BASE] + dot(each[4:], each[4:]) / size
@@ -494,27 +503,6 @@ class SlippingDynamics(WheeledDynamics):
         )
         step = Step(moved, self.in_plane(state.turned(psi + h * mean[2]), after, q), kept)
         return step, found.torques, found.rates
-
-    def _rubbed(
-        self,
-        shape: _Shape,
-        bounds: Sequence[Bounds],
-        pushes: Sequence[TorqueSpeedLine],
-        grip: Impulses,
-        h: Any,
-    ) -> list[tuple[int, Any]]:
-        """Return actuators and the torque of their dry friction: of what holds a wheel, in proportion."""
-        most = {
-            touch.spin: bound.spin for touch, bound in zip(shape.touches, bounds, strict=True) if touch.held
-        }
-        found = []
-        for k, (at, more) in zip(self.rubbing, self._rubs(shape, pushes, h), strict=True):
-            ((_, share),) = self.turned_by(k)
-            whole = most[at]
-            part = more / choose(whole > 0.0, whole, 1.0)
-            held = grip.impulses[2 * len(self.table) + list(most).index(at)]
-            found.append((k, held * part / (h * float(share))))
-        return found
 
     def _freedom(self, state: State, q: Any) -> Vector:
         """Return how fast each actuator turns per angular impulse, all else held."""

@@ -16,17 +16,7 @@ from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer,
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import rk4
 from pinmobile.metrics import Metric
-from pinmobile.parts import (
-    Desired,
-    also_symbols,
-    by_value,
-    child,
-    evolved,
-    part,
-    required,
-    structure,
-    takes,
-)
+from pinmobile.parts import Desired, also_symbols, by_value, child, evolved, part, required, structure, takes
 from pinmobile.plant import ContactLoads, Contacts, Coordinate, Input, SlipMargins
 from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, MobileRobot, PayloadBody, number
 from pinmobile.wheels._coulomb import Coulomb

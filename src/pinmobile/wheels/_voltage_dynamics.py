@@ -21,6 +21,7 @@ from pinmobile.plant import Input, Step
 from pinmobile.robot import (
     ZERO,
     Linearization,
+    Matrix,
     Vector,
     dot,
     exact,
@@ -259,13 +260,7 @@ class VoltageDynamics:
         return Step(q_after, v_after), given, rates, stacked([x / h for x in impulses], q)
 
     def _held(
-        self,
-        nu: Vector,
-        B: Sequence[Vector],
-        solve: Any,
-        pushes: Sequence[TorqueSpeedLine],
-        before: Vector,
-        h: Any,
+        self, nu: Vector, B: Matrix, solve: Any, pushes: Sequence[TorqueSpeedLine], before: Vector, h: Any
     ) -> tuple[Vector, Vector]:
         """Return the velocities that dry friction leaves, and its angular impulses.
 
