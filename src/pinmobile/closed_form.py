@@ -384,10 +384,8 @@ def differential_drive(
     NotFinite
         If the answer is beyond the numbers that a computer has.
     """
-    body = {"mass": mass, "yaw_inertia": yaw_inertia, "com": com}
-    numbers, answer = _arguments(
-        **body, track=track, radius=radius, spin_inertia=spin_inertia, axle=axle, nu=nu
-    )
+    body = {"mass": mass, "yaw_inertia": yaw_inertia, "com": com, "track": track, "radius": radius}
+    numbers, answer = _arguments(**body, spin_inertia=spin_inertia, axle=axle, nu=nu)
     m, inertia, dx, dy, track, r, spin, at, v, w = numbers
     b, dx = bounded("track", track, above=0) / 2, dx - at
     M = _matrix(
@@ -451,12 +449,17 @@ def roller_drive(
     NotFinite
         If the answer is beyond the numbers that a computer has.
     """
-    (m, inertia, xc, yc, vx, vy, w), of_body = _arguments(
-        mass=mass, yaw_inertia=yaw_inertia, com=com, twist=twist
-    )
-    (px, py, delta, gamma, r, spin), of_wheels = _arguments(
-        x=x, y=y, angle=angle, roller=roller, radius=radius, spin_inertia=spin_inertia
-    )
+    body = {"mass": mass, "yaw_inertia": yaw_inertia, "com": com, "twist": twist}
+    wheels = {
+        "x": x,
+        "y": y,
+        "angle": angle,
+        "roller": roller,
+        "radius": radius,
+        "spin_inertia": spin_inertia,
+    }
+    (m, inertia, xc, yc, vx, vy, w), of_body = _arguments(**body)
+    (px, py, delta, gamma, r, spin), of_wheels = _arguments(**wheels, spin_inertia=spin_inertia)
     shaped("x", px, ("...", "k"), words=", one number for each wheel")
     _broadcast({"twist": m.shape, "x": px.shape[:-1]})
     c, s = np.cos(delta + gamma), np.sin(delta + gamma)
@@ -529,18 +532,9 @@ def car(
     NotFinite
         If the answer is beyond the numbers that a computer has.
     """
-    numbers, answer = _arguments(
-        mass=mass,
-        yaw_inertia=yaw_inertia,
-        com=com,
-        wheelbase=wheelbase,
-        radius=radius,
-        track=track,
-        spin_inertia=spin_inertia,
-        steered_inertia=steered_inertia,
-        steering=steering,
-        nu=nu,
-    )
+    body = {"mass": mass, "yaw_inertia": yaw_inertia, "com": com, "wheelbase": wheelbase, "radius": radius}
+    wheels = {"track": track, "spin_inertia": spin_inertia, "steered_inertia": steered_inertia}
+    numbers, answer = _arguments(**body, **wheels, steering=steering, nu=nu)
     m, inertia, xc, yc, L, r, track, spin, turned, delta, v, rate = numbers
     b, c, s = track / 2, np.cos(delta), np.sin(delta)
     T, turn = s / (c * L), 1 / (L * c * c)  # w = T v, and d T / d delta

@@ -220,16 +220,8 @@ def by_closed_form(wheeled: WheeledRobot, q: Array, nu: Array) -> closed_form.Re
     if turned is None or len(wheels) != 4 or len(table.axes) != 1 or turned.axle or first.x:
         return None
     front = wheels[table.names.index(turned.wheels[0])]
-    found = closed_form.car(
-        nu[:, [0, -1]],
-        q[:, robot.nq],
-        **body,
-        wheelbase=front.x,
-        radius=first.radius,
-        track=2 * abs(first.y),
-        spin_inertia=spins[0],
-        steered_inertia=front.yaw_inertia,
-    )
+    own = {"wheelbase": front.x, "radius": first.radius, "track": 2 * abs(first.y), "spin_inertia": spins[0]}
+    found = closed_form.car(nu[:, [0, -1]], q[:, robot.nq], **body, **own, steered_inertia=front.yaw_inertia)
     M = found.M.copy()
     M[:, 0, 0] += shared / first.radius**2
     return found._replace(M=M, B=found.B[..., [0, 2]])
