@@ -138,7 +138,7 @@ class WheeledRobot(PlantOnWheels):
         """
         if table is not None and given:
             raise InvalidArgument(f"{next(iter(given))} is given with table=, expected one of the two")
-        robot = read_robot(path, package_dirs, ground_z, given.get("radius"), given.get("locked", ()))
+        robot = read_robot(path, package_dirs, ground_z, given)
         return cls(robot, read_wheels(robot, **given) if table is None else table, ground)
 
     def mount(self, arm: Any, at: ArrayLike | None = None, **options: Any) -> WheeledRobot:

@@ -481,46 +481,36 @@ def source_of(robot: MobileRobot, table: WheelTable) -> str:
     return f"{words}; {table.source}"
 
 
-def read_robot(
-    path: str | PathLike[str],
-    package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]],
-    ground_z: ArrayLike | None,
-    radius: float | Mapping[str, float] | None,
-    locked: Sequence[str],
-) -> MobileRobot:
+def read_robot(path: str | PathLike[str], dirs: Any, ground_z: Any, given: Mapping[str, Any]) -> MobileRobot:
     """Return the robot of a URDF, on the ground by given radii where the file does not tell where that is.
 
     Parameters
     ----------
-    path, package_dirs, ground_z
+    path, dirs, ground_z
         As in `MobileRobot.from_urdf`.
-    radius, locked
-        As in `read_wheels`.
+    given : mapping of str to any
+        Arguments of `read_wheels`.
     """
-    robot = MobileRobot.from_urdf(path, package_dirs, ground=ground_z)
+    robot = MobileRobot.from_urdf(path, dirs, ground=ground_z)
     _report_ignored(Path(path))
-    if robot.grounded or radius is None:
+    if robot.grounded or given.get("radius") is None:
         return robot
-    wheels = _Reader(robot, radius, locked=locked)
+    wheels = _Reader(robot, given["radius"], locked=given.get("locked", ()))
     lowest = [joint.centre[2] - wheels.radius_of(joint) for joint in wheels.joints]
-    return MobileRobot.from_urdf(path, package_dirs, ground=sum(lowest) / len(lowest))
+    return MobileRobot.from_urdf(path, dirs, ground=sum(lowest) / len(lowest))
 
 
 def _report_ignored(path: Path) -> None:
     """Warn of what a file says of friction that changes nothing."""
-    root = ElementTree.parse(path).getroot()
-    moving, words = (each for each in root.findall("joint") if each.get("type") != "fixed"), []
+    root, words = ElementTree.parse(path).getroot(), list[str]()
     joints = [
         str(joint.get("name"))
-        for joint in moving
-        for dynamics in joint.findall("dynamics")
-        if any(float(dynamics.get(x, 0)) for x in ("damping", "friction"))
+        for joint in root.findall("joint")
+        for x in joint.findall("dynamics")
+        if joint.get("type") != "fixed" and (float(x.get("damping", 0)) or float(x.get("friction", 0)))
     ]
-    links = [
-        str(each.get("reference"))
-        for each in root.findall("gazebo")
-        if each.findall("mu1") + each.findall("mu2")
-    ]
+    both = (each for each in root.findall("gazebo") if each.findall("mu1") + each.findall("mu2"))
+    links = [str(each.get("reference")) for each in both]
     if joints:
         words.append(
             f"damping and friction of {_listed(joints)} act where motors take volts alone (by_voltage): give "
