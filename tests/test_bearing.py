@@ -7,33 +7,19 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
-from pinmobile import errors
+from pinmobile import Coulomb, Motor, Rolling, WheeledRobot, WheelTable, balance, errors
 from pinmobile.arrays import Array
 from pinmobile.balance import (
     MotionStates,
-    body_zero_moment_point,
     contact_loads,
     max_path_speed,
     max_slope,
-    reaction_wrench,
-    required_friction,
     slip_margins,
     tip_over_margin,
-    zero_moment_point,
 )
 from pinmobile.controllers import PD, Backstepping, ControlAllocation, UnicycleTracking
 from pinmobile.parts import evolved
-from pinmobile.wheels import (
-    Coulomb,
-    Motor,
-    Ramp,
-    Rolling,
-    Support,
-    Wheel,
-    WheeledRobot,
-    WheelFriction,
-    WheelTable,
-)
+from pinmobile.wheels import Ramp, Support, Wheel, WheelFriction
 from tests.wheeled import BODY, CASTER, WHEEL, G
 
 DIFFERENTIAL = WheelTable.differential(0.5, 0.1, x=0.07, supports=[(-0.2, 0.0)], **WHEEL)
@@ -86,7 +72,7 @@ def test_loads_balance_what_the_tree_of_bodies_needs(name: str, arm: bool, ramp:
     supports = (f"support {k + 1}" for k in range(len(x) - len(robot.table)))
     assert found.names == (*robot.table.names, *supports)
     if not found.tips:
-        x_z, y_z = body_zero_moment_point(at)
+        x_z, y_z = balance.body_zero_moment_point(at)
         np.testing.assert_allclose(found.values @ x / found.values.sum(), x_z, atol=1e-13)
         np.testing.assert_allclose(found.values @ y / found.values.sum(), y_z, atol=1e-13)
         assert (found.values >= 0).all()
@@ -144,7 +130,7 @@ def test_balance_takes_robots_on_wheels_with_arms() -> None:
     arm = BODY.mount("ur5", (0.1, 0.0, 0.3, 0.0))
     robot = WheeledRobot(arm, DIFFERENTIAL)
     at, mine = still(robot), still(arm)
-    for function in (reaction_wrench, zero_moment_point, required_friction):
+    for function in (balance.reaction_wrench, balance.zero_moment_point, balance.required_friction):
         np.testing.assert_allclose(function(at), function(mine), atol=1e-11)
     assert tip_over_margin(at) == tip_over_margin(mine, robot.footprint)
     # Wheels that turn faster push back on the body: the moment of their spin.
@@ -158,11 +144,11 @@ def test_an_arm_at_rest_on_a_ramp_weighs_on_its_mount_along_the_slope_too() -> N
     robot = WheeledRobot(BODY.mount("ur5", (0.1, -0.05, 0.3, 0.4)), DIFFERENTIAL)
     q, still = robot.rest.copy(), np.zeros(robot.nv)
     q[3:9], q[2] = [0.3, -1.2, 1.6, -0.4, 1.57, 0.2], 0.7
-    level = reaction_wrench(MotionStates(robot, q, still, still))
+    level = balance.reaction_wrench(MotionStates(robot, q, still, still))
     weight = -level[2]
     x, y = level[4] / weight, -level[3] / weight
     angle, direction = 0.2, 0.5
-    found = reaction_wrench(MotionStates(robot.on_ramp(angle, direction), q, still, still))
+    found = balance.reaction_wrench(MotionStates(robot.on_ramp(angle, direction), q, still, still))
     down = np.array([*(-np.sin(angle) * np.array([np.cos(direction - 0.7), np.sin(direction - 0.7)])), 0])
     down[2] = -np.cos(angle)
     np.testing.assert_allclose(found[:3], weight * down, rtol=1e-12)
@@ -171,7 +157,7 @@ def test_an_arm_at_rest_on_a_ramp_weighs_on_its_mount_along_the_slope_too() -> N
     # Sliding down with the slope's own acceleration, it weighs on the mount across the plane alone.
     falling = still.copy()
     falling[:2] = -G * np.sin(angle) * np.array([np.cos(direction), np.sin(direction)])
-    free = reaction_wrench(MotionStates(robot.on_ramp(angle, direction), q, still, falling))
+    free = balance.reaction_wrench(MotionStates(robot.on_ramp(angle, direction), q, still, falling))
     np.testing.assert_allclose(free, np.cos(angle) * level, atol=1e-10)
 
 

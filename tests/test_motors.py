@@ -16,17 +16,14 @@ from tests.parts import steady
 from tests.wheeled import BODY, CASTER, CENTRAL, WHEEL, G, run
 
 GRIPS = WheelFriction(mu=2.0, rolling=0.0)
-MOTOR = Motor(
-    resistance=1.2,
-    torque_constant=0.03,
-    voltage=24.0,
-    gear=20.0,
-    rotor_inertia=1e-5,
-    viscous=1e-5,
-    coulomb=0.004,
-    efficiency=0.8,
-    current=15.0,
-)
+ELECTRIC: Any = {
+    "resistance": 1.2,
+    "torque_constant": 0.03,
+    "voltage": 24.0,
+    "gear": 20.0,
+    "rotor_inertia": 1e-5,
+}
+MOTOR = Motor(**ELECTRIC, viscous=1e-5, coulomb=0.004, efficiency=0.8, current=15.0)
 PLAIN = evolved(MOTOR, viscous=0.0, coulomb=0.0, efficiency=1.0, current=np.inf)
 PATH = pm.Tangent(pm.Circle(2.0, 0.3, 20.0))
 R = 0.1

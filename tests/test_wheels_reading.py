@@ -11,21 +11,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import (
-    Circle,
-    ComputedTorque,
-    Coulomb,
-    InvalidArgument,
-    MobileRobot,
-    Motor,
-    Rolling,
-    Tangent,
-    WheeledRobot,
-    WheelTable,
-    simulate,
-)
-from pinmobile.controllers import Backstepping, Controller, UnicycleTracking
+from pinmobile import Coulomb, InvalidArgument, MobileRobot, Motor, Rolling, WheeledRobot, WheelTable
+from pinmobile.controllers import Backstepping, ComputedTorque, Controller, UnicycleTracking
 from pinmobile.errors import UnknownName
+from pinmobile.loop import simulate
+from pinmobile.paths import Circle
+from pinmobile.trajectories import Tangent
 from pinmobile.wheels import AckermannSteering, DifferentialGear, GearTrain, Support, read_wheels
 from tests import wheeled
 from tests.wheeled import HALF_PI, inertial, joint, link, robot as urdf, shape

@@ -450,14 +450,7 @@ def roller_drive(
         If the answer is beyond the numbers that a computer has.
     """
     body = {"mass": mass, "yaw_inertia": yaw_inertia, "com": com, "twist": twist}
-    wheels = {
-        "x": x,
-        "y": y,
-        "angle": angle,
-        "roller": roller,
-        "radius": radius,
-        "spin_inertia": spin_inertia,
-    }
+    wheels = {"x": x, "y": y, "angle": angle, "roller": roller, "radius": radius}
     (m, inertia, xc, yc, vx, vy, w), of_body = _arguments(**body)
     (px, py, delta, gamma, r, spin), of_wheels = _arguments(**wheels, spin_inertia=spin_inertia)
     shaped("x", px, ("...", "k"), words=", one number for each wheel")
