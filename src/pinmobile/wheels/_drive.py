@@ -452,7 +452,8 @@ class WheeledRobot(PlantOnWheels):
         steering, turning : array_like, shape (..., axes), optional
             Steering angles and their rates; by default zero [rad, rad/s].
         """
-        return self._numeric.fitted_twist(rates, steering, turning)
+        self.mobility.check_odometry()
+        return self._numeric.odometry(rates, steering, turning)
 
     @cached_property
     def axle(self) -> Any:

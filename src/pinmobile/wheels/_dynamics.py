@@ -495,15 +495,6 @@ class WheeledDynamics:
                 found[:_BASE] = [x + force * b for x, b in zip(found[:_BASE], row.base, strict=True)]
         return found
 
-    def fitted_twist(self, rates: Array, steering: Any = (), turning: Any = ()) -> Array:
-        """Return the body twist that fits numbers best, the shortest where several do."""
-        n, ns, lead = self.of_body, len(self.table.axes), rates.shape[:-1]
-        angles, turns = (np.broadcast_to(x if np.size(x) else 0.0, (*lead, ns)) for x in (steering, turning))
-        q = np.concatenate([np.zeros((*lead, n)), angles, np.zeros_like(rates)], axis=-1)
-        A = self.constraints(q, np.zeros(self.nv))[0]
-        known = A[..., n:] @ np.concatenate([turns, rates], axis=-1)[..., None]
-        return np.asarray(-(np.linalg.pinv(A[..., :_BASE]) @ known)[..., 0])
-
     @property
     def axle(self) -> Any:
         """Coefficients of the body twist in the velocity across the fixed wheels, shape (..., 3)."""

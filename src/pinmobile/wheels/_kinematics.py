@@ -15,6 +15,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled import plain
+from pinmobile.errors import InvalidArgument
 from pinmobile.robot import (
     ZERO,
     Matrix,
@@ -444,6 +445,12 @@ class Mobility:
         twist = np.linalg.svd(self.matrix[:, :3])[2][-1]
         found = np.round(twist / twist[np.abs(twist).argmax()], 9) + 0.0
         return np.asarray(found)
+
+    def check_odometry(self) -> None:
+        """Raise `InvalidArgument` where rates of the wheels do not tell how the body moves."""
+        if self.idle is not None:
+            words = "by its wheels' rates how the body moves, expected rows of rank 3"
+            raise InvalidArgument(f"table does not tell {words}")
 
     def __str__(self) -> str:
         if self.rolling_obstacle:

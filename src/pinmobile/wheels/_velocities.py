@@ -13,7 +13,7 @@ from pinmobile.controllers import Controller, State, answer_of, check_controller
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import child, integer, number as declared, part
 from pinmobile.plant import Context, Input
-from pinmobile.robot import ZERO, Matrix, applied, number, scalars, slopes, vector_of as stacked
+from pinmobile.robot import Matrix, applied, number, scalars, slopes, vector_of as stacked
 from pinmobile.signals import signals_of
 from pinmobile.wheels._kinematics import Kinematics
 from pinmobile.wheels._table import WheelTable
@@ -291,12 +291,7 @@ class OdometryFeedback:
     def check(self) -> None:
         """Raise `InvalidArgument` where rates of the wheels do not tell how the body moves."""
         check_controller(self.controller)
-        ns = len(self.table.axes)
-        rows = self._kinematics.rows([ZERO] * ns, [ZERO] * 3, [ZERO] * (ns + len(self.table)))
-        if np.linalg.matrix_rank(np.array([[float(x) for x in row.base] for row in rows])) < 3:
-            raise InvalidArgument(
-                "table does not tell by its wheels' rates how the body moves, expected rows of rank 3"
-            )
+        self.table.mobility.check_odometry()
 
     @cached_property
     def _kinematics(self) -> Kinematics:
