@@ -172,12 +172,9 @@ class Kinematics:
         rest = [w * vy - both * turn * o[0] - bent * o[1], -(w * vx) - both * turn * o[1] + bent * o[0]]
         angle, found = exact(0.0 if wheel.roller is None else wheel.roller), []
         s, c = sine_and_cosine(angle)
-        first = "rolling" if wheel.roller is None else "roller"
-        second = "lateral" if wheel.roller is None else "across"
-        directions = [(first, c, s)]
-        if wheel.roller is None or across:
-            directions.append((second, -s, c))
-        for kind, a, b in directions:
+        kinds = ("rolling", "lateral") if wheel.roller is None else ("roller", "across")
+        directions = [(kinds[0], c, s), (kinds[1], -s, c)]
+        for kind, a, b in directions if wheel.roller is None or across else directions[:1]:
             d = [head.c * a - head.s * b, head.s * a + head.c * b]
             across_d = [-d[1], d[0]]
             joints: Vector = [ZERO] * self.n
@@ -415,17 +412,15 @@ class Mobility:
         for i in [*fixed, *steered]:
             if _rank(self.matrix[[*body, i], :3]) > len(body):
                 body.append(i)
-        ns, joints, told = len(self.table.axes), [], set()
+        ns, told = len(self.table.axes), dict[int, int]()
         for i, row in enumerate(self._rows):
             for axis in range(ns):
-                turns = row.kind == "lateral" and abs(self.matrix[i, 3 + axis]) >= _COEFFICIENT
-                if turns and axis not in told:
-                    told.add(axis)
-                    joints.append((axis, i))
+                if row.kind == "lateral" and abs(self.matrix[i, 3 + axis]) >= _COEFFICIENT:
+                    told.setdefault(axis, i)
         own = "rolling", "roller"
         wheels = [(ns + row.wheel, i) for i, row in enumerate(self._rows) if row.kind in own]
         free = tuple(axis for axis in range(ns) if axis not in told)
-        return RowSelection(tuple(body), bool(body) and body[0] in fixed, (*joints, *wheels), free)
+        return RowSelection(tuple(body), bool(body) and body[0] in fixed, (*told.items(), *wheels), free)
 
     @cached_property
     def determined(self) -> Any:

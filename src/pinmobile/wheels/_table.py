@@ -479,7 +479,7 @@ class WheelTable:
     @cached_property
     def actuators(self) -> tuple[Actuator, ...]:
         """The inputs, in the order of the table: of each row its wheel's, then its steering axis's."""
-        ns, found, done = len(self.axes), list[Actuator](), set()
+        ns, found = len(self.axes), list[Actuator]()
 
         def add(name: str, motor: Motor, turned: Sequence[int], path: str = "") -> None:
             column = tuple(1 / len(turned) if k in turned else 0.0 for k in range(ns + len(self)))
@@ -489,10 +489,9 @@ class WheelTable:
             if wheel.motor is not None:
                 add(wheel.name, wheel.motor, [ns + row], f"wheels.{wheel.name}.motor")
             for key, each in entries_of(self.couplings):
-                if isinstance(each, DifferentialGear) and key not in done and wheel.name in each.wheels:
-                    done.add(key)
-                    rows = [ns + self.names.index(name) for name in each.wheels]
-                    add(each.name, each.motor, rows, f"couplings.{key}.motor")
+                rows = [self.names.index(name) for name in each.wheels]
+                if isinstance(each, DifferentialGear) and min(rows) == row:
+                    add(each.name, each.motor, [ns + k for k in rows], f"couplings.{key}.motor")
             for k, axis in enumerate(self.axes):
                 if axis.driven and axis.wheels[0] == row:
                     add(axis.name, TORQUE, [k])

@@ -166,14 +166,12 @@ class _Reader:
 
     def _steered(self, joint: WheelJoint, roller: float | None) -> tuple[str, Swivel | None]:
         asked = self._given("steering", joint.name)
-        if not joint.swivels:
-            if asked not in (None, FIXED):
-                raise InvalidArgument(
-                    f"steering of wheel {joint.name!r} is {shown(asked)}, but it hangs on no joint about the "
-                    "vertical; expected 'fixed'"
-                )
-            return FIXED, None
-        if asked == FIXED:
+        if not joint.swivels and asked not in (None, FIXED):
+            raise InvalidArgument(
+                f"steering of wheel {joint.name!r} is {shown(asked)}, but it hangs on no joint about the "
+                "vertical; expected 'fixed'"
+            )
+        if not joint.swivels or asked == FIXED:
             return FIXED, None
         swivel, *more = joint.swivels
         if more:
