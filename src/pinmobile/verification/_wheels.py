@@ -16,7 +16,7 @@ from pinmobile.parts import Stepping, able, evolved
 from pinmobile.plant import Step
 from pinmobile.robot import BODY_JOINT, PinocchioBackend, System
 from pinmobile.verification.bodies import WheelBodies, lumped, off_by, reflected, times, tree_motion
-from pinmobile.wheels import AckermannSteering, Coulomb, GearTrain, WheeledRobot
+from pinmobile.wheels import AckermannSteering, Coulomb, WheeledRobot
 
 ROUNDING = 1e-13  # some hundred roundings, relative to the scale of the terms
 SOLVED = 1e-12  # the same, where two solutions of linear equations are compared
@@ -338,11 +338,9 @@ def _step_rows(robot: WheeledRobot, q: Array, v: Array, u: Array, f: Array, step
 
 def _holders(robot: WheeledRobot) -> list[int]:
     """Return the wheels that rolling resistance holds, of those that turn together the first."""
-    names, leader = robot.table.names, list(range(len(robot.table)))
-    for train in robot.table.couplings:
-        if isinstance(train, GearTrain):
-            for name in train.wheels[1:]:
-                leader[names.index(name)] = names.index(train.wheels[0])
+    leader = list(range(len(robot.table)))
+    for first, row, _ in robot.table.trains:
+        leader[row] = first
     resisted = {leader[k] for k, wheel in enumerate(robot.table.wheels) if wheel.friction.rolling}
     return sorted(resisted)
 

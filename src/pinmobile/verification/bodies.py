@@ -18,7 +18,7 @@ import pinocchio as pin
 from pinmobile.arrays import Array
 from pinmobile.dh import JointType
 from pinmobile.robot import BODY_JOINT, MobileRobot, Mount, joints_of, named_frames, number, prefixed
-from pinmobile.wheels import GearTrain, Kinematics, Wheel, WheeledRobot
+from pinmobile.wheels import Kinematics, Wheel, WheeledRobot
 
 _DOWN = np.array([0, 0, -9.81])  # [m/s^2]
 _POSE = ("x", "y", "psi")
@@ -406,17 +406,11 @@ class WheelBodies:
 
     def trains(self) -> Array:
         """Return the rows of gear trains, r (ratio phi_1' - phi_k'), shape (pairs, nv of the whole)."""
-        names, rows = self.table.names, []
-        for train in self.table.couplings:
-            if isinstance(train, GearTrain):
-                first = names.index(train.wheels[0])
-                radius = self.table.wheels[first].radius
-                for name, ratio in zip(train.wheels[1:], train.ratios[1:], strict=True):
-                    row = np.zeros(self.size)
-                    row[self.nv + self.ns + first] = radius * ratio / train.ratios[0]
-                    row[self.nv + self.ns + names.index(name)] = -radius
-                    rows.append(row)
-        return np.reshape(rows, (len(rows), self.size))
+        found, wheels = np.zeros((len(self.table.trains), self.size)), self.nv + self.ns
+        for line, (first, row, ratio) in zip(found, self.table.trains, strict=True):
+            radius = self.table.wheels[first].radius
+            line[wheels + first], line[wheels + row] = radius * ratio, -radius
+        return found
 
     def moving(self) -> tuple[Array, Array, Array]:
         """Return what each coordinate moves: mass (nv,), second moment (n, nv), and the reach (n,) [m]."""

@@ -155,21 +155,16 @@ def wheel_frames(
     """
     angles = list(np.moveaxis(steering, -1, 0))
     found = np.zeros((*lead, len(table), 4, 4))
-    found[..., 3, 3] = 1.0
     for row, wheel in enumerate(table.wheels):
-        head = kinematics.heading(row, angles)
-        c, s = (number(x) for x in (head.c, head.s))
-        _, centre = kinematics.centre(row, angles)
-        x, y = (number(p) for p in centre) if wheels is not None else (wheel.x, wheel.y)
-        phi = np.zeros(lead) if wheels is None else wheels[..., row]
-        cp, sp = np.cos(phi), np.sin(phi)
-        e, n = (c, s), (-s, c)
-        frame = found[..., row, :, :]
-        for i in range(2):
-            frame[..., i, 0], frame[..., i, 1], frame[..., i, 2] = cp * e[i], n[i], sp * e[i]
-        frame[..., 2, 0], frame[..., 2, 2] = -sp, cp
-        frame[..., 0, 3], frame[..., 1, 3] = x, y
-        frame[..., 2, 3] = 0.0 if wheels is None else wheel.radius
+        head, (_, centre) = kinematics.heading(row, angles), kinematics.centre(row, angles)
+        c, s, x, y = (number(each) for each in (head.c, head.s, *centre))
+        if wheels is None:
+            cp, sp, x, y, z = 1.0, 0.0, wheel.x, wheel.y, 0.0
+        else:
+            cp, sp, z = np.cos(wheels[..., row]), np.sin(wheels[..., row]), wheel.radius
+        rows = [cp * c, -s, sp * c, x], [cp * s, c, sp * s, y], [-sp, 0, cp, z], [0, 0, 0, 1]
+        for i, k in np.ndindex(4, 4):
+            found[..., row, i, k] = rows[i][k]
     return found
 
 
