@@ -223,18 +223,12 @@ def undercarriage_of(
             joint = int(model.parents[joint])
         hub = (base.inverse() * data.oMi[wheel.joint]).translation
         along = np.array(wheel.centre) - [0, 0, ground] - hub
-        v = model.idx_vs[wheel.joint]
-        effort = float(model.effortLimit[v])
-        found.append(
-            wheel._replace(
-                centre=triple(hub + (along @ wheel.axis) * np.array(wheel.axis)),
-                lump=_lump_of(model, data, base, wheel.joint),
-                swivels=tuple(swivels),
-                effort=effort if effort > 0 else np.inf,
-                damping=float(model.damping[v]),
-                friction=float(model.friction[v]),
-            )
-        )
+        v, centre = model.idx_vs[wheel.joint], triple(hub + (along @ wheel.axis) * np.array(wheel.axis))
+        lump = _lump_of(model, data, base, wheel.joint)
+        effort, damping, friction = (float(x[v]) for x in (model.effortLimit, model.damping, model.friction))
+        placed = wheel._replace(centre=centre, lump=lump, swivels=tuple(swivels))
+        most = effort if effort > 0 else np.inf
+        found.append(placed._replace(effort=most, damping=damping, friction=friction))
     return Undercarriage(tuple(found), tuple(supports))
 
 

@@ -242,14 +242,12 @@ def _alike(wheeled: WheeledRobot) -> bool:
 def _forces(wheeled: WheeledRobot, values: Array) -> tuple[Array, Array, Array]:
     """Return forces along and across the wheels, and of gear trains, of those of the rows."""
     along, across = np.zeros((2, len(values), len(wheeled.table)))
-    trains = []
-    for k, name in enumerate(wheeled.constraint_names):
+    names = wheeled.constraint_names
+    for k, name in enumerate(names):
         wheel, _, kind = name.rpartition(" ")
-        if name == "train":
-            trains.append(values[:, k])
-        else:
+        if wheel:
             (across if kind == "lateral" else along)[:, wheeled.table.names.index(wheel)] = values[:, k]
-    return along, across, np.reshape(trains, (len(trains), len(values))).T
+    return along, across, values[:, [k for k, name in enumerate(names) if name == "train"]]
 
 
 def _rate(

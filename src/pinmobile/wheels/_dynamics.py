@@ -177,9 +177,9 @@ class WheeledDynamics:
         """Return M, (nv, nv), of body axes."""
         M: Matrix = [[ZERO] * self.nv for _ in range(self.nv)]
         carried = self.robot.mass_matrix(stacked([ZERO, ZERO, ZERO, *state.arms], q))
-        for i in range(self.of_body):
-            M[i][: self.of_body] = scalars(carried[..., i, :])
         first = self.of_body
+        for i in range(first):
+            M[i][:first] = scalars(carried[..., i, :])
         for k, spin in enumerate(scalars(self.spin_inertia), first + len(self.table.axes)):
             M[k][k] = M[k][k] + spin
         for actuator, rotor in zip(self.table.actuators, scalars(self.rotors), strict=True):

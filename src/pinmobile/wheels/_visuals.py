@@ -158,10 +158,10 @@ def wheel_frames(
     for row, wheel in enumerate(table.wheels):
         head, (_, centre) = kinematics.heading(row, angles), kinematics.centre(row, angles)
         c, s, x, y = (number(each) for each in (head.c, head.s, *centre))
+        phi: Any = 0.0 if wheels is None else wheels[..., row]
+        cp, sp, z = np.cos(phi), np.sin(phi), wheel.radius
         if wheels is None:
-            cp, sp, x, y, z = 1.0, 0.0, wheel.x, wheel.y, 0.0
-        else:
-            cp, sp, z = np.cos(wheels[..., row]), np.sin(wheels[..., row]), wheel.radius
+            x, y, z = wheel.x, wheel.y, 0.0
         rows = [cp * c, -s, sp * c, x], [cp * s, c, sp * s, y], [-sp, 0, cp, z], [0, 0, 0, 1]
         for i, k in np.ndindex(4, 4):
             found[..., row, i, k] = rows[i][k]
