@@ -587,7 +587,7 @@ class WheelTable:
             Angle of the rollers [rad]: positive for the X. A negative one is the O arrangement, which is
             refused on a square base: it could not turn.
         **wheel
-            What else each has, see `Wheel`.
+            What else each has, see `Wheel`; ``motor`` is a source of torque by default.
         """
         angle, own = scalar("roller", roller), {"motor": TORQUE, **wheel}
         turns = angle > 0 or abs(wheelbase - track * abs(np.tan(angle))) >= 1e-3 * track
@@ -615,7 +615,7 @@ class WheelTable:
         first : float
             Where the first one is, from the body's x [rad].
         **wheel
-            What else each has, see `Wheel`.
+            What else each has, see `Wheel`; ``motor`` is a source of torque by default.
         """
         count, L = whole("n", n, least=3, most=_MOST), positive("distance", distance, "m")
         angles = (scalar("first", first) + 2 * pi * np.arange(count) / count).tolist()
