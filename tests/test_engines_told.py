@@ -1,6 +1,5 @@
 """What results and warnings say of the engine that ran a loop, and of why it was no faster one."""
 
-import json
 import subprocess
 import sys
 import warnings
@@ -89,15 +88,6 @@ def test_a_rollout_says_why_and_its_file_keeps_it(tmp_path: Path) -> None:
         run.save(tmp_path / "run.npz")
         kept = pm.Rollout.load(tmp_path / "run.npz")
         assert (kept.engine, kept.fallback_reason) == (run.engine, run.fallback_reason)
-    # A file that was written before files told it.
-    with np.load(tmp_path / "run.npz") as file:
-        arrays = dict(file)
-    described = json.loads(str(arrays["plant"]))
-    del described["engine"], described["fallback_reason"]
-    np.savez(tmp_path / "old.npz", **arrays | {"plant": np.array(json.dumps(described))})
-    old = pm.Rollout.load(tmp_path / "old.npz")
-    assert (old.engine, old.fallback_reason) == ("", "")
-    np.testing.assert_array_equal(old.q, run.q)
 
 
 def test_traces_of_an_ensembles_file_say_it_too(tmp_path: Path) -> None:

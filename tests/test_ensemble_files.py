@@ -49,6 +49,9 @@ MADE: dict[str, pm.Ensemble] = {
 }
 
 
+SERIES = "t", "q", "v", "a", "u", "error"
+
+
 def saved(one: pm.Ensemble, tmp_path: Path) -> Path:
     one.save(tmp_path / "saved.npz")
     return tmp_path / "saved.npz"
@@ -59,7 +62,7 @@ def bits(one: pm.Ensemble) -> dict[str, Any]:
     arrays = {name: getattr(one, name) for name in (*PER_ROBOT, "counts")}
     arrays |= {f"drawn {name}": values for name, values in one.draws.items()}
     for i, trace in one.traces.items():
-        arrays |= {f"{name} of {i}": array for name, array in trace.arrays().items()}
+        arrays |= {f"{name} of {i}": getattr(trace, name) for name in SERIES}
     arrays |= {"grid": one.scenario.grid, "t": one.scenario.t}
     arrays |= {f"reference.{name}": part for name, part in one.scenario.reference._asdict().items()}
     return {name: (array.shape, array.dtype.str, array.tobytes()) for name, array in arrays.items()}
@@ -175,8 +178,8 @@ def test_with_its_scenario_a_loaded_ensemble_makes_robots_again(tmp_path: Path) 
     loaded = pm.Ensemble.load(path, scenario(spread=SPREAD | {"controller.mass": 30.0}))
     assert str(loaded) == str(DIVERGING)
     assert loaded.member(5).robot == DIVERGING.member(5).robot
-    for name, array in DIVERGING.trace(5).arrays().items():
-        np.testing.assert_array_equal(loaded.trace(5).arrays()[name], array)
+    for name in SERIES:
+        np.testing.assert_array_equal(getattr(loaded.trace(5), name), getattr(DIVERGING.trace(5), name))
     alone = pm.Ensemble.load(path)
     with pytest.raises(pm.InvalidArgument, match=r"^i is 60, expected at most 59$"):
         alone.trace(60)
@@ -295,11 +298,11 @@ def test_another_kind_of_file_is_refused_either_way(tmp_path: Path) -> None:
     path = saved(DIVERGING, tmp_path)
     DIVERGING.traces[3].save(tmp_path / "run.npz")
     with pytest.raises(
-        pm.InvalidArgument, match=r"run.npz', which is no 'pinmobile ensemble 4' archive: it is of another"
+        pm.InvalidArgument, match=r"run.npz', which is no 'pinmobile ensemble 5' archive: it is of another"
     ):
         pm.Ensemble.load(tmp_path / "run.npz")
     with pytest.raises(
-        pm.InvalidArgument, match=r"saved.npz', which is no 'pinmobile rollout 3' archive: it is of another"
+        pm.InvalidArgument, match=r"saved.npz', which is no 'pinmobile rollout 4' archive: it is of another"
     ):
         pm.Rollout.load(path)
 

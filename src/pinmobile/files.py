@@ -1,20 +1,25 @@
-"""Files written whole or not at all, archives looked at before they are read, and what refuses either."""
+"""Files written whole or not at all, the one format of archives, and what refuses either."""
 
 from __future__ import annotations
 
 import csv
+import dataclasses
 import errno
 import io
 import json
 import os
+import re
 import stat
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from enum import Enum
+from importlib import import_module
 from os import PathLike
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, TypeVar
 
+import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, location
@@ -22,6 +27,8 @@ from pinmobile.errors import FileError, InvalidArgument, PinmobileError
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
+
+_T = TypeVar("_T")
 
 # What a path is at fault for, and another one mends; all else is the system's: a full disk, a failing device.
 _OF_THE_PATH = frozenset(
@@ -224,48 +231,139 @@ def _dress_as(there: Path, descriptor: int) -> None:
     os.fchmod(descriptor, stat.S_IMODE(like.st_mode))
 
 
-def archive_of(
-    path: Path, form: str, description: str, kinds: Mapping[str, type]
-) -> tuple[dict[str, Any], Any]:
-    """Return the arrays of an archive that says its format, and what it says of itself beside them.
+_NAME = re.compile(r"[A-Za-z_][\w.]*", re.ASCII)
+
+
+def write_archive(path: str | PathLike[str], form: str, content: Mapping[str, Any]) -> None:
+    """Write a tree as a NumPy archive (``.npz``): its arrays by their paths, all else as JSON beside them.
 
     Parameters
     ----------
-    path : Path
-        The file; its checksums tell whether it is damaged.
+    path : str or path-like
+        The file; errors are those of `replacing`.
     form : str
-        What its array ``format`` says.
-    description : str
-        Name of the array that holds the description, as JSON.
-    kinds : mapping of str to type
-        All other arrays, and the type of their numbers.
+        Name and number of the format.
+    content : mapping of str to object
+        Arrays, numbers, text, tuples, mappings, and objects of the library's own classes of these.
+    """
+    arrays: dict[str, Any] = {}
+    described = json.dumps(_packed(dict(content), "", arrays))
+    with replacing(path) as file:
+        np.savez(file, allow_pickle=False, format=form, description=described, **arrays)
+
+
+def packed(value: object) -> str:
+    """Return a value as text, from which `unpacked` makes it again.
+
+    Raises
+    ------
+    TypeError
+        If an object in it is not of the library's own classes.
+    InvalidArgument
+        If an object in it cannot be made again.
+    """
+    return json.dumps(_packed(value, "", None))
+
+
+def unpacked(text: str) -> Any:
+    """Return the value that `packed` returned as text."""
+    return _unpacked(json.loads(text), {})
+
+
+def _packed(value: Any, path: str, arrays: dict[str, Any] | None) -> Any:
+    """Return a value as JSON has it; its arrays are put beside it, those of parts stand in it."""
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        if arrays is None:
+            return {"numbers": value.ravel().tolist(), "shape": value.shape, "dtype": value.dtype.str}
+        name = path if _NAME.fullmatch(path) and path not in arrays else f"array {len(arrays)}"
+        arrays[name] = value
+        return {"array": name}
+    if type(value) in (tuple, list):
+        return [_packed(each, f"{path}.{k}", arrays) for k, each in enumerate(value)]
+    if isinstance(value, Mapping):
+        return {"mapping": [[key, _packed(x, _join(path, key), arrays)] for key, x in value.items()]}
+    kind = type(value)
+    name = f"{kind.__module__}:{kind.__qualname__}"
+    if not _is_plain(kind):
+        raise TypeError(f"{name} is no class of the library that a file can keep")
+    if isinstance(value, Enum):
+        return {"type": name, "member": value.name}
+    own = {key: _packed(x, _join(path, key), None if attrs.has(kind) else arrays) for key, x in _kept(value)}
+    return {"type": name, "fields": own}
+
+
+def _join(path: str, key: object) -> str:
+    return f"{path}.{key}" if path else str(key)
+
+
+def _is_plain(kind: Any) -> bool:
+    """Return whether objects of a class are made of their fields, by the library's own code."""
+    if not isinstance(kind, type) or not kind.__module__.startswith("pinmobile."):
+        return False
+    return dataclasses.is_dataclass(kind) or attrs.has(kind) or issubclass(kind, Enum | tuple)
+
+
+def _kept(value: Any) -> Iterable[tuple[str, Any]]:
+    """Return what makes an object again, by argument: its fields, or what its method `kept` returns."""
+    if "restored" in vars(type(value)):
+        return dict(value.kept()).items()
+    if isinstance(value, tuple):
+        return zip(value._fields, value, strict=True)  # type: ignore[attr-defined]
+    if attrs.has(type(value)):
+        return [(f.alias, getattr(value, f.name)) for f in attrs.fields(type(value)) if f.init]
+    return [(f.name, getattr(value, f.name)) for f in dataclasses.fields(value) if f.init]
+
+
+def _unpacked(tree: Any, arrays: Mapping[str, Any]) -> Any:
+    if isinstance(tree, list):
+        return tuple(_unpacked(each, arrays) for each in tree)
+    if not isinstance(tree, dict):
+        return tree
+    if "array" in tree:
+        return arrays[tree["array"]]
+    if "numbers" in tree:
+        return np.array(tree["numbers"], tree["dtype"]).reshape(tree["shape"])
+    if "mapping" in tree:
+        return {key: _unpacked(each, arrays) for key, each in tree["mapping"]}
+    module, _, name = tree["type"].partition(":")
+    kind: Any = module.startswith("pinmobile.") and getattr(import_module(module), name)
+    if not _is_plain(kind):
+        raise ValueError(f"it has a {tree['type']}, expected a class of the library")
+    if "member" in tree:
+        return kind[tree["member"]]
+    fields = {key: _unpacked(each, arrays) for key, each in tree["fields"].items()}
+    return kind.restored(**fields) if "restored" in vars(kind) else kind(**fields)
+
+
+def read_archive(path: Path, form: str, make: Callable[[dict[str, Any]], _T]) -> _T:
+    """Return what a function makes of the content that `write_archive` wrote, its arrays read-only.
 
     Raises
     ------
     InvalidArgument
-        If it cannot be read, is damaged, or holds something else.
+        If the file cannot be read, is damaged, or holds something else.
     FileError
         If the system fails.
     """
-    wanted = {"format", description, *kinds}
     try:
-        with refusals("read", "path", path), path.open("rb") as file:
+        with path.open("rb") as file:
             if not zipfile.is_zipfile(file):  # else NumPy advises to load what may run code
                 raise ValueError("it is no .npz file, or its end is lost")
             file.seek(0)
             with np.load(file) as archive:
-                named = {name: archive[name] for name in wanted & set(archive)}
-        other = str(named["format"])
+                arrays = dict(archive)
+        other = str(arrays["format"])
         if other != form:
             raise ValueError(f"it is of another format, {other!r}")
-        missing = sorted(wanted - named.keys())
-        if missing:
-            raise ValueError(f"it has no {', '.join(missing)}")
-        del named["format"]
-        described = json.loads(str(named.pop(description)))
-        return {name: np.asarray(named[name], kind, order="C") for name, kind in kinds.items()}, described
-    except PinmobileError:
-        raise
+        for array in arrays.values():
+            array.setflags(write=False)
+        return make(_unpacked(json.loads(str(arrays["description"])), arrays))
+    except OSError as error:
+        raise cannot("read", "path", path, error) from error
     except Exception as error:  # whatever the bytes of a damaged file lead zipfile and NumPy to
-        why = str(error) or type(error).__name__
+        why = f"it has no {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
         raise InvalidArgument(f"path is {str(path)!r}, which is no {form!r} archive: {why}") from error

@@ -609,6 +609,8 @@ class PlantOutline:
         Entries of q that are x, y and psi of the body; None if unknown.
     size : tuple of 3 float, or None
         Length, width and height of the drawn box [m]; None: an arrowhead.
+    reason : str
+        Why a file does not have the robot itself; "" for a plant of a user's class.
     """
 
     kind: str
@@ -618,6 +620,7 @@ class PlantOutline:
     reference_sizes: Mapping[int, int]
     posed: tuple[int, ...] | None = None
     size: tuple[float, ...] | None = None
+    reason: str = field(default="", compare=False)
 
     @classmethod
     def of(cls, plant: object, q: Array) -> PlantOutline:

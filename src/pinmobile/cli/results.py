@@ -26,8 +26,9 @@ from pinmobile.cli.output import (
     save_figure,
 )
 from pinmobile.cli.scenario_file import Opened
-from pinmobile.loop import run_scenario, why_unknown
+from pinmobile.loop import run_scenario
 from pinmobile.metrics import in_words, metrics_of
+from pinmobile.plant import PlantOutline
 from pinmobile.sweeps import Axis, Points, connected, run_points
 
 _FILM = 10.0  # [s] that a film lasts at most
@@ -312,10 +313,10 @@ def show_live(words: Sequence[str], *, host: str, port: int | None, allow_code: 
 
 def _loaded(path: Path) -> Rollout:
     """Return a saved run, whose robot must be known: it would be missing."""
-    run, why = Rollout.load(path), why_unknown(path)
-    if why:
+    run = Rollout.load(path)
+    if isinstance(run.plant, PlantOutline) and run.plant.reason:
         raise InvalidArgument(
-            f"{str(path)!r} does not know its robot: {why}; in Python, "
+            f"{str(path)!r} does not know its robot: {run.plant.reason}; in Python, "
             "dataclasses.replace(rollout, plant=...) tells it"
         )
     return run

@@ -36,9 +36,6 @@ from pinmobile.loop._spread import (
     SameAs,
     Uniform,
 )
-from pinmobile.loop._storage import (
-    why_unknown as why_unknown,
-)
 from pinmobile.loop._variables import (
     LEVELS as LEVELS,
     NOTE as NOTE,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from itertools import zip_longest
 from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, frozen
+from pinmobile.arrays import Array
 from pinmobile.errors import shown
 from pinmobile.loop._loop import named_forces
 from pinmobile.loop._scenario import Scenario, checked_scenario, first_counted
@@ -106,7 +106,6 @@ def _titled(name: str, unit: str) -> str:
 
 _PARTS = ("robot", "controller", "trajectory", "integrator")
 _NUMBERS = ("n", "seed", "dt", "substeps", "limit", "after", "every")
-_SAMPLED = ("t", "reference")
 _PRINTED: dict[str, Any] = {  # arrays with all digits, whatever options the user has set
     **{"precision": 17, "threshold": 1000, "edgeitems": 3, "suppress": False, "floatmode": "maxprec"},
     **{"sign": "-", "formatter": None, "nanstr": "nan", "infstr": "inf", "legacy": False},
@@ -177,7 +176,9 @@ class Outline:
         if isinstance(scenario, Outline):
             return scenario
         given = checked_scenario(scenario)
-        same: dict[str, Any] = {name: getattr(given, name) for name in (*_NUMBERS, "parameters", *_SAMPLED)}
+        same: dict[str, Any] = {
+            name: getattr(given, name) for name in (*_NUMBERS, "parameters", "t", "reference")
+        }
         same["every"] = given.stride
         parts: dict[str, Any] = {name: _words(getattr(given, name)) for name in _PARTS}
         forces, spread = tuple(map(_words, named_forces(given.forces).values())), given.spread.items()
@@ -190,27 +191,6 @@ class Outline:
             inputs=tuple(Input(*one[:2]) for one in given.inputs),
             recorded_metrics=given.recorded_metrics,
         )
-
-    @classmethod
-    def from_description(cls, described: Mapping[str, Any], t: Array, reference: Reference) -> Outline:
-        """Return the scenario of a `description`."""
-        spread = described["spread"].items()
-        given: dict[str, Any] = {
-            "forces": tuple(described["forces"]),
-            "spread": {name: SameAs(*one) if isinstance(one, list) else one for name, one in spread},
-            "parameters": {name: Parameter(*one) for name, one in described["parameters"].items()},
-            "coordinates": tuple(Coordinate(*one) for one in described["coordinates"]),
-            "inputs": tuple(Input(*one) for one in described["inputs"]),
-            "recorded_metrics": tuple(Metric(*one) for one in described["recorded_metrics"]),
-        }
-        return cls(**{**described, **given}, t=frozen(t), reference=Reference(*map(frozen, reference)))
-
-    def description(self) -> dict[str, Any]:
-        """Return all but times and reference, as JSON can hold it."""
-        found = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in _SAMPLED}
-        spread = self.spread.items()
-        same = {name: [one.name, one.factor] for name, one in spread if isinstance(one, SameAs)}
-        return found | {"spread": {**self.spread, **same}}
 
     @property
     def begin(self) -> int:

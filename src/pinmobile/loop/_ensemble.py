@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, location, one_of, whole
 from pinmobile.errors import Diverged, InvalidArgument
-from pinmobile.files import replacing, write_table
+from pinmobile.files import read_archive, write_archive, write_table
 from pinmobile.loop._counts import Member, Part, checked_levels, checked_share, member_of, share_within
 from pinmobile.loop._description import Outline, alike, judgement, ranges
 from pinmobile.loop._rollout import Rollout
@@ -21,11 +21,12 @@ from pinmobile.loop._simulate import simulate
 from pinmobile.loop._variables import (
     PER_ROBOT,
     columns_of,
+    content_of,
     dataset_of,
     quantiles_of,
-    read_ensemble,
-    write_ensemble,
 )
+
+_FORMAT = "pinmobile ensemble 5"
 
 
 @dataclass(frozen=True, eq=False)
@@ -350,8 +351,7 @@ class Ensemble:
         FileError
             If the system fails, such as of a full disk; what was there is there still.
         """
-        with replacing(path) as file:
-            write_ensemble(file, self)
+        write_archive(path, _FORMAT, content_of(self))
 
     @classmethod
     def load(cls, path: str | PathLike[str], scenario: Scenario | None = None) -> Ensemble:
@@ -374,7 +374,7 @@ class Ensemble:
         """
         file = location("path", path)
         known = None if scenario is None else Outline.of(checked_scenario(scenario))
-        made = cls(**read_ensemble(file))
+        made = read_archive(file, _FORMAT, cls._of_content)
         if scenario is None or known is None:
             return made
         found = made.scenario.difference(known)
@@ -385,6 +385,12 @@ class Ensemble:
         if found:
             raise InvalidArgument(f"scenario is not that of {str(file)!r}: {found}")
         return replace(made, scenario=scenario)
+
+    @classmethod
+    def _of_content(cls, content: dict[str, Any]) -> Ensemble:
+        del content["variables"]
+        traces = {i: Rollout.of(each) for i, each in content.pop("traces").items()}
+        return cls(**content, traces=traces)
 
     def to_xarray(self) -> Any:
         """Return the records as an xarray.Dataset, with the names that they have in the store of a sweep.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from os import PathLike
 from types import MappingProxyType
@@ -13,13 +13,13 @@ import numpy as np
 
 from pinmobile.arrays import Array, finite, frozen, increasing, location, real, shaped
 from pinmobile.errors import InvalidArgument
-from pinmobile.files import replacing, write_table
+from pinmobile.files import packed, read_archive, unpacked, write_archive, write_table
 from pinmobile.loop._end_effector import EndEffector, aimed_at, end_effector_of
-from pinmobile.loop._storage import read_archive, write_archive
 from pinmobile.metrics import evaluate_metrics_of, in_words, metrics_of
 from pinmobile.plant import (
     Coordinate,
     Input,
+    PlantOutline,
     all_samples,
     configuration_names_of,
     coordinates_of,
@@ -34,6 +34,7 @@ from pinmobile.trajectories import Reference
 
 _POSE = 3  # x, y, psi
 _RECORDED = ("t", "q", "v", "a", "u", "error")
+_FORMAT = "pinmobile rollout 4"
 _GROUND = {
     "tips": "no loads of wheels and supports balance the robot: it tips over, which is not simulated",
     "missed": "loads and forces of the ground were not found to their tolerance",
@@ -52,8 +53,8 @@ class Rollout:
     Attributes
     ----------
     plant : MobileRobot or other plant
-        What was simulated. Of a file whose plant is no `MobileRobot`, or one whose arm is no loader's and has
-        no URDF that is still there, a `pinmobile.plant.PlantOutline`: its names and units.
+        What was simulated. Of a file whose plant is of a user's class, or has an arm that is no loader's and
+        has no URDF that is still there, a `pinmobile.plant.PlantOutline`: its names and units.
     t : ndarray, shape (N + 1,)
         Times [s].
     q : ndarray, shape (N + 1, nq)
@@ -124,15 +125,8 @@ class Rollout:
         return len(self.t)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        arrays = (getattr(self, name) for name in _RECORDED)
-        return Rollout, (
-            self.plant,
-            *arrays,
-            self.reference,
-            dict(self.signals),
-            self.engine,
-            self.fallback_reason,
-        )
+        own = {each.name: getattr(self, each.name) for each in fields(self)}
+        return Rollout, tuple((own | {"signals": dict(self.signals)}).values())
 
     def __repr__(self) -> str:
         errors = self._errors("largest", self.max_error())
@@ -334,20 +328,30 @@ class Rollout:
         FileError
             If the system fails, such as of a full disk; what was there is there still.
         """
-        with replacing(path) as file:
-            write_archive(file, self)
+        write_archive(path, _FORMAT, self.content())
 
-    def arrays(self) -> dict[str, Array]:
-        """Return all arrays by the names that they have in a file, those of the reference among them."""
-        reference = {f"reference_{name}": array for name, array in self.reference._asdict().items()}
-        return {name: getattr(self, name) for name in _RECORDED} | reference
+    def content(self) -> dict[str, Any]:
+        """Return all that a file keeps: a robot of the library as text, of another plant its outline."""
+        own, plant = {each.name: getattr(self, each.name) for each in fields(self)}, ""
+        outline = None if self.plant is None else PlantOutline.of(self.plant, self.q)
+        try:
+            plant = "" if outline is self.plant else packed(self.plant)
+        except TypeError:  # a user's class
+            pass
+        except InvalidArgument as error:
+            outline = outline and replace(outline, reason=str(error))
+        return own | {"plant": plant, "outline": outline}
 
     @classmethod
-    def of(cls, arrays: Mapping[str, Array], **made: Any) -> Rollout:
-        """Return the rollout that has the arrays of `arrays`; plant, signals and the rest by name."""
-        reference = Reference(*(arrays[f"reference_{name}"] for name in Reference._fields))
-        named: dict[str, Any] = {name: arrays[name] for name in _RECORDED}
-        return cls(reference=reference, **named, **made)
+    def of(cls, content: Mapping[str, Any]) -> Rollout:
+        """Return the rollout that has some `content`; of a robot that cannot be had again, the outline."""
+        own = dict(content)
+        outline = own.pop("outline")
+        try:
+            own["plant"] = unpacked(own["plant"]) if own["plant"] else outline
+        except Exception as error:  # of an arm's file that is gone, or a robot of another release
+            own["plant"] = replace(outline, reason=str(error))
+        return cls(**own)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Rollout:
@@ -360,12 +364,7 @@ class Rollout:
         FileError
             If the system fails.
         """
-        file = location("path", path)
-        arrays, made = read_archive(file)
-        try:
-            return cls.of(arrays, **made)
-        except InvalidArgument as error:
-            raise InvalidArgument(f"path is {str(file)!r}, which holds no rollout: {error}") from error
+        return read_archive(location("path", path), _FORMAT, cls.of)
 
     def to_csv(self, path: str | PathLike[str]) -> None:
         """Write one line per sample, with a header and 17 significant digits.

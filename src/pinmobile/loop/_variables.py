@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import IO, Any, NamedTuple
+from dataclasses import fields
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
 from pinmobile.errors import imported
-from pinmobile.files import archive_of
 from pinmobile.loop._counts import edges, quantiles
 from pinmobile.loop._description import Outline
-from pinmobile.loop._rollout import Rollout
 from pinmobile.loop._scenario import Scenario
-from pinmobile.loop._storage import RECORDED, described_run, restored_run, signal_columns
 from pinmobile.metrics import Metric
 from pinmobile.plant import Parameter
-from pinmobile.trajectories import Reference
 
 LEVELS = (0.5, 0.9, 0.99)
 """Shares of the robots for which the quantiles over time are kept."""
@@ -239,92 +234,12 @@ def _arrays(ensemble: Any) -> Iterator[tuple[str, Variable, Array]]:
         yield name, one, getattr(ensemble, name) if name in PER_ROBOT else draws[name]
 
 
-_FORMAT = "pinmobile ensemble 4"
-_REFERENCE = tuple(f"reference_{name}" for name in Reference._fields)
-_TRACE = tuple(f"trace_{name}" for name in RECORDED)
-_KINDS: Mapping[str, type] = {
-    **dict.fromkeys(("t", *_REFERENCE, "draws", *PER_ROBOT), np.float64),
-    "counts": np.int32,
-    **dict.fromkeys((*_TRACE, "trace_signals"), np.float64),
-}
-
-
-def write_ensemble(file: IO[bytes], ensemble: Any) -> None:
-    """Write an ensemble.
-
-    The archive has the arrays of `PER_ROBOT` and ``counts``; ``draws`` with a row for each parameter; the
-    traces one after the other, as ``trace_t`` and so on; times and reference; and ``description``,
-    which describes these and the parts, as JSON.
-
-    Parameters
-    ----------
-    file : binary file
-        Where to.
-    ensemble : Ensemble
-        What is written.
-    """
-    outline, traces = Outline.of(ensemble.scenario), ensemble.traces
-    variables = {**per_robot(outline), **drawn(outline.parameters)}
-    described = {
-        "scenario": outline.description(),
-        "engine": ensemble.engine,
-        "fallback_reason": ensemble.fallback_reason,
-        "variables": {name: one._asdict() for name, one in variables.items()},
-        "traces": [
-            {"index": i, "samples": len(one), "plant": described_run(one)} for i, one in traces.items()
-        ],
-    }
-    recorded = [one.arrays() for one in traces.values()]
-    beside = [signal_columns(one.signals, len(one)) for one in traces.values()]
-    empty = {name: np.zeros(0 if name == "t" else (0, len(outline.coordinates))) for name in RECORDED}
-    np.savez(
-        file,
-        allow_pickle=False,
-        format=_FORMAT,
-        description=json.dumps(described),
-        t=outline.t,
-        **dict(zip(_REFERENCE, outline.reference, strict=True)),
-        draws=np.array(list(ensemble.draws.values())).reshape(len(ensemble.draws), len(ensemble)),
-        **{name: getattr(ensemble, name) for name in (*PER_ROBOT, "counts")},
-        **{
-            of: np.concatenate([one[name] for one in recorded or [empty]])
-            for of, name in zip(_TRACE, RECORDED, strict=True)
-        },
-        trace_signals=np.concatenate(beside or [np.zeros((0, 0))]),
-    )
-
-
-def read_ensemble(path: Path) -> dict[str, Any]:
-    """Return the fields of the `Ensemble` that `write_ensemble` wrote.
-
-    Raises
-    ------
-    InvalidArgument
-        If the file cannot be read or is no such archive.
-    FileError
-        If the system fails.
-    """
-    named, described = archive_of(path, _FORMAT, "description", _KINDS)
-    reference = Reference(*(named[name] for name in _REFERENCE))
-    outline = Outline.from_description(described["scenario"], named["t"], reference)
-    return {
+def content_of(ensemble: Any) -> dict[str, Any]:
+    """Return all that a file of an ensemble keeps: its scenario in words, and what each array is."""
+    outline = Outline.of(ensemble.scenario)
+    own = {each.name: getattr(ensemble, each.name) for each in fields(ensemble)}
+    return own | {
         "scenario": outline,
-        "engine": described["engine"],
-        "fallback_reason": described["fallback_reason"],
-        "draws": dict(zip(outline.parameters, named["draws"], strict=True)),
-        "traces": _traces(named, described["traces"]),
-        **{name: named[name] for name in (*PER_ROBOT, "counts")},
+        "traces": {i: trace.content() for i, trace in ensemble.traces.items()},
+        "variables": {**per_robot(outline), **drawn(outline.parameters)},
     }
-
-
-def _traces(named: Mapping[str, Array], described: Sequence[Mapping[str, Any]]) -> dict[int, Rollout]:
-    """Return the traces, by the index of their robot."""
-    found: dict[int, Rollout] = {}
-    start = 0
-    for one in described:
-        stop = start + one["samples"]
-        arrays = {name: named[of][start:stop] for of, name in zip(_TRACE, RECORDED, strict=True)}
-        made = restored_run(one["plant"], named["trace_signals"][start:stop])
-        found[one["index"]] = Rollout.of(arrays, **made)
-        start = stop
-    return found

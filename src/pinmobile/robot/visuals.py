@@ -39,6 +39,16 @@ class VisualFile(NamedTuple):
     package_dirs: tuple[Path, ...] = ()
     base: tuple[float, ...] = ()
 
+    def kept(self) -> dict[str, object]:
+        """Return the arguments of `restored`, as files keep them."""
+        folders = tuple(map(str, self.package_dirs))
+        return {"path": str(self.path), "package_dirs": folders, "base": self.base}
+
+    @classmethod
+    def restored(cls, path: str, package_dirs: tuple[str, ...], base: tuple[float, ...]) -> VisualFile | None:
+        """Return the file again; None where it is no longer there."""
+        return cls(Path(path), tuple(map(Path, package_dirs)), base) if isfile(path) else None
+
     def found(self, name: str) -> Path | None:
         """Return where a mesh lies, or None where it is not there."""
         scheme, apart, rest = name.rpartition("://")
