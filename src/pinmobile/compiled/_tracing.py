@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import CellType, CodeType, ModuleType, TracebackType
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from pinmobile.compiled.functions import constructors
 from pinmobile.errors import NotTraceable
 from pinmobile.parts import TRACING as _local, is_tracing
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
 _lock = threading.RLock()
 _HERE = str(Path(__file__).parent)
 _LIBRARY = str(Path(__file__).parents[1])
@@ -30,17 +29,6 @@ FOREIGN = (
     | sys.stdlib_module_names
 )
 """Packages that hold no laws."""
-
-
-def untraced(function: _Function) -> _Function:
-    """Let a function that reads what tracing replaces wait until no other thread traces."""
-
-    @functools.wraps(function)
-    def run(*given: Any, **options: Any) -> Any:
-        with _lock:
-            return function(*given, **options)
-
-    return run  # type: ignore[return-value]
 
 
 def _guarded(true: Callable[..., Any], other: Callable[..., Any]) -> Callable[..., Any]:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import functools
-import json
 from dataclasses import dataclass, field
-from typing import Any
 
 from pinmobile.compiled.folding import ROBOT, SAMPLE, STATE
 from pinmobile.compiled.tape import Tape, needed, operands
@@ -137,45 +135,3 @@ class LoopTape:
         kept = [node for _, nodes in self.kept.values() for node in nodes]
         pushed = [node for ring in self.rings for node in (ring.node, ring.pushed)]
         return [node for pair in self.states for node in pair] + pushed + self.counted + kept
-
-    def packed(self, **others: object) -> bytes:
-        """Return the loop, and what is to be kept beside it, as JSON."""
-        tape = self.tape
-        found = {name: getattr(self, name) for name in _PLAIN} | {
-            "operations": tape.operations,
-            "types": "".join(tape.types),
-            "depends": tape.depends,
-            "leaves": [vars(leaf) for leaf in self.leaves],
-            "parameters": [[path, vars(leaf)] for path, leaf in self.parameters.items()],
-            "rings": [vars(ring) for ring in self.rings],
-            "kept": [[name, *each] for name, each in self.kept.items()],
-        }
-        return json.dumps({"loop": found, **others}, separators=(",", ":")).encode()
-
-    @classmethod
-    def unpacked(cls, data: bytes) -> tuple[LoopTape, dict[str, Any]]:
-        """Return the loop of `packed`, and what was kept beside it."""
-        others = json.loads(data)
-        found = others.pop("loop")
-        operations = [*map(tuple, found.pop("operations"))]
-        tape = Tape.of(operations, [*found.pop("types")], found.pop("depends"))
-        own, tabled = found.pop("own"), found.pop("tabled")
-        found["states"] = [(now, after) for now, after in found["states"]]
-        found["leaves"] = [_leaf(each) for each in found["leaves"]]
-        found["parameters"] = {path: _leaf(each) for path, each in found["parameters"]}
-        found["rings"] = [Ring(**each) for each in found["rings"]]
-        found["kept"] = {name: (tuple(shape), nodes) for name, shape, nodes in found["kept"]}
-        found["sizes"] = tuple(found["sizes"])
-        loop = cls(tape=tape, **found)
-        vars(loop).update(own=own, tabled=tabled)
-        return loop, others
-
-
-_PLAIN = (
-    *("states", "uniforms", "rows", "keys", "counted", "scheduled", "sizes", "tracks", "units", "unused"),
-    *("own", "tabled"),
-)
-
-
-def _leaf(found: dict[str, Any]) -> Leaf:
-    return Leaf(**{**found, "shape": tuple(found["shape"])})

@@ -180,6 +180,9 @@ class Tape:
                 tape._keep(index, operation)
         return tape
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Tape.of, (self.operations, self.types, self.depends)
+
     def _keep(self, index: int, operation: _Operation) -> None:
         """Keep the value of a constant."""
         self._values[index] = _bits_float(operation[2]) if operation[1] == "f" else operation[2]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import LOOP, Cache, Identity, LoopTape, Outcome, Program, Shape, Target, uncollected
+from pinmobile.compiled import LOOP, Cache, Identity, LoopTape, Outcome, Program, Target, uncollected
 from pinmobile.loop._loop import Loop
 from pinmobile.loop._trace import (
     arrays_of,
@@ -91,8 +92,7 @@ class Compiled:
                 )
                 program = Program(tape, target, single=single, cache=cache)
                 if name is not None:
-                    beside = {"shape": [program.shape.lanes, program.shape.vectors], "key": program.key}
-                    cache.write(name, program.tape.packed(**beside), LOOP)
+                    cache.write(name, pickle.dumps((program.tape, program.shape, program.key)), LOOP)
         self.program = program
         with _lock:
             _programs[identity.key] = program, identity.kept
@@ -162,12 +162,8 @@ class Compiled:
 
 def _read(cache: Cache, name: str, target: Target) -> Program | None:
     """Return a program that another process has traced, or None."""
-    data = cache.read(name, LOOP)
-    if data is None:
+    try:  # as trustworthy as the machine code beside it: the user's own
+        tape, shape, key = pickle.loads(cache.read(name, LOOP) or b"")
+    except Exception:  # there is none, or somebody wrote it by hand
         return None
-    try:
-        tape, beside = LoopTape.unpacked(data)
-        shape, key = Shape(*beside["shape"]), str(beside["key"])
-    except (ValueError, KeyError, TypeError, AttributeError):
-        return None  # somebody wrote it by hand
     return Program(tape, target, shape, cache=cache, key=key)
