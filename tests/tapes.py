@@ -12,20 +12,8 @@ from pinmobile.compiled.tape import Tape
 
 def compiled(tape: Tape, node: int, x: Any, target: Target, shape: Shape, *, key: bool = False) -> Array:
     """Return the value of a node for each value of the first row, or key."""
-    loop = LoopTape(
-        tape=tape,
-        states=[],
-        leaves=[],
-        parameters={},
-        uniforms=1,
-        rows=0 if key else 1,
-        keys=["x"] if key else [],
-        rings=[],
-        counted=[],
-        kept={"y": ((), [node])},
-        sizes=(0, 0, 0, 0, 0),
-        unused=[],
-    )
+    names = ["x"] if key else []
+    loop = LoopTape(tape, {"y": ((), [node])}, uniforms=1, rows=len(names) ^ 1, keys=names)
     program = Program(loop, target, shape, cache=Cache(""))
     width, n = shape.width, len(x)
     blocks = -(-n // width)

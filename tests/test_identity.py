@@ -24,7 +24,7 @@ from pinmobile.compiled.processor import LOOP
 from pinmobile.forces import NoiseForce
 from pinmobile.integrators import semi_implicit_euler
 from pinmobile.loop import _program
-from pinmobile.loop._trace import traced
+from pinmobile.loop._trace import Trace
 
 ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05))
 CIRCLE = pm.Tangent(pm.Circle(2.0, 0.2, 1.0))
@@ -36,12 +36,12 @@ class Process:
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.folder, self.traced = folder, 0
         monkeypatch.setenv("PINMOBILE_CACHE", str(folder))
-        monkeypatch.setattr(_program, "traced", self._trace)
+        monkeypatch.setattr(_program, "Trace", self._trace)
         self.begin()
 
-    def _trace(self, *given: Any, **options: Any) -> Any:
+    def _trace(self, *given: Any) -> Trace:
         self.traced += 1
-        return traced(*given, **options)
+        return Trace(*given)
 
     def begin(self) -> None:
         _program._programs.clear()

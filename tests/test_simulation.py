@@ -470,7 +470,7 @@ def test_files_that_cannot_be_written_or_read_are_refused_by_name(tmp_path: Path
         with pytest.raises(pm.InvalidArgument, match="bad"):
             pm.Rollout.load(tmp_path / "bad")
     np.savez(tmp_path / "other.npz", x=np.zeros(3))
-    with pytest.raises(pm.InvalidArgument, match="which is no 'pinmobile rollout 3' archive"):
+    with pytest.raises(pm.InvalidArgument, match="which is no 'pinmobile rollout 4' archive"):
         pm.Rollout.load(tmp_path / "other.npz")
 
 

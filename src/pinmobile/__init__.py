@@ -60,7 +60,6 @@ _NAMES = {
         ),
         "derivation": "",
         "dh": "",
-        "divergence": "",
         "errors": "Diverged InvalidArgument PinmobileError",
         "files": "",
         "forces": "ConstantForce JointFriction RollingResistance ViscousFriction",

@@ -41,8 +41,6 @@ from pinmobile.compiled.symbolic import (
 )
 from pinmobile.compiled.tape import (
     COUNT as COUNT,
-    LARGEST as LARGEST,
-    Known as Known,
     Node as Node,
     Tape as Tape,
     choose as choose,

@@ -15,7 +15,7 @@ from pinmobile.compiled.loop_tape import Leaf, LoopTape
 from pinmobile.compiled.processor import Cache, processors
 from pinmobile.compiled.program import Program, aligned
 from pinmobile.compiled.symbolic import entries, symbols
-from pinmobile.compiled.tape import LARGEST, Node, Tape
+from pinmobile.compiled.tape import Tape
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
 
 _CLOSE = 1e-7  # of the largest number of an answer: forward dynamics lose the digits of M's condition
@@ -136,7 +136,7 @@ class _Compiled:
         cache: Cache,
     ) -> None:
         self.shapes, self.several = shapes, several
-        tape, given = Tape(LARGEST), []
+        tape, given = Tape(), []
         counts = {"row": 0, "uniform": 1}  # the first uniform is a loop's step
         for shape, own in zip(shapes, several, strict=True):
             kind, size = "row" if own else "uniform", prod(shape)
@@ -147,10 +147,8 @@ class _Compiled:
             answer = function(*given)
         self.is_tuple, kept = isinstance(answer, tuple), {}
         for i, output in enumerate(answer if isinstance(answer, tuple) else (answer,)):
-            nodes = [x if type(x) is Node else tape.const(x) for x in entries(output).reshape(-1)]
-            numbers = [tape.apply("select", x, 1.0, 0.0) if x.kind == "b" else x for x in nodes]
-            kept[str(i)] = entries(output).shape, [x.index for x in numbers]
-        loop = LoopTape(tape, [], [], {}, counts["uniform"], counts["row"], [], [], [], kept, (0,) * 5, [])
+            kept[str(i)] = entries(output).shape, [*map(tape.number, entries(output).reshape(-1))]
+        loop = LoopTape(tape, kept, uniforms=counts["uniform"], rows=counts["row"])
         self.program = Program(loop, cache=cache)
 
     def __call__(self, arrays: Sequence[Array], lead: tuple[int, ...]) -> tuple[Array, ...]:

@@ -51,22 +51,22 @@ class LoopTape:
     ----------
     tape : Tape
         All operations of a sample.
+    kept : dict of str to (tuple of int, list of int)
+        Shape and nodes of what is kept of every sample.
+    uniforms, rows : int
+        How many numbers of the run, and of each robot, there are; the first uniform is the step [s].
     states : list of (int, int)
         Nodes of each number of the state: now, and at the next sample; q, v and the memory.
     leaves : list of Leaf
         The arrays of the memory.
     parameters : dict of str to Leaf
         Where each parameter stands.
-    uniforms, rows : int
-        How many numbers of the run, and of each robot, there are; the first uniform is the step [s].
     keys : list of str
         Names of the noises.
     rings : list of Ring
         Delayed numbers.
     counted : list of int
         Nodes whose sizes are counted.
-    kept : dict of str to (tuple of int, list of int)
-        Shape and nodes of what is kept of every sample.
     sizes : (int, int, int, int, int)
         nq, nv, nu, and the numbers of the reference's q and v.
     unused : list of str
@@ -80,17 +80,17 @@ class LoopTape:
     """
 
     tape: Tape
-    states: list[tuple[int, int]]
-    leaves: list[Leaf]
-    parameters: dict[str, Leaf]
+    kept: dict[str, tuple[tuple[int, ...], list[int]]]
     uniforms: int
     rows: int
-    keys: list[str]
-    rings: list[Ring]
-    counted: list[int]
-    kept: dict[str, tuple[tuple[int, ...], list[int]]]
-    sizes: tuple[int, int, int, int, int]
-    unused: list[str]
+    states: list[tuple[int, int]] = field(default_factory=list)
+    leaves: list[Leaf] = field(default_factory=list)
+    parameters: dict[str, Leaf] = field(default_factory=dict)
+    keys: list[str] = field(default_factory=list)
+    rings: list[Ring] = field(default_factory=list)
+    counted: list[int] = field(default_factory=list)
+    sizes: tuple[int, int, int, int, int] = (0, 0, 0, 0, 0)
+    unused: list[str] = field(default_factory=list)
     tracks: int = 0
     units: dict[str, str] = field(default_factory=dict)
     scheduled: int = 0

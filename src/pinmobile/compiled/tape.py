@@ -228,6 +228,11 @@ class Tape:
             return self._node("f", 0, ("const", "f", float_bits(float(value))))
         return self._node(kind, 0, ("const", kind, bool(value) if kind == "b" else int(value) & (2**64 - 1)))
 
+    def number(self, x: Node | Known) -> int:
+        """Return the index of a number, known or not; of a truth value that of 1 or 0."""
+        node = self._as(x, "f") if type(x) is Node else self.const(x)
+        return node.index
+
     def at(self, index: int) -> Node:
         """Return the node of an index."""
         return Node(self, index)

@@ -15,11 +15,11 @@ from pinmobile.arrays import Array
 from pinmobile.compiled import LOOP, Cache, Identity, LoopTape, Outcome, Program, Target, uncollected
 from pinmobile.loop._loop import Loop
 from pinmobile.loop._trace import (
+    Trace,
     arrays_of,
     initial_memories,
     initial_memory,
     scheduled_rows,
-    traced,
     traced_numbers,
 )
 from pinmobile.plant import Context
@@ -83,14 +83,8 @@ class Compiled:
             name = identity.digest if cache.folder is not None else None
             program = None if name is None else _read(cache, name, target)
             if program is None:
-                tape = traced(
-                    *(loop, context, start, reference),
-                    dt=context.dt,
-                    identity=identity,
-                    spread=self.spread,
-                    own_reference=own_reference,
-                )
-                program = Program(tape, target, single=single, cache=cache)
+                trace = Trace(loop, context, start, reference, identity, self.spread, own_reference)
+                program = Program(trace.result(), target, single=single, cache=cache)
                 if name is not None:
                     cache.write(name, pickle.dumps((program.tape, program.shape, program.key)), LOOP)
         self.program = program

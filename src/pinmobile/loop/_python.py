@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import partial
 from math import prod
 from typing import Any, NamedTuple
@@ -11,15 +11,14 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled import aligned, leaves, mapped, robot_keys
-from pinmobile.divergence import is_alive
 from pinmobile.errors import InvalidArgument, NotFinite
-from pinmobile.loop._loop import NOTHING, Loop, Record, Sample, advance, collected_signals, initial, step
+from pinmobile.loop._loop import Loop, Record, Sample, advance, collected_signals, initial, step
 from pinmobile.loop._program import Compiled
-from pinmobile.loop._record import Samples
+from pinmobile.loop._record import Samples, is_alive
 from pinmobile.loop._trace import initial_memory, traced_numbers
 from pinmobile.parts import array, child, evolved, part
 from pinmobile.plant import Context, stated
-from pinmobile.signals import Recorder, Signal
+from pinmobile.signals import Claim, Signal
 from pinmobile.trajectories import Reference
 
 _U = "controller.u"
@@ -211,64 +210,94 @@ def error_of_sizes(context: Context, error: InvalidArgument) -> InvalidArgument:
     )
 
 
-class _Signals:
-    """A recorder of signals, without memory."""
+class Run:
+    """All samples of a loop, and whether they are finite and near the reference.
 
-    signals, errors = True, False
+    Parameters
+    ----------
+    loop : Loop
+        The closed loop.
+    context : Context
+        Argument of the controller's `initial_state`; the reference is sampled at its times.
+    """
 
-    def initial_state(self, n: int, nu: int) -> None:
-        return None
+    stopped: NotFinite | None = None
 
-    def __call__(self, sample: Sample, state: None) -> Record:
-        return NOTHING
+    def __init__(self, loop: Loop, context: Context) -> None:
+        reference = context.reference
+        self.desired = np.hstack([reference.q, reference.v])
+        self.adds = stated(loop.plant, "is_vector_space") and reference.v.shape[1] == loop.plant.nv
+        self.kept: dict[str, Array] = {}
+        self.units: Mapping[str, str] = {}
 
-
-class PythonRun:
-    """All samples of a loop in Python: see `in_python`."""
-
-    def __init__(self, loop: Loop, context: Context, q0: Array, v0: Array) -> None:
-        plant, t, reference = loop.plant, context.t, context.reference
-        loop = evolved(loop, {"recorder": _Signals()})
-        self._adds = stated(plant, "is_vector_space") and reference.v.shape[1] == plant.nv
-        self._desired = np.hstack([reference.q, reference.v])
-        sizes = plant.nq, plant.nv, plant.nv, plant.nu
-        self._rows = tuple(np.full((len(t), size), np.nan) for size in sizes)
-        self._samples = in_python(loop, context, q0, v0)
-        self._recorder = Recorder(t.tolist()) if loop.signals else None
-        self.stopped: NotFinite | None = None
-
-    def run(self, begin: int, end: int) -> None:
-        """Fill the samples from `begin` to before `end`."""
-        q, v, a, u = self._rows
-        try:
-            for k, (sample, _) in zip(range(begin, end), self._samples, strict=False):
-                q[k], v[k], a[k], u[k] = sample.q, sample.v, sample.a, sample.u
-                if self._recorder is not None:
-                    self._recorder(k, sample.signals)
-        except NotFinite as error:
-            self.stopped = error  # the rest stays empty
+    def fill(self, begin: int, end: int) -> None:
+        """Have the samples from `begin` to before `end`."""
 
     def samples(self, begin: int, end: int) -> tuple[Array, Array, Array, Array]:
         """Return q, v, a and u of the samples, one row each."""
-        q, v, a, u = (part[begin:end] for part in self._rows)
+        q, v, a, u = (self.kept[name][begin:end] for name in ("q", "v", "a", "u"))
         return q, v, a, u
 
     def signals(self, end: int) -> dict[str, Signal]:
         """Return the signals of the samples before `end`, by name."""
-        return {} if self._recorder is None else self._recorder.signals(end)
+        return {name: Signal(unit, self.kept[f"signal {name}"][:end]) for name, unit in self.units.items()}
 
     @np.errstate(over="ignore", invalid="ignore")  # an overflow is not fine
     def is_fine(self, begin: int, end: int, limit: float) -> bool:
         """Return whether the samples are finite and near the reference; if in doubt, False."""
-        if not self._adds:
+        if not self.adds:
             return False
         q, v, a, u = self.samples(begin, end)
-        errors = self._desired[begin:end] - np.hstack([q, v])  # on the circle they are less
+        errors = self.desired[begin:end] - np.hstack([q, v])  # on the circle they are less
         return bool(is_alive(errors, limit, u, a).all())
 
 
-class CompiledRun(PythonRun):
-    """The samples of a compiled loop; it has run when it is made.
+class PythonRun(Run):
+    """A run in Python, sample by sample: see `in_python`."""
+
+    def __init__(self, loop: Loop, context: Context, q0: Array, v0: Array) -> None:
+        super().__init__(loop, context)
+        self._times = context.t.tolist()
+        self._samples = in_python(evolved(loop, {"recorder": Samples()}), context, q0, v0)
+        sizes = {"q": loop.plant.nq, "v": loop.plant.nv, "a": loop.plant.nv, "u": loop.plant.nu}
+        self.kept = {name: np.full((len(context.t), size), np.nan) for name, size in sizes.items()}
+        self._first: Mapping[str, Claim] = {}
+
+    def fill(self, begin: int, end: int) -> None:
+        """Compute the samples from `begin` to before `end`; after one that is not finite there are none."""
+        q, v, a, u = self.samples(0, len(self._times))
+        try:
+            for k, (sample, record) in zip(range(begin, end), self._samples, strict=False):
+                q[k], v[k], a[k], u[k] = sample.q, sample.v, sample.a, sample.u
+                if sample.signals or self._first:
+                    self._keep(k, sample.signals, record.units)
+        except NotFinite as error:
+            self.stopped = error  # the rest stays empty
+
+    def _keep(self, k: int, found: Mapping[str, Claim], units: Mapping[str, str]) -> None:
+        """Keep the signals of sample k, which have the names, units and shapes of the first sample."""
+        if not k:
+            self._first, self.units, rows = found, units, len(self._times)
+            for name, each in found.items():
+                self.kept[f"signal {name}"] = np.full((rows, *each.value.shape), np.nan)
+        for name in {**self._first, **found}:
+            now, before = (
+                f"of unit {claims[name].unit!r} and shape {claims[name].value.shape}"
+                if name in claims
+                else "not there"
+                for claims in (found, self._first)
+            )
+            if now != before:
+                part = (found.get(name) or self._first[name]).part
+                raise InvalidArgument(
+                    f"{part}.signals[{name!r}] is {now} at t = {self._times[k]:g} s, expected {before} as at "
+                    "first"
+                )
+            self.kept[f"signal {name}"][k] = found[name].value
+
+
+class CompiledRun(Run):
+    """A compiled run; all samples are there when it is made.
 
     Raises
     ------
@@ -277,23 +306,11 @@ class CompiledRun(PythonRun):
     """
 
     def __init__(self, loop: Loop, context: Context, q0: Array, v0: Array) -> None:
-        plant, reference = loop.plant, Reference(*context.reference)
-        loop = evolved(loop, {"recorder": Samples()})
-        whole = reference.q.shape[1] == plant.nq and reference.v.shape[1] == plant.nv
-        self._adds = whole and stated(plant, "is_vector_space")
-        self._desired, self.stopped = np.hstack([reference.q, reference.v]), None
+        super().__init__(loop, context)
+        reference = Reference(*context.reference)
         first = Reference(*(part[0] for part in reference))
-        compiled = Compiled(loop, context, (q0, v0), first, single=True)
+        compiled = Compiled(evolved(loop, {"recorder": Samples()}), context, (q0, v0), first, single=True)
         member = range(context.member, context.member + 1)
         keys = {name: robot_keys(context.seed, name, member) for name in compiled.tape.keys}
         run = compiled.run((q0[None], v0[None]), context.t, reference, keys=keys)
-        self._rows = tuple(run.kept[name][0] for name in ("q", "v", "a", "u"))
-        units = compiled.tape.units
-        self._signals = {name: Signal(unit, run.kept[f"signal {name}"][0]) for name, unit in units.items()}
-
-    def run(self, begin: int, end: int) -> None:
-        """Do nothing: all samples are there."""
-
-    def signals(self, end: int) -> dict[str, Signal]:
-        """Return the signals of the samples before `end`, by name."""
-        return {name: Signal(unit, values[:end]) for name, (unit, values) in self._signals.items()}
+        self.kept, self.units = {name: x[0] for name, x in run.kept.items()}, compiled.tape.units

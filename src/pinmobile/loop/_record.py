@@ -1,4 +1,4 @@
-"""Recorders: what is kept of the samples of a loop.
+"""Recorders: what is kept of the samples of a loop, and the one rule for when it has diverged.
 
 A recorder is a part like any other: its law is NumPy for one state. It is called as
 ``recorder(sample, state) -> Record``, once per sample, after the controller and before the step.
@@ -12,10 +12,38 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.divergence import is_alive
 from pinmobile.loop._loop import Record, Sample
 from pinmobile.metrics import size_of
 from pinmobile.parts import number, option, part
+
+
+def is_near(errors: Any, limit: Any) -> Any:
+    """Return where no error is beyond the limit, shape (...); what is no number is beyond.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (..., n)
+        Of coordinates and of their rates [m, rad, m/s, rad/s].
+    limit : float
+        Largest size.
+    """
+    return np.all(np.abs(errors) <= limit, axis=-1)
+
+
+def is_alive(errors: Any, limit: Any, u: Any, a: Any) -> Any:
+    """Return at which samples a loop has not diverged, shape (...): the rule of all engines.
+
+    A loop has diverged where an error or its rate is beyond the limit, or its input or acceleration is not
+    finite.
+
+    Parameters
+    ----------
+    errors, limit
+        As in `is_near`.
+    u, a : ndarray, shape (..., nu), (..., nv)
+        Input and acceleration.
+    """
+    return is_near(errors, limit) & (np.abs(np.sum(u, axis=-1) + np.sum(a, axis=-1)) < np.inf)
 
 
 @final

@@ -12,7 +12,6 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, positive, shaped, whole
 from pinmobile.controllers import Controller
-from pinmobile.divergence import is_near
 from pinmobile.errors import Diverged, InvalidArgument, LimitWarning, NotTraceable, SlowerEngine, shown
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
@@ -29,7 +28,8 @@ from pinmobile.loop._checks import (
     started,
 )
 from pinmobile.loop._loop import Loop, named_forces
-from pinmobile.loop._python import CompiledRun, PythonRun, with_compiled_plant
+from pinmobile.loop._python import CompiledRun, PythonRun, Run, with_compiled_plant
+from pinmobile.loop._record import is_near
 from pinmobile.loop._rollout import Rollout
 from pinmobile.parts import OnCoordinates, Starting, able
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, stated, whole_configurations
@@ -168,7 +168,7 @@ def simulate(
     for begin in range(0, len(t), chunk):
         end = min(begin + chunk, len(t))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below reports it
-            loop.run(begin, end)
+            loop.fill(begin, end)
         if loop.is_fine(begin, end, limit):
             continue
         bad, why = _first_bad(plant, loop, reference, begin, end, limit)
@@ -192,7 +192,7 @@ def _engaged(
     asked: Engine | None,
     *,
     compiles: bool,
-) -> tuple[PythonRun, str]:
+) -> tuple[Run, str]:
     """Return the run by its engine, and why it is not compiled, where that was not asked for."""
     if not compiles:
         return PythonRun(loop, context, *start), _NOT_ASKED if asked is None else ""
@@ -268,7 +268,7 @@ def errors_of(plant: Plant, q: Array, reference: Reference) -> Array:
 
 
 def _first_bad(
-    plant: Plant, loop: PythonRun, reference: Reference, begin: int, end: int, limit: float
+    plant: Plant, loop: Run, reference: Reference, begin: int, end: int, limit: float
 ) -> tuple[int | None, str]:
     """Return the first sample that is not acceptable, or None, and why."""
     samples = loop.samples(begin, end)
@@ -326,7 +326,7 @@ def _too_stiff(plant: Any, forces: Any, q: Array, h: float) -> str:
 def _rollout(
     plant: Plant,
     t: Array,
-    loop: PythonRun,
+    loop: Run,
     reference: Reference,
     end: int,
     made: dict[str, str],

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.compiled import (
     COUNT,
-    LARGEST,
     Identity,
-    Known,
     Leaf,
     Line,
     LoopTape,
@@ -44,19 +43,28 @@ from pinmobile.plant import Context
 from pinmobile.trajectories import Reference
 
 
-def traced(
-    loop: Loop,
-    context: Context,
-    start: tuple[Array, Array],
-    reference: Reference,
-    *,
-    dt: float,
-    identity: Identity,
-    spread: Mapping[str, Any] | None = None,
-    largest: int = LARGEST,
-    own_reference: bool = False,
-) -> LoopTape:
-    """Return a closed loop as a tape.
+class _Asked(NamedTuple):
+    """What the laws were asked on numbers, and what they gave.
+
+    Attributes
+    ----------
+    k : int
+        Number of the sample.
+    memory, after : State
+        The state at the sample, and at the next one.
+    record : Record
+        What the recorder made of the sample.
+    """
+
+    k: int
+    memory: State
+    after: State
+    record: Record
+
+
+@attrs.define
+class Trace:
+    """The way from a closed loop to its tape.
 
     The laws run once on numbers, so that their own errors come as they are, and then on symbols: those that
     are not the library's own at least twice. Both tapes must be the same, and give the numbers.
@@ -71,83 +79,44 @@ def traced(
         A start.
     reference : Reference
         Its first sample.
-    dt : float
-        Time between two samples [s].
     identity : Identity
         Of the loop.
-    spread : mapping of str to array of bool, optional
+    spread : mapping of str to array of bool
         Paths of the numbers that differ from robot to robot, with the entries that do; the others are numbers
         of the run.
-    largest : int
-        Most nodes of the tape.
     own_reference : bool
         Whether each robot has a reference of its own.
-
-    Raises
-    ------
-    NotTraceable
-        If a law cannot be run on symbols; its line, and what to write instead.
-    """
-    q, v = (np.asarray(x, np.float64) for x in start)
-    given = Reference(*(np.asarray(x, np.float64) for x in reference))
-    own = dict(spread or {})
-    trace = _Trace(
-        *(loop, context, q, v, given),
-        h=dt / loop.substeps,
-        identity=identity,
-        spread=own,
-        largest=largest,
-    )
-    trace.own_reference = own_reference
-    return trace.result()
-
-
-class _Asked(NamedTuple):
-    """What the laws were asked on numbers, and what they gave.
-
-    Attributes
-    ----------
-    k : int
-        Number of the sample.
-    memory : State
-        The state at the sample.
-    after : State
-        The state at the next sample.
-    record : Record
-        What the recorder made of the sample.
     """
 
-    k: int
-    memory: State
-    after: State
-    record: Record
+    loop: Loop
+    context: Context
+    start: tuple[Array, Array]
+    reference: Reference
+    identity: Identity
+    spread: Mapping[str, Any]
+    own_reference: bool = False
+    values: dict[str, Array] = attrs.field(init=False)
+    fixed: frozenset[tuple[str, str]] = frozenset()
+    shapes: dict[tuple[str, str], tuple[int, ...]] = attrs.Factory(dict)
 
+    def __attrs_post_init__(self) -> None:
+        self.start = np.asarray(self.start[0], np.float64), np.asarray(self.start[1], np.float64)
+        self.reference = Reference(*(np.asarray(x, np.float64) for x in self.reference))
+        self.values = traced_numbers(self.loop)
 
-class _Trace:
-    """The way from a loop to its tape."""
-
-    def __init__(
-        self,
-        loop: Loop,
-        context: Context,
-        q: Array,
-        v: Array,
-        reference: Reference,
-        *,
-        h: float,
-        identity: Identity,
-        spread: dict[str, Any],
-        largest: int,
-    ) -> None:
-        self.loop, self.context, self.h, self.identity = loop, context, h, identity
-        self.q, self.v, self.reference = q, v, reference
-        self.values = traced_numbers(loop)
-        self.spread, self.largest, self.own_reference = spread, largest, False
-        self.fixed: frozenset[tuple[str, str]] = frozenset()
-        self.shapes: dict[tuple[str, str], tuple[int, ...]] = {}
+    @property
+    def h(self) -> float:
+        """Length of a substep [s]."""
+        return self.context.dt / self.loop.substeps
 
     def result(self) -> LoopTape:
-        """Return the tape, after it has been compared with itself and with numbers."""
+        """Return the tape, after it has been compared with itself and with numbers.
+
+        Raises
+        ------
+        NotTraceable
+            If a law cannot be run on symbols; its line, and what to write instead.
+        """
         check_schedules(self.loop, self.context, self.spread)
         number = self._shaped()
         tape = self._tape()
@@ -165,7 +134,7 @@ class _Trace:
     def _shaped(self) -> list[_Asked]:
         """Return what the laws give on numbers at two samples, after learning the memory's shapes of them."""
         for _ in range(4):
-            found = self._at(0, self.q, self.v)
+            found = self._at(0, *self.start)
             grew = False
             for owner in OWNERS:
                 before, after = getattr(found.memory, owner), getattr(found.after, owner)
@@ -193,15 +162,16 @@ class _Trace:
             noise=lambda name, n: Noise(0, n, k),
             schedule=lambda rows: Schedule(rows, k),
         )
-        return self._grown(begun)
+        return self.grown(begun)
 
     def _elsewhere(self) -> _Asked:
         """Return the same a sample later at another state, which no law takes for a special one."""
-        v = self.v + 0.05 * np.sin(1.0 + np.arange(len(self.v)))
-        moved = 0.07 * np.cos(2.0 + np.arange(len(self.v)))
-        return self._at(1, np.asarray(self.loop.integrate(self.q, moved), np.float64), v)
+        q, v = self.start
+        moved = 0.07 * np.cos(2.0 + np.arange(len(v)))
+        v = v + 0.05 * np.sin(1.0 + np.arange(len(v)))
+        return self._at(1, np.asarray(self.loop.integrate(q, moved), np.float64), v)
 
-    def _grown(self, memory: State) -> State:
+    def grown(self, memory: State) -> State:
         """Return the memory with arrays of the shapes that they come to have."""
         found = {}
         for owner in OWNERS:
@@ -216,7 +186,7 @@ class _Trace:
         return memory._replace(**found)
 
     def _tape(self, where: Callable[[], str] | None = None) -> LoopTape:
-        return _Pass(self, Tape(self.largest, where)).loop_tape()
+        return _Pass(self, Tape(where=where)).loop_tape()
 
     def _compare_tapes(self, one: LoopTape, two: LoopTape) -> None:
         if one.tape.operations == two.tape.operations and one.outputs == two.outputs:
@@ -282,7 +252,7 @@ class _Trace:
 class _Pass:
     """One run of the laws on symbols."""
 
-    def __init__(self, trace: _Trace, tape: Tape) -> None:
+    def __init__(self, trace: Trace, tape: Tape) -> None:
         self.trace, self.tape = trace, tape
         self.next = {"uniform": 0, "row": 0, "state": 0, "sample": 0, "track": 0}
         self.keys: list[str] = []
@@ -304,24 +274,24 @@ class _Pass:
         trace, tape = self.trace, self.tape
         h = self._new("uniform", ())
         values = self._symbolic()
-        q, v = self._new("state", trace.q.shape), self._new("state", trace.v.shape)
+        q, v = (self._new("state", x.shape) for x in trace.start)
         t = self._new("sample", ())
         kind = "track" if trace.own_reference else "sample"
         reference = Reference(*(self._new(kind, x.shape) for x in trace.reference))  # type: ignore[arg-type]
         self.next["sample"] = columns = 1 + sum(x.size for x in trace.reference)
         k = symbols([real(tape.input(*COUNT) | float_bits(2.0**52)) - 2.0**52], ())
         makers = self._line, self._noise, self._schedule
-        numbers = trace._grown(initial_memory(trace.loop, trace.context, *makers))
+        numbers = trace.grown(initial_memory(trace.loop, trace.context, *makers))
         state = State(q, v, *(self._remembered(owner, getattr(numbers, owner)) for owner in OWNERS))
         with tracing(trace.identity.namespaces.values(), trace.identity.cells):
             loop = replace(trace.loop, values, nominal=True)
             after, _, record = step(loop, k, t, h, state, reference)
             ends = self._after(state, after)
         kept = {
-            name: (np.shape(x), [self._node(y) for y in entries(x).reshape(-1)])
+            name: (np.shape(x), [self.tape.number(y) for y in entries(x).reshape(-1)])
             for name, x in record.kept.items()
         }
-        counted = [self._node(y) for x in record.counted for y in entries(x).reshape(-1)]
+        counted = [self.tape.number(y) for x in record.counted for y in entries(x).reshape(-1)]
         used = _used(tape, [*ends, *counted, *(n for _, nodes in kept.values() for n in nodes)])
         return LoopTape(
             tape=tape,
@@ -335,13 +305,7 @@ class _Pass:
             counted=counted,
             kept=kept,
             units=dict(record.units),
-            sizes=(
-                len(trace.q),
-                len(trace.v),
-                loop.plant.nu,
-                len(trace.reference.q),
-                len(trace.reference.v),
-            ),
+            sizes=(*map(len, trace.start), loop.plant.nu, *map(len, trace.reference[:2])),
             tracks=self.next["track"],
             scheduled=self.next["sample"] - columns,
             unused=[
@@ -385,7 +349,7 @@ class _Pass:
 
     def _after(self, before: State, found: State) -> list[int]:
         """Return the nodes of the state at the next sample."""
-        after = [self._node(x) for part in (found.q, found.v) for x in entries(part).reshape(-1)]
+        after = [self.tape.number(x) for part in (found.q, found.v) for x in entries(part).reshape(-1)]
         places = iter(self.leaves)
         for owner in OWNERS:
             for path, old, new in matched(getattr(before, owner), getattr(found, owner)):
@@ -395,88 +359,68 @@ class _Pass:
                         f"{path} had shape {leaf.shape} and has shape {np.shape(new)} a sample later",
                         "let initial_state return arrays of the shapes that they keep",
                     )
-                nodes = [self._node(x) for x in np.broadcast_to(entries(new), leaf.shape).reshape(-1)]
+                nodes = [self.tape.number(x) for x in np.broadcast_to(entries(new), leaf.shape).reshape(-1)]
                 if leaf.kind == "state":
                     after += nodes
-                elif nodes != [self._node(x) for x in entries(old).reshape(-1)]:
+                elif nodes != [self.tape.number(x) for x in entries(old).reshape(-1)]:
                     raise NotTraceable(
                         f"{path} stays as it is in one run of the law and changes in another",
                         "keep memory in state",
                     )
         return after
 
-    def _node(self, x: Node | Known) -> int:
-        if type(x) is Node and x.tape is not self.tape:
-            raise NotTraceable("a symbol of an earlier trace was kept", "keep memory in state")
-        node = x if type(x) is Node else self.tape.const(x)
-        return self.tape.apply("select", node, 1.0, 0.0).index if node.kind == "b" else node.index
-
-    def _line(self, samples: int) -> _SymbolicLine:
-        return _SymbolicLine(self, int(samples))
-
-    def _schedule(self, rows: Array) -> _SymbolicSchedule:
-        return _SymbolicSchedule(self._new("sample", rows.shape[1:]))
-
-    def _noise(self, name: str, n: int) -> _SymbolicNoise:
-        self.asked.append(name)
-        again = self.asked.count(name) - 1
-        self.keys.append(f"{name} {again}" if again else name)
-        return _SymbolicNoise(self.tape, self.tape.input("key", len(self.keys) - 1), n)
-
-
-class _SymbolicLine:
-    """A delay whose numbers are on the tape."""
-
-    goes_on = True
-
-    def __init__(self, owner: _Pass, samples: int, pushed: bool = False) -> None:
-        self.owner, self.samples, self.pushed = owner, samples, pushed
-
-    def push(self, values: object) -> tuple[Any, _SymbolicLine]:
-        if self.pushed:
-            raise NotTraceable("a delay is pushed twice in a sample", "push all values at once, as a tuple")
-        owner = self.owner
-
+    def _line(self, samples: int) -> _Once:
         def delayed(x: Any) -> Symbols:
             found = []
             for y in entries(x).reshape(-1):
-                pushed = Node(owner.tape, owner._node(y))
-                node = owner.tape.ring(len(owner.rings), self.samples, pushed)
-                if self.samples:
-                    owner.rings.append(Ring(node.index, pushed.index, self.samples))
-                found.append(node if self.samples else pushed)
+                pushed = Node(self.tape, self.tape.number(y))
+                node = self.tape.ring(len(self.rings), samples, pushed)
+                if samples:
+                    self.rings.append(Ring(node.index, pushed.index, samples))
+                found.append(node if samples else pushed)
             return symbols(found, np.shape(x))
 
-        return mapped(values, delayed), _SymbolicLine(owner, self.samples, pushed=True)
+        again = "a delay is pushed twice in a sample", "push all values at once, as a tuple"
+        return _Once(lambda values: mapped(values, delayed), again)
+
+    def _schedule(self, rows: Array) -> _Once:
+        row = self._new("sample", rows.shape[1:])
+        return _Once(lambda: row, ("a schedule is asked twice in a sample", "ask once, and keep the row"))
+
+    def _noise(self, name: str, n: int) -> _Once:
+        again = self.asked.count(name)
+        self.asked.append(name)
+        self.keys.append(f"{name} {again}" if again else name)
+        key = self.tape.input("key", len(self.keys) - 1)
+        return _Once(
+            lambda: symbols(normals(key, self.tape.input(*COUNT), n), (n,)),
+            ("noise is drawn twice in a sample", "ask the context for more numbers at once"),
+        )
 
 
-class _SymbolicSchedule:
-    """Known numbers of each sample that are on the tape."""
+class _Once:
+    """A delay, a schedule or noise whose numbers are on the tape; it answers once in a sample.
+
+    Parameters
+    ----------
+    answer : callable
+        What its method returns beside what follows it.
+    again : (str, str)
+        The error where it is asked again, and what to do instead.
+    """
 
     goes_on = True
 
-    def __init__(self, row: Symbols, taken: bool = False) -> None:
-        self.row, self.taken = row, taken
+    def __init__(self, answer: Callable[..., Any], again: tuple[str, str], used: bool = False) -> None:
+        self.answer, self.again, self.used = answer, again, used
 
-    def next(self) -> tuple[Symbols, _SymbolicSchedule]:
-        if self.taken:
-            raise NotTraceable("a schedule is asked twice in a sample", "ask once, and keep the row")
-        return self.row, _SymbolicSchedule(self.row, taken=True)
+    def push(self, *values: object) -> tuple[Any, _Once]:
+        """Return the numbers of this sample, and what is kept for the next one."""
+        if self.used:
+            raise NotTraceable(*self.again)
+        return self.answer(*values), _Once(self.answer, self.again, used=True)
 
-
-class _SymbolicNoise:
-    """Noise whose numbers are on the tape."""
-
-    goes_on = True
-
-    def __init__(self, tape: Tape, key: Node, n: int, drawn: bool = False) -> None:
-        self.tape, self.key, self.n, self.drawn = tape, key, n, drawn
-
-    def draw(self) -> tuple[Symbols, _SymbolicNoise]:
-        if self.drawn:
-            raise NotTraceable("noise is drawn twice in a sample", "ask the context for more numbers at once")
-        numbers = normals(self.key, self.tape.input(*COUNT), self.n)
-        return symbols(numbers, (self.n,)), _SymbolicNoise(self.tape, self.key, self.n, drawn=True)
+    next = draw = push
 
 
 def _wider(owner: str, path: str, old: tuple[int, ...], new: tuple[int, ...]) -> tuple[int, ...]:
@@ -670,8 +614,8 @@ def _of_each(
         if not has_symbols(value):
             found.append(np.asarray(value, np.float64))
             continue
-        own_nodes = [x.index if type(x) is Node else tape.const(x).index for x in entries(value).reshape(-1)]
-        columns = np.array([np.broadcast_to(x, n) for x in evaluated(tape, own_nodes, inputs)], np.float64)
+        nodes = map(tape.number, entries(value).reshape(-1))
+        columns = np.array([np.broadcast_to(x, n) for x in evaluated(tape, nodes, inputs)], np.float64)
         found.append(columns.T.reshape(n, *np.shape(value)))
     return found
 

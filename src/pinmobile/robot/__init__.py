@@ -1,6 +1,6 @@
 """`MobileRobot`: a Pinocchio model whose root is the DH chain, and what it carries."""
 
-from pinmobile.robot.arm_loading import EXCEPTIONS, Mountable, Mountables, kept_arm as kept_arm, mountable
+from pinmobile.robot.arm_loading import EXCEPTIONS, Mountable, Mountables, mountable
 from pinmobile.robot.arms import Arm, Link
 from pinmobile.robot.articulated import (
     ArticulatedDynamics as ArticulatedDynamics,

@@ -214,16 +214,55 @@ def read_arm(
     return made
 
 
-def kept_arm(arm: str, *, package_dirs: Sequence[str], locked: Sequence[str], rest: ArrayLike) -> Arm:
-    """Return an arm of a name or file again, with the reference posture that it had, clipped or not.
+class KeptArm(NamedTuple):
+    """An arm of a name or a file, as archives keep it: it is read again, and must have the same numbers.
 
-    Raises
-    ------
-    InvalidArgument, UnknownName
-        If it is no longer there, or no longer has that many joints.
+    Attributes
+    ----------
+    origin, locked, rest
+        As of `Arm`.
+    numbers : ndarray
+        Masses, inertias, damping, friction and rotors of its joints, in a row.
     """
-    made = read_arm(arm, package_dirs=package_dirs, locked=locked)
-    return attrs.evolve(made, rest=_posture(made.whole, rest))
+
+    origin: Origin
+    locked: tuple[str, ...]
+    rest: Array
+    numbers: Array
+
+    @classmethod
+    def of(cls, arm: Arm) -> KeptArm:
+        """Return what is kept of an arm.
+
+        Raises
+        ------
+        InvalidArgument
+            If it is made of a `pin.Model`.
+        """
+        if arm.origin.kind == "model":
+            raise InvalidArgument("it had an arm of a pin.Model, which an archive cannot keep")
+        model = arm._model
+        own = [inertia.toDynamicParameters() for inertia in model.inertias]
+        numbers = np.concatenate([*own, model.damping, model.friction, model.armature])
+        return cls(arm.origin, arm.locked, arm.rest, numbers)
+
+    def read(self) -> Arm:
+        """Return the arm again, with the reference posture that it had, clipped or not.
+
+        Raises
+        ------
+        InvalidArgument, UnknownName
+            If it is no longer there, or no longer has these numbers.
+        """
+        origin, locked, rest, numbers = self
+        made = read_arm(origin.value, package_dirs=origin.package_dirs, locked=locked)
+        made = attrs.evolve(made, rest=_posture(made.whole, rest))
+        if not np.array_equal(KeptArm.of(made).numbers, numbers):
+            raise InvalidArgument(
+                "its masses, inertias, or joints' damping, friction and rotors are no longer those that were "
+                f"kept: see {origin.value}"
+            )
+        return made
 
 
 def existing_folders(package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]]) -> tuple[str, ...]:

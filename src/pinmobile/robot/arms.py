@@ -327,45 +327,6 @@ class Arm:
         """Digest of the file's model, of which copies have the same."""
         return sha256(self._file_model.saveToString().encode()).hexdigest()
 
-    @property
-    def _numbers(self) -> Array:
-        """Masses, inertias, damping, friction and rotors of its joints, in a row."""
-        model = self._model
-        own = [inertia.toDynamicParameters() for inertia in model.inertias]
-        return np.concatenate([*own, model.damping, model.friction, model.armature])
-
-    def kept(self) -> dict[str, object]:
-        """Return the arguments of `restored`, as files keep them.
-
-        Raises
-        ------
-        InvalidArgument
-            If it is made of a `pin.Model`.
-        """
-        if self.origin.kind == "model":
-            raise InvalidArgument("it had an arm of a pin.Model, which an archive cannot keep")
-        own = {"rest": self.rest, "numbers": self._numbers}
-        return {"origin": self.origin, "locked": self.locked, **own}
-
-    @classmethod
-    def restored(cls, origin: Origin, locked: tuple[str, ...], rest: Array, numbers: Array) -> Arm:
-        """Return an arm of a name or file again, with the reference posture that it had.
-
-        Raises
-        ------
-        InvalidArgument, UnknownName
-            If it is no longer there, or no longer has these numbers.
-        """
-        from pinmobile.robot.arm_loading import kept_arm  # which makes arms
-
-        made = kept_arm(origin.value, package_dirs=origin.package_dirs, locked=locked, rest=rest)
-        if not np.array_equal(made._numbers, numbers):
-            raise InvalidArgument(
-                "its masses, inertias, or joints' damping, friction and rotors are no longer those that were "
-                f"kept: see {origin.value}"
-            )
-        return made
-
     def options(self) -> dict[str, object]:
         """Return what `MobileRobot.mount` was asked for beside what it does by default."""
         asked = {

@@ -37,6 +37,7 @@ from pinmobile.parts import (
     children,
     declare,
     evolved,
+    fields_of,
     is_symbolic,
     number,
     numeric,
@@ -46,7 +47,7 @@ from pinmobile.parts import (
     structure,
     walk,
 )
-from pinmobile.robot.arm_loading import existing_folders, read_arm
+from pinmobile.robot.arm_loading import KeptArm, existing_folders, read_arm
 from pinmobile.robot.arms import check_whole, com_field
 from pinmobile.robot.articulated import ArticulatedDynamics, PlanarDynamics, Tree
 from pinmobile.robot.linkage import BODY_JOINT
@@ -172,6 +173,17 @@ class MobileRobot(System):
         self.body  # noqa: B018 (it checks itself)
         if self.mounts or self.loads:
             check_whole(self._model, self.rest)
+
+    def kept(self) -> dict[str, Any]:
+        """Return the arguments of `restored`, as archives keep them: an arm by where it comes from."""
+        own = {each.alias: getattr(self, each.name) for each in attrs.fields(type(self)) if each.init}
+        mounts = [{name: value for name, _, value in fields_of(mount)} for mount in self.mounts]
+        return own | {"mounts": [each | {"arm": KeptArm.of(each["arm"])} for each in mounts]}
+
+    @classmethod
+    def restored(cls, *, mounts: Sequence[dict[str, Any]], **own: Any) -> MobileRobot:
+        """Return the robot again: arms are read, but have the links and motors that they had."""
+        return cls(mounts=tuple(Mount(**each | {"arm": each["arm"].read()}) for each in mounts), **own)
 
     @cached_property
     def _is_symbolic(self) -> bool:
