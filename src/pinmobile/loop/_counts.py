@@ -7,7 +7,7 @@ in the first bin, what is above, or belongs to a diverged robot, in the last.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -73,28 +73,17 @@ class Part(NamedTuple):
             counts,
         )
 
-
-class Records:
-    """The records of the robots from `start` to before `stop`, put together from stretches in any order."""
-
-    def __init__(self, start: int, stop: int) -> None:
-        self.start, self.stop = start, stop
-        self._all: Part | None = None
-
-    def put(self, start: int, stop: int, part: Part) -> None:
-        """Put the records of the robots from `start` to before `stop` in their place."""
-        if self._all is None:
-            count, (*each, counts) = self.stop - self.start, part
-            rows = (np.empty((count, *array.shape[1:]), array.dtype) for array in each)
-            self._all = Part._make([*rows, np.zeros_like(counts)])
-        for whole, array in zip(self._all[:-1], part[:-1], strict=True):
-            whole[start - self.start : stop - self.start] = array
-        self._all.counts[:] += part.counts
-
-    def part(self) -> Part:
-        """Return all records."""
-        assert self._all is not None
-        return self._all
+    @classmethod
+    def joined(cls, parts: Iterable[Part]) -> Part:
+        """Return the records of all robots of some parts, in their order."""
+        columns: list[list[Any]] = [[] for _ in cls._fields[:-1]]
+        counts: Any = 0
+        for *own, counted in parts:
+            counts = counts + counted
+            for column, rows in zip(columns, own, strict=True):
+                column.append(rows)
+        # One after the other, so that hardly anything is in memory twice.
+        return cls._make([*(np.concatenate(columns.pop(0)) for _ in cls._fields[:-1]), counts])
 
 
 class Member(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 from warnings import warn
@@ -17,7 +17,7 @@ from pinmobile.errors import InvalidArgument, LimitWarning, NotFinite, NotTracea
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop._checks import sampled
-from pinmobile.loop._counts import Part, Records, bins_of, member_of
+from pinmobile.loop._counts import Part, bins_of, member_of
 from pinmobile.loop._ensemble import Ensemble
 from pinmobile.loop._loop import Loop
 from pinmobile.loop._program import Compiled
@@ -35,6 +35,9 @@ from pinmobile.trajectories import Reference, Trajectory
 _ONE_BY_ONE = 16  # robots between two reports of progress
 _WORK = 2e7  # robots times samples that are compiled code's at once: some 0.3 s
 _SAMPLED = 1e6  # the same where each robot has a reference of its own: some 200 MB of them
+
+
+Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,39 +61,61 @@ class Way:
     fallback_reason: str = ""
     program: Compiled | None = None
 
-    def divided(self, start: int, stop: int) -> list[tuple[int, int]]:
-        """Divide the robots, for progress and for little memory."""
-        each = _ONE_BY_ONE
-        if self.engine is Engine.COMPILED:
-            work = _SAMPLED if self.scenario.has_own_references else _WORK
-            each = 256 * max(1, min(256, round(work / len(self.scenario.t) / 256)))
-        return [(first, min(first + each, stop)) for first in range(start, stop, each)]
+    def run(
+        self,
+        draws: Mapping[str, Array],
+        start: int,
+        stop: int,
+        threads: int = 1,
+        progress: Progress | None = None,
+    ) -> Part:
+        """Return the records of the robots from `start` to before `stop`, given what is drawn for these.
 
-    def run(self, draws: Mapping[str, Array], start: int, stop: int, threads: int) -> Part:
-        """Return the records of the robots from `start` to before `stop`, given what is drawn for these."""
-        if self.engine is Engine.COMPILED:
-            part = _compiled(self, draws, start, stop, threads)
-        else:
-            part = _in_python(self, draws, start, stop)
-        _check_measured(self.scenario, part, start)
-        return part
+        Raises
+        ------
+        InvalidArgument
+            If a metric becomes no number, of which nothing but the mean square tells.
+        """
+        return Part.joined(self._parts(draws, start, stop, threads, progress))
 
+    def _parts(
+        self, draws: Mapping[str, Array], start: int, stop: int, threads: int, progress: Progress | None
+    ) -> Iterator[Part]:
+        """Yield the records of some robots at a time, for progress and for little memory."""
+        scenario, each = self.scenario, _ONE_BY_ONE
+        if self.program is not None:
+            work = _SAMPLED if scenario.has_own_references else _WORK
+            each = 256 * max(1, min(256, round(work / len(scenario.t) / 256)))
+        for first in range(start, stop, each):
+            last = min(first + each, stop)
+            own = {name: column[first - start : last - start] for name, column in draws.items()}
+            if self.program is not None:
+                part = _compiled(scenario, self.program, own, first, last, threads)
+            else:
+                part = Part.joined(self._in_python(own, first, last))
+            for one, column in zip(scenario.recorded_metrics, part.rms_metric.T, strict=True):
+                wrong = np.flatnonzero(np.isnan(column))
+                if wrong.size:
+                    raise InvalidArgument(
+                        f"robot {first + wrong[0]}: plant is a {type(scenario.robot).__name__}, whose "
+                        f"measured(t, q, v, a, u, reference) returned NaN as {one.name!r}, expected a number"
+                    )
+            yield part
+            if progress is not None:
+                progress(last - start, stop - start)
 
-def _check_measured(scenario: Scenario, part: Part, start: int) -> None:
-    """Refuse metrics that became no numbers, of which nothing but the mean square tells.
-
-    Raises
-    ------
-    InvalidArgument
-        If there is one.
-    """
-    for one, column in zip(scenario.recorded_metrics, part.rms_metric.T, strict=True):
-        wrong = np.flatnonzero(np.isnan(column))
-        if wrong.size:
-            raise InvalidArgument(
-                f"robot {start + wrong[0]}: plant is a {type(scenario.robot).__name__}, whose measured(t, q, "
-                f"v, a, u, reference) returned NaN as {one.name!r}, expected a number"
-            )
+    def _in_python(self, draws: Mapping[str, Array], start: int, stop: int) -> Iterator[Part]:
+        """Yield the records of robots, one after another; errors name the robot."""
+        for i in range(start, stop):
+            own = {name: column[i - start : i - start + 1] for name, column in draws.items()}
+            try:
+                yield _alone(self.scenario, own, i, compiles=bool(self.fallback_reason))
+            except Exception as error:
+                is_plain = type(error) is InvalidArgument and not str(error).startswith("robot ")
+                if is_plain:
+                    raise InvalidArgument(f"robot {i}: {error}") from error
+                error.add_note(f"robot {i} of the ensemble")
+                raise
 
 
 def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
@@ -175,9 +200,10 @@ def _as_compiled(scenario: Scenario) -> Compiled:
     return compiled
 
 
-def _compiled(way: Way, draws: Mapping[str, Array], start: int, stop: int, threads: int) -> Part:
-    scenario, program = way.scenario, way.program
-    assert program is not None
+def _compiled(
+    scenario: Scenario, program: Compiled, draws: Mapping[str, Array], start: int, stop: int, threads: int
+) -> Part:
+    """Return the records of the robots from `start` to before `stop`, which run side by side."""
     keys = {name: robot_keys(scenario.seed, name, range(start, stop)) for name in program.tape.keys}
     own = scenario.references(draws, stop - start, start)
     values = scenario.values(draws, start, stop)
@@ -192,23 +218,6 @@ def _compiled(way: Way, draws: Mapping[str, Array], start: int, stop: int, threa
         threads=threads,
     )
     return Part.of(scenario, program.recorded(outcome), outcome.counts)
-
-
-def _in_python(way: Way, draws: Mapping[str, Array], start: int, stop: int) -> Part:
-    records = Records(start, stop)
-    for i in range(start, stop):
-        try:
-            own = {name: column[i - start : i - start + 1] for name, column in draws.items()}
-            records.put(i, i + 1, _alone(way.scenario, own, i, compiles=bool(way.fallback_reason)))
-        except InvalidArgument as error:
-            if type(error) is InvalidArgument and not str(error).startswith("robot "):
-                raise InvalidArgument(f"robot {i}: {error}") from error
-            error.add_note(f"robot {i} of the ensemble")
-            raise
-        except Exception as error:
-            error.add_note(f"robot {i} of the ensemble")
-            raise
-    return records.part()
 
 
 def _alone(scenario: Scenario, draws: Mapping[str, Array], i: int, *, compiles: bool) -> Part:
@@ -240,9 +249,6 @@ def _alone(scenario: Scenario, draws: Mapping[str, Array], i: int, *, compiles: 
                 sizes = bins_of(np.array(found.counted, np.float64))
                 counts[k // scenario.stride] = np.eye(BINS, dtype=np.int32)[sizes]
     return Part.of(scenario, {name: np.asarray(x)[None] for name, x in record.items()}, counts)
-
-
-Progress = Callable[[int, int], None]
 
 
 def ensemble(
@@ -357,7 +363,7 @@ def run_scenario(
             SlowerEngine,
             stacklevel=3,
         )
-    part = _run(way, draws, 0, scenario.n, workers, progress)
+    part = way.run(draws, 0, scenario.n, workers, progress)
     found = Ensemble.of(
         scenario, draws, part, followed, engine=repr(way.engine), fallback_reason=way.fallback_reason
     )
@@ -392,18 +398,5 @@ def part_of(
     InvalidArgument
         As `ensemble`.
     """
-    way, draws = way_of(scenario, engine), scenario.draws(start, stop)
-    return draws, _run(way, draws, start, stop, 1, None)
-
-
-def _run(
-    way: Way, draws: Mapping[str, Array], start: int, stop: int, threads: int, progress: Progress | None
-) -> Part:
-    """Return the records of the robots from `start` to before `stop`, given what is drawn for these."""
-    records = Records(start, stop)
-    for first, last in way.divided(start, stop):
-        drawn = {name: column[first - start : last - start] for name, column in draws.items()}
-        records.put(first, last, way.run(drawn, first, last, threads))
-        if progress is not None:
-            progress(last - start, stop - start)
-    return records.part()
+    draws = scenario.draws(start, stop)
+    return draws, way_of(scenario, engine).run(draws, start, stop)

@@ -176,7 +176,8 @@ class MobileRobot(System):
 
     def kept(self) -> dict[str, Any]:
         """Return the arguments of `restored`, as archives keep them: an arm by where it comes from."""
-        own = {each.alias: getattr(self, each.name) for each in attrs.fields(type(self)) if each.init}
+        kind: Any = type(self)
+        own = {each.alias: getattr(self, each.name) for each in attrs.fields(kind) if each.init}
         mounts = [{name: value for name, _, value in fields_of(mount)} for mount in self.mounts]
         return own | {"mounts": [each | {"arm": KeptArm.of(each["arm"])} for each in mounts]}
 
