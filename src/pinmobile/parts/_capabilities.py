@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, Protocol
 
 from pinmobile.errors import InvalidArgument, shown
 
 
-class Integrating(Protocol):
+class Comparing(Protocol):
+    """A robot with difference(q0, q1)."""
+
+    def difference(self, q0: Any, q1: Any, /) -> Any:
+        """Return the displacement from q0 to q1, shape (nv,)."""
+
+
+class Integrating(Comparing, Protocol):
     """A plant: something with nq, nv, nu, integrate(q, dq) and difference(q0, q1)."""
 
     def integrate(self, q: Any, dq: Any, /) -> Any:
         """Return the configuration that a displacement leads to, shape (nq,)."""
-
-    def difference(self, q0: Any, q1: Any, /) -> Any:
-        """Return the displacement from q0 to q1, shape (nv,)."""
 
 
 class Stepping(Protocol):
@@ -101,6 +106,14 @@ class Signalling(Protocol):
         """Return a dict of name to (unit, value), a value being a number or a row of numbers."""
 
 
+class _Sized(Protocol):
+    """A plant."""
+
+    @property
+    def nv(self) -> int:
+        """Size of v."""
+
+
 class Invertible(Protocol):
     """A MobileRobot."""
 
@@ -119,33 +132,15 @@ class Inverted(Protocol):
         """Raise `InvalidArgument` where no input moves the robot in every direction."""
 
 
-class Comparing(Protocol):
-    """A robot with difference(q0, q1)."""
-
-    def difference(self, q0: Any, q1: Any, /) -> Any:
-        """Return the displacement from q0 to q1, shape (nv,)."""
-
-
-class Gravitating(Protocol):
+class Gravitating(_Sized, Protocol):
     """A MobileRobot."""
-
-    @property
-    def nv(self) -> int:
-        """Size of v."""
 
     def gravity(self, q: Any, /) -> Any:
         """Return g(q), shape (nv,)."""
 
 
-class Passive(Protocol):
+class Passive(Invertible, Protocol):
     """A MobileRobot."""
-
-    @property
-    def nv(self) -> int:
-        """Size of v."""
-
-    def inverse_dynamics(self, q: Any, v: Any, a: Any, /) -> Any:
-        """Return M(q) a + n(q, v), shape (nv,)."""
 
     def nonlinear_effects(self, q: Any, v: Any, /) -> Any:
         """Return n(q, v), shape (nv,)."""
@@ -154,15 +149,8 @@ class Passive(Protocol):
         """Return g(q), shape (nv,)."""
 
 
-class Observable(Protocol):
+class Observable(Invertible, Protocol):
     """A MobileRobot."""
-
-    @property
-    def nv(self) -> int:
-        """Size of v."""
-
-    def inverse_dynamics(self, q: Any, v: Any, a: Any, /) -> Any:
-        """Return M(q) a + n(q, v), shape (nv,)."""
 
     def coriolis_matrix(self, q: Any, v: Any, /) -> Any:
         """Return C(q, v) of Christoffel's symbols, shape (nv, nv)."""
@@ -171,23 +159,15 @@ class Observable(Protocol):
         """Return g(q), shape (nv,)."""
 
 
-class Linearized(Protocol):
+class Linearized(_Sized, Protocol):
     """A MobileRobot or a WheeledRobot."""
-
-    @property
-    def nv(self) -> int:
-        """Size of v."""
 
     def linearize_tracked(self, q: Any, v: Any, u: Any, /) -> Any:
         """Return A and B of the tracked state."""
 
 
-class Rolling(Protocol):
+class Rolling(_Sized, Protocol):
     """A WheeledRobot."""
-
-    @property
-    def nv(self) -> int:
-        """Size of v."""
 
     def independent(self, q: Any, v: Any, /) -> Any:
         """Return the independent velocities."""
@@ -315,19 +295,18 @@ class Touching(Protocol):
         """Return the contacts at n samples."""
 
 
-class Grounded(Protocol):
+class Grounded(_Sized, Protocol):
     """A MobileRobot, or a plant with ground_wrench(q, v, a)."""
-
-    @property
-    def nv(self) -> int:
-        """Size of v."""
 
     def ground_wrench(self, q: Any, v: Any, a: Any, /) -> Any:
         """Return the wrench of the ground on the body, shape (..., 6)."""
 
 
+@cache
 def members(kind: type) -> tuple[str, ...]:
-    return tuple(name for name in vars(kind) if name == "__call__" or not name.startswith("_"))
+    """Return the names that a protocol asks for, those of its base first."""
+    names = (name for each in reversed(kind.__mro__[:-3]) for name in vars(each))
+    return tuple(name for name in names if name == "__call__" or not name.startswith("_"))
 
 
 def offers(part: object, kind: type) -> bool:

@@ -9,7 +9,7 @@ import inspect
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, Self, TypeVar, dataclass_transform, overload
+from typing import Any, Self, TypedDict, TypeVar, Unpack, dataclass_transform, overload
 
 import attrs
 import numpy as np
@@ -347,84 +347,50 @@ def declare(declared: Field, default: Any = attrs.NOTHING, **options: Any) -> An
     )
 
 
-def number(
-    *,
-    default: Any = attrs.NOTHING,
-    unit: str = "",
-    doc: str = "",
-    above: float | None = None,
-    lower: float | None = None,
-    upper: float | None = None,
-    fixed: bool = False,
-    endless: bool = False,
-    optional: bool = False,
-    neutral: float = 0.0,
-) -> Any:
+class _Bounds(TypedDict, total=False):
+    """What the functions below take beside `default`; their meaning is that of the attributes of `Number`."""
+
+    doc: str
+    unit: str | Callable[[Any], str]
+    above: float | None
+    lower: float | None
+    upper: float | None
+    endless: bool
+    size: Callable[[Any], int] | None
+
+
+class _Numbers(_Bounds, total=False):
+    labels: tuple[str, ...] | Callable[[Any], Sequence[str]]
+    fixed: bool
+    optional: bool
+    neutral: float
+
+
+def number(*, default: Any = attrs.NOTHING, **declared: Unpack[_Numbers]) -> Any:
     """Declare a number: see `Number`."""
-    default = None if optional and default is attrs.NOTHING else default
-    declared = Number(
-        doc,
-        unit,
-        above,
-        lower,
-        upper,
-        fixed=fixed,
-        endless=endless,
-        optional=optional,
-        neutral=neutral,
-    )
-    return declare(declared, default)
+    optional = declared.get("optional", False)
+    return declare(Number(**declared), None if optional and default is attrs.NOTHING else default)
 
 
 def array(
-    *,
-    default: Any = attrs.NOTHING,
-    shapes: tuple[_Shape, ...] = (("n",),),
-    unit: str | Callable[[Any], str] = "",
-    doc: str = "",
-    labels: tuple[str, ...] | Callable[[Any], Sequence[str]] = (),
-    above: float | None = None,
-    lower: float | None = None,
-    upper: float | None = None,
-    fixed: bool = False,
-    endless: bool = False,
-    size: Callable[[Any], int] | None = None,
+    *, default: Any = attrs.NOTHING, shapes: tuple[_Shape, ...] = (("n",),), **declared: Unpack[_Numbers]
 ) -> Any:
     """Declare an array of numbers: see `Number`."""
-    declared = Number(doc, unit, above, lower, upper, shapes, labels, fixed, endless, size=size)
-    return declare(declared, default)
+    return declare(Number(shapes=shapes, **declared), default)
 
 
 COORDINATES = ("x", "y", "psi")
 """Labels of the first coordinates of a plant; those of arms and wheels have their number."""
 
 
-def gain(
-    *,
-    default: Any = attrs.NOTHING,
-    unit: str = "",
-    doc: str = "",
-    lower: float | None = None,
-    size: Callable[[Any], int] | None = None,
-) -> Any:
+def gain(*, default: Any = attrs.NOTHING, **declared: Unpack[_Bounds]) -> Any:
     """Declare a gain: a number for all coordinates, one for each, or a matrix."""
-    own: dict[str, Any] = {"lower": lower, "labels": COORDINATES, "size": size}
-    return array(default=default, shapes=((), ("n",), ("n", "n")), unit=unit, doc=doc, **own)
+    return array(default=default, shapes=((), ("n",), ("n", "n")), labels=COORDINATES, **declared)
 
 
-def each(
-    *,
-    default: Any = attrs.NOTHING,
-    unit: str = "",
-    doc: str = "",
-    above: float | None = None,
-    lower: float | None = None,
-    endless: bool = False,
-    size: Callable[[Any], int] | None = None,
-) -> Any:
+def each(*, default: Any = attrs.NOTHING, **declared: Unpack[_Bounds]) -> Any:
     """Declare numbers of coordinates: one for all, or one for each."""
-    own: dict[str, Any] = {"above": above, "lower": lower, "labels": COORDINATES, "endless": endless}
-    return array(default=default, shapes=((), ("n",)), unit=unit, doc=doc, size=size, **own)
+    return array(default=default, shapes=((), ("n",)), labels=COORDINATES, **declared)
 
 
 def integer(*, default: Any = attrs.NOTHING, doc: str = "", least: int = 0, most: int = 2**53) -> Any:
