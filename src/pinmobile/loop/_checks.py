@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -169,9 +168,10 @@ def sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
         _RECORDED * len(t) * plant.nv,
         _SHORTER,
     )
-    before = _sampled_before(trajectory, t, plant)
+    asked = id(plant), t.tobytes()
+    before: tuple[Reference, Plant] | None = _sampled.get(trajectory, asked)
     if before is not None:
-        return before
+        return before[0]
     try:
         reference = trajectory(t)
     except InvalidArgument:
@@ -196,25 +196,11 @@ def sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
     checked = Reference(*(vector(f"trajectory's {x}", getattr(reference, x), k) for x, k in sizes.items()))
     if stated(plant, "velocity_limit") is not None:
         check_limits(plant, checked.q, checked.v, t)
-    if len(t) * n <= _KEPT and is_constant(trajectory):
-        checked = Reference(*map(frozen, checked))
-        with contextlib.suppress(TypeError):  # a plant without weak references
-            _sampled[trajectory] = weakref.ref(plant), t.copy(), checked
+    if len(t) * n > _KEPT or not is_constant(trajectory):
+        return checked
+    checked = Reference(*map(frozen, checked))
+    _sampled.keep(trajectory, asked, (checked, plant))  # while it is kept, no other has its id
     return checked
-
-
-_KEPT = 1e5  # numbers of a reference that are kept for the next run
-_sampled: weakref.WeakKeyDictionary[Any, Any] = weakref.WeakKeyDictionary()
-
-
-def _sampled_before(trajectory: Any, t: Array, plant: Any) -> Reference | None:
-    """Return the reference of the last run of the same plant on a trajectory that cannot change."""
-    try:
-        known = _sampled.get(trajectory)
-    except TypeError:
-        return None
-    same = known is not None and known[0]() is plant and np.array_equal(known[1], t)
-    return known[2] if same and known is not None else None
 
 
 def started(plant: Any, reference: Reference) -> tuple[Any, Any]:
@@ -336,7 +322,7 @@ class Last:
     def __init__(self) -> None:
         self._known: weakref.WeakKeyDictionary[Any, tuple[Any, Any]] = weakref.WeakKeyDictionary()
 
-    def get(self, part: Any, asked: Any) -> Any:
+    def get(self, part: Any, asked: tuple[Any, ...]) -> Any:
         """Return the last answer of a part; None where it was asked something else, or may change."""
         known = self._known.get(part) if is_constant(part) else None
         return known[1] if known is not None and known[0] == asked else None
@@ -346,6 +332,10 @@ class Last:
         if is_constant(part):
             self._known[part] = asked, found
 
+
+_KEPT = 1e5  # numbers of a reference that are kept for the next run
+_sampled = Last()
+"""References of trajectories, by plant and times."""
 
 _answered = Last()
 """Whether answers repeat: of plants by integrator and step, of controllers by shapes."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +27,29 @@ from pinmobile.loop._variables import (
 )
 
 _FORMAT = "pinmobile ensemble 5"
+_V = TypeVar("_V")
+
+
+class _ByChannel(Generic[_V]):
+    """What an ensemble says of each of `Scenario.channels`, by name."""
+
+    def __getitem__(self, name: str) -> _V:
+        named: Mapping[str, _V] = next(x for x in vars(self).values() if isinstance(x, Mapping))
+        return named[one_of("channel", name, named)]
+
+    @property
+    def distance(self) -> _V:
+        """That of the distance from the desired position [m]."""
+        return self["distance"]
+
+    @property
+    def heading(self) -> _V:
+        """That of the error of the heading [rad]."""
+        return self["heading"]
 
 
 @dataclass(frozen=True, eq=False)
-class Bands:
+class Bands(_ByChannel[Array]):
     """Quantiles over the robots, as functions of time.
 
     ``bands["end effector"]``, shape (L, G), are those of one of `Scenario.channels`: that share of the robots
@@ -51,22 +70,9 @@ class Bands:
     levels: Array
     quantiles: Mapping[str, Array]
 
-    def __getitem__(self, name: str) -> Array:
-        return self.quantiles[one_of("band", name, self.quantiles)]
-
-    @property
-    def distance(self) -> Array:
-        """Those of the distance from the desired position, shape (L, G) [m]."""
-        return self["distance"]
-
-    @property
-    def heading(self) -> Array:
-        """Those of the error of the heading, shape (L, G) [rad]."""
-        return self["heading"]
-
 
 @dataclass(frozen=True)
-class ErrorQuantile:
+class ErrorQuantile(_ByChannel[float]):
     """What a share of the robots stays within, all the time.
 
     ``within["tip-over margin"]`` is that of one of `Scenario.channels`: the share errs at most by this, or
@@ -79,19 +85,6 @@ class ErrorQuantile:
     """
 
     sizes: Mapping[str, float]
-
-    def __getitem__(self, name: str) -> float:
-        return self.sizes[one_of("size", name, self.sizes)]
-
-    @property
-    def distance(self) -> float:
-        """That from the desired position [m]."""
-        return self["distance"]
-
-    @property
-    def heading(self) -> float:
-        """That from the desired heading [rad]."""
-        return self["heading"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

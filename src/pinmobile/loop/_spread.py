@@ -16,13 +16,12 @@ from pinmobile.arrays import (
     affordable,
     finite,
     instance,
-    non_negative,
     scalar,
     shaped,
     whole,
 )
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.parts import Found, Number
+from pinmobile.parts import Found, Number, by_value, number, part
 from pinmobile.plant import stated
 
 
@@ -39,7 +38,8 @@ class Distribution(Protocol):
 
 
 @final
-@dataclass(frozen=True)
+@by_value
+@part
 class Uniform:
     """Uniform distribution between two bounds.
 
@@ -54,13 +54,12 @@ class Uniform:
         If a bound is not finite, or `low` is above `high`.
     """
 
-    low: float
-    high: float
+    low: float = number(doc="lower bound")
+    high: float = number(doc="upper bound")
     in_order: ClassVar[bool] = True  # fewer draws are the beginning of more
 
-    def __post_init__(self) -> None:
-        for name in ("low", "high"):
-            object.__setattr__(self, name, scalar(name, getattr(self, name)))
+    def check(self) -> None:
+        """Raise `InvalidArgument` where the bounds have no width."""
         if self.low > self.high:
             raise InvalidArgument(f"low is {self.low}, expected at most high, {self.high}")
         if not isfinite(self.high - self.low):
@@ -83,7 +82,8 @@ class Uniform:
 
 
 @final
-@dataclass(frozen=True)
+@by_value
+@part
 class Normal:
     """Normal distribution.
 
@@ -98,13 +98,9 @@ class Normal:
         If one is not finite, or `std` is negative.
     """
 
-    mean: float
-    std: float
+    mean: float = number(doc="mean")
+    std: float = number(lower=0.0, doc="standard deviation")
     in_order: ClassVar[bool] = True  # fewer draws are the beginning of more
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "mean", scalar("mean", self.mean))
-        object.__setattr__(self, "std", non_negative("std", self.std))
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
         """Return `size` independent draws, shape (size,)."""
