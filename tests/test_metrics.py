@@ -229,7 +229,7 @@ def test_figures_show_measures(runs: pm.Ensemble) -> None:
     assert figure.axes[-1].get_title(loc="left") == stays
     (joint,) = plots.bands(runs, by=[ELBOW]).axes
     assert joint.get_ylabel().startswith(f"error of\n{ELBOW} [")
-    with pytest.raises(UnknownName, match=r"unknown channel 'effort!'"):
+    with pytest.raises(UnknownName, match=r"unknown band 'effort!'"):
         plots.bands(runs, by=["effort!"])
     drivers = plots.drivers(runs, share=0.1, by="tip-over margin")
     assert drivers.get_suptitle() == "loads.0.mass drives the worst 10 % by tip-over margin most"

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from math import isfinite
-from typing import Any, ClassVar, Protocol, TypeAlias, final, runtime_checkable
+from typing import Any, Protocol, TypeAlias, final, runtime_checkable
 from zlib import crc32
 
 import numpy as np
@@ -27,11 +28,7 @@ from pinmobile.plant import stated
 
 @runtime_checkable
 class Distribution(Protocol):
-    """Distribution of a spread; a frozen distribution of `scipy.stats` (with ``rvs``) works too.
-
-    A class with ``in_order = True`` promises that n draws are the first n of a longer sample: the library
-    then draws no more than it needs.
-    """
+    """Distribution of a spread; a frozen distribution of `scipy.stats` (with ``rvs``) works too."""
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
         """Return `size` independent draws, shape (size,)."""
@@ -56,7 +53,6 @@ class Uniform:
 
     low: float = number(doc="lower bound")
     high: float = number(doc="upper bound")
-    in_order: ClassVar[bool] = True  # fewer draws are the beginning of more
 
     def check(self) -> None:
         """Raise `InvalidArgument` where the bounds have no width."""
@@ -100,7 +96,6 @@ class Normal:
 
     mean: float = number(doc="mean")
     std: float = number(lower=0.0, doc="standard deviation")
-    in_order: ClassVar[bool] = True  # fewer draws are the beginning of more
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
         """Return `size` independent draws, shape (size,)."""
@@ -452,19 +447,11 @@ def _values(name: str, source: Any, seed: int, start: int, stop: int) -> Array:
     if isinstance(source, np.ndarray):
         return np.array(source[start:stop] if source.ndim else np.full(stop - start, source))
 
-    def own(generator: np.random.Generator, size: int) -> Array:
-        return drawn(name, source, generator, size)
-
-    return in_blocks(name, own, seed, start, stop, whole=not stated(source, "in_order"))
+    return in_blocks(name, partial(drawn, name, source), seed, start, stop)
 
 
 def in_blocks(
-    what: str,
-    draws: Callable[[np.random.Generator, int], Array],
-    seed: int,
-    start: int,
-    stop: int,
-    whole: bool = True,
+    what: str, draws: Callable[[np.random.Generator, int], Array], seed: int, start: int, stop: int
 ) -> Array:
     """Return the draws of the robots from `start` to before `stop`, independent of all other draws.
 
@@ -478,16 +465,8 @@ def in_blocks(
         Seed of the ensemble.
     start, stop : int
         Range of robots.
-    whole : bool
-        Whether to draw whole blocks; unnecessary for distributions ``in_order``.
     """
     first = start // _BLOCK
-    blocks = [
-        draws(
-            np.random.default_rng(stream(seed, what, block)),
-            _BLOCK if whole else min(_BLOCK, stop - block * _BLOCK),
-        )
-        for block in range(first, -(-stop // _BLOCK))
-    ]
-    found = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
-    return found[start - first * _BLOCK : stop - first * _BLOCK]
+    blocks = range(first, -(-stop // _BLOCK))
+    found = [draws(np.random.default_rng(stream(seed, what, block)), _BLOCK) for block in blocks]
+    return np.concatenate(found)[start - first * _BLOCK : stop - first * _BLOCK]
