@@ -189,11 +189,7 @@ def test_each_robot_of_an_ensemble_is_what_simulate_makes_of_it() -> None:
 
 @pytest.mark.parametrize(
     "controller",
-    [
-        PDGravity(UR5, 20, 2),
-        Decoupled(UR5, 25, 10),
-        WRAPPED,
-    ],
+    [PDGravity(UR5, 20, 2), Decoupled(UR5, 25, 10), WRAPPED],
     ids=["PDGravity", "Decoupled", "wrapped"],
 )
 def test_controllers_and_wrappers_of_arms_are_compiled(controller: Any) -> None:
@@ -212,10 +208,7 @@ def test_rk4_substeps_and_pushes_on_the_base_are_compiled() -> None:
 
 def test_each_joint_has_a_friction_of_its_own() -> None:
     friction = JointFriction.of(UR5)
-    spread = {
-        "viscous.ur5/elbow_joint": Uniform(0, 2),
-        "coulomb.ur5/wrist_1_joint": Uniform(0, 1),
-    }
+    spread = {"viscous.ur5/elbow_joint": Uniform(0, 2), "coulomb.ur5/wrist_1_joint": Uniform(0, 1)}
     runs = run(spread=spread, forces=[friction], n=2)
     assert_members(runs, 0, 1)
     with pytest.raises(

@@ -441,10 +441,7 @@ def test_what_must_not_be_negative_is_refused_below_zero_and_what_must_be_positi
     ("source", "text"),
     [
         (pm.Uniform(-1, 30), "reaches -1 kg as the mass of the robot, and 3.23% of its draws are impossible"),
-        (
-            stats.uniform(-5, 20),
-            "reaches -5 kg as the mass of the robot, and 25.00% of its draws",
-        ),
+        (stats.uniform(-5, 20), "reaches -5 kg as the mass of the robot, and 25.00% of its draws"),
     ],
 )
 def test_a_distribution_that_reaches_what_is_impossible_is_refused(source: Any, text: str) -> None:
@@ -486,10 +483,7 @@ def test_distributions_check_themselves(make: Any, text: str) -> None:
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        (
-            {"engine": "numba"},
-            "engine is 'numba', expected Engine.PYTHON, Engine.COMPILED or None",
-        ),
+        ({"engine": "numba"}, "engine is 'numba', expected Engine.PYTHON, Engine.COMPILED or None"),
         ({"threads": 0}, "threads is 0, expected a whole number >= 1"),
         ({"traces": 3}, "traces is 3, expected indices of robots, such as"),
         ({"progress": 3}, "progress is 3, expected a function of done and n"),

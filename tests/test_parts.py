@@ -365,10 +365,7 @@ STEADY = pm.PD((100, 100, 5), (100, 100, 5))
 VIA = pm.CubicVia((0, 0), (2, 2), (0, 4), 3.0, 6.0, via_velocity=(0, 0))
 OWN: dict[str, tuple[Any, dict[str, Any]]] = {
     "circle": (pm.Tangent(pm.Circle(2.0, 0.5, 6.0)), {"radius": (1.0, 3.0), "rate": (0.3, 0.6)}),
-    "figure": (
-        pm.FixedHeading(pm.Lissajous(2, 1, 0.5, 1.0, 6.0), 0.2),
-        {"ry": (0.5, -1), "psi": (0, 3)},
-    ),
+    "figure": (pm.FixedHeading(pm.Lissajous(2, 1, 0.5, 1.0, 6.0), 0.2), {"ry": (0.5, -1), "psi": (0, 3)}),
     "turns": (pm.Tangent(VIA, 1.0), {"via.x": (1.0, 3.0), "t_via": (2.5, 4.0), "turn_time": (1.5, 1.0)}),
     "spline": (pm.Tangent(pm.Spline([[0, 0], [1, 1], [2, 0]], [0, 3, 6])), {"waypoints.1.y": (0.5, 1.5)}),
     "way": (pm.FixedHeading(pm.RestToRest([0, 0], [1, 1], 6.0), 0.0), {"end.y": (0.5, 1.5)}),
@@ -381,13 +378,7 @@ OWN: dict[str, tuple[Any, dict[str, Any]]] = {
 def owned(what: str, **changes: Any) -> pm.Scenario:
     motion, spread = OWN[what]
     spread = {name: np.array(values, float) for name, values in spread.items()}
-    given: dict[str, Any] = {
-        "robot": ROBOT,
-        "controller": STEADY,
-        "trajectory": motion,
-        "n": 2,
-        "dt": 0.03,
-    }
+    given: dict[str, Any] = {"robot": ROBOT, "controller": STEADY, "trajectory": motion, "n": 2, "dt": 0.03}
     return pm.Scenario(**(given | {"duration": 6.0, "spread": spread | {"start.y": 0.1}} | changes))
 
 

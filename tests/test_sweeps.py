@@ -230,12 +230,7 @@ RIVALS = {"controller": (("PD", "wild"),), "error": ((0.1, 0.2, 0.4),)}
     [
         ({"kp": ((4, 9),)}, [1, INF], [0, 10], "with kp = 9, the robots diverge in 50 % of runs"),
         ({"kp": ((4, 9),)}, [1, 2], 0, "with kp = 9, the robots stay within 2 m in 90 % of runs"),
-        (
-            {"e": ((1, 2),), "kp": ((4,), "1/s^2")},
-            [[1], [2]],
-            0,
-            "with e = 2, the robots stay within 2 m",
-        ),
+        ({"e": ((1, 2),), "kp": ((4,), "1/s^2")}, [[1], [2]], 0, "with e = 2, the robots stay within 2 m"),
         ({"kp": ((4, 9), "1/s^2")}, [1, 2], 0, "with kp = 9 1/s^2, the robots stay within 2 m"),
         (
             {"kp": ((4, 9, 16),)},

@@ -200,10 +200,7 @@ def _log_of_normal(x: Number, shift: Number = 2.0**52 + 1023.0) -> Any:
     fraction = real((word & _TOP) | _ONE)
     exponent = real((word >> 52) | float_bits(2.0**52)) - shift
     high = fraction > math.sqrt(2)
-    fraction, exponent = (
-        select(high, fraction * 0.5, fraction),
-        select(high, exponent + 1.0, exponent),
-    )
+    fraction, exponent = (select(high, fraction * 0.5, fraction), select(high, exponent + 1.0, exponent))
     f = fraction - 1.0
     s = f / (2.0 + f)
     z = s * s

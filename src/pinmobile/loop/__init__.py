@@ -15,27 +15,13 @@ from pinmobile.loop._counts import (
 from pinmobile.loop._description import Outline, percent as percent
 from pinmobile.loop._end_effector import EndEffector
 from pinmobile.loop._ensemble import Bands, Ensemble, ErrorQuantile
-from pinmobile.loop._loop import (
-    Loop,
-    Record,
-    Sample,
-    State as State,
-    reaction as reaction,
-    step,
-)
+from pinmobile.loop._loop import Loop, Record, Sample, State as State, reaction as reaction, step
 from pinmobile.loop._record import Samples, Worst
 from pinmobile.loop._rollout import Rollout, error_text as error_text
 from pinmobile.loop._run import ensemble, part_of, run_scenario, way_of as way_of
 from pinmobile.loop._scenario import Scenario
 from pinmobile.loop._simulate import Engine, simulate
-from pinmobile.loop._spread import (
-    TRUE_MODEL,
-    Distribution,
-    Normal,
-    Relative,
-    SameAs,
-    Uniform,
-)
+from pinmobile.loop._spread import TRUE_MODEL, Distribution, Normal, Relative, SameAs, Uniform
 from pinmobile.loop._variables import (
     LEVELS as LEVELS,
     NOTE as NOTE,

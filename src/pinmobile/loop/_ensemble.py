@@ -18,13 +18,7 @@ from pinmobile.loop._description import Outline, alike, judgement, ranges
 from pinmobile.loop._rollout import Rollout
 from pinmobile.loop._scenario import Scenario, checked_scenario
 from pinmobile.loop._simulate import simulate
-from pinmobile.loop._variables import (
-    PER_ROBOT,
-    columns_of,
-    content_of,
-    dataset_of,
-    quantiles_of,
-)
+from pinmobile.loop._variables import PER_ROBOT, columns_of, content_of, dataset_of, quantiles_of
 
 _FORMAT = "pinmobile ensemble 5"
 _V = TypeVar("_V")

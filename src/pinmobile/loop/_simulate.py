@@ -186,12 +186,7 @@ def simulate(
 
 
 def _engaged(
-    loop: Loop,
-    context: Context,
-    start: tuple[Array, Array],
-    asked: Engine | None,
-    *,
-    compiles: bool,
+    loop: Loop, context: Context, start: tuple[Array, Array], asked: Engine | None, *, compiles: bool
 ) -> tuple[Run, str]:
     """Return the run by its engine, and why it is not compiled, where that was not asked for."""
     if not compiles:

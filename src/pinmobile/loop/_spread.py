@@ -11,16 +11,7 @@ from zlib import crc32
 
 import numpy as np
 
-from pinmobile.arrays import (
-    Array,
-    ArrayLike,
-    affordable,
-    finite,
-    instance,
-    scalar,
-    shaped,
-    whole,
-)
+from pinmobile.arrays import Array, ArrayLike, affordable, finite, instance, scalar, shaped, whole
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Found, Number, by_value, number, part
 from pinmobile.plant import stated
