@@ -495,7 +495,7 @@ def test_another_process_finds_the_loop_whatever_its_seed_of_hashes(process: Pro
         "from pinmobile.loop import _program\n"
         "def refuse(*given, **options): raise SystemExit('traced')\n"
         "from tests.test_identity import LOOPS\n"
-        "_program.traced = refuse\n"
+        "_program.Trace = refuse\n"
         "LOOPS['a law'](); LOOPS['wrappers']()\n"
     )
     words = [sys.executable, "-c", code]

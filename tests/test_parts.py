@@ -287,21 +287,6 @@ def test_a_force_of_another_shape_is_refused_by_every_engine(answer: Any, engine
         )
 
 
-def test_a_law_may_write_into_the_reference_that_it_is_told() -> None:
-    def careless(t: float, q: Any, v: Any, reference: Any) -> Any:
-        error = reference.q
-        error -= q
-        return 120 * error - 10 * v
-
-    def careful(t: float, q: Any, v: Any, reference: Any) -> Any:
-        return 120 * (reference.q - q) - 10 * v
-
-    motion = pm.Tangent(pm.Circle(2.0, 0.5, 1.0))
-    one, other = (pm.simulate(ROBOT, pm.law(function), motion, dt=0.02) for function in (careless, careful))
-    np.testing.assert_array_equal(one.q, other.q)
-    np.testing.assert_array_equal(one.reference.q, other.reference.q)
-
-
 # A law that reaches a robot which is no attribute of a part.
 
 MASSES = {"mass": np.array([27.0, 33.0])}

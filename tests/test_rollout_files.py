@@ -109,7 +109,7 @@ def loaded_or_refused(path: Path) -> bool:
         assert str(loaded).startswith(f"path is {str(path)!r}, which ")
         return False
     assert same(loaded)
-    assert loaded.plant == ROBOT
+    assert (loaded.plant, loaded.plant.source) == (ROBOT, ROBOT.source)
     return True
 
 

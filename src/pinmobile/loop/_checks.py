@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -169,8 +170,8 @@ def sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
         _SHORTER,
     )
     asked = id(plant), t.tobytes()
-    before: tuple[Reference, Plant] | None = _sampled.get(trajectory, asked)
-    if before is not None:
+    before: tuple[Reference, Callable[[], Plant | None]] | None = _sampled.get(trajectory, asked)
+    if before is not None and before[1]() is plant:  # and no other with its id
         return before[0]
     try:
         reference = trajectory(t)
@@ -199,7 +200,8 @@ def sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
     if len(t) * n > _KEPT or not is_constant(trajectory):
         return checked
     checked = Reference(*map(frozen, checked))
-    _sampled.keep(trajectory, asked, (checked, plant))  # while it is kept, no other has its id
+    with contextlib.suppress(TypeError):  # a plant without weak references
+        _sampled.keep(trajectory, asked, (checked, weakref.ref(plant)))
     return checked
 
 
