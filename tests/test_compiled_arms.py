@@ -23,7 +23,6 @@ from pinmobile import (
     Normal,
     PayloadBody,
     PDGravity,
-    Reference,
     Relative,
     Rollout,
     SameAs,
@@ -41,6 +40,7 @@ from pinmobile.controllers import Decoupled
 from pinmobile.errors import SlowerEngine
 from pinmobile.integrators import rk4
 from pinmobile.loop._run import way_of
+from tests.looping import Swing
 from tests.test_compiled_loop import targets
 from tests.test_mounted import mjcf
 
@@ -52,20 +52,6 @@ CLOSE = 1e-10
 WRAPPED = InputSaturation(
     MeasurementDelay(MeasurementNoise(ComputedTorque(UR5, 20, 8), 1e-4, 1e-4, seed=1), 1), UR5.effort_limit
 )
-
-
-class Swing:
-    """All coordinates to and fro."""
-
-    def __init__(self, robot: MobileRobot, duration: float = 0.6) -> None:
-        self.robot, self.duration = robot, duration
-        self.way = 0.2 * np.arange(1, robot.nv + 1) / robot.nv
-
-    def __call__(self, t: Any) -> Reference:
-        angle = 3.0 * np.asarray(t)[..., None]
-        off = self.way * (1 - np.cos(angle))
-        q = self.robot.integrate(np.broadcast_to(self.robot.rest, (*off.shape[:-1], self.robot.nq)), off)
-        return Reference(q, self.way * 3 * np.sin(angle), self.way * 9 * np.cos(angle))
 
 
 SPREAD: dict[str, Any] = {

@@ -236,97 +236,71 @@ def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "error", "text"),
+    ("changes", "text"),
     [
-        ({"n": -3}, pm.InvalidArgument, "n is -3, expected a whole number >= 1"),
-        ({"n": 2.5}, pm.InvalidArgument, "n is 2.5, expected a whole number >= 1"),
-        ({"n": 10**11}, pm.InvalidArgument, "expected at most 100,000,000, whose records take 15 GB"),
-        ({"n": True}, pm.InvalidArgument, "n is True, expected a whole number >= 1"),
-        ({"seed": None}, pm.InvalidArgument, "seed is None, expected a whole number >= 0"),
+        ({"n": -3}, "n is -3, expected a whole number >= 1"),
+        ({"n": 2.5}, "n is 2.5, expected a whole number >= 1"),
+        ({"n": 10**11}, "expected at most 100,000,000, whose records take 15 GB"),
+        ({"n": True}, "n is True, expected a whole number >= 1"),
+        ({"seed": None}, "seed is None, expected a whole number >= 0"),
         (
             {"controller": pm.InputSaturation(pm.PD(4, 4), [1, 2])},
-            pm.InvalidArgument,
             "limits has shape (2,), expected () or (..., 3)",
         ),
         (
             {"controller": pm.MeasurementNoise(pm.PD(4, 4), 0, [1, 2], seed=0)},
-            pm.InvalidArgument,
             "std_v has shape (2,), expected () or (..., 3)",
         ),
-        (
-            {"robot": WITH_ARM},
-            pm.InvalidArgument,
-            "q0 has shape (9,), expected (..., 3); the reference has the first 3 of 9",
-        ),
+        ({"robot": WITH_ARM}, "q0 has shape (9,), expected (..., 3); the reference has the first 3 of 9"),
         (
             {"controller": pm.ComputedTorque(WITH_ARM)},
-            pm.InvalidArgument,
             ", which has 9 coordinates, expected 3, as the plant has",
         ),
         (
             {"controller": pm.ComputedTorque(Own()), "spread": {"controller.mass": 3}},
-            UnknownName,
             "unknown parameter in spread 'controller.mass', available: mass, ",
         ),
-        ({"seed": -1}, pm.InvalidArgument, "seed is -1, expected a whole number >= 0"),
-        ({"robot": "me"}, pm.InvalidArgument, "plant is 'me', expected something with 'forward_dynamics'"),
-        ({"spread": 3}, pm.InvalidArgument, "spread is 3, expected a mapping of parameters to distributions"),
+        ({"seed": -1}, "seed is -1, expected a whole number >= 0"),
+        ({"robot": "me"}, "plant is 'me', expected something with 'forward_dynamics'"),
+        ({"spread": 3}, "spread is 3, expected a mapping of parameters to distributions"),
         (
             {"spread": {"masss": 3}},
-            UnknownName,
             "unknown parameter in spread 'masss', did you mean 'mass'? available: mass, ",
         ),
-        ({"spread": {"mass": "3"}}, pm.InvalidArgument, "spread['mass'] is '3', expected real numbers"),
-        (
-            {"spread": {"mass": np.ones(3)}},
-            pm.InvalidArgument,
-            "spread['mass'] has shape (3,), expected () or (1000,)",
-        ),
-        (
-            {"spread": {"mass": pm.Uniform}},
-            pm.InvalidArgument,
-            "spread['mass'] is the class Uniform, expected one of it",
-        ),
+        ({"spread": {"mass": "3"}}, "spread['mass'] is '3', expected real numbers"),
+        ({"spread": {"mass": np.ones(3)}}, "spread['mass'] has shape (3,), expected () or (1000,)"),
+        ({"spread": {"mass": pm.Uniform}}, "spread['mass'] is the class Uniform, expected one of it"),
         (
             {"spread": {"mass": pm.SameAs("mas")}},
-            UnknownName,
             "unknown parameter in spread['mass'] 'mas', did you mean 'mass'",
         ),
         (
             {"spread": {"mass": pm.SameAs("controller.mass"), "controller.mass": pm.SameAs("mass")}},
-            pm.InvalidArgument,
             "spread is circular (mass, controller.mass, mass): give one its own distribution",
         ),
         (
             {"controller": pm.PD(4, 4), "spread": {"controller.mass": 3}},
-            UnknownName,
             "unknown parameter in spread 'controller.mass', available: mass, yaw_inertia, ",
         ),
         (
             {"controller": pm.law(lambda t, q, v, reference: -q), "spread": {"kp": 3}},
-            UnknownName,
             "unknown parameter in spread 'kp', available: mass, yaw_inertia, ",
         ),
         (
             {"spread": {"force.x": 3}, "forces": [pm.ConstantForce((1, 0, 0))] * 2},
-            pm.InvalidArgument,
             "spread has 'force.x', which forces.0.force.x and forces.1.force.x have, expected one of them: "
             "'forces.0.force.x' or 'forces.1.force.x'",
         ),
-        ({"spread": {"force.x": 3}}, UnknownName, "unknown parameter in spread 'force.x'"),
-        ({"after": 1.1}, pm.InvalidArgument, "after is 1.1 s, expected 0 <= after <= 1 s"),
-        ({"after": -0.1}, pm.InvalidArgument, "after is -0.1 s, expected 0 <= after <= 1 s"),
-        ({"every": 0}, pm.InvalidArgument, "every is 0, expected a whole number >= 1"),
-        (
-            {"dt": 0.3, "duration": 1.0},
-            pm.InvalidArgument,
-            "duration is 1.0 s, expected a whole number of steps dt = 0.3 s",
-        ),
-        ({"controller": pm.PD}, pm.InvalidArgument, "expected a controller"),
+        ({"spread": {"force.x": 3}}, "unknown parameter in spread 'force.x'"),
+        ({"after": 1.1}, "after is 1.1 s, expected 0 <= after <= 1 s"),
+        ({"after": -0.1}, "after is -0.1 s, expected 0 <= after <= 1 s"),
+        ({"every": 0}, "every is 0, expected a whole number >= 1"),
+        ({"dt": 0.3, "duration": 1.0}, "duration is 1.0 s, expected a whole number of steps dt = 0.3 s"),
+        ({"controller": pm.PD}, "expected a controller"),
     ],
 )
-def test_a_scenario_checks_itself(changes: Any, error: Any, text: str) -> None:
-    with pytest.raises(error) as caught:
+def test_a_scenario_checks_itself(changes: Any, text: str) -> None:
+    with pytest.raises(UnknownName if text.startswith("unknown") else pm.InvalidArgument) as caught:
         made(**changes)
     assert text in str(caught.value)
 
