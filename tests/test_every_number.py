@@ -13,7 +13,7 @@ from pinmobile.compiled.identity import is_traced
 from pinmobile.controllers import AdaptiveVelocity, DynamicFeedback, Kanayama, VelocityCommand
 from pinmobile.errors import NotTraceable
 from pinmobile.loop import Loop, Samples
-from pinmobile.loop._checks import chosen_integrator, sampled, started
+from pinmobile.loop._checks import chosen_integrator, sampled
 from pinmobile.loop._program import Compiled
 from pinmobile.loop._python import in_python
 from pinmobile.parts import numbers, replace
@@ -58,7 +58,7 @@ def made(name: str) -> tuple[Loop, Context, Any]:
     loop = Loop(plant, controller, trajectory, forces, integrator, options.get("substeps", 1), Samples())
     t: Any = 1.0 + DT * np.arange(SAMPLES)
     reference = sampled(trajectory, t, plant)
-    q, v = started(plant, Reference(*(x[0] for x in reference)))
+    q, v = plant.start(Reference(*(x[0] for x in reference)))
     context = Context.of(plant, dt=DT, t=t, reference=reference, trajectory=trajectory)
     moved = 0.05 * np.cos(np.arange(len(v)))
     q, v = plant.integrate(q, moved), v + 0.1 * np.sin(1.0 + np.arange(len(v)))

@@ -128,7 +128,7 @@ def test_wrong_arguments(tmp_path: Path, options: Any, text: str) -> None:
 def test_wrong_scenarios_paths_and_stores(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     untyped: Any = 3
-    with pytest.raises(pm.InvalidArgument, match="scenario is a int, expected a Scenario"):
+    with pytest.raises(pm.InvalidArgument, match="scenario is 3, expected a Scenario"):
         pm.sweep(untyped, tmp_path / "store")
     with pytest.raises(UnknownName, match="unknown parameter in grid or cases 'masss', did you mean 'mass'"):
         pm.sweep(scenario(), tmp_path / "store", grid={"masss": [1]})

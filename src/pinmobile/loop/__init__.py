@@ -3,7 +3,6 @@
 from pinmobile.loop._checks import (
     chosen_integrator as chosen_integrator,
     sampled as sampled,
-    started as started,
 )
 from pinmobile.loop._counts import (
     Member,

@@ -205,12 +205,6 @@ def sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
     return checked
 
 
-def started(plant: Any, reference: Reference) -> tuple[Any, Any]:
-    """Return where a plant's ``start`` puts it for the first sample of a reference: q and v."""
-    q, v = plant.start(reference)
-    return q, v
-
-
 def checked_forces(forces: Any, plant: Plant) -> Any:
     """Return the forces. They must be forces, and the plant must accept them.
 

@@ -13,9 +13,9 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.errors import shown
 from pinmobile.loop._loop import named_forces
-from pinmobile.loop._scenario import Scenario, checked_scenario, first_counted
+from pinmobile.loop._scenario import Recorded, Scenario, checked_scenario
 from pinmobile.loop._spread import SameAs, Source
-from pinmobile.metrics import Metric, channels_of, in_words
+from pinmobile.metrics import Metric, in_words
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.trajectories import Reference
 
@@ -115,7 +115,7 @@ _CLOSE = 1e-9  # by which numbers differ that another machine or release makes a
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Outline:
+class Outline(Recorded):
     """Description of a scenario by the text of its parts, of an ensemble that was loaded from a file.
 
     The attributes are those of `Scenario`.
@@ -191,21 +191,6 @@ class Outline:
             inputs=tuple(Input(*one[:2]) for one in given.inputs),
             recorded_metrics=given.recorded_metrics,
         )
-
-    @property
-    def begin(self) -> int:
-        """First sample whose error is kept."""
-        return first_counted(self.t, self.after, self.dt)
-
-    @property
-    def grid(self) -> Array:
-        """Times of the bands, shape (G,) [s]."""
-        return self.t[:: self.every]
-
-    @property
-    def channels(self) -> tuple[Metric, ...]:
-        """What is counted over time."""
-        return channels_of(self.coordinates, self.recorded_metrics)
 
     def difference(self, other: Outline) -> str:
         """Return how another scenario differs as text; "" where no difference is visible."""

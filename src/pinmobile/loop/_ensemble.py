@@ -16,7 +16,7 @@ from pinmobile.files import read_archive, write_archive, write_table
 from pinmobile.loop._counts import Member, Part, checked_levels, checked_share, member_of, share_within
 from pinmobile.loop._description import Outline, alike, judgement, ranges
 from pinmobile.loop._rollout import Rollout
-from pinmobile.loop._scenario import Scenario, checked_scenario
+from pinmobile.loop._scenario import Scenario
 from pinmobile.loop._simulate import simulate
 from pinmobile.loop._variables import PER_ROBOT, columns_of, content_of, dataset_of, quantiles_of
 
@@ -159,29 +159,14 @@ class Ensemble:
         engine, fallback_reason : str
             How they were run, and why not by a faster engine.
         """
-        for array in (
-            *(part.max_error, part.max_distance, part.rms_error),
-            *(part.worst_metric, part.rms_metric),
-        ):
-            array[part.lived <= scenario.begin] = np.nan
-        part.max_input[part.lived == 0] = np.nan
-        samples = len(scenario.t)
-        times = np.append(scenario.t, np.nan)
-        made = cls(
-            scenario=scenario,
-            draws=dict(draws),
-            max_error=part.max_error,
-            rms_error=part.rms_error,
-            max_distance=part.max_distance,
-            max_input=part.max_input,
-            worst_metric=part.worst_metric,
-            rms_metric=part.rms_metric,
-            diverged_at=times[np.minimum(part.lived, samples)],
-            counts=part.counts,
-            traces={},
-            engine=engine,
-            fallback_reason=fallback_reason,
-        )
+        own = part._asdict()
+        lived = own.pop("lived")
+        for name in ("max_error", "max_distance", "rms_error", "worst_metric", "rms_metric"):
+            own[name][lived <= scenario.begin] = np.nan
+        own["max_input"][lived == 0] = np.nan
+        own["diverged_at"] = np.append(scenario.t, np.nan)[np.minimum(lived, len(scenario.t))]
+        own |= {"traces": {}, "engine": engine, "fallback_reason": fallback_reason}
+        made = cls(scenario=scenario, draws=dict(draws), **own)
         object.__setattr__(made, "traces", {i: made.trace(i) for i in traces})
         return made
 
@@ -360,7 +345,7 @@ class Ensemble:
             If the system fails.
         """
         file = location("path", path)
-        known = None if scenario is None else Outline.of(checked_scenario(scenario))
+        known = None if scenario is None else Outline.of(scenario)
         made = read_archive(file, _FORMAT, cls._of_content)
         if scenario is None or known is None:
             return made

@@ -11,7 +11,7 @@ from zlib import crc32
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, affordable, bounded, finite, positive, scalar, whole
+from pinmobile.arrays import Array, affordable, bounded, finite, instance, positive, scalar, whole
 from pinmobile.compiled import BINS, Noise, is_traced
 from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.integrators import Integrator
@@ -24,13 +24,11 @@ from pinmobile.loop._checks import (
     chosen_integrator,
     sample_times,
     sampled,
-    started,
 )
 from pinmobile.loop._loop import Loop
 from pinmobile.loop._spread import (
     Relative,
     Source,
-    check_mapping,
     check_possible,
     check_supports,
     checked_spread,
@@ -64,9 +62,40 @@ _MOST = 100_000_000  # robots
 _RECORD = 150  # bytes for each, about
 
 
+class Recorded:
+    """What an ensemble records of a scenario, or of one that is known in words."""
+
+    t: Array
+    dt: float
+    after: float
+    every: Any
+    coordinates: Any
+    recorded_metrics: Any
+
+    @property
+    def stride(self) -> int:
+        """Samples between two entries of the bands."""
+        return self.every or max(1, round((len(self.t) - 1) / _GRID))
+
+    @property
+    def begin(self) -> int:
+        """First sample at or after the time `after`, the first whose error is recorded."""
+        return int(np.searchsorted(self.t, self.after - _SAME * self.dt))
+
+    @property
+    def grid(self) -> Array:
+        """Times of the bands, shape (G,) [s]."""
+        return self.t[:: self.stride]
+
+    @property
+    def channels(self) -> tuple[Metric, ...]:
+        """Metrics with bands over time: distance, heading, errors of more coordinates, recorded metrics."""
+        return channels_of(self.coordinates, self.recorded_metrics)
+
+
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Scenario:
+class Scenario(Recorded):
     """A closed loop with n robots, each with its own parameters, start and disturbance.
 
     Parameters
@@ -133,7 +162,6 @@ class Scenario:
                 f"n is {n:,}, expected at most {_MOST:,}, whose records take {_MOST * _RECORD / 1e9:.0f} GB"
             )
         dt = positive("dt", self.dt, "s")
-        check_mapping(self.spread)
         self._set(forces=checked_forces(self.forces, self.robot))
         duration = None if self.duration is None else positive("duration", self.duration, "s")
         t = sample_times(dt, duration, self.trajectory.duration)
@@ -145,7 +173,7 @@ class Scenario:
             seed=whole("seed", self.seed, least=0),
             substeps=checked_substeps(self.substeps, len(t)),
             limit=positive("limit", self.limit),
-            after=time_within("after", self.after, t),
+            after=bounded("after", scalar("after", self.after), least=0, most=float(t[-1]), unit="s"),
             every=every,
             t=t,
         )
@@ -199,16 +227,6 @@ class Scenario:
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @property
-    def stride(self) -> int:
-        """Samples between two entries of the bands."""
-        return self.every or max(1, round((len(self.t) - 1) / _GRID))
-
-    @property
-    def begin(self) -> int:
-        """First sample whose error the ensemble records."""
-        return first_counted(self.t, self.after, self.dt)
-
-    @property
     def size(self) -> int:
         """Number of coordinates of the reference."""
         return int(self.reference.v.shape[-1])
@@ -246,11 +264,6 @@ class Scenario:
         """Metrics of the robot that the ensemble records beside errors."""
         errors = "distance", "heading", *(one.name for one in self._coordinates)
         return chosen(self.robot, self.metrics, errors)
-
-    @property
-    def channels(self) -> tuple[Metric, ...]:
-        """Metrics with bands over time: distance, heading, errors of more coordinates, recorded metrics."""
-        return channels_of(self.coordinates, self.recorded_metrics)
 
     @cached_property
     def found(self) -> dict[str, Found]:
@@ -427,15 +440,11 @@ class Scenario:
     def _beginning(self, plant: Plant, at: Reference | None = None) -> tuple[Array, Array]:
         """Return the state of a plant at the first sample of a reference, (nq,) and (nv,)."""
         at = Reference(*(part[0] for part in self.reference)) if at is None else at
-        if not able(plant, Starting):
+        starting = able(plant, Starting)
+        if starting is None:
             return at.q, at.v
-        q, v = (finite(f"{name} of plant.start", x) for name, x in zip("qv", started(plant, at), strict=True))
+        q, v = (finite(f"{name} of plant.start", x) for name, x in zip("qv", starting.start(at), strict=True))
         return q, v
-
-    @property
-    def grid(self) -> Array:
-        """Times of the bands, shape (G,) [s]."""
-        return self.t[:: self.stride]
 
     def holding(self, start: int, stop: int) -> Scenario:
         """Return the scenario for a process that runs the robots from `start` to before `stop`.
@@ -496,25 +505,8 @@ def checked_scenario(scenario: object) -> Scenario:
     InvalidArgument
         If it is no `Scenario`.
     """
-    if not isinstance(scenario, Scenario):
-        raise InvalidArgument(f"scenario is a {type(scenario).__name__}, expected a Scenario")
-    return scenario
-
-
-def first_counted(t: Array, after: float, dt: float) -> int:
-    """Return the index of the first sample at or after the time `after`."""
-    return int(np.searchsorted(t, after - _SAME * dt))
-
-
-def time_within(name: str, value: ArrayLike, t: Array) -> float:
-    """Return a time within a run with samples at times `t`.
-
-    Raises
-    ------
-    InvalidArgument
-        If it is outside.
-    """
-    return bounded(name, scalar(name, value), least=0, most=float(t[-1]), unit="s")
+    found: Scenario = instance("scenario", scenario, Scenario, "a Scenario")
+    return found
 
 
 def _drawn_by(part: Any, name: str, generator: np.random.Generator, count: int) -> Array:

@@ -10,9 +10,9 @@ from warnings import warn
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, positive, shaped, whole
+from pinmobile.arrays import Array, ArrayLike, finite, instance, positive, shaped, whole
 from pinmobile.controllers import Controller
-from pinmobile.errors import Diverged, InvalidArgument, LimitWarning, NotTraceable, SlowerEngine, shown
+from pinmobile.errors import Diverged, InvalidArgument, LimitWarning, NotTraceable, SlowerEngine
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop._checks import (
@@ -25,7 +25,6 @@ from pinmobile.loop._checks import (
     chosen_integrator,
     sample_times,
     sampled,
-    started,
 )
 from pinmobile.loop._loop import Loop, named_forces
 from pinmobile.loop._python import CompiledRun, PythonRun, Run, with_compiled_plant
@@ -57,9 +56,8 @@ def checked_engine(engine: object) -> Engine | None:
     InvalidArgument
         If it is something else.
     """
-    if engine is None or isinstance(engine, Engine):
-        return engine
-    raise InvalidArgument(f"engine is {shown(engine)}, expected Engine.PYTHON, Engine.COMPILED or None")
+    found: Engine | None = instance("engine", engine, Engine | None, "Engine.PYTHON, Engine.COMPILED or None")
+    return found
 
 
 _CHUNK = 512  # samples between two looks for divergence
@@ -216,8 +214,9 @@ def _start(
     known = _started.get(plant, asked) if by_default else None
     if known is not None:
         return known[0].copy(), known[1].copy()
-    if able(plant, Starting):
-        on_reference = started(plant, first)
+    starting = able(plant, Starting)
+    if starting is not None:
+        on_reference = starting.start(first)
     elif first.v.size == plant.nv:
         on_reference = first.q, first.v
     elif q0 is None or v0 is None:

@@ -240,7 +240,7 @@ def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str
         If a source is no distribution, number, array of shape (n,), `Relative` or `SameAs`, or is circular,
         or two names mean one number.
     """
-    check_mapping(spread)
+    instance("spread", spread, Mapping, "a mapping of parameters to distributions")
     found, named = {}, dict[str, str]()
     for name, source in spread.items():
         one = find(name)
@@ -259,17 +259,6 @@ def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str
         if isinstance(source, SameAs):
             _follow(name, source, spread, find)
     return found
-
-
-def check_mapping(spread: object) -> None:
-    """Check that a spread is a mapping.
-
-    Raises
-    ------
-    InvalidArgument
-        If it is no mapping.
-    """
-    instance("spread", spread, Mapping, "a mapping of parameters to distributions")
 
 
 def check_supports(spread: Mapping[str, Any], found: Mapping[str, Found]) -> None:

@@ -18,6 +18,7 @@ from typing import Any, TypeAlias, final
 import numpy as np
 
 import pinmobile
+from pinmobile.arrays import instance
 from pinmobile.compiled import Contents
 from pinmobile.errors import InvalidArgument, UnknownName, shown
 from pinmobile.loop import PER_ROBOT, SUMMED, Loop, Relative, Scenario, chosen_integrator
@@ -119,8 +120,7 @@ class Points:
     @classmethod
     def of(cls, scenario: Scenario, grid: Mapping[str, Any] | None, cases: Any = None) -> Points:
         """Return the points of grid x cases around a scenario; the arguments are those of `sweep`."""
-        if not isinstance(scenario, Scenario):
-            raise InvalidArgument(f"scenario is a {type(scenario).__name__}, expected a Scenario")
+        instance("scenario", scenario, Scenario, "a Scenario")
         grid, cases = _mapping("grid", grid), _mapping("cases", cases)
         cases = {name: _mapping(f"cases[{name!r}]", changes) for name, changes in cases.items()}
         given = {_axis_name(name): values for name, values in grid.items()}
