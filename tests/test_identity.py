@@ -203,52 +203,15 @@ def twenty_times(x: Any) -> Any:
     return 20.0 * x
 
 
-def by_global(t: float, q: Any, v: Any, reference: Any) -> Any:
-    return SCALE * (reference.q - q) - v
-
-
-def by_array(t: float, q: Any, v: Any, reference: Any) -> Any:
-    return TABLE * (reference.q - q) - v
-
-
-def by_queue(t: float, q: Any, v: Any, reference: Any) -> Any:
-    return QUEUE[0] * (reference.q - q) - v
-
-
-def by_own_queue(t: float, q: Any, v: Any, reference: Any) -> Any:
-    return OWN_QUEUE[0] * (reference.q - q) - v
-
-
-def by_slots(t: float, q: Any, v: Any, reference: Any) -> Any:
-    return BESIDE.k * (reference.q - q) - v
+def by(gain: str) -> Any:
+    """Return a law whose gain is an expression of globals."""
+    found: dict[str, Any] = {}
+    exec(f"def by(t, q, v, reference): return {gain} * (reference.q - q) - v", globals(), found)
+    return found["by"]
 
 
 def by_operator(t: float, q: Any, v: Any, reference: Any) -> Any:
     return BESIDE.__matmul__(reference.q - q) - v
-
-
-def by_namespace(t: float, q: Any, v: Any, reference: Any) -> Any:
-    return BOX.w * (reference.q - q) - v
-
-
-def by_mapping(t: float, q: Any, v: Any, reference: Any) -> Any:
-    return SETTINGS["inner"]["w"][0] * (reference.q - q) - v
-
-
-def by_object(t: float, q: Any, v: Any, reference: Any) -> Any:
-    return OBJECT.gain * (reference.q - q) - v
-
-
-def by_class(t: float, q: Any, v: Any, reference: Any) -> Any:
-    return PLAN.gain() * (reference.q - q) - v
-
-
-def by_bound_method(t: float, q: Any, v: Any, reference: Any) -> Any:
-    return BOUND() * (reference.q - q) - v
-
-
-def by_partial(t: float, q: Any, v: Any, reference: Any) -> Any:
-    return PARTIAL() * (reference.q - q) - v
 
 
 def by_default(t: float, q: Any, v: Any, reference: Any, gains: Any = GAINS) -> Any:
@@ -289,25 +252,28 @@ CLOSED, CHANGE = _closed()
 OWN = {2.0: by_code.__code__, 20.0: by_other_code.__code__}
 HELPERS = {2.0: double.__code__, 20.0: twenty_times.__code__}
 CHANGES: dict[str, tuple[Any, Callable[[float], Any]]] = {
-    "global": (by_global, lambda x: globals().update(SCALE=x)),
-    "array": (by_array, lambda x: TABLE.fill(x)),
+    "global": (by("SCALE"), lambda x: globals().update(SCALE=x)),
+    "array": (by("TABLE"), lambda x: TABLE.fill(x)),
     "closure": (CLOSED, CHANGE),
     "code": (by_code, lambda x: setattr(by_code, "__code__", OWN[x])),  # as %autoreload changes it
     "code of a helper": (by_helper, lambda x: setattr(double, "__code__", HELPERS[x])),
-    "namespace": (by_namespace, lambda x: setattr(BOX, "w", x)),
-    "mapping of mappings": (by_mapping, lambda x: SETTINGS["inner"]["w"].__setitem__(0, x)),
-    "object": (by_object, lambda x: setattr(OBJECT, "gain", x)),
-    "class": (by_class, lambda x: setattr(Plan, "k", x)),
-    "deque": (by_queue, lambda x: QUEUE.__setitem__(0, x)),
-    "subclass of a deque": (by_own_queue, lambda x: OWN_QUEUE.__setitem__(0, x)),
-    "slots and a dictionary": (by_slots, lambda x: setattr(BESIDE, "k", x)),
+    "namespace": (by("BOX.w"), lambda x: setattr(BOX, "w", x)),
+    "mapping of mappings": (
+        by('SETTINGS["inner"]["w"][0]'),
+        lambda x: SETTINGS["inner"]["w"].__setitem__(0, x),
+    ),
+    "object": (by("OBJECT.gain"), lambda x: setattr(OBJECT, "gain", x)),
+    "class": (by("PLAN.gain()"), lambda x: setattr(Plan, "k", x)),
+    "deque": (by("QUEUE[0]"), lambda x: QUEUE.__setitem__(0, x)),
+    "subclass of a deque": (by("OWN_QUEUE[0]"), lambda x: OWN_QUEUE.__setitem__(0, x)),
+    "slots and a dictionary": (by("BESIDE.k"), lambda x: setattr(BESIDE, "k", x)),
     "operator": (by_operator, lambda x: setattr(Beside, "__matmul__", lambda self, e: x * e)),
     "entry of a default": (by_default, lambda x: GAINS.__setitem__(0, x)),
     "default": (by_default, lambda x: setattr(by_default, "__defaults__", ([x],))),
     "default by keyword": (by_keyword, lambda x: setattr(by_keyword, "__kwdefaults__", {"gains": [x]})),
     "attribute of a function": (by_attribute, lambda x: setattr(by_attribute, "gain", x)),
-    "bound method": (by_bound_method, lambda x: setattr(Plan, "k", x)),
-    "partial": (by_partial, lambda x: SETTINGS["inner"]["w"].__setitem__(0, x)),
+    "bound method": (by("BOUND()"), lambda x: setattr(Plan, "k", x)),
+    "partial": (by("PARTIAL()"), lambda x: SETTINGS["inner"]["w"].__setitem__(0, x)),
 }
 
 

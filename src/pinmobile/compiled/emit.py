@@ -194,13 +194,19 @@ class Code:
         shared = self.is_shared(node)
         return [self._operation(node, u, region, shared) for u in (range(1) if shared else self.vectors())]
 
+    def _phi(self, name: str, kind: str, *ways: tuple[str, str]) -> str:
+        """Write a value by the block that comes before, and return its name."""
+        listed = ", ".join(f"[ {value}, %{block} ]" for value, block in ways)
+        self.lines["sample"].append(f"  {name} = phi {kind} {listed}")
+        return name
+
     def _rounds(self, node: int) -> list[str]:
         """Write rounds, which end when no robot of the block needs a further one; one that is done stays.
 
         Where none needs any, all are passed over.
         """
-        rounds, lines, lanes = Rounds.of(self.tape, node), self.lines["sample"], self.shape.lanes
-        whole, truth, vectors = self.type("f"), self.type("b"), self.vectors()
+        rounds, lines, vectors = Rounds.of(self.tape, node), self.lines["sample"], self.vectors()
+        whole, truth = self.type("f"), self.type("b")
         first = [[self.argument(i, u, "sample") for u in vectors] for i in rounds.first]
         # Those that all robots share are spread before, not in each round.
         for i in rounds.outside:
@@ -211,7 +217,7 @@ class Code:
         last = f"behind{nested[-1]}" if nested else inside  # the block in which a round ends
         lines += [f"  br label %{before}", f"{before}:"]
         may_skip = self.tape.known(rounds.settled) is None
-        none = ["false" if lanes == 1 else "zeroinitializer"] * len(vectors)
+        none = ["false" if self.shape.lanes == 1 else "zeroinitializer"] * len(vectors)
         if may_skip:
             none = [self.argument(rounds.settled, u, "sample") for u in vectors]
             some = self._some_left(none)
@@ -219,15 +225,24 @@ class Code:
         else:
             lines.append(f"  br label %{inside}")
         lines.append(f"{inside}:")
-        for j, values in enumerate(first):
-            for u in vectors:
-                name = f"{node}_{j}_{u}"
-                ways = f"[ {values[u]}, %{before} ], [ %z{name}, %{last} ]"
-                lines.append(f"  %y{name} = phi {whole} {ways}")
+        names = [(f"{node}_{j}_{u}", values[u]) for j, values in enumerate(first) for u in vectors]
+        for name, value in names:
+            self._phi(f"%y{name}", whole, (value, before), (f"%z{name}", last))
         for u in vectors:
-            ways = f"[ {none[u]}, %{before} ], [ %d{node}_{u}, %{last} ]"
-            lines.append(f"  %e{node}_{u} = phi {truth} {ways}")
-        lines.append(f"  %r{node} = phi i64 [ 1, %{before} ], [ %q{node}, %{last} ]")
+            self._phi(f"%e{node}_{u}", truth, (none[u], before), (f"%d{node}_{u}", last))
+        self._phi(f"%r{node}", "i64", ("1", before), (f"%q{node}", last))
+        self._round(node, rounds)
+        lines += [f"  br i1 %m{node}, label %{inside}, label %{behind}", f"{behind}:"]
+        for name, value in names if may_skip else ():
+            self._phi(f"%w{name}", whole, (value, before), (f"%z{name}", last))
+        letter = "w" if may_skip else "z"
+        self.results[node] = [[f"%{letter}{node}_{j}_{u}" for u in vectors] for j in range(len(first))]
+        return []
+
+    def _round(self, node: int, rounds: Rounds) -> None:
+        """Write one round, and whether there is a further one."""
+        lines, vectors = self.lines["sample"], self.vectors()
+        whole, truth = self.type("f"), self.type("b")
         for i in rounds.body:
             name, *given = self.tape.operations[i]
             if name == "carry":
@@ -246,20 +261,7 @@ class Code:
             lines.append(f"  %d{node}_{u} = or {truth} %e{node}_{u}, {value}")
         more = self._some_left([f"%d{node}_{u}" for u in vectors])
         under = self.put("sample", f"icmp slt i64 %r{node}, {rounds.most}")
-        more = self.put("sample", f"and i1 {more}, {under}")
-        lines += [
-            f"  %q{node} = add i64 %r{node}, 1",
-            f"  br i1 {more}, label %{inside}, label %{behind}",
-            f"{behind}:",
-        ]
-        self.results[node] = [[f"%z{node}_{j}_{u}" for u in vectors] for j in range(len(first))]
-        if may_skip:
-            for j, values in enumerate(first):
-                for u in vectors:
-                    ways = f"[ {values[u]}, %{before} ], [ %z{node}_{j}_{u}, %{last} ]"
-                    lines.append(f"  %w{node}_{j}_{u} = phi {whole} {ways}")
-            self.results[node] = [[f"%w{node}_{j}_{u}" for u in vectors] for j in range(len(first))]
-        return []
+        lines += [f"  %m{node} = and i1 {more}, {under}", f"  %q{node} = add i64 %r{node}, 1"]
 
     def _some_left(self, done: Sequence[str]) -> str:
         """Write whether a robot of the block is not done, from a vector of truth values for each of it."""
