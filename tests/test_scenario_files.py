@@ -160,7 +160,7 @@ def test_shipped_scenarios_run_and_are_the_same_after_they_are_written(name: str
     short = {"duration": 3 * opened.content.dt}
     runs = [attrs.evolve(one.content, **short).simulate() for one in (opened, again)]
     assert runs[0].q.tobytes() == runs[1].q.tobytes()
-    assert [scenario.dt for _, scenario in opened.points()]
+    assert opened.points().scenarios
 
 
 WRONG = """dt = 0.01
@@ -182,7 +182,7 @@ amplitude = [1, 0,
 
 def problems(*words: str) -> str:
     with pytest.raises(pm.InvalidArgument) as caught:
-        list(Opened(words).points())
+        Opened(words).points()
     return str(caught.value)
 
 
@@ -337,14 +337,17 @@ def test_robots_of_files_and_lists_of_parts_are_stated(tmp_path: Path) -> None:
 
 def test_grids_and_cases_change_what_they_name_and_no_model() -> None:
     opened = Opened(["rivals", "grid.mass=[30, 40]"])
-    points = list(opened.points())
-    assert len(points) == 12
-    for at, scenario in points:
+    points = opened.points()
+    assert points.shape == (2, 3, 2) or len(points.scenarios) == 12
+    for k, scenario in enumerate(points.scenarios):
+        at = {
+            name: axis.values[i] for (name, axis), i in zip(points.axes.items(), points.index(k), strict=True)
+        }
         assert scenario.robot.mass == at["mass"]
         assert set(scenario.forces) == ({"push"} if at["case"] == "push" else set())
         if at["controller"] == "computed torque":
             assert scenario.controller.robot.mass == 30
-    assert opened.unit("robot.mass") == "kg"
+    assert points.axes["mass"].unit == "kg"
 
 
 def test_text_makes_what_python_makes() -> None:

@@ -29,7 +29,7 @@ from pinmobile.cli.scenario_file import Opened
 from pinmobile.loop import run_scenario
 from pinmobile.metrics import in_words, metrics_of
 from pinmobile.plant import PlantOutline
-from pinmobile.sweeps import Axis, Points, connected, run_points
+from pinmobile.sweeps import connected, run_points
 
 _FILM = 10.0  # [s] that a film lasts at most
 _MOST, _SHORT = 12, 160  # figures of a sweep, and letters of a robot
@@ -195,7 +195,7 @@ def _ensemble_figures(found: Ensemble, folder: Path) -> list[Picture]:
 def show_sweep(words: Sequence[str], out: Path | None, scheduler: str | None, *, allow_code: bool) -> int:
     """Run the ensembles at all points, print their table and the answer, and draw them."""
     opened = Opened(words, allow_code=allow_code)
-    points = _points(opened)
+    points = opened.points()
     folder = output_folder(Path("out") / opened.title if out is None else out)
     client = None if scheduler is None else connected(scheduler)
     store = folder / "sweep.zarr"
@@ -219,18 +219,6 @@ def show_sweep(words: Sequence[str], out: Path | None, scheduler: str | None, *,
         f"wrote {store}: xarray.open_zarr reads it, and pinmobile.Sweep.open\nopen {page}", markup=False
     )
     return 0
-
-
-def _points(opened: Opened) -> Points:
-    """Return the scenarios at all points, with their axes; impossible draws are refused before any work."""
-    axes = {path: Axis(tuple(values), opened.unit(path)) for path, values in opened.axes().items()}
-    points = Points(axes or {"case": Axis(("all",))}, [scenario for _, scenario in opened.points()])
-    for k, scenario in enumerate(points.scenarios):
-        try:
-            scenario.draws()
-        except InvalidArgument as error:
-            raise InvalidArgument(f"{error} (at {points.place(k)})") from error
-    return points
 
 
 def _sweep_figures(found: Sweep, folder: Path) -> list[Picture]:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib.resources import files
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +44,7 @@ from pinmobile.parts import (
     write_text,
 )
 from pinmobile.plant import Plant
+from pinmobile.sweeps import Points
 from pinmobile.trajectories import Trajectory
 
 _LONGEST = 60  # letters of a default
@@ -206,36 +206,34 @@ class Opened:
             sets = dict(word.split("=", 1) for word in self.words)
             raise located(InvalidEntries(problems), sets, self.name, self.text)
 
-    def points(self) -> Iterator[tuple[dict[str, Any], Scenario]]:
-        """Yield the scenario at each point of cases and grid, and which point it is.
+    def points(self) -> Points:
+        """Return the scenarios at all points of cases and grid.
 
         Raises
         ------
-        InvalidEntries
-            If values are not possible; the message has a line for each path.
+        InvalidArgument
+            If values are not possible: of entries that are wrong, the message has a line for each path.
         """
         problems: dict[str, str] = {}
-        axes, plain, nominal = self.axes(), evolved(self.content, grid={}, cases={}), self.scenario()
-        for labels in product(*axes.values()):
-            at = dict(zip(axes, labels, strict=True))
-            case = at.get("case")
-            own = [(f"cases.{case}.{path}", path, x) for path, x in self.content.cases.get(case, {}).items()]
-            swept = {path: axes[path][at[path]] if isinstance(axes[path], dict) else at[path] for path in at}
-            own += [(f"grid.{path}", path, swept[path]) for path in self.content.grid]
-            paths = {place: _full(nominal, path) for place, path, _ in own}
+        plain, nominal = evolved(self.content, grid={}, cases={}), self.scenario()
+
+        def made(values: dict[str, Any]) -> Scenario:
+            case = values.pop("case", "")
+            own = {f"cases.{case}.{path}": (path, x) for path, x in self.content.cases.get(case, {}).items()}
+            own |= {f"grid.{path}": (path, x) for path, x in values.items()}
+            paths = {at: _full(nominal, path) for at, (path, _) in own.items()}
             try:
-                yield at, self.reader.changed(plain, {paths[place]: x for place, _, x in own}).scenario()
+                changed = self.reader.changed(plain, {paths[at]: x for at, (_, x) in own.items()})
+                return changed.scenario()  # type: ignore[no-any-return]
             except InvalidEntries as error:
                 self.reader.problems.clear()
                 for path, message in error.problems.items():
-                    problems |= {place: message for place in paths if are_nested(paths[place], path)}
-        self._refuse(problems)
+                    problems.update({at: message for at in paths if are_nested(paths[at], path)})
+                return nominal
 
-    def unit(self, path: str) -> str:
-        """Return the unit of a number of the loop, "" of anything else."""
-        with suppress(UnknownName, InvalidArgument):
-            return str(evolved(self.content, grid={}, cases={}).scenario().find(path).unit)
-        return ""
+        points = Points.product(self.axes() or {"case": {"all": ""}}, made)
+        self._refuse(problems)
+        return points
 
 
 def _full(nominal: Scenario, path: str) -> str:

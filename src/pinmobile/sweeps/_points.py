@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from hashlib import sha256
 from importlib.metadata import version as installed
@@ -126,6 +127,19 @@ class Points:
         given = {_axis_name(name): values for name, values in grid.items()}
         if cases or not given:
             given["case"] = cases or {"all": {}}
+        return cls.product(given, lambda values: changed(scenario, values | values.pop("case", {})))
+
+    @classmethod
+    def product(cls, given: Mapping[str, Any], make: Callable[[dict[str, Any]], Scenario]) -> Points:
+        """Return the points at all combinations of values, in sequences or by label.
+
+        Parameters
+        ----------
+        given : mapping of str to sequence or mapping
+            Values of each axis.
+        make : callable
+            Returns the scenario at some values, by axis.
+        """
         axes = {name: _labels(name, values) for name, values in given.items()}
         if (count := prod(len(axis.values) for axis in axes.values())) > _MOST:
             raise InvalidArgument(f"grid and cases have {count:,} points, expected at most {_MOST:,}")
@@ -133,9 +147,8 @@ class Points:
         scenarios = []
         for index in product(*(range(len(axis.values)) for axis in axes.values())):
             values = {name: choice[i] for name, choice, i in zip(axes, choices, index, strict=True)}
-            changes = values | values.pop("case", {})
             try:
-                scenarios.append(changed(scenario, changes))
+                scenarios.append(make(values))
                 scenarios[-1].draws()  # impossible ones are refused before any work
             except InvalidArgument as error:
                 raise InvalidArgument(f"{error} (at {', '.join(place(axes, index))})") from error
@@ -212,7 +225,9 @@ def _unit(scenario: Scenario, path: str) -> str:
     """Return the unit of a number by path."""
     if path in _OWN:
         return _UNITS.get(path, "")
-    return find(scenario.given, path.removeprefix("spread."), _known(scenario.given)).unit
+    with suppress(UnknownName):
+        return find(scenario.given, path.removeprefix("spread."), _known(scenario.given)).unit
+    return ""
 
 
 def changed(scenario: Scenario, changes: Changes) -> Scenario:
