@@ -10,7 +10,7 @@ from functools import cached_property, partial, wraps
 from importlib.metadata import version
 from operator import itemgetter
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,13 +52,6 @@ def closure(gain: Any) -> Any:
     return law(lambda t, q, v, reference: push(gain, t, q, v, reference))
 
 
-def by_default(factor: float) -> Any:
-    def mine(t: float, q: Any, v: Any, reference: Any, factor: float = factor) -> Any:
-        return factor * (reference.q - q)
-
-    return law(mine)
-
-
 def dressed(gain: float) -> Any:
     def twice(q0: Array, q1: Array) -> Array:
         return 2.0 * planar_difference(q0, q1)
@@ -68,14 +61,6 @@ def dressed(gain: float) -> Any:
 
     mine = wraps(planar_difference)(twice if gain == 3 else thrice)
     return pm.ComputedTorque(pm.MobileRobot.lecture(), difference=mine)
-
-
-def with_attribute(gain: float) -> Any:
-    def mine(t: float, q: Array, v: Array, reference: Any) -> Any:
-        return mine.gain * (reference.q - q)  # type: ignore[attr-defined]
-
-    mine.gain = gain  # type: ignore[attr-defined]
-    return law(mine)
 
 
 class Held:
@@ -89,10 +74,6 @@ class Held:
 
     def law(self, t: float, q: Array, v: Array, reference: Any) -> Any:
         return push(self.gain, t, q, v, reference)
-
-
-class Slotted(Held):
-    __slots__ = ("gain",)
 
 
 @dataclass(frozen=True)
@@ -131,24 +112,15 @@ class Gains(NamedTuple):
     kd: float
 
 
-def typed(text: str) -> Any:
-    found: dict[str, Any] = {}
-    exec(f"def f(t, q, v, reference): return {text}", found)
-    return law(found["f"])
-
-
 def seed(k: float) -> Any:
     return np.random.SeedSequence(1, spawn_key=(int(k),))
 
 
 DIFFERENT: dict[str, Callable[[float], Any]] = {
-    "a partial's argument": lambda k: law(partial(push, k)),
     "a partial's keyword": lambda k: law(partial(push, 1.0, more=k)),
     "a partial in a partial": lambda k: law(partial(partial(push, np.array([k, 1, 1])))),
     "a robot in a partial": lambda k: law(partial(push, pm.MobileRobot(k, 1.0))),
     "a part in a partial": lambda k: law(partial(push, Plain(k))),
-    "a default": by_default,
-    "the text of a function": lambda k: typed(f"{k} * q"),
     "the operations of lambdas on one line": lambda k: SHAPED[k == 3],
     "a lambda in a lambda": lambda k: INNER[k == 3],
     "a number and a list of it": lambda k: closure(k if k == 3 else [3.0]),
@@ -163,16 +135,13 @@ DIFFERENT: dict[str, Callable[[float], Any]] = {
     "an empty dict": lambda k: closure({} if k == 3 else ()),
     "a set": lambda k: closure({"a", "b", str(k)}),
     "a wrapped function of the library": dressed,
-    "an attribute of a function": with_attribute,
     "the state of an object": Held,
-    "an object with slots": Slotted,
     "an object that is called": lambda k: law(partial(push, Held(k))),
     "a bound method": lambda k: law(Held(k).law),
     "a method of a part": lambda k: law(Plain(k).law),
     "a bound method of an array": lambda k: closure(np.array([k, 1.0]).dot),
     "a number of one's own type": lambda k: closure(Renamed(k)),
     "a dict of one's own type": lambda k: closure(Table(a=k)),
-    "a namespace": lambda k: closure(SimpleNamespace(gain=k)),
     "an inherited method": lambda k: of_class(Held if k == 3 else type("Held", (Held,), {"law": push})),
     "a member of a class": lambda k: of_class(gain_of=k),
     "a static method": lambda k: of_class(f=staticmethod(partial(push, k))),

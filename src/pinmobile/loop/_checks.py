@@ -375,7 +375,8 @@ def _check_repeated(
     """Check that a part gives the same answer when it is asked again, after it was asked something else."""
     first, _, again = (ask(x.copy(), w.copy()) for x, w in (*states, states[0]))
     one, other = (answered(path, answer, expected) for answer in (first, again))
-    if not _are_same(one, other):
+    same = np.shape(one) == np.shape(other)
+    if not (same and np.allclose(one, other, rtol=_SAME, atol=_SAME, equal_nan=True)):
         raise InvalidArgument(
             f"{path} is {shown(part)}, which returns {shown(first)} and, asked again for the same arguments, "
             f"{shown(again)}, expected the same: only controllers have memory, in their state, and random "
@@ -399,10 +400,3 @@ def check_controllers_memory(controller: Controller, context: Context, q: Array,
     except InvalidArgument as error:
         raise error_of_sizes(context, error) from error.__cause__
     _answered.keep(controller, sizes, True)
-
-
-def _are_same(one: Array, other: Array) -> bool:
-    """Return whether two answers to the same arguments agree."""
-    return np.shape(one) == np.shape(other) and np.allclose(
-        one, other, rtol=_SAME, atol=_SAME, equal_nan=True
-    )

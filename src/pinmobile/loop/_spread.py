@@ -114,11 +114,7 @@ class SameAs:
 
     def __post_init__(self) -> None:
         instance("name", self.name, str, "the name of a parameter")
-        if isinstance(self.factor, SameAs):
-            raise InvalidArgument(
-                f"factor is {shown(self.factor)}, expected a number, numbers or a distribution: "
-                "give what is the same as another one a name in the spread"
-            )
+        _check_factor(self.factor)
 
 
 @final
@@ -137,10 +133,15 @@ class Relative:
     factor: Distribution | ArrayLike
 
     def __post_init__(self) -> None:
-        if isinstance(self.factor, SameAs | Relative):
-            raise InvalidArgument(
-                f"factor is {shown(self.factor)}, expected a number, numbers or a distribution"
-            )
+        _check_factor(self.factor)
+
+
+def _check_factor(factor: object) -> None:
+    if isinstance(factor, SameAs | Relative):
+        raise InvalidArgument(
+            f"factor is {shown(factor)}, expected a number, numbers or a distribution: give what is the same "
+            "as another one a name in the spread"
+        )
 
 
 class _TrueModel(Mapping[str, SameAs]):
