@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -89,42 +89,22 @@ def kinds_before(name: str, kinds: Sequence[str]) -> tuple[str, ...]:
 
 
 _Known: TypeAlias = float | None  # the value of a constant
+_N: TypeAlias = Any  # a node of a tape
+_Tape: TypeAlias = Any  # a tape, of which the rules ask `operations`, `depends`, `at`, `const` and `apply`
 
 
-class _Node(Protocol):
-    """A node of a tape."""
-
-    @property
-    def index(self) -> int: ...
-
-
-_N = TypeVar("_N", bound=_Node)
-
-
-class _Tape(Protocol[_N]):
-    """What the rules ask of a tape."""
-
-    operations: list[tuple[Any, ...]]
-    depends: list[int]
-
-    def at(self, index: int) -> _N: ...
-    def const(self, value: float, kind: str = "f") -> _N: ...
-    def apply(self, name: str, *given: _N | float) -> _N: ...
-
-
-def simplified(tape: _Tape[_N], name: str, x: Sequence[_N], known: Sequence[_Known]) -> _N | None:
+def simplified(tape: _Tape, name: str, x: Sequence[_N], known: Sequence[_Known]) -> _N | None:
     """Return what an operation comes to where that is less than the operation."""
     rule = _RULES.get(name)
-    found: _N | None = rule(tape, *x, *known) if rule else None
-    return found
+    return rule(tape, *x, *known) if rule else None
 
 
-def _negated(tape: _Tape[_N], x: _N) -> _N | None:
+def _negated(tape: _Tape, x: _N) -> _N | None:
     operation = tape.operations[x.index]
     return tape.at(operation[1]) if operation[0] == "neg" else None
 
 
-def _sum(tape: _Tape[_N], a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
+def _sum(tape: _Tape, a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
     if va == 0:
         return b
     if vb == 0:
@@ -136,7 +116,7 @@ def _sum(tape: _Tape[_N], a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
     return None if minus is None else tape.apply("sub", b, minus)
 
 
-def _less(tape: _Tape[_N], a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
+def _less(tape: _Tape, a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
     if vb == 0:
         return a
     if va == 0:
@@ -145,7 +125,7 @@ def _less(tape: _Tape[_N], a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
     return None if minus is None else tape.apply("add", a, minus)
 
 
-def _product(tape: _Tape[_N], a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
+def _product(tape: _Tape, a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
     for value, other in ((va, b), (vb, a)):
         if value == 0:
             return tape.const(0.0)
@@ -158,7 +138,7 @@ def _product(tape: _Tape[_N], a: _N, b: _N, va: _Known, vb: _Known) -> _N | None
     return product if ma is not None and mb is not None else tape.apply("neg", product)
 
 
-def _quotient(tape: _Tape[_N], a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
+def _quotient(tape: _Tape, a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
     if va == 0:
         return tape.const(0.0)
     if vb is not None:
@@ -170,35 +150,35 @@ def _quotient(tape: _Tape[_N], a: _N, b: _N, va: _Known, vb: _Known) -> _N | Non
     return tape.apply("mul", a, tape.apply("div", 1.0, b)) if once else None
 
 
-def _both(tape: _Tape[_N], a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
+def _both(tape: _Tape, a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
     if va is not None or vb is not None:
         value, other = (va, b) if va is not None else (vb, a)
         return other if value else tape.const(False, "b")
     return a if a.index == b.index else None
 
 
-def _either(tape: _Tape[_N], a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
+def _either(tape: _Tape, a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
     if va is not None or vb is not None:
         value, other = (va, b) if va is not None else (vb, a)
         return tape.const(True, "b") if value else other
     return a if a.index == b.index else None
 
 
-def _chosen(tape: _Tape[_N], c: _N, a: _N, b: _N, vc: _Known, _: _Known, __: _Known) -> _N | None:
+def _chosen(tape: _Tape, c: _N, a: _N, b: _N, vc: _Known, _: _Known, __: _Known) -> _N | None:
     if vc is not None:
         return a if vc else b
     return a if a.index == b.index else None
 
 
 def _undone(name: str) -> Callable[..., Any]:
-    def rule(tape: _Tape[_N], x: _N, _: _Known) -> _N | None:
+    def rule(tape: _Tape, x: _N, _: _Known) -> _N | None:
         operation = tape.operations[x.index]
         return tape.at(operation[1]) if operation[0] == name else None
 
     return rule
 
 
-def _one(tape: _Tape[_N], a: _N, b: _N, _: _Known, __: _Known) -> _N | None:
+def _one(tape: _Tape, a: _N, b: _N, _: _Known, __: _Known) -> _N | None:
     return a if a.index == b.index else None
 
 

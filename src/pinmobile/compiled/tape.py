@@ -267,7 +267,7 @@ class Tape:
         values = [*map(self._values.get, indices)]
         if None not in values:
             return self._folded(name, wanted, values)
-        simpler = simplified(self, name, nodes, values)
+        simpler: Node | None = simplified(self, name, nodes, values)
         if simpler is not None:
             return simpler
         if name in COMMUTE:
@@ -442,26 +442,37 @@ def evaluated(
     """
     wanted = list(wanted)
     values: dict[int, Any] = {}
+    order = (index for index in needed(tape, wanted) if tape.depends[index] < ROUND)  # rounds do the others
+
+    def given(operation: _Operation) -> Any:
+        if operation[0] == "ring":
+            return values[operation[3]] if first else inputs[operation]
+        # Of one number NumPy's scalar, whose sums are faster than those of an array without axes.
+        kind = _INPUTS[operation[0]][1]
+        return np.asarray(inputs[operation], DTYPES[kind])[()]
+
     with np.errstate(all="ignore"):
-        for index in needed(tape, wanted):
-            operation = tape.operations[index]
-            name = operation[0]
-            if tape.depends[index] >= ROUND:
-                continue  # of a round, which the rounds compute
-            if name == "const":
-                values[index] = DTYPES[operation[1]](tape.known(index))
-            elif name == "ring":
-                values[index] = values[operation[3]] if first else inputs[operation]
-            elif name == "repeat":
-                values[index] = _after_rounds(tape, Rounds.of(tape, index), values)
-            elif name == "result":
-                values[index] = values[operation[1]][operation[2]]
-            elif name in _INPUTS:
-                # Of one number NumPy's scalar, whose sums are faster than those of an array without axes.
-                values[index] = np.asarray(inputs[operation], DTYPES[tape.types[index]])[()]
-            else:
-                values[index] = NUMPY[name](*[values[i] for i in operation[1:]])
+        _compute(tape, order, values, given)
     return [values[index] for index in wanted]
+
+
+def _compute(
+    tape: Tape, order: Iterable[int], values: dict[int, Any], given: Callable[[_Operation], Any]
+) -> None:
+    """Compute some nodes in order; `given` returns what comes from outside."""
+    for index in order:
+        operation = tape.operations[index]
+        name = operation[0]
+        if name in NUMPY:
+            values[index] = NUMPY[name](*[values[i] for i in operation[1:]])
+        elif name == "const":
+            values[index] = DTYPES[operation[1]](tape.known(index))
+        elif name == "repeat":
+            values[index] = _after_rounds(tape, Rounds.of(tape, index), values)
+        elif name == "result":
+            values[index] = values[operation[1]][operation[2]]
+        else:
+            values[index] = given(operation)
 
 
 def _after_rounds(tape: Tape, rounds: Rounds, values: dict[int, Any]) -> list[Any]:
@@ -473,16 +484,8 @@ def _after_rounds(tape: Tape, rounds: Rounds, values: dict[int, Any]) -> list[An
     for _ in range(rounds.most):
         if np.all(done):
             break
-        for index in rounds.body:
-            name, *given = tape.operations[index]
-            if name == "carry":
-                values[index] = carried[given[1]]
-            elif name == "repeat":
-                values[index] = _after_rounds(tape, Rounds.of(tape, index), values)
-            elif name == "result":
-                values[index] = values[given[0]][given[1]]
-            else:
-                values[index] = NUMPY[name](*(values[i] for i in given))
+        now = carried
+        _compute(tape, rounds.body, values, lambda operation: now[operation[2]])  # noqa: B023 (called here)
         carried = [
             np.where(done, old, values[i])[()] for old, i in zip(carried, rounds.following, strict=True)
         ]
