@@ -47,7 +47,7 @@ ALLOWED: dict[str, set[str]] = {
     "paths": {"parts"},
     "forces": {"plant"},
     "trajectories": {"paths", "plant"},
-    "robot": {"plant", "metrics", "urdf", "closed_form"},
+    "robot": {"plant", "files", "metrics", "urdf", "closed_form"},
     "controllers": {"plant", "signals"},
     "wheels": {"robot", "controllers", "integrators"},
     "verification": {"wheels", "derivation"},

@@ -307,10 +307,18 @@ def _is_plain(kind: Any) -> bool:
     return dataclasses.is_dataclass(kind) or attrs.has(kind) or issubclass(kind, Enum | tuple)
 
 
+_KEPT: dict[Any, tuple[Callable[[Any], dict[str, Any]], Callable[..., Any]]] = {}
+
+
+def keep(kind: type, kept: Callable[[Any], dict[str, Any]], restored: Callable[..., Any]) -> None:
+    """Let archives keep objects of a class by what `kept` returns, the arguments of `restored`."""
+    _KEPT[kind] = kept, restored
+
+
 def _kept(value: Any) -> Iterable[tuple[str, Any]]:
-    """Return what makes an object again, by argument: its fields, or what its method `kept` returns."""
-    if "restored" in vars(type(value)):
-        return dict(value.kept()).items()
+    """Return what makes an object again, by argument: its fields, unless `keep` says something else."""
+    if type(value) in _KEPT:
+        return _KEPT[type(value)][0](value).items()
     if isinstance(value, tuple):
         return zip(value._fields, value, strict=True)  # type: ignore[attr-defined]
     if attrs.has(type(value)):
@@ -336,7 +344,7 @@ def _unpacked(tree: Any, arrays: Mapping[str, Any]) -> Any:
     if "member" in tree:
         return kind[tree["member"]]
     fields = {key: _unpacked(each, arrays) for key, each in tree["fields"].items()}
-    return kind.restored(**fields) if "restored" in vars(kind) else kind(**fields)
+    return _KEPT[kind][1](**fields) if kind in _KEPT else kind(**fields)
 
 
 def read_archive(path: Path, form: str, make: Callable[[dict[str, Any]], _T]) -> _T:

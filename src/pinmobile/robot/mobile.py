@@ -30,6 +30,7 @@ from pinmobile.arrays import (
 )
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable
+from pinmobile.files import keep
 from pinmobile.metrics import Metric
 from pinmobile.parts import (
     Desired,
@@ -173,18 +174,6 @@ class MobileRobot(System):
         self.body  # noqa: B018 (it checks itself)
         if self.mounts or self.loads:
             check_whole(self._model, self.rest)
-
-    def kept(self) -> dict[str, Any]:
-        """Return the arguments of `restored`, as archives keep them: an arm by where it comes from."""
-        kind: Any = type(self)
-        own = {each.alias: getattr(self, each.name) for each in attrs.fields(kind) if each.init}
-        mounts = [{name: value for name, _, value in fields_of(mount)} for mount in self.mounts]
-        return own | {"mounts": [each | {"arm": KeptArm.of(each["arm"])} for each in mounts]}
-
-    @classmethod
-    def restored(cls, *, mounts: Sequence[dict[str, Any]], **own: Any) -> MobileRobot:
-        """Return the robot again: arms are read, but have the links and motors that they had."""
-        return cls(mounts=tuple(Mount(**each | {"arm": each["arm"].read()}) for each in mounts), **own)
 
     @cached_property
     def _is_symbolic(self) -> bool:
@@ -737,3 +726,19 @@ def _of_files(mounts: Sequence[Mount]) -> str:
         for name, joints in told
         if joints
     )
+
+
+def _kept(robot: MobileRobot) -> dict[str, Any]:
+    """Return the arguments of `_restored`, as archives keep them: an arm by where it comes from."""
+    kind: Any = MobileRobot
+    own = {each.alias: getattr(robot, each.name) for each in attrs.fields(kind) if each.init}
+    mounts = [{name: value for name, _, value in fields_of(mount)} for mount in robot.mounts]
+    return own | {"mounts": [each | {"arm": KeptArm.of(each["arm"])} for each in mounts]}
+
+
+def _restored(mounts: Sequence[dict[str, Any]], **own: Any) -> MobileRobot:
+    """Return a robot again: arms are read, but have the links and motors that they had."""
+    return MobileRobot(mounts=tuple(Mount(**each | {"arm": each["arm"].read()}) for each in mounts), **own)
+
+
+keep(MobileRobot, _kept, _restored)

@@ -16,6 +16,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
+from pinmobile.files import keep
 from pinmobile.robot.arms import link_of
 from pinmobile.robot.linkage import BODY_JOINT
 from pinmobile.robot.mounts import Mount, PayloadBody, named_frames
@@ -38,16 +39,6 @@ class VisualFile(NamedTuple):
     path: Path
     package_dirs: tuple[Path, ...] = ()
     base: tuple[float, ...] = ()
-
-    def kept(self) -> dict[str, object]:
-        """Return the arguments of `restored`, as files keep them."""
-        folders = tuple(map(str, self.package_dirs))
-        return {"path": str(self.path), "package_dirs": folders, "base": self.base}
-
-    @classmethod
-    def restored(cls, path: str, package_dirs: tuple[str, ...], base: tuple[float, ...]) -> VisualFile | None:
-        """Return the file again; None where it is no longer there."""
-        return cls(Path(path), tuple(map(Path, package_dirs)), base) if isfile(path) else None
 
     def found(self, name: str) -> Path | None:
         """Return where a mesh lies, or None where it is not there."""
@@ -188,6 +179,22 @@ BODY = "body"
 _THERE = 1e-9  # [m]: what is so near a place is at it
 _BODY_RGBA = (0.90, 0.62, 0.0, 1.0)
 _DARK_RGBA = (0.16, 0.16, 0.18, 1.0)
+
+
+def _restored(path: str, package_dirs: tuple[str, ...], base: tuple[float, ...]) -> VisualFile | None:
+    """Return the file that an archive names; None where it is no longer there."""
+    return VisualFile(Path(path), tuple(map(Path, package_dirs)), base) if isfile(path) else None
+
+
+keep(
+    VisualFile,
+    lambda file: {
+        "path": str(file.path),
+        "package_dirs": tuple(map(str, file.package_dirs)),
+        "base": file.base,
+    },
+    _restored,
+)
 
 
 def read_visuals(
