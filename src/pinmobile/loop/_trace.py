@@ -120,8 +120,11 @@ class Trace:
         check_schedules(self.loop, self.context, self.spread)
         number = self._shaped()
         tape = self._tape()
+        moves = [now != after for now, after in tape.states]
         fixed = frozenset(
-            (leaf.owner, leaf.path) for leaf in tape.leaves if leaf.kind == "state" and _stays(tape, leaf)
+            (leaf.owner, leaf.path)
+            for leaf in tape.leaves
+            if leaf.kind == "state" and not any(moves[leaf.first : leaf.first + int(np.prod(leaf.shape))])
         )
         if fixed:
             self.fixed = fixed
@@ -292,7 +295,8 @@ class _Pass:
             for name, x in record.kept.items()
         }
         counted = [self.tape.number(y) for x in record.counted for y in entries(x).reshape(-1)]
-        used = _used(tape, [*ends, *counted, *(n for _, nodes in kept.values() for n in nodes)])
+        wanted = *ends, *counted, *(n for _, nodes in kept.values() for n in nodes)
+        used = {tape.operations[i] for i in needed(tape, wanted)}
         return LoopTape(
             tape=tape,
             states=list(zip(self.now, ends, strict=True)),
@@ -439,11 +443,6 @@ def _flat_numbers(values: Iterable[Any]) -> list[float]:
     return [float(x) for value in values for x in np.asarray(value, np.float64).reshape(-1)]
 
 
-def _stays(loop: LoopTape, leaf: Leaf) -> bool:
-    pairs = loop.states[leaf.first : leaf.first + int(np.prod(leaf.shape))]
-    return all(now == after for now, after in pairs)
-
-
 def _name(loop: LoopTape, i: int) -> str:
     """Return what the numbers of the state, and after these what is kept, are called."""
     end = len(loop.states)
@@ -458,10 +457,6 @@ def _name(loop: LoopTape, i: int) -> str:
         if leaf.kind == "state" and leaf.first <= i < leaf.first + int(np.prod(leaf.shape)):
             return f"{leaf.path} of the {leaf.owner}"
     raise IndexError(i)
-
-
-def _used(tape: Tape, wanted: Iterable[int]) -> set[Any]:
-    return {tape.operations[i] for i in needed(tape, wanted)}
 
 
 # Memory before the first sample

@@ -225,18 +225,13 @@ class Number(Field):
         self.check_bounds(name, array)
         return frozen(array) if array.ndim else float(array)
 
-    @property
-    def expected_shape(self) -> str:
-        """The allowed shapes in words."""
-        return shapes_in_words(self.shapes)
-
     def sized(self, name: str, value: Any, n: int) -> Any:
         """Return a checked value, of n entries."""
         shape = np.shape(value)
         if is_symbolic(value) or value is None:
             return value
         if any(length != n for length in shape):
-            words = self.expected_shape.replace("n", str(n))
+            words = shapes_in_words(self.shapes).replace("n", str(n))
             raise InvalidArgument(f"{name} has shape {shape}, expected {words}")
         return value if shape or any(len(each) > 1 for each in self.shapes) else frozen(np.full(n, value))
 

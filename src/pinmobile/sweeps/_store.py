@@ -99,7 +99,10 @@ class Store:
             raise InvalidArgument(f"store is {str(self.path)!r}, which belongs to another sweep: {found}")
         self.chunk: int = there["chunk"]
         for place, data in _empty_store(self.points, description, self.chunk).items():
-            if place != METADATA and _content(self.path / place) != data:
+            file = self.path / place
+            with refusals("read", "a file of the store", file):
+                is_there = file.is_file() and file.read_bytes() == data
+            if place != METADATA and not is_there:
                 self._write(place, data)
         # Written arrays are gathered here, and from here go to disk, each file whole or not at all.
         as_buffer = zarr.core.buffer.default_buffer_prototype().buffer.from_bytes
@@ -196,13 +199,6 @@ def _locked(path: Path) -> IO[bytes]:
             file.close()
             raise InvalidArgument(f"store is {str(path)!r}, which another process is writing") from error
         file.close()  # another process has just removed it
-
-
-def _content(file: Path) -> bytes | None:
-    try:
-        return file.read_bytes()
-    except OSError:
-        return None
 
 
 def _empty_store(points: Points, description: Mapping[str, Any], chunk: int) -> dict[str, bytes]:

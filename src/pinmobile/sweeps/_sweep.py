@@ -194,7 +194,10 @@ def _results(
     workers = processors()
     executor: Any = ThreadPoolExecutor(workers)
     if client is not None:
-        _wait_for_worker(client)
+        try:
+            client.wait_for_workers(1, timeout=_ANSWER)
+        except OSError as error:
+            raise _lost(client, f"has no worker after {_ANSWER:g} s") from error
         executor, workers = client.get_executor(pure=False), 2 * sum(client.nthreads().values())
     left, alive = iter(jobs), monotonic()
     under_way: dict[Future[Any], Job] = {}
@@ -234,13 +237,6 @@ def _answer(future: Future[Any], client: Any) -> tuple[dict[str, Array], Part]:
     except (CancelledError, distributed.CancelledError, distributed.KilledWorker) as error:
         raise _lost(client, f"dropped a chunk ({type(error).__name__}: {error})") from error
     return draws, Part(*map(np.array, part))  # what came over the wire may be read-only
-
-
-def _wait_for_worker(client: Any) -> None:
-    try:
-        client.wait_for_workers(1, timeout=_ANSWER)
-    except OSError as error:
-        raise _lost(client, f"has no worker after {_ANSWER:g} s") from error
 
 
 def _lost(client: Any, why: str) -> SchedulerError:
