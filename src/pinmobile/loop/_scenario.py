@@ -162,6 +162,7 @@ class Scenario(Recorded):
                 f"n is {n:,}, expected at most {_MOST:,}, whose records take {_MOST * _RECORD / 1e9:.0f} GB"
             )
         dt = positive("dt", self.dt, "s")
+        instance("spread", self.spread, Mapping, "a mapping of parameters to distributions")
         self._set(forces=checked_forces(self.forces, self.robot))
         duration = None if self.duration is None else positive("duration", self.duration, "s")
         t = sample_times(dt, duration, self.trajectory.duration)

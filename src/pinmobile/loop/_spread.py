@@ -241,7 +241,6 @@ def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str
         If a source is no distribution, number, array of shape (n,), `Relative` or `SameAs`, or is circular,
         or two names mean one number.
     """
-    instance("spread", spread, Mapping, "a mapping of parameters to distributions")
     found, named = {}, dict[str, str]()
     for name, source in spread.items():
         one = find(name)
