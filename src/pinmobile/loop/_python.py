@@ -12,7 +12,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.compiled import aligned, leaves, mapped, robot_keys
 from pinmobile.errors import InvalidArgument, NotFinite
-from pinmobile.loop._loop import Loop, Record, Sample, advance, collected_signals, initial, step
+from pinmobile.loop._loop import NOTHING, Loop, Record, Sample, advance, collected_signals, initial, step
 from pinmobile.loop._program import Compiled
 from pinmobile.loop._record import Samples, is_alive
 from pinmobile.loop._trace import initial_memory, traced_numbers
@@ -252,13 +252,26 @@ class Run:
         return bool(is_alive(errors, limit, u, a).all())
 
 
+class _Signals:
+    """A recorder of signals alone, which costs nothing."""
+
+    signals, errors = True, False
+
+    def initial_state(self, n: int, nu: int) -> None:
+        """Return None: nothing is kept from one sample to the next."""
+
+    def __call__(self, sample: Sample, state: None) -> Record:
+        """Return nothing beside the sample."""
+        return NOTHING
+
+
 class PythonRun(Run):
     """A run in Python, sample by sample: see `in_python`."""
 
     def __init__(self, loop: Loop, context: Context, q0: Array, v0: Array) -> None:
         super().__init__(loop, context)
         self._times = context.t.tolist()
-        self._samples = in_python(evolved(loop, {"recorder": Samples()}), context, q0, v0)
+        self._samples = in_python(evolved(loop, {"recorder": _Signals()}), context, q0, v0)
         sizes = {"q": loop.plant.nq, "v": loop.plant.nv, "a": loop.plant.nv, "u": loop.plant.nu}
         self.kept = {name: np.full((len(context.t), size), np.nan) for name, size in sizes.items()}
         self._first: Mapping[str, Claim] = {}
@@ -267,17 +280,18 @@ class PythonRun(Run):
         """Compute the samples from `begin` to before `end`; after one that is not finite there are none."""
         q, v, a, u = self.samples(0, len(self._times))
         try:
-            for k, (sample, record) in zip(range(begin, end), self._samples, strict=False):
+            for k, (sample, _) in zip(range(begin, end), self._samples, strict=False):
                 q[k], v[k], a[k], u[k] = sample.q, sample.v, sample.a, sample.u
                 if sample.signals or self._first:
-                    self._keep(k, sample.signals, record.units)
+                    self._keep(k, sample.signals)
         except NotFinite as error:
             self.stopped = error  # the rest stays empty
 
-    def _keep(self, k: int, found: Mapping[str, Claim], units: Mapping[str, str]) -> None:
+    def _keep(self, k: int, found: Mapping[str, Claim]) -> None:
         """Keep the signals of sample k, which have the names, units and shapes of the first sample."""
         if not k:
-            self._first, self.units, rows = found, units, len(self._times)
+            self._first, rows = found, len(self._times)
+            self.units = {name: each.unit for name, each in found.items()}
             for name, each in found.items():
                 self.kept[f"signal {name}"] = np.full((rows, *each.value.shape), np.nan)
         for name in {**self._first, **found}:
