@@ -209,17 +209,16 @@ class Recurrence:
     """
 
     def __init__(self, law: Callable[[Any, Any, Any], Any], sizes: tuple[int, int, int]) -> None:
-        tape, (n, m, k) = Tape(LARGEST), sizes
+        tape, (n, m, k) = Tape(), sizes
         kinds = ("state", n), ("track", m), ("row", k)
         given = [symbols([tape.input(kind, i) for i in range(size)], (size,)) for kind, size in kinds]
         code = Identity().visit(law)
         with tracing(code.namespaces.values(), code.cells):
             after = law(*given)
-        now = [node.index for node in entries(given[0])]
-        states = list(zip(now, (node.index for node in entries(after)), strict=True))
-        numbers = {_NUMBERS: Leaf("", _NUMBERS, (k,), 0, "row")}
-        kept: dict[str, tuple[tuple[int, ...], list[int]]] = {"z": ((n,), now)}
-        loop = LoopTape(tape, states, [], numbers, 1, k, [], [], [], kept, (n, 0, 0, m, 0), [], tracks=m)
+        now, then = ([tape.number(x) for x in entries(z)] for z in (given[0], after))
+        loop = LoopTape(tape, {"z": ((n,), now)}, uniforms=1, rows=k, sizes=(n, 0, 0, m, 0), tracks=m)
+        loop.states.extend(zip(now, then, strict=True))
+        loop.parameters[_NUMBERS] = Leaf("", _NUMBERS, (k,), 0, "row")
         self._program = Program(loop)
 
     def __call__(self, start: Array, u: Array, numbers: Array) -> Array:

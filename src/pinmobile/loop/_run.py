@@ -239,7 +239,7 @@ def _alone(scenario: Scenario, draws: Mapping[str, Array], i: int, *, compiles: 
     counts[..., -1] = 1  # of a robot that has diverged
     for channel, one in enumerate(scenario.channels):
         if one.is_margin:
-            counts[:, channel] = np.eye(BINS, dtype=np.int32)[0]
+            counts[:, channel, 0], counts[:, channel, -1] = 1, 0
     with np.errstate(all="ignore"), contextlib.suppress(NotFinite):
         for k, (_, found) in enumerate(in_python(loop, context, q, v)):
             record = found.state
@@ -247,7 +247,8 @@ def _alone(scenario: Scenario, draws: Mapping[str, Array], i: int, *, compiles: 
                 break
             if k % scenario.stride == 0:
                 sizes = bins_of(np.array(found.counted, np.float64))
-                counts[k // scenario.stride] = np.eye(BINS, dtype=np.int32)[sizes]
+                counts[k // scenario.stride] = 0
+                counts[k // scenario.stride, range(len(sizes)), sizes] = 1
     return Part.of(scenario, {name: np.asarray(x)[None] for name, x in record.items()}, counts)
 
 

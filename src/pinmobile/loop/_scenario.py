@@ -372,6 +372,11 @@ class Scenario(Recorded):
         found = parts_of(self.given)
         return {f"{path}.{name}": part for path, part in found for name in getattr(part, "drawn", ())}
 
+    @cached_property
+    def _last_draws(self) -> dict[str, dict[int, Array]]:
+        """Draws of these parts for the last block of robots, made once for one robot after another."""
+        return {}
+
     def values(self, draws: Mapping[str, Array], start: int, stop: int) -> dict[str, Array]:
         """Return the numbers of the robots from `start` to before `stop`, shape (stop - start, ...), by path.
 
@@ -386,7 +391,8 @@ class Scenario(Recorded):
         for path, part in self._drawn.items():
             where, _, name = path.rpartition(".")
             stream = f"{_numbered(where)} of {crc32(part.stream)}"
-            found[path] = in_blocks(stream, partial(_drawn_by, part, name), self.seed, start, stop)
+            last = self._last_draws.setdefault(path, {})
+            found[path] = in_blocks(stream, partial(_drawn_by, part, name), self.seed, start, stop, last)
         return found
 
     @cached_property

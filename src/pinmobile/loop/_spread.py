@@ -431,7 +431,12 @@ def _values(name: str, source: Any, seed: int, start: int, stop: int) -> Array:
 
 
 def in_blocks(
-    what: str, draws: Callable[[np.random.Generator, int], Array], seed: int, start: int, stop: int
+    what: str,
+    draws: Callable[[np.random.Generator, int], Array],
+    seed: int,
+    start: int,
+    stop: int,
+    last: dict[int, Array] | None = None,
 ) -> Array:
     """Return the draws of the robots from `start` to before `stop`, independent of all other draws.
 
@@ -445,8 +450,15 @@ def in_blocks(
         Seed of the ensemble.
     start, stop : int
         Range of robots.
+    last : dict of int to ndarray, optional
+        Draws of the last block by its number, which are kept for the robots that are asked for next.
     """
-    first = start // _BLOCK
-    blocks = range(first, -(-stop // _BLOCK))
-    found = [draws(np.random.default_rng(stream(seed, what, block)), _BLOCK) for block in blocks]
+    first, known = start // _BLOCK, dict(last or {})
+    for block in range(first, -(-stop // _BLOCK)):
+        if block not in known:
+            known[block] = draws(np.random.default_rng(stream(seed, what, block)), _BLOCK)
+    found = [known[block] for block in range(first, -(-stop // _BLOCK))]
+    if last is not None:
+        last.clear()
+        last[block] = found[-1]
     return np.concatenate(found)[start - first * _BLOCK : stop - first * _BLOCK]
