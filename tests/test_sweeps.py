@@ -18,10 +18,10 @@ import pytest
 import pinmobile as pm
 from pinmobile.errors import UnknownName
 from pinmobile.loop import run_scenario
-from pinmobile.loop._counts import edges
+from pinmobile.loop._ensemble import edges
 from pinmobile.sweeps import Axis, Points
 from pinmobile.sweeps._points import _NAMES, changed
-from pinmobile.sweeps._result import compared, length
+from pinmobile.sweeps._sweep import compared, length
 from tests.sweeping import CHUNK, GRID, ROBOT, contents, points, scenario, swept
 
 ROOT = Path(__file__).parents[1]

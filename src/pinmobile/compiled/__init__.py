@@ -14,7 +14,6 @@ from pinmobile.compiled.identity import (
     is_constant as is_constant,
     is_traced as is_traced,
 )
-from pinmobile.compiled.loop_tape import Leaf as Leaf, LoopTape as LoopTape, Ring as Ring
 from pinmobile.compiled.memory import (
     Line as Line,
     Noise as Noise,
@@ -41,7 +40,10 @@ from pinmobile.compiled.symbolic import (
 )
 from pinmobile.compiled.tape import (
     COUNT as COUNT,
+    Leaf as Leaf,
+    LoopTape as LoopTape,
     Node as Node,
+    Ring as Ring,
     Tape as Tape,
     choose as choose,
     evaluated as evaluated,

@@ -11,11 +11,10 @@ import numpy as np
 from pinmobile.arrays import Array, affordable, finite, finite_answer
 from pinmobile.compiled._tracing import tracing
 from pinmobile.compiled.identity import Identity
-from pinmobile.compiled.loop_tape import Leaf, LoopTape
 from pinmobile.compiled.processor import Cache, processors
 from pinmobile.compiled.program import Program, aligned
 from pinmobile.compiled.symbolic import entries, symbols
-from pinmobile.compiled.tape import Tape
+from pinmobile.compiled.tape import Leaf, LoopTape, Tape
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
 
 _CLOSE = 1e-7  # of the largest number of an answer: forward dynamics lose the digits of M's condition

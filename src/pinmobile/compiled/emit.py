@@ -11,8 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pinmobile.compiled.folding import ROBOT, ROUND, SAMPLE, STATE
-from pinmobile.compiled.loop_tape import LoopTape
-from pinmobile.compiled.tape import Rounds, needed, operands
+from pinmobile.compiled.tape import LoopTape, Rounds, needed, operands
 
 ENTRY = "pinmobile_loop"
 

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, affordable, shaped, whole
 from pinmobile.compiled.emit import BINS, Shape, text_of
-from pinmobile.compiled.loop_tape import LoopTape
 from pinmobile.compiled.processor import Cache, Target, function_of
-from pinmobile.compiled.tape import COUNT, evaluated
+from pinmobile.compiled.tape import COUNT, LoopTape, evaluated
 from pinmobile.errors import InvalidArgument
 
 _SLICE = 2e8  # operations of a vector in one call, some 0.1 s: Ctrl-C is answered in between

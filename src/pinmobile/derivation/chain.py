@@ -1,20 +1,245 @@
-"""What is derived: links, their chain and the symbols of its motion."""
+"""`Link`, `Chain`, and their expressions in sines and cosines without rounding: normal, short, readable."""
 
 from __future__ import annotations
 
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import gcd, isclose, pi
 from typing import Any
 
+import numpy as np
+import sympy
 from sympy import Expr, ImmutableMatrix, Symbol
+from sympy.polys.rings import PolyElement, PolyRing
+from sympy.simplify.fu import TR10i
 
 from pinmobile.arrays import Array, instance, sequence, whole
-from pinmobile.derivation.algebra import exact, exact_matrix
 from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, shown
+
+
+def exact(name: str, value: object) -> Expr:
+    """Return `value` as an expression without floating-point numbers.
+
+    A float becomes the fraction that its shortest decimal form spells (0.3 becomes 3/10) and evaluates to the
+    same float again. With rounding inside, equal expressions would not cancel.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : float or sympy.Expr
+        The argument, in any unit.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is neither a finite real number nor an expression.
+    """
+    try:
+        expression = sympy.sympify(value, strict=True)
+    except Exception:  # whatever the value itself raises when it is asked for its numbers
+        expression = None
+    if not isinstance(expression, Expr) or expression.has(sympy.nan, sympy.zoo, sympy.oo, sympy.I):
+        raise InvalidArgument(
+            f"{name} is {shown(value)}, expected a finite real number or a sympy expression"
+        )
+    floats = expression.atoms(sympy.Float)
+    return expression.xreplace({number: sympy.Rational(repr(float(number))) for number in floats})
+
+
+def exact_matrix(name: str, value: Any, shape: tuple[int, int]) -> ImmutableMatrix:
+    """Return `value` as a matrix of expressions without floating-point numbers.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : nested sequence, array or sympy.Matrix
+        The entries, in any unit; a flat sequence is a column.
+    shape : (int, int)
+        What is expected.
+
+    Raises
+    ------
+    InvalidArgument
+        If it has another shape, or an entry is neither a finite real number nor an expression.
+    """
+    rows = value.tolist() if isinstance(value, sympy.MatrixBase | np.ndarray) else value
+    flat = shape[1] == 1 and isinstance(rows, list | tuple) and not any(map(_is_row, rows))
+    rows = [[row] for row in rows] if flat else rows
+    fits = isinstance(rows, list | tuple) and len(rows) == shape[0]
+    if isinstance(value, np.ma.MaskedArray) or not fits or not all(map(_is_row, rows)):
+        rows = ((),)
+    if any(len(row) != shape[1] for row in rows):
+        wanted = f"{shape[0]} entries" if shape[1] == 1 else f"shape {shape}"
+        raise InvalidArgument(f"{name} is {shown(value)}, expected {wanted}")
+    return ImmutableMatrix(*shape, [exact(name, entry) for row in rows for entry in row])
+
+
+def _is_row(value: object) -> bool:
+    return isinstance(value, list | tuple)
+
+
+def exact_angle(name: str, value: float) -> Expr:
+    """Return a multiple of pi/12 [rad] as such, any other angle as `exact` does.
+
+    The sines and cosines of these multiples are sums of square roots, which sympy cancels by itself.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : float
+        The angle [rad].
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not a finite real number.
+    """
+    twelfths = round(value * 12 / pi)
+    if isclose(value, twelfths * pi / 12, rel_tol=1e-14, abs_tol=1e-15):
+        return sympy.Rational(twelfths, 12) * sympy.pi
+    return exact(name, value)
+
+
+_READABLE = 8  # terms; in a longer bracket nobody sees cos(q1 + q2), and to look for it takes seconds
+
+_Powers = tuple[int, ...]
+
+
+def normal(expression: Expr) -> Expr:
+    """Return the normal form, in which no cosine has a power above the first; that of zero is 0.
+
+    Parameters
+    ----------
+    expression : sympy.Expr
+        A polynomial in the sines and cosines of angles, and in anything else.
+    """
+    polynomial, pairs = _polynomial(sympy.expand_trig(expression))
+    for cosine, sine in pairs:
+        polynomial = _traded(polynomial, cosine, sine)
+    return polynomial.as_expr()
+
+
+def reduced(expression: Expr) -> Expr:
+    """Return the expanded expression, with cos^2 + sin^2 = 1 used wherever that leaves fewer terms.
+
+    Parameters
+    ----------
+    expression : sympy.Expr
+        A polynomial in the sines and cosines of angles, and in anything else.
+    """
+    shortest, pairs = _polynomial(expression)
+    for cosine, sine in pairs:
+        candidates = [shortest, _traded(shortest, cosine, sine), _traded(shortest, sine, cosine)]
+        shortest = min(candidates, key=len)
+    return shortest.as_expr()
+
+
+def grouped(expression: Expr, levels: Sequence[Sequence[Symbol]]) -> Expr:
+    """Return an expression as it is written by hand: with brackets, by the symbols of each level.
+
+    Parameters
+    ----------
+    expression : sympy.Expr
+        A polynomial in anything.
+    levels : sequence of sequences of sympy.Symbol
+        Terms with the same powers of the symbols of the first level go into one bracket; inside it the
+        second level does the same, and so on.
+    """
+    polynomial, _ = _polynomial(expression)
+    places = {generator: i for i, generator in enumerate(polynomial.ring.symbols)}
+    return _gathered(
+        polynomial, [{places[symbol] for symbol in level if symbol in places} for level in levels]
+    )
+
+
+def _gathered(polynomial: PolyElement, levels: Sequence[set[int]]) -> Expr:
+    if not levels:
+        return _bracket(polynomial)
+    brackets: dict[_Powers, dict[_Powers, Any]] = defaultdict(dict)
+    for powers, coefficient in polynomial.items():
+        common = tuple(power if i in levels[0] else 0 for i, power in enumerate(powers))
+        brackets[common][tuple(p - c for p, c in zip(powers, common, strict=True))] = coefficient
+    ring, products = polynomial.ring, []
+    for common, terms in brackets.items():
+        factor = ring.term_new(common, ring.domain.one)
+        products.append(_times(factor.as_expr(), _gathered(ring.from_dict(terms), levels[1:])))
+    return sympy.Add(*products)
+
+
+def _bracket(polynomial: PolyElement) -> Expr:
+    """Return `polynomial` with what all terms share before a bracket."""
+    if 1 < len(polynomial) <= _READABLE:
+        polynomial, _ = _polynomial(TR10i(polynomial.as_expr()))
+    if len(polynomial) < 2:
+        return polynomial.as_expr()
+    ring = polynomial.ring
+    shared = tuple(map(min, zip(*polynomial, strict=True)))
+    over, under = zip(*((int(c.numerator), int(c.denominator)) for c in polynomial.values()), strict=True)
+    factor = ring.term_new(shared, ring.domain(gcd(*over), gcd(*under)))
+    return _times(factor.as_expr(), polynomial.exquo(factor).as_expr())
+
+
+def _times(factor: Expr, bracket: Expr) -> Expr:
+    """Return the product, with the sign of the first term in a bracket before it."""
+    if factor == 1:
+        return bracket
+    content, rest = bracket.as_coeff_Mul()
+    factors = list(sympy.Mul.make_args(rest))
+    for i, part in enumerate(factors):
+        few = part.is_Add and len(part.args) <= _READABLE
+        if few and part.as_ordered_terms()[0].could_extract_minus_sign():
+            factors[i], content = -part, -content
+    content *= factor
+    # sympy would multiply a number into a sum
+    distributes = content.is_Number and len(factors) == 1 and factors[0].is_Add
+    return sympy.Mul(content, *factors, evaluate=not distributes)
+
+
+def _polynomial(expression: Expr) -> tuple[PolyElement, list[tuple[int, int]]]:
+    """Return `expression` as a polynomial, and where among its generators are its pairs of cosine and sine.
+
+    To add and multiply polynomials is some ten times faster than to expand expressions.
+    """
+    generators, pairs = _generators(expression), []
+    angles = {function.args[0] for function in generators if isinstance(function, sympy.cos | sympy.sin)}
+    for angle in sorted(angles, key=sympy.default_sort_key):
+        pair = sympy.cos(angle), sympy.sin(angle)
+        generators += [function for function in pair if function not in generators]
+        pairs.append((generators.index(pair[0]), generators.index(pair[1])))
+    return PolyRing(generators, sympy.QQ).from_expr(expression), pairs
+
+
+def _generators(expression: Expr) -> list[Expr]:
+    """Return what `expression` is a polynomial in, with rational coefficients."""
+    found, rest = set[Expr](), [expression]
+    while rest:
+        part = rest.pop()
+        if part.is_Add or part.is_Mul:
+            rest += part.args
+        elif part.is_Pow and part.exp.is_Integer and part.exp > 0:
+            rest.append(part.base)
+        elif not part.is_Rational:
+            found.add(part)
+    return sorted(found, key=sympy.default_sort_key)
+
+
+def _traded(polynomial: PolyElement, out: int, into: int) -> PolyElement:
+    """Return `polynomial` with each square of generator `out` replaced by 1 minus that of `into`."""
+    squares: dict[int, dict[_Powers, Any]] = defaultdict(dict)
+    for powers, coefficient in polynomial.items():
+        count, rest = divmod(powers[out], 2)
+        squares[count][(*powers[:out], rest, *powers[out + 1 :])] = coefficient
+    ring, result = polynomial.ring, polynomial.ring.from_dict(squares.pop(0, {}))
+    for count, terms in squares.items():
+        result += ring.from_dict(terms) * (1 - ring.gens[into] ** 2) ** count
+    return result
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from sympy import Expr, ImmutableMatrix, Symbol
 
 import pinmobile.derivation.record as say
 from pinmobile.arrays import Array
-from pinmobile.derivation.algebra import exact, exact_angle, normal
-from pinmobile.derivation.chain import Chain, Link
+from pinmobile.derivation.chain import Chain, Link, exact, exact_angle, normal
 from pinmobile.derivation.record import SIMPLIFIED_JOINTS, Record, Wording
 from pinmobile.derivation.steps import Derivation
 from pinmobile.dh import LECTURE_TABLE, DHTable, JointType

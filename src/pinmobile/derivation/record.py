@@ -10,8 +10,7 @@ from typing import Protocol
 
 from sympy import Expr, ImmutableMatrix, Symbol
 
-from pinmobile.derivation.algebra import grouped, reduced
-from pinmobile.derivation.chain import Chain
+from pinmobile.derivation.chain import Chain, grouped, reduced
 from pinmobile.derivation.steps import Derivation, Step
 from pinmobile.dh import DHRow, JointType
 

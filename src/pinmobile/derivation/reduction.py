@@ -13,7 +13,7 @@ from sympy import Expr, Function, ImmutableMatrix, Symbol
 from sympy.polys.matrices import DomainMatrix
 
 from pinmobile.arrays import whole
-from pinmobile.derivation.algebra import exact, exact_angle, grouped, reduced
+from pinmobile.derivation.chain import exact, exact_angle, grouped, reduced
 from pinmobile.derivation.equations import lecture
 from pinmobile.derivation.steps import Assignments, Step, Told
 from pinmobile.errors import InvalidArgument, shown

@@ -14,15 +14,15 @@ from pinmobile.identification._estimates import Identification
 from pinmobile.identification._estimator import (
     Fit,
     Linear,
+    ResidualNoise,
     Whiteness,
+    input_noise_gradient,
     jackknife,
     solve,
     unexplained,
 )
 from pinmobile.identification._log import Log, check_steps, logs_of
-from pinmobile.identification._noise import ResidualNoise, input_noise_gradient
-from pinmobile.identification._planar_model import PlanarModel
-from pinmobile.identification._planar_problem import PlanarProblem
+from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
 from pinmobile.identification._preprocessing import PreprocessedLog, Slippage
 from pinmobile.identification._simulation import Segments
 from pinmobile.identification._weak_form import WINDOW, WeakFit, WeakForm

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification._estimator import NORMAL
-from pinmobile.identification._log import Log, check_units
-from pinmobile.identification._log_rows import held_integrals
+from pinmobile.identification._log import Log, check_units, held_integrals
 from pinmobile.identification._simulation import Segments
 
 _HALF = 0.5  # of a segment's samples, without which its first state is not identifiable

@@ -18,8 +18,7 @@ from pinmobile.identification._log import Log, Samples, check_steps, check_units
 from pinmobile.identification._planar_model import PlanarModel
 from pinmobile.identification._preprocessing import mean_inputs, twist_of, without_outliers
 from pinmobile.identification._simulation import Quantity, Segments, simulate
-from pinmobile.identification._theta import ABOVE_ZERO, THETA, rates_of, rolling_of
-from pinmobile.identification._velocity_robot import VelocityRobot
+from pinmobile.identification._velocity_robot import ABOVE_ZERO, THETA, VelocityRobot, rates_of, rolling_of
 from pinmobile.identification._weak_form import Bump, fitted, scanned
 
 _LEAST_SEGMENTS, _SECONDS = 20, 2.0  # number and length [s] of segments

@@ -17,8 +17,7 @@ from pinmobile.errors import InvalidArgument, LimitWarning, NotFinite, NotTracea
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop._checks import sampled
-from pinmobile.loop._counts import Part, bins_of, member_of
-from pinmobile.loop._ensemble import Ensemble
+from pinmobile.loop._ensemble import Ensemble, Part, bins_of, member_of
 from pinmobile.loop._loop import Loop
 from pinmobile.loop._program import Compiled
 from pinmobile.loop._python import in_python, with_compiled_plant

@@ -1,7 +1,6 @@
 """Ensembles at the points of a grid, in this process or on a Dask cluster, in a store that resumes."""
 
 from pinmobile.sweeps._points import Axis as Axis, Points as Points
-from pinmobile.sweeps._result import Sweep
-from pinmobile.sweeps._sweep import connected as connected, run_points as run_points, sweep
+from pinmobile.sweeps._sweep import Sweep, connected as connected, run_points as run_points, sweep
 
 __all__ = ["Sweep", "sweep"]
