@@ -13,7 +13,7 @@ from pinmobile.controllers import planar_difference
 from pinmobile.errors import UnknownName
 from pinmobile.forces import NoiseForce, PayloadForce, SinusoidalForce
 from pinmobile.loop import TRUE_MODEL, ErrorQuantile, run_scenario
-from pinmobile.loop._ensemble import bins_of, edges, quantiles
+from pinmobile.loop._variables import bins_of, edges, quantiles
 from pinmobile.plant import Context
 
 ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.02))

@@ -13,7 +13,7 @@ import pytest
 import pinmobile as pm
 from pinmobile.errors import SlowerEngine, UnknownName
 from pinmobile.loop import Engine, Loop, part_of, run_scenario
-from pinmobile.loop._ensemble import PER_ROBOT
+from pinmobile.loop._variables import PER_ROBOT
 from pinmobile.parts import find, replace
 from pinmobile.trajectories import LectureHeading
 from tests.parts import (

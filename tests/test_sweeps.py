@@ -18,7 +18,7 @@ import pytest
 import pinmobile as pm
 from pinmobile.errors import UnknownName
 from pinmobile.loop import run_scenario
-from pinmobile.loop._ensemble import edges
+from pinmobile.loop._variables import edges
 from pinmobile.sweeps import Axis, Points
 from pinmobile.sweeps._points import _NAMES, changed
 from pinmobile.sweeps._sweep import compared, length

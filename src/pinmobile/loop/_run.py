@@ -17,7 +17,7 @@ from pinmobile.errors import InvalidArgument, LimitWarning, NotFinite, NotTracea
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop._checks import sampled
-from pinmobile.loop._ensemble import Ensemble, Part, bins_of, member_of
+from pinmobile.loop._ensemble import Ensemble
 from pinmobile.loop._loop import Loop
 from pinmobile.loop._program import Compiled
 from pinmobile.loop._python import in_python, with_compiled_plant
@@ -26,6 +26,7 @@ from pinmobile.loop._scenario import Scenario, checked_scenario
 from pinmobile.loop._simulate import Engine, checked_engine
 from pinmobile.loop._spread import Source
 from pinmobile.loop._trace import arrays_of, initial_memory
+from pinmobile.loop._variables import Part, bins_of, member_of
 from pinmobile.metrics import metrics_of
 from pinmobile.parts import OnCoordinates, evolved, replace as replaced
 from pinmobile.plant import Context, Plant

@@ -1,0 +1,465 @@
+"""An ensemble as arrays: counts and quantiles of its robots, and variables with units and meanings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinmobile import parts
+from pinmobile.arrays import Array, ArrayLike, bounded, finite, scalar, shaped
+from pinmobile.compiled import BINS, FIRST, SHIFT
+from pinmobile.controllers import Controller
+from pinmobile.errors import imported
+from pinmobile.loop._description import Outline
+from pinmobile.loop._scenario import Scenario
+from pinmobile.metrics import Metric, value_of
+from pinmobile.plant import Parameter
+from pinmobile.trajectories import Trajectory
+
+_ROUNDING = 4 * float(np.finfo(np.float64).eps)  # of a share such as 0.07, and of its product with a count
+
+
+class Part(NamedTuple):
+    """The records of m robots.
+
+    Attributes
+    ----------
+    lived : ndarray of int, shape (m,)
+        Samples before the loop diverged; all of them where it did not.
+    max_error : ndarray, shape (m, c)
+        Largest |error| of the reference's c coordinates in those of these samples from `Scenario.after` on.
+    max_distance : ndarray, shape (m,)
+        Largest distance from the desired position [m].
+    rms_error : ndarray, shape (m, c)
+        Root of the mean squared error.
+    max_input : ndarray, shape (m, nu)
+        Largest |input|.
+    worst_metric, rms_metric : ndarray, shape (m, j)
+        Worst, and root of the mean square, of each metric, in the samples of which errors are kept.
+    counts : ndarray of int, shape (G, channels, BINS)
+        At each time of the grid, how many robots have a distance, and so on, of which size; see
+        `Scenario.channels`.
+    """
+
+    lived: NDArray[np.int64]
+    max_error: Array
+    max_distance: Array
+    rms_error: Array
+    max_input: Array
+    worst_metric: Array
+    rms_metric: Array
+    counts: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, scenario: Scenario, record: Mapping[str, Array], counts: NDArray[np.int32]) -> Part:
+        """Return what a `Summary` kept of m robots, its arrays with the robots as their first axis."""
+        lived = record["lived"].astype(np.int64)
+        kept = np.maximum(lived - scenario.begin, 1)[:, None]
+        none = np.zeros((len(lived), 0))
+        signs = np.array([-1.0 if one.is_margin else 1.0 for one in scenario.recorded_metrics])
+        return cls(
+            lived,
+            record["largest"].copy(),  # not a view of all that the robots kept
+            np.sqrt(record["farthest"][:, 0]),
+            np.sqrt(record["squares"] / kept),
+            record["inputs"].copy(),
+            record.get("worst", none) * signs,
+            np.sqrt(record.get("metric_squares", none) / kept),
+            counts,
+        )
+
+    @classmethod
+    def joined(cls, parts: Iterable[Part]) -> Part:
+        """Return the records of all robots of some parts, in their order."""
+        columns: list[list[Any]] = [[] for _ in cls._fields[:-1]]
+        counts: Any = 0
+        for *own, counted in parts:
+            counts = counts + counted
+            for column, rows in zip(columns, own, strict=True):
+                column.append(rows)
+        # One after the other, so that hardly anything is in memory twice.
+        return cls._make([*(np.concatenate(columns.pop(0)) for _ in cls._fields[:-1]), counts])
+
+
+class Member(NamedTuple):
+    """One robot of an ensemble: ``simulate(*member[:3], **member.options)`` runs it alone.
+
+    Attributes
+    ----------
+    robot, controller, trajectory
+        As in `simulate`.
+    options : dict
+        The other arguments of `simulate`.
+    """
+
+    robot: Any
+    controller: Controller
+    trajectory: Trajectory
+    options: dict[str, Any]
+
+
+def member_of(scenario: Scenario, i: int, drawn: Mapping[str, Array] | None = None) -> Member:
+    """Return robot i as the arguments of `simulate`.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Whose robot.
+    i : int
+        Its index, 0 <= i < n.
+    drawn : mapping of str to ndarray, shape (1,), optional
+        What was drawn for it.
+    """
+    draws = scenario.draws(i, i + 1) if drawn is None else drawn
+    values = scenario.values(draws, i, i + 1).items()
+    own_values = {path: value[0] for path, value in values if not path.startswith("start")}
+    loop = parts.replace(scenario.loop, own_values)
+    own = scenario.references(draws, 1, i)
+    q, v = scenario.starts(draws, 1, own)
+    options = {
+        "dt": scenario.dt,
+        "duration": scenario.duration if own is None else float(scenario.t[-1]),
+        "q0": q[0],
+        "v0": v[0],
+        "integrator": scenario.integrator,
+        "substeps": scenario.substeps,
+        "forces": loop.forces,
+        "limit": scenario.limit,
+    }
+    if scenario.is_noisy:
+        options |= {"seed": scenario.seed, "member": i}
+    return Member(loop.plant, loop.controller, loop.trajectory, options)
+
+
+def edges() -> Array:
+    """Return the edges of the bins, shape (BINS + 1,), from 0 to infinity."""
+    inner = (np.arange(FIRST, FIRST + BINS - 1, dtype=np.int64) << SHIFT).view(np.float64)
+    return np.concatenate([[0.0], inner, [np.inf]])
+
+
+def bins_of(values: Array) -> NDArray[np.int64]:
+    """Return the bins of numbers >= 0, infinity included, shape (...)."""
+    bits = np.ascontiguousarray(values).view(np.int64) >> SHIFT
+    return np.asarray(np.clip(bits - FIRST + 1, 0, BINS - 1))
+
+
+def checked_share(value: ArrayLike) -> float:
+    """Return a share as a float.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not one number from 0 to 1.
+    """
+    return bounded("share", scalar("share", value), least=0, most=1)
+
+
+def checked_levels(value: ArrayLike) -> Array:
+    """Return the levels of quantiles as an array, shape (m,).
+
+    Raises
+    ------
+    InvalidArgument
+        If one is not between 0 and 1.
+    """
+    found = shaped("levels", np.atleast_1d(finite("levels", value)), ("n>=1",))
+    return bounded("levels", found, least=0, most=1)
+
+
+def share_within(values: Array, share: float, axis: int = -1) -> Array:
+    """Return the least of the values that a share of them does not exceed; NaN where one is NaN.
+
+    Parameters
+    ----------
+    values : ndarray
+        Along `axis`, at least one.
+    share : float
+        From 0 to 1; of 0, the smallest value.
+    axis : int
+        The axis that is reduced.
+    """
+    place = max(int(np.ceil(_rank(share, values.shape[axis]))), 1) - 1
+    found = np.take(np.partition(values, place, axis), place, axis)
+    return np.where(np.isnan(values).any(axis), np.nan, found)
+
+
+def _rank(share: float, count: int | NDArray[np.int64]) -> Array:
+    """Return the share of a count, a whole number where it is one but for rounding (0.07 of 100 is 7)."""
+    rank = np.asarray(share * count)
+    return np.where(np.abs(rank - np.round(rank)) <= _ROUNDING * rank, np.round(rank), rank)
+
+
+def quantiles(counts: NDArray[np.int64], wanted: Array, *, margins: bool = False) -> Array:
+    """Return quantiles from counts: what shares of the robots are within.
+
+    Within a bin the numbers are taken to lie evenly in the logarithm: a quantile is off by the width
+    of its bin, 2 to 3 %, at most.
+
+    Parameters
+    ----------
+    counts : ndarray of int, shape (..., BINS)
+        How many are in each bin; at least one in all.
+    wanted : ndarray, shape (m,)
+        Levels from 0 to 1.
+    margins : bool
+        Whether these are sizes of margins, see `pinmobile.metrics.size_of`: then a share of the robots has
+        at least what is returned, in numbers of the margin.
+
+    Returns
+    -------
+    quantiles : ndarray, shape (m, ...)
+        Infinite where it falls in the last bin, of margins minus infinity in the first.
+    """
+    bounds = edges()
+    if margins:
+        # From the best to the worst; of what is in the best bin only its lower edge is known.
+        counts, bounds = counts[..., ::-1], np.append(bounds[-2], bounds[-2::-1])
+    total = counts.cumsum(axis=-1)
+    found = np.empty((len(wanted), *counts.shape[:-1]))
+    for k, level in enumerate(wanted):
+        rank = _rank(level, total[..., -1:])
+        # The first bin whose total reaches the rank, and is not empty.
+        bin_ = np.minimum((total < np.maximum(rank, 1e-9)).sum(axis=-1), BINS - 1)
+        inside = np.take_along_axis(counts, bin_[..., None], -1)[..., 0]
+        before = np.take_along_axis(total, bin_[..., None], -1)[..., 0] - inside
+        part = (rank[..., 0] - before) / np.maximum(inside, 1)
+        low, high = bounds[bin_], bounds[bin_ + 1]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            between = low * (high / low) ** part
+        if margins:
+            found[k] = value_of(np.where(bin_ == BINS - 1, 0.0, between))
+            continue
+        found[k] = np.where(bin_ == 0, bounds[1] * part, np.where(bin_ == BINS - 1, np.inf, between))
+    return found
+
+
+LEVELS = (0.5, 0.9, 0.99)
+"""Shares of the robots for which the quantiles over time are kept."""
+
+NOTE = "units and long_name of each variable; robot i of a scenario is row i"
+"""How the variables are to be read."""
+
+
+class Variable(NamedTuple):
+    """An array by its name.
+
+    Attributes
+    ----------
+    dimensions : tuple of str
+        Of its axes.
+    units : str
+        Its unit, "1" for none; where its last axis is ``coordinate`` or ``input``, that of each.
+    meaning : str
+        What it is, in words.
+    worst : str
+        Of metrics, whether the largest or the smallest of each is the worst.
+    """
+
+    dimensions: tuple[str, ...]
+    units: str
+    meaning: str
+    worst: str = ""
+
+    @property
+    def attributes(self) -> dict[str, str]:
+        """Unit and meaning, as xarray and others name them."""
+        found = {"units": self.units, "long_name": self.meaning}
+        return found | ({"worst": self.worst} if self.worst else {})
+
+
+_UNTIL = "of a diverged robot until then"
+_SINCE = f"from the scenario's `after` on, {_UNTIL}"
+_EACH, _EACH_COORDINATE, _EACH_INPUT = ("robot",), ("robot", "coordinate"), ("robot", "input")
+_EACH_METRIC = ("robot", "metric")
+PER_ROBOT = (
+    *("max_error", "rms_error", "max_input", "max_distance", "diverged_at"),
+    *("worst_metric", "rms_metric"),
+)
+"""Names of the arrays with one entry per robot, beside what was drawn."""
+
+
+def per_robot(scenario: Scenario | Outline) -> dict[str, Variable]:
+    """Return the arrays of `PER_ROBOT`; those of metrics where there are any.
+
+    Parameters
+    ----------
+    scenario : Scenario or Outline
+        Whose.
+    """
+    named = scenario.coordinates, scenario.inputs, scenario.recorded_metrics
+    errors, sizes, units = (", ".join(one.unit or "1" for one in each) for each in named)
+    found = {
+        "max_error": Variable(_EACH_COORDINATE, errors, f"largest |error|, {_SINCE}"),
+        "rms_error": Variable(_EACH_COORDINATE, errors, f"root of the mean squared error, {_SINCE}"),
+        "max_input": Variable(_EACH_INPUT, sizes, f"largest |input|, {_UNTIL}"),
+        "max_distance": Variable(_EACH, "m", f"largest distance from the desired position, {_SINCE}"),
+        "diverged_at": Variable(_EACH, "s", "when the loop diverged; NaN where it did not"),
+    }
+    if scenario.recorded_metrics:
+        worst = f"largest size, or smallest margin, of what else is judged, {_SINCE}"
+        each = ", ".join(one.worst for one in scenario.recorded_metrics)
+        found["worst_metric"] = Variable(_EACH_METRIC, units, worst, each)
+        found["rms_metric"] = Variable(_EACH_METRIC, units, f"root of its mean square, {_SINCE}")
+    return found
+
+
+SUMMED = ("counts", "quantiles")
+"""Names of the arrays that are summed up over all robots."""
+
+
+def over_all(channels: Sequence[Metric]) -> dict[str, Variable]:
+    """Return the arrays of `SUMMED`.
+
+    Parameters
+    ----------
+    channels : sequence of Metric
+        What is counted.
+    """
+    counted = "how many robots have this size; what diverged counts in the last bin, of margins in the first"
+    within = "share `level` of the robots errs at most by this, or has at least this margin"
+    units = ", ".join(one.unit or "1" for one in channels)
+    return {
+        "counts": Variable(("time", "channel", "bin"), "1", counted),
+        "quantiles": Variable(("channel", "level", "time"), units, within),
+    }
+
+
+def drawn_name(parameter: str) -> str:
+    """Return what the array of a parameter's draws is called: a slash would make a group of a store of it."""
+    return f"drawn_{parameter.replace('/', '.')}"
+
+
+def drawn(parameters: Mapping[str, Parameter]) -> dict[str, Variable]:
+    """Return the arrays of what was drawn for each robot."""
+    return {
+        drawn_name(name): Variable(_EACH, one.unit or "1", f"drawn {one.meaning}; NaN where not spread")
+        for name, one in parameters.items()
+    }
+
+
+def quantiles_of(counts: NDArray[np.int32], levels: Array, channels: Sequence[Metric]) -> dict[str, Array]:
+    """Return the quantiles over time of each channel, shape (L, G), by name.
+
+    Parameters
+    ----------
+    counts : ndarray of int, shape (G, channels, BINS)
+        Of all robots.
+    levels : ndarray, shape (L,)
+        Shares of the robots.
+    channels : sequence of Metric
+        What is counted.
+    """
+    return {
+        one.name: quantiles(counts[:, k].astype(np.int64), levels, margins=one.is_margin)
+        for k, one in enumerate(channels)
+    }
+
+
+def summed(counts: NDArray[np.int32], channels: Sequence[Metric]) -> dict[str, Array | NDArray[np.int32]]:
+    """Return the arrays of `SUMMED`; the arguments are those of `quantiles_of`."""
+    found = quantiles_of(counts, np.array(LEVELS), channels)
+    return {"counts": counts, "quantiles": np.array(list(found.values()))}
+
+
+def coordinates(scenario: Scenario | Outline) -> list[tuple[str, Sequence[Any], str, str]]:
+    """Return name, values, unit and meaning of the coordinates of all dimensions but ``robot``.
+
+    Parameters
+    ----------
+    scenario : Scenario or Outline
+        Whose.
+    """
+    names, inputs, metrics = (
+        [one.name for one in each]
+        for each in (scenario.coordinates, scenario.inputs, scenario.recorded_metrics)
+    )
+    told = ", ".join(f"{one.meaning} [{one.unit or '1'}]" for one in scenario.channels)
+    judged = ", ".join(one.meaning for one in scenario.recorded_metrics)
+    return [
+        ("time", scenario.grid.tolist(), "s", "time"),
+        ("coordinate", list(names), "1", "coordinate"),
+        ("input", list(inputs), "1", "input"),
+        ("channel", [one.name for one in scenario.channels], "1", told),
+        ("level", list(LEVELS), "1", "share of the robots"),
+        (
+            "bin",
+            edges()[:-1].tolist(),
+            "as of the channel",
+            "lower edge; the upper one is the next bin's lower one; of a margin m, of m + sqrt(m^2 + 2^-24)",
+        ),
+        *([("metric", metrics, "1", judged)] if metrics else []),
+    ]
+
+
+def dataset_of(ensemble: Any, attributes: Mapping[str, Any]) -> Any:
+    """Return an ensemble as an xarray.Dataset.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+        What is told.
+    attributes : mapping
+        Of the whole.
+
+    Raises
+    ------
+    InvalidArgument
+        If xarray is not installed.
+    """
+    xarray = imported("xarray", "sweeps", "a Dataset")
+    scenario = ensemble.scenario
+    variables = {**_per_robot(ensemble), **over_all(scenario.channels)}
+    arrays = summed(ensemble.counts, scenario.channels)
+    arrays |= {name: array for name, _, array in _arrays(ensemble)}
+    axes = {
+        name: (name, values, {"units": unit, "long_name": meaning})
+        for name, values, unit, meaning in coordinates(scenario)
+    }
+    return xarray.Dataset(
+        # Copied, because what xarray hands out may be written into.
+        {name: (one.dimensions, arrays[name].copy(), one.attributes) for name, one in variables.items()},
+        axes,
+        {"Conventions": NOTE, "errors_from_s": scenario.after, **attributes},
+    )
+
+
+def columns_of(ensemble: Any) -> tuple[list[str], list[Array]]:
+    """Return the arrays with one entry per robot as the columns of a table, and their names with units."""
+    header, columns = ["robot"], [np.arange(len(ensemble), dtype=np.float64)]
+    named: Mapping[str, Sequence[Any]] = {
+        "coordinate": ensemble.scenario.coordinates,
+        "input": ensemble.scenario.inputs,
+        "metric": ensemble.scenario.recorded_metrics,
+    }
+    for name, one, array in _arrays(ensemble):
+        each = [(f"{name}_{part.name}", part.unit) for part in named.get(one.dimensions[-1], ())]
+        known = each or [(name, one.units)]
+        header += [f"{of} [{unit}]" if unit not in ("", "1") else of for of, unit in known]
+        columns.append(array)
+    return header, columns
+
+
+def _per_robot(ensemble: Any) -> dict[str, Variable]:
+    scenario = ensemble.scenario
+    return {**drawn(scenario.parameters), **per_robot(scenario)}
+
+
+def _arrays(ensemble: Any) -> Iterator[tuple[str, Variable, Array]]:
+    draws = {drawn_name(name): values for name, values in ensemble.draws.items()}
+    for name, one in _per_robot(ensemble).items():
+        yield name, one, getattr(ensemble, name) if name in PER_ROBOT else draws[name]
+
+
+def content_of(ensemble: Any) -> dict[str, Any]:
+    """Return all that a file of an ensemble keeps: its scenario in words, and what each array is."""
+    outline = Outline.of(ensemble.scenario)
+    own = {each.name: getattr(ensemble, each.name) for each in fields(ensemble)}
+    return own | {
+        "scenario": outline,
+        "traces": {i: trace.content() for i, trace in ensemble.traces.items()},
+        "variables": {**per_robot(outline), **drawn(outline.parameters)},
+    }
