@@ -18,7 +18,7 @@ from matplotlib.text import Text
 
 from pinmobile import palette, plots
 from pinmobile.errors import InvalidArgument
-from pinmobile.plots import figure_layout
+from pinmobile.plots import style
 from pinmobile.plots.style import DASHES, line_style
 
 ROOT = Path(__file__).parents[1]
@@ -44,7 +44,7 @@ def test_at_one_column_of_a_paper_no_word_is_cut_or_meets_another(name: str) -> 
     with rc_context(page.LETTERS):
         figure = page.FIGURES[name](width=3.5)  # which would be refused
         assert figure.get_figwidth() == 3.5
-        assert not figure_layout.crowded(figure, figure.axes)
+        assert not style.crowded(figure, figure.axes)
         assert {text.get_fontsize() for text in figure.findobj(Text) if text.get_text()} >= {8.0}
 
 
@@ -53,7 +53,7 @@ def test_at_one_column_of_a_paper_no_word_is_cut_or_meets_another(name: str) -> 
 def test_at_both_columns_too(name: str) -> None:
     figure = page.FIGURES[name](width=7)
     assert figure.get_figwidth() == 7.0
-    assert not figure_layout.crowded(figure, figure.axes)
+    assert not style.crowded(figure, figure.axes)
 
 
 def test_a_figure_too_narrow_for_its_words_is_refused() -> None:
@@ -211,8 +211,8 @@ def test_a_notebook_shows_a_figure_once(monkeypatch: pytest.MonkeyPatch) -> None
     display = pytest.importorskip("IPython.display", reason="needs IPython")
     shown: list[Any] = []
     monkeypatch.setattr(display, "display", shown.append)
-    known: Any = plt.figure(FigureClass=figure_layout.ShownFigure)
-    monkeypatch.setattr(figure_layout, "get_backend", lambda: "inline")
+    known: Any = plt.figure(FigureClass=style.ShownFigure)
+    monkeypatch.setattr(style, "get_backend", lambda: "inline")
     known._ipython_display_()
     assert shown[0].data.startswith(b"\x89PNG")
     assert not plt.fignum_exists(known.number)  # the end of the cell does not show it again

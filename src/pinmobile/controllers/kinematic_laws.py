@@ -1,382 +1,385 @@
-"""Kinematic laws: from the error of a body on wheels to the speed and the yaw rate that it should have.
-
-A law is called as ``law(tracked, state) -> ((v, w), state)`` with what it tracks, a `Tracked`. Its numbers
-are floats, arrays or symbols, or such with their rates, `Changing`: then what comes out has its rate too, by
-the chain rule, which `Backstepping` needs.
-"""
+"""Torques, or commands, with which a robot on wheels moves as a kinematic law says."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, final
+from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array
-from pinmobile.errors import InvalidArgument
-from pinmobile.parts import number, part
+from pinmobile.arrays import Array, callable_as, frozen, wrap_angle
+from pinmobile.controllers.controller import State, check_wheels
+from pinmobile.controllers.kinematic_laws import (
+    LAW,
+    Changing,
+    KinematicLaw,
+    Tracked,
+    angle as heading_of,
+    arctan,
+    chosen,
+    cos,
+    rate_of,
+    sin,
+    value_of,
+)
+from pinmobile.errors import InvalidArgument, NotTraceable, shown
+from pinmobile.parts import Commanded, Rolling, able, child, number, part, structure
 from pinmobile.plant import Context
 
-_SMALL = 1e-3  # [rad], below which sin(x) / x is its series
-_STILL = 1e-6  # [m/s, rad/s], below which a reference is at rest
-
-LAW = "a kinematic law, such as UnicycleTracking()"
-"""What is expected where a law is missing."""
-
-
-@final
-class Changing:
-    """A number, an array or a symbol, and the rate at which it changes.
-
-    Parameters
-    ----------
-    value, rate : scalar or ndarray, shape (...)
-        The rate is per second.
-    """
-
-    __array_ufunc__ = None  # arrays leave the operation to it
-
-    def __init__(self, value: Any, rate: Any) -> None:
-        self.value, self.rate = value, rate
-
-    def __add__(self, other: Any) -> Changing:
-        return Changing(self.value + value_of(other), self.rate + rate_of(other))
-
-    __radd__ = __add__
-
-    def __neg__(self) -> Changing:
-        return Changing(-self.value, -self.rate)
-
-    def __sub__(self, other: Any) -> Changing:
-        return Changing(self.value - value_of(other), self.rate - rate_of(other))
-
-    def __rsub__(self, other: Any) -> Changing:
-        return (-self).__add__(other)
-
-    def __mul__(self, other: Any) -> Changing:
-        if not isinstance(other, Changing):
-            return Changing(self.value * other, self.rate * other)
-        return Changing(self.value * other.value, self.rate * other.value + self.value * other.rate)
-
-    __rmul__ = __mul__
-
-    def __truediv__(self, other: Any) -> Changing:
-        if not isinstance(other, Changing):
-            return Changing(self.value / other, self.rate / other)
-        value = self.value / other.value
-        return Changing(value, (self.rate - value * other.rate) / other.value)
-
-    def __rtruediv__(self, other: Any) -> Changing:
-        return Changing(other, 0.0 * self.value).__truediv__(self)
-
-
-def value_of(x: Any) -> Any:
-    """Return the number itself."""
-    return x.value if isinstance(x, Changing) else x
-
-
-def rate_of(x: Any) -> Any:
-    """Return the rate of a number; 0 of one that does not change."""
-    return x.rate if isinstance(x, Changing) else 0.0
-
-
-def _through(function: Callable[[Any], Any], slope: Callable[[Any], Any], x: Any) -> Any:
-    if not isinstance(x, Changing):
-        return function(x)
-    return Changing(function(x.value), slope(x.value) * x.rate)
-
-
-def sin(x: Any) -> Any:
-    """Return the sine, with its rate."""
-    return _through(np.sin, np.cos, x)
-
-
-def cos(x: Any) -> Any:
-    """Return the cosine, with its rate."""
-    return _through(np.cos, lambda value: -np.sin(value), x)
-
-
-def tanh(x: Any) -> Any:
-    """Return the hyperbolic tangent, with its rate."""
-    return _through(np.tanh, lambda value: 1.0 - np.tanh(value) * np.tanh(value), x)
-
-
-def arctan(x: Any) -> Any:
-    """Return the angle whose tangent is x, with its rate."""
-    return _through(np.arctan, lambda value: 1.0 / (1.0 + value * value), x)
-
-
-def root(x: Any) -> Any:
-    """Return the square root, with its rate, which is 0 where x is."""
-
-    def slope(value: Any) -> Any:
-        return np.where(value > 0.0, 0.5 / np.sqrt(np.where(value > 0.0, value, 1.0)), 0.0)
-
-    return _through(np.sqrt, slope, x)
-
-
-def angle(y: Any, x: Any) -> Any:
-    """Return the angle of (x, y), with its rate, which is 0 at the origin."""
-    found = np.arctan2(value_of(y), value_of(x))
-    if not (isinstance(x, Changing) or isinstance(y, Changing)):
-        return found
-    a, b = value_of(y), value_of(x)
-    square = a * a + b * b
-    turn = rate_of(y) * b - a * rate_of(x)
-    return Changing(found, turn / np.where(square > 0.0, square, 1.0))
-
-
-def ratio(x: Any) -> Any:
-    """Return sin(x) / x, with its rate."""
-
-    def function(value: Any) -> Any:
-        near = np.abs(value) < _SMALL
-        return np.where(near, 1.0 - value * value / 6.0, np.sin(value) / np.where(near, 1.0, value))
-
-    def slope(value: Any) -> Any:
-        near = np.abs(value) < _SMALL
-        far = np.where(near, 1.0, value)
-        return np.where(near, -value / 3.0, (np.cos(value) - np.sin(value) / far) / far)
-
-    return _through(function, slope, x)
-
-
-def chosen(condition: Any, x: Any, y: Any) -> Any:
-    """Return x where a condition holds, else y, with the rate."""
-    value = np.where(condition, value_of(x), value_of(y))
-    if not (isinstance(x, Changing) or isinstance(y, Changing)):
-        return value
-    return Changing(value, np.where(condition, rate_of(x), rate_of(y)))
-
-
-class Tracked(NamedTuple):
-    """What a law knows: of the point where the fixed axle is, along the axes of the body's motion.
-
-    Attributes
-    ----------
-    ahead, aside : scalar
-        Where the reference is [m].
-    turn : scalar
-        Its heading less the body's, in (-pi, pi] [rad].
-    speed, yaw_rate : scalar
-        Of the reference [m/s, rad/s].
-    acceleration : scalar
-        Rate of its speed [m/s^2].
-    own_speed : scalar
-        Of the body [m/s].
-    """
-
-    ahead: Any
-    aside: Any
-    turn: Any
-    speed: Any
-    yaw_rate: Any
-    acceleration: Any = 0.0
-    own_speed: Any = 0.0
-
-
-class KinematicLaw(Protocol):
-    """A kinematic law, such as UnicycleTracking(): from what is tracked to speed and yaw rate."""
-
-    def initial_state(self, context: Context, /) -> Any:
-        """Return the state to start with; None where there is no memory."""
-
-    def check(self, t: Array, speed: Array, yaw_rate: Array, /) -> None:
-        """Refuse a reference of these speeds and yaw rates, shape (N,), that it cannot follow."""
-
-    def __call__(self, tracked: Tracked, state: Any, /) -> tuple[tuple[Any, Any], Any]:
-        """Return (v, w) [m/s, rad/s], and the next state."""
-
-
-def _first(t: Array, wrong: Any) -> float | None:
-    """Return the first time at which something is wrong, if it ever is."""
-    found = np.flatnonzero(wrong)
-    return float(t[found[0]]) if len(found) else None
+_BASE = 3
+_SIDEWAYS = 1e-6  # [m/s], and relative to the speed: what a reference may move across the axle
+_JUMP = 0.1  # [rad], by which a heading may turn from sample to sample beside what its rate says
+_LEAST_SPEED = 1e-3  # [m/s] of a steered wheel, below which its direction is that of this speed
+_NO_AXLE = 1e-9  # beside the square of what two axles determine
+_KINDS = ((2, 0), (1, 1))
 
 
 @final
 @part
-class UnicycleTracking:
-    """Follow a moving reference, forwards or backwards (De Luca, Oriolo, Vendittelli 2001).
+class Backstepping:
+    """From a kinematic law to the input (Fierro and Lewis, J. Robotic Systems 14(3), 1997).
 
-        v = v_r cos et + k ex,  w = w_r + b v_r (sin et / et) ey + k et,  k = 2 zeta sqrt(w_r^2 + b v_r^2)
+        M nu' + n = B u,   nu' = nu_c' + k (nu_c - nu)
 
-    With V = b (ex^2 + ey^2) / 2 + et^2 / 2, dV/dt = -k (b ex^2 + et^2): it needs a reference that does not
-    rest for good. Near it, errors decay as (s + 2 zeta a)(s^2 + 2 zeta a s + a^2), a^2 = w_r^2 + b v_r^2.
+    nu are the independent velocities of a robot whose wheels roll: of one with a fixed axle alone its speed
+    and yaw rate, of a car its speed and steering rate; arms have theirs. nu_c is what the law says, nu_c' its
+    rate by the chain rule. A car steers to delta_c, for which a wheel rolls as the law says, with
 
-    Parameters
-    ----------
-    zeta : float
-        Damping, > 0.
-    b : float
-        Weight of the place beside the heading, > 0 [1/m^2].
-    """
+        delta_c' + steer (delta_c - delta)    as the rate that is wanted,
 
-    zeta: float = number(default=0.7, above=0.0, doc="damping of a tracking law")
-    b: float = number(default=20.0, above=0.0, unit="1/m^2", doc="weight of the place beside the heading")
+    whose own rate takes of delta_c'' what the reference has, from its last two samples. Arms follow their
+    reference as v_r + arms (q_r - q).
 
-    def initial_state(self, context: Context) -> None:
-        """Return None: there is no memory."""
-
-    def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
-        """Refuse a reference that never moves."""
-        if not (np.abs(speed) > _STILL).any() and not (np.abs(yaw_rate) > _STILL).any():
-            raise InvalidArgument("reference rests, expected one that moves, or the law Parking()")
-
-    def __call__(self, tracked: Tracked, state: None) -> tuple[tuple[Any, Any], None]:
-        """Return (v, w) [m/s, rad/s], and None."""
-        x, y, turn, speed, yaw_rate = tracked[:5]
-        k = 2.0 * self.zeta * root(yaw_rate * yaw_rate + self.b * (speed * speed))
-        v = speed * cos(turn) + k * x
-        return (v, yaw_rate + self.b * (speed * ratio(turn) * y) + k * turn), None
-
-
-@final
-@part
-class Kanayama:
-    """Follow a reference that moves forwards (Kanayama, Kimura, Miyazaki, Noguchi, ICRA 1990).
-
-        v = v_r cos et + k1 ex,  w = w_r + v_r (k2 ey + k3 sin et)
-
-    With V = (ex^2 + ey^2) / 2 + (1 - cos et) / k2, dV/dt = -k1 ex^2 - (k3 / k2) v_r sin^2 et: it needs v_r >
-    0.
+    The reference is the pose of the body, and moves along the wheels of the fixed axle: a path of the body's
+    origin with its tangent as heading where the origin lies on the axle. One that moves sideways or whose
+    heading jumps is refused, with its time, when a loop begins; where each robot of an ensemble has a
+    reference of its own, they are not looked at.
 
     Parameters
     ----------
-    k1, k2, k3 : float
-        Gains along, across, and of the heading, > 0 [1/s, 1/m^2, 1/m].
+    law : kinematic law
+        Such as `UnicycleTracking`; what it needs of a reference is said there.
+    robot : WheeledRobot or VelocityRobot
+        The model that the controller believes in; of one that takes speeds the input is commands.
+    k, steer, arms : float
+        Gains of the velocities, of the steering angle and of the arms, > 0 [1/s]; with the torque held
+        between samples, k dt below 0.5.
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is something else, the drive has no fixed axle or can move in every direction, or it
+        has not a motor for each independent velocity.
     """
 
-    k1: float = number(default=2.0, above=0.0, unit="1/s", doc="gain along the path")
-    k2: float = number(default=10.0, above=0.0, unit="1/m^2", doc="gain across the path")
-    k3: float = number(default=5.0, above=0.0, unit="1/m", doc="gain of the heading")
+    law: Any = child(KinematicLaw, doc="kinematic law", expected=LAW)
+    robot: Any = child(Rolling, doc="model of the controller")
+    k: float = number(default=10.0, above=0.0, unit="1/s", doc="gain of the velocities")
+    steer: float = number(default=10.0, above=0.0, unit="1/s", doc="gain of the steering angle")
+    arms: float = number(default=2.0, above=0.0, unit="1/s", doc="gain of the arms")
 
-    def initial_state(self, context: Context) -> None:
-        """Return None: there is no memory."""
-
-    def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
-        """Refuse a reference that stops or goes backwards."""
-        when = _first(t, speed <= _STILL)
-        if when is not None:
+    def check(self) -> None:
+        """Raise `InvalidArgument` where the drive has no fixed axle, or too few motors."""
+        callable_as("law(tracked, state)", self.law)
+        mobility = self.robot.mobility
+        if not has_axle(mobility):
+            others = {(3, 0): "ComputedTorque(robot)", (1, 2): "SwerveTracking(robot)"}
+            kind = mobility.mobility, mobility.steerability
+            other = others.get(kind, "ControlAllocation(controller, robot)")
+            if not mobility.is_regular:
+                other = "WheelSpeed(law, robot, kp), where no wheel steers"
             raise InvalidArgument(
-                f"reference goes at {speed[t == when][0]:.3g} m/s at t = {when:g} s, expected one that "
-                "always moves "
-                "forwards, or the law UnicycleTracking()"
+                f"robot is {mobility.kind}, expected one with a fixed axle: for this one, {other}"
             )
+        check_wheels(self.robot)
 
-    def __call__(self, tracked: Tracked, state: None) -> tuple[tuple[Any, Any], None]:
-        """Return (v, w) [m/s, rad/s], and None."""
-        x, y, turn, speed, yaw_rate = tracked[:5]
-        v = speed * cos(turn) + self.k1 * x
-        return (v, yaw_rate + speed * (self.k2 * y + self.k3 * sin(turn))), None
+    @structure
+    def _n(self) -> int:
+        """Coordinates that a reference has: x, y, psi and those of arms."""
+        return int(max(self.robot.reference_sizes))
 
+    @structure
+    def _steers(self) -> tuple[float, Array] | None:
+        """Largest angle of the one wheel that steers [rad], and where it is; None of a fixed axle alone."""
+        robot = self.robot
+        if not robot.mobility.steerability:
+            return None
+        return min(float(robot.coordinates[self._n].upper), np.pi / 2 - 1e-3), frozen(robot.pivots[0])
 
-@final
-@part
-class Parking:
-    """Go to a pose and rest there (Aicardi, Casalino, Bicchi, Balestrino, IEEE RAM 2(1), 1995).
+    @structure
+    def _axle(self) -> Array:
+        """The axle of the robot as it is given, which references follow."""
+        return frozen(self.robot.axle)
 
-        v = k1 rho cos gam,  w = k2 gam + k1 (sin gam cos gam / gam) (gam + k3 del)
+    def initial_state(self, context: Context) -> tuple[Any, Any]:
+        """Return the law's state, and what is known of the reference's steering: nothing."""
+        reference = reference_of(context)
+        if reference is not None:
+            self._check_reference(np.asarray(context.t), reference)
+        steering = None if self._steers is None else (0.0, 0.0, float(context.dt))
+        return self.law.initial_state(context), steering
 
-    rho is the distance of the goal, gam its bearing from the body's heading, del its bearing from the heading
-    at the goal. With V = (rho^2 + gam^2 + k3 del^2) / 2, dV/dt = -k1 rho^2 cos^2 gam - k2 gam^2. The heading
-    converges slowly, and no smooth law of the pose alone does better (Brockett 1983). It needs a reference
-    that rests, and stops within `near` of it.
-
-    Parameters
-    ----------
-    k1, k2, k3 : float
-        Gains of the distance, the bearing and the approach, > 0 [1/s, 1/s, 1].
-    near : float
-        Distance within which it rests, > 0 [m].
-    """
-
-    k1: float = number(default=1.0, above=0.0, unit="1/s", doc="gain of the distance")
-    k2: float = number(default=3.0, above=0.0, unit="1/s", doc="gain of the bearing")
-    k3: float = number(default=2.0, above=0.0, doc="gain of the approach")
-    near: float = number(default=1e-3, above=0.0, unit="m", doc="distance within which it rests")
-
-    def initial_state(self, context: Context) -> None:
-        """Return None: there is no memory."""
-
-    def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
-        """Refuse a reference that moves."""
-        when = _first(t, np.hypot(speed, yaw_rate) > _STILL)
-        if when is not None:
+    def _check_reference(self, t: Array, reference: Any) -> None:
+        """Refuse a reference that the wheels cannot follow."""
+        if reference.v.shape[-1] != self._n:
             raise InvalidArgument(
-                f"reference moves at t = {when:g} s, expected one that rests, or the law UnicycleTracking()"
+                f"reference has {reference.v.shape[-1]} coordinates, expected {self._n}: x, y, psi and "
+                "those of arms"
             )
-
-    def __call__(self, tracked: Tracked, state: None) -> tuple[tuple[Any, Any], None]:
-        """Return (v, w) [m/s, rad/s], and None."""
-        x, y = tracked.ahead, tracked.aside
-        square = x * x + y * y
-        there = value_of(square) < self.near * self.near
-        rho, bearing = root(square), angle(y, x)
-        approach = _turned(bearing - tracked.turn)
-        v = self.k1 * (rho * cos(bearing))
-        w = self.k2 * bearing + self.k1 * (ratio(bearing) * cos(bearing) * (bearing + self.k3 * approach))
-        return (chosen(there, 0.0, v), chosen(there, 0.0, w)), None
-
-
-def _turned(x: Any) -> Any:
-    """Return an angle in [-pi, pi], with its rate."""
-    value = value_of(x)
-    value = value - 2 * np.pi * np.rint(value / (2 * np.pi))
-    return Changing(value, x.rate) if isinstance(x, Changing) else value
-
-
-@final
-@part
-class DynamicFeedback:
-    """Follow a reference that never rests, by dynamic feedback linearisation (Oriolo et al. 2002).
-
-    The speed xi is a state of the law, r = p_r'' + kd (p_r' - p') + kp (p_r - p) along the body's axes, and
-
-        xi' = r_ahead,  v = xi,  w = r_aside / xi.
-
-    Errors of the place decay as s^2 + kd s + kp; the heading follows. xi starts at the reference's speed, and
-    the division takes |xi| >= least: it needs |v_r| above that, so no rests and no cusps.
-
-    Parameters
-    ----------
-    kp, kd : float
-        Gains of place and velocity, > 0 [1/s^2, 1/s].
-    least : float
-        Least speed that it divides by, > 0 [m/s].
-    """
-
-    kp: float = number(default=2.0, above=0.0, unit="1/s^2", doc="gain of the place")
-    kd: float = number(default=2.8, above=0.0, unit="1/s", doc="gain of the velocity")
-    least: float = number(default=0.05, above=0.0, unit="m/s", doc="least speed that it divides by")
-
-    def initial_state(self, context: Context) -> tuple[float, float, float]:
-        """Return the speed, how much of it is known, none as yet, and the time between samples [s]."""
-        return 0.0, 0.0, float(context.dt)
-
-    def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
-        """Refuse a reference that rests or turns back."""
-        when = _first(t, speed * np.sign(speed[0]) < self.least)
-        if when is not None:
-            raise InvalidArgument(
-                f"reference goes at {speed[t == when][0]:.3g} m/s at t = {when:g} s, expected "
-                f"{self.least:g} m/s or more, always in one direction, or the law UnicycleTracking()"
-            )
+        speed, w = speeds_along(self._axle, t, reference)
+        if self._steers is not None:
+            limit, pivot = self._steers
+            angle = np.abs(_steering_angle(self._axle, pivot, speed, w))
+            if (angle > limit).any():
+                k = int(np.argmax(angle > limit))
+                raise InvalidArgument(
+                    f"reference turns so tightly that wheels are steered by {angle[k]:.3g} rad at t = "
+                    f"{t[k]:g} s, expected at most {limit:.3g} rad"
+                )
+        self.law.check(t, speed, w)
 
     def __call__(
-        self, tracked: Tracked, state: tuple[Any, Any, Any]
-    ) -> tuple[tuple[Any, Any], tuple[Any, Any, Any]]:
-        """Return (v, w) [m/s, rad/s], and the next speed."""
-        x, y, turn, speed, yaw_rate, acceleration, own = tracked
-        xi, known, dt = state
-        xi = xi + (1.0 - known) * value_of(speed)
-        c, s, across = cos(turn), sin(turn), speed * yaw_rate
-        ahead = acceleration * c - across * s + self.kd * (speed * c - own) + self.kp * x
-        aside = acceleration * s + across * c + self.kd * (speed * s) + self.kp * y
-        rate = value_of(ahead)
-        fast = np.abs(xi) >= self.least
-        by = np.where(fast, xi, np.where(xi < 0.0, -self.least, self.least))
-        w = aside / Changing(by, np.where(fast, rate, 0.0))
-        if not isinstance(x, Changing):
-            w = w.value
-        return (Changing(xi, rate), w), (xi + dt * rate, 1.0 + 0.0 * known, dt)
+        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any]
+    ) -> tuple[Array, tuple[Any, Any]]:
+        """Return the input, shape (..., nu), and the next state."""
+        inner, steering = state
+        nu, n = self.robot.independent(q, v), self._n
+        known, errors = tracked(self.robot, self.robot.axle, q, v, reference, nu[..., 0])
+        (speed, yaw_rate), inner = self.law(known, inner)
+        wanted = [speed] if self._steers else [speed, yaw_rate]
+        for i in range(_BASE, n):
+            rate, desired = reference.v[..., i] - v[..., i], reference.v[..., i]
+            wanted.append(
+                Changing(desired + self.arms * errors[..., i], reference.a[..., i] + self.arms * rate)
+            )
+        if self._steers:
+            turn, steering = self._steered(q, nu, known, (speed, yaw_rate), steering)
+            wanted.append(turn)
+        rates = [rate_of(z) + self.k * (value_of(z) - nu[..., i]) for i, z in enumerate(wanted)]
+        wanted_rates = np.stack(np.broadcast_arrays(*rates), axis=-1)
+        commanded = able(self.robot, Commanded)
+        inverse = commanded.commands if commanded else self.robot.torques
+        return inverse(q, v, wanted_rates), (inner, steering)
+
+    def _steered(
+        self, q: Array, nu: Array, tracked: Tracked, command: tuple[Any, Any], memory: tuple[Any, Any, Any]
+    ) -> tuple[Changing, tuple[Any, Any, Any]]:
+        """Return the steering rate that is wanted, with its own, and what is known of the reference's."""
+        before, known, dt = memory
+        limit, _ = self._steers or (np.inf, None)
+        angle = q[..., self._n]
+        found = self._angle(*command)
+        beyond = np.abs(found.value) > limit
+        found = chosen(beyond, np.sign(found.value) * limit, found)
+        rate = self._angle(tracked.speed, tracked.yaw_rate).rate
+        grown = known * (rate - before) / dt
+        wanted = found.rate + self.steer * (found.value - angle)
+        turn = Changing(wanted, grown + self.steer * (found.rate - nu[..., -1]))
+        return turn, (rate, 1.0 + 0.0 * known, dt)
+
+    def _angle(self, speed: Any, yaw_rate: Any) -> Any:
+        return _steering_angle(self.robot.axle, self.robot.pivots[..., 0, :], speed, yaw_rate)
+
+
+def has_axle(mobility: Any) -> bool:
+    """Return whether a drive has one fixed axle, along whose wheels alone it can move."""
+    return (mobility.mobility, mobility.steerability) in _KINDS
+
+
+def reference_of(context: Context) -> Any:
+    """Return the reference of all samples; None where each robot has its own, or the context has none."""
+    try:
+        return context.reference
+    except NotTraceable:
+        return None
+
+
+def check_heading(t: Array, reference: Any) -> tuple[Array, Array]:
+    """Refuse a reference whose heading jumps, and return its headings and yaw rates, shape (N,)."""
+    psi, w = reference.q[:, 2], reference.v[:, 2]
+    jumps = np.abs(wrap_angle(np.diff(psi) - np.diff(t) * (w[1:] + w[:-1]) / 2))
+    if len(jumps) and jumps.max() > _JUMP:
+        k = int(np.argmax(jumps > _JUMP))
+        raise InvalidArgument(
+            f"reference turns its heading by {jumps[k]:.3g} rad at once at t = {t[k + 1]:g} s, "
+            "expected one that "
+            "the wheels can follow, such as Tangent(path, turn_time=...)"
+        )
+    return psi, w
+
+
+@final
+@part
+class SwerveTracking:
+    """Follow a pose with two modules that steer and drive, by torques at both.
+
+    The body twist that is wanted is that of the reference with feedback of the pose, u = R' v_r + kp e; each
+    module turns to where that takes it, or to the opposite, whichever is nearer, as `Backstepping` steers a
+    car; the drive is the share of u that the angles as they are allow. It needs a reference that keeps each
+    module moving, where both axles do not lie on one line; a module slower than `least` keeps its angle.
+
+    Parameters
+    ----------
+    robot : WheeledRobot
+        The model that the controller believes in: two modules, without arms.
+    kp, k, steer : float
+        Gains of the pose, of the velocities and of the steering angles, > 0 [1/s].
+    least : float
+        Speed of a module below which it keeps its angle, > 0 [m/s].
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is something else, or the robot another drive.
+    """
+
+    robot: Any = child(Rolling, doc="model of the controller")
+    kp: float = number(default=2.0, above=0.0, unit="1/s", doc="gain of the pose")
+    k: float = number(default=10.0, above=0.0, unit="1/s", doc="gain of the velocities")
+    steer: float = number(default=10.0, above=0.0, unit="1/s", doc="gain of the steering angles")
+    least: float = number(
+        default=0.05, above=0.0, unit="m/s", doc="speed of a module below which it keeps its angle"
+    )
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` where the robot is another drive."""
+        robot = self.robot
+        if not isinstance(robot.nv, int):
+            raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
+        kind = robot.mobility.mobility, robot.mobility.steerability
+        if kind != (1, 2) or max(robot.reference_sizes) > _BASE or len(robot.inputs) != 4:
+            raise InvalidArgument(
+                f"robot is {robot.mobility.kind} with {len(robot.inputs)} inputs, expected two modules "
+                "that steer and drive, without arms"
+            )
+        check_wheels(robot)
+
+    def initial_state(self, context: Context) -> tuple[Any, float, float]:
+        """Return what is known of the reference's steering rates, nothing, and the sampling time."""
+        reference = reference_of(context)
+        if reference is not None:
+            check_heading(np.asarray(context.t), reference)
+        return np.zeros(2), 0.0, float(context.dt)
+
+    def __call__(
+        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any, Any]
+    ) -> tuple[Array, tuple[Any, Any, Any]]:
+        """Return the input, shape (..., 4), and the next state."""
+        before, known, dt = state
+        nu = self.robot.independent(q, v)
+        wanted = self._wanted(q, v, reference)
+        own = self._turned(reference)
+        rates, grown, axles = [], [], []
+        for i in range(2):
+            x, y, zero = (self.robot.pivots[..., i, j] for j in range(3))
+            angle, turning = q[..., _BASE + i], nu[..., 1 + i]
+            along, aside = wanted[0] - wanted[2] * y, wanted[1] + wanted[2] * x
+            target = heading_of(aside, along) - zero
+            near = Changing(target.value + np.pi * np.rint((angle - target.value) / np.pi), target.rate)
+            slow = value_of(along * along + aside * aside) < self.least * self.least
+            goal = chosen(slow, Changing(angle, 0.0 * angle), near)
+            leads = heading_of(own[1] + own[2] * x, own[0] - own[2] * y).rate
+            grown.append(leads)
+            extra = np.where(slow, 0.0, np.asarray(known) * (leads - before[..., i]) / dt)
+            z = goal.rate + self.steer * (goal.value - angle)
+            rates.append(extra + self.steer * (goal.rate - turning) + self.k * (z - turning))
+            head = Changing(angle + zero, turning)
+            axles.append([-sin(head), cos(head), x * cos(head) + y * sin(head)])
+        (a, b, m), (d, e, f) = axles
+        about = [b * f - m * e, m * d - a * f, a * e - b * d]
+        square = about[0] * about[0] + about[1] * about[1] + about[2] * about[2] + _NO_AXLE
+        share = (about[0] * wanted[0] + about[1] * wanted[1] + about[2] * wanted[2]) / square
+        first = share.rate + self.k * (share.value - nu[..., 0])
+        u = self.robot.torques(q, v, np.stack(np.broadcast_arrays(first, *rates), axis=-1))
+        leads = np.stack(np.broadcast_arrays(*grown), axis=-1)
+        return u, (leads, 1.0 + 0.0 * known, dt)
+
+    def _wanted(self, q: Array, v: Array, reference: State) -> list[Changing]:
+        """Return the body twist that is wanted, with its rate."""
+        lead, length = np.shape(q)[:-1], np.shape(reference.q)[-1]
+        whole = np.concatenate([np.broadcast_to(reference.q, (*lead, length)), q[..., length:]], axis=-1)
+        errors, w = self.robot.difference(q, whole), v[..., 2]
+        ahead, aside = _along(q, errors)
+        (vx, vy), (rx, ry), (ax, ay) = (_along(q, x) for x in (v, reference.v, reference.a))
+        w_r = reference.v[..., 2]
+        return [
+            Changing(rx, ax + w * ry) + self.kp * Changing(ahead, rx - vx + w * aside),
+            Changing(ry, ay - w * rx) + self.kp * Changing(aside, ry - vy - w * ahead),
+            Changing(w_r, reference.a[..., 2]) + self.kp * Changing(errors[..., 2], w_r - w),
+        ]
+
+    def _turned(self, reference: State) -> list[Changing]:
+        """Return the body twist of the reference, with its rate."""
+        (rx, ry), (ax, ay) = (_along(reference.q, x) for x in (reference.v, reference.a))
+        w = reference.v[..., 2]
+        return [Changing(rx, ax + w * ry), Changing(ry, ay - w * rx), Changing(w, reference.a[..., 2])]
+
+
+def _along(q: Array, x: Array) -> tuple[Any, Any]:
+    """Return the first two numbers of a vector in the plane along the body's axes."""
+    c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
+    return c * x[..., 0] + s * x[..., 1], c * x[..., 1] - s * x[..., 0]
+
+
+def speeds_along(axle: Array, t: Array, reference: Any) -> tuple[Array, Array]:
+    """Return speed and yaw rate of a reference, shape (N,), of a drive with this fixed axle.
+
+    Raises
+    ------
+    InvalidArgument
+        If it moves sideways, or its heading jumps.
+    """
+    psi, w = check_heading(t, reference)
+    a, b, arm = axle
+    c, s = np.cos(psi), np.sin(psi)
+    across = (a * c - b * s) * reference.v[:, 0] + (a * s + b * c) * reference.v[:, 1] + arm * w
+    speed = (b * c + a * s) * reference.v[:, 0] + (b * s - a * c) * reference.v[:, 1]
+    wrong = np.abs(across) > _SIDEWAYS * (1.0 + np.abs(speed))
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise InvalidArgument(
+            f"reference moves sideways, at {across[k]:.3g} m/s across the fixed axle, at t = {t[k]:g} "
+            "s, expected "
+            "one that the wheels can follow, such as Tangent(path)"
+        )
+    return speed, w
+
+
+def tracked(
+    robot: Any, axle: Any, q: Array, v: Array, reference: State, own_speed: Any
+) -> tuple[Tracked, Array]:
+    """Return what a law tracks, with its rates, and the errors of all coordinates."""
+    a, b, arm = axle[..., 0], axle[..., 1], axle[..., 2]
+    lead, length = np.shape(q)[:-1], np.shape(reference.q)[-1]
+    whole = np.concatenate([np.broadcast_to(reference.q, (*lead, length)), q[..., length:]], axis=-1)
+    errors = robot.difference(q, whole)
+    c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
+    c_r, s_r = np.cos(reference.q[..., 2]), np.sin(reference.q[..., 2])
+    # Where body and reference go, and how far the axle of each is.
+    x, y, x_r, y_r = b * c + a * s, b * s - a * c, b * c_r + a * s_r, b * s_r - a * c_r
+    dx = reference.q[..., 0] - q[..., 0] + arm * (x_r - x)
+    dy = reference.q[..., 1] - q[..., 1] + arm * (y_r - y)
+    vx, vy, w_r, w = reference.v[..., 0], reference.v[..., 1], reference.v[..., 2], v[..., 2]
+    speed, turn = x_r * vx + y_r * vy, errors[..., 2]
+    gained = x_r * reference.a[..., 0] + y_r * reference.a[..., 1] + w_r * (x_r * vy - y_r * vx)
+    ahead, aside = x * dx + y * dy, x * dy - y * dx
+    found = Tracked(
+        Changing(ahead, w * aside - own_speed + speed * np.cos(turn)),
+        Changing(aside, speed * np.sin(turn) - w * ahead),
+        Changing(turn, w_r - w),
+        Changing(speed, gained),
+        Changing(w_r, reference.a[..., 2]),
+        Changing(gained, 0.0 * gained),
+        Changing(own_speed, 0.0 * own_speed),
+    )
+    return found, errors
+
+
+def _steering_angle(axle: Any, pivot: Any, speed: Any, yaw_rate: Any) -> Any:
+    """Return the angle at which a steered wheel rolls where the axle moves so, with its rate."""
+    a, b, arm = axle[..., 0], axle[..., 1], axle[..., 2]
+    x, y = pivot[..., 0] - arm * b, pivot[..., 1] + arm * a  # from the axle
+    c, s = np.cos(pivot[..., 2]), np.sin(pivot[..., 2])
+    ahead = (b * c - a * s) * speed + (x * s - y * c) * yaw_rate
+    aside = -(b * s + a * c) * speed + (x * c + y * s) * yaw_rate
+    least = np.where(value_of(ahead) < 0.0, -_LEAST_SPEED, _LEAST_SPEED)
+    return arctan(aside / chosen(np.abs(value_of(ahead)) < _LEAST_SPEED, least, ahead))

@@ -12,11 +12,10 @@ from warnings import warn
 import sympy
 from sympy import Expr, ImmutableMatrix, Symbol
 
-import pinmobile.derivation.record as say
+import pinmobile.derivation.steps as say
 from pinmobile.arrays import Array
 from pinmobile.derivation.chain import Chain, Link, exact, exact_angle, normal
-from pinmobile.derivation.record import SIMPLIFIED_JOINTS, Record, Wording
-from pinmobile.derivation.steps import Derivation
+from pinmobile.derivation.steps import SIMPLIFIED_JOINTS, Derivation, Record, Wording
 from pinmobile.dh import LECTURE_TABLE, DHTable, JointType
 from pinmobile.errors import InvalidArgument, shown
 

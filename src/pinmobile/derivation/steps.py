@@ -1,21 +1,24 @@
-"""A derivation and its steps: what is looked up, read, typeset and turned into numbers."""
+"""The steps of a derivation, and their record in words."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from shutil import get_terminal_size
+from string import Template
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import sympy
 from sympy import Expr, ImmutableMatrix, Symbol
 
 from pinmobile.arrays import Array, ArrayLike, finite, instance, representable, vector
+from pinmobile.derivation.chain import grouped, reduced
 from pinmobile.derivation.chain import Chain
+from pinmobile.dh import DHRow, JointType
 from pinmobile.errors import InvalidArgument, UnknownName, shown
 
 Parameters = Mapping[str, ArrayLike]
@@ -359,3 +362,341 @@ class Derivation(Told):
     def numeric(self) -> Numeric:
         """Return M, n and the inputs as fast functions of arrays; keep it, as it keeps what it compiles."""
         return Numeric(self)
+
+
+_Matrices = tuple[ImmutableMatrix, ImmutableMatrix]
+
+
+@dataclass(frozen=True)
+class Wording:
+    """The texts of one kind of step.
+
+    In all of them $k stands for the index, $j for the one before, $n for the last frame.
+
+    Attributes
+    ----------
+    name, title, explanation, symbol : str
+        Key, heading, one sentence, and the LaTeX of the left-hand side.
+    prismatic, revolute : str
+        What stands for $extra in the explanation, according to joint k.
+    """
+
+    name: str
+    title: str
+    explanation: str
+    symbol: str
+    prismatic: str = ""
+    revolute: str = ""
+
+    def at(self, k: int, last: int, row: DHRow, **texts: str) -> tuple[str, str, str, str]:
+        """Return name, title, explanation and symbol for index `k`, whose row is `row`."""
+        extra = self.revolute if row.joint is JointType.REVOLUTE else self.prismatic
+        values = {"k": k, "j": k - 1, "n": last, "joint": row.joint.value, "variable": row.variable, **texts}
+        templates = (self.name, self.title, self.explanation.replace("$extra", extra), self.symbol)
+        name, title, explanation, symbol = (Template(text).substitute(values) for text in templates)
+        return name, title, explanation, symbol
+
+
+LOCAL = Wording(
+    "T_${j}_$k",
+    "Transform of joint $k",
+    "RotX(alpha) TransX(a) RotZ(theta) TransZ(d) of row $k of the table: the pose of frame $k in frame $j.",
+    r"{}^{$j}T_{$k}",
+)
+PLACEMENT = Wording(
+    "T_0_$k",
+    "Pose of frame $k in the base",
+    "The product of the first $k transforms.",
+    r"{}^{0}T_{$k}",
+)
+POSITION = Wording("p", "Position", "Where frame $n is in the base: the last column of T_0_$n.", "p")
+NORMAL = Wording("n", "Normal vector", "The x axis of frame $n in the base.", r"\hat{n}")
+SLIDING = Wording("s", "Sliding vector", "The y axis of frame $n in the base.", r"\hat{s}")
+APPROACH = Wording("a", "Approach vector", "The z axis of frame $n in the base.", r"\hat{a}")
+OMEGA = Wording(
+    "omega_$k",
+    "Angular velocity of frame $k",
+    "That of frame $j, turned into frame $k$extra.",
+    r"{}^{$k}\omega_{$k}",
+    revolute=", plus the rate about z_$k",
+)
+OMEGA_BASE = Wording(
+    "omega_0_$n",
+    "Angular velocity in the base",
+    "That of frame $n, turned into the base.",
+    r"{}^{0}\omega_{$n}",
+)
+VELOCITY = Wording(
+    "v_$k",
+    "Linear velocity of frame $k",
+    "v + omega x P of frame $j, turned into frame $k$extra.",
+    r"{}^{$k}v_{$k}",
+    prismatic=", plus the rate along z_$k",
+)
+VELOCITY_BASE = Wording(
+    "v_0_$n",
+    "Linear velocity in the base",
+    "That of the origin of frame $n, turned into the base.",
+    r"{}^{0}v_{$n}",
+)
+ALPHA = Wording(
+    "alpha_$k",
+    "Angular acceleration of frame $k",
+    "That of frame $j, turned into frame $k$extra.",
+    r"{}^{$k}\alpha_{$k}",
+    revolute=", plus the gyroscopic term (the turned omega_$j) x z_$k times the rate, "
+    "plus the acceleration about z_$k",
+)
+ALPHA_BASE = Wording(
+    "alpha_0_$n",
+    "Angular acceleration in the base",
+    "That of frame $n, turned into the base.",
+    r"{}^{0}\alpha_{$n}",
+)
+ACCELERATION = Wording(
+    "a_$k",
+    "Linear acceleration of frame $k",
+    "a + alpha x P + omega x (omega x P) of frame $j, turned into frame $k$extra.",
+    r"{}^{$k}a_{$k}",
+    prismatic=", plus the Coriolis term 2 omega_$k x z_$k times the rate, plus the acceleration along z_$k",
+)
+ACCELERATION_BASE = Wording(
+    "a_0_$n",
+    "Linear acceleration in the base",
+    "That of the origin of frame $n, turned into the base; gravity counts as an acceleration upwards.",
+    r"{}^{0}a_{$n}",
+)
+ACCELERATION_COM = Wording(
+    "a_c$k",
+    "Acceleration of the centre of mass of link $k",
+    "a + alpha x P_c + omega x (omega x P_c), where P_c is the centre of mass in frame $k.",
+    r"{}^{$k}a_{c_{$k}}",
+)
+INERTIAL_FORCE = Wording(
+    "F_$k",
+    "Inertial force of link $k",
+    "Newton: mass times the acceleration of the centre of mass.",
+    r"{}^{$k}F_{$k}",
+)
+INERTIAL_MOMENT = Wording(
+    "N_$k",
+    "Inertial moment of link $k",
+    "Euler: I alpha + omega x (I omega), about the centre of mass.",
+    r"{}^{$k}N_{$k}",
+)
+FORCE = Wording(
+    "f_$k",
+    "Force at joint $k",
+    "What link $j exerts on link $k: its inertial force, and the force passed on to the next link.",
+    r"{}^{$k}f_{$k}",
+)
+SHAKING_FORCE = Wording("f_0", "Shaking force", "What the ground exerts on the chain.", r"{}^{0}f_{0}")
+MOMENT = Wording(
+    "n_$k",
+    "Moment at joint $k",
+    "What link $j exerts on link $k: N + P_c x F, and n + P x f passed on to the next link.",
+    r"{}^{$k}n_{$k}",
+)
+SHAKING_MOMENT = Wording(
+    "n_0",
+    "Shaking moment",
+    "What the ground exerts on the chain, about the origin of the base.",
+    r"{}^{0}n_{0}",
+)
+INPUT = Wording(
+    "tau_$k",
+    "Input of joint $k",
+    "The joint of $variable is $joint: its input is $extra.",
+    r"\tau_{$k}",
+    prismatic="the component of f_$k along z_$k",
+    revolute="the component of n_$k about z_$k",
+)
+MASS_MATRIX = Wording(
+    "M",
+    "Mass matrix",
+    "The coefficients of the accelerations of ($order) in the inputs ($inputs).",
+    "M(q)",
+)
+NONLINEAR_EFFECTS = Wording(
+    "n_v",
+    "Nonlinear effects",
+    "What remains of the inputs ($inputs) without acceleration.",
+    r"n(q, \dot{q})",
+)
+POSITION_COM = Wording(
+    "p_c$k",
+    "Centre of mass of link $k",
+    "T_0_$k applied to the centre of mass in frame $k.",
+    r"{}^{0}p_{c_{$k}}",
+)
+VELOCITY_COM = Wording(
+    "v_c$k",
+    "Velocity of the centre of mass of link $k",
+    "The derivative of its position with respect to time.",
+    r"{}^{0}v_{c_{$k}}",
+)
+OMEGA_SKEW = Wording(
+    "omega_0_$k",
+    "Angular velocity of link $k",
+    "Read off the skew matrix: the derivative of R_0_$k with respect to time, times the transpose of R_0_$k.",
+    r"{}^{0}\omega_{$k}",
+)
+VELOCITY_OWN = Wording(
+    "v_own$k",
+    "Velocity of the centre of mass of link $k in its own axes",
+    "The velocity, turned into frame $k.",
+    r"{}^{$k}v_{c_{$k}}",
+)
+OMEGA_OWN = Wording(
+    "omega_own$k",
+    "Angular velocity of link $k in its own axes",
+    "The angular velocity, turned into frame $k.",
+    r"{}^{$k}\omega_{$k}",
+)
+KINETIC = Wording("K", "Kinetic energy", "The sum over all links of m v . v / 2 + omega . I omega / 2.", "K")
+POTENTIAL = Wording("V", "Potential energy", "The sum over all links of -m g . p_c.", "V")
+MOMENTUM = Wording(
+    "P_$k",
+    "Generalised momentum of $variable",
+    "The derivative of L = K - V with respect to the rate of $variable.",
+    r"\frac{\partial L}{\partial \dot{q}_{$k}}",
+)
+LAGRANGE = Wording(
+    "tau_$k",
+    "Input of joint $k",
+    "Lagrange: the derivative of P_$k with respect to time, less that of L with respect to $variable.",
+    r"\tau_{$k}",
+)
+
+
+class _Treatment(Protocol):
+    """What becomes of each result."""
+
+    @property
+    def meanings(self) -> Mapping[Symbol, Expr]:
+        """The symbols that stand for results, in the order in which they came up, and what they stand for."""
+
+    def take(self, name: str, result: ImmutableMatrix) -> _Matrices:
+        """Return what later steps are to use in the place of `result`, and what the reader is to see."""
+
+
+class _Simplified:
+    """Every result is written in few terms; the reader sees them grouped by motion, then by mass."""
+
+    meanings: Mapping[Symbol, Expr] = MappingProxyType({})
+
+    def __init__(self, chain: Chain) -> None:
+        self._levels = (chain.v + chain.a, chain.masses)
+
+    def take(self, name: str, result: ImmutableMatrix) -> _Matrices:
+        """Return `result` expanded, and with common factors before brackets."""
+        few = result.applyfunc(reduced)
+        return few, few.applyfunc(lambda entry: grouped(entry, self._levels))
+
+
+class Named:
+    """Every entry of a result that is not a symbol gets a name, and later steps use the name.
+
+    The expressions grow in proportion to the number of joints so; written out, they grow exponentially.
+
+    Attributes
+    ----------
+    meanings : dict of sympy.Symbol to sympy.Expr
+        The names and what they stand for, each in terms of earlier ones.
+    """
+
+    def __init__(self, chain: Chain) -> None:
+        self.meanings: dict[Symbol, Expr] = {}
+        self._taken = {symbol.name for symbol in (*chain.q, *chain.v, *chain.a, *chain.parameters)}
+        self._known: dict[Expr, Expr] = {}
+
+    def take(self, name: str, result: ImmutableMatrix) -> _Matrices:
+        """Return names for the entries of `result`, and `result`."""
+        rows, columns = result.shape
+        if columns == 1:
+            places = {1: [""], 3: list("xyz")}.get(rows, [f"_{i}" for i in range(1, rows + 1)])
+        else:
+            places = [f"_{i}{j}" for i in range(1, rows + 1) for j in range(1, columns + 1)]
+        entries = [self._named(name + place, entry) for place, entry in zip(places, result, strict=True)]
+        return ImmutableMatrix(rows, columns, entries), result
+
+    def _named(self, name: str, entry: Expr) -> Expr:
+        if entry.is_Atom or (-entry).is_Atom:
+            return entry
+        if entry not in self._known:
+            while name in self._taken:
+                name += "_"
+            self._taken.add(name)
+            self.meanings[Symbol(name)] = entry
+            self._known |= {entry: Symbol(name), -entry: -Symbol(name)}
+        return self._known[entry]
+
+
+SIMPLIFIED_JOINTS = 3
+"""Up to so many joints results are simplified; beyond, they are told in named intermediate results."""
+
+
+class Record:
+    """Takes down each step of a derivation.
+
+    Parameters
+    ----------
+    chain : Chain
+        What is derived.
+
+    Attributes
+    ----------
+    steps : list of Step
+        What was taken down so far.
+    treatment : Treatment
+        What becomes of each result.
+    """
+
+    def __init__(self, chain: Chain) -> None:
+        self.chain, self._tag = chain, ""
+        self.steps: list[Step] = []
+        self.treatment: _Treatment = _Simplified(chain) if len(chain) <= SIMPLIFIED_JOINTS else Named(chain)
+
+    def aside(self, tag: str) -> Record:
+        """Return an empty record of the same names, for what is computed but not told.
+
+        `tag` goes into new names, as the same quantities occur in this record.
+        """
+        other = Record(self.chain)
+        other.treatment, other._tag = self.treatment, tag
+        return other
+
+    def matrix(self, wording: Wording, result: ImmutableMatrix, k: int = 0, **texts: str) -> ImmutableMatrix:
+        """Take down the step of `wording` for index `k` and return what stands for `result` from now on."""
+        row = self.chain.table.rows[max(k - 1, 0)]
+        name, title, explanation, symbol = wording.at(k, len(self.chain), row, **texts)
+        kept, shown = self.treatment.take(self._tagged(name), ImmutableMatrix(result))
+        self.steps.append(Step(name, title, explanation, symbol, shown))
+        return kept
+
+    def scalar(self, wording: Wording, result: Expr, k: int = 0, **texts: str) -> Expr:
+        """Take down a step whose result is one expression; see `matrix`."""
+        kept = self.matrix(wording, ImmutableMatrix([[result]]), k, **texts)
+        self.steps[-1] = replace(self.steps[-1], expression=self.steps[-1].expression[0])
+        return kept[0]
+
+    def named(self, name: str, result: Expr) -> Expr:
+        """Return what stands for `result` from now on, without a step of its own."""
+        return self.treatment.take(self._tagged(name), ImmutableMatrix([[result]]))[0][0]
+
+    def finished(self, M: Sequence[Sequence[Expr]], n: Sequence[Expr]) -> Derivation:
+        """Take down M and n, given in the order of the rows, and return the derivation."""
+        order, variables = self.chain.order, self.chain.table.variables
+        names = [f"tau_{variables.index(name) + 1}" for name in order]
+        texts = {"order": ", ".join(order), "inputs": ", ".join(names)}
+        rows = self.chain.ordered([self.chain.ordered(row) for row in M])
+        self.matrix(MASS_MATRIX, ImmutableMatrix(rows), 0, **texts)
+        self.matrix(NONLINEAR_EFFECTS, ImmutableMatrix(self.chain.ordered(n)), 0, **texts)
+        shown = {step.name: step.expression for step in self.steps}
+        inputs = ImmutableMatrix([shown[name] for name in names])
+        meanings = tuple(self.treatment.meanings.items())
+        return Derivation(self.chain, tuple(self.steps), inputs, shown["M"], shown["n_v"], meanings)
+
+    def _tagged(self, name: str) -> str:
+        # as sympy reads names, __ begins a superscript and _ a subscript
+        return name.replace("_", f"__{self._tag}_", 1) if self._tag else name

@@ -3,14 +3,19 @@
 from pinmobile.plots.parameter_curves import curves, heatmap, integrator
 from pinmobile.plots.plane import animate, end_effector, path
 from pinmobile.plots.sensitivity import bands, drivers
-from pinmobile.plots.series import errors, forces, prediction, reaction, signals, states
-from pinmobile.plots.traction import (
+from pinmobile.plots.series import (
     balance,
+    errors,
+    forces,
     friction,
     loads,
     odometry,
+    prediction,
+    reaction,
     share_of_friction as share_of_friction,
+    signals,
     slip,
+    states,
     wheel_torques,
 )
 

@@ -29,8 +29,7 @@ from pinmobile.arrays import (
 )
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.palette import INK
-from pinmobile.plots.figure_layout import Layout, Sheet, letters
-from pinmobile.plots.style import Style, colour, dress, ink, line_style
+from pinmobile.plots.style import Layout, Sheet, Style, colour, dress, ink, letters, line_style
 
 _SHARE = 0.11  # of the height of the axes below it
 _GREY = "#f1f1f1"

@@ -22,10 +22,13 @@ from pinmobile.arrays import Array, ArrayLike, bounded, callable_as, finite, pos
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import written
 from pinmobile.loop import Rollout
-from pinmobile.plots.figure_layout import Layout, Sheet, Spot, checked_title, letters, over, wrapped
 from pinmobile.plots.style import (
+    Layout,
     Rollouts,
+    Sheet,
+    Spot,
     Style,
+    checked_title,
     colour,
     curve,
     desired,
@@ -35,11 +38,14 @@ from pinmobile.plots.style import (
     ink,
     keys_of,
     labelled,
+    letters,
     line_style,
     of_each,
+    over,
     same_references,
     si,
     thinned,
+    wrapped,
 )
 
 _ARROW = 0.06  # of what the axes show; length of the arrowhead of a plant without size

@@ -20,9 +20,24 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Bands, Ensemble, SameAs, edges
 from pinmobile.metrics import Metric
 from pinmobile.palette import INK
-from pinmobile.plots.figure_layout import Layout, Sheet, Spot, letters, over, wrapped
 from pinmobile.plots.parameter_curves import strip_above
-from pinmobile.plots.style import Style, colour, dress, heading, ink, percent, shortened, si, tint
+from pinmobile.plots.style import (
+    Layout,
+    Sheet,
+    Spot,
+    Style,
+    colour,
+    dress,
+    heading,
+    ink,
+    letters,
+    over,
+    percent,
+    shortened,
+    si,
+    tint,
+    wrapped,
+)
 
 _ALWAYS = "distance", "heading"
 _LINEAR_BANDS = 40.0  # by how much the largest of all may exceed the smallest median on a linear axis

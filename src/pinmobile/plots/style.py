@@ -1,24 +1,508 @@
-"""How figures look: colours, line styles, and the lines of rollouts."""
+"""How figures look: colours and lines of rollouts, and the sheet that they are drawn on."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, TypeAlias, TypeVar
+import re
+import sys
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from importlib import import_module
+from io import BytesIO
+from itertools import combinations
+from typing import Any, Literal, TypeAlias, TypedDict, TypeVar
 
 import numpy as np
-from matplotlib import rcParams, rcParamsDefault
+from matplotlib import get_backend, rcParams, rcParamsDefault
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.backend_bases import RendererBase
 from matplotlib.colors import to_hex, to_rgb
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
+from matplotlib.textpath import text_to_path
+from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 import pinmobile.palette as palette
-from pinmobile.arrays import Array, by_label
+from pinmobile.arrays import Array, bounded, by_label, scalar, text
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.loop import Rollout
 from pinmobile.palette import INK
 from pinmobile.parts import able
-from pinmobile.plots.figure_layout import Sheet, letters, wrapped
+
+Canvas: TypeAlias = Axes | Figure | SubFigure | Sequence[Axes] | NDArray[Any]
+"""What `ax` may be: axes, several of them, or a figure or part of one, which is filled with axes."""
+
+Spot: TypeAlias = tuple[int | slice, int | slice]
+"""Row and column of axes in a grid."""
+
+
+class Layout(TypedDict, total=False):
+    """What every figure takes: a heading ("" for none), where it is drawn, the width of a new one [in]."""
+
+    title: str | None
+    ax: Canvas | None
+    width: float | None
+
+
+_NARROWEST, _WIDEST = 0.5, 100.0  # [in]
+_NARROW, _WIDE = 0.62, 1.25  # by which panels are lower and higher in figures of other widths
+_LEAST = 0.3  # [in] of the sides of axes in which something is to be seen
+_ROOM = 1.0  # [pt] by which letters may overlap: their boxes have rims
+_MOST_KEYS = 5  # in a row of a legend
+_ABOVE = "axes fraction"  # where notes above axes are
+_NO_WINDOWS = {"agg", "cairo", "pdf", "pgf", "ps", "svg", "template"}
+
+
+class ShownFigure(Figure):
+    """A figure that a notebook shows once, whether or not pyplot was imported."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = BytesIO()
+        self.savefig(buffer, format="png")
+        return buffer.getvalue()
+
+    def _ipython_display_(self) -> None:
+        """Show it now, instead of once more at the end of the cell, where pyplot shows what it knows."""
+        pyplot = sys.modules.get("matplotlib.pyplot")
+        if pyplot is None or "inline" not in get_backend() or not pyplot.fignum_exists(self.number):
+            raise NotImplementedError  # then it is shown as anything is that has a picture
+        display = import_module("IPython.display")
+        display.display(display.Image(self._repr_png_()))
+        pyplot.close(self)
+
+
+def letters(share: float = 1.0) -> float:
+    """Return a size of letters [pt], as a share of what ``rcParams["font.size"]`` says."""
+    return share * float(rcParams["font.size"])
+
+
+def over(lines: int) -> float:
+    """Return how high above axes there is room over so many lines of a title [pt]."""
+    return float(rcParams["axes.titlepad"]) + letters(1.4) * lines
+
+
+def over_titles(axes: Axes, words: str, **style: Any) -> None:
+    """Write a note above axes and the titles that they have, wherever matplotlib puts these.
+
+    It puts them higher where they would meet the power of ten above an axis.
+    """
+    offset = 0, letters(0.45)
+    axes.annotate(words, (0, 1), offset, **style | {"xycoords": (_ABOVE, partial(_titled, axes))})
+
+
+def _titled(axes: Axes, renderer: RendererBase) -> Bbox:
+    """Return where the titles of axes are [px]."""
+    return Bbox.union([title.get_window_extent(renderer) for title in _titles(axes)])
+
+
+def checked_title(title: str | None) -> str | None:
+    """Return the title that was given, which may be "" or None."""
+    return title if title is None or (isinstance(title, str) and not title) else text("title", title)
+
+
+def extent(line: str, size: float, **font: Any) -> float:
+    """Return how long a line of letters of that size [pt] is [in]."""
+    properties = FontProperties(family=rcParams["font.family"], size=size, **font)
+    is_math = len(re.findall(r"(?<!\\)\$", line)) > 1
+    try:
+        width, _, _ = text_to_path.get_text_width_height_descent(line, properties, ismath=is_math)
+    except ValueError:  # a formula that cannot be read, which is told when it is drawn
+        return len(line) * size / 144
+    return float(width) / 72
+
+
+def wrapped(words: str, size: float, room: float, **font: Any) -> str:
+    """Return text in lines that are no longer than `room` [in], unless one word is."""
+    lines = []
+    for line in words.split("\n"):
+        current = ""
+        for word in re.findall(r"(?:\\\$|\$[^$]*\$|\S)+", line):
+            longer = f"{current} {word}".lstrip()
+            if current and extent(longer, size, **font) > room:
+                lines.append(current)
+                longer = word
+            current = longer
+        lines.append(current)
+    return "\n".join(lines)
+
+
+class Sheet:
+    """A new figure, a figure of the caller's, or axes of the caller's.
+
+    Letters, lines' widths and colours are those of ``rcParams``. A new figure is as high as its panels need.
+    One whose width was asked for, and one of the caller's, must have room for what is drawn.
+
+    Parameters
+    ----------
+    natural : float
+        Width that suits what is drawn [in], at letters of 10 points.
+    title : str, optional
+        Heading; "" for none.
+    ax : Axes, sequence of Axes, Figure or SubFigure, optional
+        Where to draw; by default in a new figure.
+    width : float, optional
+        Of a new figure [in].
+    known : bool
+        Whether pyplot, if it has windows, is told of a new figure.
+
+    Attributes
+    ----------
+    width : float
+        What there is to draw on [in].
+    new : bool
+        Whether the figure is new.
+
+    Raises
+    ------
+    InvalidArgument
+        If `title` is no text, `ax` is something else, `width` is none, or both are given.
+    """
+
+    def __init__(
+        self,
+        natural: float,
+        *,
+        title: str | None = None,
+        ax: Canvas | None = None,
+        width: float | None = None,
+        known: bool = True,
+    ) -> None:
+        self._title = checked_title(title)
+        self.new = ax is None
+        self._given: list[Axes] = []
+        self._asked = self.new and (width is not None or _has_size())
+        self._columns = 1
+        self._tall: dict[int, float] = {}
+        self._left: dict[Axes, float] = {}
+        self._rows: list[tuple[int, Axes]] = []
+        if ax is None:
+            self.width = _width(width, natural)
+            self.scale = float(np.clip(self.width / (natural * letters() / 10), _NARROW, _WIDE))
+            self.parent: Figure | SubFigure = _figure(self.width, known)
+            return
+        if width is not None:
+            raise InvalidArgument(
+                f"width is {shown(width)}, with ax, whose figure has a width: leave one of them out"
+            )
+        self.scale = 1.0
+        if isinstance(ax, Figure | SubFigure):
+            self.parent, self.width = ax, _inches(ax, ax.bbox.width)
+            if isinstance(ax, Figure) and ax.get_layout_engine() is None and not ax.axes:
+                ax.set_layout_engine("constrained")
+            return
+        self._given = _axes_of(ax)
+        self.parent = self._given[0].figure
+        self.width = _inches(self.parent, self._given[0].bbox.width)
+
+    @property
+    def figure(self) -> Figure:
+        """The whole figure, which a plot returns."""
+        return self.parent.figure
+
+    def columns(self, most: int, least: float) -> int:
+        """Return how many columns, each `least` inches wide at letters of 10 points, have room."""
+        return most if self._given else int(np.clip(self.width / (least * letters() / 10), 1, most))
+
+    def room(self, parts: int = 1) -> float:
+        """Return how long words above a panel may be, or so many parts of them side by side [in]."""
+        if self._given:
+            return self.width
+        return max(0.97 * self.width / (self._columns * parts) - 5.5 * letters() / 72, 5 * letters() / 72)
+
+    def write_above(self, axes: Axes, words: str, share: float = 1.0, **style: Any) -> None:
+        """Write words above axes, in lines that fit, in letters of this share of their size."""
+        size = letters(share)
+        axes.set_title(wrapped(words, size, self.room()), fontsize=size, **style)
+
+    def axes(
+        self, spots: Sequence[Spot], tall: Sequence[float], *, share: str = "x", ratios: Sequence[float] = ()
+    ) -> list[Axes]:
+        """Return axes at spots of a grid: new ones, or those that were given.
+
+        Parameters
+        ----------
+        spots : sequence of tuple
+            Row and column of each.
+        tall : sequence of float
+            Heights of the rows at the natural width [in].
+        share : str
+            Which scales are those of a whole column, "x", or of a whole row too, "xy".
+        ratios : sequence of float, optional
+            Widths of the columns.
+
+        Raises
+        ------
+        InvalidArgument
+            If another number of axes was given.
+        """
+        if self._given:
+            if len(self._given) != len(spots):
+                one = "one Axes" if len(self._given) == 1 else f"{len(self._given)} Axes"
+                raise InvalidArgument(
+                    f"ax is {one}, expected {len(spots)}, one for each panel, or a figure to be filled"
+                )
+            return self._given
+        self._columns = len(ratios) or 1 + max(_first(column) for _, column in spots)
+        self._tall = {k: max(self.scale * each, 5.5 * letters() / 72) for k, each in enumerate(tall)}
+        grid = self.parent.add_gridspec(
+            len(tall), self._columns, height_ratios=list(self._tall.values()), width_ratios=ratios or None
+        )
+        found: list[Axes] = []
+        first: dict[str, Axes] = {}
+        for row, column in spots:
+            kinship = {f"share{axis}": first.get(f"{axis}{place}")
+                       for axis, place in (("x", column), ("y", row)) if axis in share}  # fmt: skip
+            made = self.parent.add_subplot(grid[row, column], **kinship)
+            first.setdefault(f"x{column}", made)
+            first.setdefault(f"y{row}", made)
+            if not isinstance(row, slice):
+                self._rows.append((row, made))
+            found.append(made)
+        for made, (row, column) in zip(found, spots, strict=True):
+            below = any(_first(other) > _first(row) for other, same in spots if same == column)
+            made.tick_params(labelbottom="x" not in share or not below)
+            made.tick_params(labelleft="y" not in share or _first(column) == 0)
+        return found
+
+    def grid(self, rows: int, columns: int, tall: Sequence[float], *, share: str = "x") -> NDArray[Any]:
+        """Return a full grid of axes, shape (rows, columns), and what `axes` does."""
+        spots = [(row, column) for row in range(rows) for column in range(columns)]
+        grid = np.empty(len(spots), object)
+        grid[:] = self.axes(spots, tall, share=share)
+        return grid.reshape(rows, columns)
+
+    def legend_above(self, axes: Axes) -> None:
+        """Put the legend of axes between them and their title."""
+        if self._given:
+            axes.legend(frameon=False)
+            return
+        size, (keys, labels) = letters(0.9), axes.get_legend_handles_labels()
+        wide = max(extent(label, size) for label in labels) + 4.3 * size / 72
+        abreast = int(np.clip(self.room() / wide, 1, len(keys)))
+        rows = -(-len(keys) // abreast)
+        axes.legend(
+            keys, labels, ncols=-(-len(keys) // rows), loc="lower left", bbox_to_anchor=(-0.02, 1.0),
+            fontsize=size, frameon=False, borderpad=0.2, columnspacing=1.2,
+        )  # fmt: skip
+        high = (1.5 * rows + 1.1) * size
+        axes.set_title(axes.get_title(), fontsize=letters(), pad=high)
+        self._left[axes] = high / 72
+
+    def finish(self, default: str, keys: Sequence[Artist] = (), *, height: float = 0.0) -> Figure:
+        """Write the heading and the legend, and return the figure.
+
+        Axes of the caller's get a heading only if there is a title, and the legend inside.
+
+        Parameters
+        ----------
+        default : str
+            What is written above figures without a title of their own.
+        keys : sequence of Artist
+            Of the legend.
+        height : float
+            Of the figure [in], if it is known; otherwise as much as its rows and words need.
+
+        Raises
+        ------
+        InvalidArgument
+            If the figure is too small for what was drawn.
+        """
+        if self._given:
+            if self._title:
+                self._given[0].set_title(wrapped(self._title, letters(1.2), self.width))
+            if keys:
+                self._given[0].legend(handles=list(keys), frameon=False)
+            self.check()
+            return self.figure
+        size, lines = self._heading(default)
+        heading = self.parent.suptitle(lines, fontsize=size) if lines else None
+        if keys:
+            where: Any = "lower center" if self.figure.get_layout_engine() is None else "outside lower center"
+            self.parent.legend(
+                handles=list(keys), loc=where, ncols=self._keys(keys)[1], frameon=False, columnspacing=1.5
+            )
+        if self.new:
+            rows = sum(self._row(row) for row in self._tall)
+            needed = rows + self.heading(default) + self.below(keys) + 4.0 * letters() / 72
+            self.figure.set_size_inches(self.width, height or needed)
+        if height and heading is not None:
+            heading.set(y=1 - 0.5 * size / 72 / height, va="top")
+        if self._asked or not self.new:
+            self.check()
+        return self.figure
+
+    def heading(self, default: str) -> float:
+        """Return the height of the heading [in]."""
+        size, lines = self._heading(default)
+        return (1.3 * lines.count("\n") + 1.8) * size / 72 if lines else letters(1.5) / 72
+
+    def _heading(self, default: str) -> tuple[float, str]:
+        size = _points("figure.titlesize")
+        return size, wrapped(default if self._title is None else self._title, size, 0.96 * self.width)
+
+    def below(self, keys: Sequence[Artist]) -> float:
+        """Return the height of a legend [in]."""
+        return (1.35 * self._keys(keys)[0] + 1.0) * _points("legend.fontsize") / 72 if keys else 0.0
+
+    def _keys(self, keys: Sequence[Artist]) -> tuple[int, int]:
+        """Return the rows and columns of a legend."""
+        size = _points("legend.fontsize")
+        wide = max(extent(str(key.get_label()), size) for key in keys) + 4.3 * size / 72
+        rows = -(-len(keys) // int(np.clip(0.98 * self.width / wide, 1, min(len(keys), _MOST_KEYS))))
+        return rows, -(-len(keys) // rows)
+
+    def _row(self, number: int) -> float:
+        """Return the height of a row [in]: what it has at least, and no less than its words."""
+        words, titles, left = [self._tall[number]], [0.0], [0.0]
+        for axes in (axes for row, axes in self._rows if row == number):
+            label = axes.yaxis.label
+            size = float(label.get_fontsize())
+            label.set_text(wrapped(label.get_text(), size, self._tall[number]))
+            words += [1.15 * extent(line, size) for line in label.get_text().split("\n")]
+            above = [each for each in (*_titles(axes)[:1], *_above(axes)) if each.get_text()]
+            lines = ((float(each.get_fontsize()), each.get_text().count("\n") + 1) for each in above)
+            titles.append(sum(1.25 * size / 72 * count for size, count in lines))
+            left.append(self._left.get(axes, 0.0))
+        return max(words) + max(titles) + max(left)
+
+    def check(self) -> None:
+        """Refuse a figure too small for what was drawn; one without a layout may be arranged later.
+
+        Raises
+        ------
+        InvalidArgument
+            If a word is cut off or meets another one, or axes have no room.
+        """
+        if self.figure.get_layout_engine() is None and not self.new:
+            return
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a layout without room, which is told below
+            try:
+                for _ in range(2):  # axes of another size have other ticks, which want another size
+                    self.figure.draw_without_rendering()
+                    why = crowded(self.figure, self._given or self.parent.axes)
+                    if not why:
+                        return
+            except (ValueError, OverflowError) as error:
+                raise InvalidArgument(f"the figure cannot be drawn: {error}") from None
+        size, larger = f"width is {self.width:g} in", "wider"
+        if not self.new:
+            wide, high = (_inches(self.parent, side) for side in self.parent.bbox.size)
+            size, larger = f"ax is of a figure of {wide:.3g} by {high:.3g} in", "larger"
+        raise InvalidArgument(
+            f"{size}, in which {why}: expected a {larger} figure, or smaller letters, "
+            f"now rcParams['font.size'] = {rcParams['font.size']:g}"
+        )
+
+
+def _points(name: Literal["figure.titlesize", "legend.fontsize"]) -> float:
+    """Return a size of letters of rcParams [pt]."""
+    return float(FontProperties(size=rcParams[name]).get_size_in_points())
+
+
+def _has_size() -> bool:
+    """Return whether the user has set the size of figures."""
+    return tuple(rcParams["figure.figsize"]) != tuple(rcParamsDefault["figure.figsize"])
+
+
+def _width(width: float | None, natural: float) -> float:
+    if width is None:
+        return float(rcParams["figure.figsize"][0]) if _has_size() else natural * letters() / 10
+    return bounded("width", scalar("width", width), least=_NARROWEST, most=_WIDEST, unit="in")
+
+
+def _figure(width: float, known: bool) -> Figure:
+    """Return a figure, which pyplot knows if there is one that has windows."""
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    options: dict[str, Any] = {"figsize": (width, width), "layout": "constrained"}
+    if not known or pyplot is None or get_backend().lower() in _NO_WINDOWS:
+        return ShownFigure(**options)
+    made: Figure = pyplot.figure(FigureClass=ShownFigure, **options)
+    return made
+
+
+def _axes_of(ax: object) -> list[Axes]:
+    given = list(np.ravel(np.asarray(ax, object)))
+    if not given or not all(isinstance(each, Axes) for each in given):
+        raise InvalidArgument(
+            f"ax is {shown(ax)}, expected matplotlib's Axes, a sequence of them, or a Figure"
+        )
+    return given
+
+
+def _inches(figure: Figure | SubFigure, pixels: float) -> float:
+    return pixels / float(figure.figure.dpi)
+
+
+def _first(place: int | slice) -> int:
+    return (place.start or 0) if isinstance(place, slice) else place
+
+
+def _titles(axes: Axes) -> list[Text]:
+    """Return what stands above axes, the longest text first."""
+    found = [each for each in axes.get_children() if isinstance(each, Text) and each not in axes.texts]
+    return sorted(found, key=lambda each: -each.get_text().count("\n") - bool(each.get_text()))
+
+
+def _above(axes: Axes) -> list[Text]:
+    """Return the notes above axes."""
+    found = ((each, getattr(each, "xycoords", None)) for each in axes.texts)
+    return [each for each, where in found if where == _ABOVE or isinstance(where, tuple)]
+
+
+def _words(figure: Figure) -> Iterator[tuple[str, Bbox, Axes | None, bool]]:
+    """Yield the words that must be read, where they are [px], whose, and whether they may meet other ones."""
+    parts = [figure, *figure.findobj(SubFigure)]
+    found: list[tuple[Axes | None, Text]] = []
+    for part in parts:
+        found += [(None, text) for text in part.texts]
+        found += [(None, text) for legend in part.legends for text in legend.get_texts()]
+    for axes in figure.axes:
+        found += [(axes, text) for text in (*_titles(axes), *axes.texts)]
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            ticks = [tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
+            labels = axis.label, axis.get_offset_text(), *(each for each in ticks if each.get_visible())
+            found += [(axes, text) for text in labels]
+    noted = {each for axes in figure.axes for each in axes.texts if each not in _above(axes)}
+    for whose, each in found:
+        if each.get_text() and each.get_visible():
+            yield plain(each.get_text()), each.get_window_extent(), whose, each in noted
+
+
+def crowded(figure: Figure, own: Sequence[Axes]) -> str:
+    """Return why these axes of a figure that was drawn cannot be read, or nothing.
+
+    Words of the figure, and of axes beside them, count where they meet words of these.
+    """
+    room = _ROOM * figure.dpi / 72
+    least = _LEAST * figure.dpi
+    drawn = [axes.bbox for axes in own if axes.get_label() != "<colorbar>"]
+    if any(min(box.width, box.height) < least for box in drawn):
+        return "its axes have no room"
+    whole = figure.bbox.padded(room)
+    known = list(_words(figure))
+    for words, box, whose, _ in known:
+        inside = whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 and box.y1 <= whole.y1
+        if not inside and (whose is None or whose in own):
+            return f"{shown(words)} would be cut off"
+    pairs = combinations([(one, box, whose) for one, box, whose, noted in known if not noted], 2)
+    for (words, box, whose), (others, other, theirs) in pairs:
+        is_own = {whose, theirs} & {None, *own}
+        if is_own and box.padded(-room).overlaps(other.padded(-room)):
+            return f"{shown(words)} would meet {shown(others)}"
+    return ""
+
+
+def plain(words: str) -> str:
+    r"""Return words without the marks of formulas, such as ``3.7·10^-6`` for ``$3.7\cdot 10^{-6}$``."""
+    words = words.replace(r"\cdot ", "·").replace(r"\times", "\N{MULTIPLICATION SIGN}")
+    return " ".join(re.sub(r"(?<!\\)\$|\\mathdefault|[\\{}]", "", words).split())
+
 
 Style: TypeAlias = dict[str, Any]
 """How something is drawn: keyword arguments of matplotlib's artists."""

@@ -34,6 +34,8 @@ from pinmobile.robot.pinocchio_backend import PinocchioBackend as PinocchioBacke
 from pinmobile.robot.support_geometry import (
     WEIGHTLESS as WEIGHTLESS,
     Stance,
+    Swivel as Swivel,
+    WheelJoint as WheelJoint,
     checked_footprint as checked_footprint,
     hull as hull,
     margin_inside as margin_inside,
@@ -47,7 +49,6 @@ from pinmobile.robot.visuals import (
     body_box as body_box,
     box_visuals as box_visuals,
 )
-from pinmobile.robot.wheel_layout import Swivel as Swivel, WheelJoint as WheelJoint
 
 __all__ = [
     "BODY_JOINT",

@@ -68,7 +68,7 @@ from pinmobile.robot.mounts import (
     free_place,
 )
 from pinmobile.robot.pinocchio_backend import PinocchioBackend, UncheckedDynamics, in_public_order
-from pinmobile.robot.support_geometry import ArmMetrics, Stance
+from pinmobile.robot.support_geometry import ArmMetrics, Stance, Undercarriage
 from pinmobile.robot.system import System, by_values
 from pinmobile.robot.visuals import (
     Solids,
@@ -80,7 +80,6 @@ from pinmobile.robot.visuals import (
     carried_shapes,
     read_visuals,
 )
-from pinmobile.robot.wheel_layout import Undercarriage
 
 
 @attrs.frozen

@@ -14,10 +14,19 @@ from pinmobile.arrays import Array, ArrayLike, finite, instance
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable, JointType
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.linkage import Joint, carries_only_wheels, children, joints_of, turns_freely
-from pinmobile.robot.support_geometry import Stance, hull, margin_inside, stance_written
+from pinmobile.robot.support_geometry import (
+    Stance,
+    WheelJoint,
+    hull,
+    joint_axis,
+    margin_inside,
+    seen_from,
+    stance_written,
+    triple,
+    undercarriage_of,
+)
 from pinmobile.robot.urdf_checks import MOMENTS, judge_links, urdf_model
 from pinmobile.robot.visuals import VisualFile
-from pinmobile.robot.wheel_layout import WheelJoint, joint_axis, seen_from, triple, undercarriage_of
 from pinmobile.urdf import Body
 
 _ALONG = 0.995
