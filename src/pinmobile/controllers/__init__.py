@@ -8,7 +8,6 @@ leading axes. `InputSaturation`, `MeasurementDelay` and `MeasurementNoise` wrap 
 
 from pinmobile.controllers.actuation import RandomSteps, TorqueToVoltage, VelocityCommand, WheelSpeed
 from pinmobile.controllers.adaptive import Adaptive, AdaptiveVelocity
-from pinmobile.controllers.backstepping import Backstepping, SwerveTracking
 from pinmobile.controllers.controller import (
     Controller,
     State,
@@ -20,19 +19,29 @@ from pinmobile.controllers.controller import (
     planar_difference,
     told as told,
 )
-from pinmobile.controllers.feedback import PD, PID, ComputedTorque, Decoupled, PDGravity, gain_matrix
+from pinmobile.controllers.feedback import (
+    PD,
+    PID,
+    ComputedTorque,
+    Decoupled,
+    PDGravity,
+    SlidingMode,
+    SuperTwisting,
+    gain_matrix,
+)
 from pinmobile.controllers.kinematic_laws import (
+    Backstepping,
     Changing,
     DynamicFeedback,
     Kanayama,
     KinematicLaw,
     Parking,
+    SwerveTracking,
     Tracked,
     UnicycleTracking,
 )
 from pinmobile.controllers.lqr import LQR
 from pinmobile.controllers.mpc import MPC
-from pinmobile.controllers.sliding import SlidingMode, SuperTwisting
 from pinmobile.controllers.wrappers import (
     ADRC,
     ControlAllocation,

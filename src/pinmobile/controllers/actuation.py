@@ -9,9 +9,14 @@ import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, callable_as, frozen, vector
-from pinmobile.controllers.backstepping import reference_of, speeds_along, tracked
 from pinmobile.controllers.controller import Controller, Seen, State, Wrapper, answer_of, told
-from pinmobile.controllers.kinematic_laws import LAW, KinematicLaw, value_of
+from pinmobile.controllers.kinematic_laws import (
+    LAW,
+    KinematicLaw,
+    check_law,
+    tracked,
+    value_of,
+)
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import (
     Child,
@@ -158,10 +163,7 @@ class WheelSpeed:
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, Any, Any]:
         """Return the law's state, integrals, their gains, the last input, and the time between samples."""
-        reference = reference_of(context)
-        if reference is not None:
-            t = np.asarray(context.t)
-            self.law.check(t, *speeds_along(self._axle, t, reference))
+        check_law(self.law, self._axle, context)
         none = np.zeros(len(self._measured))
         return self.law.initial_state(context), none, none, none, float(context.dt)
 
@@ -230,10 +232,7 @@ class VelocityCommand:
 
     def initial_state(self, context: Context) -> Any:
         """Return the law's state."""
-        reference = reference_of(context)
-        if reference is not None:
-            t = np.asarray(context.t)
-            self.law.check(t, *speeds_along(self._axle, t, reference))
+        check_law(self.law, self._axle, context)
         return self.law.initial_state(context)
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: Any) -> tuple[Array, Any]:

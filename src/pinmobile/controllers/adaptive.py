@@ -9,10 +9,18 @@ import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, frozen, instance, scalar, shaped, vector
-from pinmobile.controllers.backstepping import reference_of, speeds_along
 from pinmobile.controllers.controller import State, combined, passive_torque
-from pinmobile.controllers.feedback import SLOPE, OfBody, bound, comparison, coordinates_of
-from pinmobile.controllers.kinematic_laws import Changing, cos, rate_of, sin, tanh, value_of
+from pinmobile.controllers.feedback import SLOPE, OfBody, bound, check_bounds, comparison, coordinates_of
+from pinmobile.controllers.kinematic_laws import (
+    Changing,
+    cos,
+    rate_of,
+    reference_of,
+    sin,
+    speeds_along,
+    tanh,
+    value_of,
+)
 from pinmobile.controllers.lqr import check_held, diagonal, double_integrators
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import Commanded, Passive, array, child, each, number, option, part, structure
@@ -136,13 +144,7 @@ class AdaptiveVelocity:
         for name in ("lower", "upper"):
             shaped(name, getattr(self, name), (_SIZE,))
         theta, lower, upper = self._theta, self.lower, self.upper
-        outside = ~((lower <= theta) & (theta <= upper))
-        if outside.any():
-            j = int(outside.argmax())
-            raise InvalidArgument(
-                f"lower and upper of theta_{j + 1} are {lower[j]:g} and {upper[j]:g}, which exclude that of "
-                f"the robot, {theta[j]:g}"
-            )
+        check_bounds([f"theta_{j}" for j in range(1, _SIZE + 1)], lower, theta, upper)
         for j in _ABOVE_ZERO:
             if lower[j] <= 0:
                 raise InvalidArgument(f"lower of theta_{j + 1} is {lower[j]:g}, expected > 0")
@@ -388,13 +390,7 @@ class Adaptive(OfBody):
             found = usual if given is None else given
             shaped(name, found, (p,), words=", or one number" if name == "gamma" else "")
             object.__setattr__(self, name, frozen(found))
-        outside = ~((self.lower <= nominal) & (nominal <= self.upper))
-        if outside.any():
-            k = int(outside.argmax())
-            raise InvalidArgument(
-                f"lower and upper of parameter {k} are {self.lower[k]:g} and {self.upper[k]:g}, which "
-                f"exclude that of the robot, {nominal[k]:g}"
-            )
+        check_bounds([f"parameter {k}" for k in range(p)], self.lower, nominal, self.upper)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return how far estimates are off the robot's own, now and before, a force, and the time step."""

@@ -101,8 +101,6 @@ def check_wheels(robot: Any) -> None:
     InvalidArgument
         If it is such.
     """
-    if not isinstance(robot.nv, int):
-        raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
     still = robot.reduced(robot.rest, np.zeros(robot.nv))
     if np.linalg.matrix_rank(still.B) < len(still.M):
         raise InvalidArgument(
@@ -185,6 +183,12 @@ class Seen:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._context, name)
+
+
+def completed(q: Array, desired: Array) -> Array:
+    """Return configurations where a reference has its first numbers, and the others are those of q."""
+    lead, length = np.shape(q)[:-1], np.shape(desired)[-1]
+    return np.concatenate([np.broadcast_to(desired, (*lead, length)), q[..., length:]], axis=-1)
 
 
 def planar_difference(q0: Array, q1: Array) -> Array:

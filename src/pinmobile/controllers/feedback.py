@@ -1,16 +1,29 @@
-"""Feedback of the error in configuration and velocity: PD, computed torque, and between them."""
+"""Feedback of the errors in configuration and velocity: PD, computed torque, sliding mode and others."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, final
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, real, shaped
-from pinmobile.controllers.controller import State
-from pinmobile.controllers.lqr import check_held, double_integrators
+from pinmobile.controllers.controller import State, combined, completed, passive_torque
+from pinmobile.controllers.lqr import check_held, diagonal, double_integrators
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.parts import Comparing, Gravitating, Inverted, Invertible, able, child, gain, option, part
+from pinmobile.parts import (
+    Comparing,
+    Gravitating,
+    Inverted,
+    Invertible,
+    Passive,
+    able,
+    child,
+    each,
+    gain,
+    option,
+    part,
+)
 from pinmobile.plant import Context, Difference, check_difference, reference_sizes_of
 
 SLOPE = "rate at which errors vanish where s does"
@@ -22,15 +35,11 @@ _PLACE, _RATE = "N/m, N/m, N m/rad", "N s/m, N s/m, N m s/rad"
 
 def coordinates_of(controller: Any) -> int:
     """Return how many coordinates the model of a controller has."""
-    nv = controller.robot.nv
-    if not isinstance(nv, int):
-        raise InvalidArgument(f"robot is {shown(controller.robot)}, expected a MobileRobot or a WheeledRobot")
-    return nv
+    return int(controller.robot.nv)
 
 
 def tracked_coordinates_of(controller: Any) -> int:
     """Return how many coordinates the model of a controller tracks: all, or all but those of wheels."""
-    coordinates_of(controller)
     return max(reference_sizes_of(controller.robot))
 
 
@@ -53,6 +62,23 @@ def bound(sign: float, doc: str, default: Any = None) -> Any:
     return option(default=default, doc=doc, check=checked)
 
 
+def check_bounds(names: Sequence[str], lower: Array, own: Array, upper: Array) -> None:
+    """Refuse bounds of estimates that exclude those of the robot.
+
+    Raises
+    ------
+    InvalidArgument
+        If they do; the message names the first.
+    """
+    outside = ~((lower <= own) & (own <= upper))
+    if outside.any():
+        k = int(outside.argmax())
+        raise InvalidArgument(
+            f"lower and upper of {names[k]} are {lower[k]:g} and {upper[k]:g}, which exclude that of the "
+            f"robot, {own[k]:g}"
+        )
+
+
 def check_compares(controller: Any) -> None:
     """Refuse a model without `difference` where its controller has none either.
 
@@ -68,19 +94,20 @@ def check_compares(controller: Any) -> None:
         )
 
 
-def check_wheelless(robot: Any, wanted: str = "") -> None:
-    """Refuse the model of a controller of base and arms that has wheels; `wanted` is to be written instead.
+def check_wheelless(controller: Any) -> None:
+    """Refuse the model of a controller of base and arms that has wheels.
 
     Raises
     ------
     InvalidArgument
-        If it is such.
+        If it is such; the message says what to write instead.
     """
+    robot = controller.robot
     if max(reference_sizes_of(robot)) < robot.nv:
-        wanted = (
-            wanted or "the body on them, robot.robot, and the controller in ControlAllocation(..., robot)"
+        raise InvalidArgument(
+            f"robot is {shown(robot)}, which has wheels, expected the body on them: "
+            f"ControlAllocation({type(controller).__name__}(robot.robot, ...), robot)"
         )
-        raise InvalidArgument(f"robot is {shown(robot)}, which has wheels, expected {wanted}")
 
 
 class OfBody:
@@ -92,7 +119,7 @@ class OfBody:
     def check(self) -> None:
         """Raise `InvalidArgument` where the robot has wheels or compares nothing."""
         check_compares(self)
-        check_wheelless(self.robot)
+        check_wheelless(self)
 
 
 @final
@@ -127,7 +154,7 @@ class PD:
                 f"state is {shown(state)}, expected what initial_state(context) returns; called by hand, "
                 "that is of Context.of(robot, dt=...)"
             )
-        return feedback(self, state, q, v, reference), state
+        return feedback(self, q, v, reference, state), state
 
 
 def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:
@@ -151,8 +178,12 @@ def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:
     return array if array.ndim == 2 else np.diag(np.broadcast_to(array, n))
 
 
-def feedback(controller: Any, difference: Difference, q: Array, v: Array, reference: State) -> Array:
+def feedback(
+    controller: Any, q: Array, v: Array, reference: State, difference: Difference | None = None
+) -> Array:
     """Return Kp e + Kd e_dot of a controller that has `kp` and `kd`, shape (..., n).
+
+    Configurations are compared by `difference`, or as the controller or its robot does.
 
     Raises
     ------
@@ -164,11 +195,11 @@ def feedback(controller: Any, difference: Difference, q: Array, v: Array, refere
     if q.shape != wanted.shape or v.shape != reference.v.shape or (robot is not None and robot.nv != n):
         # Wheels have no reference.
         if robot is not None and n == max(reference_sizes_of(robot)) < v.shape[-1]:
-            lead, length = q.shape[:-1], wanted.shape[-1]
-            wanted = np.concatenate([np.broadcast_to(wanted, (*lead, length)), q[..., length:]], axis=-1)
+            wanted = completed(q, wanted)
         else:
             _check_fit(robot, q, v, reference)
-    error = difference(q, wanted)
+    compare = difference or controller.difference or controller.robot.difference
+    error = compare(q, wanted)
     if error.shape[-1:] != v.shape[-1:]:
         raise InvalidArgument(
             f"difference gives shape {error.shape}, expected {v.shape}: compare configurations by the "
@@ -205,7 +236,7 @@ def amplified(name: str, gain: Any, error: Array) -> Array:
 
 @final
 @part
-class PDGravity:
+class PDGravity(OfBody):
     """PD with gravity compensation, tau = Kp e + Kd e_dot + g(q) (Takegaki and Arimoto, 1981).
 
     It comes to rest at a reference that does: there is nothing left but g.
@@ -225,18 +256,12 @@ class PDGravity:
     kd: Any = gain(unit=_RATE, doc="derivative gain", size=coordinates_of)
     difference: Any = comparison()
 
-    def check(self) -> None:
-        """Raise `InvalidArgument` where the robot has wheels or compares nothing."""
-        check_compares(self)
-        check_wheelless(self.robot, "ControlAllocation(PDGravity(robot.robot, ...), robot)")
-
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
-        force = feedback(self, self.difference or self.robot.difference, q, v, reference)
-        return force + self.robot.gravity(q), None
+        return feedback(self, q, v, reference) + self.robot.gravity(q), None
 
 
 @final
@@ -280,7 +305,7 @@ class ComputedTorque:
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
-        command = reference.a + feedback(self, self.difference or self.robot.difference, q, v, reference)
+        command = reference.a + feedback(self, q, v, reference)
         return self.robot.inverse_dynamics(q, v, command), None
 
 
@@ -343,7 +368,7 @@ class PID(OfBody):
         """Return the generalised force, shape (..., n), and the next state."""
         integral, _, _, dt = state
         difference = self.difference or self.robot.difference
-        command = reference.a + feedback(self, difference, q, v, reference)
+        command = reference.a + feedback(self, q, v, reference, difference)
         command = command + amplified("ki", self.ki, integral)
         tau = self.robot.inverse_dynamics(q, v, command)
         gain = dt * difference(q, reference.q)
@@ -352,7 +377,7 @@ class PID(OfBody):
 
 @final
 @part
-class Decoupled:
+class Decoupled(OfBody):
     """Computed torque of the base and of the arms, each ignoring that the other moves.
 
     The base sees the arms as a load that is locked where they are, as `MobileRobot.lumped` has it; the arms
@@ -378,17 +403,12 @@ class Decoupled:
     kd: Any = gain(default=4.0, unit="1/s", doc="derivative gain", size=coordinates_of)
     difference: Any = comparison()
 
-    def check(self) -> None:
-        """Raise `InvalidArgument` where the robot has wheels or compares nothing."""
-        check_compares(self)
-        check_wheelless(self.robot, "ControlAllocation(Decoupled(robot.robot, ...), robot)")
-
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
-        command = reference.a + feedback(self, self.difference or self.robot.difference, q, v, reference)
+        command = reference.a + feedback(self, q, v, reference)
         base = self.robot.inverse_dynamics(q, *map(_of_base, (v, command)))
         arms = self.robot.inverse_dynamics(q, *map(_of_arms, (v, command)))
         return np.concatenate([base[..., :_BASE], arms[..., _BASE:]], axis=-1), None
@@ -404,3 +424,129 @@ def _of_arms(rate: Array) -> Array:
     part = np.zeros(rate.shape)
     part[..., _BASE:] = rate[..., _BASE:]
     return part
+
+
+_REACH = "largest acceleration by the switched part"
+_LAYER = "half the width of the boundary layer"
+
+
+@final
+@part
+class SlidingMode(OfBody):
+    """Sliding mode with a boundary layer (Slotine and Li, Applied Nonlinear Control, 1991, chapter 7).
+
+        tau = M (a_r + damping s + reach sat(s / layer)) + C v_r + g,   s = e' + slope e
+
+    Outside the layer a disturbance that accelerates the robot by less than `reach` does not keep s from
+    coming to it; inside, the law is feedback with a gain higher by ``reach / layer``. A layer thinner than
+    ``2 reach dt`` chatters.
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        The model that the controller believes in; it need not be the one that is simulated.
+    slope : array_like, shape () or (n,)
+        Rate at which errors vanish on the surface, > 0 [1/s].
+    damping : array_like, shape () or (n,)
+        Gain of s, >= 0 [1/s].
+    reach : array_like, shape () or (n,)
+        Largest acceleration by the switched part, >= 0 [m/s^2, rad/s^2].
+    layer : array_like, shape () or (n,)
+        Half the width of the boundary layer, > 0 [m/s, rad/s].
+    difference : callable
+        ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own.
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is something else; at the start of a run, if the loop is unstable at its dt.
+    """
+
+    robot: Any = child(Passive, doc="model of the controller")
+    slope: Any = each(default=4.0, above=0.0, unit="1/s", doc=SLOPE, size=coordinates_of)
+    damping: Any = each(default=4.0, lower=0.0, unit="1/s", doc="gain of s", size=coordinates_of)
+    reach: Any = each(default=3.0, lower=0.0, unit="m/s^2, m/s^2, rad/s^2", doc=_REACH, size=coordinates_of)
+    layer: Any = each(default=0.1, above=0.0, unit="m/s, m/s, rad/s", doc=_LAYER, size=coordinates_of)
+    difference: Any = comparison()
+
+    def initial_state(self, context: Context) -> None:
+        """Return None: there is no memory."""
+        names = ("slope", "damping", "reach", "layer")
+
+        def loop(dt: float) -> Array:
+            gain = self.damping + self.reach / self.layer
+            kp, kd = diagonal(self.slope * gain), diagonal(self.slope + gain)
+            return double_integrators(dt, kp, kd, 0 * kp)
+
+        check_held(lambda: {name: getattr(self, name) for name in names}, loop, context.dt)
+
+    def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
+        """Return the generalised force, shape (..., n), and None."""
+        s, velocity, acceleration = combined(self, q, v, reference)
+        switched = self.reach * np.minimum(np.maximum(s / self.layer, -1.0), 1.0)
+        push = self.damping * s + switched
+        return passive_torque(self.robot, q, v, velocity, acceleration + push), None
+
+
+@final
+@part
+class SuperTwisting(OfBody):
+    """Sliding mode of second order (Levant, 1993): what switches is an integral, so that the force does not.
+
+        tau = M (a_r + k1 sqrt|s| sign(s) + z) + C v_r + g,   z' = k2 sign(s),   s = e' + slope e
+
+    A disturbance per mass whose rate of change is below k2 is rejected, with k1 >= 1.5 sqrt(k2). Sampled, it
+    goes on in a cycle whose size is some ``k1 k2 dt``: the price is chatter. What z gains in a sample is
+    taken back where the force that is applied is another.
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        The model that the controller believes in; it need not be the one that is simulated.
+    slope : array_like, shape () or (n,)
+        Rate at which errors vanish on the surface, > 0 [1/s].
+    k1, k2 : array_like, shape () or (n,)
+        Gains, >= 0 [sqrt(m/s^3), sqrt(rad/s^3)] and [m/s^3, rad/s^3].
+    difference : callable
+        ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own.
+    """
+
+    robot: Any = child(Passive, doc="model of the controller")
+    slope: Any = each(default=4.0, above=0.0, unit="1/s", doc=SLOPE, size=coordinates_of)
+    k1: Any = each(
+        default=3.0,
+        lower=0.0,
+        unit="sqrt(m/s^3), sqrt(m/s^3), sqrt(rad/s^3)",
+        doc="gain of the root",
+        size=coordinates_of,
+    )
+    k2: Any = each(
+        default=3.0, lower=0.0, unit="m/s^3, m/s^3, rad/s^3", doc="gain of the integral", size=coordinates_of
+    )
+    difference: Any = comparison()
+
+    def initial_state(self, context: Context) -> tuple[Any, Any, Any, float]:
+        """Return the integral z, what it gained last, the last force, and the time between samples."""
+        none = np.zeros(self.robot.nv)
+        return none, none, none, float(context.dt)
+
+    def applied(self, u: Array, state: tuple[Any, Any, Any, float]) -> tuple[Any, Any, Any, float]:
+        """Return the state, z without what it gained where the force that is applied is another."""
+        z, gain, asked, dt = state
+        return z - np.where(u != asked, gain, 0.0), gain, asked, dt
+
+    def signals(self, state: tuple[Any, Any, Any, float]) -> dict[str, Any]:
+        """Return the integral: the acceleration that the model lacks."""
+        return {"unmodelled": ("m/s^2, rad/s^2", state[0])}
+
+    def __call__(
+        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any, Any, float]
+    ) -> tuple[Array, tuple[Any, Any, Any, float]]:
+        """Return the generalised force, shape (..., n), and the next state."""
+        z, _, _, dt = state
+        s, velocity, acceleration = combined(self, q, v, reference)
+        side = np.sign(s)
+        push = self.k1 * np.sqrt(np.abs(s)) * side + z
+        tau = passive_torque(self.robot, q, v, velocity, acceleration + push)
+        gain = dt * (self.k2 * side)
+        return tau, (z + gain, gain, tau, dt)

@@ -13,8 +13,8 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, shaped
 from pinmobile.compiled import is_constant
-from pinmobile.controllers.controller import State
-from pinmobile.errors import InvalidArgument, NotTraceable, shown
+from pinmobile.controllers.controller import State, completed
+from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.parts import Followed, Linearized, Rolling, able, child, number, option, part
 from pinmobile.plant import Context, Input, inputs_of
 
@@ -102,8 +102,6 @@ def tracked_model(robot: Any, reference: State) -> TrackedModel:
 
 def sizes_of(robot: Any) -> tuple[int, int, int]:
     """Return how many coordinates are tracked, independent velocities and inputs there are."""
-    if not isinstance(robot.nv, int):
-        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot or a WheeledRobot")
     still = np.zeros(robot.nv)
     A, B = robot.linearize_tracked(robot.rest, still, np.zeros(robot.nu))
     m = len(robot.reduced(robot.rest, still).nu) if able(robot, Rolling) else int(robot.nv)
@@ -276,12 +274,10 @@ def remembered(robot: Any, what: tuple[object, ...], arrays: tuple[Array, ...], 
 
 def tracked_errors(robot: Any, q: Array, v: Array, reference: State, nu: Array) -> Array:
     """Return the errors of the tracked state, shape (..., n + m), of a state from a reference and its nu."""
-    length, n = np.shape(reference.q)[-1], np.shape(reference.v)[-1]
     if not able(robot, Rolling):
         return np.concatenate([robot.difference(q, reference.q), nu - v], axis=-1)
-    desired = np.broadcast_to(reference.q, (*np.shape(q)[:-1], length))
-    whole = np.concatenate([desired, q[..., length:]], axis=-1)
-    return np.concatenate([robot.difference(q, whole)[..., :n], nu - robot.independent(q, v)], axis=-1)
+    errors = robot.difference(q, completed(q, reference.q))[..., : np.shape(reference.v)[-1]]
+    return np.concatenate([errors, nu - robot.independent(q, v)], axis=-1)
 
 
 _ROUNDING = 1e-7  # by which an eigenvalue of a double root at 1 is computed too large

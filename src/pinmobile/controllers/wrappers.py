@@ -13,9 +13,9 @@ import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, frozen, shaped
-from pinmobile.controllers.backstepping import has_axle, reference_of, speeds_along
 from pinmobile.controllers.controller import Controller, Seen, State, Wrapper, answer_of, check_wheels, told
 from pinmobile.controllers.feedback import check_wheelless, coordinates_of
+from pinmobile.controllers.kinematic_laws import has_axle, reference_of, speeds_along
 from pinmobile.controllers.lqr import check_held
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Allocating, Integrating, Observable, child, each, integer, option, part, structure
@@ -59,7 +59,7 @@ class DisturbanceObserver(Wrapper):
     def check(self) -> None:
         """Raise `InvalidArgument` where no controller is wrapped, or the robot has wheels."""
         super().check()
-        check_wheelless(self.robot)
+        check_wheelless(self)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return the wrapped controller's state, its own (begun, integral, last force, estimate), and dt."""
@@ -117,9 +117,8 @@ def estimated(
 
 
 def _inertia_at_rest(controller: Any) -> Array:
-    robot = controller.robot
-    check_wheelless(robot)
-    return np.diagonal(robot.mass_matrix(robot.rest))
+    check_wheelless(controller)
+    return np.diagonal(controller.robot.mass_matrix(controller.robot.rest))
 
 
 @final
@@ -165,7 +164,7 @@ class ADRC:
 
     def check(self) -> None:
         """Raise `InvalidArgument` where the robot has wheels."""
-        check_wheelless(self.robot)
+        check_wheelless(self)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return whether it has begun, what it expects at the next sample, the last force, and dt."""
