@@ -254,7 +254,7 @@ BAD: Any = [
         lambda: AdaptiveVelocity(TRUE, upper=[1, 1, 1, 1, 1, 2]),
         "lower and upper of theta_4 are 0.11 and 1, which exclude that of the robot, 1.1",
     ),
-    (lambda: AdaptiveVelocity(TRUE, lower=[0, 0, -1, 0, -1, 0]), "lower of theta_1 is 0, expected > 0"),
+    (lambda: AdaptiveVelocity(TRUE, lower=[0, 0, -1, 0, -1, 0]), r"lower\[0\] is 0.0, expected > 0"),
     (
         lambda: pm.simulate(TRUE, AdaptiveVelocity(TRUE, k=30), EIGHT, dt=0.1),
         r"k = \[30.0\].*expected dt < 0.0",

@@ -290,11 +290,11 @@ def unsound(**changed: Any) -> pin.Model:
     [
         (
             unsound(lowerPositionLimit=2.0, upperPositionLimit=-2.0),
-            "joint 'j1' has position limits from 2 to -2, expected the lower one first",
+            "upper position limit of joint 'j1' is -2.0, expected >= 2",
         ),
         (
             unsound(upperPositionLimit=np.nan),
-            "joint 'j1' has position limits from -1.79769e+308 to nan, expected",
+            "upper position limit of joint 'j1' is nan, expected >= -1.79769313e+308",
         ),
         (unsound(body=(-5, (1, 1, 1))), "link 'j1': mass is -5.0 kg, expected >= 0"),
         (unsound(body=(np.nan, (1, 1, 1))), "link 'j1': mass is nan, expected a finite number"),

@@ -216,9 +216,9 @@ def test_a_roller_wheel_refuses(row: dict[str, Any], message: str) -> None:
 @pytest.mark.parametrize(
     ("wheels", "message"),
     [
-        ([], "wheels is [], expected a sequence of RollerWheel"),
+        ([], "wheels has shape (0,), expected (n,), n >= 1"),
         ("omni", "wheels is 'omni', expected a sequence of RollerWheel"),
-        ([3], "wheels has 3, expected a RollerWheel"),
+        ([3], "wheels[0] is 3, expected a RollerWheel"),
         (
             [RollerWheel(Symbol("x"), 0, Symbol("omega"), 0)],
             "wheels gives ['omega', 'x'] two meanings, expected distinct names",

@@ -241,7 +241,7 @@ def test_slides_have_their_limits_in_metres_and_a_limit_itself_is_within() -> No
         ),
         (
             lambda: pm.WholeBody(UR5, pm.WholeBody(UR5, CIRCLE, None), None),
-            "base has configurations of shape (9,), expected (3,): x, y and psi",
+            "base(0).q has shape (9,), expected (3,): x, y and psi",
         ),
         (
             lambda: pm.WholeBody(UR5, CIRCLE),
@@ -257,7 +257,7 @@ def test_slides_have_their_limits_in_metres_and_a_limit_itself_is_within() -> No
         ),
         (
             lambda: pm.WholeBody(TWO, CIRCLE, None, pm.Hold(np.zeros(5), 6)),
-            "joints[1] has points of shape (5,), expected (6,), one coordinate per joint of 'kinova'",
+            "joints[1](0) has shape (5,), expected (6,), one coordinate per joint of 'kinova'",
         ),
         (
             lambda: pm.WholeBody(UR5, CIRCLE, Spike(np.nan)),

@@ -8,7 +8,7 @@ from typing import Any, final
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, callable_as, frozen, vector
+from pinmobile.arrays import Array, bounded, callable_as, frozen, vector
 from pinmobile.controllers.controller import Controller, Seen, State, Wrapper, answer_of, told
 from pinmobile.controllers.kinematic_laws import (
     LAW,
@@ -290,12 +290,8 @@ class RandomSteps:
 
     def check(self) -> None:
         """Raise `InvalidArgument` where upper bounds are below lower ones."""
-        if (self.largest < self.lowest).any():
-            raise InvalidArgument(
-                f"largest is {self.largest.tolist()}, expected at least lowest, {self.lowest.tolist()}"
-            )
-        if not self.hold[0] <= self.hold[1]:
-            raise InvalidArgument(f"hold is {self.hold.tolist()}, expected 0 < shortest <= longest")
+        bounded("largest - lowest", self.largest - self.lowest, least=0)
+        bounded("hold[1]", self.hold[1], least=float(self.hold[0]), unit="s")
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, float]:
         """Return how long levels still hold, levels, the noise that draws them, and the sampling time."""

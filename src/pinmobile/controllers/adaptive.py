@@ -8,7 +8,7 @@ from typing import Any, final
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, frozen, instance, scalar, shaped, vector
+from pinmobile.arrays import Array, bounded, frozen, instance, scalar, shaped, vector
 from pinmobile.controllers.controller import State, combined, passive_torque
 from pinmobile.controllers.feedback import SLOPE, OfBody, bound, check_bounds, comparison, coordinates_of
 from pinmobile.controllers.kinematic_laws import (
@@ -145,9 +145,7 @@ class AdaptiveVelocity:
             shaped(name, getattr(self, name), (_SIZE,))
         theta, lower, upper = self._theta, self.lower, self.upper
         check_bounds([f"theta_{j}" for j in range(1, _SIZE + 1)], lower, theta, upper)
-        for j in _ABOVE_ZERO:
-            if lower[j] <= 0:
-                raise InvalidArgument(f"lower of theta_{j + 1} is {lower[j]:g}, expected > 0")
+        bounded("lower", np.where(_FREE == 0, lower, 1.0), above=0)
 
     @structure
     def _follows_pose(self) -> bool:

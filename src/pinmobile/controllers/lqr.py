@@ -148,11 +148,7 @@ class Weighted:
         """Raise `InvalidArgument` where a weight has not the size of what it weighs."""
         n, m, inputs = self._sizes
         for name, size in (("Q", n + m), ("R", inputs)):
-            if len(getattr(self, name)) != size:
-                raise InvalidArgument(
-                    f"{name} weighs {len(getattr(self, name))} numbers, expected {size}: shape ({size},) or "
-                    f"({size}, {size})"
-                )
+            shaped(name, getattr(self, name), (size, size), words=f", or its diagonal, shape ({size},)")
 
 
 def weighting(index: int, doc: str) -> Any:

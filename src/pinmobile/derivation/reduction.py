@@ -12,7 +12,7 @@ import sympy
 from sympy import Expr, Function, ImmutableMatrix, Symbol
 from sympy.polys.matrices import DomainMatrix
 
-from pinmobile.arrays import whole
+from pinmobile.arrays import instance, sequence, shaped, whole
 from pinmobile.derivation.chain import exact, exact_angle, grouped, reduced
 from pinmobile.derivation.equations import lecture
 from pinmobile.derivation.steps import Assignments, Step, Told
@@ -176,18 +176,16 @@ def roller_drive(wheels: Sequence[RollerWheel] | None = None) -> ReducedDerivati
     InvalidArgument
         If `wheels` is no sequence of one RollerWheel and more.
     """
-    table = [RollerWheel.general(k) for k in range(1, 5)] if wheels is None else wheels
-    if isinstance(table, str) or not isinstance(table, Sequence) or not table:
-        raise InvalidArgument(f"wheels is {shown(wheels)}, expected a sequence of RollerWheel")
-    for row in table:
-        if not isinstance(row, RollerWheel):
-            raise InvalidArgument(f"wheels has {shown(row)}, expected a RollerWheel")
-    given = {symbol for row in table for value in vars(row).values() for symbol in value.free_symbols}
+    given = [RollerWheel.general(k) for k in range(1, 5)] if wheels is None else wheels
+    table = shaped("wheels", sequence("wheels", given, "a sequence of RollerWheel"), ("n>=1",))
+    for k, row in enumerate(table):
+        instance(f"wheels[{k}]", row, RollerWheel, "a RollerWheel")
+    known = {symbol for row in table for value in vars(row).values() for symbol in value.free_symbols}
     angles = [Symbol(f"phi_{k}") for k in range(1, len(table) + 1)]
     moving = {*_BODY, *angles, *map(_rate, (*_BODY, *angles)), *_TWIST, *lecture().parameters}
-    if twice := sorted(map(str, given & moving)):
+    if twice := sorted(map(str, known & moving)):
         raise InvalidArgument(f"wheels gives {twice} two meanings, expected distinct names")
-    return _roller_drive(tuple(table))
+    return _roller_drive(table)
 
 
 @lru_cache

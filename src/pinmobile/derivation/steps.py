@@ -16,8 +16,7 @@ import sympy
 from sympy import Expr, ImmutableMatrix, Symbol
 
 from pinmobile.arrays import Array, ArrayLike, finite, instance, representable, vector
-from pinmobile.derivation.chain import grouped, reduced
-from pinmobile.derivation.chain import Chain
+from pinmobile.derivation.chain import Chain, grouped, reduced
 from pinmobile.dh import DHRow, JointType
 from pinmobile.errors import InvalidArgument, UnknownName, shown
 

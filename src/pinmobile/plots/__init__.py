@@ -12,7 +12,6 @@ from pinmobile.plots.series import (
     odometry,
     prediction,
     reaction,
-    share_of_friction as share_of_friction,
     signals,
     slip,
     states,

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, frozen, one_of
+from pinmobile.arrays import Array, ArrayLike, bounded, frozen, one_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import Number, array, by_value, declare, is_symbolic, number, option, part
 from pinmobile.robot.linkage import (
@@ -275,11 +275,7 @@ class Arm:
                     f"locked=[{joint.name!r}]"
                 )
             least, most = (float(x[joint.q][0]) for x in (whole.lowerPositionLimit, whole.upperPositionLimit))
-            if not least <= most:
-                raise InvalidArgument(
-                    f"{called}: joint {joint.name!r} has position limits from {least:g} to {most:g}, "
-                    "expected the lower one first"
-                )
+            bounded(f"{called}: upper position limit of joint {joint.name!r}", most, least=least)
         vars(self)["posture"] = frozen(self.rest[[joint.q.start for joint in free]])
         vars(self)["links"] = links_of(self._model, called)
 

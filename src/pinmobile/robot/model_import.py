@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, finite, instance
+from pinmobile.arrays import Array, ArrayLike, bounded, instance, scalar
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable, JointType
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.linkage import Joint, carries_only_wheels, children, joints_of, turns_freely
@@ -190,10 +190,7 @@ def ground_below(
         If what is given is no number, or the wheels do not stand on one plane.
     """
     if given is not None:
-        ground = finite("ground", given)
-        if ground.ndim:
-            raise InvalidArgument(f"ground has shape {ground.shape}, expected one number: z of the ground")
-        return float(ground), "as given"
+        return scalar("ground", given), "as given"
     lowest = {wheel.name: wheel.centre[2] - wheel.radius for wheel in wheels if wheel.radius is not None}
     if lowest:
         heights = list(lowest.values())
@@ -516,8 +513,7 @@ def _lump(model: pin.Model, data: pin.Data, base: pin.SE3, joints: Iterable[int]
     total = pin.Inertia.Zero()
     for joint in joints:
         total += seen_from(base, data.oMi[joint], model.inertias[joint])
-    if not total.mass > 0:
-        raise InvalidArgument(f"{name}: the body has mass {total.mass} kg, expected > 0")
+    bounded(f"{name}: mass of the body", float(total.mass), above=0, unit="kg")
     for joint in (1, 2):
         on_the_way = joint not in joints and model.njoints > joint
         if on_the_way and model.inertias[joint].mass > _MASSLESS * total.mass:

@@ -36,9 +36,9 @@ class UncheckedDynamics:
         M(q), n(q, v), tau(q, v, a) and g(q).
     integrate : callable
         The configuration after a displacement, of q and dq.
-    pose, rate : callable
+    pose, pose_rate : callable
         Those of the body, shape (3,): of q, and of q and v.
-    effort : callable
+    generalized_force : callable
         The generalised force, shape (nv,), of q and a wrench (3,).
     """
 
@@ -53,8 +53,8 @@ class UncheckedDynamics:
         self.gravity = partial(pin.computeGeneralizedGravity, public, data)
         self.integrate = np.add
         self.pose = lambda q: q[:BODY_JOINT]
-        self.rate = lambda q, v: v[:BODY_JOINT]
-        self.effort = lambda q, wrench: np.concatenate([wrench, still]) if len(still) else wrench
+        self.pose_rate = lambda q, v: v[:BODY_JOINT]
+        self.generalized_force = lambda q, wrench: np.concatenate([wrench, still]) if len(still) else wrench
         self._accelerations = partial(pin.aba, public, data)
 
     def forward_dynamics(self, q: Array, v: Array, u: Array, f: Array | None = None) -> Array:

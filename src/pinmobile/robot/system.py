@@ -23,12 +23,13 @@ from pinmobile.arrays import (
     instance,
     one_of,
     sequence,
+    shaped,
     vector,
     whole,
     wrap_angle,
 )
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
-from pinmobile.parts import Desired, is_symbolic, is_tracing, on_numbers, required, structure
+from pinmobile.parts import Desired, holds_symbols, is_tracing, on_numbers, required, structure
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import pinocchio_backend
 from pinmobile.robot.linkage import BODY_JOINT, circular_coordinates, joints_of
@@ -77,7 +78,7 @@ def by_values(fast: Callable[..., Any] | None = None, states: int = 0) -> Callab
                     return found
             symbolic = self._engine is None
             for x in (*given, *options.values()) if options else given:
-                if type(x) is not np.ndarray and _holds_symbols(x):
+                if type(x) is not np.ndarray and holds_symbols(x):
                     symbolic = True
             if symbolic:
                 return self._on_symbols(name, *given, **options)
@@ -89,10 +90,6 @@ def by_values(fast: Callable[..., Any] | None = None, states: int = 0) -> Callab
         return run  # type: ignore[return-value]
 
     return decorate
-
-
-def _holds_symbols(x: object) -> bool:
-    return is_symbolic(x) or (isinstance(x, tuple) and any(map(is_symbolic, x)))
 
 
 class System:
@@ -587,12 +584,8 @@ class System:
             If it is no reference, or has another number of coordinates.
         """
         required("reference", reference, Desired)
-        v, q = finite("reference.v", reference.v), finite("reference.q", reference.q)
-        if v.shape != q.shape or v.shape not in [(n,) for n in self.reference_sizes]:
-            listed = ", ".join(f"({n},)" for n in self.reference_sizes)
-            raise InvalidArgument(
-                f"reference has q and v of shapes {q.shape} and {v.shape}, expected both one of {listed}"
-            )
+        q = shaped("reference.q", finite("reference.q", reference.q), *((n,) for n in self.reference_sizes))
+        v = shaped("reference.v", finite("reference.v", reference.v), q.shape)
         return np.append(q, self.rest[q.size :]), np.append(v, np.zeros(self.nv - v.size))
 
     @by_values()

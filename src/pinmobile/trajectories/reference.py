@@ -12,7 +12,7 @@ from warnings import warn
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import LEAST_ANGLE, Array, ArrayLike, finite, frozen, positive
+from pinmobile.arrays import LEAST_ANGLE, Array, ArrayLike, finite, frozen, instance, positive, shaped
 from pinmobile.errors import InvalidArgument, LimitWarning, shown
 from pinmobile.parts import Following, child, children, number, option, part
 from pinmobile.paths import Hold, Path, Value, checked_path, pieces_of, within
@@ -258,9 +258,7 @@ def _check_base(base: Trajectory) -> None:
             f"base is {shown(base)}, expected a trajectory of x, y and psi, such as Tangent(path)"
         )
     positive("base.duration", base.duration, "s")
-    shape = np.shape(start.q)
-    if shape != (3,):
-        raise InvalidArgument(f"base has configurations of shape {shape}, expected (3,): x, y and psi")
+    shaped("base(0).q", start.q, (3,), words=": x, y and psi")
 
 
 def _checked(robot: Any, k: int, path: Path | None, duration: float) -> Path:
@@ -268,14 +266,10 @@ def _checked(robot: Any, k: int, path: Path | None, duration: float) -> Path:
     size = mount.v.stop - mount.v.start
     if path is None:
         return Hold(robot.rest[mount.q], duration)
-    if isinstance(path, type) or not isinstance(path, Path):
-        raise InvalidArgument(f"joints[{k}] is {shown(path)}, expected a path of {size} coordinates, or None")
-    point = finite(f"joints[{k}](0)", path(0.0))
-    if point.shape != (size,):
-        raise InvalidArgument(
-            f"joints[{k}] has points of shape {point.shape}, expected ({size},), "
-            f"one coordinate per joint of {mount.name!r}"
-        )
+    given = None if isinstance(path, type) else path
+    instance(f"joints[{k}]", given, Path, f"a path of {size} coordinates, or None")
+    point, words = finite(f"joints[{k}](0)", path(0.0)), f", one coordinate per joint of {mount.name!r}"
+    shaped(f"joints[{k}](0)", point, (size,), words=words)
     positive(f"joints[{k}].duration", path.duration, "s")
     return path
 

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, finite
+from pinmobile.arrays import Array, bounded, finite, shaped
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.loop import Rollout
 from pinmobile.plant import all_samples, stated
@@ -67,11 +67,7 @@ def frame_times(runs: Mapping[str, Rollout], fps: float, speed: float) -> Array:
     """
     start, end = min(run.t[0] for run in runs.values()), max(run.t[-1] for run in runs.values())
     count = float(end - start) * fps / speed
-    if count > _MOST_FRAMES:
-        raise InvalidArgument(
-            f"fps is {fps:g} 1/s, which makes {count:.3g} frames at a speed of {speed:g}, "
-            f"expected at most {_MOST_FRAMES}"
-        )
+    bounded("fps * duration / speed", count, most=_MOST_FRAMES, unit="frames")
     grid = start + np.arange(int(np.ceil(count - 1e-6))) * speed / fps
     return np.append(grid, end)
 
@@ -237,10 +233,7 @@ class Drawing:
 
     def rows(self, t: Array, q: Array, times: Array) -> Array:
         """Return configurations at other times, shape (n, 3 + nq), straight between two of t, shape (N,)."""
-        if q.shape[1] != self.plant.nq:
-            raise InvalidArgument(
-                f"rollout has q of shape {q.shape}, expected (N + 1, {self.plant.nq}) as the plant has"
-            )
+        shaped("rollout.q", q, ("N", self.plant.nq), words=", as the plant has")
         poses = all_samples(self.plant, "pose", q)
         base = sampled(times, t, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
         before = np.clip(np.searchsorted(t, times, side="right") - 1, 0, max(len(t) - 2, 0))
@@ -272,12 +265,10 @@ def figure(plant: Any) -> Drawn:
     InvalidArgument
         If it does not tell where its body is.
     """
-    if isinstance(plant, type):
-        raise InvalidArgument(f"plant is {shown(plant)}, expected a plant, not its class")
-    if stated(plant, "frame_placements") is not None:
+    if not isinstance(plant, type) and stated(plant, "frame_placements") is not None:
         robot: MobileRobot = plant
         return robot
-    if not callable(stated(plant, "pose")):
+    if isinstance(plant, type) or not callable(stated(plant, "pose")):
         raise InvalidArgument(
             f"plant is {shown(plant)}, expected a MobileRobot, or a plant with pose(q), which returns x, y "
             "and psi"

@@ -29,9 +29,9 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from pinmobile.arrays import bounded, positive, scalar, whole
+from pinmobile.arrays import bounded, positive, scalar, sequence, shaped, whole
 from pinmobile.compiled import processors
-from pinmobile.errors import InvalidArgument, ViewerError, installing, shown
+from pinmobile.errors import InvalidArgument, ViewerError, installing
 from pinmobile.files import write, written
 from pinmobile.viewer.pages import engine, loading, sealed, stage_page
 
@@ -392,10 +392,7 @@ def checked_size(size: tuple[int, int]) -> tuple[int, int]:
     InvalidArgument
         If they are something else.
     """
-    try:
-        width, height = size
-    except (TypeError, ValueError):
-        raise InvalidArgument(f"size is {shown(size)}, expected width and height") from None
+    width, height = shaped("size", sequence("size", size, "width and height"), (2,))
     return whole("size[0]", width, least=16), whole("size[1]", height, least=16)
 
 
