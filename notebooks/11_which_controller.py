@@ -406,7 +406,7 @@ PUSH = 30.0, 30.0, 5.0
 free = tip_over_margin(simulate(TALL, LQR(NOMINAL), corner, **start, **GIVEN)).min()
 print(f"LQR without limits {'tips over' if free < 0 else 'stands'}")
 figure, axes = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
-mpc = MPC(NOMINAL).within(PUSH, upper=WALL)
+mpc = MPC(NOMINAL, limits=PUSH, upper=WALL)
 beyond, margin = {}, {}
 for k, (name, controller) in enumerate({"LQR": LQR(NOMINAL), "MPC": mpc}.items()):
     run = simulate(TALL, InputSaturation(controller, PUSH), corner, **start, **GIVEN)

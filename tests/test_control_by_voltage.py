@@ -116,8 +116,6 @@ def test_limits_beyond_those_of_the_motors_are_refused_as_the_robot_would_cut_in
     ):
         with pytest.raises(pm.InvalidArgument, match=f"^limits {words}"):
             pm.MPC(robot, limits=limits)
-        with pytest.raises(pm.InvalidArgument, match=f"^limits {words}"):
-            pm.MPC(robot).within(limits)
     assert pm.MPC(volts, limits=VOLTS).range[1].tolist() == pm.MPC(volts).range[1].tolist() == [VOLTS, VOLTS]
     # Where one is endless, the motor's own stays.
     assert [each.tolist() for each in pm.MPC(volts, limits=[5.0, np.inf]).range] == [[-5.0, -6.0], [5.0, 6.0]]

@@ -9,6 +9,7 @@ import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.controllers.lqr import riccati, tracked_model
 from pinmobile.errors import NotSolved
+from pinmobile.parts import replace
 from pinmobile.plant import Context
 from tests.rivals import HEAVY, NOMINAL, OFF
 
@@ -237,7 +238,7 @@ BAD: Any = [
         r"gains observer = \[201.0\] are unstable .* dt < 0.00995 s",
     ),
     (lambda: pm.MPC(NOMINAL, limits=[1, 2]), r"limits has shape \(2,\), expected \(\) or \(3,\)"),
-    (lambda: pm.MPC(NOMINAL, lower=[1, 2]), r"lower has shape \(2,\), expected \(6,\)"),
+    (lambda: pm.MPC(NOMINAL, lower=[1] * 7), r"lower has shape \(7,\), expected \(6,\)"),
     (lambda: pm.MPC(NOMINAL, lower=np.ones(6), upper=np.zeros(6)), "lower is not below upper"),
     (lambda: pm.MPC(NOMINAL, horizon=0), "horizon is 0, expected"),
 ]
@@ -249,9 +250,8 @@ def test_bad_arguments_are_refused(make: Any, words: str) -> None:
         make()
 
 
-def test_limits_and_walls_may_be_added() -> None:
-    told = pm.MPC(NOMINAL, lower=[-9] * 6).within((30, 30, 5), upper=(3.1, 4.0))
-    assert told.limits.tolist() == [30, 30, 5]
-    assert told.upper[:3].tolist() == [3.1, 4, np.inf]
+def test_states_without_bounds_may_be_left_out() -> None:
+    told = pm.MPC(NOMINAL, limits=(30, 30, 5), lower=[-9] * 6, upper=(3.1, 4.0))
+    assert told.upper.tolist() == [3.1, 4, *[np.inf] * 4]
     assert told.lower.tolist() == [-9] * 6
-    assert pm.MPC(NOMINAL, limits=50).within(upper=[1]).range[1].tolist() == [50, 50, 50]
+    assert replace(told, {"limits": 50}).range[1].tolist() == [50, 50, 50]

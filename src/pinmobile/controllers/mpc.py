@@ -6,10 +6,9 @@ from functools import cached_property
 from time import process_time
 from typing import Any, NamedTuple, final
 
-import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, frozen, real, shaped
+from pinmobile.arrays import Array, frozen, shaped
 from pinmobile.controllers.controller import State
 from pinmobile.controllers.feedback import bound
 from pinmobile.controllers.lqr import (
@@ -26,7 +25,7 @@ from pinmobile.controllers.lqr import (
 )
 from pinmobile.controllers.wrappers import estimated
 from pinmobile.errors import InvalidArgument, NotSolved, NotTraceable, imported
-from pinmobile.parts import Linearized, Rolling, able, array, child, evolved, integer, number, part
+from pinmobile.parts import Linearized, Rolling, able, array, child, integer, number, part
 from pinmobile.plant import Context, inputs_of
 
 _SOFT = 8  # of daqp: a bound that may be violated, at a cost
@@ -197,10 +196,6 @@ class _Belief(NamedTuple):
     disturbance: Array
 
 
-def _endless(sign: float) -> Any:
-    return attrs.Factory(lambda self: np.full(sum(self._sizes[:2]), sign * np.inf), takes_self=True)
-
-
 @final
 @part
 class MPC(Weighted):
@@ -229,8 +224,9 @@ class MPC(Weighted):
         Each of them, a whole number of time steps [s]. Some 2 s altogether are worth more than fine steps.
     limits : array_like, shape () or (nu,), optional
         Largest inputs, at most those of the robot, which are the default and where one is infinite.
-    lower, upper : array_like, shape (n + m,), optional
-        Soft bounds of the n coordinates and m independent velocities; infinite where there is none.
+    lower, upper : array_like, shape (k,), optional
+        Soft bounds of the first k of the n coordinates and m independent velocities, such as x and y;
+        infinite where there is none.
     Q, R : array_like, optional
         Weights, as of `LQR`, for one time step of the controller; see there.
     observer : float
@@ -261,8 +257,8 @@ class MPC(Weighted):
         doc="largest inputs",
         size=lambda self: self._sizes[2],
     )
-    lower: Any = bound(-1.0, "lower soft bounds", _endless(-1.0))
-    upper: Any = bound(1.0, "upper soft bounds", _endless(1.0))
+    lower: Any = bound(-1.0, "lower soft bounds", ())
+    upper: Any = bound(1.0, "upper soft bounds", ())
     Q: Any = weighting(0, "weight of the errors")
     R: Any = weighting(1, "weight of the input")
     observer: float = number(
@@ -282,8 +278,11 @@ class MPC(Weighted):
                     f"{one.unit}, the largest of its motor, beyond which the robot cuts inputs off"
                 )
         size = sum(self._sizes[:2])
-        for name, given in (("lower", self.lower), ("upper", self.upper)):
-            shaped(name, given, (size,))
+        for name, none in (("lower", -np.inf), ("upper", np.inf)):
+            given, whole = getattr(self, name), np.full(size, none)
+            k = min(given.size, size)
+            whole[:k] = shaped(name, given, (k,))
+            object.__setattr__(self, name, frozen(whole))
         if (self.lower >= self.upper).any():
             raise InvalidArgument(
                 "lower is not below upper, expected soft bounds between which there is room"
@@ -297,30 +296,6 @@ class MPC(Weighted):
         if self.limits is not None:
             least, most = np.maximum(least, -self.limits), np.minimum(most, self.limits)
         return frozen(least), frozen(most)
-
-    def within(
-        self, limits: ArrayLike | None = None, lower: ArrayLike | None = None, upper: ArrayLike | None = None
-    ) -> MPC:
-        """Return it with other limits of the inputs, or other soft bounds of the first states.
-
-        Parameters
-        ----------
-        limits : array_like, shape () or (nu,), optional
-            Largest inputs; by default its own.
-        lower, upper : array_like, shape (k,), optional
-            Of the first k of the n + m bounded states, such as x and y; by default its own.
-        """
-        given: dict[str, Any] = {} if limits is None else {"limits": limits}
-        for name, other in (("lower", lower), ("upper", upper)):
-            if other is not None:
-                first, own = real(name, other), np.array(getattr(self, name))
-                if first.ndim != 1 or len(first) > len(own):
-                    raise InvalidArgument(
-                        f"{name} has shape {first.shape}, expected (k,) with k <= {len(own)}"
-                    )
-                own[: len(first)] = first
-                given[name] = own
-        return evolved(self, given)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return the plan, the sample's number, the observer's memory, the last input, and its program's."""

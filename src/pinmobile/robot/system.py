@@ -614,14 +614,6 @@ class System:
         return self._each(pinocchio_backend.regressor, q=q, v=v, a=a)
 
     @by_values()
-    def forward_dynamics_derivatives(
-        self, q: ArrayLike, v: ArrayLike, tau: ArrayLike
-    ) -> tuple[Array, Array, Array]:
-        """Return da/dq, da/dv, da/dtau = M^-1, each of shape (..., nv, nv), by Pinocchio's derivatives."""
-        stacked = self._each(pinocchio_backend.derivatives, q=self._here(q), v=v, tau=tau)
-        return stacked[..., 0, :, :], stacked[..., 1, :, :], stacked[..., 2, :, :]
-
-    @by_values()
     def linearize(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Linearization:
         """Return the first-order model of forward dynamics about (q, v, tau)."""
         return self._linearized(q, v, tau=tau)
