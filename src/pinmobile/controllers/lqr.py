@@ -15,7 +15,7 @@ from pinmobile.arrays import Array, ArrayLike, finite, frozen, shaped
 from pinmobile.compiled import is_constant
 from pinmobile.controllers.controller import State, completed
 from pinmobile.errors import InvalidArgument, NotTraceable
-from pinmobile.parts import Followed, Linearized, Rolling, able, child, number, option, part
+from pinmobile.parts import Electric, Followed, Linearized, Rolling, able, child, number, option, part
 from pinmobile.plant import Context, Input, inputs_of
 
 _BASE = 3
@@ -61,14 +61,6 @@ class TrackedModel(NamedTuple):
         return found[:, :n, :n], found[:, :n, n:]
 
 
-def lawful(robot: Any) -> Any:
-    """Return what a robot is on arrays, the same in all engines; itself where it is nothing else."""
-    try:
-        return getattr(robot, "array_dynamics", robot)
-    except NotTraceable:
-        return robot
-
-
 def tracked_model(robot: Any, reference: State) -> TrackedModel:
     """Return the first-order model of a robot along a reference.
 
@@ -84,7 +76,10 @@ def tracked_model(robot: Any, reference: State) -> TrackedModel:
     InvalidArgument
         If it has not all tracked coordinates, or wheels cannot follow it.
     """
-    body = lawful(robot)
+    try:
+        body = getattr(robot, "array_dynamics", robot)  # the same in all engines
+    except NotTraceable:
+        body = robot
     if following := able(body, Followed):
         along = following.followed(reference)
         A, B = body.linearize_tracked(along.q, along.v, along.u)
@@ -100,34 +95,6 @@ def tracked_model(robot: Any, reference: State) -> TrackedModel:
     return TrackedModel(A, B, np.asarray(u), v)
 
 
-def sizes_of(robot: Any) -> tuple[int, int, int]:
-    """Return how many coordinates are tracked, independent velocities and inputs there are."""
-    still = np.zeros(robot.nv)
-    A, B = robot.linearize_tracked(robot.rest, still, np.zeros(robot.nu))
-    m = len(robot.reduced(robot.rest, still).nu) if able(robot, Rolling) else int(robot.nv)
-    return A.shape[-1] - m, m, B.shape[-1]
-
-
-def weights_of(robot: Any) -> tuple[Array, Array]:
-    """Return the usual weights of the tracked state and of the input, as diagonals.
-
-    Errors cost 400 / m^2 and 100 / rad^2, of velocities 20 and 5, forces 1e-3 / N^2, moments 2e-2 / (N m)^2,
-    and volts what the torque costs that they give at rest.
-    """
-    n, m, _ = sizes_of(robot)
-    arms = n - _BASE
-    own = {3: (20.0, 20.0, 5.0), 2: (20.0, 5.0), 1: (20.0,)}[m - arms]
-    units = [each.unit for each in robot.coordinates[_BASE:n]]
-    places = [400.0, 400.0, 100.0, *(400.0 if unit == "m" else 100.0 for unit in units)]
-    speeds = [*own, *(20.0 if unit == "m" else 5.0 for unit in units)]
-    inputs: tuple[Input, ...] = inputs_of(robot)
-    costs = np.array([1e-3 if each.unit == "N" else 2e-2 for each in inputs])
-    if hasattr(robot, "torques_at"):
-        largest = np.array([each.upper if each.unit == "V" else 1.0 for each in inputs])
-        costs *= (robot.torques_at(np.zeros(robot.nv), largest) / largest) ** 2
-    return np.array(places + speeds), costs
-
-
 class Weighted:
     """What weighs the errors of a robot along a reference, and its inputs."""
 
@@ -138,11 +105,31 @@ class Weighted:
 
     @cached_property
     def _sizes(self) -> tuple[int, int, int]:
-        return sizes_of(self.robot)
+        """How many coordinates are tracked, independent velocities and inputs there are."""
+        robot, still = self.robot, np.zeros(self.robot.nv)
+        A, B = robot.linearize_tracked(robot.rest, still, np.zeros(robot.nu))
+        m = len(robot.reduced(robot.rest, still).nu) if able(robot, Rolling) else int(robot.nv)
+        return A.shape[-1] - m, m, B.shape[-1]
 
     @cached_property
     def _usual(self) -> tuple[Array, Array]:
-        return weights_of(self.robot)
+        """The usual weights of the tracked state and of the input, as diagonals.
+
+        Errors cost 400 / m^2 and 100 / rad^2, of velocities 20 and 5, forces 1e-3 / N^2, moments
+        2e-2 / (N m)^2, and volts what the torque costs that they give at rest.
+        """
+        robot, (n, m, _) = self.robot, self._sizes
+        arms = n - _BASE
+        own = {3: (20.0, 20.0, 5.0), 2: (20.0, 5.0), 1: (20.0,)}[m - arms]
+        units = [each.unit for each in robot.coordinates[_BASE:n]]
+        places = [400.0, 400.0, 100.0, *(400.0 if unit == "m" else 100.0 for unit in units)]
+        speeds = [*own, *(20.0 if unit == "m" else 5.0 for unit in units)]
+        inputs: tuple[Input, ...] = inputs_of(robot)
+        costs = np.array([1e-3 if each.unit == "N" else 2e-2 for each in inputs])
+        if able(robot, Electric):
+            largest = np.array([each.upper if each.unit == "V" else 1.0 for each in inputs])
+            costs *= (robot.torques_at(np.zeros(robot.nv), largest) / largest) ** 2
+        return np.array(places + speeds), costs
 
     def check(self) -> None:
         """Raise `InvalidArgument` where a weight has not the size of what it weighs."""
@@ -422,32 +409,26 @@ def riccati(A: Array, B: Array, Q: Array, R: Array, stride: int = 1) -> tuple[Ar
     Returns
     -------
     K, P : ndarray, shape (N + 1, nu, n), (N + 1 + stride, n, n)
+
+    Raises
+    ------
+    InvalidArgument
+        If the last pair cannot be controlled.
     """
+    from scipy.linalg import solve_discrete_are
+
     K, P = np.empty(B.swapaxes(-1, -2).shape), np.empty((len(A) + stride, *Q.shape))
-    P[len(A) :] = last_cost(A[-1], B[-1], Q, R)
+    try:
+        last = solve_discrete_are(A[-1], B[-1], Q, R)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise InvalidArgument(
+            f"robot cannot be controlled to first order at the end of the reference: {error}; expected a "
+            "motor for each degree of freedom, and Q that weighs every coordinate"
+        ) from error
+    P[len(A) :] = (last + last.T) / 2
     for k in reversed(range(len(A))):
         pushed = B[k].T @ P[k + stride]
         K[k] = np.linalg.solve(R + pushed @ B[k], pushed @ A[k])
         cost = Q + A[k].T @ P[k + stride] @ (A[k] - B[k] @ K[k])
         P[k] = (cost + cost.T) / 2
     return K, P
-
-
-def last_cost(A: Array, B: Array, Q: Array, R: Array) -> Array:
-    """Return the cost to go of a pair that stays, by the discrete algebraic Riccati equation.
-
-    Raises
-    ------
-    InvalidArgument
-        If it has no solution.
-    """
-    from scipy.linalg import solve_discrete_are
-
-    try:
-        P = solve_discrete_are(A, B, Q, R)
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise InvalidArgument(
-            f"robot cannot be controlled to first order at the end of the reference: {error}; expected a "
-            "motor for each degree of freedom, and Q that weighs every coordinate"
-        ) from error
-    return np.asarray((P + P.T) / 2)

@@ -91,11 +91,6 @@ class _Size(Number):
         return tuple(lengths(value).tolist())
 
 
-def _checked_chain(name: str, table: DHTable) -> DHTable:
-    check_chain(table)
-    return table
-
-
 def _frozen(name: str, inertia: Array | None) -> Array | None:
     return None if inertia is None else frozen(inertia)
 
@@ -151,7 +146,7 @@ class MobileRobot(System):
     size: Any = declare(
         _Size("sides of the box that is drawn", "m", 0.0, shapes=((3,),), fixed=True), (0.6, 0.4, 0.2)
     )
-    dh: DHTable = option(default=LECTURE_TABLE, check=_checked_chain, doc="the chain that carries it")
+    dh: DHTable = option(default=LECTURE_TABLE, check=check_chain, doc="the chain that carries it")
     mounts: tuple[Mount, ...] = children(Mount, default=(), kw_only=True, doc="arms on it")
     loads: tuple[PayloadBody, ...] = children(
         PayloadBody, default=(), kw_only=True, doc="loads that are attached to it"

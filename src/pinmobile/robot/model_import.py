@@ -25,7 +25,7 @@ from pinmobile.robot.support_geometry import (
     triple,
     undercarriage_of,
 )
-from pinmobile.robot.urdf_checks import MOMENTS, judge_links, urdf_model
+from pinmobile.robot.urdf_checks import inertia_of, judge_links, urdf_model
 from pinmobile.robot.visuals import VisualFile
 from pinmobile.urdf import Body
 
@@ -303,15 +303,15 @@ _MASSLESS = 1e-9  # of the body's mass
 _CHAIN = (("prismatic", (0, 1, 0)), ("prismatic", (1, 0, 0)), ("revolute", (0, 0, 1)))
 
 
-def check_chain(table: DHTable) -> None:
-    """Refuse a table whose last frame is not the planar pose (x, y, psi) for joint variables (y, x, psi).
+def check_chain(name: str, table: DHTable) -> DHTable:
+    """Return a table whose last frame is the planar pose (x, y, psi) for joint variables (y, x, psi).
 
     Raises
     ------
     InvalidArgument
-        If it is one, or no table at all.
+        If it is another one, or no table at all.
     """
-    instance("dh", table, DHTable, "a DHTable")
+    instance(name, table, DHTable, "a DHTable")
     kinds = [row.joint for row in table]
     planar = kinds == [row.joint for row in LECTURE_TABLE]
     probes = np.array([[0, 0, 0], [0.7, -0.3, 1.1], [-1.0, 2.0, -2.5]])
@@ -320,9 +320,10 @@ def check_chain(table: DHTable) -> None:
         planar = bool(np.abs(pose - expected).max() < 1e-12)
     if not planar:
         raise InvalidArgument(
-            f"dh with variables {table.variables} does not put its last frame at (x, y, psi), expected "
+            f"{name} with variables {table.variables} does not put its last frame at (x, y, psi), expected "
             "a chain of prismatic y, prismatic x, revolute psi whose last frame is the body's"
         )
+    return table
 
 
 def build_model(table: DHTable, body: Body) -> pin.Model:
@@ -538,11 +539,9 @@ def _only_body(root: Element, model: pin.Model) -> tuple[int, Body] | None:
     turned = any(map(float, given.get("rpy", "0 0 0").split()))
     if turned or mass is None or inertia is None or frame.placement != pin.SE3.Identity():
         return None
-    xx, xy, xz, yy, yz, zz = (float(inertia.get(key, "0")) for key in MOMENTS)
     com = np.array([float(word) for word in given.get("xyz", "0 0 0").split()])
-    moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     try:
-        return frame.parentJoint, Body(float(mass.get("value", "0")), com, moments)
+        return frame.parentJoint, Body(float(mass.get("value", "0")), com, inertia_of(inertia))
     except InvalidArgument:
         return None  # what is wrong with it is said of the whole
 

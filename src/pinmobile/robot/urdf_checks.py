@@ -18,8 +18,7 @@ from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 
 _JOINTS = ("fixed", "revolute", "continuous", "prismatic", "planar", "floating")
-MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-"""Attributes of an <inertia>."""
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")  # attributes of an <inertia>
 
 _ATTRIBUTES = {
     "origin": "xyz rpy",
@@ -31,7 +30,7 @@ _ATTRIBUTES = {
     "mesh": "scale",
     "color": "rgba",
     "mass": "value",
-    "inertia": " ".join(MOMENTS),
+    "inertia": " ".join(_MOMENTS),
     "limit": "lower upper effort velocity",
     "dynamics": "damping friction",
     "mimic": "multiplier offset",
@@ -102,6 +101,12 @@ def _complete_limits(root: Element) -> None:
                 limit.set(key, value)
 
 
+def inertia_of(element: Element) -> Array:
+    """Return what an <inertia> says, shape (3, 3) [kg m^2]."""
+    xx, xy, xz, yy, yz, zz = (float(element.get(key, "0")) for key in _MOMENTS)
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
 def judge_links(root: Element, name: str, body_of: Callable[[str], Array], stacklevel: int) -> None:
     """Refuse a link whose inertia no rigid body has, or name it in a warning where it hardly matters.
 
@@ -125,8 +130,7 @@ def judge_links(root: Element, name: str, body_of: Callable[[str], Array], stack
         inertia = link.find("inertial/inertia")
         if inertia is None:
             continue
-        xx, xy, xz, yy, yz, zz = (float(inertia.get(key, "0")) for key in MOMENTS)
-        moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        moments = np.linalg.eigvalsh(inertia_of(inertia))
         if moments[0] >= -_ROUNDING * np.abs(moments).max():
             continue
         listed = ", ".join(f"{moment:.6g}" for moment in moments)

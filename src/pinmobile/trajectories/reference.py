@@ -10,7 +10,6 @@ from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 from warnings import warn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pinmobile.arrays import LEAST_ANGLE, Array, ArrayLike, finite, frozen, instance, positive, shaped
 from pinmobile.errors import InvalidArgument, LimitWarning, shown
@@ -113,33 +112,20 @@ def check_limits(robot: Any, q: Array, v: Array, t: Array | None = None) -> None
     InvalidArgument
         If one is outside; the message names the joint, its value and limits, and the time.
     """
-    n, m = q.shape[-1], v.shape[-1]
-    lower, upper, most = robot.lower[:n], robot.upper[:n], robot.velocity_limit[:m]
-    outside = (q < lower - _SLACK) | (q > upper + _SLACK)
-    if outside.any():
-        where, column = _first(outside)
-        name, unit = robot.coordinates[column][:2]
-        raise InvalidArgument(
-            f"{'q0' if t is None else 'reference'} has joint {name!r} at {q[where][column]:.9g} {unit}"
-            f"{_when(t, where)}, expected {lower[column]:.9g} to {upper[column]:.9g} {unit}"
-        )
-    fast = np.abs(v) > most * (1 + _SLACK)
-    if fast.any():
-        where, column = _first(fast)
-        name, unit = robot.coordinates[column][:2]
-        raise InvalidArgument(
-            f"{'v0' if t is None else 'reference'} moves joint {name!r} at {v[where][column]:.9g} {unit}/s"
-            f"{_when(t, where)}, expected at most {most[column]:.9g} {unit}/s"
-        )
-
-
-def _when(t: Array | None, where: tuple[int, ...]) -> str:
-    return "" if t is None else f" at t = {t[where]:g} s"
-
-
-def _first(found: NDArray[np.bool_]) -> tuple[tuple[int, ...], int]:
-    *row, column = (int(i) for i in np.argwhere(found)[0])
-    return tuple(row), column
+    n, most = q.shape[-1], robot.velocity_limit[: v.shape[-1]]
+    places = "q0", "has", q, robot.lower[:n], robot.upper[:n], _SLACK, ""
+    rates = "v0", "moves", v, -most, most, _SLACK * most, "/s"
+    for start, verb, values, least, highest, slack, per in (places, rates):
+        outside = (values < least - slack) | (values > highest + slack)
+        if outside.any():
+            *where, k = (int(i) for i in np.argwhere(outside)[0])
+            name, unit = robot.coordinates[k][:2]
+            whose, when = (start, "") if t is None else ("reference", f" at t = {t[tuple(where)]:g} s")
+            room = f"at most {highest[k]:.9g}" if per else f"{least[k]:.9g} to {highest[k]:.9g}"
+            raise InvalidArgument(
+                f"{whose} {verb} joint {name!r} at {values[(*where, k)]:.9g} {unit}{per}{when}, "
+                f"expected {room} {unit}{per}"
+            )
 
 
 _SAME = 1e-9  # relative difference of two durations that are meant to be one
