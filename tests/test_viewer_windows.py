@@ -25,6 +25,7 @@ from PIL import Image
 
 from pinmobile import InvalidArgument
 from pinmobile.errors import ViewerError
+from pinmobile.viewer import server
 from pinmobile.viewer.pages import OfflineWindow, Visualizer, packed_array
 from pinmobile.viewer.window import LiveWindow
 from tests.webclient import WebSocket, ask, eventually, listens, resident
@@ -471,7 +472,7 @@ def test_a_script_that_ends_leaves_nothing_and_says_nothing(ending: str) -> None
 
 @pytest.mark.parametrize("request_", [b"", b"GET / HTTP/1.1\r\nHost: x\r\nContent-Length: 9\r\n\r\n"])
 def test_a_request_that_never_ends_is_ended(request_: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pinmobile.viewer.window._PATIENCE", 0.3)
+    monkeypatch.setattr(server, "_PATIENCE", 0.3)
     with LiveWindow() as w, socket.create_connection(("127.0.0.1", w.port), timeout=120) as connection:
         connection.sendall(request_)
         assert connection.recv(1) == b""
