@@ -36,7 +36,7 @@ SECONDS = 5  # of processor time for one call
 MEMORY = 6 << 30  # of address space; libraries that only reserve it have some 3 GB
 
 # What is put in the place of an argument, made anew for each call: what a user may type by mistake.
-TRIES = 12  # of each callable
+TRIES = 8  # of each callable
 KINDS: dict[str, Callable[[], Any]] = {
     "None": lambda: None,
     "NaN": lambda: float("nan"),

@@ -44,14 +44,9 @@ _FRICTION = {
     "forces.viscous": ViscousFriction((10.0, 20.0, 2.0)),
     "forces.rolling": RollingResistance((6.0, 9.0, 1.0), 0.01),
 }
-_PAYLOAD = {"forces.payload": PayloadForce(10.0, (0.25, 0.1), 15.0)}
 _NOISE = {"controller.controller.std_q": 1e-3, "controller.controller.std_v": 1e-2}
 CASES: Mapping[str, Mapping[str, Any]] = {
     "nominal": {},
-    "mass +20 %": {"robot": HEAVY},
-    "com off": {"robot": OFF},
-    "payload": _PAYLOAD,
-    "push": {"forces.push": ConstantForce((0.0, -25.0, 0.0), 10.0)},
     "friction": _FRICTION,
     "delay": {"robot": HEAVY, "controller.samples": 3},
     "noise": {"robot": HEAVY, **_NOISE},
@@ -60,22 +55,22 @@ CASES: Mapping[str, Mapping[str, Any]] = {
         "controller.samples": 1,
         "forces.push": ConstantForce((0.0, -40.0, 0.0), 22.0, 24.0),
         **_FRICTION,
-        **_PAYLOAD,
+        "forces.payload": PayloadForce(10.0, (0.25, 0.1), 15.0),
         **_NOISE,
     },
 }
 # Largest distance after 5 s [mm], and the chatter where there is noise [N/s].
 PUBLISHED = {
-    "PD": ("120 146 130 163 328 113 inf 148 421", 137),
-    "computed torque": (".099 6.44 4.22 6.59 66.5 36.8 27.2 7.64 115", 282),
-    "PID": (".015 .950 .711 1.91 17.6 6.42 27.9 2.08 31.7", 455),
-    "adaptive": (".094 5.23 2.36 10.4 54.3 36.4 27.4 5.37 104", 295),
-    "adaptive, friction": (".093 2.46 1.79 9.26 51.0 1.51 27.9 2.83 44.3", 305),
-    "sliding mode": (".011 .763 .558 .777 7.86 4.30 27.0 1.82 6.82", 1586),
-    "super-twisting": (".003 .028 .078 .021 6.84 .017 27.5 1.65 22.9", 1118),
-    "observer": (".099 .505 .267 .992 9.13 2.18 27.5 2.24 23.9", 640),
-    "ADRC": (".281 .822 .600 3.32 14.1 3.81 27.9 1.73 35.9", 407),
-    "LQR": (".076 5.48 4.32 10.4 41.3 27.8 27.4 6.61 91.4", 275),
+    "PD": ("120 113 inf 148 421", 137),
+    "computed torque": (".099 36.8 27.2 7.64 115", 282),
+    "PID": (".015 6.42 27.9 2.08 31.7", 455),
+    "adaptive": (".094 36.4 27.4 5.37 104", 295),
+    "adaptive, friction": (".093 1.51 27.9 2.83 44.3", 305),
+    "sliding mode": (".011 4.30 27.0 1.82 6.82", 1586),
+    "super-twisting": (".003 .017 27.5 1.65 22.9", 1118),
+    "observer": (".099 2.18 27.5 2.24 23.9", 640),
+    "ADRC": (".281 3.81 27.9 1.73 35.9", 407),
+    "LQR": (".076 27.8 27.4 6.61 91.4", 275),
 }
 
 

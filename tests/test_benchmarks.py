@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.once
+pytestmark = [pytest.mark.once, pytest.mark.long]
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 PEERS = ("mujoco", "roboticstoolbox", "jax")

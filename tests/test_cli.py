@@ -49,6 +49,7 @@ def lecture(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return folder, done.stdout
 
 
+@pytest.mark.long
 @pytest.mark.once
 def test_lecture_prints_every_number_beside_the_lectures(lecture: tuple[Path, str]) -> None:
     _, text = lecture
@@ -60,6 +61,7 @@ def test_lecture_prints_every_number_beside_the_lectures(lecture: tuple[Path, st
     assert all(len(line) <= 80 for line in text.splitlines() if "/" not in line)
 
 
+@pytest.mark.long
 def test_lecture_shows_both_headings_beside_each_other_and_says_of_which_the_figures_are(
     lecture: tuple[Path, str],
 ) -> None:
@@ -76,6 +78,7 @@ def test_lecture_shows_both_headings_beside_each_other_and_says_of_which_the_fig
             assert "the figures show the heading that is put right" in section
 
 
+@pytest.mark.long
 def test_lecture_shows_what_wheels_change(lecture: tuple[Path, str]) -> None:
     folder, text = lecture
     shown = text.split("4  On wheels")[1]
@@ -96,6 +99,7 @@ def test_lecture_shows_what_wheels_change(lecture: tuple[Path, str]) -> None:
     assert re.search(r'<img src="wheels.png" alt="[^"]+"', page)
 
 
+@pytest.mark.long
 def test_lecture_writes_every_figure_with_an_index_that_says_what_it_shows(lecture: tuple[Path, str]) -> None:
     folder, text = lecture
     page = (folder / "index.html").read_text()
@@ -439,7 +443,7 @@ def test_a_closed_output_is_no_output(
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux alone has a device that is full")
 def test_a_console_behind_which_the_disk_is_full_is_told_in_one_line() -> None:
-    words = [sys.executable, "-m", "pinmobile", "derive"]
+    words = [sys.executable, "-m", "pinmobile", "parts"]
     with Path("/dev/full").open("wb") as full:
         done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, check=False, timeout=100)
     assert done.returncode == 1

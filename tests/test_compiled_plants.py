@@ -167,6 +167,7 @@ def test_numbers_of_parts_within_parts_are_found() -> None:
         assert_near({name: x[i] for name, x in found.items()}, expected, 1e-10)
 
 
+@pytest.mark.long
 @pytest.mark.once
 def test_many_threads_trace_and_use_numpy_at_once() -> None:
     wrong: list[Any] = []

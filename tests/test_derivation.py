@@ -151,6 +151,7 @@ def test_lecture_has_exactly_its_mass_matrix_and_nonlinear_effects(table: DHTabl
     assert derivation.chain.q == (y, x, psi)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("twist", [-1.5708, 3.1416])
 def test_right_angles_of_four_decimals_are_right_and_reported(twist: float) -> None:
     quarters = round(2 * twist / pi)
@@ -308,6 +309,7 @@ def test_lagrange_confirms_the_lecture(table: DHTable, order: tuple[str, ...] | 
         confirmation["f_0"]
 
 
+@pytest.mark.long
 def test_lagrange_confirms_general_links_under_gravity() -> None:
     arm = derive(DHTable(TWISTED.rows[:2]), gravity=(0, 0.1, -symbols("g")))
     assert difference(arm, lagrange(arm)) == zeros(2, 1)
@@ -354,6 +356,7 @@ def test_six_joints_are_pinocchios_and_no_expression_is_long() -> None:
     assert len(derivation.assignments) < 1000
 
 
+@pytest.mark.long
 def test_four_joints_by_lagrange_are_pinocchios() -> None:
     rng, gravity = np.random.default_rng(8), (0.0, 0.5, -9.81)
     table = DHTable(SIX.rows[:4])
@@ -406,6 +409,7 @@ def test_written_out_is_free_of_names() -> None:
     assert short.written_out(short.inputs) == short.inputs
 
 
+@pytest.mark.long
 def test_exact_numbers_leave_no_rounding() -> None:
     derivation = derive(TWISTED, [None, None, Link(0.1, (0.3, 0, -0.2), sympy.diag(0.1, 0.2, 0.3))])
     everything = [step.expression for step in derivation.steps]

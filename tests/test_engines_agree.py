@@ -16,7 +16,7 @@ from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.loop import Engine, part_of, run_scenario
 from tests.parts import PID, Cart, Eight, Follower, Nodding, SlidingMode, Smoothed, Spring, midpoint
 
-N, DT, DURATION = 3, 0.01, 0.6  # 61 samples
+N, DT, DURATION = 2, 0.01, 0.3  # 31 samples
 ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05))
 WRONG = pm.MobileRobot(27.0, 1.1, com=(0.05, 0.0))
 
@@ -229,7 +229,7 @@ def test_the_engines_agree(k: int) -> None:
         np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * size, err_msg=name)
 
 
-@pytest.mark.parametrize("k", range(len(compositions())))
+@pytest.mark.parametrize("k", range(0, len(compositions()), 3))
 def test_the_bits_hang_on_no_thread_chunk_or_number_of_robots(
     k: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

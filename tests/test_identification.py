@@ -409,6 +409,7 @@ def test_of_wheels_alone_nothing_is_believed_of_the_body() -> None:
         pm.identify(straight, pm.WheelTable.skid_steer(0.4, 0.5, 0.1, **wheel))
 
 
+@pytest.mark.long
 @pytest.mark.once
 def test_wheels_that_slip_are_told_from_those_that_roll_with_noise() -> None:
     slides = noisy(run_on_wheels(dry=WheelFriction(mu=0.1, rolling=0.0)), 0)
@@ -458,6 +459,7 @@ def test_resistance_that_depends_on_load_is_not_given_a_valid_interval(rolling: 
     assert ("the structure of the model is wrong" in str(known)) == (rolling == 0.05)
 
 
+@pytest.mark.long
 @pytest.mark.once
 @pytest.mark.parametrize("dry", [None, WheelFriction(rolling=0.0)])
 def test_wheels_that_roll_are_not_said_to_slip(dry: WheelFriction | None) -> None:

@@ -111,6 +111,7 @@ def test_ci_runs_everything_once_and_repeats_another_sixth_on_each_other_python(
     assert given == {"3.11": "", "3.12": "--part=0/6", "3.13": "--part=1/6"}
 
 
+@pytest.mark.long
 @pytest.mark.once
 def test_parts_are_all_but_pages_and_what_is_marked_once() -> None:
     asked = os.environ.get("OPENBLAS_CORETYPE", "")

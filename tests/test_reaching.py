@@ -303,9 +303,10 @@ class TestTracking:
     def test_limits_hold_however_the_plant_moves_under_the_held_force(self, substeps: int) -> None:
         T = PANDA.frame_pose(PANDA.rest)  # one finger at its limit, the base locked
         locked = np.where(np.arange(12) < 3, 0.0, PANDA.velocity_limit)
-        away = pm.PosePath(line(T[:3, 3], (-0.6, 0, -0.3), 4), T[:3, :3])
+        away = pm.PosePath(line(T[:3, 3], (-0.6, 0, -0.3), 2), T[:3, :3])
         law = pm.EndEffectorTracking(PANDA, away, velocity_limit=locked, integrator=pm.rk4)
-        run = pm.simulate(PANDA, law, Still(PANDA.rest), dt=0.01, integrator=pm.rk4, substeps=substeps)
+        how: Any = {"dt": 0.01, "duration": 2.0, "integrator": pm.rk4, "substeps": substeps}
+        run = pm.simulate(PANDA, law, Still(PANDA.rest), **how)
         # What five corrections leave of a coordinate's overrun, 1e-2 each; steps a fifth as long differ from
         # one by some 1e-4 of rk4's own error per step.
         assert (run.q > PANDA.lower - 1e-10).all()

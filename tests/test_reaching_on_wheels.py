@@ -62,6 +62,7 @@ def tracking(
     return pm.EndEffectorTracking(robot, target, dt=dt)
 
 
+@pytest.mark.long
 def test_the_hand_is_where_the_same_robot_without_wheels_has_it(wall: Wall) -> None:
     """A force held over dt errs by about jerk dt / (2 kp), torques at wheels that turn by little more.
 
@@ -125,6 +126,7 @@ def test_the_friction_that_its_margins_ask_for_is_what_it_needs(wall: Wall) -> N
         assert wall.missed(run).max() < 1e-3
 
 
+@pytest.mark.long
 def test_limits_hold_on_wheels(wall: Wall) -> None:
     n = wall.robot.robot.nv
     most = np.where(np.arange(n) < 3, 0.5, wall.robot.robot.velocity_limit)

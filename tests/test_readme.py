@@ -19,6 +19,7 @@ README = (ROOT / "README.md").read_text()
 
 
 @pytest.mark.once
+@pytest.mark.long
 def test_every_python_block_prints_what_follows_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {"__name__": "readme"}

@@ -145,7 +145,7 @@ def test_a_part_is_the_same_after_toml_bit_for_bit(name: str) -> None:
         again = Reader().root(holder, tomllib.loads(text)).one
         assert fields(again) == fields(part), text
         found += 1
-        if found == 12:
+        if found == 8:
             break
     assert found
 
@@ -284,12 +284,12 @@ def test_wrong_trees_are_refused_as_wrong_entries_and_nothing_else() -> None:
     rng, refused = random.Random(0), 0
     files = ["lecture", "rivals", "mecanum", "velocity", "ensemble", "differential"]
     texts = [tomllib.loads(Opened([name]).written()) for name in files]
-    for _ in range(600):
+    for _ in range(250):
         try:
             Reader().root(ScenarioFile, mutated(rng.choice(texts), rng))
         except InvalidEntries:
             refused += 1
-    assert 250 < refused < 600
+    assert 100 < refused < 250
 
 
 def test_paths_change_what_stands_there_and_names_what_is_new() -> None:

@@ -206,12 +206,11 @@ def test_energy_never_grows_without_input(seed: int) -> None:
     assert energy[-1] < 0.5 * energy[0]
 
 
-@pytest.mark.parametrize("u", [(30.0, -25.0), (20.0, 9.0)])
-def test_compiled_robots_do_as_alone_and_as_numbers_do(u: tuple[float, float]) -> None:
+def test_compiled_robots_do_as_alone_and_as_numbers_do() -> None:
     """Rounds end when all robots side by side are done; none depends on the others."""
     robot, where = WheeledRobot(BODY, SKID), pm.FixedHeading(pm.Hold([0.0, 0.0], 0.2), 0.0)
     given: Any = {"dt": 0.01, "forces": (pm.ViscousFriction([20.0, 10.0, 3.0]),), "limit": 1e9}
-    many: Any = given | {"n": 3, "spread": {"mass": np.array([28.0, 30.0, 32.0])}}
+    u, many = (30.0, -25.0), given | {"n": 3, "spread": {"mass": np.array([28.0, 30.0, 32.0])}}
     compiled, python = (
         pm.ensemble(robot, steady(*u), where, engine=engine, **many)
         for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON)

@@ -113,13 +113,19 @@ def test_every_module_is_found_in_the_package_and_none_hides_a_name() -> None:
 
 
 @cache
+def nodes_of(path: Path) -> list[Any]:
+    """Return what a file is made of."""
+    return [*ast.walk(ast.parse(path.read_text()))]
+
+
+@cache
 def imports(path: Path) -> tuple[str, ...]:
     """Return the modules that a file imports, in its functions and for its types too."""
     return tuple(_imports(path))
 
 
 def _imports(path: Path) -> Iterator[str]:
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes_of(path):
         if isinstance(node, ast.ImportFrom) and node.module:
             named = {f"{node.module}.{alias.name}" for alias in node.names}
             modules = named if node.module == "pinmobile" else named & set(map(module_of, FILES))
@@ -194,7 +200,7 @@ def test_no_name_of_a_file_occurs_twice() -> None:
 @pytest.mark.once
 def test_no_function_takes_more_than_seven_arguments_by_position() -> None:
     for path in FILES:
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in nodes_of(path):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
                 given = [each.arg for each in (*node.args.posonlyargs, *node.args.args)]
                 assert len(given) - (given[:1] in (["self"], ["cls"])) <= 7, f"{path}:{node.lineno}"
@@ -266,6 +272,7 @@ def test_names_are_there_however_they_are_asked_for() -> None:
     assert "class ComputedTorque" in pydoc.plain(pydoc.render_doc(pinmobile))
 
 
+@pytest.mark.long
 @pytest.mark.once
 def test_any_module_may_be_the_first_to_be_used() -> None:
     fresh(
@@ -283,6 +290,7 @@ def test_any_module_may_be_the_first_to_be_used() -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.once
 def test_many_threads_may_use_the_package_first() -> None:
     fresh(
@@ -293,7 +301,7 @@ def test_many_threads_may_use_the_package_first() -> None:
 
         sys.setswitchinterval(1e-6)
         names = [name for name in dir(pinmobile) if not name.startswith("_")]
-        for seed in range(5):
+        for seed in range(2):
             for module in [name for name in sys.modules if name.startswith("pinmobile")]:
                 del sys.modules[module]
             import pinmobile
@@ -398,9 +406,8 @@ def test_the_wheel_works_where_it_is_installed(wheel: Path, tmp_path: Path) -> N
 def test_no_package_reaches_for_what_is_private_in_another() -> None:
     """A name with an underscore that is read of something else than self is defined in the same package."""
     trees: dict[str, list[Any]] = {}
-    for path in sorted(PACKAGE.rglob("*.py")):
-        package = path.relative_to(PACKAGE).parts[0]
-        trees.setdefault(package, []).extend(ast.walk(ast.parse(path.read_text())))
+    for path in FILES:
+        trees.setdefault(path.relative_to(PACKAGE).parts[0], []).extend(nodes_of(path))
     of_tuples = {"_asdict", "_fields", "_make", "_replace"}
     for package, nodes in trees.items():
         own = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}

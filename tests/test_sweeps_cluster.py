@@ -19,7 +19,7 @@ from pinmobile.errors import SchedulerError
 from pinmobile.sweeps import connected
 from tests.sweeping import contents, scenario, swept
 
-pytestmark = pytest.mark.once
+pytestmark = [pytest.mark.once, pytest.mark.long]
 
 distributed: Any = pytest.importorskip("distributed")
 ROOT = Path(__file__).parents[1]

@@ -764,6 +764,7 @@ def test_what_is_fine_enough_or_no_mesh_stays() -> None:
     assert coarse(box, 0.1) is box
 
 
+@pytest.mark.long
 def test_a_page_of_a_robot_with_a_million_triangles_stays_small() -> None:
     robot = pm.MobileRobot.box().mount("b1_z1")
     with Viewer(robot) as viewer:
