@@ -14,6 +14,7 @@ import tempfile
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -27,8 +28,10 @@ import pinocchio as pin
 
 import pinmobile as pm
 from pinmobile import PinmobileError, derivation, loop, urdf, viewer
+from pinmobile.parts import parameters
 from pinmobile.wheels import Motor, WheeledRobot, WheelTable
 from tests import wheeled
+from tests.drawing import APART, PARTS, drawn
 
 SEED = 20240
 THETA: list[float] = [0.26, 0.25, 0.03, 1.1, 0.2, 1.2]
@@ -281,23 +284,26 @@ STATES: dict[str, dict[str, Any]] = {
     "coriolis_matrix": {"q": Q, "v": V},
 }
 
+
+MADE_BY_THE_LIBRARY = {"Loop", "Samples", "Stance", "Worst"}
+
+
+def a_part(make: Any) -> Row:
+    """Return a row of all that a part declares."""
+
+    def arguments() -> dict[str, Any]:
+        for seed in range(400):
+            with suppress(pm.InvalidArgument, ArithmeticError, AttributeError):
+                one = drawn(make, Random(seed))
+                return {name: getattr(one, name) for name in parameters(make)}
+        raise AssertionError(f"no {make} is drawn")
+
+    return Row(arguments)
+
+
 ROWS: dict[str, Row] = {
-    "PD": row(kp=1, kd=[1, 2, 3], difference=pm.controllers.planar_difference),
-    "ComputedTorque": row(robot=the("robot"), kp=4, kd=4, difference=pm.controllers.plain_difference),
-    "Decoupled": row(robot=the("robot"), kp=4, kd=4, difference=pm.controllers.planar_difference),
-    "PDGravity": row(robot=the("robot"), kp=4, kd=4, difference=pm.controllers.planar_difference),
-    "PID": row(robot=the("robot"), kp=48, ki=64, kd=12, difference=pm.controllers.planar_difference),
-    "SlidingMode": row(
-        robot=the("robot"),
-        slope=4,
-        damping=4,
-        reach=3,
-        layer=0.1,
-        difference=pm.controllers.planar_difference,
-    ),
-    "SuperTwisting": row(
-        robot=the("robot"), slope=4, k1=3, k2=3, difference=pm.controllers.planar_difference
-    ),
+    **{name: a_part(make) for name, make in PARTS.items() if name not in APART | MADE_BY_THE_LIBRARY},
+    "ViscousFriction": row(coefficients=None, forward=1, left=2, yaw=3),
     "Adaptive": row(
         robot=the("robot"),
         slope=4,
@@ -323,14 +329,6 @@ ROWS: dict[str, Row] = {
         R=[0.001, 0.001, 0.02],
         observer=10,
     ),
-    "ADRC": row(robot=the("robot"), bandwidth=4, observer=20, inertia=[30, 30, 1.5]),
-    "DisturbanceObserver": row(controller=pm.PD(1, 1), robot=the("robot"), gain=10),
-    "InputSaturation": row(controller=pm.PD(1, 1), limits=[1, 2, 3]),
-    "ControlAllocation": row(controller=pm.PD(1, 1), robot=the("wheeled")),
-    "Backstepping": row(law=pm.UnicycleTracking(), robot=the("wheeled"), k=10, steer=10, arms=2),
-    "TorqueToVoltage": row(controller=pm.PD(1, 1), robot=the("electric")),
-    "WheelSpeed": row(law=pm.UnicycleTracking(), robot=the("wheeled"), kp=1, ki=2),
-    "VelocityCommand": row(law=pm.UnicycleTracking(), robot=the("commanded")),
     "AdaptiveVelocity": row(
         robot=the("commanded"),
         ahead=0.2,
@@ -343,16 +341,6 @@ ROWS: dict[str, Row] = {
         upper=np.full(6, 9.0),
     ),
     "RandomSteps": row(lowest=[-0.2, -1], largest=[0.8, 1], hold=[0.4, 2.5], seed=1),
-    "VelocityRobot": row(
-        theta=THETA, ahead=0.1, limits=[0.8, 1], accelerations=1.0, size=[0.4, 0.3, 0.2], source="a test"
-    ),
-    "SwerveTracking": row(robot=the("swerve"), kp=2, k=10, steer=10, least=0.05),
-    "UnicycleTracking": row(zeta=0.7, b=20),
-    "Kanayama": row(k1=2, k2=10, k3=5),
-    "Parking": row(k1=1, k2=3, k3=2, near=0.001),
-    "DynamicFeedback": row(kp=2, kd=2.8, least=0.05),
-    "MeasurementDelay": row(controller=pm.PD(1, 1), samples=2),
-    "MeasurementNoise": row(controller=pm.PD(1, 1), std_q=0.1, std_v=[0.1, 0.1, 0.2], seed=1),
     "EndEffectorTracking": row(
         robot=the("armed"),
         target=the("target"),
@@ -370,30 +358,6 @@ ROWS: dict[str, Row] = {
     "law": row(function=lambda t, q, v, reference: np.zeros(3)),
     "plain_difference": row(q0=Q, q1=V),
     "planar_difference": row(q0=Q, q1=V),
-    "Circle": row(radius=1, rate=0.5, duration=1, centre=[1, 2], phase=0.5, heading=None),
-    "Lissajous": row(rx=1, ry=2, wx=0.5, wy=1, duration=1),
-    "CompositePath": row(paths=[pm.Line([0, 0], [1, 0], 1), pm.Line([1, 0], [2, 0], 1)]),
-    "Line": row(start=[0, 0], end=[1, 1], duration=1),
-    "TransformedPath": row(path=the("path"), x=1, y=2, angle=0.5),
-    "Polyline": row(waypoints=[[0, 0], [1, 0], [1, 1]], corner_radius=0.2, duration=5, acceleration=2),
-    "CubicVia": row(
-        start=[0, 0],
-        via=[1, 1],
-        end=[2, 0],
-        t_via=1,
-        t_end=2,
-        via_velocity=[0, 0],
-        start_velocity=[0, 1],
-        end_velocity=[1, 0],
-    ),
-    "Hold": row(point=[1, 2], duration=1),
-    "RestToRest": row(start=[0, 0], end=[1, 1], duration=1),
-    "Spline": row(
-        waypoints=[[0, 0], [1, 1], [2, 0]], times=[0, 1, 2], start_velocity=[0, 1], end_velocity=[1, 0]
-    ),
-    "Tangent": row(path=the("path"), turn_time=0.5),
-    "FixedHeading": row(path=the("path"), psi=0.5),
-    "LectureHeading": row(path=the("path")),
     "WholeBody": row(robot=the("armed"), base=the("trajectory"), joints=pm.Hold([0.3, 0.4], 1)),
     "PosePath": row(
         path=pm.Hold([0, 0, 1], 1), rotation=np.eye(3), final_rotation=np.eye(3), turn=None, times=None
@@ -403,13 +367,7 @@ ROWS: dict[str, Row] = {
     "Circle.derivative": row(t=[0.1, 0.2], order=1),
     "Tangent.__call__": row(t=[0.1, 0.5]),
     "Circle.moved": row(x=1, y=2, angle=0.5),
-    "ConstantForce": row(force=[1, 2, 3], begin=0.5, end=1.5),
-    "PayloadForce": row(mass=2.0, at=[0.1, 0.2], when=1.0, yaw_inertia=0.1),
-    "SinusoidalForce": row(amplitude=[1, 2, 3], frequency=0.5, phase=0.1),
     "NoiseForce": row(std=[1, 2, 3], bandwidth=2, seed=1),
-    "JointFriction": row(viscous=[1, 2, 3], coulomb=[0.1, 0.2, 0.3], speed=0.1),
-    "RollingResistance": row(force=[1, 2, 3], speed=0.01),
-    "ViscousFriction": row(coefficients=None, forward=1, left=2, yaw=3),
     "PayloadBody": row(mass=1, com=(0, 0, 0.1), inertia=np.eye(3), size=(0.1, 0.1, 0.1)),
     "MotionStates": row(plant=the("robot"), q=Q, v=V, a=A, u=[1, 2, 3]),
     "MotionLimit": row(value=1.5, what="left slips", time=0.5, factor=2),
@@ -472,7 +430,7 @@ ROWS: dict[str, Row] = {
             "u": WORLD.log.u,
             "twist": None,
             "wheel_rates": None,
-        },
+        }
     ),
     "identify": row(log=the("log"), robot=None, loads=None, method="weak", delay=0.0, rolling_speed=0.01),
     "identify_velocity": row(log=the("commands"), delay=0.0, ahead=0.0, accelerations=[9.0, 9.0]),
@@ -578,19 +536,12 @@ ROWS: dict[str, Row] = {
     ),
     "plots.signals": row(rollouts=the("told"), title="a title", ax=None, width=6.0),
     "AckermannSteering": row(wheels=("front_left", "front_right"), axle=0.1, name="steering"),
-    "OdometryFeedback": row(controller=pm.PD(1, 1), table=the("differential"), ticks=1000, noise=0.1, seed=1),
-    "Coulomb": row(mu=0.5, ramp=pm.wheels.Ramp(0.1), sweeps=100, tolerance=1e-09),
     "DifferentialGear": row(wheels=("left", "right"), motor=pm.Motor(), name="drive"),
-    "WheelFriction": row(mu=0.8, across=0.02, rolling=0.01, slip=0.1),
     "GearTrain": row(wheels=("left", "right"), ratios=[1.0, 2.0]),
-    "Motor": row(**MOTOR, source="a test"),
     "Motor.torque": row(volts=[1, 2], rate=3),
     "Motor.from_sheet": row(
         voltage=12.0, stall_torque=2.0, stall_current=5.0, no_load_rate=20.0, no_load_current=0.2, gear=50.0
     ),
-    "Ramp": row(angle=0.1, direction=0.2),
-    "Rolling": row(ramp=pm.wheels.Ramp(0.1)),
-    "Support": row(x=1, y=2),
     "Wheel": row(
         name="left",
         x=0,
@@ -691,7 +642,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
 }
 # Those that take arguments by position alone.
 CALLED: dict[str, Callable[..., Any]] = {
-    "WholeBody": lambda robot, base, joints: pm.WholeBody(robot, base, joints),
+    "WholeBody": lambda robot, base, joints: pm.WholeBody(robot, base, joints)
 }
 
 

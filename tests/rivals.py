@@ -6,43 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile import (
-    ADRC,
-    LQR,
-    PD,
-    PID,
-    Adaptive,
-    Circle,
-    ComputedTorque,
-    ConstantForce,
-    DisturbanceObserver,
-    Engine,
-    MeasurementDelay,
-    MeasurementNoise,
-    MobileRobot,
-    RollingResistance,
-    Rollout,
-    Scenario,
-    SlidingMode,
-    SuperTwisting,
-    Sweep,
-    Tangent,
-    ViscousFriction,
-    rk4,
-    simulate,
-    sweep,
-)
+import pinmobile as pm
 from pinmobile.forces import PayloadForce
 
-NOMINAL = MobileRobot(mass=30.0, yaw_inertia=1.3, com=(0.1, 0.05))
+NOMINAL = pm.MobileRobot(mass=30.0, yaw_inertia=1.3, com=(0.1, 0.05))
 """The robot in which all controllers believe."""
-HEAVY, OFF = MobileRobot(36.0, 1.56, (0.1, 0.05)), MobileRobot(30.0, 1.3, (0.2, -0.05))
-CIRCLE = Tangent(Circle(radius=1.5, rate=0.6, duration=30.0))
+HEAVY, OFF = pm.MobileRobot(36.0, 1.56, (0.1, 0.05)), pm.MobileRobot(30.0, 1.3, (0.2, -0.05))
+CIRCLE = pm.Tangent(pm.Circle(radius=1.5, rate=0.6, duration=30.0))
 LAW = "controller.controller.controller"  # in the delay and the noise of a measurement
 
 _FRICTION = {
-    "forces.viscous": ViscousFriction((10.0, 20.0, 2.0)),
-    "forces.rolling": RollingResistance((6.0, 9.0, 1.0), 0.01),
+    "forces.viscous": pm.ViscousFriction((10.0, 20.0, 2.0)),
+    "forces.rolling": pm.RollingResistance((6.0, 9.0, 1.0), 0.01),
 }
 _NOISE = {"controller.controller.std_q": 1e-3, "controller.controller.std_v": 1e-2}
 CASES: Mapping[str, Mapping[str, Any]] = {
@@ -51,9 +26,9 @@ CASES: Mapping[str, Mapping[str, Any]] = {
     "delay": {"robot": HEAVY, "controller.samples": 3},
     "noise": {"robot": HEAVY, **_NOISE},
     "all": {
-        "robot": MobileRobot(36.0, 1.3, (0.15, 0.0)),
+        "robot": pm.MobileRobot(36.0, 1.3, (0.15, 0.0)),
         "controller.samples": 1,
-        "forces.push": ConstantForce((0.0, -40.0, 0.0), 22.0, 24.0),
+        "forces.push": pm.ConstantForce((0.0, -40.0, 0.0), 22.0, 24.0),
         **_FRICTION,
         "forces.payload": PayloadForce(10.0, (0.25, 0.1), 15.0),
         **_NOISE,
@@ -74,37 +49,37 @@ PUBLISHED = {
 }
 
 
-_TORQUE, _GAIN = ComputedTorque(NOMINAL, 16.0, 8.0), (120.0, 120.0, 6.0)
+_TORQUE, _GAIN = pm.ComputedTorque(NOMINAL, 16.0, 8.0), (120.0, 120.0, 6.0)
 RIVALS: dict[str, Any] = {
-    "PD": PD(120.0, 120.0),
+    "PD": pm.PD(120.0, 120.0),
     "computed torque": _TORQUE,
-    "PID": PID(NOMINAL),
-    "adaptive": Adaptive(NOMINAL, kd=_GAIN),
-    "adaptive, friction": Adaptive(NOMINAL, kd=_GAIN, friction=True),
-    "sliding mode": SlidingMode(NOMINAL),
-    "super-twisting": SuperTwisting(NOMINAL),
-    "observer": DisturbanceObserver(_TORQUE, NOMINAL),
-    "ADRC": ADRC(NOMINAL),
-    "LQR": LQR(NOMINAL),
+    "PID": pm.PID(NOMINAL),
+    "adaptive": pm.Adaptive(NOMINAL, kd=_GAIN),
+    "adaptive, friction": pm.Adaptive(NOMINAL, kd=_GAIN, friction=True),
+    "sliding mode": pm.SlidingMode(NOMINAL),
+    "super-twisting": pm.SuperTwisting(NOMINAL),
+    "observer": pm.DisturbanceObserver(_TORQUE, NOMINAL),
+    "ADRC": pm.ADRC(NOMINAL),
+    "LQR": pm.LQR(NOMINAL),
 }
 """Controllers that believe in `NOMINAL`, with their usual gains."""
 
 
-def swept(path: Path) -> Sweep:
+def swept(path: Path) -> pm.Sweep:
     """Return all controllers in all cases."""
-    measured = MeasurementDelay(MeasurementNoise(PD(120.0, 120.0), 0.0, 0.0, seed=0), 0)
+    measured = pm.MeasurementDelay(pm.MeasurementNoise(pm.PD(120.0, 120.0), 0.0, 0.0, seed=0), 0)
     parts: dict[str, Any] = {"robot": NOMINAL, "controller": measured, "trajectory": CIRCLE, "spread": {}}
-    nominal = Scenario(**parts, n=1, dt=0.01, after=5.0, integrator=rk4, substeps=4)
-    return sweep(nominal, path, grid={LAW: RIVALS}, cases=CASES)
+    nominal = pm.Scenario(**parts, n=1, dt=0.01, after=5.0, integrator=pm.rk4, substeps=4)
+    return pm.sweep(nominal, path, grid={LAW: RIVALS}, cases=CASES)
 
 
-def traced(found: Any) -> Rollout:
+def traced(found: Any) -> pm.Rollout:
     """Return the first robot of an ensemble."""
     robot, controller, trajectory, options = found.member(0)
-    return simulate(robot, controller, trajectory, engine=Engine.COMPILED, **options)
+    return pm.simulate(robot, controller, trajectory, engine=pm.Engine.COMPILED, **options)
 
 
-def chatter(run: Rollout) -> float:
+def chatter(run: pm.Rollout) -> float:
     """Return how much the force changes in a second after 5 s, along the axis where that is most [N/s]."""
     late = run.t >= 5.0 - 1e-9
     return float(np.abs(np.diff(run.u[late, :2], axis=0)).sum(axis=0).max() / (run.t[-1] - run.t[late][0]))

@@ -11,13 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 
 from pinmobile import InvalidArgument, MobileRobot, plots, rk4
-from pinmobile.accuracy import (
-    Convergence,
-    IntegratorReport,
-    conserved,
-    free_motion,
-    integrator_report,
-)
+from pinmobile.accuracy import Convergence, IntegratorReport, conserved, free_motion, integrator_report
 from pinmobile.arrays import Array
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.palette import colour
@@ -25,6 +19,9 @@ from pinmobile.palette import colour
 ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
 ORDERS = {"constant_acceleration": 1, "semi_implicit_euler": 1, "rk4": 4}
 KEPT = ("position", "momentum", "angular_momentum", "energy")
+
+
+Reports = dict[str, IntegratorReport]
 
 
 def heun(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
@@ -42,13 +39,13 @@ def explodes(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tupl
 
 
 @pytest.fixture(scope="module")
-def reports() -> dict[str, IntegratorReport]:
+def reports() -> Reports:
     return {str(i): integrator_report(i) for i in (constant_acceleration, semi_implicit_euler, rk4)}
 
 
 @pytest.mark.parametrize("name", ORDERS)
 def test_pose_momentum_and_energy_of_the_free_body_are_held_to_the_order_of_the_method(
-    name: str, reports: dict[str, IntegratorReport]
+    name: str, reports: Reports
 ) -> None:
     """The heading turns uniformly, so v is a quadrature: a left Riemann sum, of order 1, or Simpson's, of 4.
 
@@ -62,7 +59,7 @@ def test_pose_momentum_and_energy_of_the_free_body_are_held_to_the_order_of_the_
 
 @pytest.mark.parametrize("name", ORDERS)
 def test_in_the_loop_the_order_is_the_methods_within_a_sample_and_one_over_samples(
-    name: str, reports: dict[str, IntegratorReport]
+    name: str, reports: Reports
 ) -> None:
     report = reports[name]
     assert report.substeps.order == pytest.approx(ORDERS[name], abs=0.05)
@@ -78,7 +75,7 @@ def test_a_users_own_method_shows_its_order() -> None:
     assert report.sampling.order == pytest.approx(1, abs=0.05)
 
 
-def test_what_holding_costs_does_not_depend_on_the_integrator(reports: dict[str, IntegratorReport]) -> None:
+def test_what_holding_costs_does_not_depend_on_the_integrator(reports: Reports) -> None:
     held = [report.held for report in reports.values()]
     assert max(held) == min(held)
     fine = reports["rk4"]
@@ -150,7 +147,7 @@ def test_an_order_is_fitted_above_rounding(errors: Any, order: float | None, tex
     assert str(found) == text
 
 
-def test_the_report_reads_as_a_table_that_says_what_it_means(reports: dict[str, IntegratorReport]) -> None:
+def test_the_report_reads_as_a_table_that_says_what_it_means(reports: Reports) -> None:
     lines = str(reports["rk4"]).splitlines()
     assert lines[0] == f"rk4 on {reports['rk4'].robot}"
     heads = re.findall(r"h = \S+ s", lines[1])
@@ -211,9 +208,7 @@ def test_arguments_that_do_not_fit_are_refused(changed: dict[str, Any], text: st
 
 
 class TestFigure:
-    def test_lines_are_the_errors_in_milliseconds_and_notes_the_orders(
-        self, reports: dict[str, IntegratorReport]
-    ) -> None:
+    def test_lines_are_the_errors_in_milliseconds_and_notes_the_orders(self, reports: Reports) -> None:
         figure = plots.integrator(reports)
         assert [axes.get_ylabel() for axes in figure.axes] == [
             "error [m]", "relative drift", "error [m]", "relative drift", "relative drift", "error [m]"
@@ -231,20 +226,20 @@ class TestFigure:
         assert (loop.get_xscale(), loop.get_yscale()) == ("log", "log")
         assert loop.get_xlabel() == "step h [ms]"
 
-    def test_a_guide_has_the_slope_that_it_says(self, reports: dict[str, IntegratorReport]) -> None:
+    def test_a_guide_has_the_slope_that_it_says(self, reports: Reports) -> None:
         axes = plots.integrator(reports["rk4"]).axes[0]
         guide = axes.lines[1].get_xydata()
         (x0, y0), (x1, y1) = np.log(np.asarray(guide))
         assert (y1 - y0) / (x1 - x0) == pytest.approx(4)
 
-    def test_one_report_is_named_in_the_title(self, reports: dict[str, IntegratorReport]) -> None:
+    def test_one_report_is_named_in_the_title(self, reports: Reports) -> None:
         figure = plots.integrator(reports["rk4"])
         assert figure.texts[0].get_text() == "Accuracy of rk4: error over the step"
         assert plots.integrator(reports, title="Mine").texts[0].get_text() == "Mine"
         (legend,) = figure.legends
         assert [text.get_text() for text in legend.get_texts()] == ["whole order", "rounding"]
 
-    def test_nothing_overlaps_whatever_the_reports(self, reports: dict[str, IntegratorReport]) -> None:
+    def test_nothing_overlaps_whatever_the_reports(self, reports: Reports) -> None:
         failed = {
             "a label that is longer than its panel is wide": integrator_report(explodes, steps=(0.1, 0.05)),
             "balanced": integrator_report(rk4, MobileRobot.lecture(), steps=(0.1, 0.05, 0.01)),
@@ -264,13 +259,10 @@ class TestFigure:
                 box is not None and figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1 for box in boxes
             )
 
-    def test_what_is_not_a_report_is_refused(self, reports: dict[str, IntegratorReport]) -> None:
+    def test_what_is_not_a_report_is_refused(self, reports: Reports) -> None:
         for value, text in (
             ({}, "reports is {}, expected an IntegratorReport or a mapping of labels to IntegratorReports"),
-            (
-                [1],
-                "reports is [1], expected an IntegratorReport or a mapping of labels to IntegratorReports",
-            ),
+            ([1], "reports is [1], expected an IntegratorReport or a mapping of labels to IntegratorReports"),
             ({"a": 3}, "reports['a'] is 3, expected an IntegratorReport"),
             ({1: reports["rk4"]}, "a label of reports is 1, expected text without control characters"),
         ):

@@ -208,7 +208,7 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
             of_loop(forces=[pm.ViscousFriction([1000, 1000, 0])]),
             "needs steps of the integrator of at most 0.06 s, and they are 0.1 s: give a smaller",
             pm.Diverged,
-        ),
+        )
     ],
 }
 
@@ -240,13 +240,7 @@ def test_every_part_and_function_of_the_top_level_has_a_row() -> None:
     assert taken >= READ
 
 
-READ = {
-    "Loop",
-    "Ensemble",
-    "Reference",
-    "Rollout",
-    "Sweep",
-}
+READ = {"Loop", "Ensemble", "Reference", "Rollout", "Sweep"}
 """What the library makes and users read."""
 
 

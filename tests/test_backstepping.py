@@ -14,6 +14,7 @@ from pinmobile.parts import evolved
 from pinmobile.trajectories import LectureHeading
 from pinmobile.wheels import Coulomb, Motor, OdometryFeedback, Wheel, WheeledRobot, WheelTable
 from tests.parts import Eight
+from tests.refusals import begun, refusals, refused
 
 OFF = np.array([-0.3, 0.3, 0.5])
 BODY = pm.MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
@@ -120,9 +121,7 @@ def test_an_axle_that_is_not_at_the_origin_is_what_follows() -> None:
             )
 
     assert distance(run(robot, pm.Backstepping(pm.UnicycleTracking(), robot), Circling(), 10.0))[-1] < 1e-4
-    with pytest.raises(
-        pm.InvalidArgument, match=r"reference moves sideways, at -0\.00075 m/s across the .*, at t = 0\.01 s"
-    ):
+    with refused(r"reference moves sideways, at -0\.00075 m/s across the .*, at t = 0\.01 s"):
         run(robot, pm.Backstepping(pm.UnicycleTracking(), robot), EIGHT, 1.0)
 
 
@@ -155,9 +154,7 @@ def test_two_modules_steer_and_drive_along_a_pose(trajectory: Any) -> None:
     errors = np.abs(found.q[:, :3] - found.reference.q).max(axis=1)
     assert errors[1000:].max() < 3e-4
     assert errors[200] == pytest.approx(OFF[2] / 3 * np.exp(-4.0), rel=1.5)
-    with pytest.raises(
-        pm.InvalidArgument, match=r"type \(2, 0\) with 2 inputs, expected two modules that steer"
-    ):
+    with refused(r"type \(2, 0\) with 2 inputs, expected two modules that steer"):
         SwerveTracking(DIFFERENTIAL)
 
 
@@ -185,7 +182,7 @@ def test_arms_follow_beside_the_body() -> None:
     found = run(robot, pm.Backstepping(pm.UnicycleTracking(), robot), Both(), 8.0, 0.005)
     errors = np.abs(found.q[:, :9] - found.reference.q)
     assert errors[-1].max() < 2e-4
-    with pytest.raises(pm.InvalidArgument, match="reference has 3 coordinates, expected 9: x, y, psi"):
+    with refused("reference has 3 coordinates, expected 9: x, y, psi"):
         run(robot, pm.Backstepping(pm.UnicycleTracking(), robot), EIGHT, 1.0)
 
 
@@ -339,14 +336,12 @@ def test_a_reference_that_wheels_cannot_follow_is_refused_with_its_time() -> Non
         (LectureHeading(_Back()), "reference turns its heading by 3.14 rad at once at t = 1.01 s"),
     ):
         for controller in (ON_TWO, pm.ControlAllocation(pm.PD(60, 60), DIFFERENTIAL)):
-            with pytest.raises(pm.InvalidArgument, match=message):
+            with refused(message):
                 run(DIFFERENTIAL, controller, trajectory, 2.0)
     aside = pm.FixedHeading(EIGHT.path, 0.0)  # no matter for a drive that moves in every direction
     assert len(run(MECANUM, pm.ControlAllocation(pm.PD(60, 60), MECANUM), aside, 0.1)) > 1
     tight = pm.Tangent(Eight(1.0, 4 * np.pi))
-    with pytest.raises(
-        pm.InvalidArgument, match=r"are steered by 0\.\d+ rad at t = [\d.]+ s, expected at most 0\.698"
-    ):
+    with refused(r"are steered by 0\.\d+ rad at t = [\d.]+ s, expected at most 0\.698"):
         run(CAR, OF_CAR, tight, 4.0)
 
 
@@ -365,41 +360,32 @@ class _Back:
         return np.stack([x, 0 * t], axis=-1)
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (
-            lambda: pm.ComputedTorque(DIFFERENTIAL),
-            "robot is a drive of type (2, 0), which cannot accelerate in every direction, so no torques are "
-            "its inverse dynamics; expected an omnidirectional drive, or Backstepping(law, robot)",
-        ),
-        (
-            lambda: pm.Backstepping(pm.UnicycleTracking(), MECANUM),
-            "robot is a drive of type (3, 0), expected one with a fixed axle: for this one, "
-            "ComputedTorque(robot)",
-        ),
-        (lambda: pm.Backstepping(pm.PD(1, 1), DIFFERENTIAL), "law is PD("),
-        (lambda: pm.Backstepping(pm.UnicycleTracking(), BODY), "robot is MobileRobot("),
-        (lambda: pm.Backstepping(pm.UnicycleTracking(), DIFFERENTIAL, k=0), "k is 0.0 1/s, expected > 0"),
-        (lambda: pm.ControlAllocation(pm.PD(1, 1), BODY), "robot is MobileRobot("),
-        (
-            lambda: SwerveTracking(SUPPORTED),
-            "robot is WheelTable(",
-        ),
-        (lambda: pm.ControlAllocation(pm.UnicycleTracking(), DIFFERENTIAL), ""),
-        (lambda: Decoupled(MECANUM), "robot is WheeledRobot("),
-        (
-            lambda: pm.Backstepping(pm.UnicycleTracking(), _one_motor()),
-            "robot has 1 motors and 2 independent velocities, expected a motor for each",
-        ),
-        (lambda: OdometryFeedback(pm.PD(1, 1), BODY), "table is MobileRobot("),  # type: ignore[arg-type]
-        (lambda: OdometryFeedback(pm.PD(1, 1), DIFFERENTIAL.table, ticks=0), "ticks is 0.0, expected > 0"),
-    ],
+test_wrong_parts_are_refused_when_they_are_made = refusals(
+    (
+        lambda: pm.ComputedTorque(DIFFERENTIAL),
+        "robot is a drive of type (2, 0), which cannot accelerate in every direction, so no torques are "
+        "its inverse dynamics; expected an omnidirectional drive, or Backstepping(law, robot)",
+    ),
+    (
+        lambda: pm.Backstepping(pm.UnicycleTracking(), MECANUM),
+        "robot is a drive of type (3, 0), expected one with a fixed axle: for this one, "
+        "ComputedTorque(robot)",
+    ),
+    (lambda: pm.Backstepping(pm.PD(1, 1), DIFFERENTIAL), "law is PD("),
+    (lambda: pm.Backstepping(pm.UnicycleTracking(), BODY), "robot is MobileRobot("),
+    (lambda: pm.Backstepping(pm.UnicycleTracking(), DIFFERENTIAL, k=0), "k is 0.0 1/s, expected > 0"),
+    (lambda: pm.ControlAllocation(pm.PD(1, 1), BODY), "robot is MobileRobot("),
+    (lambda: SwerveTracking(SUPPORTED), "robot is WheelTable("),
+    (lambda: pm.ControlAllocation(pm.UnicycleTracking(), DIFFERENTIAL), ""),
+    (lambda: Decoupled(MECANUM), "robot is WheeledRobot("),
+    (
+        lambda: pm.Backstepping(pm.UnicycleTracking(), _one_motor()),
+        "robot has 1 motors and 2 independent velocities, expected a motor for each",
+    ),
+    (lambda: OdometryFeedback(pm.PD(1, 1), BODY), "table is MobileRobot("),  # type: ignore[arg-type]
+    (lambda: OdometryFeedback(pm.PD(1, 1), DIFFERENTIAL.table, ticks=0), "ticks is 0.0, expected > 0"),
+    by=begun,
 )
-def test_wrong_parts_are_refused_when_they_are_made(make: Any, message: str) -> None:
-    with pytest.raises(pm.InvalidArgument) as error:
-        make()
-    assert str(error.value).startswith(message)
 
 
 def _one_motor() -> WheeledRobot:
@@ -411,11 +397,11 @@ def _one_motor() -> WheeledRobot:
 def test_a_controller_of_forces_on_the_body_is_told_what_turns_them_into_torques(engine: Any) -> None:
     robot = DIFFERENTIAL
     circle = pm.Tangent(pm.Circle(radius=2, rate=0.5, duration=1.0))
-    with pytest.raises(pm.InvalidArgument, match=r"such as ControlAllocation\(controller, robot\) makes"):
+    with refused(r"such as ControlAllocation\(controller, robot\) makes"):
         pm.simulate(robot, pm.PD(100, 120), circle, dt=0.01, integrator=pm.rk4, engine=engine)
 
 
 def test_a_start_that_does_not_roll_may_be_one_at_rest() -> None:
     robot = DIFFERENTIAL
-    with pytest.raises(pm.InvalidArgument, match=r"left lateral slips at 1 m/s; .* v0 of zeros"):
+    with refused(r"left lateral slips at 1 m/s; .* v0 of zeros"):
         robot.check_start(robot.rest, [0.0, 1.0, 0.0, 0.0, 0.0])

@@ -279,10 +279,7 @@ def test_ensembles_are_right(bench: SimpleNamespace, module: str) -> None:
 
 @pytest.mark.parametrize(
     ("arm", "modules"),
-    [
-        ("UR5", ["of_pinmobile", "of_pinocchio", "of_mujoco"]),
-        ("panda", ["of_pinocchio", "of_mujoco"]),
-    ],
+    [("UR5", ["of_pinmobile", "of_pinocchio", "of_mujoco"]), ("panda", ["of_pinocchio", "of_mujoco"])],
 )
 def test_ensembles_of_arms_are_right(bench: SimpleNamespace, arm: str, modules: list[str]) -> None:
     for one in bench.arm_ensemble_contestants.ARMS[arm]:

@@ -33,10 +33,13 @@ SLIDE = """<robot name="slide"><link name="foot"/><link name="slider"><inertial>
 SHORT = ["trajectory.path.duration=6", "n=40"]
 
 
-def typed(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
-    code = main(words)
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
+Typed = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def typed(capsys: pytest.CaptureFixture[str]) -> Typed:
+    """Return what runs words and returns the exit code and what was printed."""
+    return lambda *words: (main(words), *capsys.readouterr())
 
 
 @pytest.fixture(scope="module")
@@ -129,17 +132,17 @@ def test_lecture_writes_every_figure_with_an_index_that_says_what_it_shows(lectu
 
 @pytest.mark.once
 def test_lecture_says_no_when_a_number_is_not_the_lectures(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(EXPECTED, ("circle", "PD"), ("7.481304e-03", "7.481287e-03"))
     monkeypatch.setattr("pinmobile.cli.lecture.draw", lambda *_: [])
-    code, out, _ = typed(capsys, "lecture", "--no-gif", "--out", str(tmp_path))
+    code, out, _ = typed("lecture", "--no-gif", "--out", str(tmp_path))
     assert code == 1
     assert "some numbers are NOT the lecture's: see the rows marked DIFFERS" in out
     assert out.count("  DIFFERS\n") == 1
 
 
-def test_verify_and_derive_take_robots(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_verify_and_derive_take_robots(typed: Typed, tmp_path: Path) -> None:
     path = tmp_path / "mine.urdf"
     path.write_text(pm.MobileRobot(7, 0.5, com=(0.1, 0)).to_urdf())
     for words in (
@@ -148,20 +151,20 @@ def test_verify_and_derive_take_robots(capsys: pytest.CaptureFixture[str], tmp_p
         ["ur5"],
         ["mecanum"],
     ):
-        code, out, _ = typed(capsys, "verify", *words, "--states", "3")
+        code, out, _ = typed("verify", *words, "--states", "3")
         assert code == 0
         assert "every route agrees" in out
     for words, text in (([], "Mass matrix"), (["car"], "n_nu ="), (["mecanum"], "Null space")):
-        code, out, _ = typed(capsys, "derive", *words)
+        code, out, _ = typed("derive", *words)
         assert (code, text in out) == (0, True)
-        assert "\\frac" in typed(capsys, "derive", *words, "--latex")[1] or not words
-    code, _, err = typed(capsys, "derive", "swerve")
+        assert "\\frac" in typed("derive", *words, "--latex")[1] or not words
+    code, _, err = typed("derive", "swerve")
     assert (code, err[:45]) == (2, "pinmobile: robot has wheels of type (1, 2), e")
 
 
-def test_run_is_the_lectures_circle_by_default(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_run_is_the_lectures_circle_by_default(typed: Typed, tmp_path: Path) -> None:
     out = tmp_path / "a" / "b"
-    code, text, _ = typed(capsys, "run", "--out", str(out), "--film", str(tmp_path / "a" / "see.html"))
+    code, text, _ = typed("run", "--out", str(out), "--film", str(tmp_path / "a" / "see.html"))
     assert code == 0
     assert "largest error: x 3.491279e-05 m, y 3.491278e-05 m" in text
     assert f"open {out / 'index.html'}\nsee it move: open {tmp_path / 'a' / 'see.html'}\n" in text
@@ -176,11 +179,9 @@ def test_run_is_the_lectures_circle_by_default(capsys: pytest.CaptureFixture[str
 FIGURES = "path", "states", "errors", "forces", "balance"
 
 
-def test_run_draws_what_wheels_do_and_prints_metrics(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_run_draws_what_wheels_do_and_prints_metrics(typed: Typed, tmp_path: Path) -> None:
     words = "skid-steer", "duration=0.1", "controller.robot.robot.mass=40", "--film", str(tmp_path / "a.gif")
-    code, out, _ = typed(capsys, "run", *words, "--out", str(tmp_path))
+    code, out, _ = typed("run", *words, "--out", str(tmp_path))
     assert code == 0
     assert re.search(r"^smallest load \[N\]: \d+", out, re.MULTILINE)
     assert re.search(r"^largest slip \[m/s\]: 0\.\d+", out, re.MULTILINE)
@@ -188,11 +189,9 @@ def test_run_draws_what_wheels_do_and_prints_metrics(
     assert {"a.gif", "wheel_torques.png", "friction.png", "slip.png", "loads.png"} < names
 
 
-def test_a_run_that_diverges_keeps_what_came_before(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_run_that_diverges_keeps_what_came_before(typed: Typed, tmp_path: Path) -> None:
     words = "controller=PD((120, 120, 0.4), (120, 120, 0.4))", "robot.com=[0.1, 0.05]"
-    code, out, err = typed(capsys, "run", *words, "--out", str(tmp_path))
+    code, out, err = typed("run", *words, "--out", str(tmp_path))
     assert code == 1
     assert err.startswith("pinmobile: the loop diverged at t = ")
     assert err.count("\n") == 1
@@ -220,11 +219,9 @@ def test_a_run_that_diverges_keeps_what_came_before(
         ("lectur", "No such command"),
     ],
 )
-def test_wrong_words_are_answered_in_a_line_each(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: str, text: str
-) -> None:
+def test_wrong_words_are_answered_in_a_line_each(typed: Typed, tmp_path: Path, words: str, text: str) -> None:
     out = ["--out", str(tmp_path)] if words.split()[0] in ("run", "ensemble") else []
-    code, _, err = typed(capsys, *words.split(), *out)
+    code, _, err = typed(*words.split(), *out)
     assert (code, text in err) == (2, True), err
     assert all(line.startswith("pinmobile: ") for line in err.splitlines())
     assert err.count("\n") == 1 + ("kd=b" in words)
@@ -232,18 +229,18 @@ def test_wrong_words_are_answered_in_a_line_each(
 
 @pytest.mark.parametrize("command", ["lecture", "run"])
 def test_an_output_folder_that_cannot_be_written_is_refused_before_any_work(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str
+    typed: Typed, tmp_path: Path, command: str
 ) -> None:
     (tmp_path / "file").write_text("")
-    code, out, err = typed(capsys, command, "--out", str(tmp_path / "file" / "out"))
+    code, out, err = typed(command, "--out", str(tmp_path / "file" / "out"))
     assert code == 2
     assert "which cannot be written to" in err
     assert out == ""
 
 
-def test_help_teaches_and_loads_no_library(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_teaches_and_loads_no_library(typed: Typed) -> None:
     for words in ([], ["--help"]):
-        code, out, _ = typed(capsys, *words)
+        code, out, _ = typed(*words)
         assert code == 0
         assert "pinmobile write > mine.toml" in " ".join(out.split())
         for verb in [
@@ -259,13 +256,13 @@ def test_help_teaches_and_loads_no_library(capsys: pytest.CaptureFixture[str]) -
             "lecture",
         ]:
             assert f"\n  {verb} " in out
-            assert "Example: pinmobile " in typed(capsys, verb, "--help")[1] or verb == "lecture"
+            assert "Example: pinmobile " in typed(verb, "--help")[1] or verb == "lecture"
     text = "import sys; from pinmobile.cli import main; main(['run', '--help']); print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
     assert not {"numpy", "pinocchio"} & set(done.stdout.split())
 
 
-def test_parts_are_listed_from_their_declarations(capsys: pytest.CaptureFixture[str]) -> None:
+def test_parts_are_listed_from_their_declarations(typed: Typed) -> None:
     for words, text in (
         ([], "\n  ComputedTorque       Computed torque, tau = M(q)"),
         (["Circle"], "radius           radius of the circle; a number > 0 [m]\n"),
@@ -274,16 +271,16 @@ def test_parts_are_listed_from_their_declarations(capsys: pytest.CaptureFixture[
         (["MobileRobot"], "MobileRobot.from_urdf, "),
         (["--schema"], '"exclusiveMinimum": 0.0'),
     ):
-        code, out, _ = typed(capsys, "parts", *words)
+        code, out, _ = typed("parts", *words)
         assert (code, text in out) == (0, True), words
 
 
-def test_write_prints_a_file_to_begin_with(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    code, text, _ = typed(capsys, "write", "lecture", "controller.kp=9")
+def test_write_prints_a_file_to_begin_with(typed: Typed, tmp_path: Path) -> None:
+    code, text, _ = typed("write", "lecture", "controller.kp=9")
     assert code == 0
     assert "\nkp = 9.0  # proportional gain: a number, or numbers of shape (n,) or (n, n) [1/s^2]\n" in text
     (tmp_path / "mine.toml").write_text(text)
-    assert typed(capsys, "write", str(tmp_path / "mine.toml")) == (0, text, "")
+    assert typed("write", str(tmp_path / "mine.toml")) == (0, text, "")
 
 
 @pytest.mark.parametrize(
@@ -301,7 +298,7 @@ def test_words_are_completed(word: str, expected: list[str]) -> None:
 
 
 def test_films_are_refused_before_anything_runs_and_told_frame_by_frame(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    typed: Typed, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     pytest.importorskip("imageio_ffmpeg", reason="needs the extra mp4")
 
@@ -313,21 +310,21 @@ def test_films_are_refused_before_anything_runs_and_told_frame_by_frame(
     words = "run", "--film", str(tmp_path / "film.mp4"), "--out", str(tmp_path)
     monkeypatch.setattr("pinmobile.viewer.Recording.save_mp4", save)
     monkeypatch.setenv("PINMOBILE_CHROMIUM", sys.executable)  # any program: none is started
-    assert typed(capsys, *words)[0] == 0
+    assert typed(*words)[0] == 0
     assert (tmp_path / "film.mp4").read_bytes() == b"film"
     monkeypatch.setenv("PINMOBILE_CHROMIUM", "no-such-program")
     monkeypatch.setattr("pinmobile.cli.results.Opened", None)
-    code, _, err = typed(capsys, *words)
+    code, _, err = typed(*words)
     assert (code, err) == (2, "pinmobile: PINMOBILE_CHROMIUM is 'no-such-program', which is no program\n")
 
 
-def test_an_ensemble_is_printed_and_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_an_ensemble_is_printed_and_drawn(typed: Typed, tmp_path: Path) -> None:
     words = ["ensemble", "spread.robot.mass=Relative(Uniform(0.8, 1.2))", "spread.start.x=Normal(0, 0.01)"]
-    code, out, err = typed(capsys, *words, *SHORT, "after=4", "--out", str(tmp_path))
+    code, out, err = typed(*words, *SHORT, "after=4", "--out", str(tmp_path))
     assert (code, err) == (0, "")
     assert "40 robots over 6 s: from 4 s on 99 % stay within " in out
     assert {path.name for path in tmp_path.iterdir()} == {"index.html", "bands.png", "drivers.png"}
-    assert "all robots are alike" in typed(capsys, "ensemble", *SHORT, "--out", str(tmp_path))[1]
+    assert "all robots are alike" in typed("ensemble", *SHORT, "--out", str(tmp_path))[1]
 
 
 SWEPT = """
@@ -350,7 +347,7 @@ def swept(tmp_path: Path) -> list[str]:
 
 
 def test_a_sweep_is_printed_drawn_and_kept(
-    capsys: pytest.CaptureFixture[str], swept: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    typed: Typed, swept: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn: list[Any] = []
 
@@ -359,46 +356,42 @@ def test_a_sweep_is_printed_drawn_and_kept(
         return Figure()
 
     monkeypatch.setattr(plots, "curves", curves)
-    code, out, _ = typed(capsys, *swept)
+    code, out, _ = typed(*swept)
     assert code == 0
     assert "robot.com.x [m]" in out
     assert "PD stays within " in out
     assert dict(pm.Sweep.open(tmp_path / "out" / "sweep.zarr").dataset.sizes)["robot.com.x"] == 3
     assert drawn[0][:2] == (["PD", "computed torque"], [3, 3])
     assert drawn[0][2] == ("robot.com.x", "m", [0.0, 0.01, 0.02])
-    assert typed(capsys, *swept)[:2] == (0, out)  # from the store
+    assert typed(*swept)[:2] == (0, out)  # from the store
 
 
-def test_a_sweep_of_two_numbers_is_drawn_as_maps(
-    capsys: pytest.CaptureFixture[str], swept: list[str], tmp_path: Path
-) -> None:
-    assert typed(capsys, *swept, "grid.trajectory.path.rate=[0.05, 0.1]")[0] == 0
+def test_a_sweep_of_two_numbers_is_drawn_as_maps(typed: Typed, swept: list[str], tmp_path: Path) -> None:
+    assert typed(*swept, "grid.trajectory.path.rate=[0.05, 0.1]")[0] == 0
     assert (tmp_path / "out" / "index.html").read_text().count("<img") == 2
 
 
 def test_an_interrupted_sweep_says_how_to_go_on(
-    capsys: pytest.CaptureFixture[str], swept: list[str], monkeypatch: pytest.MonkeyPatch
+    typed: Typed, swept: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("pinmobile.cli.results.run_points", interrupt)
-    code, _, err = typed(capsys, *swept)
+    code, _, err = typed(*swept)
     assert (code, err) == (130, "pinmobile: interrupted: the same command goes on where it was\n")
 
 
-def test_version(capsys: pytest.CaptureFixture[str]) -> None:
-    assert typed(capsys, "--version")[:2] == (0, f"pinmobile {pinmobile.__version__}\n")
+def test_version(typed: Typed) -> None:
+    assert typed("--version")[:2] == (0, f"pinmobile {pinmobile.__version__}\n")
 
 
-def test_an_interrupt_ends_quietly(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupt_ends_quietly(typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("pinmobile.cli.lecture.show_lecture", interrupt)
-    code, _, err = typed(capsys, "lecture")
+    code, _, err = typed("lecture")
     assert (code, err) == (130, "pinmobile: interrupted\n")
 
 
@@ -411,11 +404,11 @@ def test_an_interrupt_ends_quietly(
     ],
 )
 def test_a_full_disk_is_told_in_one_line_that_names_the_file(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: str, file: str
+    typed: Typed, tmp_path: Path, words: str, file: str
 ) -> None:
     (tmp_path / file).write_bytes(b"good")
     with full_disk(5000):
-        code, _, err = typed(capsys, *words.replace("OUT", str(tmp_path)).split())
+        code, _, err = typed(*words.replace("OUT", str(tmp_path)).split())
     assert code == 1
     assert err == (f"pinmobile: path is {str(tmp_path / file)!r}, which cannot be written: File too large\n")
     assert [(each.name, each.read_bytes()) for each in tmp_path.iterdir()] == [(file, b"good")]
@@ -450,16 +443,14 @@ def test_a_console_behind_which_the_disk_is_full_is_told_in_one_line() -> None:
     assert done.stderr == b"pinmobile: the output cannot be written: [Errno 28] No space left on device\n"
 
 
-def test_view_says_why_it_does_not_know_the_robot_of_a_file(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_view_says_why_it_does_not_know_the_robot_of_a_file(typed: Typed, tmp_path: Path) -> None:
     urdf, file = tmp_path / "slide.urdf", tmp_path / "run.npz"
     urdf.write_text(SLIDE)
     robot = pm.MobileRobot.box().mount(urdf)
     motion = pm.WholeBody(robot, pm.FixedHeading(pm.Circle(1, 0.1, 1), 0), None)
     pm.simulate(robot, pm.ComputedTorque(robot), motion, dt=0.5).save(file)
     urdf.unlink()
-    code, out, err = typed(capsys, "view", str(file))
+    code, out, err = typed("view", str(file))
     assert (code, out) == (2, "")
     said = "does not know its robot: arm is '.*slide.urdf', which cannot be read"
     assert re.search(rf"^pinmobile: '.*run.npz' {said}", err)
@@ -487,15 +478,13 @@ def estimate(name: str, told: str) -> float:
 
 
 @pytest.mark.once
-def test_identify_prints_the_table_and_draws_the_prediction(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_identify_prints_the_table_and_draws_the_prediction(typed: Typed, tmp_path: Path) -> None:
     table, out = rows(), tmp_path / "figures"
     first, second = (
         written(tmp_path / f"{k}.csv", each) for k, each in enumerate((table[:700], table[760:]))
     )
     words = [first, second, "robot=MobileRobot(30, 1.5)", "method=weak", "delay=0", "--out", str(out)]
-    code, told, err = typed(capsys, "identify", *words)
+    code, told, err = typed("identify", *words)
     assert (code, err) == (0, "")
     assert estimate("mass", told) == pytest.approx(32, abs=1)
     assert "2141 samples at 50 Hz, 0 dropped" in told
@@ -503,23 +492,19 @@ def test_identify_prints_the_table_and_draws_the_prediction(
     assert (out / "1.png").stat().st_size > 20_000
 
 
-def test_identify_takes_commands_and_columns_of_other_names(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_identify_takes_commands_and_columns_of_other_names(typed: Typed, tmp_path: Path) -> None:
     path = written(tmp_path / "run.csv", rows(logged(pose=True)), "stamp,px,py,angle [rad],v,w")
     words = "identify", path, "columns.q=px,py,angle", "columns.u=v,w", "--out", str(tmp_path)
-    code, told, _ = typed(capsys, *words)
+    code, told, _ = typed(*words)
     assert code == 0
     assert re.search(r"^theta_6 +1\.0\d+", told, re.MULTILINE)
-    code, _, err = typed(capsys, *words, "rolling_speed=0.1")
+    code, _, err = typed(*words, "rolling_speed=0.1")
     said = "rolling_speed does not apply to a log of commands of speed and yaw rate"
     assert (code, err) == (2, f"pinmobile: {said}\n")
 
 
 @pytest.mark.once
-def test_a_twist_of_two_columns_is_speed_and_yaw_rate(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_twist_of_two_columns_is_speed_and_yaw_rate(typed: Typed, tmp_path: Path) -> None:
     read = rolled(False)
     assert read.wheel_rates is not None
     left, right = read.wheel_rates.T
@@ -527,15 +512,13 @@ def test_a_twist_of_two_columns_is_speed_and_yaw_rate(
     head = f"{HEAD[:9]},u_left [V],u_right [V],speed,turning"
     path = written(tmp_path / "run.csv", np.column_stack([rows(read), twist]), head)
     words = [path, WHEELS, "method=weak", "columns.q=x,y,psi", "columns.twist=speed,turning"]
-    code, told, err = typed(capsys, "identify", *words, "rolling_speed=0.2", "--out", str(tmp_path))
+    code, told, err = typed("identify", *words, "rolling_speed=0.2", "--out", str(tmp_path))
     assert (code, err) == (0, "")
     assert estimate("mass", told) > 0
 
 
 @pytest.mark.once
-def test_volts_of_wheels_give_the_robot_and_loads_the_scale(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_volts_of_wheels_give_the_robot_and_loads_the_scale(typed: Typed, tmp_path: Path) -> None:
     paths = []
     for k in range(2):
         read = rolled(bool(k))
@@ -545,15 +528,13 @@ def test_volts_of_wheels_give_the_robot_and_loads_the_scale(
         )
     words = [WHEELS, "method=weak", "--out", str(tmp_path)]
     load = 'loads=["none", "PayloadBody(8, (0.1, 0.05, 0), (0.0533, 0.0533, 0.0533, 0, 0, 0))"]'
-    code, told, err = typed(capsys, "identify", *paths, load, *words)
+    code, told, err = typed("identify", *paths, load, *words)
     assert (code, err) == (0, "")
     assert estimate("input_scale", told) == pytest.approx(1.0, abs=0.02)
 
 
 @pytest.mark.once
-def test_wheels_of_a_urdf_are_kept_where_the_log_says_nothing(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_wheels_of_a_urdf_are_kept_where_the_log_says_nothing(typed: Typed, tmp_path: Path) -> None:
     t, noise = 0.02 * np.arange(1500), np.random.default_rng(1).normal(0, 1e-3, (1500, 3))
     u = -0.0256 * np.sin(t)  # of 1.55 kg on wheels of 33 mm
     q = np.column_stack([np.sin(t), 0 * t, 0 * t]) + noise
@@ -561,7 +542,7 @@ def test_wheels_of_a_urdf_are_kept_where_the_log_says_nothing(
     urdf = tmp_path / "waffle.urdf"
     urdf.write_text(wheeled.turtlebot("waffle").replace("${namespace}", ""))
     robot = f"robot=WheeledRobot.from_urdf({str(urdf)!r})"
-    code, told, err = typed(capsys, "identify", path, robot, "method=weak", "--out", str(tmp_path))
+    code, told, err = typed("identify", path, robot, "method=weak", "--out", str(tmp_path))
     assert (code, err) == (0, "")
     assert "the motion does not tell" in told
 
@@ -589,10 +570,10 @@ def reverse(table: Any) -> Any:
     ],
 )
 def test_a_bad_log_is_answered_in_one_line(
-    change: Callable[[Any], Any], words: str, text: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    change: Callable[[Any], Any], words: str, text: str, typed: Typed, tmp_path: Path
 ) -> None:
     path = written(tmp_path / "run.csv", change(rows()))
-    code, told, err = typed(capsys, "identify", path, *words.split(), "--out", str(tmp_path))
+    code, told, err = typed("identify", path, *words.split(), "--out", str(tmp_path))
     assert (code, told.strip()) == (2, "")
     assert re.fullmatch(rf"pinmobile: LOG is '\S+run\.csv': {text}\n", err), err
 
@@ -614,11 +595,11 @@ def test_a_bad_log_is_answered_in_one_line(
     ],
 )
 def test_words_about_no_log_are_answered_in_one_line(
-    words: str, message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    words: str, message: str, typed: Typed, tmp_path: Path
 ) -> None:
     written(tmp_path / "run.csv", rows())
     told = [str(tmp_path / word) if word.endswith(".csv") else word for word in words.split()]
-    code, _, err = typed(capsys, "identify", *told, "--out", str(tmp_path))
+    code, _, err = typed("identify", *told, "--out", str(tmp_path))
     assert code == 2
     assert re.fullmatch(f"pinmobile: ({message})\n", err), err
 

@@ -115,10 +115,7 @@ def general_parameters(bodies: Sequence[Any | None]) -> dict[str, float]:
 
 
 def assert_same_as_pinocchio(
-    derivation: Derivation,
-    bodies: Sequence[Any | None],
-    gravity: Sequence[float],
-    rng: np.random.Generator,
+    derivation: Derivation, bodies: Sequence[Any | None], gravity: Sequence[float], rng: np.random.Generator
 ) -> None:
     params = general_parameters(bodies)
     model = pinocchio_model(derivation.chain.table, bodies, gravity)

@@ -1,7 +1,6 @@
 """Orientations along a path of poses, and an end effector in rollouts, figures and the viewer."""
 
 import pickle
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from pinmobile.errors import UnknownName
 from pinmobile.loop import EndEffector
 from pinmobile.reaching import InverseKinematicsTrajectory, pose_error
 from pinmobile.viewer import Overlays, Viewer
+from tests.refusals import refusals, refused
 from tests.test_viewer import tracks
 
 ROBOT = pm.MobileRobot.box(100, (0.8, 0.6, 0.3)).mount("ur5", (0.1, 0, 0.3, 0))
@@ -90,62 +90,38 @@ R0, R1 = np.eye(3), turned(("x", 0.4))
 TWO = poses([R0, R1], [(0, 0, 0), (1, 0, 0)])
 
 
-@pytest.mark.parametrize(
-    ("make", "text"),
-    [
-        (
-            lambda: pm.PosePath.through(TWO),
-            r"times is not given, expected when each pose shall be reached",
-        ),
-        (
-            lambda: pm.PosePath.through(TWO, [0]),
-            r"times has shape \(1,\), expected \(2,\), one for each pose",
-        ),
-        (
-            lambda: pm.PosePath.through([*TWO, TWO[0]], [0, 1, 1]),
-            r"times\[2\] is 1\.0 s after 1\.0 s, expected more",
-        ),
-        (lambda: pm.PosePath.through(TWO, [1, 2]), r"times\[0\] is 1\.0 s, expected 0"),
-        (lambda: pm.PosePath.through(TWO, [0, -1]), r"times\[1\] is -1\.0 s after 0\.0 s, expected more"),
-        (
-            lambda: pm.PosePath.through(TWO[:1], [0]),
-            r"poses has shape \(1, 4, 4\), expected \(n, 4, 4\), n >= 2",
-        ),
-        (lambda: pm.PosePath.through(2 * TWO, [0, 1]), r"poses has last rows off by 1"),
-        (
-            lambda: pm.PosePath.through(poses([R0, turned(("z", np.pi))], [(0, 0, 0)] * 2), [0, 1]),
-            r"rotation\[1\] is half a turn from rotation\[0\], expected less",
-        ),
-        (lambda: pm.PosePath(STAYS, [R0, R1]), r"times is not given, expected when each pose"),
-        (
-            lambda: pm.PosePath(STAYS, [R0, R1], times=[0, 5]),
-            r"times goes from 0 to 5 s, expected from 0 to 6 s",
-        ),
-        (
-            lambda: pm.PosePath(STAYS, [R0, R1, R0], times=[0, 6, 6]),
-            r"times\[2\] is 6\.0 s after 6\.0 s, expected more",
-        ),
-        (
-            lambda: pm.PosePath(STAYS, [R0, R1], times=[0]),
-            r"times has shape \(1,\), expected \(2,\), one for each",
-        ),
-        (lambda: pm.PosePath(STAYS, [R0, 2 * R1], times=[0, 6]), r"rotation\[1\] has R' R off by 3"),
-        (
-            lambda: pm.PosePath(STAYS, R0, times=[0, 6]),
-            r"times is given with one rotation, expected n of them",
-        ),
-        (
-            lambda: pm.PosePath(STAYS, R0, R1, turn=(0, 0, 1)),
-            r"final_rotation and turn are given, expected one",
-        ),
-        (lambda: pm.PosePath(STAYS, turn=(0, 0, 1)), r"turn is given without rotation, expected both"),
-        (lambda: pm.PosePath(STAYS, R0, turn=3.0), r"turn has shape \(\), expected \(3,\): axis times angle"),
-        (lambda: pm.PosePath(STAYS, np.ones((2, 2, 2)), times=[0, 6]), r"rotation has shape \(2, 2, 2\)"),
-    ],
+test_poses_that_make_no_path_are_refused = refusals(
+    (lambda: pm.PosePath.through(TWO), r"times is not given, expected when each pose shall be reached"),
+    (lambda: pm.PosePath.through(TWO, [0]), r"times has shape \(1,\), expected \(2,\), one for each pose"),
+    (
+        lambda: pm.PosePath.through([*TWO, TWO[0]], [0, 1, 1]),
+        r"times\[2\] is 1\.0 s after 1\.0 s, expected more",
+    ),
+    (lambda: pm.PosePath.through(TWO, [1, 2]), r"times\[0\] is 1\.0 s, expected 0"),
+    (lambda: pm.PosePath.through(TWO, [0, -1]), r"times\[1\] is -1\.0 s after 0\.0 s, expected more"),
+    (lambda: pm.PosePath.through(TWO[:1], [0]), r"poses has shape \(1, 4, 4\), expected \(n, 4, 4\), n >= 2"),
+    (lambda: pm.PosePath.through(2 * TWO, [0, 1]), r"poses has last rows off by 1"),
+    (
+        lambda: pm.PosePath.through(poses([R0, turned(("z", np.pi))], [(0, 0, 0)] * 2), [0, 1]),
+        r"rotation\[1\] is half a turn from rotation\[0\], expected less",
+    ),
+    (lambda: pm.PosePath(STAYS, [R0, R1]), r"times is not given, expected when each pose"),
+    (lambda: pm.PosePath(STAYS, [R0, R1], times=[0, 5]), r"times goes from 0 to 5 s, expected from 0 to 6 s"),
+    (
+        lambda: pm.PosePath(STAYS, [R0, R1, R0], times=[0, 6, 6]),
+        r"times\[2\] is 6\.0 s after 6\.0 s, expected more",
+    ),
+    (
+        lambda: pm.PosePath(STAYS, [R0, R1], times=[0]),
+        r"times has shape \(1,\), expected \(2,\), one for each",
+    ),
+    (lambda: pm.PosePath(STAYS, [R0, 2 * R1], times=[0, 6]), r"rotation\[1\] has R' R off by 3"),
+    (lambda: pm.PosePath(STAYS, R0, times=[0, 6]), r"times is given with one rotation, expected n of them"),
+    (lambda: pm.PosePath(STAYS, R0, R1, turn=(0, 0, 1)), r"final_rotation and turn are given, expected one"),
+    (lambda: pm.PosePath(STAYS, turn=(0, 0, 1)), r"turn is given without rotation, expected both"),
+    (lambda: pm.PosePath(STAYS, R0, turn=3.0), r"turn has shape \(\), expected \(3,\): axis times angle"),
+    (lambda: pm.PosePath(STAYS, np.ones((2, 2, 2)), times=[0, 6]), r"rotation has shape \(2, 2, 2\)"),
 )
-def test_poses_that_make_no_path_are_refused(make: Callable[[], object], text: str) -> None:
-    with pytest.raises(pm.InvalidArgument, match=text):
-        make()
 
 
 def test_a_path_through_poses_is_followed_all_the_way_round() -> None:
@@ -249,15 +225,13 @@ def test_what_has_no_target_or_no_frames_says_so(run: pm.Rollout) -> None:
     hand = base.end_effector()
     assert hand.target is None
     assert "without target" in repr(hand)
-    with pytest.raises(pm.InvalidArgument, match="end effector 'ur5/tool0' has no target, expected a run of"):
+    with refused("end effector 'ur5/tool0' has no target, expected a run of"):
         _ = hand.error
     with pytest.raises(
         UnknownName, match=r"unknown frame 'tool', did you mean .* available: .*ur5/wrist_3_link"
     ):
         run.end_effector("tool")
-    with pytest.raises(
-        pm.InvalidArgument, match="does not tell where its frames are, expected a MobileRobot"
-    ):
+    with refused("does not tell where its frames are, expected a MobileRobot"):
         replace(run, plant=None, signals={}).end_effector()
 
 
@@ -286,7 +260,7 @@ def test_signals_of_all_samples_at_once_are_checked() -> None:
         ({"a": ("m", np.zeros(2))}, r"Told.signals_at\['a'\] has shape \(2,\), expected \(3,\) or \(3, k\)"),
         ({"a": ("m", ["x"])}, r"Told.signals_at\['a'\]"),
     ):
-        with pytest.raises(pm.InvalidArgument, match=text):
+        with refused(text):
             pm.simulate(box, pm.ComputedTorque(box, 1, 1), Told(answer), dt=0.05)
     told = Told({"a": ("m", [1.0, 2.0, 3.0])})
     run = pm.simulate(box, pm.ComputedTorque(box, 1, 1), told, dt=0.05)
@@ -334,11 +308,11 @@ def test_the_figure_has_path_height_and_both_errors(run: pm.Rollout) -> None:
         ({"ax": grid[0, 0]}, "ax is one Axes, expected 4, one for each panel, or a figure"),
         ({"ax": sheet, "width": 3.0}, "width is 3.0, with ax, whose figure has a width"),
     ):
-        with pytest.raises(pm.InvalidArgument, match=text):
+        with refused(text):
             plots.end_effector(run, **options)
     with pytest.raises(UnknownName, match="unknown frame 'hand'"):
         plots.end_effector(run, frame="hand")
-    with pytest.raises(pm.InvalidArgument, match=r"rollouts\['a'\].plant is None, which does not tell"):
+    with refused(r"rollouts\['a'\].plant is None, which does not tell"):
         plots.end_effector({"a": replace(run, plant=None, signals={})})
 
 

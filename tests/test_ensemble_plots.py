@@ -30,6 +30,9 @@ SPREAD: dict[str, Any] = {
 }
 
 
+Pair = dict[str, pm.Ensemble]
+
+
 def run(controller: Any, spread: dict[str, Any], n: int = 300, duration: float = 20.0) -> pm.Ensemble:
     circle = pm.Tangent(pm.Circle(3, 0.1, duration))
     wind = [pm.ConstantForce((0, 0, 0))]
@@ -39,7 +42,7 @@ def run(controller: Any, spread: dict[str, Any], n: int = 300, duration: float =
 
 
 @pytest.fixture(scope="module")
-def pair() -> dict[str, pm.Ensemble]:
+def pair() -> Pair:
     return {"PD": run(pm.PD([120, 120, 5.2], [120, 120, 5.2]), SPREAD), "computed torque": run(TRUE, SPREAD)}
 
 
@@ -82,7 +85,7 @@ def apart(figure: Figure) -> None:
 
 
 class TestBands:
-    def test_lines_are_the_quantiles_and_bands_lie_between_them(self, pair: dict[str, pm.Ensemble]) -> None:
+    def test_lines_are_the_quantiles_and_bands_lie_between_them(self, pair: Pair) -> None:
         levels = (0.5, 0.9, 0.99)
         for row, attribute in zip(rows(plots.bands(pair), 2), ("distance", "heading"), strict=True):
             for axes, made in zip(row, pair.values(), strict=True):
@@ -108,7 +111,7 @@ class TestBands:
         assert np.asarray(line.get_ydata())[0] == pytest.approx(1e3 * made.bands(0.99).distance[0, 0])
         assert np.asarray(line.get_ydata())[0] > 100 * 1e3 * made.error_quantile().distance
 
-    def test_controllers_share_their_axes(self, pair: dict[str, pm.Ensemble]) -> None:
+    def test_controllers_share_their_axes(self, pair: Pair) -> None:
         for row, unit in zip(rows(plots.bands(pair), 2), ("[mm]", "[mrad]"), strict=True):
             assert row[0].get_ylim() == row[1].get_ylim()
             assert row[0].get_ylabel().endswith(unit)
@@ -116,7 +119,7 @@ class TestBands:
             assert row[0].get_ylim()[0] == 0
         assert [axes.get_xlabel() for axes in rows(plots.bands(pair), 2)[1]] == ["t [s]"] * 2
 
-    def test_errors_that_differ_by_orders_have_logarithmic_axes(self, pair: dict[str, pm.Ensemble]) -> None:
+    def test_errors_that_differ_by_orders_have_logarithmic_axes(self, pair: Pair) -> None:
         exact = run(TRUE, {"mass": pm.Uniform(24, 36), "controller.mass": pm.SameAs("mass")}, n=50)
         distance, heading = (row[0] for row in rows(plots.bands({"PD": pair["PD"], "exact": exact}), 2))
         assert distance.get_yscale() == "log"
@@ -137,7 +140,7 @@ class TestBands:
         assert np.asarray(axes.lines[0].get_ydata()).min() < low
         assert 1e8 < high / low < 1e10
 
-    def test_words_say_who_stays_within_what(self, pair: dict[str, pm.Ensemble]) -> None:
+    def test_words_say_who_stays_within_what(self, pair: Pair) -> None:
         top, low = rows(plots.bands(pair), 2)
         assert top[0].get_title(loc="left") == "99 % stay within 9.2 mm throughout"
         assert pair["PD"].error_quantile(0.99).distance == pytest.approx(9.2e-3, rel=0.01)
@@ -145,7 +148,7 @@ class TestBands:
         assert [note.get_text() for note in top[1].texts] == ["none of 300 diverged", "computed torque"]
         assert texts(plots.bands(pair)) == ["50 %", "90 %", "99 % of 300 robots"]
 
-    def test_a_single_ensemble_and_other_levels(self, pair: dict[str, pm.Ensemble]) -> None:
+    def test_a_single_ensemble_and_other_levels(self, pair: Pair) -> None:
         figure = plots.bands(pair["PD"], levels=(0.999, 0.25))
         assert len(figure.axes) == 2
         assert texts(figure) == ["25 %", "99.9 % of 300 robots"]
@@ -165,7 +168,7 @@ class TestBands:
         assert median[-1] < axes.get_ylim()[1] < outermost[-1]
         assert np.isinf(diverging.bands(0.99).distance[0, -1])
 
-    def test_bad_arguments(self, pair: dict[str, pm.Ensemble]) -> None:
+    def test_bad_arguments(self, pair: Pair) -> None:
         bands: Any = plots.bands
         with pytest.raises(pm.InvalidArgument, match=r"^ensembles\['a'\] is 3, expected an Ensemble$"):
             bands({"a": 3})
@@ -304,21 +307,21 @@ class TestCurves:
 
 
 class TestDrivers:
-    def test_the_title_names_what_drives_the_worst(self, pair: dict[str, pm.Ensemble]) -> None:
+    def test_the_title_names_what_drives_the_worst(self, pair: Pair) -> None:
         made = pair["computed torque"]
         assert plots.drivers(made).texts[0].get_text() == "mass drives the worst 5 % most, then force.x"
         title = plots.drivers(pair["PD"], share=0.2).texts[0].get_text()
         assert title == "mass drives the worst 20 % most"
         assert plots.drivers(made, title="Circle").texts[0].get_text() == "Circle"
 
-    def test_the_most_different_comes_first(self, pair: dict[str, pm.Ensemble]) -> None:
+    def test_the_most_different_comes_first(self, pair: Pair) -> None:
         *panels, scatter = plots.drivers(pair["computed torque"]).axes
         assert [axes.get_xlabel() for axes in panels] == ["mass [kg]", "force.x [N]", "com.x [m]"]
         assert scatter.get_xlabel() == "mass [kg]"
         assert scatter.get_ylabel() == "largest distance from the desired position [mm]"
         assert panels[2].get_title(loc="left") == "plays no part"
 
-    def test_words_say_where_the_worst_are(self, pair: dict[str, pm.Ensemble]) -> None:
+    def test_words_say_where_the_worst_are(self, pair: Pair) -> None:
         for label, outside in (("computed torque", True), ("PD", False)):
             made = pair[label]
             worst = worst_share(made, 0.1)
@@ -331,7 +334,7 @@ class TestDrivers:
             assert title == f"{first.place}:\n{shares[0]} of the worst, {shares[1]} of the others"
         assert first.place == f"above {first.low:.3g} kg"
 
-    def test_where_the_worst_are_is_shaded(self, pair: dict[str, pm.Ensemble]) -> None:
+    def test_where_the_worst_are_is_shaded(self, pair: Pair) -> None:
         for label in pair:
             made = pair[label]
             first = causes(made, worst_share(made, 0.1))[0]
@@ -341,7 +344,7 @@ class TestDrivers:
             found = [(p.get_x(), p.get_x() + p.get_width()) for p in shaded if isinstance(p, Rectangle)]
             np.testing.assert_allclose(found, places)
 
-    def test_the_dots_are_the_robots(self, pair: dict[str, pm.Ensemble]) -> None:
+    def test_the_dots_are_the_robots(self, pair: Pair) -> None:
         made = pair["computed torque"]
         scatter = plots.drivers(made, share=0.1).axes[-1]
         dots = np.concatenate([np.asarray(line.get_xydata()) for line in scatter.lines])
@@ -397,11 +400,11 @@ class TestDrivers:
         assert figure.texts[0].get_text() == "controller.mass / mass drives the worst 5 % most"
         assert [axes.get_xlabel() for axes in figure.axes[:-1]] == ["controller.mass / mass", "mass [kg]"]
 
-    def test_nothing_may_drive_them(self, pair: dict[str, pm.Ensemble]) -> None:
+    def test_nothing_may_drive_them(self, pair: Pair) -> None:
         made = run(TRUE, {"yaw_inertia": pm.Uniform(1, 2)}, n=100)
         assert plots.drivers(made).texts[0].get_text() == "Nothing that was spread drives the worst 5 %"
 
-    def test_bad_arguments(self, pair: dict[str, pm.Ensemble]) -> None:
+    def test_bad_arguments(self, pair: Pair) -> None:
         drivers: Any = plots.drivers
         with pytest.raises(pm.InvalidArgument, match=r"^ensemble is a dict, expected an Ensemble$"):
             drivers(pair)
@@ -414,7 +417,7 @@ class TestDrivers:
             drivers(run(TRUE, {"mass": 31}, n=20))
 
 
-def figures(pair: dict[str, pm.Ensemble]) -> list[Callable[[], Figure]]:
+def figures(pair: Pair) -> list[Callable[[], Figure]]:
     return [
         lambda: plots.bands(pair),
         lambda: plots.drivers(pair["computed torque"]),
@@ -424,7 +427,7 @@ def figures(pair: dict[str, pm.Ensemble]) -> list[Callable[[], Figure]]:
 
 
 class TestFigures:
-    def test_nothing_overlaps(self, pair: dict[str, pm.Ensemble]) -> None:
+    def test_nothing_overlaps(self, pair: Pair) -> None:
         for draw in figures(pair):
             figure = draw()
             apart(figure)

@@ -372,10 +372,7 @@ def test_a_robot_that_is_beyond_the_limit_from_the_start_has_no_records() -> Non
 def test_the_same_seed_gives_the_same_bits_however_the_work_is_divided(controller: str, engine: Any) -> None:
     n = 700 if engine is Engine.COMPILED else 6
     scenario = made(
-        n=n,
-        controller=CONTROLLERS[controller],
-        duration=1.0,
-        forces=(NoiseForce((1, 1, 0.1), 1.0, seed=0),),
+        n=n, controller=CONTROLLERS[controller], duration=1.0, forces=(NoiseForce((1, 1, 0.1), 1.0, seed=0),)
     )
     whole = run_scenario(scenario, engine=engine, threads=1)
     divided = run_scenario(scenario, engine=engine, threads=5)

@@ -5,10 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import InvalidArgument, JointFriction, MobileRobot, law, rk4, simulate
+from pinmobile import JointFriction, MobileRobot, law, rk4, simulate
 from pinmobile.arrays import Array
 from pinmobile.loop._simulate import Engine
 from pinmobile.trajectories import Reference
+from tests.refusals import refusals
 from tests.users import TwoWheels
 
 PANDA = MobileRobot.box().mount("panda")
@@ -75,26 +76,17 @@ def test_it_slows_wheels_down_in_python_and_in_compiled_code() -> None:
         )
 
 
-@pytest.mark.parametrize(
-    ("make", "why"),
-    [
-        (lambda: JointFriction((1, -1)), "viscous is -1.0 N s/m or N m s/rad, expected >= 0"),
-        (lambda: JointFriction(1, (1, -2)), "coulomb is -2.0 N or N m, expected >= 0"),
-        (lambda: JointFriction(1, 1, 0), "speed is 0.0 m/s or rad/s, expected > 0"),
-        (lambda: JointFriction(np.nan), "viscous is nan, expected a finite number"),
-        (
-            lambda: JointFriction((1, 2), (1, 2, 3)),
-            "numbers of coordinates are viscous 2, coulomb 3, expected",
+test_what_is_no_friction_is_refused = refusals(
+    (lambda: JointFriction((1, -1)), "viscous is -1.0 N s/m or N m s/rad, expected >= 0"),
+    (lambda: JointFriction(1, (1, -2)), "coulomb is -2.0 N or N m, expected >= 0"),
+    (lambda: JointFriction(1, 1, 0), "speed is 0.0 m/s or rad/s, expected > 0"),
+    (lambda: JointFriction(np.nan), "viscous is nan, expected a finite number"),
+    (lambda: JointFriction((1, 2), (1, 2, 3)), "numbers of coordinates are viscous 2, coulomb 3, expected"),
+    (lambda: JointFriction.of(3), "robot is 3, expected a MobileRobot"),
+    (
+        lambda: simulate(
+            PANDA, law(lambda *_: np.zeros(12)), Resting(), dt=0.1, forces=[JointFriction((1, 2))]
         ),
-        (lambda: JointFriction.of(3), "robot is 3, expected a MobileRobot"),
-        (
-            lambda: simulate(
-                PANDA, law(lambda *_: np.zeros(12)), Resting(), dt=0.1, forces=[JointFriction((1, 2))]
-            ),
-            r"viscous has shape \(2,\), expected \(\) or \(..., 12\), as v has",
-        ),
-    ],
+        r"viscous has shape \(2,\), expected \(\) or \(..., 12\), as v has",
+    ),
 )
-def test_what_is_no_friction_is_refused(make: Any, why: str) -> None:
-    with pytest.raises(InvalidArgument, match=why):
-        make()

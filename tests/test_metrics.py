@@ -274,10 +274,7 @@ def test_quantiles_of_margins_are_those_of_the_sorted_ones_to_a_bin() -> None:
 class Fenced(Pushed):
     """A body between two walls, which states how far it is from them and how fast it is, in plain NumPy."""
 
-    metrics = (
-        Metric("clearance", "m", "from the walls", "smallest"),
-        Metric("speed", "m/s", "of the body"),
-    )
+    metrics = (Metric("clearance", "m", "from the walls", "smallest"), Metric("speed", "m/s", "of the body"))
     wall = 0.33
 
     def evaluate_metrics(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:

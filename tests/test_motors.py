@@ -13,6 +13,7 @@ from pinmobile.parts import evolved
 from pinmobile.wheels import MOTORS, ByVoltage, DifferentialGear, Ramp, Support, Wheel, WheelFriction
 from pinmobile.wheels._motors import MotorLaw
 from tests.parts import steady
+from tests.refusals import refusals
 from tests.wheeled import BODY, CASTER, CENTRAL, WHEEL, G, run
 
 GRIPS = WheelFriction(mu=2.0, rolling=0.0)
@@ -372,16 +373,10 @@ def test_real_motors_stall_and_run_free_as_their_sheets_say(
 OPEN = evolved(drives()["open"], supports=(Support(-0.3, 0.0),))
 
 
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: WheeledRobot(BODY, table(Motor())).by_voltage(), "table has no motor that takes volts"),
-        (lambda: WheeledRobot(BODY, OPEN, Coulomb()).by_voltage(), "slip independently of each other"),
-        (lambda: TorqueToVoltage(steady(0.0), BODY), "expected a WheeledRobot with electric motors"),
-        (lambda: WheelSpeed(UnicycleTracking(), WheeledRobot(BODY, drives()["tricycle"]), 1.0), "that steer"),
-        (lambda: Motor.from_sheet(12.0, 3.0, 1.0, 10.0), "stall_torque is 3 N m, expected at most"),
-    ],
+test_what_has_no_volts_is_refused = refusals(
+    (lambda: WheeledRobot(BODY, table(Motor())).by_voltage(), "table has no motor that takes volts"),
+    (lambda: WheeledRobot(BODY, OPEN, Coulomb()).by_voltage(), "slip independently of each other"),
+    (lambda: TorqueToVoltage(steady(0.0), BODY), "expected a WheeledRobot with electric motors"),
+    (lambda: WheelSpeed(UnicycleTracking(), WheeledRobot(BODY, drives()["tricycle"]), 1.0), "that steer"),
+    (lambda: Motor.from_sheet(12.0, 3.0, 1.0, 10.0), "stall_torque is 3 N m, expected at most"),
 )
-def test_what_has_no_volts_is_refused(make: Any, words: str) -> None:
-    with pytest.raises(errors.InvalidArgument, match=words):
-        make()

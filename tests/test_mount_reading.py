@@ -94,13 +94,7 @@ def test_a_mesh_is_found_in_a_package(several: bool, urdf: Path, tmp_path: Path)
     assert (item.name, item.parentJoint) == ("arm/upper_0", BODY_JOINT + 1)
 
 
-@pytest.mark.parametrize(
-    "roots",
-    [
-        (pin.JointModelFreeFlyer(),),
-        (pin.JointModelPlanar(),),
-    ],
-)
+@pytest.mark.parametrize("roots", [(pin.JointModelFreeFlyer(),), (pin.JointModelPlanar(),)])
 def test_a_root_of_its_own_is_replaced_by_the_chain(roots: tuple[Any, ...]) -> None:
     hinges = pin.JointModelRY(), pin.JointModelRX()
     model = chain(*roots, *hinges)
@@ -221,10 +215,7 @@ MIMIC = MIMIC.replace("continuous", "revolute").replace(
         ({"name": "a/b"}, "name is 'a/b', expected a word without slash"),
         ({"name": ""}, "name is '', expected a word without slash"),
         ({"arm": 3}, "arm is 3, expected a name, the path of a URDF, or a pinocchio.Model"),
-        (
-            {"arm": massless()},
-            "joint 'grip/finger' moves parts that have no inertia, expected inertia",
-        ),
+        ({"arm": massless()}, "joint 'grip/finger' moves parts that have no inertia, expected inertia"),
         (
             {"arm": pin.buildModelFromXML(MIMIC, mimic=True)},
             "arm 'two links': joint 'elbow' mimics another one, which Pinocchio's forward dynamics does not",

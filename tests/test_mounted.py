@@ -349,10 +349,7 @@ def _composite() -> pin.JointModel:
 
 @pytest.mark.parametrize(
     ("joint", "kind"),
-    [
-        (pin.JointModelSpherical(), "Spherical"),
-        (_composite(), "Composite"),
-    ],
+    [(pin.JointModelSpherical(), "Spherical"), (_composite(), "Composite")],
     ids=["ball", "composite"],
 )
 def test_joints_with_several_axes_are_refused_unless_they_are_locked(
@@ -369,10 +366,7 @@ def test_joints_with_several_axes_are_refused_unless_they_are_locked(
     assert base.mount(model, locked=["joint1"]).nq == 5
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [pin.JointModelRUBY, pin.JointModelRevoluteUnboundedUnaligned],
-)
+@pytest.mark.parametrize("kind", [pin.JointModelRUBY, pin.JointModelRevoluteUnboundedUnaligned])
 def test_a_continuous_joint_is_an_angle_whose_error_wraps_as_that_of_psi(kind: Any) -> None:
     model = in_series(pin.JointModelRX(), kind(), pin.JointModelRX())
     model.armature = np.array([0.1, 0.2, 0.3])

@@ -3,7 +3,6 @@ import pickle
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -27,6 +26,7 @@ from pinmobile.paths import (
     TransformedPath,
     pieces_of,
 )
+from tests.refusals import refusals, told
 
 derandomised = settings(derandomize=True, deadline=None, max_examples=60)
 number = st.floats(-10, 10).map(lambda x: round(x, 3))
@@ -257,21 +257,16 @@ def test_a_point_is_held() -> None:
     assert not path.derivative((0, 1, 3), 1).any()
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: Hold(1, 2), "point has shape (), expected (n,)"),
-        (lambda: Hold((1, math.inf), 2), "point[1] is inf, expected a finite number"),
-        (lambda: Hold((1, 2), 0), "duration is 0.0 s, expected > 0"),
-        (lambda: RestToRest([(1, 2)], [1, 2], 2), "start has shape (1, 2), expected (n,)"),
-        (lambda: RestToRest((1, 2), (1, 2, 3), 2), "end has shape (3,), expected (2,)"),
-        (lambda: RestToRest((1, 2), (1, math.nan), 2), "end[1] is nan, expected a finite number"),
-        (lambda: RestToRest((1, 2), (1, 3), -1), "duration is -1.0 s, expected > 0"),
-    ],
+test_rests_refuse = refusals(
+    (lambda: Hold(1, 2), "point has shape (), expected (n,)"),
+    (lambda: Hold((1, math.inf), 2), "point[1] is inf, expected a finite number"),
+    (lambda: Hold((1, 2), 0), "duration is 0.0 s, expected > 0"),
+    (lambda: RestToRest([(1, 2)], [1, 2], 2), "start has shape (1, 2), expected (n,)"),
+    (lambda: RestToRest((1, 2), (1, 2, 3), 2), "end has shape (3,), expected (2,)"),
+    (lambda: RestToRest((1, 2), (1, math.nan), 2), "end[1] is nan, expected a finite number"),
+    (lambda: RestToRest((1, 2), (1, 3), -1), "duration is -1.0 s, expected > 0"),
+    by=told,
 )
-def test_rests_refuse(call: Callable[[], Path], message: str) -> None:
-    with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
-        call()
 
 
 # -- all of them -----------------------------------------------------------------------------------

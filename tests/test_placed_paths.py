@@ -27,6 +27,7 @@ from pinmobile.paths import (
     pieces_of,
 )
 from pinmobile.trajectories import FixedHeading
+from tests.refusals import refusals, told
 
 derandomised = settings(derandomize=True, deadline=None, max_examples=40)
 angle = st.floats(-7, 7)
@@ -227,10 +228,7 @@ JUMPS: list[tuple[list[Any], str]] = [
         "ends at t = 6 s, expected one velocity: round the corner by a Polyline, or let both rest there",
     ),
     ([], "paths is empty, expected at least one path"),
-    (
-        [Line((0, 0), (3, 0), 6), Hold((3, 0, 0), 1)],
-        "paths[1] has points of shape (3,), expected (2,)",
-    ),
+    ([Line((0, 0), (3, 0), 6), Hold((3, 0, 0), 1)], "paths[1] has points of shape (3,), expected (2,)"),
 ]
 
 
@@ -307,51 +305,43 @@ def test_a_spread_that_tears_a_path_apart_is_refused_for_the_robot_that_it_tears
 # -- what is refused -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Circle(1, 1, 1, (1, 2, 3)), "centre has shape (3,), expected (2,)"),
-        (lambda: Circle(1, 1, 1, phase=np.nan), "phase is nan, expected a finite number"),
-        (
-            lambda: Circle(1, 1, 1, phase=1, heading=2),
-            "heading is 2.0 rad beside phase = 1.0 rad, expected one of them: each tells the other",
-        ),
-        (lambda: Line((0, 0), (1, 1, 1), 1), "end has shape (3,), expected (2,)"),
-        (lambda: Line((0, 0), (1, 1), 0), "duration is 0.0 s, expected > 0"),
-        (
-            lambda: Polyline([(0, 0)], 1, 1),
-            "waypoints has shape (1, 2), expected (k, n), k >= 2, n >= 2",
-        ),
-        (lambda: Polyline([(0, 0), (1, 0)], 0, 1), "corner_radius is 0.0 m, expected > 0"),
-        (
-            lambda: Polyline([(0, 0), (0, 0), (1, 0)], 1, 1),
-            "waypoints[1] is waypoints[0], expected another point",
-        ),
-        (
-            lambda: Polyline([(0, 0), (1, 0), (0, 0)], 1, 1),
-            "waypoints[1] is where the way turns by 180 degrees, expected at most 177.6: let one path come "
-            "to rest there, and another begin",
-        ),
-        (
-            lambda: Polyline([(0, 0), (4, 0), (4, 0.5)], 0.5, 9),
-            "waypoints[1] and waypoints[2] are 0.5 m apart, expected at least 0.866528 m, which the corners "
-            "take: a smaller corner_radius takes less than 0.5 m",
-        ),
-        (
-            lambda: Polyline([(0, 0), (4, 0)], 0.5, 5, 1),
-            "duration is 5 s, expected at least 5.47723 s for 4 m with acceleration = 1 m/s^2",
-        ),
-        (
-            lambda: TransformedPath(Hold((1, 2, 3, 4), 1), 1, 2),
-            "path has points of shape (4,), expected (2,) or (3,)",
-        ),
-        (lambda: Hold((1, 2), 1).moved(np.inf), "x is inf, expected a finite number"),
-        (
-            lambda: TransformedPath(3, 1, 2),
-            "path is 3, expected a path: path(t), path.derivative(t, order), path.duration",
-        ),
-    ],
+test_paths_refuse = refusals(
+    (lambda: Circle(1, 1, 1, (1, 2, 3)), "centre has shape (3,), expected (2,)"),
+    (lambda: Circle(1, 1, 1, phase=np.nan), "phase is nan, expected a finite number"),
+    (
+        lambda: Circle(1, 1, 1, phase=1, heading=2),
+        "heading is 2.0 rad beside phase = 1.0 rad, expected one of them: each tells the other",
+    ),
+    (lambda: Line((0, 0), (1, 1, 1), 1), "end has shape (3,), expected (2,)"),
+    (lambda: Line((0, 0), (1, 1), 0), "duration is 0.0 s, expected > 0"),
+    (lambda: Polyline([(0, 0)], 1, 1), "waypoints has shape (1, 2), expected (k, n), k >= 2, n >= 2"),
+    (lambda: Polyline([(0, 0), (1, 0)], 0, 1), "corner_radius is 0.0 m, expected > 0"),
+    (
+        lambda: Polyline([(0, 0), (0, 0), (1, 0)], 1, 1),
+        "waypoints[1] is waypoints[0], expected another point",
+    ),
+    (
+        lambda: Polyline([(0, 0), (1, 0), (0, 0)], 1, 1),
+        "waypoints[1] is where the way turns by 180 degrees, expected at most 177.6: let one path come "
+        "to rest there, and another begin",
+    ),
+    (
+        lambda: Polyline([(0, 0), (4, 0), (4, 0.5)], 0.5, 9),
+        "waypoints[1] and waypoints[2] are 0.5 m apart, expected at least 0.866528 m, which the corners "
+        "take: a smaller corner_radius takes less than 0.5 m",
+    ),
+    (
+        lambda: Polyline([(0, 0), (4, 0)], 0.5, 5, 1),
+        "duration is 5 s, expected at least 5.47723 s for 4 m with acceleration = 1 m/s^2",
+    ),
+    (
+        lambda: TransformedPath(Hold((1, 2, 3, 4), 1), 1, 2),
+        "path has points of shape (4,), expected (2,) or (3,)",
+    ),
+    (lambda: Hold((1, 2), 1).moved(np.inf), "x is inf, expected a finite number"),
+    (
+        lambda: TransformedPath(3, 1, 2),
+        "path is 3, expected a path: path(t), path.derivative(t, order), path.duration",
+    ),
+    by=told,
 )
-def test_paths_refuse(make: Callable[[], Path], message: str) -> None:
-    with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
-        make()

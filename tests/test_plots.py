@@ -38,7 +38,10 @@ CIRCLE = Tangent(Circle(3, 0.1, 60))
 VIA_STOP = Tangent(CubicVia((0, 0), (2, 2), (0, 4), 30, 60, via_velocity=(0, 0)), turn_time=2)
 
 
-def both(trajectory: Trajectory, dt: float = 0.1, **options: Any) -> dict[str, Rollout]:
+Runs = dict[str, Rollout]
+
+
+def both(trajectory: Trajectory, dt: float = 0.1, **options: Any) -> Runs:
     controllers = {"PD": PD([120, 120, 0.4], [120, 120, 0.4]), "computed torque": ComputedTorque(ROBOT)}
     return {
         label: simulate(ROBOT, controller, trajectory, dt=dt, **options)  # type: ignore[arg-type]
@@ -68,7 +71,7 @@ def corners(pose: Array, length: float, width: float) -> Array:
 
 
 @pytest.fixture(scope="module")
-def circle() -> dict[str, Rollout]:
+def circle() -> Runs:
     return both(CIRCLE)
 
 
@@ -107,7 +110,7 @@ class TestPath:
         (axes,) = plots.path(run, times=[7]).axes
         np.testing.assert_allclose(robots(axes)[0], corners(run.q[70], 2, 1), atol=1e-12)
 
-    def test_lines_are_the_desired_and_the_travelled_path(self, circle: dict[str, Rollout]) -> None:
+    def test_lines_are_the_desired_and_the_travelled_path(self, circle: Runs) -> None:
         for axes, run in zip(plots.path(circle).axes, circle.values(), strict=True):
             desired, travelled = axes.lines
             np.testing.assert_array_equal(desired.get_xydata(), run.reference.q[:, :2])
@@ -115,27 +118,23 @@ class TestPath:
             assert desired.is_dashed()
             assert travelled.get_linestyle() == "-"
 
-    def test_drawn_robots_do_not_overlap(self, circle: dict[str, Rollout]) -> None:
+    def test_drawn_robots_do_not_overlap(self, circle: Runs) -> None:
         for axes in (*plots.path(circle).axes, *plots.path(both(VIA_STOP)).axes):
             centres = [box.mean(axis=0) for box in robots(axes)]
             assert 5 <= len(centres) <= 8
             assert min(np.hypot(*(a - b)) for a, b in combinations(centres, 2)) > np.hypot(0.6, 0.4)
 
-    def test_rollouts_of_one_reference_are_drawn_at_the_same_instants(
-        self, circle: dict[str, Rollout]
-    ) -> None:
+    def test_rollouts_of_one_reference_are_drawn_at_the_same_instants(self, circle: Runs) -> None:
         first, second = ([text.get_text() for text in axes.texts[1:]] for axes in plots.path(circle).axes)
         assert first == second
         assert {"0 s", "60 s"} < set(first)
 
-    def test_both_axes_have_one_scale_and_all_panels_the_same_window(
-        self, circle: dict[str, Rollout]
-    ) -> None:
+    def test_both_axes_have_one_scale_and_all_panels_the_same_window(self, circle: Runs) -> None:
         panels = plots.path(circle).axes
         assert all(axes.get_aspect() == 1 for axes in panels)
         assert len({(axes.get_xlim(), axes.get_ylim()) for axes in panels}) == 1
 
-    def test_titles_tell_the_largest_distance(self, circle: dict[str, Rollout]) -> None:
+    def test_titles_tell_the_largest_distance(self, circle: Runs) -> None:
         titles = [axes.get_title() for axes in plots.path(circle).axes]
         assert titles == ["position error at most 7.5 mm", "position error at most 35 µm"]
 
@@ -147,20 +146,20 @@ class TestPath:
             tip = arrow[np.argmax(np.hypot(*(arrow - astray.q[0, :2]).T))] - astray.q[0, :2]
             assert np.arctan2(tip[1], tip[0]) == pytest.approx(2.5)
 
-    def test_a_robot_that_never_moves_is_drawn_once(self, circle: dict[str, Rollout]) -> None:
+    def test_a_robot_that_never_moves_is_drawn_once(self, circle: Runs) -> None:
         rest = np.tile([1.0, 2.0, 0.5], (601, 1))
         run = replace(circle["PD"], q=rest, reference=Reference(rest, 0 * rest, 0 * rest))
         for plant in (ROBOT, None):
             (axes,) = plots.path(replace(run, plant=plant)).axes
             assert len(robots(axes)) == 1
 
-    def test_five_rollouts_make_two_rows(self, circle: dict[str, Rollout]) -> None:
+    def test_five_rollouts_make_two_rows(self, circle: Runs) -> None:
         figure = plots.path({str(k): circle["PD"] for k in range(5)})
         assert len(figure.axes) == 5
         assert [axes.get_xlabel() for axes in figure.axes] == ["", "", "x [m]", "x [m]", "x [m]"]
         assert [axes.get_ylabel() for axes in figure.axes] == ["y [m]", "", "", "y [m]", ""]
 
-    def test_times(self, circle: dict[str, Rollout]) -> None:
+    def test_times(self, circle: Runs) -> None:
         with pytest.raises(InvalidArgument, match=r"^times\[1\] is 61.0 s, expected 0 <= times <= 60 s$"):
             plots.path(circle, times=[0, 61])
         with pytest.raises(InvalidArgument, match=r"^times has shape \(1, 1\), expected \(n,\)$"):
@@ -168,7 +167,7 @@ class TestPath:
 
 
 class TestSeries:
-    def test_states_are_the_recorded_and_the_desired(self, circle: dict[str, Rollout]) -> None:
+    def test_states_are_the_recorded_and_the_desired(self, circle: Runs) -> None:
         panels = plots.states(circle).axes
         assert len(panels) == 3
         for k, axes in enumerate(panels):
@@ -178,27 +177,27 @@ class TestSeries:
             np.testing.assert_array_equal(desired.get_ydata(), circle["PD"].reference.q[:, k])
             assert desired.is_dashed()
 
-    def test_each_reference_is_drawn_once(self, circle: dict[str, Rollout]) -> None:
+    def test_each_reference_is_drawn_once(self, circle: Runs) -> None:
         figure = plots.states({**circle, "via stop": both(VIA_STOP)["PD"]})
         assert [line.get_label() for line in figure.axes[0].lines].count("desired") == 2
         assert legend_of(figure) == ["desired", "PD", "computed torque", "via stop"]
 
-    def test_errors_are_the_recorded(self, circle: dict[str, Rollout]) -> None:
+    def test_errors_are_the_recorded(self, circle: Runs) -> None:
         grid = np.reshape(np.array(plots.errors(circle).axes), (3, 2))
         for column, run in zip(grid.T, circle.values(), strict=True):
             for k, axes in enumerate(column):
                 np.testing.assert_array_equal(axes.lines[0].get_ydata(), run.error[:, k])
 
-    def test_the_largest_error_is_written(self, circle: dict[str, Rollout]) -> None:
+    def test_the_largest_error_is_written(self, circle: Runs) -> None:
         titles = [axes.get_title(loc="right") for axes in plots.errors(circle).axes]
         assert titles[:2] == [r"largest $7.48\cdot 10^{-3}$ m", r"largest $3.49\cdot 10^{-5}$ m"]
 
-    def test_rounding_is_drawn_as_zero(self, circle: dict[str, Rollout]) -> None:
+    def test_rounding_is_drawn_as_zero(self, circle: Runs) -> None:
         psi = plots.errors(circle).axes[-1]
         assert 0 < np.abs(psi.lines[0].get_ydata()).max() < 1e-13
         assert psi.get_ylim() == (-1e-12, 1e-12)
 
-    def test_forces_are_the_recorded_and_held(self, circle: dict[str, Rollout]) -> None:
+    def test_forces_are_the_recorded_and_held(self, circle: Runs) -> None:
         panels = plots.forces(circle).axes
         assert len(panels) == 3
         for k, axes in enumerate(panels):
@@ -206,7 +205,7 @@ class TestSeries:
                 np.testing.assert_array_equal(line.get_ydata(), run.u[:, k])
                 assert line.get_drawstyle() == "steps-post"
 
-    def test_axes_carry_units(self, circle: dict[str, Rollout]) -> None:
+    def test_axes_carry_units(self, circle: Runs) -> None:
         labels = {f: [axes.get_ylabel() for axes in f(circle["PD"]).axes] for f in DRAWN}
         assert labels[plots.path] == ["y [m]"]
         assert labels[plots.states] == ["$x$ [m]", "$y$ [m]", r"$\psi$ [rad]"]
@@ -215,7 +214,7 @@ class TestSeries:
         assert plots.path(circle["PD"]).axes[-1].get_xlabel() == "x [m]"
         assert all(f(circle).axes[-1].get_xlabel() == "t [s]" for f in DRAWN[1:])
 
-    def test_other_plants_show_all_their_coordinates_and_inputs(self, circle: dict[str, Rollout]) -> None:
+    def test_other_plants_show_all_their_coordinates_and_inputs(self, circle: Runs) -> None:
         run = circle["PD"]
         other = replace(run, plant=None, q=np.column_stack([run.q, run.q]), u=run.u[:, :2])
         labels = [axes.get_ylabel() for axes in plots.states({"other": other, "PD": run}).axes]
@@ -242,7 +241,7 @@ def legend_of(figure: Figure) -> list[str]:
 
 
 class TestFigures:
-    def test_a_legend_that_is_not_needed_is_left_out(self, circle: dict[str, Rollout]) -> None:
+    def test_a_legend_that_is_not_needed_is_left_out(self, circle: Runs) -> None:
         alone = [legend_of(f(circle["PD"])) for f in DRAWN]
         assert alone == [["desired", "travelled", "robot"], ["desired", "actual"], [], []]
         assert legend_of(plots.forces(circle)) == ["PD", "computed torque"]
@@ -264,7 +263,7 @@ class TestFigures:
         places = np.array([*box, astray.reference.q[0, :2]])
         assert ((low < places) & (places < high)).all()
 
-    def test_what_is_not_a_rollout_is_refused(self, circle: dict[str, Rollout], tmp_path: Path) -> None:
+    def test_what_is_not_a_rollout_is_refused(self, circle: Runs, tmp_path: Path) -> None:
         def animate(rollouts: Any) -> Any:
             return plots.animate(rollouts, tmp_path / "robot.gif")
 
@@ -278,7 +277,7 @@ class TestFigures:
                 with pytest.raises(InvalidArgument, match=message):
                     draw(wrong)
 
-    def test_a_path_needs_a_pose(self, circle: dict[str, Rollout]) -> None:
+    def test_a_path_needs_a_pose(self, circle: Runs) -> None:
         run = circle["PD"]
         desired = run.reference._replace(q=run.reference.q[:, :2])
         flat = replace(run, plant=None, q=run.q[:, :2], reference=desired)
@@ -288,7 +287,7 @@ class TestFigures:
         ):
             plots.path({"a": flat})
 
-    def test_pyplot_and_settings_are_left_alone(self, circle: dict[str, Rollout], tmp_path: Path) -> None:
+    def test_pyplot_and_settings_are_left_alone(self, circle: Runs, tmp_path: Path) -> None:
         before = dict(matplotlib.rcParams)
         for draw in DRAWN:
             draw(circle)
@@ -329,9 +328,7 @@ def gif(path: Path) -> tuple[list[Image.Image], list[int]]:
 
 
 class TestAnimate:
-    def test_a_minute_takes_ten_seconds_and_little_room(
-        self, circle: dict[str, Rollout], tmp_path: Path
-    ) -> None:
+    def test_a_minute_takes_ten_seconds_and_little_room(self, circle: Runs, tmp_path: Path) -> None:
         told: list[tuple[int, int]] = []
         path = plots.animate(circle, str(tmp_path / "robot.gif"), progress=lambda *step: told.append(step))
         assert path == tmp_path / "robot.gif"
@@ -343,16 +340,14 @@ class TestAnimate:
         assert frames[0].getpixel((0, 0)) == (255, 255, 255)
         assert 500 < frames[0].width <= 720
 
-    def test_speed_and_frame_rate(self, circle: dict[str, Rollout], tmp_path: Path) -> None:
+    def test_speed_and_frame_rate(self, circle: Runs, tmp_path: Path) -> None:
         run = shortened(circle["PD"], 31)  # 3 s
         for options, count, total in (({"speed": 2, "fps": 30}, 46, 2500), ({"fps": 7}, 22, 4000)):
             frames, durations = gif(plots.animate(run, tmp_path / "robot.gif", **options))  # type: ignore[arg-type]
             assert len(frames) == count
             assert sum(durations) == pytest.approx(total, abs=80)
 
-    def test_the_robot_is_where_it_was_not_where_it_should_be(
-        self, circle: dict[str, Rollout], tmp_path: Path
-    ) -> None:
+    def test_the_robot_is_where_it_was_not_where_it_should_be(self, circle: Runs, tmp_path: Path) -> None:
         run = shortened(circle["PD"], 2)
         q, desired = np.tile([2.0, 1.0, 0.3], (2, 1)), np.tile([-2.0, -1.0, 0.3], (2, 1))
         run = replace(run, q=q, reference=Reference(desired, 0 * q, 0 * q))
@@ -363,14 +358,14 @@ class TestAnimate:
         assert columns.min() > 0.6 * pixels.shape[1]
         assert rows.max() < 0.5 * pixels.shape[0]
 
-    def test_a_shorter_rollout_waits_at_its_end(self, circle: dict[str, Rollout], tmp_path: Path) -> None:
+    def test_a_shorter_rollout_waits_at_its_end(self, circle: Runs, tmp_path: Path) -> None:
         runs = {"long": shortened(circle["PD"], 21), "short": shortened(circle["PD"], 6)}
         frames, _ = gif(plots.animate(runs, tmp_path / "robot.gif"))
         right = [np.asarray(frame)[60:, frame.width // 2 :] for frame in frames]
         np.testing.assert_array_equal(right[8], right[-1])
         assert (right[0] != right[-1]).any()
 
-    def test_bad_arguments(self, circle: dict[str, Rollout], tmp_path: Path) -> None:
+    def test_bad_arguments(self, circle: Runs, tmp_path: Path) -> None:
         for name, options, message in (
             ("robot.gif", {"fps": 60}, r"^fps is 60.0 1/s, expected 0 < fps <= 50 1/s$"),
             ("robot.gif", {"speed": -1}, r"^speed is -1.0, expected > 0$"),

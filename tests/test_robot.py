@@ -265,13 +265,7 @@ def test_what_is_handed_out_may_be_written_into_and_nothing_changes() -> None:
     shown = robot.visual_model.geometryObjects[0]
     assert (shown.placement, shown.meshColor.tolist()) == (drawn.placement, drawn.meshColor.tolist())
     np.testing.assert_array_equal(shown.geometry.halfSide, drawn.geometry.halfSide)
-    for array in (
-        robot.rest,
-        robot.upper,
-        robot.velocity_limit,
-        robot.body.com,
-        robot.body.inertia,
-    ):
+    for array in (robot.rest, robot.upper, robot.velocity_limit, robot.body.com, robot.body.inertia):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 7.0
 

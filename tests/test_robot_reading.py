@@ -241,14 +241,8 @@ def test_an_arm_among_the_loaders_robots_is_refused() -> None:
         ("<gazebo/>", "is not a URDF: expected a <robot> with links, got <gazebo>"),
         ('<robot name="empty"/>', "is not a URDF: expected a <robot> with links"),
         (robot(link("a"), link("a")), "link 'a' is there twice"),
-        (
-            robot(link("a"), joint("j", "hinge", "a", "a")),
-            "joint 'j' has type 'hinge', expected one",
-        ),
-        (
-            robot(link("a"), joint("j", "fixed", "a", "b")),
-            "joint 'j' has child link 'b', which is not in",
-        ),
+        (robot(link("a"), joint("j", "hinge", "a", "a")), "joint 'j' has type 'hinge', expected one"),
+        (robot(link("a"), joint("j", "fixed", "a", "b")), "joint 'j' has child link 'b', which is not in"),
         *(
             (robot(link("a", 5), link("b", 1).replace(*change), joint("j", "fixed", "a", "b")), text)
             for change, text in (

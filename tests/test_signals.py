@@ -104,11 +104,7 @@ class Branching(TellingPID):
 @pytest.mark.parametrize(
     ("controller", "forces", "why"),
     [
-        (
-            PID(),
-            [TellingSpring(), TellingSpring()],
-            r"forces\[0\] and forces\[1\] both have the signal '",
-        ),
+        (PID(), [TellingSpring(), TellingSpring()], r"forces\[0\] and forces\[1\] both have the signal '"),
         (
             pm.InputSaturation(TellingPID(), 9.0),
             [Claiming()],
@@ -129,10 +125,7 @@ def test_a_name_that_two_parts_claim_is_refused(controller: Any, forces: Any, wh
         ({"a": 3}, r"forces\[0\].signals\['a'\] is 3, expected \(unit, value\)"),
         ({"a": ("m", "x")}, r"forces\[0\].signals\['a'\] is 'x', expected"),
         ({"a": ("m", 1j)}, r"forces\[0\].signals\['a'\] is 1j, expected real numbers"),
-        (
-            {"a": ("m", np.eye(2))},
-            r"forces\[0\].signals\['a'\] has shape \(2, 2\), expected \(\) or \(n,\)",
-        ),
+        ({"a": ("m", np.eye(2))}, r"forces\[0\].signals\['a'\] has shape \(2, 2\), expected \(\) or \(n,\)"),
     ],
 )
 def test_what_is_no_signal_is_refused(answer: Any, why: str, engine: Any) -> None:

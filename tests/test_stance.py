@@ -18,6 +18,7 @@ from pinmobile.robot import Stance
 from pinmobile.robot.support_geometry import hull
 from pinmobile.urdf import Body
 from tests import wheeled
+from tests.refusals import refused
 from tests.wheeled import HALF_PI, inertial, joint, link, robot as urdf, shape
 
 G = 9.81
@@ -88,9 +89,7 @@ def test_ridgeback_stands_on_rocker_and_wheels_and_its_top_is_that_of_its_mesh(t
     assert robot.size == (0.493, 0.493, 0.055)
     assert robot.top is None
     assert "top not known: cannot be read: body-collision.stl" in robot.source
-    with pytest.raises(
-        pm.InvalidArgument, match="at is not given for 'ur5', and the top of the robot is not"
-    ):
+    with refused("at is not given for 'ur5', and the top of the robot is not"):
         robot.mount("ur5")
     stl(tmp_path / "body-collision.stl", [(-0.4, 0, 0.1), (0.4, 0.3, 0.2), (0.4, -0.3, 0.31)])
     assert read(tmp_path, wheeled.ridgeback()).top == pytest.approx(0.31 + high, abs=1e-7)  # float32
@@ -164,7 +163,7 @@ def test_an_impossible_link_that_matters_is_refused(tmp_path: Path) -> None:
 
     with pytest.warns(UserWarning, match=r"link 'b': inertia has principal moments \(-0.0009, 0.001, 0.001"):
         assert read(tmp_path, with_moment(-0.9e-3)).mass == 5.01
-    with pytest.raises(pm.InvalidArgument, match=r"link 'b': inertia has principal moments \(-0.0011, "):
+    with refused(r"link 'b': inertia has principal moments \(-0.0011, "):
         read(tmp_path, with_moment(-1.1e-3))
 
 
@@ -191,7 +190,7 @@ def test_a_joint_of_few_turns_is_no_wheel(tmp_path: Path) -> None:
         link("w", inertial(1)),
         joint("j", "revolute", "base", "w", limit=limit),
     )
-    with pytest.raises(pm.InvalidArgument, match=r"joint 'j' .* is neither a wheel"):
+    with refused(r"joint 'j' .* is neither a wheel"):
         read(tmp_path, urdf(*parts))
     model = pin.Model()  # made joint by joint, it has not said what its limits are
     model.appendBodyToJoint(
@@ -199,7 +198,7 @@ def test_a_joint_of_few_turns_is_no_wheel(tmp_path: Path) -> None:
         pin.Inertia.Random(),
         pin.SE3.Identity(),
     )
-    with pytest.raises(pm.InvalidArgument, match=r"joint 'elbow' .* is neither a wheel"):
+    with refused(r"joint 'elbow' .* is neither a wheel"):
         pm.MobileRobot.from_model(model)
 
 
@@ -213,25 +212,19 @@ def test_where_radii_are_in_meshes_alone_the_ground_is_asked_for(tmp_path: Path)
     assert "where the ground is is not known" in robot.source
     still = MotionStates(robot, np.zeros(3), np.zeros(3), (1.0, 0, 0))
     for ask in (zero_moment_point, lambda motion: tip_over_margin(motion, box(0.1, 0.1))):
-        with pytest.raises(pm.InvalidArgument, match=r"one that does: MobileRobot.from_urdf\(path, ground"):
+        with refused(r"one that does: MobileRobot.from_urdf\(path, ground"):
             ask(still)
     assert required_friction(still) == pytest.approx(1 / G)  # no height is in it
-    with pytest.raises(
-        pm.InvalidArgument, match="the top of the robot is not known, expected x, y, z and yaw"
-    ):
+    with refused("the top of the robot is not known, expected x, y, z and yaw"):
         robot.mount("ur5")
     # The driver's wheels have a radius of 60 mm or so.
     known = read(tmp_path, wheeled.fetch(), ground=0.055325 - 0.0604)
     assert known.grounded
     assert known.com[2] == pytest.approx(robot.com[2] + 0.0604 - 0.055325, abs=1e-15)
-    with pytest.raises(
-        pm.InvalidArgument, match="footprint is not given, and that of the robot is not known"
-    ):
+    with refused("footprint is not given, and that of the robot is not known"):
         tip_over_margin(MotionStates(known, np.zeros(3), np.zeros(3), np.zeros(3)))
     rollout = pm.simulate(known, pm.ComputedTorque(known), pm.Tangent(pm.Circle(1, 0.5, 1)), dt=0.1)
-    with pytest.raises(
-        pm.InvalidArgument, match="footprint is not given, and that of the robot is not known"
-    ):
+    with refused("footprint is not given, and that of the robot is not known"):
         plots.balance(rollout)
     assert plots.balance(rollout, footprint=box(0.2, 0.2)).axes
 
@@ -241,18 +234,15 @@ def test_the_ground_may_be_given_in_place_of_the_files(tmp_path: Path) -> None:
     assert robot.com[2] == pytest.approx(0.18884 + 0.2 - 0.13228, abs=5e-6)
     assert robot.footprint is None  # no wheel is near it
     assert "ground as given, at z = -0.2 m" in robot.source
-    with pytest.raises(pm.InvalidArgument, match=r"ground is nan, expected a finite number"):
+    with refused(r"ground is nan, expected a finite number"):
         read(tmp_path, wheeled.husky(), ground=np.nan)
-    with pytest.raises(pm.InvalidArgument, match=r"ground has shape \(2,\), expected one number"):
+    with refused(r"ground has shape \(2,\), expected one number"):
         read(tmp_path, wheeled.husky(), ground=[0, 0])
 
 
 def test_ground_above_the_centre_of_mass_is_refused(tmp_path: Path) -> None:
     """The likely slip: the height of Husky's base_link above the ground, in place of the ground's z."""
-    with pytest.raises(
-        pm.InvalidArgument,
-        match=r"ground is 0\.132 m, 0\.07544 m above the robot's centre of mass.* below zero",
-    ):
+    with refused(r"ground is 0\.132 m, 0\.07544 m above the robot's centre of mass.* below zero"):
         read(tmp_path, wheeled.husky(), ground=0.132)
     assert read(tmp_path, urdf(link("base", inertial(9))), ground=0).com[2] == 0
 
@@ -272,7 +262,7 @@ def test_a_wheel_without_a_radius_leaves_the_footprint_unknown_unless_it_is_insi
     robot = on_wheels((0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2))
     assert robot.footprint is None
     assert "j0, j1, j2, but the file does not tell the radius of j3" in robot.source
-    with pytest.raises(pm.InvalidArgument, match="that of the robot is not known"):
+    with refused("that of the robot is not known"):
         braking(robot, -1.0)
     six = on_wheels((0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2), (0, 0.2), (0, -0.2))
     stands_on(six, box(0.3, 0.2))
@@ -286,9 +276,7 @@ def bicycle(low: float, rear: str = ROLLING) -> str:
 
 def test_wheels_that_stand_on_no_plane_are_refused_by_name(tmp_path: Path) -> None:
     assert read(tmp_path, bicycle(0.104)).com[2] == pytest.approx(0.204 / 11 - 0.002)
-    with pytest.raises(
-        pm.InvalidArgument, match=r"plane, their lowest points being b at z = 0\.006, f at z = 0 m"
-    ):
+    with refused(r"plane, their lowest points being b at z = 0\.006, f at z = 0 m"):
         read(tmp_path, bicycle(0.106))
     # Given the ground, only what touches it carries.
     assert (
@@ -384,11 +372,11 @@ def test_how_it_stands_survives_all_that_keeps_a_robot(tmp_path: Path, name: str
 
 
 def test_a_stance_checks_itself() -> None:
-    with pytest.raises(pm.InvalidArgument, match="footprint has shape"):
+    with refused("footprint has shape"):
         Stance([(0, 0), (1, 0)])
-    with pytest.raises(pm.InvalidArgument, match=r"top is -1\.0 m, expected > 0"):
+    with refused(r"top is -1\.0 m, expected > 0"):
         Stance(top=-1.0)
-    with pytest.raises(pm.InvalidArgument, match=r"stance is 3, expected a pinmobile.robot.Stance"):
+    with refused(r"stance is 3, expected a pinmobile.robot.Stance"):
         pm.MobileRobot.from_body(pm.MobileRobot.box().body, stance=3)  # type: ignore[arg-type]
     assert Stance.of_box((1, 2, 3)) == Stance(box(0.5, 1), 3)
     assert hash(Stance.of_box((1, 2, 3))) == hash(Stance(box(0.5, 1), 3))
@@ -397,7 +385,7 @@ def test_a_stance_checks_itself() -> None:
 @pytest.mark.parametrize("words", ['top="a"', 'top="1 2"', 'footprint="1 2 3"', 'footprint="0 0 1 0"'])
 def test_a_damaged_note_of_our_own_is_refused(tmp_path: Path, words: str) -> None:
     text = pm.MobileRobot.box().to_urdf().replace("</robot>", f'<pinmobile ground="0" {words}/></robot>')
-    with pytest.raises(pm.InvalidArgument, match=r"pinmobile|footprint"):
+    with refused(r"pinmobile|footprint"):
         read(tmp_path, text)
 
 

@@ -332,10 +332,7 @@ def test_many_threads_may_use_the_package_first() -> None:
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [
-        (None, "No module is named 'pinocchio'"),
-        ("class Plugin: pass", "Another module is named 'pinocchio'"),
-    ],
+    [(None, "No module is named 'pinocchio'"), ("class Plugin: pass", "Another module is named 'pinocchio'")],
 )
 def test_a_missing_or_another_pinocchio_is_told_at_once_with_what_to_install(
     tmp_path: Path, text: str | None, said: str

@@ -11,6 +11,7 @@ import pinmobile as pm
 from pinmobile import plots
 from pinmobile.controllers import RandomSteps
 from pinmobile.identification import VELOCITY_ROBOTS, Identification
+from tests.refusals import refusals, refused
 
 pytestmark = pytest.mark.once
 
@@ -155,42 +156,30 @@ def changed(log: pm.Log, **new: Any) -> pm.Log:
     return pm.Log(**{**{name: getattr(log, name) for name in ("t", "q", "u", "twist")}, **new})
 
 
-@pytest.mark.parametrize(
-    ("call", "why"),
-    [
-        (lambda: pm.identify_velocity(3), "log is 3, expected a Log, or several"),  # type: ignore[arg-type]
-        (lambda: pm.identify_velocity([]), r"log is \[\], expected a Log"),
-        (
-            lambda: pm.identify_velocity(logged().between(0.0, 30.0)),
-            r"29.9 s long, which gives 14 segments of 2 s, too short: expected 20, .*: 41 s and more",
-        ),
-        (
-            lambda: pm.identify_velocity(changed(logged(), u=np.zeros((601, 3)))),
-            "log has 3 inputs, expected two, commands of speed and yaw rate: is it of a robot that takes",
-        ),
-        (
-            lambda: pm.identify_velocity(changed(logged(), u=np.ones((601, 2)))),
-            "commands that never change, expected excitation, such as RandomSteps",
-        ),
-        (lambda: pm.identify_velocity(logged(), delay=9.0), r"delay is 9.0 s, expected 0 <= delay <= 0.6 s"),
-        (lambda: pm.identify_velocity(logged(), ahead=None), "ahead is None, and the log measures a twist"),
-        (
-            lambda: pm.identify_velocity(logged(), ahead=100.0),
-            "ahead is 100.0 m, expected -10 <= ahead <= 10 m",
-        ),
-        (
-            lambda: pm.identify_velocity(logged(), accelerations=(1, 1, 1)),
-            r"accelerations has shape",
-        ),
-        (lambda: found().predict(logged(), 0.1), "seconds is 0.1 s, expected >= 0.3"),
-        (lambda: pm.identify_velocity([logged(), logged(pose=True)]), "a twist, and another one a pose"),
-        (lambda: found().interval(1.0), "level is 1.0, expected 0 < level < 1"),
-        (lambda: found().predict(logged(pose=True)), "a twist, and another one a pose"),
-    ],
+test_what_is_no_such_log_is_refused = refusals(
+    (lambda: pm.identify_velocity(3), "log is 3, expected a Log, or several"),  # type: ignore[arg-type]
+    (lambda: pm.identify_velocity([]), r"log is \[\], expected a Log"),
+    (
+        lambda: pm.identify_velocity(logged().between(0.0, 30.0)),
+        r"29.9 s long, which gives 14 segments of 2 s, too short: expected 20, .*: 41 s and more",
+    ),
+    (
+        lambda: pm.identify_velocity(changed(logged(), u=np.zeros((601, 3)))),
+        "log has 3 inputs, expected two, commands of speed and yaw rate: is it of a robot that takes",
+    ),
+    (
+        lambda: pm.identify_velocity(changed(logged(), u=np.ones((601, 2)))),
+        "commands that never change, expected excitation, such as RandomSteps",
+    ),
+    (lambda: pm.identify_velocity(logged(), delay=9.0), r"delay is 9.0 s, expected 0 <= delay <= 0.6 s"),
+    (lambda: pm.identify_velocity(logged(), ahead=None), "ahead is None, and the log measures a twist"),
+    (lambda: pm.identify_velocity(logged(), ahead=100.0), "ahead is 100.0 m, expected -10 <= ahead <= 10 m"),
+    (lambda: pm.identify_velocity(logged(), accelerations=(1, 1, 1)), r"accelerations has shape"),
+    (lambda: found().predict(logged(), 0.1), "seconds is 0.1 s, expected >= 0.3"),
+    (lambda: pm.identify_velocity([logged(), logged(pose=True)]), "a twist, and another one a pose"),
+    (lambda: found().interval(1.0), "level is 1.0, expected 0 < level < 1"),
+    (lambda: found().predict(logged(pose=True)), "a twist, and another one a pose"),
 )
-def test_what_is_no_such_log_is_refused(call: Any, why: str) -> None:
-    with pytest.raises(pm.InvalidArgument, match=why):
-        call()
 
 
 def test_a_motion_that_tells_too_little_is_told_in_words() -> None:
@@ -209,9 +198,7 @@ def test_a_motion_that_tells_too_little_is_told_in_words() -> None:
     assert np.isinf(one.interval()["theta_2"]).all()
     assert abs(one.parameters["theta_1"] - ROBOT.theta[0]) < 4 * one.standard_errors["theta_1"]
     for ask in (one.robot, lambda: one.spread(3)):
-        with pytest.raises(
-            pm.InvalidArgument, match=r"tells nothing of theta_2, .*; expected one that excites more"
-        ):
+        with refused(r"tells nothing of theta_2, .*; expected one that excites more"):
             ask()
 
 
@@ -233,7 +220,7 @@ UNITS = "expected about 1: are commands in m/s and rad/s"
     ],
 )
 def test_what_commands_do_not_explain_is_refused(change: Any, why: str, pose: bool) -> None:
-    with pytest.raises(pm.InvalidArgument, match=why):
+    with refused(why):
         pm.identify_velocity(change(logged(VELOCITY_ROBOTS["pioneer_3dx"], pose=pose)))
 
 
@@ -244,8 +231,8 @@ def test_what_runs_away_is_refused_in_words() -> None:
     log = pm.Log.from_rollout(
         pm.simulate(robot, RandomSteps(), still, dt=0.05, engine=pm.Engine.COMPILED), noise=1e-3
     )
-    with pytest.raises(pm.InvalidArgument, match=OTHERS):
+    with refused(OTHERS):
         pm.identify_velocity(changed(log, u=log.u[:, ::-1]))
     one = pm.identify_velocity(log)
-    with pytest.raises(pm.InvalidArgument, match=OTHERS):
+    with refused(OTHERS):
         one.predict(changed(log, u=log.u * [1e3, 1]))

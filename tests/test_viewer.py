@@ -38,8 +38,11 @@ pytestmark = pytest.mark.once
 BLUE = ImageColor.getrgb(colour(0))[:3]
 
 
+Runs = dict[str, pm.Rollout]
+
+
 @pytest.fixture(scope="module")
-def runs() -> dict[str, pm.Rollout]:
+def runs() -> Runs:
     """Return the lecture's circle with PD and with computed torque."""
     robot, reference = pm.MobileRobot.lecture(), pm.Tangent(pm.Circle(3, 0.1, 60))
     pd = pm.simulate(robot, pm.PD((120, 120, 0.4), (120, 120, 0.4)), reference, dt=0.1)
@@ -47,7 +50,7 @@ def runs() -> dict[str, pm.Rollout]:
 
 
 @pytest.fixture(scope="module")
-def apart() -> dict[str, pm.Rollout]:
+def apart() -> Runs:
     """Return a good and a bad controller, whose robots can be told apart by eye."""
     robot = pm.MobileRobot.box()
     reference = pm.Tangent(pm.CubicVia((0, 0), (2, 2), (0, 4), 10, 20))
@@ -138,7 +141,7 @@ def side(robot: pm.MobileRobot, at: Array) -> tuple[float, float, float]:
 # Recorded
 
 
-def test_a_recordings_tracks_are_the_rollouts_poses(viewer: Viewer, runs: dict[str, pm.Rollout]) -> None:
+def test_a_recordings_tracks_are_the_rollouts_poses(viewer: Viewer, runs: Runs) -> None:
     recording = viewer.record(runs, fps=10)
     for index, run in enumerate(runs.values()):
         moved = tracks(recording)[f"meshcat/robot{index}", ".position"]
@@ -153,7 +156,7 @@ def test_a_recordings_tracks_are_the_rollouts_poses(viewer: Viewer, runs: dict[s
         np.testing.assert_allclose(np.unwrap(2 * np.arctan2(z, w), period=4 * np.pi), run.q[:, 2], atol=3e-6)
 
 
-def test_frames_between_two_samples_lie_between_them(viewer: Viewer, runs: dict[str, pm.Rollout]) -> None:
+def test_frames_between_two_samples_lie_between_them(viewer: Viewer, runs: Runs) -> None:
     run = runs["PD"]
     moved = tracks(viewer.record(run, fps=30, speed=4))["meshcat/robot0", ".position"]
     assert np.allclose(np.diff(moved["times"]), 4 / 30, atol=2e-4)
@@ -161,7 +164,7 @@ def test_frames_between_two_samples_lie_between_them(viewer: Viewer, runs: dict[
     np.testing.assert_allclose(np.reshape(moved["values"], (-1, 3))[:, :2], expected, atol=4e-5)
 
 
-def test_frames_are_where_the_tables_say(viewer: Viewer, runs: dict[str, pm.Rollout]) -> None:
+def test_frames_are_where_the_tables_say(viewer: Viewer, runs: Runs) -> None:
     run = runs["PD"]
     found = tracks(viewer.record(run, fps=10, overlays=Overlays(frames=(LECTURE_TABLE, SLIDE_TABLE))))
     for number, table, k in (
@@ -181,7 +184,7 @@ def test_frames_are_where_the_tables_say(viewer: Viewer, runs: dict[str, pm.Roll
     assert ("meshcat/table1/3", ".position") not in found
 
 
-def test_arrows_are_to_scale(viewer: Viewer, apart: dict[str, pm.Rollout]) -> None:
+def test_arrows_are_to_scale(viewer: Viewer, apart: Runs) -> None:
     run = apart["bad"]
     found = tracks(viewer.record(run, fps=20, overlays=Overlays(arrows=Arrows(force=0.5, moment=0.25))))
     scale = np.reshape(found["meshcat/force", ".scale"]["values"], (-1, 3))
@@ -191,14 +194,14 @@ def test_arrows_are_to_scale(viewer: Viewer, apart: dict[str, pm.Rollout]) -> No
     np.testing.assert_allclose(radius[:, 0], np.maximum(0.25 * np.abs(run.u[:, 2]), 1e-4), atol=1e-4)
 
 
-def test_captions_tell_time_and_error(viewer: Viewer, runs: dict[str, pm.Rollout]) -> None:
+def test_captions_tell_time_and_error(viewer: Viewer, runs: Runs) -> None:
     said = tracks(viewer.record(runs, fps=10))["meshcat/stage", ".caption"]
     assert len(said["times"]) == 601
     assert said["values"][300] == "t = 30.0 s\nposition error\nPD  7.48 mm\ncomputed torque  34.9 µm"
 
 
 def test_a_recorded_page_shows_the_robot_where_its_pose_projects(
-    page: Page, viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path
+    page: Page, viewer: Viewer, runs: Runs, tmp_path: Path
 ) -> None:
     run = runs["computed torque"]
     opened(page, viewer.record(run, speed=2), tmp_path)
@@ -216,7 +219,7 @@ def test_a_recorded_page_shows_the_robot_where_its_pose_projects(
 
 
 def test_a_recorded_page_plays_at_once_and_again(
-    page: Page, viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path
+    page: Page, viewer: Viewer, runs: Runs, tmp_path: Path
 ) -> None:
     opened(page, viewer.record(runs, speed=100), tmp_path)
     page.wait_for_changes("viewer.animator.time", 1, -1)
@@ -228,7 +231,7 @@ def test_a_recorded_page_plays_at_once_and_again(
     assert page.evaluate("viewer.animator.time") == stood
 
 
-def test_the_trail_grows(page: Page, viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path) -> None:
+def test_the_trail_grows(page: Page, viewer: Viewer, runs: Runs, tmp_path: Path) -> None:
     run = runs["PD"]
     opened(page, viewer.record(run), tmp_path)
     drawn = "viewer.scene_tree.find(['meshcat', 'trail0', '<object>']).object.geometry.drawRange.count"
@@ -246,9 +249,7 @@ def test_the_trail_grows(page: Page, viewer: Viewer, runs: dict[str, pm.Rollout]
     assert not sees_any(page, BLUE, ahead)
 
 
-def test_a_second_rollout_is_a_ghost(
-    page: Page, viewer: Viewer, apart: dict[str, pm.Rollout], tmp_path: Path
-) -> None:
+def test_a_second_rollout_is_a_ghost(page: Page, viewer: Viewer, apart: Runs, tmp_path: Path) -> None:
     opened(page, viewer.record(apart, overlays=Overlays(trail=False, path=False)), tmp_path)
     t = float(apart["bad"].t[np.abs(apart["bad"].error[:, 0]).argmax()])
     page.evaluate(f"pinmobile.seek({t})")
@@ -267,16 +268,14 @@ def test_a_second_rollout_is_a_ghost(
     assert legend.split("\n") == ["good", "bad"]
 
 
-def test_the_desired_pose_is_a_ghost_too(viewer: Viewer, apart: dict[str, pm.Rollout]) -> None:
+def test_the_desired_pose_is_a_ghost_too(viewer: Viewer, apart: Runs) -> None:
     run = apart["bad"]
     found = tracks(viewer.record(run, fps=20, overlays=Overlays(desired=True)))
     moved = np.reshape(found["meshcat/desired", ".position"]["values"], (-1, 3))
     np.testing.assert_allclose(moved[:, :2], run.reference.q[:, :2], atol=6e-6)
 
 
-def test_a_camera_follows_or_stays(
-    page: Page, viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path
-) -> None:
+def test_a_camera_follows_or_stays(page: Page, viewer: Viewer, runs: Runs, tmp_path: Path) -> None:
     run = runs["PD"]
     opened(page, viewer.record(run, overlays=Overlays(camera=Follow(3.0))), tmp_path)
     for t in (0.0, 20.0, 45.0, 5.0):
@@ -295,7 +294,7 @@ def test_a_camera_follows_or_stays(
 
 @pytest.mark.parametrize("size", [(900, 600), (420, 800)])
 def test_the_whole_path_is_seen_at_the_first_glance(
-    page: Page, viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path, size: tuple[int, int]
+    page: Page, viewer: Viewer, runs: Runs, tmp_path: Path, size: tuple[int, int]
 ) -> None:
     page.resize(*size)
     opened(page, viewer.record(runs), tmp_path)
@@ -308,9 +307,7 @@ def test_the_whole_path_is_seen_at_the_first_glance(
     assert spread[1] - spread[0] > 0.4 * min(size[0], 1.5 * size[1])
 
 
-def test_a_robot_that_stands_can_be_recorded(
-    page: Page, viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path
-) -> None:
+def test_a_robot_that_stands_can_be_recorded(page: Page, viewer: Viewer, runs: Runs, tmp_path: Path) -> None:
     run = runs["PD"]
     parts = {name: getattr(run, name)[:1] for name in ("t", "v", "a", "u", "error")}
     still = np.zeros((1, 3))
@@ -329,9 +326,7 @@ def test_overlays_are_equal_by_value() -> None:
     assert len({given(), given(), Overlays(), Overlays(trail=False)}) == 3
 
 
-def test_a_page_is_one_file_that_names_no_other(
-    viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path
-) -> None:
+def test_a_page_is_one_file_that_names_no_other(viewer: Viewer, runs: Runs, tmp_path: Path) -> None:
     text = viewer.record(runs, title="<b> & more").save_html(tmp_path / "scene.html").read_text()
     assert "<title>&lt;b&gt; &amp; more</title>" in text
     assert not re.search(r'(src|href)="(?!data:)', text)
@@ -365,9 +360,7 @@ def test_a_live_page_shows_the_robot_where_it_is_displayed(page: Page, live: Vie
     assert not sees(page, BLUE, spots[0])
 
 
-def test_play_goes_through_the_rollout_in_its_time(
-    page: Page, live: Viewer, apart: dict[str, pm.Rollout]
-) -> None:
+def test_play_goes_through_the_rollout_in_its_time(page: Page, live: Viewer, apart: Runs) -> None:
     page.open(live.url)
     live.wait(20)
     began = time.perf_counter()
@@ -398,7 +391,7 @@ def test_display_is_safe_from_several_threads(live: Viewer) -> None:
     assert not any(thread.is_alive() for thread in threads)
 
 
-def test_ctrl_c_ends_play_and_the_viewer_goes_on(live: Viewer, apart: dict[str, pm.Rollout]) -> None:
+def test_ctrl_c_ends_play_and_the_viewer_goes_on(live: Viewer, apart: Runs) -> None:
     timer = threading.Timer(0.4, signal.raise_signal, (signal.SIGINT,))
     timer.start()
     began = time.perf_counter()
@@ -412,7 +405,7 @@ def test_ctrl_c_ends_play_and_the_viewer_goes_on(live: Viewer, apart: dict[str, 
 
 
 def test_a_screenshot_is_of_the_time_that_is_asked_for(
-    viewer: Viewer, runs: dict[str, pm.Rollout], browser: Chromium, tmp_path: Path
+    viewer: Viewer, runs: Runs, browser: Chromium, tmp_path: Path
 ) -> None:
     recording = viewer.record(runs["PD"])
     early = recording.screenshot(tmp_path / "early.png", t=3, size=(600, 400)).read_bytes()
@@ -427,7 +420,7 @@ def test_a_screenshot_is_of_the_time_that_is_asked_for(
 
 @pytest.mark.parametrize("width", [300, 1000])
 def test_caption_and_legend_never_overlap(
-    page: Page, viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path, width: int
+    page: Page, viewer: Viewer, runs: Runs, tmp_path: Path, width: int
 ) -> None:
     page.resize(width, 560)
     opened(page, viewer.record(runs), tmp_path)
@@ -444,9 +437,7 @@ def test_caption_and_legend_never_overlap(
         assert box[2] <= width
 
 
-def test_gifs_and_films(
-    viewer: Viewer, runs: dict[str, pm.Rollout], browser: Chromium, tmp_path: Path
-) -> None:
+def test_gifs_and_films(viewer: Viewer, runs: Runs, browser: Chromium, tmp_path: Path) -> None:
     recording = viewer.record(runs, speed=60)
     seen: list[tuple[int, int]] = []
     path = recording.save_gif(
@@ -508,7 +499,7 @@ def test_a_gif_has_the_colours_of_what_comes_late() -> None:
     ],
 )
 def test_what_cannot_be_shown_is_refused(
-    runs: dict[str, pm.Rollout],
+    runs: Runs,
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
     call: Callable[[Any, pm.Rollout], object],
@@ -523,7 +514,7 @@ def test_what_cannot_be_shown_is_refused(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_closed_viewer_says_so(runs: dict[str, pm.Rollout], tmp_path: Path) -> None:
+def test_a_closed_viewer_says_so(runs: Runs, tmp_path: Path) -> None:
     for is_live in (False, True):
         viewer = Viewer(pm.MobileRobot.lecture(), live=is_live)
         viewer.close()
@@ -543,7 +534,7 @@ def test_a_closed_viewer_says_so(runs: dict[str, pm.Rollout], tmp_path: Path) ->
 
 
 def test_no_chromium_is_said_before_anything_is_written(
-    viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    viewer: Viewer, runs: Runs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recording = viewer.record(runs)
     monkeypatch.setenv("PINMOBILE_CHROMIUM", "")
@@ -558,7 +549,7 @@ def test_no_chromium_is_said_before_anything_is_written(
 
 
 def test_a_chromium_that_dies_is_told(
-    viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    viewer: Viewer, runs: Runs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PINMOBILE_CHROMIUM", "/bin/false")
     with pytest.raises(ViewerError, match="the browser has gone"):
@@ -580,7 +571,7 @@ def test_the_sandbox_is_given_up_as_root_alone_and_one_that_cannot_start_is_told
 
 
 def test_no_encoder_is_told_with_the_extra_that_has_it(
-    viewer: Viewer, runs: dict[str, pm.Rollout], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    viewer: Viewer, runs: Runs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(ViewerError, match=r"pip install imageio-ffmpeg, or 'pinmobile\[mp4\]'$"):
@@ -686,9 +677,7 @@ def _shipped() -> Path:
 # The command
 
 
-def test_the_command_serves_until_it_is_told_to_end(
-    page: Page, runs: dict[str, pm.Rollout], tmp_path: Path
-) -> None:
+def test_the_command_serves_until_it_is_told_to_end(page: Page, runs: Runs, tmp_path: Path) -> None:
     runs["PD"].save(tmp_path / "rollout.npz")
     words = [sys.executable, "-m", "pinmobile", "view", str(tmp_path / "rollout.npz")]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
@@ -714,7 +703,7 @@ def end(process: subprocess.Popen[str]) -> None:
     process.communicate()
 
 
-def test_nothing_is_left_behind(runs: dict[str, pm.Rollout], browser: Chromium, tmp_path: Path) -> None:
+def test_nothing_is_left_behind(runs: Runs, browser: Chromium, tmp_path: Path) -> None:
     def children() -> int:
         return len(Path(f"/proc/self/task/{os.getpid()}/children").read_text().split())
 

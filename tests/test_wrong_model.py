@@ -14,6 +14,7 @@ from pinmobile.parts import find, replace
 from pinmobile.plant import Context
 from tests import rivals
 from tests.parts import Waving
+from tests.refusals import refusals
 from tests.rivals import CIRCLE, HEAVY, NOMINAL, RIVALS
 
 ARM = pm.MobileRobot.box().mount("ur5")
@@ -23,11 +24,7 @@ LIMITS = (22.0, 22.0, 3.0)
 NAMES = "PID", "sliding mode", "super-twisting", "adaptive", "adaptive, friction", "observer", "ADRC"
 EACH: Mapping[str, Any] = {name: RIVALS[name] for name in NAMES}
 # Where draws of the noise decide, or where bounds of estimates and the speed of friction had not been stated.
-OTHERS = {
-    ("adaptive, friction", "friction"): 0.42,
-    ("super-twisting", "noise"): 0.4,
-    ("ADRC", "noise"): 0.25,
-}
+OTHERS = {("adaptive, friction", "friction"): 0.42, ("super-twisting", "noise"): 0.4, ("ADRC", "noise"): 0.25}
 
 
 @pytest.mark.long
@@ -263,7 +260,7 @@ def test_the_bound_is_where_the_loop_itself_becomes_unstable() -> None:
     assert last(0.97 * bound) < 0.01 < last(1.03 * bound)
 
 
-BAD: Any = [
+test_bad_arguments_are_refused = refusals(
     (lambda: pm.Adaptive(NOMINAL, lower=[31, -9, -9, 0]), "exclude that of the robot, 30"),
     (lambda: pm.Adaptive(NOMINAL, upper=[90, 9, 9]), r"upper has shape \(3,\), expected \(4,\)"),
     (lambda: pm.Adaptive(NOMINAL, friction=1), "friction is 1, expected True or False"),  # type: ignore[arg-type]
@@ -271,10 +268,4 @@ BAD: Any = [
     (lambda: pm.SuperTwisting(NOMINAL, k1=[1, 2]), r"k1 has shape \(2,\), expected \(\) or \(3,\)"),
     (lambda: pm.DisturbanceObserver(pm.PD(1, 1)), "robot is None, expected a MobileRobot"),
     (lambda: pm.ADRC(pm.WheeledRobot(NOMINAL, pm.WheelTable.differential(0.1, 0.4))), "which has wheels"),
-]
-
-
-@pytest.mark.parametrize(("make", "words"), BAD)
-def test_bad_arguments_are_refused(make: Any, words: str) -> None:
-    with pytest.raises(pm.InvalidArgument, match=words):
-        make()
+)
