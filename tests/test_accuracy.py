@@ -239,6 +239,7 @@ class TestFigure:
         (legend,) = figure.legends
         assert [text.get_text() for text in legend.get_texts()] == ["whole order", "rounding"]
 
+    @pytest.mark.long
     def test_nothing_overlaps_whatever_the_reports(self, reports: Reports) -> None:
         failed = {
             "a label that is longer than its panel is wide": integrator_report(explodes, steps=(0.1, 0.05)),

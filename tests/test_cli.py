@@ -131,6 +131,7 @@ def test_lecture_writes_every_figure_with_an_index_that_says_what_it_shows(lectu
 
 
 @pytest.mark.once
+@pytest.mark.long
 def test_lecture_says_no_when_a_number_is_not_the_lectures(
     typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -417,7 +418,6 @@ def test_a_full_disk_is_told_in_one_line_that_names_the_file(
 @pytest.mark.parametrize(
     ("closed", "options", "code", "text"),
     [
-        (">&-", "duration=1", 0, ""),
         (">&-", "duration=0", 2, "pinmobile: duration=0: duration is 0, expected .*"),
         (">&- 2>&-", "duration=1", 0, ""),
         ("2>&-", "duration=0", 2, ""),

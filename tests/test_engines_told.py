@@ -120,6 +120,7 @@ print(len(robot.mass_matrix(np.zeros((3000, 3)))), verify(robot, states=2).missi
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="prctl is of Linux")
+@pytest.mark.long
 def test_where_no_memory_may_be_written_and_executed_another_engine_runs_and_says_why() -> None:
     words = [sys.executable, "-c", _NOT_EXECUTABLE]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=100)
@@ -155,8 +156,7 @@ def _branching_torques(t: float, q: Any, v: Any, reference: Any) -> Any:
     return np.array([0.6, 0.7]) if q[0] < 1e9 else np.zeros(2)
 
 
-@pytest.mark.parametrize("ground", [pm.Rolling(), pm.Coulomb()], ids=lambda one: type(one).__name__)
-@pytest.mark.parametrize("substeps", [1, 3])
+@pytest.mark.parametrize(("ground", "substeps"), [(pm.Rolling(), 3), (pm.Coulomb(), 1)])
 def test_plant_and_forces_are_compiled_where_the_controller_alone_cannot_be(
     ground: Any, substeps: int
 ) -> None:

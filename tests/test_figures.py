@@ -58,7 +58,7 @@ def test_at_both_columns_too(name: str) -> None:
 
 def test_a_figure_too_narrow_for_its_words_is_refused() -> None:
     words = r"^width is 1.2 in, in which .*: expected a wider figure, or smaller letters, now rcParams\["
-    for name in ("path", "states", "errors", "bands", "curves"):
+    for name in ("path", "errors", "curves"):
         with pytest.raises(InvalidArgument, match=words) as told:
             page.FIGURES[name](width=1.2)
         assert "$" not in str(told.value)

@@ -380,6 +380,7 @@ def test_gears_that_lose_by_the_direction_of_power_and_motors_that_rub_are_known
 
 
 @pytest.mark.once
+@pytest.mark.long
 def test_of_wheels_alone_nothing_is_believed_of_the_body() -> None:
     wheel: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.005, "yaw_inertia": 0.003}
     volts = pm.WheelTable.differential(0.5, 0.1, motor=MOTOR, **wheel)
@@ -463,6 +464,7 @@ def test_wheels_that_roll_are_not_said_to_slip(dry: WheelFriction | None) -> Non
 
 
 @pytest.mark.once
+@pytest.mark.long
 def test_a_wheel_of_another_radius_is_told_by_its_ratio() -> None:
     why = "poses per encoders: 0.909 forward and 0.909 in yaw: wheels slip, have another radius"
     with refused(f"^log has poses that move otherwise than wheels roll, .*{why}"):
@@ -893,9 +895,8 @@ def test_a_prediction_is_as_good_as_the_noise_and_is_drawn() -> None:
         plots.prediction(other, ax=figure.axes[:2])
 
 
-@pytest.mark.parametrize("low", [-15.0, -1e9])
-def test_an_input_that_was_clipped_is_reported_and_its_intervals_are_not_valid(low: float) -> None:
-    clipped = pm.identify(changed(u=lambda u: np.column_stack([np.clip(u[:, 0], low, 15.0), u[:, 1:]])))
+def test_an_input_that_was_clipped_is_reported_and_its_intervals_are_not_valid() -> None:
+    clipped = pm.identify(changed(u=lambda u: np.column_stack([np.clip(u[:, 0], -15.0, 15.0), u[:, 1:]])))
     assert re.match(r"input Fx of log stays at -\S+ or 15, its extremes, in \d+% of", clipped.clipped)
     assert clipped.clipped in clipped.notes
     assert not clipped.is_noise

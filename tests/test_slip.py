@@ -54,9 +54,9 @@ def test_locked_wheels_slide_as_far_as_friction_says() -> None:
 def test_what_friction_can_hold_on_a_ramp_stays_and_what_it_cannot_accelerates(direction: float) -> None:
     locked = skid(WheelFriction(mu=0.5, rolling=1e3))
     below = WheeledRobot(CENTRAL, locked, Coulomb(ramp=Ramp(np.arctan(0.98 * 0.5), direction)))
-    held = run(below, (0.0, 0.0), 0.01, 3.0)
+    held = run(below, (0.0, 0.0), 0.01, 1.0)
     # At most what forces, found to the tolerance, add to the speed in one step, for all the time.
-    assert np.abs(held.q[:, :3]).max() < Coulomb().tolerance * 0.5 * G * 0.01 * 3.0
+    assert np.abs(held.q[:, :3]).max() < Coulomb().tolerance * 0.5 * G * 0.01
     angle = np.arctan(1.02 * 0.5)
     above = WheeledRobot(CENTRAL, locked, Coulomb(ramp=Ramp(angle, direction)))
     v = run(above, (0.0, 0.0), 0.01, 1.0).v[-1]

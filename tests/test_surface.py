@@ -258,6 +258,7 @@ def test_a_first_use_pulls_in_what_it_needs_and_nothing_heavier(use: str, heavy:
 
 
 @pytest.mark.once
+@pytest.mark.long
 def test_names_are_there_however_they_are_asked_for() -> None:
     fresh("from pinmobile import *; PD, MobileRobot, ensemble, sweep, verify")
     fresh("from pinmobile import plots, robot, rk4; plots.path, robot.Mount, rk4")

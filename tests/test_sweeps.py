@@ -288,6 +288,7 @@ def test_lengths_and_shares_in_words() -> None:
     assert many == "the robots diverge in more than 99 % of runs"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("robots", [0, 264, 800])
 @pytest.mark.once
 def test_a_killed_sweep_resumes_and_ends_with_the_same_store(

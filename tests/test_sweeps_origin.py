@@ -263,6 +263,7 @@ def test_a_store_does_not_take_the_other_of_two_lambdas_on_a_line(tmp_path: Path
         pm.sweep(replace(first, controller=SHAPED[1]), tmp_path / "store")
 
 
+@pytest.mark.long
 def test_every_process_tells_the_same_of_all_of_them() -> None:
     code = "from tests.test_sweeps_origin import *; print(json.dumps(accounts()))"
     told = [

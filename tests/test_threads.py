@@ -238,7 +238,7 @@ def test_an_ensemble_of_a_law_that_asks_a_robot_is_the_same_on_its_default_threa
             robot,
             pm.law(force),
             motion,
-            n=40,
+            n=12,
             spread=spread,
             dt=0.02,
             duration=0.4,

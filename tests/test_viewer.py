@@ -437,6 +437,7 @@ def test_caption_and_legend_never_overlap(
         assert box[2] <= width
 
 
+@pytest.mark.long
 def test_gifs_and_films(viewer: Viewer, runs: Runs, browser: Chromium, tmp_path: Path) -> None:
     recording = viewer.record(runs, speed=60)
     seen: list[tuple[int, int]] = []
