@@ -895,8 +895,9 @@ def test_a_prediction_is_as_good_as_the_noise_and_is_drawn() -> None:
         plots.prediction(other, ax=figure.axes[:2])
 
 
-def test_an_input_that_was_clipped_is_reported_and_its_intervals_are_not_valid() -> None:
-    clipped = pm.identify(changed(u=lambda u: np.column_stack([np.clip(u[:, 0], -15.0, 15.0), u[:, 1:]])))
+@pytest.mark.parametrize("low", [-15.0, -1e9])
+def test_an_input_that_was_clipped_is_reported_and_its_intervals_are_not_valid(low: float) -> None:
+    clipped = pm.identify(changed(u=lambda u: np.column_stack([np.clip(u[:, 0], low, 15.0), u[:, 1:]])))
     assert re.match(r"input Fx of log stays at -\S+ or 15, its extremes, in \d+% of", clipped.clipped)
     assert clipped.clipped in clipped.notes
     assert not clipped.is_noise
