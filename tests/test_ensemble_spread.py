@@ -150,55 +150,45 @@ FORCED = (
 )
 
 
-@pytest.mark.parametrize(
-    ("name", "k", "field", "expected"),
-    [
-        ("forces.5.force.x", 5, "force", [0.25, 1, 0.1]),
-        ("forces.5.force.y", 5, "force", [1, 0.25, 0.1]),
-        ("force.moment", 5, "force", [1, 1, 0.25]),
-        ("amplitude.x", 0, "amplitude", [0.25, 8, 7]),
-        ("amplitude.y", 0, "amplitude", [9, 0.25, 7]),
-        ("amplitude.moment", 0, "amplitude", [9, 8, 0.25]),
-        ("frequency", 0, "frequency", 0.25),
-        ("forces.0.phase", 0, "phase", 0.25),
-        ("std.x", 1, "std", [0.25, 5, 4]),
-        ("std.y", 1, "std", [6, 0.25, 4]),
-        ("std.moment", 1, "std", [6, 5, 0.25]),
-        ("coefficients.forward", 6, "coefficients", [0.25, 1, 0.1]),
-        ("coefficients.left", 6, "coefficients", [1, 0.25, 0.1]),
-        ("coefficients.yaw", 6, "coefficients", [1, 1, 0.25]),
-        ("force.forward", 2, "force", [0.25, 1, 0.1]),
-        ("force.left", 2, "force", [1, 0.25, 0.1]),
-        ("force.yaw", 2, "force", [1, 1, 0.25]),
-        ("forces.2.speed", 2, "speed", 0.25),
-        ("at.y", 4, "at", [0.1, 0.25]),
-    ],
-)
-def test_a_name_of_a_force_stands_for_one_number_of_it(name: str, k: int, field: str, expected: Any) -> None:
-    member = run_scenario(made(n=2, spread={name: 0.25}, forces=FORCED)).member(1)
-    np.testing.assert_array_equal(getattr(member.options["forces"][k], field), expected)
+NAMED: dict[str, tuple[int, str, Any]] = {
+    **{f"forces.5.force.{axis}": (5, "force", k) for k, axis in enumerate("xy")},
+    "force.moment": (5, "force", 2),
+    **{f"amplitude.{axis}": (0, "amplitude", k) for k, axis in enumerate(("x", "y", "moment"))},
+    **{"frequency": (0, "frequency", ()), "forces.0.phase": (0, "phase", ())},
+    **{f"std.{axis}": (1, "std", k) for k, axis in enumerate(("x", "y", "moment"))},
+    **{f"coefficients.{axis}": (6, "coefficients", k) for k, axis in enumerate(("forward", "left", "yaw"))},
+    **{f"force.{axis}": (2, "force", k) for k, axis in enumerate(("forward", "left", "yaw"))},
+    **{"forces.2.speed": (2, "speed", ()), "at.y": (4, "at", 1)},
+}
 
 
-@pytest.mark.parametrize(
-    ("name", "place"),
-    [("start.x", 0), ("start.y", 1), ("start.psi", 2), ("start_rate.vx", 3), ("start_rate.vy", 4)],
-)
-def test_a_start_is_beside_the_trajectorys(name: str, place: int) -> None:
-    options = run_scenario(made(n=2, spread={name: 0.25})).member(1).options
+def test_a_name_of_a_force_stands_for_one_number_of_it() -> None:
+    values = {name: 0.25 + 0.01 * k for k, name in enumerate(NAMED)}
+    own = run_scenario(made(n=2, spread=values, forces=FORCED)).member(1).options["forces"]
+    for k, field in {(k, field) for k, field, _ in NAMED.values()}:
+        expected = np.array(getattr(FORCED[k], field), float)
+        for name, (of, which, entry) in NAMED.items():
+            if (of, which) == (k, field):
+                expected[entry] = values[name]
+        np.testing.assert_array_equal(getattr(own[k], field), expected)
+
+
+def test_a_start_is_beside_the_trajectorys() -> None:
+    names = "start.x", "start.y", "start.psi", "start_rate.vx", "start_rate.vy"
+    options = (
+        run_scenario(made(n=2, spread={name: 2.0**-k for k, name in enumerate(names)})).member(1).options
+    )
     at = TRAJECTORY(0.0)
     offset = np.concatenate([options["q0"] - at.q, options["v0"] - at.v])
-    np.testing.assert_array_equal(offset, 0.25 * (np.arange(6) == place))
+    np.testing.assert_allclose(offset, [1, 0.5, 0.25, 0.125, 0.0625, 0], rtol=0, atol=1e-15)
 
 
-@pytest.mark.parametrize(("name", "place"), [("kp.x", 0), ("kp.y", 1), ("kp.psi", 2)])
-def test_a_gain_of_one_coordinate_leaves_the_others(name: str, place: int) -> None:
-    coupled = np.array([[4.0, 1, 0], [0, 5, 0], [0, 2, 6]])
+def test_gains_of_coordinates_leave_those_that_couple_them() -> None:
+    coupled, spread = np.array([[4.0, 1, 0], [0, 5, 0], [0, 2, 6]]), {"kp.x": 7.0, "kp.y": 8.0, "kp.psi": 9.0}
     controller: Any = (
-        run_scenario(made(n=2, spread={name: 9.0}, controller=pm.PD(coupled, 4))).member(1).controller
+        run_scenario(made(n=2, spread=spread, controller=pm.PD(coupled, 4))).member(1).controller
     )
-    expected = coupled.copy()
-    expected[place, place] = 9.0
-    np.testing.assert_array_equal(controller.kp, expected)
+    np.testing.assert_array_equal(controller.kp, [[7, 1, 0], [0, 8, 0], [0, 2, 9]])
 
 
 def test_a_member_has_all_else_of_its_scenario() -> None:
@@ -299,9 +289,9 @@ def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
     ],
 )
 def test_a_scenario_checks_itself(changes: Any, text: str) -> None:
-    with pytest.raises(UnknownName if text.startswith("unknown") else pm.InvalidArgument) as caught:
+    error = UnknownName if text.startswith("unknown") else pm.InvalidArgument
+    with pytest.raises(error, match=re.escape(text)):
         made(**changes)
-    assert text in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["samples", "controller.samples", "controller.controller.samples"])
