@@ -12,7 +12,6 @@ from pinmobile.arrays import Array
 from pinmobile.compiled.tape import Tape, needed
 from pinmobile.errors import NotTraceable, UnknownName
 from pinmobile.parts import find, replace
-from pinmobile.robot import mountable
 from pinmobile.robot.articulated import ArticulatedDynamics
 from pinmobile.robot.linkage import Linkage, Placement, exact
 
@@ -90,14 +89,6 @@ def assert_agrees(robot: MobileRobot, states: int = 2) -> None:
     ):
         assert found.shape == expected.shape, name
         assert np.abs(found - expected).max() < CLOSE * (1 + np.abs(expected).max()), name
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", list(mountable()))
-def test_every_robot_that_can_be_mounted_moves_as_pinocchio_says(name: str) -> None:
-    robot = MobileRobot.box(size=(1, 1, 0.5)).mount(name, AT)
-    if robot.nv > 3:  # what has no joints is a load
-        assert_agrees(robot)
 
 
 @pytest.mark.parametrize("seed", range(4))

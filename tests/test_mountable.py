@@ -18,6 +18,7 @@ from pinmobile.errors import NotTraceable, UnknownName
 from pinmobile.robot import BODY_JOINT, EXCEPTIONS, mountable
 from pinmobile.robot.visuals import VisualFile
 from pinmobile.viewer import Viewer
+from tests.test_linkage import AT, assert_agrees
 
 NAMES = sorted(example_robot_data.ROBOTS)
 REFUSED = [name for name, (mounts, _) in EXCEPTIONS.items() if not mounts]
@@ -86,7 +87,7 @@ def sent(robot: pm.MobileRobot, q: Array) -> dict[str, Array]:
 @pytest.mark.long
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in REFUSED])
 def test_each_mounts_drives_and_draws(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    robot = pm.MobileRobot.box().mount(name)
+    robot = pm.MobileRobot.box().mount(name, AT)
     assert robot.nv > 3 or name in ("hector", "iris")  # a quadrotor without an arm is a load
     assert robot.model.nq == robot.nq == robot.nv  # each joint has one number
     assert all(joint.startswith(f"{name}/") for joint in list(robot.model.names)[BODY_JOINT + 1 :])
@@ -94,6 +95,8 @@ def test_each_mounts_drives_and_draws(name: str, monkeypatch: pytest.MonkeyPatch
     refused = mock.Mock(side_effect=NotTraceable("not", "asked for"))
     monkeypatch.setattr(verification, "by_machine_code", refused)
     assert pm.verify(robot, states=2).passed
+    if robot.nv > 3:
+        assert_agrees(robot)
     rollout = pm.simulate(robot, pm.ComputedTorque(robot, 100, 20), Drive(robot), dt=0.02)
     # The step is exact where the acceleration is constant: what is left is its change, h^3 / 6, per step,
     # damped with 1 / kd, some 1e-6 m; the arm has nothing to do but to hold.
