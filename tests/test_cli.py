@@ -518,6 +518,7 @@ def test_a_twist_of_two_columns_is_speed_and_yaw_rate(typed: Typed, tmp_path: Pa
 
 
 @pytest.mark.once
+@pytest.mark.long
 def test_volts_of_wheels_give_the_robot_and_loads_the_scale(typed: Typed, tmp_path: Path) -> None:
     paths = []
     for k in range(2):

@@ -133,6 +133,7 @@ class Still:
 """
 
 
+@pytest.mark.long
 def test_a_file_is_read_where_the_users_classes_are_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -123,6 +123,7 @@ VIEWING = next(source for source in SOURCES if source.stem == "05_viewing")
 
 
 @pytest.mark.once
+@pytest.mark.long
 def test_the_notebook_keeps_a_picture_of_the_scene_that_moves_in_the_converted_page(
     executed: Callable[[Path], Path], browser: Chromium, tmp_path: Path
 ) -> None:

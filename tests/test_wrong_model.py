@@ -208,6 +208,7 @@ def test_all_engines_agree(name: str) -> None:
         assert np.abs(runs[0].rms_error - other.rms_error).max() < close
 
 
+@pytest.mark.long
 def test_arms_are_adapted_too() -> None:
     heavier = replace(ARM, {find(ARM, "forearm_link.mass").path: 4.0})
 
