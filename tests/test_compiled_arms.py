@@ -10,30 +10,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import (
-    ComputedTorque,
-    ConstantForce,
-    Engine,
-    InputSaturation,
-    InvalidArgument,
-    JointFriction,
-    MeasurementDelay,
-    MeasurementNoise,
-    MobileRobot,
-    Normal,
-    PayloadBody,
-    PDGravity,
-    Relative,
-    Rollout,
-    SameAs,
-    Scenario,
-    Uniform,
-    ViscousFriction,
-    ensemble,
-    parts as walk,
-    simulate,
-    vectorize,
-)
+import pinmobile as pm
+from pinmobile import parts as walk
 from pinmobile.arrays import Array
 from pinmobile.compiled import Cache, Program
 from pinmobile.controllers import Decoupled
@@ -45,50 +23,72 @@ from tests.test_compiled_loop import targets
 from tests.test_mounted import mjcf
 
 AT = (0.1, -0.05, 0.2, 0.4)
-LOAD = PayloadBody(1.0, (0, 0.01, 0.05), size=(0.1, 0.1, 0.1))
-UR5 = MobileRobot.box().mount("ur5", AT).attach(LOAD)
-PENDULUM = MobileRobot.box().mount("double_pendulum_continuous", AT)  # whose q has cosines and sines
+LOAD = pm.PayloadBody(1.0, (0, 0.01, 0.05), size=(0.1, 0.1, 0.1))
+UR5 = pm.MobileRobot.box().mount("ur5", AT).attach(LOAD)
+PENDULUM = pm.MobileRobot.box().mount("double_pendulum_continuous", AT)  # whose q has cosines and sines
 CLOSE = 1e-10
-WRAPPED = InputSaturation(
-    MeasurementDelay(MeasurementNoise(ComputedTorque(UR5, 20, 8), 1e-4, 1e-4, seed=1), 1), UR5.effort_limit
+WRAPPED = pm.InputSaturation(
+    pm.MeasurementDelay(pm.MeasurementNoise(pm.ComputedTorque(UR5, 20, 8), 1e-4, 1e-4, seed=1), 1),
+    UR5.effort_limit,
 )
 
 
+class Swing:
+    """All coordinates to and fro."""
+
+    def __init__(self, robot: pm.MobileRobot, duration: float = 0.6) -> None:
+        self.robot, self.duration = robot, duration
+        self.way = 0.2 * np.arange(1, robot.nv + 1) / robot.nv
+
+    def __call__(self, t: Any) -> pm.Reference:
+        angle = 3.0 * np.asarray(t)[..., None]
+        off = self.way * (1 - np.cos(angle))
+        q = self.robot.integrate(np.broadcast_to(self.robot.rest, (*off.shape[:-1], self.robot.nq)), off)
+        return pm.Reference(q, self.way * 3 * np.sin(angle), self.way * 9 * np.cos(angle))
+
+
 SPREAD: dict[str, Any] = {
-    "mass": Uniform(24, 36),
-    "com.x": Normal(0, 0.02),
-    "forearm_link.mass": Uniform(2, 3),
-    "forearm_link.com.y": Normal(0, 0.01),  # which is zero but for this
-    "forearm_link.inertia.zz": Uniform(0.004, 0.005),
-    "rotors.elbow_joint": Uniform(0.0, 0.2),
-    "ur5.at.x": Uniform(0.05, 0.15),
-    "ur5.at.yaw": Normal(0.4, 0.1),
-    "loads.0.mass": Uniform(0.5, 3),
-    "loads.0.com.z": Normal(0.05, 0.01),
-    "controller.loads.0.mass": SameAs("loads.0.mass"),
-    "controller.forearm_link.mass": Uniform(2, 3),
-    "viscous": Uniform(0, 0.3),
-    "kp": Relative(Uniform(0.9, 1.1)),
+    "mass": pm.Uniform(24, 36),
+    "com.x": pm.Normal(0, 0.02),
+    "forearm_link.mass": pm.Uniform(2, 3),
+    "forearm_link.com.y": pm.Normal(0, 0.01),  # which is zero but for this
+    "forearm_link.inertia.zz": pm.Uniform(0.004, 0.005),
+    "rotors.elbow_joint": pm.Uniform(0.0, 0.2),
+    "ur5.at.x": pm.Uniform(0.05, 0.15),
+    "ur5.at.yaw": pm.Normal(0.4, 0.1),
+    "loads.0.mass": pm.Uniform(0.5, 3),
+    "loads.0.com.z": pm.Normal(0.05, 0.01),
+    "controller.loads.0.mass": pm.SameAs("loads.0.mass"),
+    "controller.forearm_link.mass": pm.Uniform(2, 3),
+    "viscous": pm.Uniform(0, 0.3),
+    "kp": pm.Relative(pm.Uniform(0.9, 1.1)),
 }
 
 
-def given(robot: MobileRobot = UR5, controller: Any = None, spread: Any = SPREAD, **options: Any) -> Any:
+def given(robot: pm.MobileRobot = UR5, controller: Any = None, spread: Any = SPREAD, **options: Any) -> Any:
     """Return the words of a scenario."""
-    controller = ComputedTorque(robot, 100, 20) if controller is None else controller
+    controller = pm.ComputedTorque(robot, 100, 20) if controller is None else controller
     trajectory = Swing(robot, options.pop("lasts", 0.6))
     words = {"robot": robot, "controller": controller, "trajectory": trajectory, "spread": spread}
-    return {"n": 5, "dt": 0.02, "seed": 3, "forces": [JointFriction(np.zeros(robot.nv))], **words, **options}
+    return {
+        "n": 5,
+        "dt": 0.02,
+        "seed": 3,
+        "forces": [pm.JointFriction(np.zeros(robot.nv))],
+        **words,
+        **options,
+    }
 
 
 def run(*parts: Any, **options: Any) -> Any:
-    return ensemble(**given(*parts, **options))
+    return pm.ensemble(**given(*parts, **options))
 
 
 def assert_members(runs: Any, *which: int) -> None:
     """Compare robots of an ensemble with what `simulate` makes of them, by Pinocchio."""
     for i in which:
         member = runs.member(i)
-        alone = simulate(*member[:3], **member.options)
+        alone = pm.simulate(*member[:3], **member.options)
         assert alone.engine == "PYTHON"
         np.testing.assert_allclose(runs.max_error[i], alone.max_error(), rtol=CLOSE, atol=CLOSE)
         np.testing.assert_allclose(runs.max_input[i], alone.max_input(), rtol=CLOSE, atol=1e-8)
@@ -110,7 +110,7 @@ def answers(body: Any, frame: str) -> Any:
     return law
 
 
-def by_mujoco(robot: MobileRobot, states: Any, force: Array) -> Any:
+def by_mujoco(robot: pm.MobileRobot, states: Any, force: Array) -> Any:
     """Return the same of each state by MuJoCo, for a robot with one arm."""
     (mount,) = robot.mounts
     frame = mount.model.frames[mount.model.getFrameId(robot.end_effector.partition("/")[2])]
@@ -136,10 +136,10 @@ def by_mujoco(robot: MobileRobot, states: Any, force: Array) -> Any:
 
 
 ALL_KINDS = {
-    "ur5": MobileRobot.box().mount("ur5", AT),
-    "panda": MobileRobot.box().mount("panda", AT),  # fingers that slide
-    "kinova": MobileRobot.box().mount("kinova", AT),  # continuous joints
-    "solo8": MobileRobot.box(size=(1, 1, 0.5)).mount("solo8", AT),  # branches
+    "ur5": pm.MobileRobot.box().mount("ur5", AT),
+    "panda": pm.MobileRobot.box().mount("panda", AT),  # fingers that slide
+    "kinova": pm.MobileRobot.box().mount("kinova", AT),  # continuous joints
+    "solo8": pm.MobileRobot.box(size=(1, 1, 0.5)).mount("solo8", AT),  # branches
     "loaded": walk.replace(
         UR5, {"mounts.ur5.rotors": (0, 0, 0.3, 0, 0, 0), "mounts.ur5.links.forearm_link.mass": 5.0}
     ),
@@ -153,7 +153,7 @@ def test_compiled_dynamics_are_those_of_pinocchio_and_of_mujoco(kind: str) -> No
     q[:, 2] = rng.uniform(-12, 12, 7)
     tau *= robot.inverse_dynamics(q, v, a)
     law = answers(robot, robot.end_effector)
-    found = vectorize(law, keep=False)(q, v, a, tau)
+    found = pm.vectorize(law, keep=False)(q, v, a, tau)
     rows = [answers(robot, robot.end_effector)(*state) for state in zip(q, v, a, tau, strict=True)]
     everybody = {"Pinocchio": rows}
     if kind in ("ur5", "panda"):
@@ -168,44 +168,48 @@ def test_compiled_dynamics_are_those_of_pinocchio_and_of_mujoco(kind: str) -> No
 
 def test_each_robot_of_an_ensemble_is_what_simulate_makes_of_it() -> None:
     runs = run()
-    assert runs.engine == Engine.COMPILED.name
+    assert runs.engine == pm.Engine.COMPILED.name
     assert_members(runs, 0, 4)
     assert np.ptp(runs.max_error, axis=0).min() > 0
 
 
 @pytest.mark.parametrize(
     "controller",
-    [PDGravity(UR5, 20, 2), Decoupled(UR5, 25, 10), WRAPPED],
+    [pm.PDGravity(UR5, 20, 2), Decoupled(UR5, 25, 10), WRAPPED],
     ids=["PDGravity", "Decoupled", "wrapped"],
 )
 def test_controllers_and_wrappers_of_arms_are_compiled(controller: Any) -> None:
-    runs = run(controller=controller, spread={"loads.0.mass": Uniform(0.5, 3)}, n=2, dt=0.004)
-    assert runs.engine == Engine.COMPILED.name
+    runs = run(controller=controller, spread={"loads.0.mass": pm.Uniform(0.5, 3)}, n=2, dt=0.004)
+    assert runs.engine == pm.Engine.COMPILED.name
     assert_members(runs, 1)
 
 
 def test_rk4_substeps_and_pushes_on_the_base_are_compiled() -> None:
-    spread = {"mass": Uniform(24, 36), "force.x": Uniform(-5, 5), "coefficients.forward": Uniform(0, 5)}
-    forces = [ConstantForce((0, 0, 0)), ViscousFriction((0, 0, 0))]
+    spread = {
+        "mass": pm.Uniform(24, 36),
+        "force.x": pm.Uniform(-5, 5),
+        "coefficients.forward": pm.Uniform(0, 5),
+    }
+    forces = [pm.ConstantForce((0, 0, 0)), pm.ViscousFriction((0, 0, 0))]
     runs = run(spread=spread, forces=forces, n=2, integrator=rk4, substeps=2)
-    assert runs.engine == Engine.COMPILED.name
+    assert runs.engine == pm.Engine.COMPILED.name
     assert_members(runs, 1)
 
 
 def test_each_joint_has_a_friction_of_its_own() -> None:
-    friction = JointFriction.of(UR5)
-    spread = {"viscous.ur5/elbow_joint": Uniform(0, 2), "coulomb.ur5/wrist_1_joint": Uniform(0, 1)}
+    friction = pm.JointFriction.of(UR5)
+    spread = {"viscous.ur5/elbow_joint": pm.Uniform(0, 2), "coulomb.ur5/wrist_1_joint": pm.Uniform(0, 1)}
     runs = run(spread=spread, forces=[friction], n=2)
     assert_members(runs, 0, 1)
     with pytest.raises(
-        InvalidArgument, match=r"^numbers of coordinates are viscous 2, names 3, expected as "
+        pm.InvalidArgument, match=r"^numbers of coordinates are viscous 2, names 3, expected as "
     ):
-        JointFriction([1.0, 2.0], names=["x", "y", "psi"])
+        pm.JointFriction([1.0, 2.0], names=["x", "y", "psi"])
 
 
 def test_the_engines_agree_and_the_bits_hang_on_nothing() -> None:
     runs, few = run(n=20, threads=2), run(n=3, threads=1)
-    for engine in (Engine.COMPILED, Engine.PYTHON):
+    for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON):
         other = run(n=3, engine=engine)
         assert other.engine == engine.name
         np.testing.assert_allclose(other.max_error, few.max_error, rtol=1e-9, atol=CLOSE)
@@ -215,12 +219,15 @@ def test_the_engines_agree_and_the_bits_hang_on_nothing() -> None:
 
 def test_six_seconds_of_a_closed_loop_are_those_of_pinocchio() -> None:
     robot = ALL_KINDS["kinova"]
-    runs = run(robot, n=2, dt=0.01, lasts=6.0, spread={"mass": Uniform(24, 36), "viscous": Uniform(0, 0.05)})
-    assert runs.engine == Engine.COMPILED.name
+    runs = run(
+        robot, n=2, dt=0.01, lasts=6.0, spread={"mass": pm.Uniform(24, 36), "viscous": pm.Uniform(0, 0.05)}
+    )
+    assert runs.engine == pm.Engine.COMPILED.name
     assert_members(runs, 1)
     member = runs.member(1)
     compiled, usual = (
-        simulate(*member[:3], **member.options, engine=engine) for engine in (Engine.COMPILED, Engine.PYTHON)
+        pm.simulate(*member[:3], **member.options, engine=engine)
+        for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON)
     )
     assert len(usual.t) == 601
     for name in ("q", "v", "a", "u"):
@@ -229,9 +236,11 @@ def test_six_seconds_of_a_closed_loop_are_those_of_pinocchio() -> None:
 
 
 def test_the_bits_of_arms_are_those_of_every_processor() -> None:
-    controller = InputSaturation(MeasurementNoise(ComputedTorque(PENDULUM, 20, 8), 1e-4, 1e-4, seed=1), 50)
-    spread = {f"{PENDULUM.mounts[0].links[-1].name}.mass": Uniform(0.2, 0.4)}
-    way = way_of(Scenario(**given(PENDULUM, controller, spread, n=11)))
+    controller = pm.InputSaturation(
+        pm.MeasurementNoise(pm.ComputedTorque(PENDULUM, 20, 8), 1e-4, 1e-4, seed=1), 50
+    )
+    spread = {f"{PENDULUM.mounts[0].links[-1].name}.mass": pm.Uniform(0.2, 0.4)}
+    way = way_of(pm.Scenario(**given(PENDULUM, controller, spread, n=11)))
     assert way.program is not None
     draws, found = way.scenario.draws(), []
     for target, shape in targets().values():
@@ -249,31 +258,31 @@ def test_the_bits_of_arms_are_those_of_every_processor() -> None:
 
 def test_a_member_whose_links_differ_is_kept_in_a_file(tmp_path: Path) -> None:
     member = run(n=1).member(0)
-    alone = simulate(*member[:3], **member.options)
+    alone = pm.simulate(*member[:3], **member.options)
     alone.save(tmp_path / "run.npz")
-    again = Rollout.load(tmp_path / "run.npz").plant
+    again = pm.Rollout.load(tmp_path / "run.npz").plant
     assert again == member.robot
     np.testing.assert_array_equal(again.inertial_parameters, member.robot.inertial_parameters)
 
 
 def test_inertias_that_no_body_has_are_refused_with_their_share() -> None:
-    spread = {"forearm_link.inertia.zz": Uniform(0.05, 0.15)}  # above 0.0989 a body has none
-    with pytest.raises(InvalidArgument) as caught:
+    spread = {"forearm_link.inertia.zz": pm.Uniform(0.05, 0.15)}  # above 0.0989 a body has none
+    with pytest.raises(pm.InvalidArgument) as caught:
         run(spread=spread, n=200)
     assert str(caught.value).startswith("spread gives plant.mounts.ur5.links.forearm_link in ")
     assert " of 200 draws (" in str(caught.value)
     assert str(caught.value).endswith("expected principal moments >= 0, none above the sum of the other two")
-    with pytest.raises(InvalidArgument, match=r"loads\.0\.mass"):
-        run(spread={"loads.0.mass": Uniform(-1, 1)})
+    with pytest.raises(pm.InvalidArgument, match=r"loads\.0\.mass"):
+        run(spread={"loads.0.mass": pm.Uniform(-1, 1)})
 
 
 @pytest.mark.long
 @pytest.mark.once
 def test_a_tree_that_is_too_large_runs_slower_and_says_so() -> None:
-    robot = MobileRobot.box(size=(1, 1, 0.5)).mount("tiago_dual", AT)
+    robot = pm.MobileRobot.box(size=(1, 1, 0.5)).mount("tiago_dual", AT)
     with pytest.warns(SlowerEngine, match="runs by PYTHON.*not COMPILED.*more than 30000 operations"):
-        runs = run(robot, spread={"mass": Uniform(24, 36)}, n=2, dt=0.3)
-    assert runs.engine == Engine.PYTHON.name  # few robots are faster one by one than side by side
+        runs = run(robot, spread={"mass": pm.Uniform(24, 36)}, n=2, dt=0.3)
+    assert runs.engine == pm.Engine.PYTHON.name  # few robots are faster one by one than side by side
 
 
 def test_a_helical_joint_runs_one_state_at_a_time_and_says_why() -> None:
@@ -281,7 +290,7 @@ def test_a_helical_joint_runs_one_state_at_a_time_and_says_why() -> None:
     model.name = "toy"
     joint = model.addJoint(0, pin.JointModelHX(0.1), pin.SE3.Identity(), "screw")
     model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0, 0, 0.3]), np.eye(3)), pin.SE3.Identity())
-    robot = MobileRobot.box().mount(model, AT)
+    robot = pm.MobileRobot.box().mount(model, AT)
     with pytest.warns(SlowerEngine, match="joint 'toy/screw' is a JointModelHX, neither revolute nor"):
-        runs = run(robot, spread={"kp": Uniform(90, 110)}, n=2)
-    assert runs.engine == Engine.PYTHON.name
+        runs = run(robot, spread={"kp": pm.Uniform(90, 110)}, n=2)
+    assert runs.engine == pm.Engine.PYTHON.name

@@ -97,7 +97,7 @@ def test_ci_runs_each_python_under_another_kernel_and_leaves_none_out(machine: P
     kernels = expected_kernels()
     for index in range(pythons):
         kernel = kernels[index % len(kernels)] if kernels else ""
-        mark = f"[3.{11 + index}{' ' * bool(kernel)}{kernel}] make test-all PYTHON="
+        mark = f"[3.{10 + pythons - index}{' ' * bool(kernel)}{kernel}] make test-all PYTHON="
         assert any(
             line.startswith(mark) and line.endswith(f"under {kernel or 'its own kernel'}") for line in tested
         )
@@ -105,10 +105,11 @@ def test_ci_runs_each_python_under_another_kernel_and_leaves_none_out(machine: P
     assert len(tested) == max(pythons, len(kernels))
 
 
-def test_ci_runs_everything_once_and_repeats_another_sixth_on_each_other_python(machine: Path) -> None:
+def test_ci_runs_everything_once_and_repeats_another_twelfth_on_each_other_python(machine: Path) -> None:
     lines = [line for line in ran(machine, 3).stdout.splitlines() if "] make test-all" in line]
     given = {line[1:5]: re.findall(r"ARGS=(.*) under", line)[0] for line in reversed(lines)}
-    assert given == {"3.11": "", "3.12": "--part=0/6", "3.13": "--part=1/6"}
+    whole = "--cov=pinmobile --cov-report=term:skip-covered"
+    assert given == {"3.13": whole, "3.12": "--part=0/12 -n 0", "3.11": "--part=1/12 -n 0"}
 
 
 @pytest.mark.long
