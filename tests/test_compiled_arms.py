@@ -33,20 +33,6 @@ WRAPPED = pm.InputSaturation(
 )
 
 
-class Swing:
-    """All coordinates to and fro."""
-
-    def __init__(self, robot: pm.MobileRobot, duration: float = 0.6) -> None:
-        self.robot, self.duration = robot, duration
-        self.way = 0.2 * np.arange(1, robot.nv + 1) / robot.nv
-
-    def __call__(self, t: Any) -> pm.Reference:
-        angle = 3.0 * np.asarray(t)[..., None]
-        off = self.way * (1 - np.cos(angle))
-        q = self.robot.integrate(np.broadcast_to(self.robot.rest, (*off.shape[:-1], self.robot.nq)), off)
-        return pm.Reference(q, self.way * 3 * np.sin(angle), self.way * 9 * np.cos(angle))
-
-
 SPREAD: dict[str, Any] = {
     "mass": pm.Uniform(24, 36),
     "com.x": pm.Normal(0, 0.02),

@@ -232,7 +232,7 @@ def test_another_reference_is_refused(tmp_path: Path) -> None:
     path = saved(run(trajectory=Turned(0.0), n=2, spread={}), tmp_path)
     with refused(r"saved.npz': reference.q is another$"):
         pm.Ensemble.load(path, scenario(trajectory=Turned(1e-3), n=2, spread={}))
-    with refused(r"^scenario is a dict, expected a Scenario$"):
+    with refused(r"^scenario is {}, expected a Scenario$"):
         pm.Ensemble.load(path, {})  # type: ignore[arg-type]
 
 
@@ -295,9 +295,9 @@ def test_without_xarray_what_to_install_is_told(monkeypatch: pytest.MonkeyPatch)
 def test_another_kind_of_file_is_refused_either_way(tmp_path: Path) -> None:
     path = saved(DIVERGING, tmp_path)
     DIVERGING.traces[3].save(tmp_path / "run.npz")
-    with refused(r"run.npz', which is no 'pinmobile ensemble 4' archive: it is of another"):
+    with refused(r"run.npz', which is no 'pinmobile ensemble 5' archive: it is of another"):
         pm.Ensemble.load(tmp_path / "run.npz")
-    with refused(r"saved.npz', which is no 'pinmobile rollout 3' archive: it is of another"):
+    with refused(r"saved.npz', which is no 'pinmobile rollout 4' archive: it is of another"):
         pm.Rollout.load(path)
 
 

@@ -183,7 +183,7 @@ def test_a_schedule_gives_each_sample_its_row_in_all_engines() -> None:
 
 
 test_bad_arguments_are_refused = refusals(
-    (lambda: pm.LQR(NOMINAL, Q=[1, 2, 3]), r"Q weighs 3 numbers, expected 6: shape \(6,\) or \(6, 6\)"),
+    (lambda: pm.LQR(NOMINAL, Q=[1, 2, 3]), r"Q has shape \(3, 3\), expected \(6, 6\), or its diag"),
     (lambda: pm.LQR(NOMINAL, R=[1, 2, 0]), r"R has the eigenvalue 0, expected a positive definite"),
     (lambda: pm.LQR(NOMINAL, Q=np.triu(np.ones((6, 6)))), "Q is not symmetric"),
     (lambda: pm.LQR(NOMINAL, Q=[-1, 1, 1, 1, 1, 1]), "expected a positive semidefinite"),

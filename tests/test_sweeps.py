@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pinmobile.sweeps._result import compared, length
 
 import pinmobile as pm
 from pinmobile.errors import UnknownName
@@ -21,7 +22,6 @@ from pinmobile.loop import run_scenario
 from pinmobile.loop._variables import edges
 from pinmobile.sweeps import Axis, Points
 from pinmobile.sweeps._points import _NAMES, changed
-from pinmobile.sweeps._result import compared, length
 from tests.refusals import refused
 from tests.sweeping import CHUNK, GRID, ROBOT, contents, points, scenario, swept
 
@@ -129,7 +129,7 @@ def test_wrong_arguments(tmp_path: Path, options: Any, text: str) -> None:
 def test_wrong_scenarios_paths_and_stores(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     untyped: Any = 3
-    with refused("scenario is a int, expected a Scenario"):
+    with refused("scenario is 3, expected a Scenario"):
         pm.sweep(untyped, tmp_path / "store")
     with pytest.raises(UnknownName, match="unknown parameter in grid or cases 'masss', did you mean 'mass'"):
         pm.sweep(scenario(), tmp_path / "store", grid={"masss": [1]})

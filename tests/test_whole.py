@@ -235,7 +235,7 @@ test_what_does_not_fit_together_is_refused = refusals(
     ),
     (
         lambda: pm.WholeBody(UR5, pm.WholeBody(UR5, CIRCLE, None), None),
-        "base has configurations of shape (9,), expected (3,): x, y and psi",
+        "base(0).q has shape (9,), expected (3,): x, y and psi",
     ),
     (lambda: pm.WholeBody(UR5, CIRCLE), "joints has 0 paths, expected 1, one per arm of the robot"),
     (
@@ -248,7 +248,7 @@ test_what_does_not_fit_together_is_refused = refusals(
     ),
     (
         lambda: pm.WholeBody(TWO, CIRCLE, None, pm.Hold(np.zeros(5), 6)),
-        "joints[1] has points of shape (5,), expected (6,), one coordinate per joint of 'kinova'",
+        "joints[1](0) has shape (5,), expected (6,), one coordinate per joint of 'kinova'",
     ),
     (lambda: pm.WholeBody(UR5, CIRCLE, Spike(np.nan)), "joints[0](0)[0] is nan, expected a finite number"),
     (
