@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pinmobile.sweeps._result import compared, length
 
 import pinmobile as pm
 from pinmobile.errors import UnknownName
@@ -22,6 +21,7 @@ from pinmobile.loop import run_scenario
 from pinmobile.loop._variables import edges
 from pinmobile.sweeps import Axis, Points
 from pinmobile.sweeps._points import _NAMES, changed
+from pinmobile.sweeps._sweep import compared, length
 from tests.refusals import refused
 from tests.sweeping import CHUNK, GRID, ROBOT, contents, points, scenario, swept
 
