@@ -163,7 +163,7 @@ def check_measured(plant: Any, q: Array, v: Array, reference: Any) -> None:
     for one, number in zip(metrics_of(plant), found, strict=True):
         if np.isnan(number):
             raise InvalidArgument(
-                f"plant is a {type(plant).__name__}, whose measured(t, q, v, a, u, reference) returned "
+                f"plant is a {type(plant).__name__}, whose evaluate_metrics(t, q, v, a, u, reference) returned "
                 f"NaN as {one.name!r} where it starts, expected a number"
             )
 

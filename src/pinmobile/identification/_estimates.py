@@ -74,7 +74,7 @@ class Identification:
         These numbers: of a body (m, m x, m y, I about its origin, friction, ...), in which its equations are
         linear; of a robot with velocity inputs theta, and further numbers.
     covariance_of_phi : ndarray, shape (p, p)
-        Their covariance by the jackknife over segments.
+        Their covariance: by the jackknife over segments, of the weak form by Newey and West.
     freedom : int
         Degrees of freedom of Student's t.
     method : str

@@ -98,7 +98,7 @@ class Way:
                 if wrong.size:
                     raise InvalidArgument(
                         f"robot {first + wrong[0]}: plant is a {type(scenario.robot).__name__}, whose "
-                        f"measured(t, q, v, a, u, reference) returned NaN as {one.name!r}, expected a number"
+                        f"evaluate_metrics(t, q, v, a, u, reference) returned NaN as {one.name!r}, expected a number"
                     )
             yield part
             if progress is not None:

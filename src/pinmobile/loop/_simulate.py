@@ -120,8 +120,9 @@ def simulate(
         beyond it [m, rad, m/s, rad/s].
     engine : Engine, optional
         `Engine.PYTHON` or `Engine.COMPILED`, the same laws as machine code; by default the plant's choice: a
-        MobileRobot runs in Python, with Pinocchio's dynamics, a robot on wheels compiled. Where a controller
-        cannot be compiled, plant and forces are; `Rollout.fallback_reason` says why.
+        MobileRobot runs in Python, with Pinocchio's dynamics, a robot on wheels compiled, but for a
+        controller that cannot be; `Rollout.fallback_reason` says why. COMPILED, where it is asked for and is
+        not possible, is refused.
     seed, member : int
         What the noise of controllers follows from: the seed of an ensemble, and the robot's number in it.
 

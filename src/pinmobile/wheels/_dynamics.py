@@ -33,7 +33,7 @@ from pinmobile.robot import (
     vector_of as stacked,
 )
 from pinmobile.wheels._kinematics import Kinematics, NullSpaceBasis, Row, RowSelection, solve_null_space
-from pinmobile.wheels._loads import evaluate_metrics, metrics_of
+from pinmobile.wheels._loads import evaluate_metrics, metrics_on_wheels
 from pinmobile.wheels._motors import ExternalForceFunction, constant_force
 from pinmobile.wheels._table import Axis, column
 from pinmobile.wheels._velocities import Reduced, followed, linearized, matrix
@@ -108,7 +108,7 @@ class WheeledDynamics:
     wheeled: Any
     robot: Any
 
-    metrics = cached_property(metrics_of)
+    metrics = cached_property(metrics_on_wheels)
     broadcasts: ClassVar[bool] = True
     slips: ClassVar[bool] = True
 

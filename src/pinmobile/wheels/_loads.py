@@ -374,7 +374,7 @@ def limits_of(body: Any) -> list[tuple[int, float]]:
     return [(k, limit) for k, limit in found if np.isfinite(limit)]
 
 
-def metrics_of(body: Any) -> tuple[Metric, ...]:
+def metrics_on_wheels(body: Any) -> tuple[Metric, ...]:
     """Return what `evaluate_metrics` gives.
 
     Parameters

@@ -28,11 +28,11 @@ class Ground(Protocol):
 
     It supplies the law of a robot on it: a `WheeledDynamics` with ``forward_dynamics(q, v, u, f)``, or with
     ``initial_state(context)`` and ``step(t, q, v, u, h, f, memory)``; what else this has, such as ``signals``
-    or ``project``, the robot has too. A ground may have as well:
+    or ``project``, the robot has too; ``slips`` of this law is False where the wheels roll ideally, whose
+    constraints are then those of `WheeledRobot`. A ground may have as well:
 
     - ``check_robot(wheeled)``, which refuses robots that it cannot carry;
-    - ``ramp``, a `Ramp` or None;
-    - ``slips``, False where the wheels roll ideally: their constraints are then those of `WheeledRobot`.
+    - ``ramp``, a `Ramp` or None.
     """
 
     def dynamics(self, wheeled: Any, /) -> Any:
