@@ -163,8 +163,8 @@ def check_measured(plant: Any, q: Array, v: Array, reference: Any) -> None:
     for one, number in zip(metrics_of(plant), found, strict=True):
         if np.isnan(number):
             raise InvalidArgument(
-                f"plant is a {type(plant).__name__}, whose evaluate_metrics(t, q, v, a, u, reference) returned "
-                f"NaN as {one.name!r} where it starts, expected a number"
+                f"plant is a {type(plant).__name__}, whose evaluate_metrics(t, q, v, a, u, reference) "
+                f"returned NaN as {one.name!r} where it starts, expected a number"
             )
 
 

@@ -98,7 +98,8 @@ class Way:
                 if wrong.size:
                     raise InvalidArgument(
                         f"robot {first + wrong[0]}: plant is a {type(scenario.robot).__name__}, whose "
-                        f"evaluate_metrics(t, q, v, a, u, reference) returned NaN as {one.name!r}, expected a number"
+                        "evaluate_metrics(t, q, v, a, u, reference) returned NaN as "
+                        f"{one.name!r}, expected a number"
                     )
             yield part
             if progress is not None:
