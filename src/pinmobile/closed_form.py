@@ -15,7 +15,7 @@ Numbers: TypeAlias = Array | float
 """A parameter of all bodies, or one for each, shape (...)."""
 
 _SIZES = {"q": 3, "v": 3, "a": 3, "tau": 3, "twist": 3, "nu": 2, "com": 2}
-_COMPONENTS = "twist", "nu", "com"  # of which each number is told apart
+_COMPONENTS = "twist", "nu", "com"  # whose numbers the formulas take one by one
 _POSITIVE = "mass", "yaw_inertia", "wheelbase", "radius"
 _NOT_NEGATIVE = "track", "spin_inertia", "steered_inertia"
 _ACUTE = "steering", "roller"
@@ -53,8 +53,8 @@ def _broadcast(shapes: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
     try:
         return np.broadcast_shapes(*shapes.values())
     except ValueError:
-        told = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
-        raise InvalidArgument(f"leading shapes are {told}, expected shapes that broadcast") from None
+        listed = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+        raise InvalidArgument(f"leading shapes are {listed}, expected shapes that broadcast") from None
 
 
 def _turned(q: Array, x: Numbers, y: Numbers) -> tuple[Array, Array]:

@@ -290,7 +290,8 @@ class RandomSteps:
 
     def check(self) -> None:
         """Raise `InvalidArgument` where upper bounds are below lower ones."""
-        bounded("largest - lowest", self.largest - self.lowest, least=0)
+        for k, (low, high) in enumerate(zip(self.lowest.tolist(), self.largest.tolist(), strict=True)):
+            bounded(f"largest[{k}]", high, least=low)
         bounded("hold[1]", self.hold[1], least=float(self.hold[0]), unit="s")
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, float]:

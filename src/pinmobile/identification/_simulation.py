@@ -14,7 +14,7 @@ from pinmobile.compiled import Recurrence, entries, repeated, symbols
 
 _SLOPE = 1e-4  # of the size of a first state, by which differences are taken
 _LEAST_SIZE = 1e-3  # of an input, as a share of the largest
-_MOST_STEPS = 10**9  # of integration in a sample: their number is in the row of the robot
+_MOST_STEPS = 10**9  # of integration in a sample; how many there are is one of the numbers
 
 
 class Segments(NamedTuple):
@@ -146,7 +146,10 @@ class Model(Protocol):
 
 @lru_cache(64)
 def _recurrence(law: Callable[..., Any], sizes: tuple[int, int, int]) -> Recurrence:
-    """Return a sample, with the input before and then its own, each for steps of a length and in a number."""
+    """Return samples one after another: steps with the input before, then steps with the sample's own.
+
+    Their lengths and counts, h, count, h, count, come before the numbers of the law.
+    """
 
     def sample(z: Any, u: Any, numbers: Any) -> Any:
         m = len(u) // 2

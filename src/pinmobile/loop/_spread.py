@@ -453,12 +453,13 @@ def in_blocks(
     last : dict of int to ndarray, optional
         Draws of the last block by its number, which are kept for the robots that are asked for next.
     """
-    first, known = start // _BLOCK, dict(last or {})
-    for block in range(first, -(-stop // _BLOCK)):
+    known, first = dict(last or {}), start // _BLOCK
+    blocks = range(first, -(-stop // _BLOCK))
+    for block in blocks:
         if block not in known:
             known[block] = draws(np.random.default_rng(stream(seed, what, block)), _BLOCK)
-    found = [known[block] for block in range(first, -(-stop // _BLOCK))]
+    found = [known[block] for block in blocks]
     if last is not None:
         last.clear()
-        last[block] = found[-1]
+        last[blocks[-1]] = found[-1]
     return np.concatenate(found)[start - first * _BLOCK : stop - first * _BLOCK]

@@ -377,12 +377,12 @@ class Mobility:
         fixed, steered = self._lateral
         names = self.table.names
         if _rank(self.matrix[fixed, :3]) > 1:
-            told = ", ".join(repr(names[self._rows[i].wheel]) for i in fixed)
-            return f"wheels {told} are fixed on more than one axle, so it turns only by skidding"
+            listed = ", ".join(repr(names[self._rows[i].wheel]) for i in fixed)
+            return f"wheels {listed} are fixed on more than one axle, so it turns only by skidding"
         if self.mobility < 1:
-            told = ", ".join(repr(names[self._rows[i].wheel]) for i in [*fixed, *steered])
+            listed = ", ".join(repr(names[self._rows[i].wheel]) for i in [*fixed, *steered])
             return (
-                f"wheels {told} are more than two axles, whose lines meet in one point only if the angles "
+                f"wheels {listed} are more than two axles, whose lines meet in one point only if the angles "
                 "fit together, and no force of the ground keeps them so"
             )
         trains = [row.kind == "train" for row in self._rows]
@@ -412,15 +412,15 @@ class Mobility:
         for i in [*fixed, *steered]:
             if _rank(self.matrix[[*body, i], :3]) > len(body):
                 body.append(i)
-        ns, told = len(self.table.axes), dict[int, int]()
+        ns, found = len(self.table.axes), dict[int, int]()
         for i, row in enumerate(self._rows):
             for axis in range(ns):
                 if row.kind == "lateral" and abs(self.matrix[i, 3 + axis]) >= _COEFFICIENT:
-                    told.setdefault(axis, i)
+                    found.setdefault(axis, i)
         own = "rolling", "roller"
         wheels = [(ns + row.wheel, i) for i, row in enumerate(self._rows) if row.kind in own]
-        free = tuple(axis for axis in range(ns) if axis not in told)
-        return RowSelection(tuple(body), bool(body) and body[0] in fixed, (*told.items(), *wheels), free)
+        free = tuple(axis for axis in range(ns) if axis not in found)
+        return RowSelection(tuple(body), bool(body) and body[0] in fixed, (*found.items(), *wheels), free)
 
     @cached_property
     def determined(self) -> Any:
