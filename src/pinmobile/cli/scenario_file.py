@@ -295,7 +295,10 @@ def described(name: str) -> str:
     for key, each in parameters(make).items():
         wanted = expected(each.declared).replace("a value", "")
         is_stated = not (
-            each.is_required or each.default is None or "Factory(" in (text := repr(each.default))
+            each.is_required
+            or each.default is None
+            or each.default is attrs.NOTHING
+            or "Factory(" in (text := repr(each.default))
         )
         usual = f"default {text}" if is_stated and len(text) < 60 else ""
         lines.append(f"  {key:16} {'; '.join(filter(None, [each.doc, wanted, usual]))}".rstrip())

@@ -81,7 +81,7 @@ def parameters(make: Any) -> dict[str, Parameter]:
 
 def _documented(text: str) -> dict[str, str]:
     """Return the first sentence about each parameter of a docstring."""
-    rows = re.findall(r"^(\**\w+(?:, \**\w+)*) : .*\n((?: +.*\n?)+)", text, re.MULTILINE)
+    rows = re.findall(r"^(\*\*\w+|\**\w+(?:, \**\w+)*(?= : ))(?: : .*)?\n((?: +.*\n?)+)", text, re.MULTILINE)
     return {
         name: re.split(r"[.;] ", f"{' '.join(meaning.split())} ")[0].rstrip(" .")
         for names, meaning in rows
