@@ -132,6 +132,10 @@ def test_all_wrong_entries_are_told_at_once_with_their_lines(tmp_path: Path) -> 
             "controller is 'PDD', expected a controller, did you mean 'PD'?",
         ),
         (["cases.heavy.robot.mass=-1"], "robot.mass is -1, expected a number > 0 [kg]"),
+        (
+            ["robot=WheeledRobot(MobileRobot.box(), WheelTable.differential(0.4, 0.1))"],
+            "robot is a drive of type (2, 0), which cannot accelerate in every direction",
+        ),
         (["grid=3"], "grid is 3, expected a table of PATH = VALUE"),
         (["forces=3"], "forces is 3, expected a list"),
         (["rivalz"], "FILE is 'rivalz', neither a file nor a shipped scenario, did you mean 'rivals'?"),

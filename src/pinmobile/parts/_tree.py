@@ -93,7 +93,9 @@ class Reader:
                 if is_part(values[name]):
                     self._shared |= {own: value for own, _, value in fields_of(values[name]) if own != name}
         self._raise()
-        return self._made(kind, values, "")
+        made = self._made(kind, values, "")
+        self._raise()
+        return made
 
     def changed(self, root: Any, changes: Mapping[str, Any], path: str = "") -> Any:
         """Return the root with other values at paths; models of controllers keep the robot of before.
