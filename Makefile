@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 INSTALL ?= $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all lint bench notebooks clean
+.PHONY: help demo test test-all lint docs bench notebooks clean
 
 help: ## say what there is
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/'
@@ -27,6 +27,9 @@ lint: $(BIN)/.installed-lint ## ruff and mypy
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+docs: $(BIN)/.installed-docs ## the documentation site, under out/site
+	$(BIN)/python docs/build.py $(ARGS)
+
 bench: $(BIN)/.installed-bench ## speed beside the peers that are installed, as ratios of one run
 	$(BIN)/python benchmarks $(ARGS)
 
@@ -47,6 +50,11 @@ $(BIN)/.installed: $(BIN)/python pyproject.toml
 $(BIN)/.installed-test: $(BIN)/python pyproject.toml
 	@echo "setting up $(VENV) for the tests: a minute or two, once"
 	$(INSTALL) --editable '.[test]'
+	@touch $@ $(BIN)/.installed
+
+$(BIN)/.installed-docs: $(BIN)/python pyproject.toml
+	@echo "setting up $(VENV) for the site: a minute or two, once"
+	$(INSTALL) --editable '.[docs]'
 	@touch $@ $(BIN)/.installed
 
 $(BIN)/.installed-bench: $(BIN)/python pyproject.toml
