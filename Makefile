@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 INSTALL ?= $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all lint docs bench notebooks clean
+.PHONY: help demo test test-all lint docs docs-test bench notebooks clean
 
 help: ## say what there is
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/'
@@ -29,6 +29,9 @@ lint: $(BIN)/.installed-lint ## ruff and mypy
 
 docs: $(BIN)/.installed-docs ## the documentation site, under out/site
 	$(BIN)/python docs/build.py $(ARGS)
+
+docs-test: $(BIN)/.installed-docs ## the built site in a browser
+	$(BIN)/python -m pytest -p no:cacheprovider docs/test_site.py $(ARGS)
 
 bench: $(BIN)/.installed-bench ## speed beside the peers that are installed, as ratios of one run
 	$(BIN)/python benchmarks $(ARGS)

@@ -51,7 +51,7 @@ def test_the_source_distribution_has_all_that_it_takes_to_show_and_test_it(tmp_p
         text = archive.extractfile(f"pinmobile-{pinmobile.__version__}/PKG-INFO")
         assert text is not None
         metadata = text.read().decode()
-    folders = (".ci", "benchmarks", "docs", "models", "notebooks", "src", "tests")
+    folders = (".ci", ".github", "benchmarks", "docs", "examples", "models", "notebooks", "src", "tests")
     kept = [path for folder in folders for path in (ROOT / folder).rglob("*") if path.is_file()]
     wanted = {path.relative_to(ROOT).as_posix() for path in kept if "__pycache__" not in path.parts}
     alone = {
@@ -64,7 +64,7 @@ def test_the_source_distribution_has_all_that_it_takes_to_show_and_test_it(tmp_p
         "pyproject.toml",
     }
     assert not wanted - names
-    assert {*alone, "hatch_build.py", ".pre-commit-config.yaml", ".gitignore"} <= names
+    assert {*alone, "hatch_build.py", ".pre-commit-config.yaml", ".readthedocs.yaml", ".gitignore"} <= names
     assert not [name for name in names if "__pycache__" in name or name.startswith(("out/", ".venv/"))]
     assert not RELATIVE.findall(metadata)
     assert "# pinmobile\n" in metadata
@@ -74,13 +74,13 @@ def test_the_readme_of_a_distribution_needs_no_files_beside_it() -> None:
     assert RELATIVE.findall(README)
     bare = outside()(README, None)
     assert not RELATIVE.findall(bare)
-    assert "[What is promised" not in bare
-    assert "What is promised when something is wrong (`docs/errors.md`)" in bare
-    assert "photographed" not in bare, "what stands below a picture goes with it"
+    assert "[corrects its errors" not in bare
+    assert "corrects its errors (`docs/site/explain/errata.md`)" in bare
+    assert "recorded by" not in bare, "what stands below a picture goes with it"
     linked = outside()(README, "https://example.org/blob/v1/")
     assert not RELATIVE.findall(linked)
-    assert "](https://example.org/raw/v1/docs/circle.png)\nThe two runs below" in linked
-    assert "](https://example.org/blob/v1/docs/errors.md)" in linked
+    assert "](https://example.org/raw/v1/docs/ur5.gif)\nA UR5 on its base" in linked
+    assert "](https://example.org/blob/v1/docs/site/explain/errata.md)" in linked
     for block in re.findall(r"```.*?```", README, re.DOTALL):
         assert block in bare
         assert block in linked

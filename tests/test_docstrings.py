@@ -1,0 +1,52 @@
+"""Every public name is documented: a summary, related names, and an example, which runs among the tests."""
+
+import importlib.util
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+
+FILE = Path(__file__).parents[1] / "docs" / "public.py"
+
+
+def found() -> dict[str, object]:
+    """Return all public objects by their names."""
+    spec = importlib.util.spec_from_file_location("public", FILE)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.find()  # type: ignore[no-any-return]
+
+
+PUBLIC = found()
+# A constant or an alias has no docstring of its own.
+DOCUMENTED = {name: each for name, each in PUBLIC.items() if inspect.isclass(each) or inspect.isroutine(each)}
+
+
+def test_constants_and_aliases_alone_have_no_docstring() -> None:
+    assert 10 > len(PUBLIC) - len(DOCUMENTED)
+
+
+@pytest.mark.parametrize("name", DOCUMENTED)
+def test_it_has_related_names_and_a_short_example(name: str) -> None:
+    text = inspect.getdoc(DOCUMENTED[name]) or ""
+    assert "\nSee Also\n--------\n" in text
+    example = text.split("\nExamples\n--------\n")[1]
+    assert 1 <= len(re.findall(r"^>>> ", example, re.MULTILINE)) <= 9
+    assert all(len(line) <= 75 for line in example.splitlines())
+
+
+@pytest.mark.parametrize("name", DOCUMENTED)
+def test_related_names_exist(name: str) -> None:
+    text = (inspect.getdoc(DOCUMENTED[name]) or "").split("\nSee Also\n--------\n")[1].split("\n\n")[0]
+    named = [
+        each.strip()
+        for line in re.findall(r"^([\w., ]+)(?: :|$)", text, re.MULTILINE)
+        for each in line.split(",")
+    ]
+    assert named
+    for one in named:
+        owner = one.removeprefix("pinmobile.").rpartition(".")[0]
+        assert one.removeprefix("pinmobile.") in PUBLIC or owner in PUBLIC, one
