@@ -168,33 +168,18 @@ def relocated(link: str) -> str:
 
 
 def notebooks(source: Path) -> None:
-    """Copy the notebooks, with thumbnails of their last figures."""
-    cards = []
+    """Copy the notebooks, with the last figure of each for its card."""
+    (source / "tutorials" / "pictures").mkdir()
     for file in sorted((ROOT / "notebooks").glob("[0-9]*.ipynb")):
         notebook = json.loads(file.read_text())
-        title, _, words = "".join(notebook["cells"][0]["source"]).partition("\n")
         outputs = [each for cell in notebook["cells"] for each in cell.get("outputs", ())]
         pictures = [each["data"]["image/png"] for each in outputs if "image/png" in each.get("data", {})]
         picture = source / "tutorials" / "pictures" / f"{file.stem}.png"
-        picture.parent.mkdir(parents=True, exist_ok=True)
         picture.write_bytes(b64decode("".join(pictures[-1])))
-        download = f"{{download}}`Download this notebook <{file.name}>`."
-        cell = {"cell_type": "markdown", "id": "download", "metadata": {}, "source": download}
+        words = f"{{download}}`Download this notebook <{file.name}>` to run it."
+        cell = {"cell_type": "markdown", "id": "download", "metadata": {}, "source": words}
         notebook["cells"].insert(1, cell)
         (source / "tutorials" / file.name).write_text(json.dumps(notebook))
-        words = re.sub(r"[$`*\[\]]|\([^)]*\.ipynb\)", "", " ".join(words.split()))[:150].rpartition(" ")[0]
-        cards += [f":::{{grid-item-card}} {title.lstrip('# ')}", f":link: {file.stem}", ":link-type: doc"]
-        cards += [
-            f":img-top: pictures/{file.stem}.png",
-            f":img-alt: Last figure of: {title.lstrip('# ')}",
-            f"{words} …",
-            ":::",
-            "",
-        ]
-    names = [file.stem for file in sorted((ROOT / "notebooks").glob("[0-9]*.ipynb"))]
-    grid = ["# Tutorials", "", "::::{grid} 1 2 3 3", ":gutter: 3", "", *cards, "::::", ""]
-    others = [name for name in ("exercises", "teachers") if (source / "tutorials" / f"{name}.md").exists()]
-    write(source / "tutorials" / "index.md", *grid, *listing([*names, *others], hidden=True))
 
 
 def recordings(folder: Path) -> None:

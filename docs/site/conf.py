@@ -1,6 +1,7 @@
 """Settings of the site. `docs/build.py` copies this folder, adds what it takes from the code, and builds."""
 
 import contextlib
+import enum
 import inspect
 import re
 import sys
@@ -65,7 +66,6 @@ autosummary_generate = True
 autosummary_imported_members = True
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
-autodoc_preserve_defaults = True
 numpydoc_show_class_members = False
 numpydoc_xref_param_type = True
 numpydoc_xref_ignore = "all"  # only the names below become links
@@ -107,7 +107,8 @@ html_theme_options = {
     "secondary_sidebar_items": ["page-toc"],
     "footer_start": ["copyright"],
     "footer_end": [],
-    "navbar_end": ["theme-switcher"],
+    "navbar_persistent": [],
+    "navbar_end": ["search-button", "theme-switcher"],
     "pygments_light_style": "a11y-high-contrast-light",
     "pygments_dark_style": "a11y-high-contrast-dark",
 }
@@ -192,6 +193,41 @@ def resolve(app, env, node, shown):
     return shown if short in MODULES else None
 
 
+class Shown:
+    """A default value as a reader would write it."""
+
+    def __init__(self, value: object) -> None:
+        names = {**vars(pinmobile.loop), **vars(pinmobile.integrators)}
+        known = [
+            name
+            for name, each in names.items()
+            if each is value and inspect.isroutine(each) and name[0] != "_"
+        ]
+        text = getattr(value, "__name__", None) or (known or [repr(value)])[0]
+        self.text = str(value) if isinstance(value, enum.Enum) else text if len(text) < 40 else "..."
+
+    def __repr__(self) -> str:
+        return self.text
+
+
+def show_signature(app, what, name, obj, options, signature, returned):
+    """Return the signature of a class or function with defaults that a reader can type."""
+    if not signature or not (inspect.isclass(obj) or inspect.isroutine(obj)):
+        return None
+    with contextlib.suppress(TypeError, ValueError):
+        stated = inspect.signature(obj)
+        given = [
+            each.replace(
+                annotation=inspect.Parameter.empty,
+                default=each.default if each.default is each.empty else Shown(each.default),
+            )
+            for each in stated.parameters.values()
+            if each.name not in ("self", "cls") or inspect.isclass(obj)
+        ]
+        return str(stated.replace(parameters=given, return_annotation=inspect.Signature.empty)), returned
+    return None
+
+
 def escape_bars(app, what, name, obj, options, lines):
     """Escape bars: |x| is an absolute value, not a substitution."""
     lines[:] = [re.sub(r"(?<!\\)\|", r"\\|", line) for line in lines]
@@ -208,5 +244,6 @@ def setup(app):
     app.add_transform(Linked)
     app.connect("missing-reference", resolve)
     app.connect("source-read", leave_gallery)
+    app.connect("autodoc-process-signature", show_signature)
     app.connect("autodoc-process-docstring", escape_bars, priority=900)
     return {"parallel_read_safe": True}
