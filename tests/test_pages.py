@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from pinmobile.cli.scenario_file import Opened
+
 SITE = Path(__file__).parents[1] / "docs" / "site"
 PAGES = {
     path.relative_to(SITE).as_posix(): path.read_text(encoding="utf-8")
@@ -46,3 +48,13 @@ def test_a_page_is_well_formed(page: str) -> None:
             or link.endswith("/index.md")
             or (SITE / page).parent.joinpath(link).is_file()
         ), link
+
+
+@pytest.mark.parametrize("page", [page for page, text in PAGES.items() if "```toml" in text])
+def test_a_scenario_on_a_page_is_one(page: str, tmp_path: Path) -> None:
+    for k, text in enumerate(re.findall(r"^```toml\n(.*?)^```\n", PAGES[page], re.DOTALL | re.MULTILINE)):
+        if "mine:" in text:
+            continue
+        file = tmp_path / f"{k}.toml"
+        file.write_text(text)
+        assert Opened([str(file)]).written()
