@@ -255,6 +255,7 @@ def test_help_teaches_and_loads_no_library(typed: Typed) -> None:
             "verify",
             "derive",
             "lecture",
+            "exercises",
         ]:
             assert f"\n  {verb} " in out
             assert "Example: pinmobile " in typed(verb, "--help")[1] or verb == "lecture"

@@ -61,6 +61,7 @@ ALLOWED: dict[str, set[str]] = {
     "palette": set(),
     "plots": {"palette", "accuracy", "balance", "identification"},
     "viewer": {"palette", "loop"},
+    "exercises": {"loop", "wheels"},
 }
 
 

@@ -61,6 +61,7 @@ _NAMES = {
         "derivation": "",
         "dh": "",
         "errors": "Diverged InvalidArgument PinmobileError",
+        "exercises": "",
         "files": "",
         "forces": "ConstantForce JointFriction RollingResistance ViscousFriction",
         "identification": "Log VelocityRobot excitation identify identify_velocity",

@@ -243,3 +243,60 @@ def lecture(
     from pinmobile.cli.lecture import show_lecture
 
     return show_lecture(out, gif=gif, mp4=mp4)
+
+
+exercises = typer.Typer(
+    rich_markup_mode=None,
+    help="Exercises that check themselves: list them, start with notebooks, check answers.",
+    epilog="Example: pinmobile exercises start; pinmobile exercises check exercises/01_equations.ipynb",
+)
+app.add_typer(exercises, name="exercises")
+
+
+@exercises.command("list")
+def list_exercises() -> int:
+    """List the exercises with their points."""
+    from pinmobile.exercises import list_exercises
+
+    typer.echo(list_exercises())
+    return 0
+
+
+@exercises.command()
+def start(
+    folder: Annotated[Path, typer.Argument(help="Folder for the notebooks.")] = Path("exercises"),
+    seed: Annotated[
+        str, typer.Option(metavar="COURSE", help="Course, for which the numbers are drawn.")
+    ] = "",
+) -> int:
+    """Write the notebooks for students; files that exist stay as they are.
+
+    Example: pinmobile exercises start --seed ROB-2026
+    """
+    from pinmobile.exercises import start_exercises
+
+    typer.echo("\n".join(start_exercises(folder, seed=seed)))
+    typer.echo(f"next: jupyter lab {folder}, then: pinmobile exercises check {folder}/01_equations.ipynb")
+    return 0
+
+
+@exercises.command()
+def check(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Notebooks, .ipynb or .py.")],
+    seed: Annotated[
+        str | None,
+        typer.Option(metavar="COURSE", help="Course that the notebooks must have.", show_default=False),
+    ] = None,
+    limit: Annotated[float, typer.Option(metavar="SECONDS", help="Longest time for a notebook (s).")] = 60.0,
+) -> int:
+    """Run notebooks and print the points of each question; the exit code is 0 if all are complete.
+
+    Example: pinmobile exercises check exercises/*.ipynb
+    """
+    from pinmobile.exercises import check_exercises
+
+    complete = True
+    for report in check_exercises(files, seed=seed, limit=limit):
+        typer.echo(report)
+        complete &= report.is_complete
+    return 0 if complete else 1

@@ -1,0 +1,230 @@
+"""An exercise: its questions, the numbers of a course, and the notebook for students."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from random import Random
+from types import SimpleNamespace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from pinmobile.errors import InvalidArgument, UnknownName, shown
+from pinmobile.exercises._question import Design, Function, Number, Question
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+# Lowest and highest value, step, unit and meaning. All exercises of a course are about the same robot.
+_NUMBERS: dict[str, tuple[float, float, float, str, str]] = {
+    "m": (24, 40, 0.5, "kg", "mass"),
+    "I_cz": (1.0, 2.0, 0.05, "kg m²", "yaw inertia about the centre of mass"),
+    "x_bc": (0.12, 0.2, 0.01, "m", "centre of mass, forward"),
+    "y_bc": (0.04, 0.09, 0.01, "m", "centre of mass, to the left"),
+    "r": (2.2, 4.0, 0.1, "m", "radius of the circle"),
+    "w": (0.12, 0.22, 0.01, "rad/s", "rate on the circle"),
+    "kp": (3.0, 6.0, 0.25, "1/s²", "proportional gain"),
+    "kd": (3.2, 5.2, 0.2, "1/s", "derivative gain"),
+    "L": (1.6, 3.2, 0.1, "m", "length of a straight path"),
+    "T": (3.6, 5.8, 0.2, "s", "duration of a straight path"),
+    "psi_0": (0.35, 0.75, 0.05, "rad", "a heading"),
+    "r_w": (0.08, 0.14, 0.01, "m", "radius of the wheels"),
+    "b": (0.22, 0.3, 0.01, "m", "half the distance of the wheels"),
+    "I_w": (0.004, 0.009, 0.001, "kg m²", "inertia of a wheel about its axle"),
+    "l_s": (0.45, 0.55, 0.01, "m", "distance of the caster ahead of the axle"),
+    "mu": (0.35, 0.45, 0.01, "", "coefficient of friction"),
+    "m_hat": (44, 56, 1.0, "kg", "mass in the controller model"),
+}
+
+
+class Numbers(SimpleNamespace):
+    """Numbers of a course, as attributes."""
+
+    def but(self, **values: float) -> Numbers:
+        """Return the numbers with other values: what a mistake assumes."""
+        return Numbers(**vars(self) | values)
+
+
+def course_numbers(names: str, course: str) -> Numbers:
+    """Return the numbers of a course, drawn from its name."""
+
+    def draw(name: str) -> float:
+        low, high, step, *_ = _NUMBERS[name]
+        return round(
+            low + step * int(Random(f"{course}/{name}").random() * (round((high - low) / step) + 1)), 6
+        )
+
+    return Numbers(**{name: draw(name) for name in names.split()})
+
+
+def uniform(
+    *sizes: int, low: float = -3.0, high: float = 3.0
+) -> Callable[[np.random.Generator], tuple[Any, ...]]:
+    """Return a function that draws arrays of the given sizes; size 0 is a number."""
+    return lambda rng: tuple(rng.uniform(low, high, n) if n else float(rng.uniform(low, high)) for n in sizes)
+
+
+@dataclass(frozen=True)
+class Exercise:
+    """A set of questions with one introduction.
+
+    Parameters
+    ----------
+    name : str
+        Name of the module that defines it.
+    text : str
+        Title, and after it the introduction.
+    symbols : str
+        Names of the course's numbers that it uses.
+    """
+
+    name: str
+    text: str
+    symbols: str
+    parts: list[tuple[Callable[..., Any], Callable[..., Question]]] = field(default_factory=list, repr=False)
+
+    @property
+    def title(self) -> str:
+        """First line of the text, without its full stop."""
+        return self.text.splitlines()[0].rstrip(".")
+
+    def question(self, kind: Callable[..., Question], points: int, **more: Any) -> Callable[[_F], _F]:
+        """Return a decorator of reference functions, which makes each a question.
+
+        The docstring of the function contains the task, hints after ``?``, and known mistakes after ``!``: an
+        expression for the wrong result, ``=>``, and the diagnosis.
+        """
+
+        def register(reference: _F) -> _F:
+            self.parts.append((reference, lambda **fixed: kind(points=points, **more, **fixed)))
+            return reference
+
+        return register
+
+    def function(self, points: int, draw: Callable[..., Any]) -> Callable[[_F], _F]:
+        """Return a decorator that makes a reference a question for a function."""
+        return self.question(Function, points, draw=draw)
+
+    def number(self, points: int, unit: str) -> Callable[[_F], _F]:
+        """Return a decorator that makes a reference a question for a number."""
+        return self.question(Number, points, unit=unit)
+
+    def design(self, points: int) -> Callable[[_F], _F]:
+        """Return a decorator that makes a simulation a question for a design."""
+        return self.question(Design, points)
+
+    def questions(self, course: str) -> list[Question]:
+        """Return the questions with the numbers of a course."""
+        numbers, made = course_numbers(self.symbols, course), []
+        for reference, make in self.parts:
+            text, *items = re.split(r"^([?!]) ", inspect.getdoc(reference) or "", flags=re.M)
+            marked = [
+                (mark, " ".join(item.split())) for mark, item in zip(items[::2], items[1::2], strict=True)
+            ]
+            wrong = (item.partition(" => ") for mark, item in marked if mark == "!")
+            question = make(
+                name=reference.__name__,
+                key=f"{self.name}/{course}/{reference.__name__}",
+                text=text.strip(),
+                hints=tuple(item for mark, item in marked if mark == "?"),
+                mistakes=tuple((expression, words) for expression, _, words in wrong),
+                reference=reference,
+                numbers=numbers,
+            )
+            made.append(question)
+        return made
+
+    def notebook(self, course: str) -> dict[str, Any]:
+        """Return the notebook for students: tasks, empty answers and checks."""
+        questions, numbers = self.questions(course), vars(course_numbers(self.symbols, course))
+        start = f'ask = load_exercise("{self.name}", seed="{course}")'
+        total, rules = sum(each.points for each in questions), _RULES.format(questions[0].name)
+        lines = [
+            f"{key} = {value:g}  # {_NUMBERS[key][4]} [{_NUMBERS[key][3] or 1}]"
+            for key, value in numbers.items()
+        ]
+        head = f"# {self.title} ({total} points)\n{self.text.partition(chr(10))[2]}\n{rules}"
+        setup = f"import numpy as np\n\nfrom pinmobile.exercises import load_exercise\n\n{start}\n"
+        cells = [_cell(0, "markdown", head), _cell(1, "code", setup + "\n".join(lines))]
+        for letter, each in zip("abcdefgh", questions, strict=False):
+            points = f"{each.points} point{'s' * (each.points > 1)}"
+            task = f"## {letter} {each.name.replace('_', ' ')} ({points})\n\n{each.text}"
+            answer, check = each.cells()
+            for kind, source in (("markdown", task), ("code", answer), ("code", check)):
+                cells.append(_cell(len(cells), kind, source))
+        kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
+        metadata = {"kernelspec": kernel, "pinmobile": {"exercise": self.name, "seed": course}}
+        return {"cells": cells, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}
+
+
+_RULES = (
+    "Replace the dots and run the cell below each answer to check it. For `{0}`, `ask.{0}.hint()` "
+    "gives one more hint per call. All numbers are in SI units and radians; three digits are enough. Numpy "
+    "is allowed, the functions of pinmobile are not."
+)
+
+
+def _cell(number: int, kind: str, source: str) -> dict[str, Any]:
+    cell: dict[str, Any] = {"cell_type": kind, "id": f"cell-{number:02}", "metadata": {}, "source": source}
+    return cell | ({"outputs": [], "execution_count": None} if kind == "code" else {})
+
+
+def exercise_names() -> list[str]:
+    """Return the names of all exercises."""
+    return sorted(path.stem[1:] for path in Path(__file__).parent.glob("_[0-9]*.py"))
+
+
+def read_exercise(name: str) -> Exercise:
+    """Return the exercise of a name.
+
+    Raises
+    ------
+    UnknownName
+        If there is none.
+    """
+    if name not in exercise_names():
+        raise UnknownName("exercise", name, exercise_names())
+    exercise: Exercise = import_module(f"pinmobile.exercises._{name}").EXERCISE
+    return exercise
+
+
+def check_course(course: object) -> str:
+    """Return the name of a course.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is no text, or contains signs that a notebook cannot store.
+    """
+    if not isinstance(course, str) or not re.fullmatch(r"[\w .:+-]*", course):
+        raise InvalidArgument(f"seed is {shown(course)}, expected letters, digits, spaces and _ . : + -")
+    return course
+
+
+def load_exercise(name: str, *, seed: str = "") -> SimpleNamespace:
+    """Return the questions of an exercise, as attributes.
+
+    Parameters
+    ----------
+    name : str
+        Name of the exercise, such as ``"01_equations"``.
+    seed : str
+        Name of the course, from which the numbers are drawn.
+
+    Returns
+    -------
+    ask : SimpleNamespace
+        Questions by name: ``ask.transform.check(transform)``, ``ask.transform.hint()``.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such exercise.
+    InvalidArgument
+        If the seed contains other signs than letters, digits, spaces and ``_ . : + -``.
+    """
+    questions = read_exercise(name).questions(check_course(seed))
+    return SimpleNamespace(**{each.name: each for each in questions})

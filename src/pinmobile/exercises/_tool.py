@@ -1,0 +1,271 @@
+"""The tool around exercises: it lists them, writes notebooks for students, and checks notebooks."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.exercises._exercise import check_course, exercise_names, read_exercise
+from pinmobile.exercises._question import RECORD, TimeLimit, Verdict, describe
+
+_LOADED = re.compile(
+    r"""^[^#\n]*load_exercise\(\s*["'](\w+)["'](?:\s*,\s*seed\s*=\s*["']([\w .:+-]*)["'])?\s*\)""", re.M
+)
+_CHILD = "from pinmobile.exercises._tool import run_file; run_file()"
+_STATES = ("passed", "wrong", "failed", "empty")
+
+
+def list_exercises() -> str:
+    """Return the names, points and titles of all exercises, one a line."""
+    lines = []
+    for name in exercise_names():
+        exercise = read_exercise(name)
+        questions = exercise.questions("")
+        points = sum(each.points for each in questions)
+        lines.append(f"{name:16} {len(questions)} questions, {points:2} points  {exercise.title}")
+    return "\n".join(lines)
+
+
+def start_exercises(folder: str | os.PathLike[str] = "exercises", *, seed: str = "") -> list[str]:
+    """Write the notebooks for students; leave files that are there already.
+
+    Parameters
+    ----------
+    folder : path-like
+        Folder for the notebooks, which is made where there is none.
+    seed : str
+        Name of the course, from which the numbers are drawn.
+
+    Returns
+    -------
+    lines : list of str
+        What happened to each notebook.
+
+    Raises
+    ------
+    InvalidArgument
+        If the folder cannot be made, or the name of the course has other signs than letters, digits, spaces
+        and ``_ . : + -``.
+    """
+    home, lines = Path(folder), []
+    check_course(seed)
+    try:
+        home.mkdir(parents=True, exist_ok=True)
+        for name in exercise_names():
+            path = home / f"{name}.ipynb"
+            if path.exists():
+                lines.append(f"{path} exists, left as it is")
+                continue
+            path.write_text(json.dumps(read_exercise(name).notebook(seed), indent=1) + "\n", encoding="utf-8")
+            lines.append(f"{path}")
+    except OSError as error:
+        raise InvalidArgument(
+            f"FOLDER is {shown(str(folder))}, expected a folder to write to ({error.strerror})"
+        ) from None
+    return lines
+
+
+@dataclass(frozen=True)
+class Report:
+    """Result of the check of one notebook.
+
+    Parameters
+    ----------
+    name : str
+        Name of the file.
+    course : str
+        Name of the course.
+    verdicts : tuple of Verdict
+        Last verdict of each question of the exercise.
+    notes : tuple of str
+        Errors of cells, and why the run ended early.
+    """
+
+    name: str
+    course: str
+    verdicts: tuple[Verdict, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether each question has passed."""
+        return all(self.verdicts)
+
+    def __str__(self) -> str:
+        points, out_of = (sum(getattr(each, key) for each in self.verdicts) for key in ("points", "out_of"))
+        course = f", course {self.course}" if self.course else ""
+        lines = [f"{self.name}{course}: {points} of {out_of} points"]
+        return "\n  ".join([*lines, *map(repr, self.verdicts), *self.notes])
+
+
+def check_exercises(
+    files: Iterable[str | os.PathLike[str]], *, seed: str | None = None, limit: float = 60.0
+) -> list[Report]:
+    """Run notebooks, each in a process of its own, and return the verdicts.
+
+    Parameters
+    ----------
+    files : iterable of path-like
+        Notebooks (.ipynb) or py:percent files (.py).
+    seed : str, optional
+        Name of the course that the notebooks must have; default: any.
+    limit : float
+        Longest time for a notebook [s]; each cell has a sixth of it.
+
+    Returns
+    -------
+    reports : list of Report
+        One for each file.
+
+    Raises
+    ------
+    InvalidArgument
+        If a file is no notebook of an exercise, or the limit is not above 0.
+    """
+    if not 0 < limit < 1e6:
+        raise InvalidArgument(f"limit is {shown(limit)}, expected a number of seconds > 0")
+    wanted = None if seed is None else check_course(seed)
+    read = [(Path(file), read_cells(Path(file))) for file in files]
+    return [_check(path, cells, wanted, limit) for path, cells in read]
+
+
+def read_cells(path: Path) -> list[str]:
+    """Return the code cells of a notebook or of a py:percent file.
+
+    Raises
+    ------
+    InvalidArgument
+        If the file is no notebook of an exercise.
+    """
+    expected = "expected a notebook (.ipynb or .py) that pinmobile exercises start wrote"
+    try:
+        text = path.read_text(encoding="utf-8")
+        if path.suffix == ".ipynb":
+            stored = [each for each in json.loads(text)["cells"] if each["cell_type"] == "code"]
+            cells = ["".join(each["source"]) for each in stored]
+        else:
+            cells = re.split(r"^# %%.*$", text, flags=re.M)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InvalidArgument(f"FILE is {shown(str(path))}, {expected} ({describe(error)})") from None
+    loaded = _LOADED.search("\n".join(cells))
+    if loaded is None or loaded[1] not in exercise_names():
+        raise InvalidArgument(f"FILE is {shown(str(path))}, {expected}: no cell calls load_exercise")
+    return cells
+
+
+def _check(path: Path, cells: Sequence[str], wanted: str | None, limit: float) -> Report:
+    loaded = _LOADED.search("\n".join(cells))
+    assert loaded is not None  # read_cells found it
+    course = loaded[2] or "" if wanted is None else wanted
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        program, sheet = Path(folder, "cells.json"), Path(folder, "sheet.jsonl")
+        program.write_text(json.dumps(cells), encoding="utf-8")
+        end = _run_child([str(program), str(sheet), str(limit / 6)], path.parent, limit)
+        lines = sheet.read_text("utf-8", "replace").splitlines() if sheet.is_file() else []
+    found, notes = _read_sheet(lines)
+    if (loaded[2] or "") != course:
+        notes.insert(0, f"the notebook has the numbers of course {loaded[2] or '(none)'}, expected {course}")
+    unchecked = {"state": "empty", "words": "no verdict: its check did not run", "points": 0}
+    verdicts = []
+    for each in read_exercise(loaded[1]).questions(course):
+        state, words, points = (found.get(each.key, unchecked)[key] for key in ("state", "words", "points"))
+        verdicts.append(
+            Verdict(each.key, state, str(words)[:900], min(int(points), each.points), each.points)
+        )
+    return Report(path.name, course, tuple(verdicts), (*notes, *end))
+
+
+def _run_child(words: Sequence[str], folder: Path, limit: float) -> list[str]:
+    """Run the cells in a process group of its own, and return why it ended early, if it did."""
+    search = f"{Path(__file__).parents[2]}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
+    options: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+    options["env"] = os.environ | {"MPLBACKEND": "Agg", "PYTHONPATH": search}
+    command = [sys.executable, "-c", _CHILD, *words]
+    with subprocess.Popen(command, cwd=folder, start_new_session=True, **options) as child:
+        try:
+            end = [] if child.wait(limit) == 0 else ["the notebook ended its own process"]
+        except subprocess.TimeoutExpired:
+            end = [f"the notebook was stopped after {limit:g} s"]
+        finally:
+            with suppress(ProcessLookupError, PermissionError):
+                os.killpg(child.pid, signal.SIGKILL)
+    return end
+
+
+def _read_sheet(lines: Iterable[str]) -> tuple[dict[str, Any], list[str]]:
+    """Return the last verdict of each question, and the notes; lines that are neither are left out."""
+    found: dict[str, Any] = {}
+    notes: list[str] = []
+    for line in lines:
+        with suppress(ValueError, TypeError, KeyError):
+            entry = json.loads(line)
+            if isinstance(entry, str):
+                notes.append(entry[:300])
+            elif entry["state"] in _STATES and 0 <= entry["points"] < 100 and "words" in entry:
+                found[entry["question"]] = entry
+    return found, notes[:20]
+
+
+def run_file() -> None:
+    """Run the cells of a file and write a line of JSON for each verdict: the work of the process."""
+    program, path, limit = sys.argv[1:4]
+    sys.argv[1:] = []
+    with open(path, "a", encoding="utf-8") as sheet:
+
+        def write(entry: object) -> None:
+            sheet.write(json.dumps(entry) + "\n")
+            sheet.flush()
+
+        run_cells(json.loads(Path(program).read_text("utf-8")), write, float(limit))
+        os._exit(0)  # threads and handlers of the notebook do not matter
+
+
+def run_cells(cells: Iterable[str], write: Callable[[object], object], limit: float) -> None:
+    """Run cells one after the other, with a time limit for each.
+
+    Parameters
+    ----------
+    cells : iterable of str
+        Code of the cells.
+    write : callable
+        Receives the verdicts as dictionaries, and the errors of cells as text.
+    limit : float
+        Longest time for a cell [s].
+    """
+
+    def stop(*_: object) -> None:
+        raise TimeLimit(f"stopped after {limit:g} s")
+
+    names: dict[str, Any] = {"__name__": "__main__", "display": print}
+    token, before = RECORD.set(lambda verdict: write(vars(verdict))), signal.signal(signal.SIGALRM, stop)
+    try:
+        for number, source in enumerate(cells, 1):
+            try:
+                signal.setitimer(signal.ITIMER_REAL, limit)
+                exec(_compile(source, number), names)
+            except BaseException as error:
+                write(f"code cell {number}: {describe(error)}")
+            finally:
+                signal.setitimer(signal.ITIMER_REAL, 0)
+    finally:
+        signal.signal(signal.SIGALRM, before)
+        RECORD.reset(token)
+
+
+def _compile(source: str, number: int) -> Any:
+    """Return the code of a cell; commands of the notebook (% and !) are left out."""
+    try:
+        return compile(source, f"<cell {number}>", "exec")
+    except SyntaxError:
+        return compile(re.sub(r"^[ \t]*[%!?].*$", "", source, flags=re.M), f"<cell {number}>", "exec")
