@@ -128,7 +128,7 @@ def slide_error(p: Numbers) -> float:
     ! slide_error(p.but(psi_0=p.psi_0 + np.pi / 2)) => This is with d_x in place of d_y.
     ! slide_error(p.but(psi_0=np.radians(p.psi_0))) => psi_0 is taken for degrees; it is in radians.
     ! slide_error(p) / 0.55 * 0.8 => psi_dot is not squared.
-    ! slide_error(p) / 0.55 * 0.05 => psi_ddot has lost its sign.
+    ! slide_error(p) / -0.55 * 0.05 => psi_ddot has lost its sign.
     """
     d_y = p.x_bc * np.sin(p.psi_0) + p.y_bc * np.cos(p.psi_0)
     return float(p.m * d_y * (-0.3 - 0.5**2))

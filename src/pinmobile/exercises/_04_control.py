@@ -107,8 +107,8 @@ def circle_error(p: Numbers) -> float:
     ? m kp e = m r w^2; the part of kd is small.
 
     ! p.r * p.w / p.kp => The acceleration is r w^2; r w is the speed.
-    ! p.r * p.w**2 / p.kp / p.m => The gain is kp m, so the mass cancels.
-    ! p.r * p.w**2 * p.m / p.kp => The gain is kp m, so the mass cancels.
+    ! p.r * p.w**2 / p.kp / p.m => The gain is kp m; the force is m r w^2, not r w^2.
+    ! p.r * p.w**2 * p.m / p.kp => The gain is kp m, not kp: the mass cancels.
     ! p.r * p.w**2 => This is the acceleration; the gain turns it into an error.
     ! p.r * p.w**2 / p.kd => The position error is multiplied by kp, not by kd.
     """
@@ -140,27 +140,29 @@ def _rates(p: Numbers) -> Array:
 
 
 @EXERCISE.design(3)
-def gains(p: Numbers, kp: float, kd: float) -> list[Requirement]:
-    """Choose gains kp, kd of computed torque with the right model, for a robot 0.5 m before its goal.
+def gains(p: Numbers, gain_p: float, gain_d: float) -> list[Requirement]:
+    """Choose the gains gain_p, gain_d of computed torque for a robot 0.5 m before its goal.
 
-    The loop runs at 20 Hz. The error must settle to 5 mm within 2.8 s, and overshoot by less than 5 mm. The
-    force must stay below 3.6 m/s^2 times m.
+    The model is right. The loop runs at 20 Hz. The error must settle to 5 mm within 2.8 s, and overshoot by
+    less than 5 mm. The force must stay below 3.6 m/s^2 times m.
 
     ? With critical damping the error is 0.5 (1 + omega t) exp(-omega t). When is it 5 mm?
-    ? The largest force is the first one, m kp 0.5. Which omega gives 3.6 m/s^2 times m?
+    ? The largest force is the first one, m gain_p 0.5. Which omega gives 3.6 m/s^2 times m?
     ? omega near 2.6 rad/s leaves room on both sides.
 
-    ! kp <= 0 or kd <= 0 => Both gains must be above 0.
-    ! kp > 7.3 => kp is too large: the first force is m kp 0.5.
-    ! kd**2 < 2.5 * kp => The damping kd / (2 sqrt(kp)) is far below 1: the robot overshoots.
-    ! kd**2 > 5 * kp => The damping kd / (2 sqrt(kp)) is far above 1: the robot creeps.
-    ! kp < 5.5 => kp is too small: omega = sqrt(kp) is too slow.
+    ! gain_p <= 0 or gain_d <= 0 => Both gains must be above 0.
+    ! gain_p > 7.3 => gain_p is too large: the first force is m gain_p 0.5.
+    ! gain_d**2 < 2.5 * gain_p => The damping gain_d / (2 sqrt(gain_p)) is far below 1: the robot overshoots.
+    ! gain_d**2 > 5 * gain_p => The damping gain_d / (2 sqrt(gain_p)) is far above 1: the robot creeps.
+    ! gain_p < 5.5 => gain_p is too small: omega = sqrt(gain_p) is too slow.
     """
     from pinmobile import ComputedTorque, FixedHeading, Hold, MobileRobot, simulate
 
     robot = MobileRobot(p.m, p.I_cz, com=(p.x_bc, p.y_bc))
     goal = FixedHeading(Hold((0.5, 0.0), duration=6), psi=0)
-    run = simulate(robot, ComputedTorque(robot, kp, kd), goal, dt=0.05, q0=np.zeros(3), v0=np.zeros(3))
+    run = simulate(
+        robot, ComputedTorque(robot, gain_p, gain_d), goal, dt=0.05, q0=np.zeros(3), v0=np.zeros(3)
+    )
     error = 0.5 - run.q[:, 0]
     late = run.t[np.abs(error) > 5e-3].max()
     return [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -18,26 +19,7 @@ from pinmobile.errors import InvalidArgument, UnknownName, shown
 from pinmobile.exercises._question import Design, Function, Number, Question
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-# Lowest and highest value, step, unit and meaning. All exercises of a course are about the same robot.
-_NUMBERS: dict[str, tuple[float, float, float, str, str]] = {
-    "m": (24, 40, 0.5, "kg", "mass"),
-    "I_cz": (1.0, 2.0, 0.05, "kg m²", "yaw inertia about the centre of mass"),
-    "x_bc": (0.12, 0.2, 0.01, "m", "centre of mass, forward"),
-    "y_bc": (0.04, 0.09, 0.01, "m", "centre of mass, to the left"),
-    "r": (2.2, 4.0, 0.1, "m", "radius of the circle"),
-    "w": (0.12, 0.22, 0.01, "rad/s", "rate on the circle"),
-    "kp": (3.0, 6.0, 0.25, "1/s²", "proportional gain"),
-    "kd": (3.2, 5.2, 0.2, "1/s", "derivative gain"),
-    "L": (1.6, 3.2, 0.1, "m", "length of a straight path"),
-    "T": (3.6, 5.8, 0.2, "s", "duration of a straight path"),
-    "psi_0": (0.35, 0.75, 0.05, "rad", "a heading"),
-    "r_w": (0.08, 0.14, 0.01, "m", "radius of the wheels"),
-    "b": (0.22, 0.3, 0.01, "m", "half the distance of the wheels"),
-    "I_w": (0.004, 0.009, 0.001, "kg m²", "inertia of a wheel about its axle"),
-    "l_s": (0.45, 0.55, 0.01, "m", "distance of the caster ahead of the axle"),
-    "mu": (0.35, 0.45, 0.01, "", "coefficient of friction"),
-    "m_hat": (44, 56, 1.0, "kg", "mass in the controller model"),
-}
+_COURSE = tomllib.loads((Path(__file__).parent / "course.toml").read_text("utf-8"))
 
 
 class Numbers(SimpleNamespace):
@@ -52,7 +34,7 @@ def course_numbers(names: str, course: str) -> Numbers:
     """Return the numbers of a course, drawn from its name."""
 
     def draw(name: str) -> float:
-        low, high, step, *_ = _NUMBERS[name]
+        low, high, step, *_ = _COURSE["numbers"][name]
         return round(
             low + step * int(Random(f"{course}/{name}").random() * (round((high - low) / step) + 1)), 6
         )
@@ -141,9 +123,9 @@ class Exercise:
         """Return the notebook for students: tasks, empty answers and checks."""
         questions, numbers = self.questions(course), vars(course_numbers(self.symbols, course))
         start = f'ask = load_exercise("{self.name}", seed="{course}")'
-        total, rules = sum(each.points for each in questions), _RULES.format(questions[0].name)
+        total, rules = sum(each.points for each in questions), _COURSE["rules"].format(questions[0].name)
         lines = [
-            f"{key} = {value:g}  # {_NUMBERS[key][4]} [{_NUMBERS[key][3] or 1}]"
+            f"{key} = {value:g}  # {_COURSE['numbers'][key][4]} [{_COURSE['numbers'][key][3] or 1}]"
             for key, value in numbers.items()
         ]
         head = f"# {self.title} ({total} points)\n{self.text.partition(chr(10))[2]}\n{rules}"
@@ -158,13 +140,6 @@ class Exercise:
         kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
         metadata = {"kernelspec": kernel, "pinmobile": {"exercise": self.name, "seed": course}}
         return {"cells": cells, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}
-
-
-_RULES = (
-    "Replace the dots and run the cell below each answer to check it. For `{0}`, `ask.{0}.hint()` "
-    "gives one more hint per call. All numbers are in SI units and radians; three digits are enough. Numpy "
-    "is allowed, the functions of pinmobile are not."
-)
 
 
 def _cell(number: int, kind: str, source: str) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import dis
 import html
 import inspect
 import os
@@ -13,7 +12,7 @@ from collections.abc import Callable, Iterable
 from contextlib import redirect_stdout
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from types import FrameType, ModuleType
+from types import FrameType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +28,6 @@ _FACTORS = {
     180 / np.pi: "It is wrong by a factor of 57.3: check degrees and radians.",
     2 * np.pi: "It is wrong by a factor of 2 pi: check turns and radians.",
 }
-_BLANK = {"RESUME", "NOP", "LOAD_CONST", "RETURN_CONST", "RETURN_VALUE", "COPY_FREE_VARS"}
 _EMPTY = "nothing is written yet; replace the dots"
 
 
@@ -153,7 +151,7 @@ class Question:
             State, reason and points. No answer raises an error here.
         """
         try:
-            if answer is None or answer is ... or _is_blank(answer):
+            if any(each is None or each is ... for each in _entries(answer)):
                 raise Fault("empty", _EMPTY)
             state, words = "passed", self.judge(answer)
         except Fault as fault:
@@ -194,6 +192,11 @@ class Question:
         return ""
 
 
+def _entries(answer: object) -> list[object]:
+    """Return the entries of a tuple or list, and anything else as one entry."""
+    return list(answer) if isinstance(answer, tuple | list) else [answer]
+
+
 def describe(error: BaseException) -> str:
     """Return the type and the message of an error, shortened."""
     try:
@@ -202,22 +205,10 @@ def describe(error: BaseException) -> str:
         return type(error).__name__
 
 
-def _is_blank(answer: Any) -> bool:
-    """Return whether a function has no body but dots, or a tuple contains dots."""
-    if type(answer) in (tuple, list):
-        return any(each is None or each is ... for each in answer)
-    if not inspect.isfunction(answer):
-        return False
-    constants = (each for each in answer.__code__.co_consts if each != answer.__doc__)
-    codes = {step.opname for step in dis.get_instructions(answer)}
-    return codes <= _BLANK and all(each is None or each is ... for each in constants)
-
-
-def _home(value: object) -> str:
-    """Return the package that an object comes from."""
-    of_module = value.__name__ if isinstance(value, ModuleType) else None
-    home = of_module or getattr(value, "__module__", None) or type(value).__module__
-    return str(home).partition(".")[0]
+def _is_library(value: object) -> bool:
+    """Return whether an object comes from pinmobile or Pinocchio."""
+    home = getattr(value, "__module__", None) or getattr(value, "__name__", "")
+    return str(home).partition(".")[0] in ("pinmobile", "pinocchio")
 
 
 def _call(answer: Callable[..., Any], arguments: Iterable[Any]) -> Any:
@@ -227,8 +218,8 @@ def _call(answer: Callable[..., Any], arguments: Iterable[Any]) -> Any:
     def watch(frame: FrameType, event: str, _: object) -> None:
         if event == "call" and not used:
             names, scope = frame.f_code.co_names, frame.f_globals
-            used.extend(each for each in names if _home(scope.get(each)) in ("pinmobile", "pinocchio"))
-            if str(scope.get("__name__")).partition(".")[0] == "pinmobile":
+            used.extend(name for name in names if _is_library(scope.get(name)))
+            if str(scope.get("__name__")).startswith("pinmobile."):
                 used.append(frame.f_code.co_name)
 
     own, before = copy.deepcopy(tuple(arguments)), sys.getprofile()
@@ -250,10 +241,8 @@ def _call(answer: Callable[..., Any], arguments: Iterable[Any]) -> Any:
 
 def _as_array(value: Any, shape: tuple[int, ...]) -> Array:
     """Return a copy of what a student's function returned, as an array of the given shape."""
-    if value is ...:
-        raise Fault("empty", _EMPTY)
-    if value is None:
-        raise Fault("wrong", "the function returns None; is a return statement missing?")
+    if value is None or value is ...:
+        raise Fault("empty", f"{_EMPTY}, and return the result")
     expected = f"an array of shape {shape}" if shape else "a number"
     try:
         got = np.array(value, dtype=float)
@@ -327,13 +316,9 @@ def _as_float(answer: Any, expected: str) -> float:
     except (Exception, SystemExit):
         value = np.nan
     if not np.isfinite(value):
-        raise Fault("wrong", f"the answer is {describe_value(answer)}, expected {expected}")
+        given = answer if isinstance(answer, float) else type(answer).__name__
+        raise Fault("wrong", f"the answer is {given}, expected {expected}")
     return value
-
-
-def describe_value(answer: object) -> str:
-    """Return a number as text, and the type of anything else."""
-    return str(answer) if isinstance(answer, float) else type(answer).__name__
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -373,7 +358,7 @@ class Design(Question):
 
     def judge(self, answer: Any) -> str:
         """Simulate, and compare each result with its bound."""
-        given = list(answer) if type(answer) in (tuple, list) else [answer]
+        given = _entries(answer)
         if len(given) != len(self.arguments):
             raise Fault("wrong", f"the answer has {len(given)} numbers, expected {', '.join(self.arguments)}")
         values = [_as_float(each, "a finite number") for each in given]

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.exercises._exercise import check_course, exercise_names, read_exercise
+from pinmobile.exercises._exercise import Exercise, check_course, exercise_names, read_exercise
 from pinmobile.exercises._question import RECORD, TimeLimit, Verdict, describe
 
 _LOADED = re.compile(
@@ -64,11 +64,12 @@ def start_exercises(folder: str | os.PathLike[str] = "exercises", *, seed: str =
         home.mkdir(parents=True, exist_ok=True)
         for name in exercise_names():
             path = home / f"{name}.ipynb"
-            if path.exists():
+            if not path.exists():
+                notebook = read_exercise(name).notebook(seed)
+                path.write_text(json.dumps(notebook, indent=1) + "\n", encoding="utf-8")
+                lines.append(str(path))
+            else:
                 lines.append(f"{path} exists, left as it is")
-                continue
-            path.write_text(json.dumps(read_exercise(name).notebook(seed), indent=1) + "\n", encoding="utf-8")
-            lines.append(f"{path}")
     except OSError as error:
         raise InvalidArgument(
             f"FOLDER is {shown(str(folder))}, expected a folder to write to ({error.strerror})"
@@ -83,7 +84,7 @@ class Report:
     Parameters
     ----------
     name : str
-        Name of the file.
+        Path of the file.
     course : str
         Name of the course.
     verdicts : tuple of Verdict
@@ -136,12 +137,12 @@ def check_exercises(
     if not 0 < limit < 1e6:
         raise InvalidArgument(f"limit is {shown(limit)}, expected a number of seconds > 0")
     wanted = None if seed is None else check_course(seed)
-    read = [(Path(file), read_cells(Path(file))) for file in files]
-    return [_check(path, cells, wanted, limit) for path, cells in read]
+    opened = [(Path(file), *read_cells(Path(file))) for file in files]
+    return [_check(path, cells, read_exercise(name), own, wanted, limit) for path, cells, name, own in opened]
 
 
-def read_cells(path: Path) -> list[str]:
-    """Return the code cells of a notebook or of a py:percent file.
+def read_cells(path: Path) -> tuple[list[str], str, str]:
+    """Return the code cells of a notebook or of a py:percent file, and the names of exercise and course.
 
     Raises
     ------
@@ -152,7 +153,7 @@ def read_cells(path: Path) -> list[str]:
     try:
         text = path.read_text(encoding="utf-8")
         if path.suffix == ".ipynb":
-            stored = [each for each in json.loads(text)["cells"] if each["cell_type"] == "code"]
+            stored = (each for each in json.loads(text)["cells"] if each["cell_type"] == "code")
             cells = ["".join(each["source"]) for each in stored]
         else:
             cells = re.split(r"^# %%.*$", text, flags=re.M)
@@ -161,29 +162,33 @@ def read_cells(path: Path) -> list[str]:
     loaded = _LOADED.search("\n".join(cells))
     if loaded is None or loaded[1] not in exercise_names():
         raise InvalidArgument(f"FILE is {shown(str(path))}, {expected}: no cell calls load_exercise")
-    return cells
+    return cells, loaded[1], loaded[2] or ""
 
 
-def _check(path: Path, cells: Sequence[str], wanted: str | None, limit: float) -> Report:
-    loaded = _LOADED.search("\n".join(cells))
-    assert loaded is not None  # read_cells found it
-    course = loaded[2] or "" if wanted is None else wanted
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+def _check(
+    path: Path, cells: list[str], exercise: Exercise, own: str, wanted: str | None, limit: float
+) -> Report:
+    """Run the cells, and return the last verdict of each question with the numbers of the course."""
+    course, found, notes = own if wanted is None else wanted, dict[str, Any](), list[str]()
+    if own != course:
+        notes.append(f"the notebook has the numbers of course {own or '(none)'}, expected {course}")
+    with tempfile.TemporaryDirectory() as folder:
         program, sheet = Path(folder, "cells.json"), Path(folder, "sheet.jsonl")
         program.write_text(json.dumps(cells), encoding="utf-8")
         end = _run_child([str(program), str(sheet), str(limit / 6)], path.parent, limit)
         lines = sheet.read_text("utf-8", "replace").splitlines() if sheet.is_file() else []
-    found, notes = _read_sheet(lines)
-    if (loaded[2] or "") != course:
-        notes.insert(0, f"the notebook has the numbers of course {loaded[2] or '(none)'}, expected {course}")
-    unchecked = {"state": "empty", "words": "no verdict: its check did not run", "points": 0}
+    for line in lines:
+        with suppress(ValueError, TypeError, KeyError):  # of lines that the notebook wrote itself
+            entry = json.loads(line)
+            if isinstance(entry, str):
+                notes.append(entry[:300])
+            elif entry["state"] in _STATES and 0 <= entry["points"] < 100:
+                found[entry["question"]] = (entry["state"], str(entry["words"])[:900], int(entry["points"]))
     verdicts = []
-    for each in read_exercise(loaded[1]).questions(course):
-        state, words, points = (found.get(each.key, unchecked)[key] for key in ("state", "words", "points"))
-        verdicts.append(
-            Verdict(each.key, state, str(words)[:900], min(int(points), each.points), each.points)
-        )
-    return Report(path.name, course, tuple(verdicts), (*notes, *end))
+    for each in exercise.questions(course):
+        state, words, points = found.get(each.key, ("empty", "no verdict: its check did not run", 0))
+        verdicts.append(Verdict(each.key, state, words, min(points, each.points), each.points))
+    return Report(str(path), course, tuple(verdicts), (*notes[:20], *end))
 
 
 def _run_child(words: Sequence[str], folder: Path, limit: float) -> list[str]:
@@ -201,20 +206,6 @@ def _run_child(words: Sequence[str], folder: Path, limit: float) -> list[str]:
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(child.pid, signal.SIGKILL)
     return end
-
-
-def _read_sheet(lines: Iterable[str]) -> tuple[dict[str, Any], list[str]]:
-    """Return the last verdict of each question, and the notes; lines that are neither are left out."""
-    found: dict[str, Any] = {}
-    notes: list[str] = []
-    for line in lines:
-        with suppress(ValueError, TypeError, KeyError):
-            entry = json.loads(line)
-            if isinstance(entry, str):
-                notes.append(entry[:300])
-            elif entry["state"] in _STATES and 0 <= entry["points"] < 100 and "words" in entry:
-                found[entry["question"]] = entry
-    return found, notes[:20]
 
 
 def run_file() -> None:

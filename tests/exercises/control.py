@@ -1,0 +1,65 @@
+"""Answers to exercise 4, and answers with mistakes."""
+
+import numpy as np
+
+m, I_cz, x_bc, y_bc, r, w, kp, kd = 30.0, 1.3, 0.1, 0.05, 3.0, 0.1, 4.0, 4.0
+
+
+# %% critical
+def critical(omega):
+    return omega**2, 2 * omega
+
+
+# %% pd_force
+def pd_force(kp, kd, q, v, q_d, v_d):
+    e = q_d - q
+    e[2] = np.arctan2(np.sin(e[2]), np.cos(e[2]))
+    return kp * e + kd * (v_d - v)
+
+
+# %% computed_torque
+def computed_torque(M, n, kp, kd, q, v, q_d, v_d, a_d):
+    e = q_d - q
+    e[2] = (e[2] + np.pi) % (2 * np.pi) - np.pi
+    return M @ (a_d + kd * (v_d - v) + kp * e) + n
+
+
+# %% circle_error
+circle_error = r * w**2 / kp
+
+# %% largest_step
+M = np.array([[m, 0, -m * y_bc], [0, m, m * x_bc], [-m * y_bc, m * x_bc, I_cz + m * (x_bc**2 + y_bc**2)]])
+k = max(np.linalg.eigvals(np.linalg.inv(M) @ np.diag([kd * m, kd * m, kd * I_cz])).real)
+largest_step = 2 / k
+
+# %% gains
+gain_p, gain_d = critical(2.6)
+
+# %%
+MISTAKES = [
+    ("critical", "2 * omega", "omega", "damping ratio of one half"),
+    ("critical", "omega**2, 2 * omega", "2 * omega, omega**2", "The gains are exchanged"),
+    ("critical", "omega**2, 2", "omega, 2", "kp must be the square"),
+    ("pd_force", "e[2] =", "_ =", "the long way round"),
+    ("pd_force", "v_d - v", "-v", "v_d is missing"),
+    ("pd_force", "v_d - v", "v - v_d", "The velocity error has the wrong sign"),
+    ("pd_force", "kp * e + kd", "kd * e + kp", "kp and kd are exchanged"),
+    ("computed_torque", "e) + n", "e)", "The nonlinear effects n are missing"),
+    ("computed_torque", "e) + n", "e) - n", "n has the wrong sign"),
+    ("computed_torque", "a_d + kd", "kd", "The desired acceleration a_d is missing"),
+    ("computed_torque", "(a_d + kd * (v_d - v) + kp * e)", "a_d + kd * (v_d - v) + kp * e",
+     "M must multiply"),
+    ("computed_torque", "e[2] =", "_ =", "The heading error is a plain difference"),
+    ("circle_error", "w**2", "w", "r w is the speed"),
+    ("circle_error", "circle_error =", "circle_error = 1e3 *", "mm and m"),
+    ("circle_error", "/ kp", "/ kp / m", "not r w^2"),
+    ("largest_step", "2 / k", "1 / k", "not 1"),
+    ("largest_step", "max(", "min(", "smallest eigenvalue"),
+    ("largest_step", "2 / k", "k", "This is the eigenvalue"),
+    ("gains", "critical(2.6)", "critical(4)", "gain_p is too large"),
+    ("gains", "critical(2.6)", "critical(1)", "gain_p is too small"),
+    ("gains", "critical(2.6)", "6.76, 1.0", "overshoots"),
+    ("gains", "critical(2.6)", "6.76, 9.0", "creeps"),
+    ("gains", "critical(2.6)", "-1, 3", "Both gains must be above 0"),
+    ("gains", "critical(2.6)", "1e9, 1e9", "diverged"),
+]  # fmt: skip

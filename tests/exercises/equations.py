@@ -1,0 +1,79 @@
+"""Answers to exercise 1, and answers with mistakes."""
+
+import numpy as np
+
+m, I_cz, x_bc, y_bc = 30.0, 1.3, 0.1, 0.05
+
+
+# %% transform
+def transform(alpha, a, theta, d):
+    ca, sa, ct, st = np.cos(alpha), np.sin(alpha), np.cos(theta), np.sin(theta)
+    return np.array(
+        [
+            [ct, -st, 0, a],
+            [st * ca, ct * ca, -sa, -d * sa],
+            [st * sa, ct * sa, ca, d * ca],
+            [0, 0, 0, 1],
+        ]
+    )
+
+
+# %% pose
+def pose(q):
+    x, y, psi = q
+    T = transform(3 * np.pi / 2, 0, 3 * np.pi / 2, y)
+    T = T @ transform(3 * np.pi / 2, 0, np.pi / 2, x)
+    return T @ transform(np.pi / 2, 0, np.pi / 2 + psi, 0)
+
+
+# %% com_jacobian
+def com_jacobian(q):
+    c, s = np.cos(q[2]), np.sin(q[2])
+    return np.array([[1, 0, -(x_bc * s + y_bc * c)], [0, 1, x_bc * c - y_bc * s]])
+
+
+# %% mass_matrix
+def mass_matrix(q):
+    c, s = np.cos(q[2]), np.sin(q[2])
+    M = m * np.eye(3)
+    M[0, 2] = M[2, 0] = -m * (x_bc * s + y_bc * c)
+    M[1, 2] = M[2, 1] = m * (x_bc * c - y_bc * s)
+    M[2, 2] = I_cz + m * (x_bc**2 + y_bc**2)
+    return M
+
+
+# %% nonlinear_effects
+def nonlinear_effects(q, v):
+    c, s = np.cos(q[2]), np.sin(q[2])
+    return -m * v[2] ** 2 * np.array([x_bc * c - y_bc * s, x_bc * s + y_bc * c, 0])
+
+
+# %% coupling
+coupling = mass_matrix([0, 0, np.pi / 2])[0, 2]
+
+# %%
+MISTAKES = [
+    ("transform", "np.cos(alpha), np.sin(alpha)", "np.cos(alpha), -np.sin(alpha)", "RotX is transposed"),
+    ("transform", "np.cos(theta), np.sin(theta)", "np.cos(theta), -np.sin(theta)", "RotZ is transposed"),
+    (
+        "transform",
+        "ca, sa, ct, st =",
+        "alpha, theta = np.deg2rad([alpha, theta]); ca, sa, ct, st =",
+        "degrees",
+    ),
+    ("pose", "x, y, psi = q", "y, x, psi = q", "x and y are exchanged"),
+    ("pose", "+ psi", "", "psi is missing"),
+    ("pose", "+ psi", "- psi", "The rotation is transposed"),
+    ("com_jacobian", "c, s = np.cos(q[2]), np.sin(q[2])", "c, s = 1, 0", "does not turn with the body"),
+    ("com_jacobian", "[0, 1, x_bc * c - y_bc * s]", "[0, 1, 0]", "differs"),
+    ("mass_matrix", "I_cz + ", "", "The yaw inertia I_cz is missing"),
+    ("mass_matrix", " + m * (x_bc**2 + y_bc**2)", "", "Steiner"),
+    ("mass_matrix", "np.sin(q[2])", "-np.sin(q[2])", "psi has the wrong sign"),
+    ("mass_matrix", "return M", "return 1000 * M", "factor of 1000"),
+    ("nonlinear_effects", "v[2] ** 2", "v[2]", "psi_dot is not squared"),
+    ("nonlinear_effects", "-m", "m", "Only the sign is wrong"),
+    ("nonlinear_effects", "-m * ", "-", "The mass is missing"),
+    ("coupling", "np.pi / 2", "90", "use pi/2"),
+    ("coupling", "[0, 2]", "[2, 2]", "last entry of the diagonal"),
+    ("coupling", "coupling =", "coupling = -", "Only the sign is wrong"),
+]  # fmt: skip
