@@ -288,6 +288,11 @@ class TestCurves:
         figure = plots.curves({"": [1.0, largest, np.inf]}, x=self.X, label="error [m]", title="One")
         assert figure.axes[0].get_yscale() == scale
 
+    def test_the_lowest_mark_of_negative_numbers_is_whole(self) -> None:
+        low, high = plots.curves({"a": [-2.0, -1.0, 1.0]}, x=self.X, label="margin [m]").axes[0].get_ylim()
+        assert (low, high) == pytest.approx((-2.15, 1.15))
+        assert plots.curves({"a": [0.0, 1.0, 2.0]}, x=self.X, label="margin [m]").axes[0].get_ylim()[0] == 0
+
     def test_all_may_diverge_and_one_needs_no_legend(self) -> None:
         drawn(plots.curves({"a": [np.inf] * 3}, x=self.X, label="error [m]"))
         assert not plots.curves({"": [1, 2, 3]}, x=self.X, label="error [m]").legends

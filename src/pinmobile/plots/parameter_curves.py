@@ -254,8 +254,8 @@ def _scale(axes: Axes, numbers: Array) -> float:
         room = (high / low) ** 0.05
         axes.set_ylim(low / room, high * room)
     else:
-        least = min(low, 0.0)
-        axes.set_ylim(least, high + 0.05 * ((high - least) or 1.0))
+        room = 0.05 * ((high - min(low, 0.0)) or 1.0)
+        axes.set_ylim(low - room if low < 0 else 0.0, high + room)
     finite = np.isfinite(numbers)
     return high if finite.all() else strip_above(axes, "diverges", numbers=bool(finite.any()))
 
