@@ -1,20 +1,26 @@
-"""Examples run, or say in one sentence which package they lack."""
+"""Examples run, or say in one sentence which package they lack; those of the gallery show something."""
 
+import ast
+import runpy
 import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
+
+from pinmobile.viewer import Recording
 
 pytestmark = pytest.mark.once
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
+GALLERY = sorted(EXAMPLES.glob("plot_*.py"))
 NEEDED = {"nonlinear_mpc.py": "crocoddyl"}
 PRINTED = {"nonlinear_mpc.py": ("NonlinearMPC within 20 mm after 2.", "MPC          within 20 mm after 2.")}
 
 
-@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.name)
+@pytest.mark.parametrize("path", sorted({*EXAMPLES.glob("*.py")} - {*GALLERY}), ids=lambda path: path.name)
 def test_an_example_runs_or_says_what_it_needs(path: Path) -> None:
     done = subprocess.run([sys.executable, path], capture_output=True, text=True, timeout=300, check=False)
     needed = NEEDED.get(path.name)
@@ -25,3 +31,35 @@ def test_an_example_runs_or_says_what_it_needs(path: Path) -> None:
     assert done.returncode == 0, done.stderr
     for words in PRINTED[path.name]:
         assert words in done.stdout
+
+
+def test_the_gallery_has_fifteen_scripts() -> None:
+    assert len(GALLERY) == 15
+
+
+@pytest.mark.parametrize("path", GALLERY, ids=lambda path: path.stem)
+def test_a_script_of_the_gallery_prints_and_shows_something_and_writes_nothing(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if path.stem == "plot_mpc":
+        pytest.importorskip("daqp")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    before = sorted(EXAMPLES.rglob("*"))
+    left = runpy.run_path(str(path))
+    assert (list(tmp_path.rglob("*")), sorted(EXAMPLES.rglob("*"))) == ([], before)
+    assert 1 <= len(capsys.readouterr().out.splitlines()) <= 3
+    shown = [value for value in left.values() if isinstance(value, Figure | Recording)]
+    assert any(isinstance(value, Figure) for value in shown)
+
+
+@pytest.mark.parametrize("path", GALLERY, ids=lambda path: path.stem)
+def test_a_script_of_the_gallery_is_short_and_begins_with_its_title(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    first = ast.parse(text).body[0]
+    assert isinstance(first, ast.Expr)
+    docstring = ast.get_docstring(ast.parse(text)) or ""
+    title, line, empty, *words = docstring.splitlines()
+    assert (line, empty, len(words) >= 2) == ("=" * len(title), "", True)
+    code = [row for row in text.splitlines()[first.end_lineno :] if row.strip() and row.strip()[0] != "#"]
+    assert len(code) <= 40
