@@ -7,6 +7,7 @@ ball. Its user wants it to roll, and the torques and wheel loads along a path. `
 was read from the file and what was guessed.
 """
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from pinmobile import Backstepping, Spline, Tangent, UnicycleTracking, WheeledRobot, balance, plots, simulate
 from pinmobile.viewer import Viewer
 
-robot = WheeledRobot.from_urdf(Path(__file__).with_name("courier.urdf"))
+robot = WheeledRobot.from_urdf(Path(sys.argv[0]).with_name("courier.urdf"))
 path = Tangent(Spline([(0, 0), (1.0, 0.0), (1.6, 0.8), (2.6, 0.8)], times=[0, 2, 4, 6]))
 run = simulate(robot, Backstepping(UnicycleTracking(), robot), path, dt=0.02)
 limit = balance.max_path_speed(robot, path)
