@@ -1,9 +1,10 @@
-"""Controllers: from state and reference to generalised force.
+"""Controllers: from state and reference to the input.
 
-A controller is called as ``controller(t, q, v, reference, state) -> (u, state)``: it takes its own state
-and returns the next one (None where it has no memory, see `initial_state`). q, v and tau have shape
-(..., n); a reference has the attributes q, v and a of that shape. Those of this module broadcast over
-leading axes. `InputSaturation`, `MeasurementDelay` and `MeasurementNoise` wrap any of them, and each other.
+The loop calls a controller as ``controller(t, q, v, reference, state) -> (u, state)``. The controller
+receives its own state and returns the next one; ``initial_state(context)`` returns the first one, None for a
+controller without memory. q and v have shape (..., n), u has shape (..., nu), and a reference has the
+attributes q, v and a. These controllers broadcast over leading axes. `InputSaturation`, `MeasurementDelay`
+and `MeasurementNoise` wrap any controller, and each other.
 """
 
 from pinmobile.controllers.actuation import RandomSteps, TorqueToVoltage, VelocityCommand, WheelSpeed

@@ -1,4 +1,4 @@
-"""What stands between controllers and motors: torques as volts, rates that firmware holds, commands."""
+"""Controllers at the actuators: torques to voltages, wheel speed loops, velocity commands."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ _HALF_SAMPLE = 0.5
 
 @attrs.frozen
 class _ByVoltage(Child):
-    """Declaration of a robot that takes volts, or can."""
+    """Declaration of a robot whose input is voltages, or that has a method `by_voltage`."""
 
     def checked(self, name: str, value: Any) -> Any:
-        """Return the robot that takes volts."""
+        """Return the robot whose input is voltages."""
         powered = None if able(value, Electric) or isinstance(value, type) else able(value, Powered)
         return super().checked(name, powered.by_voltage() if powered else value)
 
@@ -54,42 +54,62 @@ class _ByVoltage(Child):
 @final
 @part
 class TorqueToVoltage(Wrapper):
-    """A controller of torques whose robot takes volts: by the inverse of its motors at the present rates.
+    """Wrapper that turns the torques of a controller into voltages, by the inverse of the motor model.
 
-    Volts are held between samples while rates change, so that torques are those asked for at a sample and
-    less as a motor gets faster. What limits of voltages and currents leave of the torques is what the wrapped
-    controller is told to have been applied.
+    The inverse uses the wheel rates at the sample. Voltages stay constant between samples, so the torque is
+    the desired one at the sample and decreases as the motor accelerates. The wrapped controller receives the
+    torques that remain after the limits of voltage and current as its applied input.
 
     Parameters
     ----------
     controller : controller
-        What is wrapped.
+        Wrapped controller of torques.
     robot : WheeledRobot
-        With the motors in which the controller believes; or what its ``by_voltage()`` returns.
+        Controller model with the motors; or the result of its method ``by_voltage()``.
 
     Raises
     ------
     InvalidArgument
-        If `controller` is none, or `robot` has no motors that take volts.
+        If `controller` is not a controller, or `robot` has no electric motors.
+
+    See Also
+    --------
+    wheels.Motor : model of an electric motor
+    wheels.ByVoltage : robot whose input is voltages
+    LQR : law that can compute voltages directly
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable, law
+    >>> from pinmobile.controllers import TorqueToVoltage
+    >>> from pinmobile.plant import Context
+    >>> from pinmobile.wheels import Motor
+    >>> motor = Motor(resistance=2.0, torque_constant=0.5, voltage=24.0)
+    >>> wheels = WheelTable.differential(0.4, 0.1, motor=motor)
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), wheels).by_voltage()
+    >>> push = TorqueToVoltage(law(lambda t, q, v, r: [2, 2]), robot)
+    >>> memory = push.initial_state(Context.of(robot, dt=0.01))
+    >>> push(0.0, robot.rest, 0 * robot.rest, None, memory)[0]  # [V]
+    array([8., 8.])
     """
 
     controller: Any = child(Controller, doc="wrapped controller")
     robot: Any = declare(_ByVoltage("model of the controller", Electric))
 
     def initial_state(self, context: Context) -> tuple[Any, Any]:
-        """Return the state that the wrapped controller starts with, and velocities."""
+        """Return the first state of the wrapped controller, and zero velocities."""
         inner: Any = Seen(context, inputs=self.robot.wheeled.inputs)
         return self.controller.initial_state(inner), np.zeros(self.robot.nv)
 
     def applied(self, u: Array, state: tuple[Any, Any]) -> tuple[Any, Any]:
-        """Return the state, with the wrapped controller told of the torques of an input, shape (..., nu)."""
+        """Return the next state; the wrapped controller receives the torques of the applied voltages."""
         inner, v = state
         return told(self.controller, self.robot.torques_at(v, u), inner), v
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any]
     ) -> tuple[Array, tuple[Any, Any]]:
-        """Return the input, shape (..., nu), and the next state."""
+        """Return the voltages, shape (..., nu) [V], and the next state."""
         torques, inner = answer_of(self.controller, t, q, v, reference, state[0])
         return self.robot.volts_for(v, torques), (inner, v)
 
@@ -97,44 +117,65 @@ class TorqueToVoltage(Wrapper):
 @final
 @part
 class WheelSpeed:
-    """From a kinematic law to rates of wheels, each held by its own loop, as firmware of robots does.
+    """Wheel speed control: a kinematic law sets wheel rates, and a PI loop per motor tracks them.
 
-        u = kp (W_c - W) + ki z,   z' = W_c - W
+    Firmware of many robots works in this way::
 
-    W_c are the rates at which motors turn when wheels roll as the law says. What an integral gains in a
-    sample is taken back where the input is limited and the gain would push it further.
+        u = kp (W_c - W) + ki z,   dz/dt = W_c - W
 
-    The reference is the pose of the body, as of `Backstepping`; a robot that rolls on no one axle, such as a
-    skid-steer base, is taken as one with an axle through its origin.
+    W_c are the motor rates at which the wheels roll as the law commands. Where the input is limited and the
+    integral would grow further, its last increment is removed (anti-windup).
+
+    The reference is the pose of the body, as for `Backstepping`. A robot without one rolling axle, such as a
+    skid-steer base, is treated as a robot with an axle through its origin.
 
     Parameters
     ----------
     law : kinematic law
-        Such as `UnicycleTracking`.
+        Law from tracking error to speed and yaw rate, such as `UnicycleTracking`.
     robot : WheeledRobot
-        Its wheels in which the controller believes; of one by volts the gains are per volt.
+        Controller model of the wheels; for a robot driven by voltages, the gains are per volt.
     kp, ki : float
         Gains, > 0 and >= 0 [N m s/rad, N m/rad, or V s/rad, V/rad].
 
     Raises
     ------
     InvalidArgument
-        If an argument is something else, or the robot has wheels that steer, or arms.
+        If an argument is of another kind or out of range, or the robot has arms or wheels that steer; at the
+        start of a run, if the law cannot follow the reference.
+
+    See Also
+    --------
+    Backstepping : torques with a dynamic model
+    controllers.VelocityCommand : commands without a wheel loop
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, MobileRobot, Tangent, simulate
+    >>> from pinmobile import UnicycleTracking, WheeledRobot, WheelTable
+    >>> from pinmobile.controllers import WheelSpeed
+    >>> wheels = WheelTable.differential(0.4, 0.1, spin_inertia=0.01)
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), wheels)
+    >>> law = WheelSpeed(UnicycleTracking(), robot, kp=3.0, ki=9.0)
+    >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=1.0))
+    >>> run = simulate(robot, law, path, dt=0.05, v0=0 * robot.rest)
+    >>> print(f"{1e3 * max(run.max_error()[:2]):.0f} mm from rest")
+    7 mm from rest
     """
 
     law: Any = child(KinematicLaw, doc="kinematic law", expected=LAW)
     robot: Any = child(Tabled, doc="model of the controller")
-    kp: float = number(above=0.0, unit="N m s/rad, V s/rad", doc="gain of the rates")
-    ki: float = number(default=0.0, lower=0.0, unit="N m/rad, V/rad", doc="gain of their integrals")
+    kp: float = number(above=0.0, unit="N m s/rad, V s/rad", doc="gain of the rate error")
+    ki: float = number(default=0.0, lower=0.0, unit="N m/rad, V/rad", doc="gain of the integral")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where the robot has wheels that steer, or arms."""
+        """Raise `InvalidArgument` if the robot has arms, or wheels that steer."""
         callable_as("law(tracked, state)", self.law)
         table = self.robot.table
         if table.axes or self.robot.nu > len(table.actuators):
             raise InvalidArgument(
-                "robot has arms, or wheels that steer, expected one whose inputs are all motors of fixed "
-                "wheels"
+                "robot has arms, or wheels that steer, expected a robot whose inputs are all motors of "
+                "fixed wheels"
             )
 
     @structure
@@ -145,30 +186,30 @@ class WheelSpeed:
 
     @structure
     def _columns(self) -> Array:
-        """Rate of each motor by those of the wheels, shape (nu, wheels)."""
+        """Rate of each motor per rate of each wheel, shape (nu, wheels)."""
         return np.array([actuator.column for actuator in self.robot.table.actuators])
 
     @cached_property
     def _wanted(self) -> Array:
-        """Rates of motors by the speed and by the yaw rate, shape (2, nu)."""
+        """Rate of each motor per speed and per yaw rate, shape (2, nu)."""
         a, b, arm = self._axle
         twists = np.array([[b, -a, 0.0], [-arm * a, -arm * b, 1.0]])
         return np.asarray(self.robot.wheel_rates(twists) @ self._columns.T)
 
     @structure
     def _measured(self) -> tuple[tuple[tuple[int, float], ...], ...]:
-        """Entries of v that are in the rate of each motor, and their shares."""
+        """Entries of v in the rate of each motor, and their coefficients."""
         first = self.robot.nv - self._columns.shape[1]
         return tuple(tuple((first + i, float(x)) for i, x in enumerate(row) if x) for row in self._columns)
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, Any, Any]:
-        """Return the law's state, integrals, their gains, the last input, and the time between samples."""
+        """Return the law's state, integrals, increments, last input, and time step."""
         check_law(self.law, self._axle, context)
         none = np.zeros(len(self._measured))
         return self.law.initial_state(context), none, none, none, float(context.dt)
 
     def applied(self, u: Array, state: tuple[Any, Any, Any, Any, Any]) -> tuple[Any, Any, Any, Any, Any]:
-        """Return the state, integrals without what a limit of the input kept them from, shape (..., nu)."""
+        """Return the state without the increments that a limit makes useless, shape (..., nu)."""
         law, integral, gain, asked, dt = state
         back = np.where((asked - u) * gain > 0.0, gain, 0.0)
         return law, integral - back, gain, asked, dt
@@ -200,38 +241,58 @@ class WheelSpeed:
 @final
 @part
 class VelocityCommand:
-    """A kinematic law's speed and yaw rate, as they are, for the input of a robot that takes these.
+    """Controller that passes a kinematic law's speed and yaw rate to a robot that takes commands.
 
-    As most robots are driven: the law takes it that the firmware follows at once. `Backstepping` with the
-    same robot takes into account how late it is.
+    The law assumes that the robot follows commands without delay. `Backstepping` with the same robot
+    compensates the delay.
 
     Parameters
     ----------
     law : kinematic law
-        Such as `UnicycleTracking`; what it needs of a reference is said there.
+        Law from tracking error to speed and yaw rate, such as `UnicycleTracking`, which states its conditions
+        on the reference.
     robot : VelocityRobot
-        Of which the controller knows where the axle is.
+        Controller model, which defines the position of the axle.
 
     Raises
     ------
     InvalidArgument
-        If an argument is something else.
+        If an argument is of another kind; at the start of a run, if the law cannot follow the reference.
+
+    See Also
+    --------
+    VelocityRobot : plant whose input is speed and yaw rate
+    UnicycleTracking : a kinematic law
+    Backstepping : law that compensates the robot's dynamics
+    controllers.AdaptiveVelocity : law that estimates the robot's parameters
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, Tangent, UnicycleTracking
+    >>> from pinmobile import VelocityRobot, simulate
+    >>> from pinmobile.controllers import VelocityCommand
+    >>> robot = VelocityRobot(theta=[0.3, 0.2, 0, 1, 0, 1])
+    >>> law = VelocityCommand(UnicycleTracking(), robot)
+    >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=1.0))
+    >>> run = simulate(robot, law, path, dt=0.05, v0=0 * robot.rest)
+    >>> print(f"{1e3 * max(run.max_error()[:2]):.0f} mm from rest")
+    58 mm from rest
     """
 
     law: Any = child(KinematicLaw, doc="kinematic law", expected=LAW)
     robot: Any = child(Commanded, doc="model of the controller")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where the law cannot be called as one."""
+        """Raise `InvalidArgument` if the law is not callable as a kinematic law."""
         callable_as("law(tracked, state)", self.law)
 
     @structure
     def _axle(self) -> Array:
-        """The axle of the robot as it is given, which references follow."""
+        """Coefficients of the robot's axle, which references must follow, shape (3,)."""
         return vector("axle of robot", self.robot.axle, _BASE)
 
     def initial_state(self, context: Context) -> Any:
-        """Return the law's state."""
+        """Return the first state of the law."""
         check_law(self.law, self._axle, context)
         return self.law.initial_state(context)
 
@@ -247,25 +308,41 @@ class VelocityCommand:
 @final
 @part
 class RandomSteps:
-    """Speed and yaw rate that jump, independently of each other, to levels that are held for a while.
+    """Speed and yaw rate with random steps, independent of each other, to excite a robot.
 
-    Levels and times are equally likely anywhere between their bounds; they follow from the seed and, in an
-    ensemble, the robot. State and reference are not looked at.
+    Levels and hold times are uniform between their bounds. They follow from the seed and, in an ensemble,
+    from the robot. The controller does not use state and reference.
 
     Parameters
     ----------
     lowest, largest : array_like, shape (2,)
-        Bounds of the levels, in the units of the inputs [m/s, rad/s].
+        Bounds of speed and yaw rate [m/s, rad/s].
     hold : array_like, shape (2,)
-        Shortest and longest time for which a level is held [s].
+        Shortest and longest hold time of a level [s].
     seed : int
-        Of both.
+        Seed of levels and times.
 
     Raises
     ------
     InvalidArgument
-        If an array has another shape or is not finite, upper bounds are below lower ones, a time is not above
-        zero, or `seed` is no whole number.
+        If an array has another shape or is not finite, an upper bound is below its lower bound, a time is not
+        above zero, or `seed` is not a whole number.
+
+    See Also
+    --------
+    excitation : designed motion for the identification of a robot driven by forces
+    identify_velocity : estimates the parameters of such a robot
+
+    Examples
+    --------
+    >>> from pinmobile import FixedHeading, Hold, VelocityRobot
+    >>> from pinmobile import simulate
+    >>> from pinmobile.controllers import RandomSteps
+    >>> robot = VelocityRobot(theta=[0.3, 0.2, 0, 1, 0, 1])
+    >>> unused = FixedHeading(Hold([0.0, 0.0], duration=1.0), psi=0.0)
+    >>> run = simulate(robot, RandomSteps(seed=3), unused, dt=0.1)
+    >>> run.u[0].round(2)  # [m/s, rad/s]
+    array([0.11, 0.47])
     """
 
     lowest: Any = array(
@@ -284,27 +361,27 @@ class RandomSteps:
         above=0.0,
         unit="s",
         labels=("shortest", "longest"),
-        doc="time that a level is held",
+        doc="hold time of a level",
     )
     seed: int = integer(default=0, doc="seed of levels and times")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where upper bounds are below lower ones."""
+        """Raise `InvalidArgument` if an upper bound is below its lower bound."""
         for k, (low, high) in enumerate(zip(self.lowest.tolist(), self.largest.tolist(), strict=True)):
             bounded(f"largest[{k}]", high, least=low)
         bounded("hold[1]", self.hold[1], least=float(self.hold[0]), unit="s")
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, float]:
-        """Return how long levels still hold, levels, the noise that draws them, and the sampling time."""
+        """Return the remaining hold times, the levels, the noise, and the time step."""
         return np.zeros(2), np.zeros(2), context.noise(f"random steps {self.seed}", 8), float(context.dt)
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any, Any, float]
     ) -> tuple[Array, tuple[Any, Any, Any, float]]:
-        """Return the levels, shape (..., 2), and the next state."""
+        """Return the levels, shape (..., 2) [m/s, rad/s], and the next state."""
         left, level, noise, dt = state
         numbers, noise = noise.draw()
-        # The direction of two normal numbers is equally likely anywhere.
+        # The direction of a vector of two normal numbers is uniform.
         x, y = numbers[..., :4], numbers[..., 4:]
         share = 0.5 + _TURN * np.arctan2(y, x)
         ends = left < _HALF_SAMPLE * dt

@@ -1,4 +1,4 @@
-"""Controllers: base classes, checks of a reference and a robot, tracking errors, functions as controllers."""
+"""Protocol of controllers, functions as controllers, checks of controllers, and tracking errors."""
 
 from __future__ import annotations
 
@@ -24,48 +24,131 @@ from pinmobile.parts import Informed, able, option, part, required
 from pinmobile.plant import Context
 from pinmobile.signals import signals_of
 
-_SAME = 1e-9  # to which two answers to the same arguments agree
+_SAME = 1e-9  # tolerance of two results for the same arguments
 
 
 class State(Protocol):
-    """A configuration, a velocity and an acceleration, each of shape (..., n)."""
+    """Configuration, velocity and acceleration, each of shape (..., n), such as a `Reference`.
+
+    See Also
+    --------
+    trajectories.Reference : the named tuple that trajectories return
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, Tangent
+    >>> state = Tangent(Circle(1.0, 0.5, 4.0))(0.0)
+    >>> state.v  # [m/s, m/s, rad/s]
+    array([0.5, 0. , 0.5])
+    """
 
     @property
     def q(self) -> Array:
-        """Configuration."""
+        """Configuration, shape (..., n)."""
 
     @property
     def v(self) -> Array:
-        """Velocity."""
+        """Velocity, shape (..., n)."""
 
     @property
     def a(self) -> Array:
-        """Acceleration."""
+        """Acceleration, shape (..., n)."""
 
 
 class Controller(Protocol):
     """A controller: wrap a function in law(...).
 
-    The loop calls an optional method ``applied(u, state) -> state`` once per sample with the applied input,
-    shape (..., nu), after all wrappers; it returns the next state, for instance against the windup of an
-    integral. An optional ``signals(state) -> {name: (unit, value)}`` returns further series to record, such
-    as an estimate: numbers, or rows of them. Wrappers pass both inward.
+    A class is a controller if it has both methods. The loop calls an optional method ``applied(u, state) ->
+    state`` once per sample with the applied input, shape (..., nu), after all wrappers. It returns the next
+    state, for instance without the windup of an integral. An optional method ``signals(state) -> {name:
+    (unit, value)}`` returns additional series to record, such as an estimate; a value is a number or a row of
+    numbers. Wrappers pass both calls to the wrapped controller.
+
+    See Also
+    --------
+    law : controller from a plain function
+    plant.Context : argument of `initial_state`
+    PD : a controller of the library
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, MobileRobot, Tangent, simulate
+    >>> class Proportional:
+    ...     def initial_state(self, context):
+    ...         return context.difference
+    ...     def __call__(self, t, q, v, reference, difference):
+    ...         return 90 * difference(q, reference.q) - 60 * v, difference
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
+    >>> run = simulate(robot, Proportional(), path, dt=0.02)
+    >>> print(f"{run.max_error()[0]:.2f} m behind")
+    0.22 m behind
     """
 
     def initial_state(self, context: Context, /) -> Any:
-        """Return the state to start with, of a `Context`; None where there is no memory."""
+        """Return the state before the first sample.
+
+        Parameters
+        ----------
+        context : Context
+            Sampling, coordinates, inputs and reference of the loop.
+
+        Returns
+        -------
+        state : any
+            First state of the controller; None without memory.
+        """
 
     def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
-        """Return the generalised force, shape (..., nu), and the next state."""
+        """Return the input and the next state.
+
+        Parameters
+        ----------
+        t : float
+            Time of the sample [s].
+        q, v : ndarray, shape (..., nq), (..., nv)
+            Measured configuration and velocity.
+        reference : Reference
+            Desired q, v and a at this time.
+        state : any
+            State of the controller.
+
+        Returns
+        -------
+        u : ndarray, shape (..., nu)
+            Input of the plant, such as a generalised force [N, N, N m].
+        state : any
+            The next state.
+        """
 
 
 def check_controller(controller: object) -> None:
-    """Check that this is a controller, and not a plain function or a class.
+    """Check that an object is a controller, and not a plain function or a class.
+
+    Parameters
+    ----------
+    controller : object
+        The object.
 
     Raises
     ------
     InvalidArgument
-        If it is not.
+        If it lacks ``initial_state(context)`` or ``__call__(t, q, v, reference, state)``.
+
+    See Also
+    --------
+    controllers.Controller : protocol of controllers
+    law : controller from a plain function
+
+    Examples
+    --------
+    >>> from pinmobile import InvalidArgument
+    >>> from pinmobile.controllers import check_controller
+    >>> try:
+    ...     check_controller(lambda t, q, v, reference: -q)
+    ... except InvalidArgument as error:
+    ...     print(str(error)[:13])
+    controller is
     """
     found = required("controller", controller, Controller)
     callable_as("controller(t, q, v, reference, state)", controller)
@@ -80,12 +163,12 @@ def check_controller(controller: object) -> None:
 def answer_of(
     controller: Controller, t: float, q: Array, v: Array, reference: State, state: object
 ) -> tuple[Array, Any]:
-    """Return the force and the next state of a controller.
+    """Return the input and the next state of a controller.
 
     Raises
     ------
     InvalidArgument
-        If it returns something else than two.
+        If the controller does not return a pair.
     """
     answer = controller(t, q, v, reference, state)
     if type(answer) is not tuple or len(answer) != 2:
@@ -94,12 +177,12 @@ def answer_of(
 
 
 def check_wheels(robot: Any) -> None:
-    """Refuse a controller's robot that has not a motor for each independent velocity.
+    """Check that a controller's robot has a motor for each independent velocity.
 
     Raises
     ------
     InvalidArgument
-        If it is such.
+        If it has too few motors.
     """
     still = robot.reduced(robot.rest, np.zeros(robot.nv))
     if np.linalg.matrix_rank(still.B) < len(still.M):
@@ -110,29 +193,29 @@ def check_wheels(robot: Any) -> None:
 
 
 def check_memory(controller: Controller, context: Context, q: Array, v: Array) -> None:
-    """Check that a controller gives the same answer when it is asked again with the same arguments.
+    """Check that a controller returns the same input when it is called again with the same arguments.
 
-    One that does not keeps something in itself or in a closure, or draws random numbers of its own: then no
-    two runs are alike, and robots of an ensemble share what is kept. A solver's workspace is allowed where
-    the answer does not depend on it.
+    A controller that fails this check keeps memory in itself or in a closure, or draws its own random
+    numbers. Then runs are not repeatable, and the robots of an ensemble share memory. The workspace of a
+    solver passes if the result does not depend on it.
 
     Parameters
     ----------
     controller : controller
-        What is asked, three times.
+        Controller to check; it is called three times.
     context : Context
-        With the reference.
+        Context with the reference.
     q, v : ndarray, shape (nq,), (nv,)
         A state.
 
     Raises
     ------
     InvalidArgument
-        If it does not.
+        If two inputs for the same arguments differ.
     """
     at = type(context.reference)(*(np.array(part[0]) for part in context.reference))
     t, wave = float(context.t[0]), np.cos(np.arange(len(v)))
-    # Beside the reference, where an integral grows; then elsewhere, then there again.
+    # First near the reference, where an integral grows; then elsewhere; then at the first state again.
     here, there = ((context.integrate(q, off * wave), v + off * wave) for off in (0.01, -0.02))
     answers = []
     with np.errstate(all="ignore"):
@@ -144,38 +227,38 @@ def check_memory(controller: Controller, context: Context, q: Array, v: Array) -
     first, _, again = answers
     if first.shape != again.shape or not np.allclose(first, again, rtol=_SAME, atol=_SAME, equal_nan=True):
         raise InvalidArgument(
-            f"controller is {shown(controller)}, which returns {first.tolist()} and, asked again for the "
+            f"controller is {shown(controller)}, which returns {first.tolist()} and, called again with the "
             f"same arguments, {again.tolist()}, expected the same: keep memory in state, and take random "
             "numbers from context.noise(name, n)"
         )
 
 
 def told(controller: Controller, u: Array, state: object) -> Any:
-    """Return the state of a controller after it has been told which input is applied, if it wants to know."""
+    """Return the state of a controller after its optional call ``applied(u, state)``."""
     informed = able(controller, Informed)
     return informed.applied(u, state) if informed else state
 
 
 class Wrapper:
-    """What has a controller within it, whose memory is the first of its own."""
+    """Base class of controllers that contain a controller; its state is the first entry of theirs."""
 
     controller: Any
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where what is wrapped cannot be called as a controller."""
+        """Raise `InvalidArgument` if the wrapped object is not a controller."""
         check_controller(self.controller)
 
     def applied(self, u: Array, state: Any) -> Any:
-        """Return the state, with the wrapped controller told of the input that is applied, shape (..., n)."""
+        """Return the next state, with the applied input passed on, shape (..., nu)."""
         return told(self.controller, u, state[0]), *state[1:]
 
     def signals(self, state: Any) -> Any:
-        """Return what the wrapped controller tells beside its input: name to (unit, value)."""
+        """Return the signals of the wrapped controller: name to (unit, value)."""
         return signals_of(self.controller, state[0])
 
 
 class Seen:
-    """The context of a wrapped controller: that of the loop, but for what is given here."""
+    """Context of a wrapped controller: the context of the loop, except for the given attributes."""
 
     def __init__(self, context: Any, **others: Any) -> None:
         self._context = context
@@ -186,13 +269,13 @@ class Seen:
 
 
 def completed(q: Array, desired: Array) -> Array:
-    """Return configurations where a reference has its first numbers, and the others are those of q."""
+    """Return a reference's configurations, completed by the last entries of q, shape (..., nq)."""
     lead, length = np.shape(q)[:-1], np.shape(desired)[-1]
     return np.concatenate([np.broadcast_to(desired, (*lead, length)), q[..., length:]], axis=-1)
 
 
 def planar_difference(q0: Array, q1: Array) -> Array:
-    """Return q1 - q0, the displacement from q0 to q1, with that of the heading on the circle.
+    """Return the displacement q1 - q0, with the difference of headings on the circle.
 
     Parameters
     ----------
@@ -202,12 +285,22 @@ def planar_difference(q0: Array, q1: Array) -> Array:
     Returns
     -------
     displacement : ndarray, shape (..., n)
-        Its third coordinate lies in (-pi, pi]. The lecture's own subtraction is `plain_difference`.
+        Difference of each coordinate [m, m, rad, ...]; the third lies in (-pi, pi].
 
     Raises
     ------
     InvalidArgument
-        If there is no third coordinate.
+        If the configurations have fewer than three coordinates.
+
+    See Also
+    --------
+    controllers.plain_difference : subtraction without the circle, as in the lecture
+
+    Examples
+    --------
+    >>> from pinmobile.controllers import planar_difference
+    >>> planar_difference([0.0, 0.0, 3.0], [1.0, 2.0, -3.0]).round(3)
+    array([1.   , 2.   , 0.283])
     """
     displacement = plain_difference(q0, q1)
     if not displacement.ndim or displacement.shape[-1] < 3:
@@ -215,7 +308,7 @@ def planar_difference(q0: Array, q1: Array) -> Array:
             f"configurations have shape {displacement.shape}, expected (..., n) with n >= 3; "
             "without a heading, compare them with difference=plain_difference"
         )
-    # Of one configuration of numbers, a look saves the arithmetic, which would leave the angle as it is.
+    # For one numeric configuration, this test saves arithmetic that would not change the angle.
     numbers = type(displacement) is np.ndarray and displacement.ndim == 1
     if not (numbers and LEAST_ANGLE < displacement[2] <= np.pi):
         displacement[..., 2] = wrap_angle(displacement[..., 2])
@@ -223,18 +316,35 @@ def planar_difference(q0: Array, q1: Array) -> Array:
 
 
 def plain_difference(q0: Array, q1: Array) -> Array:
-    """Return q1 - q0, the displacement from q0 to q1 where no coordinate lies on the circle.
+    """Return the displacement q1 - q0, with every coordinate on a line.
 
-    The lecture compares configurations so: a heading that is off by a turn is an error of 2 pi.
+    The lecture compares configurations in this way: a heading that is wrong by one turn has an error of 2 pi.
 
     Parameters
     ----------
     q0, q1 : array_like, shape (..., n)
-        Configurations.
+        Configurations [m, m, rad, ...].
 
     Returns
     -------
     displacement : ndarray, shape (..., n)
+        Difference of each coordinate [m, m, rad, ...].
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite, or the shapes do not broadcast.
+
+    See Also
+    --------
+    controllers.planar_difference : difference with the heading on the circle
+    PD : controller with an argument `difference`
+
+    Examples
+    --------
+    >>> from pinmobile.controllers import plain_difference
+    >>> plain_difference([0.0, 0.0, 3.0], [1.0, 2.0, -3.0])
+    array([ 1.,  2., -6.])
     """
     if type(q0) is not np.ndarray or type(q1) is not np.ndarray:
         q0, q1 = finite("q0", q0), finite("q1", q1)
@@ -244,13 +354,15 @@ def plain_difference(q0: Array, q1: Array) -> Array:
 
 @part
 class _Law:
+    """Controller without memory that calls a function."""
+
     function: Any = option(check=lambda name, value: callable_as(f"{name}(t, q, v, reference)", value))
 
     def initial_state(self, context: Context) -> None:
-        """Return None: there is no memory."""
+        """Return None: the controller has no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:
-        """Return what the function returns, and None."""
+        """Return the result of the function, and None."""
         force = self.function(t, q, v, reference)
         try:
             if not are_real(force):
@@ -258,35 +370,55 @@ class _Law:
             return np.asarray(force if force is not None else "nothing", np.float64), None
         except (TypeError, ValueError):
             raise InvalidArgument(
-                f"function of the law returned {shown(force)} at t = {t:g} s, expected a force: nu numbers"
+                f"function of the law returned {shown(force)} at t = {t:g} s, expected an input: nu numbers"
             ) from None
 
 
 def law(function: Callable[[float, Array, Array, Any], ArrayLike]) -> Controller:
-    """Return a controller without memory made of a plain function.
+    """Return a controller without memory that calls a plain function.
 
     Parameters
     ----------
     function : callable
-        ``function(t, q, v, reference) -> tau``, with `reference` a `Reference`.
+        ``function(t, q, v, reference) -> u``: time [s], state and `Reference` to input, shape (..., nu).
+
+    Returns
+    -------
+    controller : controller
+        The controller, for `simulate` and every wrapper.
 
     Raises
     ------
     InvalidArgument
-        If it cannot be called so.
+        If the function does not take these arguments; in a run, if it does not return numbers.
+
+    See Also
+    --------
+    controllers.Controller : protocol of controllers with memory
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, MobileRobot, Tangent
+    >>> from pinmobile import law, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> push = law(lambda t, q, v, reference: 30 * reference.a)
+    >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
+    >>> run = simulate(robot, push, path, dt=0.02)
+    >>> print(f"{1e3 * run.max_error()[0]:.2f} mm without feedback")
+    0.06 mm without feedback
     """
     return _Law(function)
 
 
 class Combined(NamedTuple):
-    """The error of a state from its reference, combined (Slotine and Li, 1987), each of shape (..., n).
+    """Combined error of configuration and velocity (Slotine and Li, 1987), each of shape (..., n).
 
     Attributes
     ----------
     s : ndarray
-        e' + slope e, the distance from the surface on which errors vanish by themselves.
+        de/dt + slope e, the distance from the surface on which errors decay.
     velocity, acceleration : ndarray
-        v_r = v_d + slope e and a_r = a_d + slope e'.
+        v_r = v_d + slope e and a_r = a_d + slope de/dt.
     """
 
     s: Array
@@ -300,20 +432,20 @@ def combined(law: Any, q: Array, v: Array, reference: State) -> Combined:
     Raises
     ------
     InvalidArgument
-        If state and reference do not fit together.
+        If the sizes of state and reference disagree.
     """
     for name, actual, desired in (("q", q, reference.q), ("v", v, reference.v)):
-        shaped(name, actual, ("...", *desired.shape[-1:]), words=", as the reference's")
+        shaped(name, actual, ("...", *desired.shape[-1:]), words=", as in the reference")
     slope, difference = law.slope, law.difference or law.robot.difference
     error, rate = difference(q, reference.q), np.subtract(reference.v, v)
     return Combined(rate + slope * error, reference.v + slope * error, reference.a + slope * rate)
 
 
 def passive_torque(robot: Any, q: Array, v: Array, velocity: Array, acceleration: Array) -> Array:
-    """Return M a_r + C(q, v) v_r + g, shape (..., n), with C of Christoffel's symbols.
+    """Return M a_r + C(q, v) v_r + g, shape (..., n), with C by the Christoffel symbols.
 
-    n - g is quadratic in v, and C(q, v) v_r its symmetric bilinear form: at half the sum of both less at half
-    their difference.
+    n - g is quadratic in v, and C(q, v) v_r is its symmetric bilinear form: its value at half the sum of v
+    and v_r minus its value at half their difference.
     """
     forward = robot.inverse_dynamics(q, 0.5 * (v + velocity), acceleration)
     return np.asarray(forward - robot.nonlinear_effects(q, 0.5 * (v - velocity)) + robot.gravity(q))

@@ -1,4 +1,4 @@
-"""Feedback of the errors in configuration and velocity: PD, computed torque, sliding mode and others."""
+"""Feedback laws: PD, computed torque, PID, sliding mode and super-twisting."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ from pinmobile.parts import (
 )
 from pinmobile.plant import Context, Difference, check_difference, reference_sizes_of
 
-SLOPE = "rate at which errors vanish where s does"
-"""What a slope is."""
+SLOPE = "decay rate of errors on the surface s = 0"
+"""Meaning of the field `slope`."""
 
 _BASE = 3  # coordinates of the base: x, y, psi
 _PLACE, _RATE = "N/m, N/m, N m/rad", "N s/m, N s/m, N m s/rad"
 
 
 def coordinates_of(controller: Any) -> int:
-    """Return how many coordinates the model of a controller has."""
+    """Return the number of coordinates of the controller model."""
     return int(controller.robot.nv)
 
 
 def tracked_coordinates_of(controller: Any) -> int:
-    """Return how many coordinates the model of a controller tracks: all, or all but those of wheels."""
+    """Return the number of coordinates that a controller tracks: all of its model except those of wheels."""
     return max(reference_sizes_of(controller.robot))
 
 
 def comparison() -> Any:
-    """Declare how configurations are compared: by default, as the plant or the controller's model does."""
+    """Declare the field `difference`; default: the difference of the plant or of the controller model."""
 
     def checked(name: str, value: Any) -> Any:
         check_difference(value)
@@ -54,7 +54,7 @@ def comparison() -> Any:
 
 
 def bound(sign: float, doc: str, default: Any = None) -> Any:
-    """Declare bounds of numbers, which may be endless on their own side: below with sign -1, else above."""
+    """Declare bounds of numbers: lower bounds, possibly -infinity, for sign -1; upper bounds for sign 1."""
 
     def checked(name: str, value: Any) -> Any:
         return frozen(sign * endless_or_finite(name, sign * real(name, value)))
@@ -63,44 +63,51 @@ def bound(sign: float, doc: str, default: Any = None) -> Any:
 
 
 def check_bounds(names: Sequence[str], lower: Array, own: Array, upper: Array) -> None:
-    """Refuse bounds of estimates that exclude those of the robot.
+    """Check that bounds of estimates include the robot's values.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the parameters.
+    lower, own, upper : ndarray, shape (p,)
+        Lower bounds, values of the robot, and upper bounds.
 
     Raises
     ------
     InvalidArgument
-        If they do; the message names the first.
+        If a value lies outside its bounds; the message names the first such parameter.
     """
     outside = ~((lower <= own) & (own <= upper))
     if outside.any():
         k = int(outside.argmax())
         raise InvalidArgument(
-            f"lower and upper of {names[k]} are {lower[k]:g} and {upper[k]:g}, which exclude that of the "
-            f"robot, {own[k]:g}"
+            f"lower and upper of {names[k]} are {lower[k]:g} and {upper[k]:g}, which exclude the robot's "
+            f"value, {own[k]:g}"
         )
 
 
 def check_compares(controller: Any) -> None:
-    """Refuse a model without `difference` where its controller has none either.
+    """Check that a controller or its model has a `difference`.
 
     Raises
     ------
     InvalidArgument
-        If it is such.
+        If neither has one.
     """
     if controller.difference is None and not able(controller.robot, Comparing):
         raise InvalidArgument(
-            f"robot is {shown(controller.robot)}, which has no difference(q0, q1), expected one, or to be "
-            "told how configurations are compared: difference=planar_difference"
+            f"robot is {shown(controller.robot)}, which has no difference(q0, q1), expected one, or the "
+            "argument difference of the controller: difference=planar_difference"
         )
 
 
 def check_wheelless(controller: Any) -> None:
-    """Refuse the model of a controller of base and arms that has wheels.
+    """Check that the model of a controller of base and arms has no wheels.
 
     Raises
     ------
     InvalidArgument
-        If it is such; the message says what to write instead.
+        If the model has wheels; the message gives the replacement.
     """
     robot = controller.robot
     if max(reference_sizes_of(robot)) < robot.nv:
@@ -111,13 +118,13 @@ def check_wheelless(controller: Any) -> None:
 
 
 class OfBody:
-    """What has a model of base and arms, and compares configurations as it says or as the model does."""
+    """Base class of controllers whose model is a base with arms, and which compare configurations."""
 
     robot: Any
     difference: Any
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where the robot has wheels or compares nothing."""
+        """Raise `InvalidArgument` if the robot has wheels, or if nothing compares its configurations."""
         check_compares(self)
         check_wheelless(self)
 
@@ -125,16 +132,36 @@ class OfBody:
 @final
 @part
 class PD:
-    """Proportional-derivative control (lecture, section 4): tau = Kp e + Kd e_dot, e = difference(q, q_d).
+    """Proportional-derivative control (lecture, section 4): tau = Kp e + Kd de/dt, e = difference(q, q_d).
 
     Parameters
     ----------
     kp, kd : array_like, shape (), (n,) or (n, n)
-        Gains: a scalar, one per coordinate, or a matrix. For a force in N and an error in m, [N/m] and
-        [N s/m].
-    difference : callable
-        ``difference(q0, q1)``: the displacement from q0 to q1; the error is that from q to q_d. By default
-        the plant's, which the state keeps; the lecture's is `plain_difference`.
+        Proportional gain [N/m, N m/rad] and derivative gain [N s/m, N m s/rad]: a scalar, one value per
+        coordinate, or a matrix.
+    difference : callable, optional
+        ``difference(q0, q1)``: displacement from q0 to q1; default: the plant's. The lecture uses
+        `controllers.plain_difference`.
+
+    Raises
+    ------
+    InvalidArgument
+        If a gain is not finite or has another shape, or `difference` is not such a function.
+
+    See Also
+    --------
+    PDGravity : PD with gravity compensation, for arms
+    ComputedTorque : feedback of the same errors through a dynamic model
+    PID : computed torque with an integral
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Tangent, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
+    >>> run = simulate(robot, PD(kp=120.0, kd=120.0), path, dt=0.01)
+    >>> print(f"{1e3 * max(run.max_error()):.1f} mm")
+    6.8 mm
     """
 
     kp: Any = gain(unit=_PLACE, doc="proportional gain")
@@ -142,17 +169,17 @@ class PD:
     difference: Any = comparison()
 
     def initial_state(self, context: Context) -> Difference:
-        """Return the difference of configurations, by default the plant's."""
+        """Return the function that compares configurations; default: the plant's."""
         return self.difference or context.difference
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: Difference
     ) -> tuple[Array, Difference]:
-        """Return the generalised force, shape (..., n), and the state as it is."""
+        """Return the generalised force, shape (..., n), and the unchanged state."""
         if not callable(state):
             raise InvalidArgument(
-                f"state is {shown(state)}, expected what initial_state(context) returns; called by hand, "
-                "that is of Context.of(robot, dt=...)"
+                f"state is {shown(state)}, expected the result of initial_state(context); for a call by "
+                "hand, Context.of(robot, dt=...) makes the context"
             )
         return feedback(self, q, v, reference, state), state
 
@@ -163,16 +190,32 @@ def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:
     Parameters
     ----------
     name : str
-        Name of the argument, for the message.
+        Name of the argument, for the error message.
     gain : array_like, shape (), (n,) or (n, n)
-        The gain.
+        The gain: a scalar, one value per coordinate, or a matrix.
     n : int
         Number of coordinates.
+
+    Returns
+    -------
+    matrix : ndarray, shape (n, n)
+        The gain, in its own unit.
 
     Raises
     ------
     InvalidArgument
-        If the gain has another shape.
+        If the gain is not finite or has another shape.
+
+    See Also
+    --------
+    PD : controller whose gains may have each of these shapes
+
+    Examples
+    --------
+    >>> from pinmobile.controllers import gain_matrix
+    >>> gain_matrix("kp", [4.0, 9.0], 2)
+    array([[4., 0.],
+           [0., 9.]])
     """
     array = shaped(name, finite(name, gain), (), (n,), (n, n))
     return array if array.ndim == 2 else np.diag(np.broadcast_to(array, n))
@@ -181,14 +224,23 @@ def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:
 def feedback(
     controller: Any, q: Array, v: Array, reference: State, difference: Difference | None = None
 ) -> Array:
-    """Return Kp e + Kd e_dot of a controller that has `kp` and `kd`, shape (..., n).
+    """Return Kp e + Kd de/dt of a controller with `kp` and `kd`, shape (..., n).
 
-    Configurations are compared by `difference`, or as the controller or its robot does.
+    Parameters
+    ----------
+    controller : controller
+        Part with the gains `kp` and `kd`.
+    q, v : ndarray, shape (..., nq), (..., nv)
+        State.
+    reference : Reference
+        Reference of n coordinates.
+    difference : callable, optional
+        Displacement between two configurations; default: the controller's, or else its model's.
 
     Raises
     ------
     InvalidArgument
-        If state, reference and gains do not fit together.
+        If the sizes of state, reference and gains disagree.
     """
     robot, wanted = getattr(controller, "robot", None), reference.q
     n = reference.v.shape[-1]
@@ -202,17 +254,17 @@ def feedback(
     error = compare(q, wanted)
     if error.shape[-1:] != v.shape[-1:]:
         raise InvalidArgument(
-            f"difference gives shape {error.shape}, expected {v.shape}: compare configurations by the "
-            "plant's own, difference=plant.difference"
+            f"difference returns shape {error.shape}, expected {v.shape}: use the difference of the plant, "
+            "difference=plant.difference"
         )
     rate = reference.v - v[..., :n]
     return amplified("kp", controller.kp, error[..., :n]) + amplified("kd", controller.kd, rate)
 
 
 def _check_fit(robot: Any, q: Array, v: Array, reference: State) -> None:
-    """Refuse a state, a reference and a model of different numbers of coordinates."""
+    """Check that a state, a reference and a model have the same number of coordinates."""
     for name, actual, desired in (("q", q, reference.q), ("v", v, reference.v)):
-        shaped(name, actual, ("...", *desired.shape[-1:]), words=", as the reference's")
+        shaped(name, actual, ("...", *desired.shape[-1:]), words=", as in the reference")
     if robot is not None and robot.nv != v.shape[-1]:
         raise InvalidArgument(
             f"robot of the controller is {shown(robot)}, which has {robot.nv} coordinates, expected "
@@ -221,7 +273,7 @@ def _check_fit(robot: Any, q: Array, v: Array, reference: State) -> None:
 
 
 def amplified(name: str, gain: Any, error: Array) -> Array:
-    """Return a gain times an error, shape (..., n)."""
+    """Return the product of a gain and an error, shape (..., n)."""
     if type(gain) is float or not gain.ndim:
         return gain * error  # type: ignore[no-any-return]
     n = error.shape[-1]
@@ -229,7 +281,7 @@ def amplified(name: str, gain: Any, error: Array) -> Array:
         gain_matrix(name, gain, n)
     if gain.ndim == 1:
         return gain * error  # type: ignore[no-any-return]
-    # Not as a matrix product, whose rounding hangs on the processor.
+    # The rounding of a matrix product depends on the processor; this sum does not.
     columns = [gain[:, k] * error[..., k, None] for k in range(n)]
     return np.asarray(sum(columns[1:], columns[0]))
 
@@ -237,18 +289,38 @@ def amplified(name: str, gain: Any, error: Array) -> Array:
 @final
 @part
 class PDGravity(OfBody):
-    """PD with gravity compensation, tau = Kp e + Kd e_dot + g(q) (Takegaki and Arimoto, 1981).
+    """PD with gravity compensation, tau = Kp e + Kd de/dt + g(q) (Takegaki and Arimoto, 1981).
 
-    It comes to rest at a reference that does: there is nothing left but g.
+    At a constant reference the steady-state error is zero, because only g(q) remains.
 
     Parameters
     ----------
     robot : MobileRobot
-        The model whose gravity is compensated; it need not be the one that is simulated.
+        Controller model, whose gravity term is compensated; it may differ from the plant.
     kp, kd : array_like, shape (), (n,) or (n, n)
-        Gains as in `PD`: [N/m] and [N s/m] for a way, [N m/rad] and [N m s/rad] for an angle.
-    difference : callable
-        ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own.
+        Gains as in `PD` [N/m, N m/rad] and [N s/m, N m s/rad].
+    difference : callable, optional
+        ``difference(q0, q1)``: displacement from q0 to q1; default: the robot's.
+
+    Raises
+    ------
+    InvalidArgument
+        If a gain is not finite or has another shape, or the robot has wheels.
+
+    See Also
+    --------
+    PD : the same law without gravity
+    ComputedTorque : law that compensates inertia too
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, PDGravity, Reference
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> law, rest = PDGravity(robot, kp=120.0, kd=60.0), robot.rest
+    >>> goal = Reference(rest + [0.1, 0.0, 0.0], 0 * rest, 0 * rest)
+    >>> tau, _ = law(0.0, rest, 0 * rest, goal, None)
+    >>> tau  # [N, N, N m]
+    array([12.,  0.,  0.])
     """
 
     robot: Any = child(Gravitating, doc="model of the controller")
@@ -257,7 +329,7 @@ class PDGravity(OfBody):
     difference: Any = comparison()
 
     def initial_state(self, context: Context) -> None:
-        """Return None: there is no memory."""
+        """Return None: the controller has no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
@@ -267,26 +339,45 @@ class PDGravity(OfBody):
 @final
 @part
 class ComputedTorque:
-    """Computed torque, tau = M(q) (a_d + Kd e_dot + Kp e) + n(q, v) (lecture, section 4).
+    """Computed torque, tau = M(q) (a_d + Kd de/dt + Kp e) + n(q, v) (lecture, section 4).
 
-    Of a robot on wheels that moves in every direction, the torques of least norm with which body and arms
-    accelerate so; its reference is of these.
+    For an omnidirectional robot on wheels, it returns the minimum-norm torques that produce this acceleration
+    of body and arms. Its reference contains the coordinates of body and arms.
 
     Parameters
     ----------
     robot : MobileRobot or WheeledRobot
-        The model that the controller believes in; it need not be the one that is simulated.
+        Controller model; it may differ from the plant.
     kp, kd : array_like, shape (), (n,) or (n, n)
-        Gains [1/s^2] and [1/s]: a scalar, one per coordinate, or a matrix; n is 3 and one for each degree of
+        Gains [1/s^2] and [1/s]: a scalar, one value per coordinate, or a matrix; n is 3 plus the degrees of
         freedom of the arms.
-    difference : callable
-        ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own. The lecture's is
-        `plain_difference`.
+    difference : callable, optional
+        ``difference(q0, q1)``: displacement from q0 to q1; default: the robot's. The lecture uses
+        `controllers.plain_difference`.
 
     Raises
     ------
     InvalidArgument
-        If a gain has another shape or is not finite, or no torques move the robot in every direction.
+        If a gain is not finite or has another shape, or the motors cannot accelerate the robot in every
+        direction.
+
+    See Also
+    --------
+    PD : feedback without a model
+    PID : computed torque with an integral
+    SlidingMode : robust law for bounded disturbances
+    Adaptive : law that estimates the model
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, ComputedTorque, MobileRobot
+    >>> from pinmobile import Tangent, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
+    >>> law = ComputedTorque(robot, kp=4.0, kd=4.0)
+    >>> run = simulate(robot, law, path, dt=0.01)
+    >>> print(f"{1e3 * max(run.max_error()):.4f} mm")
+    0.0034 mm
     """
 
     robot: Any = child(Invertible, doc="model of the controller")
@@ -295,13 +386,13 @@ class ComputedTorque:
     difference: Any = comparison()
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where no torques move the robot in every direction."""
+        """Raise `InvalidArgument` if no torques accelerate the robot in every direction."""
         check_compares(self)
         if robot := able(self.robot, Inverted):
             robot.check_inverse_dynamics()
 
     def initial_state(self, context: Context) -> None:
-        """Return None: there is no memory."""
+        """Return None: the controller has no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
@@ -312,24 +403,42 @@ class ComputedTorque:
 @final
 @part
 class PID(OfBody):
-    """Computed torque with an integral, tau = M(q) (a_d + kd e' + kp e + ki z) + n(q, v), z' = e.
+    """Computed torque with an integral, tau = M(q) (a_d + kd de/dt + kp e + ki z) + n(q, v), dz/dt = e.
 
-    The integral takes away the error that a constant force, or a wrong mass on a steady path, leaves. While
-    any force that is applied is another than the law's, as where a limit holds, nothing is integrated.
+    The integral removes the steady-state error of a constant force, or of a wrong mass on a steady path. It
+    stops while the applied input differs from the input of this law, for instance at a limit (anti-windup).
 
     Parameters
     ----------
     robot : MobileRobot
-        The model that the controller believes in; it need not be the one that is simulated.
+        Controller model; it may differ from the plant.
     kp, ki, kd : array_like, shape (), (n,) or (n, n)
-        Gains [1/s^2], [1/s^3] and [1/s]; by default three poles at -4 1/s. Stable where ki < kp kd.
-    difference : callable
-        ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own.
+        Gains [1/s^2], [1/s^3] and [1/s]; the defaults give three poles at -4 1/s. The loop is stable for
+        ki < kp kd.
+    difference : callable, optional
+        ``difference(q0, q1)``: displacement from q0 to q1; default: the robot's.
 
     Raises
     ------
     InvalidArgument
-        If an argument is something else; at the start of a run, if the loop is unstable at its dt.
+        If a gain is not finite or has another shape, or the robot has wheels; at the start of a run, if the
+        sampled loop is unstable.
+
+    See Also
+    --------
+    ComputedTorque : the same law without integral
+    DisturbanceObserver : wrapper that estimates the disturbing force
+    ADRC : law that estimates the disturbing acceleration
+
+    Examples
+    --------
+    >>> from pinmobile import PID, Circle, ConstantForce, MobileRobot
+    >>> from pinmobile import Tangent, simulate
+    >>> robot, wind = MobileRobot(30.0, 1.3), ConstantForce([9, 0, 0])
+    >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=6.0))
+    >>> run = simulate(robot, PID(robot), path, dt=0.02, forces=[wind])
+    >>> print(f"{1e3 * abs(run.error[-1, 0]):.2f} mm at the end")
+    0.00 mm at the end
     """
 
     robot: Any = child(Invertible, doc="model of the controller")
@@ -339,7 +448,7 @@ class PID(OfBody):
     difference: Any = comparison()
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, float]:
-        """Return the integral, what it gained last, the last force, and the time between samples."""
+        """Return the integral, its last increment, the last input, and the time step."""
         n = self.robot.nv
 
         def gains() -> dict[str, Any]:
@@ -353,13 +462,13 @@ class PID(OfBody):
         return none, none, none, float(context.dt)
 
     def applied(self, u: Array, state: tuple[Any, Any, Any, float]) -> tuple[Any, Any, Any, float]:
-        """Return the state, the integral as it was where another force is applied."""
+        """Return the next state; without the last increment if the applied input differs from the law's."""
         integral, gain, asked, dt = state
         differs = np.max(np.abs(u - asked), axis=-1, keepdims=True) > 0
         return integral - np.where(differs, gain, 0.0), gain, asked, dt
 
     def signals(self, state: tuple[Any, Any, Any, float]) -> dict[str, Any]:
-        """Return the integral of the error."""
+        """Return the integral of the error [m s, rad s]."""
         return {"integral": ("m s, rad s", state[0])}
 
     def __call__(
@@ -378,24 +487,42 @@ class PID(OfBody):
 @final
 @part
 class Decoupled(OfBody):
-    """Computed torque of the base and of the arms, each ignoring that the other moves.
+    """Computed torque of base and arms separately: each neglects the motion of the other.
 
-    The base sees the arms as a load that is locked where they are, as `MobileRobot.lumped` has it; the arms
-    see themselves on a base at rest, gravity included. With c = a_d + Kd e_dot + Kp e, parted into base and
-    arms,
+    The base treats the arms as a locked load, as `MobileRobot.lumped` does. The arms assume a base at rest,
+    and compensate gravity. With c = a_d + Kd de/dt + Kp e, split into base (b) and arms (a)::
 
         tau_base = M_bb(q) c_b + n_b(q, (v_b, 0)),      tau_arm = M_aa(q) c_a + n_a(q, (0, v_a)).
 
-    What `ComputedTorque` has beyond that is the coupling: M_ba, M_ab, and the products of v_b and v_a.
+    `ComputedTorque` adds the coupling: M_ba, M_ab, and the products of v_b and v_a.
 
     Parameters
     ----------
     robot : MobileRobot
-        The model that the controller believes in; it need not be the one that is simulated.
+        Controller model; it may differ from the plant.
     kp, kd : array_like, shape (), (n,) or (n, n)
-        Gains [1/s^2] and [1/s]: a scalar, one per coordinate, or a matrix.
-    difference : callable
-        ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own.
+        Gains [1/s^2] and [1/s]: a scalar, one value per coordinate, or a matrix.
+    difference : callable, optional
+        ``difference(q0, q1)``: displacement from q0 to q1; default: the robot's.
+
+    Raises
+    ------
+    InvalidArgument
+        If a gain is not finite or has another shape, or the robot has wheels.
+
+    See Also
+    --------
+    ComputedTorque : the law with the coupling
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, MobileRobot, Tangent, simulate
+    >>> from pinmobile.controllers import Decoupled
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
+    >>> run = simulate(robot, Decoupled(robot), path, dt=0.02)
+    >>> print(f"{1e3 * max(run.max_error()):.3f} mm")
+    0.007 mm
     """
 
     robot: Any = child(Invertible, doc="model of the controller")
@@ -404,7 +531,7 @@ class Decoupled(OfBody):
     difference: Any = comparison()
 
     def initial_state(self, context: Context) -> None:
-        """Return None: there is no memory."""
+        """Return None: the controller has no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
@@ -415,51 +542,75 @@ class Decoupled(OfBody):
 
 
 def _of_base(rate: Array) -> Array:
+    """Return velocities or accelerations with zeros for the arms, shape (..., n)."""
     part = np.zeros(rate.shape)
     part[..., :_BASE] = rate[..., :_BASE]
     return part
 
 
 def _of_arms(rate: Array) -> Array:
+    """Return velocities or accelerations with zeros for the base, shape (..., n)."""
     part = np.zeros(rate.shape)
     part[..., _BASE:] = rate[..., _BASE:]
     return part
 
 
-_REACH = "largest acceleration by the switched part"
+_REACH = "largest acceleration of the switching term"
 _LAYER = "half the width of the boundary layer"
 
 
 @final
 @part
 class SlidingMode(OfBody):
-    """Sliding mode with a boundary layer (Slotine and Li, Applied Nonlinear Control, 1991, chapter 7).
+    """Sliding mode control with a boundary layer (Slotine and Li, 1991).
 
-        tau = M (a_r + damping s + reach sat(s / layer)) + C v_r + g,   s = e' + slope e
+    ::
 
-    Outside the layer a disturbance that accelerates the robot by less than `reach` does not keep s from
-    coming to it; inside, the law is feedback with a gain higher by ``reach / layer``. A layer thinner than
-    ``2 reach dt`` chatters.
+        tau = M (a_r + damping s + reach sat(s / layer)) + C v_r + g,   s = de/dt + slope e
+
+    Outside the layer, s converges in spite of any disturbance that accelerates the robot by less than
+    `reach`. Inside, the law is linear feedback whose gain is higher by ``reach / layer``. A layer thinner
+    than ``2 reach dt`` chatters.
 
     Parameters
     ----------
     robot : MobileRobot
-        The model that the controller believes in; it need not be the one that is simulated.
+        Controller model; it may differ from the plant.
     slope : array_like, shape () or (n,)
-        Rate at which errors vanish on the surface, > 0 [1/s].
+        Decay rate of errors on the surface s = 0, > 0 [1/s].
     damping : array_like, shape () or (n,)
         Gain of s, >= 0 [1/s].
     reach : array_like, shape () or (n,)
-        Largest acceleration by the switched part, >= 0 [m/s^2, rad/s^2].
+        Largest acceleration of the switching term, >= 0 [m/s^2, rad/s^2].
     layer : array_like, shape () or (n,)
         Half the width of the boundary layer, > 0 [m/s, rad/s].
-    difference : callable
-        ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own.
+    difference : callable, optional
+        ``difference(q0, q1)``: displacement from q0 to q1; default: the robot's.
 
     Raises
     ------
     InvalidArgument
-        If an argument is something else; at the start of a run, if the loop is unstable at its dt.
+        If a parameter is out of its range or has another shape, or the robot has wheels; at the start of a
+        run, if the sampled loop is unstable.
+
+    See Also
+    --------
+    SuperTwisting : sliding mode with a continuous force
+    ComputedTorque : law for an exact model
+
+    References
+    ----------
+    Slotine and Li, Applied Nonlinear Control, 1991, chapter 7.
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, MobileRobot, SlidingMode
+    >>> from pinmobile import Tangent, simulate
+    >>> robot, model = MobileRobot(30.0, 1.3), MobileRobot(20.0, 1.3)
+    >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
+    >>> run = simulate(robot, SlidingMode(model), path, dt=0.02)
+    >>> print(f"{1e3 * max(run.max_error()):.2f} mm")
+    0.11 mm
     """
 
     robot: Any = child(Passive, doc="model of the controller")
@@ -470,7 +621,7 @@ class SlidingMode(OfBody):
     difference: Any = comparison()
 
     def initial_state(self, context: Context) -> None:
-        """Return None: there is no memory."""
+        """Return None: the controller has no memory. Raise `InvalidArgument` for unstable gains."""
         names = ("slope", "damping", "reach", "layer")
 
         def loop(dt: float) -> Array:
@@ -491,24 +642,45 @@ class SlidingMode(OfBody):
 @final
 @part
 class SuperTwisting(OfBody):
-    """Sliding mode of second order (Levant, 1993): what switches is an integral, so that the force does not.
+    """Super-twisting control (Levant, 1993): sliding mode of second order with a continuous force.
 
-        tau = M (a_r + k1 sqrt|s| sign(s) + z) + C v_r + g,   z' = k2 sign(s),   s = e' + slope e
+    ::
 
-    A disturbance per mass whose rate of change is below k2 is rejected, with k1 >= 1.5 sqrt(k2). Sampled, it
-    goes on in a cycle whose size is some ``k1 k2 dt``: the price is chatter. What z gains in a sample is
-    taken back where the force that is applied is another.
+        tau = M (a_r + k1 sqrt|s| sign(s) + z) + C v_r + g,   dz/dt = k2 sign(s),   s = de/dt + slope e
+
+    With k1 >= 1.5 sqrt(k2), the law rejects a disturbing acceleration that changes more slowly than k2. In
+    discrete time it chatters with an amplitude of about ``k1 k2 dt``. Where the applied input differs from
+    the law's, the last increment of z is removed (anti-windup).
 
     Parameters
     ----------
     robot : MobileRobot
-        The model that the controller believes in; it need not be the one that is simulated.
+        Controller model; it may differ from the plant.
     slope : array_like, shape () or (n,)
-        Rate at which errors vanish on the surface, > 0 [1/s].
+        Decay rate of errors on the surface s = 0, > 0 [1/s].
     k1, k2 : array_like, shape () or (n,)
-        Gains, >= 0 [sqrt(m/s^3), sqrt(rad/s^3)] and [m/s^3, rad/s^3].
-    difference : callable
-        ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own.
+        Gains of the square root and of the integral, >= 0 [sqrt(m/s^3), sqrt(rad/s^3)] and [m/s^3, rad/s^3].
+    difference : callable, optional
+        ``difference(q0, q1)``: displacement from q0 to q1; default: the robot's.
+
+    Raises
+    ------
+    InvalidArgument
+        If a parameter is out of its range or has another shape, or the robot has wheels.
+
+    See Also
+    --------
+    SlidingMode : sliding mode of first order, with a boundary layer
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, MobileRobot, SuperTwisting
+    >>> from pinmobile import Tangent, simulate
+    >>> robot, model = MobileRobot(30.0, 1.3), MobileRobot(20.0, 1.3)
+    >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
+    >>> run = simulate(robot, SuperTwisting(model), path, dt=0.02)
+    >>> print(f"{1e3 * max(run.max_error()):.1f} mm")
+    0.1 mm
     """
 
     robot: Any = child(Passive, doc="model of the controller")
@@ -517,7 +689,7 @@ class SuperTwisting(OfBody):
         default=3.0,
         lower=0.0,
         unit="sqrt(m/s^3), sqrt(m/s^3), sqrt(rad/s^3)",
-        doc="gain of the root",
+        doc="gain of the square root",
         size=coordinates_of,
     )
     k2: Any = each(
@@ -526,17 +698,17 @@ class SuperTwisting(OfBody):
     difference: Any = comparison()
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, float]:
-        """Return the integral z, what it gained last, the last force, and the time between samples."""
+        """Return the integral z, its last increment, the last input, and the time step."""
         none = np.zeros(self.robot.nv)
         return none, none, none, float(context.dt)
 
     def applied(self, u: Array, state: tuple[Any, Any, Any, float]) -> tuple[Any, Any, Any, float]:
-        """Return the state, z without what it gained where the force that is applied is another."""
+        """Return the next state; without the last increment of z where another input is applied."""
         z, gain, asked, dt = state
         return z - np.where(u != asked, gain, 0.0), gain, asked, dt
 
     def signals(self, state: tuple[Any, Any, Any, float]) -> dict[str, Any]:
-        """Return the integral: the acceleration that the model lacks."""
+        """Return the integral z, an estimate of the unmodelled acceleration [m/s^2, rad/s^2]."""
         return {"unmodelled": ("m/s^2, rad/s^2", state[0])}
 
     def __call__(

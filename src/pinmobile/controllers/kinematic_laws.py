@@ -1,4 +1,4 @@
-"""Kinematic laws, from an error to speed and yaw rate, and torques with which a robot on wheels moves so."""
+"""Kinematic laws, from tracking error to speed and yaw rate, and torques of robots that follow them."""
 
 from __future__ import annotations
 
@@ -13,24 +13,39 @@ from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.parts import Commanded, Rolling, able, child, number, part, structure
 from pinmobile.plant import Context
 
-_SMALL = 1e-3  # [rad], below which sin(x) / x is its series
-_STILL = 1e-6  # [m/s, rad/s], below which a reference is at rest
+_SMALL = 1e-3  # [rad]; below it, sin(x) / x is computed by its series
+_STILL = 1e-6  # [m/s, rad/s]; a reference below it is at rest
 
 LAW = "a kinematic law, such as UnicycleTracking()"
-"""What is expected where a law is missing."""
+"""Words of error messages for the expected law."""
 
 
 @final
 class Changing:
-    """A number, an array or a symbol, and the rate at which it changes.
+    """Number, array or symbol together with its rate of change (a dual number).
+
+    Arithmetic applies the chain rule, so a kinematic law returns commands together with their rates.
 
     Parameters
     ----------
     value, rate : scalar or ndarray, shape (...)
-        The rate is per second.
+        Value in its unit, and its rate [unit/s].
+
+    See Also
+    --------
+    controllers.KinematicLaw : laws that compute with these numbers
+    controllers.Tracked : the tracking error, made of these numbers
+
+    Examples
+    --------
+    >>> from pinmobile.controllers import Changing
+    >>> distance = Changing(3.0, 0.5)  # [m, m/s]
+    >>> area = distance * distance
+    >>> area.value, area.rate  # [m^2, m^2/s]
+    (9.0, 3.0)
     """
 
-    __array_ufunc__ = None  # arrays leave the operation to it
+    __array_ufunc__ = None  # operators of arrays call those of this class
 
     def __init__(self, value: Any, rate: Any) -> None:
         self.value, self.rate = value, rate
@@ -67,16 +82,17 @@ class Changing:
 
 
 def value_of(x: Any) -> Any:
-    """Return the number itself."""
+    """Return the value of a number that may have a rate."""
     return x.value if isinstance(x, Changing) else x
 
 
 def rate_of(x: Any) -> Any:
-    """Return the rate of a number; 0 of one that does not change."""
+    """Return the rate of a number; 0 for a number without one."""
     return x.rate if isinstance(x, Changing) else 0.0
 
 
 def _through(function: Callable[[Any], Any], slope: Callable[[Any], Any], x: Any) -> Any:
+    """Return a function of a number, with its rate by the chain rule."""
     if not isinstance(x, Changing):
         return function(x)
     return Changing(function(x.value), slope(x.value) * x.rate)
@@ -98,12 +114,12 @@ def tanh(x: Any) -> Any:
 
 
 def arctan(x: Any) -> Any:
-    """Return the angle whose tangent is x, with its rate."""
+    """Return the arctangent, with its rate."""
     return _through(np.arctan, lambda value: 1.0 / (1.0 + value * value), x)
 
 
 def root(x: Any) -> Any:
-    """Return the square root, with its rate, which is 0 where x is."""
+    """Return the square root, with its rate; the rate is 0 where x is 0."""
 
     def slope(value: Any) -> Any:
         return np.where(value > 0.0, 0.5 / np.sqrt(np.where(value > 0.0, value, 1.0)), 0.0)
@@ -112,7 +128,7 @@ def root(x: Any) -> Any:
 
 
 def angle_of(y: Any, x: Any) -> Any:
-    """Return the angle of (x, y), with its rate, which is 0 at the origin."""
+    """Return the angle of the vector (x, y), with its rate; the rate is 0 at the origin."""
     found = np.arctan2(value_of(y), value_of(x))
     if not (isinstance(x, Changing) or isinstance(y, Changing)):
         return found
@@ -146,20 +162,33 @@ def chosen(condition: Any, x: Any, y: Any) -> Any:
 
 
 class Tracked(NamedTuple):
-    """What a law knows: of the point where the fixed axle is, along the axes of the body's motion.
+    """Tracking error for a kinematic law, of the point on the fixed axle, along the body's axes of motion.
 
     Attributes
     ----------
     ahead, aside : scalar
-        Where the reference is [m].
+        Position of the reference relative to the body, forward and to the left [m].
     turn : scalar
-        Its heading less the body's, in (-pi, pi] [rad].
+        Heading of the reference relative to the body, in (-pi, pi] [rad].
     speed, yaw_rate : scalar
-        Of the reference [m/s, rad/s].
+        Speed and yaw rate of the reference [m/s, rad/s].
     acceleration : scalar
-        Rate of its speed [m/s^2].
+        Rate of the reference's speed [m/s^2].
     own_speed : scalar
-        Of the body [m/s].
+        Speed of the body [m/s].
+
+    See Also
+    --------
+    controllers.KinematicLaw : law that takes it
+
+    Examples
+    --------
+    >>> from pinmobile import UnicycleTracking
+    >>> from pinmobile.controllers import Tracked
+    >>> error = Tracked(ahead=0.1, aside=0.0, turn=0.0, speed=1.0, yaw_rate=0.0)
+    >>> (v, w), _ = UnicycleTracking(zeta=0.7, b=20.0)(error, None)
+    >>> print(f"{v:.2f} m/s, {w:.2f} rad/s")
+    1.63 m/s, 0.00 rad/s
     """
 
     ahead: Any
@@ -172,20 +201,65 @@ class Tracked(NamedTuple):
 
 
 class KinematicLaw(Protocol):
-    """A kinematic law, such as UnicycleTracking(): from what is tracked to speed and yaw rate."""
+    """A kinematic law, such as UnicycleTracking(): from a tracking error to speed and yaw rate.
+
+    See Also
+    --------
+    UnicycleTracking : law for moving references
+    controllers.Parking : law for a goal at rest
+    Backstepping : torques from a kinematic law
+    controllers.VelocityCommand : commands from a kinematic law
+
+    Examples
+    --------
+    >>> from pinmobile.controllers import Tracked
+    >>> class Proportional:
+    ...     def initial_state(self, context):
+    ...         return None
+    ...     def check(self, t, speed, yaw_rate):
+    ...         pass
+    ...     def __call__(self, tracked, state):
+    ...         x, y, turn, speed, yaw_rate = tracked[:5]
+    ...         return (speed + 2 * x, yaw_rate + 9 * y + 4 * turn), state
+    >>> Proportional()(Tracked(0.1, 0.0, 0.0, 1.0, 0.2), None)[0]
+    (1.2, 0.2)
+    """
 
     def initial_state(self, context: Context, /) -> Any:
-        """Return the state to start with; None where there is no memory."""
+        """Return the state before the first sample; None without memory."""
 
     def check(self, t: Array, speed: Array, yaw_rate: Array, /) -> None:
-        """Refuse a reference of these speeds and yaw rates, shape (N,), that it cannot follow."""
+        """Raise `InvalidArgument` for a reference that the law cannot follow.
+
+        Parameters
+        ----------
+        t : ndarray, shape (N,)
+            Times of the samples [s].
+        speed, yaw_rate : ndarray, shape (N,)
+            Speed and yaw rate of the reference [m/s, rad/s].
+        """
 
     def __call__(self, tracked: Tracked, state: Any, /) -> tuple[tuple[Any, Any], Any]:
-        """Return (v, w) [m/s, rad/s], and the next state."""
+        """Return the desired speed and yaw rate, and the next state.
+
+        Parameters
+        ----------
+        tracked : Tracked
+            Tracking error; its entries may have a rate, see `Changing`.
+        state : any
+            State of the law.
+
+        Returns
+        -------
+        command : tuple of 2 scalars
+            Speed and yaw rate [m/s, rad/s].
+        state : any
+            The next state.
+        """
 
 
 def _first(t: Array, wrong: Any) -> float | None:
-    """Return the first time at which something is wrong, if it ever is."""
+    """Return the first time at which a condition holds; None if it never does."""
     found = np.flatnonzero(wrong)
     return float(t[found[0]]) if len(found) else None
 
@@ -193,31 +267,54 @@ def _first(t: Array, wrong: Any) -> float | None:
 @final
 @part
 class UnicycleTracking:
-    """Follow a moving reference, forwards or backwards (De Luca, Oriolo, Vendittelli 2001).
+    """Tracking of a moving reference, forwards or backwards (De Luca, Oriolo and Vendittelli, 2001).
+
+    ::
 
         v = v_r cos et + k ex,  w = w_r + b v_r (sin et / et) ey + k et,  k = 2 zeta sqrt(w_r^2 + b v_r^2)
 
-    With V = b (ex^2 + ey^2) / 2 + et^2 / 2, dV/dt = -k (b ex^2 + et^2): it needs a reference that does not
-    rest for good. Near it, errors decay as (s + 2 zeta a)(s^2 + 2 zeta a s + a^2), a^2 = w_r^2 + b v_r^2.
+    With V = b (ex^2 + ey^2) / 2 + et^2 / 2, dV/dt = -k (b ex^2 + et^2): the reference must not rest for good.
+    Near the reference, errors decay as (s + 2 zeta a)(s^2 + 2 zeta a s + a^2), a^2 = w_r^2 + b v_r^2.
 
     Parameters
     ----------
     zeta : float
-        Damping, > 0.
+        Damping ratio, > 0.
     b : float
-        Weight of the place beside the heading, > 0 [1/m^2].
+        Weight of the position error relative to the heading error, > 0 [1/m^2].
+
+    Raises
+    ------
+    InvalidArgument
+        If a parameter is not above zero; at the start of a run, if the reference never moves.
+
+    See Also
+    --------
+    Backstepping : torques or commands from this law
+    controllers.VelocityCommand : commands from this law
+    controllers.Kanayama : law for references that move forwards
+    controllers.Parking : law for a goal at rest
+
+    Examples
+    --------
+    >>> from pinmobile import UnicycleTracking
+    >>> from pinmobile.controllers import Tracked
+    >>> error = Tracked(ahead=0.1, aside=0.0, turn=0.0, speed=1.0, yaw_rate=0.0)
+    >>> (v, w), _ = UnicycleTracking(zeta=0.7, b=20.0)(error, None)
+    >>> print(f"{v:.2f} m/s, {w:.2f} rad/s")
+    1.63 m/s, 0.00 rad/s
     """
 
-    zeta: float = number(default=0.7, above=0.0, doc="damping of a tracking law")
-    b: float = number(default=20.0, above=0.0, unit="1/m^2", doc="weight of the place beside the heading")
+    zeta: float = number(default=0.7, above=0.0, doc="damping ratio of the tracking law")
+    b: float = number(default=20.0, above=0.0, unit="1/m^2", doc="weight of position beside heading")
 
     def initial_state(self, context: Context) -> None:
-        """Return None: there is no memory."""
+        """Return None: the law has no memory."""
 
     def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
-        """Refuse a reference that never moves."""
+        """Raise `InvalidArgument` for a reference that never moves."""
         if not (np.abs(speed) > _STILL).any() and not (np.abs(yaw_rate) > _STILL).any():
-            raise InvalidArgument("reference rests, expected one that moves, or the law Parking()")
+            raise InvalidArgument("reference rests, expected a reference that moves, or the law Parking()")
 
     def __call__(self, tracked: Tracked, state: None) -> tuple[tuple[Any, Any], None]:
         """Return (v, w) [m/s, rad/s], and None."""
@@ -230,17 +327,37 @@ class UnicycleTracking:
 @final
 @part
 class Kanayama:
-    """Follow a reference that moves forwards (Kanayama, Kimura, Miyazaki, Noguchi, ICRA 1990).
+    """Tracking of a reference that moves forwards (Kanayama, Kimura, Miyazaki and Noguchi, ICRA 1990).
+
+    ::
 
         v = v_r cos et + k1 ex,  w = w_r + v_r (k2 ey + k3 sin et)
 
-    With V = (ex^2 + ey^2) / 2 + (1 - cos et) / k2, dV/dt = -k1 ex^2 - (k3 / k2) v_r sin^2 et: it needs v_r >
-    0.
+    With V = (ex^2 + ey^2) / 2 + (1 - cos et) / k2, dV/dt = -k1 ex^2 - (k3 / k2) v_r sin^2 et, which requires
+    v_r > 0.
 
     Parameters
     ----------
     k1, k2, k3 : float
-        Gains along, across, and of the heading, > 0 [1/s, 1/m^2, 1/m].
+        Gains along the path, across it, and of the heading, > 0 [1/s, 1/m^2, 1/m].
+
+    Raises
+    ------
+    InvalidArgument
+        If a gain is not above zero; at the start of a run, if the reference stops or moves backwards.
+
+    See Also
+    --------
+    UnicycleTracking : law for both directions
+    Backstepping : torques or commands from this law
+
+    Examples
+    --------
+    >>> from pinmobile.controllers import Kanayama, Tracked
+    >>> error = Tracked(ahead=0.0, aside=0.1, turn=0.0, speed=1.0, yaw_rate=0.0)
+    >>> (v, w), _ = Kanayama(k1=2.0, k2=10.0, k3=5.0)(error, None)
+    >>> print(f"{v:.2f} m/s, {w:.2f} rad/s")
+    1.00 m/s, 1.00 rad/s
     """
 
     k1: float = number(default=2.0, above=0.0, unit="1/s", doc="gain along the path")
@@ -248,15 +365,15 @@ class Kanayama:
     k3: float = number(default=5.0, above=0.0, unit="1/m", doc="gain of the heading")
 
     def initial_state(self, context: Context) -> None:
-        """Return None: there is no memory."""
+        """Return None: the law has no memory."""
 
     def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
-        """Refuse a reference that stops or goes backwards."""
+        """Raise `InvalidArgument` for a reference that stops or moves backwards."""
         when = _first(t, speed <= _STILL)
         if when is not None:
             raise InvalidArgument(
-                f"reference goes at {speed[t == when][0]:.3g} m/s at t = {when:g} s, expected one that "
-                "always moves "
+                f"reference has a speed of {speed[t == when][0]:.3g} m/s at t = {when:g} s, expected a "
+                "reference that always moves "
                 "forwards, or the law UnicycleTracking()"
             )
 
@@ -270,37 +387,57 @@ class Kanayama:
 @final
 @part
 class Parking:
-    """Go to a pose and rest there (Aicardi, Casalino, Bicchi, Balestrino, IEEE RAM 2(1), 1995).
+    """Motion to a pose at rest (Aicardi, Casalino, Bicchi and Balestrino, IEEE RAM 2(1), 1995).
+
+    ::
 
         v = k1 rho cos gam,  w = k2 gam + k1 (sin gam cos gam / gam) (gam + k3 del)
 
-    rho is the distance of the goal, gam its bearing from the body's heading, del its bearing from the heading
-    at the goal. With V = (rho^2 + gam^2 + k3 del^2) / 2, dV/dt = -k1 rho^2 cos^2 gam - k2 gam^2. The heading
-    converges slowly, and no smooth law of the pose alone does better (Brockett 1983). It needs a reference
-    that rests, and stops within `near` of it.
+    rho is the distance of the goal, gam its bearing relative to the body's heading, and del its bearing
+    relative to the heading at the goal. With V = (rho^2 + gam^2 + k3 del^2) / 2, dV/dt = -k1 rho^2 cos^2 gam
+    - k2 gam^2. The heading converges slowly; no smooth law of the pose alone converges faster (Brockett,
+    1983). The reference must rest. The robot stops within `near` of it.
 
     Parameters
     ----------
     k1, k2, k3 : float
         Gains of the distance, the bearing and the approach, > 0 [1/s, 1/s, 1].
     near : float
-        Distance within which it rests, > 0 [m].
+        Distance of the goal within which the robot stops, > 0 [m].
+
+    Raises
+    ------
+    InvalidArgument
+        If a parameter is not above zero; at the start of a run, if the reference moves.
+
+    See Also
+    --------
+    UnicycleTracking : law for moving references
+    Hold : path of a goal at rest
+
+    Examples
+    --------
+    >>> from pinmobile.controllers import Parking, Tracked
+    >>> error = Tracked(ahead=1.0, aside=0.0, turn=0.0, speed=0.0, yaw_rate=0.0)
+    >>> (v, w), _ = Parking(k1=0.5)(error, None)
+    >>> print(f"{v:.2f} m/s, {w:.2f} rad/s")
+    0.50 m/s, 0.00 rad/s
     """
 
     k1: float = number(default=1.0, above=0.0, unit="1/s", doc="gain of the distance")
     k2: float = number(default=3.0, above=0.0, unit="1/s", doc="gain of the bearing")
     k3: float = number(default=2.0, above=0.0, doc="gain of the approach")
-    near: float = number(default=1e-3, above=0.0, unit="m", doc="distance within which it rests")
+    near: float = number(default=1e-3, above=0.0, unit="m", doc="distance at which the robot stops")
 
     def initial_state(self, context: Context) -> None:
-        """Return None: there is no memory."""
+        """Return None: the law has no memory."""
 
     def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
-        """Refuse a reference that moves."""
+        """Raise `InvalidArgument` for a reference that moves."""
         when = _first(t, np.hypot(speed, yaw_rate) > _STILL)
         if when is not None:
             raise InvalidArgument(
-                f"reference moves at t = {when:g} s, expected one that rests, or the law UnicycleTracking()"
+                f"reference moves at t = {when:g} s, expected a goal at rest, or the law UnicycleTracking()"
             )
 
     def __call__(self, tracked: Tracked, state: None) -> tuple[tuple[Any, Any], None]:
@@ -316,7 +453,7 @@ class Parking:
 
 
 def _turned(x: Any) -> Any:
-    """Return an angle in [-pi, pi], with its rate."""
+    """Return an angle wrapped to [-pi, pi], with its rate."""
     value = value_of(x)
     value = value - 2 * np.pi * np.rint(value / (2 * np.pi))
     return Changing(value, x.rate) if isinstance(x, Changing) else value
@@ -325,44 +462,67 @@ def _turned(x: Any) -> Any:
 @final
 @part
 class DynamicFeedback:
-    """Follow a reference that never rests, by dynamic feedback linearisation (Oriolo et al. 2002).
+    """Tracking by dynamic feedback linearisation, for a reference that never rests (Oriolo et al., 2002).
 
-    The speed xi is a state of the law, r = p_r'' + kd (p_r' - p') + kp (p_r - p) along the body's axes, and
+    The speed xi is the memory of the law. With r = p_r'' + kd (p_r' - p') + kp (p_r - p) along the body's
+    axes::
 
-        xi' = r_ahead,  v = xi,  w = r_aside / xi.
+        d xi/dt = r_ahead,  v = xi,  w = r_aside / xi
 
-    Errors of the place decay as s^2 + kd s + kp; the heading follows. xi starts at the reference's speed, and
-    the division takes |xi| >= least: it needs |v_r| above that, so no rests and no cusps.
+    Position errors decay as s^2 + kd s + kp, and the heading follows. xi starts at the reference's speed, and
+    the division uses at least `least`. Therefore the reference must be faster than `least`, without rests and
+    cusps.
 
     Parameters
     ----------
     kp, kd : float
-        Gains of place and velocity, > 0 [1/s^2, 1/s].
+        Gains of position and velocity, > 0 [1/s^2, 1/s].
     least : float
-        Least speed that it divides by, > 0 [m/s].
+        Smallest speed in the division, > 0 [m/s].
+
+    Raises
+    ------
+    InvalidArgument
+        If a parameter is not above zero; at the start of a run, if the reference is slower than `least` or
+        reverses.
+
+    See Also
+    --------
+    UnicycleTracking : law without memory
+    Backstepping : torques or commands from this law
+
+    Examples
+    --------
+    >>> from pinmobile.controllers import DynamicFeedback, Tracked
+    >>> error = Tracked(ahead=0.1, aside=0.0, turn=0.0, speed=1.0,
+    ...                 yaw_rate=0.0, own_speed=1.0)
+    >>> memory = (0.0, 0.0, 0.01)
+    >>> (v, w), (v_next, *_) = DynamicFeedback(kp=2.0)(error, memory)
+    >>> print(f"{v.value:.3f} m/s, then {v_next:.3f} m/s")
+    1.000 m/s, then 1.002 m/s
     """
 
-    kp: float = number(default=2.0, above=0.0, unit="1/s^2", doc="gain of the place")
-    kd: float = number(default=2.8, above=0.0, unit="1/s", doc="gain of the velocity")
-    least: float = number(default=0.05, above=0.0, unit="m/s", doc="least speed that it divides by")
+    kp: float = number(default=2.0, above=0.0, unit="1/s^2", doc="gain of the position error")
+    kd: float = number(default=2.8, above=0.0, unit="1/s", doc="gain of the velocity error")
+    least: float = number(default=0.05, above=0.0, unit="m/s", doc="smallest speed in the division")
 
     def initial_state(self, context: Context) -> tuple[float, float, float]:
-        """Return the speed, how much of it is known, none as yet, and the time between samples [s]."""
+        """Return the speed [m/s], 0 until it is initialised, and the time step [s]."""
         return 0.0, 0.0, float(context.dt)
 
     def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
-        """Refuse a reference that rests or turns back."""
+        """Raise `InvalidArgument` for a reference that rests or reverses."""
         when = _first(t, speed * np.sign(speed[0]) < self.least)
         if when is not None:
             raise InvalidArgument(
-                f"reference goes at {speed[t == when][0]:.3g} m/s at t = {when:g} s, expected "
+                f"reference has a speed of {speed[t == when][0]:.3g} m/s at t = {when:g} s, expected "
                 f"{self.least:g} m/s or more, always in one direction, or the law UnicycleTracking()"
             )
 
     def __call__(
         self, tracked: Tracked, state: tuple[Any, Any, Any]
     ) -> tuple[tuple[Any, Any], tuple[Any, Any, Any]]:
-        """Return (v, w) [m/s, rad/s], and the next speed."""
+        """Return (v, w) [m/s, rad/s], and the next state."""
         x, y, turn, speed, yaw_rate, acceleration, own = tracked
         xi, known, dt = state
         xi = xi + (1.0 - known) * value_of(speed)
@@ -379,49 +539,70 @@ class DynamicFeedback:
 
 
 _BASE = 3
-_SIDEWAYS = 1e-6  # [m/s], and relative to the speed: what a reference may move across the axle
-_JUMP = 0.1  # [rad], by which a heading may turn from sample to sample beside what its rate says
-_LEAST_SPEED = 1e-3  # [m/s] of a steered wheel, below which its direction is that of this speed
-_NO_AXLE = 1e-9  # beside the square of what two axles determine
+_SIDEWAYS = 1e-6  # [m/s], and relative to the speed: tolerance of motion across the axle
+_JUMP = 0.1  # [rad]: largest difference of the heading's step and the integral of its rate
+_LEAST_SPEED = 1e-3  # [m/s]: smallest forward speed of a steered wheel in its direction
+_NO_AXLE = 1e-9  # added to a square, which is 0 where both axles lie on one line
 _KINDS = ((2, 0), (1, 1))
 
 
 @final
 @part
 class Backstepping:
-    """From a kinematic law to the input (Fierro and Lewis, J. Robotic Systems 14(3), 1997).
+    """Torques or commands from a kinematic law (Fierro and Lewis, J. Robotic Systems 14(3), 1997).
 
-        M nu' + n = B u,   nu' = nu_c' + k (nu_c - nu)
+    ::
 
-    nu are the independent velocities of a robot whose wheels roll: of one with a fixed axle alone its speed
-    and yaw rate, of a car its speed and steering rate; arms have theirs. nu_c is what the law says, nu_c' its
-    rate by the chain rule. A car steers to delta_c, for which a wheel rolls as the law says, with
+        M dnu/dt + n = B u,   dnu/dt = dnu_c/dt + k (nu_c - nu)
 
-        delta_c' + steer (delta_c - delta)    as the rate that is wanted,
+    nu are the independent velocities of a robot whose wheels roll: speed and yaw rate of a differential
+    drive, speed and steering rate of a car, and the velocities of arms. The law gives nu_c, and the chain
+    rule its rate. The steering angle of a car tracks delta_c, at which the wheel rolls as the law commands,
+    with the rate ``d(delta_c)/dt + steer (delta_c - delta)``; the second derivative of delta_c is the
+    reference's, by its last two samples. Arms follow their reference with ``v_r + arms (q_r - q)``.
 
-    whose own rate takes of delta_c'' what the reference has, from its last two samples. Arms follow their
-    reference as v_r + arms (q_r - q).
-
-    The reference is the pose of the body, and moves along the wheels of the fixed axle: a path of the body's
-    origin with its tangent as heading where the origin lies on the axle. One that moves sideways or whose
-    heading jumps is refused, with its time, when a loop begins; where each robot of an ensemble has a
-    reference of its own, they are not looked at.
+    The reference is the pose of the body. It must move along the wheels of the fixed axle: a path of the
+    body's origin with its tangent as heading, if the origin lies on the axle. A reference that moves
+    sideways, or whose heading jumps, raises an error with the time at the start of a run. References that
+    differ between the robots of an ensemble are not checked.
 
     Parameters
     ----------
     law : kinematic law
-        Such as `UnicycleTracking`; what it needs of a reference is said there.
+        Law from tracking error to speed and yaw rate, such as `UnicycleTracking`, which states its conditions
+        on the reference.
     robot : WheeledRobot or VelocityRobot
-        The model that the controller believes in; of one that takes speeds the input is commands.
+        Controller model; for a `VelocityRobot` the input is commands.
     k, steer, arms : float
-        Gains of the velocities, of the steering angle and of the arms, > 0 [1/s]; with the torque held
-        between samples, k dt below 0.5.
+        Gains of the velocities, the steering angle and the arms, > 0 [1/s]. The zero-order hold requires
+        k dt < 0.5.
 
     Raises
     ------
     InvalidArgument
-        If an argument is something else, the drive has no fixed axle or can move in every direction, or it
-        has not a motor for each independent velocity.
+        If a gain is not above zero, or the drive has no fixed axle, can move in every direction, or lacks a
+        motor for an independent velocity; at the start of a run, if the wheels or the law cannot follow the
+        reference.
+
+    See Also
+    --------
+    UnicycleTracking : a kinematic law
+    controllers.WheelSpeed : the same law with a PI loop per wheel
+    ComputedTorque : law for omnidirectional drives
+    LQR : optimal law along a reference
+
+    Examples
+    --------
+    >>> from pinmobile import Backstepping, Circle, MobileRobot, Tangent
+    >>> from pinmobile import UnicycleTracking, WheeledRobot
+    >>> from pinmobile import WheelTable, simulate
+    >>> wheels = WheelTable.differential(0.4, 0.1, spin_inertia=0.01)
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), wheels)
+    >>> law = Backstepping(UnicycleTracking(), robot)
+    >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=1.0))
+    >>> run = simulate(robot, law, path, dt=0.05, v0=0 * robot.rest)
+    >>> print(f"{1e3 * max(run.max_error()[:2]):.0f} mm from rest")
+    16 mm from rest
     """
 
     law: Any = child(KinematicLaw, doc="kinematic law", expected=LAW)
@@ -431,7 +612,7 @@ class Backstepping:
     arms: float = number(default=2.0, above=0.0, unit="1/s", doc="gain of the arms")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where the drive has no fixed axle, or too few motors."""
+        """Raise `InvalidArgument` if the drive has no fixed axle, or too few motors."""
         callable_as("law(tracked, state)", self.law)
         mobility = self.robot.mobility
         if not has_axle(mobility):
@@ -441,18 +622,18 @@ class Backstepping:
             if not mobility.is_regular:
                 other = "WheelSpeed(law, robot, kp), where no wheel steers"
             raise InvalidArgument(
-                f"robot is {mobility.kind}, expected one with a fixed axle: for this one, {other}"
+                f"robot is {mobility.kind}, expected a drive with a fixed axle: for this one, {other}"
             )
         check_wheels(self.robot)
 
     @structure
     def _n(self) -> int:
-        """Coordinates that a reference has: x, y, psi and those of arms."""
+        """Number of coordinates of a reference: x, y, psi and those of the arms."""
         return int(max(self.robot.reference_sizes))
 
     @structure
     def _steers(self) -> tuple[float, Array] | None:
-        """Largest angle of the one wheel that steers [rad], and where it is; None of a fixed axle alone."""
+        """Largest steering angle [rad], and pose of the steered wheel; None for a fixed axle alone."""
         robot = self.robot
         if not robot.mobility.steerability:
             return None
@@ -460,11 +641,11 @@ class Backstepping:
 
     @structure
     def _axle(self) -> Array:
-        """The axle of the robot as it is given, which references follow."""
+        """Coefficients of the robot's axle, which references must follow, shape (3,)."""
         return frozen(self.robot.axle)
 
     def initial_state(self, context: Context) -> tuple[Any, Any]:
-        """Return the law's state, and what is known of the reference's steering: nothing."""
+        """Return the law's state, and the memory of the reference's steering rate."""
         reference = reference_of(context)
         if reference is not None:
             self._check_reference(np.asarray(context.t), reference)
@@ -472,7 +653,7 @@ class Backstepping:
         return self.law.initial_state(context), steering
 
     def _check_reference(self, t: Array, reference: Any) -> None:
-        """Refuse a reference that the wheels cannot follow."""
+        """Raise `InvalidArgument` for a reference that the wheels cannot follow."""
         if reference.v.shape[-1] != self._n:
             raise InvalidArgument(
                 f"reference has {reference.v.shape[-1]} coordinates, expected {self._n}: x, y, psi and "
@@ -485,7 +666,7 @@ class Backstepping:
             if (angle > limit).any():
                 k = int(np.argmax(angle > limit))
                 raise InvalidArgument(
-                    f"reference turns so tightly that wheels are steered by {angle[k]:.3g} rad at t = "
+                    f"reference needs a steering angle of {angle[k]:.3g} rad at t = "
                     f"{t[k]:g} s, expected at most {limit:.3g} rad"
                 )
         self.law.check(t, speed, w)
@@ -516,7 +697,7 @@ class Backstepping:
     def _steered(
         self, q: Array, nu: Array, tracked: Tracked, command: tuple[Any, Any], memory: tuple[Any, Any, Any]
     ) -> tuple[Changing, tuple[Any, Any, Any]]:
-        """Return the steering rate that is wanted, with its own, and what is known of the reference's."""
+        """Return the desired steering rate with its own rate, and the next memory of the reference's."""
         before, known, dt = memory
         limit, _ = self._steers or (np.inf, None)
         angle = q[..., self._n]
@@ -530,16 +711,17 @@ class Backstepping:
         return turn, (rate, 1.0 + 0.0 * known, dt)
 
     def _angle(self, speed: Any, yaw_rate: Any) -> Any:
+        """Return the steering angle at which the wheel rolls at a speed and yaw rate, with its rate [rad]."""
         return _steering_angle(self.robot.axle, self.robot.pivots[..., 0, :], speed, yaw_rate)
 
 
 def has_axle(mobility: Any) -> bool:
-    """Return whether a drive has one fixed axle, along whose wheels alone it can move."""
+    """Return whether a drive has exactly one fixed axle, which restricts its motion."""
     return (mobility.mobility, mobility.steerability) in _KINDS
 
 
 def reference_of(context: Context) -> Any:
-    """Return the reference of all samples; None where each robot has its own, or the context has none."""
+    """Return the reference at all samples; None if each robot has its own, or the context has none."""
     try:
         return context.reference
     except NotTraceable:
@@ -547,20 +729,26 @@ def reference_of(context: Context) -> Any:
 
 
 def check_law(law: KinematicLaw, axle: Array, context: Context) -> None:
-    """Refuse a reference that moves across an axle, whose heading jumps, or that a law cannot follow."""
+    """Raise `InvalidArgument` for a reference that an axle or a law cannot follow."""
     reference, t = reference_of(context), np.asarray(context.t)
     if reference is not None:
         law.check(t, *speeds_along(axle, t, reference))
 
 
 def check_heading(t: Array, reference: Any) -> tuple[Array, Array]:
-    """Refuse a reference whose heading jumps, and return its headings and yaw rates, shape (N,)."""
+    """Return headings and yaw rates of a reference, shape (N,), after a check for jumps.
+
+    Raises
+    ------
+    InvalidArgument
+        If the heading jumps.
+    """
     psi, w = reference.q[:, 2], reference.v[:, 2]
     jumps = np.abs(wrap_angle(np.diff(psi) - np.diff(t) * (w[1:] + w[:-1]) / 2))
     if len(jumps) and jumps.max() > _JUMP:
         k = int(np.argmax(jumps > _JUMP))
         raise InvalidArgument(
-            f"reference turns its heading by {jumps[k]:.3g} rad at once at t = {t[k + 1]:g} s, "
+            f"reference has a jump of its heading by {jumps[k]:.3g} rad at t = {t[k + 1]:g} s, "
             "expected one that "
             "the wheels can follow, such as Tangent(path, turn_time=...)"
         )
@@ -570,26 +758,48 @@ def check_heading(t: Array, reference: Any) -> tuple[Array, Array]:
 @final
 @part
 class SwerveTracking:
-    """Follow a pose with two modules that steer and drive, by torques at both.
+    """Tracking of a pose with two modules that steer and drive, by torques of both.
 
-    The body twist that is wanted is that of the reference with feedback of the pose, u = R' v_r + kp e; each
-    module turns to where that takes it, or to the opposite, whichever is nearer, as `Backstepping` steers a
-    car; the drive is the share of u that the angles as they are allow. It needs a reference that keeps each
-    module moving, where both axles do not lie on one line; a module slower than `least` keeps its angle.
+    The desired body twist is the reference's twist with feedback of the pose, u = R' v_r + kp e. Each module
+    turns to the direction of its desired velocity, or to the opposite direction if that is nearer, as
+    `Backstepping` steers a car. The drives produce the part of u that the present steering angles allow. The
+    reference must keep each module moving, and the two axles must not lie on one line. A module slower than
+    `least` keeps its angle.
 
     Parameters
     ----------
     robot : WheeledRobot
-        The model that the controller believes in: two modules, without arms.
+        Controller model: two modules, without arms.
     kp, k, steer : float
-        Gains of the pose, of the velocities and of the steering angles, > 0 [1/s].
+        Gains of the pose, the velocities and the steering angles, > 0 [1/s].
     least : float
         Speed of a module below which it keeps its angle, > 0 [m/s].
 
     Raises
     ------
     InvalidArgument
-        If an argument is something else, or the robot another drive.
+        If a parameter is not above zero, or the robot has another drive; at the start of a run, if the
+        heading of the reference jumps.
+
+    See Also
+    --------
+    Backstepping : law for drives with a fixed axle
+    WheelTable : its constructor `swerve` makes such a drive
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, Engine, FixedHeading
+    >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable
+    >>> from pinmobile import simulate
+    >>> from pinmobile.controllers import SwerveTracking
+    >>> wheels = WheelTable.swerve(
+    ...     [(0.3, 0.0), (-0.3, 0.0)], 0.1, spin_inertia=0.01, yaw_inertia=0.01)
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), wheels)
+    >>> path = FixedHeading(Circle(radius=3.0, rate=0.1, duration=0.5), 0.3)
+    >>> run = simulate(robot, SwerveTracking(robot), path, dt=0.05,
+    ...                engine=Engine.PYTHON)
+    >>> print(f"{1e3 * max(run.max_error()[:2]):.2f} mm")
+    0.10 mm
     """
 
     robot: Any = child(Rolling, doc="model of the controller")
@@ -601,7 +811,7 @@ class SwerveTracking:
     )
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where the robot is another drive."""
+        """Raise `InvalidArgument` if the robot has another drive."""
         robot = self.robot
         kind = robot.mobility.mobility, robot.mobility.steerability
         if kind != (1, 2) or max(robot.reference_sizes) > _BASE or len(robot.inputs) != 4:
@@ -612,7 +822,7 @@ class SwerveTracking:
         check_wheels(robot)
 
     def initial_state(self, context: Context) -> tuple[Any, float, float]:
-        """Return what is known of the reference's steering rates, nothing, and the sampling time."""
+        """Return the last steering rates of the reference, 0 until they are known, and the time step."""
         reference = reference_of(context)
         if reference is not None:
             check_heading(np.asarray(context.t), reference)
@@ -652,7 +862,7 @@ class SwerveTracking:
         return u, (leads, 1.0 + 0.0 * known, dt)
 
     def _wanted(self, q: Array, v: Array, reference: State) -> list[Changing]:
-        """Return the body twist that is wanted, with its rate."""
+        """Return the desired body twist, with its rate."""
         errors, w = self.robot.difference(q, completed(q, reference.q)), v[..., 2]
         ahead, aside = _along(q, errors)
         (vx, vy), (rx, ry), (ax, ay) = (_along(q, x) for x in (v, reference.v, reference.a))
@@ -671,18 +881,18 @@ class SwerveTracking:
 
 
 def _along(q: Array, x: Array) -> tuple[Any, Any]:
-    """Return the first two numbers of a vector in the plane along the body's axes."""
+    """Return the components of a vector in the plane along the body's axes, forward and left."""
     c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
     return c * x[..., 0] + s * x[..., 1], c * x[..., 1] - s * x[..., 0]
 
 
 def speeds_along(axle: Array, t: Array, reference: Any) -> tuple[Array, Array]:
-    """Return speed and yaw rate of a reference, shape (N,), of a drive with this fixed axle.
+    """Return speed and yaw rate of a reference, shape (N,), for a drive with this fixed axle.
 
     Raises
     ------
     InvalidArgument
-        If it moves sideways, or its heading jumps.
+        If the reference moves sideways, or its heading jumps.
     """
     psi, w = check_heading(t, reference)
     a, b, arm = axle
@@ -703,12 +913,12 @@ def speeds_along(axle: Array, t: Array, reference: Any) -> tuple[Array, Array]:
 def tracked(
     robot: Any, axle: Any, q: Array, v: Array, reference: State, own_speed: Any
 ) -> tuple[Tracked, Array]:
-    """Return what a law tracks, with its rates, and the errors of all coordinates."""
+    """Return the tracking error of a law, with its rates, and the errors of all coordinates."""
     a, b, arm = axle[..., 0], axle[..., 1], axle[..., 2]
     errors = robot.difference(q, completed(q, reference.q))
     c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
     c_r, s_r = np.cos(reference.q[..., 2]), np.sin(reference.q[..., 2])
-    # Where body and reference go, and how far the axle of each is.
+    # Directions of motion of body and reference, and positions of both axles.
     x, y, x_r, y_r = b * c + a * s, b * s - a * c, b * c_r + a * s_r, b * s_r - a * c_r
     dx = reference.q[..., 0] - q[..., 0] + arm * (x_r - x)
     dy = reference.q[..., 1] - q[..., 1] + arm * (y_r - y)
@@ -729,7 +939,7 @@ def tracked(
 
 
 def _steering_angle(axle: Any, pivot: Any, speed: Any, yaw_rate: Any) -> Any:
-    """Return the angle at which a steered wheel rolls where the axle moves so, with its rate."""
+    """Return the angle at which a steered wheel rolls at a speed and yaw rate, with its rate [rad]."""
     a, b, arm = axle[..., 0], axle[..., 1], axle[..., 2]
     x, y = pivot[..., 0] - arm * b, pivot[..., 1] + arm * a  # from the axle
     c, s = np.cos(pivot[..., 2]), np.sin(pivot[..., 2])
