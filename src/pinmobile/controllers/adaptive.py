@@ -1,4 +1,4 @@
-"""Adaptive control: parameter estimates of a pushed body, or of a robot that takes speeds."""
+"""Adaptive control: parameter estimates of a robot driven by forces, or by speed and yaw rate."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from pinmobile.parts import Commanded, Passive, array, child, each, number, opti
 from pinmobile.plant import Context
 
 _SIZE = 6
-_ABOVE_ZERO = 0, 1, 3, 5  # of theta: inertias and losses
-_LEAST_EXCITATION = 0.1  # of the nominal, which an estimate of these keeps
-_FREE = np.where(np.isin(np.arange(_SIZE), _ABOVE_ZERO), 0.0, np.inf)  # others have no bound
-_AHEAD = 0.2  # [m], where the robot's own point is on its axle
-_EXCITED_RATES = (1.0, 1.0, 0.1, 4.0, 0.1, 4.0)  # gains of estimates, per inertia of their row
+_ABOVE_ZERO = 0, 1, 3, 5  # entries of theta that are positive: inertias and losses
+_LEAST_EXCITATION = 0.1  # smallest ratio of such an estimate and its nominal value
+_FREE = np.where(np.isin(np.arange(_SIZE), _ABOVE_ZERO), 0.0, np.inf)  # the others have no bound
+_AHEAD = 0.2  # [m], default for a robot whose point lies on its axle
+_EXCITED_RATES = (1.0, 1.0, 0.1, 4.0, 0.1, 4.0)  # gains of estimates, per inertia in their row
 _BACKWARDS, _STILL = -1e-6, 1e-6  # [m/s]
 
 
@@ -41,75 +41,96 @@ _usual = partial(attrs.Factory, takes_self=True)
 @final
 @part
 class AdaptiveVelocity:
-    """Adaptive control of a robot that takes speeds: a point ahead of its axle follows, theta is estimated.
+    """Adaptive control of a robot that takes speed and yaw rate; it estimates theta.
 
-    The kinematic law asks for the speed and yaw rate nu_d at which the point h, `ahead` of the axle, moves so
-    as to come to that of the reference, h_d, and the estimate of theta gives the commands (Martins, Celeste,
-    Carelli, Sarcinelli-Filho and Bastos-Filho, Control Engineering Practice 16, 2008)::
+    A point at a distance a ahead of the axle follows the reference. The kinematic law commands the speed and
+    yaw rate nu_d at which this point h approaches the reference point h_d. The estimate of theta gives the
+    commands (Martins, Celeste, Carelli, Sarcinelli-Filho and Bastos-Filho, Control Engineering Practice 16,
+    2008)::
 
         nu_d = [c, s; -s/a, c/a] (h_d' + l tanh(kp (h_d - h) / l)),   e = nu_d - nu
         (u_c, w_c) = Y theta,   theta' = gamma Y' e - leakage (theta - first),
         Y = [s1, 0, -w^2, u, 0, 0; 0, s2, 0, 0, u w, w],   (s1, s2) = nu_d' + k e
 
-    nu_d' follows from velocity and acceleration of reference and robot by the chain rule; nothing is
-    differenced. Without leakage, e' diag(theta_1, theta_2) e / 2 and half the square of the estimates' errors
-    over gamma together fall at e' diag(theta_1, theta_2) k e, so that e vanishes, and with it the error of
-    the point; the estimates become right only where the motion excites them.
+    nu_d' follows from velocity and acceleration of reference and robot by the chain rule, without finite
+    differences. Without leakage, the sum of e' diag(theta_1, theta_2) e / 2 and half the squared estimation
+    errors divided by gamma decreases at e' diag(theta_1, theta_2) k e. Therefore e converges to zero, and
+    with it the error of the point. The estimates converge only if the motion excites them.
 
-    What follows is a point, to which its heading comes by itself. Where that is the body's origin, `ahead`
-    that of the robot, any reference of a position will do, and its heading is not looked at. Else it is the
-    point as far ahead of the reference's pose, which must be one that wheels can follow, such as
-    `Tangent(path)`, and not go backwards, where the robot would turn about.
+    If `ahead` is the robot's own value, the point is the body's origin: the reference may be any motion of a
+    position, and its heading is not used. Otherwise the reference point lies ahead of the reference pose.
+    Then the wheels must be able to follow the reference, such as ``Tangent(path)``, and it must not move
+    backwards, where the robot would turn around.
 
-    Estimates stay within their bounds; what they gain in a sample is taken back where the commands are
-    limited and the gain would push them further.
+    Estimates stay within their bounds. Where the commands are limited and an estimate would grow further, its
+    last increment is removed.
 
     Parameters
     ----------
     robot : VelocityRobot
-        The model whose theta is the first estimate.
+        Controller model; its theta is the initial estimate.
     ahead : float, optional
-        a, from the axle to the point, > 0 [m]; by default that of the robot, and 0.2 m where that is not
-        above zero.
+        Distance a from the axle to the point, > 0 [m]; default: the robot's, or 0.2 m if that is not above
+        zero.
     kp : float
-        Gain of the point's place, > 0 [1/s].
+        Gain of the position error, > 0 [1/s].
     saturation : float
-        l, most speed along x and y that an error of the place asks for, > 0 [m/s].
+        Largest speed l along x and y that a position error commands, > 0 [m/s].
     k : array_like, shape () or (2,)
         Gains of speed and yaw rate, > 0 [1/s].
     gamma : array_like, shape () or (6,), optional
-        Gain of each estimate, >= 0: an expected error squared over what is allowed of the sum above. By
-        default 1, 0.1 and 4 times theta_1 of theta_1, theta_3 and theta_4, and likewise theta_2 of the rest.
+        Adaptation gain of each estimate, >= 0: expected squared error divided by the allowed value of the sum
+        above. By default 1, 0.1 and 4 times theta_1 for theta_1, theta_3 and theta_4, and likewise with
+        theta_2 for the others.
     leakage : float
-        Rate at which estimates go back to the first, against drift, >= 0 [1/s]; it costs accuracy.
+        Leakage rate toward the initial estimates, against drift, >= 0 [1/s]; it costs accuracy.
     lower, upper : array_like, shape (6,), optional
-        Bounds of theta; by default a tenth of the robot's where it must be above zero.
+        Bounds of theta; default: a tenth of the robot's value for the positive entries.
 
     Raises
     ------
     InvalidArgument
-        If an argument is something else, or the bounds exclude the robot's theta; at the start of a run, if
-        the reference cannot be followed, or the loop is unstable at its dt with the mean of Y gamma Y' along
+        If an argument is out of range, or the bounds exclude the robot's theta; at the start of a run, if the
+        robot cannot follow the reference, or the sampled loop is unstable with the mean of Y gamma Y' along
         the reference.
+
+    See Also
+    --------
+    VelocityRobot : plant and model of speed and yaw rate
+    controllers.VelocityCommand : commands without a model
+    Adaptive : adaptive control of forces
+    identify_velocity : estimates theta from a log
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, Tangent, VelocityRobot, simulate
+    >>> from pinmobile.controllers import AdaptiveVelocity
+    >>> robot = VelocityRobot(theta=[0.3, 0.2, 0, 1, 0, 1])
+    >>> model = VelocityRobot(theta=[0.6, 0.4, 0, 1, 0, 1])
+    >>> path = Tangent(Circle(radius=1.0, rate=0.5, duration=2.0))
+    >>> run = simulate(robot, AdaptiveVelocity(model), path, dt=0.05,
+    ...                v0=0 * robot.rest)
+    >>> print(f"{1e3 * max(run.max_error()[:2]):.0f} mm from rest")
+    50 mm from rest
     """
 
-    robot: Any = child(Commanded, doc="model whose theta is the first estimate")
+    robot: Any = child(Commanded, doc="controller model; its theta is the initial estimate")
     ahead: float = number(
         default=_usual(lambda self: self._own if self._own > 0 else _AHEAD),
         above=0.0,
         unit="m",
-        doc="from the axle to the point that follows",
+        doc="distance from the axle to the point that follows",
     )
-    kp: float = number(default=0.8, above=0.0, unit="1/s", doc="gain of the point's place")
+    kp: float = number(default=0.8, above=0.0, unit="1/s", doc="gain of the position error")
     saturation: float = number(
-        default=0.2, above=0.0, unit="m/s", doc="most speed that an error of the place asks for"
+        default=0.2, above=0.0, unit="m/s", doc="largest speed that a position error commands"
     )
     k: Any = array(
         default=3.0,
         shapes=((), ("n",)),
         above=0.0,
         unit="1/s",
-        doc="gain of the velocities",
+        doc="gains of speed and yaw rate",
         labels=("speed", "yaw_rate"),
         size=lambda self: 2,
     )
@@ -122,7 +143,7 @@ class AdaptiveVelocity:
         size=lambda self: _SIZE,
     )
     leakage: float = number(
-        default=0.0, lower=0.0, unit="1/s", doc="rate at which estimates go back to the first"
+        default=0.0, lower=0.0, unit="1/s", doc="leakage rate toward the initial estimates"
     )
     lower: Any = bound(
         -1.0, "lower bounds of theta", _usual(lambda self: _LEAST_EXCITATION * self._theta - _FREE)
@@ -131,7 +152,7 @@ class AdaptiveVelocity:
 
     @property
     def _own(self) -> float:
-        """From the axle of the robot to its own point [m]."""
+        """Distance from the axle of the robot to its point [m]."""
         return scalar("ahead of robot", self.robot.ahead)
 
     @property
@@ -140,7 +161,7 @@ class AdaptiveVelocity:
         return vector("theta of robot", self.robot.theta, _SIZE)
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where bounds are none or exclude the robot's theta."""
+        """Raise `InvalidArgument` for bounds of a wrong shape, or that exclude the robot's theta."""
         for name in ("lower", "upper"):
             shaped(name, getattr(self, name), (_SIZE,))
         theta, lower, upper = self._theta, self.lower, self.upper
@@ -149,11 +170,11 @@ class AdaptiveVelocity:
 
     @structure
     def _follows_pose(self) -> bool:
-        """Whether the point is another than the robot's own, of which any reference will do."""
+        """Whether the point differs from the robot's own, so that the reference's heading matters."""
         return bool(self.ahead != self._own)
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, Any, float]:
-        """Return the robot's theta, that before, errors, commands asked for, and the time between samples."""
+        """Return theta, the theta before, errors, the last commands, and the time step."""
         reference = reference_of(context)
         if reference is not None and self._follows_pose:
             t = np.asarray(context.t)
@@ -161,15 +182,15 @@ class AdaptiveVelocity:
             if (speed < _BACKWARDS).any():
                 j = int(np.argmax(speed < _BACKWARDS))
                 raise InvalidArgument(
-                    f"reference goes at {speed[j]:.3g} m/s at t = {t[j]:g} s, expected one that does not go "
-                    "backwards, where a point ahead of the axle turns about"
+                    f"reference has a speed of {speed[j]:.3g} m/s at t = {t[j]:g} s, expected one that "
+                    "does not move backwards, where a point ahead of the axle turns around"
                 )
         self._check_held(context.dt, reference)
         none = np.zeros(2)
         return self.robot.theta, self.robot.theta, none, none, float(context.dt)
 
     def _check_held(self, dt: float, reference: Any) -> None:
-        """Refuse gains at which place, velocity and estimate, the model exact, are unstable."""
+        """Raise `InvalidArgument` for gains at which the sampled loop is unstable for an exact model."""
 
         def gains() -> dict[str, Any]:
             return {"kp": self.kp, "k": self.k, "gamma": self.gamma, "theta": self.robot.theta}
@@ -178,7 +199,7 @@ class AdaptiveVelocity:
             kp, k, gamma, theta = map(np.asarray, gains().values())
             inertia, loss, kp = theta[..., :2], theta[..., [3, 5]], kp[..., None] + 0 * k
             decay = np.exp(-dt * loss / inertia)
-            gained = (1 - decay) / loss  # of a velocity, per command
+            gained = (1 - decay) / loss  # velocity per command
             moved = (dt - inertia * gained) / loss
             asked = inertia * k * kp, loss - inertia * (kp + k), 1 + 0 * kp
             grown = dt * _squares(gamma, reference)
@@ -191,13 +212,13 @@ class AdaptiveVelocity:
         check_held(gains, loop, dt)
 
     def applied(self, u: Array, state: tuple[Any, Any, Any, Any, float]) -> tuple[Any, Any, Any, Any, float]:
-        """Return the state, estimates without what a limit of the commands kept them from, shape (..., 2)."""
+        """Return the state without the increments that a limit makes useless, shape (..., 2)."""
         theta, before, errors, asked, dt = state
         further = (asked - u) * errors
         return np.where(_of_each(further) > 0.0, before, theta), before, errors, asked, dt
 
     def signals(self, state: tuple[Any, Any, Any, Any, float]) -> dict[str, Any]:
-        """Return the estimate."""
+        """Return the estimate of theta."""
         return {"theta": ("s, s, s m/rad^2, 1, s/m, 1", state[0])}
 
     def __call__(
@@ -225,7 +246,7 @@ class AdaptiveVelocity:
         return asked, (after, theta, errors, asked, dt)
 
     def _wanted(self, q: Array, nu: Array, reference: State) -> tuple[Changing, Changing]:
-        """Return speed and yaw rate that the kinematic law asks for."""
+        """Return the speed and yaw rate of the kinematic law, with their rates."""
         ahead, off = self.ahead, self.ahead - self.robot.ahead
         u, w = nu[..., 0], nu[..., 1]
         psi, turn = Changing(q[..., 2], w), Changing(reference.v[..., 2], reference.a[..., 2])
@@ -249,13 +270,13 @@ class AdaptiveVelocity:
 
 
 def _of_each(rows: Any) -> Any:
-    """Return numbers of speed and yaw rate, shape (..., 2), for each entry of theta, shape (..., 6)."""
+    """Return values of speed and yaw rate, shape (..., 2), for each entry of theta, shape (..., 6)."""
     speed, turning = rows[..., 0], rows[..., 1]
     return np.stack([speed, turning, speed, speed, turning, turning], axis=-1)
 
 
 def _squares(gamma: Array, reference: Any) -> Array:
-    """Return the mean of Y gamma Y' along the motion of a reference's point, shape (2,)."""
+    """Return the mean of Y gamma Y' along the motion of a reference point, shape (2,)."""
     if reference is None:
         return np.zeros(2)
     (x, y), (ax, ay) = (np.moveaxis(part[..., :2], -1, 0) for part in (reference.v, reference.a))
@@ -272,68 +293,88 @@ def _squares(gamma: Array, reference: Any) -> Array:
 
 _BASE = 3  # coordinates of the base: x, y, psi
 _BODY = 4  # parameters of a body in the plane: m, m com_x, m com_y, and inertia about the frame's vertical
-_EACH = 10  # parameters of a body in space, as `regressor` has them
+_EACH = 10  # parameters of a body in space, as in `regressor`
 _RATES = (2 / 3, 1 / 15, 1 / 15, 1 / 50)  # gains of the estimates of a body in the plane, per kg of it
-_RUBBING = (2.0, 1.0)  # of viscous friction and of that which does not grow, per diagonal of M,
-_TURNING = 1.8  # and so many times that where a coordinate is an angle
-_ROUNDING = 1e-9  # relative, within which a force is applied as it is asked for
-_LEAST = 0.04  # of the nominal inertia about the centre of mass, which an estimate keeps
+_RUBBING = (2.0, 1.0)  # gains of viscous and dry friction, per diagonal entry of M
+_TURNING = 1.8  # factor of these gains if a coordinate is an angle
+_ROUNDING = 1e-9  # relative tolerance for the equality of applied and desired force
+_LEAST = 0.04  # smallest ratio of the estimated and nominal inertia about the centre of mass
 
 
 def _flag(name: str, value: Any) -> bool:
+    """Return a value after a check that it is True or False."""
     return bool(instance(name, value, bool, "True or False"))
 
 
 @final
 @part
 class Adaptive(OfBody):
-    """Adaptive control (Slotine and Li, 1987): the parameters phi of the model are estimated on the way.
+    """Adaptive control (Slotine and Li, 1987): it estimates the model's parameters phi in the run.
 
-        tau = Y phi + kd s,   phi' = gamma Y' s,   s = e' + slope e
+    ::
 
-    Y = Y(q, v, v_r, a_r) is the regressor, M a_r + C v_r + g = Y phi. With the right structure
-    s' M s / 2 + (phi - true)' gamma^-1 (phi - true) / 2 falls at s' kd s, so that the error vanishes; the
-    estimates become right only where the motion excites them. phi is that of a body in the plane, mass, mass
-    times centre of mass, and inertia about the frame's vertical; of a robot with arms it is
-    `inertial_parameters`. With friction, c and f of each coordinate follow, the base's along the body's axes:
-    c v_r and f S(v_r), S(z) = z / sqrt(z^2 + speed^2).
+        tau = Y phi + kd s,   d phi/dt = gamma Y' s,   s = de/dt + slope e
 
-    Of a step whose force is cut off by limits nothing is learnt: errors that these leave would drive phi
-    away. After each step phi is brought back into its bounds, of which a body in the plane has one more: its
-    inertia about the centre of mass stays above a share of the nominal.
+    Y = Y(q, v, v_r, a_r) is the regressor: M a_r + C v_r + g = Y phi. If the model structure is right, the
+    sum s' M s / 2 + (phi - true)' gamma^-1 (phi - true) / 2 decreases at s' kd s. Therefore the error
+    converges to zero. The estimates converge only if the motion excites them. For a planar body, phi contains
+    mass, mass times centre of mass, and inertia about the vertical axis of the frame; for a robot with arms
+    it is `inertial_parameters`. With `friction`, coefficients c and f of each coordinate follow, those of the
+    base along the body's axes: c v_r and f S(v_r), S(z) = z / sqrt(z^2 + speed^2).
+
+    Steps whose force is cut off by limits do not change phi, because their errors would drive phi away. After
+    each step phi is clipped to its bounds. A planar body has one more bound: its inertia about the centre of
+    mass stays above a fraction of the nominal value.
 
     Parameters
     ----------
     robot : MobileRobot
-        The model whose parameters are the first estimate.
+        Controller model; its parameters are the initial estimate.
     slope : array_like, shape () or (n,)
-        Rate at which errors vanish where s does, > 0 [1/s].
+        Decay rate of errors on the surface s = 0, > 0 [1/s].
     kd : array_like, shape () or (n,), optional
-        Gain of s, > 0 [N s/m, N m s/rad]; by default 4 / s times the diagonal of M at rest.
+        Gain of s, > 0 [N s/m, N m s/rad]; default: 4 1/s times the diagonal of M at rest.
     gamma : array_like, shape () or (p,), optional
-        Gain of each parameter's estimate, >= 0: an expected error squared over what is allowed of the sum
-        above; by default in proportion to the robot's mass, and with arms to what each body has.
+        Adaptation gain of each parameter, >= 0: expected squared error divided by the allowed value of the
+        sum above; default: proportional to the robot's mass, or to the parameters of each body of a robot
+        with arms.
     friction : bool
         Whether friction is estimated too.
     speed : float
-        Of the friction that does not grow with speed, > 0 [m/s, rad/s].
+        Speed at which dry friction has 71 % of its size, > 0 [m/s, rad/s].
     dead_zone : float
-        Norm of s below which nothing is estimated, two or three times its noise, >= 0 [m/s, rad/s].
+        Smallest norm of s that adapts the estimates, usually two or three times its noise, >= 0 [m/s, rad/s].
     leakage : float
-        Rate at which estimates go back to the first, against drift, >= 0 [1/s]; it costs accuracy.
+        Leakage rate toward the initial estimates, against drift, >= 0 [1/s]; it costs accuracy.
     lower, upper : array_like, shape (p,), optional
-        Bounds of the parameters; by default a tenth of the nominal mass of each body, and friction >= 0.
-    difference : callable
-        ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own.
+        Bounds of the parameters; default: a tenth of the nominal mass of each body, and friction >= 0.
+    difference : callable, optional
+        ``difference(q0, q1)``: displacement from q0 to q1; default: the robot's.
 
     Raises
     ------
     InvalidArgument
-        If an argument is something else, or the bounds exclude the robot's own parameters; at the start of a
-        run, if the loop is unstable at its dt.
+        If an argument is out of range or has another shape, the bounds exclude the robot's parameters, or the
+        robot has wheels; at the start of a run, if the sampled loop is unstable.
+
+    See Also
+    --------
+    ComputedTorque : law for a known model
+    controllers.AdaptiveVelocity : adaptive control of speed and yaw rate
+    identify : estimates the parameters from a log
+
+    Examples
+    --------
+    >>> from pinmobile import Adaptive, Circle, MobileRobot
+    >>> from pinmobile import Tangent, simulate
+    >>> robot, model = MobileRobot(30.0, 1.3), MobileRobot(20.0, 1.3)
+    >>> path = Tangent(Circle(radius=0.4, rate=2.0, duration=2.0))
+    >>> run = simulate(robot, Adaptive(model), path, dt=0.05)
+    >>> print(f"{run.signals['mass'].values[-1]:.0f} kg, from 20 kg")
+    25 kg, from 20 kg
     """
 
-    robot: Any = child(Passive, doc="model whose parameters are the first estimate")
+    robot: Any = child(Passive, doc="controller model; its parameters are the initial estimate")
     slope: Any = each(default=4.0, above=0.0, unit="1/s", doc=SLOPE, size=coordinates_of)
     kd: Any = each(
         default=attrs.Factory(lambda self: 4.0 * np.diagonal(self._inertia), takes_self=True),
@@ -344,12 +385,12 @@ class Adaptive(OfBody):
     )
     gamma: Any = array(default=None, shapes=((), ("p",)), lower=0.0, fixed=True, doc="gains of estimates")
     friction: bool = option(default=False, doc="whether friction is estimated too", check=_flag)
-    speed: float = number(default=0.01, above=0.0, unit="m/s, rad/s", doc="of friction that does not grow")
+    speed: float = number(default=0.01, above=0.0, unit="m/s, rad/s", doc="speed of dry friction")
     dead_zone: float = number(
-        default=0.0, lower=0.0, unit="m/s, rad/s", doc="norm of s below which nothing is estimated"
+        default=0.0, lower=0.0, unit="m/s, rad/s", doc="smallest norm of s that adapts the estimates"
     )
     leakage: float = number(
-        default=0.0, lower=0.0, unit="1/s", doc="rate at which estimates go back to the first"
+        default=0.0, lower=0.0, unit="1/s", doc="leakage rate toward the initial estimates"
     )
     lower: Any = bound(-1.0, "lower bounds of the parameters")
     upper: Any = bound(1.0, "upper bounds of the parameters")
@@ -357,19 +398,19 @@ class Adaptive(OfBody):
 
     @structure
     def _inertia(self) -> Array:
-        """Mass matrix at rest."""
+        """Mass matrix at rest, shape (n, n)."""
         return frozen(self.robot.mass_matrix(self.robot.rest))
 
     @structure
     def _nominal(self) -> Array:
-        """The first estimate, shape (p,)."""
+        """Initial estimate, shape (p,)."""
         M = self._inertia
         is_planar = len(M) == _BASE
         own = [M[0, 0], M[1, 2], -M[0, 2], M[2, 2]] if is_planar else self.robot.inertial_parameters
         return frozen(np.concatenate([own, np.zeros(2 * len(M) * self.friction)]))
 
     def check(self) -> None:
-        """Complete gains and bounds; raise `InvalidArgument` where these exclude the first estimate."""
+        """Complete gains and bounds; raise `InvalidArgument` if the bounds exclude the initial estimate."""
         super().check()
         nominal, M = self._nominal, self._inertia
         p, n = len(nominal), len(M)
@@ -377,7 +418,7 @@ class Adaptive(OfBody):
         inertial = nominal[: p - 2 * n * self.friction]
         least = np.full(p, -np.inf)
         least[: len(inertial) : size] = nominal[: len(inertial) : size] / 10
-        least[len(inertial) :] = 0.0  # of friction
+        least[len(inertial) :] = 0.0  # friction
         rates = float(self.robot.mass) * np.array(_RATES) if n == _BASE else _of_bodies(inertial)
         if self.friction:
             sizes = np.where(np.arange(n) < 2, 1.0, _TURNING) * np.diagonal(M)
@@ -391,7 +432,7 @@ class Adaptive(OfBody):
         check_bounds([f"parameter {k}" for k in range(p)], self.lower, nominal, self.upper)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
-        """Return how far estimates are off the robot's own, now and before, a force, and the time step."""
+        """Return the change of the estimates, now and before, the last force, and the time step."""
 
         def loop(dt: float) -> Array:
             slope, gain = diagonal(self.slope), np.linalg.solve(self._inertia, diagonal(self.kd))
@@ -403,13 +444,13 @@ class Adaptive(OfBody):
         return none, none, np.zeros(self.robot.nv), float(context.dt)
 
     def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Return the state, told of the force that is applied, shape (..., n)."""
+        """Return the next state for the applied force, shape (..., n)."""
         change, before, tau, dt = state
         is_whole = np.all(np.abs(u - tau) <= _ROUNDING * (1 + np.abs(tau)), axis=-1)[..., None]
         return np.where(is_whole, change, before), before, tau, dt
 
     def signals(self, state: tuple[Any, ...]) -> dict[str, Any]:
-        """Return the estimates: of a body in the plane its mass, first moment, inertia; and friction."""
+        """Return the estimates: mass, first moment and inertia of a planar body, else all; and friction."""
         phi, n = self._nominal + state[0], self.robot.nv
         inertial = phi[..., : len(self._nominal) - 2 * n] if self.friction else phi
         if n == _BASE:
@@ -428,7 +469,7 @@ class Adaptive(OfBody):
         return own
 
     def _regressor(self, q: Array, v: Array, velocity: Array, acceleration: Array) -> Array:
-        """Return Y(q, v, v_r, a_r), shape (..., n, p), of M a_r + C(q, v) v_r + g and of friction."""
+        """Return Y(q, v, v_r, a_r), shape (..., n, p), for M a_r + C(q, v) v_r + g and friction."""
         c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
         if self.robot.nv == _BASE:
             found = _of_body(c, s, v, velocity, acceleration)
@@ -448,7 +489,7 @@ class Adaptive(OfBody):
         return np.concatenate([found, np.stack(columns, axis=-1)], axis=-1)
 
     def _pushes(self, rates: list[Any], c: Array, s: Array) -> list[Array]:
-        """Return the forces that grow with each of these rates, shape (..., n) each."""
+        """Return the forces proportional to each of these rates, shape (..., n) each."""
         none, found = 0.0 * rates[0], []
         for k, rate in enumerate(rates):
             rows = [none] * len(rates)
@@ -475,7 +516,7 @@ class Adaptive(OfBody):
         return tau, (self._possible(change + np.where(adapts, dt * grown, 0.0)), change, tau, dt)
 
     def _possible(self, change: Array) -> Array:
-        """Return the estimates in their bounds."""
+        """Return the change of the estimates, clipped to their bounds."""
         phi = self._nominal + change
         phi = np.minimum(np.maximum(phi, self.lower), self.upper)
         if self.robot.nv > _BASE:
@@ -489,7 +530,7 @@ class Adaptive(OfBody):
 
 
 def _of_bodies(inertial: Array) -> Array:
-    """Return gains for bodies in space, shape (10 bodies,): half of each number squared, per J."""
+    """Return gains for bodies in space, shape (10 bodies,): half of each squared parameter, per joule."""
     rates = []
     for body in inertial.reshape(-1, _EACH):
         inertia = float(body[4] + body[6] + body[9])  # the trace
@@ -499,7 +540,7 @@ def _of_bodies(inertial: Array) -> Array:
 
 
 def _of_body(c: Array, s: Array, v: Array, velocity: Array, acceleration: Array) -> Array:
-    """Return the regressor of a body in the plane, shape (..., 3, 4)."""
+    """Return the regressor of a planar body, shape (..., 3, 4)."""
     ax, ay, az = (acceleration[..., k] for k in range(_BASE))
     r, vz = v[..., 2], velocity[..., 2]
     none = 0.0 * (ax + r)

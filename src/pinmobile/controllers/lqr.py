@@ -1,4 +1,4 @@
-"""`LQR` along a reference, the tracked linear model, and the stability of sampled loops."""
+"""`LQR` along a reference, the linear model along it, and stability checks of sampled loops."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from pinmobile.parts import Electric, Followed, Linearized, Rolling, able, child
 from pinmobile.plant import Context, Input, inputs_of
 
 _BASE = 3
-_MOST = 4  # designs that are remembered of a robot
-_SYMMETRIC = 1e-9  # of the largest number, by which a matrix may differ from its transpose
-_STILL = 1e-6  # [m/s, rad/s], below which a reference is at rest
+_MOST = 4  # cached designs per robot
+_SYMMETRIC = 1e-9  # tolerance of symmetry, relative to the largest entry
+_STILL = 1e-6  # [m/s, rad/s]; a reference below it is at rest
 _T = TypeVar("_T")
 
 
 class TrackedModel(NamedTuple):
-    """First-order model of the tracked state, and what goes along the reference.
+    """Linear model of the tracked state along a reference.
 
-    Its state is the error of the reference's coordinates, of which there are n, and of the independent
-    velocities, m of them: of a robot that is pushed they are its v.
+    The state contains the errors of the reference's n coordinates and of the m independent velocities. For a
+    robot driven by forces, these are its v.
 
     Attributes
     ----------
     A, B : ndarray, shape (N + 1, n + m, n + m), (N + 1, n + m, nu)
-        Of each sample: d(dx)/dt = A dx + B du.
+        Model at each sample: d(dx)/dt = A dx + B du.
     u, nu : ndarray, shape (N + 1, nu), (N + 1, m)
         Input and independent velocities of the reference.
     """
@@ -45,7 +45,7 @@ class TrackedModel(NamedTuple):
     nu: Array
 
     def discrete(self, h: float) -> tuple[Array, Array]:
-        """Return A and B of a step h with the input held, by the matrix exponential.
+        """Return A and B of a step h with zero-order hold, by the matrix exponential.
 
         Parameters
         ----------
@@ -62,7 +62,7 @@ class TrackedModel(NamedTuple):
 
 
 def tracked_model(robot: Any, reference: State) -> TrackedModel:
-    """Return the first-order model of a robot along a reference.
+    """Return the linear model of a robot along a reference.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def tracked_model(robot: Any, reference: State) -> TrackedModel:
     Raises
     ------
     InvalidArgument
-        If it has not all tracked coordinates, or wheels cannot follow it.
+        If the reference does not contain all tracked coordinates, or the wheels cannot follow it.
     """
     try:
         body = getattr(robot, "array_dynamics", robot)  # the same in all engines
@@ -87,8 +87,8 @@ def tracked_model(robot: Any, reference: State) -> TrackedModel:
     q, v, a = reference.q, reference.v, reference.a
     if v.shape[-1] != body.nv:
         raise InvalidArgument(
-            f"reference has {v.shape[-1]} coordinates, expected all of the robot, {body.nv}: a motion of "
-            "base and arms is WholeBody(robot, base, *joints)"
+            f"reference has {v.shape[-1]} coordinates, expected all of the robot, {body.nv}: for a motion "
+            "of base and arms use WholeBody(robot, base, *joints)"
         )
     u = body.inverse_dynamics(q, v, a)
     A, B = body.linearize_tracked(q, v, u)
@@ -96,7 +96,7 @@ def tracked_model(robot: Any, reference: State) -> TrackedModel:
 
 
 class Weighted:
-    """What weighs the errors of a robot along a reference, and its inputs."""
+    """Base class of laws with weights of errors and inputs of a robot along a reference."""
 
     robot: Any
     Q: Any
@@ -105,7 +105,7 @@ class Weighted:
 
     @cached_property
     def _sizes(self) -> tuple[int, int, int]:
-        """How many coordinates are tracked, independent velocities and inputs there are."""
+        """Numbers of tracked coordinates, independent velocities and inputs."""
         robot, still = self.robot, np.zeros(self.robot.nv)
         A, B = robot.linearize_tracked(robot.rest, still, np.zeros(robot.nu))
         m = len(robot.reduced(robot.rest, still).nu) if able(robot, Rolling) else int(robot.nv)
@@ -113,10 +113,10 @@ class Weighted:
 
     @cached_property
     def _usual(self) -> tuple[Array, Array]:
-        """The usual weights of the tracked state and of the input, as diagonals.
+        """Default weights of the tracked state and of the input, as diagonals.
 
-        Errors cost 400 / m^2 and 100 / rad^2, of velocities 20 and 5, forces 1e-3 / N^2, moments
-        2e-2 / (N m)^2, and volts what the torque costs that they give at rest.
+        Errors cost 400 / m^2 and 100 / rad^2, velocities 20 and 5, forces 1e-3 / N^2, moments 2e-2 / (N m)^2.
+        A voltage costs as much as the torque that it produces at rest.
         """
         robot, (n, m, _) = self.robot, self._sizes
         arms = n - _BASE
@@ -132,34 +132,34 @@ class Weighted:
         return np.array(places + speeds), costs
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where a weight has not the size of what it weighs."""
+        """Raise `InvalidArgument` if a weight has another size than its errors or inputs."""
         n, m, inputs = self._sizes
         for name, size in (("Q", n + m), ("R", inputs)):
             shaped(name, getattr(self, name), (size, size), words=f", or its diagonal, shape ({size},)")
 
 
 def weighting(index: int, doc: str) -> Any:
-    """Declare Q or R of what is `Weighted`: a diagonal or a matrix, kept as matrix."""
+    """Declare Q or R of a `Weighted` law: a diagonal or a matrix, stored as a matrix."""
     usual = attrs.Factory(lambda self: self._usual[index], takes_self=True)
     return option(default=usual, doc=doc, check=partial(weight, above=index == 1))
 
 
 def weight(name: str, value: ArrayLike, *, above: bool) -> Array:
-    """Check a weight, a diagonal of shape (n,) or a matrix, and return the matrix, frozen.
+    """Return a weight, a diagonal of shape (n,) or a matrix, as a read-only matrix after a check.
 
     Parameters
     ----------
     name : str
-        Of the argument.
+        Name of the argument.
     value : array_like
         The weight.
     above : bool
-        Whether it must be positive definite; else semidefinite.
+        Whether it must be positive definite; otherwise positive semidefinite.
 
     Raises
     ------
     InvalidArgument
-        If it is something else.
+        If it has another shape, or is not symmetric or not definite.
     """
     given = shaped(name, finite(name, value), ("n>=1",), ("n>=1", "n"))
     matrix = np.diag(given) if given.ndim == 1 else given
@@ -174,27 +174,27 @@ def weight(name: str, value: ArrayLike, *, above: bool) -> Array:
 
 
 def whole_reference(context: Context, robot: Any) -> Any:
-    """Return the reference of all samples, along which a robot is linearised whose inputs are the plant's.
+    """Return the reference at all samples after a check that model and plant have the same inputs.
 
     Parameters
     ----------
     context : Context
-        What a controller is told before the first sample.
+        Context of the controller's initialisation.
     robot : robot
-        The model that it believes in.
+        Controller model.
 
     Raises
     ------
     InvalidArgument
-        If the context has none, as in calls by hand, or one takes volts and the other does not.
+        If the context has no reference, as in calls by hand, or only one of model and plant takes voltages.
     """
     theirs, own = ([each.unit for each in inputs] for inputs in (context.inputs, inputs_of(robot)))
     if len(theirs) == len(own) and ([unit == "V" for unit in theirs] != [unit == "V" for unit in own]):
         raise InvalidArgument(
-            f"robot has inputs in {', '.join(own)}, and what is driven in {', '.join(theirs)}, expected a "
-            "robot of the same inputs: by_voltage() of wheels takes volts, and "
+            f"robot has inputs in {', '.join(own)}, and the plant in {', '.join(theirs)}, expected a "
+            "model with the inputs of the plant: robot.by_voltage() takes volts, and "
             "TorqueToVoltage(controller, robot) "
-            "gives volts for torques"
+            "turns torques into volts"
         )
     if context.reference is None:
         raise InvalidArgument(
@@ -205,19 +205,19 @@ def whole_reference(context: Context, robot: Any) -> Any:
 
 
 def check_moves(robot: Any, reference: Any, nu: Array, t: float) -> None:
-    """Refuse a reference that ends at rest, of a robot that cannot move in every direction.
+    """Raise an error for a reference that ends at rest, if the robot cannot move in every direction.
 
-    There the first-order model cannot be controlled: no force moves it sideways.
+    At rest the linear model of such a robot is not controllable: no input moves it sideways.
 
     Raises
     ------
     InvalidArgument
-        If it is such.
+        If the reference ends at rest and the robot cannot move sideways.
     """
     if nu.shape[-1] < reference.v.shape[-1] and np.abs(reference.v[-1, :_BASE]).max() < _STILL:
         raise InvalidArgument(
             f"reference ends at rest, at t = {t:g} s, where a {type(robot).__name__} that cannot move "
-            "sideways cannot be controlled to first order, so that no gain exists; expected a reference that "
+            "sideways has no controllable linear model, so that no gain exists; expected a reference that "
             "still moves at its end, a shorter duration=, or Backstepping(law, robot)"
         )
 
@@ -226,18 +226,18 @@ _designs: WeakKeyDictionary[Any, dict[Any, Any]] = WeakKeyDictionary()
 
 
 def remembered(robot: Any, what: tuple[object, ...], arrays: tuple[Array, ...], make: Callable[[], _T]) -> _T:
-    """Return what follows from a robot and some arrays, made once.
+    """Return a result that depends on a robot and some arrays, from the cache or computed.
 
     Parameters
     ----------
     robot : robot
-        What is constant is remembered with it.
+        Robot; the cache holds results of immutable robots only.
     what : tuple
-        What else it follows from.
+        Other values on which the result depends.
     arrays : tuple of ndarray
-        What it follows from.
+        Arrays on which the result depends.
     make : callable
-        Makes it.
+        Function that computes the result.
     """
     if not is_constant(robot):
         return make()
@@ -256,21 +256,21 @@ def remembered(robot: Any, what: tuple[object, ...], arrays: tuple[Array, ...], 
 
 
 def tracked_errors(robot: Any, q: Array, v: Array, reference: State, nu: Array) -> Array:
-    """Return the errors of the tracked state, shape (..., n + m), of a state from a reference and its nu."""
+    """Return the errors of the tracked state, shape (..., n + m), from a reference and its nu."""
     if not able(robot, Rolling):
         return np.concatenate([robot.difference(q, reference.q), nu - v], axis=-1)
     errors = robot.difference(q, completed(q, reference.q))[..., : np.shape(reference.v)[-1]]
     return np.concatenate([errors, nu - robot.independent(q, v)], axis=-1)
 
 
-_ROUNDING = 1e-7  # by which an eigenvalue of a double root at 1 is computed too large
-_SHARE = 1e-3  # of a time step, below which a bound is none
+_ROUNDING = 1e-7  # numerical error of a double eigenvalue at 1
+_SHARE = 1e-3  # of a time step; a smaller bound counts as none
 
 
 def double_integrators(dt: float, kp: Array, kd: Array, ki: Array) -> Array:
-    """Return the loop of x'' = u, u = -kp x - kd x' + ki z, z' = -x, with u held, shape (..., 3 n, 3 n).
+    """Return the matrix of x'' = u, u = -kp x - kd x' + ki z, z' = -x, with zero-order hold.
 
-    The integral z is summed by explicit Euler after u. Gains are matrices, shape (..., n, n).
+    Its shape is (..., 3 n, 3 n). Explicit Euler integrates z after u. Gains are matrices, shape (..., n, n).
     """
     kp, kd, ki = np.broadcast_arrays(kp, kd, ki)
     one = np.eye(kp.shape[-1])
@@ -281,28 +281,28 @@ def double_integrators(dt: float, kp: Array, kd: Array, ki: Array) -> Array:
 
 
 def diagonal(gain: Array) -> Array:
-    """Return gains of each coordinate, shape (..., n), as matrices."""
+    """Return gains of each coordinate, shape (..., n), as diagonal matrices."""
     return np.asarray(gain[..., None] * np.eye(gain.shape[-1]))
 
 
 def check_held(gains: Callable[[], dict[str, Any]], loop: Callable[[float], Array], dt: float) -> None:
-    """Refuse gains with which a loop of a rigid robot, its model exact, is unstable at this time step.
+    """Check that a sampled loop with an exact model of a rigid robot is stable.
 
-    Gains that are symbols, of robots that each have their own, are not looked at.
+    Symbolic gains, which differ between the robots of an ensemble, are not checked.
 
     Parameters
     ----------
     gains : callable
-        Returns them by name, for the message.
+        Function that returns gains by name, for the message.
     loop : callable
-        ``loop(dt)`` returns the matrix from one sample's error to the next one's, shape (..., k, k).
+        ``loop(dt)``: matrix from the error at one sample to that at the next, shape (..., k, k).
     dt : float
         Time between two samples [s].
 
     Raises
     ------
     InvalidArgument
-        If an eigenvalue lies outside the unit circle; with the longest time step at which none does.
+        If an eigenvalue lies outside the unit circle; the message gives the largest stable time step.
     """
 
     def is_stable(step: float) -> bool:
@@ -320,9 +320,9 @@ def check_held(gains: Callable[[], dict[str, Any]], loop: Callable[[float], Arra
         middle = (good + bad) / 2
         good, bad = (middle, bad) if is_stable(middle) else (good, middle)
     if good < _SHARE * dt:
-        raise InvalidArgument(f"gains {words} are unstable at any dt, expected others")
+        raise InvalidArgument(f"gains {words} are unstable at any dt, expected other gains")
     raise InvalidArgument(
-        f"gains {words} are unstable with an input that is held for dt = {dt:g} s, expected "
+        f"gains {words} are unstable with a zero-order hold of dt = {dt:g} s, expected "
         f"dt < {good:.3g} s, or smaller gains"
     )
 
@@ -330,39 +330,57 @@ def check_held(gains: Callable[[], dict[str, Any]], loop: Callable[[float], Arra
 @final
 @part
 class LQR(Weighted):
-    """The linear quadratic regulator along a reference, u = u_d + K(t) (e; e_v), with gains of each sample.
+    """Linear quadratic regulator along a reference, u = u_d + K(t) (e; e_v), with gains at each sample.
 
-    Of the reference's input u_d, and of A and B of the model about each sample with the input held, it takes
+    u_d is the reference's input. With A and B of the linear model at each sample, with zero-order hold::
 
         K_k = (R + B' P B)^-1 B' P A,   P_k = Q + A' P_{k+1} (A - B K_k),
 
-    with P = P_{k+1} (Anderson and Moore, 1990), and after the end that of the last A and B for ever. Errors
-    are of the reference's coordinates, e, and of the independent velocities, e_v: of a robot that is pushed,
-    v; on wheels, those of `WheeledRobot.reduced`, such as speed and yaw rate of a differential drive. To
-    first order, nothing makes the sum of e' Q e + du' R du smaller. The gains follow from the reference, and
-    are the same for all robots of a compiled ensemble: one that spreads ``input_weight`` or the
-    controller's model runs them one after another.
+    with P = P_{k+1} (Anderson and Moore, 1990); after the end, P is the infinite-horizon solution of the last
+    A and B. e contains the errors of the reference's coordinates, and e_v those of the independent
+    velocities: v of a robot driven by forces; on wheels, those of `WheeledRobot.reduced`, such as speed and
+    yaw rate of a differential drive. To first order, this law minimises the sum of e' Q e + du' R du. The
+    gains follow from the reference. All robots of a compiled ensemble share them: an ensemble that spreads
+    ``input_weight`` or the controller model runs its robots one by one.
 
     Parameters
     ----------
     robot : MobileRobot or WheeledRobot
-        The model that the controller believes in; wheels must not steer. Of what ``by_voltage()`` returns,
-        inputs are volts, and the model has the motors' back-EMF and friction.
+        Controller model, without steered wheels. For the result of ``by_voltage()``, inputs are voltages, and
+        the model includes back-EMF and friction of the motors.
     Q : array_like, shape (n + m,) or (n + m, n + m), optional
-        Weight of the n errors of coordinates and m of velocities, positive semidefinite. By default
-        400 / m^2, 100 / rad^2, and 20 and 5 of their rates.
+        Weight of the errors of n coordinates and m velocities, positive semidefinite. Default: 400 / m^2,
+        100 / rad^2, and 20 and 5 for their rates.
     R : array_like, shape (nu,) or (nu, nu), optional
-        Weight of the input beside the reference's, positive definite. By default 1e-3 / N^2, 2e-2 / (N m)^2,
-        and of volts what the torque costs that they give at rest.
+        Weight of the input relative to the reference's, positive definite. Default: 1e-3 / N^2, 2e-2 / (N
+        m)^2; a voltage costs as much as the torque that it produces at rest.
     input_weight : float
         Factor of R, > 0.
 
     Raises
     ------
     InvalidArgument
-        If an argument is something else, or wheels steer; at the start of a run, if the reference has not all
-        coordinates of body and arms, wheels cannot follow it, or it ends at rest on a drive that cannot move
-        sideways, or if one of robot and plant takes volts.
+        If a weight has another shape or is not definite, or the robot steers wheels; at the start of a run,
+        if the reference does not contain all coordinates of body and arms, the wheels cannot follow it, it
+        ends at rest for a drive that cannot move sideways, or only one of model and plant takes voltages.
+
+    See Also
+    --------
+    MPC : the same cost with limits of inputs
+    ComputedTorque : feedback linearisation
+    Backstepping : law for references that end at rest
+
+    Examples
+    --------
+    >>> from pinmobile import LQR, Circle, MobileRobot, Tangent, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
+    >>> for weight in 1.0, 100.0:
+    ...     run = simulate(robot, LQR(robot, input_weight=weight), path,
+    ...                    dt=0.05, q0=[0.1, 0, 0])
+    ...     print(f"at most {run.max_input()[0]:.0f} N")
+    at most 52 N
+    at most 6 N
     """
 
     robot: Any = child(Linearized, doc="model of the controller")
@@ -371,7 +389,7 @@ class LQR(Weighted):
     input_weight: float = number(default=1.0, above=0.0, doc="factor of R, the weight of the input")
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any]:
-        """Return the inputs, velocities and gains of all samples, as schedules."""
+        """Return the inputs, velocities and gains at all samples, as schedules."""
         reference = whole_reference(context, self.robot)
         Q, R = self.Q, self.input_weight * self.R
         dt, t = float(context.dt), np.asarray(context.t)
@@ -395,16 +413,16 @@ class LQR(Weighted):
 
 
 def riccati(A: Array, B: Array, Q: Array, R: Array, stride: int = 1) -> tuple[Array, Array]:
-    """Return gains and costs to go of all samples, backward from that of the last pair for ever.
+    """Return gains and costs to go at all samples, backward from the infinite horizon of the last pair.
 
     Parameters
     ----------
     A, B : ndarray, shape (N + 1, n, n), (N + 1, n, nu)
-        Of the step from each sample, which leads `stride` samples on.
+        Model of the step from each sample over `stride` samples.
     Q, R : ndarray, shape (n, n), (nu, nu)
         Weights.
     stride : int
-        Samples of a step; beyond the end, the last pair stays.
+        Number of samples of a step; after the end, the last pair remains.
 
     Returns
     -------
@@ -413,7 +431,7 @@ def riccati(A: Array, B: Array, Q: Array, R: Array, stride: int = 1) -> tuple[Ar
     Raises
     ------
     InvalidArgument
-        If the last pair cannot be controlled.
+        If the last pair is not controllable.
     """
     from scipy.linalg import solve_discrete_are
 
@@ -422,7 +440,7 @@ def riccati(A: Array, B: Array, Q: Array, R: Array, stride: int = 1) -> tuple[Ar
         last = solve_discrete_are(A[-1], B[-1], Q, R)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise InvalidArgument(
-            f"robot cannot be controlled to first order at the end of the reference: {error}; expected a "
+            f"robot has no controllable linear model at the end of the reference: {error}; expected a "
             "motor for each degree of freedom, and Q that weighs every coordinate"
         ) from error
     P[len(A) :] = (last + last.T) / 2

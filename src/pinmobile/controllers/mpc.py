@@ -1,4 +1,4 @@
-"""`MPC`, linear time-varying model predictive control, and its condensed quadratic program."""
+"""`MPC`: linear time-varying model predictive control, and its condensed quadratic program."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ from pinmobile.errors import InvalidArgument, NotSolved, NotTraceable, imported
 from pinmobile.parts import Linearized, Rolling, able, array, child, integer, number, part
 from pinmobile.plant import Context, inputs_of
 
-_SOFT = 8  # of daqp: a bound that may be violated, at a cost
-_AT_UPPER, _AT_LOWER = 1, 3  # of daqp: a bound that it begins with, as active
-_TIGHT = 1e-9  # within which daqp holds bounds
+_SOFT = 8  # flag of daqp: a bound that may be violated at a cost
+_AT_UPPER, _AT_LOWER = 1, 3  # flags of daqp: a bound that is active at the start
+_TIGHT = 1e-9  # tolerance of bounds in daqp
 
 
 class Program(NamedTuple):
-    """A quadratic program of z, by which inputs differ from those of the gains, in a metric where H is 1.
+    """Quadratic program in z, the scaled difference of inputs and LQR inputs; its Hessian is the identity.
 
     Attributes
     ----------
     H, f : ndarray, shape (N nu, N nu), (N nu,)
-        Of the cost z' H z / 2 + f' z.
+        Cost z' H z / 2 + f' z.
     A : ndarray, shape (rows, N nu)
-        For each step inputs, and states that are bounded, by z.
+        Inputs and bounded states of each step, per z.
     lower, upper : ndarray, shape (rows,)
         Bounds of A z.
     sense : ndarray of int32, shape (rows,)
-        Which of them are soft.
+        Flags of the bounds: which of them are soft.
     """
 
     H: Array
@@ -56,12 +56,12 @@ class Program(NamedTuple):
     sense: Any
 
     def solved(self, prices: Array) -> tuple[Array, Array, int]:
-        """Return z, the price of each bound, and what daqp says: above 0 where it is solved.
+        """Return z, the multiplier of each bound, and the exit flag of daqp, above 0 for a solution.
 
         Parameters
         ----------
         prices : ndarray, shape (rows,)
-            Of a program near it: bounds that have one are those that are tried first.
+            Multipliers of a similar program: the solver starts with its active bounds.
         """
         solve = solver()
         begun = self.sense | np.where(prices > 0, _AT_UPPER, np.where(prices < 0, _AT_LOWER, 0))
@@ -75,16 +75,16 @@ class Program(NamedTuple):
 
 
 class Plan:
-    """What is known of all N + 1 samples at the start.
+    """Model and matrices at all N + 1 samples, computed before the first one.
 
-    Inputs are those of the gains K, and w beside: the cost of w alone is the sum of w' S w, S = R + B' P B,
-    so that with S = L L' and z = L' w it is that of z' z, and daqp has nothing to factor. What follows from z
-    of one sample, however late, is known beforehand: a program's rows are copies.
+    Inputs are those of the gains K plus w. The cost of w alone is the sum of w' S w, S = R + B' P B. With S =
+    L L' and z = L' w it is z' z, and daqp needs no factorisation. The responses to z of one sample at all
+    later samples are computed in advance: the rows of a program are copies.
 
     Parameters
     ----------
     model : TrackedModel
-        Of the robot along the reference.
+        Linear model of the robot along the reference.
     x : ndarray, shape (N + 1, n + m)
         Tracked state of the reference.
     Q, R : ndarray
@@ -92,22 +92,22 @@ class Plan:
     dt : float
         Time between two samples [s].
     stride, horizon : int
-        Samples of a prediction's step, and how many steps there are.
+        Number of samples of a prediction step, and number of steps.
     kept : ndarray of bool, shape (n + m,)
-        Which states are bounded.
+        Whether each state is bounded.
 
     Attributes
     ----------
     F, K : ndarray, shape (N + 1, n + m, n + m), (N + 1, nu, n + m)
-        From each sample to the next step with the gains alone, and these.
+        Closed-loop model from each sample to the next step, and its gains.
     u, x : ndarray, shape (N + 1, nu), (N + 1, n + m)
         Input and tracked state of the reference.
     moves : ndarray, shape (N + 1, nu, nu)
-        Input beside that of the gains, by z.
+        Input w per z.
     responses : ndarray, shape (N + 1, horizon, nu + kept, nu)
-        By z of each sample: inputs so many steps later, and bounded states after them.
+        Later inputs, and bounded states after them, per z of each sample.
     slopes, pushes, pulls : ndarray, shape (N + 1, m, n + m), (N + 1, m, nu), (N + 1, nu, m)
-        Of the rates of independent velocities: by the state, by the input, and the input of one.
+        Rates of independent velocities per state and per input, and the pseudoinverse of the latter.
     """
 
     def __init__(
@@ -142,11 +142,11 @@ class Plan:
         self.sense = np.tile(np.repeat(np.array([0, _SOFT], np.int32), [nu, len(soft)]), horizon)
 
     def at(self, k: int) -> Any:
-        """Return the samples of a horizon, shape (horizon + 1,); after the end, the last one stays."""
+        """Return the samples of a horizon, shape (horizon + 1,); after the end, the last one repeats."""
         return np.minimum(k + self.stride * np.arange(self.horizon + 1), len(self.u) - 1)
 
     def ahead(self, at: Any, dx: Array) -> tuple[Array, Array]:
-        """Return inputs and next states with the gains alone, shape (horizon, nu), (horizon, n + m)."""
+        """Return inputs and next states of the gains alone, shape (horizon, nu), (horizon, n + m)."""
         states = np.empty((self.horizon + 1, len(dx)))
         states[0] = dx
         for j, step in enumerate(self.F[at[:-1]]):
@@ -159,9 +159,9 @@ class Plan:
         Parameters
         ----------
         at : ndarray of int, shape (horizon + 1,)
-            Its samples.
+            Samples of the horizon.
         lower, upper : ndarray, shape (horizon, nu + kept)
-            Bounds of inputs and states beside those of the gains.
+            Bounds of inputs and states relative to those of the gains.
         """
         N, rows, nu = self.responses.shape[1:]
         A = np.zeros((N, rows, N * nu))
@@ -178,18 +178,18 @@ def solver() -> Any:
     Raises
     ------
     InvalidArgument
-        If it is not installed.
+        If daqp is not installed.
     """
     return imported("daqp", "mpc", "MPC").solve
 
 
 _MANY = 10_000
-_WHOLE = 1e-9  # relative rounding allowed in step / dt, and in limits beside those of motors
-_OFF, _TIMES = 0.1, 8  # [m, rad], by which a call that is timed is off the reference, and doublings
+_WHOLE = 1e-9  # relative tolerance of step / dt, and of limits compared with those of motors
+_OFF, _TIMES = 0.1, 8  # error of a timed call [m, rad], and number of its doublings
 
 
 class _Belief(NamedTuple):
-    """What the observer keeps: whether there was a sample before, its integral, and what it estimates."""
+    """Memory of the observer: whether a sample came before, its integral, and its estimate."""
 
     begun: float
     integral: Array
@@ -199,54 +199,70 @@ class _Belief(NamedTuple):
 @final
 @part
 class MPC(Weighted):
-    """Model predictive control along a reference: inputs within limits, by a quadratic program a sample.
+    """Model predictive control along a reference: a quadratic program per sample keeps inputs within limits.
 
-    Over `horizon` steps of the model about the reference, dx+ = A dx + B (du + d), it makes the sum of
-    dx' Q dx + (du + d)' R (du + d), and dx' P dx at the end, least, such that
+    Over `horizon` steps of the linear model along the reference, dx+ = A dx + B (du + d), it minimises the
+    sum of dx' Q dx + (du + d)' R (du + d) plus the final cost dx' P dx, subject to::
 
-        |u_d + du| <= limits,   and, where that can be, lower <= x <= upper.
+        -limits <= u_d + du <= limits,   and, where possible, lower <= x <= upper.
 
-    P is the cost to go of `LQR` with the same step, so that while nothing is limited both are the same. d is
-    the input that what is not modelled is like, taken as constant: so no constant force leaves an error
-    (Pannocchia and Rawlings, 2003). Of a robot that is pushed its generalised momentum shows it, see
-    `DisturbanceObserver`; on wheels, by what the independent velocities differ from the model about the
-    reference. It needs daqp (Arnstroem, Bemporad and Axehill, 2022), the extra ``pinmobile[mpc]``, which
-    begins with the bounds that were met a sample before, and is not compiled.
+    P is the cost to go of `LQR` with the same step: while no limit is active, both laws are equal. d is a
+    constant input disturbance that represents unmodelled effects. Its estimate removes the steady-state error
+    under a constant force (Pannocchia and Rawlings, 2003). For a robot driven by forces it follows from the
+    generalised momentum, see `DisturbanceObserver`; on wheels, from the difference of the independent
+    velocities and the model. The solver is daqp (Arnstroem, Bemporad and Axehill, 2022), of the extra
+    ``pinmobile[mpc]``; it starts with the active bounds of the sample before. The law is not compiled.
 
     Parameters
     ----------
     robot : MobileRobot or WheeledRobot
-        The model that the controller believes in; wheels must not steer. Of what ``by_voltage()`` returns,
-        inputs and `limits` are volts, see `LQR`.
+        Controller model, without steered wheels. For the result of ``by_voltage()``, inputs and `limits` are
+        voltages, see `LQR`.
     horizon : int
-        Steps that are predicted.
+        Number of predicted steps.
     step : float
-        Each of them, a whole number of time steps [s]. Some 2 s altogether are worth more than fine steps.
+        Length of a step, a whole number of time steps [s]. A horizon of about 2 s is worth more than fine
+        steps.
     limits : array_like, shape () or (nu,), optional
-        Largest inputs, at most those of the robot, which are the default and where one is infinite.
+        Largest inputs, at most those of the robot, which are the default and replace infinite entries.
     lower, upper : array_like, shape (k,), optional
         Soft bounds of the first k of the n coordinates and m independent velocities, such as x and y;
-        infinite where there is none.
+        infinite without a bound.
     Q, R : array_like, optional
-        Weights, as of `LQR`, for one time step of the controller; see there.
+        Weights as in `LQR`, for one time step of the controller.
     observer : float
-        Rate of the estimate d [1/s]; 0: none is estimated.
+        Rate of the estimate of d [1/s]; 0: no estimate.
     input_weight : float
         Factor of R, > 0.
 
     Raises
     ------
     InvalidArgument
-        If an argument is something else, or limits are beyond those of the robot; at the start of a run, if
-        the limits exclude the reference, the step is no whole number of time steps, the horizon no longer
-        than the delay of what it is told (see `MeasurementDelay`), the estimate unstable at this dt, or as
-        of `LQR`.
+        If an argument is out of range, or limits exceed those of the robot; at the start of a run, if the
+        limits exclude the reference, the step is not a whole number of time steps, the horizon is not longer
+        than the measurement delay (see `MeasurementDelay`), the estimate is unstable at this time step, or as
+        in `LQR`.
     NotSolved
         If a quadratic program has no solution.
+
+    See Also
+    --------
+    LQR : the same cost without limits, compiled
+    InputSaturation : limits without prediction
+
+    Examples
+    --------
+    >>> from pinmobile import MPC, Circle, MobileRobot, Tangent, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> law = MPC(robot, limits=[15.0, 15.0, 5.0])
+    >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=1.0))
+    >>> run = simulate(robot, law, path, dt=0.05, q0=[0.1, 0, 0])
+    >>> print(f"at most {run.max_input()[0]:.0f} N")
+    at most 15 N
     """
 
     robot: Any = child(Linearized, doc="model of the controller")
-    horizon: int = integer(default=40, least=1, doc="steps that are predicted")
+    horizon: int = integer(default=40, least=1, doc="number of predicted steps")
     step: float = number(default=0.05, above=0.0, unit="s", fixed=True, doc="step of the prediction")
     limits: Any = array(
         default=None,
@@ -267,7 +283,7 @@ class MPC(Weighted):
     input_weight: float = number(default=1.0, above=0.0, doc="factor of R, the weight of the input")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where limits are beyond the robot's, or soft bounds leave no room."""
+        """Raise `InvalidArgument` if limits exceed the robot's, or lower bounds are not below upper ones."""
         super().check()
         limits = [np.inf] * self._sizes[2] if self.limits is None else self.limits
         for one, limit in zip(inputs_of(self.robot), limits, strict=True):
@@ -275,7 +291,7 @@ class MPC(Weighted):
             if largest * (1 + _WHOLE) < limit < np.inf:
                 raise InvalidArgument(
                     f"limits has {limit:.9g} {one.unit} for {one.name}, expected at most {largest:.9g} "
-                    f"{one.unit}, the largest of its motor, beyond which the robot cuts inputs off"
+                    f"{one.unit}, the limit of its motor, at which the robot cuts inputs off"
                 )
         size = sum(self._sizes[:2])
         for name, none in (("lower", -np.inf), ("upper", np.inf)):
@@ -284,13 +300,11 @@ class MPC(Weighted):
             whole[:k] = shaped(name, given, (k,))
             object.__setattr__(self, name, frozen(whole))
         if (self.lower >= self.upper).any():
-            raise InvalidArgument(
-                "lower is not below upper, expected soft bounds between which there is room"
-            )
+            raise InvalidArgument("lower is not below upper, expected lower soft bounds below the upper ones")
 
     @cached_property
     def range(self) -> tuple[Array, Array]:
-        """Least and largest inputs, shape (nu,) each."""
+        """Smallest and largest inputs, shape (nu,) each [N, N m or V]."""
         own = inputs_of(self.robot)
         least, most = np.array([x.lower for x in own]), np.array([x.upper for x in own])
         if self.limits is not None:
@@ -298,7 +312,7 @@ class MPC(Weighted):
         return frozen(least), frozen(most)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
-        """Return the plan, the sample's number, the observer's memory, the last input, and its program's."""
+        """Return the plan, the sample number, the observer's memory, the last input, and the multipliers."""
         solver()
         reference = whole_reference(context, self.robot)
         dt, t = float(context.dt), np.asarray(context.t)
@@ -307,7 +321,7 @@ class MPC(Weighted):
             raise InvalidArgument(f"step is {self.step:g} s, expected a whole number of time steps, {dt:g} s")
         if self.horizon * stride <= context.measurement_delay:
             raise InvalidArgument(
-                f"horizon is {self.horizon * self.step:g} s, no longer than the delay of what it is told, "
+                f"horizon is {self.horizon * self.step:g} s, not longer than the delay of the measurement, "
                 f"{context.measurement_delay * dt:g} s, expected more than "
                 f"{context.measurement_delay / stride:.3g} steps"
             )
@@ -328,7 +342,7 @@ class MPC(Weighted):
             k = int(np.argmax(beyond))
             raise InvalidArgument(
                 f"limits exclude the reference: at t = {t[k]:g} s it needs an input of {plan.u[k].tolist()}, "
-                f"expected limits above that, and not {self.range[1].tolist()}"
+                f"expected limits above that, instead of {self.range[1].tolist()}"
             )
         nu, m = plan.u.shape[-1], len(plan.slopes[0])
         belief = _Belief(0.0, np.zeros(m), np.zeros(nu))
@@ -336,16 +350,16 @@ class MPC(Weighted):
 
     @property
     def _kept(self) -> Any:
-        """Which states are bounded, shape (n + m,)."""
+        """Whether each state is bounded, shape (n + m,)."""
         return np.isfinite(self.lower) | np.isfinite(self.upper)
 
     def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Return the state, told of the input that is applied, shape (nu,)."""
+        """Return the next state for the applied input, shape (nu,)."""
         plan, k, belief, _, prices = state
         return plan, k, belief, u, prices
 
     def signals(self, state: tuple[Any, ...]) -> dict[str, Any]:
-        """Return the input that the disturbance is like, and how many bounds the program's solution meets."""
+        """Return the estimated input disturbance, and the number of active bounds."""
         units = ", ".join(dict.fromkeys(each.unit for each in inputs_of(self.robot)))
         return {
             "disturbance": (units, state[2].disturbance),
@@ -362,7 +376,7 @@ class MPC(Weighted):
             raise NotTraceable(
                 f"MPC solves a quadratic program at each of {len(plan.u):,} samples, so that {_MANY:,} "
                 f"robots take some {hours:.2g} h of a processor",
-                "take LQR in InputSaturation, which is compiled",
+                "use LQR in InputSaturation, which is compiled",
             )
         dx = -tracked_errors(self.robot, q, v, reference, plan.x[k][np.shape(reference.v)[-1] :])
         if self.observer > 0:
@@ -373,7 +387,7 @@ class MPC(Weighted):
     def _believed(
         self, plan: Plan, k: int, q: Array, v: Array, dx: Array, belief: _Belief, last: Array
     ) -> _Belief:
-        """Return what is believed at a sample, before which the input was `last`."""
+        """Return the observer's memory at a sample, with the last input `last`."""
         begun, integral, _ = belief
         if not able(self.robot, Rolling):
             integral = integral + plan.dt * last
@@ -388,7 +402,7 @@ class MPC(Weighted):
     def _input(
         self, t: float, plan: Plan, k: int, dx: Array, estimate: Array, prices: Array
     ) -> tuple[Array, Array]:
-        """Return the first input of the horizon, and the prices of its bounds."""
+        """Return the first input of the horizon, and the multipliers of its bounds."""
         at, kept = plan.at(k), self._kept
         inputs, states = plan.ahead(at, dx)
         inputs += plan.u[at[:-1]] - estimate
@@ -401,8 +415,8 @@ class MPC(Weighted):
         z, prices, flag = program.solved(prices)
         if flag <= 0:
             raise NotSolved(
-                f"the quadratic program of MPC at t = {t:g} s has no solution (daqp says {flag}), expected "
-                "numbers that are finite; the error has its state and problem",
+                f"the quadratic program of MPC at t = {t:g} s has no solution (exit flag {flag} of daqp), "
+                "expected finite numbers; the error contains its state and problem",
                 time=t,
                 state=dx,
                 problem=program._asdict(),
@@ -411,7 +425,7 @@ class MPC(Weighted):
         return np.asarray(np.clip(inputs[0] + w, *self.range)), prices
 
     def _seconds(self, plan: Plan) -> float:
-        """Return what a program of this run takes of a processor, so far off that bounds are met [s]."""
+        """Return the processor time of one program with active bounds [s]."""
         none = np.zeros(plan.u.shape[-1])
         for k in range(_TIMES):
             dx = np.full(plan.x.shape[-1], _OFF * 2**k)
