@@ -80,13 +80,15 @@ class TorqueToVoltage(Wrapper):
 
     Examples
     --------
-    >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable, law
+    >>> from pinmobile import MobileRobot, WheeledRobot
+    >>> from pinmobile import WheelTable, law
     >>> from pinmobile.controllers import TorqueToVoltage
     >>> from pinmobile.plant import Context
     >>> from pinmobile.wheels import Motor
-    >>> motor = Motor(resistance=2.0, torque_constant=0.5, voltage=24.0)
+    >>> motor = Motor(resistance=2.0, torque_constant=0.5, voltage=24)
     >>> wheels = WheelTable.differential(0.4, 0.1, motor=motor)
-    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), wheels).by_voltage()
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), wheels)
+    >>> robot = robot.by_voltage()
     >>> push = TorqueToVoltage(law(lambda t, q, v, r: [2, 2]), robot)
     >>> memory = push.initial_state(Context.of(robot, dt=0.01))
     >>> push(0.0, robot.rest, 0 * robot.rest, None, memory)[0]  # [V]
@@ -151,8 +153,9 @@ class WheelSpeed:
 
     Examples
     --------
-    >>> from pinmobile import Circle, MobileRobot, Tangent, simulate
-    >>> from pinmobile import UnicycleTracking, WheeledRobot, WheelTable
+    >>> from pinmobile import Circle, MobileRobot, Tangent
+    >>> from pinmobile import UnicycleTracking, WheeledRobot
+    >>> from pinmobile import WheelTable, simulate
     >>> from pinmobile.controllers import WheelSpeed
     >>> wheels = WheelTable.differential(0.4, 0.1, spin_inertia=0.01)
     >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), wheels)
@@ -339,7 +342,7 @@ class RandomSteps:
     >>> from pinmobile import simulate
     >>> from pinmobile.controllers import RandomSteps
     >>> robot = VelocityRobot(theta=[0.3, 0.2, 0, 1, 0, 1])
-    >>> unused = FixedHeading(Hold([0.0, 0.0], duration=1.0), psi=0.0)
+    >>> unused = FixedHeading(Hold([0.0, 0.0], 1.0), psi=0.0)
     >>> run = simulate(robot, RandomSteps(seed=3), unused, dt=0.1)
     >>> run.u[0].round(2)  # [m/s, rad/s]
     array([0.11, 0.47])

@@ -103,7 +103,8 @@ class AdaptiveVelocity:
 
     Examples
     --------
-    >>> from pinmobile import Circle, Tangent, VelocityRobot, simulate
+    >>> from pinmobile import Circle, Tangent
+    >>> from pinmobile import VelocityRobot, simulate
     >>> from pinmobile.controllers import AdaptiveVelocity
     >>> robot = VelocityRobot(theta=[0.3, 0.2, 0, 1, 0, 1])
     >>> model = VelocityRobot(theta=[0.6, 0.4, 0, 1, 0, 1])

@@ -77,7 +77,8 @@ class Controller(Protocol):
     ...     def initial_state(self, context):
     ...         return context.difference
     ...     def __call__(self, t, q, v, reference, difference):
-    ...         return 90 * difference(q, reference.q) - 60 * v, difference
+    ...         error = difference(q, reference.q)
+    ...         return 90 * error - 60 * v, difference
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
     >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
     >>> run = simulate(robot, Proportional(), path, dt=0.02)

@@ -156,7 +156,8 @@ class PD:
 
     Examples
     --------
-    >>> from pinmobile import PD, Circle, MobileRobot, Tangent, simulate
+    >>> from pinmobile import PD, Circle, MobileRobot
+    >>> from pinmobile import Tangent, simulate
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
     >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
     >>> run = simulate(robot, PD(kp=120.0, kd=120.0), path, dt=0.01)
@@ -434,9 +435,10 @@ class PID(OfBody):
     --------
     >>> from pinmobile import PID, Circle, ConstantForce, MobileRobot
     >>> from pinmobile import Tangent, simulate
-    >>> robot, wind = MobileRobot(30.0, 1.3), ConstantForce([9, 0, 0])
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
     >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=6.0))
-    >>> run = simulate(robot, PID(robot), path, dt=0.02, forces=[wind])
+    >>> run = simulate(robot, PID(robot), path, dt=0.02,
+    ...                forces=[ConstantForce([9.0, 0.0, 0.0])])
     >>> print(f"{1e3 * abs(run.error[-1, 0]):.2f} mm at the end")
     0.00 mm at the end
     """

@@ -185,7 +185,8 @@ class Tracked(NamedTuple):
     --------
     >>> from pinmobile import UnicycleTracking
     >>> from pinmobile.controllers import Tracked
-    >>> error = Tracked(ahead=0.1, aside=0.0, turn=0.0, speed=1.0, yaw_rate=0.0)
+    >>> error = Tracked(ahead=0.1, aside=0.0, turn=0.0,
+    ...                 speed=1.0, yaw_rate=0.0)
     >>> (v, w), _ = UnicycleTracking(zeta=0.7, b=20.0)(error, None)
     >>> print(f"{v:.2f} m/s, {w:.2f} rad/s")
     1.63 m/s, 0.00 rad/s
@@ -220,7 +221,8 @@ class KinematicLaw(Protocol):
     ...         pass
     ...     def __call__(self, tracked, state):
     ...         x, y, turn, speed, yaw_rate = tracked[:5]
-    ...         return (speed + 2 * x, yaw_rate + 9 * y + 4 * turn), state
+    ...         v, w = speed + 2 * x, yaw_rate + 9 * y + 4 * turn
+    ...         return (v, w), state
     >>> Proportional()(Tracked(0.1, 0.0, 0.0, 1.0, 0.2), None)[0]
     (1.2, 0.2)
     """
@@ -299,7 +301,8 @@ class UnicycleTracking:
     --------
     >>> from pinmobile import UnicycleTracking
     >>> from pinmobile.controllers import Tracked
-    >>> error = Tracked(ahead=0.1, aside=0.0, turn=0.0, speed=1.0, yaw_rate=0.0)
+    >>> error = Tracked(ahead=0.1, aside=0.0, turn=0.0,
+    ...                 speed=1.0, yaw_rate=0.0)
     >>> (v, w), _ = UnicycleTracking(zeta=0.7, b=20.0)(error, None)
     >>> print(f"{v:.2f} m/s, {w:.2f} rad/s")
     1.63 m/s, 0.00 rad/s
@@ -354,7 +357,8 @@ class Kanayama:
     Examples
     --------
     >>> from pinmobile.controllers import Kanayama, Tracked
-    >>> error = Tracked(ahead=0.0, aside=0.1, turn=0.0, speed=1.0, yaw_rate=0.0)
+    >>> error = Tracked(ahead=0.0, aside=0.1, turn=0.0,
+    ...                 speed=1.0, yaw_rate=0.0)
     >>> (v, w), _ = Kanayama(k1=2.0, k2=10.0, k3=5.0)(error, None)
     >>> print(f"{v:.2f} m/s, {w:.2f} rad/s")
     1.00 m/s, 1.00 rad/s
@@ -418,7 +422,8 @@ class Parking:
     Examples
     --------
     >>> from pinmobile.controllers import Parking, Tracked
-    >>> error = Tracked(ahead=1.0, aside=0.0, turn=0.0, speed=0.0, yaw_rate=0.0)
+    >>> error = Tracked(ahead=1.0, aside=0.0, turn=0.0,
+    ...                 speed=0.0, yaw_rate=0.0)
     >>> (v, w), _ = Parking(k1=0.5)(error, None)
     >>> print(f"{v:.2f} m/s, {w:.2f} rad/s")
     0.50 m/s, 0.00 rad/s
@@ -593,8 +598,8 @@ class Backstepping:
 
     Examples
     --------
-    >>> from pinmobile import Backstepping, Circle, MobileRobot, Tangent
-    >>> from pinmobile import UnicycleTracking, WheeledRobot
+    >>> from pinmobile import Backstepping, Circle, MobileRobot
+    >>> from pinmobile import Tangent, UnicycleTracking, WheeledRobot
     >>> from pinmobile import WheelTable, simulate
     >>> wheels = WheelTable.differential(0.4, 0.1, spin_inertia=0.01)
     >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), wheels)
@@ -792,10 +797,11 @@ class SwerveTracking:
     >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable
     >>> from pinmobile import simulate
     >>> from pinmobile.controllers import SwerveTracking
-    >>> wheels = WheelTable.swerve(
-    ...     [(0.3, 0.0), (-0.3, 0.0)], 0.1, spin_inertia=0.01, yaw_inertia=0.01)
+    >>> wheels = WheelTable.swerve([(0.3, 0.0), (-0.3, 0.0)], 0.1,
+    ...                            spin_inertia=0.01, yaw_inertia=0.01)
     >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), wheels)
-    >>> path = FixedHeading(Circle(radius=3.0, rate=0.1, duration=0.5), 0.3)
+    >>> circle = Circle(radius=3.0, rate=0.1, duration=0.5)
+    >>> path = FixedHeading(circle, psi=0.3)
     >>> run = simulate(robot, SwerveTracking(robot), path, dt=0.05,
     ...                engine=Engine.PYTHON)
     >>> print(f"{1e3 * max(run.max_error()[:2]):.2f} mm")

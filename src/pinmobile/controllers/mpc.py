@@ -252,7 +252,8 @@ class MPC(Weighted):
 
     Examples
     --------
-    >>> from pinmobile import MPC, Circle, MobileRobot, Tangent, simulate
+    >>> from pinmobile import MPC, Circle, MobileRobot
+    >>> from pinmobile import Tangent, simulate
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
     >>> law = MPC(robot, limits=[15.0, 15.0, 5.0])
     >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=1.0))

@@ -61,10 +61,11 @@ class DisturbanceObserver(Wrapper):
     >>> from pinmobile import Circle, ComputedTorque, ConstantForce
     >>> from pinmobile import DisturbanceObserver, MobileRobot
     >>> from pinmobile import Tangent, simulate
-    >>> robot, wind = MobileRobot(30.0, 1.3), ConstantForce([9, 0, 0])
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
     >>> law = DisturbanceObserver(ComputedTorque(robot))
     >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
-    >>> run = simulate(robot, law, path, dt=0.02, forces=[wind])
+    >>> run = simulate(robot, law, path, dt=0.02,
+    ...                forces=[ConstantForce([9.0, 0.0, 0.0])])
     >>> run.signals["disturbance"].values[-1].round(1)  # [N, N, N m]
     array([9., 0., 0.])
     """
@@ -183,13 +184,15 @@ class ADRC:
 
     Examples
     --------
-    >>> from pinmobile import ADRC, Circle, ConstantForce, MobileRobot
-    >>> from pinmobile import Tangent, simulate
-    >>> robot, wind = MobileRobot(30.0, 1.3), ConstantForce([9, 0, 0])
+    >>> from pinmobile import ADRC, Circle, ConstantForce
+    >>> from pinmobile import MobileRobot, Tangent, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
     >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
-    >>> run = simulate(robot, ADRC(robot), path, dt=0.02, forces=[wind])
-    >>> run.signals["disturbance"].values[-1, 0].round(2)  # 9 N / 30 kg
-    np.float64(0.3)
+    >>> run = simulate(robot, ADRC(robot), path, dt=0.02,
+    ...                forces=[ConstantForce([9.0, 0.0, 0.0])])
+    >>> estimate = run.signals["disturbance"].values[-1]
+    >>> print(f"{estimate[0]:.2f} m/s^2 for 9 N on 30 kg")
+    0.30 m/s^2 for 9 N on 30 kg
     """
 
     robot: Any = child(
@@ -300,10 +303,10 @@ class InputSaturation(Wrapper):
 
     Examples
     --------
-    >>> from pinmobile import PD, Circle, InputSaturation, MobileRobot
-    >>> from pinmobile import Tangent, simulate
+    >>> from pinmobile import PD, Circle, InputSaturation
+    >>> from pinmobile import MobileRobot, Tangent, simulate
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
-    >>> law = InputSaturation(PD(kp=500.0, kd=100.0), limits=[20, 20, 5])
+    >>> law = InputSaturation(PD(500.0, 100.0), limits=[20, 20, 5])
     >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
     >>> run = simulate(robot, law, path, dt=0.02, v0=[0, 0, 0])
     >>> print(f"at most {run.max_input()[0]:.0f} N")
@@ -358,8 +361,9 @@ class MeasurementDelay(Wrapper):
 
     Examples
     --------
-    >>> from pinmobile import Circle, ComputedTorque, MeasurementDelay
-    >>> from pinmobile import MobileRobot, Tangent, simulate
+    >>> from pinmobile import Circle, ComputedTorque
+    >>> from pinmobile import MeasurementDelay, MobileRobot
+    >>> from pinmobile import Tangent, simulate
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
     >>> law = MeasurementDelay(ComputedTorque(robot), samples=5)
     >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
@@ -419,8 +423,8 @@ class MeasurementNoise(Wrapper):
 
     Examples
     --------
-    >>> from pinmobile import PD, Circle, MeasurementNoise, MobileRobot
-    >>> from pinmobile import Tangent, simulate
+    >>> from pinmobile import PD, Circle, MeasurementNoise
+    >>> from pinmobile import MobileRobot, Tangent, simulate
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
     >>> law = MeasurementNoise(PD(120.0, 120.0), 0.01, 0.0, seed=1)
     >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
@@ -505,15 +509,16 @@ class ControlAllocation(Wrapper):
 
     Examples
     --------
+    >>> import numpy as np
     >>> from pinmobile import PD, ControlAllocation, MobileRobot
     >>> from pinmobile import Reference, WheeledRobot, WheelTable
     >>> from pinmobile.plant import Context
     >>> wheels = WheelTable.differential(track=0.4, radius=0.1)
     >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), wheels)
-    >>> law, rest = ControlAllocation(PD(120.0, 60.0), robot), robot.rest
-    >>> goal = Reference(rest[:3] + [0.1, 0, 0], 0 * rest[:3], 0 * rest[:3])
+    >>> law = ControlAllocation(PD(kp=120.0, kd=60.0), robot)
+    >>> goal = Reference(*np.array([[0.1, 0, 0], [0, 0, 0], [0, 0, 0]]))
     >>> memory = law.initial_state(Context.of(robot, dt=0.01))
-    >>> torques, _ = law(0.0, rest, 0 * rest, goal, memory)
+    >>> torques, _ = law(0.0, robot.rest, 0 * robot.rest, goal, memory)
     >>> torques  # 12 N on two wheels of 0.1 m radius [N m]
     array([0.6, 0.6])
     """

@@ -1,4 +1,4 @@
-"""Curves as functions of time: cubics, lines, polylines, figures; elsewhere, one after another."""
+"""Paths: positions as functions of time, such as cubics, lines, polylines and circles."""
 
 from pinmobile.paths.curves import Circle, CubicVia, Hold, Line, Lissajous, RestToRest, Spline
 from pinmobile.paths.path import (

@@ -1,4 +1,4 @@
-"""Curves: cubics by a via point, splines, lines, points, circles and Lissajous figures."""
+"""Paths through points and figures: cubics, splines, lines, points, circles and Lissajous figures."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pinmobile.paths.path import (
 
 
 class _Figure(Curve):
-    """Abstract base: a path with amplitudes and rates along x and y."""
+    """Abstract base of paths with amplitudes and rates along x and y."""
 
     @property
     def _axes(self) -> tuple[float, float, float, float]:
@@ -33,17 +33,17 @@ class _Figure(Curve):
         raise NotImplementedError
 
     def _place(self, curve: Array, order: int) -> Array:
-        """Return derivatives of (rx sin(wx t), -ry cos(wy t)), shape (..., 2), where the figure lies."""
+        """Return derivatives of (rx sin(wx t), -ry cos(wy t)), shape (..., 2), at the figure's position."""
         raise NotImplementedError
 
     @property
     def pieces(self) -> tuple[Whole]:
-        """The whole figure: it is analytic."""
+        """The figure as one piece, because it is analytic."""
         return (Whole(self),)
 
     def _at(self, t: Array, order: int) -> Array:
-        # Sines and cosines rather than shifted phases: a multiple of pi/2 added would cost their zeros.
-        rx, ry, wx, wy = map(np.float64, self._axes)  # whose powers overflow without an error
+        # Sines and cosines instead of shifted phases, because adding pi/2 would make their zeros inexact.
+        rx, ry, wx, wy = map(np.float64, self._axes)  # NumPy scalars, whose powers overflow without an error
         with np.errstate(all="ignore"):
             x = rx * wx**order * _sine(wx * t, order)
             y = -ry * wy**order * _sine(wy * t, order + 1)
@@ -54,16 +54,47 @@ class _Figure(Curve):
 @final
 @part
 class Lissajous(_Figure):
-    """The Lissajous figure that starts at the origin: x = rx sin(wx t), y = ry - ry cos(wy t).
+    """Lissajous figure that starts at the origin (lecture, section 5.3).
 
-    Lecture, section 5.3. A circle for rx = ry and wx = wy (see `Circle`), an ellipse for wx = wy alone.
-    A negative amplitude mirrors the figure.
+    ::
+
+        x = rx sin(wx t),   y = ry - ry cos(wy t)
+
+    It is a circle for rx = ry and wx = wy (see `Circle`), and an ellipse for wx = wy alone. A negative
+    amplitude mirrors the figure.
+
+    Parameters
+    ----------
+    rx, ry : float
+        Amplitudes along x and y [m].
+    wx, wy : float
+        Angular frequencies along x and y [rad/s].
+    duration : float
+        Duration of the path, > 0 [s].
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite or not in its range.
+
+    See Also
+    --------
+    Circle : circle with any center and start
+    Tangent : trajectory along a path
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import Lissajous
+    >>> eight = Lissajous(2.0, 1.0, wx=0.5, wy=1.0, duration=12.6)
+    >>> eight(np.pi)  # [m]
+    array([2., 2.])
     """
 
     rx: float = number(unit="m", doc="amplitude of the figure along x")
     ry: float = number(unit="m", doc="amplitude of the figure along y")
-    wx: float = number(unit="rad/s", doc="rate of the figure along x")
-    wy: float = number(unit="rad/s", doc="rate of the figure along y")
+    wx: float = number(unit="rad/s", doc="angular frequency along x")
+    wy: float = number(unit="rad/s", doc="angular frequency along y")
     duration: float = number(above=0, unit="s", fixed=True, doc="duration of the path")
 
     @property
@@ -79,18 +110,55 @@ class Lissajous(_Figure):
 @final
 @part
 class Circle(_Figure):
-    """A circle; without more words that which starts at the origin along the x axis.
+    """Circle; by default it starts at the origin along the x axis.
+
+    ::
 
         x = x_c + r cos(w t + phase),   y = y_c + r sin(w t + phase)
 
-    with the phase -pi/2 and the centre (0, r) where nothing is said: x = r sin(w t), y = r - r cos(w t).
-    A negative rate starts backwards. In place of the phase, `heading` tells where it starts.
+    By default the phase is -pi/2 and the centre (0, r): x = r sin(w t), y = r - r cos(w t). With a negative
+    rate, the default path starts backwards. `heading` can define the start in place of `phase`.
+
+    Parameters
+    ----------
+    radius : float
+        Radius r of the circle, > 0 [m].
+    rate : float
+        Turn rate w, positive to the left [rad/s].
+    duration : float
+        Duration of the path, > 0 [s].
+    centre : array_like, shape (2,), optional
+        Centre of the circle [m].
+    phase : float, optional
+        Angle of the start on the circle [rad].
+    heading : float, optional
+        Direction of motion at the start [rad].
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite or not in its range, or both `phase` and `heading` are given.
+
+    See Also
+    --------
+    Lissajous : ellipses and figures of eight
+    Tangent : trajectory along a path
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import Circle
+    >>> circle = Circle(radius=2.0, rate=0.5, duration=10.0)
+    >>> np.linalg.norm(circle.derivative(3.0, 1))  # speed [m/s]
+    np.float64(1.0)
+    >>> np.linalg.norm(circle.derivative(3.0, 2))  # [m/s^2]
+    np.float64(0.5)
     """
 
     radius: float = number(above=0, unit="m", doc="radius of the circle")
     rate: float = number(unit="rad/s", doc="turn rate on the circle, positive to the left")
     duration: float = number(above=0, unit="s", fixed=True, doc="duration of the path")
-    centre: Any = array(default=None, shapes=((2,),), unit="m", labels=("x", "y"), doc="middle of the circle")
+    centre: Any = array(default=None, shapes=((2,),), unit="m", labels=("x", "y"), doc="centre of the circle")
     phase: float | None = number(default=None, unit="rad", doc="angle of the start on the circle")
     heading: float | None = number(default=None, unit="rad", doc="direction at the start")
 
@@ -99,7 +167,7 @@ class Circle(_Figure):
         if self.phase is not None and self.heading is not None:
             raise InvalidArgument(
                 f"heading is {self.heading} rad beside phase = {self.phase} rad, expected one of them: "
-                "each tells the other"
+                "each follows from the other"
             )
 
     def _values(self) -> dict[str, object]:
@@ -111,7 +179,7 @@ class Circle(_Figure):
 
     @property
     def _turn(self) -> float:
-        """What it is turned by about its centre [rad]."""
+        """Angle by which the default circle is rotated about its centre [rad]."""
         if self.heading is not None:
             return self.heading if self.rate >= 0 else self.heading - np.pi
         return 0.0 if self.phase is None else self.phase + np.pi / 2
@@ -137,15 +205,45 @@ def _velocity(doc: str) -> Any:
 
 @part
 class CubicVia(PiecewisePath):
-    """Two cubics per coordinate, from start to end through a via point (lecture, section 5.1 and 5.2).
+    """Two cubics per coordinate, from start to end through a via point (lecture, sections 5.1 and 5.2).
 
-    With a = (a_0 ... a_3) before and b after the via point,
+    With coefficients a = (a_0 ... a_3) before the via point and b after it::
 
         r(t) = sum of a_k t^k  for t < t_via,      r(t) = sum of b_k (t - t_via)^k  after it.
 
-    With `via_velocity` given these are two independent cubics, and the acceleration jumps at the via
-    point. With it free, velocity and acceleration are continuous there.
-    Points are of n >= 1 coordinates, in the plane of 2. At its ends it rests where no velocity is given.
+    With `via_velocity`, these are two independent cubics, and the acceleration jumps at the via point.
+    Without it, velocity and acceleration are continuous there. Points have n >= 1 coordinates, 2 in the
+    plane. By default the path starts and ends at rest.
+
+    Parameters
+    ----------
+    start, via, end : array_like, shape (n,)
+        Start, via point and end [m].
+    t_via, t_end : float
+        Times at the via point and at the end, 0 < t_via < t_end [s].
+    via_velocity : array_like, shape (n,), optional
+        Velocity at the via point [m/s].
+    start_velocity, end_velocity : array_like, shape (n,), optional
+        Velocities at the start and at the end [m/s]; default: zero.
+
+    Raises
+    ------
+    InvalidArgument
+        If shapes differ, a number is not finite, or the times are out of order.
+
+    See Also
+    --------
+    Spline : cubic spline through any number of waypoints
+    RestToRest : quintic without a via point
+
+    Examples
+    --------
+    >>> from pinmobile import CubicVia
+    >>> path = CubicVia([0, 0], [1, 2], [3, 3], t_via=2.0, t_end=5.0)
+    >>> path(2.0)  # [m]
+    array([1., 2.])
+    >>> path.derivative(5.0, 1).round(9) + 0.0  # at rest [m/s]
+    array([0., 0.])
     """
 
     start: Any = array(unit="m", labels=axes_of, doc="start of the path")
@@ -154,13 +252,13 @@ class CubicVia(PiecewisePath):
     t_via: float = number(above=0, unit="s", doc="time at the via point")
     t_end: float = number(above=0, unit="s", fixed=True, doc="time at the end")
     via_velocity: Any = array(
-        default=None, unit="m/s", labels=axes_of, doc="velocity at the via point, free without one"
+        default=None, unit="m/s", labels=axes_of, doc="velocity at the via point; default: free"
     )
     start_velocity: Any = _velocity("velocity at the start")
     end_velocity: Any = _velocity("velocity at the end")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where shapes differ or the times are out of order."""
+        """Raise `InvalidArgument` if shapes differ or the times are out of order."""
         shaped("start", self.start, ("n>=1",))
         check_sizes(self, "via", "end", "via_velocity", "start_velocity", "end_velocity")
         if not self.t_via < self.t_end:
@@ -171,7 +269,7 @@ class CubicVia(PiecewisePath):
 
     @property
     def duration(self) -> float:
-        """The time at the end [s]."""
+        """Time at the end [s]."""
         return self.t_end
 
     @cached_property
@@ -182,10 +280,11 @@ class CubicVia(PiecewisePath):
         return PiecewisePolynomial(np.array([0.0, self.t_via, self.t_end]), np.array([before, after]))
 
     def _free_velocity(self) -> Array:
-        # The lecture's 8 x 8 system in closed form, one coordinate at a time: with the mean velocities of the
-        # two cubics, their accelerations at the via are (2 v0 + 4 v - 6 mean0) / t and
-        # (6 mean1 - 4 v - 2 v1) / s. A solver rounds differently from machine to machine, and what is exactly
-        # zero here, as x_dot at the via of the lecture, would be so on some alone.
+        # This is the lecture's 8 x 8 system in closed form, for each coordinate. With the mean velocities of
+        # the two cubics, their accelerations at the via point are (2 v0 + 4 v - 6 mean0) / t and
+        # (6 mean1 - 4 v - 2 v1) / s. The rounding of a linear solver depends on the machine: the velocity at
+        # the lecture's via point, exactly zero here, would not be zero everywhere.
+        """Return the velocity at the via point for a continuous acceleration, shape (n,) [m/s]."""
         t, s = self.t_via, self.t_end - self.t_via
         before = 3 * ((self.via - self.start) / t) - self.start_velocity
         after = 3 * ((self.end - self.via) / s) - self.end_velocity
@@ -194,9 +293,36 @@ class CubicVia(PiecewisePath):
 
 @part
 class Spline(PiecewisePath):
-    """The cubic spline through waypoints, clamped at its ends; `CubicVia` with a free via is that of three.
+    """Cubic spline through waypoints, with given velocities at its ends.
 
-    At its ends it rests where no velocity is given.
+    `CubicVia` without `via_velocity` is the spline through three waypoints. By default the path starts and
+    ends at rest.
+
+    Parameters
+    ----------
+    waypoints : array_like, shape (k, n)
+        Waypoints, k >= 2 [m].
+    times : array_like, shape (k,)
+        Times at the waypoints, increasing from zero [s].
+    start_velocity, end_velocity : array_like, shape (n,), optional
+        Velocities at the start and at the end [m/s]; default: zero.
+
+    Raises
+    ------
+    InvalidArgument
+        If shapes differ, a number is not finite, or the times do not increase from zero.
+
+    See Also
+    --------
+    CubicVia : spline of two cubics
+    Polyline : straight lines with rounded corners
+
+    Examples
+    --------
+    >>> from pinmobile import Spline
+    >>> path = Spline([[0, 0], [1, 0], [1, 1]], times=[0, 1, 2])
+    >>> path(1.5)  # [m]
+    array([1.09375, 0.59375])
     """
 
     waypoints: Any = array(shapes=(("k", "n"),), unit="m", labels=axes_of, doc="waypoints of the path")
@@ -205,7 +331,7 @@ class Spline(PiecewisePath):
     end_velocity: Any = _velocity("velocity at the end")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where shapes differ or the times do not increase from zero."""
+        """Raise `InvalidArgument` if shapes differ or the times do not increase from zero."""
         shaped("waypoints", self.waypoints, ("k>=2", "n>=1"))
         times = shaped("times", self.times, (len(self.waypoints),), words=", one per waypoint")
         check_sizes(self, "start_velocity", "end_velocity")
@@ -217,28 +343,53 @@ class Spline(PiecewisePath):
 
     @property
     def duration(self) -> float:
-        """The time at the last waypoint [s]."""
+        """Time at the last waypoint [s]."""
         return float(self.times[-1])
 
     @cached_property
     def _curve(self) -> PiecewisePolynomial:
-        # Here, because scipy is heavy and no other path needs it.
+        # The import is here because scipy is heavy and no other path needs it.
         from scipy.interpolate import CubicSpline
 
         ends = ((1, self.start_velocity), (1, self.end_velocity))
         try:
-            with np.errstate(all="ignore"):  # PiecewisePolynomial looks
+            with np.errstate(all="ignore"):  # PiecewisePolynomial checks the result
                 highest_first = CubicSpline(self.times, self.waypoints, bc_type=ends).c  # (4, k - 1, n)
-        except (ValueError, np.linalg.LinAlgError):  # where a slope is no number, or steps differ too much
+        except (ValueError, np.linalg.LinAlgError):  # a slope overflows, or steps differ too much
             highest_first = np.full((4, len(self.times) - 1, self.waypoints.shape[1]), np.nan)
         return PiecewisePolynomial(self.times, np.moveaxis(highest_first[::-1], 0, 1))
 
 
 @part
 class Hold(PiecewisePath):
-    """A point that is held; of no coordinates too, for an arm that has no joints left."""
+    """Constant position; it may have no coordinates, for an arm without movable joints.
 
-    point: Any = array(unit="m", labels=axes_of, doc="point that is held")
+    Parameters
+    ----------
+    point : array_like, shape (n,)
+        Position [m].
+    duration : float
+        Duration of the path, > 0 [s].
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite, or the duration is not above zero.
+
+    See Also
+    --------
+    FixedHeading : trajectory of a robot that stays in place
+    WholeBody : trajectory in which arms may hold a posture
+
+    Examples
+    --------
+    >>> from pinmobile import FixedHeading, Hold
+    >>> goal = FixedHeading(Hold([1.0, 2.0], duration=5.0), psi=0.5)
+    >>> goal(3.0).q  # [m, m, rad]
+    array([1. , 2. , 0.5])
+    """
+
+    point: Any = array(unit="m", labels=axes_of, doc="constant position")
     duration: float = number(above=0, unit="s", fixed=True, doc="duration of the path")
 
     @cached_property
@@ -248,10 +399,37 @@ class Hold(PiecewisePath):
 
 @part
 class RestToRest(PiecewisePath):
-    """The straight way from one point to another, with velocity and acceleration zero at both.
+    """Straight line between two points, with zero velocity and acceleration at both ends.
 
-    r(t) = start + (end - start) (10 s^3 - 15 s^4 + 6 s^5) with s = t / duration, the quintic; the speed is at
-    most 15/8 of the mean one.
+    ::
+
+        r(t) = start + (end - start) (10 s^3 - 15 s^4 + 6 s^5),   s = t / duration
+
+    The largest speed is 15/8 of the mean speed.
+
+    Parameters
+    ----------
+    start, end : array_like, shape (n,)
+        Start and end [m].
+    duration : float
+        Duration of the path, > 0 [s].
+
+    Raises
+    ------
+    InvalidArgument
+        If shapes differ, a number is not finite, or the duration is out of range.
+
+    See Also
+    --------
+    Line : straight line at constant speed
+    CubicVia : path through a via point
+
+    Examples
+    --------
+    >>> from pinmobile import RestToRest
+    >>> path = RestToRest([0.0, 0.0], [4.0, 0.0], duration=2.0)
+    >>> path.derivative([0.0, 1.0, 2.0], 1)[:, 0]  # [m/s]
+    array([0.  , 3.75, 0.  ])
     """
 
     start: Any = array(unit="m", labels=axes_of, doc="start of the path")
@@ -259,14 +437,14 @@ class RestToRest(PiecewisePath):
     duration: float = number(above=0, unit="s", fixed=True, doc="duration of the path")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where shapes differ."""
+        """Raise `InvalidArgument` if shapes differ."""
         check_sizes(self, "end")
         super().check()
 
     @cached_property
     def _curve(self) -> PiecewisePolynomial:
         T = stretch("duration", self.duration)
-        with np.errstate(all="ignore"):  # PiecewisePolynomial looks
+        with np.errstate(all="ignore"):  # PiecewisePolynomial checks the result
             way = self.end - self.start
             still = np.zeros_like(way)
             rows = [self.start, still, still, 10 * way / T**3, -15 * way / T**4, 6 * way / T**5]
@@ -275,20 +453,45 @@ class RestToRest(PiecewisePath):
 
 @part
 class Line(PiecewisePath):
-    """The straight line from one point to another at one speed; `RestToRest` starts and ends at rest."""
+    """Straight line between two points at constant speed.
+
+    Parameters
+    ----------
+    start, end : array_like, shape (n,)
+        Start and end [m].
+    duration : float
+        Duration of the path, > 0 [s].
+
+    Raises
+    ------
+    InvalidArgument
+        If shapes differ, a number is not finite, or the duration is out of range.
+
+    See Also
+    --------
+    RestToRest : straight line that starts and ends at rest
+    Polyline : several lines with rounded corners
+
+    Examples
+    --------
+    >>> from pinmobile import Line
+    >>> path = Line([0.0, 0.0], [3.0, 4.0], duration=10.0)
+    >>> path.derivative(5.0, 1)  # [m/s]
+    array([0.3, 0.4])
+    """
 
     start: Any = array(unit="m", labels=axes_of, doc="start of the path")
     end: Any = array(unit="m", labels=axes_of, doc="end of the path")
     duration: float = number(above=0, unit="s", fixed=True, doc="duration of the path")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where shapes differ."""
+        """Raise `InvalidArgument` if shapes differ."""
         check_sizes(self, "end")
         super().check()
 
     @cached_property
     def _curve(self) -> PiecewisePolynomial:
         T = stretch("duration", self.duration)
-        with np.errstate(all="ignore"):  # PiecewisePolynomial looks
+        with np.errstate(all="ignore"):  # PiecewisePolynomial checks the result
             rows = np.array([[self.start, (self.end - self.start) / T]])
         return PiecewisePolynomial(np.array([0.0, T]), rows)

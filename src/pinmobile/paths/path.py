@@ -1,4 +1,4 @@
-"""Paths: their protocol, their base class, polynomials in time, and a path elsewhere."""
+"""Paths: protocol, base class, polynomials in time, and transformed paths."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pinmobile.arrays import Array, ArrayLike, bounded, finite, frozen, positive
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import child, fields_of, number, part, required
 
-# Relative to the duration: room for the rounding of `n * dt`, and for no more.
+# Relative to the duration: tolerance for the rounding of `n * dt`.
 _ROUNDING = 4 * float(np.finfo(np.float64).eps)
 
 
@@ -22,10 +22,32 @@ _ROUNDING = 4 * float(np.finfo(np.float64).eps)
 class Path(Protocol):
     """A path: path(t), path.derivative(t, order), path.duration.
 
-    A curve r(t) of n coordinates, 0 <= t <= duration; a user's own class is as good as the library's.
-    At a knot `derivative` is the limit from the right, at the end of the path that from the left. A path
-    that is not analytic all along says where by an attribute ``pieces``, a tuple of `Piece`; without it
-    the whole path counts as one.
+    It is a curve r(t) of n coordinates, 0 <= t <= duration. Any class with these members is a path. At a knot
+    ``derivative`` returns the limit from the right, at the end of the path the limit from the left. A path
+    that is not analytic everywhere lists its analytic pieces in an attribute ``pieces``, a tuple of `Piece`;
+    a path without it counts as one piece.
+
+    See Also
+    --------
+    Circle : a path of the library
+    Tangent : trajectory along a path
+    paths.Piece : analytic piece of a path
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import Tangent
+    >>> class Parabola:
+    ...     duration = 2.0
+    ...     def __call__(self, t):
+    ...         return self.derivative(t, 0)
+    ...     def derivative(self, t, order):
+    ...         t = np.asarray(t, float)
+    ...         x = [t, 0 * t + 1, 0 * t][min(order, 2)]
+    ...         y = [t * t, 2 * t, 0 * t + 2, 0 * t][min(order, 3)]
+    ...         return np.stack([x, y], axis=-1)
+    >>> Tangent(Parabola())(0.5).q  # [m, m, rad]
+    array([0.5       , 0.25      , 0.78539816])
     """
 
     @property
@@ -34,25 +56,61 @@ class Path(Protocol):
         ...
 
     def __call__(self, t: ArrayLike, /) -> Array:
-        """Return r(t), shape (..., n) [m], for `t` of shape (...) [s]."""
+        """Return the position r(t).
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Times, 0 <= t <= duration [s].
+
+        Returns
+        -------
+        r : ndarray, shape (..., n)
+            Position [m].
+        """
         ...
 
     def derivative(self, t: ArrayLike, order: int, /) -> Array:
-        """Return the derivative of any order >= 0, shape (..., n) [m/s^order], at `t`, shape (...) [s]."""
+        """Return a derivative of any order >= 0.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Times, 0 <= t <= duration [s].
+        order : int
+            0 for the position, 1 for the velocity, and so on.
+
+        Returns
+        -------
+        dr : ndarray, shape (..., n)
+            The derivative [m/s^order].
+        """
         ...
 
 
 class Piece(Protocol):
-    """One analytic stretch of a path; valid on the closed interval, so that both its limits are exact."""
+    """Analytic piece of a path, valid on a closed interval, so that the limits at both ends are exact.
+
+    See Also
+    --------
+    paths.pieces_of : pieces of any path
+
+    Examples
+    --------
+    >>> from pinmobile import Spline
+    >>> path = Spline([[0, 0], [1, 0], [1, 1]], times=[0, 1, 2])
+    >>> [(piece.start, piece.end) for piece in path.pieces]  # [s]
+    [(0.0, 1.0), (1.0, 2.0)]
+    """
 
     @property
     def start(self) -> float:
-        """Time at which it starts [s]."""
+        """Time at the start of the piece [s]."""
         ...
 
     @property
     def end(self) -> float:
-        """Time at which it ends [s]."""
+        """Time at the end of the piece [s]."""
         ...
 
     def derivative(self, t: ArrayLike, order: int, /) -> Array:
@@ -62,12 +120,24 @@ class Piece(Protocol):
 
 @dataclass(frozen=True)
 class Whole:
-    """A path that is analytic all along, as its only piece.
+    """The only piece of an analytic path.
 
     Parameters
     ----------
     path : Path
         The path.
+
+    See Also
+    --------
+    paths.pieces_of : pieces of any path
+
+    Examples
+    --------
+    >>> from pinmobile import Circle
+    >>> from pinmobile.paths import Whole
+    >>> piece = Whole(Circle(radius=2.0, rate=0.5, duration=10.0))
+    >>> piece.start, piece.end  # [s]
+    (0.0, 10.0)
     """
 
     path: Path
@@ -79,26 +149,49 @@ class Whole:
 
     @property
     def end(self) -> float:
-        """The path's duration [s]."""
+        """Duration of the path [s]."""
         return float(self.path.duration)
 
     def derivative(self, t: ArrayLike, order: int) -> Array:
-        """Return the path's derivative, shape (..., n) [m/s^order], at `t`, shape (...) [s]."""
+        """Return the derivative of the path, shape (..., n) [m/s^order], at `t`, shape (...) [s]."""
         return self.path.derivative(t, order)
 
 
 def pieces_of(path: Path) -> tuple[Piece, ...]:
-    """Return the analytic pieces of a path, in order; a path that names none is one piece."""
+    """Return the analytic pieces of a path, in order.
+
+    Parameters
+    ----------
+    path : Path
+        Any path.
+
+    Returns
+    -------
+    pieces : tuple of Piece
+        The attribute ``pieces`` of the path; without it, the whole path as one piece.
+
+    See Also
+    --------
+    paths.Piece : protocol of pieces
+
+    Examples
+    --------
+    >>> from pinmobile import CubicVia
+    >>> from pinmobile.paths import pieces_of
+    >>> path = CubicVia([0, 0], [1, 2], [3, 3], t_via=2.0, t_end=5.0)
+    >>> [piece.end for piece in pieces_of(path)]  # [s]
+    [2.0, 5.0]
+    """
     return tuple(getattr(path, "pieces", ())) or (Whole(path),)
 
 
 def checked_path(path: object, size: int) -> Path:
-    """Return a path whose points have 2 or 3 coordinates, and whose pieces meet.
+    """Return a path after a check of its points' shape and of its pieces.
 
     Raises
     ------
     InvalidArgument
-        If it is none, its points have another shape, or it jumps.
+        If it is not a path, its points have another shape, or two pieces do not meet.
     """
     found: Any = required("path", path, Path)
     shape = np.shape(found(0.0))
@@ -115,51 +208,66 @@ def checked_path(path: object, size: int) -> Path:
     return found  # type: ignore[no-any-return]
 
 
-_JUMP = 1e-6  # [m], and of the coordinates: more than the rounding of any curve
+_JUMP = 1e-6  # [m], and relative to the coordinates: above the rounding error of any curve
 
 
 def jumps(one: Array, other: Array, slack: float) -> bool:
-    """Return whether points differ by more than `slack` [m], relative to those beyond 1 m."""
+    """Return whether two points differ by more than `slack` [m], relative to coordinates beyond 1 m."""
     return not bool((np.abs(other - one) <= slack * (1 + np.abs(one).max(initial=0.0))).all())
 
 
 def told(point: Array) -> str:
-    """Return a point in words, without the rounding of what is zero."""
+    """Return a point as text, with rounding errors of zeros removed."""
     return f"({', '.join(f'{each:.6g}' for each in np.round(point, 9) + 0.0)})"
 
 
 def checked_order(order: ArrayLike) -> int:
-    """Return the order of a derivative, at least 0.
+    """Return the order of a derivative after a check.
 
     Raises
     ------
     InvalidArgument
-        If it is no such whole number, or one that nobody needs.
+        If it is not a whole number from 0 to 1000.
     """
     return whole("order", order, least=0, most=_HIGHEST)
 
 
-_HIGHEST = 1000  # order of a derivative: beyond, a figure's rates and their powers are no numbers
+_HIGHEST = 1000  # order of a derivative: beyond it, powers of a figure's rates overflow
 
 
 def within(name: str, t: ArrayLike, duration: float) -> Array:
-    """Check that times are within [0, duration], and return them as float64.
+    """Return times as float64 after a check that they lie in [0, duration].
 
-    A few units of rounding beyond either end are allowed and cut off.
+    Times that exceed the interval by rounding errors are clipped.
 
     Parameters
     ----------
     name : str
-        Name of the argument, for the message.
+        Name of the argument, for the error message.
     t : array_like, any shape
         Times [s].
     duration : float
-        The latest time allowed [s].
+        Latest allowed time [s].
+
+    Returns
+    -------
+    times : ndarray, shape of `t`
+        Times in [0, duration] [s].
 
     Raises
     ------
     InvalidArgument
-        If a time is not a finite number, or outside.
+        If a time is not finite, or outside the interval.
+
+    See Also
+    --------
+    paths.Path : protocol of paths, for a path of your own
+
+    Examples
+    --------
+    >>> from pinmobile.paths import within
+    >>> within("t", [0.0, 1.0 + 1e-16], 1.0)
+    array([0., 1.])
     """
     times = finite(name, t)
     inside = np.minimum(np.maximum(times, 0.0), duration)
@@ -168,18 +276,18 @@ def within(name: str, t: ArrayLike, duration: float) -> Array:
 
 
 def axes_of(path: Any) -> tuple[str, ...]:
-    """Return labels of the coordinates of a path whose first field holds points: x and y, else numbers."""
+    """Return labels of the coordinates of a path whose first field holds points: x and y, or numbers."""
     size = np.shape(getattr(path, attrs.fields(type(path))[0].name))[-1]
     return ("x", "y") if size == 2 else tuple(map(str, range(size)))
 
 
 def check_sizes(path: Any, *names: str) -> None:
-    """Refuse points or velocities of another number of coordinates than the first field; None is allowed.
+    """Check that points or velocities have as many coordinates as the first field; None passes.
 
     Raises
     ------
     InvalidArgument
-        If there are such.
+        If a size differs.
     """
     expected = (len(axes_of(path)),)
     for name in names:
@@ -189,7 +297,7 @@ def check_sizes(path: Any, *names: str) -> None:
 
 
 class Value:
-    """Abstract base of parts that compare, hash and show by their fields, arrays as tuples."""
+    """Abstract base of parts with equality, hash and repr by their fields, arrays as tuples."""
 
     def _values(self) -> dict[str, object]:
         named = {name: value for name, _, value in fields_of(self)}
@@ -209,10 +317,7 @@ class Value:
 
 
 class Curve(Value):
-    """Abstract base of the library's paths: parts that say what they are at checked times.
-
-    Equality, hash and repr are from their fields.
-    """
+    """Abstract base of the library's paths: a subclass defines the derivatives at checked times."""
 
     if TYPE_CHECKING:  # of a part it may be a field
 
@@ -240,12 +345,12 @@ class Curve(Value):
         Raises
         ------
         InvalidArgument
-            If a time is outside.
+            If a time lies outside.
         """
         return self.derivative(t, 0)
 
     def derivative(self, t: ArrayLike, order: int) -> Array:
-        """Return a derivative; at a knot the one from the right.
+        """Return a derivative; at a knot it is the limit from the right.
 
         Parameters
         ----------
@@ -262,27 +367,40 @@ class Curve(Value):
         Raises
         ------
         InvalidArgument
-            If a time is outside, or `order` is not a whole number >= 0.
+            If a time lies outside, or `order` is not a whole number >= 0.
         """
         return self._at(within("t", t, self.duration), checked_order(order))
 
     def moved(self, x: float = 0.0, y: float = 0.0, angle: float = 0.0) -> TransformedPath:
-        """Return the path turned about the origin by `angle` [rad], then shifted by (`x`, `y`) [m].
+        """Return the path, rotated about the origin and then translated.
+
+        Parameters
+        ----------
+        x, y : float
+            Translation [m].
+        angle : float
+            Rotation about the origin [rad].
+
+        Returns
+        -------
+        path : TransformedPath
+            The new path.
 
         Raises
         ------
         InvalidArgument
-            If a number is not finite, or its points are neither in the plane nor in space.
+            If a number is not finite, or the points are neither in the plane nor in space.
         """
         return TransformedPath(self, x, y, angle)
 
 
 def _plain(value: object) -> object:
+    """Return nested lists as nested tuples."""
     return tuple(map(_plain, value)) if isinstance(value, list) else value
 
 
 def turned(vectors: Array, angle: float) -> Array:
-    """Return vectors turned about the z axis by an angle [rad], shape (..., n) with n >= 2."""
+    """Return vectors rotated about the z axis by an angle [rad], shape (..., n) with n >= 2."""
     found = np.array(vectors, np.float64)
     c, s, x, y = np.cos(angle), np.sin(angle), vectors[..., 0], vectors[..., 1]
     found[..., 0], found[..., 1] = c * x - s * y, s * x + c * y
@@ -292,33 +410,63 @@ def turned(vectors: Array, angle: float) -> Array:
 @final
 @part
 class TransformedPath(Curve):
-    """A path elsewhere: turned about the origin, then shifted. In space, about the z axis and level."""
+    """Path rotated about the origin, then translated.
+
+    A path in space is rotated about z and keeps its height. The method ``moved`` of a path makes one.
+
+    Parameters
+    ----------
+    path : Path
+        Path in the plane or in space.
+    x, y : float
+        Translation [m].
+    angle : float
+        Rotation about the origin [rad].
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite, or the points are neither in the plane nor in space.
+
+    See Also
+    --------
+    CompositePath : paths one after another
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import Line
+    >>> line = Line([0.0, 0.0], [1.0, 0.0], duration=2.0)
+    >>> line.moved(x=3.0, angle=np.pi / 2)(2.0)  # [m]
+    array([3., 1.])
+    """
 
     path: Any = child(Path, doc="any path in the plane or in space")
-    x: float = number(default=0.0, unit="m", doc="shift of the path along x")
-    y: float = number(default=0.0, unit="m", doc="shift of the path along y")
-    angle: float = number(default=0.0, unit="rad", doc="angle that the path is turned by")
+    x: float = number(default=0.0, unit="m", doc="translation along x")
+    y: float = number(default=0.0, unit="m", doc="translation along y")
+    angle: float = number(default=0.0, unit="rad", doc="rotation of the path about the origin")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where points are neither in the plane nor in space."""
+        """Raise `InvalidArgument` if points are neither in the plane nor in space."""
         shape = np.shape(self.path(0.0))
         if shape not in ((2,), (3,)):
             raise InvalidArgument(f"path has points of shape {shape}, expected (2,) or (3,)")
 
     @property
     def duration(self) -> float:
-        """The path's duration [s]."""
+        """Duration of the path [s]."""
         return float(self.path.duration)
 
     @property
     def pieces(self) -> tuple[Piece, ...]:
-        """Those of the path, moved."""
+        """Pieces of the path, transformed."""
         return tuple(_MovedPiece(self, piece) for piece in pieces_of(self.path))
 
     def _at(self, t: Array, order: int) -> Array:
         return self._placed(self.path.derivative(t, order), order)
 
     def _placed(self, vectors: Array, order: int) -> Array:
+        """Return positions or derivatives after rotation and translation."""
         found = turned(vectors, self.angle) if self.angle else np.array(vectors, np.float64)
         if not order:
             found[..., :2] += self.x, self.y
@@ -327,7 +475,7 @@ class TransformedPath(Curve):
 
 @dataclass(frozen=True)
 class _MovedPiece:
-    """A piece of a path, moved."""
+    """Transformed piece of a path."""
 
     whole: TransformedPath
     piece: Piece
@@ -346,12 +494,12 @@ class _MovedPiece:
 
 @dataclass(frozen=True, eq=False)
 class Polynomial:
-    """One polynomial piece, r(t) = sum over k of c_k (t - start)^k.
+    """Polynomial piece, r(t) = sum over k of c_k (t - start)^k.
 
     Parameters
     ----------
     start, end : float
-        Where it holds [s].
+        Interval of the piece [s].
     coefficients : ndarray, shape (m, n)
         c_k, the constant first [m/s^k].
     """
@@ -367,14 +515,14 @@ class Polynomial:
 
 @dataclass(frozen=True, eq=False)
 class PiecewisePolynomial:
-    """Polynomials end to end; its maker answers for shapes and order.
+    """Consecutive polynomials; its caller is responsible for shapes and order.
 
     Parameters
     ----------
     knots : ndarray, shape (k + 1,)
-        Where pieces start and end, from zero and increasing [s].
+        Times at the ends of pieces, increasing from zero [s].
     coefficients : ndarray, shape (k, m, n)
-        Of each piece, in powers of the time since its knot, the constant first [m/s^power].
+        Coefficients of each piece, in powers of the time since its knot, the constant first [m/s^power].
     """
 
     knots: Array
@@ -394,13 +542,13 @@ class PiecewisePolynomial:
 
     def derivative(self, t: Array, order: int) -> Array:
         """Return the derivative, shape (..., n) [m/s^order], at `t`, shape (...) [s]."""
-        # Only the knots inside decide: the end of the last piece belongs to that piece.
+        # The inner knots decide: the end of the last piece belongs to that piece.
         index = np.searchsorted(self.knots[1:-1], t, side="right")
         return _horner(np.moveaxis(self.coefficients, 0, -1)[..., index], t - self.knots[index], order)
 
 
 def hermite(step: float, left: Array, right: Array, left_velocity: Array, right_velocity: Array) -> Array:
-    """Return the cubic between two positions with the velocities there.
+    """Return the cubic between two positions with given velocities.
 
     Parameters
     ----------
@@ -414,9 +562,9 @@ def hermite(step: float, left: Array, right: Array, left_velocity: Array, right_
     Returns
     -------
     coefficients : ndarray, shape (4, n)
-        In powers of the time since `left`, the constant first [m/s^power].
+        Coefficients in powers of the time since `left`, the constant first [m/s^power].
     """
-    with np.errstate(all="ignore"):  # PiecewisePolynomial looks
+    with np.errstate(all="ignore"):  # PiecewisePolynomial checks the result
         slope = (right - left) / step
         quadratic = (3 * slope - 2 * left_velocity - right_velocity) / step
         cubic = (left_velocity + right_velocity - 2 * slope) / step**2
@@ -424,12 +572,12 @@ def hermite(step: float, left: Array, right: Array, left_velocity: Array, right_
 
 
 def stretch(name: str, value: ArrayLike) -> float:
-    """Return a time between two points [s], above zero, whose fifth power is a number.
+    """Return a duration between two points [s] after a check that its fifth power is representable.
 
     Raises
     ------
     InvalidArgument
-        If it is not.
+        If it is not above zero, or too short or too long.
     """
     return bounded(name, positive(name, value, "s"), least=_SHORTEST, most=_FARTHEST, unit="s")
 
@@ -438,11 +586,12 @@ _SHORTEST, _FARTHEST = 1e-50, 1e50  # [s]
 
 
 def _horner(coefficients: Array, s: Array, order: int) -> Array:
+    """Return a derivative of a polynomial by Horner's method, shape (..., n)."""
     terms, n = coefficients.shape[:2]
     out = np.zeros((*s.shape, n))
-    # One coordinate at a time: numpy is slow along a last axis of two.
+    # The loop runs over coordinates, because NumPy is slow along a last axis of two.
     for j in range(n if order < terms else 0):
-        # The k-th power leaves k (k - 1) ... (k - order + 1) behind: perm(k, order).
+        # The derivative of the k-th power has the factor k (k - 1) ... (k - order + 1) = perm(k, order).
         value = perm(terms - 1, order) * coefficients[-1, j]
         for k in range(terms - 2, order - 1, -1):
             value = value * s + perm(k, order) * coefficients[k, j]
@@ -451,14 +600,14 @@ def _horner(coefficients: Array, s: Array, order: int) -> Array:
 
 
 class PiecewisePath(Curve):
-    """Abstract base: a path of polynomials."""
+    """Abstract base of paths of polynomials."""
 
     @property
     def _curve(self) -> PiecewisePolynomial:
         raise NotImplementedError
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where a coefficient is beyond the largest number."""
+        """Raise `InvalidArgument` if a coefficient exceeds the largest number."""
         self._curve  # noqa: B018
 
     @property

@@ -1,4 +1,4 @@
-"""Polylines with rounded corners that a body with inertia can follow, and paths one after another."""
+"""Polylines with rounded corners that a rigid body can follow, and paths one after another."""
 
 from __future__ import annotations
 
@@ -17,21 +17,46 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.parts import array, children, number, part
 from pinmobile.paths.path import Curve, Path, Piece, Polynomial, axes_of, jumps, pieces_of, stretch, told
 
-_SLACK = 1e-9  # [m, m/s], and of their size: the rounding of numbers that were computed
+_SLACK = 1e-9  # [m, m/s], and relative to their size: tolerance for rounding errors
 
 
 @final
 @part
 class CompositePath(Curve):
-    """One path after another, each starting where the one before it ends, at the velocity that that has.
+    """Paths one after another: each starts at the end of the one before, with its velocity.
 
-    The acceleration may jump, as at the via point of a `CubicVia`. `path.moved` puts one where another ends.
+    The acceleration may jump, as at the via point of a `CubicVia`. The method ``moved`` of a path places it
+    at the end of another.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Paths with equal numbers of coordinates.
+
+    Raises
+    ------
+    InvalidArgument
+        If there are no paths, sizes differ, or position or velocity jumps between two paths.
+
+    See Also
+    --------
+    paths.TransformedPath : path at another place
+    Polyline : lines with rounded corners
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, CompositePath, Line
+    >>> line = Line([0, 0], [1, 0], duration=2.0)
+    >>> turn = Circle(radius=1.0, rate=0.5, duration=3.0)
+    >>> path = CompositePath([line, turn.moved(x=1.0)])
+    >>> path.duration, path(2.0)  # [s], [m]
+    (5.0, array([1., 0.]))
     """
 
-    paths: Any = children(Path, doc="paths of as many coordinates each")
+    paths: Any = children(Path, doc="paths with equal numbers of coordinates")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where a path does not go on where and as the one before it ends."""
+        """Raise `InvalidArgument` if position or velocity jumps between two paths."""
         if not self.paths:
             raise InvalidArgument("paths is empty, expected at least one path")
         shapes = [np.shape(path(0.0)) for path in self.paths]
@@ -44,18 +69,18 @@ class CompositePath(Curve):
 
     @cached_property
     def _starts(self) -> Array:
-        """Times at which the paths start, and the end [s]."""
+        """Start times of the paths, and the end [s]."""
         lengths = (positive(f"paths[{k}].duration", p.duration, "s") for k, p in enumerate(self.paths))
         return frozen([0.0, *accumulate(lengths)])
 
     @property
     def duration(self) -> float:
-        """The sum of the paths' durations [s]."""
+        """Sum of the durations of the paths [s]."""
         return float(self._starts[-1])
 
     @property
     def pieces(self) -> tuple[Piece, ...]:
-        """Those of each path, one after another."""
+        """Pieces of all paths, in order."""
         each = zip(self._starts.tolist(), self.paths, strict=False)
         return tuple(_Later(start, piece) for start, path in each for piece in pieces_of(path))
 
@@ -70,14 +95,14 @@ class CompositePath(Curve):
 
 
 class _Later(NamedTuple):
-    """A piece of a path that starts later.
+    """Piece of a path that starts later.
 
     Attributes
     ----------
     since : float
-        When the path starts [s].
+        Start time of the path [s].
     piece : Piece
-        The piece, on the path's own clock.
+        The piece, in the time of its path.
     """
 
     since: float
@@ -97,51 +122,51 @@ class _Later(NamedTuple):
 
 
 def _check_joint(k: int, before: Path, after: Path, t: float) -> None:
-    """Refuse a path that does not start where and as the one before it, number `k`, ends at `t` [s]."""
+    """Check that a path starts where path number `k` ends at `t` [s], with its velocity."""
     last, first = pieces_of(before)[-1], pieces_of(after)[0]
     ends = [(last.derivative(last.end, order), first.derivative(first.start, order)) for order in (0, 1)]
     (here, there), (left, right) = ends
     if jumps(here, there, _SLACK):
         raise InvalidArgument(
             f"paths[{k + 1}] starts at {told(there)} m, {_size(there - here)} m from {told(here)} m, where "
-            f"paths[{k}] ends at t = {t:g} s, expected one point; paths[{k + 1}].moved(x, y, angle) puts it "
-            "elsewhere"
+            f"paths[{k}] ends at t = {t:g} s, expected one point; use paths[{k + 1}].moved(x, y, angle)"
         )
     if jumps(left, right, _SLACK):
         raise InvalidArgument(
             f"paths[{k + 1}] starts with the velocity {told(right)} m/s, {_size(right - left)} m/s from "
             f"{told(left)} m/s, with which paths[{k}] ends at t = {t:g} s, expected one velocity: round the "
-            "corner by a Polyline, or let both rest there"
+            "corner with a Polyline, or use paths that rest there"
         )
 
 
 def _size(vector: Array) -> str:
+    """Return the length of a vector as text."""
     return f"{np.linalg.norm(vector):.3g}"
 
 
-# h(s) = 10 s^3 - 15 s^4 + 6 s^5: what of a turn or of a change of speed is made at the share s of its time.
+# h(s) = 10 s^3 - 15 s^4 + 6 s^5: completed fraction of a turn or speed change at the fraction s of its time.
 _SMOOTH = np.polynomial.Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])
-_STEEPEST = 15 / 8  # of h, at s = 1/2
-_STRAIGHT = 1e-9  # [rad]: a smaller corner is rounding
-_BACK = 3.1  # [rad]: a larger corner would cut more than eighty radii off its ways
-_ROUNDING = 1e-12  # of a length
-_SHORTEST = 1e-150  # [m], whose square is a number
-_NODES = 40  # of the quadrature, by which the largest corner is right to rounding
+_STEEPEST = 15 / 8  # largest slope of h, at s = 1/2
+_STRAIGHT = 1e-9  # [rad]: a smaller corner counts as a rounding error
+_BACK = 3.1  # [rad]: a larger corner would cut more than eighty radii off its lines
+_ROUNDING = 1e-12  # relative to a length
+_SHORTEST = 1e-150  # [m]: its square does not underflow
+_NODES = 40  # of the quadrature: enough for rounding accuracy at the largest corner
 
 
 class _Corner(NamedTuple):
-    """How a corner is rounded.
+    """Rounding of a corner.
 
     Attributes
     ----------
     angle : float
-        That the direction turns by [rad].
+        Change of direction [rad].
     cut : float
-        How far from the waypoint the turn starts and ends [m].
+        Distance of the turn's start and end from the waypoint [m].
     length : float
-        Of the turn [m].
+        Length of the turn [m].
     axes : ndarray, shape (2, n)
-        Directions before it, and to the side that it turns to; of length one.
+        Unit vectors along the direction before the corner, and toward its inner side.
     """
 
     angle: float
@@ -154,16 +179,16 @@ _NONE = _Corner(0.0, 0.0, 0.0, np.zeros((2, 0)))
 
 
 class _Way(NamedTuple):
-    """A polyline with rounded corners, whatever the speed.
+    """Polyline with rounded corners, independent of the speed.
 
     Attributes
     ----------
     points : ndarray, shape (k, n)
-        The waypoints [m].
+        Waypoints [m].
     directions, lengths : ndarray, shape (k - 1, n), (k - 1,)
-        Of the straight ways between them; the lengths [m].
+        Unit vectors and lengths of the lines between waypoints; the lengths [m].
     corners : tuple of _Corner, length k
-        At each waypoint; the first and the last are none.
+        Corner at each waypoint; the first and the last are straight.
     """
 
     points: Array
@@ -173,38 +198,68 @@ class _Way(NamedTuple):
 
     @property
     def cuts(self) -> Array:
-        """What corners cut off the ways on both sides, shape (k,) [m]."""
+        """Length that each corner cuts off the lines on both sides, shape (k,) [m]."""
         return np.array([corner.cut for corner in self.corners])
 
     @property
     def length(self) -> float:
-        """Of the way, corners rounded [m]."""
+        """Length of the path with rounded corners [m]."""
         return float(self.lengths.sum() - 2 * self.cuts.sum() + sum(each.length for each in self.corners))
 
 
 @final
 @part
 class Polyline(Curve):
-    """Straight ways from point to point at one speed, with rounded corners.
+    """Straight lines between waypoints at constant speed, with rounded corners.
 
-    In a corner the direction turns by theta h(s), with h(s) = 10 s^3 - 15 s^4 + 6 s^5 and s from 0 to 1: the
-    speed stays, and direction, turn rate and angular acceleration are continuous, which on straight ways and
-    circular arcs they are not. The curvature is 1 / `corner_radius` at most, in the middle of the corner,
-    and the acceleration speed^2 / `corner_radius`. A corner cuts as much off both of its ways.
+    In a corner the direction turns by theta h(s), with h(s) = 10 s^3 - 15 s^4 + 6 s^5 and s from 0 to 1. The
+    speed stays constant, and direction, turn rate and angular acceleration are continuous, in contrast to
+    lines joined by circular arcs. The curvature is at most 1 / `corner_radius`, in the middle of the corner,
+    and the acceleration at most speed^2 / `corner_radius`. A corner cuts equal lengths off both of its lines.
 
-    With an `acceleration` it starts from rest and comes to rest with at most that; without, it moves at its
-    speed from the start to the end.
+    With an `acceleration`, the path starts and ends at rest and accelerates by at most this value. Without
+    it, the speed is constant from start to end.
+
+    Parameters
+    ----------
+    waypoints : array_like, shape (k, n)
+        Waypoints, k >= 2, n >= 2 [m].
+    corner_radius : float
+        Smallest radius of curvature in the corners, > 0 [m].
+    duration : float
+        Duration of the path, > 0 [s].
+    acceleration : float, optional
+        Largest acceleration at the ends, > 0 [m/s^2].
+
+    Raises
+    ------
+    InvalidArgument
+        If two waypoints coincide, a corner turns back, or corners and ends need more length or time; the
+        message states how much.
+
+    See Also
+    --------
+    Spline : smooth path through waypoints
+    CompositePath : paths one after another
+
+    Examples
+    --------
+    >>> from pinmobile import Polyline
+    >>> path = Polyline([[0, 0], [4, 0], [4, 3]], corner_radius=0.5,
+    ...                 duration=10.0)
+    >>> print(f"{path.length:.2f} m at {path.speed:.3f} m/s")
+    6.74 m at 0.674 m/s
     """
 
     waypoints: Any = array(shapes=(("k", "n"),), unit="m", labels=axes_of, doc="waypoints of the path")
-    corner_radius: float = number(above=0, unit="m", doc="least radius of the corners")
+    corner_radius: float = number(above=0, unit="m", doc="smallest radius of curvature in the corners")
     duration: float = number(above=0, unit="s", fixed=True, doc="duration of the path")
     acceleration: float | None = number(
         default=None, above=0, unit="m/s^2", doc="largest acceleration at the ends"
     )
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where there is too little room or time; the message tells how much."""
+        """Raise `InvalidArgument` if length or time is too short; the message states how much is needed."""
         shaped("waypoints", self.waypoints, ("k>=2", "n>=2"))
         stretch("duration", self.duration)
         self.pieces  # noqa: B018
@@ -215,17 +270,17 @@ class Polyline(Curve):
 
     @property
     def length(self) -> float:
-        """Length of the path, corners rounded [m]."""
+        """Length of the path with rounded corners [m]."""
         return self._way.length
 
     @cached_property
     def speed(self) -> float:
-        """Speed between its ends [m/s]."""
+        """Speed between the ends [m/s]."""
         return self._speed()
 
     @cached_property
     def pieces(self) -> tuple[Piece, ...]:
-        """Straight ways, and the corners between them."""
+        """Lines, and the corners between them."""
         *others, last = self._made(self._way)
         return (*others, replace(last, end=self.duration))
 
@@ -242,11 +297,11 @@ class Polyline(Curve):
         return found
 
     def _rounded(self, points: Array) -> _Way:
-        """Return the straight ways between points, and the corners between these."""
+        """Return the lines between points, and the corners between them."""
         ways = np.diff(points, axis=0)
         lengths = representable("the distance of two waypoints", np.linalg.norm(ways, axis=-1))
         for k in np.flatnonzero(lengths < _SHORTEST)[:1]:
-            raise InvalidArgument(f"waypoints[{k + 1}] is waypoints[{k}], expected another point")
+            raise InvalidArgument(f"waypoints[{k + 1}] is equal to waypoints[{k}], expected another point")
         directions = ways / lengths[:, None]
         turns = (self._corner(k, *directions[k - 1 : k + 1]) for k in range(1, len(ways)))
         way = _Way(points, directions, lengths, (_NONE, *turns, _NONE))
@@ -254,8 +309,8 @@ class Polyline(Curve):
         return way
 
     def _made(self, way: _Way) -> Iterator[Polynomial | _Turn]:
-        """Yield the pieces in order: straight ways, and the corners between them."""
-        gain = np.zeros(len(way.points))  # on which it gains its speed, and loses it [m]
+        """Yield the pieces in order: lines, and the corners between them."""
+        gain = np.zeros(len(way.points))  # distance of speeding up, and of slowing down [m]
         if self.acceleration is not None:
             gain[[0, -1]] = _STEEPEST * self.speed**2 / self.acceleration / 2
         apart = way.cuts + gain
@@ -278,22 +333,22 @@ class Polyline(Curve):
                 t += T
 
     def _speed(self) -> float:
-        """Return the speed at which the way takes its duration [m/s]."""
+        """Return the speed at which the path takes its duration [m/s]."""
         if self.acceleration is None:
             return self.length / self.duration
-        # Starting and stopping take twice as long as at full speed: together 15/8 speed / a longer.
+        # Speeding up and slowing down take twice as long as at full speed, together 15/8 speed / a more.
         least = 2 * np.sqrt(_STEEPEST * self.length / self.acceleration)
         if not self.duration >= least:
             raise InvalidArgument(
                 f"duration is {self.duration:g} s, expected at least {least:.6g} s for {self.length:.6g} m "
                 f"with acceleration = {self.acceleration:g} m/s^2"
             )
-        # The smaller root of 15/8 speed^2 / a - duration speed + length = 0, without a difference.
+        # This is the smaller root of 15/8 speed^2 / a - duration speed + length = 0, without cancellation.
         share = np.sqrt((1 - least / self.duration) * (1 + least / self.duration))
         return float(2 * self.length / self.duration / (1 + share))
 
     def _straight(self, t: float, way: float, start: Array, direction: Array, shares: Array) -> Polynomial:
-        """Return a straight piece from `t` on, for the time in which the speed makes so much way."""
+        """Return a straight piece from time `t` on, of the duration that its length takes at the speed."""
         with np.errstate(all="ignore"):
             T = stretch("the time of a piece", way / self.speed)
             powers = (shares * T ** -np.arange(len(shares)))[:, None] * self.speed * direction
@@ -301,7 +356,7 @@ class Polyline(Curve):
         return Polynomial(t, t + T, coefficients)
 
     def _corner(self, k: int, before: Array, after: Array) -> _Corner:
-        """Return how the corner at a waypoint is rounded, of the directions on both sides."""
+        """Return the rounding of the corner at a waypoint, from the directions on both sides."""
         aside = after - (after @ before) * before
         sine = float(np.linalg.norm(aside))
         angle = float(np.arctan2(sine, after @ before))
@@ -309,28 +364,29 @@ class Polyline(Curve):
             return _NONE
         if angle > _BACK:
             raise InvalidArgument(
-                f"waypoints[{k}] is where the way turns by {np.degrees(angle):.4g} degrees, expected at most "
-                f"{np.degrees(_BACK):.4g}: let one path come to rest there, and another begin"
+                f"waypoints[{k}] has a turn of {np.degrees(angle):.4g} degrees, expected at most "
+                f"{np.degrees(_BACK):.4g}: use two paths, and a rest between them"
             )
         length = _STEEPEST * angle * self.corner_radius
-        # Its second half is its first half in a mirror: its chord is what goes along its middle direction.
+        # Both halves of the turn are mirror images: its chord is parallel to its middle direction.
         nodes, weights = _quadrature()
         chord = length * float((weights * np.cos(angle * (_SMOOTH(nodes) - 0.5))).sum())
         axes = np.array([before, aside / sine])
         return _Corner(angle, chord / (2 * np.cos(angle / 2)), length, axes)
 
     def _check_room(self, apart: Array, lengths: Array, what: str) -> None:
+        """Check that the lines are longer than the lengths that corners and ends need."""
         needed = apart[:-1] + apart[1:]
         for k in np.flatnonzero(needed > lengths * (1 + _ROUNDING))[:1]:
             raise InvalidArgument(
                 f"waypoints[{k}] and waypoints[{k + 1}] are {lengths[k]:.6g} m apart, expected at least "
-                f"{needed[k]:.6g} m, which {what}: a smaller corner_radius takes less than "
+                f"{needed[k]:.6g} m, which {what}: use a corner_radius smaller than "
                 f"{self.corner_radius:g} m"
             )
 
 
-# The way of a straight piece, as a share of speed times time, in powers of the share of its time from the
-# first on: the integral of h, of one, and of 1 - h.
+# Distance of a straight piece, as a fraction of speed times time, in powers of the fraction of its time, the
+# first power first: the integral of h, of one, and of 1 - h.
 _GAINED = np.array([0.0, 0.0, 0.0, 2.5, -3.0, 1.0])
 _KEPT = np.array([1.0])
 _LOST = np.array([1.0, 0.0, 0.0, -2.5, 3.0, -1.0])
@@ -338,16 +394,16 @@ _LOST = np.array([1.0, 0.0, 0.0, -2.5, 3.0, -1.0])
 
 @dataclass(frozen=True, eq=False)
 class _Turn:
-    """A corner: position is the integral of a velocity whose direction turns by theta h(s).
+    """Corner: its position is the integral of a velocity whose direction turns by theta h(s).
 
     Attributes
     ----------
     start, end : float
-        When [s].
+        Times of start and end [s].
     point : ndarray, shape (n,)
-        Where it starts [m].
+        Start [m].
     axes : ndarray, shape (2, n)
-        The velocity at the start, and what it would be a quarter of a turn later [m/s].
+        Velocity at the start, and this velocity rotated by a quarter turn to the inner side [m/s].
     angle : float
         theta [rad].
     """
@@ -366,7 +422,7 @@ class _Turn:
         """Return the derivative, shape (..., n) [m/s^order], at `t`, shape (...) [s]."""
         T = np.float64(self.end - self.start)
         s = (np.asarray(t, np.float64) - self.start) / T
-        with np.errstate(all="ignore"):  # of an order that nobody needs
+        with np.errstate(all="ignore"):  # derivatives of very high order may overflow
             if order:
                 z = self._direction(s, order - 1) / T ** (order - 1)
             else:
@@ -376,7 +432,7 @@ class _Turn:
         return representable("a derivative of the path", found) if order else self.point + found
 
     def _direction(self, s: Array, order: int) -> NDArray[np.complex128]:
-        """Return a derivative by s of z = exp(i theta h(s)): z' = i theta h' z, by Leibniz."""
+        """Return a derivative by s of z = exp(i theta h(s)), with Leibniz' rule for z' = i theta h' z."""
         psi = self.angle * _SMOOTH(s)
         found = [np.cos(psi) + 1j * np.sin(psi)]
         rates = [1j * self.angle * _SMOOTH.deriv(k + 1)(s) for k in range(min(order, _SMOOTH.degree()))]
@@ -389,8 +445,8 @@ class _Turn:
 
 @cache
 def _quadrature() -> tuple[Array, Array]:
-    """Return nodes in [0, 1] and weights of the quadrature of Clenshaw and Curtis."""
-    # Gauss's nodes would come from a library's eigenvalues, whose last bit hangs on the machine.
+    """Return nodes in [0, 1] and weights of the Clenshaw-Curtis quadrature."""
+    # Gauss nodes come from eigenvalues of a library, whose last bit depends on the machine.
     j, k = np.arange(_NODES + 1), np.arange(1, _NODES // 2 + 1)
     shares = np.where(k == _NODES // 2, 1.0, 2.0) / (4.0 * k**2 - 1)
     weights = (1 - (shares * np.cos(2 * np.pi * j[:, None] * k / _NODES)).sum(axis=-1)) / _NODES
