@@ -1,4 +1,4 @@
-"""Forces that no controller asked for: disturbances, friction, rolling resistance."""
+"""External forces on the plant: disturbances, payloads, friction and rolling resistance."""
 
 from __future__ import annotations
 
@@ -25,8 +25,29 @@ from pinmobile.plant import coordinates_of
 class Force(Protocol):
     """A generalised force on the body, as a function of time and state.
 
-    Any callable of this form is a force; the loop calls it at every stage of the integrator. An optional
-    ``signals(t, pose, rate) -> {name: (unit, value)}`` returns further series to record, once per sample.
+    Any callable of this form is a force. The loop calls it at every stage of the integrator. An optional
+    ``signals(t, pose, rate) -> {name: (unit, value)}`` returns additional series to record once per sample.
+
+    See Also
+    --------
+    ConstantForce : wind or a push
+    ViscousFriction : friction of the body
+    simulate : its argument `forces`
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import PD, Circle, MobileRobot
+    >>> from pinmobile import Tangent, simulate
+    >>> def drag(t, pose, rate):
+    ...     speed = np.hypot(rate[..., :1], rate[..., 1:2])
+    ...     return -5.0 * speed * rate * [1, 1, 0]
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> path = Tangent(Circle(radius=3.0, rate=0.5, duration=2.0))
+    >>> law = PD(kp=120.0, kd=120.0)
+    >>> run = simulate(robot, law, path, dt=0.02, forces=[drag])
+    >>> print(f"{1e3 * max(run.max_error()):.0f} mm")
+    179 mm
     """
 
     def __call__(self, t: float, pose: Array, rate: Array, /) -> Array:
@@ -37,12 +58,38 @@ class Force(Protocol):
         t : float or ndarray, shape (...)
             Time [s].
         pose, rate : ndarray, shape (..., 3)
-            Of the body [m, m, rad], and its rate [m/s, m/s, rad/s].
+            Pose of the body [m, m, rad], and its rate [m/s, m/s, rad/s].
         """
 
 
 def spread(tau: Array, t: ArrayLike, q: Array) -> Array:
-    """Return `tau`, shape (..., 3), as one for each of the times and poses."""
+    """Return a force for each time and pose, by broadcasting.
+
+    Parameters
+    ----------
+    tau : ndarray, shape (..., 3)
+        Force [N, N, N m].
+    t : float or ndarray, shape (...)
+        Times [s].
+    q : ndarray, shape (..., 3)
+        Poses [m, m, rad].
+
+    Returns
+    -------
+    tau : ndarray, shape (..., 3)
+        Force with the leading axes of times and poses [N, N, N m].
+
+    See Also
+    --------
+    forces.Force : protocol of forces
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.forces import spread
+    >>> spread(np.array([1.0, 0, 0]), 0.0, np.zeros((4, 3))).shape
+    (4, 3)
+    """
     shape = np.shape(q)
     if tau.shape == shape and not np.ndim(t):
         return tau
@@ -50,13 +97,36 @@ def spread(tau: Array, t: ArrayLike, q: Array) -> Array:
 
 
 def since(t: ArrayLike, begin: ArrayLike) -> Array:
-    """Return 1 from a time on [s] and 0 before it, to the rounding of times, shape (...)."""
+    """Return 1 from a time on and 0 before it, with a tolerance of 1e-9 s.
+
+    Parameters
+    ----------
+    t : array_like, shape (...)
+        Times [s].
+    begin : array_like, shape (...)
+        Start [s].
+
+    Returns
+    -------
+    active : ndarray, shape (...)
+        1 or 0.
+
+    See Also
+    --------
+    ConstantForce : force from one time to another
+
+    Examples
+    --------
+    >>> from pinmobile.forces import since
+    >>> since([0.0, 1.0, 2.0], 1.0)
+    array([0., 1., 1.])
+    """
     return np.where(np.subtract(t, begin) > -_ROUNDING, 1.0, 0.0)
 
 
 _ROUNDING = 1e-9  # [s]
 _TERMS = 16
-_GOLDEN = 0.6180339887498949  # the golden ratio's fraction: its multiples never come close to repeating
+_GOLDEN = 0.6180339887498949  # fractional part of the golden ratio: its multiples never nearly repeat
 
 
 AXES = ("x", "y", "moment")
@@ -66,34 +136,60 @@ AXES = ("x", "y", "moment")
 @final
 @part
 class ConstantForce:
-    """A constant force in the inertial frame, such as a steady wind, or a push.
+    """Constant force in the inertial frame, such as a steady wind, or a push.
 
     Parameters
     ----------
     force : array_like, shape (..., 3)
         (Fx, Fy, Mz) [N, N, N m].
     begin : float
-        From which time on it acts [s].
+        Start time [s].
     end : float, optional
-        From which time on it acts no more [s]; by default it does not end.
+        End time [s]; default: no end.
 
     Raises
     ------
     InvalidArgument
-        If it has another shape or is not finite, or does not end after it begins.
+        If the force has another shape or is not finite, or `end` is not above `begin`.
+
+    See Also
+    --------
+    forces.SinusoidalForce : force that oscillates
+    forces.NoiseForce : random force
+    PID : controller that removes the error of a constant force
+
+    Examples
+    --------
+    >>> from pinmobile import ComputedTorque, ConstantForce, Hold
+    >>> from pinmobile import FixedHeading, MobileRobot, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> place = FixedHeading(Hold([0.0, 0.0], 6.0), psi=0.0)
+    >>> law = ComputedTorque(robot, kp=4.0, kd=4.0)
+    >>> run = simulate(robot, law, place, dt=0.02,
+    ...                forces=[ConstantForce([12, 0, 0])])
+    >>> print(f"{run.q[-1, 0]:.3f} m")  # 12 N / (30 kg * 4 1/s^2)
+    0.100 m
     """
 
     force: Any = array(shapes=((3,),), unit="N, N, N m", labels=AXES, doc="constant force")
-    begin: float = number(default=0.0, unit="s", doc="time from which the force acts")
-    end: float = number(default=np.inf, unit="s", endless=True, doc="time from which it acts no more")
+    begin: float = number(default=0.0, unit="s", doc="start time of the force")
+    end: float = number(default=np.inf, unit="s", endless=True, doc="end time of the force")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where the force ends before it begins."""
+        """Raise `InvalidArgument` if the end is not above the start."""
         if not self.end > self.begin:
             raise InvalidArgument(f"end is {self.end} s, expected above begin, {self.begin} s")
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
-        """Return the force, shape (..., 3) [N, N, N m]."""
+        """Return the force, shape (..., 3) [N, N, N m].
+
+        Parameters
+        ----------
+        t : float or ndarray, shape (...)
+            Time [s].
+        q, v : ndarray, shape (..., 3)
+            Pose of the body [m, m, rad], and its rate [m/s, m/s, rad/s].
+        """
         acts = since(t, self.begin) * (1.0 - since(t, self.end))
         return self.force * acts[..., None] + 0.0 * q  # type: ignore[no-any-return]
 
@@ -101,7 +197,35 @@ class ConstantForce:
 @final
 @part
 class SinusoidalForce:
-    """A force amplitude * sin(2 pi frequency t + phase) in the inertial frame."""
+    """Sinusoidal force in the inertial frame, amplitude * sin(2 pi frequency t + phase).
+
+    Parameters
+    ----------
+    amplitude : array_like, shape (3,)
+        Amplitude of (Fx, Fy, Mz) [N, N, N m].
+    frequency : float
+        Frequency, >= 0 [Hz].
+    phase : float
+        Phase [rad].
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite or not in its range.
+
+    See Also
+    --------
+    ConstantForce : steady force
+    forces.NoiseForce : random force
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.forces import SinusoidalForce
+    >>> shaker = SinusoidalForce([5.0, 0.0, 0.0], frequency=2.0)
+    >>> shaker(0.125, np.zeros(3), np.zeros(3))  # [N, N, N m]
+    array([5., 0., 0.])
+    """
 
     amplitude: Any = array(
         shapes=((3,),), unit="N, N, N m", labels=AXES, doc="amplitude of the sinusoidal force"
@@ -110,12 +234,21 @@ class SinusoidalForce:
     phase: float = number(default=0.0, unit="rad", doc="phase of the sinusoidal force")
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
-        """Return the force, shape (..., 3) [N, N, N m]."""
+        """Return the force, shape (..., 3) [N, N, N m].
+
+        Parameters
+        ----------
+        t : float or ndarray, shape (...)
+            Time [s].
+        q, v : ndarray, shape (..., 3)
+            Pose of the body [m, m, rad], and its rate [m/s, m/s, rad/s].
+        """
         wave = np.sin(np.multiply(t, 2 * np.pi * self.frequency) + self.phase)
         return spread(self.amplitude * wave[..., None], t, q)
 
 
 def _of_phases(doc: str, function: Any) -> Any:
+    """Declare a field whose default is a function of the phases."""
     default = attrs.Factory(lambda force: function(force.phases), takes_self=True)
     return declare(Number(doc, shapes=((_TERMS, 3),)), default, kw_only=True, repr=False)
 
@@ -125,18 +258,55 @@ def _of_phases(doc: str, function: Any) -> Any:
 class NoiseForce:
     """Band-limited noise in the inertial frame, a smooth function of time.
 
-    The spectral representation (Shinozuka and Deodatis, Simulation of stochastic processes by spectral
-    representation, 1991): with K = `TERMS` cosines of equal power, one in each K-th of the band at the
-    frequencies f_kj of `noise_frequencies`, component j is::
+    The method is the spectral representation of Shinozuka and Deodatis (1991). It uses K = `TERMS` cosines of
+    equal power, one in each K-th of the band, at the frequencies f_kj of `forces.noise_frequencies`.
+    Component j is::
 
         std_j sqrt(2 / K) sum_k cos(2 pi f_kj t + phases[k, j])
 
-    Over the phases, its mean is 0 and its root mean square is `std`, exactly, at any time; its spectrum is
-    flat up to `bandwidth`, and nothing beyond. No two components share a frequency, so over a time T their
-    correlation goes to zero with 1 / T. Two forces of one bandwidth do share theirs: one force of the root of
-    both squares is what they are meant to be.
+    Over the phases, the mean is 0 and the root mean square is exactly `std` at any time. The spectrum is flat
+    up to `bandwidth` and zero above it. The components have different frequencies, so over a time T their
+    correlation decreases as 1 / T. Two forces with one bandwidth have the same frequencies: use one force
+    instead, with the root of the sum of both squares.
 
-    In an ensemble, each robot has phases of its own, which follow from `seed` and the ensemble's.
+    In an ensemble, each robot has its own phases, which follow from `seed` and the ensemble's seed.
+
+    Parameters
+    ----------
+    std : array_like, shape (3,)
+        Root mean square of (Fx, Fy, Mz), >= 0 [N, N, N m].
+    bandwidth : float
+        Highest frequency, > 0 [Hz].
+    seed : int, SeedSequence or Generator
+        Seed of the phases; None with given phases.
+    phases : array_like, shape (TERMS, 3), optional
+        Phases of the cosines [rad]; default: uniform, by the seed.
+    in_phase, quadrature : array_like, shape (TERMS, 3), optional
+        Cosines and sines of the phases, which follow from these.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite or not in its range, or the seed is of another kind.
+
+    See Also
+    --------
+    ConstantForce : steady force
+    MeasurementNoise : noise of the measured state
+
+    References
+    ----------
+    Shinozuka and Deodatis, Simulation of stochastic processes by spectral representation, 1991.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.forces import NoiseForce
+    >>> gusts = NoiseForce([4.0, 4.0, 0.0], bandwidth=2.0, seed=1)
+    >>> t = np.linspace(0.0, 200.0, 5001)
+    >>> force = gusts(t, np.zeros((5001, 3)), np.zeros((5001, 3)))
+    >>> force.std(axis=0).round(1)  # [N, N, N m]
+    array([4., 4., 0.])
     """
 
     TERMS: ClassVar[int] = _TERMS
@@ -147,7 +317,7 @@ class NoiseForce:
         shapes=((3,),), lower=0, unit="N, N, N m", labels=AXES, doc="root mean square of the noise force"
     )
     bandwidth: float = number(above=0, unit="Hz", fixed=True, doc="highest frequency of the noise")
-    seed: Any = option(doc="seed of the phases: int, SeedSequence or Generator; None of given phases")
+    seed: Any = option(doc="seed of the phases: int, SeedSequence or Generator; None with given phases")
     phases: Any = declare(
         Number("phases of the cosines, uniform on [0, 2 pi)", "rad", shapes=((_TERMS, 3),), fixed=True),
         attrs.Factory(lambda force: force._uniform(seeded("seed", force.seed)), takes_self=True),
@@ -159,14 +329,25 @@ class NoiseForce:
 
     @classmethod
     def of_phases(cls, std: ArrayLike, bandwidth: float, phases: ArrayLike) -> Self:
-        """Return the noise with given phases of the cosines, shape (TERMS, 3) [rad]; its seed is None."""
+        """Return the noise with given phases of the cosines; its seed is None.
+
+        Parameters
+        ----------
+        std : array_like, shape (3,)
+            Root mean square of (Fx, Fy, Mz) [N, N, N m].
+        bandwidth : float
+            Highest frequency [Hz].
+        phases : array_like, shape (TERMS, 3)
+            Phases of the cosines [rad].
+        """
         return cls(std, bandwidth, None, phases=phases)
 
     def _uniform(self, generator: np.random.Generator, *count: int) -> Array:
+        """Return random phases, shape (..., TERMS, 3) [rad]."""
         return generator.uniform(0, 2 * np.pi, (*count, self.TERMS, 3))
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where a frequency is beyond the largest number."""
+        """Raise `InvalidArgument` if a frequency exceeds the largest number."""
         self._rates  # noqa: B018
 
     @cached_property
@@ -176,34 +357,66 @@ class NoiseForce:
             return frozen(representable("2 pi bandwidth", 2 * np.pi * noise_frequencies(self.bandwidth)))
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
-        """Return the force, shape (..., 3) [N, N, N m]."""
+        """Return the force, shape (..., 3) [N, N, N m].
+
+        Parameters
+        ----------
+        t : float or ndarray, shape (...)
+            Time [s].
+        q, v : ndarray, shape (..., 3)
+            Pose of the body [m, m, rad], and its rate [m/s, m/s, rad/s].
+        """
         turned = np.asarray(t)[..., None, None] * self._rates  # (..., K, 3), the same for all robots
         waves = self.in_phase * np.cos(turned) - self.quadrature * np.sin(turned)
         return spread(self.std * np.sqrt(2 / self.TERMS) * waves.sum(axis=-2), t, q)
 
     def draw(self, generator: np.random.Generator, count: int) -> dict[str, Array]:
-        """Return the `drawn` fields of robots that have phases of their own, shape (count, TERMS, 3)."""
+        """Return the `drawn` fields of robots with their own phases, shape (count, TERMS, 3).
+
+        Parameters
+        ----------
+        generator : Generator
+            Random numbers.
+        count : int
+            Number of robots.
+        """
         phases = self._uniform(generator, count)
         return {"phases": phases, "in_phase": np.cos(phases), "quadrature": np.sin(phases)}
 
     @property
     def stream(self) -> bytes:
-        """What the drawn phases of robots follow from, beside their ensemble's seed."""
+        """Bytes from which, with the ensemble's seed, the phases of its robots follow."""
         return bytes(self.phases.tobytes())
 
 
 def noise_frequencies(bandwidth: float) -> Array:
     """Return the frequencies of the components of `NoiseForce`, shape (TERMS, 3) [Hz].
 
-    One for each component in each of the K equal parts of the band,
-    f_kj = bandwidth (k + frac((k + 1) g + j / 3)) / K with the golden ratio's fraction g: no two of a
-    component have a common multiple, so its sum never repeats; those of two components are at least 0.28 of a
-    part apart.
+    Each component has one frequency in each of the K equal parts of the band, f_kj = bandwidth (k + frac((k +
+    1) g + j / 3)) / K with the fractional part g of the golden ratio. No two frequencies of a component have
+    a common multiple, so its sum never repeats. Frequencies of two components differ by at least 0.28 of a
+    part.
 
     Parameters
     ----------
     bandwidth : float
         Highest frequency [Hz].
+
+    Returns
+    -------
+    frequencies : ndarray, shape (TERMS, 3)
+        Frequencies, increasing along the first axis [Hz].
+
+    See Also
+    --------
+    forces.NoiseForce : noise with these frequencies
+
+    Examples
+    --------
+    >>> from pinmobile.forces import noise_frequencies
+    >>> frequencies = noise_frequencies(bandwidth=8.0)
+    >>> frequencies.shape, bool(frequencies.max() < 8.0)
+    ((16, 3), True)
     """
     k = np.arange(NoiseForce.TERMS)[:, None]
     return np.asarray(bandwidth * (k + ((k + 1) * _GOLDEN + np.arange(3) / 3) % 1.0) / NoiseForce.TERMS)
@@ -212,17 +425,47 @@ def noise_frequencies(bandwidth: float) -> Array:
 @final
 @part
 class PayloadForce:
-    """A load on the body from a time on, which then moves with it.
+    """Payload that appears on the body at a given time and then moves with it.
 
-    The velocity is continuous: the load comes at the velocity of the place where it is put. One that is put
-    down at rest would slow the robot by a share of mass / (robot's mass + mass), a jump that no force makes.
-    It changes inertia alone: what it weighs is not felt by wheels, tip-over margins and friction.
+    The velocity is continuous: the payload appears with the velocity of its position. A payload at rest would
+    slow the robot by the fraction mass / (robot's mass + mass), which no finite force can do. This force
+    changes only the inertia: its weight does not affect wheels, tip-over margins and friction.
 
-    With m, (x, y) and I below, and the body at psi, r = psi', it adds to the body's mass matrix and forces::
+    With m, (x, y) and I below, and the body at psi, r = dpsi/dt, it adds to the body's mass matrix and
+    forces::
 
         [[m, 0, -m k1], [0, m, m k2], [-m k1, m k2, I + m (x^2 + y^2)]]     (m k2 r^2, m k1 r^2, 0)
 
     with ``k1 = y cos psi + x sin psi`` and ``k2 = x cos psi - y sin psi``, as the closed form of a body does.
+
+    Parameters
+    ----------
+    mass : float
+        m, >= 0 [kg].
+    at : array_like, shape (2,)
+        Position (x, y) on the body, forward and to the left [m].
+    when : float
+        Time from which the payload is on the body [s].
+    yaw_inertia : float
+        I, yaw inertia about the payload's centre of mass, >= 0 [kg m^2].
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite or not in its range.
+
+    See Also
+    --------
+    PayloadBody : payload with its weight, from the start
+    Adaptive : controller that adapts to a payload
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.forces import PayloadForce
+    >>> box = PayloadForce(mass=5.0, at=[0.2, 0.0], when=3.0)
+    >>> box.inertia(4.0, np.zeros(3)).diagonal()  # [kg, kg, kg m^2]
+    array([5. , 5. , 0.2])
     """
 
     mass: float = number(lower=0, unit="kg", doc="mass of the payload")
@@ -235,13 +478,13 @@ class PayloadForce:
     )
 
     def _lever(self, pose: Array) -> tuple[Array, Array]:
-        """Return k1 and k2 of the class, shape (...) [m]."""
+        """Return k1 and k2, shape (...) [m]."""
         x, y = self.at[..., 0], self.at[..., 1]
         cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
         return y * cos + x * sin, x * cos - y * sin
 
     def inertia(self, t: ArrayLike, q: Array) -> Array:
-        """Return the mass matrix that it adds to the body, shape (..., 3, 3) [kg, kg m, kg m^2].
+        """Return the mass matrix that the payload adds to the body, shape (..., 3, 3) [kg, kg m, kg m^2].
 
         Parameters
         ----------
@@ -259,7 +502,15 @@ class PayloadForce:
         return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
-        """Return what it does beside its mass matrix, shape (..., 3) [N, N, N m]."""
+        """Return the force beside the effect of the mass matrix, shape (..., 3) [N, N, N m].
+
+        Parameters
+        ----------
+        t : float or ndarray, shape (...)
+            Time [s].
+        q, v : ndarray, shape (..., 3)
+            Pose of the body [m, m, rad], and its rate [m/s, m/s, rad/s].
+        """
         k1, k2 = self._lever(q)
         size = since(t, self.when) * self.mass * v[..., 2] ** 2
         return spread(np.stack([size * k2, size * k1, 0.0 * size * k1], axis=-1), t, q)
@@ -271,16 +522,35 @@ _TWIST = ("forward", "left", "yaw")
 @final
 @part
 class ViscousFriction:
-    """Friction in proportion to the body twist (u, v, r): tau = -J(psi) (c * J(psi)^T v).
+    """Friction proportional to the body twist (u, v, r): tau = -J(psi) (c * J(psi)^T v).
 
     Parameters
     ----------
     coefficients : array_like, shape (3,), optional
-        The c above, in place of the three that follow.
+        c, in place of the three parameters below [N s/m, N s/m, N m s].
     forward, left : float, optional
-        Along the body's axes [N s/m]; none where left out.
+        Coefficients along the body's axes [N s/m]; default: 0.
     yaw : float, optional
-        Against turning [N m s], likewise.
+        Coefficient of the yaw rate [N m s]; default: 0.
+
+    Raises
+    ------
+    InvalidArgument
+        If a coefficient is negative or not finite, or both forms are given.
+
+    See Also
+    --------
+    RollingResistance : friction of constant size
+    JointFriction : friction of each coordinate
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import ViscousFriction
+    >>> drag = ViscousFriction(forward=20.0, left=200.0, yaw=5.0)
+    >>> rate = np.array([1.0, 0.1, 0.5])
+    >>> drag(0.0, np.zeros(3), rate)  # [N, N, N m]
+    array([-20. , -20. ,  -2.5])
     """
 
     coefficients: Any = array(
@@ -298,7 +568,7 @@ class ViscousFriction:
         each = forward, left, yaw
         for name, value in zip(_TWIST, each, strict=True):
             if coefficients is not None and value is not None:
-                raise InvalidArgument(f"{name} is {shown(value)} beside coefficients, expected one of them")
+                raise InvalidArgument(f"{name} is {shown(value)} beside coefficients, expected only one")
         given = [0.0 if x is None else x for x in each] if coefficients is None else coefficients
         self.__attrs_init__(given)  # type: ignore[attr-defined]
 
@@ -308,11 +578,19 @@ class ViscousFriction:
 
     @property
     def damping(self) -> Array:
-        """Factor of the twist, shape (3,) [N s/m, N s/m, N m s]."""
+        """Coefficients of the body twist, shape (3,) [N s/m, N s/m, N m s]."""
         return self.coefficients  # type: ignore[no-any-return]
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
-        """Return the force, shape (..., 3) [N, N, N m]."""
+        """Return the force, shape (..., 3) [N, N, N m].
+
+        Parameters
+        ----------
+        t : float or ndarray, shape (...)
+            Time [s].
+        q, v : ndarray, shape (..., 3)
+            Pose of the body [m, m, rad], and its rate [m/s, m/s, rad/s].
+        """
         cos, sin = np.cos(q[..., 2]), np.sin(q[..., 2])
         twist = _turned(cos, -sin, v)
         return spread(_turned(cos, sin, -self.coefficients * twist), t, q)
@@ -321,12 +599,38 @@ class ViscousFriction:
 @final
 @part
 class RollingResistance:
-    """Rolling resistance: a force of constant size against the body twist, regularised about rest.
+    """Rolling resistance: a force of constant size against the body twist, smooth near rest.
 
-    Component i along the body's axes is ``-force_i nu_i / sqrt(nu_i^2 + speed_i^2)`` with the twist nu:
-    linear well below `speed`, of size `force` well above it. So it is smooth, and a body on which a smaller
-    force acts creeps instead of standing still. About rest it is as stiff as a damper of force / speed: an
-    explicit step must be shorter than about 2 mass speed / force.
+    With the body twist nu, component i along the body's axes is ``-force_i nu_i / sqrt(nu_i^2 + speed_i^2)``:
+    linear well below `speed`, of size `force` well above it. Therefore a body on which a smaller force acts
+    creeps instead of standing still. Near rest it is as stiff as a damper of force / speed: an explicit step
+    must be shorter than about 2 mass speed / force.
+
+    Parameters
+    ----------
+    force : array_like, shape (3,)
+        Size forward, left and of the yaw moment, >= 0 [N, N, N m].
+    speed : array_like, shape () or (3,)
+        Speed at which the resistance has 71 % of its size, > 0 [m/s, m/s, rad/s].
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite or not in its range.
+
+    See Also
+    --------
+    ViscousFriction : friction proportional to the speed
+    wheels.WheelFriction : rolling resistance of each wheel, with standstill
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import RollingResistance
+    >>> floor = RollingResistance([6.0, 60.0, 2.0])
+    >>> rate = np.array([1.0, 0.01, 0.2])
+    >>> floor(0.0, np.zeros(3), rate).round(1)  # [N, N, N m]
+    array([ -6. , -42.4,  -2. ])
     """
 
     force: Any = array(
@@ -342,14 +646,22 @@ class RollingResistance:
     )
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
-        """Return the force, shape (..., 3) [N, N, N m]."""
+        """Return the force, shape (..., 3) [N, N, N m].
+
+        Parameters
+        ----------
+        t : float or ndarray, shape (...)
+            Time [s].
+        q, v : ndarray, shape (..., 3)
+            Pose of the body [m, m, rad], and its rate [m/s, m/s, rad/s].
+        """
         cos, sin = np.cos(q[..., 2]), np.sin(q[..., 2])
         twist = _turned(cos, -sin, v)
         return spread(_turned(cos, sin, -self.force * twist / np.hypot(twist, self.speed)), t, q)
 
 
 def _turned(cos: Array, sin: Array, vector: Array) -> Array:
-    """Return the first two components turned by the angle, the third as it is, shape (..., 3)."""
+    """Return vectors with the first two components rotated by an angle, shape (..., 3)."""
     x, y = vector[..., 0], vector[..., 1]
     along = cos * x - sin * y
     turned = np.empty((*along.shape, 3))
@@ -360,22 +672,55 @@ def _turned(cos: Array, sin: Array, vector: Array) -> Array:
 
 
 def _checked_names(name: str, value: object) -> tuple[str, ...]:
+    """Return names of coordinates after a check."""
     given = sequence(name, value, "names of the coordinates")
     return tuple(text(f"{name}[{k}]", each) for k, each in enumerate(given))
 
 
 def _names(friction: JointFriction) -> Sequence[str]:
+    """Return the labels of a friction's coordinates."""
     return friction.names
 
 
 @final
 @part
 class JointFriction:
-    """Viscous and dry friction of each coordinate, the dry one regularised about rest.
+    """Viscous and dry friction of each coordinate; dry friction is smooth near rest.
 
-    Coordinate i feels ``-viscous_i v_i - coulomb_i v_i / sqrt(v_i^2 + speed_i^2)``: smooth, so that a joint
-    on which a smaller force acts creeps instead of standing still. About rest the dry part is as stiff as a
-    damper of coulomb / speed: an explicit step must be shorter than about 2 inertia speed / coulomb.
+    The force on coordinate i is ``-viscous_i v_i - coulomb_i v_i / sqrt(v_i^2 + speed_i^2)``. Therefore a
+    joint on which a smaller force acts creeps instead of standing still. Near rest the dry part is as stiff
+    as a damper of coulomb / speed: an explicit step must be shorter than about 2 inertia speed / coulomb.
+
+    Parameters
+    ----------
+    viscous : array_like, shape () or (n,)
+        Viscous friction, >= 0 [N s/m or N m s/rad].
+    coulomb : array_like, shape () or (n,)
+        Dry friction, >= 0 [N or N m].
+    speed : array_like, shape () or (n,)
+        Speed at which dry friction has 71 % of its size, > 0 [m/s or rad/s].
+    names : sequence of str
+        Names of the coordinates, as labels.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite or not in its range, or sizes differ; in a run, if n differs from the
+        plant's nv.
+
+    See Also
+    --------
+    ViscousFriction : friction of the body
+    RollingResistance : dry friction of the body
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import JointFriction
+    >>> friction = JointFriction(viscous=2.0, coulomb=[0, 0, 1])
+    >>> v = np.array([1.0, 0.5, 1.0])
+    >>> friction.on_coordinates(0.0, 0 * v, v).round(2)
+    array([-2., -1., -3.])
     """
 
     viscous: Any = array(
@@ -403,28 +748,32 @@ class JointFriction:
     names: Sequence[str] = option(default=(), check=_checked_names, doc="names of the coordinates")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where the arrays are of different numbers of coordinates."""
+        """Raise `InvalidArgument` if the arrays have different sizes."""
         sizes = {name: np.size(x) for name, x in vars(self).items() if np.ndim(x) and len(x)}
         if len(set(sizes.values())) > 1:
             told = ", ".join(f"{name} {size}" for name, size in sizes.items())
-            raise InvalidArgument(f"numbers of coordinates are {told}, expected as many of each")
+            raise InvalidArgument(f"numbers of coordinates are {told}, expected equal numbers")
 
     @classmethod
     def of(cls, robot: Any, speed: ArrayLike = 0.01) -> Self:
-        """Return the friction that the files of a robot's arms have.
+        """Return the friction that the files of a robot's arms define.
 
         Parameters
         ----------
         robot : MobileRobot
-            Its `joint_damping` and `joint_friction` are taken, and the names of its coordinates; the base
-            has none.
+            Robot with `joint_damping`, `joint_friction` and names of coordinates; the base has no friction.
         speed : array_like, shape () or (nv,)
-            As in the class.
+            Speed at which dry friction has 71 % of its size [m/s or rad/s].
+
+        Returns
+        -------
+        friction : JointFriction
+            Friction of all nv coordinates.
 
         Raises
         ------
         InvalidArgument
-            If it has no such properties.
+            If the robot has no such properties.
         """
         asked = ("joint_damping", "joint_friction", "coordinates")
         missing = [name for name in asked if not hasattr(robot, name)]
@@ -435,16 +784,23 @@ class JointFriction:
 
     @property
     def damping(self) -> Array:
-        """Factor of the velocities, shape () or (nv,) [N s/m or N m s/rad]."""
+        """Coefficients of the velocities, shape () or (nv,) [N s/m or N m s/rad]."""
         return np.asarray(self.viscous)
 
     def on_coordinates(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., nv) [N or N m].
 
+        Parameters
+        ----------
+        t : float or ndarray, shape (...)
+            Time [s].
+        q, v : ndarray, shape (..., nq), (..., nv)
+            State of the plant.
+
         Raises
         ------
         InvalidArgument
-            If it is the friction of another number of coordinates.
+            If the friction has another number of coordinates than v.
         """
         for name in ("viscous", "coulomb", "speed"):
             shaped(name, getattr(self, name), (), ("...", v.shape[-1]), words=", as v has")

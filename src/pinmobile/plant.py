@@ -1,4 +1,4 @@
-"""The plant of a closed loop, and the context that initializes controllers."""
+"""The plant of a closed loop, and the context that initialises controllers."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from pinmobile.errors import InvalidArgument, shown
 if TYPE_CHECKING:
     from pinmobile.compiled import Line, Noise, Schedule
 
+#: Function ``difference(q0, q1)``: displacement from q0 to q1, shape (..., nv).
 Difference: TypeAlias = Callable[[Array, Array], Array]
 
 
@@ -36,17 +37,63 @@ _DEFAULTS = dict.fromkeys(("nq", "nv", "nu"), 0) | dict.fromkeys(
 
 
 def stated(part: object, name: str) -> Any:
-    """Return what a part states of itself by an optional name, see `Plant`; else its default."""
+    """Return an optional attribute of a part or plant, see `Plant`; without it, the default.
+
+    Parameters
+    ----------
+    part : object
+        Part or plant.
+    name : str
+        Name of the attribute.
+
+    Returns
+    -------
+    value : any
+        The attribute; default: 0 for sizes, False for flags, otherwise None.
+
+    See Also
+    --------
+    plant.Plant : protocol with these attributes
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.plant import stated
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> stated(robot, "nv"), stated(robot, "footprint_of_nothing")
+    (3, None)
+    """
     return getattr(part, name, _DEFAULTS.get(name))
 
 
 def check_difference(difference: object) -> None:
     """Check a function ``difference(q0, q1)``.
 
+    Parameters
+    ----------
+    difference : callable
+        The function.
+
     Raises
     ------
     InvalidArgument
-        If it cannot be called, or subtracts q1 from q0.
+        If it is not callable with two arguments, or subtracts q1 from q0.
+
+    See Also
+    --------
+    controllers.plain_difference : subtraction q1 - q0
+    controllers.planar_difference : subtraction with the heading on the circle
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.controllers import planar_difference
+    >>> from pinmobile.plant import check_difference
+    >>> check_difference(planar_difference)
+    >>> check_difference(np.subtract)
+    Traceback (most recent call last):
+        ...
+    pinmobile.errors.InvalidArgument: difference is ... q0 - q1, ...
     """
     if difference is np.subtract or difference is operator.sub:
         raise InvalidArgument(
@@ -59,10 +106,33 @@ def check_difference(difference: object) -> None:
 def refuse_path(name: str, trajectory: object) -> None:
     """Check that a trajectory is not a path.
 
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the error message.
+    trajectory : object
+        The argument.
+
     Raises
     ------
     InvalidArgument
         If it is a path of the body or of an end effector.
+
+    See Also
+    --------
+    Tangent : trajectory along a path
+    solve_inverse_kinematics : trajectory from a path of poses
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, Tangent
+    >>> from pinmobile.plant import refuse_path
+    >>> circle = Circle(radius=3.0, rate=0.1, duration=10.0)
+    >>> refuse_path("trajectory", Tangent(circle))
+    >>> refuse_path("trajectory", circle)
+    Traceback (most recent call last):
+        ...
+    pinmobile.errors.InvalidArgument: ... such as Tangent(path)
     """
     if stated(trajectory, "rows") is not None:
         raise InvalidArgument(
@@ -129,6 +199,30 @@ class Plant(Protocol):
     ``on_ramp(angle, direction) -> plant``
         The same plant on ground that rises by an angle; the direction up is measured from the inertial x
         axis [rad].
+
+    See Also
+    --------
+    MobileRobot : plant driven by forces
+    WheeledRobot : plant on wheels
+    VelocityRobot : plant driven by speed and yaw rate
+    simulate : simulation of a plant
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import PD, Circle, Tangent, simulate
+    >>> class PointMass:
+    ...     nq = nv = nu = 3
+    ...     def forward_dynamics(self, q, v, u, f=0.0):
+    ...         return (u + f) / 30.0
+    ...     def integrate(self, q, dq):
+    ...         return q + dq
+    ...     def difference(self, q0, q1):
+    ...         return np.subtract(q1, q0)
+    >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
+    >>> run = simulate(PointMass(), PD(120.0, 120.0), path, dt=0.02)
+    >>> print(f"{1e3 * max(run.max_error()):.1f} mm")
+    6.8 mm
     """
 
     @property
@@ -144,13 +238,35 @@ class Plant(Protocol):
         """Size of the input u."""
 
     def forward_dynamics(self, q: Array, v: Array, u: Array, /) -> Array:
-        """Return the acceleration, shape (nv,)."""
+        """Return the acceleration, shape (nv,).
+
+        Parameters
+        ----------
+        q, v : ndarray, shape (nq,), (nv,)
+            State.
+        u : ndarray, shape (nu,)
+            Applied input.
+        """
 
     def integrate(self, q: Array, dq: Array, /) -> Array:
-        """Return the configuration that the displacement dq leads to, shape (nq,)."""
+        """Return the configuration after a displacement, shape (nq,).
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Configuration.
+        dq : ndarray, shape (nv,)
+            Displacement.
+        """
 
     def difference(self, q0: Array, q1: Array, /) -> Array:
-        """Return the displacement from q0 to q1, shape (nv,)."""
+        """Return the displacement from q0 to q1, shape (nv,).
+
+        Parameters
+        ----------
+        q0, q1 : ndarray, shape (nq,)
+            Configurations.
+        """
 
 
 class Step(NamedTuple):
@@ -162,6 +278,23 @@ class Step(NamedTuple):
         State at the end of the step.
     memory : any
         Memory of the plant, such as the contacts that stick.
+
+    See Also
+    --------
+    plant.Plant : protocol with a method `step` of its own
+
+    Examples
+    --------
+    >>> from pinmobile import Coulomb, MobileRobot, WheeledRobot
+    >>> from pinmobile import WheelTable
+    >>> table = WheelTable.differential(
+    ...     0.4, 0.1, supports=[(-0.3, 0)], spin_inertia=0.01)
+    >>> body = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> robot = WheeledRobot(body, table, Coulomb())
+    >>> q, memory = robot.rest, robot.initial_state()
+    >>> step = robot.step(0.0, q, 0 * q, [3, 3], 0.01, 0.0, memory)
+    >>> print(f"{step.v[0] / 0.01:.2f} m/s^2")
+    1.78 m/s^2
     """
 
     q: Array
@@ -198,6 +331,25 @@ class Contacts(NamedTuple):
         Whether all friction is used.
     centre : ndarray, shape (n, 2)
         Instantaneous centre of the body's rotation in the inertial frame [m]; infinite where there is none.
+
+    See Also
+    --------
+    WheeledRobot : its method `contacts`
+    plant.ContactLoads : loads for any states
+
+    Examples
+    --------
+    >>> from pinmobile import Backstepping, Circle, MobileRobot
+    >>> from pinmobile import Tangent, UnicycleTracking, WheeledRobot
+    >>> from pinmobile import WheelTable, simulate
+    >>> table = WheelTable.differential(0.4, 0.1, spin_inertia=0.01)
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+    >>> law = Backstepping(UnicycleTracking(), robot)
+    >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=0.5))
+    >>> run = simulate(robot, law, path, dt=0.05)
+    >>> found = robot.contacts(run.q, run.v, run.a, run.u, {})
+    >>> found.names, found.places[0].round(2).tolist()  # [m]
+    (('left', 'right'), [[0.0, 0.2], [0.0, -0.2]])
     """
 
     names: tuple[str, ...]
@@ -227,6 +379,23 @@ class ContactLoads(NamedTuple):
         Load of each contact if contacts could also pull: negative for a contact that lifts off [N].
     tips : ndarray of bool, shape (...)
         Whether no loads balance the robot: it begins to tip over.
+
+    See Also
+    --------
+    WheeledRobot : its method `contact_loads`
+    plant.SlipMargins : margins before slip
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable
+    >>> table = WheelTable.skid_steer(
+    ...     wheelbase=0.4, track=0.3, radius=0.1, spin_inertia=0.01)
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+    >>> still = np.zeros(robot.nv)
+    >>> loads = robot.contact_loads(robot.rest, still, still)
+    >>> print(loads.names[0], f"{loads.values[0]:.1f} N")
+    front_left 73.6 N
     """
 
     names: tuple[str, ...]
@@ -251,6 +420,25 @@ class SlipMargins(NamedTuple):
         Force of the ground along each wheel, or along the axis of its roller [N].
     across : ndarray, shape (..., k)
         Lateral force of the ground [N].
+
+    See Also
+    --------
+    WheeledRobot : its method `slip_margins`
+    plant.ContactLoads : loads of the contacts
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable
+    >>> from pinmobile.balance import MotionStates
+    >>> table = WheelTable.differential(
+    ...     0.4, 0.1, supports=[(-0.3, 0)], spin_inertia=0.01)
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+    >>> rest, still = robot.rest, np.zeros(robot.nv)
+    >>> states = MotionStates(robot, rest, still, still, u=[2, 2])
+    >>> margins = robot.slip_margins(states)
+    >>> print(margins.names[0], f"{margins.values[0]:.0f} N")
+    left + right 98 N
     """
 
     names: tuple[str, ...]
@@ -268,6 +456,29 @@ class TorqueMargins(NamedTuple):
         Names of the inputs.
     values : ndarray, shape (..., nu)
         Remaining torque at the rate [N m]; negative if the motion needs more, infinite without limits.
+
+    See Also
+    --------
+    WheeledRobot : its method `follows`
+    plant.SlipMargins : margins before slip
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import MobileRobot, Motor, RestToRest, Tangent
+    >>> from pinmobile import WheeledRobot, WheelTable
+    >>> table = WheelTable.differential(
+    ...     0.4, 0.1, supports=[(-0.3, 0)], spin_inertia=0.01,
+    ...     motor=Motor(torque_limit=9.0))
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+    >>> path = Tangent(RestToRest([0, 0], [1, 0], duration=2.0))
+    >>> t = np.linspace(0.0, 2.0, 41)
+    >>> motion = robot.follows(t, path(t))
+    >>> for factor in 1.0, 2.0:
+    ...     *_, margins = motion.at(factor)
+    ...     print(f"{margins.values.min():.1f} N m left")
+    6.7 N m left
+    -0.2 N m left
     """
 
     names: tuple[str, ...]
@@ -285,6 +496,18 @@ class Coordinate(NamedTuple):
         Limits; infinite without one.
     rate : str
         Name of its rate, such as ``"yaw_rate"``; default: ``"<name>_rate"``.
+
+    See Also
+    --------
+    plant.Input : entry of the input
+    plant.coordinates_of : coordinates of any plant
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> robot.coordinates[2][:2]
+    ('psi', 'rad')
     """
 
     name: str
@@ -303,6 +526,18 @@ class Input(NamedTuple):
         Such as ``"Mz"`` and ``"N m"``.
     lower, upper : float
         Limits; infinite without one.
+
+    See Also
+    --------
+    plant.Coordinate : entry of a displacement
+    plant.inputs_of : inputs of any plant
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> robot.inputs[2][:2]
+    ('Mz', 'N m')
     """
 
     name: str
@@ -318,6 +553,16 @@ class Parameter(NamedTuple):
     ----------
     name, unit, meaning : str
         Its name in the spread, its unit, "" for none, and its meaning, as a noun phrase.
+
+    See Also
+    --------
+    ensemble : spreads of parameters
+
+    Examples
+    --------
+    >>> from pinmobile.plant import Parameter
+    >>> Parameter("mass", "kg", "mass of the robot").unit
+    'kg'
     """
 
     name: str
@@ -358,6 +603,21 @@ class Context:
         Seed of the ensemble and number of the robot in it: `noise` derives its noise from them.
     measurement_delay : int
         Samples by which the measured state is late, see `MeasurementDelay`.
+
+    See Also
+    --------
+    controllers.Controller : protocol of controllers, which receive it
+    plant.Plant : protocol of plants
+
+    Examples
+    --------
+    >>> from pinmobile import PD, MobileRobot
+    >>> from pinmobile.plant import Context
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> context = Context.of(robot, dt=0.01)
+    >>> memory = PD(kp=120.0, kd=60.0).initial_state(context)
+    >>> [one.name for one in context.inputs]
+    ['Fx', 'Fy', 'Mz']
     """
 
     dt: float
@@ -382,7 +642,13 @@ class Context:
     def delay(self, samples: int) -> Line:
         """Return a delay to keep in the state: ``old, line = line.push(values)``.
 
-        ``push`` returns the tree of arrays that it received `samples` samples before; until then, the first.
+        ``push`` returns the arrays that it received `samples` samples before; until then, it returns the
+        first ones.
+
+        Parameters
+        ----------
+        samples : int
+            Delay in samples, >= 0.
         """
         from pinmobile.compiled import Line
 
@@ -393,6 +659,13 @@ class Context:
 
         The n numbers of a sample are standard normal and independent. They depend only on the seed, the
         member, the name and the number of the sample, and have the same bits in every engine.
+
+        Parameters
+        ----------
+        name : str
+            Name of the noise; different names give independent numbers.
+        n : int
+            Number of values per sample.
         """
         from pinmobile.compiled import Noise, robot_keys
 
@@ -412,7 +685,7 @@ class Context:
         Raises
         ------
         InvalidArgument
-            If their number differs from that of `t`, or they are not finite.
+            If the number of rows differs from the number of times, or a number is not finite.
         """
         from pinmobile.compiled import Schedule
 
@@ -439,10 +712,15 @@ class Context:
         trajectory : trajectory, optional
             Trajectory of the reference.
 
+        Returns
+        -------
+        context : Context
+            The context.
+
         Raises
         ------
         InvalidArgument
-            If the plant cannot compare and move configurations, `dt` is not above zero, or `t` is no row.
+            If the plant lacks `difference` or `integrate`, `dt` is not above zero, or `t` has another shape.
         """
         missing = [name for name in ("difference", "integrate") if not callable(stated(plant, name))]
         if isinstance(plant, type) or missing:
@@ -464,7 +742,36 @@ class Context:
 
 
 def coordinates_of(plant: object) -> tuple[Coordinate, ...]:
-    """Return the coordinates of a plant, in the order of v; without names, numbers."""
+    """Return the coordinates of a plant, in the order of v; a plant without names gets numbers.
+
+    Parameters
+    ----------
+    plant : plant
+        Any plant.
+
+    Returns
+    -------
+    coordinates : tuple of Coordinate
+        nv coordinates.
+
+    Raises
+    ------
+    InvalidArgument
+        If the attribute ``coordinates`` is not a sequence.
+
+    See Also
+    --------
+    plant.inputs_of : inputs of a plant
+    plant.configuration_names_of : names of the entries of q
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.plant import coordinates_of
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> [one.name for one in coordinates_of(robot)]
+    ['x', 'y', 'psi']
+    """
     found = stated(plant, "coordinates")
     if found is None:
         return tuple(Coordinate(f"[{k}]", "") for k in range(stated(plant, "nv")))
@@ -472,7 +779,35 @@ def coordinates_of(plant: object) -> tuple[Coordinate, ...]:
 
 
 def inputs_of(plant: object) -> tuple[Input, ...]:
-    """Return the inputs of a plant, in the order of u; without names, numbers."""
+    """Return the inputs of a plant, in the order of u; a plant without names gets numbers.
+
+    Parameters
+    ----------
+    plant : plant
+        Any plant.
+
+    Returns
+    -------
+    inputs : tuple of Input
+        nu inputs, with their limits.
+
+    Raises
+    ------
+    InvalidArgument
+        If the attribute ``inputs`` is not a sequence.
+
+    See Also
+    --------
+    plant.coordinates_of : coordinates of a plant
+
+    Examples
+    --------
+    >>> from pinmobile import VelocityRobot
+    >>> from pinmobile.plant import inputs_of
+    >>> robot = VelocityRobot(theta=[0.3, 0.2, 0, 1, 0, 1])
+    >>> [(one.name, one.unit) for one in inputs_of(robot)]
+    [('speed command', 'm/s'), ('yaw rate command', 'rad/s')]
+    """
     found = stated(plant, "inputs")
     if found is None:
         return tuple(Input(f"[{k}]", "") for k in range(stated(plant, "nu")))
@@ -480,7 +815,34 @@ def inputs_of(plant: object) -> tuple[Input, ...]:
 
 
 def configuration_names_of(plant: object) -> tuple[str, ...]:
-    """Return the names of the entries of q: those of the coordinates if their number agrees, else numbers."""
+    """Return the names of the entries of q: those of the coordinates if their number agrees, else numbers.
+
+    Parameters
+    ----------
+    plant : plant
+        Any plant.
+
+    Returns
+    -------
+    names : tuple of str
+        nq names.
+
+    Raises
+    ------
+    InvalidArgument
+        If the attribute ``configuration_names`` is not a sequence.
+
+    See Also
+    --------
+    plant.coordinates_of : coordinates of a plant
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.plant import configuration_names_of
+    >>> configuration_names_of(MobileRobot(30.0, 1.3))
+    ('x', 'y', 'psi')
+    """
     found = stated(plant, "configuration_names")
     if found is not None:
         return sequence("plant.configuration_names", found, "a sequence of names")
@@ -489,25 +851,69 @@ def configuration_names_of(plant: object) -> tuple[str, ...]:
 
 
 def reference_sizes_of(plant: object) -> Mapping[int, int]:
-    """Return the number of entries of q for each number of coordinates that a reference may have."""
+    """Return the number of entries of q for each number of coordinates that a reference may have.
+
+    Parameters
+    ----------
+    plant : plant
+        Any plant.
+
+    Returns
+    -------
+    sizes : mapping of int to int
+        Its attribute ``reference_sizes``; default: {nv: nq}.
+
+    See Also
+    --------
+    plant.Plant : protocol with this attribute
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable
+    >>> from pinmobile.plant import reference_sizes_of
+    >>> table = WheelTable.differential(0.4, 0.1, spin_inertia=0.01)
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+    >>> robot.nq, dict(reference_sizes_of(robot))
+    (5, {3: 3})
+    """
     found: Mapping[int, int] = stated(plant, "reference_sizes") or {stated(plant, "nv"): stated(plant, "nq")}
     return found
 
 
-_SLACK = 1e-6  # of a limit: error of an integrator
+_SLACK = 1e-6  # relative to a limit: tolerance of integration errors
 
 
 def limits_exceeded(plant: object, t: Array, q: Array, v: Array, u: Array | None = None) -> tuple[str, ...]:
     """Return a sentence for each limit of a plant that samples exceed, with the largest excess.
 
-    `coordinates` contain limits of position, ``velocity_limit`` and ``effort_limit`` of the robot the others.
+    `coordinates` contain the limits of position; ``velocity_limit`` and ``effort_limit`` of the robot contain
+    the others.
 
     Parameters
     ----------
     plant : plant
         Plant with limits.
     t, q, v, u : ndarray, shape (N,), (N, nq), (N, nv), (N, nu)
-        Samples; without `u`, torques are not checked.
+        Times [s], states and inputs of the samples; without `u`, inputs are not checked.
+
+    Returns
+    -------
+    sentences : tuple of str
+        One sentence per exceeded limit.
+
+    See Also
+    --------
+    trajectories.check_limits : check of a reference
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.plant import limits_exceeded
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)  # no limits
+    >>> q, v = np.ones((1, 3)), np.zeros((1, 3))
+    >>> limits_exceeded(robot, np.zeros(1), q, v)
+    ()
     """
     named, found, names = coordinates_of(plant), [], list(configuration_names_of(plant))
 
@@ -541,18 +947,37 @@ def limits_exceeded(plant: object, t: Array, q: Array, v: Array, u: Array | None
 
 
 def check_plant(plant: object) -> None:
-    """Check a plant.
+    """Check that an object is a plant with consistent sizes.
+
+    Parameters
+    ----------
+    plant : object
+        The object.
 
     Raises
     ------
     InvalidArgument
-        If it is no plant, or its sizes contradict each other.
+        If it lacks ``forward_dynamics`` or a size, or its sizes contradict its names.
+
+    See Also
+    --------
+    plant.Plant : protocol of plants
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.plant import check_plant
+    >>> check_plant(MobileRobot(mass=30.0, yaw_inertia=1.3))
+    >>> check_plant(30.0)
+    Traceback (most recent call last):
+        ...
+    pinmobile.errors.InvalidArgument: plant is 30.0, expected ...
     """
     sizes: dict[str, Any] = {size: getattr(plant, size, None) for size in ("nq", "nv", "nu")}
     known = all(isinstance(value, int | np.integer) for value in sizes.values())
     if isinstance(plant, type) or stated(plant, "forward_dynamics") is None or not known:
         raise InvalidArgument(
-            f"plant is {shown(plant)}, expected something with 'forward_dynamics' and the sizes nq, nv, nu"
+            f"plant is {shown(plant)}, expected a plant with 'forward_dynamics' and the sizes nq, nv, nu"
         )
     for name, size, listed in (
         ("coordinates", "nv", coordinates_of(plant)),
@@ -561,7 +986,7 @@ def check_plant(plant: object) -> None:
     ):
         if len(listed) != sizes[size]:
             raise InvalidArgument(
-                f"plant has {size} = {sizes[size]} and {len(listed)} {name}, expected as many"
+                f"plant has {size} = {sizes[size]} and {len(listed)} {name}, expected equal numbers"
             )
 
 
@@ -571,11 +996,29 @@ def all_samples(plant: object, name: str, *rows: Array) -> Array:
     Parameters
     ----------
     plant : plant
-        A plant that ``broadcasts`` is called once, others row by row.
+        Plant; if it ``broadcasts``, the method is called once, otherwise once per row.
     name : str
         Name of the method.
     *rows : ndarray, shape (N, ...)
         Arguments of the method, N > 0.
+
+    Returns
+    -------
+    values : ndarray, shape (N, ...)
+        Value for each row.
+
+    See Also
+    --------
+    plant.Plant : its attribute ``broadcasts``
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.plant import all_samples
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> all_samples(robot, "mass_matrix", np.zeros((5, 3))).shape
+    (5, 3, 3)
     """
     method = getattr(plant, name)
     if stated(plant, "broadcasts"):
@@ -584,7 +1027,36 @@ def all_samples(plant: object, name: str, *rows: Array) -> Array:
 
 
 def whole_configurations(plant: Any, q: Array, reference: Array) -> Array:
-    """Return the reference's configurations, shape (..., nq), completed by the last entries of q."""
+    """Return the reference's configurations, completed by the last entries of q.
+
+    Parameters
+    ----------
+    plant : plant
+        Plant with nq.
+    q : ndarray, shape (..., nq)
+        Configurations [m, m, rad, ...].
+    reference : ndarray, shape (..., n), n <= nq
+        Configurations of the reference.
+
+    Returns
+    -------
+    q : ndarray, shape (..., nq)
+        The completed configurations.
+
+    See Also
+    --------
+    plant.reference_sizes_of : possible sizes of a reference
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable
+    >>> from pinmobile.plant import whole_configurations
+    >>> table = WheelTable.differential(0.4, 0.1, spin_inertia=0.01)
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+    >>> whole_configurations(robot, robot.rest, np.ones(3))
+    array([1., 1., 1., 0., 0.])
+    """
     length = reference.shape[-1]
     if length == plant.nq:
         return reference
@@ -611,6 +1083,20 @@ class PlantOutline:
         Length, width and height of the drawn box [m]; None: an arrowhead.
     reason : str
         Why a file does not have the robot itself; "" for a plant of a user's class.
+
+    See Also
+    --------
+    plant.Plant : protocol of plants
+    Rollout : result, whose file contains an outline
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.plant import PlantOutline
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> outline = PlantOutline.of(robot, robot.rest[None])
+    >>> outline.kind, outline.nv, outline.inputs[0].unit
+    ('MobileRobot', 3, 'N')
     """
 
     kind: str
@@ -624,7 +1110,15 @@ class PlantOutline:
 
     @classmethod
     def of(cls, plant: object, q: Array) -> PlantOutline:
-        """Return the outline of a plant; configurations q, shape (N, nq), locate its pose in q."""
+        """Return the outline of a plant.
+
+        Parameters
+        ----------
+        plant : plant
+            Any plant; an outline is returned unchanged.
+        q : ndarray, shape (N, nq)
+            Configurations, which locate the entries of the pose in q.
+        """
         if isinstance(plant, cls):
             return plant
         size = stated(plant, "size")
@@ -655,7 +1149,7 @@ class PlantOutline:
 
     @property
     def broadcasts(self) -> bool:
-        """True: its methods take leading axes."""
+        """True: its methods accept leading axes."""
         return True
 
     @property
@@ -665,7 +1159,7 @@ class PlantOutline:
 
 
 def _posed(plant: object, q: Array) -> tuple[int, ...] | None:
-    """Return the entries of q that equal the pose in all samples; None if there are none."""
+    """Return the entries of q that equal the pose in all samples; None without such entries."""
     if not callable(stated(plant, "pose")) or not len(q):
         return None
     poses = all_samples(plant, "pose", q)

@@ -51,7 +51,6 @@ from pinmobile.controllers.wrappers import (
     MeasurementDelay,
     MeasurementNoise,
 )
-from pinmobile.parts import Gravitating as Gravity, Invertible as InverseDynamics
 
 __all__ = [
     "ADRC",
@@ -69,9 +68,7 @@ __all__ = [
     "Decoupled",
     "DisturbanceObserver",
     "DynamicFeedback",
-    "Gravity",
     "InputSaturation",
-    "InverseDynamics",
     "Kanayama",
     "KinematicLaw",
     "MeasurementDelay",

@@ -85,7 +85,7 @@ class TorqueToVoltage(Wrapper):
     >>> from pinmobile.controllers import TorqueToVoltage
     >>> from pinmobile.plant import Context
     >>> from pinmobile.wheels import Motor
-    >>> motor = Motor(resistance=2.0, torque_constant=0.5, voltage=24)
+    >>> motor = Motor(resistance=2, torque_constant=0.5, voltage=24)
     >>> wheels = WheelTable.differential(0.4, 0.1, motor=motor)
     >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), wheels)
     >>> robot = robot.by_voltage()

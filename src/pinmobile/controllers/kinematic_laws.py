@@ -797,8 +797,8 @@ class SwerveTracking:
     >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable
     >>> from pinmobile import simulate
     >>> from pinmobile.controllers import SwerveTracking
-    >>> wheels = WheelTable.swerve([(0.3, 0.0), (-0.3, 0.0)], 0.1,
-    ...                            spin_inertia=0.01, yaw_inertia=0.01)
+    >>> wheels = WheelTable.swerve([(0.3, 0), (-0.3, 0)], radius=0.1,
+    ...     spin_inertia=0.01, yaw_inertia=0.01)
     >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), wheels)
     >>> circle = Circle(radius=3.0, rate=0.1, duration=0.5)
     >>> path = FixedHeading(circle, psi=0.3)

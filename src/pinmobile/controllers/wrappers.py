@@ -516,10 +516,10 @@ class ControlAllocation(Wrapper):
     >>> wheels = WheelTable.differential(track=0.4, radius=0.1)
     >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), wheels)
     >>> law = ControlAllocation(PD(kp=120.0, kd=60.0), robot)
-    >>> goal = Reference(*np.array([[0.1, 0, 0], [0, 0, 0], [0, 0, 0]]))
+    >>> goal = Reference(*np.diag([0.1, 0.0, 0.0]))  # 0.1 m ahead
     >>> memory = law.initial_state(Context.of(robot, dt=0.01))
-    >>> torques, _ = law(0.0, robot.rest, 0 * robot.rest, goal, memory)
-    >>> torques  # 12 N on two wheels of 0.1 m radius [N m]
+    >>> q, v = robot.rest, 0 * robot.rest
+    >>> law(0.0, q, v, goal, memory)[0]  # 12 N, two wheels [N m]
     array([0.6, 0.6])
     """
 

@@ -1,4 +1,4 @@
-"""A path and a heading law make a reference (q, v, a); beside paths of arms, one of the whole."""
+"""Trajectories: a path and a heading give a reference (q, v, a); paths of arms complete it."""
 
 from pinmobile.trajectories.reference import (
     FixedHeading,

@@ -1,4 +1,4 @@
-"""The direction of motion along a path, with its limits where the path rests."""
+"""Direction of motion along a path, with its limits where the path rests."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _MOST = 2**22
 
 
 def halve(field: Field, cells: Array, levels: int) -> tuple[Array, Array]:
-    """Halve cells until within each the field stays in a cone of half-angle 30 deg.
+    """Halve cells until the field stays within a cone of half-angle 30 deg in each of them.
 
-    A cell of width h around t is done once |u(t)| > h (|u'(t)| + h/2 |u''(t)|): the field then leaves
-    u(t) by half its length at most (but for what the third derivative adds, and there is a factor of
-    two to spare). No oscillation escapes: where the samples of u' vanish, those of u'' do not.
+    A cell of width h around t is done if |u(t)| > h (|u'(t)| + h/2 |u''(t)|). Then the field changes by at
+    most half its length, except for the effect of the third derivative, for which a factor of two remains. No
+    oscillation escapes: where the samples of u' vanish, those of u'' do not.
 
     Parameters
     ----------
@@ -35,17 +35,17 @@ def halve(field: Field, cells: Array, levels: int) -> tuple[Array, Array]:
     cells : ndarray, shape (m, 2)
         Start and end of each cell [s].
     levels : int
-        How often a cell may be halved.
+        Largest number of halvings of a cell.
 
     Returns
     -------
     done, left : ndarray, shape (..., 2)
-        The cells that are done, in order of time, and those that still are not, in order too.
+        Finished cells and unfinished cells, each in order of time [s].
 
     Raises
     ------
     InvalidArgument
-        If the number of cells runs away.
+        If there are too many cells.
     """
     done = [cells[:0]]
     for _ in range(levels):
@@ -63,20 +63,21 @@ def halve(field: Field, cells: Array, levels: int) -> tuple[Array, Array]:
 
 
 def _turns_little(field: Field, cells: Array) -> NDArray[np.bool_]:
+    """Return whether the field stays within the cone in each cell."""
     width = cells[:, 1] - cells[:, 0]
     u, du, ddu = (np.linalg.norm(vectors, axis=-1) for vectors in field(cells.mean(axis=-1)))
     return np.asarray(u > width * (du + width / 2 * ddu))
 
 
 STANDSTILL = 1e-12
-"""Below this part of the largest speed on a path, a speed is rounding (lecture model, section 7)."""
+"""Fraction of a path's largest speed below which a speed is a rounding error (lecture model, section 7)."""
 
 _SAMPLES = 64
 _EPS = float(np.finfo(np.float64).eps)
 
 
 def largest(path: Path, order: int) -> Array:
-    """Return the largest length of a derivative on each piece of a path, as seen by samples.
+    """Return the largest length of a derivative on each piece of a path, by samples.
 
     Parameters
     ----------
@@ -88,14 +89,14 @@ def largest(path: Path, order: int) -> Array:
     Returns
     -------
     lengths : ndarray, shape (k,)
-        Close to the suprema [m/s^order], and the same whatever else is asked.
+        Values close to the suprema [m/s^order], always by the same samples.
 
     Raises
     ------
     InvalidArgument
         If a derivative is not finite.
     """
-    # Steps of the golden ratio fall into step with no oscillation of the path, as even ones may.
+    # Steps of the golden ratio are never synchronous with an oscillation of the path, as equal steps may be.
     fractions = (np.arange(1, _SAMPLES + 1) * (np.sqrt(5.0) - 1) / 2) % 1.0
     ends = np.array([(piece.start, piece.end) for piece in pieces_of(path)])  # (k, 2)
     times = ends[:, :1] + fractions * np.diff(ends)
@@ -107,7 +108,7 @@ def largest(path: Path, order: int) -> Array:
 
 
 class _Scales:
-    """What is large and what is rounding in the derivatives of a path, on each of its k pieces.
+    """Sizes of a path's derivatives, and tolerances of their rounding errors, for each of its k pieces.
 
     Parameters
     ----------
@@ -119,7 +120,7 @@ class _Scales:
     top : float
         Largest speed on the path [m/s].
     dwells : ndarray of bool, shape (k,)
-        The pieces on which it does not move.
+        Whether the path stays in one place on a piece.
     """
 
     def __init__(self, path: Path) -> None:
@@ -131,44 +132,44 @@ class _Scales:
         self.dwells = speeds <= STANDSTILL * self.top
 
     def tolerance(self, order: int) -> Array:
-        """Return the length below which a derivative is rounding, shape (k,) [m/s^order]."""
-        # The second term is what the rounding of the time itself makes of the next derivative.
+        """Return the length below which a derivative is a rounding error, shape (k,) [m/s^order]."""
+        # The second term is the effect of rounding errors of the time, by the next derivative.
         drift = 8 * _EPS * self._ends * self._scale(order + 1)
         return np.asarray(STANDSTILL * self._scale(order) + drift)
 
     def _scale(self, order: int) -> Array:
         if order not in self._largest:
-            # A speed is measured by the path's, also on a slow piece; a later derivative by its own.
+            # A speed is compared with the path's, even on a slow piece; another derivative with its own.
             of_path = np.full_like(self._ends, self.top)
             self._largest[order] = of_path if order == 1 else largest(self._path, order)
         return self._largest[order]
 
 
 _CELLS = 8
-_LEVELS = 17  # a cell left over is a millionth of its piece
+_LEVELS = 17  # an unfinished cell is a millionth of its piece
 _HIGHEST = 6
 _STEPS = 60
-_NOISE = 1e-13  # a good deal above rounding, and below what counts as standstill
+_NOISE = 1e-13  # well above rounding errors, and below the limit of a standstill
 
 
 def _rest_order(piece: Piece, t: float, scales: _Scales, index: int) -> int:
-    """Return how fast the speed vanishes: as |t - t_rest|^order, with 0 for one that does not.
+    """Return the order at which the speed vanishes, as |t - t_rest|^order; 0 for a speed that does not.
 
     Parameters
     ----------
     piece : Piece
         An analytic piece that moves.
     t : float
-        Time on it [s].
+        Time on the piece [s].
     scales : Scales
-        Those of the path.
+        Scales of the path.
     index : int
-        Which of the path's pieces it is.
+        Number of the piece in the path.
 
     Raises
     ------
     InvalidArgument
-        If so many derivatives vanish that there is no telling where the path goes.
+        If so many derivatives vanish that the direction is undefined.
     """
     for order in range(_HIGHEST + 1):
         if np.linalg.norm(piece.derivative(t, order + 1)) > scales.tolerance(order + 1)[index]:
@@ -186,7 +187,7 @@ def _inner_rests(path: Path, scales: _Scales) -> list[list[float]]:
     path : Path
         A path of two coordinates.
     scales : Scales
-        Its scales.
+        Scales of the path.
     """
     pieces = pieces_of(path)
     edges = [
@@ -207,13 +208,15 @@ def _inner_rests(path: Path, scales: _Scales) -> list[list[float]]:
 
 
 def _velocity(path: Path, t: Array, top: float) -> tuple[Array, Array, Array]:
+    """Return velocity and two derivatives at times, with rounding errors of the velocity set to zero."""
     v, a, jerk = (np.asarray(path.derivative(t, order)) for order in (1, 2, 3))
-    # Rounding has a direction too, and would pass for motion where the speed is flat around a rest.
+    # A rounding error has a direction, and would count as motion where the speed is flat around a rest.
     still = np.linalg.norm(v, axis=-1, keepdims=True) < _NOISE * top
     return np.where(still, 0.0, v), a, jerk
 
 
 def _clusters(cells: Array, owners: Array) -> list[tuple[float, float, int]]:
+    """Return start, end and piece of each run of adjacent cells."""
     if not len(cells):
         return []
     apart = (cells[1:, 0] > cells[:-1, 1]) | (owners[1:] != owners[:-1])
@@ -222,11 +225,12 @@ def _clusters(cells: Array, owners: Array) -> list[tuple[float, float, int]]:
 
 
 def _refined(piece: Piece, first: float, last: float, scales: _Scales, index: int) -> float | None:
-    # A rest at an end of the piece is that end, and known already.
+    # A rest at an end of the piece is known already.
+    """Return the time of a rest between two times [s]; None if there is none inside the piece."""
     for end in (piece.start, piece.end):
         if first <= end <= last and _rest_order(piece, end, scales, index):
             return None
-    # At a rest of order k the speed is too flat to say where it is; the k-th derivative is not.
+    # At a rest of order k the speed is too flat to locate the rest; the k-th derivative is not.
     for order in range(_HIGHEST, 0, -1):
         t = _zero(piece, order, first, last)
         if t is not None and _rest_order(piece, t, scales, index) >= order:
@@ -236,6 +240,7 @@ def _refined(piece: Piece, first: float, last: float, scales: _Scales, index: in
 
 def _zero(piece: Piece, order: int, first: float, last: float) -> float | None:
     # Gauss-Newton for derivative(t, order) = 0, two equations in one unknown.
+    """Return a zero of a derivative between two times [s]; None without convergence."""
     t, room = (first + last) / 2, last - first
     for _ in range(_STEPS):
         value, slope = piece.derivative(t, order), piece.derivative(t, order + 1)
@@ -257,19 +262,19 @@ _TRUNCATION = 1e-17
 
 @dataclass(frozen=True, eq=False)
 class DirectionLimit:
-    """The direction of motion at one end of a leg, and near it where the path rests there.
+    """Direction of motion at one end of a leg, and near it if the path rests there.
 
     Parameters
     ----------
     time : float
-        The end [s].
+        Time of the end [s].
     series : ndarray, shape (m, 2)
         Taylor coefficients of u(t) in powers of t - time; u is a positive multiple of the velocity.
     window : float
-        Up to this distance the series stands for u [s]; negative where the path moves and its velocity
-        does itself.
+        Distance up to which the series replaces u [s]; negative if the path moves, where the velocity is
+        used.
     speed : float
-        Speed in that limit [m/s]; 0 where the path rests.
+        Speed in this limit [m/s]; 0 if the path rests.
     """
 
     time: float
@@ -280,27 +285,27 @@ class DirectionLimit:
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """A stretch of path between knots and rests."""
+    """Part of a path between knots and rests."""
 
     head: DirectionLimit
     tail: DirectionLimit
 
 
 class Hodograph:
-    """The direction of motion along a path, a vector u(t) that is never zero and turns as the velocity.
+    """Direction of motion along a path, a vector u(t) that is never zero and has the velocity's direction.
 
-    The velocity v itself is a hodograph but where the path rests. There v = tau^k w(tau) with w(0) not
-    zero, tau the time since the rest, and u = w (its opposite before a rest of odd k, since there the
-    velocity is) takes its place, by its Taylor series.
+    The velocity v is a hodograph except where the path rests. There v = tau^k w(tau) with w(0) not zero and
+    the time tau since the rest. The Taylor series of u = w replaces the velocity (its opposite before a rest
+    of odd k, where the velocity points backwards).
 
     Parameters
     ----------
     path : Path
         The path.
     legs : sequence of Leg, length L
-        Its legs, in order.
+        Legs of the path, in order.
     top : float
-        The largest speed on it [m/s].
+        Largest speed on the path [m/s].
     """
 
     def __init__(self, path: Path, legs: list[Leg], top: float) -> None:
@@ -322,7 +327,7 @@ class Hodograph:
         return self.along(t, *(self.path.derivative(t, order) for order in (1, 2, 3)))
 
     def along(self, t: Array, v: Array, a: Array, jerk: Array) -> tuple[Array, Array, Array]:
-        """As a call, for those who have velocity, acceleration and jerk at hand."""
+        """Return the same as a call, from given velocity, acceleration and jerk."""
         head = 2 * (np.searchsorted(self._starts, t, side="right") - 1)
         late = self._times[head + 1] - t < self._windows[head + 1]
         limit = head + late
@@ -352,7 +357,7 @@ def heading(u: Array, du: Array, ddu: Array) -> tuple[Array, Array, Array]:
     Parameters
     ----------
     u, du, ddu : ndarray, shape (..., 2)
-        A vector along the direction of motion and its first two derivatives by time.
+        Vector along the direction of motion and its first two time derivatives.
     """
     (x, dx, ddx), (y, dy, ddy) = np.moveaxis(np.stack([u, du, ddu]), -1, 0)
     square = x * x + y * y
@@ -367,13 +372,12 @@ def hodograph(path: Path) -> Hodograph:
     Raises
     ------
     InvalidArgument
-        If the path does not move at all, or at a rest so many derivatives vanish that there is no
-        telling where it goes.
+        If the path never moves, or so many derivatives vanish at a rest that its direction is undefined.
     """
     scales = _Scales(path)
     if not scales.top:
         raise InvalidArgument(
-            "path never moves, so it has no tangent; expected one that does, or FixedHeading"
+            "path never moves, so it has no tangent; expected a path that moves, or FixedHeading"
         )
     rests = _inner_rests(path, scales)
     legs: list[Leg | None] = []
@@ -387,11 +391,13 @@ def hodograph(path: Path) -> Hodograph:
 
 
 def _leg(piece: Piece, start: float, end: float, scales: _Scales, index: int) -> Leg:
+    """Return a leg of a piece between two times [s]."""
     half = (end - start) / 2
     return Leg(*(_limit(piece, t, side, half, scales, index) for t, side in ((start, 1), (end, -1))))
 
 
 def _limit(piece: Piece, t: float, side: int, room: float, scales: _Scales, index: int) -> DirectionLimit:
+    """Return the direction at one end of a leg."""
     k = _rest_order(piece, t, scales, index)
     if not k:
         v, a, jerk = (piece.derivative(t, order) for order in (1, 2, 3))
@@ -403,7 +409,8 @@ def _limit(piece: Piece, t: float, side: int, room: float, scales: _Scales, inde
 
 
 def _reach(series: Array) -> float:
-    # The last terms are what is left out, give or take; three of them, because of odd and even series.
+    # The last terms estimate the truncation error; three of them, because a series may be odd or even.
+    """Return the distance up to which a truncated series is accurate [s]."""
     powers = np.arange(len(series))[-3:]
     sizes = np.linalg.norm(series[-3:], axis=-1)
     return min(
@@ -417,7 +424,8 @@ def _reach(series: Array) -> float:
 
 
 def _with_dwells(legs: list[Leg | None], spans: list[tuple[float, float]]) -> list[Leg]:
-    # Where the path dwells the heading is that before, or at first that to come.
+    # Where the path stays in one place, the heading is the one before, or at the start the next one.
+    """Return the legs, with constant directions where the path stays in one place."""
     held = next(leg for leg in legs if leg is not None).head.series[:1]
     whole: list[Leg] = []
     for leg, (start, end) in zip(legs, spans, strict=True):

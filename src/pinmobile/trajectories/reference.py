@@ -1,4 +1,4 @@
-"""Trajectories: a path and a heading, or base and arms as one, within the limits of joints."""
+"""Trajectories: a path and a heading, or base and arms together, within the limits of joints."""
 
 from __future__ import annotations
 
@@ -29,14 +29,29 @@ from pinmobile.trajectories.direction import (
 
 
 class Reference(NamedTuple):
-    """Where to be and how to move, at one time or at many.
+    """Desired configuration, velocity and acceleration, at one time or at many.
 
     Attributes
     ----------
     q : ndarray, shape (..., nq)
-        (x, y, psi) and, where there are arms, their configurations [m, m, rad, ...].
+        (x, y, psi) and, for a robot with arms, their configurations [m, m, rad, ...].
     v, a : ndarray, shape (..., nv)
-        Velocity and acceleration [per s; per s^2]; of (x, y, psi) the two derivatives.
+        Velocity and acceleration [m/s, m/s, rad/s, ...; m/s^2, m/s^2, rad/s^2, ...].
+
+    See Also
+    --------
+    Tangent : a trajectory that returns references
+    trajectories.Trajectory : protocol of trajectories
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import PD, Reference
+    >>> from pinmobile.controllers import planar_difference
+    >>> zero, law = np.zeros(3), PD(kp=100.0, kd=20.0)
+    >>> goal = Reference(np.array([1.0, 2.0, 0.0]), zero, zero)
+    >>> law(0.0, zero, zero, goal, planar_difference)[0]  # [N]
+    array([100., 200.,   0.])
     """
 
     q: Array
@@ -46,7 +61,30 @@ class Reference(NamedTuple):
 
 @runtime_checkable
 class Trajectory(Protocol):
-    """A reference as a function of time, 0 <= t <= duration."""
+    """A reference as a function of time, 0 <= t <= duration.
+
+    Any class with these members is a trajectory.
+
+    See Also
+    --------
+    Tangent : path with its tangent as heading
+    FixedHeading : path with a constant heading
+    Reference : return value of a trajectory
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import PD, MobileRobot, Reference, simulate
+    >>> class Spin:
+    ...     duration = 1.0
+    ...     def __call__(self, t):
+    ...         t, v = np.asarray(t)[..., None], np.array([0, 0, 2])
+    ...         return Reference(v * t, v + 0 * t, 0 * v * t)
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> run = simulate(robot, PD(90.0, 9.0), Spin(), dt=0.02)
+    >>> run.q[-1].round(2)  # [m, m, rad]
+    array([0., 0., 2.])
+    """
 
     @property
     def duration(self) -> float:
@@ -54,12 +92,23 @@ class Trajectory(Protocol):
         ...
 
     def __call__(self, t: ArrayLike, /) -> Reference:
-        """Return the reference at the times `t`, shape (...) [s]."""
+        """Return the reference.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Times, 0 <= t <= duration [s].
+
+        Returns
+        -------
+        reference : Reference
+            Arrays of shape (..., n).
+        """
         ...
 
 
 def joined(plane: Iterable[Array], headings: Iterable[Array]) -> Reference:
-    """Return a reference made of a motion in the plane and one of the heading.
+    """Return the reference of a motion in the plane and a motion of the heading.
 
     Parameters
     ----------
@@ -72,12 +121,12 @@ def joined(plane: Iterable[Array], headings: Iterable[Array]) -> Reference:
 
 
 def plane_path(path: object) -> Path:
-    """Check that `path` is a path of two coordinates, and return it.
+    """Return a path after a check that it has two coordinates and consecutive pieces.
 
     Raises
     ------
     InvalidArgument
-        If it is not.
+        If it has not.
     """
     plane = checked_path(path, 2)
     duration = positive("path.duration", plane.duration, "s")
@@ -85,32 +134,45 @@ def plane_path(path: object) -> Path:
     times = [0.0, *(end for _, end in ends)]
     if [start for start, _ in ends] != times[:-1] or times != sorted(set(times)) or times[-1] != duration:
         raise InvalidArgument(
-            f"path.pieces has (start, end) {ends}, expected end to end from 0 to {duration}"
+            f"path.pieces has (start, end) {ends}, expected consecutive pieces from 0 to {duration}"
         )
     return plane
 
 
-_SLACK = 1e-9  # [m, rad], of velocities relative: a path that ends at a limit comes there but for rounding
+_SLACK = 1e-9  # [m, rad], relative for velocities: tolerance of a path that ends at a limit
 
 
 def check_limits(robot: Any, q: Array, v: Array, t: Array | None = None) -> None:
-    """Refuse configurations and velocities outside the joint limits of a robot.
+    """Check that configurations and velocities respect the joint limits of a robot.
 
     Parameters
     ----------
     robot : MobileRobot
-        Whose `lower`, `upper` and `velocity_limit` are meant.
+        Robot with the limits `lower`, `upper` and `velocity_limit`.
     q : ndarray, shape (..., n), n <= nq
-        Configurations, or their first numbers.
+        Configurations, or their first entries [m, m, rad, ...].
     v : ndarray, shape (..., m), m <= nv
-        Velocities, or their first numbers.
+        Velocities, or their first entries [m/s, m/s, rad/s, ...].
     t : ndarray, shape (...), optional
-        Their times where they are a reference, for the message [s]; without, they are a start (q0, v0).
+        Times of a reference, for the error message [s]; without them, the state is a start (q0, v0).
 
     Raises
     ------
     InvalidArgument
-        If one is outside; the message names the joint, its value and limits, and the time.
+        If a value exceeds its limit; the message contains the joint, its value and limit, and the time.
+
+    See Also
+    --------
+    WholeBody : trajectory that checks joint limits
+    MobileRobot : robot with joint limits
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.trajectories import check_limits
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)  # no limits
+    >>> check_limits(robot, np.array([9.0, 0, 0]), np.zeros(3))
     """
     n, most = q.shape[-1], robot.velocity_limit[: v.shape[-1]]
     places = "q0", "has", q, robot.lower[:n], robot.upper[:n], _SLACK, ""
@@ -128,38 +190,56 @@ def check_limits(robot: Any, q: Array, v: Array, t: Array | None = None) -> None
             )
 
 
-_SAME = 1e-9  # relative difference of two durations that are meant to be one
-_STANDSTILL = 1e-9  # [m/s, rad/s]: the rounding of what ends at rest
-_PROBES = 33  # per analytic piece of a path, its ends included
+_SAME = 1e-9  # relative tolerance for the equality of two durations
+_STANDSTILL = 1e-9  # [m/s, rad/s]: tolerance of an end at rest
+_PROBES = 33  # samples per analytic piece of a path, including its ends
 
 
 @part
 class WholeBody(Value):
-    """A trajectory of the base beside one path per arm, on one clock.
+    """Trajectory of the base together with one path per arm.
 
-    The coordinates of an arm's path are its joints' angles [rad] and ways [m]. Any path of that many
-    coordinates will do: `CubicVia` and `Spline` through postures, `Hold`, `RestToRest`.
+    The coordinates of an arm's path are the positions of its joints [rad or m]. Any path of this size is
+    possible: `CubicVia` and `Spline` through postures, `Hold`, `RestToRest`.
 
-    It lasts as long as the longest of them. What ends before that must end at rest, and is held there.
+    The trajectory lasts as long as its longest part. Shorter parts must end at rest, and stay there.
 
     Parameters
     ----------
     robot : MobileRobot
-        Whose base and arms these are. No reference leaves its joint limits, or moves faster than they allow.
+        Robot with these arms. References stay within its limits of joint position and velocity.
     base : trajectory
-        Of x, y and psi, such as `Tangent` or `FixedHeading`.
-    *joints : Path or None
-        One per arm, in the order of ``robot.mounts``; None holds the arm's reference posture.
+        Trajectory of x, y and psi, such as `Tangent` or `FixedHeading`.
+    *paths : Path or None
+        One path per arm, in the order of ``robot.mounts``; None keeps the arm's reference posture.
+    joints : sequence of Path or None, optional
+        The same paths as one sequence.
 
     Raises
     ------
     InvalidArgument
-        If `robot`, `base` or a path is something else; there are more or fewer paths than arms; one has
-        other coordinates than its arm, leaves the joint limits of position or velocity, or ends before the
-        others while it moves.
+        If `robot`, `base` or a path is of another kind; the numbers of paths and arms differ; or a path has
+        another number of coordinates than its arm, exceeds joint limits, or ends before the others while it
+        moves.
+
+    See Also
+    --------
+    EndEffectorTracking : control of an end effector along a path
+    solve_inverse_kinematics : trajectory from a path of poses
+    Tangent : trajectory of the base
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, MobileRobot, RestToRest
+    >>> from pinmobile import Tangent, WholeBody
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3).mount("ur5")
+    >>> base, arm = Tangent(Circle(3.0, 0.1, 2.0)), robot.rest[3:]
+    >>> lift = RestToRest(arm, arm + 0.5, duration=2.0)
+    >>> WholeBody(robot, base, lift)(2.0).q[:4].round(2)  # [m, rad]
+    array([0.6 , 0.06, 0.2 , 0.5 ])
     """
 
-    robot: Any = option(doc="robot whose base and arms move")
+    robot: Any = option(doc="robot with base and arms")
     base: Any = child(Following, doc="trajectory of x, y and psi")
     joints: Any = children(Path, doc="paths of the arms")
 
@@ -175,16 +255,16 @@ class WholeBody(Value):
         self.__attrs_init__(robot, base, made)  # type: ignore[attr-defined]
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where a part ends while it moves, or leaves the joint limits."""
+        """Raise `InvalidArgument` if a part ends while it moves, or exceeds joint limits."""
         for name, (motion, end) in self._parts().items():
             _check_end(name, motion, end, self.duration)
-        # What leaves the limits between these times is refused when it is asked for.
+        # Values between these times are checked when the trajectory is called.
         for path in self.joints:
             self(np.concatenate([np.linspace(p.start, p.end, _PROBES) for p in pieces_of(path)]))
 
     @property
     def duration(self) -> float:
-        """That of the longest part [s]."""
+        """Duration of the longest part [s]."""
         return max(float(each.duration) for each in (self.base, *self.joints))
 
     def __repr__(self) -> str:
@@ -201,12 +281,12 @@ class WholeBody(Value):
         Returns
         -------
         reference : Reference
-            q of shape (..., nq), v and a of shape (..., nv), in the robot's own order.
+            q of shape (..., nq), v and a of shape (..., nv), in the order of the robot.
 
         Raises
         ------
         InvalidArgument
-            If a time is outside, or the reference leaves the joint limits; the message names the joint.
+            If a time lies outside, or the reference exceeds a joint limit; the message names the joint.
         """
         times = within("t", t, self.duration)
         parts = [_held(motion, end, times) for motion, end in self._parts().values()]
@@ -215,27 +295,31 @@ class WholeBody(Value):
         return Reference(q, v, a)
 
     def _parts(self) -> dict[str, tuple[Callable[[Array], Reference], float]]:
+        """Return each part as a function of time, with its duration [s]."""
         paths = {f"joints[{k}]": (partial(_along, p), float(p.duration)) for k, p in enumerate(self.joints)}
         return {"base": (self.base, float(self.base.duration)), **paths}
 
 
 def _along(path: Path, t: Array) -> Reference:
+    """Return a path's position and derivatives at times as a reference."""
     return Reference(*(path.derivative(t, order) for order in range(3)))
 
 
 def _held(motion: Callable[[Array], Reference], end: float, t: Array) -> Reference:
-    """Return a motion at the times `t`, after its end at rest where it ended."""
+    """Return a motion at times `t`; after its end it stays at rest."""
     q, v, a = motion(np.minimum(t, end))
     over = (t > end * (1 + _SAME))[..., None]
     return Reference(q, *(np.where(over, 0.0, rate) for rate in (v, a))) if over.any() else Reference(q, v, a)
 
 
 def _check_robot(robot: Any) -> None:
+    """Check that a robot is a `MobileRobot`."""
     if not isinstance(getattr(robot, "mounts", None), tuple):
         raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
 
 
 def _check_base(base: Trajectory) -> None:
+    """Check that a base is a trajectory of x, y and psi."""
     refuse_path("base", base)
     known = isinstance(base, Trajectory) and not isinstance(base, type)
     start = base(0.0) if known else None
@@ -248,6 +332,7 @@ def _check_base(base: Trajectory) -> None:
 
 
 def _checked(robot: Any, k: int, path: Path | None, duration: float) -> Path:
+    """Return a path of an arm after a check; None becomes a constant posture."""
     mount = robot.mounts[k]
     size = mount.v.stop - mount.v.start
     if path is None:
@@ -261,32 +346,33 @@ def _checked(robot: Any, k: int, path: Path | None, duration: float) -> Path:
 
 
 def _check_end(name: str, motion: Callable[[Array], Reference], end: float, longest: float) -> None:
+    """Check that a part that ends before the others ends at rest."""
     speed = float(np.abs(motion(np.array(end)).v).max(initial=0.0))
     if longest > end * (1 + _SAME) and not speed <= _STANDSTILL:
         raise InvalidArgument(
-            f"{name} ends after {end:g} s of {longest:g} s while it moves at {speed:.3g}, expected it to "
-            "end at rest or last as long"
+            f"{name} ends after {end:g} s of {longest:g} s while it moves at {speed:.3g}, expected an end "
+            "at rest, or the same duration"
         )
 
 
 _CELLS = 4
 _LEVELS = 60
-# A jump below this is rounding of a direction; what rounding the velocity adds comes on top.
+# Tolerance of jumps of the heading: rounding errors of a direction [rad], and of the velocity, relative.
 _STRAIGHT = 1e-9
 _ROUNDING = 1e-14
-_LEAST_RATE = 1e-6  # [rad/s], of a jump that is reported
+_LEAST_RATE = 1e-6  # [rad/s]: smallest jump of the turn rate that causes a warning
 
 
 @dataclass(frozen=True, eq=False)
 class _Jump:
-    """A jump of the heading at a knot or rest.
+    """Jump of the heading at a knot or rest.
 
     Parameters
     ----------
     time : float
-        When [s].
+        Time of the jump [s].
     before, after : ndarray, shape (3,)
-        The heading and its first two derivatives on both sides [rad, rad/s, rad/s^2].
+        Heading and its first two derivatives on both sides [rad, rad/s, rad/s^2].
     speed : float
         The smaller of the speeds on both sides [m/s].
     """
@@ -298,15 +384,15 @@ class _Jump:
 
 
 class _Winding:
-    """The heading along a path, unwrapped from a table made once: no time asked for matters to another.
+    """Heading along a path, unwrapped by a table, so that each time is evaluated independently.
 
-    Between two times of the table the heading turns by less than 60 deg, so that the entry before a
-    time tells which multiple of 2 pi belongs to the arctangent there.
+    Between two times of the table the heading turns by less than 60 deg. Therefore the entry before a time
+    determines the multiple of 2 pi of the arctangent.
 
     Parameters
     ----------
     hodograph : Hodograph
-        The direction of motion.
+        Direction of motion.
     """
 
     def __init__(self, hodograph: Hodograph) -> None:
@@ -315,14 +401,14 @@ class _Winding:
         u, _, _ = hodograph(nodes)
         first = np.searchsorted(nodes, [leg.head.time for leg in legs])
         ends = np.array([leg.tail.series[0] for leg in legs])  # (L, 2)
-        # The end of a leg stands in the table beside the start of the next one, at the same time.
+        # The table contains the end of a leg and the start of the next one, at the same time.
         behind = np.append(first[1:], len(nodes))
         times = np.insert(nodes, behind, [leg.tail.time for leg in legs])
         angles = np.insert(_angle(u), behind, _angle(ends))
-        joints = behind[:-1] + np.arange(len(legs) - 1)  # the ends but the last
+        joints = behind[:-1] + np.arange(len(legs) - 1)  # all ends except the last
         steps = -np.round(np.diff(angles) / (2 * np.pi))
         jumps = np.diff(angles)[joints] + 2 * np.pi * steps[joints]
-        # A half turn goes to the left, also where rounding has made it one to the right.
+        # A half turn goes to the left, even if rounding errors turn it to the right.
         to_the_right = jumps < _STRAIGHT - np.pi
         steps[joints[to_the_right]] += 1
         jumps[to_the_right] += 2 * np.pi
@@ -340,14 +426,16 @@ class _Winding:
 
 
 def _nodes(hodograph: Hodograph) -> Array:
+    """Return the times of the table [s]."""
     cells = np.concatenate([_first_cells(leg) for leg in hodograph.legs])
     done, left = halve(hodograph, cells, _LEVELS)
     return np.sort(np.append(done[:, 0], left[:, 0]))
 
 
 def _first_cells(leg: Leg) -> Array:
+    """Return the cells of a leg before they are halved, shape (m, 2) [s]."""
     start, end = leg.head.time, leg.tail.time
-    # Where a series takes over u changes its scale: cells end there.
+    # A series has another scale of u: cells end where it begins.
     first = min(start + max(leg.head.window, 0.0), end)
     last = max(end - max(leg.tail.window, 0.0), first)
     edges = np.unique([start, *np.linspace(first, last, _CELLS + 1), end])
@@ -355,6 +443,7 @@ def _first_cells(leg: Leg) -> Array:
 
 
 def _jump(before: Leg, after: Leg, psi_before: float, psi_after: float) -> _Jump:
+    """Return the jump between two legs."""
     left, right = before.tail, after.head
     return _Jump(
         right.time,
@@ -365,35 +454,64 @@ def _jump(before: Leg, after: Leg, psi_before: float, psi_after: float) -> _Jump
 
 
 def _derivatives(limit: DirectionLimit, psi: float) -> Array:
+    """Return heading, turn rate and angular acceleration at an end of a leg, shape (3,)."""
     u, du, half = np.concatenate([limit.series, np.zeros((2, 2))])[:3]
     _, rate, acceleration = heading(u, du, 2 * half)
     return np.array([psi, rate, acceleration])
 
 
 def _slack(hodograph: Hodograph) -> Array:
+    """Return the tolerance of the heading's jump at each end of a leg, shape (L - 1,) [rad]."""
     limits = ((before.tail, after.head) for before, after in pairwise(hodograph.legs))
     slowest = [min(limit.speed or hodograph.top for limit in pair) for pair in limits]
     return np.asarray(_STRAIGHT + _ROUNDING * hodograph.top / np.array(slowest))
 
 
 def _angle(u: Array) -> Array:
+    """Return the angle of vectors, shape (...) [rad]."""
     return np.asarray(np.arctan2(u[..., 1], u[..., 0]))
 
 
 @part
 class FixedHeading(Value):
-    """Along a path with one heading throughout: a holonomic robot can."""
+    """Trajectory along a path with a constant heading, for an omnidirectional robot.
+
+    Parameters
+    ----------
+    path : Path
+        Path of two coordinates.
+    psi : float
+        Constant heading [rad].
+
+    Raises
+    ------
+    InvalidArgument
+        If the path is not a path in the plane, or `psi` is not finite.
+
+    See Also
+    --------
+    Tangent : heading along the path
+    Hold : constant position
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, FixedHeading
+    >>> circle = Circle(radius=3.0, rate=0.1, duration=20.0)
+    >>> sideways = FixedHeading(circle, psi=1.57)
+    >>> sideways(0.0).v  # [m/s, m/s, rad/s]
+    array([0.3, 0. , 0. ])
+    """
 
     path: Any = child(Path, doc="path of two coordinates")
-    psi: float = number(unit="rad", doc="heading that is held")
+    psi: float = number(unit="rad", doc="constant heading")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where the path is none in the plane."""
+        """Raise `InvalidArgument` if the path is not a path in the plane."""
         plane_path(self.path)
 
     @property
     def duration(self) -> float:
-        """The path's duration [s]."""
+        """Duration of the path [s]."""
         return float(self.path.duration)
 
     def __call__(self, t: ArrayLike) -> Reference:
@@ -407,12 +525,12 @@ class FixedHeading(Value):
         Returns
         -------
         reference : Reference
-            Arrays of shape (..., 3); the heading's derivatives are zero.
+            Arrays of shape (..., 3); the derivatives of the heading are zero.
 
         Raises
         ------
         InvalidArgument
-            If a time is outside.
+            If a time lies outside.
         """
         times = within("t", t, self.duration)
         still = np.zeros(times.shape)
@@ -423,38 +541,66 @@ class FixedHeading(Value):
 
 @part
 class LectureHeading(Value):
-    """Along a path with the lecture's desired heading; `Tangent` has it right.
+    """Trajectory along a path with the lecture's desired heading; `Tangent` has the correct one.
+
+    ::
 
         psi       = wrapTo2Pi(atan2(y', x'))                            in [0, 2 pi)
         psi_dot   = (y''/x' - y' x''/x'^2) / (y'^2/x'^2 + 1)
         psi_ddot  = 0
 
-    So the heading jumps by a whole turn where it passes zero, and by whatever it takes where the path
-    rests, for which atan2(0, 0) = 0 and the rate is 0; the acceleration is lost everywhere. The error on the
-    circle that `planar_difference` takes was not the lecture's either.
+    The heading jumps by a whole turn where it passes zero. It also jumps where the path rests, because
+    atan2(0, 0) = 0 and the rate is 0 there. The angular acceleration is missing everywhere. The lecture does
+    not compute the heading error on the circle either; `controllers.planar_difference` does.
 
-    Below 1e-12 of the path's largest speed a speed is rounding, which differs from machine to machine: the
-    path rests there, and a y' of that size does not turn the heading of a path that runs along x from 0 to a
-    whole turn. Where x' alone vanishes the rate is the formula's limit, whatever is left of x'; the lecture's
-    script has that or 0 there, as the rounding of its linear solver falls.
+    A speed below 1e-12 of the path's largest speed is a rounding error, which differs between machines: the
+    path rests there. A y' of this size does not turn the heading of a path along x from 0 to a whole turn.
+    Where only x' vanishes, the rate is the limit of the formula, independent of rounding errors of x'. The
+    lecture's script returns this limit or 0, depending on the rounding of its linear solver.
+
+    Parameters
+    ----------
+    path : Path
+        Path of two coordinates.
+
+    Raises
+    ------
+    InvalidArgument
+        If the path is not a path in the plane.
+
+    See Also
+    --------
+    Tangent : correct heading along the path
+    controllers.plain_difference : the lecture's error of the heading
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, Tangent
+    >>> from pinmobile.trajectories import LectureHeading
+    >>> circle = Circle(radius=3.0, rate=1.0, duration=7.0)
+    >>> for motion in Tangent(circle), LectureHeading(circle):
+    ...     print(f"{motion(6.5).q[2]:.2f} rad")
+    6.50 rad
+    0.22 rad
     """
 
-    on_circle: ClassVar[bool] = False  # a turn too many is an error of 2 pi: `plain_difference`
+    on_circle: ClassVar[bool] = False  # an additional turn is an error of 2 pi: `plain_difference`
 
     path: Any = child(Path, doc="path of two coordinates")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where the path is none in the plane."""
+        """Raise `InvalidArgument` if the path is not a path in the plane."""
         plane_path(self.path)
         self._still  # noqa: B018
 
     @cached_property
     def _still(self) -> float:
+        """Speed below which the path rests [m/s]."""
         return STANDSTILL * float(largest(self.path, 1).max())
 
     @property
     def duration(self) -> float:
-        """The path's duration [s]."""
+        """Duration of the path [s]."""
         return float(self.path.duration)
 
     def __call__(self, t: ArrayLike) -> Reference:
@@ -473,7 +619,7 @@ class LectureHeading(Value):
         Raises
         ------
         InvalidArgument
-            If a time is outside.
+            If a time lies outside.
         """
         times = within("t", t, self.duration)
         position, velocity, acceleration = (self.path.derivative(times, order) for order in range(3))
@@ -482,7 +628,7 @@ class LectureHeading(Value):
         still = speed < self._still
         along_x = (x_dot > self._still) & (y_dot < 0) & (y_dot > -self._still)
         psi = np.where(still | along_x, 0.0, np.mod(np.arctan2(y_dot, x_dot), 2 * np.pi))
-        # By x'^2 above and below, the formula needs no x'. In two steps, because squares may underflow.
+        # Extended by x'^2, the formula does not divide by x'. Two steps, because squares may underflow.
         speed = np.where(still, 1.0, speed)
         cos, sin = x_dot / speed, y_dot / speed
         rate = np.where(still, 0.0, (cos * acceleration[..., 1] - sin * acceleration[..., 0]) / speed)
@@ -490,21 +636,21 @@ class LectureHeading(Value):
 
 
 class _TurnsOnTheSpot:
-    """The clock of a trajectory that holds its path at some times to turn.
+    """Time of a trajectory that stops on its path at some times to turn on the spot.
 
     Parameters
     ----------
     jumps : sequence of Jump, length m
-        Where the heading jumps, in order.
+        Jumps of the heading, in order.
     turn_time : float
-        How long each turn lasts [s].
+        Duration of each turn [s].
     path_duration : float
         Duration of the path [s].
 
     Attributes
     ----------
     starts : ndarray, shape (m,)
-        When the turns start, on the trajectory's clock [s].
+        Start times of the turns in the trajectory [s].
     duration : float
         Duration of the trajectory [s].
     """
@@ -515,14 +661,14 @@ class _TurnsOnTheSpot:
         self.starts = held + turn_time * np.arange(len(jumps))
         self.duration = path_duration + turn_time * len(jumps)
         self._ends = self.starts + turn_time
-        # Of the path's times between turns the one at which the next turn starts belongs to what follows.
+        # The path's time at which a turn starts belongs to the part after the turn.
         self._first = np.append(0.0, held)
         self._last = np.append(np.nextafter(held, 0.0), path_duration)
-        # In powers of the part of the turn time that has passed, the constant first.
+        # Coefficients in powers of the elapsed fraction of the turn time, the constant first.
         self._quintics = np.array([_quintic(j.before, j.after, turn_time) for j in jumps]).reshape(-1, 6).T
 
     def path_times(self, t: Array) -> Array:
-        """Return the time of the path, shape (...) [s], at the trajectory's `t`, shape (...) [s]."""
+        """Return the time on the path, shape (...) [s], at the trajectory's time `t`, shape (...) [s]."""
         if not len(self.starts):
             return t
         begun = np.searchsorted(self.starts, t, side="right")
@@ -530,14 +676,14 @@ class _TurnsOnTheSpot:
         return np.asarray(np.minimum(np.maximum(s, self._first[begun]), self._last[begun]))
 
     def filled(self, t: Array, reference: Reference) -> Reference:
-        """Return the reference with the turns in their place.
+        """Return the reference with the turns inserted.
 
         Parameters
         ----------
         t : ndarray, shape (...)
             Times of the trajectory [s].
         reference : Reference
-            That of the held path, arrays of shape (..., 3); written to.
+            Reference of the path with stops, arrays of shape (..., 3); overwritten.
         """
         if not len(self.starts):
             return reference
@@ -559,6 +705,7 @@ class _TurnsOnTheSpot:
 
 
 def _quintic(before: Array, after: Array, duration: float) -> Array:
+    """Return the quintic between two triples of heading and derivatives, by the elapsed fraction."""
     scale = np.array([1.0, duration, duration**2])
     (p, v, a), (p1, v1, a1) = before * scale, after * scale
     d = p1 - p
@@ -576,35 +723,57 @@ def _quintic(before: Array, after: Array, duration: float) -> Array:
 
 @part
 class Tangent(Value):
-    """Along a path with the heading along its tangent (lecture, section 5.4, and its errata).
+    """Trajectory along a path with its tangent as heading (lecture, section 5.4, and its errata).
+
+    ::
 
         psi      = atan2(y', x'), unwrapped from (-pi, pi] at the start
         psi_dot  = (x' y'' - y' x'') / (x'^2 + y'^2),   psi_ddot its derivative
 
-    Where the path rests these are the limits from the right (at its end from the left), exactly. Where
-    the tangent jumps at a rest the path is held for `turn_time` while the heading turns on the spot, by
-    the shorter way, a half turn to the left: the quintic that meets psi, psi_dot and psi_ddot on both
-    sides. The trajectory lasts longer than the path by these turns. While the path dwells the heading
-    stays.
+    Where the path rests, these are the exact limits from the right, at its end from the left. If the tangent
+    jumps at a rest, the path stops for `turn_time` while the heading turns on the spot, by the shorter way, a
+    half turn to the left: by the quintic that meets psi, psi_dot and psi_ddot on both sides. The trajectory
+    lasts longer than the path by these turns. While the path stays in one place, the heading is constant.
 
     Parameters
     ----------
     path : Path
-        Derivatives of order 0 to 3 are asked for, higher ones where it rests.
+        Path of two coordinates, with derivatives of order 0 to 3, and higher ones where it rests.
     turn_time : float, optional
-        Without it a path that needs a turn on the spot is refused.
+        Duration of each turn on the spot, > 0 [s]. Without it, a path that needs such turns raises an error.
 
     Warns
     -----
     LimitWarning
-        If the turn rate jumps where the path rests, which no finite moment can follow.
+        If the turn rate jumps where the path rests, which would need an infinite moment.
+
+    Raises
+    ------
+    InvalidArgument
+        If the path is not a path in the plane, never moves, has a corner without a rest, or needs
+        `turn_time`.
+
+    See Also
+    --------
+    FixedHeading : constant heading
+    WholeBody : trajectory of base and arms
+    trajectories.LectureHeading : the lecture's heading
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, Tangent
+    >>> motion = Tangent(Circle(radius=3.0, rate=0.1, duration=20.0))
+    >>> motion(10.0).q.round(2)  # [m, m, rad]
+    array([2.52, 1.38, 1.  ])
+    >>> motion(10.0).v[2]  # [rad/s]
+    np.float64(0.1)
     """
 
     path: Any = child(Path, doc="path of two coordinates")
-    turn_time: float | None = number(default=None, above=0, unit="s", doc="time of each turn on the spot")
+    turn_time: float | None = number(default=None, above=0, unit="s", doc="duration of each turn on the spot")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where the path has no tangent, or needs turns without a time for them."""
+        """Raise `InvalidArgument` if the path has no tangent, or needs a time for turns on the spot."""
         plane_path(self.path)
         for jump in self._winding.jumps:
             _check(jump, self.turn_time)
@@ -612,7 +781,7 @@ class Tangent(Value):
 
     @property
     def turns(self) -> Array:
-        """Times at which a turn on the spot begins, on the clock of the trajectory, shape (m,) [s]."""
+        """Start times of the turns on the spot in the trajectory, shape (m,) [s]."""
         return frozen(self._stops.starts)
 
     @cached_property
@@ -629,7 +798,7 @@ class Tangent(Value):
 
     @property
     def duration(self) -> float:
-        """The path's duration and that of all turns on the spot [s]."""
+        """Duration of the path plus all turns on the spot [s]."""
         return self._stops.duration
 
     def __call__(self, t: ArrayLike) -> Reference:
@@ -648,7 +817,7 @@ class Tangent(Value):
         Raises
         ------
         InvalidArgument
-            If a time is outside.
+            If a time lies outside.
         """
         clock = within("t", t, self.duration)
         s = self._stops.path_times(clock)
@@ -659,11 +828,12 @@ class Tangent(Value):
 
 
 def _check(jump: _Jump, turn_time: float | None) -> None:
+    """Check that a jump of the heading is at a rest, and that there is a time for it."""
     before, after = np.degrees([jump.before[0], jump.after[0]])
     if jump.speed:
         raise InvalidArgument(
-            f"path has a corner at t = {jump.time} s, from {before:.6g} deg to {after:.6g} deg, taken at "
-            f"{jump.speed:.6g} m/s; expected no corner, or one that the path rests at"
+            f"path has a corner at t = {jump.time} s, from {before:.6g} deg to {after:.6g} deg, passed at "
+            f"{jump.speed:.6g} m/s; expected no corner, or a rest at the corner"
         )
     if turn_time is None:
         raise InvalidArgument(
@@ -673,14 +843,14 @@ def _check(jump: _Jump, turn_time: float | None) -> None:
 
 
 def _report_rates(direction: Hodograph, turns: set[float]) -> None:
-    """Warn of the first rest, but for turns on the spot, at which the turn rate jumps."""
+    """Warn about the first rest, except for turns on the spot, at which the turn rate jumps."""
     for before, after in pairwise(direction.legs):
         left, right = (float(_derivatives(limit, 0.0)[1]) + 0.0 for limit in (before.tail, after.head))
         at_rest = not min(before.tail.speed, after.head.speed) and after.head.time not in turns
         if at_rest and abs(right - left) > _LEAST_RATE:
             warn(
                 f"the turn rate jumps from {left:.4g} to {right:.4g} rad/s at t = {after.head.time:g} s, "
-                "where the path rests, and no finite moment follows that: let the path end straight ahead",
+                "where the path rests; this would need an infinite moment: use a path with a straight end",
                 LimitWarning,
                 stacklevel=5,
             )
