@@ -1,4 +1,4 @@
-"""Wheels under a robot: the wheel table, rolling and slip, motors."""
+"""Wheels under a robot: wheel tables, rolling and slip, motors."""
 
 from pinmobile.wheels._coulomb import Coulomb
 from pinmobile.wheels._drive import WheeledRobot

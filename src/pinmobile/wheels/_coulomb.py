@@ -591,49 +591,78 @@ def gear_ratios(table: WheelTable) -> list[tuple[int, float]]:
 @part
 @by_value
 class Coulomb:
-    """Wheels stick while the ground can hold them, and slide beyond: dry friction of Coulomb's law.
+    """Ground with dry friction: wheels stick while friction can hold them, and slide beyond (Coulomb's law).
 
-    A robot on such ground has a step of its own: implicit in the velocities, impulses of all wheels found
-    together, so that what sticks is at rest exactly and nothing is stiff. Steps of 0.01 s and less are of
-    use; the error of fixed wheels falls with the square of the step, that of steered ones with the step.
+    A robot on this ground has its own step, which is implicit in the velocities. It computes the impulses of
+    all wheels together: sticking wheels are exactly at rest, and no equation is stiff. Steps of 0.01 s or
+    less are appropriate. The error decreases with the square of the step for fixed wheels, and linearly for
+    steered ones.
 
-    Loads depend on accelerations, these on friction, and friction on the loads: a step solves for all of
-    them. Where friction presses the wheels on which it acts there may be several solutions. The step takes
-    the one to which the accelerations of the step before lead; the signals state it: ``slides``, ``loads``
-    and ``tips``, 1 where no loads balance the robot. ``missed`` is 1 where the step found no solution.
+    Loads depend on accelerations, accelerations on friction, and friction on loads: a step solves for all of
+    them. If friction presses on the wheels that cause it, there may be several solutions. The step takes the
+    solution near the accelerations of the step before. Signals describe it: ``slides``, ``loads``, ``tips``,
+    1 if no loads balance the robot, and ``missed``, 1 if the step found no solution.
 
     Parameters
     ----------
     mu : float, optional
-        Coefficient of friction of all wheels, along the axes of rollers for those that have some; None: each
-        wheel's own, ``wheel.friction.mu``.
+        Coefficient of friction of all wheels, >= 0, along the axes of rollers if there are any; None: that of
+        each wheel, ``wheel.friction.mu``.
     ramp : Ramp, optional
-        Which way the ground rises; None: it is level.
+        Inclination of the ground; None: level ground.
     sweeps : int
-        Most rounds over all wheels in a pass; the signal ``missed`` says where they were too few.
+        Largest number of iterations over all wheels in a pass; the signal ``missed`` is 1 if there were too
+        few.
     tolerance : float
-        Largest change of a force in a round, as a share of the largest friction, at which it has been found.
+        Change of a force per iteration at which it has converged, relative to the largest friction, > 0.
 
     Attributes
     ----------
     slips : bool
         Whether wheels may slip, here True.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not in its range; in a robot, if its height or its support polygon is unknown, gear
+        trains contradict each other, or a wheel has no inertia.
+
+    See Also
+    --------
+    Rolling : ground without slip
+    wheels.WheelFriction : friction of each wheel
+    wheels.Ramp : inclination
+
+    Examples
+    --------
+    >>> from pinmobile import Coulomb, MobileRobot, WheeledRobot
+    >>> from pinmobile import WheelTable
+    >>> table = WheelTable.skid_steer(
+    ...     wheelbase=0.4, track=0.3, radius=0.1, spin_inertia=0.01)
+    >>> body = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> for mu in 0.8, 0.1:  # on dry ground and on ice
+    ...     robot = WheeledRobot(body, table, Coulomb(mu))
+    ...     still = 0 * robot.rest
+    ...     a = robot.forward_dynamics(robot.rest, still, [4.0, 4.0])
+    ...     print(f"{a[0]:.2f} m/s^2")
+    2.27 m/s^2
+    0.98 m/s^2
     """
 
     mu: float | None = declared(
         default=None, optional=True, lower=0, doc="coefficient of friction of all wheels"
     )
     ramp: Ramp | None = child(Ramp, default=None, optional=True, expected="a Ramp(angle, direction) or None")
-    sweeps: int = integer(default=200, least=1, doc="most rounds over all wheels in a pass")
-    tolerance: float = declared(default=1e-12, above=0, fixed=True, doc="change of a force that is none")
+    sweeps: int = integer(default=200, least=1, doc="largest number of iterations in a pass")
+    tolerance: float = declared(default=1e-12, above=0, fixed=True, doc="relative tolerance of forces")
     slips: ClassVar[bool] = True
 
     def dynamics(self, wheeled: Any) -> SlippingDynamics:
-        """Return the dynamics of a robot on it."""
+        """Return the dynamics of a robot on this ground."""
         return SlippingDynamics(wheeled, wheeled.robot.array_dynamics, self)
 
     def check_robot(self, wheeled: Any) -> None:
-        """Refuse what cannot be computed where wheels slip."""
+        """Raise `InvalidArgument` for robots whose slip cannot be computed."""
         wheeled.check_stands()
         gear_ratios(wheeled.table)
         check_inertias(wheeled, range(len(wheeled.joint_inertias)))

@@ -37,20 +37,23 @@ from pinmobile.wheels._velocities import Allocation, Reduced, followed
 from pinmobile.wheels._visuals import Tyres, WheelVisuals
 from pinmobile.wheels._voltage_dynamics import ByVoltage
 
-_OFF = 1e-9  # of a start's rates, beyond which it does not roll
+_OFF = 1e-9  # tolerance of slip at the start, relative to the largest rate
 
 
 def _of_wheels(name: str, doc: str) -> Any:
+    """Return a property with a parameter of all wheels."""
     found = cached_property(lambda self: column([getattr(wheel, name) for wheel in self.table.wheels]))
     found.__doc__ = doc
     return found
 
 
 def _of(owner: str, name: str, doc: str) -> Any:
+    """Return a property with an attribute of another attribute."""
     return property(lambda self: getattr(getattr(self, owner), name), doc=doc)
 
 
 def _counted(doc: str, count: Callable[[Any], int]) -> Any:
+    """Return a structural property that counts."""
     found = structure(count)
     found.__doc__ = doc
     return found
@@ -60,31 +63,50 @@ def _counted(doc: str, count: Callable[[Any], int]) -> Any:
 @part
 @by_value
 class WheeledRobot(PlantOnWheels):
-    """A robot on wheels: q = (x, y, psi, arms, steering, wheels), u = torques at arms, wheels and axes.
+    """Robot on wheels: q = (x, y, psi, arms, steering, wheels), u = torques of arms, wheels and steering.
 
-    All methods broadcast over leading axes, and raise `InvalidArgument` for arguments of another last axis or
-    that are not finite.
+    All methods broadcast over leading axes. They raise `InvalidArgument` for arguments that are not finite or
+    have another size of the last axis.
 
     Parameters
     ----------
     robot : MobileRobot
-        The whole, wheels locked at their table angles: its mass, centre of mass and inertia hold the wheels'.
+        Whole robot with wheels locked at their table angles: its mass, centre of mass and inertia include the
+        wheels'.
     table : WheelTable
-        Its wheels; by default those of the file that it was read from, see `read_wheels`.
-    ground : Rolling, Coulomb or other `Ground`, optional
-        What it stands on; by default `Rolling` where the drive can roll without slip, else `Coulomb`.
+        Wheels; default: those of the file from which the robot was read, see `wheels.read_wheels`.
+    ground : Rolling, Coulomb or other ground, optional
+        Ground; default: `Rolling` if the drive can roll without slip, otherwise `Coulomb`.
 
     Raises
     ------
     InvalidArgument
-        If an argument is something else, the wheels cannot roll on such ground, or the robot without them is
-        no body.
+        If an argument is of another kind, the wheels cannot roll on this ground, or the robot without its
+        wheels is not a rigid body.
+
+    See Also
+    --------
+    WheelTable : wheels of a drive
+    Rolling : ground without slip
+    Coulomb : ground with dry friction
+    MobileRobot : robot driven by forces on its body
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable
+    >>> table = WheelTable.differential(
+    ...     track=0.4, radius=0.1, mass=1.0, spin_inertia=0.005)
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+    >>> robot.wheel_rates([0.5, 0.0, 1.0])  # 0.5 m/s, 1 rad/s [rad/s]
+    array([3., 7.])
+    >>> [one.name for one in robot.coordinates]
+    ['x', 'y', 'psi', 'left', 'right']
     """
 
     robot: MobileRobot = child(MobileRobot, expected="a MobileRobot")
     table: WheelTable = child(WheelTable, expected="a WheelTable")
     ground: Any = child(Ground)
-    integrator: ClassVar[Any] = rk4  # a lower order loses the way of a turn at speed
+    integrator: ClassVar[Any] = rk4  # a lower order is inaccurate in fast turns
 
     def __init__(self, robot: MobileRobot, table: WheelTable | None = None, ground: Any = None) -> None:
         if table is None:
@@ -94,7 +116,7 @@ class WheeledRobot(PlantOnWheels):
         self.__attrs_init__(robot, table, ground)  # type: ignore[attr-defined]
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where the ground cannot carry the robot, or wheels are heavier than it."""
+        """Raise `InvalidArgument` if the ground does not fit the robot, or wheels are heavier than it."""
         if hasattr(self.ground, "check_robot"):
             self.ground.check_robot(self)
         _ = self.bare_body
@@ -114,52 +136,77 @@ class WheeledRobot(PlantOnWheels):
         ground_z: ArrayLike | None = None,
         **given: Any,
     ) -> Self:
-        """Return the robot of a URDF on the wheels that it has; `source` says what was taken, what guessed.
+        """Return the robot of a URDF with its wheels; `source` states the origin of each number.
 
         Parameters
         ----------
         path, package_dirs
             As in `MobileRobot.from_urdf`.
         table : WheelTable, optional
-            Its wheels; by default those of the file.
+            Wheels; default: those of the file.
         ground : Rolling or Coulomb, optional
             As in the class.
         ground_z : float, optional
-            The ground's z in the frame of the root link [m]; by default as `MobileRobot.from_urdf` finds it,
-            or where the file does not tell, below the wheels by the radii in `given`.
+            z of the ground in the frame of the root link [m]; default: by `MobileRobot.from_urdf`, or, if the
+            file does not define it, below the wheels by the radii in `given`.
         **given
-            What the file does not tell of its wheels, see `read_wheels`: ``radius``, ``rollers``, ``driven``,
-            ``steering``, ``inertia``, ``locked``, ``supports``, ``couplings``.
+            Parameters of wheels that the file does not define, see `wheels.read_wheels`: ``radius``,
+            ``rollers``, ``driven``, ``steering``, ``inertia``, ``locked``, ``supports``, ``couplings``.
+
+        Returns
+        -------
+        robot : WheeledRobot
+            The robot.
 
         Raises
         ------
         InvalidArgument
-            As `MobileRobot.from_urdf`, `read_wheels` and the class; or if both a table and `given` are there.
+            As in `MobileRobot.from_urdf`, `wheels.read_wheels` and the class; or if both a table and `given`
+            are present.
         """
         if table is not None and given:
-            raise InvalidArgument(f"{next(iter(given))} is given with table=, expected one of the two")
+            raise InvalidArgument(f"{next(iter(given))} is given with table=, expected only one of them")
         robot = read_robot(path, package_dirs, ground_z, given)
         return cls(robot, read_wheels(robot, **given) if table is None else table, ground)
 
     def mount(self, arm: Any, at: ArrayLike | None = None, **options: Any) -> WheeledRobot:
-        """Return the robot with an arm on its body: see `MobileRobot.mount`."""
+        """Return the robot with an arm on its body, see `MobileRobot.mount`.
+
+        Parameters
+        ----------
+        arm, at, **options
+            As in `MobileRobot.mount`.
+        """
         return WheeledRobot(self.robot.mount(arm, at, **options), self.table, self.ground)
 
     def attach(self, load: PayloadBody, frame: str | None = None) -> WheeledRobot:
-        """Return the robot with a load fixed to one of its frames: see `MobileRobot.attach`."""
+        """Return the robot with a payload on one of its frames, see `MobileRobot.attach`.
+
+        Parameters
+        ----------
+        load : PayloadBody
+            The payload.
+        frame : str, optional
+            Name of the frame.
+        """
         return WheeledRobot(self.robot.attach(load, frame), self.table, self.ground)
 
     def by_voltage(self) -> ByVoltage:
-        """Return the same robot whose input is volts, one per electric motor: see `ByVoltage`."""
+        """Return the same robot with voltages as inputs of its electric motors, see `wheels.ByVoltage`."""
         return ByVoltage(self)
 
     def on_ramp(self, angle: float, direction: float = 0.0) -> WheeledRobot:
-        """Return the robot on ground that rises.
+        """Return the robot on inclined ground.
 
         Parameters
         ----------
         angle, direction : float
-            As of `Ramp` [rad].
+            Inclination, and direction of steepest ascent from the inertial x axis [rad].
+
+        Raises
+        ------
+        InvalidArgument
+            If the ground has no ramp, or an angle is out of range.
         """
         if not hasattr(self.ground, "ramp"):
             raise InvalidArgument(
@@ -171,33 +218,33 @@ class WheeledRobot(PlantOnWheels):
 
     @cached_property
     def array_dynamics(self) -> Any:
-        """Its dynamics on its ground, a `WheeledDynamics`, for one state, many, or symbols, unchecked."""
+        """Dynamics on its ground, for one state, many, or symbols, without input validation."""
         return self.ground.dynamics(self)
 
     @cached_property
     def _numeric(self) -> Any:
-        """Its dynamics of numbers, arms by Pinocchio."""
+        """Dynamics of numbers; Pinocchio evaluates the arms."""
         return replace(self.array_dynamics, robot=self.robot) if self.robot.mounts else self.array_dynamics
 
     @cached_property
     def _rolling(self) -> Any:
-        """Its dynamics of numbers on ground where it rolls."""
+        """Dynamics of numbers on ground without slip."""
         self._check_rolls()
         own = self._numeric
         return RollingDynamics(self, own.robot) if own.slips else own
 
-    x = _of_wheels("x", "Where the wheels' pivots stand, forward, shape (wheels,) [m].")
-    y = _of_wheels("y", "Where the wheels' pivots stand, to the left, shape (wheels,) [m].")
-    radius = _of_wheels("radius", "Of the wheels, shape (wheels,) [m].")
-    spin_inertia = _of_wheels("spin_inertia", "Of the wheels about their axles, shape (wheels,) [kg m^2].")
+    x = _of_wheels("x", "Positions of the wheels' pivots, forward, shape (wheels,) [m].")
+    y = _of_wheels("y", "Positions of the wheels' pivots, to the left, shape (wheels,) [m].")
+    radius = _of_wheels("radius", "Radii of the wheels, shape (wheels,) [m].")
+    spin_inertia = _of_wheels("spin_inertia", "Inertia about the axles, shape (wheels,) [kg m^2].")
 
-    mu = _of("array_dynamics", "mu", "Friction of the wheels, of rollers along their axes, shape (wheels,).")
+    mu = _of("array_dynamics", "mu", "Friction coefficients, of rollers along their axes, shape (wheels,).")
 
     @cached_property
     def upright(self) -> Any:
-        """What the ground alone feels of a robot without arms, shape (3,) [m, kg m^2, kg m^2].
+        """Parameters of ground reactions of a robot without arms, shape (3,) [m, kg m^2, kg m^2].
 
-        Height of the centre of mass, and inertia xz and yz about it.
+        They are the height of the centre of mass, and the products of inertia xz and yz about it.
         """
         own = vars(self.robot).get("nominal")
         if own is None or own.mounts:
@@ -230,12 +277,12 @@ class WheeledRobot(PlantOnWheels):
 
     @structure
     def joint_inertias(self) -> Array:
-        """Diagonal of M at rest, of steering axes and wheels, shape (axes + wheels,)."""
+        """Diagonal of M at rest for steering axes and wheels, shape (axes + wheels,) [kg m^2]."""
         return frozen(np.diagonal(self.mass_matrix(self.rest))[self.robot.nv :])
 
     # Sizes and names
 
-    mobility = _of("table", "mobility", "What the wheels let it do.")
+    mobility = _of("table", "mobility", "Motions that the wheels allow.")
 
     def _check_rolls(self) -> None:
         if not self.mobility.is_regular:
@@ -251,56 +298,56 @@ class WheeledRobot(PlantOnWheels):
 
     @structure
     def coordinates(self) -> tuple[Coordinate, ...]:
-        """Each of the nv numbers of q: body, arms, steering axes, wheels."""
+        """Coordinates of q: body, arms, steering axes, wheels."""
         axes = [Coordinate(axis.name, "rad", -axis.limit, axis.limit) for axis in self.table.axes]
         return (*self.robot.coordinates, *axes, *(Coordinate(name, "rad") for name in self.table.names))
 
     @structure
     def inputs(self) -> tuple[Input, ...]:
-        """Each of the nu numbers of an input: the arms' joints, then the actuators in the table's order."""
+        """Inputs of u: the arms' joints, then the actuators in the order of the table."""
         most = ((one.name, one.motor.largest_torque) for one in self.table.actuators)
         return (*self.robot.inputs[BODY_JOINT:], *(Input(name, "N m", -x, x) for name, x in most))
 
     reference_sizes = _of(
-        "robot", "reference_sizes", "Numbers of q, for each count of coordinates of a reference."
+        "robot", "reference_sizes", "Number of entries of q per number of coordinates of a reference."
     )
 
     @structure
     def rest(self) -> Array:
-        """Configuration at the origin, arms in their reference posture, shape (nq,)."""
+        """Configuration at the origin, with arms in their reference posture, shape (nq,)."""
         return frozen(np.append(self.robot.rest, np.zeros(self.joints)))
 
     @property
     def source(self) -> str:
-        """Where its numbers come from, in words."""
+        """Origin of the numbers as text."""
         return source_of(self.robot, self.table)
 
     @property
     def joint_signs(self) -> Mapping[str, int]:
-        """Of each wheel of its file 1, or -1 where the joint there turns the other way."""
+        """Sign of each wheel of the file: -1 if its joint turns in the opposite direction, otherwise 1."""
         return MappingProxyType(joint_signs(self.robot, self.table))
 
     # Where it stands
 
     grounded = _of("robot", "grounded", "Whether the body's origin is known to lie on the ground.")
-    footprint = _of("table", "footprint", "Corners of what it stands on, see `WheelTable.footprint`.")
+    footprint = _of("table", "footprint", "Corners of the support polygon, see `WheelTable`.")
 
     def check_stands(self) -> None:
-        """Raise `InvalidArgument` where its height is not known, or it stands on one line."""
+        """Raise `InvalidArgument` if its height is unknown, or all its contacts lie on one line."""
         if not self.grounded:
             raise InvalidArgument(
-                "robot does not tell where its body's origin is above the ground, on which the loads of its "
-                "wheels depend; expected one read with ground=, or ground=Rolling()"
+                "robot has an unknown height of its body's origin above the ground, on which the loads of "
+                "its wheels depend; expected a robot read with ground=, or ground=Rolling()"
             )
         if self.footprint is None:
             raise InvalidArgument(
-                f"table has {self._wheels + len(self.table.supports)} places where the robot stands, on one "
-                "line, expected three that are not: give supports=[(x, y), ...], where casters stand"
+                f"table has {self._wheels + len(self.table.supports)} contacts on one line, expected three "
+                "that are not: give supports=[(x, y), ...], the positions of casters"
             )
 
     # What is seen
 
-    mounts = _of("robot", "mounts", "Its arms.")
+    mounts = _of("robot", "mounts", "Arms on the body.")
     size = _of("robot", "size", "Length, width and height of the body [m].")
 
     @cached_property
@@ -313,78 +360,146 @@ class WheeledRobot(PlantOnWheels):
 
     @property
     def visual_model(self) -> pin.GeometryModel:
-        """What is drawn, a copy: the robot's own visuals, and wheels and supports beside those that it has.
+        """Visual geometry, a copy: the visuals of the robot, and wheels and supports that it lacks.
 
-        Wheels have spokes, a bar across the tread, or the rollers of the table; a box stands above them.
+        Wheels have spokes, a bar across the tread, or the rollers of the table; a box is drawn above them.
         """
         return self._picture.visuals.clone()
 
     @takes(q="nq")
     def drawing(self, q: ArrayLike) -> Any:
-        """Return where the objects of `visual_model` are in the inertial frame, shape (..., k, 4, 4)."""
+        """Return the placements of the objects of `visual_model` in the inertial frame, shape (..., k, 4, 4).
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration.
+        """
         return self._picture.placements(np.asarray(q))
 
-    solids = _of("_tyres", "solids", "What of it may touch something; wheels do touch the ground.")
+    solids = _of("_tyres", "solids", "Collision geometry; wheels touch the ground.")
 
     @takes(q="nq")
     def solid_placements(self, q: ArrayLike) -> Any:
-        """Return where the shapes of `solids` are in the body's frame, shape (..., shapes, 4, 4)."""
+        """Return the placements of the shapes of `solids` in the body's frame, shape (..., shapes, 4, 4).
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration.
+        """
         return self._tyres.placements(np.asarray(q))
 
-    end_effector = _of("robot", "end_effector", "Default frame: the tip of the first arm, or the body's.")
+    end_effector = _of("robot", "end_effector", "Default frame: tip of the first arm, or the body frame.")
     frame_names = _of("robot", "frame_names", "Names of the frames, see `MobileRobot.frame_names`.")
 
     def frame_name(self, frame: str | None = None) -> str:
-        """Return the name of a frame, by default that of `end_effector`: see `MobileRobot.frame_name`."""
+        """Return the name of a frame, see `MobileRobot.frame_name`.
+
+        Parameters
+        ----------
+        frame : str, optional
+            Name; default: `end_effector`.
+        """
         return self.robot.frame_name(frame)
 
     @takes(q="nq")
     def frame_pose(self, q: Any, frame: str | None = None) -> Any:
-        """Return T_0_f, the pose of a frame, shape (..., 4, 4): see `MobileRobot.frame_pose`."""
+        """Return T_0_f, the pose of a frame, shape (..., 4, 4), see `MobileRobot.frame_pose`.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration.
+        frame : str, optional
+            Name; default: `end_effector`.
+        """
         return self.robot.frame_pose(q[..., : self.robot.nq], frame)
 
     # Configurations
 
     @takes(q="nq", dq="nv")
     def integrate(self, q: ArrayLike, dq: ArrayLike) -> Any:
-        """Return the configuration q + dq, shape (..., nq)."""
+        """Return the configuration q + dq, shape (..., nq).
+
+        Parameters
+        ----------
+        q, dq : array_like, shape (..., nq), (..., nv)
+            Configuration and displacement.
+        """
         return self._numeric.integrate(q, dq)
 
     @takes(q0="nq", q1="nq")
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Any:
-        """Return the displacement q1 - q0, shape (..., nv); psi and continuous joints in (-pi, pi]."""
+        """Return the displacement q1 - q0, shape (..., nv); psi and continuous joints in (-pi, pi].
+
+        Parameters
+        ----------
+        q0, q1 : array_like, shape (..., nq)
+            Configurations.
+        """
         return self._numeric.difference(q0, q1)
 
     @takes(q="nq")
     def pose(self, q: ArrayLike) -> Any:
-        """Return x, y and psi of the body, shape (..., 3) [m, m, rad]."""
+        """Return x, y and psi of the body, shape (..., 3) [m, m, rad].
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration.
+        """
         return self._numeric.pose(q).copy()
 
     @takes(q="nq", v="nv")
     def pose_rate(self, q: ArrayLike, v: ArrayLike) -> Any:
-        """Return the rates of x, y and psi of the body, shape (..., 3) [m/s, m/s, rad/s]."""
+        """Return the rates of x, y and psi of the body, shape (..., 3) [m/s, m/s, rad/s].
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., nq), (..., nv)
+            State.
+        """
         return self._numeric.pose_rate(q, v).copy()
 
     @takes(q="nq", wrench=3)
     def generalized_force(self, q: ArrayLike, wrench: ArrayLike) -> Any:
-        """Return the generalised force of a wrench on the body, shape (..., nv) [N, N, N m, ...]."""
+        """Return the generalised force of a wrench on the body, shape (..., nv) [N, N, N m, ...].
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration.
+        wrench : array_like, shape (..., 3)
+            (Fx, Fy, Mz) along the inertial axes [N, N, N m].
+        """
         return self._numeric.generalized_force(q, wrench)
 
     def start(self, reference: Any) -> tuple[Array, Array]:
-        """Return the q and v with which a reference begins, shape (nq,) and (nv,).
+        """Return the state at the start of a reference, shape (nq,) and (nv,).
 
-        Steered wheels point to where they go, and all roll; what the reference leaves out of the arms rests.
+        Steered wheels point in their direction of motion, and all wheels roll. Arms without a reference rest.
+
+        Parameters
+        ----------
+        reference : Reference
+            First sample of the reference.
         """
         return replace(self.array_dynamics, robot=self.robot).start(reference)  # type: ignore[no-any-return]
 
     @takes(q="nq", v="nv")
     def check_start(self, q: Any, v: Any) -> None:
-        """Refuse a start at which wheels on one gear train turn at different rates, or those that roll slip.
+        """Check that wheels on one gear train turn at consistent rates, and that rolling wheels do not slip.
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., nq), (..., nv)
+            State at the start.
 
         Raises
         ------
         InvalidArgument
-            If it is such.
+            If a constraint is violated.
         """
         slips = np.einsum("...ij,...j->...i", self.constraint_matrix(q), v)
         largest = np.abs(finite_answer(slips, q=q, v=v)).reshape(-1, slips.shape[-1]).max(axis=0)
@@ -401,17 +516,29 @@ class WheeledRobot(PlantOnWheels):
 
     @takes(q="nq")
     def constraint_matrix(self, q: Any) -> Any:
-        """Return A(q), shape (..., k, nv): A v = 0 where the wheels roll; see `constraint_names`."""
+        """Return A(q), shape (..., k, nv): A v = 0 for rolling wheels, see `constraint_names`.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration.
+        """
         return self._numeric.constraints(q, np.zeros(self.nv))[0]
 
     @takes(q="nq", v="nv")
     def constraint_drift(self, q: Any, v: Any) -> Any:
-        """Return dA/dt v, shape (..., k) [m/s^2]: A a = -dA/dt v keeps rolling."""
+        """Return dA/dt v, shape (..., k) [m/s^2]: rolling continues if A a = -dA/dt v.
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., nq), (..., nv)
+            State.
+        """
         return self._numeric.constraints(q, v)[1]
 
     @cached_property
     def constraint_names(self) -> tuple[str, ...]:
-        """Of each row of `constraint_matrix` its wheel and direction, such as ``"left rolling"``."""
+        """Wheel and direction of each row of `constraint_matrix`, such as ``"left rolling"``."""
         names, zeros = self.table.names, [0.0] * self.joints
         rows = self._numeric.kinematics.rows(zeros, [0.0] * BODY_JOINT, zeros)
         return tuple(f"{names[row.wheel]} {row.kind}" if row.wheel >= 0 else row.kind for row in rows)
@@ -428,41 +555,46 @@ class WheeledRobot(PlantOnWheels):
 
     @takes(twist=3, steering="_axes", turning="_axes")
     def wheel_rates(self, twist: ArrayLike, steering: ArrayLike = (), turning: ArrayLike = ()) -> Any:
-        """Return the rates of the wheels that roll at a body twist, shape (..., wheels) [rad/s].
+        """Return the rates of rolling wheels for a body twist, shape (..., wheels) [rad/s].
 
         Parameters
         ----------
         twist : array_like, shape (..., 3)
-            Forward, left, yaw rate [m/s, m/s, rad/s].
+            Body twist: forward, left, yaw rate [m/s, m/s, rad/s].
         steering, turning : array_like, shape (..., axes), optional
-            Steering angles and their rates; by default zero [rad, rad/s].
+            Steering angles and their rates; default: zero [rad, rad/s].
         """
         return self._numeric.wheel_rates(twist, steering, turning)
 
     @takes(rates="_wheels", steering="_axes", turning="_axes")
     def odometry(self, rates: Any, steering: ArrayLike = (), turning: ArrayLike = ()) -> Any:
-        """Return the body twist that fits measured rates of the wheels best, shape (..., 3) [m/s, rad/s].
+        """Return the body twist from measured wheel rates, shape (..., 3) [m/s, m/s, rad/s].
 
-        The least squares of all rows, in which tyres do not move sideways.
+        It is the least-squares solution of all rows, with no lateral motion of tyres.
 
         Parameters
         ----------
         rates : array_like, shape (..., wheels)
-            Of the wheels [rad/s].
+            Rates of the wheels [rad/s].
         steering, turning : array_like, shape (..., axes), optional
-            Steering angles and their rates; by default zero [rad, rad/s].
+            Steering angles and their rates; default: zero [rad, rad/s].
+
+        Raises
+        ------
+        InvalidArgument
+            If the wheel rates do not determine the body's motion.
         """
         self.mobility.check_odometry()
         return self._numeric.odometry(rates, steering, turning)
 
     @cached_property
     def axle(self) -> Any:
-        """Coefficients of the body twist in the velocity across the fixed wheels, shape (3,).
+        """Coefficients of the body twist in the lateral velocity at the fixed axle, shape (3,).
 
         Raises
         ------
         InvalidArgument
-            If no wheel is fixed and keeps the body from moving across it.
+            If no fixed wheel prevents lateral motion of the body.
         """
         if not self.mobility.choice.is_fixed:
             raise InvalidArgument(f"robot is {self.mobility.kind}, which has no fixed axle")
@@ -471,9 +603,9 @@ class WheeledRobot(PlantOnWheels):
 
     @cached_property
     def pivots(self) -> Any:
-        """Where each axis steers a wheel, x, y, and its angle at zero, shape (axes, 3) [m, m, rad].
+        """Position x, y and angle at zero of each steering axis, shape (axes, 3) [m, m, rad].
 
-        Of an Ackermann pair it is the wheel in their middle.
+        For an Ackermann pair, it is the virtual wheel in the middle.
         """
         return frozen(self.array_dynamics.pivots if self.table.axes else np.zeros((0, 3)))
 
@@ -481,45 +613,78 @@ class WheeledRobot(PlantOnWheels):
 
     @takes(q="nq")
     def mass_matrix(self, q: ArrayLike) -> Any:
-        """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], rotors included."""
+        """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], including rotors.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration.
+        """
         return self._numeric.mass_matrix(q)
 
     @takes(q="nq", v="nv")
     def nonlinear_effects(self, q: ArrayLike, v: ArrayLike) -> Any:
-        """Return n(q, v), shape (..., nv) [N, N, N m, ...]."""
+        """Return n(q, v), shape (..., nv) [N, N, N m, ...].
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., nq), (..., nv)
+            State.
+        """
         return self._numeric.nonlinear_effects(q, v)
 
     @takes(q="nq", v="nv")
     def kinetic_energy(self, q: Any, v: Any) -> Any:
-        """Return v' M(q) v / 2, shape (...) [J]."""
+        """Return v' M(q) v / 2, shape (...) [J].
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., nq), (..., nv)
+            State.
+        """
         return np.asarray(np.einsum("...i,...ij,...j->...", v, self._numeric.mass_matrix(q), v) / 2)
 
     @takes(q="nq", v="nv", u="nu", f="nv")
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Any:
         """Return the acceleration, shape (..., nv) [m/s^2, ...].
 
-        Of wheels that roll M a + n = B u + f + A' lambda and A a = -dA/dt v, solved in independent
-        velocities, see `Reduced`; where they slip, the mean over a short step, as dry friction has impulses
-        and no force at an instant.
+        For rolling wheels, M a + n = B u + f + A' lambda and A a = -dA/dt v, solved in independent
+        velocities, see `reduced`. For wheels that slip, it is the mean over a short step, because impulses
+        describe dry friction.
 
         Parameters
         ----------
         q, v : array_like, shape (..., nq), (..., nv)
-            State, which rolls.
+            State; wheels roll.
         u : array_like, shape (..., nu)
             Torques [N m], see `inputs`.
         f : array_like, shape (..., nv), optional
-            Generalised forces beside them.
+            External generalised force.
         """
         return self._numeric.forward_dynamics(q, v, u, f)
 
     @takes(q="nq", v="nv", u="nu", f="nv")
     def constraint_forces(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Forces:
-        """Return the forces of the ground at the wheels, and which of them rolling determines."""
+        """Return the forces of the ground on rolling wheels, and which of them rolling determines.
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., nq), (..., nv)
+            State; wheels roll.
+        u : array_like, shape (..., nu)
+            Torques [N m].
+        f : array_like, shape (..., nv), optional
+            External generalised force.
+
+        Raises
+        ------
+        InvalidArgument
+            If the wheels may slip.
+        """
         if self.array_dynamics.slips:
             raise InvalidArgument(
-                "constraint_forces is asked of wheels that may slip, which no constraint holds, expected "
-                "ground=Rolling(); their forces are in the signals of a run"
+                "constraint_forces needs wheels that roll, expected ground=Rolling(); on other ground, "
+                "the signals of a run contain the forces"
             )
         values = self._numeric.constraint_forces(q, v, u, f)
         finite_answer(values, q=q, v=v, u=u, f=f)
@@ -527,26 +692,26 @@ class WheeledRobot(PlantOnWheels):
 
     @takes(q="nq", v="nv")
     def reduced(self, q: ArrayLike, v: ArrayLike) -> Reduced:
-        """Return the dynamics of the independent velocities, where wheels roll: see `Reduced`.
+        """Return the dynamics of the independent velocities of rolling wheels: M dnu/dt + n = B u, v = S nu.
 
         Parameters
         ----------
         q, v : array_like, shape (..., nq), (..., nv)
-            State, which rolls.
+            State; wheels roll.
         """
         return self._rolling.reduced(q, v)  # type: ignore[no-any-return]
 
     @takes(q="nq", v="nv", a="of_body")
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Any:
-        """Return the input of least norm with which body and arms accelerate so, shape (..., nu) [N m].
+        """Return the input of least norm for an acceleration of body and arms, shape (..., nu) [N m].
 
-        ``forward_dynamics(q, v, inverse_dynamics(q, v, a))`` begins with `a`; the inverse does not hold where
+        ``forward_dynamics(q, v, inverse_dynamics(q, v, a))`` begins with `a`. The converse does not hold if
         there are more inputs than coordinates.
 
         Parameters
         ----------
         q, v : array_like, shape (..., nq), (..., nv)
-            State, which rolls.
+            State; wheels roll.
         a : array_like, shape (..., 3 + arms)
             Acceleration of x, y, psi and the arms [m/s^2, rad/s^2, ...].
 
@@ -559,41 +724,52 @@ class WheeledRobot(PlantOnWheels):
         return self._rolling.inverse_dynamics(q, v, a)
 
     def check_inverse_dynamics(self) -> None:
-        """Refuse a drive that cannot accelerate its body in every direction.
+        """Check that the drive can accelerate its body in every direction.
 
         Raises
         ------
         InvalidArgument
-            If it is such.
+            If it cannot.
         """
         self._check_rolls()
         still = self.reduced(self.rest, np.zeros(self.nv)) if self.mobility.mobility == 3 else None
         if still is None or np.linalg.matrix_rank(still.B) < len(still.M):
             raise InvalidArgument(
-                f"robot is {self.mobility.kind}, which cannot accelerate in every direction, so no torques "
-                "are its inverse dynamics; expected an omnidirectional drive, or Backstepping(law, robot), "
+                f"robot is {self.mobility.kind}, which cannot accelerate in every direction and so has no "
+                "inverse dynamics; expected an omnidirectional drive, or Backstepping(law, robot), "
                 "and a motor for each degree of freedom"
             )
 
     @takes(q="nq", v="nv")
     def independent(self, q: ArrayLike, v: ArrayLike) -> Any:
-        """Return the independent velocities nu of a state that rolls, shape (..., m): see `Reduced`."""
-        return self._rolling.independent(q, v)
-
-    @takes(q="nq", v="nv", u="nu")
-    def linearize_tracked(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> Linearization:
-        """Return the first-order model of the tracked state, d(e, dnu)/dt = A (e, dnu) + B du.
-
-        e has x, y, psi and the arms, as `difference` has them, and nu the independent velocities: see
-        `Reduced`. Angles of wheels that do not steer do not matter. Slopes are by the complex step, exact but
-        for rounding.
+        """Return the independent velocities nu of a rolling state, shape (..., m), see `reduced`.
 
         Parameters
         ----------
         q, v : array_like, shape (..., nq), (..., nv)
-            State, which rolls.
+            State; wheels roll.
+        """
+        return self._rolling.independent(q, v)
+
+    @takes(q="nq", v="nv", u="nu")
+    def linearize_tracked(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> Linearization:
+        """Return the linear model of the tracked state, d(e, dnu)/dt = A (e, dnu) + B du.
+
+        e contains x, y, psi and the arms, as in `difference`, and nu the independent velocities, see
+        `reduced`. Angles of wheels that do not steer have no effect. The complex-step method makes the
+        derivatives exact up to rounding.
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., nq), (..., nv)
+            State; wheels roll.
         u : array_like, shape (..., nu)
             Torques [N m].
+
+        Returns
+        -------
+        model : Linearization
+            A and B.
 
         Raises
         ------
@@ -605,25 +781,25 @@ class WheeledRobot(PlantOnWheels):
 
     @takes(q="nq", v="nv")
     def torques(self, q: ArrayLike, v: ArrayLike, rates: ArrayLike) -> Any:
-        """Return the input of least norm with which independent velocities change so, shape (..., nu) [N m].
+        """Return the input of least norm for rates of the independent velocities, shape (..., nu) [N m].
 
         Parameters
         ----------
         q, v : array_like, shape (..., nq), (..., nv)
-            State, which rolls.
+            State; wheels roll.
         rates : array_like, shape (..., m)
-            nu' of `Reduced` [m/s^2, rad/s^2].
+            Rates of nu, see `reduced` [m/s^2, rad/s^2].
         """
         own = self._rolling.reduced(q, v)
         return own.torques(shaped("rates", finite("rates", rates), ("...", own.nu.shape[-1])))
 
     @takes(q="nq", tau="of_body")
     def allocate(self, q: Any, tau: Any) -> Allocation:
-        """Return the torques within limits that come nearest to a force on body and arms.
+        """Return the torques within limits whose effect is nearest to that of a force on body and arms.
 
-        Where limits allow it they change the independent velocities as the force would, and have least norm;
-        else the sum of squares of what they miss is least in the metric of the inverse mass, by a quadratic
-        program. `allocate_scaled` is for loops.
+        If limits allow, they change the independent velocities as the force would, with least norm. Otherwise
+        a quadratic program minimises the residual in the metric of the inverse mass. `allocate_scaled` is
+        faster, for loops.
 
         Parameters
         ----------
@@ -631,6 +807,11 @@ class WheeledRobot(PlantOnWheels):
             Configuration.
         tau : array_like, shape (..., 3 + arms)
             Force on x, y, psi and the arms [N, N, N m, ...].
+
+        Returns
+        -------
+        allocation : Allocation
+            Torques, and the part of the force that they do not exert.
         """
         lead, rolling, still = tau.shape[:-1], self._rolling, np.zeros(self.nv)
         u, rest = np.empty((*lead, self.nu)), np.empty((*lead, self.robot.nv))
@@ -643,10 +824,10 @@ class WheeledRobot(PlantOnWheels):
 
     @takes(q="nq", tau="of_body")
     def allocate_scaled(self, q: ArrayLike, tau: ArrayLike) -> tuple[Array, Array]:
-        """Return torques for a force on body and arms, scaled by one factor into limits, and what is left.
+        """Return torques for a force on body and arms, scaled into limits by one factor, and the residual.
 
-        They have least norm; where one is beyond its limit all shrink alike, so that the force keeps its
-        direction. It is the same arithmetic in all engines.
+        The torques have least norm. If a torque exceeds its limit, one factor scales all of them, so that the
+        force keeps its direction. All engines use the same arithmetic.
 
         Parameters
         ----------
@@ -654,28 +835,46 @@ class WheeledRobot(PlantOnWheels):
             Configuration.
         tau : array_like, shape (..., 3 + arms)
             Force on x, y, psi and the arms [N, N, N m, ...].
+
+        Returns
+        -------
+        u : ndarray, shape (..., nu)
+            Torques [N m].
+        residual : ndarray, shape (..., 3 + arms)
+            Part of the force that the torques do not exert [N, N, N m, ...].
         """
         return self._rolling.allocate_scaled(q, tau)  # type: ignore[no-any-return]
 
     @of_ground
     @takes(q="nq", v="nv")
     def project(self, q: Any, v: Any) -> Any:
-        """Return the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
+        """Return the nearest rolling velocity in the mass metric, shape (..., nv).
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., nq), (..., nv)
+            State; wheels may slip.
+        """
         return self._numeric.project(q, v)
 
     # What the ground bears
 
     def _felt(self, q: Any, v: Any, a: Any) -> tuple[Any, list[Any]]:
-        """Return the state, and accelerations along the body's axes less gravity in the plane."""
+        """Return the state, and proper accelerations in the plane along the body's axes."""
         state = self._numeric.state(q, v)
         return state, self._numeric.proper_acceleration(state, state.along(list(np.moveaxis(a, -1, 0))))
 
     @takes(q="nq", v="nv", a="nv")
     def ground_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Any:
-        """Return what the ground exerts on the robot that moves so, shape (..., 6), wheels spinning.
+        """Return the wrench of the ground on the robot in a motion, shape (..., 6) [N, N m].
 
-        Along the axes of the body's frame, with the moment about its origin, which lies on the ground.
-        Whatever else acts from outside is in it.
+        It is along the axes of the body's frame, with the moment about its origin, which lies on the ground.
+        It includes the effect of spinning wheels and of all other external forces.
+
+        Parameters
+        ----------
+        q, v, a : array_like, shape (..., nq), (..., nv), (..., nv)
+            State and acceleration.
         """
         state, felt = self._felt(q, v, a)
         fx, fy, mz, *_ = self._numeric.needed(state, felt, q)
@@ -684,40 +883,60 @@ class WheeledRobot(PlantOnWheels):
 
     @takes(q="nq", v="nv", a="nv")
     def mount_wrench(self, q: Any, v: Any, a: Any, mount: str | None = None) -> Any:
-        """Return the wrench of an arm on the body at its mount, (..., 6): see `MobileRobot.mount_wrench`."""
-        n, slack = self.robot.nv, self.array_dynamics._slack
-        q, v, a = q[..., :n], v[..., :n], a[..., :n].copy()
-        a[..., :2] -= self.fall[:2]  # gravity in the plane is as if the plane accelerated against it
-        found, still = self.robot.mount_wrench(q, v, a, mount), np.zeros_like(v)
-        return found - slack * self.robot.mount_wrench(q, still, still, mount) if slack else found
-
-    @takes(q="nq", v="nv", a="nv")
-    def contact_loads(self, q: Any, v: Any, a: Any) -> ContactLoads:
-        """Return what each wheel and support carries, those of the supports behind.
-
-        With more than three, as equal springs share it; what would pull has lifted off, and the others carry.
+        """Return the wrench of an arm on the body at its mount, (..., 6), see `MobileRobot.mount_wrench`.
 
         Parameters
         ----------
         q, v, a : array_like, shape (..., nq), (..., nv), (..., nv)
             State and acceleration.
+        mount : str, optional
+            Name of the arm.
+        """
+        n, slack = self.robot.nv, self.array_dynamics._slack
+        q, v, a = q[..., :n], v[..., :n], a[..., :n].copy()
+        a[..., :2] -= self.fall[:2]  # gravity in the plane acts like an acceleration of the plane against it
+        found, still = self.robot.mount_wrench(q, v, a, mount), np.zeros_like(v)
+        return found - slack * self.robot.mount_wrench(q, still, still, mount) if slack else found
+
+    @takes(q="nq", v="nv", a="nv")
+    def contact_loads(self, q: Any, v: Any, a: Any) -> ContactLoads:
+        """Return the load of each wheel and then each support.
+
+        More than three contacts share the load as equal springs do. A contact that would pull has lifted off,
+        and the others carry its load.
+
+        Parameters
+        ----------
+        q, v, a : array_like, shape (..., nq), (..., nv), (..., nv)
+            State and acceleration.
+
+        Raises
+        ------
+        InvalidArgument
+            If the height of the robot is unknown, or its contacts lie on one line.
         """
         self.check_stands()
         return contact_loads(self._numeric, *self._felt(q, v, a), q)
 
     def slip_margins(self, motion: Any) -> SlipMargins:
-        """Return the friction that each wheel, or axle, has left before it slips.
+        """Return the remaining friction of each wheel, or axle, before it slips.
 
-        Of wheels that roll it is ``mu N`` less the size of the ground's force, which follows from v, a and u;
-        forces that push the body count as if the ground exerted them. Where rolling does not determine how
-        wheels of an axle share the force across them, it is the axle's margin:
-        ``sum sqrt((mu N)^2 - along^2) - |across|``, and no more than ``mu N - |along|`` of each. Wheels that
-        may slip have margins in runs, whose signals tell the forces.
+        For rolling wheels, it is ``mu N`` minus the magnitude of the ground's force, which follows from v, a
+        and u; external forces count as forces of the ground. If rolling determines only the sum of lateral
+        forces of an axle, the margin is that of the axle: ``sum sqrt((mu N)^2 - along^2) - abs(across)``, and
+        at most ``mu N - abs(along)`` of each wheel. For wheels that may slip, the signals of a run contain
+        the forces.
 
         Parameters
         ----------
         motion : Rollout or MotionStates
-            With q, v, a and u.
+            Motion with q, v, a and u.
+
+        Raises
+        ------
+        InvalidArgument
+            If the motion has no input, or, for wheels that may slip, no signals; or loads or forces are not
+            determined.
         """
         self.check_stands()
         if self.array_dynamics.slips:
@@ -731,27 +950,38 @@ class WheeledRobot(PlantOnWheels):
         return rolling_margins(self._numeric, *self._felt(q, v, a), u, q)[1]
 
     def contacts(self, q: Any, v: Any, a: Any, u: Any, signals: Mapping[str, Any]) -> Contacts:
-        """Return what the ground does at the wheels at the samples of a run, see `Contacts`.
+        """Return the contacts with the ground at the samples of a run, see `plant.Contacts`.
 
         Parameters
         ----------
         q, v, a, u : array_like, shape (n, ...)
-            Of the samples.
+            Samples.
         signals : mapping of str to Signal
-            Of the run.
+            Signals of the run.
         """
         q, v, u, a = self._state(q, v, u, a)
         return contacts_of(self, q, v, a, u, signals)
 
     def follows(self, t: ArrayLike, reference: Any) -> TimeScaledMotion:
-        """Return what rolls along a reference: its ``at(factor)`` tells what the ground bears.
+        """Return the rolling motion along a reference; its ``at(factor)`` returns loads and margins.
 
         Parameters
         ----------
         t : array_like, shape (N,)
-            Times, ascending [s].
+            Times, increasing [s].
         reference : Reference
-            At these times.
+            Reference at these times.
+
+        Returns
+        -------
+        motion : TimeScaledMotion
+            ``motion.at(factor)`` gives `plant.ContactLoads`, `plant.SlipMargins` and `plant.TorqueMargins` of
+            the motion at `factor` times its speed.
+
+        Raises
+        ------
+        InvalidArgument
+            If wheels or motors cannot follow the reference, or contacts lie on one line.
         """
         self.check_stands()
         along = followed(self._rolling, reference, finite("t", t))
@@ -759,12 +989,11 @@ class WheeledRobot(PlantOnWheels):
 
     @property
     def metrics(self) -> tuple[Metric, ...]:
-        """What is worth judging about it beside errors: what `evaluate_metrics` returns.
+        """Metrics beside errors, in the order of `evaluate_metrics`.
 
-        The smallest load of wheels and supports; of wheels that roll the smallest slip margin, see
-        `slip_margins`, and of those that may slip the largest velocity at which one slides; where there are
-        limits, the largest torque of what motors allow; with arms, what is judged of these, see
-        `MobileRobot.metrics`.
+        They are the smallest load of wheels and supports; the smallest slip margin of rolling wheels (see
+        `slip_margins`), or the largest slip velocity of others; the largest torque relative to its limit; and
+        the metrics of arms, see `MobileRobot.metrics`.
         """
         return self.array_dynamics.metrics  # type: ignore[no-any-return]
 
@@ -772,16 +1001,16 @@ class WheeledRobot(PlantOnWheels):
     def evaluate_metrics(
         self, t: ArrayLike, q: ArrayLike, v: ArrayLike, a: ArrayLike, u: ArrayLike, reference: Any
     ) -> Array:
-        """Return its `metrics`, shape (..., m).
+        """Return the values of `metrics`, shape (..., m).
 
         Parameters
         ----------
         t : array_like, shape (...)
-            Time [s], on which nothing depends.
+            Time [s], not used.
         q, v, a, u : array_like, shape (..., nq), (..., nv), (..., nv), (..., nu)
             State, acceleration and input.
         reference : Reference
-            Where the first coordinates should be.
+            Desired values of the first coordinates.
         """
         required("reference", reference, Desired)
         wanted = [("...", n) for n in self.reference_sizes]
@@ -792,5 +1021,5 @@ class WheeledRobot(PlantOnWheels):
             found = np.asarray(
                 self.array_dynamics.evaluate_metrics(t, q, v, a, u, reference._replace(q=desired))
             )
-        finite_answer(np.where(found == -np.inf, 0.0, found), q=q, v=v, a=a, u=u)  # a margin may be that
+        finite_answer(np.where(found == -np.inf, 0.0, found), q=q, v=v, a=a, u=u)  # a margin may be -inf
         return np.array(np.broadcast_to(found, (*lead, len(self.metrics))))

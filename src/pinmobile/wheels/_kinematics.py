@@ -1,6 +1,6 @@
-"""Wheel kinematics: rolling constraints over scalars, arrays or symbols, and the mobility they leave.
+"""Wheel kinematics: rolling constraints for scalars, arrays or symbols, and the mobility of a drive.
 
-Everything here is along the axes of the body's frame, in which nothing depends on the pose. A scalar is a
+All quantities are along the axes of the body's frame, where nothing depends on the pose. A scalar is a
 number, an array with leading axes, or a symbol.
 """
 
@@ -30,13 +30,13 @@ from pinmobile.robot import (
 
 
 def unwrap_scalar(x: Any) -> Any:
-    """Return the entry of an array without axes; an array or a number as it is."""
+    """Return the entry of an array without axes; other arrays and numbers unchanged."""
     x = plain(x)
     return x.item() if isinstance(x, np.ndarray) and not x.ndim else x
 
 
 class Row(NamedTuple):
-    """A direction in which a wheel touches the ground, or a gear train: times the rates, a velocity.
+    """Constraint of a wheel or a gear train: a row whose product with the rates is a slip velocity.
 
     Attributes
     ----------
@@ -44,13 +44,13 @@ class Row(NamedTuple):
         Row of the table; -1: a gear train.
     kind : str
         ``"rolling"`` along the wheel, ``"lateral"`` across it, ``"roller"`` along the axes of its rollers,
-        ``"across"`` these, or ``"train"``.
+        ``"across"`` these axes, or ``"train"``.
     base : list of 3 scalars
         Coefficients of the body twist (forward, left, yaw rate).
     joints : list of scalars
         Coefficients of the rates of the steering coordinates and then the wheels [m].
     drift : scalar
-        What it changes at, where no coordinate accelerates [m/s^2].
+        Rate of the slip velocity if no coordinate accelerates [m/s^2].
     """
 
     wheel: int
@@ -60,19 +60,19 @@ class Row(NamedTuple):
     drift: Any
 
     def slip(self, state: Any) -> Any:
-        """Return the velocity at which it slips in a state."""
+        """Return the slip velocity in a state [m/s]."""
         return number(dot(self.base, state.twist) + dot(self.joints, state.rates))
 
 
 class Heading(NamedTuple):
-    """Where a wheel rolls to at a steering angle: e, and how it turns with the steering coordinate.
+    """Rolling direction e of a wheel at a steering angle, and its derivatives by the steering coordinate.
 
     Attributes
     ----------
     c, s : scalar
-        Of the angle of e.
+        Cosine and sine of the angle of e.
     first, second : scalar
-        First and second derivative of that angle by the steering coordinate.
+        First and second derivative of this angle by the steering coordinate.
     """
 
     c: Any
@@ -83,14 +83,14 @@ class Heading(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Kinematics:
-    """The rows of a wheel table, with numbers that may differ from robot to robot.
+    """Rolling constraints of a wheel table, with numbers that may differ between robots.
 
     Parameters
     ----------
     table : WheelTable
-        Its structure; its numbers are those of the attributes below.
+        Structure of the table; its numbers are replaced by the parameters below.
     x, y, radius : sequence of scalars
-        Of each wheel [m].
+        Position and radius of each wheel [m].
     """
 
     table: Any
@@ -100,7 +100,7 @@ class Kinematics:
 
     @classmethod
     def of(cls, table: Any) -> Kinematics:
-        """Return that of a table's own numbers."""
+        """Return the kinematics with a table's own numbers."""
         names = "x", "y", "radius"
         return cls(
             table, *([exact(unwrap_scalar(getattr(each, name))) for each in table.wheels] for name in names)
@@ -113,7 +113,7 @@ class Kinematics:
 
     @cached_property
     def _axis_of(self) -> list[int]:
-        """The steering coordinate that turns each wheel; -1: none."""
+        """Steering coordinate of each wheel; -1: none."""
         found = [-1] * len(self.table)
         for k, axis in enumerate(self.table.axes):
             for row in axis.wheels:
@@ -121,7 +121,7 @@ class Kinematics:
         return found
 
     def heading(self, row: int, steering: Sequence[Any]) -> Heading:
-        """Return where a wheel rolls to."""
+        """Return the rolling direction of a wheel."""
         wheel, k = self.table.wheels[row], self._axis_of[row]
         if k < 0:
             s, c = sine_and_cosine(exact(wheel.angle))
@@ -147,7 +147,7 @@ class Kinematics:
         rates : sequence of scalars
             Rates of the steering coordinates and then the wheels [rad/s].
         across : bool
-            Whether wheels with rollers have a row across these, in which they slide.
+            Whether wheels with rollers have a row across the rollers' axes, in which they slide.
         """
         found: list[Row] = []
         for row in range(len(self.table)):
@@ -162,11 +162,12 @@ class Kinematics:
     def _rows_of(
         self, row: int, steering: Sequence[Any], twist: Sequence[Any], rates: Sequence[Any], across: bool
     ) -> list[Row]:
+        """Return the rows of a wheel."""
         wheel, k, head = self.table.wheels[row], self._axis_of[row], self.heading(row, steering)
         o, p = self.centre(row, steering)
-        turn = head.first * rates[k] if k >= 0 else ZERO  # of the wheel about its pivot
+        turn = head.first * rates[k] if k >= 0 else ZERO  # rate of the wheel about its pivot
         vx, vy, w = twist
-        # The centre's velocity, and its acceleration where no coordinate accelerates.
+        # Velocity of the centre, and its acceleration if no coordinate accelerates.
         velocity = [vx - w * p[1] - turn * o[1], vy + w * p[0] + turn * o[0]]
         both, bent = w + turn, head.second * rates[k] * rates[k] if k >= 0 else ZERO
         rest = [w * vy - both * turn * o[0] - bent * o[1], -(w * vx) - both * turn * o[1] + bent * o[0]]
@@ -186,13 +187,13 @@ class Kinematics:
         return found
 
     def centre(self, row: int, steering: Sequence[Any]) -> tuple[Vector, Vector]:
-        """Return the centre of a wheel from its pivot, and from the body's origin [m]."""
+        """Return the centre of a wheel relative to its pivot, and relative to the body's origin [m]."""
         head, (along, aside) = self.heading(row, steering), (exact(x) for x in self.table.wheels[row].trail)
         o = [along * head.c - aside * head.s, along * head.s + aside * head.c]
         return o, [self.x[row] + o[0], self.y[row] + o[1]]
 
     def wheel_rates(self, steering: Sequence[Any], twist: Sequence[Any], turning: Sequence[Any]) -> Vector:
-        """Return the rates of wheels that roll, tyres by their rolling rows, others by the rollers' rows.
+        """Return the rates of rolling wheels, by the rolling rows of tyres and the rows of rollers.
 
         Parameters
         ----------
@@ -210,7 +211,7 @@ class Kinematics:
         return found
 
     def odometry(self, steering: Sequence[Any], joints: Sequence[Any]) -> Vector:
-        """Return the body twist that fits rates of joints best, by least squares of all rows.
+        """Return the body twist by least squares of all rows.
 
         Parameters
         ----------
@@ -227,14 +228,14 @@ class Kinematics:
 
 
 class RowSelection(NamedTuple):
-    """Which rows hold the body, and which tell the rate of a joint; the others follow from these.
+    """Selection of independent rows: those that constrain the body, and those that determine a joint's rate.
 
     Attributes
     ----------
     body : tuple of int
-        Up to two rows, of which the first is of a fixed wheel if one is.
+        Up to two rows; the first is that of a fixed wheel if there is one.
     is_fixed : bool
-        Whether the first is of a fixed wheel.
+        Whether the first row is that of a fixed wheel.
     joints : tuple of (int, int)
         Joint and row, steering coordinates before the wheels.
     free : tuple of int
@@ -248,14 +249,14 @@ class RowSelection(NamedTuple):
 
 
 class NullSpaceBasis(NamedTuple):
-    """All velocities that roll, S nu, and accelerations, S nu' + gamma.
+    """Null-space basis of rolling: velocities S nu, and accelerations S dnu/dt + gamma.
 
     Attributes
     ----------
     S : list of lists of scalars, shape (3 + arms + n, m + arms + free)
-        Of the body twist, arms, steering coordinates and wheels, by the independent velocities.
+        Body twist and rates of arms, steering coordinates and wheels, per independent velocity.
     gamma : list of scalars, shape (3 + arms + n,)
-        Accelerations, those of the origin along the body's axes.
+        Bias accelerations, those of the origin along the body's axes.
     """
 
     S: Matrix
@@ -263,12 +264,12 @@ class NullSpaceBasis(NamedTuple):
 
 
 def solve_null_space(rows: Sequence[Row], choice: RowSelection, arms: int) -> NullSpaceBasis:
-    """Return what rolls: by one row the body turns about its axle, by two about where these meet.
+    """Return the null-space basis; with two rows the body turns about the intersection of both axles.
 
     Parameters
     ----------
     rows, choice
-        Of the wheels.
+        Rows of the wheels, and their selection.
     arms : int
         Number of the arms' coordinates, which are independent velocities between body and steering axes.
     """
@@ -289,7 +290,7 @@ def solve_null_space(rows: Sequence[Row], choice: RowSelection, arms: int) -> Nu
 
 
 def _body_velocities(held: Sequence[Row], is_fixed: bool) -> tuple[Matrix, Vector]:
-    """Return the body twists that no row forbids, as columns, and an acceleration that fits the drifts."""
+    """Return the body twists that the rows allow, as columns, and their bias acceleration."""
     one = exact(1.0)
     if not held:
         return [[one, ZERO, ZERO], [ZERO, one, ZERO], [ZERO, ZERO, one]], [ZERO] * 3
@@ -308,7 +309,7 @@ def _body_velocities(held: Sequence[Row], is_fixed: bool) -> tuple[Matrix, Vecto
 
 
 def _ackermann(length: Any, y: Any, s: Any, c: Any) -> Heading:
-    """Return the heading of a wheel whose axle meets the others, the middle one turned by an angle."""
+    """Return the heading of a wheel in an Ackermann steering, from the angle of the middle wheel."""
     offset = y / length
     a, b = s, c - offset * s
     square = a * a + b * b
@@ -316,44 +317,61 @@ def _ackermann(length: Any, y: Any, s: Any, c: Any) -> Heading:
     return Heading(b / long, a / long, 1.0 / square, -(change / (square * square)))
 
 
-_RANK = 1e-9  # singular values below, relative to the largest, are rounding
+_RANK = 1e-9  # relative tolerance of singular values
 _COEFFICIENT = 1e-12
 
 
 @final
 @dataclass(frozen=True)
 class Mobility:
-    """What the rows of a table determine, where its steering angles are none in particular.
+    """Mobility of a drive: which motions its wheels allow, for general steering angles.
+
+    Printing it gives a description. The type (mobility, steerability) follows the classification of Campion,
+    Bastin and d'Andrea-Novel (1996).
 
     Parameters
     ----------
     table : WheelTable
         The wheels.
 
+    See Also
+    --------
+    WheelTable : its property `mobility`
+    Backstepping : controller of drives with a fixed axle
+
+    Examples
+    --------
+    >>> from pinmobile import WheelTable
+    >>> from pinmobile.wheels import Mobility
+    >>> car = Mobility(WheelTable.car(0.5, 0.4, 0.1))
+    >>> car.mobility, car.steerability
+    (1, 1)
+    >>> print(Mobility(WheelTable.skid_steer(0.4, 0.3, 0.1)).is_regular)
+    False
     """
 
     table: Any
 
     @cached_property
     def _rows(self) -> list[Row]:
-        """The rows at steering angles [rad] that are in no relation to each other."""
+        """Rows at general steering angles [rad]."""
         kinematics = Kinematics.of(self.table)
         angles = [min(0.9 * axis.limit, 0.31 + 0.23 * k) for k, axis in enumerate(self.table.axes)]
         return kinematics.rows(angles, [0.0] * 3, [0.0] * kinematics.n)
 
     @cached_property
     def matrix(self) -> Array:
-        """The rows at these angles, shape (k, 3 + steering + wheels)."""
+        """Rows at these angles as a matrix, shape (k, 3 + steering + wheels)."""
         return np.array([[float(number(x)) for x in [*row.base, *row.joints]] for row in self._rows])
 
     @cached_property
     def rank(self) -> int:
-        """Rank of the rows."""
+        """Rank of the matrix."""
         return _rank(self.matrix)
 
     @cached_property
     def _lateral(self) -> tuple[list[int], list[int]]:
-        """Rows that hold the body alone: of fixed wheels, and of steered ones."""
+        """Rows that constrain only the body: those of fixed wheels, and those of steered wheels."""
         steered = {row for axis in self.table.axes for row in axis.wheels}
         found: tuple[list[int], list[int]] = [], []
         for i, row in enumerate(self._rows):
@@ -363,17 +381,17 @@ class Mobility:
 
     @cached_property
     def mobility(self) -> int:
-        """Degrees of freedom of the body at given steering angles: 3 less the rank of the lateral rows."""
+        """Degrees of freedom of the body at given steering angles: 3 minus the rank of the lateral rows."""
         return 3 - _rank(self.matrix[[*self._lateral[0], *self._lateral[1]], :3])
 
     @cached_property
     def steerability(self) -> int:
-        """How many steering angles may be chosen: what wheels steered about their centres add to the rank."""
+        """Number of independent steering angles: rank added by wheels that steer about their centres."""
         return 3 - self.mobility - _rank(self.matrix[self._lateral[0], :3])
 
     @cached_property
     def rolling_obstacle(self) -> str:
-        """Why the drive cannot roll ideally, as a sentence; empty where it can."""
+        """Reason why the drive cannot roll without slip, as a sentence; empty if it can."""
         fixed, steered = self._lateral
         names = self.table.names
         if _rank(self.matrix[fixed, :3]) > 1:
@@ -399,14 +417,14 @@ class Mobility:
 
     @property
     def kind(self) -> str:
-        """What the drive is, in words."""
+        """Name of the drive's type."""
         if not self.is_regular:
             return "a drive that does not roll without slip"
         return f"a drive of type ({self.mobility}, {self.steerability})"
 
     @cached_property
     def choice(self) -> RowSelection:
-        """Which rows determine what, for a drive that can roll."""
+        """Selected rows of a drive that can roll."""
         fixed, steered = self._lateral
         body: list[int] = []
         for i in [*fixed, *steered]:
@@ -424,16 +442,16 @@ class Mobility:
 
     @cached_property
     def determined(self) -> Any:
-        """Of each row, whether rolling determines its force; of others only sums are."""
+        """Whether rolling determines the force of each row; otherwise it determines only sums of forces."""
         u, s, _ = np.linalg.svd(self.matrix)
         rank = int(np.sum(s > _RANK * s[0]))
         return np.abs(u[:, rank:]).max(axis=1, initial=0.0) < 1e-9
 
     @cached_property
     def idle(self) -> Array | None:
-        """A body twist, shape (3,), at which no wheel turns or steers, as of omni wheels all along one line.
+        """Body twist, shape (3,), at which no wheel turns or steers, such as for parallel omni wheels.
 
-        Its largest number is 1; None where there is none.
+        Its largest entry is 1; None if there is none.
         """
         if _rank(self.matrix[:, :3]) == 3:
             return None
@@ -442,10 +460,10 @@ class Mobility:
         return np.asarray(found)
 
     def check_odometry(self) -> None:
-        """Raise `InvalidArgument` where rates of the wheels do not tell how the body moves."""
+        """Raise `InvalidArgument` if the wheels' rates do not determine the body's motion."""
         if self.idle is not None:
-            words = "by its wheels' rates how the body moves, expected rows of rank 3"
-            raise InvalidArgument(f"table does not tell {words}")
+            words = "the body's motion by the rates of its wheels, expected rows of rank 3"
+            raise InvalidArgument(f"table does not determine {words}")
 
     def __str__(self) -> str:
         if self.rolling_obstacle:

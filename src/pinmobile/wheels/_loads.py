@@ -1,6 +1,6 @@
-"""Loads of wheels and supports, forces of wheels that roll, their margins before they slip, and metrics.
+"""Loads of wheels and supports, forces and slip margins of rolling wheels, and metrics.
 
-Everything is over scalars: numbers, arrays with leading axes, or symbols.
+All functions take scalars: numbers, arrays with leading axes, or symbols.
 """
 
 from __future__ import annotations
@@ -461,17 +461,30 @@ def _slip(body: Any, state: Any) -> Any:
 
 
 class Forces(NamedTuple):
-    """What the ground does at the wheels.
+    """Forces of the ground on the wheels.
 
     Attributes
     ----------
     names : tuple of str
-        Of the rows, such as ``"left rolling"``.
+        Names of the rows, such as ``"left rolling"``.
     values : ndarray, shape (..., k)
-        Force of the ground on the robot along each row [N], of a gear train what it transmits.
+        Force of the ground on the robot along each row [N]; for a gear train, the transmitted force.
     determined : ndarray of bool, shape (k,)
-        Whether rolling determines it; of the others only sums are, and they are shared so that the sum of
-        squares is least.
+        Whether rolling determines the force; of the others it determines only sums, which are shared with the
+        least sum of squares.
+
+    See Also
+    --------
+    WheeledRobot : its method `constraint_forces`
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable
+    >>> table = WheelTable.differential(0.4, 0.1, spin_inertia=0.01)
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+    >>> forces = robot.constraint_forces(robot.rest, 0 * robot.rest, [3, 3])
+    >>> forces.names[0], f"{forces.values[0]:.1f} N"
+    ('left rolling', '28.1 N')
     """
 
     names: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""Motors at wheels: what turns volts into torque, and what limits either."""
+"""Motors at wheels: torque from voltage, with limits."""
 
 from __future__ import annotations
 
@@ -32,47 +32,64 @@ from pinmobile.wheels._contact import within
 
 _ELECTRIC = "resistance", "torque_constant", "voltage"
 CONSTANTS = "resistance", "torque_constant", "viscous", "coulomb", "efficiency"
-"""Numbers of a motor that may differ from robot to robot."""
+"""Parameters of a motor that may differ between robots."""
 
 
 @final
 @part
 @by_value
 class Motor:
-    """A direct-current motor with its gear, or, without numbers, a source of torque.
+    """Direct-current motor with gear, or, without numbers, a torque source.
 
-    All numbers are the motor's own but for `torque_limit`, which is at the wheel.
+    All numbers are those of the motor, except for `torque_limit`, which applies at the wheel.
 
     Parameters
     ----------
     torque_limit : float
-        Largest torque at the wheel [N m]; infinite: none but what current and voltage allow.
+        Largest torque at the wheel, > 0 [N m]; infinite: limited only by current and voltage.
     resistance : float, optional
-        Of the armature [ohm]; without it, the motor is a source of torque alone.
+        Resistance of the armature, > 0 [ohm]; without it, the motor is a torque source.
     torque_constant : float, optional
-        Torque per current [N m/A], which is the back-EMF per rate [V s/rad] too.
+        Torque per current, > 0 [N m/A], equal to back-EMF per rate [V s/rad].
     voltage : float, optional
-        Largest voltage, to either side [V].
+        Largest voltage to either side, > 0 [V].
     gear : float
-        Turns of the motor per turn of the wheel.
+        Turns of the motor per turn of the wheel, > 0.
     efficiency : float
-        Of the gear, in (0, 1].
+        Efficiency of the gear, in (0, 1].
     rotor_inertia : float
-        [kg m^2]; at the wheel it counts ``gear**2`` times.
+        Inertia of the rotor, >= 0 [kg m^2]; at the wheel it counts ``gear**2`` times.
     viscous : float
-        Friction per rate of the motor [N m s/rad].
+        Viscous friction per motor rate, >= 0 [N m s/rad].
     coulomb : float
-        Dry friction of the motor [N m].
+        Dry friction of the motor, >= 0 [N m].
     current : float
-        Largest current, to either side [A].
+        Largest current to either side, > 0 [A].
     source : str
-        Where the numbers come from.
+        Origin of the numbers as text.
 
     Raises
     ------
     InvalidArgument
-        If a number is not finite or not in its range, or only some of resistance, torque constant and
-        voltage are given.
+        If a number is not finite or not in its range, or only some of resistance, torque constant and voltage
+        are given.
+
+    See Also
+    --------
+    wheels.MOTORS : real motors
+    WheelTable : wheels with motors
+    WheeledRobot : its method `by_voltage`
+    controllers.TorqueToVoltage : controller of such motors
+
+    Examples
+    --------
+    >>> from pinmobile import Motor
+    >>> motor = Motor(resistance=2.0, torque_constant=0.1, voltage=24.0,
+    ...               gear=10.0)
+    >>> motor.torque(24.0, rate=0.0)  # at stall [N m]
+    array(12.)
+    >>> motor.no_load_rate()  # [rad/s]
+    24.0
     """
 
     torque_limit: float = declared(
@@ -92,7 +109,7 @@ class Motor:
     rotor_inertia: float = declared(
         default=0.0, unit="kg m^2", lower=0, fixed=True, doc="inertia of the rotor"
     )
-    viscous: float = declared(default=0.0, unit="N m s/rad", lower=0, doc="friction per rate")
+    viscous: float = declared(default=0.0, unit="N m s/rad", lower=0, doc="viscous friction per motor rate")
     coulomb: float = declared(default=0.0, unit="N m", lower=0, doc="dry friction")
     current: float = declared(
         default=np.inf, unit="A", above=0, endless=True, fixed=True, doc="largest current"
@@ -100,18 +117,18 @@ class Motor:
     source: str = option(default="", check=text)
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where some numbers of an electric motor are missing, or too large."""
+        """Raise `InvalidArgument` if numbers of an electric motor are missing, or too large."""
         given = {name: getattr(self, name) for name in _ELECTRIC}
         missing = ", ".join(name for name, value in given.items() if value is None)
         if missing and any(value is not None for value in given.values()):
             raise InvalidArgument(
                 f"{missing} of a Motor is not given, expected resistance, torque_constant and voltage, "
-                "or none of them: a source of torque"
+                "or none of them for a torque source"
             )
         if not np.isfinite(self.gear * self.gear * max(self.rotor_inertia, 1.0)):
             raise InvalidArgument(
                 f"gear of a Motor is {self.gear:g} with a rotor inertia of {self.rotor_inertia:g} "
-                "kg m^2, whose square times it is beyond 1.8e308: expected less"
+                "kg m^2, expected gear^2 times rotor_inertia below 1.8e308"
             )
 
     @classmethod
@@ -126,28 +143,33 @@ class Motor:
         gear: float = 1.0,
         **others: Any,
     ) -> Motor:
-        """Return the motor with gear of which a sheet tells how it runs free and how it stalls.
+        """Return the motor with gear of a data sheet with stall and no-load values.
 
         R = V / i_s;  k G = (V - R i_0) / W_0;  T_c = k i_0;  efficiency = stall torque / (G k (i_s - i_0)).
-        Without a current of the free run there is no dry friction, and the efficiency has all losses.
+        Without a no-load current there is no dry friction, and the efficiency contains all losses.
 
         Parameters
         ----------
         voltage : float
-            At which all else is told [V].
+            Voltage of all other values [V].
         stall_torque, stall_current : float
-            At the wheel [N m], of the motor [A].
+            Torque at the wheel [N m] and current of the motor [A] at stall.
         no_load_rate, no_load_current : float
-            At the wheel [rad/s], of the motor [A].
+            Rate of the wheel [rad/s] and current of the motor [A] without load.
         gear : float
             Turns of the motor per turn of the wheel.
         **others
-            As of `Motor`.
+            Other parameters of `Motor`.
+
+        Returns
+        -------
+        motor : Motor
+            The motor.
 
         Raises
         ------
         InvalidArgument
-            If a number is not finite or not in its range, or the gear would give more than it takes.
+            If a number is not finite or not in its range, or the efficiency would exceed 1.
         """
         V, torque = positive("voltage", voltage, "V"), positive("stall_torque", stall_torque, "N m")
         i_s, G = positive("stall_current", stall_current, "A"), positive("gear", gear)
@@ -164,8 +186,8 @@ class Motor:
         share = torque / given
         if share > 1:
             raise InvalidArgument(
-                f"stall_torque is {torque:g} N m, expected at most {torque / share:.4g} N m, which is what "
-                "these currents and this rate give"
+                f"stall_torque is {torque:g} N m, expected at most {torque / share:.4g} N m, by these "
+                "currents and this rate"
             )
         known = {"resistance": R, "torque_constant": k, "voltage": V, "coulomb": k * i_0, "efficiency": share}
         return cls(**{**known, "gear": G, **others})
@@ -177,19 +199,20 @@ class Motor:
 
     @property
     def is_electric(self) -> bool:
-        """Whether it takes volts."""
+        """Whether the motor takes volts."""
         return self.resistance is not None
 
     @property
     def reflected_inertia(self) -> float:
-        """What its rotor adds to the wheel's inertia about the axle [kg m^2]."""
+        """Inertia of the rotor at the wheel's axle [kg m^2]."""
         return self.gear**2 * self.rotor_inertia
 
     @cached_property
     def _law(self) -> MotorLaw:
+        """Equations of this motor."""
         if not self.is_electric:
-            words = "expected one with resistance, torque_constant and voltage"
-            raise InvalidArgument(f"motor is {shown(self)}, a source of torque, {words}")
+            words = "expected a motor with resistance, torque_constant and voltage"
+            raise InvalidArgument(f"motor is {shown(self)}, a torque source, {words}")
         return MotorLaw((self,), *([getattr(self, name)] for name in CONSTANTS))
 
     @in_numbers
@@ -199,62 +222,92 @@ class Motor:
         Parameters
         ----------
         volts : array_like, shape (...)
-            Voltage [V]; beyond the largest it is the largest.
+            Voltage [V], clipped to the largest voltage.
         rate : array_like, shape (...)
-            Of the wheel [rad/s].
+            Rate of the wheel [rad/s].
 
         Raises
         ------
         InvalidArgument
-            If it is no electric motor, or an argument is not finite.
+            If the motor is a torque source, or an argument is not finite.
         """
         volts, rate = self._state(volts, rate)
         return np.asarray(self._law.current(0, self._law.volts(0, volts), rate))
 
     @in_numbers
     def torque(self, volts: ArrayLike, rate: ArrayLike) -> Array:
-        """Return the torque at the wheel that turns at a rate, shape (...) [N m].
+        """Return the torque at the wheel, shape (...) [N m].
 
-        eta^s G (k i - b G W - T_c sgn W), s = 1 where the motor drives the gear and -1 where it is driven;
-        at rest dry friction takes what there is, up to T_c.
+        eta^s G (k i - b G W - T_c sgn W), with s = 1 if the motor drives the gear and s = -1 if the wheel
+        drives it. At rest, dry friction balances the torque up to T_c.
 
         Parameters
         ----------
-        volts, rate
-            As in `armature_current`.
+        volts : array_like, shape (...)
+            Voltage [V], clipped to the largest voltage.
+        rate : array_like, shape (...)
+            Rate of the wheel [rad/s].
+
+        Raises
+        ------
+        InvalidArgument
+            If the motor is a torque source, or an argument is not finite.
         """
         volts, rate = self._state(volts, rate)
         return np.asarray(self._law.torque(0, self._law.volts(0, volts), rate))
 
     def _state(self, volts: ArrayLike, rate: ArrayLike) -> tuple[Array, Array]:
+        """Return voltage and rate after a check."""
         volts, rate = finite("volts", volts), finite("rate", rate)
         broadcast(volts=volts[..., None], rate=rate[..., None])
         return volts, rate
 
     @in_numbers
     def _free(self, volts: float | None) -> Array:
+        """Return the no-load rate of the wheel, negative below the starting voltage [rad/s]."""
         R, k = self._law._numbers[0][:2]
         held = self.gear * (k * k / R + self.viscous)
         return np.asarray((k * self._volts(volts) / R - self.coulomb) / held)
 
     def _volts(self, volts: float | None) -> float:
+        """Return a voltage, by default the largest [V]."""
         return self._law.volts(0, np.inf) if volts is None else scalar("volts", volts)
 
     def no_load_rate(self, volts: float | None = None) -> float:
-        """Return the rate of the wheel that runs free at a voltage, by default the largest [rad/s]."""
+        """Return the rate of the wheel without load [rad/s].
+
+        Parameters
+        ----------
+        volts : float, optional
+            Voltage [V]; default: the largest.
+        """
         return max(float(self._free(volts)), 0.0)
 
     def stall_torque(self, volts: float | None = None) -> float:
-        """Return the torque at the wheel that is held, at a voltage, by default the largest [N m]."""
+        """Return the torque at the wheel at rest [N m].
+
+        Parameters
+        ----------
+        volts : float, optional
+            Voltage [V]; default: the largest.
+        """
         return float(self.torque(self._volts(volts), 0.0))
 
     @property
     def largest_torque(self) -> float:
-        """Largest torque at the wheel [N m]: that of stall, or `torque_limit` of a source of torque."""
+        """Largest torque at the wheel [N m]: stall torque, or `torque_limit` of a torque source."""
         return self.stall_torque() if self.is_electric else self.torque_limit
 
     def margin(self, torque: Array, rate: Array) -> Array:
-        """Return what is left of the torque that it has at a rate, shape (...) [N m]."""
+        """Return the remaining torque at a rate, shape (...) [N m].
+
+        Parameters
+        ----------
+        torque : ndarray, shape (...)
+            Torque at the wheel [N m].
+        rate : ndarray, shape (...)
+            Rate of the wheel [rad/s].
+        """
         if self.voltage is None:
             return np.asarray(self.torque_limit - np.abs(torque))
         way = np.where(torque < 0, -1.0, 1.0)
@@ -262,18 +315,18 @@ class Motor:
 
 
 class TorqueSpeedLine(NamedTuple):
-    """What a motor does at the wheel near a rate W: the torque is torque - slope W - hold sgn W.
+    """Torque of a motor at the wheel near a rate W: torque - slope W - hold sgn W.
 
-    At rest it is anything within hold of that.
+    At rest, the torque takes any value within `hold` of this line.
 
     Attributes
     ----------
     torque : scalar
-        [N m].
+        Torque of the line at rate zero [N m].
     slope : scalar
-        [N m s/rad], >= 0.
+        Decrease of the torque per rate, >= 0 [N m s/rad].
     hold : scalar
-        [N m], >= 0.
+        Dry friction, >= 0 [N m].
     """
 
     torque: Any
@@ -283,33 +336,33 @@ class TorqueSpeedLine(NamedTuple):
 
 Motors = Callable[[Vector, Any], list[TorqueSpeedLine]]
 ExternalForceFunction = Callable[[Any, Any, Any], Any]
-"""Generalised forces beside the input, of t, q and v."""
+"""External generalised force as a function of t, q and v."""
 
 
 def constant_force(f: Array) -> ExternalForceFunction:
-    """Return what tells the same force at any time and state; an array without axes is none."""
+    """Return the function of a constant force; an array without axes means no force."""
     return lambda t, q, v: f if f.ndim else 0.0
 
 
 def theta(z: Any) -> Any:
-    """Return the weight of a step's end in the rate that a motor feels, where z = h slope / inertia.
+    """Return the weight of a step's end in the rate of a motor, where z = h slope / inertia.
 
-    (3 + z) / (6 + z): half where it is not stiff, else towards 1. A motor alone then follows the exponential
-    to third order and forgets at once what is faster than the step (the approximant (1, 2) of Pade).
+    (3 + z) / (6 + z) is 1/2 for a motor that is not stiff, and tends to 1. A single motor then follows its
+    exponential to third order, and damps modes faster than the step (the Pade approximant (1, 2)).
     """
     return (3.0 + z) / (6.0 + z)
 
 
 @dataclass(frozen=True, eq=False)
 class MotorLaw:
-    """The law of electric motors over scalars: numbers, arrays or symbols.
+    """Equations of electric motors for scalars: numbers, arrays or symbols.
 
     Parameters
     ----------
     motors : sequence of Motor
-        Each.
+        The motors.
     resistance, torque_constant, viscous, coulomb, efficiency : ndarray, shape (..., motors)
-        Their numbers, which may differ from robot to robot.
+        Their parameters, which may differ between robots.
     """
 
     motors: Sequence[Motor]
@@ -321,6 +374,7 @@ class MotorLaw:
 
     @cached_property
     def _numbers(self) -> list[list[Any]]:
+        """Parameters of each motor, in the order of the fields."""
         parts = self.resistance, self.torque_constant, self.viscous, self.coulomb, self.efficiency
         return [list(row) for row in zip(*map(scalars, parts), strict=True)]
 
@@ -337,18 +391,18 @@ class MotorLaw:
         return choose(clips, within(asked, motor.current), asked)
 
     def push(self, k: int, volts: Any, rate: Any, *, clips: Any = True) -> TorqueSpeedLine:
-        """Return what a motor does near a rate.
+        """Return the torque-speed line of a motor near a rate.
 
         Parameters
         ----------
         k : int
-            Which.
+            Number of the motor.
         volts : scalar
-            Within the limit [V].
+            Voltage within the limit [V].
         rate : scalar
-            Of the wheel [rad/s].
+            Rate of the wheel [rad/s].
         clips : bool or symbol
-            Whether the limit of the current is looked at.
+            Whether the current limit applies.
         """
         motor, (R, kt, b, dry, share) = self.motors[k], self._numbers[k]
         R, kt, G = number(R), number(kt), motor.gear
@@ -357,7 +411,7 @@ class MotorLaw:
         if clips is not False and np.isfinite(motor.current):
             asked = self.current(k, volts, rate, clips=False)
             felt = choose(clips, choose(abs(asked) <= motor.current, felt, 0.0), felt)
-        fall = felt if b is ZERO else felt + number(b) * G  # of the shaft's torque, per rate of the wheel
+        fall = felt if b is ZERO else felt + number(b) * G  # slope of the shaft's torque, per wheel rate
         shaft = kt * i if b is ZERO else kt * i - (number(b) * G) * rate
         if dry is ZERO and share is ONE:
             return self._limited(motor, G * shaft, G * shaft, G * fall, ZERO, rate)
@@ -371,7 +425,7 @@ class MotorLaw:
     def _limited(
         self, motor: Motor, ahead: Any, back: Any, slope: Any, holds: Any, rate: Any
     ) -> TorqueSpeedLine:
-        """Return what a motor does whose torques forwards and backwards are known, but for its limit."""
+        """Return a motor's line within its torque limit, from its torques forwards and backwards."""
         most = motor.torque_limit
         if np.isfinite(most):
             now = choose(rate < 0.0, back, ahead)
@@ -383,7 +437,7 @@ class MotorLaw:
         return TorqueSpeedLine(0.5 * (ahead + back) + slope * rate, slope, hold)
 
     def torque(self, k: int, volts: Any, rate: Any, *, clips: bool = True) -> Any:
-        """Return the torque of a motor at a rate; at rest dry friction takes what there is."""
+        """Return the torque of a motor at a rate; at rest, dry friction balances it as far as possible."""
         push = self.push(k, volts, rate, clips=clips)
         torque = push.torque - push.slope * rate
         if push.hold is ZERO:
@@ -392,16 +446,16 @@ class MotorLaw:
         return torque - held
 
     def smooth_torque(self, k: int, volts: Any, rate: Any, sign: Any) -> Any:
-        """Return the torque of a motor whose dry friction and loss of the gear go with a sign that is smooth.
+        """Return the torque of a motor with a smooth sign in dry friction and gear losses.
 
         Parameters
         ----------
         k : int
-            Which.
+            Number of the motor.
         volts, rate : scalar
-            Within the limit [V], and of the wheel [rad/s].
+            Voltage within the limit [V], and rate of the wheel [rad/s].
         sign : scalar
-            Of the rate, from -1 to 1.
+            Sign of the rate, from -1 to 1.
         """
         motor, (_, kt, b, dry, share) = self.motors[k], [number(x) for x in self._numbers[k]]
         shaft = kt * self.current(k, volts, rate) - (b * motor.gear) * rate - dry * sign
@@ -410,18 +464,18 @@ class MotorLaw:
         return within(torque, motor.torque_limit) if np.isfinite(motor.torque_limit) else torque
 
     def slopes(self, k: int, volts: Any, rate: Any) -> tuple[Any, Any]:
-        """Return by how much a motor's torque falls per rate of the wheel, and grows per volt.
+        """Return the decrease of a motor's torque per rate of the wheel, and its increase per volt.
 
-        Limits of volts and currents are not looked at; where the torque is limited, both are 0.
+        Limits of voltage and current are ignored; if the torque is limited, both are 0.
         """
         motor, (R, kt, b, *_) = self.motors[k], [number(x) for x in self._numbers[k]]
         slope = self.push(k, volts, rate, clips=False).slope
         return slope, slope * kt / (motor.gear * (kt * kt + b * R))
 
     def needed(self, k: int, torque: Any, rate: Any, *, clips: bool = True) -> Any:
-        """Return the voltage at which a motor gives a torque at a rate, within its limits.
+        """Return the voltage at which a motor produces a torque at a rate, within its limits.
 
-        Dry friction is taken against the rate, of a wheel that stands against the torque.
+        Dry friction acts against the rate, or, at rest, against the torque.
         """
         motor, (R, kt, b, dry, share) = self.motors[k], [number(x) for x in self._numbers[k]]
         G = motor.gear
@@ -438,8 +492,8 @@ _SHEETS = tomllib.loads(Path(__file__).with_name("motors.toml").read_text("utf-8
 MOTORS: Mapping[str, Motor] = MappingProxyType(
     {name: (Motor.from_sheet if "stall_torque" in own else Motor)(**own) for name, own in _SHEETS.items()}
 )
-"""Real motors by name, numbers of their makers' sheets, which ``source`` names, and what these do not tell.
+"""Real motors by name, with numbers of the data sheets that ``source`` names, and estimates for the others.
 
-Of geared motors, resistance, torque constant and efficiency follow from stall and free run: see
+Resistance, torque constant and efficiency of geared motors follow from stall and no-load values: see
 `Motor.from_sheet`.
 """

@@ -1,4 +1,4 @@
-"""`Rolling`: ground on which wheels roll ideally, level or a ramp, and the dynamics of robots on it."""
+"""`Rolling`: ground on which wheels roll without slip, level or on a ramp, and the dynamics on it."""
 
 from __future__ import annotations
 
@@ -19,49 +19,74 @@ from pinmobile.wheels._dynamics import State, WheeledDynamics, through
 from pinmobile.wheels._loads import AxleGroup, groups_of
 
 _BASE = 3
-_REDUNDANT = 1e-10  # relative, of singular values: rows that follow from others
-_RESTING = 1e-9  # [rad/s], of an axis at its stop
+_REDUNDANT = 1e-10  # relative tolerance of singular values of redundant rows
+_RESTING = 1e-9  # [rad/s]: tolerance of the rate of an axis at its stop
 
 
 class Ground(Protocol):
     """A ground with dynamics(wheeled), such as Rolling() or Coulomb().
 
-    It supplies the law of a robot on it: a `WheeledDynamics` with ``forward_dynamics(q, v, u, f)``, or with
-    ``initial_state(context)`` and ``step(t, q, v, u, h, f, memory)``; what else this has, such as ``signals``
-    or ``project``, the robot has too; ``slips`` of this law is False where the wheels roll ideally, whose
-    constraints are then those of `WheeledRobot`. A ground may have as well:
+    It supplies the dynamics of a robot on it: a `WheeledDynamics` with ``forward_dynamics(q, v, u, f)``, or
+    with ``initial_state(context)`` and ``step(t, q, v, u, h, f, memory)``. The robot also has the optional
+    methods of these dynamics, such as ``signals`` or ``project``. Their attribute ``slips`` is False if the
+    wheels roll without slip; then the constraints are those of `WheeledRobot`. A ground may also have:
 
-    - ``check_robot(wheeled)``, which refuses robots that it cannot carry;
+    - ``check_robot(wheeled)``, which raises an error for robots that cannot stand on it;
     - ``ramp``, a `Ramp` or None.
     """
 
     def dynamics(self, wheeled: Any, /) -> Any:
-        """Return the dynamics of a `WheeledRobot` on it, over numbers, arrays or symbols."""
+        """Return the dynamics of a `WheeledRobot` on this ground, for numbers, arrays or symbols."""
 
 
 @final
 @part
 @by_value
 class Ramp:
-    """A plane that rises; x, y and psi are then those in the plane.
+    """Inclined plane; x, y and psi of a robot on it are measured in the plane.
 
     Parameters
     ----------
     angle : float
-        Of the plane with the level, in [0, pi / 2) [rad].
+        Inclination of the plane, in [0, pi / 2) [rad].
     direction : float
-        Of the way straight up, from the inertial x axis [rad].
+        Direction of steepest ascent from the inertial x axis [rad].
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite or not in its range.
+
+    See Also
+    --------
+    Rolling : ground without slip
+    Coulomb : ground with dry friction
+    WheeledRobot : its method `on_ramp`
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.wheels import Ramp
+    >>> ramp = Ramp(angle=np.radians(30))
+    >>> ramp.fall(9.81).round(3) + 0.0  # [m/s^2]
+    array([-4.905,  0.   , -8.496])
     """
 
-    angle: float = declared(unit="rad", lower=0, fixed=True, doc="angle of the plane with the level")
-    direction: float = declared(default=0.0, unit="rad", fixed=True, doc="direction straight up")
+    angle: float = declared(unit="rad", lower=0, fixed=True, doc="inclination of the plane")
+    direction: float = declared(default=0.0, unit="rad", fixed=True, doc="direction of steepest ascent")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where it is as steep as a wall."""
+        """Raise `InvalidArgument` if the plane is vertical or steeper."""
         bounded("angle", self.angle, below=pi / 2, unit="rad")
 
     def fall(self, g: float) -> Array:
-        """Return gravity along the axes of the plane, shape (3,) [m/s^2], from what it is straight down."""
+        """Return gravity along the axes of the plane, shape (3,) [m/s^2].
+
+        Parameters
+        ----------
+        g : float
+            Gravity on level ground [m/s^2].
+        """
         g = scalar("g", g)
         down = -g * sin(self.angle)
         return frozen([down * cos(self.direction), down * sin(self.direction), -g * cos(self.angle)])
@@ -71,59 +96,82 @@ class Ramp:
 @part
 @by_value
 class Rolling:
-    """Wheels roll without slip, whatever force that takes: constraints on the velocities.
+    """Ground on which wheels roll without slip, whatever force this needs: constraints of the velocities.
 
     Parameters
     ----------
     ramp : Ramp, optional
-        Which way the ground rises; None: it is level.
+        Inclination of the ground; None: level ground.
 
     Attributes
     ----------
     slips : bool
         Whether wheels may slip, here False.
+
+    Raises
+    ------
+    InvalidArgument
+        If `ramp` is of another kind; in a robot, if its wheels cannot roll without slip.
+
+    See Also
+    --------
+    Coulomb : ground with dry friction
+    WheeledRobot : robot on a ground
+    wheels.Ramp : inclination
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, Rolling, WheeledRobot
+    >>> from pinmobile import WheelTable
+    >>> table = WheelTable.differential(0.4, 0.1, spin_inertia=0.01)
+    >>> body = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> robot = WheeledRobot(body, table, Rolling())
+    >>> still = 0 * robot.rest
+    >>> a = robot.forward_dynamics(robot.rest, still, u=[3.0, 3.0])
+    >>> print(f"{a[0]:.3f} m/s^2")  # 60 N / (30 kg + 2 kg)
+    1.875 m/s^2
     """
 
     ramp: Ramp | None = child(Ramp, default=None, optional=True, expected="a Ramp(angle, direction) or None")
     slips: ClassVar[bool] = False
 
     def dynamics(self, wheeled: Any) -> RollingDynamics:
-        """Return the dynamics of a robot on it."""
+        """Return the dynamics of a robot on this ground."""
         return RollingDynamics(wheeled, wheeled.robot.array_dynamics)
 
     def check_robot(self, wheeled: Any) -> None:
-        """Refuse drives that cannot roll, and steering that nothing holds and that has no inertia."""
+        """Raise `InvalidArgument` for drives that cannot roll, and for free steering axes without inertia."""
         mobility = wheeled.mobility
         if not mobility.is_regular:
             raise InvalidArgument(
-                f"table cannot roll without slip: {mobility.rolling_obstacle}; expected a drive that can, or "
+                f"table cannot roll without slip: {mobility.rolling_obstacle}; expected another drive, or "
                 "ground=Coulomb()"
             )
         check_inertias(wheeled, mobility.choice.free)
 
 
 def check_inertias(wheeled: Any, joints: Iterable[int]) -> None:
-    """Refuse steering coordinates and wheels that nothing holds and that have no inertia."""
+    """Raise `InvalidArgument` for unconstrained steering axes and wheels without inertia."""
     table = wheeled.table
     names = (*(axis.name for axis in table.axes), *table.names)
     for k in joints:
         if not wheeled.joint_inertias[k] > 0:
             raise InvalidArgument(
-                f"{names[k]} of the table has no inertia about its axis, expected one > 0: give "
-                "spin_inertia, and yaw_inertia of wheels that steer"
+                f"{names[k]} of the table has no inertia about its axis, expected an inertia > 0: give "
+                "spin_inertia, and yaw_inertia for wheels that steer"
             )
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class RollingDynamics(WheeledDynamics):
-    """A robot whose wheels roll ideally, unchecked."""
+    """Dynamics of a robot whose wheels roll without slip, without input validation."""
 
     slips: ClassVar[bool] = False
 
     @cached_property
     def groups(self) -> tuple[AxleGroup, ...]:
-        """Wheels, alone or together, as their lateral forces are determined; none on gear trains."""
+        """Wheels, alone or together, whose lateral force is determined; none for drives with gear trains."""
         return groups_of(self)
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
@@ -143,23 +191,23 @@ class RollingDynamics(WheeledDynamics):
         return self.in_plane(state, [dot(row, rates) + g for row, g in zip(S, gamma, strict=True)], q)
 
     def constraint_forces(self, q: Array, v: Array, u: Array, f: Any = 0.0) -> Array:
-        """Return the forces of the ground along all rows, shape (..., k), the shortest that there are."""
+        """Return the forces of the ground along all rows, shape (..., k), with least norm."""
         state, A_T = self.state(q, v), np.swapaxes(self.constraints(q, v)[0], -1, -2)
         rest = self.left(q, v, self.forward_dynamics(q, v, u, f))
         rest = rest - self.in_plane(state, self.generalised(state, u, f), q)
         return np.asarray(np.linalg.pinv(A_T, rcond=_REDUNDANT) @ rest[..., None])[..., 0]
 
     def project(self, q: Any, v: Any) -> Any:
-        """Return the velocity that rolls and is nearest in the mass metric, shape (..., nv).
+        """Return the nearest rolling velocity in the mass metric, shape (..., nv).
 
-        It is S (nu + x): nu is read off the velocity, and of what is then left over, which wheels and the
-        body's motion across them alone have, S' M S x = S' M (v - S nu).
+        It is S (nu + x): nu follows from the velocity, and x corrects it for the rest, which contains only
+        wheels and the body's lateral motion: S' M S x = S' M (v - S nu).
         """
         state = self.state(q, v)
         S, _ = self.null_space(state)
         rates = self.velocities(state)
         off = self._off(state, S, rates)
-        # Many robots that start at rest need no mass matrix.
+        # Many robots start at rest, where the mass matrix is not needed.
         if not all(x is ZERO or (isinstance(x, float | np.ndarray) and not np.any(x)) for x in off):
             pushed = through(self.inertia(state, q), S)
             more = _reduced(pushed, S, applied(pushed, off))
@@ -172,7 +220,7 @@ class RollingDynamics(WheeledDynamics):
         return self.in_plane(state, [dot(row, rates) for row in S], q)
 
     def _off(self, state: State, S: Matrix, nu: Vector) -> Vector:
-        """Return v - S nu, along the body's axes: zero for each coordinate that is one of nu itself."""
+        """Return v - S nu along the body's axes; it is zero for each coordinate in nu."""
         held, first = self.choice.body, self.of_body
         found: Vector = [ZERO] * self.nv
         if len(held) == 1:
@@ -187,25 +235,25 @@ class RollingDynamics(WheeledDynamics):
 
 
 def stop_of(angle: Any, limit: float, rate: Any = 0.0) -> Any:
-    """Return 1 or -1, which way out is, at a steering stop that the angle has reached, and does not leave."""
+    """Return 1 or -1, the outward direction at a steering stop that the angle has reached, or 0."""
     angle, rate = number(angle), number(rate)
     side = choose(angle >= limit, 1.0, choose(angle <= -limit, -1.0, 0.0))
     return choose(side * rate >= -_RESTING, side, 0.0)
 
 
 def stopped(values: Vector, outward: Any, more: Any, row: Vector, response: Vector) -> Vector:
-    """Return velocities or accelerations less what a stop takes from an axis that goes on outward.
+    """Return velocities or accelerations without the outward motion of an axis at its stop.
 
     Parameters
     ----------
     values : list of scalars
-        Of independent velocities, or of all.
+        Independent velocities or accelerations, or all.
     outward : scalar
-        As of `stop_of`.
+        Result of `stop_of`.
     more : scalar
-        What the axis has.
+        Rate of the axis.
     row, response : list of scalars
-        The axis's rate per value, and values per impulse on the axis.
+        Rate of the axis per value, and values per impulse on the axis.
     """
     size = choose(outward * number(more) > 0.0, number(more) / number(dot(row, response)), 0.0)
     return [number(x - y * size) for x, y in zip(values, response, strict=True)]

@@ -48,33 +48,52 @@ from pinmobile.wheels._motors import Motor
 
 _SAME_PLACE = 1e-6  # [m]
 _OF_BODY = "x", "y", "psi"
-_MOST = 1000  # wheels of a circle
+_MOST = 1000  # largest number of wheels on a circle
 _Places: TypeAlias = Iterable[ArrayLike]
 FIXED, DRIVEN, FREE = "fixed", "driven", "free"
 _STEERING = (FIXED, DRIVEN, FREE)
-_LARGEST_ROLLER = 89.0  # degrees: nearer to 90, a turn of the wheel moves next to nothing along the rollers
-TORQUE = Motor()  # a source of torque without limits
+_LARGEST_ROLLER = 89.0  # [deg]: closer to 90, the wheel can hardly drive
+TORQUE = Motor()  # torque source without limits
 
 
 @final
 @part
 @by_value
 class WheelFriction:
-    """Dry friction between a wheel and the ground, and in the wheel.
+    """Dry friction between a wheel and the ground, and rolling resistance of the wheel.
 
     The defaults are usual magnitudes, not measurements.
 
     Parameters
     ----------
     mu : float
-        Coefficient of friction: of a tyre in all directions, of a wheel with rollers along their axes.
+        Coefficient of friction, >= 0: of a tyre in all directions, of a wheel with rollers along their axes.
     across : float
-        That across the axes of rollers, which turn in their bearings.
+        Coefficient of friction across the axes of rollers, which turn in their bearings, >= 0.
     rolling : float
-        Rolling resistance as a share of the load: a torque of at most ``rolling * radius * load`` that holds
+        Rolling resistance relative to the load, >= 0: a torque of at most ``rolling * radius * load`` holds
         the wheel at rest.
     slip : float
-        Slip velocity per force before the wheel slides [m/(N s)]; 0: none, which is Coulomb's law.
+        Slip velocity per force before the wheel slides, >= 0 [m/(N s)]; 0: Coulomb's law.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite or not in its range.
+
+    See Also
+    --------
+    Coulomb : ground with dry friction
+    wheels.Wheel : row of a wheel table
+
+    Examples
+    --------
+    >>> from pinmobile import WheelTable
+    >>> from pinmobile.wheels import WheelFriction
+    >>> ice = WheelFriction(mu=0.1)
+    >>> table = WheelTable.differential(0.4, 0.1, friction=ice)
+    >>> [wheel.friction.mu for wheel in table.wheels]
+    [0.1, 0.1]
     """
 
     mu: float = number(default=0.8, lower=0, doc="coefficient of friction")
@@ -85,7 +104,7 @@ class WheelFriction:
 
 @attrs.frozen
 class _Two(Number):
-    """Declaration of two numbers that are kept as a tuple."""
+    """Declaration of two numbers that are stored as a tuple."""
 
     def checked(self, name: str, value: Any) -> Any:
         """Return a tuple of floats."""
@@ -93,6 +112,7 @@ class _Two(Number):
 
 
 def _checked_name(name: str, value: Any) -> str:
+    """Return a name after a check of its characters."""
     checked = text(name, value)
     if not checked.strip() or set('/,":.') & set(checked):
         raise InvalidArgument(
@@ -105,54 +125,73 @@ def _checked_name(name: str, value: Any) -> str:
 @part
 @by_value
 class Wheel:
-    """One row of a wheel table.
+    """Row of a wheel table.
 
-    The wheel rolls along e = (cos angle, sin angle) of the body's frame where its rate is positive; n, a
-    quarter of a turn to the left of e, is the direction of its axle.
+    At a positive rate the wheel rolls along e = (cos angle, sin angle) in the body's frame. The direction n,
+    a quarter turn to the left of e, is parallel to its axle.
 
     Parameters
     ----------
     name : str
-        Its own; its coordinate is called so.
+        Name of the wheel and of its coordinate in q.
     x, y : float
-        Where its steering pivot stands in the body's frame, or its centre where it does not steer [m].
-    radius : float
+        Position of the steering pivot in the body's frame, or of the centre of a wheel that does not steer
         [m].
+    radius : float
+        Radius, > 0 [m].
     angle : float
-        Of its rolling direction e from the body's x [rad]; where it steers, at steering angle zero.
+        Angle of the rolling direction e from the body's x axis [rad]; for a steered wheel, at steering angle
+        zero.
     steering : str
-        ``"fixed"``; ``"driven"`` by an actuator about the vertical through its pivot; ``"free"``, as casters.
+        ``"fixed"``; ``"driven"`` by an actuator about the vertical axis of the pivot; ``"free"``, as casters.
     trail : sequence of 2 floats
-        Its centre from the pivot along e and n [m]; a caster trails: the first is negative.
+        Position of the centre relative to the pivot along e and n [m]; the first entry of a caster is
+        negative.
     roller : float, optional
-        Angle of the axis of the roller that is at the ground, from e [rad]; None: a tyre. Of an omni wheel 0,
-        of a mecanum wheel pi / 4 or -pi / 4, the mirror of what is seen from above.
+        Angle from e to the axis of the roller at the ground [rad]; None: a tyre. It is 0 for an omni wheel,
+        and pi / 4 or -pi / 4 for a mecanum wheel, the mirror image of the view from above.
     mass : float
-        [kg], part of the robot's whole.
+        Mass, >= 0 [kg], a part of the robot's mass.
     spin_inertia, yaw_inertia : float
-        About the axle, and about the vertical through its centre [kg m^2]; what a motor's rotor adds is in
-        `motor`.
+        Inertia about the axle, and about the vertical through the centre, >= 0 [kg m^2]; `motor` contains the
+        inertia of its rotor.
     motor : Motor, optional
-        What drives it; None: nothing, it only rolls along.
+        Motor that drives the wheel; None: the wheel is passive.
     friction : WheelFriction
-        Of its own.
+        Dry friction at the ground and rolling resistance of this wheel.
     steering_limit : float
-        Largest steering angle, to either side [rad]: a stop without rebound, found to what turns in a step.
+        Largest steering angle to either side, > 0 [rad]: a stop without rebound. The angle may exceed it by
+        the motion of one step.
 
     Raises
     ------
     InvalidArgument
-        If a number is not finite or not in its range, or a name is none.
+        If a number is not finite or not in its range, or a name contains a forbidden character.
+
+    See Also
+    --------
+    WheelTable : table of wheels
+    wheels.Support : support without a wheel
+    Motor : motor of a wheel
+
+    Examples
+    --------
+    >>> from pinmobile import WheelTable
+    >>> from pinmobile.wheels import Wheel
+    >>> caster = Wheel("caster", x=-0.3, y=0.0, radius=0.05,
+    ...                steering="free", trail=(-0.03, 0.0))
+    >>> print(f"{caster.centre[0]:.2f} m")
+    -0.33 m
     """
 
     name: str = option(check=_checked_name)
-    x: float = number(unit="m", doc="place forward")
-    y: float = number(unit="m", doc="place to the left")
+    x: float = number(unit="m", doc="position forward")
+    y: float = number(unit="m", doc="position to the left")
     radius: float = number(unit="m", above=0, doc="radius")
     angle: float = number(default=0.0, unit="rad", fixed=True, doc="angle of the rolling direction")
     steering: str = option(default=FIXED, check=lambda name, value: one_of(name, value, _STEERING))
     trail: tuple[float, float] = declare(
-        _Two("centre from the pivot, along and across", "m", shapes=((2,),), fixed=True), (0.0, 0.0)
+        _Two("centre relative to the pivot, along and across", "m", shapes=((2,),), fixed=True), (0.0, 0.0)
     )
     roller: float | None = number(
         default=None, unit="rad", optional=True, fixed=True, doc="angle of the rollers' axes"
@@ -169,28 +208,28 @@ class Wheel:
     )
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where rollers are across the rolling direction."""
+        """Raise `InvalidArgument` if the axes of rollers are at right angles to the rolling direction."""
         if self.roller is not None and not abs(self.roller) <= radians(_LARGEST_ROLLER):
             raise InvalidArgument(
-                f"roller of wheel {self.name!r} is {self.roller:.6g} rad, expected less than a right angle "
-                "from the rolling direction (up to 89 degrees): the wheel could not drive"
+                f"roller of wheel {self.name!r} is {self.roller:.6g} rad, expected at most 89 degrees "
+                "from the rolling direction: otherwise the wheel cannot drive"
             )
 
     @property
     def centre(self) -> tuple[float, float]:
-        """Where its centre stands in the body's frame at steering angle zero [m]."""
+        """Position of the centre in the body's frame at steering angle zero [m]."""
         c, s = cos(self.angle), sin(self.angle)
         along, across = self.trail
         return self.x + along * c - across * s, self.y + along * s + across * c
 
     @property
     def placement(self) -> pin.SE3:
-        """Pose of its centre in the body's frame at steering angle zero, y along the axle."""
+        """Pose of the centre in the body's frame at steering angle zero, with y along the axle."""
         return pin.SE3(pin.utils.rotate("z", self.angle), np.array([*self.centre, self.radius]))
 
     @property
     def inertia(self) -> pin.Inertia:
-        """Its inertia about its centre, y along the axle."""
+        """Inertia about the centre, with y along the axle."""
         moments = np.diag([self.yaw_inertia, self.spin_inertia, self.yaw_inertia])
         return pin.Inertia(self.mass, np.zeros(3), moments)
 
@@ -199,20 +238,39 @@ class Wheel:
 @part
 @by_value
 class Support:
-    """A support without friction, such as a ball caster: it takes a load, and nothing else.
+    """Support without friction, such as a ball caster: it carries load only.
 
     Parameters
     ----------
     x, y : float
-        Where it touches the ground, in the body's frame [m].
+        Contact point on the ground in the body's frame [m].
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite.
+
+    See Also
+    --------
+    WheelTable : table with wheels and supports
+
+    Examples
+    --------
+    >>> from pinmobile import WheelTable
+    >>> from pinmobile.wheels import Support, Wheel
+    >>> left, right = (Wheel(name, 0.0, y, radius=0.1)
+    ...                for name, y in (("left", 0.2), ("right", -0.2)))
+    >>> table = WheelTable([left, right], supports=[Support(-0.3, 0)])
+    >>> table.footprint.round(2).tolist()  # [m]
+    [[-0.3, 0.0], [0.0, -0.2], [0.0, 0.2]]
     """
 
-    x: float = number(unit="m", fixed=True, doc="place forward")
-    y: float = number(unit="m", fixed=True, doc="place to the left")
+    x: float = number(unit="m", fixed=True, doc="position forward")
+    y: float = number(unit="m", fixed=True, doc="position to the left")
 
 
 def _names(least: int) -> Any:
-    """Return the check of a field of names of wheels."""
+    """Return the check of a field of wheel names."""
 
     def check(name: str, value: Any) -> tuple[str, ...]:
         names = tuple(text(f"one of {name}", one) for one in sequence(name, value, "names of wheels"))
@@ -227,14 +285,31 @@ def _names(least: int) -> Any:
 @part
 @by_value
 class GearTrain:
-    """Wheels that turn together, as those of one side of a skid-steer base do: a chain or gears.
+    """Wheels that turn together by a chain or gears, as on one side of a skid-steer base.
 
     Parameters
     ----------
     wheels : sequence of str
-        Their names, two and more.
+        Names of two or more wheels.
     ratios : sequence of floats, optional
-        Rate of each, relative to each other; by default all turn alike.
+        Rate of each wheel, relative to each other; default: equal rates.
+
+    Raises
+    ------
+    InvalidArgument
+        If names are not different, or there is not one ratio other than zero per wheel.
+
+    See Also
+    --------
+    wheels.DifferentialGear : gear with equal torques
+    WheelTable : table with couplings
+
+    Examples
+    --------
+    >>> from pinmobile import WheelTable
+    >>> table = WheelTable.skid_steer(0.4, 0.3, 0.1)
+    >>> [train.wheels for train in table.couplings]
+    [('front_left', 'rear_left'), ('front_right', 'rear_right')]
     """
 
     wheels: tuple[str, ...] = option(check=_names(2))
@@ -244,7 +319,7 @@ class GearTrain:
     )
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where there is not one ratio per wheel."""
+        """Raise `InvalidArgument` if there is not one ratio per wheel."""
         if len(self.ratios) != len(self.wheels) or not all(self.ratios):
             raise InvalidArgument(
                 f"ratios is {shown(self.ratios)}, expected {len(self.wheels)} numbers other than zero, "
@@ -256,16 +331,35 @@ class GearTrain:
 @part
 @by_value
 class DifferentialGear:
-    """An open differential: one motor that turns at the mean rate of its wheels, with equal torques on them.
+    """Open differential: a motor turns at the mean rate of two wheels, with equal torques on both.
 
     Parameters
     ----------
     wheels : sequence of 2 str
-        Their names.
+        Names of the wheels.
     motor : Motor
-        What drives it.
+        Motor of the gear.
     name : str
-        That of its input.
+        Name of the input.
+
+    Raises
+    ------
+    InvalidArgument
+        If names are not different, or an argument is of another kind.
+
+    See Also
+    --------
+    wheels.GearTrain : gear with equal rates
+    WheelTable : its constructor `car` uses this gear
+
+    Examples
+    --------
+    >>> from pinmobile import Motor, WheelTable
+    >>> from pinmobile.wheels import DifferentialGear
+    >>> table = WheelTable.car(0.5, 0.4, 0.1, motor=Motor(torque_limit=20))
+    >>> gear = table.couplings[0]
+    >>> gear == DifferentialGear(gear.wheels, Motor(torque_limit=20), "drive")
+    True
     """
 
     wheels: tuple[str, ...] = option(check=_names(2))
@@ -279,20 +373,37 @@ class DifferentialGear:
 class AckermannSteering:
     """Wheels that one steering angle turns so that all axles meet in one point.
 
-    The angle is that of a wheel in the middle, at y = 0 and the same x.
+    The angle is that of a virtual wheel in the middle, at y = 0 and the same x.
 
     Parameters
     ----------
     wheels : sequence of str
-        Their names; they are steered, and their centres lie on their pivots.
+        Names of steered wheels, whose centres lie on their pivots.
     axle : float
-        x of the fixed axle, on whose line they meet [m].
+        x of the fixed axle, on whose line all axles meet [m].
     name : str
-        That of the steering coordinate.
+        Name of the steering coordinate.
+
+    Raises
+    ------
+    InvalidArgument
+        If names are not different, or a number is not finite; in a table, if the wheels do not fit.
+
+    See Also
+    --------
+    WheelTable : its constructor `car` uses this steering
+    Backstepping : controller of cars
+
+    Examples
+    --------
+    >>> from pinmobile import WheelTable
+    >>> car = WheelTable.car(wheelbase=0.5, track=0.4, radius=0.1)
+    >>> car.couplings[1].wheels, car.axes[0].name
+    (('front_left', 'front_right'), 'steering')
     """
 
     wheels: tuple[str, ...] = option(check=_names(1))
-    axle: float = number(default=0.0, unit="m", fixed=True, doc="place of the fixed axle, forward")
+    axle: float = number(default=0.0, unit="m", fixed=True, doc="position of the fixed axle, forward")
     name: str = option(default="steering", check=_checked_name)
 
 
@@ -305,16 +416,16 @@ Coupling = GearTrain | DifferentialGear | AckermannSteering
 
 
 class Axis(NamedTuple):
-    """A steering coordinate.
+    """Steering coordinate.
 
     Attributes
     ----------
     name : str
-        Of the coordinate.
+        Name of the coordinate.
     wheels : tuple of int
-        Rows that it turns.
+        Rows of the steered wheels.
     ackermann : float or None
-        x of the axle on whose line their axles meet [m]; None: it is the one wheel's own angle.
+        x of the axle on whose line all axles meet [m]; None: the angle of one wheel.
     driven : bool
         Whether an actuator turns it.
     limit : float
@@ -329,19 +440,19 @@ class Axis(NamedTuple):
 
 
 class Actuator(NamedTuple):
-    """One of the inputs of a drive.
+    """Input of a drive.
 
     Attributes
     ----------
     name : str
-        Of the input.
+        Name of the input.
     motor : Motor
-        What it is; of a steering axis one without limits.
+        Motor; for a steering axis a torque source without limits.
     column : tuple of floats
-        What its torque is to each steering coordinate and then each wheel; its rate is the product with
-        theirs.
+        Generalised force on each steering coordinate and then each wheel per torque; also the rate of the
+        motor per rate of these.
     path : str
-        Where the table has its motor, such as ``"wheels.left.motor"``; "" of a steering axis.
+        Path of the motor in the table, such as ``"wheels.left.motor"``; "" for a steering axis.
     """
 
     name: str
@@ -354,24 +465,39 @@ class Actuator(NamedTuple):
 @part
 @by_value
 class WheelTable:
-    """The wheels of a drive, what supports the robot beside them, and what couples them.
+    """Wheels of a drive, with additional supports and couplings.
 
     Parameters
     ----------
     wheels : sequence of Wheel
-        One row each.
+        One row per wheel.
     supports : sequence of Support
-        Where the robot stands beside its wheels.
-    couplings : sequence of GearTrain, DifferentialGear, AckermannSteering
-        What holds whatever the friction.
+        Supports beside the wheels.
+    couplings : sequence of GearTrain, DifferentialGear or AckermannSteering
+        Couplings of wheels, which hold whatever the friction.
     source : str
-        Where its numbers come from, in words; no part of what makes two tables equal.
+        Origin of the numbers as text; equality of tables ignores it.
 
     Raises
     ------
     InvalidArgument
-        If there are no wheels, two have one name or stand in one place, one is called as a coordinate of
-        the body, or a coupling does not fit them.
+        If there are no wheels, two have one name or position, a name is that of a body coordinate, or a
+        coupling does not fit the wheels.
+
+    See Also
+    --------
+    WheeledRobot : robot on the wheels of a table
+    wheels.Wheel : row of a table
+    wheels.read_wheels : table from a URDF
+
+    Examples
+    --------
+    >>> from pinmobile import WheelTable
+    >>> table = WheelTable.mecanum(wheelbase=0.4, track=0.3, radius=0.1)
+    >>> print(str(table.mobility).splitlines()[0])
+    type (3, 0), omnidirectional: mobility 3, steerability 0
+    >>> len(WheelTable.swerve([(0.3, 0), (-0.3, 0)], 0.1).actuators)
+    4
     """
 
     wheels: tuple[Wheel, ...] = children(Wheel, expected="Wheel(...)")
@@ -384,7 +510,7 @@ class WheelTable:
     source: str = option(default="wheels made from numbers", check=text, eq=False)
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where there are no wheels, or names, places or couplings do not fit."""
+        """Raise `InvalidArgument` if there are no wheels, or names, positions or couplings do not fit."""
         for name in ("wheels", "supports", "couplings"):
             sequence(name, getattr(self, name), "a sequence")
         if not self.wheels:
@@ -399,7 +525,7 @@ class WheelTable:
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
             raise InvalidArgument(
-                f"{twice!r} names two coordinates of the robot, expected names that differ: a row is "
+                f"{twice!r} names two coordinates of the robot, expected different names: a row is "
                 "Wheel(name, x, y, radius)"
             )
 
@@ -418,7 +544,7 @@ class WheelTable:
         return f"WheelTable({rows}{given})"
 
     def __str__(self) -> str:
-        """Return the rows, what couples them, and what the drive can do: see `Mobility`."""
+        """Return the rows, the couplings, and the capabilities of the drive, see `Mobility`."""
         rows: list[tuple[str, ...]] = [
             ("wheel", "x [m]", "y [m]", "radius [m]", "rolls to", "steering", "rollers at", "motor")
         ]
@@ -433,7 +559,7 @@ class WheelTable:
 
     @structure
     def axes(self) -> tuple[Axis, ...]:
-        """The steering coordinates, in the order of the table."""
+        """Steering coordinates, in the order of the table."""
         pairs = [each for each in self.couplings if isinstance(each, AckermannSteering)]
         shared = {name: each for each in pairs for name in each.wheels}
         found: dict[Any, Axis] = {}
@@ -449,6 +575,7 @@ class WheelTable:
         return tuple(found.values())
 
     def _check_axle(self, together: AckermannSteering) -> None:
+        """Check that wheels fit an Ackermann steering."""
         wheels = [self.wheels[self.names.index(name)] for name in together.wheels]
         first, axle = wheels[0], together.axle
         for wheel in wheels:
@@ -456,13 +583,13 @@ class WheelTable:
             if not fits or (wheel.steering, wheel.x) != (first.steering, first.x):
                 raise InvalidArgument(
                     f"wheel {wheel.name!r} of AckermannSteering(...) is {wheel!r}, expected a "
-                    f"steered one with angle "
-                    f"0, its centre on its pivot, away from the axle at x = {axle:g} m, beside the others"
+                    f"steered wheel with angle "
+                    f"0 and trail (0, 0), away from the axle at x = {axle:g} m, with the x of the others"
                 )
 
     @cached_property
     def trains(self) -> list[tuple[int, int, float]]:
-        """Of gear trains, the first wheel, each other one, and how many times as fast that turns."""
+        """First wheel, other wheel, and their rate ratio, for each other wheel of the gear trains."""
         found = []
         for train in self.couplings:
             if isinstance(train, GearTrain):
@@ -473,12 +600,12 @@ class WheelTable:
 
     @structure
     def mobility(self) -> Mobility:
-        """What its wheels let a robot do."""
+        """Motions that the wheels allow."""
         return Mobility(self)
 
     @cached_property
     def actuators(self) -> tuple[Actuator, ...]:
-        """The inputs, in the order of the table: of each row its wheel's, then its steering axis's."""
+        """Inputs in the order of the table: for each row its wheel's, then its steering axis's."""
         ns, found = len(self.axes), list[Actuator]()
 
         def add(name: str, motor: Motor, turned: Sequence[int], path: str = "") -> None:
@@ -499,9 +626,9 @@ class WheelTable:
 
     @structure
     def footprint(self) -> Array | None:
-        """Corners of what it stands on, wheels at steering angles zero and supports, shape (k, 2) [m].
+        """Corners of the support polygon of wheels at steering angles zero and supports, shape (k, 2) [m].
 
-        Counter-clockwise, in the body's frame; None where they are on one line.
+        They are counter-clockwise, in the body's frame; None if all contacts lie on one line.
         """
         places = [*(wheel.centre for wheel in self.wheels), *((each.x, each.y) for each in self.supports)]
         rank = np.linalg.matrix_rank(np.column_stack([np.ones(len(places)), places]), tol=_SAME_PLACE)
@@ -509,41 +636,52 @@ class WheelTable:
         return None if corners is None else frozen(corners)
 
     def taken_from(self, body: pin.Inertia) -> pin.Inertia:
-        """Return what is left of a body without the wheels, which are part of it."""
+        """Return the inertia of a body without its wheels.
+
+        Parameters
+        ----------
+        body : pin.Inertia
+            Inertia of the whole robot with wheels at their table angles, about the body's origin.
+
+        Raises
+        ------
+        InvalidArgument
+            If the wheels are heavier than the robot, or the rest is not a rigid body.
+        """
         heavy, rest = sum(wheel.mass for wheel in self.wheels), pin.Inertia(body)
         if body.mass <= heavy:
             raise InvalidArgument(
-                f"robot has a mass of {body.mass:.6g} kg, and its wheels {heavy:.6g} kg, which are part of "
-                "it; expected the mass of the whole"
+                f"robot has a mass of {body.mass:.6g} kg, and its wheels {heavy:.6g} kg; expected the mass "
+                "of the whole robot, with its wheels"
             )
         for wheel in self.wheels:
             rest -= wheel.placement.act(wheel.inertia)
         try:
             Body(rest.mass, np.array(rest.lever), np.array(rest.inertia))
         except InvalidArgument as error:
-            words = "expected a robot whose mass and inertia hold those of its wheels"
-            raise InvalidArgument(f"robot without its wheels is no body: {error}; {words}") from None
+            words = "expected a robot whose mass and inertia include those of its wheels"
+            raise InvalidArgument(f"robot without its wheels is not a rigid body: {error}; {words}") from None
         return rest
 
     @classmethod
     def differential(
         cls, track: float, radius: float, *, x: float = 0.0, supports: _Places = (), **wheel: Any
     ) -> Self:
-        """Return two driven wheels on one axle, ``left`` and ``right``.
+        """Return a table of two driven wheels on one axle, ``left`` and ``right``.
 
         Parameters
         ----------
         track : float
-            Distance of the wheels [m].
+            Distance between the wheels, > 0 [m].
         radius : float
-            [m].
+            Radius of the wheels, > 0 [m].
         x : float
-            Of the axle in the body's frame [m].
+            Position of the axle in the body's frame [m].
         supports : iterable of (x, y)
-            Where casters without friction stand [m].
+            Positions of casters without friction [m].
         **wheel
-            What else each has, see `Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``, ``friction``,
-            ``motor``, by default a source of torque.
+            Other parameters of each `Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``, ``friction``,
+            ``motor``; default: a torque source.
         """
         half, own = positive("track", track, "m") / 2, {"motor": TORQUE, **wheel}
         rows = (Wheel(name, x, y, radius, **own) for name, y in (("left", half), ("right", -half)))
@@ -553,17 +691,17 @@ class WheelTable:
     def skid_steer(
         cls, wheelbase: float, track: float, radius: float, *, coupled: bool = True, **wheel: Any
     ) -> Self:
-        """Return four fixed wheels that turn by skidding.
+        """Return a table of four fixed wheels; the robot turns by skidding.
 
         Parameters
         ----------
         wheelbase, track, radius : float
-            Distances of the axles and of the sides, and radius of the wheels [m].
+            Distances between the axles and between the sides, and radius of the wheels, > 0 [m].
         coupled : bool
-            Whether the wheels of a side are on one gear train, with one motor a side, in the front; or else
-            each wheel has a motor.
+            Whether each side has one motor, at the front, and a gear train; otherwise each wheel has a motor.
         **wheel
-            What else each has, see `Wheel`; ``motor`` is that of each side, or each wheel.
+            Other parameters of each `Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``, ``friction``,
+            ``motor`` of each side or wheel.
         """
         instance("coupled", coupled, bool, "True or False")
         own = {"motor": TORQUE, **wheel}
@@ -577,26 +715,32 @@ class WheelTable:
     def mecanum(
         cls, wheelbase: float, track: float, radius: float, *, roller: float = pi / 4, **wheel: Any
     ) -> Self:
-        """Return four mecanum wheels whose rollers form an X seen from above.
+        """Return a table of four mecanum wheels whose rollers form an X in the view from above.
 
         Parameters
         ----------
         wheelbase, track, radius : float
-            Distances of the axles and of the sides, and radius of the wheels [m].
+            Distances between the axles and between the sides, and radius of the wheels, > 0 [m].
         roller : float
-            Angle of the rollers [rad]: positive for the X. A negative one is the O arrangement, which is
-            refused on a square base: it could not turn.
+            Angle of the rollers [rad]: positive for the X arrangement, negative for the O arrangement, which
+            cannot turn on a square base.
         **wheel
-            What else each has, see `Wheel`; ``motor`` is a source of torque by default.
+            Other parameters of each `Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``, ``friction``,
+            ``motor``; default: a torque source.
+
+        Raises
+        ------
+        InvalidArgument
+            If the base could not turn or not move sideways, or a number is not in its range.
         """
         angle, own = scalar("roller", roller), {"motor": TORQUE, **wheel}
         turns = angle > 0 or abs(wheelbase - track * abs(np.tan(angle))) >= 1e-3 * track
         if not (angle and turns):
-            flaw = "form an O whose axes meet in its middle, so that it cannot turn"
-            flaw = flaw if angle else "all roll along x, and none moves it sideways"
+            flaw = "form an O whose axes meet in the middle, so that the base cannot turn"
+            flaw = flaw if angle else "have axes along x, so that the base cannot move sideways"
             raise InvalidArgument(
                 f"roller is {angle:g} rad on a base of {wheelbase:g} by {track:g} m: the rollers {flaw}; "
-                "expected the X, a positive angle, or WheelTable.omni(...)"
+                "expected the X arrangement, a positive angle, or WheelTable.omni(...)"
             )
         signs = {"front_left": -1, "front_right": 1, "rear_left": 1, "rear_right": -1}
         places = _corners(wheelbase, track)
@@ -604,18 +748,19 @@ class WheelTable:
 
     @classmethod
     def omni(cls, distance: float, radius: float, *, n: int = 3, first: float = 0.0, **wheel: Any) -> Self:
-        """Return omni wheels on a circle, their axles through its middle.
+        """Return a table of omni wheels on a circle, with their axles through its centre.
 
         Parameters
         ----------
         distance, radius : float
-            Of the wheels from the middle, and their radius [m].
+            Distance of the wheels from the centre, and their radius, > 0 [m].
         n : int
-            How many, three and more.
+            Number of wheels, >= 3.
         first : float
-            Where the first one is, from the body's x [rad].
+            Angle of the first wheel's position from the body's x axis [rad].
         **wheel
-            What else each has, see `Wheel`; ``motor`` is a source of torque by default.
+            Other parameters of each `Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``, ``friction``,
+            ``motor``; default: a torque source.
         """
         count, L = whole("n", n, least=3, most=_MOST), positive("distance", distance, "m")
         angles = (scalar("first", first) + 2 * pi * np.arange(count) / count).tolist()
@@ -625,18 +770,19 @@ class WheelTable:
 
     @classmethod
     def swerve(cls, places: _Places, radius: float, *, supports: _Places = (), **wheel: Any) -> Self:
-        """Return modules that each steer and drive.
+        """Return a table of modules that steer and drive.
 
         Parameters
         ----------
         places : iterable of (x, y)
-            Where they stand [m].
+            Positions of the modules [m].
         radius : float
-            Of the wheels [m].
+            Radius of the wheels, > 0 [m].
         supports : iterable of (x, y)
-            Where casters without friction stand [m].
+            Positions of casters without friction [m].
         **wheel
-            What else each has, see `Wheel`; ``motor`` is that of its drive.
+            Other parameters of each `Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``, ``friction``,
+            ``motor`` of the drive; default: a torque source.
         """
         own: dict[str, Any] = {"steering": DRIVEN, "motor": TORQUE, **wheel}
         rows = [Wheel(f"wheel_{k}", *at, radius, **own) for k, at in enumerate(each_of("places", places), 1)]
@@ -653,20 +799,20 @@ class WheelTable:
         steering_limit: float = radians(40),
         **wheel: Any,
     ) -> Self:
-        """Return four wheels: rear ones on an open differential, front ones steered by Ackermann's law.
+        """Return a table of a car: rear wheels on an open differential, front wheels with Ackermann steering.
 
-        The body's origin is in the middle of the rear axle.
+        The body's origin is the middle of the rear axle.
 
         Parameters
         ----------
         wheelbase, track, radius : float
-            Distances of the axles and of the sides, and radius of the wheels [m].
+            Distances between the axles and between the sides, and radius of the wheels, > 0 [m].
         motor : Motor
-            Of the rear axle.
+            Motor of the rear axle.
         steering_limit : float
-            Largest steering angle, to either side [rad].
+            Largest steering angle to either side, in (0, pi / 2) [rad].
         **wheel
-            What else each has, see `Wheel`.
+            Other parameters of each `Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``, ``friction``.
         """
         L, half = positive("wheelbase", wheelbase, "m"), positive("track", track, "m") / 2
         limit = scalar("steering_limit", steering_limit)
@@ -680,6 +826,7 @@ class WheelTable:
 
 
 def _told(wheel: Wheel) -> tuple[str, ...]:
+    """Return a row of the printed table."""
     return (
         wheel.name,
         *(f"{number:.4g}" for number in (wheel.x, wheel.y, wheel.radius)),
@@ -691,32 +838,34 @@ def _told(wheel: Wheel) -> tuple[str, ...]:
 
 
 def _check_places(wheels: Sequence[Wheel], supports: Sequence[Support]) -> None:
+    """Check that no two wheels or supports have the same position."""
     places = [(f"wheel {wheel.name!r}", *wheel.centre) for wheel in wheels]
     places += [(f"support {k + 1}", each.x, each.y) for k, each in enumerate(supports)]
     for (other, x0, y0), (name, x, y) in combinations(places, 2):
         if hypot(x - x0, y - y0) < _SAME_PLACE:
-            raise InvalidArgument(f"{other} and {name} stand in one place, ({x:g}, {y:g}) m, expected two")
+            raise InvalidArgument(f"{other} and {name} have one position, ({x:g}, {y:g}) m, expected two")
 
 
 def _corners(wheelbase: float, track: float) -> list[tuple[str, float, float]]:
+    """Return names and positions of four wheels at the corners of a rectangle."""
     a, b = positive("wheelbase", wheelbase, "m") / 2, positive("track", track, "m") / 2
     return [("front_left", a, b), ("front_right", a, -b), ("rear_left", -a, b), ("rear_right", -a, -b)]
 
 
 def each_of(name: str, given: object) -> list[tuple[float, float]]:
-    """Return places in the plane.
+    """Return positions in the plane.
 
     Parameters
     ----------
     name : str
-        Name of the argument, for the message.
+        Name of the argument, for the error message.
     given : iterable of (x, y)
         The argument [m].
 
     Raises
     ------
     InvalidArgument
-        If it is something else.
+        If it is not a sequence of pairs of finite numbers.
     """
     places = given.tolist() if isinstance(given, np.ndarray) else given
     found = []
@@ -727,4 +876,5 @@ def each_of(name: str, given: object) -> list[tuple[float, float]]:
 
 
 def _supports(places: object) -> tuple[Support, ...]:
+    """Return supports at positions."""
     return tuple(Support(*at) for at in each_of("supports", places))

@@ -1,4 +1,4 @@
-"""The wheel joints of a robot's URDF, and a table of wheels from them."""
+"""Wheel joints of a robot's URDF, and a wheel table from them."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ from pinmobile.wheels._table import (
     each_of,
 )
 
-_TRAIL = 1e-3  # [m]: a wheel nearer to its swivel than that does not trail
-_ROUNDED = 0.002  # [rad] of a multiple of 15 degrees: files have 1.57 and 3.14
+_TRAIL = 1e-3  # [m]: smallest distance of a caster's wheel from its swivel
+_ROUNDED = 0.002  # [rad]: tolerance of multiples of 15 degrees, because files contain 1.57 and 3.14
 _STEP = radians(15)
-_ROUND = 0.02  # share by which moments of a wheel may differ across its axle, and its com be off it
-_DIGITS = 12  # of a length [m]
-_LINE = 1e-3  # [m]: axles so near one line are on it
+_ROUND = 0.02  # relative tolerance of equal moments across a wheel's axle, and of its centre of mass
+_DIGITS = 12  # decimal digits of a length [m]
+_LINE = 1e-3  # [m]: tolerance of axles on one line
 
 
 @dataclass(frozen=True)
 class _Reader:
-    """The wheels of a robot's file, and what is given beside it: see `read_wheels`."""
+    """Reader of the wheels in a robot's file, with the arguments of `read_wheels`."""
 
     robot: MobileRobot
     radius: Any = None
@@ -58,10 +58,10 @@ class _Reader:
     def __post_init__(self) -> None:
         instance("robot", self.robot, MobileRobot, "a MobileRobot")
         if not self._names:
-            words = "no joint that turns freely about a level axis; expected table="
+            words = "no continuous joint about a horizontal axis; expected table="
             raise InvalidArgument(f"robot has no wheels in its file, {words}")
         if not self.joints:
-            words = "all wheels of the robot; expected some left"
+            words = "all wheels of the robot; expected fewer"
             raise InvalidArgument(f"locked is {shown(self.locked)}, {words}")
         for key in ("radius", "rollers", "steering", "inertia"):
             if isinstance(value := getattr(self, key), Mapping):
@@ -72,7 +72,7 @@ class _Reader:
         return [joint.name for joint in self.robot.undercarriage.wheels]
 
     def _known(self, key: str, names: Iterable[object]) -> list[str]:
-        """Return names of wheels, checked."""
+        """Return names of wheels after a check."""
         return [one_of(f"wheel of {key}", name, self._names) for name in names]
 
     @cached_property
@@ -85,7 +85,7 @@ class _Reader:
         return [joint for joint in self.robot.undercarriage.wheels if joint.name not in self._locked]
 
     def _given(self, key: str, name: str) -> Any:
-        """Return what is given of a wheel, None for nothing."""
+        """Return the argument for a wheel, None without one."""
         value = getattr(self, key)
         return value.get(name) if isinstance(value, Mapping) else value
 
@@ -96,7 +96,7 @@ class _Reader:
             return positive(f"radius of wheel {joint.name!r}", own, "m")
         if joint.radius is None:
             raise InvalidArgument(
-                f"radius of wheel {joint.name!r} is not known: its file has no collision cylinder or sphere "
+                f"radius of wheel {joint.name!r} is unknown: its file has no collision cylinder or sphere "
                 f"about the axle; expected radius={{{joint.name!r}: ...}} [m]"
             )
         return joint.radius
@@ -120,24 +120,25 @@ class _Reader:
             )
         if max(abs(one - other), products) > _ROUND * max(spin, one, other):
             raise InvalidArgument(
-                f"wheel {joint.name!r} is no solid of revolution about its axle, with moments of {spin:.4g} "
+                f"wheel {joint.name!r} is not a solid of revolution about its axle: moments are {spin:.4g} "
                 f"about it, {one:.4g} and {other:.4g} across, and products up to {products:.2g} kg m^2: "
                 f"{way_out}"
             )
         if not spin > 0:
             raise InvalidArgument(
-                f"wheel {joint.name!r} has no inertia in its file, expected one, or "
+                f"wheel {joint.name!r} has no inertia in its file, expected an inertia, or "
                 f"inertia={{{joint.name!r}: (about the axle, across it)}} [kg m^2]"
             )
         return spin, (one + other) / 2
 
     def _roller(self, joint: WheelJoint) -> float | None:
+        """Return the angle of a wheel's rollers [rad]; None for a tyre."""
         own, name = self._given("rollers", joint.name), joint.name
         if own is None:
             if joint.carried:
                 raise InvalidArgument(
-                    f"wheel {name!r} carries joints {', '.join(map(repr, joint.carried[:3]))}: their angle "
-                    f"decides how it rolls; expected rollers={{{name!r}: angle from the rolling direction}} "
+                    f"wheel {name!r} carries joints {', '.join(map(repr, joint.carried[:3]))}, probably "
+                    f"rollers; expected rollers={{{name!r}: angle from the rolling direction}} "
                     "[rad]"
                 )
             return None
@@ -150,7 +151,7 @@ class _Reader:
         if not forward or len(self.joints) != 4 or corners != {(1, 1), (1, -1), (-1, 1), (-1, -1)}:
             raise InvalidArgument(
                 f"rollers is {angle:g} rad for {len(self.joints)} wheels that are not four at the corners of "
-                "a rectangle, their axles along y; expected a mapping from their names"
+                "a rectangle with axles along y; expected a mapping from their names"
             )
         x, y, _ = joint.centre - middle
         return -angle if x * y > 0 else angle
@@ -165,25 +166,26 @@ class _Reader:
         return angle if alone and roller is not None else angle - pi if angle > 0 else angle + pi
 
     def _steered(self, joint: WheelJoint, roller: float | None) -> tuple[str, Swivel | None]:
+        """Return the kind of a wheel's steering, and its swivel."""
         asked = self._given("steering", joint.name)
         if not joint.swivels and asked not in (None, FIXED):
             raise InvalidArgument(
-                f"steering of wheel {joint.name!r} is {shown(asked)}, but it hangs on no joint about the "
-                "vertical; expected 'fixed'"
+                f"steering of wheel {joint.name!r} is {shown(asked)}, but the file has no joint about the "
+                "vertical above it; expected 'fixed'"
             )
         if not joint.swivels or asked == FIXED:
             return FIXED, None
         swivel, *more = joint.swivels
         if more:
             raise InvalidArgument(
-                f"wheel {joint.name!r} hangs on two joints about the vertical, {swivel.name!r} and "
-                f"{more[0].name!r}; expected one, or steering={{{joint.name!r}: 'fixed'}}"
+                f"wheel {joint.name!r} has two joints about the vertical above it, {swivel.name!r} and "
+                f"{more[0].name!r}; expected one joint, or steering={{{joint.name!r}: 'fixed'}}"
             )
         twins = [each.name for each in self.joints if swivel.name in (one.name for one in each.swivels)]
         if len(twins) > 1:
             raise InvalidArgument(
-                f"wheels {', '.join(map(repr, twins))} hang on one swivel, {swivel.name!r}, for which a "
-                "table has no row; expected locked=, or a table= of your own"
+                f"wheels {', '.join(map(repr, twins))} share one swivel, {swivel.name!r}, which a wheel "
+                "table cannot describe; expected locked=, or table="
             )
         if asked is not None:
             return one_of(f"steering of wheel {joint.name!r}", asked, (FIXED, DRIVEN, FREE)), swivel
@@ -193,8 +195,8 @@ class _Reader:
             return FREE, swivel
         if roller is None:
             raise InvalidArgument(
-                f"wheel {joint.name!r} stands right below its swivel {swivel.name!r}, which the file does "
-                "not say to be driven, and which nothing else could turn; expected "
+                f"wheel {joint.name!r} is right below its swivel {swivel.name!r}, which has no limits in the "
+                "file and does not trail, so its kind is unknown; expected "
                 f"steering={{{joint.name!r}: 'driven'}} or 'fixed', or rollers="
             )
         return FIXED, None
@@ -220,8 +222,8 @@ class _Reader:
         """Return the table."""
         if isinstance(self.radius, float | int) and all(each.radius for each in self.joints):
             raise InvalidArgument(
-                f"radius is {shown(self.radius)} m, but the file tells that of every wheel; expected a "
-                "mapping for those that have another"
+                f"radius is {shown(self.radius)} m, but the file defines the radius of every wheel; expected "
+                "a mapping for wheels with another radius"
             )
         rows = [self._row(joint) for joint in self.joints]
         self._check_plane(rows)
@@ -235,6 +237,7 @@ class _Reader:
         return evolved(table, source="; ".join(self._sources(table)))
 
     def _check_plane(self, rows: Sequence[Wheel]) -> None:
+        """Check that all wheels stand on one plane."""
         lowest = {
             joint.name: joint.centre[2] - row.radius for joint, row in zip(self.joints, rows, strict=True)
         }
@@ -243,14 +246,14 @@ class _Reader:
             listed = ", ".join(f"{name} at z = {z:.4g}" for name, z in lowest.items())
             ground = ", the ground at z = 0" if self.robot.grounded else ""
             raise InvalidArgument(
-                f"wheels do not stand on one plane, their lowest points being {listed}{ground} m, expected "
-                f"them within {1e3 * TOUCH:g} mm, other radii, or locked= for those that do not roll"
+                f"wheels do not stand on one plane: their lowest points are {listed}{ground} m, expected "
+                f"differences below {1e3 * TOUCH:g} mm, other radii, or locked= for wheels that do not roll"
             )
 
     def _on_lines(self, rows: Sequence[Wheel]) -> list[Wheel]:
-        """Return the rows with axles of fixed tyres that are nearly on one line on it.
+        """Return the rows, with axles of fixed tyres that are almost on one line moved onto it.
 
-        Refuse to guess what wheels on several axles are, where nothing says that they skid.
+        Raise an error for wheels on several axles if nothing states that they skid or have rollers.
         """
         found, moved = list(rows), 0.0
         fixed = [k for k, row in enumerate(rows) if row.steering == FIXED]
@@ -272,12 +275,12 @@ class _Reader:
             raise InvalidArgument(
                 f"rollers is not given, and wheels {names} are fixed on "
                 "more than one axle: they are tyres that skid in turns, or have rollers, which files do not "
-                "tell; expected rollers={} for tyres, rollers=pi / 4 for mecanum wheels, or a mapping"
+                "define; expected rollers={} for tyres, rollers=pi / 4 for mecanum wheels, or a mapping"
             )
         return found
 
     def _motors_at(self, rows: Sequence[Wheel]) -> list[str]:
-        """Return the names of the joints of wheels that have a motor."""
+        """Return the names of the joints of wheels with a motor."""
         if self.driven is not None:
             return self._known("driven", sequence("driven", self.driven, "names of wheels"))
         shared: set[str] = set()
@@ -289,6 +292,7 @@ class _Reader:
         return [joint.name for joint, row in pairs if row.steering == kind and row.name not in shared]
 
     def _supports(self, rows: Sequence[Wheel]) -> tuple[Support, ...]:
+        """Return the given supports, or those of the file."""
         if self.supports is not None:
             return tuple(Support(*at) for at in each_of("supports", self.supports))
         taken, found = [row.centre for row in rows], []
@@ -305,7 +309,7 @@ class _Reader:
         return tuple(found)
 
     def _sources(self, table: WheelTable) -> list[str]:
-        """Return what is from where, in words."""
+        """Return the origin of the table's numbers, in words."""
         found = [f"wheels of its file: {', '.join(joint.name for joint in self.joints)}"]
         pairs, signs = list(zip(table.wheels, self.joints, strict=True)), joint_signs(self.robot, table)
         guess = "" if self.driven is not None else "guessed: "
@@ -353,12 +357,12 @@ class _Reader:
 
 
 def _offset(row: Wheel) -> float:
-    """Return how far the axle of a wheel is ahead of the origin [m]."""
+    """Return the distance of a wheel's axle ahead of the origin [m]."""
     return cos(row.angle) * row.x + sin(row.angle) * row.y
 
 
 def motor_of(joint: WheelJoint) -> Motor:
-    """Return what drives a wheel, as far as its file tells."""
+    """Return the motor of a wheel, from the numbers of its file."""
     if not (np.isfinite(joint.effort) or joint.damping or joint.friction):
         return Motor()
     viscous, coulomb = max(joint.damping, 0.0), max(joint.friction, 0.0)
@@ -366,19 +370,19 @@ def motor_of(joint: WheelJoint) -> Motor:
 
 
 def snapped(angle: float) -> float:
-    """Return an angle [rad], that which a file rounds where it nearly is one of every 15 degrees."""
+    """Return an angle [rad], rounded to a multiple of 15 degrees if it is close to one."""
     nearest = round(angle / _STEP)
     exact = {-6: -pi / 2, 6: pi / 2, 12: pi, -12: pi}.get(nearest, nearest * _STEP)
     return exact if abs(angle - nearest * _STEP) < _ROUNDED else angle
 
 
 def to_length(x: float) -> float:
-    """Return a length without what products of rotations leave of rounding [m]."""
+    """Return a length without rounding errors of rotations [m]."""
     return round(float(x), _DIGITS) + 0.0
 
 
 def wheel_name(name: str) -> str:
-    """Return the name of a joint as that of a wheel."""
+    """Return the name of a joint as the name of a wheel."""
     return "".join("_" if letter in '/,":.' else letter for letter in name)
 
 
@@ -394,71 +398,100 @@ def read_wheels(
     supports: Iterable[ArrayLike] | None = None,
     couplings: Sequence[Coupling] = (),
 ) -> WheelTable:
-    """Return the wheel table of a robot read from a URDF or a model; its `source` says what is from where.
+    """Return the wheel table of a robot read from a URDF or a model.
 
-    The wheels are called as their joints, in the model's order. The axis of a joint at rest is the axle, made
-    level; angles that the file rounds, such as 1.57, are exact to 15 degrees, and axles within 1 mm of one
-    line are on it. A wheel rolls forward (or left, where its axle is along x) at a positive rate; where
-    its joint turns the other way, as in mirrored frames, `WheeledRobot.joint_signs` has -1. A wheel with
-    rollers whose axle is parallel to no other keeps its joint's sense.
+    Wheels have the names of their joints, in the model's order. The joint axis in the reference
+    configuration, made horizontal, is the axle. Rounded angles in files, such as 1.57, become exact multiples
+    of 15 degrees, and axles within 1 mm of one line are moved onto it. At a positive rate a wheel rolls
+    forward (or to the left, if its axle is along x). If its joint turns in the opposite direction, as in
+    mirrored frames, `WheeledRobot.joint_signs` is -1. A wheel with rollers whose axle is parallel to no other
+    keeps its joint's direction.
 
-    Masses and inertias are those of the links, which the robot's whole holds already. Of a caster, what its
-    fork's turning adds is in the wheel's mass and yaw inertia. The effort of a driven joint is its motor's
-    torque limit, its damping and friction are the motor's, which act where it is driven by volts; those of
-    other joints are left out.
+    Masses and inertias are those of the links, which the robot's mass and inertia include. For a caster, the
+    wheel's mass and yaw inertia include its fork. The effort of a driven joint becomes its motor's torque
+    limit; damping and friction become those of the motor, and act if voltages drive it. Damping and friction
+    of other joints are ignored. The property `source` of the table states the origin of each number.
 
-    A mapping, below, has names of wheel joints.
+    A mapping below has names of wheel joints.
 
     Parameters
     ----------
     robot : MobileRobot
-        With the `undercarriage` of its file.
+        Robot with the `undercarriage` of its file.
     radius : float or mapping of str to float, optional
-        [m]; a number is that of all wheels of which the file does not tell it.
+        Radius [m]; a number applies to all wheels without a radius in the file.
     rollers : float or mapping of str to float, optional
-        Angle of the axis of the roller at the ground from the rolling direction [rad], see `Wheel`; wheels
-        without are tyres, all of them with ``{}``. A number is that of all: 0 of omni wheels; else of four
-        mecanum wheels, whose rollers form an X seen from above where it is positive. It must be given where
-        wheels are fixed on more than one axle, unless a gear train says that they skid.
+        Angle from the rolling direction to the axis of the roller at the ground [rad], see `wheels.Wheel`.
+        Wheels that are not in a mapping are tyres, all of them with ``{}``. A number applies to all wheels: 0
+        for omni wheels; otherwise for four mecanum wheels, whose rollers form an X in the view from above if
+        it is positive. It is required if wheels are fixed on more than one axle, unless a gear train shows
+        that they skid.
     driven : sequence of str, optional
-        Wheels with a motor; by default those that hang on no swivel, or where there are none, those whose
-        steering is driven; of a gear train the first one alone, of a differential none.
+        Wheels with a motor; default: wheels without a swivel, or, if there are none, wheels whose steering is
+        driven; of a gear train only the first one, of a differential none.
     steering : str or mapping of str to str, optional
-        Of wheels on a swivel ``"fixed"``, ``"driven"`` or ``"free"``, a word that is that of all, or one for
-        each; by default a swivel with limits is driven, one that turns freely is free where the wheel trails
-        behind it, and fixed of a wheel with rollers.
+        ``"fixed"``, ``"driven"`` or ``"free"``, for all wheels on a swivel or for each. By default, a swivel
+        with limits is driven; one without limits is free if the wheel trails behind it, and fixed for a wheel
+        with rollers.
     inertia : sequence of 2 floats, or mapping of str to that, optional
-        Of a wheel about its axle and across it [kg m^2]; a pair is that of all. The whole robot's mass and
-        inertia stay those of the file.
+        Inertia of a wheel about its axle and across it [kg m^2]; a pair applies to all wheels. Mass and
+        inertia of the whole robot remain those of the file.
     locked : sequence of str
-        Wheel joints that are no wheels of the table: where they touch the ground they carry, without
+        Wheel joints that are not wheels of the table: where they touch the ground they are supports without
         friction.
     supports : sequence of (x, y), optional
-        Where it stands beside its wheels [m]; by default where the file has what touches the ground.
-    couplings : sequence of GearTrain, DifferentialGear, AckermannSteering
-        See `WheelTable`.
+        Positions of supports beside the wheels [m]; default: other contacts of the file with the ground.
+    couplings : sequence of GearTrain, DifferentialGear or AckermannSteering
+        Couplings, see `WheelTable`.
+
+    Returns
+    -------
+    table : WheelTable
+        The table; its `source` states the origin of its numbers.
 
     Raises
     ------
     InvalidArgument
-        If there are no wheels, a radius, or whether they have rollers, is not known, wheels do not stand on
-        one plane, a wheel is no solid of revolution about its axle or hangs on what a table has no row for;
-        or an argument is something else.
+        If there are no wheels; a radius is unknown; it is unknown whether wheels have rollers; wheels do not
+        stand on one plane; a wheel is not a solid of revolution, or its steering has no row in a table; or an
+        argument is of another kind.
     UnknownName
-        If there is no such wheel.
+        If there is no wheel of a given name.
+
+    See Also
+    --------
+    WheeledRobot : its constructor `from_urdf`
+    WheelTable : tables from numbers
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pinocchio as pin
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.wheels import read_wheels
+    >>> model, disc = pin.Model(), np.diag([0.003, 0.005, 0.003])
+    >>> for name, y in ("left", 0.2), ("right", -0.2):
+    ...     place = pin.SE3(np.eye(3), np.array([0.0, y, 0.1]))
+    ...     k = model.addJoint(0, pin.JointModelRUBY(), place, name)
+    ...     wheel = pin.Inertia(1.0, np.zeros(3), disc)
+    ...     model.appendBodyToJoint(k, wheel, pin.SE3.Identity())
+    >>> robot = MobileRobot.from_model(model)
+    >>> table = read_wheels(robot, radius=0.1)
+    >>> [(wheel.name, wheel.x, wheel.y) for wheel in table.wheels]
+    [('left', 0.0, 0.2), ('right', 0.0, -0.2)]
     """
     return _Reader(robot, radius, rollers, driven, steering, inertia, locked, supports, couplings).table()
 
 
 def joint_signs(robot: MobileRobot, table: WheelTable) -> dict[str, int]:
-    """Return of each wheel of its file 1, or -1 where the joint there turns the other way.
+    """Return -1 for each wheel whose joint turns in the opposite direction, otherwise 1.
 
     Parameters
     ----------
     robot : MobileRobot
-        With the `undercarriage` of its file.
+        Robot with the `undercarriage` of its file.
     table : WheelTable
-        Its wheels, called as the joints.
+        Its wheels, with the names of the joints.
     """
     found = {wheel_name(joint.name): joint for joint in robot.undercarriage.wheels}
     rows = [wheel for wheel in table.wheels if wheel.name in found]
@@ -467,7 +500,7 @@ def joint_signs(robot: MobileRobot, table: WheelTable) -> dict[str, int]:
 
 
 def source_of(robot: MobileRobot, table: WheelTable) -> str:
-    """Return where the numbers of a robot on wheels come from, in words."""
+    """Return the origin of the numbers of a robot on wheels, in words."""
     locked, turns = robot.locked_joints, dict(zip(table.names, table.wheels, strict=True))
     moving = set[str]()
     for joint in robot.undercarriage.wheels:
@@ -480,7 +513,7 @@ def source_of(robot: MobileRobot, table: WheelTable) -> str:
 
 
 def read_robot(path: str | PathLike[str], dirs: Any, ground_z: Any, given: Mapping[str, Any]) -> MobileRobot:
-    """Return the robot of a URDF, on the ground by given radii where the file does not tell where that is.
+    """Return the robot of a URDF; given radii define the ground if the file does not.
 
     Parameters
     ----------
@@ -499,7 +532,7 @@ def read_robot(path: str | PathLike[str], dirs: Any, ground_z: Any, given: Mappi
 
 
 def _report_ignored(path: Path) -> None:
-    """Warn of what a file says of friction that changes nothing."""
+    """Warn about friction in a file that has no effect."""
     root, words = ElementTree.parse(path).getroot(), list[str]()
     joints = [
         str(joint.get("name"))
@@ -511,14 +544,15 @@ def _report_ignored(path: Path) -> None:
     links = [str(each.get("reference")) for each in both]
     if joints:
         words.append(
-            f"damping and friction of {_listed(joints)} act where motors take volts alone (by_voltage): give "
+            f"damping and friction of {_listed(joints)} act only where motors take volts (by_voltage): use "
             "forces=[ViscousFriction(...)], or WheelFriction(rolling=...) of the wheels"
         )
     if links:
-        words.append(f"mu1 and mu2 of {_listed(links)} are not used: give ground=Coulomb(mu)")
+        words.append(f"mu1 and mu2 of {_listed(links)} are not used: use ground=Coulomb(mu)")
     if words:
         warn(f"{path.name}: {'; '.join(words)}", stacklevel=4)
 
 
 def _listed(names: Sequence[str]) -> str:
+    """Return names as text, at most three."""
     return ", ".join(names) if len(names) < 4 else f"{names[0]}, {names[1]} and {len(names) - 2} more"

@@ -1,4 +1,4 @@
-"""Velocities of wheels that roll: independent ones, with references and linear models, and odometry."""
+"""Velocities of rolling wheels: independent velocities, references, linear models, and odometry."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from pinmobile.wheels._kinematics import Kinematics
 from pinmobile.wheels._table import WheelTable
 
 _BASE = 3
-_LEAST_NORM = 1e-6  # relative weight of torques beside what they are for, where limits hold them
-_OFF = 1e-6  # of the largest rate, beyond which wheels would slide sideways; of the largest force
+_LEAST_NORM = 1e-6  # weight of the torques' norm relative to the residual, if limits are active
+_OFF = 1e-6  # tolerance of sliding relative to the largest rate, and of forces relative to the largest one
 
 
 def matrix(rows: Matrix, q: Any) -> Any:
@@ -29,21 +29,34 @@ def matrix(rows: Matrix, q: Any) -> Any:
 
 
 class Reduced(NamedTuple):
-    """Rolling in independent velocities nu: M nu' + n = B u, v = S nu (Kane's equations).
+    """Dynamics of rolling in independent velocities nu: M dnu/dt + n = B u, v = S nu (Kane's equations).
 
-    nu is, of a body that is free, its twist (forward, left, yaw rate); of one with one axle, the speed along
-    the wheels at the axle and the yaw rate; of one with two axles, the speed at the fixed one, or, where both
-    are steered, the number eta with twist = eta (a1 x a2) of the axles' rows. Rates of the arms and of
-    steering axes that nothing else determines follow.
+    For an omnidirectional body, nu is its twist (forward, left, yaw rate). With one axle, it is the speed
+    along the wheels at the axle and the yaw rate. With two axles, it is the speed at the fixed one, or, if
+    both are steered, the number eta with twist = eta (a1 x a2) of the axles' rows. Rates of the arms, and of
+    steering axes without a constraint, follow.
 
     Attributes
     ----------
     M, n, B : ndarray, shape (..., m, m), (..., m), (..., m, nu)
         Mass matrix, nonlinear effects and input matrix.
     S : ndarray, shape (..., nv, m)
-        All velocities by the independent ones.
+        All velocities per independent velocity (null-space basis).
     nu : ndarray, shape (..., m)
-        Those of the state.
+        Independent velocities of the state.
+
+    See Also
+    --------
+    WheeledRobot : its method `reduced`
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable
+    >>> table = WheelTable.differential(0.4, 0.1, spin_inertia=0.01)
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+    >>> reduced = robot.reduced(robot.rest, 0 * robot.rest)
+    >>> reduced.M.diagonal()  # speed [kg] and yaw rate [kg m^2]
+    array([32.  ,  1.38])
     """
 
     M: Any
@@ -53,28 +66,28 @@ class Reduced(NamedTuple):
     nu: Any
 
     def torques(self, rates: Array) -> Array:
-        """Return the input of least norm with which nu changes so, shape (..., nu) [N m].
+        """Return the input of least norm that produces these rates of nu, shape (..., nu) [N m].
 
         Parameters
         ----------
         rates : ndarray, shape (..., m)
-            nu' [m/s^2, rad/s^2].
+            Rates of the independent velocities [m/s^2, rad/s^2].
         """
         force = np.einsum("...ij,...j->...i", self.M, rates) + self.n
         return np.asarray(np.linalg.pinv(self.B) @ force[..., None])[..., 0]
 
     def nearest(self, force: Array, inputs: Sequence[Input]) -> Array:
-        """Return the input within limits that comes nearest to a force, shape (nu,), of one state.
+        """Return the input within limits with the effect nearest to that of a force, for one state, (nu,).
 
-        Where limits allow it, it does what the force does, and has least norm; else what it misses is least
-        in the metric of the inverse mass, by a quadratic program.
+        If limits allow, its effect equals that of the force, with least norm. Otherwise a quadratic program
+        minimises the residual in the metric of the inverse mass.
 
         Parameters
         ----------
         force : ndarray, shape (m,)
-            On the independent velocities, S' tau.
+            Force on the independent velocities, S' tau.
         inputs : sequence of Input
-            With their limits.
+            Inputs with their limits.
         """
         metric = np.linalg.inv(np.linalg.cholesky(self.M))
         B, right = metric @ self.B, metric @ force
@@ -91,15 +104,30 @@ class Reduced(NamedTuple):
 
 
 class Allocation(NamedTuple):
-    """Torques for a force that is wanted on body and arms.
+    """Torques of wheels and joints for a desired force on body and arms.
 
     Attributes
     ----------
     u : ndarray, shape (..., nu)
-        The input [N m].
+        Input [N m].
     residual : ndarray, shape (..., 3 + arms)
-        What of the force wheels and joints do not supply: what is beyond their limits, and what no wheel
-        can give, such as a force across the axle [N, N, N m, ...].
+        Part of the force that wheels and joints do not exert, because it exceeds limits, or because no wheel
+        can exert it, such as a force across the axle [N, N, N m, ...].
+
+    See Also
+    --------
+    WheeledRobot : its method `allocate`
+    ControlAllocation : wrapper of controllers
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable
+    >>> table = WheelTable.differential(0.4, 0.1, spin_inertia=0.01)
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+    >>> found = robot.allocate(robot.rest, [20.0, 5.0, 0.0])
+    >>> found.u.round(9), found.residual.round(9) + 0.0  # [N m], [N]
+    (array([1., 1.]), array([0., 5., 0.]))
     """
 
     u: Array
@@ -107,12 +135,12 @@ class Allocation(NamedTuple):
 
 
 class ReferenceMotion(NamedTuple):
-    """Wheels that roll along a reference.
+    """Motion of rolling wheels along a reference.
 
     Attributes
     ----------
     q, v : ndarray, shape (N, nq), (N, nv)
-        States, wheel angles zero.
+        States, with wheel angles zero.
     nu, rates : ndarray, shape (N, m)
         Independent velocities, and their rates.
     u : ndarray, shape (N, nu)
@@ -127,21 +155,21 @@ class ReferenceMotion(NamedTuple):
 
 
 def check_steers_not(body: Any) -> None:
-    """Refuse wheels that steer, whose angles belong to the state."""
+    """Raise `InvalidArgument` if wheels steer, because their angles belong to the state."""
     if body.table.axes:
         raise InvalidArgument(
-            f"robot steers wheels about {len(body.table.axes)} axes, whose angles no reference leads, "
-            "expected wheels that do not steer, or Backstepping(law, robot)"
+            f"robot steers wheels about {len(body.table.axes)} axes, whose angles a reference does not "
+            "contain, expected wheels that do not steer, or Backstepping(law, robot)"
         )
 
 
 def followed(body: Any, reference: Any, t: Array | None = None) -> ReferenceMotion:
-    """Return how a body on wheels goes along a reference; arms that this leaves out rest.
+    """Return the motion of a robot on wheels along a reference; arms without reference rest.
 
     Parameters
     ----------
     body : WheeledDynamics
-        What rolls.
+        Dynamics of the robot.
     reference : Reference
         q, v and a, shape (N, ...).
     t : ndarray, shape (N,), optional
@@ -150,15 +178,15 @@ def followed(body: Any, reference: Any, t: Array | None = None) -> ReferenceMoti
     Raises
     ------
     InvalidArgument
-        If wheels steer or cannot roll so, or no input does it.
+        If wheels steer, or wheels or motors cannot follow the reference.
     """
     if t is None:
         check_steers_not(body)
     n, ns, (*lead, known) = body.of_body, len(body.table.axes), reference.q.shape
     if known > n:
         raise InvalidArgument(
-            f"reference has {known} coordinates, expected those of body and arms, {n}: a motion of both is "
-            "WholeBody(robot, base, *joints)"
+            f"reference has {known} coordinates, expected those of body and arms, {n}: for a motion of "
+            "both use WholeBody(robot, base, *joints)"
         )
     q, v, a = (np.zeros((*lead, body.nv)) for _ in range(3))
     q[..., :known], v[..., :known], a[..., :known] = reference
@@ -183,8 +211,8 @@ def followed(body: Any, reference: Any, t: Array | None = None) -> ReferenceMoti
         k = int(np.argmax(off))
         when = f"its sample {k}" if t is None else f"{t[k]:.6g} s"
         raise InvalidArgument(
-            f"reference moves the body by {off[k]:.3g} m/s, or rad/s, at {when} as its wheels cannot roll, "
-            "expected one that they can follow, such as Tangent(path)"
+            f"reference differs by {off[k]:.3g} m/s, or rad/s, at {when} from any rolling motion, "
+            "expected a motion that the wheels can follow, such as Tangent(path)"
         )
     state = body.state(q, rolls)
     own = nu.shape[-1] - body.na - len(body.choice.free)
@@ -195,7 +223,7 @@ def followed(body: Any, reference: Any, t: Array | None = None) -> ReferenceMoti
 
 
 def driving_inputs(body: Any, q: Array, v: Array, rates: Array) -> Array:
-    """Return the inputs of least norm with which independent velocities change so, and refuse if none do."""
+    """Return the inputs of least norm for given rates of nu; raise `InvalidArgument` if there are none."""
     own = body.reduced(q, v)
     u = own.torques(rates)
     needed = np.einsum("...ij,...j->...i", own.M, rates) + own.n
@@ -203,26 +231,26 @@ def driving_inputs(body: Any, q: Array, v: Array, rates: Array) -> Array:
     if missed > _OFF * (1 + np.abs(needed).max()):
         raise InvalidArgument(
             f"reference needs a force of {missed:.3g} N, or N m, that no motor of the robot exerts, expected "
-            "a drive with a motor for each degree of freedom, or a reference that needs none"
+            "a drive with a motor for each degree of freedom, or another reference"
         )
     return np.asarray(u)
 
 
 def _rolling(body: Any, q: Any, nu: Any) -> Any:
-    """Return v of independent velocities, shape (..., nv)."""
+    """Return v for independent velocities, shape (..., nv)."""
     state = body.state(q, np.zeros((*q.shape[:-1], body.nv)))
     return body.in_plane(state, applied(body.null_space(state).S, scalars(nu)), q)
 
 
 def linearized(body: Any, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
-    """Return the first-order model of the tracked state, A and B, see `WheeledRobot.linearize_tracked`.
+    """Return the linear model of the tracked state, A and B, see `WheeledRobot.linearize_tracked`.
 
     Parameters
     ----------
     body : WheeledDynamics
-        Whose wheels do not steer.
+        Dynamics of a robot without steered wheels.
     q, v, u : ndarray, shape (..., nq), (..., nv), (..., nu)
-        State, which rolls, and input.
+        Rolling state, and input.
     """
     check_steers_not(body)
     n = body.of_body
@@ -243,7 +271,7 @@ def linearized(body: Any, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
         gained = np.linalg.solve(own.M, pushed[..., None])[..., 0]
         return np.concatenate([rolls[..., :n], gained], axis=-1)
 
-    # Nothing follows from where the body is.
+    # Nothing depends on the position of the body.
     found = slopes(rates, np.eye(n + m + u.shape[-1])[2:], q, nu, u)
     A = np.zeros((*lead, n + m, n + m))
     A[..., 2:] = found[..., : n + m - 2]
@@ -253,52 +281,74 @@ def linearized(body: Any, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
 @final
 @part
 class OdometryFeedback:
-    """A controller that is told the pose that its wheels' encoders lead to, instead of the true one.
+    """Wrapper that replaces the measured pose with the pose of wheel odometry.
 
-    It starts at the true pose. From sample to sample encoders tell how far each wheel has turned; the body's
-    displacement is the one that fits all wheels best, tyres not moving sideways, by least squares of the
-    table that it believes; along the heading half way. Velocities are displacements over the time between
-    samples. Angles of arms and steering axes are known. What the table has wrong, wheels that slip and coarse
-    encoders make the pose drift: the signal ``believed_pose``, beside the true one.
+    It starts at the true pose. Encoders measure the rotation of each wheel between samples. The displacement
+    of the body is the least-squares fit of all wheels, without lateral motion of tyres, by the wheel table of
+    the wrapper; it is applied along the mean heading of the sample. Velocities are displacements divided by
+    the time step. Angles of arms and steering axes are measured. Wrong numbers in the table, slip and coarse
+    encoders make the pose drift. The signal ``believed_pose`` records the estimate beside the true pose.
 
     Parameters
     ----------
     controller : controller
-        What is wrapped.
+        Wrapped controller.
     table : WheelTable
-        What it believes: the robot's wheels, by name, with numbers that may differ.
+        Assumed wheels: those of the robot by name, with numbers that may differ.
     ticks : float, optional
-        Of an encoder per turn of its wheel, > 0; by default it is exact.
+        Encoder ticks per turn of a wheel, > 0; default: exact angles.
     noise : float
         Standard deviation of each wheel's measured rate, >= 0 [rad/s]; white.
     seed : int
-        Of the noise.
+        Seed of the noise.
 
     Raises
     ------
     InvalidArgument
-        If an argument is something else, or the wheels do not tell how the body moves.
+        If an argument is of another kind or out of range, or the wheels do not determine the body's motion;
+        at the start of a run, if the table has other wheels than the plant.
+
+    See Also
+    --------
+    MeasurementNoise : noise of the measured state
+    WheeledRobot : its method `odometry`
+
+    Examples
+    --------
+    >>> from pinmobile import Backstepping, Circle, MobileRobot
+    >>> from pinmobile import Tangent, UnicycleTracking, WheeledRobot
+    >>> from pinmobile import WheelTable, simulate
+    >>> from pinmobile.wheels import OdometryFeedback
+    >>> table = WheelTable.differential(0.4, 0.1, spin_inertia=0.01)
+    >>> worn = WheelTable.differential(0.4, 0.099, spin_inertia=0.01)
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+    >>> law = Backstepping(UnicycleTracking(), robot)
+    >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
+    >>> run = simulate(robot, OdometryFeedback(law, worn), path, dt=0.1)
+    >>> print(f"{1e3 * run.max_error()[0]:.0f} mm of 0.6 m")
+    6 mm of 0.6 m
     """
 
     controller: Any = child(Controller)
     table: WheelTable = child(WheelTable, expected="a WheelTable")
     ticks: float | None = declared(
-        default=None, above=0, optional=True, fixed=True, doc="ticks of an encoder per turn"
+        default=None, above=0, optional=True, fixed=True, doc="encoder ticks per turn of a wheel"
     )
-    noise: float = declared(default=0.0, lower=0, unit="rad/s", doc="deviation of measured wheel rates")
+    noise: float = declared(default=0.0, lower=0, unit="rad/s", doc="standard deviation of wheel rates")
     seed: int = integer(default=0, doc="seed of the noise")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where rates of the wheels do not tell how the body moves."""
+        """Raise `InvalidArgument` if the wheels do not determine the body's motion."""
         check_controller(self.controller)
         self.table.mobility.check_odometry()
 
     @cached_property
     def _kinematics(self) -> Kinematics:
+        """Rolling constraints of the assumed wheels."""
         return Kinematics.of(self.table)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
-        """Return the wrapped controller's state, the noise, the sampling time, and that nothing is known."""
+        """Return the wrapped controller's state, the noise, the time step, and the odometry's memory."""
         names = tuple(one.name for one in context.coordinates)[-len(self.table) :]
         if context.coordinates and names != self.table.names:
             own, plants = ", ".join(self.table.names), ", ".join(names)
@@ -309,11 +359,11 @@ class OdometryFeedback:
         return inner, noise, float(context.dt), (np.zeros(3), joints, 0.0)
 
     def applied(self, u: Array, state: Any) -> Any:
-        """Return the state, with the wrapped controller told of the input that is applied, (..., nu)."""
+        """Return the next state, with the applied input passed on, shape (..., nu)."""
         return told(self.controller, u, state[0]), *state[1:]
 
     def signals(self, state: Any) -> dict[str, Any]:
-        """Return the pose that it believes, beside what the wrapped controller tells."""
+        """Return the estimated pose [m, rad] beside the signals of the wrapped controller."""
         return {**signals_of(self.controller, state[0]), "believed_pose": ("m, rad", state[3][0])}
 
     def __call__(
@@ -343,12 +393,12 @@ class OdometryFeedback:
         return u, (inner, noise, dt, (pose, now, 1.0 + 0.0 * known))
 
     def _displacement(self, steering: Any, joints: Any) -> Any:
-        """Return the body's displacement, or twist, that fits those of its joints best, shape (..., 3)."""
+        """Return the least-squares displacement, or twist, of the body, shape (..., 3)."""
         return stacked(self._kinematics.odometry(scalars(steering), scalars(joints)), joints)
 
 
 def _outward(psi: Any, twist: Any) -> Any:
-    """Return a displacement or twist of a body with a heading along the inertial axes, shape (..., 3)."""
+    """Return a displacement or twist along the inertial axes, from the body's axes, shape (..., 3)."""
     c, s = np.cos(psi), np.sin(psi)
     x, y = c * twist[..., 0] - s * twist[..., 1], s * twist[..., 0] + c * twist[..., 1]
     return np.stack([x, y, twist[..., 2]], axis=-1)

@@ -1,6 +1,6 @@
-"""`VoltageDynamics`: a robot on wheels whose motors take volts, for one state, many, or symbols.
+"""`VoltageDynamics`: a robot on wheels with voltages as inputs, for one state, many, or symbols.
 
-It is what a `ByVoltage` is to loops of any engine.
+These are the dynamics of a `ByVoltage` for all engines.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ from pinmobile.wheels._table import column as column_of
 from pinmobile.wheels._velocities import ReferenceMotion
 
 _BASE = 3
-_INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
+_INSTANT = 1e-5  # [s]: duration of the step whose mean acceleration is returned for a state
 _PASSES = 3
-_ROUNDS, _ENOUGH = 200, 1e-13  # of dry friction: at most, and of the largest what may still change
+_ROUNDS, _ENOUGH = 200, 1e-13  # dry friction: most iterations, and tolerance relative to the largest impulse
 _OF_TORQUES = re.compile(
     "_.*|array_dynamics|law|nominal|terms|(check_)?inverse_dynamics|torques|allocate(_scaled)?|constraint_forces|"
     "input_matrix|calls|slip_margins|metrics|evaluate_metrics"
@@ -58,16 +58,16 @@ _OF_TORQUES = re.compile(
 
 
 class MotorState(NamedTuple):
-    """What motors did, means over the last step, and what is kept for the next.
+    """Values of motors, means over the last step, and memory for the next one.
 
     Attributes
     ----------
     volts, currents, torques : ndarray, shape (motors,)
         [V], [A], and at the wheels [N m].
     holding : ndarray, shape (motors,)
-        Torques of dry friction at the wheels, where they roll [N m].
+        Torques of dry friction at rolling wheels [N m].
     grip : ContactState or tuple
-        What wheels that may slip keep.
+        Contact state of slipping wheels.
     """
 
     volts: Any
@@ -80,18 +80,18 @@ class MotorState(NamedTuple):
 @final
 @dataclass(frozen=True, eq=False)
 class VoltageDynamics:
-    """A robot on wheels with motors that take volts, for one state, many, or symbols, unchecked.
+    """Dynamics of a robot on wheels with voltages as inputs, without input validation.
 
     Parameters
     ----------
     wheeled : WheeledDynamics
-        Of the same robot, whose inputs are torques: one that rolls, or has a step that motors drive.
+        Dynamics of the same robot with torques as inputs: it rolls, or has a step that motors drive.
     motors : MotorLaw
-        Of the electric motors, in the order of the inputs.
+        Electric motors, in the order of the inputs.
     electric : tuple of int
-        Which actuators they are.
+        Numbers of their actuators.
     inputs : tuple of Input
-        As of a plant.
+        Inputs of the plant.
     """
 
     wheeled: WheeledDynamics
@@ -105,23 +105,23 @@ class VoltageDynamics:
         return of_wheeled(self, name)
 
     def initial_state(self, context: Any = None) -> MotorState:
-        """Return what it keeps at first: no current flows."""
+        """Return the memory before the first step: no current flows."""
         none = np.zeros(len(self.electric))
         body: Any = self.wheeled
         grip = body.initial_state(context) if body.slips else ()
         return MotorState(none, none, none, none, grip)
 
     def volts_for(self, v: Any, torques: Any) -> Any:
-        """Return the input at which motors give these torques, as far as they can: see `ByVoltage`."""
+        """Return the input at which motors produce these torques as far as possible, see `ByVoltage`."""
         return self._at_rates(v, torques, self.motors.needed)
 
     def torques_at(self, v: Any, u: Any) -> Any:
-        """Return the torques of an input: see `ByVoltage`."""
+        """Return the torques of an input, see `ByVoltage`."""
         law = self.motors
         return self._at_rates(v, u, lambda k, x, rate: law.torque(k, law.volts(k, x), rate))
 
     def _at_rates(self, v: Any, u: Any, law: Any) -> Any:
-        """Return an input in which a law of number, value and rate of each motor takes the value's place."""
+        """Return an input with each motor's value replaced by a function of number, value and rate."""
         found, na = [number(x) for x in scalars(u)], self.wheeled.na
         rates = self.wheeled.actuator_rates(scalars(v)[_BASE + na :])
         for k, i in enumerate(self.electric):
@@ -129,7 +129,7 @@ class VoltageDynamics:
         return stacked(found, u)
 
     def followed(self, reference: Any) -> ReferenceMotion:
-        """Return states and volts, beyond limits too, along a reference: see `ReferenceMotion`."""
+        """Return states and voltages, even beyond limits, along a reference, see `ReferenceMotion`."""
         along, law = self.wheeled.followed(reference), self.motors
         return along._replace(u=self._at_rates(along.v, along.u, lambda *x: law.needed(*x, clips=False)))
 
@@ -138,7 +138,7 @@ class VoltageDynamics:
         law = self.motors
         torques = self._at_rates(v, u, lambda *x: law.torque(*x, clips=False))
         A, B = self.wheeled.linearize_tracked(q, v, torques)
-        own = np.moveaxis(self.wheeled.reduced(q, v).B, -1, 0)  # a torque's power is torque times B' nu
+        own = np.moveaxis(self.wheeled.reduced(q, v).B, -1, 0)  # its power is the torque times B' nu
         na, n = self.wheeled.na, A.shape[-1] - own.shape[-1]
         rates, volts = self.wheeled.actuator_rates(scalars(v)[_BASE + na :]), scalars(u)
         for k, i in enumerate(self.electric):
@@ -155,7 +155,7 @@ class VoltageDynamics:
     def step(
         self, t: Any, q: Any, v: Any, u: Any, h: Any, f: ExternalForceFunction, memory: MotorState
     ) -> Step:
-        """Return the state after a step, and what is kept for the next.
+        """Return the state after a step, and the memory for the next.
 
         Parameters
         ----------
@@ -164,13 +164,13 @@ class VoltageDynamics:
         q, v : ndarray, shape (..., nq), (..., nv)
             State.
         u : ndarray, shape (..., nu)
-            Volts and what else `inputs` names, in the step.
-        f : callable
-            ``f(t, q, v)``: generalised forces beside them, shape (..., nv), or 0.0.
+            Voltages, and torques of other inputs, in the step.
         h : float
             Length of the step [s].
+        f : callable
+            ``f(t, q, v)``: external generalised force, shape (..., nv), or 0.0.
         memory : MotorState
-            From the step before.
+            Memory of the step before.
         """
         law, given = self.motors, [number(x) for x in scalars(u)][self.wheeled.na :]
         volts = [law.volts(k, given[i]) for k, i in enumerate(self.electric)]
@@ -199,10 +199,10 @@ class VoltageDynamics:
     def _rolled(
         self, q: Any, v: Any, u: Any, h: Any, f: Any, memory: MotorState, motors: Motors
     ) -> tuple[Step, Vector, Vector, Any]:
-        """Return the state after a step of wheels that roll, actuators' torques and rates, and what holds.
+        """Return the state after a rolling step, torques and rates of actuators, and holding torques.
 
-        Implicit in the independent velocities: M (nu+ - nu) = h (B tau - n), with the shape of mid-step, and
-        the rest at nu + theta (nu+ - nu).
+        The step is implicit in the independent velocities: M (nu+ - nu) = h (B tau - n), with the
+        configuration at mid-step, and all else at nu + theta (nu+ - nu).
         """
         body, h = self.wheeled, unwrap_scalar(h)
         q_middle = body.integrate(q, (0.5 * h) * v)
@@ -262,9 +262,9 @@ class VoltageDynamics:
     def _held(
         self, nu: Vector, B: Matrix, solve: Any, pushes: Sequence[TorqueSpeedLine], before: Vector, h: Any
     ) -> tuple[Vector, Vector]:
-        """Return the velocities that dry friction leaves, and its angular impulses.
+        """Return the velocities after dry friction of motors, and its angular impulses.
 
-        Each holds its wheel, or is as large as it can be against it, by Gauss-Seidel.
+        By the Gauss-Seidel method, each impulse holds its wheel, or has its largest magnitude.
         """
         rubs = [k for k, i in enumerate(self.electric) if pushes[i].hold is not ZERO]
         if not rubs:
@@ -295,9 +295,9 @@ class VoltageDynamics:
     def signals(
         self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: MotorState
     ) -> dict[str, tuple[str, Any]]:
-        """Return what motors did in the step before, a number of each: ``volts``, ``currents``, ``torques``.
+        """Return ``volts``, ``currents`` and ``torques`` of the motors in the step before, one per motor.
 
-        With what the ground did where wheels may slip.
+        If wheels may slip, the signals of the ground are included.
         """
         body: Any = self.wheeled
         ground = body.signals(t, q, v, u, f, memory.grip) if body.slips else {}
@@ -306,7 +306,7 @@ class VoltageDynamics:
 
 
 def of_wheeled(part: Any, name: str) -> Any:
-    """Return what a robot whose inputs are volts has of the one whose inputs are torques."""
+    """Return an attribute of the robot with torques as inputs, if it also applies to voltages."""
     if _OF_TORQUES.fullmatch(name) or "wheeled" not in part.__dict__:
         raise AttributeError(f"a {type(part).__name__} has no {name}")
     return getattr(part.wheeled, name)
@@ -316,45 +316,64 @@ def of_wheeled(part: Any, name: str) -> Any:
 @part
 @by_value
 class ByVoltage(PlantOnWheels):
-    """A robot on wheels whose inputs are the voltages of its motors: what `WheeledRobot.by_voltage` returns.
+    """Robot on wheels with voltages as inputs of its motors, made by `WheeledRobot.by_voltage`.
 
-    It is the same robot, q and v included, and what it does not say itself it has of that. Joints of arms,
-    and wheels and steering axes whose motor is no electric one, keep torques. It has a step of its own,
-    implicit in what a motor feels of its wheel's rate: back-EMF does not limit the step, limits of currents
-    and the sign of a gear's power are those of the rate that it is implicit in, and dry friction holds a
-    wheel at rest exactly. The error falls with the square of the step where nothing sticks. The signals
-    ``volts``, ``currents`` and ``torques``, a number per electric motor, are means over the last step.
+    It is the same robot with the same q and v, and has the other attributes of that robot. Joints of arms,
+    and wheels and steering axes without an electric motor, keep torques as inputs. Its own step is implicit
+    in the wheel rates, so back-EMF does not limit the step size, and dry friction holds a wheel exactly at
+    rest. Current limits and the power direction of gears follow from the same implicit rate. Without
+    sticking, the error decreases with the square of the step. The signals ``volts``, ``currents`` and
+    ``torques``, one value per electric motor, are means over the last step.
 
     Parameters
     ----------
     wheeled : WheeledRobot
-        With motors that have a resistance, a torque constant and a voltage.
+        Robot with motors that have a resistance, a torque constant and a voltage.
 
     Raises
     ------
     InvalidArgument
-        If no motor takes volts, or one with dry friction or losses in its gear turns wheels that slip
-        independently of each other.
+        If no motor takes volts, or a motor with dry friction or gear losses turns wheels that slip
+        independently.
+
+    See Also
+    --------
+    Motor : model of an electric motor
+    controllers.TorqueToVoltage : controller of such a robot
+    LQR : law that computes voltages directly
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, Motor, WheeledRobot
+    >>> from pinmobile import WheelTable
+    >>> motor = Motor(resistance=2, torque_constant=0.5, voltage=24)
+    >>> table = WheelTable.differential(
+    ...     0.4, 0.1, motor=motor, spin_inertia=0.01)
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table).by_voltage()
+    >>> [f"{one.name} [{one.unit}]" for one in robot.inputs]
+    ['left [V]', 'right [V]']
+    >>> robot.torques_at(0 * robot.rest, [8.0, 8.0])  # at rest [N m]
+    array([2., 2.])
     """
 
     wheeled: Any = child(Powered, expected="a WheeledRobot")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where no motor takes volts, or the ground knows no such motors."""
+        """Raise `InvalidArgument` if no motor takes volts, or the ground does not support such motors."""
         if not self._electric:
             words = "Motor(resistance=..., torque_constant=..., voltage=...)"
-            raise InvalidArgument(f"table has no motor that takes volts, expected {words}")
+            raise InvalidArgument(f"table has no electric motor, which takes volts, expected {words}")
         body = self.wheeled.array_dynamics
         if body.slips and not hasattr(body, "driven"):
             raise InvalidArgument(
-                f"ground is {shown(self.wheeled.ground)}, whose law has no step that motors drive, expected "
-                "Rolling() or Coulomb()"
+                f"ground is {shown(self.wheeled.ground)}, whose dynamics do not support electric motors, "
+                "expected Rolling() or Coulomb()"
             )
         for k in self._rubbing if body.slips else ():
             if len(body.turned_by(k)) > 1:
                 raise InvalidArgument(
                     f"motor of {self.table.actuators[k].name!r} has dry friction, or losses in its gear, "
-                    "and turns wheels that slip independently of each other, expected coulomb=0 and "
+                    "and turns wheels that slip independently, expected coulomb=0 and "
                     "efficiency=1, or ground=Rolling()"
                 )
 
@@ -366,17 +385,17 @@ class ByVoltage(PlantOnWheels):
 
     @property
     def motor_paths(self) -> tuple[str, ...]:
-        """Where its electric motors stand, in the order of the inputs: see `pinmobile.parts.replace`."""
+        """Paths of the electric motors, in the order of the inputs, see `pinmobile.parts`."""
         return tuple(f"wheeled.table.{self.table.actuators[k].path}" for k in self._electric)
 
     @structure
     def _electric(self) -> tuple[int, ...]:
-        """Actuators that take volts."""
+        """Numbers of actuators that take volts."""
         return tuple(k for k, each in enumerate(self.table.actuators) if each.motor.is_electric)
 
     @cached_property
     def _rubbing(self) -> tuple[int, ...]:
-        """Actuators with dry friction, and those whose gear has losses, which hold too."""
+        """Numbers of actuators with dry friction or gear losses, which can hold a wheel."""
 
         def rubs(motor: Motor) -> bool:
             known = [number(exact(unwrap_scalar(x))) for x in (motor.coulomb, motor.efficiency)]
@@ -386,7 +405,7 @@ class ByVoltage(PlantOnWheels):
 
     @structure
     def inputs(self) -> tuple[Input, ...]:
-        """Each of the nu numbers of an input: volts of electric motors, torques of all else."""
+        """Inputs of u: voltages of electric motors, torques of all others."""
         own, first = list(self.wheeled.inputs), self.nu - len(self.table.actuators)
         for k in self._electric:
             most = self.table.actuators[k].motor.voltage
@@ -395,7 +414,7 @@ class ByVoltage(PlantOnWheels):
 
     @cached_property
     def array_dynamics(self) -> VoltageDynamics:
-        """Its dynamics for one state, many, or symbols, unchecked."""
+        """Dynamics for one state, many, or symbols, without input validation."""
         body, motors = self.wheeled.array_dynamics, [self.table.actuators[k].motor for k in self._electric]
         if body.slips:
             body = replace(body, rubbing=self._rubbing)
@@ -409,53 +428,60 @@ class ByVoltage(PlantOnWheels):
         Parameters
         ----------
         q, v : array_like, shape (..., nq), (..., nv)
-            State, which rolls where wheels do not slip.
+            State; on ground without slip, wheels roll.
         u : array_like, shape (..., nu)
-            Volts, and torques where there are none, see `inputs`.
+            Voltages [V], and torques of other inputs [N m], see `inputs`.
         f : array_like, shape (..., nv), optional
-            Generalised forces beside them.
+            External generalised force.
         """
         return self.array_dynamics.forward_dynamics(q, v, u, f)
 
     @takes(v="nv", torques="nu")
     def volts_for(self, v: ArrayLike, torques: ArrayLike) -> Any:
-        """Return the input at which motors give torques at the present rates, shape (..., nu).
+        """Return the input at which motors produce torques at the present rates, shape (..., nu).
 
-        Within their limits of voltage and current; what takes no volts stays.
+        The voltages respect the limits of voltage and current. Torques of other inputs remain unchanged.
 
         Parameters
         ----------
         v : array_like, shape (..., nv)
             Velocities [m/s, m/s, rad/s, ...].
         torques : array_like, shape (..., nu)
-            As inputs of the robot by torques [N m].
+            Inputs of the robot driven by torques [N m].
         """
         return self.array_dynamics.volts_for(v, torques)
 
     @takes(v="nv", u="nu")
     def torques_at(self, v: ArrayLike, u: ArrayLike) -> Any:
-        """Return the torques that motors give at the present rates, shape (..., nu) [N m].
+        """Return the torques of motors at the present rates, shape (..., nu) [N m].
 
         Parameters
         ----------
-        v, u : array_like, shape (..., nv), (..., nu)
-            Velocities, and volts.
+        v : array_like, shape (..., nv)
+            Velocities [m/s, m/s, rad/s, ...].
+        u : array_like, shape (..., nu)
+            Voltages [V], and torques of other inputs [N m], see `inputs`.
         """
         return self.array_dynamics.torques_at(v, u)
 
     @takes(q="nq", v="nv", u="nu")
     def linearize_tracked(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> Linearization:
-        """Return the first-order model of the tracked state, see `WheeledRobot.linearize_tracked`.
+        """Return the linear model of the tracked state, see `WheeledRobot.linearize_tracked`.
 
-        Of volts, back-EMF and viscous friction of the motors included; limits of volts and currents are not
-        looked at, and dry friction is that of a wheel that keeps turning.
+        Its inputs are voltages; it includes back-EMF and viscous friction of the motors. Limits of voltage
+        and current are ignored, and dry friction is that of a wheel that keeps turning.
 
         Parameters
         ----------
         q, v : array_like, shape (..., nq), (..., nv)
-            State, which rolls.
+            State; wheels roll.
         u : array_like, shape (..., nu)
-            Volts, and torques where there are none, see `inputs`.
+            Voltages [V], and torques of other inputs [N m], see `inputs`.
+
+        Returns
+        -------
+        model : Linearization
+            A and B.
 
         Raises
         ------
@@ -465,13 +491,33 @@ class ByVoltage(PlantOnWheels):
         return Linearization(*self.array_dynamics.linearize_tracked(q, v, u))
 
     def mount(self, arm: Any, at: ArrayLike | None = None, **options: Any) -> ByVoltage:
-        """Return the robot with an arm on its body: see `MobileRobot.mount`."""
+        """Return the robot with an arm on its body, see `MobileRobot.mount`.
+
+        Parameters
+        ----------
+        arm, at, **options
+            As in `MobileRobot.mount`.
+        """
         return ByVoltage(self.wheeled.mount(arm, at, **options))
 
     def attach(self, load: Any, frame: str | None = None) -> ByVoltage:
-        """Return the robot with a load fixed to one of its frames: see `MobileRobot.attach`."""
+        """Return the robot with a payload on one of its frames, see `MobileRobot.attach`.
+
+        Parameters
+        ----------
+        load : PayloadBody
+            The payload.
+        frame : str, optional
+            Name of the frame.
+        """
         return ByVoltage(self.wheeled.attach(load, frame))
 
     def on_ramp(self, angle: float, direction: float = 0.0) -> ByVoltage:
-        """Return the robot on ground that rises: see `WheeledRobot.on_ramp`."""
+        """Return the robot on inclined ground, see `WheeledRobot.on_ramp`.
+
+        Parameters
+        ----------
+        angle, direction : float
+            Inclination, and direction of steepest ascent from the inertial x axis [rad].
+        """
         return ByVoltage(self.wheeled.on_ramp(angle, direction))
