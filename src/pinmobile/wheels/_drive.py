@@ -97,7 +97,7 @@ class WheeledRobot(PlantOnWheels):
     >>> table = WheelTable.differential(
     ...     track=0.4, radius=0.1, mass=1.0, spin_inertia=0.005)
     >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
-    >>> robot.wheel_rates([0.5, 0.0, 1.0])  # 0.5 m/s, 1 rad/s [rad/s]
+    >>> robot.wheel_rates([0.5, 0.0, 1.0])  # [rad/s]
     array([3., 7.])
     >>> [one.name for one in robot.coordinates]
     ['x', 'y', 'psi', 'left', 'right']

@@ -346,7 +346,8 @@ class Mobility:
     >>> car = Mobility(WheelTable.car(0.5, 0.4, 0.1))
     >>> car.mobility, car.steerability
     (1, 1)
-    >>> print(Mobility(WheelTable.skid_steer(0.4, 0.3, 0.1)).is_regular)
+    >>> skid_steer = Mobility(WheelTable.skid_steer(0.4, 0.3, 0.1))
+    >>> skid_steer.is_regular
     False
     """
 

@@ -482,7 +482,8 @@ class Forces(NamedTuple):
     >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable
     >>> table = WheelTable.differential(0.4, 0.1, spin_inertia=0.01)
     >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
-    >>> forces = robot.constraint_forces(robot.rest, 0 * robot.rest, [3, 3])
+    >>> still = 0 * robot.rest
+    >>> forces = robot.constraint_forces(robot.rest, still, [3, 3])
     >>> forces.names[0], f"{forces.values[0]:.1f} N"
     ('left rolling', '28.1 N')
     """

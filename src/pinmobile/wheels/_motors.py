@@ -84,10 +84,10 @@ class Motor:
     Examples
     --------
     >>> from pinmobile import Motor
-    >>> motor = Motor(resistance=2.0, torque_constant=0.1, voltage=24.0,
-    ...               gear=10.0)
-    >>> motor.torque(24.0, rate=0.0)  # at stall [N m]
-    array(12.)
+    >>> motor = Motor(resistance=2, torque_constant=0.1, voltage=24,
+    ...               gear=10)
+    >>> motor.stall_torque()  # [N m]
+    12.000000000000002
     >>> motor.no_load_rate()  # [rad/s]
     24.0
     """

@@ -258,9 +258,9 @@ class Support:
     --------
     >>> from pinmobile import WheelTable
     >>> from pinmobile.wheels import Support, Wheel
-    >>> left, right = (Wheel(name, 0.0, y, radius=0.1)
-    ...                for name, y in (("left", 0.2), ("right", -0.2)))
-    >>> table = WheelTable([left, right], supports=[Support(-0.3, 0)])
+    >>> left = Wheel("left", x=0.0, y=0.2, radius=0.1)
+    >>> right = Wheel("right", x=0.0, y=-0.2, radius=0.1)
+    >>> table = WheelTable([left, right], [Support(-0.3, 0.0)])
     >>> table.footprint.round(2).tolist()  # [m]
     [[-0.3, 0.0], [0.0, -0.2], [0.0, 0.2]]
     """
@@ -356,9 +356,10 @@ class DifferentialGear:
     --------
     >>> from pinmobile import Motor, WheelTable
     >>> from pinmobile.wheels import DifferentialGear
-    >>> table = WheelTable.car(0.5, 0.4, 0.1, motor=Motor(torque_limit=20))
-    >>> gear = table.couplings[0]
-    >>> gear == DifferentialGear(gear.wheels, Motor(torque_limit=20), "drive")
+    >>> motor = Motor(torque_limit=20.0)
+    >>> car = WheelTable.car(0.5, 0.4, radius=0.1, motor=motor)
+    >>> rear = "rear_left", "rear_right"
+    >>> car.couplings[0] == DifferentialGear(rear, motor, "drive")
     True
     """
 
@@ -493,7 +494,7 @@ class WheelTable:
     Examples
     --------
     >>> from pinmobile import WheelTable
-    >>> table = WheelTable.mecanum(wheelbase=0.4, track=0.3, radius=0.1)
+    >>> table = WheelTable.mecanum(0.4, track=0.3, radius=0.1)
     >>> print(str(table.mobility).splitlines()[0])
     type (3, 0), omnidirectional: mobility 3, steerability 0
     >>> len(WheelTable.swerve([(0.3, 0), (-0.3, 0)], 0.1).actuators)

@@ -324,7 +324,8 @@ class OdometryFeedback:
     >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
     >>> law = Backstepping(UnicycleTracking(), robot)
     >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
-    >>> run = simulate(robot, OdometryFeedback(law, worn), path, dt=0.1)
+    >>> law = OdometryFeedback(law, worn)
+    >>> run = simulate(robot, law, path, dt=0.1)
     >>> print(f"{1e3 * run.max_error()[0]:.0f} mm of 0.6 m")
     6 mm of 0.6 m
     """

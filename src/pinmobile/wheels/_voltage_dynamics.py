@@ -349,7 +349,8 @@ class ByVoltage(PlantOnWheels):
     >>> motor = Motor(resistance=2, torque_constant=0.5, voltage=24)
     >>> table = WheelTable.differential(
     ...     0.4, 0.1, motor=motor, spin_inertia=0.01)
-    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table).by_voltage()
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+    >>> robot = robot.by_voltage()
     >>> [f"{one.name} [{one.unit}]" for one in robot.inputs]
     ['left [V]', 'right [V]']
     >>> robot.torques_at(0 * robot.rest, [8.0, 8.0])  # at rest [N m]
