@@ -1,13 +1,15 @@
 """Impulses of dry friction between wheels and ground: a convex problem, solved wheel by wheel.
 
-Everything is over scalars: numbers, arrays with leading axes, or symbols. The impulses p make
-p' G p / 2 + p' s least, each within its bounds, where s is the slip without them and G = A M^-1 A' + D / h;
-then what sticks does not slip, and what slides is pushed against its slip (Moreau and Jean; Acary and
-Brogliato, Numerical methods for nonsmooth dynamical systems, Springer 2008). Block Gauss-Seidel keeps the
-velocities that the impulses lead to. A block is a wheel: what it exerts along and across, and what holds
-its rate; the others stay meanwhile. Blocks are solved exactly but for the multiplier of a disc, on which
-Newton's method takes one step in each round. Where that does not come to an end soon, as where wheels share
-what only their sum determines and some of them slide, `found_by_newton` goes on from there.
+All functions take scalars: numbers, arrays with leading axes, or symbols. The impulses p minimise p' G p / 2
++ p' s within their bounds, where s is the slip without them and G = A M^-1 A' + D / h. At the minimum,
+sticking wheels do not slip, and the force on a sliding wheel opposes its slip (Moreau and Jean; Acary and
+Brogliato, Numerical methods for nonsmooth dynamical systems, Springer 2008).
+
+Block Gauss-Seidel updates the velocities with the impulses. A block contains the impulses of a wheel along
+and across it, and the one that holds its rate; the others stay constant. A block is solved exactly, except
+for the multiplier of a friction disc, for which Newton's method takes one step per iteration. If this
+converges slowly, for instance where wheels share a force of which only the sum is determined and some of them
+slide, `found_by_newton` continues.
 """
 
 from __future__ import annotations
@@ -20,31 +22,30 @@ from typing import Any, NamedTuple
 from pinmobile.compiled import choose, higher, repeated, square_root
 from pinmobile.robot import ONE, ZERO, Matrix, Vector, dot, factored, number
 
-_SOON = 24  # rounds
-_ROUNDED = 0.1  # at first: share of a wheel's own slip per impulse, over which friction's edge is rounded
-_LESS = 0.3  # of that, each time that impulses have been found
-_LEAST = 1e-8
-_FINE = 1e-2  # share below which impulses feel how numbers are rounded; with this they are found again
-_LEVEL = 0.3  # of the slope at the start of a step that may be left at its end
-_SHORTEST = 1e-9  # share of a step
-_NEAR = 0.1  # of how far impulses are off, to which velocities are found for them
-_ROUNDING = 1e-13  # of the velocities
-_PLAIN = 100.0  # tolerances that plain rounds are from their end, at least, where they come slowly
+_SOON = 24  # Gauss-Seidel iterations before Newton's method
+_ROUNDED = 0.1  # initial smoothing of friction, relative to the slip per impulse of the wheel
+_LESS = 0.3  # factor of the smoothing after each convergence
+_LEAST = 1e-8  # smallest smoothing
+_FINE = 1e-2  # smoothing of the final solution; below it, rounding errors affect the impulses
+_LEVEL = 0.3  # largest slope at the end of a line search, relative to its start
+_SHORTEST = 1e-9  # smallest fraction of a Newton step
+_NEAR = 0.1  # tolerance of velocities, relative to the error of impulses
+_ROUNDING = 1e-13  # relative rounding error of the velocities
+_PLAIN = 100.0  # tolerance of Newton's method, in tolerances of Gauss-Seidel
 
 
 class Bounds(NamedTuple):
-    """What a wheel's friction is at most, and which slip it is against.
+    """Bounds of a wheel's friction impulses, and the slip that friction opposes.
 
     Attributes
     ----------
     along, across : scalar
-        Impulse [N s]: of a disc both are its radius.
+        Largest impulses [N s]; for a friction disc, both are its radius.
     spin : scalar
-        Angular impulse that holds the wheel's coordinate [N m s].
+        Largest angular impulse that holds the wheel's coordinate [N m s].
     began : list of 2 scalars
-        Slip velocity at the start of the step, along and across, where friction is against the mean of that
-        and the one at its end, as that of a wheel that slides all the time; zero where it is against the
-        latter alone [m/s].
+        Slip velocity at the start of the step, along and across, if friction opposes the mean slip of the
+        step, as for a wheel that slides throughout; zero if it opposes the slip at the end only [m/s].
     """
 
     along: Any
@@ -54,35 +55,35 @@ class Bounds(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """A symmetric matrix of two rows: (a, b; b, c)."""
+    """Symmetric 2 x 2 matrix (a, b; b, c)."""
 
     a: Any
     b: Any
     c: Any
 
     def times(self, x: Vector) -> Vector:
-        """Return its product."""
+        """Return the product with a vector."""
         return [self.a * x[0] + self.b * x[1], self.b * x[0] + self.c * x[1]]
 
 
 @dataclass(frozen=True, eq=False)
 class WheelContact:
-    """A wheel on the ground, its directions along and across.
+    """Contact of a wheel with the ground, with directions along and across.
 
     Parameters
     ----------
     rows, columns : 2 lists of scalars
         Slip velocity per velocity, and velocity per impulse, of both directions.
     spin : int
-        Which velocity is the wheel's rate.
+        Number of the velocity that is the wheel's rate.
     spun : list of scalars
-        Velocity per angular impulse on that.
+        Velocity per angular impulse on this rate.
     is_disc : bool
-        Whether friction is the same in all directions; else each direction has a bound of its own.
+        Whether friction is isotropic; otherwise each direction has its own bound.
     give : scalar
-        Slip velocity per impulse before it slides [1/kg].
+        Slip velocity per impulse before the wheel slides [1/kg].
     held : bool
-        Whether something holds the wheel's rate.
+        Whether dry friction holds the wheel's rate.
     """
 
     rows: Sequence[Vector]
@@ -95,7 +96,7 @@ class WheelContact:
 
     @cached_property
     def own(self) -> Pair:
-        """Slip per impulse, but for what gives way."""
+        """Slip per impulse (Delassus matrix), without `give`."""
         (first, second), (x, y) = self.rows, self.columns
         return Pair(number(dot(first, x)), number(dot(first, y)), number(dot(second, y)))
 
@@ -106,19 +107,19 @@ class WheelContact:
 
     @cached_property
     def own_held(self) -> Pair:
-        """Slip per impulse where the rate is held."""
+        """Slip per impulse for a fixed rate of the wheel."""
         (a, b, c), (x, y) = self.own, self.by_spin
         share = 1.0 / self.spun[self.spin]
         return Pair(a - x * x * share, b - x * y * share, c - y * y * share)
 
     @cached_property
     def free(self) -> _Block:
-        """What solves it where the wheel turns."""
+        """Solver of the block for a turning wheel."""
         return self._block(self.own)
 
     @cached_property
     def locked(self) -> _Block:
-        """What solves it where the wheel's rate is held."""
+        """Solver of the block for a wheel with a fixed rate."""
         return self._block(self.own_held)
 
     def _block(self, own: Pair) -> _Block:
@@ -133,13 +134,13 @@ class WheelContact:
         Parameters
         ----------
         v : list of scalars
-            Velocities that all impulses lead to.
+            Velocities after all impulses.
         p : list of 2 scalars
-            Impulses so far.
+            Present impulses.
         spin, shift : scalar
-            Angular impulse, and multiplier of the disc, so far.
+            Present angular impulse, and multiplier of the disc.
         bounds : Bounds
-            At most.
+            Bounds of the impulses.
         """
         slip = [began + dot(row, v) for row, began in zip(self.rows, bounds.began, strict=True)]
         if not self.held:
@@ -160,27 +161,28 @@ class WheelContact:
         return self._moved(v, p, now, held - spin), now, held, choose(holds, shift_locked, shift_turning)
 
     def place(self, bounds: Bounds) -> FrictionConstraint:
-        """Return what holds its slip."""
+        """Return the constraint of its slip."""
         most = [bounds.along, bounds.across]
         return FrictionConstraint(self.rows, self.columns, most, self.is_disc, bounds.began, self.give)
 
     def holds(self, bounds: Bounds) -> FrictionConstraint:
-        """Return what holds its rate."""
+        """Return the constraint of its rate."""
         row = [ONE if k == self.spin else ZERO for k in range(len(self.spun))]
         return FrictionConstraint([row], [self.spun], [bounds.spin], False, [0.0], 0.0)
 
     def _wanted(self, own: Pair, p: Vector, slip: Vector) -> Vector:
-        """Return what its matrix times the new impulses has to be for it to stick."""
+        """Return the product of its matrix and the impulses at which it sticks."""
         return [a - s for a, s in zip(own.times(p), slip, strict=True)]
 
     def _moved(self, v: Vector, p: Vector, now: Vector, spin: Any) -> Vector:
+        """Return the velocities after a change of the impulses."""
         changes = [*(a - b for a, b in zip(now, p, strict=True)), spin]
         columns = zip(*self.columns, self.spun, strict=True)
         return [number(x + dot(by, changes)) for x, by in zip(v, columns, strict=True)]
 
 
 class _Disc(NamedTuple):
-    """A block whose impulse lies in a disc: eigenvalues of its matrix, and cosine and sine of its axes."""
+    """Block with impulses in a disc: eigenvalues of its matrix, and cosine and sine of its axes."""
 
     c: Any
     s: Any
@@ -189,7 +191,7 @@ class _Disc(NamedTuple):
 
     @classmethod
     def of(cls, own: Pair) -> _Disc:
-        """Return that of a matrix, by Jacobi's rotation."""
+        """Return the block of a matrix, by Jacobi's rotation."""
         half = 0.5 * (own.a - own.c)
         long = square_root(half * half + own.b * own.b)
         bottom = choose(half < 0.0, half - long, half + long)
@@ -198,9 +200,10 @@ class _Disc(NamedTuple):
         return cls(c, t * c, own.a + t * own.b, own.c - t * own.b)
 
     def solved(self, y: Vector, bounds: Bounds, shift: Any) -> tuple[Vector, Any]:
-        """Return the impulse p of (B + mu) p = y, and mu: 0 within the disc, on its edge a better one.
+        """Return the impulse p with (B + mu) p = y, and mu: 0 inside the disc, an improved value on its edge.
 
-        Newton's step is that of 1 / |p| = 1 / radius (More and Sorensen, SIAM J. Sci. Stat. Comput. 4, 1983).
+        It takes a Newton step for the norm of p, in the form 1 / norm = 1 / radius (More and Sorensen, SIAM
+        J. Sci. Stat. Comput. 4, 1983).
         """
         c, s, radius = self.c, self.s, bounds.along
         y1, y2 = c * y[0] + s * y[1], c * y[1] - s * y[0]
@@ -223,7 +226,7 @@ class _Disc(NamedTuple):
 
 
 class _Rectangle(NamedTuple):
-    """A block whose impulses along and across have bounds of their own: its matrix, and shares of it."""
+    """Block with separate bounds along and across: its matrix, and inverses of its entries."""
 
     own: Pair
     first: Any
@@ -232,12 +235,12 @@ class _Rectangle(NamedTuple):
 
     @classmethod
     def of(cls, own: Pair) -> _Rectangle:
-        """Return that of a matrix."""
+        """Return the block of a matrix."""
         second = 1.0 / own.c
         return cls(own, 1.0 / own.a, second, 1.0 / (own.a - own.b * own.b * second))
 
     def solved(self, y: Vector, bounds: Bounds, shift: Any) -> tuple[Vector, Any]:
-        """Return the impulses, and no multiplier."""
+        """Return the impulses, and the unchanged multiplier."""
         own = self.own
         free = within((y[0] - own.b * self.second * y[1]) * self.alone, bounds.along)
         asked = (y[1] - own.b * free) * self.second
@@ -251,25 +254,25 @@ _Block = _Disc | _Rectangle
 
 
 def within(x: Any, bound: Any) -> Any:
-    """Return what of a scalar lies within a bound to either side."""
+    """Return a scalar clipped to a bound on both sides."""
     return choose(x > bound, bound, choose(x < -bound, -bound, x))
 
 
 class Impulses(NamedTuple):
-    """What the ground does in a step.
+    """Impulses of the ground in a step.
 
     Attributes
     ----------
     velocity : list of scalars
-        Where it leads.
+        Velocities after the impulses.
     impulses : list of scalars
-        Along and across each wheel [N s], and then the angular ones that hold coordinates of wheels [N m s].
+        Along and across each wheel [N s], then the angular ones that hold wheels' coordinates [N m s].
     multipliers : list of scalars, shape (wheels,)
-        Of the discs, zero where a wheel sticks.
+        Multipliers of the friction discs, zero for sticking wheels.
     rounds : scalar
-        How many rounds were taken.
+        Number of iterations.
     missed : scalar
-        1 where these ended before impulses were found to the tolerance, else 0.
+        1 if the iterations did not converge, else 0.
     """
 
     velocity: Vector
@@ -282,27 +285,27 @@ class Impulses(NamedTuple):
 def impulses(
     touches: list[WheelContact], bounds: list[Bounds], free: Vector, M: Matrix, before: Impulses, ground: Any
 ) -> Impulses:
-    """Return the impulses, from those of before.
+    """Return the impulses, starting from earlier ones.
 
     Parameters
     ----------
     touches, bounds : sequence of WheelContact, Bounds
-        Of each wheel.
+        Contact and bounds of each wheel.
     free : list of scalars
-        Velocities without any impulse.
+        Velocities without impulses.
     M : list of lists of scalars
-        Of the velocities.
+        Mass matrix of the velocities.
     before : Impulses
-        What to start from.
+        Initial guess.
     ground : Coulomb
-        With its sweeps and tolerance.
+        Ground with `sweeps` and `tolerance`.
     """
     holder = {touch.spin: touch for touch in touches if touch.held}
     spins = list(holder)
     most_of = [x for bound in bounds for x in (bound.along, bound.across)]
     for at in spins:
         most_of.append(next(b.spin for t, b in zip(touches, bounds, strict=True) if t.spin == at))
-    begun = list(map(within, before.impulses, most_of))  # what the loads of now allow, of what was before
+    begun = list(map(within, before.impulses, most_of))  # the earlier impulses, clipped to the present bounds
     velocity, m = list(free), 2 * len(touches)
     for k, touch in enumerate(touches):
         velocity = touch._moved(velocity, [ZERO, ZERO], begun[2 * k : 2 * k + 2], ZERO)
@@ -339,16 +342,16 @@ def impulses(
 def iterated(
     one: Callable[..., tuple[Sequence[Any], Any]], first: Sequence[Any], most: int, settled: Any = False
 ) -> tuple[Any, ...]:
-    """Return scalars and lists of scalars after rounds of a law: see `repeated`.
+    """Return scalars and lists of scalars after iterations of a function, see `repeated`.
 
     Parameters
     ----------
     one : callable
-        ``one(*parts)`` returns the parts after a round, and whether no further one is needed.
+        ``one(*parts)`` returns the parts after an iteration, and whether they have converged.
     first : sequence of scalars and lists of scalars
-        The parts before the first round.
+        Initial parts.
     most, settled
-        As of `repeated`.
+        As in `repeated`.
     """
 
     def flat(parts: Sequence[Any]) -> Vector:
@@ -366,25 +369,25 @@ def iterated(
 
 
 def moved_by(velocity: Vector, columns: Iterable[Vector], impulses: Iterable[Any]) -> Vector:
-    """Return the velocities that impulses lead to, of velocities per impulse."""
+    """Return the velocities after impulses, from velocities per impulse."""
     for column, x in zip(columns, impulses, strict=True):
         velocity = [number(a + b * x) for a, b in zip(velocity, column, strict=True)]
     return velocity
 
 
 class FrictionConstraint(NamedTuple):
-    """Where something holds velocities: one direction, or two.
+    """Friction constraint of one or two directions.
 
     Attributes
     ----------
     rows, columns : lists of scalars
         Slip velocity per velocity, and velocity per impulse, of each direction.
     bounds : list of scalars
-        Impulse at most, in each direction [N s].
+        Largest impulse in each direction [N s].
     is_disc : bool
-        Whether the bound is that of both together.
+        Whether the bound applies to both directions together.
     began : list of scalars
-        What is added to the slip [m/s].
+        Addition to the slip [m/s].
     give : scalar
         Slip velocity per impulse [1/kg].
     """
@@ -398,19 +401,19 @@ class FrictionConstraint(NamedTuple):
 
     @property
     def size(self) -> Any:
-        """Slip per impulse of its own, the mean of its directions."""
+        """Slip per impulse, the mean of its directions."""
         own = [number(dot(row, column)) for row, column in zip(self.rows, self.columns, strict=True)]
         return sum(own[1:], own[0]) * (1.0 / len(own))
 
     def pushed(self, v: Vector, before: Vector, rounded: Any) -> _Pushed:
-        """Return the impulse at velocities, near to one before, and how it changes with them.
+        """Return the impulse at given velocities, and its derivative.
 
         Parameters
         ----------
         v, before : lists of scalars
-            Velocities, and the impulse.
+            Velocities, and the impulse before.
         rounded : scalar
-            Slip per impulse over which friction's edge is rounded.
+            Smoothing of friction: slip per impulse.
         """
         slip = [began + dot(row, v) for row, began in zip(self.rows, self.began, strict=True)]
         share = 1.0 / (rounded + self.give)
@@ -432,7 +435,7 @@ class FrictionConstraint(NamedTuple):
 
 
 class _Pushed(NamedTuple):
-    """An impulse, and how it changes with the slip: diag(bent) - c (x, y) (x, y)', less."""
+    """Impulse, and its derivative by the slip, -(diag(bent) - c (x, y) (x, y)')."""
 
     now: Vector
     bent: Vector
@@ -440,7 +443,7 @@ class _Pushed(NamedTuple):
     multiplier: Any
 
     def add(self, place: FrictionConstraint, H: Matrix, g: Vector) -> None:
-        """Add to the second derivatives, and to the slope."""
+        """Add the contribution of the constraint to Hessian and gradient."""
         terms = list(zip(place.rows, self.bent, strict=True))
         if self.turned is not None:
             x, y, c = self.turned
@@ -458,22 +461,22 @@ class _Pushed(NamedTuple):
 def found_by_newton(
     places: list[FrictionConstraint], M: Matrix, free: Vector, start: Impulses, most: int, tolerance: Any
 ) -> Impulses:
-    """Return the impulses, from those of a start.
+    """Return the impulses by Newton's method, from an initial guess.
 
     Parameters
     ----------
     places : sequence of FrictionConstraint
-        What holds the velocities.
+        Constraints of the velocities.
     M : list of lists of scalars
-        Of the velocities, whose columns of M^-1 are those of the places.
+        Mass matrix of the velocities; the columns of M^-1 are those of the constraints.
     free : list of scalars
-        Velocities without any impulse.
+        Velocities without impulses.
     start : Impulses
-        What to begin with, and the answer where it has not missed.
+        Initial guess, returned unchanged if it has converged.
     most : int
-        Rounds at most.
+        Largest number of iterations.
     tolerance : scalar
-        Change of an impulse that is of no interest [N s].
+        Tolerance of impulses [N s].
     """
     n, sizes = len(free), [place.size for place in places]
     ends = [sum(len(place.rows) for place in places[:k]) for k in range(len(places) + 1)]

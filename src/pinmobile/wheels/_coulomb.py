@@ -1,7 +1,7 @@
-"""`SlippingDynamics`: a robot whose wheels stick and slide on dry ground, for one state, many, or symbols.
+"""`SlippingDynamics`: wheels that stick and slide with dry friction, for one state, many, or symbols.
 
-It is what a `WheeledRobot` on `Coulomb` ground is. A step is implicit in the velocities along the body's
-axes, in which nothing depends on the pose; shapes, velocities and loads are those of mid-step.
+These are the dynamics of a `WheeledRobot` on `Coulomb` ground. A step is implicit in the velocities along the
+body's axes, where nothing depends on the pose; configurations, velocities and loads are those of mid-step.
 """
 
 from __future__ import annotations
@@ -40,33 +40,33 @@ from pinmobile.wheels._rolling import Ramp, check_inertias, stop_of, stopped
 from pinmobile.wheels._table import WheelTable, column
 
 _BASE = 3
-_INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
-_STILL = 0.5  # of a slip that goes on all the step, what is left of it at least
-_SLIDES = 1 - 1e-9  # of the largest friction
-_PASSES = 40  # at most
-_COARSER = 1e2  # tolerances of forces: share of the weight, and of free fall, that a pass may still change
-_LEVEL = 1e2  # times that, where a pass changes no less than the one before: so do forces that come slowly
+_INSTANT = 1e-5  # [s]: duration of the step whose mean acceleration is returned for a state
+_STILL = 0.5  # smallest ratio of final and initial slip of a wheel that slides throughout a step
+_SLIDES = 1 - 1e-9  # fraction of the largest friction from which a wheel slides
+_PASSES = 40  # largest number of passes
+_COARSER = 1e2  # tolerance of a pass, relative to weight and free fall, in tolerances of forces
+_LEVEL = 1e2  # larger tolerance of passes that no longer improve, in tolerances of a pass
 
 
 class ContactState(NamedTuple):
-    """What a robot on dry ground keeps from step to step, means over the last one.
+    """Contact state of a robot with dry friction, means over the last step.
 
     Attributes
     ----------
     forces : ndarray, shape (2 wheels,)
-        Of the ground on each wheel, along and across [N].
+        Forces of the ground on each wheel, along and across [N].
     holding : ndarray
-        Torques of rolling resistance on the wheels, one for those that turn together [N m].
+        Torques of rolling resistance, one per group of wheels that turn together [N m].
     multipliers : ndarray, shape (wheels,)
-        Of the friction discs.
+        Multipliers of the friction discs.
     acceleration : ndarray, shape (nv,)
         Rate of the velocities along the body's axes.
     loads : ndarray, shape (wheels + supports,)
-        [N].
+        Loads [N].
     tips : float
-        1 where no loads balance the robot.
+        1 if no loads balance the robot.
     missed : float
-        1 where passes, or the rounds of the last, ended before loads and forces were found.
+        1 if the passes, or the iterations of the last one, did not converge.
     """
 
     forces: Any
@@ -79,28 +79,28 @@ class ContactState(NamedTuple):
 
 
 class _Pass(NamedTuple):
-    """What a pass of a step leaves to the next, lists of scalars.
+    """Result of a pass of a step, as lists of scalars.
 
     Attributes
     ----------
     after : list of scalars
         Velocities at the end of the step.
     impulses, multipliers
-        As of `Impulses`.
+        As in `Impulses`.
     assumed, missing, way : list of 6 scalars
-        Twist at the end of the step, over the speed gained in a step of free fall, and what the ground
-        exerts, fz, mx and my, over the weight: what a pass begins with; what the pass before led to beyond
-        that; and the last change of the former.
+        Assumption of the pass: twist at the end of the step divided by the speed gained in a step of free
+        fall, and fz, mx and my of the ground divided by the weight; residual of the pass before; and last
+        change of the assumption.
     inverse : list of 36 scalars
-        Of the derivative of `missing`, by rows.
+        Inverse of the derivative of `missing`, by rows.
     slides : list of scalars, shape (wheels,)
-        Where the slip may go on all the step.
+        Whether each wheel may slide throughout the step.
     rates, torques : list of scalars, shape (actuators,)
-        Where motors drive.
+        Rates and torques of driving motors.
     loads : list of scalars
-        Of wheels and supports.
+        Loads of wheels and supports.
     tips, missed, passes : scalar
-        As of `ContactState`, and how many passes there were.
+        As in `ContactState`, and number of passes.
     """
 
     after: Vector
@@ -121,12 +121,12 @@ class _Pass(NamedTuple):
     def corrected(self, found: Vector) -> tuple[Vector, Vector, Vector, Vector]:
         """Return `assumed`, `missing`, `way` and `inverse` of the next pass.
 
-        By Broyden's method (Mathematics of Computation 19, 1965).
+        The update is Broyden's method (Mathematics of Computation 19, 1965).
 
         Parameters
         ----------
         found : list of 6 scalars
-            What this one has led to.
+            Result of this pass for the assumption.
         """
         n = len(found)
         missing = [y - x for x, y in zip(self.assumed, found, strict=True)]
@@ -147,7 +147,7 @@ class _Pass(NamedTuple):
 
 
 class _Rub(NamedTuple):
-    """Dry friction of a motor: its actuator, which touched velocity it holds, its rate per that, at most."""
+    """Dry friction of a motor: actuator, number of the held velocity, its rate per that, and bound."""
 
     actuator: int
     at: int
@@ -156,20 +156,20 @@ class _Rub(NamedTuple):
 
 
 class _Shape(NamedTuple):
-    """A robot at the shape of mid-step, all in terms of velocities that gear trains leave free.
+    """Robot at its mid-step configuration, in the velocities that gear trains leave free.
 
     Attributes
     ----------
     solve : callable
-        Of a generalised force, the acceleration.
+        Function from a generalised force to the acceleration.
     touches : list of WheelContact
-        Of the wheels, over the velocities that `touched` numbers.
+        Contacts of the wheels, in the velocities that `touched` numbers.
     touched, rest : list of int
-        Velocities that rows of wheels have, and those that have none.
+        Velocities that occur in rows of wheels, and the others.
     inertia : list of lists of scalars
-        Of the former, the latter free to follow.
+        Reduced mass matrix of the former.
     columns : list of lists of scalars
-        All velocities per impulse: along and across of each wheel, and then of each held rate.
+        All velocities per impulse: along and across each wheel, and then of each held rate.
     """
 
     solve: Any
@@ -183,12 +183,12 @@ class _Shape(NamedTuple):
 @final
 @dataclass(frozen=True, eq=False)
 class SlippingDynamics(WheeledDynamics):
-    """A robot whose wheels stick and slide on dry ground, unchecked.
+    """Dynamics of a robot whose wheels stick and slide with dry friction, without input validation.
 
     Parameters
     ----------
     ground : Coulomb
-        What it stands on.
+        The ground.
     rubbing : tuple of int
         Actuators with dry friction, each of wheels that turn together.
     """
@@ -206,7 +206,7 @@ class SlippingDynamics(WheeledDynamics):
 
     @cached_property
     def _leaders(self) -> list[tuple[int, Any]]:
-        """Which velocity each follows, and how many times as fast: wheels on a train follow its first."""
+        """Leading velocity and rate ratio of each velocity: wheels of a train follow the first one."""
         first = self.of_body + len(self.table.axes)
         found: list[tuple[int, Any]] = [(i, ONE) for i in range(self.nv)]
         for row, (leader, ratio) in enumerate(gear_ratios(self.table)):
@@ -219,14 +219,14 @@ class SlippingDynamics(WheeledDynamics):
         return [i for i, (leader, _) in enumerate(self._leaders) if leader == i]
 
     def _reduced(self, full: Vector) -> Vector:
-        """Return a force on the velocities that are kept, of one on all."""
+        """Return the force on the kept velocities for a force on all velocities."""
         found: dict[int, Any] = dict.fromkeys(self._kept, ZERO)
         for x, (leader, ratio) in zip(full, self._leaders, strict=True):
             found[leader] = found[leader] + ratio * x
         return list(found.values())
 
     def _whole(self, kept: Vector) -> Vector:
-        """Return all velocities, of those that are kept."""
+        """Return all velocities from the kept ones."""
         of = dict(zip(self._kept, kept, strict=True))
         return [number(ratio * of[leader]) for leader, ratio in self._leaders]
 
@@ -234,7 +234,7 @@ class SlippingDynamics(WheeledDynamics):
 
     @cached_property
     def _held(self) -> list[int]:
-        """Kept velocities that rolling resistance or dry friction of motors holds, in their order."""
+        """Kept velocities that rolling resistance or dry friction of motors holds, in order."""
         first = self.of_body + len(self.table.axes)
         resisted = {
             self._leaders[first + row][0]
@@ -245,7 +245,7 @@ class SlippingDynamics(WheeledDynamics):
         return [k for k, i in enumerate(self._kept) if i in resisted]
 
     def turned_by(self, actuator: int) -> list[tuple[int, Any]]:
-        """Return the kept velocities that an actuator turns, and its rate per each."""
+        """Return the kept velocities that an actuator turns, with its rate per each of them."""
         found: dict[int, Any] = {}
         for i, share in enumerate(self.table.actuators[actuator].column, self.of_body):
             leader, ratio = self._leaders[i]
@@ -253,7 +253,7 @@ class SlippingDynamics(WheeledDynamics):
         return [(i, x) for i, x in found.items() if x is not ZERO]
 
     def _shape(self, state: State, q: Any, h: Any, lag: Sequence[Any] = ()) -> _Shape:
-        """Return the robot at a shape, for a step of a length; motors that lag are as heavy rotors."""
+        """Return the robot at a configuration for a step; `lag` adds rotor inertia for stiff motors."""
         M = self.inertia(state, q)
         for actuator, more in zip(self.table.actuators, lag, strict=False):
             for i, a in enumerate(actuator.column, self.of_body):
@@ -291,14 +291,14 @@ class SlippingDynamics(WheeledDynamics):
         return _Shape(solve, touches, touched, rest, inertia, [*columns, *(units[at] for at in holding)])
 
     def _seen(self, state: State, rate: Vector) -> tuple[State, Vector]:
-        """Return a state, and accelerations along the body's axes less gravity in the plane."""
+        """Return a state, and proper accelerations in the plane along the body's axes."""
         vx, vy, w = state.twist
         return state, self.proper_acceleration(state, [rate[0] - w * vy, rate[1] + w * vx, *rate[2:]])
 
     def _bounds(
         self, shape: _Shape, loads: Vector, slips: list[Vector], h: Any, rubs: Sequence[_Rub]
     ) -> list[Bounds]:
-        """Return what the friction of each wheel is at most."""
+        """Return the bounds of each wheel's friction."""
         first, found = self.of_body + len(self.table.axes), []
         holds: dict[int, Any] = {}
         for k, (wheel, r) in enumerate(zip(self.table.wheels, scalars(self.radius), strict=True)):
@@ -325,12 +325,12 @@ class SlippingDynamics(WheeledDynamics):
     def _began(
         self, shape: _Shape, before: Vector, after: Vector, slides: Vector
     ) -> tuple[list[Vector], Vector]:
-        """Return the slip of each wheel at the start of a step, zero where it does not go on all the time.
+        """Return the slip of each wheel at the start of a step, zero for wheels that do not slide throughout.
 
-        And where it does, which no later pass takes back: what jumps to and fro has no end. Friction against
-        the mean slip is of second order and takes as much energy as it should; it does not stick, so that a
-        wheel that loses half its slip in the step is taken by its end, as one is whose force is in proportion
-        to its slip.
+        Also return which wheels slide throughout; later passes never set this again, so that iterations end.
+        Friction against the mean slip is of second order and dissipates the right energy, but does not stick.
+        Therefore a wheel that loses half its slip in the step is treated by its slip at the end, as is one
+        whose force is proportional to its slip.
         """
         found, goes_on = [], []
         for touch, wheel, on in zip(shape.touches, self.table.wheels, slides, strict=True):
@@ -352,7 +352,7 @@ class SlippingDynamics(WheeledDynamics):
     # The step
 
     def initial_state(self, context: Any = None) -> ContactState:
-        """Return what it keeps at first: nothing has slipped, and loads are those of rest."""
+        """Return the contact state before the first step: no slip, and loads at rest."""
         del context
         k, still = len(self.table), [ZERO] * self.nv
         q = np.concatenate([np.zeros(_BASE), self.robot.rest[_BASE:], np.zeros(self.joints)])
@@ -365,7 +365,7 @@ class SlippingDynamics(WheeledDynamics):
     def step(
         self, t: Any, q: Any, v: Any, u: Any, h: Any, f: ExternalForceFunction, memory: ContactState
     ) -> Step:
-        """Return the state after a step, and what is kept for the next.
+        """Return the state after a step, and the memory for the next.
 
         Parameters
         ----------
@@ -375,12 +375,12 @@ class SlippingDynamics(WheeledDynamics):
             State.
         u : ndarray, shape (..., nu)
             Torques in the step.
-        f : callable
-            ``f(t, q, v)``: generalised forces beside them, shape (..., nv), or 0.0.
         h : float
             Length of the step [s].
+        f : callable
+            ``f(t, q, v)``: external generalised force, shape (..., nv), or 0.0.
         memory : ContactState
-            From the step before.
+            Memory of the step before.
         """
         return self.driven(q, v, u, h, lambda q, v: f(t + 0.5 * h, q, v), memory)[0]
 
@@ -392,15 +392,15 @@ class SlippingDynamics(WheeledDynamics):
         Parameters
         ----------
         f : callable
-            ``f(q, v)``: forces beside the torques at a state of mid-step.
+            ``f(q, v)``: external force at the state of mid-step.
         motors : callable, optional
-            ``motors(rates, clips)``: the `TorqueSpeedLine` of each actuator at its rate; `clips` is False for
-            a first guess. Without, `u` has the torques.
+            ``motors(rates, clips)``: `TorqueSpeedLine` of each actuator at its rate; `clips` is False for a
+            first guess. Without it, `u` contains the torques.
         """
         h = unwrap_scalar(h)
         state = self.state(q, v)
         before = state.velocities
-        middle = state  # its shape is that of mid-step, as the velocity of now leads there
+        middle = state  # its configuration is that of mid-step, by the present velocity
         if self.na or self.table.axes:
             there = self.state(self.integrate(q, (0.5 * h) * v), v)
             middle = state._replace(arms=there.arms, steering=there.steering)
@@ -466,7 +466,7 @@ class SlippingDynamics(WheeledDynamics):
                 given = [push.torque - push.slope * y for push, y in zip(pushes, rates, strict=True)]
                 pairs = zip(now.touches, bounds, strict=True)
                 holds = {touch.spin: bound.spin for touch, bound in pairs if touch.held}
-                for rub in rubs:  # of what holds a wheel, in proportion
+                for rub in rubs:  # its share of the torque that holds a wheel
                     whole = holds[rub.at]
                     part = rub.most / choose(whole > 0.0, whole, 1.0)
                     held = grip.impulses[2 * len(self.table) + list(holds).index(rub.at)]
@@ -505,7 +505,7 @@ class SlippingDynamics(WheeledDynamics):
         return step, found.torques, found.rates
 
     def _freedom(self, state: State, q: Any) -> Vector:
-        """Return how fast each actuator turns per angular impulse, all else held."""
+        """Return the rate of each actuator per angular impulse, with other velocities unchanged."""
         M, found = self.inertia(state, q), []
         weights = [self._reduced(list(row)) for row in M]
         reduced = {i: self._reduced([row[k] for row in weights])[k] for k, i in enumerate(self._kept)}
@@ -538,12 +538,11 @@ class SlippingDynamics(WheeledDynamics):
     def signals(
         self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: ContactState
     ) -> dict[str, tuple[str, Any]]:
-        """Return what the ground does, of the step before: a row of the wheels for each.
+        """Return the ground's signals of the step before, a row of wheels for each.
 
-        ``along``, ``across`` and ``loads`` [N], those of the supports behind; ``slip_along`` and
-        ``slip_across`` [m/s], of now; ``slides``, 1 where all friction is used; ``tips``, 1 where no loads
-        balance the robot; ``missed``, 1 where loads and forces were not found to the tolerance
-        of the ground.
+        ``along``, ``across`` and ``loads`` [N], with supports last; present ``slip_along`` and
+        ``slip_across`` [m/s]; ``slides``, 1 if friction has its largest value; ``tips``, 1 if no loads
+        balance the robot; ``missed``, 1 if loads and forces did not converge to the tolerance of the ground.
         """
         del t, u, f
         state = self.state(q, v)
@@ -567,7 +566,7 @@ class SlippingDynamics(WheeledDynamics):
 
 
 def gear_ratios(table: WheelTable) -> list[tuple[int, float]]:
-    """Return which wheel each turns with, and how many times as fast, by gear trains; else it is itself.
+    """Return the leading wheel and rate ratio of each wheel; without a gear train, the wheel itself.
 
     Raises
     ------
@@ -580,9 +579,9 @@ def gear_ratios(table: WheelTable) -> list[tuple[int, float]]:
         if a == b and abs(of_b - times * of_a) > 1e-12 * abs(of_b):
             raise InvalidArgument(
                 f"couplings has gear trains that turn wheel {table.names[row]!r} at two rates, expected "
-                "trains that fit together"
+                "consistent trains"
             )
-        share = of_a * times / of_b  # all that follows b follows a now: b's rate is so many times that of a
+        share = of_a * times / of_b  # followers of b now follow a; this is the ratio of b's rate and a's
         found = [(a, share * x) if leader == b != a else (leader, x) for leader, x in found]
     return found
 

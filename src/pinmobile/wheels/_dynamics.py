@@ -1,7 +1,7 @@
-"""`WheeledDynamics`: body, arms and wheels, and independent velocities, for one state, many, or symbols.
+"""`WheeledDynamics`: dynamics of body, arms and wheels, and independent velocities, for all engines.
 
-It is what a `WheeledRobot` is to all engines, with what its ground adds. It knows wheels as terms of the
-energy in the plane, and rolling as independent velocities.
+These are the dynamics of a `WheeledRobot`; its ground adds a subclass. Wheels contribute terms of the energy
+in the plane, and rolling is described by independent velocities.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ _OF_ROBOT = {*_SIZES, "table", "x", "y", "radius", "spin_inertia", "upright", "f
 
 
 class State(NamedTuple):
-    """A state, seen from the body.
+    """State with velocities along the body's axes.
 
     Attributes
     ----------
     c, s : scalar
-        Of the heading.
+        Cosine and sine of the heading.
     arms, steering : list of scalars
         Configuration of the arms, and steering angles.
     twist, arm_rates, rates : list of scalars
-        Body twist; rates of the arms; of steering coordinates and wheels.
+        Body twist; rates of the arms; rates of steering coordinates and wheels.
     """
 
     c: Any
@@ -65,11 +65,11 @@ class State(NamedTuple):
     rates: Vector
 
     def along(self, x: Vector) -> Vector:
-        """Return numbers along the inertial axes along those of the body."""
+        """Return components along the body's axes from components along the inertial axes."""
         return [self.c * x[0] + self.s * x[1], self.c * x[1] - self.s * x[0], *x[2:]]
 
     def outward(self, x: Vector) -> Vector:
-        """Return numbers along the body's axes along the inertial ones."""
+        """Return components along the inertial axes from components along the body's axes."""
         return [self.c * x[0] - self.s * x[1], self.s * x[0] + self.c * x[1], *x[2:]]
 
     @property
@@ -89,20 +89,21 @@ class State(NamedTuple):
 
 
 def through(M: Matrix, S: Matrix) -> Matrix:
-    """Return S' M of a symmetric M."""
+    """Return S' M for a symmetric M."""
     return [applied(M, column) for column in transposed(S)]
 
 
 @dataclass(frozen=True, eq=False)
 class WheeledDynamics:
-    """A body, its arms and its wheels, free to slip: mass matrix and nonlinear effects along the body's axes.
+    """Dynamics of a body, its arms and its wheels without constraints, along the body's axes.
 
     Parameters
     ----------
     wheeled : WheeledRobot
-        Whose sizes, table, places, radii, inertias, footprint, coordinates and inputs it has too.
+        Robot whose sizes, table, positions, radii, inertias, support polygon, coordinates and inputs are
+        used.
     robot : PlanarDynamics, ArticulatedDynamics or MobileRobot
-        The whole, wheels locked at their table angles.
+        Whole robot with wheels locked at their table angles.
     """
 
     wheeled: Any
@@ -120,7 +121,7 @@ class WheeledDynamics:
 
     @cached_property
     def rotors(self) -> Array:
-        """What motors add to the inertia, shape (actuators,) [kg m^2]."""
+        """Inertia of the motors' rotors at the wheels, shape (actuators,) [kg m^2]."""
         return frozen([actuator.motor.reflected_inertia for actuator in self.table.actuators])
 
     @cached_property
@@ -130,12 +131,12 @@ class WheeledDynamics:
 
     @cached_property
     def stands(self) -> bool:
-        """Whether it is known where it stands: how high it is, on three places that are not on a line."""
+        """Whether its height is known, and it has three contacts that are not on a line."""
         return self.wheeled.grounded and self.footprint is not None
 
     @cached_property
     def choice(self) -> RowSelection:
-        """Which rows of the wheels determine what, where they roll."""
+        """Selected rows of the wheels for rolling."""
         return self.table.mobility.choice  # type: ignore[no-any-return]
 
     @property
@@ -145,27 +146,27 @@ class WheeledDynamics:
 
     @cached_property
     def kinematics(self) -> Kinematics:
-        """Its rows."""
+        """Rolling constraints of the wheels."""
         return Kinematics(self.table, scalars(self.x), scalars(self.y), scalars(self.radius))
 
     @cached_property
     def stops(self) -> list[tuple[int, float]]:
-        """Steering axes with a limit, each with its angle [rad]."""
+        """Steering axes with a limit, each with its limit [rad]."""
         return [(k, axis.limit) for k, axis in enumerate(self.table.axes) if np.isfinite(axis.limit)]
 
     def evaluate_metrics(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
-        """Return its metrics, shape (..., m)."""
+        """Return the values of its metrics, shape (..., m)."""
         del t
         return evaluate_metrics(self, q, v, a, u, reference.q)
 
     @property
     def weight(self) -> Any:
-        """Weight of all that it is made of, across the plane [N]."""
+        """Component of the weight across the plane [N]."""
         own = self.robot.weight if self.na else self.robot.mass * float(np.linalg.norm(self.fall))
         return own * (1.0 - self._slack)
 
     def state(self, q: Any, v: Any) -> State:
-        """Return a public state, seen from the body."""
+        """Return a public state as velocities along the body's axes."""
         angles, rates = scalars(q), scalars(v)
         s, c = sine_and_cosine(angles[2])
         arms = self.of_body
@@ -174,7 +175,7 @@ class WheeledDynamics:
         return found._replace(twist=found.along(found.twist))
 
     def inertia(self, state: State, q: Any) -> Matrix:
-        """Return M, (nv, nv), of body axes."""
+        """Return M, (nv, nv), along the body's axes."""
         M: Matrix = [[ZERO] * self.nv for _ in range(self.nv)]
         carried = self.robot.mass_matrix(stacked([ZERO, ZERO, ZERO, *state.arms], q))
         first = self.of_body
@@ -196,7 +197,7 @@ class WheeledDynamics:
         return [(row, k) for k, axis in enumerate(self.table.axes) for row in axis.wheels]
 
     def _add_steered(self, M: Matrix, row: int, k: int, state: State) -> None:
-        """Add what a wheel's steering changes: I_z (2 w + d') d' / 2, and where its mass is."""
+        """Add the effect of a wheel's steering to M: I_z (2 w + d') d' / 2, and the motion of its mass."""
         wheel, head = self.table.wheels[row], self.kinematics.heading(row, state.steering)
         at, turn = self.of_body + k, exact(wheel.yaw_inertia) * head.first
         M[at][at] = M[at][at] + turn * head.first
@@ -213,7 +214,7 @@ class WheeledDynamics:
                     M[i][j] = M[i][j] + exact(sign) * m * dot(a, b)
 
     def _centres(self, row: int, state: State) -> tuple[tuple[Vector, Vector], tuple[Vector, Vector]]:
-        """Return a wheel's centre from its pivot and from the origin: as it is, and at angle zero."""
+        """Return a wheel's centre from its pivot and from the origin: at present, and at angle zero."""
         still: Vector = [ZERO] * len(state.steering)
         return self.kinematics.centre(row, state.steering), self.kinematics.centre(row, still)
 
@@ -248,21 +249,21 @@ class WheeledDynamics:
 
     @cached_property
     def _slack(self) -> float:
-        """Share of gravity across the plane that a ramp takes away."""
+        """Fraction by which a ramp reduces gravity across the plane."""
         size = float(np.linalg.norm(self.fall))
         return 1.0 + float(self.fall[2]) / size if size and (self.fall[0] or self.fall[1]) else 0.0
 
     def pull(self, state: State) -> Vector:
-        """Return gravity in the plane along the body's axes, which every mass feels alike [m/s^2]."""
+        """Return gravity in the plane along the body's axes [m/s^2]."""
         return state.along([exact(float(each)) for each in self.fall[:2]])
 
     def proper_acceleration(self, state: State, a: Vector) -> Vector:
-        """Return accelerations less gravity in the plane, which is as if the plane accelerated against it."""
+        """Return accelerations minus gravity in the plane."""
         x, y = self.pull(state)
         return [a[0] - x, a[1] - y, *a[2:]]
 
     def generalised(self, state: State, u: Any, f: Any) -> Vector:
-        """Return the generalised force of an input and of forces beside it, along the body's axes."""
+        """Return the generalised force of an input and an external force, along the body's axes."""
         inputs, na = scalars(u), self.na
         found: Vector = [ZERO] * _BASE + inputs[:na] + [ZERO] * self.joints
         for actuator, torque in zip(self.table.actuators, inputs[na:], strict=True):
@@ -277,11 +278,11 @@ class WheeledDynamics:
         return self.kinematics.rows(state.steering, state.twist, state.rates, across=across)
 
     def actuator_rates(self, rates: Vector) -> Vector:
-        """Return the rate of each actuator, of those of steering coordinates and wheels."""
+        """Return the rate of each actuator from those of steering coordinates and wheels."""
         return [number(dot([exact(x) for x in actuator.column], rates)) for actuator in self.table.actuators]
 
     def in_plane(self, state: State, a: Vector, q: Any) -> Any:
-        """Return numbers along the body's axes as a public array, shape (..., nv)."""
+        """Return components along the body's axes as a public array, shape (..., nv)."""
         return stacked(state.outward(a), q)
 
     def mass_matrix(self, q: Any) -> Any:
@@ -302,23 +303,23 @@ class WheeledDynamics:
         )
 
     def needed(self, state: State, felt: Vector, q: Any) -> Vector:
-        """Return the generalised force that lets it move so, along the body's axes."""
+        """Return the generalised force of a motion, along the body's axes."""
         pairs = zip(self.inertia(state, q), self.effects(state, q), strict=True)
         return [dot(row, felt) + n for row, n in pairs]
 
     def constraints(self, q: Any, v: Any) -> tuple[Any, Any]:
-        """Return A(q), shape (..., k, nv), and dA/dt v: A v = 0 where wheels roll."""
+        """Return A(q), shape (..., k, nv), and dA/dt v: A v = 0 for rolling wheels."""
         state = self.state(q, v)
         rows = self.rows(state)
         A = [state.outward([*row.base, *[ZERO] * self.na, *row.joints]) for row in rows]
         return matrix(A, q), stacked([row.drift for row in rows], q)
 
     def integrate(self, q: Any, dq: Any) -> Any:
-        """Return the configuration that a displacement leads to."""
+        """Return the configuration after a displacement."""
         return q + dq
 
     def difference(self, q0: Any, q1: Any) -> Any:
-        """Return the displacement from q0 to q1 as `robot` has it, shape (..., nv)."""
+        """Return the displacement from q0 to q1, as `robot` computes it, shape (..., nv)."""
         n = self.of_body
         own = self.robot.difference(q0[..., :n], q1[..., :n])
         return np.concatenate([own, q1[..., n:] - q0[..., n:]], axis=-1)
@@ -336,30 +337,30 @@ class WheeledDynamics:
         return stacked([*scalars(wrench), *[ZERO] * (self.nv - _BASE)], q)
 
     def wheel_rates(self, twist: Any, steering: Any = (), turning: Any = ()) -> Any:
-        """Return the rates of the wheels that roll at a body twist, see `WheeledRobot.wheel_rates`."""
+        """Return the rates of rolling wheels for a body twist, see `WheeledRobot.wheel_rates`."""
         angles, turns = (scalars(x) if len(x) else [ZERO] * len(self.table.axes) for x in (steering, turning))
         return stacked(self.kinematics.wheel_rates(angles, scalars(twist), turns), twist)
 
     def odometry(self, rates: Any, steering: Any = (), turning: Any = ()) -> Any:
-        """Return the body twist that fits rates of the wheels best, see `WheeledRobot.odometry`."""
+        """Return the body twist from wheel rates, see `WheeledRobot.odometry`."""
         angles, turns = (scalars(x) if len(x) else [ZERO] * len(self.table.axes) for x in (steering, turning))
         return stacked(self.kinematics.odometry(angles, [*turns, *scalars(rates)]), rates)
 
     def independent(self, q: Any, v: Any) -> Any:
-        """Return the independent velocities nu of a state that rolls, shape (..., m)."""
+        """Return the independent velocities nu of a rolling state, shape (..., m)."""
         return stacked(self.velocities(self.state(q, v)), q)
 
     followed = followed
     linearize_tracked = linearized
 
-    # Where wheels roll: independent velocities nu, v = S nu, see `Reduced`
+    # Rolling: independent velocities nu, v = S nu, see `Reduced`
 
     def null_space(self, state: State) -> NullSpaceBasis:
-        """Return what rolls, arms between body and joints."""
+        """Return the null-space basis of rolling, with arms between body and joints."""
         return solve_null_space(self.rows(state), self.choice, self.na)
 
     def velocities(self, state: State) -> Vector:
-        """Return the independent velocities nu of a state that rolls, in the order of the columns of S."""
+        """Return the independent velocities nu of a rolling state, in the order of the columns of S."""
         held = [self.rows(state)[i] for i in self.choice.body]
         a, w = held[0].base if held else [], state.twist[2]
         if not held:
@@ -373,12 +374,12 @@ class WheeledDynamics:
         return [*body, *state.arm_rates, *(state.rates[k] for k in self.choice.free)]
 
     def bias_acceleration(self, state: State, S: Matrix, gamma: Vector) -> Vector:
-        """Return the accelerations, along the body's axes, where the independent velocities do not change."""
+        """Return the accelerations, along the body's axes, for constant independent velocities."""
         offset = self.offset(state, gamma)
         return [g - dot(row, offset) for row, g in zip(S, gamma, strict=True)]
 
     def offset(self, state: State, gamma: Vector) -> Vector:
-        """Return the rates of the independent velocities where the accelerations are gamma."""
+        """Return the rates of the independent velocities for the accelerations gamma."""
         vx, vy, w = state.twist
         moved = [gamma[0] + w * vy, gamma[1] - w * vx, gamma[2]]  # the rate of the body twist
         rows = self.rows(state)
@@ -400,7 +401,7 @@ class WheeledDynamics:
         return [*body, *[ZERO] * (self.na + len(self.choice.free))]
 
     def _turned(self, row: Row, state: State) -> Vector:
-        """Return the rate of a lateral row's coefficients by the steering of its wheel about its centre."""
+        """Return the rate of a lateral row's coefficients due to the steering of its wheel."""
         k = next((k for wheel, k in self._steered if wheel == row.wheel), None)
         if k is None:
             return [ZERO] * 3
@@ -410,14 +411,14 @@ class WheeledDynamics:
         return [-(turn * b), turn * a, turn * (x * a + y * b)]
 
     def accelerations(self, state: State, rates: Vector) -> Vector:
-        """Return the accelerations, along the body's axes, where the independent velocities change so."""
+        """Return the accelerations, along the body's axes, for rates of the independent velocities."""
         S, gamma = self.null_space(state)
         return [
             dot(row, rates) + g for row, g in zip(S, self.bias_acceleration(state, S, gamma), strict=True)
         ]
 
     def reduced(self, q: Any, v: Any) -> Reduced:
-        """Return the dynamics of the independent velocities: M nu' + n = B u, see `Reduced`."""
+        """Return the dynamics of the independent velocities: M dnu/dt + n = B u, see `Reduced`."""
         state = self.state(q, v)
         M, (S, gamma) = self.inertia(state, q), self.null_space(state)
         columns, pushed = transposed(S), through(M, S)
@@ -434,32 +435,32 @@ class WheeledDynamics:
         )
 
     def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
-        """Return the input of least norm with which body and arms accelerate so, shape (..., nu).
+        """Return the input of least norm for an acceleration of body and arms, shape (..., nu).
 
-        Of drives whose body is free to move in any direction; `a` has the first 3 + arms coordinates.
+        The drive must be omnidirectional; `a` contains the first 3 + arms coordinates.
         """
         state = self.state(q, v)
         S, gamma = self.null_space(state)
         return stacked(self._driven(state, q, S, state.along(scalars(a)), gamma), q)
 
     def torques(self, q: Any, v: Any, rates: Any) -> Any:
-        """Return the input of least norm with which the independent velocities change so, shape (..., nu)."""
+        """Return the input of least norm for rates of the independent velocities, shape (..., nu)."""
         state = self.state(q, v)
         S, gamma = self.null_space(state)
         return stacked(self._driven(state, q, S, scalars(rates), self.bias_acceleration(state, S, gamma)), q)
 
     def _driven(self, state: State, q: Any, S: Matrix, rates: Vector, rest: Vector) -> Vector:
-        """Return the input of least norm with which all accelerate as S rates + rest."""
+        """Return the input of least norm for the accelerations S rates + rest."""
         whole = [dot(row, rates) + g for row, g in zip(S, rest, strict=True)]
         return self._least(state, S, self.needed(state, self.proper_acceleration(state, whole), q))
 
     def input_columns(self, state: State, columns: Matrix) -> Matrix:
-        """Return S' B: what each input is to each independent velocity, of the columns of S."""
+        """Return S' B for the columns of S: force on each independent velocity per input."""
         units = [self.generalised(state, one, 0.0) for one in np.eye(self.nu)]
         return [[dot(column, unit) for unit in units] for column in columns]
 
     def _least(self, state: State, S: Matrix, force: Vector) -> Vector:
-        """Return the input of least norm that does what a generalised force along the body's axes does."""
+        """Return the input of least norm with the effect of a generalised force along the body's axes."""
         columns = transposed(S)
         right = [dot(column, force) for column in columns]
         B = self.input_columns(state, columns)
@@ -468,7 +469,7 @@ class WheeledDynamics:
         return [dot(column, found) for column in zip(*B, strict=True)]
 
     def allocate_scaled(self, q: Any, tau: Any) -> tuple[Any, Any]:
-        """Return an input for a force on body and arms, and what of it is left, see `WheeledRobot`."""
+        """Return an input for a force on body and arms, and the residual, see `WheeledRobot`."""
         state = self.state(q, stacked([ZERO] * self.nv, q))
         S, _ = self.null_space(state)
         along = state.along(scalars(tau))
@@ -484,7 +485,7 @@ class WheeledDynamics:
         return u, stacked(state.outward(rest), q)
 
     def supplied(self, state: State, u: Any) -> Vector:
-        """Return the force on body and arms of what an input turns, along the body's axes."""
+        """Return the force of an input on body and arms, along the body's axes."""
         ns, first = len(self.table.axes), self.of_body
         effort = self.generalised(state, u, 0.0)
         found: Vector = [ZERO] * _BASE + effort[_BASE:first]
@@ -497,13 +498,13 @@ class WheeledDynamics:
 
     @property
     def axle(self) -> Any:
-        """Coefficients of the body twist in the velocity across the fixed wheels, shape (..., 3)."""
+        """Coefficients of the body twist in the lateral velocity at the fixed wheels, shape (..., 3)."""
         rows = self.kinematics.rows([ZERO] * len(self.table.axes), [ZERO] * 3, [ZERO] * self.kinematics.n)
         return stacked(rows[self.choice.body[0]].base, self.x)
 
     @property
     def pivots(self) -> Any:
-        """Where wheels are steered, and angles at zero, shape (..., axes, 3), see `WheeledRobot.pivots`."""
+        """Positions and angles of steering axes, shape (..., axes, 3), see `WheeledRobot.pivots`."""
         x, y, rows = scalars(self.x), scalars(self.y), list[Vector]()
         for axis in self.table.axes:
             at = axis.wheels[0]
@@ -513,7 +514,7 @@ class WheeledDynamics:
         return matrix(rows, self.x)
 
     def start(self, reference: Any) -> tuple[Array, Array]:
-        """Return the q and v with which a reference begins, see `WheeledRobot.start`."""
+        """Return the state at the start of a reference, see `WheeledRobot.start`."""
         q, v = self.robot.start(reference)
         q, v = np.append(q, np.zeros(self.joints)), np.append(v, np.zeros(self.joints))
         n, ns = self.of_body, len(self.table.axes)
@@ -527,18 +528,18 @@ class WheeledDynamics:
         return q, v
 
     def steered_to(self, axis: Axis, twist: Sequence[float]) -> float:
-        """Return the steering angle at which a wheel goes where the body takes it; 0 at rest."""
+        """Return the steering angle at which a wheel points in its direction of motion; 0 at rest."""
         wheel = self.table.wheels[axis.wheels[0]]
         x, y = (wheel.x - axis.ackermann, 0.0) if axis.ackermann is not None else (wheel.x, wheel.y)
         ahead, aside = twist[0] - twist[2] * y, twist[1] + twist[2] * x
         angle = float(np.arctan2(aside, ahead)) - wheel.angle if ahead or aside else 0.0
-        if wheel.motor is not None or axis.ackermann is not None:  # it may as well run backwards
+        if wheel.motor is not None or axis.ackermann is not None:  # it can also run backwards
             angle = (angle + np.pi / 2) % np.pi - np.pi / 2
         return angle
 
 
 def of_ground(method: Callable[..., Any]) -> Any:
-    """Let a robot have a method where the dynamics of its ground have it."""
+    """Make a method available if the dynamics of the robot's ground have it."""
 
     def found(robot: Any) -> Any:
         if not hasattr(robot.array_dynamics, method.__name__):
@@ -550,7 +551,7 @@ def of_ground(method: Callable[..., Any]) -> Any:
 
 
 class PlantOnWheels:
-    """Abstract base of plants on wheels: a loop asks by name for what the ground, or motors, add."""
+    """Abstract base of plants on wheels, with the optional methods of ground and motors."""
 
     broadcasts: ClassVar[bool] = True
     compiles: ClassVar[bool] = True
@@ -562,12 +563,18 @@ class PlantOnWheels:
 
     @property
     def law(self) -> Any:
-        """What a loop calls: itself, or its `array_dynamics` where it holds symbols."""
+        """Dynamics for a loop: the robot itself, or its `array_dynamics` if it contains symbols."""
         return self.array_dynamics if self._is_symbolic else self
 
     @of_ground
     def initial_state(self, context: Any = None) -> Any:
-        """Return the memory of motors, and of wheels that slip, before the first step."""
+        """Return the memory of motors, and of wheels that slip, before the first step.
+
+        Parameters
+        ----------
+        context : Context, optional
+            Context of the loop, not used.
+        """
         return self.array_dynamics.initial_state(context)
 
     @of_ground
@@ -575,9 +582,22 @@ class PlantOnWheels:
     def step(
         self, t: float, q: Any, v: Any, u: Any, h: Any, f: ExternalForceFunction | ArrayLike, memory: Any
     ) -> Step:
-        """Return the state a step later, where wheels slip or motors take volts.
+        """Return the state after a step, for wheels that slip or motors that take volts.
 
-        ``f(t, q, v)`` has the generalised forces beside the input, at mid-step; an array has those that stay.
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        q, v : array_like, shape (..., nq), (..., nv)
+            State.
+        u : array_like, shape (..., nu)
+            Input.
+        h : float
+            Length of the step [s].
+        f : callable or array_like, shape (..., nv)
+            External generalised force: ``f(t, q, v)`` at mid-step, or a constant.
+        memory : any
+            Memory from `initial_state` or the step before.
         """
         q, v, u = self._state(q, v, u)
         f, h = f if callable(f) else constant_force(finite("f", f)), positive("h", h, "s")
@@ -586,10 +606,10 @@ class PlantOnWheels:
     @of_ground
     @also_symbols
     def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Any) -> dict[str, tuple[str, Any]]:
-        """Return what motors, and the ground where wheels slip, did in the step before."""
+        """Return the signals of motors, and of the ground if wheels slip, in the step before."""
         return self.array_dynamics.signals(t, q, v, u, f, memory)  # type: ignore[no-any-return]
 
     @takes(q="nq", v="nv", u="nu", a="nv")
     def _state(self, q: Any, v: Any, u: Any, a: Any = None) -> tuple[Any, ...]:
-        """Return a state, an input and an acceleration, checked."""
+        """Return a state, an input and an acceleration after a check."""
         return (q, v, u) if a is None else (q, v, u, a)

@@ -38,28 +38,27 @@ from pinmobile.wheels._kinematics import unwrap_scalar
 from pinmobile.wheels._velocities import ReferenceMotion, driving_inputs
 
 _BASE = 3
-_STILL = 1e-9  # [rad/s], below which a body does not turn
+_STILL = 1e-9  # [rad/s]: a body with a lower yaw rate does not turn
 _FORCES = "along", "across", "loads"
 _SECOND = "lateral", "across"  # kinds of rows that are a wheel's second direction
-_FLAT = 1e-9  # of the determinant of all contacts: those that are left stand on a line
-_NOTHING = 1e-12  # of the weight: what rounding makes of a contact without load
-_SOFT = 1e-7  # of the moments of all springs: how little the ground holds where contacts stand on a line
-_EDGE = 1e-5  # of the size of all contacts: how far beyond their edge the weight may press and not tip
+_FLAT = 1e-9  # relative tolerance of the determinant of contacts on a line
+_NOTHING = 1e-12  # relative to the weight: tolerance of a load of zero
+_SOFT = 1e-7  # relative to the moments of all springs: additional stiffness for contacts on a line
+_EDGE = 1e-5  # relative to the size of the polygon: tolerance of its edge before the robot tips
 
 
 class Loads(NamedTuple):
-    """What each contact carries.
+    """Load of each contact.
 
     Attributes
     ----------
     values : list of scalars
-        Of each contact, none below zero [N].
+        Loads, not below zero [N].
     tips : scalar
-        1 where no loads that press balance the robot, which begins to tip over; what is told then carries
-        the weight at the place, on the edge of all contacts, nearest to where it would have to press. Else 0.
+        1 if no loads balance the robot, which begins to tip over; then the loads carry the weight at the
+        point of the support polygon that is nearest to the zero-moment point. Otherwise 0.
     springs : list of scalars
-        What equal springs at all contacts would carry that may pull too: below zero where a contact has no
-        load [N].
+        Loads of equal springs that may also pull: below zero for a contact without load [N].
     """
 
     values: Vector
@@ -68,18 +67,18 @@ class Loads(NamedTuple):
 
 
 def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any) -> Loads:
-    """Return the loads that balance a wrench: those of equal springs, which press and never pull.
+    """Return the loads that balance a wrench: those of equal springs that press and never pull.
 
-    The least sum of N^2 with N >= 0 and G' N = b, with the rows 1, y, -x of G and b = (fz, mx, my): contacts
-    leave one by one before their load turns negative, and come back where the ground would rise through them
-    (Lawson and Hanson, Solving least squares problems, 1974, chapter 23).
+    They minimise the sum of N^2 subject to N >= 0 and G' N = b, with the rows 1, y, -x of G and b = (fz, mx,
+    my). Contacts leave one by one before their load becomes negative, and return if the ground would
+    penetrate them (Lawson and Hanson, Solving least squares problems, 1974, chapter 23).
 
     Parameters
     ----------
     places : sequence of (x, y), scalars
-        Of the contacts, along the body's axes from its origin on the ground [m].
+        Positions of the contacts, along the body's axes from its origin on the ground [m].
     fz, mx, my : scalars
-        Force of the ground along the vertical [N], and its moment about the body's origin [N m].
+        Vertical force of the ground [N], and its moment about the body's origin [N m].
     """
     n, wrench = len(places), [number(x) for x in (fz, mx, my)]
     fz, nothing = wrench[0], _NOTHING * abs(wrench[0])
@@ -122,16 +121,16 @@ def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any) -> Loads:
 def _of_springs(
     places: Sequence[Vector], weights: Vector, wrench: Vector, soft: Any = None, flat: Any = 0.0
 ) -> tuple[Vector, Any]:
-    """Return the forces of springs at all places, where some of them carry, and the determinant of G K G'.
+    """Return the forces of springs at all positions if some of them carry, and the determinant of G K G'.
 
     Parameters
     ----------
     weights : list of scalars
-        1 of a spring that carries, else 0.
+        1 for a spring that carries, else 0.
     soft : scalar, optional
-        Added to the moments of inertia: springs on a line hold the robot as well as they can.
+        Addition to the moments of inertia, for springs on a line.
     flat : scalar, optional
-        Determinant up to which they stand on a line, and what is told is of no use.
+        Determinant up to which springs are on a line, and the forces are invalid.
     """
     rows = [[ONE, y, -x] for x, y in places]
     weighed = [[w * x for x in row] for w, row in zip(weights, rows, strict=True)]
@@ -153,25 +152,25 @@ def _of_springs(
 
 
 def places_of(body: Any, steering: Sequence[Any]) -> list[Vector]:
-    """Return where wheels and supports touch the ground, along the body's axes [m]."""
+    """Return the contact points of wheels and supports, along the body's axes [m]."""
     found = [body.kinematics.centre(row, steering)[1] for row in range(len(body.table))]
     return found + [[exact(each.x), exact(each.y)] for each in body.table.supports]
 
 
 def ground_reaction(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
-    """Return fz, mx and my of the ground on a robot, wheels spinning [N, N m, N m].
+    """Return fz, mx and my of the ground on a robot with spinning wheels [N, N m, N m].
 
-    What the ground exerts is the rate of momentum of all bodies, less gravity: of a robot without arms by
-    Newton's and Euler's equations, of others by their recursion; the spin of the wheels is added.
+    They equal the rate of momentum of all bodies minus gravity: by the Newton-Euler equations for a robot
+    without arms, by their recursion for others. The spin of the wheels is added.
 
     Parameters
     ----------
     body : WheeledDynamics
         The robot.
     state : State
-        Shape and velocities.
+        Configuration and velocities.
     felt : list of scalars
-        Accelerations along the body's axes, less gravity in the plane.
+        Proper accelerations in the plane, along the body's axes.
     q : ndarray
         Any configuration, for its shape.
     """
@@ -187,7 +186,7 @@ def ground_reaction(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
         mx = mx - head.s * faster - head.c * slower
         my = my + head.c * faster - head.s * slower
         wheel = body.table.wheels[row]
-        if steered and wheel.mass and any(wheel.trail):  # its weight moves, and its centre swings
+        if steered and wheel.mass and any(wheel.trail):  # its centre moves about the pivot
             (o, p), (o0, p0) = body._centres(row, state)
             weight, axis = -wheel.mass * float(body.fall[2]), steered[0]
             mx, my = mx + weight * (p[1] - p0[1]), my - weight * (p[0] - p0[0])
@@ -200,7 +199,7 @@ def ground_reaction(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
 
 
 def _carried(body: Any, state: Any, a: Vector, q: Any) -> Vector:
-    """Return fz, mx and my of the ground, wheels at rest in the body; `a` has no part of gravity."""
+    """Return fz, mx and my of the ground for wheels that do not spin; `a` excludes gravity."""
     if body.na:
         n = body.of_body
         at, still = stacked([ZERO, ZERO, ZERO, *state.arms], q), stacked([ZERO] * n, q)
@@ -220,16 +219,16 @@ def _carried(body: Any, state: Any, a: Vector, q: Any) -> Vector:
 
 
 class AxleGroup(NamedTuple):
-    """Wheels whose lateral forces are found: one wheel, or some of which only the sum is determined.
+    """Wheels whose lateral force is computed: one wheel, or several if only their sum is determined.
 
     Attributes
     ----------
     wheels : tuple of int
         Rows of the table.
     lateral : tuple of int
-        Their lateral rows among those of the kinematics; none of wheels with rollers.
+        Their lateral rows among those of the kinematics; none for wheels with rollers.
     held : int
-        Which row of ``choice.body`` it is; -1: a row that a joint tells, or none.
+        Number of the row in ``choice.body``; -1: a row that determines a joint, or none.
     """
 
     wheels: tuple[int, ...]
@@ -238,9 +237,9 @@ class AxleGroup(NamedTuple):
 
 
 def groups_of(body: Any) -> tuple[AxleGroup, ...]:
-    """Return the groups of wheels of a body that rolls, in the order of their first wheels.
+    """Return the groups of wheels of a rolling body, in the order of their first wheels.
 
-    A drive with gear trains, whose wheels share what these transmit, has none.
+    A drive with gear trains has none, because its wheels share the transmitted force.
     """
     table, choice = body.table, body.choice
     if table.trains:
@@ -262,7 +261,7 @@ def groups_of(body: Any) -> tuple[AxleGroup, ...]:
 
 
 def _axle(body: Any, rows: Sequence[Any], row: Any) -> int:
-    """Return on which of the rows that hold the body a lateral row's wheel stands."""
+    """Return the number of the body's row on whose axle the wheel of a lateral row is."""
     held, axes = body.choice.body, body.table.axes
     if len(held) == 1:
         return 0
@@ -275,23 +274,24 @@ def _axle(body: Any, rows: Sequence[Any], row: Any) -> int:
 
 
 def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any) -> Matrix:
-    """Return forces along wheels that roll, across each of `groups_of`, and the margins of these.
+    """Return forces along rolling wheels, lateral forces of each of `groups_of`, and their margins.
 
-    The force along a wheel is what its spin leaves of its torque; that across one axle what body and arms
-    need beyond; across two axles both are. Wheels of one axle share: its margin is that of the best split,
-    ``sum sqrt((mu N)^2 - along^2) - |Y|``, and no more than ``mu N - |along|`` of each. Two wheels that steer
-    by Ackermann count as an axle through the wheel in their middle.
+    The force along a wheel follows from its torque minus its spin-up. The lateral force of one axle follows
+    from the rest that body and arms need, and those of two axles likewise. Wheels of one axle share: its
+    margin is that of the best distribution, ``sum sqrt((mu N)^2 - along^2) - abs(Y)``, and at most ``mu N -
+    abs(along)`` of each. Two wheels with Ackermann steering count as an axle through the virtual wheel in
+    their middle.
 
     Parameters
     ----------
     body : RollingDynamics
-        What rolls.
+        Rolling dynamics.
     state, felt, q
         As in `ground_reaction`.
     u : ndarray, shape (..., nu)
         Torques.
     carried : list of scalars
-        Loads of wheels, and of supports behind them [N].
+        Loads of wheels, then of supports [N].
     """
     groups, ns, first = body.groups, len(body.table.axes), body.of_body
     M, n, tau = body.inertia(state, q), body.effects(state, q), body.generalised(state, u, 0.0)
@@ -302,7 +302,7 @@ def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any)
         return n[k] + dot(M[k], felt) - tau[k]
 
     forces: dict[int, Any] = {}
-    for joint, i in sorted(body.choice.joints, reverse=True):  # wheels, and then what they steer
+    for joint, i in sorted(body.choice.joints, reverse=True):  # wheels first, then steering coordinates
         rest = left(first + joint)
         for j, x in forces.items() if joint < ns else ():
             rest = rest - rows[j].joints[joint] * x
@@ -329,7 +329,7 @@ def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any)
 
 
 def _axles(body: Any, state: Any, rows: Sequence[Any]) -> list[Vector]:
-    """Return the base of what each axle's lateral force acts along."""
+    """Return the direction of each axle's lateral force as coefficients of the body twist."""
     found = []
     for i in body.choice.body:
         axis = next((k for k, axis in enumerate(body.table.axes) if rows[i].wheel in axis.wheels), None)
@@ -359,28 +359,28 @@ def lower(x: Any, y: Any) -> Any:
 
 
 def arms_of(body: Any) -> Any:
-    """Return the metrics of the arms that a body carries; None: it carries none."""
+    """Return the metrics of the arms of a body; None without arms."""
     return body.robot.tree.arm_metrics if body.na else None
 
 
 def footprint_of(body: Any) -> Array | None:
-    """Return the corners of what a body with arms stands on, shape (k, 2) [m], if that is judged."""
+    """Return the support polygon of a body with arms, shape (k, 2) [m]; None if it has no tip-over margin."""
     return body.footprint if body.stands and arms_of(body) is not None else None
 
 
 def limits_of(body: Any) -> list[tuple[int, float]]:
-    """Return which inputs have limits, each with the largest size."""
+    """Return the numbers of inputs with limits, each with its largest magnitude."""
     found = [(k, max(abs(one.lower), abs(one.upper))) for k, one in enumerate(body.inputs)]
     return [(k, limit) for k, limit in found if np.isfinite(limit)]
 
 
 def metrics_on_wheels(body: Any) -> tuple[Metric, ...]:
-    """Return what `evaluate_metrics` gives.
+    """Return the metrics whose values `evaluate_metrics` returns.
 
     Parameters
     ----------
     body : WheeledDynamics
-        Whose they are.
+        The robot.
     """
     arms, found = arms_of(body), []
     if arms is not None:
@@ -404,16 +404,16 @@ def metrics_on_wheels(body: Any) -> tuple[Metric, ...]:
 
 
 def evaluate_metrics(body: Any, q: Any, v: Any, a: Any, u: Any, desired: Any) -> Any:
-    """Return the metrics of a robot that moves so, shape (..., m).
+    """Return the values of the metrics in a motion, shape (..., m).
 
     Parameters
     ----------
     body : WheeledDynamics
-        Whose they are.
+        The robot.
     q, v, a, u : ndarray, shape (..., nq), (..., nv), (..., nv), (..., nu)
         State, acceleration and input.
     desired : ndarray, shape (..., k)
-        Where the reference has the first numbers of q.
+        First entries of q in the reference.
     """
     state, found, arms = body.state(q, v), [], arms_of(body)
     if arms is not None and arms.tips:
@@ -432,6 +432,7 @@ def evaluate_metrics(body: Any, q: Any, v: Any, a: Any, u: Any, desired: Any) ->
 
 
 def _of_ground(body: Any, state: Any, a: Any, u: Any, q: Any) -> Vector:
+    """Return the metrics of the ground reactions."""
     felt, found = body.proper_acceleration(state, state.along(scalars(a))), []
     fz, mx, my = ground_reaction(body, state, felt, q)
     corners = footprint_of(body)
@@ -449,7 +450,7 @@ def _of_ground(body: Any, state: Any, a: Any, u: Any, q: Any) -> Vector:
 
 
 def _slip(body: Any, state: Any) -> Any:
-    """Return the largest velocity at which a wheel slides; one with rollers slides along their axes."""
+    """Return the largest slip velocity of a wheel; a wheel with rollers slips along their axes."""
     slips: dict[int, Vector] = {}
     for row in body.rows(state):
         if row.wheel >= 0:
@@ -494,7 +495,7 @@ class Forces(NamedTuple):
 
 
 def contact_loads(body: Any, state: Any, felt: Any, q: Array) -> ContactLoads:
-    """Return the load of each contact, of arrays."""
+    """Return the load of each contact, for arrays."""
     found = shared_loads(places_of(body, state.steering), *ground_reaction(body, state, felt, q))
     names = (*body.table.names, *(f"support {k + 1}" for k in range(len(body.table.supports))))
     tips = np.broadcast_to(number(found.tips), q.shape[:-1]) > 0
@@ -502,11 +503,11 @@ def contact_loads(body: Any, state: Any, felt: Any, q: Array) -> ContactLoads:
 
 
 def rolling_margins(body: Any, state: Any, felt: Any, u: Array, q: Array) -> tuple[ContactLoads, SlipMargins]:
-    """Return loads and slip margins of wheels that roll, of arrays."""
+    """Return loads and slip margins of rolling wheels, for arrays."""
     if not body.groups:
         raise InvalidArgument(
-            "robot has wheels on a gear train, which share what it transmits, so rolling does not tell the "
-            "force of each; expected ground=Coulomb()"
+            "robot has wheels on a gear train, so rolling does not determine the force of each wheel; "
+            "expected ground=Coulomb()"
         )
     loads = contact_loads(body, state, felt, q)
     found = margin(body, state, felt, u, list(np.moveaxis(loads.values, -1, 0)), q)
@@ -516,12 +517,12 @@ def rolling_margins(body: Any, state: Any, felt: Any, u: Array, q: Array) -> tup
 
 
 def recorded_margins(body: Any, motion: Any) -> SlipMargins:
-    """Return the slip margins in a run of a robot whose wheels may slip: those of its signals."""
+    """Return the slip margins of wheels that may slip, from the signals of a run."""
     signals = getattr(motion, "signals", None) or {}
     if not set(_FORCES) <= set(signals):
         raise InvalidArgument(
-            "motion has no signals of the wheels' forces, without which those on Coulomb ground are not "
-            "known; expected the Rollout of a simulation"
+            "motion has no signals of the wheels' forces, which Coulomb ground needs; expected the Rollout "
+            "of a simulation"
         )
     along, across, loads = (np.asarray(signals[name][1]) for name in _FORCES)
     rollers = np.array([wheel.roller is not None for wheel in body.table.wheels])
@@ -532,14 +533,14 @@ def recorded_margins(body: Any, motion: Any) -> SlipMargins:
 @final
 @dataclass(frozen=True, eq=False)
 class TimeScaledMotion:
-    """A robot whose wheels roll along a reference, as fast as it is or faster.
+    """Rolling motion along a reference, with its speed multiplied by a factor.
 
     Parameters
     ----------
     body : RollingDynamics
-        What rolls.
+        Rolling dynamics.
     along : ReferenceMotion
-        How it does.
+        Motion at the original speed.
     efforts : ndarray, shape (arms,)
         Largest torques of the arms' joints [N m].
     """
@@ -549,7 +550,13 @@ class TimeScaledMotion:
     efforts: Array
 
     def at(self, factor: float) -> tuple[ContactLoads, SlipMargins, TorqueMargins]:
-        """Return loads, slip and torque margins where it goes along `factor` times as fast, (N, k) each."""
+        """Return loads, slip and torque margins of the motion at `factor` times its speed, (N, k) each.
+
+        Parameters
+        ----------
+        factor : float
+            Factor of the speed.
+        """
         body, q, v = self.body, self.along.q, factor * self.along.v
         state, rates = body.state(q, v), factor**2 * self.along.rates
         a = body.accelerations(state, list(np.moveaxis(rates, -1, 0)))
@@ -558,7 +565,7 @@ class TimeScaledMotion:
         return *rolling_margins(body, state, felt, u, q), self._margins(v, u)
 
     def _margins(self, v: Array, u: Array) -> TorqueMargins:
-        """Return what motors have left of their torques, those of arms and wheels."""
+        """Return the torque margins of arms and wheels."""
         body, na = self.body, self.body.na
         rates = v[:, 3 + na :] @ np.array([each.column for each in body.table.actuators], float).T
         found = list((self.efforts - np.abs(u[:, :na])).T)
@@ -571,17 +578,17 @@ def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: M
     """Return the contacts of a robot on wheels at the samples of a run.
 
     On `Coulomb` ground they are the signals of the run, means over the step before. On `Rolling` ground they
-    are the constraint forces of state and input, forces on the body beside it left out; their limits are what
-    the wheels' own friction would give at the loads of the recorded acceleration.
+    are the constraint forces of state and input, without other external forces; their limits follow from the
+    wheels' own friction and the loads of the recorded acceleration.
 
     Parameters
     ----------
     wheeled : WheeledRobot
         The robot.
     q, v, a, u : ndarray, shape (n, ...)
-        Of the samples.
+        Samples.
     signals : mapping of str to Signal
-        Of the run.
+        Signals of the run.
     """
     table, body, n = wheeled.table, wheeled.array_dynamics, len(q)
     state, k = body.state(q, v), len(table)
@@ -606,7 +613,7 @@ def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: M
         if body.stands:
             loads = wheeled.contact_loads(q, v, a).values[:, :k]
         for row in body.rows(state, across=True):
-            if row.kind == "across":  # the ground passes across rollers
+            if row.kind == "across":  # rollers turn across their axes
                 slips[:, row.wheel, 1] = row.slip(state)
     own = [wheel.friction.across for wheel in table.wheels]
     across = [mu if w.roller is None else x for mu, x, w in zip(wheeled.mu, own, table.wheels, strict=True)]

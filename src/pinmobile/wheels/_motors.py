@@ -86,10 +86,10 @@ class Motor:
     >>> from pinmobile import Motor
     >>> motor = Motor(resistance=2, torque_constant=0.1, voltage=24,
     ...               gear=10)
-    >>> motor.stall_torque()  # [N m]
-    12.000000000000002
-    >>> motor.no_load_rate()  # [rad/s]
-    24.0
+    >>> print(f"{motor.stall_torque():.1f} N m at stall")
+    12.0 N m at stall
+    >>> print(f"{motor.no_load_rate():.1f} rad/s without load")
+    24.0 rad/s without load
     """
 
     torque_limit: float = declared(

@@ -17,25 +17,25 @@ from pinmobile.wheels._table import FIXED, Wheel, WheelTable
 from pinmobile.wheels._urdf_reader import wheel_name
 
 ACROSS = 0.45
-"""Width of a tyre, in radii."""
-_LOWEST = 0.7  # of the height of a box: how high its bottom is at most
-_TOP, _TOP_OF_FORK = 2.1, 2.35  # above the ground, in radii of the wheel
-_SUPPORT = 0.3  # radius of what else it stands on, in radii of the largest wheel
+"""Width of a tyre in radii."""
+_LOWEST = 0.7  # largest height of a box's bottom, relative to its height
+_TOP, _TOP_OF_FORK = 2.1, 2.35  # height above the ground in radii of the wheel
+_SUPPORT = 0.3  # radius of a drawn support in radii of the largest wheel
 
 
 class Item(NamedTuple):
-    """Attachment of an object: to a joint of the robot without wheels, to a wheel, or to what steers it.
+    """Attachment of an object to a joint of the robot without wheels, to a wheel, or to its steering.
 
     Attributes
     ----------
     joint : int
         Number of the joint, from 0; -1: a wheel.
     row : int
-        The wheel.
+        Row of the wheel.
     spins : bool
-        Whether it turns with the wheel; else it steers with it alone.
+        Whether it spins with the wheel; otherwise it only steers with it.
     placement : ndarray, shape (4, 4)
-        In the frame of that.
+        Placement in this frame.
     """
 
     joint: int
@@ -45,7 +45,7 @@ class Item(NamedTuple):
 
 
 class _Objects:
-    """Abstract base: objects of a robot on wheels, and where they are in the inertial frame."""
+    """Abstract base: objects of a robot on wheels, and their placements in the inertial frame."""
 
     def __init__(self, robot: MobileRobot, table: WheelTable, moved: Mapping[str, tuple[str, ...]]) -> None:
         self.robot, self.table, self.items = robot, table, list[Item]()
@@ -55,7 +55,7 @@ class _Objects:
         self.lacking = [(row, wheel) for row, wheel in enumerate(table.wheels) if row not in there]
 
     def _item(self, name: str, joint: int, placement: Array) -> Item:
-        """Return the attachment of what a file places on a joint, or what turns with a wheel to that."""
+        """Return the attachment of an object of the file to a joint, or to a wheel that moves it."""
         if name not in self._rides:
             return Item(joint, -1, False, placement)
         row, spins = self._rides[name]
@@ -64,7 +64,7 @@ class _Objects:
         return Item(-1, row, spins, np.linalg.inv(frames[row]) @ placement)
 
     def placements(self, q: Array) -> Array:
-        """Return where the objects are in the inertial frame, shape (..., k, 4, 4).
+        """Return the placements of the objects in the inertial frame, shape (..., k, 4, 4).
 
         Parameters
         ----------
@@ -86,17 +86,17 @@ class _Objects:
 
 
 class Tyres(_Objects):
-    """The shapes of a robot on wheels, and where they are.
+    """Collision geometry of a robot on wheels, and its placements.
 
-    Those of its file that turn with a wheel steer with it; of wheels that no file shows it is a cylinder of a
-    tyre's usual width. Wheels are round: that they spin does not count.
+    Shapes of the file that turn with a wheel steer with it. A wheel without shapes in the file is a cylinder
+    of a usual tyre width. The rotation of wheels is ignored, because they are round.
 
     Parameters
     ----------
     robot : MobileRobot
-        Without wheels, or of a file that has them.
+        Robot without wheels, or from a file with wheels.
     table : WheelTable
-        Its wheels.
+        Wheels.
     """
 
     def __init__(self, robot: MobileRobot, table: WheelTable) -> None:
@@ -128,7 +128,7 @@ class Tyres(_Objects):
         self.solids: Solids = replace(own, shapes=tuple(shapes), standing=frozenset(standing))
 
     def placements(self, q: Array) -> Array:
-        """Return where the shapes are in the body's frame, shape (..., shapes, 4, 4)."""
+        """Return the placements of the shapes in the body's frame, shape (..., shapes, 4, 4)."""
         still = q.copy()
         still[..., :BODY_JOINT] = 0.0
         still[..., self._n + len(self.table.axes) :] = 0.0
@@ -138,18 +138,19 @@ class Tyres(_Objects):
 def wheel_frames(
     table: WheelTable, kinematics: Kinematics, steering: Array, wheels: Array | None, lead: tuple[int, ...]
 ) -> Array:
-    """Return the frames of wheels, or of what steers with them, on the body, shape (..., wheels, 4, 4).
+    """Return the frames of wheels, or of their steering, in the body's frame, shape (..., wheels, 4, 4).
 
-    x along e, z up; of a wheel at its centre, turned about its axle y; else on the ground below a pivot.
+    x is along e, z up. The frame of a wheel is at its centre, rotated about its axle y; that of the steering
+    is on the ground below the pivot.
 
     Parameters
     ----------
     table, kinematics
-        Of the wheels.
+        Wheels, and their kinematics.
     steering : ndarray, shape (..., axes)
         Angles of the axes [rad].
     wheels : ndarray, shape (..., wheels), or None
-        Angles of the wheels [rad]; None of what steers.
+        Angles of the wheels [rad]; None for the steering.
     lead : tuple of int
         Leading axes.
     """
@@ -171,16 +172,16 @@ def wheel_frames(
 def riding(
     robot: MobileRobot, table: WheelTable, moved: Mapping[str, tuple[str, ...]]
 ) -> dict[str, tuple[int, bool]]:
-    """Return which objects of a robot's file turn with a wheel: its row, and whether they spin with it.
+    """Return the objects of a robot's file that turn with a wheel: its row, and whether they spin with it.
 
     Parameters
     ----------
     robot : MobileRobot
-        What was read from the file.
+        Robot from the file.
     table : WheelTable
-        Its wheels.
+        Wheels.
     moved : mapping of str to tuple of str
-        Of each object by name the joints of the file that would move it, the nearest first.
+        Joints of the file that move each object, the nearest first.
     """
     rows = {name: row for row, name in enumerate(table.names)}
     carriers: dict[str, tuple[int, bool]] = {}
@@ -194,7 +195,7 @@ def riding(
 
 
 def height_above_wheels(size: Sequence[float], table: WheelTable) -> float:
-    """Return how high the bottom of a box stands above the ground: above wheels that are below it [m]."""
+    """Return the height of a box's bottom above the ground, so that it is above its wheels [m]."""
     length, width, height = size
     needed = [0.0]
     for wheel in table.wheels:
@@ -209,22 +210,22 @@ def height_above_wheels(size: Sequence[float], table: WheelTable) -> float:
 _Triangles = tuple[Array, NDArray[np.int64]]  # vertices (n, 3) [m], faces (m, 3)
 
 _DARK, _LIGHT, _GREY = (0.17, 0.17, 0.19, 1.0), (0.86, 0.87, 0.88, 1.0), (0.55, 0.56, 0.58, 1.0)
-_SIDES = 32  # of what is round
+_SIDES = 32  # sides of a round surface
 _SPOKES = 5
-_ROLLERS = 10  # of a wheel, in each row
-_LONGEST = 0.8  # half a roller, in radii of the wheel
-_IN_ROWS = 0.35  # [rad]: rollers nearer to the rolling direction stand in two rows, which take turns
+_ROLLERS = 10  # rollers per row of a wheel
+_LONGEST = 0.8  # largest half length of a roller in radii of the wheel
+_IN_ROWS = 0.35  # [rad]: rollers at a smaller angle are in two alternating rows
 
 
 class WheelVisuals(_Objects):
-    """The objects that are drawn of a robot on wheels, and where they are.
+    """Visual geometry of a robot on wheels, and its placements.
 
     Parameters
     ----------
     robot : MobileRobot
-        Without wheels, or of a file that shows them.
+        Robot without wheels, or from a file with visuals of wheels.
     table : WheelTable
-        Its wheels.
+        Wheels.
     """
 
     def __init__(self, robot: MobileRobot, table: WheelTable) -> None:
@@ -254,7 +255,7 @@ class WheelVisuals(_Objects):
                 if wheel.steering != FIXED and row not in shared:
                     fork = _mesh(_fork(wheel))
                     self._add(f"{wheel.name}/fork", fork, _GREY, Item(-1, row, False, np.eye(4)))
-            else:  # of a file's smooth wheel one would not see how it turns
+            else:  # a bar makes the rotation of a smooth wheel visible
                 R = wheel.radius
                 bar = _box((-0.09 * R, -0.14 * R, 0.96 * R), (0.09 * R, 0.14 * R, 1.015 * R))
                 self._add(f"{wheel.name}/bar", _mesh(bar), _DARK, Item(-1, row, True, np.eye(4)))
@@ -270,6 +271,7 @@ class WheelVisuals(_Objects):
                 self._add(f"support_{k}/{name}", shape, colour, Item(BODY_JOINT - 1, -1, False, at))
 
     def _add(self, name: str, shape: object, colour: Sequence[float], item: Item) -> None:
+        """Add an object with its colour and attachment."""
         drawn = pin.GeometryObject(name, 0, pin.SE3.Identity(), shape)
         drawn.meshColor = np.array(colour)
         self.visuals.addGeometryObject(drawn)
@@ -277,6 +279,7 @@ class WheelVisuals(_Objects):
 
 
 def _mesh(triangles: _Triangles) -> Any:
+    """Return triangles as a mesh of coal."""
     import coal
 
     vertices, faces = triangles
@@ -289,13 +292,14 @@ def _mesh(triangles: _Triangles) -> Any:
 
 
 def _joined(parts: Sequence[_Triangles]) -> _Triangles:
+    """Return several sets of triangles as one."""
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     faces = [faces + start for (_, faces), start in zip(parts, starts, strict=False)]
     return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
 
 
 def _turned(profile: Sequence[tuple[float, float]], sides: int = _SIDES) -> _Triangles:
-    """Return what a profile (along y, away from y) becomes when it is turned about y."""
+    """Return the surface of revolution of a profile (along y, distance from y)."""
     angle = 2 * np.pi * np.arange(sides) / sides
     rings = [np.column_stack([r * np.sin(angle), np.full(sides, y), r * np.cos(angle)]) for y, r in profile]
     k = np.arange(sides)
@@ -314,12 +318,13 @@ def _box(low: Sequence[float], high: Sequence[float]) -> _Triangles:
 
 
 def _about_axle(triangles: _Triangles, angle: float) -> _Triangles:
+    """Return triangles rotated about the axle."""
     (c, s), (vertices, faces) = (np.cos(angle), np.sin(angle)), triangles
     return vertices @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T, faces
 
 
 def _tyre(wheel: Wheel) -> tuple[_Triangles, _Triangles]:
-    """Return tyre, and hub with spokes and a bar across the tread, which shows how it turns."""
+    """Return tyre, and hub with spokes and a bar across the tread, which shows the rotation."""
     R = wheel.radius
     w = ACROSS * R / 2
     ring = [(-w, 0.66), (-w, 0.9), (-0.7 * w, 1.0), (0.7 * w, 1.0), (w, 0.9), (w, 0.66), (-w, 0.66)]
@@ -337,7 +342,8 @@ def _tyre(wheel: Wheel) -> tuple[_Triangles, _Triangles]:
 def _rollers(wheel: Wheel, roller: float) -> tuple[_Triangles, _Triangles]:
     """Return rollers, all but one, and the hub with that one.
 
-    The axis of the roller at the ground is at the wheel's roller angle; on top one sees its mirror image.
+    The axis of the roller at the ground is at the wheel's roller angle; from above, the mirror image is
+    visible.
     """
     R = wheel.radius
     rows = 2 if abs(roller) < _IN_ROWS else 1
@@ -360,7 +366,7 @@ def _rollers(wheel: Wheel, roller: float) -> tuple[_Triangles, _Triangles]:
 
 
 def _roller(R: float, thick: float, half: float, angle: float) -> _Triangles:
-    """Return the roller at the ground: as thick along its axis as makes the wheel round."""
+    """Return the roller at the ground, with a profile that makes the wheel round."""
     c, s, reach = np.cos(angle), np.sin(angle), R - thick
     ways = np.linspace(-half, half, 9)
     profile = [(a, R - float(np.hypot(a * c, reach))) for a in ways]
@@ -371,7 +377,7 @@ def _roller(R: float, thick: float, half: float, angle: float) -> _Triangles:
 
 
 def _fork(wheel: Wheel) -> _Triangles:
-    """Return what a steered wheel hangs in, from the ground below its pivot."""
+    """Return the fork of a steered wheel, in the frame on the ground below its pivot."""
     R, (ox, oy) = wheel.radius, wheel.trail
     w = ACROSS * R / 2 if wheel.roller is None else 0.4 * R
     legs = [
