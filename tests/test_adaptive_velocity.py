@@ -253,7 +253,7 @@ test_bad_arguments_are_refused = refusals(
     (lambda: AdaptiveVelocity(TRUE, upper=[1, 1]), r"upper has shape \(2,\), expected \(6,\)"),
     (
         lambda: AdaptiveVelocity(TRUE, upper=[1, 1, 1, 1, 1, 2]),
-        "lower and upper of theta_4 are 0.11 and 1, which exclude that of the robot, 1.1",
+        "lower and upper of theta_4 are 0.11 and 1, which exclude the robot's value, 1.1",
     ),
     (lambda: AdaptiveVelocity(TRUE, lower=[0, 0, -1, 0, -1, 0]), r"lower\[0\] is 0.0, expected > 0"),
     (
@@ -268,6 +268,6 @@ test_bad_arguments_are_refused = refusals(
         lambda: pm.simulate(
             TRUE, AdaptiveVelocity(TRUE), pm.FixedHeading(pm.Line((0, 0), (-2, 0), 4), 0.0), dt=0.02
         ),
-        "reference goes at -0.5 m/s at t = 0 s, expected one that does not go backwards",
+        "reference has a speed of -0.5 m/s at t = 0 s, expected one that does not move backwards",
     ),
 )

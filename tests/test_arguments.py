@@ -127,7 +127,7 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
         ),
         (
             lambda: pm.Motor(gear=1e200),
-            "gear of a Motor is 1e+200 with a rotor inertia of 0 kg m^2, whose square",
+            "gear of a Motor is 1e+200 with a rotor inertia of 0 kg m^2, expected gear",
         ),
         (
             lambda: ON_WHEELS.check_start(np.zeros(5), np.full(5, 1.7e308)),
@@ -195,7 +195,7 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
         ),
         (
             of_loop(controller=pm.law(lambda t, q, v, reference: NOTHING)),
-            "function of the law returned None at t = 0 s, expected a force: nu numbers",
+            "function of the law returned None at t = 0 s, expected an input: nu numbers",
         ),
         (
             of_loop(forces=[lambda t, q, v: np.zeros(2)]),

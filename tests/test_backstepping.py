@@ -333,7 +333,7 @@ def test_a_reference_that_wheels_cannot_follow_is_refused_with_its_time() -> Non
             "reference moves sideways, at 0.5 m/s across the fixed axle, at t = 0 s",
         ),
         (late, "reference moves sideways, at 0.1 m/s across the fixed axle, at t = 0 s"),
-        (LectureHeading(_Back()), "reference turns its heading by 3.14 rad at once at t = 1.01 s"),
+        (LectureHeading(_Back()), "reference has a jump of its heading by 3.14 rad at t = 1.01 s"),
     ):
         for controller in (ON_TWO, pm.ControlAllocation(pm.PD(60, 60), DIFFERENTIAL)):
             with refused(message):
@@ -341,7 +341,7 @@ def test_a_reference_that_wheels_cannot_follow_is_refused_with_its_time() -> Non
     aside = pm.FixedHeading(EIGHT.path, 0.0)  # no matter for a drive that moves in every direction
     assert len(run(MECANUM, pm.ControlAllocation(pm.PD(60, 60), MECANUM), aside, 0.1)) > 1
     tight = pm.Tangent(Eight(1.0, 4 * np.pi))
-    with refused(r"are steered by 0\.\d+ rad at t = [\d.]+ s, expected at most 0\.698"):
+    with refused(r"needs a steering angle of 0\.\d+ rad at t = [\d.]+ s, expected at most 0\.698"):
         run(CAR, OF_CAR, tight, 4.0)
 
 
@@ -363,12 +363,12 @@ class _Back:
 test_wrong_parts_are_refused_when_they_are_made = refusals(
     (
         lambda: pm.ComputedTorque(DIFFERENTIAL),
-        "robot is a drive of type (2, 0), which cannot accelerate in every direction, so no torques are "
-        "its inverse dynamics; expected an omnidirectional drive, or Backstepping(law, robot)",
+        "robot is a drive of type (2, 0), which cannot accelerate in every direction and so has no "
+        "inverse dynamics; expected an omnidirectional drive, or Backstepping(law, robot)",
     ),
     (
         lambda: pm.Backstepping(pm.UnicycleTracking(), MECANUM),
-        "robot is a drive of type (3, 0), expected one with a fixed axle: for this one, "
+        "robot is a drive of type (3, 0), expected a drive with a fixed axle: for this one, "
         "ComputedTorque(robot)",
     ),
     (lambda: pm.Backstepping(pm.PD(1, 1), DIFFERENTIAL), "law is PD("),

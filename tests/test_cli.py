@@ -97,7 +97,7 @@ def test_lecture_shows_what_wheels_change(lecture: tuple[Path, str]) -> None:
             assert driven < (free / 20 if path == "circle" else 2 * free)
         else:
             assert max(driven, left) < 1e-4
-    assert "turns its heading by 0.785 rad at once at t = 0.1 s" in shown
+    assert "a jump of its heading by 0.785 rad at t = 0.1 s" in shown
     page = (folder / "index.html").read_text()
     assert re.search(r'<img src="wheels.png" alt="[^"]+"', page)
 

@@ -110,7 +110,7 @@ def test_limits_beyond_those_of_the_motors_are_refused_as_the_robot_would_cut_in
     volts, weak = MODEL.by_voltage(), pm.WheelTable.differential(0.5, 0.1, motor=Motor(torque_limit=4.0))
     torques = pm.WheeledRobot(MODEL.robot, weak)
     for robot, limits, words in (
-        (volts, 7.0, "has 7 V for left, expected at most 6 V, the largest of its motor"),
+        (volts, 7.0, "has 7 V for left, expected at most 6 V, the limit of its motor"),
         (volts, [6.0, 6.1], "has 6.1 V for right, expected at most 6 V"),
         (torques, 4.5, "has 4.5 N m for left, expected at most 4 N m"),
     ):
@@ -155,7 +155,7 @@ def test_volts_are_not_taken_for_torques_nor_torques_for_volts(make: Any) -> Non
     volts = MODEL.by_voltage()
     q, v = MODEL.start(EIGHT(0.0))
     given: Any = {"dt": 0.01, "duration": 0.1, "q0": q, "v0": v}
-    with pytest.raises(pm.InvalidArgument, match=r"robot has inputs in V, V, and what is driven in N m, N m"):
+    with pytest.raises(pm.InvalidArgument, match=r"robot has inputs in V, V, and the plant in N m, N m"):
         pm.simulate(MODEL, make(volts), EIGHT, **given)
-    with pytest.raises(pm.InvalidArgument, match=r"robot has inputs in N m, N m, and what is driven in V, V"):
+    with pytest.raises(pm.InvalidArgument, match=r"robot has inputs in N m, N m, and the plant in V, V"):
         pm.simulate(volts, make(MODEL), EIGHT, **given)

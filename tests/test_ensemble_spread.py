@@ -250,7 +250,7 @@ def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
             "unknown parameter in spread 'controller.mass', available: mass, ",
         ),
         ({"seed": -1}, "seed is -1, expected a whole number >= 0"),
-        ({"robot": "me"}, "plant is 'me', expected something with 'forward_dynamics'"),
+        ({"robot": "me"}, "plant is 'me', expected a plant with 'forward_dynamics'"),
         ({"spread": 3}, "spread is 3, expected a mapping of parameters to distributions"),
         (
             {"spread": {"masss": 3}},

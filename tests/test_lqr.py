@@ -200,7 +200,7 @@ test_bad_arguments_are_refused = refusals(
         lambda: rows(
             pm.LQR(WHEELED), WHEELED, pm.FixedHeading(pm.Circle(radius=1.5, rate=0.6, duration=2), 0.3)
         ),
-        "as its wheels cannot roll",
+        "from any rolling motion",
     ),
     (lambda: pm.simulate(ARM, pm.LQR(ARM), SHORT, dt=0.01), "reference has 3 coordinates, expected all"),
     (lambda: pm.LQR(NOMINAL).initial_state(Context.of(NOMINAL, dt=0.1)), "context has no reference"),

@@ -232,7 +232,7 @@ test_bad_arguments_are_refused = refusals(
             SHORT,
             dt=0.01,
         ),
-        "horizon is 0.1 s, no longer than the delay of what it is told, 0.1 s, expected more than 2 steps",
+        "horizon is 0.1 s, not longer than the delay of the measurement, 0.1 s, expected more than 2 steps",
     ),
     (
         lambda: pm.simulate(NOMINAL, pm.MPC(NOMINAL, observer=201), SHORT, dt=0.01),

@@ -102,7 +102,7 @@ def test_a_polyline_is_continuous_up_to_its_jerk_and_keeps_its_speed(corners: An
     try:
         path = Polyline(30 * np.array(corners), radius, 50)
     except InvalidArgument:
-        with pytest.raises(InvalidArgument, match=r"apart, expected at least|is waypoints|turns by"):
+        with pytest.raises(InvalidArgument, match=r"apart, expected at|equal to waypoints|has a turn"):
             Polyline(30 * np.array(corners), radius, 50)
         return
     for before, after in pairwise(path.pieces):
@@ -220,12 +220,13 @@ JUMPS: list[tuple[list[Any], str]] = [
     (
         [Line((0, 0), (3, 0), 6), Line((3, 0.5), (6, 0.5), 6)],
         "paths[1] starts at (3, 0.5) m, 0.5 m from (3, 0) m, where paths[0] ends at t = 6 s, expected one "
-        "point; paths[1].moved(x, y, angle) puts it elsewhere",
+        "point; use paths[1].moved(x, y, angle)",
     ),
     (
         [Line((0, 0), (3, 0), 6), Line((3, 0), (3, 3), 6)],
         "paths[1] starts with the velocity (0, 0.5) m/s, 0.707 m/s from (0.5, 0) m/s, with which paths[0] "
-        "ends at t = 6 s, expected one velocity: round the corner by a Polyline, or let both rest there",
+        "ends at t = 6 s, expected one velocity: round the corner with a Polyline, or use paths "
+        "that rest there",
     ),
     ([], "paths is empty, expected at least one path"),
     ([Line((0, 0), (3, 0), 6), Hold((3, 0, 0), 1)], "paths[1] has points of shape (3,), expected (2,)"),
@@ -310,7 +311,7 @@ test_paths_refuse = refusals(
     (lambda: Circle(1, 1, 1, phase=np.nan), "phase is nan, expected a finite number"),
     (
         lambda: Circle(1, 1, 1, phase=1, heading=2),
-        "heading is 2.0 rad beside phase = 1.0 rad, expected one of them: each tells the other",
+        "heading is 2.0 rad beside phase = 1.0 rad, expected one of them: each follows from the other",
     ),
     (lambda: Line((0, 0), (1, 1, 1), 1), "end has shape (3,), expected (2,)"),
     (lambda: Line((0, 0), (1, 1), 0), "duration is 0.0 s, expected > 0"),
@@ -318,17 +319,17 @@ test_paths_refuse = refusals(
     (lambda: Polyline([(0, 0), (1, 0)], 0, 1), "corner_radius is 0.0 m, expected > 0"),
     (
         lambda: Polyline([(0, 0), (0, 0), (1, 0)], 1, 1),
-        "waypoints[1] is waypoints[0], expected another point",
+        "waypoints[1] is equal to waypoints[0], expected another point",
     ),
     (
         lambda: Polyline([(0, 0), (1, 0), (0, 0)], 1, 1),
-        "waypoints[1] is where the way turns by 180 degrees, expected at most 177.6: let one path come "
-        "to rest there, and another begin",
+        "waypoints[1] has a turn of 180 degrees, expected at most 177.6: use two paths, and a rest "
+        "between them",
     ),
     (
         lambda: Polyline([(0, 0), (4, 0), (4, 0.5)], 0.5, 9),
         "waypoints[1] and waypoints[2] are 0.5 m apart, expected at least 0.866528 m, which the corners "
-        "take: a smaller corner_radius takes less than 0.5 m",
+        "take: use a corner_radius smaller than 0.5 m",
     ),
     (
         lambda: Polyline([(0, 0), (4, 0)], 0.5, 5, 1),

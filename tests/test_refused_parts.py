@@ -87,7 +87,7 @@ LACKING: dict[str, tuple[dict[str, Any], str]] = {
         r"controller is .*Stateless.*expected a controller: wrap a function in law",
     ),
     "path for a trajectory": (BODY | {"trajectory": Eight()}, "a path, which has no heading, .* Tangent"),
-    "plant without dynamics": (BODY | {"robot": NoDynamics()}, "expected something with 'forward_dynamics'"),
+    "plant without dynamics": (BODY | {"robot": NoDynamics()}, "expected a plant with 'forward_dynamics'"),
     "plant without a difference": (CART | {"robot": without("difference")}, "which has no difference"),
     "plant without a displacement": (CART | {"robot": without("integrate")}, "which has no integrate"),
     "no pose to push": (
@@ -151,8 +151,8 @@ class Inputs(Cart):
 @pytest.mark.parametrize(
     ("plant", "why"),
     [
-        (Named(), "plant has nv = 5 and 4 coordinates, expected as many"),
-        (Inputs(), "plant has nu = 2 and 1 inputs, expected as many"),
+        (Named(), "plant has nv = 5 and 4 coordinates, expected equal numbers"),
+        (Inputs(), "plant has nu = 2 and 1 inputs, expected equal numbers"),
         *(
             (
                 Short(name),
@@ -211,7 +211,7 @@ FORGETFUL: dict[str, dict[str, Any]] = {
 def test_what_answers_otherwise_when_it_is_asked_again_is_refused(what: str) -> None:
     assert_refused(
         FORGETFUL[what],
-        r"^(controller|forces\[[01]\]|integrator|plant) is .*, asked again for the same arguments, .*"
+        r"^(controller|forces\[[01]\]|integrator|plant) is .*, (asked|called) again .* the same arguments, .*"
         r"state, and\s.*random numbers",
     )
 
@@ -341,11 +341,11 @@ UNREAL: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "complex law": (
         BODY | {"controller": pm.law(lambda t, q, v, r: 1j * q)},
-        r"(?s)^function of the law returned .*j.*, expected a force: nu numbers$",
+        r"(?s)^function of the law returned .*j.*, expected an input: nu numbers$",
     ),
     "no numbers": (
         BODY | {"controller": pm.law(lambda t, q, v, r: np.array([1, 2, None]))},
-        r"(?s)^function of the law returned .*None.*, expected a force: nu numbers$",
+        r"(?s)^function of the law returned .*None.*, expected an input: nu numbers$",
     ),
     "complex force": (
         BODY | {"forces": [Spring(), lambda t, pose, rate: 1j * pose]},

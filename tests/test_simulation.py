@@ -397,7 +397,7 @@ class ScalarOnly:
             "array of 121 times",
         ),
         ({"trajectory": None}, "trajectory is None, expected a trajectory"),
-        ({"plant": 3}, "plant is 3, expected something with 'forward_dynamics'"),
+        ({"plant": 3}, "plant is 3, expected a plant with 'forward_dynamics'"),
     ],
 )
 def test_arguments_that_do_not_fit_are_refused(changed: dict[str, Any], text: str) -> None:

@@ -118,25 +118,32 @@ def test_errors_of_the_place_decay_as_two_poles_by_dynamic_feedback() -> None:
 @pytest.mark.parametrize(
     ("law", "speed", "yaw_rate", "message"),
     [
-        (UnicycleTracking(), 0 * T, 0 * T, "reference rests, expected one that moves, or the law Parking()"),
+        (
+            UnicycleTracking(),
+            0 * T,
+            0 * T,
+            "reference rests, expected a reference that moves, or the law Parking()",
+        ),
         (
             Kanayama(),
             0.5 - T,
             0 * T,
-            "reference goes at 0 m/s at t = 0.5 s, expected one that always moves forwards, or the law "
+            "reference has a speed of 0 m/s at t = 0.5 s, expected a reference that always moves forwards, "
+            "or the law "
             "UnicycleTracking()",
         ),
         (
             Parking(),
             np.maximum(T - 0.45, 0.0),
             0 * T,
-            "reference moves at t = 0.5 s, expected one that rests, or the law UnicycleTracking()",
+            "reference moves at t = 0.5 s, expected a goal at rest, or the law UnicycleTracking()",
         ),
         (
             DynamicFeedback(),
             0.3 - T,
             0 * T,
-            "reference goes at 0 m/s at t = 0.3 s, expected 0.05 m/s or more, always in one direction, "
+            "reference has a speed of 0 m/s at t = 0.3 s, expected 0.05 m/s or more, always in one "
+            "direction, "
             "or the law UnicycleTracking()",
         ),
     ],

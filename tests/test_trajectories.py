@@ -701,14 +701,14 @@ def test_trajectories_are_values(trajectory: Trajectory) -> None:
         (
             Drawn([0, 1, 2], ([1], [0]), ([0], [2])),
             5.0,
-            "path has a corner at t = 1.0 s, from 0 deg to 90 deg, taken at 1 m/s; expected no corner, or "
-            "one that the path rests at",
+            "path has a corner at t = 1.0 s, from 0 deg to 90 deg, passed at 1 m/s; expected no corner, or "
+            "a rest at the corner",
         ),
         (
             Drawn([0, 1, 2], ([1], [0]), ([-1], [0])),
             5.0,
-            "path has a corner at t = 1.0 s, from 0 deg to 180 deg, taken at 1 m/s; expected no corner, or "
-            "one that the path rests at",
+            "path has a corner at t = 1.0 s, from 0 deg to 180 deg, passed at 1 m/s; expected no corner, or "
+            "a rest at the corner",
         ),
         (VIA_STOP, 0.0, "turn_time is 0.0 s, expected > 0"),
         (VIA_FREE, -1.0, "turn_time is -1.0 s, expected > 0"),
@@ -716,7 +716,7 @@ def test_trajectories_are_values(trajectory: Trajectory) -> None:
         (
             CubicVia((5, 5), (5, 5), (5, 5), 1, 2),
             None,
-            "path never moves, so it has no tangent; expected one that does, or FixedHeading",
+            "path never moves, so it has no tangent; expected a path that moves, or FixedHeading",
         ),
         (
             Drawn([0, 1], (roots(*[0] * 7), roots(*[0] * 7))),
@@ -761,11 +761,12 @@ MAKERS: list[Callable[[Any], Trajectory]] = [Tangent, LectureHeading, lambda pat
         (Broken(0.0), "path.duration is 0.0 s, expected > 0"),
         (
             Broken(3.0, (Polynomial(0.0, 1.0, np.zeros((2, 2))), Polynomial(1.5, 3.0, np.zeros((2, 2))))),
-            "path.pieces has (start, end) [(0.0, 1.0), (1.5, 3.0)], expected end to end from 0 to 3.0",
+            "path.pieces has (start, end) [(0.0, 1.0), (1.5, 3.0)], expected consecutive pieces from 0 to "
+            "3.0",
         ),
         (
             Broken(3.0, (Polynomial(0.0, 2.0, np.zeros((2, 2))),)),
-            "path.pieces has (start, end) [(0.0, 2.0)], expected end to end from 0 to 3.0",
+            "path.pieces has (start, end) [(0.0, 2.0)], expected consecutive pieces from 0 to 3.0",
         ),
     ],
 )

@@ -205,7 +205,7 @@ def test_a_ground_of_ones_own_is_one_class() -> None:
         slips.append(np.abs(run.signals["slip"].values[100:]).max())
         assert [one.name for one in robot.metrics] == ["effort", "load", "tip over", "slip"]
     assert 0 < slips[1] < 0.3 * slips[0] < 0.3
-    with pytest.raises(InvalidArgument, match="has no step that motors drive"):
+    with pytest.raises(InvalidArgument, match="do not support electric motors"):
         robot.by_voltage()
     with pytest.raises(InvalidArgument, match="has no ramp"):
         robot.on_ramp(0.1)

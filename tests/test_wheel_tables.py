@@ -15,7 +15,7 @@ def test_a_table_tells_what_no_motor_drives() -> None:
     rows = tuple(Wheel(f"wheel {k}", 0.3 - k, 0.2 - k, 0.1, roller=0.0) for k in range(3))
     told = "moves by (forward, left, turn) = (0, 1, 0) while no wheel turns: no motor drives that"
     assert told in str(WheelTable(rows))
-    with pytest.raises(pm.InvalidArgument, match="does not tell by its wheels' rates how the body moves"):
+    with pytest.raises(pm.InvalidArgument, match="does not determine the body's motion by the rates"):
         pm.WheeledRobot(pm.MobileRobot.box(), WheelTable(rows)).odometry([1.0, 1.0, 1.0])
     assert "no motor" not in str(WheelTable.omni(0.2, 0.05, **WHEEL))
 

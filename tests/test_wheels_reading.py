@@ -105,8 +105,8 @@ def test_friction_of_a_file_that_changes_nothing_is_reported(tmp_path: Path) -> 
     with pytest.warns(UserWarning, match=r"^base\.urdf: ") as told:
         read(tmp_path, held.replace("</robot>", slick))
     (words,) = (str(one.message) for one in told)
-    assert "damping and friction of ${namespace}wheel_left_joint act where motors take volts alone" in words
-    assert words.endswith("mu1 and mu2 of wheel_left_link are not used: give ground=Coulomb(mu)")
+    assert "damping and friction of ${namespace}wheel_left_joint act only where motors take volts" in words
+    assert words.endswith("mu1 and mu2 of wheel_left_link are not used: use ground=Coulomb(mu)")
 
 
 def test_ridgeback_is_mecanum_where_its_rollers_are_told(tmp_path: Path) -> None:
@@ -137,8 +137,8 @@ def test_turtlebot_is_level_and_stands_on_its_casters(tmp_path: Path, model: str
 def test_dingo_and_mp400_are_asked_for_the_inertia_that_their_files_have_on_another_axis(
     tmp_path: Path,
 ) -> None:
-    words = r"about its axle, with moments of 0\.0003234 about it, 0\.0003234 and 0\.00049\d* across.*or iner"
-    with pytest.raises(InvalidArgument, match=rf"wheel 'wheel_0' is no solid of revolution {words}"):
+    words = r"about its axle: moments are 0\.0003234 about it, 0\.0003234 and 0\.00049\d* across.*or iner"
+    with pytest.raises(InvalidArgument, match=rf"wheel 'wheel_0' is not a solid of revolution {words}"):
         read(tmp_path, wheeled.dingo())
     robot = read(tmp_path, wheeled.dingo(), inertia=DINGO)
     y = 0.2160016 + 0.02032 / 2
@@ -158,7 +158,7 @@ def test_dingo_and_mp400_are_asked_for_the_inertia_that_their_files_have_on_anot
 
 
 def test_fetch_is_asked_for_its_radius_which_tells_the_ground_too(tmp_path: Path) -> None:
-    words = r"radius of wheel 'l_wheel_joint' is not known.*expected radius=\{'l_wheel_joint': \.\.\.\}"
+    words = r"radius of wheel 'l_wheel_joint' is unknown.*expected radius=\{'l_wheel_joint': \.\.\.\}"
     with pytest.raises(InvalidArgument, match=words):
         read(tmp_path, wheeled.fetch())
     robot = read(tmp_path, wheeled.fetch(), radius=0.0604, supports=[(-0.12, 0.1), (-0.12, -0.1)])
@@ -176,7 +176,7 @@ def test_fetch_is_asked_for_its_radius_which_tells_the_ground_too(tmp_path: Path
 
 
 def test_tiago_stands_on_swivelling_casters(tmp_path: Path) -> None:
-    with pytest.raises(InvalidArgument, match=r"'caster_back_left_2_joint' is no solid of revolution"):
+    with pytest.raises(InvalidArgument, match=r"'caster_back_left_2_joint' is not a solid of revolution"):
         read(tmp_path, wheeled.pmb2_on_casters())
     robot = read(tmp_path, wheeled.pmb2_on_casters(), inertia=dict.fromkeys(CASTERS, CASTER))
     table = robot.table
@@ -390,7 +390,7 @@ def test_a_car_is_steered_by_ackermann_and_driven_through_its_differential(tmp_p
 def test_a_wheel_right_below_its_swivel_is_asked_about(tmp_path: Path) -> None:
     places = [(0.3, 0.0), (-0.3, 0.0)]
     text = base(*(on_swivel(f"{x} {y} 0.1", "0 0 0", name=f"m{k}") for k, (x, y) in enumerate(places)))
-    words = r"'m0' stands right below its swivel 'm0_swivel'.*steering=\{'m0': 'driven'\}"
+    words = r"'m0' is right below its swivel 'm0_swivel'.*steering=\{'m0': 'driven'\}"
     with pytest.raises(InvalidArgument, match=words):
         read(tmp_path, text)
     swerve = read(tmp_path, text, steering={"m0": "driven", "m1": "driven"})
@@ -447,19 +447,19 @@ TABLE = WheelTable.differential(0.4, 0.1)
         (PAIR, {"radius": {"left": 0.15}}, r"left at z = -0.05"),
         (AT_AN_ANGLE, {}, r"products up to 0\.0004 kg m\^2: its inertia would depend on"),
         (OFF_ITS_AXLE, {}, "'left' has its centre of mass 4 mm off its axle"),
-        (MASSLESS, {}, "wheel 'left' has no inertia in its file, expected one, or inertia="),
-        (BARE, {}, r"radius of wheel 'left' is not known: .*expected radius=\{'left': "),
-        (BARE, {"radius": {"left": 0.1}}, "radius of wheel 'right' is not known"),
+        (MASSLESS, {}, "wheel 'left' has no inertia in its file, expected an inertia, or inertia="),
+        (BARE, {}, r"radius of wheel 'left' is unknown: .*expected radius=\{'left': "),
+        (BARE, {"radius": {"left": 0.1}}, "radius of wheel 'right' is unknown"),
         (BARE, {"radius": 0.0}, "radius of wheel 'left' is 0"),
-        (PAIR, {"radius": 0.1}, r"radius is 0.1 m, but the file tells that of every wheel"),
+        (PAIR, {"radius": 0.1}, r"radius is 0.1 m, but the file defines the radius of every wheel"),
         (PAIR, {"rollers": pi / 4}, "for 2 wheels that are not four at the corners"),
-        (CARRYING, {}, r"wheel 'left' carries joints 'spin': their angle decides how it rolls"),
-        (TWIN, {}, "wheels 'caster', 'twin' hang on one swivel, 'caster_swivel', for"),
-        (NESTED, {}, "hangs on two joints about the vertical, 'caster_swivel' and 'boom'"),
+        (CARRYING, {}, r"wheel 'left' carries joints 'spin', probably rollers"),
+        (TWIN, {}, "wheels 'caster', 'twin' share one swivel, 'caster_swivel', which"),
+        (NESTED, {}, "has two joints about the vertical above it, 'caster_swivel' and 'boom'"),
         ("", {}, r"robot has no wheels in its file, .* expected table="),
-        (PAIR, {"steering": {"left": "driven"}}, "hangs on no joint about the vertical; expected 'fixed'"),
-        (PAIR, {"steering": "driven"}, "steering of wheel 'left' is 'driven', but it hangs on no joint"),
-        (PAIR, {"locked": ["left", "right"]}, r"all wheels of the robot; expected some left"),
+        (PAIR, {"steering": {"left": "driven"}}, "no joint about the vertical above it; expected 'fixed'"),
+        (PAIR, {"steering": "driven"}, "steering of wheel 'left' is 'driven', but the file has no joint"),
+        (PAIR, {"locked": ["left", "right"]}, r"all wheels of the robot; expected fewer"),
         (PAIR, {"inertia": (1.0, 1.0, 1.0)}, r"inertia of wheel 'left' has shape \(3,\), expected \(2,\)"),
         (PAIR, {"inertia": {"left": (-1.0, 1.0)}}, r"inertia of wheel 'left'\[0\] is -1"),
         (PAIR, {"supports": [(1.0, 2.0, 3.0)]}, r"has shape \(3,\), expected \(2,\): x and y of each"),

@@ -257,13 +257,13 @@ test_what_does_not_fit_together_is_refused = refusals(
     ),
     (
         lambda: pm.WholeBody(UR5, CIRCLE, pm.Hold(np.zeros(6), 7)),
-        "base ends after 6 s of 7 s while it moves at 0.5, expected it to end at rest or last as long",
+        "base ends after 6 s of 7 s while it moves at 0.5, expected an end at rest, or the same duration",
     ),
     (
         lambda: pm.WholeBody(
             UR5, CIRCLE, pm.Spline([np.zeros(6), np.ones(6)], (0, 4), end_velocity=np.ones(6))
         ),
-        "joints[0] ends after 4 s of 6 s while it moves at 1, expected it to end at rest or last as long",
+        "joints[0] ends after 4 s of 6 s while it moves at 1, expected an end at rest, or the same duration",
     ),
     (lambda: CIRCLE and pm.WholeBody(UR5, CIRCLE, None)(6.1), "t is 6.1 s, expected 0 <= t <= 6 s"),
     by=told,
@@ -440,11 +440,11 @@ test_sizes_that_do_not_fit_are_refused = refusals(
     ),
     (
         lambda: pm.PDGravity(UR5, 1, 1)(0.0, np.zeros(9), np.zeros(9), CIRCLE(0.0), None),
-        "q has shape (9,), expected (..., 3), as the reference's",
+        "q has shape (9,), expected (..., 3), as in the reference",
     ),
     (
         lambda: pm.simulate(UR5, Decoupled(UR5), CIRCLE, dt=0.01),
-        "q has shape (9,), expected (..., 3), as the reference's; the reference has the first 3 of 9 "
+        "q has shape (9,), expected (..., 3), as in the reference; the reference has the first 3 of 9 "
         "coordinates, expected a controller that follows these, or a reference of all: a motion of base "
         "and arms is WholeBody(robot, base, *joints)",
     ),

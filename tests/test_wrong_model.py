@@ -262,7 +262,7 @@ def test_the_bound_is_where_the_loop_itself_becomes_unstable() -> None:
 
 
 test_bad_arguments_are_refused = refusals(
-    (lambda: pm.Adaptive(NOMINAL, lower=[31, -9, -9, 0]), "exclude that of the robot, 30"),
+    (lambda: pm.Adaptive(NOMINAL, lower=[31, -9, -9, 0]), "exclude the robot's value, 30"),
     (lambda: pm.Adaptive(NOMINAL, upper=[90, 9, 9]), r"upper has shape \(3,\), expected \(4,\)"),
     (lambda: pm.Adaptive(NOMINAL, friction=1), "friction is 1, expected True or False"),  # type: ignore[arg-type]
     (lambda: pm.SlidingMode(NOMINAL, layer=0), "layer is 0.0, expected > 0"),
