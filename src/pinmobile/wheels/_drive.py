@@ -214,7 +214,7 @@ class WheeledRobot(PlantOnWheels):
             )
         return WheeledRobot(self.robot, self.table, evolved(self.ground, ramp=Ramp(angle, direction)))
 
-    # Its dynamics
+    # Dynamics on its ground
 
     @cached_property
     def array_dynamics(self) -> Any:
@@ -327,7 +327,7 @@ class WheeledRobot(PlantOnWheels):
         """Sign of each wheel of the file: -1 if its joint turns in the opposite direction, otherwise 1."""
         return MappingProxyType(joint_signs(self.robot, self.table))
 
-    # Where it stands
+    # Contacts
 
     grounded = _of("robot", "grounded", "Whether the body's origin is known to lie on the ground.")
     footprint = _of("table", "footprint", "Corners of the support polygon, see `WheelTable`.")
@@ -345,7 +345,7 @@ class WheeledRobot(PlantOnWheels):
                 "that are not: give supports=[(x, y), ...], the positions of casters"
             )
 
-    # What is seen
+    # Geometry and frames
 
     mounts = _of("robot", "mounts", "Arms on the body.")
     size = _of("robot", "size", "Length, width and height of the body [m].")
@@ -512,7 +512,7 @@ class WheeledRobot(PlantOnWheels):
                     "the wheels can follow, such as Tangent(path), v0 = robot.project(q0, v0), or v0 of zeros"
                 )
 
-    # Rows and rates
+    # Constraints and wheel rates
 
     @takes(q="nq")
     def constraint_matrix(self, q: Any) -> Any:
@@ -857,7 +857,7 @@ class WheeledRobot(PlantOnWheels):
         """
         return self._numeric.project(q, v)
 
-    # What the ground bears
+    # Ground reactions
 
     def _felt(self, q: Any, v: Any, a: Any) -> tuple[Any, list[Any]]:
         """Return the state, and proper accelerations in the plane along the body's axes."""
@@ -943,7 +943,7 @@ class WheeledRobot(PlantOnWheels):
             return recorded_margins(self.array_dynamics, motion)
         if motion.u is None:
             raise InvalidArgument(
-                "motion.u is None, expected the input, on which the forces of wheels depend: "
+                "motion.u is None, expected the input, because the forces of wheels depend on it: "
                 "MotionStates(..., u=u)"
             )
         q, v, u, a = self._state(motion.q, motion.v, motion.u, motion.a)

@@ -386,12 +386,12 @@ def metrics_on_wheels(body: Any) -> tuple[Metric, ...]:
     if arms is not None:
         found += [one for one in arms.metrics if one.name.startswith("end effector")]
     if limits_of(body):
-        found.append(Metric("effort", "", "largest |torque| of a joint or wheel, of what its motor can do"))
+        found.append(Metric("effort", "", "largest |torque| of a joint or wheel, relative to its limit"))
     if footprint_of(body) is not None:
-        words = "distance of the zero-moment point inside the edge of what it stands on"
+        words = "distance of the zero-moment point from the edge of the support polygon"
         found.append(Metric("tip-over margin", "m", words, "smallest"))
     if body.stands:
-        words = "smallest load of a wheel or support, as springs that pull too would share them"
+        words = "smallest load of a wheel or support; negative where it would have to pull"
         found.append(Metric("load", "N", words, "smallest"))
         words = "no loads of wheels and supports balance them; tipping over is not simulated"
         found.append(Metric("tip over", "", words, "ever"))

@@ -342,7 +342,7 @@ class _Reader:
         if self.rollers is not None:
             tell("rollers as given at", lambda row, joint: row.roller is not None)
         if self.rollers is None:
-            found.append("guessed: no wheel has rollers, of which files do not tell")
+            found.append("guessed: no wheel has rollers, which files do not define")
         elif not any(row.roller is not None for row in table.wheels):
             found.append("no rollers as given")
         found += self.words
