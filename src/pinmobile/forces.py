@@ -390,7 +390,7 @@ class NoiseForce:
 
 
 def noise_frequencies(bandwidth: float) -> Array:
-    """Return the frequencies of the components of `NoiseForce`, shape (TERMS, 3) [Hz].
+    """Return the frequencies of the components of `forces.NoiseForce`, shape (TERMS, 3) [Hz].
 
     Each component has one frequency in each of the K equal parts of the band, f_kj = bandwidth (k + frac((k +
     1) g + j / 3)) / K with the fractional part g of the golden ratio. No two frequencies of a component have
@@ -761,7 +761,8 @@ class JointFriction:
         Parameters
         ----------
         robot : MobileRobot
-            Robot with `joint_damping`, `joint_friction` and names of coordinates; the base has no friction.
+            Robot with ``joint_damping``, ``joint_friction`` and names of coordinates; the base has no
+            friction.
         speed : array_like, shape () or (nv,)
             Speed at which dry friction has 71 % of its size [m/s or rad/s].
 

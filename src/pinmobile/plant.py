@@ -37,7 +37,7 @@ _DEFAULTS = dict.fromkeys(("nq", "nv", "nu"), 0) | dict.fromkeys(
 
 
 def stated(part: object, name: str) -> Any:
-    """Return an optional attribute of a part or plant, see `Plant`; without it, the default.
+    """Return an optional attribute of a part or plant, see `plant.Plant`; without it, the default.
 
     Parameters
     ----------
@@ -150,22 +150,22 @@ class Plant(Protocol):
     """Simulated system of a closed loop, such as a `MobileRobot`. Shapes are those of one state.
 
     A plant has these sizes and methods, and either ``forward_dynamics(q, v, u, f)`` or a step of its own.
-    Further methods are capabilities; `pinmobile.parts` has a protocol for each that a loop uses:
+    Further methods are capabilities; `parts` has a protocol for each that a loop uses:
 
-    - `Stepping`: ``step(t, q, v, u, h, f, memory)`` replaces integrator and ``forward_dynamics``.
-    - `Constrained`: ``project(q, v)`` keeps velocities on constraints such as rolling.
-    - `Pushable`: ``pose(q)``, ``pose_rate(q, v)`` and ``generalized_force(q, wrench)`` let forces act on
-      the body.
-    - `Starting`: ``start(reference)`` completes the first sample of a reference.
-    - `Remembering`: ``initial_state(context)`` is the memory before the first sample.
-    - `Measuring`: ``metrics`` and ``evaluate_metrics(...)`` are metrics, of which ensembles keep the worst.
-    - `Signalling`: ``signals(...)`` are further series worth recording.
+    - `parts.Stepping`: ``step(t, q, v, u, h, f, memory)`` replaces integrator and ``forward_dynamics``.
+    - `parts.Constrained`: ``project(q, v)`` keeps velocities on constraints such as rolling.
+    - `parts.Pushable`: ``pose(q)``, ``pose_rate(q, v)`` and ``generalized_force(q, wrench)`` let forces act
+      on the body.
+    - `parts.Starting`: ``start(reference)`` completes the first sample of a reference.
+    - `parts.Remembering`: ``initial_state(context)`` is the memory before the first sample.
+    - `parts.Measuring`: ``metrics`` and ``evaluate_metrics(...)`` are metrics; ensembles keep the worst.
+    - `parts.Signalling`: ``signals(...)`` are further series worth recording.
 
     A plant describes itself by these attributes, all optional:
 
     ``coordinates``, ``configuration_names``, ``inputs``
-        Tuples of nv `Coordinate` (x, y, psi first), nq names, and nu `Input`, whose limits the loop applies.
-        A plant without them has numbers for names.
+        Tuples of nv `plant.Coordinate` (x, y, psi first), nq names, and nu `plant.Input`, whose limits the
+        loop applies. A plant without them has numbers for names.
     ``reference_sizes``
         Number of entries of q for each number of coordinates that a reference may have; default: {nv: nq}.
     ``compiles``
@@ -182,10 +182,10 @@ class Plant(Protocol):
         Length, width and height of the drawn box [m]; arms that reach beyond it, for which the viewer makes
         room.
 
-    The viewer and `pinmobile.balance` use further methods:
+    The viewer and `balance` use further methods:
 
     ``drawing(q) -> (k, 4, 4)``, ``visual_model``
-        Placements in the inertial frame of the k objects of a `pin.GeometryModel`.
+        Placements in the inertial frame of the k objects of a ``pin.GeometryModel``.
     ``contacts(q, v, a, u, signals) -> Contacts``
         Contacts with the ground at n samples of a run.
     ``ground_wrench(q, v, a) -> (..., 6)``, ``footprint``
@@ -194,8 +194,8 @@ class Plant(Protocol):
     ``contact_loads(q, v, a) -> ContactLoads``, ``slip_margins(motion) -> SlipMargins``
         Load of each contact, and its margin before slip in a motion, which has q, v, a and u.
     ``follows(t, reference)``
-        Motion along a reference. Its ``at(factor)`` returns `ContactLoads`, `SlipMargins` and `TorqueMargins`
-        of the motion with its speed multiplied by a factor.
+        Motion along a reference. Its ``at(factor)`` returns `plant.ContactLoads`, `plant.SlipMargins` and
+        `plant.TorqueMargins` of the motion with its speed multiplied by a factor.
     ``on_ramp(angle, direction) -> plant``
         The same plant on ground that rises by an angle; the direction up is measured from the inertial x
         axis [rad].
@@ -305,7 +305,7 @@ class Step(NamedTuple):
 class Contacts(NamedTuple):
     """Contacts of a plant with the ground at n samples of a run, for the viewer and plots.
 
-    `pinmobile.balance` uses `ContactLoads` and `SlipMargins`, which exist for any states.
+    `balance` uses `plant.ContactLoads` and `plant.SlipMargins`, which exist for any states.
 
     Attributes
     ----------
@@ -575,7 +575,7 @@ class Context:
     """Argument of a controller's initialisation, ``controller.initial_state(context)``.
 
     It contains no dynamics of the simulated plant: a wrong controller model stays wrong. The loop makes it;
-    `Context.of` makes one for calls by hand.
+    ``Context.of`` makes one for calls by hand.
 
     Attributes
     ----------
@@ -886,8 +886,8 @@ _SLACK = 1e-6  # relative to a limit: tolerance of integration errors
 def limits_exceeded(plant: object, t: Array, q: Array, v: Array, u: Array | None = None) -> tuple[str, ...]:
     """Return a sentence for each limit of a plant that samples exceed, with the largest excess.
 
-    `coordinates` contain the limits of position; ``velocity_limit`` and ``effort_limit`` of the robot contain
-    the others.
+    ``coordinates`` contain the limits of position; ``velocity_limit`` and ``effort_limit`` of the robot
+    contain the others.
 
     Parameters
     ----------

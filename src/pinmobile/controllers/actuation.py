@@ -74,7 +74,7 @@ class TorqueToVoltage(Wrapper):
 
     See Also
     --------
-    wheels.Motor : model of an electric motor
+    Motor : model of an electric motor
     wheels.ByVoltage : robot whose input is voltages
     LQR : law that can compute voltages directly
 

@@ -320,8 +320,8 @@ class Adaptive(OfBody):
     sum s' M s / 2 + (phi - true)' gamma^-1 (phi - true) / 2 decreases at s' kd s. Therefore the error
     converges to zero. The estimates converge only if the motion excites them. For a planar body, phi contains
     mass, mass times centre of mass, and inertia about the vertical axis of the frame; for a robot with arms
-    it is `inertial_parameters`. With `friction`, coefficients c and f of each coordinate follow, those of the
-    base along the body's axes: c v_r and f S(v_r), S(z) = z / sqrt(z^2 + speed^2).
+    it is `MobileRobot.inertial_parameters`. With `friction`, coefficients c and f of each coordinate follow,
+    those of the base along the body's axes: c v_r and f S(v_r), S(z) = z / sqrt(z^2 + speed^2).
 
     Steps whose force is cut off by limits do not change phi, because their errors would drive phi away. After
     each step phi is clipped to its bounds. A planar body has one more bound: its inertia about the centre of

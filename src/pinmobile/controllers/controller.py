@@ -32,7 +32,7 @@ class State(Protocol):
 
     See Also
     --------
-    trajectories.Reference : the named tuple that trajectories return
+    Reference : the named tuple that trajectories return
 
     Examples
     --------

@@ -247,7 +247,7 @@ class KinematicLaw(Protocol):
         Parameters
         ----------
         tracked : Tracked
-            Tracking error; its entries may have a rate, see `Changing`.
+            Tracking error; its entries may have a rate, see `controllers.Changing`.
         state : any
             State of the law.
 

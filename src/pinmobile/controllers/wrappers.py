@@ -299,7 +299,7 @@ class InputSaturation(Wrapper):
     See Also
     --------
     MPC : law that plans within limits
-    wheels.Motor : limits of real motors
+    Motor : limits of real motors
 
     Examples
     --------
@@ -396,8 +396,8 @@ class MeasurementNoise(Wrapper):
     """Wrapper that adds white Gaussian noise to the measured state.
 
     The noise of sample k depends only on the seed and on k. Therefore a repeated run has the same noise, in
-    every engine (see `Context.noise`). If q and v have leading axes, all states get the same noise; in an
-    ensemble each robot has its own. The noise of q is a displacement, which the plant's `integrate` adds to
+    every engine (see `plant.Context`). If q and v have leading axes, all states get the same noise; in an
+    ensemble each robot has its own. The noise of q is a displacement, which the plant's ``integrate`` adds to
     q.
 
     Parameters
@@ -451,7 +451,7 @@ class MeasurementNoise(Wrapper):
         return f"measurement {within} {sha256(sequence.generate_state(4).tobytes()).hexdigest()[:16]}"
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any]:
-        """Return the first state of the wrapped controller, the noise, and the plant's `integrate`."""
+        """Return the first state of the wrapped controller, the noise, and the plant's ``integrate``."""
         noise = context.noise(self._name, 2 * context.nv)
         return self.controller.initial_state(context), noise, context.integrate
 

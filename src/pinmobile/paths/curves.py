@@ -295,7 +295,7 @@ class CubicVia(PiecewisePath):
 class Spline(PiecewisePath):
     """Cubic spline through waypoints, with given velocities at its ends.
 
-    `CubicVia` without `via_velocity` is the spline through three waypoints. By default the path starts and
+    `CubicVia` without ``via_velocity`` is the spline through three waypoints. By default the path starts and
     ends at rest.
 
     Parameters

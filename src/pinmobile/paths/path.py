@@ -24,8 +24,8 @@ class Path(Protocol):
 
     It is a curve r(t) of n coordinates, 0 <= t <= duration. Any class with these members is a path. At a knot
     ``derivative`` returns the limit from the right, at the end of the path the limit from the left. A path
-    that is not analytic everywhere lists its analytic pieces in an attribute ``pieces``, a tuple of `Piece`;
-    a path without it counts as one piece.
+    that is not analytic everywhere lists its analytic pieces in an attribute ``pieces``, a tuple of
+    `paths.Piece`; a path without it counts as one piece.
 
     See Also
     --------

@@ -148,7 +148,7 @@ def check_limits(robot: Any, q: Array, v: Array, t: Array | None = None) -> None
     Parameters
     ----------
     robot : MobileRobot
-        Robot with the limits `lower`, `upper` and `velocity_limit`.
+        Robot with the limits ``lower``, ``upper`` and ``velocity_limit``.
     q : ndarray, shape (..., n), n <= nq
         Configurations, or their first entries [m, m, rad, ...].
     v : ndarray, shape (..., m), m <= nv

@@ -976,7 +976,7 @@ class WheeledRobot(PlantOnWheels):
         -------
         motion : TimeScaledMotion
             ``motion.at(factor)`` gives `plant.ContactLoads`, `plant.SlipMargins` and `plant.TorqueMargins` of
-            the motion at `factor` times its speed.
+            the motion at ``factor`` times its speed.
 
         Raises
         ------

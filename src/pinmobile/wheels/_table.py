@@ -681,8 +681,8 @@ class WheelTable:
         supports : iterable of (x, y)
             Positions of casters without friction [m].
         **wheel
-            Other parameters of each `Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``, ``friction``,
-            ``motor``; default: a torque source.
+            Other parameters of each `wheels.Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``,
+            ``friction``, ``motor``; default: a torque source.
         """
         half, own = positive("track", track, "m") / 2, {"motor": TORQUE, **wheel}
         rows = (Wheel(name, x, y, radius, **own) for name, y in (("left", half), ("right", -half)))
@@ -701,8 +701,8 @@ class WheelTable:
         coupled : bool
             Whether each side has one motor, at the front, and a gear train; otherwise each wheel has a motor.
         **wheel
-            Other parameters of each `Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``, ``friction``,
-            ``motor`` of each side or wheel.
+            Other parameters of each `wheels.Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``,
+            ``friction``, ``motor`` of each side or wheel.
         """
         instance("coupled", coupled, bool, "True or False")
         own = {"motor": TORQUE, **wheel}
@@ -726,8 +726,8 @@ class WheelTable:
             Angle of the rollers [rad]: positive for the X arrangement, negative for the O arrangement, which
             cannot turn on a square base.
         **wheel
-            Other parameters of each `Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``, ``friction``,
-            ``motor``; default: a torque source.
+            Other parameters of each `wheels.Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``,
+            ``friction``, ``motor``; default: a torque source.
 
         Raises
         ------
@@ -760,8 +760,8 @@ class WheelTable:
         first : float
             Angle of the first wheel's position from the body's x axis [rad].
         **wheel
-            Other parameters of each `Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``, ``friction``,
-            ``motor``; default: a torque source.
+            Other parameters of each `wheels.Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``,
+            ``friction``, ``motor``; default: a torque source.
         """
         count, L = whole("n", n, least=3, most=_MOST), positive("distance", distance, "m")
         angles = (scalar("first", first) + 2 * pi * np.arange(count) / count).tolist()
@@ -782,8 +782,8 @@ class WheelTable:
         supports : iterable of (x, y)
             Positions of casters without friction [m].
         **wheel
-            Other parameters of each `Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``, ``friction``,
-            ``motor`` of the drive; default: a torque source.
+            Other parameters of each `wheels.Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``,
+            ``friction``, ``motor`` of the drive; default: a torque source.
         """
         own: dict[str, Any] = {"steering": DRIVEN, "motor": TORQUE, **wheel}
         rows = [Wheel(f"wheel_{k}", *at, radius, **own) for k, at in enumerate(each_of("places", places), 1)]
@@ -813,7 +813,8 @@ class WheelTable:
         steering_limit : float
             Largest steering angle to either side, in (0, pi / 2) [rad].
         **wheel
-            Other parameters of each `Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``, ``friction``.
+            Other parameters of each `wheels.Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``,
+            ``friction``.
         """
         L, half = positive("wheelbase", wheelbase, "m"), positive("track", track, "m") / 2
         limit = scalar("steering_limit", steering_limit)

@@ -410,14 +410,14 @@ def read_wheels(
     Masses and inertias are those of the links, which the robot's mass and inertia include. For a caster, the
     wheel's mass and yaw inertia include its fork. The effort of a driven joint becomes its motor's torque
     limit; damping and friction become those of the motor, and act if voltages drive it. Damping and friction
-    of other joints are ignored. The property `source` of the table states the origin of each number.
+    of other joints are ignored. The property ``source`` of the table states the origin of each number.
 
     A mapping below has names of wheel joints.
 
     Parameters
     ----------
     robot : MobileRobot
-        Robot with the `undercarriage` of its file.
+        Robot with the ``undercarriage`` of its file.
     radius : float or mapping of str to float, optional
         Radius [m]; a number applies to all wheels without a radius in the file.
     rollers : float or mapping of str to float, optional
@@ -447,7 +447,7 @@ def read_wheels(
     Returns
     -------
     table : WheelTable
-        The table; its `source` states the origin of its numbers.
+        The table; its ``source`` states the origin of its numbers.
 
     Raises
     ------
@@ -489,7 +489,7 @@ def joint_signs(robot: MobileRobot, table: WheelTable) -> dict[str, int]:
     Parameters
     ----------
     robot : MobileRobot
-        Robot with the `undercarriage` of its file.
+        Robot with the ``undercarriage`` of its file.
     table : WheelTable
         Its wheels, with the names of the joints.
     """

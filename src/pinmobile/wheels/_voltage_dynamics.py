@@ -386,7 +386,7 @@ class ByVoltage(PlantOnWheels):
 
     @property
     def motor_paths(self) -> tuple[str, ...]:
-        """Paths of the electric motors, in the order of the inputs, see `pinmobile.parts`."""
+        """Paths of the electric motors, in the order of the inputs, see ``pinmobile.parts.replace``."""
         return tuple(f"wheeled.table.{self.table.actuators[k].path}" for k in self._electric)
 
     @structure
