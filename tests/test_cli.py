@@ -268,8 +268,8 @@ def test_parts_are_listed_from_their_declarations(typed: Typed) -> None:
     for words, text in (
         ([], "\n  ComputedTorque       Computed torque, tau = M(q)"),
         (["Circle"], "radius           radius of the circle; a number > 0 [m]\n"),
-        (["WheelTable.differential"], "track            Distance of the wheels [m]\n"),
-        (["WheelTable.differential"], "**               What else each has, see `Wheel`: ``mass``"),
+        (["WheelTable.differential"], "track            Distance between the wheels, > 0 [m]\n"),
+        (["WheelTable.differential"], "**               Other parameters of each `wheels.Wheel`: ``mass``"),
         (["scenario"], "dt               time step; a number > 0 [s]; default 0.1\n"),
         (["MobileRobot"], "MobileRobot.from_urdf, "),
         (["--schema"], '"exclusiveMinimum": 0.0'),

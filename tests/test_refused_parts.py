@@ -389,7 +389,7 @@ def _late_integrator(acceleration: Any, t: float, q: Any, v: Any, h: float) -> A
     [
         (
             BODY | {"controller": pm.law(lambda t, q, v, r: (1j if t > 1 else 1.0) * (r.q - q))},
-            r"(?s)^(robot 0: )?function of the law returned .*j.* at t = 1.02 s, expected a force",
+            r"(?s)^(robot 0: )?function of the law returned .*j.* at t = 1.02 s, expected an input",
         ),
         (
             BODY | {"forces": [lambda t, pose, rate: (1j if t > 1 else 1.0) * pose]},

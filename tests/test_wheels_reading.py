@@ -443,7 +443,11 @@ TABLE = WheelTable.differential(0.4, 0.1)
     ("wheels", "given", "words"),
     [
         (THIRD, {}, "do not stand on one plane"),
-        (THIRD, {"ground_z": 0.0}, r"third at z = 0\.02, the ground at z = 0 m, expected them within 5 mm"),
+        (
+            THIRD,
+            {"ground_z": 0.0},
+            r"third at z = 0\.02, the ground at z = 0 m, expected differences below 5 mm",
+        ),
         (PAIR, {"radius": {"left": 0.15}}, r"left at z = -0.05"),
         (AT_AN_ANGLE, {}, r"products up to 0\.0004 kg m\^2: its inertia would depend on"),
         (OFF_ITS_AXLE, {}, "'left' has its centre of mass 4 mm off its axle"),
@@ -463,7 +467,7 @@ TABLE = WheelTable.differential(0.4, 0.1)
         (PAIR, {"inertia": (1.0, 1.0, 1.0)}, r"inertia of wheel 'left' has shape \(3,\), expected \(2,\)"),
         (PAIR, {"inertia": {"left": (-1.0, 1.0)}}, r"inertia of wheel 'left'\[0\] is -1"),
         (PAIR, {"supports": [(1.0, 2.0, 3.0)]}, r"has shape \(3,\), expected \(2,\): x and y of each"),
-        (PAIR, {"table": TABLE, "radius": 0.1}, "radius is given with table=, expected one"),
+        (PAIR, {"table": TABLE, "radius": 0.1}, "radius is given with table=, expected only one"),
     ],
 )
 def test_what_is_refused(tmp_path: Path, wheels: str, given: dict[str, Any], words: str) -> None:

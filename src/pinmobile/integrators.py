@@ -103,7 +103,7 @@ def check_integrator(integrator: object) -> None:
     callable_as(
         "integrator(acceleration, t, q, v, dt)",
         integrator,
-        "one of pinmobile.integrators or such a function",
+        "one of pinmobile.integrators or such a step",
     )
 
 

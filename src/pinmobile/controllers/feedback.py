@@ -180,7 +180,7 @@ class PD:
         if not callable(state):
             raise InvalidArgument(
                 f"state is {shown(state)}, expected the result of initial_state(context); for a call by "
-                "hand, Context.of(robot, dt=...) makes the context"
+                "hand, use context = Context.of(robot, dt=...)"
             )
         return feedback(self, q, v, reference, state), state
 
