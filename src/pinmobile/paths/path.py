@@ -114,7 +114,20 @@ class Piece(Protocol):
         ...
 
     def derivative(self, t: ArrayLike, order: int, /) -> Array:
-        """Return the derivative, shape (..., n) [m/s^order], at start <= t <= end, shape (...) [s]."""
+        """Return a derivative.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Times, start <= t <= end [s].
+        order : int
+            0 for the position, 1 for the velocity, and so on.
+
+        Returns
+        -------
+        dr : ndarray, shape (..., n)
+            The derivative [m/s^order].
+        """
         ...
 
 
@@ -153,7 +166,20 @@ class Whole:
         return float(self.path.duration)
 
     def derivative(self, t: ArrayLike, order: int) -> Array:
-        """Return the derivative of the path, shape (..., n) [m/s^order], at `t`, shape (...) [s]."""
+        """Return the path's derivative.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Times, start <= t <= end [s].
+        order : int
+            0 for the position, 1 for the velocity, and so on.
+
+        Returns
+        -------
+        dr : ndarray, shape (..., n)
+            The derivative [m/s^order].
+        """
         return self.path.derivative(t, order)
 
 

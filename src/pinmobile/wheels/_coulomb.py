@@ -657,11 +657,28 @@ class Coulomb:
     slips: ClassVar[bool] = True
 
     def dynamics(self, wheeled: Any) -> SlippingDynamics:
-        """Return the dynamics of a robot on this ground."""
+        """Return the dynamics of a robot on this ground.
+
+        Parameters
+        ----------
+        wheeled : WheeledRobot
+            The robot.
+        """
         return SlippingDynamics(wheeled, wheeled.robot.array_dynamics, self)
 
     def check_robot(self, wheeled: Any) -> None:
-        """Raise `InvalidArgument` for robots whose slip cannot be computed."""
+        """Check that a robot can stand on this ground.
+
+        Parameters
+        ----------
+        wheeled : WheeledRobot
+            The robot.
+
+        Raises
+        ------
+        InvalidArgument
+            If its slip cannot be computed.
+        """
         wheeled.check_stands()
         gear_ratios(wheeled.table)
         check_inertias(wheeled, range(len(wheeled.joint_inertias)))

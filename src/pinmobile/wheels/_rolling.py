@@ -136,11 +136,28 @@ class Rolling:
     slips: ClassVar[bool] = False
 
     def dynamics(self, wheeled: Any) -> RollingDynamics:
-        """Return the dynamics of a robot on this ground."""
+        """Return the dynamics of a robot on this ground.
+
+        Parameters
+        ----------
+        wheeled : WheeledRobot
+            The robot.
+        """
         return RollingDynamics(wheeled, wheeled.robot.array_dynamics)
 
     def check_robot(self, wheeled: Any) -> None:
-        """Raise `InvalidArgument` for drives that cannot roll, and for free steering axes without inertia."""
+        """Check that a robot can roll without slip.
+
+        Parameters
+        ----------
+        wheeled : WheeledRobot
+            The robot.
+
+        Raises
+        ------
+        InvalidArgument
+            If its wheels cannot roll, or a free steering axis has no inertia.
+        """
         mobility = wheeled.mobility
         if not mobility.is_regular:
             raise InvalidArgument(
