@@ -375,7 +375,7 @@ class LQR(Weighted):
     >>> from pinmobile import LQR, Circle, MobileRobot
     >>> from pinmobile import Tangent, simulate
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
-    >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=2.0))
+    >>> path = Tangent(Circle(radius=3.0, rate=0.1, duration=1.0))
     >>> for weight in 1.0, 100.0:
     ...     law = LQR(robot, input_weight=weight)
     ...     run = simulate(robot, law, path, dt=0.05, q0=[0.1, 0, 0])
