@@ -188,7 +188,7 @@ def test_each_joint_has_a_friction_of_its_own() -> None:
     runs = run(spread=spread, forces=[friction], n=2)
     assert_members(runs, 0, 1)
     with pytest.raises(
-        pm.InvalidArgument, match=r"^numbers of coordinates are viscous 2, names 3, expected as "
+        pm.InvalidArgument, match=r"^numbers of coordinates are viscous 2, names 3, expected equal "
     ):
         pm.JointFriction([1.0, 2.0], names=["x", "y", "psi"])
 

@@ -203,8 +203,14 @@ LITTLE = pm.MobileRobot(1.5, 1.0)
         (lambda: pm.WheeledRobot(LITTLE, DIFFERENTIAL), "robot has a mass of 1.5 kg, and its wheels 2 kg"),
         (lambda: pm.WheeledRobot(BASE, pm.WheelTable.car(0.6, 0.4, 0.1)), "steering of the table has no ine"),
         (lambda: Wheel("a", 0, 0, 0.0), "radius is 0"),
-        (lambda: Wheel("a", 0, 0, 0.1, roller=np.pi / 2), "roller of wheel 'a' is 1.5708 rad, expected less"),
-        (lambda: table(Wheel("a", 0, 0, 0.1), Wheel("b", 0, 0, 0.2)), "wheel 'a' and wheel 'b' stand in one"),
+        (
+            lambda: Wheel("a", 0, 0, 0.1, roller=np.pi / 2),
+            "roller of wheel 'a' is 1.5708 rad, expected at most 89",
+        ),
+        (
+            lambda: table(Wheel("a", 0, 0, 0.1), Wheel("b", 0, 0, 0.2)),
+            "wheel 'a' and wheel 'b' have one position",
+        ),
         (lambda: pm.WheelTable.mecanum(0.5, 0.4, 0.1, roller=0.0), "roller is 0 rad on a base of 0.5 by"),
         (lambda: pm.WheelTable.mecanum(0.4, 0.4, 0.1, roller=-np.pi / 4), "roller is -0.785398 rad on a"),
         (lambda: table(Wheel("x", 0.0, 0.2, 0.1)), "'x' names two coordinates of the robot, expected"),
