@@ -17,7 +17,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT / "docs")]
+sys.path[:0] = [str(ROOT / "docs"), str(ROOT / "docs" / "site" / "_ext")]
 
 from public import TOPICS, public, spelled  # noqa: E402
 
@@ -184,6 +184,8 @@ def notebooks(source: Path) -> None:
 
 def recordings(folder: Path) -> None:
     """Record what the pages show: a page and its still picture each."""
+    from recording import save
+
     from pinmobile import (
         PD,
         Backstepping,
@@ -201,13 +203,9 @@ def recordings(folder: Path) -> None:
     )
     from pinmobile.viewer import Viewer
 
-    folder.mkdir(parents=True, exist_ok=True)
-
     def record(name: str, robot: object, runs: object, t: float, speed: float = 1.0) -> None:
         with Viewer(robot) as viewer:
-            recording = viewer.record(runs, speed=speed)
-            recording.save_html(folder / f"{name}.html")
-            recording.screenshot(folder / f"{name}.png", t=t, size=(720, 405))
+            save(viewer.record(runs, speed=speed), folder, name, t)
 
     robot = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
     circle = Tangent(Circle(radius=3, rate=0.1, duration=60))

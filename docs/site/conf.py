@@ -20,7 +20,11 @@ sys.path[:0] = [str(HERE / "_ext"), str(ROOT / "docs")]
 
 from public import TOPICS, find  # noqa: E402
 
-project, author, copyright = "pinmobile", "The pinmobile developers", "The pinmobile developers, BSD-3-Clause"
+project, author, copyright = (
+    "pinmobile",
+    "The pinmobile developers",
+    "The pinmobile developers, BSD-3-Clause",
+)
 version = release = pinmobile.__version__
 extensions = [
     "sphinx.ext.autodoc",
@@ -48,13 +52,22 @@ toc_object_entries_show_parents = "hide"
 smartquotes = False  # --film is no dash
 nitpicky = True
 nitpick_ignore_regex = [
-    (r"py:.*", r"(pin|pinocchio|scipy|numpy|np|distributed|xarray|matplotlib|sympy|attrs)(\..*)?")
+    (
+        r"py:.*",
+        r"(pin|pinocchio|scipy|numpy|np|distributed|xarray|matplotlib|sympy|attrs)(\..*)?",
+    )
 ]
 
 # Notebooks show the outputs that are stored in them: the tests execute them.
 nb_execution_mode = "off"
 nb_merge_streams = True
-myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist", "attrs_inline"]
+myst_enable_extensions = [
+    "dollarmath",
+    "amsmath",
+    "colon_fence",
+    "deflist",
+    "attrs_inline",
+]
 myst_heading_anchors = 3
 myst_fence_as_directive = ["math"]
 
@@ -116,7 +129,9 @@ html_theme_options = {
 PUBLIC = find()
 MODULES = {module for _, modules in TOPICS.values() for module in modules}
 # Short names that docstrings use for public objects of other modules.
-SHORT = {name.rpartition(".")[2]: name for name in reversed(PUBLIC)} | {name: name for name in PUBLIC}
+SHORT = {name.rpartition(".")[2]: name for name in reversed(PUBLIC)} | {
+    name: name for name in PUBLIC
+}
 numpydoc_xref_aliases = {word: word for word in DEFAULT_LINKS} | {
     short: f"pinmobile.{full}" for short, full in SHORT.items() if short[0].isupper()
 }
@@ -135,7 +150,9 @@ class Linked(SphinxTransform):
             if (
                 match
                 and match[1] in PUBLIC
-                and not isinstance(literal.parent, nodes.reference | nodes.title | pending_xref)
+                and not isinstance(
+                    literal.parent, nodes.reference | nodes.title | pending_xref
+                )
             ):
                 link = pending_xref(
                     "",
@@ -164,7 +181,9 @@ def words_of(docname: str) -> set[str]:
         one = getattr(one, "fget", getattr(one, "__func__", one))
         with contextlib.suppress(TypeError, ValueError):
             words |= set(inspect.signature(one).parameters)
-        for line in re.findall(r"^ *([A-Za-z_*][\w, .*]*) : ", inspect.getdoc(one) or "", re.M):
+        for line in re.findall(
+            r"^ *([A-Za-z_*][\w, .*]*) : ", inspect.getdoc(one) or "", re.M
+        ):
             words |= {word.strip(" *.") for word in line.split(",")}
     return words
 
@@ -181,14 +200,18 @@ def resolve(app, env, node, shown):
         full = SHORT.get(".".join(parts[:cut]))
         if full is not None:
             target = ".".join(["pinmobile", full, *parts[cut:]])
-            found = env.domains["py"].resolve_xref(env, page, app.builder, "obj", target, node, shown)
+            found = env.domains["py"].resolve_xref(
+                env, page, app.builder, "obj", target, node, shown
+            )
             if found is not None:
                 return found
             owner = PUBLIC[full]
             for name in parts[cut:]:
                 owner = getattr(owner, name, None)
             return shown if owner is not None else None
-    if "/generated/" in f"/{page}" and parts[0] in WORDS.setdefault(page, words_of(page)):
+    if "/generated/" in f"/{page}" and parts[0] in WORDS.setdefault(
+        page, words_of(page)
+    ):
         return shown
     return shown if short in MODULES else None
 
@@ -204,7 +227,13 @@ class Shown:
             if each is value and inspect.isroutine(each) and name[0] != "_"
         ]
         text = getattr(value, "__name__", None) or (known or [repr(value)])[0]
-        self.text = str(value) if isinstance(value, enum.Enum) else text if len(text) < 40 else "..."
+        self.text = (
+            str(value)
+            if isinstance(value, enum.Enum)
+            else text
+            if len(text) < 40
+            else "..."
+        )
 
     def __repr__(self) -> str:
         return self.text
@@ -219,12 +248,16 @@ def show_signature(app, what, name, obj, options, signature, returned):
         given = [
             each.replace(
                 annotation=inspect.Parameter.empty,
-                default=each.default if each.default is each.empty else Shown(each.default),
+                default=each.default
+                if each.default is each.empty
+                else Shown(each.default),
             )
             for each in stated.parameters.values()
             if each.name not in ("self", "cls") or inspect.isclass(obj)
         ]
-        return str(stated.replace(parameters=given, return_annotation=inspect.Signature.empty)), returned
+        return str(
+            stated.replace(parameters=given, return_annotation=inspect.Signature.empty)
+        ), returned
     return None
 
 

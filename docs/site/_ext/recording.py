@@ -67,7 +67,9 @@ def save(recording: Any, folder: Path, name: str, t: float | None = None) -> boo
     still = folder / f"{name}.png"
     recording.save_html(folder / f"{name}.html")
     try:
-        recording.screenshot(still, t=recording.duration / 3 if t is None else t, size=SIZE)
+        recording.screenshot(
+            still, t=recording.duration / 3 if t is None else t, size=SIZE
+        )
     except ViewerError:
         still.unlink(missing_ok=True)  # of an earlier build
         return False
@@ -97,7 +99,13 @@ class Recording(SphinxDirective):
         if not page.exists():
             raise self.error(f"there is no recording {page}")
         if not still.exists():
-            _logger.warning(MISSING, name, type="recording", subtype="still", location=self.get_location())
+            _logger.warning(
+                MISSING,
+                name,
+                type="recording",
+                subtype="still",
+                location=self.get_location(),
+            )
         self.env.note_dependency(str(page))
         title = self.options.get("title", name)
         size = Image.open(still).size if still.exists() else None
@@ -112,8 +120,12 @@ class Recording(SphinxDirective):
         return [frame]
 
 
-_PICTURE = '<img src="{still}" alt="{alt}" width="{width}" height="{height}" loading="lazy">'
-_NO_PICTURE = '<p class="recording-none">No picture: the site was built without a browser.</p>'
+_PICTURE = (
+    '<img src="{still}" alt="{alt}" width="{width}" height="{height}" loading="lazy">'
+)
+_NO_PICTURE = (
+    '<p class="recording-none">No picture: the site was built without a browser.</p>'
+)
 _STAGE = """<figure class="recording">
 <div class="recording-stage" data-src="{page}" data-title="{title}">
 {picture}
@@ -129,12 +141,18 @@ _STAGE = """<figure class="recording">
 def visit_html(self: Any, node: Frame) -> None:
     """Write picture, button and link."""
     here = self.builder.get_target_uri(self.builder.current_docname)
-    page, still = (relative_uri(here, f"{FOLDER}/{node['name']}.{end}") for end in ("html", "png"))
+    page, still = (
+        relative_uri(here, f"{FOLDER}/{node['name']}.{end}") for end in ("html", "png")
+    )
     title, alt = escape(node["title"]), escape(node["alt"])
     width, height = node["size"] or SIZE
     picture = _PICTURE.format(still=still, alt=alt, width=width, height=height)
     picture = picture if node["size"] else _NO_PICTURE
-    self.body.append(_STAGE.format(page=page, title=title, picture=picture, megabytes=node["megabytes"]))
+    self.body.append(
+        _STAGE.format(
+            page=page, title=title, picture=picture, megabytes=node["megabytes"]
+        )
+    )
 
 
 def depart_html(self: Any, node: Frame) -> None:
@@ -155,6 +173,11 @@ def skip(self: Any, node: Frame) -> None:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Add the directive; `conf.py` adds its style and its script."""
-    app.add_node(Frame, html=(visit_html, depart_html), text=(visit_text, None), latex=(skip, None))
+    app.add_node(
+        Frame,
+        html=(visit_html, depart_html),
+        text=(visit_text, None),
+        latex=(skip, None),
+    )
     app.add_directive("recording", Recording)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

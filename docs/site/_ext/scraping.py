@@ -16,7 +16,12 @@ SEEN: dict[str, WeakSet[Any]] = {}
 """What each script has shown in earlier blocks."""
 
 
-def scrape(block: tuple[Any, ...], block_vars: dict[str, Any], gallery_conf: dict[str, Any], **_: Any) -> str:
+def scrape(
+    block: tuple[Any, ...],
+    block_vars: dict[str, Any],
+    gallery_conf: dict[str, Any],
+    **_: Any,
+) -> str:
     """Save each new figure and recording, and return the text that shows them."""
     from pinmobile.viewer import Recording
 
@@ -24,7 +29,11 @@ def scrape(block: tuple[Any, ...], block_vars: dict[str, Any], gallery_conf: dic
     names, paths = block_vars["example_globals"], block_vars["image_path_iterator"]
     seen, shown = SEEN.setdefault(str(script), WeakSet()), []
     for name, value in list(names.items()):
-        if name.startswith("_") or not isinstance(value, Figure | Recording) or value in seen:
+        if (
+            name.startswith("_")
+            or not isinstance(value, Figure | Recording)
+            or value in seen
+        ):
             continue
         seen.add(value)
         if isinstance(value, Figure):
@@ -40,5 +49,7 @@ def scrape(block: tuple[Any, ...], block_vars: dict[str, Any], gallery_conf: dic
 def figure_text(figure: Figure, path: Path, folder: str) -> str:
     """Save a figure and return its text, whose alternative text is the figure's title."""
     figure.savefig(path, dpi=120)
-    title = figure.get_suptitle() or next((text.get_text() for text in figure.texts if text.get_text()), "")
+    title = figure.get_suptitle() or next(
+        (text.get_text() for text in figure.texts if text.get_text()), ""
+    )
     return str(figure_rst([str(path)], folder, fig_titles=title))
