@@ -43,7 +43,10 @@ def reference(source: Path) -> None:
                 (rest if "." in spelled(module, name) else top).append(
                     f"   pinmobile.{spelled(module, name)}"
                 )
-            for heading, names in ((f"Top level ({module})", top), (f"pinmobile.{module}", rest)):
+            for heading, names in (
+                ("In pinmobile" if len(modules) == 1 else f"In pinmobile: {module}", top),
+                (f"In pinmobile.{module}", rest),
+            ):
                 if names:
                     lines += [
                         heading,
