@@ -174,3 +174,72 @@ def test_a_recorded_page_plays_and_runs_nothing_but_itself(page: Page, tmp_path:
     page.wait_for("pinmobile.ready()")
     page.wait_for_changes("Number(document.getElementById('slider').value)", 1)
     assert_sealed(page)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    robot = MobileRobot.box()
+    runs = {
+        gain: simulate(robot, ComputedTorque(robot, kp=gain, kd=gain), Tangent(Circle(3, 0.5, 6)), dt=0.1)
+        for gain in (4, 9)
+    }
+    with Viewer(robot) as viewer:
+        named = {f"kp = {gain}": run for gain, run in runs.items()}
+        return viewer.record(named, title="Two gains").save_html(
+            tmp_path_factory.mktemp("page") / "runs.html"
+        )
+
+
+BOX = "document.getElementById('%s').getBoundingClientRect()"
+SEEN = """(() => {
+    const robot = viewer.scene_tree.find(["meshcat", "robot0"]).object;
+    const at = robot.getWorldPosition(new MeshCat.THREE.Vector3()).project(viewer.camera);
+    const pane = document.querySelector("canvas").getBoundingClientRect();
+    const x = pane.left + (at.x + 1) / 2 * pane.width, y = pane.top + (1 - at.y) / 2 * pane.height;
+    return document.elementFromPoint(x, y).tagName;
+})()"""
+
+
+@pytest.mark.parametrize("size", [(400, 400), (400, 700), (400, 240)], ids=str)
+def test_nothing_covers_the_picture_in_a_narrow_window(
+    page: Page, recorded: Path, size: tuple[int, int]
+) -> None:
+    page.resize(*size)
+    page.open(recorded.as_uri())
+    page.wait_for("pinmobile.ready()")
+    for time in (0, 2, 4, 6):
+        page.evaluate(f"pinmobile.seek({time})")
+        assert page.evaluate(SEEN) == "CANVAS"
+    assert page.evaluate(f"{BOX % 'told'}.bottom") <= page.evaluate(f"{BOX % 'meshcat-pane'}.top") + 1
+    assert page.evaluate(f"{BOX % 'player'}.top") >= page.evaluate(f"{BOX % 'meshcat-pane'}.bottom") - 1
+    assert page.evaluate("document.querySelector('canvas').clientHeight") > 0.6 * size[1]
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    page.resize(1200, 700)
+    page.wait_for("document.querySelector('canvas').clientHeight == 700")
+
+
+def test_the_player_has_names_and_a_visible_focus_and_follows_the_keyboard(
+    page: Page, recorded: Path
+) -> None:
+    page.open(recorded.as_uri())
+    page.wait_for("pinmobile.ready()")
+    page.evaluate("pinmobile.seek(1)")
+    names: list[str] = []
+    outlines: set[str] = set()
+    for _ in range(3):
+        press(page, "Tab", 9)
+        names.append(page.evaluate("document.activeElement.ariaLabel"))
+        outlines.add(page.evaluate("getComputedStyle(document.activeElement).outline"))
+    assert names == ["play", "time", "speed"]
+    assert outlines == {"rgb(194, 78, 0) solid 3px"}
+    assert page.evaluate("document.getElementById('meshcat-pane').ariaLabel") == "Two gains"
+    page.evaluate("document.getElementById('toggle').focus()")
+    press(page, " ", 32)
+    assert page.evaluate("document.activeElement.ariaLabel") == "pause"
+    page.wait_for_changes("Number(document.getElementById('slider').value)", 1)
+
+
+def press(page: Page, key: str, code: int) -> None:
+    for kind in ("keyDown", "keyUp"):
+        text = {"text": key} if key == " " and kind == "keyDown" else {}
+        page.call("Input.dispatchKeyEvent", type=kind, key=key, windowsVirtualKeyCode=code, **text)

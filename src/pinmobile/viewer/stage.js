@@ -123,25 +123,43 @@
     }));
   }
 
+  // Meshcat's picture is as high as the window; this one leaves room for words and player in a narrow one.
+  const pane = element("meshcat-pane");
+  const set_size = viewer.set_3d_pane_size;
+  viewer.set_3d_pane_size = (width = pane.offsetWidth, height = pane.offsetHeight) => {
+    set_size.call(viewer, width, height);
+  };
+  let room = "";
+  function fit() {
+    const now = `${pane.offsetWidth} ${pane.offsetHeight}`;
+    if (now !== room) viewer.set_3d_pane_size();
+    room = now;
+  }
+
   const render = viewer.render;
   viewer.render = () => {
     stage = node("stage");
+    write();
+    fit();
     place_camera();
     place_light();
-    write();
     render.call(viewer);
   };
 
   // The player of a recording.
   const animator = viewer.animator;
   const slider = element("slider");
-  const show = () => { element("toggle").textContent = animator.playing ? "❚❚" : "▶"; };
+  const show = () => {
+    element("toggle").textContent = animator.playing ? "❚❚" : "▶";
+    element("toggle").ariaLabel = animator.playing ? "pause" : "play";
+  };
   window.pinmobile = {
     ready: () => coming === 0,
     seek(time) {
       animator.pause();
       animator.seek(time);
       animator.display_progress(time);
+      slider.ariaValueText = `${time.toFixed(1)} s`;
       viewer.set_dirty();
       viewer.render();
       show();
