@@ -1,8 +1,9 @@
 """What comes of wrong arguments: one table of faults by kind, and a fuzz of every public callable.
 
 FAULTS is the table: kinds of fault, an example of each that once ended in somebody else's error or in a wrong
-number, and what the user is told. docs/errors.md has its kinds in words. The fuzz, tests/arguments.py, tries
-some thirty wrong values for every argument of what users call, in a process of its own.
+number, and what the user is told. docs/site/reference/error-promises.md has its kinds in words. The fuzz,
+tests/arguments.py, tries some thirty wrong values for every argument of what users call, in a process of its
+own.
 """
 
 import copy
@@ -227,10 +228,10 @@ def test_a_fault_is_told_by_name(fault: tuple[Any, ...]) -> None:
 
 
 def test_the_page_on_errors_tells_of_each_kind_of_the_table() -> None:
-    page = (ROOT / "docs" / "errors.md").read_text()
+    page = (ROOT / "docs/site/reference/error-promises.md").read_text()
     assert re.findall(r"^\| ([^|]+?) \| [^|]+ \|$", page, re.MULTILINE)[1:] == [*FAULTS]
-    for path in re.findall(r"\]\(([^)]+)\)", page):
-        assert (ROOT / "docs" / path).is_file()
+    for path in re.findall(r"`(tests/[^`]+)`", page):
+        assert (ROOT / path).is_file()
 
 
 def test_every_part_and_function_of_the_top_level_has_a_row() -> None:
