@@ -78,21 +78,21 @@ def test_right_answers_earn_all_points(name: str, course: str) -> None:
 @each
 def test_the_notebook_of_a_student_has_no_answers_and_they_are_empty(name: str) -> None:
     notebook = read_exercise(name).notebook("ROB-26")
-    nbformat.validate(nbformat.from_dict(notebook))
+    nbformat.validate(nbformat.reads(json.dumps(notebook), as_version=4))
     text = json.dumps(notebook)
     for code in solutions(name).values():
         longest = max(re.findall(r"^(?!def) *(.*)$", code, re.MULTILINE), key=len)
         assert json.dumps(longest)[1:-1] not in text
     assert notebook["metadata"]["pinmobile"] == {"exercise": name, "seed": "ROB-26"}
-    code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
-    assert not any(cell["outputs"] for cell in code)
-    written = run([cell["source"] for cell in code])
+    own = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert not any(cell["outputs"] for cell in own)
+    written = run([cell["source"] for cell in own])
     assert {(entry["state"], entry["points"]) for entry in written} == {("empty", 0)}
     assert all(entry["words"].startswith("nothing is written yet") for entry in written)
 
 
 @each
-def test_likely_mistakes_are_told_from_each_other(name: str) -> None:
+def test_likely_mistakes_are_distinguished(name: str) -> None:
     mistakes = answers(name).MISTAKES
     names: dict[str, Any] = {}
     exec("\n".join(cells(name, "ROB-26")), names)

@@ -375,7 +375,12 @@ def test_the_wheel_carries_the_urdfs_the_types_and_nothing_else(wheel: Path) -> 
     names = set(zipfile.ZipFile(wheel).namelist())
     for shipped in (ROOT / "models" / "urdf").iterdir():
         assert f"pinmobile/models/urdf/{shipped.name}" in names
-    assert {"pinmobile/py.typed", "pinmobile/scenarios/ur5.toml"} <= names
+    assert {
+        "pinmobile/py.typed",
+        "pinmobile/scenarios/ur5.toml",
+        "pinmobile/exercises/course.toml",
+        "pinmobile/exercises/_01_equations.py",
+    } <= names
     assert all(name.split("/")[0] in ("pinmobile",) or ".dist-info/" in name for name in names)
 
 

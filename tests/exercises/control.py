@@ -18,7 +18,9 @@ def pd_force(kp, kd, q, v, q_d, v_d):
 
 
 # %% computed_torque
-def computed_torque(M, n, kp, kd, q, v, q_d, v_d, a_d):
+def computed_torque(M, n, gains, q, v, reference):
+    kp, kd = gains
+    q_d, v_d, a_d = reference
     e = q_d - q
     e[2] = (e[2] + np.pi) % (2 * np.pi) - np.pi
     return M @ (a_d + kd * (v_d - v) + kp * e) + n

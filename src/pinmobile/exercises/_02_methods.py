@@ -84,7 +84,7 @@ def forward_dynamics(p: Numbers, q: Array, v: Array, tau: Array) -> Array:
       Only the diagonal of M is used: the coupling is missing.
     ! mass_matrix(p, q) @ tau + nonlinear_effects(p, q, v) => This is inverse dynamics, tau from a.
     """
-    return np.linalg.solve(mass_matrix(p, q), tau - nonlinear_effects(p, q, v))
+    return np.asarray(np.linalg.solve(mass_matrix(p, q), tau - nonlinear_effects(p, q, v)), float)
 
 
 @EXERCISE.function(2, uniform(3, 3, 3))

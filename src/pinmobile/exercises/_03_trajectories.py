@@ -138,7 +138,11 @@ def duration(p: Numbers, T_m: float) -> list[Requirement]:
     ! 30 * 6 * p.L / T_m**2 >= 40 => It is too short: the acceleration at both ends is 6 L / T_m^2.
     ! p.L / T_m <= 0.3 => It is too long for the mean speed L / T_m.
     """
-    from pinmobile import ComputedTorque, CubicVia, FixedHeading, MobileRobot, simulate
+    from pinmobile.controllers import ComputedTorque
+    from pinmobile.loop import simulate
+    from pinmobile.paths import CubicVia
+    from pinmobile.robot import MobileRobot
+    from pinmobile.trajectories import FixedHeading
 
     robot, middle = MobileRobot(30, 1.3), 1.5 * p.L / T_m
     path = CubicVia((0, 0), (p.L / 2, 0), (p.L, 0), t_via=T_m / 2, t_end=T_m, via_velocity=(middle, 0))

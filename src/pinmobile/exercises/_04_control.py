@@ -36,9 +36,9 @@ def _error(q: Array, q_d: Array) -> Array:
     return np.array([e[0], e[1], np.arctan2(np.sin(e[2]), np.cos(e[2]))])
 
 
-def _gains(rng: np.random.Generator) -> tuple[float, ...]:
+def _gains(rng: np.random.Generator) -> tuple[float, float]:
     """Draw kp and kd."""
-    return tuple(rng.uniform(1, 9, 2))
+    return float(rng.uniform(1, 9)), float(rng.uniform(1, 9))
 
 
 @EXERCISE.function(2, lambda rng: (*_gains(rng), *rng.uniform(-3, 3, (4, 3))))
@@ -65,36 +65,38 @@ def _model(rng: np.random.Generator) -> tuple[Array, Array]:
     return A @ A.T + np.eye(3), rng.uniform(-2, 2, 3)
 
 
-@EXERCISE.function(3, lambda rng: (*_model(rng), *_gains(rng), *rng.uniform(-3, 3, (5, 3))))
+@EXERCISE.function(
+    3, lambda rng: (*_model(rng), _gains(rng), *rng.uniform(-3, 3, (2, 3)), rng.uniform(-3, 3, (3, 3)))
+)
 def computed_torque(
-    p: Numbers,
-    M: Array,
-    n: Array,
-    kp: float,
-    kd: float,
-    q: Array,
-    v: Array,
-    q_d: Array,
-    v_d: Array,
-    a_d: Array,
+    p: Numbers, M: Array, n: Array, gains: tuple[float, float], q: Array, v: Array, reference: Array
 ) -> Array:
     """Return tau of computed torque, three numbers.
 
-    The model has the mass matrix M and the nonlinear effects n.
+    The model has the mass matrix M and the nonlinear effects n. The gains are (kp, kd), and the reference
+    has the rows q_d, v_d, a_d.
 
     ? The robot must accelerate by a_d + kd de/dt + kp e. Which tau does that take?
     ? tau = M (a_d + kd de/dt + kp e) + n, with the heading error on the circle.
 
-    ! M @ (a_d + pd_force(p, kp, kd, q, v, q_d, v_d)) => The nonlinear effects n are missing.
-    ! M @ (a_d + pd_force(p, kp, kd, q, v, q_d, v_d)) - n => n has the wrong sign: tau must supply it.
-    ! M @ a_d + pd_force(p, kp, kd, q, v, q_d, v_d) + n => M must multiply the feedback too.
-    ! M @ pd_force(p, kp, kd, q, v, q_d, v_d) + n => The desired acceleration a_d is missing.
-    ! M @ (a_d + kd * (v_d - v) + kp * (q_d - q)) + n => The heading error is a plain difference.
-    ! M @ (a_d - pd_force(p, kp, kd, q, v, q_d, v_d)) + n => The errors have the wrong sign.
-    ! np.linalg.solve(M, a_d + pd_force(p, kp, kd, q, v, q_d, v_d) - n) => M is inverted; it multiplies.
-    ! np.diag(M) * (a_d + pd_force(p, kp, kd, q, v, q_d, v_d)) + n => Use M @, not *: M is a matrix.
+    ! M @ _wanted(gains, q, v, reference) => The nonlinear effects n are missing.
+    ! M @ _wanted(gains, q, v, reference) - n => n has the wrong sign: tau must supply it.
+    ! M @ reference[2] + _wanted(gains, q, v, reference * [[1], [1], [0]]) + n =>
+      M must multiply the feedback too.
+    ! M @ _wanted(gains, q, v, reference * [[1], [1], [0]]) + n => The desired acceleration a_d is missing.
+    ! M @ (reference[2] + gains[1] * (reference[1] - v) + gains[0] * (reference[0] - q)) + n =>
+      The heading error is a plain difference.
+    ! M @ (2 * reference[2] - _wanted(gains, q, v, reference)) + n => The errors have the wrong sign.
+    ! np.linalg.solve(M, _wanted(gains, q, v, reference) - n) => M is inverted; it multiplies.
+    ! np.diag(M) * _wanted(gains, q, v, reference) + n => Use M @, not *: M is a matrix.
     """
-    return M @ (a_d + pd_force(p, kp, kd, q, v, q_d, v_d)) + n
+    return M @ _wanted(gains, q, v, reference) + n
+
+
+def _wanted(gains: tuple[float, float], q: Array, v: Array, reference: Array) -> Array:
+    """Return the acceleration that computed torque asks for."""
+    q_d, v_d, a_d = reference
+    return a_d + gains[1] * (v_d - v) + gains[0] * _error(q, q_d)
 
 
 @EXERCISE.number(1, "m")
@@ -156,7 +158,11 @@ def gains(p: Numbers, gain_p: float, gain_d: float) -> list[Requirement]:
     ! gain_d**2 > 5 * gain_p => The damping gain_d / (2 sqrt(gain_p)) is far above 1: the robot creeps.
     ! gain_p < 5.5 => gain_p is too small: omega = sqrt(gain_p) is too slow.
     """
-    from pinmobile import ComputedTorque, FixedHeading, Hold, MobileRobot, simulate
+    from pinmobile.controllers import ComputedTorque
+    from pinmobile.loop import simulate
+    from pinmobile.paths import Hold
+    from pinmobile.robot import MobileRobot
+    from pinmobile.trajectories import FixedHeading
 
     robot = MobileRobot(p.m, p.I_cz, com=(p.x_bc, p.y_bc))
     goal = FixedHeading(Hold((0.5, 0.0), duration=6), psi=0)

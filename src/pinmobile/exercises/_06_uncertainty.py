@@ -142,7 +142,11 @@ def controller(p: Numbers, mass: float, gain: float) -> list[Requirement]:
     ! gain < 5.5 => The gain is too small for 4 mm.
     ! gain > 8 => The gain is too large: the force at the start is about mass (r w^2 + 0.1 kp).
     """
-    from pinmobile import Circle, ComputedTorque, MobileRobot, Tangent, Uniform, ensemble
+    from pinmobile.controllers import ComputedTorque
+    from pinmobile.loop import Uniform, ensemble
+    from pinmobile.paths import Circle
+    from pinmobile.robot import MobileRobot
+    from pinmobile.trajectories import Tangent
 
     law = ComputedTorque(MobileRobot(mass, 1.3), gain, 2 * np.sqrt(gain))
     spread = {"mass": Uniform(20, 40), "start.y": Uniform(-0.1, 0.1)}

@@ -115,7 +115,7 @@ def acceleration(p: Numbers, v: float, omega: float, left: float, right: float) 
       The torques are taken for forces: divide them by r_w.
     """
     M, n = _model(p, v, omega)
-    return np.linalg.solve(M, _push(p, left, right) - n)
+    return np.asarray(np.linalg.solve(M, _push(p, left, right) - n), float)
 
 
 def _push(p: Numbers, left: float, right: float) -> Array:
@@ -160,16 +160,12 @@ def tracking(p: Numbers, zeta: float, k: float) -> list[Requirement]:
     ! k > 1.2 => k is too large: the wheels must take up their speeds at once.
     ! k < 0.8 => k is too small: the wheels take up their speeds too late.
     """
-    from pinmobile import (
-        Backstepping,
-        Circle,
-        MobileRobot,
-        Tangent,
-        UnicycleTracking,
-        WheeledRobot,
-        WheelTable,
-        simulate,
-    )
+    from pinmobile.controllers import Backstepping, UnicycleTracking
+    from pinmobile.loop import simulate
+    from pinmobile.paths import Circle
+    from pinmobile.robot import MobileRobot
+    from pinmobile.trajectories import Tangent
+    from pinmobile.wheels import WheeledRobot, WheelTable
 
     table = WheelTable.differential(2 * p.b, p.r_w, supports=[(p.l_s, 0)], mass=0.5, spin_inertia=p.I_w)
     robot = WheeledRobot(MobileRobot(p.m, p.I_cz, com=(p.x_bc, p.y_bc)), table)

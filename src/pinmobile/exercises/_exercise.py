@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from random import Random
 from types import SimpleNamespace
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -25,6 +25,10 @@ _COURSE = tomllib.loads((Path(__file__).parent / "course.toml").read_text("utf-8
 class Numbers(SimpleNamespace):
     """Numbers of a course, as attributes."""
 
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> float: ...
+
     def but(self, **values: float) -> Numbers:
         """Return the numbers with other values: what a mistake assumes."""
         return Numbers(**vars(self) | values)
@@ -35,9 +39,8 @@ def course_numbers(names: str, course: str) -> Numbers:
 
     def draw(name: str) -> float:
         low, high, step, *_ = _COURSE["numbers"][name]
-        return round(
-            low + step * int(Random(f"{course}/{name}").random() * (round((high - low) / step) + 1)), 6
-        )
+        steps = int(Random(f"{course}/{name}").random() * (round((high - low) / step) + 1))
+        return float(round(low + steps * step, 6))
 
     return Numbers(**{name: draw(name) for name in names.split()})
 

@@ -180,7 +180,9 @@ def _check(
     for line in lines:
         with suppress(ValueError, TypeError, KeyError):  # of lines that the notebook wrote itself
             entry = json.loads(line)
-            if isinstance(entry, str):
+            if entry is True:
+                end = ""  # it came to its end
+            elif isinstance(entry, str):
                 notes.append(entry[:300])
             elif entry["state"] in _STATES and 0 <= entry["points"] < 100:
                 found[entry["question"]] = (entry["state"], str(entry["words"])[:900], int(entry["points"]))
@@ -188,24 +190,22 @@ def _check(
     for each in exercise.questions(course):
         state, words, points = found.get(each.key, ("empty", "no verdict: its check did not run", 0))
         verdicts.append(Verdict(each.key, state, words, min(points, each.points), each.points))
-    return Report(str(path), course, tuple(verdicts), (*notes[:20], *end))
+    return Report(str(path), course, tuple(verdicts), tuple(filter(None, [*notes[:20], end])))
 
 
-def _run_child(words: Sequence[str], folder: Path, limit: float) -> list[str]:
-    """Run the cells in a process group of its own, and return why it ended early, if it did."""
+def _run_child(words: Sequence[str], folder: Path, limit: float) -> str:
+    """Run the cells in a process group of its own, and return why it may have ended early."""
     search = f"{Path(__file__).parents[2]}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
     options: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
     options["env"] = os.environ | {"MPLBACKEND": "Agg", "PYTHONPATH": search}
     command = [sys.executable, "-c", _CHILD, *words]
     with subprocess.Popen(command, cwd=folder, start_new_session=True, **options) as child:
-        try:
-            end = [] if child.wait(limit) == 0 else ["the notebook ended its own process"]
-        except subprocess.TimeoutExpired:
-            end = [f"the notebook was stopped after {limit:g} s"]
-        finally:
-            with suppress(ProcessLookupError, PermissionError):
-                os.killpg(child.pid, signal.SIGKILL)
-    return end
+        with suppress(subprocess.TimeoutExpired):
+            child.wait(limit)
+        reason = "ended its own process" if child.poll() is not None else f"was stopped after {limit:g} s"
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(child.pid, signal.SIGKILL)
+    return f"the notebook {reason}"
 
 
 def run_file() -> None:
@@ -219,7 +219,7 @@ def run_file() -> None:
             sheet.flush()
 
         run_cells(json.loads(Path(program).read_text("utf-8")), write, float(limit))
-        os._exit(0)  # threads and handlers of the notebook do not matter
+        write(True)
 
 
 def run_cells(cells: Iterable[str], write: Callable[[object], object], limit: float) -> None:
