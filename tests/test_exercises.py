@@ -78,7 +78,7 @@ def test_right_answers_earn_all_points(name: str, course: str) -> None:
 @each
 def test_the_notebook_of_a_student_has_no_answers_and_they_are_empty(name: str) -> None:
     notebook = read_exercise(name).notebook("ROB-26")
-    nbformat.validate(nbformat.reads(json.dumps(notebook), as_version=4))
+    nbformat.validate(nbformat.reads(json.dumps(notebook), as_version=4))  # type: ignore[no-untyped-call]
     text = json.dumps(notebook)
     for code in solutions(name).values():
         longest = max(re.findall(r"^(?!def) *(.*)$", code, re.MULTILINE), key=len)

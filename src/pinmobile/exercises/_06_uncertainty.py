@@ -154,7 +154,7 @@ def controller(p: Numbers, mass: float, gain: float) -> list[Requirement]:
     robots = ensemble(MobileRobot(30, 1.3), law, circle, n=400, spread=spread, dt=0.1, after=8)
     force = np.abs(robots.max_input[:, :2]).max() if not robots.diverged.any() else np.inf
     return [
-        Requirement("unstable robots", float(robots.diverged.sum()), 1, ""),
+        Requirement("unstable", float(robots.diverged.sum()), 1, "robots"),
         Requirement("error of 99 %", float(1e3 * robots.error_quantile(0.99).distance), 4, "mm"),
         Requirement("force", float(force), 30, "N"),
     ]

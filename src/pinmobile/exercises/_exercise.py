@@ -27,7 +27,7 @@ class Numbers(SimpleNamespace):
 
     if TYPE_CHECKING:
 
-        def __getattr__(self, name: str) -> float: ...
+        def __getattribute__(self, name: str, /) -> float: ...
 
     def but(self, **values: float) -> Numbers:
         """Return the numbers with other values: what a mistake assumes."""
@@ -105,21 +105,20 @@ class Exercise:
         """Return the questions with the numbers of a course."""
         numbers, made = course_numbers(self.symbols, course), []
         for reference, make in self.parts:
-            text, *items = re.split(r"^([?!]) ", inspect.getdoc(reference) or "", flags=re.M)
-            marked = [
-                (mark, " ".join(item.split())) for mark, item in zip(items[::2], items[1::2], strict=True)
-            ]
-            wrong = (item.partition(" => ") for mark, item in marked if mark == "!")
-            question = make(
-                name=reference.__name__,
-                key=f"{self.name}/{course}/{reference.__name__}",
-                text=text.strip(),
-                hints=tuple(item for mark, item in marked if mark == "?"),
-                mistakes=tuple((expression, words) for expression, _, words in wrong),
-                reference=reference,
-                numbers=numbers,
+            text, *items = re.split(r"^(?=[?!] )", inspect.getdoc(reference) or "", flags=re.M)
+            items = [" ".join(item.split()) for item in items]
+            wrong = (item[2:].partition(" => ") for item in items if item[0] == "!")
+            made.append(
+                make(
+                    name=reference.__name__,
+                    key=f"{self.name}/{course}/{reference.__name__}",
+                    text=text.strip(),
+                    hints=tuple(item[2:] for item in items if item[0] == "?"),
+                    mistakes=tuple((expression, words) for expression, _, words in wrong),
+                    reference=reference,
+                    numbers=numbers,
+                )
             )
-            made.append(question)
         return made
 
     def notebook(self, course: str) -> dict[str, Any]:

@@ -157,10 +157,7 @@ class Question:
         except Fault as fault:
             state, words = fault.args
         except TimeLimit:
-            state, words = (
-                "failed",
-                "the answer does not end within the time limit; is there an endless loop?",
-            )
+            state, words = "failed", "the answer takes longer than the time limit; is there an endless loop?"
         except (Exception, SystemExit) as error:
             state, words = "failed", f"the check did not work ({describe(error)}); restart and run all cells"
         verdict = Verdict(self.key, state, words, self.points if state == "passed" else 0, self.points)
@@ -343,9 +340,8 @@ class Number(Question):
 
         if agrees(self.reference):
             return f"{value:g} {self.unit} is right"
-        raise Fault(
-            "wrong", f"{value:g} {self.unit} is not the value.{self.mistake(agrees) or self.factor(agrees)}"
-        )
+        reason = self.mistake(agrees) or self.factor(agrees)
+        raise Fault("wrong", f"{value:g} {self.unit} is not the value.{reason}")
 
     def cells(self) -> tuple[str, str]:
         """Return the name with dots, and its check."""

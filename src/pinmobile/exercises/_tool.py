@@ -212,14 +212,10 @@ def run_file() -> None:
     """Run the cells of a file and write a line of JSON for each verdict: the work of the process."""
     program, path, limit = sys.argv[1:4]
     sys.argv[1:] = []
-    with open(path, "a", encoding="utf-8") as sheet:
-
-        def write(entry: object) -> None:
-            sheet.write(json.dumps(entry) + "\n")
-            sheet.flush()
-
-        run_cells(json.loads(Path(program).read_text("utf-8")), write, float(limit))
-        write(True)
+    with open(path, "a", buffering=1, encoding="utf-8") as sheet:
+        cells = json.loads(Path(program).read_text("utf-8"))
+        run_cells(cells, lambda entry: sheet.write(json.dumps(entry) + "\n"), float(limit))
+        sheet.write("true\n")
 
 
 def run_cells(cells: Iterable[str], write: Callable[[object], object], limit: float) -> None:
