@@ -128,7 +128,7 @@ def nonlinear_effects(p: Numbers, q: Array, v: Array) -> Array:
     ! nonlinear_effects(p, 0 * q, v) => This is along the axes of the body; n is along those of {0}.
     """
     J = com_jacobian(p, q)
-    return -p.m * v[2] ** 2 * np.array([J[1, 2], -J[0, 2], 0])
+    return -p.m * float(v[2]) ** 2 * np.array([J[1, 2], -J[0, 2], 0])
 
 
 @EXERCISE.number(1, "kg m")

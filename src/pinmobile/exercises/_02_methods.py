@@ -45,7 +45,7 @@ def mass_matrix_rate(p: Numbers, q: Array, v: Array) -> Array:
     ! mass_matrix(p, q) * v[2] => This is M psi_dot; M is not differentiated.
     """
     M = mass_matrix(p, q + np.pi / 2)  # the derivative of sine and cosine
-    return v[2] * (M - np.diag(np.diag(M)))
+    return float(v[2]) * (M - np.diag(np.diag(M)))
 
 
 @EXERCISE.function(3, uniform(3, 3))

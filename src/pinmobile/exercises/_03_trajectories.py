@@ -82,7 +82,7 @@ def heading_at_stop(p: Numbers, a: Array) -> Array:
     ! -a => The direction is right; divide it by its length.
     ! a => The robot brakes, and the vector must have length 1.
     """
-    return -a / np.hypot(*a)
+    return -a / float(np.hypot(*a))
 
 
 @EXERCISE.function(2, lambda rng: (rng.uniform(0, 60),))

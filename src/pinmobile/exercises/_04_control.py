@@ -96,7 +96,8 @@ def computed_torque(
 def _wanted(gains: tuple[float, float], q: Array, v: Array, reference: Array) -> Array:
     """Return the acceleration that computed torque asks for."""
     q_d, v_d, a_d = reference
-    return a_d + gains[1] * (v_d - v) + gains[0] * _error(q, q_d)
+    wanted: Array = a_d + gains[1] * (v_d - v) + gains[0] * _error(q, q_d)
+    return wanted
 
 
 @EXERCISE.number(1, "m")
