@@ -202,6 +202,17 @@ def load_exercise(name: str, *, seed: str = "") -> SimpleNamespace:
         If there is no such exercise.
     InvalidArgument
         If the seed contains other signs than letters, digits, spaces and ``_ . : + -``.
+
+    See Also
+    --------
+    start_exercises : notebooks for students
+
+    Examples
+    --------
+    >>> from pinmobile.exercises import load_exercise
+    >>> ask = load_exercise("01_equations", seed="ROB-2026")
+    >>> ask.coupling.check(3.0)
+    wrong  0/1  coupling: 3 kg m is not the value.
     """
     questions = read_exercise(name).questions(check_course(seed))
     return SimpleNamespace(**{each.name: each for each in questions})

@@ -27,7 +27,23 @@ _STATES = ("passed", "wrong", "failed", "empty")
 
 
 def list_exercises() -> str:
-    """Return the names, points and titles of all exercises, one a line."""
+    """Return the names, points and titles of all exercises, one a line.
+
+    Returns
+    -------
+    text : str
+        A line for each exercise.
+
+    See Also
+    --------
+    start_exercises : notebooks for students
+
+    Examples
+    --------
+    >>> from pinmobile.exercises import list_exercises
+    >>> print(list_exercises().splitlines()[1])
+    02_methods       6 questions, 12 points  Exercise 2: model against model
+    """
     lines = []
     for name in exercise_names():
         exercise = read_exercise(name)
@@ -57,6 +73,16 @@ def start_exercises(folder: str | os.PathLike[str] = "exercises", *, seed: str =
     InvalidArgument
         If the folder cannot be made, or the name of the course has other signs than letters, digits, spaces
         and ``_ . : + -``.
+
+    See Also
+    --------
+    check_exercises : points of the notebooks
+
+    Examples
+    --------
+    >>> from pinmobile.exercises import start_exercises
+    >>> start_exercises("exercises", seed="ROB-2026")  # doctest: +SKIP
+    ['exercises/01_equations.ipynb', 'exercises/02_methods.ipynb', ...]
     """
     home, lines = Path(folder), []
     check_course(seed)
@@ -133,6 +159,17 @@ def check_exercises(
     ------
     InvalidArgument
         If a file is no notebook of an exercise, or the limit is not above 0.
+
+    See Also
+    --------
+    start_exercises : notebooks for students
+
+    Examples
+    --------
+    >>> from pinmobile.exercises import check_exercises
+    >>> (report,) = check_exercises(["01_equations.ipynb"])  # doctest: +SKIP
+    >>> report.is_complete  # doctest: +SKIP
+    True
     """
     if not 0 < limit < 1e6:
         raise InvalidArgument(f"limit is {shown(limit)}, expected a number of seconds > 0")
