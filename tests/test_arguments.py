@@ -109,9 +109,9 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
         (lambda: pm.PayloadBody(1, inertia=RAGGED), "inertia is [[1, 2], [3]], expected real numbers"),
     ],
     "masked numbers": [
-        (lambda: pm.ConstantForce(MASKED), "force is a masked array, expected one without a mask"),
-        (lambda: finite("q", hidden()), "q is a masked array, expected one without a mask"),
-        (lambda: finite("q", masked_entry()), "q is a masked array, expected one without"),
+        (lambda: pm.ConstantForce(MASKED), "force is a masked array, expected an array without a mask"),
+        (lambda: finite("q", hidden()), "q is a masked array, expected an array without a mask"),
+        (lambda: finite("q", masked_entry()), "q is a masked array, expected an array without"),
         (of_loop(q0=MASKED), "q0 is a masked array"),
         (lambda: closed_form.mass_matrix(MASKED, mass=1, yaw_inertia=1), "q is a masked array"),
         (lambda: ROBOT.mass_matrix(MASKED), "q is a masked array"),

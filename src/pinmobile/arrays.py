@@ -1,4 +1,4 @@
-"""The array type, angles on the circle, and the one place where arguments are checked."""
+"""Array type, angles on the circle, and checks of arguments."""
 
 from __future__ import annotations
 
@@ -26,28 +26,44 @@ _Kind = TypeVar("_Kind")
 _Shaped = TypeVar("_Shaped")
 
 MEMORY = 16e9
-"""What one call may ask for in arrays of its own [bytes]: more is refused, with the number, before it is."""
+"""Largest memory that one call may allocate for arrays [bytes]; the value is 16e9."""
 
-_FEW = 1000  # numbers whose product takes less than a look at each; of many, BLAS would start threads
+_FEW = 1000  # largest array whose product is faster than a check of each entry; BLAS uses threads above
 _FLOAT = np.dtype(np.float64)
 _LARGEST = float(np.finfo(np.float64).max)
-_MOST_AXES = 24  # room for some more within the 32 that NumPy broadcasts
+_MOST_AXES = 24  # NumPy broadcasts 32 axes; the library adds some
 
 
 def finite(name: str, value: ArrayLike) -> Array:
-    """Check that `value` is made of finite real numbers, and return it as float64.
+    """Return finite real numbers as a float64 array.
 
     Parameters
     ----------
     name : str
         Name of the argument, for the message.
     value : array_like, any shape
-        The argument.
+        Value of the argument.
+
+    Returns
+    -------
+    ndarray, same shape
+        Value as float64.
 
     Raises
     ------
     InvalidArgument
-        If `value` is not numeric, is ragged, complex or masked, or holds NaN or infinity.
+        If the value is not numeric, is ragged, complex or masked, or contains NaN or infinity.
+
+    See Also
+    --------
+    arrays.real : numbers that may be NaN or infinite.
+    arrays.vector : numbers whose last axis has a given length.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import finite
+    >>> finite("kp", [120, 120, 8])
+    array([120., 120.,   8.])
     """
     if (
         type(value) is np.ndarray
@@ -56,11 +72,11 @@ def finite(name: str, value: ArrayLike) -> Array:
         and value.size <= _FEW
         and isfinite(np.vdot(value, value))
     ):
-        return value  # what comes in a loop: one call instead of five; where it overflows, look closely
+        return value  # fast check for loops; if the product overflows, the checks below decide
     if type(value) is float and isfinite(value):
-        return np.asarray(value)  # the other thing that comes often
+        return np.asarray(value)  # frequent in loops, too
     if getattr(type(value), "is_symbolic", False):
-        return value  # type: ignore[return-value]  # symbols of `compiled`, which have no numbers yet
+        return value  # type: ignore[return-value]  # symbols of `compiled` have no numbers
     array = real(name, value)
     if not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
@@ -70,21 +86,33 @@ def finite(name: str, value: ArrayLike) -> Array:
 
 
 def finite_answer(answer: Array, /, **arguments: ArrayLike) -> Array:
-    """Check that an answer is finite where its arguments are, and return it.
+    """Return a result that must be finite because its arguments are finite.
 
     Parameters
     ----------
     answer : ndarray, any shape
-        What was computed.
+        Result of a computation.
     **arguments : array_like, any shape
-        From what, by name, for the message.
+        Arguments of the computation by name, for the message.
+
+    Returns
+    -------
+    ndarray, same shape
+        The same array.
 
     Raises
     ------
     NotFinite
-        If it holds NaN or infinity.
+        If the result contains NaN or infinity.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.arrays import finite_answer
+    >>> finite_answer(np.array([1.0, 2.0]), mass=30.0)
+    array([1., 2.])
     """
-    # One product, which unlike that of `dot` does not warn, instead of a look at each number.
+    # One product is faster than a check of each entry; `vdot` does not warn, `dot` does.
     few = answer.size <= _FEW
     if (few and isfinite(np.vdot(answer, answer))) or np.isfinite(answer).all():
         return answer
@@ -94,9 +122,28 @@ def finite_answer(answer: Array, /, **arguments: ArrayLike) -> Array:
 
 
 def in_numbers(function: _Function) -> _Function:
-    """Let a function answer in finite numbers, or raise `NotFinite` with how large its arguments are.
+    """Decorate a function of numbers: if its result is not finite, the function raises `NotFinite`.
 
-    It is for functions of numbers that answer with an array, or with a tuple of which some are arrays.
+    The message contains the size of each argument. The decorated function returns an array or a tuple; some
+    entries of the tuple may be arrays.
+
+    Parameters
+    ----------
+    function : callable
+        Function of numbers.
+
+    Returns
+    -------
+    callable
+        Decorated function.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.arrays import in_numbers
+    >>> inverse = in_numbers(lambda x: 1 / np.asarray(x))
+    >>> inverse([2.0, 4.0])
+    array([0.5 , 0.25])
     """
 
     @wraps(function)  # type: ignore[arg-type]
@@ -108,7 +155,7 @@ def in_numbers(function: _Function) -> _Function:
                 answer = np.array(np.nan)
         for part in answer if isinstance(answer, tuple) else (answer,):
             if type(part) is np.ndarray and part.dtype == _FLOAT and not np.isfinite(part).all():
-                # Here, as what a law's code holds beside functions would keep a loop from being remembered.
+                # Inside the function: other objects in the closure of a law would prevent caching of its loop.
                 given = inspect.signature(function).bind(*arguments, **named).arguments  # type: ignore[arg-type]
                 finite_answer(part, **{name: x for name, x in given.items() if name != "self" and np.size(x)})
         return answer
@@ -117,12 +164,31 @@ def in_numbers(function: _Function) -> _Function:
 
 
 def endless_or_finite(name: str, value: ArrayLike) -> Array:
-    """Return `value` as float64, of limits: as `finite`, but infinity, for there is none, is taken too.
+    """Return limits as a float64 array; unlike `finite`, infinity is allowed and means that there is no limit.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : array_like, any shape
+        Limits.
+
+    Returns
+    -------
+    ndarray, same shape
+        Limits as float64.
 
     Raises
     ------
     InvalidArgument
-        As `finite`, of minus infinity as well.
+        If the value is minus infinity, NaN or not numeric.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.arrays import endless_or_finite
+    >>> endless_or_finite("limit", [2.0, np.inf])
+    array([ 2., inf])
     """
     array = real(name, value)
     endless = np.isposinf(array)
@@ -130,16 +196,16 @@ def endless_or_finite(name: str, value: ArrayLike) -> Array:
 
 
 def _array(value: object) -> np.ndarray[Any, Any]:
-    """Return a value as an array; of what has no numbers, one of objects."""
+    """Return a value as an array; a value without numbers becomes an array of objects."""
     try:
-        return np.asarray(float(value) if type(value) is int else value)  # 10**22 is no integer of NumPy's
-    except Exception:  # whatever the value itself raises when it is asked for its numbers
+        return np.asarray(float(value) if type(value) is int else value)  # NumPy has no integer for 10**22
+    except Exception:  # the conversion of the value may raise any error
         return np.asarray(None)
 
 
 def _hides(value: object) -> bool:
-    """Return whether a value is a masked array, or a list in which there is one."""
-    # Where it is not loaded, or another thread is about to, there is none.
+    """Return whether a value is a masked array or a list that contains one."""
+    # If the module is not loaded completely, there is no masked array.
     masked = getattr(sys.modules.get("numpy.ma"), "MaskedArray", None)
     if masked is None:
         return False
@@ -149,7 +215,7 @@ def _hides(value: object) -> bool:
         if isinstance(part, masked):
             return True
         if isinstance(part, list | tuple) and id(part) not in seen and not set(map(type, part)) <= _PLAIN:
-            seen.add(id(part))  # a list may hold itself
+            seen.add(id(part))  # a list may contain itself
             waiting.extend(part)
     return False
 
@@ -158,16 +224,39 @@ _PLAIN = {float, int, np.float64}
 
 
 def real(name: str, value: ArrayLike) -> Array:
-    """Check that `value` is made of real numbers, NaN and infinity allowed, and return it as float64.
+    """Return real numbers as a float64 array; NaN and infinity are allowed.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : array_like, any shape
+        Value of the argument.
+
+    Returns
+    -------
+    ndarray, same shape
+        Value as float64.
 
     Raises
     ------
     InvalidArgument
-        If `value` is not numeric, is ragged, complex or masked.
+        If the value is not numeric, is ragged, complex or masked.
+
+    See Also
+    --------
+    arrays.finite : finite numbers.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.arrays import real
+    >>> real("gap", [1, np.nan])
+    array([ 1., nan])
     """
     if _hides(value):
         raise InvalidArgument(
-            f"{name} is a masked array, expected one without a mask: fill it, or leave out what is masked"
+            f"{name} is a masked array, expected an array without a mask: fill or remove the masked entries"
         )
     array = _array(value)
     if array.dtype.kind not in "fiu":
@@ -176,25 +265,60 @@ def real(name: str, value: ArrayLike) -> Array:
         raise InvalidArgument(f"{name} has {array.ndim} axes, expected at most {_MOST_AXES}")
     if array.dtype == np.float64:
         return np.asarray(array, np.float64)
-    with np.errstate(over="ignore"):  # a long double that float64 does not hold becomes infinite
+    with np.errstate(over="ignore"):  # a long double beyond float64 becomes infinite
         return array.astype(np.float64)
 
 
 def are_real(answer: object) -> bool:
-    """Return whether what a part returned holds real numbers: no complex ones, no text, no other objects.
+    """Return whether an array contains real numbers; True for objects that are not arrays, such as symbols.
 
-    Of what is no array, such as a symbol, nothing is asked.
+    Parameters
+    ----------
+    answer : object
+        Result of a part.
+
+    Returns
+    -------
+    bool
+        False for an array of complex numbers, text or other objects.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.arrays import are_real
+    >>> are_real(np.array([1.0])), are_real(np.array([1j]))
+    (True, False)
     """
     return type(answer) is not np.ndarray or answer.dtype is _FLOAT or answer.dtype.kind in "fiub"
 
 
 def answered(what: str, answer: object, expected: str = "real numbers") -> Array:
-    """Return what a part returned as float64; `expected` is said where it is something else.
+    """Return the result of a part as a float64 array.
+
+    Parameters
+    ----------
+    what : str
+        Name of the part, for the message.
+    answer : object
+        Result of the part.
+    expected : str
+        Expected result, for the message.
+
+    Returns
+    -------
+    ndarray
+        Copy of the result.
 
     Raises
     ------
     InvalidArgument
-        If it is not made of real numbers.
+        If the result does not consist of real numbers.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import answered
+    >>> answered("forces[0]", [0, 5, 0])
+    array([0., 5., 0.])
     """
     found = _array(answer)
     if not are_real(found):
@@ -203,24 +327,36 @@ def answered(what: str, answer: object, expected: str = "real numbers") -> Array
 
 
 def shaped(name: str, array: _Shaped, *shapes: tuple[int | str, ...], words: str = "") -> _Shaped:
-    """Return an array that has one of some shapes.
+    """Return an array that has one of the given shapes.
 
     Parameters
     ----------
     name : str
-        What it is called.
+        Name of the array, for the message.
     array : ndarray
-        The array.
-    *shapes : tuples of int and str
-        A letter is any length, the same wherever it stands in a shape; ``"n>=2"`` sets its bound, ``"..."``
-        at first any leading axes.
+        Array to check.
+    *shapes : tuple of int and str
+        Allowed shapes. A letter stands for any length, the same one everywhere in a shape; ``"n>=2"`` adds a
+        lower bound. ``"..."`` at the beginning stands for any leading axes.
     words : str
-        What follows the shapes in the message.
+        Text after the shapes in the message.
+
+    Returns
+    -------
+    ndarray
+        The same array.
 
     Raises
     ------
     InvalidArgument
-        If it has another shape.
+        If the array has another shape.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.arrays import shaped
+    >>> shaped("kp", np.ones(3), (), ("n",), ("n", "n"))
+    array([1., 1., 1.])
     """
     found = np.shape(cast(Any, array))
     if found not in shapes and not any(_fits(found, shape) for shape in shapes):
@@ -229,7 +365,24 @@ def shaped(name: str, array: _Shaped, *shapes: tuple[int | str, ...], words: str
 
 
 def shapes_in_words(shapes: Sequence[tuple[int | str, ...]]) -> str:
-    """Return shapes as `shaped` takes them in words, such as ``(), (3,) or (3, 3)``."""
+    """Return shapes as text.
+
+    Parameters
+    ----------
+    shapes : sequence of tuple
+        Shapes in the notation of `shaped`.
+
+    Returns
+    -------
+    str
+        Text of the shapes.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import shapes_in_words
+    >>> shapes_in_words([(), (3,), (3, 3)])
+    '(), (3,) or (3, 3)'
+    """
     if tuple(shapes) == ((),):
         return "one number"
     told = [re.sub(r"'|>=\d+", "", str(shape)) for shape in shapes]
@@ -253,24 +406,62 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
 
 
 def vector(name: str, value: ArrayLike, size: int) -> Array:
-    """Return `value` as float64 of shape (..., size).
+    """Return finite numbers as a float64 array whose last axis has a given length.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : array_like, shape (..., size)
+        Value of the argument.
+    size : int
+        Length of the last axis.
+
+    Returns
+    -------
+    ndarray, shape (..., size)
+        Value as float64.
 
     Raises
     ------
     InvalidArgument
         If the last axis has another length, or an entry is not finite.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import vector
+    >>> vector("q", [0, 0, 1.57], 3)
+    array([0.  , 0.  , 1.57])
     """
     array = finite(name, value)
     return array if array.shape[-1:] == (size,) else shaped(name, array, ("...", size))
 
 
 def scalar(name: str, value: ArrayLike) -> float:
-    """Return `value` as a finite float.
+    """Return a finite real number as a float.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : array_like, shape ()
+        Value of the argument.
+
+    Returns
+    -------
+    float
+        Value of the argument.
 
     Raises
     ------
     InvalidArgument
-        If it is not one finite real number.
+        If the value is not one finite real number.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import scalar
+    >>> scalar("dt", 1)
+    1.0
     """
     array = finite(name, value)
     return float(shaped(name, array, ()) if array.ndim else array)
@@ -286,12 +477,36 @@ def bounded(
     most: float | None = None,
     unit: str = "",
 ) -> _Shaped:
-    """Return numbers that are all within bounds, `least` and `most` included, `above` and `below` not.
+    """Return numbers that must be within bounds.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : array_like, any shape
+        Finite numbers.
+    above, below : float, optional
+        Bounds that are excluded.
+    least, most : float, optional
+        Bounds that are included.
+    unit : str
+        Unit, for the message.
+
+    Returns
+    -------
+    array_like
+        The same value.
 
     Raises
     ------
     InvalidArgument
-        If one is not; the message names the first.
+        If a number is out of bounds; the message shows the first one.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import bounded
+    >>> bounded("share", 0.99, least=0, most=1)
+    0.99
     """
     numbers = np.asarray(value)
     bounds = {">": above, ">=": least, "<": below, "<=": most}
@@ -313,53 +528,135 @@ _COMPARED = {">": np.greater, ">=": np.greater_equal, "<": np.less, "<=": np.les
 
 
 def positive(name: str, value: ArrayLike, unit: str = "") -> float:
-    """Return `value` as a finite float above zero.
+    """Return a finite number > 0 as a float.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : array_like, shape ()
+        Value of the argument.
+    unit : str
+        Unit, for the message.
+
+    Returns
+    -------
+    float
+        Value of the argument.
 
     Raises
     ------
     InvalidArgument
-        If it is not.
+        If the value is not such a number.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import positive
+    >>> positive("dt", 0, "s")
+    Traceback (most recent call last):
+        ...
+    pinmobile.errors.InvalidArgument: dt is 0.0 s, expected > 0
     """
     return bounded(name, scalar(name, value), above=0, unit=unit)
 
 
 def non_negative(name: str, value: ArrayLike, unit: str = "") -> float:
-    """Return `value` as a finite float of at least zero.
+    """Return a finite number >= 0 as a float.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : array_like, shape ()
+        Value of the argument.
+    unit : str
+        Unit, for the message.
+
+    Returns
+    -------
+    float
+        Value of the argument.
 
     Raises
     ------
     InvalidArgument
-        If it is not.
+        If the value is not such a number.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import non_negative
+    >>> non_negative("friction", 0)
+    0.0
     """
     return bounded(name, scalar(name, value), least=0, unit=unit)
 
 
 def positive_or_endless(name: str, value: ArrayLike, unit: str = "") -> float:
-    """Return `value`, a limit, as a float above zero; infinity, for there is none, is taken too.
+    """Return a limit > 0 as a float; infinity is allowed and means that there is no limit.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : array_like, shape ()
+        Limit.
+    unit : str
+        Unit, for the message.
+
+    Returns
+    -------
+    float
+        Limit.
 
     Raises
     ------
     InvalidArgument
-        If it is not.
+        If the value is not such a number.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import positive_or_endless
+    >>> positive_or_endless("torque_limit", float("inf"))
+    inf
     """
     limit = endless_or_finite(name, value)
     return np.inf if not limit.ndim and limit > _LARGEST else positive(name, limit, unit)
 
 
 def whole(name: str, value: Any, *, least: int = 1, most: int = 2**53) -> int:
-    """Return `value` as an int from `least` to `most`.
+    """Return a whole number within bounds as an int.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : int or float
+        Value of the argument.
+    least, most : int
+        Bounds, both included.
+
+    Returns
+    -------
+    int
+        Value of the argument.
 
     Raises
     ------
     InvalidArgument
-        If it is not a whole number, or less or more.
+        If the value is not a whole number, or out of bounds.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import whole
+    >>> whole("substeps", 4.0)
+    4
     """
     if type(value) is int and least <= value <= most:
         return value
     try:
         number = scalar(name, value)
     except InvalidArgument:
-        number = least - 1.0  # whatever it is, it is not such a number
+        number = least - 1.0  # a value out of bounds, which the next line rejects
     if number != int(number) or number < least:
         raise InvalidArgument(f"{name} is {shown(value)}, expected a whole number >= {least}")
     if number > most:
@@ -368,19 +665,31 @@ def whole(name: str, value: Any, *, least: int = 1, most: int = 2**53) -> int:
 
 
 def seeded(name: str, seed: Any) -> np.random.Generator:
-    """Return the generator of a seed; one that is a generator comes back as it is.
+    """Return a random number generator.
 
     Parameters
     ----------
     name : str
         Name of the argument, for the message.
     seed : int, SeedSequence, BitGenerator or Generator
-        The argument.
+        Seed of a new generator; a Generator is returned unchanged.
+
+    Returns
+    -------
+    numpy.random.Generator
+        Random number generator.
 
     Raises
     ------
     InvalidArgument
-        If it is none of these: without a seed, nothing could be repeated.
+        If the seed is anything else, None included: a run without a seed could not be repeated.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import seeded
+    >>> one, two = seeded("seed", 7), seeded("seed", 7)
+    >>> one.random() == two.random()
+    True
     """
     kinds = np.random.Generator, np.random.BitGenerator, np.random.SeedSequence
     if not isinstance(seed, kinds):
@@ -394,12 +703,30 @@ def seeded(name: str, seed: Any) -> np.random.Generator:
 
 
 def location(name: str, value: object) -> Path:
-    """Return `value` as a path.
+    """Return the path of a file.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : str or path
+        Path.
+
+    Returns
+    -------
+    pathlib.Path
+        Path.
 
     Raises
     ------
     InvalidArgument
-        If it is neither text nor a path, or one that no file can have.
+        If the value is neither text nor a path, or no file can have this path.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import location
+    >>> location("path", "runs/a.npz").name
+    'a.npz'
     """
     given = instance(name, value, str | PathLike, "the path of a file")
     try:
@@ -409,8 +736,8 @@ def location(name: str, value: object) -> Path:
         named = b"\0"
     if b"\0" in named or max(map(len, named.split(b"/"))) > _LONGEST_NAME:
         raise InvalidArgument(
-            f"{name} is {shown(str(value))}, expected the path of a file: letters that a file's name can "
-            f"have, at most {_LONGEST_NAME} bytes between two slashes"
+            f"{name} is {shown(str(value))}, expected the path of a file: letters that a file name can "
+            f"contain, at most {_LONGEST_NAME} bytes between two slashes"
         )
     return path
 
@@ -419,14 +746,32 @@ _LONGEST_NAME = 255  # on all file systems of Linux and macOS
 
 
 def text(name: str, value: object) -> str:
-    """Check that `value` is text that can be written to a file, and return it.
+    """Return text that can be written to a file.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : str
+        Text.
+
+    Returns
+    -------
+    str
+        The same text.
 
     Raises
     ------
     InvalidArgument
-        If it is something else, or holds half of a surrogate pair, a null, or another control character.
+        If the value is not text, or contains half of a surrogate pair, a null or another control character.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import text
+    >>> text("label", "PD, kp = 120")
+    'PD, kp = 120'
     """
-    from unicodedata import category  # here, because names and headings are rare
+    from unicodedata import category  # here, because few calls need the module
 
     if not isinstance(value, str) or any(category(letter) in _UNWRITTEN for letter in value):
         raise InvalidArgument(f"{name} is {shown(value)}, expected text without control characters")
@@ -437,32 +782,68 @@ _UNWRITTEN = {"Cs", "Cc"}  # surrogates and control characters
 
 
 def representable(what: str, array: Array) -> Array:
-    """Check that a result has not overflowed on its way, and return it.
+    """Return a result that must not have overflowed.
 
     Parameters
     ----------
     what : str
-        The result in words, for the message.
+        Name of the result, for the message.
     array : ndarray, any shape
-        It, calculated under ``np.errstate(all="ignore")`` from finite numbers.
+        Result of a computation from finite numbers under ``np.errstate(all="ignore")``.
+
+    Returns
+    -------
+    ndarray, same shape
+        The same array.
 
     Raises
     ------
     InvalidArgument
         If a number is not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.arrays import representable
+    >>> representable("length of the path", np.array(6.28))
+    array(6.28)
     """
     if not np.isfinite(array).all():
-        raise InvalidArgument(f"{what} is beyond the largest number, expected arguments of another size")
+        raise InvalidArgument(f"{what} is beyond the largest number, expected smaller arguments")
     return array
 
 
 def instance(name: str, value: object, kind: Any, expected: str) -> Any:
-    """Return a value of a type; `expected` is what the message asks for.
+    """Return a value that must be of a type.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : object
+        Value of the argument.
+    kind : type or tuple of type
+        Allowed type.
+    expected : str
+        Expected value, for the message.
+
+    Returns
+    -------
+    object
+        The same value.
 
     Raises
     ------
     InvalidArgument
-        If it is of another type.
+        If the value is of another type.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import instance
+    >>> instance("name", 5, str, "a name")
+    Traceback (most recent call last):
+        ...
+    pinmobile.errors.InvalidArgument: name is 5, expected a name
     """
     if not isinstance(value, kind):
         raise InvalidArgument(f"{name} is {shown(value)}, expected {expected}")
@@ -470,12 +851,32 @@ def instance(name: str, value: object, kind: Any, expected: str) -> Any:
 
 
 def mapping(name: str, value: object, expected: str) -> Mapping[Any, Any]:
-    """Return a mapping that is not empty; `expected` is what the message asks for.
+    """Return a mapping that must not be empty.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : mapping
+        Value of the argument.
+    expected : str
+        Expected value, for the message.
+
+    Returns
+    -------
+    mapping
+        The same mapping.
 
     Raises
     ------
     InvalidArgument
-        If it is something else, or empty.
+        If the value is not a mapping, or is empty.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import mapping
+    >>> mapping("cases", {"nominal": {}}, "a mapping of cases")
+    {'nominal': {}}
     """
     if not isinstance(value, Mapping) or not value:
         raise InvalidArgument(f"{name} is {shown(value)}, expected {expected}")
@@ -483,21 +884,32 @@ def mapping(name: str, value: object, expected: str) -> Mapping[Any, Any]:
 
 
 def by_label(argument: str, values: object, kind: type[_Kind]) -> dict[str, _Kind]:
-    """Return objects by label; a single one has the label "".
+    """Return one or several objects of a class by label; a single object has the label "".
 
     Parameters
     ----------
     argument : str
         Name of the argument, for the message.
     values : object or mapping of str to object
-        One object, or several by label.
+        One object, or several objects by label.
     kind : type
-        What each must be.
+        Class of the objects.
+
+    Returns
+    -------
+    dict of str to object
+        Objects by label.
 
     Raises
     ------
     InvalidArgument
-        If it is something else, or holds nothing.
+        If the value is anything else, or empty.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import by_label
+    >>> by_label("runs", 1.5, float)
+    {'': 1.5}
     """
     what = kind.__name__
     one = f"{'an' if what[0] in 'AEIOU' else 'a'} {what}"
@@ -511,21 +923,32 @@ def by_label(argument: str, values: object, kind: type[_Kind]) -> dict[str, _Kin
 
 
 def one_of(kind: str, value: object, available: Iterable[str]) -> str:
-    """Check that `value` is one of the names there are, and return it.
+    """Return a name that must be one of the valid names.
 
     Parameters
     ----------
     kind : str
-        What is named, such as ``"frame"``.
+        Kind of the named thing, for the message, such as ``"frame"``.
     value : str
-        The argument.
+        Value of the argument.
     available : iterable of str
-        The names there are.
+        Valid names.
+
+    Returns
+    -------
+    str
+        The same name.
 
     Raises
     ------
     UnknownName
-        If it is none of them.
+        If the name is not valid; the message lists the valid names.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import one_of
+    >>> one_of("frame", "tool", ["base_link", "tool"])
+    'tool'
     """
     names = available if isinstance(available, Collection) else tuple(available)
     if not isinstance(value, str) or value not in names:
@@ -534,32 +957,59 @@ def one_of(kind: str, value: object, available: Iterable[str]) -> str:
 
 
 def lengths(size: ArrayLike) -> Array:
-    """Return the argument `size` of a box as float64, shape (3,) [m].
+    """Return the argument `size` of a box.
+
+    Parameters
+    ----------
+    size : array_like, shape (3,)
+        Length, width and height [m].
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        Size as float64 [m].
 
     Raises
     ------
     InvalidArgument
-        If it is not three lengths above zero.
+        If the value does not consist of three lengths > 0.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import lengths
+    >>> lengths((0.6, 0.4, 0.2))  # [m]
+    array([0.6, 0.4, 0.2])
     """
     return bounded("size", shaped("size", finite("size", size), (3,)), above=0, unit="m")
 
 
 def sequence(name: str, value: object, expected: str) -> tuple[Any, ...]:
-    """Return the entries of a list, tuple or other sequence, but not of text, a mapping or a set.
+    """Return the entries of a list, tuple or other sequence; text, mappings and sets are rejected.
 
     Parameters
     ----------
     name : str
         Name of the argument, for the message.
     value : sequence
-        The argument.
+        Value of the argument.
     expected : str
-        What is expected, for the message, such as ``"a sequence of DHRow"``.
+        Expected value, for the message, such as ``"a sequence of DHRow"``.
+
+    Returns
+    -------
+    tuple
+        Entries of the sequence.
 
     Raises
     ------
     InvalidArgument
-        If it is no sequence.
+        If the value is not a sequence.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import sequence
+    >>> sequence("names", ["x", "y"], "a sequence of names")
+    ('x', 'y')
     """
     if isinstance(value, np.ndarray) and value.ndim == 1:
         return tuple(value.tolist())
@@ -569,22 +1019,35 @@ def sequence(name: str, value: object, expected: str) -> tuple[Any, ...]:
 
 
 def callable_as(form: str, function: _Function, expected: str = "") -> _Function:
-    """Check that a user's function can be called in this way, and return it.
+    """Return a function of a user that must accept the given arguments.
 
     Parameters
     ----------
     form : str
-        Name of the argument and how it is called, such as ``"function(t, q, v, reference)"``.
+        Name of the argument and form of the call, such as ``"function(t, q, v, reference)"``.
     function : callable
-        The argument.
+        Value of the argument.
     expected : str, optional
-        What is expected where it is no function, for the message.
+        Expected value, for the message about a value that is not a function.
+
+    Returns
+    -------
+    callable
+        The same function.
 
     Raises
     ------
     InvalidArgument
-        If it is no function, or its signature has no room for these arguments. What it raises itself when it
-        is called later comes through.
+        If the value is not a function, or its signature does not accept these arguments. The check does not
+        call the function.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import callable_as
+    >>> callable_as("force(t, pose, rate)", lambda t, pose: 0)
+    Traceback (most recent call last):
+        ...
+    pinmobile.errors.InvalidArgument: force is <function ...
     """
     name, _, inside = form.rstrip(")").partition("(")
     arguments = inside.split(", ") if inside else []
@@ -597,7 +1060,7 @@ def callable_as(form: str, function: _Function, expected: str = "") -> _Function
         return function
     try:
         signature = inspect.signature(function)
-    except (TypeError, ValueError):  # as of some that are built in
+    except (TypeError, ValueError):  # some built-in functions have no signature
         return function
     try:
         signature.bind(*arguments)
@@ -611,9 +1074,9 @@ def callable_as(form: str, function: _Function, expected: str = "") -> _Function
 
 
 def _code_of(function: object) -> tuple[Any, ...]:
-    """Return the code of a function, method or callable object, and what else its signature hangs on.
+    """Return the code of a function, method or callable object, and the other data that fix its signature.
 
-    None comes first where that is more than its code and its defaults.
+    The first entry is None if the signature depends on more than the code and the defaults.
     """
     bound, law = not isinstance(function, FunctionType), function
     if bound:
@@ -623,17 +1086,33 @@ def _code_of(function: object) -> tuple[Any, ...]:
     return law.__code__, bound, len(law.__defaults__ or ()), *sorted(law.__kwdefaults__ or ())
 
 
-# Calls that are known to fit a code: to look closely takes some 50 us.
+# Calls that fit a code; the complete check takes some 50 us.
 _fitting: WeakKeyDictionary[CodeType, set[tuple[Any, ...]]] = WeakKeyDictionary()
 
 
 def increasing(name: str, t: Array) -> None:
-    """Refuse times that are none, or do not increase.
+    """Check that times are strictly increasing.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    t : ndarray, shape (N,)
+        Times [s]; N >= 1.
 
     Raises
     ------
     InvalidArgument
-        If `t` is not of shape (N,), N > 0, with each time after the one before.
+        If `t` is empty, has another shape, or a time does not exceed the previous one.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.arrays import increasing
+    >>> increasing("t", np.array([0.0, 0.1, 0.1]))
+    Traceback (most recent call last):
+        ...
+    pinmobile.errors.InvalidArgument: t[2] is ...
     """
     shaped(name, t, ("n>=1",))
     if not (t[1:] > t[:-1]).all():
@@ -642,21 +1121,29 @@ def increasing(name: str, t: Array) -> None:
 
 
 def affordable(what: str, numbers: float, instead: str) -> None:
-    """Refuse arrays of more than `MEMORY` before the memory is asked for.
+    """Check that arrays fit into `MEMORY`, before a function allocates them.
 
     Parameters
     ----------
     what : str
-        Whose arrays, for the message, such as ``"the records of 1e9 samples"``.
+        Arrays, for the message, such as ``"the records of 1e9 samples"``.
     numbers : float
-        How many numbers of 8 bytes.
+        Number of float64 entries (8 bytes each).
     instead : str
-        What to do instead.
+        Advice, for the message.
 
     Raises
     ------
     InvalidArgument
-        If they are too many; the message has the number of bytes.
+        If the arrays are too large; the message states their size in GB.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import affordable
+    >>> affordable("the records", 1e10, "give a larger dt")
+    Traceback (most recent call last):
+        ...
+    pinmobile.errors.InvalidArgument: the records take 80 GB...
     """
     if not 8 * numbers <= MEMORY:
         raise InvalidArgument(
@@ -665,12 +1152,29 @@ def affordable(what: str, numbers: float, instead: str) -> None:
 
 
 def broadcast(**arrays: Array) -> tuple[int, ...]:
-    """Return the shape that the leading axes of arrays of shape (..., n) broadcast to.
+    """Return the common shape of the leading axes of arrays of shape (..., n).
+
+    Parameters
+    ----------
+    **arrays : ndarray, shape (..., n)
+        Arrays by name, for the message.
+
+    Returns
+    -------
+    tuple of int
+        Shape to which the leading axes broadcast.
 
     Raises
     ------
     InvalidArgument
-        If they do not; the message names the arrays.
+        If the leading axes do not broadcast.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.arrays import broadcast
+    >>> broadcast(q=np.zeros((100, 3)), v=np.zeros(3))
+    (100,)
     """
     try:
         return np.broadcast_shapes(*(array.shape[:-1] for array in arrays.values()))
@@ -680,9 +1184,26 @@ def broadcast(**arrays: Array) -> tuple[int, ...]:
 
 
 def frozen(array: ArrayLike) -> Array:
-    """Return a float64 copy that nobody can write into; what is one already comes back as it is.
+    """Return an immutable float64 copy of an array; an immutable array is returned unchanged.
 
-    Its memory is that of `bytes`: a read-only array of a user's own could be made writable again.
+    The memory of the copy belongs to a `bytes` object. A user could make another read-only array writable
+    again.
+
+    Parameters
+    ----------
+    array : array_like, any shape
+        Numbers.
+
+    Returns
+    -------
+    ndarray, same shape
+        Immutable array.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import frozen
+    >>> frozen([1, 2]).flags.writeable
+    False
     """
     if getattr(type(array), "is_symbolic", False):
         return array  # type: ignore[return-value]
@@ -693,21 +1214,37 @@ def frozen(array: ArrayLike) -> Array:
 
 
 HALF_TURN = 1e-9
-"""An angle that is half a turn but for this [rad] is one to the left; rounding does not choose the side."""
+"""Tolerance of half a turn [rad]; the value is 1e-9.
+
+An angle within this tolerance of -pi counts as pi, so that rounding does not decide the sign.
+"""
 
 LEAST_ANGLE = HALF_TURN - np.pi
-"""Angles on the circle are above it [rad]."""
+"""Lower bound of angles on the circle [rad], excluded; the value is 1e-9 - pi."""
 
 
 def wrap_angle(angle: Array) -> Array:
-    """Return the angle on the circle, in (-pi, pi]; one that is already there comes back as it is.
+    """Return an angle on the circle, in (-pi, pi].
 
-    Half a turn is pi, also where rounding has made it -pi and a little.
+    An angle in this interval is returned unchanged. Half a turn is pi, also if rounding changes it to
+    slightly more than -pi.
 
     Parameters
     ----------
     angle : ndarray, any shape
-        Angle [rad].
+        Angles [rad].
+
+    Returns
+    -------
+    ndarray, same shape
+        Angles on the circle [rad].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.arrays import wrap_angle
+    >>> wrap_angle(np.array([0.5, 4.0, -np.pi]))  # [rad]
+    array([ 0.5 , -2.28,  3.14])
     """
     top = np.pi + HALF_TURN
     wrapped = np.minimum(top - np.mod(top - angle, 2 * np.pi), np.pi)

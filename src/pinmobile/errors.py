@@ -1,4 +1,4 @@
-"""Every error that pinmobile raises on purpose."""
+"""Every error and warning that pinmobile raises on purpose."""
 
 from __future__ import annotations
 
@@ -12,9 +12,32 @@ _LONGEST_LIST = 4000  # letters of a list of names
 
 
 def shown(value: object) -> str:
-    """Return a value as a message shows it: its repr, cut where that is long; what has none is named.
+    """Return a value as text for a message.
 
-    A list nested too deep, an integer of too many digits and a user's own class may have none.
+    The text is the ``repr`` of the value, cut after 500 letters. A value whose ``repr`` fails, such as a list
+    that is nested too deep, is named by its class.
+
+    Parameters
+    ----------
+    value : object
+        Value that a message shows.
+
+    Returns
+    -------
+    str
+        Text of the value.
+
+    See Also
+    --------
+    format_names : names as the text of a message.
+
+    Examples
+    --------
+    >>> from pinmobile.errors import shown
+    >>> shown([1.0, "two"])
+    "[1.0, 'two']"
+    >>> len(shown("x" * 1000)) < 600
+    True
     """
     try:
         text = repr(value)
@@ -24,7 +47,30 @@ def shown(value: object) -> str:
 
 
 def format_names(names: Iterable[str]) -> str:
-    """Return names as a message lists them: the first of many, those that a terminal cannot print quoted."""
+    """Return names as the text of a message, separated by commas.
+
+    The text contains the first 4000 letters of a long list. A name that a terminal cannot print is quoted.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Names in the order of the text.
+
+    Returns
+    -------
+    str
+        Text of the names.
+
+    See Also
+    --------
+    shown : one value as the text of a message.
+
+    Examples
+    --------
+    >>> from pinmobile.errors import format_names
+    >>> format_names(["mass", "yaw_inertia"])
+    'mass, yaw_inertia'
+    """
     words, room, rest = [], _LONGEST_LIST, 0
     for name in names:
         word = name if name.isprintable() and len(name) <= _LONGEST else shown(name)
@@ -35,18 +81,47 @@ def format_names(names: Iterable[str]) -> str:
 
 
 class PinmobileError(Exception):
-    """Base of all errors raised by pinmobile."""
+    """Base class of all errors that pinmobile raises.
+
+    See Also
+    --------
+    InvalidArgument : an argument is invalid.
+    Diverged : a simulation diverged.
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, PinmobileError
+    >>> try:
+    ...     Circle(radius=-1.0, rate=0.5, duration=4.0)
+    ... except PinmobileError as error:
+    ...     print(type(error).__name__)
+    InvalidArgument
+    """
 
 
 class InvalidArgument(PinmobileError, ValueError):
-    """An argument is not what is expected; the message names it first, then what came and what was expected.
+    """Error of an argument: its name, its value and the expected value.
 
     Parameters
     ----------
     message : str
-        All of it.
+        Complete message.
     argument : str, optional
-        Name of the argument; by default the first word of the message.
+        Name of the argument; default: the first word of the message.
+
+    See Also
+    --------
+    PinmobileError : base class of all errors.
+    errors.UnknownName : a name is unknown.
+
+    Examples
+    --------
+    >>> from pinmobile import InvalidArgument, MobileRobot
+    >>> try:
+    ...     MobileRobot(mass=-1.0, yaw_inertia=1.3)
+    ... except InvalidArgument as error:
+    ...     print(error)
+    mass is -1.0 kg, expected > 0
     """
 
     def __init__(self, message: str = "", argument: str | None = None) -> None:
@@ -54,21 +129,47 @@ class InvalidArgument(PinmobileError, ValueError):
         self.argument = str(message).partition(" ")[0] if argument is None else argument
 
     def calling(self, name: str) -> InvalidArgument:
-        """Return the error about the same argument where that is called otherwise."""
+        """Return the same error with another name of the argument.
+
+        Parameters
+        ----------
+        name : str
+            New name of the argument.
+
+        Returns
+        -------
+        InvalidArgument
+            Error with the same value and the same expected value.
+        """
         return InvalidArgument(name + str(self).removeprefix(self.argument), name)
 
 
 class NotTraceable(InvalidArgument):
-    """A part's law does what cannot be done with symbols, so it cannot be compiled.
+    """Error of a law that cannot be compiled: the law does something that symbols do not support.
 
     Parameters
     ----------
     what : str
-        What it does.
+        Description of the operation that symbols do not support.
     instead : str
-        What to write instead.
+        Code that the user can write instead.
     place : str
-        The part and the line, as far as they are known.
+        Part and line of the law, "" if unknown.
+
+    See Also
+    --------
+    vectorize : compile a function for many robots.
+    Engine : engines of a loop.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import vectorize
+    >>> size = vectorize(lambda v: v if v[0] > 0 else -v)
+    >>> size(np.array([[1.0], [-2.0]]))
+    Traceback (most recent call last):
+        ...
+    pinmobile.errors.NotTraceable: ...
     """
 
     def __init__(self, what: str, instead: str, place: str = "") -> None:
@@ -77,7 +178,7 @@ class NotTraceable(InvalidArgument):
 
     @property
     def reason(self) -> str:
-        """What it does, where, and what to write instead, on one line and without a word of engines."""
+        """Reason on one line: the place, the operation and the code to write instead."""
         return " ".join(f"{self.place and self.place + ': '}{self.what}; {self.instead}".split())
 
     def __reduce__(self) -> tuple[type[NotTraceable], tuple[str, str, str]]:
@@ -85,14 +186,28 @@ class NotTraceable(InvalidArgument):
 
 
 class FileError(PinmobileError, OSError):
-    """A file whose path is right fails: the disk is full, a quota is reached, a device fails, it is damaged.
+    """Error of a file whose path is valid: the disk is full, a device fails, or the file is damaged.
 
-    Attributes
+    Parameters
     ----------
+    message : str
+        Complete message.
     errno : int or None
-        Number of the system's error, see the module `errno`; None where the content is damaged.
+        Number of the system error, see the module `errno`; None if the content is damaged.
     filename : str
-        The file.
+        Path of the file.
+
+    See Also
+    --------
+    Rollout.save : write a rollout.
+    Ensemble.save : write an ensemble.
+
+    Examples
+    --------
+    >>> from pinmobile.errors import FileError
+    >>> error = FileError("disk is full", errno=28, filename="a.npz")
+    >>> isinstance(error, OSError), error.filename
+    (True, 'a.npz')
     """
 
     def __init__(self, message: str, *, errno: int | None, filename: str) -> None:
@@ -100,7 +215,7 @@ class FileError(PinmobileError, OSError):
         self.errno, self.filename = errno, filename
 
     def __str__(self) -> str:
-        # OSError would show number and file name beside the message, which has them.
+        # OSError would add its number and the file name, which the message already contains.
         return str(self.args[0])
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -108,27 +223,39 @@ class FileError(PinmobileError, OSError):
 
 
 class UnknownName(PinmobileError, KeyError):
-    """A name is not among those there are; the message asks for the nearest, and lists them all.
+    """Error of a name that does not exist: the message suggests the nearest names and lists all valid names.
 
     Parameters
     ----------
     kind : str
-        What is named, such as ``"trajectory"``.
+        Kind of the named thing, such as ``"trajectory"``.
     name : str
-        The name that came; what is no text is shown as it is.
+        Name that does not exist. The message shows any other object as its ``repr``.
     available : iterable of str
-        The names there are.
+        Valid names.
 
     Attributes
     ----------
     meant : str
-        The question for the nearest names, "" where none is near.
+        Question that suggests the nearest names, "" if no name is near.
     listed : tuple of str
-        The names there are, the nearest first.
+        Valid names, the nearest first.
+
+    See Also
+    --------
+    InvalidArgument : an argument is invalid.
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> MobileRobot(30.0, 1.3).frame_pose([0, 0, 0], "bse_link")
+    Traceback (most recent call last):
+        ...
+    pinmobile.errors.UnknownName: ...did you mean 'base_link'? ...
     """
 
     def __init__(self, kind: str, name: object, available: Iterable[str]) -> None:
-        from difflib import get_close_matches  # here, because nobody else needs it
+        from difflib import get_close_matches  # here, because only this error needs the module
 
         self.kind, self.name, self.available = kind, name, tuple(available)
         plain = {known.casefold(): known for known in self.available}
@@ -139,7 +266,7 @@ class UnknownName(PinmobileError, KeyError):
         super().__init__(f"unknown {kind} {shown(name)}, {self.meant}available: {format_names(self.listed)}")
 
     def __str__(self) -> str:
-        # KeyError would show the repr of the message.
+        # KeyError would show the repr of the message instead of the message.
         return str(self.args[0])
 
     def __reduce__(self) -> tuple[type[UnknownName], tuple[str, object, tuple[str, ...]]]:
@@ -147,20 +274,53 @@ class UnknownName(PinmobileError, KeyError):
 
 
 class NotFinite(PinmobileError, ArithmeticError):
-    """An answer is beyond the numbers that a computer has, though every argument is finite."""
+    """Error of a result that exceeds the largest number of float64 although every argument is finite.
+
+    See Also
+    --------
+    InvalidArgument : an argument is invalid.
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> robot = MobileRobot(mass=1e308, yaw_inertia=1.3)
+    >>> robot.kinetic_energy([0, 0, 0], [1e10, 0, 0])
+    Traceback (most recent call last):
+        ...
+    pinmobile.errors.NotFinite: ...
+    """
 
 
 class Diverged(PinmobileError, ArithmeticError):
-    """A simulation left the finite numbers, or its error the limit.
+    """Error of a simulation that diverged: a number is not finite, or a tracking error exceeds the limit.
 
-    Attributes
+    Parameters
     ----------
+    message : str
+        Complete message.
     time : float
         Time of the first sample that is not acceptable [s].
-    q, v : ndarray
-        Configuration and velocity at that time.
+    q, v : ndarray, shape (nq,), (nv,)
+        Configuration and velocity at this time.
     rollout : Rollout or None
-        Everything recorded before that time; None where the first sample is already beyond the limit.
+        Samples before this time; None if the first sample already exceeds the limit.
+
+    See Also
+    --------
+    simulate : run one robot.
+    Rollout : recorded samples.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, Diverged, MobileRobot
+    >>> from pinmobile import Tangent, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> path = Tangent(Circle(1.0, 0.5, 4.0))
+    >>> try:
+    ...     simulate(robot, PD(-9, -9), path, dt=0.1, limit=1)
+    ... except Diverged as error:
+    ...     print(error.time, len(error.rollout))  # [s], samples
+    2.5 25
     """
 
     def __init__(self, message: str, *, time: float, q: Any, v: Any, rollout: Any = None) -> None:
@@ -168,21 +328,36 @@ class Diverged(PinmobileError, ArithmeticError):
         self.time, self.q, self.v, self.rollout = time, q, v, rollout
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # So that it comes back from another process with all that it carries.
+        # The error keeps its attributes when it returns from another process.
         return partial(type(self), time=self.time, q=self.q, v=self.v, rollout=self.rollout), self.args
 
 
 class NotSolved(PinmobileError, ArithmeticError):
-    """A quadratic program has no solution.
+    """Error of a quadratic program that has no solution.
 
-    Attributes
+    Parameters
     ----------
+    message : str
+        Complete message.
     time : float
-        Time of its sample [s].
+        Time of the sample [s].
     state : ndarray
-        The tracked state's difference from the reference.
+        Difference between the tracked state and the reference.
     problem : dict of str to ndarray
-        H, A, lower, upper and sense: least w' H w / 2 with lower <= A w <= upper.
+        Matrices H and A, bounds lower and upper, and sense: minimise w' H w / 2 subject to lower <= A w <=
+        upper.
+
+    See Also
+    --------
+    MPC : controller that solves a quadratic program in each sample.
+
+    Examples
+    --------
+    >>> from pinmobile.errors import NotSolved
+    >>> kept = {"time": 0.2, "state": [0.1], "problem": {}}
+    >>> error = NotSolved("no solution", **kept)
+    >>> isinstance(error, ArithmeticError), error.time  # [s]
+    (True, 0.2)
     """
 
     def __init__(self, message: str, *, time: float, state: Any, problem: dict[str, Any]) -> None:
@@ -194,14 +369,28 @@ class NotSolved(PinmobileError, ArithmeticError):
 
 
 class Unreachable(InvalidArgument):
-    """A pose cannot be followed within the limits of the robot, or with the clearance that is asked for.
+    """Error of a pose that the robot cannot reach within its limits or with the required clearance.
 
-    Attributes
+    Parameters
     ----------
+    message : str
+        Complete message.
     time : float
-        The first time at which the error is beyond the tolerance, or the clearance too small [s].
+        First time at which the error exceeds its tolerance or the clearance is too small [s].
     resolved : InverseKinematicsTrajectory
-        The trajectory that comes nearest, step by step, with its errors.
+        Nearest trajectory that the solver found, with its errors in each step.
+
+    See Also
+    --------
+    solve_inverse_kinematics : trajectory of the joints for a path of poses.
+
+    Examples
+    --------
+    >>> from pinmobile import InvalidArgument
+    >>> from pinmobile.errors import Unreachable
+    >>> error = Unreachable("too far", time=1.5, resolved=None)
+    >>> isinstance(error, InvalidArgument), error.time  # [s]
+    (True, 1.5)
     """
 
     def __init__(self, message: str, *, time: float, resolved: Any) -> None:
@@ -213,22 +402,70 @@ class Unreachable(InvalidArgument):
 
 
 class SlowerEngine(UserWarning):
-    """A loop runs by a slower engine than it could: the message names the part and what it lacks."""
+    """Warning of a loop that a slower engine runs: the message names the part and the missing feature.
+
+    See Also
+    --------
+    Engine : engines of a loop.
+    Rollout.fallback_reason : reason why a faster engine cannot run the loop.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> from pinmobile.errors import SlowerEngine
+    >>> with warnings.catch_warnings():  # accept slower engines
+    ...     warnings.simplefilter("ignore", SlowerEngine)
+    """
 
 
 class LimitWarning(UserWarning):
-    """A run exceeds limits of its robot, the robot tips over, or a reference asks for endless forces.
+    """Warning of a run that exceeds limits of the robot or in which the robot tips over.
 
-    What a run does is in `Rollout.events` too.
+    Functions that evaluate a reference issue the warning if the reference requires infinite forces. The
+    attribute `Rollout.events` contains the same sentences.
+
+    See Also
+    --------
+    Rollout.events : limits that a run exceeds.
+    simulate : run one robot.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> from pinmobile.errors import LimitWarning
+    >>> with warnings.catch_warnings():  # raise an error instead
+    ...     warnings.simplefilter("error", LimitWarning)
     """
 
 
 class ViewerError(PinmobileError, RuntimeError):
-    """The viewer cannot do what was asked."""
+    """Error of the viewer: the viewer cannot perform a request.
+
+    See Also
+    --------
+    viewer.Viewer : viewer in a web browser.
+
+    Examples
+    --------
+    >>> from pinmobile.errors import ViewerError
+    >>> issubclass(ViewerError, RuntimeError)
+    True
+    """
 
 
 class SchedulerError(PinmobileError, ConnectionError):
-    """A Dask cluster does not answer, has no worker, or is lost; or a process that ran robots is."""
+    """Error of a Dask cluster that does not answer, has no worker or is lost, or of a lost process.
+
+    See Also
+    --------
+    sweep : run the ensembles of a grid.
+
+    Examples
+    --------
+    >>> from pinmobile.errors import SchedulerError
+    >>> issubclass(SchedulerError, ConnectionError)
+    True
+    """
 
 
 EXTRAS: Mapping[str, tuple[str, ...]] = {
@@ -237,11 +474,28 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "bags": ("rosbags",),
     "mpc": ("daqp",),
 }
-"""The packages of each extra, as on PyPI; pyproject.toml has their versions."""
+"""Packages of each extra, by their names on PyPI. The file pyproject.toml states their versions."""
 
 
 def installing(extra: str) -> str:
-    """Return how the packages of an extra are installed, wherever this package came from; and the extra."""
+    """Return the command that installs the packages of an extra.
+
+    Parameters
+    ----------
+    extra : str
+        Name of the extra, a key of `EXTRAS`.
+
+    Returns
+    -------
+    str
+        Command with the packages, and the name of the extra.
+
+    Examples
+    --------
+    >>> from pinmobile.errors import installing
+    >>> installing("mpc")
+    "pip install daqp, or 'pinmobile[mpc]'"
+    """
     return f"pip install {' '.join(EXTRAS[extra])}, or 'pinmobile[{extra}]'"
 
 
@@ -251,16 +505,29 @@ def imported(name: str, extra: str, what: str) -> Any:
     Parameters
     ----------
     name : str
-        The module.
+        Name of the module.
     extra : str
-        The extra that it is of.
+        Name of the extra that contains the module.
     what : str
-        What needs it, for the message, such as ``"a sweep"``.
+        Feature that needs the module, for the message, such as ``"a sweep"``.
+
+    Returns
+    -------
+    module
+        Imported module.
 
     Raises
     ------
     InvalidArgument
-        If it is not installed.
+        If the module is not installed.
+
+    Examples
+    --------
+    >>> from pinmobile.errors import imported
+    >>> imported("nothing_like_it", "mpc", "MPC")
+    Traceback (most recent call last):
+        ...
+    pinmobile.errors.InvalidArgument: MPC needs nothing_like_it...
     """
     try:
         return import_module(name)

@@ -1,4 +1,4 @@
-"""`Metric`, what a plant states of a sample beside its errors; and sizes in words."""
+"""`Metric`, a number that ranks runs beside their errors; and quantities as text."""
 
 from __future__ import annotations
 
@@ -12,33 +12,68 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.parts import Measuring, able
 
 _WORST = ("largest", "smallest", "ever")
-_SCALE = 2.0**-12  # of margins: below this, differences count; above it, ratios
-_BEYOND = 2.0**20  # margins below minus this are as bad as any
-_ROUNDING = 1e-12  # in SI units, of what a robot on the ground has
+_SCALE = 2.0**-12  # bins of margins are linear below this size and logarithmic above
+_BEYOND = 2.0**20  # margins below minus this size count as equal
+_ROUNDING = 1e-12  # SI units; smaller quantities of a ground robot are rounding errors
 
 
 def in_words(size: float, form: str = ".4g") -> str:
-    """Return a size in SI units as text; what is rounding as "< 1e-12", for there machines differ."""
+    """Return a quantity in SI units as text.
+
+    A quantity of the size of rounding errors becomes ``"< 1e-12"``, because machines differ there.
+
+    Parameters
+    ----------
+    size : float
+        Quantity in SI units.
+    form : str
+        Format of the number.
+
+    Returns
+    -------
+    str
+        Text without unit.
+
+    Examples
+    --------
+    >>> from pinmobile.metrics import in_words
+    >>> in_words(0.123456), in_words(3e-15)
+    ('0.1235', '< 1e-12')
+    """
     if 0 < abs(size) < _ROUNDING:
         return "< 1e-12" if size > 0 else "> -1e-12"
     return f"{size:{form}}"
 
 
 class Metric(NamedTuple):
-    """One of the numbers that a plant's ``evaluate_metrics`` gives for a sample.
+    """Description of one number that the ``evaluate_metrics`` of a plant returns for each sample.
 
     Attributes
     ----------
     name : str
-        Such as ``"end effector"``: what `Ensemble.worst` and others call it.
-    unit, meaning : str
-        Its unit, "" for none, and what it is, in words.
+        Name, such as ``"end effector"``. `Ensemble.worst` and other methods use it.
+    unit : str
+        Unit, "" for none.
+    meaning : str
+        Meaning as a noun phrase.
     worst : str
-        ``"largest"`` of a size, which is the worse the larger it is, whatever its sign; its sizes over time
-        are told apart from 6e-11 to 1024. ``"smallest"`` of a margin, which is the worse the smaller it is,
-        and may be negative; told apart from -512 to 512, near zero to 5e-6, elsewhere to 2 or 3 %. Choose
-        the unit so that it fits. ``"ever"`` of an event, 1 where it happens, else 0: an ensemble counts and
-        reports the robots to which it does.
+        Rule that selects the worst value. ``"largest"``: a size, whose largest absolute value is the worst.
+        The bins over time resolve sizes from 6e-11 to 1024. ``"smallest"``: a margin, whose smallest value is
+        the worst; it may be negative. The bins resolve margins from -512 to 512, to 5e-6 near zero and to 2
+        or 3 % elsewhere. Choose a unit in which the values fit. ``"ever"``: an event, 1 where it happens and
+        0 elsewhere. An ensemble counts the robots in which it happens, and reports their number.
+
+    See Also
+    --------
+    Ensemble.largest : worst value of each robot.
+    parts.Measuring : plants with metrics.
+
+    Examples
+    --------
+    >>> from pinmobile.metrics import Metric
+    >>> margin = Metric("clearance", "m", "distance", "smallest")
+    >>> margin.title, margin.is_margin
+    ('clearance [m]', True)
     """
 
     name: str
@@ -48,38 +83,103 @@ class Metric(NamedTuple):
 
     @property
     def is_margin(self) -> bool:
-        """Whether it is the worse the smaller it is."""
+        """Whether the smallest value is the worst."""
         return self.worst == "smallest"
 
     @property
     def title(self) -> str:
-        """Its name, with its unit where it has one."""
+        """Name and, if there is one, unit."""
         return f"{self.name} [{self.unit}]" if self.unit not in ("", "1") else self.name
 
 
 def size_of(margin: ArrayLike) -> Any:
-    """Return a size > 0 that grows with a margin of any sign, to be counted in bins of a logarithm.
+    """Return a positive size that increases with a margin of any sign, for bins of a logarithm.
 
-    That is m + sqrt(m^2 + c^2): its logarithm is asinh(m / c), near zero as a line and far from it as the
-    logarithm of m or of -1 / m. So margins from -512 to 512 fall into the bins from 2^-34 to 2^10.
+    The size is m + sqrt(m^2 + c^2). Its logarithm is asinh(m / c) plus a constant: linear near zero, and the
+    logarithm of m or of -1 / m elsewhere. Margins from -512 to 512 thus fall into the bins from 2^-34 to
+    2^10.
+
+    Parameters
+    ----------
+    margin : array_like, any shape
+        Margins.
+
+    Returns
+    -------
+    ndarray, same shape
+        Sizes > 0.
+
+    See Also
+    --------
+    value_of : inverse function.
+
+    Examples
+    --------
+    >>> from pinmobile.metrics import size_of, value_of
+    >>> bool(size_of(-0.1) < size_of(0.0) < size_of(0.1))
+    True
+    >>> float(value_of(size_of(-0.1)))
+    -0.1
     """
     m = np.maximum(margin, -_BEYOND)
     return m + np.sqrt(m * m + _SCALE**2)
 
 
 def value_of(size: Array) -> Array:
-    """Return the margins whose `size_of` this is; of 0 minus infinity."""
+    """Return the margins of sizes: the inverse of `size_of`.
+
+    Parameters
+    ----------
+    size : ndarray, any shape
+        Sizes >= 0.
+
+    Returns
+    -------
+    ndarray, same shape
+        Margins; minus infinity for the size 0.
+
+    See Also
+    --------
+    size_of : inverse function.
+
+    Examples
+    --------
+    >>> from pinmobile.metrics import size_of, value_of
+    >>> float(value_of(size_of(0.25)))
+    0.25
+    """
     with np.errstate(divide="ignore"):
         return np.asarray((size - _SCALE**2 / size) / 2)
 
 
 def metrics_of(plant: object) -> tuple[Metric, ...]:
-    """Return the metrics of a plant, none of one without.
+    """Return the metrics of a plant, an empty tuple if it has none.
+
+    Parameters
+    ----------
+    plant : plant
+        Plant, with the attribute ``metrics`` or without it.
+
+    Returns
+    -------
+    tuple of Metric
+        Metrics in the order of the plant.
 
     Raises
     ------
     UnknownName
-        If the worst of one is none of those of `Metric`.
+        If the attribute ``worst`` of a metric is not one of those that `Metric` lists.
+
+    See Also
+    --------
+    Metric : description of a metric.
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.metrics import metrics_of
+    >>> metrics_of(MobileRobot(mass=30.0, yaw_inertia=1.3))
+    ()
     """
     stated = able(plant, Measuring)
     found = () if stated is None else tuple(stated.metrics)
@@ -89,31 +189,43 @@ def metrics_of(plant: object) -> tuple[Metric, ...]:
 
 
 def chosen(plant: object, names: object, taken: Sequence[str]) -> tuple[Metric, ...]:
-    """Return the metrics of a plant that are asked for, in its order.
+    """Return the selected metrics of a plant, in the order of the plant.
 
     Parameters
     ----------
     plant : plant
-        Whose they are.
+        Plant with metrics.
     names : sequence of str, or None
-        Which; None: all.
+        Names of the selected metrics; None: all.
     taken : sequence of str
-        What else is called by a name, and judged.
+        Names of the errors, which no metric may have.
+
+    Returns
+    -------
+    tuple of Metric
+        Selected metrics.
 
     Raises
     ------
     InvalidArgument
-        If `names` is something else, or a metric is called as something else is.
+        If `names` is not a sequence of names, or a metric has the name of an error or of another metric.
     UnknownName
-        If the plant states no metric of a name.
+        If the plant has no metric of a name.
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.metrics import chosen
+    >>> chosen(MobileRobot(30.0, 1.3), None, ["distance"])
+    ()
     """
     stated = metrics_of(plant)
     every = [*taken, *(one.name for one in stated)]
     twice = next((name for name in every if every.count(name) > 1), None)
     if twice is not None:
         raise InvalidArgument(
-            f"metrics of the plant, a {type(plant).__name__}, has {twice!r}, as an error or another metric "
-            "is called, expected names that differ"
+            f"metrics of the plant, a {type(plant).__name__}, has {twice!r}, the name of an error or of "
+            "another metric too, expected different names"
         )
     if names is None:
         return stated
@@ -123,14 +235,27 @@ def chosen(plant: object, names: object, taken: Sequence[str]) -> tuple[Metric, 
 
 
 def channels_of(coordinates: Sequence[Any], metrics: Sequence[Metric]) -> tuple[Metric, ...]:
-    """Return what robots are compared by: errors of the reference's coordinates, and metrics.
+    """Return the quantities that rank robots: errors of the reference's coordinates, and metrics.
 
     Parameters
     ----------
     coordinates : sequence of Coordinate
-        Those that the reference has, x, y and psi first.
+        Coordinates of the reference; x, y and psi first.
     metrics : sequence of Metric
-        Those that are judged.
+        Recorded metrics.
+
+    Returns
+    -------
+    tuple of Metric
+        Distance, heading, errors of further coordinates, and the metrics.
+
+    Examples
+    --------
+    >>> from pinmobile.metrics import channels_of
+    >>> from pinmobile.plant import Coordinate
+    >>> named = [Coordinate(x, "m") for x in ("x", "y", "psi")]
+    >>> [one.title for one in channels_of(named, ())]
+    ['distance [m]', 'heading [rad]']
     """
     errors = [Metric(one.name, one.unit, f"error of {one.name}") for one in coordinates[3:]]
     return (
@@ -142,21 +267,34 @@ def channels_of(coordinates: Sequence[Any], metrics: Sequence[Metric]) -> tuple[
 
 
 def check_measured(plant: Any, q: Array, v: Array, reference: Any) -> None:
-    """Refuse a plant whose metrics, at rest where it starts, have another shape or are no numbers.
+    """Check the metrics of a plant that is at rest in its start configuration.
 
     Parameters
     ----------
     plant : plant
-        One that states metrics.
+        Plant with metrics.
     q, v : ndarray, shape (nq,), (nv,)
-        Where it starts.
+        Start configuration and velocity.
     reference : Reference
-        Of all samples.
+        Reference of all samples.
 
     Raises
     ------
     InvalidArgument
-        If it is such; infinity is a number.
+        If ``evaluate_metrics`` returns NaN or another shape; infinity is allowed.
+
+    See Also
+    --------
+    evaluate_metrics_of : metrics of one sample.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import Circle, MobileRobot, Tangent
+    >>> from pinmobile.metrics import check_measured
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> desired = Tangent(Circle(1.0, 0.5, 4.0))(np.array([0.0, 1.0]))
+    >>> check_measured(robot, np.zeros(3), np.zeros(3), desired)
     """
     first = type(reference)(*(x[0] for x in reference))
     found = evaluate_metrics_of(plant, np.zeros(()), q, v, np.zeros(plant.nv), np.zeros(plant.nu), first)
@@ -169,28 +307,47 @@ def check_measured(plant: Any, q: Array, v: Array, reference: Any) -> None:
 
 
 def evaluate_metrics_of(plant: Any, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
-    """Return the metrics of a sample, shape (..., m), as the plant has them.
+    """Return the metrics of a sample, in the order of the plant.
 
     Parameters
     ----------
     plant : plant
-        One that states metrics.
+        Plant with metrics.
     t : float
         Time [s].
     q, v, a, u : ndarray, shape (..., nq), (..., nv), (..., nv), (..., nu)
-        State, acceleration and input.
+        Configuration, velocity, acceleration and input.
     reference : Reference
-        Of this sample.
+        Reference at this time.
+
+    Returns
+    -------
+    ndarray, shape (..., m)
+        Values of the metrics.
 
     Raises
     ------
     InvalidArgument
-        If it returns another shape.
+        If ``evaluate_metrics`` returns another shape.
+
+    See Also
+    --------
+    Rollout.metrics : metrics of all samples.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import Circle, MobileRobot, Tangent
+    >>> from pinmobile.metrics import evaluate_metrics_of
+    >>> robot, zero = MobileRobot(30.0, 1.3), np.zeros(3)
+    >>> at = Tangent(Circle(1.0, 0.5, 4.0))(0.0)
+    >>> evaluate_metrics_of(robot, 0.0, *[zero] * 4, at).shape
+    (0,)
     """
     copies = type(reference)(*(x.copy() for x in reference))
     found = plant.evaluate_metrics(t, q.copy(), v.copy(), a.copy(), u.copy(), copies)
-    words = ": a number for each metric"
+    words = ": one number for each metric"
     asked = (
-        f"what evaluate_metrics(t, q, v, a, u, reference) of the plant, a {type(plant).__name__}, returned,"
+        f"result of evaluate_metrics(t, q, v, a, u, reference) of the plant, a {type(plant).__name__},"
     )
     return shaped(asked, found, (*np.shape(v)[:-1], len(plant.metrics)), words=words)

@@ -1,4 +1,4 @@
-"""Named series with units that parts of a loop give beside states and inputs."""
+"""Signals: named series with units that parts of a loop record beside states and inputs."""
 
 from __future__ import annotations
 
@@ -10,18 +10,30 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, frozen, instance, real, shaped
 from pinmobile.errors import InvalidArgument, shown
 
-_DEEPEST = 100  # wrappers in one another
+_DEEPEST = 100  # nested wrappers
 
 
 class Signal(NamedTuple):
-    """A series that a part gives, one value per sample.
+    """Series that a part records, with one value per sample.
 
     Attributes
     ----------
     unit : str
-        Such as ``"N"``, "" for none.
+        Unit of the values, such as ``"N"``; "" for none.
     values : ndarray, shape (N + 1,) or (N + 1, k)
-        Numbers, or rows of them.
+        Values of the samples in this unit.
+
+    See Also
+    --------
+    Rollout.signals : signals of a run by name.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.signals import Signal
+    >>> force = Signal("N", np.array([0.0, 2.0, 1.0]))
+    >>> float(force.values.max()), force.unit
+    (2.0, 'N')
     """
 
     unit: str
@@ -29,14 +41,27 @@ class Signal(NamedTuple):
 
 
 class Claim(NamedTuple):
-    """What a part tells at a sample under a name.
+    """Value of a signal at one sample.
 
     Attributes
     ----------
-    part, unit : str
-        Whose it is, such as ``"forces[1]"``, and its unit.
+    part : str
+        Part that records the signal, such as ``"forces[1]"``.
+    unit : str
+        Unit of the value, "" for none.
     value : ndarray, shape () or (k,)
-        What it is.
+        Value at this sample.
+
+    See Also
+    --------
+    claimed : collect the signals of several parts.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.signals import Claim
+    >>> Claim("forces[0]", "N", np.array(3.0)).unit
+    'N'
     """
 
     part: str
@@ -45,17 +70,59 @@ class Claim(NamedTuple):
 
 
 def signals_of(part: object, *given: object) -> Any:
-    """Return the signals of a part that may have some: a dict of name to (unit, value), else nothing."""
+    """Return the signals of a part, an empty dict if it has none.
+
+    Parameters
+    ----------
+    part : object
+        Part of a loop; it may have a method ``signals``.
+    *given : object
+        Arguments of this method.
+
+    Returns
+    -------
+    dict of str to (str, value)
+        Unit and value of each signal, by name.
+
+    See Also
+    --------
+    claimed : check and collect the signals of several parts.
+
+    Examples
+    --------
+    >>> from pinmobile import PD
+    >>> from pinmobile.signals import signals_of
+    >>> signals_of(PD(4, 4), None)
+    {}
+    """
     return part.signals(*given) if hasattr(part, "signals") else {}
 
 
 def number(name: str, value: ArrayLike) -> Array:
-    """Return the value of a signal, shape () or (k,).
+    """Return the value of a signal as an array.
+
+    Parameters
+    ----------
+    name : str
+        Name of the value, for the message.
+    value : array_like, shape () or (k,)
+        Real numbers; NaN and infinity are allowed.
+
+    Returns
+    -------
+    ndarray, shape () or (k,)
+        Value as float64.
 
     Raises
     ------
     InvalidArgument
-        If it is something else.
+        If the value is not a real number or a row of real numbers.
+
+    Examples
+    --------
+    >>> from pinmobile.signals import number
+    >>> number("force", [1, 2])
+    array([1., 2.])
     """
     return shaped(name, np.array(real(name, value)), (), ("n",))
 
@@ -63,19 +130,35 @@ def number(name: str, value: ArrayLike) -> Array:
 def claimed(
     told: Iterable[tuple[str, Any]], value_of: Callable[[str, Any], Any] = number
 ) -> dict[str, Claim]:
-    """Return what parts tell at a sample, by name.
+    """Return the signals of several parts at one sample, by name.
 
     Parameters
     ----------
     told : iterable of (str, mapping)
-        Each part by what it is called in messages, and its signals.
+        Name of each part in messages, and its signals: a dict of name to (unit, value).
     value_of : callable
-        Checks a value, given what it is called.
+        Function ``value_of(name, value)`` that checks a value and returns it as an array.
+
+    Returns
+    -------
+    dict of str to Claim
+        Part, unit and value of each signal.
 
     Raises
     ------
     InvalidArgument
-        If signals are none, or two parts have one of a name.
+        If the signals of a part have another form, or two parts have a signal of the same name.
+
+    See Also
+    --------
+    Claim : value of a signal at one sample.
+
+    Examples
+    --------
+    >>> from pinmobile.signals import claimed
+    >>> found = claimed([("forces[0]", {"push": ("N", 3.0)})])
+    >>> found["push"].part, float(found["push"].value)
+    ('forces[0]', 3.0)
     """
     found: dict[str, Claim] = {}
     for part, signals in told:
@@ -92,21 +175,38 @@ def claimed(
 
 
 def told_at(t: Array, controller: object, trajectory: object) -> dict[str, Signal]:
-    """Return what a controller, those inside it and a trajectory tell of all samples at once, by name.
+    """Return the signals that a controller and a trajectory define as functions of time, by name.
 
-    That is what depends on the time alone, such as a target. Of one name the outermost counts.
+    Such a signal depends on the time alone, for example a target. The function also searches controllers
+    inside wrappers. If several parts define a signal of the same name, the result contains that of the
+    outermost controller.
 
     Parameters
     ----------
     t : ndarray, shape (N,)
         Times of the samples [s].
     controller, trajectory : controller, trajectory
-        Asked for ``signals_at(t)``: a dict of name to (unit, values), values of shape (N,) or (N, k).
+        Parts that may have a method ``signals_at(t)``. It returns a dict of name to (unit, values), with
+        values of shape (N,) or (N, k).
+
+    Returns
+    -------
+    dict of str to Signal
+        Unit and values of each signal.
 
     Raises
     ------
     InvalidArgument
-        If one returns something else.
+        If such a method returns anything else.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import PD, Circle, Tangent
+    >>> from pinmobile.signals import told_at
+    >>> path = Tangent(Circle(1.0, 0.5, 4.0))
+    >>> told_at(np.array([0.0, 1.0]), PD(4, 4), path)
+    {}
     """
     wrapped: list[object] = []
     while controller is not None and len(wrapped) < _DEEPEST:
