@@ -123,7 +123,7 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
         (lambda: pm.CubicVia([0], [1], [2], 1e-200, 1), "t_via is 1e-200 s, expected 1e-50 <= "),
         (
             lambda: closed_form.nonlinear_effects([0, 0, 0], [0, 0, 1e308], mass=1, com=(1, 0)),
-            "the answer is -inf for |q| up to 0, |v| up to 1e+308",
+            "the result is -inf for |q| up to 0, |v| up to 1e+308",
             NotFinite,
         ),
         (
@@ -132,7 +132,7 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
         ),
         (
             lambda: ON_WHEELS.check_start(np.zeros(5), np.full(5, 1.7e308)),
-            "the answer is inf for |q| up to 0, |v| up to 1.7e+308",
+            "the result is inf for |q| up to 0, |v| up to 1.7e+308",
             NotFinite,
         ),
     ],

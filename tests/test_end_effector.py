@@ -231,7 +231,7 @@ def test_what_has_no_target_or_no_frames_says_so(run: pm.Rollout) -> None:
         UnknownName, match=r"unknown frame 'tool', did you mean .* available: .*ur5/wrist_3_link"
     ):
         run.end_effector("tool")
-    with refused("does not tell where its frames are, expected a MobileRobot"):
+    with refused("has no poses of frames, expected a MobileRobot"):
         replace(run, plant=None, signals={}).end_effector()
 
 

@@ -14,7 +14,7 @@ from pinmobile.cli import main
 from pinmobile.errors import SlowerEngine
 
 CIRCLE = pm.Tangent(pm.Circle(2, 0.25, 2))
-NOT_ASKED = "not COMPILED, which runs what can be compiled where engine=Engine.COMPILED asks for it"
+NOT_ASKED = "not COMPILED: give engine=Engine.COMPILED to compile the loop"
 
 
 def branching(t: float, q: Any, v: Any, reference: Any) -> Any:

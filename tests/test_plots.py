@@ -283,7 +283,7 @@ class TestFigures:
         flat = replace(run, plant=None, q=run.q[:, :2], reference=desired)
         with pytest.raises(
             InvalidArgument,
-            match=r"^rollouts\['a'\].plant is a NoneType, which does not tell where its body is",
+            match=r"^rollouts\['a'\].plant is a NoneType, which has no pose of its body",
         ):
             plots.path({"a": flat})
 

@@ -347,7 +347,7 @@ def test_a_missing_or_another_pinocchio_is_told_at_once_with_what_to_install(
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     last = done.stderr.splitlines()[-1]
     assert last.startswith(f"ImportError: {said}")
-    assert "pip install pin (pinocchio there is another project" in last
+    assert "pip install pin (pinocchio on PyPI is another project" in last
 
 
 def test_importing_does_nothing_to_numpys_settings() -> None:

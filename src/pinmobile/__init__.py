@@ -1,6 +1,7 @@
 """Dynamics and control of ground robots on Pinocchio.
 
-Importing it loads a module of its own, and numpy and Pinocchio with it, when a name of that is first used.
+The import loads neither NumPy nor Pinocchio. It loads a module of this package, and the libraries that the
+module needs, when code first uses a name of the module.
 """
 
 import pathlib
@@ -8,13 +9,13 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
-# At once: whoever lacks Pinocchio is told by the import, not in the middle of a program.
+# The import itself checks for Pinocchio, so that a program does not fail halfway.
 _spec = find_spec("pinocchio")
 _folders = (_spec.submodule_search_locations if _spec is not None else None) or ()
 if not any(list(pathlib.Path(folder).glob("*pywrap*")) for folder in _folders):
     raise ImportError(
         f"{'No' if _spec is None else 'Another'} module is named 'pinocchio': pinmobile needs Pinocchio, "
-        "whose package on PyPI is pin: pip install pin (pinocchio there is another project: uninstall it "
+        "whose package on PyPI is pin: pip install pin (pinocchio on PyPI is another project: uninstall it "
         "first)"
     )
 
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 
-# Each module with the names that it gives to this one. Import all others from their module.
+# Each module with the names that the top level exports. Import all other names from their module.
 _NAMES = {
     name: tuple(names.split())
     for name, names in {
@@ -88,14 +89,14 @@ _NAMES = {
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = sorted(_MODULE_OF)
 
-if not TYPE_CHECKING:  # a type checker knows all names by the above, and reports others
+if not TYPE_CHECKING:  # a type checker knows all names from the imports above, and reports others
 
     def __getattr__(name: str) -> object:
         if name in _NAMES:
             return import_module(f"pinmobile.{name}")
         if name in _MODULE_OF:
             value = getattr(import_module(f"pinmobile.{_MODULE_OF[name]}"), name)
-            globals()[name] = value  # found without this function from now on
+            globals()[name] = value  # the next access does not call this function
             return value
         from difflib import get_close_matches
 

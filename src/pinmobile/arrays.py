@@ -118,7 +118,7 @@ def finite_answer(answer: Array, /, **arguments: ArrayLike) -> Array:
         return answer
     bad = answer[~np.isfinite(answer)][0]
     sizes = ", ".join(f"|{name}| up to {np.abs(value).max():.3g}" for name, value in arguments.items())
-    raise NotFinite(f"the answer is {bad} for {sizes}, made of numbers beyond 1.8e308: expected smaller ones")
+    raise NotFinite(f"the result is {bad} for {sizes}: a number exceeds 1.8e308, expected smaller arguments")
 
 
 def in_numbers(function: _Function) -> _Function:
@@ -155,7 +155,7 @@ def in_numbers(function: _Function) -> _Function:
                 answer = np.array(np.nan)
         for part in answer if isinstance(answer, tuple) else (answer,):
             if type(part) is np.ndarray and part.dtype == _FLOAT and not np.isfinite(part).all():
-                # Inside the function: other objects in the closure of a law would prevent caching of its loop.
+                # Inside the function: other objects in the closure of a law would prevent its caching.
                 given = inspect.signature(function).bind(*arguments, **named).arguments  # type: ignore[arg-type]
                 finite_answer(part, **{name: x for name, x in given.items() if name != "self" and np.size(x)})
         return answer
@@ -164,7 +164,7 @@ def in_numbers(function: _Function) -> _Function:
 
 
 def endless_or_finite(name: str, value: ArrayLike) -> Array:
-    """Return limits as a float64 array; unlike `finite`, infinity is allowed and means that there is no limit.
+    """Return limits as a float64 array; infinity is allowed and means that there is no limit.
 
     Parameters
     ----------

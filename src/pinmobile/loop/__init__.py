@@ -1,4 +1,4 @@
-"""The closed loop: `simulate` runs one robot, `ensemble` many; `Rollout` and `Ensemble` are their results."""
+"""Closed loops: `simulate` runs one robot, `ensemble` many; `Rollout` and `Ensemble` are their results."""
 
 from pinmobile.loop._checks import (
     chosen_integrator as chosen_integrator,

@@ -1,4 +1,4 @@
-"""`Rollout`: everything that a simulation recorded, with its own judgement, and its `EndEffector`."""
+"""`Rollout`, the recorded samples of a simulation, and `EndEffector`, a frame over these samples."""
 
 from __future__ import annotations
 
@@ -38,20 +38,35 @@ _BASE = 3
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EndEffector:
-    """A frame over the samples of a rollout; made by `Rollout.end_effector`.
+    """Pose and target pose of a frame over the samples of a rollout; `Rollout.end_effector` returns it.
 
     Attributes
     ----------
     frame : str
-        Its name.
+        Name of the frame.
     t : ndarray, shape (N + 1,)
         Times [s].
     pose : ndarray, shape (N + 1, 4, 4)
-        T_0_f, where it was.
+        Pose T_0_f of the frame.
     target : ndarray, shape (N + 1, 4, 4), or None
-        Where it should have been; None where nothing says so.
+        Target pose; None if no part of the loop defines one.
     is_oriented : bool
-        Whether the target says how it should stand too, not its position alone.
+        Whether the target contains an orientation; otherwise it is a position.
+
+    See Also
+    --------
+    Rollout.end_effector : end effector of a run.
+    EndEffectorTracking : controller that tracks poses.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.loop import EndEffector
+    >>> t, (pose, target) = [0, 1], np.tile(np.eye(4), (2, 2, 1, 1))
+    >>> target[1, 0, 3] = 0.01
+    >>> tool = EndEffector("tool", t, pose, target)
+    >>> tool.max_error()  # [m], [rad]
+    (0.01, 0.0)
     """
 
     units: ClassVar[Mapping[str, str]] = {
@@ -82,19 +97,19 @@ class EndEffector:
 
     @property
     def position(self) -> Array:
-        """Of its origin, shape (N + 1, 3) [m]."""
+        """Position of the frame's origin, shape (N + 1, 3) [m]."""
         return self.pose[:, :3, 3]
 
     @property
     def orientation(self) -> Array:
-        """R_0_f, shape (N + 1, 3, 3)."""
+        """Rotation matrix R_0_f of the frame, shape (N + 1, 3, 3)."""
         return self.pose[:, :3, :3]
 
     @cached_property
     def error(self) -> Array:
-        """From its pose to the target's along the inertial axes, shape (N + 1, 6) [m, rad].
+        """Error from the pose to the target along the inertial axes, shape (N + 1, 6) [m, rad].
 
-        The last three are the rotation vector; NaN where the position alone is followed.
+        The last three entries are the rotation vector; they are NaN if the target is a position.
 
         Raises
         ------
@@ -103,8 +118,8 @@ class EndEffector:
         """
         if self.target is None:
             raise InvalidArgument(
-                f"end effector {self.frame!r} has no target, expected a run of EndEffectorTracking, of a "
-                "trajectory that solve_inverse_kinematics gave, or of a reference with the arm's coordinates"
+                f"end effector {self.frame!r} has no target, expected a run with EndEffectorTracking, with a "
+                "trajectory of solve_inverse_kinematics, or with a reference of the arm's coordinates"
             )
         error = pose_error(self.target, self.pose)
         if not self.is_oriented:
@@ -113,57 +128,63 @@ class EndEffector:
 
     @property
     def position_error(self) -> Array:
-        """Of its origin, shape (N + 1, 3) [m]; raises as `error`."""
+        """Position error of the origin, shape (N + 1, 3) [m]; see `error`."""
         return self.error[:, :_BASE]
 
     @property
     def orientation_error(self) -> Array:
-        """Rotation vector from how it stands to how it should, shape (N + 1, 3) [rad]; as of `error`."""
+        """Rotation vector from the orientation to its target, shape (N + 1, 3) [rad]; see `error`."""
         return self.error[:, _BASE:]
 
     @property
     def distance(self) -> Array:
-        """Size of the position's error, shape (N + 1,) [m]; raises as `error`."""
+        """Size of the position error, shape (N + 1,) [m]; see `error`."""
         return np.asarray(error_sizes(self.error)[:, 0])
 
     @property
     def angle(self) -> Array:
-        """Angle of the orientation's error, shape (N + 1,) [rad]; NaN where none is desired."""
+        """Angle of the orientation error, shape (N + 1,) [rad]; NaN if the target is a position."""
         return np.asarray(error_sizes(self.error)[:, 1])
 
     def max_error(self) -> tuple[float, float]:
-        """Return the largest distance [m] and the largest angle [rad] from the target, as of `error`."""
+        """Return the largest distance [m] and the largest angle [rad] from the target.
+
+        Raises
+        ------
+        InvalidArgument
+            If there is no target.
+        """
         way, turn = error_sizes(self.error).max(axis=0)
         return float(way), float(turn)
 
 
 def aimed_at(rollout: Any) -> str | None:
-    """Return the first frame of a rollout's plant whose target the run has; None where it has none."""
+    """Return the first frame of a rollout's plant that has a target in the signals; None if there is none."""
     names = stated(rollout.plant, "frame_names") or ()
     return next((name for name in names if target_names(name)[0] in rollout.signals), None)
 
 
 def end_effector_of(rollout: Any, frame: str | None) -> EndEffector:
-    """Return a frame of a rollout's plant over its samples.
+    """Return a frame of a rollout's plant over the samples.
 
     Parameters
     ----------
     rollout : Rollout
-        The run.
+        Recorded samples.
     frame : str or None
-        Its name; None: that whose target the run has, else the plant's ``end_effector``.
+        Name of the frame; None: the frame with a target, else the plant's ``end_effector``.
 
     Raises
     ------
     InvalidArgument
-        If the plant does not tell where its frames are.
+        If the plant does not provide poses of frames.
     UnknownName
         If there is no such frame.
     """
     plant = rollout.plant
     if not all(callable(stated(plant, name)) for name in ("frame_pose", "frame_name")):
         raise InvalidArgument(
-            f"plant is {shown(plant)}, which does not tell where its frames are, expected a MobileRobot, a "
+            f"plant is {shown(plant)}, which has no poses of frames, expected a MobileRobot, a "
             "WheeledRobot, or a plant with frame_name(frame) and frame_pose(q, frame)"
         )
     name = plant.frame_name(aimed_at(rollout) if frame is None else frame)
@@ -179,7 +200,7 @@ def end_effector_of(rollout: Any, frame: str | None) -> EndEffector:
 
 
 def _told(signals: Mapping[str, Signal], position: str, orientation: str) -> Array:
-    """Return the poses of signals, shape (N + 1, 4, 4)."""
+    """Return the target poses in signals, shape (N + 1, 4, 4)."""
     place = signals[position].values
     target = np.tile(np.eye(4), (len(place), 1, 1))
     target[:, :3, 3] = place
@@ -190,7 +211,7 @@ def _told(signals: Mapping[str, Signal], position: str, orientation: str) -> Arr
 
 
 def _coordinates_of(plant: Any, frame: str) -> int:
-    """Return how many of the first coordinates a reference needs to define the pose of a frame."""
+    """Return the number of first coordinates that determine the pose of a frame."""
     mounts = stated(plant, "mounts")
     if mounts is None:
         return int(plant.nv)
@@ -203,48 +224,69 @@ _RECORDED = ("t", "q", "v", "a", "u", "error")
 _FORMAT = "pinmobile rollout 4"
 _GROUND = {
     "tips": "no loads of wheels and supports balance the robot: it tips over, which is not simulated",
-    "missed": "loads and forces of the ground were not found to their tolerance",
+    "missed": "loads and forces of the ground did not converge to their tolerance",
 }
 
 
 def error_text(value: float) -> str:
-    """Return an error [m, rad] with seven digits, or without where it is rounding: there, machines differ."""
+    """Return an error [m, rad] as text with seven digits; a rounding error becomes "< 1e-12"."""
     return in_words(value, ".6e")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rollout:
-    """A closed loop, sample by sample, the last one included.
+    """Recorded samples of a closed loop, from t = 0 to the last sample.
 
     Attributes
     ----------
     plant : MobileRobot or other plant
-        What was simulated. Of a file whose plant is of a user's class, or has an arm that is no loader's and
-        has no URDF that is still there, a `pinmobile.plant.PlantOutline`: its names and units.
+        Simulated system. After loading a file, it is a `pinmobile.plant.PlantOutline` (names and units) if
+        the file cannot restore the plant: its class belongs to a user, or the URDF of its arm is missing.
     t : ndarray, shape (N + 1,)
         Times [s].
     q : ndarray, shape (N + 1, nq)
         Configuration.
-    v, a : ndarray, shape (N + 1, nv)
-        Velocity and acceleration; `a` is that at the start of each step.
+    v : ndarray, shape (N + 1, nv)
+        Velocity.
+    a : ndarray, shape (N + 1, nv)
+        Acceleration at the start of each step.
     u : ndarray, shape (N + 1, nu)
-        Input, within the plant's limits, held until the next sample; of a body that is pushed its generalised
-        force (Fx, Fy, Mz, ...) [N, N, N m, ...].
+        Applied input, constant until the next sample. For a body driven by forces: (Fx, Fy, Mz, ...) [N, N, N
+        m, ...].
     error : ndarray, shape (N + 1, n)
-        From the configuration to the reference's n coordinates, psi on the circle [m, m, rad, ...].
+        Tracking error of the reference's n coordinates; psi on the circle [m, m, rad, ...].
     reference : Reference
         Desired q, v and a of the first n coordinates.
     signals : mapping of str to Signal
-        Further series of the parts, by name, each with its unit.
+        Further series of the parts with their units, by name.
     engine : str
-        What ran the loop: ``"PYTHON"``, in Python, or ``"COMPILED"``; "" where that is not known.
+        Engine that ran the loop, ``"PYTHON"`` or ``"COMPILED"``; "" if unknown.
     fallback_reason : str
-        Why not a faster engine; "" where there is none, or it was asked for.
+        Reason why a faster engine could not run the loop; "" if there is none, or if the user gave the
+        engine.
 
     Raises
     ------
     InvalidArgument
-        If a number is not finite, times do not increase, or a shape is not what it is above.
+        If a number is not finite, the times do not increase, or an array has another shape.
+
+    See Also
+    --------
+    simulate : run a closed loop.
+    plots.path : figure of the path.
+    EndEffector : frame over the samples.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot
+    >>> from pinmobile import Tangent, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> path = Tangent(Circle(1.0, 0.5, 4.0))
+    >>> run = simulate(robot, PD(120, 120), path, dt=0.02)
+    >>> run.max_input()[:2]  # [N]
+    array([7.9, 8.1])
+    >>> run.rms_error()[:2]  # [m]
+    array([0.036, 0.033])
     """
 
     plant: Any
@@ -261,7 +303,7 @@ class Rollout:
 
     def __post_init__(self) -> None:
         for name in _RECORDED:
-            with np.errstate(over="ignore"):  # of the square of a time
+            with np.errstate(over="ignore"):  # the square of a time may overflow
                 object.__setattr__(self, name, frozen(finite(name, getattr(self, name))))
         parts = zip(Reference._fields, self.reference, strict=True)
         desired = Reference(*(frozen(finite(f"reference.{name}", part)) for name, part in parts))
@@ -316,9 +358,9 @@ class Rollout:
 
     @cached_property
     def events(self) -> tuple[str, ...]:
-        """What happened beside the motion, a sentence each.
+        """Sentences about limits that the run exceeds.
 
-        Limits of position, speed and torque that were exceeded, and where the ground cannot carry the robot.
+        They cover limits of position, speed and torque, and times at which the ground cannot carry the robot.
         """
         found = list(limits_exceeded(self.plant, self.t, self.q, self.v, self.u))
         for name, words in _GROUND.items() if stated(self.plant, "contact_loads") else ():
@@ -326,7 +368,7 @@ class Rollout:
             if name in self.signals:
                 told = np.flatnonzero(self.signals[name].values)
             elif name == "tips" and any(one.worst == "ever" for one in metrics_of(self.plant)):
-                # Wheels that roll do not record it.
+                # Rolling wheels do not record this signal.
                 told = np.flatnonzero(self.plant.contact_loads(self.q, self.v, self.a).tips)
             if len(told):
                 found.append(f"{words} (from t = {self.t[told[0]]:g} s, {len(told)} of {len(self)} samples)")
@@ -334,40 +376,46 @@ class Rollout:
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        """The coordinates that the reference has, one for each column of `error`."""
+        """Coordinates of the reference, one for each column of `error`."""
         count = self.error.shape[1]
         named = coordinates_of(self.plant) or tuple(Coordinate(f"[{k}]", "") for k in range(count))
         return named[:count]
 
     @property
     def inputs(self) -> tuple[Input, ...]:
-        """The plant's inputs, one for each column of `u`."""
+        """Inputs of the plant, one for each column of `u`."""
         return inputs_of(self.plant) or tuple(Input(f"[{k}]", "") for k in range(self.u.shape[1]))
 
     @property
     def labels(self) -> tuple[tuple[str, str], ...]:
-        """Name and unit of each column of `error`, shape (n,)."""
+        """Name and unit of each column of `error`, n pairs."""
         return tuple((one.name, one.unit) for one in self.coordinates)
 
     @property
     def poses(self) -> Array:
-        """x, y and psi of the body, shape (N + 1, 3) [m, m, rad].
+        """Pose (x, y, psi) of the body, shape (N + 1, 3) [m, m, rad].
 
         Raises
         ------
         InvalidArgument
-            If the plant does not tell where its body is.
+            If the plant does not provide the pose of its body.
         """
         return self._poses(self.q)
 
     @property
     def reference_poses(self) -> Array:
-        """x, y and psi that the body should have, shape (N + 1, 3) [m, m, rad]; raises as `poses`."""
+        """Desired pose (x, y, psi) of the body, shape (N + 1, 3) [m, m, rad].
+
+        Raises
+        ------
+        InvalidArgument
+            If the plant does not provide the pose of its body.
+        """
         return self._poses(whole_configurations(self, self.q, self.reference.q))
 
     @property
     def nq(self) -> int:
-        """Size of q."""
+        """Number of entries of q."""
         return int(self.q.shape[1])
 
     def _poses(self, q: Array) -> Array:
@@ -376,18 +424,23 @@ class Rollout:
         if not callable(stated(self.plant, "pose")):
             kind = getattr(self.plant, "kind", type(self.plant).__name__)
             raise InvalidArgument(
-                f"plant is a {kind}, which does not tell where its body is, expected one with pose(q), which "
+                f"plant is a {kind}, which has no pose of its body, expected a plant with pose(q), which "
                 "returns x, y and psi"
             )
         return frozen(all_samples(self.plant, "pose", q))
 
     def metrics(self) -> dict[str, Signal]:
-        """Return what the plant states as ``metrics``, with units, at all samples, by name.
+        """Return the plant's metrics at all samples, by name.
+
+        Returns
+        -------
+        dict of str to Signal
+            Values, shape (N + 1,), and unit of each metric; empty if the plant has no metrics.
 
         Raises
         ------
         InvalidArgument
-            If the plant's ``evaluate_metrics`` returns another shape, or no real numbers.
+            If the plant's ``evaluate_metrics`` returns another shape, or anything but real numbers.
         """
         known = metrics_of(self.plant)
         if not known:
@@ -406,7 +459,7 @@ class Rollout:
 
     @property
     def _led(self) -> int:
-        """How many coordinates stand in one line of text: the fewest that a reference may have."""
+        """Number of coordinates in one line of text: the smallest allowed size of a reference."""
         return min(*reference_sizes_of(self.plant), self.error.shape[1]) if self.plant is not None else _POSE
 
     @property
@@ -414,7 +467,7 @@ class Rollout:
         return bool(self.u.shape[1] == self.error.shape[1] == self.v.shape[1])
 
     def _worst_joint(self) -> str:
-        """Return the joint with the largest error, as text; nothing where all stand in one line."""
+        """Return the joint with the largest error as text; "" if all coordinates fit into one line."""
         largest = self.max_error()[self._led :]
         if not largest.size:
             return ""
@@ -423,7 +476,7 @@ class Rollout:
         return f", {name} {error_text(largest[worst])} {unit}".rstrip()
 
     def _of_joints(self) -> list[str]:
-        """Return a table of what stands in no line, the arms' joints; nothing where there are none."""
+        """Return the lines of a table of the arms' joints; no line if there are none."""
         led = self._led
         labels, forced = self.labels[led:], self._by_coordinate
         if not labels:
@@ -442,7 +495,7 @@ class Rollout:
         return lines
 
     def _of_end_effector(self) -> list[str]:
-        """Return a line of the frame whose target the run has; nothing where there is none."""
+        """Return a line about the frame with a target; no line if there is none."""
         return [] if aimed_at(self) is None else [f"end effector {self.end_effector()}"]
 
     def _errors(self, what: str, values: Array) -> str:
@@ -451,58 +504,67 @@ class Rollout:
         return f"{what} error: {listed}"
 
     def end_effector(self, frame: str | None = None) -> EndEffector:
-        """Return a frame over the samples: its path, where it should have been, and how far off it was.
+        """Return a frame over the samples: its pose, its target and its error.
 
-        The target is that of the controller, such as `EndEffectorTracking`; else that of the trajectory, such
-        as `solve_inverse_kinematics` gives; else where the reference puts the frame, if it has the arm's
-        coordinates.
+        The target comes from the controller, such as `EndEffectorTracking`, else from the trajectory, such as
+        that of `solve_inverse_kinematics`, else from the reference if it contains the arm's coordinates.
 
         Parameters
         ----------
         frame : str, optional
-            One of the plant's ``frame_names``; by default the one whose target the run has, else its
+            One of the plant's ``frame_names``; default: the frame with a target, else the plant's
             ``end_effector``.
+
+        Returns
+        -------
+        EndEffector
+            Frame over the samples.
 
         Raises
         ------
         InvalidArgument
-            If the plant does not tell where its frames are.
+            If the plant does not provide poses of frames.
         UnknownName
-            If there is no such frame; it says which there are.
+            If there is no such frame; the message lists the frames.
         """
         return end_effector_of(self, frame)
 
     def max_error(self) -> Array:
-        """Return the largest |error| of each coordinate, shape (n,) [m, m, rad, ...]."""
+        """Return the largest absolute error of each coordinate, shape (n,) [m, m, rad, ...]."""
         return np.asarray(np.abs(self.error).max(axis=0))
 
     def rms_error(self) -> Array:
-        """Return the root of the mean squared error of each coordinate, shape (n,) [m, m, rad, ...]."""
+        """Return the root mean square error of each coordinate, shape (n,) [m, m, rad, ...]."""
         return np.asarray(np.sqrt(np.square(self.error).mean(axis=0)))
 
     def max_input(self) -> Array:
-        """Return the largest |u| of each input, shape (nu,), in its unit."""
+        """Return the largest absolute value of each input, shape (nu,), in the unit of the input."""
         return np.asarray(np.abs(self.u).max(axis=0))
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write everything, to the last digit, as a NumPy archive (``.npz``); what is there is replaced.
+        """Write all samples, with all digits, to a NumPy archive (``.npz``); an existing file is replaced.
+
+        Parameters
+        ----------
+        path : str or path
+            Path of the file.
 
         Raises
         ------
         InvalidArgument
             If the file cannot be written.
         FileError
-            If the system fails, such as of a full disk; what was there is there still.
+            If the system fails, for example because the disk is full; an existing file remains.
         """
         write_archive(path, _FORMAT, self.content())
 
     def content(self) -> dict[str, Any]:
-        """Return all that a file keeps: a robot of the library as text, of another plant its outline."""
+        """Return the content of a file: the fields, with the plant as text, or as an outline for a user's class."""
         own, plant = {each.name: getattr(self, each.name) for each in fields(self)}, ""
         outline = None if self.plant is None else PlantOutline.of(self.plant, self.q)
         try:
             plant = "" if outline is self.plant else packed(self.plant)
-        except TypeError:  # a user's class
+        except TypeError:  # the class belongs to a user
             pass
         except InvalidArgument as error:
             outline = outline and replace(outline, reason=str(error))
@@ -510,18 +572,28 @@ class Rollout:
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> Rollout:
-        """Return the rollout that has some `content`; of a robot that cannot be had again, the outline."""
+        """Return the rollout with this content; a plant that cannot be restored becomes its outline."""
         own = dict(content)
         outline = own.pop("outline")
         try:
             own["plant"] = unpacked(own["plant"]) if own["plant"] else outline
-        except Exception as error:  # of an arm's file that is gone, or a robot of another release
+        except Exception as error:  # the file of an arm is missing, or another release wrote the robot
             own["plant"] = replace(outline, reason=str(error))
         return cls(**own)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Rollout:
-        """Return what `save` wrote.
+        """Return the rollout of a file that `save` wrote.
+
+        Parameters
+        ----------
+        path : str or path
+            Path of the file.
+
+        Returns
+        -------
+        Rollout
+            Recorded samples.
 
         Raises
         ------
@@ -533,17 +605,22 @@ class Rollout:
         return read_archive(location("path", path), _FORMAT, cls.of)
 
     def to_csv(self, path: str | PathLike[str]) -> None:
-        """Write one line per sample, with a header and 17 significant digits.
+        """Write one line per sample to a text file, with a header and 17 significant digits.
 
-        The columns are t, then q, v, a, u, error, the desired q, and the signals, each with the plant's names
-        and units, such as ``v_x [m/s]`` and ``u_Fx [N]``; numbers where the plant names none.
+        The columns are t, q, v, a, u, error, the desired q, and the signals. Their names contain the plant's
+        names and units, such as ``v_x [m/s]`` and ``u_Fx [N]``, or numbers if the plant has no names.
+
+        Parameters
+        ----------
+        path : str or path
+            Path of the file.
 
         Raises
         ------
         InvalidArgument
             If the file cannot be written.
         FileError
-            If the system fails, such as of a full disk; what was there is there still.
+            If the system fails, for example because the disk is full; an existing file remains.
         """
         coordinates, known = coordinates_of(self.plant), self.plant is not None
         units = {one.name: one.unit for one in coordinates}

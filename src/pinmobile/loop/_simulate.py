@@ -1,4 +1,4 @@
-"""`simulate`: a controller in the loop with a plant, checked before, judged after; and its engines."""
+"""`simulate` runs a controller in a loop with a plant; `Engine` lists the engines."""
 
 from __future__ import annotations
 
@@ -37,10 +37,31 @@ from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 
 class Engine(Enum):
-    """A way to run a closed loop."""
+    """Engine that runs a closed loop.
+
+    `Engine.PYTHON` runs any parts in Python, one robot at a time. A `MobileRobot` uses the dynamics of
+    Pinocchio. `Engine.COMPILED` traces the laws with symbols and runs machine code; the parts must be written
+    in NumPy. `simulate`, `ensemble` and `sweep` select an engine if no engine is given.
+
+    See Also
+    --------
+    simulate : run one robot.
+    Rollout.fallback_reason : reason why a faster engine cannot run the loop.
+    vectorize : compile a function for many robots.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, Engine, MobileRobot
+    >>> from pinmobile import Tangent, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> parts = robot, PD(120, 120), Tangent(Circle(1.0, 0.5, 4.0))
+    >>> run = simulate(*parts, dt=0.02, engine=Engine.PYTHON)
+    >>> run.engine
+    'PYTHON'
+    """
 
     PYTHON = "one robot at a time, in Python, with Pinocchio's dynamics of a MobileRobot: any parts"
-    COMPILED = "laws run on symbols and compiled: parts written in NumPy"
+    COMPILED = "machine code traced from laws: parts written in NumPy"
 
     def __repr__(self) -> str:
         return self.name
@@ -49,19 +70,19 @@ class Engine(Enum):
 
 
 def checked_engine(engine: object) -> Engine | None:
-    """Check that this is None or one of the engines, and return it.
+    """Return an engine or None.
 
     Raises
     ------
     InvalidArgument
-        If it is something else.
+        If the argument is anything else.
     """
     found: Engine | None = instance("engine", engine, Engine | None, "Engine.PYTHON, Engine.COMPILED or None")
     return found
 
 
-_CHUNK = 512  # samples between two looks for divergence
-_NOT_ASKED = "not COMPILED, which runs what can be compiled where engine=Engine.COMPILED asks for it"
+_CHUNK = 512  # samples between two checks for divergence
+_NOT_ASKED = "not COMPILED: give engine=Engine.COMPILED to compile the loop"
 
 
 def simulate(
@@ -81,69 +102,90 @@ def simulate(
     seed: int = 0,
     member: int = 0,
 ) -> Rollout:
-    """Run the closed loop from 0 to `duration` and record every sample.
+    """Run a closed loop from 0 to `duration` and record every sample.
 
-    The controller is asked at t = 0, dt, 2 dt, ...; its input is held in between, as a digital controller's
-    is, within the limits that the plant states of its `inputs`. The integrator divides each dt into
-    `substeps`. Input and acceleration are recorded at the last sample too. The other `forces` act in
-    continuous time: each stage of the integrator sees them at its own time and state. They are part of the
-    recorded acceleration, not of the recorded u. A plant with a step of its own takes that in place of an
-    integrator's; its acceleration is the mean of the first substep.
+    The loop calls the controller at t = 0, dt, 2 dt, ... A zero-order hold keeps the input constant between
+    samples, as in a digital controller, within the limits of the plant's `inputs`. The integrator divides
+    each dt into `substeps`. The rollout contains input and acceleration of the last sample too. External
+    forces act in continuous time: each stage of the integrator evaluates them at its own time and state. They
+    are part of the recorded acceleration, not of the recorded input. A plant with its own step method uses
+    that method instead of an integrator; its recorded acceleration is the mean over the first substep.
 
     Parameters
     ----------
     plant : MobileRobot or other plant
-        What is simulated: see `pinmobile.plant.Plant`.
+        Simulated system, see `pinmobile.plant.Plant`.
     controller : controller
-        See `pinmobile.controllers`; `law(f)` makes one of a plain function.
+        Controller, see `pinmobile.controllers`; `law` makes one from a function.
     trajectory : trajectory
-        Gives the reference: ``trajectory(t)`` with `t` of shape (N + 1,), and a ``duration`` [s]. It has as
-        many of the plant's first coordinates as its ``reference_sizes`` allows.
+        Source of the reference: ``trajectory(t)`` with `t` of shape (N + 1,) [s], and its ``duration`` [s].
+        The reference contains the first n coordinates of the plant; the plant's ``reference_sizes`` lists the
+        allowed n.
     dt : float
-        Sampling time of the controller [s].
+        Time step of the controller [s].
     duration : float, optional
-        [s]; a whole number of dt, at most the trajectory's; by default the whole steps in the trajectory's.
+        Duration of the run [s], a whole number of dt, at most the duration of the trajectory; default: all
+        whole steps of the trajectory.
     q0, v0 : array_like, shape (nq,) and (nv,), optional
-        Start, within the joint limits of the plant's arms; by default on the trajectory, completed by the
-        plant's ``start``.
+        Initial configuration and velocity, within the joint limits of the arms; default: the start of the
+        reference, completed by the plant's ``start``.
     integrator : callable, optional
-        One step of the plant, see `pinmobile.integrators`; by default the plant's own choice, and of one that
-        has none constant_acceleration.
+        Integrator of the plant, see `pinmobile.integrators`; default: the plant's own choice, else
+        `pinmobile.integrators.constant_acceleration`.
     substeps : int
-        Steps of the integrator per dt.
-    forces : sequence of callables, or mapping of names to callables
-        What acts besides the controller, see `pinmobile.forces`. Each ``force(t, pose, rate)`` gets the
-        body's (x, y, psi) and their rates, shape (3,), and returns the wrench (Fx, Fy, Mz) [N, N, N m]; one
-        that has ``on_coordinates(t, q, v)`` returns a generalised force, shape (nv,).
+        Integrator steps per dt.
+    forces : sequence of callable, or mapping of str to callable
+        External forces, see `pinmobile.forces`. ``force(t, pose, rate)`` receives pose and rate of the body,
+        shape (3,) each, and returns the wrench (Fx, Fy, Mz) [N, N, N m]. A force with ``on_coordinates(t, q,
+        v)`` returns a generalized force, shape (nv,).
     limit : float
-        The loop counts as diverged when an error in a coordinate (psi on the circle) or in a velocity is
-        beyond it [m, rad, m/s, rad/s].
+        Largest error of a coordinate or velocity [m, rad, m/s, rad/s]. The loop has diverged if an error
+        exceeds this limit.
     engine : Engine, optional
-        `Engine.PYTHON` or `Engine.COMPILED`, the same laws as machine code; by default the plant's choice: a
-        MobileRobot runs in Python, with Pinocchio's dynamics, a robot on wheels compiled, but for a
-        controller that cannot be; `Rollout.fallback_reason` says why. COMPILED, where it is asked for and is
-        not possible, is refused.
-    seed, member : int
-        What the noise of controllers follows from: the seed of an ensemble, and the robot's number in it.
+        `Engine.PYTHON` or `Engine.COMPILED`; default: the plant's choice. A `MobileRobot` runs in Python with
+        Pinocchio's dynamics. A robot on wheels runs compiled, unless its controller cannot be compiled.
+        `Rollout.fallback_reason` gives the reason.
+    seed : int
+        Seed of the controllers' noise, as in `ensemble`.
+    member : int
+        Index of the robot in an ensemble; it selects the robot's noise.
 
     Returns
     -------
-    rollout : Rollout
+    Rollout
+        All samples of the run.
 
     Raises
     ------
     InvalidArgument
-        If an argument is not what is expected, or the controller or a force returns something else than a
-        force.
+        If an argument is invalid, a part returns anything but real numbers of the expected shape, or
+        `Engine.COMPILED` is given and cannot run the loop.
     Diverged
-        If a number is no longer finite or an error is beyond `limit`; it carries what was recorded before.
+        If a number is not finite or an error exceeds `limit`. The error contains all samples before.
 
     Warns
     -----
     SlowerEngine
-        If a part keeps a loop from being compiled that by default is.
+        If a part prevents compilation of a loop that should be compiled.
     LimitWarning
-        Once, if the run exceeds limits of the robot, or the robot tips over: see `Rollout.events`.
+        Once, if the run exceeds limits of the robot or the robot tips over, see `Rollout.events`.
+
+    See Also
+    --------
+    ensemble : run many robots with different parameters.
+    Rollout : recorded samples.
+    Engine : engines of a loop.
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, ComputedTorque, MobileRobot
+    >>> from pinmobile import Tangent, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> law = ComputedTorque(robot, kp=4, kd=4)
+    >>> path = Tangent(Circle(radius=1.0, rate=0.5, duration=4.0))
+    >>> run = simulate(robot, law, path, dt=0.01)
+    >>> run.max_error()[:2]  # [m]
+    array([0.00012, 0.00015])
     """
     dt, limit = positive("dt", dt, "s"), positive("limit", limit)
     integrator = chosen_integrator(plant, integrator)
@@ -166,7 +208,7 @@ def simulate(
     told, chunk = (controller, trajectory), len(t) if isinstance(loop, CompiledRun) else _CHUNK
     for begin in range(0, len(t), chunk):
         end = min(begin + chunk, len(t))
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below reports it
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below reports overflow
             loop.fill(begin, end)
         if loop.is_fine(begin, end, limit):
             continue
@@ -187,7 +229,7 @@ def simulate(
 def _engaged(
     loop: Loop, context: Context, start: tuple[Array, Array], asked: Engine | None, *, compiles: bool
 ) -> tuple[Run, str]:
-    """Return the run by its engine, and why it is not compiled, where that was not asked for."""
+    """Return the run of a loop by an engine, and the reason why the engine is not `Engine.COMPILED`."""
     if not compiles:
         return PythonRun(loop, context, *start), _NOT_ASKED if asked is None else ""
     try:
@@ -209,7 +251,7 @@ def _engaged(
 def _start(
     plant: Plant, reference: Reference, q0: ArrayLike | None, v0: ArrayLike | None
 ) -> tuple[Array, Array]:
-    """Return the state to start with: as given, or on the reference as the plant completes it."""
+    """Return the initial state: the given state, or the start of the reference as the plant completes it."""
     first = Reference(*(part[0] for part in reference))
     asked, by_default = tuple(part.tobytes() for part in first), q0 is None and v0 is None
     known = _started.get(plant, asked) if by_default else None
@@ -253,11 +295,11 @@ def _start(
 
 
 _started = Last()
-"""Starts of plants, by the bytes of the first reference."""
+"""Initial states by plant and by the bytes of the first reference."""
 
 
 def errors_of(plant: Plant, q: Array, reference: Reference) -> Array:
-    """Return the errors of samples, shape (N, n): from q to the reference's n coordinates."""
+    """Return the tracking errors of samples in the n coordinates of the reference, shape (N, n)."""
     whole = whole_configurations(plant, q, reference.q)
     return all_samples(plant, "difference", q, whole)[:, : reference.v.shape[1]]
 
@@ -265,7 +307,7 @@ def errors_of(plant: Plant, q: Array, reference: Reference) -> Array:
 def _first_bad(
     plant: Plant, loop: Run, reference: Reference, begin: int, end: int, limit: float
 ) -> tuple[int | None, str]:
-    """Return the first sample that is not acceptable, or None, and why."""
+    """Return the first sample that is not acceptable and the reason, or None and ""."""
     samples = loop.samples(begin, end)
     finite = np.all([np.isfinite(part).all(axis=1) for part in samples], axis=0)
     good = int(np.argmin(finite)) if not finite.all() else end - begin
@@ -274,7 +316,7 @@ def _first_bad(
         window = Reference(*(part[begin : begin + good] for part in reference))
         n = window.v.shape[1]
         errors = np.hstack([errors_of(plant, q, window), window.v - v[:, :n]])
-        near = is_near(errors[..., None], limit)  # of each error alone
+        near = is_near(errors[..., None], limit)  # each error separately
         if not near.all():
             k, column = map(int, np.argwhere(~near)[0])
             named = coordinates_of(plant)[column % n].name
@@ -288,9 +330,9 @@ def _first_bad(
 
 
 def _too_stiff(plant: Any, forces: Any, q: Array, h: float) -> str:
-    """Return what frictions ask of the step, where that is not met: such a loop shakes itself to pieces.
+    """Return advice if friction requires a smaller step of the integrator, else "".
 
-    With the damping C of all coordinates, explicit steps are stable up to 2 / max eig(M^-1 C), or some more.
+    With the damping matrix C of all coordinates, explicit steps are stable up to about 2 / max eig(M^-1 C).
     """
     if stated(plant, "mass_matrix") is None:
         return ""
@@ -303,7 +345,7 @@ def _too_stiff(plant: Any, forces: Any, q: Array, h: float) -> str:
             continue
         psi = plant.pose(q)[2]
         cos, sin = np.cos(psi), np.sin(psi)
-        axes = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])  # of the body
+        axes = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])  # axes of the body
         J = np.stack([plant.generalized_force(q, axis) for axis in axes])
         C += J.T @ np.diag(force.damping) @ J
     if not C.any():
@@ -314,7 +356,7 @@ def _too_stiff(plant: Any, forces: Any, q: Array, h: float) -> str:
         return ""
     return (
         f"; the friction in `forces` needs steps of the integrator of at most {longest:.2g} s, and they are "
-        f"{h:.2g} s: give a smaller dt, or substeps"
+        f"{h:.2g} s: give a smaller dt, or more substeps"
     )
 
 
