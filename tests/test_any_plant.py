@@ -296,9 +296,7 @@ def test_a_step_of_its_own_is_taken_with_its_memory_and_signals() -> None:
     np.testing.assert_array_equal(run.signals["state"].values, np.hstack([run.q, run.v]))
     assert "push 3 N" in str(run)
     for chosen in (pm.rk4, constant_acceleration):
-        with pytest.raises(
-            pm.InvalidArgument, match="a Sliding, has a step of its own: leave integrator out"
-        ):
+        with pytest.raises(pm.InvalidArgument, match="a Sliding, has its own step: leave integrator out"):
             pm.simulate(Sliding(), push, Still(), dt=0.1, integrator=chosen)
 
 
@@ -391,11 +389,11 @@ class Telling(Follower):
 @pytest.mark.parametrize(
     ("answers", "why"),
     [
-        (([1],), r"what controller.signals returned is \[1\], expected a dict"),
+        (([1],), r"result of controller.signals is \[1\], expected a dict"),
         (({"a": 3},), r"controller.signals\['a'\] is 3, expected \(unit, value\)"),
         (({"a": ("m", "x")},), r"controller.signals\['a'\] is 'x', expected"),
         (({"a": ("m", np.eye(2))},), r"controller.signals\['a'\] has shape \(2, 2\), expected \(\) or"),
-        (({"a": ("m", 1)}, {}), r"controller.signals\['a'\] is not there at t = 0.1 s, expected of unit 'm'"),
+        (({"a": ("m", 1)}, {}), r"controller.signals\['a'\] is missing at t = 0.1 s, expected of unit 'm'"),
         (
             ({"a": ("m", 1)}, {"a": ("s", 1)}),
             r"is of unit 's' and shape \(\) at t = 0.1 s, expected of unit 'm'",

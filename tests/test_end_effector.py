@@ -256,7 +256,7 @@ def test_signals_of_all_samples_at_once_are_checked() -> None:
 
     box = pm.MobileRobot.box()
     for answer, text in (
-        (3, "what Told.signals_at returned is 3, expected a dict of signals"),
+        (3, "result of Told.signals_at is 3, expected a dict of signals"),
         ({"a": ("m", np.zeros(2))}, r"Told.signals_at\['a'\] has shape \(2,\), expected \(3,\) or \(3, k\)"),
         ({"a": ("m", ["x"])}, r"Told.signals_at\['a'\]"),
     ):

@@ -168,7 +168,7 @@ except ValueError as error:
     controller = "controller: Lazy(gain=3.0)\ntrajectory: <usersown.Still object>\n"
     assert controller in done.stdout
     assert "\nspread['mass']: <usersown.Wide object>\nn 5, seed 0, dt 0.1, substeps 1, " in done.stdout
-    assert "i is 1, a robot that cannot be made again: a file keeps the scenario in words" in done.stdout
+    assert "i is 1, a robot that cannot be made again: a file keeps the scenario as text" in done.stdout
     assert (
         "(its controller is Lazy(gain=3.0)); expected the ensemble of Ensemble.load(path, scenario), with"
         in done.stdout
@@ -205,14 +205,14 @@ def test_with_its_scenario_a_loaded_ensemble_makes_robots_again(tmp_path: Path) 
             r"spread\['mass'\] is Uniform\(low=2.0, high=10.0\) there and absent here",
         ),
         ({"forces": [pm.ConstantForce((1, 0, 0))]}, r"forces\[0\] is Const.* there and Const.* here"),
-        ({"spread": SPREAD | {"com.x": np.linspace(0, 0.2, 60)}}, "it draws another com.x"),
+        ({"spread": SPREAD | {"com.x": np.linspace(0, 0.2, 60)}}, "its draws of com.x differ"),
         ({"duration": 10.0, "every": 3}, "t is another"),
         ({"every": 2}, "every is 3 there and 2 here"),
     ],
 )
 def test_another_scenario_is_refused(tmp_path: Path, changed: dict[str, Any], why: str) -> None:
     path = saved(MADE["none diverges, none traced"], tmp_path)
-    with refused(rf"^scenario is not that of '.*saved.npz': {why}$"):
+    with refused(rf"^scenario does not match '.*saved.npz': {why}$"):
         pm.Ensemble.load(path, scenario(**changed))
 
 

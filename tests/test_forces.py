@@ -263,7 +263,7 @@ class Deaf(OtherPlant):
         ),
         (
             {"plant": Deaf(), "forces": FORCES},
-            "plant is a Deaf, whose forward_dynamics takes no forces f beside the input, expected "
+            "plant is a Deaf, whose forward_dynamics takes no external forces f, expected "
             "forward_dynamics(q, v, u, f)",
         ),
         (

@@ -187,7 +187,7 @@ def test_files_and_tables_keep_measures(runs: pm.Ensemble, tmp_path: Path) -> No
         assert loaded.error_quantile() == runs.error_quantile()
         np.testing.assert_equal(vars(loaded.bands()), vars(runs.bands()))
     other = replace(runs.scenario, metrics=["effort"])
-    with pytest.raises(pm.InvalidArgument, match=r"^scenario is not that of .*: metrics is end effector, "):
+    with pytest.raises(pm.InvalidArgument, match=r"^scenario does not match .*: metrics is end effector, "):
         pm.Ensemble.load(tmp_path / "runs.npz", other)
     runs.to_csv(tmp_path / "runs.csv")
     header, first = (tmp_path / "runs.csv").read_text().splitlines()[:2]

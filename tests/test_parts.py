@@ -428,7 +428,7 @@ class Ahead:
 
 def test_a_controller_that_looks_ahead_sees_its_own_robots_reference() -> None:
     with pytest.warns(
-        SlowerEngine, match="asks its context for the reference, which each robot has of its own"
+        SlowerEngine, match="reads the reference of its context, which differs from robot to robot"
     ):
         run = pm.ensemble(
             *(ROBOT, Ahead(), OWN["way"][0]), n=2, spread={"end.y": np.array([0.5, 1.5])}, dt=0.05

@@ -107,6 +107,6 @@ test_bad_arguments_are_refused = refusals(
             dt=0.01,
             forces=[CARRIED],
         ),
-        "which has a step of its own",
+        "which has its own step",
     ),
 )

@@ -121,7 +121,7 @@ def test_a_name_that_two_parts_claim_is_refused(controller: Any, forces: Any, wh
 @pytest.mark.parametrize(
     ("answer", "why"),
     [
-        ([1], r"what forces\[0\].signals returned is \[1\], expected a dict of name to \(unit, value\)"),
+        ([1], r"result of forces\[0\].signals is \[1\], expected a dict of name to \(unit, value\)"),
         ({"a": 3}, r"forces\[0\].signals\['a'\] is 3, expected \(unit, value\)"),
         ({"a": ("m", "x")}, r"forces\[0\].signals\['a'\] is 'x', expected"),
         ({"a": ("m", 1j)}, r"forces\[0\].signals\['a'\] is 1j, expected real numbers"),

@@ -382,7 +382,7 @@ def test_a_file_that_cannot_be_read_is_named(
 def test_a_store_of_another_sweep_is_refused(done: pm.Sweep, base: Any, grid: Any, text: str) -> None:
     with refused(f"which belongs to another sweep: .*{text}"):
         pm.sweep(scenario(**base), done.path, grid=grid)
-    with refused(f"scenario is not that of .*{text}"):
+    with refused(f"scenario does not match .*{text}"):
         pm.Sweep.open(done.path, scenario(**base), grid=grid)
 
 

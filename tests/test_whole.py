@@ -445,8 +445,8 @@ test_sizes_that_do_not_fit_are_refused = refusals(
     (
         lambda: pm.simulate(UR5, Decoupled(UR5), CIRCLE, dt=0.01),
         "q has shape (9,), expected (..., 3), as in the reference; the reference has the first 3 of 9 "
-        "coordinates, expected a controller that follows these, or a reference of all: a motion of base "
-        "and arms is WholeBody(robot, base, *joints)",
+        "coordinates, expected a controller of these coordinates, or a reference of all: "
+        "WholeBody(robot, base, *joints) combines base and arms",
     ),
     by=told,
 )

@@ -347,7 +347,5 @@ def evaluate_metrics_of(plant: Any, t: Any, q: Any, v: Any, a: Any, u: Any, refe
     copies = type(reference)(*(x.copy() for x in reference))
     found = plant.evaluate_metrics(t, q.copy(), v.copy(), a.copy(), u.copy(), copies)
     words = ": one number for each metric"
-    asked = (
-        f"result of evaluate_metrics(t, q, v, a, u, reference) of the plant, a {type(plant).__name__},"
-    )
+    asked = f"result of evaluate_metrics(t, q, v, a, u, reference) of the plant, a {type(plant).__name__},"
     return shaped(asked, found, (*np.shape(v)[:-1], len(plant.metrics)), words=words)

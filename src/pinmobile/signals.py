@@ -162,7 +162,7 @@ def claimed(
     """
     found: dict[str, Claim] = {}
     for part, signals in told:
-        instance(f"what {part}.signals returned", signals, Mapping, "a dict of name to (unit, value)")
+        instance(f"result of {part}.signals", signals, Mapping, "a dict of name to (unit, value)")
         for name, pair in signals.items():
             if type(pair) is not tuple or len(pair) != 2 or not isinstance(pair[0], str):
                 raise InvalidArgument(f"{part}.signals[{name!r}] is {shown(pair)}, expected (unit, value)")
@@ -217,7 +217,7 @@ def told_at(t: Array, controller: object, trajectory: object) -> dict[str, Signa
         if isinstance(part, type) or not hasattr(part, "signals_at"):
             continue
         named = f"{type(part).__name__}.signals_at"
-        told = instance(f"what {named} returned", part.signals_at(t.copy()), Mapping, "a dict of signals")
+        told = instance(f"result of {named}", part.signals_at(t.copy()), Mapping, "a dict of signals")
         for name, (unit, values) in told.items():
             array = real(f"{named}[{name!r}]", values)
             shaped(f"{named}[{name!r}]", array, (len(t),), (len(t), "k"))

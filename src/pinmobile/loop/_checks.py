@@ -1,4 +1,4 @@
-"""What `simulate` checks before it starts, and the times and references of its samples."""
+"""Checks of `simulate` before it starts, and the times and references of its samples."""
 
 from __future__ import annotations
 
@@ -45,21 +45,21 @@ _Forces: TypeAlias = Sequence[Force | OnCoordinates]
 _Ask: TypeAlias = Callable[[Array, Array], object]
 
 _WHOLE = 1e-9  # relative rounding allowed in duration / dt
-_COORDINATES = 3  # of a plant that is not yet looked at
+_COORDINATES = 3  # assumed number before the plant is checked
 _MOST = 1e8  # samples
 _SHORTER = "give a larger dt or a shorter duration"
-_MOST_STEPS = 1e11  # of the integrator: days
-_SAME = 1e-9  # to which two answers to the same arguments agree
-_RECORDED = 16  # numbers for each coordinate of a sample: of the loop, the reference and the rollout
+_MOST_STEPS = 1e11  # steps of the integrator, which take days
+_SAME = 1e-9  # tolerance of two results for the same arguments
+_RECORDED = 16  # numbers per coordinate of a sample in the loop, the reference and the rollout
 
 
 def checked_loop(plant: object, controller: object, trajectory: object, integrator: object) -> None:
-    """Check a plant, a controller, a trajectory and an integrator; None is the plant's own choice.
+    """Check a plant, a controller, a trajectory and an integrator; None means the plant's own integrator.
 
     Raises
     ------
     InvalidArgument
-        If one of them is not.
+        If a part is invalid.
     """
     check_controller(controller)
     refuse_path("trajectory", trajectory)
@@ -70,12 +70,12 @@ def checked_loop(plant: object, controller: object, trajectory: object, integrat
 
 
 def chosen_integrator(plant: Plant, integrator: Integrator | None) -> Integrator | None:
-    """Return the integrator that is given, or the plant's own choice; None for a step of its own.
+    """Return the given integrator or the plant's own choice; None for a plant with its own step method.
 
     Raises
     ------
     InvalidArgument
-        If one is given for a plant that has a step of its own.
+        If an integrator is given for a plant with its own step method.
     """
     own = None if isinstance(plant, type) else able(plant, Stepping)
     if own is None:
@@ -83,19 +83,19 @@ def chosen_integrator(plant: Plant, integrator: Integrator | None) -> Integrator
         return constant_acceleration if chosen is None else chosen
     if integrator is not None:
         raise InvalidArgument(
-            f"integrator is {shown(integrator)}, but the plant, a {type(plant).__name__}, has a step of its "
-            "own: leave integrator out"
+            f"integrator is {shown(integrator)}, but the plant, a {type(plant).__name__}, has its own step: "
+            "leave integrator out"
         )
     return None
 
 
 def checked_substeps(substeps: int, samples: int) -> int:
-    """Return the steps of the integrator per sample.
+    """Return the number of integrator steps per sample.
 
     Raises
     ------
     InvalidArgument
-        If it is no whole number >= 1, or makes more steps than anybody waits for.
+        If the number is not a whole number >= 1, or the run would take days.
     """
     return whole("substeps", substeps, most=int(_MOST_STEPS / samples))
 
@@ -106,17 +106,17 @@ def sample_times(dt: float, duration: float | None, longest: float) -> Array:
     Parameters
     ----------
     dt : float
-        Sampling time > 0 [s].
+        Time step > 0 [s].
     duration : float or None
-        Time of the last sample [s]; None: of the whole steps in `longest`, and a warning says where they end
-        before it.
+        Time of the last sample [s]; None: all whole steps in `longest`. If the last of these is earlier than
+        `longest`, a warning states its time.
     longest : float
         Duration of the trajectory [s].
 
     Raises
     ------
     InvalidArgument
-        If the duration is no whole number of steps, or beyond the trajectory's.
+        If the duration is not a whole number of steps, or exceeds `longest`.
     """
     longest = positive("trajectory.duration", longest, "s")
     total = longest if duration is None else positive("duration", duration, "s")
@@ -133,7 +133,7 @@ def sample_times(dt: float, duration: float | None, longest: float) -> Array:
         below = int(total / dt)
         if duration is None:
             warn(
-                f"the last sample is at t = {below * dt:.12g} s, as the trajectory's {total:.12g} s are no "
+                f"the last sample is at t = {below * dt:.12g} s: the trajectory's {total:.12g} s are not a "
                 f"whole number of steps dt = {dt:g} s",
                 stacklevel=3,
             )
@@ -153,16 +153,16 @@ def sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
     Parameters
     ----------
     trajectory : trajectory
-        What is asked.
+        Source of the reference.
     t : ndarray, shape (N + 1,)
         Times [s].
     plant : plant
-        What the reference must fit.
+        Plant that the reference must fit.
 
     Raises
     ------
     InvalidArgument
-        If what the trajectory gives does not fit the plant, or leaves its joint limits where it has any.
+        If the reference does not fit the plant, or violates joint limits of the plant.
     """
     affordable(
         f"the records of {len(t):,} samples of {plant.nv} coordinates",
@@ -176,11 +176,9 @@ def sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
     try:
         reference = trajectory(t)
     except InvalidArgument:
-        raise  # it says itself what it is about, such as a joint's limit
+        raise  # the message already names the cause, such as a joint limit
     except (TypeError, ValueError) as error:
-        raise InvalidArgument(
-            f"trajectory cannot be asked for an array of {len(t)} times: {error}"
-        ) from error
+        raise InvalidArgument(f"trajectory does not accept an array of {len(t)} times: {error}") from error
     reference_sizes = reference_sizes_of(plant)
     count = np.asarray(stated(reference, "v")).shape[-1:]
     n = count[0] if count and count[0] in reference_sizes else max(reference_sizes)
@@ -206,12 +204,12 @@ def sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
 
 
 def checked_forces(forces: Any, plant: Plant) -> Any:
-    """Return the forces. They must be forces, and the plant must accept them.
+    """Return the forces, which the plant must accept.
 
     Raises
     ------
     InvalidArgument
-        If one is no function, or the plant lacks what they need.
+        If a force is not a function, or the plant lacks a capability that the forces need.
     """
     kept = (
         dict(forces)
@@ -233,48 +231,47 @@ def checked_forces(forces: Any, plant: Plant) -> Any:
             callable_as("plant.forward_dynamics(q, v, u, f)", plant.forward_dynamics)
         except InvalidArgument:
             raise InvalidArgument(
-                f"plant is a {type(plant).__name__}, whose forward_dynamics takes no forces f beside the "
-                "input, expected forward_dynamics(q, v, u, f)"
+                f"plant is a {type(plant).__name__}, whose forward_dynamics takes no external forces f, "
+                "expected forward_dynamics(q, v, u, f)"
             ) from None
     return kept
 
 
 def _check_carried(forces: Mapping[str, Any], plant: Plant) -> None:
-    """Refuse forces that add to the inertia of a plant that cannot be asked how the body accelerates."""
+    """Reject forces that add inertia if the plant does not provide the acceleration of its body."""
     name = next((name for name, force in forces.items() if able(force, Carried)), None)
     if name is None:
         return
     first = tuple(one.name for one in coordinates_of(plant)[:3])
     if able(plant, Stepping) or first != ("x", "y", "psi"):
-        why = "has a step of its own" if able(plant, Stepping) else f"begins with the coordinates {first}"
+        why = "has its own step" if able(plant, Stepping) else f"begins with the coordinates {first}"
         raise InvalidArgument(
-            f"{name} is {shown(forces[name])}, which adds to the inertia of the plant, a "
-            f"{type(plant).__name__}, which {why}; expected one that an integrator brings on, its first "
-            "coordinates x, y and psi of the body"
+            f"{name} is {shown(forces[name])}, which adds inertia to the plant, a {type(plant).__name__}, "
+            f"which {why}; expected a plant with an integrator and the first coordinates x, y and psi"
         )
 
 
 def check_answers(
     plant: Plant, forces: _Forces, integrator: Integrator | None, q: Array, v: Array, h: float
 ) -> None:
-    """Check that a plant's answers have the sizes that it states, and that parts repeat their answers.
+    """Check the sizes of a plant's results, and that parts return the same result for the same arguments.
 
-    A part that does not keeps something in itself or in a closure, or draws random numbers of its own: then
-    no two runs are alike. Controllers, which have memory, are checked by `check_memory`.
+    A part fails the second check if it keeps memory in itself or in a closure, or draws its own random
+    numbers: its runs cannot be repeated. `check_memory` checks controllers, which have memory.
 
     Parameters
     ----------
     plant, forces, integrator
         Parts of a loop.
     q, v : ndarray, shape (nq,), (nv,)
-        A state.
+        Configuration and velocity.
     h : float
-        A step [s].
+        Step [s].
 
     Raises
     ------
     InvalidArgument
-        If a size differs, or an answer does not repeat.
+        If a size differs, or a result is not repeated.
     """
     constant = not named_forces(forces) and is_constant(integrator or plant)
     if constant and _answered.get(plant, (integrator, h)):
@@ -302,7 +299,7 @@ def check_answers(
 def _check_moves(
     plant: Plant, integrator: Integrator, states: Sequence[tuple[Array, Array]], h: float
 ) -> None:
-    """Check that accelerations of a plant and steps of an integrator repeat."""
+    """Check that a plant repeats its accelerations and an integrator its steps."""
     u, still = np.zeros(plant.nu), np.zeros(plant.nv)
     _check_repeated("plant", plant, lambda x, w: plant.forward_dynamics(x, w, u.copy()), states)
 
@@ -313,28 +310,28 @@ def _check_moves(
 
 
 class Last:
-    """The last answer of each part that cannot change, with what it was asked."""
+    """Last result of each immutable part, with its arguments."""
 
     def __init__(self) -> None:
         self._known: weakref.WeakKeyDictionary[Any, tuple[Any, Any]] = weakref.WeakKeyDictionary()
 
     def get(self, part: Any, asked: tuple[Any, ...]) -> Any:
-        """Return the last answer of a part; None where it was asked something else, or may change."""
+        """Return the last result of a part; None if the arguments differ or the part may change."""
         known = self._known.get(part) if is_constant(part) else None
         return known[1] if known is not None and known[0] == asked else None
 
     def keep(self, part: Any, asked: Any, found: Any) -> None:
-        """Keep the answer of a part that cannot change."""
+        """Keep the result of an immutable part."""
         if is_constant(part):
             self._known[part] = asked, found
 
 
-_KEPT = 1e5  # numbers of a reference that are kept for the next run
+_KEPT = 1e5  # largest size of a reference that is kept for the next run
 _sampled = Last()
 """References of trajectories, by plant and times."""
 
 _answered = Last()
-"""Whether answers repeat: of plants by integrator and step, of controllers by shapes."""
+"""Whether results are repeated: for plants by integrator and step, for controllers by shapes."""
 
 
 def _check_sizes(plant: Plant, q: Array, v: Array) -> None:
@@ -372,25 +369,25 @@ def _check_sizes(plant: Plant, q: Array, v: Array) -> None:
 def _check_repeated(
     path: str, part: object, ask: _Ask, states: Sequence[tuple[Array, Array]], expected: str = "real numbers"
 ) -> None:
-    """Check that a part gives the same answer when it is asked again, after it was asked something else."""
+    """Check that a part returns the same result again after a call with other arguments."""
     first, _, again = (ask(x.copy(), w.copy()) for x, w in (*states, states[0]))
     one, other = (answered(path, answer, expected) for answer in (first, again))
     same = np.shape(one) == np.shape(other)
     if not (same and np.allclose(one, other, rtol=_SAME, atol=_SAME, equal_nan=True)):
         raise InvalidArgument(
             f"{path} is {shown(part)}, which returns {shown(first)} and, asked again for the same arguments, "
-            f"{shown(again)}, expected the same: only controllers have memory, in their state, and random "
-            "numbers come from their context.noise(name, n), or from a NoiseForce"
+            f"{shown(again)}, expected the same: only controllers have memory, in their state, and "
+            "random numbers come from their context.noise(name, n), or from a NoiseForce"
         )
 
 
 def check_controllers_memory(controller: Controller, context: Context, q: Array, v: Array) -> None:
-    """Check that a controller gives the same answer when it is asked again with the same arguments.
+    """Check that a controller returns the same result again for the same arguments.
 
     Raises
     ------
     InvalidArgument
-        If it does not; see `pinmobile.controllers.controller.check_memory`.
+        If the result differs.
     """
     sizes = q.shape, v.shape, *map(np.shape, context.reference)
     if _answered.get(controller, sizes):

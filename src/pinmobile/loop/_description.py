@@ -1,4 +1,4 @@
-"""Ensembles and scenarios in words: what can be said of them without their parts."""
+"""Text about ensembles and scenarios, which needs none of their parts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pinmobile.metrics import Metric, in_words
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.trajectories import Reference
 
-_NARROWEST = 28  # letters of a row's name
+_NARROWEST = 28  # smallest width of a row's name
 
 
 def judgement(n: int, duration: float, within: tuple[float, float], diverged: int, after: float) -> str:
@@ -30,13 +30,14 @@ def judgement(n: int, duration: float, within: tuple[float, float], diverged: in
     n : int
         Number of robots.
     duration : float
-        Of each run [s].
+        Duration of each run [s].
     within : tuple of 2 floats
-        What 99 % of them stay within [m, rad]; infinite where fewer have not diverged.
+        Distance [m] and heading error [rad] that 99 % of the robots do not exceed; infinite if too many
+        diverge.
     diverged : int
-        How many did.
+        Number of diverged robots.
     after : float
-        Time from which on errors count [s].
+        Time from which errors count [s].
     """
     sizes = f"within {in_words(within[0])} m and {in_words(within[1])} rad"
     since = f"from {after:g} s on " if after else ""
@@ -50,7 +51,7 @@ def judgement(n: int, duration: float, within: tuple[float, float], diverged: in
 
 
 def percent(part: int, n: int) -> str:
-    """Return a part of n in words: ``96 % of``, or ``all``; only all of n are 100 %."""
+    """Return a part of n as text: ``"96 % of"`` or ``"all"``; only all of n are 100 %."""
     if part == n:
         return "all"
     share = 100 * part / n
@@ -66,20 +67,20 @@ def ranges(
     worst_metric: Array,
     metrics: Sequence[Metric],
 ) -> list[str]:
-    """Return a row for each error, input and metric: the least, the median and the largest over the robots.
+    """Return one row per error, input and metric: smallest, median and largest value over the robots.
 
     Parameters
     ----------
     max_distance : ndarray, shape (n,)
         Largest distance from the desired position [m].
     max_error, max_input : ndarray, shape (n, c), (n, nu)
-        Largest error and input.
+        Largest errors and inputs.
     coordinates, inputs : sequence of Coordinate, sequence of Input
-        Their names and units.
+        Names and units of the coordinates and inputs.
     worst_metric : ndarray, shape (n, j)
-        Worst of what else is judged.
+        Worst values of the metrics.
     metrics : sequence of Metric
-        Its names and units.
+        Names and units of the metrics.
     """
     columns = {"largest distance [m]": max_distance}
     errors = [
@@ -106,42 +107,63 @@ def _titled(name: str, unit: str) -> str:
 
 _PARTS = ("robot", "controller", "trajectory", "integrator")
 _NUMBERS = ("n", "seed", "dt", "substeps", "limit", "after", "every")
-_PRINTED: dict[str, Any] = {  # arrays with all digits, whatever options the user has set
+_PRINTED: dict[str, Any] = {  # arrays with all digits, independent of the user's options
     **{"precision": 17, "threshold": 1000, "edgeitems": 3, "suppress": False, "floatmode": "maxprec"},
     **{"sign": "-", "formatter": None, "nanstr": "nan", "infstr": "inf", "legacy": False},
 }
-_CLOSE = 1e-9  # by which numbers differ that another machine or release makes anew, at most
+_CLOSE = 1e-9  # largest relative difference between machines or releases
 
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Outline(Recorded):
-    """Description of a scenario by the text of its parts, of an ensemble that was loaded from a file.
-
-    The attributes are those of `Scenario`.
+    """Description of a scenario with its parts as text, for an ensemble that was loaded from a file.
 
     Attributes
     ----------
     robot, controller, trajectory, integrator : str
-        The parts, as Python shows them.
+        ``repr`` of each part.
     forces : tuple of str
-        The forces, likewise.
+        ``repr`` of each force.
     spread : dict of str to str or SameAs
-        From what each parameter was drawn; of a `SameAs`, the factor in words.
+        Distribution of each number of the spread as text; the factor of a `SameAs` is text.
     parameters : dict of str to Parameter
-        Unit and meaning of what was drawn.
+        Unit and meaning of each number of the spread.
     coordinates : tuple of Coordinate
-        Name and unit of those that the reference has.
+        Name and unit of the reference's coordinates.
     inputs : tuple of Input
-        Name and unit of the plant's.
+        Name and unit of the plant's inputs.
     recorded_metrics : tuple of Metric
-        Those of the plant, beside errors.
-    n, seed, dt, substeps, limit, after, every : number
-        As given.
+        Recorded metrics of the plant.
+    n, seed, substeps, every : int
+        Number of robots, seed, substeps, and samples between two entries of the bands.
+    dt : float
+        Time step of the controller [s].
+    limit : float
+        Largest error of a loop that has not diverged [m, rad, m/s, rad/s].
+    after : float
+        Time from which errors are recorded [s].
     t : ndarray, shape (N + 1,)
-        Times [s].
+        Times of the samples [s].
     reference : Reference
-        Desired q, v and a at these times, shape (N + 1, ...), v and a of as many as there are coordinates.
+        Desired q, v and a at these times, shape (N + 1, ...).
+
+    See Also
+    --------
+    Scenario : scenario with its parts.
+    Ensemble.load : ensemble of a file.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot
+    >>> from pinmobile import Scenario, Tangent
+    >>> from pinmobile.loop import Outline
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> path = Tangent(Circle(1.0, 0.5, 4.0))
+    >>> runs = Scenario(robot=robot, controller=PD(4, 4),
+    ...                 trajectory=path, n=9, spread={}, dt=0.1)
+    >>> Outline.of(runs).controller
+    'PD(kp=4.0, kd=4.0, difference=None)'
     """
 
     robot: str
@@ -166,12 +188,22 @@ class Outline(Recorded):
 
     @classmethod
     def of(cls, scenario: Scenario | Outline) -> Outline:
-        """Return the outline of a scenario; one that is an outline comes back as it is.
+        """Return the description of a scenario; a description is returned unchanged.
+
+        Parameters
+        ----------
+        scenario : Scenario or Outline
+            Scenario.
+
+        Returns
+        -------
+        Outline
+            Description with the parts as text.
 
         Raises
         ------
         InvalidArgument
-            If it is something else.
+            If the argument is neither.
         """
         if isinstance(scenario, Outline):
             return scenario
@@ -193,7 +225,18 @@ class Outline(Recorded):
         )
 
     def difference(self, other: Outline) -> str:
-        """Return how another scenario differs as text; "" where no difference is visible."""
+        """Return a difference from another description as text; "" if there is no visible difference.
+
+        Parameters
+        ----------
+        other : Outline
+            Description to compare with.
+
+        Returns
+        -------
+        str
+            Name and both values of the first difference.
+        """
         there, here = self._told(), other._told()
         for name in {**there, **here}:
             if there.get(name) != here.get(name):
@@ -201,7 +244,7 @@ class Outline(Recorded):
         names = ("t", *(f"reference.{name}" for name in Reference._fields))
         pairs = zip((self.t, *self.reference), (other.t, *other.reference), strict=True)
         return next(
-            (f"{name} is another" for name, pair in zip(names, pairs, strict=True) if not alike(*pair)), ""
+            (f"{name} differs" for name, pair in zip(names, pairs, strict=True) if not alike(*pair)), ""
         )
 
     def __str__(self) -> str:
@@ -210,7 +253,7 @@ class Outline(Recorded):
         return "\n".join([*(f"{name}: {words}" for name, words in told.items()), numbers])
 
     def _told(self) -> dict[str, str]:
-        """Return everything but times and reference in words, by name."""
+        """Return everything except times and reference as text, by name."""
         found = {name: getattr(self, name) for name in _PARTS}
         found |= {f"forces[{k}]": force for k, force in enumerate(self.forces)}
         for name, source in self.spread.items():
@@ -222,13 +265,13 @@ class Outline(Recorded):
 
 
 def alike(one: Array, other: Array) -> bool:
-    """Return whether arrays are the same but for what another machine or release may change."""
+    """Return whether arrays are equal up to differences between machines or releases."""
     size = np.abs(one).max(initial=0.0)
     return one.shape == other.shape and np.allclose(one, other, rtol=_CLOSE, atol=_CLOSE * size)
 
 
 def _source(source: Source) -> str | SameAs:
-    """Return in words from what a parameter is drawn."""
+    """Return the source of a number of the spread as text."""
     if isinstance(source, SameAs):
         return SameAs(source.name, _drawn_from(source.factor))
     return _drawn_from(source)
@@ -240,13 +283,13 @@ def _drawn_from(source: Any) -> str:
     law = None if hasattr(source, "sample") else getattr(source, "dist", None)
     if law is None:
         return _words(source)
-    # A frozen distribution of scipy.stats shows nothing of itself.
+    # The repr of a frozen distribution of scipy.stats contains no parameters.
     given = [*map(repr, source.args), *(f"{name}={value!r}" for name, value in source.kwds.items())]
     return f"{law.name}({', '.join(given)})"
 
 
 def _words(value: object) -> str:
-    """Return a part as Python shows it, on one line, without its address in memory."""
+    """Return the ``repr`` of a part on one line, without its address in memory."""
     with np.printoptions(**_PRINTED):
         line = " ".join(re.sub(r" at 0x[0-9a-fA-F]+", "", shown(value)).split())
     return "".join(letter if letter.isprintable() else "?" for letter in line)

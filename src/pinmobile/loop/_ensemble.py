@@ -1,4 +1,4 @@
-"""`Ensemble`: the results of the robots of a scenario, which judge themselves."""
+"""`Ensemble`: the results of the robots of a scenario."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _V = TypeVar("_V")
 
 
 class _ByChannel(Generic[_V]):
-    """What an ensemble says of each of `Scenario.channels`, by name."""
+    """Values of each of `Scenario.channels`, by name."""
 
     def __getitem__(self, name: str) -> _V:
         named: Mapping[str, _V] = next(x for x in vars(self).values() if isinstance(x, Mapping))
@@ -44,31 +44,45 @@ class _ByChannel(Generic[_V]):
 
     @property
     def distance(self) -> _V:
-        """That of the distance from the desired position [m]."""
+        """Value of the distance from the desired position [m]."""
         return self["distance"]
 
     @property
     def heading(self) -> _V:
-        """That of the error of the heading [rad]."""
+        """Value of the heading error [rad]."""
         return self["heading"]
 
 
 @dataclass(frozen=True, eq=False)
 class Bands(_ByChannel[Array]):
-    """Quantiles over the robots, as functions of time.
+    """Quantiles over the robots as functions of time; `Ensemble.bands` returns them.
 
-    ``bands["end effector"]``, shape (L, G), are those of one of `Scenario.channels`: that share of the robots
-    errs at most by this, or has at least this margin; infinite, or minus infinity, where fewer have not
-    diverged.
+    ``bands["end effector"]``, shape (L, G), contains the quantiles of one of `Scenario.channels`. At each
+    time, this share of the robots has at most this error, or at least this margin. The quantile is infinite
+    (of a margin: minus infinity) if too many robots have diverged.
 
     Attributes
     ----------
     t : ndarray, shape (G,)
         Times [s].
     levels : ndarray, shape (L,)
-        Shares of the robots.
+        Quantile levels: shares of the robots.
     quantiles : mapping of str to ndarray, shape (L, G)
-        All of them by name.
+        Quantiles by the name of the channel.
+
+    See Also
+    --------
+    Ensemble.bands : quantiles of an ensemble.
+    Ensemble.error_quantile : quantile over the whole run.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.loop import Bands
+    >>> rows = {"distance": np.array([[0.0, 0.1]])}  # [m]
+    >>> bands = Bands(np.array([0.0, 1.0]), np.array([0.5]), rows)
+    >>> bands.distance[0]  # [m]
+    array([0. , 0.1])
     """
 
     t: Array
@@ -78,15 +92,28 @@ class Bands(_ByChannel[Array]):
 
 @dataclass(frozen=True)
 class ErrorQuantile(_ByChannel[float]):
-    """What a share of the robots stays within, all the time.
+    """Quantile of the largest errors of the robots; `Ensemble.error_quantile` returns it.
 
-    ``within["tip-over margin"]`` is that of one of `Scenario.channels`: the share errs at most by this, or
-    has at least this margin; infinite, or minus infinity, where fewer have not diverged.
+    ``quantile["tip-over margin"]`` is the value of one of `Scenario.channels`: the share of the robots has at
+    most this error, or at least this margin, during the whole run. The value is infinite (of a margin: minus
+    infinity) if too many robots have diverged.
 
     Attributes
     ----------
     sizes : mapping of str to float
-        All of them by name.
+        Values by the name of the channel.
+
+    See Also
+    --------
+    Ensemble.error_quantile : quantile of an ensemble.
+    Ensemble.bands : quantiles over time.
+
+    Examples
+    --------
+    >>> from pinmobile.loop import ErrorQuantile
+    >>> quantile = ErrorQuantile({"distance": 0.08, "heading": 0.02})
+    >>> quantile.distance, quantile["heading"]  # [m], [rad]
+    (0.08, 0.02)
     """
 
     sizes: Mapping[str, float]
@@ -94,37 +121,58 @@ class ErrorQuantile(_ByChannel[float]):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Ensemble:
-    """The records of n robots.
+    """Results of n robots.
 
     Attributes
     ----------
     scenario : Scenario or Outline
-        What was run; an `Outline`, its parts in words, after loading a file without the scenario.
+        Scenario of the runs. After loading a file without the scenario, it is an `Outline` with the parts as
+        text.
     draws : dict of str to ndarray, shape (n,)
-        What each robot got of each parameter that is spread.
+        Value of each number of the spread for each robot, by name.
     max_error, rms_error : ndarray, shape (n, c)
-        Largest, and root of the mean squared, error of the reference's coordinates, x, y and psi first, from
-        `Scenario.after` on [m, m, rad, ...]; of a diverged robot until then, NaN where it diverged before
-        that time or at the start.
+        Largest and root mean square error of the reference's coordinates (x, y and psi first) after the time
+        `Scenario.after` [m, m, rad, ...]. For a diverged robot, they cover the time before divergence; they
+        are NaN if the robot diverged before `Scenario.after` or at the start.
     max_distance : ndarray, shape (n,)
-        Largest distance from the desired position [m], likewise.
+        Largest distance from the desired position in the same time [m].
     max_input : ndarray, shape (n, nu)
-        Largest |input| from the start on, such as [N, N, N m]; of a diverged robot until then, NaN where
-        there is none. `Scenario.coordinates` and `Scenario.inputs` have names and units.
+        Largest absolute value of each input from the start on, such as [N, N, N m]. For a diverged robot, it
+        covers the time before divergence, or is NaN. `Scenario.inputs` has names and units.
     worst_metric, rms_metric : ndarray, shape (n, j)
-        Worst, and root of the mean square, of each of `Scenario.recorded_metrics`: the largest size, or the
-        smallest margin, likewise from `Scenario.after` on.
+        Worst value and root mean square of each of `Scenario.recorded_metrics` after the time
+        `Scenario.after`: the largest size or the smallest margin.
     diverged_at : ndarray, shape (n,)
-        When the loop diverged [s]; NaN where it did not.
+        Time of divergence [s]; NaN if the loop did not diverge.
     counts : ndarray of int, shape (G, channels, BINS)
-        At each time of `Scenario.grid`, how many robots have a distance, an error of the heading, and so on
-        of `Scenario.channels`, of which size, see `pinmobile.loop._variables`.
+        Number of robots by time of `Scenario.grid`, channel of `Scenario.channels` and bin of sizes.
     traces : dict of int to Rollout
-        Everything of the robots that were asked for; of a diverged one until then.
+        All samples of the selected robots; of a diverged robot, the samples before divergence.
     engine : str
-        How they were run: ``"COMPILED"``, or ``"PYTHON"``, one after another.
+        Engine that ran the robots: ``"COMPILED"``, or ``"PYTHON"``, one robot after another.
     fallback_reason : str
-        Why not by a faster engine; "" where there is none.
+        Reason why a faster engine could not run the loop; "" if there is none.
+
+    See Also
+    --------
+    ensemble : run many robots.
+    Scenario : loop and spread of an ensemble.
+    sweep : ensembles at the points of a grid.
+    plots.bands : figure of the quantiles over time.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Tangent
+    >>> from pinmobile import Uniform, ensemble
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> parts = robot, PD(120, 120), Tangent(Circle(1.0, 0.5, 4.0))
+    >>> spread = {"mass": Uniform(20.0, 40.0)}
+    >>> runs = ensemble(*parts, n=100, spread=spread, dt=0.02)
+    >>> runs.error_quantile(0.99).distance  # [m]
+    0.079
+    >>> heaviest = runs.worst(1)[0]
+    >>> float(runs.draws["mass"][heaviest])  # [kg]
+    39.9
     """
 
     scenario: Any
@@ -155,20 +203,25 @@ class Ensemble:
         engine: str = "",
         fallback_reason: str = "",
     ) -> Ensemble:
-        """Return the ensemble of all records of a scenario.
+        """Return the ensemble of the records of a scenario.
 
         Parameters
         ----------
         scenario : Scenario
-            What was run.
+            Scenario of the runs.
         draws : mapping of str to ndarray, shape (n,)
-            What was drawn.
+            Values of the numbers of the spread.
         part : Part
-            The records of all n.
+            Records of all n robots.
         traces : iterable of int
-            Robots of which a whole `Rollout` is made.
+            Indices of robots whose samples are kept as a `Rollout`.
         engine, fallback_reason : str
-            How they were run, and why not by a faster engine.
+            Engine of the runs, and the reason why a faster engine could not run them.
+
+        Returns
+        -------
+        Ensemble
+            Results of the robots.
         """
         own = part._asdict()
         lived = own.pop("lived")
@@ -186,20 +239,30 @@ class Ensemble:
 
     @property
     def diverged(self) -> NDArray[np.bool_]:
-        """Which robots diverged, shape (n,)."""
+        """Whether each robot diverged, shape (n,)."""
         return ~np.isnan(self.diverged_at)
 
     @property
     def events(self) -> tuple[str, ...]:
-        """What some robots do from `Scenario.after` on that is worth a warning, such as tipping over."""
+        """Sentences about events after `Scenario.after`, such as the number of robots that tip over."""
         happened = zip(self.scenario.recorded_metrics, (self.worst_metric > 0).sum(axis=0), strict=True)
         told = [(one, int(count)) for one, count in happened if one.worst == "ever" and count]
         return tuple(f"{count:,} of {len(self):,} robots {one.name}: {one.meaning}" for one, count in told)
 
     def error_quantile(self, share: float = 0.99) -> ErrorQuantile:
-        """Return what a share of the robots stays within, exactly, a diverged one being beyond everything.
+        """Return the errors that a share of the robots does not exceed after `Scenario.after`.
 
-        From `Scenario.after` on, all the time.
+        The result is exact. A diverged robot has an infinite error.
+
+        Parameters
+        ----------
+        share : float
+            Share of the robots, from 0 to 1.
+
+        Returns
+        -------
+        ErrorQuantile
+            Error or margin of each channel.
 
         Raises
         ------
@@ -213,45 +276,55 @@ class Ensemble:
         return ErrorQuantile(found)
 
     def _badness(self, by: str) -> Array:
-        """Return what is the larger the worse a robot is, shape (n,), infinite where it diverged."""
+        """Return a number that is larger for a worse robot, shape (n,); infinity for a diverged robot."""
         values = self.largest(by)
         margins = [one.name for one in self.scenario.recorded_metrics if one.is_margin]
         return np.where(self.diverged, np.inf, -values if by in margins else values)
 
     def bands(self, levels: ArrayLike = (0.5, 0.9, 0.99)) -> Bands:
-        """Return quantiles of the errors over time, to the width of a bin, 2 to 3 %.
+        """Return quantiles of the errors over time; the width of a bin, 2 to 3 %, limits their accuracy.
 
         Parameters
         ----------
         levels : array_like, shape (L,)
-            Shares of the robots, from 0 to 1.
+            Quantile levels: shares of the robots, from 0 to 1.
+
+        Returns
+        -------
+        Bands
+            Quantiles of each channel.
 
         Raises
         ------
         InvalidArgument
-            If one is not.
+            If a level is not between 0 and 1.
         """
         wanted = checked_levels(levels)
         found = quantiles_of(self.counts, wanted, self.scenario.channels)
         return Bands(self.scenario.grid, wanted, found)
 
     def worst(self, count: int = 5, by: str = "distance") -> NDArray[np.intp]:
-        """Return the robots that did worst, the worst first, shape (count,), or (n,) where there are fewer.
+        """Return the indices of the worst robots, the worst first, shape (count,) or (n,) if n is smaller.
 
-        Those that diverged come first, in order of time; then those whose largest error is largest, or whose
-        smallest margin is smallest.
+        Diverged robots come first, in order of time. Robots with the largest error or the smallest margin
+        follow.
 
         Parameters
         ----------
         count : int
-            How many, at the most.
+            Largest number of robots.
         by : str
-            By what, see `largest`.
+            Name of an error or metric, see `largest`.
+
+        Returns
+        -------
+        ndarray of int, shape (count,)
+            Indices of robots.
 
         Raises
         ------
         InvalidArgument, UnknownName
-            If `count` is no whole number >= 1, or there is no such error.
+            If `count` is not a whole number >= 1, or there is no such error.
         """
         earliest = np.where(self.diverged, self.diverged_at, np.inf)
         return np.lexsort((-self._badness(by), earliest))[: whole("count", count)]
@@ -262,8 +335,14 @@ class Ensemble:
         Parameters
         ----------
         by : str
-            "distance" from the desired position [m], "heading" [rad], a coordinate of the reference by its
-            name, or one of `Scenario.recorded_metrics`, such as "end effector" [m] and "tip-over margin" [m].
+            "distance" from the desired position [m], "heading" [rad], the name of a coordinate of the
+            reference, or one of `Scenario.recorded_metrics`, such as "end effector" [m] or "tip-over margin"
+            [m].
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Largest errors or smallest margins.
 
         Raises
         ------
@@ -280,17 +359,27 @@ class Ensemble:
     def member(self, i: int) -> Member:
         """Return robot i as the arguments of `simulate`.
 
+        Parameters
+        ----------
+        i : int
+            Index of the robot, 0 <= i < n.
+
+        Returns
+        -------
+        Member
+            Plant, controller, trajectory and options of this robot.
+
         Raises
         ------
         InvalidArgument
-            If there is no such robot, or the parts of the scenario are known in words alone.
+            If there is no such robot, or a file without its scenario supplied the ensemble.
         """
         index = self._index(i)
         if isinstance(self.scenario, Outline):
             raise InvalidArgument(
-                f"i is {index}, a robot that cannot be made again: a file keeps the scenario in words (its "
+                f"i is {index}, a robot that cannot be made again: a file keeps the scenario as text (its "
                 f"controller is {self.scenario.controller}); expected the ensemble of "
-                "Ensemble.load(path, scenario), with the Scenario that was run"
+                "Ensemble.load(path, scenario), with the Scenario of the runs"
             )
         return member_of(self.scenario, index)
 
@@ -298,17 +387,27 @@ class Ensemble:
         return whole("i", i, least=0, most=len(self) - 1)
 
     def trace(self, i: int) -> Rollout:
-        """Return everything of robot i, kept or made by `simulate`: the same numbers but for rounding.
+        """Return all samples of robot i, as kept or as `simulate` computes them.
 
-        Rounding stays small where the loop holds the robot to its reference. Where the loop is chaotic it
-        grows until the two have nothing in common but their bounds, as do any two ways of computing it.
+        Both agree up to rounding. A loop that holds the robot to its reference keeps the difference small. A
+        chaotic loop amplifies it.
+
+        Parameters
+        ----------
+        i : int
+            Index of the robot, 0 <= i < n.
+
+        Returns
+        -------
+        Rollout
+            Samples of the robot; of a diverged robot, the samples before divergence.
 
         Raises
         ------
         InvalidArgument
-            If there is no such robot, or it is not kept and cannot be made, see `member`.
+            If there is no such robot, or its samples are not kept and cannot be computed, see `member`.
         Diverged
-            If it is beyond the limit from the start.
+            If the first sample exceeds the limit.
         """
         if self._index(i) in self.traces:
             return self.traces[self._index(i)]
@@ -322,36 +421,46 @@ class Ensemble:
             return rollout
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write everything, to the last digit, as a NumPy archive (``.npz``); what is there is replaced.
+        """Write all results, with all digits, to a NumPy archive (``.npz``); an existing file is replaced.
 
-        The parts of the scenario are kept in words, see `Outline`: whoever loads the file needs none of their
+        The archive contains the parts of the scenario as text, see `Outline`. `load` thus needs none of their
         classes.
+
+        Parameters
+        ----------
+        path : str or path
+            Path of the file.
 
         Raises
         ------
         InvalidArgument
             If the file cannot be written.
         FileError
-            If the system fails, such as of a full disk; what was there is there still.
+            If the system fails, for example because the disk is full; an existing file remains.
         """
         write_archive(path, _FORMAT, content_of(self))
 
     @classmethod
     def load(cls, path: str | PathLike[str], scenario: Scenario | None = None) -> Ensemble:
-        """Return what `save` wrote.
+        """Return the ensemble of a file that `save` wrote.
 
         Parameters
         ----------
-        path : path
-            The file.
+        path : str or path
+            Path of the file.
         scenario : Scenario, optional
-            What was run: needed for `member`, and for `trace` of robots that are not kept, since a file
-            holds numbers and words, no objects.
+            Scenario of the runs. `member`, and `trace` of robots whose samples are not kept, need it, because
+            a file contains numbers and text, not objects.
+
+        Returns
+        -------
+        Ensemble
+            Results of the robots.
 
         Raises
         ------
         InvalidArgument
-            If the file cannot be read, is damaged, is not such an archive, or is not of that scenario.
+            If the file cannot be read, is damaged, is not such an archive, or belongs to another scenario.
         FileError
             If the system fails.
         """
@@ -364,9 +473,9 @@ class Ensemble:
         drawn = {} if found else scenario.draws()
         for name, values in drawn.items():
             if not alike(made.draws[name], values):
-                found = f"it draws another {name}"
+                found = f"its draws of {name} differ"
         if found:
-            raise InvalidArgument(f"scenario is not that of {str(file)!r}: {found}")
+            raise InvalidArgument(f"scenario does not match {str(file)!r}: {found}")
         return replace(made, scenario=scenario)
 
     @classmethod
@@ -376,16 +485,15 @@ class Ensemble:
         return cls(**content, traces=traces)
 
     def to_xarray(self) -> Any:
-        """Return the records as an xarray.Dataset, with the names that they have in the store of a sweep.
+        """Return the results as an xarray.Dataset, with the same names as in the store of a sweep.
 
         Returns
         -------
-        dataset : xarray.Dataset
-            Dimensions ``robot``, ``coordinate``, ``input``, ``metric`` (where there is one), ``time``,
-            ``channel``, ``level`` and ``bin``;
-            each variable has attributes ``units`` and ``long_name``. What was drawn is ``drawn_mass`` and so
-            on. Attribute ``scenario`` describes the run. The traces, which may differ in length,
-            are not in it.
+        xarray.Dataset
+            Dimensions ``robot``, ``coordinate``, ``input``, ``metric`` (if there is one), ``time``,
+            ``channel``, ``level`` and ``bin``. Each variable has attributes ``units`` and ``long_name``.
+            Draws are ``drawn_mass`` and so on. The attribute ``scenario`` describes the runs. The dataset
+            does not contain `traces`.
 
         Raises
         ------
@@ -395,18 +503,23 @@ class Ensemble:
         return dataset_of(self, {"scenario": str(Outline.of(self.scenario)), "seed": self.scenario.seed})
 
     def to_csv(self, path: str | PathLike[str]) -> None:
-        """Write one line per robot, with a header that has the units, and 17 significant digits.
+        """Write one line per robot to a text file, with a header with units and 17 significant digits.
 
-        The columns are the robot's index, what was drawn for it (``drawn_mass [kg]`` and so on), its largest
-        and rms errors, largest forces and distance, when it diverged, ``nan`` where it did not, and what else
-        is judged, worst and rms.
+        The columns are the index of the robot, its draws (``drawn_mass [kg]`` and so on), its largest and rms
+        errors, largest inputs and distance, the time of divergence (``nan`` if it did not diverge), and worst
+        and rms metrics.
+
+        Parameters
+        ----------
+        path : str or path
+            Path of the file.
 
         Raises
         ------
         InvalidArgument
             If the file cannot be written.
         FileError
-            If the system fails, such as of a full disk; what was there is there still.
+            If the system fails, for example because the disk is full; an existing file remains.
         """
         write_table(path, *columns_of(self))
 

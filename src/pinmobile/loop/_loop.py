@@ -1,7 +1,7 @@
-"""`Loop`, a closed loop of parts, and `step`, the one function that computes a sample of it.
+"""`Loop`, a closed loop of parts, and `step`, the function that computes one of its samples.
 
-`step` runs on numbers and on symbols alike: the compiled loop is this function, traced once; the loop in
-Python calls it at each sample.
+`step` accepts numbers and symbols. The compiled loop is this function, traced once; the loop in Python calls
+it at each sample.
 """
 
 from __future__ import annotations
@@ -64,57 +64,98 @@ _OF_START = attrs.Factory(_zeros, takes_self=True)
 @final
 @part
 class Loop:
-    """A closed loop: a plant, a controller, a trajectory, forces, an integrator and a recorder.
+    """Closed loop of a plant, a controller, a trajectory, forces, an integrator and a recorder.
 
-    What a part can do is looked up once, before the first sample. Paths such as ``"plant.mass"`` and
-    ``"forces.0.force.x"`` start here.
+    The loop looks up the capabilities of its parts once, before the first sample. Paths such as
+    ``"plant.mass"`` and ``"forces.0.force.x"`` begin at the loop.
+
+    Parameters
+    ----------
+    plant : plant
+        Simulated system.
+    controller : controller
+        Controller with its wrappers.
+    trajectory : trajectory, optional
+        Source of the reference.
+    forces : sequence or mapping of forces
+        External forces.
+    integrator : integrator, optional
+        Integrator of the plant; None for a plant with its own step method.
+    substeps : int
+        Integrator steps per sample.
+    recorder : recorder, optional
+        Part that records samples, such as `Samples`.
+    start : array_like, shape (nv,)
+        Displacement of the initial configuration [m, m, rad, ...].
+    start_rate : array_like, shape (nv,)
+        Velocity that is added to the initial velocity [m/s, m/s, rad/s, ...].
+
+    Raises
+    ------
+    InvalidArgument
+        If a field is invalid.
+
+    See Also
+    --------
+    simulate : run a loop with one robot.
+    loop.step : one sample of a loop.
+    parts.replace : the same loop with other numbers.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Loop, MobileRobot
+    >>> from pinmobile.parts import replace
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> loop = Loop(plant=robot, controller=PD(120, 120))
+    >>> replace(loop, {"plant.mass": 25.0}).plant.mass  # [kg]
+    25.0
     """
 
     plant: Any = child(object, doc="simulated system", expected="a plant")
     controller: Any = child(object, doc="controller, with its wrappers", expected="a controller")
-    trajectory: Any = child(object, default=None, optional=True, doc="what the reference is sampled from")
+    trajectory: Any = child(object, default=None, optional=True, doc="source of the reference")
     forces: Any = children(object, default=(), doc="external forces")
     integrator: Any = child(
-        object, default=None, optional=True, doc="None for a plant with a step of its own"
+        object, default=None, optional=True, doc="integrator; None for a plant with its own step"
     )
-    substeps: int = integer(default=1, least=1, doc="steps of the plant in a sample")
+    substeps: int = integer(default=1, least=1, doc="integrator steps per sample")
     recorder: Any = child(object, default=None, optional=True, doc="part that records samples")
     start: Any = array(default=_OF_START, labels=_coordinates, unit=_units, doc="displacement of the start")
     start_rate: Any = array(
-        default=_OF_START, labels=_rates, unit=_rate_units, doc="velocity added at the start"
+        default=_OF_START, labels=_rates, unit=_rate_units, doc="velocity added to the initial velocity"
     )
 
     @cached_property
     def law(self) -> Any:
-        """The dynamics as a loop calls them, unchecked where the plant offers that."""
+        """Plant as the loop calls it: its unchecked dynamics if the plant offers them."""
         own = stated(self.plant, "law")
         return self.plant if own is None else own
 
     @cached_property
     def integrate(self) -> Callable[[Any, Any], Any]:
-        """Function of a configuration and a displacement."""
+        """Function that adds a displacement to a configuration."""
         own = stated(self.law, "integrate")
         return np.add if own is None else own
 
     @cached_property
     def steps(self) -> bool:
-        """Whether the plant has a step of its own."""
+        """Whether the plant has its own step method."""
         return able(self.law, Stepping) is not None
 
     @cached_property
     def is_constrained(self) -> bool:
-        """Whether velocities are projected before each substep; a plant's own step does so itself."""
+        """Whether the loop projects velocities before each substep; a plant's own step does this itself."""
         return not self.steps and able(self.law, Constrained) is not None
 
     @cached_property
     def displaced(self) -> Callable[..., tuple[Any, Any]]:
-        """The integrator as a function of displacements, given the acceleration at the start."""
+        """Integrator as a function of displacements, which receives the acceleration at the start."""
         own = stated(self.integrator, "displaced")
         return partial(displaced, self.integrator) if own is None else own
 
     @cached_property
     def limits(self) -> tuple[Array, Array] | None:
-        """Least and largest input, shape (nu,); None where nothing has a limit."""
+        """Smallest and largest input, shape (nu,) each; None if no input has a limit."""
         inputs = getattr(self.plant, "inputs", ())
         low, high = (
             np.array([sign * np.inf if (x := stated(each, side)) is None else x for each in inputs])
@@ -124,66 +165,66 @@ class Loop:
 
     @cached_property
     def named_forces(self) -> dict[str, Any]:
-        """The forces, by what messages call them."""
+        """Forces by their names in messages."""
         return named_forces(self.forces)
 
     @cached_property
     def all_forces(self) -> tuple[Any, ...]:
-        """The forces, without their names."""
+        """Forces without their names."""
         return tuple(self.named_forces.values())
 
     @cached_property
     def wrenches(self) -> list[tuple[str, Any]]:
-        """The forces that push the body, each with its name."""
+        """Names and forces that act on the body."""
         return [item for item in self.named_forces.items() if not able(item[1], OnCoordinates)]
 
     @cached_property
     def efforts(self) -> list[tuple[str, Any]]:
-        """The forces on the coordinates, each with its name."""
+        """Names and forces that act on the coordinates."""
         return [item for item in self.named_forces.items() if able(item[1], OnCoordinates)]
 
     @cached_property
     def carries(self) -> bool:
-        """Whether a force adds to the inertia of the body."""
+        """Whether a force adds inertia to the body."""
         return any(able(force, Carried) for force in self.all_forces)
 
     @cached_property
     def is_informed(self) -> bool:
-        """Whether the controller takes the applied input."""
+        """Whether the controller receives the applied input."""
         return able(self.controller, Informed) is not None
 
     @cached_property
     def records_errors(self) -> bool:
-        """Whether the recorder looks at errors."""
+        """Whether the recorder reads errors."""
         return self.recorder is not None and getattr(self.recorder, "errors", True)
 
     @cached_property
     def is_measured(self) -> bool:
-        """Whether the recorder looks at the plant's metrics."""
+        """Whether the recorder reads the plant's metrics."""
         return bool(getattr(self.recorder, "metrics", ())) and able(self.plant, Measuring) is not None
 
     @cached_property
     def signals(self) -> bool:
-        """Whether the recorder keeps signals, and a part has some."""
+        """Whether the recorder keeps signals and a part has some."""
         parts = self.law, self.controller, *self.all_forces
         wanted = stated(self.recorder, "signals")
         return wanted and any(able(each, Signalling) for each in parts)
 
 
 def named_forces(forces: Any) -> dict[str, Any]:
-    """Return forces, of a sequence or a mapping, by what messages call them."""
+    """Return the forces of a sequence or mapping by their names in messages."""
     if isinstance(forces, Mapping):
         return {f"forces.{name}": force for name, force in forces.items()}
     return {f"forces[{k}]": force for k, force in enumerate(forces)}
 
 
 class State(NamedTuple):
-    """A loop between two samples.
+    """State of a loop between two samples.
 
     Attributes
     ----------
     q, v : ndarray, shape (nq,), (nv,)
-        Configuration and velocity; of v the next sample takes what constraints leave.
+        Configuration and velocity. The next sample projects the velocity on the constraints.
     plant, controller, recorder : any
         Memory of the parts.
     """
@@ -196,24 +237,41 @@ class State(NamedTuple):
 
 
 OWNERS = State._fields[2:]
-"""The parts with memory, in the order of `State`."""
+"""Parts with memory, in the order of `State`."""
 
 
 class Sample(NamedTuple):
-    """One sample of a closed loop.
+    """One sample of a closed loop, the argument of a recorder.
 
     Attributes
     ----------
     k, t : float
-        Number and time [s].
+        Index and time [s] of the sample.
     q, v, u, a : ndarray, shape (nq,), (nv,), (nu,), (nv,)
-        State, input after all limits, and acceleration.
+        Configuration, velocity, applied input and acceleration.
     error, error_rate : ndarray, shape (n,)
-        Of the coordinates of the reference; None where the recorder has ``errors = False``.
+        Errors of the reference's coordinates and of their rates; None if the recorder has ``errors = False``.
     signals : dict of str to Claim
-        By name, where the recorder has ``signals = True``.
+        Signals by name, if the recorder has ``signals = True``.
     measured : ndarray, shape (m,)
-        Metrics of the plant, where the recorder has ``metrics``.
+        Metrics of the plant, if the recorder has ``metrics``.
+
+    See Also
+    --------
+    loop.step : function that computes a sample.
+    loop.Record : result of a recorder.
+
+    Examples
+    --------
+    >>> from pinmobile.loop import Record, Sample
+    >>> class LargestForce:
+    ...     def initial_state(self, n, nu):
+    ...         return 0.0
+    ...     def __call__(self, sample, state):
+    ...         return Record(max(state, abs(sample.u[0])))
+    >>> sample = Sample(0, 0.0, [0], [0], [-5.0], [0], [0], [0])
+    >>> LargestForce()(sample, 0.0).state  # [N]
+    5.0
     """
 
     k: Any
@@ -229,18 +287,30 @@ class Sample(NamedTuple):
 
 
 class Record(NamedTuple):
-    """What a recorder makes of a sample.
+    """Result of a recorder for one sample.
 
     Attributes
     ----------
     state : tree of ndarrays
-        Its memory; after the last sample, this is the result.
+        Memory of the recorder; after the last sample, it is the result.
     counted : sequence of numbers
-        Sizes, >= 0 or infinite, that are counted in bins.
+        Sizes, >= 0 or infinite, which the engine counts in bins.
     kept : dict of str to ndarray
-        Values kept of every sample.
+        Values that the engine keeps for every sample, by name.
     units : dict of str to str
-        Units of the signals among them, by name; they are kept as ``"signal <name>"``.
+        Units of the signals among them, by name; `kept` contains a signal as ``"signal <name>"``.
+
+    See Also
+    --------
+    loop.Samples : recorder of all samples.
+    loop.Worst : recorder of the largest errors.
+
+    Examples
+    --------
+    >>> from pinmobile.loop import Record
+    >>> record = Record(0.3, kept={"error": 0.1})  # [m]
+    >>> record.state, record.kept["error"]
+    (0.3, 0.1)
     """
 
     state: Any
@@ -250,7 +320,7 @@ class Record(NamedTuple):
 
 
 NOTHING = Record(None)
-"""The record of a recorder without memory."""
+"""Record of a recorder without memory."""
 
 
 def step(
@@ -261,19 +331,52 @@ def step(
     Parameters
     ----------
     loop : Loop
-        The closed loop.
+        Closed loop.
     k, t, h : float
-        Number and time of the sample, and length of a substep [s].
+        Index and time [s] of the sample, and length of a substep [s].
     state : State
-        The start, or the state after the sample before.
+        Initial state, or the state after the previous sample.
     reference : Reference
-        Of this sample.
+        Reference of this sample.
+
+    Returns
+    -------
+    state : State
+        State at the next sample.
+    sample : Sample
+        This sample.
+    record : Record
+        Result of the recorder.
+
+    Raises
+    ------
+    InvalidArgument
+        If a part returns anything but real numbers of the expected shape.
+
+    See Also
+    --------
+    simulate : run all samples.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import PD, Loop, MobileRobot, Reference, rk4
+    >>> from pinmobile.loop import State, step
+    >>> from pinmobile.plant import Context
+    >>> robot, zero = MobileRobot(30.0, 1.3), np.zeros(3)
+    >>> loop = Loop(robot, PD(60, 60), integrator=rk4)
+    >>> memory = loop.controller.initial_state(Context.of(robot, dt=0.1))
+    >>> begin = State(zero, zero, None, memory)
+    >>> desired = Reference(np.array([1.0, 0.0, 0.0]), zero, zero)
+    >>> after, *_ = step(loop, 0.0, 0.0, 0.1, begin, desired)
+    >>> float(after.v[0])  # 60 N / 30 kg * 0.1 s [m/s]
+    0.2
     """
     plant, controller = loop.law, loop.controller
     q, v, memory, kept, record_state = state
     if loop.is_constrained:
         # Here, not after the step: this sample's dynamics need the same mass matrix, which a tape has once.
-        v = np.where(k == 0.0, v, plant.project(q, v))  # a start is as it was given
+        v = np.where(k == 0.0, v, plant.project(q, v))  # the initial velocity stays as given
     error, error_rate = tracking_errors(plant, q, v, reference) if loop.records_errors else (None, None)
     answer = controller(t, q.copy(), v.copy(), reference, kept)
     if type(answer) is not tuple or len(answer) != 2:
@@ -299,7 +402,7 @@ def step(
 
 
 def _numbers(name: str, found: Any, t: Any, shape: tuple[int, ...]) -> Any:
-    """Return what a part returned as an array, of this shape and of real numbers."""
+    """Return the result of a part as an array of real numbers of this shape."""
     array = np.asarray(found)
     if np.shape(array) != shape or not are_real(array):
         of = "" if are_real(array) else " of real numbers"
@@ -310,14 +413,14 @@ def _numbers(name: str, found: Any, t: Any, shape: tuple[int, ...]) -> Any:
 
 
 def when(t: Any) -> str:
-    """Return a time in words, for messages; nothing of a symbol."""
+    """Return a time as text for messages; "" for a symbol."""
     return f" at t = {t:g} s" if isinstance(t, float) else ""
 
 
 def collected_signals(
     loop: Loop, t: Any, q: Any, v: Any, u: Any, memory: object, own: Any = None
 ) -> Iterator[tuple[str, Any]]:
-    """Yield the signals of the parts at a sample, with `own` of the controller, each part by its path."""
+    """Yield the path and the signals of each part at a sample; `own` contains those of the controller."""
     plant = loop.law
     if able(plant, Signalling):
         f = _external(loop, t, q, v, u) + np.zeros(plant.nv)
@@ -336,7 +439,7 @@ def _signal(name: str, value: Any) -> Any:
 
 
 def tracking_errors(plant: Any, q: Any, v: Any, reference: Reference) -> tuple[Any, Any]:
-    """Return the error of the reference's coordinates, and its rate, shape (n,) each."""
+    """Return the errors of the reference's coordinates and of their rates, shape (n,) each."""
     n, length = reference.v.shape[-1], reference.q.shape[-1]
     whole = reference.q
     if length != plant.nq:  # coordinates without a reference have no error
@@ -354,11 +457,11 @@ def _pushed(loop: Loop, t: Any, q: Any, v: Any) -> Any:
         for name, force in loop.wrenches:
             wrench = wrench + _numbers(name, force(t, pose.copy(), rate.copy()), t, np.shape(pose))
         if type(wrench) is np.ndarray and not isfinite(wrench.sum()):
-            return np.full(plant.nv, np.nan)  # the run reports it, with all samples before
+            return np.full(plant.nv, np.nan)  # the run reports NaN, with all samples before
         total = plant.generalized_force(q, wrench)
         if total is None:
             raise InvalidArgument(
-                f"plant is a {type(loop.plant).__name__}, whose body cannot be pushed, and forces push it"
+                f"plant is a {type(loop.plant).__name__}, whose body accepts no wrench, but forces act on it"
             )
     for name, force in loop.efforts:
         found = force.on_coordinates(t, q.copy(), v.copy())
@@ -367,7 +470,7 @@ def _pushed(loop: Loop, t: Any, q: Any, v: Any) -> Any:
 
 
 def _external(loop: Loop, t: Any, q: Any, v: Any, u: Any) -> Any:
-    """Return the external forces with the reaction of what they make the body carry, shape (nv,), or 0."""
+    """Return the external forces, with the reaction of carried inertia, shape (nv,), or 0."""
     plant, pushed = loop.law, _pushed(loop, t, q, v)
     if not loop.carries:
         return pushed
@@ -376,28 +479,29 @@ def _external(loop: Loop, t: Any, q: Any, v: Any, u: Any) -> Any:
 
 
 def reaction(plant: Any, forces: Iterable[Any], t: Any, q: Any, accelerate: Callable[[Any], Any]) -> Any:
-    """Return the force on the coordinates by which carried inertia holds the body back.
+    """Return the reaction of carried inertia as a force on the coordinates.
 
-    With the mass matrix M that forces add to the body, the wrench w = -M a acts on it, a that of the body. As
-    a is linear in w, ``a = a_0 + W w``, it follows from ``(1 + M W) w = -M a_0``.
+    Forces may add a mass matrix M to the body. The wrench w = -M a then acts on the body, where a is the
+    acceleration of the body. The acceleration is linear in w, ``a = a_0 + W w``, so that ``(1 + M W) w = -M
+    a_0``.
 
     Parameters
     ----------
     plant : plant
-        Its first coordinates are x, y and psi of the body.
+        Plant whose first coordinates are x, y and psi of the body.
     forces : iterable of forces
-        Those with ``inertia(t, pose)`` add that mass matrix, shape (..., 3, 3).
+        Forces. Those with ``inertia(t, pose)`` add that mass matrix, shape (..., 3, 3).
     t : float
         Time [s].
     q : ndarray, shape (..., nq)
         Configuration.
     accelerate : callable
-        Returns the acceleration, shape (..., nv), under a further force on the coordinates.
+        Function that returns the acceleration, shape (..., nv), under an additional force on the coordinates.
 
     Returns
     -------
     ndarray, shape (..., nv), or float
-        0.0 where none is added.
+        Reaction; 0.0 if no force adds inertia.
     """
     carried = [force for force in forces if able(force, Carried)]
     if not carried:
@@ -416,7 +520,7 @@ def advance(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory: object) 
 
 
 def _integrated(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory: object) -> Any:
-    """Return the acceleration, and the state after the substeps, by the integrator on displacements."""
+    """Return the acceleration and the state after the substeps, which the integrator computes."""
     plant, integrate, first = loop.law, loop.integrate, None
     for j in range(loop.substeps):
         time = t + j * h if j else t
@@ -446,7 +550,7 @@ def _accelerated(loop: Loop, t: Any, q: Any, v: Any, u: Any) -> Any:
 
 
 def _own_steps(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory: object) -> Any:
-    """Return the mean acceleration of the first substep, and the state after all, by the plant's own step."""
+    """Return the mean acceleration of the first substep, and the state after all of the plant's own steps."""
     acceleration = None
     for j in range(loop.substeps):
         time = t + j * h if j else t
@@ -467,12 +571,12 @@ def _own_steps(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory: objec
 
 
 def displaced(integrator: Any, acceleration: Any, first: Any, t: Any, v: Any, h: Any) -> Any:
-    """Return the displacement and the velocity after a step of any integrator, which gets copies."""
+    """Return the displacement and the velocity after a step of any integrator, which receives copies."""
     still, own = np.zeros(np.shape(v)), v.copy()
 
     def asked(time: Any, moved: Any, rate: Any) -> Any:
         known = moved is still and rate is own and time is t and type(v) is np.ndarray
-        if known and not still.any() and (own == v).all():  # unless it was written into
+        if known and not still.any() and (own == v).all():  # unless the integrator changed them
             return first
         return acceleration(time, moved, rate)
 

@@ -31,29 +31,29 @@ _programs: OrderedDict[Any, tuple[Program, list[Any]]] = OrderedDict()
 
 
 class Compiled:
-    """A loop as a program: machine code, and what of the loop it takes as numbers.
+    """Machine code of a loop, with the numbers of the loop as its arguments.
 
     Parameters
     ----------
     loop : Loop
-        The closed loop.
+        Closed loop.
     context : Context
         Argument of the controller's `initial_state`.
     start : (ndarray, ndarray), shape (nq,), (nv,)
-        A start.
+        Initial configuration and velocity.
     reference : Reference
-        Its first sample.
+        Reference of the first sample.
     spread : mapping of str to array of bool, optional
-        Paths of the numbers that differ from robot to robot, with the entries that do.
+        Paths of the numbers that differ from robot to robot, with masks of the entries that differ.
     single : bool
-        Whether it is for one robot.
+        Whether the code runs one robot.
     own_reference : bool
-        Whether each robot has a reference of its own.
+        Whether each robot has its own reference.
 
     Raises
     ------
     NotTraceable
-        If a law cannot be run on symbols.
+        If a law does not accept symbols.
     """
 
     def __init__(
@@ -95,11 +95,11 @@ class Compiled:
 
     @property
     def tape(self) -> LoopTape:
-        """The loop on a tape."""
+        """Tape of the loop."""
         return self.program.tape
 
     def first(self, values: Mapping[str, Array], n: int) -> list[Array]:
-        """Return the arrays of the memory before the first sample, shape (...), or (n, ...) of each robot."""
+        """Return the memory before the first sample, arrays of shape (...), or (n, ...) if robots differ."""
         own = {path: value for path, value in values.items() if self.tape.parameters[path].kind == "row"}
         owners = {path.partition(".")[0] for path in own}
         numbers = [np.asarray(x, np.float64) for x in arrays_of(self.begun)]
@@ -126,12 +126,12 @@ class Compiled:
         every: int = 1,
         threads: int = 1,
     ) -> Outcome:
-        """Return the result of a run: see `Program.run`.
+        """Return the result of a run, see `Program.run`.
 
         Parameters
         ----------
         values : mapping of str to ndarray, shape (n, ...)
-            The numbers of each robot, of the paths that were spread.
+            Numbers of each robot, by the paths of the spread.
         """
         given = dict(values or {})
         numbers = {**traced_numbers(self.loop), **given}
@@ -155,9 +155,9 @@ class Compiled:
 
 
 def _read(cache: Cache, name: str, target: Target) -> Program | None:
-    """Return a program that another process has traced, or None."""
-    try:  # as trustworthy as the machine code beside it: the user's own
+    """Return the program that another process has traced, or None."""
+    try:  # the file is as trustworthy as the machine code in the same folder of the user
         tape, shape, key = pickle.loads(cache.read(name, LOOP) or b"")
-    except Exception:  # there is none, or somebody wrote it by hand
+    except Exception:  # the file is missing or damaged
         return None
     return Program(tape, target, shape, cache=cache, key=key)

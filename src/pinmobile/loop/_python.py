@@ -1,4 +1,4 @@
-"""Runs of a loop: in Python, compiled, and in Python with plant and forces compiled."""
+"""Runs of a loop: in Python, compiled, and in Python with compiled plant and forces."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _U = "controller.u"
 
 
 class _Moved(NamedTuple):
-    """A `Step` whose acceleration is that at its start."""
+    """`Step` of a plant with the acceleration at its start."""
 
     q: Any
     v: Any
@@ -35,12 +35,12 @@ class _Moved(NamedTuple):
 
 @part
 class _Held:
-    """A controller whose input is a number of each robot's."""
+    """Controller whose input is a number of each robot."""
 
     u: Any = array()
 
     def initial_state(self, context: object) -> None:
-        """Return None: there is no memory."""
+        """Return None: the controller has no memory."""
 
     def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: None) -> Any:
         """Return the input."""
@@ -49,7 +49,7 @@ class _Held:
 
 @part
 class _Whole:
-    """A plant with the forces on it, as one that has a step of its own: all substeps, and what rolls."""
+    """Plant with its forces as a plant with its own step, which contains all substeps and the projection."""
 
     inner: Any = child(Loop)
 
@@ -59,12 +59,12 @@ class _Whole:
         raise AttributeError(name)
 
     def initial_state(self, context: object) -> Any:
-        """Return the memory of the plant."""
+        """Return the memory of the plant before the first sample."""
         begin = stated(self.inner.law, "initial_state")
         return None if begin is None else begin(context)
 
     def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> _Moved:
-        """Return the state a sample later."""
+        """Return the state one sample later."""
         loop = self.inner
         a, q, v, memory = advance(loop, t, h / loop.substeps, q, v, u, memory)
         return _Moved(q, loop.law.project(q, v) if loop.is_constrained else v, memory, a)
@@ -76,16 +76,16 @@ class _Whole:
 
 
 class CompiledPlant:
-    """A plant with the forces on it, each step of which is one call of machine code: for one loop alone.
+    """Plant with its forces for one loop; one call of machine code computes a step.
 
     Parameters
     ----------
     loop : Loop
-        The closed loop.
+        Closed loop.
     context : Context
         Argument of the controller's `initial_state`.
     q, v : ndarray, shape (nq,), (nv,)
-        Start.
+        Initial configuration and velocity.
 
     Raises
     ------
@@ -127,11 +127,11 @@ class CompiledPlant:
         self._signals: dict[str, Any] = {}
 
     def initial_state(self, context: object) -> Any:
-        """Return what the plant keeps before the first sample."""
+        """Return the memory of the plant before the first sample."""
         return self._begun
 
     def step(self, t: float, q: Array, v: Array, u: Array, h: float, f: Any, memory: Any) -> _Moved:
-        """Return the state a sample later; the forces are its own."""
+        """Return the state one sample later; the machine code contains the forces."""
         row, nq, n = self._row, self.nq, self.nq + self.nv
         row[:nq], row[nq:n], row[self._u : self._u + self.nu] = q, v, u
         for leaf, (_, value) in zip(self._leaves, leaves(memory), strict=True):
@@ -160,32 +160,32 @@ class CompiledPlant:
 
 
 def with_compiled_plant(loop: Loop, context: Context, q: Array, v: Array) -> Loop:
-    """Return the loop with plant and forces as machine code; raises `NotTraceable` where they cannot be."""
+    """Return the loop with compiled plant and forces; raise `NotTraceable` if they cannot be compiled."""
     plant = CompiledPlant(loop, context, q, v)
     return evolved(loop, {"plant": plant, "forces": (), "integrator": None, "substeps": 1})
 
 
 def in_python(loop: Loop, context: Context, q0: Array, v0: Array) -> Iterator[tuple[Sample, Record]]:
-    """Yield the samples of a loop in Python, until a number is not finite.
+    """Yield the samples of a loop in Python until a number is not finite.
 
     Parameters
     ----------
     loop : Loop
-        The closed loop, checked.
+        Checked closed loop.
     context : Context
-        Argument of the controller's `initial_state`; the reference is sampled at its times.
+        Argument of the controller's `initial_state`. The loop uses the reference at its times.
     q0, v0 : ndarray, shape (nq,) and (nv,)
-        Start.
+        Initial configuration and velocity.
     """
     h, state, k = context.dt / loop.substeps, initial(loop, context, q0, v0), 0.0
-    # Rows of its own: a controller may write into what it is given.
+    # Copies of the rows: a controller may write into its arguments.
     rows = zip(*(part.copy() for part in context.reference), strict=True)
     for t, row in zip(context.t.tolist(), rows, strict=True):
         try:
             after, sample, record = step(loop, k, t, h, state, Reference(*row))
         except InvalidArgument as error:
             if not np.isfinite(np.concatenate(state[:2])).all():
-                return  # an error of the part that refuses it
+                return  # the part rejects a state that is not finite
             if k:
                 raise
             raise error_of_sizes(context, error) from error.__cause__
@@ -194,31 +194,30 @@ def in_python(loop: Loop, context: Context, q0: Array, v0: Array) -> Iterator[tu
 
 
 def error_of_sizes(context: Context, error: InvalidArgument) -> InvalidArgument:
-    """Return an error of a controller; where the reference has not all coordinates, that may be why."""
+    """Return an error of a controller; if the reference has fewer coordinates, its message says so."""
     n, count = context.reference.v.shape[1], len(context.coordinates)
     if n == count or " has shape " not in str(error):
         return error
-    if n == max(context.reference_sizes, default=count):  # wheels have no reference
+    if n == max(context.reference_sizes, default=count):  # a reference contains no wheels
         return InvalidArgument(
-            f"{error}; expected a controller of wheels' torques, such as "
-            f"ControlAllocation(controller, robot) makes "
-            "of one of forces on the body"
+            f"{error}; expected a controller of wheel torques: ControlAllocation(controller, robot) makes "
+            "one from a controller of forces on the body"
         )
     return InvalidArgument(
-        f"{error}; the reference has the first {n} of {count} coordinates, expected a controller that "
-        "follows these, or a reference of all: a motion of base and arms is WholeBody(robot, base, *joints)"
+        f"{error}; the reference has the first {n} of {count} coordinates, expected a controller of these "
+        "coordinates, or a reference of all: WholeBody(robot, base, *joints) combines base and arms"
     )
 
 
 class Run:
-    """All samples of a loop, and whether they are finite and near the reference.
+    """All samples of a loop, with a check that they are finite and near the reference.
 
     Parameters
     ----------
     loop : Loop
-        The closed loop.
+        Closed loop.
     context : Context
-        Argument of the controller's `initial_state`; the reference is sampled at its times.
+        Argument of the controller's `initial_state`. The loop uses the reference at its times.
     """
 
     stopped: NotFinite | None = None
@@ -231,10 +230,10 @@ class Run:
         self.units: Mapping[str, str] = {}
 
     def fill(self, begin: int, end: int) -> None:
-        """Have the samples from `begin` to before `end`."""
+        """Compute the samples from `begin` to before `end`."""
 
     def samples(self, begin: int, end: int) -> tuple[Array, Array, Array, Array]:
-        """Return q, v, a and u of the samples, one row each."""
+        """Return q, v, a and u of the samples, one row per sample."""
         q, v, a, u = (self.kept[name][begin:end] for name in ("q", "v", "a", "u"))
         return q, v, a, u
 
@@ -242,31 +241,31 @@ class Run:
         """Return the signals of the samples before `end`, by name."""
         return {name: Signal(unit, self.kept[f"signal {name}"][:end]) for name, unit in self.units.items()}
 
-    @np.errstate(over="ignore", invalid="ignore")  # an overflow is not fine
+    @np.errstate(over="ignore", invalid="ignore")  # an overflow gives False
     def is_fine(self, begin: int, end: int, limit: float) -> bool:
-        """Return whether the samples are finite and near the reference; if in doubt, False."""
+        """Return whether the samples are finite and near the reference; False if in doubt."""
         if not self.adds:
             return False
         q, v, a, u = self.samples(begin, end)
-        errors = self.desired[begin:end] - np.hstack([q, v])  # on the circle they are less
+        errors = self.desired[begin:end] - np.hstack([q, v])  # errors on the circle are smaller
         return bool(is_alive(errors, limit, u, a).all())
 
 
 class _Signals:
-    """A recorder of signals alone, which costs nothing."""
+    """Recorder of signals only."""
 
     signals, errors = True, False
 
     def initial_state(self, n: int, nu: int) -> None:
-        """Return None: nothing is kept from one sample to the next."""
+        """Return None: the recorder has no memory."""
 
     def __call__(self, sample: Sample, state: None) -> Record:
-        """Return nothing beside the sample."""
+        """Return an empty record; the sample contains the signals."""
         return NOTHING
 
 
 class PythonRun(Run):
-    """A run in Python, sample by sample: see `in_python`."""
+    """Run in Python, sample by sample, see `in_python`."""
 
     def __init__(self, loop: Loop, context: Context, q0: Array, v0: Array) -> None:
         super().__init__(loop, context)
@@ -277,7 +276,7 @@ class PythonRun(Run):
         self._first: Mapping[str, Claim] = {}
 
     def fill(self, begin: int, end: int) -> None:
-        """Compute the samples from `begin` to before `end`; after one that is not finite there are none."""
+        """Compute the samples from `begin` to before `end`; they end at a number that is not finite."""
         q, v, a, u = self.samples(0, len(self._times))
         try:
             for k, (sample, _) in zip(range(begin, end), self._samples, strict=False):
@@ -288,7 +287,7 @@ class PythonRun(Run):
             self.stopped = error  # the rest stays empty
 
     def _keep(self, k: int, found: Mapping[str, Claim]) -> None:
-        """Keep the signals of sample k, which have the names, units and shapes of the first sample."""
+        """Keep the signals of sample k, which must have the names, units and shapes of the first sample."""
         if not k:
             self._first, rows = found, len(self._times)
             self.units = {name: each.unit for name, each in found.items()}
@@ -298,25 +297,25 @@ class PythonRun(Run):
             now, before = (
                 f"of unit {claims[name].unit!r} and shape {claims[name].value.shape}"
                 if name in claims
-                else "not there"
+                else "missing"
                 for claims in (found, self._first)
             )
             if now != before:
                 part = (found.get(name) or self._first[name]).part
                 raise InvalidArgument(
-                    f"{part}.signals[{name!r}] is {now} at t = {self._times[k]:g} s, expected {before} as at "
-                    "first"
+                    f"{part}.signals[{name!r}] is {now} at t = {self._times[k]:g} s, expected {before} as in "
+                    "the first sample"
                 )
             self.kept[f"signal {name}"][k] = found[name].value
 
 
 class CompiledRun(Run):
-    """A compiled run; all samples are there when it is made.
+    """Compiled run, which computes all samples when it is made.
 
     Raises
     ------
     NotTraceable
-        If a law cannot be compiled; its line, and what to write instead.
+        If a law cannot be compiled; the message contains its line and the code to write instead.
     """
 
     def __init__(self, loop: Loop, context: Context, q0: Array, v0: Array) -> None:

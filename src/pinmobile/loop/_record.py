@@ -1,7 +1,7 @@
-"""Recorders: what is kept of the samples of a loop, and the one rule for when it has diverged.
+"""Recorders, which keep data of the samples of a loop, and the rule that decides whether a loop has diverged.
 
-A recorder is a part like any other: its law is NumPy for one state. It is called as
-``recorder(sample, state) -> Record``, once per sample, after the controller and before the step.
+A recorder is a part like any other: its law is NumPy for one state. The loop calls ``recorder(sample, state)
+-> Record`` once per sample, after the controller and before the step.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from pinmobile.parts import number, option, part
 
 
 def is_near(errors: Any, limit: Any) -> Any:
-    """Return where no error is beyond the limit, shape (...); what is no number is beyond.
+    """Return whether no error exceeds the limit, shape (...); NaN exceeds it.
 
     Parameters
     ----------
     errors : ndarray, shape (..., n)
-        Of coordinates and of their rates [m, rad, m/s, rad/s].
+        Errors of coordinates and of their rates [m, rad, m/s, rad/s].
     limit : float
         Largest size.
     """
@@ -31,15 +31,15 @@ def is_near(errors: Any, limit: Any) -> Any:
 
 
 def is_alive(errors: Any, limit: Any, u: Any, a: Any) -> Any:
-    """Return at which samples a loop has not diverged, shape (...): the rule of all engines.
+    """Return whether samples have not diverged, shape (...): the rule of all engines.
 
-    A loop has diverged where an error or its rate is beyond the limit, or its input or acceleration is not
+    A loop has diverged if an error or its rate exceeds the limit, or if its input or acceleration is not
     finite.
 
     Parameters
     ----------
     errors, limit
-        As in `is_near`.
+        See `is_near`.
     u, a : ndarray, shape (..., nu), (..., nv)
         Input and acceleration.
     """
@@ -49,31 +49,41 @@ def is_alive(errors: Any, limit: Any, u: Any, a: Any) -> Any:
 @final
 @part
 class Worst:
-    """The largest and mean square error, and the largest input, of each robot, while it is alive.
-
-    Once it is not `is_alive`, it has diverged: from then on nothing is taken of it.
+    """Recorder of each robot's largest and mean square error and largest input until the robot diverges.
 
     Parameters
     ----------
     limit : float
-        Largest error.
+        Largest error of a loop that has not diverged [m, rad, m/s, rad/s].
     begin : float or None
-        Number of the first sample of which the error is kept; None: all are, which is faster than 0.
-    distances : tuple of tuples of int
-        Coordinates whose errors make a distance together; of each distance the largest is kept, and its sizes
-        are counted.
+        Index of the first sample whose error is recorded; None: all samples, which is faster than 0.
+    distances : tuple of tuple of int
+        Groups of coordinates whose errors form a distance. The recorder keeps the largest distance and counts
+        the sizes.
     metrics : tuple of (int, bool)
-        Which of the plant's metrics are kept and counted, and whether it is a margin, of which the smallest
-        is the worst: see `pinmobile.metrics`.
+        Index of each recorded metric of the plant, and whether it is a margin, whose smallest value is the
+        worst; see `pinmobile.metrics.Metric`.
+
+    See Also
+    --------
+    loop.Samples : recorder of all samples.
+    ensemble : run many robots with this recorder.
+
+    Examples
+    --------
+    >>> from pinmobile.loop import Worst
+    >>> memory = Worst(limit=10.0).initial_state(n=3, nu=3)
+    >>> memory["largest"]  # [m, m, rad]
+    array([0., 0., 0.])
     """
 
     limit: float = number(default=np.inf, above=0, endless=True, doc="largest error")
-    begin: Any = number(default=None, optional=True, doc="first sample whose error is kept")
+    begin: Any = number(default=None, optional=True, doc="first sample whose error is recorded")
     distances: tuple[tuple[int, ...], ...] = option(default=((0, 1), (2,)))
     metrics: tuple[tuple[int, bool], ...] = option(default=())
 
     def initial_state(self, n: int, nu: int) -> dict[str, Array]:
-        """Return the record of no sample, for n errors and nu inputs."""
+        """Return the record before the first sample, for n errors and nu inputs."""
         farthest = sum(len(group) > 1 for group in self.distances)
         return {
             "alive": np.ones(()),
@@ -92,7 +102,20 @@ class Worst:
         return {"worst": worst, "metric_squares": np.zeros(len(worst))}  # margins: the largest -m
 
     def __call__(self, sample: Sample, state: Mapping[str, Any]) -> Record:
-        """Return the record with one more sample."""
+        """Return the record with one more sample.
+
+        Parameters
+        ----------
+        sample : Sample
+            Sample of the loop.
+        state : dict of str to ndarray
+            Record of the previous samples.
+
+        Returns
+        -------
+        Record
+            Record of all samples so far.
+        """
         errors = np.concatenate([sample.error, sample.error_rate], axis=-1)
         alive = (state["alive"] > 0.5) & is_alive(errors, self.limit, sample.u, sample.a)
         one = np.where(alive, 1.0, 0.0)
@@ -125,11 +148,11 @@ class Worst:
     def _measured(
         self, sample: Sample, state: Mapping[str, Any], alive: Any
     ) -> tuple[dict[str, Any], list[Any]]:
-        """Return what is kept of the plant's metrics, and their sizes."""
+        """Return the record of the plant's metrics, and their sizes."""
         columns = [(sample.measured[..., i], is_margin) for i, is_margin in self.metrics]
         bad = [-x if is_margin else np.abs(x) for x, is_margin in columns]
         before = {name: state[name] for name in ("worst", "metric_squares")}
-        if self.begin is not None:  # what was infinite before is forgotten, too
+        if self.begin is not None:  # reset infinite values of earlier samples, too
             first = self._no_metrics()
             before = {name: np.where(sample.k == self.begin, first[name], x) for name, x in before.items()}
         lives = alive[..., None]
@@ -147,23 +170,48 @@ class Worst:
 
 
 def _larger(a: Any, b: Any) -> Any:
-    """Return the larger of numbers that are known to be some."""
+    """Return the larger of two numbers, neither of which is NaN."""
     return np.where(a > b, a, b)
 
 
 @final
 @part
 class Samples:
-    """All samples: configuration, velocity, input, acceleration and signals."""
+    """Recorder of all samples: configuration, velocity, input, acceleration and signals.
+
+    See Also
+    --------
+    loop.Worst : recorder of the largest errors.
+    Rollout : recorded samples of a simulation.
+
+    Examples
+    --------
+    >>> from pinmobile.loop import Samples
+    >>> Samples().signals, Samples().errors
+    (True, False)
+    """
 
     signals: ClassVar[bool] = True
     errors: ClassVar[bool] = False
 
     def initial_state(self, n: int, nu: int) -> None:
-        """Return None: nothing is kept from one sample to the next."""
+        """Return None: the recorder has no memory."""
 
     def __call__(self, sample: Sample, state: object) -> Record:
-        """Return the sample."""
+        """Return the sample as a record.
+
+        Parameters
+        ----------
+        sample : Sample
+            Sample of the loop.
+        state : None
+            Memory.
+
+        Returns
+        -------
+        Record
+            Values to keep.
+        """
         kept = {"q": sample.q, "v": sample.v, "u": sample.u, "a": sample.a}
         kept |= {f"signal {name}": claim.value for name, claim in sample.signals.items()}
         return Record(state, (), kept, {name: claim.unit for name, claim in sample.signals.items()})

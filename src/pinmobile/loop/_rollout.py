@@ -285,8 +285,8 @@ class Rollout:
     >>> run = simulate(robot, PD(120, 120), path, dt=0.02)
     >>> run.max_input()[:2]  # [N]
     array([7.9, 8.1])
-    >>> run.rms_error()[:2]  # [m]
-    array([0.036, 0.033])
+    >>> float(run.rms_error()[0])  # [m]
+    0.036
     """
 
     plant: Any
@@ -559,7 +559,7 @@ class Rollout:
         write_archive(path, _FORMAT, self.content())
 
     def content(self) -> dict[str, Any]:
-        """Return the content of a file: the fields, with the plant as text, or as an outline for a user's class."""
+        """Return the content of a file: the fields, with the plant as text or as an outline."""
         own, plant = {each.name: getattr(self, each.name) for each in fields(self)}, ""
         outline = None if self.plant is None else PlantOutline.of(self.plant, self.q)
         try:

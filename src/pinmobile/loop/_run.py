@@ -1,4 +1,4 @@
-"""`ensemble`, the verb: the robots of a scenario run compiled, or one after another in Python."""
+"""`ensemble` runs the robots of a scenario, compiled or one after another in Python."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ from pinmobile.plant import Context, Plant
 from pinmobile.trajectories import Reference, Trajectory
 
 _ONE_BY_ONE = 16  # robots between two reports of progress
-_WORK = 2e7  # robots times samples that are compiled code's at once: some 0.3 s
-_SAMPLED = 1e6  # the same where each robot has a reference of its own: some 200 MB of them
+_WORK = 2e7  # robots times samples of one call of compiled code: some 0.3 s
+_SAMPLED = 1e6  # the same if each robot has its own reference: some 200 MB of references
 
 
 Progress = Callable[[int, int], None]
@@ -42,18 +42,18 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """How a scenario is run.
+    """Execution plan of a scenario.
 
     Attributes
     ----------
     scenario : Scenario
-        What is run.
+        Scenario of the runs.
     engine : Engine
-        By which engine.
+        Engine of the runs.
     fallback_reason : str
-        Why not compiled; "" where it is, or the engine was asked for.
+        Reason why the engine is not `Engine.COMPILED`; "" if it is, or if the user gave the engine.
     program : Compiled or None
-        Its compiled loop.
+        Compiled loop.
     """
 
     scenario: Scenario
@@ -69,19 +69,30 @@ class Way:
         threads: int = 1,
         progress: Progress | None = None,
     ) -> Part:
-        """Return the records of the robots from `start` to before `stop`, given what is drawn for these.
+        """Return the records of the robots from `start` to before `stop`.
+
+        Parameters
+        ----------
+        draws : mapping of str to ndarray, shape (stop - start,)
+            Draws of these robots.
+        start, stop : int
+            Range of robots.
+        threads : int
+            Threads of compiled code.
+        progress : callable, optional
+            Function ``progress(done, total)``.
 
         Raises
         ------
         InvalidArgument
-            If a metric becomes no number, of which nothing but the mean square tells.
+            If a metric becomes NaN; its mean square shows this.
         """
         return Part.joined(self._parts(draws, start, stop, threads, progress))
 
     def _parts(
         self, draws: Mapping[str, Array], start: int, stop: int, threads: int, progress: Progress | None
     ) -> Iterator[Part]:
-        """Yield the records of some robots at a time, for progress and for little memory."""
+        """Yield the records of some robots at a time, which allows progress reports and limits memory."""
         scenario, each = self.scenario, _ONE_BY_ONE
         if self.program is not None:
             work = _SAMPLED if scenario.has_own_references else _WORK
@@ -120,12 +131,19 @@ class Way:
 
 
 def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
-    """Return how a scenario is run: as asked for, by default compiled where its parts allow.
+    """Return the execution plan of a scenario: the given engine, by default compiled if its parts allow.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario of the runs.
+    engine : Engine, optional
+        Engine of the runs.
 
     Raises
     ------
     InvalidArgument
-        If the engine that is asked for cannot run it, or a parameter is spread that no law uses.
+        If the given engine cannot run the scenario, or if no law uses a number of the spread.
     """
     asked = checked_engine(engine)
     if asked is Engine.PYTHON:
@@ -154,7 +172,7 @@ def _with_recorder(scenario: Scenario, loop: Loop | None = None) -> Loop:
 
 
 class _Blind:
-    """The context of robots that have references of their own: it shows none, as there is no one of all."""
+    """Context of robots with different references: it hides reference and trajectory."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
@@ -162,19 +180,19 @@ class _Blind:
     def __getattr__(self, name: str) -> Any:
         if name in ("reference", "trajectory"):
             raise NotTraceable(
-                f"the controller asks its context for the {name}, which each robot has of its own",
-                "let it follow the reference of each sample, or spread no parameter of the trajectory",
+                f"the controller reads the {name} of its context, which differs from robot to robot",
+                "use the reference of each sample, or spread no parameter of the trajectory",
             )
         return getattr(self._context, name)
 
 
 def _context(scenario: Scenario) -> Any:
-    """Return the context of a controller of many robots at once."""
+    """Return the context of a controller that runs for many robots at once."""
     return _Blind(scenario.context) if scenario.has_own_references else scenario.context
 
 
 def _starts_otherwise(scenario: Scenario, path: str) -> bool:
-    """Return whether a number changes what the parts keep before the first sample."""
+    """Return whether a number changes the memory of the parts before the first sample."""
     value = np.asarray(scenario.find(path).leaf.value, np.float64)
     loops = scenario.loop, replaced(scenario.loop, {path: value * 1.001 + 1e-6})
     before, after = (arrays_of(initial_memory(loop, scenario.context)) for loop in loops)
@@ -186,17 +204,17 @@ def _as_compiled(scenario: Scenario) -> Compiled:
     compiled = Compiled(
         *(_with_recorder(scenario), _context(scenario), scenario.start, at),
         spread=scenario.entries,
-        single=scenario.n == 1,  # code for one takes two thirds of the time where it fills no vectors
+        single=scenario.n == 1,  # code for one robot does not fill vectors: two thirds of the time
         own_reference=scenario.has_own_references,
     )
     unused = set(compiled.tape.unused)
     for name, one in scenario.found.items():
-        # The plant's may not matter to one run, as the mass of what nobody pushes; it is its own.
+        # Numbers of the plant may have no effect in a run, such as the mass of a load at rest.
         path = one.leaf.path
         if not path.startswith("plant.") and path in unused and not _starts_otherwise(scenario, path):
             raise InvalidArgument(
                 f"spread has {name!r}, {one.meaning}, which no law of this loop uses, expected a number that "
-                "matters"
+                "a law uses"
             )
     return compiled
 
@@ -204,7 +222,7 @@ def _as_compiled(scenario: Scenario) -> Compiled:
 def _compiled(
     scenario: Scenario, program: Compiled, draws: Mapping[str, Array], start: int, stop: int, threads: int
 ) -> Part:
-    """Return the records of the robots from `start` to before `stop`, which run side by side."""
+    """Return the records of the robots from `start` to before `stop`, computed by machine code."""
     keys = {name: robot_keys(scenario.seed, name, range(start, stop)) for name in program.tape.keys}
     own = scenario.references(draws, stop - start, start)
     values = scenario.values(draws, start, stop)
@@ -222,7 +240,7 @@ def _compiled(
 
 
 def _alone(scenario: Scenario, draws: Mapping[str, Array], i: int, *, compiles: bool) -> Part:
-    """Return the records of robot i, whose controller, or whose loop, runs in Python."""
+    """Return the record of robot i; its controller, or its whole loop, runs in Python."""
     member = member_of(scenario, i, draws)
     reference = sampled(member.trajectory, scenario.t, member.robot)
     context = Context.of(
@@ -237,7 +255,7 @@ def _alone(scenario: Scenario, draws: Mapping[str, Array], i: int, *, compiles: 
             loop = with_compiled_plant(loop, context, q, v)
     record = loop.recorder.initial_state(scenario.size, loop.plant.nu)
     counts = np.zeros((len(scenario.grid), len(scenario.channels), BINS), np.int32)
-    counts[..., -1] = 1  # of a robot that has diverged
+    counts[..., -1] = 1  # a diverged robot counts in the last bin
     for channel, one in enumerate(scenario.channels):
         if one.is_margin:
             counts[:, channel, 0], counts[:, channel, -1] = 1, 0
@@ -275,46 +293,63 @@ def ensemble(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Ensemble:
-    """Run a closed loop `n` times, each time with a robot, a start, gains or disturbances of its own.
+    """Run a closed loop for `n` robots with different parameters, starts, gains or disturbances.
 
     The same seed gives the same numbers, bit for bit, for any number of threads.
 
     Parameters
     ----------
-    robot, controller, trajectory, n, spread, seed, dt, duration, integrator, substeps, forces, limit
+    robot, controller, trajectory, n, spread, dt, seed, duration, integrator, substeps, forces, limit
         See `Scenario`.
     after : float
-        Time from which on errors are kept [s].
+        Time from which the ensemble records errors [s].
     every : int, optional
-        Samples between two entries of the bands over time.
+        Samples between two entries of the bands over time; default: some 60 entries.
     metrics : sequence of str, optional
-        What the robot states that is judged beside errors, by name; by default all, see `Scenario`.
+        Names of the robot's metrics to record beside errors; default: all, see `Scenario`.
     traces : iterable of int
-        Robots of which a whole `Rollout` is kept, made by `simulate`.
+        Indices of robots whose samples are kept as a `Rollout`, which `simulate` computes.
     engine : Engine, optional
-        `Engine.COMPILED`, the default where all parts can be compiled, or `Engine.PYTHON`, one robot after
-        another.
+        `Engine.COMPILED`, the default if all parts can be compiled, or `Engine.PYTHON`, which runs one robot
+        after another.
     threads : int, optional
-        Of compiled loops; by default one for each processor.
+        Threads of compiled code; default: one for each processor.
     progress : callable, optional
-        Called as ``progress(done, n)`` from time to time.
+        Function ``progress(done, n)``, called from time to time.
 
     Returns
     -------
-    ensemble : Ensemble
+    Ensemble
+        Results of the robots.
 
     Raises
     ------
     InvalidArgument, UnknownName
-        If an argument is not what is expected, draws are impossible, or the engine that is asked for cannot
-        run the loop.
+        If an argument is invalid, draws are impossible, or the given engine cannot run the loop.
 
     Warns
     -----
     SlowerEngine
-        If a part keeps the loop from the fastest engine; it names the part and what to write instead.
+        If a part prevents the fastest engine. The message names the part and the code to write instead.
     LimitWarning
-        Once, if robots tip over: see `Ensemble.events`.
+        Once, if robots tip over, see `Ensemble.events`.
+
+    See Also
+    --------
+    simulate : run one robot.
+    Scenario : loop and spread of an ensemble.
+    sweep : ensembles at the points of a grid.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Tangent
+    >>> from pinmobile import Uniform, ensemble
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> parts = robot, PD(120, 120), Tangent(Circle(1.0, 0.5, 4.0))
+    >>> spread = {"mass": Uniform(20.0, 40.0)}  # [kg]
+    >>> runs = ensemble(*parts, n=100, spread=spread, dt=0.02)
+    >>> runs.error_quantile(0.99).distance  # [m]
+    0.079
     """
     scenario = Scenario(
         robot=robot,
@@ -344,12 +379,41 @@ def run_scenario(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Ensemble:
-    """Run all robots of a scenario; the arguments are those of `ensemble`.
+    """Run all robots of a scenario.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Loop and spread of the ensemble.
+    traces, engine, threads, progress
+        See `ensemble`.
+
+    Returns
+    -------
+    Ensemble
+        Results of the robots.
 
     Raises
     ------
     InvalidArgument
-        As `ensemble`.
+        If an argument is invalid, or the given engine cannot run the loop.
+
+    See Also
+    --------
+    ensemble : the same with the arguments of a scenario.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Scenario
+    >>> from pinmobile import Tangent, Uniform
+    >>> from pinmobile.loop import run_scenario
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> runs = Scenario(robot=robot, controller=PD(120, 120),
+    ...                 trajectory=Tangent(Circle(1.0, 0.5, 4.0)),
+    ...                 spread={"mass": Uniform(20, 40)},
+    ...                 n=100, dt=0.02)
+    >>> run_scenario(runs).error_quantile(0.99).distance  # [m]
+    0.079
     """
     checked_scenario(scenario)
     workers = processors() if threads is None else whole("threads", threads)
@@ -377,28 +441,47 @@ def run_scenario(
 def part_of(
     scenario: Scenario, start: int, stop: int, engine: Engine | None = None
 ) -> tuple[dict[str, Array], Part]:
-    """Return the draws and records of the robots from `start` to before `stop`: a chunk of a sweep.
+    """Return the draws and records of the robots from `start` to before `stop`: one chunk of a sweep.
 
     Parameters
     ----------
     scenario : Scenario
-        Whose robots.
+        Loop and spread of the ensemble.
     start, stop : int
-        Which of them, 0 <= start < stop <= n.
+        Range of robots, 0 <= start < stop <= n.
     engine : Engine, optional
-        As in `ensemble`.
+        See `ensemble`.
 
     Returns
     -------
     draws : dict of str to ndarray, shape (stop - start,)
-        What was drawn, by name.
+        Value of each number of the spread for each robot.
     part : Part
-        The records.
+        Records of the robots.
 
     Raises
     ------
     InvalidArgument
-        As `ensemble`.
+        If draws are impossible, or the given engine cannot run the loop.
+
+    See Also
+    --------
+    run_scenario : run all robots.
+    loop.Part : records of some robots.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Scenario
+    >>> from pinmobile import Tangent, Uniform
+    >>> from pinmobile.loop import part_of
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> runs = Scenario(robot=robot, controller=PD(120, 120),
+    ...                 trajectory=Tangent(Circle(1.0, 0.5, 4.0)),
+    ...                 spread={"mass": Uniform(20, 40)},
+    ...                 n=100, dt=0.02)
+    >>> draws, part = part_of(runs, 10, 20)
+    >>> len(draws["mass"]), float(part.max_distance.max())  # [m]
+    (10, 0.077)
     """
     draws = scenario.draws(start, stop)
     return draws, way_of(scenario, engine).run(draws, start, stop)

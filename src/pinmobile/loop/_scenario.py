@@ -56,14 +56,14 @@ from pinmobile.parts import (
 from pinmobile.plant import Context, Coordinate, Input, Parameter, Plant
 from pinmobile.trajectories import Reference, Trajectory
 
-_SAME = 1e-6  # of dt: a time that is meant to be a sample's
-_GRID = 60  # intervals between counts, about
+_SAME = 1e-6  # tolerance of sample times, as a share of dt
+_GRID = 60  # approximate number of intervals between counts
 _MOST = 100_000_000  # robots
-_RECORD = 150  # bytes for each, about
+_RECORD = 150  # approximate bytes per robot
 
 
 class Recorded:
-    """What an ensemble records of a scenario, or of one that is known in words."""
+    """Grid, times and channels of an ensemble, from a scenario or from its description."""
 
     t: Array
     dt: float
@@ -79,7 +79,7 @@ class Recorded:
 
     @property
     def begin(self) -> int:
-        """First sample at or after the time `after`, the first whose error is recorded."""
+        """Index of the first sample at or after the time `after`; the ensemble records errors from there."""
         return int(np.searchsorted(self.t, self.after - _SAME * self.dt))
 
     @property
@@ -96,28 +96,30 @@ class Recorded:
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Scenario(Recorded):
-    """A closed loop with n robots, each with its own parameters, start and disturbance.
+    """Closed loop with n robots, each with its own parameters, start and disturbance.
 
     Parameters
     ----------
     robot : MobileRobot or other plant
         Nominal plant. The spread may name its numbers, and those of its loads, links, motors and arms.
     controller : controller
-        See `simulate`.
+        Controller, see `simulate`.
     trajectory : trajectory
-        The same for all robots, unless the spread names a number of it or of its path: each robot then has
-        its own reference and errors. All references have the same sample times.
+        Trajectory of all robots. If the spread names a number of the trajectory or its path, each robot has
+        its own reference. All references have the same sample times.
     n : int
         Number of robots.
     spread : mapping of str to Distribution, number or array of shape (n,)
         Distributions of numbers, by path: ``"plant.mass"``, ``"forces.0.force.x"``, ``"controller.kp"``,
-        ``"trajectory.path.radius"``, ``"start.x"``. The end of a path is enough: ``"mass"`` is the
-        plant's number if it has one, otherwise that nearest to the loop. All other numbers are nominal.
-        The controller model keeps its own numbers unless the spread names them, such as
-        ``"controller.mass"``; `TRUE_MODEL` gives it those of each robot.
+        ``"trajectory.path.radius"``, ``"start.x"``. The end of a path is enough: ``"mass"`` is the plant's
+        number if it has one, otherwise the one nearest to the loop. All other numbers are nominal. The
+        controller model keeps its own numbers unless the spread names them, such as ``"controller.mass"``;
+        `pinmobile.loop.TRUE_MODEL` gives it those of each robot.
+    dt : float
+        Time step of the controller [s].
     seed : int
         Seed of all draws; those of robot i do not depend on n.
-    dt, duration, integrator, substeps, forces, limit
+    duration, integrator, substeps, forces, limit
         See `simulate`. A `NoiseForce` or a `MeasurementNoise` has its own draws for each robot, which depend
         on this seed and its own.
     after : float
@@ -127,12 +129,38 @@ class Scenario(Recorded):
         Samples between two entries of the bands over time; default: some 60 entries.
     metrics : sequence of str, optional
         Names of the robot's metrics to record beside errors; default: all. Compiled robots with arms take 1.4
-        times as long with all metrics as with none, ``()``. Robots that tip over are counted by "tip over".
+        times as long with all metrics as with none, ``()``. The metric "tip over" counts robots that tip
+        over.
+
+    Attributes
+    ----------
+    t : ndarray, shape (N + 1,)
+        Times of the samples [s].
+    reference : Reference
+        Reference of the nominal robot at these times.
 
     Raises
     ------
     InvalidArgument, UnknownName
-        If an argument is invalid, or draws are impossible (with their share).
+        If an argument is invalid, or draws are impossible; the message gives their share.
+
+    See Also
+    --------
+    ensemble : run the robots of a scenario.
+    sweep : run a scenario at the points of a grid.
+    Uniform : distribution of a number.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Scenario
+    >>> from pinmobile import Tangent, Uniform
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> runs = Scenario(robot=robot, controller=PD(120, 120),
+    ...                 trajectory=Tangent(Circle(1.0, 0.5, 4.0)),
+    ...                 spread={"mass": Uniform(20, 40)},
+    ...                 n=100, dt=0.02)
+    >>> runs.draws(0, 3)["mass"]  # [kg]
+    array([26.7, 20.7, 37.8])
     """
 
     robot: Any
@@ -234,7 +262,7 @@ class Scenario(Recorded):
 
     @cached_property
     def context(self) -> Context:
-        """Argument of the controller's initialisation."""
+        """Context of the controller's initialisation."""
         context = Context.of(
             self.robot, dt=self.dt, t=self.t, reference=self.reference, trajectory=self.trajectory
         )
@@ -242,7 +270,7 @@ class Scenario(Recorded):
 
     @cached_property
     def given(self) -> Loop:
-        """The loop that is given: the nominal one, before the spread gives its numbers entries."""
+        """Nominal loop, before the spread changes the shapes of its numbers."""
         parts = self.robot, self.controller, self.trajectory, self.forces, self.integrator
         return Loop(*parts, self.substeps)
 
@@ -273,7 +301,7 @@ class Scenario(Recorded):
 
     @cached_property
     def loop(self) -> Loop:
-        """The nominal loop; numbers of the spread have the shape that they have for each robot."""
+        """Nominal loop; numbers of the spread have the shape that they have for each robot."""
         ones = {name: np.ones(1) for name in self.spread}
         grown = {
             path: value[0]
@@ -353,16 +381,16 @@ class Scenario(Recorded):
         return found
 
     def _sampled(self, trajectory: Trajectory) -> Reference:
-        """Return the reference of a robot's own trajectory, which must have the shape of all."""
+        """Return the reference of a robot's own trajectory, which must have the same shape for all robots."""
         longest = float(trajectory.duration)
         if longest < self.t[-1] * (1 - _SAME):
             raise InvalidArgument(
-                f"its trajectory lasts {longest:.9g} s, expected at least {self.t[-1]:.9g} s, as the ensemble"
+                f"its trajectory lasts {longest:.9g} s, expected at least {self.t[-1]:.9g} s as the ensemble"
             )
         reference = sampled(trajectory, np.minimum(self.t, longest), self.robot)
         if reference.v.shape != self.reference.v.shape:
             raise InvalidArgument(
-                f"its trajectory has {reference.v.shape[1]} coordinates, expected {self.size}, as of all"
+                f"its trajectory has {reference.v.shape[1]} coordinates, expected {self.size} as all others"
             )
         return reference
 
@@ -374,7 +402,7 @@ class Scenario(Recorded):
 
     @cached_property
     def _last_draws(self) -> dict[str, dict[int, Array]]:
-        """Draws of these parts for the last block of robots, made once for one robot after another."""
+        """Draws of these parts for the last block of robots, kept for the next robots of the block."""
         return {}
 
     def values(self, draws: Mapping[str, Array], start: int, stop: int) -> dict[str, Array]:
@@ -456,7 +484,7 @@ class Scenario(Recorded):
     def holding(self, start: int, stop: int) -> Scenario:
         """Return the scenario for a process that runs the robots from `start` to before `stop`.
 
-        Arrays of the spread contain these robots only; everything else, draws included, is the same.
+        Arrays of the spread contain only these robots. Everything else, draws included, is the same.
         """
         part = copy(self)
         object.__setattr__(part, "spread", held(self.spread, start, stop))
@@ -510,7 +538,7 @@ def checked_scenario(scenario: object) -> Scenario:
     Raises
     ------
     InvalidArgument
-        If it is no `Scenario`.
+        If the argument is not a `Scenario`.
     """
     found: Scenario = instance("scenario", scenario, Scenario, "a Scenario")
     return found
@@ -521,18 +549,18 @@ def _drawn_by(part: Any, name: str, generator: np.random.Generator, count: int) 
 
 
 def _numbered(path: str) -> str:
-    """Return the name of a force in streams of random numbers, of its path."""
+    """Return the name of a force in streams of random numbers, from its path."""
     first, _, rest = path.partition(".")
     return f"{first}[{rest}]" if rest.isdigit() else path
 
 
 def _moved(plant: Plant, q: Array, displacements: Array) -> Array:
-    """Return the configurations after displacements (m, nv), shape (m, nq); in one call if the plant can."""
+    """Return the configurations after displacements, shape (m, nq), in one call if the plant supports it."""
     ends = [plant.integrate(q, displacements[k]) for k in (0, -1)]
     try:
         found = np.asarray(plant.integrate(q, displacements), np.float64)
         if found.shape == (len(displacements), plant.nq) and np.array_equal(found[[0, -1]], ends):
             return found
     except (TypeError, ValueError, IndexError):
-        pass  # it takes one state
+        pass  # the plant accepts one state
     return np.array([plant.integrate(q, each) for each in displacements], np.float64)

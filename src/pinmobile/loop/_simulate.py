@@ -208,7 +208,7 @@ def simulate(
     told, chunk = (controller, trajectory), len(t) if isinstance(loop, CompiledRun) else _CHUNK
     for begin in range(0, len(t), chunk):
         end = min(begin + chunk, len(t))
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below reports overflow
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below reports it
             loop.fill(begin, end)
         if loop.is_fine(begin, end, limit):
             continue

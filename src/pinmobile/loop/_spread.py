@@ -19,10 +19,39 @@ from pinmobile.plant import stated
 
 @runtime_checkable
 class Distribution(Protocol):
-    """Distribution of a spread; a frozen distribution of `scipy.stats` (with ``rvs``) works too."""
+    """Distribution of a spread; a frozen distribution of `scipy.stats` (with ``rvs``) works too.
+
+    See Also
+    --------
+    Uniform : uniform distribution.
+    Normal : normal distribution.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.loop import Distribution
+    >>> class Coin:
+    ...     def sample(self, generator, size):
+    ...         return generator.choice([20.0, 40.0], size)
+    >>> isinstance(Coin(), Distribution)
+    True
+    """
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
-        """Return `size` independent draws, shape (size,)."""
+        """Return independent draws.
+
+        Parameters
+        ----------
+        generator : numpy.random.Generator
+            Source of randomness.
+        size : int
+            Number of draws.
+
+        Returns
+        -------
+        ndarray, shape (size,)
+            Draws in the unit of the number.
+        """
 
 
 @final
@@ -39,23 +68,56 @@ class Uniform:
     Raises
     ------
     InvalidArgument
-        If a bound is not finite, or `low` is above `high`.
+        If a bound is not finite, or `low` exceeds `high`.
+
+    See Also
+    --------
+    Normal : normal distribution.
+    Relative : factor of the nominal number.
+    ensemble : run many robots with different numbers.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import Uniform
+    >>> mass = Uniform(20.0, 40.0)  # [kg]
+    >>> draws = mass.sample(np.random.default_rng(0), 1000)
+    >>> float(draws.mean())  # [kg]
+    30.3
     """
 
     low: float = number(doc="lower bound")
     high: float = number(doc="upper bound")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where the bounds have no width."""
+        """Raise `InvalidArgument` if `low` exceeds `high`, or if the width is not finite."""
         if self.low > self.high:
             raise InvalidArgument(f"low is {self.low}, expected at most high, {self.high}")
         if not isfinite(self.high - self.low):
             raise InvalidArgument(
-                f"high is {self.high} and low {self.low}, expected a width that is a number: at most 1.79e308"
+                f"high is {self.high} and low {self.low}, expected a width of at most 1.79e308"
             )
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
-        """Return `size` independent draws, shape (size,)."""
+        """Return independent draws.
+
+        Parameters
+        ----------
+        generator : numpy.random.Generator
+            Source of randomness.
+        size : int
+            Number of draws.
+
+        Returns
+        -------
+        ndarray, shape (size,)
+            Draws in the unit of the number.
+
+        Raises
+        ------
+        InvalidArgument
+            If `generator` is not a Generator, or `size` is not a whole number >= 0.
+        """
         return _random(generator).uniform(self.low, self.high, checked_size(size))
 
     def support(self) -> tuple[float, float]:
@@ -63,7 +125,7 @@ class Uniform:
         return self.low, self.high
 
     def cdf(self, value: float) -> float:
-        """Return the probability of draws up to `value`."""
+        """Return the probability that a draw does not exceed `value`, a number in the unit of the bounds."""
         value, width = scalar("value", value), self.high - self.low
         return min(max((value - self.low) / width, 0.0), 1.0) if width else float(value >= self.low)
 
@@ -82,31 +144,88 @@ class Normal:
     Raises
     ------
     InvalidArgument
-        If one is not finite, or `std` is negative.
+        If a parameter is not finite, or `std` is negative.
+
+    See Also
+    --------
+    Uniform : uniform distribution.
+    ensemble : run many robots with different numbers.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import Normal
+    >>> mass = Normal(mean=30.0, std=2.0)  # [kg]
+    >>> draws = mass.sample(np.random.default_rng(0), 1000)
+    >>> float(draws.std())  # [kg]
+    1.9
     """
 
     mean: float = number(doc="mean")
     std: float = number(lower=0.0, doc="standard deviation")
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
-        """Return `size` independent draws, shape (size,)."""
+        """Return independent draws.
+
+        Parameters
+        ----------
+        generator : numpy.random.Generator
+            Source of randomness.
+        size : int
+            Number of draws.
+
+        Returns
+        -------
+        ndarray, shape (size,)
+            Draws in the unit of the number.
+
+        Raises
+        ------
+        InvalidArgument
+            If `generator` is not a Generator, or `size` is not a whole number >= 0.
+        """
         return _random(generator).normal(self.mean, self.std, checked_size(size))
 
 
 @final
 @dataclass(frozen=True)
 class SameAs:
-    """The value of another number of the same robot, times a factor.
+    """Value of another number of the same robot, times a factor.
 
-    ``{"mass": Uniform(20, 40), "controller.mass": SameAs("mass")}`` gives the controller model the true mass;
-    ``SameAs("mass", Normal(1, 0.1))`` gives it a mass with an error of some 10 %.
+    ``{"mass": Uniform(20, 40), "controller.mass": SameAs("mass")}`` gives the controller model the true mass.
+    ``SameAs("mass", Normal(1, 0.1))`` gives the controller model a mass with a relative error of about 10 %.
 
     Parameters
     ----------
     name : str
-        Name of the other number, in the spread or not.
+        Name of the other number, which may be outside the spread.
     factor : float, array_like of shape (n,) or distribution
         Factor of the other number.
+
+    Raises
+    ------
+    InvalidArgument
+        If `name` is not text, or `factor` is a `SameAs` or a `Relative`.
+
+    See Also
+    --------
+    loop.TRUE_MODEL : spread that gives a controller model the true numbers.
+    Relative : factor of the nominal number.
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, ComputedTorque, MobileRobot
+    >>> from pinmobile import SameAs, Scenario, Tangent, Uniform
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> law = ComputedTorque(robot, kp=4, kd=4)
+    >>> spread = {"mass": Uniform(20, 40)}
+    >>> spread["controller.mass"] = SameAs("mass")
+    >>> path = Tangent(Circle(1.0, 0.5, 4.0))
+    >>> runs = Scenario(robot=robot, controller=law, trajectory=path,
+    ...                 n=100, spread=spread, dt=0.02)
+    >>> draws = runs.draws()
+    >>> bool((draws["mass"] == draws["controller.mass"]).all())
+    True
     """
 
     name: str
@@ -120,14 +239,36 @@ class SameAs:
 @final
 @dataclass(frozen=True)
 class Relative:
-    """The nominal number times a factor: ``{"kp": Relative(Uniform(0.8, 1.2))}``.
+    """Nominal number times a factor, such as ``{"kp": Relative(Uniform(0.8, 1.2))}``.
 
     One factor multiplies all entries of an array.
 
     Parameters
     ----------
     factor : float, array_like of shape (n,) or distribution
-        Factor of the nominal value.
+        Factor of the nominal number.
+
+    Raises
+    ------
+    InvalidArgument
+        If `factor` is a `SameAs` or a `Relative`.
+
+    See Also
+    --------
+    Uniform : distribution of the number itself.
+    SameAs : value of another number.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Relative
+    >>> from pinmobile import Scenario, Tangent, Uniform
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> runs = Scenario(robot=robot, controller=PD(120, 120),
+    ...                 trajectory=Tangent(Circle(1.0, 0.5, 4.0)),
+    ...                 spread={"mass": Relative(Uniform(0.8, 1.2))},
+    ...                 n=100, dt=0.02)
+    >>> float(runs.draws()["mass"].min())  # [kg], at least 24
+    24.0
     """
 
     factor: Distribution | ArrayLike
@@ -139,13 +280,13 @@ class Relative:
 def _check_factor(factor: object) -> None:
     if isinstance(factor, SameAs | Relative):
         raise InvalidArgument(
-            f"factor is {shown(factor)}, expected a number, numbers or a distribution: give what is the same "
-            "as another one a name in the spread"
+            f"factor is {shown(factor)}, expected a number, an array or a distribution: give the other "
+            "number its own entry in the spread"
         )
 
 
 class _TrueModel(Mapping[str, SameAs]):
-    """Immutable mapping that other processes can receive; a pickle returns the same object."""
+    """Immutable mapping whose pickle returns the same object in another process."""
 
     def __init__(self, names: Iterable[str]) -> None:
         self._held = {f"controller.{name}": SameAs(f"plant.{name}") for name in names}
@@ -167,7 +308,10 @@ class _TrueModel(Mapping[str, SameAs]):
 
 
 TRUE_MODEL: Mapping[str, SameAs] = _TrueModel(("mass", "yaw_inertia", "com.x", "com.y"))
-"""Spread that gives a controller model each robot's numbers: ``{"mass": Uniform(20, 40), **TRUE_MODEL}``."""
+"""Spread that gives a controller model each robot's numbers: ``{"mass": Uniform(20, 40), **TRUE_MODEL}``.
+
+The mapping contains mass, yaw inertia, com.x and com.y.
+"""
 
 Source: TypeAlias = Distribution | SameAs | Relative | ArrayLike
 
@@ -178,12 +322,12 @@ def _random(generator: object) -> np.random.Generator:
 
 
 def checked_size(size: int) -> int:
-    """Return the number of draws.
+    """Return a number of draws.
 
     Raises
     ------
     InvalidArgument
-        If it is no whole number, or the draws do not fit into memory.
+        If the number is not a whole number >= 0, or the draws do not fit into memory.
     """
     count = whole("size", size, least=0)
     affordable(f"{count} draws", count, "draw fewer at a time")
@@ -213,7 +357,7 @@ def drawn(name: str, source: Any, generator: np.random.Generator, size: int) -> 
         values = source.sample(generator, size)
     else:
         values = source.rvs(size=size, random_state=generator)
-    what = f"what spread[{name!r}] draws"
+    what = f"spread[{name!r}].sample"
     return shaped(what, finite(what, values), (size,))
 
 
@@ -238,8 +382,8 @@ def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str
     UnknownName
         If there is no such number.
     InvalidArgument
-        If a source is no distribution, number, array of shape (n,), `Relative` or `SameAs`, or is circular,
-        or two names mean one number.
+        If a source is not a distribution, number, array of shape (n,), `Relative` or `SameAs`, if a `SameAs`
+        is circular, or if two names mean the same number.
     """
     found, named = {}, dict[str, str]()
     for name, source in spread.items():
@@ -248,12 +392,12 @@ def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str
         if one.is_array and entries and not (one.leaf.is_gain or isinstance(source, Relative | SameAs)):
             each = ", ".join(repr(f"{name}.{entry}") for entry in entries)
             raise InvalidArgument(
-                f"spread has {name!r}, which has {len(entries)} numbers that differ, expected {each}, or a "
+                f"spread has {name!r}, an array of {len(entries)} different numbers, expected {each}, or a "
                 "Relative distribution"
             )
         if named.setdefault(path, name) != name:
             raise InvalidArgument(
-                f"spread has {named[path]!r} and {name!r}, both of which are {path}, expected one of them"
+                f"spread has {named[path]!r} and {name!r}, which both mean {path}, expected one of them"
             )
         found[name] = _checked(f"spread[{name!r}]", source, n)
         if isinstance(source, SameAs):
@@ -314,9 +458,9 @@ def _checked(what: str, source: Any, n: int) -> Any:
         return Relative(_checked(f"{what}.factor", source.factor, n))
     if isinstance(source, type):
         raise InvalidArgument(
-            f"{what} is the class {source.__name__}, expected one of it, such as Uniform(1, 2)"
+            f"{what} is the class {source.__name__}, expected an object of a class, such as Uniform(1, 2)"
         )
-    numbers = stated(source, "__array__") is not None  # such as a column of pandas, which has a `sample` too
+    numbers = stated(source, "__array__") is not None  # a column of pandas has `sample` too
     if not numbers and any(stated(source, name) is not None for name in ("sample", "rvs")):
         return source
     values = finite(what, source)
@@ -339,7 +483,17 @@ _BLOCK = 4096  # robots with draws from one stream of random numbers
 
 
 def stream(seed: int, what: str, *where: int) -> np.random.SeedSequence:
-    """Return the seed of the stream of `what`, for a robot or a block of robots."""
+    """Return the seed of a stream of random numbers, for a robot or a block of robots.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the ensemble.
+    what : str
+        Name of the stream.
+    *where : int
+        Index of the robot or block.
+    """
     return np.random.SeedSequence(seed, spawn_key=(crc32(what.replace(".", "_").encode()), *where))
 
 
@@ -381,7 +535,7 @@ def draw(spread: Mapping[str, Any], seed: int, start: int, stop: int, find: Find
                 values[path] = _values(name, source, seed, start, stop)
             elif found.is_array:
                 raise InvalidArgument(
-                    f"spread refers to {path!r}, which has several numbers, expected one that has one"
+                    f"spread refers to {path!r}, an array of different numbers, expected a single number"
                 )
             else:
                 return np.full(stop - start, found.value)
@@ -392,7 +546,7 @@ def draw(spread: Mapping[str, Any], seed: int, start: int, stop: int, find: Find
 
 @dataclass(frozen=True)
 class _Held:
-    """Part of an array of the spread, for the robots from `start` on."""
+    """Part of an array of the spread, for the robots from index `start` on."""
 
     start: int
     values: Array
@@ -445,13 +599,14 @@ def in_blocks(
     what : str
         Name of the stream of random numbers.
     draws : callable
-        ``draws(generator, size)`` returns an array of shape (size, ...).
+        Function ``draws(generator, size)`` that returns an array of shape (size, ...).
     seed : int
         Seed of the ensemble.
     start, stop : int
         Range of robots.
     last : dict of int to ndarray, optional
-        Draws of the last block by its number, which are kept for the robots that are asked for next.
+        Draws of the last block by its index. The function stores the block of its last robot here, so that a
+        call for the next robots is fast.
     """
     known, first = dict(last or {}), start // _BLOCK
     blocks = range(first, -(-stop // _BLOCK))

@@ -1,4 +1,4 @@
-"""From a closed loop to its tape: `step` run on symbols, and compared with itself on numbers."""
+"""Tracing of a closed loop: `step` runs with symbols, and the tape is compared with numbers."""
 
 from __future__ import annotations
 
@@ -44,16 +44,16 @@ from pinmobile.trajectories import Reference
 
 
 class _Asked(NamedTuple):
-    """What the laws were asked on numbers, and what they gave.
+    """Sample on numbers: arguments and results of the laws.
 
     Attributes
     ----------
     k : int
-        Number of the sample.
+        Index of the sample.
     memory, after : State
-        The state at the sample, and at the next one.
+        State at the sample and at the next one.
     record : Record
-        What the recorder made of the sample.
+        Result of the recorder.
     """
 
     k: int
@@ -64,28 +64,28 @@ class _Asked(NamedTuple):
 
 @attrs.define
 class Trace:
-    """The way from a closed loop to its tape.
+    """Tracing of a closed loop to its tape.
 
-    The laws run once on numbers, so that their own errors come as they are, and then on symbols: those that
-    are not the library's own at least twice. Both tapes must be the same, and give the numbers.
+    The laws run once with numbers, which reports their own errors unchanged, and then with symbols. Laws of
+    users run with symbols at least twice. Both tapes must be equal and must reproduce the numbers.
 
     Parameters
     ----------
     loop : Loop
-        The closed loop.
+        Closed loop.
     context : Context
         Argument of the controller's `initial_state`.
     start : (ndarray, ndarray), shape (nq,), (nv,)
-        A start.
+        Initial configuration and velocity.
     reference : Reference
-        Its first sample.
+        Reference of the first sample.
     identity : Identity
-        Of the loop.
+        Identity of the loop.
     spread : mapping of str to array of bool
-        Paths of the numbers that differ from robot to robot, with the entries that do; the others are numbers
-        of the run.
+        Paths of the numbers that differ from robot to robot, with masks of the entries that differ. All other
+        numbers are the same for all robots.
     own_reference : bool
-        Whether each robot has a reference of its own.
+        Whether each robot has its own reference.
     """
 
     loop: Loop
@@ -110,12 +110,12 @@ class Trace:
         return self.context.dt / self.loop.substeps
 
     def result(self) -> LoopTape:
-        """Return the tape, after it has been compared with itself and with numbers.
+        """Return the tape, after the comparison with a second tape and with numbers.
 
         Raises
         ------
         NotTraceable
-            If a law cannot be run on symbols; its line, and what to write instead.
+            If a law does not accept symbols; the message contains its line and the code to write instead.
         """
         check_schedules(self.loop, self.context, self.spread)
         number = self._shaped()
@@ -135,7 +135,7 @@ class Trace:
         return tape
 
     def _shaped(self) -> list[_Asked]:
-        """Return what the laws give on numbers at two samples, after learning the memory's shapes of them."""
+        """Return two samples on numbers, after the shapes of the memory are known."""
         for _ in range(4):
             found = self._at(0, *self.start)
             grew = False
@@ -147,10 +147,10 @@ class Trace:
                         grew = True
             if not grew:
                 return [found, self._elsewhere()]
-        raise NotTraceable("the memory has another shape at each sample", "keep arrays of one shape in state")
+        raise NotTraceable("the memory changes its shape at each sample", "keep arrays of one shape in state")
 
     def _at(self, k: int, q: Array, v: Array) -> _Asked:
-        """Return a sample on numbers; laws may write into what they are given."""
+        """Return a sample on numbers; the laws receive copies, because they may change their arguments."""
         begun = self._memory(k)._replace(q=q, v=v)
         own = State(q.copy(), v.copy(), *(mapped(getattr(begun, owner), np.copy) for owner in OWNERS))
         reference = Reference(*(x.copy() for x in self.reference))
@@ -158,7 +158,7 @@ class Trace:
         return _Asked(k, begun, after, record)
 
     def _memory(self, k: int) -> State:
-        """Return the memory before any sample, but with the noise of sample k."""
+        """Return the memory before the first sample, with the noise of sample k."""
         begun = initial_memory(
             self.loop,
             self.context,
@@ -168,14 +168,14 @@ class Trace:
         return self.grown(begun)
 
     def _elsewhere(self) -> _Asked:
-        """Return the same a sample later at another state, which no law takes for a special one."""
+        """Return a sample at the next time and at a general state, so that no law sees a special case."""
         q, v = self.start
         moved = 0.07 * np.cos(2.0 + np.arange(len(v)))
         v = v + 0.05 * np.sin(1.0 + np.arange(len(v)))
         return self._at(1, np.asarray(self.loop.integrate(q, moved), np.float64), v)
 
     def grown(self, memory: State) -> State:
-        """Return the memory with arrays of the shapes that they come to have."""
+        """Return the memory with arrays of the final shapes."""
         found = {}
         for owner in OWNERS:
             tree = getattr(memory, owner)
@@ -196,13 +196,13 @@ class Trace:
             return
         told = self._tape(calling_place)
         ends = [len(told.tape) - 1]
-        for other in (one, two):  # a law that takes turns is told apart from one of them
+        for other in (one, two):  # a law with alternating results differs from one of the tapes
             known = zip(other.tape.operations, told.tape.operations, strict=False)
             ends += [i for i, (a, b) in enumerate(known) if a != b][:1]
         differ = min(ends)
         raise NotTraceable(
-            "the law computes something else when it is asked again, as one does that counts, draws or "
-            "remembers outside its state",
+            "the law computes something else when it runs again: it counts, draws random numbers or "
+            "keeps memory outside its state",
             "keep memory in state, and take noise from context.noise(name, n)",
             told.tape.places[min(differ, len(told.tape.places) - 1)],
         )
@@ -214,7 +214,7 @@ class Trace:
             kept = [value for leaf, value in memory if leaf.kind == "state"]
             rows = [_flat_numbers([x]) for x in (after.q, after.v, *kept, *asked.record.kept.values())]
             expected = [x for row in rows for x in row]
-            sizes = [max(map(abs, row)) for row in rows for _ in row]  # forces of wheels share their errors
+            sizes = [max(map(abs, row)) for row in rows for _ in row]  # relative to the largest entry
             wanted = [after for _, after in loop.states]
             wanted += [node for _, nodes in loop.kept.values() for node in nodes]
             with np.errstate(all="ignore"):
@@ -229,9 +229,9 @@ class Trace:
             if not near.all():
                 i = int(np.argmin(near))
                 raise NotTraceable(
-                    f"on symbols, {_name(loop, i)} is {got[i]:g} after a sample, and on numbers "
+                    f"with symbols, {_name(loop, i)} is {got[i]:g} after a sample, and with numbers "
                     f"{expected[i]:g}",
-                    "let the law do the same for every kind of array, without isinstance or try",
+                    "write a law that treats every kind of array alike, without isinstance or try",
                 )
 
     def _inputs(self, loop: LoopTape, asked: _Asked) -> dict[Any, Any]:
@@ -253,7 +253,7 @@ class Trace:
 
 
 class _Pass:
-    """One run of the laws on symbols."""
+    """One run of the laws with symbols."""
 
     def __init__(self, trace: Trace, tape: Tape) -> None:
         self.trace, self.tape = trace, tape
@@ -320,7 +320,7 @@ class _Pass:
         )
 
     def _symbolic(self) -> dict[str, Symbols]:
-        """Return symbols of the numbers, by path; entries that are neutral for all robots are known."""
+        """Return symbols of the numbers, by path; numbers that are neutral for all robots are constants."""
         found = {}
         for path, leaf in numbers(self.trace.loop).items():
             if not is_traced(path):
@@ -336,7 +336,7 @@ class _Pass:
         return found
 
     def _remembered(self, owner: str, tree: object) -> Any:
-        """Return the memory with symbols in it."""
+        """Return the memory with symbols as its entries."""
         paths = iter([path for path, _ in leaves(tree)])
 
         def remember(value: ArrayLike) -> Any:
@@ -360,15 +360,15 @@ class _Pass:
                 leaf = next(places)
                 if np.shape(new) not in ((), leaf.shape):
                     raise NotTraceable(
-                        f"{path} had shape {leaf.shape} and has shape {np.shape(new)} a sample later",
-                        "let initial_state return arrays of the shapes that they keep",
+                        f"{path} has shape {leaf.shape}, and shape {np.shape(new)} a sample later",
+                        "return arrays of their final shapes from initial_state",
                     )
                 nodes = [self.tape.number(x) for x in np.broadcast_to(entries(new), leaf.shape).reshape(-1)]
                 if leaf.kind == "state":
                     after += nodes
                 elif nodes != [self.tape.number(x) for x in entries(old).reshape(-1)]:
                     raise NotTraceable(
-                        f"{path} stays as it is in one run of the law and changes in another",
+                        f"{path} stays constant in one run of the law and changes in another",
                         "keep memory in state",
                     )
         return after
@@ -389,7 +389,7 @@ class _Pass:
 
     def _schedule(self, rows: Array) -> _Once:
         row = self._new("sample", rows.shape[1:])
-        return _Once(lambda: row, ("a schedule is asked twice in a sample", "ask once, and keep the row"))
+        return _Once(lambda: row, ("a schedule is read twice in a sample", "read once, and keep the row"))
 
     def _noise(self, name: str, n: int) -> _Once:
         again = self.asked.count(name)
@@ -398,19 +398,19 @@ class _Pass:
         key = self.tape.input("key", len(self.keys) - 1)
         return _Once(
             lambda: symbols(normals(key, self.tape.input(*COUNT), n), (n,)),
-            ("noise is drawn twice in a sample", "ask the context for more numbers at once"),
+            ("noise is drawn twice in a sample", "draw more numbers at once: context.noise(name, n)"),
         )
 
 
 class _Once:
-    """A delay, a schedule or noise whose numbers are on the tape; it answers once in a sample.
+    """Delay, schedule or noise on the tape, which may be used once per sample.
 
     Parameters
     ----------
     answer : callable
-        What its method returns beside what follows it.
+        Function that returns the numbers of a sample.
     again : (str, str)
-        The error where it is asked again, and what to do instead.
+        Error of a second use in a sample, and the code to write instead.
     """
 
     goes_on = True
@@ -419,7 +419,7 @@ class _Once:
         self.answer, self.again, self.used = answer, again, used
 
     def push(self, *values: object) -> tuple[Any, _Once]:
-        """Return the numbers of this sample, and what is kept for the next one."""
+        """Return the numbers of this sample, and the object for the next one."""
         if self.used:
             raise NotTraceable(*self.again)
         return self.answer(*values), _Once(self.answer, self.again, used=True)
@@ -428,13 +428,13 @@ class _Once:
 
 
 def _wider(owner: str, path: str, old: tuple[int, ...], new: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the shape that numbers of two shapes broadcast to, as a number and the row that it becomes."""
+    """Return the shape to which two shapes of the memory broadcast, such as () and (3,)."""
     try:
         return np.broadcast_shapes(old, new)
     except ValueError:
         raise NotTraceable(
             f"{path} of the {owner} has shape {old} and a sample later {new}",
-            "let initial_state return arrays of the shapes that they keep, and take delays from "
+            "return arrays of their final shapes from initial_state, and take delays from "
             "context.delay(samples)",
         ) from None
 
@@ -444,7 +444,7 @@ def _flat_numbers(values: Iterable[Any]) -> list[float]:
 
 
 def _name(loop: LoopTape, i: int) -> str:
-    """Return what the numbers of the state, and after these what is kept, are called."""
+    """Return the name of entry i of the state, or after the state of the kept values."""
     end = len(loop.states)
     for name, (_, nodes) in loop.kept.items():
         end += len(nodes)
@@ -463,14 +463,14 @@ def _name(loop: LoopTape, i: int) -> str:
 
 
 class _Context:
-    """A context whose delays, noise and schedules are made by others, such as those of a tape."""
+    """Context with given makers of delays, noise and schedules, such as those of a tape."""
 
     def __init__(self, given: Context, delay: Any, noise: Any, schedule: Any) -> None:
         self._given, self.delay, self._schedule = given, delay, schedule
         self.noise = noise or (lambda name, n: Noise(0, n))
 
     def schedule(self, rows: ArrayLike) -> Any:
-        """Return what a controller keeps of rows that are known for each sample, checked."""
+        """Return the memory of rows that are known for each sample."""
         return self._schedule(self._given.schedule(rows).rows)
 
     def __getattr__(self, name: str) -> Any:
@@ -484,22 +484,22 @@ def initial_memory(
     noise: Callable[..., Any] | None = None,
     schedule: Callable[..., Any] = Schedule,
 ) -> State:
-    """Return the memory before the first sample; by default with noise of the key 0.
+    """Return the memory before the first sample, by default with noise of the key 0.
 
     Parameters
     ----------
     loop : Loop
-        The closed loop.
+        Closed loop.
     context : Context
-        Argument of the controller's `initial_state`, which gets its delays and noise here.
+        Argument of the controller's `initial_state`.
     delay, noise, schedule : callable
-        Make a delay, a noise and a schedule.
+        Makers of a delay, a noise and a schedule, in place of those of the context.
     """
     return initial(loop, _Context(context, delay, noise, schedule))  # type: ignore[arg-type]
 
 
 def scheduled_rows(loop: Loop, context: Context) -> list[Array]:
-    """Return the rows of all schedules that the parts ask for, each of shape (N + 1, ...)."""
+    """Return the rows of all schedules of the parts, each of shape (N + 1, ...)."""
     found: list[Array] = []
 
     def schedule(rows: Array) -> Schedule:
@@ -511,12 +511,12 @@ def scheduled_rows(loop: Loop, context: Context) -> list[Array]:
 
 
 def check_schedules(loop: Loop, context: Context, spread: Iterable[str]) -> None:
-    """Refuse a spread of what schedules follow from, of which all robots have the same.
+    """Reject a spread of numbers that determine schedules, which are the same for all robots.
 
     Raises
     ------
     NotTraceable
-        If there is such.
+        If the spread contains such a number.
     """
     paths = [path for path in spread if path.startswith("controller.")]
     rows = scheduled_rows(loop, context) if paths else []
@@ -526,8 +526,8 @@ def check_schedules(loop: Loop, context: Context, spread: Iterable[str]) -> None
         others = scheduled_rows(moved, context)
         if not all(map(np.array_equal, rows, others)):
             raise NotTraceable(
-                f"the context of the controller depends on {path}, which each robot has of its own",
-                "spread parameters of the plant, or let robots run one after another",
+                f"the context of the controller depends on {path}, which differs from robot to robot",
+                "spread parameters of the plant, or run with engine=Engine.PYTHON",
             )
 
 
@@ -541,9 +541,9 @@ def traced_numbers(loop: Loop) -> dict[str, Array]:
 def initial_memories(
     loop: Loop, context: Context, spread: Mapping[str, Array], n: int, identity: Identity
 ) -> list[Array]:
-    """Return the arrays of the memory of n robots before the first sample, shape (...) or (n, ...).
+    """Return the memory of n robots before the first sample, arrays of shape (...) or (n, ...).
 
-    Where `initial_state` cannot be run on symbols, it is asked for each robot.
+    If `initial_state` does not accept symbols, it runs for each robot.
     """
     try:
         with tracing(identity.namespaces.values(), identity.cells):
@@ -557,18 +557,19 @@ def initial_memories(
 
 
 def initial_velocities(loop: Loop, spread: Mapping[str, Array], q: Array, v: Array) -> Array:
-    """Return the velocities that the constraints of n robots leave, shape (n, nv).
+    """Return the initial velocities of n robots after projection on their constraints, shape (n, nv).
 
-    `project` runs once, on symbols; where it cannot, or gives another answer, it runs for each robot.
+    `project` runs once, with symbols. If it does not accept symbols, or its result differs, it runs for each
+    robot.
 
     Parameters
     ----------
     loop : Loop
-        The nominal loop.
+        Nominal loop.
     spread : mapping of str to ndarray, shape (n, ...)
         Numbers of the robots, by path.
     q, v : ndarray, shape (n, nq), (n, nv)
-        Starts.
+        Initial configurations and velocities.
     """
     n = len(q)
 
@@ -594,7 +595,7 @@ def _rows(spread: Mapping[str, Array], n: int) -> dict[str, Array]:
 def _of_each(
     compute: Callable[..., Sequence[Any]], loop: Loop, spread: Mapping[str, Array], n: int, *rows: Array
 ) -> list[Array]:
-    """Return arrays of n robots, shape (...) or (n, ...), by a function that runs once, on symbols."""
+    """Return arrays of n robots, shape (...) or (n, ...), from a function that runs once, with symbols."""
     tape, inputs = Tape(), dict[Any, Any]()
 
     def given(value: Array) -> Any:

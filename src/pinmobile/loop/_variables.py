@@ -20,29 +20,46 @@ from pinmobile.metrics import Metric, value_of
 from pinmobile.plant import Parameter
 from pinmobile.trajectories import Trajectory
 
-_ROUNDING = 4 * float(np.finfo(np.float64).eps)  # of a share such as 0.07, and of its product with a count
+_ROUNDING = 4 * float(np.finfo(np.float64).eps)  # rounding of a share such as 0.07 times a count
 
 
 class Part(NamedTuple):
-    """The records of m robots.
+    """Records of m robots of an ensemble.
 
     Attributes
     ----------
     lived : ndarray of int, shape (m,)
-        Samples before the loop diverged; all of them where it did not.
+        Number of samples before the loop diverged; all samples if it did not.
     max_error : ndarray, shape (m, c)
-        Largest |error| of the reference's c coordinates in those of these samples from `Scenario.after` on.
+        Largest absolute error of the reference's c coordinates in those of these samples after
+        `Scenario.after` [m, m, rad, ...].
     max_distance : ndarray, shape (m,)
         Largest distance from the desired position [m].
     rms_error : ndarray, shape (m, c)
-        Root of the mean squared error.
+        Root mean square error [m, m, rad, ...].
     max_input : ndarray, shape (m, nu)
-        Largest |input|.
+        Largest absolute value of each input.
     worst_metric, rms_metric : ndarray, shape (m, j)
-        Worst, and root of the mean square, of each metric, in the samples of which errors are kept.
+        Worst value and root mean square of each metric in the same samples as errors.
     counts : ndarray of int, shape (G, channels, BINS)
-        At each time of the grid, how many robots have a distance, and so on, of which size; see
-        `Scenario.channels`.
+        Number of robots by time of the grid, channel of `Scenario.channels` and bin of sizes.
+
+    See Also
+    --------
+    loop.part_of : records of some robots of a scenario.
+    Ensemble.of : ensemble of the records of all robots.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot
+    >>> from pinmobile import Scenario, Tangent
+    >>> from pinmobile.loop import Part, part_of
+    >>> runs = Scenario(robot=MobileRobot(30.0, 1.3), n=2, dt=0.1,
+    ...                 controller=PD(120, 120), spread={},
+    ...                 trajectory=Tangent(Circle(1.0, 0.5, 4.0)))
+    >>> one, two = (part_of(runs, k, k + 1)[1] for k in range(2))
+    >>> Part.joined([one, two]).max_distance  # [m]
+    array([0.057, 0.057])
     """
 
     lived: NDArray[np.int64]
@@ -56,14 +73,29 @@ class Part(NamedTuple):
 
     @classmethod
     def of(cls, scenario: Scenario, record: Mapping[str, Array], counts: NDArray[np.int32]) -> Part:
-        """Return what a `Summary` kept of m robots, its arrays with the robots as their first axis."""
+        """Return the records of m robots from the memory of `Worst`.
+
+        Parameters
+        ----------
+        scenario : Scenario
+            Scenario of the robots.
+        record : mapping of str to ndarray, shape (m, ...)
+            Memory of the recorder after the last sample.
+        counts : ndarray of int, shape (G, channels, BINS)
+            Counts of sizes.
+
+        Returns
+        -------
+        Part
+            Records of the robots.
+        """
         lived = record["lived"].astype(np.int64)
         kept = np.maximum(lived - scenario.begin, 1)[:, None]
         none = np.zeros((len(lived), 0))
         signs = np.array([-1.0 if one.is_margin else 1.0 for one in scenario.recorded_metrics])
         return cls(
             lived,
-            record["largest"].copy(),  # not a view of all that the robots kept
+            record["largest"].copy(),  # a copy, so that the whole record can be freed
             np.sqrt(record["farthest"][:, 0]),
             np.sqrt(record["squares"] / kept),
             record["inputs"].copy(),
@@ -74,26 +106,55 @@ class Part(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Iterable[Part]) -> Part:
-        """Return the records of all robots of some parts, in their order."""
+        """Return the records of all robots of several parts, in their order.
+
+        Parameters
+        ----------
+        parts : iterable of Part
+            Records of consecutive robots.
+
+        Returns
+        -------
+        Part
+            Records of all these robots.
+        """
         columns: list[list[Any]] = [[] for _ in cls._fields[:-1]]
         counts: Any = 0
         for *own, counted in parts:
             counts = counts + counted
             for column, rows in zip(columns, own, strict=True):
                 column.append(rows)
-        # One after the other, so that hardly anything is in memory twice.
+        # One array after the other, which needs little additional memory.
         return cls._make([*(np.concatenate(columns.pop(0)) for _ in cls._fields[:-1]), counts])
 
 
 class Member(NamedTuple):
-    """One robot of an ensemble: ``simulate(*member[:3], **member.options)`` runs it alone.
+    """One robot of an ensemble: ``simulate(*member[:3], **member.options)`` simulates it.
 
     Attributes
     ----------
     robot, controller, trajectory
-        As in `simulate`.
+        First arguments of `simulate`.
     options : dict
-        The other arguments of `simulate`.
+        Other arguments of `simulate`, by name.
+
+    See Also
+    --------
+    Ensemble.member : robot of an ensemble.
+    Ensemble.trace : samples of a robot.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Tangent
+    >>> from pinmobile import Uniform, ensemble, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> parts = robot, PD(120, 120), Tangent(Circle(1.0, 0.5, 4.0))
+    >>> spread = {"mass": Uniform(20.0, 40.0)}
+    >>> runs = ensemble(*parts, n=9, spread=spread, dt=0.02)
+    >>> member = runs.member(3)
+    >>> run = simulate(*member[:3], **member.options)
+    >>> bool(abs(run.max_error() - runs.max_error[3]).max() < 1e-9)
+    True
     """
 
     robot: Any
@@ -108,11 +169,11 @@ def member_of(scenario: Scenario, i: int, drawn: Mapping[str, Array] | None = No
     Parameters
     ----------
     scenario : Scenario
-        Whose robot.
+        Scenario of the robots.
     i : int
-        Its index, 0 <= i < n.
+        Index of the robot, 0 <= i < n.
     drawn : mapping of str to ndarray, shape (1,), optional
-        What was drawn for it.
+        Draws of this robot.
     """
     draws = scenario.draws(i, i + 1) if drawn is None else drawn
     values = scenario.values(draws, i, i + 1).items()
@@ -142,7 +203,7 @@ def edges() -> Array:
 
 
 def bins_of(values: Array) -> NDArray[np.int64]:
-    """Return the bins of numbers >= 0, infinity included, shape (...)."""
+    """Return the bins of numbers >= 0 or infinity, shape (...)."""
     bits = np.ascontiguousarray(values).view(np.int64) >> SHIFT
     return np.asarray(np.clip(bits - FIRST + 1, 0, BINS - 1))
 
@@ -153,34 +214,34 @@ def checked_share(value: ArrayLike) -> float:
     Raises
     ------
     InvalidArgument
-        If it is not one number from 0 to 1.
+        If the argument is not a number from 0 to 1.
     """
     return bounded("share", scalar("share", value), least=0, most=1)
 
 
 def checked_levels(value: ArrayLike) -> Array:
-    """Return the levels of quantiles as an array, shape (m,).
+    """Return quantile levels as an array, shape (m,).
 
     Raises
     ------
     InvalidArgument
-        If one is not between 0 and 1.
+        If a level is not between 0 and 1.
     """
     found = shaped("levels", np.atleast_1d(finite("levels", value)), ("n>=1",))
     return bounded("levels", found, least=0, most=1)
 
 
 def share_within(values: Array, share: float, axis: int = -1) -> Array:
-    """Return the least of the values that a share of them does not exceed; NaN where one is NaN.
+    """Return the smallest value that a share of the values does not exceed; NaN if a value is NaN.
 
     Parameters
     ----------
     values : ndarray
-        Along `axis`, at least one.
+        Values; at least one along `axis`.
     share : float
-        From 0 to 1; of 0, the smallest value.
+        Share from 0 to 1; 0 selects the smallest value.
     axis : int
-        The axis that is reduced.
+        Axis that is reduced.
     """
     place = max(int(np.ceil(_rank(share, values.shape[axis]))), 1) - 1
     found = np.take(np.partition(values, place, axis), place, axis)
@@ -188,35 +249,35 @@ def share_within(values: Array, share: float, axis: int = -1) -> Array:
 
 
 def _rank(share: float, count: int | NDArray[np.int64]) -> Array:
-    """Return the share of a count, a whole number where it is one but for rounding (0.07 of 100 is 7)."""
+    """Return the product of a share and a count; rounding errors are removed, so that 0.07 of 100 is 7."""
     rank = np.asarray(share * count)
     return np.where(np.abs(rank - np.round(rank)) <= _ROUNDING * rank, np.round(rank), rank)
 
 
 def quantiles(counts: NDArray[np.int64], wanted: Array, *, margins: bool = False) -> Array:
-    """Return quantiles from counts: what shares of the robots are within.
+    """Return quantiles from counts in bins.
 
-    Within a bin the numbers are taken to lie evenly in the logarithm: a quantile is off by the width
-    of its bin, 2 to 3 %, at most.
+    Within a bin, the logarithm of the numbers counts as evenly distributed. The error of a quantile is thus
+    at most the width of its bin, 2 to 3 %.
 
     Parameters
     ----------
     counts : ndarray of int, shape (..., BINS)
-        How many are in each bin; at least one in all.
+        Number of robots in each bin; at least one robot in total.
     wanted : ndarray, shape (m,)
         Levels from 0 to 1.
     margins : bool
-        Whether these are sizes of margins, see `pinmobile.metrics.size_of`: then a share of the robots has
-        at least what is returned, in numbers of the margin.
+        Whether the sizes are those of margins, see `pinmobile.metrics.size_of`. The share of the robots then
+        has at least the returned margin.
 
     Returns
     -------
     quantiles : ndarray, shape (m, ...)
-        Infinite where it falls in the last bin, of margins minus infinity in the first.
+        Quantiles; infinity in the last bin, or for margins minus infinity in the first bin.
     """
     bounds = edges()
     if margins:
-        # From the best to the worst; of what is in the best bin only its lower edge is known.
+        # From the best to the worst; only the lower edge of the best bin is known.
         counts, bounds = counts[..., ::-1], np.append(bounds[-2], bounds[-2::-1])
     total = counts.cumsum(axis=-1)
     found = np.empty((len(wanted), *counts.shape[:-1]))
@@ -241,22 +302,22 @@ LEVELS = (0.5, 0.9, 0.99)
 """Shares of the robots for which the quantiles over time are kept."""
 
 NOTE = "units and long_name of each variable; robot i of a scenario is row i"
-"""How the variables are to be read."""
+"""Note for readers of the variables."""
 
 
 class Variable(NamedTuple):
-    """An array by its name.
+    """Description of an array.
 
     Attributes
     ----------
     dimensions : tuple of str
-        Of its axes.
+        Names of the axes.
     units : str
-        Its unit, "1" for none; where its last axis is ``coordinate`` or ``input``, that of each.
+        Unit, "1" for none; the units of all entries if the last axis is ``coordinate`` or ``input``.
     meaning : str
-        What it is, in words.
+        Meaning as a noun phrase.
     worst : str
-        Of metrics, whether the largest or the smallest of each is the worst.
+        For metrics: whether the largest or the smallest value of each is the worst.
     """
 
     dimensions: tuple[str, ...]
@@ -266,7 +327,7 @@ class Variable(NamedTuple):
 
     @property
     def attributes(self) -> dict[str, str]:
-        """Unit and meaning, as xarray and others name them."""
+        """Unit and meaning under the names that xarray and other libraries use."""
         found = {"units": self.units, "long_name": self.meaning}
         return found | ({"worst": self.worst} if self.worst else {})
 
@@ -279,48 +340,48 @@ PER_ROBOT = (
     *("max_error", "rms_error", "max_input", "max_distance", "diverged_at"),
     *("worst_metric", "rms_metric"),
 )
-"""Names of the arrays with one entry per robot, beside what was drawn."""
+"""Names of the arrays with one entry per robot, in addition to draws."""
 
 
 def per_robot(scenario: Scenario | Outline) -> dict[str, Variable]:
-    """Return the arrays of `PER_ROBOT`; those of metrics where there are any.
+    """Return the variables of `PER_ROBOT`; those of metrics only if there are metrics.
 
     Parameters
     ----------
     scenario : Scenario or Outline
-        Whose.
+        Scenario of the robots.
     """
     named = scenario.coordinates, scenario.inputs, scenario.recorded_metrics
     errors, sizes, units = (", ".join(one.unit or "1" for one in each) for each in named)
     found = {
         "max_error": Variable(_EACH_COORDINATE, errors, f"largest |error|, {_SINCE}"),
-        "rms_error": Variable(_EACH_COORDINATE, errors, f"root of the mean squared error, {_SINCE}"),
+        "rms_error": Variable(_EACH_COORDINATE, errors, f"root mean square error, {_SINCE}"),
         "max_input": Variable(_EACH_INPUT, sizes, f"largest |input|, {_UNTIL}"),
         "max_distance": Variable(_EACH, "m", f"largest distance from the desired position, {_SINCE}"),
-        "diverged_at": Variable(_EACH, "s", "when the loop diverged; NaN where it did not"),
+        "diverged_at": Variable(_EACH, "s", "time of divergence; NaN if the loop did not diverge"),
     }
     if scenario.recorded_metrics:
-        worst = f"largest size, or smallest margin, of what else is judged, {_SINCE}"
+        worst = f"largest size, or smallest margin, of each metric, {_SINCE}"
         each = ", ".join(one.worst for one in scenario.recorded_metrics)
         found["worst_metric"] = Variable(_EACH_METRIC, units, worst, each)
-        found["rms_metric"] = Variable(_EACH_METRIC, units, f"root of its mean square, {_SINCE}")
+        found["rms_metric"] = Variable(_EACH_METRIC, units, f"root mean square of each metric, {_SINCE}")
     return found
 
 
 SUMMED = ("counts", "quantiles")
-"""Names of the arrays that are summed up over all robots."""
+"""Names of the arrays that contain sums over all robots."""
 
 
 def over_all(channels: Sequence[Metric]) -> dict[str, Variable]:
-    """Return the arrays of `SUMMED`.
+    """Return the variables of `SUMMED`.
 
     Parameters
     ----------
     channels : sequence of Metric
-        What is counted.
+        Counted quantities.
     """
-    counted = "how many robots have this size; what diverged counts in the last bin, of margins in the first"
-    within = "share `level` of the robots errs at most by this, or has at least this margin"
+    counted = "number of robots with this size; diverged robots are in the last bin, for margins in the first"
+    within = "largest error, or smallest margin, of the share `level` of the robots"
     units = ", ".join(one.unit or "1" for one in channels)
     return {
         "counts": Variable(("time", "channel", "bin"), "1", counted),
@@ -329,14 +390,14 @@ def over_all(channels: Sequence[Metric]) -> dict[str, Variable]:
 
 
 def drawn_name(parameter: str) -> str:
-    """Return what the array of a parameter's draws is called: a slash would make a group of a store of it."""
+    """Return the name of the array of a number's draws; a slash would create a group of a store."""
     return f"drawn_{parameter.replace('/', '.')}"
 
 
 def drawn(parameters: Mapping[str, Parameter]) -> dict[str, Variable]:
-    """Return the arrays of what was drawn for each robot."""
+    """Return the variables of the draws."""
     return {
-        drawn_name(name): Variable(_EACH, one.unit or "1", f"drawn {one.meaning}; NaN where not spread")
+        drawn_name(name): Variable(_EACH, one.unit or "1", f"drawn {one.meaning}; NaN if not in the spread")
         for name, one in parameters.items()
     }
 
@@ -347,11 +408,11 @@ def quantiles_of(counts: NDArray[np.int32], levels: Array, channels: Sequence[Me
     Parameters
     ----------
     counts : ndarray of int, shape (G, channels, BINS)
-        Of all robots.
+        Counts of all robots.
     levels : ndarray, shape (L,)
         Shares of the robots.
     channels : sequence of Metric
-        What is counted.
+        Counted quantities.
     """
     return {
         one.name: quantiles(counts[:, k].astype(np.int64), levels, margins=one.is_margin)
@@ -360,18 +421,18 @@ def quantiles_of(counts: NDArray[np.int32], levels: Array, channels: Sequence[Me
 
 
 def summed(counts: NDArray[np.int32], channels: Sequence[Metric]) -> dict[str, Array | NDArray[np.int32]]:
-    """Return the arrays of `SUMMED`; the arguments are those of `quantiles_of`."""
+    """Return the arrays of `SUMMED`; see `quantiles_of` for the arguments."""
     found = quantiles_of(counts, np.array(LEVELS), channels)
     return {"counts": counts, "quantiles": np.array(list(found.values()))}
 
 
 def coordinates(scenario: Scenario | Outline) -> list[tuple[str, Sequence[Any], str, str]]:
-    """Return name, values, unit and meaning of the coordinates of all dimensions but ``robot``.
+    """Return name, values, unit and meaning of the coordinates of all dimensions except ``robot``.
 
     Parameters
     ----------
     scenario : Scenario or Outline
-        Whose.
+        Scenario of the robots.
     """
     names, inputs, metrics = (
         [one.name for one in each]
@@ -388,8 +449,8 @@ def coordinates(scenario: Scenario | Outline) -> list[tuple[str, Sequence[Any], 
         (
             "bin",
             edges()[:-1].tolist(),
-            "as of the channel",
-            "lower edge; the upper one is the next bin's lower one; of a margin m, of m + sqrt(m^2 + 2^-24)",
+            "unit of the channel",
+            "lower edge, also upper edge of the previous bin; for a margin m: of m + sqrt(m^2 + 2^-24)",
         ),
         *([("metric", metrics, "1", judged)] if metrics else []),
     ]
@@ -401,9 +462,9 @@ def dataset_of(ensemble: Any, attributes: Mapping[str, Any]) -> Any:
     Parameters
     ----------
     ensemble : Ensemble
-        What is told.
+        Ensemble.
     attributes : mapping
-        Of the whole.
+        Attributes of the dataset.
 
     Raises
     ------
@@ -420,7 +481,7 @@ def dataset_of(ensemble: Any, attributes: Mapping[str, Any]) -> Any:
         for name, values, unit, meaning in coordinates(scenario)
     }
     return xarray.Dataset(
-        # Copied, because what xarray hands out may be written into.
+        # Copied, because users may write into arrays of the dataset.
         {name: (one.dimensions, arrays[name].copy(), one.attributes) for name, one in variables.items()},
         axes,
         {"Conventions": NOTE, "errors_from_s": scenario.after, **attributes},
@@ -428,7 +489,7 @@ def dataset_of(ensemble: Any, attributes: Mapping[str, Any]) -> Any:
 
 
 def columns_of(ensemble: Any) -> tuple[list[str], list[Array]]:
-    """Return the arrays with one entry per robot as the columns of a table, and their names with units."""
+    """Return the arrays with one entry per robot as columns of a table, and their names with units."""
     header, columns = ["robot"], [np.arange(len(ensemble), dtype=np.float64)]
     named: Mapping[str, Sequence[Any]] = {
         "coordinate": ensemble.scenario.coordinates,
@@ -455,7 +516,7 @@ def _arrays(ensemble: Any) -> Iterator[tuple[str, Variable, Array]]:
 
 
 def content_of(ensemble: Any) -> dict[str, Any]:
-    """Return all that a file of an ensemble keeps: its scenario in words, and what each array is."""
+    """Return the content of a file of an ensemble: description, arrays and their meanings."""
     outline = Outline.of(ensemble.scenario)
     own = {each.name: getattr(ensemble, each.name) for each in fields(ensemble)}
     return own | {

@@ -90,7 +90,7 @@ class Sweep:
             points = Points.of(scenario, grid, cases)
             found = differences(there, describe(points, there.get("version")))
             if found:
-                raise InvalidArgument(f"scenario is not that of {str(path)!r}: {found}")
+                raise InvalidArgument(f"scenario does not match {str(path)!r}: {found}")
         return cls.of_store(location("path", path), points)
 
     @classmethod
