@@ -290,7 +290,7 @@ REFUSED: dict[str, tuple[Any, Any, str, str, str]] = {
     "a symbol that is kept": (keeping, None, "", "memory in state", ""),
     "another form of memory": (growing, None, "None", "initial_state", ""),
     "other names in memory": (renaming, {"old": 0.0}, "'new'", "initial_state", ""),
-    "another thing on symbols": (deceived, None, "on numbers", "isinstance", ""),
+    "another thing on symbols": (deceived, None, "with numbers", "isinstance", ""),
     "too many operations": (endless, None, "30000 operations", "PYTHON", "endless, line"),
 }
 

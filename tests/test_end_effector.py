@@ -225,7 +225,7 @@ def test_what_has_no_target_or_no_frames_says_so(run: pm.Rollout) -> None:
     hand = base.end_effector()
     assert hand.target is None
     assert "without target" in repr(hand)
-    with refused("end effector 'ur5/tool0' has no target, expected a run of"):
+    with refused("end effector 'ur5/tool0' has no target, expected a run with"):
         _ = hand.error
     with pytest.raises(
         UnknownName, match=r"unknown frame 'tool', did you mean .* available: .*ur5/wrist_3_link"
@@ -312,7 +312,7 @@ def test_the_figure_has_path_height_and_both_errors(run: pm.Rollout) -> None:
             plots.end_effector(run, **options)
     with pytest.raises(UnknownName, match="unknown frame 'hand'"):
         plots.end_effector(run, frame="hand")
-    with refused(r"rollouts\['a'\].plant is None, which does not tell"):
+    with refused(r"rollouts\['a'\].plant is None, which has no poses of frames"):
         plots.end_effector({"a": replace(run, plant=None, signals={})})
 
 

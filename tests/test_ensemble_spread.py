@@ -258,7 +258,7 @@ def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
         ),
         ({"spread": {"mass": "3"}}, "spread['mass'] is '3', expected real numbers"),
         ({"spread": {"mass": np.ones(3)}}, "spread['mass'] has shape (3,), expected () or (1000,)"),
-        ({"spread": {"mass": pm.Uniform}}, "spread['mass'] is the class Uniform, expected one of it"),
+        ({"spread": {"mass": pm.Uniform}}, "spread['mass'] is the class Uniform, expected an object"),
         (
             {"spread": {"mass": pm.SameAs("mas")}},
             "unknown parameter in spread['mass'] 'mas', did you mean 'mass'",

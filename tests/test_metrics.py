@@ -339,15 +339,15 @@ OF = "^metrics of the plant, a Stating"
 @pytest.mark.parametrize(
     ("plant", "words"),
     [
-        (stating([ONE, ONE], lambda q: q[..., :2]), f"{OF}, has 'clearance', .* expected names that differ$"),
-        (stating([ONE._replace(name="heading")], lambda q: q[..., :1]), f"{OF}, has 'heading', as an error"),
+        (stating([ONE, ONE], lambda q: q[..., :2]), f"{OF}, has 'clearance', .* expected different names$"),
+        (stating([ONE._replace(name="heading")], lambda q: q[..., :1]), f"{OF}, has 'heading', the name of"),
         (
             stating([ONE._replace(worst="least")], lambda q: q[..., :1]),
             "worst of the metric 'clearance': 'least'",
         ),
         (
             stating([ONE], lambda q: q[..., :2]),
-            r"returned, has shape \(2,\), expected \(1,\): a number for each",
+            r"has shape \(2,\), expected \(1,\): one number for each",
         ),
         (stating([ONE], lambda q: q[..., :1] * np.nan), "returned NaN as 'clearance' where it starts"),
     ],

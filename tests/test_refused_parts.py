@@ -225,7 +225,7 @@ def test_a_tape_that_is_another_each_time_though_its_numbers_are_not_is_refused_
         return error + 1e-15 * (np.sin(q) if count[0] % 2 else np.tanh(q))
 
     parts = BODY | {"controller": pm.law(spelled)}
-    with refused(r"spelled, line .*asked again.*keep memory in state"):
+    with refused(r"spelled, line .*runs again.*keep memory in state"):
         in_ensemble(parts, engine=Engine.COMPILED)
     with pytest.warns(SlowerEngine, match=r"by PYTHON.*not COMPILED.*spelled, line .*keep memory in state"):
         run = in_ensemble(parts)

@@ -99,9 +99,9 @@ def test_a_path_changes_what_it_names_and_nothing_else(changes: Any, read: Any, 
         ({"grid": {"mass": [NAN]}}, "expected different finite numbers"),
         ({"grid": {"controller": [pm.PD(1, 1)]}}, "or a mapping of them"),
         ({"grid": {"mass": [4, -1]}}, r"mass is -1.* kg, expected > 0 \(at mass = -1\)"),
-        ({"grid": {"time": [4]}}, "grid has 'time', a name of the store's own"),
-        ({"grid": 3}, "grid is 3, expected a mapping by text"),
-        ({"cases": {"a": 3}}, r"cases\['a'\] is 3, expected a mapping by text"),
+        ({"grid": {"time": [4]}}, "grid has 'time', which is also a name in the store"),
+        ({"grid": 3}, "grid is 3, expected a mapping with text as keys"),
+        ({"cases": {"a": 3}}, r"cases\['a'\] is 3, expected a mapping with text as keys"),
         ({"cases": {"a": {"mass": -1.0}}}, r"mass is -1.0 kg, expected > 0 \(at case = a\)"),
         ({"grid": {"n": [4, 5]}}, "n is 4 at n = 4 and 5 at n = 5, expected the same"),
         ({"grid": {"duration": [3.0, 6.0]}}, "time of the bands is every 0.1 s, 31 times at duration = 3 s"),
@@ -116,7 +116,7 @@ def test_a_path_changes_what_it_names_and_nothing_else(changes: Any, read: Any, 
         ),
         (
             {"grid": {"mass": [1, 2]}, "cases": {"spread": {"spread.mass": pm.Uniform(1, 2)}}},
-            "grid or cases have 'plant.mass', which the spread gives each robot anyway",
+            "grid or cases have 'plant.mass', which the spread replaces for each robot",
         ),
     ],
 )
@@ -312,7 +312,7 @@ def test_a_sweep_on_its_way_says_how_much_is_done(done: pm.Sweep, tmp_path: Path
     assert str(found).count("unknown") == 4
     missing = next(at for at in np.ndindex(2, 2) if np.isnan(found.error_quantile().values[at]))
     labels: Any = {name: axis.values[i] for (name, axis), i in zip(found.axes.items(), missing, strict=True)}
-    with refused("of which robots are missing: start the same sweep again"):
+    with refused("where robots are missing: start the same sweep again"):
         found.ensemble(**labels)
     heard: list[Any] = []
     before = contents(done.path)
@@ -336,7 +336,7 @@ def test_a_sweep_on_its_way_says_how_much_is_done(done: pm.Sweep, tmp_path: Path
 def test_a_file_that_is_gone_is_computed_again(done: pm.Sweep, copy: Path, file: str, robots: int) -> None:
     (copy / file).unlink()
     if file.endswith("kp/c/0"):
-        with refused(rf"of which '.*{file}' is gone; start the same sweep again"):
+        with refused(rf"of which '.*{file}' is missing; start the same sweep again"):
             pm.Sweep.open(copy)
     heard: list[int] = []
     swept(copy, progress=lambda now, total: heard.append(now))

@@ -167,7 +167,7 @@ def nodes(tree: dict[str, Any]) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("damage", "why"),
     [
-        (of_ours(chunk=0), "damaged.*: it is not what was written"),
+        (of_ours(chunk=0), "damaged.*: its digest differs"),
         (of_ours(digest=None), "damaged.* it lacks 'digest'"),
         (of_ours(arrays=["gone"]), "damaged.* it lacks 'gone'"),
         (of_ours(arrays=3), "damaged.* 'int' object is not iterable"),

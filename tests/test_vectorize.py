@@ -135,7 +135,7 @@ def test_what_is_refused() -> None:
     wrong[7] = 1e200
     with pytest.raises(NotFinite, match=r"\|argument 2\| up to 1e\+200: a number exceeds 1\.8e308"):
         law(q, wrong)
-    with pytest.raises(InvalidArgument, match=r"arguments have shapes \[\(\)\], of which axes = 1"):
+    with pytest.raises(InvalidArgument, match=r"arguments have shapes \[\(\)\], expected axes = 1"):
         law(3.0)
     with pytest.raises(InvalidArgument, match=r"q has shape \(8,\), expected \(\.\.\., 9\)"):
         law(q[:, :-1], v)
@@ -145,7 +145,7 @@ def test_more_than_memory_holds_is_refused(monkeypatch: pytest.MonkeyPatch) -> N
     robot = ROBOTS["bare"]
     law = vectorize(robot.mass_matrix, keep=False)
     monkeypatch.setattr(arrays, "MEMORY", 1e5)
-    with pytest.raises(InvalidArgument, match=r"^answers for 200,000 states take 0\.0144 GB, expected"):
+    with pytest.raises(InvalidArgument, match=r"^results for 200,000 states take 0\.0144 GB, expected"):
         law(np.broadcast_to(robot.rest, (200_000, 3)))
 
 
@@ -169,7 +169,7 @@ def test_what_is_another_function_each_time_is_refused() -> None:
         count[0] += 1
         return x * count[0]
 
-    with pytest.raises(NotTraceable, match="on symbols the function computes something else"):
+    with pytest.raises(NotTraceable, match="with symbols, the function computes something else"):
         vectorize(counting, keep=False)(np.ones((4, 3)))
 
 

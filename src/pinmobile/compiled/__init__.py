@@ -1,4 +1,4 @@
-"""Laws on symbols: a loop's parts, written in NumPy for one state, as vector code for many robots."""
+"""Compilation: laws in NumPy for one state run with symbols and become vector code for many robots."""
 
 from pinmobile.compiled._tracing import (
     calling_place as calling_place,

@@ -1,4 +1,4 @@
-"""Running laws on symbols: NumPy replaced by name where their code stands, and errors that name the line."""
+"""Tracing of laws with symbols: replaced functions of NumPy, and errors that contain the line of code."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ FOREIGN = (
     frozenset(("numpy", "scipy", "pinocchio", "llvmlite", "sympy", "matplotlib", "attr", "attrs"))
     | sys.stdlib_module_names
 )
-"""Packages that hold no laws."""
+"""Packages that contain no laws."""
 
 
 def _guarded(true: Callable[..., Any], other: Callable[..., Any]) -> Callable[..., Any]:
-    """Return `other` for the thread that traces, and NumPy's own for all others."""
+    """Return a function that calls `other` in a tracing thread, and NumPy's own function in other threads."""
 
     @functools.wraps(true)
     def run(*given: object, **options: object) -> Any:
@@ -42,10 +42,10 @@ def _guarded(true: Callable[..., Any], other: Callable[..., Any]) -> Callable[..
 
 
 class _NumPy(ModuleType):
-    """NumPy for the modules of a law: what makes arrays knows of symbols; the rest is NumPy's own.
+    """NumPy for modules of laws: functions that make arrays accept symbols; all others are NumPy's own.
 
-    In numpy itself nothing is replaced: its compiled modules would take a symbol for an array, and the
-    process would die.
+    Nothing is replaced in numpy itself. Its compiled modules would read a symbol as an array and crash the
+    process.
     """
 
     def __getattr__(self, name: str) -> Any:
@@ -65,7 +65,7 @@ _others = {id(getattr(np, name)): other for name, other in _replaced.items()} | 
 
 @contextlib.contextmanager
 def uncollected() -> Iterator[None]:
-    """Look for no garbage: where thousands of small objects are made that stay, it takes a third as long."""
+    """Disable garbage collection: making many small permanent objects then takes a third of the time."""
     collects = gc.isenabled()
     gc.disable()
     try:
@@ -77,19 +77,19 @@ def uncollected() -> Iterator[None]:
 
 @contextlib.contextmanager
 def tracing(namespaces: Iterable[dict[str, Any]] = (), cells: Iterable[CellType] = ()) -> Iterator[None]:
-    """Let laws run on symbols in this thread: the library's, and those whose code looks up these namespaces.
+    """Run laws with symbols in this thread: the library's laws and those whose code uses these namespaces.
 
     Parameters
     ----------
     namespaces : iterable of dict
-        Globals of the functions that are not the library's.
+        Globals of functions outside the library.
     cells : iterable of cell
-        Variables that these functions close over.
+        Variables in the closures of these functions.
 
     Raises
     ------
     NotTraceable
-        If a law does what cannot be done with symbols; it names the line.
+        If a law does something that symbols do not support; the message contains the line.
     """
     with _lock:
         known = sys.modules.items()
@@ -109,7 +109,7 @@ def tracing(namespaces: Iterable[dict[str, Any]] = (), cells: Iterable[CellType]
             cell.cell_contents = _others[id(value)]
         _local.depth = getattr(_local, "depth", 0) + 1
         try:
-            with uncollected(), np.errstate(all="ignore"):  # of constants in rounds that are not needed
+            with uncollected(), np.errstate(all="ignore"):  # constants of unused branches may overflow
                 yield
         except NotTraceable as error:
             if error.place:
@@ -118,8 +118,8 @@ def tracing(namespaces: Iterable[dict[str, Any]] = (), cells: Iterable[CellType]
         except Exception as error:
             index = isinstance(error, IndexError)
             raise NotTraceable(
-                f"on symbols it raises {type(error).__name__} ({error})",
-                "where an index comes from a symbol, use np.where or np.select"
+                f"with symbols it raises {type(error).__name__} ({error})",
+                "if an index comes from a symbol, use np.where or np.select"
                 if index
                 else "write it in NumPy for one state, or run it with engine=Engine.PYTHON",
                 place_of(error.__traceback__),
@@ -135,7 +135,7 @@ def tracing(namespaces: Iterable[dict[str, Any]] = (), cells: Iterable[CellType]
 def _content(cell: CellType) -> Any:
     try:
         return cell.cell_contents
-    except ValueError:  # not set yet
+    except ValueError:  # the variable has no value yet
         return None
 
 
@@ -144,9 +144,10 @@ def _holds_laws(name: str) -> bool:
 
 
 def place_of(traceback: TracebackType | None) -> str:
-    """Return the last line of a law in a traceback, a user's if there is one: function, line, file and text.
+    """Return the last line of a law in a traceback: function, line, file and text.
 
-    Compiled modules have no lines to show, and those of other packages are no user's.
+    A line of a user's law takes precedence. Compiled modules have no lines of text, and lines of other
+    packages are not a user's.
     """
     found, theirs = "", ""
     while traceback is not None:
@@ -181,11 +182,11 @@ def _told(code: CodeType, line: int) -> str:
 
 @functools.lru_cache(4096)
 def names_of(code: CodeType) -> frozenset[str]:
-    """Return the names that code and the code inside it look up: globals and attributes."""
+    """Return the names that code and its inner code use: globals and attributes."""
     inner = (const for const in code.co_consts if isinstance(const, CodeType))
     return frozenset(code.co_names).union(*map(names_of, inner))
 
 
 def is_foreign(module: str) -> bool:
-    """Return whether a module holds no laws: NumPy, the standard library, and others that only compute."""
+    """Return whether a module contains no laws, such as NumPy and the standard library."""
     return module.partition(".")[0] in FOREIGN

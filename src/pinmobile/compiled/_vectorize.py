@@ -1,4 +1,4 @@
-"""Functions of one state for many at once, by machine code: `vectorize`, and `Recurrence` over samples."""
+"""Machine code of functions of one state for many states: `vectorize`, and `Recurrence` over samples."""
 
 from __future__ import annotations
 
@@ -17,56 +17,64 @@ from pinmobile.compiled.symbolic import entries, symbols
 from pinmobile.compiled.tape import Leaf, LoopTape, Tape
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
 
-_CLOSE = 1e-7  # of the largest number of an answer: forward dynamics lose the digits of M's condition
-_STATES = 1 << 14  # that are laid out at once
+_CLOSE = 1e-7  # relative tolerance of results; the condition of M costs digits in forward dynamics
+_STATES = 1 << 14  # states in memory at once
 _NUMBERS = "numbers"
-_MANY = 1e6  # numbers: of fewer nobody asks whether memory holds them
+_MANY = 1e6  # numbers; smaller results need no check of the memory
 
 
 def vectorize(
     function: Callable[..., Any], *, axes: int | tuple[int, ...] = 1, checked: bool = True, keep: bool = True
 ) -> Callable[..., Any]:
-    """Return a function that evaluates another, of one state, over leading axes.
+    """Return a function that evaluates a function of one state for many states with machine code.
 
-    It is compiled for each set of shapes that it is called with, which takes 0.1 to 0.5 s for an arm and up
-    to some seconds for a humanoid, and runs on all processors, in some 0.5 microseconds a state. Its answers
-    are those of the function but for rounding; each state's have the same bits whatever others there are.
+    The function is compiled for each set of shapes in a call. This takes 0.1 to 0.5 s for an arm and up to
+    some seconds for a humanoid. The code runs on all processors and needs about 0.5 microseconds per state.
+    Its results agree with those of the function up to rounding. The bits of a state's result do not depend on
+    other states.
 
     Parameters
     ----------
     function : callable
-        A law in NumPy, or a method of a part, such as ``robot.mass_matrix``: of arrays of one state, and of
-        words such as the name of a frame, to an array or a tuple of arrays. What else it depends on stays as
-        it is at the first call.
+        Law in NumPy, or method of a part such as ``robot.mass_matrix``. Its arguments are arrays of one
+        state, and text such as the name of a frame. It returns an array or a tuple of arrays. All other data
+        keep their value of the first call.
     axes : int or tuple of int
-        How many axes of an argument are the function's own, for all arguments or for each; those before them
-        broadcast.
+        Number of axes of one state's argument, for all arguments or for each. The axes before them broadcast.
     checked : bool
-        Whether arguments and answers that are not finite are refused.
+        Whether arguments and results that are not finite raise an error.
     keep : bool
         Whether the machine code is kept in a file for other processes.
 
     Returns
     -------
-    vectorized : callable
-        Of arrays of shape (..., *own).
+    callable
+        Function of arrays with leading axes.
 
     Raises
     ------
     InvalidArgument
-        If `function` is none; or, when it is called, an argument is not finite or has too few axes, leading
-        axes do not broadcast, or the answers would not fit into memory.
+        If `function` is not callable. A call raises it if an argument is not finite or has too few axes,
+        leading axes do not broadcast, or the results do not fit into memory.
     NotTraceable
-        When it is called, if the function cannot be compiled, or is another one on symbols.
+        In a call, if the function cannot be compiled, or its results with symbols differ.
     NotFinite
-        When it is called, if an answer is not finite.
+        In a call, if a result is not finite.
+
+    See Also
+    --------
+    ensemble : compiled loops of many robots.
+    Engine : engines of a loop.
 
     Examples
     --------
     >>> import numpy as np
     >>> from pinmobile import MobileRobot, vectorize
-    >>> vectorize(MobileRobot.box().mass_matrix)(np.zeros((1000, 3))).shape
-    (1000, 3, 3)
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> energy = vectorize(robot.kinetic_energy)
+    >>> v = np.array([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])  # [m/s]
+    >>> energy(np.zeros(3), v)  # [J]
+    array([15., 60.])
     """
     if not callable(function):
         raise InvalidArgument(f"function is {shown(function)}, expected a function of one state")
@@ -80,7 +88,7 @@ def vectorize(
         own = (axes,) * len(arrays) if isinstance(axes, int) else axes
         if len(own) != len(arrays) or any(x.ndim < n for x, n in zip(arrays, own, strict=True)):
             raise InvalidArgument(
-                f"arguments have shapes {[x.shape for x in arrays]}, of which axes = {axes} are a state's own"
+                f"arguments have shapes {[x.shape for x in arrays]}, expected axes = {axes} for one state"
             )
         leads = [x.shape[: x.ndim - n] for x, n in zip(arrays, own, strict=True)]
         shapes = [x.shape[x.ndim - n :] for x, n in zip(arrays, own, strict=True)]
@@ -89,13 +97,13 @@ def vectorize(
         except ValueError:
             raise InvalidArgument(f"leading shapes are {leads}, expected shapes that broadcast") from None
 
-        several = tuple(map(bool, leads))  # arguments of which each state has its own
+        several = tuple(map(bool, leads))  # whether an argument differs from state to state
         key = *shapes, *several, *words.items()
         program = programs.get(key)
         if program is None:
             of_one = _with_words(function, words)
             state = [_first(x, shape) for x, shape in zip(arrays, shapes, strict=True)]
-            expected = of_one(*(x.copy() for x in state))  # which raises the function's own errors
+            expected = of_one(*(x.copy() for x in state))  # raises the function's own errors
             program = _Compiled(of_one, shapes, several, Cache() if keep else Cache(""))
             program.compare(state, expected)
             programs[key] = program
@@ -109,7 +117,7 @@ def vectorize(
 
 
 def _with_words(function: Callable[..., Any], words: dict[int, Any]) -> Callable[..., Any]:
-    """Return a function of the arguments that are arrays; the others stand at their places."""
+    """Return a function of the arguments that are arrays; the other arguments are fixed."""
 
     def of_one(*states: Any) -> Any:
         given = list(states)
@@ -125,7 +133,7 @@ def _first(array: Array, shape: tuple[int, ...]) -> Array:
 
 
 class _Compiled:
-    """A function as machine code, for arguments of some shapes."""
+    """Machine code of a function, for arguments of fixed shapes."""
 
     def __init__(
         self,
@@ -151,11 +159,11 @@ class _Compiled:
         self.program = Program(loop, cache=cache)
 
     def __call__(self, arrays: Sequence[Array], lead: tuple[int, ...]) -> tuple[Array, ...]:
-        """Return what it gives for each of the leading axes."""
+        """Return the results for each of the leading axes."""
         n, loop = prod(lead), self.program.tape
         outputs = [(*lead, *shape) for shape, _ in loop.kept.values()]
         if n * loop.outputs_kept > _MANY:
-            affordable(f"answers for {n:,} states", 1.0 * n * loop.outputs_kept, "ask for fewer at a time")
+            affordable(f"results for {n:,} states", 1.0 * n * loop.outputs_kept, "give fewer at a time")
         rows, uniforms = [], [np.zeros(1)]
         for array, shape, own in zip(arrays, self.shapes, self.several, strict=True):
             if own:
@@ -174,7 +182,7 @@ class _Compiled:
         return tuple(x.reshape(shape) for x, shape in zip(found, outputs, strict=True))
 
     def _some(self, rows: Sequence[Array], uniforms: Sequence[Array], n: int) -> list[Array]:
-        """Return the answers for n states, shape (n, ...) each."""
+        """Return the results for n states, shape (n, ...) each."""
         program, width = self.program, self.program.shape.width
         blocks = aligned((-(-n // width), program.tape.rows, width))
         if rows:
@@ -184,25 +192,25 @@ class _Compiled:
         return [x[:, 0] for x in program.kept_samples(kept, n).values()]
 
     def compare(self, state: Sequence[Array], expected: Any) -> None:
-        """Refuse a function that is another one on symbols than on the numbers of a state."""
+        """Reject a function whose results with symbols and with numbers differ."""
         lead = (1,) if any(self.several) else ()
         for one, other in zip(expected if self.is_tuple else (expected,), self(state, lead), strict=True):
             own, scale = other.reshape(other.shape[len(lead) :]), np.abs(one).max(initial=1e-3)
             if np.shape(one) != own.shape or not np.allclose(one, own, rtol=0, atol=_CLOSE * scale):
                 raise NotTraceable(
-                    "on symbols the function computes something else than on numbers",
-                    "let it do the same for every kind of array, without isinstance or try",
+                    "with symbols, the function computes something else than with numbers",
+                    "write a function that treats every kind of array alike, without isinstance or try",
                 )
 
 
 class Recurrence:
-    """States z[k + 1] = law(z[k], u[k], numbers) of N systems, all samples in one run of machine code.
+    """Machine code of the recurrence z[k + 1] = law(z[k], u[k], numbers) for N systems and all samples.
 
     Parameters
     ----------
     law : callable
-        Of the state, shape (n,), the input, (m,), and numbers, (k,), of one system, in NumPy; it returns the
-        next state, shape (n,).
+        Function in NumPy of the state, shape (n,), the input, shape (m,), and numbers, shape (k,), of one
+        system. It returns the next state, shape (n,).
     sizes : (int, int, int)
         n, m and k.
     """
@@ -221,9 +229,19 @@ class Recurrence:
         self._program = Program(loop)
 
     def __call__(self, start: Array, u: Array, numbers: Array) -> Array:
-        """Return the states, shape (N, K + 1, n), from (N, n) on, for inputs (K, N, m) and numbers (N, k)."""
+        """Return the states, shape (N, K + 1, n).
+
+        Parameters
+        ----------
+        start : ndarray, shape (N, n)
+            Initial states.
+        u : ndarray, shape (K, N, m)
+            Inputs.
+        numbers : ndarray, shape (N, k)
+            Numbers of the systems.
+        """
         count, none = len(u) + 1, np.empty((len(u) + 1, 0))
-        inputs = np.concatenate([u, np.zeros((1, *u.shape[1:]))])  # the last state has none
+        inputs = np.concatenate([u, np.zeros((1, *u.shape[1:]))])  # the last state needs no input
         outcome = self._program.run(
             (start, np.empty((len(start), 0))),
             np.zeros(count),

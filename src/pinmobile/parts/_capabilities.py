@@ -1,4 +1,4 @@
-"""Capabilities: small protocols of what a part can do, the one test for them, and the one error."""
+"""Capabilities: small protocols for the abilities of a part, and the test for them."""
 
 from __future__ import annotations
 
@@ -25,66 +25,219 @@ class Integrating(Comparing, Protocol):
 class Stepping(Protocol):
     """A plant with a step of its own, step(t, q, v, u, h, f, memory).
 
-    It replaces the integrator, for instance if the dynamics contain contacts or fast electrical states.
-    `Remembering` supplies its first memory.
+    The step replaces the integrator, for instance if the dynamics contain contacts or fast electrical states.
+    `Remembering` supplies the initial memory.
+
+    See Also
+    --------
+    parts.Remembering : parts with memory.
+    simulate : run a loop.
+
+    Examples
+    --------
+    >>> from pinmobile.plant import Step
+    >>> class Falling:
+    ...     def step(self, t, q, v, u, h, f, memory):
+    ...         after = v - 9.81 * h  # [m/s]
+    ...         return Step(q + h * after, after, memory)
+    >>> float(Falling().step(0, 1.0, 0.0, 0, 0.1, None, None).v)
+    -0.981
     """
 
     def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any, /) -> Any:
-        """Return the `Step` from a state by a time h.
+        """Return the `Step` from a state over a time h.
 
-        ``f(t, q, v)`` returns the external forces at any time and state, shape (nv,); 0.0 if there are none.
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        q, v, u : ndarray, shape (nq,), (nv,), (nu,)
+            Configuration, velocity and applied input.
+        h : float
+            Length of the step [s].
+        f : callable
+            Function ``f(t, q, v)`` that returns the external forces at any time and state, shape (nv,); 0.0
+            if there are none.
+        memory : tree of ndarrays
+            Memory of the plant.
+
+        Returns
+        -------
+        Step
+            Configuration, velocity and memory after the step.
         """
 
 
 class Constrained(Protocol):
-    """A plant with project(q, v), the velocity that its constraints leave.
+    """A plant with project(q, v), the projection of velocities on its constraints.
 
-    The loop calls it before each substep but the first, as a start is taken as given: rolling wheels have no
-    sideways velocity afterwards.
+    The loop calls the method before each substep except the first, because the initial velocity stays as
+    given. Rolling wheels, for instance, have no sideways velocity afterwards.
+
+    See Also
+    --------
+    parts.Stepping : plants with a step of their own.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> class OnRail:
+    ...     def project(self, q, v):
+    ...         return v * np.array([1, 0, 0])  # no sideways motion
+    >>> OnRail().project(np.zeros(3), np.array([0.5, 0.1, 0.0]))
+    array([0.5, 0. , 0. ])
     """
 
     def project(self, q: Any, v: Any, /) -> Any:
-        """Return the velocity that the constraints leave, shape (nv,)."""
+        """Return the velocity after projection on the constraints.
+
+        Parameters
+        ----------
+        q, v : ndarray, shape (nq,), (nv,)
+            Configuration and velocity.
+
+        Returns
+        -------
+        ndarray, shape (nv,)
+            Velocity that satisfies the constraints.
+        """
 
 
 class Pushable(Protocol):
     """A plant whose body can be pushed: pose(q), pose_rate(q, v) and generalized_force(q, wrench).
 
-    Its ``forward_dynamics(q, v, u, f)`` takes external forces f, shape (nv,), beside the input. Plots and the
-    viewer use the pose.
+    Its ``forward_dynamics(q, v, u, f)`` accepts external forces f, shape (nv,). Plots and the viewer use the
+    pose.
+
+    See Also
+    --------
+    ConstantForce : wrench on the body.
+    simulate : run a loop with forces.
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> robot.generalized_force([0, 0, 0], [5, 0, 0])  # [N, N, N m]
+    array([5., 0., 0.])
     """
 
     def pose(self, q: Any, /) -> Any:
-        """Return x, y, psi of the body, shape (3,) [m, m, rad]."""
+        """Return the pose (x, y, psi) of the body, shape (3,) [m, m, rad].
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Configuration.
+        """
 
     def pose_rate(self, q: Any, v: Any, /) -> Any:
-        """Return their rates, shape (3,)."""
+        """Return the rates of the pose, shape (3,) [m/s, m/s, rad/s].
+
+        Parameters
+        ----------
+        q, v : ndarray, shape (nq,), (nv,)
+            Configuration and velocity.
+        """
 
     def generalized_force(self, q: Any, wrench: Any, /) -> Any:
-        """Return the generalized force of a wrench (Fx, Fy, Mz) on the body, shape (nv,)."""
+        """Return the generalized force of a wrench on the body, shape (nv,).
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Configuration.
+        wrench : ndarray, shape (3,)
+            Force and moment (Fx, Fy, Mz) [N, N, N m].
+        """
 
 
 class Starting(Protocol):
     """A plant with start(reference), which completes the first sample of a reference.
 
-    The reference has the first n coordinates of the plant, one of the lengths in ``reference_sizes``.
+    The reference has the first n coordinates of the plant; ``reference_sizes`` lists the allowed n.
+
+    See Also
+    --------
+    simulate : run a loop from this state.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import Reference, WheelTable, WheeledRobot
+    >>> from pinmobile import MobileRobot
+    >>> table = WheelTable.differential(track=0.4, radius=0.1)
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+    >>> zero, ahead = np.zeros(3), np.array([1.0, 0.0, 0.0])  # [m/s]
+    >>> q, v = robot.start(Reference(zero, ahead, zero))
+    >>> v[3:]  # rates of the wheels [rad/s]
+    array([10., 10.])
     """
 
     def start(self, reference: Any, /) -> Any:
-        """Return q and v."""
+        """Return the initial configuration and velocity.
+
+        Parameters
+        ----------
+        reference : Reference
+            First sample of the reference.
+
+        Returns
+        -------
+        q, v : ndarray, shape (nq,), (nv,)
+            Initial configuration and velocity.
+        """
 
 
 class Remembering(Protocol):
-    """A part with memory: initial_state(context)."""
+    """A part with memory: initial_state(context).
+
+    See Also
+    --------
+    plant.Context : argument of the method.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> class Filter:  # low-pass filter of the velocity
+    ...     def initial_state(self, context):
+    ...         return np.zeros(3)
+    ...     def __call__(self, t, q, v, reference, state):
+    ...         state = 0.9 * state + 0.1 * v
+    ...         return 20.0 * (reference.v - state), state
+    >>> Filter().initial_state(None)
+    array([0., 0., 0.])
+    """
 
     def initial_state(self, context: Any, /) -> Any:
-        """Return the memory before the first sample."""
+        """Return the memory before the first sample, a tree of arrays.
+
+        Parameters
+        ----------
+        context : Context
+            Data about the loop: time step, times, coordinates, inputs, reference, delays and noise.
+        """
 
 
 class Measuring(Protocol):
     """A plant with metrics: metrics, and evaluate_metrics(t, q, v, a, u, reference).
 
     Ensembles keep the worst value of each metric beside the errors.
+
+    See Also
+    --------
+    metrics.Metric : description of a metric.
+    Rollout.metrics : metrics of a run.
+
+    Examples
+    --------
+    >>> from pinmobile.metrics import Metric
+    >>> class Cart:
+    ...     metrics = (Metric("power", "W", "power of the motor"),)
+    ...     def evaluate_metrics(self, t, q, v, a, u, reference):
+    ...         return u[..., :1] * v[..., :1]
+    >>> Cart.metrics[0].title
+    'power [W]'
     """
 
     @property
@@ -92,18 +245,43 @@ class Measuring(Protocol):
         """Tuple of m `pinmobile.metrics.Metric`: names, units and meanings of the metrics."""
 
     def evaluate_metrics(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any, /) -> Any:
-        """Return the metrics of a sample, shape (m,)."""
+        """Return the metrics of a sample, shape (m,).
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        q, v, a, u : ndarray, shape (nq,), (nv,), (nv,), (nu,)
+            Configuration, velocity, acceleration and applied input.
+        reference : Reference
+            Reference of the sample.
+        """
 
 
 class Signalling(Protocol):
-    """A part with signals(...), further series worth recording.
+    """A part with signals(...), further series that a run records.
 
-    The arguments are those of its law: ``signals(state)`` of a controller, ``signals(t, pose, rate)`` or
-    ``signals(t, q, v)`` of a force, ``signals(t, q, v, u, f, memory)`` of a plant.
+    The arguments are those of the part's law: ``signals(state)`` of a controller, ``signals(t, pose, rate)``
+    or ``signals(t, q, v)`` of a force, ``signals(t, q, v, u, f, memory)`` of a plant.
+
+    See Also
+    --------
+    Rollout.signals : recorded signals.
+    loop.Signal : series with a unit.
+
+    Examples
+    --------
+    >>> class Wind:
+    ...     def __call__(self, t, pose, rate):
+    ...         return [5.0, 0.0, 0.0]  # [N, N, N m]
+    ...     def signals(self, t, pose, rate):
+    ...         return {"wind": ("N", 5.0)}
+    >>> Wind().signals(0.0, None, None)
+    {'wind': ('N', 5.0)}
     """
 
     def signals(self, *given: Any) -> Any:
-        """Return a dict of name to (unit, value), a value being a number or a row of numbers."""
+        """Return a dict of name to (unit, value); a value is a number or a row of numbers."""
 
 
 class _Sized(Protocol):
@@ -122,48 +300,48 @@ class Invertible(Protocol):
         """Size of v."""
 
     def inverse_dynamics(self, q: Any, v: Any, a: Any, /) -> Any:
-        """Return M(q) a + n(q, v), shape (nv,)."""
+        """Return the generalized force M(q) a + n(q, v), shape (nv,)."""
 
 
 class Inverted(Protocol):
-    """A robot with check_inverse_dynamics(), which says where it has none."""
+    """A robot with check_inverse_dynamics(), which rejects a robot without inverse dynamics."""
 
     def check_inverse_dynamics(self) -> None:
-        """Raise `InvalidArgument` where no input moves the robot in every direction."""
+        """Raise `InvalidArgument` if no input moves the robot in every direction."""
 
 
 class Gravitating(_Sized, Protocol):
     """A MobileRobot."""
 
     def gravity(self, q: Any, /) -> Any:
-        """Return g(q), shape (nv,)."""
+        """Return the gravity term g(q), shape (nv,)."""
 
 
 class Passive(Invertible, Protocol):
     """A MobileRobot."""
 
     def nonlinear_effects(self, q: Any, v: Any, /) -> Any:
-        """Return n(q, v), shape (nv,)."""
+        """Return the nonlinear effects n(q, v), shape (nv,)."""
 
     def gravity(self, q: Any, /) -> Any:
-        """Return g(q), shape (nv,)."""
+        """Return the gravity term g(q), shape (nv,)."""
 
 
 class Observable(Invertible, Protocol):
     """A MobileRobot."""
 
     def coriolis_matrix(self, q: Any, v: Any, /) -> Any:
-        """Return C(q, v) of Christoffel's symbols, shape (nv, nv)."""
+        """Return the Coriolis matrix C(q, v) from Christoffel symbols, shape (nv, nv)."""
 
     def gravity(self, q: Any, /) -> Any:
-        """Return g(q), shape (nv,)."""
+        """Return the gravity term g(q), shape (nv,)."""
 
 
 class Linearized(_Sized, Protocol):
     """A MobileRobot or a WheeledRobot."""
 
     def linearize_tracked(self, q: Any, v: Any, u: Any, /) -> Any:
-        """Return A and B of the tracked state."""
+        """Return the matrices A and B of the tracked state."""
 
 
 class Rolling(_Sized, Protocol):
@@ -185,14 +363,14 @@ class Tabled(Protocol):
 
     @property
     def table(self) -> Any:
-        """Its wheels and motors."""
+        """Wheels and motors of the robot."""
 
 
 class Commanded(Protocol):
     """A VelocityRobot."""
 
     def commands(self, q: Any, v: Any, rates: Any, /) -> Any:
-        """Return the commands at which the independent velocities change so."""
+        """Return the commands that produce these rates of the independent velocities."""
 
 
 class Allocating(Protocol):
@@ -200,31 +378,31 @@ class Allocating(Protocol):
 
     @property
     def robot(self) -> Any:
-        """Body and arms."""
+        """Body with its arms."""
 
     def allocate_scaled(self, q: Any, force: Any, /) -> Any:
-        """Return torques for a force on body and arms, and what of it they leave."""
+        """Return wheel torques for a force on body and arms, and the force that they cannot produce."""
 
 
 class Electric(Protocol):
     """A WheeledRobot with electric motors."""
 
     def volts_for(self, v: Any, torques: Any, /) -> Any:
-        """Return the voltages that give these torques."""
+        """Return the motor voltages that produce these torques."""
 
 
 class Powered(Protocol):
-    """A WheeledRobot whose motors may take volts: by_voltage()."""
+    """A WheeledRobot whose motors can be driven by voltage: by_voltage()."""
 
     def by_voltage(self) -> Any:
-        """Return the same robot, which takes volts."""
+        """Return the same robot with motor voltages as its input."""
 
 
 class Informed(Protocol):
-    """A controller with applied(u, state), which takes the input after all limits."""
+    """A controller with applied(u, state), which receives the applied input."""
 
     def applied(self, u: Any, state: Any, /) -> Any:
-        """Return the next memory."""
+        """Return the next memory, from the applied input and the memory."""
 
 
 class OnCoordinates(Protocol):
@@ -243,14 +421,14 @@ class OnCoordinates(Protocol):
 
 
 class Carried(Protocol):
-    """A force that adds to the inertia of the body, inertia(t, pose).
+    """A force that adds inertia to the body, inertia(t, pose).
 
-    As a force it is called for a constant velocity; the loop adds the reaction of its mass. The plant needs
-    an integrator; its first coordinates are x, y and psi of the body.
+    The force itself applies to constant velocity; the loop adds the reaction of the mass. The plant needs an
+    integrator, and its first coordinates are x, y and psi of the body.
     """
 
     def inertia(self, t: Any, pose: Any, /) -> Any:
-        """Return what it adds to the mass matrix of the body, shape (..., 3, 3) [kg, kg m, kg m^2].
+        """Return the additional mass matrix of the body, shape (..., 3, 3) [kg, kg m, kg m^2].
 
         Parameters
         ----------
@@ -266,10 +444,10 @@ class Following(Protocol):
 
     @property
     def duration(self) -> float:
-        """Time at which it ends [s]."""
+        """Duration of the trajectory [s]."""
 
     def __call__(self, t: Any, /) -> Any:
-        """Return the reference at a time, or at several."""
+        """Return the reference at one time or several times."""
 
 
 class Desired(Protocol):
@@ -289,7 +467,7 @@ class Desired(Protocol):
 
 
 class Touching(Protocol):
-    """A plant that tells its contacts with the ground, with contacts(q, v, a, u, signals)."""
+    """A plant that provides its contacts with the ground: contacts(q, v, a, u, signals)."""
 
     def contacts(self, q: Any, v: Any, a: Any, u: Any, signals: Any, /) -> Any:
         """Return the contacts at n samples."""
@@ -304,50 +482,53 @@ class Grounded(_Sized, Protocol):
 
 @cache
 def members(kind: type) -> tuple[str, ...]:
-    """Return the names that a protocol asks for, those of its base first."""
+    """Return the names that a protocol requires, those of its base first."""
     names = (name for each in reversed(kind.__mro__[:-3]) for name in vars(each))
     return tuple(name for name in names if name == "__call__" or not name.startswith("_"))
 
 
 def offers(part: object, kind: type) -> bool:
-    """Return whether a part has all that a protocol asks for; what is None it has not."""
+    """Return whether a part has all members of a protocol; a member that is None does not count."""
     return all(getattr(part, name, None) is not None for name in members(kind))
 
 
 def able(part: Any, kind: type) -> Any:
-    """Return the part as one with a capability; None where it has it not."""
+    """Return the part if it has a capability, else None."""
     return part if offers(part, kind) else None
 
 
 def lacks(part: object, kind: type) -> str:
-    """Return in words what a part lacks that has other things of a protocol, "" of one that has none."""
+    """Return a text about the first missing member of a part that has other members of a protocol.
+
+    The text is "" for a part that has none or all of the members.
+    """
     names = [name for name in members(kind) if name != "__call__"]
     lacking = [name for name in names if getattr(part, name, None) is None]
     return f", which has no {lacking[0]}" if 0 < len(lacking) < len(names) else ""
 
 
 def meaning(kind: type) -> str:
-    """Return a capability in words: the first sentence of its docstring."""
+    """Return a capability as text: the first line of its docstring."""
     words = (kind.__doc__ or kind.__name__).split("\n")[0].rstrip(".")
     return words[:1].lower() + words[1:]
 
 
 def required(name: str, part: Any, kind: type, why: str = "") -> Any:
-    """Return the part as one with a capability.
+    """Return a part that must have a capability.
 
     Parameters
     ----------
     name, part : str, object
-        The argument.
+        Name and value of the argument.
     kind : protocol
-        The capability.
+        Capability.
     why : str, optional
-        What needs it, such as ``"forces push its body"``.
+        Reason, for the message, such as ``"forces push its body"``.
 
     Raises
     ------
     InvalidArgument
-        If it has it not.
+        If the part does not have the capability.
     """
     if isinstance(part, type) or not offers(part, kind):
         told = lacks(part, kind) + (why and f", and {why}")

@@ -31,7 +31,7 @@ from pinmobile.parts._capabilities import lacks, meaning, offers
 _T = TypeVar("_T")
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 _Shape = tuple[int | str, ...]
-TRACING = threading.local()  # `depth` > 0 in a thread that runs laws on symbols
+TRACING = threading.local()  # `depth` > 0 in a thread that traces laws
 
 
 def is_symbolic(value: object) -> bool:
@@ -40,7 +40,7 @@ def is_symbolic(value: object) -> bool:
 
 
 def holds_symbols(value: object) -> bool:
-    """Return whether a value is a symbol, a part that holds symbols, or several of which one is."""
+    """Return whether a value is a symbol, a part with symbols, or a collection that contains one."""
     if isinstance(value, tuple | list):
         return any(map(holds_symbols, value))
     if isinstance(value, Mapping):
@@ -49,7 +49,7 @@ def holds_symbols(value: object) -> bool:
 
 
 def also_symbols(method: _Method) -> _Method:
-    """Let a method of a part answer by its `array_dynamics` where an argument or a field is a symbol."""
+    """Decorate a method of a part: it calls `array_dynamics` if an argument or a field is a symbol."""
     name = method.__name__
 
     @functools.wraps(method)
@@ -59,8 +59,8 @@ def also_symbols(method: _Method) -> _Method:
         law = self.array_dynamics
         if not hasattr(law, name):
             raise NotTraceable(
-                f"{name} of a {type(self).__name__}, which takes numbers alone",
-                f"write the law by the methods of {type(law).__name__}",
+                f"{name} of a {type(self).__name__}, which accepts numbers only",
+                f"write the law with the methods of {type(law).__name__}",
             )
         return getattr(law, name)(*given, **named)
 
@@ -68,10 +68,14 @@ def also_symbols(method: _Method) -> _Method:
 
 
 def takes(**sizes: int | str) -> Callable[[_Method], _Method]:
-    """Let a method of a part take numbers, checked as declared, and answer in finite ones; or symbols.
+    """Decorate a method of a part: it accepts checked numbers, whose leading axes broadcast, or symbols.
 
-    Each size is a length of the last axis, or the name of the attribute of the part that has it. An argument
-    that is its own default is not checked. Leading axes broadcast.
+    The method checks that its result is finite. An argument that equals its default is not checked.
+
+    Parameters
+    ----------
+    **sizes : int or str
+        Length of the last axis of each argument, or the name of the attribute of the part with this length.
     """
 
     def decorate(method: _Method) -> _Method:
@@ -103,18 +107,18 @@ def takes(**sizes: int | str) -> Callable[[_Method], _Method]:
 
 
 def _same(value: Any, default: Any) -> bool:
-    """Return whether a number, or an array without axes, is the default of an argument."""
+    """Return whether a number, or an array without axes, equals the default of an argument."""
     return isinstance(default, float | int) and not np.ndim(value) and bool(value == default)
 
 
 def is_tracing() -> bool:
-    """Return whether laws run on symbols in this thread."""
+    """Return whether this thread traces laws with symbols."""
     return bool(getattr(TRACING, "depth", 0))
 
 
 @contextlib.contextmanager
 def on_numbers() -> Iterator[None]:
-    """Let code run on numbers in a thread that runs laws on symbols."""
+    """Run code with numbers in a thread that traces laws."""
     depth, TRACING.depth = getattr(TRACING, "depth", 0), 0
     try:
         yield
@@ -123,7 +127,7 @@ def on_numbers() -> Iterator[None]:
 
 
 class numeric(functools.cached_property[_T]):
-    """A cached property whose code makes arrays of numbers, also while laws run on symbols."""
+    """Cached property whose code computes with numbers, also while laws are traced."""
 
     @overload
     def __get__(self, part: None, owner: Any = None) -> Self: ...
@@ -139,7 +143,7 @@ class numeric(functools.cached_property[_T]):
 
 
 class structure(numeric[_T]):
-    """A cached property that depends on numbers alone: a part that holds symbols has that of its numbers."""
+    """Cached property that depends on numbers only: a part with symbols has the value of its nominal part."""
 
     @overload
     def __get__(self, part: None, owner: Any = None) -> Self: ...
@@ -155,17 +159,23 @@ class structure(numeric[_T]):
 
 @attrs.frozen
 class Field:
-    """Declaration of a field beside its name: anything, such as a name, a function or a table."""
+    """Declaration of a field that is neither a number nor a part, such as a name, a function or a table.
+
+    Attributes
+    ----------
+    doc : str
+        Meaning of the field as a noun phrase.
+    """
 
     doc: str = ""
 
     def checked(self, name: str, value: Any) -> Any:
-        """Return the value as the part keeps it.
+        """Return the value in the form that the part stores.
 
         Raises
         ------
         InvalidArgument
-            If it is not what is declared.
+            If the value does not match the declaration.
         """
         return value
 
@@ -177,25 +187,24 @@ class Number(Field):
     Attributes
     ----------
     unit : str, or function of the part
-        Unit of the numbers, "" for none; of an array with mixed units, one for each entry: ``"N, N, N m"``.
+        Unit of the numbers, "" for none; for mixed units, one unit per entry: ``"N, N, N m"``.
     above, lower, upper : float, optional
-        Bounds; `above` itself is excluded.
+        Bounds; `above` is excluded, the others are included.
     shapes : tuple of shapes
-        Shapes that are allowed; a letter stands for any length, the same everywhere in a shape.
+        Allowed shapes; a letter stands for any length, the same everywhere in a shape.
     labels : tuple of str, or function of the part
-        Names of the entries of the last axis; entries without one have their number.
+        Names of the entries of the last axis; other entries have their index as a name.
     fixed : bool
-        Whether all robots of an ensemble have the same, which the compiled loop takes for a constant.
+        Whether all robots of an ensemble have the same number; the compiled loop treats it as a constant.
     endless : bool
         Whether infinity is allowed.
     optional : bool
-        Whether None is allowed, in place of a number.
+        Whether None is allowed in place of a number.
     size : function of the part, optional
-        Returns how many entries there are: what has another number is refused, and one number becomes an
-        array of them, unless a matrix may take its place.
+        Number of entries. Another number of entries is rejected; one number becomes an array of this size,
+        unless a matrix is allowed.
     neutral : float
-        Value that leaves the number out of the law where all robots have it: the compiled loop takes it for a
-        constant.
+        Value that has no effect in the law; the compiled loop treats it as a constant if all robots have it.
     """
 
     unit: str | Callable[[Any], str] = ""
@@ -212,12 +221,12 @@ class Number(Field):
 
     @property
     def bound(self) -> str:
-        """The expected values in words, such as ``> 0``."""
+        """Bounds as text, such as ``> 0``."""
         bounds = (">", self.above), (">=", self.lower), ("<=", self.upper)
         return " and ".join(f"{sign} {x:g}" for sign, x in bounds if x is not None)
 
     def checked(self, name: str, value: Any) -> Any:
-        """Return a float, or a read-only array; symbols as they are."""
+        """Return a float or an immutable array; symbols are returned unchanged."""
         if is_symbolic(value) or (value is None and self.optional):
             return value
         array = (endless_or_finite if self.endless else finite)(name, value)
@@ -226,7 +235,7 @@ class Number(Field):
         return frozen(array) if array.ndim else float(array)
 
     def sized(self, name: str, value: Any, n: int) -> Any:
-        """Return a checked value, of n entries."""
+        """Return a checked value with n entries."""
         shape = np.shape(value)
         if is_symbolic(value) or value is None:
             return value
@@ -236,7 +245,7 @@ class Number(Field):
         return value if shape or any(len(each) > 1 for each in self.shapes) else frozen(np.full(n, value))
 
     def beyond(self, values: Any) -> Any:
-        """Return which of some values are out of bounds, as an array of booleans."""
+        """Return which values are out of bounds, as an array of booleans."""
         limits = (self.above, np.less_equal), (self.lower, np.less), (self.upper, np.greater)
         wrong = np.zeros(np.shape(values), bool)
         for limit, compare in limits:
@@ -245,7 +254,7 @@ class Number(Field):
         return wrong
 
     def check_bounds(self, name: str, array: Any) -> None:
-        """Raise `InvalidArgument` where a value is out of bounds."""
+        """Raise `InvalidArgument` if a value is out of bounds."""
         wrong = self.beyond(array)
         if wrong.any():
             at = tuple(int(i) for i in np.argwhere(wrong)[0])
@@ -255,7 +264,7 @@ class Number(Field):
 
 
 def unit_of(unit: str, entry: int | None) -> str:
-    """Return the unit of an entry of the last axis; None: of all."""
+    """Return the unit of an entry of the last axis, or of the whole array if the entry is None."""
     units = unit.split(", ")
     if entry is None or len(units) == 1:
         return unit
@@ -264,7 +273,7 @@ def unit_of(unit: str, entry: int | None) -> str:
 
 @attrs.frozen
 class Whole(Field):
-    """Declaration of a whole number, the same for all robots."""
+    """Declaration of a whole number, which is the same for all robots."""
 
     least: int = 0
     most: int = 2**53
@@ -276,7 +285,7 @@ class Whole(Field):
 
 @attrs.frozen
 class Child(Field):
-    """Declaration of a part within the part, or of several in a tuple or a mapping by name."""
+    """Declaration of a part inside the part, or of several parts in a tuple or mapping."""
 
     kind: Any = object
     many: bool = False
@@ -284,7 +293,7 @@ class Child(Field):
     expected: str = ""
 
     def checked(self, name: str, value: Any) -> Any:
-        """Return the part, or a tuple of parts, or a mapping of parts by name."""
+        """Return the part, a tuple of parts, or a mapping of parts by name."""
         if not self.many:
             return value if value is None and self.optional else self._one(name, value)
         if isinstance(value, Mapping):
@@ -303,14 +312,14 @@ class Child(Field):
 
 
 def _is_of(value: Any, kind: Any) -> bool:
-    """Return whether a value is of a class, has what a protocol asks for, or is of one of several kinds."""
+    """Return whether a value matches a class, a protocol, or one of several kinds."""
     if isinstance(kind, tuple):
         return any(_is_of(value, each) for each in kind)
     return offers(value, kind) if is_protocol(kind) else isinstance(value, kind)
 
 
 def is_protocol(kind: Any) -> bool:
-    """Return whether a kind is a protocol, which objects of any class may have."""
+    """Return whether a kind is a protocol, which objects of any class can implement."""
     return isinstance(kind, type) and bool(vars(kind).get("_is_protocol", False))
 
 
@@ -320,7 +329,7 @@ class Values(Field):
 
 
 def _checked(value: Any, owner: Any, field: attrs.Attribute[Any]) -> Any:
-    """Return the value as the part keeps it; None stands for a default that follows from other fields."""
+    """Return the value in the form that the part stores; None stands for a default from other fields."""
     declared: Field = field.metadata["declared"]
     if value is None and isinstance(field.default, attrs.Factory):  # type: ignore[arg-type]
         value = field.default.factory(owner)  # type: ignore[union-attr]
@@ -336,14 +345,14 @@ _convert = attrs.Converter(_checked, takes_self=True, takes_field=True)
 
 
 def declare(declared: Field, default: Any = attrs.NOTHING, **options: Any) -> Any:
-    """Return a field with a declaration of any kind; `options` are those of `attrs.field`."""
+    """Return a field with a declaration; `options` are those of `attrs.field`."""
     return attrs.field(
         default=default, converter=_convert, metadata={"declared": declared}, **{"repr": True, **options}
     )
 
 
 class _Bounds(TypedDict, total=False):
-    """What the functions below take beside `default`; their meaning is that of the attributes of `Number`."""
+    """Arguments of the functions below beside `default`; they are the attributes of `Number`."""
 
     doc: str
     unit: str | Callable[[Any], str]
@@ -362,7 +371,39 @@ class _Numbers(_Bounds, total=False):
 
 
 def number(*, default: Any = attrs.NOTHING, **declared: Unpack[_Numbers]) -> Any:
-    """Declare a number: see `Number`."""
+    """Declare a field that is a number.
+
+    Parameters
+    ----------
+    default : float or None, optional
+        Default of the field; without it, the field is required.
+    **declared
+        Attributes of the declaration: ``doc`` (meaning), ``unit``, bounds ``above`` (excluded), ``lower`` and
+        ``upper`` (included), ``endless`` (infinity is allowed), ``optional`` (None is allowed), ``fixed``
+        (the same for all robots of an ensemble), ``neutral`` (value without effect).
+
+    Returns
+    -------
+    field
+        Declaration for the body of a class with `part`.
+
+    See Also
+    --------
+    parts.part : make a class a part.
+    parts.array : array of numbers.
+    parts.gain : gain of a controller.
+
+    Examples
+    --------
+    >>> from pinmobile.parts import number, part
+    >>> @part
+    ... class Spring:
+    ...     stiffness: float = number(above=0, unit="N/m")
+    >>> Spring(-2.0)
+    Traceback (most recent call last):
+        ...
+    pinmobile.errors.InvalidArgument: stiffness is -2.0 N/m, expected > 0
+    """
     optional = declared.get("optional", False)
     return declare(Number(**declared), None if optional and default is attrs.NOTHING else default)
 
@@ -370,35 +411,182 @@ def number(*, default: Any = attrs.NOTHING, **declared: Unpack[_Numbers]) -> Any
 def array(
     *, default: Any = attrs.NOTHING, shapes: tuple[_Shape, ...] = (("n",),), **declared: Unpack[_Numbers]
 ) -> Any:
-    """Declare an array of numbers: see `Number`."""
+    """Declare a field that is an array of numbers.
+
+    Parameters
+    ----------
+    default : array_like, optional
+        Default of the field; without it, the field is required.
+    shapes : tuple of tuple
+        Allowed shapes; a letter stands for any length, the same everywhere in a shape.
+    **declared
+        Attributes of the declaration, see `number`; also ``labels`` (names of the entries of the last axis)
+        and ``size`` (function of the part that returns the number of entries).
+
+    Returns
+    -------
+    field
+        Declaration for the body of a class with `part`.
+
+    See Also
+    --------
+    parts.number : single number.
+    parts.each : numbers of coordinates.
+
+    Examples
+    --------
+    >>> from pinmobile.parts import array, part
+    >>> @part
+    ... class Wind:
+    ...     force: object = array(shapes=((2,),), unit="N")
+    >>> Wind([3, 4]).force
+    array([3., 4.])
+    """
     return declare(Number(shapes=shapes, **declared), default)
 
 
 COORDINATES = ("x", "y", "psi")
-"""Labels of the first coordinates of a plant; those of arms and wheels have their number."""
+"""Labels of the first coordinates of a plant; those of arms and wheels have their index as a label."""
 
 
 def gain(*, default: Any = attrs.NOTHING, **declared: Unpack[_Bounds]) -> Any:
-    """Declare a gain: a number for all coordinates, one for each, or a matrix."""
+    """Declare a field that is a gain: one number for all coordinates, one per coordinate, or a matrix.
+
+    Parameters
+    ----------
+    default : array_like, optional
+        Default of the field; without it, the field is required.
+    **declared
+        Attributes of the declaration, see `number`.
+
+    Returns
+    -------
+    field
+        Declaration for the body of a class with `part`.
+
+    See Also
+    --------
+    parts.each : numbers of coordinates, without a matrix.
+    PD : controller with two gains.
+
+    Examples
+    --------
+    >>> from pinmobile.parts import gain, part
+    >>> @part
+    ... class Damping:
+    ...     kd: object = gain(unit="N s/m", doc="derivative gain")
+    ...     def initial_state(self, context):
+    ...         return None
+    ...     def __call__(self, t, q, v, reference, state):
+    ...         return self.kd * (reference.v - v), state
+    >>> Damping(kd=[20, 20, 2]).kd
+    array([20., 20.,  2.])
+    """
     return array(default=default, shapes=((), ("n",), ("n", "n")), labels=COORDINATES, **declared)
 
 
 def each(*, default: Any = attrs.NOTHING, **declared: Unpack[_Bounds]) -> Any:
-    """Declare numbers of coordinates: one for all, or one for each."""
+    """Declare a field with numbers of coordinates: one number for all coordinates, or one per coordinate.
+
+    Parameters
+    ----------
+    default : array_like, optional
+        Default of the field; without it, the field is required.
+    **declared
+        Attributes of the declaration, see `number`.
+
+    Returns
+    -------
+    field
+        Declaration for the body of a class with `part`.
+
+    See Also
+    --------
+    parts.gain : the same, or a matrix.
+    parts.array : array of numbers.
+
+    Examples
+    --------
+    >>> from pinmobile.parts import each, part
+    >>> @part
+    ... class Limits:
+    ...     speed: object = each(above=0, unit="m/s, m/s, rad/s")
+    >>> Limits([1.0, 0.5, 2.0]).speed
+    array([1. , 0.5, 2. ])
+    """
     return array(default=default, shapes=((), ("n",)), labels=COORDINATES, **declared)
 
 
 def integer(*, default: Any = attrs.NOTHING, doc: str = "", least: int = 0, most: int = 2**53) -> Any:
-    """Declare a whole number, which is the same for all robots."""
+    """Declare a field that is a whole number, the same for all robots.
+
+    Parameters
+    ----------
+    default : int, optional
+        Default of the field; without it, the field is required.
+    doc : str
+        Meaning of the field as a noun phrase.
+    least, most : int
+        Bounds, both included.
+
+    Returns
+    -------
+    field
+        Declaration for the body of a class with `part`.
+
+    See Also
+    --------
+    parts.number : number that may differ from robot to robot.
+
+    Examples
+    --------
+    >>> from pinmobile.parts import integer, part
+    >>> @part
+    ... class Delay:
+    ...     samples: int = integer(default=1, doc="delay in samples")
+    >>> Delay(3).samples
+    3
+    """
     return declare(Whole(doc, least, most), default)
 
 
 def child(
     kind: Any, *, default: Any = attrs.NOTHING, doc: str = "", optional: bool = False, expected: str = ""
 ) -> Any:
-    """Declare a part within the part: an object of a class, or one with the methods of a protocol.
+    """Declare a field that is a part: an object of a class, or an object with the members of a protocol.
 
-    `expected` are the words of the error; by default those of the protocol's docstring.
+    Parameters
+    ----------
+    kind : type, protocol or tuple of these
+        Class or protocol of the part.
+    default : part, optional
+        Default of the field; without it, the field is required.
+    doc : str
+        Meaning of the field as a noun phrase.
+    optional : bool
+        Whether None is allowed; None is then the default.
+    expected : str
+        Expected value, for the message; default: the first line of the protocol's docstring.
+
+    Returns
+    -------
+    field
+        Declaration for the body of a class with `part`.
+
+    See Also
+    --------
+    parts.children : several parts.
+
+    Examples
+    --------
+    >>> from pinmobile import PD
+    >>> from pinmobile.parts import child, part, replace
+    >>> @part
+    ... class Half:
+    ...     controller: object = child(object, doc="inner law")
+    >>> half = replace(Half(PD(8, 4)), {"controller.kp": 2.0})
+    >>> half.controller.kp  # [N/m]
+    2.0
     """
     default = None if optional and default is attrs.NOTHING else default
     return declare(Child(doc, kind, False, optional, expected), default)
@@ -407,12 +595,78 @@ def child(
 def children(
     kind: Any, *, default: Any = attrs.NOTHING, doc: str = "", expected: str = "", **options: Any
 ) -> Any:
-    """Declare several parts, in a sequence or a mapping by name; `options` are those of `attrs.field`."""
+    """Declare a field with several parts, in a sequence or in a mapping by name.
+
+    Parameters
+    ----------
+    kind : type, protocol or tuple of these
+        Class or protocol of each part.
+    default : tuple or mapping, optional
+        Default of the field; without it, the field is required.
+    doc : str
+        Meaning of the field as a noun phrase.
+    expected : str
+        Expected value, for the message; default: the first line of the protocol's docstring.
+    **options
+        Options of `attrs.field`.
+
+    Returns
+    -------
+    field
+        Declaration for the body of a class with `part`.
+
+    See Also
+    --------
+    parts.child : one part.
+
+    Examples
+    --------
+    >>> from pinmobile import ConstantForce
+    >>> from pinmobile.parts import children, part, replace
+    >>> @part
+    ... class Storm:
+    ...     forces: object = children(object, default=())
+    >>> calm = Storm({"wind": ConstantForce([5, 0, 0])})
+    >>> storm = replace(calm, {"forces.wind.force": [0, 9, 0]})
+    >>> storm.forces["wind"].force  # [N, N, N m]
+    array([0., 9., 0.])
+    """
     return declare(Child(doc, kind, True, False, expected), default, **options)
 
 
 def option(*, default: Any = attrs.NOTHING, doc: str = "", check: Any = None, **options: Any) -> Any:
-    """Declare anything else; ``check(value)`` may return another form of it, or raise `InvalidArgument`."""
+    """Declare a field that is neither a number nor a part.
+
+    Parameters
+    ----------
+    default : object, optional
+        Default of the field; without it, the field is required.
+    doc : str
+        Meaning of the field as a noun phrase.
+    check : callable, optional
+        Function ``check(name, value)`` that returns the value to store, or raises `InvalidArgument`.
+    **options
+        Options of `attrs.field`.
+
+    Returns
+    -------
+    field
+        Declaration for the body of a class with `part`.
+
+    See Also
+    --------
+    parts.integer : whole number.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import text
+    >>> from pinmobile.parts import option, part
+    >>> @part
+    ... class Label:
+    ...     name: str = option(default="", check=text, doc="name")
+    >>> Label("left").name
+    'left'
+    """
     return declare(_Option(doc, check), default, **options)
 
 
@@ -421,7 +675,7 @@ class _Option(Field):
     check: Any = None
 
     def checked(self, name: str, value: Any) -> Any:
-        """Return what the check returns."""
+        """Return the result of the check."""
         return value if self.check is None else self.check(name, value)
 
 
@@ -435,12 +689,38 @@ def _rebuilt(cls: type[_T], values: Mapping[str, Any]) -> _T:
     field_specifiers=(number, array, gain, each, integer, child, children, option, attrs.field),
 )
 def part(cls: type[_T]) -> type[_T]:
-    """Make a class a part: frozen, its fields checked as declared, and after them by its own ``check()``.
+    """Make a class a part: a frozen attrs class whose fields are checked as declared.
 
-    A `check` that takes arguments is another thing.
+    If the class has a method ``check(self)``, the check of the fields calls it last. Two different objects
+    are unequal, unless the class defines ``__eq__``. A pickle contains the fields.
 
-    Two parts are the same object or differ; a class that defines ``__eq__`` compares as it says. A part is
-    pickled by its fields.
+    Parameters
+    ----------
+    cls : type
+        Class whose fields are declared by `number`, `array`, `gain`, `each`, `integer`, `child`, `children`
+        and `option`.
+
+    Returns
+    -------
+    type
+        The same class as a part.
+
+    See Also
+    --------
+    parts.number : declare a number.
+    parts.replace : the same part with other numbers.
+    parts.table : numbers of a part as text.
+
+    Examples
+    --------
+    >>> from pinmobile.parts import number, part
+    >>> @part
+    ... class Drag:
+    ...     coefficient: float = number(lower=0, unit="N s/m")
+    ...     def __call__(self, t, pose, rate):
+    ...         return -self.coefficient * rate
+    >>> Drag(4.0)
+    Drag(coefficient=4.0)
     """
     own = vars(cls)
     checks: Any = getattr(cls, "check", None)
@@ -459,14 +739,14 @@ def part(cls: type[_T]) -> type[_T]:
 
 
 def _shallow(part: _T) -> _T:
-    """Return a copy that is not made again: what it keeps, by name, unchecked."""
+    """Return a copy with the same attributes, unchecked."""
     new = object.__new__(type(part))
     vars(new).update(vars(part))
     return new
 
 
 def by_value(cls: type[_T]) -> type[_T]:
-    """Let parts of a class be equal where their fields are, but for those declared with ``eq=False``."""
+    """Make parts of a class equal if their fields are equal, except for fields with ``eq=False``."""
 
     def key(self: Any) -> tuple[Any, ...]:
         return tuple(_comparable(getattr(self, f.name)) for f in attrs.fields(type(self)) if f.eq)
@@ -489,7 +769,7 @@ def _initial(part: Any) -> dict[str, Any]:
 
 
 def is_part(value: object) -> bool:
-    """Return whether a value is a part: an object of a frozen class whose fields are known."""
+    """Return whether a value is a part: an object of a frozen class with known fields."""
     if isinstance(value, type):
         return False
     params = getattr(type(value), "__dataclass_params__", None)
@@ -498,14 +778,14 @@ def is_part(value: object) -> bool:
 
 @functools.cache
 def declared_by(kind: type) -> tuple[tuple[str, Field | None], ...]:
-    """Return name and declaration of each field of a class; None of one that is not declared."""
+    """Return name and declaration of each field of a class; the declaration may be None."""
     if attrs.has(kind):
         return tuple((f.name, f.metadata.get("declared")) for f in attrs.fields(kind) if f.init)
     if not dataclasses.is_dataclass(kind):
         raise InvalidArgument(
             f"part is of type {kind.__name__}, expected a class with @part, or a frozen dataclass"
         )
-    whole = Field()  # not to be taken for a number
+    whole = Field()  # a field that is not a number
     return tuple(
         (f.name, whole if f.type in (int, "int", bool, "bool") else None)
         for f in dataclasses.fields(kind)
@@ -516,14 +796,15 @@ def declared_by(kind: type) -> tuple[tuple[str, Field | None], ...]:
 def fields_of(part: Any) -> list[tuple[str, Field, Any]]:
     """Return name, declaration and value of each field of a part.
 
-    The fields of a user's plain frozen dataclass are what their values are: floats and arrays are numbers.
+    The fields of a user's plain frozen dataclass have the kind of their values: floats and arrays are
+    numbers.
     """
     values = ((name, declared, getattr(part, name)) for name, declared in declared_by(type(part)))  # type: ignore[arg-type]
     return [(name, declared or _seen(value), value) for name, declared, value in values]
 
 
 def _seen(value: Any) -> Field:
-    """Return what a field without declaration is by its value."""
+    """Return the declaration of a field from its value."""
     if _is_number(value) or (isinstance(value, np.ndarray) and value.dtype.kind in "fi"):
         return Number(shapes=(tuple("abcdef"[: np.ndim(value)]),))
     if isinstance(value, tuple) and value:
@@ -540,7 +821,7 @@ def _is_number(value: object) -> bool:
 
 
 def evolved(part: _T, changes: Mapping[str, Any] = MappingProxyType({}), /, **others: Any) -> _T:
-    """Return a part with other values of some fields, checked as those of a new one."""
+    """Return a part with other values of some fields, which are checked as in a new part."""
     changes = {**changes, **others}
     if not attrs.has(type(part)):
         given = dataclasses.fields(part)  # type: ignore[arg-type]
@@ -549,7 +830,7 @@ def evolved(part: _T, changes: Mapping[str, Any] = MappingProxyType({}), /, **ot
         except Exception:
             if not (any(map(holds_symbols, changes.values())) and all(f.init for f in given)):
                 raise
-        copied = object.__new__(type(part))  # a user's own checks take numbers
+        copied = object.__new__(type(part))  # checks of a user accept numbers only
         for f in given:
             object.__setattr__(copied, f.name, changes.get(f.name, getattr(part, f.name)))
         return copied
@@ -559,7 +840,7 @@ def evolved(part: _T, changes: Mapping[str, Any] = MappingProxyType({}), /, **ot
         raise TypeError(f"{type(part).__name__} has no field {sorted(unknown)[0]!r}")
     if not all(f.init and "declared" in f.metadata for f in own):
         return attrs.evolve(part, **{f.alias: changes[f.name] for f in own if f.name in changes})  # type: ignore[misc]
-    new = object.__new__(type(part))  # fields that stay are not checked again
+    new = object.__new__(type(part))  # unchanged fields are not checked again
     vars(new).update({f.name: getattr(part, f.name) for f in own})
     for f in own:
         if f.name in changes:

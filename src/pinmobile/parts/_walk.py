@@ -1,4 +1,4 @@
-"""The one walk over the fields of parts: replacement by path, numbers by name, tables."""
+"""Walk over the fields of parts: replacement by path, numbers by name, tables."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ _T = TypeVar("_T")
 
 
 class Leaf(NamedTuple):
-    """A field that is no part.
+    """Field that is not a part.
 
     Attributes
     ----------
     path : str
-        Such as ``"controller.robot.mass"``.
+        Path, such as ``"controller.robot.mass"``.
     owner : part
-        Whose field it is.
+        Part with this field.
     declared : Field
-        Its declaration.
+        Declaration of the field.
     value : any
-        Its value.
+        Value of the field.
     """
 
     path: str
@@ -36,7 +36,7 @@ class Leaf(NamedTuple):
 
     @property
     def entries(self) -> dict[str, tuple[int, ...]]:
-        """Indices of the entries by label: of an array, or of one that a gain may become."""
+        """Indices of the entries by label, for an array, or for a gain that may become an array."""
         labels = getattr(self.declared, "labels", ())
         names = tuple(labels(self.owner) if callable(labels) else labels)
         shape = np.shape(self.value) if self.value is not None else ()
@@ -48,18 +48,18 @@ class Leaf(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """Unit of the field, as `Number` has it."""
+        """Unit of the field, see `Number`."""
         unit = getattr(self.declared, "unit", "")
         return unit(self.owner) if callable(unit) else str(unit)
 
     @property
     def is_gain(self) -> bool:
-        """Whether one number, one for each coordinate or a matrix may stand for it."""
+        """Whether the field may be one number, one number per coordinate, or a matrix."""
         return ("n", "n") in getattr(self.declared, "shapes", ())
 
 
 def entries_of(value: Any) -> list[tuple[str, Any]]:
-    """Return the parts of a field of several, each with its key: name in a mapping, else name or number."""
+    """Return the parts of a field of several parts with their keys: names if they differ, else indices."""
     if isinstance(value, Mapping):
         return list(value.items())
     names = [getattr(each, "name", None) for each in value]
@@ -71,9 +71,9 @@ def entries_of(value: Any) -> list[tuple[str, Any]]:
 
 
 def walk(part: Any) -> tuple[Leaf, ...]:
-    """Return all fields of a part and of the parts within it, that are no parts themselves.
+    """Return all fields of a part and of its inner parts that are not parts themselves.
 
-    A declared part, which cannot change, keeps them.
+    A declared part is immutable and keeps the result.
     """
     kept: tuple[Leaf, ...] | None = getattr(part, "__dict__", {}).get("_leaves")
     if kept is not None:
@@ -92,19 +92,19 @@ def walk(part: Any) -> tuple[Leaf, ...]:
 
 
 def _inner(path: str, declared: Field, value: Any) -> list[tuple[str, Any]]:
-    """Return the values within a field, each with its path: one, or those of a field of several parts."""
+    """Return the values in a field with their paths: one value, or those of a field of several parts."""
     if isinstance(declared, Child) and declared.many:
         return [(f"{path}.{key}", each) for key, each in entries_of(value)]
     return [(path, value)]
 
 
 def _is_within(declared: Field, value: Any) -> bool:
-    """Return whether a value is a part of the part that has it; what an option holds is not."""
+    """Return whether a value is an inner part; the value of an option is not."""
     return is_part(value) and not isinstance(declared, _Option)
 
 
 def parts_of(part: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield a part and all parts within it, each with its path, the outer ones first."""
+    """Yield a part and all inner parts with their paths, the outer ones first."""
     yield path, part
     for name, declared, value in fields_of(part):
         for below, each in _inner(f"{path}.{name}" if path else name, declared, value):
@@ -122,23 +122,41 @@ def numbers(part: Any) -> dict[str, Leaf]:
 
 
 def replace(part: _T, values: Mapping[str, Any], *, nominal: bool = False) -> _T:
-    """Return a part with other values at some paths; every part on the way is checked like a new one.
+    """Return a part with other values at some paths; each changed part is checked like a new one.
 
     Parameters
     ----------
     part : part
-        The original.
+        Original part.
     values : mapping of str to value
-        By path, such as ``{"plant.mass": 12.0}``.
+        New values by path, such as ``{"plant.mass": 12.0}``.
     nominal : bool
-        Whether the new parts keep their originals, as those with symbols do: see `structure`.
+        Whether the new parts keep their originals, which parts with symbols need.
+
+    Returns
+    -------
+    part
+        New part; the original does not change.
 
     Raises
     ------
     UnknownName
         If there is no such path.
     InvalidArgument
-        If a value is not what the field declares.
+        If a value does not match the declaration of its field.
+
+    See Also
+    --------
+    parts.table : paths and numbers of a part.
+
+    Examples
+    --------
+    >>> from pinmobile import ComputedTorque, MobileRobot
+    >>> from pinmobile.parts import replace
+    >>> law = ComputedTorque(MobileRobot(30.0, 1.3), kp=4, kd=4)
+    >>> lighter = replace(law, {"robot.mass": 25.0, "kp": 9})
+    >>> lighter.robot.mass  # [kg]
+    25.0
     """
     used: set[str] = set()
     new: _T = _replaced(part, "", values, nominal, used)
@@ -174,14 +192,14 @@ def _replaced(part: Any, path: str, values: Mapping[str, Any], nominal: bool, us
 
 
 class Found(NamedTuple):
-    """What a name means: a number or an array, or one entry of it.
+    """Number, array or entry of an array that a name means.
 
     Attributes
     ----------
     leaf : Leaf
-        The field.
+        Field.
     label : str
-        Name of the entry, "" for all.
+        Name of the entry, "" for all entries.
     entry : tuple of int, optional
         Index of the entry.
     """
@@ -192,23 +210,23 @@ class Found(NamedTuple):
 
     @property
     def path(self) -> str:
-        """Full path of the field, or of the entry."""
+        """Full path of the field or the entry."""
         return f"{self.leaf.path}.{self.label}" if self.label else self.leaf.path
 
     @property
     def is_array(self) -> bool:
-        """Whether it means several numbers that differ from one another."""
+        """Whether the name means several different numbers."""
         value = self.leaf.value
         return self.entry is None and value is not None and np.ptp(np.asarray(value, np.float64)) != 0
 
     @property
     def value(self) -> Any:
-        """The number: of several, the first."""
+        """Number; the first one of several."""
         value = np.asarray(0.0 if self.leaf.value is None else self.leaf.value, np.float64)
         return value.flat[0] if self.entry is None or not value.ndim else value[self.place(value.ndim)]
 
     def place(self, axes: int) -> tuple[int, ...]:
-        """Return the index of the entry in an array of so many axes; of gains' matrix, on the diagonal."""
+        """Return the index of the entry in an array with this number of axes, diagonal in a gain matrix."""
         entry = self.entry or ()
         return entry if len(entry) == axes else entry[-1:] * axes
 
@@ -219,7 +237,7 @@ class Found(NamedTuple):
 
     @property
     def meaning(self) -> str:
-        """Meaning of the number, as a noun phrase."""
+        """Meaning of the number as a noun phrase."""
         doc = self.leaf.declared.doc or self.leaf.path.rpartition(".")[2]
         return f"{doc}, {self.label}" if self.label else doc
 
@@ -235,13 +253,13 @@ def named(part: Any) -> dict[str, Found]:
 
 
 def _is_derived(leaf: Leaf) -> bool:
-    """Return whether an array of a certain length follows from other numbers: no entry differs alone."""
+    """Return whether an array of fixed length follows from other numbers, so that no entry differs alone."""
     shapes = getattr(leaf.declared, "shapes", ())
     return leaf.value is None and any(isinstance(n, int) for shape in shapes for n in shape)
 
 
 def short_names(known: Mapping[str, Found]) -> list[str]:
-    """Return for each path the shortest end that means it."""
+    """Return the shortest unique end of each path."""
     found, taken = [], set[str]()
     for path in sorted(known, key=_nearness):
         words = path.split(".")
@@ -260,18 +278,19 @@ def _nearness(path: str) -> tuple[bool, int]:
 
 
 def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: str = "") -> Found:
-    """Return what a name means: a full path, the end of one, or the end of one within a field of the loop.
+    """Return the number that a name means.
 
-    Of several paths with that end the plant's own comes first, then the one nearest to the loop:
-    ``"mass"`` is the plant's, ``"controller.mass"`` the nearest in the controller. In a loop the first
-    word robot means the plant, as in files and commands.
+    A name is a full path, the end of a path, or a field of the loop and the end of a path in it. Of several
+    paths with this end, the plant's own comes first, then the one nearest to the loop: ``"mass"`` is the
+    plant's, ``"controller.mass"`` the nearest in the controller. In a loop, the first word robot means the
+    plant, as in files and commands.
 
     Raises
     ------
     UnknownName
-        If no path ends so.
+        If no path has this end.
     InvalidArgument
-        If several that are equally near do.
+        If several paths are equally near.
     """
     known = named(part) if known is None else known
     if name in known:
@@ -282,11 +301,11 @@ def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: 
     ends = sorted(
         (*_nearness(path), path)
         for path, one in known.items()
-        if not one.label or rest  # an entry has no bare name
+        if not one.label or rest  # an entry has no name of one word
         if path.endswith(f".{name}") or (rest and path.startswith(f"{first}.") and path.endswith(f".{rest}"))
     )
     if not ends:
-        from difflib import get_close_matches  # here, because nobody else needs it
+        from difflib import get_close_matches  # here, because only this error needs the module
 
         near = get_close_matches(name, known, cutoff=0.85) if rest else []
         raise UnknownName(f"parameter{where and ' in ' + where}", name, [*near, *short_names(known)])
@@ -309,7 +328,7 @@ def spread_values(found: Sequence[tuple[Found, Any, bool]], n: int, size: int = 
     n : int
         Number of robots.
     size : int
-        Number of entries that a gain gets where one of them differs.
+        Number of entries of a gain if one of its entries differs.
     """
     values: dict[str, Any] = {}
     for one, column, is_factor in sorted(found, key=lambda each: each[0].entry is not None):
@@ -330,7 +349,7 @@ def spread_values(found: Sequence[tuple[Found, Any, bool]], n: int, size: int = 
 
 
 def spread_entries(found: Sequence[Found], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return which entries of the numbers at each path differ, as arrays of booleans."""
+    """Return masks of the entries that differ from robot to robot, by path."""
     entries: dict[str, Any] = {}
     for one in found:
         shape = np.shape(values[one.leaf.path])[1:]
@@ -340,7 +359,31 @@ def spread_entries(found: Sequence[Found], values: Mapping[str, Any]) -> dict[st
 
 
 def table(part: Any) -> str:
-    """Return the numbers of a part as lines of path, value, unit, bound and meaning."""
+    """Return the numbers of a part as text: one line with path, value, unit, bound and meaning per number.
+
+    Parameters
+    ----------
+    part : part
+        Part or loop.
+
+    Returns
+    -------
+    str
+        Lines of the table.
+
+    See Also
+    --------
+    parts.replace : the same part with other numbers.
+
+    Examples
+    --------
+    >>> from pinmobile import PD
+    >>> from pinmobile.parts import table
+    >>> print(table(PD(120, 60)))
+    kp  120.  N/m, N/m, N m/rad          proportional gain
+    kd  60.   N s/m, N s/m, N m s/rad    derivative gain
+
+    """
     rows = [
         (
             path,

@@ -1,4 +1,4 @@
-"""Points of a sweep: a scenario with other values at some paths, along named axes; its fingerprint."""
+"""Points of a sweep: scenarios with other values at some paths, along named axes, and their descriptions."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ _PARTS = {"robot": "plant"} | {name: name for name in ("controller", "trajectory
 _OWN = {each.name for each in fields(Scenario) if each.init} - _PARTS.keys()
 _UNITS = {"dt": "s", "duration": "s", "after": "s"}
 _COORDINATES = "coordinate", "input", "metric", "channel", "time", "level", "bin"
-_NAMES = {"robot", "chunk", *_COORDINATES, *PER_ROBOT, *SUMMED}  # of a store's own dimensions and arrays
-_MOST = 100_000  # points, each with some twenty files in a store
+_NAMES = {"robot", "chunk", *_COORDINATES, *PER_ROBOT, *SUMMED}  # dimensions and arrays of a store
+_MOST = 100_000  # points; each has about twenty files in a store
 
 
 @final
@@ -57,7 +57,7 @@ class Axis:
     Attributes
     ----------
     values : tuple of float or str
-        The values, or their labels.
+        Values or labels.
     unit : str
         Unit of the values, "" for none.
     """
@@ -66,19 +66,27 @@ class Axis:
     unit: str = ""
 
     def text(self, i: int) -> str:
-        """Return a value as text."""
+        """Return value i as text."""
         label = self.values[i]
         return label if isinstance(label, str) else f"{label:g}"
 
 
 def place(axes: Mapping[str, Axis], index: Sequence[int]) -> list[str]:
-    """Return a place along the axes in words, such as ``controller.kp = 4 1/s^2``, axis by axis."""
+    """Return a place along the axes as text for each axis, such as ``controller.kp = 4 1/s^2``."""
     items = zip(axes.items(), index, strict=True)
     return [f"{name} = {axis.text(i)} {axis.unit}".rstrip() for (name, axis), i in items]
 
 
 def index_of(axes: Mapping[str, Axis], labels: Mapping[str, Any]) -> tuple[int, ...]:
-    """Return the place with these labels; an axis of one value need not be named."""
+    """Return the index of the point with these labels; an axis with one value needs no label.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such axis.
+    InvalidArgument
+        If an axis has no such value.
+    """
     for name in labels.keys() - axes.keys():
         raise UnknownName("axis", name, axes)
     found = []
@@ -100,9 +108,9 @@ class Points:
     Parameters
     ----------
     axes : mapping of str to Axis
-        The axes.
+        Axes by name.
     scenarios : sequence of Scenario
-        One for each point; all have the same n, times of bands, coordinates, inputs and metrics.
+        Scenario of each point; all have the same n, times of bands, coordinates, inputs and metrics.
     """
 
     axes: Mapping[str, Axis]
@@ -115,12 +123,12 @@ class Points:
                 if value != first[name]:
                     raise InvalidArgument(
                         f"{name} is {first[name]} at {self.place(0)} and {value} at {self.place(k)}, "
-                        "expected the same: sweep them in stores of their own"
+                        "expected the same: run one sweep for each"
                     )
 
     @classmethod
     def of(cls, scenario: Scenario, grid: Mapping[str, Any] | None, cases: Any = None) -> Points:
-        """Return the points of grid x cases around a scenario; the arguments are those of `sweep`."""
+        """Return the points of grid x cases around a scenario; see `sweep` for the arguments."""
         instance("scenario", scenario, Scenario, "a Scenario")
         grid, cases = _mapping("grid", grid), _mapping("cases", cases)
         cases = {name: _mapping(f"cases[{name!r}]", changes) for name, changes in cases.items()}
@@ -131,14 +139,14 @@ class Points:
 
     @classmethod
     def product(cls, given: Mapping[str, Any], make: Callable[[dict[str, Any]], Scenario]) -> Points:
-        """Return the points at all combinations of values, in sequences or by label.
+        """Return the points at all combinations of values.
 
         Parameters
         ----------
         given : mapping of str to sequence or mapping
-            Values of each axis.
+            Values of each axis, in a sequence or by label.
         make : callable
-            Returns the scenario at some values, by axis.
+            Function that returns the scenario at some values, by axis.
         """
         axes = {name: _labels(name, values) for name, values in given.items()}
         if (count := prod(len(axis.values) for axis in axes.values())) > _MOST:
@@ -149,7 +157,7 @@ class Points:
             values = {name: choice[i] for name, choice, i in zip(axes, choices, index, strict=True)}
             try:
                 scenarios.append(make(values))
-                scenarios[-1].draws()  # impossible ones are refused before any work
+                scenarios[-1].draws()  # rejects impossible draws before any work
             except InvalidArgument as error:
                 raise InvalidArgument(f"{error} (at {', '.join(place(axes, index))})") from error
         units = {name: _unit(scenarios[0], name) for name, values in given.items() if _are_numbers(values)}
@@ -162,27 +170,27 @@ class Points:
 
     @property
     def n(self) -> int:
-        """Robots of each scenario."""
+        """Number of robots of each scenario."""
         return self.scenarios[0].n
 
     def index(self, k: int) -> tuple[int, ...]:
-        """Return the place of scenario k along each axis."""
+        """Return the index of scenario k along each axis."""
         return tuple(int(i) for i in np.unravel_index(k, self.shape))
 
     def place(self, k: int) -> str:
-        """Return the place of scenario k in words."""
+        """Return the place of scenario k as text."""
         return ", ".join(place(self.axes, self.index(k)))
 
 
 def _mapping(name: str, value: Any) -> Mapping[str, Any]:
     found = {} if value is None else value
     if not isinstance(found, Mapping) or not all(isinstance(key, str) for key in found):
-        raise InvalidArgument(f"{name} is {shown(value)}, expected a mapping by text")
+        raise InvalidArgument(f"{name} is {shown(value)}, expected a mapping with text as keys")
     return found
 
 
 def _alike(scenario: Scenario) -> dict[str, Any]:
-    """Return what the scenarios of a store share."""
+    """Return the properties that all scenarios of a store must share."""
     listed = {
         name: ", ".join(f"{one.name} [{one.unit}]" for one in getattr(scenario, name)) or "none"
         for name in ("coordinates", "inputs", "recorded_metrics")
@@ -194,7 +202,7 @@ def _alike(scenario: Scenario) -> dict[str, Any]:
 def _axis_name(path: str) -> str:
     name = "plant" if path == "robot" else path.replace("/", ".")
     if name in _NAMES or name == "case":
-        raise InvalidArgument(f"grid has {path!r}, a name of the store's own, expected the full path")
+        raise InvalidArgument(f"grid has {path!r}, which is also a name in the store, expected the full path")
     return name
 
 
@@ -215,14 +223,14 @@ def _labels(name: str, values: Any) -> Axis:
 
 
 def _known(loop: Loop) -> dict[str, Found]:
-    """Return all that has a path in a loop: parts, fields, and entries of numbers."""
+    """Return everything that has a path in a loop: parts, fields, and entries of numbers."""
     known = {leaf.path: Found(leaf) for leaf in walk(loop) if "._" not in leaf.path}
     known |= {path: Found(Leaf(path, loop, Field(), part)) for path, part in parts_of(loop) if path}
     return known | named(loop)
 
 
 def _unit(scenario: Scenario, path: str) -> str:
-    """Return the unit of a number by path."""
+    """Return the unit of a number, given its path."""
     if path in _OWN:
         return _UNITS.get(path, "")
     with suppress(UnknownName):
@@ -236,16 +244,16 @@ def changed(scenario: Scenario, changes: Changes) -> Scenario:
     Parameters
     ----------
     scenario : Scenario
-        The original.
+        Original scenario.
     changes : mapping of str to value
-        By path: of a field of the scenario, ``spread.NAME``, or a number or part of the loop.
+        New values by path: a field of the scenario, ``spread.NAME``, or a number or part of the loop.
 
     Raises
     ------
     UnknownName
         If there is no such path.
     InvalidArgument
-        If a value is not what the field declares.
+        If a value does not match the declaration of its field.
     """
     loop, spread = scenario.given, scenario.spread
     own, numbers, found = dict[str, Any](), dict[str, Any](), set[str]()
@@ -283,8 +291,8 @@ def changed(scenario: Scenario, changes: Changes) -> Scenario:
     for name, source in new.spread.items():
         if new.found[name].path in found and not isinstance(source, Relative):
             raise InvalidArgument(
-                f"grid or cases have {new.found[name].path!r}, which the spread gives each robot anyway: "
-                f"expected 'spread.{name}', or a spread by Relative"
+                f"grid or cases have {new.found[name].path!r}, which the spread replaces for each robot: "
+                f"expected 'spread.{name}', or a Relative spread"
             )
     return new
 
@@ -296,7 +304,7 @@ def _with_force(forces: Any, key: str, force: Any) -> Any:
 
 
 def _with_entry(base: Any, one: Found, value: Any, size: int) -> Any:
-    """Return an array in which an entry has another value; of one gain for all coordinates, an array."""
+    """Return an array with another value of one entry; one gain for all coordinates becomes an array."""
     array = np.array(0.0 if base is None else base, np.float64)
     array = array if array.ndim else np.repeat(array, size)
     array[one.place(array.ndim)] = value
@@ -304,28 +312,28 @@ def _with_entry(base: Any, one: Found, value: Any, size: int) -> Any:
 
 
 FORMAT = 4
-"""Format of stores."""
+"""Version of the store format."""
 
 _PLAIN = ("n", "seed", "dt", "substeps", "limit", "after", "stride", "metrics")
-_SHOWN = 16  # numbers of an array that are stated one by one
-_LONG = 100  # letters of a text that is stated as it is
+_SHOWN = 16  # largest array whose numbers a description contains
+_LONG = 100  # longest text that a description contains
 _DIGEST = re.compile(r"\b[0-9a-f]{32} of ")
 
 
 def describe(points: Points, version: str | None = None) -> dict[str, Any]:
-    """Return all that determines the numbers of a sweep, as JSON has it.
+    """Return everything that determines the numbers of a sweep, in the form of JSON.
 
     Parameters
     ----------
     points : Points
-        Its scenarios.
+        Scenarios of the sweep.
     version : str, optional
-        The user's word for objects whose contents are not known.
+        Word of the user for objects whose contents cannot be recognised.
 
     Raises
     ------
     InvalidArgument
-        If there are such objects, and no such word.
+        If there are such objects, but no such word.
     """
     each = [_described(scenario, version) for scenario in points.scenarios]
     found: dict[str, Any] = {
@@ -341,14 +349,15 @@ def describe(points: Points, version: str | None = None) -> dict[str, Any]:
         found.setdefault("all" if common else "each", {})[name] = values[0] if common else values
     if version is not None:
         found["version"] = version
-    same: dict[str, Any] = json.loads(json.dumps(found))  # as a store has it
+    same: dict[str, Any] = json.loads(json.dumps(found))  # in the form of a store
     return same
 
 
 def _described(scenario: Scenario, version: str | None) -> dict[str, Any]:
-    """Return what determines the numbers of a scenario, by path.
+    """Return everything that determines the numbers of a scenario, by path.
 
-    All that robots see of a trajectory without spread is its reference, so that may stand for its contents.
+    If the spread names no number of the trajectory, its reference replaces its contents: robots see nothing
+    else.
     """
     found = {name: _form(getattr(scenario, name))[0] for name in _PLAIN}
     found |= {"duration": float(scenario.t[-1]), "reference": _form(np.hstack(scenario.reference))[0]}
@@ -357,8 +366,8 @@ def _described(scenario: Scenario, version: str | None) -> dict[str, Any]:
         if unknown and version is None and (scenario.has_own_references or not path.startswith("trajectory")):
             raise InvalidArgument(
                 f"{path} has {unknown}, whose contents a store cannot recognise, expected numbers, arrays, "
-                'functions or objects with attributes, or sweep(..., version="1"), a word that you change '
-                "whenever it changes"
+                'functions or objects with attributes, or sweep(..., version="1"): change this word '
+                "whenever the object changes"
             )
     return found
 
@@ -376,7 +385,7 @@ def _contents(scenario: Scenario) -> Iterator[tuple[str, Any]]:
 
 
 def _form(value: Any) -> tuple[Any, str]:
-    """Return a value as JSON has it, of many numbers and of code a digest; and what of it is unknown."""
+    """Return a value in the form of JSON, with digests of numbers and of code, and its unknown contents."""
     if value is None or type(value) in (bool, int, str) or (type(value) is float and np.isfinite(value)):
         return value, ""
     if type(value) is np.ndarray and value.dtype.kind in "biuf" and 0 < value.size <= _SHOWN:
@@ -387,7 +396,10 @@ def _form(value: Any) -> tuple[Any, str]:
 
 
 def differences(theirs: Mapping[str, Any], mine: Mapping[str, Any], most: int = 3) -> str:
-    """Return in words how two descriptions differ, axes first, versions and digests last; "" if equal."""
+    """Return the differences between two descriptions as text, "" if they are equal.
+
+    Axes come first, versions and digests last.
+    """
     there, here = _flat(theirs), _flat(mine)
     pairs = {name: (there.get(name, "absent"), here.get(name, "absent")) for name in here | there}
     differ = [(name, *pair) for name, pair in pairs.items() if json.dumps(pair[0]) != json.dumps(pair[1])]
@@ -406,7 +418,7 @@ def _flat(description: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _rank(difference: tuple[str, Any, Any]) -> int:
-    """Return the order in which a difference is stated: those that a reader recognises come first."""
+    """Return the rank of a difference in the text: differences that a reader recognises come first."""
     name, *values = difference
     if name.startswith(("version of ", "format", "machine")):
         return 3

@@ -1,7 +1,7 @@
-"""The store of a sweep: a Zarr folder that one process writes, chunk by chunk, and that xarray reads.
+"""Store of a sweep: a Zarr folder that one process writes, chunk by chunk, and that xarray reads.
 
-A chunk of robots is done when all its files are there, and each file is written whole or not at all. So a
-store that was interrupted, or that lost files, is completed by computing the chunks that are not done.
+A chunk of robots is done if all its files exist. Each file is written completely or not at all. After an
+interruption, or after a loss of files, the sweep computes the chunks that are not done.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from pinmobile.loop import (
 )
 from pinmobile.sweeps._points import FORMAT, Points, differences
 
-# This module is imported by the first sweep, which needs these packages.
+# The first sweep imports this module, because it needs these packages.
 xarray: Any = imported("xarray", "sweeps", "a sweep")
 zarr: Any = imported("zarr", "sweeps", "a sweep")
 
@@ -45,7 +45,7 @@ _LOCK, _WRITING = ".lock", ".writing"
 
 
 class Job(NamedTuple):
-    """A chunk: the robots from `start` to before `stop` of a scenario."""
+    """Chunk of a sweep: the robots from `start` to before `stop` of a scenario."""
 
     scenario: int
     start: int
@@ -53,23 +53,23 @@ class Job(NamedTuple):
 
 
 class Store:
-    """The store of a sweep, for the process that writes it.
+    """Store of a sweep, for the process that writes it.
 
     Parameters
     ----------
     path : Path
-        Its folder; made if it is missing.
+        Folder; it is created if it does not exist.
     points : Points
-        The scenarios.
+        Scenarios of the sweep.
     description : mapping
-        All that determines the numbers, see `describe`.
+        Everything that determines the numbers, see `describe`.
     chunk : int
-        Robots in a chunk of a new store.
+        Number of robots in a chunk of a new store.
 
     Raises
     ------
     InvalidArgument
-        If the folder is something else, belongs to another sweep, or another process writes it.
+        If the folder has other contents, belongs to another sweep, or another process writes it.
     """
 
     def __init__(self, path: Path, points: Points, description: Mapping[str, Any], chunk: int) -> None:
@@ -77,7 +77,7 @@ class Store:
         is_new = not path.exists()
         with refusals("written", "store", path):
             if not is_new and any(each.name not in (_LOCK, _WRITING) for each in path.iterdir()):
-                attributes_of(path)  # which refuses a folder of other things
+                attributes_of(path)  # rejects a folder with other contents
             path.mkdir(parents=True, exist_ok=True)
             self._lock = _locked(path)
         try:
@@ -90,7 +90,7 @@ class Store:
             raise
 
     def _open(self, description: Mapping[str, Any], chunk: int) -> None:
-        (self.path / _WRITING).unlink(missing_ok=True)  # of a process that died
+        (self.path / _WRITING).unlink(missing_ok=True)  # left by a process that died
         if not (self.path / METADATA).exists():
             self._write(METADATA, _empty_store(self.points, description, chunk)[METADATA])
         there = attributes_of(self.path)
@@ -104,7 +104,7 @@ class Store:
                 is_there = file.is_file() and file.read_bytes() == data
             if place != METADATA and not is_there:
                 self._write(place, data)
-        # Written arrays are gathered here, and from here go to disk, each file whole or not at all.
+        # Arrays are written to memory first, then to disk, each file completely or not at all.
         as_buffer = zarr.core.buffer.default_buffer_prototype().buffer.from_bytes
         self._gathered: dict[str, Any] = {METADATA: as_buffer((self.path / METADATA).read_bytes())}
         with zarr.config.set({"array.write_empty_chunks": True}):
@@ -121,7 +121,7 @@ class Store:
         self._lock.close()
 
     def jobs(self, scenario: int) -> list[Job]:
-        """Return the chunks of a scenario, done or not."""
+        """Return all chunks of a scenario."""
         n, each = self.points.n, self.chunk
         return [Job(scenario, start, min(start + each, n)) for start in range(0, n, each)]
 
@@ -137,7 +137,7 @@ class Store:
         Raises
         ------
         FileError
-            If the system fails, such as of a full disk; all that is there stays.
+            If the system fails, for example because the disk is full; existing files remain.
         """
         where = (*self.points.index(job.scenario), slice(job.start, job.stop))
         records = Ensemble.of(self.points.scenarios[job.scenario], draws, part)
@@ -150,7 +150,7 @@ class Store:
         self._sum_up(job.scenario)
 
     def _sum_up(self, scenario: int) -> None:
-        """Write the quantiles of a scenario when all its chunks are done."""
+        """Write the quantiles of a scenario if all its chunks are done."""
         if self._has("quantiles", scenario) or not all(map(self._is_done, self.jobs(scenario))):
             return
         where = self.points.index(scenario)
@@ -171,7 +171,7 @@ class Store:
                 file.parent.mkdir(parents=True, exist_ok=True)
             write(file, data, name="a file of the store", through=self.path / _WRITING)
         except FileError as error:
-            more = f"{error}; what is done is in the store: {AGAIN} to resume"
+            more = f"{error}; finished chunks are in the store: {AGAIN} to resume"
             raise FileError(more, errno=error.errno, filename=error.filename) from error
 
     def _is_done(self, job: Job) -> bool:
@@ -180,13 +180,13 @@ class Store:
         return all(self._has(name, job.scenario, job.start // self.chunk) for name in names)
 
     def _has(self, name: str, scenario: int, chunk: int = 0) -> bool:
-        """Return whether the file of an array for a chunk is on disk."""
+        """Return whether the file of an array for a chunk exists."""
         inner = [chunk, *[0] * (self._arrays[name].ndim - len(self.points.axes) - 1)]
         return self.path.joinpath(name, "c", *map(str, (*self.points.index(scenario), *inner))).is_file()
 
 
 def _locked(path: Path) -> IO[bytes]:
-    """Return a file that only one process can hold; the system releases it when that process dies."""
+    """Return a file that only one process can lock; the system releases the lock if the process dies."""
     while True:
         file = (path / _LOCK).open("ab")
         try:
@@ -202,9 +202,9 @@ def _locked(path: Path) -> IO[bytes]:
 
 
 def _empty_store(points: Points, description: Mapping[str, Any], chunk: int) -> dict[str, bytes]:
-    """Return the files of a store before any number is known, by place."""
+    """Return the files of a store without numbers, by place."""
     files: dict[str, Any] = {}
-    with zarr.config.set({"array.write_empty_chunks": True}):  # so that a coordinate of zeros has a file too
+    with zarr.config.set({"array.write_empty_chunks": True}):  # so that a coordinate of zeros has a file
         _make_arrays(zarr.create_group(zarr.storage.MemoryStore(files)), points, chunk)
     made = {place: content.to_bytes() for place, content in files.items()}
     metadata = json.loads(made.pop(METADATA))
@@ -217,7 +217,7 @@ def _empty_store(points: Points, description: Mapping[str, Any], chunk: int) -> 
         "pinmobile_sweep": json.dumps({**mine, "digest": digest_of(mine, nodes, since), "arrays": [*nodes]}),
         **since,
     }
-    # No specification has it yet, but readers that do not know it ignore it.
+    # Not in the specification; other readers ignore it.
     metadata["consolidated_metadata"] = {"kind": "inline", "must_understand": False, "metadata": nodes}
     return {METADATA: json.dumps(metadata, indent=2).encode(), **made}
 
@@ -254,7 +254,7 @@ def _make_arrays(group: Any, points: Points, chunk: int) -> None:
 
 
 def digest_of(mine: Mapping[str, Any], nodes: Mapping[str, Any], since: Mapping[str, Any]) -> str:
-    """Return the digest of a store's own metadata; other entries of the file are not part of it."""
+    """Return the digest of a store's own metadata; the digest ignores other entries of the file."""
     return sha256(json.dumps([mine, nodes, since], sort_keys=True).encode()).hexdigest()
 
 
@@ -264,7 +264,8 @@ def attributes_of(path: Path) -> dict[str, Any]:
     Raises
     ------
     InvalidArgument
-        If there is no store of a sweep, or its metadata are damaged or name codecs that may run code.
+        If the folder is not the store of a sweep, or its metadata are damaged or name codecs that may run
+        code.
     """
     file, is_ours = path / METADATA, False
     try:
@@ -278,7 +279,7 @@ def attributes_of(path: Path) -> dict[str, Any]:
         nodes = {name: consolidated[name] for name in arrays}
         since = {name: x for name, x in metadata["attributes"].items() if name == "errors_from_s"}
         if digest_of(mine, nodes, since) != digest:
-            raise ValueError("it is not what was written")
+            raise ValueError("its digest differs")
         for name, node in consolidated.items():
             _check_plain(name, node)
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
@@ -291,7 +292,7 @@ def attributes_of(path: Path) -> dict[str, Any]:
 
 
 def _check_plain(name: str, node: Mapping[str, Any]) -> None:
-    """Refuse an array with codecs that may run code."""
+    """Reject an array with codecs that may run code."""
     if node["zarr_format"] == 3 and node["node_type"] == "group":
         return
     codecs = [codec["name"] if isinstance(codec, dict) else codec for codec in node.get("codecs", ())]
@@ -312,24 +313,24 @@ def open_dataset(path: Path) -> Any:
     for name, node in attributes_of(path)["nodes"].items():
         file = path / name / "c" / "0"
         if node["dimension_names"] == [name] and not file.is_file():
-            raise InvalidArgument(f"store is {str(path)!r}, of which {str(file)!r} is gone; {AGAIN}")
+            raise InvalidArgument(f"store is {str(path)!r}, of which {str(file)!r} is missing; {AGAIN}")
     with reading(path):
         return xarray.open_zarr(path, chunks=None, consolidated=True, zarr_format=3)
 
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Name the file of a store that cannot be read."""
+    """Raise an error that names a damaged file of a store."""
     try:
         yield
-    except Exception as error:  # whatever the codecs raise
+    except Exception as error:  # codecs may raise any error
         raise InvalidArgument(
             f"store is {str(path)!r}, of which {_damaged(path)}; remove that file, and {AGAIN}"
         ) from error
 
 
 def _damaged(path: Path) -> str:
-    """Return which file of a store cannot be read, and why."""
+    """Return the name of the damaged file of a store, and the reason."""
     group = _open_group(path)
     for name in attributes_of(path)["nodes"]:
         for file in sorted((path / name / "c").rglob("*")):
@@ -337,6 +338,6 @@ def _damaged(path: Path) -> str:
             if file.is_file() and all(part.isdecimal() for part in place):
                 try:
                     group[name].blocks[tuple(map(int, place))]
-                except Exception as error:  # whatever the codecs raise
+                except Exception as error:  # codecs may raise any error
                     return f"{str(file)!r} cannot be read: {error}"
     return "a file cannot be read"

@@ -1,4 +1,4 @@
-"""`sweep`: the ensembles of a grid, by this process or a Dask cluster, in a store; `Sweep`, what is found."""
+"""`sweep` runs the ensembles of a grid, in this process or on a Dask cluster; `Sweep` has the results."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from pinmobile.loop import PER_ROBOT, Ensemble, checked_share, drawn_name, perce
 from pinmobile.metrics import in_words
 from pinmobile.sweeps._points import Axis, Label, differences, index_of, place
 
-_ROUNDING = 1e-9  # relative; a run's is orders less, and differences that matter are more
+_ROUNDING = 1e-9  # relative tolerance, between rounding errors and differences that matter
 
 
 @final
 @dataclass(frozen=True, eq=False, repr=False)
 class Sweep:
-    """Results of a sweep, read from its store when they are needed.
+    """Results of a sweep, which are read from its store when they are needed.
 
     Attributes
     ----------
@@ -46,10 +46,23 @@ class Sweep:
         Values along each axis, by path; ``case`` for cases.
     dataset : xarray.Dataset
         All results, with the axes as dimensions, and ``robot``, ``coordinate``, ``time``, ``channel``,
-        ``level``, ``chunk`` and ``bin``; each variable has attributes ``units`` and ``long_name``. NaN where
-        results are missing.
+        ``level``, ``chunk`` and ``bin``. Each variable has attributes ``units`` and ``long_name``. Missing
+        results are NaN.
     points : Points or None
-        The scenarios; None if the store was opened without.
+        Scenarios of the points; None if the store was opened without a scenario.
+
+    See Also
+    --------
+    sweep : run a sweep.
+    Ensemble : results at one point.
+
+    Examples
+    --------
+    >>> from pinmobile import Sweep
+    >>> Sweep.open("missing")
+    Traceback (most recent call last):
+        ...
+    pinmobile.errors.InvalidArgument: store is 'missing', ...
     """
 
     path: Path
@@ -70,16 +83,21 @@ class Sweep:
 
         Parameters
         ----------
-        path : path
-            Its folder.
+        path : str or path
+            Folder of the store.
         scenario, grid, cases
-            As given to `sweep`: needed for `ensemble`, because a store holds numbers, not objects. Objects
-            that `sweep`'s ``version`` stands for are taken to be the same.
+            Arguments of `sweep`. `ensemble` needs them, because a store contains numbers, not objects.
+            Objects that the ``version`` of `sweep` represents count as unchanged.
+
+        Returns
+        -------
+        Sweep
+            Results of the sweep.
 
         Raises
         ------
         InvalidArgument
-            If there is no store of a sweep, or not of these scenarios, a file of it cannot be read, or a
+            If the folder is not the store of a sweep, contains other scenarios or a damaged file, or a
             package of the extra is missing.
         """
         from pinmobile.sweeps._store import attributes_of
@@ -95,7 +113,20 @@ class Sweep:
 
     @classmethod
     def of_store(cls, path: Path, points: Points | None) -> Sweep:
-        """Return the sweep of a store whose points are known or not needed."""
+        """Return the sweep of a store whose points are known or not needed.
+
+        Parameters
+        ----------
+        path : Path
+            Folder of the store.
+        points : Points or None
+            Scenarios of the points.
+
+        Returns
+        -------
+        Sweep
+            Results of the sweep.
+        """
         from pinmobile.sweeps._store import attributes_of, open_dataset
 
         axes = attributes_of(path)["determined_by"]["axes"].items()
@@ -104,7 +135,7 @@ class Sweep:
 
     @property
     def rivals(self) -> str | None:
-        """The axis that `answer` compares: that of a controller, else the last one of names, or None."""
+        """Axis that `answer` compares: that of a controller, else the last axis of names, or None."""
         named = [
             x for x, axis in self.axes.items() if len(axis.values) > 1 and isinstance(axis.values[0], str)
         ]
@@ -112,7 +143,7 @@ class Sweep:
         return [*named, *laws][-1] if named else None
 
     def error_quantile(self, share: float = 0.99, by: str = "distance") -> Any:
-        """Return the error that a share of the robots does not exceed from `Scenario.after` on, exactly.
+        """Return the error that a share of the robots does not exceed after `Scenario.after`.
 
         Parameters
         ----------
@@ -123,9 +154,9 @@ class Sweep:
 
         Returns
         -------
-        within : xarray.DataArray, of the shape of the axes
-            Such as the distance from the desired position [m]: infinite where too many robots diverge; of a
-            margin, the margin that the share has at least. NaN where results are missing.
+        xarray.DataArray, with the shape of the axes
+            Errors, such as the distance from the desired position [m], or margins that the share has at
+            least. The result is exact, infinite if too many robots diverge, and NaN if results are missing.
 
         Raises
         ------
@@ -146,7 +177,7 @@ class Sweep:
         return found.rename("within").drop_vars([*where]).assign_attrs({"units": unit, "long_name": meaning})
 
     def _judged(self) -> dict[str, tuple[str, dict[str, int], str, float]]:
-        """Return array, place in it, unit, and sign (-1 of margins) of each error and metric, by name."""
+        """Return array, place in it, unit, and sign (-1 for margins) of each error and metric, by name."""
         found = {"distance": ("max_distance", dict[str, int](), "m", 1.0)}
         for name, dimension in (("max_error", "coordinate"), ("worst_metric", "metric")):
             if name in self.dataset:
@@ -165,11 +196,23 @@ class Sweep:
 
     @property
     def diverged(self) -> NDArray[np.int64]:
-        """How many robots diverge, of the shape of the axes."""
+        """Number of diverged robots, with the shape of the axes."""
         return np.asarray(self._read(self.dataset.diverged_at).notnull().sum("robot"), np.int64)
 
     def table(self, share: float = 0.99, most: int = 40) -> str:
-        """Return a row for each of the first `most` points: values, `within`, and how many robots diverge.
+        """Return one row for each of the first points: values, error quantile, and number of diverged robots.
+
+        Parameters
+        ----------
+        share : float
+            Share of the robots, 0 to 1.
+        most : int
+            Largest number of rows.
+
+        Returns
+        -------
+        str
+            Lines of the table.
 
         Raises
         ------
@@ -189,10 +232,20 @@ class Sweep:
         return "\n".join([*lines, *([f"... and {rest} more"] if rest > 0 else [])])
 
     def answer(self, share: float = 0.99) -> str:
-        """Return in one line the distance that the share of the robots stays within in the worst case.
+        """Return one line: the distance that a share of the robots does not exceed, in the worst case.
 
-        There, the members of one axis are compared: the one of a controller by path, else the last one of
-        names. If the sweep is incomplete, the line begins with the share that is done.
+        The line compares the members of one axis, that of a controller or else the last axis of names. If the
+        sweep is incomplete, the line begins with the finished share.
+
+        Parameters
+        ----------
+        share : float
+            Share of the robots, 0 to 1.
+
+        Returns
+        -------
+        str
+            One line.
 
         Raises
         ------
@@ -224,16 +277,21 @@ class Sweep:
         Parameters
         ----------
         **labels : float or str
-            A value of each axis, by its name: ``**{"controller.kp": 4}``; of an axis with one value it may be
-            left out.
+            Value of each axis, by its name: ``**{"controller.kp": 4}``. An axis with one value may be
+            omitted.
+
+        Returns
+        -------
+        Ensemble
+            Results of the robots at this point.
 
         Raises
         ------
         UnknownName
             If there is no such axis.
         InvalidArgument
-            If an axis is missing, a value is not one of its own, the scenarios are not given, the ensemble is
-            incomplete, or a file of it cannot be read.
+            If an axis is missing, a value is not on its axis, the scenarios are not given, the ensemble is
+            incomplete, or a file of the store cannot be read.
         """
         index = index_of(self.axes, {"plant" if name == "robot" else name: x for name, x in labels.items()})
         if self.points is None:
@@ -244,7 +302,7 @@ class Sweep:
         data = self._read(self.dataset.isel(dict(zip(self.axes, index, strict=True))))
         if np.isnan(data["quantiles"]).all():
             raise InvalidArgument(
-                f"labels are {labels}, of which robots are missing: start the same sweep again"
+                f"labels are {labels}, where robots are missing: start the same sweep again"
             )
         none = np.zeros((scenario.n, 0))
         records: dict[str, Any] = {name: np.array(data[name]) if name in data else none for name in PER_ROBOT}
@@ -264,7 +322,7 @@ class Sweep:
 
 
 def length(metres: float) -> str:
-    """Return a length as text, in the unit that fits."""
+    """Return a length [m] as text, in a suitable unit."""
     if not np.isfinite(metres):
         return "unknown" if np.isnan(metres) else "unbounded"
     printed = float(f"{metres:.3g}")  # a rounding error below a millimetre is a millimetre, not 1e+03 µm
@@ -275,23 +333,23 @@ def length(metres: float) -> str:
 
 
 def since(after: float) -> str:
-    """Return in words the time from which on errors count, "" for the start."""
+    """Return the time from which errors count as text, "" for the start."""
     return f"from t = {after:g} s on, " if after else ""
 
 
 def compared(within: Mapping[str, float], share: float, diverged: Mapping[str, int], n: int) -> str:
-    """Return in words the distance that the share of the robots stays within; it states the share once.
+    """Return the distances that the share of the robots does not exceed as text, which states the share once.
 
     Parameters
     ----------
     within : mapping of str to float
-        Distance that the share of the robots stays within, by name [m].
+        Distance that the share of the robots does not exceed, by name [m].
     share : float
-        The share.
+        Share of the robots.
     diverged : mapping of str to int
-        How many robots diverge, by the same names.
+        Number of diverged robots, by the same names.
     n : int
-        How many robots each has.
+        Number of robots for each name.
     """
     words: list[str] = []
     stay, runs = "stay", "" if n == 1 else f" in {share * 100:g} % of runs"
@@ -308,11 +366,11 @@ def compared(within: Mapping[str, float], share: float, diverged: Mapping[str, i
 
 
 def _worst(within: NDArray[Any], diverged: NDArray[Any]) -> tuple[int, ...]:
-    """Return the worst place along all axes but the last, that of rivals.
+    """Return the index of the worst place along all axes but the last, that of rivals.
 
-    Of two places the one with the larger distance is worse: of its worst rival first, then of the next, so
-    that a rival without bound everywhere decides nothing; then the one where more robots diverge. Differences
-    by rounding do not count: of equal places the first is taken, on every machine.
+    The place with the larger distance is worse. The comparison begins with the worst rival and continues with
+    the next, so that a rival that diverges everywhere decides nothing. Then the number of diverged robots
+    counts. Rounding errors do not count: of equal places, the first one is returned on every machine.
     """
     sizes = np.nan_to_num(within, nan=-1.0, posinf=np.inf).reshape(-1, within.shape[-1])
     left = np.arange(len(sizes))
@@ -323,9 +381,9 @@ def _worst(within: NDArray[Any], diverged: NDArray[Any]) -> tuple[int, ...]:
 
 
 _CHUNK = 16384
-_ANSWER = 10.0  # seconds that a scheduler has to answer, and to have a worker
-_ALONE = 60.0  # seconds that a cluster may be without a worker: a dead one is often started again
-_LOOK = 2.0  # seconds between two looks at a cluster from which nothing comes
+_ANSWER = 10.0  # time limit of a scheduler's answer, and of its first worker [s]
+_ALONE = 60.0  # time limit of a cluster without a worker, which is often started again [s]
+_LOOK = 2.0  # time between two checks of a cluster without results [s]
 
 Progress: TypeAlias = Callable[[int, int], None]
 
@@ -343,16 +401,16 @@ def sweep(
 ) -> Sweep:
     """Run an ensemble at each point of grid x cases, and keep the results in a Zarr store that xarray reads.
 
-    The work is divided into chunks of robots. Only this process writes the store; the numbers of a chunk are
-    the same bit for bit wherever it is computed. After an interruption, even a kill, repeat the call: the
-    sweep resumes, and ends with the very same store. Results in files that are gone are computed again.
+    The work is divided into chunks of robots. Only this process writes the store. The numbers of a chunk are
+    the same, bit for bit, wherever it is computed. After an interruption, even a kill, repeat the call: the
+    sweep resumes and ends with the same store. The sweep computes results in missing files again.
 
     Parameters
     ----------
     scenario : Scenario
-        The ensemble; all points have as many robots, and their bands at the same times.
-    path : path
-        Folder of the store; made if it is missing, continued if it is that of this sweep.
+        Ensemble at each point. All points have the same number of robots and the same times of bands.
+    path : str or path
+        Folder of the store. It is created if it does not exist, and continued if it belongs to this sweep.
     grid : mapping of str to sequence or mapping, optional
         Values by path: of the loop, such as ``"controller.kp"``, ``"robot.mass"``, ``"forces.wind.force.x"``,
         ``"trajectory.path.radius"``, or of the scenario, such as ``"spread.mass"`` or ``"seed"``. A value is
@@ -362,37 +420,61 @@ def sweep(
         Values by path of each case, by name: ``{"nominal": {}, "push": {"forces.push": force}}``. They are
         the last axis, ``case``.
     client : distributed.Client, optional
-        Dask cluster that computes; pinmobile must be installed there too, and modules of your own sent there
-        (``client.upload_file``). By default, this process does, on all cores.
+        Dask cluster that computes; default: this process, on all cores. The workers need pinmobile and your
+        modules (``client.upload_file``).
     chunk : int, optional
-        Robots in a chunk; by default 16384, or what the store has.
+        Robots in a chunk; default: 16384, or the size in the store.
     progress : callable, optional
-        Called as ``progress(done, total)`` in robots, first with what the store has, then after each chunk.
+        Function ``progress(done, total)`` of numbers of robots, called first with the contents of the store,
+        then after each chunk.
     version : str, optional
-        A word for objects whose contents a store cannot recognise, such as those of a compiled package:
-        change it whenever they change. Without such objects it is not needed.
+        Word for objects whose contents a store cannot recognise, such as those of a compiled package. Change
+        it whenever they change. Other sweeps do not need it.
 
     Returns
     -------
-    sweep : Sweep
+    Sweep
+        Results of the sweep.
 
     Raises
     ------
     UnknownName
         If there is no such path.
     InvalidArgument
-        If an argument is not what is expected, draws are impossible, the store belongs to another sweep (the
-        message says what differs), a scenario has objects that cannot be recognised and there is no
-        `version`, or a package of the extra is missing.
+        If an argument is invalid, draws are impossible, the store belongs to another sweep (the message
+        states the difference), a scenario has objects that cannot be recognised without `version`, or a
+        package of the extra is missing.
     FileError
-        If the system fails, such as of a full disk; what is done is kept.
+        If the system fails, for example because the disk is full; finished chunks remain.
     SchedulerError
-        If the cluster has no worker, or is lost; what is done is kept.
+        If the cluster has no worker, or is lost; finished chunks remain.
 
     Warns
     -----
     SlowerEngine
-        If parts keep the remaining work from the fastest engine; it names them and what to write instead.
+        If parts prevent the fastest engine for the remaining work. The message names them and the code to
+        write instead.
+
+    See Also
+    --------
+    ensemble : run one ensemble.
+    Scenario : loop and spread of an ensemble.
+    Sweep : results of a sweep.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from pinmobile import PD, Circle, MobileRobot, Scenario
+    >>> from pinmobile import Tangent, Uniform, sweep
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> runs = Scenario(robot=robot, controller=PD(120, 120),
+    ...                 trajectory=Tangent(Circle(1.0, 0.5, 4.0)),
+    ...                 spread={"mass": Uniform(20, 40)},
+    ...                 n=4, dt=0.1)
+    >>> with TemporaryDirectory() as folder:
+    ...     found = sweep(runs, folder, grid={"kp": [60, 120]})
+    ...     found.error_quantile(0.99).values  # [m]
+    array([0.130, 0.079])
     """
     points = Points.of(scenario, grid, cases)
     return run_points(points, path, client=client, chunk=chunk, progress=progress, version=version)
@@ -407,7 +489,7 @@ def run_points(
     progress: Progress | None = None,
     version: str | None = None,
 ) -> Sweep:
-    """Run the scenarios of points; the other arguments, results and errors are those of `sweep`."""
+    """Run the scenarios of points; see `sweep` for the other arguments, the result and the errors."""
     from pinmobile.sweeps._store import Store
 
     folder, size = location("path", path), _CHUNK if chunk is None else whole("chunk", chunk)
@@ -436,7 +518,7 @@ def run_points(
 
 
 def _warn_if_slower(points: Points, jobs: Sequence[Job]) -> None:
-    """Warn once, here and not where chunks are computed, of parts that rule out the fastest engine."""
+    """Warn once about parts that prevent the fastest engine, here and not where chunks are computed."""
     reasons: dict[str, list[int]] = {}
     for k in sorted({job.scenario for job in jobs}):
         way = way_of(points.scenarios[k])
@@ -464,13 +546,13 @@ def connected(address: str, timeout: float = _ANSWER) -> Any:
     Raises
     ------
     SchedulerError
-        If no scheduler answers there within `timeout` seconds.
+        If no scheduler answers within `timeout` seconds.
     """
     import asyncio  # here, because most sweeps have no cluster
 
     distributed = imported("distributed", "sweeps", "a sweep")
 
-    async def identity() -> Any:  # a client would wait for ever for a server that is silent
+    async def identity() -> Any:  # a client would wait forever for a silent server
         comm = await distributed.comm.connect(address, timeout=timeout)
         try:
             return await distributed.core.send_recv(comm, op="identity")
@@ -478,10 +560,10 @@ def connected(address: str, timeout: float = _ANSWER) -> Any:
             comm.abort()
 
     try:
-        with ThreadPoolExecutor(1) as pool:  # a notebook's thread has a loop of its own
+        with ThreadPoolExecutor(1) as pool:  # the thread of a notebook already runs a loop
             pool.submit(asyncio.run, asyncio.wait_for(identity(), timeout)).result()
         return distributed.Client(address, timeout=timeout)
-    except Exception as error:  # what another server says is read as a length, a header, a message
+    except Exception as error:  # the answer of another server may raise any error
         raise SchedulerError(
             f"scheduler is {shown(address)}, where none answers within {timeout:g} s, expected an address "
             f"such as tcp://127.0.0.1:8786: {error}"
@@ -491,7 +573,7 @@ def connected(address: str, timeout: float = _ANSWER) -> Any:
 def _results(
     points: Points, jobs: Sequence[Job], client: Any
 ) -> Iterator[tuple[Job, dict[str, Array], Part]]:
-    """Yield the draws and records of jobs, in any order; few wait to be written at a time."""
+    """Yield the draws and records of jobs, in any order; few of them wait in memory."""
     workers = processors()
     executor: Any = ThreadPoolExecutor(workers)
     if client is not None:
@@ -537,11 +619,11 @@ def _answer(future: Future[Any], client: Any) -> tuple[dict[str, Array], Part]:
         draws, part = future.result()
     except (CancelledError, distributed.CancelledError, distributed.KilledWorker) as error:
         raise _lost(client, f"dropped a chunk ({type(error).__name__}: {error})") from error
-    return draws, Part(*map(np.array, part))  # what came over the wire may be read-only
+    return draws, Part(*map(np.array, part))  # received arrays may be read-only
 
 
 def _lost(client: Any, why: str) -> SchedulerError:
     address = client.scheduler.address if client.scheduler else ""
     return SchedulerError(
-        f"scheduler {address} {why}; what is done is in the store: start the same sweep again to resume"
+        f"scheduler {address} {why}; finished chunks are in the store: start the same sweep again to resume"
     )
