@@ -1,7 +1,7 @@
-"""Sine, exponential, logarithm and the others, from basic operations alone.
+"""Sine, exponential, logarithm and other elementary functions from basic operations.
 
-Written once, for nodes of a tape and for NumPy's float64 numbers and arrays, with the same bits for both, on
-every processor. The errors are a few units of the last place; `sincos` is meant for |x| < 1e5.
+Each function accepts nodes of a tape and NumPy's float64 numbers and arrays, with the same bits for both, on
+every processor. The errors are a few units of the last place; `sincos` is accurate for |x| < 1e5.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ from pinmobile.compiled.tape import (
 )
 
 _ROUNDER = 1.5 * 2.0**52
-_TOP = 2**52 - 1  # all bits of a float's fraction
+_TOP = 2**52 - 1  # bits of the fraction of a float
 _ONE = float_bits(1.0)
 
 
 def rounded(x: Number) -> Any:
-    """Return the nearest whole number, an even one if two are as near; beyond 2^51, x itself."""
+    """Return the nearest whole number, the even one of two equally near numbers; beyond 2^51, x itself."""
     near = (x + _ROUNDER) - _ROUNDER
     return select(absolute(x) < 2.0**51, near, x)
 
 
 def floor(x: Number) -> Any:
-    """Return the largest whole number that is not above x."""
+    """Return the largest whole number <= x."""
     near = rounded(x)
     return select(near > x, near - 1.0, near)
 
 
 def _short(value: float, bits_kept: int) -> float:
-    """Return a float cut to that many bits after the point, so that its products with a few are exact."""
+    """Return a float with this number of bits after the point; its products with small integers are exact."""
     scale = 2.0**bits_kept
     return math.floor(value * scale) / scale
 
@@ -58,7 +58,7 @@ _COSINE = [(-1) ** k / math.factorial(2 * k) for k in range(11)]
 
 
 def _series(c: Sequence[float], z: Number) -> Any:
-    """Return c[1] + c[2] z + ... + c[10] z^9, in pairs, so that the processor computes several at a time."""
+    """Return c[1] + c[2] z + ... + c[10] z^9, in pairs that the processor computes in parallel."""
     z2 = z * z
     z4 = z2 * z2
     high = ((c[5] + z * c[6]) + z2 * (c[7] + z * c[8])) + z4 * (c[9] + z * c[10])
@@ -66,11 +66,11 @@ def _series(c: Sequence[float], z: Number) -> Any:
 
 
 def sincos(x: Number) -> tuple[Any, Any]:
-    """Return sine and cosine: reduced to |r| <= pi/2, then Taylor's series to less than 2e-17."""
+    """Return sine and cosine: reduction to |r| <= pi/2, then Taylor series with errors below 2e-17."""
     shifted = x * _PER_PI + _ROUNDER
     k = shifted - _ROUNDER
     r = ((x - k * _PI1) - k * _PI2) - k * _PI3
-    # The last bit of k, which says whether both change their sign, becomes the bit of the sign.
+    # If the last bit of k is 1, both change their sign: it becomes the sign bit.
     flip = bits(shifted) << 63
     z = r * r
     s, c = r + (r * z) * _series(_SINE, z), 1.0 + z * _series(_COSINE, z)
@@ -94,7 +94,7 @@ def tan(x: Number) -> Any:
 
 
 def polynomial(c: Sequence[float], z: Number) -> Any:
-    """Return c[0] + c[1] z + ... by Estrin's scheme: four at a time."""
+    """Return c[0] + c[1] z + ... by Estrin's scheme, four terms at a time."""
     z2 = z * z
     z4 = z2 * z2
 
@@ -116,7 +116,7 @@ _TAYLOR = [1 / math.factorial(k) for k in range(16)]
 
 
 def exp(x: Number) -> Any:
-    """Return the exponential; infinity above 709.78, and 0 below -708, where no normal number is left."""
+    """Return the exponential; infinity above 709.78, and 0 below -708, where results would be subnormal."""
     found = _exp_inside(minimum(709.78, maximum(-708.0, x)))
     found = select(x > 709.78, math.inf, select(x < -708.0, 0.0, found))
     return select(x == x, found, x)
@@ -127,13 +127,13 @@ def _exp_inside(inside: Number) -> Any:
     shifted = inside * (1 / math.log(2)) + _ROUNDER
     k = shifted - _ROUNDER
     r = (inside - k * _LN2_HIGH) - k * _LN2_LOW
-    # 2^1024 is no float: half of the power, and the rest by a product.
+    # 2^1024 exceeds float64: half of the power, then a product with 2.
     power_of_two = real((bits(shifted) + 1022) << 52)
     return (polynomial(_TAYLOR[:14], r) * power_of_two) * 2.0
 
 
 def expm1(x: Number) -> Any:
-    """Return exp(x) - 1, accurate about zero too."""
+    """Return exp(x) - 1, accurate near zero too."""
     return select(absolute(x) < 0.35, x * polynomial(_TAYLOR[1:], x), exp(x) - 1.0)
 
 
@@ -172,7 +172,7 @@ def _horner(c: Sequence[float], z: Number) -> Any:
     return found
 
 
-# Of fdlibm's e_log.c (Sun Microsystems, 1993).
+# Coefficients from e_log.c of fdlibm (Sun Microsystems, 1993).
 _LOG = (
     6.666666666666735130e-01,
     3.999999999940941908e-01,
@@ -185,8 +185,8 @@ _LOG = (
 
 
 def log(x: Number) -> Any:
-    """Return the natural logarithm; minus infinity at 0, and what is no number below."""
-    tiny = x < 2.0**-1022  # its exponent is not that of its bits
+    """Return the natural logarithm; minus infinity at 0, and NaN below."""
+    tiny = x < 2.0**-1022  # subnormal: the bits do not contain the exponent
     found = _log_of_normal(
         select(tiny, x * 2.0**54, x), select(tiny, 2.0**52 + 1023.0 + 54.0, 2.0**52 + 1023.0)
     )
@@ -195,7 +195,7 @@ def log(x: Number) -> Any:
 
 
 def _log_of_normal(x: Number, shift: Number = 2.0**52 + 1023.0) -> Any:
-    """Return the natural logarithm of a normal number above 0, its exponent counted from `shift`."""
+    """Return the natural logarithm of a normal number > 0, whose exponent is counted from `shift`."""
     word = bits(x)
     fraction = real((word & _TOP) | _ONE)
     exponent = real((word >> 52) | float_bits(2.0**52)) - shift
@@ -210,7 +210,7 @@ def _log_of_normal(x: Number, shift: Number = 2.0**52 + 1023.0) -> Any:
 
 
 def log1p(x: Number) -> Any:
-    """Return log(1 + x), accurate about zero too."""
+    """Return log(1 + x), accurate near zero too."""
     sum_ = 1.0 + x
     return select(sum_ == 1.0, x, log(sum_) * (x / select(sum_ == 1.0, 1.0, sum_ - 1.0)))
 
@@ -233,7 +233,7 @@ _ARCTAN_Q = (
 
 
 def _angle(y: Number, x: Number) -> Any:
-    """Return the angle of (x, y) in the first quadrant; of (0, 0) it is 0."""
+    """Return the angle of (x, y) in the first quadrant; 0 for (0, 0)."""
     steep, middle = y > 2.41421356237309504880 * x, y > 0.66 * x
     top = select(steep, -x, select(middle, y - x, y))
     bottom = select(steep, y, select(middle, y + x, x))
@@ -246,7 +246,7 @@ def _angle(y: Number, x: Number) -> Any:
 
 
 def arctan2(y: Number, x: Number) -> Any:
-    """Return the angle of (x, y) in [-pi, pi]; both finite."""
+    """Return the angle of (x, y) in [-pi, pi]; both arguments are finite."""
     found = _angle(absolute(y), absolute(x))
     found = select(x < 0.0, math.pi - found, found)
     return select(y < 0.0, -found, found)
@@ -271,7 +271,7 @@ def arccos(x: Number) -> Any:
 
 
 def power(base: Number, exponent: Number) -> Any:
-    """Return base to an exponent: by products, and a root, where it is known and simple; else by exp."""
+    """Return a power: by products and a root for a simple constant exponent, else by exp."""
     known = exponent.value if type(exponent) is Node else exponent
     if known is None:
         return _any_power(base, exponent)
@@ -301,7 +301,7 @@ def _any_power(base: Number, exponent: Number) -> Any:
 
 
 def of_floats(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the function for NumPy's arrays, without warnings, like the compiled code."""
+    """Return a function for NumPy arrays, without warnings, like compiled code."""
 
     def run(*given: Any) -> Any:
         with np.errstate(all="ignore"):
@@ -311,4 +311,4 @@ def of_floats(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 ELEMENTARY = (sin, cos, tan, exp, expm1, log, log1p, sinh, cosh, tanh, arcsin, arccos, arctan, arctan2)
-"""Those that NumPy has under the same names."""
+"""Functions that have the same name in NumPy."""

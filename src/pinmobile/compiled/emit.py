@@ -1,8 +1,8 @@
-"""A loop on a tape as LLVM's text: blocks of robots side by side in vectors, the time loop inside.
+"""Text of a loop for LLVM: blocks of robots in vectors, with the time loop inside.
 
-The state of a block stays in registers from sample to sample. What is the same for all robots is computed
-once for all lanes, what is a robot's own before its first sample. The code has no branches but the loops;
-every operation rounds once, and none are contracted, so that the bits are those of `tape.evaluated`.
+The state of a block stays in registers from sample to sample. Numbers that all robots share are computed once
+for all lanes, numbers of a robot before its first sample. The code has no branches except loops. Every
+operation rounds once, and none are contracted, so that the bits are those of `tape.evaluated`.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from pinmobile.compiled.tape import LoopTape, Rounds, needed, operands
 
 ENTRY = "pinmobile_loop"
 
-SHIFT = 47  # of a size's bits, leaves the exponent and 5 bits of the fraction
+SHIFT = 47  # shift of a size's bits that leaves the exponent and 5 bits of the fraction
 _OCTAVES = 44
 FIRST = (1023 - 34) << (52 - SHIFT)  # bin of 2^-34
-BINS = 32 * _OCTAVES + 2  # with the one below and the one above
+BINS = 32 * _OCTAVES + 2  # including one bin below and one above
 
 _BINARY = {
     "add": "fadd",
@@ -42,7 +42,7 @@ _SCALAR = {"f": "double", "u": "i64", "b": "i1"}
 
 @dataclass(frozen=True)
 class Shape:
-    """How robots are laid out: vectors of some lanes, some vectors side by side.
+    """Layout of robots: vectors with lanes, and vectors per block.
 
     Parameters
     ----------
@@ -57,19 +57,19 @@ class Shape:
 
     @property
     def width(self) -> int:
-        """Robots in a block."""
+        """Number of robots in a block."""
         return self.lanes * self.vectors
 
 
 class Code:
-    """Lines of a function, by the place where they stand.
+    """Lines of a function, by their region.
 
     Parameters
     ----------
-    loop : Loop
-        What is computed.
+    loop : LoopTape
+        Loop on a tape.
     shape : Shape
-        How the robots are laid out.
+        Layout of the robots.
     """
 
     def __init__(self, loop: LoopTape, shape: Shape) -> None:
@@ -88,7 +88,7 @@ class Code:
         self.whole = {k: one if lanes == 1 else f"<{lanes} x {one}>" for k, one in _SCALAR.items()}
 
     def type(self, kind: str, scalar: bool = False) -> str:
-        """Return LLVM's type of a value: a vector, unless all lanes share it."""
+        """Return LLVM's type of a value: a vector, unless all lanes share the value."""
         return _SCALAR[kind] if scalar else self.whole[kind]
 
     def constant(self, kind: str, literal: str, scalar: bool = False) -> str:
@@ -109,7 +109,7 @@ class Code:
         return self.shared[node]
 
     def region(self, node: int, default: str) -> str:
-        """Return where a node is computed: as seldom as can be."""
+        """Return the region in which a node is computed, where it runs least often."""
         depends = self.tape.depends[node]
         if not depends & (ROBOT | SAMPLE | STATE):
             return "entry"
@@ -148,7 +148,7 @@ class Code:
         return self.constants[node, scalar]
 
     def emit(self, wanted: int, default: str = "sample") -> None:
-        """Write what a node needs, and the node."""
+        """Write a node and the nodes that it needs."""
         todo = [wanted]
         while todo:
             node = todo[-1]
@@ -194,20 +194,20 @@ class Code:
         return [self._operation(node, u, region, shared) for u in (range(1) if shared else self.vectors())]
 
     def _phi(self, name: str, kind: str, *ways: tuple[str, str]) -> str:
-        """Write a value by the block that comes before, and return its name."""
+        """Write a value that depends on the previous block, and return its name."""
         listed = ", ".join(f"[ {value}, %{block} ]" for value, block in ways)
         self.lines["sample"].append(f"  {name} = phi {kind} {listed}")
         return name
 
     def _rounds(self, node: int) -> list[str]:
-        """Write rounds, which end when no robot of the block needs a further one; one that is done stays.
+        """Write rounds, which end when no robot of the block needs another; finished robots do not change.
 
-        Where none needs any, all are passed over.
+        The code skips all rounds if no robot needs one.
         """
         rounds, lines, vectors = Rounds.of(self.tape, node), self.lines["sample"], self.vectors()
         whole, truth = self.type("f"), self.type("b")
         first = [[self.argument(i, u, "sample") for u in vectors] for i in rounds.first]
-        # Those that all robots share are spread before, not in each round.
+        # Shared values are copied to all lanes before the rounds, not in each round.
         for i in rounds.outside:
             if self.shared[i] and self.tape.operations[i][0] != "const":
                 self.argument(i, 0, "sample")
@@ -239,7 +239,7 @@ class Code:
         return []
 
     def _round(self, node: int, rounds: Rounds) -> None:
-        """Write one round, and whether there is a further one."""
+        """Write one round, and the test for a further one."""
         lines, vectors = self.lines["sample"], self.vectors()
         whole, truth = self.type("f"), self.type("b")
         for i in rounds.body:
@@ -263,7 +263,7 @@ class Code:
         lines += [f"  %m{node} = and i1 {more}, {under}", f"  %q{node} = add i64 %r{node}, 1"]
 
     def _some_left(self, done: Sequence[str]) -> str:
-        """Write whether a robot of the block is not done, from a vector of truth values for each of it."""
+        """Write a test for unfinished robots in a block, from vectors of truth values."""
         lanes, left = self.shape.lanes, []
         for word in done:
             if lanes > 1:
@@ -275,11 +275,11 @@ class Code:
         return more
 
     def vectors(self) -> range:
-        """Return the numbers of the vectors."""
+        """Return the indices of the vectors."""
         return range(self.shape.vectors)
 
     def load(self, base: str, offset: int, vector: int, region: str, kind: str = "f") -> str:
-        """Write the loading of one vector of a row."""
+        """Write an instruction that loads one vector of a row."""
         place = self.place(base, offset, vector, region)
         return self.put(region, f"load {self.type(kind)}, ptr {place}, align {8 * self.shape.lanes}")
 
@@ -288,7 +288,7 @@ class Code:
         return self.put(region, f"getelementptr double, ptr {base}, i64 {offset + vector * self.shape.lanes}")
 
     def store(self, value: str, place: str, kind: str = "f") -> str:
-        """Return the storing of one vector."""
+        """Return an instruction that stores one vector."""
         return f"  store {self.type(kind)} {value}, ptr {place}, align {8 * self.shape.lanes}"
 
     def _operation(self, node: int, vector: int, region: str, shared: bool) -> str:
@@ -306,7 +306,7 @@ class Code:
         if name == "select":
             truth = self.type("b", shared)
             if self.is_shared(operation[1]) and not shared:
-                # One condition for all lanes needs no vector of it.
+                # One condition for all lanes needs no vector.
                 truth, x[0] = "i1", self.argument(operation[1], vector, region, True)
             return self.put(region, f"select {truth} {x[0]}, {own} {x[1]}, {own} {x[2]}")
         if name in ("bits", "real"):
@@ -324,12 +324,12 @@ class Code:
         return self.put(region, f"call {own} @llvm.sqrt.{suffix}({own} {x[0]})")
 
     def _ring(self, node: int) -> list[str]:
-        """Write what comes out of a delay; what goes in is stored at the end of the sample."""
+        """Write the output of a delay; its input is stored at the end of the sample."""
         _, number, samples, pushed = self.tape.operations[node]
         if samples not in self.rings:
             now = self.put("sample", f"urem i64 %k, {samples}")
             early = self.put("sample", f"icmp ult i64 %k, {samples}")
-            # Until there is as much, the first comes back; it is not overwritten before that.
+            # Early samples return the first value, which is not overwritten before.
             then = self.put("sample", f"select i1 {early}, i64 0, i64 {now}")
             self.rings[samples] = now, then, self.put("sample", "icmp eq i64 %k, 0")
         now, then, first = self.rings[samples]
@@ -352,13 +352,13 @@ class Code:
 
 
 def text_of(loop: LoopTape, shape: Shape) -> str:
-    """Return the module that runs a loop.
+    """Return the LLVM module that runs a loop.
 
     Its function ``pinmobile_loop(blocks, begin, end, samples, count, uniforms, ring, counts, every, n,
     kept)`` runs the blocks from `begin` to before `end` of an array (blocks, rows, width): states, rows and
-    keys of the robots. A row of `samples` has t, the reference and what is tabled. The n robots' sizes are
-    counted every so many samples in `counts`, (times, sizes, BINS); what is kept of each sample stands in
-    `kept`, (blocks, samples, numbers, width), and behind it the robots' references where each has its own.
+    keys of the robots. A row of `samples` contains t, the reference and the tables. The sizes of the n robots
+    are counted every `every` samples in `counts`, (times, sizes, BINS). The values of each sample are in
+    `kept`, (blocks, samples, numbers, width), followed by the robots' references if each has its own.
     """
     code = Code(loop, shape)
     for j, (now, _) in enumerate(loop.states):
@@ -370,8 +370,8 @@ def text_of(loop: LoopTape, shape: Shape) -> str:
         code.emit(ring.node)
     for node in needed(code.tape, loop.outputs):
         if code.tape.operations[node][0] == "repeat" and code.tape.depends[node] < ROUND:
-            code.emit(node)  # where every sample passes
-    # In the order of the tape: what a law computes for its next line is still in a register there.
+            code.emit(node)  # in the part that every sample runs
+    # In the order of the tape: operands of the next line are then still in registers.
     for node in needed(code.tape, [after for _, after in loop.states]):
         if code.tape.depends[node] < ROUND:
             code.emit(node)
@@ -392,7 +392,7 @@ def _keep(code: Code) -> None:
 
 
 def _count_places(code: Code) -> None:
-    """Write which bins the sizes belong to."""
+    """Write the computation of the bins of the sizes."""
     whole, truth = code.type("u"), code.type("b")
 
     def number(x: int) -> str:
@@ -433,7 +433,7 @@ def _function(code: Code, following: list[list[str]]) -> list[str]:
             carried.append(f"  %s{j}_{u} = phi {whole} [ {name}, %each ], [ {following[j][u]}, %latch ]")
             ended.append(f"  store {whole} {following[j][u]}, ptr {place}, align {align}")
     return [
-        # The stack is not aligned for vectors otherwise: 20 % slower, and not always.
+        # Otherwise the stack may not be aligned for vectors, which makes the code up to 20 % slower.
         f"define void @{ENTRY}(ptr noalias %blocks, i64 %begin, i64 %end, "
         "ptr noalias readonly %samples, i64 %count, ptr noalias readonly %uniforms, "
         "ptr noalias %ring, ptr noalias %counts, i64 %every, i64 %n, "
@@ -482,7 +482,7 @@ def _function(code: Code, following: list[list[str]]) -> list[str]:
 
 
 def _counting(code: Code) -> list[str]:
-    """Return the loop that counts, one robot after the other."""
+    """Return the loop that counts sizes, one robot after the other."""
     counted, width = len(code.loop.counted), code.shape.width
     if not counted:
         return ["  br label %latch"]

@@ -1,4 +1,4 @@
-"""What operations are in NumPy, of what types they are, and what they come to where they need not be done."""
+"""Operations of a tape: their NumPy functions, their types, and rules that simplify them."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any, TypeAlias
 import numpy as np
 
 UNIFORM, ROBOT, SAMPLE, STATE, ROUND = 1, 2, 4, 8, 16
-"""What a node depends on, as bits: a number of the run, of a robot, of a sample, of the state, of a round.
+"""Dependence of a node as bits: number of the run, of a robot, of a sample, of the state, of a round.
 
-Rounds within rounds have twice the bit of those around them.
+Nested rounds have twice the bit of the outer rounds.
 """
 
 
-# Each operation on NumPy's numbers and arrays; `max` and `min` return the second where one is not a number.
+# Each operation on NumPy's numbers and arrays; `max` and `min` return the second argument if one is NaN.
 NUMPY: dict[str, Callable[..., Any]] = {
     "add": operator.add,
     "sub": operator.sub,
@@ -70,7 +70,7 @@ def kind_of(x: object) -> str:
 
 
 def kind_after(name: str, kinds: Sequence[str]) -> str:
-    """Return the type of what an operation gives."""
+    """Return the type of the result of an operation."""
     if name in _TRUTHS:
         return "b"
     if name in _WHOLES:
@@ -79,7 +79,7 @@ def kind_after(name: str, kinds: Sequence[str]) -> str:
 
 
 def kinds_before(name: str, kinds: Sequence[str]) -> tuple[str, ...]:
-    """Return the types of an operation's operands."""
+    """Return the types of the operands of an operation."""
     if name in ("and", "or", "xor", "not"):
         return ("b",) * len(kinds)
     if name == "select":
@@ -90,11 +90,11 @@ def kinds_before(name: str, kinds: Sequence[str]) -> tuple[str, ...]:
 
 _Known: TypeAlias = float | None  # the value of a constant
 _N: TypeAlias = Any  # a node of a tape
-_Tape: TypeAlias = Any  # a tape, of which the rules ask `operations`, `depends`, `at`, `const` and `apply`
+_Tape: TypeAlias = Any  # a tape; the rules use its `operations`, `depends`, `at`, `const` and `apply`
 
 
 def simplified(tape: _Tape, name: str, x: Sequence[_N], known: Sequence[_Known]) -> _N | None:
-    """Return what an operation comes to where that is less than the operation."""
+    """Return a simpler equivalent of an operation, or None."""
     rule = _RULES.get(name)
     return rule(tape, *x, *known) if rule else None
 
@@ -142,7 +142,7 @@ def _quotient(tape: _Tape, a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
     if va == 0:
         return tape.const(0.0)
     if vb is not None:
-        # A reciprocal that is not a normal number would lose bits.
+        # A subnormal reciprocal would lose bits.
         fits = vb != 0 and 2.0**-1021 <= abs(vb) <= 2.0**1021
         return tape.apply("mul", a, 1.0 / vb) if fits else None
     late = SAMPLE | STATE

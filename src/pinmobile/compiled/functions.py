@@ -1,4 +1,4 @@
-"""NumPy's functions on arrays of symbols, those that make arrays, and those that cannot be compiled."""
+"""NumPy functions of arrays of symbols, functions that make arrays, and functions that cannot be compiled."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from pinmobile.errors import NotTraceable
 def _where(condition: Operand, *choice: Operand) -> Any:
     if not choice:
         raise NotTraceable(
-            "np.where with one argument of symbols", "give all three: np.where(condition, a, b)"
+            "np.where with one argument of symbols", "give three arguments: np.where(condition, a, b)"
         )
     return wrapped(choose(*map(plain, (condition, *choice))))
 
@@ -82,7 +82,7 @@ def _norm(x: Symbols, ord: object = None, axis: int | None = None, keepdims: boo
 
 
 def _eliminated(matrix: object, right: object) -> Any:
-    """Return the solution of linear equations by elimination, the row with the largest pivot moved up."""
+    """Return the solution of linear equations by elimination with row pivoting."""
     a, b = entries(matrix).copy(), entries(right).copy()
     if a.ndim != 2 or a.shape[0] != a.shape[1]:
         raise NotTraceable(f"np.linalg of an array of shape {a.shape}", "give one square matrix")
@@ -149,7 +149,7 @@ def _interpolated(
 
 
 def _sorted(a: object, axis: int | None = -1, **_: object) -> Any:
-    """Return the entries in order, by exchanges."""
+    """Return the entries in order, by exchanges of neighbours."""
     array = entries(a).copy()
     if axis is None:
         array, axis = array.reshape(-1), 0
@@ -182,7 +182,7 @@ def _full_like(a: Operand, value: object, *_: object, **__: object) -> Any:
 
 
 def _masked(function: Callable[..., Any], neutral: float) -> Callable[..., Any]:
-    """Return a sum or product that leaves out what is masked."""
+    """Return a sum or product that skips masked entries."""
 
     def run(a: Operand, *given: object, where: Operand = True, **options: object) -> Any:
         masked = a if where is True else _where(where, a, neutral)
@@ -308,7 +308,7 @@ def _making(true: Callable[..., Any], copies: bool) -> Callable[..., Any]:
         try:
             found = Symbols(np.array(entries(x), object))
         except ValueError:
-            return true(x, *given, **options)  # ragged: NumPy says so
+            return true(x, *given, **options)  # NumPy raises an error about ragged lists
         dtype = given[0] if given else options.get("dtype")
         return found if dtype is None else found.astype(dtype)
 
@@ -320,7 +320,7 @@ def _filling(true: Callable[..., Any]) -> Callable[..., Any]:
         if true is np.full and has_symbols(given):
             return wrapped(np.broadcast_to(entries(given[1]), given[0]).copy())
         found = true(*given, **options)
-        # Numbers that symbols can be written into.
+        # Symbols, so that a law can write symbols into the array.
         is_float = isinstance(found, np.ndarray) and found.dtype == float
         return Symbols(found.astype(object)) if is_float else found
 
@@ -328,7 +328,7 @@ def _filling(true: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _own(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function of numbers that has the bits of the compiled one; of symbols, NumPy comes here."""
+    """Return a function of numbers with the bits of compiled code; NumPy handles symbols."""
     true, floats = getattr(np, function.__name__), of_floats(function)
 
     def run(*given: Any, **options: Any) -> Any:
@@ -343,7 +343,7 @@ _MADE = ("zeros", "empty", "ones", "full", "eye", "identity", "zeros_like", "emp
 
 
 def constructors() -> dict[str, Callable[..., Any]]:
-    """Return what stands for NumPy's functions of the same names while a law is traced."""
+    """Return the functions that replace NumPy functions of the same names while a law is traced."""
     making = {
         name: _making(getattr(np, name), name == "array")
         for name in ("array", "asarray", "asanyarray", "ascontiguousarray", "asfarray")

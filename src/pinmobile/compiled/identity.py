@@ -1,7 +1,7 @@
-"""What a loop is apart from its numbers: its structure and the code that it calls, compared by value.
+"""Identity of a loop without its numbers: its structure and the code that it calls, compared by value.
 
-Two loops with the same identity run the same compiled program. A law that was changed, reloaded, or closes
-over another number has another identity. Code of this library and of packages that only compute is known by
+Two loops with the same identity run the same compiled program. A law that is edited, reloaded, or has another
+number in its closure has another identity. Code of this library and of packages without laws is identified by
 name.
 """
 
@@ -41,15 +41,15 @@ _DEEPEST = 60
 _ATOMS = (bool, int, float, complex, str, bytes, type(None), type(...), range)
 _constant: weakref.WeakKeyDictionary[Any, Hashable] = weakref.WeakKeyDictionary()
 _constant_values: weakref.WeakKeyDictionary[Any, Hashable] = weakref.WeakKeyDictionary()
-_MADE = {  # methods that attrs and dataclasses write, and that no law calls
+_MADE = {  # methods that attrs and dataclasses generate, and that no law calls
     *("__init__", "__repr__", "__eq__", "__hash__", "__setattr__", "__delattr__", "__replace__"),
     *("__getstate__", "__setstate__", "__reduce__", "__copy__", "__attrs_post_init__"),
 }
-_UNTRACED = ("trajectory", "start", "start_rate")  # fields of a loop that no sample depends on
+_UNTRACED = ("trajectory", "start", "start_rate")  # fields of a loop without effect on its samples
 
 
 def is_constant(part: Any) -> bool:
-    """Return whether a part has no fields and no code that may change."""
+    """Return whether no field and no code of a part may change."""
     try:
         if part not in _constant:
             Identity()._part(part)
@@ -59,7 +59,7 @@ def is_constant(part: Any) -> bool:
 
 
 def is_traced(path: str) -> bool:
-    """Return whether a number of a loop is a symbol of its law: not one of the trajectory or the start."""
+    """Return whether a number of a loop is a symbol of its law; numbers of trajectory and start are not."""
     return path.partition(".")[0] not in _UNTRACED
 
 
@@ -69,15 +69,15 @@ class Identity:
     Attributes
     ----------
     key : tuple
-        Equal for loops that run the same program.
+        Key, equal for loops that run the same program.
     is_lasting : bool
-        Whether the key means the same in another process.
+        Whether the key has the same meaning in another process.
     is_ours : bool
-        Whether all code is the library's.
+        Whether all code belongs to the library.
     namespaces : dict of int to dict
-        Globals of the functions that are not the library's, by identity.
+        Globals of functions outside the library, by their id.
     cells : list of cell
-        Variables that these close over.
+        Variables in the closures of these functions.
     """
 
     def __init__(self) -> None:
@@ -86,8 +86,8 @@ class Identity:
         self.cells: list[CellType] = []
         self.key: tuple[Any, ...] = ()
         self._seen: dict[int, tuple[int, Any]] = {}
-        self._changing = 0  # values met that may change
-        self._by_value = False  # whether a part is none of the loop's, so that its numbers are constants
+        self._changing = 0  # number of values that may change
+        self._by_value = False  # whether numbers of a part outside the loop are constants
 
     @classmethod
     def of(cls, loop: Any, memory: Sequence[Any], spread: Mapping[str, Any], others: Hashable) -> Self:
@@ -96,13 +96,13 @@ class Identity:
         Parameters
         ----------
         loop : Loop
-            The closed loop.
+            Closed loop.
         memory : sequence of trees
             Memory of its parts before the first sample.
         spread : mapping of str to array of bool
-            Paths of the numbers that differ from robot to robot, with the entries that do.
+            Paths of the numbers that differ from robot to robot, with masks of the entries that differ.
         others : hashable
-            What else the program depends on.
+            Other data that determine the program.
         """
         own = cls()
         parts = tuple(own._field(*each) for each in fields_of(loop) if is_traced(each[0]))
@@ -118,11 +118,11 @@ class Identity:
 
     @property
     def kept(self) -> list[Any]:
-        """Objects whose ids are in the key, so that no other object gets one of these."""
+        """Objects whose ids are in the key; keeping them reserves their ids."""
         return [value for _, value in self._seen.values()]
 
     def _field(self, name: str, declared: Field, value: Any) -> Hashable:
-        """Return a field of a part: of a number that may differ, its shape and which entries are neutral."""
+        """Return a field of a part; for a number that may differ, its shape and its neutral entries."""
         if isinstance(declared, Number) and not (declared.fixed or self._by_value or value is None):
             return name, np.shape(value), (np.asarray(value) != declared.neutral).tobytes()
         if isinstance(declared, Child) and declared.many:
@@ -130,7 +130,7 @@ class Identity:
         return name, (self._part if isinstance(declared, Child) else self._value)(value)
 
     def _part(self, part: Any) -> Hashable:
-        """Return a part, with what was found before of one that cannot change."""
+        """Return a part; the result for an immutable part is kept."""
         if not is_part(part):
             return self._value(part)
         cache = _constant_values if self._by_value else _constant
@@ -169,13 +169,13 @@ class Identity:
         if isinstance(tree, Schedule):
             return "schedule", tree.rows.shape[1:]
         if isinstance(tree, MethodType) and is_part(tree.__self__):
-            return self._value(tree.__func__), self._class(type(tree.__self__))  # a part of the loop
+            return self._value(tree.__func__), self._class(type(tree.__self__))  # method of a part
         if is_part(tree):
             return self._class(type(tree)), tuple(self._memory(value) for _, _, value in fields_of(tree))
         return self._value(tree)
 
     def _value(self, x: Any) -> Hashable:
-        """Return a value as something that is equal for equal values."""
+        """Return a value as an object that is equal for equal values."""
         if isinstance(x, _ATOMS):
             return type(x).__name__, x if x == x else "nan"
         if isinstance(x, np.ndarray) and x.dtype != object:
@@ -199,9 +199,9 @@ class Identity:
             return self._whole_part(x)
         if isinstance(x, PurePath | np.dtype | GenericAlias):
             return "text", repr(x)
-        if hasattr(type(x), "geometryObjects"):  # shapes, whose text takes seconds; no law has their points
+        if hasattr(type(x), "geometryObjects"):  # shapes, whose text takes seconds; no law uses their points
             return "shapes", tuple(map(_shape, x.geometryObjects))
-        if hasattr(type(x), "saveToString"):  # a model of Pinocchio, whose copies are the same
+        if hasattr(type(x), "saveToString"):  # a model of Pinocchio, whose copies are equal
             return "model", x.saveToString()
         if isinstance(x, slice):
             return "slice", *map(self._value, (x.start, x.stop, x.step))
@@ -227,7 +227,7 @@ class Identity:
         return self._object(x)
 
     def _again(self, x: Any) -> int:
-        """Return the number of a value that this loop has before; in another loop it may have none."""
+        """Return the index of a value that occurs again in this loop."""
         self._changing += 1
         return self._seen[id(x)][0]
 
@@ -236,7 +236,7 @@ class Identity:
         if isinstance(x, property | functools.cached_property | staticmethod | classmethod):
             inner = getattr(x, "fget", None) or getattr(x, "func", None) or getattr(x, "__func__", None)
             return kind.__name__, self._value(inner)
-        if isinstance(x, MemberDescriptorType):  # of a slot
+        if isinstance(x, MemberDescriptorType):  # descriptor of a slot
             return "slot", x.__name__
         self._changing += 1
         own = getattr(x, "__dict__", None)
@@ -250,7 +250,7 @@ class Identity:
         return "object", id(x)
 
     def _class(self, kind: type) -> Hashable:
-        """Return a class: of the library and of others by name, of a user by its methods and values too."""
+        """Return a class: its name, and for a user's class its methods and values too."""
         name = kind.__module__, kind.__qualname__
         if _is_library(kind.__module__) or is_foreign(kind.__module__):
             return name
@@ -267,8 +267,8 @@ class Identity:
         return (*name, tuple(own), tuple(map(self._class, kind.__bases__)))
 
     def _function(self, function: FunctionType) -> Hashable:
-        """Return a function: of the library and others by name, of a user by code and what that refers to."""
-        module = str(function.__globals__.get("__name__", ""))  # its own, whatever it wraps
+        """Return a function: its name, and for a user's function its code too."""
+        module = str(function.__globals__.get("__name__", ""))  # not of a wrapped function
         name = module, function.__code__.co_qualname
         library = _is_library(module)
         if (library or is_foreign(module)) and not function.__closure__ and function.__name__ != "<lambda>":
@@ -293,7 +293,7 @@ class Identity:
         return (*name, *found)
 
     def _names(self, code: CodeType, space: Mapping[str, Any]) -> Iterator[Hashable]:
-        """Yield what the names of some code stand for in a namespace, and in a user's modules there."""
+        """Yield the values of names of code in a namespace, and in a user's modules there."""
         for name in sorted(names_of(code) & space.keys()):
             value = space[name]
             yield name, self._value(value)
@@ -305,19 +305,19 @@ class Identity:
 
     @property
     def digest(self) -> str | None:
-        """Name of the loop in any process; None where it has none."""
+        """Name of the loop in any process; None if there is none."""
         source = _source() if self.is_lasting else None
         text = source and f"{source} {_text(self.key)}"
         return None if text is None else hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
 
 class Contents(Identity):
-    """A value with all its numbers and its code, which are the same in every process.
+    """Value with all its numbers and its code, which are the same in every process.
 
     Attributes
     ----------
     unknown : str
-        What has no contents that are known; "" where there is no such thing.
+        Object whose contents cannot be recognised; "" if there is none.
     """
 
     def __init__(self) -> None:
@@ -326,7 +326,7 @@ class Contents(Identity):
 
     @classmethod
     def of_value(cls, value: Any) -> tuple[str, str]:
-        """Return a value as text, and what of it has none."""
+        """Return a value as text, and its unknown contents."""
         own = cls()
         return _text(own._value(value)), own.unknown
 
@@ -340,7 +340,7 @@ class Contents(Identity):
         found = super()._object(x)
         if found != ("object", id(x)):
             return found
-        with contextlib.suppress(TypeError):  # of what no copy can be made
+        with contextlib.suppress(TypeError):  # the object cannot be copied
             return "copied", self._value(x.__reduce_ex__(4))
         self.unknown = self.unknown or named or f"a {type(x).__name__}"
         return "unknown", type(x).__qualname__
@@ -352,7 +352,7 @@ def _shape(shape: Any) -> Hashable:
 
 
 def _is_cached(kind: type, name: str) -> bool:
-    """Return whether an attribute is what a cached property of the class remembers."""
+    """Return whether an attribute is the value of a cached property of the class."""
     return isinstance(getattr(kind, name, None), functools.cached_property)
 
 
@@ -362,7 +362,7 @@ def _is_library(module: str) -> bool:
 
 @functools.cache
 def _slots(kind: Any) -> tuple[str, ...]:
-    """Return the names of values that objects of a class keep outside an attribute dictionary."""
+    """Return the names of attributes that objects of a class keep in slots."""
     found = (vars(each).get("__slots__", ()) for each in kind.__mro__)
     names = {name for each in found for name in ((each,) if isinstance(each, str) else each)}
     return tuple(sorted(names - {"__dict__", "__weakref__"}))
@@ -370,10 +370,10 @@ def _slots(kind: Any) -> tuple[str, ...]:
 
 @functools.cache
 def _source() -> str | None:
-    """Return what stands for the code of library, Python and NumPy; None where a file has just changed."""
+    """Return a text for the code of library, Python and NumPy; None if a file has just changed."""
     files = [(file, file.stat()) for file in sorted(Path(__file__).parents[1].rglob("*.py"))]
     if any(stat.st_mtime > _BEGAN for _, stat in files):
-        return None  # another text than the one that was loaded
+        return None  # the file may differ from the loaded module
     found = [(str(file), stat.st_size, stat.st_mtime_ns) for file, stat in files]
     return repr((found, sys.version, np.__version__))
 

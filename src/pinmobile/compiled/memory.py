@@ -1,13 +1,13 @@
-"""What a law keeps between samples: a tree of dicts, lists, tuples and dataclasses with numbers in it.
+"""Memory of a law between samples: a tree of dicts, lists, tuples and dataclasses with numbers.
 
-The rest that stands in such a tree (a function, a name, None) must stay as it is. `Line`, `Noise` and
-`Schedule` are what a context gives a controller to keep: delays, white Gaussian noise, and what is known of
-each sample.
+Other entries of such a tree (a function, a name, None) must not change. A context gives a controller three
+kinds of memory: `Line` for delays, `Noise` for white Gaussian noise, and `Schedule` for numbers known at each
+sample.
 
-Noise is a function of a robot's key and the sample's number, without a table or a generator. A stream of 64
-bits is SplitMix64 (Steele, Lea and Flood, Fast splittable pseudorandom number generators, 2014) of the key
-and a counter; of each 64 come two normal numbers by Box and Muller's transform (1958), from basic operations.
-So the same robot gets the same bits at the same sample in every engine, however many run beside it.
+Noise is a function of a robot's key and the index of the sample, without a table or a generator. SplitMix64
+(Steele, Lea and Flood, Fast splittable pseudorandom number generators, 2014) computes 64 bits from the key
+and a counter. The transform of Box and Muller (1958), with basic operations, computes two normal numbers from
+each 64 bits. A robot thus has the same bits at the same sample in every engine, for any number of robots.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def is_leaf(x: object) -> bool:
 
 
 def _children(tree: object) -> Iterator[tuple[str, Any]] | None:
-    """Return the named entries of a tree; None of what is no tree."""
+    """Return the named entries of a tree; None for any other object."""
     if isinstance(tree, dict):
         return ((f"[{key!r}]", value) for key, value in tree.items())
     if isinstance(tree, list | tuple):
@@ -51,14 +51,14 @@ def _children(tree: object) -> Iterator[tuple[str, Any]] | None:
 
 
 def leaves(tree: object, path: str = "state") -> list[tuple[str, Any]]:
-    """Return the numbers and arrays of a tree, each with its path."""
+    """Return the numbers and arrays of a tree with their paths."""
     if is_leaf(tree):
         return [(path, tree)]
     return [leaf for name, value in _children(tree) or () for leaf in leaves(value, path + name)]
 
 
 def mapped(tree: Any, function: Callable[[Any], Any]) -> Any:
-    """Return the tree with a function of its numbers and arrays in their place."""
+    """Return the tree after applying a function to its numbers and arrays."""
     if is_leaf(tree):
         return function(tree)
     if isinstance(tree, dict):
@@ -76,7 +76,7 @@ def mapped(tree: Any, function: Callable[[Any], Any]) -> Any:
 
 
 def matched(before: object, after: object, path: str = "state") -> Iterator[tuple[str, Any, Any]]:
-    """Return the numbers and arrays of two trees side by side.
+    """Yield the numbers and arrays of two trees side by side.
 
     Raises
     ------
@@ -113,43 +113,43 @@ def _told(x: Any) -> str:
 
 
 class Line:
-    """A delay in a controller's memory: ``old, line = line.push(values)``.
+    """Delay in the memory of a controller: ``old, line = line.push(values)``.
 
     Parameters
     ----------
     samples : int
-        How late the values come back; until there are that many, the first ones do.
+        Delay in samples. Until then, the first values are returned.
     past : iterable
-        Values so far, the oldest first: no more than it needs.
+        Previous values, the oldest first.
     """
 
-    goes_on = True  # a new one takes its place at each sample
+    goes_on = True  # a new object replaces it at each sample
 
     def __init__(self, samples: int, past: Iterable[object] = ()) -> None:
         self.samples = samples
         self.past = deque(past, samples + 1)
 
     def push(self, values: object) -> tuple[Any, Line]:
-        """Return what was pushed `samples` ago, a tree of arrays, and the line for the next sample."""
+        """Return the values of `samples` samples ago, a tree of arrays, and the delay for the next sample."""
         kept = mapped(values, lambda x: np.array(x, np.float64))
         past = (*self.past, kept)
         return mapped(past[0], np.copy), Line(self.samples, past[-self.samples :] if self.samples else ())
 
 
 class Schedule:
-    """Numbers that are known for each sample, in a controller's memory: ``row, schedule = schedule.next()``.
+    """Numbers known at each sample in the memory of a controller: ``row, schedule = schedule.next()``.
 
-    All robots of an ensemble have the same; a compiled loop reads them beside the reference.
+    All robots of an ensemble have the same numbers. A compiled loop reads them like the reference.
 
     Parameters
     ----------
     rows : ndarray, shape (N + 1, ...)
-        Of the samples; after the last, that stays.
+        Numbers of the samples; the last row remains afterwards.
     k : int
-        Number of the sample.
+        Index of the sample.
     """
 
-    goes_on = True  # a new one takes its place at each sample
+    goes_on = True  # a new object replaces it at each sample
 
     def __init__(self, rows: Array, k: int = 0) -> None:
         self.rows, self.k = rows, k
@@ -164,13 +164,13 @@ _GOLDEN = 0x9E3779B97F4A7C15
 _BLOCK = 256  # samples
 _ONE = float_bits(1.0)
 _SIGN = 1 << 63
-_FRACTION = 2**52 - 1  # all bits of a float's fraction
-_FORTY, _TWENTY_TWO = _FRACTION - (2**12 - 1), 2**23 - 2  # of a word's bits
+_FRACTION = 2**52 - 1  # bits of the fraction of a float
+_FORTY, _TWENTY_TWO = _FRACTION - (2**12 - 1), 2**23 - 2  # masks of bits of a word
 _ODD = float_bits(2.0**52) + 1
 _ROOT = float_bits(math.sqrt(0.5))
-_ABOVE_ROOT = 2**64 + (64 << 52) - _ROOT  # the exponent of u / sqrt(1/2), and 64, so that it is above 0
+_ABOVE_ROOT = 2**64 + (64 << 52) - _ROOT  # exponent of u / sqrt(1/2), plus 64, which makes it positive
 
-# The series of -4 artanh(s) and, for an eighth of a turn, of sine and cosine, no longer than is needed.
+# Series of -4 artanh(s), and of sine and cosine for an eighth of a turn, as short as the accuracy allows.
 _PER_OCTAVE = -1.3862943611198906  # -2 log 2
 _ARTANH = [-4 / (2 * k + 1) for k in range(6)]
 _SINE = [(-1) ** k / math.factorial(2 * k + 1) for k in range(5)]
@@ -182,7 +182,7 @@ Word: TypeAlias = Node | np.uint64 | NDArray[np.uint64]
 
 
 def _mixed(x: Word) -> Any:
-    """Return SplitMix64's function of 64 bits."""
+    """Return the SplitMix64 function of 64 bits."""
     once = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9
     twice = (once ^ (once >> 27)) * 0x94D049BB133111EB
     return twice ^ (twice >> 31)
@@ -191,20 +191,20 @@ def _mixed(x: Word) -> Any:
 def normals(key: Word, k: Word, n: int) -> list[Any]:
     """Return n standard normal numbers of a robot at sample k.
 
-    Of the 64 bits for a pair, 40 say how large it is, at most 7.4, and 24 in which direction it points. Both
-    are within 2e-9, where two neighbouring directions are 4e-7 apart.
+    Of the 64 bits of a pair, 40 determine the size, at most 7.4, and 24 the direction. Both are accurate to
+    2e-9; two neighbouring directions are 4e-7 apart.
 
     Parameters
     ----------
     key, k : node or ndarray of uint64
-        The robot's key, and the number of the sample.
+        Key of the robot, and index of the sample.
     n : int
-        How many.
+        Number of numbers.
 
     Returns
     -------
     numbers : list of n nodes or ndarrays
-        In pairs, of 64 bits each.
+        Numbers, in pairs from 64 bits each.
     """
     found = []
     pairs = (n + 1) // 2
@@ -213,15 +213,15 @@ def normals(key: Word, k: Word, n: int) -> list[Any]:
         word = _mixed(key + (first + j) * _GOLDEN)
         part = real(((word >> 11) & _FORTY) | _ONE)  # in [1, 2)
         radius = root(_minus_two_log(2.0 - part))
-        turned = real(bits(radius) | (word & _SIGN))  # by half a turn
+        turned = real(bits(radius) | (word & _SIGN))  # half a turn
         s, c = _sincos_of_an_eighth(real((word & _TWENTY_TWO) | _ODD) - (2.0**52 + 2.0**22))
-        mirrored = real((word & 1) | _ONE) > 1.0  # in the line between both axes
+        mirrored = real((word & 1) | _ONE) > 1.0  # reflection at the line between both axes
         found += [turned * select(mirrored, s, c), turned * select(mirrored, c, s)]
     return found[:n]
 
 
 def _minus_two_log(u: Number) -> Any:
-    """Return -2 log u of a number in [2^-40, 1], within 5e-11 of it."""
+    """Return -2 log u of a number in [2^-40, 1], with an error below 5e-11."""
     word = bits(u) + _ABOVE_ROOT
     exponent = real((word >> 52) | float_bits(2.0**52)) - (2.0**52 + 64.0)
     fraction = real((word & _FRACTION) + _ROOT)  # in [sqrt(1/2), sqrt(2))
@@ -230,7 +230,7 @@ def _minus_two_log(u: Number) -> Any:
 
 
 def _sincos_of_an_eighth(i: Number) -> tuple[Any, Any]:
-    """Return sine and cosine of i pi / 2^24, for |i| < 2^22: an eighth of a turn to either side."""
+    """Return sine and cosine of i pi / 2^24 for |i| < 2^22, an eighth of a turn to each side."""
     r = i * (math.pi / 2**24)
     z = r * r
     return r * polynomial(_SINE, z), polynomial(_COSINE, z)
@@ -239,16 +239,16 @@ def _sincos_of_an_eighth(i: Number) -> tuple[Any, Any]:
 def robot_keys(
     seed: int | np.random.SeedSequence, name: str, robots: NDArray[np.int64] | range
 ) -> NDArray[np.uint64]:
-    """Return the key of each robot for the noise of one name.
+    """Return the key of each robot for the noise of a name.
 
     Parameters
     ----------
     seed : int or SeedSequence
-        Of the run.
+        Seed of the run.
     name : str
-        What is drawn, such as ``"measurement"``; each name has numbers of its own.
+        Name of the noise, such as ``"measurement"``; each name has its own numbers.
     robots : ndarray of int, or range
-        Indices of the robots; a robot's key depends on its own alone.
+        Indices of the robots; the key of a robot depends on its own index only.
     """
     sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
     words = sequence.generate_state(2, np.uint64).tobytes() + name.encode()
@@ -258,19 +258,19 @@ def robot_keys(
 
 
 class Noise:
-    """Standard normal numbers in a controller's memory: ``numbers, noise = noise.draw()``.
+    """Standard normal numbers in the memory of a controller: ``numbers, noise = noise.draw()``.
 
     Parameters
     ----------
     key : int or ndarray of uint64
-        The robot's, shape ().
+        Key of the robot, shape ().
     n : int
-        Numbers a sample.
+        Numbers per sample.
     k : int
-        Number of the sample.
+        Index of the sample.
     """
 
-    goes_on = True  # a new one takes its place at each sample
+    goes_on = True  # a new object replaces it at each sample
 
     def __init__(self, key: int | np.uint64 | NDArray[np.uint64], n: int, k: int = 0) -> None:
         self.key, self.n, self.k = key, n, k
@@ -292,6 +292,6 @@ def _numbers(key: np.uint64 | NDArray[np.uint64], k: np.uint64 | NDArray[np.uint
 
 @functools.lru_cache(64)
 def _block(key: int, n: int, block: int) -> Array:
-    """Return the numbers of `_BLOCK` samples, for which it takes hardly longer than for one."""
+    """Return the numbers of `_BLOCK` samples, which take hardly longer than one sample."""
     k = np.arange(block * _BLOCK, (block + 1) * _BLOCK, dtype=np.uint64)
     return _numbers(np.uint64(key), k, n)

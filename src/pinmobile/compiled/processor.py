@@ -22,22 +22,22 @@ from pinmobile.compiled.emit import ENTRY
 from pinmobile.errors import NotTraceable
 
 CODE, LOOP = ".o", ".loop"
-"""Endings of files."""
+"""Extensions of files: ``.o`` for machine code, ``.loop`` for loops."""
 
 _MAGIC = b"pinmobile object 2\n"
 _MOST = 512  # files of 5 to 200 kB
 
 
 class Cache:
-    """A folder of machine code and loops by key.
+    """Folder of machine code and loops by key.
 
-    Nothing that goes wrong in it is an error: what is not found is made.
+    No problem with the folder raises an error: the code is made again.
 
     Parameters
     ----------
     folder : path, optional
-        Where they are. By default the environment's ``PINMOBILE_CACHE``, else ``pinmobile`` in the user's
-        folder for such files; an empty name, or a place where nothing can be written, means none.
+        Folder; default: the environment variable ``PINMOBILE_CACHE``, else ``pinmobile`` in the user's folder
+        for cache files. An empty name, or a folder that cannot be written, means that there is no cache.
     """
 
     def __init__(self, folder: str | os.PathLike[str] | None = None) -> None:
@@ -47,13 +47,13 @@ class Cache:
             self.folder = None
 
     def read(self, key: str, kind: str = CODE) -> bytes | None:
-        """Return what a key has; None where there is none, or it is damaged or somebody else's."""
+        """Return the content of a key; None if it is missing, damaged, or belongs to another user."""
         if self.folder is None:
             return None
         try:
             with self._file(key, kind).open("rb") as file:
                 if hasattr(os, "getuid") and os.fstat(file.fileno()).st_uid != os.getuid():
-                    return None  # code that another user could write is not run
+                    return None  # code that another user could write does not run
                 found = file.read()
         except OSError:
             return None
@@ -61,7 +61,7 @@ class Cache:
         return code if head == _head(key, code, kind) else None
 
     def write(self, key: str, code: bytes, kind: str = CODE) -> None:
-        """Keep what a key has, all of it or nothing."""
+        """Write the content of a key, completely or not at all."""
         if self.folder is None:
             return
         with contextlib.suppress(OSError):
@@ -82,7 +82,7 @@ class Cache:
         return self.folder / f"{key}{kind}"
 
     def _thin(self) -> None:
-        """Remove the oldest files where there are too many."""
+        """Remove the oldest files if there are too many."""
         assert self.folder is not None
         files = [entry for entry in os.scandir(self.folder) if entry.name.endswith((CODE, LOOP, ".part"))]
         if len(files) >= _MOST:
@@ -92,12 +92,12 @@ class Cache:
 
 
 def _head(key: str, code: bytes, kind: str) -> bytes:
-    """Return what a file begins with: it binds the content to the key, whatever the file is called."""
+    """Return the beginning of a file, which binds the content to the key, independent of the file's name."""
     return _MAGIC + hashlib.sha256(f"{key}{kind}\0".encode() + code).digest()
 
 
 def _is_open_to_others(folder: Path) -> bool:
-    """Return whether others than this user may write to a folder."""
+    """Return whether other users may write to a folder."""
     try:
         found = folder.stat()
     except OSError:
@@ -108,8 +108,8 @@ def _is_open_to_others(folder: Path) -> bool:
 @functools.cache
 def _warn_of(folder: Path) -> None:
     warnings.warn(
-        f"the folder of machine code {str(folder)!r} is not used, as others may write to it: `chmod go-w` it "
-        "or let PINMOBILE_CACHE name a folder of your own",
+        f"the folder of machine code {str(folder)!r} is not used, because other users may write to it: "
+        "`chmod go-w` it or set PINMOBILE_CACHE to your own folder",
         stacklevel=3,
     )
 
@@ -122,19 +122,19 @@ def _default() -> Path | None:
         if sys.platform == "darwin":
             return Path.home() / "Library" / "Caches" / "pinmobile"
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    except RuntimeError:  # nobody's home
+    except RuntimeError:  # the user has no home folder
         return None
     return Path(base) / "pinmobile"
 
 
-_LOADED = 64  # functions that stay loaded though nobody holds them
+_LOADED = 64  # functions that stay loaded without a user
 _lock = threading.Lock()
 _known: OrderedDict[str, Callable[..., None]] = OrderedDict()
 
 
 @functools.cache
 def _llvm() -> Any:
-    """Return LLVM's binding, which is loaded when something is compiled for the first time."""
+    """Return LLVM's binding, which the first compilation loads."""
     import llvmlite.binding
 
     llvmlite.binding.initialize_native_target()
@@ -143,12 +143,12 @@ def _llvm() -> Any:
 
 
 def processors() -> int:
-    """Return how many processors this process may use."""
+    """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _check_executable() -> None:
-    """Refuse to compile where memory that was written may not be executed, of which LLVM takes no notice."""
+    """Raise `NotTraceable` if written memory may not be executed, which LLVM does not check."""
     if sys.platform != "linux":
         return
     page = mmap.mmap(-1, mmap.PAGESIZE, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
@@ -159,20 +159,20 @@ def _check_executable() -> None:
         raise NotTraceable(
             "this process may not execute memory that it wrote (mprotect: "
             f"{os.strerror(ctypes.get_errno())})",
-            "let it do so for the fastest engine, as by MemoryDenyWriteExecute=no of its systemd unit",
+            "allow it for the fastest engine, for example by MemoryDenyWriteExecute=no in its systemd unit",
         )
 
 
 @dataclass(frozen=True)
 class Target:
-    """A processor.
+    """Processor.
 
     Parameters
     ----------
     processor, features : str
-        As LLVM names them: ``"haswell"``, ``"+avx2,-avx512f"``.
+        Name and features in LLVM's notation: ``"haswell"``, ``"+avx2,-avx512f"``.
     lanes : int
-        Floats in its vectors.
+        Number of floats in its vectors.
     """
 
     processor: str
@@ -181,7 +181,7 @@ class Target:
 
     @classmethod
     def here(cls) -> Target:
-        """Return this machine's.
+        """Return the processor of this machine.
 
         Raises
         ------
@@ -195,7 +195,7 @@ class Target:
         return cls(llvm.get_host_cpu_name(), features.flatten(), lanes)
 
     def key(self, text: str) -> str:
-        """Return what names the object of a text: the text, the processor, and who builds."""
+        """Return the key of the machine code of a text, which depends on text, processor and compiler."""
         import llvmlite
 
         made_by = llvmlite.__version__, _llvm().get_default_triple()
@@ -203,15 +203,16 @@ class Target:
         return hashlib.sha256(words.encode()).hexdigest()
 
     def build(self, text: str) -> bytes:
-        """Return the object of a text.
+        """Return the machine code of a text.
 
-        LLVM's passes are left out: what they could find, the tape has found, and they take as long again.
+        LLVM's optimisation passes are omitted: the tape has already done their work, and they double the
+        time.
         """
         module = _llvm().parse_assembly(text)
         return bytes(self._machine().emit_object(module))
 
     def load(self, code: bytes) -> Callable[..., None]:
-        """Return the function of an object; it runs without the interpreter's lock."""
+        """Return the function of machine code, which runs without the interpreter's lock."""
         llvm = _llvm()
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), self._machine())
         file = llvm.ObjectFileRef.from_data(code)
@@ -220,7 +221,7 @@ class Target:
         pointer, whole = ctypes.c_void_p, ctypes.c_int64
         types = (pointer, whole, whole, pointer, whole, pointer, pointer, pointer, whole, whole, pointer)
         function = ctypes.CFUNCTYPE(None, *types)(engine.get_function_address(ENTRY))
-        function.engine = engine, file  # type: ignore[attr-defined]  # it lives as long as the function
+        function.engine = engine, file  # type: ignore[attr-defined]  # lives as long as the function
         return function
 
     def _machine(self) -> Any:
@@ -234,7 +235,7 @@ class Target:
 
 
 def function_of(key: str, text: Callable[[], str], target: Target, cache: Cache) -> Callable[..., None]:
-    """Return the function of a target's key: known, read from the cache, or built of the key's text."""
+    """Return the function of a target's key: known, read from the cache, or built from the key's text."""
     with _lock:
         found = _known.get(key)
         if found is None:

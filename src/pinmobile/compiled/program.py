@@ -1,4 +1,4 @@
-"""A compiled loop, and its runs: robots in blocks, blocks on threads."""
+"""Compiled loop and its runs: robots in blocks, blocks on threads."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from pinmobile.compiled.processor import Cache, Target, function_of
 from pinmobile.compiled.tape import COUNT, LoopTape, evaluated
 from pinmobile.errors import InvalidArgument
 
-_SLICE = 2e8  # operations of a vector in one call, some 0.1 s: Ctrl-C is answered in between
-_WORTH = 4e6  # operations of a vector for which a thread is worth starting
-_SMALL = 2500  # operations: beyond, a second vector takes longer to build than it saves
-_FEW = 32  # numbers of the state, as there are registers: beyond, as of arms, a second vector costs time
+_SLICE = 2e8  # operations of a vector in one call, some 0.1 s; Ctrl-C works between calls
+_WORTH = 4e6  # operations of a vector that justify a thread
+_SMALL = 2500  # operations; above, a second vector takes longer to build than it saves
+_FEW = 32  # numbers of the state, as many as registers; above, a second vector costs time
 
 
 class Outcome(NamedTuple):
-    """What a run comes to.
+    """Result of a run.
 
     Attributes
     ----------
     memory : list of ndarray, shape (n, ...)
         Arrays of the memory after the last sample.
     counts : ndarray of int32, shape (times, sizes, BINS)
-        How many robots had which size.
+        Number of robots by time, size and bin.
     kept : dict of str to ndarray, shape (n, N + 1, ...)
-        What was kept of every sample.
+        Values that are kept of every sample, by name.
     """
 
     memory: list[Array]
@@ -42,23 +42,23 @@ class Outcome(NamedTuple):
 
 
 class Program:
-    """A loop as machine code. It may be run by several threads at once.
+    """Loop as machine code, which several threads may run at once.
 
     Parameters
     ----------
     tape : LoopTape
-        The loop.
+        Loop on a tape.
     target : Target, optional
-        The processor; by default this one.
+        Processor; default: this one.
     shape : Shape, optional
-        How the robots are laid out; the results are the same for all. By default as is fastest for many, and
-        for one where `single`.
+        Layout of the robots, which does not change the results; default: the fastest for many robots, or for
+        one if `single`.
     single : bool
-        Whether it is for one robot: scalar code then.
+        Whether the code is scalar, for one robot.
     cache : Cache, optional
-        Where objects are kept.
+        Folder of machine code.
     key : str, optional
-        That of its machine code, where it is known.
+        Key of the machine code, if it is known.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class Program:
 
     @cached_property
     def text(self) -> str:
-        """Its code as LLVM's text."""
+        """Text of the code for LLVM."""
         return text_of(self.tape, self.shape)
 
     def run(
@@ -104,11 +104,11 @@ class Program:
         Parameters
         ----------
         start : (ndarray, ndarray), shape (n, nq), (n, nv)
-            Start of the n robots.
+            Initial configurations and velocities of the n robots.
         t : ndarray, shape (N + 1,)
             Times of the samples [s].
         reference : Reference
-            Of all samples, of all robots.
+            Reference of all samples, for all robots.
         h : float
             Length of a substep [s].
         values : mapping of str to ndarray, shape (...) or (n, ...)
@@ -118,13 +118,13 @@ class Program:
         rows : sequence of ndarray, shape (N + 1, ...)
             Rows of the schedules.
         tracks : Reference, optional
-            Each robot's own reference, shape (N + 1, n, ...), where the loop was traced so.
+            Reference of each robot, shape (N + 1, n, ...), if the loop was traced for this.
         keys : mapping of str to ndarray of uint64, shape (n,)
             Each robot's key for the noise of a name.
         every : int
             Samples between two counts.
         threads : int
-            Most threads.
+            Largest number of threads.
         """
         n = self._checked(start, t, reference, tracks, every)
         blocks = self.blocks_of(start, n, values, first, keys or {})
@@ -135,7 +135,7 @@ class Program:
         return Outcome(self._last(blocks, first, n), counts, self.kept_samples(kept, n))
 
     def _checked(self, start: tuple[Array, Array], t: Array, reference: Any, tracks: Any, every: int) -> int:
-        """Check that the machine code reads within the arrays, and return the number of robots."""
+        """Check that the machine code reads inside the arrays, and return the number of robots."""
         nq, nv, _, length, size = self.tape.sizes
         n, count = len(start[0]), len(t)
         for name, number in (("number of robots", n), ("number of samples", count), ("every", every)):
@@ -146,7 +146,7 @@ class Program:
             ("v", start[1], (n, nv)),
         ]
         expected += [("reference", x, (count, m)) for x, m in zip(reference, sizes, strict=True)]
-        tracked = sizes if self.tape.tracks else ()  # the references of their own that robots have
+        tracked = sizes if self.tape.tracks else ()  # sizes of the robots' own references
         expected += [("tracks", x, (count, n, m)) for x, m in zip(tracks or (), tracked, strict=True)]
         for name, array, shape in expected:
             shaped(name, array, shape)
@@ -155,7 +155,7 @@ class Program:
     def samples_of(
         self, t: Array, reference: tuple[Array, ...], uniforms: Array, rows: Sequence[Array]
     ) -> Array:
-        """Return what all robots share of each sample, shape (N + 1, columns)."""
+        """Return the numbers of each sample that all robots share, shape (N + 1, columns)."""
         known = [np.reshape(each, (len(t), -1)) for each in rows]
         given = np.empty((len(t), 1 + sum(part.shape[1] for part in (*reference, *known))))
         np.concatenate([t[:, None], *reference, *known], axis=1, out=given)
@@ -174,7 +174,7 @@ class Program:
         return np.ascontiguousarray(np.column_stack([given, *columns]))
 
     def _kept(self, tracks: tuple[Array, ...] | None, blocks: int, samples: int) -> Array:
-        """Return the array of what is kept of every sample, with the robots' own references behind it."""
+        """Return the array for the values of every sample, with the robots' own references at its end."""
         loop, first = self.tape, self.tape.outputs_kept
         kept = aligned((blocks, samples, first + loop.tracks, self.shape.width))
         if tracks is not None:
@@ -201,7 +201,7 @@ class Program:
         first: Sequence[Array],
         keys: Mapping[str, NDArray[np.uint64]],
     ) -> Array:
-        """Return the states, the rows and the keys of n robots, in blocks, as the machine code takes them."""
+        """Return the states, rows and keys of n robots in blocks, in the layout of the machine code."""
         loop, width = self.tape, self.shape.width
         states = len(loop.states)
         blocks = aligned((-(-n // width), states + loop.rows + len(loop.keys), width))
@@ -229,7 +229,7 @@ class Program:
         return blocks
 
     def uniforms_of(self, h: float, values: Mapping[str, Array], first: Sequence[Array]) -> Array:
-        """Return the numbers that all robots share: the step, parameters, and memory that stays."""
+        """Return the numbers that all robots share: the step, parameters, and constant memory."""
         found = np.empty(self.tape.uniforms)
         found[0] = h
         for parameter, leaf in self.tape.parameters.items():
@@ -238,7 +238,7 @@ class Program:
                 if value.shape != leaf.shape:
                     raise InvalidArgument(
                         f"{'.'.join(parameter)} has shape {value.shape}, expected {leaf.shape}; "
-                        "what each robot has of its own is named when the loop is traced"
+                        "name numbers that differ from robot to robot before the loop is traced"
                     )
                 found[leaf.first : leaf.first + value.size] = value.ravel()
         for leaf, value in zip(self.tape.leaves, first, strict=True):
@@ -249,9 +249,9 @@ class Program:
     def called(
         self, blocks: Array, samples: Array, uniforms: Array, kept: Array, n: int, every: int, threads: int
     ) -> NDArray[np.int32]:
-        """Run the blocks, and return the counts; the arguments are those of the machine code, in arrays."""
+        """Run the blocks, and return the counts; the arguments are the arrays of the machine code."""
         loop = self.tape
-        work = len(samples) * max(1, loop.own) * self.shape.vectors  # of a block
+        work = len(samples) * max(1, loop.own) * self.shape.vectors  # operations of a block
         workers = max(1, min(threads, len(blocks), int(work * len(blocks) / _WORTH)))
         step = max(1, min(int(_SLICE / work), -(-len(blocks) // (4 * workers))))
         counted = len(loop.counted), BINS
@@ -288,12 +288,12 @@ class Program:
                 found.append(np.broadcast_to(value, (n, *leaf.shape)))
                 continue
             size, at = prod(leaf.shape), leaf.first + (len(self.tape.states) if leaf.kind == "row" else 0)
-            flat = rows[at : at + size].reshape(size, prod(rows.shape[1:]))  # of nothing too
+            flat = rows[at : at + size].reshape(size, prod(rows.shape[1:]))  # works for empty arrays, too
             found.append(flat[:, :n].T.reshape(n, *leaf.shape))
         return found
 
     def kept_samples(self, kept: Array, n: int) -> dict[str, Array]:
-        """Return what was kept of the samples of n robots, by name, from the blocks of it."""
+        """Return the kept values of the samples of n robots by name, from their blocks."""
         found, first, count = {}, 0, len(kept) * kept.shape[3]
         for name, (shape, nodes) in self.tape.kept.items():
             block = kept[:, :, first : first + len(nodes)]  # (blocks, samples, numbers, width)
@@ -304,16 +304,16 @@ class Program:
 
 
 def shared_out(run: Callable[[int, int, int], None], count: int, step: int, workers: int) -> None:
-    """Run pieces of some work on threads, of which this one is the first; Ctrl-C comes between two pieces.
+    """Run pieces of work on threads, including this thread; Ctrl-C works between two pieces.
 
     Parameters
     ----------
     run : callable
-        ``run(worker, begin, end)`` does what is from `begin` to before `end`.
+        Function ``run(worker, begin, end)`` that does the work from `begin` to before `end`.
     count, step : int
-        How much there is, and how much a piece has.
+        Amount of work, and amount in a piece.
     workers : int
-        How many threads.
+        Number of threads.
     """
     starts = iter(range(0, count, step))
     lock, stopped = threading.Lock(), threading.Event()
@@ -338,7 +338,7 @@ def shared_out(run: Callable[[int, int, int], None], count: int, step: int, work
 
 
 def aligned(shape: tuple[int, ...], empty: bool = False) -> Array:
-    """Return an array of zeros, or of anything, at an address that vectors can be stored at."""
+    """Return an array of zeros, or an uninitialised one, at an address that is aligned for vectors."""
     size = prod(shape)
     raw = (np.empty if empty else np.zeros)(size + 8)
     first = (-raw.ctypes.data % 64) // 8

@@ -1,8 +1,8 @@
-"""An array of symbols, which NumPy takes for an array of its own, and NumPy's ufuncs on its entries.
+"""Array of symbols that NumPy accepts as its own, and NumPy's ufuncs on its entries.
 
-NumPy's operators and functions come here (`__array_ufunc__`, `__array_function__`), and what they would do
-with numbers is written on the tape. What makes arrays of other things (`np.array`, `np.zeros`) does not ask
-its arguments; `tracing` replaces these by the ones of `constructors`.
+NumPy's operators and functions call `__array_ufunc__` and `__array_function__`, which write the operations to
+the tape. Functions that make arrays (`np.array`, `np.zeros`) do not call them; `tracing` replaces these
+functions by those of `constructors`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pinmobile.errors import NotTraceable
 
 
 def boxed(x: object) -> Any:
-    """Return one entry as an array of shape ()."""
+    """Return an entry as an array of shape ()."""
     box = np.empty((), object)
     box[()] = x
     return box
@@ -34,7 +34,7 @@ def is_truth(x: object) -> bool:
 
 
 def elementwise(function: Callable[..., Any], arity: int) -> Any:
-    """Return a function of entries as one of arrays; what is known is computed as NumPy does."""
+    """Return a function of entries as a function of arrays; constants are computed as in NumPy."""
 
     def run(*given: Any) -> Any:
         for x in given:
@@ -62,14 +62,14 @@ def _known(x: object) -> bool:
 
 
 def larger(a: Number, b: Number) -> Any:
-    """Return the larger, and what is no number where one is none, as NumPy does."""
+    """Return the larger number, or NaN if one is NaN, as NumPy does."""
     if _known(a):
         return maximum(a, b)
     return maximum(b, a) if _known(b) else select(a == a, maximum(a, b), a)
 
 
 def smaller(a: Number, b: Number) -> Any:
-    """Return the smaller, and what is no number where one is none, as NumPy does."""
+    """Return the smaller number, or NaN if one is NaN, as NumPy does."""
     if _known(a):
         return minimum(a, b)
     return minimum(b, a) if _known(b) else select(a == a, minimum(a, b), a)
@@ -89,7 +89,7 @@ def _remainder(a: Number, b: Number) -> Any:
 
 
 def of_truths(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function of truth values: of numbers, whether they are not zero."""
+    """Return a function of truth values; a number is true if it is not zero."""
 
     def run(*given: Number) -> Any:
         return function(*(x if is_truth(x) else x != 0.0 for x in given))
@@ -177,7 +177,7 @@ def _objects(x: object) -> Any:
 
 
 def computed(ufunc: np.ufunc, method: str, given: list[Any], options: dict[str, Any]) -> Any:
-    """Return what a ufunc gives of arrays of objects."""
+    """Return the result of a ufunc for arrays of objects."""
     name = ufunc.__name__
     if method == "__call__":
         if name in ("matmul", "vecdot", "matvec", "vecmat"):
@@ -202,27 +202,27 @@ def computed(ufunc: np.ufunc, method: str, given: list[Any], options: dict[str, 
     return found if isinstance(found, np.ndarray) else boxed(found)
 
 
-# What NumPy's own code asks of an entry, in an array of objects that was made without `constructors`.
+# Methods that NumPy calls on entries of an array of objects that was made without `constructors`.
 for _ufunc, _function in _UFUNCS.items():
     if _ufunc.nin == 1 and _ufunc.__name__ not in ("conjugate", "positive", "negative", "absolute", "invert"):
         setattr(Node, _ufunc.__name__, _function)
 
 
-setattr(Node, "__pow__", power)  # noqa: B010 (elementary functions are made of nodes)
+setattr(Node, "__pow__", power)  # noqa: B010 (elementary functions need nodes first)
 
 
 FUNCTIONS: dict[Any, Callable[..., Any]] = {}
-"""NumPy's functions that are done otherwise than on an array of objects; `functions` fills it."""
+"""NumPy functions with their own code for symbols; `functions` fills the mapping."""
 
 REFUSED: dict[Any, str] = {}
-"""NumPy's functions that cannot be compiled, and what to write instead."""
+"""NumPy functions that cannot be compiled, and the code to write instead."""
 
 
 _array, _asarray, _empty = np.array, np.asarray, np.empty
 
 
 class Symbols(NDArrayOperatorsMixin):
-    """An array of nodes and known numbers.
+    """Array of nodes and constants.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ class Symbols(NDArrayOperatorsMixin):
     """
 
     __hash__ = None  # type: ignore[assignment]
-    is_symbolic = True  # by which `arrays.finite` knows that there is nothing to check yet
+    is_symbolic = True  # `arrays.finite` does not check symbols
 
     def __init__(self, array: NDArray[Any]) -> None:
         self.entries = array
@@ -245,7 +245,7 @@ class Symbols(NDArrayOperatorsMixin):
 
     @property
     def dtype(self) -> Any:
-        """Truth values where all are; else float64."""
+        """Type bool if all entries are truth values, else float64."""
         return np.dtype(bool if self.size and all(map(is_truth, self.entries.flat)) else float)
 
     def __array_ufunc__(
@@ -257,7 +257,7 @@ class Symbols(NDArrayOperatorsMixin):
         given = tuple(map(plain, given))
         if where is not True and method == "reduce":
             if ufunc.identity is None:
-                raise NotTraceable(f"np.{ufunc.__name__} over a part that is masked", "use np.where first")
+                raise NotTraceable(f"np.{ufunc.__name__} with a mask", "use np.where first")
             given, where = (choose(plain(where), given[0], ufunc.identity), *given[1:]), True
         found = wrapped(computed(ufunc, method, list(given), options))
         if where is not True:
@@ -350,15 +350,13 @@ class Symbols(NDArrayOperatorsMixin):
         return self.copy()
 
     def astype(self, dtype: DTypeLike, **_: object) -> Any:
-        """Return numbers of truth values, or truth values of numbers."""
+        """Return truth values as numbers, or numbers as truth values."""
         if np.dtype(dtype).kind == "b":
             return self if self.dtype == bool else self != 0.0
         if np.dtype(dtype).kind in "iu":
             return np.trunc(self)
         if np.dtype(dtype) not in (np.float64, object):
-            raise NotTraceable(
-                f"an array of {np.dtype(dtype)}", "use float64, which all laws are compiled with"
-            )
+            raise NotTraceable(f"an array of {np.dtype(dtype)}", "use float64, the type of all compiled laws")
         return wrapped(_number(self.entries))
 
     def fill(self, value: object) -> None:
@@ -370,24 +368,24 @@ class Symbols(NDArrayOperatorsMixin):
         return wrapped(self.entries.reshape(-1).copy())
 
     def conjugate(self) -> Symbols:
-        """Return itself."""
+        """Return the array itself."""
         return self
 
     conj = conjugate
 
 
 Values: TypeAlias = Symbols | Array
-"""What a law computes with: an array of symbols, or of numbers."""
+"""Array in a law: symbols or numbers."""
 
 Operand: TypeAlias = Symbols | ArrayLike
-"""What NumPy takes for an array, where it may be one of symbols."""
+"""Array-like object that may contain symbols."""
 
 Moment: TypeAlias = Symbols | float
-"""A time, a number of a sample or a length of time, as a law gets it."""
+"""Time, number of a sample or length of time in a law."""
 
 
 def symbols(nodes: Sequence[Any], shape: tuple[int, ...]) -> Symbols:
-    """Return nodes as an array."""
+    """Return nodes as an array of symbols."""
     array = _empty(len(nodes), object)
     for i, node in enumerate(nodes):
         array[i] = node
@@ -395,7 +393,7 @@ def symbols(nodes: Sequence[Any], shape: tuple[int, ...]) -> Symbols:
 
 
 def has_symbols(x: object) -> bool:
-    """Return whether a value is made of symbols, in part at least."""
+    """Return whether a value contains symbols."""
     if isinstance(x, list | tuple):
         return any(map(has_symbols, x))
     return isinstance(x, Symbols | Node) or (
@@ -404,7 +402,7 @@ def has_symbols(x: object) -> bool:
 
 
 def plain(x: object) -> Any:
-    """Return the entries of symbols as an array of objects; of lists and tuples, those inside."""
+    """Return the entries of symbols as an array of objects, also inside lists and tuples."""
     if isinstance(x, Symbols):
         return x.entries
     if isinstance(x, Node):
@@ -439,10 +437,10 @@ def _index(index: object) -> Any:
 
 
 def put(found: object, out: object) -> Any:
-    """Write what was found into an array that was given for it."""
+    """Write a result into the array `out` of a NumPy call."""
     if not isinstance(out, Symbols):
         raise NotTraceable(
-            "an operation writes symbols into an array of numbers that was made outside the law",
+            "an operation writes symbols into an array of numbers from outside the law",
             "write x = x + ..., or make the array in the law by np.zeros or np.zeros_like",
         )
     out.entries[...] = plain(found)

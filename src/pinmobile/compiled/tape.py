@@ -1,9 +1,9 @@
-"""The tape: what a law computes, as a list of operations on numbers that are not known yet.
+"""Tape: the computation of a law as a list of operations on symbols.
 
-Every operation is one that a processor rounds as IEEE 754 says, so a tape has the same bits wherever it runs:
-`evaluated` runs it with NumPy, `emit` writes it as machine code. Equal operations are kept once, and what is
-known is folded. A product with a zero that stands in the law is zero, and a division by a number that stands
-in the law, or that is the same at all samples, is a product with its reciprocal.
+A processor rounds each operation according to IEEE 754, so that a tape has the same bits everywhere:
+`evaluated` runs it with NumPy, `emit` writes machine code. Equal operations appear once, and constants are
+folded. A product with a constant zero is zero. A division by a constant, or by a number that is the same at
+all samples, is a product with the reciprocal.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ from pinmobile.compiled.folding import (
 from pinmobile.errors import NotTraceable
 
 LARGEST = 30_000
-"""Most nodes of a tape that differ from robot to robot: building takes about 0.1 ms for each."""
+"""Largest number of nodes of a tape that differ from robot to robot; each takes about 0.1 ms to build."""
 
-_SHARED = 10  # times as many may be of time alone
+_SHARED = 10  # factor for nodes that depend on time only
 
 
 _Operation: TypeAlias = tuple[Any, ...]
 
 Known: TypeAlias = "float | np.number[Any] | np.bool"
-"""A number or truth value that is known."""
+"""Number or truth value that is known."""
 
 Number: TypeAlias = "Node | float | NDArray[Any]"
-"""What operations are of: a node of a tape, a number, or an array of numbers."""
+"""Operand: a node of a tape, a number, or an array of numbers."""
 
 
-# Names of inputs, with what they depend on and their type: f is a float, u 64 bits, b a truth value.
+# Names of inputs, their dependence and their type: f is a float, u 64 bits, b a truth value.
 _INPUTS = {
     "uniform": (UNIFORM, "f"),
     "row": (ROBOT, "f"),
@@ -75,7 +75,7 @@ def _bits_float(x: int) -> float:
 
 
 def operands(operation: _Operation) -> tuple[int, ...]:
-    """Return the nodes that an operation is of."""
+    """Return the nodes that are operands of an operation."""
     name = operation[0]
     if name in ("const", "carry") or name in _INPUTS:
         return ()
@@ -85,22 +85,22 @@ def operands(operation: _Operation) -> tuple[int, ...]:
 
 
 class Rounds(NamedTuple):
-    """What a ``("repeat", number, level, most, done, settled, *first, *following)`` is.
+    """Data of an operation ``("repeat", number, level, most, done, settled, *first, *following)``.
 
     Attributes
     ----------
     most : int
-        Rounds at most.
+        Largest number of rounds.
     done : int
-        Node that tells whether a robot needs no further round.
+        Node that is true if a robot needs no further round.
     settled : int
-        Node that tells whether it needs none at all.
+        Node that is true if a robot needs no round.
     first, following : tuple of int
-        Nodes of each number that is carried: before the first round, and after each.
+        Nodes of each carried number, before the first round and after each round.
     body : list of int
-        Nodes of a round, in order; rounds within it are one node each.
+        Nodes of a round, in order; an inner repetition is one node.
     outside : list of int
-        Nodes that a round needs and that are the same in all.
+        Nodes that a round needs and that are the same in all rounds.
     """
 
     most: int
@@ -113,7 +113,7 @@ class Rounds(NamedTuple):
 
     @classmethod
     def of(cls, tape: Tape, index: int) -> Rounds:
-        """Return those of a node, which are found once."""
+        """Return the rounds of a node, which are computed once."""
         found = tape.rounds.get(index)
         if found is None:
             found = tape.rounds[index] = cls._found(tape, index)
@@ -138,14 +138,14 @@ class Rounds(NamedTuple):
 
 
 class Tape:
-    """Operations in the order in which they were met; an operand is the index of an earlier one.
+    """Operations in order; an operand is the index of an earlier operation.
 
     Parameters
     ----------
     largest : int
-        Most nodes it takes.
+        Largest number of nodes.
     where : callable, optional
-        Asked for each new node; what it returns is kept in `places`.
+        Function that is called for each new node; `places` contains its results.
 
     Attributes
     ----------
@@ -153,11 +153,11 @@ class Tape:
         Name and operands: ``("mul", 3, 5)``; of an input its name and number, ``("row", 2)``; of a constant
         its type and bits; of a delay ``("ring", number, samples, node)``.
     types : list of str
-        Of each node: f, u or b.
+        Type of each node: f, u or b.
     depends : list of int
-        Of each node: which of UNIFORM, ROBOT, SAMPLE and STATE it depends on.
+        Dependence of each node: UNIFORM, ROBOT, SAMPLE and STATE as bits.
     rounds : dict of int to Rounds
-        Those that are known, by node.
+        Known rounds, by node.
     """
 
     def __init__(self, largest: int = LARGEST, where: Callable[[], Any] | None = None) -> None:
@@ -167,14 +167,14 @@ class Tape:
         self.rounds: dict[int, Rounds] = {}
         self.places: list[Any] = []
         self._known: dict[_Operation, int] = {}
-        self._applied: dict[tuple[Any, ...], int] = {}  # what has been asked for, before it was simplified
-        self._values: dict[int, Any] = {}  # of constants
+        self._applied: dict[tuple[Any, ...], int] = {}  # operations before simplification
+        self._values: dict[int, Any] = {}  # values of constants
         self._largest, self._where, self._own = largest, where, 0
         self._repeats, self._level = 0, ROUND
 
     @classmethod
     def of(cls, operations: list[_Operation], types: list[str], depends: list[int]) -> Tape:
-        """Return one that has these nodes, as from a file."""
+        """Return a tape with these nodes, for example from a file."""
         tape = cls()
         tape.operations, tape.types, tape.depends = operations, types, depends
         for index, operation in enumerate(operations):
@@ -198,7 +198,7 @@ class Tape:
         return self._node(kind, depends, (name, *number))
 
     def ring(self, number: int, samples: int, pushed: Node) -> Node:
-        """Return what `pushed` was `samples` ago; until there is that much, what it was at first."""
+        """Return the value of `pushed` from `samples` ago, or its first value before that."""
         return self._node("f", STATE, ("ring", number, samples, pushed.index))
 
     def repeated(
@@ -208,7 +208,7 @@ class Tape:
         most: int,
         settled: Any = False,
     ) -> list[Node]:
-        """Return some numbers after rounds of a law: see `repeated`."""
+        """Return numbers after rounds of a law, see `repeated`."""
         number, self._repeats = self._repeats, self._repeats + 1
         level, self._level = self._level, 2 * self._level
         before = [self._as(x, "f").index for x in first]
@@ -220,37 +220,37 @@ class Tape:
         depends = 0
         for index in (*ends, *before, *after):
             depends |= self.depends[index]
-        depends = STATE | depends & (level - ROUND)  # of the rounds around it
+        depends = STATE | depends & (level - ROUND)  # dependence on the outer rounds
         node = self._node("f", depends, ("repeat", number, level, most, *ends, *before, *after))
         return [self._node("f", depends, ("result", node.index, i)) for i in range(len(after))]
 
     def const(self, value: Known, kind: str = "f") -> Node:
-        """Return a number, a truth value or 64 bits that are known."""
+        """Return the node of a constant: a number, a truth value or 64 bits."""
         if kind == "f":
             return self._node("f", 0, ("const", "f", float_bits(float(value))))
         return self._node(kind, 0, ("const", kind, bool(value) if kind == "b" else int(value) & (2**64 - 1)))
 
     def number(self, x: Node | Known) -> int:
-        """Return the index of a number, known or not; of a truth value that of 1 or 0."""
+        """Return the index of a number or constant; a truth value becomes 1 or 0."""
         node = self._as(x, "f") if type(x) is Node else self.const(x)
         return node.index
 
     def at(self, index: int) -> Node:
-        """Return the node of an index."""
+        """Return the node with this index."""
         return Node(self, index)
 
     def known(self, index: int) -> Any:
-        """Return the value of a constant, and None of any other node."""
+        """Return the value of a constant; None for any other node."""
         return self._values.get(index)
 
     def apply(self, name: str, *given: Node | Known) -> Node:
-        """Return the node of an operation on nodes and plain numbers, folded where it can be."""
+        """Return the node of an operation on nodes and plain numbers, folded if possible."""
         key: list[Any] = [name]
         for x in given:
             if type(x) is Node and x.tape is self:
                 key.append(x.index)
             elif type(x) is float and x != 0:
-                key.append((x,))  # which is not the node of that number
+                key.append((x,))  # distinct from the index of a node
             else:
                 return self._applied_anew(name, given)
         found = self._applied.get(tuple(key))
@@ -300,12 +300,12 @@ class Tape:
         index = self._known.get(operation)
         if index is None:
             index = len(self.operations)
-            # What all robots share is computed before the loop, and costs little.
+            # Nodes that all robots share are computed before the loop and cost little.
             self._own += bool(depends & (ROBOT | STATE))
             if self._own >= self._largest or index >= _SHARED * self._largest:
                 raise NotTraceable(
-                    f"the law has more than {self._largest} operations, its loops unrolled",
-                    "take fewer rounds, or run it with engine=Engine.PYTHON",
+                    f"the law has more than {self._largest} operations with unrolled loops",
+                    "use fewer iterations, or run it with engine=Engine.PYTHON",
                 )
             self._known[operation] = index
             if operation[0] == "const":
@@ -333,7 +333,7 @@ def _unary(name: str) -> Callable[[Node], Node]:
 
 @final
 class Node:
-    """One number on a tape, for Python's operators."""
+    """Number on a tape, with Python's operators."""
 
     __slots__ = ("index", "tape")
 
@@ -342,19 +342,19 @@ class Node:
 
     @property
     def kind(self) -> str:
-        """Its type: f, u or b."""
+        """Type: f, u or b."""
         return self.tape.types[self.index]
 
     @property
     def value(self) -> Any:
-        """Its value where it is known, else None."""
+        """Value of a constant, else None."""
         return self.tape.known(self.index)
 
     def __bool__(self) -> bool:
         value = self.value
         if value is None:
             raise NotTraceable(
-                "`if`, `while`, `and`, `or`, `not`, `assert`, max() or min() asks whether a symbol is true",
+                "`if`, `while`, `and`, `or`, `not`, `assert`, max() or min() needs the truth of a symbol",
                 "use np.where, np.logical_and, np.logical_or, np.logical_not, np.maximum and np.minimum",
             )
         return bool(value)
@@ -363,7 +363,7 @@ class Node:
         value = self.value
         if value is None:
             raise NotTraceable(
-                "float(), a function of `math`, or an array that was made outside the law asks for a number",
+                "float(), a function of `math`, or an array from outside the law needs the value of a symbol",
                 "use NumPy's function, and make the array in the law, by np.array, np.zeros or np.zeros_like",
             )
         return float(value)
@@ -372,7 +372,7 @@ class Node:
         value = self.value
         if value is None:
             raise NotTraceable(
-                "an index, int(), range() or an array of whole numbers asks for a whole number",
+                "an index, int(), range() or an array of whole numbers needs the value of a symbol",
                 "use np.where or np.select, and arrays of floats",
             )
         return int(value)
@@ -396,12 +396,12 @@ class Node:
         return f"<symbol {self.index}>"
 
     def conjugate(self) -> Node:
-        """Return itself; NumPy asks for it in products of vectors."""
+        """Return the node itself, for NumPy's products of vectors."""
         return self
 
 
 def _primitive(name: str) -> Callable[..., Any]:
-    """Return an operation that takes nodes, numbers and NumPy's arrays alike."""
+    """Return an operation on nodes, numbers and NumPy arrays."""
     run = NUMPY[name]
 
     def apply(*given: Any) -> Any:
@@ -428,28 +428,28 @@ maximum, minimum = _primitive("max"), _primitive("min")
 def evaluated(
     tape: Tape, wanted: Iterable[int], inputs: Mapping[_Operation, Any], first: bool = True
 ) -> list[Any]:
-    """Return the values of some nodes, computed with NumPy: the bits that the compiled code gives.
+    """Return the values of nodes, computed with NumPy; the bits are those of compiled code.
 
     Parameters
     ----------
     tape : Tape
-        What is computed.
+        Tape with the nodes.
     wanted : iterable of int
         Indices of the nodes.
     inputs : mapping of operation to ndarray
-        Value of each input, such as that of ``("row", 2)``; all broadcast. Where `first` is False, the values
-        of the delays too.
+        Value of each input, such as ``("row", 2)``; all values broadcast. If `first` is False, also the
+        values of the delays.
     first : bool
-        Whether this is the first sample, at which a delay returns what it is given.
+        Whether this is the first sample, at which a delay returns its argument.
     """
     wanted = list(wanted)
     values: dict[int, Any] = {}
-    order = (index for index in needed(tape, wanted) if tape.depends[index] < ROUND)  # rounds do the others
+    order = (index for index in needed(tape, wanted) if tape.depends[index] < ROUND)  # rounds compute others
 
     def given(operation: _Operation) -> Any:
         if operation[0] == "ring":
             return values[operation[3]] if first else inputs[operation]
-        # Of one number NumPy's scalar, whose sums are faster than those of an array without axes.
+        # A NumPy scalar for one number: faster than an array without axes.
         kind = _INPUTS[operation[0]][1]
         return np.asarray(inputs[operation], DTYPES[kind])[()]
 
@@ -461,7 +461,7 @@ def evaluated(
 def _compute(
     tape: Tape, order: Iterable[int], values: dict[int, Any], given: Callable[[_Operation], Any]
 ) -> None:
-    """Compute some nodes in order; `given` returns what comes from outside."""
+    """Compute nodes in order; `given` returns the values of inputs."""
     for index in order:
         operation = tape.operations[index]
         name = operation[0]
@@ -478,9 +478,9 @@ def _compute(
 
 
 def _after_rounds(tape: Tape, rounds: Rounds, values: dict[int, Any]) -> list[Any]:
-    """Return what is carried after the last round; a robot that is done stays as it is.
+    """Return the carried numbers after the last round; those of a finished robot do not change.
 
-    `values` has the nodes that are known, and then those of the last round.
+    `values` contains the known nodes, and then the nodes of the last round.
     """
     carried, done = [values[i] for i in rounds.first], values[rounds.settled]
     for _ in range(rounds.most):
@@ -496,12 +496,12 @@ def _after_rounds(tape: Tape, rounds: Rounds, values: dict[int, Any]) -> list[An
 
 
 def needed(tape: Tape, wanted: Iterable[int]) -> list[int]:
-    """Return the nodes that some nodes need, themselves included, in the order of the tape."""
+    """Return the nodes that some nodes need, including themselves, in the order of the tape."""
     last = max(wanted := list(wanted), default=-1)
     found = bytearray(last + 1)
     for index in wanted:
         found[index] = 1
-    for index in range(last, -1, -1):  # an operand comes before what it is an operand of
+    for index in range(last, -1, -1):  # an operand precedes its operation
         if found[index]:
             for operand in operands(tape.operations[index]):
                 found[operand] = 1
@@ -509,7 +509,7 @@ def needed(tape: Tape, wanted: Iterable[int]) -> list[int]:
 
 
 def choose(condition: Any, a: Any, b: Any) -> Any:
-    """Return a where a condition holds, else b: of numbers quicker than by NumPy."""
+    """Return a if a condition holds, else b; faster than NumPy for plain numbers."""
     if isinstance(condition, bool | np.bool_):
         return a if condition else b
     return select(condition, a, b)
@@ -521,7 +521,7 @@ def higher(a: Any, b: Any) -> Any:
 
 
 def square_root(x: Any) -> Any:
-    """Return the square root of a scalar that is not below zero."""
+    """Return the square root of a scalar >= 0."""
     return math.sqrt(x) if isinstance(x, float) else root(x)
 
 
@@ -531,21 +531,22 @@ def repeated(
     most: int,
     settled: Any = False,
 ) -> list[Any]:
-    """Return some numbers after rounds of a law.
+    """Return numbers after rounds of a law.
 
-    Compiled, a block of robots goes on until all are done; one that is done stays as it is, so that no robot
-    depends on who is beside it.
+    Compiled code runs a block of robots until all are finished. The numbers of a finished robot do not
+    change, so that no robot depends on the other robots of its block.
 
     Parameters
     ----------
     law : callable
-        ``law(numbers)`` returns the numbers after a round, and whether no further one is needed.
+        Function ``law(numbers)`` that returns the numbers after a round, and whether no further round is
+        needed.
     first : sequence of scalars
-        The numbers before the first round: numbers, arrays, or symbols.
+        Numbers before the first round: numbers, arrays, or symbols.
     most : int
-        Rounds at most, one or more.
+        Largest number of rounds, >= 1.
     settled : bool or ndarray of bool or symbol
-        Where no round is needed.
+        Whether no round is needed.
     """
     for x in (*first, settled):
         if type(x) is Node:
@@ -561,23 +562,23 @@ def repeated(
     return carried
 
 
-_WORTH_A_TABLE = 32  # operations of a sample
+_WORTH_A_TABLE = 32  # operations of a sample that justify a table
 
 
 @dataclass(frozen=True)
 class Leaf:
-    """An array in the memory: whose it is, where it stands, and what it is on the tape.
+    """Array in the memory: its owner, its place, and its entries on the tape.
 
     Attributes
     ----------
     owner, path : str
-        Such as ``"controller"`` and ``"state['integral']"``.
+        Owner and place, such as ``"controller"`` and ``"state['integral']"``.
     shape : tuple of int
-        Its shape.
+        Shape of the array.
     first : int
-        Number of its first entry among the states, uniforms or rows.
+        Index of its first entry among the states, uniforms or rows.
     kind : str
-        ``"state"``, or, where it stays as it is at first, ``"uniform"`` or ``"row"``.
+        ``"state"``; or ``"uniform"`` or ``"row"`` for an array that keeps its initial value.
     """
 
     owner: str
@@ -589,7 +590,7 @@ class Leaf:
 
 @dataclass(frozen=True)
 class Ring:
-    """A number that comes back later: its node, what is pushed, and how many samples it takes."""
+    """Delayed number: its node, the node that enters the delay, and the delay in samples."""
 
     node: int
     pushed: int
@@ -598,22 +599,22 @@ class Ring:
 
 @dataclass(frozen=True)
 class LoopTape:
-    """A closed loop on a tape.
+    """Closed loop on a tape.
 
     Attributes
     ----------
     tape : Tape
-        All operations of a sample.
+        Operations of a sample.
     kept : dict of str to (tuple of int, list of int)
-        Shape and nodes of what is kept of every sample.
+        Shape and nodes of the values that are kept of every sample.
     uniforms, rows : int
-        How many numbers of the run, and of each robot, there are; the first uniform is the step [s].
+        Number of numbers of the run, and of each robot; the first uniform is the step [s].
     states : list of (int, int)
-        Nodes of each number of the state: now, and at the next sample; q, v and the memory.
+        Nodes of each number of the state, now and at the next sample: q, v and the memory.
     leaves : list of Leaf
-        The arrays of the memory.
+        Arrays of the memory.
     parameters : dict of str to Leaf
-        Where each parameter stands.
+        Place of each parameter.
     keys : list of str
         Names of the noises.
     rings : list of Ring
@@ -621,15 +622,15 @@ class LoopTape:
     counted : list of int
         Nodes whose sizes are counted.
     sizes : (int, int, int, int, int)
-        nq, nv, nu, and the numbers of the reference's q and v.
+        nq, nv, nu, and the numbers of entries of the reference's q and v.
     unused : list of str
-        Those that no law uses: a spread of one would do nothing.
+        Parameters that no law uses; a spread of these has no effect.
     tracks : int
-        How many numbers the reference of a sample has, where each robot has its own; 0: all have the same.
+        Number of entries of the reference of a sample if each robot has its own, else 0.
     units : dict of str to str
-        Of the signals among what is kept, by name.
+        Units of the signals among the kept values, by name.
     scheduled : int
-        How many numbers of a sample come of schedules; they stand behind the reference.
+        Number of entries of a sample from schedules; they follow the reference.
     """
 
     tape: Tape
@@ -650,15 +651,15 @@ class LoopTape:
 
     @property
     def outputs_kept(self) -> int:
-        """How many numbers are kept of each sample."""
+        """Number of values that are kept of each sample."""
         return sum(len(nodes) for _, nodes in self.kept.values())
 
     @functools.cached_property
     def tabled(self) -> list[int]:
-        """Nodes of time and reference alone that are computed once, as further columns of the samples.
+        """Nodes of time and reference only, which are computed once, as further columns of the samples.
 
-        All robots have the same, so what takes many operations, such as the waves of a noise force, is not
-        worth computing again for each block of them.
+        They are the same for all robots. Long computations, such as the waves of a noise force, are thus not
+        repeated for each block of robots.
         """
         tape = self.tape
         wanted = needed(tape, self.outputs)
@@ -674,17 +675,17 @@ class LoopTape:
 
     @functools.cached_property
     def own(self) -> int:
-        """How many operations each robot has of its own at a sample: what is tabled is done once for all."""
+        """Number of operations per robot and sample, without those in tables."""
         return sum(bool(self.tape.depends[i] & (ROBOT | STATE)) for i in needed(self.tape, self.outputs))
 
     @property
     def columns(self) -> int:
-        """Numbers of a sample: its time, the reference, what is scheduled, and what is tabled."""
+        """Number of entries of a sample: time, reference, schedules and tables."""
         return 1 + self.sizes[3] + 2 * self.sizes[4] + self.scheduled + len(self.tabled)
 
     @property
     def outputs(self) -> list[int]:
-        """Nodes that are wanted at each sample."""
+        """Nodes that are needed at each sample."""
         kept = [node for _, nodes in self.kept.values() for node in nodes]
         pushed = [node for ring in self.rings for node in (ring.node, ring.pushed)]
         return [node for pair in self.states for node in pair] + pushed + self.counted + kept

@@ -470,11 +470,11 @@ def sweep(
     >>> runs = Scenario(robot=robot, controller=PD(120, 120),
     ...                 trajectory=Tangent(Circle(1.0, 0.5, 4.0)),
     ...                 spread={"mass": Uniform(20, 40)},
-    ...                 n=4, dt=0.1)
+    ...                 n=4, dt=0.02)
     >>> with TemporaryDirectory() as folder:
     ...     found = sweep(runs, folder, grid={"kp": [60, 120]})
     ...     found.error_quantile(0.99).values  # [m]
-    array([0.130, 0.079])
+    array([0.124, 0.075])
     """
     points = Points.of(scenario, grid, cases)
     return run_points(points, path, client=client, chunk=chunk, progress=progress, version=version)
