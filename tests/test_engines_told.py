@@ -129,7 +129,7 @@ def test_where_no_memory_may_be_written_and_executed_another_engine_runs_and_say
     assert done.returncode == 0, done.stderr
     first, refused, last = done.stdout.splitlines()
     engine, warned, message, distance = first.split("|")
-    why = "this process may not execute memory that it wrote (mprotect: Permission denied); let it do so "
+    why = "this process may not execute memory that it wrote (mprotect: Permission denied); allow it for "
     assert (engine, warned) == ("PYTHON", "1")
     assert f"not COMPILED: {why}" in message
     assert refused.startswith(f"engine is Engine.COMPILED, which cannot run this: {why}")

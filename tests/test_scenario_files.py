@@ -124,7 +124,7 @@ def test_all_wrong_entries_are_told_at_once_with_their_lines(tmp_path: Path) -> 
         (["robot=MobileRobot.box().mount('ur6')"], "did you mean 'ur5'"),
         (["dt=10ms"], "dt is '10ms', expected a number > 0 [s]"),
         (["substeps=1.5"], "substeps is 1.5, expected a whole number >= 1"),
-        (["controller=mine:PD"], "code of the module 'mine', which runs with --allow-code alone"),
+        (["controller=mine:PD"], "code of the module 'mine', which runs only with --allow-code"),
         (["grid.robot.mas=[1, 2]"], "grid.robot.mas=[1, 2]: robot.mas is unknown, MobileRobot has mass, "),
         (["grid.controller=[1]"], "grid.controller=[1]: controller is 1, expected a controller"),
         (
@@ -316,7 +316,7 @@ def test_users_parts_run_where_they_are_allowed(tmp_path: Path) -> None:
         'dt = 0.01\nforces.wind = "parts_of_mine:gust"\n[controller]\ntype = "parts_of_mine:Pull"\ngain = 9\n'
     )
     file.write_text(lines)
-    assert "runs with --allow-code alone" in problems(str(file))
+    assert "runs only with --allow-code" in problems(str(file))
     opened = Opened([str(file), "controller.gain=16"], allow_code=True)
     assert opened.content.controller.gain == 16
     assert opened.content.simulate().max_error()[0] < 0.1

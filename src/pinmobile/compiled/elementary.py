@@ -1,7 +1,7 @@
 """Sine, exponential, logarithm and other elementary functions from basic operations.
 
 Each function accepts nodes of a tape and NumPy's float64 numbers and arrays, with the same bits for both, on
-every processor. The errors are a few units of the last place; `sincos` is accurate for |x| < 1e5.
+every processor. The errors are a few units of the last place; `sincos` is accurate between -1e5 and 1e5.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def _series(c: Sequence[float], z: Number) -> Any:
 
 
 def sincos(x: Number) -> tuple[Any, Any]:
-    """Return sine and cosine: reduction to |r| <= pi/2, then Taylor series with errors below 2e-17."""
+    """Return sine and cosine: reduction to [-pi/2, pi/2], then Taylor series with errors below 2e-17."""
     shifted = x * _PER_PI + _ROUNDER
     k = shifted - _ROUNDER
     r = ((x - k * _PI1) - k * _PI2) - k * _PI3

@@ -191,8 +191,8 @@ def _mixed(x: Word) -> Any:
 def normals(key: Word, k: Word, n: int) -> list[Any]:
     """Return n standard normal numbers of a robot at sample k.
 
-    Of the 64 bits of a pair, 40 determine the size, at most 7.4, and 24 the direction. Both are accurate to
-    2e-9; two neighbouring directions are 4e-7 apart.
+    A pair has 64 bits: 40 bits determine the size, at most 7.4, and 24 bits the direction. Both are accurate
+    to 2e-9; two neighbouring directions are 4e-7 apart.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def _minus_two_log(u: Number) -> Any:
 
 
 def _sincos_of_an_eighth(i: Number) -> tuple[Any, Any]:
-    """Return sine and cosine of i pi / 2^24 for |i| < 2^22, an eighth of a turn to each side."""
+    """Return sine and cosine of i pi / 2^24 for -2^22 < i < 2^22, an eighth of a turn to each side."""
     r = i * (math.pi / 2**24)
     z = r * r
     return r * polynomial(_SINE, z), polynomial(_COSINE, z)

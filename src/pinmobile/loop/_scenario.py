@@ -120,8 +120,9 @@ class Scenario(Recorded):
     seed : int
         Seed of all draws; those of robot i do not depend on n.
     duration, integrator, substeps, forces, limit
-        See `simulate`. A `NoiseForce` or a `MeasurementNoise` has its own draws for each robot, which depend
-        on this seed and its own.
+        See `simulate`. A `forces.NoiseForce` or a `MeasurementNoise` has its own draws for each robot, which
+        depend on this seed and its own.
+
     after : float
         Time from which the ensemble records errors [s], so that the start of a run does not dominate them.
         Inputs, divergence and bands include the start.
@@ -223,7 +224,25 @@ class Scenario(Recorded):
         self._check_answers()
 
     def find(self, name: str, where: str = "spread") -> Found:
-        """Return the number that a name of the spread means, see `pinmobile.parts.find`."""
+        """Return the number of the loop that a name of the spread means.
+
+        A name is a path or the end of a path. Of several paths with this end, the plant's own comes first,
+        then the one nearest to the loop.
+
+        Parameters
+        ----------
+        name : str
+            Name of the number.
+        where : str
+            Name of the argument, for the message.
+
+        Raises
+        ------
+        UnknownName
+            If no path has this end.
+        InvalidArgument
+            If several paths are equally near.
+        """
         return find(self.given, name, self._known, where)
 
     @cached_property

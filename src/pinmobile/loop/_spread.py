@@ -19,7 +19,7 @@ from pinmobile.plant import stated
 
 @runtime_checkable
 class Distribution(Protocol):
-    """Distribution of a spread; a frozen distribution of `scipy.stats` (with ``rvs``) works too.
+    """Distribution of a spread; a frozen distribution of ``scipy.stats`` (with ``rvs``) works too.
 
     See Also
     --------
@@ -121,7 +121,7 @@ class Uniform:
         return _random(generator).uniform(self.low, self.high, checked_size(size))
 
     def support(self) -> tuple[float, float]:
-        """Return the bounds, as a frozen distribution of `scipy.stats` does."""
+        """Return the bounds, as a frozen distribution of ``scipy.stats`` does."""
         return self.low, self.high
 
     def cdf(self, value: float) -> float:

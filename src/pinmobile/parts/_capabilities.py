@@ -45,7 +45,7 @@ class Stepping(Protocol):
     """
 
     def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any, /) -> Any:
-        """Return the `Step` from a state over a time h.
+        """Return the `plant.Step` from a state over a time h.
 
         Parameters
         ----------

@@ -345,7 +345,7 @@ _convert = attrs.Converter(_checked, takes_self=True, takes_field=True)
 
 
 def declare(declared: Field, default: Any = attrs.NOTHING, **options: Any) -> Any:
-    """Return a field with a declaration; `options` are those of `attrs.field`."""
+    """Return a field with a declaration; `options` are those of ``attrs.field``."""
     return attrs.field(
         default=default, converter=_convert, metadata={"declared": declared}, **{"repr": True, **options}
     )
@@ -608,7 +608,7 @@ def children(
     expected : str
         Expected value, for the message; default: the first line of the protocol's docstring.
     **options
-        Options of `attrs.field`.
+        Options of ``attrs.field``.
 
     Returns
     -------
@@ -646,7 +646,7 @@ def option(*, default: Any = attrs.NOTHING, doc: str = "", check: Any = None, **
     check : callable, optional
         Function ``check(name, value)`` that returns the value to store, or raises `InvalidArgument`.
     **options
-        Options of `attrs.field`.
+        Options of ``attrs.field``.
 
     Returns
     -------

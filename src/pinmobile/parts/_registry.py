@@ -1,4 +1,4 @@
-"""Public names as files and commands use them: parts, their arguments, constants; values from their text."""
+"""Public names in files and commands: parts, their arguments and constants; values from text."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ _CODE = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
 
 
 class Parameter(NamedTuple):
-    """An argument of what makes a part: a field of the part, or any other.
+    """Argument of a class or function that makes a part.
 
     Attributes
     ----------
     name : str
-        As files have it.
+        Name in files.
     declared : Field or None
-        Declaration of the field.
+        Declaration of the field, if the argument is a field of the part.
     default : any
-        Its default, `attrs.NOTHING` where it has none.
+        Default, `attrs.NOTHING` if there is none.
     is_required : bool
-        Whether it must be given.
+        Whether the argument is required.
     is_variadic : bool
-        Whether it takes all further values.
+        Whether the argument takes all further values.
     doc : str
-        Its meaning.
+        Meaning as a noun phrase.
     """
 
     name: str
@@ -55,13 +55,13 @@ class Parameter(NamedTuple):
 
     @property
     def is_shared(self) -> bool:
-        """Whether the file's robot, or a part of it, stands for it where it is not given."""
+        """Whether the file's robot, or a part of the robot, is the default."""
         return self.is_required and (self.name == "robot" or isinstance(self.declared, Child))
 
 
 @cache
 def parameters(make: Any) -> dict[str, Parameter]:
-    """Return the arguments of a class or a function, by name; "**" stands for any others."""
+    """Return the arguments of a class or function by name; "**" stands for further named arguments."""
     known = inspect.signature(make).parameters
     fields = dict(declared_by(make)) if is_part_class(make) else {}
     given = {f.name: f.default for f in attrs.fields(make)} if attrs.has(make) else {}
@@ -80,7 +80,7 @@ def parameters(make: Any) -> dict[str, Parameter]:
 
 
 def _documented(text: str) -> dict[str, str]:
-    """Return the first sentence about each parameter of a docstring."""
+    """Return the first sentence about each parameter in a docstring."""
     rows = re.findall(r"^(\*\*\w+|\**\w+(?:, \**\w+)*(?= : ))(?: : .*)?\n((?: +.*\n?)+)", text, re.MULTILINE)
     return {
         name: re.split(r"[.;] ", f"{' '.join(meaning.split())} ")[0].rstrip(" .")
@@ -95,25 +95,25 @@ def is_part_class(value: object) -> bool:
 
 
 def is_code(name: str) -> bool:
-    """Return whether a text names something in a user's module, "module:Name"."""
+    """Return whether a text names an object in a user's module, "module:Name"."""
     return _CODE.fullmatch(name) is not None
 
 
 def resolve(name: str, folder: Path | None = None) -> Any:
-    """Return what a public name stands for: a part's class, a constructor of it, or a constant; else None.
+    """Return the object of a public name: a class of parts, a constructor or a constant; else None.
 
     Parameters
     ----------
     name : str
-        Such as ``"PD"``, ``"WheelTable.differential"``, ``"wheels.MOTORS['faulhaber_1331t012sr']"``, or of a
-        user's module ``"module:Name"``.
+        Name such as ``"PD"``, ``"WheelTable.differential"``, ``"wheels.MOTORS['faulhaber_1331t012sr']"``, or
+        in a user's module ``"module:Name"``.
     folder : Path, optional
-        Where users' modules are; None: they must not be run.
+        Folder of users' modules; None: they must not run.
 
     Raises
     ------
     InvalidArgument
-        If it is code that must not run, or that fails.
+        If the name is code that must not run, or that fails.
     """
     if is_code(name):
         return _code(name, folder)
@@ -139,7 +139,7 @@ def _member(owner: Any, name: str) -> Any:
 
 
 def makes_part(function: Any) -> bool:
-    """Return whether a function or method returns a part, as it is annotated: a file may call it."""
+    """Return whether a file may call a function or method: its annotation says that it returns a part."""
     plain = function.__func__ if inspect.ismethod(function) else function
     if not isinstance(plain, FunctionType):
         return False
@@ -148,12 +148,12 @@ def makes_part(function: Any) -> bool:
 
 
 def _code(text: str, folder: Path | None) -> Any:
-    """Return an object of a module beside the file, or of an installed one."""
+    """Return an object of a module in the folder, or of an installed module."""
     module, _, name = text.partition(":")
     if folder is None:
         raise InvalidArgument(
-            f"is {text!r}, code of the module {module!r}, which runs with --allow-code alone: "
-            "look at that module first"
+            f"is {text!r}, code of the module {module!r}, which runs only with --allow-code: "
+            "check that module first"
         )
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
@@ -167,7 +167,7 @@ def _code(text: str, folder: Path | None) -> Any:
             loaded = sys.modules[module] = module_from_spec(spec)
             try:
                 spec.loader.exec_module(loaded)
-            except BaseException:  # what broke off is no module, and what stood there stays
+            except BaseException:  # remove the incomplete module, and restore the previous one
                 sys.modules.pop(module)
                 sys.modules |= {} if before is None else {module: before}
                 raise
@@ -197,7 +197,7 @@ _PACKAGES = [
 
 @cache
 def public() -> dict[str, Any]:
-    """Return the names of the library's top level and of the packages of parts, with what they stand for."""
+    """Return the public names of the top level and of the packages of parts, with their objects."""
     library = import_module("pinmobile")
     found = {name: getattr(library, name) for name in library.__all__}
     for package in map(import_module, (f"pinmobile.{name}" for name in _PACKAGES)):
@@ -222,7 +222,7 @@ def names_of(kind: Any) -> tuple[str, ...]:
 
 
 def fits(kind: Any, one: Any) -> bool:
-    """Return whether a class has all that its objects need for a kind, or an object is of a kind."""
+    """Return whether a class has the members of a kind, or an object is of a kind."""
     if isinstance(kind, tuple):
         return any(fits(each, one) for each in kind)
     if not is_protocol(kind):
@@ -232,7 +232,10 @@ def fits(kind: Any, one: Any) -> bool:
 
 
 def _is_like(name: str, kind: Any, one: Any) -> bool:
-    """Return whether an object has what a protocol has; a call, with as many arguments of the same first."""
+    """Return whether an object has a member of a protocol.
+
+    A call must have the same number of arguments and the same first argument.
+    """
     own = getattr(one, name) if name in dir(one) else None
     if name != "__call__" or own is None:
         return own is not None
@@ -246,7 +249,7 @@ def _is_like(name: str, kind: Any, one: Any) -> bool:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return the nearest of some names as a question, or all of them."""
+    """Return a question that suggests the nearest name, or a list of all names."""
     plain = {each.lower().replace("_", ""): each for each in known}
     near = get_close_matches(name[:100].lower().replace("-", "").replace("_", ""), plain, n=1)
     return f"did you mean {plain[near[0]]!r}?" if near else f"available: {format_names(known)}"
@@ -258,7 +261,7 @@ def _constants() -> dict[int, str]:
 
 
 def name_of(value: Any) -> str:
-    """Return the public name of a class, a function or a constant, "" for none."""
+    """Return the public name of a class, a function or a constant, "" if there is none."""
     if not isinstance(value, type):
         own = f"{value.__module__}:{value.__qualname__}" if isinstance(value, FunctionType) else ""
         return str(_constants().get(id(value), own if is_code(own) else ""))
@@ -274,7 +277,10 @@ _CALL = re.compile(r"([^\W\d][\w.]*:[^\W\d][\w.]*)\s*(\(.*\))", re.DOTALL)
 
 
 def expected(declared: Field | None, *, one: bool = False) -> str:
-    """Return in words what a field takes, such as ``"a number > 0 [kg]"``; `one` of several parts."""
+    """Return the expected value of a field as text, such as ``"a number > 0 [kg]"``.
+
+    The argument `one` selects the text about one part of a field with several parts.
+    """
     if isinstance(declared, Number):
         shapes = " or ".join(str(shape).replace("'", "") for shape in declared.shapes if shape)
         what = f"numbers of shape {shapes}" if shapes else "a number"
@@ -293,7 +299,7 @@ def expected(declared: Field | None, *, one: bool = False) -> str:
 
 
 def called(text: str) -> dict[str, Any]:
-    """Return the tree of a part that is written as in Python, ``"PD(kp=120)"``, or of a bare name.
+    """Return the tree of a part from text in Python's notation, ``"PD(kp=120)"``, or from a bare name.
 
     The text is parsed, never evaluated.
     """
@@ -309,7 +315,7 @@ def called(text: str) -> dict[str, Any]:
 
 
 def listed(text: str) -> Any:
-    """Return the list of a text as in Python, with parts such as ``"[PD(9, 9), PID()]"``; else the text."""
+    """Return the list of a text in Python's notation, which may contain parts; other text stays text."""
     try:
         node = ast.parse(text.strip(), mode="eval").body
         return _value(node) if isinstance(node, ast.List) else text
@@ -401,7 +407,7 @@ def nested(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return the values of nested tables by path, as TOML nests dots; tables with a type are values."""
+    """Return the values of nested tables by path; tables with a type are values."""
     found: dict[str, Any] = {}
     for key, value in tree.items():
         is_table = isinstance(value, Mapping) and "type" not in value

@@ -35,13 +35,13 @@ def read_file(path: Path) -> str:
     Raises
     ------
     InvalidArgument
-        If it cannot be read, or is too large.
+        If the file cannot be read, or is too large.
     """
     try:
         with path.open("rb") as file:
-            data = file.read(_MOST + 1)  # what is no regular file may never end
+            data = file.read(_MOST + 1)  # a special file may be endless
         if len(data) > _MOST:
-            raise InvalidArgument(f"FILE is {str(path)!r}, of more than {_MOST >> 20} MiB, expected less")
+            raise InvalidArgument(f"FILE is {str(path)!r}, larger than {_MOST >> 20} MiB, expected less")
         return data.decode("utf-8").replace("\r\n", "\n")
     except (OSError, UnicodeDecodeError, ValueError) as error:
         if isinstance(error, InvalidArgument):
@@ -50,7 +50,7 @@ def read_file(path: Path) -> str:
 
 
 def read_tree(text: str, name: str) -> dict[str, Any]:
-    """Return the tables of a text of TOML; errors begin with the name of its file."""
+    """Return the tables of TOML text; errors begin with the name of the file."""
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -60,7 +60,7 @@ def read_tree(text: str, name: str) -> dict[str, Any]:
 
 
 def typed(text: str) -> Any:
-    """Return a value as TOML has it, or a list as Python has it; any other text is text."""
+    """Return the value of text in TOML's notation, or a list in Python's notation; other text stays text."""
     try:
         return tomllib.loads(f"v = {text}")["v"] if "\n" not in text else text
     except (tomllib.TOMLDecodeError, RecursionError):
@@ -76,25 +76,25 @@ def read_entries(
     folder: Path | None = None,
     unused: Sequence[str] = (),
 ) -> tuple[Any, Reader]:
-    """Return the part of a file and of words PATH=VALUE that change it, and its reader.
+    """Return the part of a file with changes PATH=VALUE, and its reader.
 
     Parameters
     ----------
     kind : type
         Class of the part.
     words : sequence of str
-        Such as ``"controller.kp=9"``.
+        Changes, such as ``"controller.kp=9"``.
     name, text : str, optional
-        Of the file.
+        Name and text of the file.
     folder : Path, optional
-        Where the modules are that it names; None: they must not run.
+        Folder of users' modules in the file; None: they must not run.
     unused : sequence of str, optional
-        Fields that the command leaves aside.
+        Fields that the command ignores.
 
     Raises
     ------
     InvalidEntries
-        If entries are wrong: a line for each, with the line of the file, or the word.
+        If entries are wrong; the message has a line for each, with the line of the file, or the word.
     """
     tree = read_tree(text, name)
     sets = dict(word.split("=", 1) for word in words)
@@ -124,18 +124,18 @@ def located(error: InvalidEntries, sets: Mapping[str, str], name: str, text: str
 
 
 def are_nested(path: str, other: str) -> bool:
-    """Return whether one of two paths leads to the other."""
+    """Return whether one path begins with the other."""
     return f"{path}.".startswith(f"{other}.") or f"{other}.".startswith(f"{path}.")
 
 
 def line_of(text: str, path: str) -> int:
-    """Return the line that sets a path, or what it stands in: where the text up to there first has it."""
+    """Return the number of the line that sets a path, or of the nearest table around it."""
     lines, keys, best, start = text.splitlines(), path.split("."), (0, 1), 1
     for n in range(1, len(lines) + 1):
         try:
             tree = tomllib.loads("\n".join(lines[:n]))
         except tomllib.TOMLDecodeError:
-            continue  # in the middle of a value of several lines
+            continue  # a value of several lines is incomplete here
         best = max(best, (_depth(tree, keys), start), key=lambda each: each[0])
         start = n + 1
     return best[1]
@@ -152,12 +152,12 @@ def _depth(tree: Any, keys: Sequence[str]) -> int:
 
 
 def write_text(kind: type, tree: Mapping[str, Any]) -> str:
-    """Return a tree as TOML, each number with its meaning, unit and bound beside it."""
+    """Return a tree as TOML, with meaning, unit and bound next to each number."""
     return "\n".join(_table(tree, kind, "")).lstrip("\n") + "\n"
 
 
 def _table(tree: Mapping[str, Any], make: Any, path: str) -> Iterator[str]:
-    """Yield the lines of a table: values first, then the tables of parts, and at the top those of paths."""
+    """Yield the lines of a table: values first, then the tables of parts."""
     known = parameters(make) if callable(make) else {}
     fields = {key: known[key].declared if key in known else None for key in tree}
     later = {key: value for key, value in tree.items() if _is_table(value, fields[key], path)}
@@ -180,7 +180,7 @@ def _table(tree: Mapping[str, Any], make: Any, path: str) -> Iterator[str]:
 
 
 def _is_table(value: Any, declared: Any, path: str) -> bool:
-    """Return whether a value is written as a table of its own, or as several."""
+    """Return whether a value becomes one or several tables."""
     if isinstance(value, Mapping):
         return "type" in value or isinstance(declared, Child) or not path
     are_tables = isinstance(value, list) and value and all(isinstance(each, Mapping) for each in value)
@@ -209,7 +209,7 @@ _BOUNDS = {"above": "exclusiveMinimum", "lower": "minimum", "upper": "maximum"}
 
 
 def schema_of(root: type) -> dict[str, Any]:
-    """Return the JSON schema of a file: what each part may have, with meaning, unit and bound."""
+    """Return the JSON schema of a file: the fields of each part, with meaning, unit and bound."""
     parts = {name: one for name, one in public().items() if is_part_class(one)}
     kinds = {
         _title(each.declared.kind): each.declared.kind
@@ -228,7 +228,7 @@ def _title(kind: Any) -> str:
 
 
 def _choice(kind: Any, parts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the schema of a part of a kind: its name, text as in Python, or a table with a type."""
+    """Return the schema of a part of a kind: its name, text in Python's notation, or a table with a type."""
     names = [name for name in names_of(kind) if name in parts]
     cases = [
         {

@@ -1,4 +1,4 @@
-"""Parts as trees of plain values, and such trees as parts: what files, commands and grids have in common."""
+"""Parts as trees of plain values, and parts from such trees, for files, commands and grids."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ from pinmobile.parts._registry import (
 )
 from pinmobile.parts._walk import Leaf, entries_of
 
-_WRONG = object()  # in place of a part that cannot be made
+_WRONG = object()  # stands for a part that cannot be made
 _DEEPEST = 50
 _FAILURES = TypeError, ValueError, LookupError, OSError, AttributeError, ArithmeticError, PinmobileError
 _NONE: Mapping[str, Any] = {}
 
 
 class InvalidEntries(InvalidArgument):
-    """All wrong entries of a file or a command.
+    """Error of a file or a command, with all wrong entries.
 
     Attributes
     ----------
     problems : dict of str to str
-        Messages by paths.
+        Messages by path.
     """
 
     def __init__(self, problems: Mapping[str, str]) -> None:
@@ -53,27 +53,27 @@ class InvalidEntries(InvalidArgument):
 
 
 class Reader:
-    """Makes parts of trees, and collects what is wrong with them.
+    """Reader that makes parts from trees and collects their errors.
 
     Parameters
     ----------
     folder : Path, optional
-        Where users' modules are; None: they must not run.
+        Folder of users' modules; None: they must not run.
 
     Attributes
     ----------
     problems : dict of str to str
-        Messages by paths.
+        Messages by path.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
         self.folder = folder
         self.problems: dict[str, str] = {}
-        self._kept: dict[int, tuple[Any, dict[str, Any]]] = {}  # how parts were made, by identity
+        self._kept: dict[int, tuple[Any, dict[str, Any]]] = {}  # trees of parts, by id
         self._shared: dict[str, Any] = {}
 
     def root(self, kind: type, tree: Mapping[str, Any]) -> Any:
-        """Return the part of a whole file; its robot stands for those that are not given elsewhere.
+        """Return the part of a whole file; its robot is the default of all robots in it.
 
         Raises
         ------
@@ -98,19 +98,19 @@ class Reader:
         return made
 
     def changed(self, root: Any, changes: Mapping[str, Any], path: str = "") -> Any:
-        """Return the root with other values at paths; models of controllers keep the robot of before.
+        """Return a part with other values at paths; models of controllers keep the original robot.
 
         Raises
         ------
         InvalidEntries
-            If a value is not possible there.
+            If a value is invalid.
         """
         made = self._changed(root, nested(changes), path)
         self._raise()
         return made
 
     def _model(self, each: Parameter) -> Any:
-        """Return what stands for a model that is not given: the file's robot, or the part of it that fits."""
+        """Return the default of a model: the file's robot, or the part of the robot that fits."""
         robot = self._shared.get("robot")
         if each.name != "robot" or not isinstance(each.declared, Child) or not is_part(robot):
             return self._shared.get(each.name)
@@ -133,7 +133,7 @@ class Reader:
                 self._fail(at, f"{at} is unknown, {name} has {takes}; {nearest(str(key), known)}")
 
     def part(self, declared: Child, tree: Any, path: str, base: Any = None) -> Any:
-        """Return the part that a tree stands for; `base` is the one that a table without type changes."""
+        """Return the part of a tree; `base` is the part that a table without a type changes."""
         if path.count(".") > _DEEPEST:
             return self._fail(path, f"{path} is nested too deep, expected at most {_DEEPEST} levels")
         tree = called(tree) if isinstance(tree, str) else tree
@@ -155,7 +155,7 @@ class Reader:
         return self._called(make, str(name), tree, path)
 
     def _named(self, declared: Child, name: Any, path: str) -> Any:
-        """Return what a type stands for, if that may stand here."""
+        """Return the object of a type, if it is allowed here."""
         kind, wanted = declared.kind, expected(declared, one=True)
         if not isinstance(name, str):
             told = f"{path} has the type {shown(name)}, expected text in quotes"
@@ -169,7 +169,7 @@ class Reader:
             return self._fail(
                 _join(path, "type"), f"{path} is {shown(name)}, expected {wanted}, {nearest(name, known)}"
             )
-        # What classes lend from another part is seen once they are made.
+        # Members that a class takes from another part exist only in its objects.
         is_free = is_code(name) or "__getattr__" in dir(make) or (makes_part(make) and not is_part(make))
         if not is_free and not fits(kind, make):
             told = f"{path} is {name!r}, expected {wanted}, available: {', '.join(known)}"
@@ -177,7 +177,7 @@ class Reader:
         return make
 
     def _called(self, make: Any, name: str, tree: dict[str, Any], path: str) -> Any:
-        """Return what a class makes of a table, or a constructor, which may change fields afterwards too."""
+        """Return the object of a class or constructor with a table; the table may also change fields."""
         known = parameters(make)
         is_class = is_part_class(make)
         tree = {_given(known, key): value for key, value in tree.items()}
@@ -219,7 +219,7 @@ class Reader:
             if parameters(make)[key].is_variadic and key in values:
                 first = [values.pop(name) for name in names[:k]] + [*values.pop(key)]
         try:
-            with np.errstate(all="ignore"):  # a part refuses what is beyond the largest number
+            with np.errstate(all="ignore"):  # the part itself rejects overflow
                 return make(*first, **values)
         except InvalidArgument as error:
             return self._fail(_join(path, error.argument.partition("[")[0]), f"{path or 'file'}: {error}")
@@ -254,7 +254,7 @@ class Reader:
         return new
 
     def _read(self, each: Parameter, tree: Any, path: str, base: Any) -> Any:
-        """Return what a tree stands for at an argument; `base` is what stands there otherwise."""
+        """Return the value of a tree for an argument; `base` is the value without it."""
         declared = each.declared
         if each.is_shared and (base is None or base is attrs.NOTHING):
             base = self._model(each)
@@ -281,7 +281,7 @@ class Reader:
         return self._option(declared, tree, path)
 
     def _option(self, declared: Field, tree: Any, path: str) -> Any:
-        """Return a value of a field that is neither a number nor a part; a name may mean a constant."""
+        """Return the value of a field that is neither a number nor a part; a name may mean a constant."""
         made = _tuples(tree)
         name = path.rpartition(".")[2]
         try:
@@ -310,7 +310,7 @@ class Reader:
         return known if isinstance(base, Mapping) else tuple(known.values())
 
     def _numbers(self, declared: Number, tree: Any, path: str, base: Any) -> Any:
-        """Return numbers, of which a table changes some: by label, or by number."""
+        """Return numbers; a table changes some entries, by label or by index."""
         if not isinstance(tree, Mapping):
             _check_plain(path, tree)
             return tree
@@ -330,7 +330,7 @@ class Reader:
         return made
 
     def _generic(self, tree: Any, path: str) -> Any:
-        """Return what a tree stands for where nothing is declared: parts where it names some."""
+        """Return the value of a tree without a declaration; names of parts become parts."""
         if isinstance(tree, Mapping):
             if "type" in tree:
                 return self.part(Child(), tree, path)
@@ -349,12 +349,12 @@ class Reader:
         return _WRONG if any(each is _WRONG for each in made.values()) else made
 
     def tree(self, value: Any, path: str = "") -> Any:
-        """Return a part as a tree, from which this part is read again.
+        """Return a part as a tree, from which the same part can be read.
 
         Raises
         ------
         InvalidArgument
-            If something in it has no text, such as a generator of random numbers.
+            If an object in the part has no text, such as a random number generator.
         """
         if id(value) in self._kept:
             kept = self._kept[id(value)][1]
@@ -372,10 +372,10 @@ class Reader:
             return [self.tree(each, f"{path}.{k}") for k, each in enumerate(value)]
         if isinstance(value, str | bool | int | float):
             return value
-        raise InvalidArgument(f"{path} is {shown(value)}, which a file cannot state: state it in Python")
+        raise InvalidArgument(f"{path} is {shown(value)}, which a file cannot contain: use Python")
 
     def _written(self, part: Any, path: str) -> Iterator[tuple[str, Any]]:
-        """Yield the fields that a file states, and their values: not models that are the file's robot."""
+        """Yield the fields that a file states with their values, without models equal to the file's robot."""
         own: Any = type(part)
         known = parameters(own)
         is_model = path and path.split(".")[0] != "robot"
@@ -394,14 +394,14 @@ class Reader:
 
 
 def _given(known: Mapping[str, Parameter], key: str) -> str:
-    """Return the name of an argument that text has by position only."""
+    """Return the name of an argument that the text gives by position."""
     word, _, number = key.partition(" ")
     at = int(number) - 1 if word == "argument" and number.isdigit() else len(known)
     return [*known, key][min(at, len(known))]
 
 
 def _is_change(known: Mapping[str, Parameter], fields: Collection[str], key: str, tree: Any) -> bool:
-    """Return whether an entry of a constructor's table changes a field of what that makes."""
+    """Return whether an entry of a constructor's table changes a field of the constructed part."""
     each = known.get(key)
     is_table = isinstance(tree, Mapping) and "type" not in tree
     is_free = each is None or each.declared is None
@@ -418,7 +418,7 @@ def _default(each: Parameter, owner: Any) -> Any:
     default = each.default
     if isinstance(default, attrs.Factory):  # type: ignore[arg-type]
         factory: Callable[..., Any] = default.factory
-        with contextlib.suppress(Exception):  # of what is wrong before it
+        with contextlib.suppress(Exception):  # another field may be wrong
             return factory(owner) if default.takes_self else factory()
         return None
     return None if default is attrs.NOTHING else default

@@ -541,7 +541,7 @@ def _check_client(client: Any) -> None:
 
 
 def connected(address: str, timeout: float = _ANSWER) -> Any:
-    """Return a `distributed.Client` of the scheduler at an address, such as ``tcp://127.0.0.1:8786``.
+    """Return a ``distributed.Client`` of the scheduler at an address, such as ``tcp://127.0.0.1:8786``.
 
     Raises
     ------
