@@ -336,7 +336,7 @@ def test_a_sweep_on_its_way_says_how_much_is_done(done: pm.Sweep, tmp_path: Path
 def test_a_file_that_is_gone_is_computed_again(done: pm.Sweep, copy: Path, file: str, robots: int) -> None:
     (copy / file).unlink()
     if file.endswith("kp/c/0"):
-        with refused(rf"of which '.*{file}' is missing; start the same sweep again"):
+        with refused(rf"in which '.*{file}' is missing; start the same sweep again"):
             pm.Sweep.open(copy)
     heard: list[int] = []
     swept(copy, progress=lambda now, total: heard.append(now))
@@ -354,7 +354,7 @@ def test_a_file_that_cannot_be_read_is_named(
     path = copy / file
     path.write_bytes(damage(path.read_bytes()))
     found = pm.Sweep.open(copy, scenario(), grid=GRID)
-    with refused(rf"of which '.*{file}' cannot be read: .*; remove that file"):
+    with refused(rf"in which '.*{file}' cannot be read: .*; remove that file"):
         found.ensemble(**{"controller.kp": 16, "spread.mass": 0.1})
     path.unlink()
     swept(copy)

@@ -104,11 +104,13 @@ def test_what_is_no_scheduler_is_given_up() -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         with pytest.raises(
-            SchedulerError, match=rf"scheduler is '{address}', where none answers within 0\.5 s"
+            SchedulerError, match=rf"scheduler is '{address}', which does not answer within 0\.5 s"
         ):
             connected(address, timeout=0.5)
     for wrong in (address, "tcp//1"):
-        with pytest.raises(SchedulerError, match=r"where none answers .* expected an address such as tcp://"):
+        with pytest.raises(
+            SchedulerError, match=r"which does not answer .* expected an address such as tcp://"
+        ):
             connected(wrong, timeout=0.5)
     with socket.create_server(("127.0.0.1", 0)) as other:
 
@@ -119,7 +121,7 @@ def test_what_is_no_scheduler_is_given_up() -> None:
 
         serving = Thread(target=serve)
         serving.start()
-        with pytest.raises(SchedulerError, match=r"where none answers within 5 s"):
+        with pytest.raises(SchedulerError, match=r"which does not answer within 5 s"):
             connected(f"tcp://127.0.0.1:{other.getsockname()[1]}", timeout=5)
         other.shutdown(socket.SHUT_RDWR)
         serving.join()

@@ -136,7 +136,7 @@ def test_of_many_sweeps_at_once_one_writes_and_others_read(done: Path, tmp_path:
         early = Sweep.open(store)
         assert np.isnan(early.error_quantile()).all()
         assert early.table().splitlines()[1].split() == ["4", "unknown", "unknown"]
-        assert early.answer() == "0 % of the robots are done, and all robots of no scenario"
+        assert early.answer() == "0 % of the robots are done, but no scenario is complete"
         one.__exit__()
     small(store)
     assert contents(store) == contents(done)

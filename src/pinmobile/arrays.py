@@ -1066,7 +1066,7 @@ def callable_as(form: str, function: _Function, expected: str = "") -> _Function
         signature.bind(*arguments)
     except TypeError as error:
         raise InvalidArgument(
-            f"{name} is {shown(function)}, which cannot be called as {form}: {error}, expected one that can"
+            f"{name} is {shown(function)}, which cannot be called as {form}: {error}; give another"
         ) from None
     if code is not None:
         _fitting.setdefault(code, set()).add(call)

@@ -432,7 +432,7 @@ def _index(index: object) -> Any:
         parts = [plain(x) for x in index] if isinstance(index, tuple) else [plain(index)]
         if all(type(y) is not Node or y.value is not None for x in parts for y in _asarray(x, object).flat):
             return index
-        raise NotTraceable("an index, or a mask that selects, is a symbol", "use np.where or np.select")
+        raise NotTraceable("an index or a mask contains a symbol", "use np.where or np.select")
     return index
 
 

@@ -284,7 +284,7 @@ class Tape:
             return self.const(x, kind)
         if x.tape is not self:
             raise NotTraceable(
-                "a symbol of an earlier trace was kept", "keep memory in state: return it, and take it back"
+                "a symbol of an earlier trace was kept", "keep memory in state: return it with the input"
             )
         own = self.types[x.index]
         if own == kind or kind == "u":

@@ -313,7 +313,7 @@ def open_dataset(path: Path) -> Any:
     for name, node in attributes_of(path)["nodes"].items():
         file = path / name / "c" / "0"
         if node["dimension_names"] == [name] and not file.is_file():
-            raise InvalidArgument(f"store is {str(path)!r}, of which {str(file)!r} is missing; {AGAIN}")
+            raise InvalidArgument(f"store is {str(path)!r}, in which {str(file)!r} is missing; {AGAIN}")
     with reading(path):
         return xarray.open_zarr(path, chunks=None, consolidated=True, zarr_format=3)
 
@@ -325,7 +325,7 @@ def reading(path: Path) -> Iterator[None]:
         yield
     except Exception as error:  # codecs may raise any error
         raise InvalidArgument(
-            f"store is {str(path)!r}, of which {_damaged(path)}; remove that file, and {AGAIN}"
+            f"store is {str(path)!r}, in which {_damaged(path)}; remove that file, and {AGAIN}"
         ) from error
 
 

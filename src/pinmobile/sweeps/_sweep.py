@@ -258,7 +258,7 @@ class Sweep:
         begun = f"{done * 100:.3g} % of the robots are done" if done < 1 else ""
         within, diverged, n = self.error_quantile(share).values, self.diverged, self.dataset.sizes["robot"]
         if np.isnan(within).all():
-            return f"{begun}, and all robots of no scenario"
+            return f"{begun}, but no scenario is complete"
         beside = self.rivals
         last = len(self.axes) if beside is None else list(self.axes).index(beside)
         within, diverged = (np.moveaxis(x if beside else x[..., None], last, -1) for x in (within, diverged))
@@ -565,7 +565,7 @@ def connected(address: str, timeout: float = _ANSWER) -> Any:
         return distributed.Client(address, timeout=timeout)
     except Exception as error:  # the answer of another server may raise any error
         raise SchedulerError(
-            f"scheduler is {shown(address)}, where none answers within {timeout:g} s, expected an address "
+            f"scheduler is {shown(address)}, which does not answer within {timeout:g} s, expected an address "
             f"such as tcp://127.0.0.1:8786: {error}"
         ) from error
 
@@ -599,7 +599,7 @@ def _results(
             done, _ = wait(under_way, timeout=_LOOK, return_when=FIRST_COMPLETED)
             alive = monotonic() if done or client is None or client.nthreads() else alive
             if client is not None and (client.status != "running" or monotonic() - alive > _ALONE):
-                raise _lost(client, f"is gone, or had no worker for {_ALONE:g} s")
+                raise _lost(client, f"is lost, or had no worker for {_ALONE:g} s")
             for future in done:
                 draws, part = _answer(future, client)
                 yield under_way.pop(future), draws, part
