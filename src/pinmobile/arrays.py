@@ -485,10 +485,14 @@ def bounded(
         Name of the argument, for the message.
     value : array_like, any shape
         Finite numbers.
-    above, below : float, optional
-        Bounds that are excluded.
-    least, most : float, optional
-        Bounds that are included.
+    above : float, optional
+        Lower bound, excluded.
+    least : float, optional
+        Lower bound, included.
+    below : float, optional
+        Upper bound, excluded.
+    most : float, optional
+        Upper bound, included.
     unit : str
         Unit, for the message.
 

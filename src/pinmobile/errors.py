@@ -29,7 +29,7 @@ def shown(value: object) -> str:
 
     See Also
     --------
-    format_names : names as the text of a message.
+    errors.format_names : names as the text of a message.
 
     Examples
     --------
@@ -63,7 +63,7 @@ def format_names(names: Iterable[str]) -> str:
 
     See Also
     --------
-    shown : one value as the text of a message.
+    errors.shown : one value as the text of a message.
 
     Examples
     --------

@@ -111,7 +111,7 @@ def size_of(margin: ArrayLike) -> Any:
 
     See Also
     --------
-    value_of : inverse function.
+    metrics.value_of : inverse function.
 
     Examples
     --------
@@ -140,7 +140,7 @@ def value_of(size: Array) -> Array:
 
     See Also
     --------
-    size_of : inverse function.
+    metrics.size_of : inverse function.
 
     Examples
     --------
@@ -172,7 +172,7 @@ def metrics_of(plant: object) -> tuple[Metric, ...]:
 
     See Also
     --------
-    Metric : description of a metric.
+    metrics.Metric : description of a metric.
 
     Examples
     --------
@@ -285,7 +285,7 @@ def check_measured(plant: Any, q: Array, v: Array, reference: Any) -> None:
 
     See Also
     --------
-    evaluate_metrics_of : metrics of one sample.
+    metrics.evaluate_metrics_of : metrics of one sample.
 
     Examples
     --------

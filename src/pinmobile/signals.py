@@ -54,7 +54,7 @@ class Claim(NamedTuple):
 
     See Also
     --------
-    claimed : collect the signals of several parts.
+    signals.claimed : collect the signals of several parts.
 
     Examples
     --------
@@ -86,7 +86,7 @@ def signals_of(part: object, *given: object) -> Any:
 
     See Also
     --------
-    claimed : check and collect the signals of several parts.
+    signals.claimed : check and collect the signals of several parts.
 
     Examples
     --------
@@ -151,7 +151,7 @@ def claimed(
 
     See Also
     --------
-    Claim : value of a signal at one sample.
+    signals.Claim : value of a signal at one sample.
 
     Examples
     --------

@@ -83,7 +83,18 @@ class Worst:
     metrics: tuple[tuple[int, bool], ...] = option(default=())
 
     def initial_state(self, n: int, nu: int) -> dict[str, Array]:
-        """Return the record before the first sample, for n errors and nu inputs."""
+        """Return the record before the first sample.
+
+        Parameters
+        ----------
+        n, nu : int
+            Number of errors and of inputs.
+
+        Returns
+        -------
+        dict of str to ndarray
+            Record of no sample.
+        """
         farthest = sum(len(group) > 1 for group in self.distances)
         return {
             "alive": np.ones(()),
@@ -195,7 +206,13 @@ class Samples:
     errors: ClassVar[bool] = False
 
     def initial_state(self, n: int, nu: int) -> None:
-        """Return None: the recorder has no memory."""
+        """Return None: the recorder has no memory.
+
+        Parameters
+        ----------
+        n, nu : int
+            Number of errors and of inputs.
+        """
 
     def __call__(self, sample: Sample, state: object) -> Record:
         """Return the sample as a record.

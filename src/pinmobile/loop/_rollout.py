@@ -274,7 +274,7 @@ class Rollout:
     --------
     simulate : run a closed loop.
     plots.path : figure of the path.
-    EndEffector : frame over the samples.
+    loop.EndEffector : frame over the samples.
 
     Examples
     --------
@@ -572,7 +572,18 @@ class Rollout:
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> Rollout:
-        """Return the rollout with this content; a plant that cannot be restored becomes its outline."""
+        """Return the rollout of a file's content; a plant that cannot be restored becomes its outline.
+
+        Parameters
+        ----------
+        content : mapping
+            Result of `content`.
+
+        Returns
+        -------
+        Rollout
+            Recorded samples.
+        """
         own = dict(content)
         outline = own.pop("outline")
         try:

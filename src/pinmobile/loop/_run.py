@@ -299,8 +299,30 @@ def ensemble(
 
     Parameters
     ----------
-    robot, controller, trajectory, n, spread, dt, seed, duration, integrator, substeps, forces, limit
-        See `Scenario`.
+    robot : MobileRobot or other plant
+        Nominal plant.
+    controller : controller
+        Controller, see `simulate`.
+    trajectory : trajectory
+        Trajectory of all robots, unless the spread names one of its numbers.
+    n : int
+        Number of robots.
+    spread : mapping of str to Distribution, number or array of shape (n,)
+        Distributions of numbers, by path such as ``"plant.mass"`` or its end ``"mass"``, see `Scenario`.
+    dt : float
+        Time step of the controller [s].
+    seed : int
+        Seed of all draws; those of robot i do not depend on n.
+    duration : float, optional
+        Duration of each run [s], see `simulate`.
+    integrator : callable, optional
+        Integrator of the plant, see `simulate`.
+    substeps : int
+        Integrator steps per dt.
+    forces : sequence of callable, or mapping of str to callable
+        External forces, see `simulate`.
+    limit : float
+        Largest error of a loop that has not diverged [m, rad, m/s, rad/s].
     after : float
         Time from which the ensemble records errors [s].
     every : int, optional
@@ -385,8 +407,14 @@ def run_scenario(
     ----------
     scenario : Scenario
         Loop and spread of the ensemble.
-    traces, engine, threads, progress
-        See `ensemble`.
+    traces : iterable of int
+        Indices of robots whose samples are kept as a `Rollout`.
+    engine : Engine, optional
+        Engine of the runs, see `ensemble`.
+    threads : int, optional
+        Threads of compiled code; default: one for each processor.
+    progress : callable, optional
+        Function ``progress(done, n)``, called from time to time.
 
     Returns
     -------
@@ -466,7 +494,7 @@ def part_of(
 
     See Also
     --------
-    run_scenario : run all robots.
+    loop.run_scenario : run all robots.
     loop.Part : records of some robots.
 
     Examples

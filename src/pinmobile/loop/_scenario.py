@@ -119,9 +119,17 @@ class Scenario(Recorded):
         Time step of the controller [s].
     seed : int
         Seed of all draws; those of robot i do not depend on n.
-    duration, integrator, substeps, forces, limit
-        See `simulate`. A `forces.NoiseForce` or a `MeasurementNoise` has its own draws for each robot, which
-        depend on this seed and its own.
+    duration : float, optional
+        Duration of each run [s], see `simulate`.
+    integrator : callable, optional
+        Integrator of the plant, see `simulate`.
+    substeps : int
+        Integrator steps per dt.
+    forces : sequence of callable, or mapping of str to callable
+        External forces, see `simulate`. A `forces.NoiseForce` or a `MeasurementNoise` has its own draws for
+        each robot, which depend on this seed and its own.
+    limit : float
+        Largest error of a loop that has not diverged [m, rad, m/s, rad/s].
 
     after : float
         Time from which the ensemble records errors [s], so that the start of a run does not dominate them.
@@ -504,6 +512,16 @@ class Scenario(Recorded):
         """Return the scenario for a process that runs the robots from `start` to before `stop`.
 
         Arrays of the spread contain only these robots. Everything else, draws included, is the same.
+
+        Parameters
+        ----------
+        start, stop : int
+            Range of robots.
+
+        Returns
+        -------
+        Scenario
+            Scenario with the same n.
         """
         part = copy(self)
         object.__setattr__(part, "spread", held(self.spread, start, stop))

@@ -125,7 +125,18 @@ class Uniform:
         return self.low, self.high
 
     def cdf(self, value: float) -> float:
-        """Return the probability that a draw does not exceed `value`, a number in the unit of the bounds."""
+        """Return the probability that a draw does not exceed a value.
+
+        Parameters
+        ----------
+        value : float
+            Value in the unit of the bounds.
+
+        Returns
+        -------
+        float
+            Probability from 0 to 1.
+        """
         value, width = scalar("value", value), self.high - self.low
         return min(max((value - self.low) / width, 0.0), 1.0) if width else float(value >= self.low)
 

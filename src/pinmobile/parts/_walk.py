@@ -382,7 +382,6 @@ def table(part: Any) -> str:
     >>> print(table(PD(120, 60)))
     kp  120.  N/m, N/m, N m/rad          proportional gain
     kd  60.   N s/m, N s/m, N m s/rad    derivative gain
-
     """
     rows = [
         (

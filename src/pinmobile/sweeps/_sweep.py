@@ -85,9 +85,11 @@ class Sweep:
         ----------
         path : str or path
             Folder of the store.
-        scenario, grid, cases
-            Arguments of `sweep`. `ensemble` needs them, because a store contains numbers, not objects.
-            Objects that the ``version`` of `sweep` represents count as unchanged.
+        scenario : Scenario, optional
+            Scenario of `sweep`. `ensemble` needs it, because a store contains numbers, not objects. Objects
+            that the ``version`` of `sweep` represents count as unchanged.
+        grid, cases : mapping, optional
+            Grid and cases of `sweep`.
 
         Returns
         -------
