@@ -23,7 +23,7 @@ class Integrating(Comparing, Protocol):
 
 
 class Stepping(Protocol):
-    """A plant with a step of its own, step(t, q, v, u, h, f, memory).
+    """A plant with its own step, step(t, q, v, u, h, f, memory).
 
     The step replaces the integrator, for instance if the dynamics contain contacts or fast electrical states.
     `Remembering` supplies the initial memory.
@@ -76,7 +76,7 @@ class Constrained(Protocol):
 
     See Also
     --------
-    parts.Stepping : plants with a step of their own.
+    parts.Stepping : plants with their own step.
 
     Examples
     --------
