@@ -397,7 +397,7 @@ def _one_motor() -> WheeledRobot:
 def test_a_controller_of_forces_on_the_body_is_told_what_turns_them_into_torques(engine: Any) -> None:
     robot = DIFFERENTIAL
     circle = pm.Tangent(pm.Circle(radius=2, rate=0.5, duration=1.0))
-    with refused(r"such as ControlAllocation\(controller, robot\) makes"):
+    with refused(r"torques: ControlAllocation\(controller, robot\) makes"):
         pm.simulate(robot, pm.PD(100, 120), circle, dt=0.01, integrator=pm.rk4, engine=engine)
 
 

@@ -348,7 +348,7 @@ class TauAlone:
 def test_without_a_duration_a_run_takes_the_whole_steps_of_the_trajectory_s_and_reports_it() -> None:
     circle = pm.Tangent(pm.Circle(1, 0.5, 10))
     with pytest.warns(
-        UserWarning, match=r"^the last sample is at t = 9\.99 s, as the trajectory's 10 s are"
+        UserWarning, match=r"^the last sample is at t = 9\.99 s: the trajectory's 10 s are not"
     ) as told:
         run = pm.simulate(pm.MobileRobot.lecture(), pm.PD(4, 4), circle, dt=0.03)
     assert len(told) == 1

@@ -246,7 +246,7 @@ def test_what_cannot_be_recognised_needs_a_word_of_its_user(tmp_path: Path) -> N
     first = replace(scenario(n=3), controller=closure(item for item in "ab"), duration=0.5)
     path = tmp_path / "store"
     with pytest.raises(
-        pm.InvalidArgument, match=r"controller\.function has .*<genexpr>, .*version=\"1\"\), a word"
+        pm.InvalidArgument, match=r"controller\.function has .*<genexpr>, .*version=\"1\"\): change this word"
     ):
         pm.sweep(first, path)
     pm.sweep(first, path, version="stiff")
