@@ -350,7 +350,7 @@ REFUSED: dict[str, tuple[Callable[[Any], Any], str]] = {
     "index of symbols": (lambda q: q[q[0]], "np.where"),
     "selecting mask": (lambda q: q[q > 0], "np.where"),
     "argmax": (lambda q: q[np.argmax(q)], "np.max"),
-    "where with one argument": (lambda q: np.where(q > 0), "all three"),
+    "where with one argument": (lambda q: np.where(q > 0), "three arguments"),
     "eigenvalues": (lambda q: np.linalg.eigvalsh(np.outer(q, q)), "PYTHON"),
     "least squares": (lambda q: np.linalg.lstsq(K, q), "np.linalg.solve"),
     "single precision": (lambda q: q.astype(np.float32), "float64"),

@@ -285,8 +285,8 @@ def endless(t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
 
 # The law, its first state, and what is said of it: what, instead and place.
 REFUSED: dict[str, tuple[Any, Any, str, str, str]] = {
-    "a counter outside the state": (counting, None, "asked again", "state", "counting, line"),
-    "a generator of one's own": (drawing, None, "asked again", "context.noise", "drawing, line"),
+    "a counter outside the state": (counting, None, "runs again", "state", "counting, line"),
+    "a generator of one's own": (drawing, None, "runs again", "context.noise", "drawing, line"),
     "a symbol that is kept": (keeping, None, "", "memory in state", ""),
     "another form of memory": (growing, None, "None", "initial_state", ""),
     "other names in memory": (renaming, {"old": 0.0}, "'new'", "initial_state", ""),

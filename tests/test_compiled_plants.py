@@ -105,7 +105,7 @@ def test_forces_on_a_body_that_cannot_be_pushed_are_refused() -> None:
             return None
 
     loop = Loop(Fixed(), PD(1.0, 1.0), None, (ConstantForce((1, 1, 1)),), constant_acceleration)
-    with pytest.raises(errors.InvalidArgument, match="cannot be pushed"):
+    with pytest.raises(errors.InvalidArgument, match="accepts no wrench"):
         compiled(loop, CIRCLE.q[:1], CIRCLE.v[:1])
 
 
