@@ -305,7 +305,7 @@ windy = {
 plots.errors(windy)
 
 # %% [markdown]
-# And ten thousand robots, each with a wind and a start of its own:
+# And two thousand robots, each with a wind and a start of its own:
 
 # %%
 calm = ConstantForce((0, 0, 0))  # the spread gives each robot its own
@@ -313,7 +313,7 @@ spread = {"force.x": Uniform(-15, 15), "start.y": Uniform(-1.5, 1.5)}
 within = {}
 for name, own in pushing.items():
     limited = InputSaturation(own, (20, 20, 5))
-    fleet = ensemble(box, limited, circle, n=10_000, spread=spread, forces=[calm], dt=0.01, after=8)
+    fleet = ensemble(box, limited, circle, n=2_000, spread=spread, forces=[calm], dt=0.01, after=8)
     within[name] = fleet.error_quantile(0.99).distance
     print(f"{name:18} {fleet.engine}: 99 % stay within {1e3 * within[name]:.1f} mm from t = 8 s on")
 

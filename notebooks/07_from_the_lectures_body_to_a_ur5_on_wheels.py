@@ -74,7 +74,7 @@ print(f"M(q) of body and arm:\n{robot.mass_matrix(q)}")
 
 # %%
 generator = np.random.default_rng(0)
-samples = robot.random_configuration(generator, (200,))
+samples = robot.random_configuration(generator, (100,))
 largest = 0.0
 for sample in samples:
     whole = robot.lumped(sample)
@@ -170,13 +170,14 @@ def operations(derived):
     return named + sum(entry.count_ops() for entry in entries), sum(cost(entry) for entry in entries)
 
 
-counted = np.array([operations(derived(joints)) for joints in range(7)])
-for joints, (named, written) in enumerate(counted):
+numbers = (0, 1, 2, 4, 6)  # joints
+counted = np.array([operations(derived(joints)) for joints in numbers])
+for joints, (named, written) in zip(numbers, counted, strict=True):
     print(f"{joints} joints on the body: {named:6,} operations in steps, {written:12,} written out")
 
 figure, axes = plt.subplots(figsize=(6, 3), layout="constrained")
 for k, name in enumerate(("in named steps", "written out")):
-    axes.semilogy(range(7), counted[:, k], "o-", color=colour(k), label=name)
+    axes.semilogy(numbers, counted[:, k], "o-", color=colour(k), label=name)
 axes.set(xlabel="joints of the arm on the body", ylabel="operations in $M(q)$")
 axes.legend()
 dress(axes)
@@ -387,8 +388,8 @@ for speed, seen, told in zip(speeds[1:], lost[1:], rule[1:], strict=True):
 assert largest < 1e-12, "the base's block is not the closed form of the lumped mass"
 ratio = rest_of_it / shares
 assert np.allclose(ratio[:6], ratio[0], rtol=1e-6), "the arm does not fade in proportion"
-assert counted[6, 0] < 10_000, "the recursion is long too"
-assert counted[6, 1] > 50 * counted[6, 0], "the matrix written out is not so long"
+assert counted[-1, 0] < 10_000, "the recursion is long too"
+assert counted[-1, 1] > 50 * counted[-1, 0], "the matrix written out is not so long"
 whole, apart = (run.max_error() for run in runs.values())
 assert (whole < 1e-3).all(), "computed torque of the whole errs"
 assert (apart > 20 * whole).all(), "the coupling costs little"

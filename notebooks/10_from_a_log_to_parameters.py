@@ -181,7 +181,7 @@ for name in names:
 # too: central differences, one `lstsq`, the covariance of white residuals. It comes in a harsh form, of poses
 # as they were logged at 100 Hz, and in a milder one, which takes more care: poses are filtered first
 # (Butterworth, fourth order, 4 Hz, forwards and backwards), the same filter goes over each column of the
-# regressor and over the forces, and these are the mean of before and after each sample. All get the same six
+# regressor and over the forces, and these are the mean of before and after each sample. All get the same three
 # logs, each with noise of its own:
 
 
@@ -217,7 +217,7 @@ def least_squares(log, smooth=None):
 answers = {"identify": [], "filtered least squares": [], "raw least squares": []}
 shared = np.array([0, 4, 5, 6, 7, 8, 9])  # what both call by one name: mass and friction
 truth = np.array(list(true.values()))
-for seed in range(6):
+for seed in range(3):
     log = logged(run, seed=seed)
     intervals = identify(log).interval()
     answers["identify"].append(np.array([intervals[name] for name in true]))
@@ -232,7 +232,7 @@ for axes, (name, intervals) in zip(panels, answers.items(), strict=True):
     held[name] = inside[:, shared].mean()
     for row, k in enumerate(shared):
         for seed, (low, high) in enumerate(100 * (bounds[:, k] / truth[k] - 1)):
-            y = row + 0.12 * (seed - 2.5)
+            y = row + 0.2 * (seed - 1)
             own = colour(0 if inside[seed, k] else 1)
             axes.plot([low, high], [y, y], ".-", color=own, linewidth=1.8, markersize=3)
     axes.axvline(0, color=INK, linewidth=1, linestyle="--")
@@ -246,8 +246,8 @@ for name, share in held.items():
     print(f"{name:22} {100 * share:3.0f} of 100 intervals of mass and friction hold the true value")
 
 # %% [markdown]
-# (Dashed: the truth; six logs in each row. Intervals that miss it are in the second colour: of `identify`
-# none of the 42.)
+# (Dashed: the truth; three logs in each row. Intervals that miss it are in the second colour: of `identify`
+# none of the 21.)
 # Raw least squares is sure of itself and wrong: second differences of noisy poses are mostly noise, and noise
 # in a *column* makes its coefficient too small, which no amount of data mends. The filter mends most of that:
 # its estimates are near. What it leaves of the noise hangs together from row to row, though, and dry friction

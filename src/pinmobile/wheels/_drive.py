@@ -280,6 +280,13 @@ class WheeledRobot(PlantOnWheels):
         """Diagonal of M at rest for steering axes and wheels, shape (axes + wheels,) [kg m^2]."""
         return frozen(np.diagonal(self.mass_matrix(self.rest))[self.robot.nv :])
 
+    @structure
+    def _accelerates_everywhere(self) -> bool:
+        if self.mobility.mobility < 3:
+            return False
+        still = self.reduced(self.rest, np.zeros(self.nv))
+        return bool(np.linalg.matrix_rank(still.B) == len(still.M))
+
     # Sizes and names
 
     mobility = _of("table", "mobility", "Motions that the wheels allow.")
@@ -732,8 +739,7 @@ class WheeledRobot(PlantOnWheels):
             If it cannot.
         """
         self._check_rolls()
-        still = self.reduced(self.rest, np.zeros(self.nv)) if self.mobility.mobility == 3 else None
-        if still is None or np.linalg.matrix_rank(still.B) < len(still.M):
+        if not self._accelerates_everywhere:
             raise InvalidArgument(
                 f"robot is {self.mobility.kind}, which cannot accelerate in every direction and so has no "
                 "inverse dynamics; expected an omnidirectional drive, or Backstepping(law, robot), "
