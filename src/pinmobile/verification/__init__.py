@@ -304,9 +304,9 @@ def compare_mounted(robot: MobileRobot, states: int, rng: np.random.Generator) -
     M, n = own["M"], own["n"]
     columns = np.stack([each(robot.inverse_dynamics, q, 0 * v, unit) - g for unit in units], axis=-1)
     parts, still = Parts(robot, q, v), Parts(robot, q, 0 * v)
-    by_parts = [still.forces(unit, gravity=False) for unit in units]
+    by_parts = still.forces(np.stack(units), gravity=False)
     routes = {
-        ("M", "CRBA", _PARTS): M - np.stack(by_parts, axis=-1),
+        ("M", "CRBA", _PARTS): M - np.moveaxis(by_parts, 0, -1),
         ("n", "RNEA", _PARTS): n - parts.forces(0 * a),
         ("tau", "RNEA", _PARTS): tau - parts.forces(a),
         ("f", "RNEA", _PARTS): each(robot.ground_wrench, q, v, a) - parts.ground_wrench(a),

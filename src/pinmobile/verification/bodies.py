@@ -124,11 +124,11 @@ class Parts:
             self._frames[name] = on_arm, placement
 
     def forces(self, a: Array, *, gravity: bool = True) -> Array:
-        """Return the generalised forces that these states and accelerations ask for, shape (n, nv)."""
-        tau = np.zeros((self.count, self.nv))
+        """Return the generalised forces that these states and accelerations ask for, shape (..., n, nv)."""
+        tau = np.zeros((*a.shape[:-1], self.nv))
         for link, wrench in zip(self.links, self._wrenches(a, gravity), strict=True):
-            own = times(link.S.transpose(0, 2, 1), wrench)
-            tau[:, link.columns] = own + link.rotors * a[:, link.columns]
+            own = times(np.swapaxes(link.S, -1, -2), wrench)
+            tau[..., link.columns] = own + link.rotors * a[..., link.columns]
         return tau
 
     def ground_wrench(self, a: Array) -> Array:
@@ -136,18 +136,18 @@ class Parts:
         return self._wrenches(a, gravity=True)[BODY_JOINT - 1]
 
     def _wrenches(self, a: Array, gravity: bool) -> list[Array]:
-        """Return what moves each link and all that hangs on it, in its own frame, shape (n, 6) each."""
+        """Return what moves each link and all that hangs on it, in its own frame, shape (..., n, 6) each."""
         rates: list[tuple[Array, Array]] = []  # twist and its derivative, along each link's own axes
         wrenches: list[Array] = []
-        ground = np.zeros((self.count, 6))
+        ground = np.zeros((*a.shape[:-1], 6))
         lifted = ground - np.append(self.fall, np.zeros(3)) if gravity else ground  # as if the ground rose
         for link in self.links:
             twist, rate = rates[link.parent] if link.parent >= 0 else (ground, lifted)
             own = times(link.S, self.v[:, link.columns])
             w = _seen(link.T, twist) + own
-            dw = _seen(link.T, rate) + times(link.S, a[:, link.columns]) + _cross(w, own)
+            dw = _seen(link.T, rate) + times(link.S, a[..., link.columns]) + _cross(w, own)
             rates.append((w, dw))
-            wrenches.append(sum((_inertial(body, w, dw) for body in link.bodies), np.zeros((self.count, 6))))
+            wrenches.append(sum((_inertial(body, w, dw) for body in link.bodies), 0 * ground))
         for link, wrench in zip(reversed(self.links), reversed(wrenches), strict=True):
             if link.parent >= 0:
                 wrenches[link.parent] += _carried(link.T, wrench)
@@ -209,36 +209,40 @@ def _moved(model: pin.Model, joint: int, foot: pin.SE3, q: Array) -> tuple[Array
 
 
 def _inertial(body: tuple[float, Array, Array], w: Array, dw: Array) -> Array:
-    """Return the force and the moment about the link's origin that move a body so, shape (n, 6)."""
+    """Return the force and the moment about the link's origin that move a body so, shape (..., 6)."""
     mass, com, inertia = body
-    omega, alpha = w[:, 3:], dw[:, 3:]
-    at_origin = dw[:, :3] + _vector_product(omega, w[:, :3])
+    omega, alpha = w[..., 3:], dw[..., 3:]
+    at_origin = dw[..., :3] + _vector_product(omega, w[..., :3])
     force = mass * (
         at_origin + _vector_product(alpha, com) + _vector_product(omega, _vector_product(omega, com))
     )
     moment = alpha @ inertia.T + _vector_product(omega, omega @ inertia.T)
-    return np.hstack([force, moment + _vector_product(com, force)])
+    return _stacked([force, moment + _vector_product(com, force)])
 
 
 def _seen(T: Array, twist: Array) -> Array:
     """Return a twist at the origin and along the axes of a frame with pose T."""
-    R, p = T[:, :3, :3], T[:, :3, 3]
-    velocity = twist[:, :3] + _vector_product(twist[:, 3:], p)
-    turned = R.transpose(0, 2, 1)
-    return np.hstack([times(turned, velocity), times(turned, twist[:, 3:])])
+    R, p = T[..., :3, :3], T[..., :3, 3]
+    velocity = twist[..., :3] + _vector_product(twist[..., 3:], p)
+    turned = np.swapaxes(R, -1, -2)
+    return _stacked([times(turned, velocity), times(turned, twist[..., 3:])])
 
 
 def _carried(T: Array, wrench: Array) -> Array:
     """Return a wrench in a frame with pose T as the parent feels it."""
-    R, p = T[:, :3, :3], T[:, :3, 3]
-    force = times(R, wrench[:, :3])
-    return np.hstack([force, times(R, wrench[:, 3:]) + _vector_product(p, force)])
+    R, p = T[..., :3, :3], T[..., :3, 3]
+    force = times(R, wrench[..., :3])
+    return _stacked([force, times(R, wrench[..., 3:]) + _vector_product(p, force)])
 
 
 def _cross(w: Array, twist: Array) -> Array:
     """Return the rate of a twist that is fixed in a frame which itself moves with w."""
-    linear = _vector_product(w[:, 3:], twist[:, :3]) + _vector_product(w[:, :3], twist[:, 3:])
-    return np.hstack([linear, _vector_product(w[:, 3:], twist[:, 3:])])
+    linear = _vector_product(w[..., 3:], twist[..., :3]) + _vector_product(w[..., :3], twist[..., 3:])
+    return _stacked([linear, _vector_product(w[..., 3:], twist[..., 3:])])
+
+
+def _stacked(parts: list[Array]) -> Array:
+    return np.concatenate(parts, axis=-1)
 
 
 def _vector_product(a: Array, b: Array) -> Array:

@@ -124,8 +124,7 @@ def _draw_grid(stage: Stage, extent: Extent) -> None:
     # WebGL's lines are a pixel wide, and a software one drops those that cross the camera's plane.
     lines = [np.array([[x, y0], [x, y1]]) for x in xs for y0, y1 in pairwise(ys)]
     lines += [np.array([[x0, y], [x1, y]]) for y in ys for x0, x1 in pairwise(xs)]
-    bands = shapes.joined([shapes.ribbon(line, 0.04 * tall) for line in lines])
-    stage.put("meshcat/grid", shapes.flat(bands, "#c9cdd1", order=_GRID))
+    stage.put("meshcat/grid", shapes.flat(shapes.bands(lines, 0.04 * tall), "#c9cdd1", order=_GRID))
     words = [("x [m]", (xs[-1] + 1.6 * tall, ys[0])), ("y [m]", (xs[0] + 1.4 * tall, ys[-1] + 0.7 * tall))]
     longest = max(len(f"{x:g}") for x in xs)
     apart = int(np.ceil(0.7 * tall * longest / extent.step))  # lines from one word to the next

@@ -78,6 +78,26 @@ def ribbon(points: ArrayLike, width: float) -> Triangles:
     return vertices, faces.astype(np.uint32)
 
 
+def bands(lines: ArrayLike, width: float) -> Triangles:
+    """Return a flat band along each of many straight lines, as `ribbon` has it of one.
+
+    Parameters
+    ----------
+    lines : array_like, shape (n, 2, 2)
+        Start and end of each line [m], which differ.
+    width : float
+        Of the bands [m].
+    """
+    lines = np.asarray(lines, np.float64)
+    along = lines[:, 1] - lines[:, 0]
+    along = along / np.hypot(*along.T)[:, None]
+    side = width / 2 * np.stack([-along[:, 1], along[:, 0]], axis=-1)[:, None]
+    edges = np.stack([lines + side, lines - side], axis=2).reshape(-1, 2)
+    first = 4 * np.arange(len(lines), dtype=np.uint32)[:, None, None]
+    faces = (first + np.array([[0, 1, 2], [1, 3, 2]], np.uint32)).reshape(-1, 3)
+    return np.column_stack([edges, np.zeros(len(edges))]), faces
+
+
 def dashes(points: Array, dash: float, band: Callable[[Array], Triangles]) -> Triangles | None:
     """Return bands along a curve, `dash` long and 0.8 of that apart [m]; None where it stands still.
 
