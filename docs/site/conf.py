@@ -5,6 +5,7 @@ import enum
 import inspect
 import re
 import sys
+from functools import cache
 from pathlib import Path
 
 from docutils import nodes
@@ -18,7 +19,7 @@ HERE = Path(__file__).parent
 ROOT = next(each for each in HERE.parents if (each / "pyproject.toml").exists())
 sys.path[:0] = [str(HERE / "_ext"), str(ROOT / "docs")]
 
-from public import TOPICS, find  # noqa: E402
+from public import TOPICS, find, public, spelled  # noqa: E402
 
 project, author, copyright = (
     "pinmobile",
@@ -167,17 +168,13 @@ class Linked(SphinxTransform):
                 link += literal
 
 
-def words_of(docname: str) -> set[str]:
-    """Return the words that backticks may contain on the page of an object: its parameters and attributes."""
-    name = docname.rpartition("/")[2].removeprefix("pinmobile.")
-    found = PUBLIC.get(name)
+@cache
+def words_of(name: str) -> frozenset[str]:
+    """Return what backticks may contain in the text of a public object: its parameters, attributes and methods."""
+    found = PUBLIC[name]
     words = {word for word in dir(found) if word[0] != "_"}
-    members = (
-        [value for key, value in inspect.getmembers_static(found) if key[0] != "_"]
-        if inspect.isclass(found)
-        else []
-    )
-    for one in (found, *members):
+    members = inspect.getmembers_static(found) if inspect.isclass(found) else []
+    for one in (found, *(value for key, value in members if key[0] != "_")):
         one = getattr(one, "fget", getattr(one, "__func__", one))
         with contextlib.suppress(TypeError, ValueError):
             words |= set(inspect.signature(one).parameters)
@@ -185,35 +182,42 @@ def words_of(docname: str) -> set[str]:
             r"^ *([A-Za-z_*][\w, .*]*) : ", inspect.getdoc(one) or "", re.M
         ):
             words |= {word.strip(" *.") for word in line.split(",")}
-    return words
+    return frozenset(words)
 
 
-WORDS: dict[str, set[str]] = {}
+def spoken_of(page: str) -> frozenset[str]:
+    """Return these words for a page: of its object, or of all objects of its topic."""
+    folder, _, name = page.rpartition("/")
+    if name.removeprefix("pinmobile.") in PUBLIC:
+        return words_of(name.removeprefix("pinmobile."))
+    modules = TOPICS.get(name, ("", []))[1] if folder == "reference" else []
+    names = [spelled(module, each) for module in modules for each in public(module)]
+    return frozenset().union(*map(words_of, names))
 
 
 def resolve(app, env, node, shown):
     """Return a link to a public object, plain code for a parameter, or None: then Sphinx warns."""
     page = node.get("refdoc", env.docname)
     short = node.get("reftarget", "").partition("(")[0].removeprefix("pinmobile.")
-    parts = short.split(".")
-    for cut in range(len(parts), 0, -1):
-        full = SHORT.get(".".join(parts[:cut]))
+    first, *rest = short.split(".")
+    for cut in range(len(rest), -1, -1):
+        full = SHORT.get(".".join([first, *rest[:cut]]))
         if full is not None:
-            target = ".".join(["pinmobile", full, *parts[cut:]])
+            target = ".".join(["pinmobile", full, *rest[cut:]])
             found = env.domains["py"].resolve_xref(
                 env, page, app.builder, "obj", target, node, shown
             )
-            if found is not None:
-                return found
-            owner = PUBLIC[full]
-            for name in parts[cut:]:
-                owner = getattr(owner, name, None)
-            return shown if owner is not None else None
-    if "/generated/" in f"/{page}" and parts[0] in WORDS.setdefault(
-        page, words_of(page)
-    ):
+            return found or (
+                shown if set(rest[cut : cut + 1]) <= words_of(full) else None
+            )
+    if first in spoken_of(page) or short in MODULES:
         return shown
-    return shown if short in MODULES else None
+    owners = [
+        name
+        for name, each in PUBLIC.items()
+        if inspect.isclass(each) and first in words_of(name)
+    ]
+    return shown if owners and "/generated/" in page else None
 
 
 class Shown:
