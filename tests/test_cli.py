@@ -5,7 +5,9 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from html import unescape
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -44,12 +46,11 @@ def typed(capsys: pytest.CaptureFixture[str]) -> Typed:
 
 @pytest.fixture(scope="module")
 def lecture(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """Return the folder and the output of `pinmobile lecture`, in a process of its own."""
-    folder = tmp_path_factory.mktemp("lecture") / "out"
-    words = [sys.executable, "-m", "pinmobile", "lecture", "--out", str(folder)]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300)
-    assert done.returncode == 0, done.stderr
-    return folder, done.stdout
+    """Return the folder and the output of `pinmobile lecture`."""
+    folder, printed = tmp_path_factory.mktemp("lecture") / "out", StringIO()
+    with redirect_stdout(printed):
+        assert main(["lecture", "--out", str(folder)]) == 0
+    return folder, printed.getvalue()
 
 
 @pytest.mark.long
