@@ -181,8 +181,8 @@ for name in names:
 # too: central differences, one `lstsq`, the covariance of white residuals. It comes in a harsh form, of poses
 # as they were logged at 100 Hz, and in a milder one, which takes more care: poses are filtered first
 # (Butterworth, fourth order, 4 Hz, forwards and backwards), the same filter goes over each column of the
-# regressor and over the forces, and these are the mean of before and after each sample. All get the same three
-# logs, each with noise of its own:
+# regressor and over the forces, and these are the mean of before and after each sample. All get the same
+# three logs, each with noise of its own:
 
 
 # %%

@@ -452,7 +452,7 @@ ROWS: dict[str, Row] = {
     "Rollout.end_effector": row(frame=None),
     "integrator_report": row(integrator=pm.rk4, robot=the("robot"), steps=(0.1, 0.05), duration=0.2),
     "solve_inverse_kinematics": row(
-        80,
+        24,
         robot=the("armed"),
         target=the("target"),
         frame="arm/l1",

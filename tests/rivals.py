@@ -21,7 +21,6 @@ _FRICTION = {
 }
 _NOISE = {"controller.controller.std_q": 1e-3, "controller.controller.std_v": 1e-2}
 CASES: Mapping[str, Mapping[str, Any]] = {
-    "nominal": {},
     "friction": _FRICTION,
     "delay": {"robot": HEAVY, "controller.samples": 3},
     "noise": {"robot": HEAVY, **_NOISE},
@@ -36,16 +35,16 @@ CASES: Mapping[str, Mapping[str, Any]] = {
 }
 # Largest distance after 5 s [mm], and the chatter where there is noise [N/s].
 PUBLISHED = {
-    "PD": ("120 113 inf 148 421", 137),
-    "computed torque": (".099 36.8 27.2 7.64 115", 282),
-    "PID": (".015 6.42 27.9 2.08 31.7", 455),
-    "adaptive": (".094 36.4 27.4 5.37 104", 295),
-    "adaptive, friction": (".093 1.51 27.9 2.83 44.3", 305),
-    "sliding mode": (".011 4.30 27.0 1.82 6.82", 1586),
-    "super-twisting": (".003 .017 27.5 1.65 22.9", 1118),
-    "observer": (".099 2.18 27.5 2.24 23.9", 640),
-    "ADRC": (".281 3.81 27.9 1.73 35.9", 407),
-    "LQR": (".076 27.8 27.4 6.61 91.4", 275),
+    "PD": ("113 inf 148 421", 137),
+    "computed torque": ("36.8 27.2 7.64 115", 282),
+    "PID": ("6.42 27.9 2.08 31.7", 455),
+    "adaptive": ("36.4 27.4 5.37 104", 295),
+    "adaptive, friction": ("1.51 27.9 2.83 44.3", 305),
+    "sliding mode": ("4.30 27.0 1.82 6.82", 1586),
+    "super-twisting": (".017 27.5 1.65 22.9", 1118),
+    "observer": ("2.18 27.5 2.24 23.9", 640),
+    "ADRC": ("3.81 27.9 1.73 35.9", 407),
+    "LQR": ("27.8 27.4 6.61 91.4", 275),
 }
 
 

@@ -328,8 +328,8 @@ def test_difference_sees_a_wrong_term() -> None:
 @pytest.mark.long
 def test_spatial_chain_is_pinocchios() -> None:
     rng, gravity = np.random.default_rng(5), (0.0, -9.81, 0.0)
-    bodies = [random_body(rng) for _ in TWISTED]
-    derivation = derive(TWISTED, gravity=gravity)
+    bodies = [None, None, random_body(rng)]
+    derivation = derive(TWISTED, [None, None, Link.general(3)], gravity=gravity)
     assert derivation.assignments == ()
     assert_same_as_pinocchio(derivation, bodies, gravity, rng)
 
@@ -377,7 +377,7 @@ rows = st.tuples(angles, lengths, angles, lengths, st.sampled_from([R, P]))
 
 # Not shrunk: a failure would take minutes.
 @settings(
-    max_examples=settings().max_examples // 10,
+    max_examples=settings().max_examples // 6,
     derandomize=True,
     deadline=None,
     phases=[Phase.explicit, Phase.generate],
@@ -411,11 +411,13 @@ def test_written_out_is_free_of_names() -> None:
 
 @pytest.mark.long
 def test_exact_numbers_leave_no_rounding() -> None:
-    derivation = derive(TWISTED, [None, None, Link(0.1, (0.3, 0, -0.2), sympy.diag(0.1, 0.2, 0.3))])
+    derivation = derive(
+        DHTable(TWISTED.rows[:2]), [None, Link(0.1, (0.3, 0, -0.2), sympy.diag(0.1, 0.2, 0.3))]
+    )
     everything = [step.expression for step in derivation.steps]
     assert not any(expression.atoms(sympy.Float) for expression in everything)
     assert derivation["T_1_2"].expression[0, 3] == sympy.Rational(2, 5)
-    assert difference(derivation, lagrange(derivation)) == zeros(3, 1)
+    assert difference(derivation, lagrange(derivation)) == zeros(2, 1)
 
 
 # Numbers

@@ -28,7 +28,7 @@ from pinmobile.paths import (
 )
 from tests.refusals import refusals, told
 
-derandomised = settings(derandomize=True, deadline=None, max_examples=60)
+derandomised = settings(derandomize=True, deadline=None, max_examples=30)
 number = st.floats(-10, 10).map(lambda x: round(x, 3))
 EPS = float(np.finfo(float).eps)
 

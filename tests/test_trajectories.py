@@ -17,7 +17,7 @@ from pinmobile.paths.path import PiecewisePolynomial, Polynomial
 from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent, Trajectory
 from tests.refusals import refused
 
-derandomised = settings(derandomize=True, deadline=None, max_examples=60)
+derandomised = settings(derandomize=True, deadline=None, max_examples=30)
 EPS = float(np.finfo(float).eps)
 
 VIA_STOP = CubicVia((0, 0), (2, 2), (0, 4), 30, 60, via_velocity=(0, 0))

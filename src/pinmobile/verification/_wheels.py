@@ -126,14 +126,14 @@ def _rolling(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> tu
     up = np.linalg.pinv(np.swapaxes(A, -1, -2), rcond=1e-10)
     ground = times(up, times(M, a) + n - given)
     bodies, still = WheelBodies(wheeled, q, v), WheelBodies(wheeled, q, 0 * v, weightless=True)
-    by_bodies = [still.forces(np.broadcast_to(unit, a.shape)) for unit in np.eye(wheeled.nv)]
+    by_bodies = still.forces(np.stack([np.broadcast_to(unit, a.shape) for unit in np.eye(wheeled.nv)]))
     along, across, trains = _forces(wheeled, ground)
     held = bodies.contact(along, across) + trains @ bodies.trains()
     scales = _scales(bodies, wheeled, M, v, a, np.abs(given) + np.abs(times(np.swapaxes(A, -1, -2), ground)))
     largest = np.abs(ground).max(-1, keepdims=True) + scales.tau[:, :2].max(-1, keepdims=True)
     plane, forces = wheeled.forward_dynamics(q, v, u, f), wheeled.constraint_forces(q, v, u, f).values
     rows: list[Row] = [
-        ("M", "CRBA", BODIES, off_by(M - np.stack(by_bodies, axis=-1), scales.M), ROUNDING),
+        ("M", "CRBA", BODIES, off_by(M - np.moveaxis(by_bodies, 0, -1), scales.M), ROUNDING),
         ("M", "CRBA", PLANE, off_by(M - wheeled.mass_matrix(q), scales.M), ROUNDING),
         ("n", "RNEA", BODIES, off_by(n - bodies.forces(0 * a), scales.tau), ROUNDING),
         ("n", "RNEA", PLANE, off_by(n - wheeled.nonlinear_effects(q, v), scales.tau), ROUNDING),

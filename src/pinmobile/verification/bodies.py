@@ -382,7 +382,7 @@ class WheelBodies:
         return self.parts.ground_wrench(self._motion(a)[0][2])
 
     def forces(self, a: Array) -> Array:
-        """Return the generalised forces that these accelerations ask for, shape (n, nv of the whole)."""
+        """Return the generalised forces that these accelerations ask for, shape (..., n, nv of the whole)."""
         tree = self.parts.forces(self._motion(a)[0][2])
         return times(np.swapaxes(self.G, -1, -2), tree) + a @ self.reflected
 
