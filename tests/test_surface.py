@@ -125,11 +125,16 @@ def imports(path: Path) -> tuple[str, ...]:
     return tuple(_imports(path))
 
 
+@cache
+def every_module() -> frozenset[str]:
+    return frozenset(map(module_of, FILES))
+
+
 def _imports(path: Path) -> Iterator[str]:
     for node in nodes_of(path):
         if isinstance(node, ast.ImportFrom) and node.module:
             named = {f"{node.module}.{alias.name}" for alias in node.names}
-            modules = named if node.module == "pinmobile" else named & set(map(module_of, FILES))
+            modules = named if node.module == "pinmobile" else named & every_module()
             yield from modules or [node.module]
         elif isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
